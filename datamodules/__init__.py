@@ -1,0 +1,1 @@
+"""Data modules: photographs as batches of pixels."""

@@ -1,0 +1,1 @@
+"""Records, protocols and the small mathematics that every other floor shares."""

@@ -1,0 +1,79 @@
+"""The contracts between the floors. YAML ``class_path`` picks implementations; there is no registry."""
+
+from __future__ import annotations
+
+from typing import Protocol
+
+from torch import Tensor
+
+from neurad.core.records import BSDFSample, EmitterSample, Hit, Interaction, Rays, Surface
+
+
+class Tracer(Protocol):
+    """Casts rays against a fixed set of triangles. Results lie on the device of the rays and carry no gradients."""
+
+    def closest(self, rays: Rays) -> Hit:
+        """The nearest hit of every ray with t > 0, dense."""
+        ...
+
+    def occluded(self, rays: Rays, t_max: Tensor) -> Tensor:
+        """Whether anything lies in 0 < t < t_max [n] (infinity allowed): bool [n]."""
+        ...
+
+
+class Field(Protocol):
+    """A function over surfaces with trainable parameters."""
+
+    def __call__(self, it: Interaction) -> Tensor:
+        """Values [n, c] at the lanes of ``it``."""
+        ...
+
+
+class Materials(Protocol):
+    """Whatever says what surfaces are made of: fitted fields or a scene's own textures."""
+
+    def __call__(self, it: Interaction) -> Surface:
+        """BSDF parameters at the lanes of ``it``."""
+        ...
+
+
+class BSDF(Protocol):
+    """A reflection model in the local shading frame: z is the shading normal on the viewer's side, so wo.z >= 0."""
+
+    def eval(self, surface: Surface, wo: Tensor, wi: Tensor) -> Tensor:
+        """f * cos(wi) [n, 3], differentiable in ``surface``; 0 where wi.z <= 0 or wo.z <= 0."""
+        ...
+
+    def pdf(self, surface: Surface, wo: Tensor, wi: Tensor) -> Tensor:
+        """Density [n] with which :meth:`sample` draws ``wi``; 0 where ``eval`` is 0 by side."""
+        ...
+
+    def sample(self, surface: Surface, wo: Tensor, u: Tensor) -> BSDFSample:
+        """Draw ``wi`` from three uniform numbers ``u`` [n, 3]. The weight is differentiable in ``surface`` with the
+        direction and the pdf held fixed (detached sampling)."""
+        ...
+
+
+class Emitter(Protocol):
+    """Something that sends light."""
+
+    def sample(self, p: Tensor, u: Tensor) -> EmitterSample:
+        """Draw a direction towards light for reference points ``p`` [n, 3] from three uniform numbers ``u`` [n, 3]."""
+        ...
+
+    def eval(self, it: Interaction) -> Tensor:
+        """Radiance [n, 3] sent towards ``it.wo`` from where a ray ended: from surfaces where ``it.valid``, from the
+        environment where not (its direction is ``-it.wo``)."""
+        ...
+
+    def pdf(self, p: Tensor, it: Interaction) -> Tensor:
+        """Density [n], seen from ``p``, with which :meth:`sample` draws the direction that ended at ``it``."""
+        ...
+
+
+class Integrator(Protocol):
+    """Estimates the radiance that comes back along camera rays."""
+
+    def __call__(self, rays: Rays, seed: int) -> Tensor:
+        """One-sample estimate of the radiance [n, 3]."""
+        ...

@@ -1,0 +1,256 @@
+"""Records that travel between the floors, and the conventions they follow.
+
+Conventions
+-----------
+* ``wo`` points towards the viewer and ``wi`` is the direction integrated over (towards the light); both point away from
+  the surface and have unit length. (Mitsuba names them the other way round.)
+* Every pdf is in solid angle. An invalid lane has weight 0 and pdf 0, never NaN.
+* Barycentrics follow Embree: ``p = (1 - u - v) p0 + u p1 + v p2``.
+* ``n`` is the interpolated shading normal, ``ng`` the geometric one; neither is flipped towards the viewer.
+* Radiance is linear scene radiance, lengths are scene units, tensors are float32 and indices int64 unless stated.
+* Cameras look along -Z with +Y up and +X to the right (NeRF, Blender, OpenGL).
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, fields
+from typing import Self
+
+import numpy as np
+import numpy.typing as npt
+import torch
+from torch import Tensor
+
+FloatArray = npt.NDArray[np.float32]
+IntArray = npt.NDArray[np.int64]
+
+
+@dataclass(frozen=True)
+class Lanes:
+    """A record whose fields are tensors with one leading dimension, the lanes ``n``."""
+
+    def __len__(self) -> int:
+        return len(getattr(self, fields(self)[0].name))
+
+    def __getitem__(self, index: Tensor | slice) -> Self:
+        """The lanes that a boolean mask ``[n]``, an index tensor or a slice selects."""
+        return type(self)(**{f.name: getattr(self, f.name)[index] for f in fields(self)})
+
+    def repeat(self, count: int) -> Self:
+        """Every lane ``count`` times in a row: lane i becomes lanes i*count .. (i+1)*count - 1."""
+        return type(self)(**{f.name: getattr(self, f.name).repeat_interleave(count, dim=0) for f in fields(self)})
+
+    def detach(self) -> Self:
+        """The same lanes without their autograd graph."""
+        return type(self)(**{f.name: getattr(self, f.name).detach() for f in fields(self)})
+
+    def to(self, device: torch.device | str) -> Self:
+        """The same lanes on another device."""
+        return type(self)(**{f.name: getattr(self, f.name).to(device) for f in fields(self)})
+
+    @classmethod
+    def cat(cls, *parts: Self) -> Self:
+        """The lanes of all parts, one after the other."""
+        return cls(**{f.name: torch.cat([getattr(p, f.name) for p in parts]) for f in fields(cls)})
+
+
+@dataclass(frozen=True)
+class Rays(Lanes):
+    """Rays, one a lane."""
+
+    o: Tensor
+    """Origins [n, 3]."""
+    d: Tensor
+    """Unit directions [n, 3]."""
+
+
+@dataclass(frozen=True)
+class Hit(Lanes):
+    """Dense closest hits, one a ray, misses included. Carries no gradients."""
+
+    t: Tensor
+    """Distance along the ray [n]; infinity at a miss."""
+    prim: Tensor
+    """Triangle index [n], int64; -1 at a miss."""
+    u: Tensor
+    """First barycentric [n]; 0 at a miss."""
+    v: Tensor
+    """Second barycentric [n]; 0 at a miss."""
+    valid: Tensor
+    """True where a triangle was hit [n], bool."""
+
+
+@dataclass(frozen=True)
+class Interaction(Lanes):
+    """A surface point seen from a direction. Lanes that hit nothing have ``valid`` False and harmless values."""
+
+    p: Tensor
+    """Position [n, 3]."""
+    ng: Tensor
+    """Unit geometric normal, by the triangle's winding [n, 3]."""
+    n: Tensor
+    """Unit shading normal [n, 3]."""
+    wo: Tensor
+    """Unit direction towards the viewer [n, 3]."""
+    uv: Tensor
+    """Texture coordinates [n, 2]."""
+    bary: Tensor
+    """Barycentrics (u, v) in the triangle [n, 2]."""
+    prim: Tensor
+    """Triangle index [n], int64; -1 where nothing was hit."""
+    valid: Tensor
+    """True where there is a surface [n], bool."""
+
+
+@dataclass(frozen=True)
+class Surface(Lanes):
+    """The BSDF's parameters at the lanes of an Interaction; these carry the gradients of the materials."""
+
+    albedo: Tensor
+    """Base colour in [0, 1], linear [n, 3]."""
+    roughness: Tensor
+    """Burley roughness in [0, 1] (alpha = roughness squared) [n, 1]."""
+
+
+@dataclass(frozen=True)
+class BSDFSample(Lanes):
+    """A direction drawn from a BSDF, in the local frame of the lane."""
+
+    wi: Tensor
+    """Sampled direction, local [n, 3]."""
+    pdf: Tensor
+    """Solid-angle density of ``wi`` [n]; 0 where the sample is invalid."""
+    weight: Tensor
+    """f * cos(wi) / pdf [n, 3]; 0 where the sample is invalid."""
+
+
+@dataclass(frozen=True)
+class EmitterSample(Lanes):
+    """A direction towards light, drawn by an emitter for a reference point."""
+
+    wi: Tensor
+    """Unit direction towards the light, world [n, 3]."""
+    distance: Tensor
+    """Distance to the sampled point [n]; infinity for an environment."""
+    radiance: Tensor
+    """Emitted radiance towards the reference point, not divided by the pdf [n, 3]."""
+    pdf: Tensor
+    """Solid-angle density of ``wi`` [n]; 0 where no light can come from there."""
+
+
+@dataclass(frozen=True)
+class PixelBatch:
+    """Photographed pixels, one a lane: what a training step compares with."""
+
+    view: Tensor
+    """Index of the training view [b], int64."""
+    pixel: Tensor
+    """Row-major pixel index, y * width + x [b], int64."""
+    color: Tensor
+    """Photographed linear radiance, premultiplied by alpha [b, 3]."""
+    alpha: Tensor
+    """Coverage in [0, 1]; ones for images without an alpha channel [b]."""
+    iteration: int
+    """The iteration that this batch belongs to."""
+
+
+@dataclass(frozen=True)
+class Camera:
+    """A pinhole camera with square pixels."""
+
+    to_world: FloatArray
+    """Camera-to-world matrix [4, 4], OpenGL axes, rigid; float64 is kept."""
+    fov_x: float
+    """Horizontal field of view in radians."""
+    width: int
+    height: int
+
+
+@dataclass(frozen=True)
+class View:
+    """A camera and the files that belong to it. Ground-truth files are opened by metrics only."""
+
+    name: str
+    camera: Camera
+    image: str | None = None
+    """Path of the photograph (EXR)."""
+    albedo: str | None = None
+    roughness: str | None = None
+
+
+@dataclass(frozen=True)
+class Constant:
+    """A texture of one value."""
+
+    value: FloatArray
+    """[channels]."""
+
+
+@dataclass(frozen=True)
+class Bitmap:
+    """A bilinear, repeated bitmap. Row 0 is the top; v runs upwards, as Mitsuba has it."""
+
+    pixels: FloatArray
+    """Linear values [h, w, channels]; sRGB files are decoded already."""
+    to_uv: FloatArray = field(default_factory=lambda: np.eye(3, dtype=np.float32))
+    """Transform of homogeneous uv before the lookup [3, 3]."""
+
+
+@dataclass(frozen=True)
+class VertexAttribute:
+    """Values given at the vertices of the mesh, interpolated linearly over its triangles."""
+
+    name: str
+    """Key in ``Mesh.attributes``."""
+
+
+Texture = Constant | Bitmap | VertexAttribute
+
+
+@dataclass(frozen=True)
+class Material:
+    """What a surface is made of."""
+
+    name: str
+    kind: str
+    """'principled', 'diffuse', 'conductor' (smooth, delta) or 'dielectric' (smooth, delta)."""
+    albedo: Texture
+    """Base colour; for a conductor its reflectance at normal incidence; for a dielectric its tint (ones)."""
+    roughness: Texture
+    """Burley roughness; ignored unless ``kind`` is 'principled'."""
+    two_sided: bool = True
+    """Whether the BSDF is the same on both sides; a one-sided surface is black from behind."""
+    eta: float = 1.5
+    """Ratio of refractive indices, inside over outside: of a dielectric, or of the principled specular lobe."""
+
+
+@dataclass(frozen=True)
+class Mesh:
+    """Triangles that share one material and one emission."""
+
+    name: str
+    vertices: FloatArray
+    """[v, 3], world space."""
+    faces: IntArray
+    """[f, 3]."""
+    material: int
+    """Index into ``Scene.materials``."""
+    normals: FloatArray | None = None
+    """Unit vertex normals [v, 3], or None for flat shading."""
+    uvs: FloatArray | None = None
+    """[v, 2]."""
+    attributes: dict[str, FloatArray] = field(default_factory=dict)
+    """Named vertex values [v, channels]."""
+    radiance: FloatArray | None = None
+    """Emitted radiance [3] to the side of the geometric normal, or None."""
+
+
+@dataclass(frozen=True)
+class EnvironmentMap:
+    """A lat-long map, +Y up: texel (row i, column j) lies at phi = 2 pi (j + 0.5) / W and theta = pi i / (H - 1), in
+    direction (sin theta sin phi, cos theta, -sin theta cos phi), bilinear in between."""
+
+    pixels: FloatArray
+    """Linear radiance, already multiplied by the emitter's scale [H, W, 3]."""
+    to_world: FloatArray = field(default_factory=lambda: np.eye(4, dtype=np.float32))
+    """Rotation from the map's frame to the world [4, 4]."""

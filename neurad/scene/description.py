@@ -1,0 +1,92 @@
+"""A scene as it was described, before anything is built from it."""
+
+from __future__ import annotations
+
+import hashlib
+from dataclasses import dataclass, field
+from functools import cached_property
+
+import numpy as np
+
+from neurad.core.errors import InputError
+from neurad.core.records import EnvironmentMap, FloatArray, Material, Mesh, View
+
+
+@dataclass(frozen=True)
+class Features:
+    """What a scene has. Parts that it does not need are not built."""
+
+    has_environment: bool
+    has_area_lights: bool
+    has_delta: bool
+    """Smooth conductors or dielectrics: paths pass through them to the first other vertex."""
+    is_diffuse: bool
+    """Every surface that is not delta is Lambertian: no roughness, no specular lobe."""
+    has_one_sided: bool
+    """Some surface is black from behind."""
+
+
+@dataclass(frozen=True)
+class Scene:
+    """Geometry, materials, lights and cameras. Arrays are numpy; the tracing and shading floors build from them."""
+
+    name: str
+    meshes: list[Mesh]
+    materials: list[Material]
+    environment: EnvironmentMap | None = None
+    train: list[View] = field(default_factory=list)
+    test: list[View] = field(default_factory=list)
+    max_depth: int = 20
+    """Longest path in vertices with reflection counted from 1 (direct light is 2), as Mitsuba's ``max_depth``."""
+    rr_depth: int = 8
+    """Depth from which paths end by roulette, as Mitsuba's ``rr_depth``."""
+
+    def check(self) -> Scene:
+        """This scene, if light transport can be computed in it.
+
+        Raises:
+            InputError: no triangle at all, a mesh without triangles, or nothing that emits light.
+        """
+        if not self.meshes:
+            raise InputError(f"scene {self.name}: it has no mesh")
+        for mesh in self.meshes:
+            if len(mesh.faces) == 0:
+                raise InputError(f"scene {self.name}: mesh {mesh.name} is empty, it has no triangle")
+        features = self.features
+        if not (features.has_area_lights or features.has_environment):
+            raise InputError(f"scene {self.name}: it has no emitter, so every photograph would be black")
+        return self
+
+    @cached_property
+    def features(self) -> Features:
+        """What the meshes, materials and emitters of this scene use."""
+        used = [self.materials[i] for i in {mesh.material for mesh in self.meshes}]
+        delta = [m for m in used if m.kind in ("conductor", "dielectric")]
+        rough = [m for m in used if m not in delta]
+        return Features(
+            has_environment=self.environment is not None and bool(self.environment.pixels.max() > 0),
+            has_area_lights=any(m.radiance is not None and bool(m.radiance.max() > 0) for m in self.meshes),
+            has_delta=bool(delta),
+            is_diffuse=all(m.kind == "diffuse" for m in rough),
+            has_one_sided=any(not m.two_sided for m in rough),
+        )
+
+    @cached_property
+    def bounds(self) -> FloatArray:
+        """Smallest and largest corner of the geometry [2, 3]."""
+        low = np.min([m.vertices.min(axis=0) for m in self.meshes], axis=0)
+        high = np.max([m.vertices.max(axis=0) for m in self.meshes], axis=0)
+        return np.stack((low, high)).astype(np.float32)
+
+    @cached_property
+    def fingerprint(self) -> str:
+        """A hash of geometry and emitters: a checkpoint fits a scene only if it agrees."""
+        digest = hashlib.sha256()
+        for mesh in self.meshes:
+            digest.update(np.ascontiguousarray(mesh.vertices, np.float32).tobytes())
+            digest.update(np.ascontiguousarray(mesh.faces, np.int64).tobytes())
+            if mesh.radiance is not None:
+                digest.update(np.ascontiguousarray(mesh.radiance, np.float32).tobytes())
+        if self.environment is not None:
+            digest.update(np.ascontiguousarray(self.environment.pixels, np.float32).tobytes())
+        return digest.hexdigest()[:16]
