@@ -26,7 +26,8 @@ class Frame(Lanes):
     @classmethod
     def around(cls, n: Tensor) -> Frame:
         """A frame around unit normals [n, 3], without branches (Duff et al. 2017, "Building an Orthonormal Basis,
-        Revisited")."""
+        Revisited").
+        """
         x, y, z = n.unbind(-1)
         sign = torch.where(z >= 0, 1.0, -1.0)
         a = -1.0 / (sign + z)

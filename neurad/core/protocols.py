@@ -41,16 +41,21 @@ class BSDF(Protocol):
     """A reflection model in the local shading frame: z is the shading normal on the viewer's side, so wo.z >= 0."""
 
     def eval(self, surface: Surface, wo: Tensor, wi: Tensor) -> Tensor:
-        """f * cos(wi) [n, 3], differentiable in ``surface``; 0 where wi.z <= 0 or wo.z <= 0."""
+        """Value f * cos(wi) [n, 3], differentiable in ``surface``; 0 where wi.z <= 0 or wo.z <= 0."""
         ...
 
     def pdf(self, surface: Surface, wo: Tensor, wi: Tensor) -> Tensor:
         """Density [n] with which :meth:`sample` draws ``wi``; 0 where ``eval`` is 0 by side."""
         ...
 
+    def eval_pdf(self, surface: Surface, wo: Tensor, wi: Tensor) -> tuple[Tensor, Tensor]:
+        """:meth:`eval` and :meth:`pdf` in one go; the pdf is detached."""
+        ...
+
     def sample(self, surface: Surface, wo: Tensor, u: Tensor) -> BSDFSample:
         """Draw ``wi`` from three uniform numbers ``u`` [n, 3]. The weight is differentiable in ``surface`` with the
-        direction and the pdf held fixed (detached sampling)."""
+        direction and the pdf held fixed (detached sampling).
+        """
         ...
 
 
@@ -63,7 +68,8 @@ class Emitter(Protocol):
 
     def eval(self, it: Interaction) -> Tensor:
         """Radiance [n, 3] sent towards ``it.wo`` from where a ray ended: from surfaces where ``it.valid``, from the
-        environment where not (its direction is ``-it.wo``)."""
+        environment where not (its direction is ``-it.wo``).
+        """
         ...
 
     def pdf(self, p: Tensor, it: Interaction) -> Tensor:

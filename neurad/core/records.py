@@ -38,7 +38,13 @@ class Lanes:
 
     def repeat(self, count: int) -> Self:
         """Every lane ``count`` times in a row: lane i becomes lanes i*count .. (i+1)*count - 1."""
-        return type(self)(**{f.name: getattr(self, f.name).repeat_interleave(count, dim=0) for f in fields(self)})
+        if count == 1:
+            return self
+
+        def expand(x: Tensor) -> Tensor:  # its backward is one sum, unlike repeat_interleave's
+            return x.unsqueeze(1).expand(-1, count, *x.shape[1:]).reshape(-1, *x.shape[1:])
+
+        return type(self)(**{f.name: expand(getattr(self, f.name)) for f in fields(self)})
 
     def detach(self) -> Self:
         """The same lanes without their autograd graph."""
@@ -110,6 +116,14 @@ class Surface(Lanes):
     """Base colour in [0, 1], linear [n, 3]."""
     roughness: Tensor
     """Burley roughness in [0, 1] (alpha = roughness squared) [n, 1]."""
+
+
+@dataclass(frozen=True)
+class TypedSurface(Surface):
+    """A Surface whose lanes are not all of one kind, as the true materials of a scene may be."""
+
+    lambertian: Tensor
+    """Lanes that reflect by Lambert's law alone [n], bool; the others are principled."""
 
 
 @dataclass(frozen=True)
@@ -248,7 +262,8 @@ class Mesh:
 @dataclass(frozen=True)
 class EnvironmentMap:
     """A lat-long map, +Y up: texel (row i, column j) lies at phi = 2 pi (j + 0.5) / W and theta = pi i / (H - 1), in
-    direction (sin theta sin phi, cos theta, -sin theta cos phi), bilinear in between."""
+    direction (sin theta sin phi, cos theta, -sin theta cos phi), bilinear in between.
+    """
 
     pixels: FloatArray
     """Linear radiance, already multiplied by the emitter's scale [H, W, 3]."""

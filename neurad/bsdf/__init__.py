@@ -1,0 +1,1 @@
+"""Reflection models in the local shading frame."""

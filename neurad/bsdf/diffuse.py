@@ -1,0 +1,32 @@
+"""The Lambertian reflector."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from neurad.core.records import BSDFSample, Surface
+from neurad.core.sampling import INV_PI, cosine_hemisphere
+
+
+class Diffuse:
+    """``f = albedo / pi``, sampled by the cosine; the roughness is not looked at."""
+
+    def eval(self, surface: Surface, wo: Tensor, wi: Tensor) -> Tensor:
+        """``albedo cos / pi`` [n, 3]; 0 where ``wi`` or ``wo`` lies below the surface."""
+        return surface.albedo * self.pdf(surface, wo, wi).unsqueeze(-1)
+
+    def pdf(self, surface: Surface, wo: Tensor, wi: Tensor) -> Tensor:
+        """``cos / pi`` [n]."""
+        return torch.where(wo[:, 2] > 0, wi[:, 2].clamp_min(0.0) * INV_PI, 0.0)
+
+    def eval_pdf(self, surface: Surface, wo: Tensor, wi: Tensor) -> tuple[Tensor, Tensor]:
+        """Value [n, 3] and density [n] in one go."""
+        pdf = self.pdf(surface, wo, wi)
+        return surface.albedo * pdf.unsqueeze(-1), pdf
+
+    def sample(self, surface: Surface, wo: Tensor, u: Tensor) -> BSDFSample:
+        """Draw ``wi`` by the cosine; the weight is the albedo. The first of the numbers ``u`` [n, 3] is not used."""
+        wi = cosine_hemisphere(u[:, 1:])
+        pdf = self.pdf(surface, wo, wi)
+        return BSDFSample(wi, pdf, surface.albedo * (pdf > 0).unsqueeze(-1))

@@ -1,0 +1,161 @@
+"""Burley's reflection model with base colour and roughness: Mitsuba's ``principled``, all else left at its default."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+from torch.autograd.function import once_differentiable
+
+from neurad.bsdf import kernels
+from neurad.bsdf.microfacet import alpha_of, fresnel_dielectric, smith_sum, visible_normal
+from neurad.core.frame import dot
+from neurad.core.records import BSDFSample, Surface
+from neurad.core.sampling import INV_PI, cosine_hemisphere
+
+_MIN_HALF = 1e-6  # smallest z of wo + wi, so that two opposite grazing directions still have a half-vector
+
+
+def _schlick(z: Tensor) -> Tensor:
+    """``(1 - z)^5`` [n]."""
+    m = (1.0 - z).clamp_min(0.0)
+    m2 = m * m
+    return m2 * m2 * m
+
+
+def lobes_pdf(roughness: Tensor, wo: Tensor, wi: Tensor, eta: float) -> tuple[Tensor, Tensor, Tensor]:
+    """Diffuse and specular lobe and the density, in plain torch; any device and dtype, differentiable in roughness.
+
+    With h the normalised ``wo + wi`` and ``c = h.wo = |wo + wi| / 2``:
+    ``d = cos / pi ((1 - Fo/2)(1 - Fi/2) + R (Fo + Fi + Fo Fi (R - 1)))``, ``R = 2 roughness c^2`` (Burley 2012, 5.3,
+    with the retro-reflection of Burley 2015), ``s = F D G1(wo) G1(wi) / (4 cos(wo))`` and
+    ``pdf = (cos / pi + G1(wo) D / (4 cos(wo))) / 2``. ``G1 = 2 z / A`` cancels every division by a cosine.
+
+    Args:
+        roughness: [n, 1].
+        wo: towards the viewer, local [n, 3].
+        wi: towards the light, local [n, 3].
+        eta: refractive index, inside over outside.
+
+    Returns:
+        d [n] and s [n] with ``f cos(wi) = albedo d + s``, and the detached pdf [n].
+    """
+    (xo, yo, zo), (xi, yi, zi) = wo.unbind(-1), wi.unbind(-1)
+    zi = torch.where(zo > 0, zi.clamp_min(0.0), 0.0)  # d and s are proportional to it
+    zo = zo.clamp_min(0.0)
+    hx, hy, hz = xo + xi, yo + yi, (zo + zi).clamp_min(_MIN_HALF)
+    flat, up = hx * hx + hy * hy, hz * hz
+    length = flat + up  # 4 c^2
+
+    r = roughness.squeeze(-1)
+    alpha = alpha_of(r)
+    alpha2 = alpha * alpha
+    ratio = length / (flat + alpha2 * up)
+    density = alpha2 * ratio * ratio * INV_PI  # GGX's D
+    toward_viewer = smith_sum(zo, alpha2)
+    fresnel = fresnel_dielectric(0.5 * length.sqrt(), eta)
+    s = density * (fresnel * zi) / (toward_viewer * smith_sum(zi, alpha2))
+
+    fo, fi = _schlick(zo), _schlick(zi)
+    both, cosine = fo * fi, zi * INV_PI
+    retro = (0.5 * length) * r
+    d = cosine * ((1.0 - 0.5 * fo) * (1.0 - 0.5 * fi) + retro * (fo + fi - both + retro * both))
+
+    pdf = torch.where(zi > 0, 0.5 * cosine + 0.25 * density.detach() / toward_viewer.detach(), 0.0)
+    return d, s, pdf
+
+
+class _FastLobesPdf(torch.autograd.Function):
+    """:func:`lobes_pdf` by a compiled kernel that finds the derivatives in the same pass."""
+
+    @staticmethod
+    def forward(ctx: Any, roughness: Tensor, wo: Tensor, wi: Tensor, eta: float) -> tuple[Tensor, Tensor, Tensor]:
+        out = torch.empty(5, len(wo))
+        kernels.lobes_pdf(roughness.numpy(), wo.numpy(), wi.numpy(), np.float32(eta), out.numpy())
+        d, s, pdf, d_slope, s_slope = out.unbind(0)
+        ctx.save_for_backward(d_slope, s_slope)
+        ctx.mark_non_differentiable(pdf)
+        return d, s, pdf
+
+    @staticmethod
+    @once_differentiable
+    def backward(ctx: Any, *grads: Tensor) -> tuple[Tensor, None, None, None]:
+        d_slope, s_slope = ctx.saved_tensors
+        return (grads[0] * d_slope + grads[1] * s_slope).unsqueeze(-1), None, None, None
+
+
+def principled_lobes_pdf(roughness: Tensor, wo: Tensor, wi: Tensor, eta: float) -> tuple[Tensor, Tensor, Tensor]:
+    """The fast twin of :func:`lobes_pdf` for float32 on the CPU; differentiable once, in the roughness only.
+
+    Raises:
+        ValueError: the arguments have different numbers of lanes; the kernel would read past their ends.
+    """
+    if not roughness.shape[0] == wo.shape[0] == wi.shape[0]:
+        raise ValueError(f"lanes differ: roughness {roughness.shape[0]}, wo {wo.shape[0]}, wi {wi.shape[0]}")
+    wo, wi = wo.detach().contiguous(), wi.detach().contiguous()
+    d, s, pdf = _FastLobesPdf.apply(roughness.contiguous(), wo, wi, eta)  # type: ignore[no-untyped-call]
+    return d, s, pdf
+
+
+class Principled:
+    """A retro-reflecting diffuse lobe under a dielectric GGX lobe (metallic 0), half of the samples drawn from each.
+
+    ``f cos(wi) = albedo d + s`` with scalars d and s, as :meth:`lobes` gives them.
+
+    Attributes:
+        eta: refractive index of the specular lobe, inside over outside; 1.5 is Mitsuba's ``specular`` 0.5.
+        fast: use the compiled kernels where they apply (float32 on the CPU).
+    """
+
+    def __init__(self, eta: float = 1.5, fast: bool = True) -> None:
+        self.eta = eta
+        self.fast = fast
+
+    def _compiled(self, wo: Tensor) -> bool:
+        return self.fast and wo.dtype == torch.float32 and wo.device.type == "cpu"
+
+    def _lobes_pdf(self, surface: Surface, wo: Tensor, wi: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        function = principled_lobes_pdf if self._compiled(wo) else lobes_pdf
+        return function(surface.roughness, wo, wi, self.eta)
+
+    def _direction(self, surface: Surface, wo: Tensor, u: Tensor) -> Tensor:
+        """Draw ``wi`` [n, 3]: the first number picks the lobe, the others a direction, as in Mitsuba."""
+        roughness = surface.roughness.detach()
+        if self._compiled(wo):
+            if not roughness.shape[0] == wo.shape[0] == u.shape[0]:
+                raise ValueError(f"lanes differ: roughness {roughness.shape[0]}, wo {wo.shape[0]}, u {u.shape[0]}")
+            rough, view, numbers = (x.detach().contiguous().numpy() for x in (roughness, wo, u))
+            wi = torch.empty(len(wo), 3)
+            kernels.direction(rough, view, numbers, wi.numpy())
+            return wi
+        m = visible_normal(wo, alpha_of(roughness), u[:, 1:])
+        mirrored = 2.0 * dot(wo, m).unsqueeze(-1) * m - wo
+        return torch.where(u[:, :1] < 0.5, cosine_hemisphere(u[:, 1:]), mirrored)
+
+    def lobes(self, roughness: Tensor, wo: Tensor, wi: Tensor) -> tuple[Tensor, Tensor]:
+        """Diffuse lobe for albedo 1 and specular lobe, cosine included: d [n] and s [n], differentiable in
+        ``roughness`` [n, 1].
+        """
+        return self._lobes_pdf(Surface(roughness, roughness), wo, wi)[:2]
+
+    def eval(self, surface: Surface, wo: Tensor, wi: Tensor) -> Tensor:
+        """``albedo d + s`` [n, 3]; 0 where ``wi`` or ``wo`` lies below the surface."""
+        return self.eval_pdf(surface, wo, wi)[0]
+
+    def pdf(self, surface: Surface, wo: Tensor, wi: Tensor) -> Tensor:
+        """Density [n] of :meth:`sample`, detached."""
+        return self._lobes_pdf(surface.detach(), wo, wi)[2]
+
+    def eval_pdf(self, surface: Surface, wo: Tensor, wi: Tensor) -> tuple[Tensor, Tensor]:
+        """Value [n, 3], differentiable in ``surface``, and detached density [n] in one go."""
+        d, s, pdf = self._lobes_pdf(surface, wo, wi)
+        return torch.addcmul(s.unsqueeze(-1), surface.albedo, d.unsqueeze(-1)), pdf
+
+    def sample(self, surface: Surface, wo: Tensor, u: Tensor) -> BSDFSample:
+        """Draw ``wi`` from ``u`` [n, 3]; the weight is differentiable in ``surface``, direction and pdf are not."""
+        wi = self._direction(surface, wo, u)
+        value, pdf = self.eval_pdf(surface, wo, wi)
+        inverse = torch.where(pdf > 0, 1.0 / pdf, 0.0)  # not value / tiny: its gradient would overflow
+        return BSDFSample(wi, pdf, value * inverse.unsqueeze(-1))

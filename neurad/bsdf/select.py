@@ -1,0 +1,38 @@
+"""Choosing the reflection model that a scene needs."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from neurad.bsdf.diffuse import Diffuse
+from neurad.bsdf.principled import Principled
+from neurad.core.protocols import BSDF
+from neurad.core.records import Surface, TypedSurface
+from neurad.core.sampling import INV_PI
+from neurad.scene.description import Features
+
+
+class Mixed(Principled):
+    """:class:`Principled`, except on those lanes of a ``TypedSurface`` that are Lambertian.
+
+    A plain ``Surface``, such as fitted materials give, is principled throughout and costs nothing extra.
+    """
+
+    def _lobes_pdf(self, surface: Surface, wo: Tensor, wi: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        d, s, pdf = super()._lobes_pdf(surface, wo, wi)
+        if isinstance(surface, TypedSurface):
+            matte = surface.lambertian
+            lambert = torch.where(wo[:, 2] > 0, wi[:, 2].clamp_min(0.0) * INV_PI, 0.0)
+            d, s, pdf = torch.where(matte, lambert, d), torch.where(matte, 0.0, s), torch.where(matte, lambert, pdf)
+        return d, s, pdf
+
+    def _direction(self, surface: Surface, wo: Tensor, u: Tensor) -> Tensor:
+        if isinstance(surface, TypedSurface):  # a first number of 0 always picks the cosine
+            u = torch.cat((torch.where(surface.lambertian, 0.0, u[:, 0]).unsqueeze(-1), u[:, 1:]), -1)
+        return super()._direction(surface, wo, u)
+
+
+def make_bsdf(features: Features) -> BSDF:
+    """The least reflection model for what a scene has: Lambertian scenes get no specular lobe."""
+    return Diffuse() if features.is_diffuse else Mixed()

@@ -1,0 +1,8 @@
+"""What accompanies a run: evaluation on held-out views, checkpoints, the run folder, the progress bar."""
+
+from neurad.callbacks.checkpoint import LastCheckpoint
+from neurad.callbacks.evaluation import Evaluate
+from neurad.callbacks.progress import Bar
+from neurad.callbacks.run_folder import RunFolder, RunLogger
+
+__all__ = ["Bar", "Evaluate", "LastCheckpoint", "RunFolder", "RunLogger"]

@@ -1,0 +1,104 @@
+"""``last.ckpt``: written by time, at the end and when a run is stopped, and never half."""
+
+from __future__ import annotations
+
+import os
+import signal
+import sys
+import threading
+import time
+from pathlib import Path
+from typing import Any
+
+import lightning.pytorch as pl
+from lightning.pytorch.callbacks import Checkpoint
+from torch.optim import Optimizer
+
+from neurad.callbacks.run_folder import run_folder
+
+
+class LastCheckpoint(Checkpoint):
+    """Keeps ``checkpoints/last.ckpt`` in the run folder.
+
+    A checkpoint is taken between iterations only, since one in the middle of a step (one optimizer stepped, another
+    not) could not be continued exactly. Ctrl-C therefore lets the iteration finish; a second one does not wait.
+
+    Args:
+        every_seconds: wall-clock seconds between two checkpoints.
+    """
+
+    def __init__(self, every_seconds: float = 60.0) -> None:
+        super().__init__()
+        self.every_seconds = every_seconds
+        self._stepped = False
+        self._stop_asked = False
+        self._written = 0.0
+        self._handler: Any = None
+
+    def path(self, trainer: pl.Trainer) -> Path | None:
+        """The checkpoint's path, or None if the run keeps no files."""
+        folder = run_folder(trainer)
+        return folder / "checkpoints" / "last.ckpt" if folder else None
+
+    def on_train_start(self, trainer: pl.Trainer, pl_module: pl.LightningModule) -> None:
+        """Start the clock and take over Ctrl-C."""
+        self._written = time.monotonic()
+        self._stop_asked = False
+        if threading.current_thread() is threading.main_thread():
+            self._handler = signal.signal(signal.SIGINT, self._on_interrupt)
+
+    def on_before_optimizer_step(
+        self, trainer: pl.Trainer, pl_module: pl.LightningModule, optimizer: Optimizer
+    ) -> None:
+        """From here to the end of the iteration the weights belong to no iteration."""
+        self._stepped = True
+
+    def on_train_batch_end(self, trainer: pl.Trainer, pl_module: pl.LightningModule, *_: Any) -> None:
+        """Save if it is time, and stop if that was asked for."""
+        self._stepped = False
+        if self._stop_asked:
+            raise KeyboardInterrupt
+        if trainer.strategy.broadcast(time.monotonic() - self._written >= self.every_seconds):
+            self.save(trainer)
+
+    def on_train_end(self, trainer: pl.Trainer, pl_module: pl.LightningModule) -> None:
+        """Save the last iteration; the evaluation of the same iteration has just been written."""
+        self.save(trainer)
+
+    def on_exception(self, trainer: pl.Trainer, pl_module: pl.LightningModule, exception: BaseException) -> None:
+        """Save what is whole."""
+        # Nothing was trained if the exception came from setting up, and there is no folder to write into then.
+        if not trainer.training or self._written == 0.0:
+            return
+        path = self.path(trainer)
+        if not self._stepped:
+            self.save(trainer)
+        elif path is not None:
+            print("neurad: stopped in the middle of an iteration, the last checkpoint stays as it is", file=sys.stderr)
+        if isinstance(exception, KeyboardInterrupt) and path is not None and path.is_file():
+            print(f"neurad: interrupted; `--ckpt_path last` continues from {path}", file=sys.stderr)
+
+    def teardown(self, trainer: pl.Trainer, pl_module: pl.LightningModule, stage: str) -> None:
+        """Give Ctrl-C back."""
+        if self._handler is not None:
+            signal.signal(signal.SIGINT, self._handler)
+            self._handler = None
+
+    def save(self, trainer: pl.Trainer) -> None:
+        """Write the checkpoint beside its place and move it there, so that a kill at any moment leaves a whole one."""
+        path = self.path(trainer)
+        if path is None:
+            return
+        part = path.with_name(path.name + ".part")
+        trainer.save_checkpoint(part)
+        if trainer.is_global_zero:
+            with part.open("rb") as file:
+                os.fsync(file.fileno())
+            os.replace(part, path)
+        self._written = time.monotonic()
+
+    def _on_interrupt(self, signum: int, frame: Any) -> None:
+        if self._stop_asked:
+            raise KeyboardInterrupt
+        self._stop_asked = True
+        print("\nneurad: stopping after this iteration (Ctrl-C again: at once)", file=sys.stderr)

@@ -1,0 +1,181 @@
+"""Scores and pictures on held-out views: when they are taken, and where they go."""
+
+from __future__ import annotations
+
+import json
+import time
+from collections.abc import Mapping
+from typing import TYPE_CHECKING, Any, cast
+
+import lightning.pytorch as pl
+import numpy as np
+from lightning.pytorch.loggers import TensorBoardLogger
+
+from neurad.callbacks import pictures
+from neurad.callbacks.progress import fraction_done
+from neurad.callbacks.run_folder import run_folder
+from neurad.callbacks.table import MetricsTable, curve_table, score_table
+from neurad.core import clock
+
+if TYPE_CHECKING:
+    from neurad.module.inverse import InverseRenderer
+
+MARKS = 20
+"""Evaluations in a run, if the allowed share of time is enough for them."""
+
+
+class Evaluate(pl.Callback):
+    """Evaluates on the held-out views: during a fit, at its end, and for ``validate``, ``test`` and ``predict``.
+
+    A run that only ``max_steps`` limits evaluates every ``max_steps // 20`` iterations, so that it is repeatable. One
+    limited by time evaluates at every twentieth of its length, as long as that keeps to ``share``.
+
+    Args:
+        share: largest share of the training time that evaluations during the fit may take.
+        every_n_steps: evaluate at multiples of this many iterations instead, whatever it costs.
+        spp: samples a pixel of the renderings scored during ``fit`` and ``validate``.
+        test_spp: samples a pixel of the renderings that ``test`` and ``predict`` write.
+        pictures: held-out views that TensorBoard shows.
+        log_every_n_steps: iterations between two points of the loss curves.
+    """
+
+    def __init__(
+        self,
+        share: float = 0.1,
+        every_n_steps: int | None = None,
+        spp: int = 4,
+        test_spp: int = 64,
+        pictures: int = 4,
+        log_every_n_steps: int = 50,
+    ) -> None:
+        super().__init__()
+        self.share = share
+        self.every_n_steps = every_n_steps
+        self.spp = spp
+        self.test_spp = test_spp
+        self.pictures = pictures
+        self.log_every_n_steps = log_every_n_steps
+        self.last_scores: dict[str, float] = {}
+        self._spent = 0.0
+        self._last = 0.0
+        self._mark = 0
+        self._evaluated = -1
+
+    def state_dict(self) -> dict[str, Any]:
+        """What a continued run must know to keep to its share."""
+        return {"spent": self._spent, "last": self._last, "mark": self._mark, "evaluated": self._evaluated}
+
+    def load_state_dict(self, state_dict: dict[str, Any]) -> None:
+        """Take over the state of the interrupted run."""
+        self._spent, self._last = float(state_dict["spent"]), float(state_dict["last"])
+        self._mark, self._evaluated = int(state_dict["mark"]), int(state_dict["evaluated"])
+
+    def on_train_batch_end(self, trainer: pl.Trainer, pl_module: pl.LightningModule, *_: Any) -> None:
+        """Log losses, and evaluate if it is time."""
+        module = cast("InverseRenderer", pl_module)
+        if module.iteration % self.log_every_n_steps == 0:
+            self._log_losses(trainer, module)
+        if trainer.strategy.broadcast(self._due(trainer, module)):
+            self._evaluate_fit(trainer, module)
+
+    def on_train_end(self, trainer: pl.Trainer, pl_module: pl.LightningModule) -> None:
+        """The scores that belong to the last checkpoint."""
+        module = cast("InverseRenderer", pl_module)
+        if self._evaluated != module.iteration:
+            self._evaluate_fit(trainer, module)
+
+    def on_fit_end(self, trainer: pl.Trainer, pl_module: pl.LightningModule) -> None:
+        """Print the closing table."""
+        folder = run_folder(trainer)
+        rows = MetricsTable(folder / "metrics.csv").rows() if folder else []
+        scores = rows[-1] if rows else self.last_scores
+        if trainer.is_global_zero and scores:
+            print("\n" + "\n\n".join(t for t in (score_table(scores, self.spp), curve_table(rows)) if t))
+            if folder:
+                print(f"\nneurad: run folder {folder}")
+
+    def on_validation_epoch_end(self, trainer: pl.Trainer, pl_module: pl.LightningModule) -> None:
+        """``neurad validate``: print the scores."""
+        evaluation = cast("InverseRenderer", pl_module).evaluate(self.spp)
+        if trainer.is_global_zero:
+            print(score_table(evaluation.scores, self.spp))
+
+    def on_test_epoch_end(self, trainer: pl.Trainer, pl_module: pl.LightningModule) -> None:
+        """``neurad test``: write every held-out view and the scores."""
+        module = cast("InverseRenderer", pl_module)
+        evaluation = module.evaluate(self.test_spp)
+        folder = run_folder(trainer)
+        if not trainer.is_global_zero:
+            return
+        print(score_table(evaluation.scores, self.test_spp))
+        if folder is not None:
+            pictures.write_views(folder / "images", evaluation.maps)
+            about = {"iteration": module.iteration, "seconds": round(module.train_seconds, 2), "rays": module.rays}
+            scores = {key: _json_number(value) for key, value in evaluation.scores.items()}
+            text = json.dumps({**about, "render_spp": self.test_spp, **scores}, indent=2)
+            (folder / "metrics.json").write_text(text + "\n")
+            print(f"\nneurad: images and metrics.json are in {folder}")
+
+    def on_predict_epoch_end(self, trainer: pl.Trainer, pl_module: pl.LightningModule) -> None:
+        """``neurad predict``: write every held-out view, without scores."""
+        evaluation = cast("InverseRenderer", pl_module).evaluate(self.test_spp)
+        folder = run_folder(trainer)
+        if trainer.is_global_zero and folder is not None:
+            pictures.write_views(folder / "images", evaluation.maps)
+            print(f"neurad: images are in {folder / 'images'}")
+
+    def _due(self, trainer: pl.Trainer, module: InverseRenderer) -> bool:
+        every = self.every_n_steps
+        if every is None and trainer.max_steps > 0 and fraction_done(trainer).by_time is None:
+            every = max(trainer.max_steps // MARKS, 1)
+        if every is not None:
+            return bool(module.iteration % every == 0)
+        mark = int(fraction_done(trainer).largest * MARKS)
+        if mark <= self._mark:
+            return False
+        self._mark = mark
+        return bool(self._spent + self._last <= self.share * module.train_seconds)
+
+    def _evaluate_fit(self, trainer: pl.Trainer, module: InverseRenderer) -> None:
+        begin = time.monotonic()
+        with clock.excluded():
+            evaluation = module.evaluate(self.spp)
+            self.last_scores = dict(evaluation.scores)
+            self._evaluated = module.iteration
+            if trainer.is_global_zero:
+                self._record(trainer, module, evaluation.scores, evaluation.maps)
+        taken = time.monotonic() - begin
+        self._spent += taken
+        self._last = taken  # the first one also fills caches, so it is no forecast
+
+    def _record(
+        self, trainer: pl.Trainer, module: InverseRenderer, scores: Mapping[str, float], maps: list[dict[str, Any]]
+    ) -> None:
+        """A row of metrics.csv, and the page in TensorBoard."""
+        folder = run_folder(trainer)
+        if folder is None:
+            return
+        row = {"iteration": module.iteration, "seconds": module.train_seconds, "rays": module.rays, **scores}
+        MetricsTable(folder / "metrics.csv").append(row)
+        if not isinstance(trainer.logger, TensorBoardLogger):
+            return
+        writer = trainer.logger.experiment
+        for name, value in scores.items():
+            writer.add_scalar(f"held_out/{name}", value, module.iteration)
+            writer.add_scalar(f"held_out_by_seconds/{name}", value, int(module.train_seconds))
+        exposure = pictures.exposure(maps)
+        for index, view in enumerate(maps[: self.pictures]):
+            for name, picture in pictures.pages(view, exposure).items():
+                label = f"{name}/{pictures.view_name(view, index)}"
+                writer.add_image(label, picture, module.iteration, dataformats="HWC")
+        writer.flush()
+
+    def _log_losses(self, trainer: pl.Trainer, module: InverseRenderer) -> None:
+        if isinstance(trainer.logger, TensorBoardLogger) and trainer.is_global_zero:
+            for name, value in module.last_losses.items():
+                trainer.logger.experiment.add_scalar(f"train/{name}", float(value), module.iteration)
+
+
+def _json_number(value: float) -> float | None:
+    """JSON has no infinity and no NaN."""
+    return float(value) if np.isfinite(value) else None

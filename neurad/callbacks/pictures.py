@@ -1,0 +1,95 @@
+"""Pictures of an evaluation: tone-mapped pages for TensorBoard, EXR and PNG files for ``neurad test``."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from neurad.scene.image_io import to_srgb, write_exr
+
+Image = npt.NDArray[np.float32]
+Bytes = npt.NDArray[np.uint8]
+View = Mapping[str, Any]
+
+
+def view_name(view: View, index: int) -> str:
+    """The view's name, or its number."""
+    return str(view.get("name") or f"{index:03d}").replace("/", "_")
+
+
+def exposure(maps: Sequence[View]) -> float:
+    """One factor for all pictures of a run, from the photographs alone: it must not follow the fit, or it would
+    hide its progress. The 90th percentile of the photographs becomes 0.8.
+    """
+    photographs = [view["photograph"] for view in maps if view.get("photograph") is not None]
+    if not photographs:
+        return 1.0
+    level = float(np.percentile(np.concatenate([p.reshape(-1) for p in photographs]), 90))
+    return 0.8 / level if level > 0 else 1.0
+
+
+def encode(image: Image) -> Bytes:
+    """Linear values in [0, 1] as sRGB bytes [h, w, 3]; one channel becomes grey."""
+    return np.round(to_srgb(np.broadcast_to(image, (*image.shape[:2], 3))) * 255).astype(np.uint8)
+
+
+def grey(image: Image) -> Bytes:
+    """Values in [0, 1] as bytes without a curve: roughness is no light."""
+    return np.round(np.clip(np.broadcast_to(image, (*image.shape[:2], 3)), 0, 1) * 255).astype(np.uint8)
+
+
+def false_colour(error: Image, scale: float) -> Bytes:
+    """The mean over channels of ``error`` [h, w, c], black at 0 and bright at ``1 / scale``."""
+    from matplotlib import colormaps
+
+    return np.asarray(colormaps["inferno"](np.clip(error.mean(axis=-1) * scale, 0, 1), bytes=True)[..., :3])
+
+
+def pages(view: View, scale: float) -> dict[str, Bytes]:
+    """The pictures of one view, side by side, those that have what they need.
+
+    Args:
+        view: arrays [h, w, c] by name: render, photograph, albedo, albedo_true, roughness, roughness_true, residual.
+        scale: exposure of radiance; an error of a quarter of display white is the brightest in the error pictures.
+    """
+    has = {name for name in view if view[name] is not None}
+    result = {}
+    if {"render", "photograph"} <= has:
+        error = np.abs(view["render"] - view["photograph"])
+        panels = [encode(view["render"] * scale), encode(view["photograph"] * scale), false_colour(error, 4 * scale)]
+        result["render_photograph_error"] = _beside(panels)
+    for name, show in (("albedo", encode), ("roughness", grey)):
+        if name in has:
+            shown = [view[name], view[f"{name}_true"]] if f"{name}_true" in has else [view[name]]
+            result["_".join([name, "truth"][: len(shown)])] = _beside([show(image) for image in shown])
+    if "residual" in has:
+        result["residual_lhs_rhs"] = false_colour(np.abs(view["residual"]), 4 * scale)
+    return result
+
+
+def write_views(folder: Path, maps: Sequence[View]) -> None:
+    """Write render, albedo and roughness of every view as linear EXR and as PNG for looking at."""
+    from PIL import Image as Pillow
+
+    folder.mkdir(parents=True, exist_ok=True)
+    scale = exposure(maps)
+    for index, view in enumerate(maps):
+        for name in ("render", "albedo", "roughness"):
+            image = view.get(name)
+            if image is None:
+                continue
+            stem = folder / f"{view_name(view, index)}_{name}"
+            write_exr(stem.with_suffix(".exr"), image, half=False)
+            shown = grey(image) if name == "roughness" else encode(image * scale if name == "render" else image)
+            Pillow.fromarray(shown).save(stem.with_suffix(".png"))
+
+
+def _beside(panels: Sequence[Bytes]) -> Bytes:
+    """Panels of one height next to each other, a thin white line between."""
+    line = np.full((panels[0].shape[0], 2, 3), 255, np.uint8)
+    parts = [part for panel in panels for part in (panel, line)][:-1]
+    return np.concatenate(parts, axis=1)

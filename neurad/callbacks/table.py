@@ -1,0 +1,137 @@
+"""``metrics.csv``: one row an evaluation; and the tables printed at the end of a run."""
+
+from __future__ import annotations
+
+import csv
+import io
+import os
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+SCORES = ("psnr_linear", "psnr_srgb", "albedo_psnr", "albedo_mape", "roughness_psnr", "roughness_mape")
+COLUMNS = ("iteration", "seconds", "rays", *SCORES, *(f"{s}_seen" for s in SCORES))
+HEADINGS = {
+    "": "",
+    "albedo_psnr": "albedo PSNR",
+    "albedo_psnr_8x8": "8x8",
+    "albedo_mape": "MAPE",
+    "roughness_psnr": "roughness PSNR",
+    "roughness_mape": "MAPE",
+    "psnr_linear": "image PSNR linear",
+    "psnr_srgb": "sRGB",
+}
+REGIONS = {
+    "": "all pixels",
+    "_seen": "pixels whose surface a training view sees",
+    "_lit_glossy": "glossy pixels with light on them",
+}
+Row = dict[str, float]
+
+
+class MetricsTable:
+    """A CSV file that grows by whole rows and can be cut back to an iteration.
+
+    Args:
+        path: the file; it need not exist.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self.path = path
+
+    def rows(self) -> list[Row]:
+        """All rows that were written completely; empty cells are left out."""
+        if not self.path.is_file():
+            return []
+        rows = []
+        for record in csv.DictReader(io.StringIO(self.path.read_text())):
+            # A process killed while it wrote leaves a short last line.
+            if None not in record and None not in record.values():
+                rows.append({key: float(value) for key, value in record.items() if value != ""})
+        return rows
+
+    def header(self) -> list[str]:
+        """The column names in the file's order; none if there is no file."""
+        with_text = self.path.is_file() and self.path.read_text().strip()
+        return with_text.splitlines()[0].split(",") if with_text else []
+
+    def append(self, row: Mapping[str, float]) -> None:
+        """Add a row. The first row fixes the columns: :data:`COLUMNS`, then what else it has."""
+        header = self.header()
+        if not header:
+            header = [*COLUMNS, *(key for key in row if key not in COLUMNS)]
+            self._replace([",".join(header)])
+        with self.path.open("a") as file:
+            file.write(",".join(_cell(key, row.get(key)) for key in header) + "\n")
+
+    def cut(self, iteration: int) -> None:
+        """Drop the rows that come after ``iteration``, and a line that was not written to its end."""
+        lines = self.path.read_text().splitlines(keepends=True) if self.path.is_file() else []
+        kept = lines[:1]
+        for line in lines[1:]:
+            whole = line.endswith("\n") and line.count(",") == lines[0].count(",")
+            if whole and int(line.partition(",")[0]) <= iteration:
+                kept.append(line)
+        if len(kept) != len(lines):
+            self._replace([line.rstrip("\n") for line in kept])
+
+    def _replace(self, lines: Sequence[str]) -> None:
+        part = self.path.with_name(self.path.name + ".part")
+        part.write_text("".join(line + "\n" for line in lines))
+        os.replace(part, self.path)
+
+
+def _cell(key: str, value: float | None) -> str:
+    if value is None:
+        return ""
+    if key in ("iteration", "rays"):
+        return str(int(value))
+    return f"{value:.2f}" if key == "seconds" else f"{value:.7g}"
+
+
+def score_table(scores: Mapping[str, float], spp: int) -> str:
+    """The closing table: this run beside the best constant, over all and over seen held-out pixels.
+
+    Args:
+        scores: by the names of :data:`COLUMNS`; a best constant's score has ``_constant`` before any ``_seen``.
+        spp: samples a pixel of the renderings behind ``psnr_linear`` and ``psnr_srgb``.
+    """
+    lines = []
+    for suffix, pixels in REGIONS.items():
+        body = [list(HEADINGS.values())]
+        for label, kind in (("neurad", ""), ("best constant", "_constant")):
+            values = {name: scores.get(f"{name}{kind}{suffix}") for name in HEADINGS if name}
+            if any(value is not None for value in values.values()):
+                body.append([label, *(_score(name, value) for name, value in values.items())])
+        if len(body) > 1:
+            lines += [f"Held-out views, {pixels} (images rendered with {spp} samples a pixel)", *align(body), ""]
+    return "\n".join(lines).rstrip()
+
+
+def curve_table(rows: Sequence[Row], count: int = 8) -> str:
+    """Seconds and scores of about ``count`` evaluations, evenly chosen, the first and the last included."""
+    if not rows:
+        return ""
+    steps = min(count, len(rows))
+    chosen = sorted({round(i * (len(rows) - 1) / max(steps - 1, 1)) for i in range(steps)})
+    names = ("albedo_psnr", "roughness_psnr", "psnr_linear")
+    body = [["seconds", "iteration", "albedo PSNR", "roughness PSNR", "image PSNR linear"]]
+    for index in chosen:
+        row = rows[index]
+        scores = [_score(name, row.get(name)) for name in names]
+        body.append([f"{row['seconds']:.0f}", str(int(row["iteration"])), *scores])
+    return "\n".join(align(body))
+
+
+def _score(name: str, value: float | None) -> str:
+    if value is None:
+        return "-"
+    return f"{value:.3f}" if "mape" in name else f"{value:.2f}"
+
+
+def align(body: Sequence[Sequence[str]]) -> list[str]:
+    """Rows of cells as lines of equal columns, the first one flush left."""
+    widths = [max(len(row[i]) for row in body) for i in range(len(body[0]))]
+    return [
+        "  ".join([row[0].ljust(widths[0]), *(c.rjust(w) for c, w in zip(row[1:], widths[1:], strict=True))])
+        for row in body
+    ]

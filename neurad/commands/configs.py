@@ -1,0 +1,157 @@
+"""Config files: where they are found, how they overlay each other, and how ``${...}`` is resolved.
+
+Several files overlay each other from left to right, and the command line overlays them all. Interpolations are
+resolved against that final state, so ``--model.width 32`` also changes every value written ``${model.width}``.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any, cast
+
+import yaml  # type: ignore[import-untyped]
+from omegaconf import DictConfig, ListConfig, OmegaConf
+from omegaconf.errors import MissingMandatoryValue, OmegaConfBaseException
+
+import neurad
+from neurad.core.errors import InputError
+
+Tree = dict[str, Any]
+
+
+def shipped_folders() -> list[Path]:
+    """Folders of the shipped configs: inside an installed package, or beside it in a checkout."""
+    package = Path(neurad.__file__).resolve().parent
+    return [d for d in (package / "configs", package.parent / "configs") if (d / "scene.yaml").is_file()]
+
+
+def find_config(name: str) -> Path:
+    """The file that ``name`` stands for: a path, or the name of a shipped config.
+
+    Raises:
+        InputError: there is neither.
+    """
+    path = Path(name).expanduser()
+    if path.is_file():
+        return path
+    if not path.is_absolute():
+        for folder in shipped_folders():
+            if (folder / path).is_file():
+                return folder / path
+    shipped = sorted(str(f.relative_to(d)) for d in shipped_folders() for f in d.rglob("*.yaml"))
+    raise InputError(f"config {name}: no such file, and no shipped config has this name ({', '.join(shipped)})")
+
+
+def load_config(name: str, above: tuple[Path, ...] = ()) -> list[DictConfig]:
+    """The layers of a config file, lowest first: those that its key ``base`` names, then its own.
+
+    Args:
+        name: path or shipped name.
+        above: files that led here through ``base``.
+
+    Raises:
+        InputError: the file is missing, is not a YAML mapping, or is its own base.
+    """
+    path = find_config(name)
+    if path.resolve() in above:
+        raise InputError(f"config {name}: it is its own base")
+    try:
+        layer = OmegaConf.load(path)
+    except (yaml.YAMLError, OmegaConfBaseException, UnicodeDecodeError, OSError) as error:
+        raise InputError(f"config {name}: it is not readable YAML ({' '.join(str(error).split())})") from error
+    if not isinstance(layer, DictConfig):
+        raise InputError(f"config {name}: it is not a mapping of keys to values")
+    bases = layer.pop("base", [])
+    layers: list[DictConfig] = []
+    for base in [bases] if isinstance(bases, str) else bases:
+        beside = path.parent / base
+        layers += load_config(str(beside if beside.is_file() else base), (*above, path.resolve()))
+    return [*layers, layer]
+
+
+def split_arguments(args: Sequence[str]) -> tuple[list[str], dict[str, str], list[str]]:
+    """Separate config files and values from a verb's arguments.
+
+    Args:
+        args: what follows the verb; both ``--key=value`` and ``--key value`` are understood.
+
+    Returns:
+        Names of the config files; the values given by key, last one first served; all arguments but the configs.
+    """
+    names: list[str] = []
+    values: dict[str, str] = {}
+    rest: list[str] = []
+    queue = list(args)
+    while queue:
+        token = queue.pop(0)
+        key, equals, value = token.partition("=")
+        is_config = key in ("--config", "-c")
+        if not key.startswith("--") and not is_config:
+            rest.append(token)
+            continue
+        if not equals and queue and (is_config or not queue[0].startswith("--")):
+            value = queue.pop(0)
+        elif not equals:
+            if is_config:
+                raise InputError("--config needs the name of a file")
+            rest.append(token)
+            continue
+        if is_config:
+            names.append(value)
+        else:
+            values[key[2:]] = value
+            rest.append(f"{key}={value}")
+    return names, values, rest
+
+
+def overlay(layers: Sequence[DictConfig], values: dict[str, str]) -> DictConfig:
+    """All layers and the command line's values in one tree, interpolations not yet resolved."""
+    merged: Any = OmegaConf.create({})
+    for layer in layers:
+        merged = OmegaConf.merge(merged, layer)
+    for key, text in values.items():
+        if key.endswith("+"):
+            continue  # the parser's way to append to a list; nothing can refer to it
+        try:
+            OmegaConf.update(merged, key, yaml.safe_load(text), force_add=True)
+        except (yaml.YAMLError, OmegaConfBaseException, TypeError, ValueError):
+            continue  # the parser judges values; here they only serve as targets of interpolations
+    return cast(DictConfig, merged)
+
+
+def resolve(layers: Sequence[DictConfig], values: dict[str, str]) -> list[Tree]:
+    """The layers as plain trees, with every interpolation replaced by its value in the final overlay.
+
+    The layers stay apart, because the parser overlays them better than a merge of trees can: a layer that changes
+    ``class_path`` drops the old class's ``init_args``.
+
+    Raises:
+        InputError: an interpolation refers to nothing, or a value is left open (``???``).
+    """
+    final = overlay(layers, values)
+    try:
+        return [_plain(layer, final, "") for layer in layers]
+    except OmegaConfBaseException as error:
+        raise InputError(f"config: {str(error).splitlines()[0]}") from error
+
+
+def _plain(node: DictConfig, final: DictConfig, path: str) -> Tree:
+    """``node`` as a plain dict. Whatever refers to something is read from the same place of the ``final`` tree: if
+    something above has replaced it there, the parser will replace it as well.
+    """
+    tree: Tree = {}
+    for key in node:
+        name = path + str(key)
+        if OmegaConf.is_interpolation(node, str(key)) or isinstance(node._get_node(key), ListConfig):
+            value = OmegaConf.select(final, name, throw_on_missing=True)
+            tree[str(key)] = OmegaConf.to_container(value, resolve=True) if OmegaConf.is_config(value) else value
+        elif OmegaConf.is_missing(node, key):
+            try:
+                OmegaConf.select(final, name, throw_on_missing=True)
+            except MissingMandatoryValue:
+                raise InputError(f"--{name} is needed: the config leaves its value open") from None
+        else:
+            child = node[key]
+            tree[str(key)] = _plain(child, final, name + ".") if isinstance(child, DictConfig) else child
+    return tree

@@ -1,0 +1,1 @@
+"""Things that send light: emitting triangles, an environment map, and both together."""

@@ -1,0 +1,109 @@
+"""Emitting triangles."""
+
+from __future__ import annotations
+
+import math
+
+import torch
+from torch import Tensor, nn
+
+from neurad.core.errors import InputError
+from neurad.core.frame import dot
+from neurad.core.records import EmitterSample, Interaction
+from neurad.core.sampling import uniform_triangle
+from neurad.scene.geometry import Geometry
+
+LUMINANCE = (0.212671, 0.715160, 0.072169)
+"""Weights of linear sRGB in luminance (Rec. 709)."""
+
+
+def luminance(rgb: Tensor) -> Tensor:
+    """Luminance [...] of linear sRGB [..., 3]; negative values count as black."""
+    return (rgb * rgb.new_tensor(LUMINANCE)).sum(-1).clamp_min(0.0)
+
+
+class AreaLights(nn.Module):
+    """All emitting triangles of a scene as one :class:`~neurad.core.protocols.Emitter`.
+
+    A triangle is chosen with probability proportional to area times luminance and a point uniformly on it. Light leaves
+    on the side of the geometric normal only. The radiance is differentiable in ``emission``, which starts as the
+    scene's; the choice of triangles stays as it was built.
+
+    Args:
+        geometry: the triangles; those with non-zero ``emission`` and ``face_area`` are sampled.
+
+    Raises:
+        InputError: no emitting triangle has an area.
+    """
+
+    emission: Tensor
+    pdf_area: Tensor
+    face: Tensor
+    cdf: Tensor
+    table: Tensor
+
+    def __init__(self, geometry: Geometry) -> None:
+        super().__init__()
+        radiance = luminance(geometry.emission.double())
+        power = radiance * geometry.face_area.double()
+        face = power.nonzero().squeeze(-1)
+        total = power.sum()
+        if len(face) == 0:
+            raise InputError(
+                "the scene's area lights cannot send light: every emitting triangle has zero area or is black"
+            )
+        cdf = (power[face] / total).cumsum(0)
+        corner, p1, p2 = geometry.vertices[geometry.faces[face]].unbind(1)
+        # corner, two edges and normal side by side: one gather brings all that a sample needs
+        table = torch.cat((corner, p1 - corner, p2 - corner, geometry.face_normal[face]), -1)
+        self.power = math.pi * float(total)
+        """Luminous power, pi * sum(area * luminance)."""
+        for name, value in {
+            "emission": geometry.emission,  # [F, 3]
+            "pdf_area": torch.where(power > 0, radiance / total, 0.0).to(geometry.emission.dtype),  # [F], 1 / area
+            "face": face,  # [k]
+            "cdf": cdf[:-1],  # [k - 1]: the last step is left out, so that rounding never runs past the end
+            "table": table,  # [k, 12]
+        }.items():
+            self.register_buffer(name, value.detach(), persistent=False)
+
+    def sample(self, p: Tensor, u: Tensor) -> EmitterSample:
+        """A point on a triangle, seen from ``p`` [n, 3]; ``u`` [n, 3]: the point by the first two, the triangle by the
+        third. The pdf is 0 where the point is seen from behind or edge-on.
+        """
+        k = self._choose(u[:, 2])
+        bary = uniform_triangle(u[:, :2])
+        corner, e1, e2, normal = self.table.index_select(0, k).view(-1, 4, 3).unbind(1)
+        to_light = corner + bary[:, :1] * e1 + bary[:, 1:] * e2 - p
+        squared = dot(to_light, to_light)
+        distance = squared.sqrt()
+        wi = to_light / distance.clamp_min(torch.finfo(p.dtype).tiny)[:, None]
+        cos = -dot(normal, wi)
+        face = self.face.index_select(0, k)
+        lit = (cos > 0) & (squared > 0)
+        pdf = torch.where(lit, self.pdf_area.index_select(0, face) * squared / torch.where(lit, cos, 1.0), 0.0)
+        return EmitterSample(wi, distance, torch.where(lit[:, None], self.emission.index_select(0, face), 0.0), pdf)
+
+    def eval(self, it: Interaction) -> Tensor:  # type: ignore[override]
+        """Radiance [n, 3] that leaves the surface at ``it`` towards ``it.wo``; 0 from behind and where not valid.
+
+        Hides ``Module.eval()``; modules around this one switch their mode through ``train(False)``, which still works.
+        """
+        lit = it.valid & (dot(it.ng, it.wo) > 0)
+        return torch.where(lit[:, None], self.emission.index_select(0, it.prim.clamp_min(0)), 0.0)
+
+    def pdf(self, p: Tensor, it: Interaction) -> Tensor:
+        """Solid-angle density [n] at ``p`` [n, 3] of the direction that ended at ``it``: area density * d^2 / cos."""
+        to_light = it.p - p
+        cos = dot(it.ng, it.wo)
+        lit = it.valid & (cos > 0)
+        density = self.pdf_area.index_select(0, it.prim.clamp_min(0)) * dot(to_light, to_light)
+        return torch.where(lit, density / torch.where(lit, cos, 1.0), 0.0)
+
+    def _choose(self, u: Tensor) -> Tensor:
+        """Row [n] among the emitting triangles for uniform numbers [n]."""
+        if len(self.cdf) == 0:
+            return torch.zeros_like(u, dtype=torch.int64)
+        if len(self.cdf) == 1:
+            return (u >= self.cdf).long()
+        return torch.searchsorted(self.cdf, u.to(self.cdf.dtype), right=True)

@@ -1,0 +1,149 @@
+"""Light from infinitely far away."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import torch
+from torch import Tensor, nn
+
+from neurad.core.errors import InputError
+from neurad.core.records import EmitterSample, EnvironmentMap, Interaction
+from neurad.emitters.area import luminance
+
+FLOOR = 1e-3
+"""Smallest density of a direction, relative to the mean over the map, so that no direction is left out."""
+
+
+class Environment(nn.Module):
+    """A bilinear lat-long map as an :class:`~neurad.core.protocols.Emitter`; conventions of ``EnvironmentMap``.
+
+    A cell between four texels is chosen with probability proportional to its mean luminance times its solid angle
+    (rows first, then columns), then a direction uniformly in solid angle within it: the density is constant over a
+    cell and finite at the poles. The radiance is differentiable in ``pixels``; the density stays as it was built.
+
+    Args:
+        environment: the map; a map of one row is constant over theta.
+
+    Raises:
+        InputError: ``to_world`` is not a rotation (or reflection), or a pixel is not finite.
+    """
+
+    pixels: Tensor
+    rotation: Tensor
+    density: Tensor
+    row_start: Tensor
+    row_width: Tensor
+    column_end: Tensor
+    column_width: Tensor
+    cap: Tensor
+
+    def __init__(self, environment: EnvironmentMap) -> None:
+        super().__init__()
+        pixels = torch.from_numpy(np.ascontiguousarray(environment.pixels, np.float32))
+        if not bool(torch.isfinite(pixels).all()):
+            raise InputError("environment map: it has pixels that are infinite or not a number")
+        if len(pixels) == 1:
+            pixels = pixels.repeat(2, 1, 1)
+        rotation = torch.from_numpy(np.array(environment.to_world, np.float64))[:3, :3]
+        scale = rotation.norm(dim=0).mean().clamp_min(1e-30)
+        rotation = rotation / scale
+        if not torch.allclose(rotation.T @ rotation, torch.eye(3, dtype=torch.float64), atol=1e-4):
+            raise InputError("environment map: its to_world transform has to be a rotation")
+        self.height, self.width = pixels.shape[0], pixels.shape[1]
+        self._keep("pixels", pixels.reshape(-1, 3))
+        self._keep("rotation", rotation.float())
+        self._tabulate(pixels.double())
+
+    def _keep(self, name: str, value: Tensor) -> None:
+        self.register_buffer(name, value, persistent=False)
+
+    def _tabulate(self, pixels: Tensor) -> None:
+        """Probabilities of the cells, [H - 1, W], from the pixels [H, W, 3]; all in float64."""
+        light = luminance(pixels)
+        light = light + light.roll(-1, 1)
+        light = (light[1:] + light[:-1]) / 4
+        theta = torch.linspace(0.0, math.pi, self.height, dtype=torch.float64)
+        angle = (2 * math.pi / self.width) * (theta[:-1].cos() - theta[1:].cos())[
+            :, None
+        ]  # solid angle of a row's cell
+        self.integral = float((light * angle).sum())
+        """Luminance integrated over the sphere."""
+        mean = self.integral / (4 * math.pi)
+        light = light.clamp_min(FLOOR * mean) if mean > 0 else torch.ones_like(light)
+        mass = light * angle
+        mass = mass / mass.sum()
+        rows = mass.sum(1)
+        columns = mass / rows[:, None]
+        self._keep("density", (mass / angle).float().reshape(-1))
+        self._keep("row_width", rows)
+        self._keep("row_start", rows.cumsum(0) - rows)
+        # One ascending table for all rows: row r, position x within it, is stored as r + x.
+        end = columns.cumsum(1)
+        end[:, -1] = 1.0
+        self._keep("column_end", (end + torch.arange(self.height - 1)[:, None]).reshape(-1))
+        self._keep("column_width", columns.reshape(-1))
+        # (1 - |cos theta|) / 2 at a row's edges, from the nearer pole, where cos theta itself would lose its digits
+        south = torch.arange(self.height - 1) >= self.height // 2
+        edge = torch.where(
+            south[:, None], math.pi - torch.stack((theta[:-1], theta[1:]), 1), torch.stack((theta[:-1], theta[1:]), 1)
+        )
+        cap = (edge / 2).sin().square()
+        self._keep("cap", torch.cat((cap, torch.where(south, -1.0, 1.0).double()[:, None]), 1))
+
+    def sample(self, p: Tensor, u: Tensor) -> EmitterSample:
+        """A direction for each of ``p`` [n, 3] by the first two of ``u`` [n, 3]; the distance is infinite."""
+        wi = self._direction(u[:, 0].double(), u[:, 1].double()) @ self.rotation.T
+        radiance, pdf = self._lookup(wi)
+        return EmitterSample(wi, torch.full_like(pdf, math.inf), radiance, pdf)
+
+    def eval(self, it: Interaction) -> Tensor:  # type: ignore[override]
+        """Radiance [n, 3] from the direction ``-it.wo`` where nothing was hit; 0 on surfaces."""
+        return torch.where(it.valid[:, None], 0.0, self._lookup(-it.wo)[0])
+
+    def pdf(self, p: Tensor, it: Interaction) -> Tensor:
+        """Density [n] of the direction ``-it.wo`` where nothing was hit; 0 on surfaces. ``p`` does not matter."""
+        cell, _, _ = self._cell(-it.wo)
+        return torch.where(it.valid, 0.0, self.density.index_select(0, cell))
+
+    def radiance(self, d: Tensor) -> Tensor:
+        """Radiance [n, 3] from unit world directions [n, 3]."""
+        return self._lookup(d)[0]
+
+    def _direction(self, u: Tensor, v: Tensor) -> Tensor:
+        """Directions [n, 3] (float32) in the map's frame, rows by ``u`` and columns by ``v``, both float64 [n]."""
+        row = torch.searchsorted(self.row_start[1:], u, right=True)
+        rest = ((u - self.row_start[row]) / self.row_width[row]).clamp(0.0, 1.0)
+        cell = torch.searchsorted(self.column_end, row + v, right=True)
+        cell = torch.minimum(cell, row * self.width + self.width - 1)
+        column = cell - row * self.width
+        inside = ((row + v - self.column_end[cell]) / self.column_width[cell] + 1.0).clamp(0.0, 1.0)
+        phi = ((2 * math.pi / self.width) * (column + 0.5 + inside)).float()
+        low, high, sign = self.cap[row].unbind(-1)
+        cap = torch.lerp(low, high, rest).float()
+        sin = 2.0 * (cap * (1.0 - cap)).clamp_min(0.0).sqrt()
+        return torch.stack((sin * phi.sin(), sign.float() * (1.0 - 2.0 * cap), -sin * phi.cos()), -1)
+
+    def _cell(self, d: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        """Cell [n] that world directions [n, 3] lie in, and the positions [n] within it across and down."""
+        x, y, z = (d @ self.rotation).unbind(-1)
+        across = torch.atan2(x, -z) * (self.width / (2 * math.pi)) - 0.5
+        down = torch.atan2(torch.hypot(x, z), y) * ((self.height - 1) / math.pi)
+        column = across.floor()
+        row = down.floor().clamp(0, self.height - 2)
+        cell = row.long() * self.width + column.long() % self.width
+        return cell, across - column, down - row
+
+    def _lookup(self, d: Tensor) -> tuple[Tensor, Tensor]:
+        """Bilinear radiance [n, 3] and density [n] of world directions [n, 3]."""
+        cell, across, down = self._cell(d)
+        last = cell % self.width == self.width - 1
+        right = torch.where(last, cell + 1 - self.width, cell + 1)
+        across, down = across[:, None], down[:, None]
+        top = torch.lerp(self._texel(cell), self._texel(right), across)
+        bottom = torch.lerp(self._texel(cell + self.width), self._texel(right + self.width), across)
+        return torch.lerp(top, bottom, down), self.density.index_select(0, cell)
+
+    def _texel(self, index: Tensor) -> Tensor:
+        return self.pixels.index_select(0, index)

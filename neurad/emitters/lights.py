@@ -1,0 +1,81 @@
+"""All the light of a scene behind one interface."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import torch
+from torch import Tensor, nn
+
+from neurad.core.errors import InputError
+from neurad.core.records import EmitterSample, Interaction
+from neurad.emitters.area import AreaLights
+from neurad.emitters.environment import Environment
+from neurad.scene.description import Scene
+from neurad.scene.geometry import Geometry
+
+LEAST = 0.1
+"""Smallest probability of either kind: power says nothing about what is visible from a point."""
+
+
+class Lights(nn.Module):
+    """Area lights and an environment together; a sample comes from one of them, chosen by power.
+
+    The environment's power is what it sends through a disk as large as the scene, ``pi r^2 * integral of L``, that of
+    the triangles ``pi * sum(area * L)``; both probabilities are kept above :data:`LEAST`. Since one lights only lanes
+    that hit a surface and the other only lanes that did not, radiance and densities of both are simply added.
+
+    Args:
+        area: the emitting triangles.
+        environment: the environment.
+        radius: radius of the scene's bounding sphere.
+    """
+
+    def __init__(self, area: AreaLights, environment: Environment, radius: float) -> None:
+        super().__init__()
+        self.area = area
+        self.environment = environment
+        through = math.pi * radius**2 * environment.integral
+        self.area_share = min(max(area.power / (area.power + through), LEAST), 1.0 - LEAST)
+
+    def sample(self, p: Tensor, u: Tensor) -> EmitterSample:
+        """A direction towards either kind of light; the third of ``u`` [n, 3] chooses and is then used again."""
+        share = self.area_share
+        use = u[:, 2] < share
+        again = torch.where(use, u[:, 2] / share, (u[:, 2] - share) / (1.0 - share))
+        area = self.area.sample(p, torch.cat((u[:, :2], again[:, None].clamp(0.0, 1.0)), -1))
+        far = self.environment.sample(p, u)
+        three = use[:, None]
+        return EmitterSample(
+            wi=torch.where(three, area.wi, far.wi),
+            distance=torch.where(use, area.distance, far.distance),
+            radiance=torch.where(three, area.radiance, far.radiance),
+            pdf=torch.where(use, share * area.pdf, (1.0 - share) * far.pdf),
+        )
+
+    def eval(self, it: Interaction) -> Tensor:  # type: ignore[override]
+        """Radiance [n, 3] sent towards ``it.wo`` from surfaces, or from the environment where there is none."""
+        return self.area.eval(it) + self.environment.eval(it)
+
+    def pdf(self, p: Tensor, it: Interaction) -> Tensor:
+        """Density [n] at ``p`` [n, 3] of the direction that ended at ``it``, with the choice of the kind."""
+        return self.area_share * self.area.pdf(p, it) + (1.0 - self.area_share) * self.environment.pdf(p, it)
+
+
+def make_lights(scene: Scene, geometry: Geometry) -> AreaLights | Environment | Lights:
+    """The scene's emitter: one kind alone, or both joined.
+
+    Raises:
+        InputError: the scene has no light at all.
+    """
+    features = scene.features
+    area = AreaLights(geometry) if features.has_area_lights else None
+    environment = Environment(scene.environment) if features.has_environment and scene.environment is not None else None
+    if area is not None and environment is not None:
+        return Lights(area, environment, float(np.linalg.norm(scene.bounds[1] - scene.bounds[0])) / 2)
+    if area is not None:
+        return area
+    if environment is not None:
+        return environment
+    raise InputError(f"scene {scene.name}: it has no emitter, so every photograph would be black")

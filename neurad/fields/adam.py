@@ -1,0 +1,102 @@
+"""Adam whose cost is proportional to the touched entries of hash-grid tables."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable
+from typing import Any
+
+import torch
+from torch import Tensor
+from torch.optim.adam import adam
+
+
+class FieldAdam(torch.optim.Optimizer):
+    """Adam (Kingma and Ba 2015) with lazy updates where gradients are sparse.
+
+    Dense gradients take torch's own Adam, fused where it can be. A sparse gradient moves the rows that it names and
+    leaves every other row with its moments alone, as ``torch.optim.SparseAdam`` does; the step counter behind the bias
+    correction is that of the whole parameter. A gradient that names every row makes the two the same.
+
+    Args:
+        params: parameters or parameter groups.
+        lr: step size; read at every step, so it may be changed in ``param_groups``.
+        betas: decay of the two moments. The second is shorter than Adam's usual 0.999, since few table entries are
+            touched a thousand times.
+        eps: added to the root of the second moment. As in instant-ngp far below usual gradients: those of table
+            entries are tiny, and a larger floor would freeze them.
+    """
+
+    def __init__(
+        self,
+        params: Iterable[Any],
+        lr: float = 5e-3,
+        betas: tuple[float, float] = (0.9, 0.99),
+        eps: float = 1e-15,
+    ) -> None:
+        super().__init__(params, {"lr": lr, "betas": betas, "eps": eps})
+
+    @torch.no_grad()
+    def step(self, closure: Callable[[], Any] | None = None) -> Any:  # type: ignore[override]
+        """One update of every parameter that has a gradient."""
+        loss = None
+        if closure is not None:
+            with torch.enable_grad():
+                loss = closure()
+        for group in self.param_groups:
+            dense = []
+            for p in group["params"]:
+                if p.grad is None:
+                    continue
+                state = self.state[p]
+                if not state:
+                    state["step"] = torch.zeros((), device=p.device)
+                    state["exp_avg"] = torch.zeros_like(p, memory_format=torch.preserve_format)
+                    state["exp_avg_sq"] = torch.zeros_like(p, memory_format=torch.preserve_format)
+                if p.grad.is_sparse:
+                    _update_rows(p, p.grad, state, group)
+                else:
+                    dense.append(p)
+            if dense:
+                _update_dense(dense, [self.state[p] for p in dense], group)
+        return loss
+
+
+def _update_dense(params: list[Tensor], states: list[dict[str, Tensor]], group: dict[str, Any]) -> None:
+    """Torch's Adam for dense gradients."""
+    adam(
+        params,
+        [p.grad for p in params],  # type: ignore[misc]
+        [s["exp_avg"] for s in states],
+        [s["exp_avg_sq"] for s in states],
+        [],
+        [s["step"] for s in states],
+        fused=params[0].device.type in ("cpu", "cuda") or None,
+        amsgrad=False,
+        beta1=group["betas"][0],
+        beta2=group["betas"][1],
+        lr=group["lr"],
+        weight_decay=0.0,
+        eps=group["eps"],
+        maximize=False,
+    )
+
+
+def _update_rows(p: Tensor, gradient: Tensor, state: dict[str, Tensor], group: dict[str, Any]) -> None:
+    """Adam on the rows of ``p`` that a sparse gradient names."""
+    gradient = gradient.coalesce()  # free for the hash grid's own gradients, which come coalesced
+    rows, values = gradient._indices()[0], gradient._values()
+    state["step"] += 1
+    step = float(state["step"])
+    beta1, beta2 = group["betas"]
+    rate = group["lr"] / (1.0 - beta1**step)
+    root = (1.0 - beta2**step) ** 0.5
+    if p.device.type == "cpu" and p.dtype == torch.float32 and p.is_contiguous():
+        from neurad.fields import kernels
+
+        kernels.adam_rows(p, state["exp_avg"], state["exp_avg_sq"], rows, values, rate, root, beta1, beta2, group["eps"])
+        return
+    m = torch.lerp(state["exp_avg"][rows], values, 1.0 - beta1)
+    v = beta2 * state["exp_avg_sq"][rows] + (1.0 - beta2) * values * values
+    state["exp_avg"][rows] = m
+    state["exp_avg_sq"][rows] = v
+    p[rows] -= rate * m / (v.sqrt() / root + group["eps"])

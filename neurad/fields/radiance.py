@@ -1,0 +1,72 @@
+"""The radiance field ``L_theta(x, wo, n, albedo)``: reflected radiance, emission not included."""
+
+from __future__ import annotations
+
+import math
+
+import torch
+from torch import Tensor, nn
+from torch.nn.functional import softplus
+
+from neurad.core.records import Interaction
+from neurad.fields.hash_grid import HashGrid, UnitCube
+from neurad.fields.mlp import MLP
+from neurad.fields.settings import RADIANCE_INPUTS, RadianceConfig
+
+START = 0.2
+"""Mean output at the start, in units of ``scale``."""
+_SHIFT = math.log(math.expm1(START))  # softplus(_SHIFT) = START
+
+
+class RadianceField(nn.Module):
+    """Hash grid of the position and chosen further inputs -> network -> ``scale * softplus(y + shift)``.
+
+    The paper names no output activation. Softplus keeps radiance positive, is linear where there is light, and unlike
+    exp cannot run away; ``scale`` makes training the same however bright the scene is.
+
+    Args:
+        config: sizes of grid and network, and the inputs beside the position.
+        bounds: smallest and largest corner of the scene [2, 3].
+        scale: typical training radiance; it is part of the checkpoint.
+    """
+
+    scale: Tensor
+
+    def __init__(self, config: RadianceConfig, bounds: Tensor, scale: float = 1.0) -> None:
+        super().__init__()
+        self.inputs = config.inputs
+        self.cube = UnitCube(bounds)
+        self.grid = HashGrid.from_config(config.grid)
+        extra = sum(RADIANCE_INPUTS[name] for name in config.inputs)
+        self.mlp = MLP(self.grid.channels + extra, 3, config.width, config.hidden_layers)
+        self.register_buffer("scale", torch.tensor(float(scale)))
+
+    def set_scale(self, scale: float) -> None:
+        """Take ``scale`` (typical training radiance) as the unit of the output."""
+        self.scale.fill_(scale)
+
+    def forward(self, it: Interaction, albedo: Tensor) -> Tensor:
+        """Reflected radiance [n, 3] towards ``it.wo``; positive.
+
+        Args:
+            it: surface points.
+            albedo: albedo there [n, 3]; no gradient flows into it.
+        """
+        parts = [self.grid(self.cube(it.p))]
+        for name in self.inputs:
+            parts.append(_INPUT[name](it, albedo))
+        y = self.mlp(torch.cat(parts, -1))
+        return self.scale * softplus(y + _SHIFT)
+
+
+def _reflection(it: Interaction) -> Tensor:
+    """``wo`` mirrored at the shading normal [n, 3]."""
+    return 2.0 * (it.wo * it.n).sum(-1, keepdim=True) * it.n - it.wo
+
+
+_INPUT = {
+    "direction": lambda it, albedo: it.wo,
+    "reflection": lambda it, albedo: _reflection(it),
+    "normal": lambda it, albedo: it.n,
+    "albedo": lambda it, albedo: albedo.detach(),
+}

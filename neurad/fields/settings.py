@@ -1,0 +1,68 @@
+"""Sizes of fields, as they stand in YAML."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from neurad.core.errors import InputError
+
+RADIANCE_INPUTS = {"direction": 3, "reflection": 3, "normal": 3, "albedo": 3}
+"""What a radiance field may read beside the position, and the channels that it takes."""
+
+
+@dataclass(frozen=True)
+class GridConfig:
+    """Size of a multiresolution hash grid. The paper's is 16 levels from 2 to 65536."""
+
+    levels: int = 8
+    """Number of resolutions, growing geometrically."""
+    coarsest: int = 4
+    """Cells along the longest side of the scene at the first level."""
+    finest: int = 256
+    """Cells along the longest side of the scene at the last level."""
+    features: int = 2
+    """Channels of a table entry; kernels exist for 2, other counts run in plain torch."""
+    log2_size: int = 17
+    """Levels of more than 2^log2_size vertices are hashed into so many entries."""
+
+    def __post_init__(self) -> None:
+        """Refuse sizes that no grid can have."""
+        if self.levels < 1 or self.features < 1:
+            raise InputError("grid: levels and features must be at least 1")
+        if not 1 <= self.coarsest <= self.finest <= 1 << 20:
+            raise InputError("grid: coarsest and finest must satisfy 1 <= coarsest <= finest <= 1048576")
+        if not 3 <= self.log2_size <= 24:
+            raise InputError("grid: log2_size must lie in 3 .. 24")
+
+
+@dataclass(frozen=True)
+class FieldConfig:
+    """Size of a field: a grid and the network that reads it."""
+
+    grid: GridConfig = GridConfig()
+    width: int = 64
+    """Neurons of a hidden layer."""
+    hidden_layers: int = 1
+
+    def __post_init__(self) -> None:
+        """Refuse sizes that no network can have."""
+        if self.width < 1 or self.hidden_layers < 0:
+            raise InputError("field: width must be at least 1 and hidden_layers at least 0")
+
+
+@dataclass(frozen=True)
+class RadianceConfig(FieldConfig):
+    """Size and inputs of a radiance field."""
+
+    grid: GridConfig = GridConfig(finest=64, log2_size=15)
+    hidden_layers: int = 3
+    inputs: tuple[str, ...] = ("direction", "normal", "albedo")
+    """Read beside the position, any of: ``direction`` (wo), ``reflection`` (wo mirrored at the normal), ``normal``,
+    ``albedo``."""
+
+    def __post_init__(self) -> None:
+        """Refuse inputs that do not exist."""
+        super().__post_init__()
+        for name in self.inputs:
+            if name not in RADIANCE_INPUTS:
+                raise InputError(f"radiance.inputs: '{name}' is unknown, choose from {', '.join(RADIANCE_INPUTS)}")

@@ -1,0 +1,57 @@
+"""Pictures: camera rays through every pixel, averaged over a box filter."""
+
+from __future__ import annotations
+
+import math
+
+import torch
+from torch import Tensor
+
+from neurad.core.protocols import Integrator
+from neurad.core.records import Camera
+from neurad.core.rng import Stream, mix
+from neurad.scene.camera import camera_rays
+
+CHUNK = 1 << 16
+"""Camera rays in flight: bounds the memory, and intermediate results stay in the processor's cache."""
+
+
+def pixel_positions(width: int, pixels: Tensor, spp: int, stream: Stream) -> Tensor:
+    """Stratified positions, ``spp`` for each of the row-major ``pixels`` [n]: film coordinates [n, spp, 2].
+
+    The pixel is cut into a grid of about ``spp`` cells; what a square grid leaves over is uniform.
+    """
+    side = math.isqrt(spp)
+    jitter = stream.uniform(len(pixels), spp, 2)
+    cell = torch.arange(side * side, device=pixels.device)
+    offset = torch.stack((cell % side, cell // side), -1).to(jitter.dtype)
+    jitter[:, : side * side] = (jitter[:, : side * side] + offset) / side
+    corner = torch.stack((pixels % width, pixels // width), -1).to(jitter.dtype)
+    return corner.unsqueeze(1) + jitter
+
+
+def render(
+    camera: Camera, integrator: Integrator, spp: int, seed: int, device: torch.device | str = "cpu", chunk: int = CHUNK
+) -> Tensor:
+    """The mean of ``spp`` samples in every pixel [h, w, c].
+
+    The result depends on ``seed`` and ``spp`` and not on the chunk of any other view.
+    """
+    count = camera.width * camera.height
+    batch = max(1, min(spp, chunk // 1024))
+    rows = max(1, chunk // batch)
+    image: Tensor | None = None
+    for done in range(0, spp, batch):
+        n = min(batch, spp - done)
+        parts = []
+        for begin in range(0, count, rows):
+            pixels = torch.arange(begin, min(begin + rows, count), device=device)
+            stream = Stream(seed, done, begin, device=device)
+            xy = pixel_positions(camera.width, pixels, n, stream)
+            rays = camera_rays(camera, xy.reshape(-1, 2))
+            values = integrator(rays, mix(seed, done, begin, 1))
+            parts.append(values.view(len(pixels), n, -1).sum(1))
+        total = torch.cat(parts)
+        image = total if image is None else image + total
+    assert image is not None
+    return (image / spp).view(camera.height, camera.width, -1)

@@ -1,0 +1,76 @@
+"""Everything that light needs to travel through one scene, put together once."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor, nn
+
+from neurad.core.frame import dot
+from neurad.core.protocols import BSDF, Emitter, Tracer
+from neurad.core.records import Interaction, Rays
+from neurad.scene.description import Features
+from neurad.scene.geometry import Geometry
+
+
+class World(nn.Module):
+    """Geometry, its tracer, the lights and the BSDF of a scene. Has no trainable parameters of its own.
+
+    Args:
+        geometry: merged triangles.
+        tracer: casts rays against the same triangles.
+        lights: every emitter of the scene.
+        bsdf: reflection model of all surfaces that are not delta.
+        features: what the scene has; parts it does not have are skipped.
+        two_sided: for each triangle, whether it reflects on both sides [F], bool.
+        hide_environment: rays from the camera that miss see black, as in photographs with an alpha channel.
+    """
+
+    two_sided: Tensor
+
+    def __init__(
+        self,
+        geometry: Geometry,
+        tracer: Tracer,
+        lights: Emitter,
+        bsdf: BSDF,
+        features: Features,
+        two_sided: Tensor,
+        hide_environment: bool = False,
+    ) -> None:
+        super().__init__()
+        self.geometry = geometry
+        self.tracer = tracer
+        self.lights = lights
+        self.bsdf = bsdf
+        self.features = features
+        self.hide_environment = hide_environment
+        self.rays_cast = 0
+        self.register_buffer("two_sided", two_sided, persistent=False)
+
+    def intersect(self, rays: Rays) -> Interaction:
+        """Where rays end, misses included."""
+        self.rays_cast += len(rays)
+        return self.geometry.interact(rays, self.tracer.closest(rays))
+
+    def occluded(self, rays: Rays, t_max: Tensor) -> Tensor:
+        """Whether something lies on the ray before ``t_max`` [n]."""
+        self.rays_cast += len(rays)
+        return self.tracer.occluded(rays, t_max)
+
+    def reflects(self, it: Interaction) -> Tensor:
+        """Lanes whose surface can reflect towards ``it.wo`` [n], bool."""
+        if not self.features.has_one_sided:
+            return it.valid
+        front = dot(it.n, it.wo) > 0
+        return it.valid & (front | self.two_sided[it.prim.clamp_min(0)])
+
+    def emitted(self, it: Interaction) -> Tensor:
+        """E: radiance that the camera sees without any reflection [n, 3]."""
+        light = self.lights.eval(it)
+        return light * it.valid.unsqueeze(-1) if self.hide_environment else light
+
+
+def with_lanes(total: int, mask: Tensor, values: Tensor) -> Tensor:
+    """Values [k, c] of the lanes where ``mask`` [total] is set, zeros elsewhere [total, c]."""
+    out = torch.zeros(total, *values.shape[1:], dtype=values.dtype, device=values.device)
+    return out.masked_scatter(mask.view(-1, *[1] * (values.dim() - 1)), values)

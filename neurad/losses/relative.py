@@ -1,0 +1,98 @@
+"""Relative L2 with unbiased gradients.
+
+The derivative of a squared Monte Carlo mean needs a second, independent estimate: ``d (I - GT)^2 = 2 (I' - GT) dI`` with
+``I'`` independent of ``I``. Two forms of it stand here; both return a *surrogate*, whose gradient is the unbiased one,
+together with an unbiased estimate of the loss itself for reports.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+
+@dataclass(frozen=True)
+class Loss:
+    """A term of the objective."""
+
+    surrogate: Tensor
+    """Scalar whose gradient is used."""
+    value: Tensor
+    """Scalar estimate of the loss, without gradient, for reports."""
+
+
+def leave_one_out(samples: Tensor, target: Tensor, weight: Tensor) -> Loss:
+    """Relative L2 of a pixel mean from n >= 2 independent samples, in one pass.
+
+    The gradient is ``(2/n) w sum_i (mean_{j != i} s_j - GT) ds_i``, averaged over pixels and channels.
+
+    Args:
+        samples: independent samples of every pixel [b, n, c].
+        target: photographed value [b, c].
+        weight: ``1 / (normaliser^2 + eps)``, independent of the samples [b, 1] or [b, c].
+    """
+    n = samples.shape[1]
+    fixed = samples.detach()
+    others = (fixed.sum(1, keepdim=True) - fixed) / (n - 1)
+    residual = others - target.unsqueeze(1)
+    scale = weight.unsqueeze(1)
+    surrogate = (2.0 * scale * residual * samples).mean()
+    value = (scale * residual * (fixed - target.unsqueeze(1))).mean()
+    return Loss(surrogate, value)
+
+
+def two_pass(samples: Tensor, independent: Tensor, target: Tensor, weight: Tensor) -> Loss:
+    """Relative L2 of a pixel mean, its residual taken from a second rendering (the paper's way).
+
+    Args:
+        samples: samples that carry the gradient [b, n, c].
+        independent: samples of another random stream, without gradient [b, m, c].
+        target: photographed value [b, c].
+        weight: as in :func:`leave_one_out`.
+    """
+    residual = independent.detach().mean(1) - target
+    mean = samples.mean(1)
+    surrogate = (2.0 * weight * residual * mean).mean()
+    return Loss(surrogate, (weight * residual * (mean.detach() - target)).mean())
+
+
+def relative_weight(normaliser: Tensor, epsilon: float) -> Tensor:
+    """``1 / (sg(normaliser)^2 + epsilon)``; ``epsilon`` is in squared radiance units."""
+    fixed = normaliser.detach()
+    return 1.0 / (fixed * fixed + epsilon)
+
+
+def semi_gradient_prior(field: Tensor, transported: Tensor, epsilon: float, mask: Tensor) -> Loss:
+    """Radiometric prior (paper Eq. 8) with the right side detached: a fixed-point iteration.
+
+    Args:
+        field: ``L_theta`` at the vertices [n, 3].
+        transported: ``T_hat(E + L_theta)`` there [n, 3].
+        epsilon: as in :func:`relative_weight`; the normaliser is the field's own, noise-free prediction.
+        mask: lanes that count [n], bool.
+    """
+    residual = (field - transported.detach()) * mask.unsqueeze(-1)
+    loss = (relative_weight(field, epsilon) * residual * residual).mean()
+    return Loss(loss, loss.detach())
+
+
+def full_gradient_prior(field: Tensor, first: Tensor, second: Tensor, epsilon: float, mask: Tensor) -> Loss:
+    """Radiometric prior with gradients through both sides, unbiased by two independent estimates of T.
+
+    Args:
+        field: ``L_theta`` at the vertices [n, 3].
+        first: one estimate of ``T_hat(E + L_theta)``, differentiable in theta [n, 3].
+        second: another, of an independent random stream [n, 3].
+        epsilon: as in :func:`semi_gradient_prior`.
+        mask: lanes that count [n], bool.
+    """
+    scale = relative_weight(field, epsilon) * mask.unsqueeze(-1)
+    loss = (scale * (field - first) * (field - second)).mean()
+    return Loss(loss, loss.detach())
+
+
+def total(losses: dict[str, tuple[float, Loss]]) -> Tensor:
+    """The weighted sum of surrogates."""
+    return torch.stack([weight * loss.surrogate for weight, loss in losses.values()]).sum()

@@ -1,0 +1,241 @@
+"""Held-out views: their photographs and true materials, and scores of what was predicted for them.
+
+Together with the data module's reader of training photographs this is the only place that opens images; ground truth is
+opened nowhere else.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from neurad.core.errors import InputError
+from neurad.core.protocols import Materials, Tracer
+from neurad.core.records import FloatArray, Interaction, View
+from neurad.core.rng import Stream
+from neurad.metrics.scores import BoolArray, Pool, block_means, srgb
+from neurad.metrics.seen import SeenBy
+from neurad.scene.camera import camera_rays
+from neurad.scene.description import Scene
+from neurad.scene.geometry import Geometry
+from neurad.scene.image_io import read_exr
+
+CHUNK = 1 << 18
+"""Sub-samples in flight: bounds the memory."""
+CACHE_BYTES = 1 << 28
+"""Primary hits are kept between evaluations up to this size, and traced again beyond it."""
+BLOCK = 8
+"""Side of the box filter in pixels of the scores named ``_8x8``."""
+SCORES = {
+    "linear": ("psnr",),
+    "srgb": ("psnr",),
+    "albedo": ("psnr", "mape"),
+    "albedo 8x8": ("psnr",),
+    "roughness": ("psnr", "mape"),
+}
+"""What is compared, and the scores that are reported of it."""
+SEED = 20230807
+
+Maps = Mapping[str, FloatArray]
+
+
+@dataclass(frozen=True)
+class _Hits:
+    """What one chunk of sub-samples hit, 12 bytes each."""
+
+    prim: Tensor
+    u: Tensor
+    v: Tensor
+
+
+class HeldOut:
+    """The held-out views of a scene.
+
+    Args:
+        scene: its ``test`` views are scored; its ``train`` views decide what has been seen.
+        geometry: the triangles, on the device where predictions are made.
+        tracer: casts rays against them.
+        grid: every pixel is predicted at ``grid`` x ``grid`` stratified positions and box-filtered like the truth.
+    """
+
+    def __init__(self, scene: Scene, geometry: Geometry, tracer: Tracer, grid: int = 2) -> None:
+        self.views: list[View] = scene.test
+        self.geometry = geometry
+        self.tracer = tracer
+        self.grid = grid
+        self.has_roughness = not scene.features.is_diffuse
+        self.training = SeenBy(geometry, tracer, [view.camera for view in scene.train])
+        samples = grid * grid * sum(view.camera.width * view.camera.height for view in self.views)
+        self._keep = 12 * samples <= CACHE_BYTES
+        self._hits: dict[tuple[int, int], _Hits] = {}
+        self._counted: dict[int, BoolArray] = {}
+        self._seen: dict[int, BoolArray] = {}
+        self._truth: dict[int, dict[str, FloatArray]] = {}
+
+    # --- sub-samples
+
+    def sub_samples(self, index: int) -> Iterator[tuple[slice, Interaction]]:
+        """What view ``index`` sees: slices of row-major pixels with ``grid``^2 interactions a pixel, pixel by pixel."""
+        camera, device = self.views[index].camera, self.geometry.vertices.device
+        per = self.grid * self.grid
+        pixels = camera.width * camera.height
+        step = max(1, CHUNK // per)
+        for begin in range(0, pixels, step):
+            part = slice(begin, min(begin + step, pixels))
+            rays = camera_rays(camera, self._positions(index, camera.width, part, device))
+            hits = self._hits.get((index, begin))
+            if hits is None:
+                hit = self.tracer.closest(rays)
+                hits = _Hits(hit.prim.int(), hit.u, hit.v)
+                if self._keep:
+                    self._hits[index, begin] = hits
+            prim = hits.prim.long()
+            yield part, self.geometry.interact_at(prim, hits.u, hits.v, -rays.d, prim >= 0)
+
+    def _positions(self, index: int, width: int, part: slice, device: torch.device) -> Tensor:
+        """Film positions [pixels * grid^2, 2], one in each cell of a grid on every pixel; always the same."""
+        pixel = torch.arange(part.start, part.stop, device=device)
+        cell = torch.arange(self.grid * self.grid, device=device)
+        offset = torch.stack((cell % self.grid, cell // self.grid), -1)
+        jitter = Stream(SEED, index, part.start, device=device).uniform(len(pixel), len(cell), 2)
+        corner = torch.stack((pixel % width, pixel // width), -1)
+        return (corner[:, None] + (offset + jitter) / self.grid).reshape(-1, 2)
+
+    def _pixels(self, lanes: Tensor) -> Tensor:
+        """Lanes [pixels * grid^2, ...] as [pixels, grid^2, ...]."""
+        return lanes.view(-1, self.grid * self.grid, *lanes.shape[1:])
+
+    # --- masks
+
+    def counted(self, index: int) -> BoolArray:
+        """Pixels [h, w] that count for albedo and roughness: no sub-sample sees an emitter or nothing."""
+        if index not in self._counted:
+            shines = (self.geometry.emission > 0).any(-1)
+            parts = []
+            for _, it in self.sub_samples(index):
+                good = it.valid & ~shines[it.prim.clamp_min(0)]
+                parts.append(self._pixels(good).all(-1))
+            self._counted[index] = self._image(index, torch.cat(parts))
+        return self._counted[index]
+
+    @torch.no_grad()
+    def seen(self, index: int) -> BoolArray:
+        """Pixels [h, w] whose every sub-sample lies on a surface that some training view sees."""
+        if index not in self._seen:
+            parts = [self._pixels(self.training.any(it)).all(-1) for _, it in self.sub_samples(index)]
+            self._seen[index] = self._image(index, torch.cat(parts))
+        return self._seen[index]
+
+    def _image(self, index: int, pixels: Tensor) -> np.ndarray:
+        """Row-major pixels [h * w, ...] as an array [h, w, ...]."""
+        camera = self.views[index].camera
+        return pixels.view(camera.height, camera.width, *pixels.shape[1:]).cpu().numpy()
+
+    # --- maps
+
+    @torch.no_grad()
+    def predict(self, materials: Materials) -> list[dict[str, FloatArray]]:
+        """Box-filtered ``albedo`` [h, w, 3] and ``roughness`` [h, w, 1] of every view; 0 where nothing is hit."""
+        maps = []
+        for index in range(len(self.views)):
+            albedo, roughness = [], []
+            for _, it in self.sub_samples(index):
+                surface = materials(it)
+                valid = it.valid[:, None]
+                albedo.append(self._pixels(torch.where(valid, surface.albedo, 0.0)).mean(1))
+                roughness.append(self._pixels(torch.where(valid, surface.roughness, 0.0)).mean(1))
+            pair = {"albedo": torch.cat(albedo), "roughness": torch.cat(roughness)}
+            maps.append({name: self._image(index, pixels) for name, pixels in pair.items()})
+        return maps
+
+    def truth(self, index: int) -> dict[str, FloatArray]:
+        """``photograph`` [h, w, 3], ``albedo_true`` [h, w, 3], ``roughness_true`` [h, w, 1]: those that have a file.
+
+        Raises:
+            InputError: a file cannot be read, or has another size than the camera or too few channels.
+        """
+        if index not in self._truth:
+            view = self.views[index]
+            files = {"photograph": (view.image, 3), "albedo_true": (view.albedo, 3)}
+            if self.has_roughness:
+                files["roughness_true"] = (view.roughness, 1)
+            self._truth[index] = {
+                name: _read(path, view, channels) for name, (path, channels) in files.items() if path is not None
+            }
+        return self._truth[index]
+
+    # --- scores
+
+    def score(
+        self,
+        maps: Sequence[Maps],
+        renders: Sequence[FloatArray] | None = None,
+        regions: Mapping[str, Sequence[BoolArray]] | None = None,
+    ) -> dict[str, float]:
+        """Scores over the pooled pixels of all views; what has no ground truth is left out.
+
+        Args:
+            maps: ``albedo`` and ``roughness`` of every view, as :meth:`predict` gives them.
+            renders: pictures [h, w, 3] of every view, linear.
+            regions: further masks [h, w] of every view, by the suffix of their scores.
+
+        Returns:
+            ``psnr_linear`` and ``psnr_srgb`` over all pixels; ``{albedo, roughness}_{psnr, mape}`` over counted ones
+            and ``albedo_psnr_8x8`` over these after a box filter. Each also with ``_constant``, of the best constant,
+            and all these also with ``_seen``, over seen pixels, and with the suffixes of ``regions``.
+        """
+        count = range(len(self.views))
+        masks: dict[str, Sequence[BoolArray]] = {"seen": [self.seen(i) for i in count], **(regions or {})}
+        scores: dict[str, float] = {}
+        for suffix, mask in {"": None, **masks}.items():
+            pools = {name: Pool() for name in SCORES}
+            for i in count:
+                region = np.ones_like(self.counted(i)) if mask is None else mask[i]
+                self._pool(pools, i, maps[i], None if renders is None else renders[i], region)
+            for name, pool in pools.items():
+                for score, value in pool.scores().items():
+                    if score.partition("_")[0] in SCORES[name]:
+                        scores[_key(name, score, suffix)] = value
+        return scores
+
+    def _pool(
+        self, pools: dict[str, Pool], index: int, maps: Maps, render: FloatArray | None, region: BoolArray
+    ) -> None:
+        """Add the pixels of one view in ``region`` [h, w] to the pools."""
+        truth = self.truth(index)
+        counted = self.counted(index) & region
+        if render is not None and "photograph" in truth:
+            pools["linear"].add(render, truth["photograph"], region)
+            pools["srgb"].add(srgb(render), srgb(truth["photograph"]), region)
+        if "albedo_true" in truth:
+            pools["albedo"].add(maps["albedo"], truth["albedo_true"], counted)
+            guess, weight = block_means(maps["albedo"], counted, BLOCK)
+            exact, _ = block_means(truth["albedo_true"], counted, BLOCK)
+            pools["albedo 8x8"].add(guess, exact, weight > 0, weight)
+        if "roughness_true" in truth:
+            pools["roughness"].add(maps["roughness"], truth["roughness_true"], counted)
+
+
+def _key(name: str, score: str, region: str) -> str:
+    """Column of a score, such as ``albedo_psnr_8x8_constant_seen``: what, score, filter, constant, region."""
+    what, _, filtered = name.partition(" ")
+    kind, _, constant = score.partition("_")
+    images = what in ("linear", "srgb")
+    parts = (kind, what) if images else (what, kind)
+    return "_".join(part for part in (*parts, filtered, constant, region) if part)
+
+
+def _read(path: str, view: View, channels: int) -> FloatArray:
+    """The first ``channels`` channels [h, w, channels] of an EXR that has to fit the view's camera."""
+    pixels = read_exr(path)
+    expected = (view.camera.height, view.camera.width)
+    if pixels.shape[:2] != expected:
+        size, camera = (f"{shape[1]} x {shape[0]}" for shape in (pixels.shape, expected))
+        raise InputError(f"{path}: it has {size} pixels, but its camera has {camera}")
+    if pixels.shape[2] < channels:
+        raise InputError(f"{path}: it has {pixels.shape[2]} channels where {channels} are needed")
+    return np.ascontiguousarray(pixels[:, :, :channels])

@@ -1,0 +1,104 @@
+"""Pixels whose roughness can be told: glossy surfaces with a highlight that some training view sees.
+
+The roughness of a matte wall without a highlight changes no photograph, so no method can find it; scores over these
+pixels show what could be found.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from neurad.core.protocols import Materials
+from neurad.core.records import Interaction, Surface
+from neurad.core.rng import Stream, mix
+from neurad.integrators.radiometric import ReflectedRadiance, transport
+from neurad.integrators.vertex import DIMENSIONS
+from neurad.integrators.world import World
+from neurad.metrics.held_out import HeldOut
+from neurad.metrics.scores import BoolArray
+
+Reflected = Callable[[Interaction, Surface, int], Tensor]
+"""One-sample estimate, by a seed, of the light [n, 3] that a surface reflects towards ``it.wo``."""
+
+SEED = 20230808
+
+
+def reflected_by(world: World, materials: Materials, radiance: ReflectedRadiance) -> Reflected:
+    """One bounce by sampling, the light that arrives there from emitters and a radiance field."""
+
+    def estimate(it: Interaction, surface: Surface, seed: int) -> Tensor:
+        u = Stream(seed, device=it.p.device).uniform(len(it), DIMENSIONS)
+        return transport(world, materials, radiance, it, surface, u)
+
+    return estimate
+
+
+@torch.no_grad()
+def lit_glossy(
+    held_out: HeldOut, reflected: Reflected, samples: int = 8, most_rough: float = 0.4, least_share: float = 0.1
+) -> list[BoolArray]:
+    """Counted pixels [h, w] of every held-out view that are smooth and lit so that it shows.
+
+    A pixel belongs if its true roughness is at most ``most_rough`` and the specular part is at least ``least_share`` of
+    the light reflected towards some training view that sees it. The specular part is what remains with albedo 0; both
+    are estimated with the true materials and the same random numbers, summed over the sub-samples of the pixel. Views
+    without ground truth have no such pixel.
+
+    Args:
+        held_out: the held-out views.
+        reflected: estimates reflected light for given materials.
+        samples: estimates for each sub-sample and training view.
+        most_rough: largest roughness.
+        least_share: smallest specular share.
+    """
+    masks = []
+    for index, view in enumerate(held_out.views):
+        size = (view.camera.height, view.camera.width)
+        truth = held_out.truth(index)
+        if "albedo_true" not in truth or "roughness_true" not in truth:
+            masks.append(np.zeros(size, np.bool_))
+            continue
+        smooth = held_out.counted(index) & (truth["roughness_true"][..., 0] <= most_rough)
+        albedo = torch.from_numpy(truth["albedo_true"]).view(-1, 3)
+        roughness = torch.from_numpy(truth["roughness_true"]).view(-1, 1)
+        result = torch.zeros(size[0] * size[1], dtype=torch.bool)
+        for part, it in held_out.sub_samples(index):
+            chosen = torch.from_numpy(smooth.reshape(-1)[part])
+            pixel = chosen.nonzero().squeeze(-1)
+            if len(pixel) == 0:
+                continue
+            device, per = it.p.device, len(it) // len(chosen)
+            surface = Surface(albedo[part][pixel].to(device), roughness[part][pixel].to(device)).repeat(per)
+            mine = it[chosen.to(device).repeat_interleave(per)]
+            shows = _shows(held_out, reflected, mine, surface, per, samples, least_share)
+            result[part.start + pixel] = shows.cpu()
+        masks.append(result.view(size).numpy())
+    return masks
+
+
+def _shows(
+    held_out: HeldOut, reflected: Reflected, it: Interaction, surface: Surface, per: int, samples: int, share: float
+) -> Tensor:
+    """Whether pixels of ``per`` lanes each [n / per] show their specular part to some training view: bool."""
+    pixels = torch.arange(len(it), device=it.p.device) // per
+    shows = torch.zeros(len(it) // per, dtype=torch.bool, device=it.p.device)
+    for index in range(len(held_out.training.cameras)):
+        left = (~shows[pixels]).nonzero().squeeze(-1)
+        if len(left) == 0:
+            break
+        lanes, wo = held_out.training.by(index, it[left])
+        lanes = left[lanes]
+        seen = replace(it[lanes], wo=wo)
+        whole = surface[lanes]
+        specular = replace(whole, albedo=torch.zeros_like(whole.albedo))
+        sums = torch.zeros(2, len(shows), device=it.p.device)
+        for k in range(samples):
+            for row, s in enumerate((specular, whole)):
+                sums[row].index_add_(0, pixels[lanes], reflected(seen, s, mix(SEED, index, k)).sum(-1))
+        shows |= (sums[0] > 0) & (sums[0] >= share * sums[1])
+    return shows

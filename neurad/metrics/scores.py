@@ -1,0 +1,102 @@
+"""Scores of maps against their truth, pooled over pixels of several views."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+import numpy.typing as npt
+
+from neurad.core.records import FloatArray
+
+BoolArray = npt.NDArray[np.bool_]
+Float64Array = npt.NDArray[np.float64]
+
+MAPE_OFFSET = 0.01
+"""Added to the truth below the fraction, so that black does not decide alone."""
+
+
+def psnr(mse: float) -> float:
+    """Peak signal-to-noise ratio in dB of a mean squared error, for a peak of 1; infinite without error."""
+    return math.inf if mse == 0 else -10.0 * math.log10(mse)
+
+
+def srgb(linear: FloatArray) -> FloatArray:
+    """Linear values [...] clamped to [0, 1] and put through the sRGB curve (IEC 61966-2-1)."""
+    x = np.clip(linear, 0.0, 1.0)
+    return np.where(x <= 0.0031308, 12.92 * x, 1.055 * np.maximum(x, 0.0031308) ** (1 / 2.4) - 0.055).astype(np.float32)
+
+
+def block_means(values: FloatArray, mask: BoolArray, size: int) -> tuple[FloatArray, Float64Array]:
+    """Means over blocks of ``size`` x ``size`` pixels, of the pixels in ``mask`` alone.
+
+    Args:
+        values: [h, w, c].
+        mask: [h, w].
+        size: side of a block; blocks at the right and lower edge may be smaller.
+
+    Returns:
+        Means [rows, columns, c], 0 where the block has no pixel in the mask, and how many it has [rows, columns].
+    """
+    h, w = mask.shape
+    pad = ((0, -h % size), (0, -w % size))
+    weight = np.pad(mask, pad).astype(np.float64)
+    # where, not a product: pixels outside the mask may be anything
+    summed = np.pad(np.where(mask[..., None], values, 0.0).astype(np.float64), (*pad, (0, 0)))
+    rows, columns = weight.shape[0] // size, weight.shape[1] // size
+    count = weight.reshape(rows, size, columns, size).sum((1, 3))
+    total = summed.reshape(rows, size, columns, size, -1).sum((1, 3))
+    return (total / np.maximum(count, 1.0)[..., None]).astype(np.float32), count
+
+
+class Pool:
+    """Pixels of one kind from all views: errors are averaged over all of them before any logarithm is taken."""
+
+    def __init__(self) -> None:
+        self._predicted: list[FloatArray] = []
+        self._truth: list[FloatArray] = []
+        self._weight: list[Float64Array] = []
+
+    def add(
+        self,
+        predicted: FloatArray,
+        truth: FloatArray,
+        mask: BoolArray | None = None,
+        weight: Float64Array | None = None,
+    ) -> None:
+        """Add pixels.
+
+        Args:
+            predicted: [..., c].
+            truth: [..., c].
+            mask: which count [...]; all without.
+            weight: how often each counts [...]; once without.
+        """
+        if predicted.shape != truth.shape:
+            raise ValueError(f"shapes of prediction and truth differ: {predicted.shape} and {truth.shape}")
+        shape = truth.shape[:-1]
+        mask = np.ones(shape, np.bool_) if mask is None else mask
+        self._predicted.append(predicted[mask])
+        self._truth.append(truth[mask])
+        self._weight.append(np.ones(shape)[mask] if weight is None else weight[mask].astype(np.float64))
+
+    def __len__(self) -> int:
+        return sum(len(weight) for weight in self._weight)
+
+    def scores(self) -> dict[str, float]:
+        """``psnr`` and ``mape`` of the prediction, and ``psnr_constant`` and ``mape_constant`` of the best constant,
+        the mean of the truth over the same pixels, one value a channel. Empty without pixels.
+        """
+        if len(self) == 0:
+            return {}
+        predicted = np.concatenate(self._predicted).astype(np.float64)
+        truth = np.concatenate(self._truth).astype(np.float64)
+        weight = np.concatenate(self._weight)
+        weight = weight / weight.sum()
+        constant = np.broadcast_to(weight @ truth, truth.shape)
+        result = {}
+        for suffix, guess in (("", predicted), ("_constant", constant)):
+            error = guess - truth
+            result[f"psnr{suffix}"] = psnr(float(weight @ np.square(error).mean(-1)))
+            result[f"mape{suffix}"] = float(weight @ (np.abs(error) / (truth + MAPE_OFFSET)).mean(-1))
+        return result

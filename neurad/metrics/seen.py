@@ -1,0 +1,60 @@
+"""Which surface points the training views have seen."""
+
+from __future__ import annotations
+
+import math
+
+import torch
+from torch import Tensor
+
+from neurad.core.protocols import Tracer
+from neurad.core.records import Camera, Interaction
+from neurad.scene.geometry import Geometry
+
+
+class SeenBy:
+    """Finds out whether points lie in the frustum of a camera, in front of it, with nothing in between.
+
+    Args:
+        geometry: the triangles.
+        tracer: casts rays against them.
+        cameras: the training cameras.
+    """
+
+    def __init__(self, geometry: Geometry, tracer: Tracer, cameras: list[Camera]) -> None:
+        self.geometry = geometry
+        self.tracer = tracer
+        self.cameras = cameras
+        self._found = [0] * len(cameras)
+
+    def by(self, index: int, it: Interaction) -> tuple[Tensor, Tensor]:
+        """Lanes [k] of ``it`` that camera ``index`` sees, and the unit directions [k, 3] from them to it."""
+        camera = self.cameras[index]
+        to_world = torch.as_tensor(camera.to_world, dtype=it.p.dtype, device=it.p.device)
+        x, y, z = ((it.p - to_world[:3, 3]) @ to_world[:3, :3]).unbind(-1)
+        edge_x = math.tan(0.5 * camera.fov_x)
+        edge_y = edge_x * camera.height / camera.width
+        inside = it.valid & (z < 0) & (x.abs() <= -z * edge_x) & (y.abs() <= -z * edge_y)
+        lanes = inside.nonzero().squeeze(-1)
+        points = it[lanes]
+        way = to_world[:3, 3] - points.p
+        distance = torch.linalg.vector_norm(way, dim=-1)
+        wi = way / distance.clamp_min(torch.finfo(way.dtype).tiny)[:, None]
+        clear = ~self.tracer.occluded(*self.geometry.spawn_towards(points, wi, distance))
+        return lanes[clear], wi[clear]
+
+    def any(self, it: Interaction) -> Tensor:
+        """Whether at least one camera sees the lanes of ``it``: bool [n].
+
+        A lane is asked of one camera after the other until one sees it; those that saw most so far come first.
+        """
+        seen = torch.zeros(len(it), dtype=torch.bool, device=it.p.device)
+        left = it.valid.nonzero().squeeze(-1)
+        for index in sorted(range(len(self.cameras)), key=lambda i: -self._found[i]):
+            if len(left) == 0:
+                break
+            lanes, _ = self.by(index, it[left])
+            self._found[index] += len(lanes)
+            seen[left[lanes]] = True
+            left = left[~seen[left]]
+        return seen

@@ -1,0 +1,75 @@
+"""Puts the parts of a run together from what its scene has; what a scene does not need is not built."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor, nn
+
+from neurad.bsdf.select import make_bsdf
+from neurad.core.protocols import Field
+from neurad.core.records import Interaction, Surface
+from neurad.emitters.lights import make_lights
+from neurad.fields.material import AlbedoField, RoughnessField
+from neurad.fields.radiance import RadianceField
+from neurad.fields.settings import FieldConfig, RadianceConfig
+from neurad.integrators.world import World
+from neurad.scene.description import Scene
+from neurad.scene.geometry import Geometry
+from neurad.tracing.select import make_tracer
+
+
+def build_world(scene: Scene, tracer: str = "embree", hide_environment: bool = False) -> World:
+    """Geometry, tracer, lights and BSDF of a scene, on the CPU (``.to(device)`` moves them).
+
+    Args:
+        scene: a checked scene.
+        tracer: 'embree' or 'open3d'.
+        hide_environment: camera rays that miss see black (photographs with an alpha channel).
+
+    Raises:
+        InputError: unknown tracer, or its package is missing.
+    """
+    geometry = Geometry(scene)
+    two_sided = torch.tensor([m.two_sided for m in scene.materials])[geometry.material]
+    return World(
+        geometry=geometry,
+        tracer=make_tracer(tracer, geometry.vertices, geometry.faces),
+        lights=make_lights(scene, geometry),
+        bsdf=make_bsdf(scene.features),
+        features=scene.features,
+        two_sided=two_sided,
+        hide_environment=hide_environment,
+    )
+
+
+class FittedMaterials(nn.Module):
+    """Materials read from fields.
+
+    Args:
+        albedo: field with three channels in [0, 1].
+        roughness: field with one channel, or None for a Lambertian scene, which has no roughness to find.
+    """
+
+    def __init__(self, albedo: Field, roughness: Field | None) -> None:
+        super().__init__()
+        self.albedo = albedo
+        self.roughness = roughness
+
+    def forward(self, it: Interaction) -> Surface:
+        """BSDF parameters at the lanes of ``it``."""
+        albedo = self.albedo(it)
+        roughness: Tensor = torch.ones_like(albedo[:, :1]) if self.roughness is None else self.roughness(it)
+        return Surface(albedo, roughness)
+
+
+def build_materials(scene: Scene, albedo: FieldConfig, roughness: FieldConfig) -> FittedMaterials:
+    """Fields for albedo and, where the scene is not Lambertian, roughness."""
+    bounds = torch.from_numpy(scene.bounds)
+    return FittedMaterials(
+        AlbedoField(albedo, bounds), None if scene.features.is_diffuse else RoughnessField(roughness, bounds)
+    )
+
+
+def build_radiance(scene: Scene, config: RadianceConfig) -> RadianceField:
+    """The radiance field, its units still those of the scene: set ``scale`` once the photographs are known."""
+    return RadianceField(config, torch.from_numpy(scene.bounds))

@@ -1,0 +1,53 @@
+"""What one training step estimates: the RHS image, the field at the same points, and the prior's two sides."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from neurad.core.protocols import Materials
+from neurad.core.records import Interaction, Lanes, Surface
+from neurad.core.rng import Stream
+from neurad.integrators.radiometric import ReflectedRadiance, incident
+from neurad.integrators.vertex import DIMENSIONS, Bounce, bounce
+from neurad.integrators.world import World
+
+
+@dataclass(frozen=True)
+class Estimator:
+    """One-sample estimates of ``T_hat(E + L_theta)`` in a world with materials and a radiance field."""
+
+    world: World
+    materials: Materials
+    radiance: ReflectedRadiance
+
+    def reflected(
+        self, it: Interaction, surface: Surface, count: int, stream: Stream, field_gradient: bool = False
+    ) -> tuple[Tensor, Bounce]:
+        """``count`` independent samples of ``T_hat(E + L_theta)`` at every lane: [n, count, 3], and their bounces.
+
+        The samples are differentiable in ``surface``; in theta only if ``field_gradient``.
+        """
+        u = stream.uniform(len(it) * count, DIMENSIONS)
+        step = bounce(self.world, it.repeat(count), surface.repeat(count), u)
+        if field_gradient:
+            with torch.no_grad():
+                albedo = self.materials(step.next).albedo
+            light = self.radiance(step.next, albedo) * step.next.valid.unsqueeze(-1)
+        else:
+            light = incident(self.materials, self.radiance, step.next)
+        return (step.direct + step.weight * light).view(len(it), count, 3), step
+
+
+def some(lanes: Lanes, share: float, stream: Stream, count: int) -> Tensor:
+    """Indices of a random ``share`` of the first hits, one random bounce of each: into lanes ordered by hit, ``count``
+    bounces a hit."""
+    hits = len(lanes) // count
+    keep = max(1, round(share * hits))
+    device = stream.device
+    chosen = torch.randperm(hits, generator=stream.generator, device=device)[:keep] if keep < hits else torch.arange(
+        hits, device=device
+    )
+    return chosen * count + stream.integers(count, len(chosen))

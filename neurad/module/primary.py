@@ -1,0 +1,76 @@
+"""Camera rays of the training views, traced once: several stratified positions in every pixel."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import torch
+from torch import Tensor
+
+from neurad.core.records import Camera, Interaction, PixelBatch
+from neurad.core.rng import Stream
+from neurad.integrators.film import pixel_positions
+from neurad.integrators.world import World
+from neurad.scene.camera import camera_rays
+
+_CHUNK = 1 << 18
+
+
+class PrimaryHits:
+    """What the camera sees at ``count`` stratified positions in each pixel of each training view.
+
+    Keeps triangle and barycentrics on the CPU's or GPU's memory (16 bytes a position), never the centre of a pixel alone.
+
+    Args:
+        world: the scene.
+        cameras: training cameras, all of one size.
+        count: positions a pixel.
+        seed: of the positions.
+        device: where the cache lies.
+    """
+
+    def __init__(self, world: World, cameras: list[Camera], count: int, seed: int, device: torch.device) -> None:
+        self.world = world
+        self.cameras = cameras
+        self.count = count
+        self.origin = torch.stack([torch.as_tensor(c.to_world[:3, 3], dtype=torch.float32) for c in cameras]).to(device)
+        prim, bary, away = [], [], []
+        for index, camera in enumerate(cameras):
+            pixels = torch.arange(camera.width * camera.height, device=device)
+            xy = pixel_positions(camera.width, pixels, count, Stream(seed, index, device=device)).view(-1, 2)
+            for part in xy.split(_CHUNK):
+                rays = camera_rays(camera, part)
+                hit = world.tracer.closest(rays)
+                world.rays_cast += len(rays)
+                prim.append(hit.prim.int())
+                bary.append(torch.stack((hit.u, hit.v), -1))
+                away.append((-rays.d).half() if world.features.has_environment else rays.d[:0].half())
+        self.prim = torch.cat(prim)
+        self.bary = torch.cat(bary)
+        self.away = torch.cat(away)
+        self.pixels = cameras[0].width * cameras[0].height
+
+    def sees_emitter(self) -> Tensor:
+        """Whether any position of a pixel sees an emitter's triangle [views, pixels], bool."""
+        emission = self.world.geometry.emission.amax(-1)
+        light = (emission[self.prim.clamp_min(0).long()] > 0) & (self.prim >= 0)
+        return light.view(len(self.cameras), self.pixels, self.count).any(-1)
+
+    def __call__(self, batch: PixelBatch, positions: int, stream: Stream) -> Interaction:
+        """Interactions at ``positions`` different positions of every pixel, pixel by pixel [b * positions]."""
+        b = len(batch.view)
+        first = stream.integers(self.count, b, 1)
+        # Any stride that is coprime to the count visits different positions; a random one makes pairs of all kinds.
+        step = torch.arange(positions, device=first.device)
+        chosen = (first + step * (1 + stream.integers(max(1, self.count - 1), b, 1))) % self.count
+        if positions > 2 or self.count == 1:
+            chosen = (first + step) % self.count
+        pixel = (batch.view * self.pixels + batch.pixel).unsqueeze(1) * self.count
+        index = (pixel + chosen).view(-1)
+        prim, bary = self.prim[index].long(), self.bary[index]
+        origin = self.origin[batch.view].repeat_interleave(positions, 0)
+        valid = prim >= 0
+        missed = self.away[index].float() if len(self.away) else torch.zeros_like(origin)
+        it = self.world.geometry.interact_at(prim, bary[:, 0], bary[:, 1], missed, valid)
+        seen = torch.nn.functional.normalize(origin - it.p, dim=-1)
+        return replace(it, wo=torch.where(valid.unsqueeze(-1), seen, missed))

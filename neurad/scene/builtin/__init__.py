@@ -1,0 +1,36 @@
+"""Scenes that need no file: procedural, the same on every machine."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+from neurad.core.errors import InputError
+from neurad.scene.builtin.cornell import build_cornell
+from neurad.scene.builtin.cube import build_cube
+from neurad.scene.builtin.furnace import build_furnace
+from neurad.scene.builtin.kitchen import build_kitchen
+from neurad.scene.builtin.sphere import build_sphere
+from neurad.scene.description import Scene
+
+__all__ = ["NAMES", "build", "build_cornell", "build_cube", "build_furnace", "build_kitchen", "build_sphere"]
+
+_BUILDERS: dict[str, Callable[[], Scene]] = {
+    "kitchen": build_kitchen,
+    "cornell": build_cornell,
+    "cube": build_cube,
+    "furnace": build_furnace,
+    "sphere": build_sphere,
+}
+NAMES: tuple[str, ...] = tuple(_BUILDERS)
+"""Names that :func:`build` knows."""
+
+
+def build(name: str) -> Scene:
+    """The built-in scene ``name``, one of :data:`NAMES`, with its standard settings.
+
+    Raises:
+        InputError: there is no scene of this name.
+    """
+    if name not in _BUILDERS:
+        raise InputError(f"data.scene: there is no built-in scene {name!r}, choose one of {', '.join(NAMES)}")
+    return _BUILDERS[name]()

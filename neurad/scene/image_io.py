@@ -1,0 +1,165 @@
+"""Pictures in files: EXR photographs and maps, bitmaps for textures, and PNG previews."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from neurad.core.errors import InputError
+from neurad.core.records import FloatArray
+
+_HALF_MAX = 65504.0
+_ORDER = "RGBA"
+_DEPTH16 = ("I;16", "I;16L", "I;16B", "I")  # what Pillow calls a grey PNG of 16 bits; "I" in older versions
+
+
+def to_srgb(linear: FloatArray) -> FloatArray:
+    """The sRGB curve of linear values, clipped to [0, 1] (IEC 61966-2-1)."""
+    x = np.clip(np.asarray(linear, np.float32), 0.0, 1.0)
+    return np.where(x <= 0.0031308, 12.92 * x, 1.055 * np.power(x, 1 / 2.4, dtype=np.float32) - 0.055)
+
+
+def from_srgb(encoded: FloatArray) -> FloatArray:
+    """Linear values of sRGB-encoded ones in [0, 1]."""
+    x = np.asarray(encoded, np.float64)
+    return np.where(x <= 0.04045, x / 12.92, ((x + 0.055) / 1.055) ** 2.4).astype(np.float32)
+
+
+def read_exr(path: str | Path) -> FloatArray:
+    """The pixels of an EXR file [h, w, c] over its display window.
+
+    Channels are RGB, RGBA, Y or a single one of any name, in a layer or not; half and float alike. What the data
+    window leaves out is 0.
+
+    Raises:
+        InputError: the file is missing or unreadable, or holds other channels.
+    """
+    import OpenEXR
+
+    path = Path(path)
+    if not path.is_file():
+        raise InputError(f"{path}: there is no such file")
+    try:
+        # The name of the option that separates the channels changed between versions: take whatever comes.
+        part = OpenEXR.File(str(path))
+        header = part.header()
+        found = {name: np.asarray(channel.pixels) for name, channel in part.channels().items()}
+    except (RuntimeError, ValueError, TypeError, OSError) as error:
+        raise InputError(f"{path}: it cannot be read as an EXR image") from error
+    return _displayed(_stacked(found, path), header)
+
+
+def _stacked(found: Mapping[str, Any], path: Path) -> FloatArray:
+    """Channels by name, each [h, w] or several interleaved [h, w, c], as one float32 array [h, w, c]."""
+    layers = {name.rpartition(".")[0] for name in found}
+    if len(found) == 1:
+        pixels = np.ascontiguousarray(next(iter(found.values())), np.float32)
+        return pixels if pixels.ndim == 3 else pixels[..., None]
+    plain = {name.rpartition(".")[2]: pixels for name, pixels in found.items()}
+    names = "".join(name for name in _ORDER if name in plain)
+    shapes = {pixels.shape for pixels in plain.values()}
+    if len(layers) > 1 or len(names) != len(found) or names not in ("RGB", "RGBA") or len(shapes) != 1:
+        raise InputError(f"{path}: its channels are {', '.join(sorted(found))}, not RGB, RGBA or a single one")
+    return np.stack([plain[name] for name in names], axis=-1).astype(np.float32)
+
+
+def _displayed(pixels: FloatArray, header: Mapping[str, Any]) -> FloatArray:
+    """Move pixels from the data window to the display window."""
+    (dx0, dy0), (wx0, wy0) = (np.asarray(header[k][0], int) for k in ("dataWindow", "displayWindow"))
+    wx1, wy1 = np.asarray(header["displayWindow"][1], int)
+    shape = (int(wy1 - wy0 + 1), int(wx1 - wx0 + 1))
+    if (dx0, dy0) == (wx0, wy0) and pixels.shape[:2] == shape:
+        return pixels
+    out = np.zeros((*shape, pixels.shape[2]), np.float32)
+    y, x = int(dy0 - wy0), int(dx0 - wx0)
+    y0, x0 = max(y, 0), max(x, 0)
+    y1, x1 = min(y + pixels.shape[0], shape[0]), min(x + pixels.shape[1], shape[1])
+    if y1 > y0 and x1 > x0:
+        out[y0:y1, x0:x1] = pixels[y0 - y : y1 - y, x0 - x : x1 - x]
+    return out
+
+
+def write_exr(path: str | Path, pixels: FloatArray, half: bool = True) -> None:
+    """Write [h, w, c] (c = 1, 3 or 4) as Y, RGB or RGBA; the same pixels give the same bytes.
+
+    Args:
+        path: file to write.
+        pixels: linear values; as half floats what exceeds 65504 is written as 65504.
+        half: 16 bits a value instead of 32.
+    """
+    import OpenEXR
+
+    image = np.asarray(pixels, np.float32)
+    if image.ndim != 3 or image.shape[2] not in (1, 3, 4):
+        raise ValueError(f"an image is [h, w, 1, 3 or 4], not {image.shape}")
+    if half:
+        image = np.clip(image, -_HALF_MAX, _HALF_MAX).astype(np.float16)
+    image = np.ascontiguousarray(image)
+    name = {1: "Y", 3: "RGB", 4: "RGBA"}[image.shape[2]]
+    header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
+    OpenEXR.File(header, {name: image[..., 0].copy() if name == "Y" else image}).write(str(path))
+
+
+def write_png(path: str | Path, pixels: FloatArray) -> None:
+    """Write linear [h, w, c] (c = 1, 3 or 4) as an 8-bit PNG with the sRGB curve; alpha stays linear."""
+    from PIL import Image
+
+    image = np.asarray(pixels, np.float32)
+    colour = image[..., : min(3, image.shape[2])]
+    encoded = np.concatenate((to_srgb(colour), np.clip(image[..., 3:], 0.0, 1.0)), axis=-1)
+    shown = np.round(encoded * 255.0).astype(np.uint8)
+    Image.fromarray(shown[..., 0] if shown.shape[2] == 1 else shown).save(path)
+
+
+def read_photograph(path: str | Path) -> FloatArray:
+    """A photograph: linear RGB or RGBA [h, w, 3 or 4], colour premultiplied by alpha.
+
+    Raises:
+        InputError: missing or unreadable, other channels, or pixels that are not finite or negative.
+    """
+    pixels = read_exr(path)
+    if pixels.shape[2] not in (3, 4):
+        raise InputError(f"{path}: a photograph has channels RGB or RGBA, this one has {pixels.shape[2]} in all")
+    low = float(pixels.min(initial=0.0))
+    if np.isnan(low) or not np.isfinite(pixels).all():
+        raise InputError(f"{path}: it has pixels that are NaN or infinite")
+    if low < 0:
+        raise InputError(f"{path}: it has negative pixels (down to {low:.3g})")
+    return pixels
+
+
+def read_bitmap(path: str | Path, raw: bool = False) -> FloatArray:
+    """A texture as linear values [h, w, 1 or 3]; row 0 is the first of the file, alpha is dropped.
+
+    8-bit and grey 16-bit files are divided by their largest value, and sRGB-decoded unless ``raw``; EXR files are
+    linear. Pillow reads colour PNG files of 16 bits with 8.
+
+    Raises:
+        InputError: the file is missing or unreadable.
+    """
+    from PIL import Image, UnidentifiedImageError
+
+    path = Path(path)
+    if not path.is_file():
+        raise InputError(f"{path}: there is no such texture file")
+    if path.suffix.lower() == ".exr":
+        pixels = read_exr(path)
+        return pixels[..., :3] if pixels.shape[2] > 1 else pixels
+    try:
+        with Image.open(path) as image:
+            if image.mode in _DEPTH16:
+                value = np.asarray(image).astype(np.float32)[..., None] / 65535.0
+                return value if raw else from_srgb(value)
+            if image.mode == "F":
+                return np.asarray(image, np.float32)[..., None].copy()
+            grey = image.mode in ("1", "L", "LA")
+            coded = np.asarray(image.convert("L" if grey else "RGB"))
+    except (UnidentifiedImageError, OSError, ValueError) as error:
+        raise InputError(f"{path}: it cannot be read as an image") from error
+    levels = np.arange(256, dtype=np.float32) / 255.0
+    table = levels if raw else from_srgb(levels)
+    decoded: FloatArray = table[coded]
+    return decoded[..., None] if grey else decoded

@@ -1,0 +1,124 @@
+"""The true materials of a scene: its own textures, looked up as Mitsuba does."""
+
+from __future__ import annotations
+
+import numpy as np
+import torch
+from torch import Tensor, nn
+
+from neurad.core.records import Bitmap, Constant, Interaction, Surface, Texture, TypedSurface, VertexAttribute
+from neurad.scene.description import Scene
+from neurad.scene.geometry import Geometry
+
+
+class TrueMaterials(nn.Module):
+    """BSDF parameters as the scene file gives them. No parameters to train; buffers are not part of checkpoints.
+
+    Args:
+        scene: whose materials.
+        geometry: of the same scene.
+
+    Raises:
+        InputError: a material reads a vertex attribute that no mesh has.
+    """
+
+    lambertian: Tensor
+
+    def __init__(self, scene: Scene, geometry: Geometry) -> None:
+        super().__init__()
+        self.geometry = geometry
+        self.albedo = TextureTable([m.albedo for m in scene.materials], 3)
+        self.roughness = TextureTable([m.roughness for m in scene.materials], 1)
+        matte = torch.tensor([m.kind == "diffuse" for m in scene.materials], dtype=torch.bool)
+        self.register_buffer("lambertian", matte, persistent=False)
+        self.is_mixed = not scene.features.is_diffuse and bool(matte.any())
+
+    @torch.no_grad()
+    def forward(self, it: Interaction) -> Surface:
+        """Parameters at the lanes of ``it``; zeros where there is no surface."""
+        material = self.geometry.material[it.prim.clamp_min(0)]
+        valid = it.valid.unsqueeze(-1)
+        albedo = self.albedo(material, it, self.geometry) * valid
+        roughness = self.roughness(material, it, self.geometry) * valid
+        if self.is_mixed:
+            return TypedSurface(albedo, roughness, self.lambertian[material])
+        return Surface(albedo, roughness)
+
+
+class TextureTable(nn.Module):
+    """One texture a material, all bitmaps packed into one table so that a lookup takes no loop over materials.
+
+    Args:
+        textures: by material.
+        channels: of every result; a texture of one channel is repeated.
+    """
+
+    constant: Tensor
+    kind: Tensor
+    texels: Tensor
+    place: Tensor
+    to_uv: Tensor
+
+    def __init__(self, textures: list[Texture], channels: int) -> None:
+        super().__init__()
+        self.channels = channels
+        self.names = sorted({t.name for t in textures if isinstance(t, VertexAttribute)})
+        constant = np.zeros((len(textures), channels), np.float32)
+        kind = np.full(len(textures), -2, np.int64)  # -2 constant, -1 bitmap, else index of a vertex attribute
+        place = np.ones((len(textures), 3), np.int64)  # first texel, width, height
+        to_uv = np.zeros((len(textures), 2, 3), np.float32)
+        packed: list[np.ndarray] = []
+        first: dict[int, int] = {}  # materials may share a bitmap
+        total = 0
+        for i, texture in enumerate(textures):
+            if isinstance(texture, Constant):
+                constant[i] = texture.value
+            elif isinstance(texture, Bitmap):
+                kind[i] = -1
+                height, width = texture.pixels.shape[:2]
+                if id(texture.pixels) not in first:
+                    first[id(texture.pixels)] = total
+                    packed.append(np.broadcast_to(texture.pixels, (height, width, channels)).reshape(-1, channels))
+                    total += height * width
+                place[i] = first[id(texture.pixels)], width, height
+                to_uv[i] = texture.to_uv[:2]
+            else:
+                kind[i] = self.names.index(texture.name)
+        texels = np.concatenate([np.zeros((0, channels), np.float32), *packed])
+        for name, value in {
+            "constant": constant,
+            "kind": kind,
+            "texels": texels,
+            "place": place,
+            "to_uv": to_uv,
+        }.items():
+            self.register_buffer(name, torch.from_numpy(np.ascontiguousarray(value)), persistent=False)
+
+    def forward(self, material: Tensor, it: Interaction, geometry: Geometry) -> Tensor:
+        """Values [n, channels] at the lanes of ``it``, which have these materials [n]."""
+        out = self.constant[material]
+        if len(self.texels) == 0 and not self.names:
+            return out
+        kind = torch.where(it.valid, self.kind[material], -2)
+        lane = (kind == -1).nonzero().squeeze(-1)
+        if len(lane):
+            out[lane] = self._bilinear(material[lane], it.uv[lane])
+        for index, name in enumerate(self.names):
+            lane = (kind == index).nonzero().squeeze(-1)
+            if len(lane):
+                out[lane] = geometry.attribute(name, it[lane])
+        return out
+
+    def _bilinear(self, material: Tensor, uv: Tensor) -> Tensor:
+        """Texel (row j, column i) has its centre at uv ((i + 0.5) / w, (j + 0.5) / h); the picture repeats."""
+        matrix = self.to_uv[material]
+        first, size = self.place[material].split((1, 2), -1)
+        xy = ((matrix[:, :, :2] @ uv.unsqueeze(-1)).squeeze(-1) + matrix[:, :, 2]) * size - 0.5
+        low = xy.floor()
+        fx, fy = (xy - low).split(1, -1)
+        x0, y0 = torch.remainder(low.long(), size).split(1, -1)
+        width, height = size.split(1, -1)
+        x1, y1 = torch.where(x0 + 1 == width, 0, x0 + 1), torch.where(y0 + 1 == height, 0, y0 + 1)
+        index = torch.cat((y0 * width + x0, y0 * width + x1, y1 * width + x0, y1 * width + x1), -1) + first
+        weight = torch.cat(((1 - fx) * (1 - fy), fx * (1 - fy), (1 - fx) * fy, fx * fy), -1)
+        return torch.bmm(weight.unsqueeze(1), self.texels[index]).squeeze(1)

@@ -1,0 +1,1 @@
+"""Ray casting on the CPU: dense hits, no gradients."""

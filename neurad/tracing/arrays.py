@@ -1,0 +1,61 @@
+"""Between torch tensors on any device and the contiguous CPU arrays that ray casting libraries read."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import torch
+from torch import Tensor
+
+from neurad.core.records import FloatArray, Hit, Rays
+
+
+def as_floats(values: Tensor) -> FloatArray:
+    """``values`` as a contiguous float32 array; shares memory with a tensor that is one already."""
+    array: FloatArray = values.detach().to("cpu", torch.float32).contiguous().numpy()
+    return array
+
+
+def as_indices(values: Tensor, dtype: type[np.integer[Any]]) -> npt.NDArray[Any]:
+    """``values`` as a contiguous integer array."""
+    return np.ascontiguousarray(values.detach().cpu().numpy().astype(dtype))
+
+
+def no_hits(count: int, device: torch.device) -> Hit:
+    """``count`` misses."""
+    zero = torch.zeros(count, device=device)
+    miss = torch.full((count,), -1, dtype=torch.int64, device=device)
+    return Hit(torch.full_like(zero, torch.inf), miss, zero, zero.clone(), miss >= 0)
+
+
+def beyond_start(closest: Callable[[Rays], Hit], rays: Rays, hit: Hit, extent: float) -> Hit:
+    """``hit`` with t > 0: Embree also reports t = 0, for a ray that starts exactly on a triangle.
+
+    Such a ray is cast again from a little further on, where little begins at the float32 spacing of its origin and
+    grows while rounding puts it back. A ray that never gets off the triangle runs inside its plane and misses.
+
+    Args:
+        closest: casts rays, t >= 0.
+        rays: what was cast.
+        hit: what came of it.
+        extent: largest coordinate of the vertices; sets the smallest step.
+    """
+    on = (hit.valid & (hit.t <= 0)).nonzero()[:, 0]
+    if len(on) == 0:
+        return hit
+    t, prim, u, v = hit.t.clone(), hit.prim.clone(), hit.u.clone(), hit.v.clone()
+    step = 2.0**-22 * rays.o[on].detach().float().abs().amax(-1).clamp_min(extent / 1024)
+    for _ in range(8):
+        start = rays[on]
+        found = closest(Rays(start.o + step[:, None] * start.d, start.d))
+        stuck = found.valid & (found.t <= 0)
+        keep = found.valid & ~stuck
+        t[on], prim[on] = torch.where(keep, found.t + step, torch.inf), torch.where(keep, found.prim, -1)
+        u[on], v[on] = torch.where(keep, found.u, 0.0), torch.where(keep, found.v, 0.0)
+        on, step = on[stuck], 4.0 * step[stuck]
+        if len(on) == 0:
+            break
+    return Hit(t, prim, u, v, prim >= 0)

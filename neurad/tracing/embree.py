@@ -1,0 +1,105 @@
+"""Ray casting with Embree 4 through ``embreex``, on several threads."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+
+import numpy as np
+import torch
+from embreex.mesh_construction import TriangleMesh
+from embreex.rtcore_scene import EmbreeScene
+from torch import Tensor
+
+from neurad.core.records import Hit, Rays
+from neurad.tracing.arrays import as_floats, as_indices, beyond_start, no_hits
+
+# Rays in the smallest slice that is worth handing to another thread, about 0.2 ms of work, and in the largest whose
+# arrays stay in the cache (measured on 330 k triangles).
+CLOSEST_SHARD = 1024
+OCCLUDED_SHARD = 2048
+LARGEST_SHARD = 16384
+
+
+class EmbreeTracer:
+    """Closest-hit and occlusion queries against a fixed set of triangles.
+
+    Embree's robust mode: no ray slips through a shared edge or vertex, and differences to the ray's origin are taken
+    before anything is multiplied, so coordinates far from the origin lose nothing beyond their own float32 spacing.
+    Triangles without area are never hit.
+    """
+
+    def __init__(self, vertices: Tensor, faces: Tensor, threads: int | None = None) -> None:
+        """Build the acceleration structure.
+
+        Args:
+            vertices: [V, 3].
+            faces: indices into ``vertices`` [F, 3]; F may be 0.
+            threads: how many threads share the rays of a query; None takes one for each core.
+        """
+        self.threads = threads or os.cpu_count() or 1
+        self.empty = len(faces) == 0
+        self.extent = 0.0 if self.empty else float(vertices.detach().abs().max())
+        self._pool = ThreadPoolExecutor(self.threads - 1, "embree") if self.threads > 1 else None
+        if self.empty:
+            return
+        self._scene = EmbreeScene(robust=True)
+        self._mesh = TriangleMesh(self._scene, as_floats(vertices), as_indices(faces, np.int32))
+        # The first query commits the scene; from then on concurrent queries are safe.
+        self._scene.run(np.zeros((1, 3), np.float32), np.ones((1, 3), np.float32), output=True)
+
+    def closest(self, rays: Rays) -> Hit:
+        """The nearest hit with t > 0 of every ray, dense [n], on the rays' device."""
+        return beyond_start(self._closest, rays, self._closest(rays), self.extent)
+
+    def _closest(self, rays: Rays) -> Hit:
+        count, device = len(rays), rays.o.device
+        hit = no_hits(count, torch.device("cpu"))
+        if self.empty or count == 0:
+            return hit.to(device)
+        o, d = as_floats(rays.o), as_floats(rays.d)
+        t, prim, u, v = hit.t.numpy(), hit.prim.numpy(), hit.u.numpy(), hit.v.numpy()
+
+        def cast(part: slice) -> None:
+            found = self._scene.run(o[part], d[part], output=True)
+            prim[part], u[part], v[part] = found["primID"], found["u"], found["v"]
+            np.copyto(t[part], found["tfar"], where=prim[part] >= 0)  # a miss has 1e37 there
+
+        self._share(cast, count, CLOSEST_SHARD)
+        return Hit(hit.t, hit.prim, hit.u, hit.v, hit.prim >= 0).to(device)
+
+    def occluded(self, rays: Rays, t_max: Tensor) -> Tensor:
+        """Whether anything lies in 0 < t < t_max [n] (infinity allowed): bool [n] on the rays' device.
+
+        A triangle that the ray's origin lies exactly on counts too; spawned rays start off it.
+        """
+        count, device = len(rays), rays.o.device
+        blocked = torch.zeros(count, dtype=torch.bool)
+        if self.empty or count == 0:
+            return blocked.to(device)
+        o, d = as_floats(rays.o), as_floats(rays.d)
+        far = as_floats(t_max).copy()  # embreex writes into it
+        out = blocked.numpy()
+
+        def cast(part: slice) -> None:
+            # This query answers 0 where something was hit and -1 where not.
+            np.equal(self._scene.run(o[part], d[part], dists=far[part], query="OCCLUDED"), 0, out=out[part])
+
+        self._share(cast, count, OCCLUDED_SHARD)
+        return blocked.to(device)
+
+    def _share(self, cast: Callable[[slice], None], count: int, least: int) -> None:
+        """Run ``cast`` on slices of ``count`` rays, at least ``least`` in each, on this thread and the pool."""
+        size = min(LARGEST_SHARD, max(least, -(-count // self.threads)))
+        parts = [slice(i, min(i + size, count)) for i in range(0, count, size)]
+
+        def work(first: int) -> None:
+            for part in parts[first :: self.threads]:
+                cast(part)
+
+        busy = range(1, min(self.threads, len(parts)))
+        others = [self._pool.submit(work, first) for first in busy] if self._pool else []
+        work(0)
+        for other in others:
+            other.result()

@@ -1,0 +1,27 @@
+"""Choosing a tracer by name. Libraries are imported when they are chosen."""
+
+from __future__ import annotations
+
+from torch import Tensor
+
+from neurad.core.errors import InputError
+from neurad.core.protocols import Tracer
+
+TRACERS = ("embree", "open3d")
+
+
+def make_tracer(name: str, vertices: Tensor, faces: Tensor, threads: int | None = None) -> Tracer:
+    """The tracer called ``name`` over triangles ``faces`` [F, 3] of ``vertices`` [V, 3].
+
+    Raises:
+        InputError: there is no tracer of that name, or the package that it needs is not installed.
+    """
+    if name == "embree":
+        from neurad.tracing.embree import EmbreeTracer
+
+        return EmbreeTracer(vertices, faces, threads)
+    if name == "open3d":
+        from neurad.tracing.open3d import Open3DTracer
+
+        return Open3DTracer(vertices, faces, threads)
+    raise InputError(f"tracer {name}: there is none of that name, choose one of {', '.join(TRACERS)}")

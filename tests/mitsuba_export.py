@@ -1,0 +1,107 @@
+"""Built-in scenes as Mitsuba scenes, for tests that compare the two renderers."""
+
+from __future__ import annotations
+
+import tempfile
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from neurad.core.records import Bitmap, Constant, Material, Mesh, Texture, View
+from neurad.scene.description import Scene
+
+
+def to_mitsuba(scene: Scene, view: View, size: int, samples: int = 16, integrator: dict[str, Any] | None = None) -> Any:
+    """``scene`` seen by ``view`` at ``size`` x ``size`` pixels with a box filter. A variant must have been set.
+
+    Args:
+        integrator: defaults to ``path`` with the scene's ``max_depth`` and ``rr_depth``.
+    """
+    import mitsuba as mi
+
+    # Mitsuba's camera looks along +Z with +X to the left, ours along -Z with +X to the right
+    pose = np.asarray(view.camera.to_world, np.float64) @ np.diag([-1.0, 1.0, -1.0, 1.0])
+    described: dict[str, Any] = {
+        "type": "scene",
+        "integrator": integrator or {"type": "path", "max_depth": scene.max_depth, "rr_depth": scene.rr_depth},
+        "sensor": {
+            "type": "perspective",
+            "to_world": mi.ScalarTransform4f(pose),
+            "fov": float(np.degrees(view.camera.fov_x)),
+            "fov_axis": "x",
+            "near_clip": 1e-3,
+            "film": {
+                "type": "hdrfilm",
+                "width": size,
+                "height": size,
+                "rfilter": {"type": "box"},
+                "component_format": "float32",
+                "pixel_format": "rgb",
+            },
+            "sampler": {"type": "independent", "sample_count": samples},
+        },
+    }
+    for i, material in enumerate(scene.materials):
+        described[f"material_{i}"] = _bsdf(mi, material, f"material_{i}")
+    with tempfile.TemporaryDirectory() as folder:
+        for i, mesh in enumerate(scene.meshes):
+            path = Path(folder) / f"{i}.ply"
+            _write_ply(mi, mesh, path)
+            shape: dict[str, Any] = {
+                "type": "ply",
+                "filename": str(path),
+                "face_normals": mesh.normals is None,
+                "bsdf": {"type": "ref", "id": f"material_{mesh.material}"},
+            }
+            if mesh.radiance is not None:
+                shape["emitter"] = {"type": "area", "radiance": {"type": "rgb", "value": mesh.radiance.tolist()}}
+            described[f"mesh_{i}"] = shape
+        return mi.load_dict(described)
+
+
+def _bsdf(mi: Any, material: Material, name: str) -> dict[str, Any]:
+    albedo = _texture(mi, material.albedo)
+    if material.kind == "diffuse":
+        inner = {"type": "diffuse", "reflectance": albedo}
+    else:
+        inner = {
+            "type": "principled",
+            "base_color": albedo,
+            "roughness": _texture(mi, material.roughness),
+            "eta": material.eta,
+        }
+    return {"type": "twosided", "id": name, "bsdf": inner} if material.two_sided else {**inner, "id": name}
+
+
+def _texture(mi: Any, texture: Texture) -> Any:
+    if isinstance(texture, Constant):
+        value = [float(x) for x in texture.value]
+        return {"type": "rgb", "value": value} if len(value) == 3 else value[0]
+    assert isinstance(texture, Bitmap)
+    pixels = np.ascontiguousarray(texture.pixels)  # the first row lies at v = 0 on both sides
+    return {
+        "type": "bitmap",
+        "bitmap": mi.Bitmap(pixels),
+        "raw": True,
+        "to_uv": mi.ScalarTransform3f(np.asarray(texture.to_uv, np.float64)),
+    }
+
+
+def _write_ply(mi: Any, mesh: Mesh, path: Path) -> None:
+    out = mi.Mesh(
+        mesh.name,
+        len(mesh.vertices),
+        len(mesh.faces),
+        has_vertex_normals=mesh.normals is not None,
+        has_vertex_texcoords=mesh.uvs is not None,
+    )
+    params = mi.traverse(out)
+    params["vertex_positions"] = mesh.vertices.ravel()
+    params["faces"] = mesh.faces.astype(np.uint32).ravel()
+    if mesh.normals is not None:
+        params["vertex_normals"] = mesh.normals.ravel()
+    if mesh.uvs is not None:
+        params["vertex_texcoords"] = mesh.uvs.ravel()
+    params.update()
+    out.write_ply(str(path))
