@@ -58,9 +58,15 @@ class SceneData(pl.LightningDataModule):
         Raises:
             InputError: anything in the folder is missing or wrong.
         """
-        if self.scene is not None and stage == "fit":
-            self._check_patch()
-            assert self.photographs is not None
+        scene = self.scene
+        if stage != "fit":
+            return
+        if self.mean_square() <= 0:
+            raise InputError(f"scene {scene.name}: every training photograph is black")
+        camera = scene.train[0].camera
+        if self.patch_size > min(camera.width, camera.height):
+            size = f"{camera.width} x {camera.height}"
+            raise InputError(f"--data.patch_size: {self.patch_size} does not fit in photographs of {size} pixels")
 
     # ---- photographs
 
@@ -76,8 +82,8 @@ class SceneData(pl.LightningDataModule):
         for index, view in enumerate(views[1:], 1):
             image = self._read(view)
             if image.shape != first.shape:
-                raise InputError(f"{view.image}: it has {image.shape[-1]} channels, but {views[0].image} has "
-                                 f"{first.shape[-1]}")  # fmt: skip
+                count = image.shape[-1], first.shape[-1]
+                raise InputError(f"{view.image}: it has {count[0]} channels, but {views[0].image} has {count[1]}")
             pixels[index] = image
         return pixels
 
@@ -134,13 +140,6 @@ class SceneData(pl.LightningDataModule):
 
     # ---- batches
 
-    def _check_patch(self) -> None:
-        camera = self.scene.train[0].camera if self.scene.train else None
-        if camera is not None and self.patch_size > min(camera.width, camera.height):
-            raise InputError(
-                f"--data.patch_size: {self.patch_size} does not fit in photographs of {camera.width} x {camera.height}"
-            )
-
     @cached_property
     def _corners(self) -> Corners:
         camera = self.scene.train[0].camera
@@ -163,8 +162,8 @@ class SceneData(pl.LightningDataModule):
         """Move the tensors of a batch; its iteration is a plain number."""
         if isinstance(batch, Tensor):
             return batch.to(device)
-        tensors = (batch.view, batch.pixel, batch.color, batch.alpha)
-        return PixelBatch(*(tensor.to(device) for tensor in tensors), iteration=batch.iteration)
+        view, pixel, color, alpha = (x.to(device) for x in (batch.view, batch.pixel, batch.color, batch.alpha))
+        return PixelBatch(view, pixel, color, alpha, batch.iteration)
 
     def train_dataloader(self) -> DataLoader[PixelBatch]:
         """Batches without end, from the iteration that the module has reached."""

@@ -115,7 +115,6 @@ def _prepare() -> None:
 
 def _classes() -> tuple[type, type]:
     from datamodules.scene_data import SceneData
-
     from neurad.module.inverse import InverseRenderer
 
     return InverseRenderer, SceneData

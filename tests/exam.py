@@ -8,9 +8,9 @@ import torch
 from torch import Tensor
 
 from neurad.core.records import Interaction, Rays, View
+from neurad.core.rng import Stream
 from neurad.integrators.film import pixel_positions
 from neurad.integrators.world import World
-from neurad.core.rng import Stream
 from neurad.scene.camera import camera_rays
 from neurad.scene.description import Scene
 from neurad.scene.textures import TrueMaterials

@@ -110,7 +110,7 @@ class StandIn(pl.LightningModule):
     test_step = predict_step = validation_step
 
     def evaluate(self, render_spp=4):
-        value = float(self.theta.sum() + self.phi.sum())
+        value = float((self.theta.sum() + self.phi.sum()).detach())
         scores = {name + end: value for end in ("", "_seen") for name in NAMES}
         scores |= {"albedo_psnr_constant": 1.5, "albedo_psnr_constant_seen": 2.5}
         grey = np.full((6, 8, 3), 0.25, np.float32)

@@ -97,10 +97,11 @@ def test_no_arguments_print_the_help(capsys):
         (["fit", "--config", "dangling.yaml"], "nowhere"),
         (["fit", "--model.rate", "fast"], "model.rate"),
         (["fit", "--model.rat", "1"], "--model.rat"),
+        (["fit"], "--trainer.max_steps"),
         (["fit", "--trainer.max_time", "soon"], "soon"),
-        (["fit", "--trainer.accelerator", "warp"], "warp"),
+        (["fit", "--trainer.max_steps", "2", "--trainer.accelerator", "warp"], "warp"),
         (["fit", "--trainer.logger", "os.system"], "os.system"),
-        (["fit", "--data.root", "nowhere"], "nowhere/transforms_train.json"),
+        (["fit", "--trainer.max_steps=2", "--data.root", "nowhere"], "nowhere/transforms_train.json"),
         (["fit", "--ckpt_path", "last"], "--ckpt_path last"),
         (["fit", "--ckpt_path", "nothing.ckpt"], "nothing.ckpt"),
         (["fit", "--ckpt_path", "torn.yaml"], "torn.yaml"),
@@ -113,7 +114,7 @@ def test_bad_input_is_one_sentence_and_leaves_nothing(capfd, tmp_path, args, sai
         "value": "model: {rate: fast}",
         "torn": "a: [1",
         "list": "[1, 2]",
-        "open": "data: {root: ???}",
+        "open": "data:\n  root: ???",
         "loop": "base: loop.yaml",
         "dangling": "model: {rate: '${nowhere}'}",
     }.items():
@@ -289,3 +290,23 @@ def test_an_unknown_interpolation_names_itself():
     Path("a.yaml").write_text("model: {rate: '${nowhere}'}")
     with pytest.raises(InputError, match="nowhere"):
         resolve(load_config("a.yaml"), {})
+
+
+SHIPPED = sorted(str(path.relative_to(d)) for d in shipped_folders() for path in d.rglob("*.yaml"))
+
+
+@pytest.mark.parametrize("name", SHIPPED)
+def test_shipped_configs_fit_the_real_classes(monkeypatch, capsys, name):
+    from datamodules.scene_data import SceneData
+    from neurad.module.inverse import InverseRenderer
+
+    monkeypatch.setattr(cli, "_classes", lambda: (InverseRenderer, SceneData))
+    with pytest.raises(SystemExit) as stop:
+        main(["fit", "--config", name, "--data.root=DIR", "--seed_everything=5", "--print_config"])
+    assert stop.value.code == 0
+    printed = yaml.safe_load(capsys.readouterr().out)
+    assert printed["model"]["seed"] == printed["data"]["seed"] == 5
+    if name == "paper/staircase.yaml":
+        assert printed["model"]["sampling"]["cached"] == printed["model"]["sampling"]["positions"] == 16
+        assert (printed["trainer"]["max_steps"], printed["data"]["patch_size"]) == (18000, 128)
+        assert printed["model"]["radiance"]["grid"]["finest"] == 65536

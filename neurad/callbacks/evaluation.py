@@ -12,10 +12,10 @@ import numpy as np
 from lightning.pytorch.loggers import TensorBoardLogger
 
 from neurad.callbacks import pictures
-from neurad.callbacks.progress import fraction_done
 from neurad.callbacks.run_folder import run_folder
 from neurad.callbacks.table import MetricsTable, curve_table, score_table
 from neurad.core import clock
+from neurad.module.schedule import fraction_done
 
 if TYPE_CHECKING:
     from neurad.module.inverse import InverseRenderer
@@ -131,7 +131,7 @@ class Evaluate(pl.Callback):
         if every is not None:
             return bool(module.iteration % every == 0)
         mark = int(fraction_done(trainer).largest * MARKS)
-        if mark <= self._mark:
+        if mark <= self._mark or self.share <= 0:
             return False
         self._mark = mark
         return bool(self._spent + self._last <= self.share * module.train_seconds)

@@ -1,49 +1,18 @@
-"""How far a run is, and the bar that shows it."""
+"""The bar that shows how far a run is."""
 
 from __future__ import annotations
 
 import time
-from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, cast
 
 import lightning.pytorch as pl
-from lightning.pytorch.callbacks import Timer, TQDMProgressBar
+from lightning.pytorch.callbacks import TQDMProgressBar
 from lightning.pytorch.callbacks.progress.tqdm_progress import Tqdm
+
+from neurad.module.schedule import fraction_done
 
 if TYPE_CHECKING:
     from neurad.module.inverse import InverseRenderer
-
-
-@dataclass(frozen=True)
-class Progress:
-    """Shares of a run's limits that are used up; None where there is no such limit."""
-
-    by_steps: float | None
-    by_time: float | None
-    seconds: float
-    """Seconds of the fit so far, those of an interrupted run included."""
-
-    @property
-    def largest(self) -> float:
-        """The share that counts: the run ends when either limit is reached."""
-        return max(self.by_steps or 0.0, self.by_time or 0.0)
-
-    @property
-    def seconds_left(self) -> float | None:
-        """Seconds until the nearer limit at the average speed so far; None if it cannot be told."""
-        shares = [share for share in (self.by_steps, self.by_time) if share]
-        return min((self.seconds * (1 - share) / share for share in shares), default=None)
-
-
-def fraction_done(trainer: pl.Trainer) -> Progress:
-    """How much of ``max_steps`` and of ``max_time`` is used up."""
-    by_steps = trainer.global_step / trainer.max_steps if trainer.max_steps > 0 else None
-    for callback in trainer.callbacks:  # type: ignore[attr-defined]
-        if isinstance(callback, Timer):
-            elapsed, left = callback.time_elapsed(), callback.time_remaining()
-            by_time = elapsed / (elapsed + left) if left is not None and elapsed + left > 0 else None
-            return Progress(by_steps, by_time, elapsed)
-    return Progress(by_steps, None, 0.0)
 
 
 class Bar(TQDMProgressBar):
@@ -62,10 +31,9 @@ class Bar(TQDMProgressBar):
     def init_train_tqdm(self) -> Tqdm:
         """A bar over the run's limit rather than over an epoch, which means nothing here."""
         return Tqdm(
-            desc="fit",
             leave=True,
             dynamic_ncols=True,
-            bar_format="{desc}: {percentage:3.0f}%|{bar:12}| {postfix}",
+            bar_format="fit {percentage:3.0f}%|{bar:12}| {desc}",
             total=1000,
             file=None,
         )
@@ -102,13 +70,13 @@ class Bar(TQDMProgressBar):
         self._shown = now
         module = cast("InverseRenderer", pl_module)
         self.train_progress_bar.n = round(min(fraction_done(trainer).largest, 1.0) * 1000)
-        self.train_progress_bar.set_postfix_str(self.text(trainer, module), refresh=True)
+        self.train_progress_bar.set_description_str(self.text(trainer, module))
 
     def on_train_end(self, trainer: pl.Trainer, pl_module: pl.LightningModule) -> None:
         """Close the bar."""
         if not self.is_disabled:
             self.train_progress_bar.n = round(min(fraction_done(trainer).largest, 1.0) * 1000)
-            self.train_progress_bar.set_postfix_str(self.text(trainer, cast("InverseRenderer", pl_module)))
+            self.train_progress_bar.set_description_str(self.text(trainer, cast("InverseRenderer", pl_module)))
         self.train_progress_bar.close()
 
     def text(self, trainer: pl.Trainer, module: InverseRenderer) -> str:

@@ -76,6 +76,6 @@ class RunFolder(SaveConfigCallback):
         if isinstance(trainer.logger, RunLogger):
             trainer.logger.open()
         part = folder / "config.yaml.part"
-        self.parser.save(self.config, str(part), skip_none=False, overwrite=True, multifile=False)
+        self.parser.save(self.config, str(part), skip_unset=False, overwrite=True, multifile=False)
         os.replace(part, folder / "config.yaml")
         MetricsTable(folder / "metrics.csv").cut(int(pl_module.iteration))  # type: ignore[arg-type]

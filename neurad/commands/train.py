@@ -158,7 +158,7 @@ class NeuradCLI(LightningCLI):
 
     def init_parser(self, **kwargs: Any) -> LightningArgumentParser:
         """A parser that raises instead of printing its usage and leaving."""
-        return super().init_parser(**kwargs, exit_on_error=False)
+        return super().init_parser(**kwargs, exit_on_error=False, allow_abbrev=False)
 
     def parse_arguments(self, parser: LightningArgumentParser, args: Any) -> None:
         """Parse what :func:`run` prepared, whatever ``sys.argv`` says."""
@@ -182,6 +182,8 @@ class NeuradCLI(LightningCLI):
             logger = RunLogger.of_checkpoint(self.checkpoint) if self.checkpoint else None
             kwargs["logger"] = logger or RunLogger(settings["default_root_dir"] or ".", RUNS)
         if self.verb == "fit":
+            if settings["max_steps"] < 0 and settings["max_time"] is None and not settings["fast_dev_run"]:
+                raise InputError("--trainer.max_steps or --trainer.max_time is needed: without either no fit ends")
             kwargs["limit_val_batches"] = 0  # the Evaluate callback keeps its own schedule
         if settings["enable_progress_bar"] is False:
             self.config_init[self.verb].pop("bar", None)

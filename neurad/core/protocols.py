@@ -36,6 +36,10 @@ class Materials(Protocol):
         """BSDF parameters at the lanes of ``it``."""
         ...
 
+    def albedo(self, it: Interaction) -> Tensor:
+        """The albedo alone [n, 3], where no more is needed."""
+        ...
+
 
 class BSDF(Protocol):
     """A reflection model in the local shading frame: z is the shading normal on the viewer's side, so wo.z >= 0."""

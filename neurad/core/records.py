@@ -202,7 +202,7 @@ class Constant:
 
 @dataclass(frozen=True)
 class Bitmap:
-    """A bilinear, repeated bitmap. Row 0 is the top; v runs upwards, as Mitsuba has it."""
+    """A bilinear, repeated bitmap. Row 0, the first of the file, lies at v = 0 as in Mitsuba; v runs down the rows."""
 
     pixels: FloatArray
     """Linear values [h, w, channels]; sRGB files are decoded already."""

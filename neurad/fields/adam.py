@@ -5,9 +5,12 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable
 from typing import Any
 
+import numpy as np
 import torch
 from torch import Tensor
 from torch.optim.adam import adam
+
+from neurad.fields.threads import split
 
 
 class FieldAdam(torch.optim.Optimizer):
@@ -36,7 +39,7 @@ class FieldAdam(torch.optim.Optimizer):
         super().__init__(params, {"lr": lr, "betas": betas, "eps": eps})
 
     @torch.no_grad()
-    def step(self, closure: Callable[[], Any] | None = None) -> Any:  # type: ignore[override]
+    def step(self, closure: Callable[[], Any] | None = None) -> Any:
         """One update of every parameter that has a gradient."""
         loss = None
         if closure is not None:
@@ -83,20 +86,43 @@ def _update_dense(params: list[Tensor], states: list[dict[str, Tensor]], group: 
 
 def _update_rows(p: Tensor, gradient: Tensor, state: dict[str, Tensor], group: dict[str, Any]) -> None:
     """Adam on the rows of ``p`` that a sparse gradient names."""
-    gradient = gradient.coalesce()  # free for the hash grid's own gradients, which come coalesced
-    rows, values = gradient._indices()[0], gradient._values()
     state["step"] += 1
     step = float(state["step"])
     beta1, beta2 = group["betas"]
-    rate = group["lr"] / (1.0 - beta1**step)
-    root = (1.0 - beta2**step) ** 0.5
-    if p.device.type == "cpu" and p.dtype == torch.float32 and p.is_contiguous():
-        from neurad.fields import kernels
-
-        kernels.adam_rows(p, state["exp_avg"], state["exp_avg_sq"], rows, values, rate, root, beta1, beta2, group["eps"])
+    rate, root = group["lr"] / (1.0 - beta1**step), (1.0 - beta2**step) ** 0.5
+    m, v = state["exp_avg"], state["exp_avg_sq"]
+    if p.device.type == "cpu" and p.dtype == torch.float32 and p.dim() == 2 and p.is_contiguous():
+        rows, values = _unique_rows(gradient)
+        _compiled_rows(p, m, v, rows, values, (rate, 1.0 / root, beta1, beta2, group["eps"]))
         return
-    m = torch.lerp(state["exp_avg"][rows], values, 1.0 - beta1)
-    v = beta2 * state["exp_avg_sq"][rows] + (1.0 - beta2) * values * values
-    state["exp_avg"][rows] = m
-    state["exp_avg_sq"][rows] = v
-    p[rows] -= rate * m / (v.sqrt() / root + group["eps"])
+    gradient = gradient.coalesce()
+    rows, values = gradient.indices()[0], gradient.values()
+    m[rows] = torch.lerp(m[rows], values, 1.0 - beta1)
+    v[rows] = beta2 * v[rows] + (1.0 - beta2) * values * values
+    p[rows] -= rate * m[rows] / (v[rows].sqrt() / root + group["eps"])
+
+
+def _unique_rows(gradient: Tensor) -> tuple[Tensor, Tensor]:
+    """Ascending rows and values of a sparse gradient, each row once.
+
+    Autograd drops the mark that a gradient is coalesced, and appends where a table was read twice; torch's own
+    ``coalesce`` sorts, which takes longer than the update.
+    """
+    from neurad.fields import kernels  # compiled code is loaded by those who use it
+
+    rows, values = gradient._indices()[0].contiguous(), gradient._values().contiguous()
+    if kernels.is_ascending(rows.numpy()):
+        return rows, values
+    merged, sums = torch.empty_like(rows), torch.empty_like(values)
+    count = kernels.merge_rows(rows.numpy(), values.numpy(), gradient.shape[0], merged.numpy(), sums.numpy())
+    return merged[:count], sums[:count]
+
+
+def _compiled_rows(
+    p: Tensor, m: Tensor, v: Tensor, rows: Tensor, values: Tensor, factors: tuple[float, ...]
+) -> None:  # fmt: skip
+    """The update in compiled code; rows are shared among threads."""
+    from neurad.fields import kernels
+
+    arrays = p.detach().numpy(), m.numpy(), v.numpy(), rows.numpy(), values.numpy(), np.array(factors, np.float32)
+    split(lambda low, high: kernels.adam_rows(*arrays, low, high), len(rows), 8192)

@@ -9,11 +9,13 @@ from __future__ import annotations
 import math
 from typing import Any, Self
 
+import numpy as np
 import torch
 from torch import Tensor, nn
 from torch.nn.functional import embedding
 
 from neurad.fields.settings import GridConfig
+from neurad.fields.threads import split
 
 PRIMES = (1, 2654435761, 805459861)
 """Factors of the spatial hash ``(x ^ y * 2654435761 ^ z * 805459861) mod size`` (Mueller et al., Eq. 4)."""
@@ -57,33 +59,29 @@ class HashGrid(nn.Module):
         fast: use the compiled kernels where they apply (CPU, float32, two features).
     """
 
-    resolution: Tensor
-    stride: Tensor
-    first: Tensor
-    mask: Tensor
+    level_table: Tensor
 
     def __init__(
         self, levels: int, coarsest: int, finest: int, features: int = 2, log2_size: int = 17, fast: bool = True
     ) -> None:
         super().__init__()
-        growth = (math.log(finest) - math.log(coarsest)) / max(levels - 1, 1)
-        resolution = [math.floor(coarsest * math.exp(level * growth) + 1e-6) for level in range(levels)]
-        dense = [(r + 1) ** 3 <= 1 << log2_size for r in resolution]
-        entries = [(r + 1) ** 3 if d else 1 << log2_size for r, d in zip(resolution, dense, strict=True)]
+        growth = math.log(finest / coarsest) / max(levels - 1, 1)
+        rows = []
+        first = 0
+        for level in range(levels):
+            resolution = math.floor(coarsest * math.exp(level * growth) + 1e-6)
+            vertices = (resolution + 1) ** 3
+            # Vertex (x, y, z) of a dense level is entry x + y stride + z stride^2; stride 0 marks a hashed level.
+            stride = resolution + 1 if vertices <= 1 << log2_size else 0
+            entries = vertices if stride else 1 << log2_size
+            rows.append((resolution, stride, first, entries))
+            first += entries
         self.levels = levels
         self.features = features
         self.channels = levels * features
         self.fast = fast
-        # Vertex (x, y, z) of a dense level is entry x + y stride + z stride^2; a hashed level has stride 0.
-        table = torch.empty(sum(entries), features).uniform_(-1e-4, 1e-4)
-        self.table = nn.Parameter(table)
-        first = torch.tensor([0, *entries]).cumsum(0)
-        self.register_buffer("resolution", torch.tensor(resolution), persistent=False)
-        self.register_buffer(
-            "stride", torch.tensor([r + 1 if d else 0 for r, d in zip(resolution, dense, strict=True)]), persistent=False
-        )
-        self.register_buffer("first", first, persistent=False)
-        self.register_buffer("mask", torch.tensor((1 << log2_size) - 1), persistent=False)
+        self.register_buffer("level_table", torch.tensor(rows), persistent=False)  # [levels, 4], int64
+        self.table = nn.Parameter(torch.empty(first, features).uniform_(-1e-4, 1e-4))
 
     @classmethod
     def from_config(cls, config: GridConfig, fast: bool = True) -> Self:
@@ -99,43 +97,66 @@ class HashGrid(nn.Module):
         if x.requires_grad:
             raise ValueError("HashGrid: positions get no gradient; detach them")
         if self.fast and self.table.device.type == "cpu" and self.table.dtype == torch.float32 and self.features == 2:
-            out: Tensor = _Encode.apply(x, self.table, self)  # type: ignore[no-untyped-call]
+            out: Tensor = _Encode.apply(x, self.table, self.level_table)  # type: ignore[no-untyped-call]
             return out
         return self.plain(x)
 
     def plain(self, x: Tensor) -> Tensor:
         """The same in plain torch, with a dense gradient."""
-        resolution = self.resolution.to(x.dtype).view(-1, 1)  # [l, 1]
-        position = x.unsqueeze(1) * resolution  # [n, l, 3]
-        cell = torch.minimum(position.floor(), resolution - 1.0)
-        near, far = cell.long(), cell.long() + 1
-        x_, y_, z_ = (torch.stack((near[..., i], far[..., i]), -1) for i in range(3))  # [n, l, 2] each
-        x_, y_, z_ = x_[:, :, None, None, :], y_[:, :, None, :, None], z_[:, :, :, None, None]
-        stride = self.stride.view(-1, 1, 1, 1)
-        hashed = (x_ ^ (y_ * PRIMES[1]) ^ (z_ * PRIMES[2])) & self.mask
-        entry = torch.where(stride > 0, x_ + stride * (y_ + stride * z_), hashed) + self.first[:-1].view(-1, 1, 1, 1)
+        resolution, stride, first, entries = (self.level_table[:, i].view(-1, 1, 1, 1) for i in range(4))
+        cells = resolution[:, 0, 0].to(x.dtype)  # [l, 1]
+        position = x.unsqueeze(1) * cells  # [n, l, 3]
+        cell = torch.minimum(position.floor(), cells - 1.0).clamp(min=0.0)
+        ends = torch.stack((cell, cell + 1.0), -1).long()  # [n, l, 3, 2]
+        cx, cy, cz = ends[:, :, 0, None, None, :], ends[:, :, 1, None, :, None], ends[:, :, 2, :, None, None]
+        hashed = (cx ^ (cy * PRIMES[1]) ^ (cz * PRIMES[2])) & (entries - 1)  # [n, l, 2, 2, 2], by z, y, x
+        entry = first + torch.where(stride > 0, cx + stride * (cy + stride * cz), hashed)
         t = (position - cell).unsqueeze(-1)
-        weight = torch.cat((1.0 - t, t), -1)  # [n, l, 3, 2]
-        weight = weight[:, :, 2, :, None, None] * weight[:, :, 1, None, :, None] * weight[:, :, 0, None, None, :]
+        w = torch.cat((1.0 - t, t), -1)  # [n, l, 3, 2]
+        weight = w[:, :, 0, None, None, :] * w[:, :, 1, None, :, None] * w[:, :, 2, :, None, None]
         corners = embedding(entry.flatten(2), self.table)  # [n, l, 8, f]
         return (corners * weight.flatten(2).unsqueeze(-1)).sum(2).flatten(1)
 
 
 class _Encode(torch.autograd.Function):
-    """The kernels of :mod:`neurad.fields.kernels` as one operation whose gradient is sparse."""
+    """The compiled encoding as one operation whose gradient is sparse."""
 
     @staticmethod
-    def forward(ctx: Any, x: Tensor, table: Tensor, grid: HashGrid) -> Tensor:
-        from neurad.fields import kernels
+    def forward(ctx: Any, x: Tensor, table: Tensor, level_table: Tensor) -> Tensor:
+        """Features [n, levels * 2]."""
+        from neurad.fields import kernels  # compiled code is loaded by those who use it
 
-        x = x.float().contiguous()
-        ctx.save_for_backward(x)
-        ctx.grid = grid
-        return kernels.encode(x, table.detach(), grid)
+        x = x.detach().float().contiguous()
+        ctx.save_for_backward(x, level_table)
+        ctx.shape = table.shape
+        out = torch.empty(len(x), 2 * len(level_table))
+        arrays = x.numpy(), table.detach().numpy(), level_table.numpy(), out.numpy()
+        split(lambda low, high: kernels.encode(*arrays, low, high), len(x), 1024)
+        return out
 
     @staticmethod
-    def backward(ctx: Any, *gradients: Tensor) -> tuple[None, Tensor | None, None]:
+    def backward(ctx: Any, *gradients: Tensor) -> tuple[None, Tensor, None]:
+        """Sparse gradient of the table, its rows ascending."""
         from neurad.fields import kernels
 
-        (x,) = ctx.saved_tensors
-        return None, kernels.table_gradient(x, gradients[0].contiguous(), ctx.grid), None
+        x, level_table = ctx.saved_tensors
+        arrays = x.numpy(), gradients[0].contiguous().numpy(), level_table.numpy()
+        parts: dict[int, tuple[Tensor, Tensor]] = {}
+
+        def work(begin: int, end: int) -> None:
+            touched = int(level_table[begin:end, 3].clamp(max=8 * len(x)).sum())
+            rows, values = torch.empty(touched, dtype=torch.int64), torch.empty(touched, 2)
+            count = kernels.table_gradient(*arrays, begin, end, rows.numpy(), values.numpy())
+            parts[begin] = rows[:count], values[:count]
+
+        levels = len(level_table)
+        split(work, levels, max(1, levels * 256 // max(len(x), 1)))
+        rows, values = parts[0]
+        if len(parts) > 1:  # numpy copies on this thread, where torch would wake its own
+            ordered = [parts[begin] for begin in sorted(parts)]
+            rows = torch.from_numpy(np.concatenate([r.numpy() for r, _ in ordered]))
+            values = torch.from_numpy(np.concatenate([v.numpy() for _, v in ordered]))
+        gradient = torch.sparse_coo_tensor(
+            rows.unsqueeze(0), values, ctx.shape, check_invariants=False, is_coalesced=True
+        )
+        return None, gradient, None

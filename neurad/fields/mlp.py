@@ -2,8 +2,14 @@
 
 from __future__ import annotations
 
+from itertools import pairwise
+from typing import Any
+
 import torch
 from torch import Tensor, nn
+
+CHUNK = 2048
+"""Rows evaluated at a time without gradients: two layers of width 64 then fit into a processor's own cache."""
 
 
 class MLP(nn.Module):
@@ -14,22 +20,83 @@ class MLP(nn.Module):
         outputs: channels returned.
         width: neurons of every hidden layer.
         hidden_layers: number of hidden layers; 0 is one linear map.
+        fast: use oneDNN's fused layers where they apply (CPU, float32); about twice as fast as plain torch.
     """
 
-    def __init__(self, inputs: int, outputs: int, width: int, hidden_layers: int) -> None:
+    def __init__(self, inputs: int, outputs: int, width: int, hidden_layers: int, fast: bool = True) -> None:
         super().__init__()
         sizes = [inputs, *[width] * hidden_layers, outputs]
-        layers = [nn.Linear(a, b) for a, b in zip(sizes[:-1], sizes[1:], strict=True)]
-        for layer in layers[:-1]:
-            nn.init.kaiming_uniform_(layer.weight, nonlinearity="relu")
+        layers = [nn.Linear(a, b) for a, b in pairwise(sizes)]
+        for i, layer in enumerate(layers):
+            nn.init.kaiming_uniform_(layer.weight, nonlinearity="relu" if i < hidden_layers else "linear")
             nn.init.zeros_(layer.bias)
-        nn.init.kaiming_uniform_(layers[-1].weight, nonlinearity="linear")
-        nn.init.zeros_(layers[-1].bias)
         self.layers = nn.ModuleList(layers)
+        self.fast = fast
 
     def forward(self, x: Tensor) -> Tensor:
         """Values [n, outputs] for inputs [n, inputs]."""
-        *hidden, last = self.layers
-        for layer in hidden:
-            x = torch.relu_(torch.addmm(layer.bias, x, layer.weight.t()))
-        return torch.addmm(last.bias, x, last.weight.t())
+        if not (self.fast and len(x) > 0 and _has_onednn(x)):
+            return self.plain(x)
+        parameters: list[Tensor] = list(self.parameters())  # weight, bias, weight, bias, ...
+        if torch.is_grad_enabled():
+            out: Tensor = _Layers.apply(x, *parameters)  # type: ignore[no-untyped-call]
+            return out
+        parts = [_forward(part, parameters)[-1] for part in torch.split(x, CHUNK)]
+        return parts[0] if len(parts) == 1 else torch.cat(parts)
+
+    def plain(self, x: Tensor) -> Tensor:
+        """The same in plain torch."""
+        parameters = list(self.parameters())
+        for weight, bias in zip(parameters[:-2:2], parameters[1:-2:2], strict=True):
+            x = torch.relu(torch.addmm(bias, x, weight.t()))
+        return torch.addmm(parameters[-1], x, parameters[-2].t())
+
+
+def _has_onednn(x: Tensor) -> bool:
+    """Whether oneDNN can take ``x``."""
+    return (
+        x.device.type == "cpu"
+        and x.dtype == torch.float32
+        and not torch.is_autocast_enabled("cpu")
+        and torch.backends.mkldnn.is_available()  # type: ignore[no-untyped-call]
+        and hasattr(torch.ops.mkldnn, "_linear_pointwise")
+    )
+
+
+def _linear(x: Tensor, weight: Tensor, bias: Tensor | None, after: str) -> Tensor:
+    """``after(x weight^T + bias)`` by oneDNN; ``after`` is 'relu' or 'none'."""
+    out: Tensor = torch.ops.mkldnn._linear_pointwise(x, weight, bias, after, [], "")
+    return out
+
+
+def _forward(x: Tensor, parameters: list[Tensor]) -> list[Tensor]:
+    """Values after every layer; ``parameters`` are weight, bias, weight, bias, ..."""
+    values = []
+    for i in range(0, len(parameters), 2):
+        x = _linear(x, parameters[i], parameters[i + 1], "relu" if i + 2 < len(parameters) else "none")
+        values.append(x)
+    return values
+
+
+class _Layers(torch.autograd.Function):
+    """All layers as one operation: fused layers forward, and few small operations backward."""
+
+    @staticmethod
+    def forward(ctx: Any, x: Tensor, *parameters: Tensor) -> Tensor:
+        """Values of the last layer [n, outputs]."""
+        values = _forward(x, list(parameters))
+        ctx.save_for_backward(x, *values[:-1], *parameters)
+        return values[-1]
+
+    @staticmethod
+    def backward(ctx: Any, *gradients: Tensor) -> tuple[Tensor | None, ...]:
+        """Gradients of the input and of every parameter."""
+        g = gradients[0]
+        layers = len(ctx.saved_tensors) // 3
+        inputs, parameters = ctx.saved_tensors[:layers], ctx.saved_tensors[layers:]
+        out: list[Tensor | None] = []
+        for i in reversed(range(layers)):
+            out = [g.t() @ inputs[i], g.sum(0), *out]
+            if i > 0:
+                g = torch.ops.aten.threshold_backward(_linear(g, parameters[2 * i].t(), None, "none"), inputs[i], 0)
+        return (_linear(g, parameters[0].t(), None, "none") if ctx.needs_input_grad[0] else None, *out)

@@ -54,19 +54,17 @@ class RadianceField(nn.Module):
         """
         parts = [self.grid(self.cube(it.p))]
         for name in self.inputs:
-            parts.append(_INPUT[name](it, albedo))
+            parts.append(_read(name, it, albedo))
         y = self.mlp(torch.cat(parts, -1))
         return self.scale * softplus(y + _SHIFT)
 
 
-def _reflection(it: Interaction) -> Tensor:
-    """``wo`` mirrored at the shading normal [n, 3]."""
-    return 2.0 * (it.wo * it.n).sum(-1, keepdim=True) * it.n - it.wo
-
-
-_INPUT = {
-    "direction": lambda it, albedo: it.wo,
-    "reflection": lambda it, albedo: _reflection(it),
-    "normal": lambda it, albedo: it.n,
-    "albedo": lambda it, albedo: albedo.detach(),
-}
+def _read(name: str, it: Interaction, albedo: Tensor) -> Tensor:
+    """One of the inputs beside the position [n, 3]."""
+    if name == "direction":
+        return it.wo
+    if name == "normal":
+        return it.n
+    if name == "albedo":
+        return albedo.detach()
+    return 2.0 * (it.wo * it.n).sum(-1, keepdim=True) * it.n - it.wo  # reflection

@@ -36,11 +36,12 @@ class PathTracer:
     def __call__(self, rays: Rays, seed: int) -> Tensor:
         """One-sample estimate of the radiance along camera rays [n, 3]."""
         stream = Stream(seed, device=rays.o.device)
-        it = self.world.intersect(rays)
-        radiance = self.world.emitted(it)
+        first = self.world.reach(rays, stream.uniform(len(rays)))
+        it = first.it
+        radiance = first.through(self.world.emitted(it))
         lane = it.valid.nonzero().squeeze(-1)
+        throughput = first.through(torch.ones_like(it.p))[lane]
         it = it[lane]
-        throughput = torch.ones_like(it.p)
         depth = 1
         while len(lane) and (self.max_depth is None or depth < self.max_depth):
             step = bounce(self.world, it, self.materials(it), stream.uniform(len(lane), DIMENSIONS))

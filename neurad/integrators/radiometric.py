@@ -28,10 +28,11 @@ class RadiometricLHS:
 
     @torch.no_grad()
     def __call__(self, rays: Rays, seed: int) -> Tensor:
-        """Radiance along camera rays [n, 3]; without noise, so ``seed`` plays no part."""
-        it = self.world.intersect(rays)
-        seen = self.radiance(it, self.materials(it).albedo)
-        return self.world.emitted(it) + seen * it.valid.unsqueeze(-1)
+        """Radiance along camera rays [n, 3]; without noise, but for the choice at glass that ``seed`` makes."""
+        first = self.world.reach(rays, Stream(seed, device=rays.o.device).uniform(len(rays)))
+        it = first.it
+        seen = self.radiance(it, self.materials.albedo(it))
+        return first.through(self.world.emitted(it) + seen * it.valid.unsqueeze(-1))
 
 
 @dataclass(frozen=True)
@@ -45,11 +46,12 @@ class RadiometricRHS:
     @torch.no_grad()
     def __call__(self, rays: Rays, seed: int) -> Tensor:
         """One-sample estimate of the radiance along camera rays [n, 3]."""
-        it = self.world.intersect(rays)
-        u = Stream(seed, device=rays.o.device).uniform(len(it), DIMENSIONS)
-        return self.world.emitted(it) + transport(
-            self.world, self.materials, self.radiance, it, self.materials(it), u
-        )
+        stream = Stream(seed, device=rays.o.device)
+        first = self.world.reach(rays, stream.uniform(len(rays)))
+        it = first.it
+        u = stream.uniform(len(it), DIMENSIONS)
+        reflected = transport(self.world, self.materials, self.radiance, it, self.materials(it), u)
+        return first.through(self.world.emitted(it) + reflected)
 
 
 def transport(
@@ -68,4 +70,4 @@ def transport(
 @torch.no_grad()
 def incident(materials: Materials, radiance: ReflectedRadiance, it: Interaction) -> Tensor:
     """``sg[L_theta]`` where BSDF samples ended [n, 3]; zero where they left the scene."""
-    return radiance(it, materials(it).albedo) * it.valid.unsqueeze(-1)
+    return radiance(it, materials.albedo(it)) * it.valid.unsqueeze(-1)

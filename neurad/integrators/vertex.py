@@ -12,8 +12,8 @@ from neurad.core.records import Interaction, Lanes, Surface
 from neurad.core.sampling import mis_weight
 from neurad.integrators.world import World
 
-DIMENSIONS = 6
-"""Uniform numbers that one bounce consumes: three for the emitter, three for the BSDF."""
+DIMENSIONS = 7
+"""Uniform numbers that one bounce consumes: three for the emitter, three for the BSDF, one for glass on the way."""
 
 
 @dataclass(frozen=True)
@@ -58,8 +58,10 @@ def bounce(world: World, it: Interaction, surface: Surface, u: Tensor) -> Bounce
 
     # BSDF sampling
     sample = world.bsdf.sample(surface, wo, u[:, 3:6])
-    weight = sample.weight * reflects.unsqueeze(-1)
-    end = world.intersect(world.geometry.spawn(it, frame.to_world(sample.wi)))
-    mis = mis_weight(sample.pdf, world.lights.pdf(it.p, end))
-    direct = direct + weight * (world.lights.eval(end) * mis.unsqueeze(-1))
-    return Bounce(direct, weight, end)
+    reached = world.reach(world.geometry.spawn(it, frame.to_world(sample.wi)), u[:, 6])
+    weight = reached.through(sample.weight * reflects.unsqueeze(-1))
+    mis = mis_weight(sample.pdf, world.lights.pdf(it.p, reached.it))
+    if reached.passed is not None:  # emitter sampling cannot look through smooth surfaces
+        mis = torch.where(reached.passed, 1.0, mis)
+    direct = direct + weight * (world.lights.eval(reached.it) * mis.unsqueeze(-1))
+    return Bounce(direct, weight, reached.it)

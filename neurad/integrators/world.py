@@ -2,14 +2,32 @@
 
 from __future__ import annotations
 
-import torch
+from dataclasses import dataclass
+
 from torch import Tensor, nn
 
 from neurad.core.frame import dot
 from neurad.core.protocols import BSDF, Emitter, Tracer
 from neurad.core.records import Interaction, Rays
+from neurad.integrators.delta import DeltaSurfaces, reach
 from neurad.scene.description import Features
 from neurad.scene.geometry import Geometry
+
+
+@dataclass(frozen=True)
+class Reached:
+    """Where rays got to."""
+
+    it: Interaction
+    """First vertices that are not smooth, misses included."""
+    throughput: Tensor | None
+    """Of the smooth surfaces on the way [n, 3]; None in a scene without any."""
+    passed: Tensor | None
+    """Whether there was one on the way [n], bool."""
+
+    def through(self, values: Tensor) -> Tensor:
+        """``values`` [n, 3] dimmed by what lay on the way."""
+        return values if self.throughput is None else values * self.throughput
 
 
 class World(nn.Module):
@@ -23,6 +41,7 @@ class World(nn.Module):
         features: what the scene has; parts it does not have are skipped.
         two_sided: for each triangle, whether it reflects on both sides [F], bool.
         hide_environment: rays from the camera that miss see black, as in photographs with an alpha channel.
+        delta: smooth surfaces, or None in a scene that has none.
     """
 
     two_sided: Tensor
@@ -36,6 +55,7 @@ class World(nn.Module):
         features: Features,
         two_sided: Tensor,
         hide_environment: bool = False,
+        delta: DeltaSurfaces | None = None,
     ) -> None:
         super().__init__()
         self.geometry = geometry
@@ -44,13 +64,20 @@ class World(nn.Module):
         self.bsdf = bsdf
         self.features = features
         self.hide_environment = hide_environment
+        self.delta = delta
         self.rays_cast = 0
         self.register_buffer("two_sided", two_sided, persistent=False)
 
     def intersect(self, rays: Rays) -> Interaction:
-        """Where rays end, misses included."""
+        """Where rays end, misses and smooth surfaces included."""
         self.rays_cast += len(rays)
         return self.geometry.interact(rays, self.tracer.closest(rays))
+
+    def reach(self, rays: Rays, u: Tensor) -> Reached:
+        """The first vertices along rays that are not smooth; ``u`` [n] are uniform numbers, one a ray."""
+        it, throughput, passed, cast = reach(self.delta, self.geometry, self.tracer, rays, u)
+        self.rays_cast += cast
+        return Reached(it, throughput, passed)
 
     def occluded(self, rays: Rays, t_max: Tensor) -> Tensor:
         """Whether something lies on the ray before ``t_max`` [n]."""
@@ -68,9 +95,3 @@ class World(nn.Module):
         """E: radiance that the camera sees without any reflection [n, 3]."""
         light = self.lights.eval(it)
         return light * it.valid.unsqueeze(-1) if self.hide_environment else light
-
-
-def with_lanes(total: int, mask: Tensor, values: Tensor) -> Tensor:
-    """Values [k, c] of the lanes where ``mask`` [total] is set, zeros elsewhere [total, c]."""
-    out = torch.zeros(total, *values.shape[1:], dtype=values.dtype, device=values.device)
-    return out.masked_scatter(mask.view(-1, *[1] * (values.dim() - 1)), values)

@@ -12,6 +12,7 @@ from neurad.emitters.lights import make_lights
 from neurad.fields.material import AlbedoField, RoughnessField
 from neurad.fields.radiance import RadianceField
 from neurad.fields.settings import FieldConfig, RadianceConfig
+from neurad.integrators.delta import DeltaSurfaces
 from neurad.integrators.world import World
 from neurad.scene.description import Scene
 from neurad.scene.geometry import Geometry
@@ -39,6 +40,7 @@ def build_world(scene: Scene, tracer: str = "embree", hide_environment: bool = F
         features=scene.features,
         two_sided=two_sided,
         hide_environment=hide_environment,
+        delta=DeltaSurfaces(scene, geometry) if scene.features.has_delta else None,
     )
 
 

@@ -34,7 +34,7 @@ class Estimator:
         step = bounce(self.world, it.repeat(count), surface.repeat(count), u)
         if field_gradient:
             with torch.no_grad():
-                albedo = self.materials(step.next).albedo
+                albedo = self.materials.albedo(step.next)
             light = self.radiance(step.next, albedo) * step.next.valid.unsqueeze(-1)
         else:
             light = incident(self.materials, self.radiance, step.next)
@@ -43,11 +43,14 @@ class Estimator:
 
 def some(lanes: Lanes, share: float, stream: Stream, count: int) -> Tensor:
     """Indices of a random ``share`` of the first hits, one random bounce of each: into lanes ordered by hit, ``count``
-    bounces a hit."""
+    bounces a hit.
+    """
     hits = len(lanes) // count
     keep = max(1, round(share * hits))
     device = stream.device
-    chosen = torch.randperm(hits, generator=stream.generator, device=device)[:keep] if keep < hits else torch.arange(
-        hits, device=device
+    chosen = (
+        torch.randperm(hits, generator=stream.generator, device=device)[:keep]
+        if keep < hits
+        else torch.arange(hits, device=device)
     )
     return chosen * count + stream.integers(count, len(chosen))

@@ -7,7 +7,6 @@ from typing import Any
 
 import lightning as L
 import torch
-from lightning.pytorch.callbacks import Timer
 from torch import Tensor
 
 from neurad.core.clock import training_seconds
@@ -23,9 +22,9 @@ from neurad.module.assemble import FittedMaterials, build_materials, build_radia
 from neurad.module.config import Objective, Optimization, Sampling
 from neurad.module.estimate import Estimator
 from neurad.module.evaluate import Evaluation, evaluate
-from neurad.module.objective import ObjectiveStep
+from neurad.module.objective import ObjectiveStep, RestingValue
 from neurad.module.primary import PrimaryHits
-from neurad.module.schedule import rate_factor
+from neurad.module.schedule import fraction_done, rate_factor
 from neurad.scene.description import Scene
 
 OPTIMIZERS = ("albedo", "roughness", "radiance")
@@ -100,6 +99,7 @@ class InverseRenderer(L.LightningModule):
         albedo, roughness, radiance = self.field_configs
         self.materials = build_materials(self.scene, albedo, roughness)
         self.radiance = build_radiance(self.scene, radiance)
+        self.rest = RestingValue()
 
     def configure_optimizers(self) -> list[FieldAdam]:
         """One optimizer each for albedo, roughness (if there is one to find) and radiance."""
@@ -116,6 +116,8 @@ class InverseRenderer(L.LightningModule):
         cameras = [view.camera for view in self.scene.train]
         primary = PrimaryHits(self.world, cameras, self.sampling.cached, self.seed, self.device)
         mixed = primary.sees_emitter()
+        if self.iteration > 0:  # the camera rays of a continued run were counted when it began
+            self.world.rays_cast = 0
         mean_square = data.mean_square(~mixed.cpu())
         if mean_square <= 0:
             raise InputError(f"scene {self.scene.name}: every training photograph is black")
@@ -127,6 +129,7 @@ class InverseRenderer(L.LightningModule):
             settings=self.settings,
             epsilon=self.settings.epsilon * mean_square,
             mixed=mixed,
+            rest=self.rest,
         )
 
     @property
@@ -141,7 +144,7 @@ class InverseRenderer(L.LightningModule):
         assert self._step is not None
         optimizers = self.optimizers()
         assert isinstance(optimizers, list)
-        factor = rate_factor(self.optimization, self.iteration, self.progress())
+        factor = rate_factor(self.optimization, self.iteration, fraction_done(self.trainer).largest)
         for index, (name, optimizer) in enumerate(zip(self.optimizer_names, optimizers, strict=True)):
             for group in optimizer.param_groups:
                 group["lr"] = factor * getattr(self.optimization, name)
@@ -158,18 +161,6 @@ class InverseRenderer(L.LightningModule):
         self.iteration += 1
         self.last_losses = {name: loss.value for name, (_, loss) in (terms.materials | terms.field).items()}
         return loss.detach()
-
-    def progress(self) -> float:
-        """Share of the run that is over, by iterations or training time, whichever is further."""
-        trainer = self.trainer
-        shares = [0.0]
-        if trainer.max_steps is not None and trainer.max_steps > 0:
-            shares.append(self.iteration / trainer.max_steps)
-        for timer in (c for c in trainer.callbacks if isinstance(c, Timer)):  # type: ignore[attr-defined]
-            if timer.time_remaining() is not None:
-                elapsed = timer.time_elapsed()
-                shares.append(elapsed / (elapsed + max(0.0, timer.time_remaining() or 0.0)))
-        return max(shares)
 
     @property
     def train_seconds(self) -> float:
@@ -191,6 +182,11 @@ class InverseRenderer(L.LightningModule):
         result = evaluate(self._held_out, self.estimator, render_spp)
         self.world.rays_cast = cast
         return result
+
+    def validation_step(self, *_: Any) -> None:
+        """Nothing a batch: the evaluation callback looks at all held-out views at once, after the loop."""
+
+    test_step = predict_step = validation_step
 
     # ---- checkpoints
 
@@ -214,13 +210,17 @@ class InverseRenderer(L.LightningModule):
         if state is None:
             raise InputError("--ckpt_path: the file is no checkpoint of neurad")
         if state["fingerprint"] != self.scene.fingerprint:
-            raise InputError(f"--ckpt_path: the checkpoint is of scene {state['scene']}, not of {self.scene.name} as given")
+            raise InputError(
+                f"--ckpt_path: the checkpoint is of scene {state['scene']}, not of {self.scene.name} as given"
+            )
         own = self.state_dict()
         for name, value in checkpoint["state_dict"].items():
             if name not in own or own[name].shape != value.shape:
                 raise InputError(f"--ckpt_path: the checkpoint has other field sizes than the config ({name} differs)")
         if missing := own.keys() - checkpoint["state_dict"].keys():
-            raise InputError(f"--ckpt_path: the checkpoint has other fields than the config ({min(missing)} is missing)")
+            raise InputError(
+                f"--ckpt_path: the checkpoint has other fields than the config ({min(missing)} is missing)"
+            )
         self.iteration = state["iteration"]
         self.rays_before = state["rays"]
         self.seconds_before = state["seconds"]

@@ -15,7 +15,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import torch
-from torch import Tensor
+from torch import Tensor, nn
 
 from neurad.core.records import Interaction, PixelBatch, Surface
 from neurad.core.rng import Stream
@@ -42,6 +42,23 @@ class StepTerms:
     """Terms whose gradient reaches the radiance field only."""
 
 
+class RestingValue(nn.Module):
+    """A running, evidence-weighted mean of roughness; part of the checkpoint."""
+
+    sums: Tensor
+
+    def __init__(self, start: float = 0.5, decay: float = 0.999) -> None:
+        super().__init__()
+        self.decay = decay
+        self.register_buffer("sums", torch.tensor([start * 1e-6, 1e-6]))
+
+    def forward(self, values: Tensor, weights: Tensor) -> Tensor:
+        """Take in values with their weights (of one shape) and return the mean, a scalar."""
+        new = torch.stack(((values * weights).mean(), weights.mean()))
+        self.sums.mul_(self.decay).add_(new, alpha=1.0 - self.decay)
+        return self.sums[0] / self.sums[1]
+
+
 @dataclass(frozen=True)
 class ObjectiveStep:
     """Builds the terms of a step.
@@ -53,6 +70,7 @@ class ObjectiveStep:
         settings: weights and forms of the terms.
         epsilon: floor of the relative losses in squared radiance units.
         mixed: pixels that an emitter covers, in part or whole; they train nothing [views, pixels], bool.
+        rest: the roughness that surfaces without evidence are pulled to.
     """
 
     estimator: Estimator
@@ -61,12 +79,14 @@ class ObjectiveStep:
     settings: Objective
     epsilon: float
     mixed: Tensor
+    rest: RestingValue
 
     def __call__(self, batch: PixelBatch, stream: Stream) -> StepTerms:
         """Terms for a batch of photographed pixels."""
         world, settings = self.estimator.world, self.settings
         b, n = len(batch.view), self.sampling.positions
-        it = self.primary(batch, n, stream)
+        first = self.primary(batch, n, stream)
+        it = first.it
         surface = self.estimator.materials(it)
         emitted = world.emitted(it)
         both_sides = settings.prior > 0 and settings.prior_gradient == "full"
@@ -86,14 +106,13 @@ class ObjectiveStep:
         field = self.estimator.radiance(points, albedo)
         first_field = field[: len(it)]
 
-        image = (emitted + transported).view(b, n, 3)
-        lhs_image = (emitted + first_field * it.valid.unsqueeze(-1)).view(b, n, 3)
+        image = first.through(emitted + transported).view(b, n, 3)
+        lhs_image = first.through(emitted + first_field * it.valid.unsqueeze(-1)).view(b, n, 3)
         normaliser = batch.color if settings.normaliser == "photograph" else lhs_image.detach().mean(1)
         weight = relative_weight(normaliser, self.epsilon) * counts
-        materials = {"photometric": (1.0, self._photometric(batch, image, surface, weight, stream))}
-        if settings.roughness_pull > 0:
-            pull = ((surface.roughness - settings.roughness_rest) ** 2 * it.valid.unsqueeze(-1)).mean()
-            materials["roughness_pull"] = (settings.roughness_pull, Loss(pull, pull.detach()))
+        materials = {"photometric": (1.0, self._photometric(batch, image, weight, stream))}
+        if settings.roughness_pull > 0 and surface.roughness.requires_grad:
+            materials["roughness_pull"] = (settings.roughness_pull, self._pull(image, surface, weight))
 
         terms: dict[str, tuple[float, Loss]] = {}
         if settings.prior > 0:
@@ -112,22 +131,36 @@ class ObjectiveStep:
             terms["lhs"] = (settings.lhs, leave_one_out(lhs_image, batch.color, lhs_weight))
         return StepTerms(materials, terms)
 
+    def _pull(self, image: Tensor, surface: Surface, weight: Tensor) -> Loss:
+        """A quadratic pull of roughness towards its evidence-weighted mean.
+
+        Where nobody sees a highlight the photographs say nothing about roughness and noise would carry it anywhere. The
+        evidence is the curvature of the photometric term, ``w (dI/dr)^2``, from the two halves of independent positions
+        so that noise does not count as evidence; where it is large the pull is small beside it.
+        """
+        (slope,) = torch.autograd.grad(image.mean(-1).sum(), surface.roughness, retain_graph=True)
+        slope = slope.view(len(weight), -1)
+        evidence = (slope[:, :1] * slope[:, 1:].mean(-1, keepdim=True)).clamp_min(0.0) * weight.mean(-1, keepdim=True)
+        roughness = surface.roughness.view_as(slope)
+        mean = self.rest(roughness.detach(), evidence.expand_as(slope))
+        pull = ((roughness - mean) ** 2).mean()
+        return Loss(pull, pull.detach())
+
     def _second_hits(self, ends: Interaction, stream: Stream) -> Interaction | None:
         """Some of the points that BSDF samples reached, or None where the prior is not taken there."""
         if self.settings.prior <= 0 or self.sampling.second_hits <= 0:
             return None
         return ends[some(ends, self.sampling.second_hits, stream, self.sampling.secondary)]
 
-    def _photometric(
-        self, batch: PixelBatch, image: Tensor, surface: Surface, weight: Tensor, stream: Stream
-    ) -> Loss:
+    def _photometric(self, batch: PixelBatch, image: Tensor, weight: Tensor, stream: Stream) -> Loss:
         """The RHS image against photographs, by the estimator that the settings choose."""
         if self.settings.estimator == "leave_one_out":
             return leave_one_out(image, batch.color, weight)
         with torch.no_grad():
-            it = self.primary(batch, self.sampling.positions, stream)
-            again, _ = self.estimator.reflected(it, self.estimator.materials(it), self.sampling.secondary, stream)
-            other = (self.estimator.world.emitted(it) + again.mean(1)).view_as(image)
+            first = self.primary(batch, self.sampling.positions, stream)
+            surface = self.estimator.materials(first.it)
+            again, _ = self.estimator.reflected(first.it, surface, self.sampling.secondary, stream)
+            other = first.through(self.estimator.world.emitted(first.it) + again.mean(1)).view_as(image)
         return two_pass(image, other, batch.color, weight)
 
     def _full_prior(self, it: Interaction, surface: Surface, field: Tensor, stream: Stream) -> Loss:

@@ -7,10 +7,10 @@ from dataclasses import replace
 import torch
 from torch import Tensor
 
-from neurad.core.records import Camera, Interaction, PixelBatch
+from neurad.core.records import Camera, PixelBatch, Rays
 from neurad.core.rng import Stream
 from neurad.integrators.film import pixel_positions
-from neurad.integrators.world import World
+from neurad.integrators.world import Reached, World
 from neurad.scene.camera import camera_rays
 
 _CHUNK = 1 << 18
@@ -19,7 +19,7 @@ _CHUNK = 1 << 18
 class PrimaryHits:
     """What the camera sees at ``count`` stratified positions in each pixel of each training view.
 
-    Keeps triangle and barycentrics on the CPU's or GPU's memory (16 bytes a position), never the centre of a pixel alone.
+    Keeps a triangle and barycentrics for each, 12 bytes; never the centre of a pixel alone.
 
     Args:
         world: the scene.
@@ -56,8 +56,10 @@ class PrimaryHits:
         light = (emission[self.prim.clamp_min(0).long()] > 0) & (self.prim >= 0)
         return light.view(len(self.cameras), self.pixels, self.count).any(-1)
 
-    def __call__(self, batch: PixelBatch, positions: int, stream: Stream) -> Interaction:
-        """Interactions at ``positions`` different positions of every pixel, pixel by pixel [b * positions]."""
+    def __call__(self, batch: PixelBatch, positions: int, stream: Stream) -> Reached:
+        """First vertices at ``positions`` different positions of every pixel, pixel by pixel [b * positions]."""
+        if self.world.delta is not None:
+            return self._through_glass(batch, positions, stream)
         b = len(batch.view)
         first = stream.integers(self.count, b, 1)
         # Any stride that is coprime to the count visits different positions; a random one makes pairs of all kinds.
@@ -73,4 +75,17 @@ class PrimaryHits:
         missed = self.away[index].float() if len(self.away) else torch.zeros_like(origin)
         it = self.world.geometry.interact_at(prim, bary[:, 0], bary[:, 1], missed, valid)
         seen = torch.nn.functional.normalize(origin - it.p, dim=-1)
-        return replace(it, wo=torch.where(valid.unsqueeze(-1), seen, missed))
+        return Reached(replace(it, wo=torch.where(valid.unsqueeze(-1), seen, missed)), None, None)
+
+    def _through_glass(self, batch: PixelBatch, positions: int, stream: Stream) -> Reached:
+        """The same in a scene with smooth surfaces: chains are random, so they are traced anew each time."""
+        u = stream.uniform(len(batch.view), positions, 3)
+        width = self.cameras[0].width
+        corner = torch.stack((batch.pixel % width, batch.pixel // width), -1).unsqueeze(1)
+        xy, parts = corner + u[..., :2], []
+        order = batch.view.argsort(stable=True)
+        views, counts = batch.view[order].unique_consecutive(return_counts=True)
+        for view, index in zip(views.tolist(), order.split(counts.tolist()), strict=True):
+            parts.append(camera_rays(self.cameras[view], xy[index].reshape(-1, 2)))
+        back = order.argsort().unsqueeze(1) * positions + torch.arange(positions, device=order.device)
+        return self.world.reach(Rays.cat(*parts)[back.view(-1)], u[..., 2].reshape(-1))

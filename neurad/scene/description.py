@@ -52,6 +52,10 @@ class Scene:
         for mesh in self.meshes:
             if len(mesh.faces) == 0:
                 raise InputError(f"scene {self.name}: mesh {mesh.name} is empty, it has no triangle")
+            if mesh.radiance is not None and self.materials[mesh.material].kind in ("conductor", "dielectric"):
+                raise InputError(
+                    f"scene {self.name}: mesh {mesh.name} emits light and is smooth, which is not supported"
+                )
         features = self.features
         if not (features.has_area_lights or features.has_environment):
             raise InputError(f"scene {self.name}: it has no emitter, so every photograph would be black")

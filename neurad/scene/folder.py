@@ -151,7 +151,7 @@ def _pose(matrix: Any, where: str) -> FloatArray:
     if matrix is None:
         raise InputError(f"{where}: its transform_matrix is missing")
     try:
-        pose = np.array(matrix, np.float64)
+        pose: FloatArray = np.array(matrix, np.float64)  # a pose keeps its digits
     except (TypeError, ValueError) as error:
         raise InputError(f"{where}: its transform_matrix is not made of numbers") from error
     if pose.shape != (4, 4) or not np.isfinite(pose).all():

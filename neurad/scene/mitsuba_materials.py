@@ -13,6 +13,7 @@ from neurad.scene.image_io import read_bitmap
 
 _LUMINANCE = np.array([0.212671, 0.715160, 0.072169], np.float32)  # Mitsuba's, for a scalar from a colour bitmap
 _GREY = Constant(np.full(3, 0.5, np.float32))
+_BLACK = Constant(np.zeros(3, np.float32))
 _ONES = Constant(np.ones(3, np.float32))
 _HALF = Constant(np.full(1, 0.5, np.float32))
 _SMOOTH = Constant(np.zeros(1, np.float32))
@@ -38,21 +39,25 @@ class MaterialReader:
         self.path = path
         self.nodes = nodes
         self.materials: list[Material] = []
-        self._index: dict[tuple[int, int] | None, int] = {}
+        self._index: dict[tuple[int, int], int] = {}
         self._pixels: dict[tuple[str, bool], FloatArray] = {}
         self._scalar: dict[tuple[str, bool], FloatArray] = {}
 
-    def index(self, node: Any | None, shape: str) -> int:
-        """The index in ``materials`` of a BSDF node; None is Mitsuba's default for a shape without one.
+    def index(self, node: Any | None, shape: str, shines: bool) -> int:
+        """The index in ``materials`` of a BSDF node; a shape without one gets Mitsuba's default.
+
+        Args:
+            node: of the BSDF, or None.
+            shape: name for messages.
+            shines: whether the shape is an emitter: its default is black, that of others is grey.
 
         Raises:
             InputError: a type or parameter that neurad does not render; it names the shape.
         """
-        key = None if node is None else (node.file_index, node.offset)
+        key = (-1, int(shines)) if node is None else (node.file_index, node.offset)
         if key not in self._index:
-            material = (
-                Material("default", "diffuse", _GREY, _SMOOTH, False) if node is None else self._bsdf(node, shape)
-            )
+            default = Material("default", "diffuse", _BLACK if shines else _GREY, _SMOOTH, False)
+            material = default if node is None else self._bsdf(node, shape)
             self._index[key] = len(self.materials)
             self.materials.append(material)
         return self._index[key]

@@ -1,4 +1,4 @@
-"""Mitsuba 3 scene files, read through the optional ``mitsuba`` package (its ``scalar_rgb`` variant, which needs no LLVM).
+"""Mitsuba 3 scene files, read through the optional ``mitsuba`` package in the ``scalar_rgb`` variant, without LLVM.
 
 Mitsuba parses the XML and hands out the meshes, so defaults, includes, references, transforms and file formats are its
 own. Textures are read by :mod:`neurad.scene.image_io`, and nothing is ever built for Mitsuba to trace.
@@ -6,6 +6,7 @@ own. Textures are read by :mod:`neurad.scene.image_io`, and nothing is ever buil
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
@@ -21,6 +22,7 @@ from neurad.scene.mitsuba_materials import MaterialReader
 
 _MESHES = ("ply", "obj", "serialized", "rectangle", "cube")
 _CURVED = ("sphere", "disk", "cylinder")
+_NOISE = re.compile(r'\[[\w.]+(:\d+)?\] *|At dictionary node "\w+": |failed to instantiate \w+ plugin of type "\w+": ')
 _UNLIMITED = 2**31 - 1
 _IGNORED = ("Sensor", "Integrator", "BSDF", "Texture", "Film", "Sampler", "ReconstructionFilter")
 
@@ -72,7 +74,7 @@ class _Reader:
         nodes = self._parse()
         self.materials = MaterialReader(self.mi, self.path, nodes)
         self.nodes = nodes
-        depths: dict[str, int] = {}
+        limits = 20, 8
         for _, child in self._children(nodes[0]):
             kind = child.type.name
             if kind == "Shape":
@@ -81,14 +83,13 @@ class _Reader:
                 self._emitter(child)
             elif kind == "Integrator":
                 depth = int(child.props.get("max_depth", -1))
-                depths = {
-                    "max_depth": depth if depth >= 0 else _UNLIMITED,
-                    "rr_depth": int(child.props.get("rr_depth", 5)),
-                }
+                limits = (depth if depth >= 0 else _UNLIMITED), int(child.props.get("rr_depth", 5))
             elif kind not in _IGNORED:
                 raise InputError(f"{self.path}: {kind.lower()} of type {child.props.plugin_name()} is not supported")
         name = self.path.resolve().parent.name
-        return Scene(name, self.meshes, self.materials.materials, self.environment, **depths)
+        return Scene(
+            name, self.meshes, self.materials.materials, self.environment, max_depth=limits[0], rr_depth=limits[1]
+        )
 
     def _parse(self) -> Any:
         parser = self.mi.parser
@@ -124,7 +125,7 @@ class _Reader:
                 what = f"{child.type.name.lower()} of type {child.props.plugin_name()}"
                 raise InputError(f"{self.path}: shape {label} has a {what}, which is not supported")
         shape = self._load(props, label)
-        material = self.materials.index(bsdf, label)
+        material = self.materials.index(bsdf, label, shines=radiance is not None)
         wanted = self.materials.attributes(material)
         self.meshes.append(self._mesh(shape, label, material, wanted, radiance))
 
@@ -179,8 +180,8 @@ class _Reader:
         return self._emission(node.props)
 
     def _emission(self, props: Any) -> FloatArray:
-        value = np.ones(3) if "radiance" not in props else _evaluated(self.mi, props, "radiance")
-        return value.astype(np.float32)
+        value = np.ones(3, np.float32) if "radiance" not in props else _evaluated(self.mi, props, "radiance")
+        return value
 
     def _emitter(self, node: Any) -> None:
         props = node.props
@@ -205,7 +206,7 @@ class _Reader:
 def _evaluated(mi: Any, props: Any, name: str) -> FloatArray:
     """An emission spectrum as linear RGB [3], in Mitsuba's reading."""
     texture = props.get_emissive_texture(name)
-    return np.array(texture.eval(mi.SurfaceInteraction3f()), np.float64).reshape(-1) * np.ones(3)
+    return np.array(texture.eval(mi.SurfaceInteraction3f()), np.float32).reshape(-1) * np.ones(3, np.float32)
 
 
 def _wound_like_normals(vertices: FloatArray, faces: np.ndarray, normals: FloatArray) -> np.ndarray:
@@ -217,8 +218,6 @@ def _wound_like_normals(vertices: FloatArray, faces: np.ndarray, normals: FloatA
 
 
 def _reason(error: RuntimeError) -> str:
-    """The last part of Mitsuba's message, in one line, without the place in its own source code."""
-    text = " ".join(str(error).split())
-    while text.startswith("["):
-        text = text.partition("]")[2].strip()
-    return text.rstrip(".") or "Mitsuba cannot read it"
+    """Mitsuba's message in one line, without the places in its own source code."""
+    text = _NOISE.sub("", " ".join(str(error).split()))
+    return text.rstrip(".!") or "Mitsuba cannot read it"

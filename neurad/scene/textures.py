@@ -27,8 +27,8 @@ class TrueMaterials(nn.Module):
     def __init__(self, scene: Scene, geometry: Geometry) -> None:
         super().__init__()
         self.geometry = geometry
-        self.albedo = TextureTable([m.albedo for m in scene.materials], 3)
-        self.roughness = TextureTable([m.roughness for m in scene.materials], 1)
+        self.albedo_table = TextureTable([m.albedo for m in scene.materials], 3)
+        self.roughness_table = TextureTable([m.roughness for m in scene.materials], 1)
         matte = torch.tensor([m.kind == "diffuse" for m in scene.materials], dtype=torch.bool)
         self.register_buffer("lambertian", matte, persistent=False)
         self.is_mixed = not scene.features.is_diffuse and bool(matte.any())
@@ -37,12 +37,18 @@ class TrueMaterials(nn.Module):
     def forward(self, it: Interaction) -> Surface:
         """Parameters at the lanes of ``it``; zeros where there is no surface."""
         material = self.geometry.material[it.prim.clamp_min(0)]
-        valid = it.valid.unsqueeze(-1)
-        albedo = self.albedo(material, it, self.geometry) * valid
-        roughness = self.roughness(material, it, self.geometry) * valid
+        albedo = self.albedo_table(material, it, self.geometry)
+        roughness = self.roughness_table(material, it, self.geometry)
         if self.is_mixed:
             return TypedSurface(albedo, roughness, self.lambertian[material])
         return Surface(albedo, roughness)
+
+    @torch.no_grad()
+    def albedo(self, it: Interaction) -> Tensor:
+        """The albedo alone [n, 3]; zeros where there is no surface."""
+        material = self.geometry.material[it.prim.clamp_min(0)]
+        albedo: Tensor = self.albedo_table(material, it, self.geometry)
+        return albedo
 
 
 class TextureTable(nn.Module):
@@ -95,8 +101,8 @@ class TextureTable(nn.Module):
             self.register_buffer(name, torch.from_numpy(np.ascontiguousarray(value)), persistent=False)
 
     def forward(self, material: Tensor, it: Interaction, geometry: Geometry) -> Tensor:
-        """Values [n, channels] at the lanes of ``it``, which have these materials [n]."""
-        out = self.constant[material]
+        """Values [n, channels] at the lanes of ``it``, which have these materials [n]; zeros where not valid."""
+        out = self.constant[material] * it.valid.unsqueeze(-1)
         if len(self.texels) == 0 and not self.names:
             return out
         kind = torch.where(it.valid, self.kind[material], -2)
@@ -112,12 +118,15 @@ class TextureTable(nn.Module):
     def _bilinear(self, material: Tensor, uv: Tensor) -> Tensor:
         """Texel (row j, column i) has its centre at uv ((i + 0.5) / w, (j + 0.5) / h); the picture repeats."""
         matrix = self.to_uv[material]
-        first, size = self.place[material].split((1, 2), -1)
+        place = self.place[material]
+        first, size = place[:, :1], place[:, 1:]
         xy = ((matrix[:, :, :2] @ uv.unsqueeze(-1)).squeeze(-1) + matrix[:, :, 2]) * size - 0.5
         low = xy.floor()
-        fx, fy = (xy - low).split(1, -1)
-        x0, y0 = torch.remainder(low.long(), size).split(1, -1)
-        width, height = size.split(1, -1)
+        part = xy - low
+        fx, fy = part[:, :1], part[:, 1:]
+        wrapped = torch.remainder(low.long(), size)
+        x0, y0 = wrapped[:, :1], wrapped[:, 1:]
+        width, height = size[:, :1], size[:, 1:]
         x1, y1 = torch.where(x0 + 1 == width, 0, x0 + 1), torch.where(y0 + 1 == height, 0, y0 + 1)
         index = torch.cat((y0 * width + x0, y0 * width + x1, y1 * width + x0, y1 * width + x1), -1) + first
         weight = torch.cat(((1 - fx) * (1 - fy), fx * (1 - fy), (1 - fx) * fy, fx * fy), -1)

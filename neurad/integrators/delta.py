@@ -1,0 +1,115 @@
+"""Smooth mirrors and glass: paths pass through them to the first other vertex."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import torch
+from torch import Tensor, nn
+
+from neurad.bsdf.delta import scatter
+from neurad.bsdf.microfacet import fresnel_dielectric
+from neurad.core.frame import Frame
+from neurad.core.protocols import Tracer
+from neurad.core.records import Constant, Interaction, Rays
+from neurad.scene.description import Scene
+from neurad.scene.geometry import Geometry
+
+MAX_CHAIN = 16
+"""Longest chain of delta vertices; what is left then (a mirror facing a mirror) counts as absorbed."""
+
+
+class DeltaSurfaces(nn.Module):
+    """Which triangles are smooth, and how rays go on from them.
+
+    Args:
+        scene: its materials; the tint of a smooth one is constant.
+        geometry: of the same scene.
+    """
+
+    smooth: Tensor
+    dielectric: Tensor
+    eta: Tensor
+    tint: Tensor
+
+    def __init__(self, scene: Scene, geometry: Geometry) -> None:
+        super().__init__()
+        face = geometry.material
+        kinds = [m.kind for m in scene.materials]
+        tint = [m.albedo.value if isinstance(m.albedo, Constant) else [1.0, 1.0, 1.0] for m in scene.materials]
+        tables = {
+            "smooth": torch.tensor([k in ("conductor", "dielectric") for k in kinds]),
+            "dielectric": torch.tensor([k == "dielectric" for k in kinds]),
+            "eta": torch.tensor([m.eta for m in scene.materials], dtype=torch.float32),
+            "tint": torch.stack([torch.as_tensor(t, dtype=torch.float32).expand(3) for t in tint]),
+        }
+        for name, table in tables.items():
+            self.register_buffer(name, table[face], persistent=False)
+
+    def follow(
+        self, geometry: Geometry, tracer: Tracer, it: Interaction, u: Tensor
+    ) -> tuple[Interaction, Tensor, Tensor, int]:
+        """Go on from lanes that ended on smooth surfaces until none does.
+
+        Args:
+            geometry: of the scene.
+            tracer: of the scene.
+            it: where rays ended.
+            u: uniform numbers [n]; each is used again for the next choice of its lane, rescaled, which is exact.
+
+        Returns:
+            The first other vertices (or misses), the throughput of the chains [n, 3], whether a lane passed anything
+            [n], and how many rays were cast.
+        """
+        throughput = torch.ones_like(it.p)
+        passed = torch.zeros_like(it.valid)
+        cast = 0
+        parts = {name: getattr(it, name).clone() for name in it.__dataclass_fields__}
+        u = u.clone()
+        for _ in range(MAX_CHAIN):
+            now = Interaction(**parts)
+            index = (now.valid & self.smooth[now.prim.clamp_min(0)]).nonzero().squeeze(-1)
+            if len(index) == 0:
+                return now, throughput, passed, cast
+            here = now[index]
+            prim = here.prim
+            frame = Frame.around(here.n)
+            wo = frame.to_local(here.wo)
+            glass, eta = self.dielectric[prim], self.eta[prim]
+            wi, weight = scatter(glass, wo, eta, self.tint[prim], u[index])
+            u[index] = _again(u[index], glass, wo, eta)
+            d = torch.nn.functional.normalize(frame.to_world(wi), dim=-1)
+            rays = geometry.spawn(here, d)
+            end = geometry.interact(rays, tracer.closest(rays))
+            cast += len(rays)
+            throughput[index] *= weight
+            passed[index] = True
+            for name, values in parts.items():
+                values[index] = getattr(end, name)
+        now = Interaction(**parts)
+        stuck = now.valid & self.smooth[now.prim.clamp_min(0)]
+        throughput[stuck] = 0.0
+        return replace(now, valid=now.valid & ~stuck), throughput, passed, cast
+
+
+def _again(u: Tensor, dielectric: Tensor, wo: Tensor, eta: Tensor) -> Tensor:
+    """Uniform numbers left over [n] after ``u`` chose between reflection (u <= F) and transmission."""
+    z = wo[:, 2]
+    reflectance = fresnel_dielectric(z.abs().clamp_min(1e-6), torch.where(z > 0, eta, 1.0 / eta))
+    left = torch.where(
+        u > reflectance, (u - reflectance) / (1.0 - reflectance).clamp_min(1e-6), u / reflectance.clamp_min(1e-6)
+    )
+    return torch.where(dielectric, left.clamp(0.0, 1.0), u)
+
+
+def reach(
+    delta: DeltaSurfaces | None, geometry: Geometry, tracer: Tracer, rays: Rays, u: Tensor | None
+) -> tuple[Interaction, Tensor | None, Tensor | None, int]:
+    """The first vertex along ``rays`` that is not smooth, with the throughput to it, whether anything smooth lay before
+    it, and the rays cast. Without smooth surfaces throughput and mask are None and cost nothing.
+    """
+    it = geometry.interact(rays, tracer.closest(rays))
+    if delta is None or u is None:
+        return it, None, None, len(rays)
+    it, throughput, passed, cast = delta.follow(geometry, tracer, it, u)
+    return it, throughput, passed, len(rays) + cast
