@@ -15,11 +15,25 @@ def _seeded():
     torch.manual_seed(0)
 
 
+def _forbid_skip(report):
+    """In CI a report that skips because an optional backend is missing becomes a failure."""
+    if not os.environ.get("NEURAD_CI") or not report.skipped:
+        return
+    reason = report.longrepr[2] if isinstance(report.longrepr, tuple) else str(report.longrepr)
+    if any(name in reason for name in OPTIONAL):
+        report.outcome = "failed"
+        report.longrepr = f"optional backend missing in CI: {reason}"
+
+
 @pytest.hookimpl(hookwrapper=True)
 def pytest_runtest_makereport(item, call):
-    """In CI a test that skips because an optional backend is missing fails."""
+    """Skips in tests and fixtures."""
     outcome = yield
-    report = outcome.get_result()
-    if os.environ.get("NEURAD_CI") and report.skipped and any(name in str(report.longrepr) for name in OPTIONAL):
-        report.outcome = "failed"
-        report.longrepr = f"optional backend missing in CI: {report.longrepr}"
+    _forbid_skip(outcome.get_result())
+
+
+@pytest.hookimpl(hookwrapper=True)
+def pytest_make_collect_report(collector):
+    """Skips of whole modules, by an importorskip at their top."""
+    outcome = yield
+    _forbid_skip(outcome.get_result())

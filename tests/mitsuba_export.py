@@ -64,6 +64,10 @@ def _bsdf(mi: Any, material: Material, name: str) -> dict[str, Any]:
     albedo = _texture(mi, material.albedo)
     if material.kind == "diffuse":
         inner = {"type": "diffuse", "reflectance": albedo}
+    elif material.kind == "conductor":  # "none" reflects the tint alone at every angle
+        inner = {"type": "conductor", "material": "none", "specular_reflectance": albedo}
+    elif material.kind == "dielectric":
+        return {"type": "dielectric", "id": name, "int_ior": material.eta, "ext_ior": 1.0}
     else:
         inner = {
             "type": "principled",

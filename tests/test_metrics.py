@@ -116,12 +116,17 @@ def from_above(**files: str) -> View:
     return View("above", Camera(DOWN, math.pi / 2, SIDE, SIDE), **files)
 
 
-def plain(albedo: float, roughness: float):
-    def materials(it: Interaction) -> Surface:
-        n = len(it)
-        return Surface(torch.full((n, 3), albedo), torch.full((n, 1), roughness))
+class Plain:
+    """Materials of one albedo and roughness."""
 
-    return materials
+    def __init__(self, albedo: float, roughness: float) -> None:
+        self.values = albedo, roughness
+
+    def __call__(self, it: Interaction) -> Surface:
+        return Surface(self.albedo(it), torch.full((len(it), 1), self.values[1]))
+
+    def albedo(self, it: Interaction) -> torch.Tensor:
+        return torch.full((len(it), 3), self.values[0])
 
 
 COUNTED = np.zeros((SIDE, SIDE), bool)
@@ -192,7 +197,7 @@ def test_chunks_and_uncached_hits_change_nothing_that_counts(monkeypatch: pytest
     np.testing.assert_array_equal(views.counted(0), COUNTED)
     np.testing.assert_array_equal(views.seen(0), SEEN)
     assert not views._hits
-    np.testing.assert_array_equal(views.predict(plain(0.25, 0.5))[0]["albedo"][COUNTED], 0.25)
+    np.testing.assert_array_equal(views.predict(Plain(0.25, 0.5))[0]["albedo"][COUNTED], 0.25)
 
 
 def with_truth(tmp_path: Path) -> Scene:
@@ -212,8 +217,8 @@ def with_truth(tmp_path: Path) -> Scene:
 
 def test_scores_of_two_views_by_hand(tmp_path: Path) -> None:
     views = open_views(with_truth(tmp_path))
-    maps = views.predict(plain(0.5, 0.4))
-    maps[1] = views.predict(plain(0.7, 0.3))[1]
+    maps = views.predict(Plain(0.5, 0.4))
+    maps[1] = views.predict(Plain(0.7, 0.3))[1]
     renders = [np.full((SIDE, SIDE, 3), 4.0, np.float32), np.full((SIDE, SIDE, 3), 4.0, np.float32)]
     renders[1][0, 0] = [4.5, 4.0, 0.0]
     scores = views.score(maps, renders)
@@ -239,22 +244,22 @@ def test_scores_of_two_views_by_hand(tmp_path: Path) -> None:
 
 def test_regions_get_scores_of_their_own(tmp_path: Path) -> None:
     views = open_views(with_truth(tmp_path))
-    scores = views.score(views.predict(plain(0.5, 0.5)), None, {"lit_glossy": [SEEN, np.zeros_like(SEEN)]})
+    scores = views.score(views.predict(Plain(0.5, 0.5)), None, {"lit_glossy": [SEEN, np.zeros_like(SEEN)]})
     assert scores["albedo_psnr_lit_glossy"] == pytest.approx(20.0, rel=1e-4)
-    empty = views.score(views.predict(plain(0.5, 0.5)), None, {"none": [np.zeros_like(SEEN)] * 2})
+    empty = views.score(views.predict(Plain(0.5, 0.5)), None, {"none": [np.zeros_like(SEEN)] * 2})
     assert not [key for key in empty if key.endswith("_none")]
 
 
 def test_missing_truth_leaves_its_scores_out(tmp_path: Path) -> None:
     bare = open_views(make_scene([from_above()]))
     picture = np.zeros((SIDE, SIDE, 3), np.float32)
-    assert bare.score(bare.predict(plain(0.5, 0.5)), [picture]) == {}
+    assert bare.score(bare.predict(Plain(0.5, 0.5)), [picture]) == {}
     roughness = save(tmp_path / "r.exr", np.full((SIDE, SIDE, 1), 0.5))
     views = [from_above(roughness=roughness)]
     only = open_views(make_scene(views))
-    assert "roughness_psnr" in only.score(only.predict(plain(0.5, 0.5)))
+    assert "roughness_psnr" in only.score(only.predict(Plain(0.5, 0.5)))
     lambertian = open_views(make_scene(views, kind="diffuse"))  # which has no roughness
-    assert lambertian.score(lambertian.predict(plain(0.5, 0.5))) == {}
+    assert lambertian.score(lambertian.predict(Plain(0.5, 0.5))) == {}
 
 
 def test_files_that_do_not_fit_are_named(tmp_path: Path) -> None:
@@ -309,7 +314,7 @@ def test_lit_glossy_finds_a_real_highlight(tmp_path: Path) -> None:
         scene.features,
         torch.ones(len(views.geometry.faces), dtype=torch.bool),
     )
-    dark = reflected_by(world, plain(0.5, 0.4), lambda it, albedo: torch.zeros_like(albedo))
+    dark = reflected_by(world, Plain(0.5, 0.4), lambda it, albedo: torch.zeros_like(albedo))
     mask = lit_glossy(views, dark)[0]
     assert mask[3:5, 3:5].all()  # around the origin the specular part is about 45 %
     assert not mask[[2, 2, 5, 5], [2, 5, 2, 5]].any()  # at the corners it is below 2 %

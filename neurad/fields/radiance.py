@@ -53,10 +53,8 @@ class RadianceField(nn.Module):
             albedo: albedo there [n, 3]; no gradient flows into it.
         """
         parts = [self.grid(self.cube(it.p))]
-        for name in self.inputs:
-            parts.append(_read(name, it, albedo))
-        y = self.mlp(torch.cat(parts, -1))
-        return self.scale * softplus(y + _SHIFT)
+        parts += [_read(name, it, albedo) for name in self.inputs]
+        return self.scale * softplus(self.mlp(torch.cat(parts, -1)) + _SHIFT)
 
 
 def _read(name: str, it: Interaction, albedo: Tensor) -> Tensor:

@@ -29,6 +29,7 @@ class DeltaSurfaces(nn.Module):
 
     smooth: Tensor
     dielectric: Tensor
+    two_sided: Tensor
     eta: Tensor
     tint: Tensor
 
@@ -40,6 +41,7 @@ class DeltaSurfaces(nn.Module):
         tables = {
             "smooth": torch.tensor([k in ("conductor", "dielectric") for k in kinds]),
             "dielectric": torch.tensor([k == "dielectric" for k in kinds]),
+            "two_sided": torch.tensor([m.two_sided or m.kind == "dielectric" for m in scene.materials]),
             "eta": torch.tensor([m.eta for m in scene.materials], dtype=torch.float32),
             "tint": torch.stack([torch.as_tensor(t, dtype=torch.float32).expand(3) for t in tint]),
         }
@@ -82,7 +84,8 @@ class DeltaSurfaces(nn.Module):
             rays = geometry.spawn(here, d)
             end = geometry.interact(rays, tracer.closest(rays))
             cast += len(rays)
-            throughput[index] *= weight
+            front = self.two_sided[prim] | (wo[:, 2] > 0)  # a one-sided mirror is black from behind
+            throughput[index] *= weight * front.unsqueeze(-1)
             passed[index] = True
             for name, values in parts.items():
                 values[index] = getattr(end, name)

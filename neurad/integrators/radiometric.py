@@ -1,4 +1,4 @@
-"""Rendering with a radiance field: the left and right side of the rendering equation (paper Eq. 9 and 12)."""
+"""Rendering with a radiance field: the left and right side of the rendering equation (paper Eq. 12 and 13)."""
 
 from __future__ import annotations
 
@@ -62,7 +62,10 @@ def transport(
     surface: Surface,
     u: Tensor,
 ) -> Tensor:
-    """``T_hat(E + sg[L_theta])`` at the lanes of ``it`` [n, 3], differentiable in ``surface``; ``u`` is [n, DIMENSIONS]."""
+    """``T_hat(E + sg[L_theta])`` at the lanes of ``it`` [n, 3], differentiable in ``surface``.
+
+    ``u`` are uniform numbers [n, DIMENSIONS].
+    """
     step = bounce(world, it, surface, u)
     return step.direct + step.weight * incident(materials, radiance, step.next)
 

@@ -20,7 +20,7 @@ DIMENSIONS = 7
 class Bounce(Lanes):
     """One sample of the transport operator at a vertex: ``T_hat(E + L) = direct + weight * L(next)``.
 
-    ``direct`` and ``weight`` carry the gradient of the surface, with directions and pdfs held fixed (detached sampling).
+    ``direct`` and ``weight`` carry the gradient of the surface; directions and pdfs are held fixed (detached sampling).
     """
 
     direct: Tensor

@@ -1,8 +1,8 @@
 """Relative L2 with unbiased gradients.
 
-The derivative of a squared Monte Carlo mean needs a second, independent estimate: ``d (I - GT)^2 = 2 (I' - GT) dI`` with
-``I'`` independent of ``I``. Two forms of it stand here; both return a *surrogate*, whose gradient is the unbiased one,
-together with an unbiased estimate of the loss itself for reports.
+The derivative of a squared Monte Carlo mean needs a second, independent estimate: ``d (I - GT)^2 = 2 (I' - GT) dI``
+with ``I'`` independent of ``I``. Two forms of it stand here; both return a *surrogate*, whose gradient is the unbiased
+one, together with an unbiased estimate of the loss itself for reports.
 """
 
 from __future__ import annotations
@@ -65,7 +65,7 @@ def relative_weight(normaliser: Tensor, epsilon: float) -> Tensor:
 
 
 def semi_gradient_prior(field: Tensor, transported: Tensor, epsilon: float, mask: Tensor) -> Loss:
-    """Radiometric prior (paper Eq. 8) with the right side detached: a fixed-point iteration.
+    """Radiometric prior (paper Eq. 10) with the right side detached: a fixed-point iteration.
 
     Args:
         field: ``L_theta`` at the vertices [n, 3].

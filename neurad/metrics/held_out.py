@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from typing import Self
 
 import numpy as np
 import torch
@@ -75,6 +76,16 @@ class HeldOut:
         self._counted: dict[int, BoolArray] = {}
         self._seen: dict[int, BoolArray] = {}
         self._truth: dict[int, dict[str, FloatArray]] = {}
+
+    def read(self) -> Self:
+        """Read all files now, so that a bad one is found before training and not after it.
+
+        Raises:
+            InputError: as :meth:`truth`.
+        """
+        for index in range(len(self.views)):
+            self.truth(index)
+        return self
 
     # --- sub-samples
 

@@ -49,7 +49,7 @@ class Optimization:
     roughness: float = 5e-3
     radiance: float = 5e-3
     schedule: Literal["constant", "cosine"] = "cosine"
-    """Cosine decay over the run, by iterations (``max_steps``) or training time (``max_time``), whichever ends first."""
+    """Cosine decay over the run: by iterations (``max_steps``) or time (``max_time``), whichever ends first."""
     warmup: int = 20
     """Iterations over which the rates rise from zero."""
     final: float = 0.02

@@ -30,7 +30,7 @@ class Estimator:
 
         The samples are differentiable in ``surface``; in theta only if ``field_gradient``.
         """
-        u = stream.uniform(len(it) * count, DIMENSIONS)
+        u = lattice(len(it), count, stream)
         step = bounce(self.world, it.repeat(count), surface.repeat(count), u)
         if field_gradient:
             with torch.no_grad():
@@ -39,6 +39,22 @@ class Estimator:
         else:
             light = incident(self.materials, self.radiance, step.next)
         return (step.direct + step.weight * light).view(len(it), count, 3), step
+
+
+def lattice(lanes: int, count: int, stream: Stream) -> Tensor:
+    """Uniform numbers for ``count`` bounces at each of ``lanes`` vertices [lanes * count, DIMENSIONS].
+
+    The bounces of one vertex share a randomly shifted rank-1 lattice (Roberts' generalised golden ratio), so they spread
+    over the hemisphere; each of them is uniform, and vertices are independent.
+    """
+    shift = stream.uniform(lanes, 1, DIMENSIONS)
+    if count == 1:
+        return shift.view(lanes, DIMENSIONS)
+    ratio = 2.0
+    for _ in range(40):  # fixed point of x^(d+1) = x + 1
+        ratio = (1.0 + ratio) ** (1.0 / (DIMENSIONS + 1))
+    step = torch.tensor([[k * ratio ** -(axis + 1) for axis in range(DIMENSIONS)] for k in range(count)])
+    return ((shift + step.to(shift.device)) % 1.0).view(lanes * count, DIMENSIONS)
 
 
 def some(lanes: Lanes, share: float, stream: Stream, count: int) -> Tensor:

@@ -71,11 +71,11 @@ class InverseRenderer(L.LightningModule):
         self.iteration = 0
         self.seconds_before = 0.0
         self.rays_before = 0
-        self.last_losses: dict[str, float] = {}
+        self.last_losses: dict[str, Tensor] = {}
         self._step: ObjectiveStep | None = None
         self._held_out: HeldOut | None = None
-        if objective.estimator == "leave_one_out" and sampling.positions < 2:
-            raise InputError("model.sampling.positions: leave_one_out needs at least 2 positions a pixel")
+        if (objective.estimator != "two_pass" or objective.lhs > 0) and sampling.positions < 2:
+            raise InputError("model.sampling.positions: leave_one_out and lhs need at least 2 positions a pixel")
         if sampling.positions > sampling.cached:
             raise InputError("model.sampling.cached: it must be at least model.sampling.positions")
 
@@ -122,6 +122,7 @@ class InverseRenderer(L.LightningModule):
         if mean_square <= 0:
             raise InputError(f"scene {self.scene.name}: every training photograph is black")
         self.radiance.set_scale(math.sqrt(mean_square))
+        self._held_out = HeldOut(self.scene, self.world.geometry, self.world.tracer).read()
         self._step = ObjectiveStep(
             estimator=self.estimator,
             primary=primary,

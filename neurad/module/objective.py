@@ -1,4 +1,4 @@
-"""The objective of one step (paper Eq. 7): which estimate trains which parameters.
+"""The objective of one step (paper Eq. 11): which estimate trains which parameters.
 
 ===============  ===========================================  ======================
 term             compares                                     trains

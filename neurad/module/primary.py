@@ -38,8 +38,8 @@ class PrimaryHits:
         for index, camera in enumerate(cameras):
             pixels = torch.arange(camera.width * camera.height, device=device)
             xy = pixel_positions(camera.width, pixels, count, Stream(seed, index, device=device)).view(-1, 2)
-            for part in xy.split(_CHUNK):
-                rays = camera_rays(camera, part)
+            for begin in range(0, len(xy), _CHUNK):
+                rays = camera_rays(camera, xy[begin : begin + _CHUNK])
                 hit = world.tracer.closest(rays)
                 world.rays_cast += len(rays)
                 prim.append(hit.prim.int())
@@ -57,16 +57,13 @@ class PrimaryHits:
         return light.view(len(self.cameras), self.pixels, self.count).any(-1)
 
     def __call__(self, batch: PixelBatch, positions: int, stream: Stream) -> Reached:
-        """First vertices at ``positions`` different positions of every pixel, pixel by pixel [b * positions]."""
+        """First vertices at ``positions`` independent positions of every pixel, pixel by pixel [b * positions]."""
         if self.world.delta is not None:
             return self._through_glass(batch, positions, stream)
         b = len(batch.view)
-        first = stream.integers(self.count, b, 1)
-        # Any stride that is coprime to the count visits different positions; a random one makes pairs of all kinds.
-        step = torch.arange(positions, device=first.device)
-        chosen = (first + step * (1 + stream.integers(max(1, self.count - 1), b, 1))) % self.count
-        if positions > 2 or self.count == 1:
-            chosen = (first + step) % self.count
+        # Independent draws: if a pixel's positions were always different ones, the leave-one-out gradient would miss
+        # the pairs of one position with itself and reward contrast inside the pixel.
+        chosen = stream.integers(self.count, b, positions)
         pixel = (batch.view * self.pixels + batch.pixel).unsqueeze(1) * self.count
         index = (pixel + chosen).view(-1)
         prim, bary = self.prim[index].long(), self.bary[index]
@@ -84,8 +81,9 @@ class PrimaryHits:
         corner = torch.stack((batch.pixel % width, batch.pixel // width), -1).unsqueeze(1)
         xy, parts = corner + u[..., :2], []
         order = batch.view.argsort(stable=True)
-        views, counts = batch.view[order].unique_consecutive(return_counts=True)
-        for view, index in zip(views.tolist(), order.split(counts.tolist()), strict=True):
-            parts.append(camera_rays(self.cameras[view], xy[index].reshape(-1, 2)))
+        ends = batch.view.bincount(minlength=len(self.cameras)).cumsum(0).tolist()
+        for camera, begin, end in zip(self.cameras, [0, *ends], ends, strict=False):
+            if end > begin:
+                parts.append(camera_rays(camera, xy[order[begin:end]].reshape(-1, 2)))
         back = order.argsort().unsqueeze(1) * positions + torch.arange(positions, device=order.device)
         return self.world.reach(Rays.cat(*parts)[back.view(-1)], u[..., 2].reshape(-1))

@@ -66,7 +66,7 @@ class Scene:
         """What the meshes, materials and emitters of this scene use."""
         used = [self.materials[i] for i in {mesh.material for mesh in self.meshes}]
         delta = [m for m in used if m.kind in ("conductor", "dielectric")]
-        rough = [m for m in used if m not in delta]
+        rough = [m for m in used if m.kind not in ("conductor", "dielectric")]
         return Features(
             has_environment=self.environment is not None and bool(self.environment.pixels.max() > 0),
             has_area_lights=any(m.radiance is not None and bool(m.radiance.max() > 0) for m in self.meshes),

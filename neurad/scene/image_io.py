@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+import os
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
@@ -44,12 +46,26 @@ def read_exr(path: str | Path) -> FloatArray:
         raise InputError(f"{path}: there is no such file")
     try:
         # The name of the option that separates the channels changed between versions: take whatever comes.
-        part = OpenEXR.File(str(path))
+        with _without_remarks():
+            part = OpenEXR.File(str(path))
         header = part.header()
         found = {name: np.asarray(channel.pixels) for name, channel in part.channels().items()}
     except (RuntimeError, ValueError, TypeError, OSError) as error:
         raise InputError(f"{path}: it cannot be read as an EXR image") from error
     return _displayed(_stacked(found, path), header)
+
+
+@contextmanager
+def _without_remarks() -> Iterator[None]:
+    """OpenEXR's library writes about broken files to stderr by itself; an exception follows and says enough."""
+    kept = os.dup(2)
+    with open(os.devnull, "wb") as null:
+        os.dup2(null.fileno(), 2)
+    try:
+        yield
+    finally:
+        os.dup2(kept, 2)
+        os.close(kept)
 
 
 def _stacked(found: Mapping[str, Any], path: Path) -> FloatArray:

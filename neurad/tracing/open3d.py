@@ -30,7 +30,7 @@ class Open3DTracer:
         except (ImportError, OSError) as error:
             raise InputError(
                 f"tracer open3d: Open3D cannot be loaded ({error}); install it with `pip install 'neurad[open3d]'`, "
-                "and on Linux the system libraries libusb-1.0-0, libgl1 and libgomp1, or choose the tracer embree"
+                "on Linux also the system libraries libusb-1.0-0, libgl1, libegl1 and libgomp1, or choose embree"
             ) from error
         self._core = open3d.core
         self.threads = threads or 0  # 0 means all cores
