@@ -44,8 +44,8 @@ class Estimator:
 def lattice(lanes: int, count: int, stream: Stream) -> Tensor:
     """Uniform numbers for ``count`` bounces at each of ``lanes`` vertices [lanes * count, DIMENSIONS].
 
-    The bounces of one vertex share a randomly shifted rank-1 lattice (Roberts' generalised golden ratio), so they spread
-    over the hemisphere; each of them is uniform, and vertices are independent.
+    The bounces of one vertex share a randomly shifted rank-1 lattice (Roberts' generalised golden ratio), so they
+    spread over the hemisphere; each of them is uniform, and vertices are independent.
     """
     shift = stream.uniform(lanes, 1, DIMENSIONS)
     if count == 1:
