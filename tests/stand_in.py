@@ -66,7 +66,7 @@ class StandIn(pl.LightningModule):
         self.automatic_optimization = False
         self.size, self.rate, self.seed, self.sleep = size, rate, seed, sleep
         self.fail_at, self.interrupt_at = fail_at, interrupt_at
-        self.iteration, self.rays, self.before = 0, 0, 0.0
+        self.iteration, self.rays, self.seconds_before = 0, 0, 0.0
         self.last_losses: dict[str, float] = {}
 
     def configure_model(self):
@@ -77,7 +77,7 @@ class StandIn(pl.LightningModule):
 
     @property
     def train_seconds(self):
-        return self.before + training_seconds()
+        return self.seconds_before + training_seconds()
 
     def configure_optimizers(self):
         return [torch.optim.Adam([p], self.rate) for p in (self.theta, self.phi)]
@@ -109,7 +109,7 @@ class StandIn(pl.LightningModule):
 
     test_step = predict_step = validation_step
 
-    def evaluate(self, render_spp=4):
+    def evaluate(self, render_spp=4, glossy=False):
         value = float((self.theta.sum() + self.phi.sum()).detach())
         scores = {name + end: value for end in ("", "_seen") for name in NAMES}
         scores |= {"albedo_psnr_constant": 1.5, "albedo_psnr_constant_seen": 2.5}
@@ -125,4 +125,4 @@ class StandIn(pl.LightningModule):
 
     def on_load_checkpoint(self, checkpoint):
         state = checkpoint["neurad"]
-        self.iteration, self.before, self.rays = state["iteration"], state["seconds"], state["rays"]
+        self.iteration, self.seconds_before, self.rays = state["iteration"], state["seconds"], state["rays"]

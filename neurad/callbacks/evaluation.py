@@ -103,14 +103,14 @@ class Evaluate(pl.Callback):
     def on_test_epoch_end(self, trainer: pl.Trainer, pl_module: pl.LightningModule) -> None:
         """``neurad test``: write every held-out view and the scores."""
         module = cast("InverseRenderer", pl_module)
-        evaluation = module.evaluate(self.test_spp)
+        evaluation = module.evaluate(self.test_spp, glossy=True)
         folder = run_folder(trainer)
         if not trainer.is_global_zero:
             return
         print(score_table(evaluation.scores, self.test_spp))
         if folder is not None:
             pictures.write_views(folder / "images", evaluation.maps)
-            about = {"iteration": module.iteration, "seconds": round(module.train_seconds, 2), "rays": module.rays}
+            about = {"iteration": module.iteration, "seconds": round(module.seconds_before, 2), "rays": module.rays}
             scores = {key: _json_number(value) for key, value in evaluation.scores.items()}
             text = json.dumps({**about, "render_spp": self.test_spp, **scores}, indent=2)
             (folder / "metrics.json").write_text(text + "\n")

@@ -10,10 +10,14 @@ from neurad.core.records import FloatArray
 from neurad.integrators.film import render
 from neurad.integrators.radiometric import RadiometricLHS, RadiometricRHS
 from neurad.metrics.held_out import HeldOut
+from neurad.metrics.lit_glossy import lit_glossy, reflected_by
 from neurad.module.estimate import Estimator
 
 SEED = 20230806
 """Of evaluation pictures: their noise is the same at every evaluation, so that curves show learning only."""
+
+GLOSSY_SAMPLES = 2
+"""Estimates for each sub-sample and training view that decide whether a pixel is lit and glossy."""
 
 
 @dataclass(frozen=True)
@@ -28,8 +32,11 @@ class Evaluation:
 
 
 @torch.no_grad()
-def evaluate(held_out: HeldOut, estimator: Estimator, render_spp: int) -> Evaluation:
-    """Score albedo, roughness and the RHS rendering at ``render_spp`` samples a pixel."""
+def evaluate(held_out: HeldOut, estimator: Estimator, render_spp: int, glossy: bool = False) -> Evaluation:
+    """Score albedo, roughness and the RHS rendering at ``render_spp`` samples a pixel.
+
+    With ``glossy`` also over the lit glossy pixels, which takes a while to find: seconds to minutes.
+    """
     parts = (estimator.world, estimator.materials, estimator.radiance)
     rhs, lhs = RadiometricRHS(*parts), RadiometricLHS(*parts)
     device = estimator.world.geometry.vertices.device
@@ -40,4 +47,5 @@ def evaluate(held_out: HeldOut, estimator: Estimator, render_spp: int) -> Evalua
         entry["render"] = right.cpu().numpy()
         entry["residual"] = (left - right).abs().cpu().numpy()
         entry.update(held_out.truth(index))
-    return Evaluation(held_out.score(maps, [entry["render"] for entry in maps]), maps)
+    regions = {"lit_glossy": lit_glossy(held_out, reflected_by(*parts), GLOSSY_SAMPLES)} if glossy else None
+    return Evaluation(held_out.score(maps, [entry["render"] for entry in maps], regions), maps)

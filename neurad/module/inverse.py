@@ -11,7 +11,7 @@ from torch import Tensor
 
 from neurad.core.clock import training_seconds
 from neurad.core.errors import InputError
-from neurad.core.records import PixelBatch, View
+from neurad.core.records import PixelBatch
 from neurad.core.rng import Stream
 from neurad.fields.adam import FieldAdam
 from neurad.fields.settings import FieldConfig, RadianceConfig
@@ -175,12 +175,12 @@ class InverseRenderer(L.LightningModule):
 
     # ---- held-out views
 
-    def evaluate(self, render_spp: int = 4, views: list[View] | None = None) -> Evaluation:
+    def evaluate(self, render_spp: int = 4, glossy: bool = False) -> Evaluation:
         """Score the present materials and radiance field on held-out views; its rays and seconds do not count."""
         if self._held_out is None:
             self._held_out = HeldOut(self.scene, self.world.geometry, self.world.tracer)
         cast = self.world.rays_cast
-        result = evaluate(self._held_out, self.estimator, render_spp)
+        result = evaluate(self._held_out, self.estimator, render_spp, glossy)
         self.world.rays_cast = cast
         return result
 

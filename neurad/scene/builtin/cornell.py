@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from neurad.scene.builtin.plain import diffuse, room, views
+from neurad.scene.builtin.plain import diffuse, room, views, with_files
 from neurad.scene.builtin.shapes import box, quad, rotated
 from neurad.scene.description import Scene
 
@@ -42,6 +42,6 @@ def build_cornell() -> Scene:
         name="cornell",
         meshes=meshes,
         materials=materials,
-        train=views("train", train, 70.0, 64),
-        test=views("test", test, 70.0, 64),
+        train=with_files("cornell", views("train", train, 70.0, 64)),
+        test=with_files("cornell", views("test", test, 70.0, 64)),
     )

@@ -2,19 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
-from pathlib import Path
-
 import numpy as np
 
-from neurad.core.records import Constant, Material, View
+from neurad.core.records import Constant, Material
 from neurad.scene.builtin.kitchen_fixtures import base_units, frames, shell, wall_units
 from neurad.scene.builtin.kitchen_props import props
-from neurad.scene.builtin.plain import views
+from neurad.scene.builtin.plain import views, with_files
 from neurad.scene.builtin.shapes import Point, join, quad
 from neurad.scene.description import Scene
 
-DATA = Path(__file__).parent / "data" / "kitchen"
 FOV = 68.0
 SIZE = 128
 WINDOW = (5.6, 7.2, 9.4)
@@ -70,20 +66,10 @@ def build_kitchen() -> Scene:
         name="kitchen",
         meshes=meshes,
         materials=materials,
-        train=[_with_files(v) for v in views("train", TRAIN, FOV, SIZE)],
-        test=[_with_files(v) for v in views("test", TEST, FOV, SIZE)],
+        train=with_files("kitchen", views("train", TRAIN, FOV, SIZE)),
+        test=with_files("kitchen", views("test", TEST, FOV, SIZE)),
     )
 
 
 def _pane(name: str) -> Material:
     return Material(name, "principled", Constant(np.full(3, 0.5, np.float32)), Constant(np.full(1, 0.4, np.float32)))
-
-
-def _with_files(view: View) -> View:
-    """``view`` with those of its files that exist."""
-
-    def path(folder: str) -> str | None:
-        file = DATA / folder / f"{view.name}.exr"
-        return str(file) if file.is_file() else None
-
-    return replace(view, image=path("images"), albedo=path("albedo"), roughness=path("roughness"))

@@ -3,12 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
+from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 
 from neurad.core.errors import InputError
 from neurad.core.records import Constant, Material, View
 from neurad.scene.builtin.shapes import Point, Solid, look_at, quad
+
+DATA = Path(__file__).parent / "data"
+"""Photographs and ground truth, made by ``neurad render --scene NAME --out FOLDER --spp 256``."""
 
 
 def diffuse(name: str, albedo: float | Sequence[float]) -> Material:
@@ -39,3 +44,13 @@ def room(low: Point, high: Point) -> dict[str, Solid]:
 def views(split: str, eyes: Iterable[tuple[Point, Point]], fov: float, size: int) -> list[View]:
     """Views without files, named ``train_000`` and so on, from pairs of eye and target."""
     return [View(f"{split}_{i:03d}", look_at(e, t, fov, size)) for i, (e, t) in enumerate(eyes)]
+
+
+def with_files(scene: str, bare: Iterable[View]) -> list[View]:
+    """Views of a built-in scene with those of their photographs and maps that are shipped."""
+
+    def path(folder: str, view: View) -> str | None:
+        file = DATA / scene / folder / f"{view.name}.exr"
+        return str(file) if file.is_file() else None
+
+    return [replace(v, image=path("images", v), albedo=path("albedo", v), roughness=path("roughness", v)) for v in bare]
