@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from neurad.callbacks import pictures
+from neurad.callbacks.evaluation import _group
 from neurad.callbacks.table import COLUMNS, MetricsTable, curve_table, score_table
 from neurad.core import clock
 from neurad.scene.image_io import read_exr
@@ -113,3 +114,9 @@ def test_the_clock_stands_still_during_evaluation():
         assert clock.training_seconds() == inside
     assert clock.training_seconds() < 0.05
     assert clock.process_seconds() >= 0.1
+
+
+def test_tensorboard_groups_keep_the_constants_apart():
+    groups = {name: _group(name) for name in ("albedo_psnr", "albedo_psnr_8x8_seen", "roughness_mape_constant_seen")}
+    assert list(groups.values()) == ["held_out", "held_out_seen", "held_out_constant_seen"]
+    assert _group("psnr_linear_constant") == "held_out_constant"

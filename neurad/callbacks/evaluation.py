@@ -161,8 +161,8 @@ class Evaluate(pl.Callback):
             return
         writer = trainer.logger.experiment
         for name, value in scores.items():
-            writer.add_scalar(f"held_out/{name}", value, module.iteration)
-            writer.add_scalar(f"held_out_by_seconds/{name}", value, int(module.train_seconds))
+            writer.add_scalar(f"{_group(name)}/{name}", value, module.iteration)
+            writer.add_scalar(f"{_group(name)}_by_seconds/{name}", value, int(module.train_seconds))
         exposure = pictures.exposure(maps)
         for index, view in enumerate(maps[: self.pictures]):
             for name, picture in pictures.pages(view, exposure).items():
@@ -174,6 +174,12 @@ class Evaluate(pl.Callback):
         if isinstance(trainer.logger, TensorBoardLogger) and trainer.is_global_zero:
             for name, value in module.last_losses.items():
                 trainer.logger.experiment.add_scalar(f"train/{name}", float(value), module.iteration)
+
+
+def _group(name: str) -> str:
+    """TensorBoard's group of a score: the curves to follow first, not lost among the flat lines of the constant."""
+    kinds = ("constant", "seen")
+    return "_".join(["held_out", *(kind for kind in kinds if kind in name.split("_"))])
 
 
 def _json_number(value: float) -> float | None:
