@@ -17,7 +17,7 @@ from neurad.integrators.radiometric import RadiometricRHS
 from neurad.module.assemble import build_materials, build_radiance, build_world
 from neurad.module.config import Objective, Sampling
 from neurad.module.estimate import Estimator
-from neurad.module.objective import ObjectiveStep, RestingValue
+from neurad.module.objective import ObjectiveStep
 from neurad.module.primary import PrimaryHits
 from neurad.scene.builtin.plain import diffuse, room, views
 from neurad.scene.builtin.shapes import box, join, quad, rotated
@@ -269,7 +269,7 @@ def test_a_training_step_behind_glass():
     scene = gallery()
     estimator = estimator_of(scene)
     primary = PrimaryHits(estimator.world, [v.camera for v in scene.train], 2, 0, torch.device("cpu"))
-    step = ObjectiveStep(estimator, primary, Sampling(), Objective(), 0.01, primary.sees_emitter(), RestingValue())
+    step = ObjectiveStep(estimator, primary, Sampling(), Objective(), 0.01, primary.sees_emitter())
     terms = step(batch_of(scene, 200), Stream(3))
     assert set(terms.materials) == {"photometric"}
     assert set(terms.field) == {"prior", "second", "lhs"}

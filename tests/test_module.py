@@ -21,7 +21,7 @@ from neurad.module import objective
 from neurad.module.assemble import build_materials, build_radiance, build_world
 from neurad.module.config import Objective, Sampling
 from neurad.module.estimate import Estimator
-from neurad.module.objective import ObjectiveStep, RestingValue
+from neurad.module.objective import ObjectiveStep
 from neurad.module.primary import PrimaryHits
 from neurad.scene import builtin
 from neurad.scene.builtin import build_cornell, build_cube
@@ -60,7 +60,6 @@ class Step:
         self.mixed = self.primary.sees_emitter()
         self.step = ObjectiveStep(
             self.estimator, self.primary, sampling, settings, settings.epsilon * (0.5 * unit) ** 2, self.mixed,
-            RestingValue(),
         )  # fmt: skip
         self.groups = {
             "albedo": list(self.materials.albedo.parameters()),

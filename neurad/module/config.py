@@ -37,8 +37,8 @@ class Objective:
     epsilon: float = 0.01
     """Floor of the relative losses, in units of the mean squared training radiance."""
     roughness_pull: float = 0.0
-    """Weight of a mild quadratic pull of roughness towards its evidence-weighted mean, for surfaces whose highlight
-    nobody sees; 0 leaves it out."""
+    """Weight of a mild quadratic pull of roughness towards its mean, for surfaces whose highlight nobody sees; 0 leaves
+    it out."""
 
 
 @dataclass(frozen=True)

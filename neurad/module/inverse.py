@@ -22,7 +22,7 @@ from neurad.module.assemble import FittedMaterials, build_materials, build_radia
 from neurad.module.config import Objective, Optimization, Sampling
 from neurad.module.estimate import Estimator
 from neurad.module.evaluate import Evaluation, evaluate
-from neurad.module.objective import ObjectiveStep, RestingValue
+from neurad.module.objective import ObjectiveStep
 from neurad.module.primary import PrimaryHits
 from neurad.module.schedule import fraction_done, rate_factor
 from neurad.scene.description import Scene
@@ -99,7 +99,6 @@ class InverseRenderer(L.LightningModule):
         albedo, roughness, radiance = self.field_configs
         self.materials = build_materials(self.scene, albedo, roughness)
         self.radiance = build_radiance(self.scene, radiance)
-        self.rest = RestingValue()
 
     def configure_optimizers(self) -> list[FieldAdam]:
         """One optimizer each for albedo, roughness (if there is one to find) and radiance."""
@@ -130,7 +129,6 @@ class InverseRenderer(L.LightningModule):
             settings=self.settings,
             epsilon=self.settings.epsilon * mean_square,
             mixed=mixed,
-            rest=self.rest,
         )
 
     @property

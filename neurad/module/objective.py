@@ -15,7 +15,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import torch
-from torch import Tensor, nn
+from torch import Tensor
 
 from neurad.core.records import Interaction, PixelBatch, Surface
 from neurad.core.rng import Stream
@@ -42,23 +42,6 @@ class StepTerms:
     """Terms whose gradient reaches the radiance field only."""
 
 
-class RestingValue(nn.Module):
-    """A running, evidence-weighted mean of roughness; part of the checkpoint."""
-
-    sums: Tensor
-
-    def __init__(self, start: float = 0.5, decay: float = 0.999) -> None:
-        super().__init__()
-        self.decay = decay
-        self.register_buffer("sums", torch.tensor([start * 1e-6, 1e-6]))
-
-    def forward(self, values: Tensor, weights: Tensor) -> Tensor:
-        """Take in values with their weights (of one shape) and return the mean, a scalar."""
-        new = torch.stack(((values * weights).mean(), weights.mean()))
-        self.sums.mul_(self.decay).add_(new, alpha=1.0 - self.decay)
-        return self.sums[0] / self.sums[1]
-
-
 @dataclass(frozen=True)
 class ObjectiveStep:
     """Builds the terms of a step.
@@ -70,7 +53,6 @@ class ObjectiveStep:
         settings: weights and forms of the terms.
         epsilon: floor of the relative losses in squared radiance units.
         mixed: pixels that an emitter covers, in part or whole; they train nothing [views, pixels], bool.
-        rest: the roughness that surfaces without evidence are pulled to.
     """
 
     estimator: Estimator
@@ -79,7 +61,6 @@ class ObjectiveStep:
     settings: Objective
     epsilon: float
     mixed: Tensor
-    rest: RestingValue
 
     def __call__(self, batch: PixelBatch, stream: Stream) -> StepTerms:
         """Terms for a batch of photographed pixels."""
@@ -112,7 +93,7 @@ class ObjectiveStep:
         weight = relative_weight(normaliser, self.epsilon) * counts
         materials = {"photometric": (1.0, self._photometric(batch, image, weight, stream))}
         if settings.roughness_pull > 0 and surface.roughness.requires_grad:
-            materials["roughness_pull"] = (settings.roughness_pull, self._pull(image, surface, weight))
+            materials["roughness_pull"] = (settings.roughness_pull, self._pull(surface.roughness))
 
         terms: dict[str, tuple[float, Loss]] = {}
         if settings.prior > 0:
@@ -131,19 +112,13 @@ class ObjectiveStep:
             terms["lhs"] = (settings.lhs, leave_one_out(lhs_image, batch.color, lhs_weight))
         return StepTerms(materials, terms)
 
-    def _pull(self, image: Tensor, surface: Surface, weight: Tensor) -> Loss:
-        """A quadratic pull of roughness towards its evidence-weighted mean.
+    def _pull(self, roughness: Tensor) -> Loss:
+        """A quadratic pull of roughness [n, 1] towards its mean over the batch.
 
-        Where nobody sees a highlight the photographs say nothing about roughness and noise would carry it anywhere. The
-        evidence is the curvature of the photometric term, ``w (dI/dr)^2``, from the two halves of independent positions
-        so that noise does not count as evidence; where it is large the pull is small beside it.
+        Where nobody sees a highlight the photographs say nothing about roughness, and noise would carry it anywhere.
+        The pull adds up to nothing over the batch, so the mean itself is left to the photographs.
         """
-        (slope,) = torch.autograd.grad(image.mean(-1).sum(), surface.roughness, retain_graph=True)
-        slope = slope.view(len(weight), -1)
-        evidence = (slope[:, :1] * slope[:, 1:].mean(-1, keepdim=True)).clamp_min(0.0) * weight.mean(-1, keepdim=True)
-        roughness = surface.roughness.view_as(slope)
-        mean = self.rest(roughness.detach(), evidence.expand_as(slope))
-        pull = ((roughness - mean) ** 2).mean()
+        pull = ((roughness - roughness.detach().mean()) ** 2).mean()
         return Loss(pull, pull.detach())
 
     def _second_hits(self, ends: Interaction, stream: Stream) -> Interaction | None:
