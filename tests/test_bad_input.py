@@ -190,7 +190,7 @@ BAD = {
     "unknown tracer": (nothing, ["--model.tracer=optix"], ["optix", "embree"]),
     "unknown built-in scene": (nothing, ["--data.root=null", "--data.scene=ktchen"], ["ktchen", "kitchen"]),
     "folder and built-in scene": (nothing, ["--data.scene=kitchen"], ["--data.root", "--data.scene"]),
-    "scene without photographs": (nothing, ["--data.root=null", "--data.scene=cornell"], ["train_000", "photograph"]),
+    "scene without photographs": (nothing, ["--data.root=null", "--data.scene=cube"], ["train_000", "photograph"]),
 }  # fmt: skip
 
 

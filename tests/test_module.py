@@ -12,7 +12,7 @@ import yaml
 from oracles import accept, z_test_samples
 
 from neurad.cli import main
-from neurad.core.records import PixelBatch
+from neurad.core.records import PixelBatch, View
 from neurad.core.rng import Stream
 from neurad.fields.settings import FieldConfig, GridConfig, RadianceConfig
 from neurad.integrators.film import render
@@ -36,7 +36,7 @@ def small_scene(build=build_cornell, glossy=True, size=SIZE):
     """A built-in scene at a few pixels; ``glossy`` makes every surface principled, so that there is a roughness."""
     scene = build()
     train, test = (
-        [replace(view, camera=replace(view.camera, width=size, height=size)) for view in part]
+        [View(view.name, replace(view.camera, width=size, height=size)) for view in part]
         for part in (scene.train, scene.test)
     )
     materials = [replace(m, kind="principled") if glossy else m for m in scene.materials]
