@@ -81,7 +81,8 @@ def test_a_killed_run_continues_to_the_same_bits(tmp_path, monkeypatch):
 
     process = start("--config", "config.yaml")
     end = time.monotonic() + 120
-    while not last(1).is_file() and process.poll() is None and time.monotonic() < end:
+    scores = last(1).parents[1] / "metrics.csv"  # written at iteration 30, so there is something to cut or continue
+    while not (last(1).is_file() and scores.is_file()) and process.poll() is None and time.monotonic() < end:
         time.sleep(0.01)
     time.sleep(random.Random(20231).uniform(0.2, 1.0))
     process.send_signal(signal.SIGKILL)
