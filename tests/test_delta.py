@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
+from cameras import film
 
 from neurad.core.records import Constant, Material, PixelBatch, Rays
 from neurad.core.rng import Stream
@@ -212,16 +213,6 @@ def batch_of(scene, n, seed=0):
     stream = Stream(seed)
     view, pixel = stream.integers(len(scene.train), n), stream.integers(camera.width * camera.height, n)
     return PixelBatch(view, pixel, stream.uniform(n, 3), torch.ones(n), 0)
-
-
-def film(scene, view, p):
-    """Film coordinates [n, 2] of points [n, 3] in the cameras of ``view`` [n]."""
-    camera = scene.train[0].camera
-    pose = torch.stack([torch.as_tensor(v.camera.to_world, dtype=torch.float64) for v in scene.train])[view]
-    local = ((p.double() - pose[:, :3, 3]).unsqueeze(1) @ pose[:, :3, :3]).squeeze(1)
-    pixel = 2 * math.tan(camera.fov_x / 2) / camera.width
-    x, y = local[:, 0] / -local[:, 2] / pixel, local[:, 1] / -local[:, 2] / pixel
-    return torch.stack((x + camera.width / 2, camera.height / 2 - y), -1)
 
 
 @pytest.mark.parametrize("has_glass", [True, False])

@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 import torch
 import yaml
+from cameras import film
 from oracles import accept, z_test_samples
 
 from neurad.cli import main
@@ -247,16 +248,6 @@ def test_a_scene_a_million_times_brighter_trains_the_same(normaliser):
 
 
 # ---- positions in a pixel
-
-
-def film(scene, view, p):
-    """Film coordinates [n, 2] of points [n, 3] in the training cameras ``view`` [n]."""
-    camera = scene.train[0].camera
-    pose = torch.stack([torch.as_tensor(v.camera.to_world, dtype=torch.float64) for v in scene.train])[view]
-    local = ((p.double() - pose[:, :3, 3]).unsqueeze(1) @ pose[:, :3, :3]).squeeze(1)
-    pixel = 2 * math.tan(camera.fov_x / 2) / camera.width
-    x, y = local[:, 0] / -local[:, 2] / pixel, local[:, 1] / -local[:, 2] / pixel
-    return torch.stack((x + camera.width / 2, camera.height / 2 - y), -1)
 
 
 @pytest.mark.parametrize(("positions", "cached"), [(1, 1), (2, 2), (2, 4), (3, 4), (5, 8)])

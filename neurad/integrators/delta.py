@@ -11,7 +11,7 @@ from neurad.bsdf.delta import scatter
 from neurad.bsdf.microfacet import fresnel_dielectric
 from neurad.core.frame import Frame
 from neurad.core.protocols import Tracer
-from neurad.core.records import Constant, Interaction, Rays
+from neurad.core.records import Constant, Interaction
 from neurad.scene.description import Scene
 from neurad.scene.geometry import Geometry
 
@@ -103,16 +103,3 @@ def _again(u: Tensor, dielectric: Tensor, wo: Tensor, eta: Tensor) -> Tensor:
         u > reflectance, (u - reflectance) / (1.0 - reflectance).clamp_min(1e-6), u / reflectance.clamp_min(1e-6)
     )
     return torch.where(dielectric, left.clamp(0.0, 1.0), u)
-
-
-def reach(
-    delta: DeltaSurfaces | None, geometry: Geometry, tracer: Tracer, rays: Rays, u: Tensor | None
-) -> tuple[Interaction, Tensor | None, Tensor | None, int]:
-    """The first vertex along ``rays`` that is not smooth, with the throughput to it, whether anything smooth lay before
-    it, and the rays cast. Without smooth surfaces throughput and mask are None and cost nothing.
-    """
-    it = geometry.interact(rays, tracer.closest(rays))
-    if delta is None or u is None:
-        return it, None, None, len(rays)
-    it, throughput, passed, cast = delta.follow(geometry, tracer, it, u)
-    return it, throughput, passed, len(rays) + cast

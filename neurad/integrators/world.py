@@ -9,7 +9,7 @@ from torch import Tensor, nn
 from neurad.core.frame import dot
 from neurad.core.protocols import BSDF, Emitter, Tracer
 from neurad.core.records import Interaction, Rays
-from neurad.integrators.delta import DeltaSurfaces, reach
+from neurad.integrators.delta import DeltaSurfaces
 from neurad.scene.description import Features
 from neurad.scene.geometry import Geometry
 
@@ -75,7 +75,10 @@ class World(nn.Module):
 
     def reach(self, rays: Rays, u: Tensor) -> Reached:
         """The first vertices along rays that are not smooth; ``u`` [n] are uniform numbers, one a ray."""
-        it, throughput, passed, cast = reach(self.delta, self.geometry, self.tracer, rays, u)
+        it = self.intersect(rays)
+        if self.delta is None:
+            return Reached(it, None, None)
+        it, throughput, passed, cast = self.delta.follow(self.geometry, self.tracer, it, u)
         self.rays_cast += cast
         return Reached(it, throughput, passed)
 
