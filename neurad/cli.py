@@ -20,6 +20,7 @@ LIGHTNING_VERBS = {
 }
 OWN_VERBS = {
     "render": ("neurad.commands.render", "render a scene's views from its own, known materials"),
+    "bench": ("neurad.commands.bench", "measure what a training step, a method or a peer costs"),
 }
 """Verbs beyond Lightning's: the module with ``add_arguments(parser)`` and ``run(options)``, and what it does."""
 
