@@ -11,7 +11,7 @@ from neurad.fields.hash_grid import HashGrid, UnitCube
 from neurad.fields.material import MIN_ROUGHNESS, AlbedoField, RoughnessField
 from neurad.fields.mlp import MLP
 from neurad.fields.radiance import START, RadianceField
-from neurad.fields.settings import FieldConfig, GridConfig, RadianceConfig
+from neurad.fields.settings import FieldConfig, GridConfig, RadianceConfig, RoughnessConfig
 
 BOUNDS = torch.tensor([[-1.0, 0.0, -3.0], [1.0, 0.5, 5.0]])
 SMALL = GridConfig(levels=4, coarsest=2, finest=64, log2_size=10)
@@ -194,6 +194,21 @@ def test_materials_start_in_the_middle_and_stay_in_range():
         assert low <= value.min() < 0.1
         assert 0.9 < value.max() <= 1.0
         torch.testing.assert_close(value, field.at(it.p))
+
+
+def test_roughness_may_read_the_albedo_and_gives_it_no_gradient():
+    it, albedo = surface(100), torch.rand(100, 3, requires_grad=True)
+    field = RoughnessField(RoughnessConfig(SMALL, reads_albedo=True), BOUNDS)
+    with torch.no_grad():
+        field.mlp.layers[-1].weight.normal_()
+    value = field(it, albedo)
+    value.sum().backward()
+    assert albedo.grad is None
+    assert not torch.equal(value, field(it, 1.0 - albedo))
+    with pytest.raises(ValueError, match="albedo"):
+        field(it)
+    plain = RoughnessField(RoughnessConfig(SMALL), BOUNDS)
+    assert torch.equal(plain(it, albedo), plain(it))
 
 
 def test_positions_outside_the_bounds_take_the_nearest_value():

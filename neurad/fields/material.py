@@ -6,30 +6,25 @@ import torch
 from torch import Tensor, nn
 
 from neurad.core.records import Interaction
-from neurad.fields.hash_grid import HashGrid, UnitCube
-from neurad.fields.mlp import MLP
-from neurad.fields.settings import FieldConfig
+from neurad.fields.hash_grid import UnitCube
+from neurad.fields.select import make_layers
+from neurad.fields.settings import FieldConfig, RoughnessConfig
 
 MIN_ROUGHNESS = 0.02
 """Smallest fitted roughness: below it a highlight is narrower than a pixel and its gradient is all noise."""
 
 
 class _MaterialField(nn.Module):
-    """Position -> hash grid -> network -> sigmoid. The last layer starts small, so values start near 0.5."""
+    """Position -> hash grid -> network -> sigmoid, or position -> dense grid -> sigmoid. Values start near 0.5."""
 
-    def __init__(self, config: FieldConfig, bounds: Tensor, channels: int) -> None:
+    def __init__(self, config: FieldConfig, bounds: Tensor, channels: int, extra: int = 0) -> None:
         super().__init__()
         self.cube = UnitCube(bounds)
-        self.grid = HashGrid.from_config(config.grid)
-        self.mlp = MLP(self.grid.channels, channels, config.width, config.hidden_layers)
+        self.grid, self.mlp = make_layers(config, channels, extra)
 
-    def at(self, p: Tensor) -> Tensor:
-        """Values [n, channels] at positions [n, 3]; outside the bounds, those of the nearest point of the cube."""
-        return torch.sigmoid(self.mlp(self.grid(self.cube(p))))
-
-    def forward(self, it: Interaction) -> Tensor:
-        """Values [n, channels] at the lanes of ``it``; gradients reach the parameters, not the positions."""
-        return self.at(it.p)
+    def _values(self, p: Tensor, *extra: Tensor) -> Tensor:
+        features = self.grid(self.cube(p))
+        return torch.sigmoid(self.mlp(torch.cat((features, *extra), -1) if extra else features))
 
 
 class AlbedoField(_MaterialField):
@@ -43,18 +38,43 @@ class AlbedoField(_MaterialField):
     def __init__(self, config: FieldConfig, bounds: Tensor) -> None:
         super().__init__(config, bounds, 3)
 
+    def at(self, p: Tensor) -> Tensor:
+        """Albedo [n, 3] at positions [n, 3]; outside the bounds, that of the nearest point of the cube."""
+        return self._values(p)
+
+    def forward(self, it: Interaction) -> Tensor:
+        """Albedo [n, 3] at the lanes of ``it``; gradients reach the parameters, not the positions."""
+        return self.at(it.p)
+
 
 class RoughnessField(_MaterialField):
     """Burley roughness [n, 1] in (0.02, 1), near 0.5 at the start.
 
     Args:
-        config: sizes of grid and network.
+        config: sizes of grid and network, and whether the network reads the albedo.
         bounds: smallest and largest corner of the scene [2, 3].
     """
 
     def __init__(self, config: FieldConfig, bounds: Tensor) -> None:
-        super().__init__(config, bounds, 1)
+        reads_albedo = isinstance(config, RoughnessConfig) and config.reads_albedo and config.kind == "hash"
+        super().__init__(config, bounds, 1, 3 if reads_albedo else 0)
+        self.reads_albedo = reads_albedo
 
-    def at(self, p: Tensor) -> Tensor:
-        """Roughness [n, 1] at positions [n, 3]; outside the bounds, that of the nearest point of the cube."""
-        return MIN_ROUGHNESS + (1.0 - MIN_ROUGHNESS) * super().at(p)
+    def at(self, p: Tensor, albedo: Tensor | None = None) -> Tensor:
+        """Roughness [n, 1] at positions [n, 3]; outside the bounds, that of the nearest point of the cube.
+
+        Args:
+            p: positions.
+            albedo: what a field that reads it reads [n, 3]; no gradient flows into it.
+
+        Raises:
+            ValueError: the field reads the albedo, and none is given.
+        """
+        if self.reads_albedo and albedo is None:
+            raise ValueError("RoughnessField: it reads the albedo, which is not given")
+        extra = (4.0 * (albedo.detach() - 0.5),) if self.reads_albedo and albedo is not None else ()
+        return MIN_ROUGHNESS + (1.0 - MIN_ROUGHNESS) * self._values(p, *extra)
+
+    def forward(self, it: Interaction, albedo: Tensor | None = None) -> Tensor:
+        """Roughness [n, 1] at the lanes of ``it``; gradients reach the parameters, not the positions."""
+        return self.at(it.p, albedo)

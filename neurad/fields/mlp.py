@@ -38,11 +38,15 @@ class MLP(nn.Module):
         if not (self.fast and len(x) > 0 and _has_onednn(x)):
             return self.plain(x)
         parameters: list[Tensor] = list(self.parameters())  # weight, bias, weight, bias, ...
+        rows = len(x)
+        if padding := _round_up(rows) - rows:
+            x = torch.nn.functional.pad(x, (0, 0, 0, padding))
         if torch.is_grad_enabled():
             out: Tensor = _Layers.apply(x, *parameters)  # type: ignore[no-untyped-call]
-            return out
-        parts = [_forward(part, parameters)[-1] for part in torch.split(x, CHUNK)]
-        return parts[0] if len(parts) == 1 else torch.cat(parts)
+        else:
+            parts = [_forward(part, parameters)[-1] for part in torch.split(x, CHUNK)]
+            out = parts[0] if len(parts) == 1 else torch.cat(parts)
+        return out[:rows] if padding else out
 
     def plain(self, x: Tensor) -> Tensor:
         """The same in plain torch."""
@@ -50,6 +54,16 @@ class MLP(nn.Module):
         for weight, bias in zip(parameters[:-2:2], parameters[1:-2:2], strict=True):
             x = torch.relu(torch.addmm(bias, x, weight.t()))
         return torch.addmm(parameters[-1], x, parameters[-2].t())
+
+
+def _round_up(rows: int) -> int:
+    """The next number of rows with four significant binary digits, and a multiple of 32.
+
+    oneDNN compiles code for every shape it meets, which takes a millisecond, and keeps it, which takes memory. Paths
+    end at random, so without rounding every bounce would bring a new shape.
+    """
+    step = 1 << max(5, rows.bit_length() - 4)
+    return -(-rows // step) * step
 
 
 def _has_onednn(x: Tensor) -> bool:

@@ -9,8 +9,8 @@ from torch import Tensor, nn
 from torch.nn.functional import softplus
 
 from neurad.core.records import Interaction
-from neurad.fields.hash_grid import HashGrid, UnitCube
-from neurad.fields.mlp import MLP
+from neurad.fields.hash_grid import UnitCube
+from neurad.fields.select import make_layers
 from neurad.fields.settings import RADIANCE_INPUTS, RadianceConfig
 
 START = 0.2
@@ -22,10 +22,12 @@ class RadianceField(nn.Module):
     """Hash grid of the position and chosen further inputs -> network -> ``scale * softplus(y + shift)``.
 
     The paper names no output activation. Softplus keeps radiance positive, is linear where there is light, and unlike
-    exp cannot run away; ``scale`` makes training the same however bright the scene is.
+    exp cannot run away; ``scale`` makes training the same however bright the scene is. A dense grid takes the place of
+    hash grid and network where the config says so; it reads the position alone, so it holds the same radiance for all
+    directions and both sides of a surface.
 
     Args:
-        config: sizes of grid and network, and the inputs beside the position.
+        config: kind, sizes of grid and network, and the inputs beside the position.
         bounds: smallest and largest corner of the scene [2, 3].
         scale: typical training radiance; it is part of the checkpoint.
     """
@@ -34,11 +36,9 @@ class RadianceField(nn.Module):
 
     def __init__(self, config: RadianceConfig, bounds: Tensor, scale: float = 1.0) -> None:
         super().__init__()
-        self.inputs = config.inputs
+        self.inputs = () if config.kind == "dense" else config.inputs
         self.cube = UnitCube(bounds)
-        self.grid = HashGrid.from_config(config.grid)
-        extra = sum(RADIANCE_INPUTS[name] for name in config.inputs)
-        self.mlp = MLP(self.grid.channels + extra, 3, config.width, config.hidden_layers)
+        self.grid, self.mlp = make_layers(config, 3, sum(RADIANCE_INPUTS[name] for name in self.inputs))
         self.register_buffer("scale", torch.tensor(float(scale)))
 
     def set_scale(self, scale: float) -> None:

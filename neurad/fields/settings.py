@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import Literal
 
 from neurad.core.errors import InputError
 
@@ -37,17 +38,35 @@ class GridConfig:
 
 @dataclass(frozen=True)
 class FieldConfig:
-    """Size of a field: a grid and the network that reads it."""
+    """Kind and size of a field: a hash grid and the network that reads it, or a dense grid of values alone."""
 
     grid: GridConfig = GridConfig()
     width: int = 64
     """Neurons of a hidden layer."""
     hidden_layers: int = 1
+    kind: Literal["hash", "dense"] = "hash"
+    """What holds the values: ``hash`` grid and network, or ``dense`` grid, which leaves ``grid`` and network out."""
+    size: int = 256
+    """Vertices along a side of a dense grid: 256 takes 604 MB for three channels with the moments of Adam."""
 
     def __post_init__(self) -> None:
-        """Refuse sizes that no network can have."""
+        """Refuse sizes that no field can have."""
         if self.width < 1 or self.hidden_layers < 0:
             raise InputError("field: width must be at least 1 and hidden_layers at least 0")
+        if self.kind not in ("hash", "dense"):
+            raise InputError(f"field: kind '{self.kind}' is unknown, choose hash or dense")
+        if not 2 <= self.size <= 1024:
+            raise InputError("field: size of a dense grid must lie in 2 .. 1024")
+
+
+@dataclass(frozen=True)
+class RoughnessConfig(FieldConfig):
+    """Size and inputs of a roughness field."""
+
+    reads_albedo: bool = False
+    """Whether the network reads the albedo beside the position: what looks the same is then taken to shine the same,
+    unless a highlight says otherwise. With a coarse grid it carries roughness from where a highlight is seen to where
+    none is. A dense grid has no network to read it."""
 
 
 @dataclass(frozen=True)
@@ -58,7 +77,7 @@ class RadianceConfig(FieldConfig):
     hidden_layers: int = 3
     inputs: tuple[str, ...] = ("direction", "normal", "albedo")
     """Read beside the position, any of: ``direction`` (wo), ``reflection`` (wo mirrored at the normal), ``normal``,
-    ``albedo``."""
+    ``albedo``. A dense grid reads the position alone, so its radiance is the same in all directions."""
 
     def __post_init__(self) -> None:
         """Refuse inputs that do not exist."""

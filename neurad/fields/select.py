@@ -1,0 +1,24 @@
+"""What stands between a position and a field's output activation, as the settings choose."""
+
+from __future__ import annotations
+
+from torch import nn
+
+from neurad.fields.dense_grid import DenseGrid
+from neurad.fields.hash_grid import HashGrid
+from neurad.fields.mlp import MLP
+from neurad.fields.settings import FieldConfig
+
+
+def make_layers(config: FieldConfig, channels: int, extra: int = 0) -> tuple[nn.Module, nn.Module]:
+    """An encoding of positions [n, 3] in the unit cube, and what turns its features into ``channels`` values.
+
+    Args:
+        config: kind and sizes.
+        channels: values of the field.
+        extra: channels that a network reads beside the encoding; a dense grid has no network, so it reads none.
+    """
+    if config.kind == "dense":
+        return DenseGrid(config.size, channels), nn.Identity()
+    grid = HashGrid.from_config(config.grid)
+    return grid, MLP(grid.channels + extra, channels, config.width, config.hidden_layers)
