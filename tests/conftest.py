@@ -7,7 +7,7 @@ os.environ.setdefault("OMP_WAIT_POLICY", "passive")
 import pytest
 import torch
 
-OPTIONAL = ("mitsuba", "open3d")
+OPTIONAL = ("mitsuba", "open3d", "warp")
 
 
 @pytest.fixture(autouse=True)

@@ -1,4 +1,4 @@
-"""Both ray casters against the brute-force twin in float64."""
+"""All ray casters against the brute-force twin in float64."""
 
 import numpy as np
 import pytest
@@ -14,10 +14,12 @@ from neurad.tracing.brute_force import BruteForceTracer
 from neurad.tracing.select import make_tracer
 
 
-@pytest.fixture(params=["embree", "open3d"])
+@pytest.fixture(params=["embree", "open3d", "warp"])
 def backend(request):
     if request.param == "open3d":
         pytest.importorskip("open3d", exc_type=ImportError)
+    if request.param == "warp":
+        pytest.importorskip("warp")
     return request.param
 
 
@@ -284,3 +286,9 @@ def test_missing_open3d_says_what_to_install(monkeypatch):
     monkeypatch.setitem(__import__("sys").modules, "open3d", None)  # makes its import fail
     with pytest.raises(InputError, match=r"neurad\[open3d\].*libusb"):
         make_tracer("open3d", *tensors(ball(0)))
+
+
+def test_missing_warp_says_what_to_install(monkeypatch):
+    monkeypatch.setitem(__import__("sys").modules, "warp", None)
+    with pytest.raises(InputError, match=r"neurad\[gpu\].*embree"):
+        make_tracer("warp", *tensors(ball(0)))

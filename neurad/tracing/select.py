@@ -7,7 +7,7 @@ from torch import Tensor
 from neurad.core.errors import InputError
 from neurad.core.protocols import Tracer
 
-TRACERS = ("embree", "open3d")
+TRACERS = ("embree", "open3d", "warp")
 
 
 def make_tracer(name: str, vertices: Tensor, faces: Tensor, threads: int | None = None) -> Tracer:
@@ -24,4 +24,8 @@ def make_tracer(name: str, vertices: Tensor, faces: Tensor, threads: int | None 
         from neurad.tracing.open3d import Open3DTracer
 
         return Open3DTracer(vertices, faces, threads)
+    if name == "warp":
+        from neurad.tracing.warp import WarpTracer
+
+        return WarpTracer(vertices, faces, threads)
     raise InputError(f"tracer {name}: there is none of that name, choose one of {', '.join(TRACERS)}")
