@@ -30,3 +30,7 @@ class Diffuse:
         wi = cosine_hemisphere(u[:, 1:])
         pdf = self.pdf(surface, wo, wi)
         return BSDFSample(wi, pdf, surface.albedo * (pdf > 0).unsqueeze(-1))
+
+    def mean_weight(self, surface: Surface, wo: Tensor) -> Tensor:
+        """Mean of the weights of :meth:`sample` [n, 3]: the albedo."""
+        return surface.albedo * (wo[:, 2:] > 0)

@@ -10,6 +10,7 @@ from torch import Tensor
 from torch.autograd.function import once_differentiable
 
 from neurad.bsdf import kernels
+from neurad.bsdf.directional import directional_albedo
 from neurad.bsdf.microfacet import alpha_of, fresnel_dielectric, smith_sum, visible_normal
 from neurad.core.frame import dot
 from neurad.core.records import BSDFSample, Surface
@@ -159,3 +160,7 @@ class Principled:
         value, pdf = self.eval_pdf(surface, wo, wi)
         inverse = torch.where(pdf > 0, 1.0 / pdf, 0.0)  # not value / tiny: its gradient would overflow
         return BSDFSample(wi, pdf, value * inverse.unsqueeze(-1))
+
+    def mean_weight(self, surface: Surface, wo: Tensor) -> Tensor:
+        """Mean of the weights of :meth:`sample` [n, 3], the directional albedo, differentiable in ``surface``."""
+        return directional_albedo(surface, wo[:, 2], self.eta) * (wo[:, 2:] > 0)

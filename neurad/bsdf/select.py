@@ -32,6 +32,12 @@ class Mixed(Principled):
             u = torch.cat((torch.where(surface.lambertian, 0.0, u[:, 0]).unsqueeze(-1), u[:, 1:]), -1)
         return super()._direction(surface, wo, u)
 
+    def mean_weight(self, surface: Surface, wo: Tensor) -> Tensor:
+        mean = super().mean_weight(surface, wo)
+        if isinstance(surface, TypedSurface):
+            mean = torch.where(surface.lambertian.unsqueeze(-1), surface.albedo * (wo[:, 2:] > 0), mean)
+        return mean
+
 
 def make_bsdf(features: Features) -> BSDF:
     """The least reflection model for what a scene has: Lambertian scenes get no specular lobe."""

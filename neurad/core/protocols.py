@@ -62,6 +62,10 @@ class BSDF(Protocol):
         """
         ...
 
+    def mean_weight(self, surface: Surface, wo: Tensor) -> Tensor:
+        """Mean of the weights of :meth:`sample`, the directional albedo [n, 3], differentiable in ``surface``."""
+        ...
+
 
 class Emitter(Protocol):
     """Something that sends light."""

@@ -190,6 +190,8 @@ class View:
     """Path of the photograph (EXR)."""
     albedo: str | None = None
     roughness: str | None = None
+    relight: str | None = None
+    """The same view under another environment, ``Scene.relight``."""
 
 
 @dataclass(frozen=True)

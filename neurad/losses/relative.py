@@ -23,7 +23,38 @@ class Loss:
     """Scalar estimate of the loss, without gradient, for reports."""
 
 
-def leave_one_out(samples: Tensor, target: Tensor, weight: Tensor) -> Loss:
+@dataclass(frozen=True)
+class Control:
+    """A control variate for independent samples: ``deviation`` has mean zero whatever light there is."""
+
+    incident: Tensor
+    """Incident radiance that each sample found, without gradient [b, n, c]."""
+    deviation: Tensor
+    """Weight of each sample less the weight's mean, with the same gradient as the samples' [b, n, c]."""
+
+    def guess(self) -> Tensor:
+        """Incident radiance at each sample by the other samples of its pixel [b, n, c]."""
+        return (self.incident.sum(1, keepdim=True) - self.incident) / (self.incident.shape[1] - 1)
+
+    def excess(self) -> Tensor:
+        """What each sample has too much if the light of the others is all around [b, n, c]; its mean is zero."""
+        return self.guess() * self.deviation
+
+    def excess_of_others(self) -> Tensor:
+        """Mean over all samples but i of their excess by the light of all others but i [b, n, c], detached.
+
+        Nothing of sample i is in it, so a residual less it stays independent of sample i. Zero for n = 2.
+        """
+        light, z = self.incident, self.deviation.detach()
+        n = light.shape[1]
+        if n < 3:
+            return torch.zeros_like(z)
+        both = light * z
+        light, z, both = (x.sum(1, keepdim=True) - x for x in (light, z, both))
+        return (light * z - both) / ((n - 1) * (n - 2))
+
+
+def leave_one_out(samples: Tensor, target: Tensor, weight: Tensor, control: Control | None = None) -> Loss:
     """Relative L2 of a pixel mean from n >= 2 independent samples, in one pass.
 
     The gradient is ``(2/n) w sum_i (mean_{j != i} s_j - GT) ds_i``, averaged over pixels and channels.
@@ -32,10 +63,15 @@ def leave_one_out(samples: Tensor, target: Tensor, weight: Tensor) -> Loss:
         samples: independent samples of every pixel [b, n, c].
         target: photographed value [b, c].
         weight: ``1 / (normaliser^2 + eps)``, independent of the samples [b, 1] or [b, c].
+        control: takes noise from samples and residuals; the mean of the gradient stays the same.
     """
     n = samples.shape[1]
     fixed = samples.detach()
     others = (fixed.sum(1, keepdim=True) - fixed) / (n - 1)
+    if control is not None:
+        others = others - control.excess_of_others()
+        samples = samples - control.excess()
+        fixed = samples.detach()
     residual = others - target.unsqueeze(1)
     scale = weight.unsqueeze(1)
     surrogate = (2.0 * scale * residual * samples).mean()
@@ -91,6 +127,50 @@ def full_gradient_prior(field: Tensor, first: Tensor, second: Tensor, epsilon: f
     scale = relative_weight(field, epsilon) * mask.unsqueeze(-1)
     loss = (scale * (field - first) * (field - second)).mean()
     return Loss(loss, loss.detach())
+
+
+def moving_prior(field: Tensor, transported: Tensor, other: Tensor, epsilon: float, mask: Tensor) -> Loss:
+    """:func:`semi_gradient_prior` whose right side has a gradient too, that of the materials; unbiased by a second
+    estimate of T.
+
+    Args:
+        field: ``L_theta`` at the vertices [n, 3].
+        transported: ``T_hat(E + sg[L_theta])`` there, differentiable in the materials [n, 3].
+        other: another estimate, of an independent random stream [n, 3].
+        epsilon: as in :func:`semi_gradient_prior`.
+        mask: lanes that count [n], bool.
+    """
+    left = semi_gradient_prior(field, transported, epsilon, mask)
+    fixed = field.detach()
+    scale = relative_weight(fixed, epsilon) * mask.unsqueeze(-1) * (fixed - other.detach())
+    surrogate = left.surrogate - 2.0 * (scale * transported).mean()
+    return Loss(surrogate, (scale * (fixed - transported.detach())).mean())
+
+
+def smoothed(photographs: Tensor, alpha: Tensor | None, width: int) -> Tensor:
+    """Means over 5 x 5 pixels, to weigh a pixel by: the noise of a pixel's own photograph would be in the residual too,
+    and weights that follow it make everything darker.
+
+    Args:
+        photographs: linear colours, premultiplied by alpha [views, h * w, 3].
+        alpha: coverage [views, h * w], or None.
+        width: of the photographs in pixels.
+
+    Returns:
+        Premultiplied colours [views, h * w, 3]; with alpha the mean is over what is covered.
+    """
+    if alpha is not None:
+        covered = alpha.unsqueeze(-1)
+        mean = _blur(photographs, width) / _blur(covered, width).clamp_min(1e-6)
+        return mean * covered
+    return _blur(photographs, width)
+
+
+def _blur(values: Tensor, width: int) -> Tensor:
+    views, pixels, channels = values.shape
+    image = values.view(views, pixels // width, width, channels).permute(0, 3, 1, 2)
+    mean = torch.nn.functional.avg_pool2d(image, 5, 1, 2, count_include_pad=False)
+    return mean.permute(0, 2, 3, 1).reshape(views, pixels, channels)
 
 
 def total(losses: dict[str, tuple[float, Loss]]) -> Tensor:

@@ -1,0 +1,79 @@
+"""Directional albedo of the principled model: what a surface reflects of light that is the same from everywhere.
+
+It is the mean of the weights ``f cos / pdf`` of BSDF samples, so ``weight - directional albedo`` has mean zero: times any
+guess of the incident light it is a control variate, for the value and for its derivative by the roughness. A sharp lobe's
+derivative is large and of both signs, and cancels almost fully where the surroundings are even; the control variate takes
+that part away before it becomes noise.
+"""
+
+from __future__ import annotations
+
+import functools
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+from torch.autograd.function import once_differentiable
+
+from neurad.bsdf import kernels
+from neurad.core.records import Surface
+
+ROUGHNESSES = 32
+"""Rows of the table, evenly over roughness 0 to 1."""
+COSINES = 32
+"""Columns, evenly over the root of the viewer's cosine: close to grazing, reflection changes quickly."""
+SAMPLES = 2048
+"""Quasi-random directions behind every entry."""
+
+
+@functools.lru_cache(maxsize=4)
+@torch.inference_mode(False)
+def table(eta: float, device: torch.device) -> Tensor:
+    """Diffuse and specular part and their slopes by the roughness [ROUGHNESSES * COSINES, 4]."""
+    points = torch.quasirandom.SobolEngine(3, scramble=True, seed=1)  # type: ignore[no-untyped-call]
+    u = points.draw(SAMPLES).repeat(COSINES, 1)
+    cosine = (torch.arange(COSINES) / (COSINES - 1)).square().clamp_min(1e-3).repeat_interleave(SAMPLES)
+    wo = torch.stack(((1.0 - cosine * cosine).sqrt(), torch.zeros_like(cosine), cosine), -1)
+    wi, out = torch.empty_like(wo), torch.empty(5, len(wo))
+    rows = []
+    for step in range(ROUGHNESSES):
+        roughness = torch.full_like(cosine, max(step / (ROUGHNESSES - 1), 1e-3)).unsqueeze(-1)
+        kernels.direction(roughness.numpy(), wo.numpy(), u.numpy(), wi.numpy())
+        kernels.lobes_pdf(roughness.numpy(), wo.numpy(), wi.numpy(), np.float32(eta), out.numpy())
+        inverse = torch.where(out[2] > 0, 1.0 / out[2], 0.0)
+        rows.append((out[[0, 1, 3, 4]] * inverse).view(4, COSINES, SAMPLES).mean(-1).t())
+    return torch.cat(rows).to(device)
+
+
+class _Lookup(torch.autograd.Function):
+    """Bilinear value of the table, its gradient from the tabulated slopes."""
+
+    @staticmethod
+    def forward(ctx: Any, roughness: Tensor, cosine: Tensor, eta: float) -> tuple[Tensor, Tensor]:
+        entries = table(eta, roughness.device)
+        row = roughness.squeeze(-1).clamp(0.0, 1.0) * (ROUGHNESSES - 1)
+        column = cosine.clamp(0.0, 1.0).sqrt() * (COSINES - 1)
+        low, left = row.floor().clamp_max(ROUGHNESSES - 2), column.floor().clamp_max(COSINES - 2)
+        index = (low * COSINES + left).long()
+        down, right = (row - low).unsqueeze(-1), (column - left).unsqueeze(-1)
+        above = torch.lerp(entries[index], entries[index + 1], right)
+        below = torch.lerp(entries[index + COSINES], entries[index + COSINES + 1], right)
+        d, s, d_slope, s_slope = torch.lerp(above, below, down).unbind(-1)
+        ctx.save_for_backward(d_slope, s_slope)
+        return d, s
+
+    @staticmethod
+    @once_differentiable
+    def backward(ctx: Any, *grads: Tensor) -> tuple[Tensor, None, None]:
+        d_slope, s_slope = ctx.saved_tensors
+        return (grads[0] * d_slope + grads[1] * s_slope).unsqueeze(-1), None, None
+
+
+def directional_albedo(surface: Surface, cosine: Tensor, eta: float) -> Tensor:
+    """``int f cos(wi) dwi`` towards viewers at ``cosine`` [n] from the normal: [n, 3], differentiable in ``surface``.
+
+    Tabulated; the error is below 1 % of it, except for cosines under 0.01.
+    """
+    d, s = _Lookup.apply(surface.roughness, cosine, eta)  # type: ignore[no-untyped-call]
+    return torch.addcmul(s.unsqueeze(-1), surface.albedo, d.unsqueeze(-1))

@@ -1,0 +1,97 @@
+"""The control variate by directional albedo: its table, its zero mean, and the unbiased gradient that it leaves."""
+
+import pytest
+import torch
+
+from neurad.bsdf.diffuse import Diffuse
+from neurad.bsdf.directional import directional_albedo
+from neurad.bsdf.principled import Principled, lobes_pdf
+from neurad.core.records import Surface
+from neurad.core.rng import Stream
+from neurad.losses.relative import Control, leave_one_out
+
+
+def quadrature(roughness: float, cosine: float) -> torch.Tensor:
+    """Diffuse and specular part by a midpoint rule in float64, finer around the mirror direction."""
+    n = 1500
+    t = (torch.arange(n, dtype=torch.float64) + 0.5) / n
+    a, b = torch.meshgrid(t, t, indexing="ij")
+    # Angle from the mirror direction, dense where it is small; azimuth around that direction.
+    angle, slope = torch.pi * a**3, 3 * torch.pi * a**2
+    turn = 2 * torch.pi * b
+    sine = (1 - cosine**2) ** 0.5
+    mirror = torch.tensor([-sine, 0.0, cosine], dtype=torch.float64)
+    side = torch.tensor([cosine, 0.0, sine], dtype=torch.float64)
+    up = torch.tensor([0.0, 1.0, 0.0], dtype=torch.float64)
+    around = turn.cos().flatten()[:, None] * side + turn.sin().flatten()[:, None] * up
+    wi = angle.flatten().cos()[:, None] * mirror + angle.flatten().sin()[:, None] * around
+    wo = torch.tensor([[sine, 0.0, cosine]], dtype=torch.float64).expand_as(wi)
+    d, s, _ = lobes_pdf(torch.full((len(wi), 1), roughness, dtype=torch.float64), wo, wi, 1.5)
+    area = (angle.sin() * slope * 2 * torch.pi / n**2).flatten()
+    return torch.stack(((d * area).sum(), (s * area).sum()))
+
+
+@pytest.mark.parametrize(("roughness", "cosine"), [(0.2, 0.9), (0.3, 0.3), (0.55, 0.6), (0.8, 0.15), (0.95, 0.97)])
+def test_directional_albedo_is_the_integral_of_the_lobes(roughness: float, cosine: float) -> None:
+    r = torch.tensor([[roughness]], requires_grad=True)
+    z = torch.tensor([cosine])
+    specular = directional_albedo(Surface(torch.zeros(1, 3), r), z, 1.5)[0, 0]
+    both = directional_albedo(Surface(torch.ones(1, 3), r), z, 1.5)[0, 0]
+    diffuse, exact = both - specular, quadrature(roughness, cosine)
+    assert float(diffuse) == pytest.approx(float(exact[0]), rel=0.005)
+    assert float(specular) == pytest.approx(float(exact[1]), rel=0.01, abs=5e-4)
+    slope = (quadrature(roughness + 0.01, cosine) - quadrature(roughness - 0.01, cosine)) / 0.02
+    for value, expected in ((diffuse, slope[0]), (specular, slope[1])):
+        gradient = torch.autograd.grad(value, r, retain_graph=True)[0]
+        assert float(gradient) == pytest.approx(float(expected), rel=0.04, abs=0.004)
+
+
+def test_weights_of_bsdf_samples_have_this_mean() -> None:
+    """One-sample z-tests at 99 % over all (Sidak): value and slope, over random surfaces and directions."""
+    n, cases = 200_000, 12
+    stream = Stream(5)
+    model = Principled()
+    scores = []
+    for _ in range(cases):
+        rough, cosine = 0.15 + 0.85 * float(stream.uniform(1)), 0.1 + 0.9 * float(stream.uniform(1))
+        wo = torch.tensor([[(1 - cosine**2) ** 0.5, 0.0, cosine]]).expand(n, 3).contiguous()
+        roughness = torch.full((n, 1), rough, requires_grad=True)
+        surface = Surface(torch.full((n, 3), 0.6), roughness)
+        weight = model.sample(surface, wo, stream.uniform(n, 3)).weight[:, 0]
+        slope = torch.autograd.grad(weight.sum(), roughness)[0][:, 0]
+        mean = directional_albedo(surface, wo[:, 2], 1.5)[:, 0]
+        mean_slope = torch.autograd.grad(mean.sum(), roughness)[0][:, 0]
+        for found, expected, slack in ((weight, mean, 2e-3), (slope, mean_slope, 1e-2)):
+            found, expected = found.detach(), float(expected.detach()[0])
+            error = abs(float(found.mean()) - expected) - slack  # of the table
+            scores.append(error / float(found.std() / n**0.5))
+    limit = 3.4  # two-sided normal quantile for 1 - (1 - 0.01)^(1 / 24)
+    assert max(scores) < limit
+
+
+def test_lambertian_weights_do_not_deviate() -> None:
+    surface = Surface(torch.rand(50, 3), torch.ones(50, 1))
+    wo = torch.nn.functional.normalize(torch.rand(50, 3) + 0.01, dim=-1)
+    sample = Diffuse().sample(surface, wo, torch.rand(50, 3))
+    assert torch.equal(sample.weight, Diffuse().mean_weight(surface, wo))
+
+
+@pytest.mark.parametrize("n", [2, 3, 8])
+def test_gradient_keeps_its_mean_and_loses_noise(n: int) -> None:
+    """Samples ``r x L`` with x uniform and L = 1 + x y: the gradient of the squared mean is known. 99 % confidence."""
+    pixels, target = 400_000, 0.4
+    stream = Stream(11, n)
+    x, y = stream.uniform(pixels, n, 1), stream.uniform(pixels, n, 1)
+    light = 1.0 + 0.5 * x * y
+    r = torch.full((pixels, 1, 1), 0.7, requires_grad=True)  # one a pixel, so that gradients come a pixel each
+    mean = 0.5 + 0.5 / 3 * 0.5  # of x L
+    exact = 2 * (0.7 * mean - target) * mean
+    weight, goal = torch.ones(pixels, 1), torch.full((pixels, 1), target)
+    spread = []
+    for control in (None, Control(light, r * (x - 0.5))):
+        loss = leave_one_out(r * x * light, goal, weight, control).surrogate * pixels
+        gradient = torch.autograd.grad(loss, r)[0].flatten()
+        z = float((gradient.mean() - exact) / (gradient.std() / pixels**0.5))
+        assert abs(z) < 2.81  # 99 % over both
+        spread.append(float(gradient.std()))
+    assert spread[1] < 0.8 * spread[0]
