@@ -18,6 +18,7 @@ NAMES = ("psnr_linear", "psnr_srgb", "albedo_psnr", "albedo_mape", "roughness_ps
 class StandInEvaluation:
     scores: dict[str, float]
     maps: list[dict[str, np.ndarray]] = field(default_factory=list)
+    environment: dict[str, np.ndarray] = field(default_factory=dict)
 
 
 class Endless(IterableDataset):
@@ -67,6 +68,7 @@ class StandIn(pl.LightningModule):
         self.size, self.rate, self.seed, self.sleep = size, rate, seed, sleep
         self.fail_at, self.interrupt_at = fail_at, interrupt_at
         self.iteration, self.rays, self.seconds_before = 0, 0, 0.0
+        self.samples = 0
         self.last_losses: dict[str, float] = {}
 
     def configure_model(self):

@@ -301,8 +301,9 @@ def test_shipped_configs_fit_the_real_classes(monkeypatch, capsys, name):
     from neurad.module.inverse import InverseRenderer
 
     monkeypatch.setattr(cli, "_classes", lambda: (InverseRenderer, SceneData))
+    names = ["--config", "scene.yaml", "--config", name]  # some are overlays, for use on top of another config
     with pytest.raises(SystemExit) as stop:
-        main(["fit", "--config", name, "--data.root=DIR", "--seed_everything=5", "--print_config"])
+        main(["fit", *names, "--data.root=DIR", "--seed_everything=5", "--print_config"])
     assert stop.value.code == 0
     printed = yaml.safe_load(capsys.readouterr().out)
     assert printed["model"]["seed"] == printed["data"]["seed"] == 5

@@ -292,7 +292,7 @@ def test_the_rhs_behind_glass_is_emission_times_throughput_plus_reflection():
         for seed in range(repeats):
             right.append(render(camera, integrator, 16, seed).view(n, 3).numpy())
             first = primary(batch, 8, Stream(9, seed))
-            samples, _ = estimator.reflected(first.it, estimator.materials(first.it), 2, Stream(10, seed))
+            samples = estimator.reflected(first.it, estimator.materials(first.it), 2, Stream(10, seed))
             image = first.through(estimator.world.emitted(first.it) + samples.mean(1)).view(n, 8, 3).mean(1)
             ours.append(image.numpy())
     right, ours = np.stack(right).mean(-1), np.stack(ours).mean(-1)

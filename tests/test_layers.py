@@ -8,7 +8,7 @@ import pytest
 REPOSITORY = Path(__file__).resolve().parent.parent
 FLOORS = [
     {"core"}, {"tracing"}, {"scene"}, {"fields"}, {"bsdf"}, {"emitters"}, {"integrators"}, {"losses", "metrics"},
-    {"module"}, {"callbacks"}, {"commands"}, {"cli"},
+    {"module"}, {"callbacks"}, {"commands"}, {"cli"}, {"__main__"},
 ]  # fmt: skip
 FLOOR = {name: level for level, names in enumerate(FLOORS) for name in names}
 

@@ -18,6 +18,8 @@ from neurad.emitters.lights import make_lights
 from neurad.integrators.world import World
 from neurad.metrics import held_out
 from neurad.metrics.held_out import HeldOut
+from neurad.integrators.method import Parts
+from neurad.integrators.radiometric import Radiometric
 from neurad.metrics.lit_glossy import lit_glossy, reflected_by
 from neurad.metrics.scores import Pool, block_means, psnr, srgb
 from neurad.metrics.seen import SeenBy
@@ -314,7 +316,7 @@ def test_lit_glossy_finds_a_real_highlight(tmp_path: Path) -> None:
         scene.features,
         torch.ones(len(views.geometry.faces), dtype=torch.bool),
     )
-    dark = reflected_by(world, Plain(0.5, 0.4), lambda it, albedo: torch.zeros_like(albedo))
+    dark = reflected_by(Radiometric(), Parts(world, Plain(0.5, 0.4), lambda it, albedo: torch.zeros_like(albedo)))
     mask = lit_glossy(views, dark)[0]
     assert mask[3:5, 3:5].all()  # around the origin the specular part is about 45 %
     assert not mask[[2, 2, 5, 5], [2, 5, 2, 5]].any()  # at the corners it is below 2 %

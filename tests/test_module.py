@@ -18,6 +18,7 @@ from neurad.core.rng import Stream
 from neurad.fields.settings import FieldConfig, GridConfig, RadianceConfig
 from neurad.integrators.film import render
 from neurad.integrators.path import PathTracer
+from neurad.integrators.radiometric import Radiometric
 from neurad.module import objective
 from neurad.module.assemble import build_materials, build_radiance, build_world
 from neurad.module.config import Objective, Sampling
@@ -47,7 +48,7 @@ def small_scene(build=build_cornell, glossy=True, size=SIZE):
 class Step:
     """An ObjectiveStep over the scene, with what it is made of at hand."""
 
-    def __init__(self, sampling=Sampling(), settings=Objective(), unit=1.0, scene=None):
+    def __init__(self, sampling=Sampling(), settings=Objective(), unit=1.0, scene=None, method=None):
         torch.manual_seed(0)
         scene = scene or small_scene()
         meshes = [m if m.radiance is None else replace(m, radiance=m.radiance * np.float32(unit)) for m in scene.meshes]
@@ -55,7 +56,7 @@ class Step:
         self.materials = build_materials(scene, FieldConfig(GRID, 16), FieldConfig(GRID, 16))
         self.radiance = build_radiance(scene, RadianceConfig(grid=GRID, width=16, hidden_layers=1))
         self.radiance.set_scale(0.5 * unit)
-        self.estimator = Estimator(build_world(self.scene), self.materials, self.radiance)
+        self.estimator = Estimator(build_world(self.scene), self.materials, self.radiance, method or Radiometric())
         cameras = [view.camera for view in scene.train]
         self.primary = PrimaryHits(self.estimator.world, cameras, sampling.cached, 0, torch.device("cpu"))
         self.mixed = self.primary.sees_emitter()
@@ -173,7 +174,9 @@ def test_two_estimates_take_the_noise_out_of_the_prior():
     most of it here."""
     values = {}
     for gradient in ("semi", "full"):
-        made = Step(Sampling(secondary=2), Objective(prior_gradient=gradient, epsilon=1.0))
+        made = Step(
+            Sampling(secondary=2), Objective(prior_gradient=gradient, epsilon=1.0), method=Radiometric(control=False)
+        )
         batch = made.batch(128)
         with torch.no_grad():
             for module in (made.materials, made.radiance):
@@ -222,7 +225,7 @@ def test_both_photometric_gradients_of_the_real_step_agree_in_the_mean(monkeypat
     twice = projections("two_pass", range(10_000, 10_000 + SEEDS))
     assert accept(z_test_samples(once, twice))
 
-    def naive(samples, target, weight):
+    def naive(samples, target, weight, control=None):
         loss = (weight * (samples.mean(1) - target) ** 2).mean()
         return objective.Loss(loss, loss.detach())
 

@@ -15,6 +15,7 @@ from lightning.pytorch.callbacks import Checkpoint
 from torch.optim import Optimizer
 
 from neurad.callbacks.run_folder import run_folder
+from neurad.module.guard import NotFinite
 
 
 class LastCheckpoint(Checkpoint):
@@ -71,6 +72,8 @@ class LastCheckpoint(Checkpoint):
         if not trainer.training or self._written == 0.0:
             return
         path = self.path(trainer)
+        if isinstance(exception, NotFinite):  # its weights are kept apart: this file stays one that can be used
+            return
         if not self._stepped:
             self.save(trainer)
         elif path is not None:

@@ -18,6 +18,7 @@ from neurad.core import clock
 from neurad.module.schedule import fraction_done
 
 if TYPE_CHECKING:
+    from neurad.module.evaluate import Evaluation
     from neurad.module.inverse import InverseRenderer
 
 MARKS = 20
@@ -96,21 +97,21 @@ class Evaluate(pl.Callback):
 
     def on_validation_epoch_end(self, trainer: pl.Trainer, pl_module: pl.LightningModule) -> None:
         """``neurad validate``: print the scores."""
-        evaluation = cast("InverseRenderer", pl_module).evaluate(self.spp)
         if trainer.is_global_zero:
-            print(score_table(evaluation.scores, self.spp))
+            print(score_table(cast("InverseRenderer", pl_module).evaluate(self.spp).scores, self.spp))
 
     def on_test_epoch_end(self, trainer: pl.Trainer, pl_module: pl.LightningModule) -> None:
         """``neurad test``: write every held-out view and the scores."""
+        if not trainer.is_global_zero:
+            return
         module = cast("InverseRenderer", pl_module)
         evaluation = module.evaluate(self.test_spp, glossy=True)
         folder = run_folder(trainer)
-        if not trainer.is_global_zero:
-            return
         print(score_table(evaluation.scores, self.test_spp))
         if folder is not None:
-            pictures.write_views(folder / "images", evaluation.maps)
+            pictures.write_views(folder / "images", evaluation.maps, evaluation.environment)
             about = {"iteration": module.iteration, "seconds": round(module.seconds_before, 2), "rays": module.rays}
+            about["samples"] = module.samples
             scores = {key: _json_number(value) for key, value in evaluation.scores.items()}
             text = json.dumps({**about, "render_spp": self.test_spp, **scores}, indent=2)
             (folder / "metrics.json").write_text(text + "\n")
@@ -118,10 +119,12 @@ class Evaluate(pl.Callback):
 
     def on_predict_epoch_end(self, trainer: pl.Trainer, pl_module: pl.LightningModule) -> None:
         """``neurad predict``: write every held-out view, without scores."""
+        if not trainer.is_global_zero:
+            return
         evaluation = cast("InverseRenderer", pl_module).evaluate(self.test_spp)
         folder = run_folder(trainer)
-        if trainer.is_global_zero and folder is not None:
-            pictures.write_views(folder / "images", evaluation.maps)
+        if folder is not None:
+            pictures.write_views(folder / "images", evaluation.maps, evaluation.environment)
             print(f"neurad: images are in {folder / 'images'}")
 
     def _due(self, trainer: pl.Trainer, module: InverseRenderer) -> bool:
@@ -139,11 +142,13 @@ class Evaluate(pl.Callback):
     def _evaluate_fit(self, trainer: pl.Trainer, module: InverseRenderer) -> None:
         begin = time.monotonic()
         with clock.excluded():
-            evaluation = module.evaluate(self.spp)
-            self.last_scores = dict(evaluation.scores)
             self._evaluated = module.iteration
             if trainer.is_global_zero:
+                evaluation = module.evaluate(self.spp)
+                self.last_scores = dict(evaluation.scores)
                 self._record(trainer, module, evaluation.scores, evaluation.maps)
+                self._preview(trainer, module, evaluation)
+            trainer.strategy.barrier("evaluation")
         taken = time.monotonic() - begin
         self._spent += taken
         self._last = taken  # the first one also fills caches, so it is no forecast
@@ -155,7 +160,8 @@ class Evaluate(pl.Callback):
         folder = run_folder(trainer)
         if folder is None:
             return
-        row = {"iteration": module.iteration, "seconds": module.train_seconds, "rays": module.rays, **scores}
+        spent = {"seconds": module.train_seconds, "rays": module.rays, "samples": module.samples}
+        row = {"iteration": module.iteration, **spent, **scores}
         MetricsTable(folder / "metrics.csv").append(row)
         if not isinstance(trainer.logger, TensorBoardLogger):
             return
@@ -169,6 +175,12 @@ class Evaluate(pl.Callback):
                 label = f"{name}/{pictures.view_name(view, index)}"
                 writer.add_image(label, picture, module.iteration, dataformats="HWC")
         writer.flush()
+
+    def _preview(self, trainer: pl.Trainer, module: InverseRenderer, evaluation: Evaluation) -> None:
+        """The environment map that is recovered, above the true one, in TensorBoard."""
+        if evaluation.environment and isinstance(trainer.logger, TensorBoardLogger):
+            picture = pictures.environment(evaluation.environment, pictures.exposure(evaluation.maps))
+            trainer.logger.experiment.add_image("environment", picture, module.iteration, dataformats="HWC")
 
     def _log_losses(self, trainer: pl.Trainer, module: InverseRenderer) -> None:
         if isinstance(trainer.logger, TensorBoardLogger) and trainer.is_global_zero:

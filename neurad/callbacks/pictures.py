@@ -59,9 +59,9 @@ def pages(view: View, scale: float) -> dict[str, Bytes]:
     has = {name for name in view if view[name] is not None}
     result = {}
     if {"render", "photograph"} <= has:
-        error = np.abs(view["render"] - view["photograph"])
-        panels = [encode(view["render"] * scale), encode(view["photograph"] * scale), false_colour(error, 4 * scale)]
-        result["render_photograph_error"] = _beside(panels)
+        result["render_photograph_error"] = _compared(view["render"], view["photograph"], scale)
+    if {"relit", "photograph_relit"} <= has:
+        result["relit_photograph_error"] = _compared(view["relit"], view["photograph_relit"], scale)
     for name, show in (("albedo", encode), ("roughness", grey)):
         if name in has:
             shown = [view[name], view[f"{name}_true"]] if f"{name}_true" in has else [view[name]]
@@ -71,21 +71,40 @@ def pages(view: View, scale: float) -> dict[str, Bytes]:
     return result
 
 
-def write_views(folder: Path, maps: Sequence[View]) -> None:
-    """Write render, albedo and roughness of every view as linear EXR and as PNG for looking at."""
+def _compared(render: Image, photograph: Image, scale: float) -> Bytes:
+    """A rendering, its photograph and the error, side by side."""
+    error = np.abs(render - photograph)
+    return _beside([encode(render * scale), encode(photograph * scale), false_colour(error, 4 * scale)])
+
+
+def environment(maps: Mapping[str, Image], scale: float) -> Bytes:
+    """A recovered environment map and, below it, the true one where it is there."""
+    panels = [encode(maps[name] * scale) for name in ("fitted", "truth") if name in maps]
+    line = np.full((2, panels[0].shape[1], 3), 255, np.uint8)
+    return np.concatenate([part for panel in panels for part in (panel, line)][:-1])
+
+
+def write_views(folder: Path, maps: Sequence[View], sky: Mapping[str, Image] | None = None) -> None:
+    """Write render, albedo, roughness and relit rendering of every view, those that it has, as linear EXR and as PNG
+    for looking at; ``sky``, a recovered environment map and the true one, as ``environment``.
+    """
     from PIL import Image as Pillow
 
     folder.mkdir(parents=True, exist_ok=True)
     scale = exposure(maps)
     for index, view in enumerate(maps):
-        for name in ("render", "albedo", "roughness"):
+        for name in ("render", "albedo", "roughness", "relit"):
             image = view.get(name)
             if image is None:
                 continue
             stem = folder / f"{view_name(view, index)}_{name}"
             write_exr(stem.with_suffix(".exr"), image, half=False)
-            shown = grey(image) if name == "roughness" else encode(image * scale if name == "render" else image)
+            light = name in ("render", "relit")
+            shown = grey(image) if name == "roughness" else encode(image * scale if light else image)
             Pillow.fromarray(shown).save(stem.with_suffix(".png"))
+    if sky:
+        write_exr(folder / "environment.exr", sky["fitted"], half=False)
+        Pillow.fromarray(environment(sky, scale)).save(folder / "environment.png")
 
 
 def _beside(panels: Sequence[Bytes]) -> Bytes:

@@ -56,9 +56,12 @@ class RunLogger(TensorBoardLogger):
 
 def run_folder(trainer: pl.Trainer) -> Path | None:
     """Where this run keeps its files, or None if logging is switched off."""
-    if trainer.logger is None or trainer.log_dir is None or getattr(trainer, "fast_dev_run", False):
+    logger = trainer.logger
+    if logger is None or getattr(trainer, "fast_dev_run", False):
         return None
-    return Path(trainer.log_dir)
+    # Not ``trainer.log_dir``: it waits for all processes, and the first asks more often than the others.
+    folder = logger.log_dir if isinstance(logger, TensorBoardLogger) else logger.save_dir
+    return None if folder is None else Path(folder)
 
 
 class RunFolder(SaveConfigCallback):

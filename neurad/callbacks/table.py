@@ -9,7 +9,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 SCORES = ("psnr_linear", "psnr_srgb", "albedo_psnr", "albedo_mape", "roughness_psnr", "roughness_mape")
-COLUMNS = ("iteration", "seconds", "rays", *SCORES, *(f"{s}_seen" for s in SCORES))
+COLUMNS = ("iteration", "seconds", "rays", "samples", *SCORES, *(f"{s}_seen" for s in SCORES))
 HEADINGS = {
     "": "",
     "albedo_psnr": "albedo PSNR",
@@ -20,6 +20,17 @@ HEADINGS = {
     "psnr_linear": "image PSNR linear",
     "psnr_srgb": "sRGB",
 }
+LIGHT = {
+    "": "",
+    "albedo_psnr": "albedo PSNR",
+    "albedo_mape": "MAPE",
+    "environment_mape": "environment MAPE",
+    "environment_mape_seen": "lit by it and seen",
+    "mape_linear": "image MAPE",
+    "relight_psnr_linear": "relit PSNR linear",
+    "relight_mape_linear": "MAPE",
+}
+"""Scores that the factor between light and albedo matters for, and their headings."""
 REGIONS = {
     "": "all pixels",
     "_seen": "pixels whose surface a training view sees",
@@ -83,7 +94,7 @@ class MetricsTable:
 def _cell(key: str, value: float | None) -> str:
     if value is None:
         return ""
-    if key in ("iteration", "rays"):
+    if key in ("iteration", "rays", "samples"):
         return str(int(value))
     return f"{value:.2f}" if key == "seconds" else f"{value:.7g}"
 
@@ -104,7 +115,29 @@ def score_table(scores: Mapping[str, float], spp: int) -> str:
                 body.append([label, *(_score(name, value) for name, value in values.items())])
         if len(body) > 1:
             lines += [f"Held-out views, {pixels} (images rendered with {spp} samples a pixel)", *align(body), ""]
-    return "\n".join(lines).rstrip()
+    return "\n".join(lines + light_table(scores)).rstrip()
+
+
+def light_table(scores: Mapping[str, float]) -> list[str]:
+    """Scores that say how well light was found, or how well materials do under another; no lines without any.
+
+    Where both were unknown, albedo times a factor and light over it look the same; then scores after the best factor,
+    one for all channels or one for each, stand beside the raw ones.
+    """
+    if not any(name.startswith(("environment", "relight")) for name in scores):
+        return []
+    body = [list(LIGHT.values())]
+    for label, scale in (("as found", ""), ("one scale", "_scaled1"), ("three scales", "_scaled3")):
+        keys = [_scaled(name, scale) for name in LIGHT if name]
+        if any(key in scores for key in keys):
+            body.append([label, *(_score(key, scores.get(key)) for key in keys)])
+    return ["Light and albedo, up to the factor between them", *align(body)]
+
+
+def _scaled(name: str, scale: str) -> str:
+    """Column of a score after scaling: the region stays last."""
+    base = name.removesuffix("_seen")
+    return f"{base}{scale}{name[len(base) :]}"
 
 
 def curve_table(rows: Sequence[Row], count: int = 8) -> str:

@@ -30,6 +30,9 @@ class Environment(nn.Module):
         InputError: ``to_world`` is not a rotation (or reflection), or a pixel is not finite.
     """
 
+    floor = FLOOR
+    """Smallest density of a direction, relative to the mean over the map."""
+
     pixels: Tensor
     rotation: Tensor
     density: Tensor
@@ -46,14 +49,9 @@ class Environment(nn.Module):
             raise InputError("environment map: it has pixels that are infinite or not a number")
         if len(pixels) == 1:
             pixels = pixels.repeat(2, 1, 1)
-        rotation = torch.from_numpy(np.array(environment.to_world, np.float64))[:3, :3]
-        scale = rotation.norm(dim=0).mean().clamp_min(1e-30)
-        rotation = rotation / scale
-        if not torch.allclose(rotation.T @ rotation, torch.eye(3, dtype=torch.float64), atol=1e-4):
-            raise InputError("environment map: its to_world transform has to be a rotation")
         self.height, self.width = pixels.shape[0], pixels.shape[1]
         self._keep("pixels", pixels.reshape(-1, 3))
-        self._keep("rotation", rotation.float())
+        self._keep("rotation", rotation_of(environment))
         self._tabulate(pixels.double())
 
     def _keep(self, name: str, value: Tensor) -> None:
@@ -71,7 +69,7 @@ class Environment(nn.Module):
         self.integral = float((light * angle).sum())
         """Luminance integrated over the sphere."""
         mean = self.integral / (4 * math.pi)
-        light = light.clamp_min(FLOOR * mean) if mean > 0 else torch.ones_like(light)
+        light = light.clamp_min(self.floor * mean) if mean > 0 else torch.ones_like(light)
         mass = light * angle
         mass = mass / mass.sum()
         rows = mass.sum(1)
@@ -141,9 +139,27 @@ class Environment(nn.Module):
         last = cell % self.width == self.width - 1
         right = torch.where(last, cell + 1 - self.width, cell + 1)
         across, down = across[:, None], down[:, None]
-        top = torch.lerp(self._texel(cell), self._texel(right), across)
-        bottom = torch.lerp(self._texel(cell + self.width), self._texel(right + self.width), across)
+        corners = torch.stack((cell, right, cell + self.width, right + self.width))
+        left_top, right_top, left_bottom, right_bottom = self._texel(corners.view(-1)).view(4, -1, 3).unbind()
+        top = torch.lerp(left_top, right_top, across)
+        bottom = torch.lerp(left_bottom, right_bottom, across)
         return torch.lerp(top, bottom, down), self.density.index_select(0, cell)
 
     def _texel(self, index: Tensor) -> Tensor:
+        """Radiance [n, 3] of texels [n], row by row."""
         return self.pixels.index_select(0, index)
+
+
+def rotation_of(environment: EnvironmentMap) -> Tensor:
+    """The rotation from the map's frame to the world [3, 3]; a uniform scale in ``to_world`` does not matter.
+
+    Raises:
+        InputError: ``to_world`` is not a rotation (or reflection).
+    """
+    rotation = torch.from_numpy(np.array(environment.to_world, np.float64))[:3, :3]
+    scale = rotation.norm(dim=0).mean().clamp_min(1e-30)
+    rotation = rotation / scale
+    if not torch.allclose(rotation.T @ rotation, torch.eye(3, dtype=torch.float64), atol=1e-4):
+        raise InputError("environment map: its to_world transform has to be a rotation")
+    result: Tensor = rotation.float()
+    return result

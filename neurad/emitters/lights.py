@@ -36,8 +36,13 @@ class Lights(nn.Module):
         super().__init__()
         self.area = area
         self.environment = environment
-        through = math.pi * radius**2 * environment.integral
-        self.area_share = min(max(area.power / (area.power + through), LEAST), 1.0 - LEAST)
+        self.radius = radius
+
+    @property
+    def area_share(self) -> float:
+        """Probability of an area light; that of an environment which is being recovered follows its present power."""
+        through = math.pi * self.radius**2 * self.environment.integral
+        return min(max(self.area.power / (self.area.power + through), LEAST), 1.0 - LEAST)
 
     def sample(self, p: Tensor, u: Tensor) -> EmitterSample:
         """A direction towards either kind of light; the third of ``u`` [n, 3] chooses and is then used again."""
@@ -63,15 +68,24 @@ class Lights(nn.Module):
         return self.area_share * self.area.pdf(p, it) + (1.0 - self.area_share) * self.environment.pdf(p, it)
 
 
-def make_lights(scene: Scene, geometry: Geometry) -> AreaLights | Environment | Lights:
+def make_lights(
+    scene: Scene, geometry: Geometry, other: Environment | None = None
+) -> AreaLights | Environment | Lights:
     """The scene's emitter: one kind alone, or both joined.
+
+    Args:
+        scene: whose area lights, and environment unless another one is given.
+        geometry: of the same scene.
+        other: takes the place of the scene's own environment.
 
     Raises:
         InputError: the scene has no light at all.
     """
     features = scene.features
     area = AreaLights(geometry) if features.has_area_lights else None
-    environment = Environment(scene.environment) if features.has_environment and scene.environment is not None else None
+    environment = other
+    if other is None and features.has_environment and scene.environment is not None:
+        environment = Environment(scene.environment)
     if area is not None and environment is not None:
         return Lights(area, environment, float(np.linalg.norm(scene.bounds[1] - scene.bounds[0])) / 2)
     if area is not None:

@@ -1,4 +1,4 @@
-"""A unidirectional path tracer with emitter sampling, MIS and roulette: the forward reference."""
+"""Path tracing with emitter sampling, MIS and roulette: the forward reference, and its derivative by autograd."""
 
 from __future__ import annotations
 
@@ -7,10 +7,13 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
+from neurad.core.errors import InputError
 from neurad.core.protocols import Materials
-from neurad.core.records import Rays
+from neurad.core.records import Interaction, Rays, Surface
 from neurad.core.rng import Stream
-from neurad.integrators.vertex import DIMENSIONS, bounce
+from neurad.integrators.method import Method, Parts, Reflected
+from neurad.integrators.vertex import DIMENSIONS
+from neurad.integrators.walk import Roulette, scatter, walk
 from neurad.integrators.world import World
 
 
@@ -37,23 +40,51 @@ class PathTracer:
         """One-sample estimate of the radiance along camera rays [n, 3]."""
         stream = Stream(seed, device=rays.o.device)
         first = self.world.reach(rays, stream.uniform(len(rays)))
-        it = first.it
-        radiance = first.through(self.world.emitted(it))
-        lane = it.valid.nonzero().squeeze(-1)
-        throughput = first.through(torch.ones_like(it.p))[lane]
-        it = it[lane]
-        depth = 1
-        while len(lane) and (self.max_depth is None or depth < self.max_depth):
-            step = bounce(self.world, it, self.materials(it), stream.uniform(len(lane), DIMENSIONS))
-            radiance.index_add_(0, lane, throughput * step.direct)
-            throughput = throughput * step.weight
-            strongest = throughput.amax(-1)
-            alive = step.next.valid & (strongest > 0)
-            if depth >= self.rr_depth:
-                keep = strongest.clamp_max(self.rr_prob)
-                alive &= stream.uniform(len(lane)) < keep
-                throughput = throughput / keep.clamp_min(1e-30).unsqueeze(-1)
-            index = alive.nonzero().squeeze(-1)
-            lane, it, throughput = lane[index], step.next[index], throughput[index]
-            depth += 1
+        radiance = first.through(self.world.emitted(first.it))
+        lane = first.it.valid.nonzero().squeeze(-1)
+        if len(lane) == 0 or (self.max_depth is not None and self.max_depth < 2):
+            return radiance
+        it = first.it[lane]
+        before = first.through(torch.ones_like(first.it.p))[lane]
+        steps = walk(
+            self.world, self.materials, it, self.materials(it), stream.uniform(len(it), DIMENSIONS), stream,
+            Roulette(self.rr_depth, self.rr_prob), None if self.max_depth is None else self.max_depth - 1,
+        )  # fmt: skip
+        for vertex in steps:
+            at = vertex.lane
+            radiance.index_add_(0, lane[at], before[at] * vertex.throughput * vertex.step.direct)
         return radiance
+
+
+class Path(Method):
+    """AD-PT: ``sum_i T^i E`` with autograd through all bounces; directions, pdfs and roulette are held fixed.
+
+    Memory grows with the length of the paths, as the graph keeps every bounce. Without ``max_bounces`` the estimate is
+    unbiased; its variance is finite where the albedo's square stays below ``roulette``.
+
+    Args:
+        max_bounces: longest path in bounces, 1 is direct light; None: roulette alone ends paths.
+        roulette_start: bounces after which roulette may end a path.
+        roulette: largest probability to go on; below it, it is the throughput.
+
+    Raises:
+        InputError: a number that ends no path, or every one before it begins.
+    """
+
+    needs_field = False
+
+    def __init__(self, max_bounces: int | None = 15, roulette_start: int = 5, roulette: float = 0.95) -> None:
+        name = f"model.method ({type(self).__name__})"
+        if max_bounces is not None and max_bounces < 1:
+            raise InputError(f"{name}: max_bounces must be at least 1, or null for no cap")
+        if roulette_start < 1:
+            raise InputError(f"{name}: roulette_start must be at least 1")
+        if not 0.0 < roulette <= 1.0 or (roulette == 1.0 and max_bounces is None):
+            raise InputError(f"{name}: roulette must lie in (0, 1], and below 1 where max_bounces caps no path")
+        self.max_bounces = max_bounces
+        self.roulette = Roulette(roulette_start, roulette)
+
+    def reflected(self, parts: Parts, it: Interaction, surface: Surface, u: Tensor, stream: Stream) -> Reflected:
+        """``sum_{i >= 1} T^i E`` at the lanes of ``it``."""
+        steps = walk(parts.world, parts.materials, it, surface, u, stream, self.roulette, self.max_bounces)
+        return Reflected(scatter([(v.lane, v.throughput * v.step.direct) for v in steps], it.p))

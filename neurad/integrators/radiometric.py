@@ -2,20 +2,58 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import torch
 from torch import Tensor
 
+from neurad.core.errors import InputError
 from neurad.core.protocols import Materials
 from neurad.core.records import Interaction, Rays, Surface
 from neurad.core.rng import Stream
+from neurad.integrators.method import Method, Parts, Reflected, ReflectedRadiance
 from neurad.integrators.vertex import DIMENSIONS, bounce
+from neurad.integrators.walk import scatter, walk
 from neurad.integrators.world import World
 
-ReflectedRadiance = Callable[[Interaction, Tensor], Tensor]
-"""``L_theta(it, albedo)``: reflected radiance towards ``it.wo`` [n, 3]; emission is not part of it."""
+__all__ = ["Radiometric", "RadiometricLHS", "RadiometricRHS", "ReflectedRadiance", "incident", "transport"]
+
+
+class Radiometric(Method):
+    """The paper's method: ``sum_{i <= k} T^i E + T^k sg[L_theta]``, ``k`` differentiable bounces and then the field.
+
+    Args:
+        k: bounces before the field is read; 1 in the paper.
+        control: give what takes noise from the samples without changing their mean, at no ray's cost.
+
+    Raises:
+        InputError: there is no such k.
+    """
+
+    def __init__(self, k: int = 1, control: bool = True) -> None:
+        if k < 1:
+            raise InputError("model.method (Radiometric): k must be at least 1")
+        self.k = k
+        self.control = control
+
+    def reflected(self, parts: Parts, it: Interaction, surface: Surface, u: Tensor, stream: Stream) -> Reflected:
+        """The estimate at the lanes of ``it``. The first bounce is the prior's as well."""
+        assert parts.radiance is not None
+        control = self.control and torch.is_grad_enabled()
+        steps = walk(parts.world, parts.materials, it, surface, u, stream, lambda *_: None, self.k, control=control)
+        first = next(steps)
+        light = incident(parts.materials, parts.radiance, first.step.next)
+        value = first.step.direct + first.step.weight * light
+        sample = Reflected(value, value, first.step.direct, light, first.step.deviation, first.step.next)
+        if self.k == 1:
+            return sample
+        terms = [(first.lane, first.step.direct)]
+        for index, v in enumerate(steps, 2):
+            term = v.step.direct
+            if index == self.k:
+                term = term + v.step.weight * incident(parts.materials, parts.radiance, v.step.next)
+            terms.append((v.lane, v.throughput * term))
+        return replace(sample, value=scatter(terms, it.p))
 
 
 @dataclass(frozen=True)

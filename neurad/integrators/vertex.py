@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 
 from neurad.core.frame import Frame, dot
-from neurad.core.records import Interaction, Lanes, Surface
+from neurad.core.records import Interaction, Surface
 from neurad.core.sampling import mis_weight
 from neurad.integrators.world import World
 
@@ -17,7 +17,7 @@ DIMENSIONS = 7
 
 
 @dataclass(frozen=True)
-class Bounce(Lanes):
+class Bounce:
     """One sample of the transport operator at a vertex: ``T_hat(E + L) = direct + weight * L(next)``.
 
     ``direct`` and ``weight`` carry the gradient of the surface; directions and pdfs are held fixed (detached sampling).
@@ -29,6 +29,9 @@ class Bounce(Lanes):
     """f cos / pdf of the BSDF sample [n, 3]."""
     next: Interaction
     """Where the BSDF sample ended."""
+    deviation: Tensor | None = None
+    """Weight of the BSDF sample, without smooth surfaces on the way, less its mean: zero on average whatever light
+    there is [n, 3]. None unless asked for."""
 
 
 def shading_frame(it: Interaction) -> Frame:
@@ -36,10 +39,11 @@ def shading_frame(it: Interaction) -> Frame:
     return Frame.around(torch.where(dot(it.n, it.wo).unsqueeze(-1) < 0, -it.n, it.n))
 
 
-def bounce(world: World, it: Interaction, surface: Surface, u: Tensor) -> Bounce:
+def bounce(world: World, it: Interaction, surface: Surface, u: Tensor, control: bool = False) -> Bounce:
     """Sample T at the lanes of ``it`` with uniform numbers ``u`` [n, DIMENSIONS].
 
-    Lanes without a surface, or that look at a one-sided surface from behind, give zero.
+    Lanes without a surface, or that look at a one-sided surface from behind, give zero. ``control`` asks for the
+    ``deviation`` of the weights as well.
     """
     frame = shading_frame(it)
     wo = frame.to_local(it.wo)
@@ -59,9 +63,11 @@ def bounce(world: World, it: Interaction, surface: Surface, u: Tensor) -> Bounce
     # BSDF sampling
     sample = world.bsdf.sample(surface, wo, u[:, 3:6])
     reached = world.reach(world.geometry.spawn(it, frame.to_world(sample.wi)), u[:, 6])
-    weight = reached.through(sample.weight * reflects.unsqueeze(-1))
+    own = sample.weight * reflects.unsqueeze(-1)
+    deviation = own - world.bsdf.mean_weight(surface, wo) * reflects.unsqueeze(-1) if control else None
+    weight = reached.through(own)
     mis = mis_weight(sample.pdf, world.lights.pdf(it.p, reached.it))
     if reached.passed is not None:  # emitter sampling cannot look through smooth surfaces
         mis = torch.where(reached.passed, 1.0, mis)
     direct = direct + weight * (world.lights.eval(reached.it) * mis.unsqueeze(-1))
-    return Bounce(direct, weight, reached.it)
+    return Bounce(direct, weight, reached.it, deviation)

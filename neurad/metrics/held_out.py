@@ -18,7 +18,7 @@ from neurad.core.errors import InputError
 from neurad.core.protocols import Materials, Tracer
 from neurad.core.records import FloatArray, Interaction, View
 from neurad.core.rng import Stream
-from neurad.metrics.scores import BoolArray, Pool, block_means, srgb
+from neurad.metrics.scores import BoolArray, Float64Array, Pool, block_means, srgb
 from neurad.metrics.seen import SeenBy
 from neurad.scene.camera import camera_rays
 from neurad.scene.description import Scene
@@ -33,6 +33,7 @@ BLOCK = 8
 """Side of the box filter in pixels of the scores named ``_8x8``."""
 SCORES = {
     "linear": ("psnr",),
+    "linear surfaces": ("mape",),
     "srgb": ("psnr",),
     "albedo": ("psnr", "mape"),
     "albedo 8x8": ("psnr",),
@@ -75,6 +76,7 @@ class HeldOut:
         self._hits: dict[tuple[int, int], _Hits] = {}
         self._counted: dict[int, BoolArray] = {}
         self._seen: dict[int, BoolArray] = {}
+        self._shows: dict[int, BoolArray] = {}
         self._truth: dict[int, dict[str, FloatArray]] = {}
 
     def read(self) -> Self:
@@ -141,6 +143,13 @@ class HeldOut:
             self._seen[index] = self._image(index, torch.cat(parts))
         return self._seen[index]
 
+    def shows(self, index: int) -> BoolArray:
+        """Pixels [h, w] of which some sub-sample sees a surface; the others show the environment, or black."""
+        if index not in self._shows:
+            parts = [self._pixels(it.valid).any(-1) for _, it in self.sub_samples(index)]
+            self._shows[index] = self._image(index, torch.cat(parts))
+        return self._shows[index]
+
     def _image(self, index: int, pixels: Tensor) -> np.ndarray:
         """Row-major pixels [h * w, ...] as an array [h, w, ...]."""
         camera = self.views[index].camera
@@ -164,7 +173,8 @@ class HeldOut:
         return maps
 
     def truth(self, index: int) -> dict[str, FloatArray]:
-        """``photograph`` [h, w, 3], ``albedo_true`` [h, w, 3], ``roughness_true`` [h, w, 1]: those that have a file.
+        """``photograph`` [h, w, 3], ``albedo_true`` [h, w, 3], ``roughness_true`` [h, w, 1], and ``photograph_relit``
+        [h, w, 3] under another environment: those that have a file.
 
         Raises:
             InputError: a file cannot be read, or has another size than the camera or too few channels.
@@ -172,6 +182,7 @@ class HeldOut:
         if index not in self._truth:
             view = self.views[index]
             files = {"photograph": (view.image, 3), "albedo_true": (view.albedo, 3)}
+            files["photograph_relit"] = (view.relight, 3)
             if self.has_roughness:
                 files["roughness_true"] = (view.roughness, 1)
             self._truth[index] = {
@@ -186,18 +197,23 @@ class HeldOut:
         maps: Sequence[Maps],
         renders: Sequence[FloatArray] | None = None,
         regions: Mapping[str, Sequence[BoolArray]] | None = None,
+        scaled: bool = False,
     ) -> dict[str, float]:
         """Scores over the pooled pixels of all views; what has no ground truth is left out.
 
         Args:
-            maps: ``albedo`` and ``roughness`` of every view, as :meth:`predict` gives them.
+            maps: ``albedo`` and ``roughness`` of every view, as :meth:`predict` gives them; what is missing gets no
+                score.
             renders: pictures [h, w, 3] of every view, linear.
             regions: further masks [h, w] of every view, by the suffix of their scores.
+            scaled: light and albedo are known up to a common factor only.
 
         Returns:
-            ``psnr_linear`` and ``psnr_srgb`` over all pixels; ``{albedo, roughness}_{psnr, mape}`` over counted ones
-            and ``albedo_psnr_8x8`` over these after a box filter. Each also with ``_constant``, of the best constant,
-            and all these also with ``_seen``, over seen pixels, and with the suffixes of ``regions``.
+            ``psnr_linear`` and ``psnr_srgb`` over all pixels; ``mape_linear`` over those that show a surface;
+            ``{albedo, roughness}_{psnr, mape}`` over counted ones and ``albedo_psnr_8x8`` over these after a box
+            filter. Each also with ``_constant``, of the best constant, and those of albedo, if ``scaled``, with
+            ``_scaled1`` and ``_scaled3``, after the best factor for all channels together or for each. All these also
+            with ``_seen``, over seen pixels, and with the suffixes of ``regions``.
         """
         count = range(len(self.views))
         masks: dict[str, Sequence[BoolArray]] = {"seen": [self.seen(i) for i in count], **(regions or {})}
@@ -208,10 +224,19 @@ class HeldOut:
                 region = np.ones_like(self.counted(i)) if mask is None else mask[i]
                 self._pool(pools, i, maps[i], None if renders is None else renders[i], region)
             for name, pool in pools.items():
-                for score, value in pool.scores().items():
+                for score, value in pool.scores(scaled and name.startswith("albedo")).items():
                     if score.partition("_")[0] in SCORES[name]:
                         scores[_key(name, score, suffix)] = value
         return scores
+
+    def albedo_factors(self, maps: Sequence[Maps]) -> dict[str, Float64Array]:
+        """The best factors of albedo over the counted pixels of all views, as ``scaled1`` and ``scaled3`` [3]."""
+        pool = Pool()
+        for index, entry in enumerate(maps):
+            truth = self.truth(index).get("albedo_true")
+            if truth is not None and "albedo" in entry:
+                pool.add(entry["albedo"], truth, self.counted(index))
+        return pool.factors()
 
     def _pool(
         self, pools: dict[str, Pool], index: int, maps: Maps, render: FloatArray | None, region: BoolArray
@@ -221,13 +246,14 @@ class HeldOut:
         counted = self.counted(index) & region
         if render is not None and "photograph" in truth:
             pools["linear"].add(render, truth["photograph"], region)
+            pools["linear surfaces"].add(render, truth["photograph"], region & self.shows(index))
             pools["srgb"].add(srgb(render), srgb(truth["photograph"]), region)
-        if "albedo_true" in truth:
+        if "albedo_true" in truth and "albedo" in maps:
             pools["albedo"].add(maps["albedo"], truth["albedo_true"], counted)
             guess, weight = block_means(maps["albedo"], counted, BLOCK)
             exact, _ = block_means(truth["albedo_true"], counted, BLOCK)
             pools["albedo 8x8"].add(guess, exact, weight > 0, weight)
-        if "roughness_true" in truth:
+        if "roughness_true" in truth and "roughness" in maps:
             pools["roughness"].add(maps["roughness"], truth["roughness_true"], counted)
 
 
@@ -236,8 +262,8 @@ def _key(name: str, score: str, region: str) -> str:
     what, _, filtered = name.partition(" ")
     kind, _, constant = score.partition("_")
     images = what in ("linear", "srgb")
-    parts = (kind, what) if images else (what, kind)
-    return "_".join(part for part in (*parts, filtered, constant, region) if part)
+    parts = (kind, what) if images else (what, kind, filtered)
+    return "_".join(part for part in (*parts, constant, region) if part)
 
 
 def _read(path: str, view: View, channels: int) -> FloatArray:

@@ -13,12 +13,10 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from neurad.core.protocols import Materials
 from neurad.core.records import Interaction, Surface
 from neurad.core.rng import Stream, mix
-from neurad.integrators.radiometric import ReflectedRadiance, transport
+from neurad.integrators.method import Method, Parts
 from neurad.integrators.vertex import DIMENSIONS
-from neurad.integrators.world import World
 from neurad.metrics.held_out import HeldOut
 from neurad.metrics.scores import BoolArray
 
@@ -28,12 +26,12 @@ Reflected = Callable[[Interaction, Surface, int], Tensor]
 SEED = 20230808
 
 
-def reflected_by(world: World, materials: Materials, radiance: ReflectedRadiance) -> Reflected:
-    """One bounce by sampling, the light that arrives there from emitters and a radiance field."""
+def reflected_by(method: Method, parts: Parts) -> Reflected:
+    """A method's estimate."""
 
     def estimate(it: Interaction, surface: Surface, seed: int) -> Tensor:
-        u = Stream(seed, device=it.p.device).uniform(len(it), DIMENSIONS)
-        return transport(world, materials, radiance, it, surface, u)
+        stream = Stream(seed, device=it.p.device)
+        return method.reflected(parts, it, surface, stream.uniform(len(it), DIMENSIONS), stream).value
 
     return estimate
 

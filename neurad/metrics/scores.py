@@ -49,6 +49,12 @@ def block_means(values: FloatArray, mask: BoolArray, size: int) -> tuple[FloatAr
     return (total / np.maximum(count, 1.0)[..., None]).astype(np.float32), count
 
 
+def _ratio(a: Float64Array, b: Float64Array) -> Float64Array:
+    """``a / b``, 1 where ``b`` is 0."""
+    ratio: Float64Array = np.divide(a, b, out=np.ones_like(a), where=b > 0)
+    return ratio
+
+
 class Pool:
     """Pixels of one kind from all views: errors are averaged over all of them before any logarithm is taken."""
 
@@ -83,19 +89,37 @@ class Pool:
     def __len__(self) -> int:
         return sum(len(weight) for weight in self._weight)
 
-    def scores(self) -> dict[str, float]:
-        """``psnr`` and ``mape`` of the prediction, and ``psnr_constant`` and ``mape_constant`` of the best constant,
-        the mean of the truth over the same pixels, one value a channel. Empty without pixels.
+    def _joined(self) -> tuple[Float64Array, Float64Array, Float64Array]:
+        """Prediction and truth [p, c] and weights [p] of sum 1."""
+        weight = np.concatenate(self._weight)
+        predicted, truth = (np.concatenate(x).astype(np.float64) for x in (self._predicted, self._truth))
+        return predicted, truth, weight / weight.sum()
+
+    def factors(self) -> dict[str, Float64Array]:
+        """What the prediction is to be multiplied by to fit the truth best in the least-squares sense [c]: ``scaled1``
+        by one number, ``scaled3`` by one for each channel; 1 where the prediction is black. Empty without pixels.
         """
         if len(self) == 0:
             return {}
-        predicted = np.concatenate(self._predicted).astype(np.float64)
-        truth = np.concatenate(self._truth).astype(np.float64)
-        weight = np.concatenate(self._weight)
-        weight = weight / weight.sum()
-        constant = np.broadcast_to(weight @ truth, truth.shape)
+        predicted, truth, weight = self._joined()
+        product, square = weight @ (predicted * truth), weight @ np.square(predicted)
+        return {"scaled1": _ratio(product.sum(keepdims=True), square.sum(keepdims=True)).repeat(len(product)),
+                "scaled3": _ratio(product, square)}  # fmt: skip
+
+    def scores(self, scaled: bool = False) -> dict[str, float]:
+        """``psnr`` and ``mape`` of the prediction, and ``psnr_constant`` and ``mape_constant`` of the best constant,
+        the mean of the truth over the same pixels, one value a channel. Empty without pixels.
+
+        With ``scaled`` also ``psnr_scaled1``, ``mape_scaled1`` and the same with ``scaled3``, after :meth:`factors`.
+        """
+        if len(self) == 0:
+            return {}
+        predicted, truth, weight = self._joined()
+        guesses = {"": predicted, "_constant": np.broadcast_to(weight @ truth, truth.shape)}
+        if scaled:
+            guesses |= {f"_{name}": predicted * factor for name, factor in self.factors().items()}
         result = {}
-        for suffix, guess in (("", predicted), ("_constant", constant)):
+        for suffix, guess in guesses.items():
             error = guess - truth
             result[f"psnr{suffix}"] = psnr(float(weight @ np.square(error).mean(-1)))
             result[f"mape{suffix}"] = float(weight @ (np.abs(error) / (truth + MAPE_OFFSET)).mean(-1))

@@ -8,6 +8,7 @@ from torch import Tensor, nn
 from neurad.bsdf.select import make_bsdf
 from neurad.core.protocols import Field
 from neurad.core.records import Interaction, Surface
+from neurad.emitters.fitted import FittedEnvironment
 from neurad.emitters.lights import make_lights
 from neurad.fields.material import AlbedoField, RoughnessField
 from neurad.fields.radiance import RadianceField
@@ -19,13 +20,16 @@ from neurad.scene.geometry import Geometry
 from neurad.tracing.select import make_tracer
 
 
-def build_world(scene: Scene, tracer: str = "embree", hide_environment: bool = False) -> World:
+def build_world(
+    scene: Scene, tracer: str = "embree", hide_environment: bool = False, fitted: FittedEnvironment | None = None
+) -> World:
     """Geometry, tracer, lights and BSDF of a scene, on the CPU (``.to(device)`` moves them).
 
     Args:
         scene: a checked scene.
-        tracer: 'embree' or 'open3d'.
+        tracer: 'embree', 'open3d' or 'warp'.
         hide_environment: camera rays that miss see black (photographs with an alpha channel).
+        fitted: an environment to be recovered, in place of the scene's own.
 
     Raises:
         InputError: unknown tracer, or its package is missing.
@@ -35,7 +39,7 @@ def build_world(scene: Scene, tracer: str = "embree", hide_environment: bool = F
     return World(
         geometry=geometry,
         tracer=make_tracer(tracer, geometry.vertices, geometry.faces),
-        lights=make_lights(scene, geometry),
+        lights=make_lights(scene, geometry, fitted),
         bsdf=make_bsdf(scene.features),
         features=scene.features,
         two_sided=two_sided,
@@ -52,7 +56,7 @@ class FittedMaterials(nn.Module):
         roughness: field with one channel, or None for a Lambertian scene, which has no roughness to find.
     """
 
-    def __init__(self, albedo: Field, roughness: Field | None) -> None:
+    def __init__(self, albedo: Field, roughness: RoughnessField | None) -> None:
         super().__init__()
         self.albedo = albedo
         self.roughness = roughness
@@ -60,7 +64,7 @@ class FittedMaterials(nn.Module):
     def forward(self, it: Interaction) -> Surface:
         """BSDF parameters at the lanes of ``it``."""
         albedo = self.albedo(it)
-        roughness: Tensor = torch.ones_like(albedo[:, :1]) if self.roughness is None else self.roughness(it)
+        roughness: Tensor = torch.ones_like(albedo[:, :1]) if self.roughness is None else self.roughness(it, albedo)
         return Surface(albedo, roughness)
 
 

@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Literal
 
+from neurad.core.errors import InputError
+
 
 @dataclass(frozen=True)
 class Sampling:
@@ -26,31 +28,62 @@ class Objective:
 
     estimator: Literal["leave_one_out", "two_pass"] = "leave_one_out"
     """Unbiased photometric gradient: in one pass, or with a second rendering as in the paper."""
-    normaliser: Literal["photograph", "prediction"] = "prediction"
-    """What the photometric term is relative to: noisy photographs, or the field's own noise-free prediction."""
+    normaliser: Literal["photograph", "smoothed", "prediction"] = "prediction"
+    """What the photometric term is relative to: noisy photographs, their mean over 5 x 5 pixels, or the field's own
+    noise-free prediction. A method without a field takes ``smoothed`` for ``prediction``."""
     prior: float = 1.0
     """Weight of the radiometric prior; 0 leaves it out."""
     prior_gradient: Literal["semi", "full"] = "semi"
     """Gradient of the prior through its left side only, or through both sides."""
+    prior_trains: Literal["field", "both"] = "field"
+    """Whether the prior moves the radiance field alone, or the materials too (worse: an ablation of the paper)."""
     lhs: float = 1.0
     """Weight of the radiance field's own photometric term; 0 leaves it out."""
     epsilon: float = 0.01
     """Floor of the relative losses, in units of the mean squared training radiance."""
+    spike: float = 0.0
+    """Photographs count up to so many times what the radiance field predicts beyond its own value, so that a firefly in
+    one does not pull; 0 lets everything through. A bound darkens: what is cut off is lost, highlights too."""
     roughness_pull: float = 0.0
     """Weight of a mild quadratic pull of roughness towards its mean, for surfaces whose highlight nobody sees; 0 leaves
     it out."""
 
 
 @dataclass(frozen=True)
+class Lighting:
+    """What is known of the light."""
+
+    environment: Literal["known", "fit"] = "known"
+    """``fit`` recovers the environment map; of the one in the scene only ``to_world`` is used then, and its pixels are
+    what the result is scored against. Area lights are always known."""
+    width: int = 256
+    """Texels across of a map to recover."""
+    height: int = 128
+    """Its texels from pole to pole."""
+    refresh: int = 20
+    """Iterations after which directions are sampled by the present map instead of an older one."""
+
+    def __post_init__(self) -> None:
+        """Refuse what no map can have."""
+        if self.environment not in ("known", "fit"):
+            raise InputError(f"model.lighting.environment: '{self.environment}' is unknown, choose known or fit")
+        if self.width < 2 or self.height < 2 or self.refresh < 1:
+            raise InputError("model.lighting: width and height must be at least 2, refresh at least 1")
+
+
+@dataclass(frozen=True)
 class Optimization:
-    """Learning rates of the three optimizers and the schedule that they share."""
+    """Learning rates of the optimizers and the schedule that they share."""
 
     albedo: float = 5e-3
     roughness: float = 5e-3
     radiance: float = 5e-3
+    environment: float = 5e-2
     schedule: Literal["constant", "cosine"] = "cosine"
     """Cosine decay over the run: by iterations (``max_steps``) or time (``max_time``), whichever ends first."""
     warmup: int = 20
     """Iterations over which the rates rise from zero."""
     final: float = 0.02
     """Share of the rates left at the end of the cosine."""
+    clip: float = 0.0
+    """Largest norm of an optimizer's gradient, a longer one is shortened to it; 0 leaves gradients as they are."""

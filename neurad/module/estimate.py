@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 import torch
 from torch import Tensor
@@ -10,26 +10,46 @@ from torch import Tensor
 from neurad.core.protocols import Materials
 from neurad.core.records import Interaction, Lanes, Surface
 from neurad.core.rng import Stream
-from neurad.integrators.radiometric import ReflectedRadiance, incident
-from neurad.integrators.vertex import DIMENSIONS, Bounce, bounce
+from neurad.integrators.method import Method, Parts, Reflected, ReflectedRadiance
+from neurad.integrators.radiometric import Radiometric, incident
+from neurad.integrators.vertex import DIMENSIONS, bounce
 from neurad.integrators.world import World
 
 
 @dataclass(frozen=True)
 class Estimator:
-    """One-sample estimates of ``T_hat(E + L_theta)`` in a world with materials and a radiance field."""
+    """Estimates in a world with materials and, for the methods that read one, a radiance field."""
 
     world: World
     materials: Materials
-    radiance: ReflectedRadiance
+    radiance: ReflectedRadiance | None
+    method: Method = field(default_factory=Radiometric)
+
+    @property
+    def parts(self) -> Parts:
+        """What the method works on."""
+        return Parts(self.world, self.materials, self.radiance)
+
+    def image(self, it: Interaction, surface: Surface, count: int, stream: Stream) -> Reflected:
+        """The method's estimate, ``count`` samples at every lane: lane i's are i*count .. (i+1)*count - 1."""
+        u = lattice(len(it), count, stream)
+        return self.method.reflected(self.parts, it.repeat(count), surface.repeat(count), u, stream)
 
     def reflected(
-        self, it: Interaction, surface: Surface, count: int, stream: Stream, field_gradient: bool = False
-    ) -> tuple[Tensor, Bounce]:
-        """``count`` independent samples of ``T_hat(E + L_theta)`` at every lane: [n, count, 3], and their bounces.
+        self,
+        it: Interaction,
+        surface: Surface,
+        count: int,
+        stream: Stream,
+        field_gradient: bool = False,
+        light_gradient: bool = True,
+    ) -> Tensor:
+        """``count`` independent samples of ``T_hat(E + L_theta)`` at every lane [n, count, 3]: the prior's right side.
 
-        The samples are differentiable in ``surface``; in theta only if ``field_gradient``.
+        The samples are differentiable in ``surface``; in theta only if ``field_gradient``. Without ``light_gradient``
+        their direct part is fixed.
         """
+        assert self.radiance is not None
         u = lattice(len(it), count, stream)
         step = bounce(self.world, it.repeat(count), surface.repeat(count), u)
         if field_gradient:
@@ -38,7 +58,8 @@ class Estimator:
             light = self.radiance(step.next, albedo) * step.next.valid.unsqueeze(-1)
         else:
             light = incident(self.materials, self.radiance, step.next)
-        return (step.direct + step.weight * light).view(len(it), count, 3), step
+        direct = step.direct if light_gradient else step.direct.detach()
+        return (direct + step.weight * light).view(len(it), count, 3)
 
 
 def lattice(lanes: int, count: int, stream: Stream) -> Tensor:

@@ -1,9 +1,9 @@
-"""The Lightning module that recovers materials: three optimizers, manual optimization, routed gradients."""
+"""The Lightning module that recovers materials and light: an optimizer each, manual optimization, routed gradients."""
 
 from __future__ import annotations
 
 import math
-from typing import Any
+from typing import Any, Literal
 
 import lightning as L
 import torch
@@ -13,52 +13,70 @@ from neurad.core.clock import training_seconds
 from neurad.core.errors import InputError
 from neurad.core.records import PixelBatch
 from neurad.core.rng import Stream
+from neurad.emitters.fitted import FittedEnvironment
 from neurad.fields.adam import FieldAdam
-from neurad.fields.settings import FieldConfig, RadianceConfig
+from neurad.fields.map_adam import MapAdam
+from neurad.fields.radiance import RadianceField
+from neurad.fields.settings import FieldConfig, RadianceConfig, RoughnessConfig
+from neurad.integrators.method import Method
+from neurad.integrators.radiometric import Radiometric
 from neurad.integrators.world import World
-from neurad.losses.relative import total
+from neurad.losses.bounded import typical_square
+from neurad.losses.relative import smoothed, total
 from neurad.metrics.held_out import HeldOut
 from neurad.module.assemble import FittedMaterials, build_materials, build_radiance, build_world
-from neurad.module.config import Objective, Optimization, Sampling
+from neurad.module.config import Lighting, Objective, Optimization, Sampling
+from neurad.module.distributed import agreed, average_tables, set_aside
 from neurad.module.estimate import Estimator
-from neurad.module.evaluate import Evaluation, evaluate
+from neurad.module.evaluate import Evaluation, UnknownLight, evaluate, unknown_light
+from neurad.module.exposure import brightness, warn_if_far
+from neurad.module.guard import Guard, clip
+from neurad.module.lighting import fitted_environment, unknown_environment
 from neurad.module.objective import ObjectiveStep
+from neurad.module.optimizers import make_optimizers
 from neurad.module.primary import PrimaryHits
 from neurad.module.schedule import fraction_done, rate_factor
 from neurad.scene.description import Scene
-
-OPTIMIZERS = ("albedo", "roughness", "radiance")
+from neurad.scene.textures import TrueMaterials
 
 
 class InverseRenderer(L.LightningModule):
-    """Recovers albedo and roughness from photographs under known geometry and light (AD-Ours, k = 1).
+    """Recovers albedo and roughness, the environment's light, or both, from photographs of known geometry.
 
     The parts depend on the scene, so they are built in :meth:`configure_model`, from the data module's scene.
 
     Args:
         albedo: size of the albedo field.
         roughness: size of the roughness field.
-        radiance: size and inputs of the radiance field.
+        radiance: size and inputs of the radiance field; a method without one leaves it out.
         sampling: random decisions a pixel.
         objective: terms of the loss.
         optimization: learning rates and schedule.
-        tracer: 'embree' or 'open3d'.
+        tracer: 'embree', 'open3d' or 'warp'.
         seed: of every random decision of the training.
+        method: how reflected light and its derivative are estimated; None is the paper's, one bounce and then the
+            radiance field.
+        lighting: what is known of the light.
+        materials: ``fit`` recovers albedo and roughness, ``known`` takes the scene's own and trains no material.
     """
 
-    materials: FittedMaterials
+    materials: FittedMaterials | TrueMaterials
     world: World
+    radiance: RadianceField | None
 
     def __init__(
         self,
         albedo: FieldConfig,
-        roughness: FieldConfig,
+        roughness: RoughnessConfig,
         radiance: RadianceConfig,
         sampling: Sampling = Sampling(),
         objective: Objective = Objective(),
         optimization: Optimization = Optimization(),
         tracer: str = "embree",
         seed: int = 0,
+        method: Method | None = None,
+        lighting: Lighting = Lighting(),
+        materials: Literal["fit", "known"] = "fit",
     ) -> None:
         super().__init__()
         self.automatic_optimization = False
@@ -68,13 +86,24 @@ class InverseRenderer(L.LightningModule):
         self.optimization = optimization
         self.tracer = tracer
         self.seed = seed
+        self.method = Radiometric() if method is None else method
+        self.lighting = lighting
+        self.knows_materials = materials == "known"
+        if self.knows_materials and lighting.environment == "known" and not self.method.needs_field:
+            raise InputError("model.materials: with known materials, known light and no radiance field nothing is left")
         self.iteration = 0
         self.seconds_before = 0.0
         self.rays_before = 0
+        self.processes = 1
+        self.samples = 0
+        """Path samples drawn so far by training: pixels x positions x secondary."""
         self.last_losses: dict[str, Tensor] = {}
         self._step: ObjectiveStep | None = None
+        self._guard = Guard(self)
         self._held_out: HeldOut | None = None
-        if (objective.estimator != "two_pass" or objective.lhs > 0) and sampling.positions < 2:
+        self._light: UnknownLight | None = None
+        lhs = objective.lhs > 0 and self.method.needs_field
+        if (objective.estimator != "two_pass" or lhs) and sampling.positions < 2:
             raise InputError("model.sampling.positions: leave_one_out and lhs need at least 2 positions a pixel")
         if sampling.positions > sampling.cached:
             raise InputError("model.sampling.cached: it must be at least model.sampling.positions")
@@ -88,39 +117,54 @@ class InverseRenderer(L.LightningModule):
         return scene
 
     def configure_model(self) -> None:
-        """Build world, materials and radiance field from the scene, once."""
+        """Build world, materials and, for a method that reads it, the radiance field from the scene, once."""
         if hasattr(self, "materials"):
             return
         torch.manual_seed(self.seed)
         data = self.trainer.datamodule  # type: ignore[attr-defined]
-        world = build_world(self.scene, self.tracer, hide_environment=data.has_alpha)
-        # The world is no part of the checkpoint: it has no parameters and its buffers are not persistent.
-        self.world = world
+        # Of the world only an environment that is recovered has a state.
+        self.world = build_world(
+            self.scene, self.tracer, data.has_alpha, unknown_environment(self.scene, self.lighting)
+        )
         albedo, roughness, radiance = self.field_configs
-        self.materials = build_materials(self.scene, albedo, roughness)
-        self.radiance = build_radiance(self.scene, radiance)
+        if self.knows_materials:
+            self.materials = TrueMaterials(self.scene, self.world.geometry)
+        else:
+            self.materials = build_materials(self.scene, albedo, roughness)
+        self.radiance = build_radiance(self.scene, radiance) if self.method.needs_field else None
+        if self.trainer.world_size > 1:
+            self._ddp_params_and_buffers_to_ignore = set_aside(self)  # DDP's own name for it
 
-    def configure_optimizers(self) -> list[FieldAdam]:
-        """One optimizer each for albedo, roughness (if there is one to find) and radiance."""
-        parts = {"albedo": self.materials.albedo, "roughness": self.materials.roughness, "radiance": self.radiance}
-        self.optimizer_names = [name for name in OPTIMIZERS if parts[name] is not None]
-        return [
-            FieldAdam(parts[name].parameters(), lr=getattr(self.optimization, name))  # type: ignore[union-attr]
-            for name in self.optimizer_names
-        ]
+    def configure_optimizers(self) -> list[FieldAdam | MapAdam]:
+        """One optimizer each for what is not known: albedo, roughness (if there is one to find), the environment, and
+        radiance (if the method reads it).
+        """
+        made = make_optimizers(self.materials, self.environment, self.radiance, self.optimization)
+        self.optimizer_names = list(made)
+        return list(made.values())
 
     def on_fit_start(self) -> None:
         """Trace the camera rays of the training views, and take the units of light from the photographs."""
+        self.processes = self.trainer.world_size
         data = self.trainer.datamodule  # type: ignore[attr-defined]
         cameras = [view.camera for view in self.scene.train]
         primary = PrimaryHits(self.world, cameras, self.sampling.cached, self.seed, self.device)
         mixed = primary.sees_emitter()
         if self.iteration > 0:  # the camera rays of a continued run were counted when it began
             self.world.rays_cast = 0
+        if bool(mixed.all()):
+            raise InputError(f"scene {self.scene.name}: every pixel of every training view shows an emitter")
         mean_square = data.mean_square(~mixed.cpu())
         if mean_square <= 0:
             raise InputError(f"scene {self.scene.name}: every training photograph is black")
-        self.radiance.set_scale(math.sqrt(mean_square))
+        if self.settings.spike > 0:  # a few fireflies must not set the unit of light
+            mean_square = typical_square(data.photographs[~mixed.cpu()], self.settings.spike) or mean_square
+        if self.environment is not None:
+            self.environment.set_unit(math.sqrt(mean_square))
+        elif self.iteration == 0:
+            warn_if_far(brightness(primary, data.photographs, mixed, self.seed))
+        if self.radiance is not None:
+            self.radiance.set_scale(math.sqrt(mean_square))
         self._held_out = HeldOut(self.scene, self.world.geometry, self.world.tracer).read()
         self._step = ObjectiveStep(
             estimator=self.estimator,
@@ -129,21 +173,36 @@ class InverseRenderer(L.LightningModule):
             settings=self.settings,
             epsilon=self.settings.epsilon * mean_square,
             mixed=mixed,
+            smoothed=self._smoothed(data, cameras[0].width),
         )
+
+    def _smoothed(self, data: Any, width: int) -> Tensor | None:
+        """What residuals are relative to where there is no field to predict it; None where it is not asked for."""
+        kind = self.settings.normaliser
+        if kind == "smoothed" or (kind == "prediction" and not self.method.needs_field):
+            return smoothed(data.photographs, data.alpha, width).to(self.device)
+        return None
 
     @property
     def estimator(self) -> Estimator:
-        """Estimates of one bounce with the present materials and radiance field."""
-        return Estimator(self.world, self.materials, self.radiance)
+        """The method's estimates with the present materials and radiance field."""
+        return Estimator(self.world, self.materials, self.radiance, self.method)
+
+    @property
+    def environment(self) -> FittedEnvironment | None:
+        """The environment that is recovered; None where it is known."""
+        return fitted_environment(self.world)
 
     # ---- training
 
     def training_step(self, batch: PixelBatch, batch_idx: int) -> Tensor:
-        """One iteration: one backward pass whose gradients never meet, three optimizer steps."""
+        """One iteration: one backward pass whose gradients never meet, a step of each optimizer."""
         assert self._step is not None
-        optimizers = self.optimizers()
-        assert isinstance(optimizers, list)
+        found: Any = self.optimizers()
+        optimizers = found if isinstance(found, list) else [found]
         factor = rate_factor(self.optimization, self.iteration, fraction_done(self.trainer).largest)
+        if self.processes > 1:
+            factor = agreed(factor, self.device)
         for index, (name, optimizer) in enumerate(zip(self.optimizer_names, optimizers, strict=True)):
             for group in optimizer.param_groups:
                 group["lr"] = factor * getattr(self.optimization, name)
@@ -151,14 +210,24 @@ class InverseRenderer(L.LightningModule):
             if index > 0:  # the trainer counts steps of the first optimizer only, so max_steps means iterations
                 optimizer._on_before_step = _nothing
                 optimizer._on_after_step = _nothing
+        if self.environment is not None and self.iteration % self.lighting.refresh == 0:
+            self.environment.refresh()
         stream = Stream(self.seed, self.iteration, self.global_rank, 1, device=self.device)
         terms = self._step(batch, stream)
-        loss = total(terms.materials | terms.field)
+        loss = total(terms.all)
         self.manual_backward(loss)
+        if self.processes > 1:
+            average_tables(self, self._ddp_params_and_buffers_to_ignore)
+        again = Stream(self.seed, self.iteration, self.global_rank, 1, device=self.device)
+        self._guard.check(batch, terms.all, lambda: self._step(batch, again) if self._step else None)
+        if self.optimization.clip > 0:
+            clip([optimizer.param_groups for optimizer in optimizers], self.optimization.clip)
         for optimizer in optimizers[::-1]:  # the counted one last: its hook may end the epoch's bookkeeping
             optimizer.step()
         self.iteration += 1
-        self.last_losses = {name: loss.value for name, (_, loss) in (terms.materials | terms.field).items()}
+        passes = self.processes * (2 if self.settings.estimator == "two_pass" else 1)
+        self.samples += passes * len(batch.view) * self.sampling.positions * self.sampling.secondary
+        self.last_losses = {name: loss.value for name, (_, loss) in terms.all.items()}
         return loss.detach()
 
     @property
@@ -169,7 +238,7 @@ class InverseRenderer(L.LightningModule):
     @property
     def rays(self) -> int:
         """Rays cast so far by training."""
-        return self.rays_before + self.world.rays_cast
+        return self.rays_before + self.processes * self.world.rays_cast
 
     # ---- held-out views
 
@@ -178,8 +247,11 @@ class InverseRenderer(L.LightningModule):
         if self._held_out is None:
             self._held_out = HeldOut(self.scene, self.world.geometry, self.world.tracer)
         cast = self.world.rays_cast
-        result = evaluate(self._held_out, self.estimator, render_spp, glossy)
+        if self._light is None and self.environment is not None:
+            self._light = unknown_light(self.scene, self.environment, self._held_out)
+        result = evaluate(self._held_out, self.estimator, render_spp, glossy, self._light, self.scene)
         self.world.rays_cast = cast
+        self._guard.images(result.maps, [view.name for view in self._held_out.views])
         return result
 
     def validation_step(self, *_: Any) -> None:
@@ -197,6 +269,7 @@ class InverseRenderer(L.LightningModule):
             "iteration": self.iteration,
             "seconds": self.train_seconds,
             "rays": self.rays,
+            "samples": self.samples,
         }
 
     def on_load_checkpoint(self, checkpoint: dict[str, Any]) -> None:
@@ -222,6 +295,7 @@ class InverseRenderer(L.LightningModule):
             )
         self.iteration = state["iteration"]
         self.rays_before = state["rays"]
+        self.samples = state.get("samples", 0)
         self.seconds_before = state["seconds"]
 
 

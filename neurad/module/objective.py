@@ -3,26 +3,34 @@
 ===============  ===========================================  ======================
 term             compares                                     trains
 ===============  ===========================================  ======================
-photometric      ``E + T_hat(E + sg[L])`` with photographs     materials (phi) only
+photometric      the method's estimate with photographs        materials and light (phi) only
 prior            ``L`` with ``T_hat(E + L)``, first hit        radiance field (theta) only
 second           the same at the second hit                   radiance field (theta) only
 lhs              ``E + L`` with photographs                    radiance field (theta) only
 ===============  ===========================================  ======================
+
+A method without a field has the first row alone. ``prior_trains: both`` lets the prior move phi too. Of the light only
+an environment that is being recovered is trained.
 """
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field, replace
 
 import torch
 from torch import Tensor
 
 from neurad.core.records import Interaction, PixelBatch, Surface
 from neurad.core.rng import Stream
+from neurad.integrators.method import Reflected
+from neurad.integrators.world import Reached
+from neurad.losses.bounded import bounded
 from neurad.losses.relative import (
+    Control,
     Loss,
     full_gradient_prior,
     leave_one_out,
+    moving_prior,
     relative_weight,
     semi_gradient_prior,
     two_pass,
@@ -37,9 +45,26 @@ class StepTerms:
     """Weighted terms of one step."""
 
     materials: dict[str, tuple[float, Loss]]
-    """Terms whose gradient reaches the materials only."""
+    """Terms whose gradient reaches materials and light only."""
     field: dict[str, tuple[float, Loss]]
-    """Terms whose gradient reaches the radiance field only."""
+    """Terms whose gradient reaches the radiance field; phi too only with ``prior_trains: both``."""
+
+    @property
+    def all(self) -> dict[str, tuple[float, Loss]]:
+        """Every term."""
+        return self.materials | self.field
+
+
+@dataclass(frozen=True)
+class _Points:
+    """The radiance field at first hits and at some second hits, in one query."""
+
+    first: Tensor
+    """Values at the first hits [n, 3]."""
+    second: Interaction | None
+    """Second hits at which the prior is taken as well."""
+    second_surface: Surface | None
+    second_field: Tensor
 
 
 @dataclass(frozen=True)
@@ -47,12 +72,14 @@ class ObjectiveStep:
     """Builds the terms of a step.
 
     Attributes:
-        estimator: world, materials and radiance field.
+        estimator: world, materials, method and radiance field.
         primary: camera rays of the training views.
         sampling: numbers of samples.
         settings: weights and forms of the terms.
         epsilon: floor of the relative losses in squared radiance units.
         mixed: pixels that an emitter covers, in part or whole; they train nothing [views, pixels], bool.
+        smoothed: photographs without their noise, where they are what residuals are relative to
+            [views, pixels, 3].
     """
 
     estimator: Estimator
@@ -61,56 +88,61 @@ class ObjectiveStep:
     settings: Objective
     epsilon: float
     mixed: Tensor
+    smoothed: Tensor | None = field(default=None, repr=False)
 
     def __call__(self, batch: PixelBatch, stream: Stream) -> StepTerms:
         """Terms for a batch of photographed pixels."""
-        world, settings = self.estimator.world, self.settings
         b, n = len(batch.view), self.sampling.positions
         first = self.primary(batch, n, stream)
         it = first.it
         surface = self.estimator.materials(it)
-        emitted = world.emitted(it)
-        both_sides = settings.prior > 0 and settings.prior_gradient == "full"
-        samples, step = self.estimator.reflected(it, surface, self.sampling.secondary, stream)
-        transported = samples.mean(1)
-        counts = (~self.mixed[batch.view, batch.pixel]).float().unsqueeze(-1)
+        emitted = self.estimator.world.emitted(it)
+        sample = self.estimator.image(it, surface, self.sampling.secondary, stream)
+        image = first.through(emitted + self._mean(sample.value)).view(b, n, 3)
+        # Nothing is photographed where alpha is 0, even if a sample of the pixel meets the edge of a surface.
+        counts = (~self.mixed[batch.view, batch.pixel] & (batch.alpha > 0)).float().unsqueeze(-1)
 
-        # The radiance field with its gradient, at first hits and at some second hits, in one query.
-        second = self._second_hits(step.next, stream)
-        points = it if second is None else Interaction.cat(it, second)
-        albedo = surface.albedo.detach()
-        second_surface = None
-        if second is not None:
-            with torch.no_grad():
-                second_surface = self.estimator.materials(second)
-            albedo = torch.cat((albedo, second_surface.albedo))
-        field = self.estimator.radiance(points, albedo)
-        first_field = field[: len(it)]
-
-        image = first.through(emitted + transported).view(b, n, 3)
-        lhs_image = first.through(emitted + first_field * it.valid.unsqueeze(-1)).view(b, n, 3)
-        normaliser = batch.color if settings.normaliser == "photograph" else lhs_image.detach().mean(1)
-        weight = relative_weight(normaliser, self.epsilon) * counts
-        materials = {"photometric": (1.0, self._photometric(batch, image, weight, stream))}
-        if settings.roughness_pull > 0 and surface.roughness.requires_grad:
-            materials["roughness_pull"] = (settings.roughness_pull, self._pull(surface.roughness))
+        points, lhs_image = None, None
+        if self.estimator.radiance is not None:
+            points = self._query(it, surface, sample, stream)
+            lhs_image = first.through(emitted.detach() + points.first * it.valid.unsqueeze(-1)).view(b, n, 3)
+            seen = lhs_image.mean(1)
+            batch = replace(batch, color=bounded(batch.color, seen, self.epsilon, self.settings.spike))
+        weight = relative_weight(self._normaliser(batch, lhs_image), self.epsilon) * counts
+        control = self._control(sample)
+        seen_control = None if control is None else replace(control, deviation=_through(first, control.deviation))
+        materials = {"photometric": (1.0, self._photometric(batch, image, weight, seen_control, stream))}
+        if self.settings.roughness_pull > 0 and surface.roughness.requires_grad:
+            materials["roughness_pull"] = (self.settings.roughness_pull, self._pull(surface.roughness))
 
         terms: dict[str, tuple[float, Loss]] = {}
-        if settings.prior > 0:
-            if both_sides:
-                terms["prior"] = (settings.prior, self._full_prior(it, surface, first_field, stream))
-            else:
-                prior = semi_gradient_prior(first_field, transported, self.epsilon, it.valid)
-                terms["prior"] = (settings.prior, prior)
-            if second is not None and second_surface is not None:
-                with torch.no_grad():
-                    beyond, _ = self.estimator.reflected(second, second_surface, 1, stream)
-                residual = semi_gradient_prior(field[len(it) :], beyond.squeeze(1), self.epsilon, second.valid)
-                terms["second"] = (settings.prior, residual)
-        if settings.lhs > 0:
+        if points is not None and self.settings.prior > 0:
+            terms |= self._prior(it, surface, points, sample, control, stream)
+        if lhs_image is not None and self.settings.lhs > 0:
             lhs_weight = relative_weight(lhs_image.mean(1), self.epsilon) * counts
-            terms["lhs"] = (settings.lhs, leave_one_out(lhs_image, batch.color, lhs_weight))
+            terms["lhs"] = (self.settings.lhs, leave_one_out(lhs_image, batch.color, lhs_weight))
         return StepTerms(materials, terms)
+
+    def _mean(self, samples: Tensor) -> Tensor:
+        """Means over the secondary samples of every position [n, 3]."""
+        return samples.view(-1, self.sampling.secondary, 3).mean(1)
+
+    def _control(self, sample: Reflected) -> Control | None:
+        """The method's control variate by pixel and position, if it has one."""
+        if sample.incident is None or sample.deviation is None:
+            return None
+        n = self.sampling.positions
+        light, deviation = (self._mean(x).view(-1, n, 3) for x in (sample.incident, sample.deviation))
+        return Control(light, deviation) if n > 1 else None
+
+    def _normaliser(self, batch: PixelBatch, lhs_image: Tensor | None) -> Tensor:
+        """What the photometric residual is relative to [b, 3]; never the samples in it."""
+        kind = self.settings.normaliser
+        if kind == "prediction" and lhs_image is not None:
+            return lhs_image.detach().mean(1)
+        if kind == "photograph" or self.smoothed is None:
+            return batch.color
+        return self.smoothed[batch.view, batch.pixel]
 
     def _pull(self, roughness: Tensor) -> Loss:
         """A quadratic pull of roughness [n, 1] towards its mean over the batch.
@@ -121,27 +153,84 @@ class ObjectiveStep:
         pull = ((roughness - roughness.detach().mean()) ** 2).mean()
         return Loss(pull, pull.detach())
 
-    def _second_hits(self, ends: Interaction, stream: Stream) -> Interaction | None:
-        """Some of the points that BSDF samples reached, or None where the prior is not taken there."""
-        if self.settings.prior <= 0 or self.sampling.second_hits <= 0:
-            return None
-        return ends[some(ends, self.sampling.second_hits, stream, self.sampling.secondary)]
+    def _query(self, it: Interaction, surface: Surface, sample: Reflected, stream: Stream) -> _Points:
+        """The radiance field with its gradient."""
+        radiance = self.estimator.radiance
+        assert radiance is not None
+        second = None
+        if self.settings.prior > 0 and self.sampling.second_hits > 0 and sample.ends is not None:
+            second = sample.ends[some(sample.ends, self.sampling.second_hits, stream, self.sampling.secondary)]
+        if second is None:
+            values = radiance(it, surface.albedo.detach())
+            return _Points(values, None, None, values[:0])
+        with torch.set_grad_enabled(self.settings.prior_trains == "both"):
+            second_surface = self.estimator.materials(second)
+        albedo = torch.cat((surface.albedo.detach(), second_surface.albedo.detach()))
+        values = radiance(Interaction.cat(it, second), albedo)
+        return _Points(values[: len(it)], second, second_surface, values[len(it) :])
 
-    def _photometric(self, batch: PixelBatch, image: Tensor, weight: Tensor, stream: Stream) -> Loss:
-        """The RHS image against photographs, by the estimator that the settings choose."""
+    def _photometric(
+        self, batch: PixelBatch, image: Tensor, weight: Tensor, control: Control | None, stream: Stream
+    ) -> Loss:
+        """The method's image against photographs, by the estimator that the settings choose."""
         if self.settings.estimator == "leave_one_out":
-            return leave_one_out(image, batch.color, weight)
+            return leave_one_out(image, batch.color, weight, control)
         with torch.no_grad():
-            first = self.primary(batch, self.sampling.positions, stream)
+            first: Reached = self.primary(batch, self.sampling.positions, stream)
             surface = self.estimator.materials(first.it)
-            again, _ = self.estimator.reflected(first.it, surface, self.sampling.secondary, stream)
-            other = first.through(self.estimator.world.emitted(first.it) + again.mean(1)).view_as(image)
+            again = self._mean(self.estimator.image(first.it, surface, self.sampling.secondary, stream).value)
+            other = first.through(self.estimator.world.emitted(first.it) + again).view_as(image)
+        if control is not None:
+            image = image - control.excess()
         return two_pass(image, other, batch.color, weight)
 
-    def _full_prior(self, it: Interaction, surface: Surface, field: Tensor, stream: Stream) -> Loss:
+    def _prior(
+        self,
+        it: Interaction,
+        surface: Surface,
+        points: _Points,
+        sample: Reflected,
+        control: Control | None,
+        stream: Stream,
+    ) -> dict[str, tuple[float, Loss]]:
+        """The prior at first hits and, where there are some, at second hits."""
+        assert sample.transported is not None
+        settings = self.settings
+        if settings.prior_gradient == "full":
+            prior = self._full_prior(it, surface, points.first, stream)
+        else:
+            transported = self._mean(sample.transported)
+            if control is not None:
+                transported = transported - control.excess().view(-1, 3)
+            prior = self._semi_prior(it, surface, points.first, transported, stream)
+        terms = {"prior": (settings.prior, prior)}
+        if points.second is not None and points.second_surface is not None:
+            with torch.set_grad_enabled(settings.prior_trains == "both"):
+                beyond = self.estimator.reflected(points.second, points.second_surface, 1, stream).squeeze(1)
+            residual = self._semi_prior(points.second, points.second_surface, points.second_field, beyond, stream)
+            terms["second"] = (settings.prior, residual)
+        return terms
+
+    def _semi_prior(
+        self, it: Interaction, surface: Surface, values: Tensor, transported: Tensor, stream: Stream
+    ) -> Loss:
+        """The prior with theta's gradient through the left side only."""
+        if self.settings.prior_trains == "field":
+            return semi_gradient_prior(values, transported, self.epsilon, it.valid)
+        with torch.no_grad():
+            other = self.estimator.reflected(it, surface, 1, stream).squeeze(1)
+        return moving_prior(values, transported, other, self.epsilon, it.valid)
+
+    def _full_prior(self, it: Interaction, surface: Surface, values: Tensor, stream: Stream) -> Loss:
         """The prior at first hits with theta's gradient through both sides: two independent estimates of T."""
-        fixed = surface.detach()
+        fixed = surface if self.settings.prior_trains == "both" else surface.detach()
         half = max(1, self.sampling.secondary // 2)
-        first, _ = self.estimator.reflected(it, fixed, half, stream, field_gradient=True)
-        other, _ = self.estimator.reflected(it, fixed, half, stream, field_gradient=True)
-        return full_gradient_prior(field, first.mean(1), other.mean(1), self.epsilon, it.valid)
+        lights = self.settings.prior_trains == "both"
+        first = self.estimator.reflected(it, fixed, half, stream, field_gradient=True, light_gradient=lights)
+        other = self.estimator.reflected(it, fixed, half, stream, field_gradient=True, light_gradient=lights)
+        return full_gradient_prior(values, first.mean(1), other.mean(1), self.epsilon, it.valid)
+
+
+def _through(first: Reached, values: Tensor) -> Tensor:
+    """What smooth surfaces before the first vertices leave of ``values`` [b, n, 3]."""
+    return first.through(values.view(-1, 3)).view_as(values)

@@ -40,6 +40,8 @@ class Scene:
     """Longest path in vertices with reflection counted from 1 (direct light is 2), as Mitsuba's ``max_depth``."""
     rr_depth: int = 8
     """Depth from which paths end by roulette, as Mitsuba's ``rr_depth``."""
+    relight: str | None = None
+    """Path of another environment map (EXR), under which held-out views were photographed again; for metrics only."""
 
     def check(self) -> Scene:
         """This scene, if light transport can be computed in it.

@@ -15,6 +15,8 @@ from neurad.scene.description import Scene
 from neurad.scene.image_io import read_exr
 
 _RIGID = 1e-4  # largest deviation from orthonormal axes; the cameras of Blender have about 1e-6
+RELIGHT = "env_relight.exr"
+"""Map that lights the photographs named by ``relight_path``; it takes the place of the scene's, in the same frame."""
 _DISTORTION = ("k1", "k2", "k3", "k4", "p1", "p2")
 
 Size = tuple[int, int]
@@ -41,7 +43,10 @@ def read_folder(root: str | Path) -> Scene:
     train = read_views(folder / "transforms_train.json", folder)
     camera = train[0].camera
     test = read_views(folder / "transforms_test.json", folder, (camera.width, camera.height))
-    return replace(read_xml(folder / "scene.xml"), name=folder.name, train=train, test=test)
+    relight = str(folder / RELIGHT) if any(view.relight for view in test) else None
+    if relight is not None and not (folder / RELIGHT).is_file():
+        raise InputError(f"{relight}: the map is missing that lights the photographs named by relight_path")
+    return replace(read_xml(folder / "scene.xml"), name=folder.name, train=train, test=test, relight=relight)
 
 
 def read_views(path: str | Path, root: str | Path, size: Size | None = None) -> list[View]:
@@ -77,7 +82,8 @@ def read_views(path: str | Path, root: str | Path, size: Size | None = None) -> 
         if views and (camera.width, camera.height) != (views[0].camera.width, views[0].camera.height):
             raise InputError(f"{path}: frame {index} ({frame['file_path']}) differs in size from the first one")
         maps = {kind: _map(root, frame, kind, image, path) for kind in ("albedo", "roughness")}
-        views.append(View(image.stem, camera, str(image), maps["albedo"], maps["roughness"]))
+        relit = _map(root, frame, "relight", image, path) if "relight_path" in frame else None
+        views.append(View(image.stem, camera, str(image), maps["albedo"], maps["roughness"], relit))
     return views
 
 

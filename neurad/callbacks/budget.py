@@ -1,0 +1,66 @@
+"""A time limit that counts what the column ``seconds`` counts."""
+
+from __future__ import annotations
+
+from typing import TYPE_CHECKING, Any, cast
+
+import lightning.pytorch as pl
+from lightning.pytorch.callbacks import Timer
+from lightning.pytorch.trainer.states import RunningStage
+
+from neurad.core.errors import InputError
+
+if TYPE_CHECKING:
+    from neurad.module.inverse import InverseRenderer
+
+
+class TrainingBudget(Timer):
+    """Ends a fit after so many seconds of training: set-up and compilation count, evaluations do not.
+
+    Lightning's own timer (``max_time``) counts the other way round, so two methods whose evaluations differ in cost
+    would get different times to learn in. Where both are given, this one rules.
+
+    Args:
+        seconds: training seconds, as in ``metrics.csv``.
+
+    Raises:
+        InputError: ``seconds`` is not positive.
+    """
+
+    def __init__(self, seconds: float) -> None:
+        if not seconds > 0:
+            raise InputError(f"TrainingBudget: {seconds} is not a positive number of seconds")
+        super().__init__(duration=None, interval="step", verbose=False)
+        self._duration = seconds
+        self.seconds = seconds
+        self._module: InverseRenderer | None = None
+        self._begin: float | None = None
+
+    def on_fit_start(self, trainer: pl.Trainer, *args: Any, **kwargs: Any) -> None:
+        """A continued run may have used up its budget already."""
+        if self._begin is not None:
+            self._module = cast("InverseRenderer", trainer.lightning_module)
+            self._duration = self.seconds - self._begin
+        super().on_fit_start(trainer, *args, **kwargs)
+
+    def on_train_start(self, trainer: pl.Trainer, pl_module: pl.LightningModule) -> None:
+        """Learning begins here: schedules follow the time that set-up left over."""
+        super().on_train_start(trainer, pl_module)
+        self._module = cast("InverseRenderer", pl_module)
+        if self._begin is None:
+            self._begin = self._module.train_seconds
+        self._duration = self.seconds - self._begin
+
+    def time_elapsed(self, stage: str = RunningStage.TRAINING) -> float:
+        """Training seconds since learning began; those of an interrupted run included."""
+        if self._module is None or stage != RunningStage.TRAINING:
+            return 0.0
+        return self._module.train_seconds - (self._begin or 0.0)
+
+    def state_dict(self) -> dict[str, Any]:
+        """What a continued run must know: when learning began."""
+        return {"begin": self._begin}
+
+    def load_state_dict(self, state_dict: dict[str, Any]) -> None:
+        """Take over the state of the interrupted run."""
+        self._begin = state_dict["begin"]

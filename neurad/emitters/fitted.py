@@ -1,0 +1,84 @@
+"""An environment that is not known and gets recovered from photographs."""
+
+from __future__ import annotations
+
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor, nn
+
+from neurad.core.errors import InputError
+from neurad.core.records import EnvironmentMap, FloatArray
+from neurad.emitters.environment import Environment, rotation_of
+
+START = 2.0
+"""Radiance of the map at the start, in units of the photographs' typical radiance: what lights grey surfaces."""
+
+
+class FittedEnvironment(Environment):
+    """A lat-long map ``unit * exp(values)`` with trainable ``values``: positive, and equally quick in dim and in
+    bright directions. It starts at one radiance everywhere.
+
+    The density of :meth:`sample` is that of the map at the last :meth:`refresh`, no gradient flows into it, and its
+    floor is higher than a known map's, as what seems dark may only not have been found yet. The map behind the density
+    is part of the state, so that a continued run samples as one that was never stopped.
+
+    Args:
+        frame: its ``to_world`` places the map; its pixels are not looked at.
+        width: texels across.
+        height: texels from pole to pole.
+
+    Raises:
+        InputError: the map would be smaller than 2 x 2, or ``to_world`` is not a rotation.
+    """
+
+    floor = 0.05
+
+    values: nn.Parameter
+    tabulated: Tensor
+    unit: Tensor
+
+    def __init__(self, frame: EnvironmentMap, width: int = 256, height: int = 128) -> None:
+        nn.Module.__init__(self)
+        if width < 2 or height < 2:
+            raise InputError(f"model.lighting: an environment map of {width} x {height} texels is too small")
+        self.height, self.width = height, width
+        self.values = nn.Parameter(torch.zeros(height * width, 3))
+        self.register_buffer("unit", torch.ones(()))
+        self.register_buffer("tabulated", torch.ones(height * width, 3))
+        self._keep("rotation", rotation_of(frame))
+        self.refresh()
+        self.register_load_state_dict_post_hook(_tabulate_again)  # type: ignore[no-untyped-call]
+
+    def set_unit(self, radiance: float) -> None:
+        """Take the photographs' typical ``radiance`` as the unit; before training that also scales the start."""
+        self.unit.fill_(START * radiance)
+
+    @torch.no_grad()
+    def refresh(self) -> None:
+        """Sample by the present map from now on."""
+        self.tabulated.copy_(self.unit * self.values.exp())
+        self.tabulate()
+
+    def tabulate(self) -> None:
+        """Rebuild the tables from the map of the last refresh."""
+        device = self.values.device
+        self._tabulate(self.tabulated.detach().cpu().double().view(self.height, self.width, 3))
+        self.to(device)
+
+    def map(self) -> FloatArray:
+        """The present map [height, width, 3], linear radiance."""
+        with torch.no_grad():
+            pixels: FloatArray = (self.unit * self.values.exp()).view(self.height, self.width, 3).cpu().numpy()
+        return np.ascontiguousarray(pixels, np.float32)
+
+    def _texel(self, index: Tensor) -> Tensor:
+        """Radiance [n, 3] of texels [n], with the gradient of ``values``."""
+        return self.unit * self.values.index_select(0, index).exp()
+
+
+def _tabulate_again(module: nn.Module, _: Any) -> None:
+    """After a checkpoint was loaded the tables belong to its map."""
+    assert isinstance(module, FittedEnvironment)
+    module.tabulate()

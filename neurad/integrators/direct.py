@@ -1,0 +1,20 @@
+"""AD-Direct: light that was reflected once, and nothing further."""
+
+from __future__ import annotations
+
+from torch import Tensor
+
+from neurad.core.records import Interaction, Surface
+from neurad.core.rng import Stream
+from neurad.integrators.method import Method, Parts, Reflected
+from neurad.integrators.vertex import bounce
+
+
+class Direct(Method):
+    """Direct illumination only, ``T E``: what is missing of the light gets baked into the albedo."""
+
+    needs_field = False
+
+    def reflected(self, parts: Parts, it: Interaction, surface: Surface, u: Tensor, stream: Stream) -> Reflected:
+        """``T_hat(E)`` at the lanes of ``it``."""
+        return Reflected(bounce(parts.world, it, surface, u).direct)

@@ -1,0 +1,157 @@
+"""Path replay backpropagation (Vicini et al. 2021): derivatives of long paths in constant memory.
+
+A first pass finds each path's radiance and keeps no graph. The backward pass draws the same random numbers again. With
+``beta_i`` the throughput before vertex i, ``d_i`` and ``w_i`` its direct light and weight, and what is left of the
+path's radiance ``R_i = sum_{j >= i} beta_j d_j``, a path contributes ``beta_i d(d_i) + (R_{i+1} / w_i) d(w_i)`` at
+vertex i. So each bounce is differentiated alone, and its graph is dropped before the next one is made.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+from typing import Any
+
+import torch
+from torch import Tensor, nn
+
+from neurad.core.records import Interaction, Surface
+from neurad.core.rng import Stream
+from neurad.integrators.method import Parts, Reflected
+from neurad.integrators.path import Path
+from neurad.integrators.walk import Vertex, loosen, walk
+
+
+class PRB(Path):
+    """:class:`~neurad.integrators.path.Path` with the same values and derivatives, in memory that does not grow.
+
+    Works with any field: only materials at one vertex at a time are differentiated, networks and textures alike. A
+    channel whose weight is exactly 0 gets no derivative there (as in Mitsuba): the rest of its path cannot be known.
+
+    Args:
+        max_bounces: longest path in bounces, 1 is direct light; None: roulette alone ends paths.
+        roulette_start: bounces after which roulette may end a path.
+        roulette: largest probability to go on; below it, it is the throughput.
+    """
+
+    def reflected(self, parts: Parts, it: Interaction, surface: Surface, u: Tensor, stream: Stream) -> Reflected:
+        """``sum_{i >= 1} T^i E`` at the lanes of ``it``."""
+        key = int(stream.integers(1 << 62, 1))
+        replay = _Replay(self, parts, it, surface.detach(), u, key)
+        parameters = [p for part in (parts.materials, parts.world) for p in _trainable(part)]
+        value: Tensor = _Radiance.apply(replay, surface.albedo, surface.roughness, *parameters)  # type: ignore[no-untyped-call]
+        return Reflected(value)
+
+
+def _trainable(part: object) -> list[Tensor]:
+    return [p for p in part.parameters() if p.requires_grad] if isinstance(part, nn.Module) else []
+
+
+class _Replay:
+    """A set of walks that can be taken any number of times."""
+
+    def __init__(self, method: Path, parts: Parts, it: Interaction, surface: Surface, u: Tensor, key: int) -> None:
+        self.method, self.parts, self.it, self.surface, self.u, self.key = method, parts, it, surface, u, key
+
+    def steps(self, surface: Surface) -> Iterator[Vertex]:
+        """The walks anew; every step has a graph to its own surface only."""
+        # With gradients enabled in both passes: networks may round differently without them, and the smallest
+        # difference in a direction can end at another triangle.
+        return walk(
+            self.parts.world, self.parts.materials, self.it, surface, self.u, Stream(self.key, device=self.u.device),
+            self.method.roulette, self.method.max_bounces, detached=True,
+        )  # fmt: skip
+
+
+class _Radiance(torch.autograd.Function):
+    """The walks' radiance [n, 3] as a function of the first surface and of all parameters."""
+
+    @staticmethod
+    def forward(ctx: Any, replay: _Replay, albedo: Tensor, roughness: Tensor, *parameters: Tensor) -> Tensor:
+        # Sums in double precision: what is left of a long path is a difference of nearly equal numbers.
+        radiance = torch.zeros_like(replay.it.p, dtype=torch.float64)
+        with torch.enable_grad():
+            for v in replay.steps(replay.surface):
+                radiance.index_add_(0, v.lane, (v.throughput * v.step.direct.detach()).double())
+                del v  # before the next one is made
+        ctx.replay, ctx.radiance, ctx.parameters = replay, radiance, parameters
+        return radiance.to(replay.it.p.dtype)
+
+    @staticmethod
+    def backward(ctx: Any, *gradients: Tensor) -> tuple[Tensor | None, ...]:
+        replay: _Replay = ctx.replay
+        left = ctx.radiance.clone()
+        sums = [GradientSum() for _ in ctx.parameters]
+        with torch.enable_grad():
+            albedo = replay.surface.albedo.clone().requires_grad_()
+            roughness = replay.surface.roughness.clone().requires_grad_()
+            ends = (albedo, roughness, *ctx.parameters)
+            totals: Sequence[GradientSum] = (GradientSum(), GradientSum(), *sums)
+            for v in replay.steps(replace(replay.surface, albedo=albedo, roughness=roughness)):
+                direct, weight = v.step.direct, v.step.weight
+                left.index_add_(0, v.lane, (v.throughput * direct.detach()).double(), alpha=-1.0)
+                fixed = weight.detach()
+                beyond = torch.where(fixed > 0, left[v.lane].to(fixed.dtype) / fixed.clamp_min(1e-30), 0.0)
+                outer = gradients[0][v.lane]
+                pairs = [(direct, outer * v.throughput), (weight, outer * beyond)]
+                outputs, scales = zip(*((x, g) for x, g in pairs if x.requires_grad), strict=True)  # known parts do not
+                found = torch.autograd.grad(outputs, ends, scales, allow_unused=True)
+                for total, gradient in zip(totals, found, strict=True):
+                    total.add(gradient)
+                del v, direct, weight, pairs, outputs, scales  # before the next one is made
+                del fixed, beyond, outer, found, gradient
+        return (None, *(total.value for total in totals))
+
+
+class GradientSum:
+    """A sum of gradients whose size does not grow with their number.
+
+    Tables of hash grids have sparse gradients; their rows are merged as soon as they take twice the room of the
+    merged ones.
+    """
+
+    def __init__(self) -> None:
+        self.dense: Tensor | None = None
+        self.pieces: list[Tensor] = []
+        self.merged = 0
+
+    def add(self, gradient: Tensor | None) -> None:
+        """Add a dense or sparse gradient; None is zero."""
+        if gradient is None:
+            return
+        if gradient.is_sparse:
+            self.pieces.append(gradient)
+            if sum(piece._nnz() for piece in self.pieces) > 2 * self.merged:
+                self._merge()
+        else:
+            self.dense = gradient if self.dense is None else self.dense + gradient
+
+    def _merge(self) -> None:
+        merged = self.pieces[0] if len(self.pieces) == 1 else merge(self.pieces)
+        self.pieces, self.merged = [merged], merged._nnz()
+
+    @property
+    def value(self) -> Tensor | None:
+        """The sum so far; None if nothing was added."""
+        if not self.pieces:
+            return self.dense
+        self._merge()
+        return loosen(self.pieces[0]) if self.dense is None else self.dense + self.pieces[0]
+
+
+def merge(pieces: Sequence[Tensor]) -> Tensor:
+    """Sparse gradients [e, c] of one table as one, every row once."""
+    indices = torch.cat([piece._indices() for piece in pieces], 1)
+    values = torch.cat([piece._values() for piece in pieces])
+    shape = pieces[0].shape
+    if values.device.type == "cpu" and values.dtype == torch.float32 and indices.shape[0] == 1 and values.dim() == 2:
+        from neurad.fields import kernels  # torch's own coalesce sorts, which takes far longer
+
+        rows, sums = torch.empty_like(indices[0]), torch.empty_like(values)
+        found = kernels.merge_rows(
+            indices[0].contiguous().numpy(), values.contiguous().numpy(), shape[0], rows.numpy(), sums.numpy()
+        )
+        # Cut to size: a view would keep the whole room alive.
+        indices, values = rows[:found].clone().unsqueeze(0), sums[:found].clone()
+        return torch.sparse_coo_tensor(indices, values, shape, check_invariants=False, is_coalesced=True)
+    return torch.sparse_coo_tensor(indices, values, shape, check_invariants=False).coalesce()

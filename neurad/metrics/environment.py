@@ -1,0 +1,113 @@
+"""Scores of a recovered environment map."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import replace
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from neurad.core.frame import dot
+from neurad.core.records import EnvironmentMap, FloatArray, Rays
+from neurad.core.rng import Stream
+from neurad.emitters.environment import Environment, rotation_of
+from neurad.metrics.held_out import HeldOut
+from neurad.metrics.scores import BoolArray, Float64Array, Pool
+from neurad.scene.camera import camera_rays
+
+LOOKS = 32
+"""Surface points from which is found out whether a texel's light can be seen in photographs."""
+SEED = 20230809
+
+
+class EnvironmentScores:
+    """Compares maps with the true one, texel by texel, weighted by solid angle.
+
+    Args:
+        truth: the true map; one of a single texel says nothing and leaves all scores out.
+        held_out: its training cameras decide which texels could be found.
+        width: texels across of the maps to score.
+        height: their texels from pole to pole.
+    """
+
+    def __init__(self, truth: EnvironmentMap, held_out: HeldOut, width: int, height: int) -> None:
+        theta, phi = _angles(
+            torch.arange(height, dtype=torch.float64)[:, None], torch.arange(width) + 0.5, height, width
+        )
+        lookup = Environment(replace(truth, to_world=np.eye(4, dtype=np.float32)))
+        pixels = lookup.radiance(_direction(theta, phi).view(-1, 3).float()).view(height, width, 3)
+        self.truth: FloatArray | None = pixels.numpy() if truth.pixels[..., 0].size > 1 else None
+        edge = _angles(torch.arange(height + 1, dtype=torch.float64) - 0.5, torch.zeros(1), height, width)[0]
+        band = edge[:-1].cos() - edge[1:].cos()
+        self.solid_angle: Float64Array = band[:, None].expand(height, width).numpy()
+        self.seen = self._seen(held_out, rotation_of(truth)) if self.truth is not None else np.ones((height, width))
+
+    def _seen(self, held_out: HeldOut, rotation: Tensor) -> BoolArray:
+        """Texels [height, width] whose light reaches a surface that some training view sees.
+
+        Each is asked from :data:`LOOKS` random points on such surfaces, in a random direction within it.
+        """
+        height, width = self.solid_angle.shape
+        geometry, device = held_out.geometry, held_out.geometry.vertices.device
+        stream = Stream(SEED, device=device)
+        parts = []
+        for camera in held_out.training.cameras:
+            xy = stream.uniform(4096, 2) * torch.tensor([camera.width, camera.height], device=device)
+            rays = camera_rays(camera, xy)
+            it = geometry.interact(rays, held_out.tracer.closest(rays))
+            parts.append(it[it.valid])
+        points = type(parts[0]).cat(*parts)
+        if len(points) == 0:
+            return np.zeros((height, width), np.bool_)
+        texel = torch.arange(height * width, device=device)
+        seen = torch.zeros(height * width, dtype=torch.bool, device=device)
+        for _ in range(LOOKS):
+            u = stream.uniform(len(texel), 2)
+            theta, phi = _angles(texel // width + u[:, 0] - 0.5, texel % width + u[:, 1], height, width)
+            wi = _direction(theta, phi).float() @ rotation.to(device).T
+            it = points[stream.integers(len(points), len(texel))]
+            faces = dot(it.ng, wi) * dot(it.ng, it.wo) > 0
+            index = faces.nonzero().squeeze(-1)
+            shadow: Rays = geometry.spawn(it[index], wi[index])
+            dark = held_out.tracer.occluded(shadow, torch.full_like(wi[index, 0], math.inf))
+            seen[texel[index]] |= ~dark
+            texel = (~seen).nonzero().squeeze(-1)
+        return seen.view(height, width).cpu().numpy()
+
+    def __call__(self, found: FloatArray, factors: Mapping[str, Float64Array]) -> dict[str, float]:
+        """Scores of a map [height, width, 3].
+
+        Args:
+            found: the map.
+            factors: of the albedo by their names, [3] each: what albedo is to be multiplied by, light is divided by.
+
+        Returns:
+            ``environment_mape``, with ``_constant`` that of the best constant map, with the names of ``factors`` after
+            these; each also with ``_seen``, over texels whose light reaches what the training views see.
+        """
+        scores: dict[str, float] = {}
+        if self.truth is None:
+            return scores
+        for region, mask in {"": np.ones_like(self.solid_angle, np.bool_), "_seen": self.seen.astype(np.bool_)}.items():
+            for name, factor in {"": np.ones(3), **{f"_{key}": value for key, value in factors.items()}}.items():
+                pool = Pool()
+                pool.add((found / factor).astype(np.float32), self.truth, mask, self.solid_angle)
+                result = pool.scores()
+                if result:
+                    scores[f"environment_mape{name}{region}"] = result["mape"]
+                    scores[f"environment_mape_constant{region}"] = result["mape_constant"]
+        return scores
+
+
+def _angles(row: Tensor, column: Tensor, height: int, width: int) -> tuple[Tensor, Tensor]:
+    """Polar angle and azimuth at positions in a map, rows from 0 at one pole to ``height - 1`` at the other."""
+    return (math.pi / (height - 1)) * row.clamp(0.0, height - 1.0), (2.0 * math.pi / width) * column
+
+
+def _direction(theta: Tensor, phi: Tensor) -> Tensor:
+    """Unit directions [..., 3] in the map's frame."""
+    x, z = theta.sin() * phi.sin(), -theta.sin() * phi.cos()
+    return torch.stack((x, theta.cos().expand_as(x), z), -1)

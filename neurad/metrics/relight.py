@@ -1,0 +1,51 @@
+"""Scores of recovered materials under light that they were not recovered from."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from neurad.core.errors import InputError
+from neurad.core.records import EnvironmentMap, FloatArray
+from neurad.metrics.held_out import HeldOut
+from neurad.metrics.scores import Pool
+from neurad.scene.description import Scene
+from neurad.scene.image_io import read_exr
+
+
+def relight_map(scene: Scene) -> EnvironmentMap | None:
+    """The other environment, in the frame of the scene's own; None if there is none.
+
+    Raises:
+        InputError: it cannot be read or has too few channels.
+    """
+    if scene.relight is None:
+        return None
+    pixels = read_exr(scene.relight)
+    if pixels.shape[2] < 3:
+        raise InputError(f"{scene.relight}: it has {pixels.shape[2]} channels where 3 are needed")
+    frame = {} if scene.environment is None else {"to_world": scene.environment.to_world}
+    return EnvironmentMap(np.ascontiguousarray(pixels[..., :3], np.float32), **frame)
+
+
+def score_relit(held_out: HeldOut, renders: Sequence[FloatArray]) -> dict[str, float]:
+    """Scores of pictures [h, w, 3] of every held-out view against its relit photograph; views without one are left out.
+
+    Returns:
+        ``relight_psnr_linear`` over all pixels and ``relight_mape_linear`` over those that show a surface; also with
+        ``_scaled1`` and ``_scaled3``, after the best factor for all channels together or for each.
+    """
+    everywhere, surfaces = Pool(), Pool()
+    for index, render in enumerate(renders):
+        truth = held_out.truth(index).get("photograph_relit")
+        if truth is not None:
+            everywhere.add(render, truth)
+            surfaces.add(render, truth, held_out.shows(index))
+    scores = {}
+    for kind, pool in (("psnr", everywhere), ("mape", surfaces)):
+        for score, value in pool.scores(scaled=True).items():
+            name, _, scale = score.partition("_")
+            if name == kind and scale != "constant":
+                scores["_".join(part for part in ("relight", kind, "linear", scale) if part)] = value
+    return scores

@@ -1,0 +1,38 @@
+"""One optimizer for each thing that is not known."""
+
+from __future__ import annotations
+
+from neurad.core.protocols import Materials
+from neurad.emitters.fitted import FittedEnvironment
+from neurad.fields.adam import FieldAdam
+from neurad.fields.map_adam import MapAdam
+from neurad.fields.radiance import RadianceField
+from neurad.module.assemble import FittedMaterials
+from neurad.module.config import Optimization
+
+
+def make_optimizers(
+    materials: Materials,
+    environment: FittedEnvironment | None,
+    radiance: RadianceField | None,
+    rates: Optimization,
+) -> dict[str, FieldAdam | MapAdam]:
+    """Optimizers by the names of their learning rates, in the order in which checkpoints keep them.
+
+    Args:
+        materials: fields to fit, or known ones, which need none; a Lambertian scene has no roughness to find.
+        environment: map to recover; None where the light is known.
+        radiance: field of the methods that read one.
+        rates: learning rates.
+    """
+    made: dict[str, FieldAdam | MapAdam] = {}
+    if isinstance(materials, FittedMaterials):
+        made["albedo"] = FieldAdam(materials.albedo.parameters(), lr=rates.albedo)  # type: ignore[attr-defined]
+        if materials.roughness is not None:
+            parameters = materials.roughness.parameters()  # type: ignore[attr-defined]
+            made["roughness"] = FieldAdam(parameters, lr=rates.roughness)
+    if environment is not None:
+        made["environment"] = MapAdam([environment.values], environment.width, lr=rates.environment)
+    if radiance is not None:
+        made["radiance"] = FieldAdam(radiance.parameters(), lr=rates.radiance)
+    return made

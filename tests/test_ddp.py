@@ -1,0 +1,73 @@
+"""Several processes do what one does with a larger batch."""
+
+import os
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+import torch
+import torch.distributed as dist
+from ddp_run import STEPS, fit
+
+from neurad.module.distributed import average_tables
+
+HERE = Path(__file__).parent
+
+
+@pytest.mark.parametrize("kind", ["hash", "dense"])
+def test_two_processes_learn_what_one_learns_from_both_batches(tmp_path, kind):
+    environment = {**os.environ, "OMP_NUM_THREADS": "1", "CUDA_VISIBLE_DEVICES": ""}
+    command = [sys.executable, str(HERE / "ddp_run.py"), str(tmp_path), kind]
+    done = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=300)
+    assert done.returncode == 0, done.stderr
+    first, second = (torch.load(tmp_path / f"{rank}.pt", weights_only=True) for rank in range(2))
+    assert first["iteration"] == STEPS
+    assert first["samples"] == 2 * STEPS * 128 * 2
+    for name, value in first["state"].items():
+        assert torch.equal(value, second["state"][name]), f"{name} differs between the processes"
+
+    start, _ = fit_nothing(kind)
+    joined, _ = fit(1, kind=kind, joined=True)
+    alone, _ = fit(1, kind=kind) if kind == "hash" else (None, None)
+    for name, value in joined.state_dict().items():
+        if name.startswith(("materials", "radiance")) and name in start:
+            moved = (value - start[name]).norm()
+            # Sums in another order are all that may differ; Adam turns the rounding of tiny gradients into whole steps.
+            assert (first["state"][name] - value).norm() <= 0.02 * moved, name
+            if alone is not None and name.endswith("table"):
+                assert (alone.state_dict()[name] - value).norm() > 0.2 * moved, name  # half the batch does differ
+
+
+def fit_nothing(kind):
+    """What training starts from."""
+    import ddp_run
+
+    steps, ddp_run.STEPS = ddp_run.STEPS, 0
+    try:
+        module, trainer = fit(1, kind=kind)
+        return {name: value.clone() for name, value in module.state_dict().items()}, trainer
+    finally:
+        ddp_run.STEPS = steps
+
+
+class Grid(torch.nn.Module):
+    def __init__(self, sparse):
+        super().__init__()
+        self.grid = torch.nn.Module()
+        self.grid.table = torch.nn.Parameter(torch.zeros(10, 2))
+        dense = torch.zeros(10, 2)
+        dense[[1, 4]] = torch.tensor([[1.0, 2.0], [3.0, 4.0]])
+        self.grid.table.grad = dense.to_sparse(1) if sparse else dense.clone()
+        self.expected = dense
+
+
+@pytest.mark.parametrize("sparse", [True, False])
+def test_one_process_averages_to_its_own_gradient(tmp_path, sparse):
+    dist.init_process_group("gloo", init_method=f"file://{tmp_path}/meet", rank=0, world_size=1)
+    try:
+        made = Grid(sparse)
+        average_tables(made, {"grid.table"})
+        assert torch.equal(made.grid.table.grad.to_dense(), made.expected)
+    finally:
+        dist.destroy_process_group()

@@ -1,0 +1,135 @@
+"""Path replay: the same values and derivatives as autograd through all bounces, in memory that does not grow."""
+
+import pytest
+import torch
+from method_oracles import Textures, camera_vertices, gallery
+
+from neurad.core.rng import Stream
+from neurad.fields.settings import FieldConfig, GridConfig
+from neurad.integrators.method import Parts
+from neurad.integrators.path import Path
+from neurad.integrators.prb import PRB, GradientSum, merge
+from neurad.integrators.vertex import DIMENSIONS
+from neurad.module.assemble import build_materials, build_world
+
+GRID = GridConfig(levels=4, coarsest=4, finest=64, log2_size=12)
+
+
+@pytest.fixture(scope="module")
+def world():
+    return build_world(gallery())
+
+
+def networks():
+    torch.manual_seed(2)
+    made = build_materials(gallery(), FieldConfig(GRID, 32), FieldConfig(GRID, 32))
+    with torch.no_grad():  # far from the even start, so that every parameter matters
+        for p in made.parameters():
+            p.add_(0.3 * torch.randn(p.shape))
+    return made
+
+
+def gradients(method, world, materials, n, stream, probe=3):
+    """Value [n, 3] and dense gradients of a random projection of it."""
+    it = camera_vertices(world, n, 1)
+    u = Stream(5).uniform(n, DIMENSIONS)
+    value = method.reflected(Parts(world, materials), it, materials(it), u, stream).value
+    parameters = list(materials.parameters())
+    found = torch.autograd.grad((value * Stream(probe).uniform(n, 3)).sum(), parameters)
+    return value.detach(), [g.to_dense() for g in found]
+
+
+def same_stream(seed):
+    """The streams with which path and replay draw the same numbers."""
+    return Stream(int(Stream(seed).integers(1 << 62, 1))), Stream(seed)
+
+
+@pytest.mark.parametrize("make", [Textures, networks])
+@pytest.mark.parametrize("bounces", [1, 2, 15, None])
+def test_replay_equals_autograd_on_one_random_stream(world, make, bounces):
+    materials = make()
+    one, other = same_stream(9)
+    value, expected = gradients(Path(bounces, 3), world, materials, 3000, one)
+    again, found = gradients(PRB(bounces, 3), world, materials, 3000, other)
+    assert value.abs().max() > 0
+    assert (again - value).norm() <= 1e-4 * value.norm()
+    for e, f in zip(expected, found, strict=True):
+        assert e.norm() > 0
+        assert (f - e).norm() <= 1e-4 * e.norm()
+
+
+def test_another_stream_would_not_pass(world):
+    materials = Textures()
+    value, expected = gradients(Path(15, 3), world, materials, 3000, Stream(9))
+    again, found = gradients(PRB(15, 3), world, materials, 3000, Stream(9))
+    assert (again - value).norm() > 1e-2 * value.norm()
+    assert all((f - e).norm() > 1e-2 * e.norm() for e, f in zip(expected, found, strict=True))
+
+
+def peak_bytes(method, world, materials, n):
+    """Most bytes that a forward and backward pass has allocated at a time."""
+    it = camera_vertices(world, n, 1)
+    u = Stream(5).uniform(n, DIMENSIONS)
+    with torch.profiler.profile(activities=[torch.profiler.ProfilerActivity.CPU], profile_memory=True) as profile:
+        value = method.reflected(Parts(world, materials), it, materials(it), u, Stream(7)).value
+        found = torch.autograd.grad(value.sum(), list(materials.parameters()))
+    assert all(torch.isfinite(g.to_dense()).all() for g in found)
+    events = [e for e in profile.profiler.kineto_results.events() if e.name() == "[memory]"]
+    now, peak = 0, 0
+    for event in sorted(events, key=lambda e: e.start_ns()):
+        now += event.nbytes()
+        peak = max(peak, now)
+    return peak
+
+
+def test_memory_does_not_grow_with_the_length_of_paths(world):
+    materials = networks()
+    never = 1000  # no roulette: paths have the full length, but for those that the lobe samples below the surface
+    size = {bounces: peak_bytes(PRB(bounces, never), world, materials, 8000) for bounces in (2, 64)}
+    grown = {bounces: peak_bytes(Path(bounces, never), world, materials, 8000) for bounces in (2, 16)}
+    print(f"\nPRB: {size[2] / 1e6:.1f} MB at 2 bounces, {size[64] / 1e6:.1f} at 64; "
+          f"AD-PT: {grown[2] / 1e6:.1f} MB at 2, {grown[16] / 1e6:.1f} at 16")  # fmt: skip
+    assert size[64] <= 1.1 * size[2]
+    assert grown[16] > 2 * grown[2]
+
+
+@pytest.mark.parametrize("shape", [(50, 2), (50, 2, 2)])
+def test_sum_of_sparse_gradients(shape):
+    """Equals the dense sum and never keeps more than three times the rows there are."""
+    total, expected = GradientSum(), torch.zeros(shape)
+    for index in range(40):
+        rows = Stream(index).integers(shape[0], 1, 30)
+        piece = torch.sparse_coo_tensor(rows, torch.randn(30, *shape[1:]), shape)
+        expected += piece.to_dense()
+        total.add(piece)
+        total.add(None)
+        assert sum(kept._nnz() for kept in total.pieces) <= 3 * shape[0]
+    torch.testing.assert_close(total.value.to_dense(), expected)
+    assert total.value._nnz() <= shape[0]
+    total.add(torch.ones(shape))
+    torch.testing.assert_close(total.value.to_dense(), expected + 1.0)
+    assert GradientSum().value is None
+    rows = merge([torch.sparse_coo_tensor([[3, 1, 3]], torch.ones(3, 2), (5, 2))])._indices()[0]
+    assert rows.tolist() == [1, 3]
+
+
+def test_parameters_of_the_world_get_their_derivative_too(world):
+    """Lights may be parameters: emission is linear in them, so the derivative is known."""
+    lights = world.lights
+    before = lights.emission
+    materials = Textures()
+    try:
+        found = []
+        for method, stream in zip((Path(6, 3), PRB(6, 3)), same_stream(4), strict=True):
+            del lights.emission
+            lights.emission = torch.nn.Parameter(before.clone())
+            it = camera_vertices(world, 2000, 1)
+            u = Stream(5).uniform(2000, DIMENSIONS)
+            value = method.reflected(Parts(world, materials), it, materials(it), u, stream).value.sum()
+            (slope,) = torch.autograd.grad(value, [lights.emission])
+            found.append(slope)
+            torch.testing.assert_close((slope * before).sum(), value.detach(), rtol=1e-4, atol=0.0)
+        assert (found[1] - found[0]).norm() <= 1e-4 * found[0].norm()
+    finally:
+        del lights.emission
+        lights.register_buffer("emission", before, persistent=False)
