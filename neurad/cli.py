@@ -20,6 +20,8 @@ LIGHTNING_VERBS = {
 }
 OWN_VERBS = {
     "render": ("neurad.commands.render", "render a scene's views from its own, known materials"),
+    "compare": ("neurad.commands.compare", "run several methods with one budget and report error against cost"),
+    "stress": ("neurad.commands.stress", "check stiff and extreme cases against known answers, a row each"),
     "bench": ("neurad.commands.bench", "measure what a training step, a method or a peer costs"),
 }
 """Verbs beyond Lightning's: the module with ``add_arguments(parser)`` and ``run(options)``, and what it does."""
@@ -98,7 +100,8 @@ def _dispatch(words: list[str]) -> None:
         command = importlib.import_module(module)
         parser = _Parser(prog=f"neurad {verb}", description=text[:1].upper() + text[1:] + ".")
         command.add_arguments(parser)
-        command.run(parser.parse_args(rest))
+        # A verb that passes settings on to others takes its words apart itself.
+        command.run(command.parse(parser, rest) if hasattr(command, "parse") else parser.parse_args(rest))
     elif verb in LIGHTNING_VERBS:
         _prepare()
         from neurad.commands import train
