@@ -1,0 +1,76 @@
+"""What a stress case is, and how it is judged."""
+
+from __future__ import annotations
+
+import math
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What a case measured."""
+
+    error: float
+    """Distance from the oracle, in the measure that the case names."""
+    bar: float | None
+    """Largest error that passes; None where a figure is only stated."""
+    note: str = ""
+    """What else was seen: steps, the value reached, a ratio."""
+
+
+@dataclass(frozen=True)
+class Case:
+    """One row of the table."""
+
+    family: str
+    """Group of rows, also what ``--only`` picks."""
+    extreme: str
+    """What is extreme about it."""
+    oracle: str
+    """What the answer is compared with, and how."""
+    measure: Callable[[bool], Outcome]
+    """Runs the case; True asks for the short form."""
+    quick: bool = True
+    """Whether the case belongs to ``--quick``."""
+
+
+@dataclass(frozen=True)
+class Row:
+    """A case that was run."""
+
+    family: str
+    extreme: str
+    oracle: str
+    error: float
+    bar: float | None
+    seconds: float
+    verdict: str
+    """'ok', 'FAIL' or, for a figure without a bar, 'stated'."""
+    note: str
+
+
+def judge(case: Case, quick: bool) -> Row:
+    """Run a case. One that raises has failed, and its row says why: the table goes on to the next.
+
+    Args:
+        case: what to run.
+        quick: ask for its short form.
+    """
+    begin = time.perf_counter()
+    try:
+        outcome = case.measure(quick)
+    except Exception as error:
+        text = " ".join(str(error).split())
+        outcome = Outcome(math.nan, 0.0, f"{type(error).__name__}: {text}"[:300])
+    seconds = time.perf_counter() - begin
+    if not math.isfinite(outcome.error):
+        verdict = "FAIL"
+    elif outcome.bar is None:
+        verdict = "stated"
+    else:
+        verdict = "ok" if outcome.error <= outcome.bar else "FAIL"
+    return Row(
+        case.family, case.extreme, case.oracle, outcome.error, outcome.bar, seconds, verdict, outcome.note
+    )  # fmt: skip

@@ -1,0 +1,120 @@
+"""Planted NaN and Inf: each stops with the right sentence."""
+
+from __future__ import annotations
+
+import math
+import tempfile
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from neurad.commands.stress_cases.case import Case, Outcome
+from neurad.commands.stress_cases.fit import MATERIAL, RADIANCE, ROUGHNESS, photographs, resized
+from neurad.commands.stress_cases.runs import fit
+from neurad.commands.stress_cases.scenes import small_cube
+from neurad.core.errors import InputError
+from neurad.core.records import EmitterSample, PixelBatch
+from neurad.emitters.area import AreaLights
+from neurad.module.inverse import InverseRenderer
+from neurad.scene.image_io import read_photograph, write_exr
+
+
+def _texel() -> Case:
+    def measure(quick: bool) -> Outcome:
+        with tempfile.TemporaryDirectory() as folder:
+            path = Path(folder) / "photograph.exr"
+            pixels = np.ones((4, 4, 3), np.float32)
+            pixels[1, 2, 0] = np.nan
+            write_exr(path, pixels)
+            try:
+                read_photograph(str(path))
+            except InputError as error:
+                return Outcome(float("photograph.exr" not in str(error)), 0.0, str(error).replace(folder + "/", ""))
+        return Outcome(1.0, 0.0, "it was read")
+
+    return Case("guard", "a NaN texel in a photograph", "refused with a sentence that names the file", measure)
+
+
+def _planted(what: str, words: str, spoil: Callable[[InverseRenderer], None]) -> Case:
+    def measure(quick: bool) -> Outcome:
+        scene = resized(small_cube(8), 8, 2)
+        images = photographs(scene, 4)
+        step, sample = InverseRenderer.training_step, AreaLights.sample
+
+        def spoilt(self: InverseRenderer, batch: PixelBatch, batch_idx: int) -> Tensor:
+            if self.iteration == 2:
+                with torch.no_grad():
+                    spoil(self)
+            return step(self, batch, batch_idx)
+
+        InverseRenderer.training_step = spoilt  # type: ignore[method-assign]
+        try:
+            fit(scene, images, steps=4)
+        except InputError as error:
+            text = str(error)
+            return Outcome(float("iteration 2" not in text or words not in text), 0.0, text)
+        finally:
+            InverseRenderer.training_step = step  # type: ignore[method-assign]
+            AreaLights.sample = sample  # type: ignore[method-assign]
+        return Outcome(1.0, 0.0, "the run went on")
+
+    return Case("guard", what, f"stops and says: {words}", measure)
+
+
+def _weight(module: InverseRenderer) -> None:
+    assert module.radiance is not None
+    next(module.radiance.mlp.parameters())[0, 0] = math.nan
+
+
+def _sample(module: InverseRenderer) -> None:
+    plain = AreaLights.sample
+
+    def broken(self: AreaLights, p: Tensor, u: Tensor) -> EmitterSample:
+        found = plain(self, p, u)
+        found.radiance[found.pdf > 0] = math.inf
+        return found
+
+    AreaLights.sample = broken  # type: ignore[method-assign]
+
+
+def _cost() -> Case:
+    """What the checks of a step take."""
+
+    def measure(quick: bool) -> Outcome:
+        import time
+
+        from neurad.commands.stress_cases.fit import Fit
+        from neurad.module.guard import Guard
+
+        scene = resized(small_cube(12), 12, 2)
+        made = Fit(scene, photographs(scene, 4))
+        module = InverseRenderer(MATERIAL, ROUGHNESS, RADIANCE)
+        module.materials, module.radiance = made.materials, made.radiance
+        guard = Guard(module)
+        made.advance(0.0)
+        spent = [0.0, 0.0]
+        for i in range(1, 60):
+            begin = time.perf_counter()
+            made.advance(0.0)
+            middle = time.perf_counter()
+            terms = made.terms(i)
+            last = time.perf_counter()
+            guard.check(made.batch(i), {**terms.materials, **terms.field}, lambda: None)
+            spent[0] += middle - begin
+            spent[1] += time.perf_counter() - last
+        return Outcome(spent[1] / spent[0], 0.05, f"{1e3 * spent[1] / 59:.3f} of {1e3 * spent[0] / 59:.2f} ms a step")
+
+    return Case("guard", "cost of the checks", "share of a step", measure)
+
+
+def cases() -> list[Case]:
+    """What is planted."""
+    return [
+        _texel(),
+        _planted("a NaN weight", "the weight radiance.mlp.layers.0.weight is not finite", _weight),
+        _planted("an infinite sample of a light", "integrators.vertex.bounce.direct returned is not finite", _sample),
+        _cost(),
+    ]
