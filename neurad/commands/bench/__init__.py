@@ -5,8 +5,17 @@ from __future__ import annotations
 import argparse
 import importlib
 
-BENCHMARKS: dict[str, str] = {}
-"""Name of a benchmark (its module in this package has ``add_arguments(parser)`` and ``run(options)``): what it shows."""
+BENCHMARKS: dict[str, str] = {
+    "step": "time the stages of a training step, against what the machine allows",
+    "encode": "time hash grids, dense grids and networks, against what the machine allows",
+    "trace": "time every ray caster that is installed, by kind of ray and size of batch",
+    "growth": "time and memory against triangles, views, resolution and table size",
+    "ceiling": "fit the material fields to the true maps: what no fit to photographs can be expected to beat",
+    "peer": "race Mitsuba 3's path replay backpropagation to a given albedo error, on this machine",
+    "cube": "time and memory of a step against albedo, for ours, path replay and differentiated path tracing",
+    "gradients": "bias of gradient images and of the loss's gradient, against long paths and a closed form",
+}
+"""Name of a benchmark (its module here has ``add_arguments(parser)`` and ``run(options)``): what it shows."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:

@@ -1,0 +1,170 @@
+"""What the machine at hand can do, measured, and tables that compare a stage with it."""
+
+from __future__ import annotations
+
+import csv
+import os
+import platform
+import time
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+from statistics import median
+
+import torch
+from torch import Tensor
+
+from neurad.core.errors import InputError
+from neurad.core.protocols import Tracer
+from neurad.core.records import Rays
+
+COPY = 1 << 26
+"""Bytes of the array that is copied to measure bandwidth: more than caches hold."""
+MATRIX = 1024
+"""Side of the matrices whose product measures the matrix rate."""
+LARGE = 1 << 17
+"""Rays in a batch that measures a tracer."""
+
+
+def wait(device: torch.device) -> None:
+    """Until the device has done all that it was told."""
+    if device.type == "cuda":
+        torch.cuda.synchronize(device)
+
+
+def timed(work: Callable[[], object], device: torch.device, seconds: float = 0.3, least: int = 3) -> list[float]:
+    """Seconds of every call of ``work``, after one that does not count, for about ``seconds``."""
+    work()
+    wait(device)
+    found: list[float] = []
+    end = time.perf_counter() + seconds
+    while len(found) < least or (time.perf_counter() < end and len(found) < 1000):
+        begin = time.perf_counter()
+        work()
+        wait(device)
+        found.append(time.perf_counter() - begin)
+    return found
+
+
+def typical(work: Callable[[], object], device: torch.device, seconds: float = 0.3) -> float:
+    """Median seconds of a call."""
+    return median(timed(work, device, seconds))
+
+
+def bandwidth(device: torch.device) -> float:
+    """Bytes read and written per second by the copy of a large array."""
+    source = torch.zeros(COPY // 4, device=device)
+    target = torch.ones_like(source)
+    return 2 * COPY / min(timed(lambda: target.copy_(source), device))
+
+
+def matrix_rate(device: torch.device) -> float:
+    """Floating-point operations per second of a large float32 product."""
+    a = torch.rand(MATRIX, MATRIX, device=device)
+    out = torch.empty_like(a)
+    return 2 * MATRIX**3 / min(timed(lambda: torch.mm(a, a, out=out), device))
+
+
+def ray_rates(tracer: Tracer, closest: Rays, shadow: Rays | None, t_max: Tensor | None) -> tuple[float, float]:
+    """Rays per second of closest-hit and of occlusion queries, for rays of this kind in one large batch.
+
+    The second is that of the first where there are no shadow rays.
+    """
+    device = closest.o.device
+    index = torch.arange(LARGE, device=device)
+    many = closest[index % len(closest)]
+    rate = LARGE / min(timed(lambda: tracer.closest(many), device))
+    if shadow is None or t_max is None or len(shadow) == 0:
+        return rate, rate
+    blocked, far = shadow[index % len(shadow)], t_max[index % len(shadow)]
+    return rate, LARGE / min(timed(lambda: tracer.occluded(blocked, far), device))
+
+
+def peak_bytes(device: torch.device) -> int:
+    """Largest memory in use so far: of the process on a CPU, of torch's allocations on a GPU; 0 if nobody knows."""
+    if device.type == "cuda":
+        return int(torch.cuda.max_memory_allocated(device))
+    try:
+        import resource
+    except ImportError:  # Windows
+        return 0
+    return int(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss) * (1 if platform.system() == "Darwin" else 1024)
+
+
+def describe(device: torch.device) -> str:
+    """The device in words."""
+    if device.type == "cuda":
+        return torch.cuda.get_device_name(device)
+    name = platform.processor() or platform.machine()
+    try:
+        lines = Path("/proc/cpuinfo").read_text().splitlines()
+        name = next(line.split(":", 1)[1].strip() for line in lines if line.startswith("model name"))
+    except (OSError, StopIteration):
+        pass
+    return f"{name}, {torch.get_num_threads()} of {os.cpu_count()} cores"
+
+
+def pick_device(name: str) -> torch.device:
+    """The device called ``name``; 'auto' is a GPU where there is one.
+
+    Raises:
+        InputError: there is no such device.
+    """
+    if name == "auto":
+        return torch.device("cuda" if torch.cuda.is_available() else "cpu")
+    if name.startswith("cuda") and not torch.cuda.is_available():
+        raise InputError(f"--device {name}: torch sees no GPU here")
+    try:
+        return torch.device(name)
+    except RuntimeError as error:
+        raise InputError(f"--device {name}: there is no such device") from error
+
+
+Row = Mapping[str, str | int | float | None]
+
+
+def show(rows: Sequence[Row], title: str) -> str:
+    """Rows as an aligned table; numbers with three digits, None as a blank."""
+    if not rows:
+        return title
+    names = list(rows[0])
+    cells = [[_cell(row.get(name)) for name in names] for row in rows]
+    widths = [max(len(name), *(len(line[i]) for line in cells)) for i, name in enumerate(names)]
+    text = [isinstance(rows[0][name], str) for name in names]
+
+    def line(values: Sequence[str]) -> str:
+        parts = zip(values, widths, text, strict=True)
+        return "  ".join(v.ljust(w) if is_text else v.rjust(w) for v, w, is_text in parts).rstrip()
+
+    return "\n".join([title, line(names), *map(line, cells)])
+
+
+def write_csv(path: str | Path, rows: Sequence[Row]) -> None:
+    """Rows as CSV, numbers in full.
+
+    Raises:
+        InputError: the file cannot be written.
+    """
+    try:
+        Path(path).parent.mkdir(parents=True, exist_ok=True)
+        with Path(path).open("w", newline="") as file:
+            writer = csv.DictWriter(file, list(rows[0]) if rows else [])
+            writer.writeheader()
+            writer.writerows(rows)
+    except OSError as error:
+        raise InputError(f"--out {path}: it cannot be written ({error.strerror})") from error
+
+
+def report(rows: Sequence[Row], title: str, out: str | None) -> None:
+    """Print a table and, if asked for, write it."""
+    print(show(rows, title))
+    if out is not None:
+        write_csv(out, rows)
+        print(f"\nneurad: {out}")
+
+
+def _cell(value: object) -> str:
+    if value is None:
+        return ""
+    if isinstance(value, float):
+        return f"{value:.3g}" if abs(value) < 1000 else f"{value:.0f}"
+    return str(value)

@@ -1,0 +1,181 @@
+"""``neurad bench peer``: seconds to a given albedo error, for ``neurad fit`` and for Mitsuba 3's path replay.
+
+All run on this machine, one after the other, each as a process of its own, on the same photographs, and are scored by
+the same code on the same held-out pixels. Seconds count from the start of each process, compilation included and
+evaluation left out. What the peer gets: rays of all views mixed in one batch, leave-one-out residuals instead of a
+second rendering, the relative loss, a Laplacian pyramid over surface voxels or the networks of ``neurad fit``, Adam
+with the same decays and a cosine over the budget.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import subprocess
+import sys
+from pathlib import Path
+from typing import Any
+
+PEERS = ("grid", "network")
+TIMER = "neurad.commands.peer.timer.TrainingTimer"
+UNTIL_STOPPED = "30:00:00:00"
+"""A fit wants a limit; the timer replaces it."""
+FIT = "from neurad.cli import main; main()"
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the options of the benchmark."""
+    source = parser.add_mutually_exclusive_group(required=True)
+    source.add_argument("--scene", help="name of a built-in scene, such as kitchen")
+    source.add_argument("--root", help="scene folder with scene.xml, transforms_*.json, images/ and albedo/")
+    parser.add_argument(
+        "--budget", type=float, nargs="+", required=True, metavar="SECONDS",
+        help="length of a run; with several, all run for each and the earliest time counts",
+    )  # fmt: skip
+    parser.add_argument("--out", type=Path, default=Path("peer"), help="folder to write (default: peer)")
+    parser.add_argument(
+        "--peers", default=",".join(PEERS), help="grid, network, both with a comma, or none (default: grid,network)"
+    )
+    parser.add_argument("--config", help="config of ours (default: kitchen.yaml for kitchen, otherwise scene.yaml)")
+    parser.add_argument("--without-ours", action="store_true", help="run the peers alone")
+    parser.add_argument(
+        "--set", action="append", default=[], metavar="[grid.|network.]KEY=VALUE", dest="changes",
+        help="change a setting of the peer (resolution, pixels, samples, max_depth, rr_depth, rate, roughness_rate, "
+        "beta1, beta2, gain, final, normaliser, epsilon, seed), such as grid.resolution=192",
+    )  # fmt: skip
+
+
+def run(options: argparse.Namespace) -> None:
+    """Run all contestants and write ``peer.csv``, ``curves.csv`` and ``curves.png``.
+
+    Raises:
+        InputError: a bad option, a missing package or library, or a run that failed.
+    """
+    from neurad.commands.peer.variant import load_mitsuba, usable_cores
+    from neurad.core.errors import InputError
+
+    kinds = _kinds(options.peers)
+    if min(options.budget) <= 0:
+        raise InputError(f"--budget: {min(options.budget):g} is not a positive number of seconds")
+    if not kinds and options.without_ours:
+        raise InputError("--peers: none are left to run")
+    if options.root is not None and not Path(options.root).is_dir():
+        raise InputError(f"--root: there is no folder {options.root}")
+    config = options.config or ("kitchen.yaml" if options.scene == "kitchen" else "scene.yaml")
+    sizes = _sizes(config)
+    plans = {kind: _settings(options, kind, sizes) for kind in kinds}
+    if kinds:
+        load_mitsuba()
+    from neurad.commands.peer import report
+
+    options.out.mkdir(parents=True, exist_ok=True)
+    curves = []
+    for budget in sorted(options.budget):
+        if not options.without_ours:
+            path = _fit(options, config, budget)
+            curves.append(report.read_curve("ours", budget, path))
+        for kind in kinds:
+            path = _peer(options.out, kind, budget, plans[kind])
+            curves.append(report.read_curve(f"peer_{kind}", budget, path))
+        rows = report.write(options.out, curves, f"{options.scene or Path(options.root).name}, {usable_cores()} cores")
+    for curve in curves:
+        if not curve.rows:
+            print(f"neurad: {curve.contestant} had not even started after {curve.budget:g} s", file=sys.stderr)
+    print("\n" + report.text(rows, curves))
+    print(f"\nneurad: peer.csv, curves.csv and curves.png are in {options.out}")
+
+
+def _kinds(text: str) -> list[str]:
+    from neurad.core.errors import InputError
+
+    kinds = [] if text == "none" else [kind.strip() for kind in text.split(",")]
+    for kind in kinds:
+        if kind not in PEERS:
+            raise InputError(f"--peers: {kind or 'nothing'} is unknown, there are {', '.join(PEERS)} and none")
+    return kinds
+
+
+def _sizes(config: str) -> dict[str, Any]:
+    """Network sizes and epsilon of a config."""
+    from omegaconf import OmegaConf
+
+    from neurad.commands.configs import load_config, overlay
+    from neurad.core.errors import InputError
+
+    model = overlay(load_config(config), {}).get("model") or {}
+    found: dict[str, Any] = {}
+    for name in ("albedo", "roughness"):
+        sizes: Any = OmegaConf.to_container(model[name]) if name in model else {}
+        if sizes.get("kind", "hash") == "dense":
+            raise InputError(f"config {config}: model.{name} is a dense grid, but the network peer needs networks")
+        found[name] = {key: value for key, value in sizes.items() if key in ("grid", "width", "hidden_layers")}
+    epsilon = (model.get("objective") or {}).get("epsilon")
+    return found if epsilon is None else {**found, "epsilon": float(epsilon)}
+
+
+def _settings(options: argparse.Namespace, kind: str, sizes: dict[str, Any]) -> dict[str, Any]:
+    """Settings of a peer: the best found, the config's sizes and the user's changes."""
+    from neurad.commands.peer.fit import BEST, PeerSettings
+    from neurad.core.errors import InputError
+
+    source = {"root": options.root and str(Path(options.root).resolve()), "scene": options.scene}
+    settings: dict[str, Any] = {**sizes, **BEST[kind], **source}
+    known: dict[str, Any] = {name: getattr(PeerSettings, name) for name in _CHANGEABLE}
+    for change in options.changes:
+        key, equals, value = change.partition("=")
+        chosen, dot, name = key.rpartition(".")
+        if not equals or name not in known or (dot and chosen not in PEERS):
+            raise InputError(f"--set {change}: expected KEY=VALUE, KEY one of {', '.join(known)}")
+        if dot and chosen != kind:
+            continue
+        try:
+            settings[name] = type(known[name])(value)
+        except ValueError as error:
+            raise InputError(f"--set {change}: {value} is not a {type(known[name]).__name__}") from error
+    return settings
+
+
+_CHANGEABLE = (
+    "resolution", "pixels", "samples", "max_depth", "rr_depth", "rate", "roughness_rate", "beta1", "beta2", "gain",
+    "final", "normaliser", "epsilon", "seed",
+)  # fmt: skip
+
+
+def _fit(options: argparse.Namespace, config: str, budget: float) -> Path:
+    """``neurad fit`` for ``budget`` seconds; returns its ``metrics.csv``."""
+    folder = options.out / f"ours_{budget:g}"
+    before = set(folder.glob("lightning_logs/version_*"))
+    data = ["--data.root", str(Path(options.root).resolve())] if options.root else ["--data.scene", options.scene]
+    arguments = [
+        "fit", "--config", config, *data, "--trainer.default_root_dir", str(folder),
+        "--trainer.max_time", UNTIL_STOPPED,
+        f"--trainer.callbacks+={TIMER}", f"--trainer.callbacks.seconds={budget:g}",
+        "--evaluation.share", "1000", "--evaluation.spp", "1",
+    ]  # fmt: skip
+    _process("ours", budget, [sys.executable, "-c", FIT, *arguments])
+    made = set(folder.glob("lightning_logs/version_*")) - before
+    newest: Path = max(made, key=lambda path: path.stat().st_mtime) if made else folder
+    return newest / "metrics.csv"
+
+
+def _peer(out: Path, kind: str, budget: float, settings: dict[str, Any]) -> Path:
+    """The peer for ``budget`` seconds; returns its CSV file."""
+    path = out / f"peer_{kind}_{budget:g}.csv"
+    described = path.with_suffix(".json")
+    described.write_text(json.dumps({**settings, "kind": kind, "seconds": budget, "out": str(path)}, indent=1) + "\n")
+    _process(f"peer {kind}", budget, [sys.executable, "-m", "neurad.commands.peer.fit", str(described)])
+    return path
+
+
+def _process(name: str, budget: float, command: list[str]) -> None:
+    """Run a contestant to its end, its output passed on to stderr."""
+    from neurad.core.errors import InputError
+
+    print(f"neurad: {name}, {budget:g} s", file=sys.stderr, flush=True)
+    environment = {**os.environ, "OMP_WAIT_POLICY": os.environ.get("OMP_WAIT_POLICY", "passive")}
+    done = subprocess.run(command, env=environment, stdout=sys.stderr, check=False)
+    if done.returncode == 130:
+        raise KeyboardInterrupt
+    if done.returncode != 0:
+        raise InputError(f"bench peer: the run of {name} ended with exit code {done.returncode}, see above")
