@@ -195,16 +195,19 @@ def test_levels_interpolate_between_what_they_hold():
     torch.testing.assert_close(found[-1][1], torch.eye(32, dtype=torch.float64))
 
 
-def test_the_optimizer_finds_a_map_under_noise():
-    target = torch.randn(8, 16, 3, generator=torch.Generator().manual_seed(1)).view(-1, 3)
-    p = torch.nn.Parameter(torch.zeros(128, 3))
-    optimizer = MapAdam([p], 16, lr=0.1)
+@pytest.mark.parametrize("asked", [1.0, 0.0])
+def test_the_optimizer_finds_a_smooth_map_under_noise_and_lets_noise_fade(asked):
+    rows, columns = levels(16, 32)[0]
+    coarse = torch.randn(3, 4, 8, generator=torch.Generator().manual_seed(1), dtype=torch.float64)
+    target = asked * (rows @ coarse @ columns.T).float().permute(1, 2, 0).reshape(-1, 3)
+    p = torch.nn.Parameter(torch.zeros(16 * 32, 3))
+    optimizer = MapAdam([p], 32, lr=0.1)
     stream = Stream(2)
-    for step in range(400):
-        optimizer.param_groups[0]["lr"] = 0.1 * (1.0 - step / 400)
-        p.grad = p.detach() - target + stream.uniform(128, 3) - 0.5
+    for step in range(300):
+        optimizer.param_groups[0]["lr"] = 0.1 * (1.0 - step / 300)
+        p.grad = 0.1 * (p.detach() - target) + stream.uniform(16 * 32, 3) - 0.5
         optimizer.step()
-    assert float((p.detach() - target).abs().mean()) < 0.1
+    assert float((p.detach() - target).square().mean().sqrt()) < 0.12 + 0.12 * asked
 
 
 # ---- scores
@@ -249,7 +252,8 @@ FIT = {
         **{part: {"grid": vars(GRID), "width": 16} for part in ("albedo", "roughness", "radiance")},
         "materials": "known",
         "lighting": {"environment": "fit", "width": 16, "height": 8, "refresh": 5},
-        "optimization": {"schedule": "constant", "warmup": 1},
+        "sampling": {"positions": 2, "secondary": 4, "cached": 32},
+        "optimization": {"schedule": "constant", "warmup": 1, "environment": 0.1},
     },
     "evaluation": {"every_n_steps": 1000, "spp": 16, "test_spp": 16},
 }
@@ -280,11 +284,12 @@ def run(*args, config=("--config", "fit.yaml")):
 def test_a_constant_map_is_recovered(made, method):
     color = np.array([2.0, 1.0, 0.5], np.float32)
     made(EnvironmentMap(np.broadcast_to(color, (4, 8, 3)).copy()), kind="diffuse")
-    row, state = run("--trainer.max_steps=80", f"--model.method=neurad.integrators.{method}",
+    row, state = run("--trainer.max_steps=100", f"--model.method=neurad.integrators.{method}",
                      "--model.optimization.schedule=cosine")  # fmt: skip
-    # Direct light alone has to make up for what bounces between ball and floor.
-    assert float(row["environment_mape_seen"]) < (0.2 if method == "direct.Direct" else 0.1)
-    assert float(row["mape_linear"]) < 0.15
+    # 0.55 at the start. Direct light alone has to make up for what bounces between ball and floor; the radiance field
+    # has to learn first.
+    assert float(row["environment_mape_seen"]) < (0.15 if method == "prb.PRB" else 0.25)
+    assert float(row["mape_linear"]) < 0.3  # noise of 16 samples
     assert "albedo_psnr" not in row or row["albedo_psnr"] == ""
     assert len(state["optimizer_states"]) == (2 if "Radiometric" in method else 1)
 
@@ -326,15 +331,16 @@ def test_relit_pictures_of_the_true_materials_agree_with_their_photographs(tmp_p
     from neurad.metrics.relight import relight_map, score_relit
     from neurad.module.lighting import relit_world
 
-    scene = photographed(object_scene(sky()), tmp_path, relit=sky(seed=9))
+    blue = EnvironmentMap(sky(seed=9).pixels * np.array([0.3, 1.0, 3.0], np.float32))
+    scene = photographed(object_scene(sky()), tmp_path, relit=blue)
     world = build_world(scene, hide_environment=True)
     other = relit_world(world, scene, relight_map(scene))
     tracer = PathTracer(other, TrueMaterials(scene, world.geometry), scene.max_depth)
     held_out = HeldOut(scene, world.geometry, world.tracer)
     renders = [render(view.camera, tracer, 64, 7).numpy() for view in scene.test]
-    assert score_relit(held_out, renders)["relight_psnr_linear"] > 30
+    assert score_relit(held_out, renders)["relight_mape_linear"] < 0.15  # noise of 64 samples
     before = [held_out.truth(index)["photograph"] for index in range(len(scene.test))]
-    assert score_relit(held_out, before)["relight_psnr_linear"] < 25  # the other light is another one
+    assert score_relit(held_out, before)["relight_mape_linear"] > 0.2  # the other light is another one
 
 
 def test_what_cannot_be_recovered_is_said(tmp_path):

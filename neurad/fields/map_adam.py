@@ -15,7 +15,7 @@ FALL = 0.5
 """Step of a level relative to the next coarser one: what many texels agree about is not noise."""
 FLOOR = 1.0
 """Floor of the divisor, relative to its root mean square over a level: texels that hardly matter hardly move."""
-SMOOTH = 0.1
+SMOOTH = 1.0
 """Pull of a level's detail towards nothing, relative to its step: detail that photographs cannot tell fades, where
 noise alone would let it grow."""
 

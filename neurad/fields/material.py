@@ -9,6 +9,7 @@ from neurad.core.records import Interaction
 from neurad.fields.hash_grid import UnitCube
 from neurad.fields.select import make_layers
 from neurad.fields.settings import FieldConfig, RoughnessConfig
+from neurad.scene.textures import OnEmitters
 
 MIN_ROUGHNESS = 0.02
 """Smallest fitted roughness: below it a highlight is narrower than a pixel and its gradient is all noise."""
@@ -17,14 +18,20 @@ MIN_ROUGHNESS = 0.02
 class _MaterialField(nn.Module):
     """Position -> hash grid -> network -> sigmoid, or position -> dense grid -> sigmoid. Values start near 0.5."""
 
-    def __init__(self, config: FieldConfig, bounds: Tensor, channels: int, extra: int = 0) -> None:
+    def __init__(
+        self, config: FieldConfig, bounds: Tensor, channels: int, extra: int = 0, known: OnEmitters | None = None
+    ) -> None:
         super().__init__()
+        self.known = known
         self.cube = UnitCube(bounds)
         self.grid, self.mlp = make_layers(config, channels, extra)
 
     def _values(self, p: Tensor, *extra: Tensor) -> Tensor:
         features = self.grid(self.cube(p))
         return torch.sigmoid(self.mlp(torch.cat((features, *extra), -1) if extra else features))
+
+    def _given(self, it: Interaction, values: Tensor) -> Tensor:
+        return values if self.known is None else self.known(it, values)
 
 
 class AlbedoField(_MaterialField):
@@ -33,10 +40,11 @@ class AlbedoField(_MaterialField):
     Args:
         config: sizes of grid and network.
         bounds: smallest and largest corner of the scene [2, 3].
+        known: what is known on emitters, where a field is not read.
     """
 
-    def __init__(self, config: FieldConfig, bounds: Tensor) -> None:
-        super().__init__(config, bounds, 3)
+    def __init__(self, config: FieldConfig, bounds: Tensor, known: OnEmitters | None = None) -> None:
+        super().__init__(config, bounds, 3, known=known)
 
     def at(self, p: Tensor) -> Tensor:
         """Albedo [n, 3] at positions [n, 3]; outside the bounds, that of the nearest point of the cube."""
@@ -44,7 +52,7 @@ class AlbedoField(_MaterialField):
 
     def forward(self, it: Interaction) -> Tensor:
         """Albedo [n, 3] at the lanes of ``it``; gradients reach the parameters, not the positions."""
-        return self.at(it.p)
+        return self._given(it, self.at(it.p))
 
 
 class RoughnessField(_MaterialField):
@@ -53,11 +61,12 @@ class RoughnessField(_MaterialField):
     Args:
         config: sizes of grid and network, and whether the network reads the albedo.
         bounds: smallest and largest corner of the scene [2, 3].
+        known: what is known on emitters, where a field is not read.
     """
 
-    def __init__(self, config: FieldConfig, bounds: Tensor) -> None:
+    def __init__(self, config: FieldConfig, bounds: Tensor, known: OnEmitters | None = None) -> None:
         reads_albedo = isinstance(config, RoughnessConfig) and config.reads_albedo and config.kind == "hash"
-        super().__init__(config, bounds, 1, 3 if reads_albedo else 0)
+        super().__init__(config, bounds, 1, 3 if reads_albedo else 0, known)
         self.reads_albedo = reads_albedo
 
     def at(self, p: Tensor, albedo: Tensor | None = None) -> Tensor:
@@ -77,4 +86,4 @@ class RoughnessField(_MaterialField):
 
     def forward(self, it: Interaction, albedo: Tensor | None = None) -> Tensor:
         """Roughness [n, 1] at the lanes of ``it``; gradients reach the parameters, not the positions."""
-        return self.at(it.p, albedo)
+        return self._given(it, self.at(it.p, albedo))

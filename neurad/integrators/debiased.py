@@ -89,8 +89,9 @@ class Debiased(Method):
                 sample = Reflected(value, value, v.step.direct, ends=v.step.next)
             if index < self.k - 1:
                 value = v.step.direct
-            elif index >= self.k:
-                value = value - before[v.lane]
+            else:
+                if index >= self.k:
+                    value = value - before[v.lane]
+                before = torch.zeros_like(it.p).index_copy_(0, v.lane, light)
             terms.append((v.lane, v.throughput * value))
-            before = torch.zeros_like(it.p).index_copy_(0, v.lane, light)
         return replace(sample, value=scatter(terms, it.p))

@@ -17,6 +17,7 @@ from neurad.integrators.delta import DeltaSurfaces
 from neurad.integrators.world import World
 from neurad.scene.description import Scene
 from neurad.scene.geometry import Geometry
+from neurad.scene.textures import OnEmitters
 from neurad.tracing.select import make_tracer
 
 
@@ -68,11 +69,22 @@ class FittedMaterials(nn.Module):
         return Surface(albedo, roughness)
 
 
-def build_materials(scene: Scene, albedo: FieldConfig, roughness: FieldConfig) -> FittedMaterials:
-    """Fields for albedo and, where the scene is not Lambertian, roughness."""
+def build_materials(
+    scene: Scene, albedo: FieldConfig, roughness: FieldConfig, geometry: Geometry | None = None
+) -> FittedMaterials:
+    """Fields for albedo and, where the scene is not Lambertian, roughness.
+
+    With the scene's ``geometry`` the materials of emitting surfaces are the scene's own: they are part of the light,
+    and photographs do not tell them.
+    """
     bounds = torch.from_numpy(scene.bounds)
+    on_lamps: list[OnEmitters | None] = [None, None]
+    if geometry is not None and scene.features.has_area_lights:
+        textures = ([m.albedo for m in scene.materials], 3), ([m.roughness for m in scene.materials], 1)
+        on_lamps = [OnEmitters(*texture, geometry) for texture in textures]
     return FittedMaterials(
-        AlbedoField(albedo, bounds), None if scene.features.is_diffuse else RoughnessField(roughness, bounds)
+        AlbedoField(albedo, bounds, on_lamps[0]),
+        None if scene.features.is_diffuse else RoughnessField(roughness, bounds, on_lamps[1]),
     )
 
 

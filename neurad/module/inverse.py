@@ -130,7 +130,7 @@ class InverseRenderer(L.LightningModule):
         if self.knows_materials:
             self.materials = TrueMaterials(self.scene, self.world.geometry)
         else:
-            self.materials = build_materials(self.scene, albedo, roughness)
+            self.materials = build_materials(self.scene, albedo, roughness, self.world.geometry)
         self.radiance = build_radiance(self.scene, radiance) if self.method.needs_field else None
         if self.trainer.world_size > 1:
             self._ddp_params_and_buffers_to_ignore = set_aside(self)  # DDP's own name for it

@@ -51,6 +51,35 @@ class TrueMaterials(nn.Module):
         return albedo
 
 
+class OnEmitters(nn.Module):
+    """Puts the scene's own values on surfaces that emit light, as they belong to what is known of the light.
+
+    A photograph of a lamp does not tell what the lamp reflects, but whatever is taken for it lights the room: in a
+    kitchen whose lamps reflect 2 %, a fit that was free to think 60 % had 7 % too much light and albedos 4 % too low.
+
+    Args:
+        textures: by material.
+        channels: of the values.
+        geometry: says which triangles emit.
+    """
+
+    emits: Tensor
+
+    def __init__(self, textures: list[Texture], channels: int, geometry: Geometry) -> None:
+        super().__init__()
+        self.table = TextureTable(textures, channels)
+        self.geometry = geometry
+        self.register_buffer("emits", geometry.emission.amax(-1) > 0, persistent=False)
+
+    def forward(self, it: Interaction, values: Tensor) -> Tensor:
+        """``values`` [n, channels] at the lanes of ``it``, replaced where these are on an emitter."""
+        lane = (self.emits[it.prim.clamp_min(0)] & it.valid).nonzero().squeeze(-1)
+        if len(lane) == 0:
+            return values
+        part = it[lane]
+        return values.index_copy(0, lane, self.table(self.geometry.material[part.prim], part, self.geometry))
+
+
 class TextureTable(nn.Module):
     """One texture a material, all bitmaps packed into one table so that a lookup takes no loop over materials.
 

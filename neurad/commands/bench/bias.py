@@ -13,7 +13,7 @@ from torch import Tensor
 
 from neurad.commands.bench.per_path import PathMaterials, PathRays, UniformMaterials
 from neurad.core.protocols import Materials
-from neurad.core.records import Camera, FloatArray, Interaction
+from neurad.core.records import Camera, FloatArray, IntArray, Interaction
 from neurad.core.rng import Stream, mix
 from neurad.integrators.film import pixel_positions, render
 from neurad.integrators.method import Method, Parts
@@ -119,7 +119,7 @@ class Study:
 # ---- statistics
 
 
-def jackknife(f: Callable[[FloatArray], float], batches: int) -> tuple[float, float]:
+def jackknife(f: Callable[[IntArray], float], batches: int) -> tuple[float, float]:
     """A statistic of independent batches and its standard error.
 
     Args:
@@ -168,7 +168,7 @@ def noise(slope: FloatArray) -> float:
 def loss_bias(method: Gradients, reference: Gradients | None, target: FloatArray, unit: float) -> tuple[float, float]:
     """Bias of the loss's derivative by roughness (itself without a reference) over ``unit``, and its standard error."""
 
-    def difference(i: FloatArray) -> float:
+    def difference(i: IntArray) -> float:
         own = loss_gradient(method.image[i], method.roughness[i], target)
         if reference is None:
             return own / unit
