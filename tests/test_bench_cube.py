@@ -84,7 +84,7 @@ def test_work_grows_with_albedo_for_paths_alone():
 
 
 def test_reflected_radiance_is_that_of_paths():
-    """The closed form (the light hangs just below the ceiling, so it is not exact, and views are not the area) against paths."""
+    """The closed form against paths; the light hangs off the ceiling and views are not the area, so roughly."""
     scene = build_cube(0.5)
     world = build_world(scene)
     materials = TrueMaterials(scene, world.geometry)
@@ -290,10 +290,26 @@ def test_statistics_have_no_bias_of_their_own():
     squares, losses = [], []
     for _ in range(400):
         noise = rng.normal(size=(4, 50))
-        squares.append(bias.square(truth + noise))
+        squares.append(bias.product(truth + noise, truth + noise))
         losses.append(bias.loss_gradient(truth + noise, truth + 2 * noise, target))
     for values, exact in ((squares, (truth**2).mean()), (losses, 2 * ((truth - target) * truth).mean())):
         assert abs(np.mean(values) - exact) < 3.9 * np.std(values) / 20
+
+
+def test_bias_along_the_reference():
+    """A gradient image of 70 % of the reference, one orthogonal to it added: 5 standard errors, noise 1 a batch."""
+    rng = np.random.default_rng(2)
+    truth = rng.normal(size=400)
+    other = rng.normal(size=400)
+    other -= truth * (other @ truth) / (truth @ truth)
+    reference = truth + rng.normal(size=(40, 400))
+    slope = 0.7 * truth + 0.5 * other + rng.normal(size=(20, 400))
+    mean, error = bias.image_bias(slope, reference)
+    assert error < 0.05
+    assert abs(mean + 0.3) < 5 * error
+    expected = math.sqrt(0.3**2 + 0.25 * (other @ other) / (truth @ truth))
+    assert bias.pixel_bias(slope, reference) == pytest.approx(expected, rel=0.15)
+    assert bias.noise(slope, reference) == pytest.approx(math.sqrt(1 / 20 / (truth**2).mean()), rel=0.15)
 
 
 def test_jackknife_of_a_mean_is_its_standard_error():

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
 from itertools import pairwise
 
 import torch
@@ -33,6 +34,17 @@ def split(work: Callable[[int, int], object], count: int, grain: int) -> None:
     work(0, edges[1])
     for other in others:
         other.result()
+
+
+@contextmanager
+def at_most(count: int) -> Iterator[None]:
+    """Let torch and :func:`split` use at most ``count`` threads inside the block, and as many as before after it."""
+    before = torch.get_num_threads()
+    torch.set_num_threads(max(1, min(before, count)))
+    try:
+        yield
+    finally:
+        torch.set_num_threads(before)
 
 
 def _executor() -> ThreadPoolExecutor:

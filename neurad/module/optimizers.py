@@ -29,8 +29,7 @@ def make_optimizers(
     if isinstance(materials, FittedMaterials):
         made["albedo"] = FieldAdam(materials.albedo.parameters(), lr=rates.albedo)  # type: ignore[attr-defined]
         if materials.roughness is not None:
-            parameters = materials.roughness.parameters()  # type: ignore[attr-defined]
-            made["roughness"] = FieldAdam(parameters, lr=rates.roughness)
+            made["roughness"] = FieldAdam(materials.roughness.parameters(), lr=rates.roughness)
     if environment is not None:
         made["environment"] = MapAdam([environment.values], environment.width, lr=rates.environment)
     if radiance is not None:

@@ -131,38 +131,44 @@ def jackknife(f: Callable[[IntArray], float], batches: int) -> tuple[float, floa
     return f(every), math.sqrt((batches - 1) / batches * float(((parts - parts.mean()) ** 2).sum()))
 
 
-def square(x: FloatArray) -> float:
-    """Unbiased mean square over pixels of what batches [n, pixels] are noisy estimates of; may come out negative."""
+def product(x: FloatArray, y: FloatArray) -> float:
+    """Unbiased mean over pixels of the product of what batches [n, pixels] are noisy estimates of: factors always come
+    from different batches.
+    """
     n = len(x)
-    return float(((x.sum(0) ** 2 - (x**2).sum(0)) / (n * (n - 1))).mean())
+    return float(((x.sum(0) * y.sum(0) - (x * y).sum(0)) / (n * (n - 1))).mean())
 
 
 def loss_gradient(image: FloatArray, slope: FloatArray, target: FloatArray) -> float:
     """Unbiased derivative of the mean squared difference to ``target`` [pixels], from batches [n, pixels]: residual and
     derivative always come from different ones.
     """
-    n = len(image)
-    residual = image - target
-    cross = (residual.sum(0) * slope.sum(0) - (residual * slope).sum(0)) / (n * (n - 1))
-    return float(2.0 * cross.mean())
+    return 2.0 * product(image - target, slope)
 
 
-def mean_bias(slope: FloatArray, reference: FloatArray) -> tuple[float, float]:
-    """Relative bias of the derivative of the picture's mean, and its standard error; the first batches are pairs."""
-    n, whole = len(slope), abs(float(reference.mean()))
-    difference = (slope - reference[:n]).mean(1) / whole
-    return jackknife(lambda i: float(difference[i].mean()), n)
+def image_bias(slope: FloatArray, reference: FloatArray) -> tuple[float, float]:
+    """What a gradient image has too much of the reference's, ``<slope, reference> / <reference, reference> - 1``, and
+    its standard error: -0.8 says that four fifths are missing. Means over pixels would cancel where signs differ.
+
+    Args:
+        slope: batches of a method [n, pixels].
+        reference: of the reference [m, pixels]; its first n batches are paired with those of the method.
+    """
+    n, whole = len(slope), product(reference, reference)
+    paired = reference[:n]
+    return jackknife(lambda i: product(slope[i] - paired[i], paired[i]) / whole, n)
 
 
 def pixel_bias(slope: FloatArray, reference: FloatArray) -> float:
     """Root mean square over pixels of the gradient image's bias, relative to that of the image, freed of noise."""
-    return math.sqrt(max(0.0, square(slope - reference[: len(slope)])) / max(square(reference), 1e-300))
+    difference = slope - reference[: len(slope)]
+    return math.sqrt(max(0.0, product(difference, difference)) / max(product(reference, reference), 1e-300))
 
 
-def noise(slope: FloatArray) -> float:
-    """Relative standard error of the derivative of the picture's mean."""
-    means = slope.mean(1)
-    return float(means.std(ddof=1) / math.sqrt(len(means)) / max(abs(means.mean()), 1e-300))
+def noise(slope: FloatArray, reference: FloatArray) -> float:
+    """Root mean square over pixels of the gradient image's standard error, relative to that of the reference image."""
+    variance = float(slope.var(0, ddof=1).mean()) / len(slope)
+    return math.sqrt(variance / max(product(reference, reference), 1e-300))
 
 
 def loss_bias(method: Gradients, reference: Gradients | None, target: FloatArray, unit: float) -> tuple[float, float]:

@@ -4,7 +4,8 @@ The derivative of every pixel by a uniform change of roughness or of albedo, and
 roughness, for path replay capped at some bounces, for ``k`` differentiable bounces that end in the radiance field, and
 for the debiased mode; all against path replay without any cap. All surfaces have Burley's reflection, one roughness
 and the scene's own albedo. The field is not a network but a fresh path from every point that is read, exact in the
-mean: the bias that shows is the method's own. ``--field_error`` makes the field wrong by a factor.
+mean: the bias that shows is the method's own, and its noise is that of such a field, far above a network's (the
+debiased mode has most of it). ``--field_error`` makes the field wrong by a factor.
 
 On the integrating sphere the derivatives are compared with their closed form.
 """
@@ -35,7 +36,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--batches", type=int, default=16, help="independent estimates; errors come from their spread")
     parser.add_argument("--reference", type=int, default=4, help="as many times more batches for the reference")
     parser.add_argument(
-        "--states", type=float, nargs="+", default=[0.3, 0.5, 0.7], metavar="R",
+        "--states", type=float, nargs="+", default=[0.2, 0.5, 0.8], metavar="R",
         help="roughnesses, each as a state and as a target of the loss; pictures show the middle one",
     )  # fmt: skip
     parser.add_argument(
@@ -185,11 +186,11 @@ def _bias_rows(
             ("image by roughness", own.roughness, reference.roughness),
             ("image by albedo", own.albedo, reference.albedo),
         ):
-            mean, error = bias.mean_bias(slope, truth)
+            mean, error = bias.image_bias(slope, truth)
             if own is reference:
-                error = bias.noise(slope)
+                mean, error = 0.0, bias.noise(slope, truth)
             rows.append(_bias_row(name, bounces, quantity, mean, error, own.seconds))
-            rows[-1] |= {"pixel_rms": bias.pixel_bias(slope, truth), "noise": bias.noise(slope)}
+            rows[-1] |= {"pixel_rms": bias.pixel_bias(slope, truth), "noise": bias.noise(slope, truth)}
         for quantity, target in ((f"loss, target {away:g}", away), (f"loss, target {state:g}", state)):
             if target != away or away != state:
                 against = None if own is reference else reference

@@ -5,6 +5,52 @@ the same code on the same held-out pixels. Seconds count from the start of each 
 evaluation left out. What the peer gets: rays of all views mixed in one batch, leave-one-out residuals instead of a
 second rendering, the relative loss, a Laplacian pyramid over surface voxels or the networks of ``neurad fit``, Adam
 with the same decays and a cosine over the budget.
+
+Tuning of the peer on the built-in kitchen: 60 CPU-seconds on one core each, albedo (roughness) PSNR at the end, in dB.
+Unless stated a Laplacian pyramid over 128^3, relative to the photograph, learning rate 0.03, roughness a third of it,
+Adam (0.9, 0.99), depth 6, roulette from 4. ``neurad fit --config kitchen.yaml`` had 29.4 (17.9) in the same way.
+
+=============================================  =======================
+pixels x samples of a batch                    grid
+=============================================  =======================
+1024 x 4                                       22.3 (15.3)
+4096 x 4                                       24.0 (16.3)
+4096 x 4, rate 0.01                            24.4 (16.6)
+4096 x 4, rate 0.1                             19.5 (12.2)
+4096 x 4, 256^3                                23.2 (16.3)
+4096 x 4, relative to the other samples' mean  12.8 (15.1), diverged
+8192 x 2                                       22.9 (16.0)
+8192 x 4, rate 0.02                            24.6 (16.5)
+16384 x 4                                      24.7 (16.4)
+16384 x 4, Adam (0.9, 0.999)                   24.6 (16.4)
+16384 x 4, each finer level 0.7 of the rate    22.5 (16.1)
+16384 x 4, each 1.4, coarsest 0.015            23.7 (15.7)
+16384 x 4, rate 0.06                           23.8 (15.3)
+16384 x 4, 96^3                                24.3 (16.0)
+16384 x 4, depth 4                             17.5 (16.7), biased
+16384 x 4, depth 20, roulette from 3           24.9 (16.0)
+8192 x 8                                       25.0 (16.2)
+8192 x 8, depth 20, roulette from 3            25.6 (16.1)
+same, Adam (0.95, 0.99), rate 0.02             24.9 (16.1)
+4096 x 16, depth 20, roulette from 3           26.1 (16.0)
+2048 x 32, depth 20, roulette from 3           25.7 (16.1)
+=============================================  =======================
+
+=============================================  =======================
+networks at the vertices, rate 0.01            network
+=============================================  =======================
+16384 x 4, 128^3                               22.4 (16.2)
+8192 x 4, 64^3                                 23.7 (16.4)
+8192 x 4, 64^3, rate 0.02                      23.8 (15.8)
+8192 x 8, 64^3, depth 20, roulette from 3      23.9 (16.4)
+2048 x 32, 64^3, depth 20, roulette from 3     23.9 (16.2)
+=============================================  =======================
+
+Fitted to the true albedo the voxels reach 29.3 (64^3), 34.2 (128^3) and 36.5 dB (256^3), so resolution is no limit here;
+in staircase they reach 21.0 dB at 128^3. A step of 65536 paths takes 0.42 s; with constant materials 0.22, so lookups are
+half of it; through a full 129^3 array instead of surface voxels 0.55. Depth 20 with roulette from 3 costs what depth 6
+with roulette from 4 does. Tracing the Python code again costs about 25 ms a step, so freezing it would gain 6 % at most.
+Networks inside the loop (``drjit.nn``) took 8 s for 65536 paths, evaluated at the vertices of 64^3 they add 0.2 s.
 """
 
 from __future__ import annotations
