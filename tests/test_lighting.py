@@ -201,7 +201,7 @@ def test_the_optimizer_finds_a_smooth_map_under_noise_and_lets_noise_fade(asked)
     coarse = torch.randn(3, 4, 8, generator=torch.Generator().manual_seed(1), dtype=torch.float64)
     target = asked * (rows @ coarse @ columns.T).float().permute(1, 2, 0).reshape(-1, 3)
     p = torch.nn.Parameter(torch.zeros(16 * 32, 3))
-    optimizer = MapAdam([p], 32, lr=0.1)
+    optimizer = MapAdam([p], 32, lr=0.1, smooth=1.0)
     stream = Stream(2)
     for step in range(300):
         optimizer.param_groups[0]["lr"] = 0.1 * (1.0 - step / 300)
@@ -251,7 +251,7 @@ FIT = {
     "model": {
         **{part: {"grid": vars(GRID), "width": 16} for part in ("albedo", "roughness", "radiance")},
         "materials": "known",
-        "lighting": {"environment": "fit", "width": 16, "height": 8, "refresh": 5},
+        "lighting": {"environment": "fit", "width": 16, "height": 8, "refresh": 5, "smooth": 1.0},
         "sampling": {"positions": 2, "secondary": 4, "cached": 32},
         "optimization": {"schedule": "constant", "warmup": 1, "environment": 0.1},
     },

@@ -58,6 +58,15 @@ def test_replay_equals_autograd_on_one_random_stream(world, make, bounces):
         assert (f - e).norm() <= 1e-4 * e.norm()
 
 
+def test_pictures_need_no_replay(world):
+    """``neurad predict`` runs in inference mode, where nothing can be kept for a backward pass."""
+    materials, it, u = networks(), camera_vertices(world, 500, 1), Stream(5).uniform(500, DIMENSIONS)
+    with torch.inference_mode():
+        value = PRB(4, 3).reflected(Parts(world, materials), it, materials(it), u, Stream(7)).value
+    assert torch.isfinite(value).all()
+    assert value.max() > 0
+
+
 def test_another_stream_would_not_pass(world):
     materials = Textures()
     value, expected = gradients(Path(15, 3), world, materials, 3000, Stream(9))

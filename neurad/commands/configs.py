@@ -39,8 +39,18 @@ def find_config(name: str) -> Path:
         for folder in shipped_folders():
             if (folder / path).is_file():
                 return folder / path
-    shipped = sorted(str(f.relative_to(d)) for d in shipped_folders() for f in d.rglob("*.yaml"))
-    raise InputError(f"config {name}: no such file, and no shipped config has this name ({', '.join(shipped)})")
+    raise InputError(f"config {name}: no such file, and no shipped config has this name ({_shipped()})")
+
+
+def _shipped() -> str:
+    """Names of all shipped configs, a folder's together: ``kitchen.yaml, methods/{ours, prb}.yaml``."""
+    names: dict[str, list[str]] = {}
+    for folder in shipped_folders():
+        for file in sorted(folder.rglob("*.yaml")):
+            names.setdefault(file.parent.relative_to(folder).as_posix(), []).append(file.stem)
+    groups = [f"{name}.yaml" for name in names.pop(".", [])]
+    groups += [f"{folder}/{{{', '.join(stems)}}}.yaml" for folder, stems in sorted(names.items())]
+    return ", ".join(groups)
 
 
 def load_config(name: str, above: tuple[Path, ...] = ()) -> list[DictConfig]:

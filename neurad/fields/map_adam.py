@@ -15,9 +15,6 @@ FALL = 0.5
 """Step of a level relative to the next coarser one: what many texels agree about is not noise."""
 FLOOR = 1.0
 """Floor of the divisor, relative to its root mean square over a level: texels that hardly matter hardly move."""
-SMOOTH = 1.0
-"""Pull of a level's detail towards nothing, relative to its step: detail that photographs cannot tell fades, where
-noise alone would let it grow."""
 
 
 class MapAdam(torch.optim.Optimizer):
@@ -34,13 +31,21 @@ class MapAdam(torch.optim.Optimizer):
         width: its texels across; columns wrap around.
         lr: largest change of the map by the coarsest level in a step.
         betas: decay of the two moments.
+        smooth: pull of a level's detail towards nothing, relative to its step: detail that photographs cannot tell
+            fades, where noise alone would let it grow. Detail is at most about ``1 / smooth`` a level.
     """
 
     def __init__(
-        self, params: Iterable[Any], width: int, lr: float = 5e-2, betas: tuple[float, float] = (0.9, 0.99)
+        self,
+        params: Iterable[Any],
+        width: int,
+        lr: float = 5e-2,
+        betas: tuple[float, float] = (0.9, 0.99),
+        smooth: float = 0.3,
     ) -> None:
         super().__init__(params, {"lr": lr, "betas": betas})
         self.width = width
+        self.smooth = smooth
         self._levels: list[_Level] = []
 
     @torch.no_grad()
@@ -83,7 +88,7 @@ class MapAdam(torch.optim.Optimizer):
             total += level.rows @ (m * (rate / (1.0 - beta1**count)) / root) @ level.columns.T
             smooth = level.rows @ (level.mean_rows @ image @ level.mean_columns) @ level.columns.T
             if index > 0:
-                total += (SMOOTH * rate) * (smooth - coarser)
+                total += (self.smooth * rate) * (smooth - coarser)
             coarser = smooth
             rate *= FALL
         p -= total.permute(1, 2, 0).reshape(p.shape)

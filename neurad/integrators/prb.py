@@ -36,6 +36,8 @@ class PRB(Path):
 
     def reflected(self, parts: Parts, it: Interaction, surface: Surface, u: Tensor, stream: Stream) -> Reflected:
         """``sum_{i >= 1} T^i E`` at the lanes of ``it``."""
+        if not torch.is_grad_enabled():  # a picture: there is nothing to replay
+            return super().reflected(parts, it, surface, u, stream)
         key = int(stream.integers(1 << 62, 1))
         replay = _Replay(self, parts, it, surface.detach(), u, key)
         parameters = [p for part in (parts.materials, parts.world) for p in _trainable(part)]

@@ -62,13 +62,17 @@ class Lighting:
     """Its texels from pole to pole."""
     refresh: int = 20
     """Iterations after which directions are sampled by the present map instead of an older one."""
+    smooth: float = 0.3
+    """Pull of the map's detail towards smoothness, which detail that no photograph tells follows; 0 leaves it out."""
 
     def __post_init__(self) -> None:
         """Refuse what no map can have."""
         if self.environment not in ("known", "fit"):
             raise InputError(f"model.lighting.environment: '{self.environment}' is unknown, choose known or fit")
-        if self.width < 2 or self.height < 2 or self.refresh < 1:
-            raise InputError("model.lighting: width and height must be at least 2, refresh at least 1")
+        if self.width < 2 or self.height < 2 or self.refresh < 1 or self.smooth < 0:
+            raise InputError(
+                "model.lighting: width and height must be at least 2, refresh at least 1, smooth at least 0"
+            )
 
 
 @dataclass(frozen=True)

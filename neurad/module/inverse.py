@@ -144,7 +144,7 @@ class InverseRenderer(L.LightningModule):
         """One optimizer each for what is not known: albedo, roughness (if there is one to find), the environment, and
         radiance (if the method reads it).
         """
-        made = make_optimizers(self.materials, self.environment, self.radiance, self.optimization)
+        made = make_optimizers(self.materials, self.environment, self.radiance, self.optimization, self.lighting.smooth)
         self.optimizer_names = list(made)
         return list(made.values())
 

@@ -16,6 +16,7 @@ def make_optimizers(
     environment: FittedEnvironment | None,
     radiance: RadianceField | None,
     rates: Optimization,
+    smooth: float = 0.3,
 ) -> dict[str, FieldAdam | MapAdam]:
     """Optimizers by the names of their learning rates, in the order in which checkpoints keep them.
 
@@ -24,6 +25,7 @@ def make_optimizers(
         environment: map to recover; None where the light is known.
         radiance: field of the methods that read one.
         rates: learning rates.
+        smooth: pull of the environment's detail, as in ``Lighting``.
     """
     made: dict[str, FieldAdam | MapAdam] = {}
     if isinstance(materials, FittedMaterials):
@@ -31,7 +33,7 @@ def make_optimizers(
         if materials.roughness is not None:
             made["roughness"] = FieldAdam(materials.roughness.parameters(), lr=rates.roughness)
     if environment is not None:
-        made["environment"] = MapAdam([environment.values], environment.width, lr=rates.environment)
+        made["environment"] = MapAdam([environment.values], environment.width, lr=rates.environment, smooth=smooth)
     if radiance is not None:
         made["radiance"] = FieldAdam(radiance.parameters(), lr=rates.radiance)
     return made

@@ -83,8 +83,9 @@ def run(options: argparse.Namespace) -> None:
                 raise InputError(reason)
             print(f"neurad: left out: {reason}", file=sys.stderr)
             continue
-        rows += [_row(cell, *lengths[cell.job["albedo"]]) for cell in group]
-        print(f"neurad: {method}, {kind}: done", file=sys.stderr, flush=True)
+        for cell in group:
+            rows.append(_row(cell, *lengths[cell.job["albedo"]]))
+            print(f"neurad: {_sentence(rows[-1])}", file=sys.stderr, flush=True)
     _report(rows, options)
 
 
@@ -208,6 +209,11 @@ def _row(cell: Cell, mean: float, limit: int) -> dict[str, Any]:
         "step_mib": (cell.peak - cell.base) / 2**20 if known else None,
         "rays": cell.rays if known else None, "failed": cell.failed,
     }  # fmt: skip
+
+
+def _sentence(row: dict[str, Any]) -> str:
+    what = f"{row['method']}, {row['fields']}, albedo {row['albedo']:g}"
+    return f"{what}: " + (row["failed"] or f"{row['ms']:.1f} ms a step, peak {row['peak_mib']:.0f} MiB")
 
 
 def verdicts(rows: Sequence[dict[str, Any]]) -> list[str]:

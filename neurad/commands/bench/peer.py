@@ -46,11 +46,12 @@ networks at the vertices, rate 0.01            network
 2048 x 32, 64^3, depth 20, roulette from 3     23.9 (16.2)
 =============================================  =======================
 
-Fitted to the true albedo the voxels reach 29.3 (64^3), 34.2 (128^3) and 36.5 dB (256^3), so resolution is no limit here;
-in staircase they reach 21.0 dB at 128^3. A step of 65536 paths takes 0.42 s; with constant materials 0.22, so lookups are
-half of it; through a full 129^3 array instead of surface voxels 0.55. Depth 20 with roulette from 3 costs what depth 6
-with roulette from 4 does. Tracing the Python code again costs about 25 ms a step, so freezing it would gain 6 % at most.
-Networks inside the loop (``drjit.nn``) took 8 s for 65536 paths, evaluated at the vertices of 64^3 they add 0.2 s.
+Fitted to the true albedo the voxels reach 29.3 (64^3), 34.2 (128^3) and 36.5 dB (256^3), so resolution is no limit
+here; in staircase they reach 21.0 dB at 128^3. A step of 65536 paths takes 0.42 s; with constant materials 0.22, so
+lookups are half of it; through a full 129^3 array instead of surface voxels 0.55. Depth 20 with roulette from 3 costs
+what depth 6 with roulette from 4 does. Tracing the Python code again costs about 25 ms a step, so freezing it would
+gain 6 % at most. An earlier trial of networks inside the loop (``drjit.nn``) took 8 s for 65536 paths; at the vertices
+of 64^3 they add 0.2 s.
 """
 
 from __future__ import annotations
