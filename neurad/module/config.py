@@ -82,7 +82,7 @@ class Optimization:
     albedo: float = 5e-3
     roughness: float = 5e-3
     radiance: float = 5e-3
-    environment: float = 5e-2
+    environment: float = 1e-1
     schedule: Literal["constant", "cosine"] = "cosine"
     """Cosine decay over the run: by iterations (``max_steps``) or time (``max_time``), whichever ends first."""
     warmup: int = 20
