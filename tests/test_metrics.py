@@ -15,11 +15,11 @@ from neurad.core.errors import InputError
 from neurad.core.records import Camera, Constant, Interaction, Material, Mesh, Surface, View
 from neurad.core.rng import Stream
 from neurad.emitters.lights import make_lights
+from neurad.integrators.method import Parts
+from neurad.integrators.radiometric import Radiometric
 from neurad.integrators.world import World
 from neurad.metrics import held_out
 from neurad.metrics.held_out import HeldOut
-from neurad.integrators.method import Parts
-from neurad.integrators.radiometric import Radiometric
 from neurad.metrics.lit_glossy import lit_glossy, reflected_by
 from neurad.metrics.scores import Pool, block_means, psnr, srgb
 from neurad.metrics.seen import SeenBy

@@ -1,9 +1,9 @@
 """Directional albedo of the principled model: what a surface reflects of light that is the same from everywhere.
 
-It is the mean of the weights ``f cos / pdf`` of BSDF samples, so ``weight - directional albedo`` has mean zero: times any
-guess of the incident light it is a control variate, for the value and for its derivative by the roughness. A sharp lobe's
-derivative is large and of both signs, and cancels almost fully where the surroundings are even; the control variate takes
-that part away before it becomes noise.
+It is the mean of the weights ``f cos / pdf`` of BSDF samples, so ``weight - directional albedo`` has mean zero: times
+any guess of the incident light it is a control variate, for the value and for its derivative by the roughness. A sharp
+lobe's derivative is large and of both signs, and cancels almost fully where the surroundings are even; the control
+variate takes that part away before it becomes noise.
 """
 
 from __future__ import annotations

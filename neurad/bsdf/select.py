@@ -33,6 +33,7 @@ class Mixed(Principled):
         return super()._direction(surface, wo, u)
 
     def mean_weight(self, surface: Surface, wo: Tensor) -> Tensor:
+        """As in :class:`Principled`; the albedo on Lambertian lanes."""
         mean = super().mean_weight(surface, wo)
         if isinstance(surface, TypedSurface):
             mean = torch.where(surface.lambertian.unsqueeze(-1), surface.albedo * (wo[:, 2:] > 0), mean)
