@@ -207,7 +207,7 @@ def _row(cell: Cell, mean: float, limit: int) -> dict[str, Any]:
         "ms": median(ms) if known else None, "ms_low": low if known else None, "ms_high": high if known else None,
         "peak_mib": cell.peak / 2**20 if known else None,
         "step_mib": (cell.peak - cell.base) / 2**20 if known else None,
-        "rays": cell.rays if known else None, "failed": cell.failed,
+        "rays": cell.rays or None, "failed": cell.failed,
     }  # fmt: skip
 
 
