@@ -20,9 +20,9 @@ FLOOR = 1.0
 class MapAdam(torch.optim.Optimizer):
     """Adam (Kingma and Ba 2015) of a map that is a sum of levels, from a few texels to full size.
 
-    The map itself is the parameter. Its gradient is taken down to every level by the transpose of bilinear
-    interpolation, each level has moments of its own, and the steps of all levels are interpolated up and added; so the
-    map is the sum of the levels without their being kept. Coarse levels find the light within a few steps, although a
+    The map itself is the parameter. Its gradient is taken down to every level by the transpose of interpolation,
+    each level has moments of its own, and the steps of all levels are interpolated up and added; so the map is the sum
+    of the levels without their being kept. Coarse levels find the light within a few steps, although a
     single texel's gradient is mostly noise, and fine ones sharpen it. Detail that no gradient asks for fades, as with
     weight decay: surfaces blur their light, so most of the fine structure of a map leaves no trace in photographs.
 
@@ -110,21 +110,33 @@ class _Level:
 
 
 def levels(height: int, width: int) -> list[tuple[Tensor, Tensor]]:
-    """Interpolation matrices for rows [height, h] and columns [width, w] of every level, the coarsest first."""
+    """Interpolation matrices for rows [height, h] and columns [width, w] of every level, the coarsest first.
+
+    Coarse levels are cubic B-splines, as kinks of linear ones would show as lines; the last level is the map's texels.
+    """
     sizes = [(height, width)]
     while sizes[-1][0] // 2 >= SMALLEST and sizes[-1][1] // 2 >= SMALLEST:
         sizes.append((sizes[-1][0] // 2, sizes[-1][1] // 2))
-    return [(_rows(height, h), _columns(width, w)) for h, w in sizes[::-1]]
+    coarse = [(_rows(height, h), _columns(width, w)) for h, w in sizes[:0:-1]]
+    return [*coarse, (torch.eye(height, dtype=torch.float64), torch.eye(width, dtype=torch.float64))]
 
 
 def _rows(height: int, h: int) -> Tensor:
-    """Linear interpolation between ``h`` rows that include both poles, as the map's own do [height, h]."""
+    """Interpolation between ``h`` rows that include both poles, as the map's own do [height, h]."""
     at = torch.linspace(0.0, h - 1.0, height, dtype=torch.float64)
-    return (1.0 - (at[:, None] - torch.arange(h)).abs()).clamp_min(0.0)
+    weight = _spline(at[:, None] - torch.arange(h))
+    return weight / weight.sum(1, keepdim=True)  # at the poles the spline reaches beyond the map
 
 
 def _columns(width: int, w: int) -> Tensor:
-    """Linear interpolation between ``w`` columns of a circle [width, w]."""
+    """Interpolation between ``w`` columns of a circle [width, w]."""
     at = (torch.arange(width, dtype=torch.float64) + 0.5) * (w / width) - 0.5
-    off = (at[:, None] - torch.arange(w)).abs()
-    return (1.0 - torch.minimum(off, w - off)).clamp_min(0.0)
+    off = at[:, None] - torch.arange(w)
+    return sum((_spline(off + turn * w) for turn in (-1, 1)), start=_spline(off))
+
+
+def _spline(x: Tensor) -> Tensor:
+    """The cubic B-spline."""
+    x = x.abs()
+    near, far = 2.0 / 3.0 - x.square() * (1.0 - x / 2.0), (2.0 - x).clamp_min(0.0) ** 3 / 6.0
+    return torch.where(x < 1.0, near, far)
