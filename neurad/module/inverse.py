@@ -33,7 +33,7 @@ from neurad.module.evaluate import Evaluation, UnknownLight, evaluate, unknown_l
 from neurad.module.exposure import brightness, warn_if_far
 from neurad.module.guard import Guard, clip
 from neurad.module.lighting import fitted_environment, unknown_environment
-from neurad.module.objective import ObjectiveStep
+from neurad.module.objective import ObjectiveStep, StepTerms
 from neurad.module.optimizers import make_optimizers
 from neurad.module.primary import PrimaryHits
 from neurad.module.schedule import fraction_done, rate_factor
@@ -206,7 +206,6 @@ class InverseRenderer(L.LightningModule):
             return self._iterate(batch)
 
     def _iterate(self, batch: PixelBatch) -> Tensor:
-        assert self._step is not None
         found: Any = self.optimizers()
         optimizers = found if isinstance(found, list) else [found]
         factor = rate_factor(self.optimization, self.iteration, fraction_done(self.trainer).largest)
@@ -221,14 +220,12 @@ class InverseRenderer(L.LightningModule):
                 optimizer._on_after_step = _nothing
         if self.environment is not None and self.iteration % self.lighting.refresh == 0:
             self.environment.refresh()
-        stream = Stream(self.seed, self.iteration, self.global_rank, 1, device=self.device)
-        terms = self._step(batch, stream)
+        terms = self._terms(batch)
         loss = total(terms.all)
         self.manual_backward(loss)
         if self.processes > 1:
             average_tables(self, self._ddp_params_and_buffers_to_ignore)
-        again = Stream(self.seed, self.iteration, self.global_rank, 1, device=self.device)
-        self._guard.check(batch, terms.all, lambda: self._step(batch, again) if self._step else None)
+        self._guard.check(batch, terms.all, lambda: self._terms(batch))
         if self.optimization.clip > 0:
             clip([optimizer.param_groups for optimizer in optimizers], self.optimization.clip)
         for optimizer in optimizers[::-1]:  # the counted one last: its hook may end the epoch's bookkeeping
@@ -238,6 +235,11 @@ class InverseRenderer(L.LightningModule):
         self.samples += passes * len(batch.view) * self.sampling.positions * self.sampling.secondary
         self.last_losses = {name: loss.value for name, (_, loss) in terms.all.items()}
         return loss.detach()
+
+    def _terms(self, batch: PixelBatch) -> StepTerms:
+        """The terms of this iteration; the same ones whenever asked before the weights move."""
+        assert self._step is not None
+        return self._step(batch, Stream(self.seed, self.iteration, self.global_rank, 1, device=self.device))
 
     @property
     def train_seconds(self) -> float:

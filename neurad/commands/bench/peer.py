@@ -65,7 +65,7 @@ from pathlib import Path
 from typing import Any
 
 PEERS = ("grid", "network")
-TIMER = "neurad.commands.peer.timer.TrainingTimer"
+TIMER = "neurad.callbacks.budget.TrainingBudget"
 UNTIL_STOPPED = "30:00:00:00"
 """A fit wants a limit; the timer replaces it."""
 FIT = "from neurad.cli import main; main()"
