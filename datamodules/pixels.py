@@ -12,6 +12,9 @@ from neurad.core.rng import Stream
 _DRAW = 0  # last number of the stream's key; the training step has streams of its own
 
 
+_REACH = 2  # pixels on each side of one that its neighbourhood has
+
+
 @dataclass(frozen=True)
 class Corners:
     """Where patches may begin: all upper left corners, or a list of them for every view.
@@ -85,3 +88,29 @@ def draw(
     step = torch.arange(patch_size)
     offset = (step[:, None] * width + step).flatten()
     return view.repeat_interleave(len(offset)), (corner[:, None] + offset).flatten()
+
+
+def neighbourhood(images: Tensor, image: Tensor, pixel: Tensor, width: int) -> Tensor:
+    """Mean over the 5 x 5 pixels around some, as far as they lie in the image; with alpha over what is covered.
+
+    Args:
+        images: premultiplied colours [n, h * w, 3], with alpha [n, h * w, 4].
+        image: which of the images [b], int64.
+        pixel: row-major index in it [b], int64.
+        width: of the images in pixels.
+
+    Returns:
+        Premultiplied colours [b, 3].
+    """
+    pixels, channels = images.shape[1:]
+    step = torch.arange(-_REACH, _REACH + 1)
+    x = (pixel % width).unsqueeze(1) + step.repeat(len(step))
+    y = (pixel // width).unsqueeze(1) + step.repeat_interleave(len(step))
+    inside = ((x >= 0) & (x < width) & (y >= 0) & (y < pixels // width)).unsqueeze(-1)
+    index = torch.where(inside.squeeze(-1), y * width + x, pixel.unsqueeze(1)) + image.unsqueeze(1) * pixels
+    values = images.view(-1, channels)[index]
+    mean = (values * inside).sum(1) / inside.sum(1)
+    if channels < 4:
+        return mean
+    own = images.view(-1, channels)[image * pixels + pixel, 3:]
+    return mean[:, :3] / mean[:, 3:].clamp_min(1e-6) * own

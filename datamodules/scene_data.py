@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from functools import cached_property
+from pathlib import Path
 
 import lightning.pytorch as pl
 import torch
@@ -11,6 +12,7 @@ from torch import Tensor
 from torch.utils.data import DataLoader, Dataset, IterableDataset
 
 from datamodules.pixels import Corners, corners, draw
+from datamodules.resident import Residents, Survey, survey
 from neurad.core.errors import InputError
 from neurad.core.records import PixelBatch, View
 from neurad.scene.description import Scene
@@ -29,16 +31,27 @@ class SceneData(pl.LightningDataModule):
         patches: patches in a batch, each of a random view.
         patch_size: side of a patch in pixels; 1 draws single pixels.
         seed: of the draws.
+        resident: training photographs in memory at once; the others are read from disk as their turn comes. None
+            keeps all in memory.
+        replace_every: iterations after which one of them is replaced, if not all are in memory.
 
     Raises:
         InputError: a number is not positive.
     """
 
     def __init__(
-        self, root: str | None = None, scene: str | None = None, patches: int = 256, patch_size: int = 1, seed: int = 0
+        self,
+        root: str | None = None,
+        scene: str | None = None,
+        patches: int = 256,
+        patch_size: int = 1,
+        seed: int = 0,
+        resident: int | None = None,
+        replace_every: int = 16,
     ) -> None:
         super().__init__()
-        for name, value in (("patches", patches), ("patch_size", patch_size)):
+        numbers = {"patches": patches, "patch_size": patch_size, "replace_every": replace_every}
+        for name, value in (numbers if resident is None else numbers | {"resident": resident}).items():
             if value < 1:
                 raise InputError(f"--data.{name}: {value} is not a positive number")
         self.root = root
@@ -46,6 +59,17 @@ class SceneData(pl.LightningDataModule):
         self.patches = patches
         self.patch_size = patch_size
         self.seed = seed
+        self.resident = resident
+        self.replace_every = replace_every
+        self.wants_smoothed = False
+        """Whether streamed batches carry means over the pixels around theirs."""
+        self._survey: Survey | None = None
+        self._residents: Residents | None = None
+
+    @property
+    def streams(self) -> bool:
+        """Whether photographs stay on disk, but for some of them."""
+        return self.resident is not None and self.resident < len(self.scene.train)
 
     @cached_property
     def scene(self) -> Scene:
@@ -53,7 +77,7 @@ class SceneData(pl.LightningDataModule):
         return load_scene(self.root, self.scene_name)
 
     def setup(self, stage: str) -> None:
-        """Read the scene and, for a fit, all training photographs.
+        """Read the scene and, for a fit, all training photographs; streamed ones are read by :meth:`survey`.
 
         Raises:
             InputError: anything in the folder is missing or wrong.
@@ -61,7 +85,7 @@ class SceneData(pl.LightningDataModule):
         scene = self.scene
         if stage != "fit":
             return
-        if self.mean_square() <= 0:
+        if not self.streams and self.mean_square() <= 0:
             raise InputError(f"scene {scene.name}: every training photograph is black")
         camera = scene.train[0].camera
         if self.patch_size > min(camera.width, camera.height):
@@ -81,11 +105,14 @@ class SceneData(pl.LightningDataModule):
         pixels[0] = first
         for index, view in enumerate(views[1:], 1):
             image = self._read(view)
-            if image.shape != first.shape:
-                count = image.shape[-1], first.shape[-1]
-                raise InputError(f"{view.image}: it has {count[0]} channels, but {views[0].image} has {count[1]}")
+            self._check_channels(view, image, first.shape[-1])
             pixels[index] = image
         return pixels
+
+    def _check_channels(self, view: View, image: Tensor, expected: int) -> None:
+        if image.shape[-1] != expected:
+            first = self.scene.train[0].image
+            raise InputError(f"{view.image}: it has {image.shape[-1]} channels, but {first} has {expected}")
 
     @staticmethod
     def _read(view: View) -> Tensor:
@@ -131,12 +158,52 @@ class SceneData(pl.LightningDataModule):
         Args:
             counted: pixels that count [views, h * w], bool; None for all. Pixels with alpha 0 never do.
         """
+        if self.streams:
+            return self.survey(None if counted is None else ~counted).mean_square
         square = self.photographs.square().mean(-1)
         weight = torch.ones_like(square) if counted is None else counted.to(square)
         if self.alpha is not None:
             weight = weight * (self.alpha > 0)
         total = float(weight.sum(dtype=torch.float64))
         return float((square * weight).sum(dtype=torch.float64)) / total if total > 0 else 0.0
+
+    # ---- photographs on disk
+
+    def survey(self, left_out: Tensor | None = None) -> Survey:
+        """Look at every training photograph once, without keeping it.
+
+        Args:
+            left_out: pixels that do not count [views, h * w], bool, such as those that show emitters; None for none.
+
+        Raises:
+            InputError: a photograph is missing or wrong, or alpha is 0 in all of them.
+        """
+        self._survey = survey(self._streamed, len(self.scene.train), left_out, self.seed)
+        if not self._survey.foreground:
+            raise InputError(f"scene {self.scene.name}: alpha is 0 in every training photograph")
+        return self._survey
+
+    def _streamed(self, index: int) -> Tensor:
+        """One training photograph [h * w, 3 or 4]; also called from the thread that reads ahead."""
+        view = self.scene.train[index]
+        if view.image is not None and Path(view.image).is_file():
+            # OpenEXR holds Python's lock while it waits for the disk; this does not.
+            Path(view.image).read_bytes()
+        image = self._read(view)
+        self._check_channels(view, image, 4 if self.has_alpha else 3)
+        return image
+
+    def _window(self, iteration: int, rank: int) -> Residents:
+        """The photographs in memory at an iteration."""
+        found = self._residents
+        if found is None or found.rank != rank:
+            views = (self._survey or self.survey()).foreground
+            found = self._residents = Residents(
+                self._streamed, views, self.scene.train[0].camera, self.resident or 1, self.replace_every,
+                self.patch_size, self.seed, rank,
+            )  # fmt: skip
+        found.move(iteration)
+        return found
 
     # ---- batches
 
@@ -148,9 +215,13 @@ class SceneData(pl.LightningDataModule):
     def batch(self, iteration: int, rank: int = 0) -> PixelBatch:
         """The batch of ``patches * patch_size^2`` pixels that belongs to an iteration, on the CPU."""
         camera = self.scene.train[0].camera
+        window = self._window(iteration, rank) if self.streams else None
         view, pixel = draw(
-            self._corners, iteration, self.seed, rank, self.patches, self.patch_size, camera.width, camera.height
-        )
+            self._corners if window is None else window.corners(),
+            iteration, self.seed, rank, self.patches, self.patch_size, camera.width, camera.height,
+        )  # fmt: skip
+        if window is not None:
+            return window.batch(view, pixel.long(), iteration, self.wants_smoothed)
         index = view * (camera.width * camera.height) + pixel
         color = self.photographs.view(-1, 3).index_select(0, index)
         alpha = torch.ones(len(index)) if self.alpha is None else self.alpha.view(-1).index_select(0, index)
@@ -163,7 +234,8 @@ class SceneData(pl.LightningDataModule):
         if isinstance(batch, Tensor):
             return batch.to(device)
         view, pixel, color, alpha = (x.to(device) for x in (batch.view, batch.pixel, batch.color, batch.alpha))
-        return PixelBatch(view, pixel, color, alpha, batch.iteration)
+        smoothed = None if batch.smoothed is None else batch.smoothed.to(device)
+        return PixelBatch(view, pixel, color, alpha, batch.iteration, smoothed)
 
     def train_dataloader(self) -> DataLoader[PixelBatch]:
         """Batches without end, from the iteration that the module has reached."""

@@ -153,9 +153,11 @@ def draw(bsdf, roughness, cos, seed):
     return sample_fn, pdf_fn
 
 
+@pytest.mark.parametrize("share", [0.5, 0.2])
 @pytest.mark.parametrize("fast", [True, False])
-def test_chi_square_of_principled(fast):
-    p = [chi2_test(*draw(Principled(fast=fast), r, c, i), count=60_000) for i, (r, c) in enumerate(CASES)]
+def test_chi_square_of_principled(fast, share):
+    model = Principled(fast=fast, specular_share=share)
+    p = [chi2_test(*draw(model, r, c, i), count=60_000) for i, (r, c) in enumerate(CASES)]
     assert accept(p), dict(zip(CASES, p, strict=True))
 
 

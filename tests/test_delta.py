@@ -225,7 +225,7 @@ def test_positions_traced_anew_keep_the_order_of_the_batch(has_glass):
     assert (world.delta is not None) == has_glass
     primary = PrimaryHits(world, [v.camera for v in scene.train], 4, 0, torch.device("cpu"))
     batch = batch_of(scene, 300)
-    for reach in [primary._through_glass] + ([] if has_glass else [primary.__call__]):
+    for reach in [primary._anew] + ([] if has_glass else [primary.__call__]):
         got = reach(batch, 3, Stream(5))
         assert len(got.it) == 900
         direct = torch.ones(900, dtype=torch.bool) if got.passed is None else ~got.passed
@@ -250,7 +250,7 @@ def test_both_ways_to_the_first_hits_see_the_same_picture():
     primary = PrimaryHits(world, [v.camera for v in scene.train], 64, 0, torch.device("cpu"))
     batch = batch_of(scene, 40)
     kept = primary(batch, 64, Stream(1)).it.p.view(40, 64, 3).mean(1)
-    anew = primary._through_glass(batch, 64, Stream(2)).it.p.view(40, 64, 3)
+    anew = primary._anew(batch, 64, Stream(2)).it.p.view(40, 64, 3)
     error = anew.std(1) / 8 + 1e-5  # the kept ones are stratified: their share of the noise is small
     assert ((kept - anew.mean(1)).abs() / error).max() < 5.5  # 120 numbers
     assert ((kept - anew.mean(1).roll(1, 0)).abs() / error).max() > 50  # a wrong order would be seen

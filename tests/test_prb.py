@@ -30,13 +30,22 @@ def networks():
 
 
 def gradients(method, world, materials, n, stream, probe=3):
-    """Value [n, 3] and dense gradients of a random projection of it."""
+    """Values [n, 3] (the estimate, and with control the incident light and the deviation) and dense gradients of random
+    projections of estimate and deviation, each alone and then both."""
     it = camera_vertices(world, n, 1)
     u = Stream(5).uniform(n, DIMENSIONS)
-    value = method.reflected(Parts(world, materials), it, materials(it), u, stream).value
+    sample = method.reflected(Parts(world, materials), it, materials(it), u, stream)
     parameters = list(materials.parameters())
-    found = torch.autograd.grad((value * Stream(probe).uniform(n, 3)).sum(), parameters)
-    return value.detach(), [g.to_dense() for g in found]
+    scalars = [(sample.value * Stream(probe).uniform(n, 3)).sum()]
+    values = [sample.value]
+    if sample.weighed is not None:
+        assert sample.incident is not None
+        assert not sample.incident.requires_grad
+        scalars.append((sample.incident * sample.weighed.deviation * Stream(probe, 1).uniform(n, 3)).sum())
+        scalars.append(scalars[0] - 2.0 * scalars[1])
+        values += [sample.incident, sample.weighed.deviation]
+    found = [g for scalar in scalars for g in torch.autograd.grad(scalar, parameters, retain_graph=True)]
+    return [value.detach() for value in values], [g.to_dense() for g in found]
 
 
 def same_stream(seed):
@@ -45,15 +54,23 @@ def same_stream(seed):
 
 
 @pytest.mark.parametrize("make", [Textures, networks])
-@pytest.mark.parametrize("bounces", [1, 2, 15, None])
-def test_replay_equals_autograd_on_one_random_stream(world, make, bounces):
+@pytest.mark.parametrize(
+    ("bounces", "control"), [(1, False), (1, True), (2, True), (15, False), (15, True), (None, True)]
+)
+def test_replay_equals_autograd_on_one_random_stream(world, make, bounces, control):
     materials = make()
     one, other = same_stream(9)
-    value, expected = gradients(Path(bounces, 3), world, materials, 3000, one)
-    again, found = gradients(PRB(bounces, 3), world, materials, 3000, other)
-    assert value.abs().max() > 0
-    assert (again - value).norm() <= 1e-4 * value.norm()
+    values, expected = gradients(Path(bounces, 3, control=control), world, materials, 3000, one)
+    again, found = gradients(PRB(bounces, 3, control=control), world, materials, 3000, other)
+    assert len(values) == (3 if control else 1)
+    for index, (e, f) in enumerate(zip(values, again, strict=True)):
+        assert e.abs().max() > 0 or (index == 1 and bounces == 1)  # no light arrives along paths of one bounce
+        assert (f - e).norm() <= 1e-4 * e.norm()
     for e, f in zip(expected, found, strict=True):
+        if bounces == 1 and e.norm() == 0:  # the deviation times that light
+            assert control
+            assert f.norm() == 0
+            continue
         assert e.norm() > 0
         assert (f - e).norm() <= 1e-4 * e.norm()
 
@@ -69,9 +86,9 @@ def test_pictures_need_no_replay(world):
 
 def test_another_stream_would_not_pass(world):
     materials = Textures()
-    value, expected = gradients(Path(15, 3), world, materials, 3000, Stream(9))
+    values, expected = gradients(Path(15, 3), world, materials, 3000, Stream(9))
     again, found = gradients(PRB(15, 3), world, materials, 3000, Stream(9))
-    assert (again - value).norm() > 1e-2 * value.norm()
+    assert all((f - e).norm() > 1e-2 * e.norm() for e, f in zip(values[:2], again[:2], strict=True))
     assert all((f - e).norm() > 1e-2 * e.norm() for e, f in zip(expected, found, strict=True))
 
 
@@ -80,8 +97,9 @@ def peak_bytes(method, world, materials, n):
     it = camera_vertices(world, n, 1)
     u = Stream(5).uniform(n, DIMENSIONS)
     with torch.profiler.profile(activities=[torch.profiler.ProfilerActivity.CPU], profile_memory=True) as profile:
-        value = method.reflected(Parts(world, materials), it, materials(it), u, Stream(7)).value
-        found = torch.autograd.grad(value.sum(), list(materials.parameters()))
+        sample = method.reflected(Parts(world, materials), it, materials(it), u, Stream(7))
+        total = sample.value.sum() - (sample.incident * sample.weighed.deviation).sum()
+        found = torch.autograd.grad(total, list(materials.parameters()))
     assert all(torch.isfinite(g.to_dense()).all() for g in found)
     events = [e for e in profile.profiler.kineto_results.events() if e.name() == "[memory]"]
     now, peak = 0, 0

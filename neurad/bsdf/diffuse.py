@@ -12,6 +12,8 @@ from neurad.core.sampling import INV_PI, cosine_hemisphere
 class Diffuse:
     """``f = albedo / pi``, sampled by the cosine; the roughness is not looked at."""
 
+    deviates = False  # the weight is the albedo, whatever the direction
+
     def eval(self, surface: Surface, wo: Tensor, wi: Tensor) -> Tensor:
         """``albedo cos / pi`` [n, 3]; 0 where ``wi`` or ``wo`` lies below the surface."""
         return surface.albedo * self.pdf(surface, wo, wi).unsqueeze(-1)
@@ -30,6 +32,10 @@ class Diffuse:
         wi = cosine_hemisphere(u[:, 1:])
         pdf = self.pdf(surface, wo, wi)
         return BSDFSample(wi, pdf, surface.albedo * (pdf > 0).unsqueeze(-1))
+
+    def diffuse_share(self, surface: Surface) -> float:
+        """All samples are drawn by the cosine."""
+        return 1.0
 
     def mean_weight(self, surface: Surface, wo: Tensor) -> Tensor:
         """Mean of the weights of :meth:`sample` [n, 3]: the albedo."""

@@ -39,8 +39,8 @@ def table(eta: float, device: torch.device) -> Tensor:
     rows = []
     for step in range(ROUGHNESSES):
         roughness = torch.full_like(cosine, max(step / (ROUGHNESSES - 1), 1e-3)).unsqueeze(-1)
-        kernels.direction(roughness.numpy(), wo.numpy(), u.numpy(), wi.numpy())
-        kernels.lobes_pdf(roughness.numpy(), wo.numpy(), wi.numpy(), np.float32(eta), out.numpy())
+        kernels.direction(roughness.numpy(), wo.numpy(), u.numpy(), np.float32(0.5), wi.numpy())
+        kernels.lobes_pdf(roughness.numpy(), wo.numpy(), wi.numpy(), np.float32(eta), np.float32(0.5), out.numpy())
         inverse = torch.where(out[2] > 0, 1.0 / out[2], 0.0)
         rows.append((out[[0, 1, 3, 4]] * inverse).view(4, COSINES, SAMPLES).mean(-1).t())
     return torch.cat(rows).to(device)

@@ -26,19 +26,22 @@ def _schlick(z: Tensor) -> Tensor:
     return m2 * m2 * m
 
 
-def lobes_pdf(roughness: Tensor, wo: Tensor, wi: Tensor, eta: float) -> tuple[Tensor, Tensor, Tensor]:
+def lobes_pdf(
+    roughness: Tensor, wo: Tensor, wi: Tensor, eta: float, share: float = 0.5
+) -> tuple[Tensor, Tensor, Tensor]:
     """Diffuse and specular lobe and the density, in plain torch; any device and dtype, differentiable in roughness.
 
     With h the normalised ``wo + wi`` and ``c = h.wo = |wo + wi| / 2``:
     ``d = cos / pi ((1 - Fo/2)(1 - Fi/2) + R (Fo + Fi + Fo Fi (R - 1)))``, ``R = 2 roughness c^2`` (Burley 2012, 5.3,
     with the retro-reflection of Burley 2015), ``s = F D G1(wo) G1(wi) / (4 cos(wo))`` and
-    ``pdf = (cos / pi + G1(wo) D / (4 cos(wo))) / 2``. ``G1 = 2 z / A`` cancels every division by a cosine.
+    ``pdf = (1 - share) cos / pi + share G1(wo) D / (4 cos(wo))``. ``G1 = 2 z / A`` cancels every division by a cosine.
 
     Args:
         roughness: [n, 1].
         wo: towards the viewer, local [n, 3].
         wi: towards the light, local [n, 3].
         eta: refractive index, inside over outside.
+        share: probability of the specular lobe.
 
     Returns:
         d [n] and s [n] with ``f cos(wi) = albedo d + s``, and the detached pdf [n].
@@ -64,7 +67,8 @@ def lobes_pdf(roughness: Tensor, wo: Tensor, wi: Tensor, eta: float) -> tuple[Te
     retro = (0.5 * length) * r
     d = cosine * ((1.0 - 0.5 * fo) * (1.0 - 0.5 * fi) + retro * (fo + fi - both + retro * both))
 
-    pdf = torch.where(zi > 0, 0.5 * cosine + 0.25 * density.detach() / toward_viewer.detach(), 0.0)
+    specular = 0.5 * density.detach() / toward_viewer.detach()
+    pdf = torch.where(zi > 0, (1.0 - share) * cosine + share * specular, 0.0)
     return d, s, pdf
 
 
@@ -72,9 +76,11 @@ class _FastLobesPdf(torch.autograd.Function):
     """:func:`lobes_pdf` by a compiled kernel that finds the derivatives in the same pass."""
 
     @staticmethod
-    def forward(ctx: Any, roughness: Tensor, wo: Tensor, wi: Tensor, eta: float) -> tuple[Tensor, Tensor, Tensor]:
+    def forward(
+        ctx: Any, roughness: Tensor, wo: Tensor, wi: Tensor, eta: float, share: float
+    ) -> tuple[Tensor, Tensor, Tensor]:
         out = torch.empty(5, len(wo))
-        kernels.lobes_pdf(roughness.numpy(), wo.numpy(), wi.numpy(), np.float32(eta), out.numpy())
+        kernels.lobes_pdf(roughness.numpy(), wo.numpy(), wi.numpy(), np.float32(eta), np.float32(share), out.numpy())
         d, s, pdf, d_slope, s_slope = out.unbind(0)
         ctx.save_for_backward(d_slope, s_slope)
         ctx.mark_non_differentiable(pdf)
@@ -82,12 +88,14 @@ class _FastLobesPdf(torch.autograd.Function):
 
     @staticmethod
     @once_differentiable
-    def backward(ctx: Any, *grads: Tensor) -> tuple[Tensor, None, None, None]:
+    def backward(ctx: Any, *grads: Tensor) -> tuple[Tensor, None, None, None, None]:
         d_slope, s_slope = ctx.saved_tensors
-        return (grads[0] * d_slope + grads[1] * s_slope).unsqueeze(-1), None, None, None
+        return (grads[0] * d_slope + grads[1] * s_slope).unsqueeze(-1), None, None, None, None
 
 
-def principled_lobes_pdf(roughness: Tensor, wo: Tensor, wi: Tensor, eta: float) -> tuple[Tensor, Tensor, Tensor]:
+def principled_lobes_pdf(
+    roughness: Tensor, wo: Tensor, wi: Tensor, eta: float, share: float = 0.5
+) -> tuple[Tensor, Tensor, Tensor]:
     """The fast twin of :func:`lobes_pdf` for float32 on the CPU; differentiable once, in the roughness only.
 
     Raises:
@@ -96,22 +104,26 @@ def principled_lobes_pdf(roughness: Tensor, wo: Tensor, wi: Tensor, eta: float) 
     if not roughness.shape[0] == wo.shape[0] == wi.shape[0]:
         raise ValueError(f"lanes differ: roughness {roughness.shape[0]}, wo {wo.shape[0]}, wi {wi.shape[0]}")
     wo, wi = wo.detach().contiguous(), wi.detach().contiguous()
-    d, s, pdf = _FastLobesPdf.apply(roughness.contiguous(), wo, wi, eta)  # type: ignore[no-untyped-call]
+    d, s, pdf = _FastLobesPdf.apply(roughness.contiguous(), wo, wi, eta, share)  # type: ignore[no-untyped-call]
     return d, s, pdf
 
 
 class Principled:
-    """A retro-reflecting diffuse lobe under a dielectric GGX lobe (metallic 0), half of the samples drawn from each.
+    """A retro-reflecting diffuse lobe under a dielectric GGX lobe (metallic 0), samples drawn from either.
 
     ``f cos(wi) = albedo d + s`` with scalars d and s, as :meth:`lobes` gives them.
 
     Attributes:
         eta: refractive index of the specular lobe, inside over outside; 1.5 is Mitsuba's ``specular`` 0.5.
         fast: use the compiled kernels where they apply (float32 on the CPU).
+        specular_share: share of the samples that the specular lobe draws; half of them as in Mitsuba.
     """
 
-    def __init__(self, eta: float = 1.5, fast: bool = True) -> None:
+    deviates = True
+
+    def __init__(self, eta: float = 1.5, fast: bool = True, specular_share: float = 0.5) -> None:
         self.eta = eta
+        self.specular_share = specular_share
         self.fast = fast
 
     def _compiled(self, wo: Tensor) -> bool:
@@ -119,7 +131,7 @@ class Principled:
 
     def _lobes_pdf(self, surface: Surface, wo: Tensor, wi: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         function = principled_lobes_pdf if self._compiled(wo) else lobes_pdf
-        return function(surface.roughness, wo, wi, self.eta)
+        return function(surface.roughness, wo, wi, self.eta, self.specular_share)
 
     def _direction(self, surface: Surface, wo: Tensor, u: Tensor) -> Tensor:
         """Draw ``wi`` [n, 3]: the first number picks the lobe, the others a direction, as in Mitsuba."""
@@ -129,11 +141,11 @@ class Principled:
                 raise ValueError(f"lanes differ: roughness {roughness.shape[0]}, wo {wo.shape[0]}, u {u.shape[0]}")
             rough, view, numbers = (x.detach().contiguous().numpy() for x in (roughness, wo, u))
             wi = torch.empty(len(wo), 3)
-            kernels.direction(rough, view, numbers, wi.numpy())
+            kernels.direction(rough, view, numbers, np.float32(1.0 - self.specular_share), wi.numpy())
             return wi
         m = visible_normal(wo, alpha_of(roughness), u[:, 1:])
         mirrored = 2.0 * dot(wo, m).unsqueeze(-1) * m - wo
-        return torch.where(u[:, :1] < 0.5, cosine_hemisphere(u[:, 1:]), mirrored)
+        return torch.where(u[:, :1] < 1.0 - self.specular_share, cosine_hemisphere(u[:, 1:]), mirrored)
 
     def lobes(self, roughness: Tensor, wo: Tensor, wi: Tensor) -> tuple[Tensor, Tensor]:
         """Diffuse lobe for albedo 1 and specular lobe, cosine included: d [n] and s [n], differentiable in
@@ -160,6 +172,10 @@ class Principled:
         value, pdf = self.eval_pdf(surface, wo, wi)
         inverse = torch.where(pdf > 0, 1.0 / pdf, 0.0)  # not value / tiny: its gradient would overflow
         return BSDFSample(wi, pdf, value * inverse.unsqueeze(-1))
+
+    def diffuse_share(self, surface: Surface) -> float | Tensor:
+        """Probability of the diffuse lobe [n]."""
+        return 1.0 - self.specular_share
 
     def mean_weight(self, surface: Surface, wo: Tensor) -> Tensor:
         """Mean of the weights of :meth:`sample` [n, 3], the directional albedo, differentiable in ``surface``."""

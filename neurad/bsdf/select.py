@@ -32,6 +32,11 @@ class Mixed(Principled):
             u = torch.cat((torch.where(surface.lambertian, 0.0, u[:, 0]).unsqueeze(-1), u[:, 1:]), -1)
         return super()._direction(surface, wo, u)
 
+    def diffuse_share(self, surface: Surface) -> float | Tensor:
+        """As in :class:`Principled`; 1 on Lambertian lanes."""
+        share = 1.0 - self.specular_share
+        return torch.where(surface.lambertian, 1.0, share) if isinstance(surface, TypedSurface) else share
+
     def mean_weight(self, surface: Surface, wo: Tensor) -> Tensor:
         """As in :class:`Principled`; the albedo on Lambertian lanes."""
         mean = super().mean_weight(surface, wo)
@@ -40,6 +45,9 @@ class Mixed(Principled):
         return mean
 
 
-def make_bsdf(features: Features) -> BSDF:
-    """The least reflection model for what a scene has: Lambertian scenes get no specular lobe."""
-    return Diffuse() if features.is_diffuse else Mixed()
+def make_bsdf(features: Features, specular_share: float = 0.5) -> BSDF:
+    """The least reflection model for what a scene has: Lambertian scenes get no specular lobe.
+
+    ``specular_share`` is the share of the samples that the specular lobe draws.
+    """
+    return Diffuse() if features.is_diffuse else Mixed(specular_share=specular_share)

@@ -14,6 +14,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options of the verb."""
     parser.add_argument("--quick", action="store_true", help="the short form: under two minutes")
     parser.add_argument("--only", help=f"families to run, separated by commas: {', '.join(FAMILIES)}")
+    parser.add_argument(
+        "--scenes", type=Path, help="folder of scene folders; each gets a row of the family features (not in --quick)"
+    )
     parser.add_argument("--out", type=Path, default=Path("."), help="folder for stress.csv and stress.md (default: .)")
     parser.add_argument("--overwrite", action="store_true", help="write over tables that are there")
 
@@ -22,7 +25,7 @@ def run(options: argparse.Namespace) -> None:
     """Run the cases, print a row each, write both tables.
 
     Raises:
-        InputError: an unknown family, or a table that would be overwritten.
+        InputError: an unknown family, no scene folder in ``--scenes``, or a table that would be overwritten.
         SystemExit: with 1 if a row fails.
     """
     from neurad.core.errors import InputError
@@ -39,10 +42,15 @@ def run(options: argparse.Namespace) -> None:
     from neurad.commands.stress_cases.case import judge
     from neurad.commands.stress_cases.table import heading, line, write_csv, write_markdown
 
+    cases = collect(only)
+    if options.scenes is not None:
+        from neurad.commands.stress_cases.features import folders
+
+        cases += folders(options.scenes)
     begin = time.perf_counter()
     rows = []
     print(heading(), flush=True)
-    for case in collect(only):
+    for case in cases:
         if options.quick and not case.quick:
             continue
         rows.append(judge(case, options.quick))
@@ -53,5 +61,7 @@ def run(options: argparse.Namespace) -> None:
     spent = time.perf_counter() - begin
     write_markdown(paths[1], rows, f"neurad stress ({form}): {len(rows)} rows, {failed} failed")
     print(f"\n{len(rows)} rows, {failed} failed, {spent:.0f} s on {os.cpu_count()} cores; {paths[0]}, {paths[1]}")
+    if options.scenes is None and not options.quick and (only is None or "features" in only):
+        print("scene folders were left out: --scenes DIR names the folder that has them")
     if failed:
         raise SystemExit(1)

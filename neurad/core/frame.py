@@ -7,12 +7,17 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from neurad.core.records import Lanes
+from neurad.core.records import Interaction, Lanes
 
 
 def dot(a: Tensor, b: Tensor) -> Tensor:
     """Inner product of vectors [n, 3]: [n]."""
     return (a * b).sum(-1)
+
+
+def facing(it: Interaction) -> Tensor:
+    """The shading normals on the viewer's side [n, 3]."""
+    return torch.where(dot(it.n, it.wo).unsqueeze(-1) < 0, -it.n, it.n)
 
 
 @dataclass(frozen=True)

@@ -44,6 +44,10 @@ class Materials(Protocol):
 class BSDF(Protocol):
     """A reflection model in the local shading frame: z is the shading normal on the viewer's side, so wo.z >= 0."""
 
+    deviates: bool
+    """Whether weights of :meth:`sample` differ from their mean: where they do not, as at Lambertian surfaces, there is
+    nothing for a control variate to take away."""
+
     def eval(self, surface: Surface, wo: Tensor, wi: Tensor) -> Tensor:
         """Value f * cos(wi) [n, 3], differentiable in ``surface``; 0 where wi.z <= 0 or wo.z <= 0."""
         ...
@@ -60,6 +64,10 @@ class BSDF(Protocol):
         """Draw ``wi`` from three uniform numbers ``u`` [n, 3]. The weight is differentiable in ``surface`` with the
         direction and the pdf held fixed (detached sampling).
         """
+        ...
+
+    def diffuse_share(self, surface: Surface) -> float | Tensor:
+        """Probability that :meth:`sample` draws by the cosine [n]: it does where the first number lies below."""
         ...
 
     def mean_weight(self, surface: Surface, wo: Tensor) -> Tensor:

@@ -166,6 +166,8 @@ class PixelBatch:
     """Coverage in [0, 1]; ones for images without an alpha channel [b]."""
     iteration: int
     """The iteration that this batch belongs to."""
+    smoothed: Tensor | None = None
+    """Mean photographed radiance of the 5 x 5 pixels around [b, 3], where the data module was asked for it."""
 
 
 @dataclass(frozen=True)

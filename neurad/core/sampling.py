@@ -25,6 +25,18 @@ def concentric_disk(u: Tensor) -> Tensor:
     return torch.stack((r * phi.cos(), r * phi.sin()), -1)
 
 
+def disk_to_square(xy: Tensor) -> Tensor:
+    """The numbers [n, 2] from which :func:`concentric_disk` makes points ``xy`` [n, 2] of the unit disk."""
+    x, y = xy.unbind(-1)
+    radius = (x * x + y * y).sqrt()
+    wide = x.abs() > y.abs()
+    long, short = torch.where(wide, x, y), torch.where(wide, y, x)
+    first = radius * torch.where(long > 0, 1.0, -1.0)
+    second = first * (4 / math.pi) * torch.where(long == 0, 0.0, short / torch.where(long == 0, 1.0, long)).atan()
+    a, b = torch.where(wide, first, second), torch.where(wide, second, first)
+    return 0.5 * torch.stack((a, b), -1) + 0.5
+
+
 def cosine_hemisphere(u: Tensor) -> Tensor:
     """Directions [n, 3] about +z with density cos(theta) / pi from uniform numbers [n, 2]."""
     disk = concentric_disk(u)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from itertools import pairwise
 from typing import Any
 
@@ -21,6 +23,10 @@ class MLP(nn.Module):
         width: neurons of every hidden layer.
         hidden_layers: number of hidden layers; 0 is one linear map.
         fast: use oneDNN's fused layers where they apply (CPU, float32); about twice as fast as plain torch.
+
+    Under ``torch.set_float32_matmul_precision("medium")``, and where autocast asks for bfloat16, these layers, but for
+    the last, take their inputs and weights in bfloat16 and add up in float32; weights and what the network returns stay
+    float32.
     """
 
     def __init__(self, inputs: int, outputs: int, width: int, hidden_layers: int, fast: bool = True) -> None:
@@ -36,15 +42,16 @@ class MLP(nn.Module):
     def forward(self, x: Tensor) -> Tensor:
         """Values [n, outputs] for inputs [n, inputs]."""
         if not (self.fast and len(x) > 0 and _has_onednn(x)):
-            return self.plain(x)
+            return self.plain(x).to(x.dtype)  # autocast would hand on what it rounded
         parameters: list[Tensor] = list(self.parameters())  # weight, bias, weight, bias, ...
         rows = len(x)
         if padding := _round_up(rows) - rows:
             x = torch.nn.functional.pad(x, (0, 0, 0, padding))
+        rounded = torch.is_autocast_enabled("cpu") or torch.get_float32_matmul_precision() == "medium"
         if torch.is_grad_enabled():
-            out: Tensor = _Layers.apply(x, *parameters)  # type: ignore[no-untyped-call]
+            out: Tensor = _Layers.apply(x, rounded, *parameters)  # type: ignore[no-untyped-call]
         else:
-            parts = [_forward(part, parameters)[-1] for part in torch.split(x, CHUNK)]
+            parts = [_forward(part, parameters, rounded)[-1] for part in torch.split(x, CHUNK)]
             out = parts[0] if len(parts) == 1 else torch.cat(parts)
         return out[:rows] if padding else out
 
@@ -54,6 +61,17 @@ class MLP(nn.Module):
         for weight, bias in zip(parameters[:-2:2], parameters[1:-2:2], strict=True):
             x = torch.relu(torch.addmm(bias, x, weight.t()))
         return torch.addmm(parameters[-1], x, parameters[-2].t())
+
+
+@contextmanager
+def products(precision: str) -> Iterator[None]:
+    """Let matrix products have a precision of ``torch.set_float32_matmul_precision`` inside the block."""
+    before = torch.get_float32_matmul_precision()
+    torch.set_float32_matmul_precision(precision)
+    try:
+        yield
+    finally:
+        torch.set_float32_matmul_precision(before)
 
 
 def _round_up(rows: int) -> int:
@@ -71,7 +89,7 @@ def _has_onednn(x: Tensor) -> bool:
     return (
         x.device.type == "cpu"
         and x.dtype == torch.float32
-        and not torch.is_autocast_enabled("cpu")
+        and not (torch.is_autocast_enabled("cpu") and torch.get_autocast_dtype("cpu") != torch.bfloat16)
         and torch.backends.mkldnn.is_available()  # type: ignore[no-untyped-call]
         and hasattr(torch.ops.mkldnn, "_linear_pointwise")
     )
@@ -83,23 +101,27 @@ def _linear(x: Tensor, weight: Tensor, bias: Tensor | None, after: str) -> Tenso
     return out
 
 
-def _forward(x: Tensor, parameters: list[Tensor]) -> list[Tensor]:
-    """Values after every layer; ``parameters`` are weight, bias, weight, bias, ..."""
-    values = []
-    for i in range(0, len(parameters), 2):
-        x = _linear(x, parameters[i], parameters[i + 1], "relu" if i + 2 < len(parameters) else "none")
-        values.append(x)
-    return values
+def _forward(x: Tensor, parameters: list[Tensor], rounded: bool) -> list[Tensor]:
+    """Input and values after every layer; ``parameters`` are weight, bias, weight, bias, ...
+
+    With ``rounded`` all but the last are bfloat16: its rounding would be seen in what the network returns.
+    """
+    if rounded and len(parameters) > 2:
+        x = x.bfloat16()
+    values = [x]
+    for i in range(0, len(parameters) - 2, 2):
+        values.append(_linear(values[-1], parameters[i].to(x.dtype), parameters[i + 1].to(x.dtype), "relu"))
+    return [*values, _linear(values[-1].float(), parameters[-2], parameters[-1], "none")]
 
 
 class _Layers(torch.autograd.Function):
     """All layers as one operation: fused layers forward, and few small operations backward."""
 
     @staticmethod
-    def forward(ctx: Any, x: Tensor, *parameters: Tensor) -> Tensor:
+    def forward(ctx: Any, x: Tensor, rounded: bool, *parameters: Tensor) -> Tensor:
         """Values of the last layer [n, outputs]."""
-        values = _forward(x, list(parameters))
-        ctx.save_for_backward(x, *values[:-1], *parameters)
+        values = _forward(x, list(parameters), rounded)
+        ctx.save_for_backward(*values[:-1], *parameters)
         return values[-1]
 
     @staticmethod
@@ -110,7 +132,11 @@ class _Layers(torch.autograd.Function):
         inputs, parameters = ctx.saved_tensors[:layers], ctx.saved_tensors[layers:]
         out: list[Tensor | None] = []
         for i in reversed(range(layers)):
-            out = [g.t() @ inputs[i], g.sum(0), *out]
+            x = inputs[i].to(g.dtype)
+            out = [(g.t() @ x).float(), g.sum(0).float(), *out]
             if i > 0:
-                g = torch.ops.aten.threshold_backward(_linear(g, parameters[2 * i].t(), None, "none"), inputs[i], 0)
-        return (_linear(g, parameters[0].t(), None, "none") if ctx.needs_input_grad[0] else None, *out)
+                g = _linear(g, parameters[2 * i].t().to(g.dtype), None, "none").to(inputs[i].dtype)
+                g = torch.ops.aten.threshold_backward(g, inputs[i], 0)
+        if not ctx.needs_input_grad[0]:
+            return (None, None, *out)
+        return (_linear(g, parameters[0].t().to(g.dtype), None, "none").float(), None, *out)

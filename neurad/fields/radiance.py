@@ -8,6 +8,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn.functional import softplus
 
+from neurad.core.frame import facing
 from neurad.core.records import Interaction
 from neurad.fields.hash_grid import UnitCube
 from neurad.fields.select import make_layers
@@ -27,7 +28,8 @@ class RadianceField(nn.Module):
     directions and both sides of a surface.
 
     Args:
-        config: kind, sizes of grid and network, and the inputs beside the position.
+        config: kind, sizes of grid and network, and the inputs beside the position; without inputs those of a scene
+            with highlights.
         bounds: smallest and largest corner of the scene [2, 3].
         scale: typical training radiance; it is part of the checkpoint.
     """
@@ -36,7 +38,9 @@ class RadianceField(nn.Module):
 
     def __init__(self, config: RadianceConfig, bounds: Tensor, scale: float = 1.0) -> None:
         super().__init__()
-        self.inputs = () if config.kind == "dense" else config.inputs
+        config = config.resolved(lambertian=False)
+        self.inputs = () if config.kind == "dense" or config.inputs is None else config.inputs
+        self.reads_albedo = "albedo" in self.inputs
         self.cube = UnitCube(bounds)
         self.grid, self.mlp = make_layers(config, 3, sum(RADIANCE_INPUTS[name] for name in self.inputs))
         self.register_buffer("scale", torch.tensor(float(scale)))
@@ -45,24 +49,31 @@ class RadianceField(nn.Module):
         """Take ``scale`` (typical training radiance) as the unit of the output."""
         self.scale.fill_(scale)
 
-    def forward(self, it: Interaction, albedo: Tensor) -> Tensor:
+    def forward(self, it: Interaction, albedo: Tensor | None) -> Tensor:
         """Reflected radiance [n, 3] towards ``it.wo``; positive.
 
         Args:
             it: surface points.
-            albedo: albedo there [n, 3]; no gradient flows into it.
+            albedo: albedo there [n, 3], or None for a field that does not read it; no gradient flows into it.
+
+        Raises:
+            ValueError: the field reads the albedo, and none is given.
         """
+        if self.reads_albedo and albedo is None:
+            raise ValueError("RadianceField: it reads the albedo, which is not given")
         parts = [self.grid(self.cube(it.p))]
         parts += [_read(name, it, albedo) for name in self.inputs]
         return self.scale * softplus(self.mlp(torch.cat(parts, -1)) + _SHIFT)
 
 
-def _read(name: str, it: Interaction, albedo: Tensor) -> Tensor:
+def _read(name: str, it: Interaction, albedo: Tensor | None) -> Tensor:
     """One of the inputs beside the position [n, 3]."""
     if name == "direction":
         return it.wo
     if name == "normal":
         return it.n
-    if name == "albedo":
+    if name == "albedo" and albedo is not None:
         return albedo.detach()
+    if name == "facing":
+        return facing(it)
     return 2.0 * (it.wo * it.n).sum(-1, keepdim=True) * it.n - it.wo  # reflection

@@ -2,13 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 from neurad.core.errors import InputError
 
-RADIANCE_INPUTS = {"direction": 3, "reflection": 3, "normal": 3, "albedo": 3}
+RADIANCE_INPUTS = {"direction": 3, "reflection": 3, "normal": 3, "facing": 3, "albedo": 3}
 """What a radiance field may read beside the position, and the channels that it takes."""
+GLOSSY_INPUTS = ("direction", "normal", "albedo")
+MATTE_INPUTS = ("facing",)
 
 
 @dataclass(frozen=True)
@@ -75,13 +77,28 @@ class RadianceConfig(FieldConfig):
 
     grid: GridConfig = GridConfig(finest=64, log2_size=15)
     hidden_layers: int = 3
-    inputs: tuple[str, ...] = ("direction", "normal", "albedo")
+    inputs: tuple[str, ...] | None = None
     """Read beside the position, any of: ``direction`` (wo), ``reflection`` (wo mirrored at the normal), ``normal``,
-    ``albedo``. A dense grid reads the position alone, so its radiance is the same in all directions."""
+    ``facing`` (the normal on the viewer's side), ``albedo``. Without any given, ``direction``, ``normal`` and
+    ``albedo``; in a Lambertian scene ``facing`` alone and one hidden layer less, since a surface there looks the same
+    from everywhere on its side. A dense grid reads the position alone, so its radiance is the same in all directions.
+    """
 
     def __post_init__(self) -> None:
         """Refuse inputs that do not exist."""
         super().__post_init__()
-        for name in self.inputs:
+        for name in self.inputs or ():
             if name not in RADIANCE_INPUTS:
                 raise InputError(f"radiance.inputs: '{name}' is unknown, choose from {', '.join(RADIANCE_INPUTS)}")
+
+    def resolved(self, lambertian: bool) -> RadianceConfig:
+        """These settings with the inputs that a scene needs, where none are given.
+
+        Args:
+            lambertian: whether every surface of the scene that is not smooth is Lambertian.
+        """
+        if self.inputs is not None:
+            return self
+        if not lambertian:
+            return replace(self, inputs=GLOSSY_INPUTS)
+        return replace(self, inputs=MATTE_INPUTS, hidden_layers=max(self.hidden_layers - 1, min(self.hidden_layers, 1)))

@@ -14,6 +14,7 @@ class Direct(Method):
     """Direct illumination only, ``T E``: what is missing of the light gets baked into the albedo."""
 
     needs_field = False
+    tells_light = False
 
     def reflected(self, parts: Parts, it: Interaction, surface: Surface, u: Tensor, stream: Stream) -> Reflected:
         """``T_hat(E)`` at the lanes of ``it``."""

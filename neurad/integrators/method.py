@@ -13,11 +13,22 @@ from torch import Tensor
 from neurad.core.protocols import Materials
 from neurad.core.records import Interaction, Rays, Surface
 from neurad.core.rng import Stream
-from neurad.integrators.vertex import DIMENSIONS
+from neurad.integrators.vertex import DIMENSIONS, Weighed
 from neurad.integrators.world import World
 
-ReflectedRadiance = Callable[[Interaction, Tensor], Tensor]
+ReflectedRadiance = Callable[[Interaction, Tensor], Tensor] | Callable[[Interaction, Tensor | None], Tensor]
 """``L_theta(it, albedo)``: reflected radiance towards ``it.wo`` [n, 3]; emission is not part of it."""
+
+
+def look_up(radiance: ReflectedRadiance, materials: Materials, it: Interaction) -> Tensor:
+    """``L_theta`` at the lanes of ``it`` [n, 3]. The materials are asked for the albedo, without gradient, unless the
+    field has an attribute ``reads_albedo`` which says that it does without.
+    """
+    if not getattr(radiance, "reads_albedo", True):
+        return radiance(it, None)  # type: ignore[arg-type]
+    with torch.no_grad():
+        albedo = materials.albedo(it)
+    return radiance(it, albedo)
 
 
 @dataclass(frozen=True)
@@ -41,10 +52,11 @@ class Reflected:
     direct: Tensor | None = None
     """``T_hat(E)`` [n, 3], a part of ``transported``."""
     incident: Tensor | None = None
-    """Reflected radiance that arrived along the first BSDF samples, without gradient [n, 3]: with ``deviation`` the
-    control variate of :class:`neurad.losses.relative.Control`. None from a method that has none."""
-    deviation: Tensor | None = None
-    """As in :class:`neurad.integrators.vertex.Bounce` [n, 3]."""
+    """Reflected radiance that arrived along the first BSDF samples, without gradient [n, 3]; None from a method that
+    does not tell."""
+    weighed: Weighed | None = None
+    """Of the first BSDF samples: with ``incident`` the control variate of :class:`neurad.losses.relative.Control`, and
+    what a guide learns from."""
     ends: Interaction | None = None
     """Where the first BSDF samples ended; None from a method without a field."""
 
@@ -54,6 +66,9 @@ class Method(ABC):
 
     needs_field: ClassVar[bool] = True
     """Whether a radiance field is read; without it none is built, and no term of the objective trains one."""
+
+    tells_light: ClassVar[bool] = True
+    """Whether estimates come with the light that arrived, from which a guide learns where to look."""
 
     @abstractmethod
     def reflected(self, parts: Parts, it: Interaction, surface: Surface, u: Tensor, stream: Stream) -> Reflected:

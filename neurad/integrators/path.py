@@ -66,6 +66,7 @@ class Path(Method):
         max_bounces: longest path in bounces, 1 is direct light; None: roulette alone ends paths.
         roulette_start: bounces after which roulette may end a path.
         roulette: largest probability to go on; below it, it is the throughput.
+        control: give what takes noise from the samples without changing their mean, at no ray's cost.
 
     Raises:
         InputError: a number that ends no path, or every one before it begins.
@@ -73,7 +74,9 @@ class Path(Method):
 
     needs_field = False
 
-    def __init__(self, max_bounces: int | None = 15, roulette_start: int = 5, roulette: float = 0.95) -> None:
+    def __init__(
+        self, max_bounces: int | None = 15, roulette_start: int = 5, roulette: float = 0.95, control: bool = True
+    ) -> None:
         name = f"model.method ({type(self).__name__})"
         if max_bounces is not None and max_bounces < 1:
             raise InputError(f"{name}: max_bounces must be at least 1, or null for no cap")
@@ -83,8 +86,20 @@ class Path(Method):
             raise InputError(f"{name}: roulette must lie in (0, 1], and below 1 where max_bounces caps no path")
         self.max_bounces = max_bounces
         self.roulette = Roulette(roulette_start, roulette)
+        self.control = control
 
     def reflected(self, parts: Parts, it: Interaction, surface: Surface, u: Tensor, stream: Stream) -> Reflected:
         """``sum_{i >= 1} T^i E`` at the lanes of ``it``."""
-        steps = walk(parts.world, parts.materials, it, surface, u, stream, self.roulette, self.max_bounces)
-        return Reflected(scatter([(v.lane, v.throughput * v.step.direct) for v in steps], it.p))
+        control = self.control and torch.is_grad_enabled()
+        steps = walk(
+            parts.world, parts.materials, it, surface, u, stream, self.roulette, self.max_bounces, control=control
+        )
+        terms, arrived, weighed = [], [], None
+        for v in steps:
+            terms.append((v.lane, v.throughput * v.step.direct))
+            if v.beyond is None:
+                weighed = v.step.weighed
+            else:
+                arrived.append((v.lane, v.beyond * v.step.direct.detach()))
+        light = None if weighed is None else scatter(arrived, it.p)
+        return Reflected(scatter(terms, it.p), incident=light, weighed=weighed)

@@ -19,6 +19,7 @@ from neurad.core.records import Interaction, Surface
 from neurad.core.rng import Stream
 from neurad.integrators.method import Parts, Reflected
 from neurad.integrators.path import Path
+from neurad.integrators.vertex import Weighed
 from neurad.integrators.walk import Vertex, loosen, walk
 
 
@@ -32,6 +33,7 @@ class PRB(Path):
         max_bounces: longest path in bounces, 1 is direct light; None: roulette alone ends paths.
         roulette_start: bounces after which roulette may end a path.
         roulette: largest probability to go on; below it, it is the throughput.
+        control: give what takes noise from the samples without changing their mean, at no ray's cost.
     """
 
     def reflected(self, parts: Parts, it: Interaction, surface: Surface, u: Tensor, stream: Stream) -> Reflected:
@@ -41,8 +43,11 @@ class PRB(Path):
         key = int(stream.integers(1 << 62, 1))
         replay = _Replay(self, parts, it, surface.detach(), u, key)
         parameters = [p for part in (parts.materials, parts.world) for p in _trainable(part)]
-        value: Tensor = _Radiance.apply(replay, surface.albedo, surface.roughness, *parameters)  # type: ignore[no-untyped-call]
-        return Reflected(value)
+        value, *found = _Radiance.apply(replay, surface.albedo, surface.roughness, *parameters)  # type: ignore[no-untyped-call]
+        if not found:
+            return Reflected(value)
+        light, *weighed = found
+        return Reflected(value, incident=light, weighed=Weighed(*weighed))
 
 
 def _trainable(part: object) -> list[Tensor]:
@@ -61,23 +66,39 @@ class _Replay:
         # difference in a direction can end at another triangle.
         return walk(
             self.parts.world, self.parts.materials, self.it, surface, self.u, Stream(self.key, device=self.u.device),
-            self.method.roulette, self.method.max_bounces, detached=True,
+            self.method.roulette, self.method.max_bounces, detached=True, control=self.method.control,
         )  # fmt: skip
 
 
 class _Radiance(torch.autograd.Function):
-    """The walks' radiance [n, 3] as a function of the first surface and of all parameters."""
+    """The walks' radiance [n, 3] as a function of the first surface and of all parameters.
+
+    With control there are more: the light that arrived along the first BSDF samples, which has no derivative, and what
+    :class:`~neurad.integrators.vertex.Weighed` holds; its deviation has the derivative of the first surface.
+    """
 
     @staticmethod
-    def forward(ctx: Any, replay: _Replay, albedo: Tensor, roughness: Tensor, *parameters: Tensor) -> Tensor:
+    def forward(
+        ctx: Any, replay: _Replay, albedo: Tensor, roughness: Tensor, *parameters: Tensor
+    ) -> tuple[Tensor, ...]:
         # Sums in double precision: what is left of a long path is a difference of nearly equal numbers.
         radiance = torch.zeros_like(replay.it.p, dtype=torch.float64)
+        weighed, light = None, torch.zeros_like(replay.it.p)
         with torch.enable_grad():
             for v in replay.steps(replay.surface):
-                radiance.index_add_(0, v.lane, (v.throughput * v.step.direct.detach()).double())
-                del v  # before the next one is made
+                direct = v.step.direct.detach()
+                radiance.index_add_(0, v.lane, (v.throughput * direct).double())
+                if v.beyond is not None:
+                    light.index_add_(0, v.lane, v.beyond * direct)
+                elif v.step.weighed is not None:
+                    weighed = v.step.weighed
+                del v, direct  # before the next one is made
         ctx.replay, ctx.radiance, ctx.parameters = replay, radiance, parameters
-        return radiance.to(replay.it.p.dtype)
+        value = radiance.to(replay.it.p.dtype)
+        if weighed is None:
+            return (value,)
+        ctx.mark_non_differentiable(light, weighed.importance, weighed.wi)
+        return value, light, weighed.deviation.detach(), weighed.importance, weighed.wi
 
     @staticmethod
     def backward(ctx: Any, *gradients: Tensor) -> tuple[Tensor | None, ...]:
@@ -96,6 +117,8 @@ class _Radiance(torch.autograd.Function):
                 beyond = torch.where(fixed > 0, left[v.lane].to(fixed.dtype) / fixed.clamp_min(1e-30), 0.0)
                 outer = gradients[0][v.lane]
                 pairs = [(direct, outer * v.throughput), (weight, outer * beyond)]
+                if v.step.weighed is not None:
+                    pairs.append((v.step.weighed.deviation, gradients[2]))
                 outputs, scales = zip(*((x, g) for x, g in pairs if x.requires_grad), strict=True)  # known parts do not
                 found = torch.autograd.grad(outputs, ends, scales, allow_unused=True)
                 for total, gradient in zip(totals, found, strict=True):

@@ -11,7 +11,7 @@ from neurad.core.errors import InputError
 from neurad.core.protocols import Materials
 from neurad.core.records import Interaction, Rays, Surface
 from neurad.core.rng import Stream
-from neurad.integrators.method import Method, Parts, Reflected, ReflectedRadiance
+from neurad.integrators.method import Method, Parts, Reflected, ReflectedRadiance, look_up
 from neurad.integrators.vertex import DIMENSIONS, bounce
 from neurad.integrators.walk import scatter, walk
 from neurad.integrators.world import World
@@ -44,7 +44,7 @@ class Radiometric(Method):
         first = next(steps)
         light = incident(parts.materials, parts.radiance, first.step.next)
         value = first.step.direct + first.step.weight * light
-        sample = Reflected(value, value, first.step.direct, light, first.step.deviation, first.step.next)
+        sample = Reflected(value, value, first.step.direct, light, first.step.weighed, first.step.next)
         if self.k == 1:
             return sample
         terms = [(first.lane, first.step.direct)]
@@ -69,7 +69,7 @@ class RadiometricLHS:
         """Radiance along camera rays [n, 3]; without noise, but for the choice at glass that ``seed`` makes."""
         first = self.world.reach(rays, Stream(seed, device=rays.o.device).uniform(len(rays)))
         it = first.it
-        seen = self.radiance(it, self.materials.albedo(it))
+        seen = look_up(self.radiance, self.materials, it)
         return first.through(self.world.emitted(it) + seen * it.valid.unsqueeze(-1))
 
 
@@ -111,4 +111,4 @@ def transport(
 @torch.no_grad()
 def incident(materials: Materials, radiance: ReflectedRadiance, it: Interaction) -> Tensor:
     """``sg[L_theta]`` where BSDF samples ended [n, 3]; zero where they left the scene."""
-    return radiance(it, materials.albedo(it)) * it.valid.unsqueeze(-1)
+    return look_up(radiance, materials, it) * it.valid.unsqueeze(-1)

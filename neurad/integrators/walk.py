@@ -46,6 +46,9 @@ class Vertex:
     throughput: Tensor
     """Product of the weights before this vertex over the probabilities to get here [m, 3]."""
     step: Bounce
+    beyond: Tensor | None = None
+    """``throughput`` without the first weight, so that its sum with direct light is what arrived along the first BSDF
+    sample; without gradient [m, 3]. None at the first vertex, and unless control is asked for."""
 
 
 def walk(
@@ -72,27 +75,34 @@ def walk(
         survival: when paths end; its probabilities are held fixed in derivatives.
         max_bounces: a path's largest number of bounces; None leaves all to ``survival``.
         detached: cut the graph between vertices, so that each step is differentiable in its own surface alone.
-        control: ask for the deviation of the first weights.
+        control: ask for the deviation of the first weights, and for what comes ``beyond`` them.
     """
+    control = control and world.bsdf.deviates
     lane = torch.arange(len(it), device=it.p.device)
     throughput = torch.ones_like(it.p)
+    beyond = None
     for bounces in count(1):
         step = bounce(world, it, surface, u, control and bounces == 1)
-        yield Vertex(lane, it, throughput, step)
+        yield Vertex(lane, it, throughput, step, beyond)
         if max_bounces is not None and bounces >= max_bounces:
             return
         weight = step.weight.detach()
         throughput = throughput * (weight if detached else step.weight)
         fixed = throughput.detach()
+        if control:
+            beyond = torch.ones_like(weight) if beyond is None else beyond * weight
         alive = step.next.valid & (fixed.amax(-1) > 0)
         keep = survival(bounces, fixed, weight)
         if keep is not None:
             alive &= stream.uniform(len(lane)) < keep
-            throughput = throughput / keep.clamp_min(1e-30).unsqueeze(-1)
+            keep = keep.clamp_min(1e-30).unsqueeze(-1)
+            throughput = throughput / keep
+            beyond = None if beyond is None else beyond / keep
         index = alive.nonzero().squeeze(-1)
         if len(index) == 0:
             return
         lane, it, throughput = lane[index], step.next[index], throughput[index]
+        beyond = None if beyond is None else beyond[index]
         del step, surface, weight, fixed, keep, alive  # the next vertex is the peak of the memory
         surface = materials(it)
         if torch.is_grad_enabled() and not detached:

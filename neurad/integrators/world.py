@@ -10,6 +10,7 @@ from neurad.core.frame import dot
 from neurad.core.protocols import BSDF, Emitter, Tracer
 from neurad.core.records import Interaction, Rays
 from neurad.integrators.delta import DeltaSurfaces
+from neurad.integrators.guiding import Guide
 from neurad.scene.description import Features
 from neurad.scene.geometry import Geometry
 
@@ -65,6 +66,8 @@ class World(nn.Module):
         self.features = features
         self.hide_environment = hide_environment
         self.delta = delta
+        self.guide: Guide | None = None
+        """Where to look for indirect light; None looks by the BSDF alone."""
         self.rays_cast = 0
         self.register_buffer("two_sided", two_sided, persistent=False)
 

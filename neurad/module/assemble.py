@@ -22,7 +22,11 @@ from neurad.tracing.select import make_tracer
 
 
 def build_world(
-    scene: Scene, tracer: str = "embree", hide_environment: bool = False, fitted: FittedEnvironment | None = None
+    scene: Scene,
+    tracer: str = "embree",
+    hide_environment: bool = False,
+    fitted: FittedEnvironment | None = None,
+    specular_share: float = 0.5,
 ) -> World:
     """Geometry, tracer, lights and BSDF of a scene, on the CPU (``.to(device)`` moves them).
 
@@ -31,6 +35,7 @@ def build_world(
         tracer: 'embree', 'open3d' or 'warp'.
         hide_environment: camera rays that miss see black (photographs with an alpha channel).
         fitted: an environment to be recovered, in place of the scene's own.
+        specular_share: share of the BSDF samples that the specular lobe draws.
 
     Raises:
         InputError: unknown tracer, or its package is missing.
@@ -41,7 +46,7 @@ def build_world(
         geometry=geometry,
         tracer=make_tracer(tracer, geometry.vertices, geometry.faces),
         lights=make_lights(scene, geometry, fitted),
-        bsdf=make_bsdf(scene.features),
+        bsdf=make_bsdf(scene.features, specular_share),
         features=scene.features,
         two_sided=two_sided,
         hide_environment=hide_environment,
@@ -65,7 +70,9 @@ class FittedMaterials(nn.Module):
     def forward(self, it: Interaction) -> Surface:
         """BSDF parameters at the lanes of ``it``."""
         albedo = self.albedo(it)
-        roughness: Tensor = torch.ones_like(albedo[:, :1]) if self.roughness is None else self.roughness(it, albedo)
+        if self.roughness is None:  # nobody reads it: one number seen everywhere
+            return Surface(albedo, albedo.new_ones(1, 1).expand(len(albedo), 1))
+        roughness: Tensor = self.roughness(it, albedo)
         return Surface(albedo, roughness)
 
 
@@ -90,4 +97,4 @@ def build_materials(
 
 def build_radiance(scene: Scene, config: RadianceConfig) -> RadianceField:
     """The radiance field, its units still those of the scene: set ``scale`` once the photographs are known."""
-    return RadianceField(config, torch.from_numpy(scene.bounds))
+    return RadianceField(config.resolved(scene.features.is_diffuse), torch.from_numpy(scene.bounds))

@@ -17,9 +17,23 @@ class Sampling:
     secondary: int = 4
     """Samples of the transport operator at every position: as many emitter as BSDF samples."""
     cached: int = 4
-    """Stratified positions in each pixel whose camera ray is traced once, at the start of a run."""
+    """Stratified positions in each pixel whose camera ray is traced once, at the start of a run: 12 bytes each of
+    memory. 0 keeps none and traces new, uniformly random positions in each step, for large sets of photographs."""
+    specular: float = 0.25
+    """Share of the BSDF samples that the specular lobe draws. Half of them, as in Mitsuba, is more than roughness needs
+    and leaves fewer for albedo."""
+    guide: int = 16
+    """Cells along the scene's longest side of the histogram that tells BSDF samples where indirect light came from
+    before; 0 samples by the BSDF alone. Lambertian scenes go without."""
     second_hits: float = 0.5
     """Share of the positions at which the prior is also taken at the second hit; 0 leaves it out."""
+
+    def __post_init__(self) -> None:
+        """Refuse what cannot be sampled."""
+        if not 0.0 < self.specular < 1.0:
+            raise InputError("model.sampling.specular: it must lie between 0 and 1")
+        if not 0 <= self.guide <= 128:
+            raise InputError("model.sampling.guide: it must lie in 0 .. 128")
 
 
 @dataclass(frozen=True)
@@ -91,3 +105,12 @@ class Optimization:
     """Share of the rates left at the end of the cosine."""
     clip: float = 0.0
     """Largest norm of an optimizer's gradient, a longer one is shortened to it; 0 leaves gradients as they are."""
+    matmul: Literal["highest", "high", "medium"] = "highest"
+    """Products inside the networks while they train, as ``torch.set_float32_matmul_precision`` has it: ``highest`` is
+    float32, ``high`` is TF32 on GPUs that have it, ``medium`` bfloat16 (on CPUs all layers but a network's last).
+    Sums, weights and all else stay float32, and so do evaluations."""
+
+    def __post_init__(self) -> None:
+        """Refuse precisions that do not exist."""
+        if self.matmul not in ("highest", "high", "medium"):
+            raise InputError(f"model.optimization.matmul: '{self.matmul}' is unknown, choose highest, high or medium")

@@ -10,7 +10,7 @@ from torch import Tensor
 from neurad.core.protocols import Materials
 from neurad.core.records import Interaction, Lanes, Surface
 from neurad.core.rng import Stream
-from neurad.integrators.method import Method, Parts, Reflected, ReflectedRadiance
+from neurad.integrators.method import Method, Parts, Reflected, ReflectedRadiance, look_up
 from neurad.integrators.radiometric import Radiometric, incident
 from neurad.integrators.vertex import DIMENSIONS, bounce
 from neurad.integrators.world import World
@@ -53,9 +53,7 @@ class Estimator:
         u = lattice(len(it), count, stream)
         step = bounce(self.world, it.repeat(count), surface.repeat(count), u)
         if field_gradient:
-            with torch.no_grad():
-                albedo = self.materials.albedo(step.next)
-            light = self.radiance(step.next, albedo) * step.next.valid.unsqueeze(-1)
+            light = look_up(self.radiance, self.materials, step.next) * step.next.valid.unsqueeze(-1)
         else:
             light = incident(self.materials, self.radiance, step.next)
         direct = step.direct if light_gradient else step.direct.detach()

@@ -1,15 +1,18 @@
-"""Do the photographs belong to these lights? A factor between them would end up in the materials."""
+"""How bright the photographs are, and whether they belong to these lights: a factor would end up in the materials."""
 
 from __future__ import annotations
 
 import sys
+from typing import Any
 
 import torch
 from torch import Tensor
 
+from neurad.core.errors import InputError
 from neurad.core.records import PixelBatch, Surface
 from neurad.core.rng import Stream
 from neurad.integrators.vertex import DIMENSIONS, bounce
+from neurad.losses.bounded import typical_square
 from neurad.module.primary import PrimaryHits
 
 FAR = 50.0
@@ -17,26 +20,61 @@ FAR = 50.0
 _PIXELS = 4096
 
 
+def unit_square(data: Any, mixed: Tensor, spike: float) -> tuple[float, PixelBatch | None]:
+    """Mean squared radiance of the training photographs, without what shows an emitter.
+
+    Args:
+        data: the data module.
+        mixed: pixels that show an emitter [views, pixels], bool.
+        spike: with a positive one no value counts more than so many times a large one, see
+            :func:`neurad.losses.bounded.typical_square`.
+
+    Returns:
+        The mean square, and random pixels of the photographs if these are streamed.
+
+    Raises:
+        InputError: every photograph is black.
+    """
+    if getattr(data, "streams", False):
+        found = data.survey(mixed.cpu())
+        mean_square, sample = found.mean_square, found.sample
+    else:
+        mean_square, sample = data.mean_square(~mixed.cpu()), None
+    if mean_square <= 0:
+        raise InputError(f"scene {data.scene.name}: every training photograph is black")
+    if spike > 0:  # a few fireflies must not set the unit of light
+        values = data.photographs[~mixed.cpu()] if sample is None else sample.color
+        mean_square = typical_square(values, spike) or mean_square
+    return mean_square, sample
+
+
+def random_pixels(photographs: Tensor, mixed: Tensor, seed: int) -> PixelBatch:
+    """Some of the pixels of photographs [views, pixels, 3] that show no emitter."""
+    view, pixel = (~mixed).nonzero().unbind(-1)
+    index = Stream(seed, 17, device=mixed.device).integers(len(view), _PIXELS)
+    view, pixel = view[index], pixel[index]
+    return PixelBatch(view, pixel, photographs.to(view.device)[view, pixel], torch.ones_like(view).float(), 0)
+
+
 @torch.no_grad()
-def brightness(primary: PrimaryHits, photographs: Tensor, mixed: Tensor, seed: int) -> float:
+def brightness(primary: PrimaryHits, sample: PixelBatch, seed: int) -> float:
     """How many times as bright as expected the photographs are.
 
     Expected is what the lights give surfaces of albedo 0.5 directly, times 2 for the light that bounces on.
 
     Args:
         primary: camera rays of the training views.
-        photographs: linear colours [views, pixels, 3].
-        mixed: pixels that show an emitter [views, pixels], bool.
-        seed: of the sample of pixels.
+        sample: random photographed pixels that show no emitter; of more than 4096 some are drawn.
+        seed: of the draws.
     """
-    world = primary.world
-    stream = Stream(seed, 17, device=mixed.device)
-    view, pixel = (~mixed).nonzero().unbind(-1)
-    index = stream.integers(len(view), _PIXELS)
-    view, pixel = view[index], pixel[index]
-    color = photographs.to(view.device)[view, pixel]
+    world, device = primary.world, primary.origin.device
+    stream = Stream(seed, 18, device=device)
+    view, pixel, color = (x.to(device) for x in (sample.view, sample.pixel, sample.color))
+    if len(view) > _PIXELS:
+        index = stream.integers(len(view), _PIXELS)
+        view, pixel, color = view[index], pixel[index], color[index]
     cast = world.rays_cast
-    it = primary(PixelBatch(view, pixel, color, torch.ones(_PIXELS, device=view.device), 0), 1, stream).it
+    it = primary(PixelBatch(view, pixel, color, torch.ones_like(view).float(), 0), 1, stream).it
     half = Surface(torch.full_like(it.p, 0.5), torch.ones_like(it.p[:, :1]))
     direct = bounce(world, it, half, stream.uniform(len(it), DIMENSIONS)).direct
     world.rays_cast = cast

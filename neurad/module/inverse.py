@@ -16,13 +16,15 @@ from neurad.core.rng import Stream
 from neurad.emitters.fitted import FittedEnvironment
 from neurad.fields.adam import FieldAdam
 from neurad.fields.map_adam import MapAdam
+from neurad.fields.mlp import products
 from neurad.fields.radiance import RadianceField
 from neurad.fields.settings import FieldConfig, RadianceConfig, RoughnessConfig
 from neurad.fields.threads import at_most
+from neurad.integrators.guiding import Guide
 from neurad.integrators.method import Method
 from neurad.integrators.radiometric import Radiometric
+from neurad.integrators.vertex import shading_frame
 from neurad.integrators.world import World
-from neurad.losses.bounded import typical_square
 from neurad.losses.relative import smoothed, total
 from neurad.metrics.held_out import HeldOut
 from neurad.module.assemble import FittedMaterials, build_materials, build_radiance, build_world
@@ -30,10 +32,10 @@ from neurad.module.config import Lighting, Objective, Optimization, Sampling
 from neurad.module.distributed import agreed, average_tables, set_aside
 from neurad.module.estimate import Estimator
 from neurad.module.evaluate import Evaluation, UnknownLight, evaluate, unknown_light
-from neurad.module.exposure import brightness, warn_if_far
+from neurad.module.exposure import brightness, random_pixels, unit_square, warn_if_far
 from neurad.module.guard import Guard, clip
 from neurad.module.lighting import fitted_environment, unknown_environment
-from neurad.module.objective import ObjectiveStep, StepTerms
+from neurad.module.objective import Arrived, ObjectiveStep, StepTerms
 from neurad.module.optimizers import make_optimizers
 from neurad.module.primary import PrimaryHits
 from neurad.module.schedule import fraction_done, rate_factor
@@ -110,8 +112,8 @@ class InverseRenderer(L.LightningModule):
         lhs = objective.lhs > 0 and self.method.needs_field
         if (objective.estimator != "two_pass" or lhs) and sampling.positions < 2:
             raise InputError("model.sampling.positions: leave_one_out and lhs need at least 2 positions a pixel")
-        if sampling.positions > sampling.cached:
-            raise InputError("model.sampling.cached: it must be at least model.sampling.positions")
+        if sampling.cached < 0 or sampling.positions > sampling.cached > 0:
+            raise InputError("model.sampling.cached: it must be at least model.sampling.positions, or 0")
 
     # ---- set-up
 
@@ -122,15 +124,26 @@ class InverseRenderer(L.LightningModule):
         return scene
 
     def configure_model(self) -> None:
-        """Build world, materials and, for a method that reads it, the radiance field from the scene, once."""
+        """Build world, materials and, for a method that reads it, the radiance field from the scene, once.
+
+        Raises:
+            InputError: the trainer's precision is one that light transport does not work in.
+        """
         if hasattr(self, "materials"):
             return
+        if self.trainer.precision not in ("32-true", "bf16-mixed"):
+            raise InputError(
+                f"--trainer.precision {self.trainer.precision}: light needs float32; choose 32-true or bf16-mixed"
+            )
         torch.manual_seed(self.seed)
         data = self.trainer.datamodule  # type: ignore[attr-defined]
         # Of the world only an environment that is recovered has a state.
         self.world = build_world(
-            self.scene, self.tracer, data.has_alpha, unknown_environment(self.scene, self.lighting)
-        )
+            self.scene, self.tracer, data.has_alpha, unknown_environment(self.scene, self.lighting),
+            self.sampling.specular,
+        )  # fmt: skip
+        if self.sampling.guide > 0 and self.method.tells_light and not self.scene.features.is_diffuse:
+            self.world.guide = Guide(torch.from_numpy(self.scene.bounds), self.sampling.guide)
         albedo, roughness, radiance = self.field_configs
         if self.knows_materials:
             self.materials = TrueMaterials(self.scene, self.world.geometry)
@@ -159,15 +172,12 @@ class InverseRenderer(L.LightningModule):
             self.world.rays_cast = 0
         if bool(mixed.all()):
             raise InputError(f"scene {self.scene.name}: every pixel of every training view shows an emitter")
-        mean_square = data.mean_square(~mixed.cpu())
-        if mean_square <= 0:
-            raise InputError(f"scene {self.scene.name}: every training photograph is black")
-        if self.settings.spike > 0:  # a few fireflies must not set the unit of light
-            mean_square = typical_square(data.photographs[~mixed.cpu()], self.settings.spike) or mean_square
+        mean_square, sample = unit_square(data, mixed, self.settings.spike)
         if self.environment is not None:
             self.environment.set_unit(math.sqrt(mean_square))
         elif self.iteration == 0:
-            warn_if_far(brightness(primary, data.photographs, mixed, self.seed))
+            shown = random_pixels(data.photographs, mixed, self.seed) if sample is None else sample
+            warn_if_far(brightness(primary, shown, self.seed))
         if self.radiance is not None:
             self.radiance.set_scale(math.sqrt(mean_square))
         self._held_out = HeldOut(self.scene, self.world.geometry, self.world.tracer).read()
@@ -185,6 +195,9 @@ class InverseRenderer(L.LightningModule):
         """What residuals are relative to where there is no field to predict it; None where it is not asked for."""
         kind = self.settings.normaliser
         if kind == "smoothed" or (kind == "prediction" and not self.method.needs_field):
+            if getattr(data, "streams", False):  # batches bring it
+                data.wants_smoothed = True
+                return None
             return smoothed(data.photographs, data.alpha, width).to(self.device)
         return None
 
@@ -202,7 +215,8 @@ class InverseRenderer(L.LightningModule):
 
     def training_step(self, batch: PixelBatch, batch_idx: int) -> Tensor:
         """One iteration: one backward pass whose gradients never meet, a step of each optimizer."""
-        with at_most(len(batch.view) * self.sampling.positions * self.sampling.secondary // LANES_A_THREAD):
+        lanes = len(batch.view) * self.sampling.positions * self.sampling.secondary
+        with at_most(lanes // LANES_A_THREAD), products(self.optimization.matmul):
             return self._iterate(batch)
 
     def _iterate(self, batch: PixelBatch) -> Tensor:
@@ -230,11 +244,21 @@ class InverseRenderer(L.LightningModule):
             clip([optimizer.param_groups for optimizer in optimizers], self.optimization.clip)
         for optimizer in optimizers[::-1]:  # the counted one last: its hook may end the epoch's bookkeeping
             optimizer.step()
+        self._guide(terms.arrived)
         self.iteration += 1
         passes = self.processes * (2 if self.settings.estimator == "two_pass" else 1)
         self.samples += passes * len(batch.view) * self.sampling.positions * self.sampling.secondary
         self.last_losses = {name: loss.value for name, (_, loss) in terms.all.items()}
         return loss.detach()
+
+    def _guide(self, arrived: Arrived | None) -> None:
+        """Let the next iterations look where this one found light."""
+        guide = self.world.guide
+        if guide is None or arrived is None:
+            return
+        guide.learn(arrived.it, shading_frame(arrived.it).n, arrived.wi, arrived.light)
+        if (self.iteration + 1) % guide.refresh == 0:
+            guide.update()
 
     def _terms(self, batch: PixelBatch) -> StepTerms:
         """The terms of this iteration; the same ones whenever asked before the weights move."""
@@ -281,6 +305,7 @@ class InverseRenderer(L.LightningModule):
             "seconds": self.train_seconds,
             "rays": self.rays,
             "samples": self.samples,
+            "radiance_inputs": None if self.radiance is None else list(self.radiance.inputs),
         }
 
     def on_load_checkpoint(self, checkpoint: dict[str, Any]) -> None:
@@ -303,6 +328,12 @@ class InverseRenderer(L.LightningModule):
         if missing := own.keys() - checkpoint["state_dict"].keys():
             raise InputError(
                 f"--ckpt_path: the checkpoint has other fields than the config ({min(missing)} is missing)"
+            )
+        inputs = None if self.radiance is None else list(self.radiance.inputs)
+        if state.get("radiance_inputs", inputs) != inputs:  # of the same size they would load, and mean something else
+            raise InputError(
+                f"--ckpt_path: the checkpoint's radiance field reads {state['radiance_inputs']}, that of the config "
+                f"{inputs}; set model.radiance.inputs"
             )
         self.iteration = state["iteration"]
         self.rays_before = state["rays"]

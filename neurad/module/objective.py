@@ -41,6 +41,18 @@ from neurad.module.primary import PrimaryHits
 
 
 @dataclass(frozen=True)
+class Arrived:
+    """Light that first BSDF samples found."""
+
+    it: Interaction
+    """Vertices that it arrived at [n]."""
+    wi: Tensor
+    """Directions that it came from, in their shading frames [n, 3]."""
+    light: Tensor
+    """Reflected radiance [n, 3]."""
+
+
+@dataclass(frozen=True)
 class StepTerms:
     """Weighted terms of one step."""
 
@@ -48,6 +60,8 @@ class StepTerms:
     """Terms whose gradient reaches materials and light only."""
     field: dict[str, tuple[float, Loss]]
     """Terms whose gradient reaches the radiance field; phi too only with ``prior_trains: both``."""
+    arrived: Arrived | None = None
+    """What a guide learns from; None from a method that does not tell."""
 
     @property
     def all(self) -> dict[str, tuple[float, Loss]]:
@@ -79,7 +93,7 @@ class ObjectiveStep:
         epsilon: floor of the relative losses in squared radiance units.
         mixed: pixels that an emitter covers, in part or whole; they train nothing [views, pixels], bool.
         smoothed: photographs without their noise, where they are what residuals are relative to
-            [views, pixels, 3].
+            [views, pixels, 3]; None also where a batch brings its own.
     """
 
     estimator: Estimator
@@ -121,7 +135,10 @@ class ObjectiveStep:
         if lhs_image is not None and self.settings.lhs > 0:
             lhs_weight = relative_weight(lhs_image.mean(1), self.epsilon) * counts
             terms["lhs"] = (self.settings.lhs, leave_one_out(lhs_image, batch.color, lhs_weight))
-        return StepTerms(materials, terms)
+        arrived = None
+        if sample.incident is not None and sample.weighed is not None:
+            arrived = Arrived(it.repeat(self.sampling.secondary), sample.weighed.wi, sample.incident)
+        return StepTerms(materials, terms, arrived)
 
     def _mean(self, samples: Tensor) -> Tensor:
         """Means over the secondary samples of every position [n, 3]."""
@@ -129,10 +146,11 @@ class ObjectiveStep:
 
     def _control(self, sample: Reflected) -> Control | None:
         """The method's control variate by pixel and position, if it has one."""
-        if sample.incident is None or sample.deviation is None:
+        if sample.incident is None or sample.weighed is None:
             return None
         n = self.sampling.positions
-        light, deviation = (self._mean(x).view(-1, n, 3) for x in (sample.incident, sample.deviation))
+        around = sample.incident * sample.weighed.importance
+        light, deviation = (self._mean(x).view(-1, n, 3) for x in (around, sample.weighed.deviation))
         return Control(light, deviation) if n > 1 else None
 
     def _normaliser(self, batch: PixelBatch, lhs_image: Tensor | None) -> Tensor:
@@ -140,8 +158,10 @@ class ObjectiveStep:
         kind = self.settings.normaliser
         if kind == "prediction" and lhs_image is not None:
             return lhs_image.detach().mean(1)
-        if kind == "photograph" or self.smoothed is None:
+        if kind == "photograph":
             return batch.color
+        if self.smoothed is None:
+            return batch.color if batch.smoothed is None else batch.smoothed
         return self.smoothed[batch.view, batch.pixel]
 
     def _pull(self, roughness: Tensor) -> Loss:

@@ -1,4 +1,4 @@
-"""Camera rays of the training views, traced once: several stratified positions in every pixel."""
+"""Camera rays of the training views: traced once, at several stratified positions in every pixel, or in every step."""
 
 from __future__ import annotations
 
@@ -7,11 +7,12 @@ from dataclasses import replace
 import torch
 from torch import Tensor
 
-from neurad.core.records import Camera, PixelBatch, Rays
+from neurad.core.records import Camera, PixelBatch
 from neurad.core.rng import Stream
 from neurad.integrators.film import pixel_positions
 from neurad.integrators.world import Reached, World
-from neurad.scene.camera import camera_rays
+from neurad.module.emitter_pixels import emitter_pixels
+from neurad.scene.camera import Cameras, camera_rays
 
 _CHUNK = 1 << 18
 
@@ -19,12 +20,13 @@ _CHUNK = 1 << 18
 class PrimaryHits:
     """What the camera sees at ``count`` stratified positions in each pixel of each training view.
 
-    Keeps a triangle and barycentrics for each, 12 bytes; never the centre of a pixel alone.
+    Keeps a triangle and barycentrics for each, 12 bytes; never the centre of a pixel alone. With a ``count`` of 0
+    nothing is kept: every call traces new, uniformly random positions.
 
     Args:
         world: the scene.
         cameras: training cameras, all of one size.
-        count: positions a pixel.
+        count: positions a pixel; 0 for new ones in each call.
         seed: of the positions.
         device: where the cache lies.
     """
@@ -33,33 +35,53 @@ class PrimaryHits:
         self.world = world
         self.cameras = cameras
         self.count = count
-        self.origin = torch.stack([torch.as_tensor(c.to_world[:3, 3], dtype=torch.float32) for c in cameras]).to(device)
-        prim, bary, away = [], [], []
-        for index, camera in enumerate(cameras):
-            pixels = torch.arange(camera.width * camera.height, device=device)
-            xy = pixel_positions(camera.width, pixels, count, Stream(seed, index, device=device)).view(-1, 2)
-            for begin in range(0, len(xy), _CHUNK):
-                rays = camera_rays(camera, xy[begin : begin + _CHUNK])
-                hit = world.tracer.closest(rays)
-                world.rays_cast += len(rays)
-                prim.append(hit.prim.int())
-                bary.append(torch.stack((hit.u, hit.v), -1))
-                away.append((-rays.d).half() if world.features.has_environment else rays.d[:0].half())
-        self.prim = torch.cat(prim)
-        self.bary = torch.cat(bary)
-        self.away = torch.cat(away)
+        self.seed = seed
+        self.views = Cameras.of(cameras, device)
+        self.origin = self.views.origin
         self.pixels = cameras[0].width * cameras[0].height
+        total = len(cameras) * self.pixels * count
+        has_sky = world.features.has_environment
+        self.prim = torch.empty(total, dtype=torch.int32, device=device)
+        self.bary = torch.empty(total, 2, device=device)
+        self.away = torch.empty(total if has_sky else 0, 3, dtype=torch.float16, device=device)
+        if count > 0:
+            for index, camera in enumerate(cameras):
+                self._keep(index, camera)
+
+    def _keep(self, index: int, camera: Camera) -> None:
+        """Trace the positions of one view."""
+        device = self.prim.device
+        pixels = torch.arange(self.pixels, device=device)
+        xy = pixel_positions(camera.width, pixels, self.count, Stream(self.seed, index, device=device)).view(-1, 2)
+        first = index * len(xy)
+        for begin in range(0, len(xy), _CHUNK):
+            rays = camera_rays(camera, xy[begin : begin + _CHUNK])
+            hit = self.world.tracer.closest(rays)
+            self.world.rays_cast += len(rays)
+            here = slice(first + begin, first + begin + len(rays))
+            self.prim[here] = hit.prim.int()
+            self.bary[here] = torch.stack((hit.u, hit.v), -1)
+            if len(self.away):
+                self.away[here] = (-rays.d).half()
 
     def sees_emitter(self) -> Tensor:
-        """Whether any position of a pixel sees an emitter's triangle [views, pixels], bool."""
+        """Whether any position of a pixel sees an emitter's triangle [views, pixels], bool.
+
+        Without kept positions some are traced for it, in the pixels onto which an emitter projects.
+        """
+        if self.count == 0:
+            return emitter_pixels(self.world, self.cameras, self.seed, self.prim.device)
         emission = self.world.geometry.emission.amax(-1)
-        light = (emission[self.prim.clamp_min(0).long()] > 0) & (self.prim >= 0)
-        return light.view(len(self.cameras), self.pixels, self.count).any(-1)
+        found = torch.empty(len(self.cameras), self.pixels, dtype=torch.bool, device=self.prim.device)
+        for index, prim in enumerate(self.prim.view(len(self.cameras), -1)):
+            light = (emission[prim.clamp_min(0).long()] > 0) & (prim >= 0)
+            found[index] = light.view(self.pixels, self.count).any(-1)
+        return found
 
     def __call__(self, batch: PixelBatch, positions: int, stream: Stream) -> Reached:
         """First vertices at ``positions`` independent positions of every pixel, pixel by pixel [b * positions]."""
-        if self.world.delta is not None:
-            return self._through_glass(batch, positions, stream)
+        if self.count == 0 or self.world.delta is not None:
+            return self._anew(batch, positions, stream)
         b = len(batch.view)
         # Independent draws: if a pixel's positions were always different ones, the leave-one-out gradient would miss
         # the pairs of one position with itself and reward contrast inside the pixel.
@@ -74,16 +96,11 @@ class PrimaryHits:
         seen = torch.nn.functional.normalize(origin - it.p, dim=-1)
         return Reached(replace(it, wo=torch.where(valid.unsqueeze(-1), seen, missed)), None, None)
 
-    def _through_glass(self, batch: PixelBatch, positions: int, stream: Stream) -> Reached:
-        """The same in a scene with smooth surfaces: chains are random, so they are traced anew each time."""
+    def _anew(self, batch: PixelBatch, positions: int, stream: Stream) -> Reached:
+        """The same by new rays: nothing is kept, or the scene has smooth surfaces, whose chains are random."""
         u = stream.uniform(len(batch.view), positions, 3)
-        width = self.cameras[0].width
+        width = self.views.width
         corner = torch.stack((batch.pixel % width, batch.pixel // width), -1).unsqueeze(1)
-        xy, parts = corner + u[..., :2], []
-        order = batch.view.argsort(stable=True)
-        ends = batch.view.bincount(minlength=len(self.cameras)).cumsum(0).tolist()
-        for camera, begin, end in zip(self.cameras, [0, *ends], ends, strict=False):
-            if end > begin:
-                parts.append(camera_rays(camera, xy[order[begin:end]].reshape(-1, 2)))
-        back = order.argsort().unsqueeze(1) * positions + torch.arange(positions, device=order.device)
-        return self.world.reach(Rays.cat(*parts)[back.view(-1)], u[..., 2].reshape(-1))
+        view = batch.view.repeat_interleave(positions)
+        rays = self.views.rays(view, (corner + u[..., :2]).view(-1, 2))
+        return self.world.reach(rays, u[..., 2].reshape(-1))

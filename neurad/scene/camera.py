@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+from dataclasses import dataclass
+from typing import Self
 
 import torch
 from torch import Tensor
@@ -27,3 +29,36 @@ def camera_rays(camera: Camera, xy: Tensor) -> Rays:
     d = torch.stack((x, y, -torch.ones_like(x)), -1) @ to_world[:3, :3].T
     d = d / d.norm(dim=-1, keepdim=True)
     return Rays(to_world[:3, 3].expand_as(d).contiguous(), d)
+
+
+@dataclass(frozen=True)
+class Cameras:
+    """Several cameras of one size on tensors, for rays through pixels of different views at once."""
+
+    rotation: Tensor
+    """Camera to world [v, 3, 3]."""
+    origin: Tensor
+    """[v, 3]."""
+    side: Tensor
+    """Side of a pixel on the plane z = -1 [v]."""
+    width: int
+    height: int
+
+    @classmethod
+    def of(cls, cameras: list[Camera], device: torch.device | str) -> Self:
+        """The cameras on a device, float32."""
+        pose = torch.stack([torch.as_tensor(c.to_world, dtype=torch.float32) for c in cameras]).to(device)
+        side = torch.tensor([2.0 * math.tan(0.5 * c.fov_x) / c.width for c in cameras], device=device)
+        return cls(pose[:, :3, :3].contiguous(), pose[:, :3, 3].contiguous(), side, cameras[0].width, cameras[0].height)
+
+    def rays(self, view: Tensor, xy: Tensor) -> Rays:
+        """What :func:`camera_rays` gives, each lane with the camera of its view.
+
+        Args:
+            view: index of the camera [n], int64.
+            xy: film positions in pixels [n, 2].
+        """
+        side, axes = self.side[view], self.rotation[view]
+        x, y = (xy[:, 0] - 0.5 * self.width) * side, (0.5 * self.height - xy[:, 1]) * side
+        d = axes[:, :, 0] * x.unsqueeze(-1) + axes[:, :, 1] * y.unsqueeze(-1) - axes[:, :, 2]
+        return Rays(self.origin[view], d / d.norm(dim=-1, keepdim=True))

@@ -108,9 +108,32 @@ class Geometry(nn.Module):
             wo: unit directions towards the viewer [n, 3].
             valid: whether there is a surface [n], bool.
         """
+        if self._compiled(u, wo):
+            return self._interact_quickly(prim, u, v, wo, valid)
+        return self.interact_plainly(prim, u, v, wo, valid)
+
+    def _compiled(self, *values: Tensor) -> bool:
+        """Whether the compiled kernel applies: float32 on the CPU, no gradients."""
+        return (
+            len(self.faces) > 0
+            and self.table.dtype == torch.float32
+            and all(x.device.type == "cpu" and x.dtype == torch.float32 and not x.requires_grad for x in values)
+        )
+
+    def _interact_quickly(self, prim: Tensor, u: Tensor, v: Tensor, wo: Tensor, valid: Tensor) -> Interaction:
+        from neurad.scene import kernels  # compiled code is loaded by those who use it
+
+        p, ng, n = torch.empty(3, len(prim), 3).unbind()
+        uv, bary = torch.empty(len(prim), 2), torch.empty(len(prim), 2)
+        given = (x.contiguous().numpy() for x in (prim, u, v.detach(), self.table))
+        kernels.interact(*given, *(x.numpy() for x in (p, ng, n, uv, bary)))
+        return Interaction(p, ng, n, wo, uv, bary, prim, valid)
+
+    def interact_plainly(self, prim: Tensor, u: Tensor, v: Tensor, wo: Tensor, valid: Tensor) -> Interaction:
+        """:meth:`interact_at` in plain torch, on any device."""
         if len(prim) > CHUNK and prim.device.type == "cpu":
             cuts = (slice(i, i + CHUNK) for i in range(0, len(prim), CHUNK))
-            return Interaction.cat(*(self.interact_at(prim[c], u[c], v[c], wo[c], valid[c]) for c in cuts))
+            return Interaction.cat(*(self.interact_plainly(prim[c], u[c], v[c], wo[c], valid[c]) for c in cuts))
         bary = torch.stack((u, v), -1)
         if len(self.faces) == 0:
             zero, up = torch.zeros_like(wo), torch.zeros_like(wo)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import threading
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from pathlib import Path
@@ -15,6 +16,7 @@ from neurad.core.records import FloatArray
 
 _HALF_MAX = 65504.0
 _ORDER = "RGBA"
+_REDIRECT = threading.Lock()  # stderr belongs to the whole process
 _DEPTH16 = ("I;16", "I;16L", "I;16B", "I")  # what Pillow calls a grey PNG of 16 bits; "I" in older versions
 
 
@@ -58,14 +60,15 @@ def read_exr(path: str | Path) -> FloatArray:
 @contextmanager
 def _without_remarks() -> Iterator[None]:
     """OpenEXR's library writes about broken files to stderr by itself; an exception follows and says enough."""
-    kept = os.dup(2)
-    with open(os.devnull, "wb") as null:
-        os.dup2(null.fileno(), 2)
-    try:
-        yield
-    finally:
-        os.dup2(kept, 2)
-        os.close(kept)
+    with _REDIRECT:
+        kept = os.dup(2)
+        with open(os.devnull, "wb") as null:
+            os.dup2(null.fileno(), 2)
+        try:
+            yield
+        finally:
+            os.dup2(kept, 2)
+            os.close(kept)
 
 
 def _stacked(found: Mapping[str, Any], path: Path) -> FloatArray:

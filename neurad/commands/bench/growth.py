@@ -12,11 +12,22 @@ if TYPE_CHECKING:
 
 CURVES = {
     "triangles": "1000,10000,100000,1000000,5000000",
-    "views": "16,64,256,1000",
+    "views": "16,64,1000",
+    "streamed": "16,64,256,1000",
     "resolution": "64,128,256,512",
     "table": "13,15,17,19,21,23",
 }
-"""What grows, and its default values: triangles, training views, their side in pixels, log2 of a level's entries."""
+"""What grows, and its default values: triangles, training views all in memory, training views streamed from disk, their
+side in pixels, log2 of a level's entries."""
+
+
+COLUMNS = (
+    "grows", "value", "triangles", "views", "in_memory", "pixels", "entries", "setup_s", "ms_per_step", "mean_ms",
+    "cpu_ms", "needs_MiB", "peak_MiB",
+)  # fmt: skip
+"""Of the table: ``in_memory`` counts photographs, ``ms_per_step`` is the median, ``mean_ms`` has what only some do
+(wait for a photograph), ``cpu_ms`` is the mean of the process's own time, ``needs_MiB`` an estimate of what grows alone
+and ``peak_MiB`` measured, of the process."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -26,10 +37,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_settings(parser, "cornell.yaml")
     for name, values in CURVES.items():
         parser.add_argument(f"--{name}", default=values, help=f"values, separated by commas; '' for none ({values})")
-    parser.add_argument("--side", type=int, default=128, help="pixels along a side of the views that are counted")
+    parser.add_argument("--side", type=int, help="pixels along a side of a view (512 where views grow, else 128)")
+    parser.add_argument("--resident", type=int, default=8, help="photographs in memory where they are streamed")
     parser.add_argument("--steps", type=int, default=30, help="steps that count")
     parser.add_argument("--warmup", type=int, default=10, help="steps before them")
-    parser.add_argument("--memory", type=float, default=8.0, help="GiB; larger points are left out, and named")
+    parser.add_argument("--memory", type=float, default=8.0, help="GiB; points that need more are not measured")
     parser.add_argument("--device", default="auto", help="cpu, cuda or auto")
     parser.add_argument("--out", metavar="FILE.csv", help="write the table here too")
 
@@ -48,9 +60,10 @@ def run(options: argparse.Namespace) -> None:
     points = [(curve, value) for curve in CURVES for value in _values(curve, getattr(options, curve))]
     rows: list[Row] = []
     for curve, value in points:
-        need = expected_bytes(curve, value, options.side)
+        need = expected_bytes(curve, value, side_of(options, curve), options.resident)
         if need > options.memory * 2**30:
             print(f"neurad: left out: {curve} {value} needs about {need / 2**30:.1f} GiB (--memory {options.memory:g})")
+            rows.append({**dict.fromkeys(COLUMNS), "grows": curve, "value": value, "needs_MiB": need / 2**20})
             continue
         with multiprocessing.get_context("spawn").Pool(1) as pool:  # peak memory is that of a process
             rows.append(pool.apply(measure, (options, curve, value)))
@@ -70,11 +83,22 @@ def _values(curve: str, text: str) -> list[int]:
     return values
 
 
-def expected_bytes(curve: str, value: int, side: int) -> float:
-    """Rough memory of a point: photographs and cached camera rays (eight positions a pixel), triangles or tables."""
+def side_of(options: argparse.Namespace, curve: str) -> int:
+    """Pixels along a side of the views of a curve."""
+    side: int = options.side or (512 if curve in ("views", "streamed") else 128)
+    return side
+
+
+def expected_bytes(curve: str, value: int, side: int, resident: int) -> float:
+    """Rough memory of a point: photographs and cached camera rays (eight positions a pixel), triangles or tables.
+
+    Of every pixel, streamed or not, one byte says whether it shows an emitter.
+    """
     pixel = 12.0 + 12.0 * 8
     if curve == "views":
-        return pixel * value * side * side
+        return (pixel + 1.0) * value * side * side
+    if curve == "streamed":
+        return (value + 12.0 * min(value, resident)) * side * side
     if curve == "resolution":
         return pixel * 8 * value * value
     return 600.0 * value if curve == "triangles" else 3 * 8 * 2.0**value * 24
@@ -82,31 +106,44 @@ def expected_bytes(curve: str, value: int, side: int) -> float:
 
 def measure(options: argparse.Namespace, curve: str, value: int) -> Row:
     """One point: a short fit of a room that has grown."""
-    from statistics import median
+    import tempfile
+    from statistics import mean, median
 
     import torch
 
-    from neurad.commands.bench.measure import Stopwatch, fit
+    from neurad.commands.bench.measure import fit
+    from neurad.commands.bench.processor import ProcessorWatch
     from neurad.commands.bench.session import prepare
 
     if curve == "table":
         fields = ("albedo", "roughness", "radiance")
         sizes = [f"model.{name}.grid.{key}" for name in fields for key in (f"log2_size={value}", "finest=2048")]
         options = argparse.Namespace(**{**vars(options), "set": [*options.set, *sizes]})
+    if curve == "streamed":
+        streamed = ["model.sampling.cached=0", f"data.resident={options.resident}"]
+        options = argparse.Namespace(**{**vars(options), "set": [*options.set, *streamed]})
     trainer, module, data = prepare(options, options.warmup + options.steps)
-    scene = grown(data.scene, curve, value, options.side)
-    data.__dict__["scene"] = scene
+    side = side_of(options, curve)
+    scene = grown(data.scene, curve, value, side)
     camera = scene.train[0].camera
-    generator = torch.Generator().manual_seed(0)
-    pixels: Any = torch.empty(len(scene.train), camera.width * camera.height, 3)
-    data.__dict__["_pixels"] = pixels.uniform_(0.1, 1.0, generator=generator)  # costs do not depend on what is seen
-    watch = Stopwatch(options.steps, options.warmup)
-    fit(trainer, module, data, watch)
-    world = module.world
+    watch = ProcessorWatch(options.steps, options.warmup)
+    with tempfile.TemporaryDirectory() as folder:
+        if curve in ("views", "streamed"):
+            scene = photographed(scene, folder)
+        else:
+            pixels: Any = torch.empty(len(scene.train), camera.width * camera.height, 3)
+            generator = torch.Generator().manual_seed(0)
+            data.__dict__["_pixels"] = pixels.uniform_(0.1, 1.0, generator=generator)  # what is seen costs nothing
+        data.__dict__["scene"] = scene
+        fit(trainer, module, data, watch)
+    world, count = module.world, len(scene.train)
     return {
-        "grows": curve, "value": value, "triangles": len(world.geometry.faces), "views": len(scene.train),
-        "pixels": camera.width * camera.height, "entries": sum(p.numel() for p in module.parameters()),
-        "setup_s": watch.setup_seconds, "ms_per_step": 1e3 * median(watch.plain), "peak_MiB": watch.peak / 2**20,
+        "grows": curve, "value": value, "triangles": len(world.geometry.faces), "views": count,
+        "in_memory": min(count, data.resident or count), "pixels": camera.width * camera.height,
+        "entries": sum(p.numel() for p in module.parameters()), "setup_s": watch.setup_seconds,
+        "ms_per_step": 1e3 * median(watch.plain), "mean_ms": 1e3 * mean(watch.plain),
+        "cpu_ms": 1e3 * mean(watch.processor),
+        "needs_MiB": expected_bytes(curve, value, side, options.resident) / 2**20, "peak_MiB": watch.peak / 2**20,
     }  # fmt: skip
 
 
@@ -117,7 +154,7 @@ def grown(scene: Scene, curve: str, value: int, side: int) -> Scene:
     from neurad.core.records import View
 
     size = value if curve == "resolution" else side
-    count = value if curve == "views" else len(scene.train)
+    count = value if curve in ("views", "streamed") else len(scene.train)
 
     def view(index: int, base: View) -> View:
         return View(f"{base.name}_{index}", replace(base.camera, width=size, height=size))
@@ -125,6 +162,33 @@ def grown(scene: Scene, curve: str, value: int, side: int) -> Scene:
     train = [view(i, scene.train[i % len(scene.train)]) for i in range(count)]
     meshes = [*scene.meshes, bumps(scene, value)] if curve == "triangles" else scene.meshes
     return replace(scene, meshes=meshes, train=train, test=[view(0, scene.test[0])])
+
+
+def photographed(scene: Scene, folder: str, contents: int = 8) -> Scene:
+    """The scene with a file of noise for each training view; few differ, the others are names of the same content."""
+    import os
+    import shutil
+    from dataclasses import replace
+    from pathlib import Path
+
+    import numpy as np
+
+    from neurad.scene.image_io import write_exr
+
+    train = []
+    for index, view in enumerate(scene.train):
+        path = Path(folder) / f"{index:05d}.exr"
+        if index < contents:
+            shape = (view.camera.height, view.camera.width, 3)
+            write_exr(path, np.random.default_rng(index).uniform(0.1, 1.0, shape).astype(np.float32))
+        else:
+            same = Path(folder) / f"{index % contents:05d}.exr"
+            try:
+                os.link(same, path)
+            except OSError:  # a file system without hard links
+                shutil.copyfile(same, path)
+        train.append(replace(view, image=str(path)))
+    return replace(scene, train=train)
 
 
 def bumps(scene: Scene, triangles: int) -> Mesh:

@@ -18,6 +18,8 @@ from neurad.commands.bench.session import data_class
 from neurad.core.records import Rays
 from neurad.fields import dense_grid, hash_grid, mlp
 from neurad.fields.adam import FieldAdam
+from neurad.integrators import matte
+from neurad.integrators.guiding import Guide
 from neurad.integrators.world import World
 from neurad.module.estimate import Estimator
 from neurad.module.inverse import InverseRenderer
@@ -182,7 +184,7 @@ def instrumented(module: InverseRenderer, recorder: Recorder) -> Iterator[None]:
     """Wrap what a training step calls, and put everything back in the end."""
     world: World = module.world
     parts = [module.materials.albedo, module.materials.roughness, module.radiance]
-    plan: set[tuple[type, str, str]] = {
+    plan: set[tuple[Any, str, str]] = {
         (data_class(), "batch", "batch"),
         (PrimaryHits, "__call__", "primary hits"),
         (type(module), "manual_backward", "backward: rest"),
@@ -192,6 +194,8 @@ def instrumented(module: InverseRenderer, recorder: Recorder) -> Iterator[None]:
         *((type(world.geometry), name, "geometry") for name in ("interact", "interact_at", "spawn", "spawn_towards")),
         *((type(world.lights), name, "emitters") for name in ("sample", "eval", "pdf")),
         *((type(world.bsdf), name, "bsdf") for name in ("eval", "pdf", "eval_pdf", "sample")),
+        *((Guide, name, "bsdf") for name in ("rows", "warp", "density", "learn", "update")),
+        (matte, "arrive", "bsdf"),  # which is all of a Lambertian bounce but its rays
         *((type(part), "forward", "fields: rest") for part in parts if isinstance(part, nn.Module)),
         *((grid, "forward", "fields: grids") for grid in GRIDS),
         (mlp.MLP, "forward", "fields: networks"),

@@ -31,6 +31,15 @@ RADIANCE = RadianceConfig(grid=GridConfig(levels=6, coarsest=4, finest=32, log2_
 
 
 @dataclass(frozen=True)
+class Fields:
+    """Sizes of the fields."""
+
+    albedo: FieldConfig = MATERIAL
+    roughness: RoughnessConfig = ROUGHNESS
+    radiance: RadianceConfig = RADIANCE
+
+
+@dataclass(frozen=True)
 class Plan:
     """How a fit is run."""
 
@@ -40,6 +49,7 @@ class Plan:
     sampling: Sampling = Sampling(positions=2, secondary=2, cached=4)
     objective: Objective = Objective()
     seed: int = 0
+    fields: Fields = Fields()
     emitters_count: bool = False
     """Whether pixels that show an emitter train too: where everything emits, as in a furnace, nothing else could."""
 
@@ -73,8 +83,8 @@ class Fit:
     def __init__(self, scene: Scene, images: Tensor, plan: Plan = Plan()) -> None:
         torch.manual_seed(plan.seed)
         self.scene, self.images, self.plan = scene, images, plan
-        self.materials = build_materials(scene, MATERIAL, ROUGHNESS)
-        self.radiance = build_radiance(scene, RADIANCE)
+        self.materials = build_materials(scene, plan.fields.albedo, plan.fields.roughness)
+        self.radiance = build_radiance(scene, plan.fields.radiance)
         self.world = build_world(scene)
         cameras = [view.camera for view in scene.train]
         self.primary = PrimaryHits(self.world, cameras, plan.sampling.cached, plan.seed, torch.device("cpu"))

@@ -6,6 +6,7 @@ import math
 import tempfile
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import torch
@@ -13,11 +14,13 @@ from torch import Tensor
 
 from neurad.commands.stress_cases.case import Case, Outcome
 from neurad.commands.stress_cases.fit import MATERIAL, RADIANCE, ROUGHNESS, photographs, resized
+from neurad.commands.stress_cases.parts import glossy
 from neurad.commands.stress_cases.runs import fit
 from neurad.commands.stress_cases.scenes import small_cube
 from neurad.core.errors import InputError
 from neurad.core.records import EmitterSample, PixelBatch
 from neurad.emitters.area import AreaLights
+from neurad.integrators import matte_kernels
 from neurad.module.inverse import InverseRenderer
 from neurad.scene.image_io import read_photograph, write_exr
 
@@ -38,11 +41,12 @@ def _texel() -> Case:
     return Case("guard", "a NaN texel in a photograph", "refused with a sentence that names the file", measure)
 
 
-def _planted(what: str, words: str, spoil: Callable[[InverseRenderer], None]) -> Case:
+def _planted(what: str, words: str, spoil: Callable[[InverseRenderer], None], matte_scene: bool = True) -> Case:
     def measure(quick: bool) -> Outcome:
         scene = resized(small_cube(8), 8, 2)
+        scene = scene if matte_scene else glossy(scene)
         images = photographs(scene, 4)
-        step, sample = InverseRenderer.training_step, AreaLights.sample
+        step, sample, arrive = InverseRenderer.training_step, AreaLights.sample, matte_kernels.arrive
 
         def spoilt(self: InverseRenderer, batch: PixelBatch, batch_idx: int) -> Tensor:
             if self.iteration == 2:
@@ -59,6 +63,7 @@ def _planted(what: str, words: str, spoil: Callable[[InverseRenderer], None]) ->
         finally:
             InverseRenderer.training_step = step  # type: ignore[method-assign]
             AreaLights.sample = sample  # type: ignore[method-assign]
+            matte_kernels.arrive = arrive
         return Outcome(1.0, 0.0, "the run went on")
 
     return Case("guard", what, f"stops and says: {words}", measure)
@@ -78,6 +83,17 @@ def _sample(module: InverseRenderer) -> None:
         return found
 
     AreaLights.sample = broken  # type: ignore[method-assign]
+
+
+def _compiled_sample(module: InverseRenderer) -> None:
+    plain = matte_kernels.arrive
+
+    def broken(*arrays: Any) -> None:
+        plain(*arrays)
+        direct = arrays[-2]
+        direct[direct > 0] = math.inf
+
+    matte_kernels.arrive = broken  # type: ignore[assignment]
 
 
 def _cost() -> Case:
@@ -112,9 +128,11 @@ def _cost() -> Case:
 
 def cases() -> list[Case]:
     """What is planted."""
+    sample = "direct returned is not finite"
     return [
         _texel(),
         _planted("a NaN weight", "the weight radiance.mlp.layers.0.weight is not finite", _weight),
-        _planted("an infinite sample of a light", "integrators.vertex.bounce.direct returned is not finite", _sample),
+        _planted("an infinite sample of a light", f"integrators.vertex.bounce.{sample}", _sample, False),
+        _planted("an infinite sample, Lambertian", f"integrators.matte.arrive.{sample}", _compiled_sample),
         _cost(),
     ]

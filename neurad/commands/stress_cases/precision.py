@@ -17,6 +17,7 @@ from neurad.commands.stress_cases.fit import Fit, Plan, photographs, resized
 from neurad.core.protocols import Tracer
 from neurad.core.records import Hit, Interaction, Rays
 from neurad.core.rng import Stream
+from neurad.fields.mlp import products
 from neurad.losses.relative import total
 from neurad.scene.builtin import build_cornell
 from neurad.scene.description import Scene
@@ -104,8 +105,8 @@ def _half(kind: str) -> Case:
             albedo = fit.materials.albedo(it)
             usual = fit.radiance(it, albedo)
             if kind == "bfloat16":
-                with torch.autocast("cpu", torch.bfloat16):
-                    found = fit.radiance(it, albedo).float()
+                with products("medium"):
+                    found = fit.radiance(it, albedo)
             else:
                 rounded = copy.deepcopy(fit.radiance)
                 for layer in rounded.modules():
@@ -115,7 +116,7 @@ def _half(kind: str) -> Case:
         error = float((found - usual).square().mean().sqrt() / usual.square().mean().sqrt())
         return Outcome(error, None, "relative RMS of the radiance field's values")
 
-    note = "weights rounded to TF32" if kind == "TF32" else "networks in bfloat16 (--trainer.precision bf16-mixed)"
+    note = "weights rounded to TF32" if kind == "TF32" else "networks in bfloat16 (optimization.matmul medium)"
     return Case("precision", note, "the same in float32", measure)
 
 

@@ -1,0 +1,72 @@
+"""The bounce of scenes where every surface is Lambertian and every light is a triangle: no frame, no lobe, no choice.
+
+The value of such a bounce is the albedo times what arrives, and its weight is the albedo, so all of it but these two
+products is done by two compiled passes, one before the rays are cast and one after. Its twin in plain torch is
+:func:`neurad.integrators.vertex.bounce` without ``fast``, which draws the same directions from the same numbers.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from neurad.bsdf.diffuse import Diffuse
+from neurad.core.records import Interaction, Rays
+from neurad.emitters.area import AreaLights
+from neurad.integrators.world import World
+
+
+@dataclass(frozen=True)
+class Arrived:
+    """One sample of the light that arrives at Lambertian vertices, for albedo 1."""
+
+    direct: Tensor
+    """Light of emitters by both techniques, MIS-weighted [n, 3]."""
+    through: Tensor
+    """Weight of the BSDF sample: 1, or 0 where nothing is reflected [n, 1]."""
+    next: Interaction
+    """Where the BSDF sample ended."""
+
+
+def applies(world: World, it: Interaction) -> bool:
+    """Whether the compiled passes do all that a bounce in ``world`` needs: float32 on the CPU, known light."""
+    lights = world.lights
+    return (
+        isinstance(lights, AreaLights)
+        and isinstance(world.bsdf, Diffuse)
+        and world.delta is None
+        and world.guide is None
+        and it.p.device.type == "cpu"
+        and it.p.dtype == torch.float32 == lights.emission.dtype
+        and not (it.p.requires_grad or lights.emission.requires_grad)
+    )
+
+
+def arrive(world: World, it: Interaction, u: Tensor) -> Arrived:
+    """Cast the rays of one bounce at the lanes of ``it``, with uniform numbers ``u`` [n, 7]."""
+    from neurad.integrators import matte_kernels as kernels  # compiled code is loaded by those who use it
+
+    lights, geometry, m = world.lights, world.geometry, len(it)
+    assert isinstance(lights, AreaLights)
+    p, ng, n, wo, prim = (x.contiguous().numpy() for x in (it.p, it.ng, it.n, it.wo, it.prim))
+    emission, pdf_area = lights.emission.numpy(), lights.pdf_area.numpy()
+    o, d, shadow_o, shadow_d, light = torch.empty(5, m, 3).unbind()
+    (pdf, t_max), lane = torch.empty(2, m), torch.empty(m, dtype=torch.int64)
+    count = kernels.leave(
+        p, ng, n, wo, prim, world.reflects(it).numpy(), u.contiguous().numpy(), geometry.face_offset.numpy(),
+        np.float32(geometry.scale), lights.cdf.numpy(), lights.table.numpy(), lights.face.numpy(), pdf_area, emission,
+        o.numpy(), d.numpy(), pdf.numpy(), lane.numpy(), shadow_o.numpy(), shadow_d.numpy(), t_max.numpy(),
+        light.numpy(),
+    )  # fmt: skip
+    blocked = world.occluded(Rays(shadow_o[:count], shadow_d[:count]), t_max[:count])
+    end = world.intersect(Rays(o, d))
+    direct, through = torch.empty(m, 3), torch.empty(m, 1)
+    end_p, end_ng, end_wo, end_prim = (x.contiguous().numpy() for x in (end.p, end.ng, end.wo, end.prim))
+    kernels.arrive(
+        lane[:count].numpy(), light[:count].numpy(), blocked.numpy(), p, pdf.numpy(), end_p, end_ng, end_wo, end_prim,
+        end.valid.numpy(), pdf_area, emission, direct.numpy(), through.numpy(),
+    )  # fmt: skip
+    return Arrived(direct, through, end)
