@@ -1,16 +1,26 @@
 """Guided directions: the histogram draws what it says, leaves every mean alone, and takes noise away."""
 
+from dataclasses import replace
+
 import pytest
 import torch
 from oracles import accept
 from scipy.stats import chisquare, norm
 
 from neurad.bsdf.principled import Principled
+from neurad.commands.stress_cases.fit import photographs, resized
+from neurad.commands.stress_cases.parts import glossy
+from neurad.commands.stress_cases.runs import fit
 from neurad.core.errors import InputError
 from neurad.core.records import Interaction, Surface
 from neurad.core.rng import Stream
 from neurad.core.sampling import concentric_disk, cosine_hemisphere, disk_to_square
+from neurad.integrators.direct import Direct
 from neurad.integrators.guiding import FACINGS, Guide
+from neurad.integrators.method import Method
+from neurad.integrators.path import Path
+from neurad.integrators.prb import PRB
+from neurad.integrators.radiometric import Radiometric
 from neurad.integrators.vertex import DIMENSIONS, bounce, shading_frame
 from neurad.module.assemble import build_world
 from neurad.module.config import Sampling
@@ -145,7 +155,7 @@ def test_means_stay_and_noise_falls(known: str) -> None:
         assert float(ratio) < 0.7
 
 
-@pytest.mark.parametrize(("name", "value"), [("specular", 0.0), ("specular", 1.0), ("guide", -1), ("guide", 999)])
+@pytest.mark.parametrize(("name", "value"), [("specular", 0.0), ("specular", 1.0), ("guide", -1), ("guide", 33)])
 def test_settings_out_of_range(name: str, value: float) -> None:
     with pytest.raises(InputError, match=f"model.sampling.{name}"):
         Sampling(**{name: value})
@@ -158,3 +168,36 @@ def test_a_guide_that_saw_no_light_stays_even() -> None:
     guide.update()
     assert bool(torch.isfinite(guide.cdf).all())
     assert float((guide.density(guide.rows(it, it.n), cosine_hemisphere(u)) - 1.0).abs().max()) < 1e-4
+
+
+def test_what_other_processes_saw_counts_too() -> None:
+    guide, alone = (Guide(BOX, 4, 4) for _ in range(2))
+    it, u = points(1000, 14), Stream(15).uniform(1000, 2)
+    light = torch.ones(1000, 3)
+    alone.learn(it, it.n, cosine_hemisphere(u), light)
+    guide.learn(it, it.n, cosine_hemisphere(u), light, lambda *parts: tuple(torch.cat((x, x)) for x in parts))
+    torch.testing.assert_close(guide.counts, 2.0 * alone.counts)
+    torch.testing.assert_close(guide.squares, 2.0 * alone.squares)
+
+
+@pytest.mark.parametrize("method", [Radiometric(control=False), Path(3, control=False), PRB(3), Direct()])
+def test_a_guide_learns_in_a_fit_of_a_glossy_scene(method: Method) -> None:
+    """With or without a control variate; direct light asks for none, and neither does a Lambertian scene."""
+    scene = resized(builtin.build("cornell"), 8, 2)
+    images = photographs(replace(scene, max_depth=3), 2)
+    module, _ = fit(glossy(scene), images, 3, method=method, sampling=Sampling(guide=4))
+    if isinstance(method, Direct):
+        assert module.world.guide is None
+        return
+    assert module.world.guide is not None
+    assert float(module.world.guide.counts.sum()) > 100
+    assert float(module.world.guide.squares.sum()) > 0
+    assert fit(scene, images, 1, method=method)[0].world.guide is None
+    # A checkpoint with another guide, or with none, is as good.
+    for other in ({}, {"world.guide.counts": torch.zeros(3, 3)}):
+        kept = {name: value for name, value in module.state_dict().items() if ".guide." not in name}
+        checkpoint = {"state_dict": kept | other}
+        module.on_save_checkpoint(checkpoint)
+        module.on_load_checkpoint(checkpoint)
+        assert checkpoint["state_dict"].keys() == module.state_dict().keys()
+        assert checkpoint["state_dict"]["world.guide.counts"].shape == module.world.guide.counts.shape

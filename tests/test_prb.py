@@ -6,6 +6,7 @@ from method_oracles import Textures, camera_vertices, gallery
 
 from neurad.core.rng import Stream
 from neurad.fields.settings import FieldConfig, GridConfig
+from neurad.integrators.guiding import Guide
 from neurad.integrators.method import Parts
 from neurad.integrators.path import Path
 from neurad.integrators.prb import PRB, GradientSum, merge
@@ -51,6 +52,24 @@ def gradients(method, world, materials, n, stream, probe=3):
 def same_stream(seed):
     """The streams with which path and replay draw the same numbers."""
     return Stream(int(Stream(seed).integers(1 << 62, 1))), Stream(seed)
+
+
+def test_replay_equals_autograd_with_a_guide():
+    """Guided directions are drawn again as they were, whatever the guide prefers."""
+    world, materials = build_world(gallery()), networks()
+    world.guide = Guide(torch.from_numpy(gallery().bounds), 4)
+    world.guide.counts += 50.0
+    world.guide.squares += 50.0 * (4.0 * Stream(11).uniform(*world.guide.squares.shape)).exp()
+    world.guide.update()
+    found = []
+    for method, stream in zip((Path(15, 3), PRB(15, 3)), same_stream(9), strict=True):
+        found.append(gradients(method, world, materials, 3000, stream))
+    world.guide = None
+    plain = gradients(Path(15, 3), world, materials, 3000, same_stream(9)[0])
+    assert (plain[0][0] - found[0][0][0]).norm() > 1e-2 * plain[0][0].norm()
+    for one, other in zip(*found, strict=True):
+        for e, f in zip(one, other, strict=True):
+            assert (f - e).norm() <= 1e-4 * e.norm()
 
 
 @pytest.mark.parametrize("make", [Textures, networks])

@@ -92,7 +92,7 @@ class Environment(nn.Module):
 
     def sample(self, p: Tensor, u: Tensor) -> EmitterSample:
         """A direction for each of ``p`` [n, 3] by the first two of ``u`` [n, 3]; the distance is infinite."""
-        wi = self._direction(u[:, 0].double(), u[:, 1].double()) @ self.rotation.T
+        wi = self._rotated(self._direction(u[:, 0].double(), u[:, 1].double()), self.rotation)
         radiance, pdf = self._lookup(wi)
         return EmitterSample(wi, torch.full_like(pdf, math.inf), radiance, pdf)
 
@@ -123,9 +123,14 @@ class Environment(nn.Module):
         sin = 2.0 * (cap * (1.0 - cap)).clamp_min(0.0).sqrt()
         return torch.stack((sin * phi.sin(), sign.float() * (1.0 - 2.0 * cap), -sin * phi.cos()), -1)
 
+    @staticmethod
+    def _rotated(d: Tensor, matrix: Tensor) -> Tensor:
+        """``matrix d`` [n, 3]; no matrix product, which a GPU may be allowed to round."""
+        return (d.unsqueeze(-2) * matrix).sum(-1)
+
     def _cell(self, d: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """Cell [n] that world directions [n, 3] lie in, and the positions [n] within it across and down."""
-        x, y, z = (d @ self.rotation).unbind(-1)
+        x, y, z = self._rotated(d, self.rotation.T).unbind(-1)
         across = torch.atan2(x, -z) * (self.width / (2 * math.pi)) - 0.5
         down = torch.atan2(torch.hypot(x, z), y) * ((self.height - 1) / math.pi)
         column = across.floor()

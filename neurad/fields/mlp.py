@@ -24,9 +24,8 @@ class MLP(nn.Module):
         hidden_layers: number of hidden layers; 0 is one linear map.
         fast: use oneDNN's fused layers where they apply (CPU, float32); about twice as fast as plain torch.
 
-    Under ``torch.set_float32_matmul_precision("medium")``, and where autocast asks for bfloat16, these layers, but for
-    the last, take their inputs and weights in bfloat16 and add up in float32; weights and what the network returns stay
-    float32.
+    Inside ``products("medium")`` the fast layers, but for the last, take inputs and weights in bfloat16 and add up in
+    float32; weights and what the network returns stay float32.
     """
 
     def __init__(self, inputs: int, outputs: int, width: int, hidden_layers: int, fast: bool = True) -> None:
@@ -42,12 +41,12 @@ class MLP(nn.Module):
     def forward(self, x: Tensor) -> Tensor:
         """Values [n, outputs] for inputs [n, inputs]."""
         if not (self.fast and len(x) > 0 and _has_onednn(x)):
-            return self.plain(x).to(x.dtype)  # autocast would hand on what it rounded
+            return self.plain(x)
         parameters: list[Tensor] = list(self.parameters())  # weight, bias, weight, bias, ...
         rows = len(x)
         if padding := _round_up(rows) - rows:
             x = torch.nn.functional.pad(x, (0, 0, 0, padding))
-        rounded = torch.is_autocast_enabled("cpu") or torch.get_float32_matmul_precision() == "medium"
+        rounded = _products == "medium"
         if torch.is_grad_enabled():
             out: Tensor = _Layers.apply(x, rounded, *parameters)  # type: ignore[no-untyped-call]
         else:
@@ -63,15 +62,26 @@ class MLP(nn.Module):
         return torch.addmm(parameters[-1], x, parameters[-2].t())
 
 
+_products = "highest"
+
+
 @contextmanager
 def products(precision: str) -> Iterator[None]:
-    """Let matrix products have a precision of ``torch.set_float32_matmul_precision`` inside the block."""
-    before = torch.get_float32_matmul_precision()
-    torch.set_float32_matmul_precision(precision)
+    """Let networks multiply inside the block as ``highest``, ``high`` or ``medium`` says.
+
+    On a CPU this is a matter of the networks alone. On a GPU all but ``highest`` allow TF32 to every matrix product of
+    the block, so light transport has none.
+    """
+    global _products
+    before = _products, torch.get_float32_matmul_precision()
+    _products = precision
+    if torch.cuda.is_available():
+        torch.set_float32_matmul_precision("highest" if precision == "highest" else "high")
     try:
         yield
     finally:
-        torch.set_float32_matmul_precision(before)
+        _products = before[0]
+        torch.set_float32_matmul_precision(before[1])
 
 
 def _round_up(rows: int) -> int:

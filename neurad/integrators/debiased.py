@@ -80,7 +80,7 @@ class Debiased(Method):
     def reflected(self, parts: Parts, it: Interaction, surface: Surface, u: Tensor, stream: Stream) -> Reflected:
         """The telescoped series at the lanes of ``it``."""
         assert parts.radiance is not None
-        control = self.control and torch.is_grad_enabled()
+        control = self.tells(parts.world)
         steps = walk(parts.world, parts.materials, it, surface, u, stream, self.continuation, None, control=control)
         terms: list[tuple[Tensor, Tensor]] = []
         sample = Reflected(it.p)

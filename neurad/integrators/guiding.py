@@ -10,6 +10,7 @@ density is known and bounded below, so estimates keep their mean whatever the gu
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 
 import torch
 from torch import Tensor, nn
@@ -17,6 +18,9 @@ from torch import Tensor, nn
 from neurad.core.records import Interaction
 from neurad.core.sampling import disk_to_square
 from neurad.integrators import guiding_kernels as kernels
+
+Exchange = Callable[[Tensor, Tensor], tuple[Tensor, Tensor]]
+"""Places [n] and values [n, 2] of one process -> those of all."""
 
 FACINGS = 6
 """Normals are told apart by their largest component and its sign."""
@@ -26,7 +30,8 @@ class Guide(nn.Module):
     """A histogram of incident light over space, facing and direction.
 
     It holds what earlier iterations found and changes between iterations only, so that samples of one iteration stay
-    independent. All of it is state: a continued run draws what an unbroken one would.
+    independent. All of it is state: a continued run draws what an unbroken one would (on a GPU up to the order of
+    sums).
 
     Args:
         bounds: smallest and largest corner of the scene [2, 3].
@@ -112,12 +117,23 @@ class Guide(nn.Module):
         return x * self.bins + y
 
     @torch.no_grad()
-    def learn(self, it: Interaction, n: Tensor, wi: Tensor, light: Tensor) -> None:
-        """Remember samples: radiance ``light`` [n, 3] arrived from local directions ``wi`` [n, 3]."""
+    def learn(self, it: Interaction, n: Tensor, wi: Tensor, light: Tensor, exchange: Exchange | None = None) -> None:
+        """Remember samples.
+
+        Args:
+            it: vertices that light arrived at [n].
+            n: their normals on the viewer's side [n, 3].
+            wi: local directions that it came from [n, 3].
+            light: radiance [n, 3].
+            exchange: collects what the samples of all processes say, so that their guides stay the same.
+        """
         index = self.rows(it, n) * self.bins**2 + self._bin(wi)
         seen = (it.valid & (wi[:, 2] > 0)).to(light.dtype)
-        self.counts.view(-1).index_add_(0, index, seen)
-        self.squares.view(-1).index_add_(0, index, light.mean(-1).square() * seen)
+        values = torch.stack((seen, light.mean(-1).square() * seen), -1)
+        if exchange is not None:
+            index, values = exchange(index, values)
+        self.counts.view(-1).index_add_(0, index, values[:, 0])
+        self.squares.view(-1).index_add_(0, index, values[:, 1])
 
     @torch.no_grad()
     def update(self) -> None:

@@ -67,8 +67,14 @@ class Method(ABC):
     needs_field: ClassVar[bool] = True
     """Whether a radiance field is read; without it none is built, and no term of the objective trains one."""
 
+    control: bool = False
+    """Whether :class:`neurad.losses.relative.Control` takes noise from the samples."""
     tells_light: ClassVar[bool] = True
     """Whether estimates come with the light that arrived, from which a guide learns where to look."""
+
+    def tells(self, world: World) -> bool:
+        """Whether anybody asks how the first samples are weighed: a control variate or a guide, in training."""
+        return torch.is_grad_enabled() and (self.control or world.guide is not None)
 
     @abstractmethod
     def reflected(self, parts: Parts, it: Interaction, surface: Surface, u: Tensor, stream: Stream) -> Reflected:

@@ -90,7 +90,7 @@ class Path(Method):
 
     def reflected(self, parts: Parts, it: Interaction, surface: Surface, u: Tensor, stream: Stream) -> Reflected:
         """``sum_{i >= 1} T^i E`` at the lanes of ``it``."""
-        control = self.control and torch.is_grad_enabled()
+        control = self.tells(parts.world)
         steps = walk(
             parts.world, parts.materials, it, surface, u, stream, self.roulette, self.max_bounces, control=control
         )

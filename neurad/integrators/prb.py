@@ -66,7 +66,7 @@ class _Replay:
         # difference in a direction can end at another triangle.
         return walk(
             self.parts.world, self.parts.materials, self.it, surface, self.u, Stream(self.key, device=self.u.device),
-            self.method.roulette, self.method.max_bounces, detached=True, control=self.method.control,
+            self.method.roulette, self.method.max_bounces, detached=True, control=self.method.tells(self.parts.world),
         )  # fmt: skip
 
 
@@ -97,8 +97,8 @@ class _Radiance(torch.autograd.Function):
         value = radiance.to(replay.it.p.dtype)
         if weighed is None:
             return (value,)
-        ctx.mark_non_differentiable(light, weighed.importance, weighed.wi)
-        return value, light, weighed.deviation.detach(), weighed.importance, weighed.wi
+        ctx.mark_non_differentiable(light, weighed.relative, weighed.wi)
+        return value, light, weighed.deviation.detach(), weighed.relative, weighed.wi
 
     @staticmethod
     def backward(ctx: Any, *gradients: Tensor) -> tuple[Tensor | None, ...]:

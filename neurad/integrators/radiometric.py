@@ -39,7 +39,7 @@ class Radiometric(Method):
     def reflected(self, parts: Parts, it: Interaction, surface: Surface, u: Tensor, stream: Stream) -> Reflected:
         """The estimate at the lanes of ``it``. The first bounce is the prior's as well."""
         assert parts.radiance is not None
-        control = self.control and torch.is_grad_enabled()
+        control = self.tells(parts.world)
         steps = walk(parts.world, parts.materials, it, surface, u, stream, lambda *_: None, self.k, control=control)
         first = next(steps)
         light = incident(parts.materials, parts.radiance, first.step.next)

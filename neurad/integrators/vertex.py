@@ -25,7 +25,7 @@ class Weighed:
     deviation: Tensor
     """Weight of the sample, without smooth surfaces on the way, less its mean: zero on average whatever light there is,
     with the gradient of the surface [n, 3]."""
-    importance: Tensor
+    relative: Tensor
     """Weight over its mean, without gradient [n, 3]: 1 on average."""
     wi: Tensor
     """Direction of the sample in the shading frame, without gradient [n, 3]."""
@@ -54,13 +54,19 @@ def shading_frame(it: Interaction) -> Frame:
 
 
 def bounce(
-    world: World, it: Interaction, surface: Surface, u: Tensor, control: bool = False, fast: bool = True
+    world: World,
+    it: Interaction,
+    surface: Surface,
+    u: Tensor,
+    control: bool = False,
+    fast: bool = True,
+    guided: bool = True,
 ) -> Bounce:
     """Sample T at the lanes of ``it`` with uniform numbers ``u`` [n, DIMENSIONS].
 
     Lanes without a surface, or that look at a one-sided surface from behind, give zero. ``control`` asks for
     ``weighed`` as well; a model whose weights always are their mean gives none. ``fast`` lets
-    :mod:`neurad.integrators.matte` do all that it can do.
+    :mod:`neurad.integrators.matte` do all that it can do, ``guided`` uses the world's guide where there is one.
     """
     if fast and matte.applies(world, it):
         found = matte.arrive(world, it, u)
@@ -73,9 +79,10 @@ def bounce(
     light = world.lights.sample(it.p, u[:, :3])
     towards = frame.to_local(light.wi)
     value, bsdf_pdf = world.bsdf.eval_pdf(surface, wo, towards)
-    guided = None if world.guide is None else _Guided.at(world.guide, it, frame, world.bsdf.diffuse_share(surface))
-    if guided is not None:
-        bsdf_pdf = bsdf_pdf + guided.excess(towards)
+    guide = None
+    if guided and world.guide is not None:
+        guide = _Guided(world.guide, world.guide.rows(it, frame.n), world.bsdf.diffuse_share(surface))
+        bsdf_pdf = bsdf_pdf + guide.excess(towards)
     useful = reflects & (light.pdf > 0) & (value.detach().amax(-1) > 0)
     shadow, t_max = world.geometry.spawn_towards(it, light.wi, light.distance)
     lit = useful.clone()
@@ -85,10 +92,10 @@ def bounce(
     direct = value * (light.radiance * scale.unsqueeze(-1))
 
     # BSDF sampling
-    numbers = u[:, 3:6] if guided is None else guided.warp(u[:, 3:6])
+    numbers = u[:, 3:6] if guide is None else guide.warp(u[:, 3:6])
     sample = world.bsdf.sample(surface, wo, numbers)
-    if guided is not None:
-        sample = guided.corrected(sample)
+    if guide is not None:
+        sample = guide.corrected(sample)
     reached = world.reach(world.geometry.spawn(it, frame.to_world(sample.wi)), u[:, 6])
     own = sample.weight * reflects.unsqueeze(-1)
     weighed = None
@@ -111,10 +118,6 @@ class _Guided:
     guide: Guide
     rows: Tensor
     share: float | Tensor
-
-    @classmethod
-    def at(cls, guide: Guide, it: Interaction, frame: Frame, share: float | Tensor) -> _Guided:
-        return cls(guide, guide.rows(it, frame.n), share)
 
     def excess(self, wi: Tensor) -> Tensor:
         """What the guide adds to the density of local directions [n]; it integrates to 0."""

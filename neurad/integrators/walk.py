@@ -75,14 +75,16 @@ def walk(
         survival: when paths end; its probabilities are held fixed in derivatives.
         max_bounces: a path's largest number of bounces; None leaves all to ``survival``.
         detached: cut the graph between vertices, so that each step is differentiable in its own surface alone.
-        control: ask for the deviation of the first weights, and for what comes ``beyond`` them.
+        control: ask how the first samples are weighed, and for what comes ``beyond`` them.
     """
     control = control and world.bsdf.deviates
     lane = torch.arange(len(it), device=it.p.device)
     throughput = torch.ones_like(it.p)
     beyond = None
     for bounces in count(1):
-        step = bounce(world, it, surface, u, control and bounces == 1)
+        # Guided weights reach albedo / Guide.uniform: at every bounce of an endless path they would add up to infinite
+        # variance. A guide knows first hits best, too.
+        step = bounce(world, it, surface, u, control and bounces == 1, guided=bounces == 1)
         yield Vertex(lane, it, throughput, step, beyond)
         if max_bounces is not None and bounces >= max_bounces:
             return

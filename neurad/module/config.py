@@ -24,7 +24,8 @@ class Sampling:
     and leaves fewer for albedo."""
     guide: int = 16
     """Cells along the scene's longest side of the histogram that tells BSDF samples where indirect light came from
-    before; 0 samples by the BSDF alone. Lambertian scenes go without."""
+    before; 0 samples by the BSDF alone. In memory and in checkpoints it takes 4.6 KB a cell, 19 MB for 16 cells in a
+    cubic scene. Lambertian scenes go without."""
     second_hits: float = 0.5
     """Share of the positions at which the prior is also taken at the second hit; 0 leaves it out."""
 
@@ -32,8 +33,8 @@ class Sampling:
         """Refuse what cannot be sampled."""
         if not 0.0 < self.specular < 1.0:
             raise InputError("model.sampling.specular: it must lie between 0 and 1")
-        if not 0 <= self.guide <= 128:
-            raise InputError("model.sampling.guide: it must lie in 0 .. 128")
+        if not 0 <= self.guide <= 32:
+            raise InputError("model.sampling.guide: it must lie in 0 .. 32")
 
 
 @dataclass(frozen=True)
@@ -106,9 +107,9 @@ class Optimization:
     clip: float = 0.0
     """Largest norm of an optimizer's gradient, a longer one is shortened to it; 0 leaves gradients as they are."""
     matmul: Literal["highest", "high", "medium"] = "highest"
-    """Products inside the networks while they train, as ``torch.set_float32_matmul_precision`` has it: ``highest`` is
-    float32, ``high`` is TF32 on GPUs that have it, ``medium`` bfloat16 (on CPUs all layers but a network's last).
-    Sums, weights and all else stay float32, and so do evaluations."""
+    """Products inside the networks while they train: ``highest`` is float32, ``high`` allows TF32 on GPUs that have it,
+    ``medium`` the same there and bfloat16 on CPUs, in all layers but a network's last, gradients included. Weights and
+    all else stay float32, and so do evaluations."""
 
     def __post_init__(self) -> None:
         """Refuse precisions that do not exist."""

@@ -15,7 +15,7 @@ from torch import Tensor, nn
 def set_aside(module: nn.Module) -> set[str]:
     """Names of what DDP shall not look after: tables, and buffers that are no state and so the same everywhere.
 
-    Such buffers are the scene itself, or a guide that each process learns from its own samples; DDP would send them
+    Such buffers are the scene itself, or a guide that all processes teach alike (:func:`gather`); DDP would send them
     around before every step. Where there are tables and nothing else, as with dense grids, the smallest is left to DDP,
     which refuses to look after nothing; its gradient travels dense, and :func:`average_tables` makes it sparse again.
     """
@@ -39,7 +39,7 @@ def average_tables(module: nn.Module, names: set[str]) -> None:
                 rows = p.grad.abs().amax(-1).nonzero().squeeze(-1)
                 p.grad = torch.sparse_coo_tensor(rows.unsqueeze(0), p.grad[rows], p.shape, check_invariants=False)
         elif p.grad.is_sparse:
-            rows, values = _gather(p.grad._indices()[0], p.grad._values())
+            rows, values = gather(p.grad._indices()[0], p.grad._values())
             values /= dist.get_world_size()
             p.grad = torch.sparse_coo_tensor(rows.unsqueeze(0), values, p.shape, check_invariants=False)
         else:
@@ -54,7 +54,7 @@ def agreed(value: float, device: torch.device) -> float:
     return float(shared)
 
 
-def _gather(rows: Tensor, values: Tensor) -> tuple[Tensor, Tensor]:
+def gather(rows: Tensor, values: Tensor) -> tuple[Tensor, Tensor]:
     """Rows [k] and values [k, c] of all processes, one after the other; a row may stand several times."""
     world = dist.get_world_size()
     count = torch.tensor([len(rows)], device=rows.device)

@@ -11,6 +11,7 @@ from torch import Tensor
 
 from neurad.core.clock import training_seconds
 from neurad.core.errors import InputError
+from neurad.core.frame import facing
 from neurad.core.records import PixelBatch
 from neurad.core.rng import Stream
 from neurad.emitters.fitted import FittedEnvironment
@@ -23,24 +24,25 @@ from neurad.fields.threads import at_most
 from neurad.integrators.guiding import Guide
 from neurad.integrators.method import Method
 from neurad.integrators.radiometric import Radiometric
-from neurad.integrators.vertex import shading_frame
 from neurad.integrators.world import World
 from neurad.losses.relative import smoothed, total
 from neurad.metrics.held_out import HeldOut
 from neurad.module.assemble import FittedMaterials, build_materials, build_radiance, build_world
 from neurad.module.config import Lighting, Objective, Optimization, Sampling
-from neurad.module.distributed import agreed, average_tables, set_aside
+from neurad.module.distributed import agreed, average_tables, gather, set_aside
 from neurad.module.estimate import Estimator
 from neurad.module.evaluate import Evaluation, UnknownLight, evaluate, unknown_light
 from neurad.module.exposure import brightness, random_pixels, unit_square, warn_if_far
 from neurad.module.guard import Guard, clip
 from neurad.module.lighting import fitted_environment, unknown_environment
-from neurad.module.objective import Arrived, ObjectiveStep, StepTerms
+from neurad.module.objective import IncidentSamples, ObjectiveStep, StepTerms
 from neurad.module.optimizers import make_optimizers
 from neurad.module.primary import PrimaryHits
 from neurad.module.schedule import fraction_done, rate_factor
 from neurad.scene.description import Scene
 from neurad.scene.textures import TrueMaterials
+
+_GUIDE = "world.guide."
 
 LANES_A_THREAD = 8192
 """Samples of a step that are worth a thread: with 4096 on two cores, waking the second one took longer than it saved
@@ -131,13 +133,14 @@ class InverseRenderer(L.LightningModule):
         """
         if hasattr(self, "materials"):
             return
-        if self.trainer.precision not in ("32-true", "bf16-mixed"):
+        if self.trainer.precision != "32-true":
             raise InputError(
-                f"--trainer.precision {self.trainer.precision}: light needs float32; choose 32-true or bf16-mixed"
+                f"--trainer.precision {self.trainer.precision}: light needs float32; for networks there is "
+                "model.optimization.matmul"
             )
         torch.manual_seed(self.seed)
         data = self.trainer.datamodule  # type: ignore[attr-defined]
-        # Of the world only an environment that is recovered has a state.
+        # Of the world only a guide and an environment that is recovered have a state.
         self.world = build_world(
             self.scene, self.tracer, data.has_alpha, unknown_environment(self.scene, self.lighting),
             self.sampling.specular,
@@ -216,7 +219,7 @@ class InverseRenderer(L.LightningModule):
     def training_step(self, batch: PixelBatch, batch_idx: int) -> Tensor:
         """One iteration: one backward pass whose gradients never meet, a step of each optimizer."""
         lanes = len(batch.view) * self.sampling.positions * self.sampling.secondary
-        with at_most(lanes // LANES_A_THREAD), products(self.optimization.matmul):
+        with at_most(lanes // LANES_A_THREAD):
             return self._iterate(batch)
 
     def _iterate(self, batch: PixelBatch) -> Tensor:
@@ -234,9 +237,10 @@ class InverseRenderer(L.LightningModule):
                 optimizer._on_after_step = _nothing
         if self.environment is not None and self.iteration % self.lighting.refresh == 0:
             self.environment.refresh()
-        terms = self._terms(batch)
-        loss = total(terms.all)
-        self.manual_backward(loss)
+        with products(self.optimization.matmul):
+            terms = self._terms(batch)
+            loss = total(terms.all)
+            self.manual_backward(loss)
         if self.processes > 1:
             average_tables(self, self._ddp_params_and_buffers_to_ignore)
         self._guard.check(batch, terms.all, lambda: self._terms(batch))
@@ -251,12 +255,13 @@ class InverseRenderer(L.LightningModule):
         self.last_losses = {name: loss.value for name, (_, loss) in terms.all.items()}
         return loss.detach()
 
-    def _guide(self, arrived: Arrived | None) -> None:
+    def _guide(self, arrived: IncidentSamples | None) -> None:
         """Let the next iterations look where this one found light."""
         guide = self.world.guide
         if guide is None or arrived is None:
             return
-        guide.learn(arrived.it, shading_frame(arrived.it).n, arrived.wi, arrived.light)
+        exchange = gather if self.processes > 1 else None
+        guide.learn(arrived.it, facing(arrived.it), arrived.wi, arrived.light, exchange)
         if (self.iteration + 1) % guide.refresh == 0:
             guide.update()
 
@@ -322,10 +327,16 @@ class InverseRenderer(L.LightningModule):
                 f"--ckpt_path: the checkpoint is of scene {state['scene']}, not of {self.scene.name} as given"
             )
         own = self.state_dict()
-        for name, value in checkpoint["state_dict"].items():
+        # A guide only takes noise away: where the checkpoint has none, or another one, it starts anew.
+        weights = checkpoint["state_dict"]
+        mine = {name: value for name, value in own.items() if name.startswith(_GUIDE)}
+        if {n: w.shape for n, w in weights.items() if n.startswith(_GUIDE)} != {n: w.shape for n, w in mine.items()}:
+            weights = {name: value for name, value in weights.items() if not name.startswith(_GUIDE)} | mine
+            checkpoint["state_dict"] = weights
+        for name, value in weights.items():
             if name not in own or own[name].shape != value.shape:
                 raise InputError(f"--ckpt_path: the checkpoint has other field sizes than the config ({name} differs)")
-        if missing := own.keys() - checkpoint["state_dict"].keys():
+        if missing := own.keys() - weights.keys():
             raise InputError(
                 f"--ckpt_path: the checkpoint has other fields than the config ({min(missing)} is missing)"
             )

@@ -41,7 +41,7 @@ from neurad.module.primary import PrimaryHits
 
 
 @dataclass(frozen=True)
-class Arrived:
+class IncidentSamples:
     """Light that first BSDF samples found."""
 
     it: Interaction
@@ -60,7 +60,7 @@ class StepTerms:
     """Terms whose gradient reaches materials and light only."""
     field: dict[str, tuple[float, Loss]]
     """Terms whose gradient reaches the radiance field; phi too only with ``prior_trains: both``."""
-    arrived: Arrived | None = None
+    arrived: IncidentSamples | None = None
     """What a guide learns from; None from a method that does not tell."""
 
     @property
@@ -137,7 +137,7 @@ class ObjectiveStep:
             terms["lhs"] = (self.settings.lhs, leave_one_out(lhs_image, batch.color, lhs_weight))
         arrived = None
         if sample.incident is not None and sample.weighed is not None:
-            arrived = Arrived(it.repeat(self.sampling.secondary), sample.weighed.wi, sample.incident)
+            arrived = IncidentSamples(it.repeat(self.sampling.secondary), sample.weighed.wi, sample.incident)
         return StepTerms(materials, terms, arrived)
 
     def _mean(self, samples: Tensor) -> Tensor:
@@ -146,10 +146,10 @@ class ObjectiveStep:
 
     def _control(self, sample: Reflected) -> Control | None:
         """The method's control variate by pixel and position, if it has one."""
-        if sample.incident is None or sample.weighed is None:
+        if sample.incident is None or sample.weighed is None or not self.estimator.method.control:
             return None
         n = self.sampling.positions
-        around = sample.incident * sample.weighed.importance
+        around = sample.incident * sample.weighed.relative
         light, deviation = (self._mean(x).view(-1, n, 3) for x in (around, sample.weighed.deviation))
         return Control(light, deviation) if n > 1 else None
 

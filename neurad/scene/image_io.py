@@ -16,7 +16,6 @@ from neurad.core.records import FloatArray
 
 _HALF_MAX = 65504.0
 _ORDER = "RGBA"
-_REDIRECT = threading.Lock()  # stderr belongs to the whole process
 _DEPTH16 = ("I;16", "I;16L", "I;16B", "I")  # what Pillow calls a grey PNG of 16 bits; "I" in older versions
 
 
@@ -60,15 +59,17 @@ def read_exr(path: str | Path) -> FloatArray:
 @contextmanager
 def _without_remarks() -> Iterator[None]:
     """OpenEXR's library writes about broken files to stderr by itself; an exception follows and says enough."""
-    with _REDIRECT:
-        kept = os.dup(2)
-        with open(os.devnull, "wb") as null:
-            os.dup2(null.fileno(), 2)
-        try:
-            yield
-        finally:
-            os.dup2(kept, 2)
-            os.close(kept)
+    if threading.current_thread() is not threading.main_thread():  # what the main thread says must not get lost
+        yield
+        return
+    kept = os.dup(2)
+    with open(os.devnull, "wb") as null:
+        os.dup2(null.fileno(), 2)
+    try:
+        yield
+    finally:
+        os.dup2(kept, 2)
+        os.close(kept)
 
 
 def _stacked(found: Mapping[str, Any], path: Path) -> FloatArray:

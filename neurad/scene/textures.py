@@ -149,7 +149,8 @@ class TextureTable(nn.Module):
         matrix = self.to_uv[material]
         place = self.place[material]
         first, size = place[:, :1], place[:, 1:]
-        xy = ((matrix[:, :, :2] @ uv.unsqueeze(-1)).squeeze(-1) + matrix[:, :, 2]) * size - 0.5
+        # Sums, no matrix products, which a GPU may be allowed to round.
+        xy = ((matrix[:, :, :2] * uv.unsqueeze(-2)).sum(-1) + matrix[:, :, 2]) * size - 0.5
         low = xy.floor()
         part = xy - low
         fx, fy = part[:, :1], part[:, 1:]
@@ -159,4 +160,4 @@ class TextureTable(nn.Module):
         x1, y1 = torch.where(x0 + 1 == width, 0, x0 + 1), torch.where(y0 + 1 == height, 0, y0 + 1)
         index = torch.cat((y0 * width + x0, y0 * width + x1, y1 * width + x0, y1 * width + x1), -1) + first
         weight = torch.cat(((1 - fx) * (1 - fy), fx * (1 - fy), (1 - fx) * fy, fx * fy), -1)
-        return torch.bmm(weight.unsqueeze(1), self.texels[index]).squeeze(1)
+        return (weight.unsqueeze(-1) * self.texels[index]).sum(1)
