@@ -11,7 +11,6 @@ from torch import Tensor
 
 from neurad.core.clock import training_seconds
 from neurad.core.errors import InputError
-from neurad.core.frame import facing
 from neurad.core.records import PixelBatch
 from neurad.core.rng import Stream
 from neurad.emitters.fitted import FittedEnvironment
@@ -21,7 +20,6 @@ from neurad.fields.mlp import products
 from neurad.fields.radiance import RadianceField
 from neurad.fields.settings import FieldConfig, RadianceConfig, RoughnessConfig
 from neurad.fields.threads import at_most
-from neurad.integrators.guiding import Guide
 from neurad.integrators.method import Method
 from neurad.integrators.radiometric import Radiometric
 from neurad.integrators.world import World
@@ -34,8 +32,9 @@ from neurad.module.estimate import Estimator
 from neurad.module.evaluate import Evaluation, UnknownLight, evaluate, unknown_light
 from neurad.module.exposure import brightness, random_pixels, unit_square, warn_if_far
 from neurad.module.guard import Guard, clip
+from neurad.module.guided import make_guide, teach
 from neurad.module.lighting import fitted_environment, unknown_environment
-from neurad.module.objective import IncidentSamples, ObjectiveStep, StepTerms
+from neurad.module.objective import ObjectiveStep, StepTerms
 from neurad.module.optimizers import make_optimizers
 from neurad.module.primary import PrimaryHits
 from neurad.module.schedule import fraction_done, rate_factor
@@ -145,8 +144,7 @@ class InverseRenderer(L.LightningModule):
             self.scene, self.tracer, data.has_alpha, unknown_environment(self.scene, self.lighting),
             self.sampling.specular,
         )  # fmt: skip
-        if self.sampling.guide > 0 and self.method.tells_light and not self.scene.features.is_diffuse:
-            self.world.guide = Guide(torch.from_numpy(self.scene.bounds), self.sampling.guide)
+        self.world.guide = make_guide(self.scene, self.sampling.guide, self.method)
         albedo, roughness, radiance = self.field_configs
         if self.knows_materials:
             self.materials = TrueMaterials(self.scene, self.world.geometry)
@@ -248,22 +246,12 @@ class InverseRenderer(L.LightningModule):
             clip([optimizer.param_groups for optimizer in optimizers], self.optimization.clip)
         for optimizer in optimizers[::-1]:  # the counted one last: its hook may end the epoch's bookkeeping
             optimizer.step()
-        self._guide(terms.arrived)
+        teach(self.world.guide, terms.arrived, self.iteration, gather if self.processes > 1 else None)
         self.iteration += 1
         passes = self.processes * (2 if self.settings.estimator == "two_pass" else 1)
         self.samples += passes * len(batch.view) * self.sampling.positions * self.sampling.secondary
         self.last_losses = {name: loss.value for name, (_, loss) in terms.all.items()}
         return loss.detach()
-
-    def _guide(self, arrived: IncidentSamples | None) -> None:
-        """Let the next iterations look where this one found light."""
-        guide = self.world.guide
-        if guide is None or arrived is None:
-            return
-        exchange = gather if self.processes > 1 else None
-        guide.learn(arrived.it, facing(arrived.it), arrived.wi, arrived.light, exchange)
-        if (self.iteration + 1) % guide.refresh == 0:
-            guide.update()
 
     def _terms(self, batch: PixelBatch) -> StepTerms:
         """The terms of this iteration; the same ones whenever asked before the weights move."""

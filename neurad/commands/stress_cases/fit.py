@@ -20,6 +20,7 @@ from neurad.losses.relative import total
 from neurad.module.assemble import build_materials, build_radiance, build_world
 from neurad.module.config import Objective, Sampling
 from neurad.module.estimate import Estimator
+from neurad.module.guided import make_guide, teach
 from neurad.module.objective import ObjectiveStep, StepTerms
 from neurad.module.primary import PrimaryHits
 from neurad.scene.description import Scene
@@ -85,7 +86,9 @@ class Fit:
         self.scene, self.images, self.plan = scene, images, plan
         self.materials = build_materials(scene, plan.fields.albedo, plan.fields.roughness)
         self.radiance = build_radiance(scene, plan.fields.radiance)
-        self.world = build_world(scene)
+        self.world = build_world(scene, specular_share=plan.sampling.specular)
+        estimator = Estimator(self.world, self.materials, self.radiance)
+        self.world.guide = make_guide(scene, plan.sampling.guide, estimator.method)
         cameras = [view.camera for view in scene.train]
         self.primary = PrimaryHits(self.world, cameras, plan.sampling.cached, plan.seed, torch.device("cpu"))
         mixed = self.primary.sees_emitter()
@@ -95,7 +98,7 @@ class Fit:
         square = typical_square(images[~mixed], spike) if spike > 0 else float(images[~mixed].double().square().mean())
         self.radiance.set_scale(math.sqrt(square))
         self.step = ObjectiveStep(
-            estimator=Estimator(self.world, self.materials, self.radiance),
+            estimator=estimator,
             primary=self.primary,
             sampling=plan.sampling,
             settings=plan.objective,
@@ -128,6 +131,7 @@ class Fit:
         self.optimizer.zero_grad()
         loss.backward()  # type: ignore[no-untyped-call]
         self.optimizer.step()
+        teach(self.world.guide, terms.arrived, self.iteration)
         self.iteration += 1
         return float(loss.detach())
 

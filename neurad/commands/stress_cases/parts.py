@@ -87,6 +87,7 @@ def parts(fit: Fit) -> tuple[list[str], list[str]]:
         "specular lobe": not isinstance(world.bsdf, Diffuse),
         "roughness field": fit.materials.roughness is not None,
         "control variate": world.bsdf.deviates,
+        "guide": world.guide is not None,
         "radiance by direction": "direction" in fit.radiance.inputs,
         "radiance by albedo": fit.radiance.reads_albedo,
         "delta chain": world.delta is not None,

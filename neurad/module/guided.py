@@ -1,0 +1,27 @@
+"""The guide of a fit: whether it has one, and what it learns after each iteration."""
+
+from __future__ import annotations
+
+import torch
+
+from neurad.core.frame import facing
+from neurad.integrators.guiding import Exchange, Guide
+from neurad.integrators.method import Method
+from neurad.module.objective import IncidentSamples
+from neurad.scene.description import Scene
+
+
+def make_guide(scene: Scene, cells: int, method: Method) -> Guide | None:
+    """A guide of so many cells; None where none is asked for, the method tells no light, or the scene is Lambertian."""
+    if cells == 0 or not method.tells_light or scene.features.is_diffuse:
+        return None
+    return Guide(torch.from_numpy(scene.bounds), cells)
+
+
+def teach(guide: Guide | None, seen: IncidentSamples | None, iteration: int, exchange: Exchange | None = None) -> None:
+    """Let the iterations after ``iteration`` look where its samples found light."""
+    if guide is None or seen is None:
+        return
+    guide.learn(seen.it, facing(seen.it), seen.wi, seen.light, exchange)
+    if (iteration + 1) % guide.refresh == 0:
+        guide.update()
