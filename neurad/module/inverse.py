@@ -26,6 +26,7 @@ from neurad.integrators.world import World
 from neurad.losses.relative import smoothed, total
 from neurad.metrics.held_out import HeldOut
 from neurad.module.assemble import FittedMaterials, build_materials, build_radiance, build_world
+from neurad.module.checkpoint import fitting
 from neurad.module.config import Lighting, Objective, Optimization, Sampling
 from neurad.module.distributed import agreed, average_tables, gather, set_aside
 from neurad.module.estimate import Estimator
@@ -40,8 +41,6 @@ from neurad.module.primary import PrimaryHits
 from neurad.module.schedule import fraction_done, rate_factor
 from neurad.scene.description import Scene
 from neurad.scene.textures import TrueMaterials
-
-_GUIDE = "world.guide."
 
 LANES_A_THREAD = 8192
 """Samples of a step that are worth a thread: with 4096 on two cores, waking the second one took longer than it saved
@@ -298,7 +297,7 @@ class InverseRenderer(L.LightningModule):
             "seconds": self.train_seconds,
             "rays": self.rays,
             "samples": self.samples,
-            "radiance_inputs": None if self.radiance is None else list(self.radiance.inputs),
+            "radiance_inputs": self._inputs,
         }
 
     def on_load_checkpoint(self, checkpoint: dict[str, Any]) -> None:
@@ -307,37 +306,16 @@ class InverseRenderer(L.LightningModule):
         Raises:
             InputError: it belongs to another scene or to fields of other sizes, or it is none of neurad's.
         """
-        state = checkpoint.get("neurad")
-        if state is None:
-            raise InputError("--ckpt_path: the file is no checkpoint of neurad")
-        if state["fingerprint"] != self.scene.fingerprint:
-            raise InputError(
-                f"--ckpt_path: the checkpoint is of scene {state['scene']}, not of {self.scene.name} as given"
-            )
-        own = self.state_dict()
-        # A guide only takes noise away: where the checkpoint has none, or another one, it starts anew.
-        weights = checkpoint["state_dict"]
-        mine = {name: value for name, value in own.items() if name.startswith(_GUIDE)}
-        if {n: w.shape for n, w in weights.items() if n.startswith(_GUIDE)} != {n: w.shape for n, w in mine.items()}:
-            weights = {name: value for name, value in weights.items() if not name.startswith(_GUIDE)} | mine
-            checkpoint["state_dict"] = weights
-        for name, value in weights.items():
-            if name not in own or own[name].shape != value.shape:
-                raise InputError(f"--ckpt_path: the checkpoint has other field sizes than the config ({name} differs)")
-        if missing := own.keys() - weights.keys():
-            raise InputError(
-                f"--ckpt_path: the checkpoint has other fields than the config ({min(missing)} is missing)"
-            )
-        inputs = None if self.radiance is None else list(self.radiance.inputs)
-        if state.get("radiance_inputs", inputs) != inputs:  # of the same size they would load, and mean something else
-            raise InputError(
-                f"--ckpt_path: the checkpoint's radiance field reads {state['radiance_inputs']}, that of the config "
-                f"{inputs}; set model.radiance.inputs"
-            )
+        state = fitting(checkpoint, self.state_dict(), self.scene, self._inputs)
         self.iteration = state["iteration"]
         self.rays_before = state["rays"]
         self.samples = state.get("samples", 0)
         self.seconds_before = state["seconds"]
+
+    @property
+    def _inputs(self) -> list[str] | None:
+        """What the radiance field reads."""
+        return None if self.radiance is None else list(self.radiance.inputs)
 
 
 def _nothing() -> None:
