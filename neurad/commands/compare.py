@@ -56,7 +56,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--out", type=Path, default=Path("report"), help="folder of the report (default: report)")
     parser.add_argument("--overwrite", action="store_true", help="write over a report that is there")
     parser.add_argument("--views", type=int, default=3, help="held-out views to show, 0 for none (default: 3)")
-    parser.add_argument("--view-spp", type=int, default=64, help="samples a pixel of the renders shown (default: 64)")
+    parser.add_argument("--view-spp", type=int, default=16, help="samples a pixel of the renders shown (default: 16)")
     parser.add_argument(
         "--reach", default="20,22,24,26,28,30", help="albedo PSNRs in dB whose time is reported (default: %(default)s)"
     )
