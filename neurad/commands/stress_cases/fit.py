@@ -164,7 +164,8 @@ class Fit:
     def albedo_error(self, lit: bool = False) -> tuple[float, float]:
         """Root mean square error of the albedo over what the views see, and the mean albedo found there.
 
-        With ``lit`` only where direct light falls: what stays dark has no known albedo.
+        With ``lit`` only where at least half as much direct light falls as on average: what is dim and dark has no
+        known albedo.
         """
         it = self.seen()
         if lit:
@@ -172,7 +173,7 @@ class Fit:
             stream = Stream(98)
             light = sum(bounce(self.world, it, white, stream.uniform(len(it), DIMENSIONS)).direct for _ in range(8))
             assert isinstance(light, Tensor)
-            it = it[light.mean(-1) > 0.1 * light.mean()]
+            it = it[light.mean(-1) > 0.5 * light.mean()]
         found = self.materials.albedo(it)
         truth = TrueMaterials(self.scene, self.world.geometry).albedo(it)
         return float((found - truth).square().mean().sqrt()), float(found.mean())
