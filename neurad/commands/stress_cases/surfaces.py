@@ -63,8 +63,8 @@ def _dark(albedo: float) -> Case:
     def measure(quick: bool) -> Outcome:
         scene = resized(small_cube(12, albedo=0.5), 12, 4 if quick else 8)
         scene = with_material(scene, "diffuse", albedo)
-        # Where nothing is ever absorbed, the noise of photographs sets the error (0.26 with 16 samples a pixel, 0.14 with
-        # 200), so there is no bar.
+        # Where nothing is ever absorbed, the noise of photographs sets the error: 0.26 with 16 samples a pixel, 0.14
+        # with 200. So there is no bar.
         white = albedo == 1
         images = photographs(replace(scene, max_depth=200 if white else 8), 200 if white and not quick else 16)
         fit = Fit(scene, images, Plan(steps=150 if quick else 600))
