@@ -42,7 +42,7 @@ class MLP(nn.Module):
         """Values [n, outputs] for inputs [n, inputs]."""
         if not (self.fast and len(x) > 0 and _has_onednn(x)):
             return self.plain(x)
-        parameters: list[Tensor] = list(self.parameters())  # weight, bias, weight, bias, ...
+        parameters = self._in_order()
         rows = len(x)
         if padding := _round_up(rows) - rows:
             x = torch.nn.functional.pad(x, (0, 0, 0, padding))
@@ -56,10 +56,14 @@ class MLP(nn.Module):
 
     def plain(self, x: Tensor) -> Tensor:
         """The same in plain torch."""
-        parameters = list(self.parameters())
+        parameters = self._in_order()
         for weight, bias in zip(parameters[:-2:2], parameters[1:-2:2], strict=True):
             x = torch.relu(torch.addmm(bias, x, weight.t()))
         return torch.addmm(parameters[-1], x, parameters[-2].t())
+
+    def _in_order(self) -> list[Tensor]:
+        """Weight, bias, weight, bias, ...; ``parameters()`` searches all modules, which takes longer than a layer."""
+        return [p for layer in self.layers for p in (layer.weight, layer.bias)]
 
 
 _products = "highest"
