@@ -10,6 +10,7 @@ from collections.abc import Iterator
 from typing import NoReturn
 
 from neurad.core import clock
+from neurad.core.allocator import keep_freed_memory
 from neurad.core.errors import InputError
 
 LIGHTNING_VERBS = {
@@ -113,6 +114,7 @@ def _dispatch(words: list[str]) -> None:
 
 def _prepare() -> None:
     """What must be set before torch is imported."""
+    keep_freed_memory()
     # Threads that spin while they wait collapse as soon as another process wants the same cores.
     os.environ.setdefault("OMP_WAIT_POLICY", "passive")
 

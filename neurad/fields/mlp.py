@@ -63,7 +63,8 @@ class MLP(nn.Module):
 
     def _in_order(self) -> list[Tensor]:
         """Weight, bias, weight, bias, ...; ``parameters()`` searches all modules, which takes longer than a layer."""
-        return [p for layer in self.layers for p in (layer.weight, layer.bias)]
+        layers: list[Any] = list(self.layers)
+        return [p for layer in layers for p in (layer.weight, layer.bias)]
 
 
 _products = "highest"

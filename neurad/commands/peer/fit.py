@@ -19,6 +19,7 @@ from neurad.commands.peer.replay import Replay
 from neurad.commands.peer.variant import load_mitsuba, usable_cores
 from neurad.commands.peer.voxels import SurfaceVoxels, VoxelMaterials
 from neurad.core import clock
+from neurad.core.allocator import keep_freed_memory
 from neurad.core.errors import InputError
 from neurad.core.records import FloatArray
 from neurad.fields.material import AlbedoField, RoughnessField
@@ -85,6 +86,7 @@ BEST: dict[str, dict[str, Any]] = {
 
 def main(path: str) -> None:
     """Run with the settings of a JSON file."""
+    keep_freed_memory()  # as ``neurad fit`` does
     fit(PeerSettings(**json.loads(Path(path).read_text())))
 
 
