@@ -97,7 +97,7 @@ def _draw(path: Path, curves: Sequence[Curve], title: str) -> None:
     """Root mean square error of albedo and roughness against seconds, both axes logarithmic."""
     from matplotlib.backends.backend_agg import FigureCanvasAgg
     from matplotlib.figure import Figure
-    from matplotlib.ticker import LogLocator, NullFormatter, ScalarFormatter
+    from matplotlib.ticker import FormatStrFormatter, LogLocator, NullFormatter
 
     figure = Figure(figsize=(10, 4.2), layout="constrained")
     FigureCanvasAgg(figure)
@@ -114,9 +114,9 @@ def _draw(path: Path, curves: Sequence[Curve], title: str) -> None:
                     alpha=1.0 if curve.budget == longest else 0.5,
                 )
         axes.set(xscale="log", yscale="log", xlabel="seconds", ylabel=f"{score.split('_')[0]} RMSE")
-        for axis in (axes.xaxis, axes.yaxis):
-            axis.set_major_locator(LogLocator(subs=(1.0, 1.5, 2.0, 3.0, 5.0, 7.0)))
-            axis.set_major_formatter(ScalarFormatter())
+        for axis, ticks in ((axes.xaxis, (1.0, 2.0, 5.0)), (axes.yaxis, (1.0, 1.5, 2.0, 3.0, 5.0, 7.0))):
+            axis.set_major_locator(LogLocator(subs=ticks))
+            axis.set_major_formatter(FormatStrFormatter("%g"))
             axis.set_minor_formatter(NullFormatter())
         axes.grid(visible=True, which="both", alpha=0.3)
         if axes.get_legend_handles_labels()[0]:
