@@ -8,7 +8,7 @@ import torch
 from tiny_scene import write_scene
 
 from neurad.cli import main
-from neurad.emitters.area import AreaLights
+from neurad.integrators import bounce_kernels
 from neurad.module.guard import clip, first_bad
 from neurad.module.inverse import InverseRenderer
 from neurad.scene.image_io import write_exr
@@ -85,18 +85,16 @@ def test_a_nan_weight_stops_the_run_and_is_repeated_from_its_folder(tmp_path, ca
 
 def test_an_infinite_sample_is_named_and_the_run_goes_on_once_it_is_mended(tmp_path, capfd, monkeypatch):
     folder = write_scene(tmp_path / "scene")
-    plain = AreaLights.sample
+    plain = bounce_kernels.collect
 
-    def broken(self, p, u):
-        sample = plain(self, p, u)
-        sample.radiance[:1] = math.inf
-        sample.pdf[:1] = 1.0
-        return sample
+    def broken(*arrays):
+        plain(*arrays)
+        arrays[-4][0, :1] = math.inf  # the direct light of the first lane
 
     with monkeypatch.context() as patch:
-        plant(patch, 2, lambda _: patch.setattr(AreaLights, "sample", broken))
+        plant(patch, 2, lambda _: patch.setattr(bounce_kernels, "collect", broken))
         error = stops(capfd, folder)
-    assert "iteration 2: what integrators.vertex.bounce.direct returned is not finite (3 of" in error
+    assert "iteration 2: what integrators.glossy._collect.values[0] returned is not finite (3 of" in error
     fit(folder, f"--ckpt_path={tmp_path / 'lightning_logs/version_0/checkpoints/bad.ckpt'}")
     state = torch.load(tmp_path / "lightning_logs/version_0/checkpoints/last.ckpt", weights_only=True)
     assert state["neurad"]["iteration"] == 6

@@ -46,20 +46,41 @@ def table(eta: float, device: torch.device) -> Tensor:
     return torch.cat(rows).to(device)
 
 
+def mean_lobes(roughness: Tensor, cosine: Tensor, eta: float) -> Tensor:
+    """Diffuse and specular part and their slopes by the roughness [4, n], bilinear in the table, without a graph.
+
+    Args:
+        roughness: [n, 1].
+        cosine: between viewer and normal [n].
+        eta: refractive index of the specular lobe.
+    """
+    entries = table(eta, roughness.device)
+    if roughness.device.type == "cpu" and roughness.dtype == torch.float32:
+        out = torch.empty(4, len(cosine))
+        rough, cos = (x.detach().contiguous().numpy() for x in (roughness, cosine))
+        kernels.mean_lobes(rough, cos, entries.numpy(), ROUGHNESSES, COSINES, out.numpy())
+        return out
+    return _mean_lobes(roughness.detach(), cosine.detach(), entries)
+
+
+def _mean_lobes(roughness: Tensor, cosine: Tensor, entries: Tensor) -> Tensor:
+    """:func:`mean_lobes` in plain torch, on any device."""
+    row = roughness.squeeze(-1).clamp(0.0, 1.0) * (ROUGHNESSES - 1)
+    column = cosine.clamp(0.0, 1.0).sqrt() * (COSINES - 1)
+    low, left = row.floor().clamp_max(ROUGHNESSES - 2), column.floor().clamp_max(COSINES - 2)
+    index = (low * COSINES + left).long()
+    down, right = (row - low).unsqueeze(-1), (column - left).unsqueeze(-1)
+    above = torch.lerp(entries[index], entries[index + 1], right)
+    below = torch.lerp(entries[index + COSINES], entries[index + COSINES + 1], right)
+    return torch.lerp(above, below, down).t()
+
+
 class _Lookup(torch.autograd.Function):
     """Bilinear value of the table, its gradient from the tabulated slopes."""
 
     @staticmethod
     def forward(ctx: Any, roughness: Tensor, cosine: Tensor, eta: float) -> tuple[Tensor, Tensor]:
-        entries = table(eta, roughness.device)
-        row = roughness.squeeze(-1).clamp(0.0, 1.0) * (ROUGHNESSES - 1)
-        column = cosine.clamp(0.0, 1.0).sqrt() * (COSINES - 1)
-        low, left = row.floor().clamp_max(ROUGHNESSES - 2), column.floor().clamp_max(COSINES - 2)
-        index = (low * COSINES + left).long()
-        down, right = (row - low).unsqueeze(-1), (column - left).unsqueeze(-1)
-        above = torch.lerp(entries[index], entries[index + 1], right)
-        below = torch.lerp(entries[index + COSINES], entries[index + COSINES + 1], right)
-        d, s, d_slope, s_slope = torch.lerp(above, below, down).unbind(-1)
+        d, s, d_slope, s_slope = mean_lobes(roughness, cosine, eta).unbind(0)
         ctx.save_for_backward(d_slope, s_slope)
         return d, s
 

@@ -105,3 +105,26 @@ def direction(
         mz = max(sin * b + cos * c, _TINY)
         twice = _TWO * (x * mx + y * my + z * mz) / (mx * mx + my * my + mz * mz)
         out[i, 0], out[i, 1], out[i, 2] = twice * mx - x, twice * my - y, twice * mz - z
+
+
+@numba.njit(nogil=True, cache=True, error_model="numpy")
+def mean_lobes(
+    roughness: FloatArray, cosine: FloatArray, entries: FloatArray, rows: int, columns: int, out: FloatArray
+) -> None:  # pragma: no cover - compiled
+    """Fill ``out`` [4, n] with bilinear values of a table ``entries`` [rows * columns, 4] over roughness and the root
+    of the cosine.
+    """
+    last_row, last_column = np.float32(rows - 1), np.float32(columns - 1)
+    for i in range(roughness.shape[0]):
+        r, c = roughness[i, 0], cosine[i]
+        r, c = r if r > _ZERO else _ZERO, c if c > _ZERO else _ZERO  # NaN reads the first entry, none beyond the table
+        row = (r if r < _ONE else _ONE) * last_row
+        column = np.float32(math.sqrt(c if c < _ONE else _ONE)) * last_column
+        low, left = min(int(row), rows - 2), min(int(column), columns - 2)
+        down, right = row - np.float32(low), column - np.float32(left)
+        first = low * columns + left
+        for k in range(4):
+            above = entries[first, k] + right * (entries[first + 1, k] - entries[first, k])
+            start = entries[first + columns, k]
+            below = start + right * (entries[first + columns + 1, k] - start)
+            out[k, i] = above + down * (below - above)

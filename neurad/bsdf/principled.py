@@ -72,6 +72,20 @@ def lobes_pdf(
     return d, s, pdf
 
 
+def compiled_lobes(roughness: Tensor, wo: Tensor, wi: Tensor, eta: float, share: float) -> Tensor:
+    """Rows d, s, pdf of :func:`lobes_pdf` and dd/droughness, ds/droughness [5, n], for float32 on the CPU.
+
+    Raises:
+        ValueError: the arguments have different numbers of lanes; the kernel would read past their ends.
+    """
+    if not roughness.shape[0] == wo.shape[0] == wi.shape[0]:
+        raise ValueError(f"lanes differ: roughness {roughness.shape[0]}, wo {wo.shape[0]}, wi {wi.shape[0]}")
+    rough, view, towards = (x.detach().contiguous().numpy() for x in (roughness, wo, wi))
+    out = torch.empty(5, len(wo))
+    kernels.lobes_pdf(rough, view, towards, np.float32(eta), np.float32(share), out.numpy())
+    return out
+
+
 class _FastLobesPdf(torch.autograd.Function):
     """:func:`lobes_pdf` by a compiled kernel that finds the derivatives in the same pass."""
 
@@ -79,9 +93,7 @@ class _FastLobesPdf(torch.autograd.Function):
     def forward(
         ctx: Any, roughness: Tensor, wo: Tensor, wi: Tensor, eta: float, share: float
     ) -> tuple[Tensor, Tensor, Tensor]:
-        out = torch.empty(5, len(wo))
-        kernels.lobes_pdf(roughness.numpy(), wo.numpy(), wi.numpy(), np.float32(eta), np.float32(share), out.numpy())
-        d, s, pdf, d_slope, s_slope = out.unbind(0)
+        d, s, pdf, d_slope, s_slope = compiled_lobes(roughness, wo, wi, eta, share).unbind(0)
         ctx.save_for_backward(d_slope, s_slope)
         ctx.mark_non_differentiable(pdf)
         return d, s, pdf
@@ -101,10 +113,7 @@ def principled_lobes_pdf(
     Raises:
         ValueError: the arguments have different numbers of lanes; the kernel would read past their ends.
     """
-    if not roughness.shape[0] == wo.shape[0] == wi.shape[0]:
-        raise ValueError(f"lanes differ: roughness {roughness.shape[0]}, wo {wo.shape[0]}, wi {wi.shape[0]}")
-    wo, wi = wo.detach().contiguous(), wi.detach().contiguous()
-    d, s, pdf = _FastLobesPdf.apply(roughness.contiguous(), wo, wi, eta, share)  # type: ignore[no-untyped-call]
+    d, s, pdf = _FastLobesPdf.apply(roughness, wo.detach(), wi.detach(), eta, share)  # type: ignore[no-untyped-call]
     return d, s, pdf
 
 
@@ -133,16 +142,36 @@ class Principled:
         function = principled_lobes_pdf if self._compiled(wo) else lobes_pdf
         return function(surface.roughness, wo, wi, self.eta, self.specular_share)
 
+    def direction(self, roughness: Tensor, wo: Tensor, u: Tensor) -> Tensor:
+        """Draw ``wi`` [n, 3] by a compiled kernel, for float32 on the CPU.
+
+        Args:
+            roughness: [n, 1].
+            wo: towards the viewer, local [n, 3].
+            u: uniform numbers [n, 3]: the first picks the lobe, the others a direction, as in Mitsuba.
+
+        Raises:
+            ValueError: the arguments have different numbers of lanes; the kernel would read past their ends.
+        """
+        if not roughness.shape[0] == wo.shape[0] == u.shape[0]:
+            raise ValueError(f"lanes differ: roughness {roughness.shape[0]}, wo {wo.shape[0]}, u {u.shape[0]}")
+        rough, view, numbers = (x.detach().contiguous().numpy() for x in (roughness, wo, u))
+        wi = torch.empty(len(wo), 3)
+        kernels.direction(rough, view, numbers, np.float32(1.0 - self.specular_share), wi.numpy())
+        return wi
+
+    def lobes_and_slopes(self, roughness: Tensor, wo: Tensor, wi: Tensor) -> Tensor:
+        """Rows d, s, pdf, dd/droughness and ds/droughness [5, n] without a graph, by the compiled kernel.
+
+        Raises:
+            ValueError: the arguments have different numbers of lanes.
+        """
+        return compiled_lobes(roughness, wo, wi, self.eta, self.specular_share)
+
     def _direction(self, surface: Surface, wo: Tensor, u: Tensor) -> Tensor:
-        """Draw ``wi`` [n, 3]: the first number picks the lobe, the others a direction, as in Mitsuba."""
         roughness = surface.roughness.detach()
         if self._compiled(wo):
-            if not roughness.shape[0] == wo.shape[0] == u.shape[0]:
-                raise ValueError(f"lanes differ: roughness {roughness.shape[0]}, wo {wo.shape[0]}, u {u.shape[0]}")
-            rough, view, numbers = (x.detach().contiguous().numpy() for x in (roughness, wo, u))
-            wi = torch.empty(len(wo), 3)
-            kernels.direction(rough, view, numbers, np.float32(1.0 - self.specular_share), wi.numpy())
-            return wi
+            return self.direction(roughness, wo, u)
         m = visible_normal(wo, alpha_of(roughness), u[:, 1:])
         mirrored = 2.0 * dot(wo, m).unsqueeze(-1) * m - wo
         return torch.where(u[:, :1] < 1.0 - self.specular_share, cosine_hemisphere(u[:, 1:]), mirrored)

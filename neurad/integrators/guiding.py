@@ -111,6 +111,14 @@ class Guide(nn.Module):
         low = torch.where(chosen > 0, self.cdf[rows, (chosen - 1).clamp_min(0)], 0.0)
         return (self.cdf[rows, chosen] - low) * self.bins**2
 
+    def _places(self, rows: Tensor, wi: Tensor) -> Tensor:
+        """Entries [n] of the flat histogram for local directions [n, 3]."""
+        if self._compiled(wi):
+            out = torch.empty(len(wi), dtype=torch.int64)
+            kernels.places(rows.numpy(), wi.contiguous().numpy(), self.bins, out.numpy())
+            return out
+        return rows * self.bins**2 + self._bin(wi)
+
     def _bin(self, wi: Tensor) -> Tensor:
         """Bin [n] of local directions [n, 3]."""
         x, y = (disk_to_square(wi[:, :2]) * self.bins).long().clamp(0, self.bins - 1).unbind(-1)
@@ -127,7 +135,7 @@ class Guide(nn.Module):
             light: radiance [n, 3].
             exchange: collects what the samples of all processes say, so that their guides stay the same.
         """
-        index = self.rows(it, n) * self.bins**2 + self._bin(wi)
+        index = self._places(self.rows(it, n), wi)
         seen = (it.valid & (wi[:, 2] > 0)).to(light.dtype)
         values = torch.stack((seen, light.mean(-1).square() * seen), -1)
         if exchange is not None:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numba
 import numpy as np
@@ -52,21 +53,33 @@ def warp(rows: IntArray, u: FloatArray, cdf: FloatArray, bins: int, out: FloatAr
         out[i, 1] = min((np.float32(low % bins) + u[i, 1]) / np.float32(bins), _BELOW_ONE)
 
 
+@numba.njit(inline="always")
+def _bin(x: Any, y: Any, bins: int) -> Any:  # pragma: no cover - compiled
+    """Bin of a local direction by its two tangential components."""
+    radius = np.float32(math.sqrt(x * x + y * y))
+    if abs(x) > abs(y):
+        a = radius if x > _ZERO else -radius
+        b = a * _FOUR_BY_PI * np.float32(math.atan(y / x))
+    else:
+        b = radius if y > _ZERO else -radius
+        a = b * _FOUR_BY_PI * np.float32(math.atan(x / y)) if y != _ZERO else _ZERO
+    scale = np.float32(bins)
+    column = min(max(int((_HALF * a + _HALF) * scale), 0), bins - 1)
+    line = min(max(int((_HALF * b + _HALF) * scale), 0), bins - 1)
+    return column * bins + line
+
+
 @numba.njit(nogil=True, cache=True, error_model="numpy")
 def density(rows: IntArray, wi: FloatArray, cdf: FloatArray, bins: int, out: FloatArray) -> None:  # pragma: no cover
     """Fill ``out`` [n] with densities relative to the cosine's."""
-    scale = np.float32(bins)
     for i in range(wi.shape[0]):
-        x, y = wi[i, 0], wi[i, 1]
-        radius = np.float32(math.sqrt(x * x + y * y))
-        if abs(x) > abs(y):
-            a = radius if x > _ZERO else -radius
-            b = a * _FOUR_BY_PI * np.float32(math.atan(y / x))
-        else:
-            b = radius if y > _ZERO else -radius
-            a = b * _FOUR_BY_PI * np.float32(math.atan(x / y)) if y != _ZERO else _ZERO
-        column = min(max(int((_HALF * a + _HALF) * scale), 0), bins - 1)
-        line = min(max(int((_HALF * b + _HALF) * scale), 0), bins - 1)
-        chosen = column * bins + line
+        chosen = _bin(wi[i, 0], wi[i, 1], bins)
         before = cdf[rows[i], chosen - 1] if chosen > 0 else _ZERO
         out[i] = (cdf[rows[i], chosen] - before) * np.float32(bins * bins)
+
+
+@numba.njit(nogil=True, cache=True, error_model="numpy")
+def places(rows: IntArray, wi: FloatArray, bins: int, out: IntArray) -> None:  # pragma: no cover - compiled
+    """Fill ``out`` [n] with entries of the histogram, one row after the other."""
+    for i in range(wi.shape[0]):
+        out[i] = rows[i] * bins * bins + _bin(wi[i, 0], wi[i, 1], bins)

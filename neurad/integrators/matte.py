@@ -35,7 +35,8 @@ def applies(world: World, it: Interaction) -> bool:
     """Whether the compiled passes do all that a bounce in ``world`` needs: float32 on the CPU, known light."""
     lights = world.lights
     return (
-        isinstance(lights, AreaLights)
+        type(it) is Interaction  # one that carries more has to hand it on
+        and isinstance(lights, AreaLights)
         and isinstance(world.bsdf, Diffuse)
         and world.delta is None
         and world.guide is None
@@ -47,7 +48,7 @@ def applies(world: World, it: Interaction) -> bool:
 
 def arrive(world: World, it: Interaction, u: Tensor) -> Arrived:
     """Cast the rays of one bounce at the lanes of ``it``, with uniform numbers ``u`` [n, 7]."""
-    from neurad.integrators import matte_kernels as kernels  # compiled code is loaded by those who use it
+    from neurad.integrators import bounce_kernels as kernels  # compiled code is loaded by those who use it
 
     lights, geometry, m = world.lights, world.geometry, len(it)
     assert isinstance(lights, AreaLights)

@@ -10,7 +10,7 @@ from torch import Tensor
 from neurad.core.frame import Frame, facing
 from neurad.core.records import BSDFSample, Interaction, Surface
 from neurad.core.sampling import INV_PI, mis_weight
-from neurad.integrators import matte
+from neurad.integrators import glossy, matte
 from neurad.integrators.guiding import Guide
 from neurad.integrators.world import World
 
@@ -65,12 +65,19 @@ def bounce(
     """Sample T at the lanes of ``it`` with uniform numbers ``u`` [n, DIMENSIONS].
 
     Lanes without a surface, or that look at a one-sided surface from behind, give zero. ``control`` asks for
-    ``weighed`` as well; a model whose weights always are their mean gives none. ``fast`` lets
-    :mod:`neurad.integrators.matte` do all that it can do, ``guided`` uses the world's guide where there is one.
+    ``weighed`` as well; a model whose weights always are their mean gives none. ``fast`` lets the compiled
+    :mod:`neurad.integrators.matte` and :mod:`neurad.integrators.glossy` do what they can do, ``guided`` uses the
+    world's guide where there is one.
     """
     if fast and matte.applies(world, it):
         found = matte.arrive(world, it, u)
         return Bounce(surface.albedo * found.direct, surface.albedo * found.through, found.next)
+    if fast and glossy.applies(world, it, surface):
+        known = glossy.arrive(world, it, surface, u, control, guided)
+        told = None
+        if known.deviation is not None and known.relative is not None and known.wi is not None:
+            told = Weighed(known.deviation, known.relative, known.wi)
+        return Bounce(known.direct, known.weight, known.next, told)
     frame = shading_frame(it)
     wo = frame.to_local(it.wo)
     reflects = world.reflects(it)

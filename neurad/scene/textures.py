@@ -67,15 +67,20 @@ class OnEmitters(nn.Module):
 
     def __init__(self, textures: list[Texture], channels: int, geometry: Geometry) -> None:
         super().__init__()
-        self.table = TextureTable(textures, channels)
+        emits = geometry.emission.amax(-1) > 0
+        lamps = set(geometry.material[emits].tolist())
+        blank = Constant(np.zeros(1, np.float32))
+        self.table = TextureTable([t if i in lamps else blank for i, t in enumerate(textures)], channels)
         self.geometry = geometry
-        self.register_buffer("emits", geometry.emission.amax(-1) > 0, persistent=False)
+        self.register_buffer("emits", emits, persistent=False)
 
     def forward(self, it: Interaction, values: Tensor) -> Tensor:
         """``values`` [n, channels] at the lanes of ``it``, replaced where these are on an emitter."""
         lane = (self.emits[it.prim.clamp_min(0)] & it.valid).nonzero().squeeze(-1)
         if len(lane) == 0:
             return values
+        if self.table.is_constant:
+            return values.index_copy(0, lane, self.table.constant[self.geometry.material[it.prim[lane]]])
         part = it[lane]
         return values.index_copy(0, lane, self.table(self.geometry.material[part.prim], part, self.geometry))
 
@@ -129,10 +134,15 @@ class TextureTable(nn.Module):
         }.items():
             self.register_buffer(name, torch.from_numpy(np.ascontiguousarray(value)), persistent=False)
 
+    @property
+    def is_constant(self) -> bool:
+        """Whether no texture varies over a surface."""
+        return len(self.texels) == 0 and not self.names
+
     def forward(self, material: Tensor, it: Interaction, geometry: Geometry) -> Tensor:
         """Values [n, channels] at the lanes of ``it``, which have these materials [n]; zeros where not valid."""
         out = self.constant[material] * it.valid.unsqueeze(-1)
-        if len(self.texels) == 0 and not self.names:
+        if self.is_constant:
             return out
         kind = torch.where(it.valid, self.kind[material], -2)
         lane = (kind == -1).nonzero().squeeze(-1)

@@ -18,7 +18,7 @@ from neurad.commands.bench.session import data_class
 from neurad.core.records import Rays
 from neurad.fields import dense_grid, hash_grid, mlp
 from neurad.fields.adam import FieldAdam
-from neurad.integrators import matte
+from neurad.integrators import glossy, matte
 from neurad.integrators.guiding import Guide
 from neurad.integrators.world import World
 from neurad.module.estimate import Estimator
@@ -195,7 +195,7 @@ def instrumented(module: InverseRenderer, recorder: Recorder) -> Iterator[None]:
         *((type(world.lights), name, "emitters") for name in ("sample", "eval", "pdf")),
         *((type(world.bsdf), name, "bsdf") for name in ("eval", "pdf", "eval_pdf", "sample")),
         *((Guide, name, "bsdf") for name in ("rows", "warp", "density", "learn", "update")),
-        (matte, "arrive", "bsdf"),  # which is all of a Lambertian bounce but its rays
+        *((compiled, "arrive", "bsdf") for compiled in (glossy, matte)),  # all of a bounce but its rays
         *((type(part), "forward", "fields: rest") for part in parts if isinstance(part, nn.Module)),
         *((grid, "forward", "fields: grids") for grid in GRIDS),
         (mlp.MLP, "forward", "fields: networks"),

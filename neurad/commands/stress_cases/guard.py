@@ -18,9 +18,8 @@ from neurad.commands.stress_cases.parts import glossy
 from neurad.commands.stress_cases.runs import fit
 from neurad.commands.stress_cases.scenes import small_cube
 from neurad.core.errors import InputError
-from neurad.core.records import EmitterSample, PixelBatch
-from neurad.emitters.area import AreaLights
-from neurad.integrators import matte_kernels
+from neurad.core.records import PixelBatch
+from neurad.integrators import bounce_kernels
 from neurad.module.inverse import InverseRenderer
 from neurad.scene.image_io import read_photograph, write_exr
 
@@ -46,7 +45,7 @@ def _planted(what: str, words: str, spoil: Callable[[InverseRenderer], None], ma
         scene = resized(small_cube(8), 8, 2)
         scene = scene if matte_scene else glossy(scene)
         images = photographs(scene, 4)
-        step, sample, arrive = InverseRenderer.training_step, AreaLights.sample, matte_kernels.arrive
+        step, arrive, collect = InverseRenderer.training_step, bounce_kernels.arrive, bounce_kernels.collect
 
         def spoilt(self: InverseRenderer, batch: PixelBatch, batch_idx: int) -> Tensor:
             if self.iteration == 2:
@@ -62,8 +61,7 @@ def _planted(what: str, words: str, spoil: Callable[[InverseRenderer], None], ma
             return Outcome(float("iteration 2" not in text or words not in text), 0.0, text)
         finally:
             InverseRenderer.training_step = step  # type: ignore[method-assign]
-            AreaLights.sample = sample  # type: ignore[method-assign]
-            matte_kernels.arrive = arrive
+            bounce_kernels.arrive, bounce_kernels.collect = arrive, collect
         return Outcome(1.0, 0.0, "the run went on")
 
     return Case("guard", what, f"stops and says: {words}", measure)
@@ -75,25 +73,25 @@ def _weight(module: InverseRenderer) -> None:
 
 
 def _sample(module: InverseRenderer) -> None:
-    plain = AreaLights.sample
+    plain = bounce_kernels.collect
 
-    def broken(self: AreaLights, p: Tensor, u: Tensor) -> EmitterSample:
-        found = plain(self, p, u)
-        found.radiance[found.pdf > 0] = math.inf
-        return found
+    def broken(*arrays: Any) -> None:
+        plain(*arrays)
+        direct = arrays[-4][0]
+        direct[direct > 0] = math.inf
 
-    AreaLights.sample = broken  # type: ignore[method-assign]
+    bounce_kernels.collect = broken  # type: ignore[assignment]
 
 
-def _compiled_sample(module: InverseRenderer) -> None:
-    plain = matte_kernels.arrive
+def _matte_sample(module: InverseRenderer) -> None:
+    plain = bounce_kernels.arrive
 
     def broken(*arrays: Any) -> None:
         plain(*arrays)
         direct = arrays[-2]
         direct[direct > 0] = math.inf
 
-    matte_kernels.arrive = broken  # type: ignore[assignment]
+    bounce_kernels.arrive = broken  # type: ignore[assignment]
 
 
 def _cost() -> Case:
@@ -129,11 +127,11 @@ def _cost() -> Case:
 
 def cases() -> list[Case]:
     """What is planted."""
-    sample = "direct returned is not finite"
+    bad = "returned is not finite"
     return [
         _texel(),
         _planted("a NaN weight", "the weight radiance.mlp.layers.0.weight is not finite", _weight),
-        _planted("an infinite sample of a light", f"integrators.vertex.bounce.{sample}", _sample, False),
-        _planted("an infinite sample, Lambertian", f"integrators.matte.arrive.{sample}", _compiled_sample),
+        _planted("an infinite sample of a light", f"integrators.glossy._collect.values[0] {bad}", _sample, False),
+        _planted("an infinite sample, Lambertian", f"integrators.matte.arrive.direct {bad}", _matte_sample),
         _cost(),
     ]
