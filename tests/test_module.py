@@ -13,6 +13,7 @@ from cameras import film
 from oracles import accept, z_test_samples
 
 from neurad.cli import main
+from neurad.core.errors import InputError
 from neurad.core.records import PixelBatch, View
 from neurad.core.rng import Stream
 from neurad.fields.settings import FieldConfig, GridConfig, RadianceConfig
@@ -132,6 +133,10 @@ def test_every_term_reaches_only_what_it_trains(estimator, gradient, normaliser)
         (Sampling(positions=1), Objective(estimator="two_pass", lhs=0), {"photometric", "prior", "second"}),
         (Sampling(positions=4, secondary=1, second_hits=1.0), Objective(prior_gradient="full"),
          {"photometric", "prior", "second", "lhs"}),
+        (Sampling(positions=8, secondary=2, cached=8, first_hits=0.25), Objective(),
+         {"photometric", "prior", "second", "lhs"}),
+        (Sampling(positions=8, secondary=1, cached=8, first_hits=0.5), Objective(prior_gradient="full"),
+         {"photometric", "prior", "second", "lhs"}),
     ],
 )  # fmt: skip
 def test_terms_that_are_switched_off_are_not_there(sampling, settings, expected):
@@ -140,6 +145,32 @@ def test_terms_that_are_switched_off_are_not_there(sampling, settings, expected)
     assert set(terms.materials) | set(terms.field) == expected
     for name, (_, loss) in {**terms.materials, **terms.field}.items():
         assert made.reached(loss.surrogate) == ROUTES[name], name
+
+
+def test_the_field_learns_the_same_from_some_of_the_first_hits():
+    """A share of the positions gives the field's losses the same mean, and leaves the photometric one as it is."""
+    rows = {}
+    for share in (1.0, 0.25):
+        made = Step(
+            Sampling(positions=8, secondary=1, cached=8, first_hits=share), Objective(normaliser="photograph")
+        )
+        assert made.step._learning(64, 8)[1] == round(8 * share)
+        batch = made.batch(64)
+        terms = [made.step(batch, Stream(k)).all for k in range(60)]
+        rows[share] = {name: np.array([float(t[name][1].value) for t in terms]) for name in terms[0]}
+    every, some = rows[1.0], rows[0.25]
+    np.testing.assert_array_equal(every["photometric"], some["photometric"])
+    error = math.sqrt((every["prior"].var() + some["prior"].var()) / 59)
+    assert abs(every["prior"].mean() - some["prior"].mean()) < 3.3 * error  # 99.9 %
+    assert some["prior"].std() < 4 * every["prior"].std()
+    # The weight of the LHS loss is the inverse square of a mean over fewer positions, which is a little larger.
+    assert some["lhs"].mean() == pytest.approx(every["lhs"].mean(), rel=0.01)
+
+
+@pytest.mark.parametrize("share", [0.0, -0.5, 1.5])
+def test_shares_of_first_hits_that_do_not_exist_are_refused(share):
+    with pytest.raises(InputError, match=r"model\.sampling\.first_hits"):
+        Sampling(first_hits=share)
 
 
 @pytest.mark.parametrize("gradient", ["semi", "full"])

@@ -26,6 +26,11 @@ class Reached:
     passed: Tensor | None
     """Whether there was one on the way [n], bool."""
 
+    def __getitem__(self, index: Tensor | slice) -> Reached:
+        """The lanes that an index tensor or a slice selects."""
+        throughput, passed = (None if x is None else x[index] for x in (self.throughput, self.passed))
+        return Reached(self.it[index], throughput, passed)
+
     def through(self, values: Tensor) -> Tensor:
         """``values`` [n, 3] dimmed by what lay on the way."""
         return values if self.throughput is None else values * self.throughput

@@ -26,6 +26,9 @@ class Sampling:
     """Cells along the scene's longest side of the histogram that tells BSDF samples where indirect light came from
     before; 0 samples by the BSDF alone. In memory and in checkpoints it takes 4.6 KB a cell, 19 MB for 16 cells in a
     cubic scene. Lambertian scenes go without."""
+    first_hits: float = 1.0
+    """Share of the positions, but no fewer than two a pixel, at which the radiance field learns: those of one pixel lie
+    so close together that few tell as much as all, and its gradient is the dearest part of a step."""
     second_hits: float = 0.5
     """Share of the positions at which the prior is also taken at the second hit; 0 leaves it out."""
 
@@ -33,6 +36,8 @@ class Sampling:
         """Refuse what cannot be sampled."""
         if not 0.0 < self.specular < 1.0:
             raise InputError("model.sampling.specular: it must lie between 0 and 1")
+        if not 0.0 < self.first_hits <= 1.0:
+            raise InputError("model.sampling.first_hits: it must lie above 0 and be at most 1")
         if not 0 <= self.guide <= 32:
             raise InputError("model.sampling.guide: it must lie in 0 .. 32")
 

@@ -118,8 +118,11 @@ class ObjectiveStep:
 
         points, lhs_image = None, None
         if self.estimator.radiance is not None:
-            points = self._query(it, surface, sample, stream)
-            lhs_image = first.through(emitted.detach() + points.first * it.valid.unsqueeze(-1)).view(b, n, 3)
+            lanes, count = self._learning(b, n)
+            at, at_surface = first[lanes], surface[lanes]
+            points = self._query(at.it, at_surface, sample, stream)
+            shown = emitted.detach()[lanes] + points.first * at.it.valid.unsqueeze(-1)
+            lhs_image = at.through(shown).view(b, count, 3)
             seen = lhs_image.mean(1)
             batch = replace(batch, color=bounded(batch.color, seen, self.epsilon, self.settings.spike))
         weight = relative_weight(self._normaliser(batch, lhs_image), self.epsilon) * counts
@@ -131,7 +134,7 @@ class ObjectiveStep:
 
         terms: dict[str, tuple[float, Loss]] = {}
         if points is not None and self.settings.prior > 0:
-            terms |= self._prior(it, surface, points, sample, control, stream)
+            terms |= self._prior(lanes, at.it, at_surface, points, sample, control, stream)
         if lhs_image is not None and self.settings.lhs > 0:
             lhs_weight = relative_weight(lhs_image.mean(1), self.epsilon) * counts
             terms["lhs"] = (self.settings.lhs, leave_one_out(lhs_image, batch.color, lhs_weight))
@@ -139,6 +142,17 @@ class ObjectiveStep:
         if sample.incident is not None and sample.weighed is not None:
             arrived = IncidentSamples(it.repeat(self.sampling.secondary), sample.weighed.wi, sample.incident)
         return StepTerms(materials, terms, arrived)
+
+    def _learning(self, pixels: int, positions: int) -> tuple[Tensor | slice, int]:
+        """Which of the first hits [pixels * positions] the radiance field learns at, and how many of each pixel.
+
+        Positions are independent, so the first of each pixel are as good as any.
+        """
+        count = max(2, round(self.sampling.first_hits * positions))
+        if count >= positions:
+            return slice(None), positions
+        index = torch.arange(pixels * positions, device=self.mixed.device)
+        return index.view(pixels, positions)[:, :count].reshape(-1), count
 
     def _mean(self, samples: Tensor) -> Tensor:
         """Means over the secondary samples of every position [n, 3]."""
@@ -206,6 +220,7 @@ class ObjectiveStep:
 
     def _prior(
         self,
+        lanes: Tensor | slice,
         it: Interaction,
         surface: Surface,
         points: _Points,
@@ -213,7 +228,7 @@ class ObjectiveStep:
         control: Control | None,
         stream: Stream,
     ) -> dict[str, tuple[float, Loss]]:
-        """The prior at first hits and, where there are some, at second hits."""
+        """The prior at first hits, some ``lanes`` of the samples', and, where there are some, at second hits."""
         assert sample.transported is not None
         settings = self.settings
         if settings.prior_gradient == "full":
@@ -222,7 +237,7 @@ class ObjectiveStep:
             transported = self._mean(sample.transported)
             if control is not None:
                 transported = transported - control.excess().view(-1, 3)
-            prior = self._semi_prior(it, surface, points.first, transported, stream)
+            prior = self._semi_prior(it, surface, points.first, transported[lanes], stream)
         terms = {"prior": (settings.prior, prior)}
         if points.second is not None and points.second_surface is not None:
             with torch.set_grad_enabled(settings.prior_trains == "both"):
