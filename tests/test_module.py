@@ -151,9 +151,7 @@ def test_the_field_learns_the_same_from_some_of_the_first_hits():
     """A share of the positions gives the field's losses the same mean, and leaves the photometric one as it is."""
     rows = {}
     for share in (1.0, 0.25):
-        made = Step(
-            Sampling(positions=8, secondary=1, cached=8, first_hits=share), Objective(normaliser="photograph")
-        )
+        made = Step(Sampling(positions=8, secondary=1, cached=8, first_hits=share), Objective(normaliser="photograph"))
         assert made.step._learning(64, 8)[1] == round(8 * share)
         batch = made.batch(64)
         terms = [made.step(batch, Stream(k)).all for k in range(60)]
