@@ -77,14 +77,20 @@ def _to_light(px: Any, py: Any, pz: Any, row: FloatArray, area: Any, u0: Any, u1
 
 
 @_inlined
-def _aimed(
-    px: Any, py: Any, pz: Any, ox: Any, oy: Any, oz: Any, wx: Any, wy: Any, wz: Any, distance: Any, offset: Any
-) -> tuple[Any, ...]:
-    """A shadow ray from the moved origin to the point ``distance`` along ``w``: direction and length."""
-    x, y, z = px - ox + wx * distance, py - oy + wy * distance, pz - oz + wz * distance  # pragma: no cover
+def _shadow_ray(
+    p: FloatArray, ng: FloatArray, wx: Any, wy: Any, wz: Any, distance: Any, offset: Any, o: FloatArray, d: FloatArray
+) -> Any:  # pragma: no cover - compiled
+    """Fill ``o, d`` [3] with a ray from ``p``, moved off its surface, to the point ``distance`` along ``w``; returns
+    the distance below which a hit means shadow.
+    """
+    side = math.copysign(offset, _dot(wx, wy, wz, ng[0], ng[1], ng[2]))
+    for k in range(3):
+        o[k] = p[k] + side * ng[k]
+    x, y, z = p[0] - o[0] + wx * distance, p[1] - o[1] + wy * distance, p[2] - o[2] + wz * distance
     reach = np.float32(math.sqrt(_dot(x, y, z, x, y, z)))
     inverse = max(reach, _TINY)
-    return x / inverse, y / inverse, z / inverse, max(reach * _SHORT - _TWO * offset, _ZERO)
+    d[0], d[1], d[2] = x / inverse, y / inverse, z / inverse
+    return max(reach * _SHORT - _TWO * offset, _ZERO)
 
 
 @_inlined
@@ -107,6 +113,19 @@ def _seen_light(
         x, y, z = end[0] - p[0], end[1] - p[1], end[2] - p[2]
         found = pdf_area[f] * _dot(x, y, z, x, y, z) / cos
     return found
+
+
+@_inlined
+def _ray(
+    p: FloatArray, ng: FloatArray, x: Any, y: Any, z: Any, c0: Any, c1: Any, c2: Any, offset: Any, o: FloatArray,
+    d: FloatArray,
+) -> None:  # fmt: skip  # pragma: no cover - compiled
+    """Fill ``o, d`` [3] with a ray from ``p``, moved off its surface, along ``c`` in the frame around (x, y, z)."""
+    s0, s1, s2, t0, t1, t2 = _tangents(x, y, z)
+    d[0], d[1], d[2] = c0 * s0 + c1 * t0 + c2 * x, c0 * s1 + c1 * t1 + c2 * y, c0 * s2 + c1 * t2 + c2 * z
+    side = math.copysign(offset, _dot(d[0], d[1], d[2], ng[0], ng[1], ng[2]))
+    for k in range(3):
+        o[k] = p[k] + side * ng[k]
 
 
 # ---- Lambertian surfaces
@@ -133,7 +152,6 @@ def leave(
     count = 0
     for i in range(p.shape[0]):
         px, py, pz = p[i, 0], p[i, 1], p[i, 2]
-        gx, gy, gz = ng[i, 0], ng[i, 1], ng[i, 2]
         x, y, z = n[i, 0], n[i, 1], n[i, 2]
         toward = _dot(x, y, z, wo[i, 0], wo[i, 1], wo[i, 2])
         if toward < _ZERO:
@@ -147,12 +165,10 @@ def leave(
             wx, wy, wz, distance, of_light = _to_light(px, py, pz, table[chosen], pdf_area[f], u[i, 0], u[i, 1])
             density = _dot(wx, wy, wz, x, y, z) * _INV_PI
             if density > _ZERO and of_light > _ZERO:
-                side = math.copysign(offset, _dot(wx, wy, wz, gx, gy, gz))
-                ox, oy, oz = px + side * gx, py + side * gy, pz + side * gz
-                ax, ay, az, reach = _aimed(px, py, pz, ox, oy, oz, wx, wy, wz, distance, offset)
-                lane[count], t_max[count] = i, reach
-                shadow_o[count, 0], shadow_o[count, 1], shadow_o[count, 2] = ox, oy, oz
-                shadow_d[count, 0], shadow_d[count, 1], shadow_d[count, 2] = ax, ay, az
+                lane[count] = i
+                t_max[count] = _shadow_ray(
+                    p[i], ng[i], wx, wy, wz, distance, offset, shadow_o[count], shadow_d[count]
+                )  # fmt: skip
                 scale = density / (of_light + density)  # value * MIS weight / pdf
                 for k in range(3):
                     light[count, k] = emission[f, k] * scale
@@ -165,11 +181,7 @@ def leave(
             r, phi = b, _HALF_PI - _QUARTER_PI * (a / (b if b != _ZERO else _ONE))
         c0, c1 = r * np.float32(math.cos(phi)), r * np.float32(math.sin(phi))
         c2 = np.float32(math.sqrt(max(_ONE - (c0 * c0 + c1 * c1), _ZERO)))
-        s0, s1, s2, t0, t1, t2 = _tangents(x, y, z)
-        wx, wy, wz = c0 * s0 + c1 * t0 + c2 * x, c0 * s1 + c1 * t1 + c2 * y, c0 * s2 + c1 * t2 + c2 * z
-        side = math.copysign(offset, _dot(wx, wy, wz, gx, gy, gz))
-        o[i, 0], o[i, 1], o[i, 2] = px + side * gx, py + side * gy, pz + side * gz
-        d[i, 0], d[i, 1], d[i, 2] = wx, wy, wz
+        _ray(p[i], ng[i], x, y, z, c0, c1, c2, offset, o[i], d[i])
         pdf[i] = c2 * _INV_PI if use else _ZERO
     return count
 
@@ -265,28 +277,19 @@ def send(
     """
     count = 0
     for i in range(p.shape[0]):
-        px, py, pz = p[i, 0], p[i, 1], p[i, 2]
-        gx, gy, gz = ng[i, 0], ng[i, 1], ng[i, 2]
-        offset = _offset(px, py, pz, face_offset[max(prim[i], 0)], radius)
+        offset = _offset(p[i, 0], p[i, 1], p[i, 2], face_offset[max(prim[i], 0)], radius)
         if reflects[i] and sent[i, 1] > _ZERO and (asked[0, i] > _ZERO or asked[1, i] > _ZERO):
-            wx, wy, wz = way[i, 0], way[i, 1], way[i, 2]
-            side = math.copysign(offset, _dot(wx, wy, wz, gx, gy, gz))
-            ox, oy, oz = px + side * gx, py + side * gy, pz + side * gz
-            ax, ay, az, reach = _aimed(px, py, pz, ox, oy, oz, wx, wy, wz, sent[i, 0], offset)
-            lane[count], t_max[count] = i, reach
-            shadow_o[count, 0], shadow_o[count, 1], shadow_o[count, 2] = ox, oy, oz
-            shadow_d[count, 0], shadow_d[count, 1], shadow_d[count, 2] = ax, ay, az
+            lane[count] = i
+            t_max[count] = _shadow_ray(
+                p[i], ng[i], way[i, 0], way[i, 1], way[i, 2], sent[i, 0], offset, shadow_o[count], shadow_d[count]
+            )  # fmt: skip
             scale = _ONE / (sent[i, 1] + asked[2, i])  # MIS weight / pdf
             for k in range(3):
                 light[count, k] = emission[source[i], k] * scale
             count += 1
-        x, y, z = normal[i, 0], normal[i, 1], normal[i, 2]
-        c0, c1, c2 = wi[i, 0], wi[i, 1], wi[i, 2]
-        s0, s1, s2, t0, t1, t2 = _tangents(x, y, z)
-        wx, wy, wz = c0 * s0 + c1 * t0 + c2 * x, c0 * s1 + c1 * t1 + c2 * y, c0 * s2 + c1 * t2 + c2 * z
-        side = math.copysign(offset, _dot(wx, wy, wz, gx, gy, gz))
-        o[i, 0], o[i, 1], o[i, 2] = px + side * gx, py + side * gy, pz + side * gz
-        d[i, 0], d[i, 1], d[i, 2] = wx, wy, wz
+        _ray(
+            p[i], ng[i], normal[i, 0], normal[i, 1], normal[i, 2], wi[i, 0], wi[i, 1], wi[i, 2], offset, o[i], d[i]
+        )  # fmt: skip
     return count
 
 
