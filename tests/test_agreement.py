@@ -37,18 +37,24 @@ def resized(camera, size):
 
 @pytest.mark.parametrize("name", ["staircase", "veach-ajar"])
 def test_mean_of_each_stored_view_agrees_within_one_percent(name):
-    """The stored pictures are another renderer's; our own noise on the mean is measured from independent blocks."""
+    """The stored pictures are another renderer's. Our own noise on the mean is measured from independent blocks; four
+    leave up to 0.7 %, so a view that comes near the bar with them is given 20 more.
+    """
     scene, integrator = path_tracer(name)
     rows = []
     for view in scene.test + scene.train:
         stored = read_exr(view.image)[..., :3].mean()
-        blocks = [
-            render(resized(view.camera, 64), integrator, 32, mix(9, *view.name.encode(), k)).mean().item()
-            for k in range(4)
-        ]
-        ours, error = np.mean(blocks), np.std(blocks, ddof=1) / math.sqrt(len(blocks))
+        blocks: list[float] = []
+        for count in (4, 24):
+            blocks += [
+                render(resized(view.camera, 64), integrator, 32, mix(9, *view.name.encode(), k)).mean().item()
+                for k in range(len(blocks), count)
+            ]
+            ours, error = np.mean(blocks), np.std(blocks, ddof=1) / math.sqrt(len(blocks))
+            print(f"{name} {view.name}: {ours / stored - 1:+.4f} +- {error / stored:.4f}, {count} blocks")
+            if abs(ours / stored - 1) + 2 * error / stored < 0.01:
+                break
         rows.append((view.name, ours / stored - 1, error / stored))
-        print(f"{name} {view.name}: {rows[-1][1]:+.4f} +- {rows[-1][2]:.4f}")
     assert max(abs(difference) for _, difference, _ in rows) <= 0.01
 
 

@@ -9,7 +9,8 @@ from torch import Tensor
 from neurad.core.errors import InputError
 from neurad.scene.description import Scene
 
-_GUIDE = "world.guide."
+_OPTIONAL = "world.guide.", "average."
+"""Names that what only takes noise away begins with."""
 
 
 def fitting(
@@ -17,7 +18,8 @@ def fitting(
 ) -> dict[str, Any]:
     """What a run wrote about itself into its checkpoint, if the weights fit.
 
-    A guide only takes noise away: where the checkpoint has none, or another one, it is given the fresh one of ``own``.
+    A guide and averages only take noise away: where the checkpoint has none, or others, it is given the fresh ones of
+    ``own``.
 
     Args:
         checkpoint: as Lightning loads it; its ``state_dict`` may be replaced.
@@ -34,10 +36,11 @@ def fitting(
     if state["fingerprint"] != scene.fingerprint:
         raise InputError(f"--ckpt_path: the checkpoint is of scene {state['scene']}, not of {scene.name} as given")
     weights = checkpoint["state_dict"]
-    mine = {name: value for name, value in own.items() if name.startswith(_GUIDE)}
-    if {n: w.shape for n, w in weights.items() if n.startswith(_GUIDE)} != {n: w.shape for n, w in mine.items()}:
-        weights = {name: value for name, value in weights.items() if not name.startswith(_GUIDE)} | mine
-        checkpoint["state_dict"] = weights
+    for prefix in _OPTIONAL:
+        mine = {name: value for name, value in own.items() if name.startswith(prefix)}
+        if {n: w.shape for n, w in weights.items() if n.startswith(prefix)} != {n: w.shape for n, w in mine.items()}:
+            weights = {name: value for name, value in weights.items() if not name.startswith(prefix)} | mine
+    checkpoint["state_dict"] = weights
     for name, value in weights.items():
         if name not in own or own[name].shape != value.shape:
             raise InputError(f"--ckpt_path: the checkpoint has other field sizes than the config ({name} differs)")

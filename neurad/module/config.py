@@ -109,6 +109,9 @@ class Optimization:
     """Iterations over which the rates rise from zero."""
     final: float = 0.02
     """Share of the rates left at the end of the cosine."""
+    average: float = 0.0
+    """Evaluations and results show materials averaged over this share of the iterations so far, which takes out the
+    noise that high learning rates leave; 0 shows the present ones."""
     clip: float = 0.0
     """Largest norm of an optimizer's gradient, a longer one is shortened to it; 0 leaves gradients as they are."""
     matmul: Literal["highest", "high", "medium"] = "highest"
@@ -117,6 +120,8 @@ class Optimization:
     all else stay float32, and so do evaluations."""
 
     def __post_init__(self) -> None:
-        """Refuse precisions that do not exist."""
+        """Refuse what does not exist."""
         if self.matmul not in ("highest", "high", "medium"):
             raise InputError(f"model.optimization.matmul: '{self.matmul}' is unknown, choose highest, high or medium")
+        if not 0.0 <= self.average <= 1.0:
+            raise InputError("model.optimization.average: it must lie in 0 .. 1")

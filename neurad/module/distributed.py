@@ -15,9 +15,10 @@ from torch import Tensor, nn
 def set_aside(module: nn.Module) -> set[str]:
     """Names of what DDP shall not look after: tables, and buffers that are no state and so the same everywhere.
 
-    Such buffers are the scene itself, or a guide that all processes teach alike (:func:`gather`); DDP would send them
-    around before every step. Where there are tables and nothing else, as with dense grids, the smallest is left to DDP,
-    which refuses to look after nothing; its gradient travels dense, and :func:`average_tables` makes it sparse again.
+    Such buffers are the scene itself, a guide that all processes teach alike (:func:`gather`), or averages of weights,
+    which are alike; DDP would send them around before every step. Where there are tables and nothing else, as with
+    dense grids, the smallest is left to DDP, which refuses to look after nothing; its gradient travels dense, and
+    :func:`average_tables` makes it sparse again.
     """
     state = module.state_dict().keys()
     parameters = dict(module.named_parameters())
@@ -26,7 +27,8 @@ def set_aside(module: nn.Module) -> set[str]:
         smallest = min(sorted(tables), key=lambda name: parameters[name].numel())  # the same in every process
         module.get_submodule(smallest.removesuffix(".table")).fast = False  # type: ignore[assignment]
         tables.remove(smallest)
-    return tables | {name for name, _ in module.named_buffers() if name not in state or ".guide." in name}
+    alike = ".guide.", "average."
+    return tables | {name for name, _ in module.named_buffers() if name not in state or any(a in name for a in alike)}
 
 
 def average_tables(module: nn.Module, names: set[str]) -> None:

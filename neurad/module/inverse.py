@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from contextlib import nullcontext
 from typing import Any, Literal
 
 import lightning as L
@@ -26,6 +27,7 @@ from neurad.integrators.world import World
 from neurad.losses.relative import smoothed, total
 from neurad.metrics.held_out import HeldOut
 from neurad.module.assemble import FittedMaterials, build_materials, build_radiance, build_world
+from neurad.module.average import Average
 from neurad.module.checkpoint import fitting
 from neurad.module.config import Lighting, Objective, Optimization, Sampling
 from neurad.module.distributed import agreed, average_tables, gather, set_aside
@@ -68,6 +70,7 @@ class InverseRenderer(L.LightningModule):
     """
 
     materials: FittedMaterials | TrueMaterials
+    average: Average | None
     world: World
     radiance: RadianceField | None
 
@@ -105,6 +108,7 @@ class InverseRenderer(L.LightningModule):
         self.samples = 0
         """Path samples drawn so far by training: pixels x positions x secondary."""
         self.last_losses: dict[str, Tensor] = {}
+        self.average = None
         self._step: ObjectiveStep | None = None
         self._guard = Guard(self)
         self._held_out: HeldOut | None = None
@@ -149,6 +153,8 @@ class InverseRenderer(L.LightningModule):
             self.materials = TrueMaterials(self.scene, self.world.geometry)
         else:
             self.materials = build_materials(self.scene, albedo, roughness, self.world.geometry)
+            if self.optimization.average > 0:
+                self.average = Average(self.materials, self.optimization.average)
         self.radiance = build_radiance(self.scene, radiance) if self.method.needs_field else None
         if self.trainer.world_size > 1:
             self._ddp_params_and_buffers_to_ignore = set_aside(self)  # DDP's own name for it
@@ -247,6 +253,8 @@ class InverseRenderer(L.LightningModule):
             optimizer.step()
         teach(self.world.guide, terms.arrived, self.iteration, gather if self.processes > 1 else None)
         self.iteration += 1
+        if self.average is not None:
+            self.average.update(self.iteration)
         passes = self.processes * (2 if self.settings.estimator == "two_pass" else 1)
         self.samples += passes * len(batch.view) * self.sampling.positions * self.sampling.secondary
         self.last_losses = {name: loss.value for name, (_, loss) in terms.all.items()}
@@ -276,7 +284,8 @@ class InverseRenderer(L.LightningModule):
         cast = self.world.rays_cast
         if self._light is None and self.environment is not None:
             self._light = unknown_light(self.scene, self.environment, self._held_out)
-        result = evaluate(self._held_out, self.estimator, render_spp, glossy, self._light, self.scene)
+        with nullcontext() if self.average is None else self.average.used():
+            result = evaluate(self._held_out, self.estimator, render_spp, glossy, self._light, self.scene)
         self.world.rays_cast = cast
         self._guard.images(result.maps, [view.name for view in self._held_out.views])
         return result

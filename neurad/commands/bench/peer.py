@@ -2,9 +2,9 @@
 
 All run on this machine, one after the other, each as a process of its own, on the same photographs, and are scored by
 the same code on the same held-out pixels. Seconds count from the start of each process, compilation included and
-evaluation left out. What the peer gets: rays of all views mixed in one batch, leave-one-out residuals instead of a
-second rendering, the relative loss, a Laplacian pyramid over surface voxels or the networks of ``neurad fit``, Adam
-with the same decays and a cosine over the budget.
+evaluation left out. Neither side averages its weights. What the peer gets: rays of all views mixed in one batch,
+leave-one-out residuals instead of a second rendering, the relative loss, a Laplacian pyramid over surface voxels or the
+networks of ``neurad fit``, Adam with the same decays and a cosine over the budget.
 
 Tuning of the peer on the built-in kitchen: 60 CPU-seconds on one core each, albedo (roughness) PSNR at the end, in dB.
 Unless stated a Laplacian pyramid over 128^3, relative to the photograph, learning rate 0.03, roughness a third of it,
@@ -199,6 +199,7 @@ def _fit(options: argparse.Namespace, config: str, budget: float) -> Path:
         "--trainer.max_time", UNTIL_STOPPED,
         f"--trainer.callbacks+={TIMER}", f"--trainer.callbacks.seconds={budget:g}",
         "--evaluation.share", "1000", "--evaluation.spp", "1",
+        "--model.optimization.average", "0",  # the peer has no averages either
     ]  # fmt: skip
     _process("ours", budget, [sys.executable, "-c", FIT, *arguments])
     made = set(folder.glob("lightning_logs/version_*")) - before
