@@ -43,7 +43,7 @@ def fit(devices, seed=0, kind="hash", joined=False):
     sizes = {"grid": grid, "width": 16, "kind": kind, "size": 16}
     module = InverseRenderer(
         FieldConfig(**sizes), FieldConfig(**sizes), RadianceConfig(**sizes, hidden_layers=1),
-        Sampling(positions=2, secondary=1, cached=2), optimization=Optimization(warmup=1), seed=seed,
+        Sampling(positions=2, secondary=1, cached=2), optimization=Optimization(warmup=1, average=0.5), seed=seed,
     )  # fmt: skip
     trainer = pl.Trainer(
         accelerator="cpu", devices=devices, strategy="ddp" if devices > 1 else "auto", max_steps=STEPS, max_epochs=-1,
