@@ -160,14 +160,6 @@ class Principled:
         kernels.direction(rough, view, numbers, np.float32(1.0 - self.specular_share), wi.numpy())
         return wi
 
-    def lobes_and_slopes(self, roughness: Tensor, wo: Tensor, wi: Tensor) -> Tensor:
-        """Rows d, s, pdf, dd/droughness and ds/droughness [5, n] without a graph, by the compiled kernel.
-
-        Raises:
-            ValueError: the arguments have different numbers of lanes.
-        """
-        return compiled_lobes(roughness, wo, wi, self.eta, self.specular_share)
-
     def _direction(self, surface: Surface, wo: Tensor, u: Tensor) -> Tensor:
         roughness = surface.roughness.detach()
         if self._compiled(wo):

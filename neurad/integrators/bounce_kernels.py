@@ -2,7 +2,8 @@
 principled ones; see :mod:`neurad.integrators.matte` and :mod:`neurad.integrators.glossy`.
 
 All arithmetic is float32, in the order of the plain formulas: the offsets of spawned rays are bounds on its rounding.
-Compiled at first use and cached on disk; the kernels release the interpreter lock and run on the calling thread.
+What they share is compiled into each of them, so they stay in one file: numba's cache looks at the file of the caller
+alone. Compiled at first use and cached on disk; the kernels release the interpreter lock and run on the calling thread.
 """
 
 from __future__ import annotations

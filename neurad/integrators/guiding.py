@@ -11,12 +11,13 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
+from dataclasses import dataclass
 
 import torch
 from torch import Tensor, nn
 
-from neurad.core.records import Interaction
-from neurad.core.sampling import disk_to_square
+from neurad.core.records import BSDFSample, Interaction
+from neurad.core.sampling import INV_PI, disk_to_square
 from neurad.integrators import guiding_kernels as kernels
 
 Exchange = Callable[[Tensor, Tensor], tuple[Tensor, Tensor]]
@@ -161,6 +162,31 @@ class Guide(nn.Module):
 
     def _compiled(self, x: Tensor) -> bool:
         return self.fast and x.dtype == torch.float32 and x.device.type == "cpu"
+
+
+@dataclass(frozen=True)
+class Guided:
+    """A guide at the lanes of a bounce. It bends the diffuse lobe's samples only; the density is that of both lobes."""
+
+    guide: Guide
+    rows: Tensor
+    share: float | Tensor
+
+    def excess(self, wi: Tensor) -> Tensor:
+        """What the guide adds to the density of local directions [n]; it integrates to 0."""
+        return self.share * (wi[:, 2].clamp_min(0.0) * INV_PI) * (self.guide.density(self.rows, wi) - 1.0)
+
+    def warp(self, u: Tensor) -> Tensor:
+        """Numbers for the BSDF [n, 3] from uniform ones."""
+        by_cosine = u[:, 0] < self.share
+        warped = torch.where(by_cosine.unsqueeze(-1), self.guide.warp(self.rows, u[:, 1:]), u[:, 1:])
+        return torch.cat((u[:, :1], warped), -1)
+
+    def corrected(self, sample: BSDFSample) -> BSDFSample:
+        """The sample with the density that it was really drawn by."""
+        pdf = torch.where(sample.pdf > 0, sample.pdf + self.excess(sample.wi), 0.0)
+        ratio = torch.where(pdf > 0, sample.pdf / pdf, 0.0)
+        return BSDFSample(sample.wi, pdf, sample.weight * ratio.unsqueeze(-1))
 
 
 _BELOW_ONE = 1.0 - 2.0**-24

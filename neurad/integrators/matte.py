@@ -7,49 +7,25 @@ products is done by two compiled passes, one before the rays are cast and one af
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import numpy as np
 import torch
 from torch import Tensor
 
 from neurad.bsdf.diffuse import Diffuse
-from neurad.core.records import Interaction, Rays
+from neurad.core.records import Interaction, Rays, Surface
 from neurad.emitters.area import AreaLights
+from neurad.integrators import bounce_kernels as kernels
+from neurad.integrators.bounced import Bounce, compilable
 from neurad.integrators.world import World
 
 
-@dataclass(frozen=True)
-class Arrived:
-    """One sample of the light that arrives at Lambertian vertices, for albedo 1."""
-
-    direct: Tensor
-    """Light of emitters by both techniques, MIS-weighted [n, 3]."""
-    through: Tensor
-    """Weight of the BSDF sample: 1, or 0 where nothing is reflected [n, 1]."""
-    next: Interaction
-    """Where the BSDF sample ended."""
-
-
 def applies(world: World, it: Interaction) -> bool:
-    """Whether the compiled passes do all that a bounce in ``world`` needs: float32 on the CPU, known light."""
-    lights = world.lights
-    return (
-        type(it) is Interaction  # one that carries more has to hand it on
-        and isinstance(lights, AreaLights)
-        and isinstance(world.bsdf, Diffuse)
-        and world.delta is None
-        and world.guide is None
-        and it.p.device.type == "cpu"
-        and it.p.dtype == torch.float32 == lights.emission.dtype
-        and not (it.p.requires_grad or lights.emission.requires_grad)
-    )
+    """Whether the compiled passes do all that a bounce in ``world`` needs."""
+    return compilable(world, it) and isinstance(world.bsdf, Diffuse) and world.delta is None and world.guide is None
 
 
-def arrive(world: World, it: Interaction, u: Tensor) -> Arrived:
-    """Cast the rays of one bounce at the lanes of ``it``, with uniform numbers ``u`` [n, 7]."""
-    from neurad.integrators import bounce_kernels as kernels  # compiled code is loaded by those who use it
-
+def arrive(world: World, it: Interaction, surface: Surface, u: Tensor) -> Bounce:
+    """One bounce at the lanes of ``it``, with uniform numbers ``u`` [n, 7]."""
     lights, geometry, m = world.lights, world.geometry, len(it)
     assert isinstance(lights, AreaLights)
     p, ng, n, wo, prim = (x.contiguous().numpy() for x in (it.p, it.ng, it.n, it.wo, it.prim))
@@ -70,4 +46,4 @@ def arrive(world: World, it: Interaction, u: Tensor) -> Arrived:
         lane[:count].numpy(), light[:count].numpy(), blocked.numpy(), p, pdf.numpy(), end_p, end_ng, end_wo, end_prim,
         end.valid.numpy(), pdf_area, emission, direct.numpy(), through.numpy(),
     )  # fmt: skip
-    return Arrived(direct, through, end)
+    return Bounce(surface.albedo * direct, surface.albedo * through, end)

@@ -13,7 +13,8 @@ from torch import Tensor
 from neurad.core.protocols import Materials
 from neurad.core.records import Interaction, Rays, Surface
 from neurad.core.rng import Stream
-from neurad.integrators.vertex import DIMENSIONS, Weighed
+from neurad.integrators.bounced import Weighed
+from neurad.integrators.vertex import DIMENSIONS
 from neurad.integrators.world import World
 
 ReflectedRadiance = Callable[[Interaction, Tensor], Tensor] | Callable[[Interaction, Tensor | None], Tensor]

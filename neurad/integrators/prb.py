@@ -17,9 +17,9 @@ from torch import Tensor, nn
 
 from neurad.core.records import Interaction, Surface
 from neurad.core.rng import Stream
+from neurad.integrators.bounced import Weighed
 from neurad.integrators.method import Parts, Reflected
 from neurad.integrators.path import Path
-from neurad.integrators.vertex import Weighed
 from neurad.integrators.walk import Vertex, loosen, walk
 
 

@@ -12,7 +12,8 @@ from torch import Tensor
 from neurad.core.protocols import Materials
 from neurad.core.records import Interaction, Surface
 from neurad.core.rng import Stream
-from neurad.integrators.vertex import DIMENSIONS, Bounce, bounce
+from neurad.integrators.bounced import Bounce
+from neurad.integrators.vertex import DIMENSIONS, bounce
 from neurad.integrators.world import World
 
 Survival = Callable[[int, Tensor, Tensor], Tensor | None]

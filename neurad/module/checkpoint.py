@@ -9,8 +9,8 @@ from torch import Tensor
 from neurad.core.errors import InputError
 from neurad.scene.description import Scene
 
-_OPTIONAL = "world.guide.", "average."
-"""Names that what only takes noise away begins with."""
+ASIDE = "world.guide.", "average."
+"""What names of state begin with that only takes noise away: no weights, and alike in all processes."""
 
 
 def fitting(
@@ -36,7 +36,7 @@ def fitting(
     if state["fingerprint"] != scene.fingerprint:
         raise InputError(f"--ckpt_path: the checkpoint is of scene {state['scene']}, not of {scene.name} as given")
     weights = checkpoint["state_dict"]
-    for prefix in _OPTIONAL:
+    for prefix in ASIDE:
         mine = {name: value for name, value in own.items() if name.startswith(prefix)}
         if {n: w.shape for n, w in weights.items() if n.startswith(prefix)} != {n: w.shape for n, w in mine.items()}:
             weights = {name: value for name, value in weights.items() if not name.startswith(prefix)} | mine

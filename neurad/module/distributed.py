@@ -11,6 +11,8 @@ import torch
 import torch.distributed as dist
 from torch import Tensor, nn
 
+from neurad.module.checkpoint import ASIDE
+
 
 def set_aside(module: nn.Module) -> set[str]:
     """Names of what DDP shall not look after: tables, and buffers that are no state and so the same everywhere.
@@ -27,8 +29,7 @@ def set_aside(module: nn.Module) -> set[str]:
         smallest = min(sorted(tables), key=lambda name: parameters[name].numel())  # the same in every process
         module.get_submodule(smallest.removesuffix(".table")).fast = False  # type: ignore[assignment]
         tables.remove(smallest)
-    alike = ".guide.", "average."
-    return tables | {name for name, _ in module.named_buffers() if name not in state or any(a in name for a in alike)}
+    return tables | {name for name, _ in module.named_buffers() if name not in state or name.startswith(ASIDE)}
 
 
 def average_tables(module: nn.Module, names: set[str]) -> None:

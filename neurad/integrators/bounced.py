@@ -1,0 +1,56 @@
+"""What a bounce gives, whichever way it is made."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from neurad.core.records import Interaction
+from neurad.emitters.area import AreaLights
+from neurad.integrators.world import World
+
+
+@dataclass(frozen=True)
+class Weighed:
+    """How BSDF samples weigh, compared with their mean: what a control variate and a guide ask for."""
+
+    deviation: Tensor
+    """Weight of the sample, without smooth surfaces on the way, less its mean: zero on average whatever light there is,
+    with the gradient of the surface [n, 3]."""
+    relative: Tensor
+    """Weight over its mean, without gradient [n, 3]: 1 on average."""
+    wi: Tensor
+    """Direction of the sample in the shading frame, without gradient [n, 3]."""
+
+
+@dataclass(frozen=True)
+class Bounce:
+    """One sample of the transport operator at a vertex: ``T_hat(E + L) = direct + weight * L(next)``.
+
+    ``direct`` and ``weight`` carry the gradient of the surface; directions and pdfs are held fixed (detached sampling).
+    """
+
+    direct: Tensor
+    """One-sample estimate of T(E): both techniques, MIS-weighted [n, 3]."""
+    weight: Tensor
+    """f cos / pdf of the BSDF sample [n, 3]."""
+    next: Interaction
+    """Where the BSDF sample ended."""
+    weighed: Weighed | None = None
+    """None unless asked for, or where all weights are the same."""
+
+
+def compilable(world: World, it: Interaction) -> bool:
+    """Whether compiled passes can make bounces at ``it``, as far as light and vertices go: known area lights, and
+    float32 on the CPU without gradients.
+    """
+    lights = world.lights
+    return (
+        type(it) is Interaction  # one that carries more has to hand it on
+        and isinstance(lights, AreaLights)
+        and it.p.device.type == "cpu"
+        and it.p.dtype == torch.float32 == lights.emission.dtype
+        and not (it.p.requires_grad or lights.emission.requires_grad)
+    )
