@@ -26,7 +26,7 @@ from neurad.scene.textures import TrueMaterials
 CPU = torch.device("cpu")
 JOB = {
     "albedo": 0.5, "tracer": "embree", "fields": "hash", "size": 16, "method": "ours", "limit": 4, "roulette": 0.95,
-    "positions": 2, "pixels": 32, "device": "cpu",
+    "positions": 2, "pixels": 32, "first_hits": 1.0, "device": "cpu",
 }  # fmt: skip
 
 
@@ -111,6 +111,22 @@ def test_verdict():
     assert "not all" in cube.verdicts([row(0.3, 100.0, 400.0), row(0.99, None, None)])[0]
 
 
+def test_ratios_compare_dense_grids_alone():
+    rows = [row(a, ms, 1.0, "dense") for a, ms in ((0.5, 20.0), (0.97, 25.0))] + [row(0.97, 1.0, 1.0)]
+    rows += [row(0.5, 50.0, 1.0, "voxels", "mitsuba"), row(0.97, None, None, "voxels", "mitsuba")]
+    assert cube.ratios(rows) == ["mitsuba over ours, albedo 0.5: x 2.50"]
+
+
+def test_only_the_second_step_of_a_turn_counts(monkeypatch):
+    answers = (
+        'for word in ready step step step step step step end; do echo \'{"seconds": \'$((n++)).0\', "rays": 1, '
+        '"base": 0, "peak": 0}\'; read; done'
+    )
+    monkeypatch.setattr(cube, "WORKER", ["bash", "-c", answers, "--"])
+    (cell,) = cube.measure([JOB], 3, 100.0)
+    assert cell.seconds == [2.0, 4.0, 6.0]
+
+
 def test_a_process_that_dies_leaves_a_row(monkeypatch):
     """As one that runs out of memory would: the others are measured, and the reason is kept."""
     monkeypatch.setattr(cube, "WORKER", ["bash", "-c", "echo no memory >&2; exit 3", "--"])
@@ -143,6 +159,7 @@ def test_bench_cube(tmp_path, capsys):
         (["cube", "--albedos", "1.0"], "--albedos"),
         (["cube", "--methods", "ours,nerf"], "--methods: nerf"),
         (["cube", "--positions", "1"], "--positions"),
+        (["cube", "--first-hits", "0"], "--first-hits"),
         (["gradients", "--states", "0.5", "0.5"], "--states"),
         (["gradients", "--batches", "2"], "--batches"),
         (["gradients", "--scene", "cornell", "--albedos", "--view", "9"], "--view"),

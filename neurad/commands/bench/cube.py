@@ -3,8 +3,9 @@
 A closed cube whose walls have one albedo makes paths as long as one likes. Every method gets the same pixels, positions
 and samples, and every pair of method and albedo a process of its own, so that peak memory is that of the pair alone.
 The processes of one method stay alive together and take their steps in turns: what else the machine does at the time
-hits all albedos alike. Albedo and radiance fields start at the true values, and the optimizers run at rate 0, so each
-step costs what a step costs and the albedo stays what the row says (as in the paper's supplement).
+hits all albedos alike, and with ``--peer`` ours on dense grids and Mitsuba alike. Albedo and radiance fields start at the
+true values, and the optimizers run at rate 0, so each step costs what a step costs and the albedo stays what the row says
+(as in the paper's supplement).
 """
 
 from __future__ import annotations
@@ -42,6 +43,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--peer", action="store_true", help="Mitsuba 3's prb (llvm_ad_rgb) on the same cube as well")
     parser.add_argument("--pixels", type=int, default=2048, help="pixels in a batch")
     parser.add_argument("--positions", type=int, default=8, help="positions, and so path samples, a pixel; at least 2")
+    parser.add_argument(
+        "--first-hits", type=float, default=0.25,
+        help="share of the positions at which the radiance field of ours learns, as model.sampling.first_hits",
+    )  # fmt: skip
     parser.add_argument("--size", type=int, default=128, help="vertices along a side of the dense grids")
     parser.add_argument(
         "--roulette", type=float, default=0.95,
@@ -63,30 +68,40 @@ def run(options: argparse.Namespace) -> None:
         InputError: a bad option, or parts that cannot be built.
     """
     _check(options)
-    common = {name: getattr(options, name) for name in ("pixels", "positions", "size", "roulette", "device")}
+    common = {
+        name: getattr(options, name) for name in ("pixels", "positions", "first_hits", "size", "roulette", "device")
+    }
     common["tracer"] = options.tracer or ("warp" if options.device.startswith("cuda") else "embree")
     lengths = _ask_lengths(options.albedos, common)
     for albedo, (mean, limit) in lengths.items():
         print(f"albedo {albedo:g}: paths of {mean:.2f} bounces on average, at most {limit} (99.9 %)", flush=True)
-    pairs = [(kind, method) for kind in options.fields.split(",") for method in options.methods.split(",")]
-    if options.peer:
-        pairs.append(("voxels", "mitsuba"))
     rows: list[dict[str, Any]] = []
-    for kind, method in pairs:
+    for group in _groups(options):
         jobs = [
             {**common, "fields": kind, "method": method, "albedo": albedo, "limit": lengths[albedo][1]}
+            for kind, method in group
             for albedo in options.albedos
         ]
-        group = measure(jobs, options.steps, options.limit)
-        if reason := next((cell.missing for cell in group if cell.missing), ""):
-            if method != "mitsuba":
-                raise InputError(reason)
+        cells = measure(jobs, options.steps, options.limit)
+        for cell in cells:
+            if not cell.missing:
+                rows.append(_row(cell, *lengths[cell.job["albedo"]]))
+                print(f"neurad: {_sentence(rows[-1])}", file=sys.stderr, flush=True)
+            elif cell.job["method"] != "mitsuba":
+                raise InputError(cell.missing)
+        if reason := next((cell.missing for cell in cells if cell.missing), ""):
             print(f"neurad: left out: {reason}", file=sys.stderr)
-            continue
-        for cell in group:
-            rows.append(_row(cell, *lengths[cell.job["albedo"]]))
-            print(f"neurad: {_sentence(rows[-1])}", file=sys.stderr, flush=True)
     _report(rows, options)
+
+
+def _groups(options: argparse.Namespace) -> list[list[tuple[str, str]]]:
+    """Pairs of field and method whose processes take their steps in turns: each alone, but ours beside the peer."""
+    groups = [[(kind, method)] for kind in options.fields.split(",") for method in options.methods.split(",")]
+    if options.peer:
+        beside = next((group for group in groups if group == [("dense", "ours")]), [])
+        groups = [group for group in groups if group is not beside]
+        groups.append([*beside, ("voxels", "mitsuba")])
+    return groups
 
 
 def _check(options: argparse.Namespace) -> None:
@@ -95,6 +110,8 @@ def _check(options: argparse.Namespace) -> None:
             raise InputError(f"--{name}: {getattr(options, name)} is not a positive number")
     if options.positions < 2:
         raise InputError("--positions: leave-one-out residuals need at least 2")
+    if not 0.0 < options.first_hits <= 1.0:
+        raise InputError(f"--first-hits: {options.first_hits:g} is not in (0, 1]")
     if not 0.0 < options.roulette <= 1.0:
         raise InputError(f"--roulette: {options.roulette:g} is not in (0, 1]")
     if not all(0.0 < albedo < 1.0 for albedo in options.albedos):
@@ -161,7 +178,11 @@ class Cell:
 
 
 def measure(jobs: Sequence[dict[str, Any]], steps: int, limit: float) -> list[Cell]:
-    """Start a process for every job, let them take steps in turns, and ask for their memory in the end."""
+    """Start a process for every job, let them take steps in turns, and ask for their memory in the end.
+
+    A turn is two steps, of which the second counts: in a training run a step finds the caches as the last one left
+    them, and after another process's turn it does not.
+    """
     cells = [Cell(job) for job in jobs]
     try:
         for cell in cells:
@@ -170,6 +191,7 @@ def measure(jobs: Sequence[dict[str, Any]], steps: int, limit: float) -> list[Ce
             for cell in cells:
                 if count >= LEAST and (count >= steps or sum(cell.seconds) > limit):
                     continue
+                cell.ask("step")
                 if answer := cell.ask("step"):
                     cell.seconds.append(answer["seconds"])
                     cell.rays = answer["rays"]
@@ -236,6 +258,16 @@ def verdicts(rows: Sequence[dict[str, Any]]) -> list[str]:
     return found
 
 
+def ratios(rows: Sequence[dict[str, Any]]) -> list[str]:
+    """How many times longer Mitsuba's step takes than ours with dense grids, one sentence an albedo."""
+    ours = {row["albedo"]: row["ms"] for row in rows if (row["method"], row["fields"]) == ("ours", "dense")}
+    return [
+        f"mitsuba over ours, albedo {row['albedo']:g}: x {row['ms'] / ours[row['albedo']]:.2f}"
+        for row in rows
+        if row["method"] == "mitsuba" and row["ms"] and ours.get(row["albedo"])
+    ]
+
+
 def _report(rows: list[dict[str, Any]], options: argparse.Namespace) -> None:
     # Not before the last child has ended: on Linux a child begins with the peak memory of its parent.
     from neurad.commands.bench.machine import describe, pick_device, report
@@ -246,5 +278,5 @@ def _report(rows: list[dict[str, Any]], options: argparse.Namespace) -> None:
         f"and what of it the steps brought"
     )
     report(rows, title, str(options.out))
-    for sentence in verdicts(rows):
+    for sentence in verdicts(rows) + ratios(rows):
         print(f"neurad: {sentence}")

@@ -114,7 +114,9 @@ def make_step(job: dict[str, Any], device: torch.device) -> Step:
     objective = ObjectiveStep(
         estimator=Estimator(world, materials, radiance, method),
         primary=primary,
-        sampling=Sampling(positions=positions, secondary=1, cached=positions, second_hits=0.125),
+        sampling=Sampling(
+            positions=positions, secondary=1, cached=positions, first_hits=job["first_hits"], second_hits=0.125
+        ),
         settings=Objective(),
         epsilon=0.01 * light * light,
         mixed=primary.sees_emitter(),
