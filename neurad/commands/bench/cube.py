@@ -3,9 +3,9 @@
 A closed cube whose walls have one albedo makes paths as long as one likes. Every method gets the same pixels, positions
 and samples, and every pair of method and albedo a process of its own, so that peak memory is that of the pair alone.
 The processes of one method stay alive together and take their steps in turns: what else the machine does at the time
-hits all albedos alike, and with ``--peer`` ours on dense grids and Mitsuba alike. Albedo and radiance fields start at the
-true values, and the optimizers run at rate 0, so each step costs what a step costs and the albedo stays what the row says
-(as in the paper's supplement).
+hits all albedos alike, and with ``--peer`` ours on dense grids and Mitsuba alike. Albedo and radiance fields start at
+the true values, and the optimizers run at rate 0, so each step costs what a step costs and the albedo stays what the
+row says (as in the paper's supplement).
 """
 
 from __future__ import annotations
