@@ -1,5 +1,6 @@
 """`neurad bench cube` and `neurad bench gradients`: their processes, their statistics, and tiny runs of both."""
 
+import argparse
 import csv
 import math
 
@@ -109,6 +110,18 @@ def test_verdict():
     assert "MISSED" in cube.verdicts([row(0.3, 100.0, 400.0), row(0.99, 115.0, 402.0)])[0]
     assert "MISSED" in cube.verdicts([row(0.3, 100.0, 400.0), row(0.99, 104.0, 500.0)])[0]
     assert "not all" in cube.verdicts([row(0.3, 100.0, 400.0), row(0.99, None, None)])[0]
+
+
+@pytest.mark.parametrize(
+    ("fields", "peer", "expected"),
+    [
+        ("hash,dense", False, [[("hash", "ours")], [("hash", "prb")], [("dense", "ours")], [("dense", "prb")]]),
+        ("dense", True, [[("dense", "prb")], [("dense", "ours"), ("voxels", "mitsuba")]]),
+        ("hash", True, [[("hash", "ours")], [("hash", "prb")], [("voxels", "mitsuba")]]),
+    ],
+)
+def test_ours_on_dense_grids_takes_turns_with_the_peer(fields, peer, expected):
+    assert cube._groups(argparse.Namespace(fields=fields, methods="ours,prb", peer=peer)) == expected
 
 
 def test_ratios_compare_dense_grids_alone():

@@ -40,7 +40,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--albedos", type=float, nargs="+", default=list(ALBEDOS), metavar="A", help="of the walls")
     parser.add_argument("--methods", default=",".join(METHODS), help="of ours, prb and path (AD-PT), with commas")
     parser.add_argument("--fields", default=",".join(FIELDS), help="hash (grids and networks), dense (grids), or both")
-    parser.add_argument("--peer", action="store_true", help="Mitsuba 3's prb (llvm_ad_rgb) on the same cube as well")
+    parser.add_argument(
+        "--peer", action="store_true",
+        help="Mitsuba 3's prb (llvm_ad_rgb) too, in turns with ours on dense grids; takes 1.4 GB an albedo",
+    )  # fmt: skip
     parser.add_argument("--pixels", type=int, default=2048, help="pixels in a batch")
     parser.add_argument("--positions", type=int, default=8, help="positions, and so path samples, a pixel; at least 2")
     parser.add_argument(
