@@ -10,7 +10,7 @@ from pathlib import Path
 from neurad.callbacks.table import align
 
 CONTESTANTS = ("ours", "peer_grid", "peer_network")
-TARGETS = (20.0, 22.0, 24.0, 26.0, 28.0, 30.0)
+TARGETS = (18.0, 19.0, 20.0, 22.0, 24.0, 26.0, 28.0, 30.0)
 CURVES = ("contestant", "budget", "seconds", "iteration", "albedo_psnr", "roughness_psnr", "not_finite")
 HEADER = ("target_db", "ours_seconds", "peer_grid_seconds", "peer_network_seconds", "ratio")
 
