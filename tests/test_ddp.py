@@ -10,7 +10,7 @@ import torch
 import torch.distributed as dist
 from ddp_run import STEPS, fit
 
-from neurad.module.distributed import average_tables
+from neurad.module.distributed import Exchange, Others
 
 HERE = Path(__file__).parent
 
@@ -62,12 +62,30 @@ class Grid(torch.nn.Module):
         self.expected = dense
 
 
-@pytest.mark.parametrize("sparse", [True, False])
-def test_one_process_averages_to_its_own_gradient(tmp_path, sparse):
+@pytest.fixture
+def alone(tmp_path):
+    """A group of one process."""
     dist.init_process_group("gloo", init_method=f"file://{tmp_path}/meet", rank=0, world_size=1)
-    try:
-        made = Grid(sparse)
-        average_tables(made, {"grid.table"})
-        assert torch.equal(made.grid.table.grad.to_dense(), made.expected)
-    finally:
-        dist.destroy_process_group()
+    yield
+    dist.destroy_process_group()
+
+
+@pytest.mark.parametrize("sparse", [True, False])
+def test_one_process_averages_to_its_own_gradient(alone, sparse):
+    made = Grid(sparse)
+    places, values = torch.tensor([3, 3, 1]), torch.rand(3, 2)
+    factor, seen = Others(made, {"grid.table"}).share(0.25, (places, values))
+    assert torch.equal(made.grid.table.grad.to_dense(), made.expected)
+    assert factor == 0.25
+    assert torch.equal(seen[0], places)
+    assert torch.equal(seen[1], values)
+
+
+def test_messages_keep_what_is_in_them_while_they_grow_and_shrink(alone):
+    exchange = Exchange()
+    for count in (3, 1000, 0, 70):
+        parts = [torch.arange(count, dtype=torch.int32), torch.rand(count, 3), torch.tensor([0.1], dtype=torch.float64)]
+        found = exchange(parts)
+        assert [len(of_all) for of_all in found] == [1, 1, 1]
+        for mine, (returned,) in zip(parts, found, strict=True):
+            assert torch.equal(mine, returned)

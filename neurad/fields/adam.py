@@ -91,23 +91,24 @@ def _update_rows(p: Tensor, gradient: Tensor, state: dict[str, Tensor], group: d
     beta1, beta2 = group["betas"]
     rate, root = group["lr"] / (1.0 - beta1**step), (1.0 - beta2**step) ** 0.5
     m, v = state["exp_avg"], state["exp_avg_sq"]
+    rows, values = unique_rows(gradient)
     if p.device.type == "cpu" and p.dtype == torch.float32 and p.dim() == 2 and p.is_contiguous():
-        rows, values = _unique_rows(gradient)
         _compiled_rows(p, m, v, rows, values, (rate, 1.0 / root, beta1, beta2, group["eps"]))
         return
-    gradient = gradient.coalesce()
-    rows, values = gradient.indices()[0], gradient.values()
     m[rows] = torch.lerp(m[rows], values, 1.0 - beta1)
     v[rows] = beta2 * v[rows] + (1.0 - beta2) * values * values
     p[rows] -= rate * m[rows] / (v[rows].sqrt() / root + group["eps"])
 
 
-def _unique_rows(gradient: Tensor) -> tuple[Tensor, Tensor]:
+def unique_rows(gradient: Tensor) -> tuple[Tensor, Tensor]:
     """Ascending rows and values of a sparse gradient, each row once.
 
     Autograd drops the mark that a gradient is coalesced, and appends where a table was read twice; torch's own
     ``coalesce`` sorts, which takes longer than the update.
     """
+    if gradient.device.type != "cpu" or gradient.dtype != torch.float32:
+        gradient = gradient.coalesce()
+        return gradient.indices()[0], gradient.values()
     from neurad.fields import kernels  # compiled code is loaded by those who use it
 
     rows, values = gradient._indices()[0].contiguous(), gradient._values().contiguous()

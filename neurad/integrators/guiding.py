@@ -10,7 +10,6 @@ density is known and bounded below, so estimates keep their mean whatever the gu
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
 from dataclasses import dataclass
 
 import torch
@@ -19,9 +18,6 @@ from torch import Tensor, nn
 from neurad.core.records import BSDFSample, Interaction
 from neurad.core.sampling import INV_PI, disk_to_square
 from neurad.integrators import guiding_kernels as kernels
-
-Exchange = Callable[[Tensor, Tensor], tuple[Tensor, Tensor]]
-"""Places [n] and values [n, 2] of one process -> those of all."""
 
 FACINGS = 6
 """Normals are told apart by their largest component and its sign."""
@@ -126,23 +122,23 @@ class Guide(nn.Module):
         return x * self.bins + y
 
     @torch.no_grad()
-    def learn(self, it: Interaction, n: Tensor, wi: Tensor, light: Tensor, exchange: Exchange | None = None) -> None:
-        """Remember samples.
+    def seen(self, it: Interaction, n: Tensor, wi: Tensor, light: Tensor) -> tuple[Tensor, Tensor]:
+        """What samples tell: entries [n] of the flat histogram, and what is to be added there [n, 2].
 
         Args:
             it: vertices that light arrived at [n].
             n: their normals on the viewer's side [n, 3].
             wi: local directions that it came from [n, 3].
             light: radiance [n, 3].
-            exchange: collects what the samples of all processes say, so that their guides stay the same.
         """
-        index = self._places(self.rows(it, n), wi)
-        seen = (it.valid & (wi[:, 2] > 0)).to(light.dtype)
-        values = torch.stack((seen, light.mean(-1).square() * seen), -1)
-        if exchange is not None:
-            index, values = exchange(index, values)
-        self.counts.view(-1).index_add_(0, index, values[:, 0])
-        self.squares.view(-1).index_add_(0, index, values[:, 1])
+        known = (it.valid & (wi[:, 2] > 0)).to(light.dtype)
+        return self._places(self.rows(it, n), wi), torch.stack((known, light.mean(-1).square() * known), -1)
+
+    @torch.no_grad()
+    def learn(self, places: Tensor, values: Tensor) -> None:
+        """Remember what samples told (:meth:`seen`), which may be those of several processes."""
+        self.counts.view(-1).index_add_(0, places, values[:, 0])
+        self.squares.view(-1).index_add_(0, places, values[:, 1])
 
     @torch.no_grad()
     def update(self) -> None:

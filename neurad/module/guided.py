@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 import torch
+from torch import Tensor
 
 from neurad.core.frame import facing
-from neurad.integrators.guiding import Exchange, Guide
+from neurad.integrators.guiding import Guide
 from neurad.integrators.method import Method
 from neurad.module.objective import IncidentSamples
 from neurad.scene.description import Scene
@@ -18,10 +19,17 @@ def make_guide(scene: Scene, cells: int, method: Method) -> Guide | None:
     return Guide(torch.from_numpy(scene.bounds), cells)
 
 
-def teach(guide: Guide | None, seen: IncidentSamples | None, iteration: int, exchange: Exchange | None = None) -> None:
-    """Let the iterations after ``iteration`` look where its samples found light."""
+def told(guide: Guide | None, arrived: IncidentSamples | None) -> tuple[Tensor, Tensor] | None:
+    """What the light that arrived tells the guide, for :func:`teach`; None where there is nothing to tell."""
+    if guide is None or arrived is None:
+        return None
+    return guide.seen(arrived.it, facing(arrived.it), arrived.wi, arrived.light)
+
+
+def teach(guide: Guide | None, seen: tuple[Tensor, Tensor] | None, iteration: int) -> None:
+    """Let the iterations after ``iteration`` look where samples found light."""
     if guide is None or seen is None:
         return
-    guide.learn(seen.it, facing(seen.it), seen.wi, seen.light, exchange)
+    guide.learn(*seen)
     if (iteration + 1) % guide.refresh == 0:
         guide.update()

@@ -30,12 +30,12 @@ from neurad.module.assemble import FittedMaterials, build_materials, build_radia
 from neurad.module.average import Average
 from neurad.module.checkpoint import fitting
 from neurad.module.config import Lighting, Objective, Optimization, Sampling
-from neurad.module.distributed import agreed, average_tables, gather, set_aside
+from neurad.module.distributed import Others, set_aside
 from neurad.module.estimate import Estimator
 from neurad.module.evaluate import Evaluation, UnknownLight, evaluate, unknown_light
 from neurad.module.exposure import brightness, random_pixels, unit_square, warn_if_far
 from neurad.module.guard import Guard, clip
-from neurad.module.guided import make_guide, teach
+from neurad.module.guided import make_guide, teach, told
 from neurad.module.lighting import fitted_environment, unknown_environment
 from neurad.module.objective import ObjectiveStep, StepTerms
 from neurad.module.optimizers import make_optimizers
@@ -111,6 +111,7 @@ class InverseRenderer(L.LightningModule):
         self.average = None
         self._step: ObjectiveStep | None = None
         self._guard = Guard(self)
+        self._others: Others | None = None
         self._held_out: HeldOut | None = None
         self._light: UnknownLight | None = None
         lhs = objective.lhs > 0 and self.method.needs_field
@@ -158,6 +159,7 @@ class InverseRenderer(L.LightningModule):
         self.radiance = build_radiance(self.scene, radiance) if self.method.needs_field else None
         if self.trainer.world_size > 1:
             self._ddp_params_and_buffers_to_ignore = set_aside(self)  # DDP's own name for it
+            self._others = Others(self, self._ddp_params_and_buffers_to_ignore)
 
     def configure_optimizers(self) -> list[FieldAdam | MapAdam]:
         """One optimizer each for what is not known: albedo, roughness (if there is one to find), the environment, and
@@ -229,11 +231,7 @@ class InverseRenderer(L.LightningModule):
         found: Any = self.optimizers()
         optimizers = found if isinstance(found, list) else [found]
         factor = rate_factor(self.optimization, self.iteration, fraction_done(self.trainer).largest)
-        if self.processes > 1:
-            factor = agreed(factor, self.device)
-        for index, (name, optimizer) in enumerate(zip(self.optimizer_names, optimizers, strict=True)):
-            for group in optimizer.param_groups:
-                group["lr"] = factor * getattr(self.optimization, name)
+        for index, optimizer in enumerate(optimizers):
             optimizer.zero_grad()
             if index > 0:  # the trainer counts steps of the first optimizer only, so max_steps means iterations
                 optimizer._on_before_step = _nothing
@@ -244,14 +242,18 @@ class InverseRenderer(L.LightningModule):
             terms = self._terms(batch)
             loss = total(terms.all)
             self.manual_backward(loss)
-        if self.processes > 1:
-            average_tables(self, self._ddp_params_and_buffers_to_ignore)
+        seen = told(self.world.guide, terms.arrived)
+        if self._others is not None:
+            factor, seen = self._others.share(factor, seen)
         self._guard.check(batch, terms.all, lambda: self._terms(batch))
         if self.optimization.clip > 0:
             clip([optimizer.param_groups for optimizer in optimizers], self.optimization.clip)
+        for name, optimizer in zip(self.optimizer_names, optimizers, strict=True):
+            for group in optimizer.param_groups:
+                group["lr"] = factor * getattr(self.optimization, name)
         for optimizer in optimizers[::-1]:  # the counted one last: its hook may end the epoch's bookkeeping
             optimizer.step()
-        teach(self.world.guide, terms.arrived, self.iteration, gather if self.processes > 1 else None)
+        teach(self.world.guide, seen, self.iteration)
         self.iteration += 1
         if self.average is not None:
             self.average.update(self.iteration)

@@ -20,7 +20,7 @@ from neurad.losses.relative import total
 from neurad.module.assemble import build_materials, build_radiance, build_world
 from neurad.module.config import Objective, Sampling
 from neurad.module.estimate import Estimator
-from neurad.module.guided import make_guide, teach
+from neurad.module.guided import make_guide, teach, told
 from neurad.module.objective import ObjectiveStep, StepTerms
 from neurad.module.primary import PrimaryHits
 from neurad.scene.description import Scene
@@ -131,7 +131,7 @@ class Fit:
         self.optimizer.zero_grad()
         loss.backward()  # type: ignore[no-untyped-call]
         self.optimizer.step()
-        teach(self.world.guide, terms.arrived, self.iteration)
+        teach(self.world.guide, told(self.world.guide, terms.arrived), self.iteration)
         self.iteration += 1
         return float(loss.detach())
 
