@@ -22,6 +22,7 @@ from neurad.integrators.radiometric import Radiometric
 from neurad.integrators.vertex import DIMENSIONS, bounce
 from neurad.losses.relative import Control, leave_one_out
 from neurad.module.assemble import build_world
+from neurad.module.estimate import spread
 from neurad.scene.builtin import build_furnace
 
 
@@ -90,25 +91,32 @@ def test_lambertian_weights_do_not_deviate() -> None:
     assert torch.equal(sample.weight, Diffuse().mean_weight(surface, wo))
 
 
-@pytest.mark.parametrize("n", [2, 3, 8])
-def test_gradient_keeps_its_mean_and_loses_noise(n: int) -> None:
-    """Samples ``r x L`` with x uniform and L = 1 + x y: the gradient of the squared mean is known. 99 % confidence."""
+@pytest.mark.parametrize(("n", "groups"), [(2, 2), (3, 3), (8, 8), (8, 2), (12, 3)])
+def test_gradient_keeps_its_mean_and_loses_noise(n: int, groups: int) -> None:
+    """Samples ``r x L`` with x uniform and L = 1 + x y / 2, those of a group spread evenly: the gradient of the squared
+    mean is known. 99 % confidence. A control variate takes noise away, and so does spreading."""
     pixels, target = 400_000, 0.4
-    stream = Stream(11, n)
-    x, y = stream.uniform(pixels, n, 1), stream.uniform(pixels, n, 1)
-    light = 1.0 + 0.5 * x * y
+    weight, goal = torch.ones(pixels, 1), torch.full((pixels, 1), target)
     r = torch.full((pixels, 1, 1), 0.7, requires_grad=True)  # one a pixel, so that gradients come a pixel each
     mean = 0.5 + 0.5 / 3 * 0.5  # of x L
     exact = 2 * (0.7 * mean - target) * mean
-    weight, goal = torch.ones(pixels, 1), torch.full((pixels, 1), target)
-    spread = []
-    for control in (None, Control(light, r * (x - 0.5))):
-        loss = leave_one_out(r * x * light, goal, weight, control).surrogate * pixels
+
+    def noise(sets: int, controlled: bool) -> float:
+        """Deviation of the gradient, ``sets`` independent groups a pixel."""
+        u = spread(pixels * sets, n // sets, Stream(11, n, sets)).view(pixels, n, -1)
+        x, y = u[..., 3:4], u[..., 2:3]
+        light = 1.0 + 0.5 * x * y
+        control = Control(light, r * (x - 0.5), sets) if controlled else None
+        loss = leave_one_out(r * x * light, goal, weight, control, sets).surrogate * pixels
         gradient = torch.autograd.grad(loss, r)[0].flatten()
         z = float((gradient.mean() - exact) / (gradient.std() / pixels**0.5))
         assert abs(z) < 2.81  # 99 % over both
-        spread.append(float(gradient.std()))
-    assert spread[1] < 0.8 * spread[0]
+        return float(gradient.std())
+
+    plain, less = (noise(groups, controlled) for controlled in (False, True))
+    assert less < (0.8 if groups > 2 else 1.01) * plain  # of two groups, derivatives alone have less
+    if groups < n:
+        assert plain < 0.8 * noise(n, False)
 
 
 # ---- in the methods
@@ -189,7 +197,9 @@ def test_methods_keep_the_mean_of_their_gradient_and_lose_noise(name: str) -> No
         u = stream.uniform(len(it), DIMENSIONS)
         sample = make(**settings, control=control).reflected(parts, it, materials(it), u, stream)
         value = sample.value.view(pixels, n, 3)
-        variate = Control(sample.incident.view_as(value), sample.weighed.deviation.view_as(value)) if control else None
+        variate = (
+            Control(sample.incident.view_as(value), sample.weighed.deviation.view_as(value), n) if control else None
+        )
         loss = leave_one_out(value, torch.full((pixels, 3), 0.3), torch.ones(pixels, 3), variate)
         return torch.stack(torch.autograd.grad(loss.surrogate, list(materials.parameters())))
 

@@ -64,6 +64,13 @@ def test_leave_one_out_formula_on_three_samples():
     torch.testing.assert_close(samples.grad.flatten(), 2 / 3 * 3.0 * (others - 0.5))
 
 
+def test_leave_one_out_formula_on_two_groups_of_two_samples():
+    samples = torch.tensor([[[1.0], [2.0], [6.0], [7.0]]], requires_grad=True)
+    leave_one_out(samples, torch.tensor([[0.5]]), torch.tensor([[3.0]]), groups=2).surrogate.backward()
+    others = torch.tensor([6.5, 6.5, 1.5, 1.5])
+    torch.testing.assert_close(samples.grad.flatten(), 2 / 4 * 3.0 * (others - 0.5))
+
+
 def test_prior_gradients_reach_the_sides_that_they_should():
     field = torch.tensor([[2.0, 2.0, 2.0]], requires_grad=True)
     right = torch.tensor([[1.0, 1.0, 1.0]], requires_grad=True)

@@ -31,6 +31,15 @@ class Sampling:
     so close together that few tell as much as all, and its gradient is the dearest part of a step."""
     second_hits: float = 0.5
     """Share of the positions at which the prior is also taken at the second hit; 0 leaves it out."""
+    independent: int = 4
+    """Groups of a pixel's positions: within a group samples are spread evenly, which leaves less noise, and groups are
+    independent of each other, which unbiased gradients need. Positions that cannot be shared out evenly are a group
+    each."""
+
+    @property
+    def groups(self) -> int:
+        """Independent groups of positions in a pixel."""
+        return self.independent if self.positions % self.independent == 0 else self.positions
 
     def __post_init__(self) -> None:
         """Refuse what cannot be sampled."""
@@ -38,6 +47,8 @@ class Sampling:
             raise InputError("model.sampling.specular: it must lie between 0 and 1")
         if not 0.0 < self.first_hits <= 1.0:
             raise InputError("model.sampling.first_hits: it must lie above 0 and be at most 1")
+        if self.independent < 2:
+            raise InputError("model.sampling.independent: it must be at least 2")
         if not 0 <= self.guide <= 32:
             raise InputError("model.sampling.guide: it must lie in 0 .. 32")
 

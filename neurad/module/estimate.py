@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field
 
 import torch
@@ -30,9 +31,12 @@ class Estimator:
         """What the method works on."""
         return Parts(self.world, self.materials, self.radiance)
 
-    def image(self, it: Interaction, surface: Surface, count: int, stream: Stream) -> Reflected:
-        """The method's estimate, ``count`` samples at every lane: lane i's are i*count .. (i+1)*count - 1."""
-        u = lattice(len(it), count, stream)
+    def image(self, it: Interaction, surface: Surface, count: int, stream: Stream, together: int = 1) -> Reflected:
+        """The method's estimate, ``count`` samples at every lane: lane i's are i*count .. (i+1)*count - 1.
+
+        The samples of ``together`` neighbouring lanes are spread evenly, and independent of all others.
+        """
+        u = spread(len(it) // together, together * count, stream)
         return self.method.reflected(self.parts, it.repeat(count), surface.repeat(count), u, stream)
 
     def reflected(
@@ -44,13 +48,13 @@ class Estimator:
         field_gradient: bool = False,
         light_gradient: bool = True,
     ) -> Tensor:
-        """``count`` independent samples of ``T_hat(E + L_theta)`` at every lane [n, count, 3]: the prior's right side.
+        """``count`` evenly spread samples of ``T_hat(E + L_theta)`` at each lane [n, count, 3]: the prior's right side.
 
         The samples are differentiable in ``surface``; in theta only if ``field_gradient``. Without ``light_gradient``
         their direct part is fixed.
         """
         assert self.radiance is not None
-        u = lattice(len(it), count, stream)
+        u = spread(len(it), count, stream)
         step = bounce(self.world, it.repeat(count), surface.repeat(count), u)
         if field_gradient:
             light = look_up(self.radiance, self.materials, step.next) * step.next.valid.unsqueeze(-1)
@@ -60,20 +64,39 @@ class Estimator:
         return (direct + step.weight * light).view(len(it), count, 3)
 
 
-def lattice(lanes: int, count: int, stream: Stream) -> Tensor:
-    """Uniform numbers for ``count`` bounces at each of ``lanes`` vertices [lanes * count, DIMENSIONS].
+def spread(groups: int, count: int, stream: Stream) -> Tensor:
+    """Uniform numbers for ``groups`` times ``count`` bounces that are spread evenly [groups * count, DIMENSIONS].
 
-    The bounces of one vertex share a randomly shifted rank-1 lattice (Roberts' generalised golden ratio), so they
-    spread over the hemisphere; each of them is uniform, and vertices are independent.
+    Every bounce's numbers are uniform, and groups are independent. Within a group each number stands once in every
+    ``count``-th part of its range (the second ones of pairs do if ``count`` is a power of two). The pairs that make a
+    direction or a point on an emitter are those of a Hammersley set, randomly shifted; what belongs to different
+    decisions is paired at random (padding, Kollig and Keller 2002).
     """
-    shift = stream.uniform(lanes, 1, DIMENSIONS)
+    shift = stream.uniform(groups, 1, DIMENSIONS)
     if count == 1:
-        return shift.view(lanes, DIMENSIONS)
-    ratio = 2.0
-    for _ in range(40):  # fixed point of x^(d+1) = x + 1
-        ratio = (1.0 + ratio) ** (1.0 / (DIMENSIONS + 1))
-    step = torch.tensor([[k * ratio ** -(axis + 1) for axis in range(DIMENSIONS)] for k in range(count)])
-    return ((shift + step.to(shift.device)) % 1.0).view(lanes * count, DIMENSIONS)
+        return shift.view(groups, DIMENSIONS)
+    units = torch.tensor([k for k in range(1, count) if math.gcd(k, count) == 1], device=shift.device)
+    factor = units[stream.integers(len(units), groups, 1, len(_FIRST))]
+    start = stream.integers(count, groups, 1, len(_FIRST))
+    order = (start + factor * torch.arange(count, device=shift.device).view(1, -1, 1)) % count
+    numbers = shift.repeat(1, count, 1)
+    numbers[..., _FIRST] += order / count
+    numbers[..., _SECOND] += _mirrored(count).to(shift.device)[order[..., _PAIRS]]
+    return (numbers % 1.0).view(groups * count, DIMENSIONS)
+
+
+_FIRST = [0, 2, 3, 4, 6]
+"""First number of each decision of a bounce: point on an emitter, emitter, lobe, direction, glass."""
+_PAIRS = [0, 3]
+"""Which of them take two numbers."""
+_SECOND = [1, 5]
+"""Their second ones."""
+
+
+def _mirrored(count: int) -> Tensor:
+    """Van der Corput's sequence in base 2 [count]."""
+    bits = max(1, (count - 1).bit_length())
+    return torch.tensor([int(f"{k:0{bits}b}"[::-1], 2) / (1 << bits) for k in range(count)])
 
 
 def some(lanes: Lanes, share: float, stream: Stream, count: int) -> Tensor:

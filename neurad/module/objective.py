@@ -111,7 +111,7 @@ class ObjectiveStep:
         it = first.it
         surface = self.estimator.materials(it)
         emitted = self.estimator.world.emitted(it)
-        sample = self.estimator.image(it, surface, self.sampling.secondary, stream)
+        sample = self.estimator.image(it, surface, self.sampling.secondary, stream, n // self.sampling.groups)
         image = first.through(emitted + self._mean(sample.value)).view(b, n, 3)
         # Nothing is photographed where alpha is 0, even if a sample of the pixel meets the edge of a surface.
         counts = (~self.mixed[batch.view, batch.pixel] & (batch.alpha > 0)).float().unsqueeze(-1)
@@ -165,7 +165,7 @@ class ObjectiveStep:
         n = self.sampling.positions
         around = sample.incident * sample.weighed.relative
         light, deviation = (self._mean(x).view(-1, n, 3) for x in (around, sample.weighed.deviation))
-        return Control(light, deviation) if n > 1 else None
+        return Control(light, deviation, self.sampling.groups) if n > 1 else None
 
     def _normaliser(self, batch: PixelBatch, lhs_image: Tensor | None) -> Tensor:
         """What the photometric residual is relative to [b, 3]; never the samples in it."""
@@ -208,11 +208,12 @@ class ObjectiveStep:
     ) -> Loss:
         """The method's image against photographs, by the estimator that the settings choose."""
         if self.settings.estimator == "leave_one_out":
-            return leave_one_out(image, batch.color, weight, control)
+            return leave_one_out(image, batch.color, weight, control, self.sampling.groups)
         with torch.no_grad():
             first: Reached = self.primary(batch, self.sampling.positions, stream)
             surface = self.estimator.materials(first.it)
-            again = self._mean(self.estimator.image(first.it, surface, self.sampling.secondary, stream).value)
+            together = self.sampling.positions // self.sampling.groups
+            again = self._mean(self.estimator.image(first.it, surface, self.sampling.secondary, stream, together).value)
             other = first.through(self.estimator.world.emitted(first.it) + again).view_as(image)
         if control is not None:
             image = image - control.excess()
