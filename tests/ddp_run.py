@@ -7,11 +7,12 @@ import lightning.pytorch as pl
 import torch
 
 from datamodules.scene_data import SceneData
+from neurad.core.records import Interaction
 from neurad.core.rng import Stream
 from neurad.fields.settings import FieldConfig, GridConfig, RadianceConfig
 from neurad.module.config import Optimization, Sampling
 from neurad.module.inverse import InverseRenderer
-from neurad.module.objective import StepTerms
+from neurad.module.objective import IncidentSamples, StepTerms
 
 STEPS = 12
 
@@ -23,12 +24,18 @@ class Joined:
         self.step, self.data, self.seed = step, data, seed
 
     def __call__(self, batch, stream):
-        materials, field = {}, {}
+        materials, field, seen = {}, {}, []
         for rank in range(2):
             own = self.step(self.data.batch(batch.iteration, rank), Stream(self.seed, batch.iteration, rank, 1))
             materials |= {f"{name}{rank}": (0.5 * w, loss) for name, (w, loss) in own.materials.items()}
             field |= {f"{name}{rank}": (0.5 * w, loss) for name, (w, loss) in own.field.items()}
-        return StepTerms(materials, field)
+            seen.append(own.arrived)
+        return StepTerms(materials, field, None if seen[0] is None else joined(*seen))
+
+
+def joined(a, b):
+    """What two processes saw."""
+    return IncidentSamples(Interaction.cat(a.it, b.it), torch.cat((a.wi, b.wi)), torch.cat((a.light, b.light)))
 
 
 class Join(pl.Callback):
@@ -37,10 +44,10 @@ class Join(pl.Callback):
 
 
 def fit(devices, seed=0, kind="hash", joined=False):
-    """Fitted module after ``STEPS`` iterations."""
+    """Fitted module after ``STEPS`` iterations; ``kind`` 'glossy' takes the kitchen, which has a guide."""
     warnings.filterwarnings("ignore")
     grid = GridConfig(levels=3, coarsest=4, finest=16, log2_size=10)
-    sizes = {"grid": grid, "width": 16, "kind": kind, "size": 16}
+    sizes = {"grid": grid, "width": 16, "kind": "dense" if kind == "dense" else "hash", "size": 16}
     module = InverseRenderer(
         FieldConfig(**sizes), FieldConfig(**sizes), RadianceConfig(**sizes, hidden_layers=1),
         Sampling(positions=2, secondary=1, cached=2), optimization=Optimization(warmup=1, average=0.5), seed=seed,
@@ -50,7 +57,7 @@ def fit(devices, seed=0, kind="hash", joined=False):
         logger=False, enable_checkpointing=False, enable_progress_bar=False, enable_model_summary=False,
         num_sanity_val_steps=0, limit_val_batches=0, callbacks=[Join()] if joined else [],
     )  # fmt: skip
-    trainer.fit(module, SceneData(scene="cornell", patches=128, seed=seed))
+    trainer.fit(module, SceneData(scene="kitchen" if kind == "glossy" else "cornell", patches=128, seed=seed))
     return module, trainer
 
 

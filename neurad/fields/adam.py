@@ -106,7 +106,7 @@ def unique_rows(gradient: Tensor) -> tuple[Tensor, Tensor]:
     Autograd drops the mark that a gradient is coalesced, and appends where a table was read twice; torch's own
     ``coalesce`` sorts, which takes longer than the update.
     """
-    if gradient.device.type != "cpu" or gradient.dtype != torch.float32:
+    if gradient.device.type != "cpu" or gradient.dtype != torch.float32 or gradient._values().dim() != 2:
         gradient = gradient.coalesce()
         return gradient.indices()[0], gradient.values()
     from neurad.fields import kernels  # compiled code is loaded by those who use it

@@ -26,9 +26,9 @@ FACINGS = 6
 class Guide(nn.Module):
     """A histogram of incident light over space, facing and direction.
 
-    It holds what earlier iterations found and changes between iterations only, so that samples of one iteration stay
-    independent. All of it is state: a continued run draws what an unbroken one would (on a GPU up to the order of
-    sums).
+    It holds what earlier iterations found and changes between iterations only, so that it makes no samples of one
+    iteration depend on each other. All of it is state: a continued run draws what an unbroken one would (on a GPU up to
+    the order of sums).
 
     Args:
         bounds: smallest and largest corner of the scene [2, 3].

@@ -3,7 +3,7 @@
 Every process draws its own pixels and samples, and all of them step with the mean gradient, so ``n`` processes do what
 one would do with ``n`` times the batch. Tables of grids have sparse gradients, which DDP's buckets cannot hold: DDP
 leaves tables alone. Their touched rows, what the guide saw, and the clock of the first process travel together, in one
-message a step: on one machine the number of messages costs more than their length.
+message a step (two when it outgrows its buffer): on one machine the number of messages costs more than their length.
 """
 
 from __future__ import annotations
@@ -20,7 +20,7 @@ from neurad.module.checkpoint import ASIDE
 
 _WORD = 8
 _SPARE = 1.25
-"""Length of the buffer relative to the longest message so far."""
+"""Length of a new buffer relative to the message that outgrew the old one."""
 
 
 def set_aside(module: nn.Module) -> set[str]:

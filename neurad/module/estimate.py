@@ -36,6 +36,7 @@ class Estimator:
 
         The samples of ``together`` neighbouring lanes are spread evenly, and independent of all others.
         """
+        assert len(it) % together == 0
         u = spread(len(it) // together, together * count, stream)
         return self.method.reflected(self.parts, it.repeat(count), surface.repeat(count), u, stream)
 
@@ -70,7 +71,8 @@ def spread(groups: int, count: int, stream: Stream) -> Tensor:
     Every bounce's numbers are uniform, and groups are independent. Within a group each number stands once in every
     ``count``-th part of its range (the second ones of pairs do if ``count`` is a power of two). The pairs that make a
     direction or a point on an emitter are those of a Hammersley set, randomly shifted; what belongs to different
-    decisions is paired at random (padding, Kollig and Keller 2002).
+    decisions is paired by random affine maps of the indices (padding, Kollig and Keller 2002), of which powers of two
+    have most.
     """
     shift = stream.uniform(groups, 1, DIMENSIONS)
     if count == 1:

@@ -243,7 +243,7 @@ class InverseRenderer(L.LightningModule):
             loss = total(terms.all)
             self.manual_backward(loss)
         seen = told(self.world.guide, terms.arrived)
-        if self._others is not None:
+        if self._others is not None and self.processes > 1:
             factor, seen = self._others.share(factor, seen)
         self._guard.check(batch, terms.all, lambda: self._terms(batch))
         if self.optimization.clip > 0:
