@@ -30,10 +30,10 @@ class Joined:
             materials |= {f"{name}{rank}": (0.5 * w, loss) for name, (w, loss) in own.materials.items()}
             field |= {f"{name}{rank}": (0.5 * w, loss) for name, (w, loss) in own.field.items()}
             seen.append(own.arrived)
-        return StepTerms(materials, field, None if seen[0] is None else joined(*seen))
+        return StepTerms(materials, field, None if seen[0] is None else both(*seen))
 
 
-def joined(a, b):
+def both(a, b):
     """What two processes saw."""
     return IncidentSamples(Interaction.cat(a.it, b.it), torch.cat((a.wi, b.wi)), torch.cat((a.light, b.light)))
 

@@ -159,7 +159,6 @@ class InverseRenderer(L.LightningModule):
         self.radiance = build_radiance(self.scene, radiance) if self.method.needs_field else None
         if self.trainer.world_size > 1:
             self._ddp_params_and_buffers_to_ignore = set_aside(self)  # DDP's own name for it
-            self._others = Others(self, self._ddp_params_and_buffers_to_ignore)
 
     def configure_optimizers(self) -> list[FieldAdam | MapAdam]:
         """One optimizer each for what is not known: albedo, roughness (if there is one to find), the environment, and
@@ -172,6 +171,7 @@ class InverseRenderer(L.LightningModule):
     def on_fit_start(self) -> None:
         """Trace the camera rays of the training views, and take the units of light from the photographs."""
         self.processes = self.trainer.world_size
+        self._others = Others(self, self._ddp_params_and_buffers_to_ignore) if self.processes > 1 else None
         data = self.trainer.datamodule  # type: ignore[attr-defined]
         cameras = [view.camera for view in self.scene.train]
         primary = PrimaryHits(self.world, cameras, self.sampling.cached, self.seed, self.device)
@@ -243,7 +243,7 @@ class InverseRenderer(L.LightningModule):
             loss = total(terms.all)
             self.manual_backward(loss)
         seen = told(self.world.guide, terms.arrived)
-        if self._others is not None and self.processes > 1:
+        if self._others is not None:
             factor, seen = self._others.share(factor, seen)
         self._guard.check(batch, terms.all, lambda: self._terms(batch))
         if self.optimization.clip > 0:

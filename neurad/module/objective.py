@@ -111,7 +111,7 @@ class ObjectiveStep:
         it = first.it
         surface = self.estimator.materials(it)
         emitted = self.estimator.world.emitted(it)
-        sample = self.estimator.image(it, surface, self.sampling.secondary, stream, n // self.sampling.groups)
+        sample = self._image(it, surface, stream)
         image = first.through(emitted + self._mean(sample.value)).view(b, n, 3)
         # Nothing is photographed where alpha is 0, even if a sample of the pixel meets the edge of a surface.
         counts = (~self.mixed[batch.view, batch.pixel] & (batch.alpha > 0)).float().unsqueeze(-1)
@@ -153,6 +153,11 @@ class ObjectiveStep:
             return slice(None), positions
         index = torch.arange(pixels * positions, device=self.mixed.device)
         return index.view(pixels, positions)[:, :count].reshape(-1), count
+
+    def _image(self, it: Interaction, surface: Surface, stream: Stream) -> Reflected:
+        """The method's estimate at the positions of all pixels, spread evenly within each group."""
+        together = self.sampling.positions // self.sampling.groups
+        return self.estimator.image(it, surface, self.sampling.secondary, stream, together)
 
     def _mean(self, samples: Tensor) -> Tensor:
         """Means over the secondary samples of every position [n, 3]."""
@@ -212,8 +217,7 @@ class ObjectiveStep:
         with torch.no_grad():
             first: Reached = self.primary(batch, self.sampling.positions, stream)
             surface = self.estimator.materials(first.it)
-            together = self.sampling.positions // self.sampling.groups
-            again = self._mean(self.estimator.image(first.it, surface, self.sampling.secondary, stream, together).value)
+            again = self._mean(self._image(first.it, surface, stream).value)
             other = first.through(self.estimator.world.emitted(first.it) + again).view_as(image)
         if control is not None:
             image = image - control.excess()
