@@ -19,10 +19,10 @@ from neurad.integrators.method import Parts
 from neurad.integrators.path import Path
 from neurad.integrators.prb import PRB
 from neurad.integrators.radiometric import Radiometric
+from neurad.integrators.spread import spread
 from neurad.integrators.vertex import DIMENSIONS, bounce
-from neurad.losses.relative import Control, leave_one_out
+from neurad.losses.leave_one_out import Control, leave_one_out
 from neurad.module.assemble import build_world
-from neurad.module.estimate import spread
 from neurad.scene.builtin import build_furnace
 
 

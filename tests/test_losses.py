@@ -1,10 +1,11 @@
 """Unbiased gradients of the relative L2 loss, against closed forms."""
 
+import pytest
 import torch
 
+from neurad.losses.leave_one_out import Control, leave_one_out
 from neurad.losses.relative import (
     full_gradient_prior,
-    leave_one_out,
     relative_weight,
     semi_gradient_prior,
     total,
@@ -92,3 +93,26 @@ def test_masked_lanes_and_weights_count_nothing():
     assert (field.grad[1] == 0).all()
     assert (field.grad[0] > 0).all()
     assert not relative_weight(field, 0.01).requires_grad
+
+
+@pytest.mark.parametrize(("samples", "groups"), [(2, 2), (5, 5), (8, 4), (6, 2)])
+@pytest.mark.parametrize("controlled", [False, True])
+def test_the_compiled_leave_one_out_is_the_plain_one(samples: int, groups: int, controlled: bool) -> None:
+    generator = torch.Generator().manual_seed(samples)
+
+    def numbers(*shape: int) -> torch.Tensor:
+        return torch.randn(*shape, generator=generator)
+
+    value, light, deviation = numbers(3, 7, samples, 3).abs().unbind()
+    target, weight = numbers(7, 3), numbers(7, 1).abs()
+
+    def found(fast: bool) -> list[torch.Tensor]:
+        s, z = value.clone().requires_grad_(), (deviation - 0.7).requires_grad_()
+        control = Control(light, z, groups) if controlled else None
+        loss = leave_one_out(s, target, weight, control, groups, fast)
+        (3.0 * loss.surrogate).backward()
+        assert not loss.value.requires_grad
+        return [loss.surrogate.detach(), loss.value, s.grad, *([z.grad] if controlled else [])]
+
+    for fast, plain in zip(found(True), found(False), strict=True):
+        torch.testing.assert_close(fast, plain, rtol=1e-5, atol=1e-6)

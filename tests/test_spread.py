@@ -6,8 +6,8 @@ import torch
 from oracles import accept, pooled_chi2
 
 from neurad.core.rng import Stream
+from neurad.integrators.spread import spread
 from neurad.integrators.vertex import DIMENSIONS
-from neurad.module.estimate import spread
 
 GROUPS = 40_000
 
@@ -50,3 +50,8 @@ def test_groups_are_independent() -> None:
     means = (u[..., 4] * u[..., 5] + u[..., 3]).mean(1)
     r = torch.corrcoef(torch.stack((means[::2], means[1::2])))[0, 1]
     assert abs(float(r)) < 4.0 / (GROUPS / 2) ** 0.5
+
+
+@pytest.mark.parametrize("count", [1, 2, 3, 8, 30])
+def test_the_compiled_form_gives_the_same_numbers(count: int) -> None:
+    assert torch.equal(spread(500, count, Stream(5)), spread(500, count, Stream(5), fast=False))

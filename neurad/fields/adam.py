@@ -10,6 +10,7 @@ import torch
 from torch import Tensor
 from torch.optim.adam import adam
 
+from neurad.fields.sparse import unique_rows
 from neurad.fields.threads import split
 
 
@@ -98,25 +99,6 @@ def _update_rows(p: Tensor, gradient: Tensor, state: dict[str, Tensor], group: d
     m[rows] = torch.lerp(m[rows], values, 1.0 - beta1)
     v[rows] = beta2 * v[rows] + (1.0 - beta2) * values * values
     p[rows] -= rate * m[rows] / (v[rows].sqrt() / root + group["eps"])
-
-
-def unique_rows(gradient: Tensor) -> tuple[Tensor, Tensor]:
-    """Ascending rows and values of a sparse gradient, each row once.
-
-    Autograd drops the mark that a gradient is coalesced, and appends where a table was read twice; torch's own
-    ``coalesce`` sorts, which takes longer than the update.
-    """
-    if gradient.device.type != "cpu" or gradient.dtype != torch.float32 or gradient._values().dim() != 2:
-        gradient = gradient.coalesce()
-        return gradient.indices()[0], gradient.values()
-    from neurad.fields import kernels  # compiled code is loaded by those who use it
-
-    rows, values = gradient._indices()[0].contiguous(), gradient._values().contiguous()
-    if kernels.is_ascending(rows.numpy()):
-        return rows, values
-    merged, sums = torch.empty_like(rows), torch.empty_like(values)
-    count = kernels.merge_rows(rows.numpy(), values.numpy(), gradient.shape[0], merged.numpy(), sums.numpy())
-    return merged[:count], sums[:count]
 
 
 def _compiled_rows(

@@ -14,7 +14,8 @@ import torch
 from torch import Tensor, nn
 from torch.nn.functional import embedding
 
-from neurad.fields.threads import split
+from neurad.fields.sparse import from_rows
+from neurad.fields.threads import split, threads
 
 
 class DenseGrid(nn.Module):
@@ -94,12 +95,28 @@ class _Read(torch.autograd.Function):
         from neurad.fields import dense_kernels
 
         (x,) = ctx.saved_tensors
-        touched = min(8 * len(x), ctx.shape[0])
-        rows, values = torch.empty(touched, dtype=torch.int64), torch.empty(touched, ctx.shape[1])
-        bits, used, rank = ctx.grid.marks()
-        arrays = x.numpy(), gradients[0].contiguous().numpy()
-        count = dense_kernels.dense_gradient(*arrays, ctx.grid.size, bits, used, rank, rows.numpy(), values.numpy())
-        gradient = torch.sparse_coo_tensor(
-            rows[:count].unsqueeze(0), values[:count], ctx.shape, check_invariants=False, is_coalesced=True
-        )
-        return None, gradient, None
+        arrays = x.numpy(), gradients[0].contiguous().numpy(), ctx.grid.size
+        edges = _slabs(x, ctx.grid.size, threads(len(x), 2048), dense_kernels.WHOLE)
+        parts: dict[int, tuple[Tensor, Tensor]] = {}
+
+        def work(begin: int, end: int) -> None:
+            for part in range(begin, end):
+                low, high = edges[part : part + 2]
+                touched = min(8 * len(x), high - low)
+                rows, values = torch.empty(touched, dtype=torch.int64), torch.empty(touched, ctx.shape[1])
+                marked = *ctx.grid.marks(), rows.numpy(), values.numpy()
+                count = dense_kernels.dense_gradient(*arrays, low, high, *marked)
+                parts[part] = rows[:count], values[:count]
+
+        ctx.grid.marks()  # made by one thread
+        split(work, len(edges) - 1, 1)
+        return None, from_rows([parts[i] for i in range(len(parts))], ctx.shape), None
+
+
+def _slabs(x: Tensor, size: int, count: int, whole: int) -> list[int]:
+    """Entries at which ``count`` ranges of the table that hold about as many of the positions ``x`` begin, and the end;
+    multiples of ``whole`` in between.
+    """
+    z = x[::16, 2].nan_to_num().clamp(0.0, 1.0).sort().values
+    cuts = [int(float(z[len(z) * i // count]) * (size - 1)) * size * size // whole * whole for i in range(1, count)]
+    return [0, *cuts, size**3]

@@ -9,12 +9,12 @@ from __future__ import annotations
 import math
 from typing import Any, Self
 
-import numpy as np
 import torch
 from torch import Tensor, nn
 from torch.nn.functional import embedding
 
 from neurad.fields.settings import GridConfig
+from neurad.fields.sparse import from_rows
 from neurad.fields.threads import split
 
 PRIMES = (1, 2654435761, 805459861)
@@ -151,12 +151,4 @@ class _Encode(torch.autograd.Function):
 
         levels = len(level_table)
         split(work, levels, max(1, levels * 256 // max(len(x), 1)))
-        rows, values = parts[0]
-        if len(parts) > 1:  # numpy copies on this thread, where torch would wake its own
-            ordered = [parts[begin] for begin in sorted(parts)]
-            rows = torch.from_numpy(np.concatenate([r.numpy() for r, _ in ordered]))
-            values = torch.from_numpy(np.concatenate([v.numpy() for _, v in ordered]))
-        gradient = torch.sparse_coo_tensor(
-            rows.unsqueeze(0), values, ctx.shape, check_invariants=False, is_coalesced=True
-        )
-        return None, gradient, None
+        return None, from_rows([parts[begin] for begin in sorted(parts)], ctx.shape), None

@@ -6,19 +6,17 @@ All of them give the same result for any number of threads. They are compiled at
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from typing import Any, TypeVar, cast
+from typing import Any
 
-import numba
 import numpy as np
 import numpy.typing as npt
 
+from neurad.core.compiled import compiled, inlined
 from neurad.fields.intrinsics import interpolate, lowest_bit, popcount, prefetch
 
 Floats = npt.NDArray[np.float32]
 Ints = npt.NDArray[np.int64]
 Bits = npt.NDArray[np.uint64]
-Function = TypeVar("Function", bound=Callable[..., Any])
 
 ONE = np.float32(1)
 ZERO = np.float32(0)
@@ -32,16 +30,6 @@ BLOCK = 128
 """Points looked ahead in larger levels."""
 AHEAD = 24
 """Rows looked ahead by the optimizer."""
-
-
-def compiled(function: Function) -> Function:
-    """Compile at first use, cache on disk, release the interpreter lock."""
-    return cast(Function, numba.njit(nogil=True, cache=True)(function))
-
-
-def inlined(function: Function) -> Function:
-    """Compile into the caller: a call that returns a tuple would go through memory and cost twice the time."""
-    return cast(Function, numba.njit(inline="always")(function))
 
 
 @compiled

@@ -10,6 +10,8 @@ from typing import Any
 import torch
 from torch import Tensor, nn
 
+from neurad.fields.threads import split
+
 CHUNK = 2048
 """Rows evaluated at a time without gradients: two layers of width 64 then fit into a processor's own cache."""
 
@@ -50,8 +52,7 @@ class MLP(nn.Module):
         if torch.is_grad_enabled():
             out: Tensor = _Layers.apply(x, rounded, *parameters)  # type: ignore[no-untyped-call]
         else:
-            parts = [_forward(part, parameters, rounded)[-1] for part in torch.split(x, CHUNK)]
-            out = parts[0] if len(parts) == 1 else torch.cat(parts)
+            out = _evaluated(x, parameters, rounded)
         return out[:rows] if padding else out
 
     def plain(self, x: Tensor) -> Tensor:
@@ -127,6 +128,20 @@ def _forward(x: Tensor, parameters: list[Tensor], rounded: bool) -> list[Tensor]
     for i in range(0, len(parameters) - 2, 2):
         values.append(_linear(values[-1], parameters[i].to(x.dtype), parameters[i + 1].to(x.dtype), "relu"))
     return [*values, _linear(values[-1].float(), parameters[-2], parameters[-1], "none")]
+
+
+def _evaluated(x: Tensor, parameters: list[Tensor], rounded: bool) -> Tensor:
+    """What the network returns [n, outputs], without a gradient."""
+    out = x.new_empty(len(x), len(parameters[-1]))
+
+    def work(low: int, high: int) -> None:
+        with torch.no_grad():  # a thread has its own mode
+            for chunk in range(low, high):
+                rows = slice(chunk * CHUNK, (chunk + 1) * CHUNK)
+                out[rows] = _forward(x[rows], parameters, rounded)[-1]
+
+    split(work, -(-len(x) // CHUNK), 1)
+    return out
 
 
 class _Layers(torch.autograd.Function):

@@ -9,16 +9,14 @@ alone. Compiled at first use and cached on disk; the kernels release the interpr
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
-from typing import Any, TypeVar, cast
+from typing import Any
 
-import numba
 import numpy as np
 
+from neurad.core.compiled import compiled, inlined
 from neurad.core.records import FloatArray, IntArray
 from neurad.scene.geometry import EPS, SHADOW_MARGIN
 
-Function = TypeVar("Function", bound=Callable[..., Any])
 _ZERO, _ONE, _TWO = np.float32(0.0), np.float32(1.0), np.float32(2.0)
 _INV_PI = np.float32(1.0 / math.pi)
 _QUARTER_PI, _HALF_PI = np.float32(math.pi / 4), np.float32(math.pi / 2)
@@ -26,28 +24,18 @@ _TINY = np.finfo(np.float32).tiny
 _EPS, _SHORT = np.float32(EPS), np.float32(1.0 - SHADOW_MARGIN)
 
 
-def _compiled(function: Function) -> Function:
-    """Compile at first use, cache on disk, release the interpreter lock, let divisions by zero be infinite."""
-    return cast(Function, numba.njit(nogil=True, cache=True, error_model="numpy")(function))
-
-
-def _inlined(function: Function) -> Function:
-    """Compile into the caller."""
-    return cast(Function, numba.njit(inline="always")(function))
-
-
-@_inlined
+@inlined
 def _dot(ax: Any, ay: Any, az: Any, bx: Any, by: Any, bz: Any) -> Any:  # pragma: no cover - compiled
     return ax * bx + ay * by + az * bz
 
 
-@_inlined
+@inlined
 def _offset(px: Any, py: Any, pz: Any, across: Any, radius: Any) -> Any:  # pragma: no cover - compiled
     """How far off the surface a ray starts; ``across`` bounds the error across the triangle's plane."""
     return across + _EPS * max(max(max(abs(px), abs(py)), abs(pz)), radius / np.float32(1024.0))
 
 
-@_inlined
+@inlined
 def _chosen(cdf: FloatArray, u: Any) -> Any:  # pragma: no cover - compiled
     """The number of steps of ``cdf`` that are at most ``u``."""
     low, high = 0, cdf.shape[0]
@@ -60,7 +48,7 @@ def _chosen(cdf: FloatArray, u: Any) -> Any:  # pragma: no cover - compiled
     return low
 
 
-@_inlined
+@inlined
 def _to_light(px: Any, py: Any, pz: Any, row: FloatArray, area: Any, u0: Any, u1: Any) -> tuple[Any, ...]:
     """Direction and distance of a point of a light, and its density by solid angle, 0 where no light comes from."""
     root = np.float32(math.sqrt(_ONE - u0))  # pragma: no cover - compiled
@@ -77,7 +65,7 @@ def _to_light(px: Any, py: Any, pz: Any, row: FloatArray, area: Any, u0: Any, u1
     return x, y, z, distance, pdf
 
 
-@_inlined
+@inlined
 def _shadow_ray(
     p: FloatArray, ng: FloatArray, wx: Any, wy: Any, wz: Any, distance: Any, offset: Any, o: FloatArray, d: FloatArray
 ) -> Any:  # pragma: no cover - compiled
@@ -94,7 +82,7 @@ def _shadow_ray(
     return max(reach * _SHORT - _TWO * offset, _ZERO)
 
 
-@_inlined
+@inlined
 def _tangents(x: Any, y: Any, z: Any) -> tuple[Any, ...]:  # pragma: no cover - compiled
     """Tangents of the frame around a normal, as ``Frame.around`` has them."""
     sign = _ONE if z >= _ZERO else -_ONE
@@ -103,7 +91,7 @@ def _tangents(x: Any, y: Any, z: Any) -> tuple[Any, ...]:  # pragma: no cover - 
     return _ONE + sign * x * x * a, sign * b, -sign * x, b, sign + y * y * a, -y
 
 
-@_inlined
+@inlined
 def _seen_light(
     f: Any, ng: FloatArray, wo: FloatArray, end: FloatArray, p: FloatArray, pdf_area: FloatArray, emission: FloatArray
 ) -> Any:
@@ -116,7 +104,7 @@ def _seen_light(
     return found
 
 
-@_inlined
+@inlined
 def _ray(
     p: FloatArray, ng: FloatArray, x: Any, y: Any, z: Any, c0: Any, c1: Any, c2: Any, offset: Any, o: FloatArray,
     d: FloatArray,
@@ -132,7 +120,7 @@ def _ray(
 # ---- Lambertian surfaces
 
 
-@_compiled
+@compiled
 def leave(
     p: FloatArray, ng: FloatArray, n: FloatArray, wo: FloatArray, prim: IntArray, reflects: Any, u: FloatArray,
     face_offset: FloatArray, radius: np.float32, cdf: FloatArray, table: FloatArray, face: IntArray,
@@ -187,7 +175,7 @@ def leave(
     return count
 
 
-@_compiled
+@compiled
 def arrive(
     lane: IntArray, light: FloatArray, blocked: Any, p: FloatArray, pdf: FloatArray, end_p: FloatArray,
     end_ng: FloatArray, end_wo: FloatArray, end_prim: IntArray, end_valid: Any, pdf_area: FloatArray,
@@ -218,7 +206,7 @@ def arrive(
 # ---- principled surfaces
 
 
-@_compiled
+@compiled
 def look(
     p: FloatArray, n: FloatArray, wo: FloatArray, u: FloatArray, cdf: FloatArray, table: FloatArray, face: IntArray,
     pdf_area: FloatArray, normal: FloatArray, view: FloatArray, towards: FloatArray, way: FloatArray, sent: FloatArray,
@@ -250,7 +238,7 @@ def look(
         sent[i, 0], sent[i, 1], source[i] = distance, pdf, f
 
 
-@_compiled
+@compiled
 def bend(
     share: np.float32, wi: FloatArray, density: FloatArray, lobes: FloatArray
 ) -> None:  # pragma: no cover - compiled
@@ -261,7 +249,7 @@ def bend(
             lobes[2, i] = max(lobes[2, i] + excess, _ZERO)
 
 
-@_compiled
+@compiled
 def send(
     p: FloatArray, ng: FloatArray, prim: IntArray, reflects: Any, face_offset: FloatArray, radius: np.float32,
     normal: FloatArray, way: FloatArray, sent: FloatArray, source: IntArray, asked: FloatArray, wi: FloatArray,
@@ -294,7 +282,7 @@ def send(
     return count
 
 
-@_compiled
+@compiled
 def collect(
     lane: IntArray, light: FloatArray, blocked: Any, asked: FloatArray, p: FloatArray, reflects: Any,
     albedo: FloatArray, drawn: FloatArray, mean: FloatArray, end_p: FloatArray, end_ng: FloatArray,
@@ -350,7 +338,7 @@ def collect(
                 by_roughness[0, i, k] += (a * asked[3, i] + asked[4, i]) * e
 
 
-@_compiled
+@compiled
 def pull_back(
     gradient: FloatArray, by_albedo: FloatArray, by_roughness: FloatArray, albedo: FloatArray, roughness: FloatArray
 ) -> None:  # pragma: no cover - compiled

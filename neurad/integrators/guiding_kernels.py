@@ -5,9 +5,9 @@ from __future__ import annotations
 import math
 from typing import Any
 
-import numba
 import numpy as np
 
+from neurad.core.compiled import compiled, inlined
 from neurad.core.records import FloatArray, IntArray
 
 _BELOW_ONE = np.float32(1.0 - 2.0**-24)
@@ -15,7 +15,7 @@ _FOUR_BY_PI = np.float32(4.0 / math.pi)
 _HALF, _ZERO = np.float32(0.5), np.float32(0.0)
 
 
-@numba.njit(nogil=True, cache=True, error_model="numpy")
+@compiled
 def rows(
     p: FloatArray, n: FloatArray, lowest: FloatArray, inverse_side: float, sx: int, sy: int, sz: int, out: IntArray
 ) -> None:  # pragma: no cover - compiled
@@ -34,7 +34,7 @@ def rows(
         out[i] = ((x * sy + y) * sz + z) * 6 + facing
 
 
-@numba.njit(nogil=True, cache=True, error_model="numpy")
+@compiled
 def warp(rows: IntArray, u: FloatArray, cdf: FloatArray, bins: int, out: FloatArray) -> None:  # pragma: no cover
     """Fill ``out`` [n, 2] with numbers drawn by the rows' distributions."""
     last = bins * bins - 1
@@ -53,7 +53,7 @@ def warp(rows: IntArray, u: FloatArray, cdf: FloatArray, bins: int, out: FloatAr
         out[i, 1] = min((np.float32(low % bins) + u[i, 1]) / np.float32(bins), _BELOW_ONE)
 
 
-@numba.njit(inline="always")
+@inlined
 def _bin(x: Any, y: Any, bins: int) -> Any:  # pragma: no cover - compiled
     """Bin of a local direction by its two tangential components."""
     radius = np.float32(math.sqrt(x * x + y * y))
@@ -69,7 +69,7 @@ def _bin(x: Any, y: Any, bins: int) -> Any:  # pragma: no cover - compiled
     return column * bins + line
 
 
-@numba.njit(nogil=True, cache=True, error_model="numpy")
+@compiled
 def density(rows: IntArray, wi: FloatArray, cdf: FloatArray, bins: int, out: FloatArray) -> None:  # pragma: no cover
     """Fill ``out`` [n] with densities relative to the cosine's."""
     for i in range(wi.shape[0]):
@@ -78,7 +78,7 @@ def density(rows: IntArray, wi: FloatArray, cdf: FloatArray, bins: int, out: Flo
         out[i] = (cdf[rows[i], chosen] - before) * np.float32(bins * bins)
 
 
-@numba.njit(nogil=True, cache=True, error_model="numpy")
+@compiled
 def places(rows: IntArray, wi: FloatArray, bins: int, out: IntArray) -> None:  # pragma: no cover - compiled
     """Fill ``out`` [n] with entries of the histogram, one row after the other."""
     for i in range(wi.shape[0]):

@@ -56,8 +56,8 @@ class Reflected:
     """Reflected radiance that arrived along the first BSDF samples, without gradient [n, 3]; None from a method that
     does not tell."""
     weighed: Weighed | None = None
-    """Of the first BSDF samples: with ``incident`` the control variate of :class:`neurad.losses.relative.Control`, and
-    what a guide learns from."""
+    """Of the first BSDF samples: with ``incident`` the control variate of
+    :class:`neurad.losses.leave_one_out.Control`, and what a guide learns from."""
     ends: Interaction | None = None
     """Where the first BSDF samples ended; None from a method without a field."""
 
@@ -69,7 +69,7 @@ class Method(ABC):
     """Whether a radiance field is read; without it none is built, and no term of the objective trains one."""
 
     control: bool = False
-    """Whether :class:`neurad.losses.relative.Control` takes noise from the samples."""
+    """Whether :class:`neurad.losses.leave_one_out.Control` takes noise from the samples."""
     tells_light: ClassVar[bool] = True
     """Whether estimates come with the light that arrived, from which a guide learns where to look."""
 

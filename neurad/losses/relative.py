@@ -1,8 +1,9 @@
 """Relative L2 with unbiased gradients.
 
 The derivative of a squared Monte Carlo mean needs a second, independent estimate: ``d (I - GT)^2 = 2 (I' - GT) dI``
-with ``I'`` independent of ``I``. Two forms of it stand here; both return a *surrogate*, whose gradient is the unbiased
-one, together with an unbiased estimate of the loss itself for reports.
+with ``I'`` independent of ``I``. One form of it stands here, the other in :mod:`neurad.losses.leave_one_out`; both
+return a *surrogate*, whose gradient is the unbiased one, together with an unbiased estimate of the loss itself for
+reports.
 """
 
 from __future__ import annotations
@@ -21,77 +22,6 @@ class Loss:
     """Scalar whose gradient is used."""
     value: Tensor
     """Scalar estimate of the loss, without gradient, for reports."""
-
-
-@dataclass(frozen=True)
-class Control:
-    """A control variate for samples of independent groups: ``deviation`` has mean zero whatever light there is."""
-
-    incident: Tensor
-    """Incident radiance that each sample found, without gradient [b, n, c]."""
-    deviation: Tensor
-    """Weight of each sample less the weight's mean, with the same gradient as the samples' [b, n, c]."""
-    groups: int
-    """Independent groups of as many samples each, at least 2; ``n`` of them where all samples are independent."""
-
-    def guess(self) -> Tensor:
-        """Incident radiance at each sample by the other groups of its pixel [b, n, c]."""
-        light = grouped(self.incident, self.groups)
-        others = (light.sum(1, keepdim=True) - light) / (self.groups - 1)
-        return others.repeat_interleave(self.incident.shape[1] // self.groups, 1)
-
-    def excess(self) -> Tensor:
-        """What each sample has too much if the light of the others is all around [b, n, c]; its mean is zero."""
-        return self.guess() * self.deviation
-
-    def excess_of_others(self) -> Tensor:
-        """Mean over all groups but i of their excess by the light of all others but i [b, groups, c], detached.
-
-        Nothing of group i is in it, so a residual less it stays independent of group i. Zero for two groups.
-        """
-        n = self.groups
-        light, z = grouped(self.incident, n), grouped(self.deviation.detach(), n)
-        if n < 3:
-            return torch.zeros_like(z)
-        both = light * z
-        light, z, both = (x.sum(1, keepdim=True) - x for x in (light, z, both))
-        return (light * z - both) / ((n - 1) * (n - 2))
-
-
-def grouped(samples: Tensor, groups: int) -> Tensor:
-    """Means over groups of neighbouring samples: [b, n, c] -> [b, groups, c]."""
-    count = samples.shape[1]
-    return samples if count == groups else samples.reshape(len(samples), groups, count // groups, -1).mean(2)
-
-
-def leave_one_out(
-    samples: Tensor, target: Tensor, weight: Tensor, control: Control | None = None, groups: int | None = None
-) -> Loss:
-    """Relative L2 of a pixel mean from n >= 2 independent groups of samples, in one pass.
-
-    With ``s_i`` the mean of a group, the gradient is ``(2/n) w sum_i (mean_{j != i} s_j - GT) ds_i``, averaged over
-    pixels and channels.
-
-    Args:
-        samples: samples of every pixel, group by group [b, n * samples of a group, c].
-        target: photographed value [b, c].
-        weight: ``1 / (normaliser^2 + eps)``, independent of the samples [b, 1] or [b, c].
-        control: takes noise from samples and residuals; the mean of the gradient stays the same.
-        groups: how many; None where every sample is independent of all others.
-    """
-    n = samples.shape[1] if groups is None else groups
-    fixed = grouped(samples.detach(), n)
-    others = (fixed.sum(1, keepdim=True) - fixed) / (n - 1)
-    if control is not None:
-        others = others - control.excess_of_others()
-        samples = samples - control.excess()
-    samples = grouped(samples, n)
-    fixed = samples.detach()
-    residual = others - target.unsqueeze(1)
-    scale = weight.unsqueeze(1)
-    surrogate = (2.0 * scale * residual * samples).mean()
-    value = (scale * residual * (fixed - target.unsqueeze(1))).mean()
-    return Loss(surrogate, value)
 
 
 def two_pass(samples: Tensor, independent: Tensor, target: Tensor, weight: Tensor) -> Loss:

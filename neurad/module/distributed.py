@@ -15,7 +15,7 @@ import torch
 import torch.distributed as dist
 from torch import Tensor, nn
 
-from neurad.fields.adam import unique_rows
+from neurad.fields.sparse import unique_rows
 from neurad.module.checkpoint import ASIDE
 
 _WORD = 8

@@ -20,7 +20,7 @@ from neurad.fields.map_adam import MapAdam
 from neurad.fields.mlp import products
 from neurad.fields.radiance import RadianceField
 from neurad.fields.settings import FieldConfig, RadianceConfig, RoughnessConfig
-from neurad.fields.threads import at_most
+from neurad.fields.threads import torch_on_one
 from neurad.integrators.method import Method
 from neurad.integrators.radiometric import Radiometric
 from neurad.integrators.world import World
@@ -43,10 +43,6 @@ from neurad.module.primary import PrimaryHits
 from neurad.module.schedule import fraction_done, rate_factor
 from neurad.scene.description import Scene
 from neurad.scene.textures import TrueMaterials
-
-LANES_A_THREAD = 8192
-"""Samples of a step that are worth a thread: with 4096 on two cores, waking the second one took longer than it saved
-(23.8 ms a step against 19.3)."""
 
 
 class InverseRenderer(L.LightningModule):
@@ -224,7 +220,7 @@ class InverseRenderer(L.LightningModule):
     def training_step(self, batch: PixelBatch, batch_idx: int) -> Tensor:
         """One iteration: one backward pass whose gradients never meet, a step of each optimizer."""
         lanes = len(batch.view) * self.sampling.positions * self.sampling.secondary
-        with at_most(lanes // LANES_A_THREAD):
+        with torch_on_one(lanes):
             return self._iterate(batch)
 
     def _iterate(self, batch: PixelBatch) -> Tensor:

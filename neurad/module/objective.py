@@ -25,11 +25,10 @@ from neurad.core.rng import Stream
 from neurad.integrators.method import Reflected
 from neurad.integrators.world import Reached
 from neurad.losses.bounded import bounded
+from neurad.losses.leave_one_out import Control, leave_one_out
 from neurad.losses.relative import (
-    Control,
     Loss,
     full_gradient_prior,
-    leave_one_out,
     moving_prior,
     relative_weight,
     semi_gradient_prior,

@@ -41,8 +41,9 @@ class PrimaryHits:
         self.pixels = cameras[0].width * cameras[0].height
         total = len(cameras) * self.pixels * count
         has_sky = world.features.has_environment
-        self.prim = torch.empty(total, dtype=torch.int32, device=device)
-        self.bary = torch.empty(total, 2, device=device)
+        # Triangle and barycentrics of a hit stand next to each other, since they are read at random addresses.
+        self.hits = torch.empty(total, 3, dtype=torch.int32, device=device)
+        self.prim, self.bary = self.hits[:, 0], self.hits[:, 1:].view(torch.float32)
         self.away = torch.empty(total if has_sky else 0, 3, dtype=torch.float16, device=device)
         if count > 0:
             for index, camera in enumerate(cameras):
@@ -73,7 +74,7 @@ class PrimaryHits:
             return emitter_pixels(self.world, self.cameras, self.seed, self.prim.device)
         emission = self.world.geometry.emission.amax(-1)
         found = torch.empty(len(self.cameras), self.pixels, dtype=torch.bool, device=self.prim.device)
-        for index, prim in enumerate(self.prim.view(len(self.cameras), -1)):
+        for index, prim in enumerate(torch.tensor_split(self.prim, len(self.cameras))):
             light = (emission[prim.clamp_min(0).long()] > 0) & (prim >= 0)
             found[index] = light.view(self.pixels, self.count).any(-1)
         return found
@@ -88,7 +89,8 @@ class PrimaryHits:
         chosen = stream.integers(self.count, b, positions)
         pixel = (batch.view * self.pixels + batch.pixel).unsqueeze(1) * self.count
         index = (pixel + chosen).view(-1)
-        prim, bary = self.prim[index].long(), self.bary[index]
+        hits = self.hits[index]
+        prim, bary = hits[:, 0].long(), hits[:, 1:].view(torch.float32)
         origin = self.origin[batch.view].repeat_interleave(positions, 0)
         valid = prim >= 0
         missed = self.away[index].float() if len(self.away) else torch.zeros_like(origin)

@@ -7,15 +7,15 @@ from __future__ import annotations
 
 import math
 
-import numba
 import numpy as np
 
+from neurad.core.compiled import compiled
 from neurad.core.records import FloatArray, IntArray
 
 _PINCH = np.float32(1e-12)
 
 
-@numba.njit(nogil=True, cache=True, error_model="numpy")
+@compiled
 def interact(
     prim: IntArray, u: FloatArray, v: FloatArray, table: FloatArray, p: FloatArray, ng: FloatArray, n: FloatArray,
     uv: FloatArray, bary: FloatArray,

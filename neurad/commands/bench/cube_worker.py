@@ -23,6 +23,7 @@ from neurad.fields.dense_grid import DenseGrid
 from neurad.fields.mlp import MLP
 from neurad.fields.radiance import START
 from neurad.fields.settings import FieldConfig, RadianceConfig
+from neurad.fields.threads import torch_on_one
 from neurad.integrators.method import Method
 from neurad.integrators.path import Path as PathMethod
 from neurad.integrators.prb import PRB
@@ -125,6 +126,10 @@ def make_step(job: dict[str, Any], device: torch.device) -> Step:
     iteration = 0
 
     def step() -> int:
+        with torch_on_one(pixels * positions):
+            return take()
+
+    def take() -> int:
         nonlocal iteration
         stream = Stream(0, iteration, device=device)
         cast = world.rays_cast

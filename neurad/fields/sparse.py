@@ -1,0 +1,37 @@
+"""Gradients of tables, which name the rows that were touched."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import torch
+from torch import Tensor
+
+
+def from_rows(parts: Sequence[tuple[Tensor, Tensor]], shape: torch.Size) -> Tensor:
+    """The gradient of a table from its touched rows and their values, part by part, the rows ascending."""
+    rows, values = parts[0]
+    if len(parts) > 1:  # numpy copies on this thread, where torch would wake its own
+        rows = torch.from_numpy(np.concatenate([r.numpy() for r, _ in parts]))
+        values = torch.from_numpy(np.concatenate([v.numpy() for _, v in parts]))
+    return torch.sparse_coo_tensor(rows.unsqueeze(0), values, shape, check_invariants=False, is_coalesced=True)
+
+
+def unique_rows(gradient: Tensor) -> tuple[Tensor, Tensor]:
+    """Ascending rows and values of a sparse gradient, each row once.
+
+    Autograd drops the mark that a gradient is coalesced, and appends where a table was read twice; torch's own
+    ``coalesce`` sorts, which takes longer than the update.
+    """
+    if gradient.device.type != "cpu" or gradient.dtype != torch.float32 or gradient._values().dim() != 2:
+        gradient = gradient.coalesce()
+        return gradient.indices()[0], gradient.values()
+    from neurad.fields import kernels  # compiled code is loaded by those who use it
+
+    rows, values = gradient._indices()[0].contiguous(), gradient._values().contiguous()
+    if kernels.is_ascending(rows.numpy()):
+        return rows, values
+    merged, sums = torch.empty_like(rows), torch.empty_like(values)
+    count = kernels.merge_rows(rows.numpy(), values.numpy(), gradient.shape[0], merged.numpy(), sums.numpy())
+    return merged[:count], sums[:count]

@@ -1,0 +1,126 @@
+"""Relative L2 with an unbiased gradient in one pass: each group of a pixel's samples against the mean of the others."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+import torch
+from torch import Tensor
+from torch.autograd.function import once_differentiable
+
+from neurad.losses import leave_one_out_kernels as kernels
+from neurad.losses.relative import Loss
+
+
+@dataclass(frozen=True)
+class Control:
+    """A control variate for samples of independent groups: ``deviation`` has mean zero whatever light there is."""
+
+    incident: Tensor
+    """Incident radiance that each sample found, without gradient [b, n, c]."""
+    deviation: Tensor
+    """Weight of each sample less the weight's mean, with the same gradient as the samples' [b, n, c]."""
+    groups: int
+    """Independent groups of as many samples each, at least 2; ``n`` of them where all samples are independent."""
+
+    def guess(self) -> Tensor:
+        """Incident radiance at each sample by the other groups of its pixel [b, n, c]."""
+        light = grouped(self.incident, self.groups)
+        others = (light.sum(1, keepdim=True) - light) / (self.groups - 1)
+        return others.repeat_interleave(self.incident.shape[1] // self.groups, 1)
+
+    def excess(self) -> Tensor:
+        """What each sample has too much if the light of the others is all around [b, n, c]; its mean is zero."""
+        return self.guess() * self.deviation
+
+    def excess_of_others(self) -> Tensor:
+        """Mean over all groups but i of their excess by the light of all others but i [b, groups, c], detached.
+
+        Nothing of group i is in it, so a residual less it stays independent of group i. Zero for two groups.
+        """
+        n = self.groups
+        light, z = grouped(self.incident, n), grouped(self.deviation.detach(), n)
+        if n < 3:
+            return torch.zeros_like(z)
+        both = light * z
+        light, z, both = (x.sum(1, keepdim=True) - x for x in (light, z, both))
+        return (light * z - both) / ((n - 1) * (n - 2))
+
+
+def grouped(samples: Tensor, groups: int) -> Tensor:
+    """Means over groups of neighbouring samples: [b, n, c] -> [b, groups, c]."""
+    count = samples.shape[1]
+    return samples if count == groups else samples.reshape(len(samples), groups, count // groups, -1).mean(2)
+
+
+def leave_one_out(
+    samples: Tensor,
+    target: Tensor,
+    weight: Tensor,
+    control: Control | None = None,
+    groups: int | None = None,
+    fast: bool = True,
+) -> Loss:
+    """Relative L2 of a pixel mean from n >= 2 independent groups of samples, in one pass.
+
+    With ``s_i`` the mean of a group, the gradient is ``(2/n) w sum_i (mean_{j != i} s_j - GT) ds_i``, averaged over
+    pixels and channels.
+
+    Args:
+        samples: samples of every pixel, group by group [b, n * samples of a group, c].
+        target: photographed value [b, c].
+        weight: ``1 / (normaliser^2 + eps)``, independent of the samples [b, 1] or [b, c].
+        control: takes noise from samples and residuals; the mean of the gradient stays the same.
+        groups: how many; None where every sample is independent of all others.
+        fast: let a compiled kernel find the gradient where it can (CPU, float32).
+    """
+    n = samples.shape[1] if groups is None else groups
+    if fast and samples.device.type == "cpu" and samples.dtype == torch.float32:
+        deviation = None if control is None else control.deviation
+        return Loss(*_Compiled.apply(samples, deviation, target, weight, control, n))  # type: ignore[no-untyped-call]
+    fixed = grouped(samples.detach(), n)
+    others = (fixed.sum(1, keepdim=True) - fixed) / (n - 1)
+    if control is not None:
+        others = others - control.excess_of_others()
+        samples = samples - control.excess()
+    samples = grouped(samples, n)
+    fixed = samples.detach()
+    residual = others - target.unsqueeze(1)
+    scale = weight.unsqueeze(1)
+    surrogate = (2.0 * scale * residual * samples).mean()
+    value = (scale * residual * (fixed - target.unsqueeze(1))).mean()
+    return Loss(surrogate, value)
+
+
+class _Compiled(torch.autograd.Function):
+    """:func:`leave_one_out` as one operation: its gradient is found together with its value."""
+
+    @staticmethod
+    def forward(
+        ctx: Any,
+        samples: Tensor,
+        deviation: Tensor | None,
+        target: Tensor,
+        weight: Tensor,
+        control: Control | None,
+        groups: int,
+    ) -> tuple[Tensor, Tensor]:
+        by_sample = torch.empty_like(samples, memory_format=torch.contiguous_format)
+        light, around, by_deviation = (samples.new_empty(0, 0, 0) for _ in range(3))
+        if control is not None and deviation is not None:
+            light, around, by_deviation = control.incident, deviation, torch.empty_like(by_sample)
+        given = samples, target, weight.expand_as(target), light, around
+        arrays = (x.detach().contiguous().numpy() for x in (*given, by_sample, by_deviation))
+        surrogate, value = kernels.leave_one_out(groups, *arrays)
+        ctx.slopes = by_sample, by_deviation
+        loss = samples.new_tensor(value)
+        ctx.mark_non_differentiable(loss)
+        return samples.new_tensor(surrogate), loss
+
+    @staticmethod
+    @once_differentiable
+    def backward(ctx: Any, outer: Tensor, _: Tensor) -> tuple[Tensor | None, ...]:
+        by_sample, by_deviation = ctx.slopes
+        wanted = ctx.needs_input_grad
+        return outer * by_sample, outer * by_deviation if wanted[1] else None, None, None, None, None

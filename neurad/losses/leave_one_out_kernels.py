@@ -1,0 +1,66 @@
+"""Compiled form of :func:`neurad.losses.leave_one_out.leave_one_out`."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from neurad.core.compiled import compiled
+from neurad.core.records import FloatArray
+
+_ZERO, _HALF, _ONE, _TWO = np.float32(0.0), np.float32(0.5), np.float32(1.0), np.float32(2.0)
+
+
+@compiled
+def leave_one_out(
+    groups: int,
+    samples: FloatArray,
+    target: FloatArray,
+    weight: FloatArray,
+    light: FloatArray,
+    deviation: FloatArray,
+    by_sample: FloatArray,
+    by_deviation: FloatArray,
+) -> tuple[float, float]:  # pragma: no cover - compiled
+    """Surrogate and loss for ``samples`` [b, n, c], ``target`` and ``weight`` [b, c]; the surrogate's derivatives are
+    written to ``by_sample`` and ``by_deviation`` [b, n, c].
+
+    ``light`` and ``deviation`` [b, n, c] are a control variate's; empty without one.
+    """
+    pixels, count, channels = samples.shape
+    controlled = light.shape[0] > 0
+    of_group = count // groups
+    share, rest = _ONE / np.float32(of_group), _ONE / np.float32(groups - 1)
+    pairs = _ONE / np.float32((groups - 1) * (groups - 2)) if groups > 2 else _ZERO
+    unit = 1.0 / (pixels * groups * channels)
+    means = np.empty((3, groups), np.float32)
+    mean_s, mean_l, mean_z = means[0], means[1], means[2]
+    surrogate, loss = 0.0, 0.0
+    for p in range(pixels):
+        for c in range(channels):
+            total_s, total_l, total_z, total_lz = _ZERO, _ZERO, _ZERO, _ZERO
+            for i in range(groups):
+                sum_s, sum_l, sum_z = _ZERO, _ZERO, _ZERO
+                for k in range(i * of_group, (i + 1) * of_group):
+                    sum_s += samples[p, k, c]
+                    if controlled:
+                        sum_l += light[p, k, c]
+                        sum_z += deviation[p, k, c]
+                mean_s[i], mean_l[i], mean_z[i] = share * sum_s, share * sum_l, share * sum_z
+                total_s += mean_s[i]
+                total_l += mean_l[i]
+                total_z += mean_z[i]
+                total_lz += mean_l[i] * mean_z[i]
+            twice = _TWO * weight[p, c]
+            for i in range(groups):
+                others, guess = (total_s - mean_s[i]) * rest, (total_l - mean_l[i]) * rest
+                others -= ((total_l - mean_l[i]) * (total_z - mean_z[i]) - (total_lz - mean_l[i] * mean_z[i])) * pairs
+                own = mean_s[i] - guess * mean_z[i]
+                pull = twice * (others - target[p, c])
+                surrogate += pull * own
+                loss += _HALF * pull * (own - target[p, c])
+                slope = np.float32(pull * unit) * share
+                for k in range(i * of_group, (i + 1) * of_group):
+                    by_sample[p, k, c] = slope
+                    if controlled:
+                        by_deviation[p, k, c] = -slope * guess
+    return surrogate * unit, loss * unit
