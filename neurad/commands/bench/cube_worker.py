@@ -15,6 +15,7 @@ import torch
 from torch import Tensor
 
 from neurad.commands.bench.machine import peak_bytes, pick_device, wait
+from neurad.core.allocator import keep_freed_memory
 from neurad.core.errors import InputError
 from neurad.core.records import PixelBatch
 from neurad.core.rng import Stream
@@ -55,6 +56,7 @@ Step = Callable[[], int]
 
 def main(job: dict[str, Any]) -> None:
     """Do a job of ``neurad bench cube`` and answer on standard output, a line of JSON for every word heard."""
+    keep_freed_memory()
     answers = os.fdopen(os.dup(1), "w")
     os.dup2(2, 1)  # what libraries print is no answer
 
