@@ -12,6 +12,7 @@ from neurad.fields.material import MIN_ROUGHNESS, AlbedoField, RoughnessField
 from neurad.fields.mlp import MLP
 from neurad.fields.radiance import START, RadianceField
 from neurad.fields.settings import FieldConfig, GridConfig, RadianceConfig, RoughnessConfig
+from neurad.fields.threads import LANES_A_THREAD, threads, torch_on_one
 
 BOUNDS = torch.tensor([[-1.0, 0.0, -3.0], [1.0, 0.5, 5.0]])
 SMALL = GridConfig(levels=4, coarsest=2, finest=64, log2_size=10)
@@ -110,7 +111,7 @@ def test_both_implementations_load_each_others_weights():
 def test_results_are_the_same_bit_by_bit_for_any_number_of_threads(size):
     grid = make_grid(size)
     x, cotangent = points(5000), torch.randn(5009, grid.channels)
-    threads = torch.get_num_threads()
+    before = torch.get_num_threads()
     results = []
     try:
         for count in (1, 1, 2, 2, 3):
@@ -119,7 +120,7 @@ def test_results_are_the_same_bit_by_bit_for_any_number_of_threads(size):
             (gradient,) = torch.autograd.grad(out, grid.table, cotangent)
             results.append((out.detach(), gradient._indices(), gradient._values()))
     finally:
-        torch.set_num_threads(threads)
+        torch.set_num_threads(before)
     for result in results[1:]:
         assert all(torch.equal(a, b) for a, b in zip(result, results[0], strict=True))
 
@@ -174,6 +175,24 @@ def test_fused_network_equals_plain_torch(hidden_layers):
         y = torch.randn(5000, 11)
         torch.testing.assert_close(mlp(y), mlp.plain(y), rtol=1e-5, atol=1e-5)
         assert mlp(y[:0]).shape == (0, 3)
+
+
+@pytest.mark.parametrize("mode", [torch.no_grad, torch.inference_mode])
+def test_networks_give_the_same_on_several_threads(mode):
+    """Each thread has its own mode: what one computes may be written nowhere in another."""
+    mlp, x = MLP(11, 3, 32, 2), torch.rand(5000, 11)
+    with mode(), torch_on_one(1):
+        one = mlp(x)
+    before = torch.get_num_threads()
+    torch.set_num_threads(3)
+    try:
+        with mode(), torch_on_one(4 * LANES_A_THREAD):
+            assert threads(3, 1) == 3
+            assert torch.get_num_threads() == 1
+            assert torch.equal(mlp(x), one)
+        assert torch.get_num_threads() == 3
+    finally:
+        torch.set_num_threads(before)
 
 
 # ---- fields

@@ -132,16 +132,16 @@ def _forward(x: Tensor, parameters: list[Tensor], rounded: bool) -> list[Tensor]
 
 def _evaluated(x: Tensor, parameters: list[Tensor], rounded: bool) -> Tensor:
     """What the network returns [n, outputs], without a gradient."""
-    out = x.new_empty(len(x), len(parameters[-1]))
+    chunks = torch.split(x, CHUNK)
+    parts = list(chunks)
 
     def work(low: int, high: int) -> None:
         with torch.no_grad():  # a thread has its own mode
-            for chunk in range(low, high):
-                rows = slice(chunk * CHUNK, (chunk + 1) * CHUNK)
-                out[rows] = _forward(x[rows], parameters, rounded)[-1]
+            for i in range(low, high):
+                parts[i] = _forward(chunks[i], parameters, rounded)[-1]
 
-    split(work, -(-len(x) // CHUNK), 1)
-    return out
+    split(work, len(chunks), 1)
+    return parts[0] if len(parts) == 1 else torch.cat(parts)
 
 
 class _Layers(torch.autograd.Function):
