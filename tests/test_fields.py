@@ -12,7 +12,7 @@ from neurad.fields.material import MIN_ROUGHNESS, AlbedoField, RoughnessField
 from neurad.fields.mlp import MLP
 from neurad.fields.radiance import START, RadianceField
 from neurad.fields.settings import FieldConfig, GridConfig, RadianceConfig, RoughnessConfig
-from neurad.fields.threads import LANES_A_THREAD, threads, torch_on_one
+from neurad.fields.threads import at_most, threads, torch_on_one
 
 BOUNDS = torch.tensor([[-1.0, 0.0, -3.0], [1.0, 0.5, 5.0]])
 SMALL = GridConfig(levels=4, coarsest=2, finest=64, log2_size=10)
@@ -181,16 +181,18 @@ def test_fused_network_equals_plain_torch(hidden_layers):
 def test_networks_give_the_same_on_several_threads(mode):
     """Each thread has its own mode: what one computes may be written nowhere in another."""
     mlp, x = MLP(11, 3, 32, 2), torch.rand(5000, 11)
-    with mode(), torch_on_one(1):
+    with mode(), at_most(1):
         one = mlp(x)
     before = torch.get_num_threads()
     torch.set_num_threads(3)
     try:
-        with mode(), torch_on_one(4 * LANES_A_THREAD):
-            assert threads(3, 1) == 3
+        with mode(), torch_on_one():
             assert torch.get_num_threads() == 1
+            assert threads(3, 1) == 3
             assert torch.equal(mlp(x), one)
-        assert torch.get_num_threads() == 3
+            with at_most(2):
+                assert threads(3, 1) == 2
+        assert torch.get_num_threads() == threads(3, 1) == 3
     finally:
         torch.set_num_threads(before)
 

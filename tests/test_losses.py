@@ -116,3 +116,11 @@ def test_the_compiled_leave_one_out_is_the_plain_one(samples: int, groups: int, 
 
     for fast, plain in zip(found(True), found(False), strict=True):
         torch.testing.assert_close(fast, plain, rtol=1e-5, atol=1e-6)
+
+
+@pytest.mark.parametrize(("samples", "groups", "of_control"), [(5, 2, None), (4, 1, None), (8, 4, 2)])
+def test_leave_one_out_refuses_uneven_groups(samples: int, groups: int, of_control: int | None) -> None:
+    x = torch.ones(3, samples, 3)
+    control = None if of_control is None else Control(x, x, of_control)
+    with pytest.raises(ValueError, match="groups"):
+        leave_one_out(x, x[:, 0], x[:, 0], control, groups)

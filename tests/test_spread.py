@@ -52,6 +52,15 @@ def test_groups_are_independent() -> None:
     assert abs(float(r)) < 4.0 / (GROUPS / 2) ** 0.5
 
 
-@pytest.mark.parametrize("count", [1, 2, 3, 8, 30])
+@pytest.mark.parametrize("count", [2, 3, 8, 30])
 def test_the_compiled_form_gives_the_same_numbers(count: int) -> None:
     assert torch.equal(spread(500, count, Stream(5)), spread(500, count, Stream(5), fast=False))
+
+
+def test_double_precision_stays(monkeypatch: pytest.MonkeyPatch) -> None:
+    single = spread(50, 4, Stream(6))
+    uniform = Stream.uniform
+    monkeypatch.setattr(Stream, "uniform", lambda self, *shape: uniform(self, *shape).double())
+    double = spread(50, 4, Stream(6))
+    assert double.dtype == torch.float64
+    torch.testing.assert_close(double.float(), single)

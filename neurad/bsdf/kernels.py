@@ -11,6 +11,7 @@ import math
 import numba
 import numpy as np
 
+from neurad.core.compiled import compiled
 from neurad.core.records import FloatArray
 
 _INV_PI = np.float32(1.0 / math.pi)
@@ -107,7 +108,7 @@ def direction(
         out[i, 0], out[i, 1], out[i, 2] = twice * mx - x, twice * my - y, twice * mz - z
 
 
-@numba.njit(nogil=True, cache=True, error_model="numpy")
+@compiled
 def mean_lobes(
     roughness: FloatArray, cosine: FloatArray, entries: FloatArray, rows: int, columns: int, out: FloatArray
 ) -> None:  # pragma: no cover - compiled

@@ -1,6 +1,8 @@
 """Decorators of compiled code: numba, cached on disk.
 
-Numba's cache looks at the file of a function alone: what is inlined into it stands in the same file.
+Numba's cache looks at the file of a function alone. What kernels call or inline therefore stands in their own file
+where it can; after a change of what does not (``fields.dense_kernels`` takes cells from ``fields.kernels``) or of the
+flags here, delete the caches.
 """
 
 from __future__ import annotations

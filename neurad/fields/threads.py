@@ -1,7 +1,7 @@
 """Threads for work that releases the interpreter lock: compiled kernels and torch's matrix products.
 
-Torch's own threads wait for work by spinning for a while, so beside them no others get a core. What is worth several
-threads is therefore split here, inside :func:`torch_on_one`, and torch works on the calling thread.
+Torch's own threads wait for work by spinning for a while, so beside them no others get a core. Where torch has little
+to do that is worth several threads, it works on the calling thread and leaves the others to what is split here.
 """
 
 from __future__ import annotations
@@ -9,7 +9,7 @@ from __future__ import annotations
 import os
 from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from itertools import pairwise
 
 import torch
@@ -52,13 +52,20 @@ def threads(count: int, grain: int) -> int:
 
 
 @contextmanager
-def torch_on_one(lanes: int) -> Iterator[None]:
-    """Inside the block torch uses the calling thread alone, and :func:`split` as many as torch did before, if a step of
-    so many ``lanes`` has work for them.
+def of_step(lanes: int, networks: bool) -> Iterator[None]:
+    """The threads of a training step of so many ``lanes``: torch's own where there are ``networks``, whose products
+    they share, and otherwise none beside the calling one.
     """
+    with at_most(lanes // LANES_A_THREAD), nullcontext() if networks else torch_on_one():
+        yield
+
+
+@contextmanager
+def torch_on_one() -> Iterator[None]:
+    """Inside the block torch uses the calling thread alone, and :func:`split` as many as torch did before."""
     global _allowed
     before = torch.get_num_threads(), _allowed
-    _allowed = max(1, min(_allowed or before[0], lanes // LANES_A_THREAD))
+    _allowed = _allowed or before[0]
     torch.set_num_threads(1)
     try:
         yield
@@ -70,11 +77,14 @@ def torch_on_one(lanes: int) -> Iterator[None]:
 @contextmanager
 def at_most(count: int) -> Iterator[None]:
     """Let torch and :func:`split` use at most ``count`` threads inside the block, and as many as before after it."""
-    before = torch.get_num_threads()
+    global _allowed
+    before, allowed = torch.get_num_threads(), _allowed
     torch.set_num_threads(max(1, min(before, count)))
+    _allowed = None if allowed is None else max(1, min(allowed, count))
     try:
         yield
     finally:
+        _allowed = allowed
         torch.set_num_threads(before)
 
 

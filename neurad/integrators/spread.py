@@ -39,7 +39,7 @@ def spread(groups: int, count: int, stream: Stream, fast: bool = True) -> Tensor
     random = stream.uniform(groups, DIMENSIONS + len(_FIRST))  # shifts, then a choice of each decision's affine map
     units = torch.tensor([k for k in range(1, count) if math.gcd(k, count) == 1])
     mirrored = _mirrored(count)
-    if not fast or random.device.type != "cpu":
+    if not fast or random.device.type != "cpu" or random.dtype != torch.float32:
         return _plain(random, units.to(random.device), mirrored.to(random.device), count)
     out = torch.empty(groups * count, DIMENSIONS)
     spread_kernels.spread(random.numpy(), units.numpy(), mirrored.numpy(), count, out.numpy())

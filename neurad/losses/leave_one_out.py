@@ -74,8 +74,15 @@ def leave_one_out(
         control: takes noise from samples and residuals; the mean of the gradient stays the same.
         groups: how many; None where every sample is independent of all others.
         fast: let a compiled kernel find the gradient where it can (CPU, float32).
+
+    Raises:
+        ValueError: groups of the samples, or of the control variate, are not as many or not equally long.
     """
     n = samples.shape[1] if groups is None else groups
+    if n < 2 or samples.shape[1] % n or (control is not None and control.groups != n):
+        raise ValueError(
+            f"leave_one_out: {samples.shape[1]} samples, {n} groups; the control variate must have as many"
+        )
     if fast and samples.device.type == "cpu" and samples.dtype == torch.float32:
         deviation = None if control is None else control.deviation
         return Loss(*_Compiled.apply(samples, deviation, target, weight, control, n))  # type: ignore[no-untyped-call]

@@ -17,10 +17,10 @@ from neurad.core.rng import Stream
 from neurad.emitters.fitted import FittedEnvironment
 from neurad.fields.adam import FieldAdam
 from neurad.fields.map_adam import MapAdam
-from neurad.fields.mlp import products
+from neurad.fields.mlp import MLP, products
 from neurad.fields.radiance import RadianceField
 from neurad.fields.settings import FieldConfig, RadianceConfig, RoughnessConfig
-from neurad.fields.threads import torch_on_one
+from neurad.fields.threads import of_step
 from neurad.integrators.method import Method
 from neurad.integrators.radiometric import Radiometric
 from neurad.integrators.world import World
@@ -106,6 +106,7 @@ class InverseRenderer(L.LightningModule):
         self.last_losses: dict[str, Tensor] = {}
         self.average = None
         self._step: ObjectiveStep | None = None
+        self._networks = True
         self._guard = Guard(self)
         self._others: Others | None = None
         self._held_out: HeldOut | None = None
@@ -167,6 +168,7 @@ class InverseRenderer(L.LightningModule):
     def on_fit_start(self) -> None:
         """Trace the camera rays of the training views, and take the units of light from the photographs."""
         self.processes = self.trainer.world_size
+        self._networks = any(isinstance(part, MLP) for part in self.modules())
         self._others = Others(self, self._ddp_params_and_buffers_to_ignore) if self.processes > 1 else None
         data = self.trainer.datamodule  # type: ignore[attr-defined]
         cameras = [view.camera for view in self.scene.train]
@@ -220,7 +222,7 @@ class InverseRenderer(L.LightningModule):
     def training_step(self, batch: PixelBatch, batch_idx: int) -> Tensor:
         """One iteration: one backward pass whose gradients never meet, a step of each optimizer."""
         lanes = len(batch.view) * self.sampling.positions * self.sampling.secondary
-        with torch_on_one(lanes):
+        with of_step(lanes, self._networks):
             return self._iterate(batch)
 
     def _iterate(self, batch: PixelBatch) -> Tensor:

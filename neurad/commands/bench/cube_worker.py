@@ -24,7 +24,7 @@ from neurad.fields.dense_grid import DenseGrid
 from neurad.fields.mlp import MLP
 from neurad.fields.radiance import START
 from neurad.fields.settings import FieldConfig, RadianceConfig
-from neurad.fields.threads import torch_on_one
+from neurad.fields.threads import of_step
 from neurad.integrators.method import Method
 from neurad.integrators.path import Path as PathMethod
 from neurad.integrators.prb import PRB
@@ -128,7 +128,7 @@ def make_step(job: dict[str, Any], device: torch.device) -> Step:
     iteration = 0
 
     def step() -> int:
-        with torch_on_one(pixels * positions):
+        with of_step(pixels * positions, job["fields"] == "hash"):
             return take()
 
     def take() -> int:

@@ -67,7 +67,7 @@ def in_double(fit: Fit) -> Iterator[None]:
         module.double()
     tracer, uniform, table = fit.world.tracer, Stream.uniform, directional.table
     fit.world.tracer = _Rounded(tracer)
-    fit.primary.origin, fit.primary.bary = fit.primary.origin.double(), fit.primary.bary.double()
+    fit.primary.origin = fit.primary.origin.double()
     fit.images = fit.images.double()
     Stream.uniform = lambda self, *shape: uniform(self, *shape).double()  # type: ignore[method-assign]
     directional.table = lambda eta, device: table(eta, device).double()  # type: ignore[assignment]
