@@ -85,7 +85,13 @@ class HashGrid(nn.Module):
 
     @classmethod
     def from_config(cls, config: GridConfig, fast: bool = True) -> Self:
-        """A grid of the sizes in ``config``."""
+        """A grid of the sizes in ``config``.
+
+        Raises:
+            ValueError: ``finest`` is left to photographs, which nobody has looked at.
+        """
+        if config.finest is None:
+            raise ValueError("HashGrid: finest is not known yet, see neurad.module.resolution")
         return cls(config.levels, config.coarsest, config.finest, config.features, config.log2_size, fast)
 
     def forward(self, x: Tensor) -> Tensor:

@@ -21,8 +21,9 @@ class GridConfig:
     """Number of resolutions, growing geometrically."""
     coarsest: int = 4
     """Cells along the longest side of the scene at the first level."""
-    finest: int = 256
-    """Cells along the longest side of the scene at the last level."""
+    finest: int | None = 256
+    """Cells along the longest side of the scene at the last level; null: as fine as the photographs show the scene,
+    cells as large as a pixel where the cameras are close."""
     features: int = 2
     """Channels of a table entry; kernels exist for 2, other counts run in plain torch."""
     log2_size: int = 17
@@ -32,7 +33,7 @@ class GridConfig:
         """Refuse sizes that no grid can have."""
         if self.levels < 1 or self.features < 1:
             raise InputError("grid: levels and features must be at least 1")
-        if not 1 <= self.coarsest <= self.finest <= 1 << 20:
+        if not 1 <= self.coarsest <= (self.coarsest if self.finest is None else self.finest) <= 1 << 20:
             raise InputError("grid: coarsest and finest must satisfy 1 <= coarsest <= finest <= 1048576")
         if not 3 <= self.log2_size <= 24:
             raise InputError("grid: log2_size must lie in 3 .. 24")

@@ -40,6 +40,7 @@ from neurad.module.lighting import fitted_environment, unknown_environment
 from neurad.module.objective import ObjectiveStep, StepTerms
 from neurad.module.optimizers import make_optimizers
 from neurad.module.primary import PrimaryHits
+from neurad.module.resolution import sized
 from neurad.module.schedule import fraction_done, rate_factor
 from neurad.scene.description import Scene
 from neurad.scene.textures import TrueMaterials
@@ -150,10 +151,17 @@ class InverseRenderer(L.LightningModule):
         if self.knows_materials:
             self.materials = TrueMaterials(self.scene, self.world.geometry)
         else:
-            self.materials = build_materials(self.scene, albedo, roughness, self.world.geometry)
+            self.materials = build_materials(
+                self.scene,
+                sized(albedo, self.world, self.scene),
+                sized(roughness, self.world, self.scene),
+                self.world.geometry,
+            )
             if self.optimization.average > 0:
                 self.average = Average(self.materials, self.optimization.average)
-        self.radiance = build_radiance(self.scene, radiance) if self.method.needs_field else None
+        self.radiance = None
+        if self.method.needs_field:
+            self.radiance = build_radiance(self.scene, sized(radiance, self.world, self.scene))
         if self.trainer.world_size > 1:
             self._ddp_params_and_buffers_to_ignore = set_aside(self)  # DDP's own name for it
 

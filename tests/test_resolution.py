@@ -1,0 +1,57 @@
+"""How fine a grid is that follows the photographs."""
+
+import math
+from dataclasses import replace
+
+import pytest
+import torch
+
+from neurad.fields.hash_grid import MARGIN, HashGrid
+from neurad.fields.settings import FieldConfig, GridConfig
+from neurad.module.assemble import build_world
+from neurad.module.resolution import finest_cells, sized
+from neurad.scene.builtin import build_cube
+from neurad.scene.description import Scene
+
+
+def seen_with(scene: Scene, width: int) -> int:
+    train = [replace(view, camera=replace(view.camera, width=width, height=width)) for view in scene.train]
+    return finest_cells(build_world(scene), replace(scene, train=train))
+
+
+def test_a_cell_is_as_large_as_a_pixel_of_the_closest_tenth() -> None:
+    """In the cube against distances found by brute force: rays of all cameras to the six walls."""
+    scene = build_cube(0.5)
+    low, high = torch.from_numpy(scene.bounds).unbind()
+    sizes = []
+    for view in scene.train:
+        camera = view.camera
+        pixel = 2.0 * math.tan(0.5 * camera.fov_x) / camera.width
+        x, y = torch.meshgrid(*[(torch.arange(camera.width) + 0.5 - camera.width / 2) * pixel] * 2, indexing="ij")
+        d = (
+            torch.stack((x, y, -torch.ones_like(x)), -1).view(-1, 3)
+            @ torch.as_tensor(camera.to_world)[:3, :3].T.float()
+        )
+        d = d / d.norm(dim=-1, keepdim=True)
+        o = torch.as_tensor(camera.to_world)[:3, 3].float()
+        sizes.append(torch.where(d > 0, (high - o) / d, (low - o) / d).amin(-1) * pixel)
+    side = float((high - low).max()) * (1.0 + 2.0 * MARGIN)
+    expected = side / float(torch.cat(sizes).quantile(0.1))
+    assert abs(math.log2(finest_cells(build_world(scene), scene) / expected)) < 0.27  # rounded to powers of 2^0.5
+
+
+def test_it_follows_the_pixels_and_not_the_scene() -> None:
+    scene = build_cube(0.5)
+    assert seen_with(scene, 256) == 2 * seen_with(scene, 128)
+    assert seen_with(scene, 4096) == 32 * seen_with(scene, 128)
+
+
+def test_what_is_set_stays() -> None:
+    scene = build_cube(0.5)
+    world = build_world(scene)
+    for config in (FieldConfig(), FieldConfig(kind="dense"), FieldConfig(kind="dense", grid=GridConfig(finest=None))):
+        assert sized(config, world, scene) == config
+    left = FieldConfig(grid=GridConfig(finest=None, coarsest=4))
+    assert sized(left, world, scene).grid == replace(left.grid, finest=finest_cells(world, scene))
+    with pytest.raises(ValueError, match="not known"):
+        HashGrid.from_config(left.grid)
