@@ -97,6 +97,7 @@ class _Read(torch.autograd.Function):
         (x,) = ctx.saved_tensors
         arrays = x.numpy(), gradients[0].contiguous().numpy(), ctx.grid.size
         edges = _slabs(x, ctx.grid.size, threads(len(x), 2048), dense_kernels.WHOLE)
+        marks = ctx.grid.marks()
         parts: dict[int, tuple[Tensor, Tensor]] = {}
 
         def work(begin: int, end: int) -> None:
@@ -104,11 +105,10 @@ class _Read(torch.autograd.Function):
                 low, high = edges[part : part + 2]
                 touched = min(8 * len(x), high - low)
                 rows, values = torch.empty(touched, dtype=torch.int64), torch.empty(touched, ctx.shape[1])
-                marked = *ctx.grid.marks(), rows.numpy(), values.numpy()
-                count = dense_kernels.dense_gradient(*arrays, low, high, *marked)
+                written = *marks, rows.numpy(), values.numpy()
+                count = dense_kernels.dense_gradient(*arrays, low, high, *written)
                 parts[part] = rows[:count], values[:count]
 
-        ctx.grid.marks()  # made by one thread
         split(work, len(edges) - 1, 1)
         return None, from_rows([parts[i] for i in range(len(parts))], ctx.shape), None
 
@@ -117,6 +117,8 @@ def _slabs(x: Tensor, size: int, count: int, whole: int) -> list[int]:
     """Entries at which ``count`` ranges of the table that hold about as many of the positions ``x`` begin, and the end;
     multiples of ``whole`` in between.
     """
-    z = x[::16, 2].nan_to_num().clamp(0.0, 1.0).sort().values
+    if count == 1:
+        return [0, size**3]
+    z = x[::16, 2].nan_to_num().clamp(0.0, 1.0).sort().values  # some tell enough; a bad position may lie anywhere
     cuts = [int(float(z[len(z) * i // count]) * (size - 1)) * size * size // whole * whole for i in range(1, count)]
     return [0, *cuts, size**3]

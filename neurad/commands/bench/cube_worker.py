@@ -127,11 +127,8 @@ def make_step(job: dict[str, Any], device: torch.device) -> Step:
     color = torch.full((pixels, 3), light, device=device)
     iteration = 0
 
+    @of_step(pixels * positions, job["fields"] == "hash")
     def step() -> int:
-        with of_step(pixels * positions, job["fields"] == "hash"):
-            return take()
-
-    def take() -> int:
         nonlocal iteration
         stream = Stream(0, iteration, device=device)
         cast = world.rays_cast
