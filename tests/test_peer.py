@@ -1,6 +1,7 @@
 """The peer of `neurad bench peer`: its voxels, its gradients, and what is reported of a race."""
 
 import csv
+import math
 import os
 import subprocess
 import sys
@@ -151,6 +152,17 @@ def test_a_short_run_finds_albedo(mi, tmp_path):
     assert float(rows[-1]["albedo_psnr"]) > float(rows[0]["albedo_psnr"]) + 1.0
     seconds = [float(row["seconds"]) for row in rows]
     assert seconds == sorted(seconds)
+
+
+def test_networks_are_as_fine_as_the_photographs_where_the_config_leaves_it_open(mi, tmp_path):
+    from neurad.commands.peer.fit import PeerSettings, fit
+
+    out = tmp_path / "peer.csv"
+    sizes = {"grid": {"levels": 2, "coarsest": 4, "finest": None, "log2_size": 10}, "width": 8, "hidden_layers": 1}
+    few = {"max_steps": 2, "resolution": 8, "pixels": 64, "samples": 2}
+    fit(PeerSettings("network", 1e6, str(out), scene="cornell", albedo=sizes, roughness=sizes, **few))
+    with out.open() as file:
+        assert math.isfinite(float(list(csv.DictReader(file))[-1]["albedo_psnr"]))
 
 
 def test_a_missing_llvm_is_one_sentence(tmp_path):

@@ -16,7 +16,7 @@ from neurad.scene.description import Scene
 
 def seen_with(scene: Scene, width: int) -> int:
     train = [replace(view, camera=replace(view.camera, width=width, height=width)) for view in scene.train]
-    return finest_cells(build_world(scene), replace(scene, train=train))
+    return finest_cells(build_world(scene).tracer, replace(scene, train=train))
 
 
 def test_a_cell_is_as_large_as_a_pixel_of_the_closest_tenth() -> None:
@@ -37,7 +37,8 @@ def test_a_cell_is_as_large_as_a_pixel_of_the_closest_tenth() -> None:
         sizes.append(torch.where(d > 0, (high - o) / d, (low - o) / d).amin(-1) * pixel)
     side = float((high - low).max()) * (1.0 + 2.0 * MARGIN)
     expected = side / float(torch.cat(sizes).quantile(0.1))
-    assert abs(math.log2(finest_cells(build_world(scene), scene) / expected)) < 0.27  # rounded to powers of 2^0.5
+    cells = finest_cells(build_world(scene).tracer, scene)
+    assert abs(math.log2(cells / expected)) < 0.27  # rounded to powers of 2^0.5
 
 
 def test_it_follows_the_pixels_and_not_the_scene() -> None:
@@ -48,10 +49,10 @@ def test_it_follows_the_pixels_and_not_the_scene() -> None:
 
 def test_what_is_set_stays() -> None:
     scene = build_cube(0.5)
-    world = build_world(scene)
+    tracer = build_world(scene).tracer
     for config in (FieldConfig(), FieldConfig(kind="dense"), FieldConfig(kind="dense", grid=GridConfig(finest=None))):
-        assert sized(config, world, scene) == config
+        assert sized(config, tracer, scene) == config
     left = FieldConfig(grid=GridConfig(finest=None, coarsest=4))
-    assert sized(left, world, scene).grid == replace(left.grid, finest=finest_cells(world, scene))
+    assert sized(left, tracer, scene).grid == replace(left.grid, finest=finest_cells(tracer, scene))
     with pytest.raises(ValueError, match="not known"):
         HashGrid.from_config(left.grid)

@@ -8,10 +8,10 @@ from typing import TypeVar
 
 import torch
 
+from neurad.core.protocols import Tracer
 from neurad.core.rng import Stream
 from neurad.fields.hash_grid import UnitCube
 from neurad.fields.settings import FieldConfig
-from neurad.integrators.world import World
 from neurad.scene.camera import Cameras
 from neurad.scene.description import Scene
 
@@ -23,15 +23,15 @@ SHARE = 0.1
 Config = TypeVar("Config", bound=FieldConfig)
 
 
-def sized(config: Config, world: World, scene: Scene) -> Config:
+def sized(config: Config, tracer: Tracer, scene: Scene) -> Config:
     """``config`` with a ``finest`` level where it leaves that to the photographs."""
     if config.kind != "hash" or config.grid.finest is not None:
         return config
-    return replace(config, grid=replace(config.grid, finest=max(config.grid.coarsest, finest_cells(world, scene))))
+    return replace(config, grid=replace(config.grid, finest=max(config.grid.coarsest, finest_cells(tracer, scene))))
 
 
 @torch.no_grad()
-def finest_cells(world: World, scene: Scene) -> int:
+def finest_cells(tracer: Tracer, scene: Scene) -> int:
     """Cells along the longest side of the scene, each as large as a pixel where the training views are close: a tenth
     of what they show is closer. Finer cells would hold little but the photographs' noise.
 
@@ -41,7 +41,7 @@ def finest_cells(world: World, scene: Scene) -> int:
     stream = Stream(0, 3)
     view = stream.integers(len(scene.train), RAYS)
     rays = cameras.rays(view, stream.uniform(RAYS, 2) * torch.tensor([cameras.width, cameras.height]))
-    hit = world.tracer.closest(rays)
+    hit = tracer.closest(rays)
     if not bool(hit.valid.any()):
         return 1
     pixel = (hit.t * cameras.side[view])[hit.valid]

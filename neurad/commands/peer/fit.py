@@ -102,13 +102,14 @@ def fit(settings: PeerSettings) -> None:
     scene = load_scene(settings.root, settings.scene)
     photographs, has_alpha = _photographs(scene)
     voxels = SurfaceVoxels(scene, settings.resolution)
-    model = _model(settings, scene, voxels)
+    with clock.excluded():
+        held_out = _held_out(scene)
+        sizes = _sizes(settings, held_out, scene)
+    model = _model(settings, scene, voxels, *sizes)
     replay = Replay(
         mi, scene, voxels, photographs, settings.max_depth, settings.rr_depth, has_alpha, settings.normaliser,
         settings.epsilon, settings.seed,
     )  # fmt: skip
-    with clock.excluded():
-        held_out = _held_out(scene)
     report = _Report(Path(settings.out), held_out, voxels)
     iteration = mark = 0
     while True:
@@ -135,14 +136,15 @@ def fit(settings: PeerSettings) -> None:
         report(iteration, model())
 
 
-def _model(settings: PeerSettings, scene: Scene, voxels: SurfaceVoxels) -> Pyramid | Networks:
+def _model(
+    settings: PeerSettings, scene: Scene, voxels: SurfaceVoxels, albedo: FieldConfig, roughness: FieldConfig
+) -> Pyramid | Networks:
     rates, betas = (settings.rate, settings.roughness_rate), (settings.beta1, settings.beta2)
     if settings.kind == "grid":
         return Pyramid(voxels, *rates, betas, settings.gain)
     bounds = torch.from_numpy(scene.bounds)
-    albedo = AlbedoField(_field(settings.albedo), bounds)
-    roughness = None if scene.features.is_diffuse else RoughnessField(_field(settings.roughness), bounds)
-    return Networks(voxels, albedo, roughness, *rates, betas)
+    second = None if scene.features.is_diffuse else RoughnessField(roughness, bounds)
+    return Networks(voxels, AlbedoField(albedo, bounds), second, *rates, betas)
 
 
 def _factor(final: float, iteration: int, progress: float) -> float:
@@ -151,10 +153,15 @@ def _factor(final: float, iteration: int, progress: float) -> float:
     return rise * (final + (1.0 - final) * 0.5 * (1.0 + math.cos(math.pi * progress)))
 
 
-def _field(described: dict[str, Any]) -> FieldConfig:
-    """Sizes as they stand in a config."""
-    sizes = {key: value for key, value in described.items() if key != "grid"}
-    return FieldConfig(grid=GridConfig(**described.get("grid", {})), **sizes)
+def _sizes(settings: PeerSettings, held_out: HeldOut, scene: Scene) -> tuple[FieldConfig, FieldConfig]:
+    """Of the networks for albedo and roughness, as ``neurad fit`` has them; what it imports is no part of the race."""
+    from neurad.module.resolution import sized
+
+    def field_of(described: dict[str, Any]) -> FieldConfig:
+        sizes = {key: value for key, value in described.items() if key != "grid"}
+        return sized(FieldConfig(grid=GridConfig(**described.get("grid", {})), **sizes), held_out.tracer, scene)
+
+    return field_of(settings.albedo), field_of(settings.roughness)
 
 
 def _photographs(scene: Scene) -> tuple[FloatArray, bool]:
