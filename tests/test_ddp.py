@@ -1,8 +1,11 @@
 """Several processes do what one does with a larger batch."""
 
+import contextlib
 import os
+import signal
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import pytest
@@ -40,6 +43,40 @@ def test_two_processes_learn_what_one_learns_from_both_batches(tmp_path, kind):
             assert (first["state"][name] - value).norm() <= 0.02 * moved, name
             if alone is not None and name.endswith("table"):
                 assert (alone.state_dict()[name] - value).norm() > 0.2 * moved, name  # half the batch does differ
+
+
+def test_ctrl_c_stops_two_processes_after_the_same_iteration(tmp_path):
+    """One of them is told; the other must not be left waiting for it."""
+    environment = {**os.environ, "OMP_NUM_THREADS": "1", "CUDA_VISIBLE_DEVICES": ""}
+    settings = {
+        "config": "cornell.yaml", "trainer.accelerator": "cpu", "trainer.devices": "2", "trainer.strategy": "ddp",
+        "trainer.max_time": "null", "trainer.max_steps": "1000000", "data.patches": "16", "evaluation.share": "0",
+        "checkpoint.every_seconds": "0.5",
+    }  # fmt: skip
+    command = [sys.executable, "-m", "neurad", "fit", *(f"--{key}={value}" for key, value in settings.items())]
+    with (tmp_path / "log").open("w") as log:
+        process = subprocess.Popen(
+            command, env=environment, cwd=tmp_path, stdout=log, stderr=log, start_new_session=True
+        )
+    last = tmp_path / "lightning_logs" / "version_0" / "checkpoints" / "last.ckpt"
+    try:
+        wait_until(lambda: last.exists() or process.poll() is not None, 120)
+        process.send_signal(signal.SIGINT)
+        code = process.wait(60)
+    finally:
+        with contextlib.suppress(ProcessLookupError):  # nobody is left
+            os.killpg(process.pid, signal.SIGKILL)
+    said = (tmp_path / "log").read_text()
+    assert code == 130, said
+    assert "continues from" in said
+    assert torch.load(last, weights_only=True)["neurad"]["iteration"] > 0
+
+
+def wait_until(true, seconds):
+    end = time.monotonic() + seconds
+    while not true():
+        assert time.monotonic() < end, "waited too long"
+        time.sleep(0.1)
 
 
 def fit_nothing(kind):

@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import lightning.pytorch as pl
+import torch
 from lightning.pytorch.callbacks import Checkpoint
 from torch.optim import Optimizer
 
@@ -22,7 +23,8 @@ class LastCheckpoint(Checkpoint):
     """Keeps ``checkpoints/last.ckpt`` in the run folder.
 
     A checkpoint is taken between iterations only, since one in the middle of a step (one optimizer stepped, another
-    not) could not be continued exactly. Ctrl-C therefore lets the iteration finish; a second one does not wait.
+    not) could not be continued exactly. Ctrl-C therefore lets the iteration finish; a second one does not wait. Of
+    several processes all stop after the same iteration, whichever was told to.
 
     Args:
         every_seconds: wall-clock seconds between two checkpoints.
@@ -57,9 +59,11 @@ class LastCheckpoint(Checkpoint):
     def on_train_batch_end(self, trainer: pl.Trainer, pl_module: pl.LightningModule, *_: Any) -> None:
         """Save if it is time, and stop if that was asked for."""
         self._stepped = False
-        if self._stop_asked:
+        late = trainer.is_global_zero and time.monotonic() - self._written >= self.every_seconds
+        stop, save = _anywhere(trainer, self._stop_asked, late)
+        if stop:
             raise KeyboardInterrupt
-        if trainer.strategy.broadcast(time.monotonic() - self._written >= self.every_seconds):
+        if save:
             self.save(trainer)
 
     def on_train_end(self, trainer: pl.Trainer, pl_module: pl.LightningModule) -> None:
@@ -105,3 +109,12 @@ class LastCheckpoint(Checkpoint):
             raise KeyboardInterrupt
         self._stop_asked = True
         print("\nneurad: stopping after this iteration (Ctrl-C again: at once)", file=sys.stderr)
+
+
+def _anywhere(trainer: pl.Trainer, *asked: bool) -> list[bool]:
+    """What any process asks for, alike in all of them: one that stopped alone would leave the others waiting."""
+    if trainer.world_size == 1:
+        return list(asked)
+    flags = torch.tensor(asked, dtype=torch.int32, device=trainer.strategy.root_device)
+    found: torch.Tensor = trainer.strategy.reduce(flags, reduce_op="max")
+    return found.bool().tolist()
