@@ -109,7 +109,7 @@ def make_scene(test: list[View], train: list[Camera] | None = None, kind: str = 
     return Scene("floor", meshes, [Material("m", kind, half, half)], None, views, test)
 
 
-def open_views(scene: Scene, grid: int = 2) -> HeldOut:
+def open_views(scene: Scene, grid: int = 4) -> HeldOut:
     geometry = Geometry(scene)
     return HeldOut(scene, geometry, make_tracer("embree", geometry.vertices, geometry.faces), grid)
 
@@ -137,8 +137,9 @@ SEEN = COUNTED.copy()
 SEEN[:, 4:] = False  # behind the wall
 
 
-def test_which_pixels_count_and_which_are_seen() -> None:
-    views = open_views(make_scene([from_above()]))
+@pytest.mark.parametrize("grid", [2, 3, 4])
+def test_which_pixels_count_and_which_are_seen(grid: int) -> None:
+    views = open_views(make_scene([from_above()]), grid)
     np.testing.assert_array_equal(views.counted(0), COUNTED)
     np.testing.assert_array_equal(views.seen(0), SEEN)
 
@@ -173,6 +174,18 @@ def test_the_second_camera_is_asked_about_what_the_first_does_not_see() -> None:
     views = open_views(make_scene([from_above()], both))
     assert views.seen(0)[COUNTED].all()
     assert not views.seen(0)[0].any()  # nothing is there
+
+
+@pytest.mark.parametrize("grid", [2, 4, 6])
+def test_a_few_sub_samples_are_one_in_each_quarter_of_a_pixel(grid: int) -> None:
+    views = open_views(make_scene([from_above()]), grid)
+    whole = next(iter(views.sub_samples(0)))[1].p.view(SIDE * SIDE, grid * grid, 3)
+    few = next(iter(views.sub_samples(0, few=True)))[1].p.view(SIDE * SIDE, 4, 3)
+    on_floor = np.flatnonzero(COUNTED)
+    for pixel in on_floor:
+        assert all((whole[pixel] == p).all(-1).any() for p in few[pixel])
+        x, y = ((few[pixel, :, :2] / 0.5) % 1.0 >= 0.5).T.tolist()  # pixels are 0.5 wide
+        assert len(set(zip(x, y, strict=True))) == 4
 
 
 def test_predictions_are_box_filtered() -> None:

@@ -65,7 +65,7 @@ def lit_glossy(
         albedo = torch.from_numpy(truth["albedo_true"]).view(-1, 3)
         roughness = torch.from_numpy(truth["roughness_true"]).view(-1, 1)
         result = torch.zeros(size[0] * size[1], dtype=torch.bool)
-        for part, it in held_out.sub_samples(index):
+        for part, it in held_out.sub_samples(index, few=True):
             chosen = torch.from_numpy(smooth.reshape(-1)[part])
             pixel = chosen.nonzero().squeeze(-1)
             if len(pixel) == 0:
