@@ -186,6 +186,8 @@ def test_a_few_sub_samples_are_one_in_each_quarter_of_a_pixel(grid: int) -> None
         assert all((whole[pixel] == p).all(-1).any() for p in few[pixel])
         x, y = ((few[pixel, :, :2] / 0.5) % 1.0 >= 0.5).T.tolist()  # pixels are 0.5 wide
         assert len(set(zip(x, y, strict=True))) == 4
+    lanes = views._few(slice(3, 5), torch.device("cpu")).view(2, 4) - torch.tensor([[0], [grid**2]])
+    assert (lanes % grid).float().mean() == (lanes // grid).float().mean() == (grid - 1) / 2  # no corner preferred
 
 
 def test_predictions_are_box_filtered() -> None:
@@ -206,7 +208,7 @@ def test_predictions_are_box_filtered() -> None:
 
 
 def test_chunks_and_uncached_hits_change_nothing_that_counts(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(held_out, "CHUNK", 40)
+    monkeypatch.setattr(held_out, "CHUNK", 160)  # ten pixels, across rows, four in the last chunk
     monkeypatch.setattr(held_out, "CACHE_BYTES", 0)
     views = open_views(make_scene([from_above()]))
     np.testing.assert_array_equal(views.counted(0), COUNTED)

@@ -16,6 +16,7 @@ from neurad.commands.peer import report
 from neurad.commands.peer.models import Pyramid
 from neurad.commands.peer.voxels import SurfaceVoxels, VoxelMaterials, coarser
 from neurad.core.errors import InputError
+from neurad.module.resolution import finest_cells
 from neurad.scene.camera import camera_rays
 from neurad.scene.geometry import Geometry
 from neurad.scene.load import load_scene
@@ -155,14 +156,20 @@ def test_a_short_run_finds_albedo(mi, tmp_path):
 
 
 def test_networks_are_as_fine_as_the_photographs_where_the_config_leaves_it_open(mi, tmp_path):
-    from neurad.commands.peer.fit import PeerSettings, fit
+    from neurad.commands.peer.fit import PeerSettings, _held_out, _sizes, fit
 
     out = tmp_path / "peer.csv"
     sizes = {"grid": {"levels": 2, "coarsest": 4, "finest": None, "log2_size": 10}, "width": 8, "hidden_layers": 1}
     few = {"max_steps": 2, "resolution": 8, "pixels": 64, "samples": 2}
-    fit(PeerSettings("network", 1e6, str(out), scene="cornell", albedo=sizes, roughness=sizes, **few))
+    settings = PeerSettings("network", 1e6, str(out), scene="cornell", albedo=sizes, roughness=sizes, **few)
+    fit(settings)
     with out.open() as file:
         assert math.isfinite(float(list(csv.DictReader(file))[-1]["albedo_psnr"]))
+    scene = load_scene(None, "cornell")
+    held_out = _held_out(scene)
+    finest = finest_cells(held_out.tracer, scene)
+    assert finest > 4
+    assert [field.grid.finest for field in _sizes(settings, held_out, scene)] == [finest, finest]
 
 
 def test_a_missing_llvm_is_one_sentence(tmp_path):

@@ -12,6 +12,7 @@ from typing import Any
 
 import lightning.pytorch as pl
 import torch
+import torch.distributed as dist
 from lightning.pytorch.callbacks import Checkpoint
 from torch.optim import Optimizer
 
@@ -24,7 +25,8 @@ class LastCheckpoint(Checkpoint):
 
     A checkpoint is taken between iterations only, since one in the middle of a step (one optimizer stepped, another
     not) could not be continued exactly. Ctrl-C therefore lets the iteration finish; a second one does not wait. Of
-    several processes all stop after the same iteration, whichever was told to.
+    several processes all stop after the same iteration, whichever was told to; where one fails alone nothing is saved,
+    since that would have to wait for the others.
 
     Args:
         every_seconds: wall-clock seconds between two checkpoints.
@@ -35,6 +37,7 @@ class LastCheckpoint(Checkpoint):
         self.every_seconds = every_seconds
         self._stepped = False
         self._stop_asked = False
+        self._agreed = False
         self._written = 0.0
         self._handler: Any = None
 
@@ -46,7 +49,7 @@ class LastCheckpoint(Checkpoint):
     def on_train_start(self, trainer: pl.Trainer, pl_module: pl.LightningModule) -> None:
         """Start the clock and take over Ctrl-C."""
         self._written = time.monotonic()
-        self._stop_asked = False
+        self._stop_asked = self._agreed = False
         if threading.current_thread() is threading.main_thread():
             self._handler = signal.signal(signal.SIGINT, self._on_interrupt)
 
@@ -62,6 +65,7 @@ class LastCheckpoint(Checkpoint):
         late = trainer.is_global_zero and time.monotonic() - self._written >= self.every_seconds
         stop, save = _anywhere(trainer, self._stop_asked, late)
         if stop:
+            self._agreed = True
             raise KeyboardInterrupt
         if save:
             self.save(trainer)
@@ -78,12 +82,16 @@ class LastCheckpoint(Checkpoint):
         path = self.path(trainer)
         if isinstance(exception, NotFinite):  # its weights are kept apart: this file stays one that can be used
             return
-        if not self._stepped:
+        alone = trainer.world_size > 1 and not self._agreed
+        if not self._stepped and not alone:
             self.save(trainer)
-        elif path is not None:
+        elif path is not None and trainer.is_global_zero:
             print("neurad: stopped in the middle of an iteration, the last checkpoint stays as it is", file=sys.stderr)
-        if isinstance(exception, KeyboardInterrupt) and path is not None and path.is_file():
+        told = isinstance(exception, KeyboardInterrupt) and trainer.is_global_zero
+        if told and path is not None and path.is_file():
             print(f"neurad: interrupted; `--ckpt_path last` continues from {path}", file=sys.stderr)
+        if self._agreed:  # the others stop by themselves; Lightning would kill them, and this process for their end
+            getattr(trainer.strategy.launcher, "procs", []).clear()
 
     def teardown(self, trainer: pl.Trainer, pl_module: pl.LightningModule, stage: str) -> None:
         """Give Ctrl-C back."""
@@ -102,6 +110,7 @@ class LastCheckpoint(Checkpoint):
             with part.open("rb") as file:
                 os.fsync(file.fileno())
             os.replace(part, path)
+        trainer.strategy.barrier()  # a process that ends before the file is in its place would take this one with it
         self._written = time.monotonic()
 
     def _on_interrupt(self, signum: int, frame: Any) -> None:
@@ -116,5 +125,5 @@ def _anywhere(trainer: pl.Trainer, *asked: bool) -> list[bool]:
     if trainer.world_size == 1:
         return list(asked)
     flags = torch.tensor(asked, dtype=torch.int32, device=trainer.strategy.root_device)
-    found: torch.Tensor = trainer.strategy.reduce(flags, reduce_op="max")
-    return found.bool().tolist()
+    dist.all_reduce(flags, op=dist.ReduceOp.MAX)
+    return flags.bool().tolist()

@@ -29,6 +29,7 @@ CHUNK = 1 << 18
 """Sub-samples in flight: bounds the memory."""
 CACHE_BYTES = 1 << 28
 """Primary hits are kept between evaluations up to this size, and traced again beyond it."""
+_HIT_BYTES = 12
 BLOCK = 8
 """Side of the box filter in pixels of the scores named ``_8x8``."""
 SCORES = {
@@ -72,8 +73,7 @@ class HeldOut:
         self.grid = grid
         self.has_roughness = not scene.features.is_diffuse
         self.training = SeenBy(geometry, tracer, [view.camera for view in scene.train])
-        samples = grid * grid * sum(view.camera.width * view.camera.height for view in self.views)
-        self._keep = 12 * samples <= CACHE_BYTES
+        self._room = CACHE_BYTES
         self._hits: dict[tuple[int, int], _Hits] = {}
         self._counted: dict[int, BoolArray] = {}
         self._seen: dict[int, BoolArray] = {}
@@ -93,7 +93,8 @@ class HeldOut:
     # --- sub-samples
 
     def sub_samples(self, index: int, few: bool = False) -> Iterator[tuple[slice, Interaction]]:
-        """What view ``index`` sees: slices of row-major pixels with ``grid``^2 interactions a pixel, pixel by pixel.
+        """What view ``index`` sees: slices of row-major pixels with ``grid``^2 interactions a pixel, or a few, pixel by
+        pixel.
 
         Args:
             index: of the view.
@@ -111,20 +112,20 @@ class HeldOut:
             if hits is None:
                 hit = self.tracer.closest(rays)
                 hits = _Hits(hit.prim.int(), hit.u, hit.v)
-                if self._keep:
+                if _HIT_BYTES * len(hit.prim) <= self._room:
+                    self._room -= _HIT_BYTES * len(hit.prim)
                     self._hits[index, begin] = hits
-            prim = hits.prim.long()
             lanes = self._few(part, device) if few else slice(None)
-            prim = prim[lanes]
+            prim = hits.prim[lanes].long()
             yield part, self.geometry.interact_at(prim, hits.u[lanes], hits.v[lanes], -rays.d[lanes], prim >= 0)
 
     def _few(self, part: slice, device: torch.device) -> Tensor:
-        """Lanes of a chunk that stand for the others."""
-        step = self.grid // 2 if self.grid % 2 == 0 else 1
-        kept = torch.arange(0, self.grid, step, device=device)
-        cells = (kept[:, None] * self.grid + kept).view(-1)
+        """Lanes of a chunk that stand for the others: one in each quarter of a pixel, their mean in its middle."""
         pixels = torch.arange(part.stop - part.start, device=device)
-        return (pixels[:, None] * self.grid**2 + cells).view(-1)
+        half, last = self.grid // 2, self.grid - 1
+        corners = [(half - 1, 0), (last, half - 1), (0, half), (half, last)]
+        cells = [y * self.grid + x for x, y in corners] if self.grid % 2 == 0 else range(self.grid**2)
+        return (pixels[:, None] * self.grid**2 + torch.tensor(list(cells), device=device)).view(-1)
 
     def _positions(self, index: int, width: int, part: slice, device: torch.device) -> Tensor:
         """Film positions [pixels * grid^2, 2], one in each cell of a grid on every pixel; always the same."""

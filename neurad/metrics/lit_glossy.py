@@ -44,7 +44,7 @@ def lit_glossy(
 
     A pixel belongs if its true roughness is at most ``most_rough`` and the specular part is at least ``least_share`` of
     the light reflected towards some training view that sees it. The specular part is what remains with albedo 0; both
-    are estimated with the true materials and the same random numbers, summed over the sub-samples of the pixel. Views
+    are estimated with the true materials and the same random numbers, summed over a few sub-samples of the pixel. Views
     without ground truth have no such pixel.
 
     Args:

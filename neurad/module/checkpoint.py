@@ -43,7 +43,10 @@ def fitting(
     checkpoint["state_dict"] = weights
     for name, value in weights.items():
         if name not in own or own[name].shape != value.shape:
-            raise InputError(f"--ckpt_path: the checkpoint has other field sizes than the config ({name} differs)")
+            raise InputError(
+                f"--ckpt_path: the checkpoint has other field sizes than the config ({name} differs); where "
+                "grid.finest is null they follow the training views"
+            )
     if missing := own.keys() - weights.keys():
         raise InputError(f"--ckpt_path: the checkpoint has other fields than the config ({min(missing)} is missing)")
     if state.get("radiance_inputs", inputs) != inputs:  # of the same size they would load, and mean something else

@@ -153,15 +153,15 @@ class InverseRenderer(L.LightningModule):
         else:
             self.materials = build_materials(
                 self.scene,
-                sized(albedo, self.world.tracer, self.scene),
-                sized(roughness, self.world.tracer, self.scene),
+                sized(albedo, self.world.tracer, self.scene, self.device),
+                sized(roughness, self.world.tracer, self.scene, self.device),
                 self.world.geometry,
             )
             if self.optimization.average > 0:
                 self.average = Average(self.materials, self.optimization.average)
         self.radiance = None
         if self.method.needs_field:
-            self.radiance = build_radiance(self.scene, sized(radiance, self.world.tracer, self.scene))
+            self.radiance = build_radiance(self.scene, sized(radiance, self.world.tracer, self.scene, self.device))
         if self.trainer.world_size > 1:
             self._ddp_params_and_buffers_to_ignore = set_aside(self)  # DDP's own name for it
 

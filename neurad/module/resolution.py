@@ -9,6 +9,7 @@ from typing import TypeVar
 import torch
 
 from neurad.core.protocols import Tracer
+from neurad.core.records import Rays
 from neurad.core.rng import Stream
 from neurad.fields.hash_grid import UnitCube
 from neurad.fields.settings import FieldConfig
@@ -23,28 +24,36 @@ SHARE = 0.1
 Config = TypeVar("Config", bound=FieldConfig)
 
 
-def sized(config: Config, tracer: Tracer, scene: Scene) -> Config:
+def sized(config: Config, tracer: Tracer, scene: Scene, device: torch.device | str = "cpu") -> Config:
     """``config`` with a ``finest`` level where it leaves that to the photographs."""
     if config.kind != "hash" or config.grid.finest is not None:
         return config
-    return replace(config, grid=replace(config.grid, finest=max(config.grid.coarsest, finest_cells(tracer, scene))))
+    finest = max(config.grid.coarsest, finest_cells(tracer, scene, device))
+    return replace(config, grid=replace(config.grid, finest=finest))
 
 
 @torch.no_grad()
-def finest_cells(tracer: Tracer, scene: Scene) -> int:
+def finest_cells(tracer: Tracer, scene: Scene, device: torch.device | str = "cpu") -> int:
     """Cells along the longest side of the scene, each as large as a pixel where the training views are close: a tenth
     of what they show is closer. Finer cells would hold little but the photographs' noise.
 
-    A power of the root of 2, so that nothing hangs on the last digit of a ray's length.
+    A pixel grows with the length of its ray. The figure is a power of the root of 2, so that nothing hangs on the last
+    digit of that length.
+
+    Args:
+        tracer: casts the rays.
+        scene: whose training views count.
+        device: where rays are cast; they are drawn on the CPU, the same ones everywhere.
     """
     cameras = Cameras.of([view.camera for view in scene.train], "cpu")
     stream = Stream(0, 3)
     view = stream.integers(len(scene.train), RAYS)
     rays = cameras.rays(view, stream.uniform(RAYS, 2) * torch.tensor([cameras.width, cameras.height]))
-    hit = tracer.closest(rays)
-    if not bool(hit.valid.any()):
+    hit = tracer.closest(Rays(rays.o.to(device), rays.d.to(device)))
+    valid = hit.valid.cpu()
+    if not bool(valid.any()):
         return 1
-    pixel = (hit.t * cameras.side[view])[hit.valid]
+    pixel = (hit.t.cpu() * cameras.side[view])[valid]
     side = 1.0 / float(UnitCube(torch.from_numpy(scene.bounds)).inverse_side)
     cells = side / max(float(pixel.quantile(SHARE)), 1e-6 * side)
     return int(2.0 ** (0.5 * round(2.0 * math.log2(cells))) + 0.5)
