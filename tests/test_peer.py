@@ -169,7 +169,7 @@ def test_networks_are_as_fine_as_the_photographs_where_the_config_leaves_it_open
     held_out = _held_out(scene)
     finest = finest_cells(held_out.tracer, scene)
     assert finest > 4
-    assert [field.grid.finest for field in _sizes(settings, held_out, scene)] == [finest, finest]
+    assert [field.grid.finest for field in _sizes(settings, scene, held_out.tracer)] == [finest, finest]
 
 
 def test_a_missing_llvm_is_one_sentence(tmp_path):

@@ -2,6 +2,7 @@
 
 import math
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 import pytest
@@ -51,8 +52,9 @@ def test_it_follows_the_pixels() -> None:
 def test_it_is_no_finer_than_the_coarsest_level_and_1_where_nothing_is_seen() -> None:
     scene = build_cube(0.5)
     tracer = build_world(scene).tracer
+    cells = partial(finest_cells, tracer, scene)
     coarse = FieldConfig(grid=GridConfig(finest=None, coarsest=4000))
-    assert sized(coarse, tracer, scene).grid.finest == 4000
+    assert sized(coarse, cells).grid.finest == 4000
     away = np.eye(4)
     away[2, 3] = 1e3 * float(np.abs(scene.bounds).max())
     away[:3, :3] = np.diag([-1.0, 1.0, -1.0])  # looks along +Z, away from the cube
@@ -62,10 +64,10 @@ def test_it_is_no_finer_than_the_coarsest_level_and_1_where_nothing_is_seen() ->
 
 def test_what_is_set_stays() -> None:
     scene = build_cube(0.5)
-    tracer = build_world(scene).tracer
+    cells = partial(finest_cells, build_world(scene).tracer, scene)
     for config in (FieldConfig(), FieldConfig(kind="dense"), FieldConfig(kind="dense", grid=GridConfig(finest=None))):
-        assert sized(config, tracer, scene) == config
+        assert sized(config, cells) == config
     left = FieldConfig(grid=GridConfig(finest=None, coarsest=4))
-    assert sized(left, tracer, scene).grid == replace(left.grid, finest=finest_cells(tracer, scene))
+    assert sized(left, cells).grid == replace(left.grid, finest=cells())
     with pytest.raises(ValueError, match="not known"):
         HashGrid.from_config(left.grid)

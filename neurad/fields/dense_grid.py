@@ -119,6 +119,7 @@ def _slabs(x: Tensor, size: int, count: int, whole: int) -> list[int]:
     """
     if count == 1:
         return [0, size**3]
-    z = x[::16, 2].nan_to_num().clamp(0.0, 1.0).sort().values  # some tell enough; a bad position may lie anywhere
-    cuts = [int(float(z[len(z) * i // count]) * (size - 1)) * size * size // whole * whole for i in range(1, count)]
+    some = x[::16, 2].nan_to_num().clamp(0.0, 1.0)  # they tell enough; a bad position may lie anywhere
+    heights = some.quantile(torch.arange(1, count) / count).tolist()
+    cuts = [int(z * (size - 1)) * size * size // whole * whole for z in heights]
     return [0, *cuts, size**3]

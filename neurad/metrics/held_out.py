@@ -18,6 +18,7 @@ from neurad.core.errors import InputError
 from neurad.core.protocols import Materials, Tracer
 from neurad.core.records import FloatArray, Interaction, View
 from neurad.core.rng import Stream
+from neurad.integrators.film import pixel_positions
 from neurad.metrics.scores import BoolArray, Float64Array, Pool, block_means, srgb
 from neurad.metrics.seen import SeenBy
 from neurad.scene.camera import camera_rays
@@ -131,16 +132,14 @@ class HeldOut:
 
     def _positions(self, index: int, width: int, part: slice, device: torch.device) -> Tensor:
         """Film positions [pixels * grid^2, 2], one in each cell of a grid on every pixel; always the same."""
-        pixel = torch.arange(part.start, part.stop, device=device)
-        cell = torch.arange(self.grid * self.grid, device=device)
-        offset = torch.stack((cell % self.grid, cell // self.grid), -1)
-        jitter = Stream(SEED, index, part.start, device=device).uniform(len(pixel), len(cell), 2)
-        corner = torch.stack((pixel % width, pixel // width), -1)
-        return (corner[:, None] + (offset + jitter) / self.grid).reshape(-1, 2)
+        pixels = torch.arange(part.start, part.stop, device=device)
+        stream = Stream(SEED, index, part.start, device=device)
+        return pixel_positions(width, pixels, self.grid * self.grid, stream).view(-1, 2)
 
-    def _pixels(self, lanes: Tensor) -> Tensor:
-        """Lanes [pixels * grid^2, ...] as [pixels, grid^2, ...]."""
-        return lanes.view(-1, self.grid * self.grid, *lanes.shape[1:])
+    @staticmethod
+    def _pixels(part: slice, lanes: Tensor) -> Tensor:
+        """Lanes of a chunk [pixels * positions, ...] as [pixels, positions, ...]."""
+        return lanes.view(part.stop - part.start, -1, *lanes.shape[1:])
 
     # --- masks
 
@@ -149,9 +148,9 @@ class HeldOut:
         if index not in self._counted:
             shines = (self.geometry.emission > 0).any(-1)
             parts = []
-            for _, it in self.sub_samples(index):
+            for part, it in self.sub_samples(index):
                 good = it.valid & ~shines[it.prim.clamp_min(0)]
-                parts.append(self._pixels(good).all(-1))
+                parts.append(self._pixels(part, good).all(-1))
             self._counted[index] = self._image(index, torch.cat(parts))
         return self._counted[index]
 
@@ -160,14 +159,14 @@ class HeldOut:
         """Pixels [h, w] whose every sub-sample, of a few, lies on a surface that some training view sees."""
         if index not in self._seen:
             chunks = self.sub_samples(index, few=True)
-            parts = [self.training.any(it).view(part.stop - part.start, -1).all(-1) for part, it in chunks]
+            parts = [self._pixels(part, self.training.any(it)).all(-1) for part, it in chunks]
             self._seen[index] = self._image(index, torch.cat(parts))
         return self._seen[index]
 
     def shows(self, index: int) -> BoolArray:
         """Pixels [h, w] of which some sub-sample sees a surface; the others show the environment, or black."""
         if index not in self._shows:
-            parts = [self._pixels(it.valid).any(-1) for _, it in self.sub_samples(index)]
+            parts = [self._pixels(part, it.valid).any(-1) for part, it in self.sub_samples(index)]
             self._shows[index] = self._image(index, torch.cat(parts))
         return self._shows[index]
 
@@ -184,11 +183,11 @@ class HeldOut:
         maps = []
         for index in range(len(self.views)):
             albedo, roughness = [], []
-            for _, it in self.sub_samples(index):
+            for part, it in self.sub_samples(index):
                 surface = materials(it)
                 valid = it.valid[:, None]
-                albedo.append(self._pixels(torch.where(valid, surface.albedo, 0.0)).mean(1))
-                roughness.append(self._pixels(torch.where(valid, surface.roughness, 0.0)).mean(1))
+                albedo.append(self._pixels(part, torch.where(valid, surface.albedo, 0.0)).mean(1))
+                roughness.append(self._pixels(part, torch.where(valid, surface.roughness, 0.0)).mean(1))
             pair = {"albedo": torch.cat(albedo), "roughness": torch.cat(roughness)}
             maps.append({name: self._image(index, pixels) for name, pixels in pair.items()})
         return maps

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from contextlib import nullcontext
+from functools import cache, partial
 from typing import Any, Literal
 
 import lightning as L
@@ -40,7 +41,7 @@ from neurad.module.lighting import fitted_environment, unknown_environment
 from neurad.module.objective import ObjectiveStep, StepTerms
 from neurad.module.optimizers import make_optimizers
 from neurad.module.primary import PrimaryHits
-from neurad.module.resolution import sized
+from neurad.module.resolution import finest_cells, sized
 from neurad.module.schedule import fraction_done, rate_factor
 from neurad.scene.description import Scene
 from neurad.scene.textures import TrueMaterials
@@ -148,20 +149,16 @@ class InverseRenderer(L.LightningModule):
         )  # fmt: skip
         self.world.guide = make_guide(self.scene, self.sampling.guide, self.method)
         albedo, roughness, radiance = self.field_configs
+        cells = cache(partial(finest_cells, self.world.tracer, self.scene, self.device))
         if self.knows_materials:
             self.materials = TrueMaterials(self.scene, self.world.geometry)
         else:
             self.materials = build_materials(
-                self.scene,
-                sized(albedo, self.world.tracer, self.scene, self.device),
-                sized(roughness, self.world.tracer, self.scene, self.device),
-                self.world.geometry,
+                self.scene, sized(albedo, cells), sized(roughness, cells), self.world.geometry
             )
             if self.optimization.average > 0:
                 self.average = Average(self.materials, self.optimization.average)
-        self.radiance = None
-        if self.method.needs_field:
-            self.radiance = build_radiance(self.scene, sized(radiance, self.world.tracer, self.scene, self.device))
+        self.radiance = build_radiance(self.scene, sized(radiance, cells)) if self.method.needs_field else None
         if self.trainer.world_size > 1:
             self._ddp_params_and_buffers_to_ignore = set_aside(self)  # DDP's own name for it
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from dataclasses import replace
 from typing import TypeVar
 
@@ -24,12 +25,11 @@ SHARE = 0.1
 Config = TypeVar("Config", bound=FieldConfig)
 
 
-def sized(config: Config, tracer: Tracer, scene: Scene, device: torch.device | str = "cpu") -> Config:
-    """``config`` with a ``finest`` level where it leaves that to the photographs."""
+def sized(config: Config, cells: Callable[[], int]) -> Config:
+    """``config`` with a ``finest`` level of ``cells`` where it leaves that to the photographs; else nobody is asked."""
     if config.kind != "hash" or config.grid.finest is not None:
         return config
-    finest = max(config.grid.coarsest, finest_cells(tracer, scene, device))
-    return replace(config, grid=replace(config.grid, finest=finest))
+    return replace(config, grid=replace(config.grid, finest=max(config.grid.coarsest, cells())))
 
 
 @torch.no_grad()

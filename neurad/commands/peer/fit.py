@@ -7,6 +7,7 @@ import json
 import math
 import sys
 from dataclasses import dataclass, field
+from functools import cache, partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -21,6 +22,7 @@ from neurad.commands.peer.voxels import SurfaceVoxels, VoxelMaterials
 from neurad.core import clock
 from neurad.core.allocator import keep_freed_memory
 from neurad.core.errors import InputError
+from neurad.core.protocols import Tracer
 from neurad.core.records import FloatArray
 from neurad.fields.material import AlbedoField, RoughnessField
 from neurad.fields.settings import FieldConfig, GridConfig
@@ -104,8 +106,7 @@ def fit(settings: PeerSettings) -> None:
     voxels = SurfaceVoxels(scene, settings.resolution)
     with clock.excluded():
         held_out = _held_out(scene)
-        sizes = _sizes(settings, held_out, scene)
-    model = _model(settings, scene, voxels, *sizes)
+    model = _model(settings, scene, voxels, held_out.tracer)
     replay = Replay(
         mi, scene, voxels, photographs, settings.max_depth, settings.rr_depth, has_alpha, settings.normaliser,
         settings.epsilon, settings.seed,
@@ -136,12 +137,12 @@ def fit(settings: PeerSettings) -> None:
         report(iteration, model())
 
 
-def _model(
-    settings: PeerSettings, scene: Scene, voxels: SurfaceVoxels, albedo: FieldConfig, roughness: FieldConfig
-) -> Pyramid | Networks:
+def _model(settings: PeerSettings, scene: Scene, voxels: SurfaceVoxels, tracer: Tracer) -> Pyramid | Networks:
     rates, betas = (settings.rate, settings.roughness_rate), (settings.beta1, settings.beta2)
     if settings.kind == "grid":
         return Pyramid(voxels, *rates, betas, settings.gain)
+    with clock.excluded():
+        albedo, roughness = _sizes(settings, scene, tracer)
     bounds = torch.from_numpy(scene.bounds)
     second = None if scene.features.is_diffuse else RoughnessField(roughness, bounds)
     return Networks(voxels, AlbedoField(albedo, bounds), second, *rates, betas)
@@ -153,13 +154,15 @@ def _factor(final: float, iteration: int, progress: float) -> float:
     return rise * (final + (1.0 - final) * 0.5 * (1.0 + math.cos(math.pi * progress)))
 
 
-def _sizes(settings: PeerSettings, held_out: HeldOut, scene: Scene) -> tuple[FieldConfig, FieldConfig]:
+def _sizes(settings: PeerSettings, scene: Scene, tracer: Tracer) -> tuple[FieldConfig, FieldConfig]:
     """Of the networks for albedo and roughness, as ``neurad fit`` has them; what it imports is no part of the race."""
-    from neurad.module.resolution import sized
+    from neurad.module.resolution import finest_cells, sized
+
+    cells = cache(partial(finest_cells, tracer, scene))
 
     def field_of(described: dict[str, Any]) -> FieldConfig:
         sizes = {key: value for key, value in described.items() if key != "grid"}
-        return sized(FieldConfig(grid=GridConfig(**described.get("grid", {})), **sizes), held_out.tracer, scene)
+        return sized(FieldConfig(grid=GridConfig(**described.get("grid", {})), **sizes), cells)
 
     return field_of(settings.albedo), field_of(settings.roughness)
 
