@@ -9,7 +9,7 @@ from torch import Tensor
 
 from neurad.core.rng import Stream
 
-_DRAW = 0  # last number of the stream's key; the training step has streams of its own
+_FIRST, _ORDER = 0, 13  # last numbers of the streams' keys; the training step has streams of its own
 
 
 _REACH = 2  # pixels on each side of one that its neighbourhood has
@@ -17,22 +17,22 @@ _REACH = 2  # pixels on each side of one that its neighbourhood has
 
 @dataclass(frozen=True)
 class Corners:
-    """Where patches may begin: all upper left corners, or a list of them for every view.
+    """Upper left corners where patches may begin, in the random order in which they take turns.
 
     Attributes:
-        views: views to draw from [m], int64.
-        begin: where each view's part of ``corner`` begins [m], int64; None if all corners may be drawn.
-        count: length of each view's part [m], int64; None if all corners may be drawn.
-        corner: row-major pixel index of the corners, view after view, int64; None if all may be drawn.
+        views: views in turn [m], int64.
+        begin: where each view's part of ``corner`` begins [m], int64; views may share one.
+        count: length of each view's part [m], int64.
+        corner: row-major pixel indices of corners, int64.
     """
 
     views: Tensor
-    begin: Tensor | None = None
-    count: Tensor | None = None
-    corner: Tensor | None = None
+    begin: Tensor
+    count: Tensor
+    corner: Tensor
 
 
-def corners(views: int, patch_size: int, alpha: Tensor | None, width: int, height: int) -> Corners:
+def corners(views: int, patch_size: int, alpha: Tensor | None, width: int, height: int, seed: int) -> Corners:
     """The corners to draw from.
 
     Without alpha every patch inside the image may be drawn. With alpha only those of which at least half is foreground
@@ -45,49 +45,86 @@ def corners(views: int, patch_size: int, alpha: Tensor | None, width: int, heigh
         alpha: coverage [views, height * width], or None.
         width: of the images.
         height: of the images.
+        seed: of the order.
     """
-    if alpha is None:
-        return Corners(torch.arange(views))
+    generator = Stream(seed, _ORDER).generator
+    order = torch.randperm(views, generator=generator)
     column = torch.arange(width - patch_size + 1)
     row = torch.arange(height - patch_size + 1)
     index = (row[:, None] * width + column).flatten()
+    index = index[torch.randperm(len(index), generator=generator)]
+    everywhere = Corners(order, torch.zeros_like(order), torch.full_like(order, len(index)), index)
+    if alpha is None:
+        return everywhere
     chosen, parts = [], []
-    for view in range(views):
+    for view in order.tolist():
         covered = (alpha[view] > 0).view(1, height, width).float()
-        share = torch.nn.functional.avg_pool2d(covered, patch_size, 1).flatten()
+        share = torch.zeros(width * height)
+        share.view(height, width)[: len(row), : len(column)] = torch.nn.functional.avg_pool2d(covered, patch_size, 1)[0]
         best = float(share.max())
         if best > 0:
             chosen.append(view)
-            parts.append(index[share >= min(0.5, best) - 1e-6])
+            parts.append(index[share[index] >= min(0.5, best) - 1e-6])
     if not chosen:
-        return Corners(torch.arange(views))
+        return everywhere
     count = torch.tensor([len(part) for part in parts])
     return Corners(torch.tensor(chosen), count.cumsum(0) - count, count, torch.cat(parts))
 
 
 def draw(
-    where: Corners, iteration: int, seed: int, rank: int, patches: int, patch_size: int, width: int, height: int
+    where: Corners, first: int, patches: int, seed: int, rank: int, patch_size: int, width: int
 ) -> tuple[Tensor, Tensor]:
-    """The pixels of one batch: ``patches`` squares, each of a random view.
+    """The pixels of one batch: squares of which each view has the same number, give or take one.
+
+    Views take turns, and so do the corners of each: none is drawn twice before all others have been. Beside independent
+    draws, which after one visit a pixel on average have left out a third, the kitchen has 0.3 dB more after 20 s.
+
+    Args:
+        where: the corners and their order.
+        first: patches that earlier batches had.
+        patches: of this batch.
+        seed: of the place in the order where each view begins.
+        rank: each process begins elsewhere.
+        patch_size: side of a patch in pixels.
+        width: of the images.
 
     Returns:
         View and row-major pixel index, patch by patch [patches * patch_size^2], int64.
     """
-    stream = Stream(seed, iteration, rank, _DRAW)
-    u = torch.rand(3, patches, generator=stream.generator, dtype=torch.float64)
-    slot = (u[0] * len(where.views)).long()
-    view = where.views[slot]
-    if where.corner is None or where.begin is None or where.count is None:
-        x = (u[1] * (width - patch_size + 1)).long()
-        y = (u[2] * (height - patch_size + 1)).long()
-        corner = y * width + x
-    else:
-        corner = where.corner[where.begin[slot] + (u[1] * where.count[slot]).long()]
+    views = len(where.views)
+    number = torch.arange(first, first + patches)
+    slot, turn = number % views, number // views
+    start = torch.rand(views, generator=Stream(seed, rank, _FIRST).generator, dtype=torch.float64)
+    place = ((start * where.count).long()[slot] + turn) % where.count[slot]
+    view, corner = where.views[slot], where.corner[where.begin[slot] + place]
     if patch_size == 1:
         return view, corner
     step = torch.arange(patch_size)
     offset = (step[:, None] * width + step).flatten()
     return view.repeat_interleave(len(offset)), (corner[:, None] + offset).flatten()
+
+
+VISITS = 3
+"""Times that each patch is drawn at the greatest breadth; at half of it twice as often, and so on."""
+
+
+def breadth_at(iteration: int, patches: int, breadth: int, total: int) -> tuple[int, int]:
+    """How much broader than usual a batch is, and how many patches those before it had.
+
+    Args:
+        iteration: of the batch.
+        patches: of a usual batch.
+        breadth: times that number in the first batches, a power of two.
+        total: patches that there are.
+    """
+    first, now, visits = 0, breadth, VISITS
+    while now > 1:
+        steps = -(-visits * total // (now * patches))
+        if iteration < steps:
+            break
+        first, iteration = first + steps * now * patches, iteration - steps
+        now, visits = now // 2, 2 * visits
+    return now, first + iteration * now * patches
 
 
 def neighbourhood(images: Tensor, image: Tensor, pixel: Tensor, width: int) -> Tensor:

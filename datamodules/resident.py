@@ -96,6 +96,7 @@ class Residents:
         seed: int,
         rank: int,
     ) -> None:
+        self.seed = seed
         order = torch.randperm(len(views), generator=Stream(seed, rank, _ORDER).generator)
         self.order = [views[i] for i in order.tolist()]
         self.count = min(count, len(views))
@@ -110,7 +111,7 @@ class Residents:
         self._reader = ThreadPoolExecutor(1, "photographs")
         self._pixels = torch.empty(0)
         self._lists = torch.empty(0)
-        self._where = Corners(torch.arange(self.count))
+        self._where: Corners | None = None
 
     @property
     def views(self) -> list[int]:
@@ -149,38 +150,39 @@ class Residents:
         if not len(self._pixels):
             self._pixels = pixels.new_empty(self.count, *pixels.shape)
         self._pixels[slot] = pixels
-        if pixels.shape[1] < 4:
-            return
         width, height, size = self.camera.width, self.camera.height, self.patch_size
-        found = corners(1, size, pixels[None, :, 3], width, height).corner
-        assert found is not None  # views without foreground take no part
-        if self._where.begin is None:
+        if pixels.shape[1] < 4:
+            self._where = self._where or corners(self.count, size, None, width, height, self.seed)
+            return
+        found = corners(1, size, pixels[None, :, 3], width, height, self.seed).corner
+        if self._where is None:
             most = (width - size + 1) * (height - size + 1)
             self._lists = torch.empty(self.count, most, dtype=torch.int32)
             slots = torch.arange(self.count)
             self._where = Corners(slots, slots * most, torch.ones_like(slots), self._lists.view(-1))
         self._lists[slot, : len(found)] = found.int()
-        assert self._where.count is not None
         self._where.count[slot] = len(found)
 
     def corners(self) -> Corners:
         """Where patches may begin; the views in it are places in memory."""
+        assert self._where is not None
         return self._where
 
-    def batch(self, slot: Tensor, pixel: Tensor, iteration: int, smoothed: bool) -> PixelBatch:
+    def batch(self, slot: Tensor, pixel: Tensor, iteration: int, breadth: int, smoothed: bool) -> PixelBatch:
         """Pixels of photographs in memory.
 
         Args:
             slot: places in memory [b], int64.
             pixel: row-major pixels [b], int64.
             iteration: that the batch belongs to.
+            breadth: times the usual number of pixels.
             smoothed: whether to add the means around the pixels.
         """
         index = slot * self._pixels.shape[1] + pixel
         values = self._pixels.view(-1, self._pixels.shape[2]).index_select(0, index)
         alpha = values[:, 3].contiguous() if values.shape[1] == 4 else torch.ones(len(index))
         view = torch.tensor(self._slots)[slot]
-        batch = PixelBatch(view, pixel, values[:, :3].contiguous(), alpha, iteration)
+        batch = PixelBatch(view, pixel, values[:, :3].contiguous(), alpha, iteration, breadth=breadth)
         if not smoothed:
             return batch
         return replace(batch, smoothed=neighbourhood(self._pixels, slot, pixel, self.camera.width))

@@ -11,7 +11,7 @@ import torch
 from torch import Tensor
 from torch.utils.data import DataLoader, Dataset, IterableDataset
 
-from datamodules.pixels import Corners, corners, draw
+from datamodules.pixels import Corners, breadth_at, corners, draw
 from datamodules.resident import Residents, Survey, survey
 from neurad.core.errors import InputError
 from neurad.core.records import PixelBatch, View
@@ -28,15 +28,18 @@ class SceneData(pl.LightningDataModule):
     Args:
         root: a scene folder.
         scene: name of a built-in scene instead.
-        patches: patches in a batch, each of a random view.
+        patches: patches in a batch, of all views in turn.
         patch_size: side of a patch in pixels; 1 draws single pixels.
+        breadth: times as many patches, with as many times fewer positions in each pixel, in the first batches. It
+            halves whenever the pixels have been visited a few times: at first it is too few pixels seen that limits
+            what is known, and noise later. A power of two.
         seed: of the draws.
         resident: training photographs in memory at once; the others are read from disk as their turn comes. None
             keeps all in memory.
         replace_every: iterations after which one of them is replaced, if not all are in memory.
 
     Raises:
-        InputError: a number is not positive.
+        InputError: a number is not positive, or ``breadth`` no power of two.
     """
 
     def __init__(
@@ -45,6 +48,7 @@ class SceneData(pl.LightningDataModule):
         scene: str | None = None,
         patches: int = 256,
         patch_size: int = 1,
+        breadth: int = 1,
         seed: int = 0,
         resident: int | None = None,
         replace_every: int = 16,
@@ -54,10 +58,13 @@ class SceneData(pl.LightningDataModule):
         for name, value in (numbers if resident is None else numbers | {"resident": resident}).items():
             if value < 1:
                 raise InputError(f"--data.{name}: {value} is not a positive number")
+        if breadth < 1 or breadth & (breadth - 1):
+            raise InputError(f"--data.breadth: {breadth} is not a power of two")
         self.root = root
         self.scene_name = scene
         self.patches = patches
         self.patch_size = patch_size
+        self.breadth = breadth
         self.seed = seed
         self.resident = resident
         self.replace_every = replace_every
@@ -210,22 +217,28 @@ class SceneData(pl.LightningDataModule):
     @cached_property
     def _corners(self) -> Corners:
         camera = self.scene.train[0].camera
-        return corners(len(self.scene.train), self.patch_size, self.alpha, camera.width, camera.height)
+        return corners(len(self.scene.train), self.patch_size, self.alpha, camera.width, camera.height, self.seed)
+
+    @cached_property
+    def _total(self) -> int:
+        """Patches that make up all photographs, as far as they are drawn."""
+        camera = self.scene.train[0].camera
+        streamed = len(self.scene.train) * camera.width * camera.height
+        return -(-(streamed if self.streams else int(self._corners.count.sum())) // self.patch_size**2)
 
     def batch(self, iteration: int, rank: int = 0) -> PixelBatch:
-        """The batch of ``patches * patch_size^2`` pixels that belongs to an iteration, on the CPU."""
+        """The batch that belongs to an iteration, on the CPU: ``breadth * patches * patch_size^2`` pixels."""
         camera = self.scene.train[0].camera
         window = self._window(iteration, rank) if self.streams else None
-        view, pixel = draw(
-            self._corners if window is None else window.corners(),
-            iteration, self.seed, rank, self.patches, self.patch_size, camera.width, camera.height,
-        )  # fmt: skip
+        breadth, first = breadth_at(iteration, self.patches, self.breadth, self._total)
+        where = self._corners if window is None else window.corners()
+        view, pixel = draw(where, first, breadth * self.patches, self.seed, rank, self.patch_size, camera.width)
         if window is not None:
-            return window.batch(view, pixel.long(), iteration, self.wants_smoothed)
+            return window.batch(view, pixel.long(), iteration, breadth, self.wants_smoothed)
         index = view * (camera.width * camera.height) + pixel
         color = self.photographs.view(-1, 3).index_select(0, index)
         alpha = torch.ones(len(index)) if self.alpha is None else self.alpha.view(-1).index_select(0, index)
-        return PixelBatch(view, pixel, color, alpha, iteration)
+        return PixelBatch(view, pixel, color, alpha, iteration, breadth=breadth)
 
     def transfer_batch_to_device(
         self, batch: PixelBatch | Tensor, device: torch.device, dataloader_idx: int
@@ -235,7 +248,7 @@ class SceneData(pl.LightningDataModule):
             return batch.to(device)
         view, pixel, color, alpha = (x.to(device) for x in (batch.view, batch.pixel, batch.color, batch.alpha))
         smoothed = None if batch.smoothed is None else batch.smoothed.to(device)
-        return PixelBatch(view, pixel, color, alpha, batch.iteration, smoothed)
+        return PixelBatch(view, pixel, color, alpha, batch.iteration, smoothed, batch.breadth)
 
     def train_dataloader(self) -> DataLoader[PixelBatch]:
         """Batches without end, from the iteration that the module has reached."""

@@ -202,6 +202,18 @@ def test_spread_samples_have_less_noise():
     assert eight < 0.7 * one
 
 
+def test_a_broad_batch_gets_fewer_positions_a_pixel():
+    """Terms of a batch with breadth 4 are those of a usual one under a quarter of the positions."""
+    broad = Step(Sampling(positions=8, secondary=1, cached=8))
+    usual = Step(Sampling(positions=2, secondary=1, cached=8))
+    batch = broad.batch(64)
+    found = broad.step(replace(batch, breadth=4), Stream(3)).all
+    expected = usual.step(batch, Stream(3)).all
+    assert found.keys() == expected.keys()
+    for name in found:
+        assert torch.equal(found[name][1].value, expected[name][1].value), name
+
+
 def test_one_group_of_samples_is_refused():
     with pytest.raises(InputError, match=r"model\.sampling\.independent"):
         Sampling(independent=1)
@@ -478,6 +490,29 @@ def test_a_run_takes_the_units_of_light_from_its_photographs(small):
     for name, value in found[0].items():
         if name.startswith("materials."):
             torch.testing.assert_close(found[1][name], value, rtol=1e-4, atol=1e-6)
+
+
+@pytest.mark.parametrize("breadth", ["4", "8"])
+def test_a_breadth_that_leaves_one_position_is_refused(small, capfd, breadth):
+    small(glossy=True)
+    Path("fit.yaml").write_text(yaml.safe_dump(FIT))
+    with pytest.raises(SystemExit) as stop:
+        run("--trainer.max_steps=2", "--model.sampling.positions=4", f"--data.breadth={breadth}")
+    assert stop.value.code == 2
+    error = capfd.readouterr().err
+    assert "data.breadth" in error
+    assert "model.sampling.positions (4)" in error
+    assert error.count("\n") == 1
+
+
+def test_a_broad_batch_counts_as_many_samples_and_moves_roughness_less(small):
+    small(glossy=True)
+    Path("fit.yaml").write_text(yaml.safe_dump(FIT))
+    usual = run("--trainer.max_steps=3", "--model.sampling.positions=4")[1]
+    broad = run("--trainer.max_steps=3", "--model.sampling.positions=4", "--data.breadth=2")[1]
+    assert usual["neurad"]["samples"] == broad["neurad"]["samples"] > 0
+    rates = [[state["param_groups"][0]["lr"] for state in run["optimizer_states"]] for run in (usual, broad)]
+    assert rates[1] == pytest.approx([rates[0][0], rates[0][1] / 4, rates[0][2]])
 
 
 @pytest.mark.parametrize(("positions", "cached", "said"), [(1, 4, "positions"), (4, 2, "cached")])

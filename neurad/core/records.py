@@ -168,6 +168,8 @@ class PixelBatch:
     """The iteration that this batch belongs to."""
     smoothed: Tensor | None = None
     """Mean photographed radiance of the 5 x 5 pixels around [b, 3], where the data module was asked for it."""
+    breadth: int = 1
+    """Times as many pixels as usual, each of which gets as many times fewer positions."""
 
 
 @dataclass(frozen=True)

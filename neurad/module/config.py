@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 from neurad.core.errors import InputError
@@ -40,6 +40,17 @@ class Sampling:
     def groups(self) -> int:
         """Independent groups of positions in a pixel."""
         return self.independent if self.positions % self.independent == 0 else self.positions
+
+    def over(self, breadth: int) -> Sampling:
+        """The same number of samples over ``breadth`` times as many pixels.
+
+        Raises:
+            InputError: the positions cannot be shared out so, two a pixel at the least.
+        """
+        if breadth > 1 and (self.positions % breadth or self.positions < 2 * breadth):
+            positions = f"model.sampling.positions ({self.positions})"
+            raise InputError(f"--data.breadth: {breadth} must divide {positions} and leave two of them a pixel")
+        return replace(self, positions=self.positions // breadth)
 
     def __post_init__(self) -> None:
         """Refuse what cannot be sampled."""
@@ -112,6 +123,7 @@ class Optimization:
 
     albedo: float = 5e-3
     roughness: float = 5e-3
+    """Divided by the square of the batch's breadth (``data.breadth``)."""
     radiance: float = 5e-3
     environment: float = 1e-1
     schedule: Literal["constant", "cosine"] = "cosine"

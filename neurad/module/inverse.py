@@ -176,6 +176,7 @@ class InverseRenderer(L.LightningModule):
         self._networks = any(isinstance(part, MLP) for part in self.modules())
         self._others = Others(self, self._ddp_params_and_buffers_to_ignore) if self.processes > 1 else None
         data = self.trainer.datamodule  # type: ignore[attr-defined]
+        self.sampling.over(data.breadth)  # refuses what cannot be
         cameras = [view.camera for view in self.scene.train]
         primary = PrimaryHits(self.world, cameras, self.sampling.cached, self.seed, self.device)
         mixed = primary.sees_emitter()
@@ -226,9 +227,13 @@ class InverseRenderer(L.LightningModule):
 
     def training_step(self, batch: PixelBatch, batch_idx: int) -> Tensor:
         """One iteration: one backward pass whose gradients never meet, a step of each optimizer."""
-        lanes = len(batch.view) * self.sampling.positions * self.sampling.secondary
-        with of_step(lanes, self._networks):
+        with of_step(self._lanes(batch), self._networks):
             return self._iterate(batch)
+
+    def _lanes(self, batch: PixelBatch) -> int:
+        """Path samples that a batch asks for: pixels x positions x secondary."""
+        sampling = self.sampling.over(batch.breadth)
+        return len(batch.view) * sampling.positions * sampling.secondary
 
     def _iterate(self, batch: PixelBatch) -> Tensor:
         found: Any = self.optimizers()
@@ -252,8 +257,11 @@ class InverseRenderer(L.LightningModule):
         if self.optimization.clip > 0:
             clip([optimizer.param_groups for optimizer in optimizers], self.optimization.clip)
         for name, optimizer in zip(self.optimizer_names, optimizers, strict=True):
+            rate = factor * getattr(self.optimization, name)
+            if name == "roughness":  # fewer positions a pixel leave its derivative, a product of two, that much noisier
+                rate /= batch.breadth**2
             for group in optimizer.param_groups:
-                group["lr"] = factor * getattr(self.optimization, name)
+                group["lr"] = rate
         for optimizer in optimizers[::-1]:  # the counted one last: its hook may end the epoch's bookkeeping
             optimizer.step()
         teach(self.world.guide, seen, self.iteration)
@@ -261,7 +269,7 @@ class InverseRenderer(L.LightningModule):
         if self.average is not None:
             self.average.update(self.iteration)
         passes = self.processes * (2 if self.settings.estimator == "two_pass" else 1)
-        self.samples += passes * len(batch.view) * self.sampling.positions * self.sampling.secondary
+        self.samples += passes * self._lanes(batch)
         self.last_losses = {name: loss.value for name, (_, loss) in terms.all.items()}
         return loss.detach()
 

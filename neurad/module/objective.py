@@ -105,6 +105,8 @@ class ObjectiveStep:
 
     def __call__(self, batch: PixelBatch, stream: Stream) -> StepTerms:
         """Terms for a batch of photographed pixels."""
+        if batch.breadth > 1:
+            return replace(self, sampling=self.sampling.over(batch.breadth))(replace(batch, breadth=1), stream)
         b, n = len(batch.view), self.sampling.positions
         first = self.primary(batch, n, stream)
         it = first.it
