@@ -9,9 +9,10 @@ from dataclasses import dataclass, replace
 import torch
 from torch import Tensor
 
-from datamodules.pixels import Corners, corners, neighbourhood
+from datamodules.pixels import neighbourhood
 from neurad.core.records import Camera, PixelBatch
 from neurad.core.rng import Stream
+from neurad.core.turns import Corners, corners
 
 SAMPLE = 1 << 16
 """Pixels of a survey's sample, all views together, or one of each view where there are more views."""

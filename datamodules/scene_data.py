@@ -11,10 +11,11 @@ import torch
 from torch import Tensor
 from torch.utils.data import DataLoader, Dataset, IterableDataset
 
-from datamodules.pixels import Corners, breadth_at, corners, draw
+from datamodules.pixels import breadth_at
 from datamodules.resident import Residents, Survey, survey
 from neurad.core.errors import InputError
 from neurad.core.records import PixelBatch, View
+from neurad.core.turns import Corners, corners, draw
 from neurad.scene.description import Scene
 from neurad.scene.image_io import read_photograph
 from neurad.scene.load import load_scene

@@ -10,10 +10,11 @@ import pytest
 import torch
 from tiny_scene import SIZE, read_json, write_json, write_scene
 
-from datamodules.pixels import VISITS, breadth_at, corners, draw
+from datamodules.pixels import VISITS, breadth_at
 from datamodules.scene_data import SceneData
 from neurad.core.errors import InputError
 from neurad.core.records import PixelBatch
+from neurad.core.turns import corners, draw
 from neurad.scene.image_io import read_exr, write_exr
 
 pytest.importorskip("mitsuba")

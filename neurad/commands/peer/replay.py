@@ -14,6 +14,7 @@ from neurad.commands.peer.texture import make_shading, make_texture
 from neurad.commands.peer.voxels import SurfaceVoxels
 from neurad.core.records import FloatArray, IntArray
 from neurad.core.rng import mix
+from neurad.core.turns import corners, draw
 from neurad.losses.relative import relative_weight
 from neurad.scene.description import Scene
 
@@ -79,6 +80,7 @@ class Replay:
         self.random = np.random.default_rng(seed)
         self.iteration = 0
         self._cameras(scene)
+        self.corners = corners(len(self.origin), 1, None, self.width, self.height, seed)
         self.lit = self._sees_no_emitter()
         square = (photographs**2).mean(-1)
         self.epsilon = epsilon * float(square[self.lit].mean() if self.lit.any() else square.mean())
@@ -113,7 +115,7 @@ class Replay:
         return good
 
     def step(self, values: FloatArray, pixels: int, samples: int) -> Gradient:
-        """The gradient of the relative loss over random pixels of all views.
+        """The gradient of the relative loss over pixels of all views, drawn as ``neurad fit`` draws them.
 
         Args:
             values: albedo and roughness at the vertices [n, 4].
@@ -121,8 +123,8 @@ class Replay:
             samples: independent paths from each, at least 2.
         """
         dr, mi = self.dr, self.mi
-        view = self.random.integers(len(self.origin), size=pixels)
-        pixel = self.random.integers(self.width * self.height, size=pixels)
+        drawn = draw(self.corners, self.iteration * pixels, pixels, self.seed, 0, 1, self.width)
+        view, pixel = (x.numpy() for x in drawn)
         rays = self.rays(np.repeat(view, samples), np.repeat(pixel, samples))
         self.sampler.seed(mix(self.seed, self.iteration) & 0xFFFFFFFF, pixels * samples)
         self.iteration += 1
