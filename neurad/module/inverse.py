@@ -11,7 +11,7 @@ import lightning as L
 import torch
 from torch import Tensor
 
-from neurad.core.clock import training_seconds
+from neurad.core.clock import excluded, training_seconds
 from neurad.core.errors import InputError
 from neurad.core.records import PixelBatch
 from neurad.core.rng import Stream
@@ -192,7 +192,8 @@ class InverseRenderer(L.LightningModule):
             warn_if_far(brightness(primary, shown, self.seed))
         if self.radiance is not None:
             self.radiance.set_scale(math.sqrt(mean_square))
-        self._held_out = HeldOut(self.scene, self.world.geometry, self.world.tracer).read()
+        with excluded():
+            self._held_out = HeldOut(self.scene, self.world.geometry, self.world.tracer).read()
         self._step = ObjectiveStep(
             estimator=self.estimator,
             primary=primary,
