@@ -16,7 +16,7 @@ from neurad.scene.builtin import build_cornell
 CPU = torch.device("cpu")
 SMALL = [
     "--config", "cornell.yaml", "--set", "data.patches=64", "--set", "model.sampling.positions=2",
-    "--set", "model.sampling.cached=2",
+    "--set", "model.sampling.cached=2", "--set", "data.breadth=1",
 ]  # fmt: skip
 
 
