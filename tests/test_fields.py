@@ -1,6 +1,5 @@
 import subprocess
 import sys
-import threading
 
 import pytest
 import torch
@@ -13,7 +12,7 @@ from neurad.fields.material import MIN_ROUGHNESS, AlbedoField, RoughnessField
 from neurad.fields.mlp import MLP
 from neurad.fields.radiance import START, RadianceField
 from neurad.fields.settings import FieldConfig, GridConfig, RadianceConfig, RoughnessConfig
-from neurad.fields.threads import at_most, beside, threads, torch_on_one
+from neurad.fields.threads import at_most, threads, torch_on_one
 
 BOUNDS = torch.tensor([[-1.0, 0.0, -3.0], [1.0, 0.5, 5.0]])
 SMALL = GridConfig(levels=4, coarsest=2, finest=64, log2_size=10)
@@ -377,20 +376,3 @@ def test_compiled_code_is_loaded_only_when_used():
     parts = "neurad.fields.radiance, neurad.fields.material, neurad.fields.adam"
     code = f"import sys, {parts}; assert 'numba' not in sys.modules"
     subprocess.run([sys.executable, "-c", code], check=True)
-
-
-def test_work_beside_runs_on_a_thread_that_is_left_idle():
-    """And on the thread that waits for it where none is; what it raises reaches whoever waits."""
-    here, before = threading.get_ident(), torch.get_num_threads()
-    torch.set_num_threads(2)
-    try:
-        assert beside(threading.get_ident)() == here
-        with at_most(1):
-            assert beside(threading.get_ident)() != here
-            assert beside(torch.get_num_threads)() == 1
-            with pytest.raises(ZeroDivisionError):
-                beside(lambda: 1 / 0)()
-        with at_most(2):
-            assert beside(threading.get_ident)() == here
-    finally:
-        torch.set_num_threads(before)

@@ -2,8 +2,6 @@
 
 import csv
 import math
-import threading
-from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from pathlib import Path
 
@@ -18,7 +16,6 @@ from neurad.cli import main
 from neurad.core.errors import InputError
 from neurad.core.records import PixelBatch, View
 from neurad.core.rng import Stream
-from neurad.fields import threads
 from neurad.fields.settings import FieldConfig, GridConfig, RadianceConfig
 from neurad.integrators.film import render
 from neurad.integrators.path import PathTracer
@@ -493,33 +490,6 @@ def test_a_run_takes_the_units_of_light_from_its_photographs(small):
     for name, value in found[0].items():
         if name.startswith("materials."):
             torch.testing.assert_close(found[1][name], value, rtol=1e-4, atol=1e-6)
-
-
-def test_two_threads_give_what_one_gives(small, monkeypatch):
-    """Gradients of the field beside those of the materials, bit for bit."""
-    small(glossy=True)
-    states, seen = [], []
-    for idle in (True, False):
-        monkeypatch.setattr(threads, "beside", noting(seen) if idle else lambda work: work)
-        states.append(run("--trainer.max_steps=5", "--model.objective.roughness_pull=0.1")[1])
-    assert len(seen) == 5
-    assert threading.get_ident() not in seen
-    assert states[0]["state_dict"].keys() == states[1]["state_dict"].keys()
-    for name, value in states[0]["state_dict"].items():
-        assert torch.equal(value, states[1]["state_dict"][name]), name
-
-
-def noting(seen):
-    """``beside`` on a thread of its own, which is noted."""
-
-    def start(work):
-        def noted():
-            seen.append(threading.get_ident())
-            return work()
-
-        return ThreadPoolExecutor(1, initializer=torch.set_num_threads, initargs=(1,)).submit(noted).result
-
-    return start
 
 
 @pytest.mark.parametrize("breadth", ["4", "8"])

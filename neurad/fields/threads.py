@@ -11,15 +11,11 @@ from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager, nullcontext
 from itertools import pairwise
-from typing import TypeVar
 
 import torch
 
-Result = TypeVar("Result")
-
 _pool: ThreadPoolExecutor | None = None
 _allowed: int | None = None
-_idle = 0
 
 
 def split(work: Callable[[int, int], object], count: int, grain: int) -> None:
@@ -43,14 +39,6 @@ def split(work: Callable[[int, int], object], count: int, grain: int) -> None:
     work(0, edges[1])
     for other in others:
         other.result()
-
-
-def beside(work: Callable[[], Result]) -> Callable[[], Result]:
-    """Begin ``work`` on a thread that :func:`at_most` leaves idle; what is returned waits for it and gives its result.
-
-    Without an idle thread the work is done by whoever waits. It must not touch what the caller touches meanwhile.
-    """
-    return _executor().submit(work).result if _idle > 0 else work
 
 
 LANES_A_THREAD = 8192
@@ -89,15 +77,14 @@ def torch_on_one() -> Iterator[None]:
 @contextmanager
 def at_most(count: int) -> Iterator[None]:
     """Let torch and :func:`split` use at most ``count`` threads inside the block, and as many as before after it."""
-    global _allowed, _idle
-    before, allowed, idle = torch.get_num_threads(), _allowed, _idle
+    global _allowed
+    before, allowed = torch.get_num_threads(), _allowed
     torch.set_num_threads(max(1, min(before, count)))
     _allowed = None if allowed is None else max(1, min(allowed, count))
-    _idle = before - torch.get_num_threads()
     try:
         yield
     finally:
-        _allowed, _idle = allowed, idle
+        _allowed = allowed
         torch.set_num_threads(before)
 
 

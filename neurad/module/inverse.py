@@ -16,12 +16,12 @@ from neurad.core.errors import InputError
 from neurad.core.records import PixelBatch
 from neurad.core.rng import Stream
 from neurad.emitters.fitted import FittedEnvironment
-from neurad.fields import threads
 from neurad.fields.adam import FieldAdam
 from neurad.fields.map_adam import MapAdam
 from neurad.fields.mlp import MLP, products
 from neurad.fields.radiance import RadianceField
 from neurad.fields.settings import FieldConfig, RadianceConfig, RoughnessConfig
+from neurad.fields.threads import of_step
 from neurad.integrators.method import Method
 from neurad.integrators.radiometric import Radiometric
 from neurad.integrators.world import World
@@ -38,7 +38,7 @@ from neurad.module.exposure import brightness, random_pixels, unit_square, warn_
 from neurad.module.guard import Guard, clip
 from neurad.module.guided import make_guide, teach, told
 from neurad.module.lighting import fitted_environment, unknown_environment
-from neurad.module.objective import ObjectiveStep, StepTerms, Terms
+from neurad.module.objective import ObjectiveStep, StepTerms
 from neurad.module.optimizers import make_optimizers
 from neurad.module.primary import PrimaryHits
 from neurad.module.resolution import finest_cells, sized
@@ -228,7 +228,7 @@ class InverseRenderer(L.LightningModule):
 
     def training_step(self, batch: PixelBatch, batch_idx: int) -> Tensor:
         """One iteration: one backward pass whose gradients never meet, a step of each optimizer."""
-        with threads.of_step(self._lanes(batch), self._networks):
+        with of_step(self._lanes(batch), self._networks):
             return self._iterate(batch)
 
     def _lanes(self, batch: PixelBatch) -> int:
@@ -248,7 +248,9 @@ class InverseRenderer(L.LightningModule):
         if self.environment is not None and self.iteration % self.lighting.refresh == 0:
             self.environment.refresh()
         with products(self.optimization.matmul):
-            terms = self._differentiated(batch)
+            terms = self._terms(batch)
+            loss = total(terms.all)
+            self.manual_backward(loss)
         seen = told(self.world.guide, terms.arrived)
         if self._others is not None:
             factor, seen = self._others.share(factor, seen)
@@ -270,44 +272,12 @@ class InverseRenderer(L.LightningModule):
         passes = self.processes * (2 if self.settings.estimator == "two_pass" else 1)
         self.samples += passes * self._lanes(batch)
         self.last_losses = {name: loss.value for name, (_, loss) in terms.all.items()}
-        return total(terms.all).detach()
-
-    @staticmethod
-    def _backward(loss: Tensor) -> None:
-        """``manual_backward`` without Lightning's hooks, which keep notes that no second thread may touch."""
-        torch.autograd.backward(loss)
+        return loss.detach()
 
     def _terms(self, batch: PixelBatch) -> StepTerms:
         """The terms of this iteration; the same ones whenever asked before the weights move."""
         assert self._step is not None
-        return self._step(batch, self._stream())
-
-    def _stream(self) -> Stream:
-        return Stream(self.seed, self.iteration, self.global_rank, 1, device=self.device)
-
-    def _differentiated(self, batch: PixelBatch) -> StepTerms:
-        """The terms and, in the parameters, their gradients. Those of the radiance field are found on a thread of their
-        own while this one finds those of the materials, if there is one: they meet neither in graphs nor in weights.
-        """
-        assert self._step is not None
-        parts = self._step.parts(batch, self._stream())
-        if self._others is not None or not parts.apart or self.device.type != "cpu":  # DDP wants one backward pass
-            terms = StepTerms(parts.materials(), parts.field(), parts.arrived)
-            self.manual_backward(total(terms.all))
-            return terms
-
-        def field() -> Terms:
-            found = parts.field()
-            if found:
-                self._backward(total(found))
-            return found
-
-        of_field = threads.beside(field)
-        materials = parts.materials()
-        loss = total(materials)
-        if loss.requires_grad:  # something of them is unknown
-            self.manual_backward(loss)
-        return StepTerms(materials, of_field(), parts.arrived)
+        return self._step(batch, Stream(self.seed, self.iteration, self.global_rank, 1, device=self.device))
 
     @property
     def train_seconds(self) -> float:

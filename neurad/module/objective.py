@@ -15,7 +15,6 @@ an environment that is being recovered is trained.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 
 import torch
@@ -39,9 +38,6 @@ from neurad.module.config import Objective, Sampling
 from neurad.module.estimate import Estimator, some
 from neurad.module.primary import PrimaryHits
 
-Terms = dict[str, tuple[float, Loss]]
-"""Weights and losses by name."""
-
 
 @dataclass(frozen=True)
 class IncidentSamples:
@@ -59,28 +55,17 @@ class IncidentSamples:
 class StepTerms:
     """Weighted terms of one step."""
 
-    materials: Terms
+    materials: dict[str, tuple[float, Loss]]
     """Terms whose gradient reaches materials and light only."""
-    field: Terms
+    field: dict[str, tuple[float, Loss]]
     """Terms whose gradient reaches the radiance field; phi too only with ``prior_trains: both``."""
     arrived: IncidentSamples | None = None
     """What a guide learns from; None from a method that does not tell."""
 
     @property
-    def all(self) -> Terms:
+    def all(self) -> dict[str, tuple[float, Loss]]:
         """Every term."""
         return self.materials | self.field
-
-
-@dataclass(frozen=True)
-class Parts:
-    """Terms that are still to be computed, from what they share; each kind once, the materials' first."""
-
-    materials: Callable[[], Terms]
-    field: Callable[[], Terms]
-    arrived: IncidentSamples | None
-    apart: bool
-    """Whether both can be computed, and differentiated, at the same time."""
 
 
 @dataclass(frozen=True)
@@ -120,13 +105,8 @@ class ObjectiveStep:
 
     def __call__(self, batch: PixelBatch, stream: Stream) -> StepTerms:
         """Terms for a batch of photographed pixels."""
-        parts = self.parts(batch, stream)
-        return StepTerms(parts.materials(), parts.field(), parts.arrived)
-
-    def parts(self, batch: PixelBatch, stream: Stream) -> Parts:
-        """What the terms share, and how each kind goes on from there."""
         if batch.breadth > 1:
-            return replace(self, sampling=self.sampling.over(batch.breadth)).parts(replace(batch, breadth=1), stream)
+            return replace(self, sampling=self.sampling.over(batch.breadth))(replace(batch, breadth=1), stream)
         b, n = len(batch.view), self.sampling.positions
         first = self.primary(batch, n, stream)
         it = first.it
@@ -149,31 +129,20 @@ class ObjectiveStep:
         weight = relative_weight(self._normaliser(batch, lhs_image), self.epsilon) * counts
         control = self._control(sample)
         seen_control = None if control is None else replace(control, deviation=_through(first, control.deviation))
+        materials = {"photometric": (1.0, self._photometric(batch, image, weight, seen_control, stream))}
+        if self.settings.roughness_pull > 0 and surface.roughness.requires_grad:
+            materials["roughness_pull"] = (self.settings.roughness_pull, self._pull(surface.roughness))
 
-        def materials() -> Terms:
-            terms = {"photometric": (1.0, self._photometric(batch, image, weight, seen_control, stream))}
-            if self.settings.roughness_pull > 0 and surface.roughness.requires_grad:
-                terms["roughness_pull"] = (self.settings.roughness_pull, self._pull(surface.roughness))
-            return terms
-
-        def field() -> Terms:
-            terms: Terms = {}
-            if points is not None and self.settings.prior > 0:
-                terms |= self._prior(lanes, at.it, at_surface, points, sample, control, stream)
-            if lhs_image is not None and self.settings.lhs > 0:
-                lhs_weight = relative_weight(lhs_image.mean(1), self.epsilon) * counts
-                terms["lhs"] = (self.settings.lhs, leave_one_out(lhs_image, batch.color, lhs_weight))
-            return terms
-
+        terms: dict[str, tuple[float, Loss]] = {}
+        if points is not None and self.settings.prior > 0:
+            terms |= self._prior(lanes, at.it, at_surface, points, sample, control, stream)
+        if lhs_image is not None and self.settings.lhs > 0:
+            lhs_weight = relative_weight(lhs_image.mean(1), self.epsilon) * counts
+            terms["lhs"] = (self.settings.lhs, leave_one_out(lhs_image, batch.color, lhs_weight))
         arrived = None
         if sample.incident is not None and sample.weighed is not None:
             arrived = IncidentSamples(it.repeat(self.sampling.secondary), sample.weighed.wi, sample.incident)
-        return Parts(materials, field, arrived, self._apart)
-
-    @property
-    def _apart(self) -> bool:
-        """Whether the two kinds of terms share neither a graph nor random numbers."""
-        return self.settings.prior_trains == "field" and self.settings.estimator == "leave_one_out"
+        return StepTerms(materials, terms, arrived)
 
     def _learning(self, pixels: int, positions: int) -> tuple[Tensor | slice, int]:
         """Which of the first hits [pixels * positions] the radiance field learns at, and how many of each pixel.

@@ -16,7 +16,7 @@ from torch import Tensor, nn
 from neurad.commands.bench.machine import wait
 from neurad.commands.bench.session import data_class
 from neurad.core.records import Rays
-from neurad.fields import dense_grid, hash_grid, mlp, threads
+from neurad.fields import dense_grid, hash_grid, mlp
 from neurad.fields.adam import FieldAdam
 from neurad.integrators import glossy, matte
 from neurad.integrators.guiding import Guide
@@ -209,12 +209,6 @@ def instrumented(module: InverseRenderer, recorder: Recorder) -> Iterator[None]:
             before.append((owner, name, owner.__dict__.get(name)))
             wrapped = recorder.wrap(stage, getattr(owner, name))
             setattr(owner, name, staticmethod(wrapped) if name == "backward" else wrapped)
-        before.append((InverseRenderer, "_backward", InverseRenderer.__dict__["_backward"]))
-        InverseRenderer._backward = staticmethod(  # type: ignore[method-assign]
-            recorder.wrap("backward: rest", InverseRenderer._backward)
-        )
-        before.append((threads, "beside", threads.beside))
-        threads.beside = lambda work: work  # one thread, so that every stage is seen
         before.append((Estimator, "reflected", Estimator.__dict__["reflected"]))
         Estimator.reflected = recorder.wrap_second(Estimator.reflected)  # type: ignore[method-assign]
         yield
