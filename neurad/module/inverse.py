@@ -176,7 +176,7 @@ class InverseRenderer(L.LightningModule):
         self._networks = any(isinstance(part, MLP) for part in self.modules())
         self._others = Others(self, self._ddp_params_and_buffers_to_ignore) if self.processes > 1 else None
         data = self.trainer.datamodule  # type: ignore[attr-defined]
-        self.sampling.over(data.breadth)  # refuses what cannot be
+        self.sampling.over(getattr(data, "breadth", 1))  # refuses what cannot be
         cameras = [view.camera for view in self.scene.train]
         primary = PrimaryHits(self.world, cameras, self.sampling.cached, self.seed, self.device)
         mixed = primary.sees_emitter()
