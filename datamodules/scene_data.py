@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
 
@@ -249,7 +250,7 @@ class SceneData(pl.LightningDataModule):
             return batch.to(device)
         view, pixel, color, alpha = (x.to(device) for x in (batch.view, batch.pixel, batch.color, batch.alpha))
         smoothed = None if batch.smoothed is None else batch.smoothed.to(device)
-        return PixelBatch(view, pixel, color, alpha, batch.iteration, smoothed, batch.breadth)
+        return replace(batch, view=view, pixel=pixel, color=color, alpha=alpha, smoothed=smoothed)
 
     def train_dataloader(self) -> DataLoader[PixelBatch]:
         """Batches without end, from the iteration that the module has reached."""

@@ -96,7 +96,7 @@ def test_every_corner_is_drawn_once_before_any_is_drawn_again(patch_size, covere
         assert (turns == turns[0]).all()
 
 
-def test_draws_have_no_order_that_follows_the_image(folder):
+def test_draws_have_no_order_that_follows_the_image():
     """Of a view's consecutive corners half lie below the one before, within five standard deviations."""
     where = corners(1, 1, None, 128, 128, 0)
     _, pixel = draw(where, 0, 128 * 128, 0, 0, 1, 128)

@@ -495,7 +495,6 @@ def test_a_run_takes_the_units_of_light_from_its_photographs(small):
 @pytest.mark.parametrize("breadth", ["4", "8"])
 def test_a_breadth_that_leaves_one_position_is_refused(small, capfd, breadth):
     small(glossy=True)
-    Path("fit.yaml").write_text(yaml.safe_dump(FIT))
     with pytest.raises(SystemExit) as stop:
         run("--trainer.max_steps=2", "--model.sampling.positions=4", f"--data.breadth={breadth}")
     assert stop.value.code == 2
@@ -507,7 +506,6 @@ def test_a_breadth_that_leaves_one_position_is_refused(small, capfd, breadth):
 
 def test_a_broad_batch_counts_as_many_samples_and_moves_roughness_less(small):
     small(glossy=True)
-    Path("fit.yaml").write_text(yaml.safe_dump(FIT))
     usual = run("--trainer.max_steps=3", "--model.sampling.positions=4")[1]
     broad = run("--trainer.max_steps=3", "--model.sampling.positions=4", "--data.breadth=2")[1]
     assert usual["neurad"]["samples"] == broad["neurad"]["samples"] > 0

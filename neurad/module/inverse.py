@@ -233,8 +233,7 @@ class InverseRenderer(L.LightningModule):
 
     def _lanes(self, batch: PixelBatch) -> int:
         """Path samples that a batch asks for: pixels x positions x secondary."""
-        sampling = self.sampling.over(batch.breadth)
-        return len(batch.view) * sampling.positions * sampling.secondary
+        return len(batch.view) * (self.sampling.positions // batch.breadth) * self.sampling.secondary
 
     def _iterate(self, batch: PixelBatch) -> Tensor:
         found: Any = self.optimizers()
