@@ -287,11 +287,12 @@ def test_a_field_fits_a_texture():
 # ---- optimizer
 
 
-def test_dense_gradients_equal_torch_adam_bit_by_bit():
+@pytest.mark.parametrize("decay", [0.0, 3.0])
+def test_dense_gradients_equal_torch_adam_bit_by_bit(decay):
     a, b = torch.nn.Parameter(torch.randn(40, 3)), torch.nn.Parameter(torch.randn(7))
     c, d = (torch.nn.Parameter(p.detach().clone()) for p in (a, b))
-    ours = FieldAdam([a, b], lr=1e-2)
-    torchs = torch.optim.Adam([c, d], lr=1e-2, betas=(0.9, 0.99), eps=1e-15, fused=True)
+    ours = FieldAdam([a, b], lr=1e-2, weight_decay=decay)
+    torchs = torch.optim.AdamW([c, d], lr=1e-2, betas=(0.9, 0.99), eps=1e-15, fused=True, weight_decay=decay)
     for step in range(5):
         for group in (*ours.param_groups, *torchs.param_groups):
             group["lr"] = 1e-2 / (step + 1)
@@ -304,13 +305,14 @@ def test_dense_gradients_equal_torch_adam_bit_by_bit():
     assert torch.equal(b, d)
 
 
+@pytest.mark.parametrize("decay", [0.0, 3.0])
 @pytest.mark.parametrize("compiled", [True, False])
-def test_sparse_gradients_of_every_row_equal_adam(compiled):
+def test_sparse_gradients_of_every_row_equal_adam(compiled, decay):
     kind = torch.float32 if compiled else torch.float64  # the kernel takes float32, other kinds plain torch
     p = torch.nn.Parameter(torch.randn(300, 2, dtype=kind))
     q = torch.nn.Parameter(p.detach().clone())
-    ours = FieldAdam([p], lr=1e-2)
-    torchs = torch.optim.Adam([q], lr=1e-2, betas=(0.9, 0.99), eps=1e-15)
+    ours = FieldAdam([p], lr=1e-2, weight_decay=decay)
+    torchs = torch.optim.AdamW([q], lr=1e-2, betas=(0.9, 0.99), eps=1e-15, weight_decay=decay)
     for _ in range(5):
         q.grad = torch.randn_like(q)
         order = torch.randperm(300)

@@ -28,7 +28,7 @@ CONFIG = {
         "roughness": {"grid": GRID, "width": 16},
         "radiance": {"grid": GRID, "width": 16, "hidden_layers": 2},
         "objective": {"roughness_pull": 0.01},
-        "optimization": {"average": 0.3},
+        "optimization": {"average": 0.3, "roughness_decay": 1.0},
     },
     "evaluation": {"every_n_steps": 30, "spp": 2},
     "checkpoint": {"every_seconds": 0.2},

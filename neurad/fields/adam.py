@@ -28,6 +28,8 @@ class FieldAdam(torch.optim.Optimizer):
             touched a thousand times.
         eps: added to the root of the second moment. As in instant-ngp far below usual gradients: those of table
             entries are tiny, and a larger floor would freeze them.
+        weight_decay: as in AdamW (Loshchilov and Hutter 2019): a step takes the share ``lr * weight_decay`` of every
+            value of a parameter that has a gradient, in rows that a sparse one does not name as well.
     """
 
     def __init__(
@@ -36,8 +38,9 @@ class FieldAdam(torch.optim.Optimizer):
         lr: float = 5e-3,
         betas: tuple[float, float] = (0.9, 0.99),
         eps: float = 1e-15,
+        weight_decay: float = 0.0,
     ) -> None:
-        super().__init__(params, {"lr": lr, "betas": betas, "eps": eps})
+        super().__init__(params, {"lr": lr, "betas": betas, "eps": eps, "weight_decay": weight_decay})
 
     @torch.no_grad()
     def step(self, closure: Callable[[], Any] | None = None) -> Any:
@@ -48,9 +51,12 @@ class FieldAdam(torch.optim.Optimizer):
                 loss = closure()
         for group in self.param_groups:
             dense = []
+            kept = 1.0 - group["lr"] * group.get("weight_decay", 0.0)  # checkpoints of old have no such key
             for p in group["params"]:
                 if p.grad is None:
                     continue
+                if kept != 1.0:
+                    p.mul_(kept)
                 state = self.state[p]
                 if not state:
                     state["step"] = torch.zeros((), device=p.device)

@@ -124,6 +124,9 @@ class Optimization:
     albedo: float = 5e-3
     roughness: float = 5e-3
     """Divided by the square of the batch's breadth (``data.breadth``)."""
+    roughness_decay: float = 0.0
+    """Weight decay (AdamW's) of the table that roughness's network reads; 0 is none. Where photographs tell little of
+    roughness, noise writes patterns into the table that nothing else takes out again."""
     radiance: float = 5e-3
     environment: float = 1e-1
     schedule: Literal["constant", "cosine"] = "cosine"
@@ -146,5 +149,7 @@ class Optimization:
         """Refuse what does not exist."""
         if self.matmul not in ("highest", "high", "medium"):
             raise InputError(f"model.optimization.matmul: '{self.matmul}' is unknown, choose highest, high or medium")
+        if self.roughness_decay < 0.0:
+            raise InputError("model.optimization.roughness_decay: it must not be negative")
         if not 0.0 <= self.average <= 1.0:
             raise InputError("model.optimization.average: it must lie in 0 .. 1")

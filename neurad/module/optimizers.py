@@ -6,6 +6,7 @@ from neurad.core.protocols import Materials
 from neurad.emitters.fitted import FittedEnvironment
 from neurad.fields.adam import FieldAdam
 from neurad.fields.map_adam import MapAdam
+from neurad.fields.material import RoughnessField
 from neurad.fields.radiance import RadianceField
 from neurad.module.assemble import FittedMaterials
 from neurad.module.config import Optimization
@@ -31,9 +32,20 @@ def make_optimizers(
     if isinstance(materials, FittedMaterials):
         made["albedo"] = FieldAdam(materials.albedo.parameters(), lr=rates.albedo)  # type: ignore[attr-defined]
         if materials.roughness is not None:
-            made["roughness"] = FieldAdam(materials.roughness.parameters(), lr=rates.roughness)
+            made["roughness"] = _for_roughness(materials.roughness, rates)
     if environment is not None:
         made["environment"] = MapAdam([environment.values], environment.width, lr=rates.environment, smooth=smooth)
     if radiance is not None:
         made["radiance"] = FieldAdam(radiance.parameters(), lr=rates.radiance)
     return made
+
+
+def _for_roughness(field: RoughnessField, rates: Optimization) -> FieldAdam:
+    """Adam whose weight decay is that of the table in front of the network; a grid alone has none, as it would be drawn
+    to one half.
+    """
+    network = list(field.mlp.parameters())
+    if rates.roughness_decay == 0.0 or not network:
+        return FieldAdam(field.parameters(), lr=rates.roughness)
+    table = {"params": list(field.grid.parameters()), "weight_decay": rates.roughness_decay}
+    return FieldAdam([table, {"params": network}], lr=rates.roughness)
