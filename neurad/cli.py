@@ -7,10 +7,11 @@ import importlib
 import os
 import sys
 from collections.abc import Iterator
+from contextlib import nullcontext
 from typing import NoReturn
 
 from neurad.core import clock
-from neurad.core.allocator import keep_freed_memory
+from neurad.core.allocator import imports_kept, keep_freed_memory
 from neurad.core.errors import InputError
 
 LIGHTNING_VERBS = {
@@ -73,7 +74,7 @@ def main(args: list[str] | None = None) -> None:
         clock.restart()
     words = list(sys.argv[1:] if args is None else args)
     try:
-        _dispatch(words)
+        _dispatch(words, own_process=args is None)
     except InputError as error:
         _fail(str(error))
     except KeyboardInterrupt:
@@ -86,7 +87,7 @@ def main(args: list[str] | None = None) -> None:
         _fail(str(cause))
 
 
-def _dispatch(words: list[str]) -> None:
+def _dispatch(words: list[str], own_process: bool) -> None:
     if not words or words[0] in ("-h", "--help", "help"):
         print(help_text(), end="")
         return
@@ -105,9 +106,11 @@ def _dispatch(words: list[str]) -> None:
         command.run(command.parse(parser, rest) if hasattr(command, "parse") else parser.parse_args(rest))
     elif verb in LIGHTNING_VERBS:
         _prepare()
-        from neurad.commands import train
+        with imports_kept() if own_process else nullcontext():
+            from neurad.commands import train
 
-        train.run(verb, rest, *_classes())
+            classes = _classes()
+        train.run(verb, rest, *classes)
     else:
         raise InputError(f"{verb}: no such verb, there are {', '.join([*LIGHTNING_VERBS, *OWN_VERBS])}")
 

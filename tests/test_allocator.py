@@ -51,3 +51,19 @@ def test_freed_arrays_are_used_again() -> None:
 def test_what_the_user_has_set_stays() -> None:
     """Variables of glibc's allocator win."""
     assert _faults("keep", MALLOC_TRIM_THRESHOLD_="131072") > 10_000
+
+
+def test_what_is_imported_for_a_fit_is_kept_and_garbage_is_collected_again_afterwards():
+    program = """
+import gc
+from neurad.core.allocator import imports_kept
+with imports_kept():
+    assert not gc.isenabled()
+    import json
+assert gc.isenabled() and gc.get_freeze_count() > 1000
+gc.disable()
+with imports_kept():
+    pass
+assert not gc.isenabled()  # the user's own choice stays
+"""
+    subprocess.run([sys.executable, "-c", program], check=True)
