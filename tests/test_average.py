@@ -8,7 +8,7 @@ import torch
 from torch import nn
 
 from neurad.core.errors import InputError
-from neurad.module.average import EVERY, Average
+from neurad.fields.average import EVERY, Average
 from neurad.module.config import Optimization
 
 

@@ -17,6 +17,7 @@ from neurad.core.records import PixelBatch
 from neurad.core.rng import Stream
 from neurad.emitters.fitted import FittedEnvironment
 from neurad.fields.adam import FieldAdam
+from neurad.fields.average import Average
 from neurad.fields.map_adam import MapAdam
 from neurad.fields.mlp import MLP, products
 from neurad.fields.radiance import RadianceField
@@ -28,7 +29,6 @@ from neurad.integrators.world import World
 from neurad.losses.relative import smoothed, total
 from neurad.metrics.held_out import HeldOut
 from neurad.module.assemble import FittedMaterials, build_materials, build_radiance, build_world
-from neurad.module.average import Average
 from neurad.module.checkpoint import fitting
 from neurad.module.config import Lighting, Objective, Optimization, Sampling
 from neurad.module.distributed import Others, set_aside

@@ -2,9 +2,10 @@
 
 All run on this machine, one after the other, each as a process of its own, on the same photographs, and are scored by
 the same code on the same held-out pixels. Seconds count from the start of each process, compilation included and
-evaluation left out. Neither side averages its weights. What the peer gets: rays of all views mixed in one batch,
-pixels in turn, leave-one-out residuals instead of a second rendering, the relative loss, a Laplacian pyramid over
-surface voxels or the networks of ``neurad fit``, Adam with the same decays and a cosine over the budget.
+evaluation left out. Both sides show averages over the share of the iterations that the config says
+(``optimization.average``); trials below are without. What the peer gets: rays of all views mixed in one batch, pixels
+in turn, leave-one-out residuals instead of a second rendering, the relative loss, a Laplacian pyramid over surface
+voxels or the networks of ``neurad fit``, Adam with the same decays and a cosine over the budget.
 
 Tuning of the peer on the built-in kitchen: 60 CPU-seconds on one core each, albedo (roughness) PSNR at the end, in dB.
 Unless stated a Laplacian pyramid over 128^3, relative to the photograph, learning rate 0.03, roughness a third of it,
@@ -92,6 +93,14 @@ TIMER = "neurad.callbacks.budget.TrainingBudget"
 UNTIL_STOPPED = "30:00:00:00"
 """A fit wants a limit; the timer replaces it."""
 FIT = "from neurad.cli import main; main()"
+PEER = """
+import sys
+from neurad.core.allocator import imports_kept
+with imports_kept():  # as neurad fit does
+    from neurad.commands.peer.fit import load_mitsuba, main
+    load_mitsuba()
+main(sys.argv[1])
+"""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -112,7 +121,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--set", action="append", default=[], metavar="[grid.|network.]KEY=VALUE", dest="changes",
         help="change a setting of the peer (resolution, pixels, samples, max_depth, rr_depth, rate, roughness_rate, "
-        "beta1, beta2, gain, final, normaliser, epsilon, seed), such as grid.resolution=192",
+        "beta1, beta2, gain, final, average, normaliser, epsilon, seed), such as grid.resolution=192",
     )  # fmt: skip
 
 
@@ -167,7 +176,7 @@ def _kinds(text: str) -> list[str]:
 
 
 def _sizes(config: str) -> dict[str, Any]:
-    """Network sizes and epsilon of a config."""
+    """Network sizes, epsilon and average of a config."""
     from omegaconf import OmegaConf
 
     from neurad.commands.configs import load_config, overlay
@@ -180,8 +189,11 @@ def _sizes(config: str) -> dict[str, Any]:
         if sizes.get("kind", "hash") == "dense":
             raise InputError(f"config {config}: model.{name} is a dense grid, but the network peer needs networks")
         found[name] = {key: value for key, value in sizes.items() if key in ("grid", "width", "hidden_layers")}
-    epsilon = (model.get("objective") or {}).get("epsilon")
-    return found if epsilon is None else {**found, "epsilon": float(epsilon)}
+    for part, name in (("objective", "epsilon"), ("optimization", "average")):
+        value = (model.get(part) or {}).get(name)
+        if value is not None:
+            found[name] = float(value)
+    return found
 
 
 def _settings(options: argparse.Namespace, kind: str, sizes: dict[str, Any]) -> dict[str, Any]:
@@ -208,7 +220,7 @@ def _settings(options: argparse.Namespace, kind: str, sizes: dict[str, Any]) -> 
 
 _CHANGEABLE = (
     "resolution", "pixels", "samples", "max_depth", "rr_depth", "rate", "roughness_rate", "beta1", "beta2", "gain",
-    "final", "normaliser", "epsilon", "seed",
+    "final", "average", "normaliser", "epsilon", "seed",
 )  # fmt: skip
 
 
@@ -222,7 +234,6 @@ def _fit(options: argparse.Namespace, config: str, budget: float) -> Path:
         "--trainer.max_time", UNTIL_STOPPED,
         f"--trainer.callbacks+={TIMER}", f"--trainer.callbacks.seconds={budget:g}",
         "--evaluation.share", "1000", "--evaluation.spp", "1",
-        "--model.optimization.average", "0",  # the peer has no averages either
     ]  # fmt: skip
     _process("ours", budget, [sys.executable, "-c", FIT, *arguments])
     made = set(folder.glob("lightning_logs/version_*")) - before
@@ -235,7 +246,7 @@ def _peer(out: Path, kind: str, budget: float, settings: dict[str, Any]) -> Path
     path = out / f"peer_{kind}_{budget:g}.csv"
     described = path.with_suffix(".json")
     described.write_text(json.dumps({**settings, "kind": kind, "seconds": budget, "out": str(path)}, indent=1) + "\n")
-    _process(f"peer {kind}", budget, [sys.executable, "-m", "neurad.commands.peer.fit", str(described)])
+    _process(f"peer {kind}", budget, [sys.executable, "-c", PEER, str(described)])
     return path
 
 

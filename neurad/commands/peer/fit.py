@@ -1,4 +1,4 @@
-"""One run of the peer, as a process of its own: ``python -m neurad.commands.peer.fit SETTINGS.json``."""
+"""One run of the peer, in a process of its own (:data:`neurad.commands.bench.peer.PEER`)."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ import csv
 import json
 import math
 import sys
+from contextlib import nullcontext
 from dataclasses import dataclass, field
 from functools import cache, partial
 from pathlib import Path
@@ -13,7 +14,6 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 import torch
-from torch import Tensor
 
 from neurad.commands.peer.models import Networks, Pyramid
 from neurad.commands.peer.replay import Replay
@@ -24,6 +24,7 @@ from neurad.core.allocator import keep_freed_memory
 from neurad.core.errors import InputError
 from neurad.core.protocols import Tracer
 from neurad.core.records import FloatArray
+from neurad.fields.average import Average
 from neurad.fields.material import AlbedoField, RoughnessField
 from neurad.fields.settings import FieldConfig, GridConfig
 from neurad.scene.description import Scene
@@ -71,6 +72,8 @@ class PeerSettings:
     """Learning rate of a level of the pyramid over that of the next coarser one."""
     final: float = 0.02
     """Share of the rates left at the end of the cosine."""
+    average: float = 0.0
+    """Share of the iterations so far over which scored values are averaged, as in ``neurad fit``; 0 is none."""
     normaliser: str = "photograph"
     epsilon: float = 0.01
     seed: int = 0
@@ -87,9 +90,13 @@ BEST: dict[str, dict[str, Any]] = {
 
 
 def main(path: str) -> None:
-    """Run with the settings of a JSON file."""
+    """Run with the settings of a JSON file; exits with 2 after one sentence if it cannot."""
     keep_freed_memory()  # as ``neurad fit`` does
-    fit(PeerSettings(**json.loads(Path(path).read_text())))
+    try:
+        fit(PeerSettings(**json.loads(Path(path).read_text())))
+    except InputError as error:
+        print(f"neurad: error: {error}", file=sys.stderr)
+        raise SystemExit(2) from None
 
 
 def fit(settings: PeerSettings) -> None:
@@ -112,6 +119,7 @@ def fit(settings: PeerSettings) -> None:
         settings.epsilon, settings.seed,
     )  # fmt: skip
     report = _Report(Path(settings.out), held_out, voxels)
+    average = Average(model, settings.average, every=1) if settings.average > 0 else None
     iteration = mark = 0
     while True:
         progress = clock.training_seconds() / settings.seconds
@@ -119,10 +127,10 @@ def fit(settings: PeerSettings) -> None:
             progress = max(progress, iteration / settings.max_steps)
         if progress >= 1.0:
             break
-        values = model()
         if int(progress * MARKS) > mark:
             mark = int(progress * MARKS)
-            report(iteration, values.detach())
+            report(iteration, model, average)
+        values = model()
         for optimizer in model.optimizers:
             optimizer.zero_grad()
             for group in optimizer.param_groups:
@@ -133,8 +141,9 @@ def fit(settings: PeerSettings) -> None:
             optimizer.step()
         report.add(gradient.loss, gradient.not_finite)
         iteration += 1
-    with torch.no_grad():
-        report(iteration, model())
+        if average is not None:
+            average.update(iteration)
+    report(iteration, model, average)
 
 
 def _model(settings: PeerSettings, scene: Scene, voxels: SurfaceVoxels, tracer: Tracer) -> Pyramid | Networks:
@@ -203,9 +212,11 @@ class _Report:
         self.losses.append(loss)
         self.not_finite += not_finite
 
-    def __call__(self, iteration: int, values: Tensor) -> None:
-        """Evaluate ``values`` [n, 4]."""
-        with clock.excluded():
+    @torch.no_grad()
+    def __call__(self, iteration: int, model: Pyramid | Networks, average: Average | None) -> None:
+        """Evaluate what the model has, or has on average."""
+        with clock.excluded(), nullcontext() if average is None else average.used():
+            values = model()
             scores = self.held_out.score(self.held_out.predict(VoxelMaterials(self.voxels, values)))
             row: dict[str, Any] = {
                 "iteration": iteration,
@@ -217,11 +228,3 @@ class _Report:
             with self.path.open("a", newline="") as file:
                 csv.DictWriter(file, COLUMNS, restval="").writerow(row)
             self.losses.clear()
-
-
-if __name__ == "__main__":
-    try:
-        main(sys.argv[1])
-    except InputError as error:
-        print(f"neurad: error: {error}", file=sys.stderr)
-        raise SystemExit(2) from None

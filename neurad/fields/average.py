@@ -22,14 +22,15 @@ class Average(nn.Module):
     Args:
         part: whose parameters are averaged.
         share: of the iterations so far that the average reaches back over.
+        every: iterations between two updates.
     """
 
     updates: Tensor
 
-    def __init__(self, part: nn.Module, share: float) -> None:
+    def __init__(self, part: nn.Module, share: float, every: int = EVERY) -> None:
         super().__init__()
         self._parameters_of = [p for p in part.parameters() if p.requires_grad]  # a list: they are not this module's
-        self.share = share
+        self.share, self.every = share, every
         self.register_buffer("updates", torch.zeros((), dtype=torch.int64))
         for index, p in enumerate(self._parameters_of):
             self.register_buffer(f"mean_{index}", p.detach().clone())
@@ -43,8 +44,8 @@ class Average(nn.Module):
     @torch.no_grad()
     def update(self, iteration: int) -> None:
         """Take the parameters after ``iteration`` iterations into account."""
-        if iteration % EVERY == 0:
-            weight = 1.0 if self.updates == 0 else min(1.0, EVERY / (self.share * iteration))
+        if iteration % self.every == 0:
+            weight = 1.0 if self.updates == 0 else min(1.0, self.every / (self.share * iteration))
             torch._foreach_lerp_(self._means(), self._values(), weight)
             self.updates += 1
 
