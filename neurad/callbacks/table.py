@@ -99,22 +99,24 @@ def _cell(key: str, value: float | None) -> str:
     return f"{value:.2f}" if key == "seconds" else f"{value:.7g}"
 
 
-def score_table(scores: Mapping[str, float], spp: int) -> str:
+def score_table(scores: Mapping[str, float], spp: int, who: str = "neurad") -> str:
     """The closing table: this run beside the best constant, over all and over seen held-out pixels.
 
     Args:
         scores: by the names of :data:`COLUMNS`; a best constant's score has ``_constant`` before any ``_seen``.
-        spp: samples a pixel of the renderings behind ``psnr_linear`` and ``psnr_srgb``.
+        spp: samples a pixel of the renderings behind ``psnr_linear`` and ``psnr_srgb``; 0 where there are none.
+        who: whose scores they are.
     """
     lines = []
     for suffix, pixels in REGIONS.items():
         body = [list(HEADINGS.values())]
-        for label, kind in (("neurad", ""), ("best constant", "_constant")):
+        for label, kind in ((who, ""), ("best constant", "_constant")):
             values = {name: scores.get(f"{name}{kind}{suffix}") for name in HEADINGS if name}
             if any(value is not None for value in values.values()):
                 body.append([label, *(_score(name, value) for name, value in values.items())])
         if len(body) > 1:
-            lines += [f"Held-out views, {pixels} (images rendered with {spp} samples a pixel)", *align(body), ""]
+            rendered = f" (images rendered with {spp} samples a pixel)" if spp else ""
+            lines += [f"Held-out views, {pixels}{rendered}", *align(body), ""]
     return "\n".join(lines + light_table(scores)).rstrip()
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import argparse
+from contextlib import nullcontext
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -16,7 +17,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def run(options: argparse.Namespace) -> None:
     """Fit the config's albedo and roughness fields to the true maps of the training views; print held-out scores.
 
-    Whatever recovers materials from photographs with the same fields cannot be expected to score higher.
+    Whatever recovers materials from photographs with the same fields cannot be expected to score higher. Beside them
+    stand those of the true mean of every mesh, which is all right but for its patterns.
 
     Raises:
         InputError: the settings are wrong, or the scene has no true maps of its training views.
@@ -25,14 +27,26 @@ def run(options: argparse.Namespace) -> None:
 
     from neurad.callbacks.table import score_table
     from neurad.commands.bench.session import prepare
-    from neurad.commands.bench.supervised import TrueMaps
+    from neurad.commands.bench.supervised import SurfaceMeans, TrueMaps
     from neurad.core.errors import InputError
+    from neurad.integrators.method import Parts
+    from neurad.integrators.path import Path
+    from neurad.metrics.held_out import HeldOut
+    from neurad.metrics.lit_glossy import lit_glossy, reflected_by
+    from neurad.module.evaluate import GLOSSY_SAMPLES
+    from neurad.scene.textures import TrueMaterials
 
     if options.seconds <= 0:
         raise InputError(f"--seconds: {options.seconds} is not a positive time")
     trainer, module, data = prepare(options, 10**9)
     trainer.callbacks = [Timer({"seconds": options.seconds}), TrueMaps()]  # type: ignore[attr-defined]
     trainer.fit(module, data)
-    scores = {k: v for k, v in module.evaluate(1).scores.items() if not k.startswith("psnr_")}
     print(f"supervised ceiling after {module.iteration} steps in {options.seconds:g} s")
-    print(score_table(scores, 1))
+    held_out = HeldOut(module.scene, module.world.geometry, module.world.tracer)
+    true = TrueMaterials(module.scene, module.world.geometry)
+    regions = {"lit_glossy": lit_glossy(held_out, reflected_by(Path(None), Parts(module.world, true)), GLOSSY_SAMPLES)}
+    fitted = nullcontext() if module.average is None else module.average.used()
+    with fitted:
+        print(score_table(held_out.score(held_out.predict(module.materials), None, regions), 0, "the fields"))
+    means = SurfaceMeans.of(module._step)
+    print(score_table(held_out.score(held_out.predict(means), None, regions), 0, "means of meshes"))

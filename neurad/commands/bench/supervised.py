@@ -11,7 +11,7 @@ from torch import Tensor
 
 from neurad.core.errors import InputError
 from neurad.core.protocols import Materials
-from neurad.core.records import PixelBatch
+from neurad.core.records import Interaction, PixelBatch, Surface
 from neurad.core.rng import Stream
 from neurad.losses.relative import Loss
 from neurad.metrics.held_out import HeldOut
@@ -42,6 +42,45 @@ class SupervisedStep:
             loss = (counts * (mean - true[batch.view, batch.pixel]) ** 2).mean()
             terms[name] = (1.0, Loss(loss, loss.detach()))
         return StepTerms(terms, {})
+
+
+@dataclass(frozen=True)
+class SurfaceMeans:
+    """The true mean of every mesh over what the training views see of it, as materials."""
+
+    mesh: Tensor
+    """Mesh of every triangle [F]."""
+    means: Tensor
+    """Albedo and roughness of every mesh [meshes, 4]; the mean of all where no training view sees it."""
+
+    @classmethod
+    def of(cls, step: SupervisedStep) -> SurfaceMeans:
+        """Means of the true maps that ``step`` has, each pixel counted for the mesh at one position in it."""
+        mesh, device = step.primary.world.geometry.mesh_index, step.mixed.device
+        sums = torch.zeros(int(mesh.max()) + 1, 5, device=device)
+        pixel = torch.arange(step.mixed.shape[1], device=device)
+        black, whole = torch.zeros(len(pixel), 3, device=device), torch.ones(len(pixel), device=device)
+        for view in range(len(step.mixed)):
+            batch = PixelBatch(torch.full_like(pixel, view), pixel, black, whole, 0)
+            it = step.primary(batch, 1, Stream(view, device=device)).it
+            true = torch.ones(len(pixel), 5, device=device)  # the last one counts
+            true[:, :3] = step.truth["albedo"][view].to(device)
+            if "roughness" in step.truth:
+                true[:, 3:4] = step.truth["roughness"][view].to(device)
+            good = it.valid & ~step.mixed[view]
+            sums.index_add_(0, mesh[it.prim[good]], true[good])
+        empty = sums[:, 4] == 0
+        sums[empty] = sums.sum(0)
+        return cls(mesh, sums[:, :4] / sums[:, 4:])
+
+    def __call__(self, it: Interaction) -> Surface:
+        """Materials at the lanes of ``it``."""
+        found = self.means[self.mesh[it.prim.clamp_min(0)]]
+        return Surface(found[:, :3], found[:, 3:])
+
+    def albedo(self, it: Interaction) -> Tensor:
+        """The albedo alone [n, 3]."""
+        return self(it).albedo
 
 
 class TrueMaps(pl.Callback):

@@ -1,0 +1,67 @@
+"""What the fields could do at best, and what the mean of every mesh does."""
+
+import torch
+
+from neurad.cli import main
+from neurad.commands.bench.supervised import SupervisedStep, SurfaceMeans
+from neurad.core.records import Interaction, PixelBatch
+from neurad.core.rng import Stream
+from neurad.module.assemble import build_world
+from neurad.module.primary import PrimaryHits
+from neurad.scene.builtin import build_cornell
+
+
+def step_of(truth):
+    scene = build_cornell()
+    cameras = [view.camera for view in scene.train[:2]]
+    primary = PrimaryHits(build_world(scene), cameras, 1, 0, torch.device("cpu"))
+    mixed = torch.zeros(2, primary.pixels, dtype=torch.bool)
+    seen = []
+    for view in range(2):
+        pixel = torch.arange(primary.pixels)
+        batch = PixelBatch(torch.full_like(pixel, view), pixel, torch.zeros(len(pixel), 3), torch.ones(len(pixel)), 0)
+        seen.append(primary(batch, 1, Stream(0)).it)
+    maps = {name: torch.stack([f(it) for it in seen]) for name, f in truth.items()}
+    return SupervisedStep(None, primary, mixed, maps), seen
+
+
+def test_meshes_have_their_mean_and_what_is_not_seen_has_that_of_all():
+    """One kept position a pixel, so a pixel's mesh is certain. Values that vary with position average out by mesh."""
+    step, seen = step_of({"albedo": lambda it: it.p, "roughness": lambda it: it.p[:, :1] ** 2})
+    means = SurfaceMeans.of(step)
+    it = Interaction.cat(*seen)
+    mesh = step.primary.world.geometry.mesh_index[it.prim.clamp_min(0)]
+    found = means(it)
+    for k in mesh[it.valid].unique():
+        here = it.valid & (mesh == k)
+        torch.testing.assert_close(
+            found.albedo[here], it.p[here].mean(0).expand(int(here.sum()), 3), atol=1e-5, rtol=1e-5
+        )
+        expected = (it.p[here, :1] ** 2).mean()
+        torch.testing.assert_close(found.roughness[here], expected.expand(int(here.sum()), 1), atol=1e-5, rtol=1e-5)
+    assert torch.equal(means.albedo(it), found.albedo)
+    unseen = torch.ones(len(means.means), dtype=torch.bool)
+    unseen[mesh[it.valid]] = False
+    if unseen.any():
+        torch.testing.assert_close(means.means[unseen][0, :3], it.p[it.valid].mean(0), atol=1e-5, rtol=1e-5)
+
+
+def test_without_true_roughness_it_is_one():
+    step, seen = step_of({"albedo": lambda it: it.p})
+    assert bool((SurfaceMeans.of(step)(seen[0]).roughness == 1.0).all())
+
+
+def test_the_command_shows_the_fields_and_the_means(capsys):
+    settings = ["data.patches=64", "model.sampling.positions=2", "model.sampling.cached=2", "data.breadth=1"]
+    main(
+        ["bench", "ceiling", "--config", "kitchen.yaml", "--seconds", "1", *(w for s in settings for w in ("--set", s))]
+    )
+    lines = capsys.readouterr().out.splitlines()
+    albedo = {}
+    for line in lines:
+        for who in ("the fields", "means of meshes", "best constant"):
+            if line.startswith(who):
+                albedo.setdefault(who, []).append(float(line.removeprefix(who).split()[0]))
+    assert any(line.startswith("Held-out views, glossy pixels with light on them") for line in lines)
+    assert len(albedo["the fields"]) == len(albedo["means of meshes"]) == 3
+    assert albedo["means of meshes"][0] > albedo["best constant"][0] + 3.0
