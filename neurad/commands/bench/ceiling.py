@@ -39,7 +39,8 @@ def run(options: argparse.Namespace) -> None:
     if options.seconds <= 0:
         raise InputError(f"--seconds: {options.seconds} is not a positive time")
     trainer, module, data = prepare(options, 10**9)
-    trainer.callbacks = [Timer({"seconds": options.seconds}), TrueMaps()]  # type: ignore[attr-defined]
+    maps = TrueMaps()
+    trainer.callbacks = [Timer({"seconds": options.seconds}), maps]  # type: ignore[attr-defined]
     trainer.fit(module, data)
     print(f"supervised ceiling after {module.iteration} steps in {options.seconds:g} s")
     held_out = HeldOut(module.scene, module.world.geometry, module.world.tracer)
@@ -48,5 +49,5 @@ def run(options: argparse.Namespace) -> None:
     fitted = nullcontext() if module.average is None else module.average.used()
     with fitted:
         print(score_table(held_out.score(held_out.predict(module.materials), None, regions), 0, "the fields"))
-    means = SurfaceMeans.of(module._step)
+    means = SurfaceMeans.of(maps.step)
     print(score_table(held_out.score(held_out.predict(means), None, regions), 0, "means of meshes"))

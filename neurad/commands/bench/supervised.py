@@ -90,6 +90,9 @@ class TrueMaps(pl.Callback):
         InputError: a training view has no true map.
     """
 
+    step: SupervisedStep
+    """What was put there."""
+
     def on_train_start(self, trainer: pl.Trainer, pl_module: pl.LightningModule) -> None:
         """Read the true maps, by the one reader of ground truth."""
         module: Any = pl_module
@@ -105,4 +108,4 @@ class TrueMaps(pl.Callback):
                 image = torch.from_numpy(found[f"{name}_true"])
                 parts[name].append(image.reshape(-1, image.shape[-1]))
         truth = {name: torch.stack(maps) for name, maps in parts.items()}
-        module._step = SupervisedStep(module.materials, step.primary, step.mixed, truth)
+        module._step = self.step = SupervisedStep(module.materials, step.primary, step.mixed, truth)
