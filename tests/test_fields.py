@@ -291,7 +291,7 @@ def test_a_field_fits_a_texture():
 def test_dense_gradients_equal_torch_adam_bit_by_bit(decay):
     a, b = torch.nn.Parameter(torch.randn(40, 3)), torch.nn.Parameter(torch.randn(7))
     c, d = (torch.nn.Parameter(p.detach().clone()) for p in (a, b))
-    ours = FieldAdam([a, b], lr=1e-2, weight_decay=decay)
+    ours = FieldAdam([a, b], lr=1e-2, weight_decay={a: decay, b: decay})
     torchs = torch.optim.AdamW([c, d], lr=1e-2, betas=(0.9, 0.99), eps=1e-15, fused=True, weight_decay=decay)
     for step in range(5):
         for group in (*ours.param_groups, *torchs.param_groups):
@@ -311,7 +311,7 @@ def test_sparse_gradients_of_every_row_equal_adam(compiled, decay):
     kind = torch.float32 if compiled else torch.float64  # the kernel takes float32, other kinds plain torch
     p = torch.nn.Parameter(torch.randn(300, 2, dtype=kind))
     q = torch.nn.Parameter(p.detach().clone())
-    ours = FieldAdam([p], lr=1e-2, weight_decay=decay)
+    ours = FieldAdam([p], lr=1e-2, weight_decay={p: decay})
     torchs = torch.optim.AdamW([q], lr=1e-2, betas=(0.9, 0.99), eps=1e-15, weight_decay=decay)
     for _ in range(5):
         q.grad = torch.randn_like(q)
@@ -320,6 +320,18 @@ def test_sparse_gradients_of_every_row_equal_adam(compiled, decay):
         ours.step()
         torchs.step()
     torch.testing.assert_close(p, q, rtol=1e-5, atol=1e-6)
+
+
+def test_rows_that_a_sparse_gradient_does_not_name_decay_as_well():
+    p = torch.nn.Parameter(torch.randn(100, 2))
+    before = p.detach().clone()
+    optimizer = FieldAdam([p], lr=1e-2, weight_decay={p: 20.0})
+    p.grad = torch.sparse_coo_tensor(torch.tensor([[3, 70]]), torch.randn(2, 2), p.shape, check_invariants=True)
+    optimizer.step()
+    others = torch.ones(100, dtype=torch.bool)
+    others[[3, 70]] = False
+    torch.testing.assert_close(p[others], 0.8 * before[others])
+    assert bool((p[~others] != 0.8 * before[~others]).all())
 
 
 def test_sparse_steps_leave_other_rows_alone_and_add_up_repeated_rows():

@@ -1,6 +1,7 @@
 """The peer of `neurad bench peer`: its voxels, its gradients, and what is reported of a race."""
 
 import csv
+import json
 import math
 import os
 import subprocess
@@ -142,17 +143,52 @@ def test_gradient_is_that_of_the_loss(mi):
     assert float((middle.values * direction).sum()) == pytest.approx(expected, rel=0.02)
 
 
-def test_a_short_run_finds_albedo(mi, tmp_path):
-    from neurad.commands.peer.fit import PeerSettings, fit
+SHORT = {"scene": "cornell", "max_steps": 30, "resolution": 16, "pixels": 512, "samples": 2}
 
-    out = tmp_path / "peer.csv"
-    fit(PeerSettings("grid", 1e6, str(out), scene="cornell", max_steps=30, resolution=16, pixels=512, samples=2))
+
+def test_a_short_run_finds_albedo(mi, tmp_path):
+    """As the race starts it, in a process of its own."""
+    from neurad.commands.bench.peer import PEER
+
+    out, described = tmp_path / "peer.csv", tmp_path / "peer.json"
+    described.write_text(json.dumps({**SHORT, "kind": "grid", "seconds": 1e6, "out": str(out), "average": 0.0}))
+    subprocess.run([sys.executable, "-c", PEER, str(described)], check=True)
     with out.open() as file:
         rows = list(csv.DictReader(file))
     assert len(rows) == 20
     assert float(rows[-1]["albedo_psnr"]) > float(rows[0]["albedo_psnr"]) + 1.0
     seconds = [float(row["seconds"]) for row in rows]
     assert seconds == sorted(seconds)
+
+
+def test_averages_lag_behind_while_values_still_rise(mi, tmp_path):
+    """And averages over less than an iteration are the values themselves."""
+    from neurad.commands.peer.fit import PeerSettings, fit
+
+    found = []
+    for share in (0.0, 1e-6, 0.5):
+        out = tmp_path / f"{share}.csv"
+        fit(PeerSettings("grid", 1e6, str(out), **{**SHORT, "max_steps": 8}, average=share))
+        with out.open() as file:
+            found.append([float(row["albedo_psnr"]) for row in csv.DictReader(file)])
+    present, same, mean = found
+    assert same == pytest.approx(present, abs=0.01)  # sums over threads come in any order
+    assert mean[4] < present[4] - 0.02
+
+
+@pytest.mark.parametrize("share", [-0.1, 1.1])
+def test_a_share_that_does_not_exist_is_refused(share):
+    from neurad.commands.peer.fit import PeerSettings
+
+    with pytest.raises(InputError, match="average"):
+        PeerSettings("grid", 1.0, "out.csv", average=share)
+
+
+def test_the_peer_averages_as_the_config_does():
+    from neurad.commands.bench.peer import _sizes
+
+    assert _sizes("kitchen.yaml")["average"] == 0.1
+    assert _sizes("kitchen.yaml")["epsilon"] == 0.01
 
 
 def test_networks_are_as_fine_as_the_photographs_where_the_config_leaves_it_open(mi, tmp_path):

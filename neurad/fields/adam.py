@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from typing import Any
 
 import numpy as np
@@ -18,8 +18,8 @@ class FieldAdam(torch.optim.Optimizer):
     """Adam (Kingma and Ba 2015) with lazy updates where gradients are sparse.
 
     Dense gradients take torch's own Adam, fused where it can be. A sparse gradient moves the rows that it names and
-    leaves every other row with its moments alone, as ``torch.optim.SparseAdam`` does; the step counter behind the bias
-    correction is that of the whole parameter. A gradient that names every row makes the two the same.
+    leaves every other row with its moments alone, as ``torch.optim.SparseAdam`` does, but for decay; the step counter
+    behind the bias correction is that of the whole parameter. A gradient that names every row makes the two the same.
 
     Args:
         params: parameters or parameter groups.
@@ -28,8 +28,9 @@ class FieldAdam(torch.optim.Optimizer):
             touched a thousand times.
         eps: added to the root of the second moment. As in instant-ngp far below usual gradients: those of table
             entries are tiny, and a larger floor would freeze them.
-        weight_decay: as in AdamW (Loshchilov and Hutter 2019): a step takes the share ``lr * weight_decay`` of every
-            value of a parameter that has a gradient, in rows that a sparse one does not name as well.
+        weight_decay: by parameter, as in AdamW (Loshchilov and Hutter 2019): a step takes the share ``lr`` times it of
+            all values, in rows that a sparse gradient does not name as well. No part of the state: a continued run has
+            what its settings say.
     """
 
     def __init__(
@@ -38,9 +39,10 @@ class FieldAdam(torch.optim.Optimizer):
         lr: float = 5e-3,
         betas: tuple[float, float] = (0.9, 0.99),
         eps: float = 1e-15,
-        weight_decay: float = 0.0,
+        weight_decay: Mapping[Tensor, float] | None = None,
     ) -> None:
-        super().__init__(params, {"lr": lr, "betas": betas, "eps": eps, "weight_decay": weight_decay})
+        super().__init__(params, {"lr": lr, "betas": betas, "eps": eps})
+        self.weight_decay = dict(weight_decay or {})
 
     @torch.no_grad()
     def step(self, closure: Callable[[], Any] | None = None) -> Any:
@@ -51,12 +53,11 @@ class FieldAdam(torch.optim.Optimizer):
                 loss = closure()
         for group in self.param_groups:
             dense = []
-            kept = 1.0 - group["lr"] * group.get("weight_decay", 0.0)  # checkpoints of old have no such key
             for p in group["params"]:
                 if p.grad is None:
                     continue
-                if kept != 1.0:
-                    p.mul_(kept)
+                if p in self.weight_decay:
+                    p.mul_(1.0 - group["lr"] * self.weight_decay[p])
                 state = self.state[p]
                 if not state:
                     state["step"] = torch.zeros((), device=p.device)

@@ -7,7 +7,7 @@ While learning rates are high, parameters wander about the point that they are d
 from __future__ import annotations
 
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 
 import torch
 from torch import Tensor, nn
@@ -62,3 +62,8 @@ class Average(nn.Module):
             yield
         finally:
             torch._foreach_copy_(values, kept)
+
+
+def averaged(average: Average | None) -> AbstractContextManager[None]:
+    """A block in which a module has its averages; nothing changes where there are none."""
+    return nullcontext() if average is None else average.used()

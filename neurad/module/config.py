@@ -151,5 +151,7 @@ class Optimization:
             raise InputError(f"model.optimization.matmul: '{self.matmul}' is unknown, choose highest, high or medium")
         if self.roughness_decay < 0.0:
             raise InputError("model.optimization.roughness_decay: it must not be negative")
+        if self.roughness * self.roughness_decay >= 1.0:
+            raise InputError("model.optimization.roughness_decay: times the rate of roughness it must stay below 1")
         if not 0.0 <= self.average <= 1.0:
             raise InputError("model.optimization.average: it must lie in 0 .. 1")

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from contextlib import nullcontext
 from functools import cache, partial
 from typing import Any, Literal
 
@@ -17,7 +16,7 @@ from neurad.core.records import PixelBatch
 from neurad.core.rng import Stream
 from neurad.emitters.fitted import FittedEnvironment
 from neurad.fields.adam import FieldAdam
-from neurad.fields.average import Average
+from neurad.fields.average import Average, averaged
 from neurad.fields.map_adam import MapAdam
 from neurad.fields.mlp import MLP, products
 from neurad.fields.radiance import RadianceField
@@ -297,7 +296,7 @@ class InverseRenderer(L.LightningModule):
         cast = self.world.rays_cast
         if self._light is None and self.environment is not None:
             self._light = unknown_light(self.scene, self.environment, self._held_out)
-        with nullcontext() if self.average is None else self.average.used():
+        with averaged(self.average):
             result = evaluate(self._held_out, self.estimator, render_spp, glossy, self._light, self.scene)
         self.world.rays_cast = cast
         self._guard.images(result.maps, [view.name for view in self._held_out.views])

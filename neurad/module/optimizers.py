@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from torch import Tensor
+
 from neurad.core.protocols import Materials
 from neurad.emitters.fitted import FittedEnvironment
 from neurad.fields.adam import FieldAdam
@@ -44,8 +46,6 @@ def _for_roughness(field: RoughnessField, rates: Optimization) -> FieldAdam:
     """Adam whose weight decay is that of the table in front of the network; a grid alone has none, as it would be drawn
     to one half.
     """
-    network = list(field.mlp.parameters())
-    if rates.roughness_decay == 0.0 or not network:
-        return FieldAdam(field.parameters(), lr=rates.roughness)
-    table = {"params": list(field.grid.parameters()), "weight_decay": rates.roughness_decay}
-    return FieldAdam([table, {"params": network}], lr=rates.roughness)
+    decays = rates.roughness_decay > 0.0 and any(True for _ in field.mlp.parameters())
+    decay: dict[Tensor, float] = {p: rates.roughness_decay for p in field.grid.parameters()} if decays else {}
+    return FieldAdam(field.parameters(), lr=rates.roughness, weight_decay=decay)

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-from contextlib import nullcontext
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -18,7 +17,8 @@ def run(options: argparse.Namespace) -> None:
     """Fit the config's albedo and roughness fields to the true maps of the training views; print held-out scores.
 
     Whatever recovers materials from photographs with the same fields cannot be expected to score higher. Beside them
-    stand those of the true mean of every mesh, which is all right but for its patterns.
+    stand those of the true mean of every mesh, right but for its patterns (and at edges, where pixels of the true maps
+    mix several). Which pixels are lit and glossy is estimated with the true materials.
 
     Raises:
         InputError: the settings are wrong, or the scene has no true maps of its training views.
@@ -27,12 +27,14 @@ def run(options: argparse.Namespace) -> None:
 
     from neurad.callbacks.table import score_table
     from neurad.commands.bench.session import prepare
-    from neurad.commands.bench.supervised import SurfaceMeans, TrueMaps
+    from neurad.commands.bench.supervised import TrueMaps
     from neurad.core.errors import InputError
+    from neurad.fields.average import averaged
     from neurad.integrators.method import Parts
     from neurad.integrators.path import Path
     from neurad.metrics.held_out import HeldOut
     from neurad.metrics.lit_glossy import lit_glossy, reflected_by
+    from neurad.module.assemble import build_world
     from neurad.module.evaluate import GLOSSY_SAMPLES
     from neurad.scene.textures import TrueMaterials
 
@@ -43,11 +45,10 @@ def run(options: argparse.Namespace) -> None:
     trainer.callbacks = [Timer({"seconds": options.seconds}), maps]  # type: ignore[attr-defined]
     trainer.fit(module, data)
     print(f"supervised ceiling after {module.iteration} steps in {options.seconds:g} s")
-    held_out = HeldOut(module.scene, module.world.geometry, module.world.tracer)
-    true = TrueMaterials(module.scene, module.world.geometry)
-    regions = {"lit_glossy": lit_glossy(held_out, reflected_by(Path(None), Parts(module.world, true)), GLOSSY_SAMPLES)}
-    fitted = nullcontext() if module.average is None else module.average.used()
-    with fitted:
+    world = build_world(module.scene)  # with the true light, where the fit's own is unknown
+    held_out = HeldOut(module.scene, world.geometry, world.tracer)
+    parts = Parts(world, TrueMaterials(module.scene, world.geometry))
+    regions = {"lit_glossy": lit_glossy(held_out, reflected_by(Path(None), parts), GLOSSY_SAMPLES)}
+    with averaged(module.average):
         print(score_table(held_out.score(held_out.predict(module.materials), None, regions), 0, "the fields"))
-    means = SurfaceMeans.of(maps.step)
-    print(score_table(held_out.score(held_out.predict(means), None, regions), 0, "means of meshes"))
+    print(score_table(held_out.score(held_out.predict(maps.means), None, regions), 0, "means of meshes"))

@@ -5,7 +5,8 @@ the same code on the same held-out pixels. Seconds count from the start of each 
 evaluation left out. Both sides show averages over the share of the iterations that the config says
 (``optimization.average``); trials below are without. What the peer gets: rays of all views mixed in one batch, pixels
 in turn, leave-one-out residuals instead of a second rendering, the relative loss, a Laplacian pyramid over surface
-voxels or the networks of ``neurad fit``, Adam with the same decays and a cosine over the budget.
+voxels or the networks of ``neurad fit``, Adam with the same decays of its moments (weight decay is ours alone) and a
+cosine over the budget.
 
 Tuning of the peer on the built-in kitchen: 60 CPU-seconds on one core each, albedo (roughness) PSNR at the end, in dB.
 Unless stated a Laplacian pyramid over 128^3, relative to the photograph, learning rate 0.03, roughness a third of it,
@@ -97,8 +98,7 @@ PEER = """
 import sys
 from neurad.core.allocator import imports_kept
 with imports_kept():  # as neurad fit does
-    from neurad.commands.peer.fit import load_mitsuba, main
-    load_mitsuba()
+    from neurad.commands.peer.fit import main
 main(sys.argv[1])
 """
 

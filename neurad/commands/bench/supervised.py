@@ -55,7 +55,7 @@ class SurfaceMeans:
 
     @classmethod
     def of(cls, step: SupervisedStep) -> SurfaceMeans:
-        """Means of the true maps that ``step`` has, each pixel counted for the mesh at one position in it."""
+        """Means, on the CPU, of the true maps that ``step`` has, each pixel counted for the mesh at one position."""
         mesh, device = step.primary.world.geometry.mesh_index, step.mixed.device
         sums = torch.zeros(int(mesh.max()) + 1, 5, device=device)
         pixel = torch.arange(step.mixed.shape[1], device=device)
@@ -64,14 +64,14 @@ class SurfaceMeans:
             batch = PixelBatch(torch.full_like(pixel, view), pixel, black, whole, 0)
             it = step.primary(batch, 1, Stream(view, device=device)).it
             true = torch.ones(len(pixel), 5, device=device)  # the last one counts
-            true[:, :3] = step.truth["albedo"][view].to(device)
+            true[:, :3] = step.truth["albedo"][view]
             if "roughness" in step.truth:
-                true[:, 3:4] = step.truth["roughness"][view].to(device)
+                true[:, 3:4] = step.truth["roughness"][view]
             good = it.valid & ~step.mixed[view]
             sums.index_add_(0, mesh[it.prim[good]], true[good])
         empty = sums[:, 4] == 0
         sums[empty] = sums.sum(0)
-        return cls(mesh, sums[:, :4] / sums[:, 4:])
+        return cls(mesh.cpu(), (sums[:, :4] / sums[:, 4:]).cpu())
 
     def __call__(self, it: Interaction) -> Surface:
         """Materials at the lanes of ``it``."""
@@ -90,8 +90,8 @@ class TrueMaps(pl.Callback):
         InputError: a training view has no true map.
     """
 
-    step: SupervisedStep
-    """What was put there."""
+    means: SurfaceMeans
+    """Of the same maps."""
 
     def on_train_start(self, trainer: pl.Trainer, pl_module: pl.LightningModule) -> None:
         """Read the true maps, by the one reader of ground truth."""
@@ -107,5 +107,6 @@ class TrueMaps(pl.Callback):
                     raise InputError(f"training view {view.name}: it has no true {name} to fit")
                 image = torch.from_numpy(found[f"{name}_true"])
                 parts[name].append(image.reshape(-1, image.shape[-1]))
-        truth = {name: torch.stack(maps) for name, maps in parts.items()}
-        module._step = self.step = SupervisedStep(module.materials, step.primary, step.mixed, truth)
+        truth = {name: torch.stack(maps).to(step.mixed.device) for name, maps in parts.items()}
+        module._step = SupervisedStep(module.materials, step.primary, step.mixed, truth)
+        self.means = SurfaceMeans.of(module._step)

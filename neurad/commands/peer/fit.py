@@ -6,7 +6,6 @@ import csv
 import json
 import math
 import sys
-from contextlib import nullcontext
 from dataclasses import dataclass, field
 from functools import cache, partial
 from pathlib import Path
@@ -20,11 +19,11 @@ from neurad.commands.peer.replay import Replay
 from neurad.commands.peer.variant import load_mitsuba, usable_cores
 from neurad.commands.peer.voxels import SurfaceVoxels, VoxelMaterials
 from neurad.core import clock
-from neurad.core.allocator import keep_freed_memory
+from neurad.core.allocator import imports_kept, keep_freed_memory
 from neurad.core.errors import InputError
 from neurad.core.protocols import Tracer
 from neurad.core.records import FloatArray
-from neurad.fields.average import Average
+from neurad.fields.average import Average, averaged
 from neurad.fields.material import AlbedoField, RoughnessField
 from neurad.fields.settings import FieldConfig, GridConfig
 from neurad.scene.description import Scene
@@ -81,6 +80,11 @@ class PeerSettings:
     """Sizes of the albedo network, as in a config's ``model.albedo``."""
     roughness: dict[str, Any] = field(default_factory=dict)
 
+    def __post_init__(self) -> None:
+        """Refuse what does not exist."""
+        if not 0.0 <= self.average <= 1.0:
+            raise InputError("bench peer: average must lie in 0 .. 1")
+
 
 BEST: dict[str, dict[str, Any]] = {
     "grid": {"pixels": 4096, "samples": 16},
@@ -93,6 +97,8 @@ def main(path: str) -> None:
     """Run with the settings of a JSON file; exits with 2 after one sentence if it cannot."""
     keep_freed_memory()  # as ``neurad fit`` does
     try:
+        with imports_kept():
+            load_mitsuba()
         fit(PeerSettings(**json.loads(Path(path).read_text())))
     except InputError as error:
         print(f"neurad: error: {error}", file=sys.stderr)
@@ -215,7 +221,7 @@ class _Report:
     @torch.no_grad()
     def __call__(self, iteration: int, model: Pyramid | Networks, average: Average | None) -> None:
         """Evaluate what the model has, or has on average."""
-        with clock.excluded(), nullcontext() if average is None else average.used():
+        with clock.excluded(), averaged(average):
             values = model()
             scores = self.held_out.score(self.held_out.predict(VoxelMaterials(self.voxels, values)))
             row: dict[str, Any] = {
