@@ -51,4 +51,5 @@ def run(options: argparse.Namespace) -> None:
     regions = {"lit_glossy": lit_glossy(held_out, reflected_by(Path(None), parts), GLOSSY_SAMPLES)}
     with averaged(module.average):
         print(score_table(held_out.score(held_out.predict(module.materials), None, regions), 0, "the fields"))
+    print()
     print(score_table(held_out.score(held_out.predict(maps.means), None, regions), 0, "means of meshes"))
