@@ -119,7 +119,7 @@ def _slabs(x: Tensor, size: int, count: int, whole: int) -> list[int]:
     """
     if count == 1:
         return [0, size**3]
-    some = x[::16, 2].nan_to_num().clamp(0.0, 1.0)  # a sixteenth tells enough; a bad one may lie anywhere
+    some = x[::16, 2].nan_to_num().clamp(0.0, 1.0)  # every 16th places the cuts well enough; NaN may fall anywhere
     heights = some.quantile(torch.arange(1, count) / count).tolist()
     cuts = [int(z * (size - 1)) * size * size // whole * whole for z in heights]
     return [0, *cuts, size**3]

@@ -2,13 +2,12 @@
 
 from __future__ import annotations
 
-from torch import Tensor
-
 from neurad.core.protocols import Materials
 from neurad.emitters.fitted import FittedEnvironment
 from neurad.fields.adam import FieldAdam
 from neurad.fields.map_adam import MapAdam
 from neurad.fields.material import RoughnessField
+from neurad.fields.mlp import MLP
 from neurad.fields.radiance import RadianceField
 from neurad.module.assemble import FittedMaterials
 from neurad.module.config import Optimization
@@ -46,6 +45,6 @@ def _for_roughness(field: RoughnessField, rates: Optimization) -> FieldAdam:
     """Adam whose weight decay is that of the table in front of the network; a grid alone has none, as it would be drawn
     to one half.
     """
-    decays = rates.roughness_decay > 0.0 and any(True for _ in field.mlp.parameters())
-    decay: dict[Tensor, float] = {p: rates.roughness_decay for p in field.grid.parameters()} if decays else {}
-    return FieldAdam(field.parameters(), lr=rates.roughness, weight_decay=decay)
+    decays = rates.roughness_decay > 0.0 and isinstance(field.mlp, MLP)
+    table = field.grid.parameters() if decays else ()
+    return FieldAdam(field.parameters(), lr=rates.roughness, weight_decay={p: rates.roughness_decay for p in table})
