@@ -177,6 +177,18 @@ def test_light_leaves_on_one_side_and_only_from_lights() -> None:
     assert torch.isfinite(on.wi).all()
 
 
+def test_compiled_emission_is_the_plain_one() -> None:
+    vertices = np.concatenate((RECTANGLE, RECTANGLE + 5))
+    emission = np.array([[1, 2, 3], [4, 5, 6], [0, 0, 0], [0, 0, 0]])
+    light = AreaLights(geometry_of(vertices, np.concatenate((FACES, FACES + 4)), emission))
+    n = 500
+    prim = torch.arange(n) % 5 - 1
+    normal, wo = torch.nn.functional.normalize(torch.randn(2, n, 3), dim=-1)
+    it = arrive(torch.zeros(n, 3), -wo, torch.where(prim < 0, math.inf, 1.0), prim, normal)
+    assert torch.equal(light.eval(it), light.eval_plainly(it))
+    assert 0 < (light.eval(it) > 0).sum() < n
+
+
 def test_degenerate_triangles_are_never_chosen() -> None:
     vertices = np.concatenate((RECTANGLE, np.zeros((3, 3), np.float32)))
     faces = np.concatenate((FACES, [[4, 5, 6]]))

@@ -1,18 +1,21 @@
+import itertools
+import math
 import subprocess
 import sys
 
+import numpy as np
 import pytest
 import torch
 
 from neurad.core.errors import InputError
 from neurad.core.records import Interaction
+from neurad.core.threads import at_most, cut, threads, torch_on_one
 from neurad.fields.adam import FieldAdam
 from neurad.fields.hash_grid import HashGrid, UnitCube
 from neurad.fields.material import MIN_ROUGHNESS, AlbedoField, RoughnessField
 from neurad.fields.mlp import MLP
 from neurad.fields.radiance import START, RadianceField
 from neurad.fields.settings import FieldConfig, GridConfig, RadianceConfig, RoughnessConfig
-from neurad.fields.threads import at_most, threads, torch_on_one
 
 BOUNDS = torch.tensor([[-1.0, 0.0, -3.0], [1.0, 0.5, 5.0]])
 SMALL = GridConfig(levels=4, coarsest=2, finest=64, log2_size=10)
@@ -125,6 +128,17 @@ def test_results_are_the_same_bit_by_bit_for_any_number_of_threads(size):
         assert all(torch.equal(a, b) for a, b in zip(result, results[0], strict=True))
 
 
+def test_shares_cover_everything_once_and_the_first_is_no_smaller():
+    for count, shares, grain in itertools.product((1, 2, 3, 1000, 16384), (1, 2, 5), (1, 64, 4096)):
+        edges = cut(count, shares, grain)
+        sizes = np.diff(edges)
+        assert edges[0] == 0
+        assert edges[-1] == count
+        assert (sizes >= 0).all()
+        if shares > 1 and count >= shares * grain:
+            assert grain // 2 <= sizes[0] - sizes[1:].max() + 1 <= grain // 2 + 2
+
+
 def test_other_feature_counts_and_no_points():
     assert HashGrid(3, 2, 8, features=4, log2_size=10)(points(5)).shape == (14, 12)
     grid = make_grid(SIZES[0])
@@ -152,6 +166,9 @@ def test_longest_side_fills_the_unit_cube():
     side = x[1] - x[0]
     torch.testing.assert_close(side / side[2], torch.tensor([0.25, 0.0625, 1.0]))
     assert side[2] > 0.97
+    p = torch.cat((20 * torch.rand(500, 3) - 10, torch.tensor([[math.nan, math.inf, -math.inf]])))
+    cube = UnitCube(BOUNDS)
+    torch.testing.assert_close(cube(p), cube.plain(p), rtol=0, atol=0, equal_nan=True)
     flat = UnitCube(torch.zeros(2, 3))(torch.zeros(1, 3))
     assert flat.isfinite().all()
 

@@ -21,6 +21,7 @@ from neurad.fields.mlp import MLP, products
 from neurad.fields.settings import GridConfig, RadianceConfig
 from neurad.integrators import matte
 from neurad.integrators.method import look_up
+from neurad.integrators.spread import spread
 from neurad.integrators.vertex import DIMENSIONS, bounce
 from neurad.module.assemble import build_radiance, build_world
 from neurad.module.config import Optimization, Sampling
@@ -78,6 +79,27 @@ def test_the_compiled_bounce_is_the_plain_one(name, change):
     for key in ("p", "n", "ng", "wo"):
         torch.testing.assert_close(getattr(fast.next, key)[same], getattr(plain.next, key)[same], rtol=1e-4, atol=1e-4)
     assert rays - 0.01 * len(it) <= fast_rays <= rays + 0.01 * len(it)
+
+
+def test_threads_share_a_bounce_and_its_numbers_without_a_trace():
+    """Three threads, where each has its own part of the rays, give what one gives."""
+    lab = Lab(build_cornell())
+    before, found = torch.get_num_threads(), []
+    try:
+        for count in (1, 3):
+            torch.set_num_threads(count)
+            it = vertices(lab.world, 20000, 3)
+            u = spread(len(it) // 2, 2, Stream(4))
+            cast = lab.world.rays_cast
+            step = bounce(lab.world, it, lab.materials(it), u)
+            end = step.next
+            tensors = it.p, it.n, u, step.direct, step.weight, end.p, end.wo, end.prim, lab.world.lights.eval(end)
+            found.append((tensors, lab.world.rays_cast - cast))
+    finally:
+        torch.set_num_threads(before)
+    (one, rays), (several, again) = found
+    assert rays == again > len(one[0])
+    assert all(torch.equal(a, b) for a, b in zip(one, several, strict=True))
 
 
 def test_the_compiled_bounce_is_for_what_it_can_do():

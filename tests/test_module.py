@@ -10,6 +10,8 @@ import pytest
 import torch
 import yaml
 from cameras import film
+from object_scene import object_scene
+from object_scene import sky as sky_map
 from oracles import accept, z_test_samples
 
 from neurad.cli import main
@@ -152,7 +154,7 @@ def test_the_field_learns_the_same_from_some_of_the_first_hits():
     rows = {}
     for share in (1.0, 0.25):
         made = Step(Sampling(positions=8, secondary=1, cached=8, first_hits=share), Objective(normaliser="photograph"))
-        assert made.step._learning(64, 8)[1] == round(8 * share)
+        assert made.step._learning() == round(8 * share)
         batch = made.batch(64)
         terms = [made.step(batch, Stream(k)).all for k in range(60)]
         rows[share] = {name: np.array([float(t[name][1].value) for t in terms]) for name in terms[0]}
@@ -358,6 +360,28 @@ def test_positions_lie_in_their_pixel_and_are_independent(positions, cached):
         assert abs(equal - 1 / cached) < 3.3 * math.sqrt((1 - 1 / cached) / cached / n)
     again = made.primary(batch, positions, Stream(3)).it.p
     assert torch.equal(again, it.p) == (cached == 1)
+
+
+@pytest.mark.parametrize("sky", [False, True])
+def test_compiled_points_of_kept_hits_are_the_plain_ones(sky):
+    scene = object_scene(sky_map()) if sky else build_cornell()
+    world = build_world(scene, "embree")
+    cameras = [view.camera for view in scene.train]
+    made = [PrimaryHits(world, cameras, 4, 0, torch.device("cpu"), fast) for fast in (True, False)]
+    count = len(cameras) * made[0].pixels
+    view, pixel = (
+        x.flatten()
+        for x in torch.meshgrid(torch.arange(len(cameras)), torch.arange(made[0].pixels)[::7], indexing="ij")
+    )
+    batch = PixelBatch(view, pixel, torch.zeros(len(view), 3), torch.ones(len(view)), 0)
+    fast, plain = (primary(batch, 3, Stream(1)).it for primary in made)
+    assert len(fast) == 3 * len(view) > count / 7
+    assert fast.valid.all() != sky
+    assert torch.equal(fast.prim, plain.prim)
+    assert torch.equal(fast.valid, plain.valid)
+    for key in ("p", "ng", "n", "wo", "uv", "bary"):
+        torch.testing.assert_close(getattr(fast, key), getattr(plain, key), rtol=1e-6, atol=1e-6)
+    torch.testing.assert_close(fast.wo.norm(dim=-1), torch.ones(len(fast)), atol=1e-3, rtol=0)  # float16 in the sky
 
 
 def test_kept_positions_of_a_pixel_are_distinct():

@@ -10,8 +10,8 @@ import torch
 from torch import Tensor
 from torch.optim.adam import adam
 
+from neurad.core.threads import split
 from neurad.fields.sparse import unique_rows
-from neurad.fields.threads import split
 
 
 class FieldAdam(torch.optim.Optimizer):

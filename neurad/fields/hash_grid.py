@@ -9,13 +9,15 @@ from __future__ import annotations
 import math
 from typing import Any, Self
 
+import numpy as np
 import torch
 from torch import Tensor, nn
 from torch.nn.functional import embedding
 
+from neurad.core.records import plain_floats
+from neurad.core.threads import split
 from neurad.fields.settings import GridConfig
 from neurad.fields.sparse import from_rows
-from neurad.fields.threads import split
 
 PRIMES = (1, 2654435761, 805459861)
 """Factors of the spatial hash ``(x ^ y * 2654435761 ^ z * 805459861) mod size`` (Mueller et al., Eq. 4)."""
@@ -42,7 +44,20 @@ class UnitCube(nn.Module):
 
     def forward(self, p: Tensor) -> Tensor:
         """Positions [n, 3] in [0, 1]^3, clamped, without gradient."""
-        return ((p.detach() - self.low) * self.inverse_side).clamp_(0.0, 1.0)
+        p = p.detach()
+        return self._quickly(p) if plain_floats(p, self.low) else self.plain(p)
+
+    def _quickly(self, p: Tensor) -> Tensor:
+        from neurad.fields import kernels  # compiled code is loaded by those who use it
+
+        out = torch.empty_like(p, memory_format=torch.contiguous_format)
+        arrays = p.contiguous().numpy(), self.low.numpy(), np.float32(self.inverse_side.item()), out.numpy()
+        split(lambda low, high: kernels.unit_cube(*arrays, low, high), len(p), 16384)
+        return out
+
+    def plain(self, p: Tensor) -> Tensor:
+        """The same in plain torch, on any device."""
+        return ((p - self.low) * self.inverse_side).clamp_(0.0, 1.0)
 
 
 class HashGrid(nn.Module):

@@ -65,6 +65,15 @@ def _corners(x: Any, y: Any, z: Any, r: Any, stride: Any, mask: Any) -> tuple[An
 
 
 @compiled
+def unit_cube(p: Floats, corner: Floats, scale: Any, out: Floats, low: int, high: int) -> None:
+    """Fill ``out[low:high]`` with positions ``p`` [n, 3] in the unit cube that begins at ``corner`` [3], clamped."""
+    for i in range(low, high):
+        for k in range(3):
+            value = (p[i, k] - corner[k]) * scale
+            out[i, k] = ZERO if value < ZERO else ONE if value > ONE else value  # NaN stays NaN
+
+
+@compiled
 def encode(x: Floats, table: Floats, levels: Ints, out: Floats, low: int, high: int) -> None:
     """Trilinear features ``out[low:high]`` [n, levels * 2] at ``x[low:high]`` [n, 3].
 

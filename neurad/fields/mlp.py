@@ -10,7 +10,7 @@ from typing import Any
 import torch
 from torch import Tensor, nn
 
-from neurad.fields.threads import split
+from neurad.core.threads import split
 
 CHUNK = 2048
 """Rows evaluated at a time without gradients: two layers of width 64 then fit into a processor's own cache."""

@@ -63,7 +63,8 @@ class RadianceField(nn.Module):
             raise ValueError("RadianceField: it reads the albedo, which is not given")
         parts = [self.grid(self.cube(it.p))]
         parts += [_read(name, it, albedo) for name in self.inputs]
-        return self.scale * softplus(self.mlp(torch.cat(parts, -1)) + _SHIFT)
+        features = torch.cat(parts, -1) if len(parts) > 1 else parts[0]
+        return self.scale * softplus(self.mlp(features) + _SHIFT)
 
 
 def _read(name: str, it: Interaction, albedo: Tensor | None) -> Tensor:

@@ -122,6 +122,7 @@ def _ray(
 
 @compiled
 def leave(
+    low: int, high: int,
     p: FloatArray, ng: FloatArray, n: FloatArray, wo: FloatArray, prim: IntArray, reflects: Any, u: FloatArray,
     face_offset: FloatArray, radius: np.float32, cdf: FloatArray, table: FloatArray, face: IntArray,
     pdf_area: FloatArray, emission: FloatArray, o: FloatArray, d: FloatArray, pdf: FloatArray, lane: IntArray,
@@ -129,17 +130,17 @@ def leave(
 ) -> int:  # fmt: skip  # pragma: no cover - compiled
     """Rays that leave Lambertian vertices: one by the cosine from each, and one to a light where light could come.
 
-    The vertices [m, ...] come as ``p, ng, n, wo, prim`` with ``reflects`` (towards ``wo``, bool) and the uniform
-    numbers ``u`` [m, 7]; ``face_offset`` [F] and ``radius`` are the geometry's, ``cdf, table, face, pdf_area,
-    emission`` those of ``AreaLights``. Filled are the rays of the BSDF samples ``o, d`` [m, 3] with their ``pdf`` [m],
-    0 where nothing is reflected, and the shadow rays ``shadow_o, shadow_d, t_max`` [m, ...] with their vertices
-    ``lane``, ascending [m], and what they carry for albedo 1, ``light`` [m, 3].
+    Vertices ``low .. high - 1`` of [m, ...], which come as ``p, ng, n, wo, prim`` with ``reflects`` (towards ``wo``,
+    bool) and the uniform numbers ``u`` [m, 7]; ``face_offset`` [F] and ``radius`` are the geometry's, ``cdf, table,
+    face, pdf_area, emission`` those of ``AreaLights``. Filled are the rays of the BSDF samples ``o, d`` [m, 3] with
+    their ``pdf`` [m], 0 where nothing is reflected, and from ``low`` on the shadow rays ``shadow_o, shadow_d, t_max``
+    [m, ...] with their vertices ``lane``, ascending [m], and what they carry for albedo 1, ``light`` [m, 3].
 
     Returns:
         The number of shadow rays.
     """
-    count = 0
-    for i in range(p.shape[0]):
+    count = low
+    for i in range(low, high):
         px, py, pz = p[i, 0], p[i, 1], p[i, 2]
         x, y, z = n[i, 0], n[i, 1], n[i, 2]
         toward = _dot(x, y, z, wo[i, 0], wo[i, 1], wo[i, 2])
@@ -172,24 +173,26 @@ def leave(
         c2 = np.float32(math.sqrt(max(_ONE - (c0 * c0 + c1 * c1), _ZERO)))
         _ray(p[i], ng[i], x, y, z, c0, c1, c2, offset, o[i], d[i])
         pdf[i] = c2 * _INV_PI if use else _ZERO
-    return count
+    return count - low
 
 
 @compiled
 def arrive(
+    low: int, high: int,
     lane: IntArray, light: FloatArray, blocked: Any, p: FloatArray, pdf: FloatArray, end_p: FloatArray,
     end_ng: FloatArray, end_wo: FloatArray, end_prim: IntArray, end_valid: Any, pdf_area: FloatArray,
     emission: FloatArray, direct: FloatArray, through: FloatArray,
 ) -> None:  # fmt: skip  # pragma: no cover - compiled
-    """What both techniques found.
+    """What both techniques found at vertices ``low .. high - 1``.
 
     ``lane`` [k] and ``light`` [k, 3] are those of the shadow rays, ``blocked`` [k] whether they met something, bool;
     ``p, pdf`` the vertices [m, ...], ``end_...`` where their BSDF samples ended [m, ...]. Filled are ``direct``, the
-    light of both joined by MIS, for albedo 1 [m, 3], and ``through``, the weight of the BSDF sample for it [m, 1].
+    light of both joined by MIS, for albedo 1 [m, 3], and ``through``, the weight of the BSDF sample for it [m, 3].
     """
-    for i in range(p.shape[0]):
+    for i in range(low, high):
         direct[i, 0], direct[i, 1], direct[i, 2] = _ZERO, _ZERO, _ZERO
-        through[i, 0] = _ONE if pdf[i] > _ZERO else _ZERO
+        weight = _ONE if pdf[i] > _ZERO else _ZERO
+        through[i, 0], through[i, 1], through[i, 2] = weight, weight, weight
         if pdf[i] > _ZERO and end_valid[i]:
             f = end_prim[i]
             of_light = _seen_light(f, end_ng[i], end_wo[i], end_p[i], p[i], pdf_area, emission)
@@ -197,7 +200,7 @@ def arrive(
                 mis = pdf[i] / (pdf[i] + of_light)
                 for k in range(3):
                     direct[i, k] = emission[f, k] * mis
-    for j in range(lane.shape[0]):
+    for j in range(np.searchsorted(lane, low), np.searchsorted(lane, high)):
         if not blocked[j]:
             for k in range(3):
                 direct[lane[j], k] += light[j, k]

@@ -4,10 +4,9 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-import torch
 from torch import Tensor
 
-from neurad.core.records import Interaction
+from neurad.core.records import Interaction, plain_floats
 from neurad.emitters.area import AreaLights
 from neurad.integrators.world import World
 
@@ -50,7 +49,5 @@ def compilable(world: World, it: Interaction) -> bool:
     return (
         type(it) is Interaction  # one that carries more has to hand it on
         and isinstance(lights, AreaLights)
-        and it.p.device.type == "cpu"
-        and it.p.dtype == torch.float32 == lights.emission.dtype
-        and not (it.p.requires_grad or lights.emission.requires_grad)
+        and plain_floats(it.p, lights.emission)
     )

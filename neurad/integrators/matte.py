@@ -13,6 +13,7 @@ from torch import Tensor
 
 from neurad.bsdf.diffuse import Diffuse
 from neurad.core.records import Interaction, Rays, Surface
+from neurad.core.threads import GRAIN, split
 from neurad.emitters.area import AreaLights
 from neurad.integrators import bounce_kernels as kernels
 from neurad.integrators.bounced import Bounce, compilable
@@ -32,18 +33,39 @@ def arrive(world: World, it: Interaction, surface: Surface, u: Tensor) -> Bounce
     emission, pdf_area = lights.emission.numpy(), lights.pdf_area.numpy()
     o, d, shadow_o, shadow_d, light = torch.empty(5, m, 3).unbind()
     (pdf, t_max), lane = torch.empty(2, m), torch.empty(m, dtype=torch.int64)
-    count = kernels.leave(
+    shadow = lane, shadow_o, shadow_d, t_max, light
+    leaving = (
         p, ng, n, wo, prim, world.reflects(it).numpy(), u.contiguous().numpy(), geometry.face_offset.numpy(),
         np.float32(geometry.scale), lights.cdf.numpy(), lights.table.numpy(), lights.face.numpy(), pdf_area, emission,
-        o.numpy(), d.numpy(), pdf.numpy(), lane.numpy(), shadow_o.numpy(), shadow_d.numpy(), t_max.numpy(),
-        light.numpy(),
+        o.numpy(), d.numpy(), pdf.numpy(), *(x.numpy() for x in shadow),
     )  # fmt: skip
-    blocked = world.occluded(Rays(shadow_o[:count], shadow_d[:count]), t_max[:count])
+    counts: dict[int, int] = {}
+
+    def leave(low: int, high: int) -> None:
+        counts[low] = kernels.leave(low, high, *leaving)
+
+    split(leave, m, GRAIN)
+    lane, shadow_o, shadow_d, t_max, light = _joined(shadow, counts)
+    blocked = world.occluded(Rays(shadow_o, shadow_d), t_max)
     end = world.intersect(Rays(o, d))
-    direct, through = torch.empty(m, 3), torch.empty(m, 1)
+    direct, through = torch.empty(2, m, 3).unbind()
     end_p, end_ng, end_wo, end_prim = (x.contiguous().numpy() for x in (end.p, end.ng, end.wo, end.prim))
-    kernels.arrive(
-        lane[:count].numpy(), light[:count].numpy(), blocked.numpy(), p, pdf.numpy(), end_p, end_ng, end_wo, end_prim,
+    arriving = (
+        lane.numpy(), light.numpy(), blocked.numpy(), p, pdf.numpy(), end_p, end_ng, end_wo, end_prim,
         end.valid.numpy(), pdf_area, emission, direct.numpy(), through.numpy(),
     )  # fmt: skip
+    split(lambda low, high: kernels.arrive(low, high, *arriving), m, GRAIN)
     return Bounce(surface.albedo * direct, surface.albedo * through, end)
+
+
+def _joined(arrays: tuple[Tensor, ...], counts: dict[int, int]) -> list[Tensor]:
+    """The first ``counts[low]`` rows from each ``low`` on, moved together to the front of ``arrays``."""
+    filled = 0
+    for low in sorted(counts):
+        count = counts[low]
+        if low > filled:
+            for array in arrays:
+                rows = array.numpy()  # which copies on this thread, also where the two overlap
+                rows[filled : filled + count] = rows[low : low + count]
+        filled += count
+    return [array[:filled] for array in arrays]

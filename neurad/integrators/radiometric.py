@@ -70,7 +70,7 @@ class RadiometricLHS:
         first = self.world.reach(rays, Stream(seed, device=rays.o.device).uniform(len(rays)))
         it = first.it
         seen = look_up(self.radiance, self.materials, it)
-        return first.through(self.world.emitted(it) + seen * it.valid.unsqueeze(-1))
+        return first.through(self.world.emitted(it) + it.where_hit(seen))
 
 
 @dataclass(frozen=True)
@@ -111,4 +111,4 @@ def transport(
 @torch.no_grad()
 def incident(materials: Materials, radiance: ReflectedRadiance, it: Interaction) -> Tensor:
     """``sg[L_theta]`` where BSDF samples ended [n, 3]; zero where they left the scene."""
-    return look_up(radiance, materials, it) * it.valid.unsqueeze(-1)
+    return it.where_hit(look_up(radiance, materials, it))

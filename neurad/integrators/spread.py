@@ -3,11 +3,13 @@
 from __future__ import annotations
 
 import math
+from functools import cache
 
 import torch
 from torch import Tensor
 
 from neurad.core.rng import Stream
+from neurad.core.threads import GRAIN, split
 from neurad.integrators import spread_kernels
 from neurad.integrators.vertex import DIMENSIONS
 
@@ -37,12 +39,12 @@ def spread(groups: int, count: int, stream: Stream, fast: bool = True) -> Tensor
     if count == 1:
         return stream.uniform(groups, DIMENSIONS)
     random = stream.uniform(groups, DIMENSIONS + len(_FIRST))  # shifts, then a choice of each decision's affine map
-    units = torch.tensor([k for k in range(1, count) if math.gcd(k, count) == 1])
-    mirrored = _mirrored(count)
+    units, mirrored = _units(count), _mirrored(count)
     if not fast or random.device.type != "cpu" or random.dtype != torch.float32:
         return _plain(random, units.to(random.device), mirrored.to(random.device), count)
     out = torch.empty(groups * count, DIMENSIONS)
-    spread_kernels.spread(random.numpy(), units.numpy(), mirrored.numpy(), count, out.numpy())
+    arrays = random.numpy(), units.numpy(), mirrored.numpy(), count, out.numpy()
+    split(lambda low, high: spread_kernels.spread(low, high, *arrays), groups, -(-GRAIN // count))
     return out
 
 
@@ -60,6 +62,13 @@ def _plain(random: Tensor, units: Tensor, mirrored: Tensor, count: int) -> Tenso
     return wrapped.view(-1, DIMENSIONS)
 
 
+@cache
+def _units(count: int) -> Tensor:
+    """Factors of the affine maps that reach every index."""
+    return torch.tensor([k for k in range(1, count) if math.gcd(k, count) == 1])
+
+
+@cache
 def _mirrored(count: int) -> Tensor:
     """Van der Corput's sequence in base 2 [count]."""
     bits = max(1, (count - 1).bit_length())

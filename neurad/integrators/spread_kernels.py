@@ -12,14 +12,15 @@ _ONE = np.float32(1.0)
 
 @compiled
 def spread(
-    random: FloatArray, units: IntArray, mirrored: FloatArray, count: int, out: FloatArray
+    low: int, high: int, random: FloatArray, units: IntArray, mirrored: FloatArray, count: int, out: FloatArray
 ) -> None:  # pragma: no cover - compiled
-    """Numbers ``out`` [groups * count, 7] from ``random`` [groups, 12]: shifts and choices of affine maps.
+    """Numbers ``out`` [groups * count, 7] of groups ``low .. high - 1`` from ``random`` [groups, 12]: shifts, then
+    choices of affine maps.
 
     ``units`` are the factors to choose from, ``mirrored`` [count] is van der Corput's sequence.
     """
     maps = count * units.shape[0]
-    for g in range(random.shape[0]):
+    for g in range(low, high):
         for decision in range(5):
             first = (0, 2, 3, 4, 6)[decision]
             second = (1, -1, -1, 5, -1)[decision]

@@ -8,7 +8,7 @@ from torch import Tensor, nn
 
 from neurad.core.frame import dot
 from neurad.core.protocols import BSDF, Emitter, Tracer
-from neurad.core.records import Interaction, Rays
+from neurad.core.records import Interaction, Rays, first_of
 from neurad.integrators.delta import DeltaSurfaces
 from neurad.integrators.guiding import Guide
 from neurad.scene.description import Features
@@ -26,10 +26,10 @@ class Reached:
     passed: Tensor | None
     """Whether there was one on the way [n], bool."""
 
-    def __getitem__(self, index: Tensor | slice) -> Reached:
-        """The lanes that an index tensor or a slice selects."""
-        throughput, passed = (None if x is None else x[index] for x in (self.throughput, self.passed))
-        return Reached(self.it[index], throughput, passed)
+    def first(self, count: int, of: int) -> Reached:
+        """The first ``count`` of every ``of`` lanes."""
+        throughput, passed = (None if x is None else first_of(x, count, of) for x in (self.throughput, self.passed))
+        return Reached(self.it.first(count, of), throughput, passed)
 
     def through(self, values: Tensor) -> Tensor:
         """``values`` [n, 3] dimmed by what lay on the way."""
@@ -105,4 +105,4 @@ class World(nn.Module):
     def emitted(self, it: Interaction) -> Tensor:
         """E: radiance that the camera sees without any reflection [n, 3]."""
         light = self.lights.eval(it)
-        return light * it.valid.unsqueeze(-1) if self.hide_environment else light
+        return it.where_hit(light) if self.hide_environment else light

@@ -9,6 +9,7 @@ import torch
 from torch import Tensor
 from torch.autograd.function import once_differentiable
 
+from neurad.core.threads import GRAIN, split
 from neurad.losses import leave_one_out_kernels as kernels
 from neurad.losses.relative import Loss
 
@@ -118,12 +119,17 @@ class _Compiled(torch.autograd.Function):
         if control is not None and deviation is not None:
             light, around, by_deviation = control.incident, deviation, torch.empty_like(by_sample)
         given = samples, target, weight.expand_as(target), light, around
-        arrays = (x.detach().contiguous().numpy() for x in (*given, by_sample, by_deviation))
-        surrogate, value = kernels.leave_one_out(groups, *arrays)
+        arrays = [x.detach().contiguous().numpy() for x in (*given, by_sample, by_deviation)]
+        parts: dict[int, tuple[float, float]] = {}
+
+        def work(low: int, high: int) -> None:
+            parts[low] = kernels.leave_one_out(low, high, groups, *arrays)
+
+        split(work, len(samples), -(-GRAIN // samples.shape[1]))
+        surrogate, value = (samples.new_tensor(sum(parts[low][k] for low in sorted(parts))) for k in range(2))
         ctx.slopes = by_sample, by_deviation
-        loss = samples.new_tensor(value)
-        ctx.mark_non_differentiable(loss)
-        return samples.new_tensor(surrogate), loss
+        ctx.mark_non_differentiable(value)
+        return surrogate, value
 
     @staticmethod
     @once_differentiable

@@ -12,6 +12,8 @@ _ZERO, _HALF, _ONE, _TWO = np.float32(0.0), np.float32(0.5), np.float32(1.0), np
 
 @compiled
 def leave_one_out(
+    low: int,
+    high: int,
     groups: int,
     samples: FloatArray,
     target: FloatArray,
@@ -21,8 +23,8 @@ def leave_one_out(
     by_sample: FloatArray,
     by_deviation: FloatArray,
 ) -> tuple[float, float]:  # pragma: no cover - compiled
-    """Surrogate and loss for ``samples`` [b, n, c], ``target`` and ``weight`` [b, c]; the surrogate's derivatives are
-    written to ``by_sample`` and ``by_deviation`` [b, n, c].
+    """What pixels ``low .. high - 1`` add to surrogate and loss for ``samples`` [b, n, c], ``target`` and ``weight``
+    [b, c]; the surrogate's derivatives are written to ``by_sample`` and ``by_deviation`` [b, n, c].
 
     ``light`` and ``deviation`` [b, n, c] are a control variate's; empty without one.
     """
@@ -35,7 +37,7 @@ def leave_one_out(
     means = np.empty((3, groups), np.float32)
     mean_s, mean_l, mean_z = means[0], means[1], means[2]
     surrogate, loss = 0.0, 0.0
-    for p in range(pixels):
+    for p in range(low, high):
         for c in range(channels):
             total_s, total_l, total_z, total_lz = _ZERO, _ZERO, _ZERO, _ZERO
             for i in range(groups):

@@ -58,7 +58,7 @@ class Estimator:
         u = spread(len(it), count, stream)
         step = bounce(self.world, it.repeat(count), surface.repeat(count), u)
         if field_gradient:
-            light = look_up(self.radiance, self.materials, step.next) * step.next.valid.unsqueeze(-1)
+            light = step.next.where_hit(look_up(self.radiance, self.materials, step.next))
         else:
             light = incident(self.materials, self.radiance, step.next)
         direct = step.direct if light_gradient else step.direct.detach()

@@ -14,6 +14,7 @@ from neurad.core.clock import excluded, training_seconds
 from neurad.core.errors import InputError
 from neurad.core.records import PixelBatch
 from neurad.core.rng import Stream
+from neurad.core.threads import of_step
 from neurad.emitters.fitted import FittedEnvironment
 from neurad.fields.adam import FieldAdam
 from neurad.fields.average import Average, averaged
@@ -21,7 +22,6 @@ from neurad.fields.map_adam import MapAdam
 from neurad.fields.mlp import MLP, products
 from neurad.fields.radiance import RadianceField
 from neurad.fields.settings import FieldConfig, RadianceConfig, RoughnessConfig
-from neurad.fields.threads import of_step
 from neurad.integrators.method import Method
 from neurad.integrators.radiometric import Radiometric
 from neurad.integrators.world import World

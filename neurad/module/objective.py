@@ -20,7 +20,7 @@ from dataclasses import dataclass, field, replace
 import torch
 from torch import Tensor
 
-from neurad.core.records import Interaction, PixelBatch, Surface
+from neurad.core.records import Interaction, PixelBatch, Surface, first_of
 from neurad.core.rng import Stream
 from neurad.integrators.method import Reflected
 from neurad.integrators.world import Reached
@@ -117,16 +117,16 @@ class ObjectiveStep:
         # Nothing is photographed where alpha is 0, even if a sample of the pixel meets the edge of a surface.
         counts = (~self.mixed[batch.view, batch.pixel] & (batch.alpha > 0)).float().unsqueeze(-1)
 
-        points, lhs_image = None, None
+        points, lhs_image, seen = None, None, None
         if self.estimator.radiance is not None:
-            lanes, count = self._learning(b, n)
-            at, at_surface = first[lanes], surface[lanes]
+            count = self._learning()
+            at, at_surface = first.first(count, n), surface.first(count, n)
             points = self._query(at.it, at_surface, sample, stream)
-            shown = emitted.detach()[lanes] + points.first * at.it.valid.unsqueeze(-1)
+            shown = first_of(emitted.detach(), count, n) + at.it.where_hit(points.first)
             lhs_image = at.through(shown).view(b, count, 3)
-            seen = lhs_image.mean(1)
+            seen = lhs_image.detach().mean(1)
             batch = replace(batch, color=bounded(batch.color, seen, self.epsilon, self.settings.spike))
-        weight = relative_weight(self._normaliser(batch, lhs_image), self.epsilon) * counts
+        weight = relative_weight(self._normaliser(batch, seen), self.epsilon) * counts
         control = self._control(sample)
         seen_control = None if control is None else replace(control, deviation=_through(first, control.deviation))
         materials = {"photometric": (1.0, self._photometric(batch, image, weight, seen_control, stream))}
@@ -135,25 +135,20 @@ class ObjectiveStep:
 
         terms: dict[str, tuple[float, Loss]] = {}
         if points is not None and self.settings.prior > 0:
-            terms |= self._prior(lanes, at.it, at_surface, points, sample, control, stream)
-        if lhs_image is not None and self.settings.lhs > 0:
-            lhs_weight = relative_weight(lhs_image.mean(1), self.epsilon) * counts
+            terms |= self._prior(at.it, at_surface, points, sample, control, stream)
+        if lhs_image is not None and seen is not None and self.settings.lhs > 0:
+            lhs_weight = relative_weight(seen, self.epsilon) * counts
             terms["lhs"] = (self.settings.lhs, leave_one_out(lhs_image, batch.color, lhs_weight))
         arrived = None
         if sample.incident is not None and sample.weighed is not None:
             arrived = IncidentSamples(it.repeat(self.sampling.secondary), sample.weighed.wi, sample.incident)
         return StepTerms(materials, terms, arrived)
 
-    def _learning(self, pixels: int, positions: int) -> tuple[Tensor | slice, int]:
-        """Which of the first hits [pixels * positions] the radiance field learns at, and how many of each pixel.
-
-        Positions are independent, so the first of each pixel are as good as any.
+    def _learning(self) -> int:
+        """At how many of the positions of each pixel the radiance field learns: the first ones, since positions are
+        independent and those are as good as any.
         """
-        count = max(2, round(self.sampling.first_hits * positions))
-        if count >= positions:
-            return slice(None), positions
-        index = torch.arange(pixels * positions, device=self.mixed.device)
-        return index.view(pixels, positions)[:, :count].reshape(-1), count
+        return min(max(2, round(self.sampling.first_hits * self.sampling.positions)), self.sampling.positions)
 
     def _image(self, it: Interaction, surface: Surface, stream: Stream) -> Reflected:
         """The method's estimate at the positions of all pixels, spread evenly within each group."""
@@ -162,7 +157,8 @@ class ObjectiveStep:
 
     def _mean(self, samples: Tensor) -> Tensor:
         """Means over the secondary samples of every position [n, 3]."""
-        return samples.view(-1, self.sampling.secondary, 3).mean(1)
+        count = self.sampling.secondary
+        return samples if count == 1 else samples.view(-1, count, 3).mean(1)
 
     def _control(self, sample: Reflected) -> Control | None:
         """The method's control variate by pixel and position, if it has one."""
@@ -173,11 +169,11 @@ class ObjectiveStep:
         light, deviation = (self._mean(x).view(-1, n, 3) for x in (around, sample.weighed.deviation))
         return Control(light, deviation, self.sampling.groups) if n > 1 else None
 
-    def _normaliser(self, batch: PixelBatch, lhs_image: Tensor | None) -> Tensor:
+    def _normaliser(self, batch: PixelBatch, seen: Tensor | None) -> Tensor:
         """What the photometric residual is relative to [b, 3]; never the samples in it."""
         kind = self.settings.normaliser
-        if kind == "prediction" and lhs_image is not None:
-            return lhs_image.detach().mean(1)
+        if kind == "prediction" and seen is not None:
+            return seen
         if kind == "photograph":
             return batch.color
         if self.smoothed is None:
@@ -226,7 +222,6 @@ class ObjectiveStep:
 
     def _prior(
         self,
-        lanes: Tensor | slice,
         it: Interaction,
         surface: Surface,
         points: _Points,
@@ -234,7 +229,7 @@ class ObjectiveStep:
         control: Control | None,
         stream: Stream,
     ) -> dict[str, tuple[float, Loss]]:
-        """The prior at first hits, some ``lanes`` of the samples', and, where there are some, at second hits."""
+        """The prior at some first hits ``it`` and, where there are some, at second hits."""
         assert sample.transported is not None
         settings = self.settings
         if settings.prior_gradient == "full":
@@ -243,7 +238,8 @@ class ObjectiveStep:
             transported = self._mean(sample.transported)
             if control is not None:
                 transported = transported - control.excess().view(-1, 3)
-            prior = self._semi_prior(it, surface, points.first, transported[lanes], stream)
+            transported = first_of(transported, self._learning(), self.sampling.positions)
+            prior = self._semi_prior(it, surface, points.first, transported, stream)
         terms = {"prior": (settings.prior, prior)}
         if points.second is not None and points.second_surface is not None:
             with torch.set_grad_enabled(settings.prior_trains == "both"):

@@ -7,8 +7,9 @@ from dataclasses import replace
 import torch
 from torch import Tensor
 
-from neurad.core.records import Camera, PixelBatch
+from neurad.core.records import Camera, Interaction, PixelBatch
 from neurad.core.rng import Stream
+from neurad.core.threads import GRAIN, split
 from neurad.integrators.film import pixel_positions
 from neurad.integrators.world import Reached, World
 from neurad.module.emitter_pixels import emitter_pixels
@@ -29,13 +30,17 @@ class PrimaryHits:
         count: positions a pixel; 0 for new ones in each call.
         seed: of the positions.
         device: where the cache lies.
+        fast: let a compiled pass make surface points of kept hits where it can (CPU).
     """
 
-    def __init__(self, world: World, cameras: list[Camera], count: int, seed: int, device: torch.device) -> None:
+    def __init__(
+        self, world: World, cameras: list[Camera], count: int, seed: int, device: torch.device, fast: bool = True
+    ) -> None:
         self.world = world
         self.cameras = cameras
         self.count = count
         self.seed = seed
+        self.fast = fast
         self.views = Cameras.of(cameras, device)
         self.origin = self.views.origin
         self.pixels = cameras[0].width * cameras[0].height
@@ -87,16 +92,36 @@ class PrimaryHits:
         # Independent draws: if a pixel's positions were always different ones, the leave-one-out gradient would miss
         # the pairs of one position with itself and reward contrast inside the pixel.
         chosen = stream.integers(self.count, b, positions)
-        pixel = (batch.view * self.pixels + batch.pixel).unsqueeze(1) * self.count
-        index = (pixel + chosen).view(-1)
+        first = (batch.view * self.pixels + batch.pixel) * self.count
+        points = self._quickly if self.fast and self.world.geometry.compiled(self.origin) else self._plainly
+        return Reached(points(first, chosen, batch.view), None, None)
+
+    def _plainly(self, first: Tensor, chosen: Tensor, view: Tensor) -> Interaction:
+        """Surface points at the kept hits ``first`` [b] + ``chosen`` [b, n] of pixels of ``view`` [b]."""
+        index = (first.unsqueeze(1) + chosen).view(-1)
         hits = self.hits[index]
         prim, bary = hits[:, 0].long(), hits[:, 1:].view(torch.float32)
-        origin = self.origin[batch.view].repeat_interleave(positions, 0)
+        origin = self.origin[view].repeat_interleave(chosen.shape[1], 0)
         valid = prim >= 0
         missed = self.away[index].float() if len(self.away) else torch.zeros_like(origin)
         it = self.world.geometry.interact_at(prim, bary[:, 0], bary[:, 1], missed, valid)
         seen = torch.nn.functional.normalize(origin - it.p, dim=-1)
-        return Reached(replace(it, wo=torch.where(valid.unsqueeze(-1), seen, missed)), None, None)
+        return replace(it, wo=torch.where(valid.unsqueeze(-1), seen, missed))
+
+    def _quickly(self, first: Tensor, chosen: Tensor, view: Tensor) -> Interaction:
+        """The same in one compiled pass."""
+        from neurad.scene import kernels  # compiled code is loaded by those who use it
+
+        m = chosen.numel()
+        away = self.away[(first.unsqueeze(1) + chosen).view(-1)].float() if len(self.away) else torch.empty(0, 3)
+        prim, valid = torch.empty(m, dtype=torch.int64), torch.empty(m, dtype=torch.bool)
+        p, ng, n, wo = torch.empty(4, m, 3).unbind()
+        uv, bary = torch.empty(2, m, 2).unbind()
+        given = self.hits, self.hits.view(torch.float32), first, chosen, view, self.origin, away
+        filled = prim, valid, p, ng, n, wo, uv, bary
+        arrays = [x.contiguous().numpy() for x in (*given, self.world.geometry.table, *filled)]
+        split(lambda low, high: kernels.interact_kept(low, high, *arrays), m, GRAIN)
+        return Interaction(p, ng, n, wo, uv, bary, prim, valid)
 
     def _anew(self, batch: PixelBatch, positions: int, stream: Stream) -> Reached:
         """The same by new rays: nothing is kept, or the scene has smooth surfaces, whose chains are random."""

@@ -8,7 +8,8 @@ from torch import Tensor, nn
 
 from neurad.core.errors import InputError
 from neurad.core.frame import dot
-from neurad.core.records import FloatArray, Hit, Interaction, Mesh, Rays
+from neurad.core.records import FloatArray, Hit, Interaction, Mesh, Rays, plain_floats
+from neurad.core.threads import GRAIN, split
 from neurad.scene.description import Scene
 
 EPS = 2.0**-23  # spacing of float32 at 1
@@ -108,25 +109,22 @@ class Geometry(nn.Module):
             wo: unit directions towards the viewer [n, 3].
             valid: whether there is a surface [n], bool.
         """
-        if self._compiled(u, wo):
+        if self.compiled(u, wo):
             return self._interact_quickly(prim, u, v, wo, valid)
         return self.interact_plainly(prim, u, v, wo, valid)
 
-    def _compiled(self, *values: Tensor) -> bool:
-        """Whether the compiled kernel applies: float32 on the CPU, no gradients."""
-        return (
-            len(self.faces) > 0
-            and self.table.dtype == torch.float32
-            and all(x.device.type == "cpu" and x.dtype == torch.float32 and not x.requires_grad for x in values)
-        )
+    def compiled(self, *values: Tensor) -> bool:
+        """Whether compiled kernels apply: triangles, and plain floats."""
+        return len(self.faces) > 0 and plain_floats(self.table, *values)
 
     def _interact_quickly(self, prim: Tensor, u: Tensor, v: Tensor, wo: Tensor, valid: Tensor) -> Interaction:
         from neurad.scene import kernels  # compiled code is loaded by those who use it
 
         p, ng, n = torch.empty(3, len(prim), 3).unbind()
-        uv, bary = torch.empty(len(prim), 2), torch.empty(len(prim), 2)
+        uv, bary = torch.empty(2, len(prim), 2).unbind()
         given = (x.contiguous().numpy() for x in (prim, u, v.detach(), self.table))
-        kernels.interact(*given, *(x.numpy() for x in (p, ng, n, uv, bary)))
+        arrays = *given, *(x.numpy() for x in (p, ng, n, uv, bary))
+        split(lambda low, high: kernels.interact(low, high, *arrays), len(prim), GRAIN)
         return Interaction(p, ng, n, wo, uv, bary, prim, valid)
 
     def interact_plainly(self, prim: Tensor, u: Tensor, v: Tensor, wo: Tensor, valid: Tensor) -> Interaction:

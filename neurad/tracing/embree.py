@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
+from itertools import pairwise
 
 import numpy as np
 import torch
@@ -13,6 +14,7 @@ from embreex.rtcore_scene import EmbreeScene
 from torch import Tensor
 
 from neurad.core.records import Hit, Rays
+from neurad.core.threads import cut
 from neurad.tracing.arrays import as_floats, as_indices, beyond_start, no_hits
 
 # Rays in the smallest slice that is worth handing to another thread, about 0.2 ms of work, and in the largest whose
@@ -91,8 +93,8 @@ class EmbreeTracer:
 
     def _share(self, cast: Callable[[slice], None], count: int, least: int) -> None:
         """Run ``cast`` on slices of ``count`` rays, at least ``least`` in each, on this thread and the pool."""
-        size = min(LARGEST_SHARD, max(least, -(-count // self.threads)))
-        parts = [slice(i, min(i + size, count)) for i in range(0, count, size)]
+        pieces = max(1, min(self.threads, count // least), -(-count // LARGEST_SHARD))
+        parts = [slice(low, high) for low, high in pairwise(cut(count, pieces, least))]
 
         def work(first: int) -> None:
             for part in parts[first :: self.threads]:

@@ -19,12 +19,12 @@ from neurad.core.allocator import keep_freed_memory
 from neurad.core.errors import InputError
 from neurad.core.records import PixelBatch
 from neurad.core.rng import Stream
+from neurad.core.threads import of_step
 from neurad.fields.adam import FieldAdam
 from neurad.fields.dense_grid import DenseGrid
 from neurad.fields.mlp import MLP
 from neurad.fields.radiance import START
 from neurad.fields.settings import FieldConfig, RadianceConfig
-from neurad.fields.threads import of_step
 from neurad.integrators.method import Method
 from neurad.integrators.path import Path as PathMethod
 from neurad.integrators.prb import PRB

@@ -185,7 +185,7 @@ def _target(lab: Lab, field: RadianceField, it: Interaction, bounces: int, strea
         direct = direct + through * step.direct
         through = through * step.weight
         here = step.next
-    return direct, through * field(here, lab.materials.albedo(here)) * here.valid.unsqueeze(-1)
+    return direct, through * here.where_hit(field(here, lab.materials.albedo(here)))
 
 
 def steps_to(history: list[tuple[int, float]], bar: float) -> int | None:

@@ -18,9 +18,9 @@ from neurad.bsdf.diffuse import Diffuse
 from neurad.commands.stress_cases.fit import Fit, Plan, resized
 from neurad.commands.stress_cases.shipped import plan_of
 from neurad.core.records import Constant, EnvironmentMap
+from neurad.core.threads import at_most
 from neurad.emitters.area import AreaLights
 from neurad.emitters.environment import Environment
-from neurad.fields.threads import at_most
 from neurad.integrators.delta import DeltaSurfaces
 from neurad.scene.description import Features, Scene
 from neurad.scene.load import load_scene
