@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 from torch import Tensor
 
@@ -31,14 +32,34 @@ class Bounce:
     ``direct`` and ``weight`` carry the gradient of the surface; directions and pdfs are held fixed (detached sampling).
     """
 
-    direct: Tensor
-    """One-sample estimate of T(E): both techniques, MIS-weighted [n, 3]."""
-    weight: Tensor
-    """f cos / pdf of the BSDF sample [n, 3]."""
+    found: Tensor
+    """``direct`` without the factor ``albedo`` [n, 3]."""
+    share: Tensor
+    """``weight`` without the factor ``albedo`` [n, 3]."""
     next: Interaction
     """Where the BSDF sample ended."""
     weighed: Weighed | None = None
     """None unless asked for, or where all weights are the same."""
+    albedo: Tensor | None = None
+    """What a bounce at Lambertian surfaces is proportional to [n, 3]; None where there is no such factor. Only it
+    has a gradient then, and one product with it is enough."""
+
+    @cached_property
+    def direct(self) -> Tensor:
+        """One-sample estimate of T(E): both techniques, MIS-weighted [n, 3]."""
+        return self._complete(self.found)
+
+    @cached_property
+    def weight(self) -> Tensor:
+        """Of the BSDF sample: f cos / pdf [n, 3]."""
+        return self._complete(self.share)
+
+    def reflected(self, light: Tensor) -> Tensor:
+        """``T_hat(E + L)`` [n, 3] for the ``light`` L [n, 3] that comes from ``next``."""
+        return self._complete(self.found + self.share * light)
+
+    def _complete(self, value: Tensor) -> Tensor:
+        return value if self.albedo is None else self.albedo * value
 
 
 def compilable(world: World, it: Interaction) -> bool:

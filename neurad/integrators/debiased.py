@@ -86,13 +86,12 @@ class Debiased(Method):
         sample = Reflected(it.p)
         before = it.p  # sg[L] where the bounce before ended, at the lanes of the next one
         for index, v in enumerate(steps):
-            value = v.step.direct
             if index == 0 or index >= self.k - 1:
                 light = incident(parts.materials, parts.radiance, v.step.next)
-                value = v.step.direct + v.step.weight * light
+                value = v.step.reflected(light)
             if index == 0:
                 # Any guess of the light keeps the mean, and the field's has no noise.
-                sample = Reflected(value, value, v.step.direct, light, v.step.weighed, v.step.next)
+                sample = Reflected(value, value, light, v.step.weighed, v.step.next)
             if index < self.k - 1:
                 value = v.step.direct
             else:

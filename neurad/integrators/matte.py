@@ -55,7 +55,7 @@ def arrive(world: World, it: Interaction, surface: Surface, u: Tensor) -> Bounce
         end.valid.numpy(), pdf_area, emission, direct.numpy(), through.numpy(),
     )  # fmt: skip
     split(lambda low, high: kernels.arrive(low, high, *arriving), m, GRAIN)
-    return Bounce(surface.albedo * direct, surface.albedo * through, end)
+    return Bounce(direct, through, end, albedo=surface.albedo)
 
 
 def _joined(arrays: tuple[Tensor, ...], counts: dict[int, int]) -> list[Tensor]:

@@ -50,8 +50,6 @@ class Reflected:
     transported: Tensor | None = None
     """``T_hat(E + sg[L_theta])`` [n, 3], with the gradient of the materials: the right side of the radiometric prior.
     None from a method without a field."""
-    direct: Tensor | None = None
-    """``T_hat(E)`` [n, 3], a part of ``transported``."""
     incident: Tensor | None = None
     """Reflected radiance that arrived along the first BSDF samples, without gradient [n, 3]; None from a method that
     does not tell."""

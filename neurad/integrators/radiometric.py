@@ -43,15 +43,16 @@ class Radiometric(Method):
         steps = walk(parts.world, parts.materials, it, surface, u, stream, lambda *_: None, self.k, control=control)
         first = next(steps)
         light = incident(parts.materials, parts.radiance, first.step.next)
-        value = first.step.direct + first.step.weight * light
-        sample = Reflected(value, value, first.step.direct, light, first.step.weighed, first.step.next)
+        value = first.step.reflected(light)
+        sample = Reflected(value, value, light, first.step.weighed, first.step.next)
         if self.k == 1:
             return sample
         terms = [(first.lane, first.step.direct)]
         for index, v in enumerate(steps, 2):
-            term = v.step.direct
             if index == self.k:
-                term = term + v.step.weight * incident(parts.materials, parts.radiance, v.step.next)
+                term = v.step.reflected(incident(parts.materials, parts.radiance, v.step.next))
+            else:
+                term = v.step.direct
             terms.append((v.lane, v.throughput * term))
         return replace(sample, value=scatter(terms, it.p))
 
@@ -105,7 +106,7 @@ def transport(
     ``u`` are uniform numbers [n, DIMENSIONS].
     """
     step = bounce(world, it, surface, u)
-    return step.direct + step.weight * incident(materials, radiance, step.next)
+    return step.reflected(incident(materials, radiance, step.next))
 
 
 @torch.no_grad()

@@ -61,8 +61,8 @@ class Estimator:
             light = step.next.where_hit(look_up(self.radiance, self.materials, step.next))
         else:
             light = incident(self.materials, self.radiance, step.next)
-        direct = step.direct if light_gradient else step.direct.detach()
-        return (direct + step.weight * light).view(len(it), count, 3)
+        value = step.reflected(light) if light_gradient else step.direct.detach() + step.weight * light
+        return value.view(len(it), count, 3)
 
 
 def some(lanes: Lanes, share: float, stream: Stream, count: int) -> Tensor:

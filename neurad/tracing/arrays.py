@@ -43,6 +43,8 @@ def beyond_start(closest: Callable[[Rays], Hit], rays: Rays, hit: Hit, extent: f
         hit: what came of it.
         extent: largest coordinate of the vertices; sets the smallest step.
     """
+    if len(hit) == 0 or hit.t.min() > 0:  # a miss is infinitely far away
+        return hit
     on = (hit.valid & (hit.t <= 0)).nonzero()[:, 0]
     if len(on) == 0:
         return hit

@@ -57,19 +57,22 @@ class EmbreeTracer:
 
     def _closest(self, rays: Rays) -> Hit:
         count, device = len(rays), rays.o.device
-        hit = no_hits(count, torch.device("cpu"))
         if self.empty or count == 0:
-            return hit.to(device)
+            return no_hits(count, device)
         o, d = as_floats(rays.o), as_floats(rays.d)
-        t, prim, u, v = hit.t.numpy(), hit.prim.numpy(), hit.u.numpy(), hit.v.numpy()
+        far, first, second = torch.empty(3, count).unbind()
+        hit = Hit(far, torch.empty(count, dtype=torch.int64), first, second, torch.empty(count, dtype=torch.bool))
+        t, prim, u, v, valid = (x.numpy() for x in (hit.t, hit.prim, hit.u, hit.v, hit.valid))
 
         def cast(part: slice) -> None:
             found = self._scene.run(o[part], d[part], output=True)
-            prim[part], u[part], v[part] = found["primID"], found["u"], found["v"]
-            np.copyto(t[part], found["tfar"], where=prim[part] >= 0)  # a miss has 1e37 there
+            t[part], prim[part], u[part], v[part] = found["tfar"], found["primID"], found["u"], found["v"]
+            np.greater_equal(prim[part], 0, out=valid[part])
+            if not valid[part].all():
+                t[part][~valid[part]] = np.inf  # Embree has 1e37 there
 
         self._share(cast, count, CLOSEST_SHARD)
-        return Hit(hit.t, hit.prim, hit.u, hit.v, hit.prim >= 0).to(device)
+        return hit.to(device)
 
     def occluded(self, rays: Rays, t_max: Tensor) -> Tensor:
         """Whether anything lies in 0 < t < t_max [n] (infinity allowed): bool [n] on the rays' device.
