@@ -130,14 +130,17 @@ def test_ratios_compare_dense_grids_alone():
     assert cube.ratios(rows) == ["mitsuba over ours, albedo 0.5: x 2.50"]
 
 
-def test_only_the_second_step_of_a_turn_counts(monkeypatch):
+def test_only_warm_steps_of_a_turn_count(monkeypatch):
     answers = (
-        'for word in ready step step step step step step end; do echo \'{"seconds": \'$((n++)).0\', "rays": 1, '
+        'for word in ready {1..9} end; do echo \'{"seconds": \'$((n++)).0\', "rays": 1, '
         '"base": 0, "peak": 0}\'; read; done'
     )
     monkeypatch.setattr(cube, "WORKER", ["bash", "-c", answers, "--"])
-    (cell,) = cube.measure([JOB], 3, 100.0)
-    assert cell.seconds == [2.0, 4.0, 6.0]
+    monkeypatch.setattr(cube, "COLD", 2)
+    (cell,) = cube.measure([JOB], 5, 100.0)
+    assert cell.seconds == [3.0, 4.0, 5.0, 8.0, 9.0]
+    (cell,) = cube.measure([JOB], 5, 1.0)
+    assert cell.seconds == [3.0, 4.0, 5.0]
 
 
 def test_a_process_that_dies_leaves_a_row(monkeypatch):
