@@ -12,6 +12,7 @@ from __future__ import annotations
 
 import argparse
 import json
+import random
 import subprocess
 import sys
 import tempfile
@@ -187,8 +188,10 @@ def measure(jobs: Sequence[dict[str, Any]], steps: int, limit: float) -> list[Ce
     """Start a process for every job, let them take steps in turns, and ask for their memory in the end.
 
     A turn is :data:`COLD` steps that do not count and at most :data:`WARM` that do: in a training run a step finds the
-    caches as steps like it left them, and after another process's turn it does not.
+    caches as steps like it left them, and after another process's turn it does not. Whose turn follows whose is drawn
+    anew in every round: after Mitsuba's, whose threads linger, steps take longest.
     """
+    shuffled = random.Random(0)
     cells = [Cell(job) for job in jobs]
 
     def wanted(cell: Cell) -> bool:
@@ -199,7 +202,9 @@ def measure(jobs: Sequence[dict[str, Any]], steps: int, limit: float) -> list[Ce
         for cell in cells:
             cell.hear()  # it is ready
         while any(wanted(cell) for cell in cells):
-            for cell in filter(wanted, cells):
+            for cell in shuffled.sample(cells, len(cells)):
+                if not wanted(cell):
+                    continue
                 for _ in range(COLD):
                     cell.ask("step")
                 for _ in range(WARM):
