@@ -15,6 +15,15 @@ def _seeded():
     torch.manual_seed(0)
 
 
+@pytest.fixture
+def three_threads():
+    """As many shares of what is large enough, however few cores there are."""
+    before = torch.get_num_threads()
+    torch.set_num_threads(3)
+    yield
+    torch.set_num_threads(before)
+
+
 def _forbid_skip(report):
     """In CI a report that skips because an optional backend is missing becomes a failure."""
     if not os.environ.get("NEURAD_CI") or not report.skipped:

@@ -132,15 +132,34 @@ def test_ratios_compare_dense_grids_alone():
 
 def test_only_warm_steps_of_a_turn_count(monkeypatch):
     answers = (
-        'for word in ready {1..9} end; do echo \'{"seconds": \'$((n++)).0\', "rays": 1, '
+        'for word in ready {1..12} end; do echo \'{"seconds": \'$((n++)).0\', "rays": 1, '
         '"base": 0, "peak": 0}\'; read; done'
     )
     monkeypatch.setattr(cube, "WORKER", ["bash", "-c", answers, "--"])
     monkeypatch.setattr(cube, "COLD", 2)
-    (cell,) = cube.measure([JOB], 5, 100.0)
-    assert cell.seconds == [3.0, 4.0, 5.0, 8.0, 9.0]
-    (cell,) = cube.measure([JOB], 5, 1.0)
-    assert cell.seconds == [3.0, 4.0, 5.0]
+    (cell,) = cube.measure([JOB], 4, 100.0)
+    assert cell.seconds == [3.0, 6.0, 9.0, 12.0]
+    (cell,) = cube.measure([JOB], 4, 1.0)
+    assert cell.seconds == [3.0, 6.0, 9.0]
+
+
+def test_every_round_has_everybody_once_in_an_order_of_its_own(monkeypatch, tmp_path):
+    """Three processes of which one is so slow that it ends after the least number of turns."""
+    turns = tmp_path / "turns"
+    answers = (
+        'name=$(grep -o "[0-9]" <<<"$0"); echo "{\\"ready\\": true}"; while read word; do '
+        f"[ $word = step ] && echo $name >> {turns}; "
+        'echo "{\\"seconds\\": $name, \\"rays\\": 1, \\"base\\": 0, \\"peak\\": 0}"; done'
+    )
+    monkeypatch.setattr(cube, "WORKER", ["bash", "-c", answers])
+    monkeypatch.setattr(cube, "COLD", 0)
+    cells = cube.measure([{"name": k} for k in (0, 1, 9)], 8, 20.0)
+    assert [len(cell.seconds) for cell in cells] == [8, 8, cube.LEAST]
+    order = turns.read_text().split()
+    rounds = [order[3 * i : 3 * i + 3] for i in range(cube.LEAST)]
+    rounds += [order[i : i + 2] for i in range(3 * cube.LEAST, len(order), 2)]
+    assert all(sorted(turn) == ["0", "1", "9"][: len(turn)] for turn in rounds)
+    assert len({tuple(turn[:2]) for turn in rounds}) > 1
 
 
 def test_a_process_that_dies_leaves_a_row(monkeypatch):

@@ -97,14 +97,16 @@ def test_masked_lanes_and_weights_count_nothing():
 
 @pytest.mark.parametrize(("samples", "groups"), [(2, 2), (5, 5), (8, 4), (6, 2)])
 @pytest.mark.parametrize("controlled", [False, True])
-def test_the_compiled_leave_one_out_is_the_plain_one(samples: int, groups: int, controlled: bool) -> None:
+@pytest.mark.parametrize("pixels", [7, 7000])  # the latter are shared among threads
+@pytest.mark.usefixtures("three_threads")
+def test_the_compiled_leave_one_out_is_the_plain_one(samples: int, groups: int, controlled: bool, pixels: int) -> None:
     generator = torch.Generator().manual_seed(samples)
 
     def numbers(*shape: int) -> torch.Tensor:
         return torch.randn(*shape, generator=generator)
 
-    value, light, deviation = numbers(3, 7, samples, 3).abs().unbind()
-    target, weight = numbers(7, 3), numbers(7, 1).abs()
+    value, light, deviation = numbers(3, pixels, samples, 3).abs().unbind()
+    target, weight = numbers(pixels, 3), numbers(pixels, 1).abs()
 
     def found(fast: bool) -> list[torch.Tensor]:
         s, z = value.clone().requires_grad_(), (deviation - 0.7).requires_grad_()

@@ -84,7 +84,7 @@ class Emitter(Protocol):
 
     def eval(self, it: Interaction) -> Tensor:
         """Radiance [n, 3] sent towards ``it.wo`` from where a ray ended: from surfaces where ``it.valid``, from the
-        environment where not (its direction is ``-it.wo``).
+        environment where not (its direction is ``-it.wo``). A tensor of its own, which the caller may write to.
         """
         ...
 

@@ -33,7 +33,7 @@ def _pick(values: Tensor, index: Tensor | slice) -> Tensor:
 
 
 def first_of(values: Tensor, count: int, of: int) -> Tensor:
-    """The first ``count`` of every ``of`` rows."""
+    """The first ``count`` of every ``of`` rows; ``values`` itself if that is all of them."""
     return values if count == of else values.view(-1, of, *values.shape[1:])[:, :count].flatten(0, 1)
 
 
@@ -129,7 +129,7 @@ class Interaction(Lanes):
     """True where there is a surface [n], bool."""
 
     def where_hit(self, values: Tensor) -> Tensor:
-        """``values`` [n, c], but 0 in lanes that hit nothing."""
+        """``values`` [n, c], but 0 in lanes that hit nothing; may be ``values`` itself."""
         if self.valid.device.type == "cpu" and self.valid.all():  # as in every closed scene
             return values
         return values * self.valid.unsqueeze(-1)

@@ -22,8 +22,9 @@ def split(work: Callable[[int, int], object], count: int, grain: int) -> None:
     """Call ``work(low, high)`` on consecutive shares of ``range(count)``, one a thread.
 
     As many threads as torch may use (``torch.set_num_threads``, ``OMP_NUM_THREADS``) outside :func:`torch_on_one`, this
-    one among them; fewer where a share would be smaller than ``grain``. An own pool, since the OpenMP pool belongs to
-    torch and numba's is not safe to enter from two threads. Handing a share over takes 50 microseconds.
+    one among them; fewer where an even share would be smaller than ``grain``. Shares are those of :func:`cut`. An own
+    pool, since the OpenMP pool belongs to torch and numba's is not safe to enter from two threads. Handing a share over
+    takes 50 microseconds.
 
     Args:
         work: releases the interpreter lock; shares may run in any order, so they must not touch the same results.

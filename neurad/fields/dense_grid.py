@@ -117,8 +117,8 @@ class _Read(torch.autograd.Function):
 
 
 def _slabs(x: Tensor, size: int, count: int, whole: int) -> list[int]:
-    """Entries at which ``count`` ranges of the table that hold about as many of the positions ``x`` begin, and the end;
-    multiples of ``whole`` in between.
+    """Entries at which ``count`` ranges of the table begin, and the end; multiples of ``whole`` in between. They hold
+    about as many of the positions ``x`` as the shares of :func:`neurad.core.threads.cut`.
     """
     if count == 1:
         return [0, size**3]

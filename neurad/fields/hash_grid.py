@@ -15,7 +15,7 @@ from torch import Tensor, nn
 from torch.nn.functional import embedding
 
 from neurad.core.records import plain_floats
-from neurad.core.threads import split
+from neurad.core.threads import GRAIN, split
 from neurad.fields.settings import GridConfig
 from neurad.fields.sparse import from_rows
 
@@ -52,7 +52,7 @@ class UnitCube(nn.Module):
 
         out = torch.empty_like(p, memory_format=torch.contiguous_format)
         arrays = p.contiguous().numpy(), self.low.numpy(), np.float32(self.inverse_side.item()), out.numpy()
-        split(lambda low, high: kernels.unit_cube(*arrays, low, high), len(p), 16384)
+        split(lambda low, high: kernels.unit_cube(*arrays, low, high), len(p), 4 * GRAIN)  # little to do for each
         return out
 
     def plain(self, p: Tensor) -> Tensor:

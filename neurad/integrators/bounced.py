@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
-from functools import cached_property
 
 from torch import Tensor
 
@@ -32,7 +31,7 @@ class Bounce:
     ``direct`` and ``weight`` carry the gradient of the surface; directions and pdfs are held fixed (detached sampling).
     """
 
-    found: Tensor
+    incident: Tensor
     """``direct`` without the factor ``albedo`` [n, 3]."""
     share: Tensor
     """``weight`` without the factor ``albedo`` [n, 3]."""
@@ -44,19 +43,19 @@ class Bounce:
     """What a bounce at Lambertian surfaces is proportional to [n, 3]; None where there is no such factor. Only it
     has a gradient then, and one product with it is enough."""
 
-    @cached_property
+    @property
     def direct(self) -> Tensor:
         """One-sample estimate of T(E): both techniques, MIS-weighted [n, 3]."""
-        return self._complete(self.found)
+        return self._complete(self.incident)
 
-    @cached_property
+    @property
     def weight(self) -> Tensor:
         """Of the BSDF sample: f cos / pdf [n, 3]."""
         return self._complete(self.share)
 
     def reflected(self, light: Tensor) -> Tensor:
         """``T_hat(E + L)`` [n, 3] for the ``light`` L [n, 3] that comes from ``next``."""
-        return self._complete(self.found + self.share * light)
+        return self._complete(self.incident + self.share * light)
 
     def _complete(self, value: Tensor) -> Tensor:
         return value if self.albedo is None else self.albedo * value

@@ -1,7 +1,7 @@
 """The bounce of scenes where every surface is Lambertian and every light is a triangle: no frame, no lobe, no choice.
 
-The value of such a bounce is the albedo times what arrives, and its weight is the albedo, so all of it but these two
-products is done by two compiled passes, one before the rays are cast and one after. Its twin in plain torch is
+The value of such a bounce is the albedo times what arrives, and its weight is the albedo, so all of it but this factor
+is done by two compiled passes, one before the rays are cast and one after. Its twin in plain torch is
 :func:`neurad.integrators.vertex.bounce` without ``fast``, which draws the same directions from the same numbers.
 """
 

@@ -89,8 +89,9 @@ def walk(
         yield Vertex(lane, it, throughput, step, beyond)
         if max_bounces is not None and bounces >= max_bounces:
             return
-        weight = step.weight.detach()
-        throughput = throughput * (weight if detached else step.weight)
+        own = step.weight
+        weight = own.detach()
+        throughput = throughput * (weight if detached else own)
         fixed = throughput.detach()
         if control:
             beyond = torch.ones_like(weight) if beyond is None else beyond * weight
@@ -106,7 +107,7 @@ def walk(
             return
         lane, it, throughput = lane[index], step.next[index], throughput[index]
         beyond = None if beyond is None else beyond[index]
-        del step, surface, weight, fixed, keep, alive  # the next vertex is the peak of the memory
+        del step, surface, own, weight, fixed, keep, alive  # the next vertex is the peak of the memory
         surface = materials(it)
         if torch.is_grad_enabled() and not detached:
             add_quickly(surface)

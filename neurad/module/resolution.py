@@ -48,7 +48,7 @@ def finest_cells(tracer: Tracer, scene: Scene, device: torch.device | str = "cpu
     cameras = Cameras.of([view.camera for view in scene.train], "cpu")
     stream = Stream(0, 3)
     view = stream.integers(len(scene.train), RAYS)
-    rays = cameras.rays(view, stream.uniform(RAYS, 2) * torch.tensor([cameras.width, cameras.height]))
+    rays = cameras.rays(view, stream.uniform(RAYS, 2) * torch.tensor([cameras.width, cameras.height], device="cpu"))
     hit = tracer.closest(Rays(rays.o.to(device), rays.d.to(device)))
     valid = hit.valid.cpu()
     if not bool(valid.any()):

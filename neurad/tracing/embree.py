@@ -17,8 +17,8 @@ from neurad.core.records import Hit, Rays
 from neurad.core.threads import cut
 from neurad.tracing.arrays import as_floats, as_indices, beyond_start, no_hits
 
-# Rays in the smallest slice that is worth handing to another thread, about 0.2 ms of work, and in the largest whose
-# arrays stay in the cache (measured on 330 k triangles).
+# Rays for each thread from which on handing a slice over is worth it, about 0.2 ms of work, and about as many as have
+# arrays that stay in the cache (measured on 330 k triangles).
 CLOSEST_SHARD = 1024
 OCCLUDED_SHARD = 2048
 LARGEST_SHARD = 16384
@@ -60,8 +60,9 @@ class EmbreeTracer:
         if self.empty or count == 0:
             return no_hits(count, device)
         o, d = as_floats(rays.o), as_floats(rays.d)
-        far, first, second = torch.empty(3, count).unbind()
-        hit = Hit(far, torch.empty(count, dtype=torch.int64), first, second, torch.empty(count, dtype=torch.bool))
+        far, first, second = torch.empty(3, count, device="cpu").unbind()  # whatever torch's default device is
+        prims, hits = (torch.empty(count, dtype=kind, device="cpu") for kind in (torch.int64, torch.bool))
+        hit = Hit(far, prims, first, second, hits)
         t, prim, u, v, valid = (x.numpy() for x in (hit.t, hit.prim, hit.u, hit.v, hit.valid))
 
         def cast(part: slice) -> None:
@@ -80,7 +81,7 @@ class EmbreeTracer:
         A triangle that the ray's origin lies exactly on counts too; spawned rays start off it.
         """
         count, device = len(rays), rays.o.device
-        blocked = torch.zeros(count, dtype=torch.bool)
+        blocked = torch.zeros(count, dtype=torch.bool, device="cpu")
         if self.empty or count == 0:
             return blocked.to(device)
         o, d = as_floats(rays.o), as_floats(rays.d)
@@ -95,8 +96,10 @@ class EmbreeTracer:
         return blocked.to(device)
 
     def _share(self, cast: Callable[[slice], None], count: int, least: int) -> None:
-        """Run ``cast`` on slices of ``count`` rays, at least ``least`` in each, on this thread and the pool."""
+        """Run ``cast`` on slices of ``count`` rays, on average ``least`` or more, on this thread and the pool."""
         pieces = max(1, min(self.threads, count // least), -(-count // LARGEST_SHARD))
+        if pieces > self.threads:  # as many for each
+            pieces = -(-pieces // self.threads) * self.threads
         parts = [slice(low, high) for low, high in pairwise(cut(count, pieces, least))]
 
         def work(first: int) -> None:

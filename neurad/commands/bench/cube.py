@@ -33,8 +33,8 @@ BAR = 0.10
 """Largest change of time and memory that still counts as constant."""
 LEAST = 3
 """Least number of steps behind a figure."""
-COLD, WARM = 3, 3
-"""Steps of a turn that do not count, and those that do. Ours on dense grids take 17.8, 16.0, 14.5, 13.7, 13.6 and 14.0
+COLD = 3
+"""Steps of a turn that do not count. Ours on dense grids take 17.8, 16.0, 14.5, 13.7, 13.6 and 14.0
 ms one after another (medians of 25 turns), Mitsuba's 166, 158, 157, 159, 159 and 158."""
 WORKER = [sys.executable, "-P", "-m", "neurad.commands.bench.cube_worker"]
 
@@ -187,9 +187,9 @@ class Cell:
 def measure(jobs: Sequence[dict[str, Any]], steps: int, limit: float) -> list[Cell]:
     """Start a process for every job, let them take steps in turns, and ask for their memory in the end.
 
-    A turn is :data:`COLD` steps that do not count and at most :data:`WARM` that do: in a training run a step finds the
-    caches as steps like it left them, and after another process's turn it does not. Whose turn follows whose is drawn
-    anew in every round: after Mitsuba's, whose threads linger, steps take longest.
+    A turn is :data:`COLD` steps that do not count and one that does: in a training run a step finds the caches as steps
+    like it left them, and after another process's turn it does not. Whose turn follows whose is drawn anew in every
+    round: after Mitsuba's, whose threads linger, steps take longest.
     """
     shuffled = random.Random(0)
     cells = [Cell(job) for job in jobs]
@@ -207,10 +207,9 @@ def measure(jobs: Sequence[dict[str, Any]], steps: int, limit: float) -> list[Ce
                     continue
                 for _ in range(COLD):
                     cell.ask("step")
-                for _ in range(WARM):
-                    if wanted(cell) and (answer := cell.ask("step")):
-                        cell.seconds.append(answer["seconds"])
-                        cell.rays = answer["rays"]
+                if answer := cell.ask("step"):
+                    cell.seconds.append(answer["seconds"])
+                    cell.rays = answer["rays"]
         for cell in cells:
             if answer := cell.ask("end"):
                 cell.base, cell.peak = answer["base"], answer["peak"]

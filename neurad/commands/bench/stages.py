@@ -195,7 +195,7 @@ def instrumented(module: InverseRenderer, recorder: Recorder) -> Iterator[None]:
         *((type(world.lights), name, "emitters") for name in ("sample", "eval", "pdf")),
         *((type(world.bsdf), name, "bsdf") for name in ("eval", "pdf", "eval_pdf", "sample")),
         *((Guide, name, "bsdf") for name in ("rows", "warp", "density", "seen", "learn", "update")),
-        *((compiled, "arrive", "bsdf") for compiled in (glossy, matte)),  # all of a bounce but its rays
+        *((compiled, "arrive", "bsdf") for compiled in (glossy, matte)),  # a bounce but its rays and the albedo
         *((type(part), "forward", "fields: rest") for part in parts if isinstance(part, nn.Module)),
         *((grid, "forward", "fields: grids") for grid in GRIDS),
         (mlp.MLP, "forward", "fields: networks"),

@@ -132,6 +132,6 @@ def cases() -> list[Case]:
         _texel(),
         _planted("a NaN weight", "the weight radiance.mlp.layers.0.weight is not finite", _weight),
         _planted("an infinite sample of a light", f"integrators.glossy._collect.values[0] {bad}", _sample, False),
-        _planted("an infinite sample, Lambertian", f"integrators.matte.arrive.direct {bad}", _matte_sample),
+        _planted("an infinite sample, Lambertian", f"integrators.matte.arrive.incident {bad}", _matte_sample),
         _cost(),
     ]
