@@ -40,6 +40,9 @@ def test_meshes_have_their_mean_and_what_is_not_seen_has_that_of_all():
         expected = (it.p[here, :1] ** 2).mean()
         torch.testing.assert_close(found.roughness[here], expected.expand(int(here.sum()), 1), atol=1e-5, rtol=1e-5)
     assert torch.equal(means.albedo(it), found.albedo)
+    whole = torch.cat((it.p[it.valid], it.p[it.valid, :1] ** 2), -1).mean(0)
+    torch.testing.assert_close(means.whole, whole, atol=1e-5, rtol=1e-5)
+    assert bool((means.of_room().means == means.whole).all())
     unseen = torch.ones(len(means.means), dtype=torch.bool)
     unseen[mesh[it.valid]] = False
     if unseen.any():
@@ -59,9 +62,12 @@ def test_the_command_shows_the_fields_and_the_means(capsys):
     lines = capsys.readouterr().out.splitlines()
     albedo = {}
     for line in lines:
-        for who in ("the fields", "means of meshes", "best constant"):
+        for who in ("the fields", "means of meshes", "mean of the room", "best constant"):
             if line.startswith(who):
                 albedo.setdefault(who, []).append(float(line.removeprefix(who).split()[0]))
     assert any(line.startswith("Held-out views, glossy pixels with light on them") for line in lines)
-    assert len(albedo["the fields"]) == len(albedo["means of meshes"]) == 3
+    assert len(albedo["the fields"]) == len(albedo["means of meshes"]) == len(albedo["mean of the room"]) == 3
+    everywhere, glossy = (albedo["best constant"][k] - albedo["mean of the room"][k] for k in (0, 2))
+    assert 0.0 <= everywhere < 0.5, "training views show about the mean of held-out ones"
+    assert glossy > everywhere, "a constant fitted to the pick knows more"
     assert albedo["means of meshes"][0] > albedo["best constant"][0] + 3.0

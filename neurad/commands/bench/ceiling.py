@@ -18,7 +18,9 @@ def run(options: argparse.Namespace) -> None:
 
     Whatever recovers materials from photographs with the same fields cannot be expected to score higher. Beside them
     stand those of the true mean of every mesh, right but for its patterns (and at edges, where pixels of the true maps
-    mix several). Which pixels are lit and glossy is estimated with the true materials.
+    mix several), and of the true mean of the whole room, what one knows who cannot tell one surface from another; the
+    best constant of a table is fitted to the pixels that it scores. Which pixels are lit and glossy is estimated with
+    the true materials.
 
     Raises:
         InputError: the settings are wrong, or the scene has no true maps of its training views.
@@ -52,4 +54,5 @@ def run(options: argparse.Namespace) -> None:
     with averaged(module.average):
         print(score_table(held_out.score(held_out.predict(module.materials), None, regions), 0, "the fields"))
     print()
-    print(score_table(held_out.score(held_out.predict(maps.means), None, regions), 0, "means of meshes"))
+    for means, name in ((maps.means, "means of meshes"), (maps.means.of_room(), "mean of the room")):
+        print(score_table(held_out.score(held_out.predict(means), None, regions), 0, name))

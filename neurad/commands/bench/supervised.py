@@ -51,7 +51,9 @@ class SurfaceMeans:
     mesh: Tensor
     """Mesh of every triangle [F]."""
     means: Tensor
-    """Albedo and roughness of every mesh [meshes, 4]; the mean of all where no training view sees it."""
+    """Albedo and roughness of every mesh [meshes, 4]; ``whole`` where no training view sees it."""
+    whole: Tensor
+    """Those of all that the training views see [4]."""
 
     @classmethod
     def of(cls, step: SupervisedStep) -> SurfaceMeans:
@@ -69,9 +71,13 @@ class SurfaceMeans:
                 true[:, 3:4] = step.truth["roughness"][view]
             good = it.valid & ~step.mixed[view]
             sums.index_add_(0, mesh[it.prim[good]], true[good])
-        empty = sums[:, 4] == 0
-        sums[empty] = sums.sum(0)
-        return cls(mesh.cpu(), (sums[:, :4] / sums[:, 4:]).cpu())
+        whole = sums.sum(0)
+        sums[sums[:, 4] == 0] = whole
+        return cls(mesh.cpu(), (sums[:, :4] / sums[:, 4:]).cpu(), (whole[:4] / whole[4]).cpu())
+
+    def of_room(self) -> SurfaceMeans:
+        """The mean of the whole room on every mesh."""
+        return replace(self, means=self.whole.expand_as(self.means))
 
     def __call__(self, it: Interaction) -> Surface:
         """Materials at the lanes of ``it``."""
