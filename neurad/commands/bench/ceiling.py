@@ -53,6 +53,5 @@ def run(options: argparse.Namespace) -> None:
     regions = {"lit_glossy": lit_glossy(held_out, reflected_by(Path(None), parts), GLOSSY_SAMPLES)}
     with averaged(module.average):
         print(score_table(held_out.score(held_out.predict(module.materials), None, regions), 0, "the fields"))
-    print()
     for means, name in ((maps.means, "means of meshes"), (maps.means.of_room(), "mean of the room")):
-        print(score_table(held_out.score(held_out.predict(means), None, regions), 0, name))
+        print("\n" + score_table(held_out.score(held_out.predict(means), None, regions), 0, name))
