@@ -11,15 +11,18 @@ from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager, nullcontext
 from itertools import pairwise
+from typing import TypeVar
 
 import torch
+
+T = TypeVar("T")
 
 _pool: ThreadPoolExecutor | None = None
 _allowed: int | None = None
 
 
-def split(work: Callable[[int, int], object], count: int, grain: int) -> None:
-    """Call ``work(low, high)`` on consecutive shares of ``range(count)``, one a thread.
+def split(work: Callable[[int, int], T], count: int, grain: int) -> list[T]:
+    """Call ``work(low, high)`` on consecutive shares of ``range(count)``, one a thread; what they returned, in order.
 
     As many threads as torch may use (``torch.set_num_threads``, ``OMP_NUM_THREADS``) outside :func:`torch_on_one`, this
     one among them; fewer where an even share would be smaller than ``grain``. Shares are those of :func:`cut`. An own
@@ -33,13 +36,10 @@ def split(work: Callable[[int, int], object], count: int, grain: int) -> None:
     """
     shares = threads(count, grain)
     if shares == 1:
-        work(0, count)
-        return
+        return [work(0, count)]
     edges = cut(count, shares, grain)
     others = [_executor().submit(work, low, high) for low, high in pairwise(edges[1:])]
-    work(0, edges[1])
-    for other in others:
-        other.result()
+    return [work(0, edges[1]), *(other.result() for other in others)]
 
 
 def cut(count: int, shares: int, grain: int) -> list[int]:

@@ -7,6 +7,7 @@ read. 128^3 takes an eighth.
 
 from __future__ import annotations
 
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -101,19 +102,17 @@ class _Read(torch.autograd.Function):
         arrays = x.numpy(), gradients[0].contiguous().numpy(), ctx.grid.size
         edges = _slabs(x, ctx.grid.size, threads(len(x), SLAB), dense_kernels.WHOLE)
         marks = ctx.grid.marks()
-        parts: dict[int, tuple[Tensor, Tensor]] = {}
 
-        def work(begin: int, end: int) -> None:
-            for part in range(begin, end):
-                low, high = edges[part : part + 2]
-                touched = min(8 * len(x), high - low)
-                rows, values = torch.empty(touched, dtype=torch.int64), torch.empty(touched, ctx.shape[1])
-                written = *marks, rows.numpy(), values.numpy()
-                count = dense_kernels.dense_gradient(*arrays, low, high, *written)
-                parts[part] = rows[:count], values[:count]
+        def slab(low: int, high: int) -> tuple[Tensor, Tensor]:
+            touched = min(8 * len(x), high - low)
+            rows, values = torch.empty(touched, dtype=torch.int64), torch.empty(touched, ctx.shape[1])
+            written = *marks, rows.numpy(), values.numpy()
+            count = dense_kernels.dense_gradient(*arrays, low, high, *written)
+            return rows[:count], values[:count]
 
-        split(work, len(edges) - 1, 1)
-        return None, from_rows([parts[i] for i in range(len(parts))], ctx.shape), None
+        slabs = list(pairwise(edges))
+        shares = split(lambda begin, end: [slab(*ends) for ends in slabs[begin:end]], len(slabs), 1)
+        return None, from_rows([part for share in shares for part in share], ctx.shape), None
 
 
 def _slabs(x: Tensor, size: int, count: int, whole: int) -> list[int]:

@@ -162,14 +162,13 @@ class _Encode(torch.autograd.Function):
 
         x, level_table = ctx.saved_tensors
         arrays = x.numpy(), gradients[0].contiguous().numpy(), level_table.numpy()
-        parts: dict[int, tuple[Tensor, Tensor]] = {}
 
-        def work(begin: int, end: int) -> None:
+        def work(begin: int, end: int) -> tuple[Tensor, Tensor]:
             touched = int(level_table[begin:end, 3].clamp(max=8 * len(x)).sum())
             rows, values = torch.empty(touched, dtype=torch.int64), torch.empty(touched, 2)
             count = kernels.table_gradient(*arrays, begin, end, rows.numpy(), values.numpy())
-            parts[begin] = rows[:count], values[:count]
+            return rows[:count], values[:count]
 
         levels = len(level_table)
-        split(work, levels, max(1, levels * 256 // max(len(x), 1)))
-        return None, from_rows([parts[begin] for begin in sorted(parts)], ctx.shape), None
+        parts = split(work, levels, max(1, levels * 256 // max(len(x), 1)))
+        return None, from_rows(parts, ctx.shape), None

@@ -39,12 +39,7 @@ def arrive(world: World, it: Interaction, surface: Surface, u: Tensor) -> Bounce
         np.float32(geometry.scale), lights.cdf.numpy(), lights.table.numpy(), lights.face.numpy(), pdf_area, emission,
         o.numpy(), d.numpy(), pdf.numpy(), *(x.numpy() for x in shadow),
     )  # fmt: skip
-    counts: dict[int, int] = {}
-
-    def leave(low: int, high: int) -> None:
-        counts[low] = kernels.leave(low, high, *leaving)
-
-    split(leave, m, GRAIN)
+    counts = split(lambda low, high: (low, kernels.leave(low, high, *leaving)), m, GRAIN)
     lane, shadow_o, shadow_d, t_max, light = _joined(shadow, counts)
     blocked = world.occluded(Rays(shadow_o, shadow_d), t_max)
     end = world.intersect(Rays(o, d))
@@ -58,11 +53,10 @@ def arrive(world: World, it: Interaction, surface: Surface, u: Tensor) -> Bounce
     return Bounce(direct, through, end, albedo=surface.albedo)
 
 
-def _joined(arrays: tuple[Tensor, ...], counts: dict[int, int]) -> list[Tensor]:
-    """The first ``counts[low]`` rows from each ``low`` on, moved together to the front of ``arrays``."""
+def _joined(arrays: tuple[Tensor, ...], parts: list[tuple[int, int]]) -> list[Tensor]:
+    """The rows of ``arrays`` that ``parts`` (where one begins, how many it has) name, moved together to the front."""
     filled = 0
-    for low in sorted(counts):
-        count = counts[low]
+    for low, count in parts:
         if low > filled:
             for array in arrays:
                 rows = array.numpy()  # which copies on this thread, also where the two overlap

@@ -120,13 +120,9 @@ class _Compiled(torch.autograd.Function):
             light, around, by_deviation = control.incident, deviation, torch.empty_like(by_sample)
         given = samples, target, weight.expand_as(target), light, around
         arrays = [x.detach().contiguous().numpy() for x in (*given, by_sample, by_deviation)]
-        parts: dict[int, tuple[float, float]] = {}
-
-        def work(low: int, high: int) -> None:
-            parts[low] = kernels.leave_one_out(low, high, groups, *arrays)
-
-        split(work, len(samples), -(-GRAIN // samples.shape[1]))
-        surrogate, value = (samples.new_tensor(sum(parts[low][k] for low in sorted(parts))) for k in range(2))
+        grain = -(-GRAIN // samples.shape[1])
+        parts = split(lambda low, high: kernels.leave_one_out(low, high, groups, *arrays), len(samples), grain)
+        surrogate, value = (samples.new_tensor(sum(part)) for part in zip(*parts, strict=True))
         ctx.slopes = by_sample, by_deviation
         ctx.mark_non_differentiable(value)
         return surrogate, value
