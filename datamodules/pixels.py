@@ -8,19 +8,19 @@ from torch import Tensor
 _REACH = 2  # pixels on each side of one that its neighbourhood has
 
 VISITS = 3
-"""Times that each patch is drawn at the greatest breadth; at half of it twice as often, and so on."""
+"""Times that each patch is drawn at the greatest pixel_multiplier; at half of it twice as often, and so on."""
 
 
-def breadth_at(iteration: int, patches: int, breadth: int, total: int) -> tuple[int, int]:
+def breadth_at(iteration: int, patches: int, pixel_multiplier: int, total: int) -> tuple[int, int]:
     """How much broader than usual a batch is, and how many patches those before it had.
 
     Args:
         iteration: of the batch.
         patches: of a usual batch.
-        breadth: times that number in the first batches, a power of two.
+        pixel_multiplier: times that number in the first batches, a power of two.
         total: patches that there are.
     """
-    first, now, visits = 0, breadth, VISITS
+    first, now, visits = 0, pixel_multiplier, VISITS
     while now > 1:
         steps = -(-visits * total // (now * patches))
         if iteration < steps:

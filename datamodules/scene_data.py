@@ -12,11 +12,11 @@ import torch
 from torch import Tensor
 from torch.utils.data import DataLoader, Dataset, IterableDataset
 
+from datamodules.image_cache import ImageCache, Survey, dataset_stats
 from datamodules.pixels import breadth_at
-from datamodules.resident import Residents, Survey, survey
 from neurad.core.errors import InputError
+from neurad.core.patch_sampler import PatchSampler, corners, draw
 from neurad.core.records import PixelBatch, View
-from neurad.core.turns import Corners, corners, draw
 from neurad.scene.description import Scene
 from neurad.scene.image_io import read_photograph
 from neurad.scene.load import load_scene
@@ -32,8 +32,8 @@ class SceneData(pl.LightningDataModule):
         scene: name of a built-in scene instead.
         patches: patches in a batch, of all views in turn.
         patch_size: side of a patch in pixels; 1 draws single pixels.
-        breadth: times as many patches, with as many times fewer positions in each pixel, in the first batches. It
-            halves whenever the pixels have been visited a few times: at first it is too few pixels seen that limits
+        pixel_multiplier: times as many patches, with as many times fewer positions in each pixel, in the first
+            batches. It halves whenever the pixels have been visited a few times: at first too few pixels seen limits
             what is known, and noise later. A power of two.
         seed: of the draws.
         resident: training photographs in memory at once; the others are read from disk as their turn comes. None
@@ -41,7 +41,7 @@ class SceneData(pl.LightningDataModule):
         replace_every: iterations after which one of them is replaced, if not all are in memory.
 
     Raises:
-        InputError: a number is not positive, or ``breadth`` no power of two.
+        InputError: a number is not positive, or ``pixel_multiplier`` no power of two.
     """
 
     def __init__(
@@ -50,7 +50,7 @@ class SceneData(pl.LightningDataModule):
         scene: str | None = None,
         patches: int = 256,
         patch_size: int = 1,
-        breadth: int = 1,
+        pixel_multiplier: int = 1,
         seed: int = 0,
         resident: int | None = None,
         replace_every: int = 16,
@@ -60,20 +60,20 @@ class SceneData(pl.LightningDataModule):
         for name, value in (numbers if resident is None else numbers | {"resident": resident}).items():
             if value < 1:
                 raise InputError(f"--data.{name}: {value} is not a positive number")
-        if breadth < 1 or breadth & (breadth - 1):
-            raise InputError(f"--data.breadth: {breadth} is not a power of two")
+        if pixel_multiplier < 1 or pixel_multiplier & (pixel_multiplier - 1):
+            raise InputError(f"--data.pixel_multiplier: {pixel_multiplier} is not a power of two")
         self.root = root
         self.scene_name = scene
         self.patches = patches
         self.patch_size = patch_size
-        self.breadth = breadth
+        self.pixel_multiplier = pixel_multiplier
         self.seed = seed
         self.resident = resident
         self.replace_every = replace_every
-        self.wants_smoothed = False
+        self.wants_blurred = False
         """Whether streamed batches carry means over the pixels around theirs."""
         self._survey: Survey | None = None
-        self._residents: Residents | None = None
+        self._residents: ImageCache | None = None
 
     @property
     def streams(self) -> bool:
@@ -168,7 +168,7 @@ class SceneData(pl.LightningDataModule):
             counted: pixels that count [views, h * w], bool; None for all. Pixels with alpha 0 never do.
         """
         if self.streams:
-            return self.survey(None if counted is None else ~counted).mean_square
+            return self.dataset_stats(None if counted is None else ~counted).mean_square
         square = self.photographs.square().mean(-1)
         weight = torch.ones_like(square) if counted is None else counted.to(square)
         if self.alpha is not None:
@@ -178,7 +178,7 @@ class SceneData(pl.LightningDataModule):
 
     # ---- photographs on disk
 
-    def survey(self, left_out: Tensor | None = None) -> Survey:
+    def dataset_stats(self, left_out: Tensor | None = None) -> Survey:
         """Look at every training photograph once, without keeping it.
 
         Args:
@@ -187,7 +187,7 @@ class SceneData(pl.LightningDataModule):
         Raises:
             InputError: a photograph is missing or wrong, or alpha is 0 in all of them.
         """
-        self._survey = survey(self._streamed, len(self.scene.train), left_out, self.seed)
+        self._survey = dataset_stats(self._streamed, len(self.scene.train), left_out, self.seed)
         if not self._survey.foreground:
             raise InputError(f"scene {self.scene.name}: alpha is 0 in every training photograph")
         return self._survey
@@ -202,12 +202,12 @@ class SceneData(pl.LightningDataModule):
         self._check_channels(view, image, 4 if self.has_alpha else 3)
         return image
 
-    def _window(self, iteration: int, rank: int) -> Residents:
+    def _window(self, iteration: int, rank: int) -> ImageCache:
         """The photographs in memory at an iteration."""
         found = self._residents
         if found is None or found.rank != rank:
-            views = (self._survey or self.survey()).foreground
-            found = self._residents = Residents(
+            views = (self._survey or self.dataset_stats()).foreground
+            found = self._residents = ImageCache(
                 self._streamed, views, self.scene.train[0].camera, self.resident or 1, self.replace_every,
                 self.patch_size, self.seed, rank,
             )  # fmt: skip
@@ -217,7 +217,7 @@ class SceneData(pl.LightningDataModule):
     # ---- batches
 
     @cached_property
-    def _corners(self) -> Corners:
+    def _corners(self) -> PatchSampler:
         camera = self.scene.train[0].camera
         return corners(len(self.scene.train), self.patch_size, self.alpha, camera.width, camera.height, self.seed)
 
@@ -229,18 +229,20 @@ class SceneData(pl.LightningDataModule):
         return -(-(streamed if self.streams else int(self._corners.count.sum())) // self.patch_size**2)
 
     def batch(self, iteration: int, rank: int = 0) -> PixelBatch:
-        """The batch that belongs to an iteration, on the CPU: ``breadth * patches * patch_size^2`` pixels."""
+        """The batch that belongs to an iteration, on the CPU: ``pixel_multiplier * patches * patch_size^2`` pixels."""
         camera = self.scene.train[0].camera
         window = self._window(iteration, rank) if self.streams else None
-        breadth, first = breadth_at(iteration, self.patches, self.breadth, self._total)
+        pixel_multiplier, first = breadth_at(iteration, self.patches, self.pixel_multiplier, self._total)
         where = self._corners if window is None else window.corners()
-        view, pixel = draw(where, first, breadth * self.patches, self.seed, rank, self.patch_size, camera.width)
+        view, pixel = draw(
+            where, first, pixel_multiplier * self.patches, self.seed, rank, self.patch_size, camera.width
+        )
         if window is not None:
-            return window.batch(view, pixel.long(), iteration, breadth, self.wants_smoothed)
+            return window.batch(view, pixel.long(), iteration, pixel_multiplier, self.wants_blurred)
         index = view * (camera.width * camera.height) + pixel
         color = self.photographs.view(-1, 3).index_select(0, index)
         alpha = torch.ones(len(index)) if self.alpha is None else self.alpha.view(-1).index_select(0, index)
-        return PixelBatch(view, pixel, color, alpha, iteration, breadth=breadth)
+        return PixelBatch(view, pixel, color, alpha, iteration, pixel_multiplier=pixel_multiplier)
 
     def transfer_batch_to_device(
         self, batch: PixelBatch | Tensor, device: torch.device, dataloader_idx: int
@@ -249,8 +251,8 @@ class SceneData(pl.LightningDataModule):
         if isinstance(batch, Tensor):
             return batch.to(device)
         view, pixel, color, alpha = (x.to(device) for x in (batch.view, batch.pixel, batch.color, batch.alpha))
-        smoothed = None if batch.smoothed is None else batch.smoothed.to(device)
-        return replace(batch, view=view, pixel=pixel, color=color, alpha=alpha, smoothed=smoothed)
+        blurred = None if batch.blurred is None else batch.blurred.to(device)
+        return replace(batch, view=view, pixel=pixel, color=color, alpha=alpha, blurred=blurred)
 
     def train_dataloader(self) -> DataLoader[PixelBatch]:
         """Batches without end, from the iteration that the module has reached."""

@@ -10,9 +10,9 @@ from collections.abc import Iterator
 from contextlib import nullcontext
 from typing import NoReturn
 
-from neurad.core import clock
-from neurad.core.allocator import imports_kept, keep_freed_memory
 from neurad.core.errors import InputError
+from neurad.runtime import clock
+from neurad.runtime.allocator import imports_kept, keep_freed_memory
 
 LIGHTNING_VERBS = {
     "fit": "recover albedo and roughness from photographs",
@@ -107,7 +107,7 @@ def _dispatch(words: list[str], own_process: bool) -> None:
     elif verb in LIGHTNING_VERBS:
         _prepare()
         with imports_kept() if own_process else nullcontext():
-            from neurad.commands import train
+            from neurad.runs import lightning as train
 
             classes = _classes()
         train.run(verb, rest, *classes)
@@ -124,7 +124,7 @@ def _prepare() -> None:
 
 def _classes() -> tuple[type, type]:
     from datamodules.scene_data import SceneData
-    from neurad.module.inverse import InverseRenderer
+    from neurad.training.inverse import InverseRenderer
 
     return InverseRenderer, SceneData
 

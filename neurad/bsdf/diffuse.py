@@ -12,7 +12,7 @@ from neurad.core.sampling import INV_PI, cosine_hemisphere
 class Diffuse:
     """``f = albedo / pi``, sampled by the cosine; the roughness is not looked at."""
 
-    deviates = False  # the weight is the albedo, whatever the direction
+    varying_weight = False  # the weight is the albedo, whatever the direction
 
     def eval(self, surface: Surface, wo: Tensor, wi: Tensor) -> Tensor:
         """``albedo cos / pi`` [n, 3]; 0 where ``wi`` or ``wo`` lies below the surface."""
@@ -33,7 +33,7 @@ class Diffuse:
         pdf = self.pdf(surface, wo, wi)
         return BSDFSample(wi, pdf, surface.albedo * (pdf > 0).unsqueeze(-1))
 
-    def diffuse_share(self, surface: Surface) -> float:
+    def diffuse_fraction(self, surface: Surface) -> float:
         """All samples are drawn by the cosine."""
         return 1.0
 

@@ -16,7 +16,7 @@ import torch
 from torch import Tensor
 from torch.autograd.function import once_differentiable
 
-from neurad.bsdf import kernels
+from neurad.bsdf import principled_kernels as kernels
 from neurad.core.records import Surface
 
 ROUGHNESSES = 32

@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 from torch.autograd.function import once_differentiable
 
-from neurad.bsdf import kernels
+from neurad.bsdf import principled_kernels as kernels
 from neurad.bsdf.directional import directional_albedo
 from neurad.bsdf.microfacet import alpha_of, fresnel_dielectric, smith_sum, visible_normal
 from neurad.core.frame import dot
@@ -124,23 +124,23 @@ class Principled:
 
     Attributes:
         eta: refractive index of the specular lobe, inside over outside; 1.5 is Mitsuba's ``specular`` 0.5.
-        fast: use the compiled kernels where they apply (float32 on the CPU).
-        specular_share: share of the samples that the specular lobe draws; half of them as in Mitsuba.
+        use_kernels: use the compiled kernels where they apply (float32 on the CPU).
+        specular_fraction: share of the samples that the specular lobe draws; half of them as in Mitsuba.
     """
 
-    deviates = True
+    varying_weight = True
 
-    def __init__(self, eta: float = 1.5, fast: bool = True, specular_share: float = 0.5) -> None:
+    def __init__(self, eta: float = 1.5, use_kernels: bool = True, specular_fraction: float = 0.5) -> None:
         self.eta = eta
-        self.specular_share = specular_share
-        self.fast = fast
+        self.specular_fraction = specular_fraction
+        self.use_kernels = use_kernels
 
     def _compiled(self, wo: Tensor) -> bool:
-        return self.fast and wo.dtype == torch.float32 and wo.device.type == "cpu"
+        return self.use_kernels and wo.dtype == torch.float32 and wo.device.type == "cpu"
 
     def _lobes_pdf(self, surface: Surface, wo: Tensor, wi: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         function = principled_lobes_pdf if self._compiled(wo) else lobes_pdf
-        return function(surface.roughness, wo, wi, self.eta, self.specular_share)
+        return function(surface.roughness, wo, wi, self.eta, self.specular_fraction)
 
     def direction(self, roughness: Tensor, wo: Tensor, u: Tensor) -> Tensor:
         """Draw ``wi`` [n, 3] by a compiled kernel, for float32 on the CPU.
@@ -157,7 +157,7 @@ class Principled:
             raise ValueError(f"lanes differ: roughness {roughness.shape[0]}, wo {wo.shape[0]}, u {u.shape[0]}")
         rough, view, numbers = (x.detach().contiguous().numpy() for x in (roughness, wo, u))
         wi = torch.empty(len(wo), 3)
-        kernels.direction(rough, view, numbers, np.float32(1.0 - self.specular_share), wi.numpy())
+        kernels.direction(rough, view, numbers, np.float32(1.0 - self.specular_fraction), wi.numpy())
         return wi
 
     def _direction(self, surface: Surface, wo: Tensor, u: Tensor) -> Tensor:
@@ -166,7 +166,7 @@ class Principled:
             return self.direction(roughness, wo, u)
         m = visible_normal(wo, alpha_of(roughness), u[:, 1:])
         mirrored = 2.0 * dot(wo, m).unsqueeze(-1) * m - wo
-        return torch.where(u[:, :1] < 1.0 - self.specular_share, cosine_hemisphere(u[:, 1:]), mirrored)
+        return torch.where(u[:, :1] < 1.0 - self.specular_fraction, cosine_hemisphere(u[:, 1:]), mirrored)
 
     def lobes(self, roughness: Tensor, wo: Tensor, wi: Tensor) -> tuple[Tensor, Tensor]:
         """Diffuse lobe for albedo 1 and specular lobe, cosine included: d [n] and s [n], differentiable in
@@ -194,9 +194,9 @@ class Principled:
         inverse = torch.where(pdf > 0, 1.0 / pdf, 0.0)  # not value / tiny: its gradient would overflow
         return BSDFSample(wi, pdf, value * inverse.unsqueeze(-1))
 
-    def diffuse_share(self, surface: Surface) -> float | Tensor:
+    def diffuse_fraction(self, surface: Surface) -> float | Tensor:
         """Probability of the diffuse lobe [n]."""
-        return 1.0 - self.specular_share
+        return 1.0 - self.specular_fraction
 
     def mean_weight(self, surface: Surface, wo: Tensor) -> Tensor:
         """Mean of the weights of :meth:`sample` [n, 3], the directional albedo, differentiable in ``surface``."""

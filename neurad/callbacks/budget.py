@@ -11,7 +11,7 @@ from lightning.pytorch.trainer.states import RunningStage
 from neurad.core.errors import InputError
 
 if TYPE_CHECKING:
-    from neurad.module.inverse import InverseRenderer
+    from neurad.training.inverse import InverseRenderer
 
 
 class TrainingBudget(Timer):

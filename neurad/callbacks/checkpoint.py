@@ -17,7 +17,7 @@ from lightning.pytorch.callbacks import Checkpoint
 from torch.optim import Optimizer
 
 from neurad.callbacks.run_folder import run_folder
-from neurad.module.guard import NotFinite
+from neurad.training.guard import NotFinite
 
 
 class LastCheckpoint(Checkpoint):
@@ -87,8 +87,8 @@ class LastCheckpoint(Checkpoint):
             self.save(trainer)
         elif path is not None and trainer.is_global_zero:
             print("neurad: stopped in the middle of an iteration, the last checkpoint stays as it is", file=sys.stderr)
-        told = isinstance(exception, KeyboardInterrupt) and trainer.is_global_zero
-        if told and path is not None and path.is_file():
+        interrupted = isinstance(exception, KeyboardInterrupt) and trainer.is_global_zero
+        if interrupted and path is not None and path.is_file():
             print(f"neurad: interrupted; `--ckpt_path last` continues from {path}", file=sys.stderr)
         if self._agreed:  # the others stop by themselves; Lightning would kill them, and this process for their end
             getattr(trainer.strategy.launcher, "procs", []).clear()

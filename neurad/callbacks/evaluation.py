@@ -14,12 +14,12 @@ from lightning.pytorch.loggers import TensorBoardLogger
 from neurad.callbacks import pictures
 from neurad.callbacks.run_folder import run_folder
 from neurad.callbacks.table import MetricsTable, curve_table, score_table
-from neurad.core import clock
-from neurad.module.schedule import fraction_done
+from neurad.runtime import clock
+from neurad.training.schedule import fraction_done
 
 if TYPE_CHECKING:
-    from neurad.module.evaluate import Evaluation
-    from neurad.module.inverse import InverseRenderer
+    from neurad.training.evaluate import Evaluation
+    from neurad.training.inverse import InverseRenderer
 
 MARKS = 20
 """Evaluations in a run, if the allowed share of time is enough for them."""
@@ -42,7 +42,7 @@ class Evaluate(pl.Callback):
 
     def __init__(
         self,
-        share: float = 0.1,
+        fraction: float = 0.1,
         every_n_steps: int | None = None,
         spp: int = 4,
         test_spp: int = 64,
@@ -50,7 +50,7 @@ class Evaluate(pl.Callback):
         log_every_n_steps: int = 50,
     ) -> None:
         super().__init__()
-        self.share = share
+        self.fraction = fraction
         self.every_n_steps = every_n_steps
         self.spp = spp
         self.test_spp = test_spp
@@ -134,10 +134,10 @@ class Evaluate(pl.Callback):
         if every is not None:
             return bool(module.iteration % every == 0)
         mark = int(fraction_done(trainer).largest * MARKS)
-        if mark <= self._mark or self.share <= 0:
+        if mark <= self._mark or self.fraction <= 0:
             return False
         self._mark = mark
-        return bool(self._spent + self._last <= self.share * module.train_seconds)
+        return bool(self._spent + self._last <= self.fraction * module.train_seconds)
 
     def _evaluate_fit(self, trainer: pl.Trainer, module: InverseRenderer) -> None:
         begin = time.monotonic()

@@ -9,10 +9,10 @@ import lightning.pytorch as pl
 from lightning.pytorch.callbacks import TQDMProgressBar
 from lightning.pytorch.callbacks.progress.tqdm_progress import Tqdm
 
-from neurad.module.schedule import fraction_done
+from neurad.training.schedule import fraction_done
 
 if TYPE_CHECKING:
-    from neurad.module.inverse import InverseRenderer
+    from neurad.training.inverse import InverseRenderer
 
 
 class Bar(TQDMProgressBar):

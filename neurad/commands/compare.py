@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING
 from neurad.core.errors import InputError
 
 if TYPE_CHECKING:
-    from neurad.commands.report.runs import Run
+    from neurad.studies.report.runs import Run
 
 SHARE = 0.5
 """Share of the training time that evaluations may take here: they do not count, and curves need points."""
@@ -96,7 +96,7 @@ def run(options: argparse.Namespace) -> None:
     budget = _budget(options)
     if options.views:
         failed += _predict(runs, options.view_spp)
-    from neurad.commands.report.write import write_report
+    from neurad.studies.report.write import write_report
 
     command = ["neurad", "compare", *options.words]
     write_report(options.out, runs, reach, options.views, command, budget)
@@ -137,7 +137,7 @@ def _check_free(out: Path, overwrite: bool) -> None:
 
 def _finished(options: argparse.Namespace) -> list[Run]:
     """The runs named on the command line."""
-    from neurad.commands.report.runs import read_run
+    from neurad.studies.report.runs import read_run
 
     given = [
         name
@@ -169,7 +169,7 @@ def _finished(options: argparse.Namespace) -> list[Run]:
 
 def _run_folders(path: Path) -> list[Path]:
     """The run folder itself, or those in the folder of a report."""
-    from neurad.commands.report.runs import runs_in
+    from neurad.studies.report.runs import runs_in
 
     if not path.is_dir():
         raise InputError(f"{path}: no such run folder")
@@ -206,9 +206,9 @@ def _plan(options: argparse.Namespace) -> list[Fit]:
     Raises:
         InputError: the user's mistake.
     """
-    from neurad.commands.child import resolved_configs
-    from neurad.commands.configs import find_config
-    from neurad.commands.report.runs import samples_per_step
+    from neurad.runs.child import resolved_configs
+    from neurad.runs.configs import find_config
+    from neurad.studies.report.runs import samples_per_step
 
     if not options.config:
         raise InputError("--config NAME.yaml is needed to fit, or the folders of finished runs")
@@ -231,7 +231,11 @@ def _plan(options: argparse.Namespace) -> list[Fit]:
         overlay = name if name.endswith((".yaml", ".yml")) else f"{name if '/' in name else f'methods/{name}'}.yaml"
         find_config(overlay)
         configs = [f"--config={config}" for config in [*options.config, overlay]]
-        share = [] if any("evaluation.share" in word for word in options.settings) else [f"--evaluation.share={SHARE}"]
+        share = (
+            []
+            if any("evaluation.fraction" in word for word in options.settings)
+            else [f"--evaluation.fraction={SHARE}"]
+        )
         common[method] = [*configs, *share, *options.settings]
     configs_of = dict(zip(common, resolved_configs(list(common.values())), strict=True))
     fits = []
@@ -270,8 +274,8 @@ def _time_limit(seconds: float) -> list[str]:
 
 def _make(fit: Fit, order: int) -> Run:
     """Fit in a process of its own; whatever goes wrong there is this run's alone."""
-    from neurad.commands.child import run_neurad
-    from neurad.commands.report.runs import FACTS, read_run
+    from neurad.runs.child import run_neurad
+    from neurad.studies.report.runs import FACTS, read_run
 
     if fit.folder.exists():
         shutil.rmtree(fit.folder)
@@ -301,8 +305,8 @@ def _make(fit: Fit, order: int) -> Run:
 
 def _predict(runs: Sequence[Run], spp: int) -> list[Run]:
     """Let every method's first finished run write its held-out views, unless it has; returns those that failed."""
-    from neurad.commands.child import run_neurad
-    from neurad.commands.report.runs import by_method
+    from neurad.runs.child import run_neurad
+    from neurad.studies.report.runs import by_method
 
     failed = []
     for group in by_method([run for run in runs if not run.message]).values():

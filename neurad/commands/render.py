@@ -50,11 +50,14 @@ def run(options: argparse.Namespace) -> None:
     Raises:
         InputError: unknown scene, unreadable files, a bad number, or a file that would be overwritten.
     """
+    from dataclasses import replace
+
+    from neurad.assembly.build import build_world
+    from neurad.core.camera import resized
     from neurad.core.errors import InputError
     from neurad.core.rng import mix
     from neurad.integrators.aov import MaterialMap
     from neurad.integrators.film import render
-    from neurad.module.assemble import build_world
     from neurad.scene.image_io import write_exr
     from neurad.scene.load import load_scene
     from neurad.scene.textures import TrueMaterials
@@ -80,7 +83,7 @@ def run(options: argparse.Namespace) -> None:
         (options.out / kind).mkdir(parents=True, exist_ok=True)
     start = time.perf_counter()
     for index, view in enumerate(views):
-        camera = resized(view, options.size).camera
+        camera = resized(view.camera, options.size)
         seed = mix(_SEED, *view.name.encode())
         for kind, integrator in pictures.items():
             write_exr(options.out / kind / f"{view.name}.exr", render(camera, integrator, options.spp, seed).numpy())
@@ -91,7 +94,7 @@ def run(options: argparse.Namespace) -> None:
         left = done / (index + 1) * (len(views) - index - 1)
         print(f"{view.name}: {index + 1} of {len(views)}, {done:.0f} s, {left:.0f} s left", file=sys.stderr)
     for part in ("train", "test"):
-        chosen = [resized(v, options.size) for v in views if v in getattr(scene, part)]
+        chosen = [replace(v, camera=resized(v.camera, options.size)) for v in views if v in getattr(scene, part)]
         if chosen:
             (options.out / f"transforms_{part}.json").write_text(json.dumps(transforms(chosen), indent=1) + "\n")
 
@@ -106,10 +109,10 @@ def integrators(options: argparse.Namespace, scene: Scene, world: World, materia
         return {"images": PathTracer(world, materials, 2)}
     import torch
 
+    from neurad.assembly.build import build_radiance
     from neurad.fields.settings import RadianceConfig
     from neurad.integrators.radiometric import RadiometricLHS, RadiometricRHS
-    from neurad.module.assemble import build_radiance
-    from neurad.module.radiosity import Radiosity
+    from neurad.training.radiosity import Radiosity
 
     torch.manual_seed(_SEED)
     field = build_radiance(scene, RadianceConfig())
@@ -122,16 +125,6 @@ def integrators(options: argparse.Namespace, scene: Scene, world: World, materia
     Radiosity(world, materials, field, cameras, seed=_SEED).train(options.steps, options.seconds, report)
     parts = (world, materials, field)
     return {"images": RadiometricRHS(*parts), "images_lhs": RadiometricLHS(*parts)}
-
-
-def resized(view: View, width: int | None) -> View:
-    """The view with its film scaled to ``width`` pixels; the same view for None."""
-    from dataclasses import replace
-
-    if width is None:
-        return view
-    height = round(view.camera.height * width / view.camera.width)
-    return replace(view, camera=replace(view.camera, width=width, height=height))
 
 
 def transforms(views: list[View]) -> dict[str, object]:

@@ -7,7 +7,7 @@ import os
 import time
 from pathlib import Path
 
-from neurad.commands.stress_cases import FAMILIES, collect
+from neurad.studies.stress import FAMILIES, collect
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -39,12 +39,12 @@ def run(options: argparse.Namespace) -> None:
         raise InputError(f"--out: {found[0]} is there already; add --overwrite to write over it")
     options.out.mkdir(parents=True, exist_ok=True)
 
-    from neurad.commands.stress_cases.case import judge
-    from neurad.commands.stress_cases.table import heading, line, write_csv, write_markdown
+    from neurad.studies.stress.case import judge
+    from neurad.studies.stress.table import heading, line, write_csv, write_markdown
 
     cases = collect(only)
     if options.scenes is not None:
-        from neurad.commands.stress_cases.features import folders
+        from neurad.studies.stress.features import folders
 
         cases += folders(options.scenes)
     begin = time.perf_counter()

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
-from neurad.core.records import Interaction, Lanes
+from neurad.core.records import Lanes, SurfaceInteraction
 
 
 def dot(a: Tensor, b: Tensor) -> Tensor:
@@ -15,9 +15,9 @@ def dot(a: Tensor, b: Tensor) -> Tensor:
     return (a * b).sum(-1)
 
 
-def facing(it: Interaction) -> Tensor:
+def faceforward(si: SurfaceInteraction) -> Tensor:
     """The shading normals on the viewer's side [n, 3]."""
-    return torch.where(dot(it.n, it.wo).unsqueeze(-1) < 0, -it.n, it.n)
+    return torch.where(dot(si.n, si.wo).unsqueeze(-1) < 0, -si.n, si.n)
 
 
 @dataclass(frozen=True)

@@ -6,7 +6,7 @@ from typing import Protocol
 
 from torch import Tensor
 
-from neurad.core.records import BSDFSample, EmitterSample, Hit, Interaction, Rays, Surface
+from neurad.core.records import BSDFSample, EmitterSample, Hit, Rays, Surface, SurfaceInteraction
 
 
 class Tracer(Protocol):
@@ -24,19 +24,19 @@ class Tracer(Protocol):
 class Field(Protocol):
     """A function over surfaces with trainable parameters."""
 
-    def __call__(self, it: Interaction) -> Tensor:
-        """Values [n, c] at the lanes of ``it``."""
+    def __call__(self, si: SurfaceInteraction) -> Tensor:
+        """Values [n, c] at the lanes of ``si``."""
         ...
 
 
 class Materials(Protocol):
     """Whatever says what surfaces are made of: fitted fields or a scene's own textures."""
 
-    def __call__(self, it: Interaction) -> Surface:
-        """BSDF parameters at the lanes of ``it``."""
+    def __call__(self, si: SurfaceInteraction) -> Surface:
+        """BSDF parameters at the lanes of ``si``."""
         ...
 
-    def albedo(self, it: Interaction) -> Tensor:
+    def albedo(self, si: SurfaceInteraction) -> Tensor:
         """The albedo alone [n, 3], where no more is needed."""
         ...
 
@@ -44,7 +44,7 @@ class Materials(Protocol):
 class BSDF(Protocol):
     """A reflection model in the local shading frame: z is the shading normal on the viewer's side, so wo.z >= 0."""
 
-    deviates: bool
+    varying_weight: bool
     """Whether weights of :meth:`sample` differ from their mean: where they do not, as at Lambertian surfaces, there is
     nothing for a control variate to take away."""
 
@@ -66,7 +66,7 @@ class BSDF(Protocol):
         """
         ...
 
-    def diffuse_share(self, surface: Surface) -> float | Tensor:
+    def diffuse_fraction(self, surface: Surface) -> float | Tensor:
         """Probability that :meth:`sample` draws by the cosine [n]: it does where the first number lies below."""
         ...
 
@@ -82,14 +82,14 @@ class Emitter(Protocol):
         """Draw a direction towards light for reference points ``p`` [n, 3] from three uniform numbers ``u`` [n, 3]."""
         ...
 
-    def eval(self, it: Interaction) -> Tensor:
-        """Radiance [n, 3] sent towards ``it.wo`` from where a ray ended: from surfaces where ``it.valid``, from the
-        environment where not (its direction is ``-it.wo``). A tensor of its own, which the caller may write to.
+    def eval(self, si: SurfaceInteraction) -> Tensor:
+        """Radiance [n, 3] sent towards ``si.wo`` from where a ray ended: from surfaces where ``si.valid``, from the
+        environment where not (its direction is ``-si.wo``). A tensor of its own, which the caller may write to.
         """
         ...
 
-    def pdf(self, p: Tensor, it: Interaction) -> Tensor:
-        """Density [n], seen from ``p``, with which :meth:`sample` draws the direction that ended at ``it``."""
+    def pdf(self, p: Tensor, si: SurfaceInteraction) -> Tensor:
+        """Density [n], seen from ``p``, with which :meth:`sample` draws the direction that ended at ``si``."""
         ...
 
 

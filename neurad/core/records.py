@@ -37,7 +37,7 @@ def first_of(values: Tensor, count: int, of: int) -> Tensor:
     return values if count == of else values.view(-1, of, *values.shape[1:])[:, :count].flatten(0, 1)
 
 
-def plain_floats(*values: Tensor) -> bool:
+def kernel_ready(*values: Tensor) -> bool:
     """Whether compiled kernels may read them: float32 on the CPU, no gradients."""
     return all(x.device.type == "cpu" and x.dtype == torch.float32 and not x.requires_grad for x in values)
 
@@ -108,7 +108,7 @@ class Hit(Lanes):
 
 
 @dataclass(frozen=True)
-class Interaction(Lanes):
+class SurfaceInteraction(Lanes):
     """A surface point seen from a direction. Lanes that hit nothing have ``valid`` False and harmless values."""
 
     p: Tensor
@@ -137,7 +137,7 @@ class Interaction(Lanes):
 
 @dataclass(frozen=True)
 class Surface(Lanes):
-    """The BSDF's parameters at the lanes of an Interaction; these carry the gradients of the materials."""
+    """The BSDF's parameters at the lanes of an SurfaceInteraction; these carry the gradients of the materials."""
 
     albedo: Tensor
     """Base colour in [0, 1], linear [n, 3]."""
@@ -149,7 +149,7 @@ class Surface(Lanes):
 class TypedSurface(Surface):
     """A Surface whose lanes are not all of one kind, as the true materials of a scene may be."""
 
-    lambertian: Tensor
+    diffuse: Tensor
     """Lanes that reflect by Lambert's law alone [n], bool; the others are principled."""
 
 
@@ -193,9 +193,9 @@ class PixelBatch:
     """Coverage in [0, 1]; ones for images without an alpha channel [b]."""
     iteration: int
     """The iteration that this batch belongs to."""
-    smoothed: Tensor | None = None
+    blurred: Tensor | None = None
     """Mean photographed radiance of the 5 x 5 pixels around [b, 3], where the data module was asked for it."""
-    breadth: int = 1
+    pixel_multiplier: int = 1
     """Times as many pixels as usual, each of which gets as many times fewer positions."""
 
 

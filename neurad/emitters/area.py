@@ -9,9 +9,9 @@ from torch import Tensor, nn
 
 from neurad.core.errors import InputError
 from neurad.core.frame import dot
-from neurad.core.records import EmitterSample, Interaction, plain_floats
+from neurad.core.records import EmitterSample, SurfaceInteraction, kernel_ready
 from neurad.core.sampling import uniform_triangle
-from neurad.core.threads import GRAIN, split
+from neurad.runtime.threads import GRAIN, split
 from neurad.scene.geometry import Geometry
 
 LUMINANCE = (0.212671, 0.715160, 0.072169)
@@ -85,35 +85,35 @@ class AreaLights(nn.Module):
         pdf = torch.where(lit, self.pdf_area.index_select(0, face) * squared / torch.where(lit, cos, 1.0), 0.0)
         return EmitterSample(wi, distance, torch.where(lit[:, None], self.emission.index_select(0, face), 0.0), pdf)
 
-    def eval(self, it: Interaction) -> Tensor:  # type: ignore[override]
-        """Radiance [n, 3] that leaves the surface at ``it`` towards ``it.wo``; 0 from behind and where not valid.
+    def eval(self, si: SurfaceInteraction) -> Tensor:  # type: ignore[override]
+        """Radiance [n, 3] that leaves the surface at ``si`` towards ``si.wo``; 0 from behind and where not valid.
 
         Hides ``Module.eval()``; modules around this one switch their mode through ``train(False)``, which still works.
         """
-        if plain_floats(it.ng, it.wo, self.emission):
-            return self._eval_quickly(it)
-        return self.eval_plainly(it)
+        if kernel_ready(si.ng, si.wo, self.emission):
+            return self._eval_quickly(si)
+        return self.eval_plainly(si)
 
-    def _eval_quickly(self, it: Interaction) -> Tensor:
-        from neurad.emitters import kernels  # compiled code is loaded by those who use it
+    def _eval_quickly(self, si: SurfaceInteraction) -> Tensor:
+        from neurad.emitters import area_kernels as kernels  # compiled code is loaded by those who use it
 
-        out = torch.empty(len(it), 3)
-        given = it.prim, it.valid, it.ng, it.wo, self.emission, out
+        out = torch.empty(len(si), 3)
+        given = si.prim, si.valid, si.ng, si.wo, self.emission, out
         arrays = [x.contiguous().numpy() for x in given]
-        split(lambda low, high: kernels.emitted(low, high, *arrays), len(it), GRAIN)
+        split(lambda low, high: kernels.emitted(low, high, *arrays), len(si), GRAIN)
         return out
 
-    def eval_plainly(self, it: Interaction) -> Tensor:
+    def eval_plainly(self, si: SurfaceInteraction) -> Tensor:
         """:meth:`eval` in plain torch, on any device and differentiable in ``emission``."""
-        lit = it.valid & (dot(it.ng, it.wo) > 0)
-        return torch.where(lit[:, None], self.emission.index_select(0, it.prim.clamp_min(0)), 0.0)
+        lit = si.valid & (dot(si.ng, si.wo) > 0)
+        return torch.where(lit[:, None], self.emission.index_select(0, si.prim.clamp_min(0)), 0.0)
 
-    def pdf(self, p: Tensor, it: Interaction) -> Tensor:
-        """Solid-angle density [n] at ``p`` [n, 3] of the direction that ended at ``it``: area density * d^2 / cos."""
-        to_light = it.p - p
-        cos = dot(it.ng, it.wo)
-        lit = it.valid & (cos > 0)
-        density = self.pdf_area.index_select(0, it.prim.clamp_min(0)) * dot(to_light, to_light)
+    def pdf(self, p: Tensor, si: SurfaceInteraction) -> Tensor:
+        """Solid-angle density [n] at ``p`` [n, 3] of the direction that ended at ``si``: area density * d^2 / cos."""
+        to_light = si.p - p
+        cos = dot(si.ng, si.wo)
+        lit = si.valid & (cos > 0)
+        density = self.pdf_area.index_select(0, si.prim.clamp_min(0)) * dot(to_light, to_light)
         return torch.where(lit, density / torch.where(lit, cos, 1.0), 0.0)
 
     def _choose(self, u: Tensor) -> Tensor:

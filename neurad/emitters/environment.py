@@ -9,7 +9,7 @@ import torch
 from torch import Tensor, nn
 
 from neurad.core.errors import InputError
-from neurad.core.records import EmitterSample, EnvironmentMap, Interaction
+from neurad.core.records import EmitterSample, EnvironmentMap, SurfaceInteraction
 from neurad.emitters.area import luminance
 
 FLOOR = 1e-3
@@ -96,14 +96,14 @@ class Environment(nn.Module):
         radiance, pdf = self._lookup(wi)
         return EmitterSample(wi, torch.full_like(pdf, math.inf), radiance, pdf)
 
-    def eval(self, it: Interaction) -> Tensor:  # type: ignore[override]
-        """Radiance [n, 3] from the direction ``-it.wo`` where nothing was hit; 0 on surfaces."""
-        return torch.where(it.valid[:, None], 0.0, self._lookup(-it.wo)[0])
+    def eval(self, si: SurfaceInteraction) -> Tensor:  # type: ignore[override]
+        """Radiance [n, 3] from the direction ``-si.wo`` where nothing was hit; 0 on surfaces."""
+        return torch.where(si.valid[:, None], 0.0, self._lookup(-si.wo)[0])
 
-    def pdf(self, p: Tensor, it: Interaction) -> Tensor:
-        """Density [n] of the direction ``-it.wo`` where nothing was hit; 0 on surfaces. ``p`` does not matter."""
-        cell, _, _ = self._cell(-it.wo)
-        return torch.where(it.valid, 0.0, self.density.index_select(0, cell))
+    def pdf(self, p: Tensor, si: SurfaceInteraction) -> Tensor:
+        """Density [n] of the direction ``-si.wo`` where nothing was hit; 0 on surfaces. ``p`` does not matter."""
+        cell, _, _ = self._cell(-si.wo)
+        return torch.where(si.valid, 0.0, self.density.index_select(0, cell))
 
     def radiance(self, d: Tensor) -> Tensor:
         """Radiance [n, 3] from unit world directions [n, 3]."""

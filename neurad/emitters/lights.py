@@ -9,7 +9,7 @@ import torch
 from torch import Tensor, nn
 
 from neurad.core.errors import InputError
-from neurad.core.records import EmitterSample, Interaction
+from neurad.core.records import EmitterSample, SurfaceInteraction
 from neurad.emitters.area import AreaLights
 from neurad.emitters.environment import Environment
 from neurad.scene.description import Scene
@@ -59,13 +59,13 @@ class Lights(nn.Module):
             pdf=torch.where(use, share * area.pdf, (1.0 - share) * far.pdf),
         )
 
-    def eval(self, it: Interaction) -> Tensor:  # type: ignore[override]
-        """Radiance [n, 3] sent towards ``it.wo`` from surfaces, or from the environment where there is none."""
-        return self.area.eval(it) + self.environment.eval(it)
+    def eval(self, si: SurfaceInteraction) -> Tensor:  # type: ignore[override]
+        """Radiance [n, 3] sent towards ``si.wo`` from surfaces, or from the environment where there is none."""
+        return self.area.eval(si) + self.environment.eval(si)
 
-    def pdf(self, p: Tensor, it: Interaction) -> Tensor:
-        """Density [n] at ``p`` [n, 3] of the direction that ended at ``it``, with the choice of the kind."""
-        return self.area_share * self.area.pdf(p, it) + (1.0 - self.area_share) * self.environment.pdf(p, it)
+    def pdf(self, p: Tensor, si: SurfaceInteraction) -> Tensor:
+        """Density [n] at ``p`` [n, 3] of the direction that ended at ``si``, with the choice of the kind."""
+        return self.area_share * self.area.pdf(p, si) + (1.0 - self.area_share) * self.environment.pdf(p, si)
 
 
 def make_lights(

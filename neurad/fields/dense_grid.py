@@ -15,8 +15,8 @@ import torch
 from torch import Tensor, nn
 from torch.nn.functional import embedding
 
-from neurad.core.threads import cut, split, threads
 from neurad.fields.sparse import from_rows
+from neurad.runtime.threads import cut, split, threads
 
 SLAB = 2048
 """Positions whose gradient is worth a thread."""
@@ -31,14 +31,14 @@ class DenseGrid(nn.Module):
     Args:
         size: vertices along a side, at least 2.
         channels: values of a vertex.
-        fast: use the compiled kernels where they apply (CPU, float32), whose gradient is sparse.
+        use_kernels: use the compiled kernels where they apply (CPU, float32), whose gradient is sparse.
     """
 
-    def __init__(self, size: int, channels: int, fast: bool = True) -> None:
+    def __init__(self, size: int, channels: int, use_kernels: bool = True) -> None:
         super().__init__()
         self.size = size
         self.channels = channels
-        self.fast = fast
+        self.use_kernels = use_kernels
         self._marks: tuple[Any, ...] = ()
         self.table = nn.Parameter(torch.zeros(size**3, channels))  # vertex (x, y, z) is row x + size (y + size z)
 
@@ -50,7 +50,7 @@ class DenseGrid(nn.Module):
         """
         if x.requires_grad:
             raise ValueError("DenseGrid: positions get no gradient; detach them")
-        if self.fast and self.table.device.type == "cpu" and self.table.dtype == torch.float32:
+        if self.use_kernels and self.table.device.type == "cpu" and self.table.dtype == torch.float32:
             out: Tensor = _Read.apply(x, self.table, self)  # type: ignore[no-untyped-call]
             return out
         return self.plain(x)
@@ -83,31 +83,31 @@ class _Read(torch.autograd.Function):
     @staticmethod
     def forward(ctx: Any, x: Tensor, table: Tensor, grid: DenseGrid) -> Tensor:
         """Values [n, c]."""
-        from neurad.fields import dense_kernels  # compiled code is loaded by those who use it
+        from neurad.fields import dense_grid_kernels  # compiled code is loaded by those who use it
 
         x = x.detach().float().contiguous()
         ctx.save_for_backward(x)
         ctx.grid, ctx.shape = grid, table.shape
         out = torch.empty(len(x), table.shape[1])
         arrays = x.numpy(), table.detach().numpy(), grid.size, out.numpy()
-        split(lambda low, high: dense_kernels.encode_dense(*arrays, low, high), len(x), 1024)
+        split(lambda low, high: dense_grid_kernels.encode_dense(*arrays, low, high), len(x), 1024)
         return out
 
     @staticmethod
     def backward(ctx: Any, *gradients: Tensor) -> tuple[None, Tensor, None]:
         """Sparse gradient of the table, its rows ascending."""
-        from neurad.fields import dense_kernels
+        from neurad.fields import dense_grid_kernels
 
         (x,) = ctx.saved_tensors
         arrays = x.numpy(), gradients[0].contiguous().numpy(), ctx.grid.size
-        edges = _slabs(x, ctx.grid.size, threads(len(x), SLAB), dense_kernels.WHOLE)
+        edges = _slabs(x, ctx.grid.size, threads(len(x), SLAB), dense_grid_kernels.WHOLE)
         marks = ctx.grid.marks()
 
         def slab(low: int, high: int) -> tuple[Tensor, Tensor]:
             touched = min(8 * len(x), high - low)
             rows, values = torch.empty(touched, dtype=torch.int64), torch.empty(touched, ctx.shape[1])
             written = *marks, rows.numpy(), values.numpy()
-            count = dense_kernels.dense_gradient(*arrays, low, high, *written)
+            count = dense_grid_kernels.dense_gradient(*arrays, low, high, *written)
             return rows[:count], values[:count]
 
         slabs = list(pairwise(edges))
@@ -117,7 +117,7 @@ class _Read(torch.autograd.Function):
 
 def _slabs(x: Tensor, size: int, count: int, whole: int) -> list[int]:
     """Entries at which ``count`` ranges of the table begin, and the end; multiples of ``whole`` in between. They hold
-    about as many of the positions ``x`` as the shares of :func:`neurad.core.threads.cut`.
+    about as many of the positions ``x`` as the shares of :func:`neurad.runtime.threads.cut`.
     """
     if count == 1:
         return [0, size**3]

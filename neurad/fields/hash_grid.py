@@ -1,7 +1,7 @@
 """Multiresolution hash encoding (Mueller et al. 2022, "Instant Neural Graphics Primitives").
 
 One table, two implementations that share it: plain torch, vectorised over levels, for any device and for the tests, and
-compiled kernels for float32 on the CPU (:mod:`neurad.fields.kernels`).
+compiled kernels for float32 on the CPU (:mod:`neurad.fields.hash_grid_kernels`).
 """
 
 from __future__ import annotations
@@ -14,10 +14,10 @@ import torch
 from torch import Tensor, nn
 from torch.nn.functional import embedding
 
-from neurad.core.records import plain_floats
-from neurad.core.threads import GRAIN, split
+from neurad.core.records import kernel_ready
 from neurad.fields.settings import GridConfig
 from neurad.fields.sparse import from_rows
+from neurad.runtime.threads import GRAIN, split
 
 PRIMES = (1, 2654435761, 805459861)
 """Factors of the spatial hash ``(x ^ y * 2654435761 ^ z * 805459861) mod size`` (Mueller et al., Eq. 4)."""
@@ -45,10 +45,10 @@ class UnitCube(nn.Module):
     def forward(self, p: Tensor) -> Tensor:
         """Positions [n, 3] in [0, 1]^3, clamped, without gradient."""
         p = p.detach()
-        return self._quickly(p) if plain_floats(p, self.low) else self.plain(p)
+        return self._quickly(p) if kernel_ready(p, self.low) else self.plain(p)
 
     def _quickly(self, p: Tensor) -> Tensor:
-        from neurad.fields import kernels  # compiled code is loaded by those who use it
+        from neurad.fields import hash_grid_kernels as kernels  # compiled code is loaded by those who use it
 
         out = torch.empty_like(p, memory_format=torch.contiguous_format)
         arrays = p.contiguous().numpy(), self.low.numpy(), np.float32(self.inverse_side.item()), out.numpy()
@@ -71,13 +71,13 @@ class HashGrid(nn.Module):
         finest: cells along a side of the last grid.
         features: channels of an entry.
         log2_size: logarithm of the largest number of entries of a level.
-        fast: use the compiled kernels where they apply (CPU, float32, two features).
+        use_kernels: use the compiled kernels where they apply (CPU, float32, two features).
     """
 
     level_table: Tensor
 
     def __init__(
-        self, levels: int, coarsest: int, finest: int, features: int = 2, log2_size: int = 17, fast: bool = True
+        self, levels: int, coarsest: int, finest: int, features: int = 2, log2_size: int = 17, use_kernels: bool = True
     ) -> None:
         super().__init__()
         growth = math.log(finest / coarsest) / max(levels - 1, 1)
@@ -94,20 +94,20 @@ class HashGrid(nn.Module):
         self.levels = levels
         self.features = features
         self.channels = levels * features
-        self.fast = fast
+        self.use_kernels = use_kernels
         self.register_buffer("level_table", torch.tensor(rows), persistent=False)  # [levels, 4], int64
         self.table = nn.Parameter(torch.empty(first, features).uniform_(-1e-4, 1e-4))
 
     @classmethod
-    def from_config(cls, config: GridConfig, fast: bool = True) -> Self:
+    def from_config(cls, config: GridConfig, use_kernels: bool = True) -> Self:
         """A grid of the sizes in ``config``.
 
         Raises:
             ValueError: ``finest`` is left to photographs, which nobody has looked at.
         """
         if config.finest is None:
-            raise ValueError("HashGrid: finest is not known yet, see neurad.module.resolution")
-        return cls(config.levels, config.coarsest, config.finest, config.features, config.log2_size, fast)
+            raise ValueError("HashGrid: finest is not known yet, see neurad.assembly.resolution")
+        return cls(config.levels, config.coarsest, config.finest, config.features, config.log2_size, use_kernels)
 
     def forward(self, x: Tensor) -> Tensor:
         """Features [n, levels * features] at positions [n, 3] in [0, 1]^3; the table alone gets a gradient.
@@ -117,7 +117,12 @@ class HashGrid(nn.Module):
         """
         if x.requires_grad:
             raise ValueError("HashGrid: positions get no gradient; detach them")
-        if self.fast and self.table.device.type == "cpu" and self.table.dtype == torch.float32 and self.features == 2:
+        if (
+            self.use_kernels
+            and self.table.device.type == "cpu"
+            and self.table.dtype == torch.float32
+            and self.features == 2
+        ):
             out: Tensor = _Encode.apply(x, self.table, self.level_table)  # type: ignore[no-untyped-call]
             return out
         return self.plain(x)
@@ -145,7 +150,7 @@ class _Encode(torch.autograd.Function):
     @staticmethod
     def forward(ctx: Any, x: Tensor, table: Tensor, level_table: Tensor) -> Tensor:
         """Features [n, levels * 2]."""
-        from neurad.fields import kernels  # compiled code is loaded by those who use it
+        from neurad.fields import hash_grid_kernels as kernels  # compiled code is loaded by those who use it
 
         x = x.detach().float().contiguous()
         ctx.save_for_backward(x, level_table)
@@ -158,7 +163,7 @@ class _Encode(torch.autograd.Function):
     @staticmethod
     def backward(ctx: Any, *gradients: Tensor) -> tuple[None, Tensor, None]:
         """Sparse gradient of the table, its rows ascending."""
-        from neurad.fields import kernels
+        from neurad.fields import hash_grid_kernels as kernels
 
         x, level_table = ctx.saved_tensors
         arrays = x.numpy(), gradients[0].contiguous().numpy(), level_table.numpy()

@@ -5,7 +5,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor, nn
 
-from neurad.core.records import Interaction
+from neurad.core.records import SurfaceInteraction
 from neurad.fields.hash_grid import UnitCube
 from neurad.fields.select import make_layers
 from neurad.fields.settings import FieldConfig, RoughnessConfig
@@ -30,8 +30,8 @@ class _MaterialField(nn.Module):
         features = self.grid(self.cube(p))
         return torch.sigmoid(self.mlp(torch.cat((features, *extra), -1) if extra else features))
 
-    def _given(self, it: Interaction, values: Tensor) -> Tensor:
-        return values if self.known is None else self.known(it, values)
+    def _given(self, si: SurfaceInteraction, values: Tensor) -> Tensor:
+        return values if self.known is None else self.known(si, values)
 
 
 class AlbedoField(_MaterialField):
@@ -50,9 +50,9 @@ class AlbedoField(_MaterialField):
         """Albedo [n, 3] at positions [n, 3]; outside the bounds, that of the nearest point of the cube."""
         return self._values(p)
 
-    def forward(self, it: Interaction) -> Tensor:
-        """Albedo [n, 3] at the lanes of ``it``; gradients reach the parameters, not the positions."""
-        return self._given(it, self.at(it.p))
+    def forward(self, si: SurfaceInteraction) -> Tensor:
+        """Albedo [n, 3] at the lanes of ``si``; gradients reach the parameters, not the positions."""
+        return self._given(si, self.at(si.p))
 
 
 class RoughnessField(_MaterialField):
@@ -84,6 +84,6 @@ class RoughnessField(_MaterialField):
         extra = (4.0 * (albedo.detach() - 0.5),) if self.reads_albedo and albedo is not None else ()
         return MIN_ROUGHNESS + (1.0 - MIN_ROUGHNESS) * self._values(p, *extra)
 
-    def forward(self, it: Interaction, albedo: Tensor | None = None) -> Tensor:
-        """Roughness [n, 1] at the lanes of ``it``; gradients reach the parameters, not the positions."""
-        return self._given(it, self.at(it.p, albedo))
+    def forward(self, si: SurfaceInteraction, albedo: Tensor | None = None) -> Tensor:
+        """Roughness [n, 1] at the lanes of ``si``; gradients reach the parameters, not the positions."""
+        return self._given(si, self.at(si.p, albedo))

@@ -10,7 +10,7 @@ from typing import Any
 import torch
 from torch import Tensor, nn
 
-from neurad.core.threads import split
+from neurad.runtime.threads import split
 
 CHUNK = 2048
 """Rows evaluated at a time without gradients: two layers of width 64 then fit into a processor's own cache."""
@@ -24,13 +24,13 @@ class MLP(nn.Module):
         outputs: channels returned.
         width: neurons of every hidden layer.
         hidden_layers: number of hidden layers; 0 is one linear map.
-        fast: use oneDNN's fused layers where they apply (CPU, float32); about twice as fast as plain torch.
+        use_kernels: use oneDNN's fused layers where they apply (CPU, float32); about twice as fast as plain torch.
 
     Inside ``products("medium")`` the fast layers, but for the last, take inputs and weights in bfloat16 and add up in
     float32; weights and what the network returns stay float32.
     """
 
-    def __init__(self, inputs: int, outputs: int, width: int, hidden_layers: int, fast: bool = True) -> None:
+    def __init__(self, inputs: int, outputs: int, width: int, hidden_layers: int, use_kernels: bool = True) -> None:
         super().__init__()
         sizes = [inputs, *[width] * hidden_layers, outputs]
         layers = [nn.Linear(a, b) for a, b in pairwise(sizes)]
@@ -38,11 +38,11 @@ class MLP(nn.Module):
             nn.init.kaiming_uniform_(layer.weight, nonlinearity="relu" if i < hidden_layers else "linear")
             nn.init.zeros_(layer.bias)
         self.layers = nn.ModuleList(layers)
-        self.fast = fast
+        self.use_kernels = use_kernels
 
     def forward(self, x: Tensor) -> Tensor:
         """Values [n, outputs] for inputs [n, inputs]."""
-        if not (self.fast and len(x) > 0 and _has_onednn(x)):
+        if not (self.use_kernels and len(x) > 0 and _has_onednn(x)):
             return self.plain(x)
         parameters = self._in_order()
         rows = len(x)

@@ -8,8 +8,8 @@ import torch
 from torch import Tensor, nn
 from torch.nn.functional import softplus
 
-from neurad.core.frame import facing
-from neurad.core.records import Interaction
+from neurad.core.frame import faceforward
+from neurad.core.records import SurfaceInteraction
 from neurad.fields.hash_grid import UnitCube
 from neurad.fields.select import make_layers
 from neurad.fields.settings import RADIANCE_INPUTS, RadianceConfig
@@ -38,7 +38,7 @@ class RadianceField(nn.Module):
 
     def __init__(self, config: RadianceConfig, bounds: Tensor, scale: float = 1.0) -> None:
         super().__init__()
-        config = config.resolved(lambertian=False)
+        config = config.resolved(diffuse=False)
         self.inputs = () if config.kind == "dense" or config.inputs is None else config.inputs
         self.reads_albedo = "albedo" in self.inputs
         self.cube = UnitCube(bounds)
@@ -49,11 +49,11 @@ class RadianceField(nn.Module):
         """Take ``scale`` (typical training radiance) as the unit of the output."""
         self.scale.fill_(scale)
 
-    def forward(self, it: Interaction, albedo: Tensor | None) -> Tensor:
-        """Reflected radiance [n, 3] towards ``it.wo``; positive.
+    def forward(self, si: SurfaceInteraction, albedo: Tensor | None) -> Tensor:
+        """Reflected radiance [n, 3] towards ``si.wo``; positive.
 
         Args:
-            it: surface points.
+            si: surface points.
             albedo: albedo there [n, 3], or None for a field that does not read it; no gradient flows into it.
 
         Raises:
@@ -61,20 +61,20 @@ class RadianceField(nn.Module):
         """
         if self.reads_albedo and albedo is None:
             raise ValueError("RadianceField: it reads the albedo, which is not given")
-        parts = [self.grid(self.cube(it.p))]
-        parts += [_read(name, it, albedo) for name in self.inputs]
+        parts = [self.grid(self.cube(si.p))]
+        parts += [_read(name, si, albedo) for name in self.inputs]
         features = torch.cat(parts, -1) if len(parts) > 1 else parts[0]
         return self.scale * softplus(self.mlp(features) + _SHIFT)
 
 
-def _read(name: str, it: Interaction, albedo: Tensor | None) -> Tensor:
+def _read(name: str, si: SurfaceInteraction, albedo: Tensor | None) -> Tensor:
     """One of the inputs beside the position [n, 3]."""
     if name == "direction":
-        return it.wo
+        return si.wo
     if name == "normal":
-        return it.n
+        return si.n
     if name == "albedo" and albedo is not None:
         return albedo.detach()
     if name == "facing":
-        return facing(it)
-    return 2.0 * (it.wo * it.n).sum(-1, keepdim=True) * it.n - it.wo  # reflection
+        return faceforward(si)
+    return 2.0 * (si.wo * si.n).sum(-1, keepdim=True) * si.n - si.wo  # reflection

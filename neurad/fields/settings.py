@@ -92,14 +92,14 @@ class RadianceConfig(FieldConfig):
             if name not in RADIANCE_INPUTS:
                 raise InputError(f"radiance.inputs: '{name}' is unknown, choose from {', '.join(RADIANCE_INPUTS)}")
 
-    def resolved(self, lambertian: bool) -> RadianceConfig:
+    def resolved(self, diffuse: bool) -> RadianceConfig:
         """These settings with the inputs that a scene needs, where none are given.
 
         Args:
-            lambertian: whether every surface of the scene that is not smooth is Lambertian.
+            diffuse: whether every surface of the scene that is not smooth is Lambertian.
         """
         if self.inputs is not None:
             return self
-        if not lambertian:
+        if not diffuse:
             return replace(self, inputs=GLOSSY_INPUTS)
         return replace(self, inputs=MATTE_INPUTS, hidden_layers=max(self.hidden_layers - 1, min(self.hidden_layers, 1)))

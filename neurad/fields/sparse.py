@@ -27,7 +27,7 @@ def unique_rows(gradient: Tensor) -> tuple[Tensor, Tensor]:
     if gradient.device.type != "cpu" or gradient.dtype != torch.float32 or gradient._values().dim() != 2:
         gradient = gradient.coalesce()
         return gradient.indices()[0], gradient.values()
-    from neurad.fields import kernels  # compiled code is loaded by those who use it
+    from neurad.fields import hash_grid_kernels as kernels  # compiled code is loaded by those who use it
 
     rows, values = gradient._indices()[0].contiguous(), gradient._values().contiguous()
     if kernels.is_ascending(rows.numpy()):

@@ -22,6 +22,6 @@ class MaterialMap:
     @torch.no_grad()
     def __call__(self, rays: Rays, seed: int) -> Tensor:
         """Values along camera rays [n, 4]; without noise, so ``seed`` plays no part."""
-        it = self.world.intersect(rays)
-        surface = self.materials(it)
-        return torch.cat((surface.albedo, surface.roughness), -1) * it.valid.unsqueeze(-1)
+        si = self.world.intersect(rays)
+        surface = self.materials(si)
+        return torch.cat((surface.albedo, surface.roughness), -1) * si.valid.unsqueeze(-1)

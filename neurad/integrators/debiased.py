@@ -8,10 +8,10 @@ import torch
 from torch import Tensor
 
 from neurad.core.errors import InputError
-from neurad.core.records import Interaction, Surface
+from neurad.core.records import Surface, SurfaceInteraction
 from neurad.core.rng import Stream
 from neurad.integrators.method import Method, Parts, Reflected
-from neurad.integrators.radiometric import incident
+from neurad.integrators.radiometric import field_radiance
 from neurad.integrators.walk import scatter, walk
 
 
@@ -77,26 +77,26 @@ class Debiased(Method):
         self.control = control
         self.continuation = Continuation(start, k, exponent, most)
 
-    def reflected(self, parts: Parts, it: Interaction, surface: Surface, u: Tensor, stream: Stream) -> Reflected:
-        """The telescoped series at the lanes of ``it``."""
+    def reflected(self, parts: Parts, si: SurfaceInteraction, surface: Surface, u: Tensor, stream: Stream) -> Reflected:
+        """The telescoped series at the lanes of ``si``."""
         assert parts.radiance is not None
         control = self.tells(parts.world)
-        steps = walk(parts.world, parts.materials, it, surface, u, stream, self.continuation, None, control=control)
+        steps = walk(parts.world, parts.materials, si, surface, u, stream, self.continuation, None, control=control)
         terms: list[tuple[Tensor, Tensor]] = []
-        sample = Reflected(it.p)
-        before = it.p  # sg[L] where the bounce before ended, at the lanes of the next one
+        sample = Reflected(si.p)
+        before = si.p  # sg[L] where the bounce before ended, at the lanes of the next one
         for index, v in enumerate(steps):
             if index == 0 or index >= self.k - 1:
-                light = incident(parts.materials, parts.radiance, v.step.next)
+                light = field_radiance(parts.materials, parts.radiance, v.step.next)
                 value = v.step.reflected(light)
             if index == 0:
                 # Any guess of the light keeps the mean, and the field's has no noise.
-                sample = Reflected(value, value, light, v.step.weighed, v.step.next)
+                sample = Reflected(value, value, light, v.step.sample_stats, v.step.next)
             if index < self.k - 1:
                 value = v.step.direct
             else:
                 if index >= self.k:
                     value = value - before[v.lane]
-                before = torch.zeros_like(it.p).index_copy_(0, v.lane, light)
+                before = torch.zeros_like(si.p).index_copy_(0, v.lane, light)
             terms.append((v.lane, v.throughput * value))
-        return replace(sample, value=scatter(terms, it.p))
+        return replace(sample, value=scatter(terms, si.p))

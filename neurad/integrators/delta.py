@@ -11,7 +11,7 @@ from neurad.bsdf.delta import scatter
 from neurad.bsdf.microfacet import fresnel_dielectric
 from neurad.core.frame import Frame
 from neurad.core.protocols import Tracer
-from neurad.core.records import Constant, Interaction
+from neurad.core.records import Constant, SurfaceInteraction
 from neurad.scene.description import Scene
 from neurad.scene.geometry import Geometry
 
@@ -27,7 +27,7 @@ class DeltaSurfaces(nn.Module):
         geometry: of the same scene.
     """
 
-    smooth: Tensor
+    is_delta: Tensor
     dielectric: Tensor
     two_sided: Tensor
     eta: Tensor
@@ -39,7 +39,7 @@ class DeltaSurfaces(nn.Module):
         kinds = [m.kind for m in scene.materials]
         tint = [m.albedo.value if isinstance(m.albedo, Constant) else [1.0, 1.0, 1.0] for m in scene.materials]
         tables = {
-            "smooth": torch.tensor([k in ("conductor", "dielectric") for k in kinds]),
+            "is_delta": torch.tensor([k in ("conductor", "dielectric") for k in kinds]),
             "dielectric": torch.tensor([k == "dielectric" for k in kinds]),
             "two_sided": torch.tensor([m.two_sided or m.kind == "dielectric" for m in scene.materials]),
             "eta": torch.tensor([m.eta for m in scene.materials], dtype=torch.float32),
@@ -49,30 +49,30 @@ class DeltaSurfaces(nn.Module):
             self.register_buffer(name, table[face], persistent=False)
 
     def follow(
-        self, geometry: Geometry, tracer: Tracer, it: Interaction, u: Tensor
-    ) -> tuple[Interaction, Tensor, Tensor, int]:
+        self, geometry: Geometry, tracer: Tracer, si: SurfaceInteraction, u: Tensor
+    ) -> tuple[SurfaceInteraction, Tensor, Tensor, int]:
         """Go on from lanes that ended on smooth surfaces until none does.
 
         Args:
             geometry: of the scene.
             tracer: of the scene.
-            it: where rays ended.
+            si: where rays ended.
             u: uniform numbers [n]; each is used again for the next choice of its lane, rescaled, which is exact.
 
         Returns:
             The first other vertices (or misses), the throughput of the chains [n, 3], whether a lane passed anything
             [n], and how many rays were cast.
         """
-        throughput = torch.ones_like(it.p)
-        passed = torch.zeros_like(it.valid)
+        throughput = torch.ones_like(si.p)
+        via_delta = torch.zeros_like(si.valid)
         cast = 0
-        parts = {name: getattr(it, name).clone() for name in it.__dataclass_fields__}
+        parts = {name: getattr(si, name).clone() for name in si.__dataclass_fields__}
         u = u.clone()
         for _ in range(MAX_CHAIN):
-            now = Interaction(**parts)
-            index = (now.valid & self.smooth[now.prim.clamp_min(0)]).nonzero().squeeze(-1)
+            now = SurfaceInteraction(**parts)
+            index = (now.valid & self.is_delta[now.prim.clamp_min(0)]).nonzero().squeeze(-1)
             if len(index) == 0:
-                return now, throughput, passed, cast
+                return now, throughput, via_delta, cast
             here = now[index]
             prim = here.prim
             frame = Frame.around(here.n)
@@ -86,13 +86,13 @@ class DeltaSurfaces(nn.Module):
             cast += len(rays)
             front = self.two_sided[prim] | (wo[:, 2] > 0)  # a one-sided mirror is black from behind
             throughput[index] *= weight * front.unsqueeze(-1)
-            passed[index] = True
+            via_delta[index] = True
             for name, values in parts.items():
                 values[index] = getattr(end, name)
-        now = Interaction(**parts)
-        stuck = now.valid & self.smooth[now.prim.clamp_min(0)]
+        now = SurfaceInteraction(**parts)
+        stuck = now.valid & self.is_delta[now.prim.clamp_min(0)]
         throughput[stuck] = 0.0
-        return replace(now, valid=now.valid & ~stuck), throughput, passed, cast
+        return replace(now, valid=now.valid & ~stuck), throughput, via_delta, cast
 
 
 def _again(u: Tensor, dielectric: Tensor, wo: Tensor, eta: Tensor) -> Tensor:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from torch import Tensor
 
-from neurad.core.records import Interaction, Surface
+from neurad.core.records import Surface, SurfaceInteraction
 from neurad.core.rng import Stream
 from neurad.integrators.method import Method, Parts, Reflected
 from neurad.integrators.vertex import bounce
@@ -16,6 +16,6 @@ class Direct(Method):
     needs_field = False
     tells_light = False
 
-    def reflected(self, parts: Parts, it: Interaction, surface: Surface, u: Tensor, stream: Stream) -> Reflected:
-        """``T_hat(E)`` at the lanes of ``it``."""
-        return Reflected(bounce(parts.world, it, surface, u).direct)
+    def reflected(self, parts: Parts, si: SurfaceInteraction, surface: Surface, u: Tensor, stream: Stream) -> Reflected:
+        """``T_hat(E)`` at the lanes of ``si``."""
+        return Reflected(bounce(parts.world, si, surface, u).direct)

@@ -7,10 +7,10 @@ import math
 import torch
 from torch import Tensor
 
+from neurad.core.camera import camera_rays
 from neurad.core.protocols import Integrator
 from neurad.core.records import Camera
 from neurad.core.rng import Stream, mix
-from neurad.scene.camera import camera_rays
 
 CHUNK = 1 << 16
 """Camera rays in flight: bounds the memory, and intermediate results stay in the processor's cache."""

@@ -11,25 +11,27 @@ import torch
 from torch import Tensor
 
 from neurad.core.protocols import Materials
-from neurad.core.records import Interaction, Rays, Surface
+from neurad.core.records import Rays, Surface, SurfaceInteraction
 from neurad.core.rng import Stream
-from neurad.integrators.bounced import Weighed
+from neurad.integrators.bounce import BSDFSampleStats
 from neurad.integrators.vertex import DIMENSIONS
 from neurad.integrators.world import World
 
-ReflectedRadiance = Callable[[Interaction, Tensor], Tensor] | Callable[[Interaction, Tensor | None], Tensor]
-"""``L_theta(it, albedo)``: reflected radiance towards ``it.wo`` [n, 3]; emission is not part of it."""
+ReflectedRadiance = (
+    Callable[[SurfaceInteraction, Tensor], Tensor] | Callable[[SurfaceInteraction, Tensor | None], Tensor]
+)
+"""``L_theta(si, albedo)``: reflected radiance towards ``si.wo`` [n, 3]; emission is not part of it."""
 
 
-def look_up(radiance: ReflectedRadiance, materials: Materials, it: Interaction) -> Tensor:
-    """``L_theta`` at the lanes of ``it`` [n, 3]. The materials are asked for the albedo, without gradient, unless the
+def query_radiance(radiance: ReflectedRadiance, materials: Materials, si: SurfaceInteraction) -> Tensor:
+    """``L_theta`` at the lanes of ``si`` [n, 3]. The materials are asked for the albedo, without gradient, unless the
     field has an attribute ``reads_albedo`` which says that it does without.
     """
     if not getattr(radiance, "reads_albedo", True):
-        return radiance(it, None)  # type: ignore[arg-type]
+        return radiance(si, None)  # type: ignore[arg-type]
     with torch.no_grad():
-        albedo = materials.albedo(it)
-    return radiance(it, albedo)
+        albedo = materials.albedo(si)
+    return radiance(si, albedo)
 
 
 @dataclass(frozen=True)
@@ -50,13 +52,13 @@ class Reflected:
     transported: Tensor | None = None
     """``T_hat(E + sg[L_theta])`` [n, 3], with the gradient of the materials: the right side of the radiometric prior.
     None from a method without a field."""
-    incident: Tensor | None = None
+    Li_bsdf: Tensor | None = None
     """Reflected radiance that arrived along the first BSDF samples, without gradient [n, 3]; None from a method that
     does not tell."""
-    weighed: Weighed | None = None
+    sample_stats: BSDFSampleStats | None = None
     """Of the first BSDF samples: with ``incident`` the control variate of
     :class:`neurad.losses.leave_one_out.Control`, and what a guide learns from."""
-    ends: Interaction | None = None
+    ends: SurfaceInteraction | None = None
     """Where the first BSDF samples ended; None from a method without a field."""
 
 
@@ -72,16 +74,16 @@ class Method(ABC):
     """Whether estimates come with the light that arrived, from which a guide learns where to look."""
 
     def tells(self, world: World) -> bool:
-        """Whether anybody asks how the first samples are weighed: a control variate or a guide, in training."""
+        """Whether anybody asks how the first samples are sample_stats: a control variate or a guide, in training."""
         return torch.is_grad_enabled() and (self.control or world.guide is not None)
 
     @abstractmethod
-    def reflected(self, parts: Parts, it: Interaction, surface: Surface, u: Tensor, stream: Stream) -> Reflected:
-        """Reflected radiance towards ``it.wo``, one sample a lane; lanes without a surface give zero.
+    def reflected(self, parts: Parts, si: SurfaceInteraction, surface: Surface, u: Tensor, stream: Stream) -> Reflected:
+        """Reflected radiance towards ``si.wo``, one sample a lane; lanes without a surface give zero.
 
         Args:
             parts: the scene.
-            it: first vertices [n].
+            si: first vertices [n].
             surface: what the scene is made of there, with its gradient.
             u: uniform numbers of the first bounce [n, DIMENSIONS].
             stream: random numbers of all further ones.
@@ -100,7 +102,7 @@ class MethodRHS:
         """One-sample estimate of the radiance along camera rays [n, 3]."""
         stream = Stream(seed, device=rays.o.device)
         world = self.parts.world
-        first = world.reach(rays, stream.uniform(len(rays)))
+        first = world.trace_past_delta(rays, stream.uniform(len(rays)))
         u = stream.uniform(len(rays), DIMENSIONS)
-        sample = self.method.reflected(self.parts, first.it, self.parts.materials(first.it), u, stream)
-        return first.through(world.emitted(first.it) + sample.value)
+        sample = self.method.reflected(self.parts, first.si, self.parts.materials(first.si), u, stream)
+        return first.attenuate(world.emitted(first.si) + sample.value)

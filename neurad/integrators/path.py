@@ -9,7 +9,7 @@ from torch import Tensor
 
 from neurad.core.errors import InputError
 from neurad.core.protocols import Materials
-from neurad.core.records import Interaction, Rays, Surface
+from neurad.core.records import Rays, Surface, SurfaceInteraction
 from neurad.core.rng import Stream
 from neurad.integrators.method import Method, Parts, Reflected
 from neurad.integrators.vertex import DIMENSIONS
@@ -39,15 +39,15 @@ class PathTracer:
     def __call__(self, rays: Rays, seed: int) -> Tensor:
         """One-sample estimate of the radiance along camera rays [n, 3]."""
         stream = Stream(seed, device=rays.o.device)
-        first = self.world.reach(rays, stream.uniform(len(rays)))
-        radiance = first.through(self.world.emitted(first.it))
-        lane = first.it.valid.nonzero().squeeze(-1)
+        first = self.world.trace_past_delta(rays, stream.uniform(len(rays)))
+        radiance = first.attenuate(self.world.emitted(first.si))
+        lane = first.si.valid.nonzero().squeeze(-1)
         if len(lane) == 0 or (self.max_depth is not None and self.max_depth < 2):
             return radiance
-        it = first.it[lane]
-        before = first.through(torch.ones_like(first.it.p))[lane]
+        si = first.si[lane]
+        before = first.attenuate(torch.ones_like(first.si.p))[lane]
         steps = walk(
-            self.world, self.materials, it, self.materials(it), stream.uniform(len(it), DIMENSIONS), stream,
+            self.world, self.materials, si, self.materials(si), stream.uniform(len(si), DIMENSIONS), stream,
             Roulette(self.rr_depth, self.rr_prob), None if self.max_depth is None else self.max_depth - 1,
         )  # fmt: skip
         for vertex in steps:
@@ -56,7 +56,7 @@ class PathTracer:
         return radiance
 
 
-class Path(Method):
+class PathTracing(Method):
     """AD-PT: ``sum_i T^i E`` with autograd through all bounces; directions, pdfs and roulette are held fixed.
 
     Memory grows with the length of the paths, as the graph keeps every bounce. Without ``max_bounces`` the estimate is
@@ -88,18 +88,18 @@ class Path(Method):
         self.roulette = Roulette(roulette_start, roulette)
         self.control = control
 
-    def reflected(self, parts: Parts, it: Interaction, surface: Surface, u: Tensor, stream: Stream) -> Reflected:
-        """``sum_{i >= 1} T^i E`` at the lanes of ``it``."""
+    def reflected(self, parts: Parts, si: SurfaceInteraction, surface: Surface, u: Tensor, stream: Stream) -> Reflected:
+        """``sum_{i >= 1} T^i E`` at the lanes of ``si``."""
         control = self.tells(parts.world)
         steps = walk(
-            parts.world, parts.materials, it, surface, u, stream, self.roulette, self.max_bounces, control=control
+            parts.world, parts.materials, si, surface, u, stream, self.roulette, self.max_bounces, control=control
         )
-        terms, arrived, weighed = [], [], None
+        terms, arrived, sample_stats = [], [], None
         for v in steps:
             terms.append((v.lane, v.throughput * v.step.direct))
-            if v.beyond is None:
-                weighed = v.step.weighed
+            if v.throughput_after_first is None:
+                sample_stats = v.step.sample_stats
             else:
-                arrived.append((v.lane, v.beyond * v.step.direct.detach()))
-        light = None if weighed is None else scatter(arrived, it.p)
-        return Reflected(scatter(terms, it.p), incident=light, weighed=weighed)
+                arrived.append((v.lane, v.throughput_after_first * v.step.direct.detach()))
+        light = None if sample_stats is None else scatter(arrived, si.p)
+        return Reflected(scatter(terms, si.p), Li_bsdf=light, sample_stats=sample_stats)

@@ -15,16 +15,16 @@ from typing import Any
 import torch
 from torch import Tensor, nn
 
-from neurad.core.records import Interaction, Surface
+from neurad.core.records import Surface, SurfaceInteraction
 from neurad.core.rng import Stream
-from neurad.integrators.bounced import Weighed
+from neurad.integrators.bounce import BSDFSampleStats
 from neurad.integrators.method import Parts, Reflected
-from neurad.integrators.path import Path
+from neurad.integrators.path import PathTracing
 from neurad.integrators.walk import Vertex, loosen, walk
 
 
-class PRB(Path):
-    """:class:`~neurad.integrators.path.Path` with the same values and derivatives, in memory that does not grow.
+class PRB(PathTracing):
+    """:class:`~neurad.integrators.path.PathTracing` with the same values and derivatives, in memory that does not grow.
 
     Works with any field: only materials at one vertex at a time are differentiated, networks and textures alike. A
     channel whose weight is exactly 0 gets no derivative there (as in Mitsuba): the rest of its path cannot be known.
@@ -36,18 +36,18 @@ class PRB(Path):
         control: give what takes noise from the samples without changing their mean, at no ray's cost.
     """
 
-    def reflected(self, parts: Parts, it: Interaction, surface: Surface, u: Tensor, stream: Stream) -> Reflected:
-        """``sum_{i >= 1} T^i E`` at the lanes of ``it``."""
+    def reflected(self, parts: Parts, si: SurfaceInteraction, surface: Surface, u: Tensor, stream: Stream) -> Reflected:
+        """``sum_{i >= 1} T^i E`` at the lanes of ``si``."""
         if not torch.is_grad_enabled():  # a picture: there is nothing to replay
-            return super().reflected(parts, it, surface, u, stream)
+            return super().reflected(parts, si, surface, u, stream)
         key = int(stream.integers(1 << 62, 1))
-        replay = _Replay(self, parts, it, surface.detach(), u, key)
+        replay = _Replay(self, parts, si, surface.detach(), u, key)
         parameters = [p for part in (parts.materials, parts.world) for p in _trainable(part)]
         value, *found = _Radiance.apply(replay, surface.albedo, surface.roughness, *parameters)  # type: ignore[no-untyped-call]
         if not found:
             return Reflected(value)
-        light, *weighed = found
-        return Reflected(value, incident=light, weighed=Weighed(*weighed))
+        light, *sample_stats = found
+        return Reflected(value, Li_bsdf=light, sample_stats=BSDFSampleStats(*sample_stats))
 
 
 def _trainable(part: object) -> list[Tensor]:
@@ -57,15 +57,17 @@ def _trainable(part: object) -> list[Tensor]:
 class _Replay:
     """A set of walks that can be taken any number of times."""
 
-    def __init__(self, method: Path, parts: Parts, it: Interaction, surface: Surface, u: Tensor, key: int) -> None:
-        self.method, self.parts, self.it, self.surface, self.u, self.key = method, parts, it, surface, u, key
+    def __init__(
+        self, method: PathTracing, parts: Parts, si: SurfaceInteraction, surface: Surface, u: Tensor, key: int
+    ) -> None:
+        self.method, self.parts, self.si, self.surface, self.u, self.key = method, parts, si, surface, u, key
 
     def steps(self, surface: Surface) -> Iterator[Vertex]:
         """The walks anew; every step has a graph to its own surface only."""
         # With gradients enabled in both passes: networks may round differently without them, and the smallest
         # difference in a direction can end at another triangle.
         return walk(
-            self.parts.world, self.parts.materials, self.it, surface, self.u, Stream(self.key, device=self.u.device),
+            self.parts.world, self.parts.materials, self.si, surface, self.u, Stream(self.key, device=self.u.device),
             self.method.roulette, self.method.max_bounces, detached=True, control=self.method.tells(self.parts.world),
         )  # fmt: skip
 
@@ -74,7 +76,7 @@ class _Radiance(torch.autograd.Function):
     """The walks' radiance [n, 3] as a function of the first surface and of all parameters.
 
     With control there are more: the light that arrived along the first BSDF samples, which has no derivative, and what
-    :class:`~neurad.integrators.vertex.Weighed` holds; its deviation has the derivative of the first surface.
+    :class:`~neurad.integrators.vertex.BSDFSampleStats` holds; its deviation has the derivative of the first surface.
     """
 
     @staticmethod
@@ -82,23 +84,23 @@ class _Radiance(torch.autograd.Function):
         ctx: Any, replay: _Replay, albedo: Tensor, roughness: Tensor, *parameters: Tensor
     ) -> tuple[Tensor, ...]:
         # Sums in double precision: what is left of a long path is a difference of nearly equal numbers.
-        radiance = torch.zeros_like(replay.it.p, dtype=torch.float64)
-        weighed, light = None, torch.zeros_like(replay.it.p)
+        radiance = torch.zeros_like(replay.si.p, dtype=torch.float64)
+        sample_stats, light = None, torch.zeros_like(replay.si.p)
         with torch.enable_grad():
             for v in replay.steps(replay.surface):
                 direct = v.step.direct.detach()
                 radiance.index_add_(0, v.lane, (v.throughput * direct).double())
-                if v.beyond is not None:
-                    light.index_add_(0, v.lane, v.beyond * direct)
-                elif v.step.weighed is not None:
-                    weighed = v.step.weighed
+                if v.throughput_after_first is not None:
+                    light.index_add_(0, v.lane, v.throughput_after_first * direct)
+                elif v.step.sample_stats is not None:
+                    sample_stats = v.step.sample_stats
                 del v, direct  # before the next one is made
         ctx.replay, ctx.radiance, ctx.parameters = replay, radiance, parameters
-        value = radiance.to(replay.it.p.dtype)
-        if weighed is None:
+        value = radiance.to(replay.si.p.dtype)
+        if sample_stats is None:
             return (value,)
-        ctx.mark_non_differentiable(light, weighed.relative, weighed.wi)
-        return value, light, weighed.deviation.detach(), weighed.relative, weighed.wi
+        ctx.mark_non_differentiable(light, sample_stats.relative, sample_stats.wi)
+        return value, light, sample_stats.deviation.detach(), sample_stats.relative, sample_stats.wi
 
     @staticmethod
     def backward(ctx: Any, *gradients: Tensor) -> tuple[Tensor | None, ...]:
@@ -117,8 +119,8 @@ class _Radiance(torch.autograd.Function):
                 beyond = torch.where(fixed > 0, left[v.lane].to(fixed.dtype) / fixed.clamp_min(1e-30), 0.0)
                 outer = gradients[0][v.lane]
                 pairs = [(direct, outer * v.throughput), (weight, outer * beyond)]
-                if v.step.weighed is not None:
-                    pairs.append((v.step.weighed.deviation, gradients[2]))
+                if v.step.sample_stats is not None:
+                    pairs.append((v.step.sample_stats.deviation, gradients[2]))
                 outputs, scales = zip(*((x, g) for x, g in pairs if x.requires_grad), strict=True)  # known parts do not
                 found = torch.autograd.grad(outputs, ends, scales, allow_unused=True)
                 for total, gradient in zip(totals, found, strict=True):
@@ -170,7 +172,7 @@ def merge(pieces: Sequence[Tensor]) -> Tensor:
     values = torch.cat([piece._values() for piece in pieces])
     shape = pieces[0].shape
     if values.device.type == "cpu" and values.dtype == torch.float32 and indices.shape[0] == 1 and values.dim() == 2:
-        from neurad.fields import kernels  # torch's own coalesce sorts, which takes far longer
+        from neurad.fields import hash_grid_kernels as kernels  # torch's own coalesce sorts, which takes far longer
 
         rows, sums = torch.empty_like(indices[0]), torch.empty_like(values)
         found = kernels.merge_rows(

@@ -9,14 +9,14 @@ from torch import Tensor
 
 from neurad.core.errors import InputError
 from neurad.core.protocols import Materials
-from neurad.core.records import Interaction, Rays, Surface
+from neurad.core.records import Rays, Surface, SurfaceInteraction
 from neurad.core.rng import Stream
-from neurad.integrators.method import Method, Parts, Reflected, ReflectedRadiance, look_up
+from neurad.integrators.method import Method, Parts, Reflected, ReflectedRadiance, query_radiance
 from neurad.integrators.vertex import DIMENSIONS, bounce
 from neurad.integrators.walk import scatter, walk
 from neurad.integrators.world import World
 
-__all__ = ["Radiometric", "RadiometricLHS", "RadiometricRHS", "ReflectedRadiance", "incident", "transport"]
+__all__ = ["Radiometric", "RadiometricLHS", "RadiometricRHS", "ReflectedRadiance", "field_radiance", "transport"]
 
 
 class Radiometric(Method):
@@ -36,25 +36,25 @@ class Radiometric(Method):
         self.k = k
         self.control = control
 
-    def reflected(self, parts: Parts, it: Interaction, surface: Surface, u: Tensor, stream: Stream) -> Reflected:
-        """The estimate at the lanes of ``it``. The first bounce is the prior's as well."""
+    def reflected(self, parts: Parts, si: SurfaceInteraction, surface: Surface, u: Tensor, stream: Stream) -> Reflected:
+        """The estimate at the lanes of ``si``. The first bounce is the prior's as well."""
         assert parts.radiance is not None
         control = self.tells(parts.world)
-        steps = walk(parts.world, parts.materials, it, surface, u, stream, lambda *_: None, self.k, control=control)
+        steps = walk(parts.world, parts.materials, si, surface, u, stream, lambda *_: None, self.k, control=control)
         first = next(steps)
-        light = incident(parts.materials, parts.radiance, first.step.next)
+        light = field_radiance(parts.materials, parts.radiance, first.step.next)
         value = first.step.reflected(light)
-        sample = Reflected(value, value, light, first.step.weighed, first.step.next)
+        sample = Reflected(value, value, light, first.step.sample_stats, first.step.next)
         if self.k == 1:
             return sample
         terms = [(first.lane, first.step.direct)]
         for index, v in enumerate(steps, 2):
             if index == self.k:
-                term = v.step.reflected(incident(parts.materials, parts.radiance, v.step.next))
+                term = v.step.reflected(field_radiance(parts.materials, parts.radiance, v.step.next))
             else:
                 term = v.step.direct
             terms.append((v.lane, v.throughput * term))
-        return replace(sample, value=scatter(terms, it.p))
+        return replace(sample, value=scatter(terms, si.p))
 
 
 @dataclass(frozen=True)
@@ -68,10 +68,10 @@ class RadiometricLHS:
     @torch.no_grad()
     def __call__(self, rays: Rays, seed: int) -> Tensor:
         """Radiance along camera rays [n, 3]; without noise, but for the choice at glass that ``seed`` makes."""
-        first = self.world.reach(rays, Stream(seed, device=rays.o.device).uniform(len(rays)))
-        it = first.it
-        seen = look_up(self.radiance, self.materials, it)
-        return first.through(self.world.emitted(it) + it.where_hit(seen))
+        first = self.world.trace_past_delta(rays, Stream(seed, device=rays.o.device).uniform(len(rays)))
+        si = first.si
+        seen = query_radiance(self.radiance, self.materials, si)
+        return first.attenuate(self.world.emitted(si) + si.where_hit(seen))
 
 
 @dataclass(frozen=True)
@@ -86,30 +86,30 @@ class RadiometricRHS:
     def __call__(self, rays: Rays, seed: int) -> Tensor:
         """One-sample estimate of the radiance along camera rays [n, 3]."""
         stream = Stream(seed, device=rays.o.device)
-        first = self.world.reach(rays, stream.uniform(len(rays)))
-        it = first.it
-        u = stream.uniform(len(it), DIMENSIONS)
-        reflected = transport(self.world, self.materials, self.radiance, it, self.materials(it), u)
-        return first.through(self.world.emitted(it) + reflected)
+        first = self.world.trace_past_delta(rays, stream.uniform(len(rays)))
+        si = first.si
+        u = stream.uniform(len(si), DIMENSIONS)
+        reflected = transport(self.world, self.materials, self.radiance, si, self.materials(si), u)
+        return first.attenuate(self.world.emitted(si) + reflected)
 
 
 def transport(
     world: World,
     materials: Materials,
     radiance: ReflectedRadiance,
-    it: Interaction,
+    si: SurfaceInteraction,
     surface: Surface,
     u: Tensor,
 ) -> Tensor:
-    """``T_hat(E + sg[L_theta])`` at the lanes of ``it`` [n, 3], differentiable in ``surface``.
+    """``T_hat(E + sg[L_theta])`` at the lanes of ``si`` [n, 3], differentiable in ``surface``.
 
     ``u`` are uniform numbers [n, DIMENSIONS].
     """
-    step = bounce(world, it, surface, u)
-    return step.reflected(incident(materials, radiance, step.next))
+    step = bounce(world, si, surface, u)
+    return step.reflected(field_radiance(materials, radiance, step.next))
 
 
 @torch.no_grad()
-def incident(materials: Materials, radiance: ReflectedRadiance, it: Interaction) -> Tensor:
+def field_radiance(materials: Materials, radiance: ReflectedRadiance, si: SurfaceInteraction) -> Tensor:
     """``sg[L_theta]`` where BSDF samples ended [n, 3]; zero where they left the scene."""
-    return it.where_hit(look_up(radiance, materials, it))
+    return si.where_hit(query_radiance(radiance, materials, si))

@@ -10,9 +10,9 @@ import torch
 from torch import Tensor
 
 from neurad.core.protocols import Materials
-from neurad.core.records import Interaction, Surface
+from neurad.core.records import Surface, SurfaceInteraction
 from neurad.core.rng import Stream
-from neurad.integrators.bounced import Bounce
+from neurad.integrators.bounce import Bounce
 from neurad.integrators.vertex import DIMENSIONS, bounce
 from neurad.integrators.world import World
 
@@ -43,11 +43,11 @@ class Vertex:
 
     lane: Tensor
     """Which path [m], ascending."""
-    it: Interaction
+    si: SurfaceInteraction
     throughput: Tensor
     """Product of the weights before this vertex over the probabilities to get here [m, 3]."""
     step: Bounce
-    beyond: Tensor | None = None
+    throughput_after_first: Tensor | None = None
     """``throughput`` without the first weight, so that its sum with direct light is what arrived along the first BSDF
     sample; without gradient [m, 3]. None at the first vertex, and unless control is asked for."""
 
@@ -55,7 +55,7 @@ class Vertex:
 def walk(
     world: World,
     materials: Materials,
-    it: Interaction,
+    si: SurfaceInteraction,
     surface: Surface,
     u: Tensor,
     stream: Stream,
@@ -69,24 +69,24 @@ def walk(
     Args:
         world: the scene.
         materials: what its surfaces are made of.
-        it: first vertices [n]; a lane without a surface gives zeros and ends.
+        si: first vertices [n]; a lane without a surface gives zeros and ends.
         surface: what they are made of.
         u: uniform numbers of the first bounce [n, DIMENSIONS].
         stream: random numbers of all further ones.
         survival: when paths end; its probabilities are held fixed in derivatives.
         max_bounces: a path's largest number of bounces; None leaves all to ``survival``.
         detached: cut the graph between vertices, so that each step is differentiable in its own surface alone.
-        control: ask how the first samples are weighed, and for what comes ``beyond`` them.
+        control: ask how the first samples are sample_stats, and for what comes ``beyond`` them.
     """
-    control = control and world.bsdf.deviates
-    lane = torch.arange(len(it), device=it.p.device)
-    throughput = torch.ones_like(it.p)
-    beyond = None
+    control = control and world.bsdf.varying_weight
+    lane = torch.arange(len(si), device=si.p.device)
+    throughput = torch.ones_like(si.p)
+    throughput_after_first = None
     for bounces in count(1):
         # Guided weights reach albedo / Guide.uniform: at every bounce of an endless path they would add up to infinite
         # variance. A guide knows first hits best, too.
-        step = bounce(world, it, surface, u, control and bounces == 1, guided=bounces == 1)
-        yield Vertex(lane, it, throughput, step, beyond)
+        step = bounce(world, si, surface, u, control and bounces == 1, guided=bounces == 1)
+        yield Vertex(lane, si, throughput, step, throughput_after_first)
         if max_bounces is not None and bounces >= max_bounces:
             return
         own = step.weight
@@ -94,21 +94,23 @@ def walk(
         throughput = throughput * (weight if detached else own)
         fixed = throughput.detach()
         if control:
-            beyond = torch.ones_like(weight) if beyond is None else beyond * weight
+            throughput_after_first = (
+                torch.ones_like(weight) if throughput_after_first is None else throughput_after_first * weight
+            )
         alive = step.next.valid & (fixed.amax(-1) > 0)
         keep = survival(bounces, fixed, weight)
         if keep is not None:
             alive &= stream.uniform(len(lane)) < keep
             keep = keep.clamp_min(1e-30).unsqueeze(-1)
             throughput = throughput / keep
-            beyond = None if beyond is None else beyond / keep
+            throughput_after_first = None if throughput_after_first is None else throughput_after_first / keep
         index = alive.nonzero().squeeze(-1)
         if len(index) == 0:
             return
-        lane, it, throughput = lane[index], step.next[index], throughput[index]
-        beyond = None if beyond is None else beyond[index]
+        lane, si, throughput = lane[index], step.next[index], throughput[index]
+        throughput_after_first = None if throughput_after_first is None else throughput_after_first[index]
         del step, surface, own, weight, fixed, keep, alive  # the next vertex is the peak of the memory
-        surface = materials(it)
+        surface = materials(si)
         if torch.is_grad_enabled() and not detached:
             add_quickly(surface)
         u = stream.uniform(len(lane), DIMENSIONS)

@@ -8,30 +8,32 @@ from torch import Tensor, nn
 
 from neurad.core.frame import dot
 from neurad.core.protocols import BSDF, Emitter, Tracer
-from neurad.core.records import Interaction, Rays, first_of
+from neurad.core.records import Rays, SurfaceInteraction, first_of
 from neurad.integrators.delta import DeltaSurfaces
-from neurad.integrators.guiding import Guide
+from neurad.integrators.guide import Guide
 from neurad.scene.description import Features
 from neurad.scene.geometry import Geometry
 
 
 @dataclass(frozen=True)
-class Reached:
+class NonDeltaHit:
     """Where rays got to."""
 
-    it: Interaction
+    si: SurfaceInteraction
     """First vertices that are not smooth, misses included."""
     throughput: Tensor | None
     """Of the smooth surfaces on the way [n, 3]; None in a scene without any."""
-    passed: Tensor | None
+    via_delta: Tensor | None
     """Whether there was one on the way [n], bool."""
 
-    def first(self, count: int, of: int) -> Reached:
+    def first(self, count: int, of: int) -> NonDeltaHit:
         """The first ``count`` of every ``of`` lanes."""
-        throughput, passed = (None if x is None else first_of(x, count, of) for x in (self.throughput, self.passed))
-        return Reached(self.it.first(count, of), throughput, passed)
+        throughput, via_delta = (
+            None if x is None else first_of(x, count, of) for x in (self.throughput, self.via_delta)
+        )
+        return NonDeltaHit(self.si.first(count, of), throughput, via_delta)
 
-    def through(self, values: Tensor) -> Tensor:
+    def attenuate(self, values: Tensor) -> Tensor:
         """``values`` [n, 3] dimmed by what lay on the way."""
         return values if self.throughput is None else values * self.throughput
 
@@ -76,33 +78,33 @@ class World(nn.Module):
         self.rays_cast = 0
         self.register_buffer("two_sided", two_sided, persistent=False)
 
-    def intersect(self, rays: Rays) -> Interaction:
+    def intersect(self, rays: Rays) -> SurfaceInteraction:
         """Where rays end, misses and smooth surfaces included."""
         self.rays_cast += len(rays)
         return self.geometry.interact(rays, self.tracer.closest(rays))
 
-    def reach(self, rays: Rays, u: Tensor) -> Reached:
+    def trace_past_delta(self, rays: Rays, u: Tensor) -> NonDeltaHit:
         """The first vertices along rays that are not smooth; ``u`` [n] are uniform numbers, one a ray."""
-        it = self.intersect(rays)
+        si = self.intersect(rays)
         if self.delta is None:
-            return Reached(it, None, None)
-        it, throughput, passed, cast = self.delta.follow(self.geometry, self.tracer, it, u)
+            return NonDeltaHit(si, None, None)
+        si, throughput, via_delta, cast = self.delta.follow(self.geometry, self.tracer, si, u)
         self.rays_cast += cast
-        return Reached(it, throughput, passed)
+        return NonDeltaHit(si, throughput, via_delta)
 
     def occluded(self, rays: Rays, t_max: Tensor) -> Tensor:
         """Whether something lies on the ray before ``t_max`` [n]."""
         self.rays_cast += len(rays)
         return self.tracer.occluded(rays, t_max)
 
-    def reflects(self, it: Interaction) -> Tensor:
-        """Lanes whose surface can reflect towards ``it.wo`` [n], bool."""
+    def reflects(self, si: SurfaceInteraction) -> Tensor:
+        """Lanes whose surface can reflect towards ``si.wo`` [n], bool."""
         if not self.features.has_one_sided:
-            return it.valid
-        front = dot(it.n, it.wo) > 0
-        return it.valid & (front | self.two_sided[it.prim.clamp_min(0)])
+            return si.valid
+        front = dot(si.n, si.wo) > 0
+        return si.valid & (front | self.two_sided[si.prim.clamp_min(0)])
 
-    def emitted(self, it: Interaction) -> Tensor:
+    def emitted(self, si: SurfaceInteraction) -> Tensor:
         """E: radiance that the camera sees without any reflection [n, 3]."""
-        light = self.lights.eval(it)
-        return it.where_hit(light) if self.hide_environment else light
+        light = self.lights.eval(si)
+        return si.where_hit(light) if self.hide_environment else light

@@ -9,39 +9,39 @@ import torch
 from torch import Tensor
 from torch.autograd.function import once_differentiable
 
-from neurad.core.threads import GRAIN, split
 from neurad.losses import leave_one_out_kernels as kernels
 from neurad.losses.relative import Loss
+from neurad.runtime.threads import GRAIN, split
 
 
 @dataclass(frozen=True)
-class Control:
+class ControlVariate:
     """A control variate for samples of independent groups: ``deviation`` has mean zero whatever light there is."""
 
-    incident: Tensor
+    Li: Tensor
     """Incident radiance that each sample found, without gradient [b, n, c]."""
     deviation: Tensor
     """Weight of each sample less the weight's mean, with the same gradient as the samples' [b, n, c]."""
     groups: int
     """Independent groups of as many samples each, at least 2; ``n`` of them where all samples are independent."""
 
-    def guess(self) -> Tensor:
+    def baseline(self) -> Tensor:
         """Incident radiance at each sample by the other groups of its pixel [b, n, c]."""
-        light = grouped(self.incident, self.groups)
+        light = grouped(self.Li, self.groups)
         others = (light.sum(1, keepdim=True) - light) / (self.groups - 1)
-        return others.repeat_interleave(self.incident.shape[1] // self.groups, 1)
+        return others.repeat_interleave(self.Li.shape[1] // self.groups, 1)
 
-    def excess(self) -> Tensor:
+    def residual(self) -> Tensor:
         """What each sample has too much if the light of the others is all around [b, n, c]; its mean is zero."""
-        return self.guess() * self.deviation
+        return self.baseline() * self.deviation
 
-    def excess_of_others(self) -> Tensor:
+    def residual_of_others(self) -> Tensor:
         """Mean over all groups but i of their excess by the light of all others but i [b, groups, c], detached.
 
         Nothing of group i is in it, so a residual less it stays independent of group i. Zero for two groups.
         """
         n = self.groups
-        light, z = grouped(self.incident, n), grouped(self.deviation.detach(), n)
+        light, z = grouped(self.Li, n), grouped(self.deviation.detach(), n)
         if n < 3:
             return torch.zeros_like(z)
         both = light * z
@@ -59,9 +59,9 @@ def leave_one_out(
     samples: Tensor,
     target: Tensor,
     weight: Tensor,
-    control: Control | None = None,
+    control: ControlVariate | None = None,
     groups: int | None = None,
-    fast: bool = True,
+    use_kernels: bool = True,
 ) -> Loss:
     """Relative L2 of a pixel mean from n >= 2 independent groups of samples, in one pass.
 
@@ -74,7 +74,7 @@ def leave_one_out(
         weight: ``1 / (normaliser^2 + eps)``, independent of the samples [b, 1] or [b, c].
         control: takes noise from samples and residuals; the mean of the gradient stays the same.
         groups: how many; None where every sample is independent of all others.
-        fast: let a compiled kernel find the gradient where it can (CPU, float32).
+        use_kernels: let a compiled kernel find the gradient where it can (CPU, float32).
 
     Raises:
         ValueError: groups of the samples, or of the control variate, are not as many or not equally long.
@@ -84,14 +84,14 @@ def leave_one_out(
         raise ValueError(
             f"leave_one_out: {samples.shape[1]} samples, {n} groups; the control variate must have as many"
         )
-    if fast and samples.device.type == "cpu" and samples.dtype == torch.float32:
+    if use_kernels and samples.device.type == "cpu" and samples.dtype == torch.float32:
         deviation = None if control is None else control.deviation
         return Loss(*_Compiled.apply(samples, deviation, target, weight, control, n))  # type: ignore[no-untyped-call]
     fixed = grouped(samples.detach(), n)
     others = (fixed.sum(1, keepdim=True) - fixed) / (n - 1)
     if control is not None:
-        others = others - control.excess_of_others()
-        samples = samples - control.excess()
+        others = others - control.residual_of_others()
+        samples = samples - control.residual()
     samples = grouped(samples, n)
     fixed = samples.detach()
     residual = others - target.unsqueeze(1)
@@ -111,13 +111,13 @@ class _Compiled(torch.autograd.Function):
         deviation: Tensor | None,
         target: Tensor,
         weight: Tensor,
-        control: Control | None,
+        control: ControlVariate | None,
         groups: int,
     ) -> tuple[Tensor, Tensor]:
         by_sample = torch.empty_like(samples, memory_format=torch.contiguous_format)
         light, around, by_deviation = (samples.new_empty(0, 0, 0) for _ in range(3))
         if control is not None and deviation is not None:
-            light, around, by_deviation = control.incident, deviation, torch.empty_like(by_sample)
+            light, around, by_deviation = control.Li, deviation, torch.empty_like(by_sample)
         given = samples, target, weight.expand_as(target), light, around
         arrays = [x.detach().contiguous().numpy() for x in (*given, by_sample, by_deviation)]
         grain = -(-GRAIN // samples.shape[1])

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from neurad.core.compiled import compiled
 from neurad.core.records import FloatArray
+from neurad.runtime.jit import compiled
 
 _ZERO, _HALF, _ONE, _TWO = np.float32(0.0), np.float32(0.5), np.float32(1.0), np.float32(2.0)
 

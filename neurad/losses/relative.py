@@ -92,7 +92,7 @@ def moving_prior(field: Tensor, transported: Tensor, other: Tensor, epsilon: flo
     return Loss(surrogate, (scale * (fixed - transported.detach())).mean())
 
 
-def smoothed(photographs: Tensor, alpha: Tensor | None, width: int) -> Tensor:
+def blurred(photographs: Tensor, alpha: Tensor | None, width: int) -> Tensor:
     """Means over 5 x 5 pixels, to weigh a pixel by: the noise of a pixel's own photograph would be in the residual too,
     and weights that follow it make everything darker.
 

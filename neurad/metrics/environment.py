@@ -10,13 +10,13 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from neurad.core.camera import camera_rays
 from neurad.core.frame import dot
 from neurad.core.records import EnvironmentMap, FloatArray, Rays
 from neurad.core.rng import Stream
 from neurad.emitters.environment import Environment, rotation_of
 from neurad.metrics.held_out import HeldOut
 from neurad.metrics.scores import BoolArray, Float64Array, Pool
-from neurad.scene.camera import camera_rays
 
 LOOKS = 32
 """Surface points from which is found out whether a texel's light can be seen in photographs."""
@@ -57,8 +57,8 @@ class EnvironmentScores:
         for camera in held_out.training.cameras:
             xy = stream.uniform(4096, 2) * torch.tensor([camera.width, camera.height], device=device)
             rays = camera_rays(camera, xy)
-            it = geometry.interact(rays, held_out.tracer.closest(rays))
-            parts.append(it[it.valid])
+            si = geometry.interact(rays, held_out.tracer.closest(rays))
+            parts.append(si[si.valid])
         points = type(parts[0]).cat(*parts)
         if len(points) == 0:
             return np.zeros((height, width), np.bool_)
@@ -68,10 +68,10 @@ class EnvironmentScores:
             u = stream.uniform(len(texel), 2)
             theta, phi = _angles(texel // width + u[:, 0] - 0.5, texel % width + u[:, 1], height, width)
             wi = _direction(theta, phi).float() @ rotation.to(device).T
-            it = points[stream.integers(len(points), len(texel))]
-            faces = dot(it.ng, wi) * dot(it.ng, it.wo) > 0
+            si = points[stream.integers(len(points), len(texel))]
+            faces = dot(si.ng, wi) * dot(si.ng, si.wo) > 0
             index = faces.nonzero().squeeze(-1)
-            shadow: Rays = geometry.spawn(it[index], wi[index])
+            shadow: Rays = geometry.spawn(si[index], wi[index])
             dark = held_out.tracer.occluded(shadow, torch.full_like(wi[index, 0], math.inf))
             seen[texel[index]] |= ~dark
             texel = (~seen).nonzero().squeeze(-1)

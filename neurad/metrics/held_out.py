@@ -14,14 +14,14 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from neurad.core.camera import camera_rays
 from neurad.core.errors import InputError
 from neurad.core.protocols import Materials, Tracer
-from neurad.core.records import FloatArray, Interaction, View
+from neurad.core.records import FloatArray, SurfaceInteraction, View
 from neurad.core.rng import Stream
 from neurad.integrators.film import pixel_positions
 from neurad.metrics.scores import BoolArray, Float64Array, Pool, block_means, srgb
 from neurad.metrics.seen import SeenBy
-from neurad.scene.camera import camera_rays
 from neurad.scene.description import Scene
 from neurad.scene.geometry import Geometry
 from neurad.scene.image_io import read_exr
@@ -95,7 +95,7 @@ class HeldOut:
 
     # --- sub-samples
 
-    def sub_samples(self, index: int, few: bool = False) -> Iterator[tuple[slice, Interaction]]:
+    def sub_samples(self, index: int, few: bool = False) -> Iterator[tuple[slice, SurfaceInteraction]]:
         """What view ``index`` sees: slices of row-major pixels with ``grid``^2 interactions a pixel, or a few, pixel by
         pixel.
 
@@ -148,8 +148,8 @@ class HeldOut:
         if index not in self._counted:
             shines = (self.geometry.emission > 0).any(-1)
             parts = []
-            for part, it in self.sub_samples(index):
-                good = it.valid & ~shines[it.prim.clamp_min(0)]
+            for part, si in self.sub_samples(index):
+                good = si.valid & ~shines[si.prim.clamp_min(0)]
                 parts.append(self._pixels(part, good).all(-1))
             self._counted[index] = self._image(index, torch.cat(parts))
         return self._counted[index]
@@ -159,14 +159,14 @@ class HeldOut:
         """Pixels [h, w] whose every sub-sample, of a few, lies on a surface that some training view sees."""
         if index not in self._seen:
             chunks = self.sub_samples(index, few=True)
-            parts = [self._pixels(part, self.training.any(it)).all(-1) for part, it in chunks]
+            parts = [self._pixels(part, self.training.any(si)).all(-1) for part, si in chunks]
             self._seen[index] = self._image(index, torch.cat(parts))
         return self._seen[index]
 
     def shows(self, index: int) -> BoolArray:
         """Pixels [h, w] of which some sub-sample sees a surface; the others show the environment, or black."""
         if index not in self._shows:
-            parts = [self._pixels(part, it.valid).any(-1) for part, it in self.sub_samples(index)]
+            parts = [self._pixels(part, si.valid).any(-1) for part, si in self.sub_samples(index)]
             self._shows[index] = self._image(index, torch.cat(parts))
         return self._shows[index]
 
@@ -183,9 +183,9 @@ class HeldOut:
         maps = []
         for index in range(len(self.views)):
             albedo, roughness = [], []
-            for part, it in self.sub_samples(index):
-                surface = materials(it)
-                valid = it.valid[:, None]
+            for part, si in self.sub_samples(index):
+                surface = materials(si)
+                valid = si.valid[:, None]
                 albedo.append(self._pixels(part, torch.where(valid, surface.albedo, 0.0)).mean(1))
                 roughness.append(self._pixels(part, torch.where(valid, surface.roughness, 0.0)).mean(1))
             pair = {"albedo": torch.cat(albedo), "roughness": torch.cat(roughness)}

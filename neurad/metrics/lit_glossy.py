@@ -13,15 +13,15 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from neurad.core.records import Interaction, Surface
+from neurad.core.records import Surface, SurfaceInteraction
 from neurad.core.rng import Stream, mix
 from neurad.integrators.method import Method, Parts
 from neurad.integrators.vertex import DIMENSIONS
 from neurad.metrics.held_out import HeldOut
 from neurad.metrics.scores import BoolArray
 
-Reflected = Callable[[Interaction, Surface, int], Tensor]
-"""One-sample estimate, by a seed, of the light [n, 3] that a surface reflects towards ``it.wo``."""
+Reflected = Callable[[SurfaceInteraction, Surface, int], Tensor]
+"""One-sample estimate, by a seed, of the light [n, 3] that a surface reflects towards ``si.wo``."""
 
 SEED = 20230808
 
@@ -29,9 +29,9 @@ SEED = 20230808
 def reflected_by(method: Method, parts: Parts) -> Reflected:
     """A method's estimate."""
 
-    def estimate(it: Interaction, surface: Surface, seed: int) -> Tensor:
-        stream = Stream(seed, device=it.p.device)
-        return method.reflected(parts, it, surface, stream.uniform(len(it), DIMENSIONS), stream).value
+    def estimate(si: SurfaceInteraction, surface: Surface, seed: int) -> Tensor:
+        stream = Stream(seed, device=si.p.device)
+        return method.reflected(parts, si, surface, stream.uniform(len(si), DIMENSIONS), stream).value
 
     return estimate
 
@@ -65,14 +65,14 @@ def lit_glossy(
         albedo = torch.from_numpy(truth["albedo_true"]).view(-1, 3)
         roughness = torch.from_numpy(truth["roughness_true"]).view(-1, 1)
         result = torch.zeros(size[0] * size[1], dtype=torch.bool)
-        for part, it in held_out.sub_samples(index, few=True):
+        for part, si in held_out.sub_samples(index, few=True):
             chosen = torch.from_numpy(smooth.reshape(-1)[part])
             pixel = chosen.nonzero().squeeze(-1)
             if len(pixel) == 0:
                 continue
-            device, per = it.p.device, len(it) // len(chosen)
+            device, per = si.p.device, len(si) // len(chosen)
             surface = Surface(albedo[part][pixel].to(device), roughness[part][pixel].to(device)).repeat(per)
-            mine = it[chosen.to(device).repeat_interleave(per)]
+            mine = si[chosen.to(device).repeat_interleave(per)]
             shows = _shows(held_out, reflected, mine, surface, per, samples, least_share)
             result[part.start + pixel] = shows.cpu()
         masks.append(result.view(size).numpy())
@@ -80,21 +80,27 @@ def lit_glossy(
 
 
 def _shows(
-    held_out: HeldOut, reflected: Reflected, it: Interaction, surface: Surface, per: int, samples: int, share: float
+    held_out: HeldOut,
+    reflected: Reflected,
+    si: SurfaceInteraction,
+    surface: Surface,
+    per: int,
+    samples: int,
+    share: float,
 ) -> Tensor:
     """Whether pixels of ``per`` lanes each [n / per] show their specular part to some training view: bool."""
-    pixels = torch.arange(len(it), device=it.p.device) // per
-    shows = torch.zeros(len(it) // per, dtype=torch.bool, device=it.p.device)
+    pixels = torch.arange(len(si), device=si.p.device) // per
+    shows = torch.zeros(len(si) // per, dtype=torch.bool, device=si.p.device)
     for index in range(len(held_out.training.cameras)):
         left = (~shows[pixels]).nonzero().squeeze(-1)
         if len(left) == 0:
             break
-        lanes, wo = held_out.training.by(index, it[left])
+        lanes, wo = held_out.training.by(index, si[left])
         lanes = left[lanes]
-        seen = replace(it[lanes], wo=wo)
+        seen = replace(si[lanes], wo=wo)
         whole = surface[lanes]
         specular = replace(whole, albedo=torch.zeros_like(whole.albedo))
-        sums = torch.zeros(2, len(shows), device=it.p.device)
+        sums = torch.zeros(2, len(shows), device=si.p.device)
         for k in range(samples):
             for row, s in enumerate((specular, whole)):
                 sums[row].index_add_(0, pixels[lanes], reflected(seen, s, mix(SEED, index, k)).sum(-1))

@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 
 from neurad.core.protocols import Tracer
-from neurad.core.records import Camera, Interaction
+from neurad.core.records import Camera, SurfaceInteraction
 from neurad.scene.geometry import Geometry
 
 
@@ -27,33 +27,33 @@ class SeenBy:
         self.cameras = cameras
         self._found = [0] * len(cameras)
 
-    def by(self, index: int, it: Interaction) -> tuple[Tensor, Tensor]:
-        """Lanes [k] of ``it`` that camera ``index`` sees, and the unit directions [k, 3] from them to it."""
+    def by(self, index: int, si: SurfaceInteraction) -> tuple[Tensor, Tensor]:
+        """Lanes [k] of ``si`` that camera ``index`` sees, and the unit directions [k, 3] from them to it."""
         camera = self.cameras[index]
-        to_world = torch.as_tensor(camera.to_world, dtype=it.p.dtype, device=it.p.device)
-        x, y, z = ((it.p - to_world[:3, 3]) @ to_world[:3, :3]).unbind(-1)
+        to_world = torch.as_tensor(camera.to_world, dtype=si.p.dtype, device=si.p.device)
+        x, y, z = ((si.p - to_world[:3, 3]) @ to_world[:3, :3]).unbind(-1)
         edge_x = math.tan(0.5 * camera.fov_x)
         edge_y = edge_x * camera.height / camera.width
-        inside = it.valid & (z < 0) & (x.abs() <= -z * edge_x) & (y.abs() <= -z * edge_y)
+        inside = si.valid & (z < 0) & (x.abs() <= -z * edge_x) & (y.abs() <= -z * edge_y)
         lanes = inside.nonzero().squeeze(-1)
-        points = it[lanes]
+        points = si[lanes]
         way = to_world[:3, 3] - points.p
         distance = torch.linalg.vector_norm(way, dim=-1)
         wi = way / distance.clamp_min(torch.finfo(way.dtype).tiny)[:, None]
         clear = ~self.tracer.occluded(*self.geometry.spawn_towards(points, wi, distance))
         return lanes[clear], wi[clear]
 
-    def any(self, it: Interaction) -> Tensor:
-        """Whether at least one camera sees the lanes of ``it``: bool [n].
+    def any(self, si: SurfaceInteraction) -> Tensor:
+        """Whether at least one camera sees the lanes of ``si``: bool [n].
 
         A lane is asked of one camera after the other until one sees it; those that saw most so far come first.
         """
-        seen = torch.zeros(len(it), dtype=torch.bool, device=it.p.device)
-        left = it.valid.nonzero().squeeze(-1)
+        seen = torch.zeros(len(si), dtype=torch.bool, device=si.p.device)
+        left = si.valid.nonzero().squeeze(-1)
         for index in sorted(range(len(self.cameras)), key=lambda i: -self._found[i]):
             if len(left) == 0:
                 break
-            lanes, _ = self.by(index, it[left])
+            lanes, _ = self.by(index, si[left])
             self._found[index] += len(lanes)
             seen[left[lanes]] = True
             left = left[~seen[left]]

@@ -8,8 +8,8 @@ from torch import Tensor, nn
 
 from neurad.core.errors import InputError
 from neurad.core.frame import dot
-from neurad.core.records import FloatArray, Hit, Interaction, Mesh, Rays, plain_floats
-from neurad.core.threads import GRAIN, split
+from neurad.core.records import FloatArray, Hit, Mesh, Rays, SurfaceInteraction, kernel_ready
+from neurad.runtime.threads import GRAIN, split
 from neurad.scene.description import Scene
 
 EPS = 2.0**-23  # spacing of float32 at 1
@@ -40,7 +40,7 @@ class Geometry(nn.Module):
     material: Tensor
     emission: Tensor
     mesh_index: Tensor
-    smooth: Tensor
+    smooth_shading: Tensor
     face_offset: Tensor
     table: Tensor
 
@@ -91,11 +91,11 @@ class Geometry(nn.Module):
             self._add(buffers[name], np.concatenate(parts), torch.float32)
         return buffers
 
-    def interact(self, rays: Rays, hit: Hit) -> Interaction:
+    def interact(self, rays: Rays, hit: Hit) -> SurfaceInteraction:
         """The surface points [n] that rays ended at. Misses keep ``wo = -d``, prim -1, and a finite position."""
         return self.interact_at(hit.prim, hit.u, hit.v, -rays.d, hit.valid)
 
-    def interact_at(self, prim: Tensor, u: Tensor, v: Tensor, wo: Tensor, valid: Tensor) -> Interaction:
+    def interact_at(self, prim: Tensor, u: Tensor, v: Tensor, wo: Tensor, valid: Tensor) -> SurfaceInteraction:
         """Surface points from triangles and barycentrics.
 
         The position comes from the barycentrics, not from origin and distance: its error is then some units in the last
@@ -115,28 +115,28 @@ class Geometry(nn.Module):
 
     def compiled(self, *values: Tensor) -> bool:
         """Whether compiled kernels apply: triangles, and plain floats."""
-        return len(self.faces) > 0 and plain_floats(self.table, *values)
+        return len(self.faces) > 0 and kernel_ready(self.table, *values)
 
-    def _interact_quickly(self, prim: Tensor, u: Tensor, v: Tensor, wo: Tensor, valid: Tensor) -> Interaction:
-        from neurad.scene import kernels  # compiled code is loaded by those who use it
+    def _interact_quickly(self, prim: Tensor, u: Tensor, v: Tensor, wo: Tensor, valid: Tensor) -> SurfaceInteraction:
+        from neurad.scene import geometry_kernels as kernels  # compiled code is loaded by those who use it
 
         p, ng, n = torch.empty(3, len(prim), 3).unbind()
         uv, bary = torch.empty(2, len(prim), 2).unbind()
         given = (x.contiguous().numpy() for x in (prim, u, v.detach(), self.table))
         arrays = *given, *(x.numpy() for x in (p, ng, n, uv, bary))
         split(lambda low, high: kernels.interact(low, high, *arrays), len(prim), GRAIN)
-        return Interaction(p, ng, n, wo, uv, bary, prim, valid)
+        return SurfaceInteraction(p, ng, n, wo, uv, bary, prim, valid)
 
-    def interact_plainly(self, prim: Tensor, u: Tensor, v: Tensor, wo: Tensor, valid: Tensor) -> Interaction:
+    def interact_plainly(self, prim: Tensor, u: Tensor, v: Tensor, wo: Tensor, valid: Tensor) -> SurfaceInteraction:
         """:meth:`interact_at` in plain torch, on any device."""
         if len(prim) > CHUNK and prim.device.type == "cpu":
             cuts = (slice(i, i + CHUNK) for i in range(0, len(prim), CHUNK))
-            return Interaction.cat(*(self.interact_plainly(prim[c], u[c], v[c], wo[c], valid[c]) for c in cuts))
+            return SurfaceInteraction.cat(*(self.interact_plainly(prim[c], u[c], v[c], wo[c], valid[c]) for c in cuts))
         bary = torch.stack((u, v), -1)
         if len(self.faces) == 0:
             zero, up = torch.zeros_like(wo), torch.zeros_like(wo)
             up[:, 2] = 1.0
-            return Interaction(zero, up, up, wo, torch.zeros_like(bary), bary, prim, valid)
+            return SurfaceInteraction(zero, up, up, wo, torch.zeros_like(bary), bary, prim, valid)
         row = self.table.index_select(0, prim.clamp_min(0))
         value = row[:, :8] + torch.addcmul(u[:, None] * row[:, 8:16], v[:, None], row[:, 16:24])
         ng = row[:, 24:27]
@@ -144,10 +144,10 @@ class Geometry(nn.Module):
         n = torch.add(value[:, 3:6], ng, alpha=1e-12)
         n = n / torch.linalg.vector_norm(n, dim=-1, keepdim=True)
         p, uv = value[:, :3].contiguous(), value[:, 6:].contiguous()
-        return Interaction(p, ng.contiguous(), n, wo, uv, bary, prim, valid)
+        return SurfaceInteraction(p, ng.contiguous(), n, wo, uv, bary, prim, valid)
 
-    def attribute(self, name: str, it: Interaction) -> Tensor:
-        """The vertex attribute ``name`` interpolated at ``it`` [n, channels]; 0 on meshes that lack it and at misses.
+    def attribute(self, name: str, si: SurfaceInteraction) -> Tensor:
+        """The vertex attribute ``name`` interpolated at ``si`` [n, channels]; 0 on meshes that lack it and at misses.
 
         Raises:
             InputError: no mesh has the attribute.
@@ -157,23 +157,23 @@ class Geometry(nn.Module):
             raise InputError(f"vertex attribute {name}: no mesh has it (there are: {known})")
         values: Tensor = getattr(self, self._attributes[name])
         if len(self.faces) == 0:
-            return values.new_zeros(len(it), values.shape[1])
-        u, v = it.bary.unbind(-1)
-        weight = torch.stack((1.0 - u - v, u, v), -1) * it.valid[:, None]
-        corner = values[self.faces.index_select(0, it.prim.clamp_min(0))]  # [n, 3, c]
+            return values.new_zeros(len(si), values.shape[1])
+        u, v = si.bary.unbind(-1)
+        weight = torch.stack((1.0 - u - v, u, v), -1) * si.valid[:, None]
+        corner = values[self.faces.index_select(0, si.prim.clamp_min(0))]  # [n, 3, c]
         return (weight[..., None] * corner).sum(1)
 
-    def _origins(self, it: Interaction, wi: Tensor) -> tuple[Tensor, Tensor]:
+    def _origins(self, si: SurfaceInteraction, wi: Tensor) -> tuple[Tensor, Tensor]:
         """Origins [n, 3] off the surface on the side of ``wi``, and how far off they are [n]."""
         if len(self.faces) == 0:
-            return it.p, torch.zeros_like(it.p[:, 0])
-        near = EPS * it.p.abs().amax(-1).clamp_min(self.scale / 1024)
-        offset = self.face_offset.index_select(0, it.prim.clamp_min(0)) + near
-        side = torch.copysign(offset, dot(wi, it.ng))
-        return torch.addcmul(it.p, side[:, None], it.ng), offset
+            return si.p, torch.zeros_like(si.p[:, 0])
+        near = EPS * si.p.abs().amax(-1).clamp_min(self.scale / 1024)
+        offset = self.face_offset.index_select(0, si.prim.clamp_min(0)) + near
+        side = torch.copysign(offset, dot(wi, si.ng))
+        return torch.addcmul(si.p, side[:, None], si.ng), offset
 
-    def spawn(self, it: Interaction, wi: Tensor) -> Rays:
-        """Rays from ``it`` in directions ``wi`` [n, 3] that do not hit the surface they leave.
+    def spawn(self, si: SurfaceInteraction, wi: Tensor) -> Rays:
+        """Rays from ``si`` in directions ``wi`` [n, 3] that do not hit the surface they leave.
 
         The tracers accept any t > 0, so the origin moves along the geometric normal to the side of ``wi``, by two
         parts:
@@ -187,10 +187,10 @@ class Geometry(nn.Module):
 
         Everything is proportional to the coordinates: a scene scaled by any factor gives the same picture.
         """
-        return Rays(self._origins(it, wi)[0], wi)
+        return Rays(self._origins(si, wi)[0], wi)
 
-    def spawn_towards(self, it: Interaction, wi: Tensor, distance: Tensor) -> tuple[Rays, Tensor]:
-        """Shadow rays from ``it`` towards a light ``distance`` [n] away along ``wi`` [n, 3] (infinity allowed).
+    def spawn_towards(self, si: SurfaceInteraction, wi: Tensor, distance: Tensor) -> tuple[Rays, Tensor]:
+        """Shadow rays from ``si`` towards a light ``distance`` [n] away along ``wi`` [n, 3] (infinity allowed).
 
         The ray is aimed anew from its moved origin, so that it ends at the sampled point. It ends short of it by twice
         the offset plus :data:`SHADOW_MARGIN` of its length: the light's own triangle, known to within the offset, then
@@ -199,9 +199,9 @@ class Geometry(nn.Module):
         Returns:
             The rays, and for each the distance ``t_max`` [n] below which a hit means shadow.
         """
-        o, offset = self._origins(it, wi)
+        o, offset = self._origins(si, wi)
         finite = torch.isfinite(distance)
-        way = it.p - o + wi * torch.where(finite, distance, 1.0)[:, None]
+        way = si.p - o + wi * torch.where(finite, distance, 1.0)[:, None]
         length = torch.linalg.vector_norm(way, dim=-1)
         aimed = way / length.clamp_min(torch.finfo(way.dtype).tiny)[:, None]
         t_max = (length * (1.0 - SHADOW_MARGIN) - 2.0 * offset).clamp_min(0.0)

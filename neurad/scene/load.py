@@ -19,7 +19,7 @@ def load_scene(root: str | None, scene: str | None) -> Scene:
     if (root is None) == (scene is None):
         raise InputError("give exactly one of --data.root (a scene folder) and --data.scene (a built-in scene)")
     if root is not None:
-        from neurad.scene.folder import read_folder
+        from neurad.scene.readers.nerf import read_folder
 
         return read_folder(root).check()
     from neurad.scene.builtin import build

@@ -6,7 +6,7 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from neurad.core.records import Bitmap, Constant, Interaction, Surface, Texture, TypedSurface, VertexAttribute
+from neurad.core.records import Bitmap, Constant, Surface, SurfaceInteraction, Texture, TypedSurface, VertexAttribute
 from neurad.scene.description import Scene
 from neurad.scene.geometry import Geometry
 
@@ -22,7 +22,7 @@ class TrueMaterials(nn.Module):
         InputError: a material reads a vertex attribute that no mesh has.
     """
 
-    lambertian: Tensor
+    diffuse: Tensor
 
     def __init__(self, scene: Scene, geometry: Geometry) -> None:
         super().__init__()
@@ -30,24 +30,24 @@ class TrueMaterials(nn.Module):
         self.albedo_table = TextureTable([m.albedo for m in scene.materials], 3)
         self.roughness_table = TextureTable([m.roughness for m in scene.materials], 1)
         matte = torch.tensor([m.kind == "diffuse" for m in scene.materials], dtype=torch.bool)
-        self.register_buffer("lambertian", matte, persistent=False)
+        self.register_buffer("diffuse", matte, persistent=False)
         self.is_mixed = not scene.features.is_diffuse and bool(matte.any())
 
     @torch.no_grad()
-    def forward(self, it: Interaction) -> Surface:
-        """Parameters at the lanes of ``it``; zeros where there is no surface."""
-        material = self.geometry.material[it.prim.clamp_min(0)]
-        albedo = self.albedo_table(material, it, self.geometry)
-        roughness = self.roughness_table(material, it, self.geometry)
+    def forward(self, si: SurfaceInteraction) -> Surface:
+        """Parameters at the lanes of ``si``; zeros where there is no surface."""
+        material = self.geometry.material[si.prim.clamp_min(0)]
+        albedo = self.albedo_table(material, si, self.geometry)
+        roughness = self.roughness_table(material, si, self.geometry)
         if self.is_mixed:
-            return TypedSurface(albedo, roughness, self.lambertian[material])
+            return TypedSurface(albedo, roughness, self.diffuse[material])
         return Surface(albedo, roughness)
 
     @torch.no_grad()
-    def albedo(self, it: Interaction) -> Tensor:
+    def albedo(self, si: SurfaceInteraction) -> Tensor:
         """The albedo alone [n, 3]; zeros where there is no surface."""
-        material = self.geometry.material[it.prim.clamp_min(0)]
-        albedo: Tensor = self.albedo_table(material, it, self.geometry)
+        material = self.geometry.material[si.prim.clamp_min(0)]
+        albedo: Tensor = self.albedo_table(material, si, self.geometry)
         return albedo
 
 
@@ -74,14 +74,14 @@ class OnEmitters(nn.Module):
         self.geometry = geometry
         self.register_buffer("emits", emits, persistent=False)
 
-    def forward(self, it: Interaction, values: Tensor) -> Tensor:
-        """``values`` [n, channels] at the lanes of ``it``, replaced where these are on an emitter."""
-        lane = (self.emits[it.prim.clamp_min(0)] & it.valid).nonzero().squeeze(-1)
+    def forward(self, si: SurfaceInteraction, values: Tensor) -> Tensor:
+        """``values`` [n, channels] at the lanes of ``si``, replaced where these are on an emitter."""
+        lane = (self.emits[si.prim.clamp_min(0)] & si.valid).nonzero().squeeze(-1)
         if len(lane) == 0:
             return values
         if self.table.is_constant:
-            return values.index_copy(0, lane, self.table.constant[self.geometry.material[it.prim[lane]]])
-        part = it[lane]
+            return values.index_copy(0, lane, self.table.constant[self.geometry.material[si.prim[lane]]])
+        part = si[lane]
         return values.index_copy(0, lane, self.table(self.geometry.material[part.prim], part, self.geometry))
 
 
@@ -139,19 +139,19 @@ class TextureTable(nn.Module):
         """Whether no texture varies over a surface."""
         return len(self.texels) == 0 and not self.names
 
-    def forward(self, material: Tensor, it: Interaction, geometry: Geometry) -> Tensor:
-        """Values [n, channels] at the lanes of ``it``, which have these materials [n]; zeros where not valid."""
-        out = self.constant[material] * it.valid.unsqueeze(-1)
+    def forward(self, material: Tensor, si: SurfaceInteraction, geometry: Geometry) -> Tensor:
+        """Values [n, channels] at the lanes of ``si``, which have these materials [n]; zeros where not valid."""
+        out = self.constant[material] * si.valid.unsqueeze(-1)
         if self.is_constant:
             return out
-        kind = torch.where(it.valid, self.kind[material], -2)
+        kind = torch.where(si.valid, self.kind[material], -2)
         lane = (kind == -1).nonzero().squeeze(-1)
         if len(lane):
-            out[lane] = self._bilinear(material[lane], it.uv[lane])
+            out[lane] = self._bilinear(material[lane], si.uv[lane])
         for index, name in enumerate(self.names):
             lane = (kind == index).nonzero().squeeze(-1)
             if len(lane):
-                out[lane] = geometry.attribute(name, it[lane])
+                out[lane] = geometry.attribute(name, si[lane])
         return out
 
     def _bilinear(self, material: Tensor, uv: Tensor) -> Tensor:

@@ -14,7 +14,7 @@ from embreex.rtcore_scene import EmbreeScene
 from torch import Tensor
 
 from neurad.core.records import Hit, Rays
-from neurad.core.threads import cut
+from neurad.runtime.threads import cut
 from neurad.tracing.arrays import as_floats, as_indices, beyond_start, no_hits
 
 # Rays for each thread from which on handing a slice over is worth it, about 0.2 ms of work, and about as many as have

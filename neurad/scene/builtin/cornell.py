@@ -22,11 +22,11 @@ def build_cornell() -> Scene:
     solids["short block"] = rotated(box((0.05, -1.002, -0.05), (0.65, -0.4, 0.55)), -17.0, (0.35, 0.0, 0.25))
     for name, solid in solids.items():
         materials.append(diffuse(name, colours.get(name, WHITE)))
-        meshes.append(solid.mesh(name, len(materials) - 1, smooth=False))
+        meshes.append(solid.mesh(name, len(materials) - 1, smooth_shading=False))
     materials.append(diffuse("light", 0.5))
     light = quad((-0.25, 0.995, -0.2), (0.5, 0, 0), (0, 0, 0.4))
     radiance = np.array([17.0, 12.0, 4.0], np.float32)
-    meshes.append(light.mesh("light", len(materials) - 1, smooth=False, radiance=radiance))
+    meshes.append(light.mesh("light", len(materials) - 1, smooth_shading=False, radiance=radiance))
     train = [
         ((0.0, 0.0, 0.95), (0.0, -0.1, 0.0)),
         ((-0.8, 0.3, 0.9), (0.2, -0.4, -0.2)),

@@ -24,8 +24,8 @@ def build_cube(albedo: float = 0.5) -> Scene:
     walls = join(*room((-1, -1, -1), (1, 1, 1)).values())
     light = quad((-0.4, 0.995, -0.4), (0.8, 0, 0), (0, 0, 0.8))
     meshes = [
-        walls.mesh("walls", 0, smooth=False),
-        light.mesh("light", 1, smooth=False, radiance=np.full(3, 5.0, np.float32)),
+        walls.mesh("walls", 0, smooth_shading=False),
+        light.mesh("light", 1, smooth_shading=False, radiance=np.full(3, 5.0, np.float32)),
     ]
     corners = [(x * CORNER, y * CORNER, z * CORNER) for x, y, z in itertools.product((-1, 1), repeat=3)]
     train = [(eye, (0.2 * eye[2], -0.1 * eye[1], -0.2 * eye[0])) for eye in corners]

@@ -19,7 +19,7 @@ def build_furnace(albedo: float = 0.5, emission: float = 1.0) -> Scene:
         InputError: the albedo is not in [0, 1).
     """
     solid = join(*room((-1.0, -0.75, -0.5), (1.0, 0.75, 0.5)).values())
-    mesh = solid.mesh("walls", 0, smooth=False, radiance=np.full(3, emission, np.float32))
+    mesh = solid.mesh("walls", 0, smooth_shading=False, radiance=np.full(3, emission, np.float32))
     train = [((0.5, 0.2, 0.1), (-1.0, 0.0, 0.0)), ((-0.5, -0.3, 0.2), (1.0, 0.3, -0.2))]
     test = [((0.0, 0.3, -0.2), (0.3, -0.75, 0.1))]
     return Scene(

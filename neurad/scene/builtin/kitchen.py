@@ -61,7 +61,7 @@ def build_kitchen() -> Scene:
     for name, solid, radiance in (("window", window, WINDOW), ("lamp", lamp, LAMP)):
         materials.append(_pane(name))
         light = np.array(radiance, np.float32)
-        meshes.append(solid.mesh(name, len(materials) - 1, smooth=False, radiance=light))
+        meshes.append(solid.mesh(name, len(materials) - 1, smooth_shading=False, radiance=light))
     return Scene(
         name="kitchen",
         meshes=meshes,

@@ -32,7 +32,12 @@ class Solid:
     """Unit normals [v, 3]."""
 
     def mesh(
-        self, name: str, material: int, tile: float = 1.0, smooth: bool = True, radiance: FloatArray | None = None
+        self,
+        name: str,
+        material: int,
+        tile: float = 1.0,
+        smooth_shading: bool = True,
+        radiance: FloatArray | None = None,
     ) -> Mesh:
         """This solid as a mesh whose texture repeats every ``tile`` metres; ``smooth`` keeps the vertex normals.
 
@@ -44,7 +49,7 @@ class Solid:
             vertices=np.round(self.vertices, 6).astype(np.float32),
             faces=self.faces,
             material=material,
-            normals=np.round(normals, 6).astype(np.float32) if smooth else None,
+            normals=np.round(normals, 6).astype(np.float32) if smooth_shading else None,
             uvs=np.round(self.uvs / tile, 6).astype(np.float32),
             radiance=radiance,
         )

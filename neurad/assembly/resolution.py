@@ -1,0 +1,59 @@
+"""How fine a grid has to be for what the photographs show."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import replace
+from typing import TypeVar
+
+import torch
+
+from neurad.core.camera import Cameras
+from neurad.core.protocols import Tracer
+from neurad.core.records import Rays
+from neurad.core.rng import Stream
+from neurad.fields.hash_grid import UnitCube
+from neurad.fields.settings import FieldConfig
+from neurad.scene.description import Scene
+
+RAYS = 8192
+"""Camera rays behind a figure."""
+SHARE = 0.1
+"""Part of what the photographs show that is seen closer than the figure says."""
+
+Config = TypeVar("Config", bound=FieldConfig)
+
+
+def resolve_finest(config: Config, cells: Callable[[], int]) -> Config:
+    """``config`` with a ``finest`` level of ``cells`` where it leaves that to the photographs; else nobody is asked."""
+    if config.kind != "hash" or config.grid.finest is not None:
+        return config
+    return replace(config, grid=replace(config.grid, finest=max(config.grid.coarsest, cells())))
+
+
+@torch.no_grad()
+def finest_cells(tracer: Tracer, scene: Scene, device: torch.device | str = "cpu") -> int:
+    """Cells along the longest side of the scene, each as large as a pixel where the training views are close: a tenth
+    of what they show is closer. Finer cells would hold little but the photographs' noise.
+
+    A pixel grows with the length of its ray. The figure is a power of the root of 2, so that nothing hangs on the last
+    digit of that length.
+
+    Args:
+        tracer: casts the rays.
+        scene: whose training views count.
+        device: where rays are cast; they are drawn on the CPU, the same ones everywhere.
+    """
+    cameras = Cameras.of([view.camera for view in scene.train], "cpu")
+    stream = Stream(0, 3)
+    view = stream.integers(len(scene.train), RAYS)
+    rays = cameras.rays(view, stream.uniform(RAYS, 2) * torch.tensor([cameras.width, cameras.height], device="cpu"))
+    hit = tracer.closest(Rays(rays.o.to(device), rays.d.to(device)))
+    valid = hit.valid.cpu()
+    if not bool(valid.any()):
+        return 1
+    pixel = (hit.t.cpu() * cameras.side[view])[valid]
+    side = 1.0 / float(UnitCube(torch.from_numpy(scene.bounds)).inverse_side)
+    cells = side / max(float(pixel.quantile(SHARE)), 1e-6 * side)
+    return int(2.0 ** (0.5 * round(2.0 * math.log2(cells))) + 0.5)

@@ -1,0 +1,159 @@
+"""Settings of an inverse rendering run, as they stand in YAML."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Literal
+
+from neurad.core.errors import InputError
+
+
+@dataclass(frozen=True)
+class Sampling:
+    """How many random decisions a training pixel gets."""
+
+    spp: int = 2
+    """Independent positions in every pixel of a batch; leave-one-out needs at least 2."""
+    samples_per_vertex: int = 4
+    """Samples of the transport operator at every position: as many emitter as BSDF samples."""
+    cached_spp: int = 4
+    """Stratified positions in each pixel whose camera ray is traced once, at the start of a run: 12 bytes each of
+    memory. 0 keeps none and traces new, uniformly random positions in each step, for large sets of photographs."""
+    specular_fraction: float = 0.25
+    """Share of the BSDF samples that the specular lobe draws. Half of them, as in Mitsuba, is more than roughness needs
+    and leaves fewer for albedo."""
+    guide: int = 16
+    """Cells along the scene's longest side of the histogram that tells BSDF samples where indirect light came from
+    before; 0 samples by the BSDF alone. In memory and in checkpoints it takes 4.6 KB a cell, 19 MB for 16 cells in a
+    cubic scene. Lambertian scenes go without."""
+    field_fraction: float = 1.0
+    """Share of the positions, but no fewer than two a pixel, at which the radiance field learns: those of one pixel lie
+    so close together that few tell as much as all, and its gradient is the dearest part of a step."""
+    extra_bounce_fraction: float = 0.5
+    """Share of the positions at which the prior is also taken at the second hit; 0 leaves it out."""
+    sample_groups: int = 4
+    """Groups of a pixel's positions: within a group samples are spread evenly, which leaves less noise, and groups are
+    independent of each other, which unbiased gradients need. Positions that cannot be shared out evenly are a group
+    each."""
+
+    @property
+    def groups(self) -> int:
+        """Independent groups of positions in a pixel."""
+        return self.sample_groups if self.spp % self.sample_groups == 0 else self.spp
+
+    def split_over(self, pixel_multiplier: int) -> Sampling:
+        """The same number of samples over ``pixel_multiplier`` times as many pixels.
+
+        Raises:
+            InputError: the positions cannot be shared out so, two a pixel at the least.
+        """
+        if pixel_multiplier > 1 and (self.spp % pixel_multiplier or self.spp < 2 * pixel_multiplier):
+            raise InputError(
+                f"--data.pixel_multiplier: {pixel_multiplier} must divide model.sampling.spp ({self.spp}) "
+                "and leave two of them a pixel"
+            )
+        return replace(self, spp=self.spp // pixel_multiplier)
+
+    def __post_init__(self) -> None:
+        """Refuse what cannot be sampled."""
+        if not 0.0 < self.specular_fraction < 1.0:
+            raise InputError("model.sampling.specular_fraction: it must lie between 0 and 1")
+        if not 0.0 < self.field_fraction <= 1.0:
+            raise InputError("model.sampling.field_fraction: it must lie above 0 and be at most 1")
+        if self.sample_groups < 2:
+            raise InputError("model.sampling.sample_groups: it must be at least 2")
+        if not 0 <= self.guide <= 32:
+            raise InputError("model.sampling.guide: it must lie in 0 .. 32")
+
+
+@dataclass(frozen=True)
+class Objective:
+    """Terms of the loss and the form of their gradients."""
+
+    estimator: Literal["leave_one_out", "two_pass"] = "leave_one_out"
+    """Unbiased photometric gradient: in one pass, or with a second rendering as in the paper."""
+    normaliser: Literal["photograph", "blurred", "prediction"] = "prediction"
+    """What the photometric term is relative to: noisy photographs, their mean over 5 x 5 pixels, or the field's own
+    noise-free prediction. A method without a field takes ``blurred`` for ``prediction``."""
+    prior: float = 1.0
+    """Weight of the radiometric prior; 0 leaves it out."""
+    prior_gradient: Literal["semi", "full"] = "semi"
+    """Gradient of the prior through its left side only, or through both sides."""
+    prior_trains: Literal["field", "both"] = "field"
+    """Whether the prior moves the radiance field alone, or the materials too (worse: an ablation of the paper)."""
+    lhs: float = 1.0
+    """Weight of the radiance field's own photometric term; 0 leaves it out."""
+    epsilon: float = 0.01
+    """Floor of the relative losses, in units of the mean squared training radiance."""
+    firefly_clamp: float = 0.0
+    """Photographs count up to so many times what the radiance field predicts beyond its own value, so that a firefly in
+    one does not pull; 0 lets everything through. A bound darkens: what is cut off is lost, highlights too."""
+    roughness_regulariser: float = 0.0
+    """Weight of a mild quadratic pull of roughness towards its mean, for surfaces whose highlight nobody sees; 0 leaves
+    it out."""
+
+
+@dataclass(frozen=True)
+class Lighting:
+    """What is known of the light."""
+
+    environment: Literal["known", "fit"] = "known"
+    """``fit`` recovers the environment map; of the one in the scene only ``to_world`` is used then, and its pixels are
+    what the result is scored against. Area lights are always known."""
+    width: int = 256
+    """Texels across of a map to recover."""
+    height: int = 128
+    """Its texels from pole to pole."""
+    refresh: int = 20
+    """Iterations after which directions are sampled by the present map instead of an older one."""
+    detail_decay: float = 0.3
+    """Pull of the map's detail towards smoothness, which detail that no photograph tells follows; 0 leaves it out."""
+
+    def __post_init__(self) -> None:
+        """Refuse what no map can have."""
+        if self.environment not in ("known", "fit"):
+            raise InputError(f"model.lighting.environment: '{self.environment}' is unknown, choose known or fit")
+        if self.width < 2 or self.height < 2 or self.refresh < 1 or self.detail_decay < 0:
+            raise InputError(
+                "model.lighting: width and height must be at least 2, refresh at least 1, smooth at least 0"
+            )
+
+
+@dataclass(frozen=True)
+class Optimization:
+    """Learning rates of the optimizers and the schedule that they share."""
+
+    albedo: float = 5e-3
+    roughness: float = 5e-3
+    """Divided by the square of the batch's pixel_multiplier (``data.pixel_multiplier``)."""
+    roughness_decay: float = 0.0
+    """Weight decay (AdamW's) of the table that roughness's network reads; 0 is none. Where photographs tell little of
+    roughness, noise writes patterns into the table that nothing else takes out again."""
+    radiance: float = 5e-3
+    environment: float = 1e-1
+    schedule: Literal["constant", "cosine"] = "cosine"
+    """Cosine decay over the run: by iterations (``max_steps``) or time (``max_time``), whichever ends first."""
+    warmup: int = 20
+    """Iterations over which the rates rise from zero."""
+    final: float = 0.02
+    """Share of the rates left at the end of the cosine."""
+    average: float = 0.0
+    """Evaluations and results show materials averaged over this share of the iterations so far, which takes out the
+    noise that high learning rates leave; 0 shows the present ones."""
+    clip: float = 0.0
+    """Largest norm of an optimizer's gradient, a longer one is shortened to it; 0 leaves gradients as they are."""
+    matmul: Literal["highest", "high", "medium"] = "highest"
+    """Products inside the networks while they train: ``highest`` is float32, ``high`` allows TF32 on GPUs that have it,
+    ``medium`` the same there and bfloat16 on CPUs, in all layers but a network's last, gradients included. Weights and
+    all else stay float32, and so do evaluations."""
+
+    def __post_init__(self) -> None:
+        """Refuse what does not exist."""
+        if self.matmul not in ("highest", "high", "medium"):
+            raise InputError(f"model.optimization.matmul: '{self.matmul}' is unknown, choose highest, high or medium")
+        if self.roughness_decay < 0.0:
+            raise InputError("model.optimization.roughness_decay: it must not be negative")
+        if self.roughness * self.roughness_decay >= 1.0:
+            raise InputError("model.optimization.roughness_decay: times the rate of roughness it must stay below 1")
+        if not 0.0 <= self.average <= 1.0:
+            raise InputError("model.optimization.average: it must lie in 0 .. 1")

@@ -1,0 +1,131 @@
+"""Compiled CPU twins of the plain-torch formulas in ``principled`` and ``microfacet``: one pass over the lanes.
+
+All arithmetic is float32. Mathematical steps are explained there, not here. The kernels release the GIL, run on the
+calling thread and are compiled once per machine.
+"""
+
+from __future__ import annotations
+
+import math
+
+import numba
+import numpy as np
+
+from neurad.core.records import FloatArray
+from neurad.runtime.jit import compiled
+
+_INV_PI = np.float32(1.0 / math.pi)
+_QUARTER_PI = np.float32(math.pi / 4)
+_HALF_PI = np.float32(math.pi / 2)
+_ZERO, _HALF, _ONE, _TWO = np.float32(0.0), np.float32(0.5), np.float32(1.0), np.float32(2.0)
+_QUARTER, _FOUR = np.float32(0.25), np.float32(4.0)
+_MIN_ALPHA, _TINY = np.float32(0.001), np.float32(1e-6)
+
+
+@numba.njit(nogil=True, fastmath=True, cache=True, error_model="numpy")
+def lobes_pdf(
+    roughness: FloatArray, wo: FloatArray, wi: FloatArray, eta: np.float32, share: np.float32, out: FloatArray
+) -> None:  # pragma: no cover - compiled
+    """Fill the rows of ``out`` [5, n] with d, s, pdf, dd/droughness and ds/droughness."""
+    cosine_share, ggx_share = _ONE - share, _HALF * share
+    inv_eta2 = _ONE / (eta * eta)
+    for i in range(wo.shape[0]):
+        zo, zi, r = wo[i, 2], wi[i, 2], roughness[i, 0]
+        front = (zo > _ZERO) & (zi > _ZERO)
+        zo, zi = max(zo, _ZERO), max(zi, _ZERO)
+        hx, hy, hz = wo[i, 0] + wi[i, 0], wo[i, 1] + wi[i, 1], max(zo + zi, _TINY)
+        flat, up = hx * hx + hy * hy, hz * hz
+        length = flat + up
+        cos2 = _QUARTER * length
+        cos = math.sqrt(cos2)
+
+        wide = r * r > _MIN_ALPHA
+        alpha = r * r if wide else _MIN_ALPHA
+        alpha2 = alpha * alpha
+        inv_denominator = _ONE / (flat + alpha2 * up)
+        ratio = length * inv_denominator
+        density = alpha2 * ratio * ratio * _INV_PI
+        zo2, zi2 = zo * zo, zi * zi
+        root_o, root_i = math.sqrt(zo2 + alpha2 * (_ONE - zo2)), math.sqrt(zi2 + alpha2 * (_ONE - zi2))
+        inv_o, inv_i = _ONE / (zo + root_o), _ONE / (zi + root_i)
+
+        cos_t = math.sqrt(max(_ONE - (_ONE - cos2) * inv_eta2, _ZERO))
+        fs = (cos - eta * cos_t) / (cos + eta * cos_t)
+        fp = (eta * cos - cos_t) / (eta * cos + cos_t)
+        s = _HALF * (fs * fs + fp * fp) * density * zi * inv_o * inv_i
+
+        mo, mi = max(_ONE - zo, _ZERO), max(_ONE - zi, _ZERO)
+        mo2, mi2 = mo * mo, mi * mi
+        fo, fi = mo2 * mo2 * mo, mi2 * mi2 * mi
+        both = fo * fi
+        slope = _TWO * cos2
+        retro = slope * r
+        lambert = zi * _INV_PI if front else _ZERO
+        log_slope = (
+            _TWO / alpha
+            - _FOUR * alpha * up * inv_denominator
+            - alpha * ((_ONE - zo2) / root_o * inv_o + (_ONE - zi2) / root_i * inv_i)
+        )
+        base = (_ONE - _HALF * fo) * (_ONE - _HALF * fi)
+        out[0, i] = lambert * (base + retro * (fo + fi - both + retro * both))
+        out[1, i] = s if front else _ZERO
+        out[2, i] = cosine_share * lambert + ggx_share * density * inv_o if front else _ZERO
+        out[3, i] = lambert * slope * (fo + fi - both + _TWO * retro * both)
+        out[4, i] = s * log_slope * _TWO * r if front and wide else _ZERO
+
+
+@numba.njit(nogil=True, fastmath=True, cache=True, error_model="numpy")
+def direction(
+    roughness: FloatArray, wo: FloatArray, u: FloatArray, cosine_share: np.float32, out: FloatArray
+) -> None:  # pragma: no cover - compiled
+    """Fill ``out`` [n, 3] with directions drawn by the principled BSDF from the numbers ``u`` [n, 3]."""
+    for i in range(wo.shape[0]):
+        a, b = _TWO * u[i, 1] - _ONE, _TWO * u[i, 2] - _ONE
+        if abs(a) > abs(b):
+            radius, phi = a, _QUARTER_PI * b / a
+        else:
+            radius, phi = b, _HALF_PI - _QUARTER_PI * a / (b if b != _ZERO else _ONE)
+        a, b = radius * math.cos(phi), radius * math.sin(phi)
+        if u[i, 0] < cosine_share:
+            out[i, 0], out[i, 1] = a, b
+            out[i, 2] = math.sqrt(max(_ONE - a * a - b * b, _ZERO))
+            continue
+
+        x, y, z = wo[i, 0], wo[i, 1], wo[i, 2]
+        alpha = max(roughness[i, 0] * roughness[i, 0], _MIN_ALPHA)
+        scale = _ONE / math.sqrt(max(alpha * alpha * (x * x + y * y) + z * z, _TINY * _TINY))
+        sx, sy, cos = alpha * x * scale, alpha * y * scale, z * scale
+        sin = math.sqrt(sx * sx + sy * sy)
+        cos_phi, sin_phi = (sx / sin, sy / sin) if sin > _TINY else (_ONE, _ZERO)
+        chord = max(_ONE - a * a, _ZERO)
+        edge = math.sqrt(chord)
+        b = edge + _HALF * (_ONE + cos) * (b - edge)
+        c = math.sqrt(max(chord - b * b, _ZERO))
+        along = sin * c - cos * b
+        mx, my = alpha * (cos_phi * along + sin_phi * a), alpha * (sin_phi * along - cos_phi * a)
+        mz = max(sin * b + cos * c, _TINY)
+        twice = _TWO * (x * mx + y * my + z * mz) / (mx * mx + my * my + mz * mz)
+        out[i, 0], out[i, 1], out[i, 2] = twice * mx - x, twice * my - y, twice * mz - z
+
+
+@compiled
+def mean_lobes(
+    roughness: FloatArray, cosine: FloatArray, entries: FloatArray, rows: int, columns: int, out: FloatArray
+) -> None:  # pragma: no cover - compiled
+    """Fill ``out`` [4, n] with bilinear values of a table ``entries`` [rows * columns, 4] over roughness and the root
+    of the cosine.
+    """
+    last_row, last_column = np.float32(rows - 1), np.float32(columns - 1)
+    for i in range(roughness.shape[0]):
+        r, c = roughness[i, 0], cosine[i]
+        r, c = r if r > _ZERO else _ZERO, c if c > _ZERO else _ZERO  # NaN reads the first entry, none beyond the table
+        row = (r if r < _ONE else _ONE) * last_row
+        column = np.float32(math.sqrt(c if c < _ONE else _ONE)) * last_column
+        low, left = min(int(row), rows - 2), min(int(column), columns - 2)
+        down, right = row - np.float32(low), column - np.float32(left)
+        first = low * columns + left
+        for k in range(4):
+            above = entries[first, k] + right * (entries[first + 1, k] - entries[first, k])
+            start = entries[first + columns, k]
+            below = start + right * (entries[first + columns + 1, k] - start)
+            out[k, i] = above + down * (below - above)

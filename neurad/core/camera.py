@@ -1,0 +1,71 @@
+"""Rays through the pixels of a camera."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from typing import Self
+
+import torch
+from torch import Tensor
+
+from neurad.core.records import Camera, Rays
+
+
+def camera_rays(camera: Camera, xy: Tensor) -> Rays:
+    """Rays from the pinhole through film positions.
+
+    Args:
+        camera: looks along -Z with +Y up; ``fov_x`` is horizontal, pixels are square.
+        xy: film positions in pixels [n, 2]; x runs right from 0 to width, y runs down from 0 to height.
+
+    Returns:
+        Rays with unit directions, on the device of ``xy``.
+    """
+    pixel = 2.0 * math.tan(0.5 * camera.fov_x) / camera.width  # side of a pixel on the plane z = -1
+    x = (xy[:, 0] - 0.5 * camera.width) * pixel
+    y = (0.5 * camera.height - xy[:, 1]) * pixel
+    to_world = torch.as_tensor(camera.to_world, dtype=xy.dtype, device=xy.device)
+    d = torch.stack((x, y, -torch.ones_like(x)), -1) @ to_world[:3, :3].T
+    d = d / d.norm(dim=-1, keepdim=True)
+    return Rays(to_world[:3, 3].expand_as(d).contiguous(), d)
+
+
+@dataclass(frozen=True)
+class Cameras:
+    """Several cameras of one size on tensors, for rays through pixels of different views at once."""
+
+    rotation: Tensor
+    """Camera to world [v, 3, 3]."""
+    origin: Tensor
+    """[v, 3]."""
+    side: Tensor
+    """Side of a pixel on the plane z = -1 [v]."""
+    width: int
+    height: int
+
+    @classmethod
+    def of(cls, cameras: list[Camera], device: torch.device | str) -> Self:
+        """The cameras on a device, float32."""
+        pose = torch.stack([torch.as_tensor(c.to_world, dtype=torch.float32) for c in cameras]).to(device)
+        side = torch.tensor([2.0 * math.tan(0.5 * c.fov_x) / c.width for c in cameras], device=device)
+        return cls(pose[:, :3, :3].contiguous(), pose[:, :3, 3].contiguous(), side, cameras[0].width, cameras[0].height)
+
+    def rays(self, view: Tensor, xy: Tensor) -> Rays:
+        """What :func:`camera_rays` gives, each lane with the camera of its view.
+
+        Args:
+            view: index of the camera [n], int64.
+            xy: film positions in pixels [n, 2].
+        """
+        side, axes = self.side[view], self.rotation[view]
+        x, y = (xy[:, 0] - 0.5 * self.width) * side, (0.5 * self.height - xy[:, 1]) * side
+        d = axes[:, :, 0] * x.unsqueeze(-1) + axes[:, :, 1] * y.unsqueeze(-1) - axes[:, :, 2]
+        return Rays(self.origin[view], d / d.norm(dim=-1, keepdim=True))
+
+
+def resized(camera: Camera, width: int | None) -> Camera:
+    """The camera with its film scaled to ``width`` pixels; the same camera for None."""
+    if width is None:
+        return camera
+    return replace(camera, width=width, height=round(camera.height * width / camera.width))

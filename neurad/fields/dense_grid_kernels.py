@@ -1,0 +1,128 @@
+"""Compiled kernels of the dense grid: float32 on the CPU, any number of channels."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from neurad.fields.hash_grid_kernels import (
+    BIT,
+    BLOCK,
+    ONE,
+    ZERO,
+    Bits,
+    Floats,
+    Ints,
+    _corners,
+    _place,
+)
+from neurad.fields.intrinsics import lowest_bit, prefetch
+from neurad.runtime.jit import compiled
+
+WHOLE = 4096
+"""Entries that a word of the second bit field stands for."""
+
+
+@compiled
+def encode_dense(x: Floats, table: Floats, size: int, out: Floats, low: int, high: int) -> None:
+    """Trilinear values ``out[low:high]`` [n, c] at ``x[low:high]`` [n, 3] of ``table`` [size^3, c].
+
+    A table is far larger than a cache, so entries are asked for a block of points ahead.
+    """
+    width = table.shape[1]
+    base = np.uint64(table.ctypes.data)
+    r, stride = np.float32(size - 1), np.uint32(size)
+    entry = np.empty((BLOCK, 8), np.uint32)
+    fraction = np.empty((BLOCK, 3), np.float32)
+    for start in range(low, high, BLOCK):
+        count = min(BLOCK, high - start)
+        for k in range(count):
+            e, f = entry[k], fraction[k]
+            e[0], e[1], e[2], e[3], e[4], e[5], e[6], e[7], f[0], f[1], f[2] = _corners(
+                x[start + k, 0], x[start + k, 1], x[start + k, 2], r, stride, np.uint32(0)
+            )
+            for c in range(0, 8, 2):  # neighbours along x stand next to each other
+                prefetch(base + np.uint64(4 * width) * np.uint64(e[c]))
+        for k in range(count):
+            fx, fy, fz = fraction[k, 0], fraction[k, 1], fraction[k, 2]
+            e = entry[k]
+            for j in range(width):
+                a = table[e[0], j] + fx * (table[e[1], j] - table[e[0], j])
+                b = table[e[2], j] + fx * (table[e[3], j] - table[e[2], j])
+                c0 = table[e[4], j] + fx * (table[e[5], j] - table[e[4], j])
+                d = table[e[6], j] + fx * (table[e[7], j] - table[e[6], j])
+                near, far = a + fy * (b - a), c0 + fy * (d - c0)
+                out[start + k, j] = near + fz * (far - near)
+
+
+@compiled
+def _list_used(bits: Bits, used: Bits, begin: int, end: int, rows: Ints, rank: Ints) -> int:
+    """Write the entries that ``used[begin:end]`` marks, in order, to ``rows``; their number. ``rank[word]`` becomes the
+    place of the word's first entry, in each word that is marked.
+    """
+    count = 0
+    for group in range(begin, end):
+        u = used[group]
+        while u != 0:
+            word = 64 * group + np.int64(lowest_bit(u))
+            u &= u - BIT
+            rank[word] = count
+            b = bits[word]
+            while b != 0:
+                rows[count] = 64 * word + np.int64(lowest_bit(b))
+                count += 1
+                b &= b - BIT
+    return count
+
+
+@compiled
+def dense_gradient(
+    x: Floats, gradient: Floats, size: int, low: int, high: int, bits: Bits, used: Bits, rank: Ints, rows: Ints,
+    values: Floats,
+) -> int:  # fmt: skip
+    """Gradient of the entries ``low .. high - 1`` of the table for ``gradient`` [n, c]: the number of those that are
+    touched, which stand in ascending order at the front of ``rows``, with their gradients in ``values`` [k, c].
+
+    Ranges that begin and end at multiples of :data:`WHOLE` share no word of the bit fields. As
+    :func:`neurad.fields.hash_grid_kernels.table_gradient`:
+    marked in a bit field, numbered by counting bits, no sorting. A second
+    bit field marks the words of the first that are in use, since nearly all are empty. Both, ``bits``
+    [size^3 / 64 + 1] and ``used`` [words / 64 + 1], are zero before and after; ``rank`` [words] is scratch.
+    """
+    n, width = gradient.shape
+    r, stride = np.float32(size - 1), np.uint32(size)
+    entry = np.empty((n, 8), np.uint32)
+    fraction = np.empty((n, 3), np.float32)
+    lane = np.empty(n, np.int64)
+    inside = 0
+    for i in range(n):
+        e, f = entry[inside], fraction[inside]
+        e[0], e[1], e[2], e[3], e[4], e[5], e[6], e[7], f[0], f[1], f[2] = _corners(
+            x[i, 0], x[i, 1], x[i, 2], r, stride, np.uint32(0)
+        )
+        if e[7] < low or e[0] >= high:
+            continue
+        lane[inside] = i
+        inside += 1
+        for c in range(8):
+            if low <= e[c] < high:
+                word = e[c] >> 6
+                bits[word] |= BIT << np.uint64(e[c] & 63)
+                used[word >> 6] |= BIT << np.uint64(word & 63)
+    count = _list_used(bits, used, low // WHOLE, -(-high // WHOLE), rows, rank)
+    values[:count] = ZERO
+    for i in range(inside):
+        fx, fy, fz = fraction[i, 0], fraction[i, 1], fraction[i, 2]
+        for c in range(8):
+            if not low <= entry[i, c] < high:
+                continue
+            wx = fx if c & 1 else ONE - fx
+            wy = fy if c & 2 else ONE - fy
+            wz = fz if c & 4 else ONE - fz
+            w = wx * (wy * wz)
+            k = _place(entry[i, c], bits, rank)
+            for j in range(width):
+                values[k, j] += w * gradient[lane[i], j]
+    for i in range(count):
+        bits[rows[i] >> 6] = 0
+        used[rows[i] >> 12] = 0
+    return count

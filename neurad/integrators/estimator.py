@@ -1,0 +1,82 @@
+"""What one training step estimates: the RHS image, the field at the same points, and the prior's two sides."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import torch
+from torch import Tensor
+
+from neurad.core.protocols import Materials
+from neurad.core.records import Lanes, Surface, SurfaceInteraction
+from neurad.core.rng import Stream
+from neurad.integrators.method import Method, Parts, Reflected, ReflectedRadiance, query_radiance
+from neurad.integrators.radiometric import Radiometric, field_radiance
+from neurad.integrators.stratified import stratified_samples
+from neurad.integrators.vertex import bounce
+from neurad.integrators.world import World
+
+
+@dataclass(frozen=True)
+class Estimator:
+    """Estimates in a world with materials and, for the methods that read one, a radiance field."""
+
+    world: World
+    materials: Materials
+    radiance: ReflectedRadiance | None
+    method: Method = field(default_factory=Radiometric)
+
+    @property
+    def parts(self) -> Parts:
+        """What the method works on."""
+        return Parts(self.world, self.materials, self.radiance)
+
+    def image(
+        self, si: SurfaceInteraction, surface: Surface, count: int, stream: Stream, stratum_size: int = 1
+    ) -> Reflected:
+        """The method's estimate, ``count`` samples at every lane: lane i's are i*count .. (i+1)*count - 1.
+
+        The samples of ``together`` neighbouring lanes are spread evenly, and independent of all others.
+        """
+        assert len(si) % stratum_size == 0
+        u = stratified_samples(len(si) // stratum_size, stratum_size * count, stream)
+        return self.method.reflected(self.parts, si.repeat(count), surface.repeat(count), u, stream)
+
+    def reflected(
+        self,
+        si: SurfaceInteraction,
+        surface: Surface,
+        count: int,
+        stream: Stream,
+        field_gradient: bool = False,
+        light_gradient: bool = True,
+    ) -> Tensor:
+        """``count`` evenly spread samples of ``T_hat(E + L_theta)`` at each lane [n, count, 3]: the prior's right side.
+
+        The samples are differentiable in ``surface``; in theta only if ``field_gradient``. Without ``light_gradient``
+        their direct part is fixed.
+        """
+        assert self.radiance is not None
+        u = stratified_samples(len(si), count, stream)
+        step = bounce(self.world, si.repeat(count), surface.repeat(count), u)
+        if field_gradient:
+            light = step.next.where_hit(query_radiance(self.radiance, self.materials, step.next))
+        else:
+            light = field_radiance(self.materials, self.radiance, step.next)
+        value = step.reflected(light) if light_gradient else step.direct.detach() + step.weight * light
+        return value.view(len(si), count, 3)
+
+
+def subsample(lanes: Lanes, share: float, stream: Stream, count: int) -> Tensor:
+    """Indices of a random ``share`` of the first hits, one random bounce of each: into lanes ordered by hit, ``count``
+    bounces a hit.
+    """
+    hits = len(lanes) // count
+    keep = max(1, round(share * hits))
+    device = stream.device
+    chosen = (
+        torch.randperm(hits, generator=stream.generator, device=device)[:keep]
+        if keep < hits
+        else torch.arange(hits, device=device)
+    )
+    return chosen * count + stream.integers(count, len(chosen))

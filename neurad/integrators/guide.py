@@ -1,0 +1,188 @@
+"""Guided directions: surfaces look for indirect light where earlier samples found some.
+
+Most noise of a one-bounce estimate comes from the direction of its BSDF sample: light that enters a dim room through a
+door lies in a few directions out of many. A guide keeps, for cells of space and six facings of the surface, how much
+light arrived by bins of the square that :func:`neurad.core.sampling.cosine_hemisphere` maps to directions, and draws
+bins by the root of the mean square of it (Guo et al. 2018, "Primary Sample Space Path Guiding", on one bounce). The
+density is known and bounded below, so estimates keep their mean whatever the guide holds.
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor, nn
+
+from neurad.core.records import BSDFSample, SurfaceInteraction
+from neurad.core.sampling import INV_PI, disk_to_square
+from neurad.integrators import guide_kernels as kernels
+
+FACINGS = 6
+"""Normals are told apart by their largest component and its sign."""
+
+
+class Guide(nn.Module):
+    """A histogram of incident light over space, facing and direction.
+
+    It holds what earlier iterations found and changes between iterations only, so that it makes no samples of one
+    iteration depend on each other. All of it is state: a continued run draws what an unbroken one would (on a GPU up to
+    the order of sums).
+
+    Args:
+        bounds: smallest and largest corner of the scene [2, 3].
+        cells: cells along its longest side.
+        bins: bins along each side of the square of directions.
+        uniform: share of the samples that are drawn as without a guide; weights grow by at most its inverse.
+        refresh: iterations after which the distribution is brought up to date.
+        decay: of what is remembered, at each refresh: light changes while materials are found.
+        use_kernels: use the compiled kernels where they apply (float32 on the CPU).
+    """
+
+    lowest: Tensor
+    counts: Tensor
+    squares: Tensor
+    cdf: Tensor
+
+    def __init__(
+        self,
+        bounds: Tensor,
+        cells: int = 16,
+        bins: int = 8,
+        uniform: float = 0.3,
+        refresh: int = 64,
+        decay: float = 0.97,
+        use_kernels: bool = True,
+    ) -> None:
+        super().__init__()
+        extent = (bounds[1] - bounds[0]).float()
+        side = float(extent.max().clamp_min(torch.finfo(torch.float32).tiny)) / cells
+        self.inverse_side = 1.0 / side
+        self.shape = [max(1, math.ceil(float(x) / side - 1e-3)) for x in extent]
+        self.bins, self.uniform, self.refresh, self.decay, self.use_kernels = bins, uniform, refresh, decay, use_kernels
+        rows, count = FACINGS * math.prod(self.shape), bins * bins
+        self.register_buffer("lowest", bounds[0].float().clone(), persistent=False)
+        self.register_buffer("counts", torch.zeros(rows, count))
+        self.register_buffer("squares", torch.zeros(rows, count))
+        self.register_buffer("cdf", torch.arange(1, count + 1).div(count).repeat(rows, 1))
+
+    def rows(self, si: SurfaceInteraction, n: Tensor) -> Tensor:
+        """Row of the histogram [n] for lanes with unit normals ``n`` [n, 3] on the viewer's side."""
+        if self._compiled(n):
+            out = torch.empty(len(n), dtype=torch.int64)
+            sx, sy, sz = self.shape
+            kernels.rows(
+                si.p.contiguous().numpy(), n.contiguous().numpy(), self.lowest.numpy(), self.inverse_side, sx, sy, sz,
+                out.numpy(),
+            )  # fmt: skip
+            return out
+        cell = ((si.p - self.lowest) * self.inverse_side).floor().clamp_min(0).long()
+        x, y, z = (c.clamp_max(most - 1) for c, most in zip(cell.unbind(-1), self.shape, strict=True))
+        axis = n.abs().argmax(-1)
+        faceforward = 2 * axis + (n.gather(1, axis.unsqueeze(-1)).squeeze(-1) > 0)
+        return ((x * self.shape[1] + y) * self.shape[2] + z) * FACINGS + faceforward
+
+    def warp(self, rows: Tensor, u: Tensor) -> Tensor:
+        """Numbers [n, 2] with the density of :meth:`density` from uniform numbers ``u`` [n, 2]."""
+        if self._compiled(u):
+            out = torch.empty(len(u), 2)
+            kernels.warp(rows.numpy(), u.contiguous().numpy(), self.cdf.numpy(), self.bins, out.numpy())
+            return out
+        cdf = self.cdf[rows]
+        chosen = torch.searchsorted(cdf, u[:, :1].contiguous(), right=True).clamp_max(self.bins**2 - 1)
+        high = cdf.gather(1, chosen)
+        low = torch.where(chosen > 0, cdf.gather(1, (chosen - 1).clamp_min(0)), 0.0)
+        inside = ((u[:, :1] - low) / (high - low)).clamp(0.0, _BELOW_ONE)
+        first = (chosen // self.bins + inside) / self.bins
+        second = (chosen % self.bins + u[:, 1:]) / self.bins
+        return torch.cat((first, second), -1).clamp_max(_BELOW_ONE)
+
+    def density(self, rows: Tensor, wi: Tensor) -> Tensor:
+        """How much likelier than by the cosine alone the guide draws local directions ``wi`` [n, 3]: [n], mean 1."""
+        if self._compiled(wi):
+            out = torch.empty(len(wi))
+            kernels.density(rows.numpy(), wi.contiguous().numpy(), self.cdf.numpy(), self.bins, out.numpy())
+            return out
+        chosen = self._bin(wi)
+        low = torch.where(chosen > 0, self.cdf[rows, (chosen - 1).clamp_min(0)], 0.0)
+        return (self.cdf[rows, chosen] - low) * self.bins**2
+
+    def _places(self, rows: Tensor, wi: Tensor) -> Tensor:
+        """Entries [n] of the flat histogram for local directions [n, 3]."""
+        if self._compiled(wi):
+            out = torch.empty(len(wi), dtype=torch.int64)
+            kernels.places(rows.numpy(), wi.contiguous().numpy(), self.bins, out.numpy())
+            return out
+        return rows * self.bins**2 + self._bin(wi)
+
+    def _bin(self, wi: Tensor) -> Tensor:
+        """Bin [n] of local directions [n, 3]."""
+        x, y = (disk_to_square(wi[:, :2]) * self.bins).long().clamp(0, self.bins - 1).unbind(-1)
+        return x * self.bins + y
+
+    @torch.no_grad()
+    def bin_samples(self, si: SurfaceInteraction, n: Tensor, wi: Tensor, light: Tensor) -> tuple[Tensor, Tensor]:
+        """What samples tell: entries [n] of the flat histogram, and what is to be added there [n, 2].
+
+        Args:
+            si: vertices that light arrived at [n].
+            n: their normals on the viewer's side [n, 3].
+            wi: local directions that it came from [n, 3].
+            light: radiance [n, 3].
+        """
+        known = (si.valid & (wi[:, 2] > 0)).to(light.dtype)
+        return self._places(self.rows(si, n), wi), torch.stack((known, light.mean(-1).square() * known), -1)
+
+    @torch.no_grad()
+    def record(self, places: Tensor, values: Tensor) -> None:
+        """Remember what samples told (:meth:`seen`), which may be those of several processes."""
+        self.counts.view(-1).index_add_(0, places, values[:, 0])
+        self.squares.view(-1).index_add_(0, places, values[:, 1])
+
+    @torch.no_grad()
+    def update(self) -> None:
+        """Bring the distribution up to date with what was learned, and forget some of it."""
+        found = self.counts.sum(1) > 0
+        counts, squares = self.counts[found], self.squares[found]
+        mean = squares.sum(1, keepdim=True) / counts.sum(1, keepdim=True)
+        # Two samples' worth of the row's mean keep bins alive that nobody looked into.
+        root = ((squares + 2.0 * mean) / (counts + 2.0)).sqrt()
+        total = root.sum(1, keepdim=True)
+        even = 1.0 / self.bins**2
+        share = torch.where(total > 0, root / total.clamp_min(torch.finfo(root.dtype).tiny), even)
+        cdf = (self.uniform * even + (1.0 - self.uniform) * share).cumsum(1)
+        self.cdf[found] = cdf / cdf[:, -1:]
+        self.counts.mul_(self.decay)
+        self.squares.mul_(self.decay)
+
+    def _compiled(self, x: Tensor) -> bool:
+        return self.use_kernels and x.dtype == torch.float32 and x.device.type == "cpu"
+
+
+@dataclass(frozen=True)
+class Guided:
+    """A guide at the lanes of a bounce. It bends the diffuse lobe's samples only; the density is that of both lobes."""
+
+    guide: Guide
+    rows: Tensor
+    share: float | Tensor
+
+    def pdf_delta(self, wi: Tensor) -> Tensor:
+        """What the guide adds to the density of local directions [n]; it integrates to 0."""
+        return self.share * (wi[:, 2].clamp_min(0.0) * INV_PI) * (self.guide.density(self.rows, wi) - 1.0)
+
+    def warp(self, u: Tensor) -> Tensor:
+        """Numbers for the BSDF [n, 3] from uniform ones."""
+        by_cosine = u[:, 0] < self.share
+        warped = torch.where(by_cosine.unsqueeze(-1), self.guide.warp(self.rows, u[:, 1:]), u[:, 1:])
+        return torch.cat((u[:, :1], warped), -1)
+
+    def corrected(self, sample: BSDFSample) -> BSDFSample:
+        """The sample with the density that it was really drawn by."""
+        pdf = torch.where(sample.pdf > 0, sample.pdf + self.pdf_delta(sample.wi), 0.0)
+        ratio = torch.where(pdf > 0, sample.pdf / pdf, 0.0)
+        return BSDFSample(sample.wi, pdf, sample.weight * ratio.unsqueeze(-1))
+
+
+_BELOW_ONE = 1.0 - 2.0**-24

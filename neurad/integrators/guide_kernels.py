@@ -1,0 +1,85 @@
+"""Compiled CPU twins of the lookups in ``guiding``: one pass over the lanes, on the calling thread."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+
+from neurad.core.records import FloatArray, IntArray
+from neurad.runtime.jit import compiled, inlined
+
+_BELOW_ONE = np.float32(1.0 - 2.0**-24)
+_FOUR_BY_PI = np.float32(4.0 / math.pi)
+_HALF, _ZERO = np.float32(0.5), np.float32(0.0)
+
+
+@compiled
+def rows(
+    p: FloatArray, n: FloatArray, lowest: FloatArray, inverse_side: float, sx: int, sy: int, sz: int, out: IntArray
+) -> None:  # pragma: no cover - compiled
+    """Fill ``out`` with rows of the histogram."""
+    scale = np.float32(inverse_side)
+    for i in range(p.shape[0]):
+        x = min(max(int((p[i, 0] - lowest[0]) * scale), 0), sx - 1)
+        y = min(max(int((p[i, 1] - lowest[1]) * scale), 0), sy - 1)
+        z = min(max(int((p[i, 2] - lowest[2]) * scale), 0), sz - 1)
+        axis = 0
+        if abs(n[i, 1]) > abs(n[i, 0]):
+            axis = 1
+        if abs(n[i, 2]) > abs(n[i, axis]):
+            axis = 2
+        faceforward = 2 * axis + (1 if n[i, axis] > _ZERO else 0)
+        out[i] = ((x * sy + y) * sz + z) * 6 + faceforward
+
+
+@compiled
+def warp(rows: IntArray, u: FloatArray, cdf: FloatArray, bins: int, out: FloatArray) -> None:  # pragma: no cover
+    """Fill ``out`` [n, 2] with numbers drawn by the rows' distributions."""
+    last = bins * bins - 1
+    for i in range(u.shape[0]):
+        row, x = rows[i], u[i, 0]
+        low, high = 0, last  # the first entry above x
+        while low < high:
+            middle = (low + high) // 2
+            if cdf[row, middle] > x:
+                high = middle
+            else:
+                low = middle + 1
+        before = cdf[row, low - 1] if low > 0 else _ZERO
+        inside = min(max((x - before) / (cdf[row, low] - before), _ZERO), _BELOW_ONE)
+        out[i, 0] = min((np.float32(low // bins) + inside) / np.float32(bins), _BELOW_ONE)
+        out[i, 1] = min((np.float32(low % bins) + u[i, 1]) / np.float32(bins), _BELOW_ONE)
+
+
+@inlined
+def _bin(x: Any, y: Any, bins: int) -> Any:  # pragma: no cover - compiled
+    """Bin of a local direction by its two tangential components."""
+    radius = np.float32(math.sqrt(x * x + y * y))
+    if abs(x) > abs(y):
+        a = radius if x > _ZERO else -radius
+        b = a * _FOUR_BY_PI * np.float32(math.atan(y / x))
+    else:
+        b = radius if y > _ZERO else -radius
+        a = b * _FOUR_BY_PI * np.float32(math.atan(x / y)) if y != _ZERO else _ZERO
+    scale = np.float32(bins)
+    column = min(max(int((_HALF * a + _HALF) * scale), 0), bins - 1)
+    line = min(max(int((_HALF * b + _HALF) * scale), 0), bins - 1)
+    return column * bins + line
+
+
+@compiled
+def density(rows: IntArray, wi: FloatArray, cdf: FloatArray, bins: int, out: FloatArray) -> None:  # pragma: no cover
+    """Fill ``out`` [n] with densities relative to the cosine's."""
+    for i in range(wi.shape[0]):
+        chosen = _bin(wi[i, 0], wi[i, 1], bins)
+        before = cdf[rows[i], chosen - 1] if chosen > 0 else _ZERO
+        out[i] = (cdf[rows[i], chosen] - before) * np.float32(bins * bins)
+
+
+@compiled
+def places(rows: IntArray, wi: FloatArray, bins: int, out: IntArray) -> None:  # pragma: no cover - compiled
+    """Fill ``out`` [n] with entries of the histogram, one row after the other."""
+    for i in range(wi.shape[0]):
+        out[i] = rows[i] * bins * bins + _bin(wi[i, 0], wi[i, 1], bins)

@@ -1,0 +1,133 @@
+"""Camera rays of the training views: traced once, at several stratified positions in every pixel, or in every step."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import torch
+from torch import Tensor
+
+from neurad.core.camera import Cameras, camera_rays
+from neurad.core.records import Camera, PixelBatch, SurfaceInteraction
+from neurad.core.rng import Stream
+from neurad.integrators.emitter_pixels import emitter_pixels
+from neurad.integrators.film import pixel_positions
+from neurad.integrators.world import NonDeltaHit, World
+from neurad.runtime.threads import GRAIN, split
+
+_CHUNK = 1 << 18
+
+
+class PrimaryHits:
+    """What the camera sees at ``count`` stratified positions in each pixel of each training view.
+
+    Keeps a triangle and barycentrics for each, 12 bytes; never the centre of a pixel alone. With a ``count`` of 0
+    nothing is kept: every call traces new, uniformly random positions.
+
+    Args:
+        world: the scene.
+        cameras: training cameras, all of one size.
+        count: positions a pixel; 0 for new ones in each call.
+        seed: of the positions.
+        device: where the cache lies.
+        use_kernels: let a compiled pass make surface points of kept hits where it can (CPU).
+    """
+
+    def __init__(
+        self, world: World, cameras: list[Camera], count: int, seed: int, device: torch.device, use_kernels: bool = True
+    ) -> None:
+        self.world = world
+        self.cameras = cameras
+        self.count = count
+        self.seed = seed
+        self.use_kernels = use_kernels
+        self.views = Cameras.of(cameras, device)
+        self.origin = self.views.origin
+        self.pixels = cameras[0].width * cameras[0].height
+        total = len(cameras) * self.pixels * count
+        has_sky = world.features.has_environment
+        # Triangle and barycentrics of a hit stand next to each other, since they are read at random addresses.
+        self.hits = torch.empty(total, 3, dtype=torch.int32, device=device)
+        self.prim, self.bary = self.hits[:, 0], self.hits[:, 1:].view(torch.float32)
+        self.away = torch.empty(total if has_sky else 0, 3, dtype=torch.float16, device=device)
+        if count > 0:
+            for index, camera in enumerate(cameras):
+                self._keep(index, camera)
+
+    def _keep(self, index: int, camera: Camera) -> None:
+        """Trace the positions of one view."""
+        device = self.prim.device
+        pixels = torch.arange(self.pixels, device=device)
+        xy = pixel_positions(camera.width, pixels, self.count, Stream(self.seed, index, device=device)).view(-1, 2)
+        first = index * len(xy)
+        for begin in range(0, len(xy), _CHUNK):
+            rays = camera_rays(camera, xy[begin : begin + _CHUNK])
+            hit = self.world.tracer.closest(rays)
+            self.world.rays_cast += len(rays)
+            here = slice(first + begin, first + begin + len(rays))
+            self.prim[here] = hit.prim.int()
+            self.bary[here] = torch.stack((hit.u, hit.v), -1)
+            if len(self.away):
+                self.away[here] = (-rays.d).half()
+
+    def sees_emitter(self) -> Tensor:
+        """Whether any position of a pixel sees an emitter's triangle [views, pixels], bool.
+
+        Without kept positions some are traced for it, in the pixels onto which an emitter projects.
+        """
+        if self.count == 0:
+            return emitter_pixels(self.world, self.cameras, self.seed, self.prim.device)
+        emission = self.world.geometry.emission.amax(-1)
+        found = torch.empty(len(self.cameras), self.pixels, dtype=torch.bool, device=self.prim.device)
+        for index, prim in enumerate(torch.tensor_split(self.prim, len(self.cameras))):
+            light = (emission[prim.clamp_min(0).long()] > 0) & (prim >= 0)
+            found[index] = light.view(self.pixels, self.count).any(-1)
+        return found
+
+    def __call__(self, batch: PixelBatch, positions: int, stream: Stream) -> NonDeltaHit:
+        """First vertices at ``positions`` independent positions of every pixel, pixel by pixel [b * positions]."""
+        if self.count == 0 or self.world.delta is not None:
+            return self._anew(batch, positions, stream)
+        b = len(batch.view)
+        # Independent draws: if a pixel's positions were always different ones, the leave-one-out gradient would miss
+        # the pairs of one position with itself and reward contrast inside the pixel.
+        chosen = stream.integers(self.count, b, positions)
+        first = (batch.view * self.pixels + batch.pixel) * self.count
+        points = self._quickly if self.use_kernels and self.world.geometry.compiled(self.origin) else self._plainly
+        return NonDeltaHit(points(first, chosen, batch.view), None, None)
+
+    def _plainly(self, first: Tensor, chosen: Tensor, view: Tensor) -> SurfaceInteraction:
+        """Surface points at the kept hits ``first`` [b] + ``chosen`` [b, n] of pixels of ``view`` [b]."""
+        index = (first.unsqueeze(1) + chosen).view(-1)
+        hits = self.hits[index]
+        prim, bary = hits[:, 0].long(), hits[:, 1:].view(torch.float32)
+        origin = self.origin[view].repeat_interleave(chosen.shape[1], 0)
+        valid = prim >= 0
+        missed = self.away[index].float() if len(self.away) else torch.zeros_like(origin)
+        si = self.world.geometry.interact_at(prim, bary[:, 0], bary[:, 1], missed, valid)
+        seen = torch.nn.functional.normalize(origin - si.p, dim=-1)
+        return replace(si, wo=torch.where(valid.unsqueeze(-1), seen, missed))
+
+    def _quickly(self, first: Tensor, chosen: Tensor, view: Tensor) -> SurfaceInteraction:
+        """The same in one compiled pass."""
+        from neurad.scene import geometry_kernels as kernels  # compiled code is loaded by those who use it
+
+        m = chosen.numel()
+        away = self.away[(first.unsqueeze(1) + chosen).view(-1)].float() if len(self.away) else torch.empty(0, 3)
+        prim, valid = torch.empty(m, dtype=torch.int64), torch.empty(m, dtype=torch.bool)
+        p, ng, n, wo = torch.empty(4, m, 3).unbind()
+        uv, bary = torch.empty(2, m, 2).unbind()
+        given = self.hits, self.hits.view(torch.float32), first, chosen, view, self.origin, away
+        filled = prim, valid, p, ng, n, wo, uv, bary
+        arrays = [x.contiguous().numpy() for x in (*given, self.world.geometry.table, *filled)]
+        split(lambda low, high: kernels.interact_kept(low, high, *arrays), m, GRAIN)
+        return SurfaceInteraction(p, ng, n, wo, uv, bary, prim, valid)
+
+    def _anew(self, batch: PixelBatch, positions: int, stream: Stream) -> NonDeltaHit:
+        """The same by new rays: nothing is kept, or the scene has smooth surfaces, whose chains are random."""
+        u = stream.uniform(len(batch.view), positions, 3)
+        width = self.views.width
+        corner = torch.stack((batch.pixel % width, batch.pixel // width), -1).unsqueeze(1)
+        view = batch.view.repeat_interleave(positions)
+        rays = self.views.rays(view, (corner + u[..., :2]).view(-1, 2))
+        return self.world.trace_past_delta(rays, u[..., 2].reshape(-1))

@@ -1,0 +1,75 @@
+"""Uniform numbers for the bounces of a pixel, spread evenly instead of drawn one by one."""
+
+from __future__ import annotations
+
+import math
+from functools import cache
+
+import torch
+from torch import Tensor
+
+from neurad.core.rng import Stream
+from neurad.integrators import stratified_kernels as spread_kernels
+from neurad.integrators.vertex import DIMENSIONS
+from neurad.runtime.threads import GRAIN, split
+
+_FIRST = [0, 2, 3, 4, 6]
+"""First number of each decision of a bounce: point on an emitter, emitter, lobe, direction, glass."""
+_PAIRS = [0, 3]
+"""Which of them take two numbers."""
+_SECOND = [1, 5]
+"""Their second ones."""
+
+
+def stratified_samples(groups: int, count: int, stream: Stream, use_kernels: bool = True) -> Tensor:
+    """Uniform numbers for ``groups`` times ``count`` bounces that are spread evenly [groups * count, DIMENSIONS].
+
+    Every bounce's numbers are uniform, and groups are independent. Within a group each number stands once in every
+    ``count``-th part of its range (the second ones of pairs do if ``count`` is a power of two). The pairs that make a
+    direction or a point on an emitter are those of a Hammersley set, randomly shifted; what belongs to different
+    decisions is paired by random affine maps of the indices (padding, Kollig and Keller 2002), of which powers of two
+    have most.
+
+    Args:
+        groups: independent sets.
+        count: bounces in each.
+        stream: random numbers.
+        use_kernels: let a compiled kernel do it on the CPU; the numbers are the same.
+    """
+    if count == 1:
+        return stream.uniform(groups, DIMENSIONS)
+    random = stream.uniform(groups, DIMENSIONS + len(_FIRST))  # shifts, then a choice of each decision's affine map
+    units, mirrored = _units(count), _mirrored(count)
+    if not use_kernels or random.device.type != "cpu" or random.dtype != torch.float32:
+        return _stratified_reference(random, units.to(random.device), mirrored.to(random.device), count)
+    out = torch.empty(groups * count, DIMENSIONS)
+    arrays = random.numpy(), units.numpy(), mirrored.numpy(), count, out.numpy()
+    split(lambda low, high: spread_kernels.stratified_samples(low, high, *arrays), groups, -(-GRAIN // count))
+    return out
+
+
+def _stratified_reference(random: Tensor, units: Tensor, mirrored: Tensor, count: int) -> Tensor:
+    """:func:`spread` in plain torch, from its random numbers [groups, DIMENSIONS + 5]."""
+    shift, choice = random.unsqueeze(1).tensor_split((DIMENSIONS,), -1)
+    maps = count * len(units)
+    choice = (choice * maps).long().clamp_max(maps - 1)
+    start, factor = choice % count, units[choice // count]
+    order = (start + factor * torch.arange(count, device=random.device).view(1, -1, 1)) % count
+    numbers = shift.repeat(1, count, 1)
+    numbers[..., _FIRST] += order / count
+    numbers[..., _SECOND] += mirrored[order[..., _PAIRS]]
+    wrapped: Tensor = numbers % 1.0
+    return wrapped.view(-1, DIMENSIONS)
+
+
+@cache
+def _units(count: int) -> Tensor:
+    """Factors of the affine maps that reach every index."""
+    return torch.tensor([k for k in range(1, count) if math.gcd(k, count) == 1])
+
+
+@cache
+def _mirrored(count: int) -> Tensor:
+    """Van der Corput's sequence in base 2 [count]."""
+    bits = max(1, (count - 1).bit_length())
+    return torch.tensor([int(f"{k:0{bits}b}"[::-1], 2) / (1 << bits) for k in range(count)])

@@ -1,0 +1,69 @@
+"""Materials averaged over the last part of a run, which evaluations and results show.
+
+While learning rates are high, parameters wander about the point that they are drawn to; their average lies closer to it
+(Polyak and Juditsky 1992). Training itself never sees the average.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import AbstractContextManager, contextmanager, nullcontext
+
+import torch
+from torch import Tensor, nn
+
+EVERY = 16
+"""Iterations between two updates: tables are large, and neighbouring iterations much alike."""
+
+
+class PolyakAverage(nn.Module):
+    """Moving average of a module's parameters. All of it is state, so a continued run has the same.
+
+    Args:
+        part: whose parameters are averaged.
+        share: of the iterations so far that the average reaches back over.
+        every: iterations between two updates.
+    """
+
+    updates: Tensor
+
+    def __init__(self, part: nn.Module, share: float, every: int = EVERY) -> None:
+        super().__init__()
+        self._parameters_of = [p for p in part.parameters() if p.requires_grad]  # a list: they are not this module's
+        self.share, self.every = share, every
+        self.register_buffer("updates", torch.zeros((), dtype=torch.int64))
+        for index, p in enumerate(self._parameters_of):
+            self.register_buffer(f"mean_{index}", p.detach().clone())
+
+    def _means(self) -> list[Tensor]:
+        return [getattr(self, f"mean_{index}") for index in range(len(self._parameters_of))]
+
+    def _values(self) -> list[Tensor]:
+        return [p.detach() for p in self._parameters_of]
+
+    @torch.no_grad()
+    def update(self, iteration: int) -> None:
+        """Take the parameters after ``iteration`` iterations into account."""
+        if iteration % self.every == 0:
+            weight = 1.0 if self.updates == 0 else min(1.0, self.every / (self.share * iteration))
+            torch._foreach_lerp_(self._means(), self._values(), weight)
+            self.updates += 1
+
+    @contextmanager
+    def used(self) -> Iterator[None]:
+        """The module has the averages inside the block; before the first update it keeps what it has."""
+        if self.updates == 0:
+            yield
+            return
+        values, means = self._values(), self._means()
+        kept = [value.clone() for value in values]
+        torch._foreach_copy_(values, means)
+        try:
+            yield
+        finally:
+            torch._foreach_copy_(values, kept)
+
+
+def averaged(average: PolyakAverage | None) -> AbstractContextManager[None]:
+    """A block in which a module has its averages; nothing changes where there are none."""
+    return nullcontext() if average is None else average.used()

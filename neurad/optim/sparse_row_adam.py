@@ -1,0 +1,118 @@
+"""Adam whose cost is proportional to the touched entries of hash-grid tables."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Mapping
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+from torch.optim.adam import adam
+
+from neurad.fields.sparse import unique_rows
+from neurad.runtime.threads import split
+
+
+class SparseRowAdam(torch.optim.Optimizer):
+    """Adam (Kingma and Ba 2015) with lazy updates where gradients are sparse.
+
+    Dense gradients take torch's own Adam, fused where it can be. A sparse gradient moves the rows that it names and
+    leaves every other row with its moments alone, as ``torch.optim.SparseAdam`` does, but for decay; the step counter
+    behind the bias correction is that of the whole parameter. A gradient that names every row makes the two the same.
+
+    Args:
+        params: parameters or parameter groups.
+        lr: step size; read at every step, so it may be changed in ``param_groups``.
+        betas: decay of the two moments. The second is shorter than Adam's usual 0.999, since few table entries are
+            touched a thousand times.
+        eps: added to the root of the second moment. As in instant-ngp far below usual gradients: those of table
+            entries are tiny, and a larger floor would freeze them.
+        weight_decay: by parameter, as in AdamW (Loshchilov and Hutter 2019): a step takes the share ``lr`` times it of
+            all values, in rows that a sparse gradient does not name as well. No part of the state: a continued run has
+            what its settings say.
+    """
+
+    def __init__(
+        self,
+        params: Iterable[Any],
+        lr: float = 5e-3,
+        betas: tuple[float, float] = (0.9, 0.99),
+        eps: float = 1e-15,
+        weight_decay: Mapping[Tensor, float] | None = None,
+    ) -> None:
+        super().__init__(params, {"lr": lr, "betas": betas, "eps": eps})
+        self.weight_decay = dict(weight_decay or {})
+
+    @torch.no_grad()
+    def step(self, closure: Callable[[], Any] | None = None) -> Any:
+        """One update of every parameter that has a gradient."""
+        loss = None
+        if closure is not None:
+            with torch.enable_grad():
+                loss = closure()
+        for group in self.param_groups:
+            dense = []
+            for p in group["params"]:
+                if p.grad is None:
+                    continue
+                if p in self.weight_decay:
+                    p.mul_(1.0 - group["lr"] * self.weight_decay[p])
+                state = self.state[p]
+                if not state:
+                    state["step"] = torch.zeros((), device=p.device)
+                    state["exp_avg"] = torch.zeros_like(p, memory_format=torch.preserve_format)
+                    state["exp_avg_sq"] = torch.zeros_like(p, memory_format=torch.preserve_format)
+                if p.grad.is_sparse:
+                    _update_rows(p, p.grad, state, group)
+                else:
+                    dense.append(p)
+            if dense:
+                _update_dense(dense, [self.state[p] for p in dense], group)
+        return loss
+
+
+def _update_dense(params: list[Tensor], states: list[dict[str, Tensor]], group: dict[str, Any]) -> None:
+    """Torch's Adam for dense gradients."""
+    adam(
+        params,
+        [p.grad for p in params],  # type: ignore[misc]
+        [s["exp_avg"] for s in states],
+        [s["exp_avg_sq"] for s in states],
+        [],
+        [s["step"] for s in states],
+        fused=params[0].device.type in ("cpu", "cuda") or None,
+        amsgrad=False,
+        beta1=group["betas"][0],
+        beta2=group["betas"][1],
+        lr=group["lr"],
+        weight_decay=0.0,
+        eps=group["eps"],
+        maximize=False,
+    )
+
+
+def _update_rows(p: Tensor, gradient: Tensor, state: dict[str, Tensor], group: dict[str, Any]) -> None:
+    """Adam on the rows of ``p`` that a sparse gradient names."""
+    state["step"] += 1
+    step = float(state["step"])
+    beta1, beta2 = group["betas"]
+    rate, root = group["lr"] / (1.0 - beta1**step), (1.0 - beta2**step) ** 0.5
+    m, v = state["exp_avg"], state["exp_avg_sq"]
+    rows, values = unique_rows(gradient)
+    if p.device.type == "cpu" and p.dtype == torch.float32 and p.dim() == 2 and p.is_contiguous():
+        _compiled_rows(p, m, v, rows, values, (rate, 1.0 / root, beta1, beta2, group["eps"]))
+        return
+    m[rows] = torch.lerp(m[rows], values, 1.0 - beta1)
+    v[rows] = beta2 * v[rows] + (1.0 - beta2) * values * values
+    p[rows] -= rate * m[rows] / (v[rows].sqrt() / root + group["eps"])
+
+
+def _compiled_rows(
+    p: Tensor, m: Tensor, v: Tensor, rows: Tensor, values: Tensor, factors: tuple[float, ...]
+) -> None:  # fmt: skip
+    """The update in compiled code; rows are shared among threads."""
+    from neurad.fields import hash_grid_kernels as kernels
+
+    arrays = p.detach().numpy(), m.numpy(), v.numpy(), rows.numpy(), values.numpy(), np.array(factors, np.float32)
+    split(lambda low, high: kernels.adam_rows(*arrays, low, high), len(rows), 8192)

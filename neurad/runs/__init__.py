@@ -1,0 +1,1 @@
+"""Configs, run folders, child processes and the Lightning command line."""

@@ -1,0 +1,81 @@
+"""Compiled CPU twins of :meth:`neurad.scene.geometry.Geometry.interact_at` and of what stands around it where the hits
+of camera rays are kept: one pass over the lanes, float32.
+
+Compiled at first use and cached on disk; they release the interpreter lock and run on the calling thread.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from neurad.core.records import FloatArray, IntArray
+from neurad.runtime.jit import compiled, inlined
+
+_ZERO, _PINCH, _TINY = np.float32(0.0), np.float32(1e-12), np.float32(1e-12)
+
+
+@inlined
+def _interact(
+    row: FloatArray, a: Any, b: Any, p: FloatArray, ng: FloatArray, n: FloatArray, uv: FloatArray, bary: FloatArray
+) -> None:  # pragma: no cover - compiled
+    """Fill one lane's ``p``, ``ng``, ``n`` [3], ``uv`` and ``bary`` [2] from its triangle's row of the table."""
+    for k in range(3):
+        p[k] = row[k] + (a * row[8 + k] + b * row[16 + k])
+        ng[k] = row[24 + k]
+    x = row[3] + (a * row[11] + b * row[19]) + _PINCH * row[24]
+    y = row[4] + (a * row[12] + b * row[20]) + _PINCH * row[25]
+    z = row[5] + (a * row[13] + b * row[21]) + _PINCH * row[26]
+    length = math.sqrt(x * x + y * y + z * z)
+    n[0], n[1], n[2] = x / length, y / length, z / length
+    uv[0] = row[6] + (a * row[14] + b * row[22])
+    uv[1] = row[7] + (a * row[15] + b * row[23])
+    bary[0], bary[1] = a, b
+
+
+@compiled
+def interact(
+    low: int, high: int,
+    prim: IntArray, u: FloatArray, v: FloatArray, table: FloatArray, p: FloatArray, ng: FloatArray, n: FloatArray,
+    uv: FloatArray, bary: FloatArray,
+) -> None:  # fmt: skip  # pragma: no cover - compiled
+    """Fill lanes ``low .. high - 1`` of ``p``, ``ng``, ``n`` [n, 3], ``uv`` and ``bary`` [n, 2] for triangles and
+    barycentrics [n].
+    """
+    for i in range(low, high):
+        _interact(table[max(prim[i], 0)], u[i], v[i], p[i], ng[i], n[i], uv[i], bary[i])
+
+
+@compiled
+def interact_kept(
+    low: int, high: int,
+    kept: npt.NDArray[np.int32], kept_bary: FloatArray, first: IntArray, chosen: IntArray, view: IntArray,
+    origin: FloatArray, away: FloatArray, table: FloatArray, prim: IntArray, valid: Any, p: FloatArray, ng: FloatArray,
+    n: FloatArray, wo: FloatArray, uv: FloatArray, bary: FloatArray,
+) -> None:  # fmt: skip  # pragma: no cover - compiled
+    """Surface points at kept hits, lanes ``low .. high - 1`` of as many as ``chosen`` [b, k] has.
+
+    ``kept`` [m, 3] are triangles (-1 at a miss) and, as ``kept_bary`` [m, 3] shows the same bytes, barycentrics. Lane i
+    of pixel j takes the one ``first[j] + chosen[j, i]``, seen from ``origin[view[j]]``; a miss from the directions
+    ``away`` [lanes, 3], or if that is [0, 3] from nowhere.
+    """
+    count = chosen.shape[1]
+    for i in range(low, high):
+        pixel = i // count
+        k = first[pixel] + chosen[pixel, i - pixel * count]
+        prim[i], valid[i] = kept[k, 0], kept[k, 0] >= 0
+        _interact(
+            table[max(kept[k, 0], 0)], kept_bary[k, 1], kept_bary[k, 2], p[i], ng[i], n[i], uv[i], bary[i]
+        )  # fmt: skip
+        if valid[i]:
+            o = origin[view[pixel]]
+            x, y, z = o[0] - p[i, 0], o[1] - p[i, 1], o[2] - p[i, 2]
+            length = max(np.float32(math.sqrt(x * x + y * y + z * z)), _TINY)
+            wo[i, 0], wo[i, 1], wo[i, 2] = x / length, y / length, z / length
+        elif away.shape[0] > 0:
+            wo[i, 0], wo[i, 1], wo[i, 2] = away[i, 0], away[i, 1], away[i, 2]
+        else:
+            wo[i, 0], wo[i, 1], wo[i, 2] = _ZERO, _ZERO, _ZERO

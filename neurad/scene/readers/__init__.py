@@ -1,0 +1,1 @@
+"""Readers of scene folders, one file a format."""

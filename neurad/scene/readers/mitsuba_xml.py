@@ -1,0 +1,223 @@
+"""Mitsuba 3 scene files, read through the optional ``mitsuba`` package in the ``scalar_rgb`` variant, without LLVM.
+
+Mitsuba parses the XML and hands out the meshes, so defaults, includes, references, transforms and file formats are its
+own. Textures are read by :mod:`neurad.scene.image_io`, and nothing is ever built for Mitsuba to trace.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from neurad.core.errors import InputError
+from neurad.core.records import EnvironmentMap, FloatArray, Mesh
+from neurad.scene.description import Scene
+from neurad.scene.readers.mitsuba_materials import MaterialReader
+
+_MESHES = ("ply", "obj", "serialized", "rectangle", "cube")
+_CURVED = ("sphere", "disk", "cylinder")
+_NOISE = re.compile(r'\[[\w.]+(:\d+)?\] *|At dictionary node "\w+": |failed to instantiate \w+ plugin of type "\w+": ')
+_UNLIMITED = 2**31 - 1
+_IGNORED = ("Sensor", "Integrator", "BSDF", "Texture", "Film", "Sampler", "ReconstructionFilter")
+
+
+def read_xml(path: str | Path) -> Scene:
+    """Geometry, materials, lights and depths of a Mitsuba scene file; cameras are not read.
+
+    Vertices are in world space, and the winding of emitters is such that they shine to the side they do in Mitsuba.
+
+    Raises:
+        InputError: the package or a file is missing, the XML is wrong, or the scene uses what neurad cannot render.
+    """
+    path = Path(path)
+    if not path.is_file():
+        raise InputError(f"{path}: there is no such scene file")
+    with _scalar_rgb(path) as mi:
+        return _Reader(mi, path).scene()
+
+
+@contextmanager
+def _scalar_rgb(path: Path) -> Iterator[Any]:
+    """The package with its ``scalar_rgb`` variant set; the variant that was set before is set again afterwards."""
+    try:
+        import mitsuba as mi
+    except ImportError as error:
+        raise InputError(f"{path}: reading it needs the package mitsuba: pip install 'neurad[mitsuba]'") from error
+    if not hasattr(mi, "parser"):
+        raise InputError(f"{path}: reading it needs mitsuba 3.7 or newer: pip install 'neurad[mitsuba]'")
+    before = mi.variant()
+    mi.set_variant("scalar_rgb")
+    try:
+        yield mi
+    finally:
+        if before is not None:
+            mi.set_variant(before)
+
+
+@dataclass
+class _Reader:
+    """One scene file on its way to a Scene."""
+
+    mi: Any
+    path: Path
+    meshes: list[Mesh] = field(default_factory=list)
+    environment: EnvironmentMap | None = None
+
+    def scene(self) -> Scene:
+        """Everything in the file."""
+        nodes = self._parse()
+        self.materials = MaterialReader(self.mi, self.path, nodes)
+        self.nodes = nodes
+        limits = 20, 8
+        for _, child in self._children(nodes[0]):
+            kind = child.type.name
+            if kind == "Shape":
+                self._shape(child)
+            elif kind == "Emitter":
+                self._emitter(child)
+            elif kind == "Integrator":
+                depth = int(child.props.get("max_depth", -1))
+                limits = (depth if depth >= 0 else _UNLIMITED), int(child.props.get("rr_depth", 5))
+            elif kind not in _IGNORED:
+                raise InputError(f"{self.path}: {kind.lower()} of type {child.props.plugin_name()} is not supported")
+        name = self.path.resolve().parent.name
+        return Scene(
+            name, self.meshes, self.materials.materials, self.environment, max_depth=limits[0], rr_depth=limits[1]
+        )
+
+    def _parse(self) -> Any:
+        parser = self.mi.parser
+        config = parser.ParserConfig("scalar_rgb")
+        try:
+            state = parser.parse_file(config, str(self.path))
+            parser.transform_upgrade(config, state)
+            parser.transform_resolve(config, state)
+        except RuntimeError as error:
+            raise InputError(f"{self.path}: {_reason(error)}") from error
+        return state.nodes
+
+    def _children(self, node: Any) -> Iterator[tuple[str, Any]]:
+        props = node.props
+        for name in props:
+            if props.type(name) == self.mi.Properties.Type.ResolvedReference:
+                yield name, self.nodes[props[name].index()]
+
+    def _shape(self, node: Any) -> None:
+        props = node.props
+        plugin, label = props.plugin_name(), props.id() or f"shape {len(self.meshes)}"
+        if plugin in _CURVED:
+            raise InputError(f"{self.path}: shape {label} is a {plugin}; export it as a triangle mesh (ply or obj)")
+        if plugin not in _MESHES:
+            raise InputError(f"{self.path}: shape {label} has type {plugin}; there are: {', '.join(_MESHES)}")
+        bsdf, radiance = None, None
+        for _, child in self._children(node):
+            if child.type.name == "BSDF":
+                bsdf = child
+            elif child.type.name == "Emitter":
+                radiance = self._radiance(child, label)
+            else:
+                what = f"{child.type.name.lower()} of type {child.props.plugin_name()}"
+                raise InputError(f"{self.path}: shape {label} has a {what}, which is not supported")
+        shape = self._load(props, label)
+        material = self.materials.index(bsdf, label, shines=radiance is not None)
+        wanted = self.materials.attributes(material)
+        self.meshes.append(self._mesh(shape, label, material, wanted, radiance))
+
+    def _load(self, props: Any, label: str) -> Any:
+        """Mitsuba's own mesh, alone: without a scene no acceleration structure is built."""
+        described: dict[str, Any] = {"type": props.plugin_name()}
+        for name in props:
+            if props.type(name) != self.mi.Properties.Type.ResolvedReference:
+                described[name] = props[name]
+        if "filename" in described:
+            file = self.path.parent / described["filename"]
+            if not file.is_file():
+                raise InputError(f"{file}: the mesh of shape {label} in {self.path.name} is missing")
+            described["filename"] = str(file)
+        try:
+            return self.mi.load_dict(described)
+        except RuntimeError as error:
+            raise InputError(f"{described.get('filename', self.path)}: shape {label}: {_reason(error)}") from error
+
+    def _mesh(self, shape: Any, label: str, material: int, wanted: set[str], radiance: FloatArray | None) -> Mesh:
+        count = shape.vertex_count()
+        vertices = np.array(shape.vertex_positions_buffer(), np.float32).reshape(count, 3)
+        faces = np.array(shape.faces_buffer()).reshape(-1, 3).astype(np.int64)
+        normals = uvs = None
+        if shape.has_vertex_normals():
+            normals = np.array(shape.vertex_normals_buffer(), np.float32).reshape(count, 3)
+        if shape.has_vertex_texcoords():
+            uvs = np.array(shape.vertex_texcoords_buffer(), np.float32).reshape(count, 2)
+        if not np.isfinite(vertices).all():
+            raise InputError(f"{self.path}: shape {label} has vertices that are NaN or infinite")
+        if len(faces) and int(faces.max()) >= count:
+            raise InputError(f"{self.path}: shape {label} has triangles with vertices that do not exist")
+        if shape.has_flipped_normals():
+            faces = faces[:, [0, 2, 1]]
+            normals = None if normals is None else -normals
+        if radiance is not None and normals is not None:
+            faces = _wound_like_normals(vertices, faces, normals)
+        attributes: dict[str, FloatArray] = {}
+        for name in sorted(wanted):
+            if not name.startswith("vertex_") or not shape.has_attribute(name):
+                raise InputError(f"{self.path}: shape {label} has no vertex attribute {name}")
+            attributes[name] = np.array(shape.attribute_buffer(name), np.float32).reshape(count, -1)
+        return Mesh(label, vertices, faces, material, normals, uvs, attributes, radiance)
+
+    def _radiance(self, node: Any, label: str) -> FloatArray:
+        plugin = node.props.plugin_name()
+        if plugin != "area":
+            raise InputError(f"{self.path}: shape {label} has an emitter of type {plugin}, only area is supported")
+        for name, child in self._children(node):
+            kind = child.props.plugin_name()
+            raise InputError(f"{self.path}: the {name} of the emitter on shape {label} is a {kind}, not a constant")
+        return self._emission(node.props)
+
+    def _emission(self, props: Any) -> FloatArray:
+        value = np.ones(3, np.float32) if "radiance" not in props else _evaluated(self.mi, props, "radiance")
+        return value
+
+    def _emitter(self, node: Any) -> None:
+        props = node.props
+        plugin = props.plugin_name()
+        if self.environment is not None:
+            raise InputError(f"{self.path}: it has more than one environment emitter")
+        if plugin == "constant":
+            self.environment = EnvironmentMap(np.broadcast_to(self._emission(props), (2, 4, 3)).copy())
+        elif plugin == "envmap":
+            if "filename" not in props:
+                raise InputError(f"{self.path}: its envmap has no filename")
+            pixels = self.materials.pixels(props["filename"], raw=False)
+            if not np.isfinite(pixels).all() or pixels.min() < 0:
+                raise InputError(f"{self.path.parent / props['filename']}: it has negative, NaN or infinite pixels")
+            pixels = np.broadcast_to(pixels, (*pixels.shape[:2], 3)) * np.float32(props.get("scale", 1.0))
+            to_world = np.array(props["to_world"].matrix) if "to_world" in props else np.eye(4)
+            self.environment = EnvironmentMap(pixels.astype(np.float32), to_world.astype(np.float32))
+        else:
+            raise InputError(f"{self.path}: emitter of type {plugin} is not supported; use area, envmap or constant")
+
+
+def _evaluated(mi: Any, props: Any, name: str) -> FloatArray:
+    """An emission spectrum as linear RGB [3], in Mitsuba's reading."""
+    texture = props.get_emissive_texture(name)
+    return np.array(texture.eval(mi.SurfaceInteraction3f()), np.float32).reshape(-1) * np.ones(3, np.float32)
+
+
+def _wound_like_normals(vertices: FloatArray, faces: np.ndarray, normals: FloatArray) -> np.ndarray:
+    """The faces, those turned whose winding opposes their vertex normals: Mitsuba's lights go by the normals."""
+    p = vertices[faces]
+    winding = np.cross(p[:, 1] - p[:, 0], p[:, 2] - p[:, 0])
+    opposed = (winding * normals[faces].sum(1)).sum(-1) < 0
+    return np.where(opposed[:, None], faces[:, [0, 2, 1]], faces)
+
+
+def _reason(error: RuntimeError) -> str:
+    """Mitsuba's message in one line, without the places in its own source code."""
+    text = _NOISE.sub("", " ".join(str(error).split()))
+    return text.rstrip(".!") or "Mitsuba cannot read it"

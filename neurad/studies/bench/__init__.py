@@ -1,0 +1,1 @@
+"""``neurad bench``: one file a benchmark."""

@@ -1,0 +1,92 @@
+"""The integrating sphere, on which every method's derivative is known in closed form."""
+
+from __future__ import annotations
+
+import math
+
+import torch
+from torch import Tensor, nn
+
+from neurad.assembly.build import build_world
+from neurad.core.records import Surface, SurfaceInteraction
+from neurad.core.rng import Stream, mix
+from neurad.integrators.debiased import Debiased
+from neurad.integrators.method import Method, Parts
+from neurad.integrators.path import PathTracing
+from neurad.integrators.radiometric import Radiometric
+from neurad.integrators.vertex import DIMENSIONS
+from neurad.scene.builtin import build_sphere
+
+
+class Grey(nn.Module):
+    """One albedo everywhere, the only parameter."""
+
+    def __init__(self, albedo: float) -> None:
+        super().__init__()
+        self.value = nn.Parameter(torch.tensor(albedo))
+
+    def albedo(self, si: SurfaceInteraction) -> Tensor:
+        """Base colour [n, 3]."""
+        return self.value.expand(len(si), 3)
+
+    def forward(self, si: SurfaceInteraction) -> Surface:
+        """BSDF parameters at the lanes of ``si``."""
+        return Surface(self.albedo(si), torch.ones(len(si), 1))
+
+
+class Sphere:
+    """Mean reflected light of a closed diffuse sphere: ``E a rho / (1 - rho)``, its derivative ``E a / (1 - rho)^2``,
+    ``a`` the emitting patch's share of the area.
+
+    Points are drawn evenly over the area: in a closed convex diffuse room light that starts so stays so at every
+    bounce, on facets too, which makes the closed form exact for their mean.
+
+    Args:
+        albedo: rho.
+        tracer: name of the ray caster.
+        factor: error of the radiance field that methods read; 1 is the true, constant one.
+    """
+
+    def __init__(self, albedo: float, tracer: str, factor: float = 1.0) -> None:
+        self.albedo, self.factor = albedo, factor
+        self.world = build_world(build_sphere(albedo, subdivisions=3), tracer)
+        self.materials = Grey(albedo)
+        geometry = self.world.geometry
+        area = geometry.face_area.double()
+        self.light = float((area * geometry.emission[:, 0].double()).sum() / area.sum())
+        self.derivative = self.light / (1.0 - albedo) ** 2
+        field = factor * self.light * albedo / (1.0 - albedo)
+        self.parts = Parts(self.world, self.materials, lambda si, albedo: torch.full_like(albedo, field))
+        self.until = (area.cumsum(0) / area.sum()).float()
+
+    def _points(self, n: int, stream: Stream) -> SurfaceInteraction:
+        geometry = self.world.geometry
+        prim = torch.searchsorted(self.until, stream.uniform(n)).clamp_max(len(self.until) - 1)
+        root, other = stream.uniform(n).sqrt(), stream.uniform(n)
+        valid = torch.ones(n, dtype=torch.bool)
+        return geometry.interact_at(prim, root * (1.0 - other), root * other, geometry.face_normal[prim], valid)
+
+    def share(self, method: Method, paths: int, batches: int = 16) -> tuple[float, float]:
+        """Share of the true derivative that ``method`` finds, and its standard error."""
+        found = []
+        for index in range(batches):
+            stream = Stream(mix(19, round(1000 * self.albedo)), index)
+            si = self._points(-(-paths // batches), stream)
+            u = stream.uniform(len(si), DIMENSIONS)
+            value = method.reflected(self.parts, si, self.materials(si), u, stream).value.mean()
+            (slope,) = torch.autograd.grad(value, [self.materials.value])
+            found.append(slope.double() / self.derivative)
+        shares = torch.stack(found)
+        return float(shares.mean()), float(shares.std()) / math.sqrt(batches)
+
+    def predicted(self, method: Method) -> float:
+        """That share in closed form: 1 - rho^k after k bounces that end in the true field, 1 without truncation."""
+        rho = self.albedo
+        if isinstance(method, Radiometric):
+            k = method.k
+            return 1.0 - rho**k + (self.factor - 1.0) * k * rho**k * (1.0 - rho)
+        if isinstance(method, PathTracing) and method.max_bounces is not None:
+            n = method.max_bounces
+            return 1.0 - (n + 1) * rho**n + n * rho ** (n + 1)
+        assert isinstance(method, PathTracing | Debiased)
+        return 1.0

@@ -1,0 +1,74 @@
+"""A training run for measuring: built as ``neurad fit`` builds it, without evaluations, checkpoints or a run folder."""
+
+from __future__ import annotations
+
+import argparse
+import importlib
+import json
+import tempfile
+from typing import Any, cast
+
+import lightning.pytorch as pl
+from jsonargparse import ArgumentError, set_parsing_settings
+
+from neurad.core.errors import InputError
+from neurad.runs import lightning as train
+from neurad.runs.configs import load_config, overlay, resolve
+from neurad.training.inverse import InverseRenderer
+
+DATA = "datamodules.scene_data", "SceneData"
+"""The data module, by name as in a config: the command line alone knows both the library and the data modules."""
+
+
+def data_class() -> type[pl.LightningDataModule]:
+    """The class of the data module."""
+    found: type[pl.LightningDataModule] = getattr(importlib.import_module(DATA[0]), DATA[1])
+    return found
+
+
+class _Prepared(train.NeuradCLI):
+    """Builds trainer, module and data, and runs nothing."""
+
+    def _run_subcommand(self, subcommand: str) -> None:
+        return None
+
+
+def prepare(options: argparse.Namespace, steps: int) -> tuple[pl.Trainer, InverseRenderer, Any]:
+    """What ``neurad fit`` would run for ``steps`` iterations; the trainer has no callbacks.
+
+    Args:
+        options: with ``config`` and ``set`` of :func:`neurad.studies.bench.options.add_settings`, perhaps ``device``.
+        steps: length of the run.
+
+    Raises:
+        InputError: the settings are wrong.
+    """
+    train._quiet()
+    set_parsing_settings(import_path_denylist=["*"], import_path_allowlist=train.TRUSTED)
+    values: dict[str, str] = {}
+    for word in options.set:
+        key, equals, value = word.partition("=")
+        if not equals:
+            raise InputError(f"--set {word}: it is not KEY=VALUE")
+        values[key] = value
+    values |= {
+        "trainer.max_time": "null",
+        "trainer.max_steps": str(steps),
+        "trainer.enable_progress_bar": "false",
+        "trainer.default_root_dir": tempfile.gettempdir(),
+        "trainer.logger": "false",
+    }
+    if getattr(options, "device", "auto") != "auto":
+        values["trainer.accelerator"] = "gpu" if options.device.startswith("cuda") else options.device
+    names = options.config or [options.default_config]
+    layers = [layer for name in names for layer in load_config(name)]
+    overlay(layers, values)
+    parsed = [f"--config={json.dumps(tree)}" for tree in resolve(layers, values)]
+    rest = [f"--{key}={value}" for key, value in values.items()]
+    try:
+        made = _Prepared("fit", None, InverseRenderer, data_class(), ["fit", *parsed, *rest])
+    except ArgumentError as error:
+        raise InputError(train._sentence(str(error), names, values)) from error
+    trainer = cast(Any, made.trainer)
+    trainer.callbacks = []
+    return trainer, cast(InverseRenderer, made.model), made.datamodule

@@ -1,0 +1,118 @@
+"""A step that fits the material fields to the true maps of the training views, in place of the objective."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Any
+
+import lightning.pytorch as pl
+import torch
+from torch import Tensor
+
+from neurad.core.errors import InputError
+from neurad.core.protocols import Materials
+from neurad.core.records import PixelBatch, Surface, SurfaceInteraction
+from neurad.core.rng import Stream
+from neurad.integrators.primary_hits import PrimaryHits
+from neurad.losses.relative import Loss
+from neurad.metrics.held_out import HeldOut
+from neurad.training.objective import StepTerms
+
+POSITIONS = 2
+"""Positions in every pixel of a batch."""
+
+
+@dataclass(frozen=True)
+class SupervisedStep:
+    """Squared differences of box-filtered fields and true maps, in the place of ``ObjectiveStep``."""
+
+    materials: Materials
+    primary: PrimaryHits
+    emitter_mask: Tensor
+    truth: dict[str, Tensor]
+    """By parameter, maps of the training views [views, pixels, channels]."""
+
+    def __call__(self, batch: PixelBatch, stream: Stream) -> StepTerms:
+        """Terms for a batch of pixels."""
+        surface = self.materials(self.primary(batch, POSITIONS, stream).si)
+        counts = (~self.emitter_mask[batch.view, batch.pixel]).float().unsqueeze(-1)
+        terms = {}
+        for name, true in self.truth.items():
+            mean = getattr(surface, name).view(len(counts), POSITIONS, -1).mean(1)
+            loss = (counts * (mean - true[batch.view, batch.pixel]) ** 2).mean()
+            terms[name] = (1.0, Loss(loss, loss.detach()))
+        return StepTerms(terms, {})
+
+
+@dataclass(frozen=True)
+class SurfaceMeans:
+    """The true mean of every mesh over what the training views see of it, as materials."""
+
+    mesh: Tensor
+    """Mesh of every triangle [F]."""
+    means: Tensor
+    """Albedo and roughness of every mesh [meshes, 4]; ``whole`` where no training view sees it."""
+    whole: Tensor
+    """Those of all that the training views see [4]."""
+
+    @classmethod
+    def of(cls, step: SupervisedStep) -> SurfaceMeans:
+        """Means, on the CPU, of the true maps that ``step`` has, each pixel counted for the mesh at one position."""
+        mesh, device = step.primary.world.geometry.mesh_index, step.emitter_mask.device
+        sums = torch.zeros(int(mesh.max()) + 1, 5, device=device)
+        pixel = torch.arange(step.emitter_mask.shape[1], device=device)
+        black, whole = torch.zeros(len(pixel), 3, device=device), torch.ones(len(pixel), device=device)
+        for view in range(len(step.emitter_mask)):
+            batch = PixelBatch(torch.full_like(pixel, view), pixel, black, whole, 0)
+            si = step.primary(batch, 1, Stream(view, device=device)).si
+            true = torch.ones(len(pixel), 5, device=device)  # the last one counts
+            true[:, :3] = step.truth["albedo"][view]
+            if "roughness" in step.truth:
+                true[:, 3:4] = step.truth["roughness"][view]
+            good = si.valid & ~step.emitter_mask[view]
+            sums.index_add_(0, mesh[si.prim[good]], true[good])
+        whole = sums.sum(0)
+        sums[sums[:, 4] == 0] = whole
+        return cls(mesh.cpu(), (sums[:, :4] / sums[:, 4:]).cpu(), (whole[:4] / whole[4]).cpu())
+
+    def of_room(self) -> SurfaceMeans:
+        """The mean of the whole room on every mesh."""
+        return replace(self, means=self.whole.expand_as(self.means))
+
+    def __call__(self, si: SurfaceInteraction) -> Surface:
+        """Materials at the lanes of ``si``."""
+        found = self.means[self.mesh[si.prim.clamp_min(0)]]
+        return Surface(found[:, :3], found[:, 3:])
+
+    def albedo(self, si: SurfaceInteraction) -> Tensor:
+        """The albedo alone [n, 3]."""
+        return self(si).albedo
+
+
+class TrueMaps(pl.Callback):
+    """Puts a :class:`SupervisedStep` in the place of the module's objective when a fit starts.
+
+    Raises:
+        InputError: a training view has no true map.
+    """
+
+    means: SurfaceMeans
+    """Of the same maps."""
+
+    def on_train_start(self, trainer: pl.Trainer, pl_module: pl.LightningModule) -> None:
+        """Read the true maps, by the one reader of ground truth."""
+        module: Any = pl_module
+        scene, step = module.scene, module._step
+        reader = HeldOut(replace(scene, test=scene.train), module.world.geometry, module.world.tracer)
+        names = ("albedo", "roughness") if reader.has_roughness else ("albedo",)
+        parts: dict[str, list[Tensor]] = {name: [] for name in names}
+        for index, view in enumerate(scene.train):
+            found = reader.truth(index)
+            for name in names:
+                if f"{name}_true" not in found:
+                    raise InputError(f"training view {view.name}: it has no true {name} to fit")
+                image = torch.from_numpy(found[f"{name}_true"])
+                parts[name].append(image.reshape(-1, image.shape[-1]))
+        truth = {name: torch.stack(maps).to(step.emitter_mask.device) for name, maps in parts.items()}
+        module._step = SupervisedStep(module.materials, step.primary, step.emitter_mask, truth)
+        self.means = SurfaceMeans.of(module._step)

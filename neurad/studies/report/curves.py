@@ -1,0 +1,183 @@
+"""Error against seconds and against path samples: the numbers behind the curves, and the figures."""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+
+from neurad.core.records import FloatArray
+from neurad.studies.report.runs import CONSTANT, Run, best_constant, by_method, rmse
+
+if TYPE_CHECKING:
+    from matplotlib.axes import Axes
+
+COLOURS = {
+    "ours": "#0072b2",
+    "no_prior": "#e69f00",
+    "direct": "#cc79a7",
+    "path": "#009e73",
+    "prb": "#d55e00",
+    "debiased": "#56b4e9",
+}
+"""Okabe and Ito's palette: told apart by colour-blind readers too."""
+FURTHER = ("#000000", "#8c6d31", "#7b4ab8", "#7f7f7f", "#b3b300", "#00a3a3")
+AXES = {"seconds": "training time / s", "samples": "path samples"}
+LEAST_SPAN = 1.5
+"""Least ratio of the ends of an error axis."""
+POINTS = 64
+"""Places at which the curves of several seeds are compared."""
+
+
+@dataclass(frozen=True)
+class Panel:
+    """One error against time."""
+
+    score: str
+    """Column of ``metrics.csv``."""
+    title: str
+    label: str
+    """Of the error axis."""
+    row: int
+    column: int
+
+    def error(self, value: float) -> float:
+        """The error behind a score: a MAPE is one, a PSNR is turned into the RMSE that it measures."""
+        return rmse(value) if "psnr" in self.score else value
+
+
+PANELS = (
+    Panel("albedo_mape", "Albedo", "MAPE", 0, 0),
+    Panel("roughness_mape", "Roughness", "MAPE", 0, 1),
+    Panel("albedo_psnr", "Albedo", "RMSE", 1, 0),
+    Panel("roughness_psnr", "Roughness", "RMSE", 1, 1),
+    Panel("psnr_linear", "Image, linear", "RMSE (scene radiance)", 1, 2),
+)
+"""Where the figure has no MAPE for the image, it has its legend."""
+
+
+def colours(methods: Sequence[str]) -> dict[str, str]:
+    """One fixed colour a method; methods that nobody knows get the next further one."""
+    spare = iter(FURTHER * (len(methods) // len(FURTHER) + 1))
+    return {method: COLOURS.get(method) or next(spare) for method in methods}
+
+
+def write_csv(path: Path, runs: Sequence[Run]) -> None:
+    """Every evaluation of every run: method, seed, then all columns of ``metrics.csv``."""
+    names: list[str] = []
+    for run in runs:
+        names += [name for name in run.columns if name not in names]
+    if "samples" not in names and any("samples" in run.last for run in runs):
+        names.append("samples")
+    with path.open("w", newline="") as file:
+        writer = csv.writer(file, lineterminator="\n")
+        writer.writerow(["method", "seed", *names])
+        for run in runs:
+            for row in run.rows:
+                writer.writerow([run.method, run.seed, *(_plain(name, row.get(name)) for name in names)])
+
+
+def _plain(name: str, value: float | None) -> str:
+    if value is None:
+        return ""
+    return str(int(value)) if name in ("iteration", "rays", "samples") else f"{value:.7g}"
+
+
+def curve(run: Run, axis: str, panel: Panel) -> tuple[FloatArray, FloatArray]:
+    """Positions on ``axis`` ('seconds' or 'samples') and errors [n], those that a logarithm can show."""
+    pairs = [(row[axis], panel.error(row[panel.score])) for row in run.rows if axis in row and panel.score in row]
+    kept = np.array([(x, y) for x, y in pairs if x > 0 and 0 < y < np.inf], np.float32).reshape(-1, 2)
+    return kept[:, 0], kept[:, 1]
+
+
+def band(curves: Sequence[tuple[FloatArray, FloatArray]]) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    """Positions, median, least and largest error [POINTS] of several seeds, where all of them have been measured."""
+    begin, end = max(x[0] for x, _ in curves), min(x[-1] for x, _ in curves)
+    at = np.geomspace(begin, max(begin, end), POINTS)
+    log = np.stack([np.interp(np.log(at), np.log(x), np.log(y)) for x, y in curves])
+    middle, low, high = (np.exp(f(log, axis=0)).astype(np.float32) for f in (np.median, np.min, np.max))
+    return at.astype(np.float32), middle, low, high
+
+
+def figure(path: Path, runs: Sequence[Run], axis: str) -> bool:
+    """Draw every error against ``axis`` into a PNG.
+
+    Args:
+        path: the PNG.
+        runs: finished runs.
+        axis: 'seconds' or 'samples'.
+
+    Returns:
+        Whether there was anything to draw; without, no file is written.
+    """
+    from matplotlib.backends.backend_agg import FigureCanvasAgg
+    from matplotlib.figure import Figure
+
+    groups = by_method(runs)
+    palette = colours(list(groups))
+    constant = best_constant(runs)
+    panels = [panel for panel in PANELS if any(len(curve(run, axis, panel)[0]) for run in runs)]
+    if not panels:
+        return False
+    rows = sorted({panel.row for panel in panels})
+    columns = sorted({panel.column for panel in panels} | {2})
+    page = Figure(figsize=(3.9 * len(columns), 3.3 * len(rows)), dpi=110, layout="constrained")
+    FigureCanvasAgg(page)
+    cells = page.subplots(len(rows), len(columns), squeeze=False)
+    free = set(cells.flat)
+    entries: dict[str, Any] = {}
+    for panel in panels:
+        ax = cells[rows.index(panel.row)][columns.index(panel.column)]
+        free.discard(ax)
+        drawn = {method: _draw(ax, group, axis, panel, palette[method]) for method, group in groups.items()}
+        entries |= {method: line for method, line in drawn.items() if line is not None}
+        if panel.score in constant:
+            level = panel.error(constant[panel.score])
+            entries[CONSTANT] = ax.axhline(level, color="#555555", lw=1.2, ls=(0, (4, 3)), zorder=1)
+        _dress(ax, axis, panel)
+    for ax in free:
+        ax.set_axis_off()
+    names = [name for name in [*groups, CONSTANT] if name in entries]
+    home = cells[0][-1] if cells[0][-1] in free else cells[-1][-1]
+    home.legend([entries[name] for name in names], names, frameon=False, fontsize=12, loc="center left")
+    page.savefig(path)
+    return True
+
+
+def _draw(ax: Axes, group: Sequence[Run], axis: str, panel: Panel, colour: str) -> Any:
+    """The curve of one method, with a band if it has several seeds; None if there is nothing to draw."""
+    curves = [pair for pair in (curve(run, axis, panel) for run in group) if len(pair[0])]
+    if not curves:
+        return None
+    if len(curves) == 1 or max(x[0] for x, _ in curves) >= min(x[-1] for x, _ in curves):
+        return [ax.plot(x, y, color=colour, lw=1.8, marker="o", ms=3.2)[0] for x, y in curves].pop()
+    x, middle, low, high = band(curves)
+    ax.fill_between(x, low, high, color=colour, alpha=0.2, lw=0)
+    return ax.plot(x, middle, color=colour, lw=1.8)[0]
+
+
+def _dress(ax: Axes, axis: str, panel: Panel) -> None:
+    """Log axes with a few ticks in plain numbers, labels, a faint grid."""
+    from matplotlib.ticker import EngFormatter, FuncFormatter, LogLocator, MaxNLocator, NullLocator
+
+    ax.set(xscale="log", yscale="log", title=panel.title, xlabel=AXES[axis], ylabel=panel.label)
+    low, high = ax.get_ylim()
+    if high < LEAST_SPAN * low:  # or differences that mean nothing would fill the panel
+        middle = np.sqrt(low * high)
+        ax.set_ylim(middle / np.sqrt(LEAST_SPAN), middle * np.sqrt(LEAST_SPAN))
+    plain = FuncFormatter(lambda value, _: f"{value:g}")
+    for side, (low, high) in ((ax.xaxis, ax.get_xlim()), (ax.yaxis, ax.get_ylim())):
+        decades = np.log10(high / low)
+        subs = (1.0,) if decades > 3 else (1.0, 3.0) if decades > 1.5 else (1.0, 2.0, 5.0)
+        steps = LogLocator(subs=subs, numticks=12)
+        side.set_major_locator(MaxNLocator(5) if decades < 0.7 else steps)
+        side.set_minor_locator(NullLocator())
+        side.set_major_formatter(EngFormatter(sep=" ") if side is ax.xaxis and axis == "samples" else plain)
+    ax.grid(True, color="#dddddd", lw=0.7)
+    ax.set_axisbelow(True)
+    for edge in ("top", "right"):
+        ax.spines[edge].set_visible(False)

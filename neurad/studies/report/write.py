@@ -1,0 +1,97 @@
+"""All files of a report, from runs."""
+
+from __future__ import annotations
+
+import html
+import os
+import platform
+import shlex
+from collections.abc import Sequence
+from datetime import date
+from pathlib import Path
+
+from neurad.studies.report import curves, page, table, views
+from neurad.studies.report.runs import Run, by_method
+
+NOTES = (
+    "Scores are those of the held-out views at the end of a run: PSNR in dB with peak 1, "
+    "MAPE = mean |p - g| / (g + 0.01), RMSE is what the PSNR measures. The best constant is the mean of the truth over "
+    "the same pixels.",
+    "Seconds run from the start of a process, set-up and compilation included, evaluations left out. Path samples are "
+    "those drawn by training: pixels x positions x secondary samples.",
+    "Milliseconds a step and the rates are taken between the first and the last evaluation. Peak memory is the largest "
+    "resident memory of the process that fitted, evaluations included.",
+    "With several seeds the table has medians, and the curves have the median and a band from the least to the largest "
+    "error.",
+)
+
+
+def write_report(
+    out: Path, runs: Sequence[Run], reach: Sequence[float], count: int, command: Sequence[str], budget: str
+) -> None:
+    """Write index.html, the PNGs, table.md, table.csv and curves.csv.
+
+    Args:
+        out: the folder.
+        runs: finished and failed runs.
+        reach: albedo PSNRs whose time the table has.
+        count: held-out views to show.
+        command: the command line that led here.
+        budget: what every run was given, in words; empty if unknown.
+    """
+    out.mkdir(parents=True, exist_ok=True)
+    for old in [*out.glob("view_*.png"), *out.glob("curves_*.png")]:
+        old.unlink()
+    done = [run for run in runs if not run.message]
+    rows = table.table(runs, reach)
+    line = shlex.join(command)
+    table.write_csv(out / "table.csv", rows, reach)
+    note = ". ".join(part for part in (f"`{line}`", budget, machine(), date.today().isoformat()) if part)
+    table.write_markdown(out / "table.md", rows, note + ".", reach)
+    curves.write_csv(out / "curves.csv", runs)
+    figures = []
+    for axis, words in (("seconds", "training time"), ("samples", "path samples")):
+        if curves.figure(out / f"curves_{axis}.png", done, axis):
+            figures.append((f"Against {words}", out / f"curves_{axis}.png"))
+    firsts = [group[0] for group in by_method(done).values()]
+    sheets = views.write_views(out, firsts, count) if count else []
+    scale = f"error maps are black at 0 and brightest at {views.BRIGHTEST} (of display white for renders)"
+    page.write_page(
+        out / "index.html",
+        f"Comparison on {scene_name(runs)}",
+        [f"<code>{html.escape(line)}</code>", html.escape(". ".join(p for p in (budget, _about()) if p) + ".")],
+        rows,
+        reach,
+        figures,
+        [(f"View {i}; {scale}", sheet) for i, sheet in enumerate(sheets)],
+        NOTES,
+    )
+
+
+def scene_name(runs: Sequence[Run]) -> str:
+    """The scene of the runs, by the settings of the first one that has any."""
+    for run in runs:
+        data = run.config.get("data") or {}
+        if data.get("root") or data.get("scene"):
+            return Path(str(data["root"])).name if data.get("root") else str(data["scene"])
+    return "an unknown scene"
+
+
+def machine() -> str:
+    """Processor, cores that may be used, and the GPU if there is one."""
+    import torch
+
+    name = platform.processor() or platform.machine()
+    info = Path("/proc/cpuinfo")
+    if info.is_file():
+        models = [line.partition(":")[2].strip() for line in info.read_text().splitlines() if "model name" in line]
+        name = models[0] if models and models[0] != "unknown" else name
+    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    gpu = f", {torch.cuda.get_device_name(0)}" if torch.cuda.is_available() else ""
+    return f"{name}, {cores} core{'s' if cores > 1 else ''}{gpu}"
+
+
+def _about() -> str:
+    import torch
+
+    return f"{machine()}, Python {platform.python_version()}, torch {torch.__version__}, {date.today().isoformat()}"

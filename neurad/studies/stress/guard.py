@@ -1,0 +1,145 @@
+"""Planted NaN and Inf: each stops with the right sentence."""
+
+from __future__ import annotations
+
+import math
+import tempfile
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from neurad.core.errors import InputError
+from neurad.core.records import PixelBatch
+from neurad.integrators import vertex_kernels as bounce_kernels
+from neurad.scene.image_io import read_photograph, write_exr
+from neurad.studies.stress.case import Case, Outcome
+from neurad.studies.stress.fit import MATERIAL, RADIANCE, ROUGHNESS, photographs, resized
+from neurad.studies.stress.parts import glossy
+from neurad.studies.stress.runs import fit
+from neurad.studies.stress.scenes import small_cube
+from neurad.training.inverse import InverseRenderer
+
+
+def _texel() -> Case:
+    def measure(quick: bool) -> Outcome:
+        with tempfile.TemporaryDirectory() as folder:
+            path = Path(folder) / "photograph.exr"
+            pixels = np.ones((4, 4, 3), np.float32)
+            pixels[1, 2, 0] = np.nan
+            write_exr(path, pixels)
+            try:
+                read_photograph(str(path))
+            except InputError as error:
+                return Outcome(float("photograph.exr" not in str(error)), 0.0, str(error).replace(folder + "/", ""))
+        return Outcome(1.0, 0.0, "it was read")
+
+    return Case("guard", "a NaN texel in a photograph", "refused with a sentence that names the file", measure)
+
+
+def _planted(what: str, words: str, spoil: Callable[[InverseRenderer], None], matte_scene: bool = True) -> Case:
+    def measure(quick: bool) -> Outcome:
+        scene = resized(small_cube(8), 8, 2)
+        scene = scene if matte_scene else glossy(scene)
+        images = photographs(scene, 4)
+        step, arrive, collect = (
+            InverseRenderer.training_step,
+            bounce_kernels.resolve_hits_diffuse,
+            bounce_kernels.resolve_hits_principled,
+        )
+
+        def spoilt(self: InverseRenderer, batch: PixelBatch, batch_idx: int) -> Tensor:
+            if self.iteration == 2:
+                with torch.no_grad():
+                    spoil(self)
+            return step(self, batch, batch_idx)
+
+        InverseRenderer.training_step = spoilt  # type: ignore[method-assign]
+        try:
+            fit(scene, images, steps=4)
+        except InputError as error:
+            text = str(error)
+            return Outcome(float("iteration 2" not in text or words not in text), 0.0, text)
+        finally:
+            InverseRenderer.training_step = step  # type: ignore[method-assign]
+            bounce_kernels.resolve_hits_diffuse, bounce_kernels.resolve_hits_principled = arrive, collect
+        return Outcome(1.0, 0.0, "the run went on")
+
+    return Case("guard", what, f"stops and says: {words}", measure)
+
+
+def _weight(module: InverseRenderer) -> None:
+    assert module.radiance is not None
+    next(module.radiance.mlp.parameters())[0, 0] = math.nan
+
+
+def _sample(module: InverseRenderer) -> None:
+    plain = bounce_kernels.resolve_hits_principled
+
+    def broken(*arrays: Any) -> None:
+        plain(*arrays)
+        direct = arrays[-4][0]
+        direct[direct > 0] = math.inf
+
+    bounce_kernels.resolve_hits_principled = broken  # type: ignore[assignment]
+
+
+def _matte_sample(module: InverseRenderer) -> None:
+    plain = bounce_kernels.resolve_hits_diffuse
+
+    def broken(*arrays: Any) -> None:
+        plain(*arrays)
+        direct = arrays[-2]
+        direct[direct > 0] = math.inf
+
+    bounce_kernels.resolve_hits_diffuse = broken  # type: ignore[assignment]
+
+
+def _cost() -> Case:
+    """What the checks of a step take."""
+
+    def measure(quick: bool) -> Outcome:
+        import statistics
+        import time
+
+        from neurad.studies.stress.fit import Fit
+        from neurad.training.guard import Guard
+
+        scene = resized(small_cube(12), 12, 2)
+        made = Fit(scene, photographs(scene, 4))
+        module = InverseRenderer(MATERIAL, ROUGHNESS, RADIANCE)
+        module.materials, module.radiance = made.materials, made.radiance
+        guard = Guard(module)
+        made.advance(0.0)
+        spent: tuple[list[float], list[float]] = ([], [])
+        for i in range(1, 60):
+            begin = time.process_time()
+            made.advance(0.0)
+            spent[0].append(time.process_time() - begin)
+            batch, terms = made.batch(i), made.terms(i)
+            begin = time.process_time()
+            guard.check(batch, {**terms.materials, **terms.field}, lambda: None)
+            spent[1].append(time.process_time() - begin)
+        step, check = (1e3 * statistics.median(times) for times in spent)
+        return Outcome(check / step, 0.05, f"{check:.3f} of {step:.2f} ms a step, medians of processor time")
+
+    return Case("guard", "cost of the checks", "share of a step", measure)
+
+
+def cases() -> list[Case]:
+    """What is planted."""
+    bad = "returned is not finite"
+    return [
+        _texel(),
+        _planted("a NaN weight", "the weight radiance.mlp.layers.0.weight is not finite", _weight),
+        _planted(
+            "an infinite sample of a light", f"integrators.vertex_principled._collect.values[0] {bad}", _sample, False
+        ),
+        _planted(
+            "an infinite sample, Lambertian", f"integrators.vertex_diffuse.bounce_diffuse.incident {bad}", _matte_sample
+        ),
+        _cost(),
+    ]

@@ -1,0 +1,49 @@
+"""The table of ``neurad stress``: on the screen, as CSV and as Markdown."""
+
+from __future__ import annotations
+
+import csv
+from collections.abc import Sequence
+from dataclasses import astuple, fields
+from pathlib import Path
+
+from neurad.studies.stress.case import Row
+
+COLUMNS = tuple(f.name for f in fields(Row))
+_EXTREME, _ORACLE = 52, 46  # characters of a line on the screen
+
+
+def heading() -> str:
+    """The first line on the screen."""
+    return f"{'verdict':<8}{'error':>10}{'bar':>9}{'seconds':>9}  {'what is extreme':<{_EXTREME}}  oracle"
+
+
+def line(row: Row) -> str:
+    """A row on the screen, its note below it."""
+    text = (
+        f"{row.verdict:<8}{_number(row.error):>10}{_number(row.bar):>9}{row.seconds:>9.1f}  "
+        f"{row.family + ': ' + row.extreme:<{_EXTREME}}  {row.oracle}"
+    )
+    return f"{text}\n{'':<36}  {row.note}" if row.note else text
+
+
+def write_csv(path: Path, rows: Sequence[Row]) -> None:
+    """All rows, one a line."""
+    with path.open("w", newline="") as file:
+        writer = csv.writer(file)
+        writer.writerow(COLUMNS)
+        writer.writerows(["" if value is None else value for value in astuple(row)] for row in rows)
+
+
+def write_markdown(path: Path, rows: Sequence[Row], title: str) -> None:
+    """All rows as one Markdown table."""
+    lines = [f"# {title}", "", "| " + " | ".join(COLUMNS) + " |", "|" + "---|" * len(COLUMNS)]
+    for row in rows:
+        cells = (row.family, row.extreme, row.oracle, _number(row.error), _number(row.bar), f"{row.seconds:.1f}",
+                 row.verdict, row.note)  # fmt: skip
+        lines.append("| " + " | ".join(cell.replace("|", "/") for cell in cells) + " |")
+    path.write_text("\n".join(lines) + "\n")
+
+
+def _number(value: float | None) -> str:
+    return "" if value is None else f"{value:.3g}"

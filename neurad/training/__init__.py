@@ -1,0 +1,1 @@
+"""The Lightning module, its objective and the one training step."""

@@ -1,0 +1,122 @@
+"""Pictures and scores of held-out views with the present materials and radiance field."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import torch
+
+from neurad.assembly.lighting import relit_world
+from neurad.core.protocols import Materials
+from neurad.core.records import FloatArray
+from neurad.emitters.fitted import FittedEnvironment
+from neurad.integrators.estimator import Estimator
+from neurad.integrators.film import render
+from neurad.integrators.method import MethodRHS
+from neurad.integrators.path import PathTracer
+from neurad.integrators.radiometric import RadiometricLHS
+from neurad.integrators.world import World
+from neurad.metrics.environment import EnvironmentScores
+from neurad.metrics.held_out import HeldOut
+from neurad.metrics.lit_glossy import lit_glossy, reflected_by
+from neurad.metrics.relight import relight_map, score_relit
+from neurad.scene.description import Scene
+from neurad.scene.textures import TrueMaterials
+
+SEED = 20230806
+"""Of evaluation pictures: their noise is the same at every evaluation, so that curves show learning only."""
+
+GLOSSY_SAMPLES = 2
+"""Estimates for each sub-sample and training view that decide whether a pixel is lit and glossy."""
+
+
+@dataclass(frozen=True)
+class Evaluation:
+    """What an evaluation found."""
+
+    scores: dict[str, float]
+    """Keys as in ``metrics.csv``."""
+    maps: list[dict[str, FloatArray]]
+    """For each held-out view: ``render``; of materials that are fitted ``albedo`` and ``roughness``; with a radiance
+    field ``residual``; where there are files, ``photograph``, ``albedo_true`` and ``roughness_true`` [h, w, 1 or 3]; in
+    a thorough evaluation also ``relit`` and ``photograph_relit``."""
+    environment: dict[str, FloatArray] = field(default_factory=dict)
+    """Of an environment that is recovered: ``fitted`` and, where it is known, ``truth`` [height, width, 3]."""
+
+
+@dataclass(frozen=True)
+class UnknownLight:
+    """An environment that is recovered, and what scores it."""
+
+    environment: FittedEnvironment
+    scores: EnvironmentScores
+
+
+def unknown_light(scene: Scene, environment: FittedEnvironment, held_out: HeldOut) -> UnknownLight:
+    """What scores an environment that is recovered against the scene's own."""
+    assert scene.environment is not None
+    return UnknownLight(
+        environment, EnvironmentScores(scene.environment, held_out, environment.width, environment.height)
+    )
+
+
+@torch.no_grad()
+def evaluate(
+    held_out: HeldOut,
+    estimator: Estimator,
+    render_spp: int,
+    glossy: bool = False,
+    light: UnknownLight | None = None,
+    scene: Scene | None = None,
+) -> Evaluation:
+    """Score albedo, roughness, light and the method's own rendering at ``render_spp`` samples a pixel.
+
+    Args:
+        held_out: the held-out views.
+        estimator: the method with the present materials and radiance field.
+        render_spp: samples a pixel.
+        glossy: also score the lit glossy pixels, which takes seconds to minutes to find, and what needs ``scene``.
+        light: an environment that is recovered.
+        scene: where it has another light for its held-out views, they are rendered in it, too.
+    """
+    world, materials, radiance = estimator.world, estimator.materials, estimator.radiance
+    rhs = MethodRHS(estimator.method, estimator.parts)
+    lhs = None if radiance is None else RadiometricLHS(world, materials, radiance)
+    device = world.geometry.vertices.device
+    fitted = not isinstance(materials, TrueMaterials)
+    maps: list[dict[str, FloatArray]] = held_out.predict(materials) if fitted else [{} for _ in held_out.views]
+    for index, (view, entry) in enumerate(zip(held_out.views, maps, strict=True)):
+        right = render(view.camera, rhs, render_spp, SEED + index, device)
+        entry["render"] = right.cpu().numpy()
+        if lhs is not None:
+            left = render(view.camera, lhs, min(4, render_spp), SEED + index, device)
+            entry["residual"] = (left - right).abs().cpu().numpy()
+        entry.update(held_out.truth(index))
+    regions = (
+        {"lit_glossy": lit_glossy(held_out, reflected_by(estimator.method, estimator.parts), GLOSSY_SAMPLES)}
+        if glossy and fitted
+        else None
+    )
+    scores = held_out.score(maps, [entry["render"] for entry in maps], regions, scaled=fitted and light is not None)
+    if glossy and fitted and scene is not None:
+        scores |= _relight(held_out, scene, world, materials, render_spp, maps)
+    if light is None:
+        return Evaluation(scores, maps)
+    found = light.environment.map()
+    scores |= light.scores(found, held_out.albedo_factors(maps))
+    truth = {} if light.scores.truth is None else {"truth": light.scores.truth}
+    return Evaluation(scores, maps, {"fitted": found, **truth})
+
+
+def _relight(
+    held_out: HeldOut, scene: Scene, world: World, materials: Materials, spp: int, maps: list[dict[str, FloatArray]]
+) -> dict[str, float]:
+    """Path-trace the held-out views under the scene's other light, into ``maps``, and score them."""
+    other = relight_map(scene)
+    if other is None:
+        return {}
+    tracer = PathTracer(relit_world(world, scene, other), materials, scene.max_depth, scene.rr_depth)
+    device = world.geometry.vertices.device
+    for index, (view, entry) in enumerate(zip(held_out.views, maps, strict=True)):
+        entry["relit"] = render(view.camera, tracer, spp, SEED + index, device).cpu().numpy()
+    return score_relit(held_out, [entry["relit"] for entry in maps])

@@ -1,0 +1,204 @@
+"""Stops a run at the first number that is not finite, says which it was, and keeps what is needed to see it again.
+
+Nothing is ever replaced: a NaN that is turned into 0 is a wrong result that looks right. The check of a step is a sum
+over each loss and gradient. Only when it fails is the step repeated, which gives the same numbers since random streams
+are counters, with every return value of this package's functions looked at: the first bad one is the cause.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable, Mapping
+from dataclasses import fields, is_dataclass
+from pathlib import Path
+from types import FrameType
+from typing import Any
+
+import lightning.pytorch as pl
+import torch
+from torch import Tensor, nn
+
+from neurad.core.errors import InputError
+from neurad.core.records import FloatArray, PixelBatch
+from neurad.losses.relative import Loss
+
+SCAN_EVERY = 100
+"""Iterations between two looks at the tables of grids."""
+SMALL = 1 << 16
+"""Parameters of at most so many values, all layers of networks, are looked at in every iteration: oneDNN's fused ReLU
+turns NaN into 0, so a bad weight need not show in the loss."""
+_WATCHED = tuple(
+    f"neurad.{floor}" for floor in ("integrators", "bsdf", "emitters", "fields", "assembly", "training", "losses")
+)
+_UNBOUNDED = ("distance", "t", "t_max")
+"""Fields of records that are infinite where a ray meets nothing."""
+
+
+class NotFinite(InputError):
+    """A loss, gradient, weight or image holds NaN or infinity."""
+
+
+class Guard:
+    """Checks the steps of one run.
+
+    Args:
+        module: whose parameters and gradients are looked at.
+    """
+
+    def __init__(self, module: pl.LightningModule) -> None:
+        self.module = module
+        self._scanned = False
+
+    def check(self, batch: PixelBatch, terms: Mapping[str, tuple[float, Loss]], again: Callable[[], object]) -> None:
+        """After the backward pass and before the optimizers: nothing of this step may be NaN or infinite.
+
+        Args:
+            batch: pixels of the step.
+            terms: its losses by name.
+            again: repeats the forward pass of the step, for the diagnosis.
+
+        Raises:
+            NotFinite: with the first bad quantity, the batch, and where that is kept.
+        """
+        scan = not self._scanned or batch.iteration % SCAN_EVERY == 0
+        parameters = list(self.module.parameters())
+        losses = torch.stack([x for _, loss in terms.values() for x in (loss.value, loss.surrogate.detach())])
+        sums = [_values(p.grad).sum() for p in parameters if p.grad is not None]
+        sums += [p.detach().sum() for p in parameters if scan or p.numel() <= SMALL]
+        self._scanned = True
+        if bool(torch.isfinite(torch.cat((losses, torch.stack(sums))) if sums else losses).all()):
+            return
+        self._stop(self._cause(batch, terms, again), batch)
+
+    def images(self, maps: list[dict[str, FloatArray]], names: list[str]) -> None:
+        """Pictures of held-out views must be finite too.
+
+        Raises:
+            NotFinite: one is not; the weights are kept.
+        """
+        for name, entry in zip(names, maps, strict=True):
+            for kind in ("render", "residual", "albedo", "roughness"):
+                picture = torch.from_numpy(entry[kind]) if kind in entry else torch.zeros(1)
+                if not bool(torch.isfinite(picture).all()):
+                    text = f"the picture {kind} of view {name} is not finite ({_share(picture)} values)"
+                    self._stop(self._weight() or text, None)
+
+    # ---- diagnosis
+
+    def _cause(self, batch: PixelBatch, terms: Mapping[str, tuple[float, Loss]], again: Callable[[], object]) -> str:
+        """The first quantity that is not finite, in the order in which a step computes them."""
+        if not bool(torch.isfinite(batch.color).all()):
+            return f"the photographs are not finite ({_share(batch.color)} values of the batch)"
+        if weight := self._weight():
+            return weight
+        if first := first_bad(again):
+            return first
+        for name, (_, loss) in terms.items():
+            if not bool(torch.isfinite(loss.value) & torch.isfinite(loss.surrogate)):
+                return f"the loss {name} is not finite"
+        for name, p in self.module.named_parameters():
+            if p.grad is not None and not bool(torch.isfinite(_values(p.grad)).all()):
+                return f"the gradient of {name} is not finite ({_share(_values(p.grad))} values)"
+        return "the sum of losses and gradients is not finite, though each of them is"
+
+    def _weight(self) -> str | None:
+        """A parameter that is not finite."""
+        for name, p in self.module.named_parameters():
+            if not bool(torch.isfinite(p.detach()).all()):
+                return f"the weight {name} is not finite ({_share(p.detach())} values)"
+        return None
+
+    # ---- the end
+
+    def _stop(self, cause: str, batch: PixelBatch | None) -> None:
+        """Keep the batch and the weights, and raise."""
+        iteration = int(self.module.iteration)  # type: ignore[arg-type]
+        trainer = self.module._trainer
+        kept = ""
+        # The logger's own folder: the trainer's is agreed on by all processes, and only this one may come here.
+        place = getattr(getattr(trainer, "logger", None), "log_dir", None)
+        if trainer is not None and place is not None:
+            folder = Path(place)
+            (folder / "checkpoints").mkdir(parents=True, exist_ok=True)
+            trainer.save_checkpoint(folder / "checkpoints" / "bad.ckpt")
+            if batch is not None:
+                tensors = {name: getattr(batch, name) for name in ("view", "pixel", "color", "alpha")}
+                torch.save({"iteration": iteration, "cause": cause, **tensors}, folder / "bad_batch.pt")
+            kept = f"; `neurad fit --ckpt_path {folder / 'checkpoints' / 'bad.ckpt'}` repeats it"
+        where = "" if batch is None else f" (batch of {_pixels(batch)})"
+        raise NotFinite(f"iteration {iteration}: {cause}{where}{kept}")
+
+
+@torch.no_grad()
+def clip(groups: list[list[dict[str, Any]]], largest: float) -> None:
+    """Shorten the gradient of each optimizer, dense and sparse parts together, to a norm of at most ``largest``.
+
+    Losses are relative, so the norms do not depend on how bright a scene is. Rows that a sparse gradient names twice
+    count apart, which makes its norm a little smaller than it is.
+    """
+    for optimizer in groups:
+        gradients = [_values(p.grad) for group in optimizer for p in group["params"] if p.grad is not None]
+        if gradients:
+            norm = torch.stack([torch.linalg.vector_norm(g) for g in gradients]).norm()
+            factor = (largest / norm.clamp_min(torch.finfo(norm.dtype).tiny)).clamp(max=1.0)
+            for g in gradients:
+                g.mul_(factor)
+
+
+def first_bad(run: Callable[[], object]) -> str | None:
+    """The first return value of this package's functions that is NaN or infinite while ``run`` is called.
+
+    Distances of rays that meet nothing may be infinite. The call runs with gradients, slowly.
+    """
+    found: list[str] = []
+
+    def watch(frame: FrameType, event: str, value: Any) -> None:
+        if event != "return" or found or value is None:
+            return
+        module = str(frame.f_globals.get("__name__", ""))
+        if not module.startswith(_WATCHED):
+            return
+        for part, tensor in _tensors(value, ""):
+            bad = ~torch.isfinite(tensor.detach())
+            if bool(bad.any()):
+                name = f"{module.removeprefix('neurad.')}.{frame.f_code.co_qualname}{part}"
+                found.append(f"what {name} returned is not finite ({_share(tensor.detach())} values)")
+                return
+
+    before = sys.getprofile()
+    sys.setprofile(watch)
+    try:
+        run()
+    finally:
+        sys.setprofile(before)
+    return found[0] if found else None
+
+
+def _tensors(value: Any, path: str) -> list[tuple[str, Tensor]]:
+    """Floating-point tensors in a return value, and where in it they are."""
+    if isinstance(value, Tensor):
+        return [(path, value)] if value.is_floating_point() and not value.is_sparse else []
+    if is_dataclass(value) and not isinstance(value, type):
+        inside = [(f.name, getattr(value, f.name, None)) for f in fields(value) if f.name not in _UNBOUNDED]
+        return [pair for name, x in inside if not isinstance(x, nn.Module) for pair in _tensors(x, f"{path}.{name}")]
+    if isinstance(value, tuple):
+        return [pair for i, x in enumerate(value) for pair in _tensors(x, f"{path}[{i}]")]
+    return []
+
+
+def _values(gradient: Tensor) -> Tensor:
+    """The numbers of a dense or sparse gradient."""
+    return gradient._values() if gradient.is_sparse else gradient
+
+
+def _share(x: Tensor) -> str:
+    """How many values of a tensor are bad."""
+    return f"{int((~torch.isfinite(x)).sum())} of {x.numel()}"
+
+
+def _pixels(batch: PixelBatch) -> str:
+    """A batch in words."""
+    views = sorted(set(batch.view.tolist()))
+    shown = ", ".join(map(str, views[:8])) + (", ..." if len(views) > 8 else "")
+    first = f"view {int(batch.view[0])} pixel {int(batch.pixel[0])}"
+    return f"{len(batch.view)} pixels of views {shown}, the first {first}"

@@ -1,0 +1,35 @@
+"""The guide of a fit: whether it has one, and what it learns after each iteration."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from neurad.core.frame import faceforward
+from neurad.integrators.guide import Guide
+from neurad.integrators.method import Method
+from neurad.scene.description import Scene
+from neurad.training.objective import IncidentSamples
+
+
+def make_guide(scene: Scene, cells: int, method: Method) -> Guide | None:
+    """A guide of so many cells; None where none is asked for, the method tells no light, or the scene is Lambertian."""
+    if cells == 0 or not method.tells_light or scene.features.is_diffuse:
+        return None
+    return Guide(torch.from_numpy(scene.bounds), cells)
+
+
+def guide_samples(guide: Guide | None, arrived: IncidentSamples | None) -> tuple[Tensor, Tensor] | None:
+    """What the light that arrived tells the guide, for :func:`teach`; None where there is nothing to tell."""
+    if guide is None or arrived is None:
+        return None
+    return guide.bin_samples(arrived.si, faceforward(arrived.si), arrived.wi, arrived.light)
+
+
+def update_guide(guide: Guide | None, seen: tuple[Tensor, Tensor] | None, iteration: int) -> None:
+    """Let the iterations after ``iteration`` look where samples found light."""
+    if guide is None or seen is None:
+        return
+    guide.record(*seen)
+    if (iteration + 1) % guide.refresh == 0:
+        guide.update()

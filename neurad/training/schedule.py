@@ -1,0 +1,58 @@
+"""How far a run is, and its learning rates."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+
+import lightning.pytorch as pl
+from lightning.pytorch.callbacks import Timer
+
+from neurad.assembly.settings import Optimization
+
+
+def rate_factor(settings: Optimization, iteration: int, progress: float) -> float:
+    """What the learning rates are multiplied by.
+
+    Args:
+        settings: schedule and warm-up.
+        iteration: iterations done.
+        progress: share of the run that is over, in [0, 1].
+    """
+    rise = min(1.0, (iteration + 1) / max(1, settings.warmup))
+    if settings.schedule == "constant":
+        return rise
+    fall = 0.5 * (1.0 + math.cos(math.pi * min(1.0, max(0.0, progress))))
+    return rise * (settings.final + (1.0 - settings.final) * fall)
+
+
+@dataclass(frozen=True)
+class Progress:
+    """Shares of a run's limits that are used up; None where there is no such limit."""
+
+    by_steps: float | None
+    by_time: float | None
+    seconds: float
+    """Seconds of the fit so far, those of an interrupted run included."""
+
+    @property
+    def largest(self) -> float:
+        """The share that counts: the run ends when either limit is reached."""
+        return max(self.by_steps or 0.0, self.by_time or 0.0)
+
+    @property
+    def seconds_left(self) -> float | None:
+        """Seconds until the nearer limit at the average speed so far; None if it cannot be told."""
+        shares = [share for share in (self.by_steps, self.by_time) if share]
+        return min((self.seconds * (1 - share) / share for share in shares), default=None)
+
+
+def fraction_done(trainer: pl.Trainer) -> Progress:
+    """How much of ``max_steps`` and of ``max_time`` is used up."""
+    by_steps = trainer.global_step / trainer.max_steps if trainer.max_steps > 0 else None
+    for callback in trainer.callbacks:  # type: ignore[attr-defined]
+        if isinstance(callback, Timer):
+            elapsed, left = callback.time_elapsed(), callback.time_remaining()
+            by_time = elapsed / (elapsed + left) if left is not None and elapsed + left > 0 else None
+            return Progress(by_steps, by_time, elapsed)
+    return Progress(by_steps, None, 0.0)

@@ -1,0 +1,122 @@
+"""metrics.csv, closing tables, pictures and the clock."""
+
+import time
+
+import numpy as np
+import pytest
+
+from neurad.callbacks import pictures
+from neurad.callbacks.evaluation import _group
+from neurad.callbacks.table import COLUMNS, MetricsTable, curve_table, score_table
+from neurad.runtime import clock
+from neurad.scene.image_io import read_exr
+
+
+def row(iteration, **scores):
+    return {"iteration": iteration, "seconds": iteration / 10, "rays": 7 * iteration, **scores}
+
+
+def test_rows_come_back_as_written(tmp_path):
+    table = MetricsTable(tmp_path / "metrics.csv")
+    table.append(row(10, albedo_psnr=20.5, albedo_psnr_8x8=22.0))
+    table.append(row(20, albedo_psnr=21.5, unheard_of=1.0))
+    assert table.header() == [*COLUMNS, "albedo_psnr_8x8"]
+    assert table.rows() == [row(10, albedo_psnr=20.5, albedo_psnr_8x8=22.0), row(20, albedo_psnr=21.5)]
+
+
+def test_cut_drops_what_comes_after_the_checkpoint_and_half_a_line(tmp_path):
+    table = MetricsTable(tmp_path / "metrics.csv")
+    for iteration in (10, 20, 30):
+        table.append(row(iteration, albedo_psnr=float(iteration)))
+    whole = table.path.read_text()
+    table.path.write_text(whole + "40,4.0,28")
+    assert [r["iteration"] for r in table.rows()] == [10, 20, 30]
+    table.cut(40)
+    assert table.path.read_text() == whole
+    table.cut(20)
+    assert [r["iteration"] for r in table.rows()] == [10, 20]
+    table.append(row(30))
+    assert [r["iteration"] for r in table.rows()] == [10, 20, 30]
+
+
+def test_a_line_that_lacks_only_its_end_is_cut(tmp_path):
+    table = MetricsTable(tmp_path / "metrics.csv")
+    table.append(row(10, roughness_mape_seen=0.25))
+    whole = table.path.read_text()
+    table.append(row(20, roughness_mape_seen=0.123456))
+    table.path.write_text(table.path.read_text()[:-3])  # the last value would read 0.1234
+    table.cut(20)
+    assert table.path.read_text() == whole
+
+
+def test_cut_without_a_file_makes_none(tmp_path):
+    MetricsTable(tmp_path / "metrics.csv").cut(5)
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_closing_table_has_the_best_constant_beside_every_region():
+    text = score_table({"albedo_psnr": 30.123, "albedo_psnr_constant": 15.2, "albedo_psnr_seen": 31.0}, spp=4)
+    lines = text.splitlines()
+    assert len({len(line) for line in lines[1:4]}) == 1  # heading, neurad, best constant
+    assert sum(line.startswith("neurad") and "30.12" in line for line in lines) == 1
+    assert sum(line.startswith("best constant") and "15.20" in line for line in lines) == 1
+    assert "31.00" in text
+    assert "4 samples" in text
+
+
+def test_curve_shows_the_first_and_the_last_of_many():
+    lines = curve_table([row(i, albedo_psnr=float(i)) for i in range(1, 101)]).splitlines()
+    assert len(lines) == 9
+    assert lines[1].split()[1] == "1"
+    assert lines[-1].split()[1] == "100"
+    assert curve_table([]) == ""
+
+
+def views():
+    ramp = np.linspace(0.0, 2.0, 30, dtype=np.float32).reshape(2, 5, 3)
+    one = np.full((2, 5, 1), 0.4, np.float32)
+    return [{"name": "a", "render": ramp + 0.1, "photograph": ramp, "albedo": ramp / 2, "roughness": one}]
+
+
+def test_exposure_follows_the_photographs_only():
+    maps = views()
+    before = pictures.exposure(maps)
+    maps[0]["render"] = maps[0]["render"] * 5
+    assert pictures.exposure(maps) == before == pytest.approx(0.8 / 1.8, rel=0.05)
+    assert pictures.exposure([{"render": maps[0]["render"]}]) == 1.0
+
+
+def test_pages_hold_what_there_is():
+    pages = pictures.pages(views()[0], 0.5)
+    assert set(pages) == {"render_photograph_error", "albedo", "roughness"}
+    assert pages["render_photograph_error"].shape == (2, 3 * 5 + 2 * 2, 3)
+    assert pages["albedo"].shape == (2, 5, 3)
+    assert all(page.dtype == np.uint8 for page in pages.values())
+    # The error is 0.1 everywhere, so its picture has one colour.
+    assert len(np.unique(pages["render_photograph_error"][:, -5:].reshape(-1, 3), axis=0)) == 1
+
+
+def test_views_are_written_linear_and_for_looking_at(tmp_path):
+    maps = views()
+    pictures.write_views(tmp_path / "images", maps)
+    names = {f"a_{kind}.{end}" for kind in ("render", "albedo", "roughness") for end in ("exr", "png")}
+    assert {p.name for p in (tmp_path / "images").iterdir()} == names
+    for kind in ("render", "albedo", "roughness"):
+        np.testing.assert_array_equal(read_exr(tmp_path / "images" / f"a_{kind}.exr"), maps[0][kind])
+
+
+def test_the_clock_stands_still_during_evaluation():
+    clock.restart()
+    with clock.excluded():
+        time.sleep(0.05)
+        inside = clock.training_seconds()
+        time.sleep(0.05)
+        assert clock.training_seconds() == inside
+    assert clock.training_seconds() < 0.05
+    assert clock.process_seconds() >= 0.1
+
+
+def test_tensorboard_groups_keep_the_constants_apart():
+    groups = {name: _group(name) for name in ("albedo_psnr", "albedo_psnr_8x8_seen", "roughness_mape_constant_seen")}
+    assert list(groups.values()) == ["held_out", "held_out_seen", "held_out_constant_seen"]
+    assert _group("psnr_linear_constant") == "held_out_constant"

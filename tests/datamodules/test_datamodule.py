@@ -1,0 +1,299 @@
+"""Batches of photographed pixels: which ones, in what order, and which files are opened."""
+
+import time
+from types import SimpleNamespace
+
+import lightning.pytorch as pl
+import numpy as np
+import OpenEXR
+import pytest
+import torch
+from helpers.tiny_scene import SIZE, read_json, write_json, write_scene
+
+from datamodules.pixels import VISITS, breadth_at
+from datamodules.scene_data import SceneData
+from neurad.core.errors import InputError
+from neurad.core.patch_sampler import corners, draw
+from neurad.core.records import PixelBatch
+from neurad.scene.image_io import read_exr, write_exr
+
+pytest.importorskip("mitsuba")
+
+
+@pytest.fixture
+def folder(tmp_path):
+    return write_scene(tmp_path / "room")
+
+
+def ready(folder, **settings):
+    data = SceneData(str(folder), **settings)
+    data.setup("fit")
+    return data
+
+
+def with_alpha(folder, view=0, covered=6):
+    """Photographs with alpha: ``covered`` pixels of one corner in every view; nothing at all in ``view``."""
+    for i in range(3):
+        image = np.zeros((SIZE, SIZE, 4), np.float32)
+        if i != view:
+            image[:2, : covered // 2] = (0.5, 0.25, 1, 1)
+        write_exr(folder / f"images/train_{i}.exr", image)
+    return folder
+
+
+def test_batches_hold_the_photographs_own_values(folder):
+    data = ready(folder, patches=500)
+    batch = data.batch(3)
+    images = [read_exr(view.image) for view in data.scene.train]
+    for view, pixel, color in zip(batch.view.tolist(), batch.pixel.tolist(), batch.color, strict=True):
+        np.testing.assert_array_equal(color.numpy(), images[view][pixel // SIZE, pixel % SIZE])
+    assert batch.iteration == 3
+    assert batch.alpha.min() == 1
+    assert not data.has_alpha
+    assert data.mean_square() == pytest.approx(np.mean(np.square(images, dtype=np.float64)), rel=1e-6)
+    counted = torch.zeros(3, SIZE * SIZE, dtype=torch.bool)
+    counted[1, 5] = True
+    assert data.mean_square(counted) == pytest.approx(np.mean(images[1][0, 5] ** 2), rel=1e-5)
+
+
+def test_batches_are_a_function_of_seed_iteration_and_rank(folder):
+    first, second = ready(folder, seed=4), ready(folder, seed=4)
+    second.batch(0)
+    same = second.batch(7, 1)
+    assert torch.equal(first.batch(7, 1).pixel, same.pixel)
+    assert torch.equal(first.batch(7, 1).view, same.view)
+    for other in (first.batch(8, 1), first.batch(7, 0), ready(folder, seed=5).batch(7, 1)):
+        assert not torch.equal(other.pixel, same.pixel)
+
+
+@pytest.mark.parametrize("patch_size", [1, 3, 8])
+def test_patches_are_squares_inside_one_view(patch_size):
+    size = patch_size
+    view, pixel = draw(corners(5, size, None, 12, 9, 0), 80, 40, 0, 0, size, 12)
+    view, pixel = view.view(40, size, size), pixel.view(40, size, size)
+    assert (view == view[:, :1, :1]).all()
+    x, y = pixel % 12, pixel // 12
+    assert (x[:, :, 1:] - x[:, :, :-1] == 1).all()
+    assert (y[:, 1:] - y[:, :-1] == 1).all()
+    assert pixel.min() >= 0
+    assert pixel.max() < 12 * 9
+
+
+@pytest.mark.parametrize("covered", [None, 0.5])
+@pytest.mark.parametrize("patch_size", [1, 4])
+def test_every_corner_is_drawn_once_before_any_is_drawn_again(patch_size, covered):
+    """Whatever the batches are that the draws come in; with alpha each view has its own corners."""
+    random = torch.rand(3, 42, generator=torch.Generator().manual_seed(1))
+    alpha = None if covered is None else (random > covered).float()
+    where = corners(3, patch_size, alpha, 7, 6, 0)
+    assert alpha is not None or where.count.tolist() == 3 * [(7 - patch_size + 1) * (6 - patch_size + 1)]
+    most = int(where.count.max())
+    drawn = [draw(where, first, 5, 1, 0, patch_size, 7) for first in range(0, 9 * most + 5, 5)]
+    view, pixel = (torch.cat(parts)[:: patch_size**2] for parts in zip(*drawn, strict=True))
+    for one, count in zip(where.views.tolist(), where.count.tolist(), strict=True):
+        turns = pixel[view == one][: 3 * count].view(3, count).sort().values
+        assert turns.diff().min() > 0
+        assert (turns == turns[0]).all()
+
+
+def test_draws_have_no_order_that_follows_the_image():
+    """Of a view's consecutive corners half lie below the one before, within five standard deviations."""
+    where = corners(1, 1, None, 128, 128, 0)
+    _, pixel = draw(where, 0, 128 * 128, 0, 0, 1, 128)
+    assert abs(float((pixel.diff() < 0).double().mean()) - 0.5) < 5 / (12 * 128 * 128) ** 0.5
+
+
+def test_broad_batches_come_first():
+    """Each pixel_multiplier draws every patch as often as the schedule says, and no draw is skipped or taken twice."""
+    total, patches = 1000, 16
+    sizes, expected = [], 0
+    for iteration in range(800):
+        pixel_multiplier, first = breadth_at(iteration, patches, 4, total)
+        assert first == expected
+        expected += pixel_multiplier * patches
+        sizes.append(pixel_multiplier)
+    assert sizes == sorted(sizes, reverse=True)
+    for pixel_multiplier, visits in ((4, VISITS), (2, 2 * VISITS)):
+        assert (
+            visits * total
+            <= sizes.count(pixel_multiplier) * pixel_multiplier * patches
+            < visits * total + pixel_multiplier * patches
+        )
+    assert sizes[-1] == 1
+    assert breadth_at(7, patches, 1, total) == (1, 7 * patches)
+
+
+def test_a_broad_batch_has_more_pixels_and_says_so(folder):
+    data = ready(folder, patches=8, pixel_multiplier=4)
+    assert (len(data.batch(0).view), data.batch(0).pixel_multiplier) == (32, 4)
+    assert (len(data.batch(1000).view), data.batch(1000).pixel_multiplier) == (8, 1)
+
+
+@pytest.mark.parametrize("patch_size", [1, 2, 3])
+def test_at_least_half_of_the_pixels_are_foreground(folder, patch_size):
+    data = ready(with_alpha(folder), patches=200, patch_size=patch_size)
+    assert data.has_alpha
+    for iteration in range(5):
+        batch = data.batch(iteration)
+        assert (batch.alpha > 0).float().mean() >= 0.5
+        assert set(batch.view.tolist()) == {1, 2}, "a view without foreground says nothing"
+    assert data.mean_square() == pytest.approx((0.25 + 0.0625 + 1) / 3, rel=1e-3)
+
+
+def test_few_foreground_pixels_are_still_found(folder):
+    """One covered pixel fills a quarter of a 2 x 2 patch at most: those patches are the best there are."""
+    data = ready(with_alpha(folder, covered=2), patches=64, patch_size=3)
+    assert (data.batch(0).alpha.view(64, 9) > 0).any(1).all()
+
+
+def test_alpha_of_zero_everywhere_is_an_error(folder):
+    for i in range(3):
+        write_exr(folder / f"images/train_{i}.exr", np.zeros((SIZE, SIZE, 4), np.float32))
+    with pytest.raises(InputError, match="alpha is 0 in every training photograph"):
+        ready(folder)
+
+
+def test_loader_continues_where_the_module_is(folder):
+    data = ready(folder)
+    data.trainer = SimpleNamespace(lightning_module=SimpleNamespace(iteration=41), global_rank=2)
+    stream = iter(data.train_dataloader())
+    for iteration in (41, 42):
+        batch = next(stream)
+        assert isinstance(batch, PixelBatch)
+        assert batch.iteration == iteration
+        assert torch.equal(batch.pixel, data.batch(iteration, 2).pixel)
+
+
+class Counts(pl.LightningModule):
+    """Notes what a trainer gives it."""
+
+    def __init__(self):
+        super().__init__()
+        self.automatic_optimization = False
+        self.iteration = 5
+        self.seen, self.views = [], []
+        self.weight = torch.nn.Parameter(torch.zeros(1))
+
+    def configure_optimizers(self):
+        return torch.optim.SGD(self.parameters(), 0.1)
+
+    def training_step(self, batch, index):
+        self.optimizers().step()
+        self.seen.append(batch.iteration)
+        self.iteration += 1
+
+    def validation_step(self, view, index):
+        self.views.append(view.tolist())
+
+    test_step = predict_step = validation_step
+
+
+def test_a_trainer_runs_on_it(folder, tmp_path):
+    module, data = Counts(), SceneData(str(folder))
+    quiet = {"logger": False, "enable_checkpointing": False, "enable_progress_bar": False, "accelerator": "cpu"}
+    trainer = pl.Trainer(max_steps=4, num_sanity_val_steps=0, enable_model_summary=False, **quiet)
+    trainer.fit(module, data)
+    assert module.seen == [5, 6, 7, 8]
+    for run in (trainer.validate, trainer.test, trainer.predict):
+        module.views = []
+        run(module, datamodule=data)
+        assert module.views == [[0], [1]]
+
+
+def test_held_out_photographs_and_maps_are_never_opened(folder, monkeypatch):
+    """Not even their headers: setting up every stage and drawing batches opens training photographs only."""
+    for part in ("train", "test"):
+        described = read_json(folder, part)
+        for kind in ("albedo", "roughness"):
+            (folder / kind).mkdir(exist_ok=True)
+            for i, frame in enumerate(described["frames"]):
+                name = f"{kind}/{part}_{i}.exr"
+                (folder / name).write_text("opening this fails")
+                frame[f"{kind}_path"] = name
+        del described["w"], described["h"]
+        write_json(folder, part, described)
+    for i in range(2):
+        (folder / f"images/test_{i}.exr").write_text("opening this fails")
+    opened = []
+    exr, plain = OpenEXR.File, open
+
+    def record(path, *rest, **more):
+        opened.append(str(path))
+        return exr(path, *rest, **more)
+
+    def record_plain(path, *rest, **more):
+        opened.append(str(path))
+        return plain(path, *rest, **more)
+
+    monkeypatch.setattr(OpenEXR, "File", record)
+    monkeypatch.setattr("builtins.open", record_plain)
+    data = SceneData(str(folder))
+    for stage in ("fit", "validate", "test", "predict"):
+        data.setup(stage)
+    data.batch(0)
+    assert list(data.val_dataloader()) == [torch.tensor([0]), torch.tensor([1])]
+    images = {path.rpartition("/")[2] for path in opened if path.endswith(".exr")}
+    assert images == {"train_0.exr", "train_1.exr", "train_2.exr"}
+
+
+def photograph(**change):
+    def spoil(folder):
+        image = np.ones((change.get("height", SIZE), SIZE, change.get("channels", 3)), np.float32)
+        image[0, 0, 0] = change.get("value", 1.0)
+        write_exr(folder / "images/train_1.exr", image, half=False)
+
+    return spoil
+
+
+def black(folder):
+    for i in range(3):
+        write_exr(folder / f"images/train_{i}.exr", np.zeros((SIZE, SIZE, 3), np.float32))
+
+
+BAD = {
+    "NaN": (photograph(value=np.nan), r"train_1\.exr: it has pixels that are NaN or infinite"),
+    "infinite": (photograph(value=np.inf), r"train_1\.exr: it has pixels that are NaN or infinite"),
+    "negative": (photograph(value=-1.0), r"train_1\.exr: it has negative pixels"),
+    "size": (photograph(height=9), r"train_1\.exr: it has 8 x 9 pixels, its camera 8 x 8"),
+    "alpha in one only": (photograph(channels=4), r"train_1\.exr: it has 4 channels, but .*train_0\.exr has 3"),
+    "grey": (photograph(channels=1), r"train_1\.exr: a photograph has channels RGB or RGBA"),
+    "no picture": (lambda f: (f / "images/train_1.exr").write_text("x"), r"train_1\.exr: it cannot be read"),
+    "black": (black, "scene room: every training photograph is black"),
+}
+
+
+@pytest.mark.parametrize("case", BAD)
+def test_bad_photographs_are_named(folder, case):
+    spoil, said = BAD[case]
+    spoil(folder)
+    with pytest.raises(InputError, match=said):
+        ready(folder)
+
+
+def test_bad_options_are_named(folder):
+    for name in ("patches", "patch_size"):
+        with pytest.raises(InputError, match=rf"--data\.{name}: 0 is not"):
+            SceneData(str(folder), **{name: 0})
+    with pytest.raises(InputError, match=r"--data\.pixel_multiplier: 3 is not a power of two"):
+        SceneData(str(folder), pixel_multiplier=3)
+    with pytest.raises(InputError, match=r"--data\.patch_size: 9 does not fit in photographs of 8 x 8"):
+        ready(folder, patch_size=9)
+    with pytest.raises(InputError, match="exactly one of"):
+        SceneData().setup("fit")
+
+
+def test_no_training_photographs(folder):
+    """A built-in scene that ships no pictures can be rendered but not fitted."""
+    with pytest.raises(InputError, match="photograph"):
+        SceneData(scene="furnace").setup("fit")
+
+
+def test_a_batch_costs_little(folder):
+    """About 0.2 ms for 4096 pixels, by the best of many; the bound leaves room for slow machines."""
+    data = ready(folder, patches=4096)
+    seconds = []
+    for iteration in range(50):
+        begin = time.perf_counter()
+        data.batch(iteration)
+        seconds.append(time.perf_counter() - begin)
+    assert min(seconds) < 1e-3

@@ -1,0 +1,71 @@
+"""A short fit of the Cornell box on several processes; each writes what it has learned. Run by test_ddp.py."""
+
+import sys
+import warnings
+
+import lightning.pytorch as pl
+import torch
+
+from datamodules.scene_data import SceneData
+from neurad.assembly.settings import Optimization, Sampling
+from neurad.core.records import SurfaceInteraction
+from neurad.core.rng import Stream
+from neurad.fields.settings import FieldConfig, GridConfig, RadianceConfig
+from neurad.training.inverse import InverseRenderer
+from neurad.training.objective import IncidentSamples, StepTerms
+
+STEPS = 12
+
+
+class Joined:
+    """The step of one process that does the work of two: pixels and random numbers of both, mean of their losses."""
+
+    def __init__(self, step, data, seed):
+        self.step, self.data, self.seed = step, data, seed
+
+    def __call__(self, batch, stream):
+        materials, field, seen = {}, {}, []
+        for rank in range(2):
+            own = self.step(self.data.batch(batch.iteration, rank), Stream(self.seed, batch.iteration, rank, 1))
+            materials |= {f"{name}{rank}": (0.5 * w, loss) for name, (w, loss) in own.materials.items()}
+            field |= {f"{name}{rank}": (0.5 * w, loss) for name, (w, loss) in own.field.items()}
+            seen.append(own.arrived)
+        return StepTerms(materials, field, None if seen[0] is None else both(*seen))
+
+
+def both(a, b):
+    """What two processes saw."""
+    return IncidentSamples(SurfaceInteraction.cat(a.si, b.si), torch.cat((a.wi, b.wi)), torch.cat((a.light, b.light)))
+
+
+class Join(pl.Callback):
+    def on_train_start(self, trainer, module):
+        module._step = Joined(module._step, trainer.datamodule, module.seed)
+
+
+def fit(devices, seed=0, kind="hash", joined=False):
+    """Fitted module after ``STEPS`` iterations; ``kind`` 'glossy' takes the kitchen, which has a guide."""
+    warnings.filterwarnings("ignore")
+    grid = GridConfig(levels=3, coarsest=4, finest=16, log2_size=10)
+    sizes = {"grid": grid, "width": 16, "kind": "dense" if kind == "dense" else "hash", "size": 16}
+    module = InverseRenderer(
+        FieldConfig(**sizes), FieldConfig(**sizes), RadianceConfig(**sizes, hidden_layers=1),
+        Sampling(spp=2, samples_per_vertex=1, cached_spp=2),
+        optimization=Optimization(warmup=1, average=0.5), seed=seed,
+    )  # fmt: skip
+    trainer = pl.Trainer(
+        accelerator="cpu", devices=devices, strategy="ddp" if devices > 1 else "auto", max_steps=STEPS, max_epochs=-1,
+        logger=False, enable_checkpointing=False, enable_progress_bar=False, enable_model_summary=False,
+        num_sanity_val_steps=0, limit_val_batches=0, callbacks=[Join()] if joined else [],
+    )  # fmt: skip
+    trainer.fit(module, SceneData(scene="kitchen" if kind == "glossy" else "cornell", patches=128, seed=seed))
+    return module, trainer
+
+
+if __name__ == "__main__":
+    module, trainer = fit(2, kind=sys.argv[2])
+    state = {name: value for name, value in module.state_dict().items()}
+    torch.save(
+        {"state": state, "rays": module.rays, "samples": module.samples, "iteration": module.iteration},
+        f"{sys.argv[1]}/{trainer.global_rank}.pt",
+    )

@@ -1,0 +1,286 @@
+"""The methods against closed forms: each derivative is exact, or short by what theory says."""
+
+import csv
+import math
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+import torch
+import yaml
+from helpers.method_oracles import Oracle, Textures, camera_vertices, gallery
+from helpers.oracles import accept, z_test_samples
+from scipy import stats
+from test_inverse import FIT, Step, small  # noqa: F401
+
+from neurad.assembly.build import build_radiance, build_world
+from neurad.assembly.settings import Objective, Sampling
+from neurad.cli import main
+from neurad.core.errors import InputError
+from neurad.core.rng import Stream, mix
+from neurad.fields.settings import GridConfig, RadianceConfig
+from neurad.integrators.debiased import Debiased
+from neurad.integrators.direct import Direct
+from neurad.integrators.method import Parts
+from neurad.integrators.path import PathTracing
+from neurad.integrators.prb import PRB
+from neurad.integrators.radiometric import Radiometric
+from neurad.integrators.vertex import DIMENSIONS
+from neurad.losses.relative import blurred, moving_prior
+from neurad.scene.builtin import build_furnace
+from neurad.training.radiosity import Radiosity
+
+METHODS = {
+    "PRB": (PRB(None), 1.0),
+    "AD-PT": (PathTracing(None), 1.0),
+    "debiased": (Debiased(), 1.0),
+    "debiased, field 20 % too bright": (Debiased(), 1.2),
+    "debiased, field 20 % too dark": (Debiased(k=3), 0.8),
+}
+SHORT = {f"k = {k}": Radiometric(k) for k in (1, 2, 4)}
+
+
+def check(oracle, paths, largest):
+    """Derivatives and values of all methods: p-values, after printing z-scores; every error at most ``largest``.
+
+    Errors come from 16 batches, so z-scores have Student's distribution of 15 degrees of freedom.
+    """
+    p_values = []
+    for index, (name, (method, wrong)) in enumerate({**METHODS, **{k: (m, 1.0) for k, m in SHORT.items()}}.items()):
+        share = 1.0 - oracle.rho ** SHORT[name].k if name in SHORT else 1.0
+        budget = paths // 4 if name in SHORT else paths
+        slope, value = oracle.estimate(method, budget, mix(index, round(100 * oracle.rho), len(oracle.name)), wrong)
+        for kind, (mean, error), truth in (
+            ("derivative", slope, share * oracle.derivative), ("value", value, oracle.exact),
+        ):  # fmt: skip
+            z = (mean - truth) / max(error, 1e-6 * truth)
+            print(f"{oracle.name} rho {oracle.rho}: {name:32} {kind:10} {mean:9.4f} of {truth:9.4f}, z {z:+.2f}, "
+                  f"error {error / truth:.2%}")  # fmt: skip
+            assert error <= largest * truth, name
+            p_values.append(2 * stats.t.sf(abs(z), 15))
+    return p_values
+
+
+@pytest.mark.parametrize("name", ["furnace", "sphere"])
+def test_derivatives_in_closed_diffuse_scenes(name):
+    """Albedo 0.5 and 0.8, no cap of depth: 99 % confidence over all, standard errors of at most 3 %."""
+    print()
+    p_values = [p for rho in (0.5, 0.8) for p in check(Oracle(name, rho), 12_000, 0.03)]
+    assert accept(p_values)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["furnace", "sphere"])
+def test_derivatives_in_closed_diffuse_scenes_tightly(name):
+    """Albedo 0.5, 0.8, 0.95: standard errors of at most 0.5 %."""
+    print()
+    p_values = []
+    for rho, paths in ((0.5, 120_000), (0.8, 240_000), (0.95, 500_000)):
+        p_values += check(Oracle(name, rho), paths, 0.005)
+    assert accept(p_values)
+
+
+def test_facets_do_not_bias_the_mean_over_the_sphere():
+    """From points spread by area the closed form is exact on the polyhedron; at one point it is off a little."""
+    oracle = Oracle("sphere", 0.5)
+    _, (mean, error) = oracle.estimate(Direct(), 60_000, 3)
+    assert abs(mean - oracle.light * oracle.rho) < 3.3 * error
+    assert error < 2e-3 * mean
+
+
+# ---- finite differences
+
+
+def test_path_derivative_equals_central_differences_with_common_random_numbers():
+    """Over albedo, in a scene with textures, a mirror and glass: directions and roulette must not depend on it, so
+    roulette is off. Roughness moves the sampled directions, which detached sampling holds fixed on purpose."""
+    world, materials = build_world(gallery()), Textures()
+    si = camera_vertices(world, 3000, 1)
+    u = Stream(5).uniform(3000, DIMENSIONS)
+    towards = Stream(6).uniform(*materials.colour.shape) - 0.5
+
+    def value():
+        return PathTracing(6, 100).reflected(Parts(world, materials), si, materials(si), u, Stream(7)).value.sum()
+
+    (slope,) = torch.autograd.grad(value(), [materials.colour])
+    ends = []
+    with torch.no_grad():
+        for sign in (1.0, -1.0):
+            materials.colour += sign * 0.01 * towards
+            ends.append(float(value()))
+            materials.colour -= sign * 0.01 * towards
+    expected = (ends[0] - ends[1]) / 0.02
+    assert math.isclose(float((slope * towards).sum()), expected, rel_tol=2e-3)
+
+
+def test_detached_roughness_derivative_is_right_in_the_mean():
+    """Independent streams on both sides of the difference: 99 % confidence. Roughness enters through the sampling
+    density as well, whose derivative integrates to nothing."""
+    world, materials = build_world(gallery()), Textures()
+    si = camera_vertices(world, 500, 1)
+    slopes, differences = [], []
+
+    def value(seed, shift):
+        with torch.no_grad():
+            materials.rough += shift
+        surface = materials(si)
+        stream = Stream(seed)
+        out = PathTracing(3, 100).reflected(
+            Parts(world, materials), si, surface, stream.uniform(500, DIMENSIONS), stream
+        )
+        return out.value.clamp_max(50.0).sum() / 500
+
+    for seed in range(40):
+        (slope,) = torch.autograd.grad(value(seed, 0.0), [materials.rough])
+        slopes.append(float(slope.sum()))
+        with torch.no_grad():
+            high = value(1000 + seed, 0.05)
+            low = value(1000 + seed, -0.1)
+            materials.rough += 0.05
+        differences.append(float(high - low) / 0.1)
+    assert accept(z_test_samples(slopes, differences))
+
+
+# ---- the training step
+
+
+def gradients(terms, made):
+    """Dense gradients of each term by group."""
+    return {name: made.gradients(loss.surrogate) for name, (_, loss) in terms.all.items()}
+
+
+@pytest.mark.parametrize("method", [Direct(), PathTracing(), PRB()])
+def test_methods_without_a_field_have_the_photometric_term_alone(method):
+    made = Step(method=method, settings=Objective(roughness_regulariser=0.1))
+    made.step = replace(made.step, estimator=replace(made.estimator, radiance=None))
+    terms = made.step(made.batch(), Stream(3))
+    assert set(terms.all) == {"photometric", "roughness_regulariser"}
+    assert made.reached(terms.all["photometric"][1].surrogate) == {"albedo", "roughness"}
+
+
+@pytest.mark.parametrize("method", [Radiometric(2), Radiometric(4), Debiased(), Debiased(k=3)])
+def test_longer_methods_route_gradients_as_the_paper_does(method):
+    made = Step(method=method)
+    terms = made.step(made.batch(), Stream(3))
+    routes = {
+        "photometric": {"albedo", "roughness"},
+        "prior": {"radiance"},
+        "second": {"radiance"},
+        "lhs": {"radiance"},
+    }
+    assert set(terms.all) == set(routes)
+    for name, (_, loss) in terms.all.items():
+        assert made.reached(loss.surrogate) == routes[name], name
+
+
+@pytest.mark.parametrize("gradient", ["semi", "full"])
+def test_the_prior_moves_the_materials_where_it_is_asked_to(gradient):
+    """The field's own gradient stays what it was."""
+    found = {}
+    for trains in ("field", "both"):
+        made = Step(settings=Objective(prior_trains=trains, prior_gradient=gradient))
+        terms = made.step(made.batch(), Stream(3))
+        found[trains] = gradients(terms, made)
+        expected = {"radiance"} if trains == "field" else {"radiance", "albedo", "roughness"}
+        for name in ("prior", "second"):
+            assert {k for k, g in found[trains][name].items() if g.abs().sum() > 0} == expected
+    torch.testing.assert_close(found["both"]["prior"]["radiance"], found["field"]["prior"]["radiance"])
+
+
+def test_gradient_of_the_moving_prior_is_unbiased():
+    """Against the residual of two independent estimates, on numbers instead of light: d/dt (f - E T)^2 w."""
+    field = torch.full((200_000, 3), 0.7)
+    noise = torch.randn(2, 200_000, 3)
+    t = torch.tensor(1.3, requires_grad=True)
+    one, other = (t * (1.0 + n) for n in noise)
+    mask = torch.ones(200_000, dtype=torch.bool)
+    loss = moving_prior(field.requires_grad_(), one, other, 0.01, mask)
+    (slope,) = torch.autograd.grad(loss.surrogate, [t])
+    weight = 1.0 / (0.7**2 + 0.01)
+    assert math.isclose(slope.item(), 2 * weight * (1.3 - 0.7), rel_tol=0.03)
+    assert math.isclose(loss.value.item(), weight * (1.3 - 0.7) ** 2, rel_tol=0.06)
+
+
+def test_smoothed_photographs():
+    """A mean over 5 x 5 pixels, over the covered ones where there is an alpha."""
+    image = torch.arange(48.0).view(1, 48, 1).expand(1, 48, 3).contiguous()
+    whole = blurred(image, None, 8)
+    grid = image.view(6, 8, 3)
+    torch.testing.assert_close(whole.view(6, 8, 3)[2, 3], grid[0:5, 1:6].mean((0, 1)))
+    torch.testing.assert_close(whole.view(6, 8, 3)[0, 0], grid[0:3, 0:3].mean((0, 1)))
+    alpha = torch.zeros(1, 48)
+    alpha[0, 8:24] = 1.0
+    flat = blurred(0.5 * alpha.unsqueeze(-1).expand(1, 48, 3), alpha, 8)
+    torch.testing.assert_close(flat, 0.5 * alpha.unsqueeze(-1).expand(1, 48, 3))
+
+
+# ---- settings
+
+
+@pytest.mark.parametrize(
+    ("make", "said"),
+    [
+        (lambda: Radiometric(0), "k"),
+        (lambda: Debiased(exponent=2.0), "exponent"),
+        (lambda: Debiased(start=0.0), "start"),
+        (lambda: PathTracing(0), "max_bounces"),
+        (lambda: PathTracing(None, roulette=1.0), "roulette"),
+        (lambda: PRB(roulette_start=0), "roulette_start"),
+    ],
+)
+def test_settings_that_end_no_path_are_refused(make, said):
+    with pytest.raises(InputError, match=said):
+        make()
+
+
+def test_continuation_exceeds_the_square_of_the_albedo():
+    for rho in (0.1, 0.5, 0.9, 0.99):
+        weight = torch.full((1, 3), rho)
+        later = Debiased().continuation(2, weight, weight)
+        assert rho**2 < float(later) <= rho + 1e-6
+
+
+@pytest.mark.parametrize(
+    "name",
+    ["direct", "prb", "debiased", *(pytest.param(n, marks=pytest.mark.slow) for n in ("ours", "no_prior", "path"))],
+)
+def test_overlays_train_and_continue_exactly(name, small):  # noqa: F811
+    """Eight iterations in one go and in two: the same weights; fewer optimizers and no field where none is needed."""
+    small(False)
+    Path("fit.yaml").write_text(yaml.safe_dump(FIT))
+
+    def fit(*args):
+        constant = "--model.optimization.schedule=constant"
+        main(["fit", "--config", "fit.yaml", "--config", f"methods/{name}.yaml", constant, *args])
+        folder = max(Path("lightning_logs").iterdir(), key=lambda f: int(f.name.rpartition("_")[2]))
+        return folder, torch.load(folder / "checkpoints/last.ckpt", weights_only=True)
+
+    _, whole = fit("--trainer.max_steps=8")
+    fit("--trainer.max_steps=5")
+    folder, continued = fit("--trainer.max_steps=8", "--ckpt_path=last")
+    for key, value in whole["state_dict"].items():
+        assert torch.equal(value, continued["state_dict"][key]), key
+    has_field = any(key.startswith("radiance") for key in whole["state_dict"])
+    assert has_field == (name in ("ours", "no_prior", "debiased"))
+    assert len(whole["optimizer_states"]) == (2 if has_field else 1)
+    assert continued["neurad"]["samples"] == 8 * 256 * Sampling().spp * Sampling().samples_per_vertex
+    rows = list(csv.DictReader((folder / "metrics.csv").open()))
+    assert float(rows[-1]["samples"]) == 8 * 256 * Sampling().spp * Sampling().samples_per_vertex
+    assert float(rows[-1]["psnr_linear"]) > 0
+
+
+# ---- forward neural radiosity
+
+
+def test_radiosity_finds_the_furnace():
+    oracle = Oracle("furnace", 0.6)
+    scene = build_furnace(0.6)
+    torch.manual_seed(0)
+    grid = GridConfig(levels=2, coarsest=4, finest=8, log2_size=10)
+    field = build_radiance(scene, RadianceConfig(grid=grid, width=16, hidden_layers=1))
+    solver = Radiosity(oracle.world, oracle.materials, field, [v.camera for v in scene.train], points=512)
+    solver.train(200)
+    si = oracle.vertices(500, Stream(8))
+    with torch.no_grad():
+        found = field(si, oracle.materials.albedo(si))
+    assert math.isclose(float(found.mean()), oracle.exact, rel_tol=0.03)

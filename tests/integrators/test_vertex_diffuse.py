@@ -1,0 +1,295 @@
+"""What a Lambertian scene does not need is left out, and what stands in its place gives the same numbers."""
+
+from dataclasses import replace
+
+import lightning.pytorch as pl
+import pytest
+import torch
+
+from neurad.assembly.build import build_radiance, build_world
+from neurad.assembly.settings import Optimization, Sampling
+from neurad.cli import main
+from neurad.core.errors import InputError
+from neurad.core.records import Rays
+from neurad.core.rng import Stream
+from neurad.fields.mlp import MLP, products
+from neurad.fields.settings import GridConfig, RadianceConfig
+from neurad.integrators import vertex_diffuse as matte
+from neurad.integrators.method import query_radiance
+from neurad.integrators.stratified import stratified_samples
+from neurad.integrators.vertex import DIMENSIONS, bounce
+from neurad.scene.builtin import build, build_cornell, build_sphere
+from neurad.scene.geometry import Geometry
+from neurad.studies.stress import features
+from neurad.studies.stress.field import Lab
+from neurad.studies.stress.fit import Fit, Plan, photographs, resized
+from neurad.studies.stress.parts import Place, glossy, make, memory, parts
+from neurad.studies.stress.runs import Memory
+from neurad.studies.stress.runs import fit as fit_through_trainer
+from neurad.studies.stress.shipped import plan_of
+from neurad.training.inverse import InverseRenderer
+
+GRID = GridConfig(levels=3, coarsest=4, finest=16, log2_size=10)
+
+
+def one_sided(scene):
+    return replace(scene, materials=[replace(m, two_sided=False) for m in scene.materials])
+
+
+def vertices(world, count, seed):
+    """What random rays through the scene end at, seen from both sides, with some misses among them."""
+    stream = Stream(seed)
+    low, high = world.geometry.vertices.amin(0), world.geometry.vertices.amax(0)
+    o = low - 0.2 * (high - low) + stream.uniform(count, 3) * 1.4 * (high - low)
+    d = torch.nn.functional.normalize(stream.uniform(count, 3) - 0.5, dim=-1)
+    return world.intersect(Rays(o, d))
+
+
+# ---- the compiled bounce and its twin
+
+
+@pytest.mark.parametrize("name", ["cornell", "cube", "sphere", "furnace"])
+@pytest.mark.parametrize("change", [lambda scene: scene, one_sided])
+def test_the_compiled_bounce_is_the_plain_one(name, change):
+    lab = Lab(change(build(name)))
+    si = vertices(lab.world, 3000, 3)
+    assert not si.valid.all()
+    u = Stream(4).uniform(len(si), DIMENSIONS)
+    albedo = lab.materials(si).albedo
+    assert matte.has_kernel(lab.world, si)
+    found = []
+    for use_kernels in (True, False):
+        free = albedo.clone().requires_grad_(True)
+        before = lab.world.rays_cast
+        step = bounce(lab.world, si, replace(lab.materials(si), albedo=free), u, use_kernels=use_kernels)
+        slope = torch.autograd.grad((step.direct + 0.3 * step.weight).square().sum(), free)[0]
+        found.append((step, slope, lab.world.rays_cast - before))
+    (use_kernels, fast_slope, fast_rays), (plain, slope, rays) = found
+    scale = float(plain.direct.detach().abs().max())
+    assert scale > 0
+    same = (use_kernels.next.prim == plain.next.prim) & (use_kernels.next.valid == plain.next.valid)
+    assert float((~same).float().mean()) < 1e-3  # rounding at an edge
+    for a, b, unit in (
+        (use_kernels.direct, plain.direct, scale),
+        (use_kernels.weight, plain.weight, 1.0),
+        (fast_slope, slope, scale),
+    ):
+        off = (a.detach() - b.detach()).abs().amax(-1) > 1e-4 * unit
+        assert float(off[same].float().mean()) < 1e-3
+    for key in ("p", "n", "ng", "wo"):
+        torch.testing.assert_close(
+            getattr(use_kernels.next, key)[same], getattr(plain.next, key)[same], rtol=1e-4, atol=1e-4
+        )
+    assert rays - 0.01 * len(si) <= fast_rays <= rays + 0.01 * len(si)
+
+
+def test_threads_share_a_bounce_and_its_numbers_without_a_trace():
+    """Three threads, where each has its own part of the rays, give what one gives."""
+    lab = Lab(build_cornell())
+    before, found = torch.get_num_threads(), []
+    try:
+        for count in (1, 3):
+            torch.set_num_threads(count)
+            si = vertices(lab.world, 20000, 3)
+            u = stratified_samples(len(si) // 2, 2, Stream(4))
+            cast = lab.world.rays_cast
+            step = bounce(lab.world, si, lab.materials(si), u)
+            end = step.next
+            tensors = si.p, si.n, u, step.direct, step.weight, end.p, end.wo, end.prim, lab.world.lights.eval(end)
+            found.append((tensors, lab.world.rays_cast - cast))
+    finally:
+        torch.set_num_threads(before)
+    (one, rays), (several, again) = found
+    assert rays == again > len(one[0])
+    assert all(torch.equal(a, b) for a, b in zip(one, several, strict=True))
+
+
+def test_the_compiled_bounce_is_for_what_it_can_do():
+    si = vertices(build_world(build_cornell()), 10, 1)
+    assert matte.has_kernel(build_world(build_cornell()), si)
+    assert not matte.has_kernel(build_world(glossy(build_cornell())), si)
+    lit = build_world(build_cornell())
+    lit.lights.emission.requires_grad_(True)
+    assert not matte.has_kernel(lit, si)
+
+
+@pytest.mark.parametrize("build_scene", [build_cornell, build_sphere])
+def test_the_compiled_interaction_is_the_plain_one(build_scene):
+    geometry = Geometry(build_scene())
+    stream = Stream(2)
+    prim = stream.integers(len(geometry.faces) + 1, 5000) - 1
+    u, v = stream.uniform(5000) / 2, stream.uniform(5000) / 2
+    given = prim, u, v, torch.nn.functional.normalize(stream.uniform(5000, 3), dim=-1), prim >= 0
+    use_kernels, plain = geometry.interact_at(*given), geometry.interact_plainly(*given)
+    for key in ("p", "ng", "n", "wo", "uv", "bary"):
+        torch.testing.assert_close(getattr(use_kernels, key), getattr(plain, key), rtol=1e-6, atol=1e-6)
+    assert torch.equal(use_kernels.prim, prim)
+    assert torch.equal(use_kernels.valid, prim >= 0)
+
+
+def test_only_weights_that_deviate_have_a_control_variate():
+    for scene, there in ((build_cornell(), False), (glossy(build_cornell()), True)):
+        lab = Lab(scene)
+        si = lab.points(20, Stream(1))
+        u = Stream(2).uniform(20, DIMENSIONS)
+        step = bounce(lab.world, si, lab.materials(si), u, control=True, use_kernels=False)
+        assert (step.sample_stats is not None) == there
+
+
+# ---- the radiance field
+
+
+def test_the_radiance_of_a_lambertian_scene_knows_its_side_and_nothing_else_of_the_viewer():
+    lab = Lab(build_cornell())
+    field = build_radiance(lab.scene, RadianceConfig(grid=GRID))
+    si = lab.points(200, Stream(1))
+    other = replace(si, wo=torch.nn.functional.normalize(si.ng + 0.3 * si.wo, dim=-1))
+    with torch.no_grad():
+        assert torch.equal(field(si, None), field(other, torch.rand(200, 3)))
+        assert not torch.allclose(field(si, None), field(replace(si, wo=-si.wo), None))
+
+    class Silent:
+        def albedo(self, si):
+            raise AssertionError("nobody needs the albedo")
+
+    assert torch.equal(query_radiance(field, Silent(), si), field(si, None))
+    shiny = build_radiance(glossy(lab.scene), RadianceConfig(grid=GRID))
+    with pytest.raises(ValueError, match="albedo"):
+        shiny(si, None)
+    with pytest.raises(AssertionError):
+        query_radiance(shiny, Silent(), si)
+
+
+def test_inputs_come_from_the_scene_unless_given():
+    assert RadianceConfig().resolved(False).inputs == ("direction", "normal", "albedo")
+    lean = RadianceConfig(hidden_layers=3).resolved(True)
+    assert (lean.inputs, lean.hidden_layers) == (("facing",), 2)
+    assert RadianceConfig(hidden_layers=0).resolved(True).hidden_layers == 0
+    given = RadianceConfig(inputs=("normal",))
+    assert given.resolved(True) == given
+
+
+def test_a_checkpoint_of_other_inputs_is_refused(monkeypatch):
+    scene = resized(build_cornell(), 8, 2)
+    images = torch.full((2, 64, 3), 0.3)
+    module, _ = fit_through_trainer(scene, images, steps=1)
+    checkpoint = {"state_dict": module.state_dict()}
+    monkeypatch.setattr(InverseRenderer, "scene", scene)
+    module.on_save_checkpoint(checkpoint)
+    module.on_load_checkpoint(checkpoint)
+    assert checkpoint["neurad"]["radiance_inputs"] == ["facing"]
+    module.radiance.inputs = ("normal",)  # as large as "facing", so that the weights alone do not tell
+    with pytest.raises(InputError, match=r"--ckpt_path: .*\['facing'\].*\['normal'\]"):
+        module.on_load_checkpoint(checkpoint)
+
+
+def test_a_fit_of_a_lambertian_scene_finds_the_albedo():
+    scene = resized(build_cornell(), 16)
+    fit = Fit(scene, photographs(replace(scene, max_depth=6), 16), Plan(steps=60, pixels=64))
+    before = fit.albedo_error()[0]
+    assert fit.run().albedo_error()[0] < 0.75 * before
+
+
+# ---- products of lower precision
+
+
+def test_rounded_products_are_close_and_end_with_the_block():
+    mlp = MLP(19, 3, 64, 2)
+    x, cotangent = torch.randn(3000, 19), torch.randn(3000, 3).abs()
+    exact = mlp(x)
+    slopes = torch.autograd.grad(exact, list(mlp.parameters()), cotangent)
+    with products("medium"):
+        rounded = mlp(x)
+        rounded_slopes = torch.autograd.grad(rounded, list(mlp.parameters()), cotangent)
+        with torch.no_grad():
+            torch.testing.assert_close(mlp(x), rounded)
+    assert rounded.dtype == torch.float32
+    assert 0 < float((rounded - exact).detach().norm() / exact.detach().norm()) < 0.01
+    for a, b in zip(rounded_slopes, slopes, strict=True):
+        assert a.dtype == torch.float32
+        assert float((a - b).norm() / b.norm()) < 0.05
+    with pytest.raises(KeyError), products("medium"):
+        raise KeyError
+    assert torch.get_float32_matmul_precision() == "highest"
+    assert torch.equal(mlp(x), exact)
+
+
+@pytest.mark.parametrize("precision", ["16-mixed", "bf16-mixed", "64-true"])
+def test_precisions_that_light_cannot_have_are_refused(precision):
+    module = InverseRenderer(Plan().fields.albedo, Plan().fields.roughness, Plan().fields.radiance)
+    module._trainer = type("Trainer", (), {"precision": precision})()
+    with pytest.raises(InputError, match=f"--trainer.precision {precision}"):
+        module.configure_model()
+
+
+def test_a_run_with_rounded_networks_learns():
+    scene = resized(glossy(build_cornell()), 12, 4)
+    images = photographs(replace(scene, max_depth=4), 8)
+    medium = Optimization(albedo=2e-2, radiance=2e-2, matmul="medium")
+    plan = Plan()
+    module = InverseRenderer(
+        plan.fields.albedo, plan.fields.roughness, plan.fields.radiance, Sampling(), optimization=medium
+    )
+    step = module.training_step
+
+    def watched(*args):
+        loss = step(*args)
+        assert torch.get_float32_matmul_precision() == "highest"
+        assert bool(loss.isfinite())
+        return loss
+
+    module.training_step = watched
+    pl.Trainer(
+        max_steps=100, accelerator="cpu", logger=False, enable_checkpointing=False, enable_progress_bar=False,
+        enable_model_summary=False,
+    ).fit(module, Memory(replace(scene, test=[]), images))  # fmt: skip
+    si = Fit(scene, images).seen(500)
+    truth = Lab(scene).materials.albedo(si)
+    with torch.no_grad():
+        error = float((module.materials.albedo(si) - truth).abs().mean())
+    assert error < 0.7 * float((0.5 - truth).abs().mean())
+    assert all(p.dtype == torch.float32 for p in module.parameters())
+
+
+def test_precisions_that_do_not_exist_are_refused():
+    with pytest.raises(InputError, match=r"model\.optimization\.matmul: 'half'"):
+        Optimization(matmul="half")
+
+
+# ---- the rows of neurad stress
+
+
+def test_parts_that_are_built_and_left_out():
+    images = torch.full((8, 64, 3), 0.3)
+    scene = resized(build_cornell(), 8)
+    built, left_out = parts(make("needed", scene, images, Plan()))
+    assert built == ["area lights"]
+    assert parts(make("forced", scene, images, Plan())) == ([*built, *left_out], [])
+
+
+def test_the_plan_of_a_config_has_its_settings():
+    plan = plan_of("kitchen.yaml")
+    assert plan.pixels * plan.sampling.spp == 4096
+    assert plan.fields.roughness.reads_albedo
+    assert plan.fields.albedo.grid.finest == 256
+    assert plan.objective.roughness_regulariser > 0
+
+
+def test_memory_is_that_of_the_fit_alone():
+    place = Place("cube", size=8)
+    ballast = torch.ones(60_000_000)  # 229 MiB of this process
+    needed = memory(place, "needed", 1)
+    del ballast
+    assert needed is None or 1 < needed < 200
+
+
+def test_scene_folders_are_asked_for_by_name(tmp_path, capsys, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(SystemExit) as stop:
+        main(["stress", "--scenes", str(tmp_path)])
+    assert stop.value.code == 2
+    assert "--scenes" in capsys.readouterr().err
+    for name in ("b", "a"):
+        (tmp_path / name).mkdir()
+        (tmp_path / name / "scene.xml").write_text("<scene/>")
+    assert [case.extreme for case in features.folders(tmp_path)] == ["scene folder a", "scene folder b"]

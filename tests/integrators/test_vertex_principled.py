@@ -1,0 +1,150 @@
+"""The compiled bounce at principled surfaces gives the numbers and derivatives of its plain twin."""
+
+from dataclasses import replace
+
+import pytest
+import torch
+from helpers.object_scene import object_scene, sky
+from test_delta import gallery
+from test_vertex_diffuse import one_sided, vertices
+
+from neurad.assembly.build import build_world
+from neurad.bsdf.directional import _mean_lobes, directional_albedo, mean_lobes, table
+from neurad.core.records import Surface, SurfaceInteraction, TypedSurface
+from neurad.core.rng import Stream
+from neurad.integrators import vertex_principled as glossy
+from neurad.integrators.guide import Guide
+from neurad.integrators.vertex import DIMENSIONS, bounce
+from neurad.scene.builtin import build_cornell, build_kitchen
+from neurad.studies.stress.parts import glossy as made_glossy
+
+N = 4000
+
+
+def random_surface(n, seed):
+    stream = Stream(seed)
+    return Surface(stream.uniform(n, 3).requires_grad_(True), (0.05 + 0.95 * stream.uniform(n, 1)).requires_grad_(True))
+
+
+def taught(world, seed):
+    """A guide that has learned something uneven."""
+    guide = Guide(torch.stack((world.geometry.vertices.amin(0), world.geometry.vertices.amax(0))), 4)
+    stream = Stream(seed)
+    guide.squares.copy_(stream.uniform(*guide.squares.shape) ** 4 * 20)
+    guide.counts.fill_(10.0)
+    guide.update()
+    return guide
+
+
+@pytest.mark.parametrize("guided", [False, True])
+@pytest.mark.parametrize("control", [False, True])
+@pytest.mark.parametrize(
+    "scene", [build_kitchen(), made_glossy(build_cornell()), one_sided(made_glossy(build_cornell()))],
+    ids=["kitchen", "cornell", "one-sided"],
+)  # fmt: skip
+def test_the_compiled_bounce_is_the_plain_one(scene, control, guided):
+    world = build_world(scene)
+    world.guide = taught(world, 9) if guided else None
+    si = vertices(world, N, 3)
+    assert not si.valid.all()
+    surface, u = random_surface(N, 5), Stream(4).uniform(N, DIMENSIONS)
+    assert glossy.has_kernel(world, si, surface)
+    scale = float(bounce(world, si, surface, u, use_kernels=False).direct.detach().mean()) * 100
+    assert scale > 0
+    found = []
+    for use_kernels in (True, False):
+        before = world.rays_cast
+        step = bounce(world, si, surface, u, control=control, use_kernels=use_kernels)
+        total = step.direct.square().sum() / scale + (step.weight * torch.linspace(0.1, 1, 3)).sum()
+        if control:
+            total = total + 0.7 * step.sample_stats.deviation.square().sum()
+        found.append((step, torch.autograd.grad(total, (surface.albedo, surface.roughness)), world.rays_cast - before))
+    (use_kernels, fast_slopes, fast_rays), (plain, slopes, rays) = found
+    same = (use_kernels.next.prim == plain.next.prim) & (use_kernels.next.valid == plain.next.valid)
+    assert float((~same).float().mean()) < 2e-3  # rounding at an edge
+    pairs = [(use_kernels.direct, plain.direct, scale), (use_kernels.weight, plain.weight, 1.0)]
+    pairs += [(a, b, 1.0 + b.abs()) for a, b in zip(fast_slopes, slopes, strict=True)]
+    if control:
+        pairs += [
+            (getattr(use_kernels.sample_stats, k), getattr(plain.sample_stats, k), 1.0)
+            for k in ("deviation", "relative", "wi")
+        ]
+    else:
+        assert use_kernels.sample_stats is None
+    for a, b, unit in pairs:
+        assert a.shape == b.shape
+        assert bool(a.isfinite().all())
+        assert float(b.detach().abs().max()) > 0
+        off = (a.detach() - b.detach()).abs() > 5e-4 * unit * (1.0 if torch.is_tensor(unit) else 1.0 + b.detach().abs())
+        assert float(off.any(-1)[same].float().mean()) < 3e-3
+    for key in ("p", "n", "ng", "wo"):
+        torch.testing.assert_close(
+            getattr(use_kernels.next, key)[same], getattr(plain.next, key)[same], rtol=1e-3, atol=1e-3
+        )
+    assert abs(rays - fast_rays) <= 0.01 * N
+    assert fast_slopes[0][~si.valid].abs().max() == 0
+
+
+def test_smooth_surfaces_on_the_way_dim_what_comes_through():
+    room = gallery()
+    kinds = [replace(m, kind="principled") if m.kind == "diffuse" else m for m in room.materials]
+    world = build_world(replace(room, materials=kinds))
+    si = vertices(world, N, 3)
+    surface, u = random_surface(N, 5), Stream(4).uniform(N, DIMENSIONS)
+    assert world.delta is not None
+    assert glossy.has_kernel(world, si, surface)
+    use_kernels, plain = (
+        bounce(world, si, surface, u, control=True, use_kernels=use_kernels) for use_kernels in (True, False)
+    )
+    same = use_kernels.next.prim == plain.next.prim
+    assert float((~same).float().mean()) < 5e-3
+    for a, b in ((use_kernels.direct, plain.direct), (use_kernels.weight, plain.weight)):
+        off = (a - b).abs().amax(-1) > 1e-3 * (1 + b.abs().amax(-1))
+        assert float(off[same].float().mean()) < 5e-3
+
+
+def test_derivatives_are_those_of_known_parts_alone():
+    world = build_world(made_glossy(build_cornell()))
+    si, u = vertices(world, 100, 1), Stream(2).uniform(100, DIMENSIONS)
+    free = random_surface(100, 3)
+    for albedo, roughness in ((True, False), (False, True), (False, False)):
+        surface = Surface(
+            free.albedo.detach().requires_grad_(albedo), free.roughness.detach().requires_grad_(roughness)
+        )
+        step = bounce(world, si, surface, u)
+        assert step.weight.requires_grad == (albedo or roughness)
+        if albedo or roughness:
+            step.weight.sum().backward()
+            assert (surface.albedo.grad is not None, surface.roughness.grad is not None) == (albedo, roughness)
+    with torch.no_grad():
+        assert not bounce(world, si, free, u).weight.requires_grad
+
+
+def test_it_is_for_what_it_can_do():
+    world = build_world(made_glossy(build_cornell()))
+    si, surface = vertices(world, 10, 1), random_surface(10, 1)
+    assert glossy.has_kernel(world, si, surface)
+    typed = TypedSurface(surface.albedo, surface.roughness, torch.zeros(10, dtype=torch.bool))
+    assert not glossy.has_kernel(world, si, typed)
+    assert not glossy.has_kernel(build_world(build_cornell()), si, surface)
+    assert not glossy.has_kernel(build_world(object_scene(sky())), si, surface)  # an environment
+    double = SurfaceInteraction(*(x.double() if x.is_floating_point() else x for x in vars(si).values()))
+    assert not glossy.has_kernel(world, double, surface)
+    world.lights.emission.requires_grad_(True)
+    assert not glossy.has_kernel(world, si, surface)
+
+
+def test_the_compiled_mean_is_the_plain_one():
+    stream = Stream(7)
+    roughness, cosine = stream.uniform(5000, 1), stream.uniform(5000)
+    roughness[:3, 0], cosine[:3] = torch.tensor([0.0, 1.0, 0.5]), torch.tensor([1.0, 0.0, 1.0])
+    entries = table(1.5, torch.device("cpu"))
+    broken = torch.full((1, 1), torch.nan)
+    assert bool(mean_lobes(broken, broken[0], 1.5).isfinite().all())  # and nothing is read beyond the table
+    torch.testing.assert_close(
+        mean_lobes(roughness, cosine, 1.5), _mean_lobes(roughness, cosine, entries), rtol=1e-5, atol=1e-5
+    )
+    d = mean_lobes(roughness, cosine, 1.5)[0]
+    value = directional_albedo(Surface(torch.ones(5000, 3), roughness), cosine, 1.5)
+    assert bool((value[:, 0] >= d).all())
+    assert 0.8 < float(d.mean()) < 1.2

@@ -1,0 +1,128 @@
+"""Unbiased gradients of the relative L2 loss, against closed forms."""
+
+import pytest
+import torch
+
+from neurad.losses.leave_one_out import ControlVariate, leave_one_out
+from neurad.losses.relative import (
+    full_gradient_prior,
+    relative_weight,
+    semi_gradient_prior,
+    total,
+    two_pass,
+)
+
+TRIALS = 40_000
+
+
+def noisy(parameter, n, generator):
+    """Samples with mean ``parameter`` and a noise that grows with it, so that naive gradients are biased."""
+    return parameter * (1.0 + torch.randn(TRIALS, n, 1, generator=generator))
+
+
+def gradient_statistics(make_loss):
+    """Mean and standard error of the gradient with respect to a parameter that all trials share."""
+    parameter = torch.full((TRIALS, 1, 1), 0.7, requires_grad=True)
+    loss = make_loss(parameter)
+    loss.surrogate.backward()
+    each = parameter.grad.flatten() * TRIALS
+    return each.mean().item(), (each.std() / TRIALS**0.5).item(), loss
+
+
+TARGET, WEIGHT = 0.4, 2.0
+TRUE_GRADIENT = 2 * WEIGHT * (0.7 - TARGET)
+
+
+def test_both_forms_of_the_photometric_gradient_are_unbiased_and_agree():
+    generator = torch.Generator().manual_seed(1)
+    target = torch.full((TRIALS, 1), TARGET)
+    weight = torch.full((TRIALS, 1), WEIGHT)
+    once, once_error, loss = gradient_statistics(lambda p: leave_one_out(noisy(p, 2, generator), target, weight))
+    twice, twice_error, _ = gradient_statistics(
+        lambda p: two_pass(noisy(p, 2, generator), noisy(p.detach(), 2, generator), target, weight)
+    )
+    # 99.9 % confidence: 3.3 standard errors.
+    assert abs(once - TRUE_GRADIENT) < 3.3 * once_error
+    assert abs(twice - TRUE_GRADIENT) < 3.3 * twice_error
+    assert abs(once - twice) < 3.3 * (once_error**2 + twice_error**2) ** 0.5
+    assert once_error < 0.05 * TRUE_GRADIENT  # the test could see a bias
+    assert abs(loss.value.item() - WEIGHT * (0.7 - TARGET) ** 2) < 0.02
+
+
+def test_the_naive_gradient_is_biased_so_the_test_above_can_fail():
+    generator = torch.Generator().manual_seed(2)
+    parameter = torch.full((TRIALS, 1, 1), 0.7, requires_grad=True)
+    mean = noisy(parameter, 2, generator).mean(1)
+    (WEIGHT * (mean - TARGET) ** 2).mean().backward()
+    each = parameter.grad.flatten() * TRIALS
+    assert each.mean() - TRUE_GRADIENT > 10 * each.std() / TRIALS**0.5
+
+
+def test_leave_one_out_formula_on_three_samples():
+    samples = torch.tensor([[[1.0], [2.0], [6.0]]], requires_grad=True)
+    leave_one_out(samples, torch.tensor([[0.5]]), torch.tensor([[3.0]])).surrogate.backward()
+    others = torch.tensor([4.0, 3.5, 1.5])
+    torch.testing.assert_close(samples.grad.flatten(), 2 / 3 * 3.0 * (others - 0.5))
+
+
+def test_leave_one_out_formula_on_two_groups_of_two_samples():
+    samples = torch.tensor([[[1.0], [2.0], [6.0], [7.0]]], requires_grad=True)
+    leave_one_out(samples, torch.tensor([[0.5]]), torch.tensor([[3.0]]), groups=2).surrogate.backward()
+    others = torch.tensor([6.5, 6.5, 1.5, 1.5])
+    torch.testing.assert_close(samples.grad.flatten(), 2 / 4 * 3.0 * (others - 0.5))
+
+
+def test_prior_gradients_reach_the_sides_that_they_should():
+    field = torch.tensor([[2.0, 2.0, 2.0]], requires_grad=True)
+    right = torch.tensor([[1.0, 1.0, 1.0]], requires_grad=True)
+    other = torch.tensor([[1.5, 1.5, 1.5]], requires_grad=True)
+    mask = torch.tensor([True])
+    semi_gradient_prior(field, right, 0.0, mask).surrogate.backward()
+    assert right.grad is None
+    torch.testing.assert_close(field.grad, torch.full((1, 3), 2 * (2 - 1) / 4 / 3))
+    field.grad = None
+    full_gradient_prior(field, right, other, 0.0, mask).surrogate.backward()
+    torch.testing.assert_close(right.grad, torch.full((1, 3), -(2 - 1.5) / 4 / 3))
+    torch.testing.assert_close(field.grad, torch.full((1, 3), ((2 - 1.5) + (2 - 1)) / 4 / 3))
+
+
+def test_masked_lanes_and_weights_count_nothing():
+    field = torch.ones(2, 3, requires_grad=True)
+    loss = semi_gradient_prior(field, torch.zeros(2, 3), 0.01, torch.tensor([True, False]))
+    total({"a": (2.0, loss)}).backward()
+    assert (field.grad[1] == 0).all()
+    assert (field.grad[0] > 0).all()
+    assert not relative_weight(field, 0.01).requires_grad
+
+
+@pytest.mark.parametrize(("samples", "groups"), [(2, 2), (5, 5), (8, 4), (6, 2)])
+@pytest.mark.parametrize("controlled", [False, True])
+@pytest.mark.parametrize("pixels", [7, 7000])  # the latter are shared among threads
+@pytest.mark.usefixtures("three_threads")
+def test_the_compiled_leave_one_out_is_the_plain_one(samples: int, groups: int, controlled: bool, pixels: int) -> None:
+    generator = torch.Generator().manual_seed(samples)
+
+    def numbers(*shape: int) -> torch.Tensor:
+        return torch.randn(*shape, generator=generator)
+
+    value, light, deviation = numbers(3, pixels, samples, 3).abs().unbind()
+    target, weight = numbers(pixels, 3), numbers(pixels, 1).abs()
+
+    def found(use_kernels: bool) -> list[torch.Tensor]:
+        s, z = value.clone().requires_grad_(), (deviation - 0.7).requires_grad_()
+        control = ControlVariate(light, z, groups) if controlled else None
+        loss = leave_one_out(s, target, weight, control, groups, use_kernels)
+        (3.0 * loss.surrogate).backward()
+        assert not loss.value.requires_grad
+        return [loss.surrogate.detach(), loss.value, s.grad, *([z.grad] if controlled else [])]
+
+    for use_kernels, plain in zip(found(True), found(False), strict=True):
+        torch.testing.assert_close(use_kernels, plain, rtol=1e-5, atol=1e-6)
+
+
+@pytest.mark.parametrize(("samples", "groups", "of_control"), [(5, 2, None), (4, 1, None), (8, 4, 2)])
+def test_leave_one_out_refuses_uneven_groups(samples: int, groups: int, of_control: int | None) -> None:
+    x = torch.ones(3, samples, 3)
+    control = None if of_control is None else ControlVariate(x, x, of_control)
+    with pytest.raises(ValueError, match="groups"):
+        leave_one_out(x, x[:, 0], x[:, 0], control, groups)

@@ -1,0 +1,338 @@
+"""Metrics: scores against values worked out by hand, and which pixels of a small scene count."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+import numpy as np
+import OpenEXR
+import pytest
+import torch
+
+from neurad.bsdf.table import make_bsdf
+from neurad.core.errors import InputError
+from neurad.core.records import Camera, Constant, Material, Mesh, Surface, SurfaceInteraction, View
+from neurad.core.rng import Stream
+from neurad.emitters.lights import make_lights
+from neurad.integrators.method import Parts
+from neurad.integrators.radiometric import Radiometric
+from neurad.integrators.world import World
+from neurad.metrics import held_out
+from neurad.metrics.held_out import HeldOut
+from neurad.metrics.lit_glossy import lit_glossy, reflected_by
+from neurad.metrics.scores import Pool, block_means, psnr, srgb
+from neurad.metrics.seen import SeenBy
+from neurad.scene.description import Scene
+from neurad.scene.geometry import Geometry
+from neurad.tracing.select import make_tracer
+
+# --- scores
+
+
+def test_psnr_and_mape_by_hand() -> None:
+    pool = Pool()
+    truth = np.array([[[0.2, 0.4], [0.6, 0.8]]])
+    pool.add(truth + np.array([0.1, -0.1]), truth)
+    scores = pool.scores()
+    assert scores["psnr"] == pytest.approx(20.0)
+    assert scores["mape"] == pytest.approx(np.mean([0.1 / 0.21, 0.1 / 0.41, 0.1 / 0.61, 0.1 / 0.81]))
+    # the best constant is (0.4, 0.6): every error is 0.2
+    assert scores["psnr_constant"] == pytest.approx(-20 * math.log10(0.2))
+    assert scores["mape_constant"] == pytest.approx(np.mean([0.2 / 0.21, 0.2 / 0.41, 0.2 / 0.61, 0.2 / 0.81]))
+
+
+def test_errors_are_pooled_before_the_logarithm() -> None:
+    pool = Pool()
+    pool.add(np.full((1, 1, 1), 0.1), np.zeros((1, 1, 1)))
+    pool.add(np.full((1, 3, 1), 0.3), np.zeros((1, 3, 1)))
+    assert pool.scores()["psnr"] == pytest.approx(-10 * math.log10((0.01 + 3 * 0.09) / 4))
+
+
+def test_pixels_outside_the_mask_may_be_anything() -> None:
+    pool = Pool()
+    truth = np.array([[[0.5], [np.nan]]])
+    pool.add(np.array([[[0.5], [np.inf]]]), truth, np.array([[True, False]]))
+    assert len(pool) == 1
+    assert pool.scores() == {"psnr": math.inf, "mape": 0.0, "psnr_constant": math.inf, "mape_constant": 0.0}
+    assert Pool().scores() == {}
+    assert psnr(0.0) == math.inf
+    with pytest.raises(ValueError, match="shapes"):
+        pool.add(np.zeros((2, 1)), np.zeros((2, 3)))
+
+
+def test_srgb_clamps_and_follows_the_standard() -> None:
+    x = np.array([-1.0, 0.0, 0.0031308, 0.18, 0.5, 1.0, 7.0], np.float32)
+    np.testing.assert_allclose(srgb(x), [0, 0, 0.04045, 0.46136, 0.73536, 1, 1], atol=2e-5)
+
+
+def test_block_means_of_masked_pixels() -> None:
+    values = np.arange(15, dtype=np.float32).reshape(3, 5, 1)
+    mask = np.ones((3, 5), bool)
+    mask[0, 0] = mask[2, 4] = False
+    values[2, 4] = np.nan
+    means, count = block_means(values, mask, 2)
+    np.testing.assert_array_equal(count, [[3, 4, 2], [2, 2, 0]])
+    np.testing.assert_allclose(means[..., 0], [[(1 + 5 + 6) / 3, 5, 6.5], [10.5, 12.5, 0]])
+
+
+# --- a floor with a lamp at its edge and a wall across it, looked at from above
+
+DOWN = np.eye(4)
+DOWN[2, 3] = 2.0
+ALONG_X = np.array([[0, 0, -1, -2], [-1, 0, 0, 0], [0, 1, 0, 0.5], [0, 0, 0, 1]], float)
+SIDE = 8  # pixels of the held-out views: 0.5 wide on the floor
+
+
+def quad(name: str, corners: list[list[float]], radiance: list[float] | None = None) -> Mesh:
+    light = None if radiance is None else np.array(radiance, np.float32)
+    return Mesh(name, np.array(corners, np.float32), np.array([[0, 1, 2], [0, 2, 3]]), 0, radiance=light)
+
+
+def save(path: Path, pixels: np.ndarray) -> str:
+    pixels = np.ascontiguousarray(pixels, np.float32)
+    channels = {"Y": pixels[..., 0].copy()} if pixels.shape[2] == 1 else {"RGB": pixels}
+    header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
+    OpenEXR.File(header, channels).write(str(path))
+    return str(path)
+
+
+def make_scene(test: list[View], train: list[Camera] | None = None, kind: str = "principled") -> Scene:
+    meshes = [
+        quad("floor", [[-1, -1, 0], [1.25, -1, 0], [1.25, 1, 0], [-1, 1, 0]]),
+        quad("lamp", [[1.25, -1, 0], [1.5, -1, 0], [1.5, 1, 0], [1.25, 1, 0]], [1, 1, 1]),
+        quad("wall", [[0, -1, 0], [0, 1, 0], [0, 1, 0.9], [0, -1, 0.9]]),
+    ]
+    half = Constant(np.array([0.5, 0.5, 0.5], np.float32))
+    train = [Camera(ALONG_X, math.pi / 2, 8, 8)] if train is None else train
+    views = [View(f"train{i}", camera) for i, camera in enumerate(train)]
+    return Scene("floor", meshes, [Material("m", kind, half, half)], None, views, test)
+
+
+def open_views(scene: Scene, grid: int = 4) -> HeldOut:
+    geometry = Geometry(scene)
+    return HeldOut(scene, geometry, make_tracer("embree", geometry.vertices, geometry.faces), grid)
+
+
+def from_above(**files: str) -> View:
+    return View("above", Camera(DOWN, math.pi / 2, SIDE, SIDE), **files)
+
+
+class Plain:
+    """Materials of one albedo and roughness."""
+
+    def __init__(self, albedo: float, roughness: float) -> None:
+        self.values = albedo, roughness
+
+    def __call__(self, si: SurfaceInteraction) -> Surface:
+        return Surface(self.albedo(si), torch.full((len(si), 1), self.values[1]))
+
+    def albedo(self, si: SurfaceInteraction) -> torch.Tensor:
+        return torch.full((len(si), 3), self.values[0])
+
+
+COUNTED = np.zeros((SIDE, SIDE), bool)
+COUNTED[2:6, 2:6] = True  # the column of pixels to their right is half floor, half lamp
+SEEN = COUNTED.copy()
+SEEN[:, 4:] = False  # behind the wall
+
+
+@pytest.mark.parametrize("grid", [2, 3, 4])
+def test_which_pixels_count_and_which_are_seen(grid: int) -> None:
+    views = open_views(make_scene([from_above()]), grid)
+    np.testing.assert_array_equal(views.counted(0), COUNTED)
+    np.testing.assert_array_equal(views.seen(0), SEEN)
+
+
+def test_a_point_is_seen_in_front_inside_the_frustum_and_not_occluded() -> None:
+    scene = make_scene([], [Camera(ALONG_X, math.pi / 2, 8, 4)])  # sees |y| < x + 2 and |z - 0.5| < (x + 2) / 2
+    geometry = Geometry(scene)
+    seen = SeenBy(geometry, make_tracer("embree", geometry.vertices, geometry.faces), [v.camera for v in scene.train])
+    cases = {
+        (-0.5, 0.2, 0.0): True,
+        (-0.9, 0.99, 0.0): True,
+        (-0.9, 1.2, 0.0): False,  # beside the frustum
+        (-1.1, 0.0, 0.0): False,  # below it
+        (-3.0, 0.0, 0.5): False,  # behind the camera
+        (0.5, 0.0, 0.0): False,  # behind the wall
+        (0.5, 0.0, 1.2): True,  # above the wall
+    }
+    p = torch.tensor(list(cases))
+    n = len(p)
+    up = torch.tensor([[0.0, 0.0, 1.0]]).repeat(n, 1)
+    zero, prim, valid = torch.zeros(n, 2), torch.zeros(n).long(), torch.ones(n).bool()
+    si = SurfaceInteraction(p, up, up, up, zero, zero, prim, valid)
+    assert seen.any(si).tolist() == list(cases.values())
+    lanes, wi = seen.by(0, si)
+    expected = torch.tensor([-2.0, 0.0, 0.5]) - p[lanes]
+    torch.testing.assert_close(wi, expected / expected.norm(dim=1, keepdim=True))
+    assert not seen.any(SurfaceInteraction(p, up, up, up, zero, zero, prim, ~valid)).any()
+
+
+def test_the_second_camera_is_asked_about_what_the_first_does_not_see() -> None:
+    both = [Camera(ALONG_X, math.pi / 2, 8, 8), Camera(DOWN, math.pi / 2, 8, 8)]
+    views = open_views(make_scene([from_above()], both))
+    assert views.seen(0)[COUNTED].all()
+    assert not views.seen(0)[0].any()  # nothing is there
+
+
+@pytest.mark.parametrize("grid", [2, 4, 6])
+def test_a_few_sub_samples_are_one_in_each_quarter_of_a_pixel(grid: int) -> None:
+    views = open_views(make_scene([from_above()]), grid)
+    whole = next(iter(views.sub_samples(0)))[1].p.view(SIDE * SIDE, grid * grid, 3)
+    few = next(iter(views.sub_samples(0, few=True)))[1].p.view(SIDE * SIDE, 4, 3)
+    on_floor = np.flatnonzero(COUNTED)
+    for pixel in on_floor:
+        assert all((whole[pixel] == p).all(-1).any() for p in few[pixel])
+        x, y = ((few[pixel, :, :2] / 0.5) % 1.0 >= 0.5).T.tolist()  # pixels are 0.5 wide
+        assert len(set(zip(x, y, strict=True))) == 4
+    lanes = views._few(slice(3, 5), torch.device("cpu")).view(2, 4) - torch.tensor([[0], [grid**2]])
+    assert (lanes % grid).float().mean() == (lanes // grid).float().mean() == (grid - 1) / 2  # no corner preferred
+
+
+def test_predictions_are_box_filtered() -> None:
+    def materials(si: SurfaceInteraction) -> Surface:
+        return Surface(si.p.abs(), (si.p[:, :1] > -0.75).float())
+
+    views = open_views(make_scene([from_above()]), grid=4)
+    maps = views.predict(materials)[0]
+    assert maps["albedo"].shape == (SIDE, SIDE, 3)
+    assert maps["roughness"].shape == (SIDE, SIDE, 1)
+    y, x = np.mgrid[-2:2:8j, -2:2:8j] * 7 / 8  # centres
+    near = maps["albedo"][COUNTED] - np.stack((np.abs(x), np.abs(y), 0 * x), -1)[COUNTED]
+    assert np.abs(near).max() < 0.5 / 4 / math.sqrt(16) * 1.5  # stratified: a quarter pixel, averaged over 16
+    np.testing.assert_allclose(maps["roughness"][2:6, 2], 0.5)  # half of the column, exactly by the strata
+    np.testing.assert_array_equal(maps["albedo"][0], 0.0)
+    again = views.predict(materials)[0]  # from kept hits
+    np.testing.assert_array_equal(again["albedo"], maps["albedo"])
+
+
+def test_chunks_and_uncached_hits_change_nothing_that_counts(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(held_out, "CHUNK", 160)  # ten pixels, across rows, four in the last chunk
+    monkeypatch.setattr(held_out, "CACHE_BYTES", 0)
+    views = open_views(make_scene([from_above()]))
+    np.testing.assert_array_equal(views.counted(0), COUNTED)
+    np.testing.assert_array_equal(views.seen(0), SEEN)
+    assert not views._hits
+    np.testing.assert_array_equal(views.predict(Plain(0.25, 0.5))[0]["albedo"][COUNTED], 0.25)
+
+
+def with_truth(tmp_path: Path) -> Scene:
+    """Two views of the same truth: albedo 0.4 where seen and 0.6 elsewhere, roughness 0.3, wild values off the mask."""
+    albedo = np.full((SIDE, SIDE, 3), 1e9)
+    albedo[COUNTED] = 0.6
+    albedo[SEEN] = 0.4
+    roughness = np.where(COUNTED[..., None], 0.3, -1e9)
+    photograph = np.full((SIDE, SIDE, 3), 4.0)
+    files = {
+        "image": save(tmp_path / "i.exr", photograph),
+        "albedo": save(tmp_path / "a.exr", albedo),
+        "roughness": save(tmp_path / "r.exr", roughness),
+    }
+    return make_scene([from_above(**files), from_above(**files)])
+
+
+def test_scores_of_two_views_by_hand(tmp_path: Path) -> None:
+    views = open_views(with_truth(tmp_path))
+    maps = views.predict(Plain(0.5, 0.4))
+    maps[1] = views.predict(Plain(0.7, 0.3))[1]
+    renders = [np.full((SIDE, SIDE, 3), 4.0, np.float32), np.full((SIDE, SIDE, 3), 4.0, np.float32)]
+    renders[1][0, 0] = [4.5, 4.0, 0.0]
+    scores = views.score(maps, renders)
+    db = lambda mse: -10 * math.log10(mse)  # noqa: E731
+    near = {"rel": 1e-4}
+    assert scores["albedo_psnr"] == pytest.approx(db((0.01 * 16 + 0.09 * 8 + 0.01 * 8) / 32), **near)
+    assert scores["albedo_psnr_seen"] == pytest.approx(db((0.01 + 0.09) / 2), **near)
+    assert scores["albedo_mape"] == pytest.approx(((0.1 + 0.3) / 0.41 + (0.1 + 0.1) / 0.61) / 4, **near)
+    assert scores["albedo_psnr_constant"] == pytest.approx(20.0, **near)
+    assert scores["albedo_mape_constant"] == pytest.approx((0.1 / 0.41 + 0.1 / 0.61) / 2, **near)
+    assert scores["albedo_psnr_constant_seen"] > 100
+    # one 8 x 8 block a view: the truth's mean is 0.5, the predictions are 0.5 and 0.7
+    assert scores["albedo_psnr_8x8"] == pytest.approx(db(0.02), **near)
+    assert scores["roughness_psnr"] == pytest.approx(db(0.005), **near)
+    assert scores["roughness_mape_seen"] == pytest.approx(0.05 / 0.31, **near)
+    # images count everywhere: one pixel of 128 is off by 0.5 and 4 in two of three channels
+    assert scores["psnr_linear"] == pytest.approx(db((0.25 + 16) / 3 / 128), **near)
+    assert scores["psnr_srgb"] == pytest.approx(db(1 / 3 / 128), **near)
+    assert scores["psnr_linear_seen"] == math.inf
+    without = views.score(maps)
+    assert without == {key: value for key, value in scores.items() if "linear" not in key and "srgb" not in key}
+
+
+def test_regions_get_scores_of_their_own(tmp_path: Path) -> None:
+    views = open_views(with_truth(tmp_path))
+    scores = views.score(views.predict(Plain(0.5, 0.5)), None, {"lit_glossy": [SEEN, np.zeros_like(SEEN)]})
+    assert scores["albedo_psnr_lit_glossy"] == pytest.approx(20.0, rel=1e-4)
+    empty = views.score(views.predict(Plain(0.5, 0.5)), None, {"none": [np.zeros_like(SEEN)] * 2})
+    assert not [key for key in empty if key.endswith("_none")]
+
+
+def test_missing_truth_leaves_its_scores_out(tmp_path: Path) -> None:
+    bare = open_views(make_scene([from_above()]))
+    picture = np.zeros((SIDE, SIDE, 3), np.float32)
+    assert bare.score(bare.predict(Plain(0.5, 0.5)), [picture]) == {}
+    roughness = save(tmp_path / "r.exr", np.full((SIDE, SIDE, 1), 0.5))
+    views = [from_above(roughness=roughness)]
+    only = open_views(make_scene(views))
+    assert "roughness_psnr" in only.score(only.predict(Plain(0.5, 0.5)))
+    diffuse = open_views(make_scene(views, kind="diffuse"))  # which has no roughness
+    assert diffuse.score(diffuse.predict(Plain(0.5, 0.5))) == {}
+
+
+def test_files_that_do_not_fit_are_named(tmp_path: Path) -> None:
+    small = open_views(make_scene([from_above(albedo=save(tmp_path / "small.exr", np.zeros((4, 6, 3))))]))
+    with pytest.raises(InputError, match=r"small.exr: it has 6 x 4 pixels, but its camera has 8 x 8"):
+        small.truth(0)
+    grey = open_views(make_scene([from_above(albedo=save(tmp_path / "grey.exr", np.zeros((SIDE, SIDE, 1))))]))
+    with pytest.raises(InputError, match=r"grey.exr: it has 1 channels"):
+        grey.truth(0)
+
+
+def test_lit_glossy_needs_smooth_lit_and_seen(tmp_path: Path) -> None:
+    albedo, roughness = np.full((SIDE, SIDE, 3), 0.5), np.full((SIDE, SIDE, 1), 0.3)
+    roughness[3] = 0.6
+    files = {"albedo": save(tmp_path / "a.exr", albedo), "roughness": save(tmp_path / "r.exr", roughness)}
+    views = open_views(make_scene([from_above(**files), from_above()]))
+
+    def reflected(si: SurfaceInteraction, surface: Surface, seed: int) -> torch.Tensor:
+        """Diffuse 1 in the mean and a highlight in the upper half of the picture, noisy but unbiased."""
+        noise = 0.5 + Stream(seed).uniform(len(si), 1)
+        highlight = torch.where(si.p[:, 1:2] > 0, 0.3, 0.01)
+        assert (si.wo[:, 0] < 0).all()  # towards the training view, not the held-out one
+        return (2 * surface.albedo + highlight) * noise
+
+    masks = lit_glossy(views, reflected)
+    expected = SEEN.copy()
+    expected[3] = False  # too rough
+    expected[4:] = False  # no highlight: 1 % of the light
+    np.testing.assert_array_equal(masks[0], expected)
+    assert not masks[1].any()
+
+
+def test_lit_glossy_finds_a_real_highlight(tmp_path: Path) -> None:
+    """A lamp at (-1, 0, 1) and a camera at (1, 0, 1): the floor mirrors one into the other at the origin."""
+    files = {
+        "albedo": save(tmp_path / "a.exr", np.full((SIDE, SIDE, 3), 0.5)),
+        "roughness": save(tmp_path / "r.exr", np.full((SIDE, SIDE, 1), 0.4)),
+    }
+    aside = np.eye(4)
+    aside[:3, 3] = [1, 0, 1]
+    half = Constant(np.array([0.5, 0.5, 0.5], np.float32))
+    corners = [[-1.05, -0.05, 1], [-1.05, 0.05, 1], [-0.95, 0.05, 1], [-0.95, -0.05, 1]]
+    meshes = [make_scene([]).meshes[0], quad("lamp", corners, [9, 9, 9])]
+    train = [View("train", Camera(aside, 2 * math.atan(2.5), 8, 8))]
+    scene = Scene("floor", meshes, [Material("m", "principled", half, half)], None, train, [from_above(**files)])
+    views = open_views(scene)
+    world = World(
+        views.geometry,
+        views.tracer,
+        make_lights(scene, views.geometry),
+        make_bsdf(scene.features),
+        scene.features,
+        torch.ones(len(views.geometry.faces), dtype=torch.bool),
+    )
+    dark = reflected_by(Radiometric(), Parts(world, Plain(0.5, 0.4), lambda si, albedo: torch.zeros_like(albedo)))
+    mask = lit_glossy(views, dark)[0]
+    assert mask[3:5, 3:5].all()  # around the origin the specular part is about 45 %
+    assert not mask[[2, 2, 5, 5], [2, 5, 2, 5]].any()  # at the corners it is below 2 %
+    assert not mask[~COUNTED].any()

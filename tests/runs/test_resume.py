@@ -1,0 +1,105 @@
+"""A run killed at any moment and continued gives what a run gives that nobody stopped, to the last bit."""
+
+import csv
+import os
+import random
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import pytest
+import torch
+import yaml
+from helpers.tiny_scene import write_scene
+
+pytest.importorskip("mitsuba")
+
+STEPS = 400
+GRID = {"levels": 4, "coarsest": 4, "finest": 32, "log2_size": 12}
+CONFIG = {
+    "seed_everything": 7,
+    "trainer": {"max_steps": STEPS, "accelerator": "cpu", "enable_progress_bar": False},
+    "data": {"root": "room", "patches": 64},
+    "model": {
+        "seed": "${seed_everything}",
+        "albedo": {"grid": GRID, "width": 16},
+        "roughness": {"grid": GRID, "width": 16},
+        "radiance": {"grid": GRID, "width": 16, "hidden_layers": 2},
+        "objective": {"roughness_regulariser": 0.01},
+        "optimization": {"average": 0.3, "roughness_decay": 1.0},
+    },
+    "evaluation": {"every_n_steps": 30, "spp": 2},
+    "checkpoint": {"every_seconds": 0.2},
+}
+COMMAND = [sys.executable, "-c", "from neurad.cli import main; main()", "fit"]
+ENVIRONMENT = {**os.environ, "OMP_NUM_THREADS": "1"}
+
+
+def start(*args):
+    return subprocess.Popen(
+        [*COMMAND, *args], env=ENVIRONMENT, stdout=subprocess.DEVNULL, stderr=subprocess.PIPE, text=True
+    )
+
+
+def finish(process):
+    error = process.communicate(timeout=300)[1]
+    assert process.returncode == 0, error
+
+
+def last(version):
+    return Path(f"lightning_logs/version_{version}/checkpoints/last.ckpt")
+
+
+def table(version):
+    with (last(version).parents[1] / "metrics.csv").open() as file:
+        return [{k: v for k, v in row.items() if k != "seconds"} for row in csv.DictReader(file)]
+
+
+def same(a, b, where="checkpoint"):
+    """Checkpoints must agree to the last bit, but for what measures time and names the callbacks' own states."""
+    assert type(a) is type(b), where
+    if isinstance(a, dict):
+        assert a.keys() == b.keys(), where
+        for key in a:
+            same(a[key], b[key], f"{where}.{key}")
+    elif isinstance(a, list | tuple):
+        assert len(a) == len(b), where
+        for index, pair in enumerate(zip(a, b, strict=True)):
+            same(*pair, f"{where}.{index}")
+    elif isinstance(a, torch.Tensor):
+        assert torch.equal(a, b), where
+    else:
+        assert a == b, where
+
+
+def test_a_killed_run_continues_to_the_same_bits(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    write_scene(tmp_path / "room")
+    Path("config.yaml").write_text(yaml.safe_dump(CONFIG))
+    finish(start("--config", "config.yaml"))
+
+    process = start("--config", "config.yaml")
+    end = time.monotonic() + 120
+    scores = last(1).parents[1] / "metrics.csv"  # written at iteration 30, so there is something to cut or continue
+    while not (last(1).is_file() and scores.is_file()) and process.poll() is None and time.monotonic() < end:
+        time.sleep(0.01)
+    time.sleep(random.Random(20231).uniform(0.2, 1.0))
+    process.send_signal(signal.SIGKILL)
+    process.communicate()
+    assert process.returncode == -signal.SIGKILL, "the run ended before it was killed: give it more steps"
+    assert 0 < torch.load(last(1), weights_only=True)["neurad"]["iteration"] < STEPS
+    assert len(table(1)) < len(table(0))
+
+    finish(start("--ckpt_path", "last"))
+    assert table(1) == table(0)
+    assert [int(row["iteration"]) for row in table(1)] == [*range(30, STEPS, 30), STEPS]
+    whole, continued = (torch.load(last(version), weights_only=True) for version in (0, 1))
+    for state in (whole, continued):
+        assert state["neurad"].pop("seconds") > 0
+    for part in ("neurad", "state_dict", "optimizer_states", "global_step"):
+        same(whole[part], continued[part], part)
+    assert continued["neurad"]["iteration"] == continued["global_step"] == STEPS
+    assert len(continued["optimizer_states"]) == 3
+    assert not Path("lightning_logs/version_2").exists()

@@ -1,0 +1,162 @@
+"""Surface points, vertex data, camera rays."""
+
+import math
+
+import numpy as np
+import pytest
+import torch
+
+from neurad.core.camera import camera_rays
+from neurad.core.errors import InputError
+from neurad.core.records import Camera, Constant, Material, Mesh, Rays
+from neurad.scene import geometry as module
+from neurad.scene.description import Scene
+from neurad.scene.geometry import Geometry
+from neurad.tracing.brute_force import BruteForceTracer
+
+ONE = Constant(np.ones(3, np.float32))
+TRIANGLE = np.array([[0, 1, 2]])
+
+
+def array(*rows):
+    return np.array(rows, np.float32)
+
+
+def scene():
+    """A flat triangle in z = 0, a smooth one in z = -1 with uv, attributes and light, and one without area."""
+    flat = Mesh("flat", array([0, 0, 0], [1, 0, 0], [0, 1, 0]), TRIANGLE, 1)
+    corners = array([0, 0, -1], [2, 0, -1], [0, 2, -1])
+    normals = array([0, 0, 1], [1, 0, 1], [0, 1, 1]) / np.sqrt(array([1], [2], [2]))
+    uvs = array([0.1, 0.2], [0.9, 0.2], [0.1, 0.6])
+    heat = {"vertex heat.0": array([1, 0], [3, 0], [5, 8])}
+    smooth = Mesh("smooth", corners, TRIANGLE, 0, normals, uvs, heat, radiance=array(3, 2, 1))
+    line = Mesh("line", array([0, 0, 0], [1, 1, 1], [2, 2, 2]), TRIANGLE, 1)
+    return Scene("s", [flat, smooth, line], [Material(name, "diffuse", ONE, ONE) for name in "ab"])
+
+
+def at(g, prim, u, v):
+    n = len(prim)
+    valid = torch.tensor(prim) >= 0
+    return g.interact_at(
+        torch.tensor(prim), torch.tensor(u), torch.tensor(v), torch.tensor([[0.0, 0.0, 1.0]] * n), valid
+    )
+
+
+def test_faces_carry_the_data_of_their_mesh():
+    g = Geometry(scene())
+    assert g.faces.tolist() == [[0, 1, 2], [3, 4, 5], [6, 7, 8]]
+    assert g.material.tolist() == [1, 0, 1]
+    assert g.mesh_index.tolist() == [0, 1, 2]
+    assert g.smooth.tolist() == [False, True, False]
+    assert g.emission.tolist() == [[0, 0, 0], [3, 2, 1], [0, 0, 0]]
+    torch.testing.assert_close(g.face_area, torch.tensor([0.5, 2.0, 0.0]))
+    torch.testing.assert_close(g.face_normal, torch.tensor([[0.0, 0.0, 1.0]] * 3))
+    assert g.scale == pytest.approx(0.5 * math.sqrt(2**2 + 2**2 + 3**2))
+    assert not g.state_dict()
+
+
+def test_interaction_interpolates_position_normal_and_uv():
+    g = Geometry(scene())
+    si = at(g, [0, 1], [0.25, 0.25], [0.5, 0.5])
+    torch.testing.assert_close(si.p, torch.tensor([[0.25, 0.5, 0.0], [0.5, 1.0, -1.0]]))
+    torch.testing.assert_close(si.ng, torch.tensor([[0.0, 0.0, 1.0]] * 2))
+    smooth = 0.25 * np.array([0, 0, 1]) + 0.25 * np.array([1, 0, 1]) / 2**0.5 + 0.5 * np.array([0, 1, 1]) / 2**0.5
+    expected = np.stack(([0, 0, 1], smooth / np.linalg.norm(smooth)))
+    np.testing.assert_allclose(si.n.numpy(), expected, atol=1e-6)
+    torch.testing.assert_close(si.uv, torch.tensor([[0.25, 0.5], [0.3, 0.4]]))  # barycentrics where there is no uv
+    torch.testing.assert_close(si.bary, torch.tensor([[0.25, 0.5]] * 2))
+
+
+def test_hits_and_misses_of_a_tracer():
+    g = Geometry(scene())
+    o = torch.tensor([[0.2, 0.3, 2.0], [1.5, 0.2, 2.0], [5.0, 5.0, 2.0]])
+    rays = Rays(o, torch.tensor([[0.0, 0.0, -1.0]]).expand(3, 3))
+    hit = BruteForceTracer(g.vertices, g.faces).closest(rays)
+    assert hit.prim.tolist() == [0, 1, -1]
+    si = g.interact(rays, hit)
+    torch.testing.assert_close(si.p[:2], (o + hit.t[:, None] * rays.d)[:2])
+    torch.testing.assert_close(si.wo, -rays.d)
+    assert si.valid.tolist() == [True, True, False]
+    assert si.prim.tolist() == [0, 1, -1]
+    for values in (si.p, si.n, si.ng, si.uv):
+        assert torch.isfinite(values).all()
+
+
+def test_normals_that_are_zero_or_cancel_fall_back_to_the_geometric_one():
+    corners = array([0, 0, 0], [1, 0, 0], [0, 1, 0])
+    zero = Mesh("zero", corners, TRIANGLE, 0, array([0, 0, 0], [0, 0, 0], [0, 0, 0]))
+    apart = Mesh("apart", corners, TRIANGLE, 0, array([1, 0, 0], [-1, 0, 0], [0, 1, 0]))
+    g = Geometry(Scene("s", [zero, apart], [Material("a", "diffuse", ONE, ONE)]))
+    si = at(g, [0, 1], [0.3, 0.5], [0.3, 0.0])
+    torch.testing.assert_close(si.n, torch.tensor([[0.0, 0.0, 1.0]] * 2))
+
+
+def test_vertex_attributes_are_interpolated_and_zero_elsewhere():
+    g = Geometry(scene())
+    heat = g.attribute("vertex heat.0", at(g, [1, 0, -1], [0.25, 0.25, 0.0], [0.5, 0.5, 0.0]))
+    torch.testing.assert_close(heat, torch.tensor([[3.5, 4.0], [0.0, 0.0], [0.0, 0.0]]))
+    with pytest.raises(InputError, match=r"cold.*vertex heat"):
+        g.attribute("cold", at(g, [0], [0.0], [0.0]))
+
+
+def test_attributes_of_different_width_are_refused():
+    corners = array([0, 0, 0], [1, 0, 0], [0, 1, 0])
+    meshes = [Mesh(str(c), corners, TRIANGLE, 0, attributes={"a": np.ones((3, c), np.float32)}) for c in (1, 3)]
+    with pytest.raises(InputError, match="attribute a"):
+        Geometry(Scene("s", meshes, [Material("a", "diffuse", ONE, ONE)]))
+
+
+def test_many_lanes_equal_few(monkeypatch):
+    g = Geometry(scene())
+    prim = torch.arange(1000) % 3 - 1
+    u = torch.linspace(0, 0.5, 1000)
+    wo = torch.nn.functional.normalize(torch.stack((u, u, 1 - u), -1), dim=-1)
+    whole = g.interact_at(prim, u, u, wo, prim >= 0)
+    monkeypatch.setattr(module, "CHUNK", 300)
+    parts = g.interact_at(prim, u, u, wo, prim >= 0)
+    for name in ("p", "ng", "n", "wo", "uv", "bary", "prim", "valid"):
+        assert torch.equal(getattr(whole, name), getattr(parts, name)), name
+
+
+def test_a_scene_without_triangles_gives_misses():
+    g = Geometry(Scene("s", [], []))
+    rays = Rays(torch.zeros(4, 3), torch.tensor([[0.0, 1.0, 0.0]] * 4))
+    hit = BruteForceTracer(g.vertices, g.faces).closest(rays)
+    si = g.interact(rays, hit)
+    assert not si.valid.any()
+    assert torch.equal(g.spawn(si, rays.d).o, si.p)
+    assert g.scale == 0
+
+
+def test_the_floor_of_a_huge_scene_hides_nothing_small():
+    corners = 1e5 * array([-1, 0, -1], [-1, 0, 1], [1, 0, 1])
+    g = Geometry(Scene("s", [Mesh("floor", corners, TRIANGLE, 0)], [Material("a", "diffuse", ONE, ONE)]))
+    si = at(g, [0], [0.25], [0.25])
+    up = torch.tensor([[0.0, 1.0, 0.0]])
+    near = g._origins(g.interact_at(si.prim, torch.tensor([0.0]), torch.tensor([0.5]), up, si.valid), up)
+    assert near[0][0, 1] == near[1][0]
+    assert 0 < near[1][0] < 1e-4  # at the world's origin, in a scene of 1e5 units
+
+
+def test_shadow_rays_end_before_the_light_and_may_be_endless():
+    g = Geometry(scene())
+    si = at(g, [0, 0], [0.2, 0.2], [0.3, 0.3])
+    wi = torch.nn.functional.normalize(torch.tensor([[0.0, 0.6, 0.8], [0.0, 0.6, -0.8]]), dim=-1)
+    rays, t_max = g.spawn_towards(si, wi, torch.tensor([5.0, torch.inf]))
+    assert 4.99 < t_max[0] < 5.0
+    assert torch.isinf(t_max[1])
+    assert rays.o[0, 2] > 0 > rays.o[1, 2]
+    torch.testing.assert_close(rays.d, wi)
+    torch.testing.assert_close((rays.o + 5.0 * rays.d)[0], si.p[0] + 5.0 * wi[0])
+
+
+def test_camera_rays_run_through_the_film():
+    to_world = np.eye(4)
+    to_world[:3, :3] = [[0, 0, 1], [0, 1, 0], [-1, 0, 0]]  # looks along world -X
+    to_world[:3, 3] = [1, 2, 3]
+    camera = Camera(to_world, math.pi / 2, 40, 20)
+    rays = camera_rays(camera, torch.tensor([[20.0, 10.0], [40.0, 10.0], [0.0, 10.0], [20.0, 0.0]]))
+    half = math.sqrt(0.5)
+    expected = torch.tensor([[-1, 0, 0], [-half, 0, -half], [-half, 0, half], [-2 / 5**0.5, 1 / 5**0.5, 0]])
+    torch.testing.assert_close(rays.d, expected.float())
+    torch.testing.assert_close(rays.o, torch.tensor([[1.0, 2.0, 3.0]] * 4))

@@ -1,0 +1,417 @@
+"""Scene folders: conventions against Mitsuba itself, and one sentence for everything that can be wrong."""
+
+import json
+import math
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from helpers.tiny_scene import PLY, POSE, SIZE, XML, read_json, write_json, write_scene
+from PIL import Image
+
+from neurad.core.errors import InputError
+from neurad.core.records import Bitmap, Rays, TypedSurface
+from neurad.scene.geometry import Geometry
+from neurad.scene.image_io import write_exr
+from neurad.scene.load import load_scene
+from neurad.scene.readers.nerf import read_folder, read_views
+from neurad.scene.textures import TrueMaterials
+from neurad.tracing.embree import EmbreeTracer
+
+mi = pytest.importorskip("mitsuba")
+ROOMS = Path(__file__).resolve().parents[3] / "shared" / "scenes"
+
+# Boxes and lights around the origin: mirrored and flipped, every texture, one-sided and two-sided.
+CONVENTIONS = """<scene version="3.0.0">
+  <integrator type="path"><integer name="max_depth" value="-1"/></integrator>
+  <bsdf type="twosided" id="tiled"><bsdf type="principled">
+    <texture type="bitmap" name="base_color"><string name="filename" value="rgb.png"/>
+      <transform name="to_uv"><rotate z="1" angle="25"/><scale x="2.5" y="-1.5"/><translate x="0.3"/></transform>
+    </texture>
+    <texture type="bitmap" name="roughness"><string name="filename" value="grey.png"/>
+      <boolean name="raw" value="true"/></texture>
+  </bsdf></bsdf>
+  <bsdf type="twosided" id="attribute"><bsdf type="principled">
+    <texture type="mesh_attribute" name="base_color"><string name="name" value="vertex_color"/></texture>
+    <texture type="bitmap" name="roughness"><string name="filename" value="rgb.png"/></texture>
+  </bsdf></bsdf>
+  <bsdf type="diffuse" id="plain"><texture type="bitmap" name="reflectance">
+    <string name="filename" value="grey.png"/></texture></bsdf>
+  <shape type="cube" id="box"><transform name="to_world"><scale x="2" y="-0.5" z="1"/><rotate y="1" angle="30"/>
+    <translate z="-5"/></transform><ref id="tiled"/></shape>
+  <shape type="ply" id="bowl"><string name="filename" value="bowl.ply"/>
+    <transform name="to_world"><scale x="-1.5" y="1" z="1"/><translate z="4"/></transform><ref id="attribute"/></shape>
+  <shape type="obj" id="kite"><string name="filename" value="kite.obj"/>
+    <transform name="to_world"><translate x="4"/></transform><ref id="plain"/></shape>
+  <shape type="cube" id="lamp"><boolean name="flip_normals" value="true"/>
+    <transform name="to_world"><scale value="9"/></transform><ref id="plain"/>
+    <emitter type="area"><rgb name="radiance" value="1, 2, 3"/></emitter></shape>
+  <shape type="cube" id="mirrored"><transform name="to_world"><scale x="-1"/><translate x="-4"/></transform>
+    <emitter type="area"><float name="radiance" value="4"/></emitter></shape>
+  <shape type="rectangle" id="panel"><boolean name="flip_normals" value="true"/>
+    <transform name="to_world"><scale x="-1"/><rotate x="1" angle="70"/><translate y="4"/></transform>
+    <bsdf type="twosided"><bsdf type="principled"/></bsdf>
+    <emitter type="area"><spectrum name="radiance" value="4"/></emitter></shape>
+  <shape type="rectangle" id="flat"><boolean name="face_normals" value="true"/>
+    <transform name="to_world"><rotate x="1" angle="90"/><translate y="-4"/></transform><ref id="tiled"/></shape>
+</scene>
+"""
+
+
+def write_conventions(folder):
+    rng = np.random.default_rng(3)
+    Image.fromarray(rng.integers(0, 256, (5, 7, 3), dtype=np.uint8)).save(folder / "rgb.png")
+    Image.fromarray(rng.integers(0, 256, (6, 4), dtype=np.uint8)).save(folder / "grey.png")
+    names = ["x", "y", "z", "nx", "ny", "nz", "r", "g", "b"]
+    head = "".join(f"property float {name}\n" for name in names)
+    corners = np.array([[-1, -1, 0], [1, -1, 0.2], [1, 1, 0], [-1, 1, 0.3]])
+    normals = np.array([[-0.3, -0.2, 1], [0.2, -0.1, 1], [0.1, 0.3, 1], [-0.2, 0.1, 1]])
+    rows = np.hstack((corners, normals / np.linalg.norm(normals, axis=1, keepdims=True), rng.random((4, 3))))
+    body = "\n".join(" ".join(f"{x:.7f}" for x in row) for row in rows)
+    text = f"ply\nformat ascii 1.0\nelement vertex 4\n{head}element face 2\nproperty list uchar int vertex_indices\n"
+    (folder / "bowl.ply").write_text(f"{text}end_header\n{body}\n3 0 1 2\n3 0 2 3\n")
+    (folder / "kite.obj").write_text(
+        "v 0 -1 -1\nv 0.3 -1 1\nv 0 1 1\nv 0.2 1 -1\nvt 0.1 0.2\nvt 0.9 0.1\nvt 0.8 0.7\nvt 0.2 0.9\n"
+        "f 1/1 2/2 3/3\nf 1/1 3/3 4/4\n"
+    )
+    (folder / "scene.xml").write_text(CONVENTIONS)
+    return folder / "scene.xml"
+
+
+def compare_with_mitsuba(path, scene, rays):
+    """Both renderers' surfaces at the same rays: worst differences by quantity, over hits both agree on."""
+    mi.set_variant("scalar_rgb")
+    theirs = mi.load_file(str(path), optimize=False)  # do not merge meshes
+    geometry = Geometry(scene)
+    si = geometry.interact(rays, EmbreeTracer(geometry.vertices, geometry.faces).closest(rays))
+    materials = TrueMaterials(scene, geometry)
+    surface = materials(si)
+    front = ((si.ng * si.wo).sum(-1) > 0) & si.valid
+    emission = geometry.emission[si.prim.clamp_min(0)] * front[:, None]
+    worst = dict.fromkeys(("valid", "p", "n", "uv", "albedo", "roughness", "emission", "side"), 0.0)
+    seen = set()
+    for i in range(len(rays)):
+        ray = mi.Ray3f(mi.Point3f(*rays.o[i].tolist()), mi.Vector3f(*rays.d[i].tolist()))
+        mi_si = theirs.ray_intersect(ray)
+        worst["valid"] = max(worst["valid"], float(mi_si.is_valid() != bool(si.valid[i])))
+        if not mi_si.is_valid():
+            continue
+        mesh = scene.meshes[int(geometry.mesh_index[si.prim[i]])]
+        assert mi_si.shape.id() == mesh.name
+        seen.add(mesh.name)
+        bsdf = mi_si.bsdf()
+        values = {
+            "p": (mi_si.p, si.p[i]), "n": (mi_si.sh_frame.n, si.n[i]), "uv": (mi_si.uv, si.uv[i]),
+            "albedo": (bsdf.eval_diffuse_reflectance(mi_si), surface.albedo[i]),
+            "emission": (mi_si.shape.emitter().eval(mi_si) if mi_si.shape.is_emitter() else 0, emission[i]),
+            "side": (mi_si.wi.z > 0, (si.n[i] * si.wo[i]).sum() > 0),
+        }  # fmt: skip
+        if bsdf.has_attribute("roughness"):
+            values["roughness"] = (bsdf.eval_attribute_1("roughness", mi_si), surface.roughness[i, 0])
+        for name, (a, b) in values.items():
+            difference = torch.tensor(as_list(a), dtype=torch.float64) - torch.as_tensor(b, dtype=torch.float64)
+            worst[name] = max(worst[name], float(difference.abs().max()))
+    return worst, seen
+
+
+def as_list(value):
+    return list(value) if hasattr(value, "__len__") else float(value)
+
+
+def random_rays(count, low, high):
+    rng = np.random.default_rng(5)
+    o = rng.uniform(low, high, (count, 3))
+    d = rng.normal(size=(count, 3))
+    d /= np.linalg.norm(d, axis=1, keepdims=True)
+    return Rays(torch.tensor(o, dtype=torch.float32), torch.tensor(d, dtype=torch.float32))
+
+
+def test_conventions_equal_mitsubas(tmp_path):
+    """Positions, shading normals, uv, textures, roughness, the side that lights shine to and the black side."""
+    from neurad.scene.readers.mitsuba_xml import read_xml
+
+    path = write_conventions(tmp_path)
+    scene = read_xml(path)
+    worst, seen = compare_with_mitsuba(path, scene, random_rays(3000, -5, 5))
+    assert seen == {"box", "bowl", "kite", "lamp", "mirrored", "panel", "flat"}
+    assert worst.pop("valid") == 0
+    assert worst.pop("side") == 0
+    assert worst.pop("emission") < 1e-5
+    assert max(worst.values()) < 1e-4, worst
+    assert scene.max_depth > 10**6
+
+
+def test_bilinear_lookup_equals_mitsubas(tmp_path):
+    """Exact lookups, far outside the unit square and at texel centres and borders, for both to_uv and none."""
+    from neurad.scene.readers.mitsuba_xml import read_xml
+
+    scene = read_xml(write_conventions(tmp_path))
+    mi.set_variant("scalar_rgb")
+    geometry = Geometry(scene)
+    materials = TrueMaterials(scene, geometry)
+    by_name = {m.name: i for i, m in enumerate(scene.materials)}
+    rng = np.random.default_rng(7)
+    uv = np.concatenate((rng.uniform(-3, 4, (200, 2)), rng.integers(-14, 28, (200, 2)) / 14.0))
+    for name, file, raw in (("tiled", "rgb.png", False), ("plain", "grey.png", False)):
+        texture = scene.materials[by_name[name]].albedo
+        assert isinstance(texture, Bitmap)
+        to_uv = mi.ScalarTransform3f(np.asarray(texture.to_uv, np.float64).tolist())
+        theirs = mi.load_dict({"type": "bitmap", "filename": str(tmp_path / file), "raw": raw, "to_uv": to_uv})
+        here = torch.tensor(uv, dtype=torch.float32)
+        ours = materials.albedo_table._bilinear(torch.full((len(uv),), by_name[name]), here)
+        for point, value in zip(uv, ours, strict=True):
+            si = mi.SurfaceInteraction3f()
+            si.uv = mi.Point2f(*point)
+            np.testing.assert_allclose(value.numpy(), list(theirs.eval(si)), atol=2e-5)
+
+
+def test_materials_of_both_kinds_and_misses(tmp_path):
+    from neurad.scene.readers.mitsuba_xml import read_xml
+
+    scene = read_xml(write_conventions(tmp_path))
+    geometry = Geometry(scene)
+    prim = torch.arange(len(geometry.faces)).repeat(2)
+    third = torch.full((len(prim),), 1 / 3)
+    valid = torch.arange(len(prim)) < len(geometry.faces)
+    si = geometry.interact_at(torch.where(valid, prim, -1), third, third, torch.randn(len(prim), 3), valid)
+    surface = TrueMaterials(scene, geometry)(si)
+    assert isinstance(surface, TypedSurface)
+    kinds = [scene.materials[int(m)].kind for m in geometry.material[prim[valid]]]
+    assert surface.diffuse[valid].tolist() == [kind == "diffuse" for kind in kinds]
+    names = [scene.meshes[int(m)].name for m in geometry.mesh_index[prim[valid]]]
+    assert (surface.albedo[valid].amin(-1) > 0).tolist() == [name != "mirrored" for name in names], "black by default"
+    assert surface.albedo[~valid].abs().max() == 0
+    assert surface.roughness[~valid].abs().max() == 0
+
+
+def test_delta_materials_and_environments(tmp_path):
+    from neurad.scene.readers.mitsuba_xml import read_xml
+
+    text = """<scene version="3.0.0">
+      <shape type="rectangle"><bsdf type="conductor" id="gold"><string name="material" value="Au"/></bsdf></shape>
+      <shape type="rectangle"><bsdf type="dielectric" id="glass"><float name="int_ior" value="1.4"/>
+        <float name="ext_ior" value="1.0"/></bsdf></shape>
+      <shape type="rectangle"/>
+      <emitter type="envmap"><string name="filename" value="sky.exr"/><float name="scale" value="2"/>
+        <transform name="to_world"><rotate y="1" angle="90"/></transform></emitter>
+    </scene>"""
+    (tmp_path / "scene.xml").write_text(text)
+    sky = np.random.default_rng(0).random((4, 8, 3), np.float32).astype(np.float16).astype(np.float32)
+    write_exr(tmp_path / "sky.exr", sky)
+    scene = read_xml(tmp_path / "scene.xml").check()
+    assert [m.kind for m in scene.materials] == ["conductor", "dielectric", "diffuse"]
+    gold = scene.materials[0].albedo.value
+    assert gold[0] > 0.9 > gold[1] > 0.7 > 0.5 > gold[2]
+    assert scene.materials[1].eta == pytest.approx(1.4)
+    assert not scene.materials[2].two_sided
+    np.testing.assert_allclose(scene.environment.pixels, 2 * sky)
+    np.testing.assert_allclose(scene.environment.to_world[:3, :3] @ [0, 0, 1], [1, 0, 0], atol=1e-6)
+    (tmp_path / "scene.xml").write_text(
+        '<scene version="3.0.0"><shape type="rectangle"/><emitter type="constant">'
+        '<rgb name="radiance" value="1, 2, 3"/></emitter></scene>'
+    )
+    pixels = read_xml(tmp_path / "scene.xml").environment.pixels
+    np.testing.assert_allclose(pixels.reshape(-1, 3), np.tile([1, 2, 3], (pixels.size // 3, 1)))
+
+
+def test_a_correct_folder(tmp_path):
+    scene = load_scene(str(write_scene(tmp_path / "room")), None)
+    assert (scene.name, scene.max_depth, scene.rr_depth) == ("room", 6, 4)
+    assert [v.name for v in scene.train] == ["train_0", "train_1", "train_2"]
+    camera = scene.train[0].camera
+    assert (camera.width, camera.height, camera.fov_x, camera.to_world.dtype) == (SIZE, SIZE, 0.9, np.float64)
+    np.testing.assert_array_equal(camera.to_world, POSE)
+    assert Path(scene.test[1].image).is_absolute()
+    assert scene.test[1].albedo is None
+    lamp = scene.meshes[1]
+    np.testing.assert_array_equal(lamp.radiance, [1, 2, 3])
+    geometry = Geometry(scene)
+    assert geometry.face_normal[geometry.mesh_index == 1][:, 1].allclose(torch.tensor(-1.0)), "the lamp shines down"
+
+
+def test_camera_files_of_other_writers(tmp_path):
+    """No size, no ending, fl_x in place of the angle, maps beside the photographs."""
+    folder = write_scene(tmp_path / "room")
+    frames = [{"file_path": "./images/train_0", "transform_matrix": POSE}]
+    write_json(folder, "train", {"fl_x": 10.0, "cx": 4.0, "frames": frames})
+    (folder / "albedo").mkdir()
+    write_exr(folder / "albedo/train_0.exr", np.zeros((SIZE, SIZE, 3), np.float32))
+    view = read_views(folder / "transforms_train.json", folder)[0]
+    assert (view.camera.width, view.camera.height) == (SIZE, SIZE)
+    assert view.camera.fov_x == pytest.approx(2 * math.atan(0.4))
+    assert view.albedo == str(folder / "albedo/train_0.exr")
+    assert view.roughness is None
+
+
+def replaced(part, old, new):
+    def spoil(folder):
+        path = folder / part
+        text = path.read_text()
+        assert old in text
+        path.write_text(text.replace(old, new, 1))
+
+    return spoil
+
+
+def frame(**changes):
+    def spoil(folder):
+        described = read_json(folder, "train")
+        described["frames"][1].update(changes)
+        described["frames"][1] = {k: v for k, v in described["frames"][1].items() if v is not ...}
+        write_json(folder, "train", described)
+
+    return spoil
+
+
+def top(**changes):
+    def spoil(folder):
+        described = {**read_json(folder, "train"), **changes}
+        write_json(folder, "train", {k: v for k, v in described.items() if v is not ...})
+
+    return spoil
+
+
+def removed(name):
+    return lambda folder: (folder / name).unlink()
+
+
+def written(name, text):
+    return lambda folder: (folder / name).write_text(text)
+
+
+def binary_mesh(value):
+    head = "".join(f"property float {c}\n" for c in "xyz")
+    head = f"ply\nformat binary_little_endian 1.0\nelement vertex 3\n{head}element face 1\n"
+    corners = np.array([[value, 0, 0], [1, 0, 0], [0, 0, 1]], "<f4").tobytes()
+    face = bytes([3]) + np.array([0, 1, 2], "<i4").tobytes()
+    data = f"{head}property list uchar int vertex_indices\nend_header\n".encode() + corners + face
+    return lambda folder: (folder / "meshes/floor.ply").write_bytes(data)
+
+
+def pose(rotation):
+    matrix = np.array(POSE)
+    matrix[:3, :3] = rotation
+    return matrix.tolist()
+
+
+BAD = {
+    "no scene.xml": (removed("scene.xml"), r"scene\.xml: the scene folder lacks"),
+    "no camera file": (removed("transforms_test.json"), r"transforms_test\.json: the scene folder lacks"),
+    "broken json": (written("transforms_train.json", "{"), r"transforms_train\.json: it is not valid JSON"),
+    "no frames": (top(frames=[]), r"transforms_train\.json: it has no frames"),
+    "json of another kind": (written("transforms_train.json", "[1]"), r"transforms_train\.json: it has no frames"),
+    "frame without file": (frame(file_path=...), r"frame 1 has no file_path"),
+    "no photograph": (removed("images/train_1.exr"), r"images/train_1\.exr: the photograph is missing"),
+    "no held-out photograph": (removed("images/test_1.exr"), r"images/test_1\.exr: the photograph is missing"),
+    "no listed map": (frame(albedo_path="albedo/x.exr"), r"albedo/x\.exr: the albedo map is missing"),
+    "no matrix": (frame(transform_matrix=...), r"frame 1 \(images/train_1\.exr\): its transform_matrix is missing"),
+    "matrix of words": (frame(transform_matrix="abc"), r"frame 1 .*not made of numbers"),
+    "small matrix": (frame(transform_matrix=[[1, 0], [0, 1]]), r"frame 1 .*not 4 x 4"),
+    "NaN in matrix": (frame(transform_matrix=pose(np.full((3, 3), np.nan))), r"frame 1 .*not 4 x 4 finite"),
+    "scaled matrix": (frame(transform_matrix=pose(np.eye(3) * 1.01)), r"frame 1 .*not rigid"),
+    "mirrored matrix": (frame(transform_matrix=pose(np.diag([-1, 1, 1]))), r"frame 1 .*not rigid"),
+    "no angle": (top(camera_angle_x=...), r"neither camera_angle_x nor fl_x"),
+    "angle in degrees": (top(camera_angle_x=51.5), r"camera_angle_x is 51\.5"),
+    "angle of words": (top(camera_angle_x="wide"), r"camera_angle_x is not a number"),
+    "bad size": (top(w=0), r"w and h are 0 and 8"),
+    "sizes that differ": (frame(w=16), r"frame 1 .*differs in size"),
+    "oblong pixels": (top(fl_x=8.0, fl_y=9.0), r"fl_x and fl_y differ"),
+    "off-centre": (top(cx=1.0), r"cx is 1"),
+    "distortion": (top(k1=0.1), r"lens distortion \(k1\)"),
+    "no mesh": (removed("meshes/floor.ply"), r"meshes/floor\.ply: the mesh of shape floor in scene\.xml is missing"),
+    "broken mesh": (written("meshes/floor.ply", "no mesh"), r"floor\.ply: shape floor: "),
+    "empty mesh": (written("meshes/floor.ply", PLY.format(faces=0)), r"mesh floor is empty"),
+    "NaN vertex": (binary_mesh(np.nan), r"floor\.ply: shape floor: .*invalid vertex position"),
+    "no texture": (removed("textures/paint.png"), r"paint\.png: there is no such texture file"),
+    "broken texture": (written("textures/paint.png", "no picture"), r"paint\.png: it cannot be read"),
+    "no emitter": (replaced("scene.xml", XML[XML.index("<emitter") : XML.index("</emitter>") + 10], ""), "no emitter"),
+    "broken xml": (written("scene.xml", "<scene"), r"scene\.xml: Parsing of XML file .* failed"),
+    "unknown reference": (replaced("scene.xml", 'ref id="paint"', 'ref id="pain"'), r"unresolved reference to .pain"),
+    "sphere": (replaced("scene.xml", '"rectangle"', '"sphere"'), r"shape lamp is a sphere"),
+    "hair": (replaced("scene.xml", 'shape type="rectangle"', 'shape type="bsplinecurve"'), r"lamp has type bspline"),
+    "rough plastic": (replaced("scene.xml", '"diffuse"', '"roughplastic"'), r"shape lamp has type roughplastic"),
+    "metallic": (replaced("scene.xml", "</bsdf></bsdf>", '<float name="metallic" value="1"/></bsdf></bsdf>'),
+                 r"bsdf paint of shape floor sets metallic"),
+    "checkerboard": (replaced("scene.xml", '"bitmap"', '"checkerboard"'), r"base_color of bsdf paint .*checkerboard"),
+    "nearest texel": (replaced("scene.xml", "</texture>", '<string name="filter_type" value="nearest"/></texture>'),
+                      r"bitmap for base_color of bsdf paint of shape floor sets filter_type"),
+    "reflectance above 1": (replaced("scene.xml", "0.1, 0.2, 0.3", "2, 2, 2"), r"reflectance of bsdf .*\[0, 1\]"),
+    "textured light": (
+        replaced("scene.xml", '<rgb name="radiance" value="1, 2, 3"/>',
+                 '<texture type="bitmap" name="radiance"><string name="filename" value="a.png"/></texture>'),
+        r"radiance of the emitter on shape lamp is a bitmap"),
+    "spot light": (replaced("scene.xml", "</scene>", '<emitter type="spot"/></scene>'), r"emitter of type spot"),
+    "no envmap": (
+        replaced("scene.xml", "</scene>",
+                 '<emitter type="envmap"><string name="filename" value="a.exr"/></emitter></scene>'),
+        r"a\.exr: there is no such texture file"),
+    "no attribute": (
+        replaced("scene.xml", '<float name="roughness" value="0.4"/>',
+                 '<texture type="mesh_attribute" name="roughness"><string name="name" value="vertex_r"/></texture>'),
+        r"shape floor has no vertex attribute vertex_r"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("case", BAD)
+def test_bad_folders_get_one_sentence(tmp_path, case):
+    folder = write_scene(tmp_path / "room")
+    spoil, said = BAD[case]
+    spoil(folder)
+    with pytest.raises(InputError, match=said) as caught:
+        load_scene(str(folder), None)
+    assert "\n" not in str(caught.value)
+
+
+def test_no_folder_and_wrong_arguments(tmp_path):
+    with pytest.raises(InputError, match=r"--data\.root: there is no folder"):
+        load_scene(str(tmp_path / "none"), None)
+    for both in ((None, None), ("a", "kitchen")):
+        with pytest.raises(InputError, match="exactly one of"):
+            load_scene(*both)
+    with pytest.raises(InputError, match="there is no built-in scene 'ktchen', choose one of kitchen, cornell"):
+        load_scene(None, "ktchen")
+
+
+def test_missing_package_is_named(tmp_path, monkeypatch):
+    folder = write_scene(tmp_path / "room")
+    monkeypatch.setitem(sys.modules, "mitsuba", None)
+    with pytest.raises(InputError, match=r"pip install 'neurad\[mitsuba\]'"):
+        read_folder(folder)
+
+
+def test_the_variant_of_others_is_left_alone(tmp_path):
+    mi.set_variant("scalar_spectral")
+    try:
+        read_folder(write_scene(tmp_path / "room"))
+        assert mi.variant() == "scalar_spectral"
+    finally:
+        mi.set_variant("scalar_rgb")
+
+
+@pytest.mark.parametrize(
+    "name",
+    [
+        "veach-ajar",
+        *(pytest.param(n, marks=pytest.mark.slow) for n in ("staircase", "living-room-2", "kitchen", "bunny")),
+    ],
+)
+def test_shared_scenes_load_and_equal_mitsuba(name):
+    """Random rays inside the bounds; JPEG decoders may differ by a level or two, hence 0.02 for the textures."""
+    folder = ROOMS / name
+    if not (folder / "scene.xml").exists():
+        pytest.skip(f"the scene {name} is not beside this checkout")
+    scene = load_scene(str(folder), None)
+    about = json.loads((folder / "transforms_train.json").read_text())
+    assert len(scene.train) == len(about["frames"])
+    assert all(v.albedo and v.roughness for v in scene.train + scene.test)
+    low, high = scene.bounds
+    worst, seen = compare_with_mitsuba(folder / "scene.xml", scene, random_rays(1500, low, high))
+    assert len(seen) > 1
+    assert worst["valid"] == worst["side"] == 0
+    assert worst["emission"] < 1e-4
+    assert worst["n"] < 2e-3
+    assert worst["p"] < 1e-4 * np.linalg.norm(high - low)
+    assert worst["albedo"] < 0.02
+    assert worst["roughness"] < 0.02

@@ -1,0 +1,120 @@
+"""The table of stiff and extreme cases: its rows, files and exit code, and a few cases that must be able to fail."""
+
+import csv
+import math
+
+import pytest
+import torch
+
+from neurad.cli import main
+from neurad.commands import stress
+from neurad.losses.firefly import clamp_fireflies, typical_square
+from neurad.scene.builtin import build_furnace, build_sphere
+from neurad.studies.stress import FAMILIES, collect
+from neurad.studies.stress.case import Case, Outcome, judge
+from neurad.studies.stress.level import Level
+from neurad.studies.stress.scenes import difference, small_cube, with_light
+from neurad.studies.stress.stiff import closed_form
+
+
+@pytest.fixture(autouse=True)
+def _place(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+
+
+def case(error, bar, quick=True):
+    return Case("stiff", f"an error of {error}", "none", lambda _: Outcome(error, bar, "seen"), quick)
+
+
+def raising(_):
+    raise ValueError("it broke")
+
+
+@pytest.mark.parametrize(
+    ("error", "bar", "verdict"),
+    [(0.1, 0.1, "ok"), (0.2, 0.1, "FAIL"), (0.2, None, "stated"), (math.nan, None, "FAIL"), (math.inf, 1.0, "FAIL")],
+)
+def test_verdicts(error, bar, verdict):
+    assert judge(case(error, bar), True).verdict == verdict
+
+
+def test_a_case_that_raises_has_failed_and_says_why():
+    row = judge(Case("stiff", "x", "y", raising), True)
+    assert row.verdict == "FAIL"
+    assert row.note == "ValueError: it broke"
+
+
+def test_the_table_is_printed_and_written_and_a_failure_ends_with_1(monkeypatch, capsys, tmp_path):
+    rows = [case(0.0, 1.0), case(2.0, 1.0), case(5.0, None), case(9.0, 1.0, quick=False)]
+    monkeypatch.setattr(stress, "collect", lambda only: rows)
+    with pytest.raises(SystemExit) as stop:
+        main(["stress", "--quick"])
+    assert stop.value.code == 1
+    assert "3 rows, 1 failed" in capsys.readouterr().out
+    with (tmp_path / "stress.csv").open() as file:
+        written = list(csv.DictReader(file))
+    assert [row["verdict"] for row in written] == ["ok", "FAIL", "stated"]
+    assert (tmp_path / "stress.md").read_text().count("| stiff |") == 3
+    with pytest.raises(SystemExit) as stop:  # nothing is written over
+        main(["stress", "--quick"])
+    assert stop.value.code == 2
+    monkeypatch.setattr(stress, "collect", lambda only: rows[:1])
+    main(["stress", "--overwrite"])
+
+
+def test_an_unknown_family_is_refused(capsys):
+    with pytest.raises(SystemExit) as stop:
+        main(["stress", "--only", "soft"])
+    assert stop.value.code == 2
+    assert "--only: soft is no family" in capsys.readouterr().err
+
+
+def test_every_family_has_cases_and_every_extreme_is_named_once():
+    cases = collect()
+    assert {c.family for c in cases} == set(FAMILIES)
+    assert len({(c.family, c.extreme) for c in cases}) == len(cases)
+    assert any(c.quick for c in cases)
+
+
+def test_some_real_rows_pass():
+    """The rows that take no more than a second each."""
+    for family in ("delta", "guard"):
+        for made in collect([family]):
+            if "fit" not in made.extreme and "cost" not in made.extreme:
+                row = judge(made, True)
+                assert row.verdict == "ok", row
+
+
+def test_closed_forms():
+    assert closed_form(build_furnace(0.9), 0.9) == pytest.approx(9.0)
+    share = (1.0 - math.cos(math.radians(20.0))) / 2.0  # of the sphere that emits 10
+    assert closed_form(build_sphere(0.5), 0.5) == pytest.approx(10.0 * share, rel=0.05)
+
+
+def test_pictures_that_are_not_finite_are_no_match():
+    with pytest.raises(FloatingPointError):
+        difference(torch.tensor([math.nan]), torch.tensor([1.0]))
+    assert with_light(small_cube(), 2.0).meshes[1].radiance[0] == 10.0
+
+
+def test_the_level_of_a_uniform_field_is_found_at_once():
+    """In a furnace of albedo rho a constant field c is off by the factor E rho / (1 - rho) / c."""
+    level, rho, c = Level(), 0.97, torch.full((64, 3), 2.0)
+    factor = level(c, torch.full_like(c, rho), rho * c, torch.ones(64, dtype=torch.bool))
+    assert torch.allclose(factor, torch.full((3,), rho / (1.0 - rho) / 2.0), rtol=1e-3)
+
+
+def test_a_bound_cuts_only_spikes_and_states_what_it_loses():
+    center = torch.full((4, 1), 2.0)
+    value = torch.tensor([[0.0], [2.0], [11.0], [1000.0]])
+    cut = clamp_fireflies(value, center, 0.0, 5.0)
+    assert cut.flatten().tolist() == [0.0, 2.0, 11.0, 12.0]
+    assert float((value - cut).mean()) == pytest.approx((value - 12.0).clamp_min(0).mean().item())  # the bias
+    assert clamp_fireflies(value, center, 0.0, 0.0) is value
+
+
+def test_a_firefly_does_not_set_the_unit_of_light():
+    values = torch.ones(1000, 1)
+    values[0] = 1e4
+    assert float(values.square().mean()) > 1e4
+    assert typical_square(values, 5.0) == pytest.approx(1.024)

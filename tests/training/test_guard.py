@@ -1,0 +1,134 @@
+"""A run stops at the first number that is not finite, names it, and can be repeated from there."""
+
+import math
+
+import numpy as np
+import pytest
+import torch
+from helpers.tiny_scene import write_scene
+
+from neurad.cli import main
+from neurad.integrators import vertex_kernels as bounce_kernels
+from neurad.scene.image_io import write_exr
+from neurad.training.guard import clip, first_bad
+from neurad.training.inverse import InverseRenderer
+
+SMALL = ("--model.albedo.grid.log2_size=8", "--model.roughness.grid.log2_size=8", "--model.radiance.grid.log2_size=8")
+
+
+@pytest.fixture(autouse=True)
+def _place(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    pytest.importorskip("mitsuba")
+
+
+def fit(folder, *args):
+    main([
+        "fit", "--config", "scene.yaml", f"--data.root={folder}", "--trainer.accelerator=cpu", *SMALL,
+        "--trainer.enable_progress_bar=false", "--trainer.max_steps=6", "--trainer.max_time=null",
+        "--data.patches=32", "--data.pixel_multiplier=1", "--evaluation.every_n_steps=100", "--evaluation.spp=1", *args,
+    ])  # fmt: skip
+
+
+def stops(capfd, folder, *args):
+    """The sentence that a fit ends with."""
+    with pytest.raises(SystemExit) as stop:
+        fit(folder, *args)
+    error = capfd.readouterr().err.strip().splitlines()[-1]
+    assert stop.value.code == 2
+    return error
+
+
+def plant(monkeypatch, at, where):
+    """Let ``where(module)`` spoil something before iteration ``at``."""
+    plain = InverseRenderer.training_step
+
+    def step(self, batch, batch_idx):
+        if self.iteration == at:
+            with torch.no_grad():
+                where(self)
+        return plain(self, batch, batch_idx)
+
+    monkeypatch.setattr(InverseRenderer, "training_step", step)
+
+
+def test_a_nan_texel_is_refused_when_it_is_read(tmp_path, capfd):
+    folder = write_scene(tmp_path / "scene")
+    pixels = np.full((8, 8, 3), 0.5, np.float32)
+    pixels[3, 4, 1] = np.nan
+    write_exr(folder / "images/train_1.exr", pixels)
+    error = stops(capfd, folder)
+    assert "train_1.exr" in error
+    assert not (tmp_path / "lightning_logs").exists()
+
+
+def test_a_nan_weight_stops_the_run_and_is_repeated_from_its_folder(tmp_path, capfd, monkeypatch):
+    folder = write_scene(tmp_path / "scene")
+
+    def spoil(module):
+        module.radiance.mlp.layers[0].weight[1, 2] = math.nan
+
+    with monkeypatch.context() as patch:
+        plant(patch, 3, spoil)
+        error = stops(capfd, folder)
+    assert "iteration 3: the weight radiance.mlp.layers.0.weight is not finite (1 of" in error
+    assert "pixels of views 0, 1, 2, the first view" in error
+    run = tmp_path / "lightning_logs/version_0"
+    kept = torch.load(run / "bad_batch.pt", weights_only=True)
+    assert kept["iteration"] == 3
+    assert len(kept["pixel"]) == 32
+    assert not (run / "checkpoints/last.ckpt").exists()  # nothing broken under the name that `last` finds
+    again = stops(capfd, folder, f"--ckpt_path={run / 'checkpoints/bad.ckpt'}")  # nothing is planted now
+    assert "iteration 3: the weight radiance.mlp.layers.0.weight is not finite" in again
+    assert torch.equal(torch.load(run / "bad_batch.pt", weights_only=True)["pixel"], kept["pixel"])
+
+
+def test_an_infinite_sample_is_named_and_the_run_goes_on_once_it_is_mended(tmp_path, capfd, monkeypatch):
+    folder = write_scene(tmp_path / "scene")
+    plain = bounce_kernels.resolve_hits_principled
+
+    def broken(*arrays):
+        plain(*arrays)
+        arrays[-4][0, :1] = math.inf  # the direct light of the first lane
+
+    with monkeypatch.context() as patch:
+        plant(patch, 2, lambda _: patch.setattr(bounce_kernels, "collect", broken))
+        error = stops(capfd, folder)
+    assert "iteration 2: what integrators.vertex_principled._collect.values[0] returned is not finite (3 of" in error
+    fit(folder, f"--ckpt_path={tmp_path / 'lightning_logs/version_0/checkpoints/bad.ckpt'}")
+    state = torch.load(tmp_path / "lightning_logs/version_0/checkpoints/last.ckpt", weights_only=True)
+    assert state["neurad"]["iteration"] == 6
+
+
+def test_a_bad_gradient_is_named(tmp_path, capfd, monkeypatch):
+    """The loss is finite, its derivative is not."""
+    folder = write_scene(tmp_path / "scene")
+
+    def spoil(module):
+        module.materials.albedo.mlp.layers[-1].bias.register_hook(lambda g: g * math.inf)
+
+    plant(monkeypatch, 1, spoil)
+    error = stops(capfd, folder)
+    assert "iteration 1: the gradient of materials.albedo.mlp.layers.1.bias is not finite" in error
+
+
+def test_the_first_bad_value_is_found_and_none_in_a_clean_call():
+    from neurad.bsdf.diffuse import Diffuse
+    from neurad.core.records import Surface
+
+    up = torch.tensor([[0.0, 0.0, 1.0]])
+    good, bad = (Surface(torch.full((1, 3), x), torch.ones(1, 1)) for x in (0.5, math.nan))
+    assert first_bad(lambda: Diffuse().eval(good, up, up)) is None
+    assert "bsdf.diffuse.Diffuse.eval" in first_bad(lambda: Diffuse().eval(bad, up, up))
+
+
+def test_clipping_shortens_dense_and_sparse_gradients_together():
+    dense, table = torch.nn.Parameter(torch.zeros(2)), torch.nn.Parameter(torch.zeros(5, 2))
+    dense.grad = torch.tensor([3.0, 0.0])
+    table.grad = torch.sparse_coo_tensor(torch.tensor([[2]]), torch.tensor([[0.0, 4.0]]), (5, 2))
+    groups = [[{"params": [dense, table]}]]
+    clip(groups, 10.0)
+    assert dense.grad.tolist() == [3.0, 0.0]
+    clip(groups, 1.0)
+    assert torch.allclose(dense.grad, torch.tensor([0.6, 0.0]))
+    assert torch.allclose(table.grad.to_dense()[2], torch.tensor([0.0, 0.8]))
