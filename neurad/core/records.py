@@ -37,11 +37,6 @@ def first_of(values: Tensor, count: int, of: int) -> Tensor:
     return values if count == of else values.view(-1, of, *values.shape[1:])[:, :count].flatten(0, 1)
 
 
-def kernel_ready(*values: Tensor) -> bool:
-    """Whether compiled kernels may read them: float32 on the CPU, no gradients."""
-    return all(x.device.type == "cpu" and x.dtype == torch.float32 and not x.requires_grad for x in values)
-
-
 @dataclass(frozen=True)
 class Lanes:
     """A record whose fields are tensors with one leading dimension, the lanes ``n``."""

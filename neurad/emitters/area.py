@@ -9,8 +9,9 @@ from torch import Tensor, nn
 
 from neurad.core.errors import InputError
 from neurad.core.frame import dot
-from neurad.core.records import EmitterSample, SurfaceInteraction, kernel_ready
+from neurad.core.records import EmitterSample, SurfaceInteraction
 from neurad.core.sampling import uniform_triangle
+from neurad.runtime.dispatch import use_kernel
 from neurad.runtime.threads import GRAIN, split
 from neurad.scene.geometry import Geometry
 
@@ -90,11 +91,11 @@ class AreaLights(nn.Module):
 
         Hides ``Module.eval()``; modules around this one switch their mode through ``train(False)``, which still works.
         """
-        if kernel_ready(si.ng, si.wo, self.emission):
-            return self._eval_quickly(si)
-        return self.eval_plainly(si)
+        if use_kernel(True, si.ng, si.wo, self.emission):
+            return self._eval_kernel(si)
+        return self.eval_reference(si)
 
-    def _eval_quickly(self, si: SurfaceInteraction) -> Tensor:
+    def _eval_kernel(self, si: SurfaceInteraction) -> Tensor:
         from neurad.emitters import area_kernels as kernels  # compiled code is loaded by those who use it
 
         out = torch.empty(len(si), 3)
@@ -103,7 +104,7 @@ class AreaLights(nn.Module):
         split(lambda low, high: kernels.emitted(low, high, *arrays), len(si), GRAIN)
         return out
 
-    def eval_plainly(self, si: SurfaceInteraction) -> Tensor:
+    def eval_reference(self, si: SurfaceInteraction) -> Tensor:
         """:meth:`eval` in plain torch, on any device and differentiable in ``emission``."""
         lit = si.valid & (dot(si.ng, si.wo) > 0)
         return torch.where(lit[:, None], self.emission.index_select(0, si.prim.clamp_min(0)), 0.0)

@@ -16,6 +16,7 @@ from torch import Tensor, nn
 from torch.nn.functional import embedding
 
 from neurad.fields.sparse import from_rows
+from neurad.runtime.dispatch import use_kernel
 from neurad.runtime.threads import cut, split, threads
 
 SLAB = 2048
@@ -50,10 +51,10 @@ class DenseGrid(nn.Module):
         """
         if x.requires_grad:
             raise ValueError("DenseGrid: positions get no gradient; detach them")
-        if self.use_kernels and self.table.device.type == "cpu" and self.table.dtype == torch.float32:
+        if use_kernel(self.use_kernels, self.table, differentiable=True):
             out: Tensor = _Read.apply(x, self.table, self)  # type: ignore[no-untyped-call]
             return out
-        return self.plain(x)
+        return self.reference(x)
 
     def marks(self) -> tuple[Any, ...]:
         """Arrays in which backward passes mark touched vertices; kept, since fresh memory costs more than marking."""
@@ -62,7 +63,7 @@ class DenseGrid(nn.Module):
             self._marks = np.zeros(words, np.uint64), np.zeros(words // 64 + 1, np.uint64), np.empty(words, np.int64)
         return self._marks
 
-    def plain(self, x: Tensor) -> Tensor:
+    def reference(self, x: Tensor) -> Tensor:
         """The same in plain torch, with a dense gradient."""
         position = x * float(self.size - 1)  # [n, 3]
         cell = position.floor().clamp(0.0, self.size - 2.0)

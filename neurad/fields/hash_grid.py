@@ -14,9 +14,9 @@ import torch
 from torch import Tensor, nn
 from torch.nn.functional import embedding
 
-from neurad.core.records import kernel_ready
 from neurad.fields.settings import GridConfig
 from neurad.fields.sparse import from_rows
+from neurad.runtime.dispatch import use_kernel
 from neurad.runtime.threads import GRAIN, split
 
 PRIMES = (1, 2654435761, 805459861)
@@ -45,9 +45,9 @@ class UnitCube(nn.Module):
     def forward(self, p: Tensor) -> Tensor:
         """Positions [n, 3] in [0, 1]^3, clamped, without gradient."""
         p = p.detach()
-        return self._quickly(p) if kernel_ready(p, self.low) else self.plain(p)
+        return self._kernel(p) if use_kernel(True, p, self.low) else self.reference(p)
 
-    def _quickly(self, p: Tensor) -> Tensor:
+    def _kernel(self, p: Tensor) -> Tensor:
         from neurad.fields import hash_grid_kernels as kernels  # compiled code is loaded by those who use it
 
         out = torch.empty_like(p, memory_format=torch.contiguous_format)
@@ -55,7 +55,7 @@ class UnitCube(nn.Module):
         split(lambda low, high: kernels.unit_cube(*arrays, low, high), len(p), 4 * GRAIN)  # little to do for each
         return out
 
-    def plain(self, p: Tensor) -> Tensor:
+    def reference(self, p: Tensor) -> Tensor:
         """The same in plain torch, on any device."""
         return ((p - self.low) * self.inverse_side).clamp_(0.0, 1.0)
 
@@ -117,17 +117,12 @@ class HashGrid(nn.Module):
         """
         if x.requires_grad:
             raise ValueError("HashGrid: positions get no gradient; detach them")
-        if (
-            self.use_kernels
-            and self.table.device.type == "cpu"
-            and self.table.dtype == torch.float32
-            and self.features == 2
-        ):
+        if use_kernel(self.use_kernels and self.features == 2, self.table, differentiable=True):
             out: Tensor = _Encode.apply(x, self.table, self.level_table)  # type: ignore[no-untyped-call]
             return out
-        return self.plain(x)
+        return self.reference(x)
 
-    def plain(self, x: Tensor) -> Tensor:
+    def reference(self, x: Tensor) -> Tensor:
         """The same in plain torch, with a dense gradient."""
         resolution, stride, first, entries = (self.level_table[:, i].view(-1, 1, 1, 1) for i in range(4))
         cells = resolution[:, 0, 0].to(x.dtype)  # [l, 1]

@@ -10,6 +10,7 @@ from typing import Any
 import torch
 from torch import Tensor, nn
 
+from neurad.runtime.dispatch import use_kernel
 from neurad.runtime.threads import split
 
 CHUNK = 2048
@@ -42,8 +43,8 @@ class MLP(nn.Module):
 
     def forward(self, x: Tensor) -> Tensor:
         """Values [n, outputs] for inputs [n, inputs]."""
-        if not (self.use_kernels and len(x) > 0 and _has_onednn(x)):
-            return self.plain(x)
+        if not use_kernel(self.use_kernels and len(x) > 0 and _has_onednn(), x, differentiable=True):
+            return self.reference(x)
         parameters = self._in_order()
         rows = len(x)
         if padding := _round_up(rows) - rows:
@@ -55,7 +56,7 @@ class MLP(nn.Module):
             out = _evaluated(x, parameters, rounded)
         return out[:rows] if padding else out
 
-    def plain(self, x: Tensor) -> Tensor:
+    def reference(self, x: Tensor) -> Tensor:
         """The same in plain torch."""
         parameters = self._in_order()
         for weight, bias in zip(parameters[:-2:2], parameters[1:-2:2], strict=True):
@@ -100,12 +101,10 @@ def _round_up(rows: int) -> int:
     return -(-rows // step) * step
 
 
-def _has_onednn(x: Tensor) -> bool:
-    """Whether oneDNN can take ``x``."""
+def _has_onednn() -> bool:
+    """Whether oneDNN's fused layers are there and autocast leaves them alone."""
     return (
-        x.device.type == "cpu"
-        and x.dtype == torch.float32
-        and not (torch.is_autocast_enabled("cpu") and torch.get_autocast_dtype("cpu") != torch.bfloat16)
+        not (torch.is_autocast_enabled("cpu") and torch.get_autocast_dtype("cpu") != torch.bfloat16)
         and torch.backends.mkldnn.is_available()  # type: ignore[no-untyped-call]
         and hasattr(torch.ops.mkldnn, "_linear_pointwise")
     )

@@ -8,6 +8,8 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from neurad.runtime.dispatch import use_kernel
+
 
 def from_rows(parts: Sequence[tuple[Tensor, Tensor]], shape: torch.Size) -> Tensor:
     """The gradient of a table from its touched rows and their values, part by part, the rows ascending."""
@@ -24,7 +26,7 @@ def unique_rows(gradient: Tensor) -> tuple[Tensor, Tensor]:
     Autograd drops the mark that a gradient is coalesced, and appends where a table was read twice; torch's own
     ``coalesce`` sorts, which takes longer than the update.
     """
-    if gradient.device.type != "cpu" or gradient.dtype != torch.float32 or gradient._values().dim() != 2:
+    if not use_kernel(gradient._values().dim() == 2, gradient):
         gradient = gradient.coalesce()
         return gradient.indices()[0], gradient.values()
     from neurad.fields import hash_grid_kernels as kernels  # compiled code is loaded by those who use it

@@ -6,9 +6,10 @@ from dataclasses import dataclass
 
 from torch import Tensor
 
-from neurad.core.records import SurfaceInteraction, kernel_ready
+from neurad.core.records import SurfaceInteraction
 from neurad.emitters.area import AreaLights
 from neurad.integrators.world import World
+from neurad.runtime.dispatch import use_kernel
 
 
 @dataclass(frozen=True)
@@ -69,5 +70,5 @@ def compilable(world: World, si: SurfaceInteraction) -> bool:
     return (
         type(si) is SurfaceInteraction  # one that carries more has to hand it on
         and isinstance(lights, AreaLights)
-        and kernel_ready(si.p, lights.emission)
+        and use_kernel(True, si.p, lights.emission)
     )

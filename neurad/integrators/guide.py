@@ -18,6 +18,7 @@ from torch import Tensor, nn
 from neurad.core.records import BSDFSample, SurfaceInteraction
 from neurad.core.sampling import INV_PI, disk_to_square
 from neurad.integrators import guide_kernels as kernels
+from neurad.runtime.dispatch import use_kernel
 
 FACINGS = 6
 """Normals are told apart by their largest component and its sign."""
@@ -69,7 +70,7 @@ class Guide(nn.Module):
 
     def rows(self, si: SurfaceInteraction, n: Tensor) -> Tensor:
         """Row of the histogram [n] for lanes with unit normals ``n`` [n, 3] on the viewer's side."""
-        if self._compiled(n):
+        if use_kernel(self.use_kernels, n):
             out = torch.empty(len(n), dtype=torch.int64)
             sx, sy, sz = self.shape
             kernels.rows(
@@ -85,7 +86,7 @@ class Guide(nn.Module):
 
     def warp(self, rows: Tensor, u: Tensor) -> Tensor:
         """Numbers [n, 2] with the density of :meth:`density` from uniform numbers ``u`` [n, 2]."""
-        if self._compiled(u):
+        if use_kernel(self.use_kernels, u):
             out = torch.empty(len(u), 2)
             kernels.warp(rows.numpy(), u.contiguous().numpy(), self.cdf.numpy(), self.bins, out.numpy())
             return out
@@ -100,7 +101,7 @@ class Guide(nn.Module):
 
     def density(self, rows: Tensor, wi: Tensor) -> Tensor:
         """How much likelier than by the cosine alone the guide draws local directions ``wi`` [n, 3]: [n], mean 1."""
-        if self._compiled(wi):
+        if use_kernel(self.use_kernels, wi):
             out = torch.empty(len(wi))
             kernels.density(rows.numpy(), wi.contiguous().numpy(), self.cdf.numpy(), self.bins, out.numpy())
             return out
@@ -110,7 +111,7 @@ class Guide(nn.Module):
 
     def _places(self, rows: Tensor, wi: Tensor) -> Tensor:
         """Entries [n] of the flat histogram for local directions [n, 3]."""
-        if self._compiled(wi):
+        if use_kernel(self.use_kernels, wi):
             out = torch.empty(len(wi), dtype=torch.int64)
             kernels.places(rows.numpy(), wi.contiguous().numpy(), self.bins, out.numpy())
             return out
@@ -155,9 +156,6 @@ class Guide(nn.Module):
         self.cdf[found] = cdf / cdf[:, -1:]
         self.counts.mul_(self.decay)
         self.squares.mul_(self.decay)
-
-    def _compiled(self, x: Tensor) -> bool:
-        return self.use_kernels and x.dtype == torch.float32 and x.device.type == "cpu"
 
 
 @dataclass(frozen=True)

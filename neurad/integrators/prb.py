@@ -21,6 +21,7 @@ from neurad.integrators.bounce import BSDFSampleStats
 from neurad.integrators.method import Parts, Reflected
 from neurad.integrators.path import PathTracing
 from neurad.integrators.walk import Vertex, loosen, walk
+from neurad.runtime.dispatch import use_kernel
 
 
 class PRB(PathTracing):
@@ -171,7 +172,7 @@ def merge(pieces: Sequence[Tensor]) -> Tensor:
     indices = torch.cat([piece._indices() for piece in pieces], 1)
     values = torch.cat([piece._values() for piece in pieces])
     shape = pieces[0].shape
-    if values.device.type == "cpu" and values.dtype == torch.float32 and indices.shape[0] == 1 and values.dim() == 2:
+    if use_kernel(indices.shape[0] == 1 and values.dim() == 2, values):
         from neurad.fields import hash_grid_kernels as kernels  # torch's own coalesce sorts, which takes far longer
 
         rows, sums = torch.empty_like(indices[0]), torch.empty_like(values)

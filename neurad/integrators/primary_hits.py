@@ -13,6 +13,7 @@ from neurad.core.rng import Stream
 from neurad.integrators.emitter_pixels import emitter_pixels
 from neurad.integrators.film import pixel_positions
 from neurad.integrators.world import NonDeltaHit, World
+from neurad.runtime.dispatch import use_kernel
 from neurad.runtime.threads import GRAIN, split
 
 _CHUNK = 1 << 18
@@ -93,10 +94,12 @@ class PrimaryHits:
         # the pairs of one position with itself and reward contrast inside the pixel.
         chosen = stream.integers(self.count, b, positions)
         first = (batch.view * self.pixels + batch.pixel) * self.count
-        points = self._quickly if self.use_kernels and self.world.geometry.compiled(self.origin) else self._plainly
+        geometry = self.world.geometry
+        kernel = use_kernel(self.use_kernels and len(geometry.faces) > 0, geometry.table, self.origin)
+        points = self._kernel if kernel else self._reference
         return NonDeltaHit(points(first, chosen, batch.view), None, None)
 
-    def _plainly(self, first: Tensor, chosen: Tensor, view: Tensor) -> SurfaceInteraction:
+    def _reference(self, first: Tensor, chosen: Tensor, view: Tensor) -> SurfaceInteraction:
         """Surface points at the kept hits ``first`` [b] + ``chosen`` [b, n] of pixels of ``view`` [b]."""
         index = (first.unsqueeze(1) + chosen).view(-1)
         hits = self.hits[index]
@@ -108,7 +111,7 @@ class PrimaryHits:
         seen = torch.nn.functional.normalize(origin - si.p, dim=-1)
         return replace(si, wo=torch.where(valid.unsqueeze(-1), seen, missed))
 
-    def _quickly(self, first: Tensor, chosen: Tensor, view: Tensor) -> SurfaceInteraction:
+    def _kernel(self, first: Tensor, chosen: Tensor, view: Tensor) -> SurfaceInteraction:
         """The same in one compiled pass."""
         from neurad.scene import geometry_kernels as kernels  # compiled code is loaded by those who use it
 

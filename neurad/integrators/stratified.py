@@ -11,6 +11,7 @@ from torch import Tensor
 from neurad.core.rng import Stream
 from neurad.integrators import stratified_kernels as spread_kernels
 from neurad.integrators.vertex import DIMENSIONS
+from neurad.runtime.dispatch import use_kernel
 from neurad.runtime.threads import GRAIN, split
 
 _FIRST = [0, 2, 3, 4, 6]
@@ -40,7 +41,7 @@ def stratified_samples(groups: int, count: int, stream: Stream, use_kernels: boo
         return stream.uniform(groups, DIMENSIONS)
     random = stream.uniform(groups, DIMENSIONS + len(_FIRST))  # shifts, then a choice of each decision's affine map
     units, mirrored = _units(count), _mirrored(count)
-    if not use_kernels or random.device.type != "cpu" or random.dtype != torch.float32:
+    if not use_kernel(use_kernels, random):
         return _stratified_reference(random, units.to(random.device), mirrored.to(random.device), count)
     out = torch.empty(groups * count, DIMENSIONS)
     arrays = random.numpy(), units.numpy(), mirrored.numpy(), count, out.numpy()

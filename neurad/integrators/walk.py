@@ -112,7 +112,7 @@ def walk(
         del step, surface, own, weight, fixed, keep, alive  # the next vertex is the peak of the memory
         surface = materials(si)
         if torch.is_grad_enabled() and not detached:
-            add_quickly(surface)
+            append_sparse_gradients(surface)
         u = stream.uniform(len(lane), DIMENSIONS)
 
 
@@ -124,7 +124,7 @@ def scatter(parts: list[tuple[Tensor, Tensor]], like: Tensor) -> Tensor:
     return zero.index_add(0, torch.cat([lane for lane, _ in parts]), torch.cat([value for _, value in parts]))
 
 
-def add_quickly(surface: Surface) -> None:
+def append_sparse_gradients(surface: Surface) -> None:
     """Make autograd add the sparse gradients behind a surface to others in no time, for tables read at every bounce.
 
     Torch merges two sparse tensors row by row, 40 ns each, unless the values of one of them are not contiguous: those
@@ -149,7 +149,7 @@ def _loosen_all(gradients: Sequence[Tensor | None], outer: Sequence[Tensor | Non
 
 
 def loosen(gradient: Tensor) -> Tensor:
-    """A sparse gradient whose values are not contiguous; see :func:`add_quickly`."""
+    """A sparse gradient whose values are not contiguous; see :func:`append_sparse_gradients`."""
     values = gradient._values()
     if values.dim() != 2:
         return gradient

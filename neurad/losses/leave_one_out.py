@@ -11,6 +11,7 @@ from torch.autograd.function import once_differentiable
 
 from neurad.losses import leave_one_out_kernels as kernels
 from neurad.losses.relative import Loss
+from neurad.runtime.dispatch import use_kernel
 from neurad.runtime.threads import GRAIN, split
 
 
@@ -84,9 +85,9 @@ def leave_one_out(
         raise ValueError(
             f"leave_one_out: {samples.shape[1]} samples, {n} groups; the control variate must have as many"
         )
-    if use_kernels and samples.device.type == "cpu" and samples.dtype == torch.float32:
+    if use_kernel(use_kernels, samples, differentiable=True):
         deviation = None if control is None else control.deviation
-        return Loss(*_Compiled.apply(samples, deviation, target, weight, control, n))  # type: ignore[no-untyped-call]
+        return Loss(*_Kernel.apply(samples, deviation, target, weight, control, n))  # type: ignore[no-untyped-call]
     fixed = grouped(samples.detach(), n)
     others = (fixed.sum(1, keepdim=True) - fixed) / (n - 1)
     if control is not None:
@@ -101,7 +102,7 @@ def leave_one_out(
     return Loss(surrogate, value)
 
 
-class _Compiled(torch.autograd.Function):
+class _Kernel(torch.autograd.Function):
     """:func:`leave_one_out` as one operation: its gradient is found together with its value."""
 
     @staticmethod

@@ -11,6 +11,7 @@ from torch import Tensor
 from torch.optim.adam import adam
 
 from neurad.fields.sparse import unique_rows
+from neurad.runtime.dispatch import use_kernel
 from neurad.runtime.threads import split
 
 
@@ -100,15 +101,15 @@ def _update_rows(p: Tensor, gradient: Tensor, state: dict[str, Tensor], group: d
     rate, root = group["lr"] / (1.0 - beta1**step), (1.0 - beta2**step) ** 0.5
     m, v = state["exp_avg"], state["exp_avg_sq"]
     rows, values = unique_rows(gradient)
-    if p.device.type == "cpu" and p.dtype == torch.float32 and p.dim() == 2 and p.is_contiguous():
-        _compiled_rows(p, m, v, rows, values, (rate, 1.0 / root, beta1, beta2, group["eps"]))
+    if use_kernel(p.dim() == 2 and p.is_contiguous(), p, differentiable=True):
+        _update_rows_kernel(p, m, v, rows, values, (rate, 1.0 / root, beta1, beta2, group["eps"]))
         return
     m[rows] = torch.lerp(m[rows], values, 1.0 - beta1)
     v[rows] = beta2 * v[rows] + (1.0 - beta2) * values * values
     p[rows] -= rate * m[rows] / (v[rows].sqrt() / root + group["eps"])
 
 
-def _compiled_rows(
+def _update_rows_kernel(
     p: Tensor, m: Tensor, v: Tensor, rows: Tensor, values: Tensor, factors: tuple[float, ...]
 ) -> None:  # fmt: skip
     """The update in compiled code; rows are shared among threads."""

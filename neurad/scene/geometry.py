@@ -8,7 +8,8 @@ from torch import Tensor, nn
 
 from neurad.core.errors import InputError
 from neurad.core.frame import dot
-from neurad.core.records import FloatArray, Hit, Mesh, Rays, SurfaceInteraction, kernel_ready
+from neurad.core.records import FloatArray, Hit, Mesh, Rays, SurfaceInteraction
+from neurad.runtime.dispatch import use_kernel
 from neurad.runtime.threads import GRAIN, split
 from neurad.scene.description import Scene
 
@@ -109,15 +110,11 @@ class Geometry(nn.Module):
             wo: unit directions towards the viewer [n, 3].
             valid: whether there is a surface [n], bool.
         """
-        if self.compiled(u, wo):
-            return self._interact_quickly(prim, u, v, wo, valid)
-        return self.interact_plainly(prim, u, v, wo, valid)
+        if use_kernel(len(self.faces) > 0, self.table, u, wo):
+            return self._interact_kernel(prim, u, v, wo, valid)
+        return self.interact_reference(prim, u, v, wo, valid)
 
-    def compiled(self, *values: Tensor) -> bool:
-        """Whether compiled kernels apply: triangles, and plain floats."""
-        return len(self.faces) > 0 and kernel_ready(self.table, *values)
-
-    def _interact_quickly(self, prim: Tensor, u: Tensor, v: Tensor, wo: Tensor, valid: Tensor) -> SurfaceInteraction:
+    def _interact_kernel(self, prim: Tensor, u: Tensor, v: Tensor, wo: Tensor, valid: Tensor) -> SurfaceInteraction:
         from neurad.scene import geometry_kernels as kernels  # compiled code is loaded by those who use it
 
         p, ng, n = torch.empty(3, len(prim), 3).unbind()
@@ -127,11 +124,13 @@ class Geometry(nn.Module):
         split(lambda low, high: kernels.interact(low, high, *arrays), len(prim), GRAIN)
         return SurfaceInteraction(p, ng, n, wo, uv, bary, prim, valid)
 
-    def interact_plainly(self, prim: Tensor, u: Tensor, v: Tensor, wo: Tensor, valid: Tensor) -> SurfaceInteraction:
+    def interact_reference(self, prim: Tensor, u: Tensor, v: Tensor, wo: Tensor, valid: Tensor) -> SurfaceInteraction:
         """:meth:`interact_at` in plain torch, on any device."""
         if len(prim) > CHUNK and prim.device.type == "cpu":
             cuts = (slice(i, i + CHUNK) for i in range(0, len(prim), CHUNK))
-            return SurfaceInteraction.cat(*(self.interact_plainly(prim[c], u[c], v[c], wo[c], valid[c]) for c in cuts))
+            return SurfaceInteraction.cat(
+                *(self.interact_reference(prim[c], u[c], v[c], wo[c], valid[c]) for c in cuts)
+            )
         bary = torch.stack((u, v), -1)
         if len(self.faces) == 0:
             zero, up = torch.zeros_like(wo), torch.zeros_like(wo)

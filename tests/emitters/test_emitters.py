@@ -185,7 +185,7 @@ def test_compiled_emission_is_the_plain_one() -> None:
     prim = torch.arange(n) % 5 - 1
     normal, wo = torch.nn.functional.normalize(torch.randn(2, n, 3), dim=-1)
     si = arrive(torch.zeros(n, 3), -wo, torch.where(prim < 0, math.inf, 1.0), prim, normal)
-    assert torch.equal(light.eval(si), light.eval_plainly(si))
+    assert torch.equal(light.eval(si), light.eval_reference(si))
     assert 0 < (light.eval(si) > 0).sum() < n
 
 

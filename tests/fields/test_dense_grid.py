@@ -42,7 +42,7 @@ def surface(n):
 def test_compiled_grid_equals_plain_torch(size, channels):
     grid = make_grid(size, channels)
     x = points(2000)
-    use_kernels, plain = grid(x), grid.plain(x)
+    use_kernels, plain = grid(x), grid.reference(x)
     torch.testing.assert_close(use_kernels, plain, rtol=1e-5, atol=1e-5)
     cotangent = torch.randn_like(use_kernels)
     (sparse,) = torch.autograd.grad(use_kernels, grid.table, cotangent)
@@ -91,7 +91,7 @@ def test_no_points_odd_points_and_points_with_gradient():
     assert out.shape == (0, 3)
     assert grid.table.grad._nnz() == 0
     x = torch.tensor([[float("nan"), 0.5, 2.0], [-3.0, float("inf"), 0.1], [0.2, 0.3, 0.4]])
-    torch.testing.assert_close(grid(x)[2:], grid.plain(x[2:]), rtol=1e-6, atol=1e-6)
+    torch.testing.assert_close(grid(x)[2:], grid.reference(x[2:]), rtol=1e-6, atol=1e-6)
     with pytest.raises(ValueError, match="detach"):
         grid(torch.rand(2, 3, requires_grad=True))
 

@@ -60,7 +60,7 @@ def surface(n, spread=1.0):
 def test_compiled_grid_equals_plain_torch(size):
     grid = make_grid(size)
     x = points(500)
-    use_kernels, plain = grid(x), grid.plain(x)
+    use_kernels, plain = grid(x), grid.reference(x)
     torch.testing.assert_close(use_kernels, plain, rtol=1e-6, atol=1e-6)
     cotangent = torch.randn_like(use_kernels)
     (sparse,) = torch.autograd.grad(use_kernels, grid.table, cotangent)
@@ -77,7 +77,7 @@ def test_gradient_names_each_touched_row_once_and_no_other():
     assert (rows[1:] > rows[:-1]).all()
     assert len(rows) < len(grid.table)
     grid.table.grad = None
-    grid.plain(points(0)).sum().backward()  # the nine fixed points touch what the sparse gradient must hold too
+    grid.reference(points(0)).sum().backward()  # the nine fixed points touch what the sparse gradient must hold too
     assert set(grid.table.grad.abs().sum(1).nonzero().flatten().tolist()) <= set(rows.tolist())
 
 
@@ -89,7 +89,7 @@ def test_trilinear_reproduces_a_linear_function():
         p = points(300)
         expected = torch.stack((2 * p[:, 0] - p[:, 1] + 3 * p[:, 2], p[:, 0]), -1)
         torch.testing.assert_close(grid(p), expected, rtol=0, atol=2e-6)
-        torch.testing.assert_close(grid.plain(p), expected, rtol=0, atol=2e-6)
+        torch.testing.assert_close(grid.reference(p), expected, rtol=0, atol=2e-6)
 
 
 def test_table_takes_what_its_levels_need():
@@ -156,7 +156,7 @@ def test_positions_that_want_a_gradient_are_refused():
 def test_kernels_survive_positions_that_are_no_numbers():
     grid = make_grid(SIZES[0])
     x = torch.tensor([[float("nan"), 0.5, 2.0], [-3.0, float("inf"), 0.1], [0.2, 0.3, 0.4]])
-    torch.testing.assert_close(grid(x)[2:], grid.plain(x[2:]), rtol=1e-6, atol=1e-6)
+    torch.testing.assert_close(grid(x)[2:], grid.reference(x[2:]), rtol=1e-6, atol=1e-6)
 
 
 @pytest.mark.usefixtures("three_threads")
@@ -169,7 +169,7 @@ def test_longest_side_fills_the_unit_cube():
     assert side[2] > 0.97
     p = torch.cat((20 * torch.rand(40000, 3) - 10, torch.tensor([[math.nan, math.inf, -math.inf]])))
     cube = UnitCube(BOUNDS)
-    torch.testing.assert_close(cube(p), cube.plain(p), rtol=0, atol=0, equal_nan=True)
+    torch.testing.assert_close(cube(p), cube.reference(p), rtol=0, atol=0, equal_nan=True)
     flat = UnitCube(torch.zeros(2, 3))(torch.zeros(1, 3))
     assert flat.isfinite().all()
 
@@ -183,15 +183,15 @@ def test_fused_network_equals_plain_torch(hidden_layers):
     x = torch.randn(257, 11, requires_grad=True)
     cotangent = torch.randn(257, 3)
     gradients = []
-    for run in (mlp, mlp.plain):
+    for run in (mlp, mlp.reference):
         out = run(x)
         gradients.append(torch.autograd.grad(out, [x, *mlp.parameters()], cotangent))
-    torch.testing.assert_close(mlp(x), mlp.plain(x), rtol=1e-5, atol=1e-5)
+    torch.testing.assert_close(mlp(x), mlp.reference(x), rtol=1e-5, atol=1e-5)
     for a, b in zip(*gradients, strict=True):
         assert (a - b).norm() <= 1e-5 * b.norm()
     with torch.no_grad():
         y = torch.randn(5000, 11)
-        torch.testing.assert_close(mlp(y), mlp.plain(y), rtol=1e-5, atol=1e-5)
+        torch.testing.assert_close(mlp(y), mlp.reference(y), rtol=1e-5, atol=1e-5)
         assert mlp(y[:0]).shape == (0, 3)
 
 

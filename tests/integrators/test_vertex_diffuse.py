@@ -120,7 +120,7 @@ def test_the_compiled_interaction_is_the_plain_one(build_scene):
     prim = stream.integers(len(geometry.faces) + 1, 5000) - 1
     u, v = stream.uniform(5000) / 2, stream.uniform(5000) / 2
     given = prim, u, v, torch.nn.functional.normalize(stream.uniform(5000, 3), dim=-1), prim >= 0
-    use_kernels, plain = geometry.interact_at(*given), geometry.interact_plainly(*given)
+    use_kernels, plain = geometry.interact_at(*given), geometry.interact_reference(*given)
     for key in ("p", "ng", "n", "wo", "uv", "bary"):
         torch.testing.assert_close(getattr(use_kernels, key), getattr(plain, key), rtol=1e-6, atol=1e-6)
     assert torch.equal(use_kernels.prim, prim)
