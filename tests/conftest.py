@@ -4,8 +4,11 @@ import os
 
 os.environ.setdefault("OMP_WAIT_POLICY", "passive")
 
+from pathlib import Path
+
 import pytest
 import torch
+import yaml
 
 OPTIONAL = ("mitsuba", "open3d", "warp")
 
@@ -22,6 +25,23 @@ def three_threads():
     torch.set_num_threads(3)
     yield
     torch.set_num_threads(before)
+
+
+@pytest.fixture
+def small(tmp_path, monkeypatch):
+    """Registers a small Cornell box with photographs and true albedo as the built-in scene 'small'."""
+    from helpers.small_fit import SMALL_FIT, photographed_cornell
+
+    from neurad.scene import builtin
+
+    monkeypatch.chdir(tmp_path)
+
+    def make(glossy, unit=1.0):
+        scene = photographed_cornell(glossy, unit)
+        monkeypatch.setitem(builtin._BUILDERS, "small", lambda: scene)
+        Path("fit.yaml").write_text(yaml.safe_dump(SMALL_FIT))
+
+    return make
 
 
 def _forbid_skip(report):

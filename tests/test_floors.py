@@ -7,7 +7,8 @@ import pytest
 
 REPOSITORY = Path(__file__).resolve().parent.parent
 FLOORS = [
-    {"core"}, {"runtime"}, {"tracing"}, {"scene"}, {"bsdf"}, {"emitters"}, {"fields"}, {"optim"}, {"losses"}, {"integrators"},
+    {"core"}, {"runtime"}, {"tracing"}, {"scene"}, {"bsdf"}, {"emitters"}, {"fields"}, {"optim"}, {"losses"},
+    {"integrators"},
     {"metrics"}, {"assembly"}, {"training"}, {"callbacks"}, {"runs"}, {"studies"}, {"commands"}, {"cli"}, {"__main__"},
 ]  # fmt: skip
 FLOOR = {name: level for level, names in enumerate(FLOORS) for name in names}

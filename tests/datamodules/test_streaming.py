@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 import torch
 from helpers.cameras import film
+from helpers.small_step import SmallStep, small_scene
 from helpers.tiny_scene import SIZE, write_scene
 from scipy import stats
-from test_inverse import Step, small_scene
 
 from datamodules.image_cache import SAMPLE
 from datamodules.pixels import neighbourhood
@@ -227,7 +227,7 @@ def test_rays_of_many_views_at_once():
 @pytest.mark.parametrize("positions", [2, 5])
 def test_new_positions_are_uniform_in_their_pixel(positions):
     """Kolmogorov-Smirnov on both coordinates, and none twice; fails by chance once in 5000."""
-    made = Step(Sampling(spp=positions, cached_spp=0))
+    made = SmallStep(Sampling(spp=positions, cached_spp=0))
     assert made.primary.prim.numel() == 0
     batch = made.batch(600)
     si = made.primary(batch, positions, Stream(2)).si
@@ -247,7 +247,7 @@ def test_a_step_on_new_rays_has_the_gradient_of_one_on_many_kept(normaliser):
     """Means over 24 steps of the photometric gradient's norm along the other one agree within their noise."""
     found = []
     for cached in (0, 64):
-        made = Step(Sampling(spp=4, samples_per_vertex=4, cached_spp=cached), Objective(normaliser=normaliser))
+        made = SmallStep(Sampling(spp=4, samples_per_vertex=4, cached_spp=cached), Objective(normaliser=normaliser))
         batch = replace(made.batch(100), blurred=torch.full((100, 3), 0.3))
         terms = [made.step(batch, Stream(seed, 9)).materials["photometric"][1] for seed in range(24)]
         found.append(torch.stack([made.gradients(loss.surrogate)["albedo"] for loss in terms]))

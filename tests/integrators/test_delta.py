@@ -7,10 +7,11 @@ import numpy as np
 import pytest
 import torch
 from helpers.cameras import film
+from helpers.delta_scenes import ETA, LIGHT, TINT, delta_gallery, delta_material, scene_of
 
 from neurad.assembly.build import build_materials, build_radiance, build_world
 from neurad.assembly.settings import Objective, Sampling
-from neurad.core.records import Constant, Material, PixelBatch, Rays
+from neurad.core.records import PixelBatch, Rays
 from neurad.core.rng import Stream
 from neurad.fields.settings import FieldConfig, GridConfig, RadianceConfig
 from neurad.integrators.delta import MAX_CHAIN
@@ -19,26 +20,10 @@ from neurad.integrators.film import render
 from neurad.integrators.path import PathTracer
 from neurad.integrators.primary_hits import PrimaryHits
 from neurad.integrators.radiometric import RadiometricRHS
-from neurad.scene.builtin.plain import diffuse, room, views
-from neurad.scene.builtin.shapes import box, join, quad, rotated
-from neurad.scene.description import Scene
+from neurad.scene.builtin.plain import diffuse
+from neurad.scene.builtin.shapes import box, quad
 from neurad.scene.textures import TrueMaterials
 from neurad.training.objective import ObjectiveStep
-
-TINT = np.array([0.9, 0.6, 0.3], np.float32)
-LIGHT = np.array([2.0, 3.0, 4.0], np.float32)
-ETA = 1.5
-
-
-def smooth(kind, tint=(1.0, 1.0, 1.0), two_sided=True):
-    roughness = Constant(np.zeros(1, np.float32))
-    return Material(kind, kind, Constant(np.array(tint, np.float32)), roughness, two_sided, ETA)
-
-
-def scene_of(*parts, **settings):
-    """A scene of (solid, material, radiance) parts, all flat."""
-    meshes = [s.mesh(m.name, i, smooth_shading=False, radiance=light) for i, (s, m, light) in enumerate(parts)]
-    return Scene("delta", meshes, [m for _, m, _ in parts], **settings).check()
 
 
 def path(scene, **settings):
@@ -62,7 +47,9 @@ def wall(z, towards, size=100.0):
 
 @pytest.mark.parametrize("d", [(0.0, 0.0, -1.0), (0.3, -0.2, -1.0)])
 def test_a_mirror_shows_the_wall_behind_the_camera_times_its_tint(d):
-    scene = scene_of((wall(-1, 1, 4.0), smooth("conductor", TINT), None), (wall(3, -1), diffuse("wall", 0.0), LIGHT))
+    scene = scene_of(
+        (wall(-1, 1, 4.0), delta_material("conductor", TINT), None), (wall(3, -1), diffuse("wall", 0.0), LIGHT)
+    )
     seen = path(scene)(bundle(64, (0.0, 0.0, 1.0), d), 0)
     torch.testing.assert_close(seen, torch.tensor(TINT * LIGHT).expand(64, 3))
 
@@ -70,7 +57,9 @@ def test_a_mirror_shows_the_wall_behind_the_camera_times_its_tint(d):
 @pytest.mark.parametrize(("two_sided", "share"), [(True, 1.0), (False, 0.0)])
 def test_a_one_sided_mirror_is_black_from_behind(two_sided, share):
     back = wall(-1, -1, 4.0)
-    scene = scene_of((back, smooth("conductor", TINT, two_sided), None), (wall(3, -1), diffuse("wall", 0.0), LIGHT))
+    scene = scene_of(
+        (back, delta_material("conductor", TINT, two_sided), None), (wall(3, -1), diffuse("wall", 0.0), LIGHT)
+    )
     seen = path(scene)(bundle(8, (0.0, 0.0, 1.0), (0.1, 0.0, -1.0)), 0)
     torch.testing.assert_close(seen, torch.tensor(np.float32(share) * TINT * LIGHT).expand(8, 3))
 
@@ -89,7 +78,7 @@ def test_a_glass_slab_splits_light_as_fresnel_says(degrees):
     slab = box((-50, -50, -0.1), (50, 50, 0.1))
     red, blue = np.array([1, 0, 0], np.float32), np.array([0, 0, 1], np.float32)
     scene = scene_of(
-        (slab, smooth("dielectric"), None),
+        (slab, delta_material("dielectric"), None),
         (wall(-1, 1), diffuse("behind", 0.0), red),
         (wall(1, -1), diffuse("before", 0.0), blue),
     )
@@ -106,7 +95,9 @@ def test_a_glass_slab_splits_light_as_fresnel_says(degrees):
 
 def test_radiance_inside_glass_is_stretched_by_the_square_of_its_index():
     slab = box((-50, -50, -2.0), (50, 50, 0.0))
-    scene = scene_of((slab, smooth("dielectric"), None), (wall(1, -1), diffuse("wall", 0.0), np.ones(3, np.float32)))
+    scene = scene_of(
+        (slab, delta_material("dielectric"), None), (wall(1, -1), diffuse("wall", 0.0), np.ones(3, np.float32))
+    )
     inside = bundle(20_000, (0.0, 0.0, -1.0), (0.0, 0.0, 1.0))
     seen = path(scene, max_depth=1)(inside, 1).mean(-1)
     # Seen from inside through the top face, or after reflections at it and at the bottom, beyond which it is dark.
@@ -117,15 +108,15 @@ def test_radiance_inside_glass_is_stretched_by_the_square_of_its_index():
 
 def test_total_reflection_keeps_light_in_the_slab():
     slab = box((-50, -50, -0.1), (50, 50, 0.1))
-    scene = scene_of((slab, smooth("dielectric"), None), (wall(1, -1), diffuse("wall", 0.0), LIGHT))
+    scene = scene_of((slab, delta_material("dielectric"), None), (wall(1, -1), diffuse("wall", 0.0), LIGHT))
     seen = path(scene, max_depth=1)(bundle(1000, (0.0, 0.0, 0.0), (1.0, 0.0, 0.8)), 1)  # critical angle 41.8 degrees
     assert (seen == 0).all()
 
 
 def test_a_chain_between_facing_mirrors_ends():
     scene = scene_of(
-        (wall(-1, 1, 4.0), smooth("conductor"), None),
-        (wall(1, -1, 4.0), smooth("conductor"), None),
+        (wall(-1, 1, 4.0), delta_material("conductor"), None),
+        (wall(1, -1, 4.0), delta_material("conductor"), None),
         (wall(9, -1), diffuse("wall", 0.5), LIGHT),
     )
     integrator = path(scene)
@@ -139,7 +130,9 @@ def test_a_chain_between_facing_mirrors_ends():
 
 
 def test_only_lanes_that_meet_something_smooth_change():
-    scene = scene_of((wall(-1, 1, 2.0), smooth("conductor", TINT), None), (wall(-2, 1), diffuse("wall", 0.5), LIGHT))
+    scene = scene_of(
+        (wall(-1, 1, 2.0), delta_material("conductor", TINT), None), (wall(-2, 1), diffuse("wall", 0.5), LIGHT)
+    )
     world = build_world(scene)
     rays = Rays.cat(bundle(2, (5.0, 0.0, 0.0), (0.0, 0.0, -1.0)), bundle(2, (0.0, 0.0, 0.0), (0.0, 0.0, -1.0)))
     reached = world.trace_past_delta(rays, torch.rand(4))
@@ -152,20 +145,6 @@ def test_only_lanes_that_meet_something_smooth_change():
 # ---- a room with a mirror and glass
 
 
-def gallery():
-    """A closed room with a mirror, a glass block, a pane without volume and a mirror seen from behind."""
-    parts = [
-        (join(*room((-1, -1, -1), (1, 1, 1)).values()), diffuse("walls", (0.6, 0.5, 0.4)), None),
-        (quad((-0.9, -0.7, -0.9), (0.9, 0, -0.05), (0, 1.4, 0)), smooth("conductor", TINT), None),
-        (rotated(box((0.1, -0.98, -0.5), (0.6, 0.1, -0.1)), 25.0, (0.35, 0, -0.3)), smooth("dielectric"), None),
-        (quad((-0.75, -0.9, 0.1), (0.5, 0, -0.2), (0, 0.9, 0)), smooth("dielectric"), None),
-        (quad((0.95, -0.2, -0.3), (-0.3, 0, -0.5), (0, 0.7, 0)), smooth("conductor", TINT, False), None),
-        (quad((-0.7, 0.99, -0.7), (1.4, 0, 0), (0, 0, 1.4)), diffuse("lamp", 0.5), LIGHT),
-    ]
-    train = [((0.1, 0.0, 0.95), (0.0, -0.15, -0.3)), ((-0.8, 0.2, 0.8), (0.5, -0.4, -0.5))]
-    return scene_of(*parts, train=views("train", train, 75.0, 12), test=views("test", train[:1], 75.0, 12))
-
-
 def test_pixels_agree_with_mitsuba():
     """Welch's t-test of every pixel and channel with 16 seeds a side, Sidak-corrected at 99 %; roulette alone ends
     paths on both sides, since vertices on smooth surfaces count towards Mitsuba's depth only."""
@@ -174,7 +153,7 @@ def test_pixels_agree_with_mitsuba():
     mi.set_variant("scalar_rgb")
     from helpers.mitsuba_export import to_mitsuba
 
-    scene, seeds, spp = gallery(), 16, 64
+    scene, seeds, spp = delta_gallery(), 16, 64
     camera = scene.train[0].camera
     exported = to_mitsuba(scene, scene.train[0], camera.width, spp, {"type": "path", "max_depth": -1, "rr_depth": 8})
     theirs = np.stack([np.array(mi.render(exported, seed=s)) for s in range(seeds)])
@@ -218,7 +197,7 @@ def batch_of(scene, n, seed=0):
 @pytest.mark.parametrize("has_glass", [True, False])
 def test_positions_traced_anew_keep_the_order_of_the_batch(has_glass):
     """Every lane that met nothing smooth lies in the pixel and view of its place in the batch."""
-    scene = gallery()
+    scene = delta_gallery()
     if not has_glass:
         scene = replace(scene, materials=[diffuse("grey", 0.5)] * len(scene.materials))
     world = build_world(scene)
@@ -244,7 +223,7 @@ def test_positions_traced_anew_keep_the_order_of_the_batch(has_glass):
 
 def test_both_ways_to_the_first_hits_see_the_same_picture():
     """In a scene without anything smooth: the mean over a pixel of what is seen, by kept and by new rays."""
-    scene = gallery()
+    scene = delta_gallery()
     scene = replace(scene, materials=[diffuse("grey", 0.5)] * len(scene.materials))
     world = build_world(scene)
     primary = PrimaryHits(world, [v.camera for v in scene.train], 64, 0, torch.device("cpu"))
@@ -257,7 +236,7 @@ def test_both_ways_to_the_first_hits_see_the_same_picture():
 
 
 def test_a_training_step_behind_glass():
-    scene = gallery()
+    scene = delta_gallery()
     estimator = estimator_of(scene)
     primary = PrimaryHits(estimator.world, [v.camera for v in scene.train], 2, 0, torch.device("cpu"))
     step = ObjectiveStep(estimator, primary, Sampling(), Objective(), 0.01, primary.sees_emitter())
@@ -280,7 +259,7 @@ def test_the_rhs_behind_glass_is_emission_times_throughput_plus_reflection():
     stats = pytest.importorskip("scipy.stats")
     from helpers.oracles import accept
 
-    scene = gallery()
+    scene = delta_gallery()
     estimator = estimator_of(scene)
     primary = PrimaryHits(estimator.world, [v.camera for v in scene.train], 2, 0, torch.device("cpu"))
     camera = scene.train[0].camera

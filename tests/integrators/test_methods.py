@@ -10,8 +10,9 @@ import torch
 import yaml
 from helpers.method_oracles import Oracle, Textures, camera_vertices, gallery
 from helpers.oracles import accept, z_test_samples
+from helpers.small_fit import SMALL_FIT
+from helpers.small_step import SmallStep
 from scipy import stats
-from test_inverse import FIT, Step, small  # noqa: F401
 
 from neurad.assembly.build import build_radiance, build_world
 from neurad.assembly.settings import Objective, Sampling
@@ -151,7 +152,7 @@ def gradients(terms, made):
 
 @pytest.mark.parametrize("method", [Direct(), PathTracing(), PRB()])
 def test_methods_without_a_field_have_the_photometric_term_alone(method):
-    made = Step(method=method, settings=Objective(roughness_regulariser=0.1))
+    made = SmallStep(method=method, settings=Objective(roughness_regulariser=0.1))
     made.step = replace(made.step, estimator=replace(made.estimator, radiance=None))
     terms = made.step(made.batch(), Stream(3))
     assert set(terms.all) == {"photometric", "roughness_regulariser"}
@@ -160,7 +161,7 @@ def test_methods_without_a_field_have_the_photometric_term_alone(method):
 
 @pytest.mark.parametrize("method", [Radiometric(2), Radiometric(4), Debiased(), Debiased(k=3)])
 def test_longer_methods_route_gradients_as_the_paper_does(method):
-    made = Step(method=method)
+    made = SmallStep(method=method)
     terms = made.step(made.batch(), Stream(3))
     routes = {
         "photometric": {"albedo", "roughness"},
@@ -178,7 +179,7 @@ def test_the_prior_moves_the_materials_where_it_is_asked_to(gradient):
     """The field's own gradient stays what it was."""
     found = {}
     for trains in ("field", "both"):
-        made = Step(settings=Objective(prior_trains=trains, prior_gradient=gradient))
+        made = SmallStep(settings=Objective(prior_trains=trains, prior_gradient=gradient))
         terms = made.step(made.batch(), Stream(3))
         found[trains] = gradients(terms, made)
         expected = {"radiance"} if trains == "field" else {"radiance", "albedo", "roughness"}
@@ -244,10 +245,10 @@ def test_continuation_exceeds_the_square_of_the_albedo():
     "name",
     ["direct", "prb", "debiased", *(pytest.param(n, marks=pytest.mark.slow) for n in ("ours", "no_prior", "path"))],
 )
-def test_overlays_train_and_continue_exactly(name, small):  # noqa: F811
+def test_overlays_train_and_continue_exactly(name, small):
     """Eight iterations in one go and in two: the same weights; fewer optimizers and no field where none is needed."""
     small(False)
-    Path("fit.yaml").write_text(yaml.safe_dump(FIT))
+    Path("fit.yaml").write_text(yaml.safe_dump(SMALL_FIT))
 
     def fit(*args):
         constant = "--model.optimization.schedule=constant"

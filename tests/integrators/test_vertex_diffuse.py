@@ -5,12 +5,12 @@ from dataclasses import replace
 import lightning.pytorch as pl
 import pytest
 import torch
+from helpers.random_vertices import one_sided, random_vertices
 
 from neurad.assembly.build import build_radiance, build_world
 from neurad.assembly.settings import Optimization, Sampling
 from neurad.cli import main
 from neurad.core.errors import InputError
-from neurad.core.records import Rays
 from neurad.core.rng import Stream
 from neurad.fields.mlp import MLP, products
 from neurad.fields.settings import GridConfig, RadianceConfig
@@ -32,19 +32,6 @@ from neurad.training.inverse import InverseRenderer
 GRID = GridConfig(levels=3, coarsest=4, finest=16, log2_size=10)
 
 
-def one_sided(scene):
-    return replace(scene, materials=[replace(m, two_sided=False) for m in scene.materials])
-
-
-def vertices(world, count, seed):
-    """What random rays through the scene end at, seen from both sides, with some misses among them."""
-    stream = Stream(seed)
-    low, high = world.geometry.vertices.amin(0), world.geometry.vertices.amax(0)
-    o = low - 0.2 * (high - low) + stream.uniform(count, 3) * 1.4 * (high - low)
-    d = torch.nn.functional.normalize(stream.uniform(count, 3) - 0.5, dim=-1)
-    return world.intersect(Rays(o, d))
-
-
 # ---- the compiled bounce and its twin
 
 
@@ -52,7 +39,7 @@ def vertices(world, count, seed):
 @pytest.mark.parametrize("change", [lambda scene: scene, one_sided])
 def test_the_compiled_bounce_is_the_plain_one(name, change):
     lab = Lab(change(build(name)))
-    si = vertices(lab.world, 3000, 3)
+    si = random_vertices(lab.world, 3000, 3)
     assert not si.valid.all()
     u = Stream(4).uniform(len(si), DIMENSIONS)
     albedo = lab.materials(si).albedo
@@ -90,7 +77,7 @@ def test_threads_share_a_bounce_and_its_numbers_without_a_trace():
     try:
         for count in (1, 3):
             torch.set_num_threads(count)
-            si = vertices(lab.world, 20000, 3)
+            si = random_vertices(lab.world, 20000, 3)
             u = stratified_samples(len(si) // 2, 2, Stream(4))
             cast = lab.world.rays_cast
             step = bounce(lab.world, si, lab.materials(si), u)
@@ -105,7 +92,7 @@ def test_threads_share_a_bounce_and_its_numbers_without_a_trace():
 
 
 def test_the_compiled_bounce_is_for_what_it_can_do():
-    si = vertices(build_world(build_cornell()), 10, 1)
+    si = random_vertices(build_world(build_cornell()), 10, 1)
     assert matte.has_kernel(build_world(build_cornell()), si)
     assert not matte.has_kernel(build_world(glossy(build_cornell())), si)
     lit = build_world(build_cornell())

@@ -4,9 +4,9 @@ from dataclasses import replace
 
 import pytest
 import torch
+from helpers.delta_scenes import delta_gallery
 from helpers.object_scene import object_scene, sky
-from test_delta import gallery
-from test_vertex_diffuse import one_sided, vertices
+from helpers.random_vertices import one_sided, random_vertices
 
 from neurad.assembly.build import build_world
 from neurad.bsdf.directional import _mean_lobes, directional_albedo, mean_lobes, table
@@ -45,7 +45,7 @@ def taught(world, seed):
 def test_the_compiled_bounce_is_the_plain_one(scene, control, guided):
     world = build_world(scene)
     world.guide = taught(world, 9) if guided else None
-    si = vertices(world, N, 3)
+    si = random_vertices(world, N, 3)
     assert not si.valid.all()
     surface, u = random_surface(N, 5), Stream(4).uniform(N, DIMENSIONS)
     assert glossy.has_kernel(world, si, surface)
@@ -86,10 +86,10 @@ def test_the_compiled_bounce_is_the_plain_one(scene, control, guided):
 
 
 def test_smooth_surfaces_on_the_way_dim_what_comes_through():
-    room = gallery()
+    room = delta_gallery()
     kinds = [replace(m, kind="principled") if m.kind == "diffuse" else m for m in room.materials]
     world = build_world(replace(room, materials=kinds))
-    si = vertices(world, N, 3)
+    si = random_vertices(world, N, 3)
     surface, u = random_surface(N, 5), Stream(4).uniform(N, DIMENSIONS)
     assert world.delta is not None
     assert glossy.has_kernel(world, si, surface)
@@ -105,7 +105,7 @@ def test_smooth_surfaces_on_the_way_dim_what_comes_through():
 
 def test_derivatives_are_those_of_known_parts_alone():
     world = build_world(made_glossy(build_cornell()))
-    si, u = vertices(world, 100, 1), Stream(2).uniform(100, DIMENSIONS)
+    si, u = random_vertices(world, 100, 1), Stream(2).uniform(100, DIMENSIONS)
     free = random_surface(100, 3)
     for albedo, roughness in ((True, False), (False, True), (False, False)):
         surface = Surface(
@@ -122,7 +122,7 @@ def test_derivatives_are_those_of_known_parts_alone():
 
 def test_it_is_for_what_it_can_do():
     world = build_world(made_glossy(build_cornell()))
-    si, surface = vertices(world, 10, 1), random_surface(10, 1)
+    si, surface = random_vertices(world, 10, 1), random_surface(10, 1)
     assert glossy.has_kernel(world, si, surface)
     typed = TypedSurface(surface.albedo, surface.roughness, torch.zeros(10, dtype=torch.bool))
     assert not glossy.has_kernel(world, si, typed)

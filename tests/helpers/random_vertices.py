@@ -1,0 +1,21 @@
+"""Vertices that random rays find in a scene."""
+
+from dataclasses import replace
+
+import torch
+
+from neurad.core.records import Rays
+from neurad.core.rng import Stream
+
+
+def one_sided(scene):
+    return replace(scene, materials=[replace(m, two_sided=False) for m in scene.materials])
+
+
+def random_vertices(world, count, seed):
+    """What random rays through the scene end at, seen from both sides, with some misses among them."""
+    stream = Stream(seed)
+    low, high = world.geometry.vertices.amin(0), world.geometry.vertices.amax(0)
+    o = low - 0.2 * (high - low) + stream.uniform(count, 3) * 1.4 * (high - low)
+    d = torch.nn.functional.normalize(stream.uniform(count, 3) - 0.5, dim=-1)
+    return world.intersect(Rays(o, d))

@@ -1,0 +1,53 @@
+"""A small Cornell box with photographs as a built-in scene, and short fits of it through the command line."""
+
+import csv
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import torch
+
+from helpers.small_step import GRID, small_scene
+from neurad.assembly.build import build_world
+from neurad.cli import main
+from neurad.integrators.film import render
+from neurad.integrators.path import PathTracer
+from neurad.scene.image_io import write_exr
+from neurad.scene.textures import TrueMaterials
+
+SMALL_FIT = {
+    "seed_everything": 1,
+    "trainer": {"accelerator": "cpu", "enable_progress_bar": False},
+    "data": {"scene": "small", "patches": 256},
+    "model": {part: {"grid": vars(GRID), "width": 32} for part in ("albedo", "roughness", "radiance")},
+    "evaluation": {"every_n_steps": 1000, "spp": 2},
+}
+
+
+def photographed_cornell(glossy, unit=1.0):
+    """A Cornell box of 24 x 24 pixels with photographs and true albedo, written into the working folder."""
+    scene = small_scene(glossy=glossy, size=24)
+    lit = [m if m.radiance is None else replace(m, radiance=m.radiance * np.float32(unit)) for m in scene.meshes]
+    scene = replace(scene, meshes=lit)
+    world = build_world(scene)
+    materials = TrueMaterials(scene, world.geometry)
+    parts = []
+    for views in (scene.train, scene.test):
+        parts.append([])
+        for view in views:
+            files = {"image": f"{view.name}.exr", "albedo": f"{view.name}_albedo.exr"}
+            image = render(view.camera, PathTracer(world, materials), 64, 5)
+            write_exr(files["image"], image.numpy(), half=False)
+            albedo = render(view.camera, lambda rays, seed: materials(world.intersect(rays)).albedo, 16, 5)
+            write_exr(files["albedo"], albedo.numpy())
+            parts[-1].append(replace(view, **files))
+    return replace(scene, name="small", train=parts[0], test=parts[1])
+
+
+def fit_small(*args):
+    """Rows of ``metrics.csv`` and the last checkpoint of a fit by ``fit.yaml`` and further arguments."""
+    main(["fit", "--config", "fit.yaml", *args])
+    folder = sorted(Path("lightning_logs").iterdir())[-1]
+    with (folder / "metrics.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    return rows, torch.load(folder / "checkpoints" / "last.ckpt", weights_only=True)

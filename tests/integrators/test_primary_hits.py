@@ -1,0 +1,84 @@
+"""First hits that are kept for every pixel: where they lie, and the kernel that recomputes their points."""
+
+import math
+
+import pytest
+import torch
+from helpers.cameras import film
+from helpers.object_scene import object_scene
+from helpers.object_scene import sky as sky_map
+from helpers.small_step import SmallStep
+
+from neurad.assembly.build import build_world
+from neurad.assembly.settings import Objective, Sampling
+from neurad.core.records import PixelBatch
+from neurad.core.rng import Stream
+from neurad.integrators.primary_hits import PrimaryHits
+from neurad.runtime.threads import GRAIN
+from neurad.scene.builtin import build_cornell
+
+
+@pytest.mark.parametrize(("positions", "cached"), [(1, 1), (2, 2), (2, 4), (3, 4), (5, 8)])
+def test_positions_lie_in_their_pixel_and_are_independent(positions, cached):
+    """All kept positions are in use, spread over the pixel, and pairs are as often equal as independent draws are:
+    leave-one-out would be biased if they were always different. 99.9 % confidence."""
+    made = SmallStep(Sampling(spp=positions, cached_spp=cached), Objective(estimator="two_pass"))
+    n = 600
+    batch = made.batch(n)
+    camera = made.scene.train[0].camera
+    corner = torch.stack((batch.pixel % camera.width, batch.pixel // camera.width), -1).repeat_interleave(positions, 0)
+    si = made.primary(batch, positions, Stream(2)).si
+    assert si.valid.all()
+    place = film(made.scene, batch.view.repeat_interleave(positions), si.p) - corner
+    assert place.min() > -1e-3
+    assert place.max() < 1 + 1e-3
+    assert place.std(0).min() > 0.2, "never the centre alone"
+    assert (place.mean(0) - 0.5).abs().max() < 0.06
+    place = place.view(n, positions, 2)
+    if positions > 1:
+        equal = ((place[:, 0] - place[:, 1]).abs().amax(-1) < 1e-5).float().mean().item()
+        assert abs(equal - 1 / cached) < 3.3 * math.sqrt((1 - 1 / cached) / cached / n)
+    again = made.primary(batch, positions, Stream(3)).si.p
+    assert torch.equal(again, si.p) == (cached == 1)
+
+
+@pytest.mark.parametrize("sky", [False, True])
+@pytest.mark.usefixtures("three_threads")
+def test_compiled_points_of_kept_hits_are_the_plain_ones(sky):
+    scene = object_scene(sky_map()) if sky else build_cornell()
+    world = build_world(scene, "embree")
+    cameras = [view.camera for view in scene.train]
+    made = [PrimaryHits(world, cameras, 4, 0, torch.device("cpu"), use_kernels) for use_kernels in (True, False)]
+    view, pixel = (
+        x.flatten()
+        for x in torch.meshgrid(torch.arange(len(cameras)), torch.arange(made[0].pixels)[::7], indexing="ij")
+    )
+    batch = PixelBatch(view, pixel, torch.zeros(len(view), 3), torch.ones(len(view)), 0)
+    use_kernels, plain = (primary(batch, 40, Stream(1)).si for primary in made)
+    assert len(use_kernels) == 40 * len(view) >= 2 * GRAIN
+    assert use_kernels.valid.all() != sky
+    assert torch.equal(use_kernels.prim, plain.prim)
+    assert torch.equal(use_kernels.valid, plain.valid)
+    for key in ("p", "ng", "n", "wo", "uv", "bary"):
+        torch.testing.assert_close(getattr(use_kernels, key), getattr(plain, key), rtol=1e-6, atol=1e-6)
+    torch.testing.assert_close(
+        use_kernels.wo.norm(dim=-1), torch.ones(len(use_kernels)), atol=1e-3, rtol=0
+    )  # float16 in the sky
+
+
+def test_kept_positions_of_a_pixel_are_distinct():
+    """Four cells of a pixel hold one position each."""
+    made = SmallStep(Sampling(cached_spp=4))
+    camera = made.scene.train[0].camera
+    pixels = torch.arange(camera.width * camera.height)
+    count = len(pixels)
+    view = torch.zeros(4 * count, dtype=torch.int64)
+    si = made.estimator.world.geometry.interact_at(
+        made.primary.prim[: 4 * count].long(), *made.primary.bary[: 4 * count].unbind(-1), torch.zeros(4 * count, 3),
+        torch.ones(4 * count, dtype=torch.bool),
+    )  # fmt: skip
+    corner = torch.stack((pixels % camera.width, pixels // camera.width), -1).repeat_interleave(4, 0)
+    place = film(made.scene, view, si.p) - corner
+    cell = (place.clamp(0, 0.9999) * 2).long()
+    found = (cell[:, 0] + 2 * cell[:, 1]).view(count, 4).sort(-1).values
+    assert (found == torch.arange(4)).all(-1).float().mean() > 0.99  # rounding may push one over the line

@@ -1,0 +1,73 @@
+"""Short fits of a small Cornell box through the command line."""
+
+from pathlib import Path
+
+import pytest
+import torch
+import yaml
+from helpers.small_fit import SMALL_FIT, fit_small
+
+
+def test_a_short_fit_finds_the_albedo(small):
+    """400 iterations, about 5 s: measured 28.1 dB (12.3 after 7 iterations); the best constant has 12.9."""
+    small(glossy=False)
+    rows, _ = fit_small("--trainer.max_steps=400", "--evaluation.every_n_steps=200")
+    assert [row["iteration"] for row in rows] == ["200", "400"]
+    last = {key: float(value) for key, value in rows[-1].items() if value}
+    assert last["albedo_psnr"] > 24
+    assert last["albedo_psnr_constant"] < 14
+
+
+@pytest.mark.parametrize(("glossy", "optimizers"), [(True, 3), (False, 2)])
+def test_max_steps_counts_iterations_and_roughness_is_built_where_there_is_some(small, glossy, optimizers):
+    small(glossy)
+    rows, state = fit_small("--trainer.max_steps=7")
+    assert state["neurad"]["iteration"] == state["global_step"] == 7
+    assert [row["iteration"] for row in rows] == ["7"]
+    assert len(state["optimizer_states"]) == optimizers
+    assert {s["state"][0]["step"].item() for s in state["optimizer_states"]} == {7.0}
+    assert any(name.startswith("materials.roughness") for name in state["state_dict"]) == glossy
+
+
+def test_a_run_takes_the_units_of_light_from_its_photographs(small):
+    """Light and photographs times 2^20, exact in floats: ten iterations give the same materials."""
+    found = []
+    for unit in (1.0, 2.0**20):
+        small(True, unit)
+        found.append(fit_small("--trainer.max_steps=10")[1]["state_dict"])
+    assert found[1]["radiance.scale"] == found[0]["radiance.scale"] * 2**20
+    for name, value in found[0].items():
+        if name.startswith("materials."):
+            torch.testing.assert_close(found[1][name], value, rtol=1e-4, atol=1e-6)
+
+
+@pytest.mark.parametrize("pixel_multiplier", ["4", "8"])
+def test_a_breadth_that_leaves_one_position_is_refused(small, capfd, pixel_multiplier):
+    small(glossy=True)
+    with pytest.raises(SystemExit) as stop:
+        fit_small("--trainer.max_steps=2", "--model.sampling.spp=4", f"--data.pixel_multiplier={pixel_multiplier}")
+    assert stop.value.code == 2
+    error = capfd.readouterr().err
+    assert "data.pixel_multiplier" in error
+    assert "model.sampling.spp (4)" in error
+    assert error.count("\n") == 1
+
+
+def test_a_broad_batch_counts_as_many_samples_and_moves_roughness_less(small):
+    small(glossy=True)
+    usual = fit_small("--trainer.max_steps=3", "--model.sampling.spp=4")[1]
+    broad = fit_small("--trainer.max_steps=3", "--model.sampling.spp=4", "--data.pixel_multiplier=2")[1]
+    assert usual["neurad"]["samples"] == broad["neurad"]["samples"] > 0
+    rates = [[state["param_groups"][0]["lr"] for state in run["optimizer_states"]] for run in (usual, broad)]
+    assert rates[1] == pytest.approx([rates[0][0], rates[0][1] / 4, rates[0][2]])
+
+
+@pytest.mark.parametrize(("positions", "cached", "said"), [(1, 4, "spp"), (4, 2, "cached_spp")])
+def test_numbers_of_samples_that_cannot_work(small, capfd, positions, cached, said):
+    Path("fit.yaml").write_text(yaml.safe_dump(SMALL_FIT))
+    with pytest.raises(SystemExit) as stop:
+        fit_small("--trainer.max_steps=2", f"--model.sampling.spp={positions}", f"--model.sampling.cached_spp={cached}")
+    assert stop.value.code == 2
+    error = capfd.readouterr().err
+    assert f"model.sampling.{said}" in error
+    assert error.count("\n") == 1
