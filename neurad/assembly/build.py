@@ -18,6 +18,7 @@ from neurad.integrators.world import World
 from neurad.scene.description import Scene
 from neurad.scene.geometry import Geometry
 from neurad.scene.textures import OnEmitters
+from neurad.tracing.counting import CountingTracer
 from neurad.tracing.select import make_tracer
 
 
@@ -44,7 +45,7 @@ def build_world(
     two_sided = torch.tensor([m.two_sided for m in scene.materials])[geometry.material]
     return World(
         geometry=geometry,
-        tracer=make_tracer(tracer, geometry.vertices, geometry.faces),
+        tracer=CountingTracer(make_tracer(tracer, geometry.vertices, geometry.faces)),
         lights=make_lights(scene, geometry, fitted),
         bsdf=make_bsdf(scene.features, specular_fraction),
         features=scene.features,

@@ -50,7 +50,7 @@ class DeltaSurfaces(nn.Module):
 
     def follow(
         self, geometry: Geometry, tracer: Tracer, si: SurfaceInteraction, u: Tensor
-    ) -> tuple[SurfaceInteraction, Tensor, Tensor, int]:
+    ) -> tuple[SurfaceInteraction, Tensor, Tensor]:
         """Go on from lanes that ended on smooth surfaces until none does.
 
         Args:
@@ -60,19 +60,18 @@ class DeltaSurfaces(nn.Module):
             u: uniform numbers [n]; each is used again for the next choice of its lane, rescaled, which is exact.
 
         Returns:
-            The first other vertices (or misses), the throughput of the chains [n, 3], whether a lane passed anything
-            [n], and how many rays were cast.
+            The first other vertices (or misses), the throughput of the chains [n, 3], and whether a lane passed
+            anything [n].
         """
         throughput = torch.ones_like(si.p)
         via_delta = torch.zeros_like(si.valid)
-        cast = 0
         parts = {name: getattr(si, name).clone() for name in si.__dataclass_fields__}
         u = u.clone()
         for _ in range(MAX_CHAIN):
             now = SurfaceInteraction(**parts)
             index = (now.valid & self.is_delta[now.prim.clamp_min(0)]).nonzero().squeeze(-1)
             if len(index) == 0:
-                return now, throughput, via_delta, cast
+                return now, throughput, via_delta
             here = now[index]
             prim = here.prim
             frame = Frame.around(here.n)
@@ -83,7 +82,6 @@ class DeltaSurfaces(nn.Module):
             d = torch.nn.functional.normalize(frame.to_world(wi), dim=-1)
             rays = geometry.spawn(here, d)
             end = geometry.interact(rays, tracer.closest(rays))
-            cast += len(rays)
             front = self.two_sided[prim] | (wo[:, 2] > 0)  # a one-sided mirror is black from behind
             throughput[index] *= weight * front.unsqueeze(-1)
             via_delta[index] = True
@@ -92,7 +90,7 @@ class DeltaSurfaces(nn.Module):
         now = SurfaceInteraction(**parts)
         stuck = now.valid & self.is_delta[now.prim.clamp_min(0)]
         throughput[stuck] = 0.0
-        return replace(now, valid=now.valid & ~stuck), throughput, via_delta, cast
+        return replace(now, valid=now.valid & ~stuck), throughput, via_delta
 
 
 def _again(u: Tensor, dielectric: Tensor, wo: Tensor, eta: Tensor) -> Tensor:

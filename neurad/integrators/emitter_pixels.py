@@ -33,7 +33,6 @@ def emitter_pixels(world: World, cameras: list[Camera], seed: int, device: torch
             part = pixels[begin : begin + _CHUNK]
             rays = camera_rays(camera, pixel_positions(camera.width, part, POSITIONS, stream).view(-1, 2))
             hit = world.tracer.closest(rays)
-            world.rays_cast += len(rays)
             light = hit.valid & emission[hit.prim.clamp_min(0)]
             found[index, part] = light.view(-1, POSITIONS).any(-1)
     return found

@@ -64,7 +64,6 @@ class PrimaryHits:
         for begin in range(0, len(xy), _CHUNK):
             rays = camera_rays(camera, xy[begin : begin + _CHUNK])
             hit = self.world.tracer.closest(rays)
-            self.world.rays_cast += len(rays)
             here = slice(first + begin, first + begin + len(rays))
             self.prim[here] = hit.prim.int()
             self.bary[here] = torch.stack((hit.u, hit.v), -1)

@@ -7,12 +7,13 @@ from dataclasses import dataclass
 from torch import Tensor, nn
 
 from neurad.core.frame import dot
-from neurad.core.protocols import BSDF, Emitter, Tracer
+from neurad.core.protocols import BSDF, Emitter
 from neurad.core.records import Rays, SurfaceInteraction, first_of
 from neurad.integrators.delta import DeltaSurfaces
 from neurad.integrators.guide import Guide
 from neurad.scene.description import Features
 from neurad.scene.geometry import Geometry
+from neurad.tracing.counting import CountingTracer
 
 
 @dataclass(frozen=True)
@@ -43,7 +44,7 @@ class World(nn.Module):
 
     Args:
         geometry: merged triangles.
-        tracer: casts rays against the same triangles.
+        tracer: casts rays against the same triangles, and counts them.
         lights: every emitter of the scene.
         bsdf: reflection model of all surfaces that are not delta.
         features: what the scene has; parts it does not have are skipped.
@@ -57,7 +58,7 @@ class World(nn.Module):
     def __init__(
         self,
         geometry: Geometry,
-        tracer: Tracer,
+        tracer: CountingTracer,
         lights: Emitter,
         bsdf: BSDF,
         features: Features,
@@ -75,12 +76,10 @@ class World(nn.Module):
         self.delta = delta
         self.guide: Guide | None = None
         """Where to look for indirect light; None looks by the BSDF alone."""
-        self.rays_cast = 0
         self.register_buffer("two_sided", two_sided, persistent=False)
 
     def intersect(self, rays: Rays) -> SurfaceInteraction:
         """Where rays end, misses and smooth surfaces included."""
-        self.rays_cast += len(rays)
         return self.geometry.interact(rays, self.tracer.closest(rays))
 
     def trace_past_delta(self, rays: Rays, u: Tensor) -> NonDeltaHit:
@@ -88,13 +87,10 @@ class World(nn.Module):
         si = self.intersect(rays)
         if self.delta is None:
             return NonDeltaHit(si, None, None)
-        si, throughput, via_delta, cast = self.delta.follow(self.geometry, self.tracer, si, u)
-        self.rays_cast += cast
-        return NonDeltaHit(si, throughput, via_delta)
+        return NonDeltaHit(*self.delta.follow(self.geometry, self.tracer, si, u))
 
     def occluded(self, rays: Rays, t_max: Tensor) -> Tensor:
         """Whether something lies on the ray before ``t_max`` [n]."""
-        self.rays_cast += len(rays)
         return self.tracer.occluded(rays, t_max)
 
     def reflects(self, si: SurfaceInteraction) -> Tensor:

@@ -73,11 +73,10 @@ def brightness(primary: PrimaryHits, sample: PixelBatch, seed: int) -> float:
     if len(view) > _PIXELS:
         index = stream.integers(len(view), _PIXELS)
         view, pixel, color = view[index], pixel[index], color[index]
-    cast = world.rays_cast
-    si = primary(PixelBatch(view, pixel, color, torch.ones_like(view).float(), 0), 1, stream).si
-    half = Surface(torch.full_like(si.p, 0.5), torch.ones_like(si.p[:, :1]))
-    direct = bounce(world, si, half, stream.uniform(len(si), DIMENSIONS)).direct
-    world.rays_cast = cast
+    with world.tracer.uncounted():
+        si = primary(PixelBatch(view, pixel, color, torch.ones_like(view).float(), 0), 1, stream).si
+        half = Surface(torch.full_like(si.p, 0.5), torch.ones_like(si.p[:, :1]))
+        direct = bounce(world, si, half, stream.uniform(len(si), DIMENSIONS)).direct
     expected = 2.0 * float(direct[si.valid].mean()) if bool(si.valid.any()) else 0.0
     return float(color[si.valid].mean()) / expected if expected > 0 else 1.0
 

@@ -148,7 +148,8 @@ class InverseRenderer(L.LightningModule):
         )  # fmt: skip
         self.world.guide = make_guide(self.scene, self.sampling.guide, self.method)
         albedo, roughness, radiance = self.field_configs
-        cells = cache(partial(finest_cells, self.world.tracer, self.scene, self.device))
+        tracer = self.world.tracer.tracer  # its rays are no part of the training and not counted
+        cells = cache(partial(finest_cells, tracer, self.scene, self.device))
         if self.knows_materials:
             self.materials = TrueMaterials(self.scene, self.world.geometry)
         else:
@@ -179,10 +180,9 @@ class InverseRenderer(L.LightningModule):
         data = self.trainer.datamodule  # type: ignore[attr-defined]
         self.sampling.split_over(getattr(data, "pixel_multiplier", 1))  # refuses what cannot be
         cameras = [view.camera for view in self.scene.train]
-        primary = PrimaryHits(self.world, cameras, self.sampling.cached_spp, self.seed, self.device)
-        emitter_mask = primary.sees_emitter()
-        if self.iteration > 0:  # the camera rays of a continued run were counted when it began
-            self.world.rays_cast = 0
+        with self.world.tracer.uncounted(self.iteration > 0):  # a continued run counted them when it began
+            primary = PrimaryHits(self.world, cameras, self.sampling.cached_spp, self.seed, self.device)
+            emitter_mask = primary.sees_emitter()
         if bool(emitter_mask.all()):
             raise InputError(f"scene {self.scene.name}: every pixel of every training view shows an emitter")
         mean_square, sample = mean_square_radiance(data, emitter_mask, self.settings.firefly_clamp)
@@ -193,7 +193,7 @@ class InverseRenderer(L.LightningModule):
             warn_if_far(brightness(primary, shown, self.seed))
         if self.radiance is not None:
             self.radiance.set_scale(math.sqrt(mean_square))
-        with excluded():
+        with excluded(), self.world.tracer.uncounted():
             self._held_out = HeldOut(self.scene, self.world.geometry, self.world.tracer).read()
         self._step = ObjectiveStep(
             estimator=self.estimator,
@@ -287,7 +287,7 @@ class InverseRenderer(L.LightningModule):
     @property
     def rays(self) -> int:
         """Rays cast so far by training."""
-        return self.rays_before + self.processes * self.world.rays_cast
+        return self.rays_before + self.processes * self.world.tracer.rays_cast
 
     # ---- held-out views
 
@@ -295,12 +295,10 @@ class InverseRenderer(L.LightningModule):
         """Score the present materials and radiance field on held-out views; its rays and seconds do not count."""
         if self._held_out is None:
             self._held_out = HeldOut(self.scene, self.world.geometry, self.world.tracer)
-        cast = self.world.rays_cast
-        if self._light is None and self.environment is not None:
-            self._light = unknown_light(self.scene, self.environment, self._held_out)
-        with averaged(self.average):
+        with averaged(self.average), self.world.tracer.uncounted():
+            if self._light is None and self.environment is not None:
+                self._light = unknown_light(self.scene, self.environment, self._held_out)
             result = evaluate(self._held_out, self.estimator, render_spp, glossy, self._light, self.scene)
-        self.world.rays_cast = cast
         self._guard.images(result.maps, [view.name for view in self._held_out.views])
         return result
 

@@ -267,9 +267,9 @@ def test_pixels_that_show_an_emitter(build, turn):
     cameras = [replace(v.camera, to_world=np.asarray(v.camera.to_world @ spin)) for v in scene.train]
     world = build_world(scene)
     found = PrimaryHits(world, cameras, 0, 0, CPU).sees_emitter()
-    cast = world.rays_cast
+    cast = world.tracer.rays_cast
     every = PrimaryHits(world, cameras, emitter_pixels.POSITIONS, 0, CPU).sees_emitter()
-    assert cast < (world.rays_cast - cast)
+    assert cast < (world.tracer.rays_cast - cast)
     assert found.any() or not every.any()
     assert (found != every).float().mean() < 0.01  # slivers at the edge of a lamp, met by chance
     # With the positions of the search itself there is no difference at all.

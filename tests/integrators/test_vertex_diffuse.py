@@ -47,10 +47,10 @@ def test_the_compiled_bounce_is_the_plain_one(name, change):
     found = []
     for use_kernels in (True, False):
         free = albedo.clone().requires_grad_(True)
-        before = lab.world.rays_cast
+        before = lab.world.tracer.rays_cast
         step = bounce(lab.world, si, replace(lab.materials(si), albedo=free), u, use_kernels=use_kernels)
         slope = torch.autograd.grad((step.direct + 0.3 * step.weight).square().sum(), free)[0]
-        found.append((step, slope, lab.world.rays_cast - before))
+        found.append((step, slope, lab.world.tracer.rays_cast - before))
     (use_kernels, fast_slope, fast_rays), (plain, slope, rays) = found
     scale = float(plain.direct.detach().abs().max())
     assert scale > 0
@@ -79,11 +79,11 @@ def test_threads_share_a_bounce_and_its_numbers_without_a_trace():
             torch.set_num_threads(count)
             si = random_vertices(lab.world, 20000, 3)
             u = stratified_samples(len(si) // 2, 2, Stream(4))
-            cast = lab.world.rays_cast
+            cast = lab.world.tracer.rays_cast
             step = bounce(lab.world, si, lab.materials(si), u)
             end = step.next
             tensors = si.p, si.n, u, step.direct, step.weight, end.p, end.wo, end.prim, lab.world.lights.eval(end)
-            found.append((tensors, lab.world.rays_cast - cast))
+            found.append((tensors, lab.world.tracer.rays_cast - cast))
     finally:
         torch.set_num_threads(before)
     (one, rays), (several, again) = found

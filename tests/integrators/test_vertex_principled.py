@@ -53,12 +53,13 @@ def test_the_compiled_bounce_is_the_plain_one(scene, control, guided):
     assert scale > 0
     found = []
     for use_kernels in (True, False):
-        before = world.rays_cast
+        before = world.tracer.rays_cast
         step = bounce(world, si, surface, u, control=control, use_kernels=use_kernels)
         total = step.direct.square().sum() / scale + (step.weight * torch.linspace(0.1, 1, 3)).sum()
         if control:
             total = total + 0.7 * step.sample_stats.deviation.square().sum()
-        found.append((step, torch.autograd.grad(total, (surface.albedo, surface.roughness)), world.rays_cast - before))
+        slopes = torch.autograd.grad(total, (surface.albedo, surface.roughness))
+        found.append((step, slopes, world.tracer.rays_cast - before))
     (use_kernels, fast_slopes, fast_rays), (plain, slopes, rays) = found
     same = (use_kernels.next.prim == plain.next.prim) & (use_kernels.next.valid == plain.next.valid)
     assert float((~same).float().mean()) < 2e-3  # rounding at an edge

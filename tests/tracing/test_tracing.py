@@ -11,6 +11,7 @@ from neurad.core.sampling import uniform_triangle
 from neurad.scene.description import Scene
 from neurad.scene.geometry import Geometry
 from neurad.tracing.brute_force import BruteForceTracer
+from neurad.tracing.counting import CountingTracer
 from neurad.tracing.select import make_tracer
 
 
@@ -292,3 +293,26 @@ def test_missing_warp_says_what_to_install(monkeypatch):
     monkeypatch.setitem(__import__("sys").modules, "warp", None)
     with pytest.raises(InputError, match=r"neurad\[gpu\].*embree"):
         make_tracer("warp", *tensors(ball(0)))
+
+
+def test_rays_are_counted_unless_told_otherwise():
+    vertices, faces = tensors(ball(0))
+    tracer = CountingTracer(make_tracer("embree", vertices, faces))
+    plain = make_tracer("embree", vertices, faces)
+    d = torch.nn.functional.normalize(torch.randn(50, 3, generator=torch.Generator().manual_seed(1)), dim=-1)
+    rays = Rays(3.0 * d, -d)
+    far = torch.full((50,), torch.inf)
+    assert torch.equal(tracer.closest(rays).t, plain.closest(rays).t)
+    assert torch.equal(tracer.occluded(rays[:20], far[:20]), plain.occluded(rays[:20], far[:20]))
+    assert tracer.rays_cast == 70
+    with tracer.uncounted():
+        tracer.closest(rays)
+        with tracer.uncounted(False):  # a block inside does not switch it on again
+            tracer.occluded(rays, far)
+    with tracer.uncounted(False):
+        tracer.closest(rays[:3])
+    with pytest.raises(TypeError), tracer.uncounted():  # an error ends the block like its end
+        tracer.closest(None)
+    assert tracer.rays_cast == 73
+    tracer.closest(rays)
+    assert tracer.rays_cast == 123

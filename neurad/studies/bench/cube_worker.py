@@ -135,7 +135,7 @@ def make_step(job: dict[str, Any], device: torch.device) -> Step:
     def step() -> int:
         nonlocal iteration
         stream = Stream(0, iteration, device=device)
-        cast = world.rays_cast
+        cast = world.tracer.rays_cast
         view, pixel = stream.integers(len(cameras), pixels), stream.integers(primary.pixels, pixels)
         batch = PixelBatch(view, pixel, color, torch.ones_like(color[:, 0]), iteration)
         for optimizer in optimizers:
@@ -144,7 +144,7 @@ def make_step(job: dict[str, Any], device: torch.device) -> Step:
         for optimizer in optimizers:
             optimizer.step()
         iteration += 1
-        return world.rays_cast - cast
+        return world.tracer.rays_cast - cast
 
     return step
 

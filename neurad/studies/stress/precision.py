@@ -21,6 +21,7 @@ from neurad.scene.builtin import build_cornell
 from neurad.scene.description import Scene
 from neurad.studies.stress.case import Case, Outcome
 from neurad.studies.stress.fit import Fit, Plan, photographs, resized
+from neurad.tracing.counting import CountingTracer
 
 
 def _glossy(size: int = 16, views: int = 4) -> Scene:
@@ -66,7 +67,7 @@ def in_double(fit: Fit) -> Iterator[None]:
     for module in (fit.materials, fit.radiance, fit.world):
         module.double()
     tracer, uniform, table = fit.world.tracer, Stream.uniform, directional.table
-    fit.world.tracer = _Rounded(tracer)
+    fit.world.tracer = CountingTracer(_Rounded(tracer))
     fit.primary.origin = fit.primary.origin.double()
     fit.images = fit.images.double()
     Stream.uniform = lambda self, *shape: uniform(self, *shape).double()  # type: ignore[method-assign]

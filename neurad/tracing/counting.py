@@ -1,0 +1,52 @@
+"""A tracer that counts the rays which it casts."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+
+from torch import Tensor
+
+from neurad.core.protocols import Tracer
+from neurad.core.records import Hit, Rays
+
+
+class CountingTracer:
+    """Passes every query on to another tracer and counts its rays, nearest hits and shadow rays alike.
+
+    Args:
+        tracer: casts the rays.
+    """
+
+    def __init__(self, tracer: Tracer) -> None:
+        self.tracer = tracer
+        self.rays_cast = 0
+        """Rays cast so far, outside of :meth:`uncounted`."""
+        self._counts = True
+
+    def closest(self, rays: Rays) -> Hit:
+        """The nearest hit with t > 0 of every ray, dense [n], on the rays' device."""
+        self._count(rays)
+        return self.tracer.closest(rays)
+
+    def occluded(self, rays: Rays, t_max: Tensor) -> Tensor:
+        """Whether anything lies in 0 < t < t_max [n] (infinity allowed): bool [n] on the rays' device."""
+        self._count(rays)
+        return self.tracer.occluded(rays, t_max)
+
+    @contextmanager
+    def uncounted(self, when: bool = True) -> Iterator[None]:
+        """A block whose rays are not counted: evaluations, and set-up that a continued run does once more.
+
+        Args:
+            when: with False the block counts as usual.
+        """
+        before, self._counts = self._counts, self._counts and not when
+        try:
+            yield
+        finally:
+            self._counts = before
+
+    def _count(self, rays: Rays) -> None:
+        if self._counts:
+            self.rays_cast += len(rays)
