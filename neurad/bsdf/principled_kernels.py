@@ -8,11 +8,10 @@ from __future__ import annotations
 
 import math
 
-import numba
 import numpy as np
 
 from neurad.core.records import FloatArray
-from neurad.runtime.jit import compiled
+from neurad.runtime.jit import fastmath_kernel, kernel
 
 _INV_PI = np.float32(1.0 / math.pi)
 _QUARTER_PI = np.float32(math.pi / 4)
@@ -22,7 +21,7 @@ _QUARTER, _FOUR = np.float32(0.25), np.float32(4.0)
 _MIN_ALPHA, _TINY = np.float32(0.001), np.float32(1e-6)
 
 
-@numba.njit(nogil=True, fastmath=True, cache=True, error_model="numpy")
+@fastmath_kernel
 def lobes_pdf(
     roughness: FloatArray, wo: FloatArray, wi: FloatArray, eta: np.float32, share: np.float32, out: FloatArray
 ) -> None:  # pragma: no cover - compiled
@@ -74,7 +73,7 @@ def lobes_pdf(
         out[4, i] = s * log_slope * _TWO * r if front and wide else _ZERO
 
 
-@numba.njit(nogil=True, fastmath=True, cache=True, error_model="numpy")
+@fastmath_kernel
 def direction(
     roughness: FloatArray, wo: FloatArray, u: FloatArray, cosine_share: np.float32, out: FloatArray
 ) -> None:  # pragma: no cover - compiled
@@ -108,7 +107,7 @@ def direction(
         out[i, 0], out[i, 1], out[i, 2] = twice * mx - x, twice * my - y, twice * mz - z
 
 
-@compiled
+@kernel
 def mean_lobes(
     roughness: FloatArray, cosine: FloatArray, entries: FloatArray, rows: int, columns: int, out: FloatArray
 ) -> None:  # pragma: no cover - compiled

@@ -7,12 +7,12 @@ from typing import Any
 import numpy as np
 
 from neurad.core.records import FloatArray, IntArray
-from neurad.runtime.jit import compiled
+from neurad.runtime.jit import kernel
 
 _ZERO = np.float32(0.0)
 
 
-@compiled
+@kernel
 def emitted(
     low: int, high: int,
     prim: IntArray, valid: Any, ng: FloatArray, wo: FloatArray, emission: FloatArray, out: FloatArray,

@@ -16,13 +16,13 @@ from neurad.fields.hash_grid_kernels import (
     _place,
 )
 from neurad.fields.intrinsics import lowest_bit, prefetch
-from neurad.runtime.jit import compiled
+from neurad.runtime.jit import kernel
 
 WHOLE = 4096
 """Entries that a word of the second bit field stands for."""
 
 
-@compiled
+@kernel
 def encode_dense(x: Floats, table: Floats, size: int, out: Floats, low: int, high: int) -> None:
     """Trilinear values ``out[low:high]`` [n, c] at ``x[low:high]`` [n, 3] of ``table`` [size^3, c].
 
@@ -54,7 +54,7 @@ def encode_dense(x: Floats, table: Floats, size: int, out: Floats, low: int, hig
                 out[start + k, j] = near + fz * (far - near)
 
 
-@compiled
+@kernel
 def _list_used(bits: Bits, used: Bits, begin: int, end: int, rows: Ints, rank: Ints) -> int:
     """Write the entries that ``used[begin:end]`` marks, in order, to ``rows``; their number. ``rank[word]`` becomes the
     place of the word's first entry, in each word that is marked.
@@ -74,7 +74,7 @@ def _list_used(bits: Bits, used: Bits, begin: int, end: int, rows: Ints, rank: I
     return count
 
 
-@compiled
+@kernel
 def dense_gradient(
     x: Floats, gradient: Floats, size: int, low: int, high: int, bits: Bits, used: Bits, rank: Ints, rows: Ints,
     values: Floats,

@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from neurad.fields.intrinsics import interpolate, lowest_bit, popcount, prefetch
-from neurad.runtime.jit import compiled, inlined
+from neurad.runtime.jit import inlined, kernel
 
 Floats = npt.NDArray[np.float32]
 Ints = npt.NDArray[np.int64]
@@ -32,7 +32,7 @@ AHEAD = 24
 """Rows looked ahead by the optimizer."""
 
 
-@compiled
+@kernel
 def _cell(p: Any, last: Any) -> Any:
     """Cell of a position in units of cells; inside the grid for any input, NaN included."""
     c = np.floor(p)
@@ -64,7 +64,7 @@ def _corners(x: Any, y: Any, z: Any, r: Any, stride: Any, mask: Any) -> tuple[An
     return e0, e1, e2, e3, e4, e5, e6, e7, fx, fy, fz
 
 
-@compiled
+@kernel
 def unit_cube(p: Floats, corner: Floats, scale: Any, out: Floats, low: int, high: int) -> None:
     """Fill ``out[low:high]`` with positions ``p`` [n, 3] in the unit cube that begins at ``corner`` [3], clamped."""
     for i in range(low, high):
@@ -73,7 +73,7 @@ def unit_cube(p: Floats, corner: Floats, scale: Any, out: Floats, low: int, high
             out[i, k] = ZERO if value < ZERO else ONE if value > ONE else value  # NaN stays NaN
 
 
-@compiled
+@kernel
 def encode(x: Floats, table: Floats, levels: Ints, out: Floats, low: int, high: int) -> None:
     """Trilinear features ``out[low:high]`` [n, levels * 2] at ``x[low:high]`` [n, 3].
 
@@ -107,7 +107,7 @@ def encode(x: Floats, table: Floats, levels: Ints, out: Floats, low: int, high: 
                 interpolate(base, to, e[0], e[1], e[2], e[3], e[4], e[5], e[6], e[7], f[0], f[1], f[2])
 
 
-@compiled
+@kernel
 def _list_marked(bits: Bits, words: int, first: int, rows: Ints, count: int, rank: Ints) -> int:
     """Append the marked entries, in order, to ``rows`` from ``count`` on; the new count. ``rank[word]`` becomes the
     place of the word's first entry.
@@ -122,7 +122,7 @@ def _list_marked(bits: Bits, words: int, first: int, rows: Ints, count: int, ran
     return count
 
 
-@compiled
+@kernel
 def _place(e: int, bits: Bits, rank: Ints) -> int:
     """Where :func:`_list_marked` put entry ``e``."""
     word = e >> 6
@@ -130,7 +130,7 @@ def _place(e: int, bits: Bits, rank: Ints) -> int:
     return rank[word] + np.int64(popcount(bits[word] & below))  # type: ignore[no-any-return]
 
 
-@compiled
+@kernel
 def table_gradient(
     x: Floats, gradient: Floats, levels: Ints, begin: int, end: int, rows: Ints, values: Floats
 ) -> int:  # fmt: skip
@@ -175,7 +175,7 @@ def table_gradient(
     return count
 
 
-@compiled
+@kernel
 def is_ascending(rows: Ints) -> bool:
     """Whether every row is larger than the one before, so that none stands twice."""
     ascending = True
@@ -184,7 +184,7 @@ def is_ascending(rows: Ints) -> bool:
     return ascending
 
 
-@compiled
+@kernel
 def merge_rows(rows: Ints, values: Floats, size: int, merged: Ints, sums: Floats) -> int:
     """Add up the ``values`` [k, c] of equal ``rows`` (below ``size``) in their order: the number of different rows,
     which stand in ascending order at the front of ``merged``, with their sums in ``sums``.
@@ -202,7 +202,7 @@ def merge_rows(rows: Ints, values: Floats, size: int, merged: Ints, sums: Floats
     return count
 
 
-@compiled
+@kernel
 def adam_rows(
     p: Floats, m: Floats, v: Floats, rows: Ints, values: Floats, factors: Floats, low: int, high: int
 ) -> None:  # fmt: skip

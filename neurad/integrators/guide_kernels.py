@@ -8,14 +8,14 @@ from typing import Any
 import numpy as np
 
 from neurad.core.records import FloatArray, IntArray
-from neurad.runtime.jit import compiled, inlined
+from neurad.runtime.jit import inlined, kernel
 
 _BELOW_ONE = np.float32(1.0 - 2.0**-24)
 _FOUR_BY_PI = np.float32(4.0 / math.pi)
 _HALF, _ZERO = np.float32(0.5), np.float32(0.0)
 
 
-@compiled
+@kernel
 def rows(
     p: FloatArray, n: FloatArray, lowest: FloatArray, inverse_side: float, sx: int, sy: int, sz: int, out: IntArray
 ) -> None:  # pragma: no cover - compiled
@@ -34,7 +34,7 @@ def rows(
         out[i] = ((x * sy + y) * sz + z) * 6 + faceforward
 
 
-@compiled
+@kernel
 def warp(rows: IntArray, u: FloatArray, cdf: FloatArray, bins: int, out: FloatArray) -> None:  # pragma: no cover
     """Fill ``out`` [n, 2] with numbers drawn by the rows' distributions."""
     last = bins * bins - 1
@@ -69,7 +69,7 @@ def _bin(x: Any, y: Any, bins: int) -> Any:  # pragma: no cover - compiled
     return column * bins + line
 
 
-@compiled
+@kernel
 def density(rows: IntArray, wi: FloatArray, cdf: FloatArray, bins: int, out: FloatArray) -> None:  # pragma: no cover
     """Fill ``out`` [n] with densities relative to the cosine's."""
     for i in range(wi.shape[0]):
@@ -78,7 +78,7 @@ def density(rows: IntArray, wi: FloatArray, cdf: FloatArray, bins: int, out: Flo
         out[i] = (cdf[rows[i], chosen] - before) * np.float32(bins * bins)
 
 
-@compiled
+@kernel
 def places(rows: IntArray, wi: FloatArray, bins: int, out: IntArray) -> None:  # pragma: no cover - compiled
     """Fill ``out`` [n] with entries of the histogram, one row after the other."""
     for i in range(wi.shape[0]):

@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 
 from neurad.core.records import FloatArray, IntArray
-from neurad.runtime.jit import compiled
+from neurad.runtime.jit import kernel
 
 _ONE = np.float32(1.0)
 
 
-@compiled
+@kernel
 def stratified_samples(
     low: int, high: int, random: FloatArray, units: IntArray, mirrored: FloatArray, count: int, out: FloatArray
 ) -> None:  # pragma: no cover - compiled

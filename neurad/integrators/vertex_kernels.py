@@ -14,7 +14,7 @@ from typing import Any
 import numpy as np
 
 from neurad.core.records import FloatArray, IntArray
-from neurad.runtime.jit import compiled, inlined
+from neurad.runtime.jit import inlined, kernel
 from neurad.scene.geometry import EPS, SHADOW_MARGIN
 
 _ZERO, _ONE, _TWO = np.float32(0.0), np.float32(1.0), np.float32(2.0)
@@ -120,7 +120,7 @@ def _ray(
 # ---- Lambertian surfaces
 
 
-@compiled
+@kernel
 def spawn_rays_diffuse(
     low: int, high: int,
     p: FloatArray, ng: FloatArray, n: FloatArray, wo: FloatArray, prim: IntArray, reflects: Any, u: FloatArray,
@@ -176,7 +176,7 @@ def spawn_rays_diffuse(
     return count - low
 
 
-@compiled
+@kernel
 def resolve_hits_diffuse(
     low: int, high: int,
     lane: IntArray, light: FloatArray, blocked: Any, p: FloatArray, pdf: FloatArray, end_p: FloatArray,
@@ -209,7 +209,7 @@ def resolve_hits_diffuse(
 # ---- principled surfaces
 
 
-@compiled
+@kernel
 def sample_emitter(
     p: FloatArray, n: FloatArray, wo: FloatArray, u: FloatArray, cdf: FloatArray, table: FloatArray, face: IntArray,
     pdf_area: FloatArray, normal: FloatArray, view: FloatArray, towards: FloatArray, ds_d: FloatArray,
@@ -242,7 +242,7 @@ def sample_emitter(
         ds_dist_pdf[i, 0], ds_dist_pdf[i, 1], ds_prim[i] = distance, pdf, f
 
 
-@compiled
+@kernel
 def add_guide_pdf(
     share: np.float32, wi: FloatArray, density: FloatArray, lobes: FloatArray
 ) -> None:  # pragma: no cover - compiled
@@ -253,7 +253,7 @@ def add_guide_pdf(
             lobes[2, i] = max(lobes[2, i] + excess, _ZERO)
 
 
-@compiled
+@kernel
 def spawn_rays_principled(
     p: FloatArray, ng: FloatArray, prim: IntArray, reflects: Any, face_offset: FloatArray, radius: np.float32,
     normal: FloatArray, ds_d: FloatArray, ds_dist_pdf: FloatArray, ds_prim: IntArray, bsdf_em: FloatArray,
@@ -288,7 +288,7 @@ def spawn_rays_principled(
     return count
 
 
-@compiled
+@kernel
 def resolve_hits_principled(
     lane: IntArray, light: FloatArray, blocked: Any, bsdf_em: FloatArray, p: FloatArray, reflects: Any,
     albedo: FloatArray, bsdf_wi: FloatArray, mean: FloatArray, end_p: FloatArray, end_ng: FloatArray,
@@ -344,7 +344,7 @@ def resolve_hits_principled(
                 by_roughness[0, i, k] += (a * bsdf_em[3, i] + bsdf_em[4, i]) * e
 
 
-@compiled
+@kernel
 def vjp(
     gradient: FloatArray, by_albedo: FloatArray, by_roughness: FloatArray, albedo: FloatArray, roughness: FloatArray
 ) -> None:  # pragma: no cover - compiled

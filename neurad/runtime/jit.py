@@ -1,25 +1,94 @@
-"""Decorators of compiled code: numba, cached on disk.
+"""Decorators of kernels: numba, cached on disk.
 
-Numba's cache looks at the file of a function alone. What kernels call or inline therefore stands in their own file
-where it can; after a change of what does not (``fields.dense_kernels`` takes cells from ``fields.kernels``) or of the
-flags here, delete the caches.
+Numba's cache looks at the file of a kernel alone. Kernels here share code: functions that are compiled into them,
+other kernels that they call, and constants, from other files as well. Each kernel's entry in the cache therefore
+carries a digest of all that it uses (:func:`digest`), and a change of any of it compiles the kernel anew.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
+import hashlib
+from collections.abc import Callable, Iterator
+from types import CodeType, FunctionType, ModuleType
 from typing import Any, TypeVar, cast
 
 import numba
+import numpy as np
+from numba.core.caching import FunctionCache
+from numba.core.dispatcher import Dispatcher
+from numba.core.extending import _Intrinsic
 
 Function = TypeVar("Function", bound=Callable[..., Any])
+_KNOWN = (Dispatcher, _Intrinsic, int, float, np.generic, np.ndarray)  # what a kernel reads of its globals
 
 
-def compiled(function: Function) -> Function:
+def kernel(function: Function) -> Function:
     """Compile at first use, cache on disk, release the interpreter lock, let divisions by zero be infinite."""
-    return cast(Function, numba.njit(nogil=True, cache=True, error_model="numpy")(function))
+    return _cached(function, fastmath=False)
+
+
+def fastmath_kernel(function: Function) -> Function:
+    """:func:`kernel` whose sums may be reordered and which may take it that no value is NaN or infinite."""
+    return _cached(function, fastmath=True)
 
 
 def inlined(function: Function) -> Function:
     """Compile into the caller: a call that returns a tuple would go through memory and cost twice the time."""
     return cast(Function, numba.njit(inline="always")(function))
+
+
+def _cached(function: Function, fastmath: bool) -> Function:
+    compiled: Any = numba.njit(nogil=True, error_model="numpy", fastmath=fastmath)(function)
+    if isinstance(compiled, Dispatcher):  # NUMBA_DISABLE_JIT gives the function itself
+        make_cache: Any = FunctionCache
+        cache = make_cache(function)
+        file = cache._cache_file
+        file._source_stamp = (file._source_stamp, digest(compiled))  # stale as soon as anything it uses changes
+        vars(compiled)["_cache"] = cache
+    return cast(Function, compiled)
+
+
+def digest(compiled: Dispatcher) -> str:
+    """A hash of a kernel's options and code, and of all functions and constants that its code names, in any file."""
+    found = hashlib.sha256()
+    seen: set[int] = set()
+    pending: list[Any] = [compiled]
+    while pending:
+        value = pending.pop()
+        if isinstance(value, Dispatcher):
+            if id(value) not in seen:
+                seen.add(id(value))
+                found.update(repr(sorted(value.targetoptions.items(), key=str)).encode())
+                pending += _used(value.py_func)
+        elif isinstance(value, _Intrinsic):
+            pending += _used(value._defn)
+        elif isinstance(value, np.ndarray):
+            found.update(value.tobytes())
+        else:
+            found.update(repr(value).encode())
+    return found.hexdigest()
+
+
+def _used(function: FunctionType) -> Iterator[Any]:
+    """Code, constants and what global names stand for, of a function and the functions defined in it."""
+    codes = [function.__code__]
+    while codes:
+        code = codes.pop()
+        yield code.co_code
+        for constant in code.co_consts:
+            if isinstance(constant, CodeType):
+                codes.append(constant)
+            else:
+                yield constant
+        for name in code.co_names:
+            yield name
+            value = function.__globals__.get(name)
+            if isinstance(value, ModuleType):  # of kernels.name take what this code can read
+                members = (getattr(value, attribute, None) for attribute in code.co_names)
+                yield from (x for x in members if isinstance(x, _KNOWN))
+            elif isinstance(value, tuple):
+                yield from (x for x in value if isinstance(x, _KNOWN))
+            elif isinstance(value, _KNOWN):
+                yield value
+            elif fields := getattr(value, "_fields", None):  # a record of arrays
+                yield fields

@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from neurad.core.records import FloatArray, IntArray
-from neurad.runtime.jit import compiled, inlined
+from neurad.runtime.jit import inlined, kernel
 
 _ZERO, _PINCH, _TINY = np.float32(0.0), np.float32(1e-12), np.float32(1e-12)
 
@@ -36,7 +36,7 @@ def _interact(
     bary[0], bary[1] = a, b
 
 
-@compiled
+@kernel
 def interact(
     low: int, high: int,
     prim: IntArray, u: FloatArray, v: FloatArray, table: FloatArray, p: FloatArray, ng: FloatArray, n: FloatArray,
@@ -49,7 +49,7 @@ def interact(
         _interact(table[max(prim[i], 0)], u[i], v[i], p[i], ng[i], n[i], uv[i], bary[i])
 
 
-@compiled
+@kernel
 def interact_kept(
     low: int, high: int,
     kept: npt.NDArray[np.int32], kept_bary: FloatArray, first: IntArray, chosen: IntArray, view: IntArray,
