@@ -1,10 +1,17 @@
-"""Puts the parts of a run together from what its scene has; what a scene does not need is not built."""
+"""The parts of a run, built from what its scene has; what a scene does not need is not built."""
 
 from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from functools import cache, partial
 
 import torch
 from torch import Tensor, nn
 
+from neurad.assembly.lighting import fitted_environment, unknown_environment
+from neurad.assembly.resolution import finest_cells, resolve_finest
+from neurad.assembly.settings import ModelSettings
 from neurad.bsdf.table import make_bsdf
 from neurad.core.protocols import Field
 from neurad.core.records import Surface, SurfaceInteraction
@@ -14,10 +21,14 @@ from neurad.fields.material import AlbedoField, RoughnessField
 from neurad.fields.radiance import RadianceField
 from neurad.fields.settings import FieldConfig, RadianceConfig
 from neurad.integrators.delta import DeltaSurfaces
+from neurad.integrators.estimator import Estimator
+from neurad.integrators.guide import Guide
+from neurad.integrators.method import Method
 from neurad.integrators.world import World
+from neurad.optim.polyak_average import PolyakAverage
 from neurad.scene.description import Scene
 from neurad.scene.geometry import Geometry
-from neurad.scene.textures import OnEmitters
+from neurad.scene.textures import OnEmitters, TrueMaterials
 from neurad.tracing.counting import CountingTracer
 from neurad.tracing.select import make_tracer
 
@@ -99,3 +110,79 @@ def build_materials(
 def build_radiance(scene: Scene, config: RadianceConfig) -> RadianceField:
     """The radiance field, its units still those of the scene: set ``scale`` once the photographs are known."""
     return RadianceField(config.resolved(scene.features.is_diffuse), torch.from_numpy(scene.bounds))
+
+
+def make_guide(scene: Scene, cells: int, method: Method) -> Guide | None:
+    """A guide with ``cells`` cells along the scene's longest side.
+
+    None for 0 cells, for a method whose samples come without the radiance that arrived, and for a diffuse scene.
+    """
+    if cells == 0 or not method.tells_light or scene.features.is_diffuse:
+        return None
+    return Guide(torch.from_numpy(scene.bounds), cells)
+
+
+@dataclass(frozen=True)
+class Assembly:
+    """The parts of one run: what is trained, and the scene that it is trained in."""
+
+    scene: Scene
+    settings: ModelSettings
+    world: World
+    materials: FittedMaterials | TrueMaterials
+    radiance: RadianceField | None
+    """None for a method that reads none."""
+    average: PolyakAverage | None
+    """Averages of the materials' parameters; None where they are known or no average is wanted."""
+
+    @property
+    def environment(self) -> FittedEnvironment | None:
+        """The environment that is recovered; None where it is known."""
+        return fitted_environment(self.world)
+
+    @property
+    def estimator(self) -> Estimator:
+        """The method's estimates with these materials and this radiance field."""
+        return Estimator(self.world, self.materials, self.radiance, self.settings.method)
+
+    def modules(self) -> Iterator[tuple[str, nn.Module]]:
+        """The modules with parameters or state, by the names that they have in a checkpoint."""
+        for name in ("world", "materials", "average", "radiance"):
+            part = getattr(self, name)
+            if isinstance(part, nn.Module):
+                yield name, part
+
+
+def assemble(
+    scene: Scene, settings: ModelSettings, hide_environment: bool = False, device: torch.device | str = "cpu"
+) -> Assembly:
+    """Build world, materials and, for a method that reads it, the radiance field, all on the CPU.
+
+    Seeds torch's generator with the run's seed, from which the fields are initialised.
+
+    Args:
+        scene: a checked scene.
+        settings: of the model.
+        hide_environment: as in :func:`build_world`.
+        device: where the camera rays are traced that decide how fine a grid must be.
+    """
+    torch.manual_seed(settings.seed)
+    sampling, optimization = settings.sampling, settings.optimization
+    world = build_world(
+        scene, settings.tracer, hide_environment, unknown_environment(scene, settings.lighting),
+        sampling.specular_fraction,
+    )  # fmt: skip
+    world.guide = make_guide(scene, sampling.guide, settings.method)
+    cells = cache(partial(finest_cells, world.tracer.tracer, scene, device))  # not counted: these rays train nothing
+    materials: FittedMaterials | TrueMaterials
+    average = None
+    if settings.materials == "known":
+        materials = TrueMaterials(scene, world.geometry)
+    else:
+        albedo, roughness = resolve_finest(settings.albedo, cells), resolve_finest(settings.roughness, cells)
+        materials = build_materials(scene, albedo, roughness, world.geometry)
+        if optimization.average > 0:
+            average = PolyakAverage(materials, optimization.average)
+    needs_field = settings.method.needs_field
+    radiance = build_radiance(scene, resolve_finest(settings.radiance, cells)) if needs_field else None
+    return Assembly(scene, settings, world, materials, radiance, average)

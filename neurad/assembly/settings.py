@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from typing import Literal
 
 from neurad.core.errors import InputError
+from neurad.fields.settings import FieldConfig, RadianceConfig, RoughnessConfig
+from neurad.integrators.method import Method
+from neurad.integrators.radiometric import Radiometric
 
 
 @dataclass(frozen=True)
@@ -157,3 +160,37 @@ class Optimization:
             raise InputError("model.optimization.roughness_decay: times the rate of roughness it must stay below 1")
         if not 0.0 <= self.average <= 1.0:
             raise InputError("model.optimization.average: it must lie in 0 .. 1")
+
+
+@dataclass(frozen=True)
+class ModelSettings:
+    """All settings under ``model``."""
+
+    albedo: FieldConfig
+    """Size of the albedo field."""
+    roughness: RoughnessConfig
+    """Size of the roughness field."""
+    radiance: RadianceConfig
+    """Size and inputs of the radiance field; a method without one leaves it out."""
+    sampling: Sampling = Sampling()
+    objective: Objective = Objective()
+    optimization: Optimization = Optimization()
+    lighting: Lighting = Lighting()
+    method: Method = field(default_factory=Radiometric)
+    """How reflected light and its derivative are estimated; the paper's: one bounce and then the radiance field."""
+    materials: Literal["fit", "known"] = "fit"
+    """``fit`` recovers albedo and roughness, ``known`` takes the scene's own and trains no material."""
+    tracer: str = "embree"
+    """'embree', 'open3d' or 'warp'."""
+    seed: int = 0
+    """Of every random decision of the training."""
+
+    def __post_init__(self) -> None:
+        """Refuse settings that do not go together."""
+        if self.materials == "known" and self.lighting.environment == "known" and not self.method.needs_field:
+            raise InputError("model.materials: with known materials, known light and no radiance field nothing is left")
+        lhs = self.objective.lhs > 0 and self.method.needs_field
+        if (self.objective.estimator != "two_pass" or lhs) and self.sampling.spp < 2:
+            raise InputError("model.sampling.spp: leave_one_out and lhs need at least 2 samples per pixel")
+        if self.sampling.cached_spp < 0 or self.sampling.spp > self.sampling.cached_spp > 0:
+            raise InputError("model.sampling.cached_spp: it must be at least model.sampling.spp, or 0")

@@ -24,12 +24,11 @@ _SPARE = 1.25
 
 
 def ddp_ignored(module: nn.Module) -> set[str]:
-    """Names of what DDP shall not look after: tables, and buffers that are no state and so the same everywhere.
+    """Names of the parameters and buffers that DDP leaves alone: tables, and buffers that are alike in all processes.
 
-    Such buffers are the scene itself, a guide that all processes teach alike, or averages of weights, which are alike;
-    DDP would send them around before every step. Where there are tables and nothing else, as with dense grids, the
-    smallest is left to DDP, which refuses to look after nothing; its gradient travels dense, and :meth:`Others.share`
-    makes it sparse again.
+    The latter are the scene itself, a guide that records the samples of all processes, and averages of weights; DDP
+    would broadcast them before every step. Where all parameters are tables, as with dense grids, the smallest is left
+    to DDP, which needs at least one parameter; its gradient is dense, and :meth:`GradientSync.average` makes it sparse.
     """
     state = module.state_dict().keys()
     parameters = dict(module.named_parameters())
@@ -54,15 +53,17 @@ class GradientSync:
         self._names = names
         self._exchange = Exchange()
 
-    def share(self, factor: float, seen: tuple[Tensor, Tensor] | None) -> tuple[float, tuple[Tensor, Tensor] | None]:
+    def average(
+        self, factor: float, arrived: tuple[Tensor, Tensor] | None
+    ) -> tuple[float, tuple[Tensor, Tensor] | None]:
         """Replace the gradients that DDP leaves alone by their means over all processes.
 
         Args:
-            factor: of the learning rates: clocks differ, and rates that follow them must not.
-            seen: places [n] and values [n, 2] that the guide is to learn.
+            factor: of the learning rates. It follows the clock, which differs between processes; the rates must not.
+            arrived: bins [n] and values [n, 2] that the guide is to record.
 
         Returns:
-            The first process's factor, and what all of them saw, one after the other.
+            The first process's factor, and the guide's bins and values of all processes, in the order of their ranks.
         """
         sparse, parts = [], []
         for name, p in self._parameters:
@@ -81,15 +82,15 @@ class GradientSync:
                 p.grad /= dist.get_world_size()
         device = self._parameters[0][1].device
         parts.append(torch.tensor([factor], dtype=torch.float64, device=device))
-        if seen is not None:
-            parts += [seen[0].int(), seen[1]]
+        if arrived is not None:
+            parts += [arrived[0].int(), arrived[1]]
         found = self._exchange(parts)
         for index, p in enumerate(sparse):
             of_all, values_of_all = found[2 * index : 2 * index + 2]
             p.grad = _named(torch.cat(of_all).long(), torch.cat(values_of_all) / len(of_all), p)
-        if seen is not None:
-            seen = torch.cat(found[-2]).long(), torch.cat(found[-1])
-        return float(found[2 * len(sparse)][0]), seen
+        if arrived is not None:
+            arrived = torch.cat(found[-2]).long(), torch.cat(found[-1])
+        return float(found[2 * len(sparse)][0]), arrived
 
 
 def _named(rows: Tensor, values: Tensor, p: Tensor) -> Tensor:

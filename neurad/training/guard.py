@@ -42,17 +42,23 @@ class Guard:
     """Checks the steps of one run.
 
     Args:
-        module: whose parameters and gradients are looked at.
+        module: whose parameters and gradients are checked.
+        keep: stores the weights and the batch, if there is one, for a later look; called with the iteration and the
+            cause, and returns what the message is to say about it. None where nothing is stored.
     """
 
-    def __init__(self, module: pl.LightningModule) -> None:
+    def __init__(self, module: nn.Module, keep: Callable[[int, str, PixelBatch | None], str] | None = None) -> None:
         self.module = module
+        self.keep = keep
         self._scanned = False
 
-    def check(self, batch: PixelBatch, terms: Mapping[str, tuple[float, Loss]], again: Callable[[], object]) -> None:
+    def check(
+        self, iteration: int, batch: PixelBatch, terms: Mapping[str, tuple[float, Loss]], again: Callable[[], object]
+    ) -> None:
         """After the backward pass and before the optimizers: nothing of this step may be NaN or infinite.
 
         Args:
+            iteration: number of the step.
             batch: pixels of the step.
             terms: its losses by name.
             again: repeats the forward pass of the step, for the diagnosis.
@@ -60,7 +66,7 @@ class Guard:
         Raises:
             NotFinite: with the first bad quantity, the batch, and where that is kept.
         """
-        scan = not self._scanned or batch.iteration % SCAN_EVERY == 0
+        scan = not self._scanned or iteration % SCAN_EVERY == 0
         parameters = list(self.module.parameters())
         losses = torch.stack([x for _, loss in terms.values() for x in (loss.value, loss.surrogate.detach())])
         sums = [_values(p.grad).sum() for p in parameters if p.grad is not None]
@@ -68,9 +74,9 @@ class Guard:
         self._scanned = True
         if bool(torch.isfinite(torch.cat((losses, torch.stack(sums))) if sums else losses).all()):
             return
-        self._stop(self._cause(batch, terms, again), batch)
+        self._stop(iteration, self._cause(batch, terms, again), batch)
 
-    def images(self, maps: list[dict[str, FloatArray]], names: list[str]) -> None:
+    def images(self, iteration: int, maps: list[dict[str, FloatArray]], names: list[str]) -> None:
         """Pictures of held-out views must be finite too.
 
         Raises:
@@ -80,15 +86,15 @@ class Guard:
             for kind in ("render", "residual", "albedo", "roughness"):
                 picture = torch.from_numpy(entry[kind]) if kind in entry else torch.zeros(1)
                 if not bool(torch.isfinite(picture).all()):
-                    text = f"the picture {kind} of view {name} is not finite ({_share(picture)} values)"
-                    self._stop(self._weight() or text, None)
+                    text = f"the picture {kind} of view {name} is not finite ({_bad_fraction(picture)} values)"
+                    self._stop(iteration, self._weight() or text, None)
 
     # ---- diagnosis
 
     def _cause(self, batch: PixelBatch, terms: Mapping[str, tuple[float, Loss]], again: Callable[[], object]) -> str:
         """The first quantity that is not finite, in the order in which a step computes them."""
         if not bool(torch.isfinite(batch.color).all()):
-            return f"the photographs are not finite ({_share(batch.color)} values of the batch)"
+            return f"the photographs are not finite ({_bad_fraction(batch.color)} values of the batch)"
         if weight := self._weight():
             return weight
         if first := first_bad(again):
@@ -98,35 +104,38 @@ class Guard:
                 return f"the loss {name} is not finite"
         for name, p in self.module.named_parameters():
             if p.grad is not None and not bool(torch.isfinite(_values(p.grad)).all()):
-                return f"the gradient of {name} is not finite ({_share(_values(p.grad))} values)"
+                return f"the gradient of {name} is not finite ({_bad_fraction(_values(p.grad))} values)"
         return "the sum of losses and gradients is not finite, though each of them is"
 
     def _weight(self) -> str | None:
         """A parameter that is not finite."""
         for name, p in self.module.named_parameters():
             if not bool(torch.isfinite(p.detach()).all()):
-                return f"the weight {name} is not finite ({_share(p.detach())} values)"
+                return f"the weight {name} is not finite ({_bad_fraction(p.detach())} values)"
         return None
 
     # ---- the end
 
-    def _stop(self, cause: str, batch: PixelBatch | None) -> None:
-        """Keep the batch and the weights, and raise."""
-        iteration = int(self.module.iteration)  # type: ignore[arg-type]
-        trainer = self.module._trainer
-        kept = ""
-        # The logger's own folder: the trainer's is agreed on by all processes, and only this one may come here.
-        place = getattr(getattr(trainer, "logger", None), "log_dir", None)
-        if trainer is not None and place is not None:
-            folder = Path(place)
-            (folder / "checkpoints").mkdir(parents=True, exist_ok=True)
-            trainer.save_checkpoint(folder / "checkpoints" / "bad.ckpt")
-            if batch is not None:
-                tensors = {name: getattr(batch, name) for name in ("view", "pixel", "color", "alpha")}
-                torch.save({"iteration": iteration, "cause": cause, **tensors}, folder / "bad_batch.pt")
-            kept = f"; `neurad fit --ckpt_path {folder / 'checkpoints' / 'bad.ckpt'}` repeats it"
+    def _stop(self, iteration: int, cause: str, batch: PixelBatch | None) -> None:
+        """Store the batch and the weights, and raise."""
+        kept = "" if self.keep is None else self.keep(iteration, cause, batch)
         where = "" if batch is None else f" (batch of {_pixels(batch)})"
         raise NotFinite(f"iteration {iteration}: {cause}{where}{kept}")
+
+
+def keep_in_run_folder(trainer: pl.Trainer | None, iteration: int, cause: str, batch: PixelBatch | None) -> str:
+    """Store ``bad.ckpt`` and ``bad_batch.pt`` in the run folder, if there is one, and say how to repeat the step."""
+    # The logger's own folder: the trainer's is agreed on by all processes, and only this one may come here.
+    place = getattr(getattr(trainer, "logger", None), "log_dir", None)
+    if trainer is None or place is None:
+        return ""
+    folder = Path(place)
+    (folder / "checkpoints").mkdir(parents=True, exist_ok=True)
+    trainer.save_checkpoint(folder / "checkpoints" / "bad.ckpt")
+    if batch is not None:
+        tensors = {name: getattr(batch, name) for name in ("view", "pixel", "color", "alpha")}
+        torch.save({"iteration": iteration, "cause": cause, **tensors}, folder / "bad_batch.pt")
+    return f"; `neurad fit --ckpt_path {folder / 'checkpoints' / 'bad.ckpt'}` repeats it"
 
 
 @torch.no_grad()
@@ -162,7 +171,7 @@ def first_bad(run: Callable[[], object]) -> str | None:
             bad = ~torch.isfinite(tensor.detach())
             if bool(bad.any()):
                 name = f"{module.removeprefix('neurad.')}.{frame.f_code.co_qualname}{part}"
-                found.append(f"what {name} returned is not finite ({_share(tensor.detach())} values)")
+                found.append(f"what {name} returned is not finite ({_bad_fraction(tensor.detach())} values)")
                 return
 
     before = sys.getprofile()
@@ -191,8 +200,8 @@ def _values(gradient: Tensor) -> Tensor:
     return gradient._values() if gradient.is_sparse else gradient
 
 
-def _share(x: Tensor) -> str:
-    """How many values of a tensor are bad."""
+def _bad_fraction(x: Tensor) -> str:
+    """How many of a tensor's values are NaN or infinite, in words."""
     return f"{int((~torch.isfinite(x)).sum())} of {x.numel()}"
 
 

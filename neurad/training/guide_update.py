@@ -1,22 +1,12 @@
-"""The guide of a fit: whether it has one, and what it learns after each iteration."""
+"""What the guide records of each iteration."""
 
 from __future__ import annotations
 
-import torch
 from torch import Tensor
 
 from neurad.core.frame import faceforward
 from neurad.integrators.guide import Guide
-from neurad.integrators.method import Method
-from neurad.scene.description import Scene
 from neurad.training.objective import IncidentSamples
-
-
-def make_guide(scene: Scene, cells: int, method: Method) -> Guide | None:
-    """A guide of so many cells; None where none is asked for, the method tells no light, or the scene is Lambertian."""
-    if cells == 0 or not method.tells_light or scene.features.is_diffuse:
-        return None
-    return Guide(torch.from_numpy(scene.bounds), cells)
 
 
 def guide_samples(guide: Guide | None, arrived: IncidentSamples | None) -> tuple[Tensor, Tensor] | None:

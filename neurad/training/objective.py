@@ -20,7 +20,9 @@ from dataclasses import dataclass, field, replace
 import torch
 from torch import Tensor
 
+from neurad.assembly.build import Assembly
 from neurad.assembly.settings import Objective, Sampling
+from neurad.assembly.training_views import TrainingViews
 from neurad.core.records import PixelBatch, Surface, SurfaceInteraction, first_of
 from neurad.core.rng import Stream
 from neurad.integrators.estimator import Estimator, subsample
@@ -272,6 +274,20 @@ class ObjectiveStep:
         first = self.estimator.reflected(si, fixed, half, stream, field_gradient=True, light_gradient=lights)
         other = self.estimator.reflected(si, fixed, half, stream, field_gradient=True, light_gradient=lights)
         return full_gradient_prior(values, first.mean(1), other.mean(1), self.epsilon, si.valid)
+
+
+def make_objective(assembly: Assembly, views: TrainingViews) -> ObjectiveStep:
+    """The objective of a run."""
+    settings = assembly.settings
+    return ObjectiveStep(
+        estimator=assembly.estimator,
+        primary=views.primary,
+        sampling=settings.sampling,
+        settings=settings.objective,
+        epsilon=settings.objective.epsilon * views.mean_square_radiance,
+        emitter_mask=views.emitter_mask,
+        blurred=views.blurred,
+    )
 
 
 def _through(first: NonDeltaHit, values: Tensor) -> Tensor:

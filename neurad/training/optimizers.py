@@ -2,33 +2,22 @@
 
 from __future__ import annotations
 
-from neurad.assembly.build import FittedMaterials
+from neurad.assembly.build import Assembly, FittedMaterials
 from neurad.assembly.settings import Optimization
-from neurad.core.protocols import Materials
-from neurad.emitters.fitted import FittedEnvironment
 from neurad.fields.material import RoughnessField
 from neurad.fields.mlp import MLP
-from neurad.fields.radiance import RadianceField
 from neurad.optim.pyramid_adam import PyramidAdam
 from neurad.optim.sparse_row_adam import SparseRowAdam
 
 
-def make_optimizers(
-    materials: Materials,
-    environment: FittedEnvironment | None,
-    radiance: RadianceField | None,
-    rates: Optimization,
-    detail_decay: float = 0.3,
-) -> dict[str, SparseRowAdam | PyramidAdam]:
+def make_optimizers(assembly: Assembly) -> dict[str, SparseRowAdam | PyramidAdam]:
     """Optimizers by the names of their learning rates, in the order in which checkpoints keep them.
 
-    Args:
-        materials: fields to fit, or known ones, which need none; a Lambertian scene has no roughness to find.
-        environment: map to recover; None where the light is known.
-        radiance: field of the methods that read one.
-        rates: learning rates.
-        detail_decay: pull of the environment's detail, as in ``Lighting``.
+    Known materials need none, a diffuse scene has no roughness to find, and a known environment and a method without a
+    radiance field have none either.
     """
+    rates, environment, radiance = assembly.settings.optimization, assembly.environment, assembly.radiance
+    materials = assembly.materials
     made: dict[str, SparseRowAdam | PyramidAdam] = {}
     if isinstance(materials, FittedMaterials):
         made["albedo"] = SparseRowAdam(materials.albedo.parameters(), lr=rates.albedo)  # type: ignore[attr-defined]
@@ -36,7 +25,10 @@ def make_optimizers(
             made["roughness"] = _for_roughness(materials.roughness, rates)
     if environment is not None:
         made["environment"] = PyramidAdam(
-            [environment.values], environment.width, lr=rates.environment, detail_decay=detail_decay
+            [environment.values],
+            environment.width,
+            lr=rates.environment,
+            detail_decay=assembly.settings.lighting.detail_decay,
         )
     if radiance is not None:
         made["radiance"] = SparseRowAdam(radiance.parameters(), lr=rates.radiance)

@@ -40,7 +40,7 @@ def both(a, b):
 
 class Join(pl.Callback):
     def on_train_start(self, trainer, module):
-        module._step = Joined(module._step, trainer.datamodule, module.seed)
+        module.step.objective = Joined(module.step.objective, trainer.datamodule, module.seed)
 
 
 def fit(devices, seed=0, kind="hash", joined=False):

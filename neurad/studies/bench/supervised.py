@@ -102,7 +102,7 @@ class TrueMaps(pl.Callback):
     def on_train_start(self, trainer: pl.Trainer, pl_module: pl.LightningModule) -> None:
         """Read the true maps, by the one reader of ground truth."""
         module: Any = pl_module
-        scene, step = module.scene, module._step
+        scene, views = module.scene, module.step.objective
         reader = HeldOut(replace(scene, test=scene.train), module.world.geometry, module.world.tracer)
         names = ("albedo", "roughness") if reader.has_roughness else ("albedo",)
         parts: dict[str, list[Tensor]] = {name: [] for name in names}
@@ -113,6 +113,6 @@ class TrueMaps(pl.Callback):
                     raise InputError(f"training view {view.name}: it has no true {name} to fit")
                 image = torch.from_numpy(found[f"{name}_true"])
                 parts[name].append(image.reshape(-1, image.shape[-1]))
-        truth = {name: torch.stack(maps).to(step.emitter_mask.device) for name, maps in parts.items()}
-        module._step = SupervisedStep(module.materials, step.primary, step.emitter_mask, truth)
-        self.means = SurfaceMeans.of(module._step)
+        truth = {name: torch.stack(maps).to(views.emitter_mask.device) for name, maps in parts.items()}
+        module.step.objective = SupervisedStep(module.materials, views.primary, views.emitter_mask, truth)
+        self.means = SurfaceMeans.of(module.step.objective)

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import torch
 from torch import Tensor
 
-from neurad.assembly.build import build_materials, build_radiance, build_world
+from neurad.assembly.build import build_materials, build_radiance, build_world, make_guide
 from neurad.assembly.settings import Objective, Sampling
 from neurad.core.records import PixelBatch, Surface, SurfaceInteraction
 from neurad.core.rng import Stream
@@ -23,7 +23,7 @@ from neurad.losses.relative import total
 from neurad.optim.sparse_row_adam import SparseRowAdam
 from neurad.scene.description import Scene
 from neurad.scene.textures import TrueMaterials
-from neurad.training.guide_update import guide_samples, make_guide, update_guide
+from neurad.training.guide_update import guide_samples, update_guide
 from neurad.training.objective import ObjectiveStep, StepTerms
 
 MATERIAL = FieldConfig(GridConfig(levels=4, coarsest=4, finest=32, log2_size=14), width=32)

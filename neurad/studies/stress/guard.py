@@ -121,7 +121,7 @@ def _cost() -> Case:
             spent[0].append(time.process_time() - begin)
             batch, terms = made.batch(i), made.terms(i)
             begin = time.process_time()
-            guard.check(batch, {**terms.materials, **terms.field}, lambda: None)
+            guard.check(i, batch, {**terms.materials, **terms.field}, lambda: None)
             spent[1].append(time.process_time() - begin)
         step, check = (1e3 * statistics.median(times) for times in spent)
         return Outcome(check / step, 0.05, f"{check:.3f} of {step:.2f} ms a step, medians of processor time")

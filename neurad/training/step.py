@@ -1,0 +1,153 @@
+"""One training step, the same for every driver: the trainer of ``neurad fit``, and :class:`TrainingRun` without one."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
+from typing import Any, Protocol
+
+import torch
+from torch import Tensor, nn
+
+from neurad.assembly.build import Assembly
+from neurad.core.records import PixelBatch
+from neurad.core.rng import Stream
+from neurad.fields.mlp import MLP, products
+from neurad.losses.relative import total
+from neurad.runtime.threads import of_step
+from neurad.training.gradient_sync import GradientSync
+from neurad.training.guard import Guard, clip
+from neurad.training.guide_update import guide_samples, update_guide
+from neurad.training.objective import StepTerms
+from neurad.training.schedule import rate_factor
+
+
+class StepOptimizer(Protocol):
+    """An optimizer as the step uses it, perhaps in a trainer's wrapper."""
+
+    param_groups: list[dict[str, Any]]
+
+    def zero_grad(self) -> None:
+        """Forget the gradients of the last step."""
+        ...
+
+    def step(self) -> Any:
+        """Move the parameters along their gradients."""
+        ...
+
+
+@dataclass
+class Counters:
+    """What a run has done so far."""
+
+    iteration: int = 0
+    samples: int = 0
+    """Path samples drawn: pixels x spp x samples per vertex, of all processes."""
+
+
+@dataclass
+class TrainingStep:
+    """Losses, one backward pass whose gradients never meet, and a step of each optimizer.
+
+    Attributes:
+        assembly: what is trained.
+        objective: losses of a batch, from a random stream of their own.
+        guard: stops at the first number that is not finite.
+        counters: carried on by a continued run.
+        rank: number of this process; each has its own random streams.
+        processes: how many there are.
+        sync: exchange of gradients between them; None for one process.
+        optimizers: by the names of their learning rates. A trainer that wraps its optimizers sets the wrappers here
+            before the first step.
+        device: of the random streams.
+    """
+
+    assembly: Assembly
+    objective: Callable[[PixelBatch, Stream], StepTerms]
+    guard: Guard
+    counters: Counters = field(default_factory=Counters)
+    rank: int = 0
+    processes: int = 1
+    sync: GradientSync | None = None
+    optimizers: Mapping[str, StepOptimizer] = field(default_factory=dict)
+    device: torch.device | str = "cpu"
+    losses: dict[str, Tensor] = field(default_factory=dict, init=False)
+    """Values of the last step's losses by name."""
+
+    def __post_init__(self) -> None:
+        """See whether there are networks, whose matrix products take torch's threads."""
+        parts: list[nn.Module] = [part for _, part in self.assembly.modules()]
+        self._networks = any(isinstance(inner, MLP) for part in parts for inner in part.modules())
+
+    def __call__(
+        self, batch: PixelBatch, progress: float, backward: Callable[[Tensor], None] = torch.autograd.backward
+    ) -> Tensor:
+        """One iteration.
+
+        Args:
+            batch: pixels of the training views.
+            progress: fraction of the run that is over, in [0, 1], for the learning rates.
+            backward: accumulates the gradients of a scalar; a trainer brings its own.
+
+        Returns:
+            The weighted sum of the losses, without gradient.
+
+        Raises:
+            NotFinite: a loss, gradient or weight is NaN or infinite.
+        """
+        with of_step(self._lanes(batch), self._networks):
+            return self._iterate(batch, progress, backward)
+
+    def _iterate(self, batch: PixelBatch, progress: float, backward: Callable[[Tensor], None]) -> Tensor:
+        settings, world = self.assembly.settings, self.assembly.world
+        optimization, environment, counters = settings.optimization, self.assembly.environment, self.counters
+        # Stage 1: losses and gradients.
+        for optimizer in self.optimizers.values():
+            optimizer.zero_grad()
+        if environment is not None and counters.iteration % settings.lighting.refresh == 0:
+            environment.refresh()
+        with products(optimization.matmul):
+            terms = self.terms(batch)
+            loss = total(terms.all)
+            backward(loss)
+        # Stage 2: what other processes found, the finiteness check and the norm of the gradients.
+        factor = rate_factor(optimization, counters.iteration, progress)
+        arrived = guide_samples(world.guide, terms.arrived)
+        if self.sync is not None:
+            factor, arrived = self.sync.average(factor, arrived)
+        self.guard.check(counters.iteration, batch, terms.all, lambda: self.terms(batch))
+        if optimization.clip > 0:
+            clip([optimizer.param_groups for optimizer in self.optimizers.values()], optimization.clip)
+        # Stage 3: parameters, guide and averages.
+        self._set_rates(factor, batch.pixel_multiplier)
+        for optimizer in reversed(
+            list(self.optimizers.values())
+        ):  # the first last: a trainer that counts it ends its step
+            optimizer.step()
+        update_guide(world.guide, arrived, counters.iteration)
+        counters.iteration += 1
+        if self.assembly.average is not None:
+            self.assembly.average.update(counters.iteration)
+        passes = self.processes * (2 if settings.objective.estimator == "two_pass" else 1)
+        counters.samples += passes * self._lanes(batch)
+        self.losses = {name: term.value for name, (_, term) in terms.all.items()}
+        return loss.detach()
+
+    def terms(self, batch: PixelBatch) -> StepTerms:
+        """The losses of this iteration; the same ones at every call until the weights move."""
+        stream = Stream(self.assembly.settings.seed, self.counters.iteration, self.rank, 1, device=self.device)
+        return self.objective(batch, stream)
+
+    def _set_rates(self, factor: float, pixel_multiplier: int) -> None:
+        """Give every optimizer its learning rate."""
+        for name, optimizer in self.optimizers.items():
+            rate = factor * getattr(self.assembly.settings.optimization, name)
+            if name == "roughness":  # fewer samples per pixel leave its derivative, a product of two, that much noisier
+                rate /= pixel_multiplier**2
+            for group in optimizer.param_groups:
+                group["lr"] = rate
+
+    def _lanes(self, batch: PixelBatch) -> int:
+        """Path samples of a batch: pixels x samples per pixel x samples per vertex."""
+        sampling = self.assembly.settings.sampling
+        return len(batch.view) * (sampling.spp // batch.pixel_multiplier) * sampling.samples_per_vertex
