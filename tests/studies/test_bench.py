@@ -92,7 +92,7 @@ def test_encode_covers_both_implementations(tmp_path):
     main(["bench", "encode", *sizes.split(), "--out", str(out)])
     rows = table(out)
     assert {row["layer"] for row in rows} == {
-        f"{name}, {kind}" for name in ("hash grid", "dense grid", "network") for kind in ("fast", "plain torch")
+        f"{name}, {kind}" for name in ("hash grid", "dense grid", "network") for kind in ("kernel", "reference")
     }
     assert all(float(row["ms"]) > 0 and float(row["floor_ms"]) > 0 for row in rows)
 

@@ -194,7 +194,7 @@ def test_bench_cube(tmp_path, capsys):
         (["cube", "--albedos", "1.0"], "--albedos"),
         (["cube", "--methods", "ours,nerf"], "--methods: nerf"),
         (["cube", "--positions", "1"], "--positions"),
-        (["cube", "--first-hits", "0"], "--first-hits"),
+        (["cube", "--field-fraction", "0"], "--field-fraction"),
         (["gradients", "--states", "0.5", "0.5"], "--states"),
         (["gradients", "--batches", "2"], "--batches"),
         (["gradients", "--scene", "cornell", "--albedos", "--view", "9"], "--view"),

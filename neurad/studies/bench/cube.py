@@ -51,7 +51,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--pixels", type=int, default=2048, help="pixels in a batch")
     parser.add_argument("--positions", type=int, default=8, help="positions, and so path samples, a pixel; at least 2")
     parser.add_argument(
-        "--first-hits", type=float, default=0.25,
+        "--field-fraction", type=float, default=0.25,
         help="share of the positions at which the radiance field of ours learns, as model.sampling.field_fraction",
     )  # fmt: skip
     parser.add_argument("--size", type=int, default=128, help="vertices along a side of the dense grids")
@@ -118,7 +118,7 @@ def _check(options: argparse.Namespace) -> None:
     if options.positions < 2:
         raise InputError("--positions: leave-one-out residuals need at least 2")
     if not 0.0 < options.field_fraction <= 1.0:
-        raise InputError(f"--first-hits: {options.field_fraction:g} is not in (0, 1]")
+        raise InputError(f"--field-fraction: {options.field_fraction:g} is not in (0, 1]")
     if not 0.0 < options.roulette <= 1.0:
         raise InputError(f"--roulette: {options.roulette:g} is not in (0, 1]")
     if not all(0.0 < albedo < 1.0 for albedo in options.albedos):

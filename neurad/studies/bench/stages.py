@@ -195,8 +195,9 @@ def instrumented(module: InverseRenderer, recorder: Recorder) -> Iterator[None]:
         *((type(world.geometry), name, "geometry") for name in ("interact", "interact_at", "spawn", "spawn_towards")),
         *((type(world.lights), name, "emitters") for name in ("sample", "eval", "pdf")),
         *((type(world.bsdf), name, "bsdf") for name in ("eval", "pdf", "eval_pdf", "sample")),
-        *((Guide, name, "bsdf") for name in ("rows", "warp", "density", "seen", "learn", "update")),
-        *((compiled, "arrive", "bsdf") for compiled in (glossy, matte)),  # a bounce but its rays and the albedo
+        *((Guide, name, "bsdf") for name in ("rows", "warp", "density", "bin_samples", "record", "update")),
+        (glossy, "bounce_principled", "bsdf"),  # a bounce but its rays and the albedo
+        (matte, "bounce_diffuse", "bsdf"),
         *((type(part), "forward", "fields: rest") for part in parts if isinstance(part, nn.Module)),
         *((grid, "forward", "fields: grids") for grid in GRIDS),
         (mlp.MLP, "forward", "fields: networks"),
