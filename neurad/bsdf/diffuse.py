@@ -2,17 +2,26 @@
 
 from __future__ import annotations
 
+from typing import Self
+
 import torch
 from torch import Tensor
 
 from neurad.core.records import BSDFSample, Surface
+from neurad.core.reflection import DiffuseModel
 from neurad.core.sampling import INV_PI, cosine_hemisphere
 
 
 class Diffuse:
     """``f = albedo / pi``, sampled by the cosine; the roughness is not looked at."""
 
+    lambertian = True
     varying_weight = False  # the weight is the albedo, whatever the direction
+
+    @classmethod
+    def of(cls, model: DiffuseModel, specular_fraction: float) -> Self:
+        """The implementation of a description; there is no specular lobe to draw from."""
+        return cls()
 
     def eval(self, surface: Surface, wo: Tensor, wi: Tensor) -> Tensor:
         """``albedo cos / pi`` [n, 3]; 0 where ``wi`` or ``wo`` lies below the surface."""
@@ -33,10 +42,14 @@ class Diffuse:
         pdf = self.pdf(surface, wo, wi)
         return BSDFSample(wi, pdf, surface.albedo * (pdf > 0).unsqueeze(-1))
 
-    def diffuse_fraction(self, surface: Surface) -> float:
+    def diffuse_fraction(self, surface: Surface, wo: Tensor) -> float:
         """All samples are drawn by the cosine."""
         return 1.0
 
     def mean_weight(self, surface: Surface, wo: Tensor) -> Tensor:
         """Mean of the weights of :meth:`sample` [n, 3]: the albedo."""
         return surface.albedo * (wo[:, 2:] > 0)
+
+    def kernels(self, surface: Surface) -> None:
+        """None: there are no lobes, see ``lambertian``."""
+        return None

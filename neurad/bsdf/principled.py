@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from typing import Any
+from dataclasses import dataclass
+from typing import Any, Self
 
 import numpy as np
 import torch
@@ -10,11 +11,13 @@ from torch import Tensor
 from torch.autograd.function import once_differentiable
 
 from neurad.bsdf import principled_kernels as kernels
-from neurad.bsdf.directional import directional_albedo
+from neurad.bsdf.directional import directional_albedo, mean_lobes
 from neurad.bsdf.microfacet import alpha_of, fresnel_dielectric, smith_sum, visible_normal
 from neurad.core.frame import dot
 from neurad.core.records import BSDFSample, Surface
+from neurad.core.reflection import PrincipledModel
 from neurad.core.sampling import INV_PI, cosine_hemisphere
+from neurad.runtime.dispatch import use_kernel
 
 _MIN_HALF = 1e-6  # smallest z of wo + wi, so that two opposite grazing directions still have a half-vector
 
@@ -27,21 +30,21 @@ def _schlick(z: Tensor) -> Tensor:
 
 
 def lobes_pdf(
-    roughness: Tensor, wo: Tensor, wi: Tensor, eta: float, share: float = 0.5
+    roughness: Tensor, wo: Tensor, wi: Tensor, eta: float, specular_fraction: float = 0.5
 ) -> tuple[Tensor, Tensor, Tensor]:
     """Diffuse and specular lobe and the density, in plain torch; any device and dtype, differentiable in roughness.
 
     With h the normalised ``wo + wi`` and ``c = h.wo = |wo + wi| / 2``:
     ``d = cos / pi ((1 - Fo/2)(1 - Fi/2) + R (Fo + Fi + Fo Fi (R - 1)))``, ``R = 2 roughness c^2`` (Burley 2012, 5.3,
     with the retro-reflection of Burley 2015), ``s = F D G1(wo) G1(wi) / (4 cos(wo))`` and
-    ``pdf = (1 - share) cos / pi + share G1(wo) D / (4 cos(wo))``. ``G1 = 2 z / A`` cancels every division by a cosine.
+    ``pdf = (1 - p) cos / pi + p G1(wo) D / (4 cos(wo))``. ``G1 = 2 z / A`` cancels every division by a cosine.
 
     Args:
         roughness: [n, 1].
         wo: towards the viewer, local [n, 3].
         wi: towards the light, local [n, 3].
         eta: refractive index, inside over outside.
-        share: probability of the specular lobe.
+        specular_fraction: probability p of the specular lobe.
 
     Returns:
         d [n] and s [n] with ``f cos(wi) = albedo d + s``, and the detached pdf [n].
@@ -68,82 +71,35 @@ def lobes_pdf(
     d = cosine * ((1.0 - 0.5 * fo) * (1.0 - 0.5 * fi) + retro * (fo + fi - both + retro * both))
 
     specular = 0.5 * density.detach() / toward_viewer.detach()
-    pdf = torch.where(zi > 0, (1.0 - share) * cosine + share * specular, 0.0)
+    pdf = torch.where(zi > 0, (1.0 - specular_fraction) * cosine + specular_fraction * specular, 0.0)
     return d, s, pdf
 
 
-def compiled_lobes(roughness: Tensor, wo: Tensor, wi: Tensor, eta: float, share: float) -> Tensor:
-    """Rows d, s, pdf of :func:`lobes_pdf` and dd/droughness, ds/droughness [5, n], for float32 on the CPU.
+@dataclass(frozen=True)
+class PrincipledKernels:
+    """The compiled lobes, for float32 on the CPU."""
 
-    Raises:
-        ValueError: the arguments have different numbers of lanes; the kernel would read past their ends.
-    """
-    if not roughness.shape[0] == wo.shape[0] == wi.shape[0]:
-        raise ValueError(f"lanes differ: roughness {roughness.shape[0]}, wo {wo.shape[0]}, wi {wi.shape[0]}")
-    rough, view, towards = (x.detach().contiguous().numpy() for x in (roughness, wo, wi))
-    out = torch.empty(5, len(wo))
-    kernels.lobes_pdf(rough, view, towards, np.float32(eta), np.float32(share), out.numpy())
-    return out
+    eta: float
+    """Refractive index of the specular lobe, inside over outside."""
+    specular_fraction: float
+    """Probability of the specular lobe."""
 
+    def lobes(self, roughness: Tensor, wo: Tensor, wi: Tensor) -> Tensor:
+        """Rows d, s, pdf of :func:`lobes_pdf` and dd/droughness, ds/droughness [5, n].
 
-class _FastLobesPdf(torch.autograd.Function):
-    """:func:`lobes_pdf` by a compiled kernel that finds the derivatives in the same pass."""
-
-    @staticmethod
-    def forward(
-        ctx: Any, roughness: Tensor, wo: Tensor, wi: Tensor, eta: float, share: float
-    ) -> tuple[Tensor, Tensor, Tensor]:
-        d, s, pdf, d_slope, s_slope = compiled_lobes(roughness, wo, wi, eta, share).unbind(0)
-        ctx.save_for_backward(d_slope, s_slope)
-        ctx.mark_non_differentiable(pdf)
-        return d, s, pdf
-
-    @staticmethod
-    @once_differentiable
-    def backward(ctx: Any, *grads: Tensor) -> tuple[Tensor, None, None, None, None]:
-        d_slope, s_slope = ctx.saved_tensors
-        return (grads[0] * d_slope + grads[1] * s_slope).unsqueeze(-1), None, None, None, None
-
-
-def principled_lobes_pdf(
-    roughness: Tensor, wo: Tensor, wi: Tensor, eta: float, share: float = 0.5
-) -> tuple[Tensor, Tensor, Tensor]:
-    """The fast twin of :func:`lobes_pdf` for float32 on the CPU; differentiable once, in the roughness only.
-
-    Raises:
-        ValueError: the arguments have different numbers of lanes; the kernel would read past their ends.
-    """
-    d, s, pdf = _FastLobesPdf.apply(roughness, wo.detach(), wi.detach(), eta, share)  # type: ignore[no-untyped-call]
-    return d, s, pdf
-
-
-class Principled:
-    """A retro-reflecting diffuse lobe under a dielectric GGX lobe (metallic 0), samples drawn from either.
-
-    ``f cos(wi) = albedo d + s`` with scalars d and s, as :meth:`lobes` gives them.
-
-    Attributes:
-        eta: refractive index of the specular lobe, inside over outside; 1.5 is Mitsuba's ``specular`` 0.5.
-        use_kernels: use the compiled kernels where they apply (float32 on the CPU).
-        specular_fraction: share of the samples that the specular lobe draws; half of them as in Mitsuba.
-    """
-
-    varying_weight = True
-
-    def __init__(self, eta: float = 1.5, use_kernels: bool = True, specular_fraction: float = 0.5) -> None:
-        self.eta = eta
-        self.specular_fraction = specular_fraction
-        self.use_kernels = use_kernels
-
-    def _compiled(self, wo: Tensor) -> bool:
-        return self.use_kernels and wo.dtype == torch.float32 and wo.device.type == "cpu"
-
-    def _lobes_pdf(self, surface: Surface, wo: Tensor, wi: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        function = principled_lobes_pdf if self._compiled(wo) else lobes_pdf
-        return function(surface.roughness, wo, wi, self.eta, self.specular_fraction)
+        Raises:
+            ValueError: the arguments have different numbers of lanes; the kernel would read past their ends.
+        """
+        if not roughness.shape[0] == wo.shape[0] == wi.shape[0]:
+            raise ValueError(f"lanes differ: roughness {roughness.shape[0]}, wo {wo.shape[0]}, wi {wi.shape[0]}")
+        rough, view, towards = (x.detach().contiguous().numpy() for x in (roughness, wo, wi))
+        out = torch.empty(5, len(wo))
+        eta, fraction = np.float32(self.eta), np.float32(self.specular_fraction)
+        kernels.lobes_pdf(rough, view, towards, eta, fraction, out.numpy())
+        return out
 
     def direction(self, roughness: Tensor, wo: Tensor, u: Tensor) -> Tensor:
-        """Draw ``wi`` [n, 3] by a compiled kernel, for float32 on the CPU.
+        """Draw ``wi`` [n, 3].
 
         Args:
             roughness: [n, 1].
@@ -160,10 +116,83 @@ class Principled:
         kernels.direction(rough, view, numbers, np.float32(1.0 - self.specular_fraction), wi.numpy())
         return wi
 
+    def mean_lobes(self, roughness: Tensor, cosine: Tensor) -> Tensor:
+        """Integrals over wi of d, s and their slopes by the roughness [4, n], tabulated."""
+        return mean_lobes(roughness, cosine, self.eta)
+
+
+class _FastLobesPdf(torch.autograd.Function):
+    """:func:`lobes_pdf` by a compiled kernel that finds the derivatives in the same pass."""
+
+    @staticmethod
+    def forward(
+        ctx: Any, roughness: Tensor, wo: Tensor, wi: Tensor, compiled: PrincipledKernels
+    ) -> tuple[Tensor, Tensor, Tensor]:
+        d, s, pdf, d_slope, s_slope = compiled.lobes(roughness, wo, wi).unbind(0)
+        ctx.save_for_backward(d_slope, s_slope)
+        ctx.mark_non_differentiable(pdf)
+        return d, s, pdf
+
+    @staticmethod
+    @once_differentiable
+    def backward(ctx: Any, *grads: Tensor) -> tuple[Tensor, None, None, None]:
+        d_slope, s_slope = ctx.saved_tensors
+        return (grads[0] * d_slope + grads[1] * s_slope).unsqueeze(-1), None, None, None
+
+
+def principled_lobes_pdf(
+    roughness: Tensor, wo: Tensor, wi: Tensor, eta: float, specular_fraction: float = 0.5
+) -> tuple[Tensor, Tensor, Tensor]:
+    """The kernel of :func:`lobes_pdf` for float32 on the CPU; differentiable once, in the roughness only.
+
+    Raises:
+        ValueError: the arguments have different numbers of lanes; the kernel would read past their ends.
+    """
+    compiled = PrincipledKernels(eta, specular_fraction)
+    d, s, pdf = _FastLobesPdf.apply(roughness, wo.detach(), wi.detach(), compiled)  # type: ignore[no-untyped-call]
+    return d, s, pdf
+
+
+class Principled:
+    """A retro-reflecting diffuse lobe under a dielectric GGX lobe (metallic 0), samples drawn from either.
+
+    ``f cos(wi) = albedo d + s`` with scalars d and s, as :meth:`lobes` gives them.
+
+    Attributes:
+        eta: refractive index of the specular lobe, inside over outside; 1.5 is Mitsuba's ``specular`` 0.5.
+        use_kernels: use the compiled kernels where they apply (float32 on the CPU).
+        specular_fraction: probability that a sample is drawn from the specular lobe; 0.5 as in Mitsuba.
+    """
+
+    lambertian = False
+    varying_weight = True
+
+    def __init__(self, eta: float = 1.5, use_kernels: bool = True, specular_fraction: float = 0.5) -> None:
+        self.eta = eta
+        self.specular_fraction = specular_fraction
+        self.use_kernels = use_kernels
+
+    @classmethod
+    def of(cls, model: PrincipledModel, specular_fraction: float) -> Self:
+        """The implementation of a description."""
+        return cls(model.eta, specular_fraction=specular_fraction)
+
+    def kernels(self, surface: Surface) -> PrincipledKernels | None:
+        """The compiled lobes, where ``surface`` is float32 on the CPU and all of one model."""
+        if use_kernel(
+            self.use_kernels and surface.model is None, surface.albedo, surface.roughness, differentiable=True
+        ):
+            return PrincipledKernels(self.eta, self.specular_fraction)
+        return None
+
+    def _lobes_pdf(self, surface: Surface, wo: Tensor, wi: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        function = principled_lobes_pdf if use_kernel(self.use_kernels, wo, differentiable=True) else lobes_pdf
+        return function(surface.roughness, wo, wi, self.eta, self.specular_fraction)
+
     def _direction(self, surface: Surface, wo: Tensor, u: Tensor) -> Tensor:
         roughness = surface.roughness.detach()
-        if self._compiled(wo):
-            return self.direction(roughness, wo, u)
+        if use_kernel(self.use_kernels, wo, differentiable=True):
+            return PrincipledKernels(self.eta, self.specular_fraction).direction(roughness, wo, u)
         m = visible_normal(wo, alpha_of(roughness), u[:, 1:])
         mirrored = 2.0 * dot(wo, m).unsqueeze(-1) * m - wo
         return torch.where(u[:, :1] < 1.0 - self.specular_fraction, cosine_hemisphere(u[:, 1:]), mirrored)
@@ -194,8 +223,8 @@ class Principled:
         inverse = torch.where(pdf > 0, 1.0 / pdf, 0.0)  # not value / tiny: its gradient would overflow
         return BSDFSample(wi, pdf, value * inverse.unsqueeze(-1))
 
-    def diffuse_fraction(self, surface: Surface) -> float | Tensor:
-        """Probability of the diffuse lobe [n]."""
+    def diffuse_fraction(self, surface: Surface, wo: Tensor) -> float | Tensor:
+        """Probability of the diffuse lobe."""
         return 1.0 - self.specular_fraction
 
     def mean_weight(self, surface: Surface, wo: Tensor) -> Tensor:

@@ -23,10 +23,10 @@ _MIN_ALPHA, _TINY = np.float32(0.001), np.float32(1e-6)
 
 @fastmath_kernel
 def lobes_pdf(
-    roughness: FloatArray, wo: FloatArray, wi: FloatArray, eta: np.float32, share: np.float32, out: FloatArray
+    roughness: FloatArray, wo: FloatArray, wi: FloatArray, eta: np.float32, fraction: np.float32, out: FloatArray
 ) -> None:  # pragma: no cover - compiled
     """Fill the rows of ``out`` [5, n] with d, s, pdf, dd/droughness and ds/droughness."""
-    cosine_share, ggx_share = _ONE - share, _HALF * share
+    cosine_fraction, ggx_fraction = _ONE - fraction, _HALF * fraction
     inv_eta2 = _ONE / (eta * eta)
     for i in range(wo.shape[0]):
         zo, zi, r = wo[i, 2], wi[i, 2], roughness[i, 0]
@@ -68,14 +68,14 @@ def lobes_pdf(
         base = (_ONE - _HALF * fo) * (_ONE - _HALF * fi)
         out[0, i] = lambert * (base + retro * (fo + fi - both + retro * both))
         out[1, i] = s if front else _ZERO
-        out[2, i] = cosine_share * lambert + ggx_share * density * inv_o if front else _ZERO
+        out[2, i] = cosine_fraction * lambert + ggx_fraction * density * inv_o if front else _ZERO
         out[3, i] = lambert * slope * (fo + fi - both + _TWO * retro * both)
         out[4, i] = s * log_slope * _TWO * r if front and wide else _ZERO
 
 
 @fastmath_kernel
 def direction(
-    roughness: FloatArray, wo: FloatArray, u: FloatArray, cosine_share: np.float32, out: FloatArray
+    roughness: FloatArray, wo: FloatArray, u: FloatArray, cosine_fraction: np.float32, out: FloatArray
 ) -> None:  # pragma: no cover - compiled
     """Fill ``out`` [n, 3] with directions drawn by the principled BSDF from the numbers ``u`` [n, 3]."""
     for i in range(wo.shape[0]):
@@ -85,7 +85,7 @@ def direction(
         else:
             radius, phi = b, _HALF_PI - _QUARTER_PI * a / (b if b != _ZERO else _ONE)
         a, b = radius * math.cos(phi), radius * math.sin(phi)
-        if u[i, 0] < cosine_share:
+        if u[i, 0] < cosine_fraction:
             out[i, 0], out[i, 1] = a, b
             out[i, 2] = math.sqrt(max(_ONE - a * a - b * b, _ZERO))
             continue

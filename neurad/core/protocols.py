@@ -41,8 +41,27 @@ class Materials(Protocol):
         ...
 
 
+class LobeKernels(Protocol):
+    """Compiled lobes of a model ``f cos = albedo d + s`` with scalars d and s, for float32 on the CPU."""
+
+    def lobes(self, roughness: Tensor, wo: Tensor, wi: Tensor) -> Tensor:
+        """Rows d, s, pdf, dd/droughness, ds/droughness [5, n] without a graph."""
+        ...
+
+    def direction(self, roughness: Tensor, wo: Tensor, u: Tensor) -> Tensor:
+        """The directions ``wi`` [n, 3] that ``sample`` draws from ``u`` [n, 3]."""
+        ...
+
+    def mean_lobes(self, roughness: Tensor, cosine: Tensor) -> Tensor:
+        """Integrals over wi of d, s and their slopes [4, n] for viewers at ``cosine`` [n]."""
+        ...
+
+
 class BSDF(Protocol):
     """A reflection model in the local shading frame: z is the shading normal on the viewer's side, so wo.z >= 0."""
+
+    lambertian: bool
+    """``f = albedo / pi`` on every lane, drawn by the cosine: the bounce made for Lambertian scenes applies."""
 
     varying_weight: bool
     """Whether weights of :meth:`sample` differ from their mean: where they do not, as at Lambertian surfaces, there is
@@ -66,12 +85,16 @@ class BSDF(Protocol):
         """
         ...
 
-    def diffuse_fraction(self, surface: Surface) -> float | Tensor:
+    def diffuse_fraction(self, surface: Surface, wo: Tensor) -> float | Tensor:
         """Probability that :meth:`sample` draws by the cosine [n]: it does where the first number lies below."""
         ...
 
     def mean_weight(self, surface: Surface, wo: Tensor) -> Tensor:
         """Mean of the weights of :meth:`sample`, the directional albedo [n, 3], differentiable in ``surface``."""
+        ...
+
+    def kernels(self, surface: Surface) -> LobeKernels | None:
+        """Compiled lobes that do all lanes of ``surface``; None where there are none."""
         ...
 
 

@@ -13,6 +13,7 @@ Conventions
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, field, fields
 from typing import Self
 
@@ -20,6 +21,8 @@ import numpy as np
 import numpy.typing as npt
 import torch
 from torch import Tensor
+
+from neurad.core.reflection import ReflectionModel
 
 FloatArray = npt.NDArray[np.float32]
 IntArray = npt.NDArray[np.int64]
@@ -39,41 +42,44 @@ def first_of(values: Tensor, count: int, of: int) -> Tensor:
 
 @dataclass(frozen=True)
 class Lanes:
-    """A record whose fields are tensors with one leading dimension, the lanes ``n``."""
+    """A record whose fields are tensors with one leading dimension, the lanes ``n``, or None."""
 
     def __len__(self) -> int:
         return len(getattr(self, fields(self)[0].name))
 
+    def map(self, function: Callable[[Tensor], Tensor]) -> Self:
+        """The record with every field passed through ``function``; what is None stays None."""
+        values = {f.name: getattr(self, f.name) for f in fields(self)}
+        return type(self)(**{name: None if x is None else function(x) for name, x in values.items()})
+
     def __getitem__(self, index: Tensor | slice) -> Self:
         """The lanes that a boolean mask ``[n]``, an index tensor or a slice selects."""
-        return type(self)(**{f.name: _pick(getattr(self, f.name), index) for f in fields(self)})
+        return self.map(lambda x: _pick(x, index))
 
     def first(self, count: int, of: int) -> Self:
         """The first ``count`` of every ``of`` lanes."""
-        return type(self)(**{f.name: first_of(getattr(self, f.name), count, of) for f in fields(self)})
+        return self.map(lambda x: first_of(x, count, of))
 
     def repeat(self, count: int) -> Self:
         """Every lane ``count`` times in a row: lane i becomes lanes i*count .. (i+1)*count - 1."""
         if count == 1:
             return self
-
-        def expand(x: Tensor) -> Tensor:  # its backward is one sum, unlike repeat_interleave's
-            return x.unsqueeze(1).expand(-1, count, *x.shape[1:]).reshape(-1, *x.shape[1:])
-
-        return type(self)(**{f.name: expand(getattr(self, f.name)) for f in fields(self)})
+        # expand: its backward is one sum, unlike repeat_interleave's
+        return self.map(lambda x: x.unsqueeze(1).expand(-1, count, *x.shape[1:]).reshape(-1, *x.shape[1:]))
 
     def detach(self) -> Self:
         """The same lanes without their autograd graph."""
-        return type(self)(**{f.name: getattr(self, f.name).detach() for f in fields(self)})
+        return self.map(Tensor.detach)
 
     def to(self, device: torch.device | str) -> Self:
         """The same lanes on another device."""
-        return type(self)(**{f.name: getattr(self, f.name).to(device) for f in fields(self)})
+        return self.map(lambda x: x.to(device))
 
     @classmethod
     def cat(cls, *parts: Self) -> Self:
-        """The lanes of all parts, one after the other."""
-        return cls(**{f.name: torch.cat([getattr(p, f.name) for p in parts]) for f in fields(cls)})
+        """The lanes of all parts, one after the other; a field is None in all of them or in none."""
+        columns = {f.name: [getattr(p, f.name) for p in parts] for f in fields(cls)}
+        return cls(**{name: None if x[0] is None else torch.cat(x) for name, x in columns.items()})
 
 
 @dataclass(frozen=True)
@@ -132,20 +138,15 @@ class SurfaceInteraction(Lanes):
 
 @dataclass(frozen=True)
 class Surface(Lanes):
-    """The BSDF's parameters at the lanes of an SurfaceInteraction; these carry the gradients of the materials."""
+    """The BSDF's parameters at the lanes of a SurfaceInteraction; these carry the gradients of the materials."""
 
     albedo: Tensor
     """Base colour in [0, 1], linear [n, 3]."""
     roughness: Tensor
     """Burley roughness in [0, 1] (alpha = roughness squared) [n, 1]."""
-
-
-@dataclass(frozen=True)
-class TypedSurface(Surface):
-    """A Surface whose lanes are not all of one kind, as the true materials of a scene may be."""
-
-    diffuse: Tensor
-    """Lanes that reflect by Lambert's law alone [n], bool; the others are principled."""
+    model: Tensor | None = None
+    """Index into ``Features.models`` [n], int64, of known materials that are not all of one model; None where all lanes
+    have the model that fitted surfaces have."""
 
 
 @dataclass(frozen=True)
@@ -254,16 +255,14 @@ class Material:
     """What a surface is made of."""
 
     name: str
-    kind: str
-    """'principled', 'diffuse', 'conductor' (smooth, delta) or 'dielectric' (smooth, delta)."""
+    model: ReflectionModel
+    """How it reflects, with the constants of that model."""
     albedo: Texture
-    """Base colour; for a conductor its reflectance at normal incidence; for a dielectric its tint (ones)."""
+    """Base colour; of a conductor its reflectance at normal incidence; of a dielectric its tint (ones)."""
     roughness: Texture
-    """Burley roughness; ignored unless ``kind`` is 'principled'."""
+    """Burley roughness; not read by diffuse and smooth models."""
     two_sided: bool = True
     """Whether the BSDF is the same on both sides; a one-sided surface is black from behind."""
-    eta: float = 1.5
-    """Ratio of refractive indices, inside over outside: of a dielectric, or of the principled specular lobe."""
 
 
 @dataclass(frozen=True)

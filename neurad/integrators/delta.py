@@ -36,13 +36,14 @@ class DeltaSurfaces(nn.Module):
     def __init__(self, scene: Scene, geometry: Geometry) -> None:
         super().__init__()
         face = geometry.material
-        kinds = [m.kind for m in scene.materials]
+        lobes = [m.model.delta for m in scene.materials]
         tint = [m.albedo.value if isinstance(m.albedo, Constant) else [1.0, 1.0, 1.0] for m in scene.materials]
+        glass = [lobe is not None and lobe.transmits for lobe in lobes]
         tables = {
-            "is_delta": torch.tensor([k in ("conductor", "dielectric") for k in kinds]),
-            "dielectric": torch.tensor([k == "dielectric" for k in kinds]),
-            "two_sided": torch.tensor([m.two_sided or m.kind == "dielectric" for m in scene.materials]),
-            "eta": torch.tensor([m.eta for m in scene.materials], dtype=torch.float32),
+            "is_delta": torch.tensor([lobe is not None for lobe in lobes]),
+            "dielectric": torch.tensor(glass),
+            "two_sided": torch.tensor([m.two_sided or g for m, g in zip(scene.materials, glass, strict=True)]),
+            "eta": torch.tensor([1.0 if lobe is None else lobe.eta for lobe in lobes]),
             "tint": torch.stack([torch.as_tensor(t, dtype=torch.float32).expand(3) for t in tint]),
         }
         for name, table in tables.items():

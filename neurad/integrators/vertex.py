@@ -53,7 +53,7 @@ def bounce(
     value, bsdf_pdf = world.bsdf.eval_pdf(surface, wo, towards)
     guide = None
     if guided and world.guide is not None:
-        guide = Guided(world.guide, world.guide.rows(si, frame.n), world.bsdf.diffuse_fraction(surface))
+        guide = Guided(world.guide, world.guide.rows(si, frame.n), world.bsdf.diffuse_fraction(surface, wo))
         bsdf_pdf = bsdf_pdf + guide.pdf_delta(towards)
     useful = reflects & (light.pdf > 0) & (value.detach().amax(-1) > 0)
     shadow, t_max = world.geometry.spawn_towards(si, light.wi, light.distance)

@@ -11,7 +11,6 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from neurad.bsdf.diffuse import Diffuse
 from neurad.core.records import Rays, Surface, SurfaceInteraction
 from neurad.emitters.area import AreaLights
 from neurad.integrators import vertex_kernels as kernels
@@ -22,7 +21,7 @@ from neurad.runtime.threads import GRAIN, split
 
 def has_kernel(world: World, si: SurfaceInteraction) -> bool:
     """Whether the compiled passes do all that a bounce in ``world`` needs."""
-    return compilable(world, si) and isinstance(world.bsdf, Diffuse) and world.delta is None and world.guide is None
+    return compilable(world, si) and world.bsdf.lambertian and world.delta is None and world.guide is None
 
 
 def bounce_diffuse(world: World, si: SurfaceInteraction, surface: Surface, u: Tensor) -> Bounce:

@@ -15,8 +15,7 @@ import torch
 from torch import Tensor
 from torch.autograd.function import once_differentiable
 
-from neurad.bsdf.directional import mean_lobes
-from neurad.bsdf.principled import Principled, compiled_lobes
+from neurad.core.protocols import LobeKernels
 from neurad.core.records import Rays, Surface, SurfaceInteraction
 from neurad.emitters.area import AreaLights
 from neurad.integrators import vertex_kernels as kernels
@@ -29,11 +28,8 @@ def has_kernel(world: World, si: SurfaceInteraction, surface: Surface) -> bool:
     """Whether the compiled passes do all that a bounce needs: one kind of surface, and fast parts."""
     return (
         compilable(world, si)
-        and isinstance(world.bsdf, Principled)
-        and world.bsdf.use_kernels
+        and world.bsdf.kernels(surface) is not None
         and (world.guide is None or world.guide.use_kernels)
-        and type(surface) is Surface
-        and surface.albedo.dtype == torch.float32 == surface.roughness.dtype
     )
 
 
@@ -41,9 +37,9 @@ def bounce_principled(
     world: World, si: SurfaceInteraction, surface: Surface, u: Tensor, control: bool, guided: bool
 ) -> Bounce:
     """One bounce at the lanes of ``si``, with uniform numbers ``u`` [n, 7]; ``control`` asks for ``sample_stats``."""
-    lights, bsdf, geometry, m = world.lights, world.bsdf, world.geometry, len(si)
+    lights, bsdf, geometry, m = world.lights, world.bsdf.kernels(surface), world.geometry, len(si)
     assert isinstance(lights, AreaLights)
-    assert isinstance(bsdf, Principled)
+    assert bsdf is not None
     p, ng, n, wo, prim, numbers = (x.contiguous().numpy() for x in (si.p, si.ng, si.n, si.wo, si.prim, u))
     roughness = surface.roughness.detach()
 
@@ -55,7 +51,7 @@ def bounce_principled(
     )  # fmt: skip
     guide = None
     if guided and world.guide is not None:
-        guide = Guided(world.guide, world.guide.rows(si, normal), bsdf.diffuse_fraction(surface))
+        guide = Guided(world.guide, world.guide.rows(si, normal), world.bsdf.diffuse_fraction(surface, view))
     bsdf_em = _lobes(bsdf, guide, roughness, view, towards)
     wi = bsdf.direction(roughness, view, u[:, 3:6] if guide is None else guide.warp(u[:, 3:6]))
     bsdf_wi = _lobes(bsdf, guide, roughness, view, wi)
@@ -72,7 +68,7 @@ def bounce_principled(
     reached = world.trace_past_delta(Rays(o, d), u[:, 6])
     end = reached.si
 
-    mean = mean_lobes(roughness, view[:, 2], bsdf.eta) if control else torch.empty(4, 0)
+    mean = bsdf.mean_lobes(roughness, view[:, 2]) if control else torch.empty(4, 0)
     via_delta = torch.empty(0, dtype=torch.bool) if reached.via_delta is None else reached.via_delta
     through = torch.empty(0, 3) if reached.throughput is None else reached.throughput
     found = _collect(
@@ -112,9 +108,9 @@ def _collect(m: int, control: bool, *given: Tensor) -> _Found:
     return _Found(values.unbind(), by_albedo, by_roughness, relative)
 
 
-def _lobes(bsdf: Principled, guide: Guided | None, roughness: Tensor, wo: Tensor, wi: Tensor) -> Tensor:
+def _lobes(bsdf: LobeKernels, guide: Guided | None, roughness: Tensor, wo: Tensor, wi: Tensor) -> Tensor:
     """Rows d, s, pdf, dd/droughness, ds/droughness [5, n], the pdf with the guide's part."""
-    out = compiled_lobes(roughness, wo, wi, bsdf.eta, bsdf.specular_fraction)
+    out = bsdf.lobes(roughness, wo, wi)
     if guide is not None:
         density = guide.guide.density(guide.rows, wi)
         kernels.add_guide_pdf(np.float32(float(guide.share)), wi.numpy(), density.numpy(), out.numpy())

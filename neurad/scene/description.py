@@ -10,6 +10,7 @@ import numpy as np
 
 from neurad.core.errors import InputError
 from neurad.core.records import EnvironmentMap, FloatArray, Material, Mesh, View
+from neurad.core.reflection import DiffuseModel, PrincipledModel, ReflectionModel
 
 
 @dataclass(frozen=True)
@@ -24,6 +25,18 @@ class Features:
     """Every surface that is not delta is Lambertian: no roughness, no specular lobe."""
     has_one_sided: bool
     """Some surface is black from behind."""
+    models: tuple[ReflectionModel, ...] = ()
+    """The reflection models of all surfaces that are not delta, each once; ``Surface.model`` counts them."""
+
+    @property
+    def fitted_model(self) -> ReflectionModel:
+        """The model that recovered surfaces have: Lambertian in a Lambertian scene, else principled."""
+        return DiffuseModel() if self.is_diffuse else PrincipledModel()
+
+    @property
+    def is_mixed(self) -> bool:
+        """Some known surface has another model than recovered ones have."""
+        return any(model != self.fitted_model for model in self.models)
 
 
 @dataclass(frozen=True)
@@ -54,7 +67,7 @@ class Scene:
         for mesh in self.meshes:
             if len(mesh.faces) == 0:
                 raise InputError(f"scene {self.name}: mesh {mesh.name} is empty, it has no triangle")
-            if mesh.radiance is not None and self.materials[mesh.material].kind in ("conductor", "dielectric"):
+            if mesh.radiance is not None and self.materials[mesh.material].model.is_delta:
                 raise InputError(
                     f"scene {self.name}: mesh {mesh.name} emits light and is smooth, which is not supported"
                 )
@@ -66,15 +79,16 @@ class Scene:
     @cached_property
     def features(self) -> Features:
         """What the meshes, materials and emitters of this scene use."""
-        used = [self.materials[i] for i in {mesh.material for mesh in self.meshes}]
-        delta = [m for m in used if m.kind in ("conductor", "dielectric")]
-        rough = [m for m in used if m.kind not in ("conductor", "dielectric")]
+        used = [self.materials[i] for i in sorted({mesh.material for mesh in self.meshes})]
+        delta = [m for m in used if m.model.is_delta]
+        rough = [m for m in used if not m.model.is_delta]
         return Features(
             has_environment=self.environment is not None and bool(self.environment.pixels.max() > 0),
             has_area_lights=any(m.radiance is not None and bool(m.radiance.max() > 0) for m in self.meshes),
             has_delta=bool(delta),
-            is_diffuse=all(m.kind == "diffuse" for m in rough),
+            is_diffuse=all(m.model.is_diffuse for m in rough),
             has_one_sided=any(not m.two_sided for m in rough),
+            models=tuple(dict.fromkeys(m.model for m in rough)),
         )
 
     @cached_property

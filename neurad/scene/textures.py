@@ -6,7 +6,7 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from neurad.core.records import Bitmap, Constant, Surface, SurfaceInteraction, Texture, TypedSurface, VertexAttribute
+from neurad.core.records import Bitmap, Constant, Surface, SurfaceInteraction, Texture, VertexAttribute
 from neurad.scene.description import Scene
 from neurad.scene.geometry import Geometry
 
@@ -22,16 +22,17 @@ class TrueMaterials(nn.Module):
         InputError: a material reads a vertex attribute that no mesh has.
     """
 
-    diffuse: Tensor
+    model: Tensor
 
     def __init__(self, scene: Scene, geometry: Geometry) -> None:
         super().__init__()
         self.geometry = geometry
         self.albedo_table = TextureTable([m.albedo for m in scene.materials], 3)
         self.roughness_table = TextureTable([m.roughness for m in scene.materials], 1)
-        matte = torch.tensor([m.kind == "diffuse" for m in scene.materials], dtype=torch.bool)
-        self.register_buffer("diffuse", matte, persistent=False)
-        self.is_mixed = not scene.features.is_diffuse and bool(matte.any())
+        index = {model: i for i, model in enumerate(scene.features.models)}
+        model = torch.tensor([index.get(m.model, -1) for m in scene.materials], dtype=torch.int64)
+        self.register_buffer("model", model, persistent=False)
+        self.is_mixed = scene.features.is_mixed
 
     @torch.no_grad()
     def forward(self, si: SurfaceInteraction) -> Surface:
@@ -39,9 +40,7 @@ class TrueMaterials(nn.Module):
         material = self.geometry.material[si.prim.clamp_min(0)]
         albedo = self.albedo_table(material, si, self.geometry)
         roughness = self.roughness_table(material, si, self.geometry)
-        if self.is_mixed:
-            return TypedSurface(albedo, roughness, self.diffuse[material])
-        return Surface(albedo, roughness)
+        return Surface(albedo, roughness, self.model[material] if self.is_mixed else None)
 
     @torch.no_grad()
     def albedo(self, si: SurfaceInteraction) -> Tensor:

@@ -10,8 +10,9 @@ from helpers.oracles import accept, chi2_test, z_test_samples
 from neurad.bsdf.delta import scatter
 from neurad.bsdf.diffuse import Diffuse
 from neurad.bsdf.principled import Principled, lobes_pdf, principled_lobes_pdf
-from neurad.bsdf.table import BSDFTable, make_bsdf
-from neurad.core.records import Surface, TypedSurface
+from neurad.bsdf.table import make_bsdf
+from neurad.core.records import Surface
+from neurad.core.reflection import DiffuseModel, PrincipledModel
 from neurad.scene.description import Features
 
 GRAZING = 0.02
@@ -331,13 +332,18 @@ def test_extremes_survive_every_pair_of_numbers():
 # Kinds
 
 
+def features_of(*models):
+    return Features(False, True, False, all(m.is_diffuse for m in models), False, models)
+
+
 def test_mixed_lanes_follow_their_own_model():
     n = 2048
     plain, wo, u = random_surface(n), directions(n, 1), uniform(n, 3, seed=2)
     matte = torch.arange(n) % 2 == 0
-    typed = TypedSurface(plain.albedo, plain.roughness, matte)
-    assert torch.equal(typed[:8].diffuse, matte[:8])
-    mixed, wi = BSDFTable(), directions(n, 3, upper=False)
+    typed = Surface(plain.albedo, plain.roughness, (~matte).long())
+    assert torch.equal(typed[:8].model == 0, matte[:8])
+    mixed = make_bsdf(features_of(DiffuseModel(), PrincipledModel()))
+    wi = directions(n, 3, upper=False)
     (value, pdf), sample = mixed.eval_pdf(typed, wo, wi), mixed.sample(typed, wo, u)
     for lanes, bsdf in ((matte, Diffuse()), (~matte, Principled())):
         want, want_pdf = bsdf.eval_pdf(plain, wo, wi)
@@ -351,8 +357,8 @@ def test_mixed_lanes_follow_their_own_model():
 
 @pytest.mark.parametrize("matte", [True, False])
 def test_select(matte):
-    features = Features(False, True, False, matte, False)
-    assert isinstance(make_bsdf(features), Diffuse if matte else Principled)
+    model = DiffuseModel() if matte else PrincipledModel()
+    assert isinstance(make_bsdf(features_of(model)), Diffuse if matte else Principled)
 
 
 # Smooth surfaces

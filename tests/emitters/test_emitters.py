@@ -13,6 +13,7 @@ from torch import Tensor
 
 from neurad.core.errors import InputError
 from neurad.core.records import Constant, EnvironmentMap, Material, Mesh, SurfaceInteraction
+from neurad.core.reflection import DiffuseModel
 from neurad.core.rng import Stream
 from neurad.emitters.area import AreaLights, luminance
 from neurad.emitters.environment import Environment
@@ -335,7 +336,7 @@ def scene_of(lit: bool, emap: EnvironmentMap | None) -> tuple[Scene, SimpleNames
     vertices = rectangle((-0.5, -0.5, 1), (0, 1, 0), (1, 0, 0))
     grey = Constant(np.array([0.5, 0.5, 0.5], np.float32))
     mesh = Mesh("lamp", vertices, FACES, 0, radiance=radiance)
-    scene = Scene("s", [mesh], [Material("m", "diffuse", grey, grey)], emap)
+    scene = Scene("s", [mesh], [Material("m", DiffuseModel(), grey, grey)], emap)
     emission = np.zeros((2, 3)) if radiance is None else np.stack((radiance, radiance))
     return scene, geometry_of(vertices, FACES, emission)
 

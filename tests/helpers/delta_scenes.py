@@ -3,6 +3,7 @@
 import numpy as np
 
 from neurad.core.records import Constant, Material
+from neurad.core.reflection import ConductorModel, DielectricModel
 from neurad.scene.builtin.plain import diffuse, room, views
 from neurad.scene.builtin.shapes import box, join, quad, rotated
 from neurad.scene.description import Scene
@@ -12,9 +13,9 @@ LIGHT = np.array([2.0, 3.0, 4.0], np.float32)
 ETA = 1.5
 
 
-def delta_material(kind, tint=(1.0, 1.0, 1.0), two_sided=True):
+def delta_material(model, tint=(1.0, 1.0, 1.0), two_sided=True):
     roughness = Constant(np.zeros(1, np.float32))
-    return Material(kind, kind, Constant(np.array(tint, np.float32)), roughness, two_sided, ETA)
+    return Material(model.label, model, Constant(np.array(tint, np.float32)), roughness, two_sided)
 
 
 def scene_of(*parts, **settings):
@@ -25,12 +26,13 @@ def scene_of(*parts, **settings):
 
 def delta_gallery():
     """A closed room with a mirror, a glass block, a pane without volume and a mirror seen from behind."""
+    block = rotated(box((0.1, -0.98, -0.5), (0.6, 0.1, -0.1)), 25.0, (0.35, 0, -0.3))
     parts = [
         (join(*room((-1, -1, -1), (1, 1, 1)).values()), diffuse("walls", (0.6, 0.5, 0.4)), None),
-        (quad((-0.9, -0.7, -0.9), (0.9, 0, -0.05), (0, 1.4, 0)), delta_material("conductor", TINT), None),
-        (rotated(box((0.1, -0.98, -0.5), (0.6, 0.1, -0.1)), 25.0, (0.35, 0, -0.3)), delta_material("dielectric"), None),
-        (quad((-0.75, -0.9, 0.1), (0.5, 0, -0.2), (0, 0.9, 0)), delta_material("dielectric"), None),
-        (quad((0.95, -0.2, -0.3), (-0.3, 0, -0.5), (0, 0.7, 0)), delta_material("conductor", TINT, False), None),
+        (quad((-0.9, -0.7, -0.9), (0.9, 0, -0.05), (0, 1.4, 0)), delta_material(ConductorModel(), TINT), None),
+        (block, delta_material(DielectricModel()), None),
+        (quad((-0.75, -0.9, 0.1), (0.5, 0, -0.2), (0, 0.9, 0)), delta_material(DielectricModel()), None),
+        (quad((0.95, -0.2, -0.3), (-0.3, 0, -0.5), (0, 0.7, 0)), delta_material(ConductorModel(), TINT, False), None),
         (quad((-0.7, 0.99, -0.7), (1.4, 0, 0), (0, 0, 1.4)), diffuse("lamp", 0.5), LIGHT),
     ]
     train = [((0.1, 0.0, 0.95), (0.0, -0.15, -0.3)), ((-0.8, 0.2, 0.8), (0.5, -0.4, -0.5))]

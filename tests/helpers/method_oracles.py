@@ -9,6 +9,7 @@ import torch
 
 from neurad.assembly.build import build_world
 from neurad.core.records import Constant, Material, Rays, Surface
+from neurad.core.reflection import ConductorModel, DielectricModel, PrincipledModel
 from neurad.core.rng import Stream
 from neurad.integrators.method import Parts
 from neurad.integrators.vertex import DIMENSIONS
@@ -81,9 +82,9 @@ def gallery():
     """A room with textures to be, two lights of different colour, a mirror and a glass ball."""
     white = Constant(np.full(3, 0.5, np.float32))
     rough = Constant(np.full(1, 0.5, np.float32))
-    wall = Material("wall", "principled", white, rough)
-    mirror = Material("mirror", "conductor", Constant(np.array([0.9, 0.8, 0.7], np.float32)), rough)
-    glass = Material("glass", "dielectric", Constant(np.ones(3, np.float32)), rough, True, 1.5)
+    wall = Material("wall", PrincipledModel(), white, rough)
+    mirror = Material("mirror", ConductorModel(), Constant(np.array([0.9, 0.8, 0.7], np.float32)), rough)
+    glass = Material("glass", DielectricModel(), Constant(np.ones(3, np.float32)), rough)
     parts = [(solid, 0, None) for solid in room((-1, -1, -1), (1, 1, 1)).values()]
     parts += [
         (rotated(box((-0.7, -1.0, -0.6), (-0.1, 0.1, 0.0)), 20.0, (-0.4, 0.0, -0.3)), 0, None),

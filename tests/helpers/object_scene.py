@@ -8,6 +8,7 @@ import torch
 
 from neurad.assembly.build import build_world
 from neurad.core.records import Constant, EnvironmentMap, Material
+from neurad.core.reflection import PrincipledModel
 from neurad.integrators.film import render
 from neurad.integrators.path import PathTracer
 from neurad.scene.builtin.plain import views
@@ -24,9 +25,17 @@ def sky(height=8, width=16, seed=0):
     return EnvironmentMap(np.random.default_rng(seed).uniform(0.2, 3.0, (height, width, 3)).astype(np.float32))
 
 
-def object_scene(environment, kind="principled", albedo=(0.6, 0.4, 0.2), size=SIZE):
+PAINT = PrincipledModel()
+
+
+def object_scene(environment, model=PAINT, albedo=(0.6, 0.4, 0.2), size=SIZE):
     """Six training and two held-out views, without files."""
-    paint = Material("paint", kind, Constant(np.array(albedo, np.float32)), Constant(np.array([0.3], np.float32)))
+    paint = Material(
+        "paint",
+        model,
+        Constant(np.array(albedo, np.float32)),
+        Constant(np.array([0.3], np.float32)),
+    )
     matte = replace(paint, name="matte", albedo=Constant(np.full(3, 0.5, np.float32)))
     ring = [(math.cos(a) * 3.0, 2.0 + 0.5 * (i % 2), math.sin(a) * 3.0) for i, a in enumerate(np.arange(8) * 0.8)]
     eyes = [(eye, (0.0, 0.4, 0.0)) for eye in ring]

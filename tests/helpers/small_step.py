@@ -8,6 +8,7 @@ import torch
 from neurad.assembly.build import build_materials, build_radiance, build_world
 from neurad.assembly.settings import Objective, Sampling
 from neurad.core.records import PixelBatch, View
+from neurad.core.reflection import PrincipledModel
 from neurad.core.rng import Stream
 from neurad.fields.settings import FieldConfig, GridConfig, RadianceConfig
 from neurad.integrators.estimator import Estimator
@@ -27,7 +28,7 @@ def small_scene(build=build_cornell, glossy=True, size=SIZE):
         [View(view.name, replace(view.camera, width=size, height=size)) for view in part]
         for part in (scene.train, scene.test)
     )
-    materials = [replace(m, kind="principled") if glossy else m for m in scene.materials]
+    materials = [replace(m, model=PrincipledModel()) if glossy else m for m in scene.materials]
     return replace(scene, materials=materials, train=train, test=test)
 
 

@@ -13,6 +13,7 @@ from neurad.bsdf.diffuse import Diffuse
 from neurad.bsdf.directional import directional_albedo
 from neurad.bsdf.principled import Principled, lobes_pdf
 from neurad.core.records import Surface
+from neurad.core.reflection import PrincipledModel
 from neurad.core.rng import Stream
 from neurad.integrators.debiased import Debiased
 from neurad.integrators.direct import Direct
@@ -185,7 +186,7 @@ def test_methods_keep_the_mean_of_their_gradient_and_lose_noise(name: str) -> No
     make, settings, largest = METHODS[name]
     batches, pixels, n = 100, 64, 8
     scene = build_furnace(0.5, 1.0)
-    world = build_world(replace(scene, materials=[replace(m, kind="principled") for m in scene.materials]))
+    world = build_world(replace(scene, materials=[replace(m, model=PrincipledModel()) for m in scene.materials]))
     materials = Even()
     at = Oracle("furnace", 0.5).vertices(pixels, Stream(1))
     side = torch.nn.functional.normalize(Stream(2).uniform(pixels, 3) - 0.5, dim=-1)

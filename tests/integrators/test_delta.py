@@ -12,6 +12,7 @@ from helpers.delta_scenes import ETA, LIGHT, TINT, delta_gallery, delta_material
 from neurad.assembly.build import build_materials, build_radiance, build_world
 from neurad.assembly.settings import Objective, Sampling
 from neurad.core.records import PixelBatch, Rays
+from neurad.core.reflection import ConductorModel, DielectricModel
 from neurad.core.rng import Stream
 from neurad.fields.settings import FieldConfig, GridConfig, RadianceConfig
 from neurad.integrators.delta import MAX_CHAIN
@@ -48,7 +49,7 @@ def wall(z, towards, size=100.0):
 @pytest.mark.parametrize("d", [(0.0, 0.0, -1.0), (0.3, -0.2, -1.0)])
 def test_a_mirror_shows_the_wall_behind_the_camera_times_its_tint(d):
     scene = scene_of(
-        (wall(-1, 1, 4.0), delta_material("conductor", TINT), None), (wall(3, -1), diffuse("wall", 0.0), LIGHT)
+        (wall(-1, 1, 4.0), delta_material(ConductorModel(), TINT), None), (wall(3, -1), diffuse("wall", 0.0), LIGHT)
     )
     seen = path(scene)(bundle(64, (0.0, 0.0, 1.0), d), 0)
     torch.testing.assert_close(seen, torch.tensor(TINT * LIGHT).expand(64, 3))
@@ -58,7 +59,7 @@ def test_a_mirror_shows_the_wall_behind_the_camera_times_its_tint(d):
 def test_a_one_sided_mirror_is_black_from_behind(two_sided, share):
     back = wall(-1, -1, 4.0)
     scene = scene_of(
-        (back, delta_material("conductor", TINT, two_sided), None), (wall(3, -1), diffuse("wall", 0.0), LIGHT)
+        (back, delta_material(ConductorModel(), TINT, two_sided), None), (wall(3, -1), diffuse("wall", 0.0), LIGHT)
     )
     seen = path(scene)(bundle(8, (0.0, 0.0, 1.0), (0.1, 0.0, -1.0)), 0)
     torch.testing.assert_close(seen, torch.tensor(np.float32(share) * TINT * LIGHT).expand(8, 3))
@@ -78,7 +79,7 @@ def test_a_glass_slab_splits_light_as_fresnel_says(degrees):
     slab = box((-50, -50, -0.1), (50, 50, 0.1))
     red, blue = np.array([1, 0, 0], np.float32), np.array([0, 0, 1], np.float32)
     scene = scene_of(
-        (slab, delta_material("dielectric"), None),
+        (slab, delta_material(DielectricModel()), None),
         (wall(-1, 1), diffuse("behind", 0.0), red),
         (wall(1, -1), diffuse("before", 0.0), blue),
     )
@@ -96,7 +97,7 @@ def test_a_glass_slab_splits_light_as_fresnel_says(degrees):
 def test_radiance_inside_glass_is_stretched_by_the_square_of_its_index():
     slab = box((-50, -50, -2.0), (50, 50, 0.0))
     scene = scene_of(
-        (slab, delta_material("dielectric"), None), (wall(1, -1), diffuse("wall", 0.0), np.ones(3, np.float32))
+        (slab, delta_material(DielectricModel()), None), (wall(1, -1), diffuse("wall", 0.0), np.ones(3, np.float32))
     )
     inside = bundle(20_000, (0.0, 0.0, -1.0), (0.0, 0.0, 1.0))
     seen = path(scene, max_depth=1)(inside, 1).mean(-1)
@@ -108,15 +109,15 @@ def test_radiance_inside_glass_is_stretched_by_the_square_of_its_index():
 
 def test_total_reflection_keeps_light_in_the_slab():
     slab = box((-50, -50, -0.1), (50, 50, 0.1))
-    scene = scene_of((slab, delta_material("dielectric"), None), (wall(1, -1), diffuse("wall", 0.0), LIGHT))
+    scene = scene_of((slab, delta_material(DielectricModel()), None), (wall(1, -1), diffuse("wall", 0.0), LIGHT))
     seen = path(scene, max_depth=1)(bundle(1000, (0.0, 0.0, 0.0), (1.0, 0.0, 0.8)), 1)  # critical angle 41.8 degrees
     assert (seen == 0).all()
 
 
 def test_a_chain_between_facing_mirrors_ends():
     scene = scene_of(
-        (wall(-1, 1, 4.0), delta_material("conductor"), None),
-        (wall(1, -1, 4.0), delta_material("conductor"), None),
+        (wall(-1, 1, 4.0), delta_material(ConductorModel()), None),
+        (wall(1, -1, 4.0), delta_material(ConductorModel()), None),
         (wall(9, -1), diffuse("wall", 0.5), LIGHT),
     )
     integrator = path(scene)
@@ -131,7 +132,7 @@ def test_a_chain_between_facing_mirrors_ends():
 
 def test_only_lanes_that_meet_something_smooth_change():
     scene = scene_of(
-        (wall(-1, 1, 2.0), delta_material("conductor", TINT), None), (wall(-2, 1), diffuse("wall", 0.5), LIGHT)
+        (wall(-1, 1, 2.0), delta_material(ConductorModel(), TINT), None), (wall(-2, 1), diffuse("wall", 0.5), LIGHT)
     )
     world = build_world(scene)
     rays = Rays.cat(bundle(2, (5.0, 0.0, 0.0), (0.0, 0.0, -1.0)), bundle(2, (0.0, 0.0, 0.0), (0.0, 0.0, -1.0)))

@@ -10,7 +10,8 @@ from helpers.random_vertices import one_sided, random_vertices
 
 from neurad.assembly.build import build_world
 from neurad.bsdf.directional import _mean_lobes, directional_albedo, mean_lobes, table
-from neurad.core.records import Surface, SurfaceInteraction, TypedSurface
+from neurad.core.records import Surface, SurfaceInteraction
+from neurad.core.reflection import PrincipledModel
 from neurad.core.rng import Stream
 from neurad.integrators import vertex_principled as glossy
 from neurad.integrators.guide import Guide
@@ -88,7 +89,7 @@ def test_the_compiled_bounce_is_the_plain_one(scene, control, guided):
 
 def test_smooth_surfaces_on_the_way_dim_what_comes_through():
     room = delta_gallery()
-    kinds = [replace(m, kind="principled") if m.kind == "diffuse" else m for m in room.materials]
+    kinds = [replace(m, model=PrincipledModel()) if m.model.is_diffuse else m for m in room.materials]
     world = build_world(replace(room, materials=kinds))
     si = random_vertices(world, N, 3)
     surface, u = random_surface(N, 5), Stream(4).uniform(N, DIMENSIONS)
@@ -125,7 +126,7 @@ def test_it_is_for_what_it_can_do():
     world = build_world(made_glossy(build_cornell()))
     si, surface = random_vertices(world, 10, 1), random_surface(10, 1)
     assert glossy.has_kernel(world, si, surface)
-    typed = TypedSurface(surface.albedo, surface.roughness, torch.zeros(10, dtype=torch.bool))
+    typed = Surface(surface.albedo, surface.roughness, torch.zeros(10, dtype=torch.int64))
     assert not glossy.has_kernel(world, si, typed)
     assert not glossy.has_kernel(build_world(build_cornell()), si, surface)
     assert not glossy.has_kernel(build_world(object_scene(sky())), si, surface)  # an environment

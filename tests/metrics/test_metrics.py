@@ -13,6 +13,7 @@ import torch
 from neurad.bsdf.table import make_bsdf
 from neurad.core.errors import InputError
 from neurad.core.records import Camera, Constant, Material, Mesh, Surface, SurfaceInteraction, View
+from neurad.core.reflection import DiffuseModel, PrincipledModel, ReflectionModel
 from neurad.core.rng import Stream
 from neurad.emitters.lights import make_lights
 from neurad.integrators.method import Parts
@@ -97,7 +98,7 @@ def save(path: Path, pixels: np.ndarray) -> str:
     return str(path)
 
 
-def make_scene(test: list[View], train: list[Camera] | None = None, kind: str = "principled") -> Scene:
+def make_scene(test: list[View], train: list[Camera] | None = None, model: ReflectionModel | None = None) -> Scene:
     meshes = [
         quad("floor", [[-1, -1, 0], [1.25, -1, 0], [1.25, 1, 0], [-1, 1, 0]]),
         quad("lamp", [[1.25, -1, 0], [1.5, -1, 0], [1.5, 1, 0], [1.25, 1, 0]], [1, 1, 1]),
@@ -106,7 +107,7 @@ def make_scene(test: list[View], train: list[Camera] | None = None, kind: str = 
     half = Constant(np.array([0.5, 0.5, 0.5], np.float32))
     train = [Camera(ALONG_X, math.pi / 2, 8, 8)] if train is None else train
     views = [View(f"train{i}", camera) for i, camera in enumerate(train)]
-    return Scene("floor", meshes, [Material("m", kind, half, half)], None, views, test)
+    return Scene("floor", meshes, [Material("m", model or PrincipledModel(), half, half)], None, views, test)
 
 
 def open_views(scene: Scene, grid: int = 4) -> HeldOut:
@@ -275,7 +276,7 @@ def test_missing_truth_leaves_its_scores_out(tmp_path: Path) -> None:
     views = [from_above(roughness=roughness)]
     only = open_views(make_scene(views))
     assert "roughness_psnr" in only.score(only.predict(Plain(0.5, 0.5)))
-    diffuse = open_views(make_scene(views, kind="diffuse"))  # which has no roughness
+    diffuse = open_views(make_scene(views, model=DiffuseModel()))  # which has no roughness
     assert diffuse.score(diffuse.predict(Plain(0.5, 0.5))) == {}
 
 
@@ -321,7 +322,7 @@ def test_lit_glossy_finds_a_real_highlight(tmp_path: Path) -> None:
     corners = [[-1.05, -0.05, 1], [-1.05, 0.05, 1], [-0.95, 0.05, 1], [-0.95, -0.05, 1]]
     meshes = [make_scene([]).meshes[0], quad("lamp", corners, [9, 9, 9])]
     train = [View("train", Camera(aside, 2 * math.atan(2.5), 8, 8))]
-    scene = Scene("floor", meshes, [Material("m", "principled", half, half)], None, train, [from_above(**files)])
+    scene = Scene("floor", meshes, [Material("m", PrincipledModel(), half, half)], None, train, [from_above(**files)])
     views = open_views(scene)
     world = World(
         views.geometry,

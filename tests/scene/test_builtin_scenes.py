@@ -11,6 +11,7 @@ from neurad.assembly.build import build_world
 from neurad.core.camera import camera_rays
 from neurad.core.errors import InputError
 from neurad.core.records import Bitmap, Constant
+from neurad.core.reflection import PrincipledModel
 from neurad.core.rng import Stream
 from neurad.integrators.film import render
 from neurad.integrators.path import PathTracer
@@ -119,7 +120,7 @@ def test_kitchen_has_the_promised_variety(kitchen):
     low, high = 1.0, 0.0
     for material in scene.materials[: -len(lights)]:
         albedo, roughness = material.albedo, material.roughness
-        assert material.kind == "principled"
+        assert material.model == PrincipledModel()
         assert isinstance(albedo, Bitmap)
         assert isinstance(roughness, Bitmap)
         assert albedo.pixels.max() <= 0.8501

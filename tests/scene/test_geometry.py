@@ -9,6 +9,7 @@ import torch
 from neurad.core.camera import camera_rays
 from neurad.core.errors import InputError
 from neurad.core.records import Camera, Constant, Material, Mesh, Rays
+from neurad.core.reflection import DiffuseModel
 from neurad.scene import geometry as module
 from neurad.scene.description import Scene
 from neurad.scene.geometry import Geometry
@@ -31,7 +32,7 @@ def scene():
     heat = {"vertex heat.0": array([1, 0], [3, 0], [5, 8])}
     smooth = Mesh("smooth", corners, TRIANGLE, 0, normals, uvs, heat, radiance=array(3, 2, 1))
     line = Mesh("line", array([0, 0, 0], [1, 1, 1], [2, 2, 2]), TRIANGLE, 1)
-    return Scene("s", [flat, smooth, line], [Material(name, "diffuse", ONE, ONE) for name in "ab"])
+    return Scene("s", [flat, smooth, line], [Material(name, DiffuseModel(), ONE, ONE) for name in "ab"])
 
 
 def at(g, prim, u, v):
@@ -86,7 +87,7 @@ def test_normals_that_are_zero_or_cancel_fall_back_to_the_geometric_one():
     corners = array([0, 0, 0], [1, 0, 0], [0, 1, 0])
     zero = Mesh("zero", corners, TRIANGLE, 0, array([0, 0, 0], [0, 0, 0], [0, 0, 0]))
     apart = Mesh("apart", corners, TRIANGLE, 0, array([1, 0, 0], [-1, 0, 0], [0, 1, 0]))
-    g = Geometry(Scene("s", [zero, apart], [Material("a", "diffuse", ONE, ONE)]))
+    g = Geometry(Scene("s", [zero, apart], [Material("a", DiffuseModel(), ONE, ONE)]))
     si = at(g, [0, 1], [0.3, 0.5], [0.3, 0.0])
     torch.testing.assert_close(si.n, torch.tensor([[0.0, 0.0, 1.0]] * 2))
 
@@ -103,7 +104,7 @@ def test_attributes_of_different_width_are_refused():
     corners = array([0, 0, 0], [1, 0, 0], [0, 1, 0])
     meshes = [Mesh(str(c), corners, TRIANGLE, 0, attributes={"a": np.ones((3, c), np.float32)}) for c in (1, 3)]
     with pytest.raises(InputError, match="attribute a"):
-        Geometry(Scene("s", meshes, [Material("a", "diffuse", ONE, ONE)]))
+        Geometry(Scene("s", meshes, [Material("a", DiffuseModel(), ONE, ONE)]))
 
 
 def test_many_lanes_equal_few(monkeypatch):
@@ -130,7 +131,7 @@ def test_a_scene_without_triangles_gives_misses():
 
 def test_the_floor_of_a_huge_scene_hides_nothing_small():
     corners = 1e5 * array([-1, 0, -1], [-1, 0, 1], [1, 0, 1])
-    g = Geometry(Scene("s", [Mesh("floor", corners, TRIANGLE, 0)], [Material("a", "diffuse", ONE, ONE)]))
+    g = Geometry(Scene("s", [Mesh("floor", corners, TRIANGLE, 0)], [Material("a", DiffuseModel(), ONE, ONE)]))
     si = at(g, [0], [0.25], [0.25])
     up = torch.tensor([[0.0, 1.0, 0.0]])
     near = g._origins(g.interact_at(si.prim, torch.tensor([0.0]), torch.tensor([0.5]), up, si.valid), up)

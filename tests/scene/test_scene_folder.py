@@ -12,7 +12,7 @@ from helpers.tiny_scene import PLY, POSE, SIZE, XML, read_json, write_json, writ
 from PIL import Image
 
 from neurad.core.errors import InputError
-from neurad.core.records import Bitmap, Rays, TypedSurface
+from neurad.core.records import Bitmap, Rays
 from neurad.scene.geometry import Geometry
 from neurad.scene.image_io import write_exr
 from neurad.scene.load import load_scene
@@ -177,9 +177,9 @@ def test_materials_of_both_kinds_and_misses(tmp_path):
     valid = torch.arange(len(prim)) < len(geometry.faces)
     si = geometry.interact_at(torch.where(valid, prim, -1), third, third, torch.randn(len(prim), 3), valid)
     surface = TrueMaterials(scene, geometry)(si)
-    assert isinstance(surface, TypedSurface)
-    kinds = [scene.materials[int(m)].kind for m in geometry.material[prim[valid]]]
-    assert surface.diffuse[valid].tolist() == [kind == "diffuse" for kind in kinds]
+    models = [scene.materials[int(m)].model for m in geometry.material[prim[valid]]]
+    assert [scene.features.models[i] for i in surface.model[valid].tolist()] == models
+    assert {model.is_diffuse for model in models} == {True, False}
     names = [scene.meshes[int(m)].name for m in geometry.mesh_index[prim[valid]]]
     assert (surface.albedo[valid].amin(-1) > 0).tolist() == [name != "mirrored" for name in names], "black by default"
     assert surface.albedo[~valid].abs().max() == 0
@@ -201,10 +201,10 @@ def test_delta_materials_and_environments(tmp_path):
     sky = np.random.default_rng(0).random((4, 8, 3), np.float32).astype(np.float16).astype(np.float32)
     write_exr(tmp_path / "sky.exr", sky)
     scene = read_xml(tmp_path / "scene.xml").check()
-    assert [m.kind for m in scene.materials] == ["conductor", "dielectric", "diffuse"]
+    assert [m.model.label for m in scene.materials] == ["conductor", "dielectric", "diffuse"]
     gold = scene.materials[0].albedo.value
     assert gold[0] > 0.9 > gold[1] > 0.7 > 0.5 > gold[2]
-    assert scene.materials[1].eta == pytest.approx(1.4)
+    assert scene.materials[1].model.eta == pytest.approx(1.4)
     assert not scene.materials[2].two_sided
     np.testing.assert_allclose(scene.environment.pixels, 2 * sky)
     np.testing.assert_allclose(scene.environment.to_world[:3, :3] @ [0, 0, 1], [1, 0, 0], atol=1e-6)

@@ -13,6 +13,7 @@ from scipy import stats
 from neurad.assembly.build import build_materials, build_world
 from neurad.core.errors import InputError
 from neurad.core.records import SurfaceInteraction
+from neurad.core.reflection import ConductorModel, PrincipledModel
 from neurad.core.rng import Stream
 from neurad.integrators.method import Parts
 from neurad.integrators.prb import PRB
@@ -229,7 +230,7 @@ def study(size=6, spp=2, factor=1.0):
     from dataclasses import replace
 
     scene = build_cube(0.6)
-    scene = replace(scene, materials=[replace(m, kind="principled") for m in scene.materials])
+    scene = replace(scene, materials=[replace(m, model=PrincipledModel()) for m in scene.materials])
     world = build_path_world(scene, "embree")
     camera = replace(scene.train[0].camera, width=size, height=size)
     return bias.Study(world, TrueMaterials(scene, world.geometry), camera, spp, factor)
@@ -375,7 +376,7 @@ def test_smooth_surfaces_are_refused():
     from dataclasses import replace
 
     scene = build_cube(0.5)
-    smooth = replace(scene, materials=[replace(m, kind="conductor") for m in scene.materials])
+    smooth = replace(scene, materials=[replace(m, model=ConductorModel()) for m in scene.materials])
     with pytest.raises(InputError, match="smooth"):
         build_path_world(smooth, "embree")
     assert not build_kitchen().features.has_delta

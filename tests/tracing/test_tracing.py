@@ -7,6 +7,7 @@ import trimesh
 
 from neurad.core.errors import InputError
 from neurad.core.records import Constant, Material, Mesh, Rays
+from neurad.core.reflection import DiffuseModel
 from neurad.core.sampling import uniform_triangle
 from neurad.scene.description import Scene
 from neurad.scene.geometry import Geometry
@@ -55,7 +56,7 @@ def ball(subdivisions=3, tilt=True):
 def geometry(vertices, faces):
     one = Constant(np.ones(3, np.float32))
     mesh = Mesh("m", vertices.numpy(), faces.numpy(), 0)
-    return Geometry(Scene("s", [mesh], [Material("m", "diffuse", one, one)]))
+    return Geometry(Scene("s", [mesh], [Material("m", DiffuseModel(), one, one)]))
 
 
 def test_closest_hits_agree_with_brute_force(backend):

@@ -18,6 +18,7 @@ from neurad.assembly.settings import Objective, Sampling
 from neurad.cli import main
 from neurad.core.errors import InputError
 from neurad.core.records import EnvironmentMap, PixelBatch, SurfaceInteraction
+from neurad.core.reflection import DiffuseModel
 from neurad.core.rng import Stream
 from neurad.emitters.environment import Environment
 from neurad.emitters.fitted import FittedEnvironment
@@ -283,7 +284,7 @@ def run(*args, config=("--config", "fit.yaml")):
 @pytest.mark.parametrize("method", ["radiometric.Radiometric", "direct.Direct", "prb.PRB"])
 def test_a_constant_map_is_recovered(made, method):
     color = np.array([2.0, 1.0, 0.5], np.float32)
-    made(EnvironmentMap(np.broadcast_to(color, (4, 8, 3)).copy()), kind="diffuse")
+    made(EnvironmentMap(np.broadcast_to(color, (4, 8, 3)).copy()), model=DiffuseModel())
     row, state = run("--trainer.max_steps=100", f"--model.method=neurad.integrators.{method}",
                      "--model.optimization.schedule=cosine")  # fmt: skip
     # 0.55 at the start. Direct light alone has to make up for what bounces between ball and floor; the radiance field

@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 
 from neurad.core.records import Constant, Material
+from neurad.core.reflection import PrincipledModel
 from neurad.scene.builtin.kitchen_fixtures import base_units, frames, shell, wall_units
 from neurad.scene.builtin.kitchen_props import props
 from neurad.scene.builtin.plain import views, with_files
@@ -72,4 +73,6 @@ def build_kitchen() -> Scene:
 
 
 def _pane(name: str) -> Material:
-    return Material(name, "principled", Constant(np.full(3, 0.5, np.float32)), Constant(np.full(1, 0.4, np.float32)))
+    return Material(
+        name, PrincipledModel(), Constant(np.full(3, 0.5, np.float32)), Constant(np.full(1, 0.4, np.float32))
+    )

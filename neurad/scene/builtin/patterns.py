@@ -10,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from neurad.core.records import Bitmap, FloatArray, Material
+from neurad.core.reflection import PrincipledModel
 
 SIZE = 128
 """Texels along each side of a map."""
@@ -154,7 +155,7 @@ def finish(
     rough = roughness[0] + (roughness[1] - roughness[0]) * blend
     return Material(
         name=name,
-        kind="principled",
+        model=PrincipledModel(),
         albedo=Bitmap(_rounded(np.clip(albedo, 0.03, 0.85))),
         roughness=Bitmap(_rounded(np.clip(rough, 0.2, 0.9)[..., None])),
     )

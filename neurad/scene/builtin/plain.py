@@ -10,6 +10,7 @@ import numpy as np
 
 from neurad.core.errors import InputError
 from neurad.core.records import Constant, Material, View
+from neurad.core.reflection import DiffuseModel
 from neurad.scene.builtin.shapes import Point, Solid, look_at, quad
 
 DATA = Path(__file__).parent / "data"
@@ -25,7 +26,7 @@ def diffuse(name: str, albedo: float | Sequence[float]) -> Material:
     value = np.broadcast_to(np.asarray(albedo, np.float32), (3,)).copy()
     if not bool(((value >= 0) & (value < 1)).all()):
         raise InputError(f"material {name}: albedo {albedo} is not in [0, 1), a closed scene would never settle")
-    return Material(name, "diffuse", Constant(value), Constant(np.ones(1, np.float32)))
+    return Material(name, DiffuseModel(), Constant(value), Constant(np.ones(1, np.float32)))
 
 
 def room(low: Point, high: Point) -> dict[str, Solid]:

@@ -9,6 +9,7 @@ import numpy as np
 
 from neurad.core.errors import InputError
 from neurad.core.records import Bitmap, Constant, FloatArray, Material, Texture, VertexAttribute
+from neurad.core.reflection import ConductorModel, DielectricModel, DiffuseModel, PrincipledModel
 from neurad.scene.image_io import read_bitmap
 
 _LUMINANCE = np.array([0.212671, 0.715160, 0.072169], np.float32)  # Mitsuba's, for a scalar from a colour bitmap
@@ -56,7 +57,7 @@ class MaterialReader:
         """
         key = (-1, int(shines)) if node is None else (node.file_index, node.offset)
         if key not in self._index:
-            default = Material("default", "diffuse", _BLACK if shines else _GREY, _SMOOTH, False)
+            default = Material("default", DiffuseModel(), _BLACK if shines else _GREY, _SMOOTH, False)
             material = default if node is None else self._bsdf(node, shape)
             self._index[key] = len(self.materials)
             self.materials.append(material)
@@ -95,15 +96,14 @@ class MaterialReader:
         if plugin == "principled":
             self._check_principled(node, where)
             albedo = self._texture(node, "base_color", where, _GREY)
-            return Material(
-                name, plugin, albedo, self._texture(node, "roughness", where, _HALF, scalar=True), two_sided
-            )
+            roughness = self._texture(node, "roughness", where, _HALF, scalar=True)
+            return Material(name, PrincipledModel(), albedo, roughness, two_sided)
         if plugin == "diffuse":
-            return Material(name, plugin, self._texture(node, "reflectance", where, _GREY), _SMOOTH, two_sided)
+            return Material(name, DiffuseModel(), self._texture(node, "reflectance", where, _GREY), _SMOOTH, two_sided)
         if plugin == "conductor":
-            return Material(name, plugin, self._mirror(node, where), _SMOOTH, two_sided)
+            return Material(name, ConductorModel(), self._mirror(node, where), _SMOOTH, two_sided)
         if plugin == "dielectric":
-            return Material(name, plugin, _ONES, _SMOOTH, True, self._eta(node, where))
+            return Material(name, DielectricModel(self._eta(node, where)), _ONES, _SMOOTH)
         known = "principled, diffuse, conductor, dielectric, twosided"
         raise InputError(f"{self.path}: {where} has type {plugin}, which is not supported; there are: {known}")
 

@@ -132,13 +132,14 @@ def _study(options: argparse.Namespace, factor: float) -> tuple[Study, str]:
 
     from neurad.core.camera import resized
     from neurad.core.errors import InputError
+    from neurad.core.reflection import PrincipledModel
     from neurad.scene.load import load_scene
     from neurad.scene.textures import TrueMaterials
     from neurad.studies.bench.bias import Study
     from neurad.studies.bench.per_path import build_path_world
 
     scene = load_scene(options.root, None if options.root else options.scene or "cornell")
-    rough = [replace(m, kind="principled") if m.kind == "diffuse" else m for m in scene.materials]
+    rough = [replace(m, model=PrincipledModel()) if m.model.is_diffuse else m for m in scene.materials]
     scene = replace(scene, materials=rough)
     views = scene.test or scene.train
     if options.view >= len(views):

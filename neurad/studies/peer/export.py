@@ -60,7 +60,7 @@ def to_mitsuba(
     bsdfs: list[Any] = []
     for i, material in enumerate(scene.materials):
         name = f"material_{i}"
-        if shading is not None and material.kind not in ("conductor", "dielectric"):
+        if shading is not None and not material.model.is_delta:
             bsdfs.append(shading(material))
         else:
             described[name] = _bsdf(mi, material, name)
@@ -82,21 +82,10 @@ def to_mitsuba(
 
 
 def _bsdf(mi: Any, material: Material, name: str) -> dict[str, Any]:
-    albedo = _texture(mi, material.albedo)
-    if material.kind == "diffuse":
-        inner = {"type": "diffuse", "reflectance": albedo}
-    elif material.kind == "conductor":  # "none" reflects the tint alone at every angle
-        inner = {"type": "conductor", "material": "none", "specular_reflectance": albedo}
-    elif material.kind == "dielectric":
-        return {"type": "dielectric", "id": name, "int_ior": material.eta, "ext_ior": 1.0}
-    else:
-        inner = {
-            "type": "principled",
-            "base_color": albedo,
-            "roughness": _texture(mi, material.roughness),
-            "eta": material.eta,
-        }
-    return {"type": "twosided", "id": name, "bsdf": inner} if material.two_sided else {**inner, "id": name}
+    inner = material.model.mitsuba(_texture(mi, material.albedo), _texture(mi, material.roughness))
+    if material.two_sided and not (material.model.delta and material.model.delta.transmits):
+        return {"type": "twosided", "id": name, "bsdf": inner}
+    return {**inner, "id": name}
 
 
 def _environment(mi: Any, environment: EnvironmentMap) -> dict[str, Any]:

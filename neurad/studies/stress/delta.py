@@ -9,6 +9,7 @@ import numpy as np
 import torch
 
 from neurad.core.records import Constant, Material, Mesh
+from neurad.core.reflection import ConductorModel, DielectricModel
 from neurad.integrators.delta import MAX_CHAIN
 from neurad.scene.builtin.shapes import look_at, quad
 from neurad.studies.stress.case import Case, Outcome
@@ -21,7 +22,7 @@ def _behind_glass() -> Case:
 
     def measure(quick: bool) -> Outcome:
         scene = small_cube(12)
-        glazed = with_panel(scene, "dielectric", (-1.0, 0.9, -1.0), 2.0)
+        glazed = with_panel(scene, DielectricModel(), (-1.0, 0.9, -1.0), 2.0)
         lift = np.array([0.0, 0.01, 0.0], np.float32)
         pane = replace(glazed.meshes[-1], name="upper", vertices=glazed.meshes[-1].vertices + lift)
         glazed = replace(glazed, meshes=[*glazed.meshes[:-1], _facing(glazed.meshes[-1], -1.0), _facing(pane, 1.0)])
@@ -47,7 +48,9 @@ def _facing(mesh: Mesh, up: float) -> Mesh:
 def _two_mirrors() -> Case:
     def measure(quick: bool) -> Outcome:
         scene = small_cube(12)
-        mirror = Material("mirror", "conductor", Constant(np.ones(3, np.float32)), Constant(np.ones(1, np.float32)))
+        mirror = Material(
+            "mirror", ConductorModel(), Constant(np.ones(3, np.float32)), Constant(np.ones(1, np.float32))
+        )
         left = quad((-0.9, -0.9, -0.9), (0.0, 1.5, 0.0), (0.0, 0.0, 1.8)).mesh("left", 2, smooth_shading=False)
         right = quad((0.9, -0.9, -0.9), (0.0, 1.5, 0.0), (0.0, 0.0, 1.8)).mesh("right", 2, smooth_shading=False)
         scene = replace(scene, meshes=[*scene.meshes, left, right], materials=[*scene.materials, mirror])
@@ -67,7 +70,7 @@ def _mirror_floor() -> Case:
 
     def measure(quick: bool) -> Outcome:
         scene = small_cube(16)
-        mirror = with_panel(scene, "conductor", (-1.0, 0.0, -1.0), 2.0)
+        mirror = with_panel(scene, ConductorModel(), (-1.0, 0.0, -1.0), 2.0)
         down = look_at((0.1, 0.5, 0.1), (0.1, 0.0, 0.11), 40.0, 16)
         up = look_at((0.1, -0.5, 0.1), (0.1, 0.0, 0.11), 40.0, 16)
         cut = [m for m in scene.meshes]
@@ -80,7 +83,7 @@ def _mirror_floor() -> Case:
 
 def _fitted() -> Case:
     def measure(quick: bool) -> Outcome:
-        scene = resized(with_panel(small_cube(12), "conductor", (-0.5, -0.9, -0.5), 1.0), 12, 4)
+        scene = resized(with_panel(small_cube(12), ConductorModel(), (-0.5, -0.9, -0.5), 1.0), 12, 4)
         fit = Fit(scene, photographs(scene, 32), Plan(steps=60 if quick else 300)).run()
         error, mean = fit.albedo_error()
         return Outcome(error, 0.25, f"albedo found {mean:.3f}")

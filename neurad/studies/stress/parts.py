@@ -14,8 +14,8 @@ from typing import Literal
 import numpy as np
 import torch
 
-from neurad.bsdf.diffuse import Diffuse
 from neurad.core.records import Constant, EnvironmentMap
+from neurad.core.reflection import PrincipledModel
 from neurad.emitters.area import AreaLights
 from neurad.emitters.environment import Environment
 from neurad.integrators.delta import DeltaSurfaces
@@ -54,7 +54,9 @@ class Place:
 def glossy(scene: Scene) -> Scene:
     """The same scene with the parts that ``kitchen`` has: principled BSDF and a roughness field."""
     matte = Constant(np.ones(1, np.float32))
-    materials = [replace(m, kind="principled", roughness=matte) if m.kind == "diffuse" else m for m in scene.materials]
+    materials = [
+        replace(m, model=PrincipledModel(), roughness=matte) if m.model.is_diffuse else m for m in scene.materials
+    ]
     return replace(scene, materials=materials)
 
 
@@ -84,7 +86,7 @@ def parts(fit: Fit) -> tuple[list[str], list[str]]:
     has = {
         "area lights": not isinstance(world.lights, Environment),
         "environment": not isinstance(world.lights, AreaLights),
-        "specular lobe": not isinstance(world.bsdf, Diffuse),
+        "specular lobe": not world.bsdf.lambertian,
         "roughness field": fit.materials.roughness is not None,
         "control variate": world.bsdf.varying_weight,
         "guide": world.guide is not None,

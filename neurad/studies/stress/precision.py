@@ -14,6 +14,7 @@ from torch import Tensor, nn
 from neurad.bsdf import directional
 from neurad.core.protocols import Tracer
 from neurad.core.records import Hit, Rays, SurfaceInteraction
+from neurad.core.reflection import PrincipledModel
 from neurad.core.rng import Stream
 from neurad.fields.mlp import products
 from neurad.losses.relative import total
@@ -26,7 +27,7 @@ from neurad.tracing.counting import CountingTracer
 
 def _glossy(size: int = 16, views: int = 4) -> Scene:
     scene = resized(build_cornell(), size, views)
-    return replace(scene, materials=[replace(m, kind="principled") for m in scene.materials], max_depth=6)
+    return replace(scene, materials=[replace(m, model=PrincipledModel()) for m in scene.materials], max_depth=6)
 
 
 def _dense(fit: Fit) -> Tensor:

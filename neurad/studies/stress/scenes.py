@@ -11,6 +11,7 @@ from torch import Tensor
 
 from neurad.assembly.build import build_world
 from neurad.core.records import Constant, Material, Mesh
+from neurad.core.reflection import ReflectionModel
 from neurad.integrators.film import render
 from neurad.integrators.path import PathTracer
 from neurad.scene.builtin import build_cube
@@ -31,10 +32,10 @@ def with_light(scene: Scene, factor: float) -> Scene:
     )
 
 
-def with_material(scene: Scene, kind: str, albedo: float, roughness: float = 1.0, index: int = 0) -> Scene:
+def with_material(scene: Scene, model: ReflectionModel, albedo: float, roughness: float = 1.0, index: int = 0) -> Scene:
     """The scene with another material in the place of number ``index``."""
     value = Constant(np.full(3, albedo, np.float32))
-    made = Material("extreme", kind, value, Constant(np.full(1, roughness, np.float32)))
+    made = Material("extreme", model, value, Constant(np.full(1, roughness, np.float32)))
     return replace(scene, materials=[made if i == index else m for i, m in enumerate(scene.materials)])
 
 
@@ -56,9 +57,9 @@ def moved(scene: Scene, scale: float, offset: float) -> Scene:
     return replace(changed, train=parts[0], test=parts[1])
 
 
-def with_panel(scene: Scene, kind: str, corner: tuple[float, float, float], size: float) -> Scene:
+def with_panel(scene: Scene, model: ReflectionModel, corner: tuple[float, float, float], size: float) -> Scene:
     """The scene with a square panel parallel to the floor, of glass or mirror."""
-    material = Material("panel", kind, Constant(np.ones(3, np.float32)), Constant(np.ones(1, np.float32)))
+    material = Material("panel", model, Constant(np.ones(3, np.float32)), Constant(np.ones(1, np.float32)))
     panel = quad(corner, (size, 0.0, 0.0), (0.0, 0.0, size))
     mesh = panel.mesh("panel", len(scene.materials), smooth_shading=False)
     return replace(scene, meshes=[*scene.meshes, mesh], materials=[*scene.materials, material])

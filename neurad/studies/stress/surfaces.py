@@ -9,6 +9,7 @@ import torch
 from neurad.assembly.build import build_world
 from neurad.core.frame import Frame
 from neurad.core.records import Surface
+from neurad.core.reflection import DiffuseModel, PrincipledModel
 from neurad.core.rng import Stream
 from neurad.core.sampling import cosine_hemisphere
 from neurad.scene.builtin import build_cornell
@@ -23,7 +24,7 @@ def _energy(roughness: float) -> Case:
     """Mean of the BSDF's sampling weights against the integral of its values by uniform directions."""
 
     def measure(quick: bool) -> Outcome:
-        scene = with_material(small_cube(), "principled", 0.0, roughness)
+        scene = with_material(small_cube(), PrincipledModel(), 0.0, roughness)
         bsdf = build_world(scene).bsdf
         n = 200_000 if quick else 1_000_000
         stream = Stream(1)
@@ -45,7 +46,7 @@ def _energy(roughness: float) -> Case:
 
 def _diffuse_energy() -> Case:
     def measure(quick: bool) -> Outcome:
-        scene = with_material(small_cube(), "diffuse", 1.0)
+        scene = with_material(small_cube(), DiffuseModel(), 1.0)
         world = build_world(scene)
         n = 20_000
         stream = Stream(2)
@@ -62,7 +63,7 @@ def _dark(albedo: float) -> Case:
 
     def measure(quick: bool) -> Outcome:
         scene = resized(small_cube(12, albedo=0.5), 12, 4 if quick else 8)
-        scene = with_material(scene, "diffuse", albedo)
+        scene = with_material(scene, DiffuseModel(), albedo)
         # Where nothing is ever absorbed, the noise of photographs sets the error: 0.26 with 16 samples a pixel, 0.14
         # with 200. So there is no bar.
         white = albedo == 1
@@ -102,14 +103,14 @@ def _estimate(albedo: float, roughness: float) -> Case:
 
 
 def _glossy(scene: Scene) -> Scene:
-    return replace(scene, materials=[replace(m, kind="principled") for m in scene.materials])
+    return replace(scene, materials=[replace(m, model=PrincipledModel()) for m in scene.materials])
 
 
 def _rough_fit(roughness: float) -> Case:
     """A room of one glossy material, recovered."""
 
     def measure(quick: bool) -> Outcome:
-        scene = with_material(small_cube(16), "principled", 0.3, roughness)
+        scene = with_material(small_cube(16), PrincipledModel(), 0.3, roughness)
         images = photographs(scene, 64)
         fit = Fit(scene, images, Plan(steps=600, sampling=Plan().sampling)).run()
         si = fit.seen(2048)

@@ -1,0 +1,151 @@
+"""Reflection models as data: which one a material has, and its constants.
+
+:mod:`neurad.bsdf.table` has the implementation of each. All other modules ask a description for its properties.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Any
+
+from neurad.core.errors import InputError
+
+
+@dataclass(frozen=True)
+class DeltaLobe:
+    """How a smooth surface scatters: into one direction, or into one of two."""
+
+    transmits: bool
+    """Dielectric: light also passes through; a conductor only reflects."""
+    eta: float = 1.0
+    """Refractive index of a dielectric, inside over outside."""
+
+
+@dataclass(frozen=True)
+class ReflectionModel:
+    """What the rest of the program may ask any model for. Two equal descriptions reflect alike."""
+
+    @property
+    def label(self) -> str:
+        """Its name in messages: that of Mitsuba's plugin."""
+        raise NotImplementedError
+
+    @property
+    def is_diffuse(self) -> bool:
+        """Lambertian: no roughness and no specular lobe."""
+        return False
+
+    @property
+    def delta(self) -> DeltaLobe | None:
+        """Of a smooth surface, which paths pass through; None of all others."""
+        return None
+
+    @property
+    def is_delta(self) -> bool:
+        """Whether the surface is smooth."""
+        return self.delta is not None
+
+    @property
+    def unsupported(self) -> str | None:
+        """Why it cannot be rendered, in words that follow "which"; None of a model that can."""
+        return None
+
+    def mitsuba(self, albedo: Any, roughness: Any) -> dict[str, Any]:
+        """Mitsuba's one-sided BSDF of the same reflection, with these textures or numbers."""
+        raise InputError(f"a {self.label} cannot be given to Mitsuba")
+
+
+@dataclass(frozen=True)
+class DiffuseModel(ReflectionModel):
+    """Lambert's law."""
+
+    @property
+    def label(self) -> str:
+        """Mitsuba's plugin."""
+        return "diffuse"
+
+    @property
+    def is_diffuse(self) -> bool:
+        """Always."""
+        return True
+
+    def mitsuba(self, albedo: Any, roughness: Any) -> dict[str, Any]:
+        """``diffuse``."""
+        return {"type": "diffuse", "reflectance": albedo}
+
+
+@dataclass(frozen=True)
+class PrincipledModel(ReflectionModel):
+    """Burley's model with base colour and roughness; without arguments the one that unknown surfaces have."""
+
+    eta: float = 1.5
+    """Refractive index of the specular lobe, inside over outside; 1.5 is ``specular`` 0.5."""
+
+    @property
+    def label(self) -> str:
+        """Mitsuba's plugin."""
+        return "principled"
+
+    def mitsuba(self, albedo: Any, roughness: Any) -> dict[str, Any]:
+        """``principled``."""
+        return {"type": "principled", "base_color": albedo, "roughness": roughness, "eta": self.eta}
+
+
+@dataclass(frozen=True)
+class ConductorModel(ReflectionModel):
+    """A smooth mirror; the albedo is its reflectance at every angle."""
+
+    @property
+    def label(self) -> str:
+        """Mitsuba's plugin."""
+        return "conductor"
+
+    @property
+    def delta(self) -> DeltaLobe:
+        """Reflects only."""
+        return DeltaLobe(transmits=False)
+
+    def mitsuba(self, albedo: Any, roughness: Any) -> dict[str, Any]:
+        """``conductor`` of the material "none", which reflects the tint alone."""
+        return {"type": "conductor", "material": "none", "specular_reflectance": albedo}
+
+
+@dataclass(frozen=True)
+class DielectricModel(ReflectionModel):
+    """Smooth glass; the albedo is its tint (ones)."""
+
+    eta: float = 1.5
+    """Refractive index, inside over outside."""
+
+    @property
+    def label(self) -> str:
+        """Mitsuba's plugin."""
+        return "dielectric"
+
+    @property
+    def delta(self) -> DeltaLobe:
+        """Reflects and transmits."""
+        return DeltaLobe(transmits=True, eta=self.eta)
+
+    def mitsuba(self, albedo: Any, roughness: Any) -> dict[str, Any]:
+        """``dielectric``."""
+        return {"type": "dielectric", "int_ior": self.eta, "ext_ior": 1.0}
+
+
+@dataclass(frozen=True)
+class UnsupportedModel(ReflectionModel):
+    """An opaque BSDF of a scene file that cannot be rendered. A fit, which recovers surfaces anew, replaces it."""
+
+    plugin: str
+    reason: str
+    """What of it is not supported."""
+
+    @property
+    def label(self) -> str:
+        """Mitsuba's plugin."""
+        return self.plugin
+
+    @property
+    def unsupported(self) -> str:
+        """The reason."""
+        return self.reason
