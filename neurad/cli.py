@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import argparse
-import importlib
 import os
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import nullcontext
 from typing import NoReturn
 
+from neurad.commands import Verb
 from neurad.core.errors import InputError
 from neurad.runtime import clock
 from neurad.runtime.allocator import imports_kept, keep_freed_memory
@@ -20,13 +20,39 @@ LIGHTNING_VERBS = {
     "test": "the same, and write every held-out view (EXR, PNG) and metrics.json",
     "predict": "write the held-out views without scoring them",
 }
-OWN_VERBS = {
-    "render": ("neurad.commands.render", "render a scene's views from its own, known materials"),
-    "compare": ("neurad.commands.compare", "run several methods with one budget and report error against cost"),
-    "stress": ("neurad.commands.stress", "check stiff and extreme cases against known answers, a row each"),
-    "bench": ("neurad.commands.bench", "measure what a training step, a method or a peer costs"),
+
+
+def _render() -> Verb:
+    from neurad.commands import render
+
+    return render
+
+
+def _compare() -> Verb:
+    from neurad.commands import compare
+
+    return compare
+
+
+def _stress() -> Verb:
+    from neurad.commands import stress
+
+    return stress
+
+
+def _bench() -> Verb:
+    from neurad.commands import bench
+
+    return bench
+
+
+OWN_VERBS: dict[str, tuple[Callable[[], Verb], str]] = {
+    "render": (_render, "render a scene's views from its own, known materials"),
+    "compare": (_compare, "run several methods with one budget and report error against cost"),
+    "stress": (_stress, "check stiff and extreme cases against known answers, a row each"),
+    "bench": (_bench, "measure what a training step, a method or a peer costs"),
 }
-"""Verbs beyond Lightning's: the module with ``add_arguments(parser)`` and ``run(options)``, and what it does."""
+"""Verbs beyond Lightning's: a function that imports the verb's module, and what the verb does."""
 
 HELP = """usage: neurad VERB [--config NAME.yaml ...] [--KEY VALUE ...]
 
@@ -40,18 +66,18 @@ examples:
   neurad fit --config scene.yaml --data.root DIR           a scene of your own
   neurad fit --ckpt_path last                              continue the newest run
   neurad test                                              pictures and scores of the newest run
-  tensorboard --logdir lightning_logs                      curves and pictures while it runs
+  tensorboard --logdir lightning_logs                      curves and pictures during a run
 
-Several --config overlay each other; a name that is no file is looked up among the shipped configs.
-Every setting can be given as --KEY VALUE; `neurad VERB --help` lists them all.
+Several --config overlay each other, the last one on top; a name that is no file is looked up among the shipped
+configs. Every setting can be given as --KEY VALUE; `neurad VERB --help` lists them all.
 """
 
 
 class _Parser(argparse.ArgumentParser):
-    """A parser whose complaints are one sentence like everybody else's."""
+    """A parser that raises its error messages, so that they are printed in one sentence like all others."""
 
     def error(self, message: str) -> NoReturn:
-        """Raise what the parser found wrong."""
+        """Raise the message."""
         raise InputError(message)
 
 
@@ -98,21 +124,56 @@ def _dispatch(words: list[str], own_process: bool) -> None:
         print(f"neurad {neurad.__version__}")
     elif verb in OWN_VERBS:
         _prepare()
-        module, text = OWN_VERBS[verb]
-        command = importlib.import_module(module)
+        load, text = OWN_VERBS[verb]
+        command = load()
         parser = _Parser(prog=f"neurad {verb}", description=text[:1].upper() + text[1:] + ".")
         command.add_arguments(parser)
-        # A verb that passes settings on to others takes its words apart itself.
-        command.run(command.parse(parser, rest) if hasattr(command, "parse") else parser.parse_args(rest))
+        command.run(_parse(parser, rest))
     elif verb in LIGHTNING_VERBS:
         _prepare()
         with imports_kept() if own_process else nullcontext():
-            from neurad.runs import lightning as train
+            from neurad.runs import lightning
 
             classes = _classes()
-        train.run(verb, rest, *classes)
+        lightning.run(verb, rest, *classes)
     else:
-        raise InputError(f"{verb}: no such verb, there are {', '.join([*LIGHTNING_VERBS, *OWN_VERBS])}")
+        raise InputError(_unknown(verb))
+
+
+def _parse(parser: argparse.ArgumentParser, words: Sequence[str]) -> argparse.Namespace:
+    """Options of a verb. One that starts fits (it has a default for ``settings``) gets what is meant for them apart."""
+    if parser.get_default("settings") is None:
+        return parser.parse_args(words)
+    own, settings = split_settings(words)
+    return parser.parse_args(own, argparse.Namespace(settings=settings, words=list(words)))
+
+
+def split_settings(words: Sequence[str]) -> tuple[list[str], list[str]]:
+    """A verb's own arguments, and the settings of ``neurad fit`` among them as ``--key=value``.
+
+    A setting has a dot in its key, such as ``--data.root DIR``, or is ``--seed_everything``.
+    """
+    own, settings = [], []
+    queue = list(words)
+    while queue:
+        word = queue.pop(0)
+        key = word.partition("=")[0]
+        if not key.startswith("--") or not ("." in key or key == "--seed_everything"):
+            own.append(word)
+            continue
+        if "=" not in word and queue and not queue[0].startswith("--"):
+            word = f"{word}={queue.pop(0)}"
+        settings.append(word)
+    return own, settings
+
+
+def _unknown(verb: str) -> str:
+    """The sentence about a verb that does not exist, with the nearest that does."""
+    from difflib import get_close_matches
+
+    verbs = [*LIGHTNING_VERBS, *OWN_VERBS]
+    near = get_close_matches(verb, verbs, 1)
+    return f"{verb}: no such verb, " + (f"did you mean {near[0]}?" if near else f"there are {', '.join(verbs)}")
 
 
 def _prepare() -> None:

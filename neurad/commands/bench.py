@@ -3,33 +3,48 @@
 from __future__ import annotations
 
 import argparse
-import importlib
 
-BENCHMARKS: dict[str, str] = {
-    "step": "time the stages of a training step, against what the machine allows",
-    "encode": "time hash grids, dense grids and networks, against what the machine allows",
-    "trace": "time every ray caster that is installed, by kind of ray and size of batch",
-    "growth": "time and memory against triangles, views, resolution and table size",
-    "ceiling": "fit the material fields to the true maps: what no fit to photographs can be expected to beat",
-    "peer": "race Mitsuba 3's path replay backpropagation to a given albedo error, on this machine",
-    "cube": "time and memory of a step against albedo, for ours, path replay and differentiated path tracing",
-    "gradients": "bias of gradient images and of the loss's gradient, against long paths and a closed form",
+from neurad.commands import Verb
+from neurad.studies.bench import ceiling, cube, encode, gradients, growth, peer, step, trace
+
+BENCHMARKS: dict[str, tuple[Verb, str]] = {
+    "step": (step, "time the stages of a training step, against what the machine allows"),
+    "encode": (encode, "time hash grids, dense grids and networks, against what the machine allows"),
+    "trace": (trace, "time every ray caster that is installed, by kind of ray and size of batch"),
+    "growth": (growth, "time and memory against triangles, views, resolution and table size"),
+    "ceiling": (
+        ceiling,
+        "fit the material fields to the true maps: what a fit to photographs is not expected to beat",
+    ),
+    "peer": (peer, "race Mitsuba 3's path replay backpropagation to a given albedo error, on this machine"),
+    "cube": (cube, "time and memory of a step against albedo, for ours, path replay and differentiated path tracing"),
+    "gradients": (
+        gradients,
+        "bias of gradient images and of the loss's gradient, against long paths and closed forms",
+    ),
 }
-"""Name of a benchmark (its module here has ``add_arguments(parser)`` and ``run(options)``): what it shows."""
+"""Benchmarks by name, and what each shows."""
+WORKERS = {"cube-worker": cube.work, "peer-worker": peer.work}
+"""What the child processes of a benchmark run, given one JSON text; not listed in the help."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare every benchmark and its options."""
     parsers = parser.add_subparsers(dest="benchmark", required=True, metavar="BENCHMARK")
-    for name, text in BENCHMARKS.items():
+    for name, (benchmark, text) in BENCHMARKS.items():
         child = parsers.add_parser(name, help=text, description=text[:1].upper() + text[1:] + ".")
-        importlib.import_module(f"neurad.studies.bench.{name}").add_arguments(child)
+        benchmark.add_arguments(child)
+    for name in WORKERS:
+        parsers.add_parser(name).add_argument("job")
 
 
 def run(options: argparse.Namespace) -> None:
-    """Run the benchmark that was asked for.
+    """Run the chosen benchmark.
 
     Raises:
         InputError: the user's mistake, in one sentence.
     """
-    importlib.import_module(f"neurad.studies.bench.{options.benchmark}").run(options)
+    if options.benchmark in WORKERS:
+        WORKERS[options.benchmark](options.job)
+    else:
+        BENCHMARKS[options.benchmark][0].run(options)

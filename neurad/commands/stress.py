@@ -3,11 +3,9 @@
 from __future__ import annotations
 
 import argparse
-import os
-import time
 from pathlib import Path
 
-from neurad.studies.stress import FAMILIES, collect
+from neurad.studies.stress.families import FAMILIES
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -28,40 +26,6 @@ def run(options: argparse.Namespace) -> None:
         InputError: an unknown family, no scene folder in ``--scenes``, or a table that would be overwritten.
         SystemExit: with 1 if a row fails.
     """
-    from neurad.core.errors import InputError
+    from neurad.studies.stress.run import stress
 
-    only = None if options.only is None else [name.strip() for name in options.only.split(",")]
-    for name in only or []:
-        if name not in FAMILIES:
-            raise InputError(f"--only: {name} is no family of cases, there are {', '.join(FAMILIES)}")
-    paths = options.out / "stress.csv", options.out / "stress.md"
-    if not options.overwrite and (found := [path for path in paths if path.exists()]):
-        raise InputError(f"--out: {found[0]} is there already; add --overwrite to write over it")
-    options.out.mkdir(parents=True, exist_ok=True)
-
-    from neurad.studies.stress.case import judge
-    from neurad.studies.stress.table import heading, line, write_csv, write_markdown
-
-    cases = collect(only)
-    if options.scenes is not None:
-        from neurad.studies.stress.features import folders
-
-        cases += folders(options.scenes)
-    begin = time.perf_counter()
-    rows = []
-    print(heading(), flush=True)
-    for case in cases:
-        if options.quick and not case.quick:
-            continue
-        rows.append(judge(case, options.quick))
-        print(line(rows[-1]), flush=True)
-        write_csv(paths[0], rows)  # after each row, so that an interrupted run leaves what it found
-    form = "quick" if options.quick else "full"
-    failed = sum(row.verdict == "FAIL" for row in rows)
-    spent = time.perf_counter() - begin
-    write_markdown(paths[1], rows, f"neurad stress ({form}): {len(rows)} rows, {failed} failed")
-    print(f"\n{len(rows)} rows, {failed} failed, {spent:.0f} s on {os.cpu_count()} cores; {paths[0]}, {paths[1]}")
-    if options.scenes is None and not options.quick and (only is None or "features" in only):
-        print("scene folders were left out: --scenes DIR names the folder that has them")
-    if failed:
-        raise SystemExit(1)
+    stress(options)

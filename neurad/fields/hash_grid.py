@@ -106,7 +106,7 @@ class HashGrid(nn.Module):
             ValueError: ``finest`` is left to photographs, which nobody has looked at.
         """
         if config.finest is None:
-            raise ValueError("HashGrid: finest is not known yet, see neurad.assembly.resolution")
+            raise ValueError("HashGrid: finest is not set; it comes from resolve_finest")
         return cls(config.levels, config.coarsest, config.finest, config.features, config.log2_size, use_kernels)
 
     def forward(self, x: Tensor) -> Tensor:

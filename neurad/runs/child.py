@@ -6,34 +6,16 @@ measures children has to stay small until the last of them has ended.
 
 from __future__ import annotations
 
-import json
 import os
 import subprocess
 import sys
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
-
-from neurad.core.errors import InputError
 
 NEURAD = [sys.executable, "-P", "-m", "neurad"]
 """The command; ``-P`` keeps files of the working folder from taking the place of modules."""
-
-_PRINT_CONFIGS = """
-import contextlib, io, json, sys
-import yaml
-from neurad.cli import main
-trees = []
-for arguments in json.loads(sys.argv[1]):
-    with contextlib.redirect_stdout(io.StringIO()) as out, contextlib.suppress(SystemExit):
-        main(["fit", *arguments, "--print_config"])
-    if not out.getvalue():
-        raise SystemExit(2)
-    trees.append(yaml.safe_load(out.getvalue()))
-json.dump(trees, sys.stdout, default=str)
-"""
 
 
 @dataclass(frozen=True)
@@ -66,7 +48,7 @@ def run_neurad(arguments: Sequence[str], log: Path) -> Ended:
             # The child got the same Ctrl-C and is saving its last iteration.
             _wait(process)
             raise
-    return Ended(code, time.monotonic() - begin, peak, "" if code == 0 else _reason(code, log))
+    return Ended(code, time.monotonic() - begin, peak, "" if code == 0 else failure(code, log))
 
 
 def _wait(process: subprocess.Popen[bytes]) -> tuple[int, float | None]:
@@ -79,25 +61,20 @@ def _wait(process: subprocess.Popen[bytes]) -> tuple[int, float | None]:
     return process.returncode, usage.ru_maxrss / unit
 
 
-def _reason(code: int, log: Path) -> str:
-    """The last thing that a failed child said, in one line."""
+def failure(code: int, log: Path) -> str:
+    """Why a child failed, in one line.
+
+    Args:
+        code: its exit code; negative for a signal.
+        log: file with what it printed.
+    """
     if code < 0:
         return f"killed by signal {-code}"
-    lines = [line.strip() for line in log.read_text(errors="replace").splitlines() if line.strip()]
-    said = next((line for line in reversed(lines) if line.startswith("neurad: error: ")), lines[-1] if lines else "")
-    return said.removeprefix("neurad: error: ") or f"exit code {code}"
+    return last_message(log.read_text(errors="replace")) or f"exit code {code}"
 
 
-def resolved_configs(fits: Sequence[Sequence[str]]) -> list[Mapping[str, Any]]:
-    """What ``neurad fit ARGUMENTS --print_config`` prints for every entry of ``fits``, from one child.
-
-    Raises:
-        InputError: the first complaint, in the words of ``neurad fit``.
-    """
-    command = [sys.executable, "-P", "-c", _PRINT_CONFIGS, json.dumps([list(fit) for fit in fits])]
-    done = subprocess.run(command, capture_output=True, text=True, check=False)
-    if done.returncode != 0:
-        said = [line for line in done.stderr.splitlines() if line.startswith("neurad: error: ")]
-        raise InputError(said[-1].removeprefix("neurad: error: ") if said else done.stderr.strip().splitlines()[-1])
-    trees: list[Mapping[str, Any]] = json.loads(done.stdout)
-    return trees
+def last_message(printed: str) -> str:
+    """The last error of neurad in what a child printed, otherwise its last line."""
+    lines = [line.strip() for line in printed.splitlines() if line.strip()]
+    errors = [line for line in lines if line.startswith("neurad: error: ")]
+    return (errors or lines or [""])[-1].removeprefix("neurad: error: ")

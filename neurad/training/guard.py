@@ -7,9 +7,9 @@ are counters, with every return value of this package's functions looked at: the
 
 from __future__ import annotations
 
+import dataclasses
 import sys
 from collections.abc import Callable, Mapping
-from dataclasses import fields, is_dataclass
 from pathlib import Path
 from types import FrameType
 from typing import Any
@@ -18,6 +18,7 @@ import lightning.pytorch as pl
 import torch
 from torch import Tensor, nn
 
+from neurad import assembly, bsdf, emitters, fields, integrators, losses, training
 from neurad.core.errors import InputError
 from neurad.core.records import FloatArray, PixelBatch
 from neurad.losses.relative import Loss
@@ -27,9 +28,7 @@ SCAN_EVERY = 100
 SMALL = 1 << 16
 """Parameters of at most so many values, all layers of networks, are looked at in every iteration: oneDNN's fused ReLU
 turns NaN into 0, so a bad weight need not show in the loss."""
-_WATCHED = tuple(
-    f"neurad.{floor}" for floor in ("integrators", "bsdf", "emitters", "fields", "assembly", "training", "losses")
-)
+_WATCHED = tuple(package.__name__ for package in (integrators, bsdf, emitters, fields, assembly, training, losses))
 _UNBOUNDED = ("distance", "t", "t_max")
 """Fields of records that are infinite where a ray meets nothing."""
 
@@ -170,7 +169,7 @@ def first_bad(run: Callable[[], object]) -> str | None:
         for part, tensor in _tensors(value, ""):
             bad = ~torch.isfinite(tensor.detach())
             if bool(bad.any()):
-                name = f"{module.removeprefix('neurad.')}.{frame.f_code.co_qualname}{part}"
+                name = f"{module.partition('.')[2]}.{frame.f_code.co_qualname}{part}"
                 found.append(f"what {name} returned is not finite ({_bad_fraction(tensor.detach())} values)")
                 return
 
@@ -187,8 +186,8 @@ def _tensors(value: Any, path: str) -> list[tuple[str, Tensor]]:
     """Floating-point tensors in a return value, and where in it they are."""
     if isinstance(value, Tensor):
         return [(path, value)] if value.is_floating_point() and not value.is_sparse else []
-    if is_dataclass(value) and not isinstance(value, type):
-        inside = [(f.name, getattr(value, f.name, None)) for f in fields(value) if f.name not in _UNBOUNDED]
+    if dataclasses.is_dataclass(value) and not isinstance(value, type):
+        inside = [(f.name, getattr(value, f.name, None)) for f in dataclasses.fields(value) if f.name not in _UNBOUNDED]
         return [pair for name, x in inside if not isinstance(x, nn.Module) for pair in _tensors(x, f"{path}.{name}")]
     if isinstance(value, tuple):
         return [pair for i, x in enumerate(value) for pair in _tensors(x, f"{path}[{i}]")]

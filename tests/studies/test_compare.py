@@ -18,8 +18,9 @@ from neurad.cli import main
 from neurad.commands import compare
 from neurad.core.errors import InputError
 from neurad.runs import child
-from neurad.studies.report import curves, views
-from neurad.studies.report.runs import Run, read_run, samples_per_step
+from neurad.studies.compare import configs, curves, views
+from neurad.studies.compare.fits import time_limit
+from neurad.studies.compare.runs import Run, read_run, samples_per_step
 
 CONFIG = {
     "seed_everything": 0,
@@ -56,7 +57,7 @@ def stub(monkeypatch):
     """Children that only pretend."""
     Path("stub.py").write_text(STUB.format(config=yaml.safe_dump(CONFIG)))
     monkeypatch.setattr(child, "NEURAD", [sys.executable, str(Path("stub.py").resolve())])
-    monkeypatch.setattr(child, "resolved_configs", lambda fits: [CONFIG for _ in fits])
+    monkeypatch.setattr(configs, "resolved_configs", lambda fits: [CONFIG for _ in fits])
     for name in ("scene", "good", "bad"):
         Path(f"{name}.yaml").write_text("{}\n")
 
@@ -252,7 +253,7 @@ def test_words_are_told_apart():
         "o",
         "RUN",
     ]
-    options = compare.parse(parser, words)
+    options = cli._parse(parser, words)
     assert options.settings == ["--data.root=DIR", "--model.a.b=-2", "--bar.flag"]
     assert (options.config, options.methods, options.out, options.runs) == (["a.yaml"], "x", Path("o"), ["RUN"])
 
@@ -318,7 +319,7 @@ def test_a_budget_counts_training_seconds(monkeypatch):
     evaluate = StandIn.evaluate
     monkeypatch.setattr(StandIn, "evaluate", lambda self, *a, **k: time.sleep(0.2) or evaluate(self, *a, **k))
     fit = ["fit", "--trainer.accelerator=cpu", "--trainer.enable_progress_bar=false", "--model.sleep=0.01"]
-    main([*fit, *compare._time_limit(1.5), "--evaluation.every_n_steps=20"])
+    main([*fit, *time_limit(1.5), "--evaluation.every_n_steps=20"])
     run = read_run(Path("lightning_logs/version_0"))
     assert len(run.rows) >= 3  # 0.6 s or more in evaluations, which the limit of 1.5 s must not contain
     assert 1.5 <= run.last["seconds"] < 2.0

@@ -16,6 +16,7 @@ import torch
 from neurad.assembly.resolution import finest_cells
 from neurad.core.camera import camera_rays
 from neurad.core.errors import InputError
+from neurad.runs import child
 from neurad.scene.geometry import Geometry
 from neurad.scene.load import load_scene
 from neurad.studies.peer import report
@@ -148,11 +149,9 @@ SHORT = {"scene": "cornell", "max_steps": 30, "resolution": 16, "pixels": 512, "
 
 def test_a_short_run_finds_albedo(mi, tmp_path):
     """As the race starts it, in a process of its own."""
-    from neurad.studies.bench.peer import PEER
-
     out, described = tmp_path / "peer.csv", tmp_path / "peer.json"
     described.write_text(json.dumps({**SHORT, "kind": "grid", "seconds": 1e6, "out": str(out), "average": 0.0}))
-    subprocess.run([sys.executable, "-c", PEER, str(described)], check=True)
+    subprocess.run([*child.NEURAD, "bench", "peer-worker", str(described)], check=True)
     with out.open() as file:
         rows = list(csv.DictReader(file))
     assert len(rows) == 20

@@ -7,12 +7,13 @@ import pytest
 import torch
 
 from neurad.cli import main
-from neurad.commands import stress
 from neurad.losses.firefly import clamp_fireflies, typical_square
 from neurad.scene.builtin import build_furnace, build_sphere
-from neurad.studies.stress import FAMILIES, collect
+from neurad.studies.stress import run as stress
 from neurad.studies.stress.case import Case, Outcome, judge
+from neurad.studies.stress.families import FAMILIES
 from neurad.studies.stress.level import Level
+from neurad.studies.stress.run import collect
 from neurad.studies.stress.scenes import difference, small_cube, with_light
 from neurad.studies.stress.stiff import closed_form
 

@@ -36,7 +36,7 @@ LEAST = 3
 COLD = 3
 """Steps of a turn that do not count. Ours on dense grids take 17.8, 16.0, 14.5, 13.7, 13.6 and 14.0
 ms one after another (medians of 25 turns), Mitsuba's 166, 158, 157, 159, 159 and 158."""
-WORKER = [sys.executable, "-P", "-m", "neurad.studies.bench.cube_worker"]
+WORKER = [*child.NEURAD, "bench", "cube-worker"]
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -99,6 +99,13 @@ def run(options: argparse.Namespace) -> None:
         if reason := next((cell.missing for cell in cells if cell.missing), ""):
             print(f"neurad: left out: {reason}", file=sys.stderr)
     _report(rows, options)
+
+
+def work(job: str) -> None:
+    """What a child process does: a job of :class:`Cell`, as JSON."""
+    from neurad.studies.bench.cube_worker import main
+
+    main(json.loads(job))
 
 
 def _groups(options: argparse.Namespace) -> list[list[tuple[str, str]]]:
@@ -164,7 +171,7 @@ class Cell:
             self.missing = answer.get("error", "")
             if not self.missing:
                 return answer
-        self.failed = self.failed or self.missing or child._reason(self.process.wait(), self.log)
+        self.failed = self.failed or self.missing or child.failure(self.process.wait(), self.log)
         return None
 
     def ask(self, word: str) -> dict[str, Any] | None:

@@ -231,7 +231,3 @@ def resident_bytes(device: torch.device) -> int:
     import resource
 
     return pages * resource.getpagesize()
-
-
-if __name__ == "__main__":
-    main(json.loads(sys.argv[1]))

@@ -83,24 +83,14 @@ from __future__ import annotations
 
 import argparse
 import json
-import os
 import subprocess
 import sys
 from pathlib import Path
 from typing import Any
 
 PEERS = ("grid", "network")
-TIMER = "neurad.callbacks.budget.TrainingBudget"
 UNTIL_STOPPED = "30:00:00:00"
 """A fit wants a limit; the timer replaces it."""
-FIT = "from neurad.cli import main; main()"
-PEER = """
-import sys
-from neurad.runtime.allocator import imports_kept
-with imports_kept():  # as neurad fit does
-    from neurad.studies.peer.fit import main
-main(sys.argv[1])
-"""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -163,6 +153,15 @@ def run(options: argparse.Namespace) -> None:
             print(f"neurad: {curve.contestant} had not even started after {curve.budget:g} s", file=sys.stderr)
     print("\n" + report.text(rows, curves))
     print(f"\nneurad: peer.csv, curves.csv and curves.png are in {options.out}")
+
+
+def work(job: str) -> None:
+    """What a child process does: one run of the peer with the settings in the JSON file ``job``."""
+    from neurad.runtime.allocator import imports_kept
+
+    with imports_kept():  # as neurad fit does
+        from neurad.studies.peer.fit import main
+    main(Path(job))
 
 
 def _kinds(text: str) -> list[str]:
@@ -232,10 +231,10 @@ def _fit(options: argparse.Namespace, config: str, budget: float) -> Path:
     arguments = [
         "fit", "--config", config, *data, "--trainer.default_root_dir", str(folder),
         "--trainer.max_time", UNTIL_STOPPED,
-        f"--trainer.callbacks+={TIMER}", f"--trainer.callbacks.seconds={budget:g}",
+        "--trainer.callbacks+=TrainingBudget", f"--trainer.callbacks.seconds={budget:g}",
         "--evaluation.fraction", "1000", "--evaluation.spp", "1",
     ]  # fmt: skip
-    _process("ours", budget, [sys.executable, "-c", FIT, *arguments])
+    _process("ours", budget, arguments)
     made = set(folder.glob("lightning_logs/version_*")) - before
     newest: Path = max(made, key=lambda path: path.stat().st_mtime) if made else folder
     return newest / "metrics.csv"
@@ -246,17 +245,17 @@ def _peer(out: Path, kind: str, budget: float, settings: dict[str, Any]) -> Path
     path = out / f"peer_{kind}_{budget:g}.csv"
     described = path.with_suffix(".json")
     described.write_text(json.dumps({**settings, "kind": kind, "seconds": budget, "out": str(path)}, indent=1) + "\n")
-    _process(f"peer {kind}", budget, [sys.executable, "-c", PEER, str(described)])
+    _process(f"peer {kind}", budget, ["bench", "peer-worker", str(described)])
     return path
 
 
-def _process(name: str, budget: float, command: list[str]) -> None:
+def _process(name: str, budget: float, arguments: list[str]) -> None:
     """Run a contestant to its end, its output passed on to stderr."""
     from neurad.core.errors import InputError
+    from neurad.runs import child
 
     print(f"neurad: {name}, {budget:g} s", file=sys.stderr, flush=True)
-    environment = {**os.environ, "OMP_WAIT_POLICY": os.environ.get("OMP_WAIT_POLICY", "passive")}
-    done = subprocess.run(command, env=environment, stdout=sys.stderr, check=False)
+    done = subprocess.run([*child.NEURAD, *arguments], stdout=sys.stderr, check=False)
     if done.returncode == 130:
         raise KeyboardInterrupt
     if done.returncode != 0:

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import argparse
-import importlib
 import json
 import tempfile
 from typing import Any, cast
@@ -11,19 +10,11 @@ from typing import Any, cast
 import lightning.pytorch as pl
 from jsonargparse import ArgumentError, set_parsing_settings
 
+from datamodules.scene_data import SceneData
 from neurad.core.errors import InputError
 from neurad.runs import lightning as train
 from neurad.runs.configs import load_config, overlay, resolve
 from neurad.training.inverse import InverseRenderer
-
-DATA = "datamodules.scene_data", "SceneData"
-"""The data module, by name as in a config: the command line alone knows both the library and the data modules."""
-
-
-def data_class() -> type[pl.LightningDataModule]:
-    """The class of the data module."""
-    found: type[pl.LightningDataModule] = getattr(importlib.import_module(DATA[0]), DATA[1])
-    return found
 
 
 class _Prepared(train.NeuradCLI):
@@ -66,7 +57,7 @@ def prepare(options: argparse.Namespace, steps: int) -> tuple[pl.Trainer, Invers
     parsed = [f"--config={json.dumps(tree)}" for tree in resolve(layers, values)]
     rest = [f"--{key}={value}" for key, value in values.items()]
     try:
-        made = _Prepared("fit", None, InverseRenderer, data_class(), ["fit", *parsed, *rest])
+        made = _Prepared("fit", None, InverseRenderer, SceneData, ["fit", *parsed, *rest])
     except ArgumentError as error:
         raise InputError(train._sentence(str(error), names, values)) from error
     trainer = cast(Any, made.trainer)

@@ -13,6 +13,7 @@ from typing import Any
 import torch
 from torch import Tensor, nn
 
+from datamodules.scene_data import SceneData
 from neurad.core.records import Rays
 from neurad.fields import dense_grid, hash_grid, mlp
 from neurad.integrators import vertex_diffuse as matte
@@ -23,7 +24,6 @@ from neurad.integrators.primary_hits import PrimaryHits
 from neurad.integrators.world import World
 from neurad.optim.sparse_row_adam import SparseRowAdam
 from neurad.studies.bench.machine import wait
-from neurad.studies.bench.session import data_class
 from neurad.training.inverse import InverseRenderer
 
 STAGES = (
@@ -186,7 +186,7 @@ def instrumented(module: InverseRenderer, recorder: Recorder) -> Iterator[None]:
     world: World = module.world
     parts = [module.materials.albedo, module.materials.roughness, module.radiance]
     plan: set[tuple[Any, str, str]] = {
-        (data_class(), "batch", "batch"),
+        (SceneData, "batch", "batch"),
         (PrimaryHits, "__call__", "primary hits"),
         (type(module), "manual_backward", "backward: rest"),
         (SparseRowAdam, "step", "optimizers"),

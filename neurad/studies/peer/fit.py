@@ -1,11 +1,10 @@
-"""One run of the peer, in a process of its own (:data:`neurad.studies.bench.peer.PEER`)."""
+"""One run of the peer, in a process of its own (:func:`neurad.studies.bench.peer.work`)."""
 
 from __future__ import annotations
 
 import csv
 import json
 import math
-import sys
 from dataclasses import dataclass, field
 from functools import cache, partial
 from pathlib import Path
@@ -21,7 +20,7 @@ from neurad.fields.material import AlbedoField, RoughnessField
 from neurad.fields.settings import FieldConfig, GridConfig
 from neurad.optim.polyak_average import PolyakAverage, averaged
 from neurad.runtime import clock
-from neurad.runtime.allocator import imports_kept, keep_freed_memory
+from neurad.runtime.allocator import imports_kept
 from neurad.scene.description import Scene
 from neurad.scene.image_io import read_photograph
 from neurad.scene.load import load_scene
@@ -93,16 +92,15 @@ BEST: dict[str, dict[str, Any]] = {
 """What differs from the defaults in the best settings found for each kind."""
 
 
-def main(path: str) -> None:
-    """Run with the settings of a JSON file; exits with 2 after one sentence if it cannot."""
-    keep_freed_memory()  # as ``neurad fit`` does
-    try:
-        with imports_kept():
-            load_mitsuba()
-        fit(PeerSettings(**json.loads(Path(path).read_text())))
-    except InputError as error:
-        print(f"neurad: error: {error}", file=sys.stderr)
-        raise SystemExit(2) from None
+def main(path: Path) -> None:
+    """Run with the settings of a JSON file.
+
+    Raises:
+        InputError: as :func:`fit`.
+    """
+    with imports_kept():  # as ``neurad fit`` does
+        load_mitsuba()
+    fit(PeerSettings(**json.loads(path.read_text())))
 
 
 def fit(settings: PeerSettings) -> None:

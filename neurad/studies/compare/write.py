@@ -10,8 +10,8 @@ from collections.abc import Sequence
 from datetime import date
 from pathlib import Path
 
-from neurad.studies.report import curves, page, table, views
-from neurad.studies.report.runs import Run, by_method
+from neurad.studies.compare import curves, page, table, views
+from neurad.studies.compare.runs import Run, by_method
 
 NOTES = (
     "Scores are those of the held-out views at the end of a run: PSNR in dB with peak 1, "

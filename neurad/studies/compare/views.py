@@ -14,7 +14,7 @@ from neurad.core.errors import InputError
 from neurad.core.records import FloatArray, View
 from neurad.scene.image_io import read_exr
 from neurad.scene.load import load_scene
-from neurad.studies.report.runs import Run
+from neurad.studies.compare.runs import Run
 
 KINDS = {"albedo": 3, "roughness": 1, "render": 3}
 """What a run predicts of a view, and its channels."""

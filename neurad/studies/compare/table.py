@@ -8,7 +8,7 @@ import statistics
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
-from neurad.studies.report.runs import CONSTANT, SCORES, Run, best_constant, by_method
+from neurad.studies.compare.runs import CONSTANT, SCORES, Run, best_constant, by_method
 
 REACH = (20.0, 22.0, 24.0, 26.0, 28.0, 30.0)
 """Albedo PSNRs in dB whose time is reported."""

@@ -11,7 +11,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from neurad.core.records import FloatArray
-from neurad.studies.report.runs import CONSTANT, Run, best_constant, by_method, rmse
+from neurad.studies.compare.runs import CONSTANT, Run, best_constant, by_method, rmse
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes

@@ -1,0 +1,1 @@
+"""``neurad compare``: fits with one budget, and their report: tables, curves, pictures and the page that shows them."""

@@ -1,0 +1,14 @@
+"""The families of cases, apart from the cases, which bring torch: ``neurad stress -h`` answers at once."""
+
+FAMILIES: dict[str, str] = {
+    "stiff": "albedo near 1: the field alone, its speed, and recovering the albedo",
+    "surfaces": "roughness and albedo at the ends of their range",
+    "light": "very bright, very dim and very small lights",
+    "images": "black, scaled and corrupted photographs",
+    "shapes": "size and place of the scene, bad triangles, huge meshes",
+    "delta": "glass and mirrors",
+    "precision": "float32 against float64, other number formats, many seeds, long runs",
+    "guard": "planted NaN and Inf",
+    "features": "what a scene does not need is not built",
+}
+"""Name (that of the module with its cases too) and what it is about."""
