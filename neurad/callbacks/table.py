@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import csv
-import io
-import os
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+
+from neurad.runtime.tables import align, append_csv, numbers, read_csv, replace_text
 
 SCORES = ("psnr_linear", "psnr_srgb", "albedo_psnr", "albedo_mape", "roughness_psnr", "roughness_mape")
 COLUMNS = ("iteration", "seconds", "rays", "samples", *SCORES, *(f"{s}_seen" for s in SCORES))
@@ -40,7 +39,7 @@ Row = dict[str, float]
 
 
 class MetricsTable:
-    """A CSV file that grows by whole rows and can be cut back to an iteration.
+    """``metrics.csv`` of a run: it grows by whole rows and can be cut back to an iteration.
 
     Args:
         path: the file; it need not exist.
@@ -51,28 +50,12 @@ class MetricsTable:
 
     def rows(self) -> list[Row]:
         """All rows that were written completely; empty cells are left out."""
-        if not self.path.is_file():
-            return []
-        rows = []
-        for record in csv.DictReader(io.StringIO(self.path.read_text())):
-            # A process killed while it wrote leaves a short last line.
-            if None not in record and None not in record.values():
-                rows.append({key: float(value) for key, value in record.items() if value != ""})
-        return rows
-
-    def header(self) -> list[str]:
-        """The column names in the file's order; none if there is no file."""
-        with_text = self.path.is_file() and self.path.read_text().strip()
-        return with_text.splitlines()[0].split(",") if with_text else []
+        return [numbers(row) for row in read_csv(self.path)[1]]
 
     def append(self, row: Mapping[str, float]) -> None:
         """Add a row. The first row fixes the columns: :data:`COLUMNS`, then what else it has."""
-        header = self.header()
-        if not header:
-            header = [*COLUMNS, *(key for key in row if key not in COLUMNS)]
-            self._replace([",".join(header)])
-        with self.path.open("a") as file:
-            file.write(",".join(_cell(key, row.get(key)) for key in header) + "\n")
+        columns = [*COLUMNS, *(key for key in row if key not in COLUMNS)]
+        append_csv(self.path, columns, {**row, "seconds": f"{row['seconds']:.2f}"})
 
     def cut(self, iteration: int) -> None:
         """Drop the rows that come after ``iteration``, and a line that was not written to its end."""
@@ -83,20 +66,7 @@ class MetricsTable:
             if whole and int(line.partition(",")[0]) <= iteration:
                 kept.append(line)
         if len(kept) != len(lines):
-            self._replace([line.rstrip("\n") for line in kept])
-
-    def _replace(self, lines: Sequence[str]) -> None:
-        part = self.path.with_name(self.path.name + ".part")
-        part.write_text("".join(line + "\n" for line in lines))
-        os.replace(part, self.path)
-
-
-def _cell(key: str, value: float | None) -> str:
-    if value is None:
-        return ""
-    if key in ("iteration", "rays", "samples"):
-        return str(int(value))
-    return f"{value:.2f}" if key == "seconds" else f"{value:.7g}"
+            replace_text(self.path, "".join(kept))
 
 
 def score_table(scores: Mapping[str, float], spp: int, who: str = "neurad") -> str:
@@ -161,12 +131,3 @@ def _score(name: str, value: float | None) -> str:
     if value is None:
         return "-"
     return f"{value:.3f}" if "mape" in name else f"{value:.2f}"
-
-
-def align(body: Sequence[Sequence[str]]) -> list[str]:
-    """Rows of cells as lines of equal columns, the first one flush left."""
-    widths = [max(len(row[i]) for row in body) for i in range(len(body[0]))]
-    return [
-        "  ".join([row[0].ljust(widths[0]), *(c.rjust(w) for c, w in zip(row[1:], widths[1:], strict=True))])
-        for row in body
-    ]

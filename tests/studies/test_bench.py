@@ -60,7 +60,7 @@ def test_tables_line_up_and_survive_gaps(tmp_path):
     lines = machine.show(rows, "title").splitlines()
     assert lines[:2] == ["title", "what       ms  n"]
     assert lines[2:] == ["a        1.23", "longer  12346  7"]
-    machine.write_csv(tmp_path / "deep/out.csv", rows)
+    machine.report(rows, "title", str(tmp_path / "deep/out.csv"))
     assert table(tmp_path / "deep/out.csv")[1] == {"what": "longer", "ms": "12345.6", "n": "7"}
 
 

@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import csv
 import os
 import platform
 import time
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from statistics import median
 
@@ -16,6 +15,8 @@ from torch import Tensor
 from neurad.core.errors import InputError
 from neurad.core.protocols import Tracer
 from neurad.core.records import Rays
+from neurad.runtime.machine import processor
+from neurad.runtime.tables import Record, align, write_csv
 
 COPY = 1 << 26
 """Bytes of the array that is copied to measure bandwidth: more than caches hold."""
@@ -94,13 +95,7 @@ def describe(device: torch.device) -> str:
     """The device in words."""
     if device.type == "cuda":
         return torch.cuda.get_device_name(device)
-    name = platform.processor() or platform.machine()
-    try:
-        lines = Path("/proc/cpuinfo").read_text().splitlines()
-        name = next(line.split(":", 1)[1].strip() for line in lines if line.startswith("model name"))
-    except (OSError, StopIteration):
-        pass
-    return f"{name}, {torch.get_num_threads()} of {os.cpu_count()} cores"
+    return f"{processor()}, {torch.get_num_threads()} of {os.cpu_count()} cores"
 
 
 def pick_device(name: str) -> torch.device:
@@ -119,7 +114,7 @@ def pick_device(name: str) -> torch.device:
         raise InputError(f"--device {name}: there is no such device") from error
 
 
-Row = Mapping[str, str | int | float | None]
+Row = Record
 
 
 def show(rows: Sequence[Row], title: str) -> str:
@@ -127,39 +122,25 @@ def show(rows: Sequence[Row], title: str) -> str:
     if not rows:
         return title
     names = list(rows[0])
-    cells = [[_cell(row.get(name)) for name in names] for row in rows]
-    widths = [max(len(name), *(len(line[i]) for line in cells)) for i, name in enumerate(names)]
-    text = [isinstance(rows[0][name], str) for name in names]
-
-    def line(values: Sequence[str]) -> str:
-        parts = zip(values, widths, text, strict=True)
-        return "  ".join(v.ljust(w) if is_text else v.rjust(w) for v, w, is_text in parts).rstrip()
-
-    return "\n".join([title, line(names), *map(line, cells)])
+    text = [i for i, name in enumerate(names) if isinstance(rows[0][name], str)]
+    return "\n".join([title, *align([names, *([_cell(row.get(name)) for name in names] for row in rows)], text)])
 
 
-def write_csv(path: str | Path, rows: Sequence[Row]) -> None:
-    """Rows as CSV, numbers in full.
+def report(rows: Sequence[Row], title: str, out: str | None) -> None:
+    """Print a table and, if there is an ``out``, write it as CSV.
 
     Raises:
         InputError: the file cannot be written.
     """
-    try:
-        Path(path).parent.mkdir(parents=True, exist_ok=True)
-        with Path(path).open("w", newline="") as file:
-            writer = csv.DictWriter(file, list(rows[0]) if rows else [])
-            writer.writeheader()
-            writer.writerows(rows)
-    except OSError as error:
-        raise InputError(f"--out {path}: it cannot be written ({error.strerror})") from error
-
-
-def report(rows: Sequence[Row], title: str, out: str | None) -> None:
-    """Print a table and, if asked for, write it."""
     print(show(rows, title))
-    if out is not None:
-        write_csv(out, rows)
-        print(f"\nneurad: {out}")
+    if out is None:
+        return
+    try:
+        Path(out).parent.mkdir(parents=True, exist_ok=True)
+        write_csv(Path(out), list(rows[0]) if rows else [], rows)
+    except OSError as error:
+        raise InputError(f"--out {out}: it cannot be written ({error.strerror})") from error
+    print(f"\nneurad: {out}")
 
 
 def _cell(value: object) -> str:

@@ -122,7 +122,8 @@ def run(options: argparse.Namespace) -> None:
         InputError: a bad option, a missing package or library, or a run that failed.
     """
     from neurad.core.errors import InputError
-    from neurad.studies.peer.variant import load_mitsuba, usable_cores
+    from neurad.runtime.machine import usable_cores
+    from neurad.studies.peer.variant import load_mitsuba
 
     kinds = _kinds(options.peers)
     if min(options.budget) <= 0:

@@ -2,8 +2,7 @@
 
 from __future__ import annotations
 
-import csv
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -11,6 +10,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from neurad.core.records import FloatArray
+from neurad.runtime import tables
 from neurad.studies.compare.runs import CONSTANT, Run, best_constant, by_method, rmse
 
 if TYPE_CHECKING:
@@ -73,18 +73,10 @@ def write_csv(path: Path, runs: Sequence[Run]) -> None:
         names += [name for name in run.columns if name not in names]
     if "samples" not in names and any("samples" in run.last for run in runs):
         names.append("samples")
-    with path.open("w", newline="") as file:
-        writer = csv.writer(file, lineterminator="\n")
-        writer.writerow(["method", "seed", *names])
-        for run in runs:
-            for row in run.rows:
-                writer.writerow([run.method, run.seed, *(_plain(name, row.get(name)) for name in names)])
-
-
-def _plain(name: str, value: float | None) -> str:
-    if value is None:
-        return ""
-    return str(int(value)) if name in ("iteration", "rays", "samples") else f"{value:.7g}"
+    rows: Iterator[tables.Record] = (
+        {"method": run.method, "seed": run.seed, **row} for run in runs for row in run.rows
+    )
+    tables.write_csv(path, ["method", "seed", *names], rows)
 
 
 def curve(run: Run, axis: str, panel: Panel) -> tuple[FloatArray, FloatArray]:

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import csv
-import io
 import json
 import math
 from collections.abc import Mapping, Sequence
@@ -14,6 +12,7 @@ from typing import Any
 import yaml  # type: ignore[import-untyped]
 
 from neurad.core.errors import InputError
+from neurad.runtime.tables import numbers, read_csv
 
 FACTS = "compare.json"
 """File in a run folder with what only the comparison that started it knows."""
@@ -127,22 +126,14 @@ def _config(path: Path) -> Mapping[str, Any]:
 
 
 def _rows(path: Path) -> tuple[list[str], list[Row]]:
-    """Columns and whole rows; empty cells are left out.
-
-    Here and not taken from the callbacks, which bring torch along, and with it memory that every child would inherit.
-    """
-    reader = csv.DictReader(io.StringIO(path.read_text()))
-    columns = list(reader.fieldnames or [])
+    """Columns and whole rows of ``metrics.csv``; empty cells are left out."""
+    columns, rows = read_csv(path)
     if not {"iteration", "seconds"} <= set(columns):
         raise InputError(f"{path}: it has no columns iteration and seconds")
-    rows = []
     try:
-        for record in reader:
-            if None not in record and None not in record.values():
-                rows.append({key: float(value) for key, value in record.items() if value != ""})
+        return columns, [numbers(row) for row in rows]
     except ValueError as error:
         raise InputError(f"{path}: {error}") from error
-    return columns, rows
 
 
 def by_method(runs: Sequence[Run]) -> dict[str, list[Run]]:

@@ -2,19 +2,19 @@
 
 from __future__ import annotations
 
-import csv
 import math
 import statistics
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
+from neurad.runtime import tables
+from neurad.runtime.tables import Cell
 from neurad.studies.compare.runs import CONSTANT, SCORES, Run, best_constant, by_method
 
 REACH = (20.0, 22.0, 24.0, 26.0, 28.0, 30.0)
 """Albedo PSNRs in dB whose time is reported."""
 RATES = ("ms_per_step", "rays_per_second", "samples_per_second")
 
-Cell = str | float | None
 TableRow = dict[str, Cell]
 
 
@@ -80,18 +80,7 @@ def _median(values: Sequence[float | None]) -> float | None:
 
 def write_csv(path: Path, rows: Sequence[TableRow], reach: Sequence[float] = REACH) -> None:
     """All columns at full precision; what is not known or was not reached stays empty."""
-    with path.open("w", newline="") as file:
-        writer = csv.writer(file, lineterminator="\n")
-        names = columns(reach)
-        writer.writerow(names)
-        for row in rows:
-            writer.writerow([_plain(name, row.get(name)) for name in names])
-
-
-def _plain(name: str, cell: Cell) -> str:
-    if cell is None or isinstance(cell, str):
-        return cell or ""
-    return str(int(cell)) if name in ("seeds", "samples") else f"{cell:.7g}"
+    tables.write_csv(path, columns(reach), rows)
 
 
 _DIGITS: Mapping[str, Callable[[float], str]] = {
@@ -124,8 +113,6 @@ def present(rows: Sequence[TableRow], reach: Sequence[float] = REACH) -> list[st
 def write_markdown(path: Path, rows: Sequence[TableRow], note: str, reach: Sequence[float] = REACH) -> None:
     """The table for a README, every column, with a line on how it was measured."""
     names = columns(reach)
-    lines = ["| " + " | ".join(names) + " |", "|---" + "|---:" * (len(names) - 2) + "|---|"]
-    for row in rows:
-        cells = [shown(name, row.get(name)).replace("|", "\\|") for name in names]
-        lines.append("| " + " | ".join(cells) + " |")
+    body = ([shown(name, row.get(name)) for name in names] for row in rows)
+    lines = tables.markdown(names, body, left=("method", "status"))
     path.write_text("\n".join(lines) + f"\n\n{note}\n")

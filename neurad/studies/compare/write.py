@@ -3,13 +3,13 @@
 from __future__ import annotations
 
 import html
-import os
 import platform
 import shlex
 from collections.abc import Sequence
 from datetime import date
 from pathlib import Path
 
+from neurad.runtime.machine import processor, usable_cores
 from neurad.studies.compare import curves, page, table, views
 from neurad.studies.compare.runs import Run, by_method
 
@@ -81,14 +81,9 @@ def machine() -> str:
     """Processor, cores that may be used, and the GPU if there is one."""
     import torch
 
-    name = platform.processor() or platform.machine()
-    info = Path("/proc/cpuinfo")
-    if info.is_file():
-        models = [line.partition(":")[2].strip() for line in info.read_text().splitlines() if "model name" in line]
-        name = models[0] if models and models[0] != "unknown" else name
-    cores = len(os.sched_getaffinity(0)) if hasattr(os, "sched_getaffinity") else os.cpu_count() or 1
+    cores = usable_cores()
     gpu = f", {torch.cuda.get_device_name(0)}" if torch.cuda.is_available() else ""
-    return f"{name}, {cores} core{'s' if cores > 1 else ''}{gpu}"
+    return f"{processor()}, {cores} core{'s' if cores > 1 else ''}{gpu}"
 
 
 def _about() -> str:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import csv
 import json
 import math
 from dataclasses import dataclass, field
@@ -21,12 +20,14 @@ from neurad.fields.settings import FieldConfig, GridConfig
 from neurad.optim.polyak_average import PolyakAverage, averaged
 from neurad.runtime import clock
 from neurad.runtime.allocator import imports_kept
+from neurad.runtime.machine import usable_cores
+from neurad.runtime.tables import append_csv, write_csv
 from neurad.scene.description import Scene
 from neurad.scene.image_io import read_photograph
 from neurad.scene.load import load_scene
 from neurad.studies.peer.models import Networks, Pyramid
 from neurad.studies.peer.replay import Replay
-from neurad.studies.peer.variant import load_mitsuba, usable_cores
+from neurad.studies.peer.variant import load_mitsuba
 from neurad.studies.peer.voxels import SurfaceVoxels, VoxelMaterials
 
 if TYPE_CHECKING:
@@ -208,8 +209,7 @@ class _Report:
         self.path, self.held_out, self.voxels = path, held_out, voxels
         self.losses: list[float] = []
         self.not_finite = 0
-        with path.open("w", newline="") as file:
-            csv.writer(file).writerow(COLUMNS)
+        write_csv(path, COLUMNS, [])
 
     def add(self, loss: float, not_finite: int) -> None:
         """What a step found."""
@@ -225,10 +225,9 @@ class _Report:
             row: dict[str, Any] = {
                 "iteration": iteration,
                 "seconds": f"{clock.training_seconds():.2f}",
-                "loss": float(np.mean(self.losses)) if self.losses else "",
+                "loss": float(np.mean(self.losses)) if self.losses else None,
                 "not_finite": self.not_finite,
             }
             row.update({key: f"{scores[key]:.4f}" for key in ("albedo_psnr", "roughness_psnr") if key in scores})
-            with self.path.open("a", newline="") as file:
-                csv.DictWriter(file, COLUMNS, restval="").writerow(row)
+            append_csv(self.path, COLUMNS, row)
             self.losses.clear()

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-import csv
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from neurad.callbacks.table import align
+from neurad.runtime.tables import align, read_csv, write_csv
 
 CONTESTANTS = ("ours", "peer_grid", "peer_network")
 TARGETS = (18.0, 19.0, 20.0, 22.0, 24.0, 26.0, 28.0, 30.0)
@@ -43,10 +42,7 @@ class Curve:
 
 def read_curve(contestant: str, budget: float, path: Path) -> Curve:
     """The curve in a ``metrics.csv`` of a fit or of the peer; empty if the run wrote none."""
-    if not path.is_file():
-        return Curve(contestant, budget, [])
-    with path.open(newline="") as file:
-        return Curve(contestant, budget, list(csv.DictReader(file)))
+    return Curve(contestant, budget, read_csv(path)[1])
 
 
 def table(curves: Sequence[Curve], targets: Iterable[float] = TARGETS) -> list[list[str]]:
@@ -69,14 +65,11 @@ def table(curves: Sequence[Curve], targets: Iterable[float] = TARGETS) -> list[l
 def write(folder: Path, curves: Sequence[Curve], title: str) -> list[list[str]]:
     """Write ``peer.csv``, ``curves.csv`` and ``curves.png``; returns the rows of ``peer.csv``."""
     rows = table(curves)
-    with (folder / "peer.csv").open("w", newline="") as file:
-        csv.writer(file).writerows([HEADER, *rows])
-    with (folder / "curves.csv").open("w", newline="") as file:
-        writer = csv.writer(file)
-        writer.writerow(CURVES)
-        for curve in curves:
-            for row in curve.rows:
-                writer.writerow([curve.contestant, f"{curve.budget:g}", *(row.get(key, "") for key in CURVES[2:])])
+    write_csv(folder / "peer.csv", HEADER, [dict(zip(HEADER, row, strict=True)) for row in rows])
+    evaluations = [
+        {**row, "contestant": curve.contestant, "budget": f"{curve.budget:g}"} for curve in curves for row in curve.rows
+    ]
+    write_csv(folder / "curves.csv", CURVES, evaluations)
     _draw(folder / "curves.png", curves, title)
     return rows
 

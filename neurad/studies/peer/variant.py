@@ -2,20 +2,13 @@
 
 from __future__ import annotations
 
-import os
 from typing import Any
 
 from neurad.core.errors import InputError
+from neurad.runtime.machine import usable_cores
 
 VARIANT = "llvm_ad_rgb"
 HOW = "apt-get install libllvm19, or set DRJIT_LIBLLVM_PATH to a libLLVM.so of version 16 or newer"
-
-
-def usable_cores() -> int:
-    """Cores that this process may run on."""
-    if hasattr(os, "sched_getaffinity"):
-        return len(os.sched_getaffinity(0))
-    return os.cpu_count() or 1
 
 
 def load_mitsuba() -> Any:

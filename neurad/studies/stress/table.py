@@ -2,11 +2,11 @@
 
 from __future__ import annotations
 
-import csv
 from collections.abc import Sequence
-from dataclasses import astuple, fields
+from dataclasses import asdict, fields
 from pathlib import Path
 
+from neurad.runtime import tables
 from neurad.studies.stress.case import Row
 
 COLUMNS = tuple(f.name for f in fields(Row))
@@ -29,20 +29,18 @@ def line(row: Row) -> str:
 
 def write_csv(path: Path, rows: Sequence[Row]) -> None:
     """All rows, one a line."""
-    with path.open("w", newline="") as file:
-        writer = csv.writer(file)
-        writer.writerow(COLUMNS)
-        writer.writerows(["" if value is None else value for value in astuple(row)] for row in rows)
+    tables.write_csv(path, COLUMNS, [asdict(row) for row in rows])
 
 
 def write_markdown(path: Path, rows: Sequence[Row], title: str) -> None:
     """All rows as one Markdown table."""
-    lines = [f"# {title}", "", "| " + " | ".join(COLUMNS) + " |", "|" + "---|" * len(COLUMNS)]
-    for row in rows:
-        cells = (row.family, row.extreme, row.oracle, _number(row.error), _number(row.bar), f"{row.seconds:.1f}",
-                 row.verdict, row.note)  # fmt: skip
-        lines.append("| " + " | ".join(cell.replace("|", "/") for cell in cells) + " |")
-    path.write_text("\n".join(lines) + "\n")
+    body = (
+        (row.family, row.extreme, row.oracle, _number(row.error), _number(row.bar), f"{row.seconds:.1f}", row.verdict,
+         row.note)
+        for row in rows
+    )  # fmt: skip
+    lines = tables.markdown(COLUMNS, body, left=COLUMNS)
+    path.write_text("\n".join([f"# {title}", "", *lines]) + "\n")
 
 
 def _number(value: float | None) -> str:
