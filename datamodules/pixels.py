@@ -1,56 +1,60 @@
-"""How many pixels a batch has, and what is around them."""
+"""How many pixels a batch has, and the means around pixels."""
 
 from __future__ import annotations
 
 import torch
 from torch import Tensor
 
-_REACH = 2  # pixels on each side of one that its neighbourhood has
+_WINDOW = 5
+"""Side in pixels of the square that :func:`blurred` averages over."""
 
 VISITS = 3
-"""Times that each patch is drawn at the greatest pixel_multiplier; at half of it twice as often, and so on."""
+"""Times that each patch is drawn at the largest pixel_multiplier; at half of it twice as often, and so on."""
 
 
-def breadth_at(iteration: int, patches: int, pixel_multiplier: int, total: int) -> tuple[int, int]:
-    """How much broader than usual a batch is, and how many patches those before it had.
+def multiplier_at(iteration: int, patches: int, largest: int, total: int) -> tuple[int, int]:
+    """The pixel_multiplier of a batch, and the number of patches in all batches before it.
 
     Args:
         iteration: of the batch.
-        patches: of a usual batch.
-        pixel_multiplier: times that number in the first batches, a power of two.
-        total: patches that there are.
+        patches: of a batch whose multiplier is 1.
+        largest: multiplier of the first batches, a power of two.
+        total: number of different patches.
     """
-    first, now, visits = 0, pixel_multiplier, VISITS
-    while now > 1:
-        steps = -(-visits * total // (now * patches))
+    first, multiplier, visits = 0, largest, VISITS
+    while multiplier > 1:
+        steps = -(-visits * total // (multiplier * patches))
         if iteration < steps:
             break
-        first, iteration = first + steps * now * patches, iteration - steps
-        now, visits = now // 2, 2 * visits
-    return now, first + iteration * now * patches
+        first, iteration = first + steps * multiplier * patches, iteration - steps
+        multiplier, visits = multiplier // 2, 2 * visits
+    return multiplier, first + iteration * multiplier * patches
 
 
-def neighbourhood(images: Tensor, image: Tensor, pixel: Tensor, width: int) -> Tensor:
-    """Mean over the 5 x 5 pixels around some, as far as they lie in the image; with alpha over what is covered.
+def blurred(photographs: Tensor, alpha: Tensor | None, width: int) -> Tensor:
+    """Means over the 5 x 5 pixels around each pixel, as far as they lie in the photograph: normalisers of residuals.
+
+    The residual of a pixel has the noise of the pixel's own photograph in it. A weight with the same noise would
+    correlate with the residual and bias the result towards dark; the mean has little of it.
 
     Args:
-        images: premultiplied colours [n, h * w, 3], with alpha [n, h * w, 4].
-        image: which of the images [b], int64.
-        pixel: row-major index in it [b], int64.
-        width: of the images in pixels.
+        photographs: linear colours, premultiplied by alpha [views, h * w, 3].
+        alpha: coverage [views, h * w], or None.
+        width: of the photographs in pixels.
 
     Returns:
-        Premultiplied colours [b, 3].
+        Premultiplied colours [views, h * w, 3]; with alpha the mean is over what is covered.
     """
-    pixels, channels = images.shape[1:]
-    step = torch.arange(-_REACH, _REACH + 1)
-    x = (pixel % width).unsqueeze(1) + step.repeat(len(step))
-    y = (pixel // width).unsqueeze(1) + step.repeat_interleave(len(step))
-    inside = ((x >= 0) & (x < width) & (y >= 0) & (y < pixels // width)).unsqueeze(-1)
-    index = torch.where(inside.squeeze(-1), y * width + x, pixel.unsqueeze(1)) + image.unsqueeze(1) * pixels
-    values = images.view(-1, channels)[index]
-    mean = (values * inside).sum(1) / inside.sum(1)
-    if channels < 4:
-        return mean
-    own = images.view(-1, channels)[image * pixels + pixel, 3:]
-    return mean[:, :3] / mean[:, 3:].clamp_min(1e-6) * own
+    if alpha is None:
+        return _box_filtered(photographs, width)
+    coverage = alpha.unsqueeze(-1)
+    mean = _box_filtered(photographs, width) / _box_filtered(coverage, width).clamp_min(1e-6)
+    return mean * coverage
+
+
+def _box_filtered(values: Tensor, width: int) -> Tensor:
+    """Means over 5 x 5 pixels, at the border over those inside [views, h * w, c]."""
+    views, pixels, channels = values.shape
+    image = values.view(views, pixels // width, width, channels).permute(0, 3, 1, 2)
+    mean = torch.nn.functional.avg_pool2d(image, _WINDOW, 1, _WINDOW // 2, count_include_pad=False)
+    return mean.permute(0, 2, 3, 1).reshape(views, pixels, channels)

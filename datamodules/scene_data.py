@@ -12,17 +12,18 @@ import torch
 from torch import Tensor
 from torch.utils.data import DataLoader, Dataset, IterableDataset
 
-from datamodules.image_cache import ImageCache, Survey, dataset_stats
-from datamodules.pixels import breadth_at
+from datamodules.image_cache import ImageCache, dataset_stats
+from datamodules.pixels import blurred, multiplier_at
 from neurad.core.errors import InputError
-from neurad.core.patch_sampler import PatchSampler, corners, draw
-from neurad.core.records import PixelBatch, View
+from neurad.core.patch_sampler import PatchSampler
+from neurad.core.protocols import PhotoSource
+from neurad.core.records import DatasetStats, PixelBatch, View
 from neurad.scene.description import Scene
 from neurad.scene.image_io import read_photograph
 from neurad.scene.load import load_scene
 
 
-class SceneData(pl.LightningDataModule):
+class SceneData(pl.LightningDataModule, PhotoSource):
     """Pixels of a scene's training photographs. Held-out photographs and ground-truth maps are never opened here.
 
     A batch is a pure function of seed, iteration and rank, so a continued run draws what it would have drawn.
@@ -32,9 +33,9 @@ class SceneData(pl.LightningDataModule):
         scene: name of a built-in scene instead.
         patches: patches in a batch, of all views in turn.
         patch_size: side of a patch in pixels; 1 draws single pixels.
-        pixel_multiplier: times as many patches, with as many times fewer positions in each pixel, in the first
-            batches. It halves whenever the pixels have been visited a few times: at first too few pixels seen limits
-            what is known, and noise later. A power of two.
+        pixel_multiplier: times as many patches, with as many times fewer samples per pixel, in the first batches. It
+            halves whenever the pixels have been visited a few times: at first too few pixels seen limits the result,
+            and noise later. A power of two.
         seed: of the draws.
         resident: training photographs in memory at once; the others are read from disk as their turn comes. None
             keeps all in memory.
@@ -70,23 +71,22 @@ class SceneData(pl.LightningDataModule):
         self.seed = seed
         self.resident = resident
         self.replace_every = replace_every
-        self.wants_blurred = False
-        """Whether streamed batches carry means over the pixels around theirs."""
-        self._survey: Survey | None = None
-        self._residents: ImageCache | None = None
+        self._with_blurred = False
+        self._stats: DatasetStats | None = None
+        self._cache: ImageCache | None = None
 
     @property
     def streams(self) -> bool:
-        """Whether photographs stay on disk, but for some of them."""
+        """Whether only some of the photographs are in memory at a time."""
         return self.resident is not None and self.resident < len(self.scene.train)
 
     @cached_property
     def scene(self) -> Scene:
-        """The scene, checked; read when first asked for."""
+        """The scene, checked; read at the first access."""
         return load_scene(self.root, self.scene_name)
 
     def setup(self, stage: str) -> None:
-        """Read the scene and, for a fit, all training photographs; streamed ones are read by :meth:`survey`.
+        """Read the scene and, for a fit, all training photographs that are to stay in memory.
 
         Raises:
             InputError: anything in the folder is missing or wrong.
@@ -94,7 +94,7 @@ class SceneData(pl.LightningDataModule):
         scene = self.scene
         if stage != "fit":
             return
-        if not self.streams and self.mean_square() <= 0:
+        if not self.streams and self.dataset_stats().mean_square_radiance <= 0:
             raise InputError(f"scene {scene.name}: every training photograph is black")
         camera = scene.train[0].camera
         if self.patch_size > min(camera.width, camera.height):
@@ -147,39 +147,23 @@ class SceneData(pl.LightningDataModule):
         """Coverage of the training views [views, h * w], or None if the photographs have no alpha channel."""
         if not self.has_alpha:
             return None
-        alpha = self._pixels[..., 3].contiguous()
-        empty = (alpha <= 0).all()
-        if empty:
-            raise InputError(f"scene {self.scene.name}: alpha is 0 in every training photograph")
-        return alpha
+        return self._pixels[..., 3].contiguous()
+
+    @cached_property
+    def _blurred(self) -> Tensor:
+        """Means of the photographs over 5 x 5 pixels [views, h * w, 3]."""
+        return blurred(self.photographs, self.alpha, self.scene.train[0].camera.width)
 
     @cached_property
     def has_alpha(self) -> bool:
-        """Whether the photographs have an alpha channel: the first of them tells, for scenes that have any."""
+        """Whether the photographs have an alpha channel, by the first of them; False in a scene without photographs."""
         if "_pixels" in self.__dict__:
             return self._pixels.shape[-1] == 4
         views = self.scene.train
         return bool(views) and views[0].image is not None and self._read(views[0]).shape[-1] == 4
 
-    def mean_square(self, counted: Tensor | None = None) -> float:
-        """Mean squared radiance of the training photographs, for the epsilon of relative losses.
-
-        Args:
-            counted: pixels that count [views, h * w], bool; None for all. Pixels with alpha 0 never do.
-        """
-        if self.streams:
-            return self.dataset_stats(None if counted is None else ~counted).mean_square
-        square = self.photographs.square().mean(-1)
-        weight = torch.ones_like(square) if counted is None else counted.to(square)
-        if self.alpha is not None:
-            weight = weight * (self.alpha > 0)
-        total = float(weight.sum(dtype=torch.float64))
-        return float((square * weight).sum(dtype=torch.float64)) / total if total > 0 else 0.0
-
-    # ---- photographs on disk
-
-    def dataset_stats(self, left_out: Tensor | None = None) -> Survey:
-        """Look at every training photograph once, without keeping it.
+    def dataset_stats(self, left_out: Tensor | None = None) -> DatasetStats:
+        """Statistics of all training photographs; streamed ones are read from disk once, one after the other.
 
         Args:
             left_out: pixels that do not count [views, h * w], bool, such as those that show emitters; None for none.
@@ -187,13 +171,25 @@ class SceneData(pl.LightningDataModule):
         Raises:
             InputError: a photograph is missing or wrong, or alpha is 0 in all of them.
         """
-        self._survey = dataset_stats(self._streamed, len(self.scene.train), left_out, self.seed)
-        if not self._survey.foreground:
+        read = self._streamed if self.streams else self._resident
+        self._stats = dataset_stats(read, len(self.scene.train), left_out, self.seed)
+        if not self._stats.foreground:
             raise InputError(f"scene {self.scene.name}: alpha is 0 in every training photograph")
-        return self._survey
+        return self._stats
+
+    def request_blurred(self) -> None:
+        """From now on every batch has ``blurred``."""
+        self._with_blurred = True
+        self._cache = None  # its photographs have no means
+
+    # ---- where photographs are
+
+    def _resident(self, index: int) -> Tensor:
+        """One training photograph [h * w, 3 or 4] of those in memory."""
+        return self._pixels[index]
 
     def _streamed(self, index: int) -> Tensor:
-        """One training photograph [h * w, 3 or 4]; also called from the thread that reads ahead."""
+        """One training photograph [h * w, 3 or 4] from disk; also called from the thread that reads ahead."""
         view = self.scene.train[index]
         if view.image is not None and Path(view.image).is_file():
             # OpenEXR holds Python's lock while it waits for the disk; this does not.
@@ -204,50 +200,51 @@ class SceneData(pl.LightningDataModule):
 
     def _window(self, iteration: int, rank: int) -> ImageCache:
         """The photographs in memory at an iteration."""
-        found = self._residents
-        if found is None or found.rank != rank:
-            views = (self._survey or self.dataset_stats()).foreground
-            found = self._residents = ImageCache(
+        cache = self._cache
+        if cache is None or cache.rank != rank:
+            views = (self._stats or self.dataset_stats()).foreground
+            cache = self._cache = ImageCache(
                 self._streamed, views, self.scene.train[0].camera, self.resident or 1, self.replace_every,
-                self.patch_size, self.seed, rank,
+                self.patch_size, self.seed, rank, self._with_blurred,
             )  # fmt: skip
-        found.move(iteration)
-        return found
+        cache.move(iteration)
+        return cache
 
     # ---- batches
 
     @cached_property
-    def _corners(self) -> PatchSampler:
+    def _sampler(self) -> PatchSampler:
+        """Draws patches of all photographs, where they are in memory."""
         camera = self.scene.train[0].camera
-        return corners(len(self.scene.train), self.patch_size, self.alpha, camera.width, camera.height, self.seed)
+        views = len(self.scene.train)
+        return PatchSampler.build(views, self.patch_size, self.alpha, camera.width, camera.height, self.seed)
 
     @cached_property
     def _total(self) -> int:
-        """Patches that make up all photographs, as far as they are drawn."""
+        """Patches that cover all photographs once; background that no patch shows is left out if not streamed."""
         camera = self.scene.train[0].camera
-        streamed = len(self.scene.train) * camera.width * camera.height
-        return -(-(streamed if self.streams else int(self._corners.count.sum())) // self.patch_size**2)
+        pixels = len(self.scene.train) * camera.width * camera.height if self.streams else self._sampler.total
+        return -(-pixels // self.patch_size**2)
 
     def batch(self, iteration: int, rank: int = 0) -> PixelBatch:
-        """The batch that belongs to an iteration, on the CPU: ``pixel_multiplier * patches * patch_size^2`` pixels."""
+        """The batch of an iteration, on the CPU: ``pixel_multiplier * patches * patch_size^2`` pixels."""
+        pixel_multiplier, first = multiplier_at(iteration, self.patches, self.pixel_multiplier, self._total)
+        patches = pixel_multiplier * self.patches
+        if self.streams:
+            cache = self._window(iteration, rank)
+            return cache.batch(*cache.sampler.draw(first, patches, rank), iteration, pixel_multiplier)
+        view, pixel = self._sampler.draw(first, patches, rank)
         camera = self.scene.train[0].camera
-        window = self._window(iteration, rank) if self.streams else None
-        pixel_multiplier, first = breadth_at(iteration, self.patches, self.pixel_multiplier, self._total)
-        where = self._corners if window is None else window.corners()
-        view, pixel = draw(
-            where, first, pixel_multiplier * self.patches, self.seed, rank, self.patch_size, camera.width
-        )
-        if window is not None:
-            return window.batch(view, pixel.long(), iteration, pixel_multiplier, self.wants_blurred)
         index = view * (camera.width * camera.height) + pixel
         color = self.photographs.view(-1, 3).index_select(0, index)
         alpha = torch.ones(len(index)) if self.alpha is None else self.alpha.view(-1).index_select(0, index)
-        return PixelBatch(view, pixel, color, alpha, iteration, pixel_multiplier=pixel_multiplier)
+        means = self._blurred.view(-1, 3).index_select(0, index) if self._with_blurred else None
+        return PixelBatch(view, pixel, color, alpha, iteration, means, pixel_multiplier)
 
     def transfer_batch_to_device(
         self, batch: PixelBatch | Tensor, device: torch.device, dataloader_idx: int
     ) -> PixelBatch | Tensor:
-        """Move the tensors of a batch; its iteration is a plain number."""
+        """Move the tensors of a batch; an index of a held-out view is a tensor of its own."""
         if isinstance(batch, Tensor):
             return batch.to(device)
         view, pixel, color, alpha = (x.to(device) for x in (batch.view, batch.pixel, batch.color, batch.alpha))

@@ -3,13 +3,10 @@
 from __future__ import annotations
 
 import sys
-from typing import Any
 
 import torch
-from torch import Tensor
 
-from neurad.core.errors import InputError
-from neurad.core.records import PixelBatch, Surface
+from neurad.core.records import DatasetStats, PixelBatch, Surface
 from neurad.core.rng import Stream
 from neurad.integrators.primary_hits import PrimaryHits
 from neurad.integrators.vertex import DIMENSIONS, bounce
@@ -20,40 +17,17 @@ FAR = 50.0
 _PIXELS = 4096
 
 
-def mean_square_radiance(data: Any, emitter_mask: Tensor, firefly_clamp: float) -> tuple[float, PixelBatch | None]:
-    """Mean squared radiance of the training photographs, without what shows an emitter.
+def mean_square_radiance(stats: DatasetStats, firefly_clamp: float) -> float:
+    """Mean squared radiance of the photographs, the square of the unit of radiance.
 
     Args:
-        data: the data module.
-        emitter_mask: pixels that show an emitter [views, pixels], bool.
+        stats: of the pixels that show no emitter.
         firefly_clamp: with a positive one no value counts more than so many times a large one, see
-            :func:`neurad.losses.firefly.typical_square`.
-
-    Returns:
-        The mean square, and random pixels of the photographs if these are streamed.
-
-    Raises:
-        InputError: every photograph is black.
+            :func:`neurad.losses.firefly.typical_square`: a few fireflies must not set the unit.
     """
-    if getattr(data, "streams", False):
-        found = data.dataset_stats(emitter_mask.cpu())
-        mean_square, sample = found.mean_square, found.sample
-    else:
-        mean_square, sample = data.mean_square(~emitter_mask.cpu()), None
-    if mean_square <= 0:
-        raise InputError(f"scene {data.scene.name}: every training photograph is black")
-    if firefly_clamp > 0:  # a few fireflies must not set the unit of light
-        values = data.photographs[~emitter_mask.cpu()] if sample is None else sample.color
-        mean_square = typical_square(values, firefly_clamp) or mean_square
-    return mean_square, sample
-
-
-def random_pixels(photographs: Tensor, emitter_mask: Tensor, seed: int) -> PixelBatch:
-    """Some of the pixels of photographs [views, pixels, 3] that show no emitter."""
-    view, pixel = (~emitter_mask).nonzero().unbind(-1)
-    index = Stream(seed, 17, device=emitter_mask.device).integers(len(view), _PIXELS)
-    view, pixel = view[index], pixel[index]
-    return PixelBatch(view, pixel, photographs.to(view.device)[view, pixel], torch.ones_like(view).float(), 0)
+    if firefly_clamp > 0 and stats.mean_square_radiance > 0:
+        return typical_square(stats.sample.color, firefly_clamp) or stats.mean_square_radiance
+    return stats.mean_square_radiance
 
 
 @torch.no_grad()

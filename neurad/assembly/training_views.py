@@ -3,17 +3,16 @@
 from __future__ import annotations
 
 import math
-from dataclasses import dataclass, field
-from typing import Any
+from dataclasses import dataclass
 
 import torch
 from torch import Tensor
 
 from neurad.assembly.build import Assembly
-from neurad.assembly.exposure import brightness, mean_square_radiance, random_pixels, warn_if_far
+from neurad.assembly.exposure import brightness, mean_square_radiance, warn_if_far
 from neurad.core.errors import InputError
+from neurad.core.protocols import PhotoSource
 from neurad.integrators.primary_hits import PrimaryHits
-from neurad.losses.relative import blurred
 
 
 @dataclass(frozen=True)
@@ -26,13 +25,11 @@ class TrainingViews:
     """Pixels that an emitter covers, in part or whole; they train nothing [views, pixels], bool."""
     mean_square_radiance: float
     """Of all other pixels of the photographs."""
-    blurred: Tensor | None = field(default=None, repr=False)
-    """Photographs without their noise, where residuals are relative to them [views, pixels, 3]."""
 
 
 def prepare_views(
     assembly: Assembly,
-    photographs: Any,
+    photographs: PhotoSource,
     device: torch.device | str = "cpu",
     emitters_train: bool = False,
     check_brightness: bool = True,
@@ -52,7 +49,7 @@ def prepare_views(
         InputError: every pixel shows an emitter, or every photograph is black.
     """
     scene, settings = assembly.scene, assembly.settings
-    settings.sampling.split_over(getattr(photographs, "pixel_multiplier", 1))  # refuses what cannot be
+    settings.sampling.split_over(photographs.pixel_multiplier)  # refuses what cannot be
     cameras = [view.camera for view in scene.train]
     # Stage 1: primary hits and the emitter mask [views, pixels].
     primary = PrimaryHits(assembly.world, cameras, settings.sampling.cached_spp, settings.seed, torch.device(device))
@@ -62,25 +59,18 @@ def prepare_views(
     if bool(emitter_mask.all()):
         raise InputError(f"scene {scene.name}: every pixel of every training view shows an emitter")
     # Stage 2: the unit of radiance.
-    mean_square, sample = mean_square_radiance(photographs, emitter_mask, settings.objective.firefly_clamp)
+    stats = photographs.dataset_stats(emitter_mask.cpu())
+    mean_square = mean_square_radiance(stats, settings.objective.firefly_clamp)
+    if mean_square <= 0:
+        raise InputError(f"scene {scene.name}: every training photograph is black")
     if assembly.environment is not None:
         assembly.environment.set_unit(math.sqrt(mean_square))
     elif check_brightness:
-        shown = random_pixels(photographs.photographs, emitter_mask, settings.seed) if sample is None else sample
-        warn_if_far(brightness(primary, shown, settings.seed))
+        warn_if_far(brightness(primary, stats.sample, settings.seed))
     if assembly.radiance is not None:
         assembly.radiance.set_scale(math.sqrt(mean_square))
-    return TrainingViews(primary, emitter_mask, mean_square, _blurred(assembly, photographs, cameras[0].width, device))
-
-
-def _blurred(assembly: Assembly, photographs: Any, width: int, device: torch.device | str) -> Tensor | None:
-    """Means over 5 x 5 pixels where residuals are relative to them [views, pixels, 3]; None where they are not, and
-    where batches of streamed photographs bring them.
-    """
-    kind = assembly.settings.objective.normaliser
-    if kind == "blurred" or (kind == "prediction" and not assembly.settings.method.needs_field):
-        if getattr(photographs, "streams", False):
-            photographs.wants_blurred = True
-            return None
-        return blurred(photographs.photographs, photographs.alpha, width).to(device)
-    return None
+    # Stage 3: what residuals are relative to, where there is no field to predict it.
+    kind = settings.objective.normaliser
+    if kind == "blurred" or (kind == "prediction" and not settings.method.needs_field):
+        photographs.request_blurred()
+    return TrainingViews(primary, emitter_mask, mean_square)

@@ -6,7 +6,16 @@ from typing import Protocol
 
 from torch import Tensor
 
-from neurad.core.records import BSDFSample, EmitterSample, Hit, Rays, Surface, SurfaceInteraction
+from neurad.core.records import (
+    BSDFSample,
+    DatasetStats,
+    EmitterSample,
+    Hit,
+    PixelBatch,
+    Rays,
+    Surface,
+    SurfaceInteraction,
+)
 
 
 class Tracer(Protocol):
@@ -121,4 +130,28 @@ class Integrator(Protocol):
 
     def __call__(self, rays: Rays, seed: int) -> Tensor:
         """One-sample estimate of the radiance [n, 3]."""
+        ...
+
+
+class PhotoSource(Protocol):
+    """Training photographs, as a fit sees them: facts about all of them, and batches of their pixels."""
+
+    pixel_multiplier: int
+    """Times the usual number of pixels in the first batches; 1 where all batches have the same size."""
+
+    @property
+    def has_alpha(self) -> bool:
+        """Whether the photographs have an alpha channel."""
+        ...
+
+    def dataset_stats(self, left_out: Tensor | None = None) -> DatasetStats:
+        """Statistics of all pixels but those ``left_out`` [views, pixels], bool."""
+        ...
+
+    def request_blurred(self) -> None:
+        """From now on every batch has ``blurred``. Part of the set-up, before the first batch."""
+        ...
+
+    def batch(self, iteration: int, rank: int = 0) -> PixelBatch:
+        """The batch of an iteration in process ``rank``, on the CPU; the same one at every call."""
         ...

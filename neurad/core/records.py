@@ -190,9 +190,21 @@ class PixelBatch:
     iteration: int
     """The iteration that this batch belongs to."""
     blurred: Tensor | None = None
-    """Mean photographed radiance of the 5 x 5 pixels around [b, 3], where the data module was asked for it."""
+    """Mean photographed radiance of the 5 x 5 pixels around [b, 3]; None unless requested from the source."""
     pixel_multiplier: int = 1
-    """Times as many pixels as usual, each of which gets as many times fewer positions."""
+    """Times as many pixels as usual, each of which gets as many times fewer samples."""
+
+
+@dataclass(frozen=True)
+class DatasetStats:
+    """Statistics of all training photographs."""
+
+    mean_square_radiance: float
+    """Mean squared radiance of the pixels that count; 0 where none does."""
+    sample: PixelBatch
+    """Random pixels that count, drawn from all views alike."""
+    foreground: list[int]
+    """Views that have any pixel with alpha above 0, in order."""
 
 
 @dataclass(frozen=True)

@@ -92,32 +92,6 @@ def moving_prior(field: Tensor, transported: Tensor, other: Tensor, epsilon: flo
     return Loss(surrogate, (scale * (fixed - transported.detach())).mean())
 
 
-def blurred(photographs: Tensor, alpha: Tensor | None, width: int) -> Tensor:
-    """Means over 5 x 5 pixels, to weigh a pixel by: the noise of a pixel's own photograph would be in the residual too,
-    and weights that follow it make everything darker.
-
-    Args:
-        photographs: linear colours, premultiplied by alpha [views, h * w, 3].
-        alpha: coverage [views, h * w], or None.
-        width: of the photographs in pixels.
-
-    Returns:
-        Premultiplied colours [views, h * w, 3]; with alpha the mean is over what is covered.
-    """
-    if alpha is not None:
-        covered = alpha.unsqueeze(-1)
-        mean = _blur(photographs, width) / _blur(covered, width).clamp_min(1e-6)
-        return mean * covered
-    return _blur(photographs, width)
-
-
-def _blur(values: Tensor, width: int) -> Tensor:
-    views, pixels, channels = values.shape
-    image = values.view(views, pixels // width, width, channels).permute(0, 3, 1, 2)
-    mean = torch.nn.functional.avg_pool2d(image, 5, 1, 2, count_include_pad=False)
-    return mean.permute(0, 2, 3, 1).reshape(views, pixels, channels)
-
-
 def total(losses: dict[str, tuple[float, Loss]]) -> Tensor:
     """The weighted sum of surrogates."""
     return torch.stack([weight * loss.surrogate for weight, loss in losses.values()]).sum()

@@ -15,7 +15,7 @@ an environment that is being recovered is trained.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import torch
 from torch import Tensor
@@ -93,8 +93,6 @@ class ObjectiveStep:
         settings: weights and forms of the terms.
         epsilon: floor of the relative losses in squared radiance units.
         emitter_mask: pixels that an emitter covers, in part or whole; they train nothing [views, pixels], bool.
-        blurred: photographs without their noise, where they are what residuals are relative to
-            [views, pixels, 3]; None also where a batch brings its own.
     """
 
     estimator: Estimator
@@ -103,7 +101,6 @@ class ObjectiveStep:
     settings: Objective
     epsilon: float
     emitter_mask: Tensor
-    blurred: Tensor | None = field(default=None, repr=False)
 
     def __call__(self, batch: PixelBatch, stream: Stream) -> StepTerms:
         """Terms for a batch of photographed pixels."""
@@ -182,9 +179,7 @@ class ObjectiveStep:
             return seen
         if kind == "photograph":
             return batch.color
-        if self.blurred is None:
-            return batch.color if batch.blurred is None else batch.blurred
-        return self.blurred[batch.view, batch.pixel]
+        return batch.color if batch.blurred is None else batch.blurred
 
     def _pull(self, roughness: Tensor) -> Loss:
         """A quadratic pull of roughness [n, 1] towards its mean over the batch.
@@ -286,7 +281,6 @@ def make_objective(assembly: Assembly, views: TrainingViews) -> ObjectiveStep:
         settings=settings.objective,
         epsilon=settings.objective.epsilon * views.mean_square_radiance,
         emitter_mask=views.emitter_mask,
-        blurred=views.blurred,
     )
 
 

@@ -10,10 +10,10 @@ import pytest
 import torch
 from helpers.tiny_scene import SIZE, read_json, write_json, write_scene
 
-from datamodules.pixels import VISITS, breadth_at
+from datamodules.pixels import VISITS, blurred, multiplier_at
 from datamodules.scene_data import SceneData
 from neurad.core.errors import InputError
-from neurad.core.patch_sampler import corners, draw
+from neurad.core.patch_sampler import PatchSampler
 from neurad.core.records import PixelBatch
 from neurad.scene.image_io import read_exr, write_exr
 
@@ -50,10 +50,12 @@ def test_batches_hold_the_photographs_own_values(folder):
     assert batch.iteration == 3
     assert batch.alpha.min() == 1
     assert not data.has_alpha
-    assert data.mean_square() == pytest.approx(np.mean(np.square(images, dtype=np.float64)), rel=1e-6)
+    assert data.dataset_stats().mean_square_radiance == pytest.approx(
+        np.mean(np.square(images, dtype=np.float64)), rel=1e-6
+    )
     counted = torch.zeros(3, SIZE * SIZE, dtype=torch.bool)
     counted[1, 5] = True
-    assert data.mean_square(counted) == pytest.approx(np.mean(images[1][0, 5] ** 2), rel=1e-5)
+    assert data.dataset_stats(~counted).mean_square_radiance == pytest.approx(np.mean(images[1][0, 5] ** 2), rel=1e-5)
 
 
 def test_batches_are_a_function_of_seed_iteration_and_rank(folder):
@@ -69,7 +71,7 @@ def test_batches_are_a_function_of_seed_iteration_and_rank(folder):
 @pytest.mark.parametrize("patch_size", [1, 3, 8])
 def test_patches_are_squares_inside_one_view(patch_size):
     size = patch_size
-    view, pixel = draw(corners(5, size, None, 12, 9, 0), 80, 40, 0, 0, size, 12)
+    view, pixel = PatchSampler.build(5, size, None, 12, 9, 0).draw(80, 40)
     view, pixel = view.view(40, size, size), pixel.view(40, size, size)
     assert (view == view[:, :1, :1]).all()
     x, y = pixel % 12, pixel // 12
@@ -85,12 +87,12 @@ def test_every_corner_is_drawn_once_before_any_is_drawn_again(patch_size, covere
     """Whatever the batches are that the draws come in; with alpha each view has its own corners."""
     random = torch.rand(3, 42, generator=torch.Generator().manual_seed(1))
     alpha = None if covered is None else (random > covered).float()
-    where = corners(3, patch_size, alpha, 7, 6, 0)
-    assert alpha is not None or where.count.tolist() == 3 * [(7 - patch_size + 1) * (6 - patch_size + 1)]
-    most = int(where.count.max())
-    drawn = [draw(where, first, 5, 1, 0, patch_size, 7) for first in range(0, 9 * most + 5, 5)]
+    sampler = PatchSampler.build(3, patch_size, alpha, 7, 6, 1)
+    assert alpha is not None or sampler.count.tolist() == 3 * [(7 - patch_size + 1) * (6 - patch_size + 1)]
+    most = int(sampler.count.max())
+    drawn = [sampler.draw(first, 5) for first in range(0, 9 * most + 5, 5)]
     view, pixel = (torch.cat(parts)[:: patch_size**2] for parts in zip(*drawn, strict=True))
-    for one, count in zip(where.views.tolist(), where.count.tolist(), strict=True):
+    for one, count in zip(sampler.views.tolist(), sampler.count.tolist(), strict=True):
         turns = pixel[view == one][: 3 * count].view(3, count).sort().values
         assert turns.diff().min() > 0
         assert (turns == turns[0]).all()
@@ -98,17 +100,16 @@ def test_every_corner_is_drawn_once_before_any_is_drawn_again(patch_size, covere
 
 def test_draws_have_no_order_that_follows_the_image():
     """Of a view's consecutive corners half lie below the one before, within five standard deviations."""
-    where = corners(1, 1, None, 128, 128, 0)
-    _, pixel = draw(where, 0, 128 * 128, 0, 0, 1, 128)
+    _, pixel = PatchSampler.build(1, 1, None, 128, 128, 0).draw(0, 128 * 128)
     assert abs(float((pixel.diff() < 0).double().mean()) - 0.5) < 5 / (12 * 128 * 128) ** 0.5
 
 
-def test_broad_batches_come_first():
+def test_batches_with_a_larger_multiplier_come_first():
     """Each pixel_multiplier draws every patch as often as the schedule says, and no draw is skipped or taken twice."""
     total, patches = 1000, 16
     sizes, expected = [], 0
     for iteration in range(800):
-        pixel_multiplier, first = breadth_at(iteration, patches, 4, total)
+        pixel_multiplier, first = multiplier_at(iteration, patches, 4, total)
         assert first == expected
         expected += pixel_multiplier * patches
         sizes.append(pixel_multiplier)
@@ -120,13 +121,36 @@ def test_broad_batches_come_first():
             < visits * total + pixel_multiplier * patches
         )
     assert sizes[-1] == 1
-    assert breadth_at(7, patches, 1, total) == (1, 7 * patches)
+    assert multiplier_at(7, patches, 1, total) == (1, 7 * patches)
 
 
-def test_a_broad_batch_has_more_pixels_and_says_so(folder):
+def test_a_batch_with_a_multiplier_has_more_pixels_and_says_so(folder):
     data = ready(folder, patches=8, pixel_multiplier=4)
     assert (len(data.batch(0).view), data.batch(0).pixel_multiplier) == (32, 4)
     assert (len(data.batch(1000).view), data.batch(1000).pixel_multiplier) == (8, 1)
+
+
+def test_means_are_over_the_five_by_five_pixels_around():
+    """A mean over 5 x 5 pixels, over the covered ones where there is an alpha."""
+    image = torch.arange(48.0).view(1, 48, 1).expand(1, 48, 3).contiguous()
+    whole = blurred(image, None, 8)
+    grid = image.view(6, 8, 3)
+    torch.testing.assert_close(whole.view(6, 8, 3)[2, 3], grid[0:5, 1:6].mean((0, 1)))
+    torch.testing.assert_close(whole.view(6, 8, 3)[0, 0], grid[0:3, 0:3].mean((0, 1)))
+    alpha = torch.zeros(1, 48)
+    alpha[0, 8:24] = 1.0
+    flat = blurred(0.5 * alpha.unsqueeze(-1).expand(1, 48, 3), alpha, 8)
+    torch.testing.assert_close(flat, 0.5 * alpha.unsqueeze(-1).expand(1, 48, 3))
+
+
+def test_batches_have_means_around_pixels_on_request(folder):
+    data = ready(folder, patches=30)
+    assert data.batch(2).blurred is None
+    data.request_blurred()
+    batch = data.batch(2)
+    whole = blurred(data.photographs, None, SIZE)
+    assert torch.equal(batch.blurred, whole[batch.view, batch.pixel])
+    assert not torch.equal(batch.blurred, batch.color)
 
 
 @pytest.mark.parametrize("patch_size", [1, 2, 3])
@@ -137,7 +161,7 @@ def test_at_least_half_of_the_pixels_are_foreground(folder, patch_size):
         batch = data.batch(iteration)
         assert (batch.alpha > 0).float().mean() >= 0.5
         assert set(batch.view.tolist()) == {1, 2}, "a view without foreground says nothing"
-    assert data.mean_square() == pytest.approx((0.25 + 0.0625 + 1) / 3, rel=1e-3)
+    assert data.dataset_stats().mean_square_radiance == pytest.approx((0.25 + 0.0625 + 1) / 3, rel=1e-3)
 
 
 def test_few_foreground_pixels_are_still_found(folder):

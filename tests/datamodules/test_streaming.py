@@ -14,7 +14,7 @@ from helpers.tiny_scene import SIZE, write_scene
 from scipy import stats
 
 from datamodules.image_cache import SAMPLE
-from datamodules.pixels import neighbourhood
+from datamodules.pixels import blurred
 from datamodules.scene_data import SceneData
 from neurad.assembly.build import build_world
 from neurad.assembly.settings import Objective, Sampling
@@ -26,7 +26,6 @@ from neurad.core.rng import Stream
 from neurad.integrators import emitter_pixels
 from neurad.integrators.film import pixel_positions
 from neurad.integrators.primary_hits import PrimaryHits
-from neurad.losses.relative import blurred
 from neurad.scene.builtin import build_cornell, build_cube
 from neurad.scene.image_io import read_exr, write_exr
 from neurad.studies.bench import growth
@@ -72,7 +71,7 @@ def test_streamed_batches_hold_the_photographs_own_values(folder):
         for view, pixel, color in zip(batch.view.tolist(), batch.pixel.tolist(), batch.color, strict=True):
             np.testing.assert_array_equal(color.numpy(), images[view][pixel // SIZE, pixel % SIZE])
     assert "_pixels" not in data.__dict__, "never all of them"
-    assert data._residents._pixels.shape == (3, SIZE * SIZE, 3)
+    assert data._cache._pixels.shape == (3, SIZE * SIZE, 3)
 
 
 def test_every_view_is_in_memory_equally_long_and_one_is_replaced_at_a_time(folder):
@@ -80,7 +79,7 @@ def test_every_view_is_in_memory_equally_long_and_one_is_replaced_at_a_time(fold
     held, before = [], None
     for iteration in range(4 * VIEWS):
         data.batch(iteration)
-        now = set(data._residents.views)
+        now = set(data._cache.views)
         assert len(now) == 3
         if before is not None:
             assert len(now - before) == (iteration % 4 == 0)
@@ -114,7 +113,7 @@ def test_what_is_in_memory_is_a_function_of_seed_iteration_and_rank(folder):
     for seed, rank in ((0, 0), (1, 0), (0, 1)):
         data = ready(folder, **settings, seed=seed)
         data.batch(0, rank)
-        orders.append(data._residents.order)
+        orders.append(data._cache.order)
     assert len({tuple(order) for order in orders}) == 3
     assert all(sorted(order) == list(range(VIEWS)) for order in orders)
 
@@ -149,14 +148,18 @@ def test_streamed_foreground(folder, patch_size):
 
 
 @pytest.mark.parametrize("alpha", [False, True])
-def test_a_survey_sees_every_photograph(folder, alpha):
+def test_statistics_are_of_every_photograph(folder, alpha):
     if alpha:
         with_alpha(folder)
     data, whole = ready(folder, resident=2), ready(folder)
     left_out = torch.rand(VIEWS, SIZE * SIZE) < 0.3
-    assert data.mean_square() == pytest.approx(whole.mean_square(), rel=1e-6)
-    assert data.mean_square(~left_out) == pytest.approx(whole.mean_square(~left_out), rel=1e-6)
-    sample = data.dataset_stats(left_out).sample
+    for mask in (None, left_out):
+        stats, same = (source.dataset_stats(mask) for source in (data, whole))
+        assert stats.mean_square_radiance == same.mean_square_radiance
+        assert torch.equal(stats.sample.color, same.sample.color)
+    counted = (whole.alpha > 0) & ~left_out if alpha else ~left_out
+    assert stats.mean_square_radiance == pytest.approx(float(whole.photographs[counted].square().mean()), rel=1e-5)
+    sample = stats.sample
     assert SAMPLE / 8 < len(sample.view) <= SAMPLE + VIEWS
     assert not left_out[sample.view, sample.pixel].any()
     assert torch.equal(sample.color, whole.photographs[sample.view, sample.pixel])
@@ -164,13 +167,16 @@ def test_a_survey_sees_every_photograph(folder, alpha):
 
 
 @pytest.mark.parametrize("alpha", [False, True])
-def test_means_around_pixels_are_those_of_whole_photographs(alpha):
-    images = torch.rand(3, 6 * 9, 3)
-    cover = (torch.rand(3, 6 * 9) * (torch.rand(3, 6 * 9) < 0.5)) if alpha else None
-    both = images if cover is None else torch.cat((images * cover.unsqueeze(-1), cover.unsqueeze(-1)), -1)
-    whole = blurred(both[..., :3].contiguous(), cover, 9)
-    image, pixel = torch.arange(3).repeat_interleave(54), torch.arange(54).repeat(3)
-    torch.testing.assert_close(neighbourhood(both, image, pixel, 9), whole.view(-1, 3))
+def test_streamed_means_around_pixels_are_those_of_photographs_in_memory(folder, alpha):
+    if alpha:
+        with_alpha(folder)
+    data, whole = ready(folder, patches=200, resident=2, replace_every=3), ready(folder)
+    data.batch(0)  # a cache without means is thrown away
+    data.request_blurred()
+    means = blurred(whole.photographs, whole.alpha, SIZE)
+    for iteration in (0, 1, 10):
+        batch = data.batch(iteration)
+        torch.testing.assert_close(batch.blurred, means[batch.view, batch.pixel])
 
 
 BAD = {
@@ -183,10 +189,10 @@ BAD = {
 
 
 @pytest.mark.parametrize("case", BAD)
-@pytest.mark.parametrize("surveyed", [False, True])
-def test_a_photograph_that_goes_bad_is_named_when_its_turn_comes(folder, case, surveyed):
+@pytest.mark.parametrize("counted", [False, True])
+def test_a_photograph_that_goes_bad_is_named_when_its_turn_comes(folder, case, counted):
     data = ready(folder, patches=4, resident=2, replace_every=1)
-    if surveyed:
+    if counted:
         data.dataset_stats()
     image, said = BAD[case]
     path = folder / "images/train_4.exr"

@@ -27,7 +27,7 @@ from neurad.integrators.path import PathTracing
 from neurad.integrators.prb import PRB
 from neurad.integrators.radiometric import Radiometric
 from neurad.integrators.vertex import DIMENSIONS
-from neurad.losses.relative import blurred, moving_prior
+from neurad.losses.relative import moving_prior
 from neurad.scene.builtin import build_furnace
 from neurad.training.radiosity import Radiosity
 
@@ -200,19 +200,6 @@ def test_gradient_of_the_moving_prior_is_unbiased():
     weight = 1.0 / (0.7**2 + 0.01)
     assert math.isclose(slope.item(), 2 * weight * (1.3 - 0.7), rel_tol=0.03)
     assert math.isclose(loss.value.item(), weight * (1.3 - 0.7) ** 2, rel_tol=0.06)
-
-
-def test_smoothed_photographs():
-    """A mean over 5 x 5 pixels, over the covered ones where there is an alpha."""
-    image = torch.arange(48.0).view(1, 48, 1).expand(1, 48, 3).contiguous()
-    whole = blurred(image, None, 8)
-    grid = image.view(6, 8, 3)
-    torch.testing.assert_close(whole.view(6, 8, 3)[2, 3], grid[0:5, 1:6].mean((0, 1)))
-    torch.testing.assert_close(whole.view(6, 8, 3)[0, 0], grid[0:3, 0:3].mean((0, 1)))
-    alpha = torch.zeros(1, 48)
-    alpha[0, 8:24] = 1.0
-    flat = blurred(0.5 * alpha.unsqueeze(-1).expand(1, 48, 3), alpha, 8)
-    torch.testing.assert_close(flat, 0.5 * alpha.unsqueeze(-1).expand(1, 48, 3))
 
 
 # ---- settings

@@ -24,7 +24,7 @@ class _Prepared(train.NeuradCLI):
         return None
 
 
-def prepare(options: argparse.Namespace, steps: int) -> tuple[pl.Trainer, InverseRenderer, Any]:
+def prepare(options: argparse.Namespace, steps: int) -> tuple[pl.Trainer, InverseRenderer, SceneData]:
     """What ``neurad fit`` would run for ``steps`` iterations; the trainer has no callbacks.
 
     Args:
@@ -62,4 +62,4 @@ def prepare(options: argparse.Namespace, steps: int) -> tuple[pl.Trainer, Invers
         raise InputError(train._sentence(str(error), names, values)) from error
     trainer = cast(Any, made.trainer)
     trainer.callbacks = []
-    return trainer, cast(InverseRenderer, made.model), made.datamodule
+    return trainer, cast(InverseRenderer, made.model), cast(SceneData, made.datamodule)

@@ -9,7 +9,7 @@ import numpy as np
 import numpy.typing as npt
 import torch
 
-from neurad.core.patch_sampler import corners, draw
+from neurad.core.patch_sampler import PatchSampler
 from neurad.core.records import FloatArray, IntArray
 from neurad.core.rng import mix
 from neurad.losses.relative import relative_weight
@@ -80,7 +80,7 @@ class Replay:
         self.random = np.random.default_rng(seed)
         self.iteration = 0
         self._cameras(scene)
-        self.corners = corners(len(self.origin), 1, None, self.width, self.height, seed)
+        self.patches = PatchSampler.build(len(self.origin), 1, None, self.width, self.height, seed)
         self.lit = self._sees_no_emitter()
         square = (photographs**2).mean(-1)
         self.epsilon = epsilon * float(square[self.lit].mean() if self.lit.any() else square.mean())
@@ -123,8 +123,7 @@ class Replay:
             samples: independent paths from each, at least 2.
         """
         dr, mi = self.dr, self.mi
-        drawn = draw(self.corners, self.iteration * pixels, pixels, self.seed, 0, 1, self.width)
-        view, pixel = (x.numpy() for x in drawn)
+        view, pixel = (x.numpy() for x in self.patches.draw(self.iteration * pixels, pixels))
         rays = self.rays(np.repeat(view, samples), np.repeat(pixel, samples))
         self.sampler.seed(mix(self.seed, self.iteration) & 0xFFFFFFFF, pixels * samples)
         self.iteration += 1

@@ -17,14 +17,14 @@ from torch.utils.data import DataLoader, IterableDataset
 
 from neurad.core.errors import InputError
 from neurad.core.records import PixelBatch
-from neurad.core.rng import Stream
 from neurad.scene.description import Scene
+from neurad.studies.photos import PhotosInMemory
 from neurad.studies.stress.fit import MATERIAL, RADIANCE, ROUGHNESS, photographs
 from neurad.training.inverse import InverseRenderer
 
 
-class Memory(pl.LightningDataModule):
-    """A data module whose photographs are tensors; what the module asks of one.
+class Memory(pl.LightningDataModule, PhotosInMemory):
+    """A data module whose photographs are tensors.
 
     Args:
         scene: whose views they belong to.
@@ -32,18 +32,10 @@ class Memory(pl.LightningDataModule):
         pixels: in a batch.
     """
 
-    has_alpha = False
-    alpha = None
-
     def __init__(self, scene: Scene, images: torch.Tensor, pixels: int = 64) -> None:
         super().__init__()
-        self.scene, self.photographs, self.pixels = scene, images, pixels
-
-    def mean_square(self, counted: torch.Tensor | None = None) -> float:
-        """Mean squared radiance of the pixels that count."""
-        square = self.photographs.double().square().mean(-1)
-        kept = square if counted is None else square[counted]
-        return float(kept.mean()) if kept.numel() else 0.0
+        PhotosInMemory.__init__(self, images, scene.train[0].camera.width, pixels)
+        self.scene = scene
 
     def train_dataloader(self) -> DataLoader[PixelBatch]:
         """Random pixels without end."""
@@ -59,12 +51,8 @@ class _Endless(IterableDataset[PixelBatch]):
         self.data = data
 
     def __iter__(self) -> Any:
-        images = self.data.photographs
         for iteration in range(1 << 30):
-            stream = Stream(0, iteration, 5)
-            index = stream.integers(images.shape[0] * images.shape[1], self.data.pixels)
-            view, pixel = index // images.shape[1], index % images.shape[1]
-            yield PixelBatch(view, pixel, images.view(-1, 3)[index], torch.ones(len(index)), iteration)
+            yield self.data.batch(iteration)
 
 
 def fit(scene: Scene, images: torch.Tensor, steps: int = 3, **settings: Any) -> tuple[InverseRenderer, str]:
