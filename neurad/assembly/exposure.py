@@ -8,8 +8,9 @@ import torch
 
 from neurad.core.records import DatasetStats, PixelBatch, Surface
 from neurad.core.rng import Stream
+from neurad.integrators.bounce import bounce
 from neurad.integrators.primary_hits import PrimaryHits
-from neurad.integrators.vertex import DIMENSIONS, bounce
+from neurad.integrators.vertex import DIMENSIONS
 from neurad.losses.firefly import typical_square
 
 FAR = 50.0

@@ -10,12 +10,11 @@ import math
 
 import numpy as np
 
+from neurad.bsdf.sampling_kernels import concentric_disk
 from neurad.core.records import FloatArray
 from neurad.runtime.jit import fastmath_kernel, kernel
 
 _INV_PI = np.float32(1.0 / math.pi)
-_QUARTER_PI = np.float32(math.pi / 4)
-_HALF_PI = np.float32(math.pi / 2)
 _ZERO, _HALF, _ONE, _TWO = np.float32(0.0), np.float32(0.5), np.float32(1.0), np.float32(2.0)
 _QUARTER, _FOUR = np.float32(0.25), np.float32(4.0)
 _MIN_ALPHA, _TINY = np.float32(0.001), np.float32(1e-6)
@@ -79,12 +78,7 @@ def direction(
 ) -> None:  # pragma: no cover - compiled
     """Fill ``out`` [n, 3] with directions drawn by the principled BSDF from the numbers ``u`` [n, 3]."""
     for i in range(wo.shape[0]):
-        a, b = _TWO * u[i, 1] - _ONE, _TWO * u[i, 2] - _ONE
-        if abs(a) > abs(b):
-            radius, phi = a, _QUARTER_PI * b / a
-        else:
-            radius, phi = b, _HALF_PI - _QUARTER_PI * a / (b if b != _ZERO else _ONE)
-        a, b = radius * math.cos(phi), radius * math.sin(phi)
+        a, b = concentric_disk(u[i, 1], u[i, 2])
         if u[i, 0] < cosine_fraction:
             out[i, 0], out[i, 1] = a, b
             out[i, 2] = math.sqrt(max(_ONE - a * a - b * b, _ZERO))

@@ -1,74 +1,38 @@
-"""What a bounce gives, whichever way it is made."""
+"""A bounce by whatever does it fastest: the one place that chooses between the reference and its kernels."""
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 from torch import Tensor
 
-from neurad.core.records import SurfaceInteraction
-from neurad.emitters.area import AreaLights
+from neurad.core.records import Surface, SurfaceInteraction
+from neurad.integrators import vertex_diffuse, vertex_principled
+from neurad.integrators.vertex import Bounce, bounce_reference
 from neurad.integrators.world import World
-from neurad.runtime.dispatch import use_kernel
 
 
-@dataclass(frozen=True)
-class BSDFSampleStats:
-    """How BSDF samples weigh, compared with their mean: what a control variate and a guide ask for."""
+def bounce(
+    world: World,
+    si: SurfaceInteraction,
+    surface: Surface,
+    u: Tensor,
+    sample_stats: bool = False,
+    guided: bool = True,
+    use_kernels: bool = True,
+) -> Bounce:
+    """:func:`neurad.integrators.vertex.bounce_reference`, or kernels that draw the same directions from the same
+    numbers, where there are some for the lights, the surfaces and the device.
 
-    deviation: Tensor
-    """Weight of the sample, without smooth surfaces on the way, less its mean: zero on average whatever light there is,
-    with the gradient of the surface [n, 3]."""
-    relative: Tensor
-    """Weight over its mean, without gradient [n, 3]: 1 on average."""
-    wi: Tensor
-    """Direction of the sample in the shading frame, without gradient [n, 3]."""
-
-
-@dataclass(frozen=True)
-class Bounce:
-    """One sample of the transport operator at a vertex: ``T_hat(E + L) = direct + weight * L(next)``.
-
-    ``direct`` and ``weight`` carry the gradient of the surface; directions and pdfs are held fixed (detached sampling).
+    Args:
+        world: the scene.
+        si: vertices [n].
+        surface: what they are made of; carries the gradient.
+        u: uniform numbers [n, DIMENSIONS].
+        sample_stats: compare the weights with their mean, where the BSDF's weights vary.
+        guided: draw BSDF samples with the world's guide, where there is one.
+        use_kernels: False always takes the reference.
     """
-
-    direct_demodulated: Tensor
-    """``direct`` without the factor ``albedo`` [n, 3]."""
-    weight_demodulated: Tensor
-    """``weight`` without the factor ``albedo`` [n, 3]."""
-    next: SurfaceInteraction
-    """Where the BSDF sample ended."""
-    sample_stats: BSDFSampleStats | None = None
-    """None unless asked for, or where all weights are the same."""
-    albedo: Tensor | None = None
-    """What a bounce at Lambertian surfaces is proportional to [n, 3]; None where there is no such factor. Only it
-    has a gradient then, and one product with it is enough."""
-
-    @property
-    def direct(self) -> Tensor:
-        """One-sample estimate of T(E): both techniques, MIS-weighted [n, 3]."""
-        return self._complete(self.direct_demodulated)
-
-    @property
-    def weight(self) -> Tensor:
-        """Of the BSDF sample: f cos / pdf [n, 3]."""
-        return self._complete(self.weight_demodulated)
-
-    def reflected(self, light: Tensor) -> Tensor:
-        """``T_hat(E + L)`` [n, 3] for the ``light`` L [n, 3] that comes from ``next``."""
-        return self._complete(self.direct_demodulated + self.weight_demodulated * light)
-
-    def _complete(self, value: Tensor) -> Tensor:
-        return value if self.albedo is None else self.albedo * value
-
-
-def compilable(world: World, si: SurfaceInteraction) -> bool:
-    """Whether compiled passes can make bounces at ``si``, as far as light and vertices go: known area lights, and
-    float32 on the CPU without gradients.
-    """
-    lights = world.lights
-    return (
-        type(si) is SurfaceInteraction  # one that carries more has to hand it on
-        and isinstance(lights, AreaLights)
-        and use_kernel(True, si.p, lights.emission)
-    )
+    if vertex_diffuse.has_kernel(use_kernels, world, si):
+        return vertex_diffuse.bounce_diffuse(world, si, surface, u)
+    if vertex_principled.has_kernel(use_kernels, world, si, surface):
+        return vertex_principled.bounce_principled(world, si, surface, u, sample_stats, guided)
+    return bounce_reference(world, si, surface, u, sample_stats, guided)

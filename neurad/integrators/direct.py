@@ -6,8 +6,8 @@ from torch import Tensor
 
 from neurad.core.records import Surface, SurfaceInteraction
 from neurad.core.rng import Stream
+from neurad.integrators.bounce import bounce
 from neurad.integrators.method import Method, Parts, Reflected
-from neurad.integrators.vertex import bounce
 
 
 class Direct(Method):

@@ -10,10 +10,10 @@ from torch import Tensor
 from neurad.core.protocols import Materials
 from neurad.core.records import Lanes, Surface, SurfaceInteraction
 from neurad.core.rng import Stream
+from neurad.integrators.bounce import bounce
 from neurad.integrators.method import Method, Parts, Reflected, ReflectedRadiance, query_radiance
 from neurad.integrators.radiometric import Radiometric, field_radiance
 from neurad.integrators.stratified import stratified_samples
-from neurad.integrators.vertex import bounce
 from neurad.integrators.world import World
 
 

@@ -164,15 +164,16 @@ class Guided:
 
     guide: Guide
     rows: Tensor
-    share: float | Tensor
+    fraction: float | Tensor
+    """Probability of the diffuse lobe [n]."""
 
     def pdf_delta(self, wi: Tensor) -> Tensor:
         """What the guide adds to the density of local directions [n]; it integrates to 0."""
-        return self.share * (wi[:, 2].clamp_min(0.0) * INV_PI) * (self.guide.density(self.rows, wi) - 1.0)
+        return self.fraction * (wi[:, 2].clamp_min(0.0) * INV_PI) * (self.guide.density(self.rows, wi) - 1.0)
 
     def warp(self, u: Tensor) -> Tensor:
         """Numbers for the BSDF [n, 3] from uniform ones."""
-        by_cosine = u[:, 0] < self.share
+        by_cosine = u[:, 0] < self.fraction
         warped = torch.where(by_cosine.unsqueeze(-1), self.guide.warp(self.rows, u[:, 1:]), u[:, 1:])
         return torch.cat((u[:, :1], warped), -1)
 

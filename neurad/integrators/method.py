@@ -13,8 +13,7 @@ from torch import Tensor
 from neurad.core.protocols import Materials
 from neurad.core.records import Rays, Surface, SurfaceInteraction
 from neurad.core.rng import Stream
-from neurad.integrators.bounce import BSDFSampleStats
-from neurad.integrators.vertex import DIMENSIONS
+from neurad.integrators.vertex import DIMENSIONS, BSDFSampleStats
 from neurad.integrators.world import World
 
 ReflectedRadiance = (

@@ -17,9 +17,9 @@ from torch import Tensor, nn
 
 from neurad.core.records import Surface, SurfaceInteraction
 from neurad.core.rng import Stream
-from neurad.integrators.bounce import BSDFSampleStats
 from neurad.integrators.method import Parts, Reflected
 from neurad.integrators.path import PathTracing
+from neurad.integrators.vertex import BSDFSampleStats
 from neurad.integrators.walk import Vertex, loosen, walk
 from neurad.runtime.dispatch import use_kernel
 

@@ -11,8 +11,9 @@ from neurad.core.errors import InputError
 from neurad.core.protocols import Materials
 from neurad.core.records import Rays, Surface, SurfaceInteraction
 from neurad.core.rng import Stream
+from neurad.integrators.bounce import bounce
 from neurad.integrators.method import Method, Parts, Reflected, ReflectedRadiance, query_radiance
-from neurad.integrators.vertex import DIMENSIONS, bounce
+from neurad.integrators.vertex import DIMENSIONS
 from neurad.integrators.walk import scatter, walk
 from neurad.integrators.world import World
 

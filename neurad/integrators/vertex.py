@@ -1,6 +1,13 @@
-"""One vertex of light transport: emitter sampling and BSDF sampling, joined by MIS. Every integrator is made of it."""
+"""One vertex of light transport: the rendering equation (paper Eq. 1) by one sample of each technique.
+
+``T_hat(E + L) = direct + weight * L(next)`` estimates the integral of Eq. 1: emission is found by emitter sampling and
+by BSDF sampling, joined by MIS; other light L is read along the BSDF sample alone. Every integrator is made of it. What
+is here is the reference; :func:`neurad.integrators.bounce.bounce` takes kernels instead where they do the same.
+"""
 
 from __future__ import annotations
+
+from dataclasses import dataclass
 
 import torch
 from torch import Tensor
@@ -8,9 +15,6 @@ from torch import Tensor
 from neurad.core.frame import Frame, faceforward
 from neurad.core.records import Surface, SurfaceInteraction
 from neurad.core.sampling import mis_weight
-from neurad.integrators import vertex_diffuse as vertex_diffuse
-from neurad.integrators import vertex_principled as vertex_principled
-from neurad.integrators.bounce import Bounce, BSDFSampleStats
 from neurad.integrators.guide import Guided
 from neurad.integrators.world import World
 
@@ -18,66 +22,125 @@ DIMENSIONS = 7
 """Uniform numbers that one bounce consumes: three for the emitter, three for the BSDF, one for glass on the way."""
 
 
+@dataclass(frozen=True)
+class BSDFSampleStats:
+    """Weights of BSDF samples compared with their mean: what a control variate and a guide are made from."""
+
+    deviation: Tensor
+    """Weight of the sample, without smooth surfaces on the way, less its mean: zero on average whatever light there is,
+    with the gradient of the surface [n, 3]."""
+    relative: Tensor
+    """Weight over its mean, without gradient [n, 3]: 1 on average."""
+    wi: Tensor
+    """Direction of the sample in the shading frame, without gradient [n, 3]."""
+
+
+@dataclass(frozen=True)
+class Bounce:
+    """One sample of the transport operator at a vertex: ``T_hat(E + L) = direct + weight * L(next)``.
+
+    ``direct`` and ``weight`` carry the gradient of the surface; directions and pdfs are held fixed (detached sampling).
+    """
+
+    direct_demodulated: Tensor
+    """``direct`` without the factor ``albedo`` [n, 3]."""
+    weight_demodulated: Tensor
+    """``weight`` without the factor ``albedo`` [n, 3]."""
+    next: SurfaceInteraction
+    """Where the BSDF sample ended."""
+    sample_stats: BSDFSampleStats | None = None
+    """None unless asked for, or where all weights are the same."""
+    albedo: Tensor | None = None
+    """What a bounce at Lambertian surfaces is proportional to [n, 3]; None where there is no such factor. Only it
+    has a gradient then, and one product with it is enough."""
+
+    @property
+    def direct(self) -> Tensor:
+        """One-sample estimate of T(E): both techniques, MIS-weighted [n, 3]."""
+        return self._modulated(self.direct_demodulated)
+
+    @property
+    def weight(self) -> Tensor:
+        """Of the BSDF sample: f cos / pdf [n, 3]."""
+        return self._modulated(self.weight_demodulated)
+
+    def reflected(self, light: Tensor) -> Tensor:
+        """``T_hat(E + L)`` [n, 3] for the ``light`` L [n, 3] that comes from ``next``."""
+        return self._modulated(self.direct_demodulated + self.weight_demodulated * light)
+
+    def _modulated(self, value: Tensor) -> Tensor:
+        return value if self.albedo is None else self.albedo * value
+
+
 def shading_frame(si: SurfaceInteraction) -> Frame:
     """The frame whose z is the shading normal on the viewer's side."""
     return Frame.around(faceforward(si))
 
 
-def bounce(
-    world: World,
-    si: SurfaceInteraction,
-    surface: Surface,
-    u: Tensor,
-    control: bool = False,
-    use_kernels: bool = True,
-    guided: bool = True,
+def bounce_reference(
+    world: World, si: SurfaceInteraction, surface: Surface, u: Tensor, sample_stats: bool = False, guided: bool = True
 ) -> Bounce:
-    """Sample T at the lanes of ``si`` with uniform numbers ``u`` [n, DIMENSIONS].
+    """Sample T at the lanes of ``si`` (Eq. 1) in plain torch, on any device.
 
-    Lanes without a surface, or that look at a one-sided surface from behind, give zero. ``control`` asks for
-    ``sample_stats`` as well; a model whose weights always are their mean gives none. ``use_kernels`` lets the compiled
-    :mod:`neurad.integrators.vertex_diffuse` and :mod:`neurad.integrators.vertex_principled` do what they can do,
-    ``guided`` uses the world's guide where there is one.
+    Args:
+        world: the scene.
+        si: vertices [n]; one without a surface, or behind a one-sided surface, gives zero.
+        surface: what they are made of; carries the gradient.
+        u: uniform numbers [n, DIMENSIONS].
+        sample_stats: compare the weights with their mean, where the BSDF's weights vary.
+        guided: draw BSDF samples with the world's guide, where there is one.
     """
-    if use_kernels and vertex_diffuse.has_kernel(world, si):
-        return vertex_diffuse.bounce_diffuse(world, si, surface, u)
-    if use_kernels and vertex_principled.has_kernel(world, si, surface):
-        return vertex_principled.bounce_principled(world, si, surface, u, control, guided)
-    frame = shading_frame(si)
-    wo = frame.to_local(si.wo)
-    reflects = world.reflects(si)
+    # ---------------------- Local frame ----------------------
 
-    # Emitter sampling
-    light = world.lights.sample(si.p, u[:, :3])
-    towards = frame.to_local(light.wi)
-    value, bsdf_pdf = world.bsdf.eval_pdf(surface, wo, towards)
+    frame = shading_frame(si)
+    wo = frame.to_local(si.wo)  # [n, 3]
+    active = world.reflects(si)  # [n]
     guide = None
     if guided and world.guide is not None:
         guide = Guided(world.guide, world.guide.rows(si, frame.n), world.bsdf.diffuse_fraction(surface, wo))
-        bsdf_pdf = bsdf_pdf + guide.pdf_delta(towards)
-    useful = reflects & (light.pdf > 0) & (value.detach().amax(-1) > 0)
-    shadow, t_max = world.geometry.spawn_towards(si, light.wi, light.distance)
-    lit = useful.clone()
-    index = useful.nonzero().squeeze(-1)
-    lit[index] = ~world.occluded(shadow[index], t_max[index])
-    scale = torch.where(lit, mis_weight(light.pdf, bsdf_pdf) / light.pdf.clamp_min(1e-30), 0.0)
-    direct = value * (light.radiance * scale.unsqueeze(-1))
 
-    # BSDF sampling
-    numbers = u[:, 3:6] if guide is None else guide.warp(u[:, 3:6])
-    sample = world.bsdf.sample(surface, wo, numbers)
+    # ---------------------- Emitter sampling ----------------------
+
+    ds = world.lights.sample(si.p, u[:, :3])
+    wi_em = frame.to_local(ds.wi)  # [n, 3]
+    bsdf_value_em, bsdf_pdf_em = world.bsdf.eval_pdf(surface, wo, wi_em)  # f cos(wi) [n, 3] and its pdf [n]
     if guide is not None:
-        sample = guide.corrected(sample)
-    first = world.trace_past_delta(world.geometry.spawn(si, frame.to_world(sample.wi)), u[:, 6])
-    own = sample.weight * reflects.unsqueeze(-1)
-    sample_stats = None
-    if control and world.bsdf.varying_weight:
-        mean = world.bsdf.mean_weight(surface, wo) * reflects.unsqueeze(-1)
+        bsdf_pdf_em = bsdf_pdf_em + guide.pdf_delta(wi_em)
+
+    # Shadow rays only where light could arrive
+    active_em = active & (ds.pdf > 0) & (bsdf_value_em.detach().amax(-1) > 0)  # [n]
+    shadow_rays, t_max = world.geometry.spawn_towards(si, ds.wi, ds.distance)
+    visible = active_em.clone()
+    index = active_em.nonzero().squeeze(-1)
+    visible[index] = ~world.occluded(shadow_rays[index], t_max[index])
+
+    mis_em = mis_weight(ds.pdf, bsdf_pdf_em)  # [n]
+    scale = torch.where(visible, mis_em / ds.pdf.clamp_min(1e-30), 0.0)
+    direct_em = bsdf_value_em * (ds.radiance * scale.unsqueeze(-1))  # [n, 3]
+
+    # ---------------------- Detached BSDF sampling ----------------------
+
+    u_bsdf = u[:, 3:6] if guide is None else guide.warp(u[:, 3:6])
+    bsdf_sample = world.bsdf.sample(surface, wo, u_bsdf)
+    if guide is not None:
+        bsdf_sample = guide.corrected(bsdf_sample)
+    bsdf_weight = bsdf_sample.weight * active.unsqueeze(-1)  # f cos / pdf [n, 3]
+
+    hit = world.trace_past_delta(world.geometry.spawn(si, frame.to_world(bsdf_sample.wi)), u[:, 6])
+    weight = hit.attenuate(bsdf_weight)  # [n, 3]
+
+    mis_bsdf = mis_weight(bsdf_sample.pdf, world.lights.pdf(si.p, hit.si))  # [n]
+    if hit.via_delta is not None:  # emitter sampling cannot look through smooth surfaces
+        mis_bsdf = torch.where(hit.via_delta, 1.0, mis_bsdf)
+    direct_bsdf = weight * (world.lights.eval(hit.si) * mis_bsdf.unsqueeze(-1))  # [n, 3]
+
+    # ---------------------- Weights against their mean ----------------------
+
+    stats = None
+    if sample_stats and world.bsdf.varying_weight:
+        mean = world.bsdf.mean_weight(surface, wo) * active.unsqueeze(-1)  # [n, 3]
         fixed = mean.detach()
-        sample_stats = BSDFSampleStats(own - mean, torch.where(fixed > 0, own.detach() / fixed, 0.0), sample.wi)
-    weight = first.attenuate(own)
-    mis = mis_weight(sample.pdf, world.lights.pdf(si.p, first.si))
-    if first.via_delta is not None:  # emitter sampling cannot look through smooth surfaces
-        mis = torch.where(first.via_delta, 1.0, mis)
-    direct = direct + weight * (world.lights.eval(first.si) * mis.unsqueeze(-1))
-    return Bounce(direct, weight, first.si, sample_stats)
+        relative = torch.where(fixed > 0, bsdf_weight.detach() / fixed, 0.0)
+        stats = BSDFSampleStats(bsdf_weight - mean, relative, bsdf_sample.wi)
+
+    return Bounce(direct_em + direct_bsdf, weight, hit.si, stats)

@@ -1,8 +1,8 @@
-"""The bounce at principled surfaces under area lights, in a few compiled passes instead of some hundred tensor ones.
+"""The bounce at principled surfaces under area lights, in a few kernels instead of some hundred tensor operations.
 
 With the BSDF's two lobes ``albedo d + s`` all that a bounce gives is linear in the albedo and known in closed form, so
-the passes find its derivatives as well, and autograd sees one operation. Its twin in plain torch is
-:func:`neurad.integrators.vertex.bounce` without ``use_kernels``, which draws the same directions from the same numbers.
+the kernels find its derivatives as well, and autograd sees one operation. Its reference is
+:func:`neurad.integrators.vertex.bounce_reference`, which draws the same directions from the same numbers.
 """
 
 from __future__ import annotations
@@ -18,69 +18,80 @@ from torch.autograd.function import once_differentiable
 from neurad.core.protocols import LobeKernels
 from neurad.core.records import Rays, Surface, SurfaceInteraction
 from neurad.emitters.area import AreaLights
-from neurad.integrators import vertex_kernels as kernels
-from neurad.integrators.bounce import Bounce, BSDFSampleStats, compilable
+from neurad.integrators import vertex_principled_kernels as kernels
 from neurad.integrators.guide import Guided
-from neurad.integrators.world import World
+from neurad.integrators.vertex import Bounce, BSDFSampleStats
+from neurad.integrators.vertex_kernels_shared import RayArrays, ShadowRays, Triangles, Vertices, reads
+from neurad.integrators.world import NonDeltaHit, World
 
 
-def has_kernel(world: World, si: SurfaceInteraction, surface: Surface) -> bool:
-    """Whether the compiled passes do all that a bounce needs: one kind of surface, and fast parts."""
+def has_kernel(enabled: bool, world: World, si: SurfaceInteraction, surface: Surface) -> bool:
+    """Whether the kernels do all that a bounce needs: one kind of surface, and parts with kernels of their own."""
     return (
-        compilable(world, si)
+        reads(enabled, world, si)
         and world.bsdf.kernels(surface) is not None
         and (world.guide is None or world.guide.use_kernels)
     )
 
 
 def bounce_principled(
-    world: World, si: SurfaceInteraction, surface: Surface, u: Tensor, control: bool, guided: bool
+    world: World, si: SurfaceInteraction, surface: Surface, u: Tensor, sample_stats: bool, guided: bool
 ) -> Bounce:
-    """One bounce at the lanes of ``si``, with uniform numbers ``u`` [n, 7]; ``control`` asks for ``sample_stats``."""
-    lights, bsdf, geometry, m = world.lights, world.bsdf.kernels(surface), world.geometry, len(si)
-    assert isinstance(lights, AreaLights)
+    """One bounce at the lanes of ``si`` [n], with uniform numbers ``u`` [n, DIMENSIONS]; the arguments are those of
+    :func:`~neurad.integrators.vertex.bounce_reference`.
+    """
+    assert isinstance(world.lights, AreaLights)
+    bsdf, geometry, n = world.bsdf.kernels(surface), world.geometry, len(si)
     assert bsdf is not None
-    p, ng, n, wo, prim, numbers = (x.contiguous().numpy() for x in (si.p, si.ng, si.n, si.wo, si.prim, u))
-    roughness = surface.roughness.detach()
+    vertices, lights = Vertices.of(si), Triangles.of(world.lights)
+    roughness = surface.roughness.detach()  # [n, 1]
 
-    normal, view, towards, ds_d = torch.empty(4, m, 3).unbind()
-    ds_dist_pdf, ds_prim = torch.empty(m, 2), torch.empty(m, dtype=torch.int64)
-    kernels.sample_emitter(
-        p, n, wo, numbers, lights.cdf.numpy(), lights.table.numpy(), lights.face.numpy(),
-        *(x.numpy() for x in (lights.pdf_area, normal, view, towards, ds_d, ds_dist_pdf, ds_prim)),
-    )  # fmt: skip
+    # ---------------------- Frames and emitter sampling ----------------------
+
+    normal, wo, wi_em, ds_d = torch.empty(4, n, 3).unbind()
+    ds_dist_pdf, ds_prim = torch.empty(n, 2), torch.empty(n, dtype=torch.int64)
+    local = kernels.LocalSamples(*(x.numpy() for x in (normal, wo, wi_em, ds_d, ds_dist_pdf, ds_prim)))
+    kernels.sample_emitter(vertices, u.contiguous().numpy(), lights, local)
+
+    # ---------------------- BSDF towards the lights, BSDF sampling ----------------------
+
     guide = None
     if guided and world.guide is not None:
-        guide = Guided(world.guide, world.guide.rows(si, normal), world.bsdf.diffuse_fraction(surface, view))
-    bsdf_em = _lobes(bsdf, guide, roughness, view, towards)
-    wi = bsdf.direction(roughness, view, u[:, 3:6] if guide is None else guide.warp(u[:, 3:6]))
-    bsdf_wi = _lobes(bsdf, guide, roughness, view, wi)
+        guide = Guided(world.guide, world.guide.rows(si, normal), world.bsdf.diffuse_fraction(surface, wo))
+    bsdf_em = _lobes(bsdf, guide, roughness, wo, wi_em)  # [5, n]
+    wi = bsdf.direction(roughness, wo, u[:, 3:6] if guide is None else guide.warp(u[:, 3:6]))  # [n, 3]
+    bsdf_wi = _lobes(bsdf, guide, roughness, wo, wi)  # [5, n]
 
-    reflects = world.reflects(si) & (view[:, 2] > 0)
-    o, d, shadow_o, shadow_d, light = torch.empty(5, m, 3).unbind()
-    lane, t_max = torch.empty(m, dtype=torch.int64), torch.empty(m)
+    # ---------------------- Rays of both techniques ----------------------
+
+    active = world.reflects(si) & (wo[:, 2] > 0)  # [n]
+    o, d, shadow_o, shadow_d, radiance = torch.empty(5, n, 3).unbind()
+    lane, t_max = torch.empty(n, dtype=torch.int64), torch.empty(n)
+    shadow = lane, shadow_o, shadow_d, t_max, radiance
     count = kernels.spawn_rays_principled(
-        p, ng, prim, reflects.numpy(), geometry.face_offset.numpy(), np.float32(geometry.scale),
-        *(x.numpy() for x in (normal, ds_d, ds_dist_pdf, ds_prim, bsdf_em, wi, lights.emission)),
-        *(x.numpy() for x in (o, d, lane, shadow_o, shadow_d, t_max, light)),
+        vertices, active.numpy(), geometry.face_offset.numpy(), np.float32(geometry.scale), local, bsdf_em.numpy(),
+        wi.numpy(), lights.emission, RayArrays(o.numpy(), d.numpy()), ShadowRays(*(x.numpy() for x in shadow)),
     )  # fmt: skip
-    blocked = world.occluded(Rays(shadow_o[:count], shadow_d[:count]), t_max[:count])
-    reached = world.trace_past_delta(Rays(o, d), u[:, 6])
-    end = reached.si
+    lane, shadow_o, shadow_d, t_max, radiance = (x[:count] for x in shadow)  # [k, ...]
 
-    mean = bsdf.mean_lobes(roughness, view[:, 2]) if control else torch.empty(4, 0)
-    via_delta = torch.empty(0, dtype=torch.bool) if reached.via_delta is None else reached.via_delta
-    through = torch.empty(0, 3) if reached.throughput is None else reached.throughput
-    found = _collect(
-        m, control, lane[:count], light[:count], blocked, bsdf_em, si.p, reflects, surface.albedo.detach(), bsdf_wi,
-        mean, end.p, end.ng, end.wo, end.prim, end.valid, via_delta, through, lights.pdf_area, lights.emission,
+    # ---------------------- Tracing ----------------------
+
+    blocked = world.occluded(Rays(shadow_o, shadow_d), t_max)  # [k]
+    hit = world.trace_past_delta(Rays(o, d), u[:, 6])
+
+    # ---------------------- Light that both found, joined by MIS ----------------------
+
+    mean = bsdf.mean_lobes(roughness, wo[:, 2]) if sample_stats else torch.empty(4, 0)
+    found = _resolve_hits(
+        hit, lights, ShadowRays(*(x.numpy() for x in (lane, shadow_o, shadow_d, t_max, radiance))), blocked.numpy(),
+        bsdf_em.numpy(), vertices.p, active.numpy(), surface.albedo.detach().contiguous().numpy(), bsdf_wi.numpy(),
+        mean.numpy(),
     )  # fmt: skip
     values = found.values
     if torch.is_grad_enabled() and (surface.albedo.requires_grad or surface.roughness.requires_grad):
-        values = _Known.apply(surface.albedo, surface.roughness, found)  # type: ignore[no-untyped-call]
-    return Bounce(
-        values[0], values[1], end, BSDFSampleStats(values[2], found.relative, wi) if len(values) > 2 else None
-    )
+        values = _KnownDerivatives.apply(surface.albedo, surface.roughness, found)  # type: ignore[no-untyped-call]
+    stats = BSDFSampleStats(values[2], found.relative, wi) if sample_stats else None
+    return Bounce(values[0], values[1], hit.si, stats)
 
 
 @dataclass(frozen=True)
@@ -88,23 +99,28 @@ class _Found:
     """What a bounce gives, and its derivatives."""
 
     values: tuple[Tensor, ...]
-    """Direct light, weight and, with a control variate, the weight's deviation from its mean, each [n, 3]."""
+    """Direct light, weight and, with statistics, the weight's deviation from its mean, each [n, 3]."""
     by_albedo: Tensor
     """Derivatives by the albedo's same channel [2 or 3, n, 3]."""
     by_roughness: Tensor
     """Derivatives by the roughness [2 or 3, n, 3]."""
     relative: Tensor
-    """Weight over its mean [n, 3]; empty without a control variate."""
+    """Weight over its mean [n, 3]; empty without statistics."""
 
 
-def _collect(m: int, control: bool, *given: Tensor) -> _Found:
-    """What both techniques found at ``m`` vertices, with or without a control variate; ``given`` is what the kernel
-    reads.
+def _resolve_hits(hit: NonDeltaHit, lights: Triangles, *given: Any) -> _Found:
+    """What both techniques found where BSDF samples ended at ``hit``; ``given`` is what the kernel reads beside it, the
+    means of the lobes last.
     """
-    values, by_albedo, by_roughness = torch.empty(3, 3 if control else 2, m, 3).unbind()
-    relative = torch.empty(m if control else 0, 3)
-    arrays = (x.contiguous().numpy() for x in given)
-    kernels.resolve_hits_principled(*arrays, *(x.numpy() for x in (values, by_albedo, by_roughness, relative)))
+    n, rows = len(hit.si), 3 if given[-1].shape[1] > 0 else 2
+    via_delta = torch.empty(0, dtype=torch.bool) if hit.via_delta is None else hit.via_delta
+    throughput = torch.empty(0, 3) if hit.throughput is None else hit.throughput
+    delta = kernels.DeltaChains(via_delta.numpy(), throughput.contiguous().numpy())
+    values, by_albedo, by_roughness = torch.empty(3, rows, n, 3).unbind()
+    relative = torch.empty(n if rows == 3 else 0, 3)
+    out = kernels.Derivatives(*(x.numpy() for x in (values, by_albedo, by_roughness, relative)))
+    arrays: list[Any] = [*given, Vertices.of(hit.si), delta, lights, out]
+    kernels.resolve_hits_principled(*arrays)
     return _Found(values.unbind(), by_albedo, by_roughness, relative)
 
 
@@ -113,29 +129,27 @@ def _lobes(bsdf: LobeKernels, guide: Guided | None, roughness: Tensor, wo: Tenso
     out = bsdf.lobes(roughness, wo, wi)
     if guide is not None:
         density = guide.guide.density(guide.rows, wi)
-        kernels.add_guide_pdf(np.float32(float(guide.share)), wi.numpy(), density.numpy(), out.numpy())
+        kernels.add_guide_pdf(np.float32(float(guide.fraction)), wi.numpy(), density.numpy(), out.numpy())
     return out
 
 
-class _Known(torch.autograd.Function):
+class _KnownDerivatives(torch.autograd.Function):
     """Values whose derivatives by albedo, channel by channel, and roughness are known."""
 
     @staticmethod
     def forward(ctx: Any, albedo: Tensor, roughness: Tensor, found: _Found) -> tuple[Tensor, ...]:
-        ctx.slopes = found.by_albedo, found.by_roughness
+        ctx.derivatives = found.by_albedo, found.by_roughness
         ctx.set_materialize_grads(False)
         return found.values
 
     @staticmethod
     @once_differentiable
     def backward(ctx: Any, *gradients: Tensor | None) -> tuple[Tensor | None, Tensor | None, None]:
-        by_albedo, by_roughness = ctx.slopes
+        by_albedo, by_roughness = ctx.derivatives
         albedo, roughness = torch.zeros(by_albedo.shape[1:]), torch.zeros(by_albedo.shape[1], 1)
-        for part, gradient in enumerate(gradients):
+        for row, gradient in enumerate(gradients):
             if gradient is not None:
                 outer = gradient.contiguous().numpy()
-                kernels.vjp(
-                    outer, by_albedo[part].numpy(), by_roughness[part].numpy(), albedo.numpy(), roughness.numpy()
-                )
+                kernels.vjp(outer, by_albedo[row].numpy(), by_roughness[row].numpy(), albedo.numpy(), roughness.numpy())
         wanted = ctx.needs_input_grad
         return albedo if wanted[0] else None, roughness if wanted[1] else None, None

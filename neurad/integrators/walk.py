@@ -12,8 +12,8 @@ from torch import Tensor
 from neurad.core.protocols import Materials
 from neurad.core.records import Surface, SurfaceInteraction
 from neurad.core.rng import Stream
-from neurad.integrators.bounce import Bounce
-from neurad.integrators.vertex import DIMENSIONS, bounce
+from neurad.integrators.bounce import bounce
+from neurad.integrators.vertex import DIMENSIONS, Bounce
 from neurad.integrators.world import World
 
 Survival = Callable[[int, Tensor, Tensor], Tensor | None]
@@ -85,7 +85,7 @@ def walk(
     for bounces in count(1):
         # Guided weights reach albedo / Guide.uniform: at every bounce of an endless path they would add up to infinite
         # variance. A guide knows first hits best, too.
-        step = bounce(world, si, surface, u, control and bounces == 1, guided=bounces == 1)
+        step = bounce(world, si, surface, u, sample_stats=control and bounces == 1, guided=bounces == 1)
         yield Vertex(lane, si, throughput, step, throughput_after_first)
         if max_bounces is not None and bounces >= max_bounces:
             return

@@ -15,6 +15,7 @@ from neurad.bsdf.principled import Principled, lobes_pdf
 from neurad.core.records import Surface
 from neurad.core.reflection import PrincipledModel
 from neurad.core.rng import Stream
+from neurad.integrators.bounce import bounce
 from neurad.integrators.debiased import Debiased
 from neurad.integrators.direct import Direct
 from neurad.integrators.method import Parts
@@ -22,7 +23,7 @@ from neurad.integrators.path import PathTracing
 from neurad.integrators.prb import PRB
 from neurad.integrators.radiometric import Radiometric
 from neurad.integrators.stratified import stratified_samples
-from neurad.integrators.vertex import DIMENSIONS, bounce
+from neurad.integrators.vertex import DIMENSIONS
 from neurad.losses.leave_one_out import ControlVariate, leave_one_out
 from neurad.scene.builtin import build_furnace
 
@@ -130,7 +131,7 @@ def test_incident_light_is_what_the_first_weight_multiplies(method) -> None:
     si, u = camera_vertices(world, n, 1), Stream(5).uniform(n, DIMENSIONS)
     surface = materials(si)
     sample = method.reflected(Parts(world, materials), si, surface, u, Stream(7))
-    first = bounce(world, si, surface, u, control=True)
+    first = bounce(world, si, surface, u, sample_stats=True)
     assert sample.Li_bsdf.max() > 0
     assert (first.weight == 0).any()
     torch.testing.assert_close(sample.value, first.direct + first.weight * sample.Li_bsdf, rtol=1e-4, atol=1e-5)

@@ -14,13 +14,14 @@ from neurad.core.errors import InputError
 from neurad.core.records import Surface, SurfaceInteraction
 from neurad.core.rng import Stream
 from neurad.core.sampling import concentric_disk, cosine_hemisphere, disk_to_square
+from neurad.integrators.bounce import bounce
 from neurad.integrators.direct import Direct
 from neurad.integrators.guide import FACINGS, Guide
 from neurad.integrators.method import Method
 from neurad.integrators.path import PathTracing
 from neurad.integrators.prb import PRB
 from neurad.integrators.radiometric import Radiometric
-from neurad.integrators.vertex import DIMENSIONS, bounce, shading_frame
+from neurad.integrators.vertex import DIMENSIONS, shading_frame
 from neurad.scene import builtin
 from neurad.studies.stress.fit import photographs, resized
 from neurad.studies.stress.parts import glossy
@@ -130,7 +131,7 @@ def test_means_stay_and_noise_falls(known: str) -> None:
     else:
         _, other = lamp_lit(9, 60_000)
         surface = Surface(torch.full((len(other), 3), 0.6), torch.full((len(other), 1), 0.4))
-        step = bounce(world, other, surface, Stream(10).uniform(len(other), DIMENSIONS), control=True)
+        step = bounce(world, other, surface, Stream(10).uniform(len(other), DIMENSIONS), sample_stats=True)
         assert step.sample_stats is not None
         guide.record(*guide.bin_samples(other, shading_frame(other).n, step.sample_stats.wi, light_at(step.next)))
     guide.update()
@@ -140,7 +141,7 @@ def test_means_stay_and_noise_falls(known: str) -> None:
     found = []
     for use in (None, guide):
         world.guide = use
-        step = bounce(world, many, surface, Stream(11).uniform(len(many), DIMENSIONS), control=True)
+        step = bounce(world, many, surface, Stream(11).uniform(len(many), DIMENSIONS), sample_stats=True)
         assert step.sample_stats is not None
         light = step.weight * light_at(step.next)
         found.append([x.mean(-1).view(24, count).double() for x in (step.direct, light, step.sample_stats.deviation)])

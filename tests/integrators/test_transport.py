@@ -8,9 +8,10 @@ import torch
 from neurad.assembly.build import build_world
 from neurad.core.records import Rays, Surface
 from neurad.core.rng import Stream
+from neurad.integrators.bounce import bounce
 from neurad.integrators.path import PathTracer
 from neurad.integrators.radiometric import RadiometricLHS, RadiometricRHS, transport
-from neurad.integrators.vertex import DIMENSIONS, bounce
+from neurad.integrators.vertex import DIMENSIONS
 from neurad.scene.builtin.furnace import build_furnace
 from neurad.scene.textures import TrueMaterials
 

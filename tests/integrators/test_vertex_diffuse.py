@@ -15,9 +15,10 @@ from neurad.core.rng import Stream
 from neurad.fields.mlp import MLP, products
 from neurad.fields.settings import GridConfig, RadianceConfig
 from neurad.integrators import vertex_diffuse as matte
+from neurad.integrators.bounce import bounce
 from neurad.integrators.method import query_radiance
 from neurad.integrators.stratified import stratified_samples
-from neurad.integrators.vertex import DIMENSIONS, bounce
+from neurad.integrators.vertex import DIMENSIONS
 from neurad.scene.builtin import build, build_cornell, build_sphere
 from neurad.scene.geometry import Geometry
 from neurad.studies.stress import features
@@ -43,7 +44,7 @@ def test_the_compiled_bounce_is_the_plain_one(name, change):
     assert not si.valid.all()
     u = Stream(4).uniform(len(si), DIMENSIONS)
     albedo = lab.materials(si).albedo
-    assert matte.has_kernel(lab.world, si)
+    assert matte.has_kernel(True, lab.world, si)
     found = []
     for use_kernels in (True, False):
         free = albedo.clone().requires_grad_(True)
@@ -93,11 +94,11 @@ def test_threads_share_a_bounce_and_its_numbers_without_a_trace():
 
 def test_the_compiled_bounce_is_for_what_it_can_do():
     si = random_vertices(build_world(build_cornell()), 10, 1)
-    assert matte.has_kernel(build_world(build_cornell()), si)
-    assert not matte.has_kernel(build_world(glossy(build_cornell())), si)
+    assert matte.has_kernel(True, build_world(build_cornell()), si)
+    assert not matte.has_kernel(True, build_world(glossy(build_cornell())), si)
     lit = build_world(build_cornell())
     lit.lights.emission.requires_grad_(True)
-    assert not matte.has_kernel(lit, si)
+    assert not matte.has_kernel(True, lit, si)
 
 
 @pytest.mark.parametrize("build_scene", [build_cornell, build_sphere])
@@ -119,7 +120,7 @@ def test_only_weights_that_deviate_have_a_control_variate():
         lab = Lab(scene)
         si = lab.points(20, Stream(1))
         u = Stream(2).uniform(20, DIMENSIONS)
-        step = bounce(lab.world, si, lab.materials(si), u, control=True, use_kernels=False)
+        step = bounce(lab.world, si, lab.materials(si), u, sample_stats=True, use_kernels=False)
         assert (step.sample_stats is not None) == there
 
 

@@ -14,8 +14,9 @@ from neurad.core.records import Surface, SurfaceInteraction
 from neurad.core.reflection import PrincipledModel
 from neurad.core.rng import Stream
 from neurad.integrators import vertex_principled as glossy
+from neurad.integrators.bounce import bounce
 from neurad.integrators.guide import Guide
-from neurad.integrators.vertex import DIMENSIONS, bounce
+from neurad.integrators.vertex import DIMENSIONS
 from neurad.scene.builtin import build_cornell, build_kitchen
 from neurad.studies.stress.parts import glossy as made_glossy
 
@@ -49,13 +50,13 @@ def test_the_compiled_bounce_is_the_plain_one(scene, control, guided):
     si = random_vertices(world, N, 3)
     assert not si.valid.all()
     surface, u = random_surface(N, 5), Stream(4).uniform(N, DIMENSIONS)
-    assert glossy.has_kernel(world, si, surface)
+    assert glossy.has_kernel(True, world, si, surface)
     scale = float(bounce(world, si, surface, u, use_kernels=False).direct.detach().mean()) * 100
     assert scale > 0
     found = []
     for use_kernels in (True, False):
         before = world.tracer.rays_cast
-        step = bounce(world, si, surface, u, control=control, use_kernels=use_kernels)
+        step = bounce(world, si, surface, u, sample_stats=control, use_kernels=use_kernels)
         total = step.direct.square().sum() / scale + (step.weight * torch.linspace(0.1, 1, 3)).sum()
         if control:
             total = total + 0.7 * step.sample_stats.deviation.square().sum()
@@ -94,9 +95,9 @@ def test_smooth_surfaces_on_the_way_dim_what_comes_through():
     si = random_vertices(world, N, 3)
     surface, u = random_surface(N, 5), Stream(4).uniform(N, DIMENSIONS)
     assert world.delta is not None
-    assert glossy.has_kernel(world, si, surface)
+    assert glossy.has_kernel(True, world, si, surface)
     use_kernels, plain = (
-        bounce(world, si, surface, u, control=True, use_kernels=use_kernels) for use_kernels in (True, False)
+        bounce(world, si, surface, u, sample_stats=True, use_kernels=use_kernels) for use_kernels in (True, False)
     )
     same = use_kernels.next.prim == plain.next.prim
     assert float((~same).float().mean()) < 5e-3
@@ -125,15 +126,15 @@ def test_derivatives_are_those_of_known_parts_alone():
 def test_it_is_for_what_it_can_do():
     world = build_world(made_glossy(build_cornell()))
     si, surface = random_vertices(world, 10, 1), random_surface(10, 1)
-    assert glossy.has_kernel(world, si, surface)
+    assert glossy.has_kernel(True, world, si, surface)
     typed = Surface(surface.albedo, surface.roughness, torch.zeros(10, dtype=torch.int64))
-    assert not glossy.has_kernel(world, si, typed)
-    assert not glossy.has_kernel(build_world(build_cornell()), si, surface)
-    assert not glossy.has_kernel(build_world(object_scene(sky())), si, surface)  # an environment
+    assert not glossy.has_kernel(True, world, si, typed)
+    assert not glossy.has_kernel(True, build_world(build_cornell()), si, surface)
+    assert not glossy.has_kernel(True, build_world(object_scene(sky())), si, surface)  # an environment
     double = SurfaceInteraction(*(x.double() if x.is_floating_point() else x for x in vars(si).values()))
-    assert not glossy.has_kernel(world, double, surface)
+    assert not glossy.has_kernel(True, world, double, surface)
     world.lights.emission.requires_grad_(True)
-    assert not glossy.has_kernel(world, si, surface)
+    assert not glossy.has_kernel(True, world, si, surface)
 
 
 def test_the_compiled_mean_is_the_plain_one():

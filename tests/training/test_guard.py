@@ -8,7 +8,7 @@ import torch
 from helpers.tiny_scene import write_scene
 
 from neurad.cli import main
-from neurad.integrators import vertex_kernels as bounce_kernels
+from neurad.integrators import vertex_principled_kernels
 from neurad.scene.image_io import write_exr
 from neurad.training.guard import clip, first_bad
 from neurad.training.inverse import InverseRenderer
@@ -85,16 +85,18 @@ def test_a_nan_weight_stops_the_run_and_is_repeated_from_its_folder(tmp_path, ca
 
 def test_an_infinite_sample_is_named_and_the_run_goes_on_once_it_is_mended(tmp_path, capfd, monkeypatch):
     folder = write_scene(tmp_path / "scene")
-    plain = bounce_kernels.resolve_hits_principled
+    plain = vertex_principled_kernels.resolve_hits_principled
 
     def broken(*arrays):
         plain(*arrays)
-        arrays[-4][0, :1] = math.inf  # the direct light of the first lane
+        arrays[-1].value[0, :1] = math.inf  # the direct light of the first lane
 
     with monkeypatch.context() as patch:
-        plant(patch, 2, lambda _: patch.setattr(bounce_kernels, "collect", broken))
+        plant(patch, 2, lambda _: patch.setattr(vertex_principled_kernels, "resolve_hits_principled", broken))
         error = stops(capfd, folder)
-    assert "iteration 2: what integrators.vertex_principled._collect.values[0] returned is not finite (3 of" in error
+    assert (
+        "iteration 2: what integrators.vertex_principled._resolve_hits.values[0] returned is not finite (3 of" in error
+    )
     fit(folder, f"--ckpt_path={tmp_path / 'lightning_logs/version_0/checkpoints/bad.ckpt'}")
     state = torch.load(tmp_path / "lightning_logs/version_0/checkpoints/last.ckpt", weights_only=True)
     assert state["neurad"]["iteration"] == 6

@@ -16,7 +16,8 @@ from neurad.core.rng import Stream
 from neurad.core.sampling import cosine_hemisphere, uniform_triangle
 from neurad.fields.radiance import RadianceField
 from neurad.fields.settings import GridConfig, RadianceConfig
-from neurad.integrators.vertex import DIMENSIONS, bounce
+from neurad.integrators.bounce import bounce
+from neurad.integrators.vertex import DIMENSIONS
 from neurad.integrators.world import World
 from neurad.losses.relative import relative_weight
 from neurad.optim.sparse_row_adam import SparseRowAdam

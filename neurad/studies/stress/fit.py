@@ -13,11 +13,12 @@ from neurad.assembly.settings import Objective, Sampling
 from neurad.core.records import PixelBatch, Surface, SurfaceInteraction
 from neurad.core.rng import Stream
 from neurad.fields.settings import FieldConfig, GridConfig, RadianceConfig, RoughnessConfig
+from neurad.integrators.bounce import bounce
 from neurad.integrators.estimator import Estimator
 from neurad.integrators.film import render
 from neurad.integrators.path import PathTracer
 from neurad.integrators.primary_hits import PrimaryHits
-from neurad.integrators.vertex import DIMENSIONS, bounce
+from neurad.integrators.vertex import DIMENSIONS
 from neurad.losses.firefly import typical_square
 from neurad.losses.relative import total
 from neurad.optim.sparse_row_adam import SparseRowAdam

@@ -14,7 +14,7 @@ from torch import Tensor
 
 from neurad.core.errors import InputError
 from neurad.core.records import PixelBatch
-from neurad.integrators import vertex_kernels as bounce_kernels
+from neurad.integrators import vertex_diffuse_kernels, vertex_principled_kernels
 from neurad.scene.image_io import read_photograph, write_exr
 from neurad.studies.stress.case import Case, Outcome
 from neurad.studies.stress.fit import MATERIAL, RADIANCE, ROUGHNESS, photographs, resized
@@ -47,8 +47,8 @@ def _planted(what: str, words: str, spoil: Callable[[InverseRenderer], None], ma
         images = photographs(scene, 4)
         step, arrive, collect = (
             InverseRenderer.training_step,
-            bounce_kernels.resolve_hits_diffuse,
-            bounce_kernels.resolve_hits_principled,
+            vertex_diffuse_kernels.resolve_hits_diffuse,
+            vertex_principled_kernels.resolve_hits_principled,
         )
 
         def spoilt(self: InverseRenderer, batch: PixelBatch, batch_idx: int) -> Tensor:
@@ -65,7 +65,8 @@ def _planted(what: str, words: str, spoil: Callable[[InverseRenderer], None], ma
             return Outcome(float("iteration 2" not in text or words not in text), 0.0, text)
         finally:
             InverseRenderer.training_step = step  # type: ignore[method-assign]
-            bounce_kernels.resolve_hits_diffuse, bounce_kernels.resolve_hits_principled = arrive, collect
+            vertex_diffuse_kernels.resolve_hits_diffuse = arrive
+            vertex_principled_kernels.resolve_hits_principled = collect
         return Outcome(1.0, 0.0, "the run went on")
 
     return Case("guard", what, f"stops and says: {words}", measure)
@@ -77,25 +78,25 @@ def _weight(module: InverseRenderer) -> None:
 
 
 def _sample(module: InverseRenderer) -> None:
-    plain = bounce_kernels.resolve_hits_principled
+    plain = vertex_principled_kernels.resolve_hits_principled
 
     def broken(*arrays: Any) -> None:
         plain(*arrays)
-        direct = arrays[-4][0]
+        direct = arrays[-1].value[0]
         direct[direct > 0] = math.inf
 
-    bounce_kernels.resolve_hits_principled = broken  # type: ignore[assignment]
+    vertex_principled_kernels.resolve_hits_principled = broken  # type: ignore[assignment]
 
 
 def _matte_sample(module: InverseRenderer) -> None:
-    plain = bounce_kernels.resolve_hits_diffuse
+    plain = vertex_diffuse_kernels.resolve_hits_diffuse
 
     def broken(*arrays: Any) -> None:
         plain(*arrays)
         direct = arrays[-2]
         direct[direct > 0] = math.inf
 
-    bounce_kernels.resolve_hits_diffuse = broken  # type: ignore[assignment]
+    vertex_diffuse_kernels.resolve_hits_diffuse = broken  # type: ignore[assignment]
 
 
 def _cost() -> Case:
@@ -136,10 +137,15 @@ def cases() -> list[Case]:
         _texel(),
         _planted("a NaN weight", "the weight radiance.mlp.layers.0.weight is not finite", _weight),
         _planted(
-            "an infinite sample of a light", f"integrators.vertex_principled._collect.values[0] {bad}", _sample, False
+            "an infinite sample of a light",
+            f"integrators.vertex_principled._resolve_hits.values[0] {bad}",
+            _sample,
+            False,
         ),
         _planted(
-            "an infinite sample, Lambertian", f"integrators.vertex_diffuse.bounce_diffuse.incident {bad}", _matte_sample
+            "an infinite sample, Lambertian",
+            f"integrators.vertex_diffuse.bounce_diffuse.direct_demodulated {bad}",
+            _matte_sample,
         ),
         _cost(),
     ]
