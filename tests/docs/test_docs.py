@@ -1,0 +1,292 @@
+"""What the pages say exists: names, settings, commands, links, and the equations in docstrings."""
+
+import argparse
+import ast
+import contextlib
+import importlib
+import importlib.util
+import io
+import itertools
+import re
+import shlex
+from pathlib import Path
+
+import pytest
+import yaml
+
+from neurad.cli import LIGHTNING_VERBS, OWN_VERBS, main
+from neurad.commands.bench import BENCHMARKS
+from neurad.runs.configs import load_config, split_arguments
+
+REPOSITORY = Path(__file__).resolve().parents[2]
+DOCS = REPOSITORY / "docs"
+PAGES = [REPOSITORY / "README.md", *sorted(DOCS.glob("*.md"))]
+SOURCES = [path for top in ("neurad", "datamodules") for path in sorted((REPOSITORY / top).rglob("*.py"))]
+KEYS = re.compile(r"(?<![\w./])(?:--)?((?:model|data|trainer|evaluation|checkpoint)\.[a-z_]+(?:\.[a-z_]+)*)(?![\w/*(])")
+FOLDERS = ("neurad/", "datamodules/", "configs/", "tests/", "docs/", ".ci/")
+
+pages = pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
+
+
+def in_backticks(text):
+    """Every piece of inline code, with its line breaks as spaces."""
+    return [" ".join(piece.split()) for piece in re.findall(r"(?<!`)`([^`]+)`(?!`)", without_blocks(text))]
+
+
+def without_blocks(text):
+    """The page without fenced and indented code."""
+    text = re.sub(r"^```.*?^```", "", text, flags=re.S | re.M)
+    return re.sub(r"^ {4}(?! *[-*\d]).*$", "", text, flags=re.M)
+
+
+def expanded(name):
+    """``a/{b,c}.yaml`` as its names."""
+    parts = [piece.split(",") for piece in re.split(r"[{}]", name)]
+    return ["".join(choice) for choice in itertools.product(*parts)]
+
+
+# ---- names
+
+
+def members(path):
+    """Names that a module defines, and those of its classes as ``Class.name``."""
+    found = set()
+    for node in ast.parse(path.read_text()).body:
+        names = bound(node)
+        found |= names
+        if isinstance(node, ast.ClassDef):
+            found |= {f"{node.name}.{name}" for child in node.body for name in bound(child)}
+    return found
+
+
+def bound(node):
+    """Names that a statement defines."""
+    if isinstance(node, (ast.FunctionDef, ast.ClassDef)):
+        return {node.name}
+    if isinstance(node, ast.Assign):
+        return {target.id for target in node.targets if isinstance(target, ast.Name)}
+    if isinstance(node, ast.AnnAssign) and isinstance(node.target, ast.Name):
+        return {node.target.id}
+    return set()
+
+
+def unknown_names(text):
+    """Files and ``module.function`` in inline code that do not exist."""
+    modules = {}
+    for path in SOURCES:
+        modules.setdefault(path.stem, set()).update(members(path))
+    bad = []
+    for piece in in_backticks(text):
+        word = piece.split(" ")[0].rstrip(",")
+        if word.startswith(FOLDERS):
+            names = [name for name in expanded(word.removesuffix(":")) if "mine." not in name]
+            bad += [name for name in names if not list(REPOSITORY.glob(name.rstrip("/")))]
+        elif word.endswith(".yaml") and "mine" not in word and word != "config.yaml":
+            bad += [name for name in expanded(word) if not (REPOSITORY / "configs" / name).is_file()]
+        elif re.fullmatch(r"[a-z_]\w*(\.\w+)+", word):
+            module, _, name = word.partition(".")
+            known = modules.get(module) if module != "neurad" else set(dir(importlib.import_module("neurad")))
+            if known is not None and name not in known and not KEYS.fullmatch(word):
+                bad.append(word)
+    return bad
+
+
+@pages
+def test_every_name_exists(page):
+    assert unknown_names(page.read_text()) == []
+
+
+def test_a_name_that_is_gone_is_found():
+    text = "`vertex.bounced` in `neurad/integrators/vertices.py`, `world.World.reach`, `methods/theirs.yaml`"
+    gone = ["vertex.bounced", "neurad/integrators/vertices.py", "world.World.reach", "methods/theirs.yaml"]
+    assert unknown_names(text) == gone
+    assert unknown_names("`vertex.bounce`, `world.World.intersect`, `methods/{ours,prb}.yaml`") == []
+
+
+# ---- equations
+
+
+def equations():
+    """Number of an equation and the code that is it, from the table of the method page."""
+    table = re.findall(
+        r"^\| Eq\. (\d+) \|.*?\| `(neurad/[\w/]+\.py)` \| (.*?) \|$", (DOCS / "method.md").read_text(), re.M
+    )
+    return [(int(n), file, name) for n, file, names in table for name in re.findall(r"`([\w.]+)`", names)]
+
+
+def numbers(docstring):
+    """Equations that a docstring names: ``Eq. 1``, ``Eq. 3, 10``, ``Eq. 12 and 13``."""
+    lists = re.findall(r"Eq\. (\d+(?:(?:, | and )\d+)*)", " ".join(docstring.split()))
+    return {int(number) for found in lists for number in re.findall(r"\d+", found)}
+
+
+def test_the_table_has_every_equation():
+    assert [n for n, *_ in equations()] == sorted([*range(1, 15), 10])
+
+
+@pytest.mark.parametrize(("number", "file", "name"), equations())
+def test_docstrings_name_their_equations(number, file, name):
+    module, _, rest = name.partition(".")
+    assert Path(file).stem == module
+    node = ast.parse((REPOSITORY / file).read_text())
+    for part in rest.split("."):
+        node = next(child for child in node.body if getattr(child, "name", None) == part)
+    assert number in numbers(ast.get_docstring(node) or "")
+
+
+# ---- settings and commands
+
+
+def printed(words):
+    """The settings that ``fit`` would have with these arguments."""
+    with contextlib.redirect_stdout(io.StringIO()) as out, pytest.raises(SystemExit) as end:
+        main(["fit", *words, "--print_config"])
+    assert end.value.code == 0, words
+    return yaml.safe_load(out.getvalue())
+
+
+@pytest.fixture(scope="module")
+def settings():
+    """Every setting of ``fit``, by its full name."""
+    found = set()
+
+    def visit(tree, prefix):
+        for key, value in tree.items():
+            found.add(prefix + key)
+            if isinstance(value, dict):
+                visit(value, f"{prefix}{key}.")
+
+    visit(printed(["--config", "cornell.yaml"]), "")
+    return found
+
+
+@pages
+def test_every_setting_exists(page, settings):
+    assert [key for key in KEYS.findall(page.read_text()) if key not in settings] == []
+
+
+def commands(text):
+    """Every ``neurad ...`` in code blocks and inline code, as words."""
+    blocks = [line for line in text.splitlines() if re.match(r" {4}\S", line)]
+    found = []
+    for line in [*blocks, *in_backticks(text)]:
+        for part in line.split("&&"):
+            words = shlex.split(part.strip(), comments=True) if part.strip().startswith("neurad ") else []
+            if words and tuple(words[1:]) not in found:
+                found.append(tuple(words[1:]))
+    return found
+
+
+COMMANDS = list(dict.fromkeys(words for page in PAGES for words in commands(page.read_text())))
+OWN = [words for words in COMMANDS if words[0] in OWN_VERBS and len(words) > 2]
+
+
+def of_lightning():
+    """Config files and settings of every command that Lightning's parser reads."""
+    for verb, *rest in COMMANDS:
+        if verb in LIGHTNING_VERBS:
+            names, values, left = split_arguments(rest)
+            assert all(word.startswith("--") for word in left), rest
+            yield names, values
+
+
+def test_every_verb_exists():
+    verbs = {words[0] for words in COMMANDS}
+    assert verbs >= {*LIGHTNING_VERBS, *OWN_VERBS}
+    assert verbs <= {*LIGHTNING_VERBS, *OWN_VERBS, "-h"}
+    assert {words[1] for words in COMMANDS if words[0] == "bench"} <= set(BENCHMARKS)
+
+
+def test_every_config_exists():
+    for names, _ in of_lightning():
+        for name in names:
+            assert "mine" in name or load_config(name)
+
+
+def test_every_value_parses(settings):
+    """All settings given on all commands, each value once."""
+    given = {}
+    for _, values in of_lightning():
+        for key, value in values.items():
+            given.setdefault(key, set()).add(value)
+    assert set(given) <= settings
+    given.pop("ckpt_path", None)
+    rounds = itertools.zip_longest(*([(key, value) for value in sorted(values)] for key, values in given.items()))
+    for pairs in rounds:
+        printed(["--config", "kitchen.yaml", *(f"--{pair[0]}={pair[1]}" for pair in pairs if pair)])
+
+
+@pytest.mark.parametrize("words", OWN, ids=" ".join)
+def test_every_own_command_parses(words, settings):
+    verb, *rest = words
+    module = importlib.import_module(OWN_VERBS[verb][0])
+    parser = argparse.ArgumentParser(exit_on_error=False)
+    module.add_arguments(parser)
+    options = module.parse(parser, rest) if hasattr(module, "parse") else parser.parse_args(rest)
+    passed_on = {word.partition("=")[0].removeprefix("--") for word in getattr(options, "settings", [])}
+    assert passed_on <= settings
+    for name in (getattr(options, "methods", None) or "").split(","):
+        assert verb != "compare" or not name or load_config(f"{name}.yaml" if "/" in name else f"methods/{name}.yaml")
+
+
+# ---- pages
+
+
+def test_the_readme_is_short():
+    assert len((REPOSITORY / "README.md").read_bytes()) <= 8192
+
+
+def anchors(page):
+    """Anchors of a page's headings, as mkdocs makes them."""
+    headings = re.findall(r"^#+ (.*)$", re.sub(r"^```.*?^```", "", page.read_text(), flags=re.S | re.M), re.M)
+    return {re.sub(r"[-\s]+", "-", re.sub(r"[^\w\s-]", "", heading).strip().lower()) for heading in headings}
+
+
+@pages
+def test_links_resolve(page):
+    for link in re.findall(r"\]\(([^)\s]+)\)", without_blocks(page.read_text())):
+        if link.startswith("https://"):
+            continue
+        file, _, anchor = link.partition("#")
+        target = (page.parent / file).resolve() if file else page
+        assert target.is_file(), link
+        assert not anchor or anchor in anchors(target), link
+
+
+@pages
+def test_pages_speak_of_the_project_only(page):
+    text = page.read_text()
+    assert re.findall(r"(?:/work/|/root/|/home/|/tmp/|pypi|\bissue \d|#\d)", text, re.I) == []
+
+
+def script(name):
+    """A script of ``docs/`` as a module."""
+    spec = importlib.util.spec_from_file_location(name, DOCS / f"{name}.py")
+    module = importlib.util.module_from_spec(spec)
+    spec.loader.exec_module(module)
+    return module
+
+
+def test_plots_are_drawn_from_the_data(tmp_path):
+    plots = script("plots")
+    plots.main(["--out", str(tmp_path)])
+    drawn = {path.stem for path in tmp_path.glob("*.png")}
+    assert drawn == set(plots.PLOTS)
+    shown = re.findall(r"\]\((\w+)\.png\)", (DOCS / "results.md").read_text())
+    assert drawn <= set(shown)
+    assert all((DOCS / f"{name}.png").stat().st_size < 300_000 for name in shown)
+
+
+def test_the_site_loads_nothing_from_elsewhere(tmp_path):
+    pytest.importorskip("mkdocs", reason="extra docs")
+    from mkdocs.commands.build import build
+    from mkdocs.config import load_config
+
+    build(load_config(str(REPOSITORY / "mkdocs.yml"), site_dir=str(tmp_path), strict=True))
+    built = sorted(tmp_path.rglob("*.html"))
+    assert len(built) >= len(PAGES) - 1
+    for path in built:
+        loaded = re.findall(r"(?:\bsrc=|<link[^>]*href=)[\"'](https?:)?//", path.read_text())
+        assert loaded == [], path.name
+    for path in tmp_path.rglob("*.css"):
+        assert not re.search(r"(?:url\([\"']?|@import [\"'])(?:https?:)?//", path.read_text()), path.name
