@@ -53,9 +53,8 @@ def prepare_views(
     cameras = [view.camera for view in scene.train]
     # Stage 1: primary hits and the emitter mask [views, pixels].
     primary = PrimaryHits(assembly.world, cameras, settings.sampling.cached_spp, settings.seed, torch.device(device))
-    emitter_mask = primary.sees_emitter()
-    if emitters_train:
-        emitter_mask = torch.zeros_like(emitter_mask)
+    none = torch.zeros(len(cameras), primary.pixels, dtype=torch.bool, device=device)
+    emitter_mask = none if emitters_train else primary.sees_emitter()
     if bool(emitter_mask.all()):
         raise InputError(f"scene {scene.name}: every pixel of every training view shows an emitter")
     # Stage 2: the unit of radiance.

@@ -107,22 +107,18 @@ def integrators(options: argparse.Namespace, scene: Scene, world: World, materia
         return {"images": PathTracer(world, materials, options.max_depth or scene.max_depth, scene.rr_depth)}
     if options.integrator == "direct":
         return {"images": PathTracer(world, materials, 2)}
-    import torch
-
-    from neurad.assembly.build import build_radiance
-    from neurad.fields.settings import RadianceConfig
     from neurad.integrators.radiometric import RadiometricLHS, RadiometricRHS
-    from neurad.training.radiosity import Radiosity
+    from neurad.runs.model_settings import model_settings
+    from neurad.training.train_radiance import train_radiance
 
-    torch.manual_seed(_SEED)
-    field = build_radiance(scene, RadianceConfig())
     cameras = [view.camera for view in scene.train + scene.test]
     start = time.perf_counter()
 
     def report(step: int, loss: float) -> None:
         print(f"radiance field: step {step}, {time.perf_counter() - start:.0f} s, loss {loss:.4g}", file=sys.stderr)
 
-    Radiosity(world, materials, field, cameras, seed=_SEED).train(options.steps, options.seconds, report)
+    settings = model_settings("scene.yaml", _SEED)
+    field = train_radiance(scene, world, materials, cameras, settings, options.steps, options.seconds, report)
     parts = (world, materials, field)
     return {"images": RadiometricRHS(*parts), "images_lhs": RadiometricLHS(*parts)}
 

@@ -14,7 +14,7 @@ from helpers.small_fit import SMALL_FIT
 from helpers.small_step import SmallStep
 from scipy import stats
 
-from neurad.assembly.build import build_radiance, build_world
+from neurad.assembly.build import build_world
 from neurad.assembly.settings import Objective, Sampling
 from neurad.cli import main
 from neurad.core.errors import InputError
@@ -28,8 +28,9 @@ from neurad.integrators.prb import PRB
 from neurad.integrators.radiometric import Radiometric
 from neurad.integrators.vertex import DIMENSIONS
 from neurad.losses.relative import moving_prior
+from neurad.runs.model_settings import model_settings
 from neurad.scene.builtin import build_furnace
-from neurad.training.radiosity import Radiosity
+from neurad.training.train_radiance import train_radiance
 
 METHODS = {
     "PRB": (PRB(None), 1.0),
@@ -260,14 +261,14 @@ def test_overlays_train_and_continue_exactly(name, small):
 # ---- forward neural radiosity
 
 
-def test_radiosity_finds_the_furnace():
+def test_a_radiance_field_of_known_materials_finds_the_furnace():
     oracle = Oracle("furnace", 0.6)
     scene = build_furnace(0.6)
-    torch.manual_seed(0)
     grid = GridConfig(levels=2, coarsest=4, finest=8, log2_size=10)
-    field = build_radiance(scene, RadianceConfig(grid=grid, width=16, hidden_layers=1))
-    solver = Radiosity(oracle.world, oracle.materials, field, [v.camera for v in scene.train], points=512)
-    solver.train(200)
+    small = RadianceConfig(grid=grid, width=16, hidden_layers=1)
+    settings = replace(model_settings("scene.yaml"), radiance=small)
+    cameras = [v.camera for v in scene.train]
+    field = train_radiance(scene, oracle.world, oracle.materials, cameras, settings, 200, pixels=128)
     si = oracle.vertices(500, Stream(8))
     with torch.no_grad():
         found = field(si, oracle.materials.albedo(si))
