@@ -27,6 +27,30 @@ def three_threads():
     torch.set_num_threads(before)
 
 
+@pytest.fixture(autouse=True)
+def _enters_by_main(request, monkeypatch):
+    """A test marked ``main`` does enter by ``neurad.cli.main``, which restarts the clock of training seconds first."""
+    if request.node.get_closest_marker("main") is None:
+        yield
+        return
+    from neurad.runtime import clock
+
+    entered, restart = [], clock.restart
+    monkeypatch.setattr(clock, "restart", lambda: (entered.append(True), restart()))
+    yield
+    assert entered, "marked as a test of the command line, but it never called neurad.cli.main"
+
+
+@pytest.fixture
+def tiny(tmp_path, monkeypatch):
+    """The test's own folder as the working one, with ``tiny.yaml`` in it (see helpers/tiny_fit.py)."""
+    from helpers.tiny_fit import write_tiny_config
+
+    monkeypatch.chdir(tmp_path)
+    write_tiny_config()
+    return tmp_path
+
+
 @pytest.fixture
 def small(tmp_path, monkeypatch):
     """Registers a small Cornell box with photographs and true albedo as the built-in scene 'small'."""

@@ -1,0 +1,72 @@
+"""Fits of the built-in Cornell box that take a second: fields of a few cells, a few pixels a step."""
+
+import csv
+from pathlib import Path
+
+import pytest
+import torch
+import yaml
+
+from neurad.cli import main
+
+GRID = {"levels": 2, "coarsest": 4, "finest": 8, "log2_size": 8}
+TINY = {
+    "trainer": {"accelerator": "cpu", "enable_progress_bar": False, "max_time": None},
+    "data": {"patches": 16},
+    "model": {
+        **{part: {"grid": GRID, "width": 8} for part in ("albedo", "roughness", "radiance")},
+        "sampling": {"spp": 4, "cached_spp": 4},
+    },
+    "evaluation": {"every_n_steps": 1000, "spp": 1, "test_spp": 1},
+}
+
+
+def write_tiny_config(path="tiny.yaml", base="cornell.yaml", **parts):
+    """A config of tiny sizes on top of a shipped one; ``parts`` overlay its top-level keys."""
+    merged = {key: {**TINY.get(key, {}), **parts.get(key, {})} for key in TINY.keys() | parts.keys()}
+    Path(path).write_text(yaml.safe_dump({"base": base, **merged}))
+
+
+def fit(*args):
+    """``neurad fit --config tiny.yaml`` with further arguments."""
+    main(["fit", "--config", "tiny.yaml", *args])
+
+
+def run_folder(version=0):
+    return Path("lightning_logs") / f"version_{version}"
+
+
+def metrics(version=0):
+    """Rows of a run's ``metrics.csv`` without the column that measures time."""
+    with (run_folder(version) / "metrics.csv").open() as file:
+        return [{k: v for k, v in row.items() if k != "seconds"} for row in csv.DictReader(file)]
+
+
+def config(version=0):
+    """The resolved settings of a run."""
+    return yaml.safe_load((run_folder(version) / "config.yaml").read_text())
+
+
+def checkpoint(version=0):
+    return torch.load(run_folder(version) / "checkpoints" / "last.ckpt", weights_only=True)
+
+
+def printed_config(capsys, *args):
+    """The resolved settings of a fit that is only printed."""
+    capsys.readouterr()
+    with pytest.raises(SystemExit) as stop:
+        main(["fit", *args, "--print_config"])
+    assert stop.value.code == 0
+    return yaml.safe_load(capsys.readouterr().out)
+
+
+def fails(capfd, *args):
+    """The one sentence that a command ends with, exit code 2."""
+    capfd.readouterr()
+    with pytest.raises(SystemExit) as stop:
+        main(list(args))
+    error = capfd.readouterr().err.strip()
+    assert stop.value.code == 2
+    assert error.startswith("neurad: error: ")
+    assert "\n" not in error
+    return error

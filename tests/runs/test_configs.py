@@ -1,0 +1,221 @@
+"""Config files: where they are found, how they overlay each other, and what the shipped ones say."""
+
+import re
+from dataclasses import fields
+from pathlib import Path
+
+import pytest
+import yaml
+from helpers.tiny_fit import checkpoint, config, fit, printed_config, write_tiny_config
+
+from neurad.assembly.settings import Objective, Optimization, Sampling
+from neurad.core.errors import InputError
+from neurad.runs.configs import find_config, load_config, resolve, shipped_folders, split_arguments
+
+SHIPPED = sorted(str(path.relative_to(d)) for d in shipped_folders() for path in d.rglob("*.yaml"))
+OVERLAYS = [name for name in SHIPPED if name.startswith(("methods/", "ablations/")) or name == "dense.yaml"]
+
+
+def leaves(tree, above=""):
+    """Settings of a tree by their dotted names."""
+    found = {}
+    for key, value in tree.items():
+        found |= leaves(value, f"{above}{key}.") if isinstance(value, dict) else {above + key: value}
+    return found
+
+
+def own(name):
+    """What a shipped config file itself says, without its base."""
+    return leaves(yaml.safe_load(find_config(name).read_text()))
+
+
+# ---- files
+
+
+def test_shipped_configs_are_found_from_anywhere(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    assert len(SHIPPED) > 20
+    for name in SHIPPED:
+        assert find_config(name).is_file()
+        resolve(load_config(name), {"data.root": "x", "model.sampling.spp": "4"})
+
+
+def test_a_file_here_comes_before_a_shipped_one(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    Path("kitchen.yaml").write_text("model: {seed: 5}")
+    assert find_config("kitchen.yaml").resolve() == tmp_path / "kitchen.yaml"
+
+
+def test_both_forms_of_arguments():
+    names, values, rest = split_arguments(
+        ["--config", "a", "--x.y=1", "-c", "b", "--x.z", "-2", "--config=c", "--flag"]
+    )
+    assert names == ["a", "b", "c"]
+    assert values == {"x.y": "1", "x.z": "-2"}
+    assert rest == ["--x.y=1", "--x.z=-2", "--flag"]
+
+
+def test_base_lies_under_the_file_that_names_it(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    Path("low.yaml").write_text("model: {seed: 1}")
+    Path("top.yaml").write_text("base: low.yaml\nmodel: {tracer: open3d}")
+    assert resolve(load_config("top.yaml"), {}) == [{"model": {"seed": 1}}, {"model": {"tracer": "open3d"}}]
+
+
+def test_an_unknown_interpolation_names_itself(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    Path("a.yaml").write_text("model: {seed: '${nowhere}'}")
+    with pytest.raises(InputError, match="nowhere"):
+        resolve(load_config("a.yaml"), {})
+
+
+# ---- overlays
+
+LOW = {"seed_everything": 3, "model": {"seed": "${seed_everything}", "albedo": {"width": 5, "size": "${.width}"}}}
+
+
+@pytest.mark.main
+@pytest.mark.parametrize("form", ["{}={}", "{} {}"])
+def test_an_override_changes_what_refers_to_it(tiny, form):
+    Path("low.yaml").write_text(yaml.safe_dump(LOW))
+    values = {"--seed_everything": 8, "--model.albedo.width": 6}
+    words = [word for pair in values.items() for word in form.format(*pair).split()]
+    fit("--config", "low.yaml", "--trainer.max_steps=2", *words)
+    saved = config()
+    assert saved["seed_everything"] == saved["model"]["seed"] == saved["data"]["seed"] == 8
+    assert (saved["model"]["albedo"]["width"], saved["model"]["albedo"]["size"]) == (6, 6)
+    assert checkpoint()["state_dict"]["materials.albedo.mlp.layers.0.weight"].shape[0] == 6
+
+
+@pytest.mark.main
+def test_configs_overlay_each_other(tiny):
+    Path("low.yaml").write_text(yaml.safe_dump(LOW))
+    Path("high.yaml").write_text("seed_everything: 4\nmodel: {albedo: {width: 7}}\ntrainer: {max_steps: 2}")
+    fit("--config", "low.yaml", "--config", "high.yaml")
+    saved = config()
+    assert saved["seed_everything"] == saved["model"]["seed"] == 4
+    assert (saved["model"]["albedo"]["width"], saved["model"]["albedo"]["size"]) == (7, 7)
+    assert saved["model"]["roughness"]["width"] == 8  # what no overlay names stays
+
+
+# ---- what is shipped
+
+
+@pytest.mark.main
+@pytest.mark.parametrize("name", SHIPPED)
+def test_every_shipped_config_resolves(capsys, name):
+    names = ["--config", "scene.yaml", "--config", name]  # some are overlays, for use on top of another config
+    printed = printed_config(capsys, *names, "--data.root=DIR", "--seed_everything=5")
+    assert printed["model"]["seed"] == printed["data"]["seed"] == 5
+    for key, value in own(name).items():
+        if not str(value).startswith("${") and key != "base" and key not in ("seed_everything", "data.root"):
+            found = leaves(printed)[key]
+            assert found == (float(value) if isinstance(found, float) else value), key
+
+
+@pytest.mark.main
+@pytest.mark.parametrize("name", [n for n in SHIPPED if n not in OVERLAYS and n not in ("lighting.yaml", "joint.yaml")])
+def test_every_shipped_config_trains(tiny, name):
+    """With the sizes of a tiny fit and the Cornell box in place of its own scene."""
+    write_tiny_config(base=name, data={"root": None, "scene": "cornell", "patch_size": 2})
+    fit("--trainer.max_steps=2")
+    state = checkpoint()
+    assert state["neurad"]["iteration"] == 2
+    assert len(state["optimizer_states"]) == 2
+
+
+@pytest.mark.main
+@pytest.mark.parametrize("name", OVERLAYS)
+def test_every_overlay_trains_on_top_of_the_paper_s_settings(tiny, name):
+    write_tiny_config(base="paper.yaml", data={"root": None, "scene": "cornell", "patch_size": 4})
+    fit("--config", name, "--trainer.max_steps=2", "--model.albedo.size=8", "--model.radiance.size=8")
+    state, saved = checkpoint(), leaves(config())
+    assert state["neurad"]["iteration"] == 2
+    assert len(state["optimizer_states"]) == (1 if name in METHODS_WITHOUT_FIELD else 2)
+    assert saved["model.objective.estimator"] == "two_pass"
+    if name.startswith("ablations/"):
+        ablation = own(name)
+        assert {key: saved[key] for key in ablation if key != "base"} == {
+            k: v for k, v in ablation.items() if k != "base"
+        }
+
+
+METHODS_WITHOUT_FIELD = ("methods/direct.yaml", "methods/path.yaml", "methods/prb.yaml")
+
+# ---- the paper's settings, and ours on top
+
+TABLE_1 = {
+    "staircase": (16, 128, 18000),
+    "kitchen": (64, 64, 32000),
+    "living-room-2": (64, 64, 32000),
+    "veach-ajar": (64, 64, 32000),
+}
+SECTION_5 = {
+    **{f"model.{part}.grid.{key}": value for part in ("albedo", "roughness", "radiance")
+       for key, value in {"levels": 16, "coarsest": 2, "finest": 2**16, "features": 2, "log2_size": 17}.items()},
+    **{f"model.{part}.{key}": value for part, layers in (("albedo", 1), ("roughness", 1), ("radiance", 3))
+       for key, value in {"width": 256, "hidden_layers": layers, "kind": "hash"}.items()},
+    "model.radiance.inputs": ["direction", "normal", "albedo"],
+    "model.roughness.reads_albedo": False,
+    "model.method.class_path": "neurad.integrators.radiometric.Radiometric",
+    "model.method.init_args.k": 1,
+    "model.method.init_args.control": False,
+    **{f"model.optimization.{name}": 5e-4 for name in ("albedo", "roughness", "radiance", "environment")},
+    "model.optimization.schedule": "constant",
+    "model.optimization.average": 0.0,
+    "model.optimization.roughness_decay": 0.0,
+    "model.optimization.clip": 0.0,
+    "model.objective.estimator": "two_pass",
+    "model.objective.normaliser": "photograph",
+    "model.objective.prior_gradient": "full",
+    "model.objective.prior_trains": "field",
+    "model.objective.prior": 1.0,
+    "model.objective.lhs": 1.0,
+    "model.objective.epsilon": 0.01,
+    "model.objective.firefly_clamp": 0.0,
+    "model.objective.roughness_regulariser": 0.0,
+    "model.sampling.extra_bounce_fraction": 1.0,
+    "model.sampling.field_fraction": 1.0,
+    "model.sampling.samples_per_vertex": 1,
+    "model.sampling.cached_spp": 0,
+    "model.sampling.guide": 0,
+    "model.sampling.specular_fraction": 0.5,
+    "data.patches": 1,
+    "data.pixel_multiplier": 1,
+    "trainer.max_time": None,
+}  # fmt: skip
+
+
+@pytest.mark.main
+@pytest.mark.parametrize("scene", TABLE_1)
+def test_the_paper_s_settings(capsys, scene):
+    spp, patch_size, steps = TABLE_1[scene]
+    printed = leaves(printed_config(capsys, "--config", f"paper/{scene}.yaml", "--data.root=DIR"))
+    assert {key: printed[key] for key in SECTION_5} == SECTION_5
+    assert printed["trainer.max_steps"] == steps
+    assert printed["data.patch_size"] == patch_size
+    assert printed["model.sampling.spp"] == spp
+    # Every sample is independent of every other: as many groups as samples.
+    assert printed["model.sampling.sample_groups"] == spp
+    assert Sampling(spp=spp, cached_spp=0, sample_groups=spp).groups == spp
+
+
+def test_the_base_leaves_nothing_of_the_method_to_defaults():
+    paper = own("paper.yaml")
+    for part, settings in (("sampling", Sampling), ("objective", Objective), ("optimization", Optimization)):
+        named = {key.removeprefix(f"model.{part}.") for key in paper if key.startswith(f"model.{part}.")}
+        expected = {field.name for field in fields(settings)}
+        assert named == expected - {"final", "matmul"}  # the end of a cosine that is none; float32
+
+
+def test_what_is_ours_stands_in_one_list_on_top_of_the_paper():
+    paper, ours = own("paper.yaml"), own("scene.yaml")
+    assert ours.pop("base") == "paper.yaml"
+    assert ours.pop("trainer.max_time") == "00:00:30:00"  # where the paper counts steps
+    assert ours.keys() <= paper.keys()
+    assert not [key for key in ours if ours[key] == paper[key]]
+    lines = find_config("scene.yaml").read_text().splitlines()
+    unexplained = [line.strip() for line in lines if "#" not in line and re.search(r": +[^ {]", line)]
+    # Said once for several lines: patches of one pixel, three widths, three rates.
+    widths, rates = ["width: 64", "width: 64"], ["roughness: 1.5e-2", "radiance: 1.0e-2"]
+    assert unexplained == ["base: paper.yaml", "patch_size: 1", *widths, *rates]

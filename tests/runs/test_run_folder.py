@@ -1,0 +1,150 @@
+"""Runs of the command line: what they write, when they evaluate, and how they continue."""
+
+import os
+import signal
+from pathlib import Path
+
+import pytest
+import torch
+from helpers.tiny_fit import checkpoint, config, fails, fit, metrics, run_folder
+
+from neurad.cli import main
+from neurad.training.inverse import InverseRenderer
+
+
+@pytest.fixture
+def at_iteration(monkeypatch):
+    """Does something at the start of the step that follows so many iterations."""
+
+    def install(iteration, action):
+        step = InverseRenderer.training_step
+
+        def training_step(self, batch, index):
+            if self.iteration == iteration:
+                action()
+            return step(self, batch, index)
+
+        monkeypatch.setattr(InverseRenderer, "training_step", training_step)
+
+    return install
+
+
+def interrupt():
+    os.kill(os.getpid(), signal.SIGINT)
+
+
+@pytest.mark.main
+def test_run_folder_and_closing_table(tiny, capsys):
+    fit("--trainer.max_steps=8", "--evaluation.every_n_steps=3")
+    names = {p.name.split(".")[0] for p in run_folder().iterdir()}
+    assert names == {"config", "metrics", "events", "checkpoints"}
+    rows = metrics()
+    assert [row["iteration"] for row in rows] == ["3", "6", "8"]
+    assert [int(row["samples"]) for row in rows] == [n * 2 * 16 * 2 for n in (3, 6, 8)]  # pixel_multiplier 2, spp 4
+    assert 0 < int(rows[0]["rays"]) < int(rows[1]["rays"]) < int(rows[2]["rays"])
+    out = capsys.readouterr().out
+    assert "best constant" in out
+    assert f"run folder {run_folder()}" in out
+    state = checkpoint()
+    assert state["neurad"]["iteration"] == 8
+    assert len(state["optimizer_states"]) == 2
+
+
+@pytest.mark.main
+def test_steps_alone_make_a_fixed_schedule(tiny):
+    fit("--trainer.max_steps=40", "--evaluation.every_n_steps=null")
+    assert [int(row["iteration"]) for row in metrics()] == list(range(2, 41, 2))
+
+
+@pytest.mark.main
+def test_max_time_ends_the_run_and_evaluations_keep_to_their_fraction(tiny):
+    fit("--trainer.max_time=00:00:00:02", "--evaluation.every_n_steps=null", "--evaluation.fraction=0")
+    assert len(metrics()) == 1  # the one at the end, which is always made
+    assert 0 < checkpoint()["neurad"]["iteration"] == int(metrics()[0]["iteration"])
+
+
+@pytest.mark.main
+def test_continuing_gives_what_one_run_gives(tiny, at_iteration):
+    steps = ["--trainer.max_steps=12", "--evaluation.every_n_steps=4"]
+    fit(*steps)
+    at_iteration(5, interrupt)
+    with pytest.raises(SystemExit) as stop:
+        fit(*steps)
+    assert stop.value.code == 130
+    assert signal.getsignal(signal.SIGINT) is not signal.SIG_IGN
+    assert checkpoint(1)["neurad"]["iteration"] == 6
+    assert [row["iteration"] for row in metrics(1)] == ["4"]
+    main(["fit", "--ckpt_path", "last"])
+    assert metrics(1) == metrics(0)
+    assert not run_folder(2).exists()
+
+
+@pytest.mark.main
+def test_the_command_line_beats_the_run_it_continues(tiny):
+    fit("--trainer.max_steps=2", "--model.objective.epsilon=0.5")
+    main(["fit", "--ckpt_path=last", "--trainer.max_steps=4"])
+    assert config()["model"]["objective"]["epsilon"] == 0.5
+    main(["fit", "--ckpt_path=last", "--trainer.max_steps=6", "--model.objective.epsilon=0.25"])
+    assert config()["model"]["objective"]["epsilon"] == 0.25
+    assert metrics()[-1]["iteration"] == "6"
+    assert config()["data"]["patches"] == 16  # of the run's own config, which no argument named
+
+
+@pytest.mark.main
+def test_a_failed_continuation_changes_nothing(tiny, capfd):
+    def files():
+        return {p: (p.stat().st_mtime_ns, p.stat().st_size) for p in run_folder().rglob("*") if p.is_file()}
+
+    fit("--trainer.max_steps=2")
+    before = files()
+    fails(capfd, "fit", "--ckpt_path=last", "--trainer.max_steps=4", "--data.scene=nowhere")
+    assert files() == before
+
+
+@pytest.mark.main
+def test_no_checkpoint_from_the_middle_of_a_step(tiny, at_iteration):
+    def fail():
+        raise RuntimeError("a bug in the middle of a step")
+
+    at_iteration(3, fail)
+    with pytest.raises(RuntimeError, match="a bug"):
+        fit("--trainer.max_steps=5", "--checkpoint.every_seconds=0")
+    assert checkpoint()["neurad"]["iteration"] == 3
+    assert not list(run_folder().rglob("*.part"))
+
+
+@pytest.mark.main
+def test_validate_test_and_predict(tiny, capsys):
+    fit("--trainer.max_steps=3")
+    before = (run_folder() / "config.yaml").read_text()
+    capsys.readouterr()
+    main(["validate", "--trainer.enable_progress_bar=false"])
+    assert "best constant" in capsys.readouterr().out
+    assert not (run_folder() / "images").exists()
+    main(["test", "--ckpt_path", "last", "--trainer.enable_progress_bar=false"])
+    assert '"iteration": 3' in (run_folder() / "metrics.json").read_text()
+    assert (run_folder() / "images" / "000_albedo.exr").is_file()
+    (run_folder() / "images" / "000_albedo.exr").unlink()
+    main(["predict", "--trainer.enable_progress_bar=false"])
+    assert (run_folder() / "images" / "000_albedo.exr").is_file()
+    assert (run_folder() / "config.yaml").read_text() == before
+    assert not run_folder(1).exists()
+
+
+@pytest.mark.main
+def test_seeds_repeat_a_run_and_tell_runs_apart(tiny):
+    for seed in (1, 1, 2):
+        fit("--trainer.max_steps=3", f"--seed_everything={seed}")
+    first, again, other = (checkpoint(version)["state_dict"] for version in range(3))
+    assert all(torch.equal(first[key], again[key]) for key in first)
+    assert any(not torch.equal(first[key], other[key]) for key in first)
+
+
+@pytest.mark.main
+def test_default_root_dir_is_where_runs_go(tiny):
+    fit("--trainer.max_steps=2", "--trainer.default_root_dir=elsewhere")
+    assert not Path("lightning_logs").exists()
+    assert Path("elsewhere/lightning_logs/version_0/metrics.csv").is_file()
+    main(["fit", "--trainer.default_root_dir=elsewhere", "--ckpt_path=last", "--trainer.max_steps=3"])
+    state = torch.load("elsewhere/lightning_logs/version_0/checkpoints/last.ckpt", weights_only=True)
+    assert state["neurad"]["iteration"] == 3
