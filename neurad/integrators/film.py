@@ -33,7 +33,7 @@ def pixel_positions(width: int, pixels: Tensor, spp: int, stream: Stream) -> Ten
 def render(
     camera: Camera, integrator: Integrator, spp: int, seed: int, device: torch.device | str = "cpu", chunk: int = CHUNK
 ) -> Tensor:
-    """The mean of ``spp`` samples in every pixel [h, w, c].
+    """The mean of ``spp`` samples in every pixel [h, w, c] (paper Eq. 2).
 
     The result depends on ``seed`` and ``spp`` and not on the chunk of any other view.
     """

@@ -57,7 +57,7 @@ class PathTracer:
 
 
 class PathTracing(Method):
-    """AD-PT: ``sum_i T^i E`` with autograd through all bounces; directions, pdfs and roulette are held fixed.
+    """AD-PT: ``sum_i T^i E`` with autograd through all bounces (paper Eq. 7), directions and roulette held fixed.
 
     Memory grows with the length of the paths, as the graph keeps every bounce. Without ``max_bounces`` the estimate is
     unbiased; its variance is finite where the albedo's square stays below ``roulette``.

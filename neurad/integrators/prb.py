@@ -27,6 +27,8 @@ from neurad.runtime.dispatch import use_kernel
 class PRB(PathTracing):
     """:class:`~neurad.integrators.path.PathTracing` with the same values and derivatives, in memory that does not grow.
 
+    Paper Eq. 6 and 9.
+
     Works with any field: only materials at one vertex at a time are differentiated, networks and textures alike. A
     channel whose weight is exactly 0 gets no derivative there (as in Mitsuba): the rest of its path cannot be known.
 

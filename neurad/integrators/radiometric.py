@@ -21,7 +21,7 @@ __all__ = ["Radiometric", "RadiometricLHS", "RadiometricRHS", "ReflectedRadiance
 
 
 class Radiometric(Method):
-    """The paper's method: ``sum_{i <= k} T^i E + T^k sg[L_theta]``, ``k`` differentiable bounces and then the field.
+    """The paper's Eq. 12: ``sum_{i <= k} T^i E + T^k sg[L_theta]``, ``k`` differentiable bounces and then the field.
 
     Args:
         k: bounces before the field is read; 1 in the paper.
@@ -60,7 +60,7 @@ class Radiometric(Method):
 
 @dataclass(frozen=True)
 class RadiometricLHS:
-    """``I_lhs = E + L_theta``: what the radiance field itself shows."""
+    """``I_lhs = E + L_theta`` (paper Eq. 13): what the radiance field itself shows."""
 
     world: World
     materials: Materials

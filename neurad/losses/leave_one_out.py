@@ -64,7 +64,7 @@ def leave_one_out(
     groups: int | None = None,
     use_kernels: bool = True,
 ) -> Loss:
-    """Relative L2 of a pixel mean from n >= 2 independent groups of samples, in one pass.
+    """Relative L2 (paper Eq. 5) of a pixel mean from n >= 2 independent groups of samples, in one pass.
 
     With ``s_i`` the mean of a group, the gradient is ``(2/n) w sum_i (mean_{j != i} s_j - GT) ds_i``, averaged over
     pixels and channels.

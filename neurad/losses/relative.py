@@ -46,7 +46,7 @@ def relative_weight(normaliser: Tensor, epsilon: float) -> Tensor:
 
 
 def semi_gradient_prior(field: Tensor, transported: Tensor, epsilon: float, mask: Tensor) -> Loss:
-    """Radiometric prior (paper Eq. 10) with the right side detached: a fixed-point iteration.
+    """Radiometric prior (paper Eq. 3, 10) with the right side detached: a fixed-point iteration.
 
     Args:
         field: ``L_theta`` at the vertices [n, 3].
@@ -60,7 +60,7 @@ def semi_gradient_prior(field: Tensor, transported: Tensor, epsilon: float, mask
 
 
 def full_gradient_prior(field: Tensor, first: Tensor, second: Tensor, epsilon: float, mask: Tensor) -> Loss:
-    """Radiometric prior with gradients through both sides, unbiased by two independent estimates of T.
+    """Radiometric prior (paper Eq. 4, 10), gradients through both sides: unbiased by two independent estimates of T.
 
     Args:
         field: ``L_theta`` at the vertices [n, 3].

@@ -84,7 +84,7 @@ class _Points:
 
 @dataclass(frozen=True)
 class ObjectiveStep:
-    """Builds the terms of a step.
+    """Builds the terms of a step (paper Eq. 11 and, in its term ``lhs``, Eq. 14).
 
     Attributes:
         estimator: world, materials, method and radiance field.

@@ -3,6 +3,7 @@
 import argparse
 import ast
 import contextlib
+import functools
 import importlib
 import importlib.util
 import io
@@ -14,7 +15,7 @@ from pathlib import Path
 import pytest
 import yaml
 
-from neurad.cli import LIGHTNING_VERBS, OWN_VERBS, main
+from neurad.cli import LIGHTNING_VERBS, OWN_VERBS, main, split_settings
 from neurad.commands.bench import BENCHMARKS
 from neurad.runs.configs import load_config, split_arguments
 
@@ -22,6 +23,7 @@ REPOSITORY = Path(__file__).resolve().parents[2]
 DOCS = REPOSITORY / "docs"
 PAGES = [REPOSITORY / "README.md", *sorted(DOCS.glob("*.md"))]
 SOURCES = [path for top in ("neurad", "datamodules") for path in sorted((REPOSITORY / top).rglob("*.py"))]
+FILES = re.compile(r".*\.(csv|png|exr|xml|json|html|md|ckpt|ipynb|py|toml)")
 KEYS = re.compile(r"(?<![\w./])(?:--)?((?:model|data|trainer|evaluation|checkpoint)\.[a-z_]+(?:\.[a-z_]+)*)(?![\w/*(])")
 FOLDERS = ("neurad/", "datamodules/", "configs/", "tests/", "docs/", ".ci/")
 
@@ -70,12 +72,18 @@ def bound(node):
     return set()
 
 
-def unknown_names(text):
-    """Files and ``module.function`` in inline code that do not exist."""
+@functools.cache
+def defined():
+    """Names by the last part of their module's."""
     modules = {}
     for path in SOURCES:
         modules.setdefault(path.stem, set()).update(members(path))
-    bad = []
+    return modules
+
+
+def unknown_names(text):
+    """Files and ``module.function`` in inline code that do not exist."""
+    modules, bad = defined(), []
     for piece in in_backticks(text):
         word = piece.split(" ")[0].rstrip(",")
         if word.startswith(FOLDERS):
@@ -83,8 +91,10 @@ def unknown_names(text):
             bad += [name for name in names if not list(REPOSITORY.glob(name.rstrip("/")))]
         elif word.endswith(".yaml") and "mine" not in word and word != "config.yaml":
             bad += [name for name in expanded(word) if not (REPOSITORY / "configs" / name).is_file()]
-        elif re.fullmatch(r"[a-z_]\w*(\.\w+)+", word):
+        elif re.fullmatch(r"[a-z_]\w*(\.\w+)+", word) and not FILES.fullmatch(word):
             module, _, name = word.partition(".")
+            if module == "run":  # a variable of the Python page
+                continue
             known = modules.get(module) if module != "neurad" else set(dir(importlib.import_module("neurad")))
             if known is not None and name not in known and not KEYS.fullmatch(word):
                 bad.append(word)
@@ -219,14 +229,17 @@ def test_every_value_parses(settings):
 @pytest.mark.parametrize("words", OWN, ids=" ".join)
 def test_every_own_command_parses(words, settings):
     verb, *rest = words
-    module = importlib.import_module(OWN_VERBS[verb][0])
+    load, _ = OWN_VERBS[verb]
     parser = argparse.ArgumentParser(exit_on_error=False)
-    module.add_arguments(parser)
-    options = module.parse(parser, rest) if hasattr(module, "parse") else parser.parse_args(rest)
-    passed_on = {word.partition("=")[0].removeprefix("--") for word in getattr(options, "settings", [])}
-    assert passed_on <= settings
-    for name in (getattr(options, "methods", None) or "").split(","):
-        assert verb != "compare" or not name or load_config(f"{name}.yaml" if "/" in name else f"methods/{name}.yaml")
+    load().add_arguments(parser)
+    passed_on = []
+    if parser.get_default("settings") is not None:
+        rest, passed_on = split_settings(rest)
+    options = parser.parse_args(rest)
+    assert {word.partition("=")[0].removeprefix("--") for word in passed_on} <= settings
+    if verb == "compare":
+        for name in (options.methods or "").split(","):
+            assert not name or load_config(f"{name}.yaml" if "/" in name else f"methods/{name}.yaml")
 
 
 # ---- pages
