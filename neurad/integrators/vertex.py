@@ -39,8 +39,8 @@ class BSDFSampleStats:
 class Bounce:
     """One sample of the transport operator at a vertex: ``T_hat(E + L) = direct + weight * L(next)``.
 
-    ``direct`` and ``weight`` carry the gradient of the surface (paper Eq. 8 at one vertex); directions and pdfs are held
-    fixed (detached sampling).
+    ``direct`` and ``weight`` carry the gradient of the surface (paper Eq. 8 at one vertex); directions and pdfs are
+    held fixed (detached sampling).
     """
 
     direct_demodulated: Tensor
