@@ -7,6 +7,7 @@ import math
 import torch
 from torch import Tensor, nn
 
+from neurad.core.colour import luminance
 from neurad.core.errors import InputError
 from neurad.core.frame import dot
 from neurad.core.records import EmitterSample, SurfaceInteraction
@@ -14,14 +15,6 @@ from neurad.core.sampling import uniform_triangle
 from neurad.runtime.dispatch import use_kernel
 from neurad.runtime.threads import GRAIN, split
 from neurad.scene.geometry import Geometry
-
-LUMINANCE = (0.212671, 0.715160, 0.072169)
-"""Weights of linear sRGB in luminance (Rec. 709)."""
-
-
-def luminance(rgb: Tensor) -> Tensor:
-    """Luminance [...] of linear sRGB [..., 3]; negative values count as black."""
-    return (rgb * rgb.new_tensor(LUMINANCE)).sum(-1).clamp_min(0.0)
 
 
 class AreaLights(nn.Module):

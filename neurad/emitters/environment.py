@@ -8,9 +8,9 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
+from neurad.core.colour import luminance
 from neurad.core.errors import InputError
 from neurad.core.records import EmitterSample, EnvironmentMap, SurfaceInteraction
-from neurad.emitters.area import luminance
 
 FLOOR = 1e-3
 """Smallest density of a direction, relative to the mean over the map, so that no direction is left out."""

@@ -20,11 +20,11 @@ from neurad.core.protocols import Materials, Tracer
 from neurad.core.records import FloatArray, SurfaceInteraction, View
 from neurad.core.rng import Stream
 from neurad.integrators.film import pixel_positions
-from neurad.metrics.scores import BoolArray, Float64Array, Pool, block_means, srgb
+from neurad.metrics.scores import BoolArray, Float64Array, Pool, block_means
 from neurad.metrics.seen import SeenBy
 from neurad.scene.description import Scene
 from neurad.scene.geometry import Geometry
-from neurad.scene.image_io import read_exr
+from neurad.scene.image_io import read_exr, to_srgb
 
 CHUNK = 1 << 18
 """Sub-samples in flight: bounds the memory."""
@@ -267,7 +267,7 @@ class HeldOut:
         if render is not None and "photograph" in truth:
             pools["linear"].add(render, truth["photograph"], region)
             pools["linear surfaces"].add(render, truth["photograph"], region & self.shows(index))
-            pools["srgb"].add(srgb(render), srgb(truth["photograph"]), region)
+            pools["srgb"].add(to_srgb(render), to_srgb(truth["photograph"]), region)
         if "albedo_true" in truth and "albedo" in maps:
             pools["albedo"].add(maps["albedo"], truth["albedo_true"], counted)
             guess, weight = block_means(maps["albedo"], counted, BLOCK)

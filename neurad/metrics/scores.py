@@ -21,12 +21,6 @@ def psnr(mse: float) -> float:
     return math.inf if mse == 0 else -10.0 * math.log10(mse)
 
 
-def srgb(linear: FloatArray) -> FloatArray:
-    """Linear values [...] clamped to [0, 1] and put through the sRGB curve (IEC 61966-2-1)."""
-    x = np.clip(linear, 0.0, 1.0)
-    return np.where(x <= 0.0031308, 12.92 * x, 1.055 * np.maximum(x, 0.0031308) ** (1 / 2.4) - 0.055).astype(np.float32)
-
-
 def block_means(values: FloatArray, mask: BoolArray, size: int) -> tuple[FloatArray, Float64Array]:
     """Means over blocks of ``size`` x ``size`` pixels, of the pixels in ``mask`` alone.
 

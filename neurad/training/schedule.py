@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-import math
 from dataclasses import dataclass
 
 import lightning.pytorch as pl
 from lightning.pytorch.callbacks import Timer
 
 from neurad.assembly.settings import Optimization
+from neurad.optim.schedule import cosine, warmup
 
 
 def rate_factor(settings: Optimization, iteration: int, progress: float) -> float:
@@ -17,13 +17,10 @@ def rate_factor(settings: Optimization, iteration: int, progress: float) -> floa
     Args:
         settings: schedule and warm-up.
         iteration: iterations done.
-        progress: share of the run that is over, in [0, 1].
+        progress: fraction of the run that is over, in [0, 1].
     """
-    rise = min(1.0, (iteration + 1) / max(1, settings.warmup))
-    if settings.schedule == "constant":
-        return rise
-    fall = 0.5 * (1.0 + math.cos(math.pi * min(1.0, max(0.0, progress))))
-    return rise * (settings.final + (1.0 - settings.final) * fall)
+    rise = warmup(iteration, settings.warmup)
+    return rise if settings.schedule == "constant" else rise * cosine(progress, settings.final)
 
 
 @dataclass(frozen=True)

@@ -11,11 +11,12 @@ import torch
 from scipy import stats
 from torch import Tensor
 
+from neurad.core.colour import luminance
 from neurad.core.errors import InputError
 from neurad.core.records import Constant, EnvironmentMap, Material, Mesh, SurfaceInteraction
 from neurad.core.reflection import DiffuseModel
 from neurad.core.rng import Stream
-from neurad.emitters.area import AreaLights, luminance
+from neurad.emitters.area import AreaLights
 from neurad.emitters.environment import Environment
 from neurad.emitters.lights import LEAST, Lights, make_lights
 from neurad.scene.description import Scene

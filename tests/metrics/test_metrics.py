@@ -22,10 +22,11 @@ from neurad.integrators.world import World
 from neurad.metrics import held_out
 from neurad.metrics.held_out import HeldOut
 from neurad.metrics.lit_glossy import lit_glossy, reflected_by
-from neurad.metrics.scores import Pool, block_means, psnr, srgb
+from neurad.metrics.scores import Pool, block_means, psnr
 from neurad.metrics.seen import SeenBy
 from neurad.scene.description import Scene
 from neurad.scene.geometry import Geometry
+from neurad.scene.image_io import to_srgb
 from neurad.tracing.select import make_tracer
 
 # --- scores
@@ -64,7 +65,7 @@ def test_pixels_outside_the_mask_may_be_anything() -> None:
 
 def test_srgb_clamps_and_follows_the_standard() -> None:
     x = np.array([-1.0, 0.0, 0.0031308, 0.18, 0.5, 1.0, 7.0], np.float32)
-    np.testing.assert_allclose(srgb(x), [0, 0, 0.04045, 0.46136, 0.73536, 1, 1], atol=2e-5)
+    np.testing.assert_allclose(to_srgb(x), [0, 0, 0.04045, 0.46136, 0.73536, 1, 1], atol=2e-5)
 
 
 def test_block_means_of_masked_pixels() -> None:

@@ -7,12 +7,13 @@ from typing import Any
 
 import numpy as np
 
+from neurad.core.colour import LUMINANCE
 from neurad.core.errors import InputError
 from neurad.core.records import Bitmap, Constant, FloatArray, Material, Texture, VertexAttribute
 from neurad.core.reflection import ConductorModel, DielectricModel, DiffuseModel, PrincipledModel
 from neurad.scene.image_io import read_bitmap
 
-_LUMINANCE = np.array([0.212671, 0.715160, 0.072169], np.float32)  # Mitsuba's, for a scalar from a colour bitmap
+_LUMINANCE = np.array(LUMINANCE, np.float32)  # Mitsuba's, for a scalar from a colour bitmap
 _GREY = Constant(np.full(3, 0.5, np.float32))
 _BLACK = Constant(np.zeros(3, np.float32))
 _ONES = Constant(np.ones(3, np.float32))

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import math
 from dataclasses import dataclass, field
 from functools import cache, partial
 from pathlib import Path
@@ -18,6 +17,7 @@ from neurad.core.records import FloatArray
 from neurad.fields.material import AlbedoField, RoughnessField
 from neurad.fields.settings import FieldConfig, GridConfig
 from neurad.optim.polyak_average import PolyakAverage, averaged
+from neurad.optim.schedule import cosine, warmup
 from neurad.runtime import clock
 from neurad.runtime.allocator import imports_kept
 from neurad.runtime.machine import usable_cores
@@ -139,7 +139,7 @@ def fit(settings: PeerSettings) -> None:
         for optimizer in model.optimizers:
             optimizer.zero_grad()
             for group in optimizer.param_groups:
-                group["lr"] = group["rate"] * _factor(settings.final, iteration, progress)
+                group["lr"] = group["rate"] * warmup(iteration, WARMUP) * cosine(progress, settings.final)
         gradient = replay.step(values.detach().numpy(), settings.pixels, settings.samples)
         values.backward(torch.from_numpy(gradient.values))
         for optimizer in model.optimizers:
@@ -160,12 +160,6 @@ def _model(settings: PeerSettings, scene: Scene, voxels: SurfaceVoxels, tracer: 
     bounds = torch.from_numpy(scene.bounds)
     second = None if scene.features.is_diffuse else RoughnessField(roughness, bounds)
     return Networks(voxels, AlbedoField(albedo, bounds), second, *rates, betas)
-
-
-def _factor(final: float, iteration: int, progress: float) -> float:
-    """What the learning rates are multiplied by: a short rise, then a cosine over the budget."""
-    rise = min(1.0, (iteration + 1) / WARMUP)
-    return rise * (final + (1.0 - final) * 0.5 * (1.0 + math.cos(math.pi * progress)))
 
 
 def _sizes(settings: PeerSettings, scene: Scene, tracer: Tracer) -> tuple[FieldConfig, FieldConfig]:
