@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Any
+from dataclasses import replace
 
 import torch
 from torch import Tensor, nn
@@ -10,62 +10,26 @@ from torch import Tensor, nn
 from neurad.assembly.build import Assembly, assemble
 from neurad.assembly.settings import ModelSettings
 from neurad.assembly.training_views import prepare_views
+from neurad.core.protocols import PhotoSource
 from neurad.core.records import PixelBatch
-from neurad.core.rng import Stream
 from neurad.scene.description import Scene
 from neurad.training.guard import Guard
 from neurad.training.objective import make_objective
 from neurad.training.optimizers import make_optimizers
 from neurad.training.step import TrainingStep
 
-PIXELS = 256
-"""Pixels of a batch, as in the shipped configs."""
-
-
-class MemoryPhotographs:
-    """Photographs held in memory; each batch draws its pixels independently and uniformly.
-
-    Args:
-        scene: its training views are those of the photographs.
-        photographs: linear colours [views, pixels, 3].
-        pixels: of a batch.
-        seed: of the draws.
-    """
-
-    has_alpha = False
-    alpha = None
-    streams = False
-    pixel_multiplier = 1
-
-    def __init__(self, scene: Scene, photographs: Tensor, pixels: int = PIXELS, seed: int = 0) -> None:
-        self.scene, self.photographs, self.pixels, self.seed = scene, photographs, pixels, seed
-
-    def mean_square(self, counted: Tensor | None = None) -> float:
-        """Mean squared radiance of the pixels that count [views, pixels], bool; None for all."""
-        square = self.photographs.double().square().mean(-1)
-        kept = square if counted is None else square[counted.to(square.device)]
-        return float(kept.mean()) if kept.numel() else 0.0
-
-    def batch(self, iteration: int, rank: int = 0) -> PixelBatch:
-        """The batch of an iteration, on the device of the photographs."""
-        device = self.photographs.device
-        views, pixels = self.photographs.shape[:2]
-        index = Stream(self.seed, iteration, rank, 5, device=device).integers(views * pixels, self.pixels)
-        color = self.photographs.view(-1, 3)[index]
-        return PixelBatch(index // pixels, index % pixels, color, torch.ones_like(color[:, 0]), iteration)
-
 
 class TrainingRun:
     """The parts of a run and its step, driven by whoever holds it.
 
     Args:
-        assembly: the parts, on the device that ``photographs`` bring their batches on.
+        assembly: the parts, on the device to train on.
         photographs: of the training views.
         emitters_train: let pixels that an emitter covers train too: where everything emits there are no others.
     """
 
-    def __init__(self, assembly: Assembly, photographs: Any, emitters_train: bool = False) -> None:
-        device = assembly.world.geometry.vertices.device
+    def __init__(self, assembly: Assembly, photographs: PhotoSource, emitters_train: bool = False) -> None:
+        self.device = device = assembly.world.geometry.vertices.device
         self.assembly, self.photographs = assembly, photographs
         self.views = prepare_views(assembly, photographs, device, emitters_train, check_brightness=False)
         self.optimizers = make_optimizers(assembly)
@@ -81,7 +45,7 @@ class TrainingRun:
     def of_scene(
         cls,
         scene: Scene,
-        photographs: Any,
+        photographs: PhotoSource,
         settings: ModelSettings,
         device: torch.device | str = "cpu",
         emitters_train: bool = False,
@@ -114,4 +78,11 @@ class TrainingRun:
         Returns:
             The weighted sum of the losses.
         """
-        return self.step(self.photographs.batch(self.iteration), progress)
+        return self.step(self._batch(), progress)
+
+    def _batch(self) -> PixelBatch:
+        """The next batch, on the device of the parts."""
+        batch, device = self.photographs.batch(self.iteration), self.device
+        view, pixel, color, alpha = (x.to(device) for x in (batch.view, batch.pixel, batch.color, batch.alpha))
+        blurred = None if batch.blurred is None else batch.blurred.to(device)
+        return replace(batch, view=view, pixel=pixel, color=color, alpha=alpha, blurred=blurred)

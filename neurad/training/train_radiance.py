@@ -13,8 +13,8 @@ from torch import Tensor
 from neurad.assembly.build import Assembly, build_radiance, make_guide
 from neurad.assembly.settings import ModelSettings
 from neurad.core.camera import Cameras
-from neurad.core.protocols import Materials
-from neurad.core.records import Camera, PixelBatch, View
+from neurad.core.protocols import Materials, PhotoSource
+from neurad.core.records import Camera, DatasetStats, PixelBatch, View
 from neurad.core.rng import Stream
 from neurad.fields.radiance import RadianceField
 from neurad.integrators.method import Parts
@@ -22,7 +22,7 @@ from neurad.integrators.path import PathTracing
 from neurad.integrators.vertex import DIMENSIONS
 from neurad.integrators.world import World
 from neurad.scene.description import Scene
-from neurad.training.session import MemoryPhotographs, TrainingRun
+from neurad.training.session import TrainingRun
 
 PIXELS = 1024
 """Pixels of a batch."""
@@ -30,44 +30,49 @@ UNIT_RAYS, UNIT_DEPTH = 8192, 8
 """Camera rays behind the unit of radiance, and bounces of their paths."""
 
 
-class UnphotographedPixels(MemoryPhotographs):
-    """Pixels of cameras that took no photographs: they train the prior alone, since their alpha is 0.
+class UnphotographedPixels(PhotoSource):
+    """Random pixels of cameras that took no photographs. Their alpha is 0, so they train the prior alone.
 
     Args:
-        scene: with the cameras as training views.
-        world: its geometry and lights.
-        materials: of its surfaces.
+        cameras: of one size.
+        mean_square: squared unit of radiance.
         pixels: of a batch.
-        seed: of all draws.
+        seed: of the draws.
     """
 
-    def __init__(self, scene: Scene, world: World, materials: Materials, pixels: int, seed: int) -> None:
-        self.world, self.materials = world, materials
-        camera = scene.train[0].camera
-        black = torch.zeros(1, 1, 3).expand(len(scene.train), camera.width * camera.height, 3)
-        super().__init__(scene, black, pixels, seed)
+    pixel_multiplier = 1
+    has_alpha = False
 
-    @torch.no_grad()
-    def mean_square(self, counted: Tensor | None = None) -> float:
-        """The squared mean radiance that the surfaces in view reflect, from short paths."""
-        stream = Stream(self.seed, 1)
-        cameras = Cameras.of([view.camera for view in self.scene.train], "cpu")
-        film = torch.tensor([cameras.width, cameras.height])
-        view = stream.integers(len(self.scene.train), UNIT_RAYS)
-        rays = cameras.rays(view, stream.uniform(UNIT_RAYS, 2) * film)
-        si = self.world.trace_past_delta(rays, stream.uniform(UNIT_RAYS)).si
-        u = stream.uniform(len(si), DIMENSIONS)
-        parts = Parts(self.world, self.materials)
-        light = PathTracing(UNIT_DEPTH).reflected(parts, si, self.materials(si), u, stream).value
-        mean = float(light[si.valid].mean()) if bool(si.valid.any()) else 0.0
-        return mean * mean if mean > 0 else 1.0
+    def __init__(self, cameras: list[Camera], mean_square: float, pixels: int, seed: int) -> None:
+        self.views, self.count = len(cameras), cameras[0].width * cameras[0].height
+        self.mean_square, self.pixels, self.seed = mean_square, pixels, seed
+
+    def dataset_stats(self, left_out: Tensor | None = None) -> DatasetStats:
+        """The unit of radiance, whatever is left out."""
+        return DatasetStats(self.mean_square, self.batch(0), [])
+
+    def request_blurred(self) -> None:
+        """Black means are the pixels' colours already."""
 
     def batch(self, iteration: int, rank: int = 0) -> PixelBatch:
-        """Random pixels of an iteration, not photographed."""
-        views, pixels = self.photographs.shape[:2]
-        index = Stream(self.seed, iteration, rank, 5).integers(views * pixels, self.pixels)
+        """Random pixels of an iteration."""
+        index = Stream(self.seed, iteration, rank, 5).integers(self.views * self.count, self.pixels)
         nothing = torch.zeros(len(index), 3)
-        return PixelBatch(index // pixels, index % pixels, nothing, nothing[:, 0], iteration)
+        return PixelBatch(index // self.count, index % self.count, nothing, nothing[:, 0], iteration)
+
+
+@torch.no_grad()
+def mean_square_reflected(world: World, materials: Materials, cameras: list[Camera], seed: int) -> float:
+    """The squared mean radiance that the surfaces in view reflect, from short paths; 1 where none is reflected."""
+    stream = Stream(seed, 1)
+    views = Cameras.of(cameras, "cpu")
+    view = stream.integers(len(cameras), UNIT_RAYS)
+    rays = views.rays(view, stream.uniform(UNIT_RAYS, 2) * torch.tensor([views.width, views.height]))
+    si = world.trace_past_delta(rays, stream.uniform(UNIT_RAYS)).si
+    u = stream.uniform(len(si), DIMENSIONS)
+    light = PathTracing(UNIT_DEPTH).reflected(Parts(world, materials), si, materials(si), u, stream).value
+    mean = float(light[si.valid].mean()) if bool(si.valid.any()) else 0.0
+    return mean * mean if mean > 0 else 1.0
 
 
 def train_radiance(
@@ -99,8 +104,8 @@ def train_radiance(
         pixels: of a batch.
     """
     width, height = cameras[0].width, cameras[0].height  # one size for all
-    views = [View(f"camera {i}", replace(c, width=width, height=height)) for i, c in enumerate(cameras)]
-    scene = replace(scene, train=views)
+    cameras = [replace(camera, width=width, height=height) for camera in cameras]
+    scene = replace(scene, train=[View(f"camera {i}", camera) for i, camera in enumerate(cameras)])
     settings = replace(
         settings,
         materials="known",
@@ -114,8 +119,9 @@ def train_radiance(
     guide, world.guide = world.guide, make_guide(scene, settings.sampling.guide, settings.method)
     try:
         assembly = Assembly(scene, settings, world, materials, field, None)
-        unphotographed = UnphotographedPixels(scene, world, materials, pixels, settings.seed)
-        run = TrainingRun(assembly, unphotographed, emitters_train=True)
+        mean_square = mean_square_reflected(world, materials, cameras, settings.seed)
+        source = UnphotographedPixels(cameras, mean_square, pixels, settings.seed)
+        run = TrainingRun(assembly, source, emitters_train=True)
         begin = time.monotonic()
         for index in range(steps):
             spent = (time.monotonic() - begin) / seconds if seconds is not None else 0.0
