@@ -10,7 +10,7 @@ import pytest
 import torch
 import yaml
 
-OPTIONAL = ("mitsuba", "open3d", "warp")
+OPTIONAL = ("mitsuba", "open3d", "warp", "mkdocs")
 
 
 @pytest.fixture(autouse=True)

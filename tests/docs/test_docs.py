@@ -291,7 +291,7 @@ def test_plots_are_drawn_from_the_data(tmp_path):
 
 
 def test_the_site_loads_nothing_from_elsewhere(tmp_path):
-    pytest.importorskip("mkdocs", reason="extra docs")
+    pytest.importorskip("mkdocs", reason="needs mkdocs (extra docs)")
     from mkdocs.commands.build import build
     from mkdocs.config import load_config
 
