@@ -194,6 +194,7 @@ BAD = {
 }  # fmt: skip
 
 
+@pytest.mark.main
 @pytest.mark.parametrize("case", BAD)
 def test_a_fit_with_bad_input(place, monkeypatch, capfd, recwarn, case):
     spoil, args, said = BAD[case]
@@ -223,6 +224,7 @@ def fails(capfd, args):
     return error
 
 
+@pytest.mark.main
 @pytest.mark.parametrize(
     ("spoil", "args", "said"),
     [
@@ -259,6 +261,7 @@ def test_the_program_itself_says_no_more_than_the_sentence(place):
     assert tree(place) == before
 
 
+@pytest.mark.main
 def test_the_scene_itself_is_good(place):
     """What all cases above start from trains, also in continuation."""
     before = tree(place)

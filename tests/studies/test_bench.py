@@ -64,6 +64,7 @@ def test_tables_line_up_and_survive_gaps(tmp_path):
     assert table(tmp_path / "deep/out.csv")[1] == {"what": "longer", "ms": "12345.6", "n": "7"}
 
 
+@pytest.mark.main
 def test_step_has_every_stage_and_puts_the_library_back(tmp_path, capsys):
     out = tmp_path / "step.csv"
     forward, backward = HashGrid.forward, stages.hash_grid._Encode.backward
@@ -86,6 +87,7 @@ def test_step_has_every_stage_and_puts_the_library_back(tmp_path, capsys):
     assert stages.hash_grid._Encode.backward is backward
 
 
+@pytest.mark.main
 def test_encode_covers_both_implementations(tmp_path):
     out = tmp_path / "encode.csv"
     sizes = "--points 256 --levels 2 --finest 8 --log2_size 8 --size 8 --hidden_layers 1 --width 8 --seconds 0.001"
@@ -97,6 +99,7 @@ def test_encode_covers_both_implementations(tmp_path):
     assert all(float(row["ms"]) > 0 and float(row["floor_ms"]) > 0 for row in rows)
 
 
+@pytest.mark.main
 def test_trace_names_its_best_batch(tmp_path):
     out = tmp_path / "trace.csv"
     words = ["--scene", "cornell", "--tracers", "embree", "--sizes", "16,512", "--seconds", "0.001"]
@@ -107,6 +110,7 @@ def test_trace_names_its_best_batch(tmp_path):
         assert min(float(row["ratio"]) for row in rows if row["rays"] == kind) == pytest.approx(1.0)
 
 
+@pytest.mark.main
 def test_wrong_words_are_refused_in_one_sentence(capsys):
     for words, sentence in (
         (["trace", "--tracers", "optix"], "choose from embree"),

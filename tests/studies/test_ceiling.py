@@ -1,5 +1,6 @@
 """What the fields could do at best, and what the mean of every mesh does."""
 
+import pytest
 import torch
 
 from neurad.assembly.build import build_world
@@ -54,6 +55,7 @@ def test_without_true_roughness_it_is_one():
     assert bool((SurfaceMeans.of(step)(seen[0]).roughness == 1.0).all())
 
 
+@pytest.mark.main
 def test_the_command_shows_the_fields_and_the_means(capsys):
     settings = ["data.patches=64", "model.sampling.spp=2", "model.sampling.cached_spp=2", "data.pixel_multiplier=1"]
     main(

@@ -231,6 +231,7 @@ def test_bad_input_is_one_sentence_and_leaves_nothing(capfd, words, said):
     assert sorted(Path().rglob("*")) == before
 
 
+@pytest.mark.main
 def test_a_setting_that_no_fit_knows_is_found_before_the_first_fit(capfd):
     words = ["--config", "cornell.yaml", "--methods", "ours", "--budget", "1", "--model.rat=3"]
     assert "model.rat" in fails(capfd, *words)
@@ -343,6 +344,7 @@ def test_a_budget_must_be_positive():
         TrainingBudget(0.0)
 
 
+@pytest.mark.main
 def test_two_real_methods():
     """The whole way: cornell for a few steps with two methods, the same number of samples, pictures included."""
     words = ["--config=cornell.yaml", "--methods=ours,direct", "--samples=4096", "--views=1", "--view-spp=1"]

@@ -8,6 +8,7 @@ import yaml
 from helpers.small_fit import SMALL_FIT, fit_small
 
 
+@pytest.mark.main
 def test_a_short_fit_finds_the_albedo(small):
     """400 iterations, about 5 s: measured 28.1 dB (12.3 after 7 iterations); the best constant has 12.9."""
     small(glossy=False)
@@ -18,6 +19,7 @@ def test_a_short_fit_finds_the_albedo(small):
     assert last["albedo_psnr_constant"] < 14
 
 
+@pytest.mark.main
 @pytest.mark.parametrize(("glossy", "optimizers"), [(True, 3), (False, 2)])
 def test_max_steps_counts_iterations_and_roughness_is_built_where_there_is_some(small, glossy, optimizers):
     small(glossy)
@@ -29,6 +31,7 @@ def test_max_steps_counts_iterations_and_roughness_is_built_where_there_is_some(
     assert any(name.startswith("materials.roughness") for name in state["state_dict"]) == glossy
 
 
+@pytest.mark.main
 def test_a_run_takes_the_units_of_light_from_its_photographs(small):
     """Light and photographs times 2^20, exact in floats: ten iterations give the same materials."""
     found = []
@@ -41,6 +44,7 @@ def test_a_run_takes_the_units_of_light_from_its_photographs(small):
             torch.testing.assert_close(found[1][name], value, rtol=1e-4, atol=1e-6)
 
 
+@pytest.mark.main
 @pytest.mark.parametrize("pixel_multiplier", ["4", "8"])
 def test_a_breadth_that_leaves_one_position_is_refused(small, capfd, pixel_multiplier):
     small(glossy=True)
@@ -53,6 +57,7 @@ def test_a_breadth_that_leaves_one_position_is_refused(small, capfd, pixel_multi
     assert error.count("\n") == 1
 
 
+@pytest.mark.main
 def test_a_broad_batch_counts_as_many_samples_and_moves_roughness_less(small):
     small(glossy=True)
     usual = fit_small("--trainer.max_steps=3", "--model.sampling.spp=4")[1]
@@ -62,6 +67,7 @@ def test_a_broad_batch_counts_as_many_samples_and_moves_roughness_less(small):
     assert rates[1] == pytest.approx([rates[0][0], rates[0][1] / 4, rates[0][2]])
 
 
+@pytest.mark.main
 @pytest.mark.parametrize(("positions", "cached", "said"), [(1, 4, "spp"), (4, 2, "cached_spp")])
 def test_numbers_of_samples_that_cannot_work(small, capfd, positions, cached, said):
     Path("fit.yaml").write_text(yaml.safe_dump(SMALL_FIT))
