@@ -35,13 +35,10 @@ def restart() -> None:
     _start, _excluded = time.monotonic(), 0.0
 
 
-def process_seconds() -> float:
-    """Seconds since the process (or the last :func:`restart`) began."""
-    return time.monotonic() - _start
-
-
 def training_seconds() -> float:
-    """:func:`process_seconds` without what ran under :func:`excluded`; inside such a block it stands still."""
+    """Seconds since the process (or the last :func:`restart`) began, without what ran under :func:`excluded`, where the
+    count stands still.
+    """
     now = time.monotonic() if _excluded_since is None else _excluded_since
     return now - _start - _excluded
 

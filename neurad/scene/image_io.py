@@ -123,17 +123,6 @@ def write_exr(path: str | Path, pixels: FloatArray, half: bool = True) -> None:
     OpenEXR.File(header, {name: image[..., 0].copy() if name == "Y" else image}).write(str(path))
 
 
-def write_png(path: str | Path, pixels: FloatArray) -> None:
-    """Write linear [h, w, c] (c = 1, 3 or 4) as an 8-bit PNG with the sRGB curve; alpha stays linear."""
-    from PIL import Image
-
-    image = np.asarray(pixels, np.float32)
-    colour = image[..., : min(3, image.shape[2])]
-    encoded = np.concatenate((to_srgb(colour), np.clip(image[..., 3:], 0.0, 1.0)), axis=-1)
-    shown = np.round(encoded * 255.0).astype(np.uint8)
-    Image.fromarray(shown[..., 0] if shown.shape[2] == 1 else shown).save(path)
-
-
 def read_photograph(path: str | Path) -> FloatArray:
     """A photograph: linear RGB or RGBA [h, w, 3 or 4], colour premultiplied by alpha.
 

@@ -1,9 +1,38 @@
-"""The one door through which scenes come in."""
+"""The one door through which scenes come in: built-in ones, and folders with a scene file and camera files."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import TypeVar
+
 from neurad.core.errors import InputError
+from neurad.core.records import View
 from neurad.scene.description import Scene
+
+T = TypeVar("T")
+
+RELIGHT = "env_relight.exr"
+"""Map that lights the photographs named by ``relight_path``; it takes the place of the scene's, in the same frame."""
+
+
+def _mitsuba(folder: Path) -> Scene:
+    from neurad.scene.readers.mitsuba_xml import read_xml
+
+    return read_xml(folder / "scene.xml")
+
+
+def _nerf(folder: Path) -> tuple[list[View], list[View]]:
+    from neurad.scene.readers.nerf import read_split
+
+    return read_split(folder)
+
+
+SCENE_FILES: dict[str, Callable[[Path], Scene]] = {"scene.xml": _mitsuba}
+"""Readers of meshes, materials and lights, by the file that a folder has for them; the first that is there is read."""
+CAMERA_FILES: dict[str, Callable[[Path], tuple[list[View], list[View]]]] = {"transforms_train.json": _nerf}
+"""Readers of the training and the held-out views, by the file that a folder has for them."""
 
 
 def load_scene(root: str | None, scene: str | None) -> Scene:
@@ -19,10 +48,41 @@ def load_scene(root: str | None, scene: str | None) -> Scene:
     if (root is None) == (scene is None):
         raise InputError("give exactly one of --data.root (a scene folder) and --data.scene (a built-in scene)")
     if root is not None:
-        from neurad.scene.readers.nerf import read_folder
-
         return read_folder(root).check()
     from neurad.scene.builtin import build
 
     assert scene is not None
     return build(scene).check()
+
+
+def read_folder(root: str | Path) -> Scene:
+    """The scene of a folder with one of :data:`SCENE_FILES` and one of :data:`CAMERA_FILES`.
+
+    Photographs and maps are only looked for: at most the size of the first training photograph is read.
+
+    Raises:
+        InputError: something is missing or wrong; the sentence names the file and the frame.
+    """
+    folder = Path(root).expanduser().resolve()
+    if not folder.is_dir():
+        raise InputError(f"--data.root: there is no folder {root}")
+    read_surfaces, read_cameras = _reader(SCENE_FILES, folder), _reader(CAMERA_FILES, folder)
+    train, test = read_cameras(folder)
+    relight = str(folder / RELIGHT) if any(view.relight for view in test) else None
+    if relight is not None and not (folder / RELIGHT).is_file():
+        raise InputError(f"{relight}: the map is missing that lights the photographs named by relight_path")
+    return replace(read_surfaces(folder), name=folder.name, train=train, test=test, relight=relight)
+
+
+def _reader(readers: dict[str, Callable[[Path], T]], folder: Path) -> Callable[[Path], T]:
+    """The reader of the first file that the folder has.
+
+    Raises:
+        InputError: it has none of them.
+    """
+    for name, reader in readers.items():
+        if (folder / name).is_file():
+            return reader
+    first, *others = readers
+    instead = f" (or {', '.join(others)})" if others else ""
+    raise InputError(f"{folder / first}: the scene folder lacks this file{instead}")

@@ -15,8 +15,8 @@ from neurad.core.errors import InputError
 from neurad.core.records import Bitmap, Rays
 from neurad.scene.geometry import Geometry
 from neurad.scene.image_io import write_exr
-from neurad.scene.load import load_scene
-from neurad.scene.readers.nerf import read_folder, read_views
+from neurad.scene.load import load_scene, read_folder
+from neurad.scene.readers.nerf import read_views
 from neurad.scene.textures import TrueMaterials
 from neurad.tracing.embree import EmbreeTracer
 

@@ -1,4 +1,4 @@
-"""Scene folders: scene.xml beside the camera files of its photographs, as NeRF and Blender write them."""
+"""Cameras of photographs, as NeRF and Blender write them."""
 
 from __future__ import annotations
 
@@ -11,42 +11,26 @@ import numpy as np
 
 from neurad.core.errors import InputError
 from neurad.core.records import Camera, FloatArray, View
-from neurad.scene.description import Scene
 from neurad.scene.image_io import read_exr
 
 _RIGID = 1e-4  # largest deviation from orthonormal axes; the cameras of Blender have about 1e-6
-RELIGHT = "env_relight.exr"
-"""Map that lights the photographs named by ``relight_path``; it takes the place of the scene's, in the same frame."""
 _DISTORTION = ("k1", "k2", "k3", "k4", "p1", "p2")
 
 Size = tuple[int, int]
 
 
-def read_folder(root: str | Path) -> Scene:
-    """The scene of a folder with ``scene.xml``, ``transforms_train.json`` and ``transforms_test.json``.
-
-    Photographs and maps are only looked for: at most the size of the first training photograph is read.
+def read_split(folder: Path) -> tuple[list[View], list[View]]:
+    """Training and held-out views of ``transforms_train.json`` and ``transforms_test.json``.
 
     Raises:
-        InputError: something is missing or wrong; the sentence names the file and the frame.
+        InputError: one of the files is missing, or as :func:`read_views`.
     """
-    from dataclasses import replace
-
-    from neurad.scene.readers.mitsuba_xml import read_xml
-
-    folder = Path(root).expanduser().resolve()
-    if not folder.is_dir():
-        raise InputError(f"--data.root: there is no folder {root}")
-    for name in ("scene.xml", "transforms_train.json", "transforms_test.json"):
+    for name in ("transforms_train.json", "transforms_test.json"):
         if not (folder / name).is_file():
             raise InputError(f"{folder / name}: the scene folder lacks this file")
     train = read_views(folder / "transforms_train.json", folder)
     camera = train[0].camera
-    test = read_views(folder / "transforms_test.json", folder, (camera.width, camera.height))
-    relight = str(folder / RELIGHT) if any(view.relight for view in test) else None
-    if relight is not None and not (folder / RELIGHT).is_file():
-        raise InputError(f"{relight}: the map is missing that lights the photographs named by relight_path")
-    return replace(read_xml(folder / "scene.xml"), name=folder.name, train=train, test=test, relight=relight)
+    return train, read_views(folder / "transforms_test.json", folder, (camera.width, camera.height))
 
 
 def read_views(path: str | Path, root: str | Path, size: Size | None = None) -> list[View]:

@@ -11,7 +11,6 @@ import numpy.typing as npt
 import torch
 from torch import Tensor
 
-from neurad.core.protocols import Materials
 from neurad.core.records import FloatArray, IntArray, Surface, SurfaceInteraction
 from neurad.scene.description import Scene
 
@@ -106,11 +105,6 @@ class VoxelMaterials:
     def albedo(self, si: SurfaceInteraction) -> Tensor:
         """The albedo alone [n, 3]."""
         return self(si).albedo
-
-
-def as_materials(materials: VoxelMaterials) -> Materials:
-    """The same object; the type checker proves that it keeps the contract."""
-    return materials
 
 
 def coarser(vertex: IntArray, resolution: int) -> tuple[IntArray, IntArray]:
