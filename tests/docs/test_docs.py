@@ -177,7 +177,7 @@ def test_every_setting_exists(page, settings):
 
 def commands(text):
     """Every ``neurad ...`` in code blocks and inline code, as words."""
-    blocks = [line for line in text.splitlines() if re.match(r" {4}\S", line)]
+    blocks = [line for line in re.sub(r"\\\n +", " ", text).splitlines() if re.match(r" {4}\S", line)]
     found = []
     for line in [*blocks, *in_backticks(text)]:
         for part in line.split("&&"):
