@@ -1,14 +1,19 @@
-"""GGX microfacets: Fresnel factor, shadowing and the sampling of visible normals, all isotropic."""
+"""GGX microfacets: Fresnel factors, value, density and sampling of reflection, what it reflects in all; isotropic."""
 
 from __future__ import annotations
 
+from collections.abc import Callable
+
+import numpy as np
 import torch
 from torch import Tensor
 
-from neurad.core.sampling import concentric_disk
+from neurad.core.frame import dot
+from neurad.core.sampling import INV_PI, concentric_disk
 
 MIN_ALPHA = 0.001
 """Smallest GGX width; Mitsuba's ``principled`` has the same."""
+_MIN_HALF = 1e-6  # smallest z of wo + wi, so that two opposite grazing directions still have a half-vector
 
 
 def alpha_of(roughness: Tensor) -> Tensor:
@@ -27,6 +32,25 @@ def fresnel_dielectric(cos: Tensor, eta: Tensor | float) -> Tensor:
     s = (cos - eta * cos_t) / (cos + eta * cos_t)
     p = (eta * cos - cos_t) / (eta * cos + cos_t)
     return 0.5 * (s * s + p * p)
+
+
+def fresnel_conductor(cos: Tensor, eta: Tensor, k: Tensor) -> Tensor:
+    """Reflectance [n, channels] of a smooth conductor for unpolarised light from a vacuum.
+
+    Args:
+        cos: cosine of the angle of incidence, in [0, 1] [n].
+        eta: real part of the refractive index [channels].
+        k: its imaginary part [channels].
+    """
+    cos = cos.unsqueeze(-1)
+    cos2 = cos * cos
+    sin2 = 1.0 - cos2
+    real = eta * eta - k * k - sin2
+    size = (real * real + 4.0 * k * k * eta * eta).sqrt()
+    twice = 2.0 * cos * (0.5 * (size + real)).clamp_min(0.0).sqrt()
+    s = (size + cos2 - twice) / (size + cos2 + twice)
+    p = s * (size * cos2 + sin2 * sin2 - twice * sin2) / (size * cos2 + sin2 * sin2 + twice * sin2)
+    return 0.5 * (s + p)
 
 
 def smith_sum(z: Tensor, alpha2: Tensor) -> Tensor:
@@ -62,3 +86,71 @@ def visible_normal(wo: Tensor, alpha: Tensor, u: Tensor) -> Tensor:
     w = alpha.squeeze(-1)
     normal = (w * (cos_phi * along + sin_phi * a), w * (sin_phi * along - cos_phi * a), up.clamp_min(1e-6))
     return torch.nn.functional.normalize(torch.stack(normal, -1), dim=-1)
+
+
+def mirror(wo: Tensor, normal: Tensor) -> Tensor:
+    """``wo`` [n, 3] reflected about unit normals [n, 3]."""
+    return 2.0 * dot(wo, normal).unsqueeze(-1) * normal - wo
+
+
+def ggx_reflection(wo: Tensor, wi: Tensor, alpha: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    """Reflection by GGX microfacets that reflect everything, and the density of drawing it by visible normals.
+
+    ``g = D G1(wo) G1(wi) / (4 cos(wo))``, cosine of ``wi`` included, and ``pdf = G1(wo) D / (4 cos(wo))``. With Smith's
+    ``G1 = 2 z / A`` every division by a cosine cancels.
+
+    Args:
+        wo: towards the viewer, local [n, 3].
+        wi: towards the light, local [n, 3].
+        alpha: GGX width [n].
+
+    Returns:
+        g [n], which is differentiable in ``alpha``, the detached pdf [n], and the cosine [n] between ``wo`` and the
+        half-vector. g and pdf are 0 where ``wo`` or ``wi`` lies below the surface.
+    """
+    (xo, yo, zo), (xi, yi, zi) = wo.unbind(-1), wi.unbind(-1)
+    zi = torch.where(zo > 0, zi.clamp_min(0.0), 0.0)  # g is proportional to it
+    zo = zo.clamp_min(0.0)
+    hx, hy, hz = xo + xi, yo + yi, (zo + zi).clamp_min(_MIN_HALF)
+    flat, up = hx * hx + hy * hy, hz * hz
+    length = flat + up  # 4 cos^2
+
+    alpha2 = alpha * alpha
+    ratio = length / (flat + alpha2 * up)
+    density = alpha2 * ratio * ratio * INV_PI  # D
+    toward_viewer = smith_sum(zo, alpha2)
+    reflection = density * zi / (toward_viewer * smith_sum(zi, alpha2))
+    pdf = torch.where(zi > 0, 0.5 * density.detach() / toward_viewer.detach(), 0.0)
+    return reflection, pdf, 0.5 * length.sqrt()
+
+
+def reflectance(cosine: Tensor, alpha: float, fresnel: Callable[[Tensor], Tensor], nodes: int = 32) -> Tensor:
+    """What GGX microfacets reflect in all directions towards viewers at ``cosine`` [c] from the normal: [c, channels].
+
+    A product of Gauss-Legendre rules over the numbers that visible normals are drawn from, as Mitsuba's
+    ``eval_reflectance``.
+
+    Args:
+        cosine: float64 [c].
+        alpha: GGX width.
+        fresnel: cosines [n] to reflectances [n, channels].
+        nodes: of the rule, in each dimension.
+    """
+    at, weight = (torch.from_numpy(x) for x in np.polynomial.legendre.leggauss(nodes))
+    u = torch.cartesian_prod(0.5 + 0.5 * at, 0.5 + 0.5 * at).repeat(len(cosine), 1)
+    weights = (0.25 * weight[:, None] * weight).flatten()
+    cosine = cosine.clamp_min(1e-6).repeat_interleave(len(weights))
+    wo = torch.stack(((1.0 - cosine * cosine).clamp_min(0.0).sqrt(), torch.zeros_like(cosine), cosine), -1)
+    normal = visible_normal(wo, torch.full_like(wo[:, :1], alpha), u)
+    z = mirror(wo, normal)[:, 2].clamp_min(0.0)
+    shadowing = 2.0 * z / smith_sum(z, torch.full_like(z, alpha * alpha))  # 0 below the horizon
+    seen = fresnel(dot(wo, normal).clamp(1e-6, 1.0)) * shadowing.unsqueeze(-1)
+    return (seen.view(-1, len(weights), seen.shape[-1]) * weights.unsqueeze(-1)).sum(1)
+
+
+def interpolated(table: Tensor, x: Tensor) -> Tensor:
+    """Rows of ``table`` [c, channels], evenly over 0 to 1, linear at ``x`` [n] in between: [n, channels]."""
+    place = x.clamp(0.0, 1.0) * (len(table) - 1)
+    low = place.floor().clamp_max(len(table) - 2)
+    index = low.long()
+    return torch.lerp(table[index], table[index + 1], (place - low).unsqueeze(-1))

@@ -1,4 +1,6 @@
-"""Burley's reflection model with base colour and roughness: Mitsuba's ``principled``, all else left at its default."""
+"""Burley's reflection model with base colour and roughness: Mitsuba's ``principled`` with ``eta`` and
+``metallic``, all else left at its default.
+"""
 
 from __future__ import annotations
 
@@ -11,68 +13,13 @@ from torch import Tensor
 from torch.autograd.function import once_differentiable
 
 from neurad.bsdf import principled_kernels as kernels
+from neurad.bsdf.burley import lobes_pdf
 from neurad.bsdf.directional import directional_albedo, mean_lobes
-from neurad.bsdf.microfacet import alpha_of, fresnel_dielectric, smith_sum, visible_normal
-from neurad.core.frame import dot
+from neurad.bsdf.microfacet import alpha_of, mirror, visible_normal
 from neurad.core.records import BSDFSample, Surface
 from neurad.core.reflection import PrincipledModel
-from neurad.core.sampling import INV_PI, cosine_hemisphere
+from neurad.core.sampling import cosine_hemisphere
 from neurad.runtime.dispatch import use_kernel
-
-_MIN_HALF = 1e-6  # smallest z of wo + wi, so that two opposite grazing directions still have a half-vector
-
-
-def _schlick(z: Tensor) -> Tensor:
-    """``(1 - z)^5`` [n]."""
-    m = (1.0 - z).clamp_min(0.0)
-    m2 = m * m
-    return m2 * m2 * m
-
-
-def lobes_pdf(
-    roughness: Tensor, wo: Tensor, wi: Tensor, eta: float, specular_fraction: float = 0.5
-) -> tuple[Tensor, Tensor, Tensor]:
-    """Diffuse and specular lobe and the density, in plain torch; any device and dtype, differentiable in roughness.
-
-    With h the normalised ``wo + wi`` and ``c = h.wo = |wo + wi| / 2``:
-    ``d = cos / pi ((1 - Fo/2)(1 - Fi/2) + R (Fo + Fi + Fo Fi (R - 1)))``, ``R = 2 roughness c^2`` (Burley 2012, 5.3,
-    with the retro-reflection of Burley 2015), ``s = F D G1(wo) G1(wi) / (4 cos(wo))`` and
-    ``pdf = (1 - p) cos / pi + p G1(wo) D / (4 cos(wo))``. ``G1 = 2 z / A`` cancels every division by a cosine.
-
-    Args:
-        roughness: [n, 1].
-        wo: towards the viewer, local [n, 3].
-        wi: towards the light, local [n, 3].
-        eta: refractive index, inside over outside.
-        specular_fraction: probability p of the specular lobe.
-
-    Returns:
-        d [n] and s [n] with ``f cos(wi) = albedo d + s``, and the detached pdf [n].
-    """
-    (xo, yo, zo), (xi, yi, zi) = wo.unbind(-1), wi.unbind(-1)
-    zi = torch.where(zo > 0, zi.clamp_min(0.0), 0.0)  # d and s are proportional to it
-    zo = zo.clamp_min(0.0)
-    hx, hy, hz = xo + xi, yo + yi, (zo + zi).clamp_min(_MIN_HALF)
-    flat, up = hx * hx + hy * hy, hz * hz
-    length = flat + up  # 4 c^2
-
-    r = roughness.squeeze(-1)
-    alpha = alpha_of(r)
-    alpha2 = alpha * alpha
-    ratio = length / (flat + alpha2 * up)
-    density = alpha2 * ratio * ratio * INV_PI  # GGX's D
-    toward_viewer = smith_sum(zo, alpha2)
-    fresnel = fresnel_dielectric(0.5 * length.sqrt(), eta)
-    s = density * (fresnel * zi) / (toward_viewer * smith_sum(zi, alpha2))
-
-    fo, fi = _schlick(zo), _schlick(zi)
-    both, cosine = fo * fi, zi * INV_PI
-    retro = (0.5 * length) * r
-    d = cosine * ((1.0 - 0.5 * fo) * (1.0 - 0.5 * fi) + retro * (fo + fi - both + retro * both))
-
-    specular = 0.5 * density.detach() / toward_viewer.detach()
-    pdf = torch.where(zi > 0, (1.0 - specular_fraction) * cosine + specular_fraction * specular, 0.0)
-    return d, s, pdf
 
 
 @dataclass(frozen=True)
@@ -154,47 +101,54 @@ def principled_lobes_pdf(
 
 
 class Principled:
-    """A retro-reflecting diffuse lobe under a dielectric GGX lobe (metallic 0), samples drawn from either.
+    """A retro-reflecting diffuse lobe under a GGX lobe, samples drawn from either.
 
     ``f cos(wi) = albedo d + s`` with scalars d and s, as :meth:`lobes` gives them.
 
     Attributes:
         eta: refractive index of the specular lobe, inside over outside; 1.5 is Mitsuba's ``specular`` 0.5.
-        use_kernels: use the compiled kernels where they apply (float32 on the CPU).
-        specular_fraction: probability that a sample is drawn from the specular lobe; 0.5 as in Mitsuba.
+        metallic: 0 is a dielectric, 1 a metal, whose albedo is its reflectance at normal incidence.
+        use_kernels: use the compiled kernels where they apply (float32 on the CPU, no metal).
+        specular_fraction: probability that a sample is drawn from the specular lobe.
     """
 
     lambertian = False
     varying_weight = True
 
-    def __init__(self, eta: float = 1.5, use_kernels: bool = True, specular_fraction: float = 0.5) -> None:
+    def __init__(
+        self, eta: float = 1.5, use_kernels: bool = True, specular_fraction: float = 0.5, metallic: float = 0.0
+    ) -> None:
+        """``specular_fraction`` is that of a dielectric, 0.5 as in Mitsuba; metal draws less by the diffuse lobe."""
         self.eta = eta
-        self.specular_fraction = specular_fraction
-        self.use_kernels = use_kernels
+        self.metallic = metallic
+        self.use_kernels = use_kernels and metallic == 0.0
+        diffuse = (1.0 - specular_fraction) * (1.0 - metallic)
+        self.specular_fraction = (
+            specular_fraction if metallic == 0.0 else specular_fraction / (specular_fraction + diffuse)
+        )
 
     @classmethod
     def of(cls, model: PrincipledModel, specular_fraction: float) -> Self:
         """The implementation of a description."""
-        return cls(model.eta, specular_fraction=specular_fraction)
+        return cls(model.eta, specular_fraction=specular_fraction, metallic=model.metallic)
 
     def kernels(self, surface: Surface) -> PrincipledKernels | None:
         """The compiled lobes, where ``surface`` is float32 on the CPU and all of one model."""
-        if use_kernel(
-            self.use_kernels and surface.model is None, surface.albedo, surface.roughness, differentiable=True
-        ):
+        enabled = self.use_kernels and surface.model is None
+        if use_kernel(enabled, surface.albedo, surface.roughness, differentiable=True):
             return PrincipledKernels(self.eta, self.specular_fraction)
         return None
 
     def _lobes_pdf(self, surface: Surface, wo: Tensor, wi: Tensor) -> tuple[Tensor, Tensor, Tensor]:
-        function = principled_lobes_pdf if use_kernel(self.use_kernels, wo, differentiable=True) else lobes_pdf
-        return function(surface.roughness, wo, wi, self.eta, self.specular_fraction)
+        if use_kernel(self.use_kernels, wo, differentiable=True):
+            return principled_lobes_pdf(surface.roughness, wo, wi, self.eta, self.specular_fraction)
+        return lobes_pdf(surface.roughness, wo, wi, self.eta, self.specular_fraction, self.metallic)
 
     def _direction(self, surface: Surface, wo: Tensor, u: Tensor) -> Tensor:
         roughness = surface.roughness.detach()
         if use_kernel(self.use_kernels, wo, differentiable=True):
             return PrincipledKernels(self.eta, self.specular_fraction).direction(roughness, wo, u)
-        m = visible_normal(wo, alpha_of(roughness), u[:, 1:])
-        mirrored = 2.0 * dot(wo, m).unsqueeze(-1) * m - wo
+        mirrored = mirror(wo, visible_normal(wo, alpha_of(roughness), u[:, 1:]))
         return torch.where(u[:, :1] < 1.0 - self.specular_fraction, cosine_hemisphere(u[:, 1:]), mirrored)
 
     def lobes(self, roughness: Tensor, wo: Tensor, wi: Tensor) -> tuple[Tensor, Tensor]:
@@ -219,9 +173,7 @@ class Principled:
     def sample(self, surface: Surface, wo: Tensor, u: Tensor) -> BSDFSample:
         """Draw ``wi`` from ``u`` [n, 3]; the weight is differentiable in ``surface``, direction and pdf are not."""
         wi = self._direction(surface, wo, u)
-        value, pdf = self.eval_pdf(surface, wo, wi)
-        inverse = torch.where(pdf > 0, 1.0 / pdf, 0.0)  # not value / tiny: its gradient would overflow
-        return BSDFSample(wi, pdf, value * inverse.unsqueeze(-1))
+        return BSDFSample.of(wi, *self.eval_pdf(surface, wo, wi))
 
     def diffuse_fraction(self, surface: Surface, wo: Tensor) -> float | Tensor:
         """Probability of the diffuse lobe."""
@@ -229,4 +181,4 @@ class Principled:
 
     def mean_weight(self, surface: Surface, wo: Tensor) -> Tensor:
         """Mean of the weights of :meth:`sample` [n, 3], the directional albedo, differentiable in ``surface``."""
-        return directional_albedo(surface, wo[:, 2], self.eta) * (wo[:, 2:] > 0)
+        return directional_albedo(surface, wo[:, 2], self.eta, self.metallic) * (wo[:, 2:] > 0)

@@ -10,14 +10,16 @@ from torch import Tensor
 
 from neurad.bsdf.diffuse import Diffuse
 from neurad.bsdf.principled import Principled
+from neurad.bsdf.roughconductor import RoughConductor
 from neurad.core.protocols import BSDF, LobeKernels
 from neurad.core.records import BSDFSample, Surface
-from neurad.core.reflection import DiffuseModel, PrincipledModel, ReflectionModel
+from neurad.core.reflection import DiffuseModel, PrincipledModel, ReflectionModel, RoughConductorModel
 from neurad.scene.description import Features
 
 IMPLEMENTATIONS: dict[type[ReflectionModel], Callable[[Any, float], BSDF]] = {
     DiffuseModel: Diffuse.of,
     PrincipledModel: Principled.of,
+    RoughConductorModel: RoughConductor.of,
 }
 """What evaluates a description: called with it and with the probability of the specular lobe."""
 

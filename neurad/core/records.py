@@ -160,6 +160,12 @@ class BSDFSample(Lanes):
     weight: Tensor
     """f * cos(wi) / pdf [n, 3]; 0 where the sample is invalid."""
 
+    @classmethod
+    def of(cls, wi: Tensor, value: Tensor, pdf: Tensor) -> Self:
+        """A sample of known value f * cos(wi) [n, 3] and density [n]."""
+        inverse = torch.where(pdf > 0, 1.0 / pdf, 0.0)  # not value / tiny: its gradient would overflow
+        return cls(wi, pdf, value * inverse.unsqueeze(-1))
+
 
 @dataclass(frozen=True)
 class EmitterSample(Lanes):

@@ -80,15 +80,19 @@ class PrincipledModel(ReflectionModel):
 
     eta: float = 1.5
     """Refractive index of the specular lobe, inside over outside; 1.5 is ``specular`` 0.5."""
+    metallic: float = 0.0
+    """0 is a dielectric, 1 a metal, whose base colour is its reflectance at normal incidence."""
 
     @property
     def label(self) -> str:
-        """Mitsuba's plugin."""
-        return "principled"
+        """Mitsuba's plugin and what differs from its defaults."""
+        eta = "" if self.eta == 1.5 else f", eta {self.eta:g}"
+        return "principled" + eta + ("" if self.metallic == 0.0 else f", metallic {self.metallic:g}")
 
     def mitsuba(self, albedo: Any, roughness: Any) -> dict[str, Any]:
         """``principled``."""
-        return {"type": "principled", "base_color": albedo, "roughness": roughness, "eta": self.eta}
+        constants = {"eta": self.eta, "metallic": self.metallic}
+        return {"type": "principled", "base_color": albedo, "roughness": roughness, **constants}
 
 
 @dataclass(frozen=True)
@@ -130,6 +134,38 @@ class DielectricModel(ReflectionModel):
     def mitsuba(self, albedo: Any, roughness: Any) -> dict[str, Any]:
         """``dielectric``."""
         return {"type": "dielectric", "int_ior": self.eta, "ext_ior": 1.0}
+
+
+@dataclass(frozen=True)
+class RoughConductorModel(ReflectionModel):
+    """A metal with a GGX surface. The albedo is its reflectance at normal incidence, ``specular_reflectance`` included;
+    the roughness is the root of ``alpha``.
+    """
+
+    eta: tuple[float, float, float]
+    """Real part of the refractive index, by colour."""
+    k: tuple[float, float, float]
+    """Its imaginary part."""
+    alpha: float
+    """GGX width, the same in all directions."""
+
+    @property
+    def label(self) -> str:
+        """Mitsuba's plugin."""
+        return "roughconductor"
+
+    @property
+    def normal_reflectance(self) -> tuple[float, ...]:
+        """Reflectance of the bare metal at normal incidence, by colour."""
+        pairs = zip(self.eta, self.k, strict=True)
+        return tuple(((eta - 1.0) ** 2 + k * k) / ((eta + 1.0) ** 2 + k * k) for eta, k in pairs)
+
+    def mitsuba(self, albedo: Any, roughness: Any) -> dict[str, Any]:
+        """``roughconductor``, for an albedo that is constant."""
+        tint = [float(a) / n for a, n in zip(albedo["value"], self.normal_reflectance, strict=True)]
+        index = {key: {"type": "rgb", "value": list(value)} for key, value in (("eta", self.eta), ("k", self.k))}
+        width = {"distribution": "ggx", "alpha": self.alpha}
+        return {"type": "roughconductor", "specular_reflectance": {"type": "rgb", "value": tint}, **index, **width}
 
 
 @dataclass(frozen=True)

@@ -91,6 +91,15 @@ class Scene:
             models=tuple(dict.fromkeys(m.model for m in rough)),
         )
 
+    @property
+    def replaced(self) -> list[str]:
+        """Materials that a fit recovers with another model than they have, as ``name (model)``: all that are not smooth
+        and not on emitters alone, as those are known.
+        """
+        recovered = sorted({mesh.material for mesh in self.meshes if mesh.radiance is None})
+        used = [self.materials[i] for i in recovered if not self.materials[i].model.is_delta]
+        return [f"{m.name} ({m.model.label})" for m in used if m.model != self.features.fitted_model]
+
     @cached_property
     def bounds(self) -> FloatArray:
         """Smallest and largest corner of the geometry [2, 3]."""

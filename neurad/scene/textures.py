@@ -6,6 +6,7 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
+from neurad.core.errors import InputError
 from neurad.core.records import Bitmap, Constant, Surface, SurfaceInteraction, Texture, VertexAttribute
 from neurad.scene.description import Scene
 from neurad.scene.geometry import Geometry
@@ -19,13 +20,15 @@ class TrueMaterials(nn.Module):
         geometry: of the same scene.
 
     Raises:
-        InputError: a material reads a vertex attribute that no mesh has.
+        InputError: a material cannot be rendered, or it reads a vertex attribute that no mesh has.
     """
 
     model: Tensor
 
     def __init__(self, scene: Scene, geometry: Geometry) -> None:
         super().__init__()
+        if reason := next((model.unsupported for model in scene.features.models if model.unsupported), None):
+            raise InputError(reason)
         self.geometry = geometry
         self.albedo_table = TextureTable([m.albedo for m in scene.materials], 3)
         self.roughness_table = TextureTable([m.roughness for m in scene.materials], 1)

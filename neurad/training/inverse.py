@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from typing import Any, Literal
 
 import lightning as L
@@ -153,6 +154,8 @@ class InverseRenderer(L.LightningModule):
         self.processes = self.trainer.world_size
         data = self.trainer.datamodule  # type: ignore[attr-defined]
         begins = self.iteration == 0
+        if self.settings.materials == "fit" and self.scene.replaced and self.trainer.is_global_zero:
+            print(f"neurad: to be recovered as principled: {', '.join(self.scene.replaced)}", file=sys.stderr)
         with self.world.tracer.uncounted(not begins):  # a continued run counted its camera rays when it began
             views = prepare_views(self.assembly, data, self.device, check_brightness=begins)
         with excluded(), self.world.tracer.uncounted():

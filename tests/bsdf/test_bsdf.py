@@ -5,11 +5,13 @@ import math
 import numpy as np
 import pytest
 import torch
+from helpers.directions import directions, toward, uniform
 from helpers.oracles import accept, chi2_test, z_test_samples
 
+from neurad.bsdf.burley import lobes_pdf
 from neurad.bsdf.delta import scatter
 from neurad.bsdf.diffuse import Diffuse
-from neurad.bsdf.principled import Principled, lobes_pdf, principled_lobes_pdf
+from neurad.bsdf.principled import Principled, principled_lobes_pdf
 from neurad.bsdf.table import make_bsdf
 from neurad.core.records import Surface
 from neurad.core.reflection import DiffuseModel, PrincipledModel
@@ -18,29 +20,12 @@ from neurad.scene.description import Features
 GRAZING = 0.02
 
 
-def directions(count, seed=0, upper=True, dtype=torch.float32):
-    generator = torch.Generator().manual_seed(seed)
-    w = torch.nn.functional.normalize(torch.randn(count, 3, generator=generator, dtype=torch.float64), dim=-1)
-    if upper:
-        w[:, 2] = w[:, 2].abs()
-    return w.to(dtype)
-
-
-def uniform(*shape, seed=0, dtype=torch.float32):
-    return torch.rand(*shape, generator=torch.Generator().manual_seed(seed), dtype=torch.float64).to(dtype)
-
-
 def surface(count, albedo=0.5, roughness=0.5, dtype=torch.float32):
     return Surface(torch.full((count, 3), albedo, dtype=dtype), torch.full((count, 1), roughness, dtype=dtype))
 
 
 def random_surface(count, seed=0, dtype=torch.float32):
     return Surface(uniform(count, 3, seed=seed, dtype=dtype), uniform(count, 1, seed=seed + 1, dtype=dtype))
-
-
-def toward(cos, phi=0.7, count=1, dtype=torch.float32):
-    sin = math.sqrt(1 - cos * cos)
-    return torch.tensor([[sin * math.cos(phi), sin * math.sin(phi), cos]], dtype=dtype).expand(count, 3)
 
 
 @pytest.fixture(scope="module")

@@ -13,6 +13,7 @@ from PIL import Image
 
 from neurad.core.errors import InputError
 from neurad.core.records import Bitmap, Rays
+from neurad.core.reflection import DiffuseModel
 from neurad.scene.geometry import Geometry
 from neurad.scene.image_io import write_exr
 from neurad.scene.load import load_scene, read_folder
@@ -281,6 +282,29 @@ def written(name, text):
     return lambda folder: (folder / name).write_text(text)
 
 
+PNG = '<texture type="bitmap" name="{}"><string name="filename" value="textures/paint.png"/></texture>'
+
+
+def set_paint(parameter):
+    """Adds a parameter to the floor's principled BSDF."""
+    return replaced("scene.xml", "</bsdf></bsdf>", parameter + "</bsdf></bsdf>")
+
+
+def inside(plugin):
+    """Puts the floor's BSDF into another one."""
+
+    def spoil(folder):
+        replaced("scene.xml", '<bsdf type="principled">', f'<bsdf type="{plugin}"><bsdf type="principled">')(folder)
+        replaced("scene.xml", "</bsdf></bsdf>", "</bsdf></bsdf></bsdf>")(folder)
+
+    return spoil
+
+
+def as_floor(bsdf):
+    """Gives the floor another BSDF."""
+    return replaced("scene.xml", '<ref id="paint"/>', bsdf)
+
+
 def binary_mesh(value):
     head = "".join(f"property float {c}\n" for c in "xyz")
     head = f"ply\nformat binary_little_endian 1.0\nelement vertex 3\n{head}element face 1\n"
@@ -332,11 +356,15 @@ BAD = {
     "sphere": (replaced("scene.xml", '"rectangle"', '"sphere"'), r"shape lamp is a sphere"),
     "hair": (replaced("scene.xml", 'shape type="rectangle"', 'shape type="bsplinecurve"'), r"lamp has type bspline"),
     "rough plastic": (replaced("scene.xml", '"diffuse"', '"roughplastic"'), r"shape lamp has type roughplastic"),
-    "metallic": (replaced("scene.xml", "</bsdf></bsdf>", '<float name="metallic" value="1"/></bsdf></bsdf>'),
-                 r"bsdf paint of shape floor sets metallic"),
-    "checkerboard": (replaced("scene.xml", '"bitmap"', '"checkerboard"'), r"base_color of bsdf paint .*checkerboard"),
-    "nearest texel": (replaced("scene.xml", "</texture>", '<string name="filter_type" value="nearest"/></texture>'),
-                      r"bitmap for base_color of bsdf paint of shape floor sets filter_type"),
+    "opacity mask": (inside("mask"), r"bsdf paint of shape floor has type mask, .* let light through"),
+    "transparent": (set_paint('<float name="spec_trans" value="1"/>'), r"bsdf paint of shape floor sets spec_trans"),
+    "glass that is rough": (
+        replaced("scene.xml", '<bsdf type="principled">', '<bsdf type="roughdielectric"/><bsdf type="principled">'),
+        r"bsdf paint of shape floor is twosided with 2 BSDFs"),
+    "thin glass": (replaced("scene.xml", '"diffuse"', '"thindielectric"'), r"shape lamp has type thindielectric"),
+    "bumpy mirror": (
+        as_floor(f'<bsdf type="normalmap"><bsdf type="conductor"/>{PNG.format("normalmap")}</bsdf>'),
+        r"is a normalmap on a smooth surface"),
     "reflectance above 1": (replaced("scene.xml", "0.1, 0.2, 0.3", "2, 2, 2"), r"reflectance of bsdf .*\[0, 1\]"),
     "textured light": (
         replaced("scene.xml", '<rgb name="radiance" value="1, 2, 3"/>',
@@ -352,6 +380,74 @@ BAD = {
                  '<texture type="mesh_attribute" name="roughness"><string name="name" value="vertex_r"/></texture>'),
         r"shape floor has no vertex attribute vertex_r"),
 }  # fmt: skip
+
+
+REPLACED = {
+    "clearcoat": (set_paint('<float name="clearcoat" value="1"/>'), r"paint of shape floor sets clearcoat"),
+    "textured metallic": (
+        set_paint(PNG.format("metallic")),
+        r"metallic of bsdf paint of shape floor is textured"),
+    "checkerboard": (replaced("scene.xml", '"bitmap"', '"checkerboard"'), r"base_color of bsdf paint .*checkerboard"),
+    "nearest texel": (replaced("scene.xml", "</texture>", '<string name="filter_type" value="nearest"/></texture>'),
+                      r"bitmap for base_color of bsdf paint of shape floor sets filter_type"),
+    "bump map": (inside("bumpmap"), r"bsdf paint of shape floor has type bumpmap"),
+    "plastic": (as_floor('<bsdf type="plastic"/>'), r"of shape floor has type plastic"),
+    "blend": (as_floor('<bsdf type="blendbsdf"><float name="weight" value="0.5"/><bsdf type="diffuse"/>'
+                       '<bsdf type="plastic"/></bsdf>'), r"of shape floor has type blendbsdf"),
+    "beckmann": (as_floor('<bsdf type="roughconductor"/>'), r"of shape floor has distribution beckmann"),
+    "brushed metal": (
+        as_floor('<bsdf type="roughconductor"><string name="distribution" value="ggx"/>'
+                 '<float name="alpha_u" value="0.1"/><float name="alpha_v" value="0.2"/></bsdf>'),
+        r"of shape floor has alpha_u and alpha_v"),
+}  # fmt: skip
+"""What a fit replaces, and what is said to those who want the true material."""
+
+
+@pytest.mark.parametrize("case", REPLACED)
+def test_what_cannot_be_rendered_is_left_to_a_fit(tmp_path, case):
+    folder = write_scene(tmp_path / "room")
+    spoil, said = REPLACED[case]
+    spoil(folder)
+    scene = load_scene(str(folder), None)
+    (line,) = scene.replaced
+    assert line.startswith(scene.materials[0].name + " (")
+    assert scene.materials[0].two_sided == (case not in ("plastic", "blend", "beckmann", "brushed metal"))
+    with pytest.raises(InputError, match=said) as caught:
+        TrueMaterials(scene, Geometry(scene))
+    assert "\n" not in str(caught.value)
+
+
+def test_the_bump_map_that_is_ignored_is_named(tmp_path):
+    folder = write_scene(tmp_path / "room")
+    inside("bumpmap")(folder)
+    assert load_scene(str(folder), None).replaced == ["paint (principled, bumpmap ignored)"]
+
+
+def test_an_emitter_keeps_what_it_has(tmp_path):
+    """Its reflectance is part of the light: it is not replaced, so that of one that is not supported is refused."""
+    folder = write_scene(tmp_path / "room")
+    assert load_scene(str(folder), None).replaced == []
+    replaced("scene.xml", '"diffuse"', '"plastic"')(folder)
+    with pytest.raises(InputError, match=r"shape lamp has type plastic.* emitter, lamp"):
+        load_scene(str(folder), None)
+
+
+def test_constants_of_models(tmp_path):
+    folder = write_scene(tmp_path / "room")
+    set_paint('<float name="metallic" value="0.75"/><float name="specular" value="0.3"/>')(folder)
+    (model, lamp) = (m.model for m in load_scene(str(folder), None).materials)
+    assert (model.label, lamp) == ("principled, eta 1.36664, metallic 0.75", DiffuseModel())
+    gold = mi.load_dict({"type": "roughconductor", "material": "Au", "distribution": "ggx"})
+    metal = (
+        '<bsdf type="roughconductor"><string name="material" value="Au"/><string name="distribution" value="ggx"/>'
+        '<float name="alpha" value="0.04"/><rgb name="specular_reflectance" value="0.5, 1, 1"/></bsdf>'
+    )
+    replaced("scene.xml", '<ref id="paint"/>', metal)(folder)
+    material = load_scene(str(folder), None).materials[0]
+    np.testing.assert_allclose(material.model.k, list(mi.traverse(gold)["k.value"]), rtol=1e-6)
+    normal = np.array(material.model.normal_reflectance)
+    np.testing.assert_allclose(material.albedo.value, normal * [0.5, 1, 1], rtol=1e-6)
+    assert material.roughness.value == pytest.approx(0.2)
 
 
 @pytest.mark.parametrize("case", BAD)

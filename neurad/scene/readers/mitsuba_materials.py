@@ -1,19 +1,35 @@
-"""BSDFs and textures of a Mitsuba scene file as :class:`~neurad.core.records.Material` records."""
+"""BSDFs of a Mitsuba scene file as :class:`~neurad.core.records.Material` records.
+
+Smooth conductors and dielectrics are read as they are, as paths pass through them in a fit, too. Of the other BSDFs
+those that can be rendered are read with their parameters. What is opaque but cannot be rendered becomes an
+:class:`~neurad.core.reflection.UnsupportedModel`: a fit recovers such a surface as principled, and whoever wants its
+true material gets the reason. Bump and normal maps are ignored in the same way: they turn shading normals only, not the
+surface, so light travels as before and the fit sees the mean of what they do. BSDFs that let light through, opacity
+masks first of all, change what is seen behind them and are refused.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from neurad.core.colour import LUMINANCE
 from neurad.core.errors import InputError
 from neurad.core.records import Bitmap, Constant, FloatArray, Material, Texture, VertexAttribute
-from neurad.core.reflection import ConductorModel, DielectricModel, DiffuseModel, PrincipledModel
-from neurad.scene.image_io import read_bitmap
+from neurad.core.reflection import (
+    ConductorModel,
+    DielectricModel,
+    DiffuseModel,
+    PrincipledModel,
+    ReflectionModel,
+    RoughConductorModel,
+    UnsupportedModel,
+)
+from neurad.scene.readers.mitsuba_textures import TextureReader, Unsupported
 
-_LUMINANCE = np.array(LUMINANCE, np.float32)  # Mitsuba's, for a scalar from a colour bitmap
 _GREY = Constant(np.full(3, 0.5, np.float32))
 _BLACK = Constant(np.zeros(3, np.float32))
 _ONES = Constant(np.ones(3, np.float32))
@@ -22,11 +38,20 @@ _SMOOTH = Constant(np.zeros(1, np.float32))
 
 _IRRELEVANT = ("diffuse_reflectance_sampling_rate", "main_specular_sampling_rate", "clearcoat_sampling_rate",
                "clearcoat_gloss", "spec_tint", "sheen_tint")  # fmt: skip
-_DEFAULTS = {"specular": 0.5, "eta": 1.5}  # the same thing said in two ways; all other parameters have to be 0
-_BITMAP_DEFAULTS = {"filter_type": ("bilinear",), "wrap_mode": ("repeat",)}
-_BITMAP_KNOWN = ("filename", "raw", "to_uv", "format", "accel")
-_PLANE = (0, 1, 3)  # rows and columns of a transform of space that act on homogeneous uv
-_BY_MITSUBA = (".hdr", ".rgbe", ".pfm")
+_OPAQUE = ("plastic", "pplastic", "roughplastic", "phong", "ward", "measured")
+"""BSDFs that cannot be rendered, but let no light through."""
+_NORMALS = ("bumpmap", "normalmap")
+"""What turns shading normals."""
+
+
+@dataclass(frozen=True)
+class _Read:
+    """What the parameters of a BSDF say."""
+
+    model: ReflectionModel
+    albedo: Texture = _GREY
+    roughness: Texture = _SMOOTH
+    two_sided: bool = False
 
 
 class MaterialReader:
@@ -34,16 +59,26 @@ class MaterialReader:
 
     Attributes:
         materials: what has been converted so far.
+        textures: reads image files.
     """
 
     def __init__(self, mi: Any, path: Path, nodes: Any) -> None:
         self.mi = mi
         self.path = path
-        self.nodes = nodes
+        self.textures = TextureReader(mi, path, nodes)
         self.materials: list[Material] = []
         self._index: dict[tuple[int, int], int] = {}
-        self._pixels: dict[tuple[str, bool], FloatArray] = {}
-        self._scalar: dict[tuple[str, bool], FloatArray] = {}
+        self._readers: dict[str, Callable[[Any, str], _Read]] = {
+            "principled": self._principled,
+            "diffuse": self._diffuse,
+            "conductor": self._conductor,
+            "dielectric": self._dielectric,
+            "roughconductor": self._rough_conductor,
+            "twosided": self._two_sided,
+            "blendbsdf": self._blend,
+            **dict.fromkeys(_OPAQUE, self._opaque),
+            **dict.fromkeys(_NORMALS, self._turned_normals),
+        }
 
     def index(self, node: Any | None, shape: str, shines: bool) -> int:
         """The index in ``materials`` of a BSDF node; a shape without one gets Mitsuba's default.
@@ -54,14 +89,18 @@ class MaterialReader:
             shines: whether the shape is an emitter: its default is black, that of others is grey.
 
         Raises:
-            InputError: a type or parameter that neurad does not render; it names the shape.
+            InputError: a BSDF that lets light through in a way that is not supported, or one of an emitter, which a fit
+                does not replace, whose reflectance is not known; it names the shape.
         """
         key = (-1, int(shines)) if node is None else (node.file_index, node.offset)
         if key not in self._index:
             default = Material("default", DiffuseModel(), _BLACK if shines else _GREY, _SMOOTH, False)
-            material = default if node is None else self._bsdf(node, shape)
+            material = default if node is None else self._material(node, shape)
             self._index[key] = len(self.materials)
             self.materials.append(material)
+        model = self.materials[self._index[key]].model
+        if shines and model.unsupported:
+            raise InputError(f"{model.unsupported}; it is the BSDF of an emitter, {shape}, which has to be known")
         return self._index[key]
 
     def attributes(self, material: int) -> set[str]:
@@ -69,110 +108,136 @@ class MaterialReader:
         described = self.materials[material]
         return {t.name for t in (described.albedo, described.roughness) if isinstance(t, VertexAttribute)}
 
-    def pixels(self, filename: str, raw: bool) -> FloatArray:
-        """The linear pixels [h, w, 1 or 3] of an image file beside the scene file, read once."""
-        key = (filename, raw)
-        if key not in self._pixels:
-            file = self.path.parent / filename
-            if file.suffix.lower() in _BY_MITSUBA and file.is_file():
-                bitmap = self.mi.Bitmap(str(file))
-                rgb = bitmap.convert(self.mi.Bitmap.PixelFormat.RGB, self.mi.Struct.Type.Float32, srgb_gamma=False)
-                self._pixels[key] = np.array(rgb, np.float32)
-            else:
-                self._pixels[key] = read_bitmap(file, raw)
-        return self._pixels[key]
+    def _material(self, node: Any, shape: str) -> Material:
+        inner = node
+        while inner.props.plugin_name() == "twosided" and len(inside := self._inside(inner)) == 1:
+            inner = inside[0]
+        name = node.props.id() or inner.props.id() or f"{inner.props.plugin_name()} {len(self.materials)}"
+        read = self._read(node, f"bsdf {name} of shape {shape}")
+        return Material(name, read.model, read.albedo, read.roughness, read.two_sided)
 
-    def _bsdf(self, node: Any, shape: str) -> Material:
-        name, two_sided = node.props.id(), False
-        if node.props.plugin_name() == "twosided":
-            inner = [self._referred(node, key) for key in self._references(node)]
-            if len(inner) != 1:
-                raise InputError(
-                    f"{self.path}: bsdf {name} of shape {shape} is twosided with {len(inner)} BSDFs inside"
-                )
-            node, two_sided = inner[0], True
+    def _read(self, node: Any, where: str) -> _Read:
         plugin = node.props.plugin_name()
-        name = name or node.props.id() or f"{plugin} {len(self.materials)}"
-        where = f"bsdf {name} of shape {shape}"
-        if plugin == "principled":
-            self._check_principled(node, where)
-            albedo = self._texture(node, "base_color", where, _GREY)
-            roughness = self._texture(node, "roughness", where, _HALF, scalar=True)
-            return Material(name, PrincipledModel(), albedo, roughness, two_sided)
-        if plugin == "diffuse":
-            return Material(name, DiffuseModel(), self._texture(node, "reflectance", where, _GREY), _SMOOTH, two_sided)
-        if plugin == "conductor":
-            return Material(name, ConductorModel(), self._mirror(node, where), _SMOOTH, two_sided)
-        if plugin == "dielectric":
-            return Material(name, DielectricModel(self._eta(node, where)), _ONES, _SMOOTH)
-        known = "principled, diffuse, conductor, dielectric, twosided"
-        raise InputError(f"{self.path}: {where} has type {plugin}, which is not supported; there are: {known}")
-
-    def _references(self, node: Any) -> list[str]:
-        wanted = self.mi.Properties.Type.ResolvedReference
-        return [key for key in node.props if node.props.type(key) == wanted]
-
-    def _referred(self, node: Any, key: str) -> Any:
-        return self.nodes[node.props[key].index()]
-
-    def _check_principled(self, node: Any, where: str) -> None:
-        for key in node.props:
-            if key in ("base_color", "roughness", *_IRRELEVANT):
-                continue
-            value, wanted = node.props[key], _DEFAULTS.get(key, 0.0)
-            if not isinstance(value, int | float) or abs(value - wanted) > 1e-6:
-                raise InputError(f"{self.path}: {where} sets {key}, which is not supported (leave it at {wanted:g})")
-
-    def _texture(self, node: Any, key: str, where: str, default: Constant, scalar: bool = False) -> Texture:
-        """The texture under ``key``: three channels, or one if ``scalar``; one channel may stand for three."""
-        props = node.props
-        if key not in props:
-            return default
-        if key in self._references(node):
-            return self._textured(self._referred(node, key), key, where, scalar)
-        if isinstance(props[key], int | float):  # a number is not clipped to [0, 1] as a reflectance spectrum is
-            return Constant(np.full(1 if scalar else 3, props[key], np.float32))
-        try:
-            texture = props.get_texture(key)
-        except RuntimeError as error:
-            raise InputError(f"{self.path}: the {key} of {where} is not a colour in [0, 1]") from error
-        value = np.array(texture.eval(self.mi.SurfaceInteraction3f()), np.float32).reshape(-1) * np.ones(3, np.float32)
-        return Constant((value @ _LUMINANCE).reshape(1) if scalar else value)
-
-    def _textured(self, node: Any, key: str, where: str, scalar: bool) -> Texture:
-        plugin, props = node.props.plugin_name(), node.props
-        if plugin == "mesh_attribute":
-            if abs(float(props.get("scale", 1.0)) - 1.0) > 1e-6:
-                raise InputError(f"{self.path}: the {key} of {where} sets scale, which is not supported")
-            return VertexAttribute(str(props["name"]))
-        if plugin != "bitmap":
+        if plugin not in self._readers:
             raise InputError(
-                f"{self.path}: the {key} of {where} is a texture of type {plugin}; there are: bitmap, mesh_attribute"
+                f"{self.path}: {where} has type {plugin}, which is not supported, nor can a fit replace what may let "
+                "light through"
             )
-        for name in props:
-            if name not in _BITMAP_KNOWN and props[name] not in _BITMAP_DEFAULTS.get(name, ()):
-                raise InputError(f"{self.path}: the bitmap for {key} of {where} sets {name}, which is not supported")
-        if "filename" not in props:
-            raise InputError(f"{self.path}: the bitmap for {key} of {where} has no filename")
-        to_uv = np.eye(3, dtype=np.float32)
-        if "to_uv" in props:
-            to_uv = np.array(props["to_uv"].matrix, np.float32)[np.ix_(_PLANE, _PLANE)]
-        file = (str(props["filename"]), bool(props.get("raw", False)))
-        return Bitmap(self._one_channel(*file) if scalar else self.pixels(*file), to_uv)
+        try:
+            return self._readers[plugin](node, where)
+        except Unsupported as error:
+            return _Read(UnsupportedModel(plugin, str(error)), roughness=_HALF)
 
-    def _one_channel(self, filename: str, raw: bool) -> FloatArray:
-        key = (filename, raw)
-        if key not in self._scalar:
-            pixels = self.pixels(filename, raw)
-            self._scalar[key] = pixels if pixels.shape[2] == 1 else (pixels @ _LUMINANCE)[..., None]
-        return self._scalar[key]
+    def _inside(self, node: Any) -> list[Any]:
+        return [child for child in self.textures.references(node).values() if child.type.name == "BSDF"]
 
-    def _plain(self, node: Any, where: str) -> dict[str, Any]:
-        """A BSDF without textures, for ``load_dict``."""
-        if texture := next(iter(self._references(node)), None):
-            raise InputError(f"{self.path}: the {texture} of {where} is textured, which is not supported")
+    # ---- BSDFs that can be rendered
+
+    def _principled(self, node: Any, where: str) -> _Read:
         props = node.props
-        return {"type": props.plugin_name(), **{key: props[key] for key in props}}
+        if self.textures.number(node, "spec_trans", where, 0.0) != 0.0:
+            raise InputError(f"{self.path}: {where} sets spec_trans, which lets light through and is not supported")
+        for key in props:
+            known = ("base_color", "roughness", "metallic", "specular", "eta", *_IRRELEVANT)
+            if key not in known and self.textures.number(node, key, where, 0.0) != 0.0:
+                raise Unsupported(f"{self.path}: {where} sets {key}, which is not supported (leave it at 0)")
+        eta = self.textures.number(node, "eta", where, 1.5)
+        if "specular" in props:
+            eta = 2.0 / (1.0 - (0.08 * self.textures.number(node, "specular", where, 0.5)) ** 0.5) - 1.0
+        model = PrincipledModel(float(np.round(max(eta, 1.001), 6)), self.textures.number(node, "metallic", where, 0.0))
+        albedo = self.textures.texture(node, "base_color", where, _GREY)
+        return _Read(model, albedo, self.textures.texture(node, "roughness", where, _HALF, scalar=True))
+
+    def _diffuse(self, node: Any, where: str) -> _Read:
+        return _Read(DiffuseModel(), self.textures.texture(node, "reflectance", where, _GREY))
+
+    def _conductor(self, node: Any, where: str) -> _Read:
+        """A smooth conductor with its reflectance at normal incidence."""
+        bsdf = self._load(self._plain(node, where), where)
+        si = self.mi.SurfaceInteraction3f()
+        si.wi = self.mi.Vector3f(0.0, 0.0, 1.0)
+        weight = bsdf.sample(self.mi.BSDFContext(), si, 0.5, self.mi.Point2f(0.5, 0.5))[1]
+        return _Read(ConductorModel(), Constant(np.array(weight, np.float32)))
+
+    def _dielectric(self, node: Any, where: str) -> _Read:
+        """A smooth dielectric with its refractive index, inside over outside."""
+        described = self._plain(node, where)
+        for key in ("specular_reflectance", "specular_transmittance"):
+            if described.get(key, 1.0) != 1.0:
+                raise InputError(f"{self.path}: {where} sets {key}, which is not supported")
+        eta = float(self.mi.traverse(self._load(described, where))["eta"])
+        return _Read(DielectricModel(eta), _ONES, two_sided=True)
+
+    def _rough_conductor(self, node: Any, where: str) -> _Read:
+        alpha = self._alpha(node, where)
+        described = self._plain(node, where, but=("specular_reflectance",))
+        loaded = self.mi.traverse(self._load(described, where))
+        eta, k = (self._colour(loaded[f"{key}.value"]) for key in ("eta", "k"))
+        model = RoughConductorModel(eta, k, alpha)
+        if min(model.normal_reflectance) == 0.0:
+            raise InputError(f"{self.path}: {where} has a refractive index of 1 in some colour, which reflects nothing")
+        tint = self.textures.texture(node, "specular_reflectance", where, _ONES)
+        normal = np.array(model.normal_reflectance, np.float32)
+        return _Read(model, self._scaled(tint, normal, where), _root(alpha))
+
+    # ---- BSDFs around others
+
+    def _two_sided(self, node: Any, where: str) -> _Read:
+        inner = self._inside(node)
+        if len(inner) != 1:
+            raise InputError(f"{self.path}: {where} is twosided with {len(inner)} BSDFs inside")
+        return replace(self._read(inner[0], where), two_sided=True)
+
+    def _blend(self, node: Any, where: str) -> _Read:
+        inner = [self._read(child, where) for child in self._inside(node)]
+        if any(read.model.delta and read.model.delta.transmits for read in inner):
+            raise InputError(f"{self.path}: {where} blends in a dielectric, which is not supported")
+        reason = f"{self.path}: {where} has type blendbsdf, which is not supported"
+        return _Read(UnsupportedModel("blendbsdf", reason), two_sided=any(read.two_sided for read in inner))
+
+    def _turned_normals(self, node: Any, where: str) -> _Read:
+        plugin, inner = node.props.plugin_name(), [self._read(child, where) for child in self._inside(node)]
+        if len(inner) != 1 or inner[0].model.is_delta:
+            raise InputError(f"{self.path}: {where} is a {plugin} on a smooth surface, which is not supported")
+        reason = f"{self.path}: {where} has type {plugin}, which is not supported"
+        return replace(inner[0], model=UnsupportedModel(f"{inner[0].model.label}, {plugin} ignored", reason))
+
+    def _opaque(self, node: Any, where: str) -> _Read:
+        known = "principled, diffuse, conductor, dielectric, roughconductor, twosided"
+        plugin = node.props.plugin_name()
+        raise Unsupported(f"{self.path}: {where} has type {plugin}, which is not supported; there are: {known}")
+
+    # ---- parameters
+
+    def _alpha(self, node: Any, where: str) -> float:
+        """The GGX width of a rough BSDF."""
+        distribution = node.props.get("distribution", "beckmann")
+        if distribution != "ggx":
+            raise Unsupported(f"{self.path}: {where} has distribution {distribution}, of which only ggx is supported")
+        one = self.textures.number(node, "alpha", where, 0.1)
+        u, v = (self.textures.number(node, key, where, one) for key in ("alpha_u", "alpha_v"))
+        if u != v:
+            raise Unsupported(f"{self.path}: {where} has alpha_u and alpha_v that differ, which is not supported")
+        return max(u, 1e-4)  # as Mitsuba has it
+
+    def _scaled(self, texture: Texture, factor: FloatArray, where: str) -> Texture:
+        """A texture of three channels times a colour."""
+        if isinstance(texture, Constant):
+            return Constant(texture.value * factor)
+        if isinstance(texture, Bitmap):
+            return replace(texture, pixels=texture.pixels * factor)
+        raise Unsupported(f"{self.path}: the reflectance of {where} is a mesh attribute, which is not supported")
+
+    def _colour(self, value: Any) -> tuple[float, float, float]:
+        r, g, b = np.array(value, np.float64).reshape(-1) * np.ones(3)
+        return float(r), float(g), float(b)
+
+    def _plain(self, node: Any, where: str, but: tuple[str, ...] = ()) -> dict[str, Any]:
+        """A BSDF without textures, for ``load_dict``, and without the parameters ``but``."""
+        props = node.props
+        if texture := next((key for key in self.textures.references(node) if key not in but), None):
+            raise InputError(f"{self.path}: the {texture} of {where} is textured, which is not supported")
+        return {"type": props.plugin_name(), **{key: props[key] for key in props if key not in but}}
 
     def _load(self, described: dict[str, Any], where: str) -> Any:
         try:
@@ -180,18 +245,7 @@ class MaterialReader:
         except (RuntimeError, TypeError) as error:
             raise InputError(f"{self.path}: {where} has parameters that Mitsuba does not accept") from error
 
-    def _mirror(self, node: Any, where: str) -> Constant:
-        """Reflectance of a smooth conductor at normal incidence [3]."""
-        bsdf = self._load(self._plain(node, where), where)
-        si = self.mi.SurfaceInteraction3f()
-        si.wi = self.mi.Vector3f(0.0, 0.0, 1.0)
-        weight = bsdf.sample(self.mi.BSDFContext(), si, 0.5, self.mi.Point2f(0.5, 0.5))[1]
-        return Constant(np.array(weight, np.float32))
 
-    def _eta(self, node: Any, where: str) -> float:
-        """Refractive index of a smooth dielectric, inside over outside."""
-        described = self._plain(node, where)
-        for key in ("specular_reflectance", "specular_transmittance"):
-            if described.get(key, 1.0) != 1.0:
-                raise InputError(f"{self.path}: {where} sets {key}, which is not supported")
-        return float(self.mi.traverse(self._load(described, where))["eta"])
+def _root(alpha: float) -> Constant:
+    """The Burley roughness of a GGX width."""
+    return Constant(np.full(1, alpha**0.5, np.float32))

@@ -193,7 +193,7 @@ class _Reader:
         elif plugin == "envmap":
             if "filename" not in props:
                 raise InputError(f"{self.path}: its envmap has no filename")
-            pixels = self.materials.pixels(props["filename"], raw=False)
+            pixels = self.materials.textures.pixels(props["filename"], raw=False)
             if not np.isfinite(pixels).all() or pixels.min() < 0:
                 raise InputError(f"{self.path.parent / props['filename']}: it has negative, NaN or infinite pixels")
             pixels = np.broadcast_to(pixels, (*pixels.shape[:2], 3)) * np.float32(props.get("scale", 1.0))

@@ -1,0 +1,58 @@
+"""The two lobes of Burley's model in plain torch."""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from neurad.bsdf.microfacet import alpha_of, fresnel_dielectric, ggx_reflection
+from neurad.core.sampling import INV_PI
+
+
+def _schlick(z: Tensor) -> Tensor:
+    """``(1 - z)^5`` [n]."""
+    m = (1.0 - z).clamp_min(0.0)
+    m2 = m * m
+    return m2 * m2 * m
+
+
+def lobes_pdf(
+    roughness: Tensor, wo: Tensor, wi: Tensor, eta: float, specular_fraction: float = 0.5, metallic: float = 0.0
+) -> tuple[Tensor, Tensor, Tensor]:
+    """Diffuse and specular lobe and the density; any device and dtype, differentiable in roughness.
+
+    With h the normalised ``wo + wi`` and ``c = h.wo = |wo + wi| / 2``:
+    ``d = cos / pi ((1 - Fo/2)(1 - Fi/2) + R (Fo + Fi + Fo Fi (R - 1)))``, ``R = 2 roughness c^2`` (Burley 2012, 5.3,
+    with the retro-reflection of Burley 2015), ``s = F g`` with the GGX reflection g of
+    :func:`~neurad.bsdf.microfacet.ggx_reflection`, and ``pdf = (1 - p) cos / pi + p pdf_ggx``.
+
+    Metal blends in Schlick's ``albedo + (1 - albedo) (1 - c)^5`` in place of F and of the diffuse lobe, which is linear
+    in the albedo, too: ``f cos = albedo d + s`` holds for every ``metallic``.
+
+    Args:
+        roughness: [n, 1].
+        wo: towards the viewer, local [n, 3].
+        wi: towards the light, local [n, 3].
+        eta: refractive index, inside over outside.
+        specular_fraction: probability p of the specular lobe.
+        metallic: 0 is a dielectric, 1 a metal.
+
+    Returns:
+        d [n] and s [n] with ``f cos(wi) = albedo d + s``, and the detached pdf [n].
+    """
+    r = roughness.squeeze(-1)
+    ggx, ggx_pdf, c = ggx_reflection(wo, wi, alpha_of(r))
+    zo = wo[:, 2].clamp_min(0.0)
+    zi = torch.where(wo[:, 2] > 0, wi[:, 2].clamp_min(0.0), 0.0)
+    s = fresnel_dielectric(c, eta) * ggx
+
+    fo, fi = _schlick(zo), _schlick(zi)
+    both, cosine = fo * fi, zi * INV_PI
+    retro = (2.0 * c * c) * r
+    d = cosine * ((1.0 - 0.5 * fo) * (1.0 - 0.5 * fi) + retro * (fo + fi - both + retro * both))
+    if metallic > 0.0:
+        grazing = _schlick(c)
+        d = (1.0 - metallic) * d + metallic * (1.0 - grazing) * ggx
+        s = (1.0 - metallic) * s + metallic * grazing * ggx
+    pdf = torch.where(zi > 0, (1.0 - specular_fraction) * cosine + specular_fraction * ggx_pdf, 0.0)
+    return d, s, pdf

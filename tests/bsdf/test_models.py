@@ -1,0 +1,228 @@
+"""Models with constants of their own, for known surfaces: against Mitsuba, against statistics and in a table."""
+
+import math
+
+import numpy as np
+import pytest
+import torch
+from helpers.directions import directions, toward, uniform
+from helpers.oracles import accept, chi2_test, z_test_samples
+
+from neurad.bsdf.table import IMPLEMENTATIONS, make_bsdf
+from neurad.core.records import Surface
+from neurad.core.reflection import DiffuseModel, PrincipledModel, RoughConductorModel
+from neurad.scene.description import Features
+
+COPPER = (0.2, 0.92, 1.1), (3.91, 2.45, 2.14)
+WHITE = (0.0, 0.0, 0.0), (1.0, 1.0, 1.0)
+MODELS = {
+    "metal": PrincipledModel(metallic=1.0),
+    "half a metal": PrincipledModel(eta=1.3, metallic=0.4),
+    "dense": PrincipledModel(eta=2.0),
+    "copper": RoughConductorModel(*COPPER, 0.15),
+    "matte copper": RoughConductorModel(*COPPER, 0.6),
+    "white metal": RoughConductorModel(*WHITE, 0.3),
+}
+
+
+def bsdf_of(model, specular_fraction=0.5):
+    return IMPLEMENTATIONS[type(model)](model, specular_fraction)
+
+
+def surfaces(model, count, seed=0):
+    """Random roughness from 0.15 and random base colours, those of metals at most the reflectance of the bare metal."""
+    limit = torch.tensor(getattr(model, "normal_reflectance", (1.0, 1.0, 1.0)))
+    return Surface((0.05 + 0.9 * uniform(count, 3, seed=seed)) * limit, 0.15 + 0.85 * uniform(count, 1, seed=seed + 1))
+
+
+@pytest.fixture(scope="module")
+def mi():
+    mitsuba = pytest.importorskip("mitsuba")
+    before = mitsuba.variant()
+    mitsuba.set_variant("scalar_rgb")
+    yield mitsuba
+    if before:
+        mitsuba.set_variant(before)
+
+
+# Mitsuba
+
+
+@pytest.mark.parametrize("name", MODELS)
+def test_value_and_density_equal_mitsuba(mi, name):
+    model, n = MODELS[name], 600
+    surf, bsdf = surfaces(model, n), bsdf_of(model)
+    wo, wi = directions(n, 1), directions(n, 2, upper=False)
+    near = bsdf.sample(surf, wo, uniform(n, 3, seed=3)).wi
+    wi = torch.where((torch.arange(n) % 2 == 0).unsqueeze(-1), near, wi)
+    value, pdf = bsdf.eval_pdf(surf, wo, wi)
+    torch.testing.assert_close(bsdf.eval(surf, wo, wi), value)
+    torch.testing.assert_close(bsdf.pdf(surf, wo, wi), pdf)
+    si, context, rows = mi.SurfaceInteraction3f(), mi.BSDFContext(), []
+    for i in range(n):
+        theirs = mi.load_dict(model.mitsuba(rgb(surf.albedo[i].tolist()), float(surf.roughness[i])))
+        si.wi = mi.Vector3f(wo[i].tolist())  # Mitsuba's wi is our wo
+        their_value, their_pdf = theirs.eval_pdf(context, si, mi.Vector3f(wi[i].tolist()))
+        rows.append([*their_value, their_pdf])
+    expected = torch.tensor(np.array(rows, np.float32))
+    assert (expected[:, 3] > 0).float().mean() > 0.5
+    scale = expected.abs().clamp_min(1e-3)
+    assert ((torch.cat((value, pdf.unsqueeze(-1)), -1) - expected).abs() / scale).max() < 1e-3
+
+
+def rgb(value):
+    return {"type": "rgb", "value": value}
+
+
+# Sampling
+
+
+@pytest.mark.parametrize("fraction", [0.5, 0.25])
+@pytest.mark.parametrize("name", MODELS)
+def test_chi_square(name, fraction):
+    bsdf, p = bsdf_of(MODELS[name], fraction), []
+
+    def alike(count, dtype=torch.float32):
+        return Surface(torch.full((count, 3), 0.4, dtype=dtype), torch.full((count, 1), 0.5, dtype=dtype))
+
+    for seed, cos in enumerate((1.0, 0.7, 0.2)):
+
+        def sample_fn(count, cos=cos, seed=seed):
+            sample = bsdf.sample(alike(count), toward(cos, count=count), uniform(count, 3, seed=seed))
+            return sample.wi.numpy(), (sample.pdf > 0).numpy()
+
+        def pdf_fn(w, cos=cos):
+            wi = torch.as_tensor(w)
+            wo = toward(cos, count=len(wi), dtype=torch.float64)
+            return bsdf.pdf(alike(len(wi), torch.float64), wo, wi).numpy()
+
+        p.append(chi2_test(sample_fn, pdf_fn, count=40_000))
+    assert accept(p)
+
+
+@pytest.mark.parametrize("name", MODELS)
+def test_weights_and_their_mean(name):
+    """Weight = value / pdf lane by lane; their mean is the directional albedo that the model gives."""
+    model, n, p = MODELS[name], 40_000, []
+    bsdf, limit = bsdf_of(model, 0.25), torch.tensor(getattr(model, "normal_reflectance", (1.0, 1.0, 1.0)))
+    for seed, cos in enumerate((0.9, 0.5, 0.15)):
+        surf = Surface((torch.tensor([0.2, 0.5, 0.8]) * limit).expand(n, 3), torch.full((n, 1), 0.45))
+        wo = toward(cos, count=n)
+        sample = bsdf.sample(surf, wo, uniform(n, 3, seed=seed))
+        value, pdf = bsdf.eval_pdf(surf, wo, sample.wi)
+        valid = pdf > 0
+        torch.testing.assert_close(sample.weight[valid] * pdf[valid].unsqueeze(-1), value[valid], rtol=1e-4, atol=1e-6)
+        assert (sample.weight[~valid] == 0).all()
+        mean = bsdf.mean_weight(surf, wo)[0].double().numpy()
+        assert (mean <= 1.05).all()  # Burley's diffuse lobe, under a specular one, reflects a little more than it gets
+        for channel, expected in enumerate(mean):
+            found = sample.weight[:, channel].double().numpy()
+            off = max(0.0, abs(found.mean() - expected) - 0.01 * expected)  # the table's error
+            p.append(z_test_samples(found, found.mean() + off))
+    assert accept(p)
+
+
+@pytest.mark.parametrize("name", ["copper", "matte copper", "white metal"])
+def test_no_more_light_leaves_than_arrives(name):
+    """For the whitest surface that there is; Burley's model is measured in test_bsdf.py."""
+    model, cosines = MODELS[name], torch.linspace(0.01, 1.0, 50)
+    wo = torch.stack(((1 - cosines**2).sqrt(), 0 * cosines, cosines), -1)
+    limit = torch.tensor(getattr(model, "normal_reflectance", (1.0, 1.0, 1.0)), dtype=torch.float32)
+    surf = Surface(limit.expand(50, 3), torch.full((50, 1), 0.3))
+    assert (bsdf_of(model).mean_weight(surf, wo) <= 1.0).all()
+
+
+def test_a_white_metal_loses_little():
+    """All light comes back from a narrow lobe; a wide one loses what would hit a second facet."""
+    lost = []
+    for alpha in (0.01, 0.3, 0.9):
+        model = RoughConductorModel(*WHITE, alpha)
+        surf = Surface(torch.ones(1, 3), torch.full((1, 1), math.sqrt(alpha)))
+        lost.append(1.0 - float(bsdf_of(model).mean_weight(surf, toward(0.8))[0, 0]))
+    assert -1e-6 <= lost[0] < 1e-3 < lost[1] < lost[2] < 0.7
+
+
+# Gradients and extremes
+
+
+@pytest.mark.parametrize("name", MODELS)
+def test_gradients_hold_direction_and_density(name):
+    model, n = MODELS[name], 256
+    bsdf, surf, wo = bsdf_of(model), surfaces(model, n), directions(n, 1)
+    leaf = Surface(surf.albedo.requires_grad_(), surf.roughness.requires_grad_())
+    sample = bsdf.sample(leaf, wo, uniform(n, 3, seed=2))
+    assert not sample.wi.requires_grad
+    assert not sample.pdf.requires_grad
+    ratio = bsdf.eval(leaf, wo, sample.wi) / sample.pdf.clamp_min(1e-30).unsqueeze(-1)
+    (expected,) = torch.autograd.grad(ratio.sum(), leaf.albedo)
+    (found,) = torch.autograd.grad(sample.weight.sum(), leaf.albedo)
+    torch.testing.assert_close(found, expected, rtol=1e-4, atol=1e-5)
+    assert float(expected.abs().max()) > 0.0
+
+
+@pytest.mark.parametrize("name", MODELS)
+def test_finite_at_extremes(name):
+    cosines = torch.tensor([1.0, 1 - 1e-7, 0.5, 1e-3, 1e-6, 0.0, -1e-9, -0.5, -1.0])
+    corner = torch.tensor([0.0, 1e-8, 0.5, 1.0 - 2**-24])
+    co, ci, a, b = torch.cartesian_prod(cosines, cosines, corner, corner).unbind(-1)
+    wo, wi = (torch.stack(((1 - c * c).clamp_min(0).sqrt(), 0 * c, c), -1) for c in (co, ci))
+    surf, bsdf = Surface(torch.ones(len(co), 3), torch.full((len(co), 1), 0.3)), bsdf_of(MODELS[name])
+    value, pdf = bsdf.eval_pdf(surf, wo, wi)
+    sample = bsdf.sample(surf, wo, torch.stack((b, a, b), -1))
+    for x in (value, pdf, sample.pdf, sample.weight, bsdf.mean_weight(surf, wo)):
+        assert torch.isfinite(x).all()
+        assert (x >= 0).all()
+    assert (value[(co <= 0) | (ci <= 0)] == 0).all()
+    assert (pdf[(co <= 0) | (ci <= 0)] == 0).all()
+
+
+# The table
+
+
+def table_of(*models, specular_fraction=0.5):
+    return make_bsdf(Features(False, True, False, False, False, models), specular_fraction)
+
+
+def test_a_table_is_each_model_on_its_own_lanes():
+    models, n = (DiffuseModel(), PrincipledModel(), *MODELS.values()), 4000
+    table, plain = table_of(*models, specular_fraction=0.25), surfaces(None, n)
+    wo, wi, u = directions(n, 1), directions(n, 2, upper=False), uniform(n, 3, seed=3)
+    which = torch.randint(0, len(models), (n,), generator=torch.Generator().manual_seed(4))
+    surf = Surface(plain.albedo, plain.roughness, which)
+    value, pdf = table.eval_pdf(surf, wo, wi)
+    sample = table.sample(surf, wo, u)
+    assert table.varying_weight
+    assert table.kernels(surf) is None
+    for index, model in enumerate(models):
+        bsdf, lanes = bsdf_of(model, 0.25), which == index
+        alone = (plain[lanes], wo[lanes])
+        torch.testing.assert_close((value[lanes], pdf[lanes]), bsdf.eval_pdf(*alone, wi[lanes]))
+        torch.testing.assert_close(table.eval(surf, wo, wi)[lanes], value[lanes])
+        torch.testing.assert_close(table.pdf(surf, wo, wi)[lanes], pdf[lanes])
+        torch.testing.assert_close(vars(sample[lanes]), vars(bsdf.sample(*alone, u[lanes])))
+        torch.testing.assert_close(table.mean_weight(surf, wo)[lanes], bsdf.mean_weight(*alone))
+        fraction = torch.as_tensor(bsdf.diffuse_fraction(*alone), dtype=torch.float32).expand(int(lanes.sum()))
+        torch.testing.assert_close(table.diffuse_fraction(surf, wo)[lanes], fraction)
+
+
+def test_a_table_takes_fitted_surfaces_to_be_principled():
+    table, n = table_of(*MODELS.values()), 500
+    surf, wo, wi = surfaces(None, n), directions(n, 1), directions(n, 2)
+    principled = bsdf_of(PrincipledModel())
+    torch.testing.assert_close(table.eval_pdf(surf, wo, wi), principled.eval_pdf(surf, wo, wi))
+    assert table.kernels(surf) == principled.kernels(surf)
+    assert table.diffuse_fraction(surf, wo) == 0.5
+    one = Surface(surf.albedo, surf.roughness, torch.full((n,), list(MODELS).index("copper")))
+    torch.testing.assert_close(table.eval(one, wo, wi), bsdf_of(MODELS["copper"]).eval(surf, wo, wi))
+    none = Surface(surf.albedo, surf.roughness, torch.full((n,), -1))
+    assert table.eval(none, wo, wi).abs().max() == 0
+
+
+def test_gradients_pass_the_table():
+    table, n = table_of(DiffuseModel(), PrincipledModel(), MODELS["copper"]), 300
+    plain, wo, wi = surfaces(None, n), directions(n, 1), directions(n, 2)
+    leaf = Surface(plain.albedo.requires_grad_(), plain.roughness.requires_grad_(), torch.arange(n) % 3)
+    table.eval(leaf, wo, wi).sum().backward()
+    assert (leaf.albedo.grad > 0).all()
+    assert (leaf.roughness.grad.squeeze(-1)[leaf.model != 1] == 0).all()
+    assert (leaf.roughness.grad.squeeze(-1)[leaf.model == 1] != 0).float().mean() > 0.9
