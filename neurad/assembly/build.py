@@ -154,7 +154,11 @@ class Assembly:
 
 
 def assemble(
-    scene: Scene, settings: ModelSettings, hide_environment: bool = False, device: torch.device | str = "cpu"
+    scene: Scene,
+    settings: ModelSettings,
+    hide_environment: bool = False,
+    device: torch.device | str = "cpu",
+    known_emitters: bool = True,
 ) -> Assembly:
     """Build world, materials and, for a method that reads it, the radiance field, all on the CPU.
 
@@ -165,6 +169,8 @@ def assemble(
         settings: of the model.
         hide_environment: as in :func:`build_world`.
         device: where the camera rays are traced that decide how fine a grid must be.
+        known_emitters: emitting surfaces have the scene's own materials; False fits those, too, which only a scene
+            whose every surface emits needs.
     """
     torch.manual_seed(settings.seed)
     sampling, optimization = settings.sampling, settings.optimization
@@ -180,7 +186,7 @@ def assemble(
         materials = TrueMaterials(scene, world.geometry)
     else:
         albedo, roughness = resolve_finest(settings.albedo, cells), resolve_finest(settings.roughness, cells)
-        materials = build_materials(scene, albedo, roughness, world.geometry)
+        materials = build_materials(scene, albedo, roughness, world.geometry if known_emitters else None)
         if optimization.average > 0:
             average = PolyakAverage(materials, optimization.average)
     needs_field = settings.method.needs_field

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Self
 
 import torch
 from torch import Tensor, nn
@@ -49,7 +50,7 @@ class TrainingRun:
         settings: ModelSettings,
         device: torch.device | str = "cpu",
         emitters_train: bool = False,
-    ) -> TrainingRun:
+    ) -> Self:
         """Build the parts from the scene.
 
         Args:
@@ -57,9 +58,9 @@ class TrainingRun:
             photographs: of its training views.
             settings: of the model.
             device: where everything is to lie.
-            emitters_train: as above.
+            emitters_train: as above; the materials of emitting surfaces are then fitted, too.
         """
-        assembly = assemble(scene, settings, photographs.has_alpha, device)
+        assembly = assemble(scene, settings, photographs.has_alpha, device, not emitters_train)
         for _, part in assembly.modules():
             part.to(device)
         return cls(assembly, photographs, emitters_train)

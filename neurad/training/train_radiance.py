@@ -17,8 +17,7 @@ from neurad.core.protocols import Materials, PhotoSource
 from neurad.core.records import Camera, DatasetStats, PixelBatch, View
 from neurad.core.rng import Stream
 from neurad.fields.radiance import RadianceField
-from neurad.integrators.method import Parts
-from neurad.integrators.path import PathTracing
+from neurad.integrators.bounce import bounce
 from neurad.integrators.vertex import DIMENSIONS
 from neurad.integrators.world import World
 from neurad.scene.description import Scene
@@ -26,8 +25,8 @@ from neurad.training.session import TrainingRun
 
 PIXELS = 1024
 """Pixels of a batch."""
-UNIT_RAYS, UNIT_DEPTH = 8192, 8
-"""Camera rays behind the unit of radiance, and bounces of their paths."""
+UNIT_RAYS = 8192
+"""Camera rays behind the unit of radiance."""
 
 
 class UnphotographedPixels(PhotoSource):
@@ -63,30 +62,32 @@ class UnphotographedPixels(PhotoSource):
 
 @torch.no_grad()
 def mean_square_reflected(world: World, materials: Materials, cameras: list[Camera], seed: int) -> float:
-    """The squared mean radiance that the surfaces in view reflect, from short paths; 1 where none is reflected."""
+    """The squared radiance that the surfaces in view reflect, by one bounce: what direct light gives on average, over
+    one minus what a bounce keeps of the light, as if it were the same everywhere. 1 where nothing is reflected.
+    """
     stream = Stream(seed, 1)
     views = Cameras.of(cameras, "cpu")
     view = stream.integers(len(cameras), UNIT_RAYS)
     rays = views.rays(view, stream.uniform(UNIT_RAYS, 2) * torch.tensor([views.width, views.height]))
     si = world.trace_past_delta(rays, stream.uniform(UNIT_RAYS)).si
-    u = stream.uniform(len(si), DIMENSIONS)
-    light = PathTracing(UNIT_DEPTH).reflected(Parts(world, materials), si, materials(si), u, stream).value
-    mean = float(light[si.valid].mean()) if bool(si.valid.any()) else 0.0
+    si = si[si.valid]
+    if len(si) == 0:
+        return 1.0
+    step = bounce(world, si, materials(si), stream.uniform(len(si), DIMENSIONS))
+    kept = float(step.next.where_hit(step.weight).mean())
+    mean = float(step.direct.mean()) / max(1.0 - kept, 1e-3)
     return mean * mean if mean > 0 else 1.0
 
 
-def train_radiance(
+def radiance_run(
     scene: Scene,
     world: World,
     materials: Any,
     cameras: list[Camera],
     settings: ModelSettings,
-    steps: int,
-    seconds: float | None = None,
-    report: Callable[[int, float], None] | None = None,
     pixels: int = PIXELS,
-) -> RadianceField:
-    """Solve the rendering equation by a radiance field: forward neural radiosity (Hadadan et al. 2021).
+) -> TrainingRun:
+    """A run that solves the rendering equation by a radiance field: forward neural radiosity (Hadadan et al. 2021).
 
     The step of ``neurad fit`` with known materials and without photographs: the radiometric prior (Eq. 10) at the first
     hits of the cameras' rays and at hits of one more bounce. Only the numbers of samples differ: without photographs
@@ -94,13 +95,10 @@ def train_radiance(
 
     Args:
         scene: the scene.
-        world: its geometry and lights, on the CPU.
+        world: its geometry and lights, on the CPU; it gets a guide where the scene takes one.
         materials: the scene's own.
         cameras: where to look from.
         settings: of the model.
-        steps: largest number of iterations.
-        seconds: longest time; the learning rates fall with whichever ends first. None for no limit.
-        report: called with the iterations done and the loss, after every 100th.
         pixels: of a batch.
     """
     width, height = cameras[0].width, cameras[0].height  # one size for all
@@ -116,12 +114,39 @@ def train_radiance(
     )
     torch.manual_seed(settings.seed)
     field = build_radiance(scene, settings.radiance)
-    guide, world.guide = world.guide, make_guide(scene, settings.sampling.guide, settings.method)
+    world.guide = make_guide(scene, settings.sampling.guide, settings.method)
+    mean_square = mean_square_reflected(world, materials, cameras, settings.seed)
+    source = UnphotographedPixels(cameras, mean_square, pixels, settings.seed)
+    return TrainingRun(Assembly(scene, settings, world, materials, field, None), source, emitters_train=True)
+
+
+def train_radiance(
+    scene: Scene,
+    world: World,
+    materials: Any,
+    cameras: list[Camera],
+    settings: ModelSettings,
+    steps: int,
+    seconds: float | None = None,
+    report: Callable[[int, float], None] | None = None,
+    pixels: int = PIXELS,
+) -> RadianceField:
+    """The radiance field that :func:`radiance_run` finds.
+
+    Args:
+        scene: as there, and so are all that follow but three.
+        world: keeps the guide that it has.
+        materials: the scene's own.
+        cameras: where to look from.
+        settings: of the model.
+        steps: largest number of iterations.
+        seconds: longest time; the learning rates fall with whichever ends first. None for no limit.
+        report: called with the iterations done and the loss, after every 100th.
+        pixels: of a batch.
+    """
+    guide = world.guide
     try:
-        assembly = Assembly(scene, settings, world, materials, field, None)
-        mean_square = mean_square_reflected(world, materials, cameras, settings.seed)
-        source = UnphotographedPixels(cameras, mean_square, pixels, settings.seed)
-        run = TrainingRun(assembly, source, emitters_train=True)
+        run = radiance_run(scene, world, materials, cameras, settings, pixels)
         begin = time.monotonic()
         for index in range(steps):
             spent = (time.monotonic() - begin) / seconds if seconds is not None else 0.0
@@ -132,4 +157,6 @@ def train_radiance(
                 report(index + 1, float(loss))
     finally:
         world.guide = guide
+    field = run.assembly.radiance
+    assert field is not None
     return field

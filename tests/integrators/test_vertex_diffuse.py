@@ -23,11 +23,10 @@ from neurad.scene.builtin import build, build_cornell, build_sphere
 from neurad.scene.geometry import Geometry
 from neurad.studies.stress import features
 from neurad.studies.stress.field import Lab
-from neurad.studies.stress.fit import Fit, Plan, photographs, resized
+from neurad.studies.stress.fit import Fit, Plan, photographs, plan_of, resized, small_settings
 from neurad.studies.stress.parts import Place, glossy, make, memory, parts
 from neurad.studies.stress.runs import Memory
 from neurad.studies.stress.runs import fit as fit_through_trainer
-from neurad.studies.stress.shipped import plan_of
 from neurad.training.inverse import InverseRenderer
 
 GRID = GridConfig(levels=3, coarsest=4, finest=16, log2_size=10)
@@ -204,7 +203,8 @@ def test_rounded_products_are_close_and_end_with_the_block():
 
 @pytest.mark.parametrize("precision", ["16-mixed", "bf16-mixed", "64-true"])
 def test_precisions_that_light_cannot_have_are_refused(precision):
-    module = InverseRenderer(Plan().fields.albedo, Plan().fields.roughness, Plan().fields.radiance)
+    small = small_settings()
+    module = InverseRenderer(small.albedo, small.roughness, small.radiance)
     module._trainer = type("Trainer", (), {"precision": precision})()
     with pytest.raises(InputError, match=f"--trainer.precision {precision}"):
         module.configure_model()
@@ -214,10 +214,8 @@ def test_a_run_with_rounded_networks_learns():
     scene = resized(glossy(build_cornell()), 12, 4)
     images = photographs(replace(scene, max_depth=4), 8)
     medium = Optimization(albedo=2e-2, radiance=2e-2, matmul="medium")
-    plan = Plan()
-    module = InverseRenderer(
-        plan.fields.albedo, plan.fields.roughness, plan.fields.radiance, Sampling(), optimization=medium
-    )
+    small = small_settings()
+    module = InverseRenderer(small.albedo, small.roughness, small.radiance, Sampling(), optimization=medium)
     step = module.training_step
 
     def watched(*args):
@@ -257,10 +255,11 @@ def test_parts_that_are_built_and_left_out():
 
 def test_the_plan_of_a_config_has_its_settings():
     plan = plan_of("kitchen.yaml")
-    assert plan.pixels * plan.sampling.spp == 4096
-    assert plan.fields.roughness.reads_albedo
-    assert plan.fields.albedo.grid.finest == 256
-    assert plan.objective.roughness_regulariser > 0
+    assert plan.pixels * plan.settings.sampling.spp == 4096
+    assert plan.settings.roughness.reads_albedo
+    assert plan.settings.albedo.grid.finest == 256
+    assert plan.settings.objective.roughness_regulariser > 0
+    assert plan.settings.optimization.roughness == 6e-3
 
 
 def test_memory_is_that_of_the_fit_alone():

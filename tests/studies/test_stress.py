@@ -12,7 +12,6 @@ from neurad.scene.builtin import build_furnace, build_sphere
 from neurad.studies.stress import run as stress
 from neurad.studies.stress.case import Case, Outcome, judge
 from neurad.studies.stress.families import FAMILIES
-from neurad.studies.stress.level import Level
 from neurad.studies.stress.run import collect
 from neurad.studies.stress.scenes import difference, small_cube, with_light
 from neurad.studies.stress.stiff import closed_form
@@ -96,13 +95,6 @@ def test_pictures_that_are_not_finite_are_no_match():
     with pytest.raises(FloatingPointError):
         difference(torch.tensor([math.nan]), torch.tensor([1.0]))
     assert with_light(small_cube(), 2.0).meshes[1].radiance[0] == 10.0
-
-
-def test_the_level_of_a_uniform_field_is_found_at_once():
-    """In a furnace of albedo rho a constant field c is off by the factor E rho / (1 - rho) / c."""
-    level, rho, c = Level(), 0.97, torch.full((64, 3), 2.0)
-    factor = level(c, torch.full_like(c, rho), rho * c, torch.ones(64, dtype=torch.bool))
-    assert torch.allclose(factor, torch.full((3,), rho / (1.0 - rho) / 2.0), rtol=1e-3)
 
 
 def test_a_bound_cuts_only_spikes_and_states_what_it_loses():

@@ -1,44 +1,50 @@
-"""A fit without files and without a trainer: the project's own step on photographs held in memory."""
+"""A fit without files and without a trainer: the shipped step and settings on photographs held in memory.
+
+Only sizes and budget are smaller: fields, pixels of a batch, steps.
+"""
 
 from __future__ import annotations
 
-import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
+from functools import cache
+from typing import Any
 
 import torch
 from torch import Tensor
 
-from neurad.assembly.build import build_materials, build_radiance, build_world, make_guide
-from neurad.assembly.settings import Objective, Sampling
+from neurad.assembly.build import FittedMaterials, build_world
+from neurad.assembly.settings import ModelSettings
 from neurad.core.records import PixelBatch, Surface, SurfaceInteraction
 from neurad.core.rng import Stream
-from neurad.fields.settings import FieldConfig, GridConfig, RadianceConfig, RoughnessConfig
+from neurad.fields.radiance import RadianceField
+from neurad.fields.settings import GridConfig
 from neurad.integrators.bounce import bounce
-from neurad.integrators.estimator import Estimator
 from neurad.integrators.film import render
 from neurad.integrators.path import PathTracer
-from neurad.integrators.primary_hits import PrimaryHits
 from neurad.integrators.vertex import DIMENSIONS
-from neurad.losses.firefly import typical_square
-from neurad.losses.relative import total
-from neurad.optim.sparse_row_adam import SparseRowAdam
+from neurad.integrators.world import World
+from neurad.optim.polyak_average import averaged
+from neurad.runs.model_settings import batch_pixels, model_settings
 from neurad.scene.description import Scene
 from neurad.scene.textures import TrueMaterials
-from neurad.training.guide_update import guide_samples, update_guide
-from neurad.training.objective import ObjectiveStep, StepTerms
+from neurad.studies.photos import PhotosInMemory
+from neurad.training.session import TrainingRun
 
-MATERIAL = FieldConfig(GridConfig(levels=4, coarsest=4, finest=32, log2_size=14), width=32)
-ROUGHNESS = RoughnessConfig(GridConfig(levels=4, coarsest=4, finest=32, log2_size=14), width=32)
-RADIANCE = RadianceConfig(grid=GridConfig(levels=6, coarsest=4, finest=32, log2_size=14), width=32, hidden_layers=2)
+SHIPPED = "scene.yaml"
+"""Config whose settings the rows train with."""
 
 
-@dataclass(frozen=True)
-class Fields:
-    """Sizes of the fields."""
-
-    albedo: FieldConfig = MATERIAL
-    roughness: RoughnessConfig = ROUGHNESS
-    radiance: RadianceConfig = RADIANCE
+@cache
+def small_settings() -> ModelSettings:
+    """The shipped settings with fields that fit small scenes and seconds of training."""
+    shipped = model_settings(SHIPPED)
+    grid = GridConfig(levels=4, coarsest=4, finest=32, log2_size=14)
+    return replace(
+        shipped,
+        albedo=replace(shipped.albedo, grid=grid, width=32),
+        roughness=replace(shipped.roughness, grid=grid, width=32),
+        radiance=replace(shipped.radiance, grid=replace(grid, levels=6), width=32, hidden_layers=2),
+    )
 
 
 @dataclass(frozen=True)
@@ -46,14 +52,24 @@ class Plan:
     """How a fit is run."""
 
     steps: int = 300
-    pixels: int = 256
-    rate: float = 1e-2
-    sampling: Sampling = Sampling(spp=2, samples_per_vertex=2, cached_spp=4)
-    objective: Objective = Objective()
-    seed: int = 0
-    fields: Fields = Fields()
-    emitters_count: bool = False
+    pixels: int = 64
+    """Of a batch: a quarter of the shipped number."""
+    settings: ModelSettings = field(default_factory=small_settings)
+    emitters_train: bool = False
     """Whether pixels that show an emitter train too: where everything emits, as in a furnace, nothing else could."""
+
+    def with_objective(self, **changes: Any) -> Plan:
+        """The plan with some settings of the objective changed."""
+        return replace(self, settings=replace(self.settings, objective=replace(self.settings.objective, **changes)))
+
+
+def plan_of(config: str) -> Plan:
+    """All settings of a shipped config, the sizes of fields and batch included.
+
+    Args:
+        config: path or shipped name, as behind ``--config``.
+    """
+    return Plan(pixels=batch_pixels(config), settings=model_settings(config))
 
 
 def resized(scene: Scene, size: int, train: int | None = None) -> Scene:
@@ -74,7 +90,7 @@ def photographs(scene: Scene, spp: int, seed: int = 7) -> Tensor:
 
 
 class Fit:
-    """Fields, optimizers and the step for one scene.
+    """A training run on one scene, and how far its albedo is off.
 
     Args:
         scene: its views say where the photographs were taken.
@@ -82,88 +98,49 @@ class Fit:
         plan: how to train.
     """
 
+    materials: FittedMaterials
+    radiance: RadianceField
+
     def __init__(self, scene: Scene, images: Tensor, plan: Plan = Plan()) -> None:
-        torch.manual_seed(plan.seed)
-        self.scene, self.images, self.plan = scene, images, plan
-        self.materials = build_materials(scene, plan.fields.albedo, plan.fields.roughness)
-        self.radiance = build_radiance(scene, plan.fields.radiance)
-        self.world = build_world(scene, specular_fraction=plan.sampling.specular_fraction)
-        estimator = Estimator(self.world, self.materials, self.radiance)
-        self.world.guide = make_guide(scene, plan.sampling.guide, estimator.method)
-        cameras = [view.camera for view in scene.train]
-        self.primary = PrimaryHits(self.world, cameras, plan.sampling.cached_spp, plan.seed, torch.device("cpu"))
-        emitter_mask = self.primary.sees_emitter()
-        if plan.emitters_count:
-            emitter_mask = torch.zeros_like(emitter_mask)
-        firefly_clamp = plan.objective.firefly_clamp
-        square = (
-            typical_square(images[~emitter_mask], firefly_clamp)
-            if firefly_clamp > 0
-            else float(images[~emitter_mask].double().square().mean())
-        )
-        self.radiance.set_scale(math.sqrt(square))
-        self.step = ObjectiveStep(
-            estimator=estimator,
-            primary=self.primary,
-            sampling=plan.sampling,
-            settings=plan.objective,
-            epsilon=plan.objective.epsilon * square,
-            emitter_mask=emitter_mask,
-        )
-        parts = (self.materials, self.radiance)
-        self.optimizer = SparseRowAdam([p for part in parts for p in part.parameters()], lr=plan.rate)
-        self.iteration = 0
-
-    def batch(self, iteration: int) -> PixelBatch:
-        """Random pixels of one iteration."""
-        stream = Stream(self.plan.seed, iteration, 5)
-        views, pixels = self.images.shape[:2]
-        index = stream.integers(views * pixels, self.plan.pixels)
-        view, pixel = index // pixels, index % pixels
-        return PixelBatch(view, pixel, self.images.view(-1, 3)[index], torch.ones(len(index)), iteration)
-
-    def terms(self, iteration: int) -> StepTerms:
-        """Losses of one iteration with the present weights."""
-        return self.step(self.batch(iteration), Stream(self.plan.seed, iteration, 1))
-
-    def advance(self, share: float) -> float:
-        """One iteration; ``share`` of the run is over. Returns the loss."""
-        self.optimizer.param_groups[0]["lr"] = self.plan.rate * (
-            0.02 + 0.49 * (1.0 + math.cos(math.pi * min(share, 1.0)))
-        )
-        terms = self.terms(self.iteration)
-        loss = total({**terms.materials, **terms.field})
-        self.optimizer.zero_grad()
-        loss.backward()  # type: ignore[no-untyped-call]
-        self.optimizer.step()
-        update_guide(self.world.guide, guide_samples(self.world.guide, terms.arrived), self.iteration)
-        self.iteration += 1
-        return float(loss.detach())
+        self.scene, self.plan = scene, plan
+        self.photos = PhotosInMemory(images, scene.train[0].camera.width, plan.pixels, plan.settings.seed)
+        self.training = TrainingRun.of_scene(scene, self.photos, plan.settings, emitters_train=plan.emitters_train)
+        assembly = self.training.assembly
+        assert isinstance(assembly.materials, FittedMaterials)
+        assert assembly.radiance is not None
+        self.world: World = assembly.world
+        self.materials, self.radiance = assembly.materials, assembly.radiance
+        self.advance = self.training.advance
 
     def run(self) -> Fit:
         """All iterations of the plan.
 
         Raises:
-            FloatingPointError: a loss is not finite.
+            NotFinite: a loss, gradient or weight is NaN or infinite.
         """
         for i in range(self.plan.steps):
-            loss = self.advance(i / self.plan.steps)
-            if not math.isfinite(loss):
-                raise FloatingPointError(f"iteration {i}: the loss is {loss}")
+            self.advance(i / self.plan.steps)
         return self
 
     @torch.no_grad()
     def seen(self, count: int = 4096) -> SurfaceInteraction:
         """Surface points that the training views see, emitters left out unless they count."""
         stream = Stream(99)
-        views, pixels = self.images.shape[:2]
+        views, pixels = self.photos.photographs.shape[:2]
         index = stream.integers(views * pixels, count)
-        batch = PixelBatch(index // pixels, index % pixels, self.images.view(-1, 3)[index], torch.ones(count), 0)
-        si = self.primary(batch, 1, stream).si
+        batch = PixelBatch(index // pixels, index % pixels, torch.zeros(count, 3), torch.ones(count), 0)
+        si = self.training.views.primary(batch, 1, stream).si
         keep = si.valid
-        if not self.plan.emitters_count:
+        if not self.plan.emitters_train:
             keep = keep & (self.world.geometry.emission[si.prim.clamp_min(0)].amax(-1) <= 0)
         return si[keep]
+
+    @torch.no_grad()
+    def surface(self, si: SurfaceInteraction) -> Surface:
+        """Materials at the lanes of ``si``, averaged over the last steps as in all results."""
+        with averaged(self.training.assembly.average):
+            surface: Surface = self.materials(si)
+        return surface
 
     @torch.no_grad()
     def albedo_error(self, lit: bool = False) -> tuple[float, float]:
@@ -179,6 +156,6 @@ class Fit:
             light = sum(bounce(self.world, si, white, stream.uniform(len(si), DIMENSIONS)).direct for _ in range(8))
             assert isinstance(light, Tensor)
             si = si[light.mean(-1) > 0.5 * light.mean()]
-        found = self.materials.albedo(si)
+        found = self.surface(si).albedo
         truth = TrueMaterials(self.scene, self.world.geometry).albedo(si)
         return float((found - truth).square().mean().sqrt()), float(found.mean())

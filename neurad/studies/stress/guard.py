@@ -17,7 +17,7 @@ from neurad.core.records import PixelBatch
 from neurad.integrators import vertex_diffuse_kernels, vertex_principled_kernels
 from neurad.scene.image_io import read_photograph, write_exr
 from neurad.studies.stress.case import Case, Outcome
-from neurad.studies.stress.fit import MATERIAL, RADIANCE, ROUGHNESS, photographs, resized
+from neurad.studies.stress.fit import Fit, photographs, resized
 from neurad.studies.stress.parts import glossy
 from neurad.studies.stress.runs import fit
 from neurad.studies.stress.scenes import small_cube
@@ -106,26 +106,22 @@ def _cost() -> Case:
         import statistics
         import time
 
-        from neurad.studies.stress.fit import Fit
-        from neurad.training.guard import Guard
-
         scene = resized(small_cube(12), 12, 2)
         made = Fit(scene, photographs(scene, 4))
-        module = InverseRenderer(MATERIAL, ROUGHNESS, RADIANCE)
-        module.materials, module.radiance = made.materials, made.radiance
-        guard = Guard(module)
+        step, source = made.training.step, made.photos
         made.advance(0.0)
         spent: tuple[list[float], list[float]] = ([], [])
         for i in range(1, 60):
             begin = time.process_time()
             made.advance(0.0)
             spent[0].append(time.process_time() - begin)
-            batch, terms = made.batch(i), made.terms(i)
+            batch = source.batch(i)
+            terms = step.terms(batch).all
             begin = time.process_time()
-            guard.check(i, batch, {**terms.materials, **terms.field}, lambda: None)
+            step.guard.check(i, batch, terms, lambda: None)
             spent[1].append(time.process_time() - begin)
-        step, check = (1e3 * statistics.median(times) for times in spent)
-        return Outcome(check / step, 0.05, f"{check:.3f} of {step:.2f} ms a step, medians of processor time")
+        whole, check = (1e3 * statistics.median(times) for times in spent)
+        return Outcome(check / whole, 0.05, f"{check:.3f} of {whole:.2f} ms a step, medians of processor time")
 
     return Case("guard", "cost of the checks", "share of a step", measure)
 

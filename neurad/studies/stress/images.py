@@ -5,7 +5,6 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
-from neurad.assembly.settings import Objective
 from neurad.core.rng import Stream
 from neurad.scene.description import Scene
 from neurad.studies.stress.case import Case, Outcome
@@ -58,7 +57,7 @@ def _fireflies(firefly_clamp: float) -> Case:
         hit = Stream(3).uniform(len(spoilt)) < 1e-3
         hit[7] = True
         spoilt[hit] *= 1000.0
-        plan = Plan(steps=200 if quick else 400, objective=Objective(firefly_clamp=firefly_clamp))
+        plan = Plan(steps=200 if quick else 400).with_objective(firefly_clamp=firefly_clamp)
         clean = Fit(scene, images, plan).run().albedo_error()
         error, mean = Fit(scene, spoilt.view_as(images), plan).run().albedo_error()
         note = f"albedo error {error:.3f}, without fireflies {clean[0]:.3f}; mean albedo {mean:.3f} and {clean[1]:.3f}"

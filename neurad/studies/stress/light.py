@@ -37,8 +37,7 @@ def _materials(value: float) -> Case:
         plan = Plan(steps=40 if quick else 200)
         fits = [Fit(with_light(scene, f), images * f, plan).run() for f in (1.0, factor)]
         si = fits[0].seen()
-        with torch.no_grad():
-            a, b = (fit.materials.albedo(si) for fit in fits)
+        a, b = (fit.surface(si).albedo for fit in fits)
         return Outcome(float((a - b).abs().mean()), 0.01, f"{plan.steps} steps, mean absolute difference of albedos")
 
     return Case("light", f"light and photographs scaled to {value:g}: fitted", "the albedo of the scene as it was",

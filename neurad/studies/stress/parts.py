@@ -22,8 +22,7 @@ from neurad.integrators.delta import DeltaSurfaces
 from neurad.runtime.threads import at_most
 from neurad.scene.description import Features, Scene
 from neurad.scene.load import load_scene
-from neurad.studies.stress.fit import Fit, Plan, resized
-from neurad.studies.stress.shipped import plan_of
+from neurad.studies.stress.fit import Fit, Plan, plan_of, resized
 
 CONFIG = "kitchen.yaml"
 EVERYTHING = Features(True, True, True, False, True)
@@ -48,7 +47,7 @@ class Place:
 
     def plan(self) -> Plan:
         """The settings of the shipped :data:`CONFIG`."""
-        return replace(plan_of(CONFIG), emitters_count=self.scene == "furnace")
+        return replace(plan_of(CONFIG), emitters_train=self.scene == "furnace")
 
 
 def glossy(scene: Scene) -> Scene:

@@ -17,7 +17,6 @@ from neurad.core.records import Hit, Rays, SurfaceInteraction
 from neurad.core.reflection import PrincipledModel
 from neurad.core.rng import Stream
 from neurad.fields.mlp import products
-from neurad.losses.relative import total
 from neurad.scene.builtin import build_cornell
 from neurad.scene.description import Scene
 from neurad.studies.stress.case import Case, Outcome
@@ -32,17 +31,16 @@ def _glossy(size: int = 16, views: int = 4) -> Scene:
 
 def _dense(fit: Fit) -> Tensor:
     """All gradients as one float64 vector."""
-    groups = fit.optimizer.param_groups
-    grads = [torch.zeros_like(p) if p.grad is None else p.grad.to_dense() for g in groups for p in g["params"]]
+    parameters = [p for part in (fit.materials, fit.radiance) for p in part.parameters()]
+    grads = [torch.zeros_like(p) if p.grad is None else p.grad.to_dense() for p in parameters]
     return torch.cat([g.double().flatten() for g in grads])
 
 
 def _step(fit: Fit) -> tuple[dict[str, float], Tensor]:
-    terms = fit.terms(0)
-    both = {**terms.materials, **terms.field}
-    fit.optimizer.zero_grad()
-    total(both).backward()  # type: ignore[no-untyped-call]
-    return {name: float(loss.value) for name, (_, loss) in both.items()}, _dense(fit)
+    """Losses and gradients of the first step, whose gradients move nothing."""
+    fit.training.step.optimizers = {}
+    fit.advance(0.0)
+    return {name: float(value) for name, value in fit.training.step.losses.items()}, _dense(fit)
 
 
 def _float64() -> Case:
@@ -51,7 +49,7 @@ def _float64() -> Case:
     def measure(quick: bool) -> Outcome:
         scene = _glossy(12, 2)
         images = photographs(scene, 8)
-        single, double = Fit(scene, images, Plan(pixels=128)), Fit(scene, images, Plan(pixels=128))
+        single, double = Fit(scene, images, Plan()), Fit(scene, images, Plan())
         with in_double(double):
             values64, gradient64 = _step(double)
         values, gradient = _step(single)
@@ -69,8 +67,9 @@ def in_double(fit: Fit) -> Iterator[None]:
         module.double()
     tracer, uniform, table = fit.world.tracer, Stream.uniform, directional.table
     fit.world.tracer = CountingTracer(_Rounded(tracer))
-    fit.primary.origin = fit.primary.origin.double()
-    fit.images = fit.images.double()
+    primary = fit.training.views.primary
+    primary.origin = primary.origin.double()
+    fit.photos.photographs = fit.photos.photographs.double()
     Stream.uniform = lambda self, *shape: uniform(self, *shape).double()  # type: ignore[method-assign]
     directional.table = lambda eta, device: table(eta, device).double()  # type: ignore[assignment]
     try:
@@ -134,7 +133,8 @@ def _seeds(count: int) -> Case:
         images = photographs(scene, 32)
         plan = Plan(steps=60 if quick else 300)
         runs = 3 if quick else count
-        errors = [Fit(scene, images, replace(plan, seed=s)).run().albedo_error()[0] for s in range(runs)]
+        plans = [replace(plan, settings=replace(plan.settings, seed=seed)) for seed in range(runs)]
+        errors = [Fit(scene, images, each).run().albedo_error()[0] for each in plans]
         psnr = -20.0 * np.log10(errors)
         return Outcome(
             float(np.ptp(psnr)), 3.0, f"albedo PSNR {psnr.mean():.2f} dB, standard deviation {psnr.std():.2f}"
@@ -151,7 +151,7 @@ def _long() -> Case:
         images = photographs(scene, 32)
         ends, notes = [], []
         for prior in (1.0, 0.0):
-            plan = Plan(steps=300, objective=replace(Plan().objective, prior=prior))
+            plan = Plan(steps=300).with_objective(prior=prior)
             fit = Fit(scene, images, plan)
             marks = []
             for i in range(3000):

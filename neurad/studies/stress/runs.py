@@ -7,7 +7,7 @@ import logging
 import tempfile
 import warnings
 from contextlib import redirect_stderr, redirect_stdout
-from dataclasses import replace
+from dataclasses import fields, replace
 from pathlib import Path
 from typing import Any
 
@@ -19,11 +19,11 @@ from neurad.core.errors import InputError
 from neurad.core.records import PixelBatch
 from neurad.scene.description import Scene
 from neurad.studies.photos import PhotosInMemory
-from neurad.studies.stress.fit import MATERIAL, RADIANCE, ROUGHNESS, photographs
+from neurad.studies.stress.fit import photographs, small_settings
 from neurad.training.inverse import InverseRenderer
 
 
-class Memory(pl.LightningDataModule, PhotosInMemory):
+class Memory(PhotosInMemory, pl.LightningDataModule):
     """A data module whose photographs are tensors.
 
     Args:
@@ -33,7 +33,7 @@ class Memory(pl.LightningDataModule, PhotosInMemory):
     """
 
     def __init__(self, scene: Scene, images: torch.Tensor, pixels: int = 64) -> None:
-        super().__init__()
+        pl.LightningDataModule.__init__(self)
         PhotosInMemory.__init__(self, images, scene.train[0].camera.width, pixels)
         self.scene = scene
 
@@ -61,7 +61,7 @@ def fit(scene: Scene, images: torch.Tensor, steps: int = 3, **settings: Any) -> 
     Raises:
         InputError: what a user would read.
     """
-    module = InverseRenderer(MATERIAL, ROUGHNESS, RADIANCE, **settings)
+    module = InverseRenderer(**{f.name: getattr(small_settings(), f.name) for f in fields(small_settings())} | settings)
     printed = io.StringIO()
     for name in ("lightning.pytorch", "lightning.fabric", "lightning"):
         logging.getLogger(name).setLevel(logging.ERROR)

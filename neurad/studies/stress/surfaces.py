@@ -90,11 +90,10 @@ def _estimate(albedo: float, roughness: float) -> Case:
         worst = 0.0
         for i in range(5 if quick else 50):
             loss = fit.advance(i / 50)
-            grads = [p.grad for group in fit.optimizer.param_groups for p in group["params"] if p.grad is not None]
+            grads = [p.grad for part in (fit.materials, fit.radiance) for p in part.parameters() if p.grad is not None]
             total = sum(float((g._values() if g.is_sparse else g).double().abs().sum()) for g in grads)
-            worst += float(not (abs(loss) < 1e30 and total < 1e30))
-        with torch.no_grad():
-            found = fit.materials(fit.seen(512))
+            worst += float(not (abs(float(loss)) < 1e30 and total < 1e30))
+        found = fit.surface(fit.seen(512))
         note = f"albedo {float(found.albedo.mean()):.3g}, roughness {float(found.roughness.mean()):.3g} at the end"
         return Outcome(worst, 0.0, note)
 
@@ -112,10 +111,10 @@ def _rough_fit(roughness: float) -> Case:
     def measure(quick: bool) -> Outcome:
         scene = with_material(small_cube(16), PrincipledModel(), 0.3, roughness)
         images = photographs(scene, 64)
-        fit = Fit(scene, images, Plan(steps=600, sampling=Plan().sampling)).run()
+        fit = Fit(scene, images, Plan(steps=600)).run()
         si = fit.seen(2048)
+        found = fit.surface(si)
         with torch.no_grad():
-            found = fit.materials(si)
             truth = TrueMaterials(scene, fit.world.geometry)(si)
         error = float((found.albedo - truth.albedo).square().mean().sqrt())
         rough = float(found.roughness.mean())
