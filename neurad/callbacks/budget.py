@@ -1,4 +1,4 @@
-"""A time limit that counts what the column ``seconds`` counts."""
+"""A time limit on the training seconds, the column ``seconds`` of ``metrics.csv``."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ class TrainingBudget(Timer):
     """Ends a fit after so many seconds of training: set-up and compilation count, evaluations do not.
 
     Lightning's own timer (``max_time``) counts the other way round, so two methods whose evaluations differ in cost
-    would get different times to learn in. Where both are given, this one rules.
+    would get different training times. Where both are given, this one counts.
 
     Args:
         seconds: training seconds, as in ``metrics.csv``.
@@ -44,7 +44,7 @@ class TrainingBudget(Timer):
         super().on_fit_start(trainer, *args, **kwargs)
 
     def on_train_start(self, trainer: pl.Trainer, pl_module: pl.LightningModule) -> None:
-        """Learning begins here: schedules follow the time that set-up left over."""
+        """Training begins here: schedules follow the time that is left after set-up."""
         super().on_train_start(trainer, pl_module)
         self._module = cast("InverseRenderer", pl_module)
         if self._begin is None:
@@ -52,13 +52,13 @@ class TrainingBudget(Timer):
         self._duration = self.seconds - self._begin
 
     def time_elapsed(self, stage: str = RunningStage.TRAINING) -> float:
-        """Training seconds since learning began; those of an interrupted run included."""
+        """Training seconds since the first step; those of an interrupted run included."""
         if self._module is None or stage != RunningStage.TRAINING:
             return 0.0
         return self._module.train_seconds - (self._begin or 0.0)
 
     def state_dict(self) -> dict[str, Any]:
-        """What a continued run must know: when learning began."""
+        """When training began, for a continued run."""
         return {"begin": self._begin}
 
     def load_state_dict(self, state_dict: dict[str, Any]) -> None:

@@ -1,4 +1,4 @@
-"""``last.ckpt``: written by time, at the end and when a run is stopped, and never half."""
+"""``last.ckpt``: written at intervals, at the end and when a run is stopped, always as a whole file."""
 
 from __future__ import annotations
 
@@ -25,8 +25,8 @@ class LastCheckpoint(Checkpoint):
 
     A checkpoint is taken between iterations only, since one in the middle of a step (one optimizer stepped, another
     not) could not be continued exactly. Ctrl-C therefore lets the iteration finish; a second one does not wait. Of
-    several processes all stop after the same iteration, whichever was told to; where one fails alone nothing is saved,
-    since that would have to wait for the others.
+    several processes all stop after the same iteration, whichever got the signal; where one fails alone nothing is
+    saved, since saving would have to wait for the others.
 
     Args:
         every_seconds: wall-clock seconds between two checkpoints.
@@ -36,7 +36,7 @@ class LastCheckpoint(Checkpoint):
         super().__init__()
         self.every_seconds = every_seconds
         self._stepped = False
-        self._stop_asked = False
+        self._stop_requested = False
         self._agreed = False
         self._written = 0.0
         self._handler: Any = None
@@ -47,9 +47,9 @@ class LastCheckpoint(Checkpoint):
         return folder / "checkpoints" / "last.ckpt" if folder else None
 
     def on_train_start(self, trainer: pl.Trainer, pl_module: pl.LightningModule) -> None:
-        """Start the clock and take over Ctrl-C."""
+        """Start the clock and handle Ctrl-C."""
         self._written = time.monotonic()
-        self._stop_asked = self._agreed = False
+        self._stop_requested = self._agreed = False
         if threading.current_thread() is threading.main_thread():
             self._handler = signal.signal(signal.SIGINT, self._on_interrupt)
 
@@ -60,10 +60,10 @@ class LastCheckpoint(Checkpoint):
         self._stepped = True
 
     def on_train_batch_end(self, trainer: pl.Trainer, pl_module: pl.LightningModule, *_: Any) -> None:
-        """Save if it is time, and stop if that was asked for."""
+        """Save if it is time, and stop after Ctrl-C."""
         self._stepped = False
         late = trainer.is_global_zero and time.monotonic() - self._written >= self.every_seconds
-        stop, save = _anywhere(trainer, self._stop_asked, late)
+        stop, save = _anywhere(trainer, self._stop_requested, late)
         if stop:
             self._agreed = True
             raise KeyboardInterrupt
@@ -75,7 +75,7 @@ class LastCheckpoint(Checkpoint):
         self.save(trainer)
 
     def on_exception(self, trainer: pl.Trainer, pl_module: pl.LightningModule, exception: BaseException) -> None:
-        """Save what is whole."""
+        """Save unless an iteration was in progress."""
         # Nothing was trained if the exception came from setting up, and there is no folder to write into then.
         if not trainer.training or self._written == 0.0:
             return
@@ -94,7 +94,7 @@ class LastCheckpoint(Checkpoint):
             getattr(trainer.strategy.launcher, "procs", []).clear()
 
     def teardown(self, trainer: pl.Trainer, pl_module: pl.LightningModule, stage: str) -> None:
-        """Give Ctrl-C back."""
+        """Restore the handler of Ctrl-C."""
         if self._handler is not None:
             signal.signal(signal.SIGINT, self._handler)
             self._handler = None
@@ -114,16 +114,16 @@ class LastCheckpoint(Checkpoint):
         self._written = time.monotonic()
 
     def _on_interrupt(self, signum: int, frame: Any) -> None:
-        if self._stop_asked:
+        if self._stop_requested:
             raise KeyboardInterrupt
-        self._stop_asked = True
+        self._stop_requested = True
         print("\nneurad: stopping after this iteration (Ctrl-C again: at once)", file=sys.stderr)
 
 
-def _anywhere(trainer: pl.Trainer, *asked: bool) -> list[bool]:
-    """What any process asks for, alike in all of them: one that stopped alone would leave the others waiting."""
+def _anywhere(trainer: pl.Trainer, *requests: bool) -> list[bool]:
+    """Which requests any process has, the same answer in all: one that stopped alone would leave the others waiting."""
     if trainer.world_size == 1:
-        return list(asked)
-    flags = torch.tensor(asked, dtype=torch.int32, device=trainer.strategy.root_device)
+        return list(requests)
+    flags = torch.tensor(requests, dtype=torch.int32, device=trainer.strategy.root_device)
     dist.all_reduce(flags, op=dist.ReduceOp.MAX)
     return flags.bool().tolist()

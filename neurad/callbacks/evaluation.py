@@ -22,20 +22,20 @@ if TYPE_CHECKING:
     from neurad.training.inverse import InverseRenderer
 
 MARKS = 20
-"""Evaluations in a run, if the allowed share of time is enough for them."""
+"""Evaluations in a run, if the allowed fraction of time is enough for them."""
 
 
 class Evaluate(pl.Callback):
     """Evaluates on the held-out views: during a fit, at its end, and for ``validate``, ``test`` and ``predict``.
 
     A run that only ``max_steps`` limits evaluates every ``max_steps // 20`` iterations, so that it is repeatable. One
-    limited by time evaluates at every twentieth of its length, as long as that keeps to ``share``.
+    limited by time evaluates at every twentieth of its length, as long as that keeps to ``fraction``.
 
     Args:
-        share: largest share of the training time that evaluations during the fit may take.
+        fraction: largest fraction of the training time that evaluations during the fit may take.
         every_n_steps: evaluate at multiples of this many iterations instead, whatever it costs.
-        spp: samples a pixel of the renderings scored during ``fit`` and ``validate``.
-        test_spp: samples a pixel of the renderings that ``test`` and ``predict`` write.
+        spp: samples per pixel of the renderings scored during ``fit`` and ``validate``.
+        test_spp: samples per pixel of the renderings that ``test`` and ``predict`` write.
         pictures: held-out views that TensorBoard shows.
         log_every_n_steps: iterations between two points of the loss curves.
     """
@@ -63,7 +63,7 @@ class Evaluate(pl.Callback):
         self._evaluated = -1
 
     def state_dict(self) -> dict[str, Any]:
-        """What a continued run must know to keep to its share."""
+        """Seconds and marks so far: a continued run keeps to its fraction of time."""
         return {"spent": self._spent, "last": self._last, "mark": self._mark, "evaluated": self._evaluated}
 
     def load_state_dict(self, state_dict: dict[str, Any]) -> None:

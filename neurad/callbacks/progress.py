@@ -63,7 +63,7 @@ class Bar(TQDMProgressBar):
         """The bar goes on."""
 
     def on_train_batch_end(self, trainer: pl.Trainer, pl_module: pl.LightningModule, *_: Any) -> None:
-        """Update the line, not more often than eyes can follow."""
+        """Update the line, at most once in ``refresh_seconds``."""
         now = time.monotonic()
         if self.is_disabled or now - self._shown < self.refresh_seconds:
             return
@@ -80,7 +80,7 @@ class Bar(TQDMProgressBar):
         self.train_progress_bar.close()
 
     def text(self, trainer: pl.Trainer, module: InverseRenderer) -> str:
-        """What stands behind the bar."""
+        """The text behind the bar."""
         begin, rays, done = self._begin
         seconds = max(time.monotonic() - begin, 1e-9)
         parts = [f"step {module.iteration}"]
@@ -91,8 +91,8 @@ class Bar(TQDMProgressBar):
                 parts.append(f"albedo {callback.last_scores['albedo_psnr']:.2f} dB")
         left = fraction_done(trainer).seconds_left
         if left is None or left == 0.0:
-            share = fraction_done(trainer).largest
-            left = seconds * (1 - share) / (share - done) if share > done else None
+            now = fraction_done(trainer).largest
+            left = seconds * (1 - now) / (now - done) if now > done else None
         if left is not None:
             parts.append(f"{int(left) // 60}:{int(left) % 60:02d} left")
         return ", ".join(parts)

@@ -1,4 +1,4 @@
-"""The run folder: who owns it, when it comes into being, and what it remembers of an interrupted run."""
+"""The run folder: when it is created, and what of an interrupted run a continued one takes over."""
 
 from __future__ import annotations
 
@@ -38,7 +38,7 @@ class RunLogger(TensorBoardLogger):
 
     @property
     def experiment(self) -> SummaryWriter:
-        """The writer of events, or something that swallows them before :meth:`open`."""
+        """The writer of events, or one that drops them before :meth:`open`."""
         return super().experiment if self.opened else DummyExperiment()  # type: ignore[return-value]
 
     def open(self) -> None:
@@ -59,7 +59,7 @@ def run_folder(trainer: pl.Trainer) -> Path | None:
     logger = trainer.logger
     if logger is None or getattr(trainer, "fast_dev_run", False):
         return None
-    # Not ``trainer.log_dir``: it waits for all processes, and the first asks more often than the others.
+    # Not ``trainer.log_dir``: it waits for all processes, and the first one calls this more often than the others.
     folder = logger.log_dir if isinstance(logger, TensorBoardLogger) else logger.save_dir
     return None if folder is None else Path(folder)
 

@@ -69,21 +69,21 @@ class MetricsTable:
             replace_text(self.path, "".join(kept))
 
 
-def score_table(scores: Mapping[str, float], spp: int, who: str = "neurad") -> str:
-    """The closing table: this run beside the best constant, over all and over seen held-out pixels.
+def score_table(scores: Mapping[str, float], spp: int, label: str = "neurad") -> str:
+    """The closing table: this run beside the best constant, over all held-out pixels and over each of :data:`REGIONS`.
 
     Args:
         scores: by the names of :data:`COLUMNS`; a best constant's score has ``_constant`` before any ``_seen``.
-        spp: samples a pixel of the renderings behind ``psnr_linear`` and ``psnr_srgb``; 0 where there are none.
-        who: whose scores they are.
+        spp: samples per pixel of the renderings behind ``psnr_linear`` and ``psnr_srgb``; 0 where there are none.
+        label: what the scores belong to.
     """
     lines = []
     for suffix, pixels in REGIONS.items():
         body = [list(HEADINGS.values())]
-        for label, kind in ((who, ""), ("best constant", "_constant")):
+        for row, kind in ((label, ""), ("best constant", "_constant")):
             values = {name: scores.get(f"{name}{kind}{suffix}") for name in HEADINGS if name}
             if any(value is not None for value in values.values()):
-                body.append([label, *(_score(name, value) for name, value in values.items())])
+                body.append([row, *(_score(name, value) for name, value in values.items())])
         if len(body) > 1:
             rendered = f" (images rendered with {spp} samples a pixel)" if spp else ""
             lines += [f"Held-out views, {pixels}{rendered}", *align(body), ""]

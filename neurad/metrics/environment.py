@@ -18,8 +18,8 @@ from neurad.emitters.environment import Environment, rotation_of
 from neurad.metrics.held_out import HeldOut
 from neurad.metrics.scores import BoolArray, Float64Array, Pool
 
-LOOKS = 32
-"""Surface points from which is found out whether a texel's light can be seen in photographs."""
+VISIBILITY_POINTS = 32
+"""Surface points from which the visibility of a texel is tested."""
 SEED = 20230809
 
 
@@ -48,7 +48,7 @@ class EnvironmentScores:
     def _seen(self, held_out: HeldOut, rotation: Tensor) -> BoolArray:
         """Texels [height, width] whose light reaches a surface that some training view sees.
 
-        Each is asked from :data:`LOOKS` random points on such surfaces, in a random direction within it.
+        Each is tested from :data:`VISIBILITY_POINTS` random points on such surfaces, in random directions within it.
         """
         height, width = self.solid_angle.shape
         geometry, device = held_out.geometry, held_out.geometry.vertices.device
@@ -64,7 +64,7 @@ class EnvironmentScores:
             return np.zeros((height, width), np.bool_)
         texel = torch.arange(height * width, device=device)
         seen = torch.zeros(height * width, dtype=torch.bool, device=device)
-        for _ in range(LOOKS):
+        for _ in range(VISIBILITY_POINTS):
             u = stream.uniform(len(texel), 2)
             theta, phi = _angles(texel // width + u[:, 0] - 0.5, texel % width + u[:, 1], height, width)
             wi = _direction(theta, phi).float() @ rotation.to(device).T

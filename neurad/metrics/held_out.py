@@ -61,7 +61,7 @@ class HeldOut:
     """The held-out views of a scene.
 
     Args:
-        scene: its ``test`` views are scored; its ``train`` views decide what has been seen.
+        scene: its ``test`` views are scored; its ``train`` views decide which surfaces count as seen.
         geometry: the triangles, on the device where predictions are made.
         tracer: casts rays against them.
         grid: every pixel is predicted at ``grid`` x ``grid`` stratified positions and box-filtered like the truth. Four
@@ -96,13 +96,13 @@ class HeldOut:
     # --- sub-samples
 
     def sub_samples(self, index: int, few: bool = False) -> Iterator[tuple[slice, SurfaceInteraction]]:
-        """What view ``index`` sees: slices of row-major pixels with ``grid``^2 interactions a pixel, or a few, pixel by
-        pixel.
+        """First hits of view ``index``: slices of row-major pixels with their interactions [pixels * grid^2], pixel by
+        pixel, or fewer of a pixel.
 
         Args:
             index: of the view.
-            few: only four of a pixel's, one in each quarter (all of them for an odd ``grid``), for questions that are
-                dear to ask.
+            few: only four of a pixel's, one in each quarter (all of them for an odd ``grid``), for costly
+                tests.
         """
         camera, device = self.views[index].camera, self.geometry.vertices.device
         per = self.grid * self.grid
@@ -226,14 +226,14 @@ class HeldOut:
                 score.
             renders: pictures [h, w, 3] of every view, linear.
             regions: further masks [h, w] of every view, by the suffix of their scores.
-            scaled: light and albedo are known up to a common factor only.
+            scaled: whether light and albedo are found up to a common factor only.
 
         Returns:
             ``psnr_linear`` and ``psnr_srgb`` over all pixels; ``mape_linear`` over those that show a surface;
             ``{albedo, roughness}_{psnr, mape}`` over counted ones and ``albedo_psnr_8x8`` over these after a box
             filter. Each also with ``_constant``, of the best constant, and those of albedo, if ``scaled``, with
             ``_scaled1`` and ``_scaled3``, after the best factor for all channels together or for each. All these also
-            with ``_seen``, over seen pixels, and with the suffixes of ``regions``.
+            with ``_seen``, over pixels of surfaces that a training view sees, and with the suffixes of ``regions``.
         """
         count = range(len(self.views))
         masks: dict[str, Sequence[BoolArray]] = {"seen": [self.seen(i) for i in count], **(regions or {})}

@@ -1,6 +1,6 @@
-"""Pixels whose roughness can be told: glossy surfaces with a highlight that some training view sees.
+"""Pixels whose roughness can be found: glossy surfaces with a highlight that some training view sees.
 
-The roughness of a matte wall without a highlight changes no photograph, so no method can find it; scores over these
+The roughness of a diffuse wall without a highlight changes no photograph, so no method can find it; scores over these
 pixels show what could be found.
 """
 
@@ -38,21 +38,21 @@ def reflected_by(method: Method, parts: Parts) -> Reflected:
 
 @torch.no_grad()
 def lit_glossy(
-    held_out: HeldOut, reflected: Reflected, samples: int = 8, most_rough: float = 0.4, least_share: float = 0.1
+    held_out: HeldOut, reflected: Reflected, samples: int = 8, max_roughness: float = 0.4, min_specular: float = 0.1
 ) -> list[BoolArray]:
-    """Counted pixels [h, w] of every held-out view that are smooth and lit so that it shows.
+    """Counted pixels [h, w] of every held-out view that are glossy and visibly lit.
 
-    A pixel belongs if its true roughness is at most ``most_rough`` and the specular part is at least ``least_share`` of
-    the light reflected towards some training view that sees it. The specular part is what remains with albedo 0; both
-    are estimated with the true materials and the same random numbers, summed over a few sub-samples of the pixel. Views
-    without ground truth have no such pixel.
+    A pixel belongs if its true roughness is at most ``max_roughness`` and the specular part is at least the fraction
+    ``min_specular`` of the light reflected towards some training view that sees it. The specular part is what remains
+    with albedo 0; both are estimated with the true materials and the same random numbers, summed over a few sub-samples
+    of the pixel. Views without ground truth have no such pixel.
 
     Args:
         held_out: the held-out views.
         reflected: estimates reflected light for given materials.
         samples: estimates for each sub-sample and training view.
-        most_rough: largest roughness.
-        least_share: smallest specular share.
+        max_roughness: largest roughness.
+        min_specular: smallest specular fraction of the reflected light.
     """
     masks = []
     for index, view in enumerate(held_out.views):
@@ -61,19 +61,19 @@ def lit_glossy(
         if "albedo_true" not in truth or "roughness_true" not in truth:
             masks.append(np.zeros(size, np.bool_))
             continue
-        smooth = held_out.counted(index) & (truth["roughness_true"][..., 0] <= most_rough)
+        glossy = held_out.counted(index) & (truth["roughness_true"][..., 0] <= max_roughness)
         albedo = torch.from_numpy(truth["albedo_true"]).view(-1, 3)
         roughness = torch.from_numpy(truth["roughness_true"]).view(-1, 1)
         result = torch.zeros(size[0] * size[1], dtype=torch.bool)
         for part, si in held_out.sub_samples(index, few=True):
-            chosen = torch.from_numpy(smooth.reshape(-1)[part])
+            chosen = torch.from_numpy(glossy.reshape(-1)[part])
             pixel = chosen.nonzero().squeeze(-1)
             if len(pixel) == 0:
                 continue
             device, per = si.p.device, len(si) // len(chosen)
             surface = Surface(albedo[part][pixel].to(device), roughness[part][pixel].to(device)).repeat(per)
-            mine = si[chosen.to(device).repeat_interleave(per)]
-            shows = _shows(held_out, reflected, mine, surface, per, samples, least_share)
+            lanes = si[chosen.to(device).repeat_interleave(per)]
+            shows = _shows(held_out, reflected, lanes, surface, per, samples, min_specular)
             result[part.start + pixel] = shows.cpu()
         masks.append(result.view(size).numpy())
     return masks
@@ -86,7 +86,7 @@ def _shows(
     surface: Surface,
     per: int,
     samples: int,
-    share: float,
+    min_specular: float,
 ) -> Tensor:
     """Whether pixels of ``per`` lanes each [n / per] show their specular part to some training view: bool."""
     pixels = torch.arange(len(si), device=si.p.device) // per
@@ -104,5 +104,5 @@ def _shows(
         for k in range(samples):
             for row, s in enumerate((specular, whole)):
                 sums[row].index_add_(0, pixels[lanes], reflected(seen, s, mix(SEED, index, k)).sum(-1))
-        shows |= (sums[0] > 0) & (sums[0] >= share * sums[1])
+        shows |= (sums[0] > 0) & (sums[0] >= min_specular * sums[1])
     return shows

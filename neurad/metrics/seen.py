@@ -1,4 +1,4 @@
-"""Which surface points the training views have seen."""
+"""Which surface points some training view sees."""
 
 from __future__ import annotations
 
@@ -13,7 +13,7 @@ from neurad.scene.geometry import Geometry
 
 
 class SeenBy:
-    """Finds out whether points lie in the frustum of a camera, in front of it, with nothing in between.
+    """Visibility of points from cameras: inside the frustum, in front of the camera, with nothing in between.
 
     Args:
         geometry: the triangles.
@@ -37,16 +37,16 @@ class SeenBy:
         inside = si.valid & (z < 0) & (x.abs() <= -z * edge_x) & (y.abs() <= -z * edge_y)
         lanes = inside.nonzero().squeeze(-1)
         points = si[lanes]
-        way = to_world[:3, 3] - points.p
-        distance = torch.linalg.vector_norm(way, dim=-1)
-        wi = way / distance.clamp_min(torch.finfo(way.dtype).tiny)[:, None]
+        to_camera = to_world[:3, 3] - points.p  # [k, 3]
+        distance = torch.linalg.vector_norm(to_camera, dim=-1)
+        wi = to_camera / distance.clamp_min(torch.finfo(to_camera.dtype).tiny)[:, None]
         clear = ~self.tracer.occluded(*self.geometry.spawn_towards(points, wi, distance))
         return lanes[clear], wi[clear]
 
     def any(self, si: SurfaceInteraction) -> Tensor:
         """Whether at least one camera sees the lanes of ``si``: bool [n].
 
-        A lane is asked of one camera after the other until one sees it; those that saw most so far come first.
+        Cameras are tested in turn on the lanes that none has seen yet; those that saw most so far come first.
         """
         seen = torch.zeros(len(si), dtype=torch.bool, device=si.p.device)
         left = si.valid.nonzero().squeeze(-1)

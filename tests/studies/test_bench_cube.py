@@ -320,9 +320,9 @@ def test_closed_form_on_the_sphere():
     for factor, names in ((1.0, ("direct", "prb", "ours", "debiased")), (1.2, ("ours", "debiased"))):
         sphere = Sphere(0.5, "embree", factor)
         for method in (method for key, method in gradients.methods().items() if key[0] in names):
-            share, error = sphere.share(method, 2400)
+            fraction, error = sphere.gradient_fraction(method, 2400)
             assert error < 0.08
-            p_values.append(2 * stats.t.sf(abs(share - sphere.predicted(method)) / max(error, 1e-6), 15))
+            p_values.append(2 * stats.t.sf(abs(fraction - sphere.predicted(method)) / max(error, 1e-6), 15))
     assert accept(p_values)
 
 
@@ -386,7 +386,7 @@ def test_bench_gradients(tmp_path, capsys):
     words = ["--size", "4", "--spp", "2", "--batches", "3", "--reference", "2", "--states", "0.4", "0.6"]
     main(["gradients", *words, "--albedos", "0.5", "--paths", "160", "--out", str(tmp_path / "out")])
     out = capsys.readouterr().out
-    assert "share of the derivative" in out
+    assert "fraction of the derivative" in out
     with (tmp_path / "out/gradients.csv").open() as file:
         rows = list(csv.DictReader(file))
     assert {r["method"] for r in rows} == {"direct", "prb", "ours", "debiased", "reference"}

@@ -18,7 +18,7 @@ def run(options: argparse.Namespace) -> None:
 
     Whatever recovers materials from photographs with the same fields cannot be expected to score higher. Beside them
     stand those of the true mean of every mesh, right but for its patterns (and at edges, where pixels of the true maps
-    mix several), and of the true mean of the whole room, what one knows who cannot tell one surface from another; the
+    mix several), and of the true mean of the whole room, one material for all surfaces; the
     best constant of a table is fitted to the pixels that it scores. Which pixels are lit and glossy is estimated with
     the true materials.
 

@@ -36,7 +36,7 @@ class Grey(nn.Module):
 
 class Sphere:
     """Mean reflected light of a closed diffuse sphere: ``E a rho / (1 - rho)``, its derivative ``E a / (1 - rho)^2``,
-    ``a`` the emitting patch's share of the area.
+    ``a`` the emitting patch's fraction of the area.
 
     Points are drawn evenly over the area: in a closed convex diffuse room light that starts so stays so at every
     bounce, on facets too, which makes the closed form exact for their mean.
@@ -66,21 +66,21 @@ class Sphere:
         valid = torch.ones(n, dtype=torch.bool)
         return geometry.interact_at(prim, root * (1.0 - other), root * other, geometry.face_normal[prim], valid)
 
-    def share(self, method: Method, paths: int, batches: int = 16) -> tuple[float, float]:
-        """Share of the true derivative that ``method`` finds, and its standard error."""
+    def gradient_fraction(self, method: Method, paths: int, batches: int = 16) -> tuple[float, float]:
+        """Fraction of the true derivative that ``method`` finds, and its standard error."""
         found = []
         for index in range(batches):
             stream = Stream(mix(19, round(1000 * self.albedo)), index)
             si = self._points(-(-paths // batches), stream)
             u = stream.uniform(len(si), DIMENSIONS)
             value = method.reflected(self.parts, si, self.materials(si), u, stream).value.mean()
-            (slope,) = torch.autograd.grad(value, [self.materials.value])
-            found.append(slope.double() / self.derivative)
-        shares = torch.stack(found)
-        return float(shares.mean()), float(shares.std()) / math.sqrt(batches)
+            (grad,) = torch.autograd.grad(value, [self.materials.value])
+            found.append(grad.double() / self.derivative)
+        fractions = torch.stack(found)
+        return float(fractions.mean()), float(fractions.std()) / math.sqrt(batches)
 
     def predicted(self, method: Method) -> float:
-        """That share in closed form: 1 - rho^k after k bounces that end in the true field, 1 without truncation."""
+        """That fraction in closed form: 1 - rho^k after k bounces that end in the true field, 1 without truncation."""
         rho = self.albedo
         if isinstance(method, Radiometric):
             k = method.k

@@ -61,7 +61,7 @@ def run(options: argparse.Namespace) -> None:
     options.out.mkdir(parents=True, exist_ok=True)
     rows = _sphere_rows(options, factor)
     if rows:
-        title = "Integrating sphere: share of the derivative by albedo, and what theory says"
+        title = "Integrating sphere: fraction of the derivative by albedo, and its value in theory"
         report(rows, title, str(options.out / "closed_form.csv"))
     study, scene = _study(options, factor)
     found, reference = _estimate(study, options)
@@ -115,12 +115,12 @@ def _sphere_rows(options: argparse.Namespace, factor: float) -> list[dict[str, A
     for albedo in options.albedos:
         sphere = Sphere(albedo, options.tracer, factor)
         for (name, bounces), method in {**methods(), ("reference", None): PRB(None)}.items():
-            share, error = sphere.share(method, options.paths)
+            fraction, error = sphere.gradient_fraction(method, options.paths)
             truth = sphere.predicted(method)
             rows.append(
                 {
-                    "method": name, "bounces": bounces, "albedo": albedo, "share": share, "standard_error": error,
-                    "theory": truth, "z": (share - truth) / max(error, 1e-6),
+                    "method": name, "bounces": bounces, "albedo": albedo, "fraction": fraction, "standard_error": error,
+                    "theory": truth, "z": (fraction - truth) / max(error, 1e-6),
                 }
             )  # fmt: skip
     return rows

@@ -27,7 +27,7 @@ LARGE = 1 << 17
 
 
 def wait(device: torch.device) -> None:
-    """Until the device has done all that it was told."""
+    """Wait until the device has finished its queue."""
     if device.type == "cuda":
         torch.cuda.synchronize(device)
 
@@ -81,7 +81,7 @@ def ray_rates(tracer: Tracer, closest: Rays, shadow: Rays | None, t_max: Tensor 
 
 
 def peak_bytes(device: torch.device) -> int:
-    """Largest memory in use so far: of the process on a CPU, of torch's allocations on a GPU; 0 if nobody knows."""
+    """Largest memory in use so far: of the process on a CPU, of torch's allocations on a GPU; 0 where it is unknown."""
     if device.type == "cuda":
         return int(torch.cuda.max_memory_allocated(device))
     try:
@@ -92,7 +92,7 @@ def peak_bytes(device: torch.device) -> int:
 
 
 def describe(device: torch.device) -> str:
-    """The device in words."""
+    """Name of the device, and cores in use."""
     if device.type == "cuda":
         return torch.cuda.get_device_name(device)
     return f"{processor()}, {torch.get_num_threads()} of {os.cpu_count()} cores"

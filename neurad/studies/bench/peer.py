@@ -2,7 +2,7 @@
 
 All run on this machine, one after the other, each as a process of its own, on the same photographs, and are scored by
 the same code on the same held-out pixels. Seconds count from the start of each process, compilation included and
-evaluation left out. Both sides show averages over the share of the iterations that the config says
+evaluation left out. Both sides show averages over the fraction of the iterations that the config says
 (``optimization.average``); trials below are without. What the peer gets: rays of all views mixed in one batch, pixels
 in turn, leave-one-out residuals instead of a second rendering, the relative loss, a Laplacian pyramid over surface
 voxels or the networks of ``neurad fit``, Adam with the same decays of its moments (weight decay is ours alone) and a

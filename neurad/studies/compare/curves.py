@@ -24,7 +24,7 @@ COLOURS = {
     "prb": "#d55e00",
     "debiased": "#56b4e9",
 }
-"""Okabe and Ito's palette: told apart by colour-blind readers too."""
+"""Okabe and Ito's palette: distinct to colour-blind readers too."""
 FURTHER = ("#000000", "#8c6d31", "#7b4ab8", "#7f7f7f", "#b3b300", "#00a3a3")
 AXES = {"seconds": "training time / s", "samples": "path samples"}
 LEAST_SPAN = 1.5
@@ -61,7 +61,7 @@ PANELS = (
 
 
 def colours(methods: Sequence[str]) -> dict[str, str]:
-    """One fixed colour a method; methods that nobody knows get the next further one."""
+    """One fixed colour a method; methods without one get the next of :data:`FURTHER`."""
     spare = iter(FURTHER * (len(methods) // len(FURTHER) + 1))
     return {method: COLOURS.get(method) or next(spare) for method in methods}
 

@@ -43,7 +43,7 @@ def write_page(
         reach: albedo PSNRs whose time the table has.
         curves: captions and PNGs of the figures.
         views: captions and PNGs of the held-out views.
-        notes: what the reader of the figures has to know.
+        notes: how the figures were measured.
     """
     parts = [
         "<!doctype html>",

@@ -1,4 +1,4 @@
-"""What a report knows about a run: its settings, its evaluations, and how its process ended. Imports nothing heavy."""
+"""What a report has of a run: its settings, its evaluations, and how its process ended. Imports nothing heavy."""
 
 from __future__ import annotations
 
@@ -15,7 +15,7 @@ from neurad.core.errors import InputError
 from neurad.runtime.tables import numbers, read_csv
 
 FACTS = "compare.json"
-"""File in a run folder with what only the comparison that started it knows."""
+"""File in a run folder with what the comparison that started it recorded."""
 SCORES = ("albedo_psnr", "albedo_mape", "roughness_psnr", "roughness_mape", "psnr_linear")
 CONSTANT = "best constant"
 
@@ -31,7 +31,7 @@ class Run:
     folder: Path
     config: Mapping[str, Any] = field(default_factory=dict)
     rows: list[Row] = field(default_factory=list)
-    """Evaluations in order, by the columns of ``metrics.csv``; ``samples`` always where it can be known."""
+    """Evaluations in order, by the columns of ``metrics.csv``; ``samples`` wherever it can be computed."""
     columns: list[str] = field(default_factory=list)
     """Columns of ``metrics.csv`` in the file's order."""
     peak_memory_mib: float | None = None
@@ -45,8 +45,8 @@ class Run:
 
 
 def samples_per_step(config: Mapping[str, Any]) -> int | None:
-    """Path samples that one iteration draws: pixels x positions x secondary, twice that where the picture is rendered
-    twice; None if the settings do not tell.
+    """Path samples that one iteration draws: pixels x samples per pixel x samples per vertex, twice that where the
+    picture is rendered twice; None if the settings do not say.
     """
     data, model = config.get("data") or {}, config.get("model") or {}
     try:

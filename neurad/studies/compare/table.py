@@ -79,7 +79,7 @@ def _median(values: Sequence[float | None]) -> float | None:
 
 
 def write_csv(path: Path, rows: Sequence[TableRow], reach: Sequence[float] = REACH) -> None:
-    """All columns at full precision; what is not known or was not reached stays empty."""
+    """All columns; what is not known or was not reached stays empty."""
     tables.write_csv(path, columns(reach), rows)
 
 
@@ -95,7 +95,7 @@ _DIGITS: Mapping[str, Callable[[float], str]] = {
 
 
 def shown(name: str, cell: Cell) -> str:
-    """A cell as people read it."""
+    """A cell with the digits that matter."""
     if cell is None or isinstance(cell, str):
         return cell or ""
     if name in _DIGITS:

@@ -18,7 +18,7 @@ NOTES = (
     "MAPE = mean |p - g| / (g + 0.01), RMSE is what the PSNR measures. The best constant is the mean of the truth over "
     "the same pixels.",
     "Seconds run from the start of a process, set-up and compilation included, evaluations left out. Path samples are "
-    "those drawn by training: pixels x positions x secondary samples.",
+    "those drawn by training: pixels x samples per pixel x samples per vertex.",
     "Milliseconds a step and the rates are taken between the first and the last evaluation. Peak memory is the largest "
     "resident memory of the process that fitted, evaluations included.",
     "With several seeds the table has medians, and the curves have the median and a band from the least to the largest "

@@ -70,9 +70,9 @@ class PeerSettings:
     gain: float = 1.0
     """Learning rate of a level of the pyramid over that of the next coarser one."""
     final: float = 0.02
-    """Share of the rates left at the end of the cosine."""
+    """Fraction of the rates left at the end of the cosine."""
     average: float = 0.0
-    """Share of the iterations so far over which scored values are averaged, as in ``neurad fit``; 0 is none."""
+    """Fraction of the iterations so far over which scored values are averaged, as in ``neurad fit``; 0 is none."""
     normaliser: str = "photograph"
     epsilon: float = 0.01
     seed: int = 0

@@ -27,7 +27,7 @@ class Pyramid(nn.Module):
         rate: learning rate of albedo.
         roughness_rate: learning rate of roughness.
         betas: of Adam.
-        gain: share of the learning rate that each level has of that of the next coarser one: the finer, the noisier.
+        gain: learning rate of a level over that of the next coarser one: the finer, the noisier.
     """
 
     def __init__(
@@ -49,9 +49,9 @@ class Pyramid(nn.Module):
         # Albedo and roughness have learning rates of their own, so they are parameters of their own.
         self.albedo = nn.ParameterList([nn.Parameter(torch.zeros(n, 3)) for n in counts])
         self.roughness = nn.ParameterList([nn.Parameter(torch.zeros(n, 1)) for n in counts])
-        shares = [gain ** (len(counts) - 1 - level) for level in range(len(counts))]
+        gains = [gain ** (len(counts) - 1 - level) for level in range(len(counts))]
         self.optimizers = [
-            _adam(list(parameters), rate, betas, shares)
+            _adam(list(parameters), rate, betas, gains)
             for parameters, rate in ((self.albedo, rate), (self.roughness, roughness_rate))
         ]
 
@@ -99,11 +99,11 @@ class Networks(nn.Module):
 
 
 def _adam(
-    parameters: list[nn.Parameter], rate: float, betas: tuple[float, float], shares: list[float] | None = None
+    parameters: list[nn.Parameter], rate: float, betas: tuple[float, float], gains: list[float] | None = None
 ) -> SparseRowAdam:
     """Adam with a group for every parameter; its key ``rate`` is the learning rate at the top of the schedule."""
-    shares = shares or [1.0] * len(parameters)
-    groups = [{"params": [p], "rate": rate * share} for p, share in zip(parameters, shares, strict=True)]
+    gains = gains or [1.0] * len(parameters)
+    groups = [{"params": [p], "rate": rate * gain} for p, gain in zip(parameters, gains, strict=True)]
     return SparseRowAdam(groups, lr=rate, betas=betas)
 
 

@@ -9,6 +9,7 @@ import numpy as np
 import numpy.typing as npt
 import torch
 
+from neurad.core.camera import Cameras
 from neurad.core.patch_sampler import PatchSampler
 from neurad.core.records import FloatArray, IntArray
 from neurad.core.rng import mix
@@ -21,7 +22,7 @@ from neurad.studies.peer.voxels import SurfaceVoxels
 
 @dataclass(frozen=True)
 class Gradient:
-    """What one step gave."""
+    """The result of one step."""
 
     values: FloatArray
     """Derivative of the loss by the voxel values [n, 4]; 0 where it was not finite."""
@@ -40,7 +41,7 @@ class Replay:
 
     Args:
         mi: the module ``mitsuba``.
-        scene: geometry, lights and cameras; its materials, smooth ones apart, are replaced by the voxels.
+        scene: geometry, lights and cameras; its materials, all but the delta ones, are replaced by the voxels.
         voxels: where albedo and roughness are.
         photographs: of the training views [views, h * w, 3].
         max_depth: of ``prb``; -1 for no limit.
@@ -79,36 +80,25 @@ class Replay:
         self.seed = seed
         self.random = np.random.default_rng(seed)
         self.iteration = 0
-        self._cameras(scene)
-        self.patches = PatchSampler.build(len(self.origin), 1, None, self.width, self.height, seed)
+        self.cameras = Cameras.of([view.camera for view in scene.train], "cpu")
+        self.patches = PatchSampler.build(len(scene.train), 1, None, self.cameras.width, self.cameras.height, seed)
         self.lit = self._sees_no_emitter()
         square = (photographs**2).mean(-1)
         self.epsilon = epsilon * float(square[self.lit].mean() if self.lit.any() else square.mean())
 
-    def _cameras(self, scene: Scene) -> None:
-        cameras = [view.camera for view in scene.train]
-        self.width, self.height = cameras[0].width, cameras[0].height
-        pose = np.stack([camera.to_world for camera in cameras])
-        self.axes: FloatArray = pose[:, :3, :3].astype(np.float32)
-        self.origin: FloatArray = pose[:, :3, 3].astype(np.float32)
-        self.pixel: FloatArray = np.array([2.0 * np.tan(0.5 * c.fov_x) / c.width for c in cameras], np.float32)
-
     def rays(self, view: IntArray, pixel: IntArray) -> Any:
         """Mitsuba rays through a random position of every pixel, row-major [n], of the views [n]."""
         jitter = self.random.random((len(view), 2), dtype=np.float32)
-        x = (pixel % self.width + jitter[:, 0] - 0.5 * self.width) * self.pixel[view]
-        y = (0.5 * self.height - pixel // self.width - jitter[:, 1]) * self.pixel[view]
-        local = np.stack((x, y, np.full_like(x, -1.0)), -1).astype(np.float32)
-        d = np.einsum("nij,nj->in", self.axes[view], local)
-        d /= np.linalg.norm(d, axis=0)
-        mi = self.mi
-        return mi.Ray3f(mi.Point3f(np.ascontiguousarray(self.origin[view].T)), mi.Vector3f(np.ascontiguousarray(d)))
+        corner = np.stack((pixel % self.cameras.width, pixel // self.cameras.width), -1)  # [n, 2]
+        ours = self.cameras.rays(torch.from_numpy(view), torch.from_numpy((corner + jitter).astype(np.float32)))
+        o, d = (np.ascontiguousarray(x.numpy().T) for x in (ours.o, ours.d))
+        return self.mi.Ray3f(self.mi.Point3f(o), self.mi.Vector3f(d))
 
     def _sees_no_emitter(self) -> npt.NDArray[np.bool_]:
         """Pixels none of whose tested positions sees an emitter [views, pixels]: the others train nothing."""
-        pixels = np.arange(self.width * self.height)
-        good = np.ones((len(self.origin), len(pixels)), bool)
-        for view in range(len(self.origin)):
+        pixels = np.arange(self.cameras.width * self.cameras.height)
+        good = np.ones((len(self.cameras.origin), len(pixels)), bool)
+        for view in range(len(good)):
             for _ in range(8):
                 hit = self.scene.ray_intersect(self.rays(np.full_like(pixels, view), pixels))
                 good[view] &= ~np.array(hit.is_valid() & (hit.shape.emitter() != None), dtype=bool)  # noqa: E711

@@ -15,7 +15,7 @@ from neurad.core.records import FloatArray, IntArray, Surface, SurfaceInteractio
 from neurad.scene.description import Scene
 
 MARGIN = 0.01
-"""Free space around the scene, as a share of its longest side."""
+"""Free space around the scene, as a fraction of its longest side."""
 SPACING = 0.4
 """Distance of the points that stand for a triangle, in voxels."""
 CHUNK = 1 << 21
