@@ -92,23 +92,48 @@ def rooms() -> Figure:
     return _curves("rooms", "room")
 
 
+COMPARED = ("demo", "staircase")
+"""Rooms with a ``methods_ROOM.csv``, which has the columns of the ``curves.csv`` that ``neurad compare`` writes."""
+
+
 def methods() -> Figure:
-    """Error of every method after the same time, in two rooms."""
+    """Error of every method at its end, in every room."""
     figure, both = plt.subplots(1, 2, figsize=(10, 4))
     constants = {row["room"]: row for row in rows("constants")}
-    table = rows("methods")
-    names, places = (distinct(row[key] for row in table) for key in ("method", "room"))
+    tables = {room: rows(f"methods_{room}") for room in COMPARED}
+    names = distinct(row["method"] for table in tables.values() for row in table)
     for axes, quantity in zip(both, MAPS, strict=True):
-        for index, room in enumerate(places):
-            found = {row["method"]: rmse(row[f"{quantity}_psnr"]) for row in table if row["room"] == room}
-            at = [number + 0.4 * (index - 0.5 * (len(places) - 1)) for number in range(len(names))]
-            bars = axes.bar(at, [found[name] for name in names], 0.38, color=f"C{index}", label=ROOMS.get(room, room))
+        for index, (room, table) in enumerate(tables.items()):
+            last = {row["method"]: rmse(row[f"{quantity}_psnr"]) for row in table}  # rows are in the order of time
+            at = [number + 0.4 * (index - 0.5 * (len(tables) - 1)) for number in range(len(names))]
+            bars = axes.bar(at, [last[name] for name in names], 0.38, color=f"C{index}", label=ROOMS.get(room, room))
             axes.bar_label(bars, fmt="%.3f", fontsize=7)
             axes.axhline(rmse(constants[room][f"{quantity}_psnr"]), color=f"C{index}", ls=":", lw=1)
         axes.set_xticks(range(len(names)), names)
         axes.set_ylabel(f"{quantity} RMSE (lower is better)")
     both[0].legend(title="dotted: best constant", fontsize=8, title_fontsize=8)
-    figure.suptitle(f"after {' or '.join(distinct(row['seconds'] for row in table))} seconds of training", fontsize=10)
+    ends = distinct(str(round(max(float(row["seconds"]) for row in table))) for table in tables.values())
+    figure.suptitle(f"after {' or '.join(ends)} seconds of training", fontsize=10)
+    return figure
+
+
+def methods_curves() -> Figure:
+    """Error of every method against time, a row of panels for each room."""
+    figure, panels = plt.subplots(len(COMPARED), 2, figsize=(10, 4 * len(COMPARED)), squeeze=False)
+    for line, room in zip(panels, COMPARED, strict=True):
+        table = rows(f"methods_{room}")
+        for axes, quantity in zip(line, MAPS, strict=True):
+            for run in distinct(f"{row['method']} {row['seed']}" for row in table):
+                method, seed = run.split()
+                chosen = [row for row in table if (row["method"], row["seed"]) == (method, seed)]
+                error = [rmse(row[f"{quantity}_psnr"]) for row in chosen]
+                color = f"C{distinct(row['method'] for row in table).index(method)}"
+                label = method if seed == table[0]["seed"] else None
+                axes.plot([float(row["seconds"]) for row in chosen], error, "o-", ms=3, color=color, label=label)
+            axes.set_xlabel("seconds of training")
+            axes.set_title(ROOMS.get(room, room), fontsize=10)
+            _error_axis(axes, quantity)
+        line[0].legend(fontsize=8)
     return figure
 
 
@@ -179,7 +204,10 @@ def main(args: list[str] | None = None) -> None:
     parser = argparse.ArgumentParser(description=main.__doc__)
     parser.add_argument("--out", type=Path, default=DOCS, help="folder (default: docs)")
     out = parser.parse_args(args).out
-    for name, draw in PLOTS.items():
+    curves = any(
+        len(rows(f"methods_{room}")) > len({r["method"] for r in rows(f"methods_{room}")}) for room in COMPARED
+    )
+    for name, draw in PLOTS.items() if not curves else [*PLOTS.items(), ("methods_curves", methods_curves)]:
         figure = draw()
         figure.tight_layout()
         figure.savefig(out / f"{name}.png", dpi=100, metadata={"Software": None})
