@@ -117,7 +117,7 @@ def make_guide(scene: Scene, cells: int, method: Method) -> Guide | None:
 
     None for 0 cells, for a method whose samples come without the radiance that arrived, and for a diffuse scene.
     """
-    if cells == 0 or not method.tells_light or scene.features.is_diffuse:
+    if cells == 0 or not method.estimates_Li or scene.features.is_diffuse:
         return None
     return Guide(torch.from_numpy(scene.bounds), cells)
 

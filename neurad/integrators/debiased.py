@@ -10,7 +10,7 @@ from torch import Tensor
 from neurad.core.errors import InputError
 from neurad.core.records import Surface, SurfaceInteraction
 from neurad.core.rng import Stream
-from neurad.integrators.method import Method, Parts, Reflected
+from neurad.integrators.method import Method, RadianceEstimate, SceneModel
 from neurad.integrators.radiometric import field_radiance
 from neurad.integrators.walk import scatter, walk
 
@@ -20,25 +20,25 @@ class Continuation:
     """Probability to add the next term of the series.
 
     Attributes:
-        start: of the first term after ``I_k``.
-        first: bounces done before it.
-        exponent: of the last bounce's weight in all later ones.
-        most: largest probability of a later one.
+        k: bounces done before the first term after ``I_k``.
+        first_prob: probability of that term, on a white surface.
+        exponent: of the last bounce's weight in the probability of all later ones.
+        rr_prob: largest probability of a later one.
     """
 
-    start: float
-    first: int
+    k: int
+    first_prob: float
     exponent: float
-    most: float
+    rr_prob: float
 
     def __call__(self, bounces: int, throughput: Tensor, weight: Tensor) -> Tensor | None:
         """Probability to go on [n]; None before the first term."""
-        if bounces < self.first:
+        if bounces < self.k:
             return None
         ratio = weight.amax(-1)
-        if bounces == self.first:
-            return ratio.clamp_max(1.0) * self.start
-        return ratio.pow(self.exponent).clamp_max(self.most)
+        if bounces == self.k:
+            return ratio.clamp_max(1.0) * self.first_prob
+        return ratio.pow(self.exponent).clamp_max(self.rr_prob)
 
 
 class Debiased(Method):
@@ -49,54 +49,68 @@ class Debiased(Method):
     wrong field; a good field makes all but the first term small noise, which is why few paths need to follow it.
 
     The i-th term has a variance like ``rho^(2 i) / P(i)``, rho the albedo. So the probability to go on must exceed
-    rho^2. It is ``weight^exponent`` at most ``most``, the weight of a diffuse bounce being its albedo: every exponent
-    below 2 will do, and 1 makes variance times cost least for a residual that is the same everywhere. Where albedo is
-    above ``sqrt(most)`` the variance is infinite.
+    rho^2. It is ``weight^exponent`` at most ``rr_prob``, the weight of a diffuse bounce being its albedo: every
+    exponent below 2 will do, and 1 makes variance times cost least for a residual that is the same everywhere. Where
+    albedo is above ``sqrt(rr_prob)`` the variance is infinite.
 
     Args:
         k: bounces that every path has.
-        start: probability to follow a path beyond them, on a white surface.
+        first_prob: probability to follow a path beyond them, on a white surface.
         exponent: of the weight in later probabilities to go on, in (0, 2).
-        most: largest of these.
-        control: give what takes noise from the samples without changing their mean, at no ray's cost.
+        rr_prob: largest of these.
+        control_variate: give what takes noise from the samples without changing their mean, at no ray's cost.
 
     Raises:
         InputError: a setting outside its range.
     """
 
     def __init__(
-        self, k: int = 1, start: float = 0.5, exponent: float = 1.0, most: float = 0.995, control: bool = True
+        self,
+        k: int = 1,
+        first_prob: float = 0.5,
+        exponent: float = 1.0,
+        rr_prob: float = 0.995,
+        control_variate: bool = True,
     ) -> None:
         if k < 1:
             raise InputError("model.method (Debiased): k must be at least 1")
-        if not 0.0 < start <= 1.0 or not 0.0 < most < 1.0:
-            raise InputError("model.method (Debiased): start must lie in (0, 1] and most in (0, 1)")
+        if not 0.0 < first_prob <= 1.0 or not 0.0 < rr_prob < 1.0:
+            raise InputError("model.method (Debiased): first_prob must lie in (0, 1] and rr_prob in (0, 1)")
         if not 0.0 < exponent < 2.0:
             raise InputError("model.method (Debiased): exponent must lie in (0, 2), or the variance is infinite")
         self.k = k
-        self.control = control
-        self.continuation = Continuation(start, k, exponent, most)
+        self.control_variate = control_variate
+        self.continuation = Continuation(k, first_prob, exponent, rr_prob)
 
-    def reflected(self, parts: Parts, si: SurfaceInteraction, surface: Surface, u: Tensor, stream: Stream) -> Reflected:
+    def reflected(
+        self, scene: SceneModel, si: SurfaceInteraction, surface: Surface, u: Tensor, stream: Stream
+    ) -> RadianceEstimate:
         """The telescoped series at the lanes of ``si``."""
-        assert parts.radiance is not None
-        control = self.tells(parts.world)
-        steps = walk(parts.world, parts.materials, si, surface, u, stream, self.continuation, None, control=control)
+        assert scene.radiance is not None
+        vertices = walk(
+            scene.world, scene.materials, si, surface, u, stream, self.continuation, None,
+            sample_stats=self.wants_sample_stats(scene.world),
+        )  # fmt: skip
         terms: list[tuple[Tensor, Tensor]] = []
-        sample = Reflected(si.p)
-        before = si.p  # sg[L] where the bounce before ended, at the lanes of the next one
-        for index, v in enumerate(steps):
-            if index == 0 or index >= self.k - 1:
-                light = field_radiance(parts.materials, parts.radiance, v.step.next)
-                value = v.step.reflected(light)
-            if index == 0:
+        sample = RadianceEstimate(si.p)
+        light_before = si.p  # sg[L_theta] where the bounce before ended, at the lanes of the next one [n, 3]
+        for i, v in enumerate(vertices):
+            # ---------------------- The field where this bounce ended ----------------------
+
+            if i == 0 or i >= self.k - 1:
+                light = field_radiance(scene.materials, scene.radiance, v.bounce.next)  # [m, 3]
+                value = v.bounce.reflected(light)  # T_hat(E + L) [m, 3]
+            if i == 0:
                 # Any guess of the light keeps the mean, and the field's has no noise.
-                sample = Reflected(value, value, light, v.step.sample_stats, v.step.next)
-            if index < self.k - 1:
-                value = v.step.direct
+                sample = RadianceEstimate(value, value, light, v.bounce.sample_stats, v.bounce.next)
+
+            # ---------------------- T_hat(E), then I_k, then residuals ----------------------
+
+            if i < self.k - 1:
+                value = v.bounce.direct
             else:
-                if index >= self.k:
-                    value = value - before[v.lane]
-                before = torch.zeros_like(si.p).index_copy_(0, v.lane, light)
+                if i >= self.k:
+                    value = value - light_before[v.lane]
+                light_before = torch.zeros_like(si.p).index_copy_(0, v.lane, light)
             terms.append((v.lane, v.throughput * value))
         return replace(sample, value=scatter(terms, si.p))

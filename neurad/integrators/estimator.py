@@ -11,7 +11,7 @@ from neurad.core.protocols import Materials
 from neurad.core.records import Lanes, Surface, SurfaceInteraction
 from neurad.core.rng import Stream
 from neurad.integrators.bounce import bounce
-from neurad.integrators.method import Method, Parts, Reflected, ReflectedRadiance, query_radiance
+from neurad.integrators.method import Method, RadianceEstimate, ReflectedRadiance, SceneModel, query_radiance
 from neurad.integrators.radiometric import Radiometric, field_radiance
 from neurad.integrators.stratified import stratified_samples
 from neurad.integrators.world import World
@@ -27,20 +27,20 @@ class Estimator:
     method: Method = field(default_factory=Radiometric)
 
     @property
-    def parts(self) -> Parts:
+    def scene(self) -> SceneModel:
         """What the method works on."""
-        return Parts(self.world, self.materials, self.radiance)
+        return SceneModel(self.world, self.materials, self.radiance)
 
     def image(
         self, si: SurfaceInteraction, surface: Surface, count: int, stream: Stream, stratum_size: int = 1
-    ) -> Reflected:
+    ) -> RadianceEstimate:
         """The method's estimate, ``count`` samples at every lane: lane i's are i*count .. (i+1)*count - 1.
 
         The samples of ``together`` neighbouring lanes are spread evenly, and independent of all others.
         """
         assert len(si) % stratum_size == 0
         u = stratified_samples(len(si) // stratum_size, stratum_size * count, stream)
-        return self.method.reflected(self.parts, si.repeat(count), surface.repeat(count), u, stream)
+        return self.method.reflected(self.scene, si.repeat(count), surface.repeat(count), u, stream)
 
     def reflected(
         self,

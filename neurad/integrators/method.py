@@ -11,9 +11,9 @@ import torch
 from torch import Tensor
 
 from neurad.core.protocols import Materials
-from neurad.core.records import Rays, Surface, SurfaceInteraction
+from neurad.core.records import Surface, SurfaceInteraction
 from neurad.core.rng import Stream
-from neurad.integrators.vertex import DIMENSIONS, BSDFSampleStats
+from neurad.integrators.vertex import BSDFSampleStats
 from neurad.integrators.world import World
 
 ReflectedRadiance = (
@@ -23,8 +23,8 @@ ReflectedRadiance = (
 
 
 def query_radiance(radiance: ReflectedRadiance, materials: Materials, si: SurfaceInteraction) -> Tensor:
-    """``L_theta`` at the lanes of ``si`` [n, 3]. The materials are asked for the albedo, without gradient, unless the
-    field has an attribute ``reads_albedo`` which says that it does without.
+    """``L_theta`` at the lanes of ``si`` [n, 3]. It reads the albedo, without gradient, unless the field's attribute
+    ``reads_albedo`` is False.
     """
     if not getattr(radiance, "reads_albedo", True):
         return radiance(si, None)  # type: ignore[arg-type]
@@ -34,7 +34,7 @@ def query_radiance(radiance: ReflectedRadiance, materials: Materials, si: Surfac
 
 
 @dataclass(frozen=True)
-class Parts:
+class SceneModel:
     """What light meets: a world, its materials and, for the methods that read one, a radiance field."""
 
     world: World
@@ -43,7 +43,7 @@ class Parts:
 
 
 @dataclass(frozen=True)
-class Reflected:
+class RadianceEstimate:
     """One-sample estimates at the lanes of first vertices."""
 
     value: Tensor
@@ -53,11 +53,11 @@ class Reflected:
     None from a method without a field."""
     Li_bsdf: Tensor | None = None
     """Reflected radiance that arrived along the first BSDF samples, without gradient [n, 3]; None from a method that
-    does not tell."""
+    has no such estimate."""
     sample_stats: BSDFSampleStats | None = None
-    """Of the first BSDF samples: with ``incident`` the control variate of
-    :class:`neurad.losses.leave_one_out.Control`, and what a guide learns from."""
-    ends: SurfaceInteraction | None = None
+    """Of the first BSDF samples: with ``Li_bsdf`` the control variate of
+    :class:`neurad.losses.leave_one_out.ControlVariate`, and what a guide is made from."""
+    next: SurfaceInteraction | None = None
     """Where the first BSDF samples ended; None from a method without a field."""
 
 
@@ -67,41 +67,25 @@ class Method(ABC):
     needs_field: ClassVar[bool] = True
     """Whether a radiance field is read; without it none is built, and no term of the objective trains one."""
 
-    control: bool = False
-    """Whether :class:`neurad.losses.leave_one_out.Control` takes noise from the samples."""
-    tells_light: ClassVar[bool] = True
-    """Whether estimates come with the light that arrived, from which a guide learns where to look."""
+    control_variate: bool = False
+    """Whether :class:`neurad.losses.leave_one_out.ControlVariate` takes noise from the samples."""
+    estimates_Li: ClassVar[bool] = True
+    """Whether estimates come with the radiance that arrived, ``Li_bsdf``, which a guide is made from."""
 
-    def tells(self, world: World) -> bool:
-        """Whether anybody asks how the first samples are sample_stats: a control variate or a guide, in training."""
-        return torch.is_grad_enabled() and (self.control or world.guide is not None)
+    def wants_sample_stats(self, world: World) -> bool:
+        """Whether statistics of the first BSDF samples are needed: in training, by a control variate or a guide."""
+        return torch.is_grad_enabled() and (self.control_variate or world.guide is not None)
 
     @abstractmethod
-    def reflected(self, parts: Parts, si: SurfaceInteraction, surface: Surface, u: Tensor, stream: Stream) -> Reflected:
+    def reflected(
+        self, scene: SceneModel, si: SurfaceInteraction, surface: Surface, u: Tensor, stream: Stream
+    ) -> RadianceEstimate:
         """Reflected radiance towards ``si.wo``, one sample a lane; lanes without a surface give zero.
 
         Args:
-            parts: the scene.
+            scene: what light meets.
             si: first vertices [n].
             surface: what the scene is made of there, with its gradient.
             u: uniform numbers of the first bounce [n, DIMENSIONS].
             stream: random numbers of all further ones.
         """
-
-
-@dataclass(frozen=True)
-class MethodRHS:
-    """The picture that a method compares with photographs: ``E`` plus its estimate of reflected light."""
-
-    method: Method
-    parts: Parts
-
-    @torch.no_grad()
-    def __call__(self, rays: Rays, seed: int) -> Tensor:
-        """One-sample estimate of the radiance along camera rays [n, 3]."""
-        stream = Stream(seed, device=rays.o.device)
-        world = self.parts.world
-        first = world.trace_past_delta(rays, stream.uniform(len(rays)))
-        u = stream.uniform(len(rays), DIMENSIONS)
-        sample = self.method.reflected(self.parts, first.si, self.parts.materials(first.si), u, stream)
-        return first.attenuate(world.emitted(first.si) + sample.value)

@@ -2,70 +2,27 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
-
 import torch
 from torch import Tensor
 
 from neurad.core.errors import InputError
-from neurad.core.protocols import Materials
-from neurad.core.records import Rays, Surface, SurfaceInteraction
+from neurad.core.records import Surface, SurfaceInteraction
 from neurad.core.rng import Stream
-from neurad.integrators.method import Method, Parts, Reflected
-from neurad.integrators.vertex import DIMENSIONS
+from neurad.integrators.method import Method, RadianceEstimate, SceneModel
 from neurad.integrators.walk import Roulette, scatter, walk
-from neurad.integrators.world import World
-
-
-@dataclass(frozen=True)
-class PathTracer:
-    """Estimates ``sum_i T^i E`` by random walks (depth and roulette count as in Mitsuba's ``path``).
-
-    Attributes:
-        world: the scene.
-        materials: what its surfaces are made of.
-        max_depth: longest path; 1 shows emitters only, 2 adds direct light. None: roulette alone ends paths.
-        rr_depth: depth from which roulette may end a path.
-        rr_prob: largest probability to go on.
-    """
-
-    world: World
-    materials: Materials
-    max_depth: int | None = 20
-    rr_depth: int = 8
-    rr_prob: float = 0.95
-
-    @torch.no_grad()
-    def __call__(self, rays: Rays, seed: int) -> Tensor:
-        """One-sample estimate of the radiance along camera rays [n, 3]."""
-        stream = Stream(seed, device=rays.o.device)
-        first = self.world.trace_past_delta(rays, stream.uniform(len(rays)))
-        radiance = first.attenuate(self.world.emitted(first.si))
-        lane = first.si.valid.nonzero().squeeze(-1)
-        if len(lane) == 0 or (self.max_depth is not None and self.max_depth < 2):
-            return radiance
-        si = first.si[lane]
-        before = first.attenuate(torch.ones_like(first.si.p))[lane]
-        steps = walk(
-            self.world, self.materials, si, self.materials(si), stream.uniform(len(si), DIMENSIONS), stream,
-            Roulette(self.rr_depth, self.rr_prob), None if self.max_depth is None else self.max_depth - 1,
-        )  # fmt: skip
-        for vertex in steps:
-            at = vertex.lane
-            radiance.index_add_(0, lane[at], before[at] * vertex.throughput * vertex.step.direct)
-        return radiance
 
 
 class PathTracing(Method):
     """AD-PT: ``sum_i T^i E`` with autograd through all bounces (paper Eq. 7), directions and roulette held fixed.
 
-    Memory grows with the length of the paths, as the graph keeps every bounce. Without ``max_bounces`` the estimate is
-    unbiased; its variance is finite where the albedo's square stays below ``roulette``.
+    Memory grows with the length of the paths, as the graph keeps every bounce. Without ``max_depth`` the estimate is
+    unbiased; its variance is finite where the albedo's square stays below ``rr_prob``.
 
     Args:
-        max_bounces: longest path in bounces, 1 is direct light; None: roulette alone ends paths.
-        roulette_start: bounces after which roulette may end a path.
-        roulette: largest probability to go on; below it, it is the throughput.
+        max_depth: longest path, counted as in Mitsuba: 1 shows emitters only, 2 adds direct light. None: roulette alone
+            ends paths.
+        rr_depth: bounces after which roulette may end a path.
+        rr_prob: largest probability to go on; below it, it is the throughput.
         control: give what takes noise from the samples without changing their mean, at no ray's cost.
 
     Raises:
@@ -75,31 +32,37 @@ class PathTracing(Method):
     needs_field = False
 
     def __init__(
-        self, max_bounces: int | None = 15, roulette_start: int = 5, roulette: float = 0.95, control: bool = True
+        self, max_depth: int | None = 16, rr_depth: int = 5, rr_prob: float = 0.95, control_variate: bool = True
     ) -> None:
         name = f"model.method ({type(self).__name__})"
-        if max_bounces is not None and max_bounces < 1:
-            raise InputError(f"{name}: max_bounces must be at least 1, or null for no cap")
-        if roulette_start < 1:
-            raise InputError(f"{name}: roulette_start must be at least 1")
-        if not 0.0 < roulette <= 1.0 or (roulette == 1.0 and max_bounces is None):
-            raise InputError(f"{name}: roulette must lie in (0, 1], and below 1 where max_bounces caps no path")
-        self.max_bounces = max_bounces
-        self.roulette = Roulette(roulette_start, roulette)
-        self.control = control
+        if max_depth is not None and max_depth < 1:
+            raise InputError(f"{name}: max_depth must be at least 1, or null for no cap")
+        if rr_depth < 1:
+            raise InputError(f"{name}: rr_depth must be at least 1")
+        if not 0.0 < rr_prob <= 1.0 or (rr_prob == 1.0 and max_depth is None):
+            raise InputError(f"{name}: rr_prob must lie in (0, 1], and below 1 where max_depth caps no path")
+        self.max_depth = max_depth
+        self.roulette = Roulette(rr_depth, rr_prob)
+        self.control_variate = control_variate
 
-    def reflected(self, parts: Parts, si: SurfaceInteraction, surface: Surface, u: Tensor, stream: Stream) -> Reflected:
-        """``sum_{i >= 1} T^i E`` at the lanes of ``si``."""
-        control = self.tells(parts.world)
-        steps = walk(
-            parts.world, parts.materials, si, surface, u, stream, self.roulette, self.max_bounces, control=control
-        )
+    def reflected(
+        self, scene: SceneModel, si: SurfaceInteraction, surface: Surface, u: Tensor, stream: Stream
+    ) -> RadianceEstimate:
+        """``sum_{i >= 1} T^i E`` at the lanes of ``si``, the Neumann series of Eq. 1."""
+        if self.max_depth == 1:  # emitters only
+            if torch.is_grad_enabled():
+                raise InputError(f"model.method ({type(self).__name__}): max_depth 1 shows emitters only, no surfaces")
+            return RadianceEstimate(torch.zeros_like(si.p))
+        vertices = walk(
+            scene.world, scene.materials, si, surface, u, stream, self.roulette, self.max_depth,
+            sample_stats=self.wants_sample_stats(scene.world),
+        )  # fmt: skip
         terms, arrived, sample_stats = [], [], None
-        for v in steps:
-            terms.append((v.lane, v.throughput * v.step.direct))
+        for v in vertices:
+            terms.append((v.lane, v.throughput * v.bounce.direct))  # beta_i T_hat(E)
             if v.throughput_after_first is None:
-                sample_stats = v.step.sample_stats
+                sample_stats = v.bounce.sample_stats
             else:
-                arrived.append((v.lane, v.throughput_after_first * v.step.direct.detach()))
+                arrived.append((v.lane, v.throughput_after_first * v.bounce.direct.detach()))
         light = None if sample_stats is None else scatter(arrived, si.p)
-        return Reflected(scatter(terms, si.p), Li_bsdf=light, sample_stats=sample_stats)
+        return RadianceEstimate(scatter(terms, si.p), Li_bsdf=light, sample_stats=sample_stats)

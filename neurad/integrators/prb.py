@@ -17,7 +17,7 @@ from torch import Tensor, nn
 
 from neurad.core.records import Surface, SurfaceInteraction
 from neurad.core.rng import Stream
-from neurad.integrators.method import Parts, Reflected
+from neurad.integrators.method import RadianceEstimate, SceneModel
 from neurad.integrators.path import PathTracing
 from neurad.integrators.vertex import BSDFSampleStats
 from neurad.integrators.walk import Vertex, loosen, walk
@@ -33,24 +33,26 @@ class PRB(PathTracing):
     channel whose weight is exactly 0 gets no derivative there (as in Mitsuba): the rest of its path cannot be known.
 
     Args:
-        max_bounces: longest path in bounces, 1 is direct light; None: roulette alone ends paths.
-        roulette_start: bounces after which roulette may end a path.
-        roulette: largest probability to go on; below it, it is the throughput.
-        control: give what takes noise from the samples without changing their mean, at no ray's cost.
+        max_depth: longest path; 1 shows emitters only, 2 adds direct light. None: roulette alone ends paths.
+        rr_depth: bounces after which roulette may end a path.
+        rr_prob: largest probability to go on; below it, it is the throughput.
+        control_variate: give what takes noise from the samples without changing their mean, at no ray's cost.
     """
 
-    def reflected(self, parts: Parts, si: SurfaceInteraction, surface: Surface, u: Tensor, stream: Stream) -> Reflected:
+    def reflected(
+        self, scene: SceneModel, si: SurfaceInteraction, surface: Surface, u: Tensor, stream: Stream
+    ) -> RadianceEstimate:
         """``sum_{i >= 1} T^i E`` at the lanes of ``si``."""
-        if not torch.is_grad_enabled():  # a picture: there is nothing to replay
-            return super().reflected(parts, si, surface, u, stream)
+        if not torch.is_grad_enabled() or self.max_depth == 1:  # there is nothing to replay
+            return super().reflected(scene, si, surface, u, stream)
         key = int(stream.integers(1 << 62, 1))
-        replay = _Replay(self, parts, si, surface.detach(), u, key)
-        parameters = [p for part in (parts.materials, parts.world) for p in _trainable(part)]
+        replay = _Replay(self, scene, si, surface.detach(), u, key)
+        parameters = [p for part in (scene.materials, scene.world) for p in _trainable(part)]
         value, *found = _Radiance.apply(replay, surface.albedo, surface.roughness, *parameters)  # type: ignore[no-untyped-call]
         if not found:
-            return Reflected(value)
+            return RadianceEstimate(value)
         light, *sample_stats = found
-        return Reflected(value, Li_bsdf=light, sample_stats=BSDFSampleStats(*sample_stats))
+        return RadianceEstimate(value, Li_bsdf=light, sample_stats=BSDFSampleStats(*sample_stats))
 
 
 def _trainable(part: object) -> list[Tensor]:
@@ -61,17 +63,18 @@ class _Replay:
     """A set of walks that can be taken any number of times."""
 
     def __init__(
-        self, method: PathTracing, parts: Parts, si: SurfaceInteraction, surface: Surface, u: Tensor, key: int
+        self, method: PathTracing, scene: SceneModel, si: SurfaceInteraction, surface: Surface, u: Tensor, key: int
     ) -> None:
-        self.method, self.parts, self.si, self.surface, self.u, self.key = method, parts, si, surface, u, key
+        self.method, self.scene, self.si, self.surface, self.u, self.key = method, scene, si, surface, u, key
 
     def steps(self, surface: Surface) -> Iterator[Vertex]:
         """The walks anew; every step has a graph to its own surface only."""
         # With gradients enabled in both passes: networks may round differently without them, and the smallest
         # difference in a direction can end at another triangle.
         return walk(
-            self.parts.world, self.parts.materials, self.si, surface, self.u, Stream(self.key, device=self.u.device),
-            self.method.roulette, self.method.max_bounces, detached=True, control=self.method.tells(self.parts.world),
+            self.scene.world, self.scene.materials, self.si, surface, self.u, Stream(self.key, device=self.u.device),
+            self.method.roulette, self.method.max_depth, detached=True,
+            sample_stats=self.method.wants_sample_stats(self.scene.world),
         )  # fmt: skip
 
 
@@ -91,12 +94,12 @@ class _Radiance(torch.autograd.Function):
         sample_stats, light = None, torch.zeros_like(replay.si.p)
         with torch.enable_grad():
             for v in replay.steps(replay.surface):
-                direct = v.step.direct.detach()
+                direct = v.bounce.direct.detach()
                 radiance.index_add_(0, v.lane, (v.throughput * direct).double())
                 if v.throughput_after_first is not None:
                     light.index_add_(0, v.lane, v.throughput_after_first * direct)
-                elif v.step.sample_stats is not None:
-                    sample_stats = v.step.sample_stats
+                elif v.bounce.sample_stats is not None:
+                    sample_stats = v.bounce.sample_stats
                 del v, direct  # before the next one is made
         ctx.replay, ctx.radiance, ctx.parameters = replay, radiance, parameters
         value = radiance.to(replay.si.p.dtype)
@@ -116,14 +119,14 @@ class _Radiance(torch.autograd.Function):
             ends = (albedo, roughness, *ctx.parameters)
             totals: Sequence[GradientSum] = (GradientSum(), GradientSum(), *sums)
             for v in replay.steps(replace(replay.surface, albedo=albedo, roughness=roughness)):
-                direct, weight = v.step.direct, v.step.weight
+                direct, weight = v.bounce.direct, v.bounce.weight
                 left.index_add_(0, v.lane, (v.throughput * direct.detach()).double(), alpha=-1.0)
                 fixed = weight.detach()
                 beyond = torch.where(fixed > 0, left[v.lane].to(fixed.dtype) / fixed.clamp_min(1e-30), 0.0)
                 outer = gradients[0][v.lane]
                 pairs = [(direct, outer * v.throughput), (weight, outer * beyond)]
-                if v.step.sample_stats is not None:
-                    pairs.append((v.step.sample_stats.deviation, gradients[2]))
+                if v.bounce.sample_stats is not None:
+                    pairs.append((v.bounce.sample_stats.deviation, gradients[2]))
                 outputs, scales = zip(*((x, g) for x, g in pairs if x.requires_grad), strict=True)  # known parts do not
                 found = torch.autograd.grad(outputs, ends, scales, allow_unused=True)
                 for total, gradient in zip(totals, found, strict=True):

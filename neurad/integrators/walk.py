@@ -25,16 +25,16 @@ class Roulette:
     """Ends paths with the probability of what they have lost, as Mitsuba's ``path`` does.
 
     Attributes:
-        start: bounces after which a path may end.
-        most: largest probability to go on.
+        rr_depth: bounces after which a path may end.
+        rr_prob: largest probability to go on.
     """
 
-    start: int = 5
-    most: float = 0.95
+    rr_depth: int = 5
+    rr_prob: float = 0.95
 
     def __call__(self, bounces: int, throughput: Tensor, weight: Tensor) -> Tensor | None:
-        """Probability to go on [n]; None before ``start``."""
-        return throughput.amax(-1).clamp_max(self.most) if bounces >= self.start else None
+        """Probability to go on [n]; None before ``rr_depth``."""
+        return throughput.amax(-1).clamp_max(self.rr_prob) if bounces >= self.rr_depth else None
 
 
 @dataclass(frozen=True)
@@ -46,10 +46,10 @@ class Vertex:
     si: SurfaceInteraction
     throughput: Tensor
     """Product of the weights before this vertex over the probabilities to get here [m, 3]."""
-    step: Bounce
+    bounce: Bounce
     throughput_after_first: Tensor | None = None
     """``throughput`` without the first weight, so that its sum with direct light is what arrived along the first BSDF
-    sample; without gradient [m, 3]. None at the first vertex, and unless control is asked for."""
+    sample; without gradient [m, 3]. None at the first vertex, and without statistics of the samples."""
 
 
 def walk(
@@ -60,9 +60,9 @@ def walk(
     u: Tensor,
     stream: Stream,
     survival: Survival,
-    max_bounces: int | None,
+    max_depth: int | None,
     detached: bool = False,
-    control: bool = False,
+    sample_stats: bool = False,
 ) -> Iterator[Vertex]:
     """Vertices of random walks, one bounce of all paths at a time.
 
@@ -74,39 +74,51 @@ def walk(
         u: uniform numbers of the first bounce [n, DIMENSIONS].
         stream: random numbers of all further ones.
         survival: when paths end; its probabilities are held fixed in derivatives.
-        max_bounces: a path's largest number of bounces; None leaves all to ``survival``.
-        detached: cut the graph between vertices, so that each step is differentiable in its own surface alone.
-        control: ask how the first samples are sample_stats, and for what comes ``beyond`` them.
+        max_depth: a path's largest depth, counted as in Mitsuba, at least 2, which is one bounce; None leaves all to
+            ``survival``.
+        detached: cut the graph between vertices, so that each bounce is differentiable in its own surface alone.
+        sample_stats: compare the first weights with their mean, and keep the throughput of what comes after them.
     """
-    control = control and world.bsdf.varying_weight
-    lane = torch.arange(len(si), device=si.p.device)
-    throughput = torch.ones_like(si.p)
-    throughput_after_first = None
-    for bounces in count(1):
+    sample_stats = sample_stats and world.bsdf.varying_weight
+    lane = torch.arange(len(si), device=si.p.device)  # path of each lane [m]
+    throughput = torch.ones_like(si.p)  # beta: weights over probabilities so far [m, 3]
+    throughput_after_first = None  # the same without the first weight [m, 3]
+    for depth in count(1):
+        # ---------------------- One vertex ----------------------
+
         # Guided weights reach albedo / Guide.uniform: at every bounce of an endless path they would add up to infinite
         # variance. A guide knows first hits best, too.
-        step = bounce(world, si, surface, u, sample_stats=control and bounces == 1, guided=bounces == 1)
+        step = bounce(world, si, surface, u, sample_stats=sample_stats and depth == 1, guided=depth == 1)
         yield Vertex(lane, si, throughput, step, throughput_after_first)
-        if max_bounces is not None and bounces >= max_bounces:
+        if max_depth is not None and depth + 1 >= max_depth:
             return
-        own = step.weight
+
+        # ---------------------- Throughput ----------------------
+
+        own = step.weight  # [m, 3]
         weight = own.detach()
         throughput = throughput * (weight if detached else own)
         fixed = throughput.detach()
-        if control:
+        if sample_stats:
             throughput_after_first = (
                 torch.ones_like(weight) if throughput_after_first is None else throughput_after_first * weight
             )
-        alive = step.next.valid & (fixed.amax(-1) > 0)
-        keep = survival(bounces, fixed, weight)
+
+        # ---------------------- Russian roulette ----------------------
+
+        alive = step.next.valid & (fixed.amax(-1) > 0)  # [m]
+        keep = survival(depth, fixed, weight)  # [m]
         if keep is not None:
             alive &= stream.uniform(len(lane)) < keep
             keep = keep.clamp_min(1e-30).unsqueeze(-1)
             throughput = throughput / keep
             throughput_after_first = None if throughput_after_first is None else throughput_after_first / keep
-        index = alive.nonzero().squeeze(-1)
+        index = alive.nonzero().squeeze(-1)  # [k], the paths that go on
         if len(index) == 0:
             return
+
+        # ---------------------- Next vertex ----------------------
+
         lane, si, throughput = lane[index], step.next[index], throughput[index]
         throughput_after_first = None if throughput_after_first is None else throughput_after_first[index]
         del step, surface, own, weight, fixed, keep, alive  # the next vertex is the peak of the memory

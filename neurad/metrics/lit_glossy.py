@@ -15,7 +15,7 @@ from torch import Tensor
 
 from neurad.core.records import Surface, SurfaceInteraction
 from neurad.core.rng import Stream, mix
-from neurad.integrators.method import Method, Parts
+from neurad.integrators.method import Method, SceneModel
 from neurad.integrators.vertex import DIMENSIONS
 from neurad.metrics.held_out import HeldOut
 from neurad.metrics.scores import BoolArray
@@ -26,7 +26,7 @@ Reflected = Callable[[SurfaceInteraction, Surface, int], Tensor]
 SEED = 20230808
 
 
-def reflected_by(method: Method, parts: Parts) -> Reflected:
+def reflected_by(method: Method, parts: SceneModel) -> Reflected:
     """A method's estimate."""
 
     def estimate(si: SurfaceInteraction, surface: Surface, seed: int) -> Tensor:

@@ -12,9 +12,7 @@ from neurad.core.records import FloatArray
 from neurad.emitters.fitted import FittedEnvironment
 from neurad.integrators.estimator import Estimator
 from neurad.integrators.film import render
-from neurad.integrators.method import MethodRHS
-from neurad.integrators.path import PathTracer
-from neurad.integrators.radiometric import RadiometricLHS
+from neurad.integrators.renderer import FieldRenderer, MethodRenderer, path_tracer
 from neurad.integrators.world import World
 from neurad.metrics.environment import EnvironmentScores
 from neurad.metrics.held_out import HeldOut
@@ -80,8 +78,8 @@ def evaluate(
         scene: where it has another light for its held-out views, they are rendered in it, too.
     """
     world, materials, radiance = estimator.world, estimator.materials, estimator.radiance
-    rhs = MethodRHS(estimator.method, estimator.parts)
-    lhs = None if radiance is None else RadiometricLHS(world, materials, radiance)
+    rhs = MethodRenderer(estimator.method, estimator.scene)
+    lhs = None if radiance is None else FieldRenderer(estimator.scene)
     device = world.geometry.vertices.device
     fitted = not isinstance(materials, TrueMaterials)
     maps: list[dict[str, FloatArray]] = held_out.predict(materials) if fitted else [{} for _ in held_out.views]
@@ -93,7 +91,7 @@ def evaluate(
             entry["residual"] = (left - right).abs().cpu().numpy()
         entry.update(held_out.truth(index))
     regions = (
-        {"lit_glossy": lit_glossy(held_out, reflected_by(estimator.method, estimator.parts), GLOSSY_SAMPLES)}
+        {"lit_glossy": lit_glossy(held_out, reflected_by(estimator.method, estimator.scene), GLOSSY_SAMPLES)}
         if glossy and fitted
         else None
     )
@@ -115,7 +113,7 @@ def _relight(
     other = relight_map(scene)
     if other is None:
         return {}
-    tracer = PathTracer(relit_world(world, scene, other), materials, scene.max_depth, scene.rr_depth)
+    tracer = path_tracer(relit_world(world, scene, other), materials, scene.max_depth, scene.rr_depth)
     device = world.geometry.vertices.device
     for index, (view, entry) in enumerate(zip(held_out.views, maps, strict=True)):
         entry["relit"] = render(view.camera, tracer, spp, SEED + index, device).cpu().numpy()

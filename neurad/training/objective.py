@@ -26,7 +26,7 @@ from neurad.assembly.training_views import TrainingViews
 from neurad.core.records import PixelBatch, Surface, SurfaceInteraction, first_of
 from neurad.core.rng import Stream
 from neurad.integrators.estimator import Estimator, subsample
-from neurad.integrators.method import Reflected
+from neurad.integrators.method import RadianceEstimate
 from neurad.integrators.primary_hits import PrimaryHits
 from neurad.integrators.world import NonDeltaHit
 from neurad.losses.firefly import clamp_fireflies
@@ -50,7 +50,7 @@ class IncidentSamples:
     wi: Tensor
     """Directions that it came from, in their shading frames [n, 3]."""
     light: Tensor
-    """Reflected radiance [n, 3]."""
+    """RadianceEstimate radiance [n, 3]."""
 
 
 @dataclass(frozen=True)
@@ -153,7 +153,7 @@ class ObjectiveStep:
         """
         return min(max(2, round(self.sampling.field_fraction * self.sampling.spp)), self.sampling.spp)
 
-    def _image(self, si: SurfaceInteraction, surface: Surface, stream: Stream) -> Reflected:
+    def _image(self, si: SurfaceInteraction, surface: Surface, stream: Stream) -> RadianceEstimate:
         """The method's estimate at the positions of all pixels, spread evenly within each group."""
         stratum_size = self.sampling.spp // self.sampling.groups
         return self.estimator.image(si, surface, self.sampling.samples_per_vertex, stream, stratum_size)
@@ -163,9 +163,9 @@ class ObjectiveStep:
         count = self.sampling.samples_per_vertex
         return samples if count == 1 else samples.view(-1, count, 3).mean(1)
 
-    def _control(self, sample: Reflected) -> ControlVariate | None:
+    def _control(self, sample: RadianceEstimate) -> ControlVariate | None:
         """The method's control variate by pixel and position, if it has one."""
-        if sample.Li_bsdf is None or sample.sample_stats is None or not self.estimator.method.control:
+        if sample.Li_bsdf is None or sample.sample_stats is None or not self.estimator.method.control_variate:
             return None
         n = self.sampling.spp
         around = sample.Li_bsdf * sample.sample_stats.relative
@@ -190,14 +190,14 @@ class ObjectiveStep:
         pull = ((roughness - roughness.detach().mean()) ** 2).mean()
         return Loss(pull, pull.detach())
 
-    def _query(self, si: SurfaceInteraction, surface: Surface, sample: Reflected, stream: Stream) -> _Points:
+    def _query(self, si: SurfaceInteraction, surface: Surface, sample: RadianceEstimate, stream: Stream) -> _Points:
         """The radiance field with its gradient."""
         radiance = self.estimator.radiance
         assert radiance is not None
         second = None
-        if self.settings.prior > 0 and self.sampling.extra_bounce_fraction > 0 and sample.ends is not None:
-            second = sample.ends[
-                subsample(sample.ends, self.sampling.extra_bounce_fraction, stream, self.sampling.samples_per_vertex)
+        if self.settings.prior > 0 and self.sampling.extra_bounce_fraction > 0 and sample.next is not None:
+            second = sample.next[
+                subsample(sample.next, self.sampling.extra_bounce_fraction, stream, self.sampling.samples_per_vertex)
             ]
         if second is None:
             values = radiance(si, surface.albedo.detach())
@@ -228,7 +228,7 @@ class ObjectiveStep:
         si: SurfaceInteraction,
         surface: Surface,
         points: _Points,
-        sample: Reflected,
+        sample: RadianceEstimate,
         control: ControlVariate | None,
         stream: Stream,
     ) -> dict[str, tuple[float, Loss]]:

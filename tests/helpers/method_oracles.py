@@ -11,7 +11,7 @@ from neurad.assembly.build import build_world
 from neurad.core.records import Constant, Material, Rays, Surface
 from neurad.core.reflection import ConductorModel, DielectricModel, PrincipledModel
 from neurad.core.rng import Stream
-from neurad.integrators.method import Parts
+from neurad.integrators.method import SceneModel
 from neurad.integrators.vertex import DIMENSIONS
 from neurad.scene.builtin import build_furnace, build_sphere
 from neurad.scene.builtin.plain import room
@@ -61,7 +61,7 @@ class Oracle:
     def parts(self, wrong=1.0):
         """With a field that is off by a factor."""
         value = wrong * self.exact
-        return Parts(self.world, self.materials, lambda si, albedo: torch.full_like(albedo, value))
+        return SceneModel(self.world, self.materials, lambda si, albedo: torch.full_like(albedo, value))
 
     def estimate(self, method, paths, seed, wrong=1.0, batches=16):
         """Mean derivative and mean value with their standard errors, from independent batches: two pairs."""

@@ -10,7 +10,7 @@ from neurad.assembly.build import build_world
 from neurad.core.records import Constant, EnvironmentMap, Material
 from neurad.core.reflection import PrincipledModel
 from neurad.integrators.film import render
-from neurad.integrators.path import PathTracer
+from neurad.integrators.renderer import path_tracer
 from neurad.scene.builtin.plain import views
 from neurad.scene.builtin.shapes import ball, quad
 from neurad.scene.description import Scene
@@ -75,7 +75,7 @@ def photographed(scene, folder, spp=64, relit=None):
         write_exr(files["albedo"], render(view.camera, albedo, 16, 5).numpy(), half=False)
         cover = render(view.camera, alpha, spp, 5)
         for name, lit in worlds.items():
-            color = render(view.camera, PathTracer(lit, materials, scene.max_depth), spp, 5)
+            color = render(view.camera, path_tracer(lit, materials, scene.max_depth), spp, 5)
             files[name] = str(folder / f"{view.name}_{name}.exr")
             write_exr(files[name], torch.cat((color, cover), -1).numpy(), half=False)
         found.append(replace(view, **files))

@@ -11,7 +11,7 @@ from helpers.small_step import GRID, small_scene
 from neurad.assembly.build import build_world
 from neurad.cli import main
 from neurad.integrators.film import render
-from neurad.integrators.path import PathTracer
+from neurad.integrators.renderer import path_tracer
 from neurad.scene.image_io import write_exr
 from neurad.scene.textures import TrueMaterials
 
@@ -36,7 +36,7 @@ def photographed_cornell(glossy, unit=1.0):
         parts.append([])
         for view in views:
             files = {"image": f"{view.name}.exr", "albedo": f"{view.name}_albedo.exr"}
-            image = render(view.camera, PathTracer(world, materials), 64, 5)
+            image = render(view.camera, path_tracer(world, materials), 64, 5)
             write_exr(files["image"], image.numpy(), half=False)
             albedo = render(view.camera, lambda rays, seed: materials(world.intersect(rays)).albedo, 16, 5)
             write_exr(files["albedo"], albedo.numpy())

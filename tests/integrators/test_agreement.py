@@ -11,7 +11,7 @@ from scipy import stats
 from neurad.assembly.build import build_world
 from neurad.core.rng import mix
 from neurad.integrators.film import render
-from neurad.integrators.path import PathTracer
+from neurad.integrators.renderer import path_tracer
 from neurad.scene.image_io import read_exr
 from neurad.scene.load import load_scene
 from neurad.scene.textures import TrueMaterials
@@ -20,13 +20,13 @@ ROOMS = Path(__file__).resolve().parents[3] / "shared" / "scenes"
 pytestmark = pytest.mark.slow
 
 
-def path_tracer(name):
+def room_tracer(name):
     if not (ROOMS / name / "scene.xml").exists():
         pytest.skip(f"the room {name} is not beside this checkout")
     pytest.importorskip("mitsuba")
     scene = load_scene(str(ROOMS / name), None)
     world = build_world(scene)
-    return scene, PathTracer(world, TrueMaterials(scene, world.geometry), scene.max_depth, scene.rr_depth)
+    return scene, path_tracer(world, TrueMaterials(scene, world.geometry), scene.max_depth, scene.rr_depth)
 
 
 def resized(camera, size):
@@ -40,7 +40,7 @@ def test_mean_of_each_stored_view_agrees_within_one_percent(name):
     """The stored pictures are another renderer's. Our own noise on the mean is measured from independent blocks; four
     leave up to 0.7 %, so a view that comes near the bar with them is given 20 more.
     """
-    scene, integrator = path_tracer(name)
+    scene, integrator = room_tracer(name)
     rows = []
     for view in scene.test + scene.train:
         stored = read_exr(view.image)[..., :3].mean()
@@ -63,7 +63,7 @@ def test_pixels_agree_by_a_z_test_with_the_variances_of_both_sides(name):
     """Welch's t over 16 seeds a side at 32x32; Sidak-corrected over pixels and channels at 99 %."""
     mi = pytest.importorskip("mitsuba")
     mi.set_variant("scalar_rgb")
-    scene, integrator = path_tracer(name)
+    scene, integrator = room_tracer(name)
     size, seeds, spp = 32, 16, 64
     loaded = mi.load_file(str(ROOMS / name / "scene.xml"), res=size, spp=spp)
     view = scene.test[0]

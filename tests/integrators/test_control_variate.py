@@ -19,7 +19,7 @@ from neurad.core.rng import Stream
 from neurad.integrators.bounce import bounce
 from neurad.integrators.debiased import Debiased
 from neurad.integrators.direct import Direct
-from neurad.integrators.method import Parts
+from neurad.integrators.method import SceneModel
 from neurad.integrators.path import PathTracing
 from neurad.integrators.prb import PRB
 from neurad.integrators.radiometric import Radiometric
@@ -125,13 +125,13 @@ def test_gradient_keeps_its_mean_and_loses_noise(n: int, groups: int) -> None:
 # ---- in the methods
 
 
-@pytest.mark.parametrize("method", [PathTracing(8, 1, 0.9), PRB(8, 1, 0.9), PathTracing(None, 1, 0.9)])
+@pytest.mark.parametrize("method", [PathTracing(9, 1, 0.9), PRB(9, 1, 0.9), PathTracing(None, 1, 0.9)])
 def test_incident_light_is_what_the_first_weight_multiplies(method) -> None:
     """On the very path, whatever roulette and glass do: nothing is divided by a weight, which may be 0."""
     world, materials, n = build_world(gallery()), Textures(), 3000
     si, u = camera_vertices(world, n, 1), Stream(5).uniform(n, DIMENSIONS)
     surface = materials(si)
-    sample = method.reflected(Parts(world, materials), si, surface, u, Stream(7))
+    sample = method.reflected(SceneModel(world, materials), si, surface, u, Stream(7))
     first = bounce(world, si, surface, u, sample_stats=True)
     assert sample.Li_bsdf.max() > 0
     assert (first.weight == 0).any()
@@ -143,7 +143,7 @@ def test_incident_light_is_what_the_first_weight_multiplies(method) -> None:
 def test_control_is_given_where_there_are_derivatives_and_it_is_wanted(method) -> None:
     world, materials, n = build_world(gallery()), Textures(), 50
     si, u = camera_vertices(world, n, 1), Stream(5).uniform(n, DIMENSIONS)
-    parts = Parts(world, materials, lambda si, albedo: torch.full_like(albedo, 0.3))
+    parts = SceneModel(world, materials, lambda si, albedo: torch.full_like(albedo, 0.3))
 
     def found():
         return method.reflected(parts, si, materials(si), u, Stream(7)).sample_stats
@@ -151,7 +151,7 @@ def test_control_is_given_where_there_are_derivatives_and_it_is_wanted(method) -
     assert found().deviation.requires_grad
     with torch.no_grad():
         assert found() is None
-    method.control = False
+    method.control_variate = False
     assert found() is None
     assert Direct().reflected(parts, si, materials(si), u, Stream(7)).sample_stats is None
 
@@ -173,8 +173,8 @@ class Even(torch.nn.Module):
 
 # Variance of the gradient by albedo and by roughness: at most this share of that without control.
 METHODS = {
-    "AD-PT": (PathTracing, {"max_bounces": 3}, (0.6, 0.9)),
-    "PRB": (PRB, {"max_bounces": 3}, (0.6, 0.9)),
+    "AD-PT": (PathTracing, {"max_depth": 4}, (0.6, 0.9)),
+    "PRB": (PRB, {"max_depth": 4}, (0.6, 0.9)),
     "debiased": (Debiased, {"start": 1.0}, (0.9, 0.98)),
     "ours": (Radiometric, {}, (0.4, 0.4)),
 }
@@ -193,12 +193,12 @@ def test_methods_keep_the_mean_of_their_gradient_and_lose_noise(name: str) -> No
     at = Oracle("furnace", 0.5).vertices(pixels, Stream(1))
     side = torch.nn.functional.normalize(Stream(2).uniform(pixels, 3) - 0.5, dim=-1)
     si = replace(at, wo=torch.nn.functional.normalize(at.n + 0.8 * side, dim=-1)).repeat(n)
-    parts = Parts(world, materials, lambda si, albedo: torch.full_like(albedo, 1.1))
+    parts = SceneModel(world, materials, lambda si, albedo: torch.full_like(albedo, 1.1))
 
     def gradient(control: bool, batch: int) -> torch.Tensor:
         stream = Stream(3, batch)
         u = stream.uniform(len(si), DIMENSIONS)
-        sample = make(**settings, control=control).reflected(parts, si, materials(si), u, stream)
+        sample = make(**settings, control_variate=control).reflected(parts, si, materials(si), u, stream)
         value = sample.value.view(pixels, n, 3)
         variate = (
             ControlVariate(sample.Li_bsdf.view_as(value), sample.sample_stats.deviation.view_as(value), n)

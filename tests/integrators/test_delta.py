@@ -18,9 +18,9 @@ from neurad.fields.settings import FieldConfig, GridConfig, RadianceConfig
 from neurad.integrators.delta import MAX_CHAIN
 from neurad.integrators.estimator import Estimator
 from neurad.integrators.film import render
-from neurad.integrators.path import PathTracer
 from neurad.integrators.primary_hits import PrimaryHits
-from neurad.integrators.radiometric import RadiometricRHS
+from neurad.integrators.radiometric import Radiometric
+from neurad.integrators.renderer import MethodRenderer, path_tracer
 from neurad.scene.builtin.plain import diffuse
 from neurad.scene.builtin.shapes import box, quad
 from neurad.scene.textures import TrueMaterials
@@ -29,7 +29,7 @@ from neurad.training.objective import ObjectiveStep
 
 def path(scene, **settings):
     world = build_world(scene)
-    return PathTracer(world, TrueMaterials(scene, world.geometry), **settings)
+    return path_tracer(world, TrueMaterials(scene, world.geometry), **settings)
 
 
 def bundle(n, o, d):
@@ -266,7 +266,7 @@ def test_the_rhs_behind_glass_is_emission_times_throughput_plus_reflection():
     camera = scene.train[0].camera
     n, repeats = camera.width * camera.height, 24
     batch = PixelBatch(torch.zeros(n, dtype=torch.int64), torch.arange(n), torch.zeros(n, 3), torch.ones(n), 0)
-    integrator = RadiometricRHS(estimator.world, estimator.materials, estimator.radiance)
+    integrator = MethodRenderer(Radiometric(), estimator.scene)
     right, ours = [], []
     with torch.no_grad():
         for seed in range(repeats):

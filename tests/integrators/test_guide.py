@@ -187,7 +187,9 @@ def test_what_other_processes_saw_counts_too() -> None:
     torch.testing.assert_close(guide.squares, 2.0 * alone.squares)
 
 
-@pytest.mark.parametrize("method", [Radiometric(control=False), PathTracing(3, control=False), PRB(3), Direct()])
+@pytest.mark.parametrize(
+    "method", [Radiometric(control_variate=False), PathTracing(4, control_variate=False), PRB(4), Direct()]
+)
 def test_a_guide_learns_in_a_fit_of_a_glossy_scene(method: Method) -> None:
     """With or without a control variate; direct light asks for none, and neither does a Lambertian scene."""
     scene = resized(builtin.build("cornell"), 8, 2)

@@ -17,19 +17,22 @@ from scipy import stats
 from neurad.assembly.build import build_world
 from neurad.assembly.settings import Objective, Sampling
 from neurad.cli import main
+from neurad.core.camera import camera_rays
 from neurad.core.errors import InputError
 from neurad.core.rng import Stream, mix
 from neurad.fields.settings import GridConfig, RadianceConfig
 from neurad.integrators.debiased import Debiased
 from neurad.integrators.direct import Direct
-from neurad.integrators.method import Parts
+from neurad.integrators.method import SceneModel
 from neurad.integrators.path import PathTracing
 from neurad.integrators.prb import PRB
 from neurad.integrators.radiometric import Radiometric
+from neurad.integrators.renderer import path_tracer
 from neurad.integrators.vertex import DIMENSIONS
 from neurad.losses.relative import moving_prior
 from neurad.runs.model_settings import model_settings
-from neurad.scene.builtin import build_furnace
+from neurad.scene.builtin import build_cornell, build_furnace
+from neurad.scene.textures import TrueMaterials
 from neurad.training.train_radiance import train_radiance
 
 METHODS = {
@@ -102,7 +105,7 @@ def test_path_derivative_equals_central_differences_with_common_random_numbers()
     towards = Stream(6).uniform(*materials.colour.shape) - 0.5
 
     def value():
-        return PathTracing(6, 100).reflected(Parts(world, materials), si, materials(si), u, Stream(7)).value.sum()
+        return PathTracing(7, 100).reflected(SceneModel(world, materials), si, materials(si), u, Stream(7)).value.sum()
 
     (slope,) = torch.autograd.grad(value(), [materials.colour])
     ends = []
@@ -127,8 +130,8 @@ def test_detached_roughness_derivative_is_right_in_the_mean():
             materials.rough += shift
         surface = materials(si)
         stream = Stream(seed)
-        out = PathTracing(3, 100).reflected(
-            Parts(world, materials), si, surface, stream.uniform(500, DIMENSIONS), stream
+        out = PathTracing(4, 100).reflected(
+            SceneModel(world, materials), si, surface, stream.uniform(500, DIMENSIONS), stream
         )
         return out.value.clamp_max(50.0).sum() / 500
 
@@ -211,15 +214,28 @@ def test_gradient_of_the_moving_prior_is_unbiased():
     [
         (lambda: Radiometric(0), "k"),
         (lambda: Debiased(exponent=2.0), "exponent"),
-        (lambda: Debiased(start=0.0), "start"),
-        (lambda: PathTracing(0), "max_bounces"),
-        (lambda: PathTracing(None, roulette=1.0), "roulette"),
-        (lambda: PRB(roulette_start=0), "roulette_start"),
+        (lambda: Debiased(first_prob=0.0), "start"),
+        (lambda: PathTracing(0), "max_depth"),
+        (lambda: PathTracing(None, rr_prob=1.0), "rr_prob"),
+        (lambda: PRB(rr_depth=0), "rr_depth"),
     ],
 )
 def test_settings_that_end_no_path_are_refused(make, said):
     with pytest.raises(InputError, match=said):
         make()
+
+
+def test_a_depth_of_one_shows_emitters_and_trains_nothing():
+    world = build_world(build_cornell())
+    materials = TrueMaterials(build_cornell(), world.geometry)
+    rays = camera_rays(build_cornell().test[0].camera, 32 * torch.rand(200, 2, generator=torch.manual_seed(1)))
+    first = world.trace_past_delta(rays, torch.zeros(len(rays)))
+    shown = path_tracer(world, materials, max_depth=1)(rays, 3)
+    assert torch.equal(shown, world.emitted(first.si))
+    u = Stream(1).uniform(len(rays), DIMENSIONS)
+    for method in (PathTracing(1), PRB(1)):
+        with pytest.raises(InputError, match="max_depth 1 shows emitters only"):
+            method.reflected(SceneModel(world, materials), first.si, materials(first.si), u, Stream(2))
 
 
 def test_continuation_exceeds_the_square_of_the_albedo():

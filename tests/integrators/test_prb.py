@@ -8,7 +8,7 @@ from neurad.assembly.build import build_materials, build_world
 from neurad.core.rng import Stream
 from neurad.fields.settings import FieldConfig, GridConfig
 from neurad.integrators.guide import Guide
-from neurad.integrators.method import Parts
+from neurad.integrators.method import SceneModel
 from neurad.integrators.path import PathTracing
 from neurad.integrators.prb import PRB, GradientSum, merge
 from neurad.integrators.vertex import DIMENSIONS
@@ -35,7 +35,7 @@ def gradients(method, world, materials, n, stream, probe=3):
     projections of estimate and deviation, each alone and then both."""
     si = camera_vertices(world, n, 1)
     u = Stream(5).uniform(n, DIMENSIONS)
-    sample = method.reflected(Parts(world, materials), si, materials(si), u, stream)
+    sample = method.reflected(SceneModel(world, materials), si, materials(si), u, stream)
     parameters = list(materials.parameters())
     scalars = [(sample.value * Stream(probe).uniform(n, 3)).sum()]
     values = [sample.value]
@@ -62,10 +62,10 @@ def test_replay_equals_autograd_with_a_guide():
     world.guide.squares += 50.0 * (4.0 * Stream(11).uniform(*world.guide.squares.shape)).exp()
     world.guide.update()
     found = []
-    for method, stream in zip((PathTracing(15, 3), PRB(15, 3)), same_stream(9), strict=True):
+    for method, stream in zip((PathTracing(16, 3), PRB(16, 3)), same_stream(9), strict=True):
         found.append(gradients(method, world, materials, 3000, stream))
     world.guide = None
-    plain = gradients(PathTracing(15, 3), world, materials, 3000, same_stream(9)[0])
+    plain = gradients(PathTracing(16, 3), world, materials, 3000, same_stream(9)[0])
     assert (plain[0][0] - found[0][0][0]).norm() > 1e-2 * plain[0][0].norm()
     for one, other in zip(*found, strict=True):
         for e, f in zip(one, other, strict=True):
@@ -74,19 +74,19 @@ def test_replay_equals_autograd_with_a_guide():
 
 @pytest.mark.parametrize("make", [Textures, networks])
 @pytest.mark.parametrize(
-    ("bounces", "control"), [(1, False), (1, True), (2, True), (15, False), (15, True), (None, True)]
+    ("max_depth", "control"), [(2, False), (2, True), (3, True), (16, False), (16, True), (None, True)]
 )
-def test_replay_equals_autograd_on_one_random_stream(world, make, bounces, control):
+def test_replay_equals_autograd_on_one_random_stream(world, make, max_depth, control):
     materials = make()
     one, other = same_stream(9)
-    values, expected = gradients(PathTracing(bounces, 3, control=control), world, materials, 3000, one)
-    again, found = gradients(PRB(bounces, 3, control=control), world, materials, 3000, other)
+    values, expected = gradients(PathTracing(max_depth, 3, control_variate=control), world, materials, 3000, one)
+    again, found = gradients(PRB(max_depth, 3, control_variate=control), world, materials, 3000, other)
     assert len(values) == (3 if control else 1)
     for index, (e, f) in enumerate(zip(values, again, strict=True)):
-        assert e.abs().max() > 0 or (index == 1 and bounces == 1)  # no light arrives along paths of one bounce
+        assert e.abs().max() > 0 or (index == 1 and max_depth == 2)  # no light arrives along paths of one bounce
         assert (f - e).norm() <= 1e-4 * e.norm()
     for e, f in zip(expected, found, strict=True):
-        if bounces == 1 and e.norm() == 0:  # the deviation times that light
+        if max_depth == 2 and e.norm() == 0:  # the deviation times that light
             assert control
             assert f.norm() == 0
             continue
@@ -98,15 +98,15 @@ def test_pictures_need_no_replay(world):
     """``neurad predict`` runs in inference mode, where nothing can be kept for a backward pass."""
     materials, si, u = networks(), camera_vertices(world, 500, 1), Stream(5).uniform(500, DIMENSIONS)
     with torch.inference_mode():
-        value = PRB(4, 3).reflected(Parts(world, materials), si, materials(si), u, Stream(7)).value
+        value = PRB(5, 3).reflected(SceneModel(world, materials), si, materials(si), u, Stream(7)).value
     assert torch.isfinite(value).all()
     assert value.max() > 0
 
 
 def test_another_stream_would_not_pass(world):
     materials = Textures()
-    values, expected = gradients(PathTracing(15, 3), world, materials, 3000, Stream(9))
-    again, found = gradients(PRB(15, 3), world, materials, 3000, Stream(9))
+    values, expected = gradients(PathTracing(16, 3), world, materials, 3000, Stream(9))
+    again, found = gradients(PRB(16, 3), world, materials, 3000, Stream(9))
     assert all((f - e).norm() > 1e-2 * e.norm() for e, f in zip(values[:2], again[:2], strict=True))
     assert all((f - e).norm() > 1e-2 * e.norm() for e, f in zip(expected, found, strict=True))
 
@@ -116,7 +116,7 @@ def peak_bytes(method, world, materials, n):
     si = camera_vertices(world, n, 1)
     u = Stream(5).uniform(n, DIMENSIONS)
     with torch.profiler.profile(activities=[torch.profiler.ProfilerActivity.CPU], profile_memory=True) as profile:
-        sample = method.reflected(Parts(world, materials), si, materials(si), u, Stream(7))
+        sample = method.reflected(SceneModel(world, materials), si, materials(si), u, Stream(7))
         total = sample.value.sum() - (sample.Li_bsdf * sample.sample_stats.deviation).sum()
         found = torch.autograd.grad(total, list(materials.parameters()))
     assert all(torch.isfinite(g.to_dense()).all() for g in found)
@@ -131,8 +131,8 @@ def peak_bytes(method, world, materials, n):
 def test_memory_does_not_grow_with_the_length_of_paths(world):
     materials = networks()
     never = 1000  # no roulette: paths have the full length, but for those that the lobe samples below the surface
-    size = {bounces: peak_bytes(PRB(bounces, never), world, materials, 8000) for bounces in (2, 64)}
-    grown = {bounces: peak_bytes(PathTracing(bounces, never), world, materials, 8000) for bounces in (2, 16)}
+    size = {bounces: peak_bytes(PRB(bounces + 1, never), world, materials, 8000) for bounces in (2, 64)}
+    grown = {bounces: peak_bytes(PathTracing(bounces + 1, never), world, materials, 8000) for bounces in (2, 16)}
     print(f"\nPRB: {size[2] / 1e6:.1f} MB at 2 bounces, {size[64] / 1e6:.1f} at 64; "
           f"AD-PT: {grown[2] / 1e6:.1f} MB at 2, {grown[16] / 1e6:.1f} at 16")  # fmt: skip
     assert size[64] <= 1.1 * size[2]
@@ -166,12 +166,12 @@ def test_parameters_of_the_world_get_their_derivative_too(world):
     materials = Textures()
     try:
         found = []
-        for method, stream in zip((PathTracing(6, 3), PRB(6, 3)), same_stream(4), strict=True):
+        for method, stream in zip((PathTracing(7, 3), PRB(7, 3)), same_stream(4), strict=True):
             del lights.emission
             lights.emission = torch.nn.Parameter(before.clone())
             si = camera_vertices(world, 2000, 1)
             u = Stream(5).uniform(2000, DIMENSIONS)
-            value = method.reflected(Parts(world, materials), si, materials(si), u, stream).value.sum()
+            value = method.reflected(SceneModel(world, materials), si, materials(si), u, stream).value.sum()
             (slope,) = torch.autograd.grad(value, [lights.emission])
             found.append(slope)
             torch.testing.assert_close((slope * before).sum(), value.detach(), rtol=1e-4, atol=0.0)

@@ -9,8 +9,9 @@ from neurad.assembly.build import build_world
 from neurad.core.records import Rays, Surface
 from neurad.core.rng import Stream
 from neurad.integrators.bounce import bounce
-from neurad.integrators.path import PathTracer
-from neurad.integrators.radiometric import RadiometricLHS, RadiometricRHS, transport
+from neurad.integrators.method import SceneModel
+from neurad.integrators.radiometric import Radiometric
+from neurad.integrators.renderer import FieldRenderer, MethodRenderer, path_tracer
 from neurad.integrators.vertex import DIMENSIONS
 from neurad.scene.builtin.furnace import build_furnace
 from neurad.scene.textures import TrueMaterials
@@ -34,7 +35,7 @@ def rays_inside(n, seed=3):
 @pytest.mark.parametrize("depth", [1, 2, 3, 6])
 def test_furnace_gives_the_partial_sum_of_the_series(furnace, depth):
     world, materials = furnace
-    values = PathTracer(world, materials, max_depth=depth, rr_depth=100)(rays_inside(20_000), 5).mean(-1)
+    values = path_tracer(world, materials, max_depth=depth, rr_depth=100)(rays_inside(20_000), 5).mean(-1)
     expected = sum(RHO**k for k in range(depth))
     error = values.std().item() / math.sqrt(len(values))
     assert abs(values.mean().item() - expected) <= 3.3 * error + 1e-5
@@ -43,7 +44,7 @@ def test_furnace_gives_the_partial_sum_of_the_series(furnace, depth):
 
 def test_furnace_without_a_depth_cap_gives_the_limit(furnace):
     world, materials = furnace
-    values = PathTracer(world, materials, max_depth=None, rr_depth=3)(rays_inside(40_000), 6).mean(-1)
+    values = path_tracer(world, materials, max_depth=None, rr_depth=3)(rays_inside(40_000), 6).mean(-1)
     error = values.std().item() / math.sqrt(len(values))
     assert abs(values.mean().item() - 1 / (1 - RHO)) <= 3.3 * error
     assert error < 0.01
@@ -57,8 +58,8 @@ def test_in_the_furnace_the_exact_field_solves_the_rendering_equation(furnace):
         return torch.full_like(albedo, exact)
 
     rays = rays_inside(40_000)
-    left = RadiometricLHS(world, materials, field)(rays, 0).mean(-1)
-    right = RadiometricRHS(world, materials, field)(rays, 7).mean(-1)
+    left = FieldRenderer(SceneModel(world, materials, field))(rays, 0).mean(-1)
+    right = MethodRenderer(Radiometric(), SceneModel(world, materials, field))(rays, 7).mean(-1)
     torch.testing.assert_close(left, torch.full_like(left, 1 / (1 - RHO)))
     error = right.std().item() / math.sqrt(len(right))
     assert abs(right.mean().item() - 1 / (1 - RHO)) <= 3.3 * error
@@ -76,8 +77,8 @@ def test_derivative_of_the_rhs_is_emission_plus_field(furnace):
     si = world.intersect(rays_inside(20_000))
     albedo = torch.full((len(si), 3), RHO, requires_grad=True)
     surface = Surface(albedo, torch.ones(len(si), 1))
-    out = transport(world, materials, field, si, surface, Stream(11).uniform(len(si), DIMENSIONS))
-    out.sum().backward()
+    scene, u = SceneModel(world, materials, field), Stream(11).uniform(len(si), DIMENSIONS)
+    Radiometric().reflected(scene, si, surface, u, Stream(12)).value.sum().backward()
     each = albedo.grad.mean(-1)
     error = each.std().item() / math.sqrt(len(each))
     assert abs(each.mean().item() - (1 + value)) <= 3.3 * error

@@ -16,7 +16,7 @@ from neurad.core.records import Camera, Constant, Material, Mesh, Surface, Surfa
 from neurad.core.reflection import DiffuseModel, PrincipledModel, ReflectionModel
 from neurad.core.rng import Stream
 from neurad.emitters.lights import make_lights
-from neurad.integrators.method import Parts
+from neurad.integrators.method import SceneModel
 from neurad.integrators.radiometric import Radiometric
 from neurad.integrators.world import World
 from neurad.metrics import held_out
@@ -333,7 +333,7 @@ def test_lit_glossy_finds_a_real_highlight(tmp_path: Path) -> None:
         scene.features,
         torch.ones(len(views.geometry.faces), dtype=torch.bool),
     )
-    dark = reflected_by(Radiometric(), Parts(world, Plain(0.5, 0.4), lambda si, albedo: torch.zeros_like(albedo)))
+    dark = reflected_by(Radiometric(), SceneModel(world, Plain(0.5, 0.4), lambda si, albedo: torch.zeros_like(albedo)))
     mask = lit_glossy(views, dark)[0]
     assert mask[3:5, 3:5].all()  # around the origin the specular part is about 45 %
     assert not mask[[2, 2, 5, 5], [2, 5, 2, 5]].any()  # at the corners it is below 2 %

@@ -14,7 +14,7 @@ from neurad.core.records import Bitmap, Constant
 from neurad.core.reflection import PrincipledModel
 from neurad.core.rng import Stream
 from neurad.integrators.film import render
-from neurad.integrators.path import PathTracer
+from neurad.integrators.renderer import path_tracer
 from neurad.scene.builtin import NAMES, build, build_cube, build_furnace, build_sphere
 from neurad.scene.textures import TrueMaterials
 
@@ -152,7 +152,7 @@ def test_kitchen_is_lit_mostly_indirectly(kitchen):
     for view in scene.test:
         pixels = torch.rand(2000, 2, generator=torch.Generator().manual_seed(3)) * view.camera.width
         rays = camera_rays(view.camera, pixels)
-        depths = [PathTracer(world, materials, max_depth=d)(rays, seed=4) for d in (1, 2, scene.max_depth)]
+        depths = [path_tracer(world, materials, max_depth=d)(rays, seed=4) for d in (1, 2, scene.max_depth)]
         emitted, direct, full = (float(x.mean()) for x in depths)
         share.append((full - direct) / (full - emitted))
     assert min(share) > 0.4, share
@@ -187,7 +187,7 @@ def test_furnace_radiance_is_the_closed_form():
     world = build_world(scene)
     xy = torch.rand(4000, 2, generator=torch.Generator().manual_seed(1)) * 32
     rays = camera_rays(scene.train[0].camera, xy)
-    radiance = PathTracer(world, TrueMaterials(scene, world.geometry), max_depth=None)(rays, seed=2).mean(-1)
+    radiance = path_tracer(world, TrueMaterials(scene, world.geometry), max_depth=None)(rays, seed=2).mean(-1)
     error = float(radiance.std()) / 4000**0.5
     assert abs(float(radiance.mean()) - 2.5) < 4 * error + 1e-4  # 4 sigma: fails by chance once in 16000 runs
 
@@ -239,7 +239,7 @@ def test_pixels_agree_with_mitsuba(name, spp):
     exported = to_mitsuba(scene, view, size, spp)
     theirs = np.stack([np.array(mi.render(exported, seed=s)) for s in range(seeds)])
     world = build_world(scene)
-    integrator = PathTracer(world, TrueMaterials(scene, world.geometry), scene.max_depth, scene.rr_depth)
+    integrator = path_tracer(world, TrueMaterials(scene, world.geometry), scene.max_depth, scene.rr_depth)
     camera = replace(view.camera, width=size, height=size)
     ours = torch.stack([render(camera, integrator, spp, 100 + s) for s in range(seeds)]).numpy()
     p = stats.ttest_ind(ours, theirs, axis=0, equal_var=False).pvalue

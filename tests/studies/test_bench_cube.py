@@ -15,7 +15,7 @@ from neurad.core.errors import InputError
 from neurad.core.records import SurfaceInteraction
 from neurad.core.reflection import ConductorModel, PrincipledModel
 from neurad.core.rng import Stream
-from neurad.integrators.method import Parts
+from neurad.integrators.method import SceneModel
 from neurad.integrators.prb import PRB
 from neurad.integrators.radiometric import Radiometric
 from neurad.integrators.vertex import DIMENSIONS
@@ -27,7 +27,7 @@ from neurad.studies.bench.per_path import PathInteraction, PathMaterials, PathRa
 
 CPU = torch.device("cpu")
 JOB = {
-    "albedo": 0.5, "tracer": "embree", "fields": "hash", "size": 16, "method": "ours", "limit": 4, "roulette": 0.95,
+    "albedo": 0.5, "tracer": "embree", "fields": "hash", "size": 16, "method": "ours", "limit": 4, "rr_prob": 0.95,
     "positions": 2, "pixels": 32, "field_fraction": 1.0, "device": "cpu",
 }  # fmt: skip
 
@@ -92,9 +92,9 @@ def test_reflected_radiance_is_that_of_paths():
     materials = TrueMaterials(scene, world.geometry)
     study = bias.Study(world, materials, scene.train[0].camera, 1)
     from neurad.integrators.film import render
-    from neurad.integrators.path import PathTracer
+    from neurad.integrators.renderer import path_tracer
 
-    image = render(study.camera, PathTracer(world, materials, None, 6), 4, 1)
+    image = render(study.camera, path_tracer(world, materials, None, 6), 4, 1)
     dark = image[image.amax(-1) < 4.0]  # without the light itself
     assert float(dark.mean()) == pytest.approx(cube_worker.reflected_radiance(scene), rel=0.35)
 
@@ -236,7 +236,7 @@ def study(size=6, spp=2, factor=1.0):
     return bias.Study(world, TrueMaterials(scene, world.geometry), camera, spp, factor)
 
 
-@pytest.mark.parametrize("method", [PRB(3), Radiometric(2)])
+@pytest.mark.parametrize("method", [PRB(4), Radiometric(2)])
 def test_derivatives_of_paths_are_those_of_the_scalar(method, monkeypatch):
     """The sum of the derivatives by every path's own parameter is that by one parameter that all share."""
     one = study()
@@ -295,10 +295,10 @@ def test_albedo_derivative_is_that_of_pictures():
 
 def render_mean(one, seed):
     from neurad.integrators.film import render
-    from neurad.integrators.path import PathTracer
+    from neurad.integrators.renderer import path_tracer
     from neurad.studies.bench.per_path import UniformMaterials
 
-    tracer = PathTracer(one.world, UniformMaterials(one.base, 0.5), None, 6)
+    tracer = path_tracer(one.world, UniformMaterials(one.base, 0.5), None, 6)
     return float(render(one.camera, tracer, 8, seed).mean())
 
 
@@ -409,4 +409,4 @@ def test_paths_need_numbers():
     with pytest.raises(AssertionError):
         materials(si)
     assert DIMENSIONS == 7
-    assert Parts(study().world, materials).radiance is None
+    assert SceneModel(study().world, materials).radiance is None

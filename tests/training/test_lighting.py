@@ -26,7 +26,7 @@ from neurad.fields.settings import GridConfig, RadianceConfig
 from neurad.integrators.debiased import Debiased
 from neurad.integrators.direct import Direct
 from neurad.integrators.estimator import Estimator
-from neurad.integrators.method import Parts
+from neurad.integrators.method import SceneModel
 from neurad.integrators.path import PathTracing
 from neurad.integrators.prb import PRB
 from neurad.integrators.primary_hits import PrimaryHits
@@ -41,7 +41,7 @@ from neurad.scene.textures import TrueMaterials
 from neurad.training.objective import ObjectiveStep
 
 GRID = GridConfig(levels=3, coarsest=4, finest=16, log2_size=10)
-METHODS = (Direct(), Radiometric(), Radiometric(k=2), PathTracing(max_bounces=4), PRB(max_bounces=4), Debiased())
+METHODS = (Direct(), Radiometric(), Radiometric(k=2), PathTracing(max_depth=5), PRB(max_depth=5), Debiased())
 
 
 class Fixture:
@@ -89,7 +89,7 @@ class Fixture:
 @pytest.mark.parametrize("method", METHODS, ids=lambda m: type(m).__name__ + str(getattr(m, "k", "")))
 def test_gradient_of_the_map_equals_central_differences_with_common_random_numbers(method):
     made = Fixture()
-    parts = Parts(made.world, made.materials, made.radiance)
+    parts = SceneModel(made.world, made.materials, made.radiance)
     si = made.first()
     surface, u = made.materials(si), Stream(3).uniform(len(si), DIMENSIONS)
 
@@ -332,14 +332,14 @@ def test_both_at_once_are_scored_up_to_a_factor_and_relit(made, capsys):
 def test_relit_pictures_of_the_true_materials_agree_with_their_photographs(tmp_path):
     from neurad.assembly.lighting import relit_world
     from neurad.integrators.film import render
-    from neurad.integrators.path import PathTracer
+    from neurad.integrators.renderer import path_tracer
     from neurad.metrics.relight import relight_map, score_relit
 
     blue = EnvironmentMap(sky(seed=9).pixels * np.array([0.3, 1.0, 3.0], np.float32))
     scene = photographed(object_scene(sky()), tmp_path, relit=blue)
     world = build_world(scene, hide_environment=True)
     other = relit_world(world, scene, relight_map(scene))
-    tracer = PathTracer(other, TrueMaterials(scene, world.geometry), scene.max_depth)
+    tracer = path_tracer(other, TrueMaterials(scene, world.geometry), scene.max_depth)
     held_out = HeldOut(scene, world.geometry, world.tracer)
     renders = [render(view.camera, tracer, 64, 7).numpy() for view in scene.test]
     assert score_relit(held_out, renders)["relight_mape_linear"] < 0.15  # noise of 64 samples

@@ -145,7 +145,7 @@ def test_two_estimates_take_the_noise_out_of_the_prior():
         made = SmallStep(
             Sampling(samples_per_vertex=2),
             Objective(prior_gradient=gradient, epsilon=1.0),
-            method=Radiometric(control=False),
+            method=Radiometric(control_variate=False),
         )
         batch = made.batch(128)
         with torch.no_grad():

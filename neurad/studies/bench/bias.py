@@ -16,8 +16,9 @@ from neurad.core.protocols import Materials
 from neurad.core.records import Camera, FloatArray, IntArray, SurfaceInteraction
 from neurad.core.rng import Stream, mix
 from neurad.integrators.film import pixel_positions, render
-from neurad.integrators.method import Method, Parts
-from neurad.integrators.path import PathTracer, PathTracing
+from neurad.integrators.method import Method, SceneModel
+from neurad.integrators.path import PathTracing
+from neurad.integrators.renderer import path_tracer
 from neurad.integrators.vertex import DIMENSIONS
 from neurad.integrators.world import World
 from neurad.scene.textures import TrueMaterials
@@ -41,7 +42,7 @@ class PathField:
     """
 
     def __init__(self, world: World, materials: Materials, stream: Stream, factor: float = 1.0) -> None:
-        self.parts, self.stream, self.factor = Parts(world, materials), stream, factor
+        self.parts, self.stream, self.factor = SceneModel(world, materials), stream, factor
         self.path = PathTracing(None)
 
     @torch.no_grad()
@@ -100,7 +101,7 @@ class Study:
             field = PathField(self.world, materials, Stream(13, index, begin), self.factor)
             si = self.world.intersect(rays)
             u = stream.uniform(paths, DIMENSIONS)
-            scene = Parts(self.world, materials, field if method.needs_field else None)
+            scene = SceneModel(self.world, materials, field if method.needs_field else None)
             value = method.reflected(scene, si, materials(si), u, stream).value
             grey = (self.world.emitted(si) + value).mean(-1)
             slopes = torch.autograd.grad(grey.sum(), [materials.roughness, materials.offset])
@@ -110,7 +111,7 @@ class Study:
 
     def picture(self, roughness: float, spp: int) -> FloatArray:
         """An independent grey picture with all surfaces at ``roughness`` [pixels], without a cap of path length."""
-        tracer = PathTracer(self.world, UniformMaterials(self.base, roughness), max_depth=None, rr_depth=6)
+        tracer = path_tracer(self.world, UniformMaterials(self.base, roughness), max_depth=None, rr_depth=6)
         image = render(self.camera, tracer, spp, mix(17, round(1000 * roughness)))
         grey: FloatArray = image.mean(-1).flatten().double().numpy()
         return grey

@@ -30,7 +30,7 @@ def run(options: argparse.Namespace) -> None:
     from neurad.assembly.build import build_world
     from neurad.callbacks.table import score_table
     from neurad.core.errors import InputError
-    from neurad.integrators.method import Parts
+    from neurad.integrators.method import SceneModel
     from neurad.integrators.path import PathTracing
     from neurad.metrics.held_out import HeldOut
     from neurad.metrics.lit_glossy import lit_glossy, reflected_by
@@ -49,7 +49,7 @@ def run(options: argparse.Namespace) -> None:
     print(f"supervised ceiling after {module.iteration} steps in {options.seconds:g} s")
     world = build_world(module.scene)  # with the true light, where the fit's own is unknown
     held_out = HeldOut(module.scene, world.geometry, world.tracer)
-    parts = Parts(world, TrueMaterials(module.scene, world.geometry))
+    parts = SceneModel(world, TrueMaterials(module.scene, world.geometry))
     regions = {"lit_glossy": lit_glossy(held_out, reflected_by(PathTracing(None), parts), GLOSSY_SAMPLES)}
     with averaged(module.average):
         print(score_table(held_out.score(held_out.predict(module.materials), None, regions), 0, "the fields"))

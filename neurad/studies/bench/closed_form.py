@@ -11,7 +11,7 @@ from neurad.assembly.build import build_world
 from neurad.core.records import Surface, SurfaceInteraction
 from neurad.core.rng import Stream, mix
 from neurad.integrators.debiased import Debiased
-from neurad.integrators.method import Method, Parts
+from neurad.integrators.method import Method, SceneModel
 from neurad.integrators.path import PathTracing
 from neurad.integrators.radiometric import Radiometric
 from neurad.integrators.vertex import DIMENSIONS
@@ -56,7 +56,7 @@ class Sphere:
         self.light = float((area * geometry.emission[:, 0].double()).sum() / area.sum())
         self.derivative = self.light / (1.0 - albedo) ** 2
         field = factor * self.light * albedo / (1.0 - albedo)
-        self.parts = Parts(self.world, self.materials, lambda si, albedo: torch.full_like(albedo, field))
+        self.parts = SceneModel(self.world, self.materials, lambda si, albedo: torch.full_like(albedo, field))
         self.until = (area.cumsum(0) / area.sum()).float()
 
     def _points(self, n: int, stream: Stream) -> SurfaceInteraction:
@@ -85,8 +85,8 @@ class Sphere:
         if isinstance(method, Radiometric):
             k = method.k
             return 1.0 - rho**k + (self.factor - 1.0) * k * rho**k * (1.0 - rho)
-        if isinstance(method, PathTracing) and method.max_bounces is not None:
-            n = method.max_bounces
+        if isinstance(method, PathTracing) and method.max_depth is not None:
+            n = method.max_depth - 1
             return 1.0 - (n + 1) * rho**n + n * rho ** (n + 1)
         assert isinstance(method, PathTracing | Debiased)
         return 1.0

@@ -56,7 +56,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )  # fmt: skip
     parser.add_argument("--size", type=int, default=128, help="vertices along a side of the dense grids")
     parser.add_argument(
-        "--roulette", type=float, default=0.95,
+        "--rr-prob", type=float, default=0.95,
         help="largest probability to go on; 1 lets paths at albedo a live 1 / (1 - a) bounces, as in the paper's table",
     )  # fmt: skip
     parser.add_argument("--steps", type=int, default=9, help="steps behind a figure")
@@ -76,7 +76,7 @@ def run(options: argparse.Namespace) -> None:
     """
     _check(options)
     common = {
-        name: getattr(options, name) for name in ("pixels", "positions", "field_fraction", "size", "roulette", "device")
+        name: getattr(options, name) for name in ("pixels", "positions", "field_fraction", "size", "rr_prob", "device")
     }
     common["tracer"] = options.tracer or ("warp" if options.device.startswith("cuda") else "embree")
     lengths = _ask_lengths(options.albedos, common)
@@ -126,8 +126,8 @@ def _check(options: argparse.Namespace) -> None:
         raise InputError("--positions: leave-one-out residuals need at least 2")
     if not 0.0 < options.field_fraction <= 1.0:
         raise InputError(f"--field-fraction: {options.field_fraction:g} is not in (0, 1]")
-    if not 0.0 < options.roulette <= 1.0:
-        raise InputError(f"--roulette: {options.roulette:g} is not in (0, 1]")
+    if not 0.0 < options.rr_prob <= 1.0:
+        raise InputError(f"--rr-prob: {options.rr_prob:g} is not in (0, 1]")
     if not all(0.0 < albedo < 1.0 for albedo in options.albedos):
         raise InputError("--albedos: in a closed cube they must lie in (0, 1)")
     for name, known in (("methods", METHODS), ("fields", FIELDS)):
@@ -247,7 +247,7 @@ def _row(cell: Cell, mean: float, limit: int) -> dict[str, Any]:
     low, _, high = quantiles(ms, n=4, method="inclusive") if len(ms) > 1 else (None, None, None)
     return {
         "fields": job["fields"], "method": job["method"], "albedo": job["albedo"], "mean_bounces": mean,
-        "max_bounces": 1 if job["method"] == "ours" else limit, "steps": len(ms) if known else None,
+        "max_depth": 2 if job["method"] == "ours" else limit + 1, "steps": len(ms) if known else None,
         "ms": median(ms) if known else None, "ms_low": low if known else None, "ms_high": high if known else None,
         "peak_mib": cell.peak / 2**20 if known else None,
         "step_mib": (cell.peak - cell.base) / 2**20 if known else None,

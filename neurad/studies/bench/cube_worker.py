@@ -65,7 +65,7 @@ def main(job: dict[str, Any]) -> None:
 
     try:
         if job["method"] == "lengths":
-            say(lengths=[path_lengths(albedo, job["roulette"], job["tracer"]) for albedo in job["albedos"]])
+            say(lengths=[path_lengths(albedo, job["rr_prob"], job["tracer"]) for albedo in job["albedos"]])
             return
         device = pick_device(job["device"])
         step = mitsuba_step(job) if job["method"] == "mitsuba" else make_step(job, device)
@@ -87,11 +87,11 @@ def main(job: dict[str, Any]) -> None:
         say(seconds=time.perf_counter() - begin, rays=rays)
 
 
-def make_method(name: str, limit: int, roulette: float) -> Method:
+def make_method(name: str, limit: int, rr_prob: float) -> Method:
     """'ours', 'prb' or 'path'; the latter two end paths by roulette from the first bounce, and after ``limit``."""
     if name == "ours":
         return Radiometric()
-    return (PRB if name == "prb" else PathTracing)(limit, 1, roulette)
+    return (PRB if name == "prb" else PathTracing)(limit + 1, 1, rr_prob)
 
 
 def make_step(job: dict[str, Any], device: torch.device) -> Step:
@@ -103,7 +103,7 @@ def make_step(job: dict[str, Any], device: torch.device) -> Step:
     materials = build_materials(scene, config, config).to(device)
     light = reflected_radiance(scene)
     set_albedo(materials, job["albedo"])
-    method = make_method(job["method"], job["limit"], job["roulette"])
+    method = make_method(job["method"], job["limit"], job["rr_prob"])
     fields = [materials.albedo]
     radiance = None
     if method.needs_field:
@@ -171,7 +171,7 @@ def set_albedo(materials: FittedMaterials, albedo: float) -> None:
 
 
 @torch.no_grad()
-def path_lengths(albedo: float, roulette: float, tracer: str, paths: int = PATHS) -> tuple[float, int]:
+def path_lengths(albedo: float, rr_prob: float, tracer: str, paths: int = PATHS) -> tuple[float, int]:
     """Average number of bounces of walks that roulette alone ends, from the cameras, and the 99.9 percentile."""
     scene = build_cube(albedo)
     world = build_world(scene, tracer)
@@ -184,7 +184,7 @@ def path_lengths(albedo: float, roulette: float, tracer: str, paths: int = PATHS
         si = world.intersect(camera_rays(camera, stream.uniform(paths // len(cameras), 2) * size))
         u = stream.uniform(len(si), DIMENSIONS)
         length = torch.zeros(len(si))
-        for vertex in walk(world, materials, si, materials(si), u, stream, Roulette(1, roulette), None):
+        for vertex in walk(world, materials, si, materials(si), u, stream, Roulette(1, rr_prob), None):
             length[vertex.lane] += 1
         lengths.append(length)
     found: Tensor = torch.cat(lengths).sort().values

@@ -101,8 +101,8 @@ def methods() -> dict[tuple[str, int | None], Method]:
     from neurad.integrators.prb import PRB
     from neurad.integrators.radiometric import Radiometric
 
-    capped: dict[tuple[str, int | None], Method] = {("direct", 1): PRB(1)}
-    capped |= {("prb", n): PRB(n) for n in PRB_BOUNCES}
+    capped: dict[tuple[str, int | None], Method] = {("direct", 1): PRB(2)}
+    capped |= {("prb", n): PRB(n + 1) for n in PRB_BOUNCES}
     capped |= {("ours", k): Radiometric(k) for k in OURS_BOUNCES}
     return {**capped, ("debiased", None): Debiased()}
 

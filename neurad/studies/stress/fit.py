@@ -20,7 +20,7 @@ from neurad.fields.radiance import RadianceField
 from neurad.fields.settings import GridConfig
 from neurad.integrators.bounce import bounce
 from neurad.integrators.film import render
-from neurad.integrators.path import PathTracer
+from neurad.integrators.renderer import path_tracer
 from neurad.integrators.vertex import DIMENSIONS
 from neurad.integrators.world import World
 from neurad.optim.polyak_average import averaged
@@ -84,7 +84,7 @@ def resized(scene: Scene, size: int, train: int | None = None) -> Scene:
 def photographs(scene: Scene, spp: int, seed: int = 7) -> Tensor:
     """Path-traced training photographs [views, pixels, 3]."""
     world = build_world(scene)
-    path = PathTracer(world, TrueMaterials(scene, world.geometry), scene.max_depth, scene.rr_depth)
+    path = path_tracer(world, TrueMaterials(scene, world.geometry), scene.max_depth, scene.rr_depth)
     images = [render(view.camera, path, spp, seed + i) for i, view in enumerate(scene.train)]
     return torch.stack([image.view(-1, 3) for image in images])
 

@@ -13,7 +13,7 @@ from neurad.assembly.build import build_world
 from neurad.core.records import Constant, Material, Mesh
 from neurad.core.reflection import ReflectionModel
 from neurad.integrators.film import render
-from neurad.integrators.path import PathTracer
+from neurad.integrators.renderer import path_tracer
 from neurad.scene.builtin import build_cube
 from neurad.scene.builtin.shapes import quad
 from neurad.scene.description import Scene
@@ -68,7 +68,7 @@ def with_panel(scene: Scene, model: ReflectionModel, corner: tuple[float, float,
 def picture(scene: Scene, spp: int, view: int = 0, seed: int = 3, depth: int | None = None) -> Tensor:
     """A training view by path tracing with the true materials [h, w, 3]."""
     world = build_world(scene)
-    path = PathTracer(world, TrueMaterials(scene, world.geometry), depth or scene.max_depth, scene.rr_depth)
+    path = path_tracer(world, TrueMaterials(scene, world.geometry), depth or scene.max_depth, scene.rr_depth)
     return render(scene.train[view].camera, path, spp, seed)
 
 

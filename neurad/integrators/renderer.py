@@ -1,0 +1,73 @@
+"""One renderer over a method: what it estimates, along camera rays."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import torch
+from torch import Tensor
+
+from neurad.core.protocols import Materials
+from neurad.core.records import Rays
+from neurad.core.rng import Stream
+from neurad.integrators.method import Method, SceneModel, query_radiance
+from neurad.integrators.path import PathTracing
+from neurad.integrators.vertex import DIMENSIONS
+from neurad.integrators.world import World
+
+
+@dataclass(frozen=True)
+class MethodRenderer:
+    """The picture that a method compares with photographs: ``E`` plus its estimate of reflected light.
+
+    With :class:`~neurad.integrators.radiometric.Radiometric` it is the paper's RHS rendering (Eq. 12), with
+    :class:`~neurad.integrators.path.PathTracing` forward path tracing.
+    """
+
+    method: Method
+    scene: SceneModel
+
+    @torch.no_grad()
+    def __call__(self, rays: Rays, seed: int) -> Tensor:
+        """One-sample estimate of the radiance along camera rays [n, 3]."""
+        stream = Stream(seed, device=rays.o.device)
+        first = self.scene.world.trace_past_delta(rays, stream.uniform(len(rays)))
+        radiance = self.scene.world.emitted(first.si)  # [n, 3]
+        lane = first.si.valid.nonzero().squeeze(-1)  # rays that end on a surface [m]
+        if len(lane) > 0:
+            si = first.si if len(lane) == len(rays) else first.si[lane]
+            u = stream.uniform(len(si), DIMENSIONS)
+            sample = self.method.reflected(self.scene, si, self.scene.materials(si), u, stream)
+            radiance.index_add_(0, lane, sample.value)
+        return first.attenuate(radiance)
+
+
+@dataclass(frozen=True)
+class FieldRenderer:
+    """``E + L_theta``: what the radiance field itself shows, the paper's LHS rendering (Eq. 13)."""
+
+    scene: SceneModel
+
+    @torch.no_grad()
+    def __call__(self, rays: Rays, seed: int) -> Tensor:
+        """Radiance along camera rays [n, 3]; without noise, but for the choice at glass that ``seed`` makes."""
+        world, radiance = self.scene.world, self.scene.radiance
+        assert radiance is not None
+        first = world.trace_past_delta(rays, Stream(seed, device=rays.o.device).uniform(len(rays)))
+        reflected = query_radiance(radiance, self.scene.materials, first.si)  # [n, 3]
+        return first.attenuate(world.emitted(first.si) + first.si.where_hit(reflected))
+
+
+def path_tracer(
+    world: World, materials: Materials, max_depth: int | None = 20, rr_depth: int = 8, rr_prob: float = 0.95
+) -> MethodRenderer:
+    """Forward path tracing, the reference of everything.
+
+    Args:
+        world: the scene.
+        materials: what its surfaces are made of.
+        max_depth: longest path; 1 shows emitters only, 2 adds direct light. None: roulette alone ends paths.
+        rr_depth: depth from which roulette may end a path.
+        rr_prob: largest probability to go on.
+    """
+    return MethodRenderer(PathTracing(max_depth, rr_depth, rr_prob), SceneModel(world, materials))

@@ -1,0 +1,186 @@
+"""Pictures and material maps of a scene's views from its own, known materials, by any method there is."""
+
+from __future__ import annotations
+
+import importlib
+import json
+import math
+import sys
+import time
+from dataclasses import dataclass, replace
+from difflib import get_close_matches
+from pathlib import Path
+from typing import Any
+
+from omegaconf import OmegaConf
+
+from neurad.assembly.build import build_world
+from neurad.core.camera import resized
+from neurad.core.errors import InputError
+from neurad.core.protocols import Integrator
+from neurad.core.records import View
+from neurad.core.rng import mix
+from neurad.integrators.aov import MaterialMap
+from neurad.integrators.film import render
+from neurad.integrators.method import Method, SceneModel
+from neurad.integrators.path import PathTracing
+from neurad.integrators.renderer import FieldRenderer, MethodRenderer
+from neurad.integrators.world import World
+from neurad.runs.configs import load_config, shipped_folders
+from neurad.runs.model_settings import model_settings
+from neurad.scene.description import Scene
+from neurad.scene.image_io import write_exr
+from neurad.scene.load import load_scene
+from neurad.scene.textures import TrueMaterials
+from neurad.training.train_radiance import train_radiance
+
+SEED = 20230806
+
+
+@dataclass(frozen=True)
+class RenderSettings:
+    """What to render, and how."""
+
+    out: Path
+    """Folder to write."""
+    scene: str | None = None
+    """Name of a built-in scene."""
+    root: str | None = None
+    """Scene folder."""
+    integrator: str = "path"
+    """Name of a method, see :func:`method_names`."""
+    steps: int = 2000
+    """Training steps of the radiance field, for methods that read one."""
+    seconds: float | None = None
+    """Longest training of the radiance field."""
+    views: str = "all"
+    """'train', 'test' or 'all'."""
+    spp: int = 256
+    """Samples a pixel of the pictures."""
+    map_spp: int = 64
+    """Samples a pixel of the material maps."""
+    size: int | None = None
+    """Width of the pictures in pixels; None: that of the views."""
+    max_depth: int | None = None
+    """Longest path; None: that of the scene."""
+    tracer: str = "embree"
+    overwrite: bool = False
+
+    def __post_init__(self) -> None:
+        for name in ("spp", "map_spp", "steps"):
+            if getattr(self, name) < 1:
+                raise InputError(f"--{name.replace('_', '-')}: {getattr(self, name)} is not a positive number")
+        if self.seconds is not None and self.seconds <= 0:
+            raise InputError(f"--seconds: {self.seconds} is not a positive number")
+
+
+def render_views(settings: RenderSettings) -> None:
+    """Render every view with the scene's true materials.
+
+    The same settings write the same bytes, but for ``seconds``: each view has its own random stream and nothing depends
+    on the time.
+
+    Raises:
+        InputError: unknown scene or method, unreadable files, a bad number, or a file that would be overwritten.
+    """
+    out = settings.out
+    method, paths = find_method(settings.integrator)
+    if settings.max_depth is not None and not paths:
+        raise InputError(f"--max-depth: only paths have a depth, --integrator {settings.integrator} has none to choose")
+    scene = load_scene(settings.root, settings.scene)
+    if paths:
+        assert isinstance(method, PathTracing)
+        method = type(method)(settings.max_depth or scene.max_depth, max(scene.rr_depth, 1))
+    views = {"train": scene.train, "test": scene.test, "all": scene.train + scene.test}[settings.views]
+    folders = ("images", "albedo", "roughness", *(["images_lhs"] if method.needs_field else []))
+    targets = [out / kind / f"{v.name}.exr" for v in views for kind in folders]
+    if not settings.overwrite and (found := [t for t in targets if t.exists()]):
+        raise InputError(f"--out: {found[0]} is there already; add --overwrite to write over it")
+    world = build_world(scene, settings.tracer)
+    materials = TrueMaterials(scene, world.geometry)
+    pictures = _pictures(settings, method, scene, world, materials)
+    maps = MaterialMap(world, materials)
+    for kind in folders:
+        (out / kind).mkdir(parents=True, exist_ok=True)
+    start = time.perf_counter()
+    for index, view in enumerate(views):
+        camera = resized(view.camera, settings.size)
+        seed = mix(SEED, *view.name.encode())
+        for kind, integrator in pictures.items():
+            write_exr(out / kind / f"{view.name}.exr", render(camera, integrator, settings.spp, seed).numpy())
+        both = render(camera, maps, settings.map_spp, seed).numpy()
+        write_exr(out / "albedo" / f"{view.name}.exr", both[..., :3])
+        write_exr(out / "roughness" / f"{view.name}.exr", both[..., 3:])
+        done = time.perf_counter() - start
+        left = done / (index + 1) * (len(views) - index - 1)
+        print(f"{view.name}: {index + 1} of {len(views)}, {done:.0f} s, {left:.0f} s left", file=sys.stderr)
+    for part in ("train", "test"):
+        chosen = [replace(v, camera=resized(v.camera, settings.size)) for v in views if v in getattr(scene, part)]
+        if chosen:
+            (out / f"transforms_{part}.json").write_text(json.dumps(transforms(chosen), indent=1) + "\n")
+
+
+def find_method(name: str) -> tuple[Method, bool]:
+    """A method by its name, with the settings of its overlay, and whether it is one of paths.
+
+    Raises:
+        InputError: there is none of this name.
+    """
+    found = _methods()
+    if name not in found:
+        near = get_close_matches(name, found, 1)
+        hint = f"; did you mean {near[0]}?" if near else ""
+        raise InputError(f"--integrator: there is no method {name} ({', '.join(sorted(found))}){hint}")
+    module, _, cls = found[name]["class_path"].rpartition(".")
+    method: Method = getattr(importlib.import_module(module), cls)(**found[name].get("init_args", {}))
+    return method, isinstance(method, PathTracing)
+
+
+def _methods() -> dict[str, dict[str, Any]]:
+    """Class and settings of every method in ``configs/methods``, by the name of its module: path, prb, ..."""
+    found: dict[str, dict[str, Any]] = {}
+    for folder in shipped_folders():
+        for file in sorted((folder / "methods").glob("*.yaml")):
+            method: Any = OmegaConf.to_container(OmegaConf.merge(*load_config(str(file))).model.method)
+            found.setdefault(method["class_path"].split(".")[-2], method)
+    return found
+
+
+def _pictures(
+    settings: RenderSettings, method: Method, scene: Scene, world: World, materials: TrueMaterials
+) -> dict[str, Integrator]:
+    """What renders the pictures, by the folder that they go to; trains the radiance field where one is read."""
+    if not method.needs_field:
+        return {"images": MethodRenderer(method, SceneModel(world, materials))}
+    cameras = [view.camera for view in scene.train + scene.test]
+    start = time.perf_counter()
+
+    def report(step: int, loss: float) -> None:
+        print(f"radiance field: step {step}, {time.perf_counter() - start:.0f} s, loss {loss:.4g}", file=sys.stderr)
+
+    model = model_settings("scene.yaml", SEED)
+    field = train_radiance(scene, world, materials, cameras, model, settings.steps, settings.seconds, report)
+    parts = SceneModel(world, materials, field)
+    return {"images": MethodRenderer(method, parts), "images_lhs": FieldRenderer(parts)}
+
+
+def transforms(views: list[View]) -> dict[str, object]:
+    """The NeRF/Blender camera file of views that share one film."""
+    camera = views[0].camera
+    focal = 0.5 * camera.width / math.tan(0.5 * camera.fov_x)
+    return {
+        "camera_angle_x": camera.fov_x,
+        "w": camera.width,
+        "h": camera.height,
+        "fl_x": focal,
+        "fl_y": focal,
+        "frames": [
+            {
+                "file_path": f"images/{view.name}.exr",
+                "albedo_path": f"albedo/{view.name}.exr",
+                "roughness_path": f"roughness/{view.name}.exr",
+                "transform_matrix": [[float(x) for x in row] for row in view.camera.to_world],
+            }
+            for view in views
+        ],
+    }
