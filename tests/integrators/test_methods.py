@@ -214,7 +214,7 @@ def test_gradient_of_the_moving_prior_is_unbiased():
     [
         (lambda: Radiometric(0), "k"),
         (lambda: Debiased(exponent=2.0), "exponent"),
-        (lambda: Debiased(first_prob=0.0), "start"),
+        (lambda: Debiased(first_prob=0.0), "first_prob"),
         (lambda: PathTracing(0), "max_depth"),
         (lambda: PathTracing(None, rr_prob=1.0), "rr_prob"),
         (lambda: PRB(rr_depth=0), "rr_depth"),
