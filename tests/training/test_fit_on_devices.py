@@ -1,0 +1,52 @@
+"""One whole fit on every device: through the command line, evaluated, continued and scored again on the CPU."""
+
+import pytest
+from helpers.devices import on_devices
+from helpers.tiny_fit import checkpoint, fit, metrics, run_folder, write_tiny_config
+
+from neurad.cli import main
+
+
+def words(device, tracer):
+    return [f"--trainer.accelerator={'gpu' if device == 'cuda' else 'cpu'}", f"--model.tracer={tracer}"]
+
+
+@pytest.mark.main
+@on_devices
+@pytest.mark.parametrize("scene", ["cornell", "kitchen"])
+def test_a_fit_with_rays_on_the_device(tiny, device, scene):
+    """``cornell`` is diffuse; ``kitchen`` has roughness, a guide and a control variate."""
+    pytest.importorskip("warp")
+    name = [f"--data.scene={scene}", "--trainer.max_steps=4", "--data.patches=8"]
+    tracer = "warp" if device == "cuda" or scene == "cornell" else "embree"  # Warp is slow on a CPU
+    fit(*name, *words(device, tracer))
+    state = checkpoint()
+    assert state["neurad"]["iteration"] == 4
+    assert len(state["optimizer_states"]) == (2 if scene == "cornell" else 3)
+    assert all(bool(value.isfinite().all()) for value in state["state_dict"].values() if value.is_floating_point())
+    assert float(metrics()[-1]["albedo_psnr"]) > 5
+    # What a device has trained, the CPU continues and scores.
+    main(["fit", "--ckpt_path=last", "--trainer.max_steps=6", *words("cpu", "embree")])
+    assert checkpoint()["neurad"]["iteration"] == 6
+    main(["test", *words("cpu", "embree"), "--trainer.enable_progress_bar=false"])
+    assert (run_folder() / "images" / "000_albedo.exr").is_file()
+
+
+@pytest.mark.main
+@on_devices
+@pytest.mark.parametrize("method", ["prb", "direct", "debiased"])
+def test_methods_train_on_the_device(tiny, device, method):
+    fit("--config", f"methods/{method}.yaml", "--trainer.max_steps=3", *words(device, "embree"))
+    state = checkpoint()
+    assert state["neurad"]["iteration"] == 3
+    biases = [v for k, v in state["state_dict"].items() if k.startswith("materials.") and k.endswith("bias")]
+    assert any(float(v.abs().max()) > 0 for v in biases)  # they start at zero
+
+
+@pytest.mark.main
+@on_devices
+def test_the_paper_s_settings_train_on_the_device(tiny, device):
+    write_tiny_config(base="paper.yaml", data={"root": None, "scene": "kitchen", "patch_size": 4})
+    fit("--trainer.max_steps=3", *words(device, "embree"))
+    assert checkpoint()["neurad"]["iteration"] == 3
+    assert len(checkpoint()["optimizer_states"]) == 3
