@@ -49,6 +49,11 @@ class PolyakAverage(nn.Module):
             torch._foreach_lerp_(self._means(), self._values(), weight)
             self.updates += 1
 
+    def copy_to_module(self) -> None:
+        """Give the module the averages for good; before the first update it keeps what it has."""
+        if self.updates > 0:
+            torch._foreach_copy_(self._values(), self._means())
+
     @contextmanager
     def used(self) -> Iterator[None]:
         """The module has the averages inside the block; before the first update it keeps what it has."""

@@ -1,6 +1,6 @@
 """Config files: where they are found, how they overlay each other, and how ``${...}`` is resolved.
 
-Several files overlay each other from left to right, and the command line overlays them all. Interpolations are
+Several files overlay each other from left to right, and the command line goes on top of all of them. Interpolations are
 resolved against that final state, so ``--model.width 32`` also changes every value written ``${model.width}``.
 """
 
@@ -11,6 +11,7 @@ from pathlib import Path
 from typing import Any, cast
 
 import yaml  # type: ignore[import-untyped]
+from jsonargparse import set_parsing_settings
 from omegaconf import DictConfig, ListConfig, OmegaConf
 from omegaconf.errors import MissingMandatoryValue, OmegaConfBaseException
 
@@ -18,6 +19,13 @@ import neurad
 from neurad.core.errors import InputError
 
 Tree = dict[str, Any]
+TRUSTED = ["neurad", "datamodules", "lightning", "torch.optim", "torch.nn", "datetime"]
+"""Packages whose classes a config may name: configs are passed around, and naming a class runs it."""
+
+
+def only_trusted_classes() -> None:
+    """Let the parser import classes of :data:`TRUSTED` packages only."""
+    set_parsing_settings(import_path_denylist=["*"], import_path_allowlist=TRUSTED)
 
 
 def shipped_folders() -> list[Path]:
@@ -87,7 +95,7 @@ def split_arguments(args: Sequence[str]) -> tuple[list[str], dict[str, str], lis
         args: what follows the verb; both ``--key=value`` and ``--key value`` are understood.
 
     Returns:
-        Names of the config files; the values given by key, last one first served; all arguments but the configs.
+        Names of the config files; values by key, of which the last one given holds; all arguments but the configs.
     """
     names: list[str] = []
     values: dict[str, str] = {}

@@ -3,33 +3,27 @@
 from __future__ import annotations
 
 import json
-import logging
-import pickle
-import re
 import signal
 import threading
-import warnings
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import lightning.pytorch as pl
-import torch
-from jsonargparse import ArgumentError, set_parsing_settings
+from jsonargparse import ArgumentError
 from lightning.fabric.utilities.exceptions import MisconfigurationException
 from lightning.pytorch.cli import LightningArgumentParser, LightningCLI
 from lightning.pytorch.trainer.states import TrainerStatus
-from omegaconf import OmegaConf
+from omegaconf import DictConfig, OmegaConf
 
 from neurad.callbacks import Bar, Evaluate, LastCheckpoint, RunFolder, RunLogger
 from neurad.core.errors import InputError
-from neurad.runs.configs import load_config, overlay, resolve, split_arguments
+from neurad.runs.checkpoints import RUNS, newest_checkpoint, read_checkpoint, run_folder_of
+from neurad.runs.configs import load_config, only_trusted_classes, overlay, resolve, split_arguments
+from neurad.runs.messages import setting_error, silence_lightning
 
-RUNS = "lightning_logs"
 SHARED_KEYS = ("seed_everything", "trainer", "model", "data", "evaluation", "checkpoint", "bar")
 """Parts of a config that every verb understands."""
-TRUSTED = ["neurad", "datamodules", "lightning", "torch.optim", "torch.nn", "datetime"]
-"""Packages whose classes a config may name: configs are passed around, and naming a class runs it."""
 
 
 def run(verb: str, args: Sequence[str], model: type[pl.LightningModule], data: type[pl.LightningDataModule]) -> None:
@@ -44,8 +38,8 @@ def run(verb: str, args: Sequence[str], model: type[pl.LightningModule], data: t
     Raises:
         InputError: the user's mistake, in one sentence.
     """
-    _quiet()
-    set_parsing_settings(import_path_denylist=["*"], import_path_allowlist=TRUSTED)
+    silence_lightning()
+    only_trusted_classes()
     names, values, rest = split_arguments(args)
     layers = [layer for name in names for layer in load_config(name)]
     settings = overlay(layers, values)
@@ -58,10 +52,11 @@ def run(verb: str, args: Sequence[str], model: type[pl.LightningModule], data: t
     if checkpoint is not None:
         rest.append(f"--ckpt_path={checkpoint}")
     handler = signal.getsignal(signal.SIGINT)
+    known: list[str] = []
     try:
-        NeuradCLI(verb, checkpoint, model, data, [verb, *parsed, *rest])
+        NeuradCLI(verb, checkpoint, model, data, [verb, *parsed, *rest], known)
     except ArgumentError as error:
-        raise InputError(_sentence(str(error), names, values)) from error
+        raise InputError(setting_error(str(error), names, values, known)) from error
     finally:
         # Lightning leaves Ctrl-C ignored after an interrupt.
         if threading.current_thread() is threading.main_thread():
@@ -72,46 +67,34 @@ def find_checkpoint(verb: str, settings: Any) -> Path | None:
     """The checkpoint that a verb starts from, or None for a fit from scratch.
 
     Args:
-        verb: 'fit' may do without; the others take the newest run's unless told otherwise.
+        verb: 'fit' may do without; the others take the newest run's unless the settings name another.
         settings: the merged settings, of which ``ckpt_path`` and ``trainer.default_root_dir`` count.
 
     Raises:
-        InputError: there is no such checkpoint, or it is none.
+        InputError: there is no such checkpoint, or the file is not one.
     """
-    asked = settings.get("ckpt_path")
-    if asked is None and verb == "fit":
+    given = settings.get("ckpt_path")
+    if given is None and verb == "fit":
         return None
-    if asked in (None, "last"):
+    if given in (None, "last"):
         root = Path((settings.get("trainer") or {}).get("default_root_dir") or ".")
-        found = sorted((root / RUNS).glob("version_*/checkpoints/last.ckpt"), key=_version)
-        if not found:
+        newest = newest_checkpoint(root)
+        if newest is None:
             raise InputError(f"--ckpt_path last: no run in {root / RUNS} has a checkpoint to start from")
-        path = found[-1]
+        path = newest
     else:
-        path = Path(str(asked)).expanduser()
-    if not path.is_file():
-        raise InputError(f"--ckpt_path {path}: no such file")
-    try:
-        state = torch.load(path, map_location="cpu", weights_only=True, mmap=True)
-    except (pickle.UnpicklingError, RuntimeError, EOFError, OSError, ValueError) as error:
-        raise InputError(f"--ckpt_path {path}: it is not a readable checkpoint") from error
-    if not isinstance(state, dict) or "state_dict" not in state:
-        raise InputError(f"--ckpt_path {path}: it is not a checkpoint of neurad")
+        path = Path(str(given)).expanduser()
+    read_checkpoint(path, f"--ckpt_path {path}")
     print(f"neurad: {verb} starts from {path}")
     return path
 
 
-def _version(path: Path) -> int:
-    number = path.parent.parent.name.removeprefix("version_")
-    return int(number) if number.isdecimal() else -1
-
-
-def _config_of_run(checkpoint: Path) -> list[Any]:
-    """The settings of the run that wrote the checkpoint, as the lowest layer: whatever the user says goes on top."""
-    path = checkpoint.parent.parent / "config.yaml"
-    if checkpoint.parent.name != "checkpoints" or not path.is_file():
+def _config_of_run(checkpoint: Path) -> list[DictConfig]:
+    """The settings of the run that wrote the checkpoint, as the lowest layers: the user's own go on top."""
+    folder = run_folder_of(checkpoint)
+    if folder is None:
         return []
-    layers = load_config(str(path.resolve()))
+    layers = load_config(str(folder / "config.yaml"))
     return [OmegaConf.create({key: layer[key] for key in SHARED_KEYS if key in layer}) for layer in layers]
 
 
@@ -124,6 +107,7 @@ class NeuradCLI(LightningCLI):
         model: the Lightning module.
         data: the data module.
         args: the verb and its arguments, configs resolved.
+        known: gets the names of all settings, for error messages.
     """
 
     def __init__(
@@ -133,8 +117,10 @@ class NeuradCLI(LightningCLI):
         model: type[pl.LightningModule],
         data: type[pl.LightningDataModule],
         args: list[str],
+        known: list[str] | None = None,
     ) -> None:
         self.verb = verb
+        self.known = [] if known is None else known
         self.checkpoint = checkpoint
         super().__init__(
             model,
@@ -162,6 +148,7 @@ class NeuradCLI(LightningCLI):
 
     def parse_arguments(self, parser: LightningArgumentParser, args: Any) -> None:
         """Parse what :func:`run` prepared, whatever ``sys.argv`` says."""
+        self.known += [action.dest for action in self._subcommand_parsers[self.verb]._actions]
         self.config = parser.parse_args(args)
 
     def add_arguments_to_parser(self, parser: LightningArgumentParser) -> None:
@@ -171,8 +158,8 @@ class NeuradCLI(LightningCLI):
         parser.add_lightning_class_args(Bar, "bar")
 
     def _parse_ckpt_path(self) -> None:
-        """Nothing: the run's ``config.yaml`` is the lowest layer of the config already, so that what the user says
-        beats it; Lightning would let the checkpoint win.
+        """Nothing: the run's ``config.yaml`` is the lowest layer of the config already, below the user's settings;
+        Lightning would put the checkpoint's on top of them.
         """
 
     def instantiate_trainer(self, **kwargs: Any) -> pl.Trainer:
@@ -206,53 +193,3 @@ class NeuradCLI(LightningCLI):
             if self.trainer.state.status == TrainerStatus.INTERRUPTED:
                 raise SystemExit(130) from None
             raise
-
-
-def _quiet() -> None:
-    """Silence what says nothing to somebody who only has photographs."""
-    for name in ("lightning.pytorch", "lightning.fabric"):
-        logging.getLogger(name).setLevel(logging.WARNING)
-    for message in (
-        ".*does not have many workers.*",
-        ".*LeafSpec.*",
-        ".*Checkpoint directory .* exists and is not empty.*",
-        ".*resuming from a checkpoint that ended before the epoch ended.*",
-        ".*The dirpath has changed.*",
-        ".*`IterableDataset` has `__len__` defined.*",
-        ".*GPU available but not used.*",
-        ".*predict returned None.*",
-        ".*Found .* module.* in eval mode at the start of training.*",
-    ):
-        warnings.filterwarnings("ignore", message=message)
-
-
-def _sentence(message: str, names: Sequence[str], values: Mapping[str, str]) -> str:
-    """The parser's complaint as one sentence that says where the fault stands.
-
-    Args:
-        message: what the parser said, over several lines.
-        names: the config files given.
-        values: what was given on the command line, by key.
-    """
-    text = " ".join(message.split())
-    unknown = re.search(r"does not accept option '([^']+)'", text) or re.search(r"Key '([^']+)' is not expected", text)
-    wrong = re.search(r'Parser key "([^"]+)": (.*)', text)
-    if unknown:
-        return f"{_origin(unknown[1], names, values)}: {unknown[1]} is not a known setting"
-    if wrong:
-        denied = re.search(r"Importing '[^']+' is not allowed", wrong[2])
-        union = re.search(r"Does not validate against any of the Union subtypes.*Given value: (.*)", wrong[2])
-        reason = denied[0] if denied else f"{union[1]} is not a valid value" if union else wrong[2]
-        return f"{_origin(wrong[1], names, values)}: {wrong[1]}: {reason}"
-    return text
-
-
-def _origin(key: str, names: Sequence[str], values: Mapping[str, str]) -> str:
-    """Where a setting was given: 'command line' or the config file."""
-    if any(given == key or given.startswith(f"{key}.") or key.startswith(f"{given}.") for given in values):
-        return "command line"
-    for name in reversed(names):
-        for layer in load_config(name):
-            if OmegaConf.select(layer, key) is not None:
-                return f"config {name}"
-    return "config"

@@ -14,7 +14,11 @@ DDP_IGNORED = "world.guide.", "average."
 
 
 def fitting(
-    checkpoint: dict[str, Any], own: dict[str, Tensor], scene: Scene, inputs: list[str] | None
+    checkpoint: dict[str, Any],
+    own: dict[str, Tensor],
+    scene: Scene,
+    inputs: list[str] | None,
+    source: str = "--ckpt_path",
 ) -> dict[str, Any]:
     """What a run wrote about itself into its checkpoint, if the weights fit.
 
@@ -26,15 +30,16 @@ def fitting(
         own: state of the module that is to take it over.
         scene: that the module is for.
         inputs: what the module's radiance field reads; None without one.
+        source: begins the error messages.
 
     Raises:
         InputError: it belongs to another scene or to fields of other sizes, or it is none of neurad's.
     """
     state: dict[str, Any] | None = checkpoint.get("neurad")
     if state is None:
-        raise InputError("--ckpt_path: the file is no checkpoint of neurad")
+        raise InputError(f"{source}: the file is no checkpoint of neurad")
     if state["fingerprint"] != scene.fingerprint:
-        raise InputError(f"--ckpt_path: the checkpoint is of scene {state['scene']}, not of {scene.name} as given")
+        raise InputError(f"{source}: the checkpoint is of scene {state['scene']}, not of {scene.name} as given")
     weights = checkpoint["state_dict"]
     for prefix in DDP_IGNORED:
         mine = {name: value for name, value in own.items() if name.startswith(prefix)}
@@ -44,14 +49,14 @@ def fitting(
     for name, value in weights.items():
         if name not in own or own[name].shape != value.shape:
             raise InputError(
-                f"--ckpt_path: the checkpoint has other field sizes than the config ({name} differs); where "
+                f"{source}: the checkpoint has other field sizes than the config ({name} differs); where "
                 "grid.finest is null they follow the training views"
             )
     if missing := own.keys() - weights.keys():
-        raise InputError(f"--ckpt_path: the checkpoint has other fields than the config ({min(missing)} is missing)")
+        raise InputError(f"{source}: the checkpoint has other fields than the config ({min(missing)} is missing)")
     if state.get("radiance_inputs", inputs) != inputs:  # of the same size they would load, and mean something else
         raise InputError(
-            f"--ckpt_path: the checkpoint's radiance field reads {state['radiance_inputs']}, that of the config "
+            f"{source}: the checkpoint's radiance field reads {state['radiance_inputs']}, that of the config "
             f"{inputs}; set model.radiance.inputs"
         )
     return state

@@ -8,16 +8,17 @@ import tempfile
 from typing import Any, cast
 
 import lightning.pytorch as pl
-from jsonargparse import ArgumentError, set_parsing_settings
+from jsonargparse import ArgumentError
 
 from datamodules.scene_data import SceneData
 from neurad.core.errors import InputError
-from neurad.runs import lightning as train
-from neurad.runs.configs import load_config, overlay, resolve
+from neurad.runs.configs import load_config, only_trusted_classes, overlay, resolve
+from neurad.runs.lightning import NeuradCLI
+from neurad.runs.messages import setting_error, silence_lightning
 from neurad.training.inverse import InverseRenderer
 
 
-class _Prepared(train.NeuradCLI):
+class _Prepared(NeuradCLI):
     """Builds trainer, module and data, and runs nothing."""
 
     def _run_subcommand(self, subcommand: str) -> None:
@@ -34,8 +35,8 @@ def prepare(options: argparse.Namespace, steps: int) -> tuple[pl.Trainer, Invers
     Raises:
         InputError: the settings are wrong.
     """
-    train._quiet()
-    set_parsing_settings(import_path_denylist=["*"], import_path_allowlist=train.TRUSTED)
+    silence_lightning()
+    only_trusted_classes()
     values: dict[str, str] = {}
     for word in options.set:
         key, equals, value = word.partition("=")
@@ -56,10 +57,11 @@ def prepare(options: argparse.Namespace, steps: int) -> tuple[pl.Trainer, Invers
     overlay(layers, values)
     parsed = [f"--config={json.dumps(tree)}" for tree in resolve(layers, values)]
     rest = [f"--{key}={value}" for key, value in values.items()]
+    known: list[str] = []
     try:
-        made = _Prepared("fit", None, InverseRenderer, SceneData, ["fit", *parsed, *rest])
+        made = _Prepared("fit", None, InverseRenderer, SceneData, ["fit", *parsed, *rest], known)
     except ArgumentError as error:
-        raise InputError(train._sentence(str(error), names, values)) from error
+        raise InputError(setting_error(str(error), names, values, known)) from error
     trainer = cast(Any, made.trainer)
     trainer.callbacks = []
     return trainer, cast(InverseRenderer, made.model), cast(SceneData, made.datamodule)

@@ -1,0 +1,269 @@
+"""A finished or running fit as Python objects, without a Trainer: :func:`neurad.load`."""
+
+from __future__ import annotations
+
+import os
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+import torch
+from jsonargparse import ArgumentError, ArgumentParser
+from omegaconf import OmegaConf
+from torch import Tensor
+
+from neurad.assembly.build import Assembly, FittedMaterials, assemble
+from neurad.assembly.settings import ModelSettings
+from neurad.core.camera import camera_rays
+from neurad.core.errors import InputError
+from neurad.core.records import Camera, FloatArray, SurfaceInteraction, View
+from neurad.fields.radiance import RadianceField
+from neurad.integrators.film import render
+from neurad.integrators.method import MethodRHS
+from neurad.integrators.world import World
+from neurad.runs.checkpoints import LAST, newest_checkpoint, read_checkpoint, run_folder_of
+from neurad.runs.configs import load_config, only_trusted_classes
+from neurad.scene.description import Scene
+from neurad.scene.image_io import read_photograph
+from neurad.scene.load import load_scene
+from neurad.scene.textures import TrueMaterials
+from neurad.training.checkpoint import fitting
+
+CHUNK = 1 << 17
+"""Points that go through the fields at once, to bound the memory."""
+
+Points = npt.ArrayLike | SurfaceInteraction
+"""Positions [n, 3] in world space, or surface points of :meth:`LoadedRun.surface`."""
+
+
+@dataclass(frozen=True)
+class LoadedRun:
+    """The result of a fit. Materials are the averaged ones if the run averages, as in ``neurad test``.
+
+    Attributes:
+        checkpoint: the file that was read.
+        iteration: iterations that the fit had done.
+        assembly: scene, settings, world, materials and radiance field.
+        device: where these lie.
+    """
+
+    checkpoint: Path
+    iteration: int
+    assembly: Assembly
+    device: torch.device
+
+    @property
+    def scene(self) -> Scene:
+        """Geometry, lights, true materials and cameras (``scene.train``, ``scene.test``)."""
+        return self.assembly.scene
+
+    @property
+    def settings(self) -> ModelSettings:
+        """All settings under ``model``."""
+        return self.assembly.settings
+
+    @property
+    def world(self) -> World:
+        """The scene for light transport: traced geometry, lights and BSDF."""
+        return self.assembly.world
+
+    @property
+    def materials(self) -> FittedMaterials | TrueMaterials:
+        """Albedo and roughness at a :class:`neurad.core.records.SurfaceInteraction`."""
+        return self.assembly.materials
+
+    @property
+    def radiance(self) -> RadianceField | None:
+        """Reflected radiance L_theta(x, wo, n, albedo); None for a method without a radiance field."""
+        return self.assembly.radiance
+
+    def surface(self, view: View | Camera | str) -> SurfaceInteraction:
+        """What a view shows at its pixels' centres [h * w], row by row; ``valid`` is False where there is nothing."""
+        camera = self._camera(view)
+        pixel = torch.arange(camera.width * camera.height, device=self.device)
+        xy = torch.stack((pixel % camera.width, pixel // camera.width), -1) + 0.5
+        with torch.no_grad():
+            return self.world.intersect(camera_rays(camera, xy))
+
+    def albedo(self, points: Points) -> FloatArray:
+        """Recovered albedo [n, 3], linear, in [0, 1].
+
+        The fields depend on positions alone. On emitters nothing is recovered and the scene's own albedo holds, but a
+        position does not say what lies there: use the points of :meth:`surface` where that matters.
+
+        Args:
+            points: positions [n, 3] in world space, or points of :meth:`surface`.
+
+        Raises:
+            InputError: ``points`` have another shape, or are positions and the run's materials are the scene's own.
+        """
+        if isinstance(points, SurfaceInteraction):
+            return self._evaluate(self.materials.albedo, points)
+        return self._evaluate(self._fields().albedo.at, self._positions(points))  # type: ignore[attr-defined]
+
+    def roughness(self, points: Points) -> FloatArray:
+        """Recovered Burley roughness [n, 1], in [0, 1]; 1 in a diffuse scene, which has none.
+
+        A roughness field that also reads the albedo gets the recovered one of the same points. Arguments and errors
+        are those of :meth:`albedo`.
+        """
+        if isinstance(points, SurfaceInteraction):
+            return self._evaluate(lambda si: self.materials(si).roughness, points)
+        fields = self._fields()
+
+        def at(p: Tensor) -> Tensor:
+            if fields.roughness is None:
+                return torch.ones_like(p[:, :1])
+            return fields.roughness.at(p, fields.albedo.at(p))  # type: ignore[attr-defined]
+
+        return self._evaluate(at, self._positions(points))
+
+    def render(self, view: View | Camera | str, spp: int = 16, seed: int = 0) -> FloatArray:
+        """The method's picture (the right-hand side) of a view, as ``neurad test`` shows it.
+
+        Args:
+            view: a view of the scene or its name, or any camera.
+            spp: samples per pixel.
+            seed: of the noise.
+
+        Returns:
+            Linear radiance [h, w, 3].
+        """
+        estimator = self.assembly.estimator
+        with torch.no_grad():
+            picture = render(
+                self._camera(view), MethodRHS(estimator.method, estimator.parts), spp, seed, self.device
+            )  # fmt: skip
+        return np.asarray(picture.cpu().numpy(), np.float32)
+
+    def _camera(self, view: View | Camera | str) -> Camera:
+        if isinstance(view, Camera):
+            return view
+        if isinstance(view, View):
+            return view.camera
+        views = {v.name: v for v in (*self.scene.train, *self.scene.test)}
+        if view not in views:
+            raise InputError(f"view {view}: scene {self.scene.name} has no view of that name")
+        return views[view].camera
+
+    def _fields(self) -> FittedMaterials:
+        if not isinstance(self.materials, FittedMaterials):
+            raise InputError("the materials of this run are the scene's own: give points of run.surface(view)")
+        return self.materials
+
+    def _positions(self, points: npt.ArrayLike) -> Tensor:
+        p = np.asarray(points, np.float32)
+        if p.ndim != 2 or p.shape[1] != 3:
+            raise InputError(f"points: an array of shape [n, 3] is needed, not {list(p.shape)}")
+        return torch.tensor(p, device=self.device)
+
+    def _evaluate(self, values: Callable[[Any], Tensor], points: Tensor | SurfaceInteraction) -> FloatArray:
+        """``values`` at points, in chunks, as an array."""
+        with torch.no_grad():
+            parts = [values(points[i : i + CHUNK]).cpu() for i in range(0, max(1, len(points)), CHUNK)]
+        return np.asarray(torch.cat(parts).numpy(), np.float32)
+
+
+def load_run(
+    run: str | os.PathLike[str] | None = None,
+    root: str | os.PathLike[str] | None = None,
+    device: str | torch.device = "cpu",
+) -> LoadedRun:
+    """Read what a fit has recovered.
+
+    Args:
+        run: a run folder such as ``lightning_logs/version_3``, or a checkpoint in one; None or 'last' takes the newest
+            run in ``lightning_logs``.
+        root: where the scene's folder is now, if it has moved since the fit.
+        device: where to put everything.
+
+    Raises:
+        InputError: there is no such run, its checkpoint cannot be read or does not fit, or its scene is missing or
+            has changed.
+    """
+    checkpoint, folder = _locate(run)
+    name = f"run {checkpoint}"
+    content = read_checkpoint(checkpoint, name)
+    config = OmegaConf.to_container(OmegaConf.merge(*load_config(str(folder / "config.yaml"))), resolve=True)
+    if not isinstance(config, dict) or "model" not in config or "data" not in config:
+        raise InputError(f"{folder / 'config.yaml'}: it is not the config of a run")
+    settings = _settings(config["model"], folder)
+    scene = _scene(config["data"], folder, root)
+    assembly = assemble(scene, settings, _has_alpha(scene))
+    state = _restore(assembly, content, name)
+    target = torch.device(device)
+    for _, part in assembly.modules():
+        part.to(target)
+    if assembly.average is not None:
+        assembly.average.copy_to_module()
+    return LoadedRun(checkpoint, int(state["iteration"]), assembly, target)
+
+
+def _locate(run: str | os.PathLike[str] | None) -> tuple[Path, Path]:
+    """Checkpoint and folder of a run."""
+    if run is None or str(run) == "last":
+        newest = newest_checkpoint(Path())
+        if newest is None:
+            raise InputError("no run in lightning_logs has a checkpoint")
+        path = newest
+    else:
+        path = Path(run).expanduser()
+        if not path.exists():
+            raise InputError(f"run {path}: there is no such run folder or checkpoint")
+        path = path / LAST if path.is_dir() else path
+    if not path.is_file():
+        raise InputError(f"run {path.parent.parent}: it has no checkpoint {LAST}")
+    folder = run_folder_of(path)
+    if folder is None:
+        raise InputError(f"run {path}: the checkpoint is not in a run folder with a config.yaml")
+    return path, folder
+
+
+def _settings(model: dict[str, Any], folder: Path) -> ModelSettings:
+    """The ``model`` section of a run's config."""
+    only_trusted_classes()
+    parser = ArgumentParser(exit_on_error=False)
+    parser.add_class_arguments(ModelSettings, "model")
+    given = {key: value for key, value in model.items() if not (key == "method" and value is None)}
+    try:
+        settings: ModelSettings = parser.instantiate(parser.parse_object({"model": given})).model
+    except ArgumentError as error:
+        raise InputError(f"{folder / 'config.yaml'}: {' '.join(str(error).split())}") from error
+    return settings
+
+
+def _scene(data: dict[str, Any], folder: Path, root: str | os.PathLike[str] | None) -> Scene:
+    """The scene of a run: in ``root``, else where the fit found it, seen from here or from where the fit was started.
+
+    Raises:
+        InputError: it is not there any more, or it is broken.
+    """
+    if data.get("root") is None and root is None:
+        return load_scene(None, data.get("scene"))
+    first = Path(data["root"] if root is None else root).expanduser()
+    places = [first] if root is not None or first.is_absolute() else [first, folder.parent.parent / first]
+    place = next((place for place in places if place.is_dir()), None)
+    if place is None:
+        raise InputError(f"run {folder}: its scene {first} is missing; say where it is now with root=")
+    return load_scene(str(place), None)
+
+
+def _has_alpha(scene: Scene) -> bool:
+    """Whether the training photographs have an alpha channel: then no environment is visible to the camera."""
+    image = scene.train[0].image if scene.train else None
+    return image is not None and read_photograph(image).shape[-1] == 4
+
+
+def _restore(assembly: Assembly, checkpoint: dict[str, Any], name: str) -> dict[str, Any]:
+    """Copy the checkpoint's weights into the parts, and return what the run wrote about itself."""
+    own = {f"{part}.{key}": value for part, module in assembly.modules() for key, value in module.state_dict().items()}
+    radiance = assembly.radiance
+    state = fitting(checkpoint, own, assembly.scene, None if radiance is None else list(radiance.inputs), name)
+    for part, module in assembly.modules():
+        prefix = f"{part}."
+        weights = checkpoint["state_dict"]
+        module.load_state_dict({k.removeprefix(prefix): v for k, v in weights.items() if k.startswith(prefix)})
+    return state

@@ -1,0 +1,227 @@
+"""``neurad.load``: a run's scene, materials and radiance field without a Trainer, the same as ``neurad test`` shows."""
+
+import json
+import os
+import shutil
+import subprocess
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+import yaml
+from helpers.tiny_scene import SIZE, write_scene
+
+import neurad
+from neurad.cli import main
+from neurad.core.errors import InputError
+from neurad.metrics.held_out import HeldOut
+from neurad.scene.image_io import read_exr
+from neurad.training.evaluate import SEED
+
+pytest.importorskip("mitsuba")
+
+REPOSITORY = Path(__file__).resolve().parents[2]
+SPP = 3
+GRID = {"levels": 3, "coarsest": 4, "finest": 16, "log2_size": 10}
+CONFIG = {
+    "seed_everything": 3,
+    "trainer": {"max_steps": 40, "accelerator": "cpu", "enable_progress_bar": False},
+    "data": {"root": "room", "patches": 64},
+    "model": {
+        "albedo": {"grid": GRID, "width": 16},
+        "roughness": {"grid": GRID, "width": 16, "reads_albedo": True},
+        "radiance": {"grid": GRID, "width": 16, "hidden_layers": 1},
+        "optimization": {"average": 0.5, "warmup": 1},
+    },
+    "evaluation": {"every_n_steps": 1000, "spp": 1, "test_spp": SPP},
+}
+
+
+@pytest.fixture(scope="module")
+def fitted(tmp_path_factory):
+    """A folder in which ``neurad fit`` and then ``neurad test`` ran on a tiny scene."""
+    folder = tmp_path_factory.mktemp("fitted")
+    write_scene(folder / "room")
+    (folder / "fit.yaml").write_text(yaml.safe_dump(CONFIG))
+    with pytest.MonkeyPatch.context() as patch:
+        patch.chdir(folder)
+        main(["fit", "--config", "fit.yaml"])
+        main(["test"])
+    return folder
+
+
+@pytest.fixture
+def place(fitted, monkeypatch):
+    monkeypatch.chdir(fitted)
+    return Path("lightning_logs/version_0")
+
+
+def shown(place, index, name):
+    """What ``neurad test`` wrote of a held-out view."""
+    return read_exr(place / "images" / f"{index:03d}_{name}.exr")
+
+
+def test_a_loaded_run_is_what_the_evaluation_of_the_module_shows(place):
+    run = neurad.load(place)
+    assert run.iteration == 40
+    assert run.settings.roughness.reads_albedo
+    assert run.materials.roughness.reads_albedo
+    assert run.radiance is not None
+    maps = HeldOut(run.scene, run.world.geometry, run.world.tracer).predict(run.materials)
+    for index, view in enumerate(run.scene.test):
+        for name in ("albedo", "roughness"):
+            truth = shown(place, index, name)
+            np.testing.assert_array_equal(maps[index][name].reshape(truth.shape), truth)
+        picture = run.render(view, SPP, SEED + index)
+        assert picture.shape == (SIZE, SIZE, 3)
+        np.testing.assert_array_equal(picture, shown(place, index, "render"))
+        np.testing.assert_array_equal(run.render(view.name, SPP, SEED + index), picture)
+        np.testing.assert_array_equal(run.render(view.camera, SPP, SEED + index), picture)
+
+
+def test_materials_are_the_averaged_ones(place):
+    run = neurad.load(place)
+    state = torch.load(place / "checkpoints/last.ckpt", weights_only=True)["state_dict"]
+    assert int(state["average.updates"]) > 0
+    trained = [p for p in run.materials.parameters() if p.requires_grad]
+    names = [f"materials.{name}" for name, p in run.materials.named_parameters() if p.requires_grad]
+    for index, p in enumerate(trained):
+        assert torch.equal(p, state[f"average.mean_{index}"])
+    assert any(not torch.equal(p, state[name]) for p, name in zip(trained, names, strict=True))
+
+
+def test_values_at_points(place):
+    """Positions read the fields; points of a view read the scene's own material on emitters, as the fit does."""
+    run = neurad.load(place)
+    points = run.surface(run.scene.train[0])
+    surface = run.materials(points)
+    np.testing.assert_array_equal(run.albedo(points), surface.albedo.detach().numpy())
+    np.testing.assert_array_equal(run.roughness(points), surface.roughness.detach().numpy())
+    emits = run.world.geometry.emission.amax(-1)[points.prim.clamp_min(0)] > 0
+    bare = (points.valid & ~emits).numpy()
+    assert bare.sum() > 3
+    positions = points.p.numpy().astype(np.float64)
+    albedo, roughness = run.albedo(positions), run.roughness(positions.tolist())
+    assert albedo.shape == (SIZE * SIZE, 3)
+    assert roughness.shape == (SIZE * SIZE, 1)
+    np.testing.assert_allclose(albedo[bare], run.albedo(points)[bare], rtol=1e-6)
+    np.testing.assert_allclose(roughness[bare], run.roughness(points)[bare], rtol=1e-6)
+    assert run.albedo(np.zeros((0, 3))).shape == (0, 3)
+    with pytest.raises(InputError, match=r"points: an array of shape \[n, 3\] is needed, not \[3\]"):
+        run.albedo([1.0, 2.0, 3.0])
+    with pytest.raises(InputError, match="view attic: scene room has no view of that name"):
+        run.render("attic")
+
+
+@pytest.mark.parametrize("named", [None, "last", "lightning_logs/version_0/checkpoints/last.ckpt"])
+def test_ways_to_name_a_run(place, named):
+    assert neurad.load(named).checkpoint == place / "checkpoints/last.ckpt"
+
+
+def test_a_scene_is_found_from_elsewhere(place, tmp_path, monkeypatch):
+    """A relative ``--data.root`` is that of the folder in which the fit ran; ``root`` says where a scene is now."""
+    run = place.resolve()
+    shutil.copytree("room", tmp_path / "moved")
+    monkeypatch.chdir(tmp_path)
+    assert neurad.load(run).iteration == 40
+    assert neurad.load(run, root="moved").scene.fingerprint == neurad.load(run).scene.fingerprint
+
+
+def no_run(folder):
+    return folder / "version_9"
+
+
+def no_checkpoint(folder):
+    shutil.rmtree(folder / "version_0/checkpoints")
+    return folder / "version_0"
+
+
+def broken(folder):
+    (folder / "version_0/checkpoints/last.ckpt").write_text("x")
+    return folder / "version_0"
+
+
+def elsewhere(folder):
+    shutil.copy(folder / "version_0/checkpoints/last.ckpt", folder / "kept.ckpt")
+    return folder / "kept.ckpt"
+
+
+def foreign(folder):
+    torch.save({"state_dict": {}}, folder / "version_0/checkpoints/last.ckpt")
+    return folder / "version_0"
+
+
+def moved(folder):
+    path = folder / "version_0/config.yaml"
+    path.write_text(path.read_text().replace("root: room", "root: attic"))
+    return folder / "version_0"
+
+
+def other_sizes(folder):
+    path = folder / "version_0/config.yaml"
+    path.write_text(path.read_text().replace("width: 16", "width: 8"))
+    return folder / "version_0"
+
+
+def unknown_key(folder):
+    path = folder / "version_0/config.yaml"
+    path.write_text(path.read_text().replace("reads_albedo:", "reads_colour:"))
+    return folder / "version_0"
+
+
+BAD = {
+    "no run": (no_run, r"run .*version_9: there is no such run folder or checkpoint"),
+    "no checkpoint": (no_checkpoint, r"run .*version_0: it has no checkpoint checkpoints/last\.ckpt"),
+    "broken": (broken, r"run .*last\.ckpt: it is not a readable checkpoint"),
+    "elsewhere": (elsewhere, r"run .*kept\.ckpt: the checkpoint is not in a run folder with a config\.yaml"),
+    "foreign": (foreign, r"run .*last\.ckpt: the file is no checkpoint of neurad"),
+    "moved": (moved, r"run .*version_0: its scene attic is missing; say where it is now with root="),
+    "other sizes": (other_sizes, r"run .*last\.ckpt: the checkpoint has other field sizes than the config"),
+    "unknown key": (unknown_key, r"version_0/config\.yaml: .*reads_colour"),
+}
+
+
+@pytest.mark.parametrize("case", BAD)
+def test_a_run_that_cannot_be_loaded_is_named(place, tmp_path, case):
+    spoil, said = BAD[case]
+    shutil.copytree("lightning_logs", tmp_path / "lightning_logs")
+    with pytest.raises(InputError, match=said) as error:
+        neurad.load(spoil(tmp_path / "lightning_logs"))
+    assert "\n" not in str(error.value)
+
+
+def test_a_run_of_another_scene_is_named(place, tmp_path):
+    floor = write_scene(tmp_path / "hall") / "meshes/floor.ply"
+    floor.write_text(floor.read_text().replace("-1 0 1 0 0", "-2 0 1 0 0"))
+    with pytest.raises(InputError, match=r"the checkpoint is of scene room, not of hall as given"):
+        neurad.load(place, root=tmp_path / "hall")
+
+
+def test_there_may_be_no_run_at_all(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(InputError, match="no run in lightning_logs has a checkpoint"):
+        neurad.load()
+
+
+def test_import_stays_instant():
+    """Nothing heavy, and no module beside the package's own first one."""
+    code = (
+        "import sys; import neurad; neurad.load; "
+        "print([m for m in sys.modules if m.partition('.')[0] in ('torch', 'lightning', 'numpy', 'jsonargparse')])"
+    )
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True)
+    assert done.stdout.strip() == "[]"
+
+
+def test_the_notebook_runs(fitted):
+    """Its cells, in order, in the folder of the fit."""
+    notebook = json.loads((REPOSITORY / "docs/load_a_run.ipynb").read_text())
+    cells = ["".join(cell["source"]) for cell in notebook["cells"] if cell["cell_type"] == "code"]
+    code = "\n\n".join([*cells, "assert picture.shape == albedo.shape == (*size, 3); assert roughness.shape == size"])
+    environment = {**os.environ, "MPLBACKEND": "agg"}
+    done = subprocess.run(
+        [sys.executable, "-c", code], cwd=fitted, env=environment, capture_output=True, text=True, check=False
+    )
+    assert done.returncode == 0, done.stderr

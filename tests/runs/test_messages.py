@@ -1,0 +1,67 @@
+"""A setting that does not exist: one sentence that says where it stands and which one was probably meant."""
+
+import pytest
+
+from neurad.cli import main
+from neurad.runs.messages import nearest
+
+KNOWN = ["model.sampling.spp", "model.sampling.guide", "evaluation.spp", "evaluation.fraction", "trainer.max_steps"]
+
+
+@pytest.mark.parametrize(
+    ("key", "meant"),
+    [
+        ("model.sampling.sppp", "model.sampling.spp"),
+        ("evaluation.sp", "evaluation.spp"),
+        ("modell.smpling.spp", "model.sampling.spp"),
+        ("max_steps", "trainer.max_steps"),
+        ("evaluation.share", None),  # no neighbour in the same group is taken for it
+        ("attic", None),
+    ],
+)
+def test_the_nearest_setting(key, meant):
+    assert nearest(key, KNOWN) == meant
+
+
+def test_there_may_be_no_settings():
+    assert nearest("model.sampling.spp", []) is None
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (
+            ("--model.sampling.sppp", "3"),
+            "command line: model.sampling.sppp is not a known setting, did you mean model.sampling.spp?",
+        ),
+        (("--data.rot=x",), "command line: data.rot is not a known setting, did you mean data.root?"),
+        (("--attic=1",), "command line: attic is not a known setting"),
+        (
+            ("--config", "methods/ours.yaml", "--model.method.init_args.bounces=2"),
+            "command line: model.method.init_args.bounces is not a known setting",
+        ),
+    ],
+)
+def test_a_word_on_the_command_line(capfd, words, said):
+    with pytest.raises(SystemExit) as end:
+        main(["fit", "--config", "cornell.yaml", *words])
+    assert end.value.code == 2
+    assert capfd.readouterr().err == f"neurad: error: {said}\n"
+
+
+@pytest.mark.parametrize(
+    ("text", "said"),
+    [
+        ("data: {patchs: 3}", "data.patchs is not a known setting, did you mean data.patches?"),
+        (
+            "modell: {sampling: {spp: 3}}",
+            "modell.sampling.spp is not a known setting, did you mean model.sampling.spp?",
+        ),
+    ],
+)
+def test_a_key_in_a_config_file(tmp_path, capfd, text, said):
+    (tmp_path / "mine.yaml").write_text(text)
+    with pytest.raises(SystemExit) as end:
+        main(["fit", "--config", "cornell.yaml", "--config", str(tmp_path / "mine.yaml")])
+    assert end.value.code == 2
+    assert capfd.readouterr().err == f"neurad: error: config {tmp_path / 'mine.yaml'}: {said}\n"
