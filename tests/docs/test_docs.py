@@ -1,11 +1,10 @@
-"""What the pages say exists: names, settings, commands, links, and the equations in docstrings."""
+"""What the pages name exists: files, functions, settings, commands, and the equations in docstrings."""
 
 import argparse
 import ast
 import contextlib
 import functools
 import importlib
-import importlib.util
 import io
 import itertools
 import re
@@ -14,31 +13,21 @@ from pathlib import Path
 
 import pytest
 import yaml
+from helpers.pages import DOCS, PAGES, REPOSITORY, pages, without_blocks
 
 from neurad.cli import LIGHTNING_VERBS, OWN_VERBS, main, split_settings
 from neurad.commands.bench import BENCHMARKS
 from neurad.runs.configs import load_config, split_arguments
 
-REPOSITORY = Path(__file__).resolve().parents[2]
-DOCS = REPOSITORY / "docs"
-PAGES = [REPOSITORY / "README.md", REPOSITORY / "CHANGELOG.md", *sorted(DOCS.glob("*.md"))]
 SOURCES = [path for top in ("neurad", "datamodules") for path in sorted((REPOSITORY / top).rglob("*.py"))]
 FILES = re.compile(r".*\.(csv|png|exr|xml|json|html|md|ckpt|ipynb|py|toml)")
 KEYS = re.compile(r"(?<![\w./])(?:--)?((?:model|data|trainer|evaluation|checkpoint)\.[a-z_]+(?:\.[a-z_]+)*)(?![\w/*(])")
 FOLDERS = ("neurad/", "datamodules/", "configs/", "tests/", "docs/", ".ci/")
 
-pages = pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
-
 
 def in_backticks(text):
     """Every piece of inline code, with its line breaks as spaces."""
     return [" ".join(piece.split()) for piece in re.findall(r"(?<!`)`([^`]+)`(?!`)", without_blocks(text))]
-
-
-def without_blocks(text):
-    """The page without fenced and indented code."""
-    text = re.sub(r"^```.*?^```", "", text, flags=re.S | re.M)
-    return re.sub(r"^ {4}(?! *[-*\d]).*$", "", text, flags=re.M)
 
 
 def expanded(name):
@@ -240,81 +229,3 @@ def test_every_own_command_parses(words, settings):
     if verb == "compare":
         for name in (options.methods or "").split(","):
             assert not name or load_config(f"{name}.yaml" if "/" in name else f"methods/{name}.yaml")
-
-
-# ---- pages
-
-
-def test_the_readme_is_short():
-    assert len((REPOSITORY / "README.md").read_bytes()) <= 8192
-
-
-def anchors(page):
-    """Anchors of a page's headings, as mkdocs makes them."""
-    headings = re.findall(r"^#+ (.*)$", re.sub(r"^```.*?^```", "", page.read_text(), flags=re.S | re.M), re.M)
-    return {re.sub(r"[-\s]+", "-", re.sub(r"[^\w\s-]", "", heading).strip().lower()) for heading in headings}
-
-
-@pages
-def test_links_resolve(page):
-    for link in re.findall(r"\]\(([^)\s]+)\)", without_blocks(page.read_text())):
-        if link.startswith("https://"):
-            continue
-        file, _, anchor = link.partition("#")
-        target = (page.parent / file).resolve() if file else page
-        assert target.is_file(), link
-        assert not anchor or anchor in anchors(target), link
-
-
-@pages
-def test_pages_speak_of_the_project_only(page):
-    text = page.read_text()
-    assert re.findall(r"(?:/work/|/root/|/home/|/tmp/|pypi|\bissue \d|#\d)", text, re.I) == []
-
-
-def script(name):
-    """A script of ``docs/`` as a module."""
-    spec = importlib.util.spec_from_file_location(name, DOCS / f"{name}.py")
-    module = importlib.util.module_from_spec(spec)
-    spec.loader.exec_module(module)
-    return module
-
-
-def test_plots_are_drawn_from_the_data(tmp_path):
-    plots = script("plots")
-    plots.main(["--out", str(tmp_path)])
-    drawn = {path.stem for path in tmp_path.glob("*.png")}
-    assert drawn == set(plots.PLOTS)
-    shown = re.findall(r"\]\((\w+)\.png\)", (DOCS / "results.md").read_text())
-    assert drawn <= set(shown)
-    assert all((DOCS / f"{name}.png").stat().st_size < 300_000 for name in shown)
-
-
-def test_curves_of_methods_are_drawn_where_there_are_some(tmp_path, monkeypatch):
-    plots = script("plots")
-    (tmp_path / "data").mkdir()
-    for file in (DOCS / "data").glob("*.csv"):
-        head, *lines = file.read_text().splitlines()
-        if file.stem.startswith("methods_"):  # the same methods half way, and another seed
-            earlier = [line.replace(",0,600,", ",0,300,") for line in lines]
-            lines = [*earlier, *lines, *(line.replace(",0,600,", ",1,600,") for line in lines)]
-        (tmp_path / "data" / file.name).write_text("\n".join([head, *lines]) + "\n")
-    monkeypatch.setattr(plots, "DOCS", tmp_path)
-    monkeypatch.setattr(plots, "PLOTS", {})
-    plots.main(["--out", str(tmp_path)])
-    assert (tmp_path / "methods_curves.png").stat().st_size > 10_000
-
-
-def test_the_site_loads_nothing_from_elsewhere(tmp_path):
-    pytest.importorskip("mkdocs", reason="needs mkdocs (extra docs)")
-    from mkdocs.commands.build import build
-    from mkdocs.config import load_config
-
-    build(load_config(str(REPOSITORY / "mkdocs.yml"), site_dir=str(tmp_path), strict=True))
-    built = sorted(tmp_path.rglob("*.html"))
-    assert len(built) >= len(PAGES) - 2
-    for path in built:
-        loaded = re.findall(r"(?:\bsrc=|<link[^>]*href=)[\"'](https?:)?//", path.read_text())
-        assert loaded == [], path.name
-    for path in tmp_path.rglob("*.css"):
-        assert not re.search(r"(?:url\([\"']?|@import [\"'])(?:https?:)?//", path.read_text()), path.name
