@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import importlib
 import json
 import math
 import sys
@@ -12,6 +11,7 @@ from difflib import get_close_matches
 from pathlib import Path
 from typing import Any
 
+from jsonargparse import ArgumentParser
 from omegaconf import OmegaConf
 
 from neurad.assembly.build import build_world
@@ -131,8 +131,9 @@ def find_method(name: str) -> tuple[Method, bool]:
         near = get_close_matches(name, found, 1)
         hint = f"; did you mean {near[0]}?" if near else ""
         raise InputError(f"--integrator: there is no method {name} ({', '.join(sorted(found))}){hint}")
-    module, _, cls = found[name]["class_path"].rpartition(".")
-    method: Method = getattr(importlib.import_module(module), cls)(**found[name].get("init_args", {}))
+    parser = ArgumentParser(exit_on_error=False)  # the parser of ``neurad fit`` makes the class that a config names
+    parser.add_subclass_arguments(Method, "method")
+    method: Method = parser.instantiate(parser.parse_object({"method": found[name]})).method
     return method, isinstance(method, PathTracing)
 
 
