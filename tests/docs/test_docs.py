@@ -82,8 +82,8 @@ def unknown_names(text):
             bad += [name for name in expanded(word) if not (REPOSITORY / "configs" / name).is_file()]
         elif re.fullmatch(r"[a-z_]\w*(\.\w+)+", word) and not FILES.fullmatch(word):
             module, _, name = word.partition(".")
-            if module == "run":  # a variable of the Python page
-                continue
+            if module == "run":  # what neurad.load returns, on the Python page
+                module, name = "load", f"LoadedRun.{name}"
             known = modules.get(module) if module != "neurad" else set(dir(importlib.import_module("neurad")))
             if known is not None and name not in known and not KEYS.fullmatch(word):
                 bad.append(word)
