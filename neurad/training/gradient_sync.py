@@ -54,13 +54,13 @@ class GradientSync:
         self._exchange = Exchange()
 
     def average(
-        self, factor: float, arrived: tuple[Tensor, Tensor] | None
+        self, factor: float, binned: tuple[Tensor, Tensor] | None
     ) -> tuple[float, tuple[Tensor, Tensor] | None]:
         """Replace the gradients that DDP leaves alone by their means over all processes.
 
         Args:
             factor: of the learning rates. It follows the clock, which differs between processes; the rates must not.
-            arrived: bins [n] and values [n, 2] that the guide is to record.
+            binned: bins [n] and values [n, 2] that the guide is to record.
 
         Returns:
             The first process's factor, and the guide's bins and values of all processes, in the order of their ranks.
@@ -82,15 +82,15 @@ class GradientSync:
                 p.grad /= dist.get_world_size()
         device = self._parameters[0][1].device
         parts.append(torch.tensor([factor], dtype=torch.float64, device=device))
-        if arrived is not None:
-            parts += [arrived[0].int(), arrived[1]]
+        if binned is not None:
+            parts += [binned[0].int(), binned[1]]
         found = self._exchange(parts)
         for index, p in enumerate(sparse):
             of_all, values_of_all = found[2 * index : 2 * index + 2]
             p.grad = _named(torch.cat(of_all).long(), torch.cat(values_of_all) / len(of_all), p)
-        if arrived is not None:
-            arrived = torch.cat(found[-2]).long(), torch.cat(found[-1])
-        return float(found[2 * len(sparse)][0]), arrived
+        if binned is not None:
+            binned = torch.cat(found[-2]).long(), torch.cat(found[-1])
+        return float(found[2 * len(sparse)][0]), binned
 
 
 def _named(rows: Tensor, values: Tensor, p: Tensor) -> Tensor:

@@ -6,20 +6,20 @@ from torch import Tensor
 
 from neurad.core.frame import faceforward
 from neurad.integrators.guide import Guide
-from neurad.training.objective import IncidentSamples
+from neurad.training.objective import GuideSamples
 
 
-def guide_samples(guide: Guide | None, arrived: IncidentSamples | None) -> tuple[Tensor, Tensor] | None:
-    """What the light that arrived tells the guide, for :func:`teach`; None where there is nothing to tell."""
-    if guide is None or arrived is None:
+def bin_guide_samples(guide: Guide | None, samples: GuideSamples | None) -> tuple[Tensor, Tensor] | None:
+    """Bins [n] of the guide's histogram and what is to be added there [n, 2]; None without a guide or samples."""
+    if guide is None or samples is None:
         return None
-    return guide.bin_samples(arrived.si, faceforward(arrived.si), arrived.wi, arrived.light)
+    return guide.bin_samples(samples.si, faceforward(samples.si), samples.wi, samples.radiance)
 
 
-def update_guide(guide: Guide | None, seen: tuple[Tensor, Tensor] | None, iteration: int) -> None:
-    """Let the iterations after ``iteration`` look where samples found light."""
-    if guide is None or seen is None:
+def update_guide(guide: Guide | None, binned: tuple[Tensor, Tensor] | None, iteration: int) -> None:
+    """Record the samples of ``iteration``; from time to time the directions of later iterations follow them."""
+    if guide is None or binned is None:
         return
-    guide.record(*seen)
+    guide.record(*binned)
     if (iteration + 1) % guide.refresh == 0:
         guide.update()

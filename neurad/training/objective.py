@@ -1,16 +1,19 @@
 """The objective of one step (paper Eq. 11): which estimate trains which parameters.
 
-===============  ===========================================  ======================
-term             compares                                     trains
-===============  ===========================================  ======================
-photometric      the method's estimate with photographs        materials and light (phi) only
-prior            ``L`` with ``T_hat(E + L)``, first hit        radiance field (theta) only
-second           the same at the second hit                   radiance field (theta) only
-lhs              ``E + L`` with photographs                    radiance field (theta) only
-===============  ===========================================  ======================
+====================  ===========================================  ======================
+term                  compares                                     trains
+====================  ===========================================  ======================
+photometric           the method's estimate with photographs       materials and light (phi)
+prior                 ``L`` with ``T_hat(E + L)``, first hits       radiance field (theta)
+prior_extra_bounce    the same at hits of one more bounce          radiance field (theta)
+lhs                   ``E + L`` with photographs                   radiance field (theta)
+====================  ===========================================  ======================
 
 A method without a field has the first row alone. ``prior_trains: both`` lets the prior move phi too. Of the light only
 an environment that is being recovered is trained.
+
+Shapes: b pixels of a batch, n samples per pixel (``spp``), of which the field learns at m (``field_fraction``), c
+samples per vertex, e extra hits. Lanes are ordered by pixel, then sample, then vertex sample.
 """
 
 from __future__ import annotations
@@ -42,15 +45,15 @@ from neurad.losses.relative import (
 
 
 @dataclass(frozen=True)
-class IncidentSamples:
-    """Light that first BSDF samples found."""
+class GuideSamples:
+    """Light that the first BSDF samples found, for the guide."""
 
     si: SurfaceInteraction
-    """Vertices that it arrived at [n]."""
+    """Vertices that it arrived at [b * n * c]."""
     wi: Tensor
-    """Directions that it came from, in their shading frames [n, 3]."""
-    light: Tensor
-    """RadianceEstimate radiance [n, 3]."""
+    """Directions that it came from, in their shading frames [b * n * c, 3]."""
+    radiance: Tensor
+    """Incident radiance that is reflected light itself [b * n * c, 3]."""
 
 
 @dataclass(frozen=True)
@@ -61,8 +64,8 @@ class StepTerms:
     """Terms whose gradient reaches materials and light only."""
     field: dict[str, tuple[float, Loss]]
     """Terms whose gradient reaches the radiance field; phi too only with ``prior_trains: both``."""
-    arrived: IncidentSamples | None = None
-    """What a guide learns from; None from a method that does not tell."""
+    guide_samples: GuideSamples | None = None
+    """What a guide records; None from a method whose estimates come without the radiance that arrived."""
 
     @property
     def all(self) -> dict[str, tuple[float, Loss]]:
@@ -71,15 +74,13 @@ class StepTerms:
 
 
 @dataclass(frozen=True)
-class _Points:
-    """The radiance field at first hits and at some second hits, in one query."""
+class _ExtraHits:
+    """Hits of one more bounce at which the prior is taken as well [e]."""
 
-    first: Tensor
-    """Values at the first hits [n, 3]."""
-    second: SurfaceInteraction | None
-    """Second hits at which the prior is taken as well."""
-    second_surface: Surface | None
-    second_field: Tensor
+    si: SurfaceInteraction
+    surface: Surface
+    field: Tensor
+    """``L_theta`` there, with its gradient [e, 3]."""
 
 
 @dataclass(frozen=True)
@@ -108,63 +109,66 @@ class ObjectiveStep:
             return replace(self, sampling=self.sampling.split_over(batch.pixel_multiplier))(
                 replace(batch, pixel_multiplier=1), stream
             )
-        b, n = len(batch.view), self.sampling.spp
-        first = self.primary(batch, n, stream)
+        b, n, settings = len(batch.view), self.sampling.spp, self.settings
+
+        # Stage 1: primary hits.
+        first = self.primary(batch, n, stream)  # [b * n]
         si = first.si
-        surface = self.estimator.materials(si)
-        emitted = self.estimator.world.emitted(si)
-        sample = self._image(si, surface, stream)
+
+        # Stage 2: what surfaces are made of, and what they emit.
+        surface = self.estimator.materials(si)  # [b * n]
+        emitted = self.estimator.world.emitted(si)  # [b * n, 3]
+
+        # Stage 3: the method's estimate of reflected light, and the RHS image with it.
+        sample = self._estimate(si, surface, stream)  # [b * n * c]
         image = first.attenuate(emitted + self._mean(sample.value)).view(b, n, 3)
-        # Nothing is photographed where alpha is 0, even if a sample of the pixel meets the edge of a surface.
-        counts = (~self.emitter_mask[batch.view, batch.pixel] & (batch.alpha > 0)).float().unsqueeze(-1)
-
-        points, lhs_image, seen = None, None, None
-        if self.estimator.radiance is not None:
-            count = self._learning()
-            at, at_surface = first.first(count, n), surface.first(count, n)
-            points = self._query(at.si, at_surface, sample, stream)
-            shown = first_of(emitted.detach(), count, n) + at.si.where_hit(points.first)
-            lhs_image = at.attenuate(shown).view(b, count, 3)
-            seen = lhs_image.detach().mean(1)
-            batch = replace(batch, color=clamp_fireflies(batch.color, seen, self.epsilon, self.settings.firefly_clamp))
-        weight = relative_weight(self._normaliser(batch, seen), self.epsilon) * counts
         control = self._control(sample)
-        seen_control = None if control is None else replace(control, deviation=_through(first, control.deviation))
-        materials = {"photometric": (1.0, self._photometric(batch, image, weight, seen_control, stream))}
-        if self.settings.roughness_regulariser > 0 and surface.roughness.requires_grad:
-            materials["roughness_regulariser"] = (self.settings.roughness_regulariser, self._pull(surface.roughness))
 
+        # Stage 4: the radiance field at first hits, and the LHS image with it.
+        extra, lhs_image, predicted = None, None, None
+        if self.estimator.radiance is not None:
+            m = self._field_samples
+            at, at_surface = first.first(m, n), surface.first(m, n)  # [b * m]
+            field, extra = self._query(at.si, at_surface, sample, stream)  # [b * m, 3]
+            lhs_image = at.attenuate(first_of(emitted.detach(), m, n) + at.si.where_hit(field)).view(b, m, 3)
+            predicted = lhs_image.detach().mean(1)  # [b, 3]
+            batch = replace(batch, color=clamp_fireflies(batch.color, predicted, self.epsilon, settings.firefly_clamp))
+
+        # Stage 5: losses. Where alpha is 0 nothing is photographed, even if a sample meets the edge of a surface.
+        counts = (~self.emitter_mask[batch.view, batch.pixel] & (batch.alpha > 0)).float().unsqueeze(-1)  # [b, 1]
+        weight = relative_weight(self._normaliser(batch, predicted), self.epsilon) * counts  # [b, 3]
+        in_image = None if control is None else replace(control, deviation=_attenuated(first, control.deviation))
+        materials = {"photometric": (1.0, self._photometric(batch, image, weight, in_image, stream))}
+        if settings.roughness_regulariser > 0 and surface.roughness.requires_grad:
+            materials["roughness_regulariser"] = settings.roughness_regulariser, _to_mean(surface.roughness)
         terms: dict[str, tuple[float, Loss]] = {}
-        if points is not None and self.settings.prior > 0:
-            terms |= self._prior(at.si, at_surface, points, sample, control, stream)
-        if lhs_image is not None and seen is not None and self.settings.lhs > 0:
-            lhs_weight = relative_weight(seen, self.epsilon) * counts
-            terms["lhs"] = (self.settings.lhs, leave_one_out(lhs_image, batch.color, lhs_weight))
-        arrived = None
-        if sample.Li_bsdf is not None and sample.sample_stats is not None:
-            arrived = IncidentSamples(
-                si.repeat(self.sampling.samples_per_vertex), sample.sample_stats.wi, sample.Li_bsdf
-            )
-        return StepTerms(materials, terms, arrived)
+        if lhs_image is not None and predicted is not None:
+            if settings.prior > 0:
+                terms["prior"] = settings.prior, self._prior(at.si, at_surface, field, sample, control, stream)
+            if extra is not None:
+                terms["prior_extra_bounce"] = settings.prior, self._prior_extra_bounce(extra, stream)
+            if settings.lhs > 0:
+                lhs_weight = relative_weight(predicted, self.epsilon) * counts
+                terms["lhs"] = settings.lhs, leave_one_out(lhs_image, batch.color, lhs_weight)
+        return StepTerms(materials, terms, self._guide_samples(si, sample))
 
-    def _learning(self) -> int:
-        """At how many of the positions of each pixel the radiance field learns: the first ones, since positions are
-        independent and those are as good as any.
-        """
+    @property
+    def _field_samples(self) -> int:
+        """Samples of a pixel at which the radiance field learns: the first ones, since samples are independent."""
         return min(max(2, round(self.sampling.field_fraction * self.sampling.spp)), self.sampling.spp)
 
-    def _image(self, si: SurfaceInteraction, surface: Surface, stream: Stream) -> RadianceEstimate:
-        """The method's estimate at the positions of all pixels, spread evenly within each group."""
+    def _estimate(self, si: SurfaceInteraction, surface: Surface, stream: Stream) -> RadianceEstimate:
+        """The method's estimate at first hits [b * n], stratified within each group of a pixel's samples."""
         stratum_size = self.sampling.spp // self.sampling.groups
         return self.estimator.image(si, surface, self.sampling.samples_per_vertex, stream, stratum_size)
 
     def _mean(self, samples: Tensor) -> Tensor:
-        """Means over the secondary samples of every position [n, 3]."""
+        """Means over the samples of every vertex: [b * n * c, 3] to [b * n, 3]."""
         count = self.sampling.samples_per_vertex
         return samples if count == 1 else samples.view(-1, count, 3).mean(1)
 
     def _control(self, sample: RadianceEstimate) -> ControlVariate | None:
-        """The method's control variate by pixel and position, if it has one."""
+        """The method's control variate by pixel and sample [b, n, 3], if it has one."""
         if sample.Li_bsdf is None or sample.sample_stats is None or not self.estimator.method.control_variate:
             return None
         n = self.sampling.spp
@@ -172,52 +176,47 @@ class ObjectiveStep:
         light, deviation = (self._mean(x).view(-1, n, 3) for x in (around, sample.sample_stats.deviation))
         return ControlVariate(light, deviation, self.sampling.groups) if n > 1 else None
 
-    def _normaliser(self, batch: PixelBatch, seen: Tensor | None) -> Tensor:
+    def _guide_samples(self, si: SurfaceInteraction, sample: RadianceEstimate) -> GuideSamples | None:
+        """The radiance that arrived along BSDF samples, where the method has it."""
+        if sample.Li_bsdf is None or sample.sample_stats is None:
+            return None
+        return GuideSamples(si.repeat(self.sampling.samples_per_vertex), sample.sample_stats.wi, sample.Li_bsdf)
+
+    def _normaliser(self, batch: PixelBatch, predicted: Tensor | None) -> Tensor:
         """What the photometric residual is relative to [b, 3]; never the samples in it."""
         kind = self.settings.normaliser
-        if kind == "prediction" and seen is not None:
-            return seen
+        if kind == "prediction" and predicted is not None:
+            return predicted
         if kind == "photograph":
             return batch.color
         return batch.color if batch.blurred is None else batch.blurred
 
-    def _pull(self, roughness: Tensor) -> Loss:
-        """A quadratic pull of roughness [n, 1] towards its mean over the batch.
-
-        Where nobody sees a highlight the photographs say nothing about roughness, and noise would carry it anywhere.
-        The pull adds up to nothing over the batch, so the mean itself is left to the photographs.
-        """
-        pull = ((roughness - roughness.detach().mean()) ** 2).mean()
-        return Loss(pull, pull.detach())
-
-    def _query(self, si: SurfaceInteraction, surface: Surface, sample: RadianceEstimate, stream: Stream) -> _Points:
-        """The radiance field with its gradient."""
+    def _query(
+        self, si: SurfaceInteraction, surface: Surface, sample: RadianceEstimate, stream: Stream
+    ) -> tuple[Tensor, _ExtraHits | None]:
+        """``L_theta`` with its gradient at first hits [b * m, 3] and, in the same query, at some of the next hits."""
         radiance = self.estimator.radiance
         assert radiance is not None
-        second = None
-        if self.settings.prior > 0 and self.sampling.extra_bounce_fraction > 0 and sample.next is not None:
-            second = sample.next[
-                subsample(sample.next, self.sampling.extra_bounce_fraction, stream, self.sampling.samples_per_vertex)
-            ]
-        if second is None:
-            values = radiance(si, surface.albedo.detach())
-            return _Points(values, None, None, values[:0])
+        fraction, c = self.sampling.extra_bounce_fraction, self.sampling.samples_per_vertex
+        if self.settings.prior == 0 or fraction == 0 or sample.next is None:
+            return radiance(si, surface.albedo.detach()), None
+        extra = sample.next[subsample(sample.next, fraction, stream, c)]  # [e]
         with torch.set_grad_enabled(self.settings.prior_trains == "both"):
-            second_surface = self.estimator.materials(second)
-        albedo = torch.cat((surface.albedo.detach(), second_surface.albedo.detach()))
-        values = radiance(SurfaceInteraction.cat(si, second), albedo)
-        return _Points(values[: len(si)], second, second_surface, values[len(si) :])
+            extra_surface = self.estimator.materials(extra)
+        albedo = torch.cat((surface.albedo.detach(), extra_surface.albedo.detach()))
+        field = radiance(SurfaceInteraction.cat(si, extra), albedo)
+        return field[: len(si)], _ExtraHits(extra, extra_surface, field[len(si) :])
 
     def _photometric(
         self, batch: PixelBatch, image: Tensor, weight: Tensor, control: ControlVariate | None, stream: Stream
     ) -> Loss:
-        """The method's image against photographs, by the estimator that the settings choose."""
+        """The method's image [b, n, 3] against photographs (Eq. 11, 12), by the estimator of the settings."""
         if self.settings.estimator == "leave_one_out":
             return leave_one_out(image, batch.color, weight, control, self.sampling.groups)
         with torch.no_grad():
             first: NonDeltaHit = self.primary(batch, self.sampling.spp, stream)
             surface = self.estimator.materials(first.si)
-            again = self._mean(self._image(first.si, surface, stream).value)
+            again = self._mean(self._estimate(first.si, surface, stream).value)
             other = first.attenuate(self.estimator.world.emitted(first.si) + again).view_as(image)
         if control is not None:
             image = image - control.residual()
@@ -227,34 +226,31 @@ class ObjectiveStep:
         self,
         si: SurfaceInteraction,
         surface: Surface,
-        points: _Points,
+        field: Tensor,
         sample: RadianceEstimate,
         control: ControlVariate | None,
         stream: Stream,
-    ) -> dict[str, tuple[float, Loss]]:
-        """The prior at some first hits ``si`` and, where there are some, at second hits."""
+    ) -> Loss:
+        """The radiometric prior (Eq. 10) at first hits ``si`` [b * m], where ``field`` is ``L_theta``."""
+        if self.settings.prior_gradient == "full":
+            return self._full_prior(si, surface, field, stream)
         assert sample.transported is not None
-        settings = self.settings
-        if settings.prior_gradient == "full":
-            prior = self._full_prior(si, surface, points.first, stream)
-        else:
-            transported = self._mean(sample.transported)
-            if control is not None:
-                transported = transported - control.residual().view(-1, 3)
-            transported = first_of(transported, self._learning(), self.sampling.spp)
-            prior = self._semi_prior(si, surface, points.first, transported, stream)
-        terms = {"prior": (settings.prior, prior)}
-        if points.second is not None and points.second_surface is not None:
-            with torch.set_grad_enabled(settings.prior_trains == "both"):
-                beyond = self.estimator.reflected(points.second, points.second_surface, 1, stream).squeeze(1)
-            residual = self._semi_prior(points.second, points.second_surface, points.second_field, beyond, stream)
-            terms["second"] = (settings.prior, residual)
-        return terms
+        transported = self._mean(sample.transported)  # [b * n, 3]
+        if control is not None:
+            transported = transported - control.residual().view(-1, 3)
+        transported = first_of(transported, self._field_samples, self.sampling.spp)
+        return self._semi_prior(si, surface, field, transported, stream)
+
+    def _prior_extra_bounce(self, extra: _ExtraHits, stream: Stream) -> Loss:
+        """The prior at hits of one more bounce [e]."""
+        with torch.set_grad_enabled(self.settings.prior_trains == "both"):
+            transported = self.estimator.reflected(extra.si, extra.surface, 1, stream).squeeze(1)
+        return self._semi_prior(extra.si, extra.surface, extra.field, transported, stream)
 
     def _semi_prior(
         self, si: SurfaceInteraction, surface: Surface, values: Tensor, transported: Tensor, stream: Stream
     ) -> Loss:
-        """The prior with theta's gradient through the left side only."""
+        """The prior (Eq. 10) with theta's gradient through the left side only."""
         if self.settings.prior_trains == "field":
             return semi_gradient_prior(values, transported, self.epsilon, si.valid)
         with torch.no_grad():
@@ -262,7 +258,7 @@ class ObjectiveStep:
         return moving_prior(values, transported, other, self.epsilon, si.valid)
 
     def _full_prior(self, si: SurfaceInteraction, surface: Surface, values: Tensor, stream: Stream) -> Loss:
-        """The prior at first hits with theta's gradient through both sides: two independent estimates of T."""
+        """The prior (Eq. 10) with theta's gradient through both sides: two independent estimates of T."""
         fixed = surface if self.settings.prior_trains == "both" else surface.detach()
         half = max(1, self.sampling.samples_per_vertex // 2)
         lights = self.settings.prior_trains == "both"
@@ -284,6 +280,16 @@ def make_objective(assembly: Assembly, views: TrainingViews) -> ObjectiveStep:
     )
 
 
-def _through(first: NonDeltaHit, values: Tensor) -> Tensor:
-    """What smooth surfaces before the first vertices leave of ``values`` [b, n, 3]."""
+def _to_mean(roughness: Tensor) -> Loss:
+    """A quadratic penalty of roughness [b * n, 1] around its mean over the batch.
+
+    Where no photograph shows a highlight, photographs say nothing about roughness, and noise would carry it anywhere.
+    The gradients add up to zero over the batch, so the mean itself is left to the photographs.
+    """
+    penalty = ((roughness - roughness.detach().mean()) ** 2).mean()
+    return Loss(penalty, penalty.detach())
+
+
+def _attenuated(first: NonDeltaHit, values: Tensor) -> Tensor:
+    """``values`` [b, n, 3] of first vertices, as delta surfaces before them let them pass to the camera."""
     return first.attenuate(values.view(-1, 3)).view_as(values)

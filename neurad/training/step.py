@@ -17,7 +17,7 @@ from neurad.losses.relative import total
 from neurad.runtime.threads import of_step
 from neurad.training.gradient_sync import GradientSync
 from neurad.training.guard import Guard, clip
-from neurad.training.guide_update import guide_samples, update_guide
+from neurad.training.guide_update import bin_guide_samples, update_guide
 from neurad.training.objective import StepTerms
 from neurad.training.schedule import rate_factor
 
@@ -112,9 +112,9 @@ class TrainingStep:
             backward(loss)
         # Stage 2: what other processes found, the finiteness check and the norm of the gradients.
         factor = rate_factor(optimization, counters.iteration, progress)
-        arrived = guide_samples(world.guide, terms.arrived)
+        binned = bin_guide_samples(world.guide, terms.guide_samples)
         if self.sync is not None:
-            factor, arrived = self.sync.average(factor, arrived)
+            factor, binned = self.sync.average(factor, binned)
         self.guard.check(counters.iteration, batch, terms.all, lambda: self.terms(batch))
         if optimization.clip > 0:
             clip([optimizer.param_groups for optimizer in self.optimizers.values()], optimization.clip)
@@ -124,7 +124,7 @@ class TrainingStep:
             list(self.optimizers.values())
         ):  # the first last: a trainer that counts it ends its step
             optimizer.step()
-        update_guide(world.guide, arrived, counters.iteration)
+        update_guide(world.guide, binned, counters.iteration)
         counters.iteration += 1
         if self.assembly.average is not None:
             self.assembly.average.update(counters.iteration)

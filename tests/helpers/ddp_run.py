@@ -12,7 +12,7 @@ from neurad.core.records import SurfaceInteraction
 from neurad.core.rng import Stream
 from neurad.fields.settings import FieldConfig, GridConfig, RadianceConfig
 from neurad.training.inverse import InverseRenderer
-from neurad.training.objective import IncidentSamples, StepTerms
+from neurad.training.objective import GuideSamples, StepTerms
 
 STEPS = 12
 
@@ -29,13 +29,15 @@ class Joined:
             own = self.step(self.data.batch(batch.iteration, rank), Stream(self.seed, batch.iteration, rank, 1))
             materials |= {f"{name}{rank}": (0.5 * w, loss) for name, (w, loss) in own.materials.items()}
             field |= {f"{name}{rank}": (0.5 * w, loss) for name, (w, loss) in own.field.items()}
-            seen.append(own.arrived)
+            seen.append(own.guide_samples)
         return StepTerms(materials, field, None if seen[0] is None else both(*seen))
 
 
 def both(a, b):
     """What two processes saw."""
-    return IncidentSamples(SurfaceInteraction.cat(a.si, b.si), torch.cat((a.wi, b.wi)), torch.cat((a.light, b.light)))
+    return GuideSamples(
+        SurfaceInteraction.cat(a.si, b.si), torch.cat((a.wi, b.wi)), torch.cat((a.radiance, b.radiance))
+    )
 
 
 class Join(pl.Callback):

@@ -243,7 +243,7 @@ def test_a_training_step_behind_glass():
     step = ObjectiveStep(estimator, primary, Sampling(), Objective(), 0.01, primary.sees_emitter())
     terms = step(batch_of(scene, 200), Stream(3))
     assert set(terms.materials) == {"photometric"}
-    assert set(terms.field) == {"prior", "second", "lhs"}
+    assert set(terms.field) == {"prior", "prior_extra_bounce", "lhs"}
     for parameters, losses in (
         (estimator.materials.parameters(), terms.materials),
         (estimator.radiance.parameters(), terms.field),

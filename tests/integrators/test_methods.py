@@ -170,7 +170,7 @@ def test_longer_methods_route_gradients_as_the_paper_does(method):
     routes = {
         "photometric": {"albedo", "roughness"},
         "prior": {"radiance"},
-        "second": {"radiance"},
+        "prior_extra_bounce": {"radiance"},
         "lhs": {"radiance"},
     }
     assert set(terms.all) == set(routes)
@@ -187,7 +187,7 @@ def test_the_prior_moves_the_materials_where_it_is_asked_to(gradient):
         terms = made.step(made.batch(), Stream(3))
         found[trains] = gradients(terms, made)
         expected = {"radiance"} if trains == "field" else {"radiance", "albedo", "roughness"}
-        for name in ("prior", "second"):
+        for name in ("prior", "prior_extra_bounce"):
             assert {k for k, g in found[trains][name].items() if g.abs().sum() > 0} == expected
     torch.testing.assert_close(found["both"]["prior"]["radiance"], found["field"]["prior"]["radiance"])
 

@@ -151,7 +151,7 @@ def test_only_photographs_train_the_light(gradient, estimator):
     made = Fixture(Objective(estimator=estimator, prior_gradient=gradient))
     terms = made.step(made.batch(), Stream(3)).all
     assert made.reached(terms["photometric"][1].surrogate) == {"light"}
-    for name in ("prior", "second", "lhs"):
+    for name in ("prior", "prior_extra_bounce", "lhs"):
         assert made.reached(terms[name][1].surrogate) == {"field"}, name
 
 

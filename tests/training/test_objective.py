@@ -21,7 +21,7 @@ ROUTES = {
     "photometric": {"albedo", "roughness"},
     "roughness_regulariser": {"roughness"},
     "prior": {"radiance"},
-    "second": {"radiance"},
+    "prior_extra_bounce": {"radiance"},
     "lhs": {"radiance"},
 }
 
@@ -34,7 +34,7 @@ def test_every_term_reaches_only_what_it_trains(estimator, gradient, normaliser)
     made = SmallStep(settings=settings)
     terms = made.step(made.batch(), Stream(3))
     assert set(terms.materials) == {"photometric", "roughness_regulariser"}
-    assert set(terms.field) == {"prior", "second", "lhs"}
+    assert set(terms.field) == {"prior", "prior_extra_bounce", "lhs"}
     for name, (_, loss) in {**terms.materials, **terms.field}.items():
         assert made.reached(loss.surrogate) == ROUTES[name], name
         assert not loss.value.requires_grad
@@ -44,18 +44,18 @@ def test_every_term_reaches_only_what_it_trains(estimator, gradient, normaliser)
 @pytest.mark.parametrize(
     ("sampling", "settings", "expected"),
     [
-        (Sampling(), Objective(), {"photometric", "prior", "second", "lhs"}),
+        (Sampling(), Objective(), {"photometric", "prior", "prior_extra_bounce", "lhs"}),
         (Sampling(extra_bounce_fraction=0), Objective(), {"photometric", "prior", "lhs"}),
-        (Sampling(), Objective(lhs=0), {"photometric", "prior", "second"}),
+        (Sampling(), Objective(lhs=0), {"photometric", "prior", "prior_extra_bounce"}),
         (Sampling(), Objective(prior=0), {"photometric", "lhs"}),
         (Sampling(), Objective(prior=0, lhs=0, estimator="two_pass"), {"photometric"}),
-        (Sampling(spp=1), Objective(estimator="two_pass", lhs=0), {"photometric", "prior", "second"}),
+        (Sampling(spp=1), Objective(estimator="two_pass", lhs=0), {"photometric", "prior", "prior_extra_bounce"}),
         (Sampling(spp=4, samples_per_vertex=1, extra_bounce_fraction=1.0), Objective(prior_gradient="full"),
-         {"photometric", "prior", "second", "lhs"}),
+         {"photometric", "prior", "prior_extra_bounce", "lhs"}),
         (Sampling(spp=8, samples_per_vertex=2, cached_spp=8, field_fraction=0.25), Objective(),
-         {"photometric", "prior", "second", "lhs"}),
+         {"photometric", "prior", "prior_extra_bounce", "lhs"}),
         (Sampling(spp=8, samples_per_vertex=1, cached_spp=8, field_fraction=0.5), Objective(prior_gradient="full"),
-         {"photometric", "prior", "second", "lhs"}),
+         {"photometric", "prior", "prior_extra_bounce", "lhs"}),
     ],
 )  # fmt: skip
 def test_terms_that_are_switched_off_are_not_there(sampling, settings, expected):
@@ -74,7 +74,7 @@ def test_the_field_learns_the_same_from_some_of_the_first_hits():
             Sampling(spp=8, samples_per_vertex=1, cached_spp=8, field_fraction=share),
             Objective(normaliser="photograph"),
         )
-        assert made.step._learning() == round(8 * share)
+        assert made.step._field_samples == round(8 * share)
         batch = made.batch(64)
         terms = [made.step(batch, Stream(k)).all for k in range(60)]
         rows[share] = {name: np.array([float(t[name][1].value) for t in terms]) for name in terms[0]}
