@@ -6,6 +6,7 @@ from collections.abc import Iterator
 from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
+from typing import Any
 
 import lightning.pytorch as pl
 import torch
@@ -182,6 +183,22 @@ class SceneData(pl.LightningDataModule, PhotoSource):
         self._with_blurred = True
         self._cache = None  # its photographs have no means
 
+    def over(self, scene: Scene, photographs: Tensor | None = None) -> SceneData:
+        """A data module with the same settings over another scene.
+
+        Args:
+            scene: a checked scene.
+            photographs: of its training views [views, h * w, 3 or 4], kept in memory; None reads the views' files.
+        """
+        made = SceneData(
+            None, None, self.patches, self.patch_size, self.pixel_multiplier, self.seed, self.resident,
+            self.replace_every,
+        )  # fmt: skip
+        made.scene = scene
+        if photographs is not None:
+            made._pixels = photographs
+        return made
+
     # ---- where photographs are
 
     def _resident(self, index: int) -> Tensor:
@@ -264,7 +281,7 @@ class SceneData(pl.LightningDataModule, PhotoSource):
 
 
 class _Batches(IterableDataset[PixelBatch]):
-    """Every batch from the module's present iteration on."""
+    """Batches without end, from the iteration that the trainer's module has reached; from 0 without a trainer."""
 
     def __init__(self, data: SceneData) -> None:
         self.data = data
@@ -273,7 +290,8 @@ class _Batches(IterableDataset[PixelBatch]):
         trainer = self.data.trainer
         iteration, rank = 0, 0
         if trainer is not None:
-            iteration, rank = int(getattr(trainer.lightning_module, "iteration", 0)), trainer.global_rank
+            module: Any = trainer.lightning_module
+            iteration, rank = int(module.iteration), trainer.global_rank
         while True:
             yield self.data.batch(iteration, rank)
             iteration += 1

@@ -1,7 +1,7 @@
-"""``neurad`` as a process of its own: one run's memory, time and failure are then that run's alone.
+"""``neurad`` as a child process, so that memory, time and failures of one run are measured apart from others.
 
-This module imports nothing heavy. On Linux a process inherits the peak memory of the one that starts it, so whoever
-measures children has to stay small until the last of them has ended.
+This module imports nothing heavy: on Linux a child inherits the peak memory of its parent, so a process that measures
+children has to stay small until the last of them has ended.
 """
 
 from __future__ import annotations
@@ -20,14 +20,14 @@ NEURAD = [sys.executable, "-P", "-m", "neurad"]
 
 @dataclass(frozen=True)
 class Ended:
-    """What became of a child."""
+    """How a child process ended."""
 
     code: int
     """Exit code; negative for a signal."""
     seconds: float
     """Wall-clock seconds from start to end, everything included."""
     peak_memory_mib: float | None
-    """Largest resident memory; None where the system does not tell."""
+    """Largest resident memory; None where the system does not report it."""
     message: str
     """One sentence on why it failed; empty if it did not."""
 
@@ -52,7 +52,7 @@ def run_neurad(arguments: Sequence[str], log: Path) -> Ended:
 
 
 def _wait(process: subprocess.Popen[bytes]) -> tuple[int, float | None]:
-    """Exit code and peak resident memory in MiB of this very child (``RUSAGE_CHILDREN`` would mix all of them)."""
+    """Exit code and peak resident memory in MiB of this child alone (``RUSAGE_CHILDREN`` is the peak of all)."""
     if not hasattr(os, "wait4"):
         return process.wait(), None
     _, status, usage = os.wait4(process.pid, 0)

@@ -22,7 +22,7 @@ from neurad.core.errors import InputError
 from neurad.core.records import Camera, FloatArray, SurfaceInteraction, View
 from neurad.fields.radiance import RadianceField
 from neurad.integrators.film import render
-from neurad.integrators.method import MethodRHS
+from neurad.integrators.renderer import MethodRenderer
 from neurad.integrators.world import World
 from neurad.runs.checkpoints import LAST, newest_checkpoint, read_checkpoint, run_folder_of
 from neurad.runs.configs import load_config, only_trusted_classes
@@ -133,10 +133,9 @@ class LoadedRun:
             Linear radiance [h, w, 3].
         """
         estimator = self.assembly.estimator
+        integrator = MethodRenderer(estimator.method, estimator.scene)
         with torch.no_grad():
-            picture = render(
-                self._camera(view), MethodRHS(estimator.method, estimator.parts), spp, seed, self.device
-            )  # fmt: skip
+            picture = render(self._camera(view), integrator, spp, seed, self.device)
         return np.asarray(picture.cpu().numpy(), np.float32)
 
     def _camera(self, view: View | Camera | str) -> Camera:

@@ -1,1 +1,1 @@
-"""Ray casting on the CPU: dense hits, no gradients."""
+"""Ray casting: dense hits, no gradients."""

@@ -72,7 +72,7 @@ class EmbreeTracer:
             if not valid[part].all():
                 t[part][~valid[part]] = np.inf  # Embree has 1e37 there
 
-        self._share(cast, count, CLOSEST_SHARD)
+        self._in_slices(cast, count, CLOSEST_SHARD)
         return hit.to(device)
 
     def occluded(self, rays: Rays, t_max: Tensor) -> Tensor:
@@ -92,11 +92,11 @@ class EmbreeTracer:
             # This query answers 0 where something was hit and -1 where not.
             np.equal(self._scene.run(o[part], d[part], dists=far[part], query="OCCLUDED"), 0, out=out[part])
 
-        self._share(cast, count, OCCLUDED_SHARD)
+        self._in_slices(cast, count, OCCLUDED_SHARD)
         return blocked.to(device)
 
-    def _share(self, cast: Callable[[slice], None], count: int, least: int) -> None:
-        """Run ``cast`` on slices of ``count`` rays, on average ``least`` or more, on this thread and the pool."""
+    def _in_slices(self, cast: Callable[[slice], None], count: int, least: int) -> None:
+        """Run ``cast`` on slices of ``count`` rays, of ``least`` or more on average, on this thread and the pool."""
         pieces = max(1, min(self.threads, count // least), -(-count // LARGEST_SHARD))
         if pieces > self.threads:  # as many for each
             pieces = -(-pieces // self.threads) * self.threads

@@ -12,6 +12,7 @@ from neurad.assembly.build import Assembly, FittedMaterials, assemble
 from neurad.assembly.settings import Lighting, ModelSettings, Objective, Optimization, Sampling
 from neurad.assembly.training_views import prepare_views
 from neurad.core.errors import InputError
+from neurad.core.protocols import PhotoSource
 from neurad.core.records import PixelBatch
 from neurad.emitters.fitted import FittedEnvironment
 from neurad.fields.radiance import RadianceField
@@ -101,6 +102,12 @@ class InverseRenderer(L.LightningModule):
         scene: Scene = self.trainer.datamodule.scene  # type: ignore[attr-defined]
         return scene
 
+    @property
+    def photographs(self) -> PhotoSource:
+        """The photographs of the data module in charge."""
+        source: PhotoSource = self.trainer.datamodule  # type: ignore[attr-defined]
+        return source
+
     def configure_model(self) -> None:
         """Build world, materials and, for a method that reads it, the radiance field from the scene, once.
 
@@ -114,8 +121,7 @@ class InverseRenderer(L.LightningModule):
                 f"--trainer.precision {self.trainer.precision}: light needs float32; for networks there is "
                 "model.optimization.matmul"
             )
-        data = self.trainer.datamodule  # type: ignore[attr-defined]
-        made = assemble(self.scene, self.settings, data.has_alpha, self.device)
+        made = assemble(self.scene, self.settings, self.photographs.has_alpha, self.device)
         # Of the world only a guide and an environment that is recovered have a state.
         self.world, self.materials, self.average, self.radiance = (
             made.world,
@@ -152,12 +158,11 @@ class InverseRenderer(L.LightningModule):
     def on_fit_start(self) -> None:
         """Trace the camera rays of the training views, take the unit of radiance, and make the step."""
         self.processes = self.trainer.world_size
-        data = self.trainer.datamodule  # type: ignore[attr-defined]
         begins = self.iteration == 0
         if self.settings.materials == "fit" and self.scene.replaced and self.trainer.is_global_zero:
             print(f"neurad: to be recovered as principled: {', '.join(self.scene.replaced)}", file=sys.stderr)
         with self.world.tracer.uncounted(not begins):  # a continued run counted its camera rays when it began
-            views = prepare_views(self.assembly, data, self.device, check_brightness=begins)
+            views = prepare_views(self.assembly, self.photographs, self.device, check_brightness=begins)
         with excluded(), self.world.tracer.uncounted():
             self._held_out = HeldOut(self.scene, self.world.geometry, self.world.tracer).read()
         self.step = TrainingStep(

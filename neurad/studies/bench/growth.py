@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 import argparse
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
+    from torch import Tensor
+
     from neurad.core.records import Mesh
     from neurad.scene.description import Scene
     from neurad.studies.bench.machine import Row
@@ -127,15 +129,14 @@ def measure(options: argparse.Namespace, curve: str, value: int) -> Row:
     scene = grown(data.scene, curve, value, side)
     camera = scene.train[0].camera
     watch = ProcessorWatch(options.steps, options.warmup)
+    pixels: Tensor | None = None
     with tempfile.TemporaryDirectory() as folder:
         if curve in ("views", "streamed"):
             scene = photographed(scene, folder)
         else:
-            pixels: Any = torch.empty(len(scene.train), camera.width * camera.height, 3)
-            generator = torch.Generator().manual_seed(0)
-            data.__dict__["_pixels"] = pixels.uniform_(0.1, 1.0, generator=generator)  # what is seen costs nothing
-        data.__dict__["scene"] = scene
-        fit(trainer, module, data, watch)
+            pixels = torch.empty(len(scene.train), camera.width * camera.height, 3)
+            pixels.uniform_(0.1, 1.0, generator=torch.Generator().manual_seed(0))  # the cost does not depend on them
+        fit(trainer, module, data.over(scene, pixels), watch)
     world, count = module.world, len(scene.train)
     return {
         "grows": curve, "value": value, "triangles": len(world.geometry.faces), "views": count,
