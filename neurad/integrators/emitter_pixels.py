@@ -7,7 +7,7 @@ import math
 import torch
 from torch import Tensor
 
-from neurad.core.camera import camera_rays
+from neurad.core.camera import camera_rays, project, to_camera
 from neurad.core.records import Camera
 from neurad.core.rng import Stream
 from neurad.integrators.film import pixel_positions
@@ -48,8 +48,7 @@ def projected(triangles: Tensor, camera: Camera, scale: float) -> Tensor:
     """
     width, height = camera.width, camera.height
     count = triangles.new_zeros(height + 1, width + 1, dtype=torch.int32)
-    pose = torch.as_tensor(camera.to_world, dtype=triangles.dtype, device=triangles.device)
-    p = (triangles - pose[:3, 3]) @ pose[:3, :3]
+    p = to_camera(camera, triangles)  # [n, 3, 3]
     near = 1e-6 * scale
     before = -p[..., 2] > near
     after, edge = p.roll(-1, 1), before != before.roll(-1, 1)
@@ -57,8 +56,8 @@ def projected(triangles: Tensor, camera: Camera, scale: float) -> Tensor:
     t = (-near - p[..., 2]) / torch.where(edge, after[..., 2] - p[..., 2], 1.0)
     cut = p + t.unsqueeze(-1) * (after - p)
     points, real = torch.cat((p, cut), 1), torch.cat((before, edge), 1)
-    depth = torch.where(real, -points[..., 2], 1.0) * (2.0 * math.tan(0.5 * camera.fov_x) / width)
-    x, y = 0.5 * width + points[..., 0] / depth, 0.5 * height - points[..., 1] / depth
+    points[..., 2] = torch.where(real, points[..., 2], -1.0)
+    x, y = project(camera, points).unbind(-1)  # [n, 6]
     low, high = [], []
     for value, size in ((x, width), (y, height)):
         # One pixel more on each side than float32 rays could ever need.

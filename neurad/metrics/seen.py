@@ -2,11 +2,10 @@
 
 from __future__ import annotations
 
-import math
-
 import torch
 from torch import Tensor
 
+from neurad.core.camera import in_view
 from neurad.core.protocols import Tracer
 from neurad.core.records import Camera, SurfaceInteraction
 from neurad.scene.geometry import Geometry
@@ -30,16 +29,12 @@ class SeenBy:
     def by(self, index: int, si: SurfaceInteraction) -> tuple[Tensor, Tensor]:
         """Lanes [k] of ``si`` that camera ``index`` sees, and the unit directions [k, 3] from them to it."""
         camera = self.cameras[index]
-        to_world = torch.as_tensor(camera.to_world, dtype=si.p.dtype, device=si.p.device)
-        x, y, z = ((si.p - to_world[:3, 3]) @ to_world[:3, :3]).unbind(-1)
-        edge_x = math.tan(0.5 * camera.fov_x)
-        edge_y = edge_x * camera.height / camera.width
-        inside = si.valid & (z < 0) & (x.abs() <= -z * edge_x) & (y.abs() <= -z * edge_y)
-        lanes = inside.nonzero().squeeze(-1)
+        lanes = (si.valid & in_view(camera, si.p)).nonzero().squeeze(-1)
         points = si[lanes]
-        to_camera = to_world[:3, 3] - points.p  # [k, 3]
-        distance = torch.linalg.vector_norm(to_camera, dim=-1)
-        wi = to_camera / distance.clamp_min(torch.finfo(to_camera.dtype).tiny)[:, None]
+        eye = torch.as_tensor(camera.to_world, dtype=si.p.dtype, device=si.p.device)[:3, 3]
+        away = eye - points.p  # [k, 3]
+        distance = torch.linalg.vector_norm(away, dim=-1)
+        wi = away / distance.clamp_min(torch.finfo(away.dtype).tiny)[:, None]
         clear = ~self.tracer.occluded(*self.geometry.spawn_towards(points, wi, distance))
         return lanes[clear], wi[clear]
 

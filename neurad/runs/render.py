@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import math
 import sys
 import time
 from dataclasses import dataclass, replace
@@ -15,7 +14,7 @@ from jsonargparse import ArgumentParser
 from omegaconf import OmegaConf
 
 from neurad.assembly.build import build_world
-from neurad.core.camera import resized
+from neurad.core.camera import focal_length, resized
 from neurad.core.errors import InputError
 from neurad.core.protocols import Integrator
 from neurad.core.records import View
@@ -85,6 +84,8 @@ def render_views(settings: RenderSettings) -> None:
     """
     out = settings.out
     method, paths = find_method(settings.integrator)
+    if settings.max_depth is not None and settings.max_depth < 1:
+        raise InputError(f"--max-depth: {settings.max_depth} is not a positive number")
     if settings.max_depth is not None and not paths:
         raise InputError(f"--max-depth: only paths have a depth, --integrator {settings.integrator} has none to choose")
     scene = load_scene(settings.root, settings.scene)
@@ -168,7 +169,7 @@ def _pictures(
 def transforms(views: list[View]) -> dict[str, object]:
     """The NeRF/Blender camera file of views that share one film."""
     camera = views[0].camera
-    focal = 0.5 * camera.width / math.tan(0.5 * camera.fov_x)
+    focal = focal_length(camera)
     return {
         "camera_angle_x": camera.fov_x,
         "w": camera.width,

@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from neurad.core.camera import fov_of
 from neurad.core.errors import InputError
 from neurad.core.records import Camera, FloatArray, View
 from neurad.scene.image_io import read_exr
@@ -122,7 +123,7 @@ def _camera(settings: dict[str, Any], size: Size, where: str) -> Camera:
     if fov is None:
         if focal is None or focal <= 0:
             raise InputError(f"{where}: neither camera_angle_x nor fl_x says how wide it sees")
-        fov = 2.0 * math.atan(0.5 * width / focal)
+        fov = fov_of(focal, width)
     if not 0 < fov < math.pi:
         raise InputError(f"{where}: camera_angle_x is {fov:g}, not an angle between 0 and pi in radians")
     if focal and focal_y and abs(focal_y / focal - 1.0) > 1e-3:

@@ -1,0 +1,64 @@
+"""``neurad render`` by every method that has an overlay."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+
+from neurad.cli import main
+from neurad.scene.image_io import read_exr
+
+SMALL = ("--scene", "cornell", "--views", "test", "--spp", "16", "--map-spp", "1", "--size", "12", "--steps", "3")
+OVERLAYS = sorted((Path(__file__).parents[2] / "configs" / "methods").glob("*.yaml"))
+
+
+def picture(out: Path, *arguments: str) -> np.ndarray:
+    """The first held-out view by some options."""
+    main(["render", *SMALL, "--out", str(out), *arguments])
+    return np.asarray(read_exr(out / "images" / "test_000.exr"))
+
+
+@pytest.mark.parametrize("overlay", OVERLAYS, ids=lambda path: path.stem)
+def test_every_method_with_an_overlay_renders(tmp_path: Path, overlay: Path) -> None:
+    method = yaml.safe_load(overlay.read_text())["model"]["method"]["class_path"]
+    image = picture(tmp_path, "--integrator", method.split(".")[-2])
+    assert image.shape[:2] == (12, 12)
+    assert bool(np.isfinite(image).all())
+    assert image.mean() > 0.01
+    reads_field = "radiometric" in method or "debiased" in method
+    assert (tmp_path / "images_lhs").exists() == reads_field
+
+
+def test_replay_renders_what_path_tracing_does_and_direct_light_is_depth_two(tmp_path: Path) -> None:
+    path = picture(tmp_path / "path")
+    assert np.array_equal(path, picture(tmp_path / "prb", "--integrator", "prb"))
+    short = picture(tmp_path / "short", "--max-depth", "2")
+    np.testing.assert_allclose(picture(tmp_path / "direct", "--integrator", "direct"), short, rtol=1e-5, atol=1e-6)
+    emitters = picture(tmp_path / "one", "--max-depth", "1")
+    assert emitters.mean() < short.mean() < path.mean()
+
+
+@pytest.mark.parametrize(
+    ("arguments", "said"),
+    [
+        (
+            ("--integrator", "pathh"),
+            r"no method pathh \(debiased, direct, path, .*\); did you mean path\?",
+        ),
+        (("--integrator", "direct", "--max-depth", "3"), "only paths have a depth"),
+        (("--spp", "0"), "--spp: 0 is not a positive number"),
+        (("--max-depth", "0"), "--max-depth: 0 is not a positive number"),
+    ],
+)
+def test_bad_settings_get_one_sentence(
+    tmp_path: Path, capsys: pytest.CaptureFixture[str], arguments: tuple[str, ...], said: str
+) -> None:
+    with pytest.raises(SystemExit) as stopped:
+        picture(tmp_path / "out", *arguments)
+    assert stopped.value.code == 2
+    assert re.search(said, capsys.readouterr().err)
+    assert not (tmp_path / "out").exists()
