@@ -127,25 +127,51 @@ def ggx_reflection(wo: Tensor, wi: Tensor, alpha: Tensor) -> tuple[Tensor, Tenso
 def reflectance(cosine: Tensor, alpha: float, fresnel: Callable[[Tensor], Tensor], nodes: int = 32) -> Tensor:
     """What GGX microfacets reflect in all directions towards viewers at ``cosine`` [c] from the normal: [c, channels].
 
-    A product of Gauss-Legendre rules over the numbers that visible normals are drawn from, as Mitsuba's
-    ``eval_reflectance``.
-
     Args:
         cosine: float64 [c].
         alpha: GGX width.
         fresnel: cosines [n] to reflectances [n, channels].
-        nodes: of the rule, in each dimension.
+        nodes: of the quadrature, in each dimension.
+    """
+    wo, normal, weights = _quadrature(cosine, alpha, nodes)
+    seen = fresnel(dot(wo, normal).clamp(1e-6, 1.0)) * _shadowing(mirror(wo, normal)[:, 2], alpha)
+    return (seen.view(len(cosine), -1, seen.shape[-1]) * weights).sum(1)
+
+
+def transmittance(cosine: Tensor, alpha: float, eta: float, nodes: int = 32) -> Tensor:
+    """What a GGX surface of a dielectric transmits of light that arrives at ``cosine`` [c] from the normal: [c, 1].
+
+    Args:
+        cosine: float64 [c].
+        alpha: GGX width.
+        eta: refractive index of the far side over the near one.
+        nodes: of the quadrature, in each dimension.
+    """
+    wo, normal, weights = _quadrature(cosine, alpha, nodes)
+    cos = dot(wo, normal).clamp(1e-6, 1.0)
+    cos_t = (1.0 - (1.0 - cos * cos) / (eta * eta)).clamp_min(0.0).sqrt()
+    down = wo[:, 2] / eta - (cos / eta - cos_t) * normal[:, 2]  # cosine of the refracted direction, on the far side
+    through = (1.0 - fresnel_dielectric(cos, eta)).unsqueeze(-1) * _shadowing(down, alpha)
+    return (through.view(len(cosine), -1, 1) * weights).sum(1)
+
+
+def _quadrature(cosine: Tensor, alpha: float, nodes: int) -> tuple[Tensor, Tensor, Tensor]:
+    """Directions towards viewers and visible normals, both [c * nodes^2, 3], and their weights [nodes^2, 1].
+
+    A product of Gauss-Legendre rules over the numbers that visible normals are drawn from, as Mitsuba has it.
     """
     at, weight = (torch.from_numpy(x) for x in np.polynomial.legendre.leggauss(nodes))
     u = torch.cartesian_prod(0.5 + 0.5 * at, 0.5 + 0.5 * at).repeat(len(cosine), 1)
-    weights = (0.25 * weight[:, None] * weight).flatten()
-    cosine = cosine.clamp_min(1e-6).repeat_interleave(len(weights))
+    cosine = cosine.clamp_min(1e-6).repeat_interleave(nodes * nodes)
     wo = torch.stack(((1.0 - cosine * cosine).clamp_min(0.0).sqrt(), torch.zeros_like(cosine), cosine), -1)
     normal = visible_normal(wo, torch.full_like(wo[:, :1], alpha), u)
-    z = mirror(wo, normal)[:, 2].clamp_min(0.0)
-    shadowing = 2.0 * z / smith_sum(z, torch.full_like(z, alpha * alpha))  # 0 below the horizon
-    seen = fresnel(dot(wo, normal).clamp(1e-6, 1.0)) * shadowing.unsqueeze(-1)
-    return (seen.view(-1, len(weights), seen.shape[-1]) * weights.unsqueeze(-1)).sum(1)
+    return wo, normal, (0.25 * weight[:, None] * weight).view(-1, 1)
+
+
+def _shadowing(z: Tensor, alpha: float) -> Tensor:
+    """Smith's G1 [n, 1] of directions at cosine ``z`` [n]; 0 below the horizon."""
+    z = z.clamp_min(0.0)
+    return (2.0 * z / smith_sum(z, torch.full_like(z, alpha * alpha))).unsqueeze(-1)
 
 
 def interpolated(table: Tensor, x: Tensor) -> Tensor:
