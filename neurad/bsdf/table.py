@@ -11,15 +11,23 @@ from torch import Tensor
 from neurad.bsdf.diffuse import Diffuse
 from neurad.bsdf.principled import Principled
 from neurad.bsdf.roughconductor import RoughConductor
+from neurad.bsdf.roughplastic import RoughPlastic
 from neurad.core.protocols import BSDF, LobeKernels
 from neurad.core.records import BSDFSample, Surface
-from neurad.core.reflection import DiffuseModel, PrincipledModel, ReflectionModel, RoughConductorModel
+from neurad.core.reflection import (
+    DiffuseModel,
+    PrincipledModel,
+    ReflectionModel,
+    RoughConductorModel,
+    RoughPlasticModel,
+)
 from neurad.scene.description import Features
 
 IMPLEMENTATIONS: dict[type[ReflectionModel], Callable[[Any, float], BSDF]] = {
     DiffuseModel: Diffuse.of,
     PrincipledModel: Principled.of,
     RoughConductorModel: RoughConductor.of,
+    RoughPlasticModel: RoughPlastic.of,
 }
 """What evaluates a description: called with it and with the probability of the specular lobe."""
 

@@ -169,6 +169,34 @@ class RoughConductorModel(ReflectionModel):
 
 
 @dataclass(frozen=True)
+class RoughPlasticModel(ReflectionModel):
+    """A diffuse base below a dielectric GGX surface. The albedo is that of the base, the roughness the root of
+    ``alpha``.
+    """
+
+    eta: float
+    """Refractive index of the surface, inside over outside."""
+    alpha: float
+    """GGX width, the same in all directions."""
+    specular: tuple[float, float, float] = (1.0, 1.0, 1.0)
+    """Tint of what the surface reflects."""
+    nonlinear: bool = False
+    """Whether colours saturate as light is reflected within."""
+
+    @property
+    def label(self) -> str:
+        """Mitsuba's plugin."""
+        return "roughplastic"
+
+    def mitsuba(self, albedo: Any, roughness: Any) -> dict[str, Any]:
+        """``roughplastic``."""
+        tint = {"type": "rgb", "value": list(self.specular)}
+        shape = {"distribution": "ggx", "alpha": self.alpha, "int_ior": self.eta, "ext_ior": 1.0}
+        colours = {"diffuse_reflectance": albedo, "specular_reflectance": tint, "nonlinear": self.nonlinear}
+        return {"type": "roughplastic", **shape, **colours}
+
+
+@dataclass(frozen=True)
 class UnsupportedModel(ReflectionModel):
     """An opaque BSDF of a scene file that cannot be rendered. A fit, which recovers surfaces anew, replaces it."""
 

@@ -13,7 +13,7 @@ from PIL import Image
 
 from neurad.core.errors import InputError
 from neurad.core.records import Bitmap, Rays
-from neurad.core.reflection import DiffuseModel
+from neurad.core.reflection import DiffuseModel, RoughPlasticModel
 from neurad.scene.geometry import Geometry
 from neurad.scene.image_io import write_exr
 from neurad.scene.load import load_scene, read_folder
@@ -448,6 +448,23 @@ def test_constants_of_models(tmp_path):
     normal = np.array(material.model.normal_reflectance)
     np.testing.assert_allclose(material.albedo.value, normal * [0.5, 1, 1], rtol=1e-6)
     assert material.roughness.value == pytest.approx(0.2)
+
+
+def test_rough_plastic(tmp_path):
+    folder = write_scene(tmp_path / "room")
+    plastic = (
+        '<bsdf type="roughplastic" id="shell"><string name="distribution" value="ggx"/>'
+        '<float name="alpha" value="0.09"/><float name="int_ior" value="1.6"/>'
+        '<float name="ext_ior" value="1.0"/><boolean name="nonlinear" value="true"/>'
+        f'<float name="specular_reflectance" value="0.5"/>{PNG.format("diffuse_reflectance")}</bsdf>'
+    )
+    replaced("scene.xml", '<ref id="paint"/>', plastic)(folder)
+    scene = load_scene(str(folder), None)
+    material, paint = scene.materials[0], load_scene(str(write_scene(tmp_path / "other")), None).materials[0]
+    assert material.model == RoughPlasticModel(pytest.approx(1.6), pytest.approx(0.09), (0.5, 0.5, 0.5), True)
+    assert material.roughness.value == pytest.approx(0.3)
+    np.testing.assert_array_equal(material.albedo.pixels, paint.albedo.pixels)
+    assert scene.replaced == ["shell (roughplastic)"]
 
 
 @pytest.mark.parametrize("case", BAD)

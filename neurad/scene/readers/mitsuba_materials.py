@@ -26,6 +26,7 @@ from neurad.core.reflection import (
     PrincipledModel,
     ReflectionModel,
     RoughConductorModel,
+    RoughPlasticModel,
     UnsupportedModel,
 )
 from neurad.scene.readers.mitsuba_textures import TextureReader, Unsupported
@@ -38,7 +39,7 @@ _SMOOTH = Constant(np.zeros(1, np.float32))
 
 _IRRELEVANT = ("diffuse_reflectance_sampling_rate", "main_specular_sampling_rate", "clearcoat_sampling_rate",
                "clearcoat_gloss", "spec_tint", "sheen_tint")  # fmt: skip
-_OPAQUE = ("plastic", "pplastic", "roughplastic", "phong", "ward", "measured")
+_OPAQUE = ("plastic", "pplastic", "phong", "ward", "measured")
 """BSDFs that cannot be rendered, but let no light through."""
 _NORMALS = ("bumpmap", "normalmap")
 """What turns shading normals."""
@@ -74,6 +75,7 @@ class MaterialReader:
             "conductor": self._conductor,
             "dielectric": self._dielectric,
             "roughconductor": self._rough_conductor,
+            "roughplastic": self._rough_plastic,
             "twosided": self._two_sided,
             "blendbsdf": self._blend,
             **dict.fromkeys(_OPAQUE, self._opaque),
@@ -180,6 +182,16 @@ class MaterialReader:
         normal = np.array(model.normal_reflectance, np.float32)
         return _Read(model, self._scaled(tint, normal, where), _root(alpha))
 
+    def _rough_plastic(self, node: Any, where: str) -> _Read:
+        alpha = self._alpha(node, where)
+        tint = self.textures.texture(node, "specular_reflectance", where, _ONES)
+        if not isinstance(tint, Constant):
+            raise Unsupported(f"{self.path}: the specular_reflectance of {where} is textured, which is not supported")
+        described = self._plain(node, where, but=("diffuse_reflectance", "specular_reflectance"))
+        eta = float(self.mi.traverse(self._load(described, where))["eta"])
+        model = RoughPlasticModel(eta, alpha, self._colour(tint.value), bool(node.props.get("nonlinear", False)))
+        return _Read(model, self.textures.texture(node, "diffuse_reflectance", where, _GREY), _root(alpha))
+
     # ---- BSDFs around others
 
     def _two_sided(self, node: Any, where: str) -> _Read:
@@ -203,7 +215,7 @@ class MaterialReader:
         return replace(inner[0], model=UnsupportedModel(f"{inner[0].model.label}, {plugin} ignored", reason))
 
     def _opaque(self, node: Any, where: str) -> _Read:
-        known = "principled, diffuse, conductor, dielectric, roughconductor, twosided"
+        known = "principled, diffuse, conductor, dielectric, roughconductor, roughplastic, twosided"
         plugin = node.props.plugin_name()
         raise Unsupported(f"{self.path}: {where} has type {plugin}, which is not supported; there are: {known}")
 
