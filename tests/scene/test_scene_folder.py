@@ -355,7 +355,7 @@ BAD = {
     "unknown reference": (replaced("scene.xml", 'ref id="paint"', 'ref id="pain"'), r"unresolved reference to .pain"),
     "sphere": (replaced("scene.xml", '"rectangle"', '"sphere"'), r"shape lamp is a sphere"),
     "hair": (replaced("scene.xml", 'shape type="rectangle"', 'shape type="bsplinecurve"'), r"lamp has type bspline"),
-    "rough plastic": (replaced("scene.xml", '"diffuse"', '"roughplastic"'), r"shape lamp has type roughplastic"),
+    "rough plastic": (replaced("scene.xml", '"diffuse"', '"roughplastic"'), r"lamp has distribution beckmann"),
     "opacity mask": (inside("mask"), r"bsdf paint of shape floor has type mask, .* let light through"),
     "transparent": (set_paint('<float name="spec_trans" value="1"/>'), r"bsdf paint of shape floor sets spec_trans"),
     "glass that is rough": (
