@@ -66,6 +66,7 @@ def room(tmp_path, monkeypatch):
     return folder
 
 
+@pytest.mark.main
 def test_a_fit_names_what_it_replaces(room, capfd):
     main(["fit", "--config", "config.yaml"])
     error = capfd.readouterr().err
@@ -78,6 +79,7 @@ def test_a_fit_names_what_it_replaces(room, capfd):
     assert "albedo_psnr" in rows[0]
 
 
+@pytest.mark.main
 def test_known_materials_are_rendered_or_refused_by_name(room, capfd):
     render = ["render", "--root", "room", "--out", "out", "--views", "test", "--size", "16", "--spp", "2"]
     for command in (render, ["fit", "--config", "config.yaml", "--model.materials=known"]):
