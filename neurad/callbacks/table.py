@@ -85,7 +85,7 @@ def score_table(scores: Mapping[str, float], spp: int, label: str = "neurad") ->
             if any(value is not None for value in values.values()):
                 body.append([row, *(_score(name, value) for name, value in values.items())])
         if len(body) > 1:
-            rendered = f" (images rendered with {spp} samples a pixel)" if spp else ""
+            rendered = f" (images rendered with {spp} samples per pixel)" if spp else ""
             lines += [f"Held-out views, {pixels}{rendered}", *align(body), ""]
     return "\n".join(lines + light_table(scores)).rstrip()
 

@@ -97,12 +97,11 @@ class HeldOut:
 
     def sub_samples(self, index: int, few: bool = False) -> Iterator[tuple[slice, SurfaceInteraction]]:
         """First hits of view ``index``: slices of row-major pixels with their interactions [pixels * grid^2], pixel by
-        pixel, or fewer of a pixel.
+        pixel, or with fewer of them.
 
         Args:
             index: of the view.
-            few: only four of a pixel's, one in each quarter (all of them for an odd ``grid``), for costly
-                tests.
+            few: only four per pixel, one in each quarter (all of them for an odd ``grid``), for costly tests.
         """
         camera, device = self.views[index].camera, self.geometry.vertices.device
         per = self.grid * self.grid

@@ -43,6 +43,8 @@ FILES = {
     ("args", "said"),
     [
         (["train"], "train"),
+        (["fti"], "did you mean fit"),
+        (["bench", "steps"], "steps"),
         (["fit", "--config"], "--config"),
         (["fit", "--config", "nothing.yaml"], "nothing.yaml"),
         (["fit", "--config", "key.yaml"], "key.yaml: modle.seed"),

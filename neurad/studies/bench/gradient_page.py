@@ -47,14 +47,14 @@ def write_page(
     columns = {**{_title(key): value for key, value in found.items()}, "reference": reference}
     heats = {name: heat(gradients, targets) for name, gradients in columns.items()}
     rows = ("by roughness", "by albedo")
-    limits = {row: _limit(_slope(reference[middle], row)) for row in rows}
+    limits = {row: _limit(_gradient(reference[middle], row)) for row in rows}
     figure, axes = pyplot.subplots(
         3, len(columns), figsize=(1.5 * len(columns) + 0.8, 5.4), squeeze=False, layout="constrained"
     )
     for column, (name, gradients) in enumerate(columns.items()):
         axes[0][column].set_title(name, fontsize=9)
         for row, label in enumerate(rows):
-            image = _slope(gradients[middle], label).reshape(camera.height, camera.width)
+            image = _gradient(gradients[middle], label).reshape(camera.height, camera.width)
             _show(axes[row][column], image, limits[label], f"picture\n{label}" if column == 0 else "")
         largest = float(np.abs(heats["reference"]).max())
         _show(axes[2][column], heats[name], largest, "loss by roughness\nstate" if column == 0 else "")
@@ -78,9 +78,9 @@ def _title(key: tuple[str, int | None]) -> str:
     return key[0] if key[1] is None or key[0] == "direct" else f"{key[0]} {key[1]}"
 
 
-def _slope(gradients: Gradients, row: str) -> FloatArray:
-    slope: FloatArray = (gradients.roughness if row == "by roughness" else gradients.albedo).mean(0)
-    return slope
+def _gradient(gradients: Gradients, row: str) -> FloatArray:
+    gradient: FloatArray = (gradients.roughness if row == "by roughness" else gradients.albedo).mean(0)
+    return gradient
 
 
 def _limit(values: FloatArray) -> float:

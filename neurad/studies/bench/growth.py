@@ -34,18 +34,15 @@ and ``peak_MiB`` measured, of the process."""
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
-    from neurad.studies.bench.options import add_settings
+    from neurad.studies.bench.options import add_settings, add_timing
 
     add_settings(parser, "cornell.yaml")
     for name, values in CURVES.items():
         parser.add_argument(f"--{name}", default=values, help=f"values, separated by commas; '' for none ({values})")
     parser.add_argument("--side", type=int, help="pixels along a side of a view (512 where views grow, else 128)")
     parser.add_argument("--resident", type=int, default=8, help="photographs in memory where they are streamed")
-    parser.add_argument("--steps", type=int, default=30, help="steps that count")
-    parser.add_argument("--warmup", type=int, default=10, help="steps before them")
+    add_timing(parser, steps=30, warmup=10)
     parser.add_argument("--memory", type=float, default=8.0, help="GiB; points that need more are not measured")
-    parser.add_argument("--device", default="auto", help="cpu, cuda or auto")
-    parser.add_argument("--out", metavar="FILE.csv", help="write the table here too")
 
 
 def run(options: argparse.Namespace) -> None:
@@ -92,7 +89,7 @@ def side_of(options: argparse.Namespace, curve: str) -> int:
 
 
 def expected_bytes(curve: str, value: int, side: int, resident: int) -> float:
-    """Rough memory of a point: photographs and cached camera rays (eight positions a pixel), triangles or tables.
+    """Rough memory of a point: photographs and cached camera rays (eight positions per pixel), triangles or tables.
 
     Of every pixel, streamed or not, one byte says whether it shows an emitter.
     """

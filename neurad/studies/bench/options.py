@@ -1,4 +1,4 @@
-"""Options that benchmarks share; imports nothing heavy, so that help answers at once."""
+"""Options of several benchmarks; imports nothing heavy, so that help answers at once."""
 
 from __future__ import annotations
 
@@ -14,3 +14,11 @@ def add_settings(parser: argparse.ArgumentParser, default: str = "kitchen.yaml")
         "--set", action="append", default=[], metavar="KEY=VALUE", help="a setting, e.g. model.sampling.spp=4"
     )
     parser.set_defaults(default_config=default)
+
+
+def add_timing(parser: argparse.ArgumentParser, steps: int, warmup: int) -> None:
+    """Declare ``--steps`` and ``--warmup`` with these defaults, ``--device`` and ``--out``."""
+    parser.add_argument("--steps", type=int, default=steps, help="steps that count")
+    parser.add_argument("--warmup", type=int, default=warmup, help="steps before them")
+    parser.add_argument("--device", default="auto", help="cpu, cuda or auto")
+    parser.add_argument("--out", metavar="FILE.csv", help="write the table here too")

@@ -8,13 +8,10 @@ from typing import Any
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
-    from neurad.studies.bench.options import add_settings
+    from neurad.studies.bench.options import add_settings, add_timing
 
     add_settings(parser)
-    parser.add_argument("--steps", type=int, default=100, help="steps that count, timed as a whole and then by stage")
-    parser.add_argument("--warmup", type=int, default=30, help="steps before them")
-    parser.add_argument("--device", default="auto", help="cpu, cuda or auto")
-    parser.add_argument("--out", metavar="FILE.csv", help="write the table here too")
+    add_timing(parser, steps=100, warmup=30)
 
 
 def run(options: argparse.Namespace) -> None:

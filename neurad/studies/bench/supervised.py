@@ -18,8 +18,8 @@ from neurad.losses.relative import Loss
 from neurad.metrics.held_out import HeldOut
 from neurad.training.objective import StepTerms
 
-POSITIONS = 2
-"""Positions in every pixel of a batch."""
+SPP = 2
+"""Samples per pixel of a batch."""
 
 
 @dataclass(frozen=True)
@@ -34,11 +34,11 @@ class SupervisedStep:
 
     def __call__(self, batch: PixelBatch, stream: Stream) -> StepTerms:
         """Terms for a batch of pixels."""
-        surface = self.materials(self.primary(batch, POSITIONS, stream).si)
+        surface = self.materials(self.primary(batch, SPP, stream).si)
         counts = (~self.emitter_mask[batch.view, batch.pixel]).float().unsqueeze(-1)
         terms = {}
         for name, true in self.truth.items():
-            mean = getattr(surface, name).view(len(counts), POSITIONS, -1).mean(1)
+            mean = getattr(surface, name).view(len(counts), SPP, -1).mean(1)
             loss = (counts * (mean - true[batch.view, batch.pixel]) ** 2).mean()
             terms[name] = (1.0, Loss(loss, loss.detach()))
         return StepTerms(terms, {})

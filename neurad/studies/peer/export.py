@@ -27,9 +27,9 @@ def to_mitsuba(
         scene: what to build.
         view: the only sensor.
         size: width and height of its film in pixels.
-        samples: a pixel.
+        samples: per pixel.
         integrator: defaults to ``path`` with the scene's ``max_depth`` and ``rr_depth``.
-        shading: the Mitsuba BSDF that stands for a material that is not smooth; None keeps the scene's own.
+        shading: the Mitsuba BSDF that stands for a material that is not a delta one; None keeps the scene's own.
     """
     import mitsuba as mi
 
