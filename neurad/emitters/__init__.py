@@ -1,1 +1,1 @@
-"""Things that send light: emitting triangles, an environment map, and both together."""
+"""Emitters: emitting triangles, an environment map, known or fitted, and both kinds together."""

@@ -49,7 +49,7 @@ class AreaLights(nn.Module):
             )
         cdf = (power[face] / total).cumsum(0)
         corner, p1, p2 = geometry.vertices[geometry.faces[face]].unbind(1)
-        # corner, two edges and normal side by side: one gather brings all that a sample needs
+        # corner, two edges and normal side by side: one gather brings everything that a sample needs
         table = torch.cat((corner, p1 - corner, p2 - corner, geometry.face_normal[face]), -1)
         self.power = math.pi * float(total)
         """Luminous power, pi * sum(area * luminance)."""
@@ -89,7 +89,7 @@ class AreaLights(nn.Module):
         return self.eval_reference(si)
 
     def _eval_kernel(self, si: SurfaceInteraction) -> Tensor:
-        from neurad.emitters import area_kernels as kernels  # compiled code is loaded by those who use it
+        from neurad.emitters import area_kernels as kernels  # imported at first use: numba is slow to load
 
         out = torch.empty(len(si), 3)
         given = si.prim, si.valid, si.ng, si.wo, self.emission, out

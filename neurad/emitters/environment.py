@@ -13,7 +13,7 @@ from neurad.core.errors import InputError
 from neurad.core.records import EmitterSample, EnvironmentMap, SurfaceInteraction
 
 FLOOR = 1e-3
-"""Smallest density of a direction, relative to the mean over the map, so that no direction is left out."""
+"""Smallest density of a direction, relative to the mean over the map, so that every direction can be sampled."""
 
 
 class Environment(nn.Module):

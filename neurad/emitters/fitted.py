@@ -13,7 +13,7 @@ from neurad.core.records import EnvironmentMap, FloatArray
 from neurad.emitters.environment import Environment, rotation_of
 
 START = 2.0
-"""Radiance of the map at the start, in units of the photographs' typical radiance: what lights grey surfaces."""
+"""Radiance of the map at the start, in units of the photographs' typical radiance: about what grey surfaces need."""
 
 
 class FittedEnvironment(Environment):
@@ -21,11 +21,11 @@ class FittedEnvironment(Environment):
     bright directions. It starts at one radiance everywhere.
 
     The density of :meth:`sample` is that of the map at the last :meth:`refresh`, no gradient flows into it, and its
-    floor is higher than a known map's, as what seems dark may only not have been found yet. The map behind the density
-    is part of the state, so that a continued run samples as one that was never stopped.
+    floor is higher than a known map's, as a direction that seems dark may not have been fitted yet. The map
+    behind the density is part of the state, so that a continued run samples as one that was never stopped.
 
     Args:
-        frame: its ``to_world`` places the map; its pixels are not looked at.
+        frame: an environment whose ``to_world`` is used; its pixels are not read.
         width: texels across.
         height: texels from pole to pole.
 

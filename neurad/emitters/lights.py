@@ -22,7 +22,7 @@ LEAST = 0.1
 class Lights(nn.Module):
     """Area lights and an environment together; a sample comes from one of them, chosen by power.
 
-    The environment's power is what it sends through a disk as large as the scene, ``pi r^2 * integral of L``, that of
+    The environment's power is the flux through a disk as large as the scene, ``pi r^2 * integral of L``, that of
     the triangles ``pi * sum(area * L)``; both probabilities are kept above :data:`LEAST`. Since one lights only lanes
     that hit a surface and the other only lanes that did not, radiance and densities of both are simply added.
 
@@ -39,16 +39,16 @@ class Lights(nn.Module):
         self.radius = radius
 
     @property
-    def area_share(self) -> float:
+    def area_probability(self) -> float:
         """Probability of an area light; that of an environment which is being recovered follows its present power."""
         through = math.pi * self.radius**2 * self.environment.integral
         return min(max(self.area.power / (self.area.power + through), LEAST), 1.0 - LEAST)
 
     def sample(self, p: Tensor, u: Tensor) -> EmitterSample:
         """A direction towards either kind of light; the third of ``u`` [n, 3] chooses and is then used again."""
-        share = self.area_share
-        use = u[:, 2] < share
-        again = torch.where(use, u[:, 2] / share, (u[:, 2] - share) / (1.0 - share))
+        chance = self.area_probability
+        use = u[:, 2] < chance
+        again = torch.where(use, u[:, 2] / chance, (u[:, 2] - chance) / (1.0 - chance))
         area = self.area.sample(p, torch.cat((u[:, :2], again[:, None].clamp(0.0, 1.0)), -1))
         far = self.environment.sample(p, u)
         three = use[:, None]
@@ -56,7 +56,7 @@ class Lights(nn.Module):
             wi=torch.where(three, area.wi, far.wi),
             distance=torch.where(use, area.distance, far.distance),
             radiance=torch.where(three, area.radiance, far.radiance),
-            pdf=torch.where(use, share * area.pdf, (1.0 - share) * far.pdf),
+            pdf=torch.where(use, chance * area.pdf, (1.0 - chance) * far.pdf),
         )
 
     def eval(self, si: SurfaceInteraction) -> Tensor:  # type: ignore[override]
@@ -65,7 +65,9 @@ class Lights(nn.Module):
 
     def pdf(self, p: Tensor, si: SurfaceInteraction) -> Tensor:
         """Density [n] at ``p`` [n, 3] of the direction that ended at ``si``, with the choice of the kind."""
-        return self.area_share * self.area.pdf(p, si) + (1.0 - self.area_share) * self.environment.pdf(p, si)
+        return self.area_probability * self.area.pdf(p, si) + (1.0 - self.area_probability) * self.environment.pdf(
+            p, si
+        )
 
 
 def make_lights(
@@ -76,7 +78,7 @@ def make_lights(
     Args:
         scene: whose area lights, and environment unless another one is given.
         geometry: of the same scene.
-        other: takes the place of the scene's own environment.
+        other: used instead of the scene's own environment.
 
     Raises:
         InputError: the scene has no light at all.

@@ -1,4 +1,4 @@
-"""A dense grid that holds a field's values itself: what hash grid and network are compared with.
+"""A dense grid whose vertices are the field's values: the baseline that hash grid and network are compared with.
 
 At 256^3 vertices a table of three channels takes 201 MB in float32, and 604 MB with the two moments of Adam; albedo,
 roughness and radiance together 1.41 GB (a checkpoint as much), of which only the vertices next to surfaces are ever
@@ -20,7 +20,7 @@ from neurad.runtime.dispatch import use_kernel
 from neurad.runtime.threads import cut, split, threads
 
 SLAB = 2048
-"""Positions whose gradient is worth a thread."""
+"""Smallest number of positions whose gradient gets a thread of its own."""
 
 
 class DenseGrid(nn.Module):
@@ -57,7 +57,7 @@ class DenseGrid(nn.Module):
         return self.reference(x)
 
     def marks(self) -> tuple[Any, ...]:
-        """Arrays in which backward passes mark touched vertices; kept, since fresh memory costs more than marking."""
+        """Bit fields that mark the vertices touched by a backward pass; kept, as allocating costs more than marking."""
         if not self._marks:
             words = self.size**3 // 64 + 1
             self._marks = np.zeros(words, np.uint64), np.zeros(words // 64 + 1, np.uint64), np.empty(words, np.int64)
@@ -84,7 +84,7 @@ class _Read(torch.autograd.Function):
     @staticmethod
     def forward(ctx: Any, x: Tensor, table: Tensor, grid: DenseGrid) -> Tensor:
         """Values [n, c]."""
-        from neurad.fields import dense_grid_kernels  # compiled code is loaded by those who use it
+        from neurad.fields import dense_grid_kernels  # imported at first use: numba is slow to load
 
         x = x.detach().float().contiguous()
         ctx.save_for_backward(x)
@@ -101,7 +101,7 @@ class _Read(torch.autograd.Function):
 
         (x,) = ctx.saved_tensors
         arrays = x.numpy(), gradients[0].contiguous().numpy(), ctx.grid.size
-        edges = _slabs(x, ctx.grid.size, threads(len(x), SLAB), dense_grid_kernels.WHOLE)
+        edges = _slabs(x, ctx.grid.size, threads(len(x), SLAB), dense_grid_kernels.ENTRIES_PER_WORD)
         marks = ctx.grid.marks()
 
         def slab(low: int, high: int) -> tuple[Tensor, Tensor]:
@@ -112,17 +112,17 @@ class _Read(torch.autograd.Function):
             return rows[:count], values[:count]
 
         slabs = list(pairwise(edges))
-        shares = split(lambda begin, end: [slab(*ends) for ends in slabs[begin:end]], len(slabs), 1)
-        return None, from_rows([part for share in shares for part in share], ctx.shape), None
+        parts = split(lambda begin, end: [slab(*ends) for ends in slabs[begin:end]], len(slabs), 1)
+        return None, from_rows([found for part in parts for found in part], ctx.shape), None
 
 
 def _slabs(x: Tensor, size: int, count: int, whole: int) -> list[int]:
     """Entries at which ``count`` ranges of the table begin, and the end; multiples of ``whole`` in between. They hold
-    about as many of the positions ``x`` as the shares of :func:`neurad.runtime.threads.cut`.
+    about as many of the positions ``x`` as the ranges of :func:`neurad.runtime.threads.cut`.
     """
     if count == 1:
         return [0, size**3]
-    # Some hundreds place the cuts well enough; NaN may fall anywhere.
+    # A few hundred positions place the cuts well enough; NaN may fall anywhere.
     stride = max(1, len(x) // 256)
     some = np.nan_to_num(x[::stride, 2].numpy())
     places = [edge // stride for edge in cut(len(x), count, SLAB)[1:-1]]

@@ -18,15 +18,15 @@ from neurad.fields.hash_grid_kernels import (
 from neurad.fields.intrinsics import lowest_bit, prefetch
 from neurad.runtime.jit import kernel
 
-WHOLE = 4096
-"""Entries that a word of the second bit field stands for."""
+ENTRIES_PER_WORD = 4096
+"""Table entries that one word of the second bit field covers."""
 
 
 @kernel
 def encode_dense(x: Floats, table: Floats, size: int, out: Floats, low: int, high: int) -> None:
     """Trilinear values ``out[low:high]`` [n, c] at ``x[low:high]`` [n, 3] of ``table`` [size^3, c].
 
-    A table is far larger than a cache, so entries are asked for a block of points ahead.
+    A table is far larger than a cache, so entries are prefetched a block of points ahead.
     """
     width = table.shape[1]
     base = np.uint64(table.ctypes.data)
@@ -82,10 +82,9 @@ def dense_gradient(
     """Gradient of the entries ``low .. high - 1`` of the table for ``gradient`` [n, c]: the number of those that are
     touched, which stand in ascending order at the front of ``rows``, with their gradients in ``values`` [k, c].
 
-    Ranges that begin and end at multiples of :data:`WHOLE` share no word of the bit fields. As
-    :func:`neurad.fields.hash_grid_kernels.table_gradient`:
-    marked in a bit field, numbered by counting bits, no sorting. A second
-    bit field marks the words of the first that are in use, since nearly all are empty. Both, ``bits``
+    Ranges that begin and end at multiples of :data:`ENTRIES_PER_WORD` share no word of the bit fields. As
+    :func:`neurad.fields.hash_grid_kernels.table_gradient`: marked in a bit field, numbered by counting bits, no
+    sorting. A second bit field marks the words of the first that are in use, since nearly all are empty. Both, ``bits``
     [size^3 / 64 + 1] and ``used`` [words / 64 + 1], are zero before and after; ``rank`` [words] is scratch.
     """
     n, width = gradient.shape
@@ -93,6 +92,7 @@ def dense_gradient(
     entry = np.empty((n, 8), np.uint32)
     fraction = np.empty((n, 3), np.float32)
     lane = np.empty(n, np.int64)
+    # ---------------------- Mark the entries of this range ----------------------
     inside = 0
     for i in range(n):
         e, f = entry[inside], fraction[inside]
@@ -108,7 +108,9 @@ def dense_gradient(
                 word = e[c] >> 6
                 bits[word] |= BIT << np.uint64(e[c] & 63)
                 used[word >> 6] |= BIT << np.uint64(word & 63)
-    count = _list_used(bits, used, low // WHOLE, -(-high // WHOLE), rows, rank)
+    # ---------------------- Number them in ascending order ----------------------
+    count = _list_used(bits, used, low // ENTRIES_PER_WORD, -(-high // ENTRIES_PER_WORD), rows, rank)
+    # ---------------------- Add up the gradients ----------------------
     values[:count] = ZERO
     for i in range(inside):
         fx, fy, fz = fraction[i, 0], fraction[i, 1], fraction[i, 2]
@@ -122,6 +124,7 @@ def dense_gradient(
             k = _place(entry[i, c], bits, rank)
             for j in range(width):
                 values[k, j] += w * gradient[lane[i], j]
+    # ---------------------- Clear the marks ----------------------
     for i in range(count):
         bits[rows[i] >> 6] = 0
         used[rows[i] >> 12] = 0

@@ -22,7 +22,7 @@ from neurad.runtime.threads import GRAIN, split
 PRIMES = (1, 2654435761, 805459861)
 """Factors of the spatial hash ``(x ^ y * 2654435761 ^ z * 805459861) mod size`` (Mueller et al., Eq. 4)."""
 MARGIN = 0.01
-"""Free space around the scene in the unit cube, as a share of its longest side."""
+"""Free space around the scene in the unit cube, as a fraction of its longest side."""
 
 
 class UnitCube(nn.Module):
@@ -48,11 +48,11 @@ class UnitCube(nn.Module):
         return self._kernel(p) if use_kernel(True, p, self.low) else self.reference(p)
 
     def _kernel(self, p: Tensor) -> Tensor:
-        from neurad.fields import hash_grid_kernels as kernels  # compiled code is loaded by those who use it
+        from neurad.fields import hash_grid_kernels as kernels  # imported at first use: numba is slow to load
 
         out = torch.empty_like(p, memory_format=torch.contiguous_format)
         arrays = p.contiguous().numpy(), self.low.numpy(), np.float32(self.inverse_side.item()), out.numpy()
-        split(lambda low, high: kernels.unit_cube(*arrays, low, high), len(p), 4 * GRAIN)  # little to do for each
+        split(lambda low, high: kernels.unit_cube(*arrays, low, high), len(p), 4 * GRAIN)  # a lane costs little
         return out
 
     def reference(self, p: Tensor) -> Tensor:
@@ -63,7 +63,8 @@ class UnitCube(nn.Module):
 class HashGrid(nn.Module):
     """Trilinear features of ``levels`` grids whose resolutions grow geometrically.
 
-    A level of at most 2^log2_size vertices has an entry for each; finer ones are hashed and share entries.
+    A level of at most 2^log2_size vertices has an entry for each (a dense level); finer ones are hashed (Mueller et
+    al., Eq. 4), so that vertices share entries.
 
     Args:
         levels: number of grids.
@@ -103,7 +104,7 @@ class HashGrid(nn.Module):
         """A grid of the sizes in ``config``.
 
         Raises:
-            ValueError: ``finest`` is left to photographs, which nobody has looked at.
+            ValueError: ``finest`` is None: it has to be found from the photographs first.
         """
         if config.finest is None:
             raise ValueError("HashGrid: finest is not set; it comes from resolve_finest")
@@ -124,15 +125,18 @@ class HashGrid(nn.Module):
 
     def reference(self, x: Tensor) -> Tensor:
         """The same in plain torch, with a dense gradient."""
+        # ---------------------- Cell of each level ----------------------
         resolution, stride, first, entries = (self.level_table[:, i].view(-1, 1, 1, 1) for i in range(4))
         cells = resolution[:, 0, 0].to(x.dtype)  # [l, 1]
         position = x.unsqueeze(1) * cells  # [n, l, 3]
         cell = torch.minimum(position.floor(), cells - 1.0).clamp(min=0.0)
         ends = torch.stack((cell, cell + 1.0), -1).long()  # [n, l, 3, 2]
         cx, cy, cz = ends[:, :, 0, None, None, :], ends[:, :, 1, None, :, None], ends[:, :, 2, :, None, None]
+        # ---------------------- Entries of its eight corners ----------------------
         hashed = (cx ^ (cy * PRIMES[1]) ^ (cz * PRIMES[2])) & (entries - 1)  # [n, l, 2, 2, 2], by z, y, x
         entry = first + torch.where(stride > 0, cx + stride * (cy + stride * cz), hashed)
-        t = (position - cell).unsqueeze(-1)
+        # ---------------------- Trilinear weights ----------------------
+        t = (position - cell).unsqueeze(-1)  # [n, l, 3, 1]
         w = torch.cat((1.0 - t, t), -1)  # [n, l, 3, 2]
         weight = w[:, :, 0, None, None, :] * w[:, :, 1, None, :, None] * w[:, :, 2, :, None, None]
         corners = embedding(entry.flatten(2), self.table)  # [n, l, 8, f]
@@ -145,7 +149,7 @@ class _Encode(torch.autograd.Function):
     @staticmethod
     def forward(ctx: Any, x: Tensor, table: Tensor, level_table: Tensor) -> Tensor:
         """Features [n, levels * 2]."""
-        from neurad.fields import hash_grid_kernels as kernels  # compiled code is loaded by those who use it
+        from neurad.fields import hash_grid_kernels as kernels  # imported at first use: numba is slow to load
 
         x = x.detach().float().contiguous()
         ctx.save_for_backward(x, level_table)

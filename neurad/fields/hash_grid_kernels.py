@@ -27,9 +27,9 @@ PRIME_Z = np.uint32(805459861)
 CACHED = 1 << 17
 """Entries of the largest level that a processor's own cache is expected to hold (1 MiB)."""
 BLOCK = 128
-"""Points looked ahead in larger levels."""
+"""Points whose entries are prefetched together, in larger levels."""
 AHEAD = 24
-"""Rows looked ahead by the optimizer."""
+"""How many rows ahead the optimizer prefetches."""
 
 
 @kernel
@@ -77,8 +77,8 @@ def unit_cube(p: Floats, corner: Floats, scale: Any, out: Floats, low: int, high
 def encode(x: Floats, table: Floats, levels: Ints, out: Floats, low: int, high: int) -> None:
     """Trilinear features ``out[low:high]`` [n, levels * 2] at ``x[low:high]`` [n, 3].
 
-    Level by level, so that one level's entries stay in the cache. Entries of a level too large for that are asked for a
-    block of points ahead.
+    Level by level, so that one level's entries stay in the cache. Entries of a level too large for that are
+    prefetched a block of points ahead.
     """
     count = levels.shape[0]
     entry = np.empty((BLOCK, 8), np.uint32)
@@ -148,6 +148,7 @@ def table_gradient(
     fraction = np.empty((n, 3), np.float32)
     count = 0
     for level in range(begin, end):
+        # ---------------------- Mark touched entries ----------------------
         r, stride, mask = np.float32(levels[level, 0]), np.uint32(levels[level, 1]), np.uint32(levels[level, 3] - 1)
         for i in range(n):
             e, f = entry[i], fraction[i]
@@ -156,9 +157,11 @@ def table_gradient(
             )
             for c in range(8):
                 bits[e[c] >> 6] |= BIT << np.uint64(e[c] & 63)
+        # ---------------------- Number them in ascending order ----------------------
         words = levels[level, 3] // 64 + 1
         before = count
         count = _list_marked(bits, words, levels[level, 2], rows, count, rank)
+        # ---------------------- Add up the gradients ----------------------
         values[before:count] = ZERO
         for i in range(n):
             fx, fy, fz = fraction[i, 0], fraction[i, 1], fraction[i, 2]
@@ -177,7 +180,7 @@ def table_gradient(
 
 @kernel
 def is_ascending(rows: Ints) -> bool:
-    """Whether every row is larger than the one before, so that none stands twice."""
+    """Whether every row is larger than the one before, so that none occurs twice."""
     ascending = True
     for i in range(1, rows.shape[0]):  # no early exit: this way the loop is vectorised
         ascending &= rows[i - 1] < rows[i]
@@ -206,7 +209,7 @@ def merge_rows(rows: Ints, values: Floats, size: int, merged: Ints, sums: Floats
 def adam_rows(
     p: Floats, m: Floats, v: Floats, rows: Ints, values: Floats, factors: Floats, low: int, high: int
 ) -> None:  # fmt: skip
-    """Adam on the rows ``rows[low:high]`` of ``p`` [e, c] and its moments ``m`` and ``v``; no row may stand twice.
+    """Adam on the rows ``rows[low:high]`` of ``p`` [e, c] and its moments ``m`` and ``v``; no row may occur twice.
 
     ``factors`` are lr / (1 - beta1^t), 1 / sqrt(1 - beta2^t), beta1, beta2 and eps.
     """

@@ -1,4 +1,4 @@
-"""Machine operations that numba does not offer, as LLVM code that every processor can run."""
+"""Machine operations that numba lacks, as LLVM code that runs on every processor."""
 
 from __future__ import annotations
 
@@ -80,7 +80,7 @@ def _interpolate(
 
 
 def _prefetch(typing: Any, address: Any) -> Any:
-    """Ask for the cache line at an address (uint64) that will be needed soon."""
+    """Prefetch the cache line at an address (uint64)."""
 
     def build(context: Any, builder: Any, signature: Any, args: Any) -> Any:
         pointer = builder.inttoptr(args[0], ir.IntType(8).as_pointer())

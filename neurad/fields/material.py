@@ -27,10 +27,12 @@ class _MaterialField(nn.Module):
         self.grid, self.mlp = make_layers(config, channels, extra)
 
     def _values(self, p: Tensor, *extra: Tensor) -> Tensor:
+        """Sigmoid outputs [n, c] at positions [n, 3], by their features and the ``extra`` inputs [n, k]."""
         features = self.grid(self.cube(p))
         return torch.sigmoid(self.mlp(torch.cat((features, *extra), -1) if extra else features))
 
-    def _given(self, si: SurfaceInteraction, values: Tensor) -> Tensor:
+    def _with_known(self, si: SurfaceInteraction, values: Tensor) -> Tensor:
+        """``values`` [n, c], but the known ones on emitting surfaces."""
         return values if self.known is None else self.known(si, values)
 
 
@@ -40,7 +42,7 @@ class AlbedoField(_MaterialField):
     Args:
         config: sizes of grid and network.
         bounds: smallest and largest corner of the scene [2, 3].
-        known: what is known on emitters, where a field is not read.
+        known: the values on emitting surfaces, which replace the field's there; None for none.
     """
 
     def __init__(self, config: FieldConfig, bounds: Tensor, known: OnEmitters | None = None) -> None:
@@ -52,7 +54,7 @@ class AlbedoField(_MaterialField):
 
     def forward(self, si: SurfaceInteraction) -> Tensor:
         """Albedo [n, 3] at the lanes of ``si``; gradients reach the parameters, not the positions."""
-        return self._given(si, self.at(si.p))
+        return self._with_known(si, self.at(si.p))
 
 
 class RoughnessField(_MaterialField):
@@ -61,7 +63,7 @@ class RoughnessField(_MaterialField):
     Args:
         config: sizes of grid and network, and whether the network reads the albedo.
         bounds: smallest and largest corner of the scene [2, 3].
-        known: what is known on emitters, where a field is not read.
+        known: the values on emitting surfaces, which replace the field's there; None for none.
     """
 
     def __init__(self, config: FieldConfig, bounds: Tensor, known: OnEmitters | None = None) -> None:
@@ -74,7 +76,7 @@ class RoughnessField(_MaterialField):
 
         Args:
             p: positions.
-            albedo: what a field that reads it reads [n, 3]; no gradient flows into it.
+            albedo: there [n, 3], for a field that reads it; no gradient flows into it.
 
         Raises:
             ValueError: the field reads the albedo, and none is given.
@@ -86,4 +88,4 @@ class RoughnessField(_MaterialField):
 
     def forward(self, si: SurfaceInteraction, albedo: Tensor | None = None) -> Tensor:
         """Roughness [n, 1] at the lanes of ``si``; gradients reach the parameters, not the positions."""
-        return self._given(si, self.at(si.p, albedo))
+        return self._with_known(si, self.at(si.p, albedo))

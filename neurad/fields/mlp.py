@@ -64,7 +64,7 @@ class MLP(nn.Module):
         return torch.addmm(parameters[-1], x, parameters[-2].t())
 
     def _in_order(self) -> list[Tensor]:
-        """Weight, bias, weight, bias, ...; ``parameters()`` searches all modules, which takes longer than a layer."""
+        """Weight, bias, weight, bias, ...; ``parameters()`` searches all modules, which is slower than a layer."""
         layers: list[Any] = list(self.layers)
         return [p for layer in layers for p in (layer.weight, layer.bias)]
 
@@ -94,15 +94,15 @@ def products(precision: str) -> Iterator[None]:
 def _round_up(rows: int) -> int:
     """The next number of rows with four significant binary digits, and a multiple of 32.
 
-    oneDNN compiles code for every shape it meets, which takes a millisecond, and keeps it, which takes memory. Paths
-    end at random, so without rounding every bounce would bring a new shape.
+    oneDNN compiles code for every new shape, in about a millisecond, and keeps it in memory. Paths end at random, so
+    without rounding every bounce would have a new shape.
     """
     step = 1 << max(5, rows.bit_length() - 4)
     return -(-rows // step) * step
 
 
 def _has_onednn() -> bool:
-    """Whether oneDNN's fused layers are there and autocast leaves them alone."""
+    """Whether oneDNN's fused layers exist in this torch and autocast does not change their precision."""
     return (
         not (torch.is_autocast_enabled("cpu") and torch.get_autocast_dtype("cpu") != torch.bfloat16)
         and torch.backends.mkldnn.is_available()  # type: ignore[no-untyped-call]

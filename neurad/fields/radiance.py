@@ -1,4 +1,4 @@
-"""The radiance field ``L_theta(x, wo, n, albedo)``: reflected radiance, emission not included."""
+"""The radiance field ``L_theta(x, wo, n, albedo)`` (Hadadan et al. 2021, 2023): reflected radiance, no emission."""
 
 from __future__ import annotations
 
@@ -23,9 +23,9 @@ class RadianceField(nn.Module):
     """Hash grid of the position and chosen further inputs -> network -> ``scale * softplus(y + shift)``.
 
     The paper names no output activation. Softplus keeps radiance positive, is linear where there is light, and unlike
-    exp cannot run away; ``scale`` makes training the same however bright the scene is. A dense grid takes the place of
-    hash grid and network where the config says so; it reads the position alone, so it holds the same radiance for all
-    directions and both sides of a surface.
+    exp cannot grow exponentially; ``scale`` makes training the same however bright the scene is. With a dense grid in
+    place of hash grid and network the field reads the position alone: its radiance is the same in all directions and on
+    both sides of a surface.
 
     Args:
         config: kind, sizes of grid and network, and the inputs beside the position; without inputs those of a scene
@@ -53,7 +53,7 @@ class RadianceField(nn.Module):
         """Reflected radiance [n, 3] towards ``si.wo``; positive.
 
         Args:
-            si: surface points.
+            si: surface points [n].
             albedo: albedo there [n, 3], or None for a field that does not read it; no gradient flows into it.
 
         Raises:
@@ -75,6 +75,6 @@ def _read(name: str, si: SurfaceInteraction, albedo: Tensor | None) -> Tensor:
         return si.n
     if name == "albedo" and albedo is not None:
         return albedo.detach()
-    if name == "facing":
+    if name == "faceforward":
         return faceforward(si)
     return 2.0 * (si.wo * si.n).sum(-1, keepdim=True) * si.n - si.wo  # reflection

@@ -1,4 +1,4 @@
-"""What stands between a position and a field's output activation, as the settings choose."""
+"""The layers between a position and a field's output activation, by the field's settings."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from neurad.fields.settings import FieldConfig
 
 
 def make_layers(config: FieldConfig, channels: int, extra: int = 0) -> tuple[nn.Module, nn.Module]:
-    """An encoding of positions [n, 3] in the unit cube, and what turns its features into ``channels`` values.
+    """An encoding of positions [n, 3] in the unit cube, and a layer from its features to values [n, channels].
 
     Args:
         config: kind and sizes.

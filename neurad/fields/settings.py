@@ -1,4 +1,4 @@
-"""Sizes of fields, as they stand in YAML."""
+"""Settings of fields, as they are written in YAML."""
 
 from __future__ import annotations
 
@@ -7,15 +7,15 @@ from typing import Literal
 
 from neurad.core.errors import InputError
 
-RADIANCE_INPUTS = {"direction": 3, "reflection": 3, "normal": 3, "facing": 3, "albedo": 3}
-"""What a radiance field may read beside the position, and the channels that it takes."""
+RADIANCE_INPUTS = {"direction": 3, "reflection": 3, "normal": 3, "faceforward": 3, "albedo": 3}
+"""What a radiance field may read beside the position, each with its number of channels."""
 GLOSSY_INPUTS = ("direction", "normal", "albedo")
-MATTE_INPUTS = ("facing",)
+DIFFUSE_INPUTS = ("faceforward",)
 
 
 @dataclass(frozen=True)
 class GridConfig:
-    """Size of a multiresolution hash grid. The paper's is 16 levels from 2 to 65536."""
+    """Size of a multiresolution hash grid (Mueller et al. 2022). The paper's has 16 levels from 2 to 65536 cells."""
 
     levels: int = 8
     """Number of resolutions, growing geometrically."""
@@ -48,7 +48,7 @@ class FieldConfig:
     """Neurons of a hidden layer."""
     hidden_layers: int = 1
     kind: Literal["hash", "dense"] = "hash"
-    """What holds the values: ``hash`` grid and network, or ``dense`` grid, which leaves ``grid`` and network out."""
+    """``hash``: a hash grid and a network that reads it; ``dense``: a dense grid of values, without either."""
     size: int = 256
     """Vertices along a side of a dense grid: 256 takes 604 MB for three channels with the moments of Adam."""
 
@@ -80,8 +80,8 @@ class RadianceConfig(FieldConfig):
     hidden_layers: int = 3
     inputs: tuple[str, ...] | None = None
     """Read beside the position, any of: ``direction`` (wo), ``reflection`` (wo mirrored at the normal), ``normal``,
-    ``facing`` (the normal on the viewer's side), ``albedo``. Without any given, ``direction``, ``normal`` and
-    ``albedo``; in a Lambertian scene ``facing`` alone and one hidden layer less, since a surface there looks the same
+    ``faceforward`` (the normal on the viewer's side), ``albedo``. Without any given, ``direction``, ``normal`` and
+    ``albedo``; in a diffuse scene ``faceforward`` alone and one hidden layer less, since a surface there looks the same
     from everywhere on its side. A dense grid reads the position alone, so its radiance is the same in all directions.
     """
 
@@ -96,10 +96,12 @@ class RadianceConfig(FieldConfig):
         """These settings with the inputs that a scene needs, where none are given.
 
         Args:
-            diffuse: whether every surface of the scene that is not smooth is Lambertian.
+            diffuse: whether every surface of the scene is diffuse, delta surfaces aside.
         """
         if self.inputs is not None:
             return self
         if not diffuse:
             return replace(self, inputs=GLOSSY_INPUTS)
-        return replace(self, inputs=MATTE_INPUTS, hidden_layers=max(self.hidden_layers - 1, min(self.hidden_layers, 1)))
+        return replace(
+            self, inputs=DIFFUSE_INPUTS, hidden_layers=max(self.hidden_layers - 1, min(self.hidden_layers, 1))
+        )

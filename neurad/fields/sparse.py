@@ -1,4 +1,4 @@
-"""Gradients of tables, which name the rows that were touched."""
+"""Sparse gradients of tables: the indices of touched rows, and a gradient for each."""
 
 from __future__ import annotations
 
@@ -12,7 +12,12 @@ from neurad.runtime.dispatch import use_kernel
 
 
 def from_rows(parts: Sequence[tuple[Tensor, Tensor]], shape: torch.Size) -> Tensor:
-    """The gradient of a table from its touched rows and their values, part by part, the rows ascending."""
+    """The sparse gradient of a table.
+
+    Args:
+        parts: touched rows [k], int64, and their gradients [k, c]; rows ascend within a part and from part to part.
+        shape: of the table.
+    """
     rows, values = parts[0]
     if len(parts) > 1:  # numpy copies on this thread, where torch would wake its own
         rows = torch.from_numpy(np.concatenate([r.numpy() for r, _ in parts]))
@@ -21,15 +26,15 @@ def from_rows(parts: Sequence[tuple[Tensor, Tensor]], shape: torch.Size) -> Tens
 
 
 def unique_rows(gradient: Tensor) -> tuple[Tensor, Tensor]:
-    """Ascending rows and values of a sparse gradient, each row once.
+    """Ascending rows [k], int64, and values [k, c] of a sparse gradient, each row once.
 
     Autograd drops the mark that a gradient is coalesced, and appends where a table was read twice; torch's own
-    ``coalesce`` sorts, which takes longer than the update.
+    ``coalesce`` sorts, which is slower than the update itself.
     """
     if not use_kernel(gradient._values().dim() == 2, gradient):
         gradient = gradient.coalesce()
         return gradient.indices()[0], gradient.values()
-    from neurad.fields import hash_grid_kernels as kernels  # compiled code is loaded by those who use it
+    from neurad.fields import hash_grid_kernels as kernels  # imported at first use: numba is slow to load
 
     rows, values = gradient._indices()[0].contiguous(), gradient._values().contiguous()
     if kernels.is_ascending(rows.numpy()):

@@ -20,17 +20,17 @@ class PolyakAverage(nn.Module):
     """Moving average of a module's parameters. All of it is state, so a continued run has the same.
 
     Args:
-        part: whose parameters are averaged.
-        share: of the iterations so far that the average reaches back over.
+        part: the module whose parameters are averaged.
+        fraction: of the iterations so far that the average reaches back over, in (0, 1].
         every: iterations between two updates.
     """
 
     updates: Tensor
 
-    def __init__(self, part: nn.Module, share: float, every: int = EVERY) -> None:
+    def __init__(self, part: nn.Module, fraction: float, every: int = EVERY) -> None:
         super().__init__()
-        self._parameters_of = [p for p in part.parameters() if p.requires_grad]  # a list: they are not this module's
-        self.share, self.every = share, every
+        self._parameters_of = [p for p in part.parameters() if p.requires_grad]  # not registered here
+        self.fraction, self.every = fraction, every
         self.register_buffer("updates", torch.zeros((), dtype=torch.int64))
         for index, p in enumerate(self._parameters_of):
             self.register_buffer(f"mean_{index}", p.detach().clone())
@@ -45,7 +45,7 @@ class PolyakAverage(nn.Module):
     def update(self, iteration: int) -> None:
         """Take the parameters after ``iteration`` iterations into account."""
         if iteration % self.every == 0:
-            weight = 1.0 if self.updates == 0 else min(1.0, self.every / (self.share * iteration))
+            weight = 1.0 if self.updates == 0 else min(1.0, self.every / (self.fraction * iteration))
             torch._foreach_lerp_(self._means(), self._values(), weight)
             self.updates += 1
 
@@ -56,7 +56,7 @@ class PolyakAverage(nn.Module):
 
     @contextmanager
     def used(self) -> Iterator[None]:
-        """The module has the averages inside the block; before the first update it keeps what it has."""
+        """The module has the averages inside the block; before the first update it keeps its present ones."""
         if self.updates == 0:
             yield
             return

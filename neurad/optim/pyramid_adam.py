@@ -9,12 +9,12 @@ from typing import Any
 import torch
 from torch import Tensor
 
-SMALLEST = 4
-"""Rows of the coarsest level."""
-FALL = 0.5
-"""Step of a level relative to the next coarser one: what many texels agree about is not noise."""
+COARSEST_SIZE = 4
+"""Fewest rows and columns of a level."""
+RATE_RATIO = 0.5
+"""Learning rate of a level relative to the next coarser one, whose gradients average over more texels: less noise."""
 FLOOR = 1.0
-"""Floor of the divisor, relative to its root mean square over a level: texels that hardly matter hardly move."""
+"""Floor of the divisor, relative to its root mean square over a level: texels with small gradients take small steps."""
 
 
 class PyramidAdam(torch.optim.Optimizer):
@@ -23,16 +23,16 @@ class PyramidAdam(torch.optim.Optimizer):
     The map itself is the parameter. Its gradient is taken down to every level by the transpose of interpolation,
     each level has moments of its own, and the steps of all levels are interpolated up and added; so the map is the sum
     of the levels without their being kept. Coarse levels find the light within a few steps, although a
-    single texel's gradient is mostly noise, and fine ones sharpen it. Detail that no gradient asks for fades, as with
-    weight decay: surfaces blur their light, so most of the fine structure of a map leaves no trace in photographs.
+    single texel's gradient is mostly noise, and fine ones sharpen it. Detail without a gradient decays, as with
+    weight decay: surfaces blur their light, so photographs say little of the fine structure of a map.
 
     Args:
         params: one map [height * width, c], row by row, or parameter groups of it.
-        width: its texels across; columns wrap around.
+        width: texels in a row of the map; columns wrap around.
         lr: largest change of the map by the coarsest level in a step.
         betas: decay of the two moments.
-        detail_decay: pull of a level's detail towards nothing, relative to its step: detail that photographs cannot
-            tell fades, where noise alone would let it grow. Detail is at most about ``1 / detail_decay`` a level.
+        detail_decay: weight decay of a level's detail, relative to its learning rate: detail that photographs do not
+            determine decays, where noise would let it grow. It stays below about ``1 / detail_decay`` a level.
     """
 
     def __init__(
@@ -75,22 +75,24 @@ class PyramidAdam(torch.optim.Optimizer):
         count = float(state["step"])
         beta1, beta2 = group["betas"]
         image, gradient = (x.view(height, self.width, -1).permute(2, 0, 1) for x in (p, p.grad))  # type: ignore[union-attr]
-        total = torch.zeros_like(gradient)
+        total = torch.zeros_like(gradient)  # [c, height, width]
         rate = group["lr"]
         coarser = image
         for index, level in enumerate(self._levels):
-            g = level.rows.T @ gradient @ level.columns
+            # ---------------------- Adam on this level's gradient ----------------------
+            g = level.rows.T @ gradient @ level.columns  # [c, h, w]
             m, v = state[f"exp_avg_{index}"], state[f"exp_avg_sq_{index}"]
             m.lerp_(g, 1.0 - beta1)
             v.mul_(beta2).addcmul_(g, g, value=1.0 - beta2)
             root = (v / (1.0 - beta2**count)).sqrt()
             root = root + FLOOR * root.square().mean().sqrt() + torch.finfo(p.dtype).tiny
             total += level.rows @ (m * (rate / (1.0 - beta1**count)) / root) @ level.columns.T
+            # ---------------------- Decay of the detail above this level ----------------------
             blurred = level.rows @ (level.mean_rows @ image @ level.mean_columns) @ level.columns.T
             if index > 0:
                 total += (self.detail_decay * rate) * (blurred - coarser)
             coarser = blurred
-            rate *= FALL
+            rate *= RATE_RATIO
         p -= total.permute(1, 2, 0).reshape(p.shape)
 
 
@@ -115,7 +117,7 @@ def levels(height: int, width: int) -> list[tuple[Tensor, Tensor]]:
     Coarse levels are cubic B-splines, as kinks of linear ones would show as lines; the last level is the map's texels.
     """
     sizes = [(height, width)]
-    while sizes[-1][0] // 2 >= SMALLEST and sizes[-1][1] // 2 >= SMALLEST:
+    while sizes[-1][0] // 2 >= COARSEST_SIZE and sizes[-1][1] // 2 >= COARSEST_SIZE:
         sizes.append((sizes[-1][0] // 2, sizes[-1][1] // 2))
     coarse = [(_rows(height, h), _columns(width, w)) for h, w in sizes[:0:-1]]
     return [*coarse, (torch.eye(height, dtype=torch.float64), torch.eye(width, dtype=torch.float64))]

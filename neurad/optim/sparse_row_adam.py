@@ -18,9 +18,10 @@ from neurad.runtime.threads import split
 class SparseRowAdam(torch.optim.Optimizer):
     """Adam (Kingma and Ba 2015) with lazy updates where gradients are sparse.
 
-    Dense gradients take torch's own Adam, fused where it can be. A sparse gradient moves the rows that it names and
-    leaves every other row with its moments alone, as ``torch.optim.SparseAdam`` does, but for decay; the step counter
-    behind the bias correction is that of the whole parameter. A gradient that names every row makes the two the same.
+    Dense gradients go to torch's own Adam, fused where possible. A sparse gradient moves the rows that it names and
+    leaves every other row and its moments unchanged, as ``torch.optim.SparseAdam`` does, but for decay; the step
+    counter behind the bias correction is that of the whole parameter. A gradient that names every row makes the two the
+    same.
 
     Args:
         params: parameters or parameter groups.
@@ -29,9 +30,9 @@ class SparseRowAdam(torch.optim.Optimizer):
             touched a thousand times.
         eps: added to the root of the second moment. As in instant-ngp far below usual gradients: those of table
             entries are tiny, and a larger floor would freeze them.
-        weight_decay: by parameter, as in AdamW (Loshchilov and Hutter 2019): a step takes the share ``lr`` times it of
-            all values, in rows that a sparse gradient does not name as well. No part of the state: a continued run has
-            what its settings say.
+        weight_decay: by parameter, as in AdamW (Loshchilov and Hutter 2019): a step multiplies all values by
+            ``1 - lr * weight_decay``, also in rows that a sparse gradient does not name. Not part of the state: a
+            continued run uses what its settings say.
     """
 
     def __init__(
@@ -112,7 +113,7 @@ def _update_rows(p: Tensor, gradient: Tensor, state: dict[str, Tensor], group: d
 def _update_rows_kernel(
     p: Tensor, m: Tensor, v: Tensor, rows: Tensor, values: Tensor, factors: tuple[float, ...]
 ) -> None:  # fmt: skip
-    """The update in compiled code; rows are shared among threads."""
+    """The update by a kernel, whose rows are split among threads."""
     from neurad.fields import hash_grid_kernels as kernels
 
     arrays = p.detach().numpy(), m.numpy(), v.numpy(), rows.numpy(), values.numpy(), np.array(factors, np.float32)

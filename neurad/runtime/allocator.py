@@ -16,7 +16,7 @@ _TRIM_THRESHOLD, _MMAP_THRESHOLD = -1, -3  # of malloc.h
 
 
 def keep_freed_memory() -> None:
-    """Let glibc keep freed arrays for the next ones of their kind, which every step of a fit asks for again.
+    """Let glibc keep freed arrays for the next ones of their size: every step of a fit allocates the same again.
 
     It gives memory back too soon by itself: then the system clears every page anew, in a step of 16384 samples 12 % of
     the time. What the user has set in ``MALLOC_...`` variables stays; other C libraries are left alone.
@@ -33,9 +33,9 @@ def keep_freed_memory() -> None:
 
 @contextmanager
 def imports_kept() -> Iterator[None]:
-    """Let what is imported inside the block stay for good, and look for no garbage in it.
+    """Let what is imported inside the block stay for good, and keep the garbage collector out of it.
 
-    The libraries of a fit are 650 thousand objects; looking through them again and again takes 0.7 of the 3 seconds in
+    The libraries of a fit are 650 thousand objects; collecting among them takes 0.7 of the 3 seconds in
     which they are imported. For the start of a process: whatever exists by then is never collected.
     """
     if not gc.isenabled():  # the user's own choice

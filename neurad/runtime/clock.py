@@ -11,7 +11,7 @@ _imported = time.monotonic()
 
 
 def _age_at_import() -> float:
-    """Seconds that this process had run before this module was imported; 0 where the system does not tell."""
+    """Seconds that this process had run before this module was imported; 0 where the system does not report it."""
     try:
         import os
 
@@ -20,7 +20,7 @@ def _age_at_import() -> float:
         age = time.clock_gettime(time.CLOCK_BOOTTIME) - ticks / os.sysconf("SC_CLK_TCK")
     except (OSError, AttributeError, ValueError, IndexError):
         return 0.0
-    # A sandbox may count boot time from elsewhere: an import that took minutes is not believed.
+    # A sandbox may count boot time from elsewhere: an age of minutes at import is not believed.
     return age if 0.0 <= age < 300.0 else 0.0
 
 

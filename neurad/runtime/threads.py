@@ -1,7 +1,7 @@
 """Threads for work that releases the interpreter lock: compiled kernels and torch's matrix products.
 
-Torch's own threads wait for work by spinning for a while, so beside them no others get a core. Where torch has little
-to do that is worth several threads, it works on the calling thread and leaves the others to what is split here.
+Torch's own threads wait for work by spinning for a while, so other threads get no core beside them. Where torch has no
+work for several threads, it runs on the calling thread and leaves the others to what is split here.
 """
 
 from __future__ import annotations
@@ -22,45 +22,45 @@ _allowed: int | None = None
 
 
 def split(work: Callable[[int, int], T], count: int, grain: int) -> list[T]:
-    """Call ``work(low, high)`` on consecutive shares of ``range(count)``, one a thread; what they returned, in order.
+    """Call ``work(low, high)`` on consecutive ranges of ``range(count)``, one a thread; their results in order.
 
     As many threads as torch may use (``torch.set_num_threads``, ``OMP_NUM_THREADS``) outside :func:`torch_on_one`, this
-    one among them; fewer where an even share would be smaller than ``grain``. Shares are those of :func:`cut`. An own
-    pool, since the OpenMP pool belongs to torch and numba's is not safe to enter from two threads. Handing a share over
-    takes 50 microseconds.
+    one among them; fewer where an even range would be smaller than ``grain``. The ranges are those of :func:`cut`. It
+    has a pool of its own, since the OpenMP pool belongs to torch and numba's is not safe to enter from two threads.
+    Handing a range over takes 50 microseconds.
 
     Args:
-        work: releases the interpreter lock; shares may run in any order, so they must not touch the same results.
+        work: releases the interpreter lock; ranges may run in any order, so they must not write to the same results.
         count: number of items.
         grain: smallest number of items worth a thread.
     """
-    shares = threads(count, grain)
-    if shares == 1:
+    parts = threads(count, grain)
+    if parts == 1:
         return [work(0, count)]
-    edges = cut(count, shares, grain)
+    edges = cut(count, parts, grain)
     others = [_executor().submit(work, low, high) for low, high in pairwise(edges[1:])]
     return [work(0, edges[1]), *(other.result() for other in others)]
 
 
-def cut(count: int, shares: int, grain: int) -> list[int]:
-    """Where ``shares`` consecutive shares of ``range(count)`` begin, and its end.
+def cut(count: int, parts: int, grain: int) -> list[int]:
+    """Edges of ``parts`` consecutive ranges of ``range(count)``: where each begins, and the end.
 
     The first is for the calling thread and larger by half of a ``grain``, about what is done while another thread
     wakes: it is better off working than waiting (a step of 16384 samples is 7 % shorter).
     """
-    ahead = min(grain // 2, count // 2) if shares > 1 else 0
-    return [0, *(ahead + (count - ahead) * i // shares for i in range(1, shares + 1))]
+    ahead = min(grain // 2, count // 2) if parts > 1 else 0
+    return [0, *(ahead + (count - ahead) * i // parts for i in range(1, parts + 1))]
 
 
 GRAIN = 4096
 """Lanes of a plain compiled pass that are worth a thread: about 0.1 ms of work."""
 LANES_A_THREAD = 8192
-"""Samples of a step that are worth a thread: with 4096 on two cores, waking the second one takes longer than it saves
+"""Samples of a step that are worth a thread: with 4096 on two cores, waking the second one costs more than it saves
 (25.5 ms a step against 23.9)."""
 
 
 def threads(count: int, grain: int) -> int:
-    """How many of them :func:`split` uses for ``count`` items, ``grain`` at least a thread."""
+    """How many threads :func:`split` uses for ``count`` items, ``grain`` at least a thread."""
     return max(1, min(_allowed or torch.get_num_threads(), count // max(grain, 1)))
 
 

@@ -29,7 +29,6 @@ class Geometry(nn.Module):
         material: index into ``Scene.materials`` [F], int64.
         emission: emitted radiance to the side of the geometric normal [F, 3]; 0 where there is none.
         mesh_index: index into ``Scene.meshes`` [F], int64.
-        smooth: whether the triangle has vertex normals [F], bool.
         face_offset: how far a spawned ray must start from the triangle [F], see :meth:`spawn`.
         scale: radius of the bounding sphere in scene units.
     """
@@ -41,7 +40,6 @@ class Geometry(nn.Module):
     material: Tensor
     emission: Tensor
     mesh_index: Tensor
-    smooth_shading: Tensor
     face_offset: Tensor
     table: Tensor
 
@@ -65,7 +63,6 @@ class Geometry(nn.Module):
         self._add("mesh_index", mesh_index, torch.int64)
         self._add("material", np.repeat([mesh.material for mesh in meshes], count), torch.int64)
         self._add("emission", np.repeat(radiance[: len(meshes)], count, axis=0), torch.float32)
-        self._add("smooth", np.repeat([mesh.normals is not None for mesh in meshes], count), torch.bool)
 
         low, high = (p.min((0, 1)), p.max((0, 1))) if len(p) else (np.zeros(3), np.zeros(3))
         self.scale = 0.5 * float(np.linalg.norm(high - low))
@@ -80,7 +77,7 @@ class Geometry(nn.Module):
         self.register_buffer(name, torch.as_tensor(np.ascontiguousarray(values)).to(dtype), persistent=False)
 
     def _add_attributes(self, meshes: list[Mesh]) -> dict[str, str]:
-        """Register the vertex attributes; returns the buffer's name for each (theirs need not be valid ones)."""
+        """Register the vertex attributes; returns the buffer's name for each (attributes may have any name)."""
         buffers: dict[str, str] = {}
         for name in sorted({name for mesh in meshes for name in mesh.attributes}):
             channels = {mesh.attributes[name].shape[1] for mesh in meshes if name in mesh.attributes}
@@ -115,7 +112,7 @@ class Geometry(nn.Module):
         return self.interact_reference(prim, u, v, wo, valid)
 
     def _interact_kernel(self, prim: Tensor, u: Tensor, v: Tensor, wo: Tensor, valid: Tensor) -> SurfaceInteraction:
-        from neurad.scene import geometry_kernels as kernels  # compiled code is loaded by those who use it
+        from neurad.scene import geometry_kernels as kernels  # imported at first use: numba is slow to load
 
         p, ng, n = torch.empty(3, len(prim), 3).unbind()
         uv, bary = torch.empty(2, len(prim), 2).unbind()
@@ -139,7 +136,7 @@ class Geometry(nn.Module):
         row = self.table.index_select(0, prim.clamp_min(0))
         value = row[:, :8] + torch.addcmul(u[:, None] * row[:, 8:16], v[:, None], row[:, 16:24])
         ng = row[:, 24:27]
-        # The pinch of ng decides where opposite vertex normals cancel out; elsewhere it is below float32's resolution.
+        # The multiple of ng decides where opposite vertex normals cancel out; elsewhere it is below float32's precision.
         n = torch.add(value[:, 3:6], ng, alpha=1e-12)
         n = n / torch.linalg.vector_norm(n, dim=-1, keepdim=True)
         p, uv = value[:, :3].contiguous(), value[:, 6:].contiguous()
@@ -180,7 +177,7 @@ class Geometry(nn.Module):
         * ``face_offset`` bounds the error across the triangle's plane. With u = 2^-24, rounding ``p0 + (a e1 + b e2)``
           and then the moved origin costs ``u |n| . (2 |p| + 3 (|e1| + |e2|))``, and the tracer's own ``p0 - o`` and
           plane test about ``4 u |n| . (|e1| + |e2|)``. Weighting by the normal makes it small where it can be: the
-          floor ``y = 0`` is represented exactly, however large it is, and hides no small thing that stands on it.
+          floor ``y = 0`` is represented exactly, however large it is, and small objects on it stay visible.
         * ``2^-23 |p|`` in the largest coordinate, for neighbours with another plane when rounding puts a point just
           across their common edge. The floor of 1/1024 of the scene's radius only matters close to the origin.
 
@@ -193,7 +190,7 @@ class Geometry(nn.Module):
 
         The ray is aimed anew from its moved origin, so that it ends at the sampled point. It ends short of it by twice
         the offset plus :data:`SHADOW_MARGIN` of its length: the light's own triangle, known to within the offset, then
-        does not occlude unless it is seen at a cosine below about 1e-3, where it sends next to nothing.
+        does not occlude unless it is seen at a cosine below about 1e-3, where it emits next to nothing towards it.
 
         Returns:
             The rays, and for each the distance ``t_max`` [n] below which a hit means shadow.

@@ -1,5 +1,5 @@
-"""Compiled CPU twins of :meth:`neurad.scene.geometry.Geometry.interact_at` and of what stands around it where the hits
-of camera rays are kept: one pass over the lanes, float32.
+"""Kernels of :meth:`neurad.scene.geometry.Geometry.interact_at`, and of the first hits that are kept for camera rays
+(:mod:`neurad.integrators.primary_hits`): one pass over the lanes, float32 on the CPU.
 
 Compiled at first use and cached on disk; they release the interpreter lock and run on the calling thread.
 """

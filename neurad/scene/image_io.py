@@ -34,8 +34,8 @@ def from_srgb(encoded: FloatArray) -> FloatArray:
 def read_exr(path: str | Path) -> FloatArray:
     """The pixels of an EXR file [h, w, c] over its display window.
 
-    Channels are RGB, RGBA, Y or a single one of any name, in a layer or not; half and float alike. What the data
-    window leaves out is 0.
+    Channels are RGB, RGBA, Y or a single one of any name, in a layer or not; half and float alike. Pixels outside the
+    data window are 0.
 
     Raises:
         InputError: the file is missing or unreadable, or holds other channels.
@@ -46,8 +46,8 @@ def read_exr(path: str | Path) -> FloatArray:
     if not path.is_file():
         raise InputError(f"{path}: there is no such file")
     try:
-        # The name of the option that separates the channels changed between versions: take whatever comes.
-        with _without_remarks():
+        # The name of the option that separates the channels changed between versions: accept both.
+        with _silent_stderr():
             part = OpenEXR.File(str(path))
         header = part.header()
         found = {name: np.asarray(channel.pixels) for name, channel in part.channels().items()}
@@ -57,9 +57,9 @@ def read_exr(path: str | Path) -> FloatArray:
 
 
 @contextmanager
-def _without_remarks() -> Iterator[None]:
-    """OpenEXR's library writes about broken files to stderr by itself; an exception follows and says enough."""
-    if threading.current_thread() is not threading.main_thread():  # what the main thread says must not get lost
+def _silent_stderr() -> Iterator[None]:
+    """Discard what OpenEXR's library writes to stderr about broken files: its exception says the same."""
+    if threading.current_thread() is not threading.main_thread():  # the main thread's own messages must not get lost
         yield
         return
     kept = os.dup(2)

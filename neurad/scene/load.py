@@ -1,4 +1,4 @@
-"""The one door through which scenes come in: built-in ones, and folders with a scene file and camera files."""
+"""Loading scenes: built-in ones, and folders with a scene file and camera files."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ from neurad.scene.description import Scene
 T = TypeVar("T")
 
 RELIGHT = "env_relight.exr"
-"""Map that lights the photographs named by ``relight_path``; it takes the place of the scene's, in the same frame."""
+"""Map that lights the photographs named by ``relight_path``; it replaces the scene's own, in the same frame."""
 
 
 def _mitsuba(folder: Path) -> Scene:
@@ -30,9 +30,9 @@ def _nerf(folder: Path) -> tuple[list[View], list[View]]:
 
 
 SCENE_FILES: dict[str, Callable[[Path], Scene]] = {"scene.xml": _mitsuba}
-"""Readers of meshes, materials and lights, by the file that a folder has for them; the first that is there is read."""
+"""Readers of meshes, materials and lights, by file name; the first one in a folder is read."""
 CAMERA_FILES: dict[str, Callable[[Path], tuple[list[View], list[View]]]] = {"transforms_train.json": _nerf}
-"""Readers of the training and the held-out views, by the file that a folder has for them."""
+"""Readers of the training and the held-out views, by file name."""
 
 
 def load_scene(root: str | None, scene: str | None) -> Scene:
@@ -58,7 +58,7 @@ def load_scene(root: str | None, scene: str | None) -> Scene:
 def read_folder(root: str | Path) -> Scene:
     """The scene of a folder with one of :data:`SCENE_FILES` and one of :data:`CAMERA_FILES`.
 
-    Photographs and maps are only looked for: at most the size of the first training photograph is read.
+    Only the existence of photographs and maps is checked: at most the size of the first training photograph is read.
 
     Raises:
         InputError: something is missing or wrong; the sentence names the file and the frame.

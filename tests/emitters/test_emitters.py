@@ -354,7 +354,7 @@ def test_both_kinds_together_estimate_the_sum() -> None:
     """Irradiance at the origin, facing the lamp: lamp (it hides nothing here) plus upper half of the environment."""
     lights = make_lights(*scene_of(True, environment(12, rotate=True)))
     assert isinstance(lights, Lights)
-    assert LEAST <= lights.area_share <= 1 - LEAST
+    assert LEAST <= lights.area_probability <= 1 - LEAST
     n = 100_000
     p = torch.zeros(n, 3)
     s = lights.sample(p, Stream(13).uniform(n, 3))
@@ -367,7 +367,7 @@ def test_both_kinds_together_estimate_the_sum() -> None:
     error = value.std(0) / math.sqrt(n)
     assert ((value.mean(0) - exact).abs() < Z999 * error + 1e-3 * far).all()
     three = torch.isfinite(s.distance)
-    assert three.float().mean().item() == pytest.approx(lights.area_share, abs=0.01)
+    assert three.float().mean().item() == pytest.approx(lights.area_probability, abs=0.01)
     down = torch.tensor([[0.0, 0.0, -1.0]]).repeat(n, 1)
     si = arrive(p, s.wi, s.distance, torch.zeros(n).long(), down)
     torch.testing.assert_close(lights.pdf(p, si), s.pdf, rtol=1e-3, atol=1e-6)

@@ -72,7 +72,7 @@ FIELDS = {
     "roughness": lambda: RoughnessField(RoughnessConfig(GRID, 16), BOUNDS),
     "roughness that reads albedo": lambda: RoughnessField(RoughnessConfig(GRID, 16, reads_albedo=True), BOUNDS),
     "radiance": lambda: RadianceField(RadianceConfig(GRID, 16), BOUNDS, 3.0),
-    "radiance of a diffuse scene": lambda: RadianceField(RadianceConfig(GRID, 16, inputs=("facing",)), BOUNDS),
+    "radiance of a diffuse scene": lambda: RadianceField(RadianceConfig(GRID, 16, inputs=("faceforward",)), BOUNDS),
     "radiance on a dense grid": lambda: RadianceField(RadianceConfig(kind="dense", size=9), BOUNDS),
 }
 

@@ -150,7 +150,7 @@ def test_the_radiance_of_a_lambertian_scene_knows_its_side_and_nothing_else_of_t
 def test_inputs_come_from_the_scene_unless_given():
     assert RadianceConfig().resolved(False).inputs == ("direction", "normal", "albedo")
     lean = RadianceConfig(hidden_layers=3).resolved(True)
-    assert (lean.inputs, lean.hidden_layers) == (("facing",), 2)
+    assert (lean.inputs, lean.hidden_layers) == (("faceforward",), 2)
     assert RadianceConfig(hidden_layers=0).resolved(True).hidden_layers == 0
     given = RadianceConfig(inputs=("normal",))
     assert given.resolved(True) == given
@@ -164,9 +164,9 @@ def test_a_checkpoint_of_other_inputs_is_refused(monkeypatch):
     monkeypatch.setattr(InverseRenderer, "scene", scene)
     module.on_save_checkpoint(checkpoint)
     module.on_load_checkpoint(checkpoint)
-    assert checkpoint["neurad"]["radiance_inputs"] == ["facing"]
-    module.radiance.inputs = ("normal",)  # as large as "facing", so that the weights alone do not tell
-    with pytest.raises(InputError, match=r"--ckpt_path: .*\['facing'\].*\['normal'\]"):
+    assert checkpoint["neurad"]["radiance_inputs"] == ["faceforward"]
+    module.radiance.inputs = ("normal",)  # as large as "faceforward", so that the weights alone do not tell
+    with pytest.raises(InputError, match=r"--ckpt_path: .*\['faceforward'\].*\['normal'\]"):
         module.on_load_checkpoint(checkpoint)
 
 

@@ -22,7 +22,7 @@ _BUILDERS: dict[str, Callable[[], Scene]] = {
     "sphere": build_sphere,
 }
 NAMES: tuple[str, ...] = tuple(_BUILDERS)
-"""Names that :func:`build` knows."""
+"""Names of the built-in scenes."""
 
 
 def build(name: str) -> Scene:

@@ -14,7 +14,7 @@ GREEN = (0.14, 0.45, 0.091)
 
 
 def build_cornell() -> Scene:
-    """The Cornell box of side 2 around the origin with a front wall behind the cameras; all surfaces Lambertian."""
+    """The Cornell box of side 2 around the origin with a front wall behind the cameras; all surfaces diffuse."""
     colours = {"left": RED, "right": GREEN}
     materials, meshes = [], []
     solids = room((-1, -1, -1), (1, 1, 1))

@@ -1,4 +1,4 @@
-"""What stands about in the kitchen: table and stools, sideboard and shelf, crockery and fruit."""
+"""Objects in the kitchen: table and stools, sideboard and shelf, crockery and fruit."""
 
 from __future__ import annotations
 

@@ -71,7 +71,7 @@ def planks(seed: int, count: int = 4) -> Mask:
 
 
 def tiles(seed: int, count: int = 4, grout: float = 0.12) -> Mask:
-    """Square tiles of varying tone; the joints, a share ``grout`` of a tile, are dark: [s, s]."""
+    """Square tiles of varying tone; the joints, a fraction ``grout`` of a tile, are dark: [s, s]."""
     x, y = _grid()
     tone = 0.55 + 0.45 * _uniform(seed, count * count).reshape(count, count)
     row, column = np.minimum(y * count, count - 1e-9).astype(int), np.minimum(x * count, count - 1e-9).astype(int)
@@ -135,7 +135,7 @@ def finish(
     name: str, mask: Mask, dark: Colour, light: Colour, roughness: tuple[float, float], seed: int, follow: float = 0.35
 ) -> Material:
     """A principled material: ``mask`` blends two colours, a drifting hue goes over it, and the roughness follows the
-    mask by a share only, so that neither map can be read off the other.
+    mask only in part, so that neither map can be read off the other.
 
     Args:
         name: name of the material.
@@ -144,7 +144,7 @@ def finish(
         light: linear base colour where the mask is 1.
         roughness: smallest and largest roughness.
         seed: of the hue and of the roughness.
-        follow: share of the mask in the roughness; the rest is noise of its own.
+        follow: fraction of the roughness pattern that is the mask; the rest is independent noise.
     """
     low, high = np.asarray(dark), np.asarray(light)
     albedo = low + (high - low) * mask[..., None]

@@ -1,4 +1,4 @@
-"""What the small diffuse scenes share: one-colour materials, rooms and rings of views."""
+"""Common parts of the small diffuse scenes: one-colour materials, rooms and rings of views."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ DATA = Path(__file__).parent / "data"
 
 
 def diffuse(name: str, albedo: float | Sequence[float]) -> Material:
-    """A two-sided Lambertian material of one albedo, grey or RGB.
+    """A two-sided diffuse material of one albedo, grey or RGB.
 
     Raises:
         InputError: the albedo is not in [0, 1).

@@ -15,7 +15,7 @@ Point = tuple[float, float, float]
 Array = npt.NDArray[np.float64]
 
 SMOOTH = math.cos(math.radians(40.0))
-"""Neighbouring bands of a turned solid share a normal where they meet at less than 40 degrees."""
+"""Neighbouring bands of a solid of revolution have one normal where they meet at less than 40 degrees."""
 
 
 @dataclass(frozen=True)

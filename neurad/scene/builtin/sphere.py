@@ -16,7 +16,7 @@ def build_sphere(albedo: float = 0.5, subdivisions: int = 4, patch: float = 20.0
     """A closed unit sphere seen from inside whose top emits; wall and patch both reflect ``albedo``.
 
     On a true sphere the light from the patch falls evenly on everything, so reflected radiance is
-    ``emission * a * albedo / (1 - albedo)`` with ``a`` the patch's share of the area. Facets bias that a little.
+    ``emission * a * albedo / (1 - albedo)`` with ``a`` the patch's fraction of the area. Facets bias that a little.
 
     Args:
         albedo: of wall and patch.

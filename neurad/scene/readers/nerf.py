@@ -74,7 +74,7 @@ def read_views(path: str | Path, root: str | Path, size: Size | None = None) -> 
 
 def _photograph(root: Path, name: str, path: Path) -> Path:
     image = root / name
-    if image.suffix.lower() != ".exr":  # Blender's files leave the ending out
+    if image.suffix.lower() != ".exr":  # Blender's files omit the ending
         image = image.with_name(image.name + ".exr")
     if not image.is_file():
         raise InputError(f"{image}: the photograph is missing that {path.name} lists (an EXR file)")
@@ -116,7 +116,7 @@ def _number(settings: dict[str, Any], key: str, where: str) -> float | None:
 
 
 def _camera(settings: dict[str, Any], size: Size, where: str) -> Camera:
-    """A pinhole in the middle of square pixels, or a sentence about what else is asked for."""
+    """A pinhole in the middle of square pixels, or an error that names what else the file describes."""
     width, height = size
     fov = _number(settings, "camera_angle_x", where)
     focal, focal_y = _number(settings, "fl_x", where), _number(settings, "fl_y", where)
