@@ -136,7 +136,7 @@ class Geometry(nn.Module):
         row = self.table.index_select(0, prim.clamp_min(0))
         value = row[:, :8] + torch.addcmul(u[:, None] * row[:, 8:16], v[:, None], row[:, 16:24])
         ng = row[:, 24:27]
-        # The multiple of ng decides where opposite vertex normals cancel out; elsewhere it is below float32's precision.
+        # The multiple of ng decides where opposite vertex normals cancel out; elsewhere it is below its precision.
         n = torch.add(value[:, 3:6], ng, alpha=1e-12)
         n = n / torch.linalg.vector_norm(n, dim=-1, keepdim=True)
         p, uv = value[:, :3].contiguous(), value[:, 6:].contiguous()

@@ -69,5 +69,5 @@ def test_what_is_set_stays() -> None:
         assert resolve_finest(config, cells) == config
     left = FieldConfig(grid=GridConfig(finest=None, coarsest=4))
     assert resolve_finest(left, cells).grid == replace(left.grid, finest=cells())
-    with pytest.raises(ValueError, match="not known"):
+    with pytest.raises(ValueError, match="finest is not set"):
         HashGrid.from_config(left.grid)

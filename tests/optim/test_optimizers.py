@@ -3,10 +3,11 @@
 import pytest
 import torch
 
-from neurad.assembly.build import build_materials
-from neurad.assembly.settings import Optimization
+from neurad.assembly.build import assemble
+from neurad.assembly.settings import ModelSettings, Optimization
 from neurad.core.errors import InputError
-from neurad.fields.settings import FieldConfig, GridConfig, RoughnessConfig
+from neurad.fields.settings import FieldConfig, GridConfig, RadianceConfig, RoughnessConfig
+from neurad.integrators.direct import Direct
 from neurad.scene.builtin import build_kitchen
 from neurad.training.optimizers import make_optimizers
 
@@ -16,8 +17,12 @@ GRID = GridConfig(levels=3, coarsest=4, finest=16, log2_size=10)
 def optimizers(decay, kind="hash"):
     torch.manual_seed(0)
     roughness = RoughnessConfig(GRID, 16, kind=kind, size=8)
-    materials = build_materials(build_kitchen(), FieldConfig(GRID, 16), roughness)
-    return materials, make_optimizers(materials, None, None, Optimization(roughness=0.1, roughness_decay=decay))
+    settings = ModelSettings(
+        albedo=FieldConfig(GRID, 16), roughness=roughness, radiance=RadianceConfig(GRID, 16), method=Direct(),
+        optimization=Optimization(roughness=0.1, roughness_decay=decay),
+    )  # fmt: skip
+    made = assemble(build_kitchen(), settings)
+    return made.materials, make_optimizers(made)
 
 
 def step(optimizer, gradient):

@@ -48,7 +48,6 @@ def test_faces_carry_the_data_of_their_mesh():
     assert g.faces.tolist() == [[0, 1, 2], [3, 4, 5], [6, 7, 8]]
     assert g.material.tolist() == [1, 0, 1]
     assert g.mesh_index.tolist() == [0, 1, 2]
-    assert g.smooth.tolist() == [False, True, False]
     assert g.emission.tolist() == [[0, 0, 0], [3, 2, 1], [0, 0, 0]]
     torch.testing.assert_close(g.face_area, torch.tensor([0.5, 2.0, 0.0]))
     torch.testing.assert_close(g.face_normal, torch.tensor([[0.0, 0.0, 1.0]] * 3))
