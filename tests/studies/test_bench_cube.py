@@ -63,23 +63,23 @@ def test_fields_start_at_the_albedo(kind):
 
 @pytest.mark.parametrize("method", cube.METHODS)
 @pytest.mark.parametrize("kind", cube.FIELDS)
-def test_a_step_moves_nothing(method, kind, monkeypatch):
+def test_a_step_moves_nothing(method, kind):
     """Rate 0: the second step with the same numbers casts the same rays, so nothing has changed."""
-    built = []
-    monkeypatch.setattr(cube_worker, "build_materials", lambda *a: built.append(build_materials(*a)) or built[-1])
-    step = cube_worker.make_step({**JOB, "method": method, "fields": kind}, CPU)
-    before = [p.detach().clone() for p in built[0].parameters()]
+    run = cube_worker.make_run({**JOB, "method": method, "fields": kind}, CPU)
+    step, parameters = cube_worker.make_step(run), list(run.assembly.materials.parameters())
+    before = [p.detach().clone() for p in parameters]
     rays = [step(), step()]
     assert min(rays) > 2 * 64
-    assert all(torch.equal(a, b) for a, b in zip(before, built[0].parameters(), strict=True))
-    assert any(p.grad is not None and float(p.grad.to_dense().abs().max()) > 0 for p in built[0].parameters())
+    assert all(torch.equal(a, b) for a, b in zip(before, parameters, strict=True))
+    assert any(p.grad is not None and float(p.grad.to_dense().abs().max()) > 0 for p in parameters)
 
 
 def test_work_grows_with_albedo_for_paths_alone():
     rays = {}
     for method in ("ours", "prb"):
         for albedo, limit in ((0.3, 6), (0.9, 60)):
-            step = cube_worker.make_step({**JOB, "method": method, "albedo": albedo, "limit": limit}, CPU)
+            job = {**JOB, "method": method, "albedo": albedo, "limit": limit}
+            step = cube_worker.make_step(cube_worker.make_run(job, CPU))
             rays[method, albedo] = step() + step()
     assert rays["ours", 0.9] == pytest.approx(rays["ours", 0.3], rel=0.05)
     assert rays["prb", 0.9] > 4 * rays["prb", 0.3]

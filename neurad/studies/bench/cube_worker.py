@@ -8,40 +8,36 @@ import os
 import sys
 import time
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import torch
 from torch import Tensor
 
-from neurad.assembly.build import FittedMaterials, build_materials, build_radiance, build_world
-from neurad.assembly.settings import Objective, Sampling
+from neurad.assembly.build import FittedMaterials, build_world
+from neurad.assembly.settings import ModelSettings
 from neurad.core.camera import camera_rays
 from neurad.core.errors import InputError
-from neurad.core.records import PixelBatch
 from neurad.core.rng import Stream
 from neurad.fields.dense_grid import DenseGrid
 from neurad.fields.mlp import MLP
 from neurad.fields.radiance import START
-from neurad.fields.settings import FieldConfig, RadianceConfig
-from neurad.integrators.estimator import Estimator
+from neurad.fields.settings import FieldConfig, RadianceConfig, RoughnessConfig
 from neurad.integrators.method import Method
 from neurad.integrators.path import PathTracing
 from neurad.integrators.prb import PRB
-from neurad.integrators.primary_hits import PrimaryHits
-from neurad.integrators.radiometric import Radiometric
 from neurad.integrators.vertex import DIMENSIONS
 from neurad.integrators.walk import Roulette, walk
-from neurad.losses.relative import total
-from neurad.optim.sparse_row_adam import SparseRowAdam
+from neurad.runs.model_settings import model_settings
 from neurad.runtime.allocator import keep_freed_memory
-from neurad.runtime.threads import of_step
 from neurad.scene.builtin import build_cube
 from neurad.scene.description import Scene
 from neurad.scene.geometry import Geometry
 from neurad.scene.textures import TrueMaterials
 from neurad.studies.bench.machine import peak_bytes, pick_device, wait
-from neurad.training.objective import ObjectiveStep
+from neurad.studies.photos import PhotosInMemory
+from neurad.training.session import TrainingRun
 
 WARMUP = 2
 """Steps that do not count."""
@@ -49,6 +45,9 @@ PATHS = 1 << 15
 """Walks whose lengths are counted."""
 CALM = 0.01
 """What is left of the last layer's random weights: they ripple the albedo by less than a thousandth of its range."""
+
+SHIPPED = "scene.yaml"
+"""Config whose settings the step has."""
 
 Step = Callable[[], int]
 """Takes a training step and tells how many rays it cast."""
@@ -68,7 +67,7 @@ def main(job: dict[str, Any]) -> None:
             say(lengths=[path_lengths(albedo, job["rr_prob"], job["tracer"]) for albedo in job["albedos"]])
             return
         device = pick_device(job["device"])
-        step = mitsuba_step(job) if job["method"] == "mitsuba" else make_step(job, device)
+        step = mitsuba_step(job) if job["method"] == "mitsuba" else make_step(make_run(job, device))
         base = resident_bytes(device)
         for _ in range(WARMUP):
             step()
@@ -90,63 +89,58 @@ def main(job: dict[str, Any]) -> None:
 def make_method(name: str, limit: int, rr_prob: float) -> Method:
     """'ours', 'prb' or 'path'; the latter two end paths by roulette from the first bounce, and after ``limit``."""
     if name == "ours":
-        return Radiometric()
+        return model_settings(SHIPPED).method
     return (PRB if name == "prb" else PathTracing)(limit + 1, 1, rr_prob)
 
 
-def make_step(job: dict[str, Any], device: torch.device) -> Step:
-    """A whole training step: objective, backward pass and optimizers (at rate 0) of one method in the cube."""
-    torch.manual_seed(0)
-    scene = build_cube(job["albedo"])
-    world = build_world(scene, job["tracer"]).to(device)
-    config = FieldConfig(kind=job["fields"], size=job["size"])
-    materials = build_materials(scene, config, config).to(device)
-    light = reflected_radiance(scene)
-    set_albedo(materials, job["albedo"])
-    method = make_method(job["method"], job["limit"], job["rr_prob"])
-    fields = [materials.albedo]
-    radiance = None
-    if method.needs_field:
-        radiance = build_radiance(scene, RadianceConfig(kind=job["fields"], size=job["size"])).to(device)
-        radiance.set_scale(light / START)
-        fields.append(radiance)
-    optimizers = [SparseRowAdam(part.parameters(), lr=0.0) for part in fields]  # type: ignore[attr-defined]
-    cameras = [view.camera for view in scene.train]
-    positions, pixels = job["positions"], job["pixels"]
-    primary = PrimaryHits(world, cameras, positions, 0, device)
-    objective = ObjectiveStep(
-        estimator=Estimator(world, materials, radiance, method),
-        primary=primary,
-        sampling=Sampling(
-            spp=positions,
-            samples_per_vertex=1,
-            cached_spp=positions,
-            field_fraction=job["field_fraction"],
-            extra_bounce_fraction=0.125,
-        ),
-        settings=Objective(),
-        epsilon=0.01 * light * light,
-        emitter_mask=primary.sees_emitter(),
-    )
-    color = torch.full((pixels, 3), light, device=device)
-    iteration = 0
+def make_run(job: dict[str, Any], device: torch.device) -> TrainingRun:
+    """A run of one method in the cube, with the shipped step and all learning rates at 0.
 
-    @of_step(pixels * positions, job["fields"] == "hash")
+    The radiance field has the closed room's unit of radiance, and albedo fields the room's albedo everywhere.
+    """
+    scene = build_cube(job["albedo"])
+    light = reflected_radiance(scene)
+    camera = scene.train[0].camera
+    photographs = torch.full((len(scene.train), camera.width * camera.height, 3), light)
+    run = TrainingRun.of_scene(
+        scene, PhotosInMemory(photographs, camera.width, job["pixels"]), cube_settings(job), device
+    )
+    assert isinstance(run.assembly.materials, FittedMaterials)
+    set_albedo(run.assembly.materials, job["albedo"])
+    if run.assembly.radiance is not None:
+        run.assembly.radiance.set_scale(light / START)
+    return run
+
+
+def make_step(run: TrainingRun) -> Step:
+    """The run's step, which counts its rays."""
+    tracer = run.assembly.world.tracer
+
     def step() -> int:
-        nonlocal iteration
-        stream = Stream(0, iteration, device=device)
-        cast = world.tracer.rays_cast
-        view, pixel = stream.integers(len(cameras), pixels), stream.integers(primary.pixels, pixels)
-        batch = PixelBatch(view, pixel, color, torch.ones_like(color[:, 0]), iteration)
-        for optimizer in optimizers:
-            optimizer.zero_grad()
-        total(objective(batch, stream).all).backward()  # type: ignore[no-untyped-call]
-        for optimizer in optimizers:
-            optimizer.step()
-        iteration += 1
-        return world.tracer.rays_cast - cast
+        cast = tracer.rays_cast
+        run.advance(0.0)
+        return tracer.rays_cast - cast
 
     return step
+
+
+def cube_settings(job: dict[str, Any]) -> ModelSettings:
+    """The shipped settings with the job's fields, method and numbers of samples; learning rates are 0."""
+    shipped = model_settings(SHIPPED)
+    sizes = {"kind": job["fields"], "size": job["size"]}
+    spp = job["positions"]
+    return replace(
+        shipped,
+        albedo=FieldConfig(**sizes),
+        roughness=RoughnessConfig(**sizes),
+        radiance=RadianceConfig(**sizes),
+        sampling=replace(
+            shipped.sampling, spp=spp, samples_per_vertex=1, cached_spp=spp, field_fraction=job["field_fraction"]
+        ),
+        optimization=replace(shipped.optimization, albedo=0.0, roughness=0.0, radiance=0.0, average=0.0),
+        method=make_method(job["method"], job["limit"], job["rr_prob"]),
+        tracer=job["tracer"],
+    )
 
 
 def reflected_radiance(scene: Scene) -> float:
