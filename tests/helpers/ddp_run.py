@@ -42,7 +42,7 @@ def both(a, b):
 
 class Join(pl.Callback):
     def on_train_start(self, trainer, module):
-        module.step.objective = Joined(module.step.objective, trainer.datamodule, module.seed)
+        module.step.objective = Joined(module.step.objective, trainer.datamodule, module.settings.seed)
 
 
 def fit(devices, seed=0, kind="hash", joined=False):
