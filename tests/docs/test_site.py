@@ -2,9 +2,13 @@
 
 import importlib.util
 import re
+import shutil
 
+import matplotlib.image
 import pytest
 from helpers.pages import DOCS, PAGES, REPOSITORY, pages, without_blocks
+
+from neurad.scene.load import load_scene
 
 
 def test_the_readme_is_short():
@@ -79,6 +83,20 @@ def test_curves_of_methods_are_drawn_where_there_are_some(tmp_path, monkeypatch)
     monkeypatch.setattr(plots, "PLOTS", {})
     plots.main(["--out", str(tmp_path)])
     assert (tmp_path / "methods_curves.png").stat().st_size > 10_000
+
+
+def test_the_picture_shows_what_a_run_found(tmp_path):
+    picture = script("picture")
+    (tmp_path / "images").mkdir()
+    for index in picture.VIEWS:
+        view = load_scene(None, "kitchen").test[index]
+        for kind, path in (("render", view.image), ("albedo", view.albedo), ("roughness", view.roughness)):
+            shutil.copy(path, tmp_path / "images" / f"{index:03d}_{kind}.exr")
+    picture.main([str(tmp_path), "--out", str(tmp_path / "kitchen.png")])
+    pixels = matplotlib.image.imread(tmp_path / "kitchen.png")
+    assert pixels.shape == matplotlib.image.imread(DOCS / "kitchen.png").shape
+    found, truth = (picture.columns(tmp_path, "kitchen", 0)[column] for column in (2, 3))
+    assert (found == truth).all()
 
 
 def test_the_site_loads_nothing_from_elsewhere(tmp_path):
