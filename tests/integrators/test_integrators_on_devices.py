@@ -16,8 +16,8 @@ from neurad.core.rng import Stream
 from neurad.integrators.bounce import bounce
 from neurad.integrators.film import render
 from neurad.integrators.guide import Guide
-from neurad.integrators.path import PathTracer
 from neurad.integrators.primary_hits import PrimaryHits
+from neurad.integrators.renderer import path_tracer
 from neurad.integrators.stratified import stratified_samples
 from neurad.integrators.vertex import DIMENSIONS, bounce_reference
 from neurad.scene.builtin import build_cornell, build_kitchen
@@ -145,7 +145,7 @@ def test_a_picture_has_the_same_mean_on_every_device(device):
     def picture(where, seed):
         world = build_world(scene, "embree").to(where)
         materials = TrueMaterials(scene, world.geometry).to(where)
-        return render(camera, PathTracer(world, materials, scene.max_depth), 64, seed, where).cpu()
+        return render(camera, path_tracer(world, materials, scene.max_depth), 64, seed, where).cpu()
 
     expected, found = picture("cpu", 1), picture(device, 2)
     assert float(found.mean()) == pytest.approx(float(expected.mean()), rel=0.05)
