@@ -11,7 +11,6 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 import torch
-from jsonargparse import ArgumentError, ArgumentParser
 from omegaconf import OmegaConf
 from torch import Tensor
 
@@ -25,7 +24,8 @@ from neurad.integrators.film import render
 from neurad.integrators.renderer import MethodRenderer
 from neurad.integrators.world import World
 from neurad.runs.checkpoints import LAST, newest_checkpoint, read_checkpoint, run_folder_of
-from neurad.runs.configs import load_config, only_trusted_classes
+from neurad.runs.configs import load_config
+from neurad.runs.model_settings import parse_model
 from neurad.scene.description import Scene
 from neurad.scene.image_io import read_photograph
 from neurad.scene.load import load_scene
@@ -189,7 +189,7 @@ def load_run(
     config = OmegaConf.to_container(OmegaConf.merge(*load_config(str(folder / "config.yaml"))), resolve=True)
     if not isinstance(config, dict) or "model" not in config or "data" not in config:
         raise InputError(f"{folder / 'config.yaml'}: it is not the config of a run")
-    settings = _settings(config["model"], folder)
+    settings = parse_model(config["model"], str(folder / "config.yaml"))
     scene = _scene(config["data"], folder, root)
     assembly = assemble(scene, settings, _has_alpha(scene))
     state = _restore(assembly, content, name)
@@ -219,19 +219,6 @@ def _locate(run: str | os.PathLike[str] | None) -> tuple[Path, Path]:
     if folder is None:
         raise InputError(f"run {path}: the checkpoint is not in a run folder with a config.yaml")
     return path, folder
-
-
-def _settings(model: dict[str, Any], folder: Path) -> ModelSettings:
-    """The ``model`` section of a run's config."""
-    only_trusted_classes()
-    parser = ArgumentParser(exit_on_error=False)
-    parser.add_class_arguments(ModelSettings, "model")
-    given = {key: value for key, value in model.items() if not (key == "method" and value is None)}
-    try:
-        settings: ModelSettings = parser.instantiate(parser.parse_object({"model": given})).model
-    except ArgumentError as error:
-        raise InputError(f"{folder / 'config.yaml'}: {' '.join(str(error).split())}") from error
-    return settings
 
 
 def _scene(data: dict[str, Any], folder: Path, root: str | os.PathLike[str] | None) -> Scene:

@@ -1,16 +1,37 @@
-"""The settings under ``model`` of a shipped config, for what trains without the command line."""
+"""The settings under ``model`` of a config, for what needs them without the command line."""
 
 from __future__ import annotations
 
 from typing import Any
 
+from jsonargparse import ArgumentError, ArgumentParser
 from omegaconf import OmegaConf
 
-from neurad.assembly.settings import Lighting, ModelSettings, Objective, Optimization, Sampling
+from neurad.assembly.settings import ModelSettings
 from neurad.core.errors import InputError
-from neurad.fields.settings import FieldConfig, GridConfig, RadianceConfig, RoughnessConfig
 from neurad.integrators.radiometric import Radiometric
-from neurad.runs.configs import load_config
+from neurad.runs.configs import load_config, only_trusted_classes
+
+
+def parse_model(model: dict[str, Any], source: str) -> ModelSettings:
+    """Make the settings of a ``model`` section, as the command line makes them.
+
+    Args:
+        model: values by key, classes by ``class_path``.
+        source: the file that they are from; begins the error message.
+
+    Raises:
+        InputError: a key is unknown or a value is wrong.
+    """
+    only_trusted_classes()
+    parser = ArgumentParser(exit_on_error=False)
+    parser.add_class_arguments(ModelSettings, "model")
+    given = {key: value for key, value in model.items() if not (key == "method" and value is None)}
+    try:
+        settings: ModelSettings = parser.instantiate(parser.parse_object({"model": given})).model
+    except ArgumentError as error:
+        raise InputError(f"{source}: {' '.join(str(error).split())}") from error
+    return settings
 
 
 def model_settings(config: str, seed: int = 0) -> ModelSettings:
@@ -24,30 +45,13 @@ def model_settings(config: str, seed: int = 0) -> ModelSettings:
         InputError: the file is missing, or its method is another one.
     """
     model: Any = OmegaConf.to_container(OmegaConf.merge(*load_config(config)).model)
-    method = model.get("method") or {"class_path": f"{Radiometric.__module__}.{Radiometric.__name__}"}
-    if not method["class_path"].endswith(f".{Radiometric.__name__}"):
-        raise InputError(f"config {config}: its method is {method['class_path']}, not the paper's")
-    return ModelSettings(
-        albedo=FieldConfig(**_sizes(model["albedo"])),
-        roughness=RoughnessConfig(**_sizes(model["roughness"])),
-        radiance=RadianceConfig(**_sizes(model["radiance"])),
-        sampling=Sampling(**model.get("sampling", {})),
-        objective=Objective(**model.get("objective", {})),
-        optimization=Optimization(**model.get("optimization", {})),
-        lighting=Lighting(**model.get("lighting", {})),
-        method=Radiometric(**method.get("init_args", {})),
-        seed=seed,
-    )
+    settings = parse_model({**model, "seed": seed}, f"config {config}")
+    if not isinstance(settings.method, Radiometric):
+        raise InputError(f"config {config}: its method is {type(settings.method).__name__}, not the paper's")
+    return settings
 
 
 def batch_pixels(config: str) -> int:
     """Pixels of a batch of a config, apart from its ``pixel_multiplier``."""
     data: Any = OmegaConf.to_container(OmegaConf.merge(*load_config(config)).data)
     return int(data["patches"] * data.get("patch_size", 1) ** 2)
-
-
-def _sizes(settings: dict[str, Any]) -> dict[str, Any]:
-    """Arguments of a field's settings."""
-    if settings.get("inputs") is not None:
-        settings = {**settings, "inputs": tuple(settings["inputs"])}
-    return {**settings, "grid": GridConfig(**settings["grid"])} if "grid" in settings else dict(settings)
