@@ -47,7 +47,7 @@ def build_world(
         tracer: 'embree', 'open3d' or 'warp'.
         hide_environment: camera rays that miss see black (photographs with an alpha channel).
         fitted: an environment to be recovered, in place of the scene's own.
-        specular_fraction: share of the BSDF samples that the specular lobe draws.
+        specular_fraction: fraction of the BSDF samples that the specular lobe draws.
 
     Raises:
         InputError: unknown tracer, or its package is missing.
@@ -82,7 +82,7 @@ class FittedMaterials(nn.Module):
     def forward(self, si: SurfaceInteraction) -> Surface:
         """BSDF parameters at the lanes of ``si``."""
         albedo = self.albedo(si)
-        if self.roughness is None:  # nobody reads it: one number seen everywhere
+        if self.roughness is None:  # not read: one number for all lanes
             return Surface(albedo, albedo.new_ones(1, 1).expand(len(albedo), 1))
         roughness: Tensor = self.roughness(si, albedo)
         return Surface(albedo, roughness)

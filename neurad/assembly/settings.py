@@ -13,42 +13,44 @@ from neurad.integrators.radiometric import Radiometric
 
 @dataclass(frozen=True)
 class Sampling:
-    """How many random decisions a training pixel gets."""
+    """How many samples a training pixel gets, and where they go."""
 
     spp: int = 2
-    """Independent positions in every pixel of a batch; leave-one-out needs at least 2."""
+    """Samples per pixel of a batch: camera rays at independent positions; leave-one-out needs at least 2."""
     samples_per_vertex: int = 4
-    """Samples of the transport operator at every position: as many emitter as BSDF samples."""
+    """Samples of the transport operator at the first hit of each: as many emitter as BSDF samples."""
     cached_spp: int = 4
-    """Stratified positions in each pixel whose camera ray is traced once, at the start of a run: 12 bytes each of
-    memory. 0 keeps none and traces new, uniformly random positions in each step, for large sets of photographs."""
+    """Camera rays per pixel, at stratified positions, that are traced once at the start of a run; each step draws its
+    ``spp`` from them. Memory: 12 bytes for each, so 16 of 50 photographs of a megapixel take 9.6 GB. 0 keeps none and
+    traces new camera rays, at uniformly random positions, in each step: for large sets of photographs."""
     specular_fraction: float = 0.25
-    """Share of the BSDF samples that the specular lobe draws. Half of them, as in Mitsuba, is more than roughness needs
-    and leaves fewer for albedo."""
+    """Fraction of the BSDF samples that the specular lobe draws. Half of them, as in Mitsuba, is more than roughness
+    needs and leaves fewer for albedo."""
     guide: int = 16
-    """Cells along the scene's longest side of the histogram that tells BSDF samples where indirect light came from
-    before; 0 samples by the BSDF alone. In memory and in checkpoints it takes 4.6 KB a cell, 19 MB for 16 cells in a
-    cubic scene. Lambertian scenes go without."""
+    """Cells along the scene's longest side of the histogram of incident indirect light by which BSDF samples are
+    drawn; 0 samples by the BSDF alone. In memory and in checkpoints it takes 4.6 KB a cell, 19 MB for 16 cells in a
+    cubic scene. Diffuse scenes have none."""
     field_fraction: float = 1.0
-    """Share of the positions, but no fewer than two a pixel, at which the radiance field learns: those of one pixel lie
-    so close together that few tell as much as all, and its gradient is the dearest part of a step."""
+    """Fraction of the samples, but no fewer than two per pixel, at whose first hits the radiance field is trained.
+    First hits of one pixel lie close together, so few of them train the field as well as all, and its gradient is the
+    most expensive part of a step."""
     extra_bounce_fraction: float = 0.5
-    """Share of the positions at which the prior is also taken at the second hit; 0 leaves it out."""
+    """Fraction of the samples at which the prior is also taken at the hit of one more bounce; 0 leaves it out."""
     sample_groups: int = 4
-    """Groups of a pixel's positions: within a group samples are spread evenly, which leaves less noise, and groups are
-    independent of each other, which unbiased gradients need. Positions that cannot be shared out evenly are a group
-    each."""
+    """Groups of a pixel's samples: within a group samples are stratified, which leaves less noise, and groups are
+    independent of each other, which unbiased gradients need. Where it does not divide ``spp``, every sample is a group
+    of its own."""
 
     @property
     def groups(self) -> int:
-        """Independent groups of positions in a pixel."""
+        """Independent groups of samples in a pixel."""
         return self.sample_groups if self.spp % self.sample_groups == 0 else self.spp
 
     def split_over(self, pixel_multiplier: int) -> Sampling:
         """The same number of samples over ``pixel_multiplier`` times as many pixels.
 
         Raises:
-            InputError: the positions cannot be shared out so, two a pixel at the least.
+            InputError: it does not divide ``spp``, or leaves fewer than two samples per pixel.
         """
         if pixel_multiplier > 1 and (self.spp % pixel_multiplier or self.spp < 2 * pixel_multiplier):
             raise InputError(
@@ -92,8 +94,8 @@ class Objective:
     """Photographs count up to so many times what the radiance field predicts beyond its own value, so that a firefly in
     one does not pull; 0 lets everything through. A bound darkens: what is cut off is lost, highlights too."""
     roughness_regulariser: float = 0.0
-    """Weight of a mild quadratic pull of roughness towards its mean, for surfaces whose highlight nobody sees; 0 leaves
-    it out."""
+    """Weight of a mild quadratic penalty of roughness around its mean, for surfaces whose highlight no photograph
+    shows; 0 leaves it out."""
 
 
 @dataclass(frozen=True)
@@ -110,7 +112,7 @@ class Lighting:
     refresh: int = 20
     """Iterations after which directions are sampled by the present map instead of an older one."""
     detail_decay: float = 0.3
-    """Pull of the map's detail towards smoothness, which detail that no photograph tells follows; 0 leaves it out."""
+    """Decay of the map's detail, so that what no photograph shows stays smooth; 0 leaves it out."""
 
     def __post_init__(self) -> None:
         """Refuse what no map can have."""
@@ -139,9 +141,9 @@ class Optimization:
     warmup: int = 20
     """Iterations over which the rates rise from zero."""
     final: float = 0.02
-    """Share of the rates left at the end of the cosine."""
+    """Fraction of the rates left at the end of the cosine."""
     average: float = 0.0
-    """Evaluations and results show materials averaged over this share of the iterations so far, which takes out the
+    """Evaluations and results show materials averaged over this fraction of the iterations so far, which takes out the
     noise that high learning rates leave; 0 shows the present ones."""
     clip: float = 0.0
     """Largest norm of an optimizer's gradient, a longer one is shortened to it; 0 leaves gradients as they are."""

@@ -25,7 +25,7 @@ def rate_factor(settings: Optimization, iteration: int, progress: float) -> floa
 
 @dataclass(frozen=True)
 class Progress:
-    """Shares of a run's limits that are used up; None where there is no such limit."""
+    """Fractions of a run's limits that are used up; None where there is no such limit."""
 
     by_steps: float | None
     by_time: float | None
@@ -34,14 +34,14 @@ class Progress:
 
     @property
     def largest(self) -> float:
-        """The share that counts: the run ends when either limit is reached."""
+        """The fraction that counts: the run ends when either limit is reached."""
         return max(self.by_steps or 0.0, self.by_time or 0.0)
 
     @property
     def seconds_left(self) -> float | None:
-        """Seconds until the nearer limit at the average speed so far; None if it cannot be told."""
-        shares = [share for share in (self.by_steps, self.by_time) if share]
-        return min((self.seconds * (1 - share) / share for share in shares), default=None)
+        """Seconds until the nearer limit at the average speed so far; None if it is not known yet."""
+        done = [fraction for fraction in (self.by_steps, self.by_time) if fraction]
+        return min((self.seconds * (1 - fraction) / fraction for fraction in done), default=None)
 
 
 def fraction_done(trainer: pl.Trainer) -> Progress:
