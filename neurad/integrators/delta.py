@@ -79,7 +79,7 @@ class DeltaSurfaces(nn.Module):
             wo = frame.to_local(here.wo)
             glass, eta = self.dielectric[prim], self.eta[prim]
             wi, weight = scatter(glass, wo, eta, self.tint[prim], u[index])
-            u[index] = _again(u[index], glass, wo, eta)
+            u[index] = _remaining(u[index], glass, wo, eta)
             d = torch.nn.functional.normalize(frame.to_world(wi), dim=-1)
             rays = geometry.spawn(here, d)
             end = geometry.interact(rays, tracer.closest(rays))
@@ -94,7 +94,7 @@ class DeltaSurfaces(nn.Module):
         return replace(now, valid=now.valid & ~stuck), throughput, via_delta
 
 
-def _again(u: Tensor, dielectric: Tensor, wo: Tensor, eta: Tensor) -> Tensor:
+def _remaining(u: Tensor, dielectric: Tensor, wo: Tensor, eta: Tensor) -> Tensor:
     """Uniform numbers left over [n] after ``u`` chose between reflection (u <= F) and transmission."""
     z = wo[:, 2]
     reflectance = fresnel_dielectric(z.abs().clamp_min(1e-6), torch.where(z > 0, eta, 1.0 / eta))

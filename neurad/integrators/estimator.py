@@ -36,7 +36,7 @@ class Estimator:
     ) -> RadianceEstimate:
         """The method's estimate, ``count`` samples at every lane: lane i's are i*count .. (i+1)*count - 1.
 
-        The samples of ``together`` neighbouring lanes are spread evenly, and independent of all others.
+        The samples of ``stratum_size`` neighbouring lanes are stratified, and independent of all others.
         """
         assert len(si) % stratum_size == 0
         u = stratified_samples(len(si) // stratum_size, stratum_size * count, stream)
@@ -51,7 +51,7 @@ class Estimator:
         field_gradient: bool = False,
         light_gradient: bool = True,
     ) -> Tensor:
-        """``count`` evenly spread samples of ``T_hat(E + L_theta)`` at each lane [n, count, 3]: the prior's right side.
+        """``count`` stratified samples of ``T_hat(E + L_theta)`` [n, count, 3]: the right side of the prior (Eq. 10).
 
         The samples are differentiable in ``surface``; in theta only if ``field_gradient``. Without ``light_gradient``
         their direct part is fixed.
@@ -67,12 +67,12 @@ class Estimator:
         return value.view(len(si), count, 3)
 
 
-def subsample(lanes: Lanes, share: float, stream: Stream, count: int) -> Tensor:
-    """Indices of a random ``share`` of the first hits, one random bounce of each: into lanes ordered by hit, ``count``
-    bounces a hit.
+def subsample(lanes: Lanes, fraction: float, stream: Stream, count: int) -> Tensor:
+    """Indices of a random ``fraction`` of the first hits, one random bounce of each: into lanes ordered by hit,
+    ``count`` bounces a hit.
     """
     hits = len(lanes) // count
-    keep = max(1, round(share * hits))
+    keep = max(1, round(fraction * hits))
     device = stream.device
     chosen = (
         torch.randperm(hits, generator=stream.generator, device=device)[:keep]

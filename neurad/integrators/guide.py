@@ -21,21 +21,21 @@ from neurad.integrators import guide_kernels as kernels
 from neurad.runtime.dispatch import use_kernel
 
 FACINGS = 6
-"""Normals are told apart by their largest component and its sign."""
+"""Classes of normals: by their largest component and its sign."""
 
 
 class Guide(nn.Module):
     """A histogram of incident light over space, facing and direction.
 
-    It holds what earlier iterations found and changes between iterations only, so that it makes no samples of one
-    iteration depend on each other. All of it is state: a continued run draws what an unbroken one would (on a GPU up to
+    It holds what earlier iterations found and changes between iterations only, so samples of one iteration stay
+    independent of each other. All of it is state: a continued run draws what an unbroken one would (on a GPU up to
     the order of sums).
 
     Args:
         bounds: smallest and largest corner of the scene [2, 3].
         cells: cells along its longest side.
         bins: bins along each side of the square of directions.
-        uniform: share of the samples that are drawn as without a guide; weights grow by at most its inverse.
+        uniform: fraction of the samples that are drawn as without a guide; weights grow by at most its inverse.
         refresh: iterations after which the distribution is brought up to date.
         decay: of what is remembered, at each refresh: light changes while materials are found.
         use_kernels: use the compiled kernels where they apply (float32 on the CPU).
@@ -124,7 +124,7 @@ class Guide(nn.Module):
 
     @torch.no_grad()
     def bin_samples(self, si: SurfaceInteraction, n: Tensor, wi: Tensor, light: Tensor) -> tuple[Tensor, Tensor]:
-        """What samples tell: entries [n] of the flat histogram, and what is to be added there [n, 2].
+        """Entries [n] of the flat histogram of samples, and what is to be added there [n, 2]: 1 and radiance^2.
 
         Args:
             si: vertices that light arrived at [n].
@@ -137,30 +137,35 @@ class Guide(nn.Module):
 
     @torch.no_grad()
     def record(self, places: Tensor, values: Tensor) -> None:
-        """Remember what samples told (:meth:`seen`), which may be those of several processes."""
+        """Add what :meth:`bin_samples` found, here or in other processes, to the histogram."""
         self.counts.view(-1).index_add_(0, places, values[:, 0])
         self.squares.view(-1).index_add_(0, places, values[:, 1])
 
     @torch.no_grad()
     def update(self) -> None:
-        """Bring the distribution up to date with what was learned, and forget some of it."""
-        found = self.counts.sum(1) > 0
+        """Bring the distribution up to date with the histogram, and let the histogram decay."""
+        # Root of the mean square radiance of each bin
+        found = self.counts.sum(1) > 0  # rows with samples [rows]
         counts, squares = self.counts[found], self.squares[found]
         mean = squares.sum(1, keepdim=True) / counts.sum(1, keepdim=True)
-        # Two samples' worth of the row's mean keep bins alive that nobody looked into.
+        # Two samples' worth of the row's mean keep bins without samples alive.
         root = ((squares + 2.0 * mean) / (counts + 2.0)).sqrt()
+
+        # Distribution: a mixture with the uniform one, as running sums
         total = root.sum(1, keepdim=True)
         even = 1.0 / self.bins**2
-        share = torch.where(total > 0, root / total.clamp_min(torch.finfo(root.dtype).tiny), even)
-        cdf = (self.uniform * even + (1.0 - self.uniform) * share).cumsum(1)
-        self.cdf[found] = cdf / cdf[:, -1:]
+        fraction = torch.where(total > 0, root / total.clamp_min(torch.finfo(root.dtype).tiny), even)
+        cdf = (self.uniform * even + (1.0 - self.uniform) * fraction).cumsum(1)
+        self.cdf[found] = cdf / cdf[:, -1:]  # [k, bins^2]
+
+        # Light changes while materials are found
         self.counts.mul_(self.decay)
         self.squares.mul_(self.decay)
 
 
 @dataclass(frozen=True)
 class Guided:
-    """A guide at the lanes of a bounce. It bends the diffuse lobe's samples only; the density is that of both lobes."""
+    """A guide at the lanes of a bounce: of samples of the diffuse lobe; the density is that of both lobes."""
 
     guide: Guide
     rows: Tensor
@@ -168,7 +173,7 @@ class Guided:
     """Probability of the diffuse lobe [n]."""
 
     def pdf_delta(self, wi: Tensor) -> Tensor:
-        """What the guide adds to the density of local directions [n]; it integrates to 0."""
+        """Density of local directions [n] with the guide less that without; it integrates to 0."""
         return self.fraction * (wi[:, 2].clamp_min(0.0) * INV_PI) * (self.guide.density(self.rows, wi) - 1.0)
 
     def warp(self, u: Tensor) -> Tensor:

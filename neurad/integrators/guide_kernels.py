@@ -1,4 +1,4 @@
-"""Compiled CPU twins of the lookups in ``guiding``: one pass over the lanes, on the calling thread."""
+"""Compiled CPU twins of the lookups in ``guide``: one pass over the lanes, on the calling thread."""
 
 from __future__ import annotations
 

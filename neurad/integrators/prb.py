@@ -111,7 +111,7 @@ class _Radiance(torch.autograd.Function):
     @staticmethod
     def backward(ctx: Any, *gradients: Tensor) -> tuple[Tensor | None, ...]:
         replay: _Replay = ctx.replay
-        left = ctx.radiance.clone()
+        left = ctx.radiance.clone()  # R_i: radiance from vertex i on, over all paths [n, 3]
         sums = [GradientSum() for _ in ctx.parameters]
         with torch.enable_grad():
             albedo = replay.surface.albedo.clone().requires_grad_()
@@ -119,12 +119,17 @@ class _Radiance(torch.autograd.Function):
             ends = (albedo, roughness, *ctx.parameters)
             totals: Sequence[GradientSum] = (GradientSum(), GradientSum(), *sums)
             for v in replay.steps(replace(replay.surface, albedo=albedo, roughness=roughness)):
-                direct, weight = v.bounce.direct, v.bounce.weight
+                # ---------------------- Radiance after this vertex ----------------------
+
+                direct, weight = v.bounce.direct, v.bounce.weight  # d_i, w_i [m, 3]
                 left.index_add_(0, v.lane, (v.throughput * direct.detach()).double(), alpha=-1.0)
                 fixed = weight.detach()
-                beyond = torch.where(fixed > 0, left[v.lane].to(fixed.dtype) / fixed.clamp_min(1e-30), 0.0)
-                outer = gradients[0][v.lane]
-                pairs = [(direct, outer * v.throughput), (weight, outer * beyond)]
+                after = torch.where(fixed > 0, left[v.lane].to(fixed.dtype) / fixed.clamp_min(1e-30), 0.0)
+
+                # ---------------------- Gradient of this vertex alone ----------------------
+
+                outer = gradients[0][v.lane]  # of the loss by the radiance [m, 3]
+                pairs = [(direct, outer * v.throughput), (weight, outer * after)]
                 if v.bounce.sample_stats is not None:
                     pairs.append((v.bounce.sample_stats.deviation, gradients[2]))
                 outputs, scales = zip(*((x, g) for x, g in pairs if x.requires_grad), strict=True)  # known parts do not
@@ -132,7 +137,7 @@ class _Radiance(torch.autograd.Function):
                 for total, gradient in zip(totals, found, strict=True):
                     total.add(gradient)
                 del v, direct, weight, pairs, outputs, scales  # before the next one is made
-                del fixed, beyond, outer, found, gradient
+                del fixed, after, outer, found, gradient
         return (None, *(total.value for total in totals))
 
 

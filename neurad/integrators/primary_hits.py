@@ -88,11 +88,16 @@ class PrimaryHits:
         """First vertices at ``positions`` independent positions of every pixel, pixel by pixel [b * positions]."""
         if self.count == 0 or self.world.delta is not None:
             return self._anew(batch, positions, stream)
+        # ---------------------- Kept positions ----------------------
+
         b = len(batch.view)
         # Independent draws: if a pixel's positions were always different ones, the leave-one-out gradient would miss
         # the pairs of one position with itself and reward contrast inside the pixel.
-        chosen = stream.integers(self.count, b, positions)
-        first = (batch.view * self.pixels + batch.pixel) * self.count
+        chosen = stream.integers(self.count, b, positions)  # [b, positions]
+        first = (batch.view * self.pixels + batch.pixel) * self.count  # [b]
+
+        # ---------------------- Surface points there ----------------------
+
         geometry = self.world.geometry
         kernel = use_kernel(self.use_kernels and len(geometry.faces) > 0, geometry.table, self.origin)
         points = self._kernel if kernel else self._reference
@@ -100,9 +105,12 @@ class PrimaryHits:
 
     def _reference(self, first: Tensor, chosen: Tensor, view: Tensor) -> SurfaceInteraction:
         """Surface points at the kept hits ``first`` [b] + ``chosen`` [b, n] of pixels of ``view`` [b]."""
+        # Triangle and barycentrics of each hit
         index = (first.unsqueeze(1) + chosen).view(-1)
-        hits = self.hits[index]
+        hits = self.hits[index]  # [b * n, 3]
         prim, bary = hits[:, 0].long(), hits[:, 1:].view(torch.float32)
+
+        # Surface points, and the direction back to the camera
         origin = self.origin[view].repeat_interleave(chosen.shape[1], 0)
         valid = prim >= 0
         missed = self.away[index].float() if len(self.away) else torch.zeros_like(origin)

@@ -9,7 +9,7 @@ import torch
 from torch import Tensor
 
 from neurad.core.rng import Stream
-from neurad.integrators import stratified_kernels as spread_kernels
+from neurad.integrators import stratified_kernels as kernels
 from neurad.integrators.vertex import DIMENSIONS
 from neurad.runtime.dispatch import use_kernel
 from neurad.runtime.threads import GRAIN, split
@@ -45,12 +45,12 @@ def stratified_samples(groups: int, count: int, stream: Stream, use_kernels: boo
         return _stratified_reference(random, units.to(random.device), mirrored.to(random.device), count)
     out = torch.empty(groups * count, DIMENSIONS)
     arrays = random.numpy(), units.numpy(), mirrored.numpy(), count, out.numpy()
-    split(lambda low, high: spread_kernels.stratified_samples(low, high, *arrays), groups, -(-GRAIN // count))
+    split(lambda low, high: kernels.stratified_samples(low, high, *arrays), groups, -(-GRAIN // count))
     return out
 
 
 def _stratified_reference(random: Tensor, units: Tensor, mirrored: Tensor, count: int) -> Tensor:
-    """:func:`spread` in plain torch, from its random numbers [groups, DIMENSIONS + 5]."""
+    """:func:`stratified_samples` in plain torch, from its random numbers [groups, DIMENSIONS + 5]."""
     shift, choice = random.unsqueeze(1).tensor_split((DIMENSIONS,), -1)
     maps = count * len(units)
     choice = (choice * maps).long().clamp_max(maps - 1)

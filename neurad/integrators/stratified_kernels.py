@@ -1,4 +1,4 @@
-"""Compiled form of :func:`neurad.integrators.stratified.spread`."""
+"""Compiled form of :func:`neurad.integrators.stratified.stratified_samples`."""
 
 from __future__ import annotations
 

@@ -33,11 +33,11 @@ class ControlVariate:
         return others.repeat_interleave(self.Li.shape[1] // self.groups, 1)
 
     def residual(self) -> Tensor:
-        """What each sample has too much if the light of the others is all around [b, n, c]; its mean is zero."""
+        """Excess of each sample if the light of the other groups came from everywhere [b, n, c]; its mean is 0."""
         return self.baseline() * self.deviation
 
     def residual_of_others(self) -> Tensor:
-        """Mean over all groups but i of their excess by the light of all others but i [b, groups, c], detached.
+        """Mean over all groups but i of their :meth:`residual` by the light of all but i [b, groups, c], detached.
 
         Nothing of group i is in it, so a residual less it stays independent of group i. Zero for two groups.
         """
@@ -88,12 +88,17 @@ def leave_one_out(
     if use_kernel(use_kernels, samples, differentiable=True):
         deviation = None if control is None else control.deviation
         return Loss(*_Kernel.apply(samples, deviation, target, weight, control, n))  # type: ignore[no-untyped-call]
-    fixed = grouped(samples.detach(), n)
+    # Mean of the other groups: the residual's independent estimate
+    fixed = grouped(samples.detach(), n)  # [b, groups, c]
     others = (fixed.sum(1, keepdim=True) - fixed) / (n - 1)
+
+    # Control variate: the same mean, less noise
     if control is not None:
         others = others - control.residual_of_others()
         samples = samples - control.residual()
-    samples = grouped(samples, n)
+    samples = grouped(samples, n)  # [b, groups, c]
+
+    # A surrogate with that gradient, and the loss itself
     fixed = samples.detach()
     residual = others - target.unsqueeze(1)
     scale = weight.unsqueeze(1)

@@ -31,7 +31,7 @@ def leave_one_out(
     pixels, count, channels = samples.shape
     controlled = light.shape[0] > 0
     of_group = count // groups
-    share, rest = _ONE / np.float32(of_group), _ONE / np.float32(groups - 1)
+    inverse_size, rest = _ONE / np.float32(of_group), _ONE / np.float32(groups - 1)
     pairs = _ONE / np.float32((groups - 1) * (groups - 2)) if groups > 2 else _ZERO
     unit = 1.0 / (pixels * groups * channels)
     means = np.empty((3, groups), np.float32)
@@ -47,22 +47,22 @@ def leave_one_out(
                     if controlled:
                         sum_l += light[p, k, c]
                         sum_z += deviation[p, k, c]
-                mean_s[i], mean_l[i], mean_z[i] = share * sum_s, share * sum_l, share * sum_z
+                mean_s[i], mean_l[i], mean_z[i] = inverse_size * sum_s, inverse_size * sum_l, inverse_size * sum_z
                 total_s += mean_s[i]
                 total_l += mean_l[i]
                 total_z += mean_z[i]
                 total_lz += mean_l[i] * mean_z[i]
             twice = _TWO * weight[p, c]
             for i in range(groups):
-                others, guess = (total_s - mean_s[i]) * rest, (total_l - mean_l[i]) * rest
+                others, baseline = (total_s - mean_s[i]) * rest, (total_l - mean_l[i]) * rest
                 others -= ((total_l - mean_l[i]) * (total_z - mean_z[i]) - (total_lz - mean_l[i] * mean_z[i])) * pairs
-                own = mean_s[i] - guess * mean_z[i]
-                pull = twice * (others - target[p, c])
-                surrogate += pull * own
-                loss += _HALF * pull * (own - target[p, c])
-                slope = np.float32(pull * unit) * share
+                own = mean_s[i] - baseline * mean_z[i]
+                factor = twice * (others - target[p, c])
+                surrogate += factor * own
+                loss += _HALF * factor * (own - target[p, c])
+                gradient = np.float32(factor * unit) * inverse_size
                 for k in range(i * of_group, (i + 1) * of_group):
-                    by_sample[p, k, c] = slope
+                    by_sample[p, k, c] = gradient
                     if controlled:
-                        by_deviation[p, k, c] = -slope * guess
+                        by_deviation[p, k, c] = -gradient * baseline
     return surrogate * unit, loss * unit
