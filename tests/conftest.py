@@ -20,7 +20,7 @@ def _seeded():
 
 @pytest.fixture
 def three_threads():
-    """As many shares of what is large enough, however few cores there are."""
+    """As many chunks of large work, however few cores there are."""
     before = torch.get_num_threads()
     torch.set_num_threads(3)
     yield

@@ -120,7 +120,7 @@ class Lighting:
             raise InputError(f"model.lighting.environment: '{self.environment}' is unknown, choose known or fit")
         if self.width < 2 or self.height < 2 or self.refresh < 1 or self.detail_decay < 0:
             raise InputError(
-                "model.lighting: width and height must be at least 2, refresh at least 1, smooth at least 0"
+                "model.lighting: width and height must be at least 2, refresh at least 1, detail_decay at least 0"
             )
 
 
@@ -130,9 +130,10 @@ class Optimization:
 
     albedo: float = 5e-3
     roughness: float = 5e-3
-    """Divided by the square of the batch's pixel_multiplier (``data.pixel_multiplier``)."""
+    """For batches of the usual size; :meth:`ModelSettings.for_batch` lowers it where ``data.pixel_multiplier`` spreads
+    the samples over more pixels."""
     roughness_decay: float = 0.0
-    """Weight decay (AdamW's) of the table that roughness's network reads; 0 is none. Where photographs tell little of
+    """Weight decay (AdamW's) of the table that roughness's network reads; 0 is none. Where photographs say little about
     roughness, noise writes patterns into the table that nothing else takes out again."""
     radiance: float = 5e-3
     environment: float = 1e-1
@@ -146,7 +147,7 @@ class Optimization:
     """Evaluations and results show materials averaged over this fraction of the iterations so far, which takes out the
     noise that high learning rates leave; 0 shows the present ones."""
     clip: float = 0.0
-    """Largest norm of an optimizer's gradient, a longer one is shortened to it; 0 leaves gradients as they are."""
+    """Largest norm of an optimizer's gradient, a longer one is scaled down to it; 0 leaves gradients as they are."""
     matmul: Literal["highest", "high", "medium"] = "highest"
     """Products inside the networks while they train: ``highest`` is float32, ``high`` allows TF32 on GPUs that have it,
     ``medium`` the same there and bfloat16 on CPUs, in all layers but a network's last, gradients included. Weights and
@@ -186,6 +187,21 @@ class ModelSettings:
     """'embree', 'open3d' or 'warp'."""
     seed: int = 0
     """Of every random decision of the training."""
+
+    def for_batch(self, pixel_multiplier: int) -> ModelSettings:
+        """The settings of a batch with ``pixel_multiplier`` times as many pixels, and as many times fewer samples each.
+
+        The rate of roughness falls by the square of it: its derivative is a product of two estimates, each of which
+        the missing samples make that much noisier.
+
+        Raises:
+            InputError: the samples cannot be split so.
+        """
+        if pixel_multiplier == 1:
+            return self
+        sampling = self.sampling.split_over(pixel_multiplier)
+        rate = self.optimization.roughness / pixel_multiplier**2
+        return replace(self, sampling=sampling, optimization=replace(self.optimization, roughness=rate))
 
     def __post_init__(self) -> None:
         """Refuse settings that do not go together."""

@@ -49,7 +49,7 @@ def prepare_views(
         InputError: every pixel shows an emitter, or every photograph is black.
     """
     scene, settings = assembly.scene, assembly.settings
-    settings.sampling.split_over(photographs.pixel_multiplier)  # refuses what cannot be
+    settings.for_batch(photographs.pixel_multiplier)  # raises where the samples cannot be split
     cameras = [view.camera for view in scene.train]
     # Stage 1: primary hits and the emitter mask [views, pixels].
     primary = PrimaryHits(assembly.world, cameras, settings.sampling.cached_spp, settings.seed, torch.device(device))

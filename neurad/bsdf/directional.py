@@ -1,7 +1,7 @@
 """Directional albedo of the principled model: what a surface reflects of light that is the same from everywhere.
 
 It is the mean of the weights ``f cos / pdf`` of BSDF samples, so ``weight - directional albedo`` has mean zero: times
-any guess of the incident light it is a control variate, for the value and for its derivative by the roughness. A sharp
+any estimate of the incident light it is a control variate, for the value and its derivative by the roughness. A sharp
 lobe's derivative is large and of both signs, and cancels almost fully where the surroundings are even; the control
 variate takes that part away before it becomes noise.
 """
@@ -23,7 +23,7 @@ from neurad.core.records import Surface
 ROUGHNESSES = 32
 """Rows of the table, evenly over roughness 0 to 1."""
 COSINES = 32
-"""Columns, evenly over the root of the viewer's cosine: close to grazing, reflection changes quickly."""
+"""Columns, evenly over the root of the viewer's cosine: close to grazing, reflection changes fast."""
 SAMPLES = 2048
 """Quasi-random directions behind every entry."""
 
@@ -31,7 +31,7 @@ SAMPLES = 2048
 @functools.lru_cache(maxsize=16)
 @torch.inference_mode(False)
 def table(eta: float, device: torch.device, metallic: float = 0.0) -> Tensor:
-    """Diffuse and specular part and their slopes by the roughness [ROUGHNESSES * COSINES, 4]."""
+    """Diffuse and specular part and their derivatives by the roughness [ROUGHNESSES * COSINES, 4]."""
     points = torch.quasirandom.SobolEngine(3, scramble=True, seed=1)  # type: ignore[no-untyped-call]
     u = points.draw(SAMPLES).repeat(COSINES, 1)
     cosine = (torch.arange(COSINES) / (COSINES - 1)).square().clamp_min(1e-3).repeat_interleave(SAMPLES)
@@ -44,23 +44,23 @@ def table(eta: float, device: torch.device, metallic: float = 0.0) -> Tensor:
         if metallic == 0.0:
             kernels.lobes_pdf(roughness.numpy(), wo.numpy(), wi.numpy(), np.float32(eta), np.float32(0.5), out.numpy())
         else:
-            out = _with_slopes(roughness, wo, wi, eta, metallic)
+            out = _with_derivatives(roughness, wo, wi, eta, metallic)
         inverse = torch.where(out[2] > 0, 1.0 / out[2], 0.0)
         rows.append((out[[0, 1, 3, 4]] * inverse).view(4, COSINES, SAMPLES).mean(-1).t())
     return torch.cat(rows).to(device)
 
 
 @torch.enable_grad()
-def _with_slopes(roughness: Tensor, wo: Tensor, wi: Tensor, eta: float, metallic: float) -> Tensor:
-    """Rows d, s, pdf and the slopes of d and s [5, n], which no kernel finds for metals."""
+def _with_derivatives(roughness: Tensor, wo: Tensor, wi: Tensor, eta: float, metallic: float) -> Tensor:
+    """Rows d, s, pdf and the derivatives of d and s [5, n], which no kernel finds for metals."""
     leaf = roughness.requires_grad_()
     d, s, pdf = lobes_pdf(leaf, wo, wi, eta, 0.5, metallic)
-    slopes = [torch.autograd.grad(x.sum(), leaf, retain_graph=True)[0].squeeze(-1) for x in (d, s)]
-    return torch.stack((d.detach(), s.detach(), pdf, *slopes))
+    derivatives = [torch.autograd.grad(x.sum(), leaf, retain_graph=True)[0].squeeze(-1) for x in (d, s)]
+    return torch.stack((d.detach(), s.detach(), pdf, *derivatives))
 
 
 def mean_lobes(roughness: Tensor, cosine: Tensor, eta: float, metallic: float = 0.0) -> Tensor:
-    """Diffuse and specular part and their slopes by the roughness [4, n], bilinear in the table, without a graph.
+    """Diffuse and specular part and their derivatives by the roughness [4, n], bilinear in the table, without a graph.
 
     Args:
         roughness: [n, 1].
@@ -90,19 +90,19 @@ def _mean_lobes(roughness: Tensor, cosine: Tensor, entries: Tensor) -> Tensor:
 
 
 class _Lookup(torch.autograd.Function):
-    """Bilinear value of the table, its gradient from the tabulated slopes."""
+    """Bilinear value of the table, its gradient from the tabulated derivatives."""
 
     @staticmethod
     def forward(ctx: Any, roughness: Tensor, cosine: Tensor, eta: float, metallic: float) -> tuple[Tensor, Tensor]:
-        d, s, d_slope, s_slope = mean_lobes(roughness, cosine, eta, metallic).unbind(0)
-        ctx.save_for_backward(d_slope, s_slope)
+        d, s, d_by_roughness, s_by_roughness = mean_lobes(roughness, cosine, eta, metallic).unbind(0)
+        ctx.save_for_backward(d_by_roughness, s_by_roughness)
         return d, s
 
     @staticmethod
     @once_differentiable
     def backward(ctx: Any, *grads: Tensor) -> tuple[Tensor, None, None, None]:
-        d_slope, s_slope = ctx.saved_tensors
-        return (grads[0] * d_slope + grads[1] * s_slope).unsqueeze(-1), None, None, None
+        d_by_roughness, s_by_roughness = ctx.saved_tensors
+        return (grads[0] * d_by_roughness + grads[1] * s_by_roughness).unsqueeze(-1), None, None, None
 
 
 def directional_albedo(surface: Surface, cosine: Tensor, eta: float, metallic: float = 0.0) -> Tensor:

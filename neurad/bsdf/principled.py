@@ -64,7 +64,7 @@ class PrincipledKernels:
         return wi
 
     def mean_lobes(self, roughness: Tensor, cosine: Tensor) -> Tensor:
-        """Integrals over wi of d, s and their slopes by the roughness [4, n], tabulated."""
+        """Integrals over wi of d, s and their derivatives by the roughness [4, n], tabulated."""
         return mean_lobes(roughness, cosine, self.eta)
 
 
@@ -75,16 +75,16 @@ class _FastLobesPdf(torch.autograd.Function):
     def forward(
         ctx: Any, roughness: Tensor, wo: Tensor, wi: Tensor, compiled: PrincipledKernels
     ) -> tuple[Tensor, Tensor, Tensor]:
-        d, s, pdf, d_slope, s_slope = compiled.lobes(roughness, wo, wi).unbind(0)
-        ctx.save_for_backward(d_slope, s_slope)
+        d, s, pdf, d_by_roughness, s_by_roughness = compiled.lobes(roughness, wo, wi).unbind(0)
+        ctx.save_for_backward(d_by_roughness, s_by_roughness)
         ctx.mark_non_differentiable(pdf)
         return d, s, pdf
 
     @staticmethod
     @once_differentiable
     def backward(ctx: Any, *grads: Tensor) -> tuple[Tensor, None, None, None]:
-        d_slope, s_slope = ctx.saved_tensors
-        return (grads[0] * d_slope + grads[1] * s_slope).unsqueeze(-1), None, None, None
+        d_by_roughness, s_by_roughness = ctx.saved_tensors
+        return (grads[0] * d_by_roughness + grads[1] * s_by_roughness).unsqueeze(-1), None, None, None
 
 
 def principled_lobes_pdf(

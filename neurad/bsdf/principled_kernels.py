@@ -56,10 +56,10 @@ def lobes_pdf(
         mo2, mi2 = mo * mo, mi * mi
         fo, fi = mo2 * mo2 * mo, mi2 * mi2 * mi
         both = fo * fi
-        slope = _TWO * cos2
-        retro = slope * r
+        retro_by_roughness = _TWO * cos2
+        retro = retro_by_roughness * r
         lambert = zi * _INV_PI if front else _ZERO
-        log_slope = (
+        log_s_by_alpha = (
             _TWO / alpha
             - _FOUR * alpha * up * inv_denominator
             - alpha * ((_ONE - zo2) / root_o * inv_o + (_ONE - zi2) / root_i * inv_i)
@@ -68,8 +68,8 @@ def lobes_pdf(
         out[0, i] = lambert * (base + retro * (fo + fi - both + retro * both))
         out[1, i] = s if front else _ZERO
         out[2, i] = cosine_fraction * lambert + ggx_fraction * density * inv_o if front else _ZERO
-        out[3, i] = lambert * slope * (fo + fi - both + _TWO * retro * both)
-        out[4, i] = s * log_slope * _TWO * r if front and wide else _ZERO
+        out[3, i] = lambert * retro_by_roughness * (fo + fi - both + _TWO * retro * both)
+        out[4, i] = s * log_s_by_alpha * _TWO * r if front and wide else _ZERO
 
 
 @fastmath_kernel

@@ -62,7 +62,7 @@ class LobeKernels(Protocol):
         ...
 
     def mean_lobes(self, roughness: Tensor, cosine: Tensor) -> Tensor:
-        """Integrals over wi of d, s and their slopes [4, n] for viewers at ``cosine`` [n]."""
+        """Integrals over wi of d, s and their derivatives by the roughness [4, n] for viewers at ``cosine`` [n]."""
         ...
 
 

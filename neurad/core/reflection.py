@@ -1,10 +1,11 @@
 """Reflection models as data: which one a material has, and its constants.
 
-:mod:`neurad.bsdf.table` has the implementation of each. All other modules ask a description for its properties.
+:mod:`neurad.bsdf.table` has the implementation of each. All other modules read these properties.
 """
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from dataclasses import dataclass
 from typing import Any
 
@@ -22,13 +23,13 @@ class DeltaLobe:
 
 
 @dataclass(frozen=True)
-class ReflectionModel:
-    """What the rest of the program may ask any model for. Two equal descriptions reflect alike."""
+class ReflectionModel(ABC):
+    """Properties of any model. Two equal descriptions reflect alike."""
 
     @property
+    @abstractmethod
     def label(self) -> str:
         """Its name in messages: that of Mitsuba's plugin."""
-        raise NotImplementedError
 
     @property
     def is_diffuse(self) -> bool:

@@ -101,7 +101,7 @@ class Debiased(Method):
                 light = field_radiance(scene.materials, scene.radiance, v.bounce.next)  # [m, 3]
                 value = v.bounce.reflected(light)  # T_hat(E + L) [m, 3]
             if i == 0:
-                # Any guess of the light keeps the mean, and the field's has no noise.
+                # Any baseline keeps the mean, and the field's has no noise.
                 sample = RadianceEstimate(value, value, light, v.bounce.sample_stats, v.bounce.next)
 
             # ---------------------- T_hat(E), then I_k, then residuals ----------------------

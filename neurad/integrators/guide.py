@@ -1,4 +1,4 @@
-"""Guided directions: surfaces look for indirect light where earlier samples found some.
+"""Path guiding: directions are drawn towards the indirect light that earlier samples found.
 
 Most noise of a one-bounce estimate comes from the direction of its BSDF sample: light that enters a dim room through a
 door lies in a few directions out of many. A guide keeps, for cells of space and six facings of the surface, how much
@@ -27,7 +27,7 @@ FACINGS = 6
 class Guide(nn.Module):
     """A histogram of incident light over space, facing and direction.
 
-    It holds what earlier iterations found and changes between iterations only, so samples of one iteration stay
+    It holds samples of earlier iterations and changes between iterations only, so samples of one iteration stay
     independent of each other. All of it is state: a continued run draws what an unbroken one would (on a GPU up to
     the order of sums).
 
@@ -36,8 +36,8 @@ class Guide(nn.Module):
         cells: cells along its longest side.
         bins: bins along each side of the square of directions.
         uniform: fraction of the samples that are drawn as without a guide; weights grow by at most its inverse.
-        refresh: iterations after which the distribution is brought up to date.
-        decay: of what is remembered, at each refresh: light changes while materials are found.
+        refresh: iterations after which the distribution is recomputed.
+        decay: factor on the histogram at each refresh, since light changes while materials are found.
         use_kernels: use the compiled kernels where they apply (float32 on the CPU).
     """
 
@@ -143,12 +143,12 @@ class Guide(nn.Module):
 
     @torch.no_grad()
     def update(self) -> None:
-        """Bring the distribution up to date with the histogram, and let the histogram decay."""
+        """Recompute the distribution from the histogram, and let the histogram decay."""
         # Root of the mean square radiance of each bin
         found = self.counts.sum(1) > 0  # rows with samples [rows]
         counts, squares = self.counts[found], self.squares[found]
         mean = squares.sum(1, keepdim=True) / counts.sum(1, keepdim=True)
-        # Two samples' worth of the row's mean keep bins without samples alive.
+        # Two samples' worth of the row's mean keep the density of bins without samples above zero.
         root = ((squares + 2.0 * mean) / (counts + 2.0)).sqrt()
 
         # Distribution: a mixture with the uniform one, as running sums
@@ -183,7 +183,7 @@ class Guided:
         return torch.cat((u[:, :1], warped), -1)
 
     def corrected(self, sample: BSDFSample) -> BSDFSample:
-        """The sample with the density that it was really drawn by."""
+        """The sample with the density that it was drawn by."""
         pdf = torch.where(sample.pdf > 0, sample.pdf + self.pdf_delta(sample.wi), 0.0)
         ratio = torch.where(pdf > 0, sample.pdf / pdf, 0.0)
         return BSDFSample(sample.wi, pdf, sample.weight * ratio.unsqueeze(-1))

@@ -172,7 +172,8 @@ def resolve_hits_principled(
         reflects: whether they reflect towards the viewer [m].
         albedo: there [m, 3].
         bsdf_wi: rows of the BSDF along its own samples [5, m].
-        mean: means of d, s and their slopes over the pdf [4, m]; [4, 0] without a control variate.
+        mean: means over the pdf of d, s and their derivatives by the roughness [4, m]; [4, 0] without a control
+            variate.
         ends: where the BSDF samples ended, after smooth surfaces [m].
         delta: these surfaces.
         lights: emitting triangles.
@@ -183,7 +184,7 @@ def resolve_hits_principled(
     for i in range(p.shape[0]):
         # Weight of the BSDF sample
         inverse = ONE / bsdf_wi[2, i] if reflects[i] and bsdf_wi[2, i] > ZERO else ZERO
-        d, s, d_slope, s_slope = (
+        d, s, d_by_roughness, s_by_roughness = (
             bsdf_wi[0, i] * inverse, bsdf_wi[1, i] * inverse, bsdf_wi[3, i] * inverse, bsdf_wi[4, i] * inverse
         )  # fmt: skip
 
@@ -199,19 +200,19 @@ def resolve_hits_principled(
         # Values and derivatives
         for k in range(3):
             a = albedo[i, k]
-            w, slope = a * d + s, a * d_slope + s_slope
+            w, w_by_roughness = a * d + s, a * d_by_roughness + s_by_roughness
             if mean.shape[1] > 0:
                 on = ONE if reflects[i] else ZERO
                 md, ms = mean[0, i] * on, mean[1, i] * on
                 fixed = a * md + ms
                 value[2, i, k] = w - fixed
                 by_albedo[2, i, k] = d - md
-                by_roughness[2, i, k] = slope - on * (a * mean[2, i] + mean[3, i])
+                by_roughness[2, i, k] = w_by_roughness - on * (a * mean[2, i] + mean[3, i])
                 relative[i, k] = w / fixed if fixed > ZERO else ZERO
             t = delta.throughput[i, k] if via_delta.shape[0] > 0 else ONE
             e = emission[f, k] * mis
-            value[1, i, k], by_albedo[1, i, k], by_roughness[1, i, k] = w * t, d * t, slope * t
-            value[0, i, k], by_albedo[0, i, k], by_roughness[0, i, k] = w * t * e, d * t * e, slope * t * e
+            value[1, i, k], by_albedo[1, i, k], by_roughness[1, i, k] = w * t, d * t, w_by_roughness * t
+            value[0, i, k], by_albedo[0, i, k], by_roughness[0, i, k] = w * t * e, d * t * e, w_by_roughness * t * e
 
     # Emitter sampling: what unoccluded shadow rays carry
     for j in range(shadow.lane.shape[0]):

@@ -87,7 +87,7 @@ def walk(
         # ---------------------- One vertex ----------------------
 
         # Guided weights reach albedo / Guide.uniform: at every bounce of an endless path they would add up to infinite
-        # variance. A guide knows first hits best, too.
+        # variance. A guide is most accurate at first hits, too.
         step = bounce(world, si, surface, u, sample_stats=sample_stats and depth == 1, guided=depth == 1)
         yield Vertex(lane, si, throughput, step, throughput_after_first)
         if max_depth is not None and depth + 1 >= max_depth:

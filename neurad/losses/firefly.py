@@ -16,7 +16,7 @@ def clamp_fireflies(value: Tensor, center: Tensor, epsilon: float, firefly_clamp
         value: samples or photographed values [..., c].
         center: what is predicted there, taken without its gradient, of a shape that broadcasts to ``value``.
         epsilon: floor of the relative losses in squared radiance units.
-        firefly_clamp: largest excess in units of the prediction.
+        firefly_clamp: largest difference in units of the prediction.
     """
     if firefly_clamp <= 0:
         return value

@@ -129,13 +129,13 @@ class _Kernel(torch.autograd.Function):
         grain = -(-GRAIN // samples.shape[1])
         parts = split(lambda low, high: kernels.leave_one_out(low, high, groups, *arrays), len(samples), grain)
         surrogate, value = (samples.new_tensor(sum(part)) for part in zip(*parts, strict=True))
-        ctx.slopes = by_sample, by_deviation
+        ctx.gradients = by_sample, by_deviation
         ctx.mark_non_differentiable(value)
         return surrogate, value
 
     @staticmethod
     @once_differentiable
     def backward(ctx: Any, outer: Tensor, _: Tensor) -> tuple[Tensor | None, ...]:
-        by_sample, by_deviation = ctx.slopes
+        by_sample, by_deviation = ctx.gradients
         wanted = ctx.needs_input_grad
         return outer * by_sample, outer * by_deviation if wanted[1] else None, None, None, None, None

@@ -1,7 +1,7 @@
-"""Pixels whose roughness can be found: glossy surfaces with a highlight that some training view sees.
+"""Pixels whose roughness the photographs determine: glossy surfaces with a highlight in some training view.
 
-The roughness of a diffuse wall without a highlight changes no photograph, so no method can find it; scores over these
-pixels show what could be found.
+The roughness of a diffuse wall without a highlight changes no photograph, so no method can recover it; these pixels
+are scored apart.
 """
 
 from __future__ import annotations
@@ -73,13 +73,13 @@ def lit_glossy(
             device, per = si.p.device, len(si) // len(chosen)
             surface = Surface(albedo[part][pixel].to(device), roughness[part][pixel].to(device)).repeat(per)
             lanes = si[chosen.to(device).repeat_interleave(per)]
-            shows = _shows(held_out, reflected, lanes, surface, per, samples, min_specular)
-            result[part.start + pixel] = shows.cpu()
+            visible = _highlight_visible(held_out, reflected, lanes, surface, per, samples, min_specular)
+            result[part.start + pixel] = visible.cpu()
         masks.append(result.view(size).numpy())
     return masks
 
 
-def _shows(
+def _highlight_visible(
     held_out: HeldOut,
     reflected: Reflected,
     si: SurfaceInteraction,
@@ -88,11 +88,11 @@ def _shows(
     samples: int,
     min_specular: float,
 ) -> Tensor:
-    """Whether pixels of ``per`` lanes each [n / per] show their specular part to some training view: bool."""
+    """Whether pixels of ``per`` lanes each [n / per] have a visible specular part in some training view: bool."""
     pixels = torch.arange(len(si), device=si.p.device) // per
-    shows = torch.zeros(len(si) // per, dtype=torch.bool, device=si.p.device)
+    visible = torch.zeros(len(si) // per, dtype=torch.bool, device=si.p.device)
     for index in range(len(held_out.training.cameras)):
-        left = (~shows[pixels]).nonzero().squeeze(-1)
+        left = (~visible[pixels]).nonzero().squeeze(-1)
         if len(left) == 0:
             break
         lanes, wo = held_out.training.by(index, si[left])
@@ -100,9 +100,9 @@ def _shows(
         seen = replace(si[lanes], wo=wo)
         whole = surface[lanes]
         specular = replace(whole, albedo=torch.zeros_like(whole.albedo))
-        sums = torch.zeros(2, len(shows), device=si.p.device)
+        sums = torch.zeros(2, len(visible), device=si.p.device)
         for k in range(samples):
             for row, s in enumerate((specular, whole)):
                 sums[row].index_add_(0, pixels[lanes], reflected(seen, s, mix(SEED, index, k)).sum(-1))
-        shows |= (sums[0] > 0) & (sums[0] >= min_specular * sums[1])
-    return shows
+        visible |= (sums[0] > 0) & (sums[0] >= min_specular * sums[1])
+    return visible

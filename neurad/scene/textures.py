@@ -56,7 +56,7 @@ class TrueMaterials(nn.Module):
 class OnEmitters(nn.Module):
     """Puts the scene's own values on surfaces that emit light, as they belong to what is known of the light.
 
-    A photograph of a lamp does not tell what the lamp reflects, but whatever is taken for it lights the room: in a
+    A photograph of a lamp does not show what the lamp reflects, but whatever is taken for it lights the room: in a
     kitchen whose lamps reflect 2 %, a fit that was free to think 60 % had 7 % too much light and albedos 4 % too low.
 
     Args:

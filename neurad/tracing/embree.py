@@ -38,7 +38,7 @@ class EmbreeTracer:
         Args:
             vertices: [V, 3].
             faces: indices into ``vertices`` [F, 3]; F may be 0.
-            threads: how many threads share the rays of a query; None takes one for each core.
+            threads: threads that the rays of a query are divided among; None takes one for each core.
         """
         self.threads = threads or os.cpu_count() or 1
         self.empty = len(faces) == 0

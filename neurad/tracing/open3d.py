@@ -20,7 +20,7 @@ class Open3DTracer:
         Args:
             vertices: [V, 3].
             faces: indices into ``vertices`` [F, 3]; F may be 0.
-            threads: how many threads share the rays of a query; None takes one for each core.
+            threads: threads that the rays of a query are divided among; None takes one for each core.
 
         Raises:
             InputError: Open3D, or a system library that it needs, is not installed.
@@ -75,10 +75,10 @@ class Open3DTracer:
         if self.empty or count == 0:
             return torch.zeros(count, dtype=torch.bool, device=device)
         o, d = as_floats(rays.o), as_floats(rays.d)
-        # Open3D takes one far distance for all rays: it is 1 here, and the directions carry each ray's own. Infinity
-        # becomes a distance that leaves the bounding sphere behind.
-        reach = 2.0 * (np.linalg.norm(o - self._centre, axis=-1) + self._radius)
-        far = np.minimum(as_floats(t_max), reach).astype(np.float32)
+        # Open3D takes one far distance for all rays: it is 1 here, and each direction is scaled by the ray's own t_max.
+        # Infinity becomes a distance beyond the bounding sphere.
+        outside = 2.0 * (np.linalg.norm(o - self._centre, axis=-1) + self._radius)
+        far = np.minimum(as_floats(t_max), outside).astype(np.float32)
         both = np.concatenate((o, d * far[:, None]), -1)
         found = self._scene.test_occlusions(self._core.Tensor.from_numpy(both), 0.0, 1.0, nthreads=self.threads)
         return (torch.from_numpy(found.numpy()) & (torch.from_numpy(far) > 0)).to(device)

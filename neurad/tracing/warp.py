@@ -13,9 +13,9 @@ from neurad.tracing.arrays import beyond_start, no_hits
 
 
 class WarpTracer:
-    """Closest-hit and occlusion queries against a fixed set of triangles, on whatever device the rays lie.
+    """Closest-hit and occlusion queries against a fixed set of triangles, on the device of the rays.
 
-    The triangles are copied to a device, and their bounding volumes built, when the first rays come from there. Warp's
+    The triangles are copied to a device, and their bounding volumes built, at the first query from that device. Warp's
     triangle test is watertight (Woop et al. 2013). On the CPU it runs on one thread: good for tests, slow for training.
     """
 
@@ -25,7 +25,7 @@ class WarpTracer:
         Args:
             vertices: [V, 3].
             faces: indices into ``vertices`` [F, 3]; F may be 0.
-            threads: not used; every tracer takes it.
+            threads: not used; part of every tracer's interface.
 
         Raises:
             InputError: Warp is not installed.
@@ -40,7 +40,7 @@ class WarpTracer:
                 "or choose embree"
             ) from error
         self._warp: Any = warp
-        self._warp.config.log_level = getattr(warp, "LOG_WARNING", 30)  # versions before 1.14 know ``quiet`` instead
+        self._warp.config.log_level = getattr(warp, "LOG_WARNING", 30)  # versions before 1.14 have ``quiet`` instead
         self._warp.config.quiet = True
         self._warp.init()
         self._kernels: Any = warp_kernels
@@ -85,13 +85,13 @@ class WarpTracer:
         wp.launch(kernel, dim=len(rays), inputs=inputs, device=where, stream=stream)
 
     def _mesh(self, device: torch.device) -> tuple[Any, Any, Tensor]:
-        """The triangles on a device, Warp's name of it, and the indices that the triangles had before."""
+        """The triangles on a device, Warp's name of it, and their indices among all triangles."""
         if device not in self._meshes:
             wp = self._warp
             # Warp's test of a bounding box rounds without a margin, so a ray through an edge of two triangles can miss
-            # both boxes: one in 1500 of those aimed at edges and vertices of a sphere did. So boxes are built around
-            # stand-ins, a little larger than the triangles, which then take their places; queries read them there.
-            points = _stand_ins(self._corners).to(device)
+            # both boxes: one in 1500 of those aimed at edges and vertices of a sphere did. So boxes are built from
+            # triangles with larger boxes, which the original ones then replace in the array that queries read.
+            points = _enlarged(self._corners).to(device)
             index = torch.arange(len(points), dtype=torch.int32, device=device)
             if device.type == "cuda":  # Warp reads on a stream of its own: torch's copies must be done
                 torch.cuda.synchronize(device)
@@ -103,7 +103,7 @@ class WarpTracer:
         return self._meshes[device]
 
 
-def _stand_ins(corners: Tensor) -> Tensor:
+def _enlarged(corners: Tensor) -> Tensor:
     """For triangles [F, 3, 3] others whose bounding boxes have a margin: two corners of a box and its centre [3 F, 3].
 
     The margin is some ten times the rounding error of a box test from as far away as the scene is large.

@@ -1,9 +1,10 @@
-"""Training on several processes (Lightning's ``ddp``): what its own averaging of gradients leaves to do.
+"""Training on several processes (Lightning's ``ddp``): the exchange of what DDP does not average itself.
 
 Every process draws its own pixels and samples, and all of them step with the mean gradient, so ``n`` processes do what
 one would do with ``n`` times the batch. Tables of grids have sparse gradients, which DDP's buckets cannot hold: DDP
-leaves tables alone. Their touched rows, what the guide saw, and the clock of the first process travel together, in one
-message a step (two when it outgrows its buffer): on one machine the number of messages costs more than their length.
+leaves tables alone. Their touched rows, the samples for the guide, and the clock of the first process are sent
+together, in one message a step (two when it outgrows its buffer): on one machine the number of messages costs more than
+their length.
 """
 
 from __future__ import annotations
@@ -41,7 +42,7 @@ def ddp_ignored(module: nn.Module) -> set[str]:
 
 
 class GradientSync:
-    """The other processes of a fit.
+    """Averages gradients over the processes of a fit.
 
     Args:
         module: whose gradients are averaged.
@@ -105,10 +106,10 @@ class Exchange:
         self._capacity = 0  # bytes of a message, the same in all processes
 
     def __call__(self, parts: Sequence[Tensor]) -> list[list[Tensor]]:
-        """For each of ``parts`` what the processes gave, in the order of their ranks.
+        """For each of ``parts`` the tensors of all processes, in the order of their ranks.
 
         Args:
-            parts: tensors whose first lengths may differ between processes, and nothing else of them.
+            parts: tensors; between processes only their first dimension may differ.
         """
         own = _packed(parts)
         head = _WORD * len(parts)
@@ -136,7 +137,7 @@ def _packed(parts: Sequence[Tensor]) -> Tensor:
 
 
 def _unpacked(received: Tensor, lengths: list[list[int]], parts: Sequence[Tensor]) -> list[list[Tensor]]:
-    """Tensors by part and process from what came [processes, bytes]."""
+    """Tensors by part and process from the messages received [processes, bytes]."""
     found: list[list[Tensor]] = [[] for _ in parts]
     for message, row in zip(received, lengths, strict=True):
         begin = _WORD * len(parts)

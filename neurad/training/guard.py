@@ -1,8 +1,8 @@
-"""Stops a run at the first number that is not finite, says which it was, and keeps what is needed to see it again.
+"""Stops a run at the first number that is not finite, names it, and stores what is needed to reproduce it.
 
 Nothing is ever replaced: a NaN that is turned into 0 is a wrong result that looks right. The check of a step is a sum
 over each loss and gradient. Only when it fails is the step repeated, which gives the same numbers since random streams
-are counters, with every return value of this package's functions looked at: the first bad one is the cause.
+are counters, with every return value of this package's functions checked: the first bad one is the cause.
 """
 
 from __future__ import annotations
@@ -24,10 +24,10 @@ from neurad.core.records import FloatArray, PixelBatch
 from neurad.losses.relative import Loss
 
 SCAN_EVERY = 100
-"""Iterations between two looks at the tables of grids."""
+"""Iterations between two checks of the tables of grids."""
 SMALL = 1 << 16
-"""Parameters of at most so many values, all layers of networks, are looked at in every iteration: oneDNN's fused ReLU
-turns NaN into 0, so a bad weight need not show in the loss."""
+"""Parameters of at most this many values, all layers of networks, are checked in every iteration: oneDNN's fused ReLU
+turns NaN into 0, so a bad weight need not appear in the loss."""
 _WATCHED = tuple(package.__name__ for package in (integrators, bsdf, emitters, fields, assembly, training, losses))
 _UNBOUNDED = ("distance", "t", "t_max")
 """Fields of records that are infinite where a ray meets nothing."""
@@ -42,8 +42,8 @@ class Guard:
 
     Args:
         module: whose parameters and gradients are checked.
-        keep: stores the weights and the batch, if there is one, for a later look; called with the iteration and the
-            cause, and returns what the message is to say about it. None where nothing is stored.
+        keep: stores the weights and the batch, if there is one; called with the iteration and the
+            cause, and returns what the message adds about it. None where nothing is stored.
     """
 
     def __init__(self, module: nn.Module, keep: Callable[[int, str, PixelBatch | None], str] | None = None) -> None:
@@ -123,8 +123,8 @@ class Guard:
 
 
 def keep_in_run_folder(trainer: pl.Trainer | None, iteration: int, cause: str, batch: PixelBatch | None) -> str:
-    """Store ``bad.ckpt`` and ``bad_batch.pt`` in the run folder, if there is one, and say how to repeat the step."""
-    # The logger's own folder: the trainer's is agreed on by all processes, and only this one may come here.
+    """Store ``bad.ckpt`` and ``bad_batch.pt`` in the run folder, if there is one, and return how to repeat the step."""
+    # The logger's own folder: the trainer's needs a broadcast among all processes, and only this one gets here.
     place = getattr(getattr(trainer, "logger", None), "log_dir", None)
     if trainer is None or place is None:
         return ""
@@ -156,7 +156,7 @@ def clip(groups: list[list[dict[str, Any]]], largest: float) -> None:
 def first_bad(run: Callable[[], object]) -> str | None:
     """The first return value of this package's functions that is NaN or infinite while ``run`` is called.
 
-    Distances of rays that meet nothing may be infinite. The call runs with gradients, slowly.
+    Distances of rays that meet nothing may be infinite. The call is slow: it runs with gradients and a profiler.
     """
     found: list[str] = []
 

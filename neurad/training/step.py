@@ -10,6 +10,7 @@ import torch
 from torch import Tensor, nn
 
 from neurad.assembly.build import Assembly
+from neurad.assembly.settings import ModelSettings
 from neurad.core.records import PixelBatch
 from neurad.core.rng import Stream
 from neurad.fields.mlp import MLP, products
@@ -95,11 +96,18 @@ class TrainingStep:
         Raises:
             NotFinite: a loss, gradient or weight is NaN or infinite.
         """
-        with of_step(self._lanes(batch), self._networks):
-            return self._iterate(batch, progress, backward)
+        settings = self.assembly.settings.for_batch(batch.pixel_multiplier)
+        lanes = len(batch.view) * settings.sampling.spp * settings.sampling.samples_per_vertex  # path samples
+        with of_step(lanes, self._networks):
+            loss = self._iterate(batch, settings, progress, backward)
+        passes = self.processes * (2 if settings.objective.estimator == "two_pass" else 1)
+        self.counters.samples += passes * lanes
+        return loss
 
-    def _iterate(self, batch: PixelBatch, progress: float, backward: Callable[[Tensor], None]) -> Tensor:
-        settings, world = self.assembly.settings, self.assembly.world
+    def _iterate(
+        self, batch: PixelBatch, settings: ModelSettings, progress: float, backward: Callable[[Tensor], None]
+    ) -> Tensor:
+        world = self.assembly.world
         optimization, environment, counters = settings.optimization, self.assembly.environment, self.counters
         # Stage 1: losses and gradients.
         for optimizer in self.optimizers.values():
@@ -119,7 +127,9 @@ class TrainingStep:
         if optimization.clip > 0:
             clip([optimizer.param_groups for optimizer in self.optimizers.values()], optimization.clip)
         # Stage 3: parameters, guide and averages.
-        self._set_rates(factor, batch.pixel_multiplier)
+        for name, optimizer in self.optimizers.items():
+            for group in optimizer.param_groups:
+                group["lr"] = factor * getattr(optimization, name)
         for optimizer in reversed(
             list(self.optimizers.values())
         ):  # the first last: a trainer that counts it ends its step
@@ -128,8 +138,6 @@ class TrainingStep:
         counters.iteration += 1
         if self.assembly.average is not None:
             self.assembly.average.update(counters.iteration)
-        passes = self.processes * (2 if settings.objective.estimator == "two_pass" else 1)
-        counters.samples += passes * self._lanes(batch)
         self.losses = {name: term.value for name, (_, term) in terms.all.items()}
         return loss.detach()
 
@@ -137,17 +145,3 @@ class TrainingStep:
         """The losses of this iteration; the same ones at every call until the weights move."""
         stream = Stream(self.assembly.settings.seed, self.counters.iteration, self.rank, 1, device=self.device)
         return self.objective(batch, stream)
-
-    def _set_rates(self, factor: float, pixel_multiplier: int) -> None:
-        """Give every optimizer its learning rate."""
-        for name, optimizer in self.optimizers.items():
-            rate = factor * getattr(self.assembly.settings.optimization, name)
-            if name == "roughness":  # fewer samples per pixel leave its derivative, a product of two, that much noisier
-                rate /= pixel_multiplier**2
-            for group in optimizer.param_groups:
-                group["lr"] = rate
-
-    def _lanes(self, batch: PixelBatch) -> int:
-        """Path samples of a batch: pixels x samples per pixel x samples per vertex."""
-        sampling = self.assembly.settings.sampling
-        return len(batch.view) * (sampling.spp // batch.pixel_multiplier) * sampling.samples_per_vertex

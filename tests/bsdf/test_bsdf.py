@@ -143,10 +143,10 @@ def draw(bsdf, roughness, cos, seed):
     return sample_fn, pdf_fn
 
 
-@pytest.mark.parametrize("share", [0.5, 0.2])
+@pytest.mark.parametrize("fraction", [0.5, 0.2])
 @pytest.mark.parametrize("use_kernels", [True, False])
-def test_chi_square_of_principled(use_kernels, share):
-    model = Principled(use_kernels=use_kernels, specular_fraction=share)
+def test_chi_square_of_principled(use_kernels, fraction):
+    model = Principled(use_kernels=use_kernels, specular_fraction=fraction)
     p = [chi2_test(*draw(model, r, c, i), count=60_000) for i, (r, c) in enumerate(CASES)]
     assert accept(p), dict(zip(CASES, p, strict=True))
 
@@ -324,13 +324,13 @@ def features_of(*models):
 def test_mixed_lanes_follow_their_own_model():
     n = 2048
     plain, wo, u = random_surface(n), directions(n, 1), uniform(n, 3, seed=2)
-    matte = torch.arange(n) % 2 == 0
-    typed = Surface(plain.albedo, plain.roughness, (~matte).long())
-    assert torch.equal(typed[:8].model == 0, matte[:8])
+    diffuse = torch.arange(n) % 2 == 0
+    typed = Surface(plain.albedo, plain.roughness, (~diffuse).long())
+    assert torch.equal(typed[:8].model == 0, diffuse[:8])
     mixed = make_bsdf(features_of(DiffuseModel(), PrincipledModel()))
     wi = directions(n, 3, upper=False)
     (value, pdf), sample = mixed.eval_pdf(typed, wo, wi), mixed.sample(typed, wo, u)
-    for lanes, bsdf in ((matte, Diffuse()), (~matte, Principled())):
+    for lanes, bsdf in ((diffuse, Diffuse()), (~diffuse, Principled())):
         want, want_pdf = bsdf.eval_pdf(plain, wo, wi)
         torch.testing.assert_close(value[lanes], want[lanes])
         torch.testing.assert_close(pdf[lanes], want_pdf[lanes])
@@ -340,10 +340,10 @@ def test_mixed_lanes_follow_their_own_model():
     torch.testing.assert_close(mixed.eval(plain, wo, wi), Principled().eval(plain, wo, wi))
 
 
-@pytest.mark.parametrize("matte", [True, False])
-def test_select(matte):
-    model = DiffuseModel() if matte else PrincipledModel()
-    assert isinstance(make_bsdf(features_of(model)), Diffuse if matte else Principled)
+@pytest.mark.parametrize("diffuse", [True, False])
+def test_select(diffuse):
+    model = DiffuseModel() if diffuse else PrincipledModel()
+    assert isinstance(make_bsdf(features_of(model)), Diffuse if diffuse else Principled)
 
 
 # Smooth surfaces

@@ -20,7 +20,7 @@ MODELS = {
     "half a metal": PrincipledModel(eta=1.3, metallic=0.4),
     "dense": PrincipledModel(eta=2.0),
     "copper": RoughConductorModel(*COPPER, 0.15),
-    "matte copper": RoughConductorModel(*COPPER, 0.6),
+    "rough copper": RoughConductorModel(*COPPER, 0.6),
     "white metal": RoughConductorModel(*WHITE, 0.3),
     "plastic": RoughPlasticModel(1.49, 0.2),
     "tinted plastic": RoughPlasticModel(1.9, 0.5, (0.9, 0.6, 0.3)),

@@ -42,11 +42,11 @@ def surface(n):
 def test_compiled_grid_equals_plain_torch(size, channels):
     grid = make_grid(size, channels)
     x = points(2000)
-    use_kernels, plain = grid(x), grid.reference(x)
-    torch.testing.assert_close(use_kernels, plain, rtol=1e-5, atol=1e-5)
-    cotangent = torch.randn_like(use_kernels)
-    (sparse,) = torch.autograd.grad(use_kernels, grid.table, cotangent)
-    (dense,) = torch.autograd.grad(plain, grid.table, cotangent)
+    kernel, reference = grid(x), grid.reference(x)
+    torch.testing.assert_close(kernel, reference, rtol=1e-5, atol=1e-5)
+    cotangent = torch.randn_like(kernel)
+    (sparse,) = torch.autograd.grad(kernel, grid.table, cotangent)
+    (dense,) = torch.autograd.grad(reference, grid.table, cotangent)
     assert sparse.is_sparse
     assert (sparse.to_dense() - dense).norm() < 1e-5 * dense.norm()
     rows = sparse._indices()[0]
@@ -127,7 +127,7 @@ def test_radiance_is_the_same_in_all_directions():
 
 
 @pytest.mark.parametrize("use_kernels", [True, False])
-def test_grid_learns_a_smooth_function(use_kernels):
+def test_grid_fits_a_smooth_function(use_kernels):
     field = AlbedoField(FieldConfig(kind="dense", size=12), BOUNDS)
     field.grid.use_kernels = use_kernels
     optimizer = SparseRowAdam(field.parameters(), lr=0.05)

@@ -60,11 +60,11 @@ def surface(n, spread=1.0):
 def test_compiled_grid_equals_plain_torch(size):
     grid = make_grid(size)
     x = points(500)
-    use_kernels, plain = grid(x), grid.reference(x)
-    torch.testing.assert_close(use_kernels, plain, rtol=1e-6, atol=1e-6)
-    cotangent = torch.randn_like(use_kernels)
-    (sparse,) = torch.autograd.grad(use_kernels, grid.table, cotangent)
-    (dense,) = torch.autograd.grad(plain, grid.table, cotangent)
+    kernel, reference = grid(x), grid.reference(x)
+    torch.testing.assert_close(kernel, reference, rtol=1e-6, atol=1e-6)
+    cotangent = torch.randn_like(kernel)
+    (sparse,) = torch.autograd.grad(kernel, grid.table, cotangent)
+    (dense,) = torch.autograd.grad(reference, grid.table, cotangent)
     assert sparse.is_sparse
     assert (sparse.to_dense() - dense).norm() < 1e-5 * dense.norm()
     torch.testing.assert_close(sparse.to_dense(), dense, rtol=1e-5, atol=1e-5 * float(dense.abs().max()))
@@ -103,11 +103,11 @@ def test_table_takes_what_its_levels_need():
 
 
 def test_both_implementations_load_each_others_weights():
-    use_kernels, plain = make_grid(SIZES[0]), make_grid(SIZES[0], use_kernels=False)
-    plain.load_state_dict(use_kernels.state_dict())
+    kernel, reference = make_grid(SIZES[0]), make_grid(SIZES[0], use_kernels=False)
+    reference.load_state_dict(kernel.state_dict())
     x = points(100)
-    torch.testing.assert_close(use_kernels(x), plain(x), rtol=1e-6, atol=1e-6)
-    assert list(use_kernels.state_dict()) == ["table"]
+    torch.testing.assert_close(kernel(x), reference(x), rtol=1e-6, atol=1e-6)
+    assert list(kernel.state_dict()) == ["table"]
 
 
 @pytest.mark.parametrize("size", [SIZES[0], SIZES[4]])

@@ -26,7 +26,7 @@ class HeldOutMaps:
     """[p, 3]."""
     roughness: Tensor
     """[p, 1]."""
-    share: Tensor
+    fraction: Tensor
     """How much of each pixel shows each mesh [p, meshes]."""
     seen: Tensor
     """In how many training views the worst sub-sample of each pixel is seen [p]."""
@@ -63,10 +63,10 @@ def held_out_maps(scene: Scene, world: World) -> HeldOutMaps:
         mesh = world.geometry.mesh_index[si.prim.clamp_min(0)]
         lit = world.geometry.emission[si.prim.clamp_min(0)].amax(-1) > 0
         counted = (si.valid & ~lit).view(-1, SUB).all(1)
-        share = torch.nn.functional.one_hot(mesh, len(scene.meshes)).float().view(-1, SUB, len(scene.meshes)).mean(1)
+        fraction = torch.nn.functional.one_hot(mesh, len(scene.meshes)).float().view(-1, SUB, len(scene.meshes)).mean(1)
         seen = torch.stack([seen_by(world, train, si) for train in scene.train]).sum(0).view(-1, SUB).amin(1)
         albedo, roughness = (x.view(-1, SUB, x.shape[-1]).mean(1) for x in (surface.albedo, surface.roughness))
-        parts.append(tuple(x[counted] for x in (albedo, roughness, share, seen)))
+        parts.append(tuple(x[counted] for x in (albedo, roughness, fraction, seen)))
     return HeldOutMaps(*(torch.cat(x) for x in zip(*parts, strict=True)))
 
 
@@ -75,10 +75,10 @@ def psnr(error: Tensor) -> float:
     return float(-10 * torch.log10((error**2).mean()))
 
 
-def best_per_object(truth: Tensor, share: Tensor) -> float:
+def best_per_object(truth: Tensor, fraction: Tensor) -> float:
     """PSNR of the best answer with one value per mesh: least squares over box-filtered pixels."""
-    used = share.sum(0) > 0
-    basis = share[:, used].double()
+    used = fraction.sum(0) > 0
+    basis = fraction[:, used].double()
     value = torch.linalg.lstsq(basis, truth.double(), driver="gelsd").solution
     return psnr(basis @ value - truth)
 

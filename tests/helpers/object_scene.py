@@ -36,7 +36,7 @@ def object_scene(environment, model=PAINT, albedo=(0.6, 0.4, 0.2), size=SIZE):
         Constant(np.array(albedo, np.float32)),
         Constant(np.array([0.3], np.float32)),
     )
-    matte = replace(paint, name="matte", albedo=Constant(np.full(3, 0.5, np.float32)))
+    diffuse = replace(paint, name="diffuse", albedo=Constant(np.full(3, 0.5, np.float32)))
     ring = [(math.cos(a) * 3.0, 2.0 + 0.5 * (i % 2), math.sin(a) * 3.0) for i, a in enumerate(np.arange(8) * 0.8)]
     eyes = [(eye, (0.0, 0.4, 0.0)) for eye in ring]
     return Scene(
@@ -45,7 +45,7 @@ def object_scene(environment, model=PAINT, albedo=(0.6, 0.4, 0.2), size=SIZE):
             ball((0.0, 0.5, 0.0), 0.5, 1.0, 8, 12).mesh("ball", 0),
             quad((-1.0, 0.0, -1.0), (0.0, 0.0, 2.0), (2.0, 0.0, 0.0)).mesh("floor", 1),
         ],
-        materials=[paint, matte],
+        materials=[paint, diffuse],
         environment=environment,
         train=views("train", eyes[:6], 45.0, size),
         test=views("test", eyes[6:], 45.0, size),

@@ -113,7 +113,7 @@ def chi2_test(
 
     Args:
         sample_fn: count -> directions [count, 3] and whether each is valid [count]; invalid ones must have pdf 0, and
-            what is missing in the integral of the pdf must be their share.
+            what is missing in the integral of the pdf must be their fraction.
         pdf_fn: directions [m, 3] float64 -> solid-angle density [m]; float64 evaluation keeps the quadrature exact.
         count: samples to draw.
         rows: cells in cos theta.
@@ -130,7 +130,7 @@ def chi2_test(
     mass = integrate_cells(pdf_fn, cos_edges, phi_edges, tolerance=1e-7)
     if mass.sum() > 1.0 + 1e-3:
         return 0.0
-    rest = max(0.0, 1.0 - mass.sum()) * count  # the share of invalid samples
+    rest = max(0.0, 1.0 - mass.sum()) * count  # the fraction of invalid samples
     lost = count - observed.sum()
     if rest < 1e-3 * count and lost < 1e-3 * count:  # no more than the error of the quadrature
         return pooled_chi2(observed.ravel(), mass.ravel() / mass.sum() * observed.sum())

@@ -35,7 +35,7 @@ def quadrature(roughness: float, cosine: float) -> torch.Tensor:
     t = (torch.arange(n, dtype=torch.float64) + 0.5) / n
     a, b = torch.meshgrid(t, t, indexing="ij")
     # Angle from the mirror direction, dense where it is small; azimuth around that direction.
-    angle, slope = torch.pi * a**3, 3 * torch.pi * a**2
+    angle, derivative = torch.pi * a**3, 3 * torch.pi * a**2
     turn = 2 * torch.pi * b
     sine = (1 - cosine**2) ** 0.5
     mirror = torch.tensor([-sine, 0.0, cosine], dtype=torch.float64)
@@ -45,7 +45,7 @@ def quadrature(roughness: float, cosine: float) -> torch.Tensor:
     wi = angle.flatten().cos()[:, None] * mirror + angle.flatten().sin()[:, None] * around
     wo = torch.tensor([[sine, 0.0, cosine]], dtype=torch.float64).expand_as(wi)
     d, s, _ = lobes_pdf(torch.full((len(wi), 1), roughness, dtype=torch.float64), wo, wi, 1.5)
-    area = (angle.sin() * slope * 2 * torch.pi / n**2).flatten()
+    area = (angle.sin() * derivative * 2 * torch.pi / n**2).flatten()
     return torch.stack(((d * area).sum(), (s * area).sum()))
 
 
@@ -58,14 +58,14 @@ def test_directional_albedo_is_the_integral_of_the_lobes(roughness: float, cosin
     diffuse, exact = both - specular, quadrature(roughness, cosine)
     assert float(diffuse) == pytest.approx(float(exact[0]), rel=0.005)
     assert float(specular) == pytest.approx(float(exact[1]), rel=0.01, abs=5e-4)
-    slope = (quadrature(roughness + 0.01, cosine) - quadrature(roughness - 0.01, cosine)) / 0.02
-    for value, expected in ((diffuse, slope[0]), (specular, slope[1])):
+    derivative = (quadrature(roughness + 0.01, cosine) - quadrature(roughness - 0.01, cosine)) / 0.02
+    for value, expected in ((diffuse, derivative[0]), (specular, derivative[1])):
         gradient = torch.autograd.grad(value, r, retain_graph=True)[0]
         assert float(gradient) == pytest.approx(float(expected), rel=0.04, abs=0.004)
 
 
 def test_weights_of_bsdf_samples_have_this_mean() -> None:
-    """One-sample z-tests at 99 % over all (Sidak): value and slope, over random surfaces and directions."""
+    """One-sample z-tests at 99 % over all (Sidak): value and derivative, over random surfaces and directions."""
     n, cases = 200_000, 12
     stream = Stream(5)
     model = Principled()
@@ -76,10 +76,10 @@ def test_weights_of_bsdf_samples_have_this_mean() -> None:
         roughness = torch.full((n, 1), rough, requires_grad=True)
         surface = Surface(torch.full((n, 3), 0.6), roughness)
         weight = model.sample(surface, wo, stream.uniform(n, 3)).weight[:, 0]
-        slope = torch.autograd.grad(weight.sum(), roughness)[0][:, 0]
+        derivative = torch.autograd.grad(weight.sum(), roughness)[0][:, 0]
         mean = directional_albedo(surface, wo[:, 2], 1.5)[:, 0]
-        mean_slope = torch.autograd.grad(mean.sum(), roughness)[0][:, 0]
-        for found, expected, slack in ((weight, mean, 2e-3), (slope, mean_slope, 1e-2)):
+        mean_derivative = torch.autograd.grad(mean.sum(), roughness)[0][:, 0]
+        for found, expected, slack in ((weight, mean, 2e-3), (derivative, mean_derivative, 1e-2)):
             found, expected = found.detach(), float(expected.detach()[0])
             error = abs(float(found.mean()) - expected) - slack  # of the table
             scores.append(error / float(found.std() / n**0.5))
@@ -116,10 +116,10 @@ def test_gradient_keeps_its_mean_and_loses_noise(n: int, groups: int) -> None:
         assert abs(z) < 2.81  # 99 % over both
         return float(gradient.std())
 
-    plain, less = (noise(groups, controlled) for controlled in (False, True))
-    assert less < (0.8 if groups > 2 or groups == n else 1.01) * plain  # of two groups, derivatives alone have less
+    usual, less = (noise(groups, controlled) for controlled in (False, True))
+    assert less < (0.8 if groups > 2 or groups == n else 1.01) * usual  # of two groups, derivatives alone have less
     if groups < n:
-        assert plain < 0.8 * noise(n, False)
+        assert usual < 0.8 * noise(n, False)
 
 
 # ---- in the methods
@@ -171,7 +171,7 @@ class Even(torch.nn.Module):
         return Surface(self.albedo(si), self.rough.expand(len(si), 1))
 
 
-# Variance of the gradient by albedo and by roughness: at most this share of that without control.
+# Variance of the gradient by albedo and by roughness: at most this fraction of that without control.
 METHODS = {
     "AD-PT": (PathTracing, {"max_depth": 4}, (0.6, 0.9)),
     "PRB": (PRB, {"max_depth": 4}, (0.6, 0.9)),
@@ -184,7 +184,7 @@ METHODS = {
 def test_methods_keep_the_mean_of_their_gradient_and_lose_noise(name: str) -> None:
     """A closed glossy room that shines everywhere, seen at a slant: light is nearly even. Gradients of leave-one-out
     with and without control from the same random numbers: paired t-tests at 99 % confidence over both parameters, with
-    a slack for the table of directional albedos and its slopes (their errors are tested above)."""
+    a slack for the table of directional albedos and its derivatives (their errors are tested above)."""
     make, settings, largest = METHODS[name]
     batches, pixels, n = 100, 64, 8
     scene = build_furnace(0.5, 1.0)
@@ -208,12 +208,12 @@ def test_methods_keep_the_mean_of_their_gradient_and_lose_noise(name: str) -> No
         loss = leave_one_out(value, torch.full((pixels, 3), 0.3), torch.ones(pixels, 3), variate)
         return torch.stack(torch.autograd.grad(loss.surrogate, list(materials.parameters())))
 
-    plain, less = (torch.stack([gradient(c, i) for i in range(batches)]).double() for c in (False, True))
-    difference = less - plain
-    slack = torch.tensor([0.005, 0.04]) * plain.mean(0).abs()
+    usual, less = (torch.stack([gradient(c, i) for i in range(batches)]).double() for c in (False, True))
+    difference = less - usual
+    slack = torch.tensor([0.005, 0.04]) * usual.mean(0).abs()
     apart = (difference.mean(0).abs() - slack).clamp_min(0.0)
     t = apart / (difference.std(0) / batches**0.5)
-    ratio = less.var(0) / plain.var(0)
+    ratio = less.var(0) / usual.var(0)
     print(f"\n{name}: t {t.tolist()}, variance {ratio.tolist()}")
     assert accept(2 * stats.t.sf(t.numpy(), batches - 1))
     assert ratio[0] < largest[0]

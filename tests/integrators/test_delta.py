@@ -55,14 +55,14 @@ def test_a_mirror_shows_the_wall_behind_the_camera_times_its_tint(d):
     torch.testing.assert_close(seen, torch.tensor(TINT * LIGHT).expand(64, 3))
 
 
-@pytest.mark.parametrize(("two_sided", "share"), [(True, 1.0), (False, 0.0)])
-def test_a_one_sided_mirror_is_black_from_behind(two_sided, share):
+@pytest.mark.parametrize(("two_sided", "reflectance"), [(True, 1.0), (False, 0.0)])
+def test_a_one_sided_mirror_is_black_from_behind(two_sided, reflectance):
     back = wall(-1, -1, 4.0)
     scene = scene_of(
         (back, delta_material(ConductorModel(), TINT, two_sided), None), (wall(3, -1), diffuse("wall", 0.0), LIGHT)
     )
     seen = path(scene)(bundle(8, (0.0, 0.0, 1.0), (0.1, 0.0, -1.0)), 0)
-    torch.testing.assert_close(seen, torch.tensor(np.float32(share) * TINT * LIGHT).expand(8, 3))
+    torch.testing.assert_close(seen, torch.tensor(np.float32(reflectance) * TINT * LIGHT).expand(8, 3))
 
 
 def fresnel(degrees):
@@ -231,7 +231,7 @@ def test_both_ways_to_the_first_hits_see_the_same_picture():
     batch = batch_of(scene, 40)
     kept = primary(batch, 64, Stream(1)).si.p.view(40, 64, 3).mean(1)
     anew = primary._anew(batch, 64, Stream(2)).si.p.view(40, 64, 3)
-    error = anew.std(1) / 8 + 1e-5  # the kept ones are stratified: their share of the noise is small
+    error = anew.std(1) / 8 + 1e-5  # the kept ones are stratified: their part of the noise is small
     assert ((kept - anew.mean(1)).abs() / error).max() < 5.5  # 120 numbers
     assert ((kept - anew.mean(1).roll(1, 0)).abs() / error).max() > 50  # a wrong order would be seen
 

@@ -41,8 +41,8 @@ def points(n: int, seed: int) -> SurfaceInteraction:
     )
 
 
-def taught(use_kernels: bool = True) -> Guide:
-    """A guide that has seen light from one side of the square."""
+def trained_guide(use_kernels: bool = True) -> Guide:
+    """A guide with samples of light from one side of the square."""
     guide = Guide(BOX, cells=4, bins=4, use_kernels=use_kernels)
     si, u = points(60_000, 1), Stream(2).uniform(60_000, 2)
     guide.record(*guide.bin_samples(si, si.n, cosine_hemisphere(u), (20.0 * u[:, :1] ** 3).expand(-1, 3)))
@@ -57,27 +57,27 @@ def test_the_square_of_a_disk_and_back() -> None:
 
 
 def test_compiled_lookups_equal_plain_torch() -> None:
-    use_kernels, slow = taught(), taught(use_kernels=False)
+    guide, reference = trained_guide(), trained_guide(use_kernels=False)
     si, u = points(20_000, 4), Stream(5).uniform(20_000, 2)
     far = SurfaceInteraction(**{**si.__dict__, "p": si.p * 3.0 - 4.0})  # outside the box, the nearest cell counts
     for lanes in (si, far):
-        rows = use_kernels.rows(lanes, lanes.n)
-        assert torch.equal(rows, slow.rows(lanes, lanes.n))
+        rows = guide.rows(lanes, lanes.n)
+        assert torch.equal(rows, reference.rows(lanes, lanes.n))
         assert int(rows.min()) >= 0
-        assert int(rows.max()) < len(use_kernels.counts)
-        warped = use_kernels.warp(rows, u)
-        torch.testing.assert_close(warped, slow.warp(rows, u), atol=1e-6, rtol=0)
+        assert int(rows.max()) < len(guide.counts)
+        warped = guide.warp(rows, u)
+        torch.testing.assert_close(warped, reference.warp(rows, u), atol=1e-6, rtol=0)
         wi = cosine_hemisphere(warped)
-        different = (use_kernels.density(rows, wi) - slow.density(rows, wi)).abs() > 1e-4
+        different = (guide.density(rows, wi) - reference.density(rows, wi)).abs() > 1e-4
         assert int(different.sum()) < 10  # on the edge of a bin either is right
-        assert int((use_kernels._places(rows, wi) != slow._places(rows, wi)).sum()) < 10
-    assert use_kernels.shape == [3, 2, 4]
-    assert len(use_kernels.counts) == 24 * FACINGS
+        assert int((guide._places(rows, wi) != reference._places(rows, wi)).sum()) < 10
+    assert guide.shape == [3, 2, 4]
+    assert len(guide.counts) == 24 * FACINGS
 
 
 @pytest.mark.parametrize("use_kernels", [True, False])
 def test_chi_square_of_the_bins(use_kernels: bool) -> None:
-    guide = taught(use_kernels)
+    guide = trained_guide(use_kernels)
     p = []
     for row in (0, 17, 100):
         rows = torch.full((80_000,), row)
@@ -90,7 +90,7 @@ def test_chi_square_of_the_bins(use_kernels: bool) -> None:
         assert float(expected.sum()) == pytest.approx(1.0, abs=1e-5)
         assert float(expected.max() / expected.min()) > 2.0  # it has learned something
         p.append(float(chisquare(observed.numpy(), (expected / expected.sum() * 80_000).numpy()).pvalue))
-        assert float(guide.density(rows, wi).min()) > 0.3 - 1e-4  # the share that is drawn evenly
+        assert float(guide.density(rows, wi).min()) > 0.3 - 1e-4  # the fraction that is drawn uniformly
     assert accept(p), p
     even = Guide(BOX, 4, 4, use_kernels=use_kernels)
     p = float(chisquare(observed.numpy(), torch.full((64,), 80_000 / 64).numpy()).pvalue)
@@ -191,7 +191,7 @@ def test_what_other_processes_saw_counts_too() -> None:
     "method", [Radiometric(control_variate=False), PathTracing(4, control_variate=False), PRB(4), Direct()]
 )
 def test_a_guide_learns_in_a_fit_of_a_glossy_scene(method: Method) -> None:
-    """With or without a control variate; direct light asks for none, and neither does a Lambertian scene."""
+    """With or without a control variate; direct light needs none, and neither does a Lambertian scene."""
     scene = resized(builtin.build("cornell"), 8, 2)
     images = photographs(replace(scene, max_depth=3), 2)
     module, _ = fit(glossy(scene), images, 3, method=method, sampling=Sampling(guide=4))

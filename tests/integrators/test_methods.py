@@ -52,11 +52,11 @@ def check(oracle, paths, largest):
     """
     p_values = []
     for index, (name, (method, wrong)) in enumerate({**METHODS, **{k: (m, 1.0) for k, m in SHORT.items()}}.items()):
-        share = 1.0 - oracle.rho ** SHORT[name].k if name in SHORT else 1.0
+        fraction = 1.0 - oracle.rho ** SHORT[name].k if name in SHORT else 1.0
         budget = paths // 4 if name in SHORT else paths
-        slope, value = oracle.estimate(method, budget, mix(index, round(100 * oracle.rho), len(oracle.name)), wrong)
+        grad, value = oracle.estimate(method, budget, mix(index, round(100 * oracle.rho), len(oracle.name)), wrong)
         for kind, (mean, error), truth in (
-            ("derivative", slope, share * oracle.derivative), ("value", value, oracle.exact),
+            ("derivative", grad, fraction * oracle.derivative), ("value", value, oracle.exact),
         ):  # fmt: skip
             z = (mean - truth) / max(error, 1e-6 * truth)
             print(f"{oracle.name} rho {oracle.rho}: {name:32} {kind:10} {mean:9.4f} of {truth:9.4f}, z {z:+.2f}, "
@@ -107,7 +107,7 @@ def test_path_derivative_equals_central_differences_with_common_random_numbers()
     def value():
         return PathTracing(7, 100).reflected(SceneModel(world, materials), si, materials(si), u, Stream(7)).value.sum()
 
-    (slope,) = torch.autograd.grad(value(), [materials.colour])
+    (grad,) = torch.autograd.grad(value(), [materials.colour])
     ends = []
     with torch.no_grad():
         for sign in (1.0, -1.0):
@@ -115,7 +115,7 @@ def test_path_derivative_equals_central_differences_with_common_random_numbers()
             ends.append(float(value()))
             materials.colour -= sign * 0.01 * towards
     expected = (ends[0] - ends[1]) / 0.02
-    assert math.isclose(float((slope * towards).sum()), expected, rel_tol=2e-3)
+    assert math.isclose(float((grad * towards).sum()), expected, rel_tol=2e-3)
 
 
 def test_detached_roughness_derivative_is_right_in_the_mean():
@@ -123,7 +123,7 @@ def test_detached_roughness_derivative_is_right_in_the_mean():
     density as well, whose derivative integrates to nothing."""
     world, materials = build_world(gallery()), Textures()
     si = camera_vertices(world, 500, 1)
-    slopes, differences = [], []
+    grads, differences = [], []
 
     def value(seed, shift):
         with torch.no_grad():
@@ -136,14 +136,14 @@ def test_detached_roughness_derivative_is_right_in_the_mean():
         return out.value.clamp_max(50.0).sum() / 500
 
     for seed in range(40):
-        (slope,) = torch.autograd.grad(value(seed, 0.0), [materials.rough])
-        slopes.append(float(slope.sum()))
+        (grad,) = torch.autograd.grad(value(seed, 0.0), [materials.rough])
+        grads.append(float(grad.sum()))
         with torch.no_grad():
             high = value(1000 + seed, 0.05)
             low = value(1000 + seed, -0.1)
             materials.rough += 0.05
         differences.append(float(high - low) / 0.1)
-    assert accept(z_test_samples(slopes, differences))
+    assert accept(z_test_samples(grads, differences))
 
 
 # ---- the training step
@@ -200,9 +200,9 @@ def test_gradient_of_the_moving_prior_is_unbiased():
     one, other = (t * (1.0 + n) for n in noise)
     mask = torch.ones(200_000, dtype=torch.bool)
     loss = moving_prior(field.requires_grad_(), one, other, 0.01, mask)
-    (slope,) = torch.autograd.grad(loss.surrogate, [t])
+    (grad,) = torch.autograd.grad(loss.surrogate, [t])
     weight = 1.0 / (0.7**2 + 0.01)
-    assert math.isclose(slope.item(), 2 * weight * (1.3 - 0.7), rel_tol=0.03)
+    assert math.isclose(grad.item(), 2 * weight * (1.3 - 0.7), rel_tol=0.03)
     assert math.isclose(loss.value.item(), weight * (1.3 - 0.7) ** 2, rel_tol=0.06)
 
 

@@ -172,9 +172,9 @@ def test_parameters_of_the_world_get_their_derivative_too(world):
             si = camera_vertices(world, 2000, 1)
             u = Stream(5).uniform(2000, DIMENSIONS)
             value = method.reflected(SceneModel(world, materials), si, materials(si), u, stream).value.sum()
-            (slope,) = torch.autograd.grad(value, [lights.emission])
-            found.append(slope)
-            torch.testing.assert_close((slope * before).sum(), value.detach(), rtol=1e-4, atol=0.0)
+            (grad,) = torch.autograd.grad(value, [lights.emission])
+            found.append(grad)
+            torch.testing.assert_close((grad * before).sum(), value.detach(), rtol=1e-4, atol=0.0)
         assert (found[1] - found[0]).norm() <= 1e-4 * found[0].norm()
     finally:
         del lights.emission

@@ -54,16 +54,14 @@ def test_compiled_points_of_kept_hits_are_the_plain_ones(sky):
         for x in torch.meshgrid(torch.arange(len(cameras)), torch.arange(made[0].pixels)[::7], indexing="ij")
     )
     batch = PixelBatch(view, pixel, torch.zeros(len(view), 3), torch.ones(len(view)), 0)
-    use_kernels, plain = (primary(batch, 40, Stream(1)).si for primary in made)
-    assert len(use_kernels) == 40 * len(view) >= 2 * GRAIN
-    assert use_kernels.valid.all() != sky
-    assert torch.equal(use_kernels.prim, plain.prim)
-    assert torch.equal(use_kernels.valid, plain.valid)
+    kernel, reference = (primary(batch, 40, Stream(1)).si for primary in made)
+    assert len(kernel) == 40 * len(view) >= 2 * GRAIN
+    assert kernel.valid.all() != sky
+    assert torch.equal(kernel.prim, reference.prim)
+    assert torch.equal(kernel.valid, reference.valid)
     for key in ("p", "ng", "n", "wo", "uv", "bary"):
-        torch.testing.assert_close(getattr(use_kernels, key), getattr(plain, key), rtol=1e-6, atol=1e-6)
-    torch.testing.assert_close(
-        use_kernels.wo.norm(dim=-1), torch.ones(len(use_kernels)), atol=1e-3, rtol=0
-    )  # float16 in the sky
+        torch.testing.assert_close(getattr(kernel, key), getattr(reference, key), rtol=1e-6, atol=1e-6)
+    torch.testing.assert_close(kernel.wo.norm(dim=-1), torch.ones(len(kernel)), atol=1e-3, rtol=0)  # float16 in the sky
 
 
 def test_kept_positions_of_a_pixel_are_distinct():

@@ -45,7 +45,7 @@ def test_pairs_spread_over_the_square(pair: tuple[int, int], least: float) -> No
 
 
 def test_groups_are_independent() -> None:
-    """A smooth function's mean over one group tells nothing about the next: |r| below 4 standard errors."""
+    """A smooth function's mean over one group is uncorrelated with the next: |r| below 4 standard errors."""
     u = stratified_samples(GROUPS, 4, Stream(4)).view(GROUPS, 4, DIMENSIONS)
     means = (u[..., 4] * u[..., 5] + u[..., 3]).mean(1)
     r = torch.corrcoef(torch.stack((means[::2], means[1::2])))[0, 1]

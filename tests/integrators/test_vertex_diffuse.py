@@ -14,7 +14,7 @@ from neurad.core.errors import InputError
 from neurad.core.rng import Stream
 from neurad.fields.mlp import MLP, products
 from neurad.fields.settings import GridConfig, RadianceConfig
-from neurad.integrators import vertex_diffuse as matte
+from neurad.integrators import vertex_diffuse
 from neurad.integrators.bounce import bounce
 from neurad.integrators.method import query_radiance
 from neurad.integrators.stratified import stratified_samples
@@ -43,31 +43,31 @@ def test_the_compiled_bounce_is_the_plain_one(name, change):
     assert not si.valid.all()
     u = Stream(4).uniform(len(si), DIMENSIONS)
     albedo = lab.materials(si).albedo
-    assert matte.has_kernel(True, lab.world, si)
+    assert vertex_diffuse.has_kernel(True, lab.world, si)
     found = []
     for use_kernels in (True, False):
         free = albedo.clone().requires_grad_(True)
         before = lab.world.tracer.rays_cast
         step = bounce(lab.world, si, replace(lab.materials(si), albedo=free), u, use_kernels=use_kernels)
-        slope = torch.autograd.grad((step.direct + 0.3 * step.weight).square().sum(), free)[0]
-        found.append((step, slope, lab.world.tracer.rays_cast - before))
-    (use_kernels, fast_slope, fast_rays), (plain, slope, rays) = found
-    scale = float(plain.direct.detach().abs().max())
+        grad = torch.autograd.grad((step.direct + 0.3 * step.weight).square().sum(), free)[0]
+        found.append((step, grad, lab.world.tracer.rays_cast - before))
+    (kernel, kernel_grad, kernel_rays), (reference, grad, rays) = found
+    scale = float(reference.direct.detach().abs().max())
     assert scale > 0
-    same = (use_kernels.next.prim == plain.next.prim) & (use_kernels.next.valid == plain.next.valid)
+    same = (kernel.next.prim == reference.next.prim) & (kernel.next.valid == reference.next.valid)
     assert float((~same).float().mean()) < 1e-3  # rounding at an edge
     for a, b, unit in (
-        (use_kernels.direct, plain.direct, scale),
-        (use_kernels.weight, plain.weight, 1.0),
-        (fast_slope, slope, scale),
+        (kernel.direct, reference.direct, scale),
+        (kernel.weight, reference.weight, 1.0),
+        (kernel_grad, grad, scale),
     ):
         off = (a.detach() - b.detach()).abs().amax(-1) > 1e-4 * unit
         assert float(off[same].float().mean()) < 1e-3
     for key in ("p", "n", "ng", "wo"):
         torch.testing.assert_close(
-            getattr(use_kernels.next, key)[same], getattr(plain.next, key)[same], rtol=1e-4, atol=1e-4
+            getattr(kernel.next, key)[same], getattr(reference.next, key)[same], rtol=1e-4, atol=1e-4
         )
-    assert rays - 0.01 * len(si) <= fast_rays <= rays + 0.01 * len(si)
+    assert rays - 0.01 * len(si) <= kernel_rays <= rays + 0.01 * len(si)
 
 
 def test_threads_share_a_bounce_and_its_numbers_without_a_trace():
@@ -93,11 +93,11 @@ def test_threads_share_a_bounce_and_its_numbers_without_a_trace():
 
 def test_the_compiled_bounce_is_for_what_it_can_do():
     si = random_vertices(build_world(build_cornell()), 10, 1)
-    assert matte.has_kernel(True, build_world(build_cornell()), si)
-    assert not matte.has_kernel(True, build_world(glossy(build_cornell())), si)
+    assert vertex_diffuse.has_kernel(True, build_world(build_cornell()), si)
+    assert not vertex_diffuse.has_kernel(True, build_world(glossy(build_cornell())), si)
     lit = build_world(build_cornell())
     lit.lights.emission.requires_grad_(True)
-    assert not matte.has_kernel(True, lit, si)
+    assert not vertex_diffuse.has_kernel(True, lit, si)
 
 
 @pytest.mark.parametrize("build_scene", [build_cornell, build_sphere])
@@ -107,11 +107,11 @@ def test_the_compiled_interaction_is_the_plain_one(build_scene):
     prim = stream.integers(len(geometry.faces) + 1, 5000) - 1
     u, v = stream.uniform(5000) / 2, stream.uniform(5000) / 2
     given = prim, u, v, torch.nn.functional.normalize(stream.uniform(5000, 3), dim=-1), prim >= 0
-    use_kernels, plain = geometry.interact_at(*given), geometry.interact_reference(*given)
+    kernel, reference = geometry.interact_at(*given), geometry.interact_reference(*given)
     for key in ("p", "ng", "n", "wo", "uv", "bary"):
-        torch.testing.assert_close(getattr(use_kernels, key), getattr(plain, key), rtol=1e-6, atol=1e-6)
-    assert torch.equal(use_kernels.prim, prim)
-    assert torch.equal(use_kernels.valid, prim >= 0)
+        torch.testing.assert_close(getattr(kernel, key), getattr(reference, key), rtol=1e-6, atol=1e-6)
+    assert torch.equal(kernel.prim, prim)
+    assert torch.equal(kernel.valid, prim >= 0)
 
 
 def test_only_weights_that_deviate_have_a_control_variate():
@@ -126,7 +126,7 @@ def test_only_weights_that_deviate_have_a_control_variate():
 # ---- the radiance field
 
 
-def test_the_radiance_of_a_lambertian_scene_knows_its_side_and_nothing_else_of_the_viewer():
+def test_the_radiance_of_a_lambertian_scene_depends_on_the_viewer_by_the_side_alone():
     lab = Lab(build_cornell())
     field = build_radiance(lab.scene, RadianceConfig(grid=GRID))
     si = lab.points(200, Stream(1))
@@ -165,7 +165,7 @@ def test_a_checkpoint_of_other_inputs_is_refused(monkeypatch):
     module.on_save_checkpoint(checkpoint)
     module.on_load_checkpoint(checkpoint)
     assert checkpoint["neurad"]["radiance_inputs"] == ["faceforward"]
-    module.radiance.inputs = ("normal",)  # as large as "faceforward", so that the weights alone do not tell
+    module.radiance.inputs = ("normal",)  # as large as "faceforward", so that the shapes of the weights do not differ
     with pytest.raises(InputError, match=r"--ckpt_path: .*\['faceforward'\].*\['normal'\]"):
         module.on_load_checkpoint(checkpoint)
 
@@ -184,15 +184,15 @@ def test_rounded_products_are_close_and_end_with_the_block():
     mlp = MLP(19, 3, 64, 2)
     x, cotangent = torch.randn(3000, 19), torch.randn(3000, 3).abs()
     exact = mlp(x)
-    slopes = torch.autograd.grad(exact, list(mlp.parameters()), cotangent)
+    grads = torch.autograd.grad(exact, list(mlp.parameters()), cotangent)
     with products("medium"):
         rounded = mlp(x)
-        rounded_slopes = torch.autograd.grad(rounded, list(mlp.parameters()), cotangent)
+        rounded_grads = torch.autograd.grad(rounded, list(mlp.parameters()), cotangent)
         with torch.no_grad():
             torch.testing.assert_close(mlp(x), rounded)
     assert rounded.dtype == torch.float32
     assert 0 < float((rounded - exact).detach().norm() / exact.detach().norm()) < 0.01
-    for a, b in zip(rounded_slopes, slopes, strict=True):
+    for a, b in zip(rounded_grads, grads, strict=True):
         assert a.dtype == torch.float32
         assert float((a - b).norm() / b.norm()) < 0.05
     with pytest.raises(KeyError), products("medium"):

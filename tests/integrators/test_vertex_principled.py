@@ -1,4 +1,4 @@
-"""The compiled bounce at principled surfaces gives the numbers and derivatives of its plain twin."""
+"""The compiled bounce at principled surfaces gives the numbers and derivatives of its reference twin."""
 
 from dataclasses import replace
 
@@ -13,12 +13,12 @@ from neurad.bsdf.directional import _mean_lobes, directional_albedo, mean_lobes,
 from neurad.core.records import Surface, SurfaceInteraction
 from neurad.core.reflection import PrincipledModel
 from neurad.core.rng import Stream
-from neurad.integrators import vertex_principled as glossy
+from neurad.integrators import vertex_principled
 from neurad.integrators.bounce import bounce
 from neurad.integrators.guide import Guide
 from neurad.integrators.vertex import DIMENSIONS
 from neurad.scene.builtin import build_cornell, build_kitchen
-from neurad.studies.stress.parts import glossy as made_glossy
+from neurad.studies.stress.parts import glossy
 
 N = 4000
 
@@ -28,8 +28,8 @@ def random_surface(n, seed):
     return Surface(stream.uniform(n, 3).requires_grad_(True), (0.05 + 0.95 * stream.uniform(n, 1)).requires_grad_(True))
 
 
-def taught(world, seed):
-    """A guide that has learned something uneven."""
+def trained_guide(world, seed):
+    """A guide whose distribution is uneven."""
     guide = Guide(torch.stack((world.geometry.vertices.amin(0), world.geometry.vertices.amax(0))), 4)
     stream = Stream(seed)
     guide.squares.copy_(stream.uniform(*guide.squares.shape) ** 4 * 20)
@@ -41,16 +41,16 @@ def taught(world, seed):
 @pytest.mark.parametrize("guided", [False, True])
 @pytest.mark.parametrize("control", [False, True])
 @pytest.mark.parametrize(
-    "scene", [build_kitchen(), made_glossy(build_cornell()), one_sided(made_glossy(build_cornell()))],
+    "scene", [build_kitchen(), glossy(build_cornell()), one_sided(glossy(build_cornell()))],
     ids=["kitchen", "cornell", "one-sided"],
 )  # fmt: skip
 def test_the_compiled_bounce_is_the_plain_one(scene, control, guided):
     world = build_world(scene)
-    world.guide = taught(world, 9) if guided else None
+    world.guide = trained_guide(world, 9) if guided else None
     si = random_vertices(world, N, 3)
     assert not si.valid.all()
     surface, u = random_surface(N, 5), Stream(4).uniform(N, DIMENSIONS)
-    assert glossy.has_kernel(True, world, si, surface)
+    assert vertex_principled.has_kernel(True, world, si, surface)
     scale = float(bounce(world, si, surface, u, use_kernels=False).direct.detach().mean()) * 100
     assert scale > 0
     found = []
@@ -60,20 +60,20 @@ def test_the_compiled_bounce_is_the_plain_one(scene, control, guided):
         total = step.direct.square().sum() / scale + (step.weight * torch.linspace(0.1, 1, 3)).sum()
         if control:
             total = total + 0.7 * step.sample_stats.deviation.square().sum()
-        slopes = torch.autograd.grad(total, (surface.albedo, surface.roughness))
-        found.append((step, slopes, world.tracer.rays_cast - before))
-    (use_kernels, fast_slopes, fast_rays), (plain, slopes, rays) = found
-    same = (use_kernels.next.prim == plain.next.prim) & (use_kernels.next.valid == plain.next.valid)
+        grads = torch.autograd.grad(total, (surface.albedo, surface.roughness))
+        found.append((step, grads, world.tracer.rays_cast - before))
+    (kernel, kernel_grads, kernel_rays), (reference, grads, rays) = found
+    same = (kernel.next.prim == reference.next.prim) & (kernel.next.valid == reference.next.valid)
     assert float((~same).float().mean()) < 2e-3  # rounding at an edge
-    pairs = [(use_kernels.direct, plain.direct, scale), (use_kernels.weight, plain.weight, 1.0)]
-    pairs += [(a, b, 1.0 + b.abs()) for a, b in zip(fast_slopes, slopes, strict=True)]
+    pairs = [(kernel.direct, reference.direct, scale), (kernel.weight, reference.weight, 1.0)]
+    pairs += [(a, b, 1.0 + b.abs()) for a, b in zip(kernel_grads, grads, strict=True)]
     if control:
         pairs += [
-            (getattr(use_kernels.sample_stats, k), getattr(plain.sample_stats, k), 1.0)
+            (getattr(kernel.sample_stats, k), getattr(reference.sample_stats, k), 1.0)
             for k in ("deviation", "relative", "wi")
         ]
     else:
-        assert use_kernels.sample_stats is None
+        assert kernel.sample_stats is None
     for a, b, unit in pairs:
         assert a.shape == b.shape
         assert bool(a.isfinite().all())
@@ -82,10 +82,10 @@ def test_the_compiled_bounce_is_the_plain_one(scene, control, guided):
         assert float(off.any(-1)[same].float().mean()) < 3e-3
     for key in ("p", "n", "ng", "wo"):
         torch.testing.assert_close(
-            getattr(use_kernels.next, key)[same], getattr(plain.next, key)[same], rtol=1e-3, atol=1e-3
+            getattr(kernel.next, key)[same], getattr(reference.next, key)[same], rtol=1e-3, atol=1e-3
         )
-    assert abs(rays - fast_rays) <= 0.01 * N
-    assert fast_slopes[0][~si.valid].abs().max() == 0
+    assert abs(rays - kernel_rays) <= 0.01 * N
+    assert kernel_grads[0][~si.valid].abs().max() == 0
 
 
 def test_smooth_surfaces_on_the_way_dim_what_comes_through():
@@ -95,19 +95,19 @@ def test_smooth_surfaces_on_the_way_dim_what_comes_through():
     si = random_vertices(world, N, 3)
     surface, u = random_surface(N, 5), Stream(4).uniform(N, DIMENSIONS)
     assert world.delta is not None
-    assert glossy.has_kernel(True, world, si, surface)
-    use_kernels, plain = (
+    assert vertex_principled.has_kernel(True, world, si, surface)
+    kernel, reference = (
         bounce(world, si, surface, u, sample_stats=True, use_kernels=use_kernels) for use_kernels in (True, False)
     )
-    same = use_kernels.next.prim == plain.next.prim
+    same = kernel.next.prim == reference.next.prim
     assert float((~same).float().mean()) < 5e-3
-    for a, b in ((use_kernels.direct, plain.direct), (use_kernels.weight, plain.weight)):
+    for a, b in ((kernel.direct, reference.direct), (kernel.weight, reference.weight)):
         off = (a - b).abs().amax(-1) > 1e-3 * (1 + b.abs().amax(-1))
         assert float(off[same].float().mean()) < 5e-3
 
 
 def test_derivatives_are_those_of_known_parts_alone():
-    world = build_world(made_glossy(build_cornell()))
+    world = build_world(glossy(build_cornell()))
     si, u = random_vertices(world, 100, 1), Stream(2).uniform(100, DIMENSIONS)
     free = random_surface(100, 3)
     for albedo, roughness in ((True, False), (False, True), (False, False)):
@@ -124,17 +124,17 @@ def test_derivatives_are_those_of_known_parts_alone():
 
 
 def test_it_is_for_what_it_can_do():
-    world = build_world(made_glossy(build_cornell()))
+    world = build_world(glossy(build_cornell()))
     si, surface = random_vertices(world, 10, 1), random_surface(10, 1)
-    assert glossy.has_kernel(True, world, si, surface)
+    assert vertex_principled.has_kernel(True, world, si, surface)
     typed = Surface(surface.albedo, surface.roughness, torch.zeros(10, dtype=torch.int64))
-    assert not glossy.has_kernel(True, world, si, typed)
-    assert not glossy.has_kernel(True, build_world(build_cornell()), si, surface)
-    assert not glossy.has_kernel(True, build_world(object_scene(sky())), si, surface)  # an environment
+    assert not vertex_principled.has_kernel(True, world, si, typed)
+    assert not vertex_principled.has_kernel(True, build_world(build_cornell()), si, surface)
+    assert not vertex_principled.has_kernel(True, build_world(object_scene(sky())), si, surface)  # an environment
     double = SurfaceInteraction(*(x.double() if x.is_floating_point() else x for x in vars(si).values()))
-    assert not glossy.has_kernel(True, world, double, surface)
+    assert not vertex_principled.has_kernel(True, world, double, surface)
     world.lights.emission.requires_grad_(True)
-    assert not glossy.has_kernel(True, world, si, surface)
+    assert not vertex_principled.has_kernel(True, world, si, surface)
 
 
 def test_the_compiled_mean_is_the_plain_one():

@@ -116,8 +116,8 @@ def test_the_compiled_leave_one_out_is_the_plain_one(samples: int, groups: int, 
         assert not loss.value.requires_grad
         return [loss.surrogate.detach(), loss.value, s.grad, *([z.grad] if controlled else [])]
 
-    for use_kernels, plain in zip(found(True), found(False), strict=True):
-        torch.testing.assert_close(use_kernels, plain, rtol=1e-5, atol=1e-6)
+    for kernel, reference in zip(found(True), found(False), strict=True):
+        torch.testing.assert_close(kernel, reference, rtol=1e-5, atol=1e-6)
 
 
 @pytest.mark.parametrize(("samples", "groups", "of_control"), [(5, 2, None), (4, 1, None), (8, 4, 2)])

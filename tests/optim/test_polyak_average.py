@@ -83,7 +83,7 @@ def test_noise_about_a_minimum_is_averaged_out():
     assert mean < 0.5 * present
 
 
-@pytest.mark.parametrize("share", [-0.1, 1.1])
-def test_shares_that_do_not_exist_are_refused(share):
+@pytest.mark.parametrize("fraction", [-0.1, 1.1])
+def test_fractions_that_do_not_exist_are_refused(fraction):
     with pytest.raises(InputError, match=r"model\.optimization\.average"):
-        Optimization(average=share)
+        Optimization(average=fraction)

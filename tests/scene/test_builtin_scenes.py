@@ -135,8 +135,8 @@ def test_kitchen_has_the_promised_variety(kitchen):
 
 
 def test_kitchen_needs_more_than_one_albedo_per_object(maps):
-    assert exam.best_per_object(maps.albedo, maps.share) <= 27.0
-    assert exam.best_constant(maps.albedo) < exam.best_per_object(maps.albedo, maps.share)
+    assert exam.best_per_object(maps.albedo, maps.fraction) <= 27.0
+    assert exam.best_constant(maps.albedo) < exam.best_per_object(maps.albedo, maps.fraction)
     assert 0.5 < float(maps.albedo.mean()) < 0.7
 
 
@@ -148,14 +148,14 @@ def test_held_out_surfaces_of_the_kitchen_are_photographed(maps):
 def test_kitchen_is_lit_mostly_indirectly(kitchen):
     scene, world = kitchen
     materials = TrueMaterials(scene, world.geometry)
-    share = []
+    fraction = []
     for view in scene.test:
         pixels = torch.rand(2000, 2, generator=torch.Generator().manual_seed(3)) * view.camera.width
         rays = camera_rays(view.camera, pixels)
         depths = [path_tracer(world, materials, max_depth=d)(rays, seed=4) for d in (1, 2, scene.max_depth)]
         emitted, direct, full = (float(x.mean()) for x in depths)
-        share.append((full - direct) / (full - emitted))
-    assert min(share) > 0.4, share
+        fraction.append((full - direct) / (full - emitted))
+    assert min(fraction) > 0.4, fraction
 
 
 def test_views_name_only_files_that_exist(kitchen):

@@ -34,9 +34,9 @@ def test_time_counts_for_the_innermost_stage(monkeypatch):
             pass
         with recorder.stage("inner"):  # 7 to 7.5
             pass
-    seconds, extra_bounce_fraction = recorder.take()
+    seconds, extra_bounce_seconds = recorder.take()
     assert seconds == {"outer": 1.0 + 4.0 + 1.0, "inner": 2.0 + 0.5}
-    assert extra_bounce_fraction == 0.0
+    assert extra_bounce_seconds == 0.0
     assert recorder.take() == ({}, 0.0)
 
 

@@ -258,11 +258,11 @@ def test_derivatives_of_paths_are_those_of_the_scalar(method, monkeypatch):
     grad = torch.autograd.grad
 
     def record(value, parameters, *rest, **further):
-        slopes = grad(value, parameters, *rest, **further)
+        gradients = grad(value, parameters, *rest, **further)
         if isinstance(parameters, list):
-            found.append([float(s) for s in slopes])
-            return [torch.zeros(one.camera.width * one.camera.height * one.spp) for _ in slopes]
-        return slopes
+            found.append([float(g) for g in gradients])
+            return [torch.zeros(one.camera.width * one.camera.height * one.spp) for _ in gradients]
+        return gradients
 
     monkeypatch.setattr(bias, "PathMaterials", Shared)
     monkeypatch.setattr(torch.autograd, "grad", record)
@@ -356,13 +356,13 @@ def test_bias_along_the_reference():
     other = rng.normal(size=400)
     other -= truth * (other @ truth) / (truth @ truth)
     reference = truth + rng.normal(size=(40, 400))
-    slope = 0.7 * truth + 0.5 * other + rng.normal(size=(20, 400))
-    mean, error = bias.image_bias(slope, reference)
+    grad_image = 0.7 * truth + 0.5 * other + rng.normal(size=(20, 400))
+    mean, error = bias.image_bias(grad_image, reference)
     assert error < 0.05
     assert abs(mean + 0.3) < 5 * error
     expected = math.sqrt(0.3**2 + 0.25 * (other @ other) / (truth @ truth))
-    assert bias.pixel_bias(slope, reference) == pytest.approx(expected, rel=0.15)
-    assert bias.noise(slope, reference) == pytest.approx(math.sqrt(1 / 20 / (truth**2).mean()), rel=0.15)
+    assert bias.pixel_bias(grad_image, reference) == pytest.approx(expected, rel=0.15)
+    assert bias.noise(grad_image, reference) == pytest.approx(math.sqrt(1 / 20 / (truth**2).mean()), rel=0.15)
 
 
 def test_jackknife_of_a_mean_is_its_standard_error():
@@ -400,7 +400,7 @@ def test_bench_gradients(tmp_path, capsys):
 
 
 def test_paths_need_numbers():
-    """Materials by path refuse points that know no path."""
+    """Materials by path refuse points without a path index."""
     materials = PathMaterials(study().base, 0.5, 4)
     blank = torch.zeros(1, 3)
     si = SurfaceInteraction(

@@ -71,5 +71,5 @@ def test_the_command_shows_the_fields_and_the_means(capsys):
     assert len(albedo["the fields"]) == len(albedo["means of meshes"]) == len(albedo["mean of the room"]) == 3
     everywhere, glossy = (albedo["best constant"][k] - albedo["mean of the room"][k] for k in (0, 2))
     assert 0.0 <= everywhere < 0.5, "training views show about the mean of held-out ones"
-    assert glossy > everywhere, "a constant fitted to the pick knows more"
+    assert glossy > everywhere, "a constant fitted to the chosen pixels does better"
     assert albedo["means of meshes"][0] > albedo["best constant"][0] + 3.0

@@ -232,7 +232,7 @@ def test_bad_input_is_one_sentence_and_leaves_nothing(capfd, words, said):
 
 
 @pytest.mark.main
-def test_a_setting_that_no_fit_knows_is_found_before_the_first_fit(capfd):
+def test_an_unknown_setting_is_found_before_the_first_fit(capfd):
     words = ["--config", "cornell.yaml", "--methods", "ours", "--budget", "1", "--model.rat=3"]
     assert "model.rat" in fails(capfd, *words)
     assert not Path("report").exists()
@@ -241,7 +241,7 @@ def test_a_setting_that_no_fit_knows_is_found_before_the_first_fit(capfd):
 # ---- runs to be made
 
 
-def test_words_are_told_apart():
+def test_words_are_distinguished():
     parser = cli._Parser()
     compare.add_arguments(parser)
     words = [
@@ -317,7 +317,7 @@ for size in (200, 1):
 
 @pytest.mark.main
 def test_a_budget_counts_training_seconds(tiny, monkeypatch):
-    """Evaluations that are slowed down by half a second each take nothing from the time to learn in."""
+    """Evaluations that are slowed down by half a second each take nothing from the training time."""
     tiny_fit.fit("--trainer.max_steps=2")  # compiles what a first run would compile within its budget
     evaluate, slept = InverseRenderer.evaluate, []
 

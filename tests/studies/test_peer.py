@@ -165,9 +165,9 @@ def test_averages_lag_behind_while_values_still_rise(mi, tmp_path):
     from neurad.studies.peer.fit import PeerSettings, fit
 
     found = []
-    for share in (0.0, 1e-6, 0.5):
-        out = tmp_path / f"{share}.csv"
-        fit(PeerSettings("grid", 1e6, str(out), **{**SHORT, "max_steps": 8}, average=share))
+    for fraction in (0.0, 1e-6, 0.5):
+        out = tmp_path / f"{fraction}.csv"
+        fit(PeerSettings("grid", 1e6, str(out), **{**SHORT, "max_steps": 8}, average=fraction))
         with out.open() as file:
             found.append([float(row["albedo_psnr"]) for row in csv.DictReader(file)])
     present, same, mean = found
@@ -175,12 +175,12 @@ def test_averages_lag_behind_while_values_still_rise(mi, tmp_path):
     assert mean[4] < present[4] - 0.02
 
 
-@pytest.mark.parametrize("share", [-0.1, 1.1])
-def test_a_share_that_does_not_exist_is_refused(share):
+@pytest.mark.parametrize("fraction", [-0.1, 1.1])
+def test_a_fraction_that_does_not_exist_is_refused(fraction):
     from neurad.studies.peer.fit import PeerSettings
 
     with pytest.raises(InputError, match="average"):
-        PeerSettings("grid", 1.0, "out.csv", average=share)
+        PeerSettings("grid", 1.0, "out.csv", average=fraction)
 
 
 def test_the_peer_averages_as_the_config_does():

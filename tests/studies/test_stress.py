@@ -87,8 +87,8 @@ def test_some_real_rows_pass():
 
 def test_closed_forms():
     assert closed_form(build_furnace(0.9), 0.9) == pytest.approx(9.0)
-    share = (1.0 - math.cos(math.radians(20.0))) / 2.0  # of the sphere that emits 10
-    assert closed_form(build_sphere(0.5), 0.5) == pytest.approx(10.0 * share, rel=0.05)
+    fraction = (1.0 - math.cos(math.radians(20.0))) / 2.0  # of the sphere that emits 10
+    assert closed_form(build_sphere(0.5), 0.5) == pytest.approx(10.0 * fraction, rel=0.05)
 
 
 def test_pictures_that_are_not_finite_are_no_match():

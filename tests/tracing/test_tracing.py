@@ -296,7 +296,7 @@ def test_missing_warp_says_what_to_install(monkeypatch):
         make_tracer("warp", *tensors(ball(0)))
 
 
-def test_rays_are_counted_unless_told_otherwise():
+def test_rays_are_counted_unless_paused():
     vertices, faces = tensors(ball(0))
     tracer = CountingTracer(make_tracer("embree", vertices, faces))
     plain = make_tracer("embree", vertices, faces)

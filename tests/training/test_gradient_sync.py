@@ -47,7 +47,7 @@ def test_two_processes_learn_what_one_learns_from_both_batches(tmp_path, kind):
 
 @pytest.mark.parametrize("interrupted", ["the first", "the second"])
 def test_ctrl_c_stops_two_processes_after_the_same_iteration(tmp_path, interrupted):
-    """One of them is told; the other must not be left waiting for it, and the first writes what is whole."""
+    """One of them gets the signal; the other must not wait for it for ever, and the first writes a whole checkpoint."""
     environment = {**os.environ, "OMP_NUM_THREADS": "1", "CUDA_VISIBLE_DEVICES": ""}
     settings = {
         "config": "cornell.yaml", "trainer.accelerator": "cpu", "trainer.devices": "2", "trainer.strategy": "ddp",
@@ -120,11 +120,11 @@ def alone(tmp_path):
 def test_one_process_averages_to_its_own_gradient(alone, sparse):
     made = Grid(sparse)
     places, values = torch.tensor([3, 3, 1]), torch.rand(3, 2)
-    factor, seen = GradientSync(made, {"grid.table"}).share(0.25, (places, values))
+    factor, binned = GradientSync(made, {"grid.table"}).average(0.25, (places, values))
     assert torch.equal(made.grid.table.grad.to_dense(), made.expected)
     assert factor == 0.25
-    assert torch.equal(seen[0], places)
-    assert torch.equal(seen[1], values)
+    assert torch.equal(binned[0], places)
+    assert torch.equal(binned[1], values)
 
 
 def test_messages_keep_what_is_in_them_while_they_grow_and_shrink(alone):

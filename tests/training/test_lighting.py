@@ -196,11 +196,11 @@ def test_levels_interpolate_between_what_they_hold():
     torch.testing.assert_close(found[-1][1], torch.eye(32, dtype=torch.float64))
 
 
-@pytest.mark.parametrize("asked", [1.0, 0.0])
-def test_the_optimizer_finds_a_smooth_map_under_noise_and_lets_noise_fade(asked):
+@pytest.mark.parametrize("contrast", [1.0, 0.0])
+def test_the_optimizer_finds_a_smooth_map_under_noise_and_lets_noise_fade(contrast):
     rows, columns = levels(16, 32)[0]
     coarse = torch.randn(3, 4, 8, generator=torch.Generator().manual_seed(1), dtype=torch.float64)
-    target = asked * (rows @ coarse @ columns.T).float().permute(1, 2, 0).reshape(-1, 3)
+    target = contrast * (rows @ coarse @ columns.T).float().permute(1, 2, 0).reshape(-1, 3)
     p = torch.nn.Parameter(torch.zeros(16 * 32, 3))
     optimizer = PyramidAdam([p], 32, lr=0.1, detail_decay=1.0)
     stream = Stream(2)
@@ -208,7 +208,7 @@ def test_the_optimizer_finds_a_smooth_map_under_noise_and_lets_noise_fade(asked)
         optimizer.param_groups[0]["lr"] = 0.1 * (1.0 - step / 300)
         p.grad = 0.1 * (p.detach() - target) + stream.uniform(16 * 32, 3) - 0.5
         optimizer.step()
-    assert float((p.detach() - target).square().mean().sqrt()) < 0.12 + 0.12 * asked
+    assert float((p.detach() - target).square().mean().sqrt()) < 0.12 + 0.12 * contrast
 
 
 # ---- scores
@@ -252,7 +252,7 @@ FIT = {
     "model": {
         **{part: {"grid": vars(GRID), "width": 16} for part in ("albedo", "roughness", "radiance")},
         "materials": "known",
-        "lighting": {"environment": "fit", "width": 16, "height": 8, "refresh": 5, "smooth": 1.0},
+        "lighting": {"environment": "fit", "width": 16, "height": 8, "refresh": 5, "detail_decay": 1.0},
         "sampling": {"spp": 2, "samples_per_vertex": 4, "cached_spp": 32},
         "optimization": {"schedule": "constant", "warmup": 1, "environment": 0.1},
     },
@@ -289,7 +289,7 @@ def test_a_constant_map_is_recovered(made, method):
     row, state = run("--trainer.max_steps=100", f"--model.method=neurad.integrators.{method}",
                      "--model.optimization.schedule=cosine")  # fmt: skip
     # 0.55 at the start. Direct light alone has to make up for what bounces between ball and floor; the radiance field
-    # has to learn first.
+    # has to be trained first.
     assert float(row["environment_mape_seen"]) < (0.15 if method == "prb.PRB" else 0.25)
     assert float(row["mape_linear"]) < 0.3  # noise of 16 samples
     assert "albedo_psnr" not in row or row["albedo_psnr"] == ""

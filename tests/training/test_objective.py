@@ -67,17 +67,17 @@ def test_terms_that_are_switched_off_are_not_there(sampling, settings, expected)
 
 
 def test_the_field_learns_the_same_from_some_of_the_first_hits():
-    """A share of the positions gives the field's losses the same mean, and leaves the photometric one as it is."""
+    """A fraction of the positions gives the field's losses the same mean, and leaves the photometric one as it is."""
     rows = {}
-    for share in (1.0, 0.25):
+    for fraction in (1.0, 0.25):
         made = SmallStep(
-            Sampling(spp=8, samples_per_vertex=1, cached_spp=8, field_fraction=share),
+            Sampling(spp=8, samples_per_vertex=1, cached_spp=8, field_fraction=fraction),
             Objective(normaliser="photograph"),
         )
-        assert made.step._field_samples == round(8 * share)
+        assert made.step._field_samples == round(8 * fraction)
         batch = made.batch(64)
         terms = [made.step(batch, Stream(k)).all for k in range(60)]
-        rows[share] = {name: np.array([float(t[name][1].value) for t in terms]) for name in terms[0]}
+        rows[fraction] = {name: np.array([float(t[name][1].value) for t in terms]) for name in terms[0]}
     every, some = rows[1.0], rows[0.25]
     np.testing.assert_array_equal(every["photometric"], some["photometric"])
     error = math.sqrt((every["prior"].var() + some["prior"].var()) / 59)
@@ -87,12 +87,12 @@ def test_the_field_learns_the_same_from_some_of_the_first_hits():
     assert some["lhs"].mean() == pytest.approx(every["lhs"].mean(), rel=0.01)
 
 
-def test_a_broad_batch_gets_fewer_positions_a_pixel():
+def test_a_batch_of_more_pixels_gets_fewer_samples_each():
     """Terms of a batch with pixel_multiplier 4 are those of a usual one under a quarter of the positions."""
-    broad = SmallStep(Sampling(spp=8, samples_per_vertex=1, cached_spp=8))
+    multiplied = SmallStep(Sampling(spp=8, samples_per_vertex=1, cached_spp=8))
     usual = SmallStep(Sampling(spp=2, samples_per_vertex=1, cached_spp=8))
-    batch = broad.batch(64)
-    found = broad.step(replace(batch, pixel_multiplier=4), Stream(3)).all
+    batch = multiplied.batch(64)
+    found = multiplied.step(replace(batch, pixel_multiplier=4), Stream(3)).all
     expected = usual.step(batch, Stream(3)).all
     assert found.keys() == expected.keys()
     for name in found:
@@ -104,10 +104,10 @@ def test_one_group_of_samples_is_refused():
         Sampling(sample_groups=1)
 
 
-@pytest.mark.parametrize("share", [0.0, -0.5, 1.5])
-def test_shares_of_first_hits_that_do_not_exist_are_refused(share):
+@pytest.mark.parametrize("fraction", [0.0, -0.5, 1.5])
+def test_fractions_of_first_hits_that_do_not_exist_are_refused(fraction):
     with pytest.raises(InputError, match=r"model\.sampling\.field_fraction"):
-        Sampling(field_fraction=share)
+        Sampling(field_fraction=fraction)
 
 
 @pytest.mark.parametrize("gradient", ["semi", "full"])

@@ -14,7 +14,7 @@ from neurad.training import objective
 
 
 def test_spread_samples_keep_the_mean_of_the_gradient():
-    """Groups of samples that are spread together, against all of them independent, in one pass and in two: z-tests at
+    """Groups of jointly stratified samples against all of them independent, in one pass and in two: z-tests at
     99 % over the gradients' projections on a mean one of other seeds, by albedo and by roughness."""
 
     def rows(groups, samples_per_vertex, estimator, seeds=100):
@@ -34,7 +34,7 @@ def test_spread_samples_keep_the_mean_of_the_gradient():
 
 
 def test_spread_samples_have_less_noise():
-    """Variance of a pixel's mean over 8 positions whose samples are spread, relative to independent ones."""
+    """Variance of a pixel's mean over 8 positions whose samples are stratified, relative to independent ones."""
     made = SmallStep(Sampling(spp=8, samples_per_vertex=1, cached_spp=8))
     first = made.primary(made.batch(256), 8, Stream(1))
     with torch.no_grad():
@@ -80,7 +80,7 @@ SEEDS = 300
 
 
 def test_both_photometric_gradients_of_the_real_step_agree_in_the_mean(monkeypatch):
-    """300 seeds each, six numbers, 99 % confidence over all; a biased form is told apart with as many."""
+    """300 seeds each, six numbers, 99 % confidence over all; as many reveal a biased form."""
     once = projections("leave_one_out", range(SEEDS))
     twice = projections("two_pass", range(10_000, 10_000 + SEEDS))
     assert accept(z_test_samples(once, twice))

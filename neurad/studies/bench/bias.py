@@ -1,4 +1,4 @@
-"""Gradient images of any method at one state of a scene, and what their bias is against a reference."""
+"""Gradient images of any method at one roughness of a scene, and their bias against a reference."""
 
 from __future__ import annotations
 
@@ -25,20 +25,20 @@ from neurad.scene.textures import TrueMaterials
 from neurad.studies.bench.per_path import PathMaterials, PathRays, UniformMaterials
 
 LANES = 1 << 14
-"""Paths in flight."""
+"""Paths that are traced at once."""
 
 
 class PathField:
-    """A radiance field without any error in the mean: a path of its own from every point that is asked for.
+    """A radiance field without any error in the mean: a new path from every point at which it is queried.
 
-    Every method reads its field linearly and without gradient, so the mean of values and derivatives is that with the
-    true radiance. What bias remains is that of the method, not of a network.
+    Every method is linear in its field and takes no gradient through it, so the mean of values and derivatives is that
+    with the true radiance. The bias that remains is the method's, not a network's.
 
     Args:
         world: the scene.
         materials: what its surfaces are made of.
         stream: random numbers.
-        factor: multiplies the radiance, for a field that is wrong on purpose.
+        factor: multiplies the radiance, to give the field a known error.
     """
 
     def __init__(self, world: World, materials: Materials, stream: Stream, factor: float = 1.0) -> None:
@@ -61,7 +61,7 @@ class Gradients:
     roughness: FloatArray
     """Derivative of every pixel by the roughness of all surfaces [batches, pixels]."""
     albedo: FloatArray
-    """Derivative of every pixel by one number added to all albedos [batches, pixels]."""
+    """Derivative of every pixel by an offset of all albedos [batches, pixels]."""
     seconds: float
     """Time that all of it took."""
 
@@ -76,7 +76,7 @@ class Study:
     spp: int
     """Paths a pixel in a batch."""
     factor: float = 1.0
-    """Error of the radiance field that methods read: 1 is none."""
+    """Factor by which the radiance field that methods query is wrong: 1 is exact."""
 
     def gradients(self, method: Method, roughness: float, batches: int) -> Gradients:
         """Estimates of ``method`` with all surfaces at ``roughness``. Batch i has the same random numbers for every
@@ -94,9 +94,9 @@ class Study:
         for begin in range(0, count, rows):
             stream = Stream(11, index, begin)
             pixels = torch.arange(begin, min(begin + rows, count))
-            plain = camera_rays(self.camera, pixel_positions(width, pixels, self.spp, stream).view(-1, 2))
-            paths = len(plain)
-            rays = PathRays(plain.o, plain.d, torch.arange(paths))
+            camera = camera_rays(self.camera, pixel_positions(width, pixels, self.spp, stream).view(-1, 2))
+            paths = len(camera)
+            rays = PathRays(camera.o, camera.d, torch.arange(paths))
             materials = PathMaterials(self.base, roughness, paths)
             field = PathField(self.world, materials, Stream(13, index, begin), self.factor)
             si = self.world.intersect(rays)
@@ -104,8 +104,8 @@ class Study:
             scene = SceneModel(self.world, materials, field if method.needs_field else None)
             value = method.reflected(scene, si, materials(si), u, stream).value
             grey = (self.world.emitted(si) + value).mean(-1)
-            slopes = torch.autograd.grad(grey.sum(), [materials.roughness, materials.offset])
-            parts.append([x.view(len(pixels), self.spp).mean(1) for x in (grey.detach(), *slopes)])
+            grads = torch.autograd.grad(grey.sum(), [materials.roughness, materials.offset])
+            parts.append([x.view(len(pixels), self.spp).mean(1) for x in (grey.detach(), *grads)])
         image, by_roughness, by_albedo = (torch.cat(part).double().numpy() for part in zip(*parts, strict=True))
         return image, by_roughness, by_albedo
 
@@ -133,42 +133,42 @@ def jackknife(f: Callable[[IntArray], float], batches: int) -> tuple[float, floa
 
 
 def product(x: FloatArray, y: FloatArray) -> float:
-    """Unbiased mean over pixels of the product of what batches [n, pixels] are noisy estimates of: factors always come
-    from different batches.
+    """Unbiased mean over pixels of the product of two expectations, which the batches [n, pixels] estimate with noise:
+    the two factors always come from different batches.
     """
     n = len(x)
     return float(((x.sum(0) * y.sum(0) - (x * y).sum(0)) / (n * (n - 1))).mean())
 
 
-def loss_gradient(image: FloatArray, slope: FloatArray, target: FloatArray) -> float:
+def loss_gradient(image: FloatArray, grad: FloatArray, target: FloatArray) -> float:
     """Unbiased derivative of the mean squared difference to ``target`` [pixels], from batches [n, pixels]: residual and
     derivative always come from different ones.
     """
-    return 2.0 * product(image - target, slope)
+    return 2.0 * product(image - target, grad)
 
 
-def image_bias(slope: FloatArray, reference: FloatArray) -> tuple[float, float]:
-    """What a gradient image has too much of the reference's, ``<slope, reference> / <reference, reference> - 1``, and
-    its standard error: -0.8 says that four fifths are missing. Means over pixels would cancel where signs differ.
+def image_bias(grad: FloatArray, reference: FloatArray) -> tuple[float, float]:
+    """Relative bias of a gradient image, ``<grad, reference> / <reference, reference> - 1``, and its standard error: at
+    -0.8 four fifths of the gradient are missing. Means over pixels would cancel where signs differ.
 
     Args:
-        slope: batches of a method [n, pixels].
+        grad: batches of a method [n, pixels].
         reference: of the reference [m, pixels]; its first n batches are paired with those of the method.
     """
-    n, whole = len(slope), product(reference, reference)
+    n, whole = len(grad), product(reference, reference)
     paired = reference[:n]
-    return jackknife(lambda i: product(slope[i] - paired[i], paired[i]) / whole, n)
+    return jackknife(lambda i: product(grad[i] - paired[i], paired[i]) / whole, n)
 
 
-def pixel_bias(slope: FloatArray, reference: FloatArray) -> float:
-    """Root mean square over pixels of the gradient image's bias, relative to that of the image, freed of noise."""
-    difference = slope - reference[: len(slope)]
+def pixel_bias(grad: FloatArray, reference: FloatArray) -> float:
+    """Root mean square over pixels of the gradient image's bias, relative to the reference image; noise drops out."""
+    difference = grad - reference[: len(grad)]
     return math.sqrt(max(0.0, product(difference, difference)) / max(product(reference, reference), 1e-300))
 
 
-def noise(slope: FloatArray, reference: FloatArray) -> float:
+def noise(grad: FloatArray, reference: FloatArray) -> float:
     """Root mean square over pixels of the gradient image's standard error, relative to that of the reference image."""
-    variance = float(slope.var(0, ddof=1).mean()) / len(slope)
+    variance = float(grad.var(0, ddof=1).mean()) / len(grad)
     return math.sqrt(variance / max(product(reference, reference), 1e-300))
 
 

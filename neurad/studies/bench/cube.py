@@ -1,11 +1,11 @@
 """``neurad bench cube``: the paper's Cube study, time and memory of a training step against the length of light paths.
 
-A closed cube whose walls have one albedo makes paths as long as one likes. Every method gets the same pixels, positions
-and samples, and every pair of method and albedo a process of its own, so that peak memory is that of the pair alone.
-The processes of one method stay alive together and take their steps in turns: what else the machine does at the time
-hits all albedos alike, and with ``--peer`` ours on dense grids and Mitsuba alike. Albedo and radiance fields start at
-the true values, and the optimizers run at rate 0, so each step costs what a step costs and the albedo stays what the
-row says (as in the paper's supplement).
+In a closed cube the albedo of the walls sets how long paths are. Every method gets the same pixels, positions and
+samples, and every pair of method and albedo a separate process, so that peak memory is that of the pair alone.
+The processes of one method stay alive together and take their steps in turns: other load of the machine then slows
+all albedos alike, and with ``--peer`` ours on dense grids and Mitsuba alike. Albedo and radiance fields start at
+the true values, and the optimizers run at rate 0, so each step costs what a training step costs and the albedo stays
+that of the row (as in the paper's supplement).
 """
 
 from __future__ import annotations
@@ -52,7 +52,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--positions", type=int, default=8, help="positions, and so path samples, a pixel; at least 2")
     parser.add_argument(
         "--field-fraction", type=float, default=0.25,
-        help="share of the positions at which the radiance field of ours learns, as model.sampling.field_fraction",
+        help="fraction of the positions at which the radiance field of ours learns, as model.sampling.field_fraction",
     )  # fmt: skip
     parser.add_argument("--size", type=int, default=128, help="vertices along a side of the dense grids")
     parser.add_argument(
@@ -61,7 +61,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )  # fmt: skip
     parser.add_argument("--steps", type=int, default=9, help="steps behind a figure")
     parser.add_argument(
-        "--limit", type=float, default=10.0, help=f"seconds after which {LEAST} steps are enough for a figure"
+        "--limit", type=float, default=10.0, help=f"seconds after which {LEAST} steps suffice for a figure"
     )
     parser.add_argument("--device", default="cpu", help="cpu or cuda")
     parser.add_argument("--tracer", default=None, help="default: embree, on a GPU warp")
@@ -79,7 +79,7 @@ def run(options: argparse.Namespace) -> None:
         name: getattr(options, name) for name in ("pixels", "positions", "field_fraction", "size", "rr_prob", "device")
     }
     common["tracer"] = options.tracer or ("warp" if options.device.startswith("cuda") else "embree")
-    lengths = _ask_lengths(options.albedos, common)
+    lengths = _path_lengths(options.albedos, common)
     for albedo, (mean, limit) in lengths.items():
         print(f"albedo {albedo:g}: paths of {mean:.2f} bounces on average, at most {limit} (99.9 %)", flush=True)
     rows: list[dict[str, Any]] = []
@@ -102,7 +102,7 @@ def run(options: argparse.Namespace) -> None:
 
 
 def work(job: str) -> None:
-    """What a child process does: a job of :class:`Cell`, as JSON."""
+    """Entry point of a child process: runs the ``job`` of a :class:`Cell`, given as JSON."""
     from neurad.studies.bench.cube_worker import main
 
     main(json.loads(job))
@@ -162,8 +162,8 @@ class Cell:
                 [*WORKER, json.dumps(self.job)], stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=errors, text=True
             )
 
-    def hear(self) -> dict[str, Any] | None:
-        """The next answer; None once the process has failed."""
+    def receive(self) -> dict[str, Any] | None:
+        """The next line of the process, parsed; None once it has failed."""
         assert self.process.stdout is not None
         line = self.process.stdout.readline() if not self.failed else ""
         if line:
@@ -174,17 +174,17 @@ class Cell:
         self.failed = self.failed or self.missing or child.failure(self.process.wait(), self.log)
         return None
 
-    def ask(self, word: str) -> dict[str, Any] | None:
-        """Send a word and wait for the answer."""
+    def request(self, command: str) -> dict[str, Any] | None:
+        """Send a command, ``step`` or ``end``, and wait for the answer."""
         assert self.process.stdin is not None
         if self.failed:
             return None
-        with suppress(BrokenPipeError):  # it has died: hear() finds out why
-            print(word, file=self.process.stdin, flush=True)
-        return self.hear()
+        with suppress(BrokenPipeError):  # it has ended: receive() reports why
+            print(command, file=self.process.stdin, flush=True)
+        return self.receive()
 
     def close(self) -> None:
-        """End the process, whatever it does."""
+        """Kill the process if it still runs, and remove its log."""
         if self.process.poll() is None:
             self.process.kill()
         self.process.communicate()
@@ -192,11 +192,11 @@ class Cell:
 
 
 def measure(jobs: Sequence[dict[str, Any]], steps: int, limit: float) -> list[Cell]:
-    """Start a process for every job, let them take steps in turns, and ask for their memory in the end.
+    """Start a process for every job, let them take steps in turns, and read their peak memory at the end.
 
-    A turn is :data:`COLD` steps that do not count and one that does: in a training run a step finds the caches as steps
-    like it left them, and after another process's turn it does not. Whose turn follows whose is drawn anew in every
-    round: after Mitsuba's, whose threads linger, steps take longest.
+    A turn is :data:`COLD` steps that do not count and one that does: in a training run a step finds the caches as the
+    step before left them, which it does not after another process's turn. The order of turns is drawn anew in every
+    round: after Mitsuba's, whose threads stay active for a while, steps take longest.
     """
     shuffled = random.Random(0)
     cells = [Cell(job) for job in jobs]
@@ -207,18 +207,18 @@ def measure(jobs: Sequence[dict[str, Any]], steps: int, limit: float) -> list[Ce
 
     try:
         for cell in cells:
-            cell.hear()  # it is ready
+            cell.receive()  # it is ready
         while any(wanted(cell) for cell in cells):
             for cell in shuffled.sample(cells, len(cells)):
                 if not wanted(cell):
                     continue
                 for _ in range(COLD):
-                    cell.ask("step")
-                if answer := cell.ask("step"):
+                    cell.request("step")
+                if answer := cell.request("step"):
                     cell.seconds.append(answer["seconds"])
                     cell.rays = answer["rays"]
         for cell in cells:
-            if answer := cell.ask("end"):
+            if answer := cell.request("end"):
                 cell.base, cell.peak = answer["base"], answer["peak"]
     finally:
         for cell in cells:
@@ -226,11 +226,11 @@ def measure(jobs: Sequence[dict[str, Any]], steps: int, limit: float) -> list[Ce
     return cells
 
 
-def _ask_lengths(albedos: Sequence[float], common: dict[str, Any]) -> dict[float, tuple[float, int]]:
+def _path_lengths(albedos: Sequence[float], common: dict[str, Any]) -> dict[float, tuple[float, int]]:
     """Average length of the roulette walk at every albedo, and its 99.9 percentile."""
     cell = Cell({**common, "method": "lengths", "albedos": list(albedos)})
     try:
-        answer = cell.hear()
+        answer = cell.receive()
     finally:
         cell.close()
     if answer is None:
@@ -297,7 +297,7 @@ def _report(rows: list[dict[str, Any]], options: argparse.Namespace) -> None:
     title = (
         f"\none training step of {options.pixels} pixels x {options.positions} samples on "
         f"{describe(pick_device(options.device))}: median of the steps, their quartiles, peak memory of the process "
-        f"and what of it the steps brought"
+        f"and how much of it the steps added"
     )
     report(rows, title, str(options.out))
     for sentence in verdicts(rows) + ratios(rows):

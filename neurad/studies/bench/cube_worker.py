@@ -1,4 +1,4 @@
-"""A process of ``neurad bench cube``: builds one method at one albedo, then takes a step whenever it is told to."""
+"""A process of ``neurad bench cube``: builds one method at one albedo, then takes a step for each command it reads."""
 
 from __future__ import annotations
 
@@ -43,28 +43,28 @@ WARMUP = 2
 """Steps that do not count."""
 PATHS = 1 << 15
 """Walks whose lengths are counted."""
-CALM = 0.01
-"""What is left of the last layer's random weights: they ripple the albedo by less than a thousandth of its range."""
+LAST_LAYER_SCALE = 0.01
+"""Factor on the last layer's random weights, so that they change the albedo by less than a thousandth of its range."""
 
 SHIPPED = "scene.yaml"
-"""Config whose settings the step has."""
+"""Config that the settings of the step come from."""
 
 Step = Callable[[], int]
-"""Takes a training step and tells how many rays it cast."""
+"""Takes a training step and returns how many rays it cast."""
 
 
 def main(job: dict[str, Any]) -> None:
-    """Do a job of ``neurad bench cube`` and answer on standard output, a line of JSON for every word heard."""
+    """Do a job of ``neurad bench cube`` and answer on standard output, a line of JSON for every command read."""
     keep_freed_memory()
-    answers = os.fdopen(os.dup(1), "w")
-    os.dup2(2, 1)  # what libraries print is no answer
+    output = os.fdopen(os.dup(1), "w")
+    os.dup2(2, 1)  # what libraries print goes to standard error
 
-    def say(**answer: Any) -> None:
-        print(json.dumps(answer), file=answers, flush=True)
+    def answer(**values: Any) -> None:
+        print(json.dumps(values), file=output, flush=True)
 
     try:
         if job["method"] == "lengths":
-            say(lengths=[path_lengths(albedo, job["rr_prob"], job["tracer"]) for albedo in job["albedos"]])
+            answer(lengths=[path_lengths(albedo, job["rr_prob"], job["tracer"]) for albedo in job["albedos"]])
             return
         device = pick_device(job["device"])
         step = mitsuba_step(job) if job["method"] == "mitsuba" else make_step(make_run(job, device))
@@ -72,18 +72,18 @@ def main(job: dict[str, Any]) -> None:
         for _ in range(WARMUP):
             step()
     except InputError as error:
-        say(error=str(error))
+        answer(error=str(error))
         return
-    say(ready=True)
-    for word in sys.stdin:
-        if word.strip() == "end":
-            say(base=base, peak=peak_bytes(device))
+    answer(ready=True)
+    for command in sys.stdin:
+        if command.strip() == "end":
+            answer(base=base, peak=peak_bytes(device))
             return
         wait(device)
         begin = time.perf_counter()
         rays = step()
         wait(device)
-        say(seconds=time.perf_counter() - begin, rays=rays)
+        answer(seconds=time.perf_counter() - begin, rays=rays)
 
 
 def make_method(name: str, limit: int, rr_prob: float) -> Method:
@@ -144,7 +144,7 @@ def cube_settings(job: dict[str, Any]) -> ModelSettings:
 
 
 def reflected_radiance(scene: Scene) -> float:
-    """``E a rho / (1 - rho)`` with ``a`` the lights' share of the area: mean reflected light of a closed room."""
+    """``E a rho / (1 - rho)`` with ``a`` the lights' fraction of the area: mean reflected light of a closed room."""
     geometry = Geometry(scene)
     light = float((geometry.face_area * geometry.emission[:, 0]).sum() / geometry.face_area.sum())
     albedo = float(TrueMaterials(scene, geometry).albedo_table.constant[0, 0])
@@ -153,14 +153,14 @@ def reflected_radiance(scene: Scene) -> float:
 
 @torch.no_grad()
 def set_albedo(materials: FittedMaterials, albedo: float) -> None:
-    """Make a fresh albedo field say ``albedo`` everywhere, so that throughput is the scene's; it stays trainable."""
+    """Set a new albedo field to ``albedo`` everywhere, so that throughput is the scene's; it stays trainable."""
     value = math.log(albedo / (1.0 - albedo))
     for part in materials.albedo.modules():  # type: ignore[attr-defined]
         if isinstance(part, DenseGrid):
             part.table.fill_(value)
         elif isinstance(part, MLP):
             last: Any = part.layers[-1]
-            last.weight.mul_(CALM)
+            last.weight.mul_(LAST_LAYER_SCALE)
             last.bias.fill_(value)
 
 
@@ -202,13 +202,13 @@ def mitsuba_step(job: dict[str, Any]) -> Step:
     voxels = SurfaceVoxels(scene, job["size"] - 1)
     camera = scene.train[0].camera
     photographs = np.full((len(scene.train), camera.width * camera.height, 3), reflected_radiance(scene), np.float32)
-    # Its max_depth counts the camera's first hit as 1, and it asks roulette once rr_depth bounces are done.
+    # Its max_depth counts the camera's first hit as 1, and Russian roulette starts after rr_depth bounces.
     replay = Replay(mi, scene, voxels, photographs, job["limit"] + 1, 1)
     values = np.full((len(voxels), 4), job["albedo"], np.float32)
 
     def step() -> int:
         replay.step(values, job["pixels"], job["positions"])
-        return 0  # it does not tell
+        return 0  # Mitsuba does not count rays
 
     return step
 

@@ -1,11 +1,11 @@
 """``neurad bench gradients``: the paper's bias study.
 
 The derivative of every pixel by a uniform change of roughness or of albedo, and the derivative of the loss by
-roughness, for path replay capped at some bounces, for ``k`` differentiable bounces that end in the radiance field, and
-for the debiased mode; all against path replay without any cap. All surfaces have Burley's reflection, one roughness
-and the scene's own albedo. The field is not a network but a fresh path from every point that is read, exact in the
-mean: the bias that shows is the method's own, and its noise is that of such a field, far above a network's (the
-debiased mode has most of it). ``--field_error`` makes the field wrong by a factor.
+roughness, for path replay of limited depth, for ``k`` differentiable bounces that end in the radiance field, and
+for the debiased mode; all against path replay of unlimited depth. All surfaces have Burley's reflection, one roughness
+and the scene's own albedo. The field is not a network but a new path from every point at which it is queried, exact
+in the mean: the measured bias is the method's own. The noise of such a field is far above a network's, most of all in
+the debiased mode. ``--field_error`` makes the field wrong by a factor.
 
 On the integrating sphere the derivatives are compared with their closed form.
 """
@@ -32,9 +32,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     where.add_argument("--root", default=None, metavar="DIR", help="a scene folder")
     parser.add_argument("--view", type=int, default=0, help="index of the held-out view")
     parser.add_argument("--size", type=int, default=32, help="width of the pictures in pixels")
-    parser.add_argument("--spp", type=int, default=8, help="paths a pixel in a batch")
+    parser.add_argument("--spp", type=int, default=8, help="paths per pixel in a batch")
     parser.add_argument("--batches", type=int, default=16, help="independent estimates; errors come from their spread")
-    parser.add_argument("--reference", type=int, default=4, help="as many times more batches for the reference")
+    parser.add_argument("--reference", type=int, default=4, help="batches of the reference for each batch of a method")
     parser.add_argument(
         "--states", type=float, nargs="+", default=[0.2, 0.5, 0.8], metavar="R",
         help="roughnesses, each as a state and as a target of the loss; pictures show the middle one",
@@ -71,7 +71,8 @@ def run(options: argparse.Namespace) -> None:
     table = _bias_rows({key: states[middle] for key, states in found.items()}, reference[middle], middle, away, targets)
     title = (
         f"\n{scene}, roughness {middle:g}, {study.camera.width} x {study.camera.height} pixels, {options.batches} x "
-        f"{options.spp} paths a pixel: bias relative to path replay without a cap (of {options.reference} x as many)"
+        f"{options.spp} paths per pixel: bias relative to path replay of unlimited depth "
+        f"({options.reference} x as many paths)"
     )
     report(table, title, str(options.out / "gradients.csv"))
     from neurad.studies.bench.gradient_page import write_page
@@ -96,7 +97,7 @@ def _check(options: argparse.Namespace) -> None:
 
 
 def methods() -> dict[tuple[str, int | None], Method]:
-    """What is compared, by name and bounces (None: of random number)."""
+    """The methods that are compared, by name and bounces (None: a random number of them)."""
     from neurad.integrators.debiased import Debiased
     from neurad.integrators.prb import PRB
     from neurad.integrators.radiometric import Radiometric
@@ -127,7 +128,7 @@ def _sphere_rows(options: argparse.Namespace, factor: float) -> list[dict[str, A
 
 
 def _study(options: argparse.Namespace, factor: float) -> tuple[Study, str]:
-    """The view, in the scene with Burley's reflection everywhere."""
+    """The view, in the scene with the principled BSDF in place of every diffuse one."""
     from dataclasses import replace
 
     from neurad.core.camera import resized
@@ -175,23 +176,23 @@ def _bias_rows(
     away: float,
     targets: dict[float, FloatArray],
 ) -> list[dict[str, Any]]:
-    """A row a method and quantity; the loss is that against the picture of the roughness ``away``, and at its own
-    minimum, where the derivative is 0, in units of the former. The reference's own row has its relative errors.
+    """A row for each method and quantity. The losses are against the picture of roughness ``away`` and against the
+    state's own picture, where the derivative is 0; both in units of the former. The reference's rows hold its errors.
     """
     from neurad.studies.bench import bias
 
     unit = abs(bias.loss_gradient(reference.image, reference.roughness, targets[away]))
     rows: list[dict[str, Any]] = []
     for (name, bounces), own in {**found, ("reference", None): reference}.items():
-        for quantity, slope, truth in (
+        for quantity, grad, truth in (
             ("image by roughness", own.roughness, reference.roughness),
             ("image by albedo", own.albedo, reference.albedo),
         ):
-            mean, error = bias.image_bias(slope, truth)
+            mean, error = bias.image_bias(grad, truth)
             if own is reference:
-                mean, error = 0.0, bias.noise(slope, truth)
+                mean, error = 0.0, bias.noise(grad, truth)
             rows.append(_bias_row(name, bounces, quantity, mean, error, own.seconds))
-            rows[-1] |= {"pixel_rms": bias.pixel_bias(slope, truth), "noise": bias.noise(slope, truth)}
+            rows[-1] |= {"pixel_rms": bias.pixel_bias(grad, truth), "noise": bias.noise(grad, truth)}
         for quantity, target in ((f"loss, target {away:g}", away), (f"loss, target {state:g}", state)):
             if target != away or away != state:
                 against = None if own is reference else reference

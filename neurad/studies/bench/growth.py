@@ -27,9 +27,9 @@ COLUMNS = (
     "grows", "value", "triangles", "views", "in_memory", "pixels", "entries", "setup_s", "ms_per_step", "mean_ms",
     "cpu_ms", "needs_MiB", "peak_MiB",
 )  # fmt: skip
-"""Of the table: ``in_memory`` counts photographs, ``ms_per_step`` is the median, ``mean_ms`` has what only some do
-(wait for a photograph), ``cpu_ms`` is the mean of the process's own time, ``needs_MiB`` an estimate of what grows alone
-and ``peak_MiB`` measured, of the process."""
+"""Of the table: ``in_memory`` counts photographs, ``ms_per_step`` is the median, ``mean_ms`` includes what only some
+steps do (wait for a photograph), ``cpu_ms`` is the mean of the process's own time, ``needs_MiB`` an estimate of the
+part that grows and ``peak_MiB`` measured, of the process."""
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -46,7 +46,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(options: argparse.Namespace) -> None:
-    """Measure every point in a process of its own and print the table.
+    """Measure each point in a separate process and print the table.
 
     Raises:
         InputError: a value is not a number, or the settings are wrong.
@@ -91,7 +91,7 @@ def side_of(options: argparse.Namespace, curve: str) -> int:
 def expected_bytes(curve: str, value: int, side: int, resident: int) -> float:
     """Rough memory of a point: photographs and cached camera rays (eight positions per pixel), triangles or tables.
 
-    Of every pixel, streamed or not, one byte says whether it shows an emitter.
+    Every pixel, streamed or not, has a byte for the emitter mask.
     """
     pixel = 12.0 + 12.0 * 8
     if curve == "views":
@@ -104,7 +104,7 @@ def expected_bytes(curve: str, value: int, side: int, resident: int) -> float:
 
 
 def measure(options: argparse.Namespace, curve: str, value: int) -> Row:
-    """One point: a short fit of a room that has grown."""
+    """One point: a short fit of the enlarged scene."""
     import tempfile
     from statistics import mean, median
 
@@ -163,7 +163,7 @@ def grown(scene: Scene, curve: str, value: int, side: int) -> Scene:
 
 
 def photographed(scene: Scene, folder: str, contents: int = 8) -> Scene:
-    """The scene with a file of noise for each training view; few differ, the others are names of the same content."""
+    """The scene with a file of noise for each training view: ``contents`` different ones, and hard links to them."""
     import os
     import shutil
     from dataclasses import replace
@@ -190,7 +190,7 @@ def photographed(scene: Scene, folder: str, contents: int = 8) -> Scene:
 
 
 def bumps(scene: Scene, triangles: int) -> Mesh:
-    """A bumpy sheet of about so many triangles in the lower part of the scene."""
+    """A bumpy sheet of about ``triangles`` triangles in the lower part of the scene."""
     import numpy as np
 
     from neurad.core.records import Mesh

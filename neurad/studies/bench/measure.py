@@ -1,4 +1,4 @@
-"""A training run with a stopwatch: the whole step first, untouched, then its stages, then the work that they had."""
+"""A training run with a stopwatch: the whole step without instrumentation, then its stages, then their work."""
 
 from __future__ import annotations
 
@@ -42,7 +42,9 @@ class StepFigures:
 
 @dataclass
 class Stopwatch(pl.Callback):
-    """Times of steps: ``warmup`` that do not count, ``steps`` as they are, ``steps`` by stage, one to count work."""
+    """Times of steps: ``warmup`` that do not count, ``steps`` without instrumentation, ``steps`` by stage, one
+    to count work.
+    """
 
     steps: int
     warmup: int
@@ -64,7 +66,7 @@ class Stopwatch(pl.Callback):
         self.setup_seconds += self._begin
 
     def on_train_batch_end(self, trainer: pl.Trainer, pl_module: pl.LightningModule, *_: Any) -> None:
-        """A step has ended, and with it what Lightning does around it."""
+        """Record the step that has ended, Lightning's own work included."""
         module = pl_module
         assert isinstance(module, InverseRenderer)
         wait(module.device)
@@ -86,11 +88,11 @@ class Stopwatch(pl.Callback):
         self._begin = time.perf_counter()
 
     def on_train_end(self, *_: Any) -> None:
-        """Put everything back."""
+        """Remove the instrumentation."""
         self._stack.close()
 
     def on_exception(self, *_: Any) -> None:
-        """Put everything back."""
+        """Remove the instrumentation."""
         self._stack.close()
 
 
@@ -130,7 +132,7 @@ def fit(trainer: pl.Trainer, module: InverseRenderer, data: pl.LightningDataModu
 
 
 def stage_rows(watch: Stopwatch, recorder: Recorder, rates: dict[str, float]) -> list[Row]:
-    """A row a stage: median milliseconds, share of the step, and the floor with what sets it."""
+    """A row for each stage: median milliseconds, percent of the step, and the floor with what limits it."""
     whole = 1e3 * median(seconds for seconds, _, _ in watch.staged)
     rows: list[Row] = []
     known = 0.0
@@ -148,7 +150,7 @@ def stage_rows(watch: Stopwatch, recorder: Recorder, rates: dict[str, float]) ->
 
 
 def total_row(milliseconds: float) -> Row:
-    """The step as it is, without a stopwatch."""
+    """The step without instrumentation."""
     return _row("whole step, no stopwatch", milliseconds, milliseconds, 0, None, "")
 
 

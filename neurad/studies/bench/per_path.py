@@ -1,8 +1,8 @@
-"""Paths that know their number, and materials with parameters of their own for every path.
+"""Paths that carry their index, and materials with separate parameters for every path.
 
-A backward pass gives the derivative of one number by many. Turned around with one copy of a scalar parameter for every
-path, a single backward pass gives the derivative of every path's radiance by that scalar, for any method: paths share
-nothing but the scene. So a gradient image costs no more than a gradient.
+A backward pass gives the derivatives of one number by many parameters. With one copy of a scalar parameter for every
+path, a single backward pass of the sum over paths gives the derivative of every path's radiance by that scalar, for any
+method: paths share nothing but the scene. A gradient image then costs no more than a gradient.
 """
 
 from __future__ import annotations
@@ -23,22 +23,22 @@ from neurad.scene.textures import TrueMaterials
 
 @dataclass(frozen=True)
 class PathRays(Rays):
-    """Rays that know which path they belong to."""
+    """Rays with the index of the path that they belong to."""
 
     path: Tensor
-    """Number of the path [n], int64."""
+    """Index of the path [n], int64."""
 
 
 @dataclass(frozen=True)
 class PathInteraction(SurfaceInteraction):
-    """A surface point that knows which path it belongs to."""
+    """Surface points with the index of the path that they belong to."""
 
     path: Tensor
-    """Number of the path [n], int64."""
+    """Index of the path [n], int64."""
 
 
 class PathGeometry(Geometry):
-    """Geometry that hands the number of a path on from rays to where they end, and to rays that go on from there."""
+    """Geometry that copies the path index from rays to their hits, and from there to the rays spawned."""
 
     def interact(self, rays: Rays, hit: Hit) -> SurfaceInteraction:
         """The surface points [n] that rays ended at."""
@@ -64,7 +64,7 @@ class UniformMaterials(nn.Module):
     def __init__(self, base: TrueMaterials, roughness: float) -> None:
         super().__init__()
         self.base = base
-        self.start = roughness
+        self.value = roughness
 
     def albedo(self, si: SurfaceInteraction) -> Tensor:
         """Base colour [n, 3]."""
@@ -73,7 +73,7 @@ class UniformMaterials(nn.Module):
     def forward(self, si: SurfaceInteraction) -> Surface:
         """BSDF parameters at the lanes of ``si``."""
         albedo = self.albedo(si)
-        return Surface(albedo, torch.full_like(albedo[:, :1], self.start))
+        return Surface(albedo, torch.full_like(albedo[:, :1], self.value))
 
 
 class PathMaterials(UniformMaterials):
@@ -82,7 +82,7 @@ class PathMaterials(UniformMaterials):
     Args:
         base: gives the albedo.
         roughness: of all surfaces.
-        paths: how many there are.
+        paths: number of paths.
     """
 
     def __init__(self, base: TrueMaterials, roughness: float, paths: int) -> None:
@@ -102,10 +102,10 @@ class PathMaterials(UniformMaterials):
 
 
 def build_path_world(scene: Scene, tracer: str) -> World:
-    """The world of a scene whose interactions know their path.
+    """The world of a scene whose interactions carry their path index.
 
     Raises:
-        InputError: the scene has smooth surfaces, on which the numbers would get lost.
+        InputError: the scene has smooth surfaces, where the path index would be lost.
     """
     if scene.features.has_delta:
         raise InputError(f"scene {scene.name}: it has smooth surfaces, which this benchmark does not follow")

@@ -16,8 +16,7 @@ from torch import Tensor, nn
 from datamodules.scene_data import SceneData
 from neurad.core.records import Rays
 from neurad.fields import dense_grid, hash_grid, mlp
-from neurad.integrators import vertex_diffuse as matte
-from neurad.integrators import vertex_principled as glossy
+from neurad.integrators import vertex_diffuse, vertex_principled
 from neurad.integrators.estimator import Estimator
 from neurad.integrators.guide import Guide
 from neurad.integrators.primary_hits import PrimaryHits
@@ -48,7 +47,7 @@ GRIDS = (hash_grid.HashGrid, dense_grid.DenseGrid)
 
 @dataclass
 class Work:
-    """What a stage was given to do in one step."""
+    """Work of a stage in one step."""
 
     calls: int = 0
     lanes: int = 0
@@ -66,8 +65,8 @@ class Recorder:
     counting: bool = False
     """Count work rather than time."""
     seconds: dict[str, float] = field(default_factory=lambda: defaultdict(float))
-    extra_bounce_fraction: float = 0.0
-    """Seconds of everything that the prior costs at second hits before its backward pass; part of the stages."""
+    extra_bounce_seconds: float = 0.0
+    """Seconds that the prior takes at hits of one more bounce, before its backward pass; part of the stages."""
     work: dict[str, Work] = field(default_factory=lambda: defaultdict(Work))
     closest: list[Rays] = field(default_factory=list)
     shadow: list[tuple[Rays, Tensor]] = field(default_factory=list)
@@ -76,10 +75,10 @@ class Recorder:
     _thread: int = field(default_factory=threading.get_ident)
 
     def take(self) -> tuple[dict[str, float], float]:
-        """Seconds by stage, and of the second hits, since the last call."""
-        found, second = dict(self.seconds), self.extra_bounce_fraction
+        """Seconds by stage, and those of the extra bounce, since the last call."""
+        found, second = dict(self.seconds), self.extra_bounce_seconds
         self.seconds.clear()
-        self.extra_bounce_fraction = 0.0
+        self.extra_bounce_seconds = 0.0
         return found, second
 
     def _now(self) -> float:
@@ -109,19 +108,19 @@ class Recorder:
                 return function(*args, **kwargs)
             with self.stage(name):
                 out = function(*args, **kwargs)
-            if self.counting and not name.startswith("backward"):  # counted with what they belong to
+            if self.counting and not name.startswith("backward"):  # counted with the forward stage
                 self._count(name, args, out)
             return out
 
         return inner
 
-    def wrap_second(self, function: Callable[..., Any]) -> Callable[..., Any]:
-        """``function`` as what second hits need."""
+    def wrap_extra_bounce(self, function: Callable[..., Any]) -> Callable[..., Any]:
+        """``function``, its time added to :attr:`extra_bounce_seconds`."""
 
         def inner(*args: Any, **kwargs: Any) -> Any:
             begin = self._now()
             out = function(*args, **kwargs)
-            self.extra_bounce_fraction += self._now() - begin
+            self.extra_bounce_seconds += self._now() - begin
             return out
 
         return inner
@@ -161,7 +160,7 @@ class Recorder:
 
 
 def table_bytes(grid: nn.Module, lanes: int) -> float:
-    """Bytes of entries that a lookup must read: eight corners a level and lane, but no entry more than once."""
+    """Bytes of entries that a lookup must read: eight corners a level and lane, each entry at most once."""
     if isinstance(grid, hash_grid.HashGrid):
         entries = grid.level_table[:, 3].clamp(max=8 * lanes).sum()
         return float(entries) * grid.features * 4
@@ -182,7 +181,7 @@ def tensors(value: Any) -> list[Tensor]:
 
 @contextmanager
 def instrumented(module: InverseRenderer, recorder: Recorder) -> Iterator[None]:
-    """Wrap what a training step calls, and put everything back in the end."""
+    """Wrap what a training step calls, and restore it at the end."""
     world: World = module.world
     parts = [module.materials.albedo, module.materials.roughness, module.radiance]
     plan: set[tuple[Any, str, str]] = {
@@ -196,8 +195,8 @@ def instrumented(module: InverseRenderer, recorder: Recorder) -> Iterator[None]:
         *((type(world.lights), name, "emitters") for name in ("sample", "eval", "pdf")),
         *((type(world.bsdf), name, "bsdf") for name in ("eval", "pdf", "eval_pdf", "sample")),
         *((Guide, name, "bsdf") for name in ("rows", "warp", "density", "bin_samples", "record", "update")),
-        (glossy, "bounce_principled", "bsdf"),  # a bounce but its rays and the albedo
-        (matte, "bounce_diffuse", "bsdf"),
+        (vertex_principled, "bounce_principled", "bsdf"),  # a bounce without its rays and the albedo
+        (vertex_diffuse, "bounce_diffuse", "bsdf"),
         *((type(part), "forward", "fields: rest") for part in parts if isinstance(part, nn.Module)),
         *((grid, "forward", "fields: grids") for grid in GRIDS),
         (mlp.MLP, "forward", "fields: networks"),
@@ -212,7 +211,7 @@ def instrumented(module: InverseRenderer, recorder: Recorder) -> Iterator[None]:
             wrapped = recorder.wrap(stage, getattr(owner, name))
             setattr(owner, name, staticmethod(wrapped) if name == "backward" else wrapped)
         before.append((Estimator, "reflected", Estimator.__dict__["reflected"]))
-        Estimator.reflected = recorder.wrap_second(Estimator.reflected)  # type: ignore[method-assign]
+        Estimator.reflected = recorder.wrap_extra_bounce(Estimator.reflected)  # type: ignore[method-assign]
         yield
     finally:
         for owner, name, original in before:

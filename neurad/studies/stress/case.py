@@ -13,11 +13,11 @@ class Outcome:
     """What a case measured."""
 
     error: float
-    """Distance from the oracle, in the measure that the case names."""
+    """Distance from the oracle, in the case's measure."""
     bar: float | None
     """Largest error that passes; None where a figure is only stated."""
     note: str = ""
-    """What else was seen: steps, the value reached, a ratio."""
+    """Further figures: steps, the value reached, a ratio."""
 
 
 @dataclass(frozen=True)
@@ -31,7 +31,7 @@ class Case:
     oracle: str
     """What the answer is compared with, and how."""
     measure: Callable[[bool], Outcome]
-    """Runs the case; True asks for the short form."""
+    """Runs the case; True selects the short form."""
     quick: bool = True
     """Whether the case belongs to ``--quick``."""
 
@@ -52,11 +52,11 @@ class Row:
 
 
 def judge(case: Case, quick: bool) -> Row:
-    """Run a case. One that raises has failed, and its row says why: the table goes on to the next.
+    """Run a case. One that raises has failed, with the reason in its row, and the others still run.
 
     Args:
         case: what to run.
-        quick: ask for its short form.
+        quick: run its short form.
     """
     begin = time.perf_counter()
     try:

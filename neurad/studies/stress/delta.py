@@ -1,4 +1,4 @@
-"""Glass and mirrors: chains of smooth surfaces, of bounded length."""
+"""Glass and mirrors: chains of delta surfaces, of bounded length."""
 
 from __future__ import annotations
 
@@ -18,26 +18,26 @@ from neurad.studies.stress.scenes import mean_difference, picture, small_cube, w
 
 
 def _behind_glass() -> Case:
-    """A light behind two panes, whose second undoes the bending of the first."""
+    """A light behind two panes; the second reverses the refraction of the first."""
 
     def measure(quick: bool) -> Outcome:
         scene = small_cube(12)
         glazed = with_panel(scene, DielectricModel(), (-1.0, 0.9, -1.0), 2.0)
         lift = np.array([0.0, 0.01, 0.0], np.float32)
         pane = replace(glazed.meshes[-1], name="upper", vertices=glazed.meshes[-1].vertices + lift)
-        glazed = replace(glazed, meshes=[*glazed.meshes[:-1], _facing(glazed.meshes[-1], -1.0), _facing(pane, 1.0)])
+        glazed = replace(glazed, meshes=[*glazed.meshes[:-1], _oriented(glazed.meshes[-1], -1.0), _oriented(pane, 1.0)])
         view = replace(scene.train[0], camera=look_at((0.0, -0.5, 0.0), (0.0, -1.0, 0.01), 60.0, 12))
         spp = 4096 if quick else 16384
         found = picture(replace(glazed, train=[view], max_depth=2), spp)
-        through = picture(replace(scene, train=[view], max_depth=2), 256)
-        ratio = float(found.mean() / through.mean())
-        # a pane of index 1.5 passes 0.923 at normal incidence, less at the angles of this room
+        unglazed = picture(replace(scene, train=[view], max_depth=2), 256)
+        ratio = float(found.mean() / unglazed.mean())
+        # a pane of index 1.5 transmits 0.923 at normal incidence, less at the angles of this room
         return Outcome(max(0.0, ratio - 0.94) + max(0.0, 0.75 - ratio), 0.0, f"{ratio:.3f} of the light without glass")
 
-    return Case("delta", "a light behind glass", "share that a pane passes: 0.75 to 0.94", measure)
+    return Case("delta", "a light behind glass", "transmitted fraction: 0.75 to 0.94", measure)
 
 
-def _facing(mesh: Mesh, up: float) -> Mesh:
+def _oriented(mesh: Mesh, up: float) -> Mesh:
     """The pane with its normal up or down."""
     a, b, c = mesh.vertices[mesh.faces[0]]
     if np.cross(b - a, c - a)[1] * up < 0:

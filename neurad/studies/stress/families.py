@@ -1,4 +1,4 @@
-"""The families of cases, apart from the cases, which bring torch: ``neurad stress -h`` answers at once."""
+"""The families of cases. They stand apart from the cases, which import torch, so that ``neurad stress -h`` is fast."""
 
 FAMILIES: dict[str, str] = {
     "stiff": "albedo near 1: the field alone, its speed, and recovering the albedo",
@@ -11,4 +11,4 @@ FAMILIES: dict[str, str] = {
     "guard": "planted NaN and Inf",
     "features": "what a scene does not need is not built",
 }
-"""Name (that of the module with its cases too) and what it is about."""
+"""Name, which is also that of the module with its cases, and subject."""

@@ -14,7 +14,7 @@ from neurad.studies.stress.fit import Fit, Plan, photographs, resized
 from neurad.studies.stress.parts import Form, Place, make, memory, milliseconds, parameters, parts
 
 FASTER = 1.5
-"""How many times cheaper a step of a Lambertian scene is to be than in the parts of ``kitchen``."""
+"""Least speed-up of a step of a Lambertian scene over one with the parts of ``kitchen``."""
 
 
 def _fits(place: Place, *forms: Form) -> list[Fit]:
@@ -40,7 +40,7 @@ def _lambertian() -> Case:
 
 
 def _compared(name: str, place: Place) -> Case:
-    """What a scene has and has not, and what that saves."""
+    """Parts that a scene has and lacks, and what leaving them out saves."""
 
     def measure(quick: bool) -> Outcome:
         lean, full = _fits(place, "needed", "forced")
@@ -71,7 +71,9 @@ def _same_result() -> Case:
         note = f"albedo error {errors[0]:.4f}, forced on {errors[1]:.4f} (it must find the roughness too)"
         return Outcome(max(0.0, errors[0] - errors[1]), 0.01, note)
 
-    return Case("features", "Lambertian scene, nothing but its needs", "albedo error no larger than forced on", measure)
+    return Case(
+        "features", "Lambertian scene, only the parts it needs", "albedo error no larger than forced on", measure
+    )
 
 
 def _not_there() -> Case:

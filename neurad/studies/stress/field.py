@@ -47,7 +47,7 @@ class Lab:
         return geometry.interact_at(face, bary[:, 0], bary[:, 1], wo, torch.ones(count, dtype=torch.bool))
 
     def open_points(self, count: int, stream: Stream, clearance: float = 0.02) -> SurfaceInteraction:
-        """Points with free space above them: not those in the dark between a light's back and the ceiling."""
+        """Points with free space above them: none in the gap between the back of a light and the ceiling."""
         parts: list[SurfaceInteraction] = []
         while sum(map(len, parts)) < count:
             si = self.points(count + count // 8, stream)
@@ -95,11 +95,11 @@ def relative_error(value: Tensor, truth: Tensor, other: Tensor | None = None) ->
 def settle(
     lab: Lab, cameras: list[Camera], steps: int, error: Callable[[RadianceField], float] | None = None
 ) -> tuple[RadianceField, list[tuple[int, float]]]:
-    """Train a radiance field by the prior alone, with the shipped step and the scene's own materials.
+    """Train a radiance field by the prior alone, with the shipped settings and the scene's true materials.
 
     Args:
         lab: the scene.
-        cameras: that the training looks from.
+        cameras: of the training views.
         steps: iterations.
         error: measured every :data:`CHECK` steps.
 

@@ -1,6 +1,6 @@
 """A fit without files and without a trainer: the shipped step and settings on photographs held in memory.
 
-Only sizes and budget are smaller: fields, pixels of a batch, steps.
+Only fields, batches and the number of steps are smaller.
 """
 
 from __future__ import annotations
@@ -146,8 +146,8 @@ class Fit:
     def albedo_error(self, lit: bool = False) -> tuple[float, float]:
         """Root mean square error of the albedo over what the views see, and the mean albedo found there.
 
-        With ``lit`` only where at least half as much direct light falls as on average: what is dim and dark has no
-        known albedo.
+        With ``lit`` only where at least half as much direct light falls as on average: photographs of
+        unlit surfaces do not determine their albedo.
         """
         si = self.seen()
         if lit:

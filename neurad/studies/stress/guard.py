@@ -1,4 +1,4 @@
-"""Planted NaN and Inf: each stops with the right sentence."""
+"""Planted NaN and Inf: each must stop the run with the right message."""
 
 from __future__ import annotations
 
@@ -40,12 +40,12 @@ def _texel() -> Case:
     return Case("guard", "a NaN texel in a photograph", "refused with a sentence that names the file", measure)
 
 
-def _planted(what: str, words: str, spoil: Callable[[InverseRenderer], None], matte_scene: bool = True) -> Case:
+def _planted(what: str, words: str, spoil: Callable[[InverseRenderer], None], diffuse: bool = True) -> Case:
     def measure(quick: bool) -> Outcome:
         scene = resized(small_cube(8), 8, 2)
-        scene = scene if matte_scene else glossy(scene)
+        scene = scene if diffuse else glossy(scene)
         images = photographs(scene, 4)
-        step, arrive, collect = (
+        step, resolve_diffuse, resolve_principled = (
             InverseRenderer.training_step,
             vertex_diffuse_kernels.resolve_hits_diffuse,
             vertex_principled_kernels.resolve_hits_principled,
@@ -65,8 +65,8 @@ def _planted(what: str, words: str, spoil: Callable[[InverseRenderer], None], ma
             return Outcome(float("iteration 2" not in text or words not in text), 0.0, text)
         finally:
             InverseRenderer.training_step = step  # type: ignore[method-assign]
-            vertex_diffuse_kernels.resolve_hits_diffuse = arrive
-            vertex_principled_kernels.resolve_hits_principled = collect
+            vertex_diffuse_kernels.resolve_hits_diffuse = resolve_diffuse
+            vertex_principled_kernels.resolve_hits_principled = resolve_principled
         return Outcome(1.0, 0.0, "the run went on")
 
     return Case("guard", what, f"stops and says: {words}", measure)
@@ -78,21 +78,21 @@ def _weight(module: InverseRenderer) -> None:
 
 
 def _sample(module: InverseRenderer) -> None:
-    plain = vertex_principled_kernels.resolve_hits_principled
+    original = vertex_principled_kernels.resolve_hits_principled
 
     def broken(*arrays: Any) -> None:
-        plain(*arrays)
+        original(*arrays)
         direct = arrays[-1].value[0]
         direct[direct > 0] = math.inf
 
     vertex_principled_kernels.resolve_hits_principled = broken  # type: ignore[assignment]
 
 
-def _matte_sample(module: InverseRenderer) -> None:
-    plain = vertex_diffuse_kernels.resolve_hits_diffuse
+def _diffuse_sample(module: InverseRenderer) -> None:
+    original = vertex_diffuse_kernels.resolve_hits_diffuse
 
     def broken(*arrays: Any) -> None:
-        plain(*arrays)
+        original(*arrays)
         direct = arrays[-2]
         direct[direct > 0] = math.inf
 
@@ -100,7 +100,7 @@ def _matte_sample(module: InverseRenderer) -> None:
 
 
 def _cost() -> Case:
-    """What the checks of a step take."""
+    """Time of the checks of a step."""
 
     def measure(quick: bool) -> Outcome:
         import statistics
@@ -123,7 +123,7 @@ def _cost() -> Case:
         whole, check = (1e3 * statistics.median(times) for times in spent)
         return Outcome(check / whole, 0.05, f"{check:.3f} of {whole:.2f} ms a step, medians of processor time")
 
-    return Case("guard", "cost of the checks", "share of a step", measure)
+    return Case("guard", "cost of the checks", "fraction of a step", measure)
 
 
 def cases() -> list[Case]:
@@ -141,7 +141,7 @@ def cases() -> list[Case]:
         _planted(
             "an infinite sample, Lambertian",
             f"integrators.vertex_diffuse.bounce_diffuse.direct_demodulated {bad}",
-            _matte_sample,
+            _diffuse_sample,
         ),
         _cost(),
     ]

@@ -41,8 +41,8 @@ def _scaled(factor: float) -> Case:
     def measure(quick: bool) -> Outcome:
         scene, images = _scene(2)
         _, printed = fit(scene, images * factor)
-        _, calm = fit(scene, images)
-        warned = printed.count("times as bright") == 1 and "times as bright" not in calm
+        _, unscaled = fit(scene, images)
+        warned = printed.count("times as bright") == 1 and "times as bright" not in unscaled
         return Outcome(float(not warned), 0.0, " ".join(printed.split())[:200])
 
     return Case("images", f"photographs alone scaled by {factor:g}", "one warning that names the factor", measure)
@@ -63,11 +63,11 @@ def _fireflies(firefly_clamp: float) -> Case:
         note = f"albedo error {error:.3f}, without fireflies {clean[0]:.3f}; mean albedo {mean:.3f} and {clean[1]:.3f}"
         return Outcome(abs(error - clean[0]), 0.05 if firefly_clamp else None, note)
 
-    how = f"influence bounded at {firefly_clamp:g}" if firefly_clamp else "unbounded influence"
+    how = f"residuals clamped at {firefly_clamp:g}" if firefly_clamp else "no clamp"
     return Case("images", f"0.1 % of the pixels 1000 times too bright, {how}", "the fit without them: albedo error",
                 measure, bool(firefly_clamp))  # fmt: skip
 
 
 def cases() -> list[Case]:
-    """What photographs can be."""
+    """Bad photographs."""
     return [_black(), _one_black(), _scaled(1e3), _scaled(1e-3), _fireflies(0.0), _fireflies(5.0)]

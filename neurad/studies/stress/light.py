@@ -28,7 +28,7 @@ def _radiance(value: float) -> Case:
 
 
 def _materials(value: float) -> Case:
-    """A fit does not feel the unit of light."""
+    """A fit does not depend on the unit of radiance."""
 
     def measure(quick: bool) -> Outcome:
         scene = resized(small_cube(12), 12, 4)
@@ -93,9 +93,9 @@ def _point_light(camera: Camera) -> torch.Tensor:
     rays = camera_rays(camera, xy.reshape(-1, 2))
     t = (-1.0 - rays.o[:, 1]) / rays.d[:, 1]
     p = rays.o + t.unsqueeze(-1) * rays.d
-    way = p - torch.tensor([0.0, 0.5, 0.0])
-    squared = (way * way).sum(-1)
-    cos = -way[:, 1] / squared.sqrt()
+    d = p - torch.tensor([0.0, 0.5, 0.0])
+    squared = (d * d).sum(-1)
+    cos = -d[:, 1] / squared.sqrt()
     value = 0.5 / torch.pi * cos * cos / squared
     image = value.view(-1, 16).mean(1).view(camera.height, camera.width, 1)
     return image.expand(-1, -1, 3)
@@ -138,7 +138,7 @@ def _grazing() -> Case:
 
 
 def cases() -> list[Case]:
-    """Brightness, size, and views that see nothing but light."""
+    """Brightness, size, and views that show nothing but a light."""
     values = (1e-6, 1e-3, 1e3, 1e6)
     return [
         *(_radiance(v) for v in values),

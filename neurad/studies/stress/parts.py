@@ -1,4 +1,4 @@
-"""The same scene with all that it needs and no more, with the parts of ``kitchen``, and with everything forced on."""
+"""The same scene with only the parts that it needs, with the parts of ``kitchen``, and with everything forced on."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ from neurad.studies.stress.fit import Fit, Plan, plan_of, resized
 
 CONFIG = "kitchen.yaml"
 EVERYTHING = Features(True, True, True, False, True)
-"""Every part asked for, whatever the scene has."""
+"""Every part enabled, whatever the scene has."""
 Form = Literal["needed", "kitchen", "forced"]
 
 
@@ -52,9 +52,9 @@ class Place:
 
 def glossy(scene: Scene) -> Scene:
     """The same scene with the parts that ``kitchen`` has: principled BSDF and a roughness field."""
-    matte = Constant(np.ones(1, np.float32))
+    rough = Constant(np.ones(1, np.float32))
     materials = [
-        replace(m, model=PrincipledModel(), roughness=matte) if m.model.is_diffuse else m for m in scene.materials
+        replace(m, model=PrincipledModel(), roughness=rough) if m.model.is_diffuse else m for m in scene.materials
     ]
     return replace(scene, materials=materials)
 
@@ -116,9 +116,9 @@ def milliseconds(fits: Sequence[Fit], steps: int) -> list[float]:
 
 
 def memory(place: Place, form: Form, steps: int = 5) -> float | None:
-    """MiB that a fit adds to the peak of a process which has read the scene; the process is one of its own.
+    """MiB that a fit adds to the peak of a process which has read the scene; the fit runs in a new process.
 
-    None where the system does not tell.
+    None where the system does not report it.
     """
     import multiprocessing
 

@@ -54,8 +54,10 @@ def _float64() -> Case:
             values64, gradient64 = _step(double)
         values, gradient = _step(single)
         off = max(abs(values[k] - values64[k]) / max(abs(values64[k]), 1e-12) for k in values)
-        slope = float((gradient - gradient64).norm() / gradient64.norm())
-        return Outcome(max(off, slope), 1e-2, f"losses differ by {off:.2g}, gradients by {slope:.2g} of their norm")
+        grad_error = float((gradient - gradient64).norm() / gradient64.norm())
+        return Outcome(
+            max(off, grad_error), 1e-2, f"losses differ by {off:.2g}, gradients by {grad_error:.2g} of their norm"
+        )
 
     return Case("precision", "one step in float32", "the same step in float64: losses and gradients", measure)
 

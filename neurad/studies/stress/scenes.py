@@ -1,4 +1,4 @@
-"""Scenes that the cases spoil: copies of built-in ones with one thing changed."""
+"""Scenes of the cases: copies of built-in ones with one thing changed."""
 
 from __future__ import annotations
 

@@ -51,8 +51,8 @@ def _one_triangle() -> Case:
         view = replace(scene.train[0], camera=look_at((0.0, 2.0, 0.0), (0.0, 0.0, 0.01), 60.0, 64))
         found = picture(replace(scene, meshes=[mesh], train=[view]), 16)
         # area seen: 2 of the (2 * 2 tan 30)^2 at distance 2; nothing can reflect
-        share = 2.0 / (4.0 * np.tan(np.radians(30.0))) ** 2
-        return Outcome(abs(float(found.mean()) / share - 1.0), 0.02, "its share of the picture")
+        fraction = 2.0 / (4.0 * np.tan(np.radians(30.0))) ** 2
+        return Outcome(abs(float(found.mean()) / fraction - 1.0), 0.02, "its fraction of the picture")
 
     return Case("shapes", "one triangle, which is the light", "closed form, mean of the picture", measure)
 
@@ -85,7 +85,7 @@ def _many() -> Case:
 
 
 def _spoilt(what: str, bar: float) -> Case:
-    """Triangles that should change nothing."""
+    """Bad triangles, which must not change the picture."""
 
     def measure(quick: bool) -> Outcome:
         scene = small_cube()
@@ -121,7 +121,7 @@ def _spoil(mesh: Mesh, what: str) -> Mesh:
 
 
 def _hole() -> Case:
-    """A room without one wall: light leaves, nothing comes back."""
+    """A room without one wall: light that leaves does not return."""
 
     def measure(quick: bool) -> Outcome:
         scene = small_cube(16)
@@ -145,7 +145,9 @@ def _no_normals() -> Case:
         view = replace(scene.train[0], camera=replace(scene.train[0].camera, width=24, height=24))
         bare: Scene = with_meshes(replace(scene, train=[view]), lambda m: replace(m, normals=None))
         found, usual = picture(bare, 16, depth=3), picture(replace(scene, train=[view]), 16, depth=3)
-        return Outcome(difference(found, usual) if quick else mean_difference(found, usual), 0.2, "flat for smooth")
+        return Outcome(
+            difference(found, usual) if quick else mean_difference(found, usual), 0.2, "flat in place of smooth shading"
+        )
 
     return Case("shapes", "missing normals (kitchen)", "picture with normals, roughly", measure, False)
 

@@ -20,7 +20,7 @@ from neurad.studies.stress.fit import Fit, Plan
 
 ALBEDOS = (0.5, 0.9, 0.97, 0.99, 0.999)
 BAR = 0.05
-"""Error that the race of the albedos runs to."""
+"""Error at which the steps of the two albedos are compared."""
 FORWARD_STEPS, RACE_STEPS = 800, 400
 
 
@@ -30,15 +30,15 @@ def closed_form(scene: Scene, albedo: float) -> float:
         return albedo / (1.0 - albedo)
     lab = Lab(scene)
     geometry = lab.world.geometry
-    sent = float((geometry.face_area * geometry.emission[:, 0]).sum() / geometry.face_area.sum())
-    return sent * albedo / (1.0 - albedo)
+    emitted = float((geometry.face_area * geometry.emission[:, 0]).sum() / geometry.face_area.sum())
+    return emitted * albedo / (1.0 - albedo)
 
 
 def all_round(scene: Scene, size: int) -> Scene:
-    """The scene with six training views that together see every wall: what no photograph shows has no known albedo, and
-    in a closed room that spoils the rest.
+    """The scene with six training views that together see every wall: the albedo of what no photograph shows stays
+    unknown, and in a closed room its reflected light biases the rest.
     """
-    ways = [
+    directions = [
         (1.0, 0.0, 0.01),
         (-1.0, 0.0, 0.01),
         (0.0, 1.0, 0.01),
@@ -46,7 +46,7 @@ def all_round(scene: Scene, size: int) -> Scene:
         (0.01, 0.0, 1.0),
         (0.01, 0.0, -1.0),
     ]
-    return replace(scene, train=views("train", [((0.0, 0.0, 0.0), way) for way in ways], 110.0, size))
+    return replace(scene, train=views("train", [((0.0, 0.0, 0.0), d) for d in directions], 110.0, size))
 
 
 def _forward(builder: str, albedo: float, bar: float | None) -> Case:
@@ -119,7 +119,7 @@ def _recovered(builder: str, albedo: float, bar: float | None) -> Case:
             images += 1.0
         fit = Fit(scene, images, plan).run()
         error, mean = fit.albedo_error()
-        passes = bar if bar is None or not quick else 5.0 * bar  # a quarter of the steps does not settle
+        passes = bar if bar is None or not quick else 5.0 * bar  # a quarter of the steps does not converge
         return Outcome(error, passes, f"albedo found {mean:.4f}, {plan.steps} steps")
 
     return Case("stiff", f"{builder}, albedo {albedo}: recovered", "true albedo, RMS", measure,

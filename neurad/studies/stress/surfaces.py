@@ -59,7 +59,7 @@ def _diffuse_energy() -> Case:
 
 
 def _dark(albedo: float) -> Case:
-    """Photographs of a room whose walls reflect nothing or almost everything."""
+    """Photographs of a room whose walls reflect nothing or everything."""
 
     def measure(quick: bool) -> Outcome:
         scene = resized(small_cube(12, albedo=0.5), 12, 4 if quick else 8)
