@@ -175,7 +175,7 @@ class Even(torch.nn.Module):
 METHODS = {
     "AD-PT": (PathTracing, {"max_depth": 4}, (0.6, 0.9)),
     "PRB": (PRB, {"max_depth": 4}, (0.6, 0.9)),
-    "debiased": (Debiased, {"start": 1.0}, (0.9, 0.98)),
+    "debiased": (Debiased, {"first_prob": 1.0}, (0.9, 0.98)),
     "ours": (Radiometric, {}, (0.4, 0.4)),
 }
 

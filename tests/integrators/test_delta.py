@@ -121,7 +121,7 @@ def test_a_chain_between_facing_mirrors_ends():
         (wall(9, -1), diffuse("wall", 0.5), LIGHT),
     )
     integrator = path(scene)
-    world = integrator.world
+    world = integrator.scene.world
     reached = world.trace_past_delta(bundle(5, (0.1, 0.2, 0.0), (0.0, 0.0, -1.0)), torch.rand(5))
     assert world.tracer.rays_cast == 5 * (1 + MAX_CHAIN)
     assert not reached.si.valid.any()
@@ -161,7 +161,7 @@ def test_pixels_agree_with_mitsuba():
     integrator = path(scene, max_depth=None, rr_depth=8)
     ours = torch.stack([render(camera, integrator, spp, 100 + s) for s in range(seeds)]).numpy()
     smooth_share = (
-        integrator.world.delta.is_delta[integrator.world.intersect(_centres(camera)).prim.clamp_min(0)].float().mean()
+        integrator.scene.world.delta.is_delta[integrator.scene.world.intersect(_centres(camera)).prim.clamp_min(0)].float().mean()
     )
     assert smooth_share > 0.3  # the picture shows what is tested
     p = stats.ttest_ind(ours, theirs, axis=0, equal_var=False).pvalue
