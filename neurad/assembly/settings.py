@@ -207,6 +207,8 @@ class ModelSettings:
         """Refuse settings that do not go together."""
         if self.materials == "known" and self.lighting.environment == "known" and not self.method.needs_field:
             raise InputError("model.materials: with known materials, known light and no radiance field nothing is left")
+        if not self.method.reflects:
+            raise InputError("model.method: max_depth 1 shows emitters only, no surface; direct light takes 2")
         lhs = self.objective.lhs > 0 and self.method.needs_field
         if (self.objective.estimator != "two_pass" or lhs) and self.sampling.spp < 2:
             raise InputError("model.sampling.spp: leave_one_out and lhs need at least 2 samples per pixel")

@@ -72,6 +72,11 @@ class Method(ABC):
     estimates_Li: ClassVar[bool] = True
     """Whether estimates come with the radiance that arrived, ``Li_bsdf``, which a guide is made from."""
 
+    @property
+    def reflects(self) -> bool:
+        """Whether it shows surfaces at all, and not emitters alone."""
+        return True
+
     def wants_sample_stats(self, world: World) -> bool:
         """Whether statistics of the first BSDF samples are needed: in training, by a control variate or a guide."""
         return torch.is_grad_enabled() and (self.control_variate or world.guide is not None)

@@ -45,13 +45,16 @@ class PathTracing(Method):
         self.roulette = Roulette(rr_depth, rr_prob)
         self.control_variate = control_variate
 
+    @property
+    def reflects(self) -> bool:
+        """Whether paths reach beyond what emits."""
+        return self.max_depth is None or self.max_depth > 1
+
     def reflected(
         self, scene: SceneModel, si: SurfaceInteraction, surface: Surface, u: Tensor, stream: Stream
     ) -> RadianceEstimate:
         """``sum_{i >= 1} T^i E`` at the lanes of ``si``, the Neumann series of Eq. 1."""
-        if self.max_depth == 1:  # emitters only
-            if torch.is_grad_enabled():
-                raise InputError(f"model.method ({type(self).__name__}): max_depth 1 shows emitters only, no surfaces")
+        if not self.reflects:
             return RadianceEstimate(torch.zeros_like(si.p))
         vertices = walk(
             scene.world, scene.materials, si, surface, u, stream, self.roulette, self.max_depth,

@@ -43,7 +43,7 @@ class PRB(PathTracing):
         self, scene: SceneModel, si: SurfaceInteraction, surface: Surface, u: Tensor, stream: Stream
     ) -> RadianceEstimate:
         """``sum_{i >= 1} T^i E`` at the lanes of ``si``."""
-        if not torch.is_grad_enabled() or self.max_depth == 1:  # there is nothing to replay
+        if not torch.is_grad_enabled() or not self.reflects:  # there is nothing to replay
             return super().reflected(scene, si, surface, u, stream)
         key = int(stream.integers(1 << 62, 1))
         replay = _Replay(self, scene, si, surface.detach(), u, key)

@@ -44,8 +44,7 @@ def model_settings(config: str, seed: int = 0) -> ModelSettings:
     Raises:
         InputError: the file is missing, or its method is another one.
     """
-    model: Any = OmegaConf.to_container(OmegaConf.merge(*load_config(config)).model)
-    settings = parse_model({**model, "seed": seed}, f"config {config}")
+    settings = parse_model({**_section(config, "model", seed), "seed": seed}, f"config {config}")
     if not isinstance(settings.method, Radiometric):
         raise InputError(f"config {config}: its method is {type(settings.method).__name__}, not the paper's")
     return settings
@@ -53,5 +52,12 @@ def model_settings(config: str, seed: int = 0) -> ModelSettings:
 
 def batch_pixels(config: str) -> int:
     """Pixels of a batch of a config, apart from its ``pixel_multiplier``."""
-    data: Any = OmegaConf.to_container(OmegaConf.merge(*load_config(config)).data)
+    data = _section(config, "data", seed=0)
     return int(data["patches"] * data.get("patch_size", 1) ** 2)
+
+
+def _section(config: str, name: str, seed: int) -> dict[str, Any]:
+    """One section of a config, what it takes from other sections filled in."""
+    tree: Any = OmegaConf.merge(*load_config(config), {"seed_everything": seed, "data": {"root": None}})
+    section: Any = OmegaConf.to_container(tree[name], resolve=True)
+    return dict(section)

@@ -8,6 +8,7 @@ carries a digest of all that it uses (:func:`digest`), and a change of any of it
 from __future__ import annotations
 
 import hashlib
+import re
 from collections.abc import Callable, Iterator
 from types import CodeType, FunctionType, ModuleType
 from typing import Any, TypeVar, cast
@@ -70,7 +71,8 @@ def digest(compiled: Dispatcher) -> str:
 
 
 def _used(function: FunctionType) -> Iterator[Any]:
-    """Code, constants and what global names stand for, of a function and the functions defined in it."""
+    """Code, constants, what global names stand for and the records it takes, of a function and those defined in it."""
+    yield from _record_fields(function)
     codes = [function.__code__]
     while codes:
         code = codes.pop()
@@ -92,3 +94,15 @@ def _used(function: FunctionType) -> Iterator[Any]:
                 yield value
             elif fields := getattr(value, "_fields", None):  # a record of arrays
                 yield fields
+
+
+def _record_fields(function: FunctionType) -> Iterator[Any]:
+    """Names and fields of the records that annotations name: numba types a record by its class and element types, so
+    it would not notice fields that change places.
+    """
+    for annotation in function.__annotations__.values():
+        words = re.findall(r"\w+", annotation) if isinstance(annotation, str) else ()
+        named = [function.__globals__.get(word) for word in words] if words else [annotation]
+        for record in named:
+            if fields := getattr(record, "_fields", None):
+                yield record.__name__, fields

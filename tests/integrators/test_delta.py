@@ -161,7 +161,9 @@ def test_pixels_agree_with_mitsuba():
     integrator = path(scene, max_depth=None, rr_depth=8)
     ours = torch.stack([render(camera, integrator, spp, 100 + s) for s in range(seeds)]).numpy()
     smooth_share = (
-        integrator.scene.world.delta.is_delta[integrator.scene.world.intersect(_centres(camera)).prim.clamp_min(0)].float().mean()
+        integrator.scene.world.delta.is_delta[integrator.scene.world.intersect(_centres(camera)).prim.clamp_min(0)]
+        .float()
+        .mean()
     )
     assert smooth_share > 0.3  # the picture shows what is tested
     p = stats.ttest_ind(ours, theirs, axis=0, equal_var=False).pvalue

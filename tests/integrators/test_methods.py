@@ -225,17 +225,23 @@ def test_settings_that_end_no_path_are_refused(make, said):
         make()
 
 
-def test_a_depth_of_one_shows_emitters_and_trains_nothing():
+def test_a_depth_of_one_shows_emitters():
     world = build_world(build_cornell())
     materials = TrueMaterials(build_cornell(), world.geometry)
     rays = camera_rays(build_cornell().test[0].camera, 32 * torch.rand(200, 2, generator=torch.manual_seed(1)))
     first = world.trace_past_delta(rays, torch.zeros(len(rays)))
-    shown = path_tracer(world, materials, max_depth=1)(rays, 3)
-    assert torch.equal(shown, world.emitted(first.si))
-    u = Stream(1).uniform(len(rays), DIMENSIONS)
-    for method in (PathTracing(1), PRB(1)):
-        with pytest.raises(InputError, match="max_depth 1 shows emitters only"):
-            method.reflected(SceneModel(world, materials), first.si, materials(first.si), u, Stream(2))
+    assert torch.equal(path_tracer(world, materials, max_depth=1)(rays, 3), world.emitted(first.si))
+
+
+@pytest.mark.parametrize("method", ["path", "prb"])
+def test_a_depth_of_one_is_refused_before_a_run_begins(tmp_path, monkeypatch, capsys, method):
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(SystemExit) as ended:
+        main(["fit", "--config=cornell.yaml", f"--config=methods/{method}.yaml", "--trainer.max_steps=1",
+              "--model.method.init_args.max_depth=1"])  # fmt: skip
+    assert ended.value.code == 2
+    assert "max_depth 1 shows emitters only" in capsys.readouterr().err
+    assert not list(tmp_path.iterdir())
 
 
 def test_continuation_exceeds_the_square_of_the_albedo():

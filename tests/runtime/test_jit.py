@@ -70,3 +70,37 @@ def test_a_change_in_a_shared_file_compiles_its_users_anew(
     assert run(tmp_path) == (40.0, 2.0, 0)
     shared.write_text(SHARED.replace(old, new))
     assert run(tmp_path) == (*expected, hits)
+
+
+RECORDS = """
+from typing import NamedTuple
+import numpy as np
+from neurad.runtime.jit import inlined
+
+class Pair(NamedTuple):
+    first: np.ndarray
+    second: np.ndarray
+"""
+READER = """
+from __future__ import annotations
+import numpy as np
+from neurad.runtime.jit import kernel
+from records import Pair
+
+@kernel
+def first(pair: Pair):
+    return pair.first[0]
+
+print(first(Pair(np.array([1.0]), np.array([2.0]))), sum(first.stats.cache_hits.values()), 0)
+"""
+
+
+def test_fields_of_a_record_that_change_places_compile_its_users_anew(tmp_path: Path) -> None:
+    records = tmp_path / "records.py"
+    records.write_text(RECORDS)
+    (tmp_path / "user.py").write_text(READER)
+    assert run(tmp_path) == (1.0, 0.0, 0)
+    assert run(tmp_path) == (1.0, 1.0, 0)  # from the cache
+    swapped = RECORDS.replace("first:", "other:").replace("second:", "first:").replace("other:", "second:")
+    records.write_text(swapped)
+    assert run(tmp_path) == (2.0, 0.0, 0)
