@@ -105,4 +105,4 @@ def _record_fields(function: FunctionType) -> Iterator[Any]:
         named = [function.__globals__.get(word) for word in words] if words else [annotation]
         for record in named:
             if fields := getattr(record, "_fields", None):
-                yield record.__name__, fields
+                yield fields
