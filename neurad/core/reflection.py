@@ -201,14 +201,15 @@ class RoughPlasticModel(ReflectionModel):
 class UnsupportedModel(ReflectionModel):
     """An opaque BSDF of a scene file that cannot be rendered. A fit, which recovers surfaces anew, replaces it."""
 
-    plugin: str
+    name: str
+    """Mitsuba's plugin, and what of it is not supported in a few words."""
     reason: str
-    """What of it is not supported."""
+    """The same as a sentence."""
 
     @property
     def label(self) -> str:
-        """Mitsuba's plugin."""
-        return self.plugin
+        """Its name."""
+        return self.name
 
     @property
     def unsupported(self) -> str:

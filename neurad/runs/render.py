@@ -91,7 +91,7 @@ def render_views(settings: RenderSettings) -> None:
     scene = load_scene(settings.root, settings.scene)
     if paths:
         assert isinstance(method, PathTracing)
-        method = type(method)(settings.max_depth or scene.max_depth, max(scene.rr_depth, 1))
+        method = type(method)(settings.max_depth or scene.max_depth, scene.rr_depth)
     views = {"train": scene.train, "test": scene.test, "all": scene.train + scene.test}[settings.views]
     folders = ("images", "albedo", "roughness", *(["images_lhs"] if method.needs_field else []))
     targets = [out / kind / f"{v.name}.exr" for v in views for kind in folders]

@@ -94,7 +94,7 @@ class Scene:
     @property
     def replaced(self) -> list[str]:
         """Materials that a fit recovers with another model than they have, as ``name (model)``: all that are not smooth
-        and not on emitters alone, as those are known.
+        and not on emitters alone, as those are known. Of a model that is not supported it says what is not.
         """
         recovered = sorted({mesh.material for mesh in self.meshes if mesh.radiance is None})
         used = [self.materials[i] for i in recovered if not self.materials[i].model.is_delta]

@@ -300,9 +300,20 @@ def inside(plugin):
     return spoil
 
 
+def beside(bsdf):
+    """Puts another BSDF beside the floor's inside the two-sided one."""
+    return replaced("scene.xml", '<bsdf type="principled">', f'{bsdf}<bsdf type="principled">')
+
+
 def as_floor(bsdf):
     """Gives the floor another BSDF."""
     return replaced("scene.xml", '<ref id="paint"/>', bsdf)
+
+
+def rough(kind, parameters):
+    """Gives the floor a rough BSDF with GGX."""
+    ggx = '<string name="distribution" value="ggx"/>'
+    return as_floor(f'<bsdf type="rough{kind}">{ggx}{parameters}</bsdf>')
 
 
 def binary_mesh(value):
@@ -358,9 +369,19 @@ BAD = {
     "rough plastic": (replaced("scene.xml", '"diffuse"', '"roughplastic"'), r"lamp has distribution beckmann"),
     "opacity mask": (inside("mask"), r"bsdf paint of shape floor has type mask, .* let light through"),
     "transparent": (set_paint('<float name="spec_trans" value="1"/>'), r"bsdf paint of shape floor sets spec_trans"),
-    "glass that is rough": (
-        replaced("scene.xml", '<bsdf type="principled">', '<bsdf type="roughdielectric"/><bsdf type="principled">'),
-        r"bsdf paint of shape floor is twosided with 2 BSDFs"),
+    "transparent by a texture": (set_paint(PNG.format("spec_trans")), r"bsdf paint of shape floor sets spec_trans"),
+    "glass that is rough": (beside('<bsdf type="roughdielectric"/>'), r"paint of shape floor has type roughdielectric"),
+    "a mirror on one side": (
+        beside('<bsdf type="conductor"/>'), r"bsdf paint of shape floor is twosided with 2 BSDFs"),
+    "three sides": (beside('<bsdf type="diffuse"/>' * 2), r"bsdf paint of shape floor is twosided with 3 BSDFs"),
+    "textured mirror": (as_floor(f'<bsdf type="conductor">{PNG.format("eta")}</bsdf>'), r"the eta of .* is textured"),
+    "mirror of no metal": (
+        as_floor('<bsdf type="twosided"><bsdf type="conductor"><string name="material" value="Xx"/></bsdf></bsdf>'),
+        r"parameters that Mitsuba does not accept"),
+    "no depth": (replaced("scene.xml", 'value="6"', 'value="0"'), r"scene\.xml: its integrator has max_depth 0"),
+    "negative depth": (replaced("scene.xml", 'value="6"', 'value="-2"'), r"its integrator has max_depth -2"),
+    "roulette before the first bounce": (
+        replaced("scene.xml", '"rr_depth" value="4"', '"rr_depth" value="0"'), r"its integrator has rr_depth 0"),
     "thin glass": (replaced("scene.xml", '"diffuse"', '"thindielectric"'), r"shape lamp has type thindielectric"),
     "bumpy mirror": (
         as_floor(f'<bsdf type="normalmap"><bsdf type="conductor"/>{PNG.format("normalmap")}</bsdf>'),
@@ -383,44 +404,60 @@ BAD = {
 
 
 REPLACED = {
-    "clearcoat": (set_paint('<float name="clearcoat" value="1"/>'), r"paint of shape floor sets clearcoat"),
+    "clearcoat": (
+        set_paint('<float name="clearcoat" value="1"/>'),
+        "principled with clearcoat", r"paint of shape floor sets clearcoat"),
     "textured metallic": (
         set_paint(PNG.format("metallic")),
-        r"metallic of bsdf paint of shape floor is textured"),
-    "checkerboard": (replaced("scene.xml", '"bitmap"', '"checkerboard"'), r"base_color of bsdf paint .*checkerboard"),
-    "nearest texel": (replaced("scene.xml", "</texture>", '<string name="filter_type" value="nearest"/></texture>'),
-                      r"bitmap for base_color of bsdf paint of shape floor sets filter_type"),
-    "bump map": (inside("bumpmap"), r"bsdf paint of shape floor has type bumpmap"),
-    "plastic": (as_floor('<bsdf type="plastic"/>'), r"of shape floor has type plastic"),
-    "blend": (as_floor('<bsdf type="blendbsdf"><float name="weight" value="0.5"/><bsdf type="diffuse"/>'
-                       '<bsdf type="plastic"/></bsdf>'), r"of shape floor has type blendbsdf"),
-    "beckmann": (as_floor('<bsdf type="roughconductor"/>'), r"of shape floor has distribution beckmann"),
+        "principled with textured metallic", r"metallic of bsdf paint of shape floor is textured"),
+    "checkerboard": (
+        replaced("scene.xml", '"bitmap"', '"checkerboard"'),
+        "principled with checkerboard as base_color", r"base_color of bsdf paint .*checkerboard"),
+    "nearest texel": (
+        replaced("scene.xml", "</texture>", '<string name="filter_type" value="nearest"/></texture>'),
+        "principled with filter_type of base_color", r"bitmap for base_color of bsdf paint .* sets filter_type"),
+    "bump map": (
+        inside("bumpmap"), "principled, bumpmap ignored", r"bsdf paint of shape floor has type bumpmap"),
+    "another BSDF on the back": (
+        beside('<bsdf type="diffuse"/>'),
+        "twosided with 2 BSDFs", r"bsdf paint of shape floor is twosided with 2 BSDFs"),
+    "plastic": (as_floor('<bsdf type="plastic"/>'), "plastic", r"of shape floor has type plastic"),
+    "blend": (
+        as_floor('<bsdf type="blendbsdf"><float name="weight" value="0.5"/><bsdf type="diffuse"/>'
+                 '<bsdf type="plastic"/></bsdf>'),
+        "blendbsdf", r"of shape floor has type blendbsdf"),
+    "beckmann": (
+        as_floor('<bsdf type="roughconductor"/>'),
+        "roughconductor with distribution beckmann", r"of shape floor has distribution beckmann"),
     "brushed metal": (
-        as_floor('<bsdf type="roughconductor"><string name="distribution" value="ggx"/>'
-                 '<float name="alpha_u" value="0.1"/><float name="alpha_v" value="0.2"/></bsdf>'),
-        r"of shape floor has alpha_u and alpha_v"),
+        rough("conductor", '<float name="alpha_u" value="0.1"/><float name="alpha_v" value="0.2"/>'),
+        "roughconductor with alpha_u unlike alpha_v", r"of shape floor has alpha_u and alpha_v"),
+    "textured index": (
+        rough("conductor", PNG.format("eta")), "roughconductor with textured eta", r"the eta of .* floor is textured"),
+    "index of 1": (
+        rough("conductor", '<rgb name="eta" value="1, 2, 2"/><rgb name="k" value="0, 1, 1"/>'),
+        "roughconductor with a refractive index of 1", r"shape floor has a refractive index of 1"),
+    "unknown metal": (
+        rough("conductor", '<string name="material" value="Xx"/>'),
+        "roughconductor with parameters that Mitsuba does not accept", r"parameters that Mitsuba does not accept"),
+    "unknown plastic": (
+        rough("plastic", '<string name="int_ior" value="Xx"/>'),
+        "roughplastic with parameters that Mitsuba does not accept", r"parameters that Mitsuba does not accept"),
 }  # fmt: skip
-"""What a fit replaces, and what is said to those who want the true material."""
+"""What a fit replaces, what it says of it, and what is said to those who want the true material."""
 
 
 @pytest.mark.parametrize("case", REPLACED)
 def test_what_cannot_be_rendered_is_left_to_a_fit(tmp_path, case):
     folder = write_scene(tmp_path / "room")
-    spoil, said = REPLACED[case]
+    spoil, named, said = REPLACED[case]
     spoil(folder)
     scene = load_scene(str(folder), None)
-    (line,) = scene.replaced
-    assert line.startswith(scene.materials[0].name + " (")
-    assert scene.materials[0].two_sided == (case not in ("plastic", "blend", "beckmann", "brushed metal"))
+    assert scene.replaced == [f"{scene.materials[0].name} ({named})"]
+    assert scene.materials[0].two_sided == (scene.materials[0].name == "paint")
     with pytest.raises(InputError, match=said) as caught:
         TrueMaterials(scene, Geometry(scene))
     assert "\n" not in str(caught.value)
-
-
-def test_the_bump_map_that_is_ignored_is_named(tmp_path):
-    folder = write_scene(tmp_path / "room")
-    inside("bumpmap")(folder)
-    assert load_scene(str(folder), None).replaced == ["paint (principled, bumpmap ignored)"]
 
 
 def test_an_emitter_keeps_what_it_has(tmp_path):

@@ -39,6 +39,8 @@ _SMOOTH = Constant(np.zeros(1, np.float32))
 
 _IRRELEVANT = ("diffuse_reflectance_sampling_rate", "main_specular_sampling_rate", "clearcoat_sampling_rate",
                "clearcoat_gloss", "spec_tint", "sheen_tint")  # fmt: skip
+_DELTA = ("conductor", "dielectric")
+"""Smooth BSDFs, which a fit keeps: it follows paths through them."""
 _OPAQUE = ("plastic", "pplastic", "phong", "ward", "measured")
 """BSDFs that cannot be rendered, but let no light through."""
 _NORMALS = ("bumpmap", "normalmap")
@@ -128,7 +130,10 @@ class MaterialReader:
         try:
             return self._readers[plugin](node, where)
         except Unsupported as error:
-            return _Read(UnsupportedModel(plugin, str(error)), roughness=_HALF)
+            if plugin in _DELTA:
+                raise InputError(str(error)) from error
+            label = f"{plugin} with {error.what}" if error.what else plugin
+            return _Read(UnsupportedModel(label, str(error)), roughness=_HALF)
 
     def _inside(self, node: Any) -> list[Any]:
         return [child for child in self.textures.references(node).values() if child.type.name == "BSDF"]
@@ -137,12 +142,13 @@ class MaterialReader:
 
     def _principled(self, node: Any, where: str) -> _Read:
         props = node.props
-        if self.textures.number(node, "spec_trans", where, 0.0) != 0.0:
+        spec_trans = props.get("spec_trans", 0.0)
+        if not isinstance(spec_trans, int | float) or spec_trans != 0.0:
             raise InputError(f"{self.path}: {where} sets spec_trans, which lets light through and is not supported")
         for key in props:
             known = ("base_color", "roughness", "metallic", "specular", "eta", *_IRRELEVANT)
             if key not in known and self.textures.number(node, key, where, 0.0) != 0.0:
-                raise Unsupported(f"{self.path}: {where} sets {key}, which is not supported (leave it at 0)")
+                raise Unsupported(f"{self.path}: {where} sets {key}, which is not supported (leave it at 0)", key)
         eta = self.textures.number(node, "eta", where, 1.5)
         if "specular" in props:
             eta = 2.0 / (1.0 - (0.08 * self.textures.number(node, "specular", where, 0.5)) ** 0.5) - 1.0
@@ -177,7 +183,8 @@ class MaterialReader:
         eta, k = (self._colour(loaded[f"{key}.value"]) for key in ("eta", "k"))
         model = RoughConductorModel(eta, k, alpha)
         if min(model.normal_reflectance) == 0.0:
-            raise InputError(f"{self.path}: {where} has a refractive index of 1 in some colour, which reflects nothing")
+            message = f"{self.path}: {where} has a refractive index of 1 in some colour, which reflects nothing"
+            raise Unsupported(message, "a refractive index of 1")
         tint = self.textures.texture(node, "specular_reflectance", where, _ONES)
         normal = np.array(model.normal_reflectance, np.float32)
         return _Read(model, self._scaled(tint, normal, where), _root(alpha))
@@ -186,7 +193,8 @@ class MaterialReader:
         alpha = self._alpha(node, where)
         tint = self.textures.texture(node, "specular_reflectance", where, _ONES)
         if not isinstance(tint, Constant):
-            raise Unsupported(f"{self.path}: the specular_reflectance of {where} is textured, which is not supported")
+            message = f"{self.path}: the specular_reflectance of {where} is textured, which is not supported"
+            raise Unsupported(message, "textured specular_reflectance")
         described = self._plain(node, where, but=("diffuse_reflectance", "specular_reflectance"))
         eta = float(self.mi.traverse(self._load(described, where))["eta"])
         model = RoughPlasticModel(eta, alpha, self._colour(tint.value), bool(node.props.get("nonlinear", False)))
@@ -195,10 +203,13 @@ class MaterialReader:
     # ---- BSDFs around others
 
     def _two_sided(self, node: Any, where: str) -> _Read:
-        inner = self._inside(node)
-        if len(inner) != 1:
-            raise InputError(f"{self.path}: {where} is twosided with {len(inner)} BSDFs inside")
-        return replace(self._read(inner[0], where), two_sided=True)
+        inner = [self._read(child, where) for child in self._inside(node)]
+        if len(inner) == 1:
+            return replace(inner[0], two_sided=True)
+        reason = f"{self.path}: {where} is twosided with {len(inner)} BSDFs inside, which is not supported"
+        if len(inner) != 2 or any(read.model.is_delta for read in inner):
+            raise InputError(reason)
+        return _Read(UnsupportedModel("twosided with 2 BSDFs", reason), roughness=_HALF, two_sided=True)
 
     def _blend(self, node: Any, where: str) -> _Read:
         inner = [self._read(child, where) for child in self._inside(node)]
@@ -225,11 +236,13 @@ class MaterialReader:
         """The GGX width of a rough BSDF."""
         distribution = node.props.get("distribution", "beckmann")
         if distribution != "ggx":
-            raise Unsupported(f"{self.path}: {where} has distribution {distribution}, of which only ggx is supported")
+            message = f"{self.path}: {where} has distribution {distribution}, of which only ggx is supported"
+            raise Unsupported(message, f"distribution {distribution}")
         one = self.textures.number(node, "alpha", where, 0.1)
         u, v = (self.textures.number(node, key, where, one) for key in ("alpha_u", "alpha_v"))
         if u != v:
-            raise Unsupported(f"{self.path}: {where} has alpha_u and alpha_v that differ, which is not supported")
+            message = f"{self.path}: {where} has alpha_u and alpha_v that differ, which is not supported"
+            raise Unsupported(message, "alpha_u unlike alpha_v")
         return max(u, 1e-4)  # as Mitsuba has it
 
     def _scaled(self, texture: Texture, factor: FloatArray, where: str) -> Texture:
@@ -238,7 +251,8 @@ class MaterialReader:
             return Constant(texture.value * factor)
         if isinstance(texture, Bitmap):
             return replace(texture, pixels=texture.pixels * factor)
-        raise Unsupported(f"{self.path}: the reflectance of {where} is a mesh attribute, which is not supported")
+        message = f"{self.path}: the reflectance of {where} is a mesh attribute, which is not supported"
+        raise Unsupported(message, "a mesh attribute as reflectance")
 
     def _colour(self, value: Any) -> tuple[float, float, float]:
         r, g, b = np.array(value, np.float64).reshape(-1) * np.ones(3)
@@ -248,14 +262,16 @@ class MaterialReader:
         """A BSDF without textures, for ``load_dict``, and without the parameters ``but``."""
         props = node.props
         if texture := next((key for key in self.textures.references(node) if key not in but), None):
-            raise InputError(f"{self.path}: the {texture} of {where} is textured, which is not supported")
+            message = f"{self.path}: the {texture} of {where} is textured, which is not supported"
+            raise Unsupported(message, f"textured {texture}")
         return {"type": props.plugin_name(), **{key: props[key] for key in props if key not in but}}
 
     def _load(self, described: dict[str, Any], where: str) -> Any:
         try:
             return self.mi.load_dict(described)
         except (RuntimeError, TypeError) as error:
-            raise InputError(f"{self.path}: {where} has parameters that Mitsuba does not accept") from error
+            message = f"{self.path}: {where} has parameters that Mitsuba does not accept"
+            raise Unsupported(message, "parameters that Mitsuba does not accept") from error
 
 
 def _root(alpha: float) -> Constant:

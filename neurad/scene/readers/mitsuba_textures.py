@@ -20,7 +20,16 @@ _BY_MITSUBA = (".hdr", ".rgbe", ".pfm")
 
 
 class Unsupported(InputError):
-    """An opaque BSDF, or a parameter of one, that cannot be rendered; a fit replaces it."""
+    """An opaque BSDF, or a parameter of one, that cannot be rendered; a fit replaces it.
+
+    Args:
+        message: one sentence, for who wants the true material.
+        what: the same in a few words; empty where it is the kind of BSDF.
+    """
+
+    def __init__(self, message: str, what: str = "") -> None:
+        super().__init__(message)
+        self.what = what
 
 
 class TextureReader:
@@ -86,22 +95,26 @@ class TextureReader:
         """
         value = node.props.get(key, default)
         if not isinstance(value, int | float):
-            raise Unsupported(f"{self.path}: the {key} of {where} is textured, which is not supported")
+            message = f"{self.path}: the {key} of {where} is textured, which is not supported"
+            raise Unsupported(message, f"textured {key}")
         return float(value)
 
     def _textured(self, node: Any, key: str, where: str, scalar: bool) -> Texture:
         plugin, props = node.props.plugin_name(), node.props
         if plugin == "mesh_attribute":
             if abs(float(props.get("scale", 1.0)) - 1.0) > 1e-6:
-                raise Unsupported(f"{self.path}: the {key} of {where} sets scale, which is not supported")
+                message = f"{self.path}: the {key} of {where} sets scale, which is not supported"
+                raise Unsupported(message, f"scaled {key}")
             return VertexAttribute(str(props["name"]))
         if plugin != "bitmap":
-            raise Unsupported(
+            message = (
                 f"{self.path}: the {key} of {where} is a texture of type {plugin}; there are: bitmap, mesh_attribute"
             )
+            raise Unsupported(message, f"{plugin} as {key}")
         for name in props:
             if name not in _BITMAP_KNOWN and props[name] not in _BITMAP_DEFAULTS.get(name, ()):
-                raise Unsupported(f"{self.path}: the bitmap for {key} of {where} sets {name}, which is not supported")
+                message = f"{self.path}: the bitmap for {key} of {where} sets {name}, which is not supported"
+                raise Unsupported(message, f"{name} of {key}")
         if "filename" not in props:
             raise InputError(f"{self.path}: the bitmap for {key} of {where} has no filename")
         to_uv = np.eye(3, dtype=np.float32)

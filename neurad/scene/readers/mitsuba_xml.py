@@ -82,14 +82,24 @@ class _Reader:
             elif kind == "Emitter":
                 self._emitter(child)
             elif kind == "Integrator":
-                depth = int(child.props.get("max_depth", -1))
-                limits = (depth if depth >= 0 else _UNLIMITED), int(child.props.get("rr_depth", 5))
+                limits = self._limits(child.props)
             elif kind not in _IGNORED:
                 raise InputError(f"{self.path}: {kind.lower()} of type {child.props.plugin_name()} is not supported")
         name = self.path.resolve().parent.name
         return Scene(
             name, self.meshes, self.materials.materials, self.environment, max_depth=limits[0], rr_depth=limits[1]
         )
+
+    def _limits(self, props: Any) -> tuple[int, int]:
+        """``max_depth`` and ``rr_depth`` of an integrator."""
+        max_depth, rr_depth = int(props.get("max_depth", -1)), int(props.get("rr_depth", 5))
+        if max_depth < -1 or max_depth == 0:
+            raise InputError(
+                f"{self.path}: its integrator has max_depth {max_depth}, which must be at least 1, or -1 for no limit"
+            )
+        if rr_depth < 1:
+            raise InputError(f"{self.path}: its integrator has rr_depth {rr_depth}, which must be at least 1")
+        return (_UNLIMITED if max_depth == -1 else max_depth), rr_depth
 
     def _parse(self) -> Any:
         parser = self.mi.parser
