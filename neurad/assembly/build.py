@@ -93,8 +93,9 @@ def build_materials(
 ) -> FittedMaterials:
     """Fields for albedo and, where the scene is not Lambertian, roughness.
 
-    With the scene's ``geometry`` the materials of emitting surfaces are the scene's own: they are part of the light,
-    and photographs do not tell them.
+    With the scene's ``geometry`` emitting surfaces keep the albedo and roughness of the scene file: these are part of
+    the light, and photographs do not show them. They are shaded by the fitted model (principled, or diffuse in a
+    Lambertian scene) like every recovered surface, whatever model the file gives them.
     """
     bounds = torch.from_numpy(scene.bounds)
     on_lamps: list[OnEmitters | None] = [None, None]
@@ -169,8 +170,8 @@ def assemble(
         settings: of the model.
         hide_environment: as in :func:`build_world`.
         device: where the camera rays are traced that decide how fine a grid must be.
-        known_emitters: emitting surfaces have the scene's own materials; False fits those, too, which only a scene
-            whose every surface emits needs.
+        known_emitters: emitting surfaces keep the albedo and roughness of the scene file, shaded by the fitted model;
+            False fits those, too, which only a scene whose every surface emits needs.
     """
     torch.manual_seed(settings.seed)
     sampling, optimization = settings.sampling, settings.optimization

@@ -24,7 +24,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--map-spp", type=int, default=64, help="samples per pixel of the material maps (default: 64)")
     parser.add_argument("--size", type=int, help="width of the pictures in pixels (default: that of the views)")
     parser.add_argument("--max-depth", type=int, help="longest path, 2 is direct light (default: that of the scene)")
-    parser.add_argument("--tracer", default="embree", help="embree (default) or open3d")
+    parser.add_argument("--tracer", default="embree", help="embree (default), open3d or warp")
     parser.add_argument("--overwrite", action="store_true", help="write over files that are there")
 
 

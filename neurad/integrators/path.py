@@ -23,7 +23,7 @@ class PathTracing(Method):
             ends paths.
         rr_depth: bounces after which roulette may end a path.
         rr_prob: largest probability to go on; below it, it is the throughput.
-        control: give what takes noise from the samples without changing their mean, at no ray's cost.
+        control_variate: give what takes noise from the samples without changing their mean, at no ray's cost.
 
     Raises:
         InputError: a number that ends no path, or every one before it begins.
