@@ -66,26 +66,19 @@ class LobeKernels(Protocol):
         ...
 
 
-class BSDF(Protocol):
-    """A reflection model in the local shading frame: z is the shading normal on the viewer's side, so wo.z >= 0."""
-
-    lambertian: bool
-    """``f = albedo / pi`` on every lane, drawn by the cosine: the bounce made for Lambertian scenes applies."""
+class SampledBSDF(Protocol):
+    """What one bounce needs of reflection, in the local shading frame: z is the shading normal on the viewer's side, so
+    wo.z >= 0.
+    """
 
     varying_weight: bool
     """Whether weights of :meth:`sample` differ from their mean: where they do not, as at Lambertian surfaces, there is
     nothing for a control variate to take away."""
 
-    def eval(self, surface: Surface, wo: Tensor, wi: Tensor) -> Tensor:
-        """Value f * cos(wi) [n, 3], differentiable in ``surface``; 0 where wi.z <= 0 or wo.z <= 0."""
-        ...
-
-    def pdf(self, surface: Surface, wo: Tensor, wi: Tensor) -> Tensor:
-        """Density [n] with which :meth:`sample` draws ``wi``; 0 where ``eval`` is 0 by side."""
-        ...
-
     def eval_pdf(self, surface: Surface, wo: Tensor, wi: Tensor) -> tuple[Tensor, Tensor]:
-        """:meth:`eval` and :meth:`pdf` in one go; the pdf is detached."""
+        """Value f * cos(wi) [n, 3], differentiable in ``surface``, and the detached density [n] with which
+        :meth:`sample` draws ``wi``; both are 0 where wi.z <= 0 or wo.z <= 0.
+        """
         ...
 
     def sample(self, surface: Surface, wo: Tensor, u: Tensor) -> BSDFSample:
@@ -94,12 +87,27 @@ class BSDF(Protocol):
         """
         ...
 
-    def diffuse_fraction(self, surface: Surface, wo: Tensor) -> float | Tensor:
-        """Probability that :meth:`sample` draws by the cosine [n]: it does where the first number lies below."""
-        ...
-
     def mean_weight(self, surface: Surface, wo: Tensor) -> Tensor:
         """Mean of the weights of :meth:`sample`, the directional albedo [n, 3], differentiable in ``surface``."""
+        ...
+
+
+class BSDF(SampledBSDF, Protocol):
+    """A reflection model."""
+
+    lambertian: bool
+    """``f = albedo / pi`` on every lane, drawn by the cosine: the bounce made for Lambertian scenes applies."""
+
+    def eval(self, surface: Surface, wo: Tensor, wi: Tensor) -> Tensor:
+        """The value of :meth:`eval_pdf` alone [n, 3]."""
+        ...
+
+    def pdf(self, surface: Surface, wo: Tensor, wi: Tensor) -> Tensor:
+        """The density of :meth:`eval_pdf` alone [n]."""
+        ...
+
+    def diffuse_fraction(self, surface: Surface, wo: Tensor) -> float | Tensor:
+        """Probability that :meth:`sample` draws by the cosine [n]: it does where the first number lies below."""
         ...
 
     def kernels(self, surface: Surface) -> LobeKernels | None:

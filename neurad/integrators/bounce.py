@@ -4,8 +4,11 @@ from __future__ import annotations
 
 from torch import Tensor
 
+from neurad.core.frame import faceforward
+from neurad.core.protocols import SampledBSDF
 from neurad.core.records import Surface, SurfaceInteraction
 from neurad.integrators import vertex_diffuse, vertex_principled
+from neurad.integrators.guide import GuidedBSDF
 from neurad.integrators.vertex import Bounce, bounce_reference
 from neurad.integrators.world import World
 
@@ -35,4 +38,7 @@ def bounce(
         return vertex_diffuse.bounce_diffuse(world, si, surface, u)
     if vertex_principled.has_kernel(use_kernels, world, si, surface):
         return vertex_principled.bounce_principled(world, si, surface, u, sample_stats, guided)
-    return bounce_reference(world, si, surface, u, sample_stats, guided)
+    bsdf: SampledBSDF = world.bsdf
+    if guided and world.guide is not None:
+        bsdf = GuidedBSDF(world.bsdf, world.guide, world.guide.rows(si, faceforward(si)))
+    return bounce_reference(world, bsdf, si, surface, u, sample_stats)

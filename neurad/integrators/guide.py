@@ -15,7 +15,8 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor, nn
 
-from neurad.core.records import BSDFSample, SurfaceInteraction
+from neurad.core.protocols import BSDF
+from neurad.core.records import BSDFSample, Surface, SurfaceInteraction
 from neurad.core.sampling import INV_PI, disk_to_square
 from neurad.integrators import guide_kernels as kernels
 from neurad.runtime.dispatch import use_kernel
@@ -81,8 +82,8 @@ class Guide(nn.Module):
         cell = ((si.p - self.lowest) * self.inverse_side).floor().clamp_min(0).long()
         x, y, z = (c.clamp_max(most - 1) for c, most in zip(cell.unbind(-1), self.shape, strict=True))
         axis = n.abs().argmax(-1)
-        faceforward = 2 * axis + (n.gather(1, axis.unsqueeze(-1)).squeeze(-1) > 0)
-        return ((x * self.shape[1] + y) * self.shape[2] + z) * FACINGS + faceforward
+        facing = 2 * axis + (n.gather(1, axis.unsqueeze(-1)).squeeze(-1) > 0)
+        return ((x * self.shape[1] + y) * self.shape[2] + z) * FACINGS + facing
 
     def warp(self, rows: Tensor, u: Tensor) -> Tensor:
         """Numbers [n, 2] with the density of :meth:`density` from uniform numbers ``u`` [n, 2]."""
@@ -187,6 +188,38 @@ class Guided:
         pdf = torch.where(sample.pdf > 0, sample.pdf + self.pdf_delta(sample.wi), 0.0)
         ratio = torch.where(pdf > 0, sample.pdf / pdf, 0.0)
         return BSDFSample(sample.wi, pdf, sample.weight * ratio.unsqueeze(-1))
+
+
+class GuidedBSDF:
+    """A BSDF whose samples of the diffuse lobe are drawn with a guide: values are those of the BSDF, densities are of
+    both.
+
+    Args:
+        bsdf: the reflection model.
+        guide: the distribution.
+        rows: the guide's rows at the vertices [n].
+    """
+
+    def __init__(self, bsdf: BSDF, guide: Guide, rows: Tensor) -> None:
+        self.bsdf, self.guide, self.rows = bsdf, guide, rows
+        self.varying_weight = bsdf.varying_weight
+
+    def eval_pdf(self, surface: Surface, wo: Tensor, wi: Tensor) -> tuple[Tensor, Tensor]:
+        """Value [n, 3] of the BSDF, and the detached density [n] of :meth:`sample`."""
+        value, pdf = self.bsdf.eval_pdf(surface, wo, wi)
+        return value, pdf + self._guided(surface, wo).pdf_delta(wi)
+
+    def sample(self, surface: Surface, wo: Tensor, u: Tensor) -> BSDFSample:
+        """Draw ``wi`` from three uniform numbers ``u`` [n, 3], those of the diffuse lobe warped by the guide."""
+        guided = self._guided(surface, wo)
+        return guided.corrected(self.bsdf.sample(surface, wo, guided.warp(u)))
+
+    def mean_weight(self, surface: Surface, wo: Tensor) -> Tensor:
+        """Mean of the weights [n, 3]: that of the BSDF, as a guide changes no mean."""
+        return self.bsdf.mean_weight(surface, wo)
+
+    def _guided(self, surface: Surface, wo: Tensor) -> Guided:
+        return Guided(self.guide, self.rows, self.bsdf.diffuse_fraction(surface, wo))
 
 
 _BELOW_ONE = 1.0 - 2.0**-24

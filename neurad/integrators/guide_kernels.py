@@ -30,8 +30,8 @@ def rows(
             axis = 1
         if abs(n[i, 2]) > abs(n[i, axis]):
             axis = 2
-        faceforward = 2 * axis + (1 if n[i, axis] > _ZERO else 0)
-        out[i] = ((x * sy + y) * sz + z) * 6 + faceforward
+        facing = 2 * axis + (1 if n[i, axis] > _ZERO else 0)
+        out[i] = ((x * sy + y) * sz + z) * 6 + facing
 
 
 @kernel

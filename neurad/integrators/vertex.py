@@ -13,9 +13,9 @@ import torch
 from torch import Tensor
 
 from neurad.core.frame import Frame, faceforward
+from neurad.core.protocols import SampledBSDF
 from neurad.core.records import Surface, SurfaceInteraction
 from neurad.core.sampling import mis_weight
-from neurad.integrators.guide import Guided
 from neurad.integrators.world import World
 
 DIMENSIONS = 7
@@ -79,34 +79,29 @@ def shading_frame(si: SurfaceInteraction) -> Frame:
 
 
 def bounce_reference(
-    world: World, si: SurfaceInteraction, surface: Surface, u: Tensor, sample_stats: bool = False, guided: bool = True
+    world: World, bsdf: SampledBSDF, si: SurfaceInteraction, surface: Surface, u: Tensor, sample_stats: bool = False
 ) -> Bounce:
     """Sample T at the lanes of ``si`` (Eq. 1) in plain torch, on any device.
 
     Args:
         world: the scene.
+        bsdf: how its surfaces reflect, and how directions are drawn there.
         si: vertices [n]; one without a surface, or behind a one-sided surface, gives zero.
         surface: what they are made of; carries the gradient.
         u: uniform numbers [n, DIMENSIONS].
         sample_stats: compare the weights with their mean, where the BSDF's weights vary.
-        guided: draw BSDF samples with the world's guide, where there is one.
     """
     # ---------------------- Local frame ----------------------
 
     frame = shading_frame(si)
     wo = frame.to_local(si.wo)  # [n, 3]
     active = world.reflects(si)  # [n]
-    guide = None
-    if guided and world.guide is not None:
-        guide = Guided(world.guide, world.guide.rows(si, frame.n), world.bsdf.diffuse_fraction(surface, wo))
 
     # ---------------------- Emitter sampling ----------------------
 
     ds = world.lights.sample(si.p, u[:, :3])
     wi_em = frame.to_local(ds.wi)  # [n, 3]
-    bsdf_value_em, bsdf_pdf_em = world.bsdf.eval_pdf(surface, wo, wi_em)  # f cos(wi) [n, 3] and its pdf [n]
-    if guide is not None:
-        bsdf_pdf_em = bsdf_pdf_em + guide.pdf_delta(wi_em)
+    bsdf_value_em, bsdf_pdf_em = bsdf.eval_pdf(surface, wo, wi_em)  # f cos(wi) [n, 3] and its pdf [n]
 
     # Shadow rays only where light could arrive
     active_em = active & (ds.pdf > 0) & (bsdf_value_em.detach().amax(-1) > 0)  # [n]
@@ -121,10 +116,7 @@ def bounce_reference(
 
     # ---------------------- Detached BSDF sampling ----------------------
 
-    u_bsdf = u[:, 3:6] if guide is None else guide.warp(u[:, 3:6])
-    bsdf_sample = world.bsdf.sample(surface, wo, u_bsdf)
-    if guide is not None:
-        bsdf_sample = guide.corrected(bsdf_sample)
+    bsdf_sample = bsdf.sample(surface, wo, u[:, 3:6])
     bsdf_weight = bsdf_sample.weight * active.unsqueeze(-1)  # f cos / pdf [n, 3]
 
     hit = world.trace_past_delta(world.geometry.spawn(si, frame.to_world(bsdf_sample.wi)), u[:, 6])
@@ -138,8 +130,8 @@ def bounce_reference(
     # ---------------------- Weights against their mean ----------------------
 
     stats = None
-    if sample_stats and world.bsdf.varying_weight:
-        mean = world.bsdf.mean_weight(surface, wo) * active.unsqueeze(-1)  # [n, 3]
+    if sample_stats and bsdf.varying_weight:
+        mean = bsdf.mean_weight(surface, wo) * active.unsqueeze(-1)  # [n, 3]
         fixed = mean.detach()
         relative = torch.where(fixed > 0, bsdf_weight.detach() / fixed, 0.0)
         stats = BSDFSampleStats(bsdf_weight - mean, relative, bsdf_sample.wi)
