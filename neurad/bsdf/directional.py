@@ -19,6 +19,7 @@ from torch.autograd.function import once_differentiable
 from neurad.bsdf import principled_kernels as kernels
 from neurad.bsdf.burley import lobes_pdf
 from neurad.core.records import Surface
+from neurad.runtime.dispatch import use_kernel
 
 ROUGHNESSES = 32
 """Rows of the table, evenly over roughness 0 to 1."""
@@ -59,7 +60,9 @@ def _with_derivatives(roughness: Tensor, wo: Tensor, wi: Tensor, eta: float, met
     return torch.stack((d.detach(), s.detach(), pdf, *derivatives))
 
 
-def mean_lobes(roughness: Tensor, cosine: Tensor, eta: float, metallic: float = 0.0) -> Tensor:
+def mean_lobes(
+    roughness: Tensor, cosine: Tensor, eta: float, metallic: float = 0.0, use_kernels: bool = True
+) -> Tensor:
     """Diffuse and specular part and their derivatives by the roughness [4, n], bilinear in the table, without a graph.
 
     Args:
@@ -67,17 +70,18 @@ def mean_lobes(roughness: Tensor, cosine: Tensor, eta: float, metallic: float = 
         cosine: between viewer and normal [n].
         eta: refractive index of the specular lobe.
         metallic: 0 is a dielectric, 1 a metal.
+        use_kernels: use the compiled kernel where it applies (float32 on the CPU).
     """
     entries = table(eta, roughness.device, metallic)
-    if roughness.device.type == "cpu" and roughness.dtype == torch.float32:
+    if use_kernel(use_kernels, roughness, cosine, differentiable=True):
         out = torch.empty(4, len(cosine))
         rough, cos = (x.detach().contiguous().numpy() for x in (roughness, cosine))
         kernels.mean_lobes(rough, cos, entries.numpy(), ROUGHNESSES, COSINES, out.numpy())
         return out
-    return _mean_lobes(roughness.detach(), cosine.detach(), entries)
+    return _mean_lobes_reference(roughness.detach(), cosine.detach(), entries)
 
 
-def _mean_lobes(roughness: Tensor, cosine: Tensor, entries: Tensor) -> Tensor:
+def _mean_lobes_reference(roughness: Tensor, cosine: Tensor, entries: Tensor) -> Tensor:
     """:func:`mean_lobes` in plain torch, on any device."""
     row = roughness.squeeze(-1).clamp(0.0, 1.0) * (ROUGHNESSES - 1)
     column = cosine.clamp(0.0, 1.0).sqrt() * (COSINES - 1)
