@@ -14,8 +14,8 @@ from neurad.core.records import Camera, SurfaceInteraction
 from neurad.core.rng import Stream
 from neurad.core.sampling import cosine_hemisphere, uniform_triangle
 from neurad.fields.radiance import RadianceField
-from neurad.integrators.bounce import bounce
 from neurad.integrators.vertex import DIMENSIONS
+from neurad.integrators.walk import walk
 from neurad.integrators.world import World
 from neurad.scene.description import Scene
 from neurad.scene.textures import TrueMaterials
@@ -26,6 +26,11 @@ CHECK = 10
 """Steps between two measurements of the error."""
 PIXELS = 256
 """Pixels of a batch: a quarter of what ``neurad render`` takes."""
+
+
+def _survival(bounces: int, throughput: Tensor, weight: Tensor) -> Tensor | None:
+    """Probability to go on [n]: what the last bounce kept, so that throughputs stay near 1."""
+    return weight.amax(-1).clamp(0.05, 0.999) if bounces > 5 else None
 
 
 class Lab:
@@ -62,22 +67,10 @@ class Lab:
         total = torch.zeros(len(si), 3)
         for done in range(0, samples, at_once):
             stream = Stream(seed, done)
-            here = si.repeat(at_once)
-            lane = torch.arange(len(here))
-            through, sums = torch.ones(len(here), 3), torch.zeros(len(here), 3)
-            depth = 0
-            while len(here):
-                step = bounce(self.world, here, self.materials(here), stream.uniform(len(here), DIMENSIONS))
-                sums.index_add_(0, lane, through * step.direct)
-                through = through * step.weight
-                alive = step.next.valid & (through.amax(-1) > 0)
-                if depth > 4:  # the chance to go on is what a bounce keeps, so weights stay near 1
-                    keep = step.weight.amax(-1).clamp(0.05, 0.999)
-                    alive &= stream.uniform(len(here)) < keep
-                    through = through / keep.unsqueeze(-1)
-                index = alive.nonzero().squeeze(-1)
-                here, lane, through = step.next[index], lane[index], through[index]
-                depth += 1
+            first = si.repeat(at_once)
+            sums, u = torch.zeros(len(first), 3), stream.uniform(len(first), DIMENSIONS)
+            for v in walk(self.world, self.materials, first, self.materials(first), u, stream, _survival, None):
+                sums.index_add_(0, v.lane, v.throughput * v.bounce.direct)
             total.add_(sums.view(len(si), at_once, 3).sum(1))
         return total / math.ceil(samples / at_once) / at_once
 
