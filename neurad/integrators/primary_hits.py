@@ -20,38 +20,44 @@ _CHUNK = 1 << 18
 
 
 class PrimaryHits:
-    """What the camera sees at ``count`` stratified positions in each pixel of each training view.
+    """What the camera sees at ``cached_spp`` stratified positions in each pixel of each training view.
 
-    Keeps a triangle and barycentrics for each, 12 bytes; never the centre of a pixel alone. With a ``count`` of 0
+    Keeps a triangle and barycentrics for each, 12 bytes; never the centre of a pixel alone. With a ``cached_spp`` of 0
     nothing is kept: every call traces new, uniformly random positions.
 
     Args:
         world: the scene.
         cameras: training cameras, all of one size.
-        count: positions a pixel; 0 for new ones in each call.
+        cached_spp: positions per pixel; 0 for new ones in each call.
         seed: of the positions.
         device: where the cache lies.
         use_kernels: let a compiled pass make surface points of kept hits where it can (CPU).
     """
 
     def __init__(
-        self, world: World, cameras: list[Camera], count: int, seed: int, device: torch.device, use_kernels: bool = True
+        self,
+        world: World,
+        cameras: list[Camera],
+        cached_spp: int,
+        seed: int,
+        device: torch.device,
+        use_kernels: bool = True,
     ) -> None:
         self.world = world
         self.cameras = cameras
-        self.count = count
+        self.cached_spp = cached_spp
         self.seed = seed
         self.use_kernels = use_kernels
         self.views = Cameras.of(cameras, device)
         self.origin = self.views.origin
         self.pixels = cameras[0].width * cameras[0].height
-        total = len(cameras) * self.pixels * count
+        total = len(cameras) * self.pixels * cached_spp
         has_sky = world.features.has_environment
         # Triangle and barycentrics of a hit stand next to each other, since they are read at random addresses.
         self.hits = torch.empty(total, 3, dtype=torch.int32, device=device)
         self.prim, self.bary = self.hits[:, 0], self.hits[:, 1:].view(torch.float32)
         self.away = torch.empty(total if has_sky else 0, 3, dtype=torch.float16, device=device)
-        if count > 0:
+        if cached_spp > 0:
             for index, camera in enumerate(cameras):
                 self._keep(index, camera)
 
@@ -59,7 +65,7 @@ class PrimaryHits:
         """Trace the positions of one view."""
         device = self.prim.device
         pixels = torch.arange(self.pixels, device=device)
-        xy = pixel_positions(camera.width, pixels, self.count, Stream(self.seed, index, device=device)).view(-1, 2)
+        xy = pixel_positions(camera.width, pixels, self.cached_spp, Stream(self.seed, index, device=device)).view(-1, 2)
         first = index * len(xy)
         for begin in range(0, len(xy), _CHUNK):
             rays = camera_rays(camera, xy[begin : begin + _CHUNK])
@@ -75,26 +81,26 @@ class PrimaryHits:
 
         Without kept positions some are traced for it, in the pixels onto which an emitter projects.
         """
-        if self.count == 0:
+        if self.cached_spp == 0:
             return emitter_pixels(self.world, self.cameras, self.seed, self.prim.device)
         emission = self.world.geometry.emission.amax(-1)
         found = torch.empty(len(self.cameras), self.pixels, dtype=torch.bool, device=self.prim.device)
         for index, prim in enumerate(torch.tensor_split(self.prim, len(self.cameras))):
             light = (emission[prim.clamp_min(0).long()] > 0) & (prim >= 0)
-            found[index] = light.view(self.pixels, self.count).any(-1)
+            found[index] = light.view(self.pixels, self.cached_spp).any(-1)
         return found
 
-    def __call__(self, batch: PixelBatch, positions: int, stream: Stream) -> NonDeltaHit:
-        """First vertices at ``positions`` independent positions of every pixel, pixel by pixel [b * positions]."""
-        if self.count == 0 or self.world.delta is not None:
-            return self._anew(batch, positions, stream)
+    def __call__(self, batch: PixelBatch, spp: int, stream: Stream) -> NonDeltaHit:
+        """First vertices at ``spp`` independent positions of every pixel, pixel by pixel [b * spp]."""
+        if self.cached_spp == 0 or self.world.delta is not None:
+            return self._anew(batch, spp, stream)
         # ---------------------- Kept positions ----------------------
 
         b = len(batch.view)
         # Independent draws: if a pixel's positions were always different ones, the leave-one-out gradient would miss
         # the pairs of one position with itself and reward contrast inside the pixel.
-        chosen = stream.integers(self.count, b, positions)  # [b, positions]
-        first = (batch.view * self.pixels + batch.pixel) * self.count  # [b]
+        chosen = stream.integers(self.cached_spp, b, spp)  # [b, spp]
+        first = (batch.view * self.pixels + batch.pixel) * self.cached_spp  # [b]
 
         # ---------------------- Surface points there ----------------------
 
@@ -133,11 +139,11 @@ class PrimaryHits:
         split(lambda low, high: kernels.interact_kept(low, high, *arrays), m, GRAIN)
         return SurfaceInteraction(p, ng, n, wo, uv, bary, prim, valid)
 
-    def _anew(self, batch: PixelBatch, positions: int, stream: Stream) -> NonDeltaHit:
+    def _anew(self, batch: PixelBatch, spp: int, stream: Stream) -> NonDeltaHit:
         """The same by new rays: nothing is kept, or the scene has smooth surfaces, whose chains are random."""
-        u = stream.uniform(len(batch.view), positions, 3)
+        u = stream.uniform(len(batch.view), spp, 3)
         width = self.views.width
         corner = torch.stack((batch.pixel % width, batch.pixel // width), -1).unsqueeze(1)
-        view = batch.view.repeat_interleave(positions)
+        view = batch.view.repeat_interleave(spp)
         rays = self.views.rays(view, (corner + u[..., :2]).view(-1, 2))
         return self.world.trace_past_delta(rays, u[..., 2].reshape(-1))

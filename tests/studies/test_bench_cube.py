@@ -28,7 +28,7 @@ from neurad.studies.bench.per_path import PathInteraction, PathMaterials, PathRa
 CPU = torch.device("cpu")
 JOB = {
     "albedo": 0.5, "tracer": "embree", "fields": "hash", "size": 16, "method": "ours", "limit": 4, "rr_prob": 0.95,
-    "positions": 2, "pixels": 32, "field_fraction": 1.0, "device": "cpu",
+    "spp": 2, "pixels": 32, "field_fraction": 1.0, "device": "cpu",
 }  # fmt: skip
 
 
@@ -176,7 +176,7 @@ def test_a_process_that_dies_leaves_a_row(monkeypatch):
 
 def test_bench_cube(tmp_path, capsys):
     words = ["--albedos", "0.3", "0.7", "--methods", "ours", "--fields", "dense", "--size", "8", "--pixels", "16"]
-    main(["cube", *words, "--positions", "2", "--steps", "3", "--out", str(tmp_path / "cube.csv")])
+    main(["cube", *words, "--spp", "2", "--steps", "3", "--out", str(tmp_path / "cube.csv")])
     out = capsys.readouterr().out
     assert "albedo 0.3: paths of 1.4" in out
     assert "ours, dense, albedo 0.3 to 0.7: time x " in out
@@ -194,7 +194,7 @@ def test_bench_cube(tmp_path, capsys):
     [
         (["cube", "--albedos", "1.0"], "--albedos"),
         (["cube", "--methods", "ours,nerf"], "--methods: nerf"),
-        (["cube", "--positions", "1"], "--positions"),
+        (["cube", "--spp", "1"], "--spp"),
         (["cube", "--field-fraction", "0"], "--field-fraction"),
         (["gradients", "--states", "0.5", "0.5"], "--states"),
         (["gradients", "--batches", "2"], "--batches"),

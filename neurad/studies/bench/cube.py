@@ -49,7 +49,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="Mitsuba 3's prb (llvm_ad_rgb) too, in turns with ours on dense grids; takes 1.4 GB an albedo",
     )  # fmt: skip
     parser.add_argument("--pixels", type=int, default=2048, help="pixels in a batch")
-    parser.add_argument("--positions", type=int, default=8, help="positions, and so path samples, a pixel; at least 2")
+    parser.add_argument("--spp", type=int, default=8, help="samples per pixel; at least 2")
     parser.add_argument(
         "--field-fraction", type=float, default=0.25,
         help="fraction of the positions at which the radiance field of ours learns, as model.sampling.field_fraction",
@@ -75,9 +75,7 @@ def run(options: argparse.Namespace) -> None:
         InputError: a bad option, or parts that cannot be built.
     """
     _check(options)
-    common = {
-        name: getattr(options, name) for name in ("pixels", "positions", "field_fraction", "size", "rr_prob", "device")
-    }
+    common = {name: getattr(options, name) for name in ("pixels", "spp", "field_fraction", "size", "rr_prob", "device")}
     common["tracer"] = options.tracer or ("warp" if options.device.startswith("cuda") else "embree")
     lengths = _path_lengths(options.albedos, common)
     for albedo, (mean, limit) in lengths.items():
@@ -122,8 +120,8 @@ def _check(options: argparse.Namespace) -> None:
     for name in ("pixels", "steps"):
         if getattr(options, name) < 1:
             raise InputError(f"--{name}: {getattr(options, name)} is not a positive number")
-    if options.positions < 2:
-        raise InputError("--positions: leave-one-out residuals need at least 2")
+    if options.spp < 2:
+        raise InputError("--spp: leave-one-out residuals need at least 2")
     if not 0.0 < options.field_fraction <= 1.0:
         raise InputError(f"--field-fraction: {options.field_fraction:g} is not in (0, 1]")
     if not 0.0 < options.rr_prob <= 1.0:
@@ -295,7 +293,7 @@ def _report(rows: list[dict[str, Any]], options: argparse.Namespace) -> None:
     from neurad.studies.bench.machine import describe, pick_device, report
 
     title = (
-        f"\none training step of {options.pixels} pixels x {options.positions} samples on "
+        f"\none training step of {options.pixels} pixels x {options.spp} samples on "
         f"{describe(pick_device(options.device))}: median of the steps, their quartiles, peak memory of the process "
         f"and how much of it the steps added"
     )

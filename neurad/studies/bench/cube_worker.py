@@ -128,7 +128,7 @@ def cube_settings(job: dict[str, Any]) -> ModelSettings:
     """The shipped settings with the job's fields, method and numbers of samples; learning rates are 0."""
     shipped = model_settings(SHIPPED)
     sizes = {"kind": job["fields"], "size": job["size"]}
-    spp = job["positions"]
+    spp = job["spp"]
     return replace(
         shipped,
         albedo=FieldConfig(**sizes),
@@ -207,7 +207,7 @@ def mitsuba_step(job: dict[str, Any]) -> Step:
     values = np.full((len(voxels), 4), job["albedo"], np.float32)
 
     def step() -> int:
-        replay.step(values, job["pixels"], job["positions"])
+        replay.step(values, job["pixels"], job["spp"])
         return 0  # Mitsuba does not count rays
 
     return step
