@@ -19,8 +19,8 @@ from neurad.scene.description import Scene
 
 RAYS = 8192
 """Camera rays behind a figure."""
-SHARE = 0.1
-"""Part of what the photographs show that is seen closer than the figure says."""
+CLOSER_FRACTION = 0.1
+"""Fraction of what the photographs show that is seen closer than the figure says."""
 
 Config = TypeVar("Config", bound=FieldConfig)
 
@@ -55,5 +55,5 @@ def finest_cells(tracer: Tracer, scene: Scene, device: torch.device | str = "cpu
         return 1
     pixel = (hit.t.cpu() * cameras.side[view])[valid]
     side = 1.0 / float(UnitCube(torch.from_numpy(scene.bounds)).inverse_side)
-    cells = side / max(float(pixel.quantile(SHARE)), 1e-6 * side)
+    cells = side / max(float(pixel.quantile(CLOSER_FRACTION)), 1e-6 * side)
     return int(2.0 ** (0.5 * round(2.0 * math.log2(cells))) + 0.5)

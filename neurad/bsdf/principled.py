@@ -68,7 +68,7 @@ class PrincipledKernels:
         return mean_lobes(roughness, cosine, self.eta)
 
 
-class _FastLobesPdf(torch.autograd.Function):
+class _LobesPdfKernel(torch.autograd.Function):
     """:func:`lobes_pdf` by a compiled kernel that finds the derivatives in the same pass."""
 
     @staticmethod
@@ -96,7 +96,7 @@ def principled_lobes_pdf(
         ValueError: the arguments have different numbers of lanes; the kernel would read past their ends.
     """
     compiled = PrincipledKernels(eta, specular_fraction)
-    d, s, pdf = _FastLobesPdf.apply(roughness, wo.detach(), wi.detach(), compiled)  # type: ignore[no-untyped-call]
+    d, s, pdf = _LobesPdfKernel.apply(roughness, wo.detach(), wi.detach(), compiled)  # type: ignore[no-untyped-call]
     return d, s, pdf
 
 

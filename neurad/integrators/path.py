@@ -21,7 +21,7 @@ class PathTracing(Method):
     Args:
         max_depth: longest path, counted as in Mitsuba: 1 shows emitters only, 2 adds direct light. None: roulette alone
             ends paths.
-        rr_depth: bounces after which roulette may end a path.
+        rr_depth: depth from which roulette may end a path.
         rr_prob: largest probability to go on; below it, it is the throughput.
         control_variate: give what takes noise from the samples without changing their mean, at no ray's cost.
 

@@ -36,12 +36,12 @@ def bounce_diffuse(world: World, si: SurfaceInteraction, surface: Surface, u: Te
     o, d, shadow_o, shadow_d, radiance = torch.empty(5, n, 3).unbind()
     (pdf, t_max), lane = torch.empty(2, n), torch.empty(n, dtype=torch.int64)
     shadow = lane, shadow_o, shadow_d, t_max, radiance
-    leaving = (
+    spawned = (
         vertices, world.reflects(si).numpy(), u.contiguous().numpy(), geometry.face_offset.numpy(),
         np.float32(geometry.scale), lights, RayArrays(o.numpy(), d.numpy()), pdf.numpy(),
         ShadowRays(*(x.numpy() for x in shadow)),
     )  # fmt: skip
-    counts = split(lambda low, high: (low, kernels.spawn_rays_diffuse(low, high, *leaving)), n, GRAIN)
+    counts = split(lambda low, high: (low, kernels.spawn_rays_diffuse(low, high, *spawned)), n, GRAIN)
     lane, shadow_o, shadow_d, t_max, radiance = _joined(shadow, counts)  # [k, ...]
 
     # ---------------------- Tracing ----------------------
@@ -52,11 +52,11 @@ def bounce_diffuse(world: World, si: SurfaceInteraction, surface: Surface, u: Te
     # ---------------------- Light that both found, joined by MIS ----------------------
 
     direct, weight = torch.empty(2, n, 3).unbind()
-    arriving = (
+    resolved = (
         ShadowRays(*(x.numpy() for x in (lane, shadow_o, shadow_d, t_max, radiance))), blocked.numpy(), vertices.p,
         pdf.numpy(), Vertices.of(end), lights, direct.numpy(), weight.numpy(),
     )  # fmt: skip
-    split(lambda low, high: kernels.resolve_hits_diffuse(low, high, *arriving), n, GRAIN)
+    split(lambda low, high: kernels.resolve_hits_diffuse(low, high, *resolved), n, GRAIN)
     return Bounce(direct, weight, end, albedo=surface.albedo)
 
 

@@ -25,7 +25,7 @@ class Roulette:
     """Ends paths with the probability of what they have lost, as Mitsuba's ``path`` does.
 
     Attributes:
-        rr_depth: bounces after which a path may end.
+        rr_depth: depth from which roulette may end a path.
         rr_prob: largest probability to go on.
     """
 

@@ -52,7 +52,7 @@ class Scene:
     max_depth: int = 20
     """Longest path in vertices with reflection counted from 1 (direct light is 2), as Mitsuba's ``max_depth``."""
     rr_depth: int = 8
-    """Depth from which paths end by roulette, as Mitsuba's ``rr_depth``."""
+    """Depth from which roulette may end a path, as Mitsuba's ``rr_depth``."""
     relight: str | None = None
     """Path of another environment map (EXR), under which held-out views were photographed again; for metrics only."""
 

@@ -45,7 +45,7 @@ class Replay:
         voxels: where albedo and roughness are.
         photographs: of the training views [views, h * w, 3].
         max_depth: of ``prb``; -1 for no limit.
-        rr_depth: depth from which paths end by roulette.
+        rr_depth: depth from which roulette may end a path.
         hide_emitters: camera rays that miss see black (photographs with alpha).
         normaliser: the loss is relative to the 'photograph' or to the 'prediction', the mean of the other samples.
         epsilon: floor of the relative loss in units of the mean squared radiance of the photographs.
