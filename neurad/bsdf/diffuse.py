@@ -15,7 +15,7 @@ from neurad.core.sampling import INV_PI, cosine_hemisphere
 class Diffuse:
     """``f = albedo / pi``, sampled by the cosine; the roughness is not looked at."""
 
-    lambertian = True
+    is_diffuse = True
     varying_weight = False  # the weight is the albedo, whatever the direction
 
     @classmethod
@@ -51,5 +51,5 @@ class Diffuse:
         return surface.albedo * (wo[:, 2:] > 0)
 
     def kernels(self, surface: Surface) -> None:
-        """None: there are no lobes, see ``lambertian``."""
+        """None: there are no lobes, see ``is_diffuse``."""
         return None

@@ -112,7 +112,7 @@ class Principled:
         specular_fraction: probability that a sample is drawn from the specular lobe.
     """
 
-    lambertian = False
+    is_diffuse = False
     varying_weight = True
 
     def __init__(

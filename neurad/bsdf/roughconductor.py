@@ -31,7 +31,7 @@ class RoughConductor:
         model: refractive index and width.
     """
 
-    lambertian = False
+    is_diffuse = False
     varying_weight = True
 
     def __init__(self, model: RoughConductorModel) -> None:

@@ -39,7 +39,7 @@ class RoughPlastic:
         specular_fraction: odds of the specular lobe against the diffuse one; 0.5 is Mitsuba's.
     """
 
-    lambertian = False
+    is_diffuse = False
     varying_weight = True
 
     def __init__(self, model: RoughPlasticModel, specular_fraction: float = 0.5) -> None:

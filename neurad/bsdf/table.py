@@ -40,7 +40,7 @@ class BSDFTable:
         fitted: model of lanes without an index, such as fitted materials give. They cost no more than without a table.
     """
 
-    lambertian = False
+    is_diffuse = False
 
     def __init__(self, models: list[BSDF | None], fitted: BSDF) -> None:
         self.models = models

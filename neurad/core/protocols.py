@@ -95,7 +95,7 @@ class SampledBSDF(Protocol):
 class BSDF(SampledBSDF, Protocol):
     """A reflection model."""
 
-    lambertian: bool
+    is_diffuse: bool
     """``f = albedo / pi`` on every lane, drawn by the cosine: the bounce made for Lambertian scenes applies."""
 
     def eval(self, surface: Surface, wo: Tensor, wi: Tensor) -> Tensor:

@@ -22,7 +22,7 @@ from neurad.runtime.threads import GRAIN, split
 
 def has_kernel(enabled: bool, world: World, si: SurfaceInteraction) -> bool:
     """Whether the kernels do all that a bounce in ``world`` needs."""
-    return reads(enabled and world.bsdf.lambertian and world.delta is None and world.guide is None, world, si)
+    return reads(enabled and world.bsdf.is_diffuse and world.delta is None and world.guide is None, world, si)
 
 
 def bounce_diffuse(world: World, si: SurfaceInteraction, surface: Surface, u: Tensor) -> Bounce:

@@ -85,7 +85,7 @@ def parts(fit: Fit) -> tuple[list[str], list[str]]:
     has = {
         "area lights": not isinstance(world.lights, Environment),
         "environment": not isinstance(world.lights, AreaLights),
-        "specular lobe": not world.bsdf.lambertian,
+        "specular lobe": not world.bsdf.is_diffuse,
         "roughness field": fit.materials.roughness is not None,
         "control variate": world.bsdf.varying_weight,
         "guide": world.guide is not None,
