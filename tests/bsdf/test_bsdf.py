@@ -28,16 +28,6 @@ def random_surface(count, seed=0, dtype=torch.float32):
     return Surface(uniform(count, 3, seed=seed, dtype=dtype), uniform(count, 1, seed=seed + 1, dtype=dtype))
 
 
-@pytest.fixture(scope="module")
-def mi():
-    mitsuba = pytest.importorskip("mitsuba")
-    before = mitsuba.variant()
-    mitsuba.set_variant("scalar_rgb")
-    yield mitsuba
-    if before:
-        mitsuba.set_variant(before)
-
-
 def mitsuba_reference(mi, kind, surf, wo, wi, u=None):
     """Value, pdf and (from ``u``) the sampled direction, its pdf and its weight. Mitsuba's wi is our wo."""
     si, context = mi.SurfaceInteraction3f(), mi.BSDFContext()

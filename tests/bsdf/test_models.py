@@ -38,16 +38,6 @@ def surfaces(model, count, seed=0):
     return Surface((0.05 + 0.9 * uniform(count, 3, seed=seed)) * limit, 0.15 + 0.85 * uniform(count, 1, seed=seed + 1))
 
 
-@pytest.fixture(scope="module")
-def mi():
-    mitsuba = pytest.importorskip("mitsuba")
-    before = mitsuba.variant()
-    mitsuba.set_variant("scalar_rgb")
-    yield mitsuba
-    if before:
-        mitsuba.set_variant(before)
-
-
 # Mitsuba
 
 
