@@ -6,13 +6,15 @@ import argparse
 import os
 import sys
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import nullcontext
+from contextlib import nullcontext, suppress
 from typing import NoReturn
 
 from neurad.commands import Verb
 from neurad.core.errors import InputError
 from neurad.runtime import clock
 from neurad.runtime.allocator import imports_kept, keep_freed_memory
+from neurad.runtime.files import reason
+from neurad.runtime.streams import flush_output, open_closed_streams
 
 LIGHTNING_VERBS = {
     "fit": "recover albedo and roughness from photographs",
@@ -98,19 +100,23 @@ def main(args: list[str] | None = None) -> None:
     """
     if args is not None:
         clock.restart()
+    open_closed_streams()
     words = list(sys.argv[1:] if args is None else args)
     try:
-        _dispatch(words, own_process=args is None)
+        try:
+            _dispatch(words, own_process=args is None)
+        finally:
+            flush_output()
     except InputError as error:
         _fail(str(error))
     except KeyboardInterrupt:
         print("neurad: interrupted", file=sys.stderr)
         raise SystemExit(130) from None
     except Exception as error:
-        cause = next((e for e in _chain(error) if isinstance(e, InputError)), None)
-        if cause is None:
+        sentence = _sentence([*_chain(error)])
+        if not sentence:
             raise
-        _fail(str(cause))
+        _fail(sentence)
 
 
 def _dispatch(words: list[str], own_process: bool) -> None:
@@ -197,6 +203,21 @@ def _chain(error: BaseException | None) -> Iterator[BaseException]:
         error = error.__cause__ or error.__context__
 
 
+def _sentence(errors: Sequence[BaseException]) -> str:
+    """What the user reads: of a mistake or, if there was none, of the system that refused a file; else nothing."""
+    for error in errors:
+        if isinstance(error, InputError):
+            return str(error)
+    for error in errors:
+        if isinstance(error, OSError) and error.errno is not None:
+            return f"{error.filename or 'standard output'}: {reason(error)}"
+    return ""
+
+
 def _fail(sentence: str) -> None:
-    print(f"neurad: error: {' '.join(sentence.split())}", file=sys.stderr)
+    with suppress(OSError):  # standard errors may be on the same full disk
+        flush_output()
+    with suppress(OSError):
+        print(f"neurad: error: {' '.join(sentence.split())}", file=sys.stderr)
+        sys.stderr.flush()
     raise SystemExit(2)

@@ -15,6 +15,7 @@ from neurad.callbacks import pictures
 from neurad.callbacks.run_folder import run_folder
 from neurad.callbacks.table import MetricsTable, curve_table, score_table
 from neurad.runtime import clock
+from neurad.runtime.files import write_text
 from neurad.training.schedule import fraction_done
 
 if TYPE_CHECKING:
@@ -114,7 +115,7 @@ class Evaluate(pl.Callback):
             about["samples"] = module.samples
             scores = {key: _json_number(value) for key, value in evaluation.scores.items()}
             text = json.dumps({**about, "render_spp": self.test_spp, **scores}, indent=2)
-            (folder / "metrics.json").write_text(text + "\n")
+            write_text(folder / "metrics.json", text + "\n")
             print(f"\nneurad: images and metrics.json are in {folder}")
 
     def on_predict_epoch_end(self, trainer: pl.Trainer, pl_module: pl.LightningModule) -> None:

@@ -9,7 +9,8 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from neurad.scene.image_io import to_srgb, write_exr
+from neurad.runtime.files import make_folder
+from neurad.scene.image_io import to_srgb, write_exr, write_png
 
 Image = npt.NDArray[np.float32]
 Bytes = npt.NDArray[np.uint8]
@@ -88,9 +89,7 @@ def write_views(folder: Path, maps: Sequence[View], sky: Mapping[str, Image] | N
     """Write render, albedo, roughness and relit rendering of every view, those that it has, as linear EXR and as PNG
     for looking at; ``sky``, a recovered environment map and the true one, as ``environment``.
     """
-    from PIL import Image as Pillow
-
-    folder.mkdir(parents=True, exist_ok=True)
+    make_folder(folder)
     scale = exposure(maps)
     for index, view in enumerate(maps):
         for name in ("render", "albedo", "roughness", "relit"):
@@ -101,10 +100,10 @@ def write_views(folder: Path, maps: Sequence[View], sky: Mapping[str, Image] | N
             write_exr(stem.with_suffix(".exr"), image, half=False)
             light = name in ("render", "relit")
             shown = grey(image) if name == "roughness" else encode(image * scale if light else image)
-            Pillow.fromarray(shown).save(stem.with_suffix(".png"))
+            write_png(stem.with_suffix(".png"), shown)
     if sky:
         write_exr(folder / "environment.exr", sky["fitted"], half=False)
-        Pillow.fromarray(environment(sky, scale)).save(folder / "environment.png")
+        write_png(folder / "environment.png", environment(sky, scale))
 
 
 def _beside(panels: Sequence[Bytes]) -> Bytes:

@@ -5,7 +5,9 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
-from neurad.runtime.tables import align, append_csv, numbers, read_csv, replace_text
+from neurad.core.errors import InputError
+from neurad.runtime.files import write_text
+from neurad.runtime.tables import align, append_csv, numbers, read_csv, read_lines
 
 SCORES = ("psnr_linear", "psnr_srgb", "albedo_psnr", "albedo_mape", "roughness_psnr", "roughness_mape")
 COLUMNS = ("iteration", "seconds", "rays", "samples", *SCORES, *(f"{s}_seen" for s in SCORES))
@@ -49,8 +51,21 @@ class MetricsTable:
         self.path = path
 
     def rows(self) -> list[Row]:
-        """All rows that were written completely; empty cells are left out."""
-        return [numbers(row) for row in read_csv(self.path)[1]]
+        """All rows that were written completely; empty cells are left out.
+
+        Raises:
+            InputError: the file is not such a table.
+        """
+        columns, rows = read_csv(self.path)
+        if columns and not {"iteration", "seconds"} <= set(columns):
+            raise InputError(f"{self.path}: it has no columns iteration and seconds; repair it, or move it away")
+        try:
+            found = [numbers(row) for row in rows]
+        except ValueError as error:
+            raise InputError(f"{self.path}: {error}; repair it, or move it away") from error
+        if not all("iteration" in row for row in found):
+            raise InputError(f"{self.path}: a row has no iteration; repair it, or move it away")
+        return found
 
     def append(self, row: Mapping[str, float]) -> None:
         """Add a row. The first row fixes the columns: :data:`COLUMNS`, then what else it has."""
@@ -58,15 +73,20 @@ class MetricsTable:
         append_csv(self.path, columns, {**row, "seconds": f"{row['seconds']:.2f}"})
 
     def cut(self, iteration: int) -> None:
-        """Drop the rows that come after ``iteration``, and a line that was not written to its end."""
-        lines = self.path.read_text().splitlines(keepends=True) if self.path.is_file() else []
+        """Drop the rows that come after ``iteration``, and a line that was not written to its end.
+
+        Raises:
+            InputError: the file is not such a table, or cannot be written.
+        """
+        self.rows()
+        lines = read_lines(self.path).splitlines(keepends=True)
         kept = lines[:1]
         for line in lines[1:]:
             whole = line.endswith("\n") and line.count(",") == lines[0].count(",")
-            if whole and int(line.partition(",")[0]) <= iteration:
+            if whole and float(line.partition(",")[0]) <= iteration:
                 kept.append(line)
         if len(kept) != len(lines):
-            replace_text(self.path, "".join(kept))
+            write_text(self.path, "".join(kept))
 
 
 def score_table(scores: Mapping[str, float], spp: int, label: str = "neurad") -> str:

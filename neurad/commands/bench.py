@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 
 from neurad.commands import Verb
+from neurad.runtime.files import check_file, check_folder
 from neurad.studies.bench import ceiling, cube, encode, gradients, growth, peer, step, trace
 
 BENCHMARKS: dict[str, tuple[Verb, str]] = {
@@ -24,6 +25,8 @@ BENCHMARKS: dict[str, tuple[Verb, str]] = {
     ),
 }
 """Benchmarks by name, and what each shows."""
+FOLDERS = ("peer", "gradients")
+"""Those whose ``--out`` is a folder; that of the others is a file."""
 WORKERS = {"cube-worker": cube.work, "peer-worker": peer.work}
 """What the child processes of a benchmark run, given one JSON text; not listed in the help."""
 
@@ -47,4 +50,6 @@ def run(options: argparse.Namespace) -> None:
     if options.benchmark in WORKERS:
         WORKERS[options.benchmark](options.job)
     else:
+        if (out := getattr(options, "out", None)) is not None:
+            (check_folder if options.benchmark in FOLDERS else check_file)(out, "--out")
         BENCHMARKS[options.benchmark][0].run(options)

@@ -27,6 +27,7 @@ from neurad.integrators.renderer import FieldRenderer, MethodRenderer
 from neurad.integrators.world import World
 from neurad.runs.configs import load_config, shipped_folders
 from neurad.runs.model_settings import model_settings
+from neurad.runtime.files import check_folder, make_folder, write_text
 from neurad.scene.description import Scene
 from neurad.scene.image_io import write_exr
 from neurad.scene.load import load_scene
@@ -83,6 +84,7 @@ def render_views(settings: RenderSettings) -> None:
         InputError: unknown scene or method, unreadable files, a bad number, or a file that would be overwritten.
     """
     out = settings.out
+    check_folder(out, "--out")
     method, paths = find_method(settings.integrator)
     if settings.max_depth is not None and settings.max_depth < 1:
         raise InputError(f"--max-depth: {settings.max_depth} is not a positive number")
@@ -102,7 +104,7 @@ def render_views(settings: RenderSettings) -> None:
     pictures = _pictures(settings, method, scene, world, materials)
     maps = MaterialMap(world, materials)
     for kind in folders:
-        (out / kind).mkdir(parents=True, exist_ok=True)
+        make_folder(out / kind, "--out")
     start = time.perf_counter()
     for index, view in enumerate(views):
         camera = resized(view.camera, settings.size)
@@ -118,7 +120,7 @@ def render_views(settings: RenderSettings) -> None:
     for part in ("train", "test"):
         chosen = [replace(v, camera=resized(v.camera, settings.size)) for v in views if v in getattr(scene, part)]
         if chosen:
-            (out / f"transforms_{part}.json").write_text(json.dumps(transforms(chosen), indent=1) + "\n")
+            write_text(out / f"transforms_{part}.json", json.dumps(transforms(chosen), indent=1) + "\n")
 
 
 def find_method(name: str) -> tuple[Method, bool]:

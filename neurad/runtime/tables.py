@@ -7,9 +7,11 @@ from __future__ import annotations
 
 import csv
 import io
-import os
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from pathlib import Path
+
+from neurad.core.errors import InputError
+from neurad.runtime.files import append, write_text
 
 Cell = str | int | float | None
 Record = Mapping[str, Cell]
@@ -27,47 +29,84 @@ def write_csv(path: Path, columns: Sequence[str], rows: Iterable[Record]) -> Non
         rows: cells by column; a missing one and None stay empty, floats get seven digits.
 
     Raises:
-        OSError: the file cannot be written.
+        InputError: the file cannot be written.
     """
     out = io.StringIO()
     writer = csv.writer(out, lineterminator="\n")
     writer.writerow(columns)
     writer.writerows([_text(name, row.get(name)) for name in columns] for row in rows)
-    replace_text(path, out.getvalue())
+    write_text(path, out.getvalue())
 
 
 def append_csv(path: Path, columns: Sequence[str], row: Record) -> None:
     """Add a row at the end of a table, under the columns of its header; ``columns`` is the header of a new table.
 
     Raises:
-        OSError: the file cannot be written.
+        InputError: the file cannot be written, or what is there is no table.
     """
     header = read_header(path)
     if not header:
         write_csv(path, columns, [row])
         return
-    with path.open("a", newline="") as file:
-        csv.writer(file, lineterminator="\n").writerow([_text(name, row.get(name)) for name in header])
+    line = io.StringIO()
+    csv.writer(line, lineterminator="\n").writerow([_text(name, row.get(name)) for name in header])
+    append(path, line.getvalue().encode())
 
 
 def read_header(path: Path) -> list[str]:
-    """The columns of a table; none if there is no file."""
-    if not path.is_file():
-        return []
-    with path.open(newline="") as file:
-        return next(csv.reader(file), [])
+    """The columns of a table; none if there is no file.
+
+    Raises:
+        InputError: the file is no table.
+    """
+    return next(csv.reader(io.StringIO(read_lines(path, 1))), [])
 
 
 def read_csv(path: Path) -> tuple[list[str], list[dict[str, str]]]:
     """Columns and rows of a table; nothing if there is no file.
 
     A line with too few or too many cells is left out: a process that is killed while it writes leaves a short one.
+
+    Raises:
+        InputError: the file is no table.
     """
-    if not path.is_file():
-        return [], []
-    reader = csv.DictReader(io.StringIO(path.read_text()))
-    whole = [row for row in reader if None not in row and None not in row.values()]
+    reader = csv.DictReader(io.StringIO(read_lines(path)))
+    try:
+        whole = [row for row in reader if None not in row and None not in row.values()]
+    except csv.Error as error:
+        raise _no_table(path, reader.line_num) from error
     return list(reader.fieldnames or []), whole
+
+
+def read_lines(path: Path, count: int = -1) -> str:
+    """The text of a table, or its first ``count`` lines; nothing if there is no file.
+
+    Raises:
+        InputError: the file cannot be read, or has bytes that belong to no text.
+    """
+    if not path.exists():
+        return ""
+    try:
+        with path.open("rb") as file:
+            lines = file.readlines() if count < 0 else [file.readline() for _ in range(count)]
+    except OSError as error:
+        raise InputError(f"{path}: it cannot be read ({error.strerror})") from error
+    for number, line in enumerate(lines, 1):
+        if b"\0" in line or not _is_text(line):
+            raise _no_table(path, number)
+    return b"".join(lines).decode()
+
+
+def _is_text(line: bytes) -> bool:
+    try:
+        line.decode()
+    except UnicodeDecodeError:
+        return False
+    return True
+
+
+def _no_table(path: Path, line: int) -> InputError:
+    return InputError(f"{path}: line {line} is not the text of a table; repair the file, or move it away")
 
 
 def numbers(row: Mapping[str, str]) -> dict[str, float]:
@@ -77,13 +116,6 @@ def numbers(row: Mapping[str, str]) -> dict[str, float]:
         ValueError: a cell is not a number.
     """
     return {name: float(text) for name, text in row.items() if text != ""}
-
-
-def replace_text(path: Path, text: str) -> None:
-    """Write a text file beside its place and move it there."""
-    part = path.with_name(path.name + ".part")
-    part.write_text(text, newline="")
-    os.replace(part, path)
 
 
 def align(body: Sequence[Sequence[str]], left: Collection[int] = (0,)) -> list[str]:

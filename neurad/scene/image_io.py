@@ -10,9 +10,11 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from neurad.core.errors import InputError
 from neurad.core.records import FloatArray
+from neurad.runtime.files import replacing
 
 _HALF_MAX = 65504.0
 _ORDER = "RGBA"
@@ -109,6 +111,9 @@ def write_exr(path: str | Path, pixels: FloatArray, half: bool = True) -> None:
         path: file to write.
         pixels: linear values; as half floats what exceeds 65504 is written as 65504.
         half: 16 bits a value instead of 32.
+
+    Raises:
+        InputError: the file cannot be written.
     """
     import OpenEXR
 
@@ -120,7 +125,26 @@ def write_exr(path: str | Path, pixels: FloatArray, half: bool = True) -> None:
     image = np.ascontiguousarray(image)
     name = {1: "Y", 3: "RGB", 4: "RGBA"}[image.shape[2]]
     header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
-    OpenEXR.File(header, {name: image[..., 0].copy() if name == "Y" else image}).write(str(path))
+    file = OpenEXR.File(header, {name: image[..., 0].copy() if name == "Y" else image})
+    with replacing(path) as part:
+        try:
+            file.write(str(part))
+        except RuntimeError as error:
+            with part.open("ab", buffering=0) as again:
+                again.write(b"\0")  # the system says again what is wrong, in a form that is known
+            raise InputError(f"{path}: it cannot be written ({' '.join(str(error).split())})") from error
+
+
+def write_png(path: str | Path, pixels: npt.NDArray[np.uint8]) -> None:
+    """Write bytes [h, w, 3] as PNG.
+
+    Raises:
+        InputError: the file cannot be written.
+    """
+    from PIL import Image
+
+    with replacing(path) as part:
+        Image.fromarray(pixels).save(part, format="PNG")
 
 
 def read_photograph(path: str | Path) -> FloatArray:

@@ -22,6 +22,7 @@ from neurad import assembly, bsdf, emitters, fields, integrators, losses, traini
 from neurad.core.errors import InputError
 from neurad.core.records import FloatArray, PixelBatch
 from neurad.losses.relative import Loss
+from neurad.runtime.files import make_folder, replacing
 
 SCAN_EVERY = 100
 """Iterations between two checks of the tables of grids."""
@@ -129,11 +130,12 @@ def keep_in_run_folder(trainer: pl.Trainer | None, iteration: int, cause: str, b
     if trainer is None or place is None:
         return ""
     folder = Path(place)
-    (folder / "checkpoints").mkdir(parents=True, exist_ok=True)
+    make_folder(folder / "checkpoints")
     trainer.save_checkpoint(folder / "checkpoints" / "bad.ckpt")
     if batch is not None:
         tensors = {name: getattr(batch, name) for name in ("view", "pixel", "color", "alpha")}
-        torch.save({"iteration": iteration, "cause": cause, **tensors}, folder / "bad_batch.pt")
+        with replacing(folder / "bad_batch.pt") as part, part.open("wb") as file:
+            torch.save({"iteration": iteration, "cause": cause, **tensors}, file)
     return f"; `neurad fit --ckpt_path {folder / 'checkpoints' / 'bad.ckpt'}` repeats it"
 
 

@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from neurad.core.records import Camera, FloatArray
+from neurad.runtime.files import replacing
 from neurad.studies.bench.bias import Gradients, loss_gradient
 
 if TYPE_CHECKING:
@@ -64,7 +65,8 @@ def write_page(
         f"by albedo ±{limits[rows[1]]:.3g}",
         fontsize=10,
     )
-    figure.savefig(path, dpi=110)
+    with replacing(path) as part:
+        figure.savefig(part, dpi=110, format="png")
     pyplot.close(figure)
 
 

@@ -55,10 +55,11 @@ def run(options: argparse.Namespace) -> None:
         InputError: a bad option, or a scene that cannot be used.
     """
     _check(options)
+    from neurad.runtime.files import make_folder
     from neurad.studies.bench.machine import report
 
     factor = 1.0 + options.field_error
-    options.out.mkdir(parents=True, exist_ok=True)
+    make_folder(options.out, "--out")
     rows = _sphere_rows(options, factor)
     if rows:
         title = "Integrating sphere: fraction of the derivative by albedo, and its value in theory"

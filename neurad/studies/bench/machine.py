@@ -15,6 +15,7 @@ from torch import Tensor
 from neurad.core.errors import InputError
 from neurad.core.protocols import Tracer
 from neurad.core.records import Rays
+from neurad.runtime.files import make_folder
 from neurad.runtime.machine import processor
 from neurad.runtime.tables import Record, align, write_csv
 
@@ -135,11 +136,8 @@ def report(rows: Sequence[Row], title: str, out: str | None) -> None:
     print(show(rows, title))
     if out is None:
         return
-    try:
-        Path(out).parent.mkdir(parents=True, exist_ok=True)
-        write_csv(Path(out), list(rows[0]) if rows else [], rows)
-    except OSError as error:
-        raise InputError(f"--out {out}: it cannot be written ({error.strerror})") from error
+    make_folder(Path(out).parent, "--out")
+    write_csv(Path(out), list(rows[0]) if rows else [], rows)
     print(f"\nneurad: {out}")
 
 

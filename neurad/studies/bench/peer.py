@@ -122,6 +122,7 @@ def run(options: argparse.Namespace) -> None:
         InputError: a bad option, a missing package or library, or a run that failed.
     """
     from neurad.core.errors import InputError
+    from neurad.runtime.files import make_folder
     from neurad.runtime.machine import usable_cores
     from neurad.studies.peer.variant import load_mitsuba
 
@@ -139,7 +140,7 @@ def run(options: argparse.Namespace) -> None:
         load_mitsuba()
     from neurad.studies.peer import report
 
-    options.out.mkdir(parents=True, exist_ok=True)
+    make_folder(options.out, "--out")
     curves = []
     for budget in sorted(options.budget):
         if not options.without_ours:
@@ -243,9 +244,11 @@ def _fit(options: argparse.Namespace, config: str, budget: float) -> Path:
 
 def _peer(out: Path, kind: str, budget: float, settings: dict[str, Any]) -> Path:
     """The peer for ``budget`` seconds; returns its CSV file."""
+    from neurad.runtime.files import write_text
+
     path = out / f"peer_{kind}_{budget:g}.csv"
     described = path.with_suffix(".json")
-    described.write_text(json.dumps({**settings, "kind": kind, "seconds": budget, "out": str(path)}, indent=1) + "\n")
+    write_text(described, json.dumps({**settings, "kind": kind, "seconds": budget, "out": str(path)}, indent=1) + "\n")
     _process(f"peer {kind}", budget, ["bench", "peer-worker", str(described)])
     return path
 

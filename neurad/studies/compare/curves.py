@@ -11,6 +11,7 @@ import numpy as np
 
 from neurad.core.records import FloatArray
 from neurad.runtime import tables
+from neurad.runtime.files import replacing
 from neurad.studies.compare.runs import CONSTANT, Run, best_constant, by_method, rmse
 
 if TYPE_CHECKING:
@@ -136,7 +137,8 @@ def figure(path: Path, runs: Sequence[Run], axis: str) -> bool:
     names = [name for name in [*groups, CONSTANT] if name in entries]
     home = cells[0][-1] if cells[0][-1] in free else cells[-1][-1]
     home.legend([entries[name] for name in names], names, frameon=False, fontsize=12, loc="center left")
-    page.savefig(path)
+    with replacing(path) as part:
+        page.savefig(part, format="png")
     return True
 
 

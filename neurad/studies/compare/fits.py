@@ -15,6 +15,7 @@ from pathlib import Path
 from neurad.core.errors import InputError
 from neurad.runs.child import run_neurad
 from neurad.runs.configs import find_config
+from neurad.runtime.files import check_folder, make_folder, write_text
 from neurad.studies.compare import configs
 from neurad.studies.compare.runs import FACTS, Run, by_method, read_run, samples_per_step
 
@@ -90,8 +91,7 @@ def check_free(out: Path, overwrite: bool) -> None:
     Raises:
         InputError: ``out`` is no folder, or has files and ``overwrite`` is off.
     """
-    if out.exists() and not out.is_dir():
-        raise InputError(f"--out {out}: it is no folder")
+    check_folder(out, "--out")
     if not overwrite and out.is_dir() and any(out.iterdir()):
         raise InputError(f"--out {out}: it is there already; add --overwrite to write over it")
 
@@ -162,10 +162,10 @@ def _make(fit: Fit, order: int) -> Run:
     """Fit in a process of its own; whatever goes wrong there is this run's alone."""
     if fit.folder.exists():
         shutil.rmtree(fit.folder)
-    fit.folder.mkdir(parents=True)
+    make_folder(fit.folder)
     log = fit.folder / "output.txt"
     facts = {"method": fit.method, "seed": fit.seed, "order": order, "command": ["neurad", "fit", *fit.arguments]}
-    (fit.folder / FACTS).write_text(json.dumps(facts | {"message": "it did not end"}, indent=1) + "\n")
+    write_text(fit.folder / FACTS, json.dumps(facts | {"message": "it did not end"}, indent=1) + "\n")
     ended = run_neurad(["fit", *fit.arguments], log)
     # Lightning numbers its runs; here the folder is the run.
     made = fit.folder / "lightning_logs" / "version_0"
@@ -182,5 +182,5 @@ def _make(fit: Fit, order: int) -> Run:
         "wall_seconds": round(ended.seconds, 2),
         "peak_memory_mib": ended.peak_memory_mib,
     }
-    (fit.folder / FACTS).write_text(json.dumps(facts, indent=1) + "\n")
+    write_text(fit.folder / FACTS, json.dumps(facts, indent=1) + "\n")
     return read_run(fit.folder)

@@ -7,6 +7,7 @@ import html
 from collections.abc import Sequence
 from pathlib import Path
 
+from neurad.runtime.files import write_text
 from neurad.studies.compare.table import TableRow, present, shown
 
 _STYLE = """
@@ -61,7 +62,7 @@ def write_page(
     if notes:
         parts.append("<h2>How to read this</h2>")
         parts += [f'<p class="note">{html.escape(note)}</p>' for note in notes]
-    path.write_text("\n".join([*parts, "</body></html>"]) + "\n", encoding="utf-8")
+    write_text(path, "\n".join([*parts, "</body></html>"]) + "\n")
 
 
 def _table(rows: Sequence[TableRow], reach: Sequence[float]) -> str:

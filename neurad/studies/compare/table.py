@@ -8,6 +8,7 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
 from neurad.runtime import tables
+from neurad.runtime.files import write_text
 from neurad.runtime.tables import Cell
 from neurad.studies.compare.runs import CONSTANT, SCORES, Run, best_constant, by_method
 
@@ -115,4 +116,4 @@ def write_markdown(path: Path, rows: Sequence[TableRow], note: str, reach: Seque
     names = columns(reach)
     body = ([shown(name, row.get(name)) for name in names] for row in rows)
     lines = tables.markdown(names, body, left=("method", "status"))
-    path.write_text("\n".join(lines) + f"\n\n{note}\n")
+    write_text(path, "\n".join(lines) + f"\n\n{note}\n")

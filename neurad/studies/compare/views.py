@@ -12,6 +12,7 @@ import numpy.typing as npt
 from neurad.callbacks.pictures import encode, exposure, false_colour, grey
 from neurad.core.errors import InputError
 from neurad.core.records import FloatArray, View
+from neurad.runtime.files import replacing
 from neurad.scene.image_io import read_exr
 from neurad.scene.load import load_scene
 from neurad.studies.compare.runs import Run
@@ -146,7 +147,8 @@ def _sheet(path: Path, rows: Mapping[str, Sequence[Bytes | None]], heads: Sequen
                 page.figimage(np.kron(cell, np.ones((zoom, zoom, 1), np.uint8)), x, size[1] - y - h)
         if name.endswith(" error"):
             _scale(page, left + w - 20, size[1] - y - h, h, size)
-    page.savefig(path)
+    with replacing(path) as part:
+        page.savefig(part, format="png")
 
 
 def _scale(page: Any, x: int, y: int, h: int, size: tuple[int, int]) -> None:

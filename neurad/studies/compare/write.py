@@ -9,6 +9,7 @@ from collections.abc import Sequence
 from datetime import date
 from pathlib import Path
 
+from neurad.runtime.files import make_folder
 from neurad.runtime.machine import processor, usable_cores
 from neurad.studies.compare import curves, page, table, views
 from neurad.studies.compare.runs import Run, by_method
@@ -39,7 +40,7 @@ def write_report(
         command: the command line that led here.
         budget: what every run was given, in words; empty if unknown.
     """
-    out.mkdir(parents=True, exist_ok=True)
+    make_folder(out, "--out")
     for old in [*out.glob("view_*.png"), *out.glob("curves_*.png")]:
         old.unlink()
     done = [run for run in runs if not run.message]

@@ -6,6 +6,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from neurad.runtime.files import replacing
 from neurad.runtime.tables import align, read_csv, write_csv
 
 CONTESTANTS = ("ours", "peer_grid", "peer_network")
@@ -115,4 +116,5 @@ def _draw(path: Path, curves: Sequence[Curve], title: str) -> None:
         if axes.get_legend_handles_labels()[0]:
             axes.legend()
     figure.suptitle(title)
-    figure.savefig(str(path), dpi=120)
+    with replacing(path) as part:
+        figure.savefig(part, dpi=120, format="png")

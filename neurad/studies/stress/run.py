@@ -8,6 +8,7 @@ import time
 from pathlib import Path
 
 from neurad.core.errors import InputError
+from neurad.runtime.files import check_folder, make_folder
 from neurad.studies.stress import delta, features, guard, images, light, precision, shapes, stiff, surfaces
 from neurad.studies.stress.case import Case, judge
 from neurad.studies.stress.families import FAMILIES
@@ -76,5 +77,6 @@ def _free(out: Path, overwrite: bool) -> tuple[Path, Path]:
     paths = out / "stress.csv", out / "stress.md"
     if not overwrite and (found := [path for path in paths if path.exists()]):
         raise InputError(f"--out: {found[0]} is there already; add --overwrite to write over it")
-    out.mkdir(parents=True, exist_ok=True)
+    check_folder(out, "--out")
+    make_folder(out, "--out")
     return paths

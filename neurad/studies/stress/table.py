@@ -7,6 +7,7 @@ from dataclasses import asdict, fields
 from pathlib import Path
 
 from neurad.runtime import tables
+from neurad.runtime.files import write_text
 from neurad.studies.stress.case import Row
 
 COLUMNS = tuple(f.name for f in fields(Row))
@@ -40,7 +41,7 @@ def write_markdown(path: Path, rows: Sequence[Row], title: str) -> None:
         for row in rows
     )  # fmt: skip
     lines = tables.markdown(COLUMNS, body, left=COLUMNS)
-    path.write_text("\n".join([f"# {title}", "", *lines]) + "\n")
+    write_text(path, "\n".join([f"# {title}", "", *lines]) + "\n")
 
 
 def _number(value: float | None) -> str:

@@ -1,0 +1,92 @@
+"""Files are written whole or not at all, and every refusal of the system becomes one sentence."""
+
+import os
+import resource
+from pathlib import Path
+
+import pytest
+
+from neurad.core.errors import InputError
+from neurad.runtime import files
+
+
+@pytest.fixture(autouse=True)
+def _here(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+
+
+@pytest.fixture
+def small_files():
+    """No file may grow over 4096 bytes, as after ``ulimit -f 4``."""
+    before = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (4096, before[1]))
+    yield
+    resource.setrlimit(resource.RLIMIT_FSIZE, before)
+
+
+def test_a_file_that_cannot_be_written_stays_as_it_was(small_files):
+    files.write_text("a", "old")
+    with pytest.raises(InputError, match=r"^a: .*ulimit -f"):
+        files.write_text("a", "x" * 5000)
+    assert Path("a").read_text() == "old"
+    assert os.listdir() == ["a"]
+
+
+def test_appending_adds_all_or_nothing(small_files):
+    files.append("a", b"1" * 4000)
+    with pytest.raises(InputError, match="ulimit -f"):
+        files.append("a", b"2" * 200)
+    assert Path("a").read_bytes() == b"1" * 4000
+
+
+@pytest.mark.parametrize(
+    ("path", "why"),
+    [
+        ("/dev/full", "no space is left"),
+        (".", "it is a folder"),
+        ("file/x", "is a file, but a folder is needed"),
+        ("a" * 253, "its name is too long"),
+        ("loop/x", "a circle of symbolic links"),
+        ("pipe", "a pipe that nobody reads"),
+        ("a\0b", "no file can have this name"),
+    ],
+)
+def test_a_file_that_cannot_be_written_is_found_before(path, why):
+    Path("file").touch()
+    os.symlink("loop", "loop")
+    os.mkfifo("pipe")
+    before = sorted(os.listdir())
+    for attempt in (files.check_file, lambda name, _: files.write_text(name, "text")):
+        with pytest.raises(InputError, match=why):
+            attempt(path, "--out")
+    assert sorted(os.listdir()) == before
+
+
+@pytest.mark.parametrize(
+    ("path", "needed", "why"),
+    [
+        ("file", 0, "it is a file, but a folder is needed"),
+        ("file/x/y", 0, "a part of its path is a file"),
+        ("/proc/x", 0, "^--out /proc/x: "),
+        ("new/folder", 1 << 60, "no space is left"),
+    ],
+)
+def test_a_folder_that_cannot_be_used_is_found_before(path, needed, why):
+    Path("file").touch()
+    with pytest.raises(InputError, match=why):
+        files.check_folder(path, "--out", needed)
+    files.check_folder("new/folder", "--out", 1)
+    assert os.listdir() == ["file"]
+
+
+def test_a_device_is_written_to_and_not_replaced():
+    files.check_file(os.devnull)
+    files.write_text(os.devnull, "text")
+    assert not Path(os.devnull).is_file()
+
+
+def test_a_link_leads_to_what_is_replaced():
+    os.symlink("target", "link")
+    files.write_text("link", "text")
+    assert Path("link").is_symlink()
+    assert Path("target").read_text() == "text"
