@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from dataclasses import replace
 from functools import cached_property
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import lightning.pytorch as pl
 import torch
@@ -18,6 +18,7 @@ from datamodules.pixels import blurred, multiplier_at
 from neurad.core.errors import InputError
 from neurad.core.patch_sampler import PatchSampler
 from neurad.core.protocols import PhotoSource
+from neurad.core.ranges import Count, Range, Seed, checked
 from neurad.core.records import DatasetStats, PixelBatch, View
 from neurad.scene.description import Scene
 from neurad.scene.image_io import read_photograph
@@ -50,19 +51,15 @@ class SceneData(pl.LightningDataModule, PhotoSource):
         self,
         root: str | None = None,
         scene: str | None = None,
-        patches: int = 256,
-        patch_size: int = 1,
-        pixel_multiplier: int = 1,
-        seed: int = 0,
-        resident: int | None = None,
-        replace_every: int = 16,
+        patches: Annotated[int, Range(1, 1 << 24)] = 256,
+        patch_size: Annotated[int, Range(1, 1 << 14)] = 1,
+        pixel_multiplier: Annotated[int, Range(1, 1 << 15)] = 1,
+        seed: Seed = 0,
+        resident: Count | None = None,
+        replace_every: Count = 16,
     ) -> None:
         super().__init__()
-        numbers = {"patches": patches, "patch_size": patch_size, "replace_every": replace_every}
-        for name, value in (numbers if resident is None else numbers | {"resident": resident}).items():
-            if value < 1:
-                raise InputError(f"--data.{name}: {value} is not a positive number")
-        if pixel_multiplier < 1 or pixel_multiplier & (pixel_multiplier - 1):
+        if pixel_multiplier & (pixel_multiplier - 1):
             raise InputError(f"--data.pixel_multiplier: {pixel_multiplier} is not a power of two")
         self.root = root
         self.scene_name = scene
@@ -72,6 +69,7 @@ class SceneData(pl.LightningDataModule, PhotoSource):
         self.seed = seed
         self.resident = resident
         self.replace_every = replace_every
+        checked(self)
         self._with_blurred = False
         self._stats: DatasetStats | None = None
         self._cache: ImageCache | None = None

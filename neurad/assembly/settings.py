@@ -3,9 +3,21 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
-from typing import Literal
+from typing import Annotated, Literal
 
 from neurad.core.errors import InputError
+from neurad.core.ranges import (
+    Count,
+    CountOrZero,
+    Fraction,
+    NonNegative,
+    OpenFraction,
+    Positive,
+    PositiveFraction,
+    Range,
+    Seed,
+    checked,
+)
 from neurad.fields.settings import FieldConfig, RadianceConfig, RoughnessConfig
 from neurad.integrators.method import Method
 from neurad.integrators.radiometric import Radiometric
@@ -15,28 +27,28 @@ from neurad.integrators.radiometric import Radiometric
 class Sampling:
     """How many samples a training pixel gets, and where they go."""
 
-    spp: int = 2
+    spp: Annotated[int, Range(1, 1 << 16)] = 2
     """Samples per pixel of a batch: camera rays at independent positions; leave-one-out needs at least 2."""
-    samples_per_vertex: int = 4
+    samples_per_vertex: Annotated[int, Range(1, 1 << 16)] = 4
     """Samples of the transport operator at the first hit of each: as many emitter as BSDF samples."""
-    cached_spp: int = 4
+    cached_spp: Annotated[int, Range(0, 1 << 16)] = 4
     """Camera rays per pixel, at stratified positions, that are traced once at the start of a run; each step draws its
     ``spp`` from them. Memory: 12 bytes for each, so 16 of 50 photographs of a megapixel take 9.6 GB. 0 keeps none and
     traces new camera rays, at uniformly random positions, in each step: for large sets of photographs."""
-    specular_fraction: float = 0.25
+    specular_fraction: OpenFraction = 0.25
     """Fraction of the BSDF samples that the specular lobe draws. Half of them, as in Mitsuba, is more than roughness
     needs and leaves fewer for albedo."""
-    guide: int = 16
+    guide: Annotated[int, Range(0, 32)] = 16
     """Cells along the scene's longest side of the histogram of incident indirect light by which BSDF samples are
     drawn; 0 samples by the BSDF alone. In memory and in checkpoints it takes 4.6 KB a cell, 19 MB for 16 cells in a
     cubic scene. Diffuse scenes have none."""
-    field_fraction: float = 1.0
+    field_fraction: PositiveFraction = 1.0
     """Fraction of the samples, but no fewer than two per pixel, at whose first hits the radiance field is trained.
     First hits of one pixel lie close together, so few of them train the field as well as all, and its gradient is the
     most expensive part of a step."""
-    extra_bounce_fraction: float = 0.5
+    extra_bounce_fraction: Fraction = 0.5
     """Fraction of the samples at which the prior is also taken at the hit of one more bounce; 0 leaves it out."""
-    sample_groups: int = 4
+    sample_groups: Annotated[int, Range(2, 1 << 16)] = 4
     """Groups of a pixel's samples: within a group samples are stratified, which leaves less noise, and groups are
     independent of each other, which unbiased gradients need. Where it does not divide ``spp``, every sample is a group
     of its own."""
@@ -61,14 +73,7 @@ class Sampling:
 
     def __post_init__(self) -> None:
         """Refuse what cannot be sampled."""
-        if not 0.0 < self.specular_fraction < 1.0:
-            raise InputError("model.sampling.specular_fraction: it must lie between 0 and 1")
-        if not 0.0 < self.field_fraction <= 1.0:
-            raise InputError("model.sampling.field_fraction: it must lie above 0 and be at most 1")
-        if self.sample_groups < 2:
-            raise InputError("model.sampling.sample_groups: it must be at least 2")
-        if not 0 <= self.guide <= 32:
-            raise InputError("model.sampling.guide: it must lie in 0 .. 32")
+        checked(self)
 
 
 @dataclass(frozen=True)
@@ -80,22 +85,26 @@ class Objective:
     normaliser: Literal["photograph", "blurred", "prediction"] = "prediction"
     """What the photometric term is relative to: noisy photographs, their mean over 5 x 5 pixels, or the field's own
     noise-free prediction. A method without a field takes ``blurred`` for ``prediction``."""
-    prior: float = 1.0
+    prior: NonNegative = 1.0
     """Weight of the radiometric prior; 0 leaves it out."""
     prior_gradient: Literal["semi", "full"] = "semi"
     """Gradient of the prior through its left side only, or through both sides."""
     prior_trains: Literal["field", "both"] = "field"
     """Whether the prior moves the radiance field alone, or the materials too (worse: an ablation of the paper)."""
-    lhs: float = 1.0
+    lhs: NonNegative = 1.0
     """Weight of the radiance field's own photometric term; 0 leaves it out."""
-    epsilon: float = 0.01
+    epsilon: Positive = 0.01
     """Floor of the relative losses, in units of the mean squared training radiance."""
-    firefly_clamp: float = 0.0
+    firefly_clamp: NonNegative = 0.0
     """Photographs count up to so many times what the radiance field predicts beyond its own value, so that a firefly in
     one does not pull; 0 lets everything through. A bound darkens: what is cut off is lost, highlights too."""
-    roughness_regulariser: float = 0.0
+    roughness_regulariser: NonNegative = 0.0
     """Weight of a mild quadratic penalty of roughness around its mean, for surfaces whose highlight no photograph
     shows; 0 leaves it out."""
+
+    def __post_init__(self) -> None:
+        """Refuse weights that no loss can have."""
+        checked(self)
 
 
 @dataclass(frozen=True)
@@ -105,48 +114,45 @@ class Lighting:
     environment: Literal["known", "fit"] = "known"
     """``fit`` recovers the environment map; of the one in the scene only ``to_world`` is used then, and its pixels are
     what the result is scored against. Area lights are always known."""
-    width: int = 256
+    width: Annotated[int, Range(2, 1 << 14)] = 256
     """Texels across of a map to recover."""
-    height: int = 128
+    height: Annotated[int, Range(2, 1 << 14)] = 128
     """Its texels from pole to pole."""
-    refresh: int = 20
+    refresh: Count = 20
     """Iterations after which directions are sampled by the present map instead of an older one."""
-    detail_decay: float = 0.3
+    detail_decay: NonNegative = 0.3
     """Decay of the map's detail, so that what no photograph shows stays smooth; 0 leaves it out."""
 
     def __post_init__(self) -> None:
         """Refuse what no map can have."""
         if self.environment not in ("known", "fit"):
             raise InputError(f"model.lighting.environment: '{self.environment}' is unknown, choose known or fit")
-        if self.width < 2 or self.height < 2 or self.refresh < 1 or self.detail_decay < 0:
-            raise InputError(
-                "model.lighting: width and height must be at least 2, refresh at least 1, detail_decay at least 0"
-            )
+        checked(self)
 
 
 @dataclass(frozen=True)
 class Optimization:
     """Learning rates of the optimizers and the schedule that they share."""
 
-    albedo: float = 5e-3
-    roughness: float = 5e-3
+    albedo: NonNegative = 5e-3
+    roughness: NonNegative = 5e-3
     """For batches of the usual size; :meth:`ModelSettings.for_batch` lowers it where ``data.pixel_multiplier`` spreads
     the samples over more pixels."""
-    roughness_decay: float = 0.0
+    roughness_decay: NonNegative = 0.0
     """Weight decay (AdamW's) of the table that roughness's network reads; 0 is none. Where photographs say little about
     roughness, noise writes patterns into the table that nothing else takes out again."""
-    radiance: float = 5e-3
-    environment: float = 1e-1
+    radiance: NonNegative = 5e-3
+    environment: NonNegative = 1e-1
     schedule: Literal["constant", "cosine"] = "cosine"
     """Cosine decay over the run: by iterations (``max_steps``) or time (``max_time``), whichever ends first."""
-    warmup: int = 20
+    warmup: CountOrZero = 20
     """Iterations over which the rates rise from zero."""
-    final: float = 0.02
+    final: Fraction = 0.02
     """Fraction of the rates left at the end of the cosine."""
-    average: float = 0.0
+    average: Fraction = 0.0
     """Evaluations and results show materials averaged over this fraction of the iterations so far, which takes out the
     noise that high learning rates leave; 0 shows the present ones."""
-    clip: float = 0.0
+    clip: NonNegative = 0.0
     """Largest norm of an optimizer's gradient, a longer one is scaled down to it; 0 leaves gradients as they are."""
     matmul: Literal["highest", "high", "medium"] = "highest"
     """Products inside the networks while they train: ``highest`` is float32, ``high`` allows TF32 on GPUs that have it,
@@ -155,14 +161,11 @@ class Optimization:
 
     def __post_init__(self) -> None:
         """Refuse what does not exist."""
+        checked(self)
         if self.matmul not in ("highest", "high", "medium"):
             raise InputError(f"model.optimization.matmul: '{self.matmul}' is unknown, choose highest, high or medium")
-        if self.roughness_decay < 0.0:
-            raise InputError("model.optimization.roughness_decay: it must not be negative")
         if self.roughness * self.roughness_decay >= 1.0:
             raise InputError("model.optimization.roughness_decay: times the rate of roughness it must stay below 1")
-        if not 0.0 <= self.average <= 1.0:
-            raise InputError("model.optimization.average: it must lie in 0 .. 1")
 
 
 @dataclass(frozen=True)
@@ -185,7 +188,7 @@ class ModelSettings:
     """``fit`` recovers albedo and roughness, ``known`` takes the scene's own and trains no material."""
     tracer: str = "embree"
     """'embree', 'open3d' or 'warp'."""
-    seed: int = 0
+    seed: Seed = 0
     """Of every random decision of the training."""
 
     def for_batch(self, pixel_multiplier: int) -> ModelSettings:
@@ -205,6 +208,7 @@ class ModelSettings:
 
     def __post_init__(self) -> None:
         """Refuse settings that do not go together."""
+        checked(self)
         if self.materials == "known" and self.lighting.environment == "known" and not self.method.needs_field:
             raise InputError("model.materials: with known materials, known light and no radiance field nothing is left")
         if not self.method.reflects:
@@ -212,5 +216,5 @@ class ModelSettings:
         lhs = self.objective.lhs > 0 and self.method.needs_field
         if (self.objective.estimator != "two_pass" or lhs) and self.sampling.spp < 2:
             raise InputError("model.sampling.spp: leave_one_out and lhs need at least 2 samples per pixel")
-        if self.sampling.cached_spp < 0 or self.sampling.spp > self.sampling.cached_spp > 0:
+        if self.sampling.spp > self.sampling.cached_spp > 0:
             raise InputError("model.sampling.cached_spp: it must be at least model.sampling.spp, or 0")

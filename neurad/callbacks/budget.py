@@ -8,7 +8,7 @@ import lightning.pytorch as pl
 from lightning.pytorch.callbacks import Timer
 from lightning.pytorch.trainer.states import RunningStage
 
-from neurad.core.errors import InputError
+from neurad.core.ranges import Positive, checked
 
 if TYPE_CHECKING:
     from neurad.training.inverse import InverseRenderer
@@ -27,12 +27,11 @@ class TrainingBudget(Timer):
         InputError: ``seconds`` is not positive.
     """
 
-    def __init__(self, seconds: float) -> None:
-        if not seconds > 0:
-            raise InputError(f"TrainingBudget: {seconds} is not a positive number of seconds")
+    def __init__(self, seconds: Positive) -> None:
         super().__init__(duration=None, interval="step", verbose=False)
         self._duration = seconds
         self.seconds = seconds
+        checked(self)
         self._module: InverseRenderer | None = None
         self._begin: float | None = None
 

@@ -17,6 +17,7 @@ from lightning.pytorch.callbacks import Checkpoint
 from torch.optim import Optimizer
 
 from neurad.callbacks.run_folder import run_folder
+from neurad.core.ranges import NonNegative, checked
 from neurad.training.guard import NotFinite
 
 
@@ -32,9 +33,10 @@ class LastCheckpoint(Checkpoint):
         every_seconds: wall-clock seconds between two checkpoints.
     """
 
-    def __init__(self, every_seconds: float = 60.0) -> None:
+    def __init__(self, every_seconds: NonNegative = 60.0) -> None:
         super().__init__()
         self.every_seconds = every_seconds
+        checked(self)
         self._stepped = False
         self._stop_requested = False
         self._agreed = False

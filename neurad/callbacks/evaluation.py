@@ -14,6 +14,7 @@ from lightning.pytorch.loggers import TensorBoardLogger
 from neurad.callbacks import pictures
 from neurad.callbacks.run_folder import run_folder
 from neurad.callbacks.table import MetricsTable, curve_table, score_table
+from neurad.core.ranges import Count, CountOrZero, Fraction, checked
 from neurad.runtime import clock
 from neurad.runtime.files import write_text
 from neurad.training.schedule import fraction_done
@@ -43,12 +44,12 @@ class Evaluate(pl.Callback):
 
     def __init__(
         self,
-        fraction: float = 0.1,
-        every_n_steps: int | None = None,
-        spp: int = 4,
-        test_spp: int = 64,
-        pictures: int = 4,
-        log_every_n_steps: int = 50,
+        fraction: Fraction = 0.1,
+        every_n_steps: Count | None = None,
+        spp: Count = 4,
+        test_spp: Count = 64,
+        pictures: CountOrZero = 4,
+        log_every_n_steps: Count = 50,
     ) -> None:
         super().__init__()
         self.fraction = fraction
@@ -57,6 +58,7 @@ class Evaluate(pl.Callback):
         self.test_spp = test_spp
         self.pictures = pictures
         self.log_every_n_steps = log_every_n_steps
+        checked(self)
         self.last_scores: dict[str, float] = {}
         self._spent = 0.0
         self._last = 0.0

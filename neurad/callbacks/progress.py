@@ -9,6 +9,7 @@ import lightning.pytorch as pl
 from lightning.pytorch.callbacks import TQDMProgressBar
 from lightning.pytorch.callbacks.progress.tqdm_progress import Tqdm
 
+from neurad.core.ranges import NonNegative, checked
 from neurad.training.schedule import fraction_done
 
 if TYPE_CHECKING:
@@ -22,9 +23,10 @@ class Bar(TQDMProgressBar):
         refresh_seconds: at most one update of the line in this time.
     """
 
-    def __init__(self, refresh_seconds: float = 0.5) -> None:
+    def __init__(self, refresh_seconds: NonNegative = 0.5) -> None:
         super().__init__(refresh_rate=1, leave=True)
         self.refresh_seconds = refresh_seconds
+        checked(self)
         self._shown = 0.0
         self._begin = (0.0, 0, 0.0)
 

@@ -3,9 +3,10 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Literal
+from typing import Annotated, Literal
 
 from neurad.core.errors import InputError
+from neurad.core.ranges import Range, checked
 
 RADIANCE_INPUTS = {"direction": 3, "reflection": 3, "normal": 3, "faceforward": 3, "albedo": 3}
 """What a radiance field may read beside the position, each with its number of channels."""
@@ -17,26 +18,23 @@ DIFFUSE_INPUTS = ("faceforward",)
 class GridConfig:
     """Size of a multiresolution hash grid (Mueller et al. 2022). The paper's has 16 levels from 2 to 65536 cells."""
 
-    levels: int = 8
+    levels: Annotated[int, Range(1, 64)] = 8
     """Number of resolutions, growing geometrically."""
-    coarsest: int = 4
+    coarsest: Annotated[int, Range(1, 1 << 20)] = 4
     """Cells along the longest side of the scene at the first level."""
-    finest: int | None = 256
+    finest: Annotated[int, Range(1, 1 << 20)] | None = 256
     """Cells along the longest side of the scene at the last level; null: as fine as the photographs show the scene,
     cells as large as a pixel where the cameras are close."""
-    features: int = 2
+    features: Annotated[int, Range(1, 64)] = 2
     """Channels of a table entry; kernels exist for 2, other counts run in plain torch."""
-    log2_size: int = 17
+    log2_size: Annotated[int, Range(3, 24)] = 17
     """Levels of more than 2^log2_size vertices are hashed into so many entries."""
 
     def __post_init__(self) -> None:
         """Refuse sizes that no grid can have."""
-        if self.levels < 1 or self.features < 1:
-            raise InputError("grid: levels and features must be at least 1")
-        if not 1 <= self.coarsest <= (self.coarsest if self.finest is None else self.finest) <= 1 << 20:
-            raise InputError("grid: coarsest and finest must satisfy 1 <= coarsest <= finest <= 1048576")
-        if not 3 <= self.log2_size <= 24:
-            raise InputError("grid: log2_size must lie in 3 .. 24")
+        checked(self)
+        if self.finest is not None and self.coarsest > self.finest:
+            raise InputError(f"grid: coarsest ({self.coarsest}) must not be above finest ({self.finest})")
 
 
 @dataclass(frozen=True)
@@ -44,22 +42,19 @@ class FieldConfig:
     """Kind and size of a field: a hash grid and the network that reads it, or a dense grid of values alone."""
 
     grid: GridConfig = GridConfig()
-    width: int = 64
+    width: Annotated[int, Range(1, 1 << 14)] = 64
     """Neurons of a hidden layer."""
-    hidden_layers: int = 1
+    hidden_layers: Annotated[int, Range(0, 64)] = 1
     kind: Literal["hash", "dense"] = "hash"
     """``hash``: a hash grid and a network that reads it; ``dense``: a dense grid of values, without either."""
-    size: int = 256
+    size: Annotated[int, Range(2, 1 << 10)] = 256
     """Vertices along a side of a dense grid: 256 takes 604 MB for three channels with the moments of Adam."""
 
     def __post_init__(self) -> None:
         """Refuse sizes that no field can have."""
-        if self.width < 1 or self.hidden_layers < 0:
-            raise InputError("field: width must be at least 1 and hidden_layers at least 0")
+        checked(self)
         if self.kind not in ("hash", "dense"):
             raise InputError(f"field: kind '{self.kind}' is unknown, choose hash or dense")
-        if not 2 <= self.size <= 1024:
-            raise InputError("field: size of a dense grid must lie in 2 .. 1024")
 
 
 @dataclass(frozen=True)
@@ -77,7 +72,7 @@ class RadianceConfig(FieldConfig):
     """Size and inputs of a radiance field."""
 
     grid: GridConfig = GridConfig(finest=64, log2_size=15)
-    hidden_layers: int = 3
+    hidden_layers: Annotated[int, Range(0, 64)] = 3
     inputs: tuple[str, ...] | None = None
     """Read beside the position, any of: ``direction`` (wo), ``reflection`` (wo mirrored at the normal), ``normal``,
     ``faceforward`` (the normal on the viewer's side), ``albedo``. Without any given, ``direction``, ``normal`` and

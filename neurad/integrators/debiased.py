@@ -3,16 +3,20 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Annotated
 
 import torch
 from torch import Tensor
 
-from neurad.core.errors import InputError
+from neurad.core.ranges import Count, OpenFraction, PositiveFraction, Range, checked
 from neurad.core.records import Surface, SurfaceInteraction
 from neurad.core.rng import Stream
 from neurad.integrators.method import Method, RadianceEstimate, SceneModel
 from neurad.integrators.radiometric import field_radiance
 from neurad.integrators.walk import scatter, walk
+
+Exponent = Annotated[float, Range(0.0, 2.0, above=True, below=True)]
+"""Of a weight, in a probability to go on; from 2 on the variance is infinite."""
 
 
 @dataclass(frozen=True)
@@ -26,10 +30,14 @@ class Continuation:
         rr_prob: largest probability of a later one.
     """
 
-    k: int
-    first_prob: float
-    exponent: float
-    rr_prob: float
+    k: Count
+    first_prob: PositiveFraction
+    exponent: Exponent
+    rr_prob: OpenFraction
+
+    def __post_init__(self) -> None:
+        """Refuse numbers with which the variance is infinite."""
+        checked(self)
 
     def __call__(self, bounces: int, throughput: Tensor, weight: Tensor) -> Tensor | None:
         """Probability to go on [n]; None before the first term."""
@@ -66,18 +74,12 @@ class Debiased(Method):
 
     def __init__(
         self,
-        k: int = 1,
-        first_prob: float = 0.5,
-        exponent: float = 1.0,
-        rr_prob: float = 0.995,
+        k: Count = 1,
+        first_prob: PositiveFraction = 0.5,
+        exponent: Exponent = 1.0,
+        rr_prob: OpenFraction = 0.995,
         control_variate: bool = True,
     ) -> None:
-        if k < 1:
-            raise InputError("model.method (Debiased): k must be at least 1")
-        if not 0.0 < first_prob <= 1.0 or not 0.0 < rr_prob < 1.0:
-            raise InputError("model.method (Debiased): first_prob must lie in (0, 1] and rr_prob in (0, 1)")
-        if not 0.0 < exponent < 2.0:
-            raise InputError("model.method (Debiased): exponent must lie in (0, 2), or the variance is infinite")
         self.k = k
         self.control_variate = control_variate
         self.continuation = Continuation(k, first_prob, exponent, rr_prob)

@@ -6,6 +6,7 @@ import torch
 from torch import Tensor
 
 from neurad.core.errors import InputError
+from neurad.core.ranges import Count, PositiveFraction, checked
 from neurad.core.records import Surface, SurfaceInteraction
 from neurad.core.rng import Stream
 from neurad.integrators.method import Method, RadianceEstimate, SceneModel
@@ -32,18 +33,18 @@ class PathTracing(Method):
     needs_field = False
 
     def __init__(
-        self, max_depth: int | None = 16, rr_depth: int = 5, rr_prob: float = 0.95, control_variate: bool = True
+        self,
+        max_depth: Count | None = 16,
+        rr_depth: Count = 5,
+        rr_prob: PositiveFraction = 0.95,
+        control_variate: bool = True,
     ) -> None:
-        name = f"model.method ({type(self).__name__})"
-        if max_depth is not None and max_depth < 1:
-            raise InputError(f"{name}: max_depth must be at least 1, or null for no cap")
-        if rr_depth < 1:
-            raise InputError(f"{name}: rr_depth must be at least 1")
-        if not 0.0 < rr_prob <= 1.0 or (rr_prob == 1.0 and max_depth is None):
-            raise InputError(f"{name}: rr_prob must lie in (0, 1], and below 1 where max_depth caps no path")
+        if rr_prob == 1.0 and max_depth is None:
+            raise InputError(f"model.method ({type(self).__name__}): rr_prob 1 and no max_depth would end no path")
         self.max_depth = max_depth
         self.roulette = Roulette(rr_depth, rr_prob)
         self.control_variate = control_variate
+        checked(self)
 
     @property
     def reflects(self) -> bool:

@@ -7,8 +7,8 @@ from dataclasses import replace
 import torch
 from torch import Tensor
 
-from neurad.core.errors import InputError
 from neurad.core.protocols import Materials
+from neurad.core.ranges import Count, checked
 from neurad.core.records import Surface, SurfaceInteraction
 from neurad.core.rng import Stream
 from neurad.integrators.method import Method, RadianceEstimate, ReflectedRadiance, SceneModel, query_radiance
@@ -26,11 +26,10 @@ class Radiometric(Method):
         InputError: there is no such k.
     """
 
-    def __init__(self, k: int = 1, control_variate: bool = True) -> None:
-        if k < 1:
-            raise InputError("model.method (Radiometric): k must be at least 1")
+    def __init__(self, k: Count = 1, control_variate: bool = True) -> None:
         self.k = k
         self.control_variate = control_variate
+        checked(self)
 
     def reflected(
         self, scene: SceneModel, si: SurfaceInteraction, surface: Surface, u: Tensor, stream: Stream

@@ -10,6 +10,7 @@ import torch
 from torch import Tensor
 
 from neurad.core.protocols import Materials
+from neurad.core.ranges import Count, PositiveFraction, checked
 from neurad.core.records import Surface, SurfaceInteraction
 from neurad.core.rng import Stream
 from neurad.integrators.bounce import bounce
@@ -29,8 +30,12 @@ class Roulette:
         rr_prob: largest probability to go on.
     """
 
-    rr_depth: int = 5
-    rr_prob: float = 0.95
+    rr_depth: Count = 5
+    rr_prob: PositiveFraction = 0.95
+
+    def __post_init__(self) -> None:
+        """Refuse numbers that end no path, or every one before it begins."""
+        checked(self)
 
     def __call__(self, bounces: int, throughput: Tensor, weight: Tensor) -> Tensor | None:
         """Probability to go on [n]; None before ``rr_depth``."""

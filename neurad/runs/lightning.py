@@ -18,12 +18,16 @@ from omegaconf import DictConfig, OmegaConf
 
 from neurad.callbacks import Bar, Evaluate, LastCheckpoint, RunFolder, RunLogger
 from neurad.core.errors import InputError
+from neurad.core.ranges import hints
 from neurad.runs.checkpoints import RUNS, newest_checkpoint, read_checkpoint, run_folder_of
 from neurad.runs.configs import load_config, only_trusted_classes, overlay, resolve, split_arguments
 from neurad.runs.messages import setting_error, silence_lightning
+from neurad.runs.trainer_settings import complaints
 
 SHARED_KEYS = ("seed_everything", "trainer", "model", "data", "evaluation", "checkpoint", "bar")
 """Parts of a config that every verb understands."""
+CALLBACKS: dict[str, type[pl.Callback]] = {"evaluation": Evaluate, "checkpoint": LastCheckpoint, "bar": Bar}
+"""Callbacks that every run has, by the key of their settings."""
 
 
 def run(verb: str, args: Sequence[str], model: type[pl.LightningModule], data: type[pl.LightningDataModule]) -> None:
@@ -147,15 +151,18 @@ class NeuradCLI(LightningCLI):
         return super().init_parser(**kwargs, exit_on_error=False, allow_abbrev=False)
 
     def parse_arguments(self, parser: LightningArgumentParser, args: Any) -> None:
-        """Parse what :func:`run` prepared, whatever ``sys.argv`` says."""
+        """Parse what :func:`run` prepared, whatever ``sys.argv`` says, and check the ranges of all numbers."""
         self.known += [action.dest for action in self._subcommand_parsers[self.verb]._actions]
         self.config = parser.parse_args(args)
+        owners: dict[str, Any] = {"model": self._model_class, "data": self._datamodule_class, **CALLBACKS}
+        groups = {name: hints(owner) for name, owner in owners.items()}
+        for key, text in complaints(self.config[self.verb].as_dict(), groups):
+            raise ArgumentError(None, f'Parser key "{key}": {text}')
 
     def add_arguments_to_parser(self, parser: LightningArgumentParser) -> None:
         """The callbacks that every run has, under keys of their own."""
-        parser.add_lightning_class_args(Evaluate, "evaluation")
-        parser.add_lightning_class_args(LastCheckpoint, "checkpoint")
-        parser.add_lightning_class_args(Bar, "bar")
+        for name, callback in CALLBACKS.items():
+            parser.add_lightning_class_args(callback, name)
 
     def _parse_ckpt_path(self) -> None:
         """Nothing: the run's ``config.yaml`` is the lowest layer of the config already, below the user's settings;

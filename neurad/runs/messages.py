@@ -45,7 +45,7 @@ def setting_error(
     denied = re.search(r"Importing '[^']+' is not allowed", wrong[2])
     union = re.search(r"Does not validate against any of the Union subtypes.*Given value: (.*)", wrong[2])
     reason = denied[0] if denied else f"{union[1]} is not a valid value" if union else wrong[2]
-    return f"{_origin(wrong[1], names, values)}: {wrong[1]}: {reason}"
+    return _located(wrong[1], reason, names, values)
 
 
 def nearest(key: str, known: Iterable[str]) -> str | None:
@@ -66,6 +66,12 @@ def _unknown(key: str, names: Sequence[str], values: Mapping[str, str], known: I
     meant = nearest(key, known)
     hint = "" if meant is None else f", did you mean {meant}?"
     return f"{_origin(key, names, values)}: {key} is not a known setting{hint}"
+
+
+def _located(key: str, text: str, names: Sequence[str], values: Mapping[str, str]) -> str:
+    """A sentence about a setting: ``--data.patches: ...``, or ``config mine.yaml: data.patches: ...``."""
+    origin = _origin(key, names, values)
+    return f"--{key}: {text}" if origin == "command line" else f"{origin}: {key}: {text}"
 
 
 def _origin(key: str, names: Sequence[str], values: Mapping[str, str]) -> str:

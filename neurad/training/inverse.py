@@ -13,6 +13,7 @@ from neurad.assembly.settings import Lighting, ModelSettings, Objective, Optimiz
 from neurad.assembly.training_views import prepare_views
 from neurad.core.errors import InputError
 from neurad.core.protocols import PhotoSource
+from neurad.core.ranges import Seed
 from neurad.core.records import PixelBatch
 from neurad.emitters.fitted import FittedEnvironment
 from neurad.fields.radiance import RadianceField
@@ -75,7 +76,7 @@ class InverseRenderer(L.LightningModule):
         objective: Objective = Objective(),
         optimization: Optimization = Optimization(),
         tracer: str = "embree",
-        seed: int = 0,
+        seed: Seed = 0,
         method: Method | None = None,
         lighting: Lighting = Lighting(),
         materials: Literal["fit", "known"] = "fit",

@@ -340,7 +340,7 @@ def test_a_budget_counts_training_seconds(tiny, monkeypatch):
 def test_a_budget_must_be_positive():
     from neurad.callbacks.budget import TrainingBudget
 
-    with pytest.raises(InputError, match="positive"):
+    with pytest.raises(InputError, match="above 0"):
         TrainingBudget(0.0)
 
 

@@ -1,0 +1,87 @@
+"""Settings of Lightning's trainer: their ranges, and those that mean nothing here.
+
+Optimization is manual, iterations have no epochs, and evaluations keep a schedule of their own. An option that
+Lightning would ignore, or refuse by an exception, is one sentence instead.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from typing import Annotated, Any
+
+from neurad.core.ranges import Count, CountOrZero, Range, Seed, shown, violations
+
+RANGES: dict[str, Any] = {
+    "num_nodes": Count,
+    "fast_dev_run": CountOrZero,
+    "max_steps": Annotated[int, Range(-1, 2**62)],
+    "min_steps": CountOrZero | None,
+}
+"""Ranges of the trainer's numbers; -1 steps are no limit."""
+_EPOCHS = "a fit has no epochs, its length is --trainer.max_steps or --trainer.max_time"
+_ALL_VIEWS = "all held-out views are evaluated together"
+_EVALUATIONS = "evaluations follow --evaluation.every_n_steps and --evaluation.fraction"
+WITHOUT_EFFECT: dict[str, tuple[tuple[Any, ...], str]] = {
+    "accumulate_grad_batches": ((1,), "a larger batch is --data.patches"),
+    "gradient_clip_val": ((None,), "gradients are clipped by --model.optimization.clip"),
+    "gradient_clip_algorithm": ((None,), "gradients are clipped by --model.optimization.clip"),
+    "limit_train_batches": ((None, 1.0), _EPOCHS),
+    "limit_val_batches": ((None, 1.0), _ALL_VIEWS),
+    "limit_test_batches": ((None, 1.0), _ALL_VIEWS),
+    "limit_predict_batches": ((None, 1.0), _ALL_VIEWS),
+    "overfit_batches": ((0,), "few pixels are --data.patches"),
+    "val_check_interval": ((None, 1.0), _EVALUATIONS),
+    "check_val_every_n_epoch": ((None, 1), _EVALUATIONS),
+    "num_sanity_val_steps": ((None, 0), _EVALUATIONS),
+    "log_every_n_steps": ((None,), "losses are logged every --evaluation.log_every_n_steps"),
+    "max_epochs": ((None, -1), _EPOCHS),
+    "min_epochs": ((None, 0), _EPOCHS),
+    "reload_dataloaders_every_n_epochs": ((0,), _EPOCHS),
+    "sync_batchnorm": ((False,), "no network has batch normalisation"),
+    "barebones": ((False,), "a fit without evaluations is --evaluation.fraction 0"),
+}
+"""Options that do not fit: their values that change nothing, and what to take instead."""
+
+
+def complaints(settings: Mapping[str, Any], groups: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
+    """What is wrong with parsed settings though each has the right type: names, and why.
+
+    Args:
+        settings: the parsed tree of a verb.
+        groups: the classes whose settings stand under ``model``, ``data``, ``evaluation``, ...
+    """
+    yield from violations(settings.get("seed_everything"), Seed, "seed_everything")
+    if isinstance(settings.get("seed_everything"), bool):
+        yield "seed_everything", "it must be a whole number: runs can be repeated"
+    trainer = settings.get("trainer") or {}
+    for name, hint in RANGES.items():
+        value = trainer.get(name)
+        if not isinstance(value, bool):
+            yield from violations(value, hint, f"trainer.{name}")
+    if trainer.get("max_steps") == 0:
+        yield "trainer.max_steps", "0 is out of range, it must be at least 1, or -1 for no limit"
+    if not _are_devices(trainer.get("devices")):
+        yield "trainer.devices", f"{shown(trainer['devices'])} is neither a number of devices (at least 1) nor 'auto'"
+    for name, (harmless, instead) in WITHOUT_EFFECT.items():
+        value = trainer.get(name)
+        if name in trainer and value not in harmless:
+            yield f"trainer.{name}", f"it has no effect here, {instead}"
+    for callback in trainer.get("callbacks") or ():
+        yield from violations(callback, Any, "trainer.callbacks")
+    for name, owner in groups.items():
+        for key, hint in owner.items():
+            yield from violations((settings.get(name) or {}).get(key), hint, f"{name}.{key}")
+
+
+def _are_devices(value: Any) -> bool:
+    """Whether the trainer can count or list devices by a value: 2, "2", "auto", -1 (all there are), "0,1", [0, 1]."""
+    if value is None or value == "auto":
+        return True
+    words = value if isinstance(value, list) else str(value).strip().rstrip(",").split(",")
+    try:
+        numbers = [int(word) for word in words]
+    except ValueError:
+        return False
+    if isinstance(value, list) or "," in str(value):
+        return bool(numbers) and min(numbers) >= 0
+    return numbers[0] == -1 or 1 <= numbers[0] < 1 << 16
