@@ -14,7 +14,7 @@ from lightning.pytorch.loggers import TensorBoardLogger
 from neurad.callbacks import pictures
 from neurad.callbacks.run_folder import run_folder
 from neurad.callbacks.table import MetricsTable, curve_table, score_table
-from neurad.core.ranges import Count, CountOrZero, Fraction, checked
+from neurad.core.ranges import Count, CountOrZero, NonNegative, checked
 from neurad.runtime import clock
 from neurad.runtime.files import write_text
 from neurad.training.schedule import fraction_done
@@ -44,7 +44,7 @@ class Evaluate(pl.Callback):
 
     def __init__(
         self,
-        fraction: Fraction = 0.1,
+        fraction: NonNegative = 0.1,
         every_n_steps: Count | None = None,
         spp: Count = 4,
         test_spp: Count = 64,

@@ -5,6 +5,8 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
+from neurad.core.ranges import Count, CountOrZero, Positive, option
+
 EPILOG = """Settings of `neurad fit` such as --data.root DIR are passed on to every fit.
 
   neurad compare --config kitchen.yaml --methods ours,no_prior,direct,path,prb --budget 120
@@ -24,13 +26,19 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("runs", nargs="*", metavar="[NAME=]RUN", help="finished runs, or the folder of a report")
     parser.add_argument("--config", "-c", action="append", default=[], help="config of the scene; may be repeated")
     parser.add_argument("--methods", help="names of overlays in configs/methods, or YAML files, separated by commas")
-    parser.add_argument("--budget", type=float, help="training seconds of every fit, evaluations not counted")
-    parser.add_argument("--samples", type=float, help="path samples of every fit instead")
+    parser.add_argument(
+        "--budget", type=option(Positive), help="training seconds of every fit, evaluations not counted"
+    )
+    parser.add_argument("--samples", type=option(Positive), help="path samples of every fit instead")
     parser.add_argument("--seeds", default="0", help="seeds separated by commas; several give bands (default: 0)")
     parser.add_argument("--out", type=Path, default=Path("report"), help="folder of the report (default: report)")
     parser.add_argument("--overwrite", action="store_true", help="write over a report that is there")
-    parser.add_argument("--views", type=int, default=3, help="held-out views to show, 0 for none (default: 3)")
-    parser.add_argument("--view-spp", type=int, default=16, help="samples per pixel of the renders shown (default: 16)")
+    parser.add_argument(
+        "--views", type=option(CountOrZero), default=3, help="held-out views to show, 0 for none (default: 3)"
+    )
+    parser.add_argument(
+        "--view-spp", type=option(Count), default=16, help="samples per pixel of the renders shown (default: 16)"
+    )
     parser.add_argument(
         "--reach", default="20,22,24,26,28,30", help="albedo PSNRs in dB whose time is reported (default: %(default)s)"
     )

@@ -5,6 +5,8 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
+from neurad.core.ranges import Count, Positive, option
+
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options of the verb."""
@@ -17,13 +19,25 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="a method: path (default), prb, direct, radiometric, debiased. The last two are neural radiosity: a "
              "radiance field is trained first, then images/ shows the method, images_lhs/ the field itself",
     )  # fmt: skip
-    parser.add_argument("--steps", type=int, default=2000, help="training steps of the radiance field (default: 2000)")
-    parser.add_argument("--seconds", type=float, help="longest training of the radiance field (default: no limit)")
+    parser.add_argument(
+        "--steps", type=option(Count), default=2000, help="training steps of the radiance field (default: 2000)"
+    )
+    parser.add_argument(
+        "--seconds", type=option(Positive), help="longest training of the radiance field (default: no limit)"
+    )
     parser.add_argument("--views", choices=("train", "test", "all"), default="all", help="which views (default: all)")
-    parser.add_argument("--spp", type=int, default=256, help="samples per pixel of the pictures (default: 256)")
-    parser.add_argument("--map-spp", type=int, default=64, help="samples per pixel of the material maps (default: 64)")
-    parser.add_argument("--size", type=int, help="width of the pictures in pixels (default: that of the views)")
-    parser.add_argument("--max-depth", type=int, help="longest path, 2 is direct light (default: that of the scene)")
+    parser.add_argument(
+        "--spp", type=option(Count), default=256, help="samples per pixel of the pictures (default: 256)"
+    )
+    parser.add_argument(
+        "--map-spp", type=option(Count), default=64, help="samples per pixel of the material maps (default: 64)"
+    )
+    parser.add_argument(
+        "--size", type=option(Count), help="width of the pictures in pixels (default: that of the views)"
+    )
+    parser.add_argument(
+        "--max-depth", type=option(Count), help="longest path, 2 is direct light (default: that of the scene)"
+    )
     parser.add_argument("--tracer", default="embree", help="embree (default), open3d or warp")
     parser.add_argument("--overwrite", action="store_true", help="write over files that are there")
 

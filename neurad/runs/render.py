@@ -17,6 +17,7 @@ from neurad.assembly.build import build_world
 from neurad.core.camera import focal_length, resized
 from neurad.core.errors import InputError
 from neurad.core.protocols import Integrator
+from neurad.core.ranges import Count, Positive, checked
 from neurad.core.records import View
 from neurad.core.rng import mix
 from neurad.integrators.aov import MaterialMap
@@ -49,29 +50,26 @@ class RenderSettings:
     """Scene folder."""
     integrator: str = "path"
     """Name of a method, see :func:`method_names`."""
-    steps: int = 2000
+    steps: Count = 2000
     """Training steps of the radiance field, for methods that read one."""
-    seconds: float | None = None
+    seconds: Positive | None = None
     """Longest training of the radiance field."""
     views: str = "all"
     """'train', 'test' or 'all'."""
-    spp: int = 256
+    spp: Count = 256
     """Samples a pixel of the pictures."""
-    map_spp: int = 64
+    map_spp: Count = 64
     """Samples a pixel of the material maps."""
-    size: int | None = None
+    size: Count | None = None
     """Width of the pictures in pixels; None: that of the views."""
-    max_depth: int | None = None
+    max_depth: Count | None = None
     """Longest path; None: that of the scene."""
     tracer: str = "embree"
     overwrite: bool = False
 
     def __post_init__(self) -> None:
-        for name in ("spp", "map_spp", "steps"):
-            if getattr(self, name) < 1:
-                raise InputError(f"--{name.replace('_', '-')}: {getattr(self, name)} is not a positive number")
-        if self.seconds is not None and self.seconds <= 0:
-            raise InputError(f"--seconds: {self.seconds} is not a positive number")
+        """Refuse numbers outside their ranges."""
+        checked(self)
 
 
 def render_views(settings: RenderSettings) -> None:
@@ -86,8 +84,6 @@ def render_views(settings: RenderSettings) -> None:
     out = settings.out
     check_folder(out, "--out")
     method, paths = find_method(settings.integrator)
-    if settings.max_depth is not None and settings.max_depth < 1:
-        raise InputError(f"--max-depth: {settings.max_depth} is not a positive number")
     if settings.max_depth is not None and not paths:
         raise InputError(f"--max-depth: only paths have a depth, --integrator {settings.integrator} has none to choose")
     scene = load_scene(settings.root, settings.scene)

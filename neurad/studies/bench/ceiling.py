@@ -4,13 +4,17 @@ from __future__ import annotations
 
 import argparse
 
+from neurad.core.ranges import Positive, option
+
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
     from neurad.studies.bench.options import add_settings
 
     add_settings(parser)
-    parser.add_argument("--seconds", type=float, default=60.0, help="length of the fit, set-up left out (default: 60)")
+    parser.add_argument(
+        "--seconds", type=option(Positive), default=60.0, help="length of the fit, set-up left out (default: 60)"
+    )
 
 
 def run(options: argparse.Namespace) -> None:
@@ -29,7 +33,6 @@ def run(options: argparse.Namespace) -> None:
 
     from neurad.assembly.build import build_world
     from neurad.callbacks.table import score_table
-    from neurad.core.errors import InputError
     from neurad.integrators.method import SceneModel
     from neurad.integrators.path import PathTracing
     from neurad.metrics.held_out import HeldOut
@@ -40,8 +43,6 @@ def run(options: argparse.Namespace) -> None:
     from neurad.studies.bench.supervised import TrueMaps
     from neurad.training.evaluate import GLOSSY_SAMPLES
 
-    if options.seconds <= 0:
-        raise InputError(f"--seconds: {options.seconds} is not a positive time")
     trainer, module, data = prepare(options, 10**9)
     maps = TrueMaps()
     trainer.callbacks = [Timer({"seconds": options.seconds}), maps]  # type: ignore[attr-defined]

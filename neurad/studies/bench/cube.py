@@ -21,9 +21,10 @@ from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from statistics import median, quantiles
-from typing import Any
+from typing import Annotated, Any
 
 from neurad.core.errors import InputError
+from neurad.core.ranges import Count, OpenFraction, Positive, PositiveFraction, Range, option
 from neurad.runs import child
 
 ALBEDOS = (0.3, 0.5, 0.7, 0.9, 0.95, 0.97, 0.99)
@@ -41,27 +42,36 @@ WORKER = [*child.NEURAD, "bench", "cube-worker"]
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
-    parser.add_argument("--albedos", type=float, nargs="+", default=list(ALBEDOS), metavar="A", help="of the walls")
+    parser.add_argument(
+        "--albedos", type=option(OpenFraction), nargs="+", default=list(ALBEDOS), metavar="A", help="of the walls"
+    )
     parser.add_argument("--methods", default=",".join(METHODS), help="of ours, prb and path (AD-PT), with commas")
     parser.add_argument("--fields", default=",".join(FIELDS), help="hash (grids and networks), dense (grids), or both")
     parser.add_argument(
         "--peer", action="store_true",
         help="Mitsuba 3's prb (llvm_ad_rgb) too, in turns with ours on dense grids; takes 1.4 GB an albedo",
     )  # fmt: skip
-    parser.add_argument("--pixels", type=int, default=2048, help="pixels in a batch")
-    parser.add_argument("--spp", type=int, default=8, help="samples per pixel; at least 2")
+    parser.add_argument("--pixels", type=option(Count), default=2048, help="pixels in a batch")
     parser.add_argument(
-        "--field-fraction", type=float, default=0.25,
+        "--spp", type=option(Annotated[int, Range(2, 1 << 16)]), default=8, help="samples per pixel; at least 2"
+    )
+    parser.add_argument(
+        "--field-fraction", type=option(PositiveFraction), default=0.25,
         help="fraction of the positions at which the radiance field of ours learns, as model.sampling.field_fraction",
     )  # fmt: skip
-    parser.add_argument("--size", type=int, default=128, help="vertices along a side of the dense grids")
     parser.add_argument(
-        "--rr-prob", type=float, default=0.95,
+        "--size",
+        type=option(Annotated[int, Range(2, 1 << 10)]),
+        default=128,
+        help="vertices along a side of the dense grids",
+    )
+    parser.add_argument(
+        "--rr-prob", type=option(PositiveFraction), default=0.95,
         help="largest probability to go on; 1 lets paths at albedo a live 1 / (1 - a) bounces, as in the paper's table",
     )  # fmt: skip
-    parser.add_argument("--steps", type=int, default=9, help="steps behind a figure")
+    parser.add_argument("--steps", type=option(Count), default=9, help="steps behind a figure")
     parser.add_argument(
-        "--limit", type=float, default=10.0, help=f"seconds after which {LEAST} steps suffice for a figure"
+        "--limit", type=option(Positive), default=10.0, help=f"seconds after which {LEAST} steps suffice for a figure"
     )
     parser.add_argument("--device", default="cpu", help="cpu or cuda")
     parser.add_argument("--tracer", default=None, help="default: embree, on a GPU warp")
@@ -117,17 +127,6 @@ def _groups(options: argparse.Namespace) -> list[list[tuple[str, str]]]:
 
 
 def _check(options: argparse.Namespace) -> None:
-    for name in ("pixels", "steps"):
-        if getattr(options, name) < 1:
-            raise InputError(f"--{name}: {getattr(options, name)} is not a positive number")
-    if options.spp < 2:
-        raise InputError("--spp: leave-one-out residuals need at least 2")
-    if not 0.0 < options.field_fraction <= 1.0:
-        raise InputError(f"--field-fraction: {options.field_fraction:g} is not in (0, 1]")
-    if not 0.0 < options.rr_prob <= 1.0:
-        raise InputError(f"--rr-prob: {options.rr_prob:g} is not in (0, 1]")
-    if not all(0.0 < albedo < 1.0 for albedo in options.albedos):
-        raise InputError("--albedos: in a closed cube they must lie in (0, 1)")
     for name, known in (("methods", METHODS), ("fields", FIELDS)):
         for word in getattr(options, name).split(","):
             if word not in known:

@@ -5,6 +5,8 @@ from __future__ import annotations
 import argparse
 from typing import TYPE_CHECKING
 
+from neurad.core.ranges import Count, CountOrZero, Positive, option
+
 if TYPE_CHECKING:
     import torch
     from torch import Tensor, nn
@@ -14,15 +16,15 @@ if TYPE_CHECKING:
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
-    parser.add_argument("--points", type=int, default=1 << 14, help="positions in a batch")
-    parser.add_argument("--levels", type=int, default=8, help="levels of the hash grid")
-    parser.add_argument("--finest", type=int, default=256, help="cells along a side of its last level")
-    parser.add_argument("--log2_size", type=int, default=17, help="logarithm of the entries of a level")
-    parser.add_argument("--size", type=int, default=128, help="vertices along a side of the dense grid")
-    parser.add_argument("--width", type=int, default=64, help="neurons of a hidden layer")
-    parser.add_argument("--hidden_layers", type=int, default=3, help="hidden layers")
+    parser.add_argument("--points", type=option(Count), default=1 << 14, help="positions in a batch")
+    parser.add_argument("--levels", type=option(Count), default=8, help="levels of the hash grid")
+    parser.add_argument("--finest", type=option(Count), default=256, help="cells along a side of its last level")
+    parser.add_argument("--log2_size", type=option(Count), default=17, help="logarithm of the entries of a level")
+    parser.add_argument("--size", type=option(Count), default=128, help="vertices along a side of the dense grid")
+    parser.add_argument("--width", type=option(Count), default=64, help="neurons of a hidden layer")
+    parser.add_argument("--hidden_layers", type=option(CountOrZero), default=3, help="hidden layers")
     parser.add_argument("--device", default="auto", help="cpu, cuda or auto")
-    parser.add_argument("--seconds", type=float, default=0.5, help="time for each figure")
+    parser.add_argument("--seconds", type=option(Positive), default=0.5, help="time for each figure")
     parser.add_argument("--out", metavar="FILE.csv", help="write the table here too")
 
 
@@ -34,15 +36,12 @@ def run(options: argparse.Namespace) -> None:
     """
     import torch
 
-    from neurad.core.errors import InputError
     from neurad.fields.dense_grid import DenseGrid
     from neurad.fields.hash_grid import HashGrid
     from neurad.fields.mlp import MLP
     from neurad.fields.settings import FieldConfig, GridConfig
     from neurad.studies.bench.machine import bandwidth, describe, matrix_rate, pick_device, report
 
-    if options.points < 1:
-        raise InputError(f"--points: {options.points} is not a positive number")
     device = pick_device(options.device)
     coarsest = min(4, options.finest)
     config = GridConfig(options.levels, coarsest, options.finest, log2_size=options.log2_size)

@@ -14,7 +14,9 @@ from __future__ import annotations
 
 import argparse
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any
+
+from neurad.core.ranges import Count, CountOrZero, OpenFraction, Range, option
 
 if TYPE_CHECKING:
     from neurad.core.records import FloatArray
@@ -30,20 +32,44 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     where = parser.add_mutually_exclusive_group()
     where.add_argument("--scene", default=None, help="name of a built-in scene (default cornell)")
     where.add_argument("--root", default=None, metavar="DIR", help="a scene folder")
-    parser.add_argument("--view", type=int, default=0, help="index of the held-out view")
-    parser.add_argument("--size", type=int, default=32, help="width of the pictures in pixels")
-    parser.add_argument("--spp", type=int, default=8, help="paths per pixel in a batch")
-    parser.add_argument("--batches", type=int, default=16, help="independent estimates; errors come from their spread")
-    parser.add_argument("--reference", type=int, default=4, help="batches of the reference for each batch of a method")
+    parser.add_argument("--view", type=option(CountOrZero), default=0, help="index of the held-out view")
     parser.add_argument(
-        "--states", type=float, nargs="+", default=[0.2, 0.5, 0.8], metavar="R",
+        "--size", type=option(Annotated[int, Range(2, 1 << 14)]), default=32, help="width of the pictures in pixels"
+    )
+    parser.add_argument("--spp", type=option(Count), default=8, help="paths per pixel in a batch")
+    parser.add_argument(
+        "--batches",
+        type=option(Annotated[int, Range(3, 1 << 16)]),
+        default=16,
+        help="independent estimates; errors come from their spread",
+    )
+    parser.add_argument(
+        "--reference", type=option(Count), default=4, help="batches of the reference for each batch of a method"
+    )
+    parser.add_argument(
+        "--states", type=option(Annotated[float, Range(0.02, 1.0)]), nargs="+", default=[0.2, 0.5, 0.8], metavar="R",
         help="roughnesses, each as a state and as a target of the loss; pictures show the middle one",
     )  # fmt: skip
     parser.add_argument(
-        "--albedos", type=float, nargs="*", default=[0.5, 0.8, 0.95], metavar="A", help="of the integrating sphere"
+        "--albedos",
+        type=option(OpenFraction),
+        nargs="*",
+        default=[0.5, 0.8, 0.95],
+        metavar="A",
+        help="of the integrating sphere",
     )
-    parser.add_argument("--paths", type=int, default=48000, help="paths for each figure on the sphere")
-    parser.add_argument("--field_error", type=float, default=0.0, help="0.2 makes the radiance field 20 %% too bright")
+    parser.add_argument(
+        "--paths",
+        type=option(Annotated[int, Range(16, 1 << 31)]),
+        default=48000,
+        help="paths for each figure on the sphere",
+    )
+    parser.add_argument(
+        "--field_error",
+        type=option(Annotated[float, Range(-1.0, above=True)]),
+        default=0.0,
+        help="0.2 makes the radiance field 20 %% too bright",
+    )
     parser.add_argument("--tracer", default="embree", help="embree or open3d")
     parser.add_argument("--out", type=Path, default=Path("gradients"), help="folder to write (default: gradients)")
 
@@ -86,15 +112,8 @@ def run(options: argparse.Namespace) -> None:
 def _check(options: argparse.Namespace) -> None:
     from neurad.core.errors import InputError
 
-    for name, least in (("size", 2), ("spp", 1), ("batches", 3), ("reference", 1), ("paths", 16), ("view", 0)):
-        if getattr(options, name) < least:
-            raise InputError(f"--{name}: {getattr(options, name)} is below {least}")
-    if not all(0.02 <= state <= 1.0 for state in options.states) or len(set(options.states)) < len(options.states):
-        raise InputError("--states: roughnesses must differ and lie in 0.02 .. 1")
-    if not all(0.0 < albedo < 1.0 for albedo in options.albedos):
-        raise InputError("--albedos: on a closed sphere they must lie in (0, 1)")
-    if options.field_error <= -1.0:
-        raise InputError("--field_error: it must be above -1, or the field would be black")
+    if len(set(options.states)) < len(options.states):
+        raise InputError("--states: roughnesses must differ")
 
 
 def methods() -> dict[tuple[str, int | None], Method]:

@@ -5,6 +5,8 @@ from __future__ import annotations
 import argparse
 from typing import TYPE_CHECKING
 
+from neurad.core.ranges import Count, Positive, option
+
 if TYPE_CHECKING:
     from torch import Tensor
 
@@ -39,10 +41,16 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     add_settings(parser, "cornell.yaml")
     for name, values in CURVES.items():
         parser.add_argument(f"--{name}", default=values, help=f"values, separated by commas; '' for none ({values})")
-    parser.add_argument("--side", type=int, help="pixels along a side of a view (512 where views grow, else 128)")
-    parser.add_argument("--resident", type=int, default=8, help="photographs in memory where they are streamed")
+    parser.add_argument(
+        "--side", type=option(Count), help="pixels along a side of a view (512 where views grow, else 128)"
+    )
+    parser.add_argument(
+        "--resident", type=option(Count), default=8, help="photographs in memory where they are streamed"
+    )
     add_timing(parser, steps=30, warmup=10)
-    parser.add_argument("--memory", type=float, default=8.0, help="GiB; points that need more are not measured")
+    parser.add_argument(
+        "--memory", type=option(Positive), default=8.0, help="GiB; points that need more are not measured"
+    )
 
 
 def run(options: argparse.Namespace) -> None:

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import argparse
 
+from neurad.core.ranges import Count, CountOrZero, option
+
 
 def add_settings(parser: argparse.ArgumentParser, default: str = "kitchen.yaml") -> None:
     """Declare ``--config`` and ``--set``."""
@@ -18,7 +20,7 @@ def add_settings(parser: argparse.ArgumentParser, default: str = "kitchen.yaml")
 
 def add_timing(parser: argparse.ArgumentParser, steps: int, warmup: int) -> None:
     """Declare ``--steps`` and ``--warmup`` with these defaults, ``--device`` and ``--out``."""
-    parser.add_argument("--steps", type=int, default=steps, help="steps that count")
-    parser.add_argument("--warmup", type=int, default=warmup, help="steps before them")
+    parser.add_argument("--steps", type=option(Count), default=steps, help="steps that count")
+    parser.add_argument("--warmup", type=option(CountOrZero), default=warmup, help="steps before them")
     parser.add_argument("--device", default="auto", help="cpu, cuda or auto")
     parser.add_argument("--out", metavar="FILE.csv", help="write the table here too")

@@ -88,6 +88,8 @@ import sys
 from pathlib import Path
 from typing import Any
 
+from neurad.core.ranges import Positive, option, violations
+
 PEERS = ("grid", "network")
 UNTIL_STOPPED = "30:00:00:00"
 """A fit wants a limit; the timer replaces it."""
@@ -99,7 +101,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     source.add_argument("--scene", help="name of a built-in scene, such as kitchen")
     source.add_argument("--root", help="scene folder with scene.xml, transforms_*.json, images/ and albedo/")
     parser.add_argument(
-        "--budget", type=float, nargs="+", required=True, metavar="SECONDS",
+        "--budget", type=option(Positive), nargs="+", required=True, metavar="SECONDS",
         help="length of a run; with several, all run for each and the earliest time counts",
     )  # fmt: skip
     parser.add_argument("--out", type=Path, default=Path("peer"), help="folder to write (default: peer)")
@@ -127,8 +129,6 @@ def run(options: argparse.Namespace) -> None:
     from neurad.studies.peer.variant import load_mitsuba
 
     kinds = _kinds(options.peers)
-    if min(options.budget) <= 0:
-        raise InputError(f"--budget: {min(options.budget):g} is not a positive number of seconds")
     if not kinds and options.without_ours:
         raise InputError("--peers: none are left to run")
     if options.root is not None and not Path(options.root).is_dir():
@@ -216,6 +216,8 @@ def _settings(options: argparse.Namespace, kind: str, sizes: dict[str, Any]) -> 
             settings[name] = type(known[name])(value)
         except ValueError as error:
             raise InputError(f"--set {change}: {value} is not a {type(known[name]).__name__}") from error
+    for key, text in violations(settings, PeerSettings, "--set"):
+        raise InputError(f"{key}: {text}")
     return settings
 
 

@@ -131,16 +131,13 @@ def predict(runs: Sequence[Run], spp: int) -> list[Run]:
 
 
 def _check(options: argparse.Namespace) -> None:
-    """Refuse what is missing, and an amount that is not positive."""
+    """Refuse what is missing."""
     if not options.config:
         raise InputError("--config NAME.yaml is needed to fit, or the folders of finished runs")
     if not options.methods:
         raise InputError("--methods is needed: names of overlays in configs/methods, separated by commas")
     if (options.budget is None) == (options.samples is None):
         raise InputError("one of --budget SECONDS and --samples N is needed")
-    amount = options.budget if options.samples is None else options.samples
-    if not (amount > 0 and math.isfinite(amount)):
-        raise InputError(f"--{'budget' if options.samples is None else 'samples'}: {amount:g} is not a positive number")
 
 
 def _common(options: argparse.Namespace, name: str) -> list[str]:

@@ -28,8 +28,6 @@ def compare(options: argparse.Namespace) -> None:
         SystemExit: with 1 if a fit failed; the report then has the others.
     """
     reach = sorted(_numbers("--reach", options.reach))
-    if options.views < 0 or options.view_spp < 1:
-        raise InputError("--views and --view-spp: they have to be positive numbers")
     runs = finished_runs(options) if options.runs else fit_all(options)
     failed = [run for run in runs if run.message]
     if options.views:

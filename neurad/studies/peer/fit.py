@@ -6,13 +6,14 @@ import json
 from dataclasses import dataclass, field
 from functools import cache, partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import numpy as np
 import torch
 
 from neurad.core.errors import InputError
 from neurad.core.protocols import Tracer
+from neurad.core.ranges import Count, Fraction, NonNegative, Positive, Range, Seed, checked
 from neurad.core.records import FloatArray
 from neurad.fields.material import AlbedoField, RoughnessField
 from neurad.fields.settings import FieldConfig, GridConfig
@@ -40,50 +41,53 @@ WARMUP = 5
 COLUMNS = ("iteration", "seconds", "albedo_psnr", "roughness_psnr", "loss", "not_finite")
 
 
+Moment = Annotated[float, Range(0.0, 1.0, below=True)]
+"""Decay of a moment of Adam."""
+
+
 @dataclass
 class PeerSettings:
     """A run of the peer. The defaults are the best found; see :mod:`neurad.studies.bench.peer`."""
 
     kind: str
     """'grid' or 'network'."""
-    seconds: float
+    seconds: Positive
     """Length of the run, from the start of the process, evaluations left out."""
     out: str
     """CSV file to write."""
     root: str | None = None
     scene: str | None = None
-    max_steps: int | None = None
+    max_steps: Count | None = None
     """Ends the run earlier; for tests."""
-    resolution: int = 128
+    resolution: Annotated[int, Range(2, 1 << 10)] = 128
     """Voxels along the longest side of the scene."""
-    pixels: int = 4096
+    pixels: Count = 4096
     """In a batch."""
-    samples: int = 4
+    samples: Annotated[int, Range(2, 1 << 16)] = 4
     """Paths from each."""
-    max_depth: int = 20
-    rr_depth: int = 3
-    rate: float = 3e-2
+    max_depth: Annotated[int, Range(2, 1 << 16)] = 20
+    rr_depth: Count = 3
+    rate: NonNegative = 3e-2
     """Learning rate of albedo."""
-    roughness_rate: float = 1e-2
-    beta1: float = 0.9
-    beta2: float = 0.99
-    gain: float = 1.0
+    roughness_rate: NonNegative = 1e-2
+    beta1: Moment = 0.9
+    beta2: Moment = 0.99
+    gain: Positive = 1.0
     """Learning rate of a level of the pyramid over that of the next coarser one."""
-    final: float = 0.02
+    final: Fraction = 0.02
     """Fraction of the rates left at the end of the cosine."""
-    average: float = 0.0
+    average: Fraction = 0.0
     """Fraction of the iterations so far over which scored values are averaged, as in ``neurad fit``; 0 is none."""
     normaliser: str = "photograph"
-    epsilon: float = 0.01
-    seed: int = 0
+    epsilon: Positive = 0.01
+    seed: Seed = 0
     albedo: dict[str, Any] = field(default_factory=dict)
     """Sizes of the albedo network, as in a config's ``model.albedo``."""
     roughness: dict[str, Any] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         """Refuse what does not exist."""
-        if not 0.0 <= self.average <= 1.0:
-            raise InputError("bench peer: average must lie in 0 .. 1")
+        checked(self)
 
 
 BEST: dict[str, dict[str, Any]] = {
