@@ -11,6 +11,7 @@ import numpy as np
 from neurad.core.errors import InputError
 from neurad.core.records import EnvironmentMap, FloatArray, Material, Mesh, View
 from neurad.core.reflection import DiffuseModel, PrincipledModel, ReflectionModel
+from neurad.scene.numbers import RADIANCE, within
 
 
 @dataclass(frozen=True)
@@ -60,17 +61,22 @@ class Scene:
         """This scene, if light transport can be computed in it.
 
         Raises:
-            InputError: no triangle at all, a mesh without triangles, or nothing that emits light.
+            InputError: no triangle at all, a mesh without triangles, radiance that is no number to compute with, or
+                nothing that emits light.
         """
         if not self.meshes:
             raise InputError(f"scene {self.name}: it has no mesh")
         for mesh in self.meshes:
             if len(mesh.faces) == 0:
                 raise InputError(f"scene {self.name}: mesh {mesh.name} is empty, it has no triangle")
+            if mesh.radiance is not None:
+                within(mesh.radiance, f"scene {self.name}: the radiance of mesh {mesh.name}", 0.0, RADIANCE)
             if mesh.radiance is not None and self.materials[mesh.material].model.is_delta:
                 raise InputError(
                     f"scene {self.name}: mesh {mesh.name} emits light and is smooth, which is not supported"
                 )
+        if self.environment is not None:
+            within(self.environment.pixels, f"scene {self.name}: the radiance of its environment", 0.0, RADIANCE)
         features = self.features
         if not (features.has_area_lights or features.has_environment):
             raise InputError(f"scene {self.name}: it has no emitter, so every photograph would be black")

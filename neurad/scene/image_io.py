@@ -2,10 +2,9 @@
 
 from __future__ import annotations
 
-import os
-import threading
-from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+import math
+import warnings
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
@@ -15,9 +14,16 @@ import numpy.typing as npt
 from neurad.core.errors import InputError
 from neurad.core.records import FloatArray
 from neurad.runtime.files import replacing
+from neurad.runtime.reading import native, regular_file, shown
+from neurad.scene.numbers import PIXEL
+from neurad.scene.picture_headers import check_exr, check_size
 
 _HALF_MAX = 65504.0
 _ORDER = "RGBA"
+_ALPHA = 1.01  # coverage is at most 1, but for rounding and filters
+_FORMATS = ("PNG", "JPEG", "TIFF", "BMP", "TGA", "WEBP", "GIF", "PPM", "JPEG2000", "DDS", "PCX", "SGI", "ICO")
+"""What Pillow decodes itself: for others, such as EPS, it starts programs."""
+_ROWS = 1 << 22  # pixels that are decoded at once
 _DEPTH16 = ("I;16", "I;16L", "I;16B", "I")  # what Pillow calls a grey PNG of 16 bits; "I" in older versions
 
 
@@ -44,34 +50,14 @@ def read_exr(path: str | Path) -> FloatArray:
     """
     import OpenEXR
 
-    path = Path(path)
-    if not path.is_file():
-        raise InputError(f"{path}: there is no such file")
-    try:
+    path = regular_file(path)
+    check_exr(path)
+    with native(path, "it cannot be read as an EXR image"):
         # The name of the option that separates the channels changed between versions: accept both.
-        with _silent_stderr():
-            part = OpenEXR.File(str(path))
+        part = OpenEXR.File(str(path))
         header = part.header()
         found = {name: np.asarray(channel.pixels) for name, channel in part.channels().items()}
-    except (RuntimeError, ValueError, TypeError, OSError) as error:
-        raise InputError(f"{path}: it cannot be read as an EXR image") from error
-    return _displayed(_stacked(found, path), header)
-
-
-@contextmanager
-def _silent_stderr() -> Iterator[None]:
-    """Discard what OpenEXR's library writes to stderr about broken files: its exception says the same."""
-    if threading.current_thread() is not threading.main_thread():  # the main thread's own messages must not get lost
-        yield
-        return
-    kept = os.dup(2)
-    with open(os.devnull, "wb") as null:
-        os.dup2(null.fileno(), 2)
-    try:
-        yield
-    finally:
-        os.dup2(kept, 2)
-        os.close(kept)
+        return _displayed(_stacked(found, path), header)
 
 
 def _stacked(found: Mapping[str, Any], path: Path) -> FloatArray:
@@ -151,17 +137,30 @@ def read_photograph(path: str | Path) -> FloatArray:
     """A photograph: linear RGB or RGBA [h, w, 3 or 4], colour premultiplied by alpha.
 
     Raises:
-        InputError: missing or unreadable, other channels, or pixels that are not finite or negative.
+        InputError: missing or unreadable, other channels, pixels that are not finite, negative or beyond what can be
+            squared, or alpha above 1.
     """
     pixels = read_exr(path)
     if pixels.shape[2] not in (3, 4):
-        raise InputError(f"{path}: a photograph has channels RGB or RGBA, this one has {pixels.shape[2]} in all")
-    low = float(pixels.min(initial=0.0))
-    if np.isnan(low) or not np.isfinite(pixels).all():
-        raise InputError(f"{path}: it has pixels that are NaN or infinite")
+        raise InputError(f"{shown(path)}: a photograph has channels RGB or RGBA, this one has {pixels.shape[2]} in all")
+    low, high = float(pixels.min(initial=0.0)), float(pixels.max(initial=0.0))  # both NaN if any pixel is
+    if not (math.isfinite(low) and math.isfinite(high)):
+        raise InputError(f"{shown(path)}: it has pixels that are NaN or infinite ({_share(~np.isfinite(pixels))})")
     if low < 0:
-        raise InputError(f"{path}: it has negative pixels (down to {low:.3g})")
+        raise InputError(f"{shown(path)}: it has negative pixels ({_share(pixels < 0)}, down to {low:.3g})")
+    if high > PIXEL:
+        raise InputError(
+            f"{shown(path)}: it has pixels above {PIXEL:g} ({_share(pixels > PIXEL)}, up to {high:.3g}), whose squares "
+            "leave 32 bits: scale the photographs and the lights"
+        )
+    if pixels.shape[2] == 4 and (alpha := float(pixels[..., 3].max(initial=0.0))) > _ALPHA:
+        raise InputError(f"{shown(path)}: its alpha is up to {alpha:.3g}, but means coverage, from 0 to 1")
     return pixels
+
+
+def _share(wrong: npt.NDArray[np.bool_]) -> str:
+    """How many pixels [h, w, c] are marked in any channel."""
+    return f"{int(wrong.any(-1).sum())} of {wrong.shape[0] * wrong.shape[1]}"
 
 
 def read_bitmap(path: str | Path, raw: bool = False) -> FloatArray:
@@ -173,26 +172,59 @@ def read_bitmap(path: str | Path, raw: bool = False) -> FloatArray:
     Raises:
         InputError: the file is missing or unreadable.
     """
-    from PIL import Image, UnidentifiedImageError
-
-    path = Path(path)
-    if not path.is_file():
-        raise InputError(f"{path}: there is no such texture file")
+    path = regular_file(path, "there is no such texture file")
     if path.suffix.lower() == ".exr":
         pixels = read_exr(path)
         return pixels[..., :3] if pixels.shape[2] > 1 else pixels
+    return _decoded(path, raw)
+
+
+def _decoded(path: Path, raw: bool) -> FloatArray:
+    """The linear values [h, w, 1 or 3] of a file that Pillow reads."""
+    said = "it cannot be read as an image"
+    with native(path, said), warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        image = _opened(path)
+    with image:
+        grey = image.mode in ("1", "L", "LA", "F", *_DEPTH16)
+        width, height = image.size
+        check_size(path, width, height, 12 if grey else 20, 4 if grey else 12)
+        with native(path, said), warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            image.load()
+            return _linear(image, raw)
+
+
+def _opened(path: Path) -> Any:
+    """The picture of a file, not yet decoded."""
+    from PIL import Image
+
+    limit = Image.MAX_IMAGE_PIXELS
+    Image.MAX_IMAGE_PIXELS = None  # large textures are honest; check_size looks at the memory
     try:
-        with Image.open(path) as image:
-            if image.mode in _DEPTH16:
-                value = np.asarray(image).astype(np.float32)[..., None] / 65535.0
-                return value if raw else from_srgb(value)
-            if image.mode == "F":
-                return np.asarray(image, np.float32)[..., None].copy()
-            grey = image.mode in ("1", "L", "LA")
-            coded = np.asarray(image.convert("L" if grey else "RGB"))
-    except (UnidentifiedImageError, OSError, ValueError) as error:
-        raise InputError(f"{path}: it cannot be read as an image") from error
+        return Image.open(path, formats=_FORMATS)
+    finally:
+        Image.MAX_IMAGE_PIXELS = limit
+
+
+def _linear(image: Any, raw: bool) -> FloatArray:
+    """Linear values [h, w, 1 or 3] of a picture of Pillow's, a strip after the other: together they would be many."""
+    width, height = image.size
+    grey = image.mode in ("1", "L", "LA")
     levels = np.arange(256, dtype=np.float32) / 255.0
     table = levels if raw else from_srgb(levels)
-    decoded: FloatArray = table[coded]
-    return decoded[..., None] if grey else decoded
+    out = np.empty((height, width, 1 if grey or image.mode in ("F", *_DEPTH16) else 3), np.float32)
+    rows = max(_ROWS // width, 1)
+    for top in range(0, height, rows):
+        strip = image.crop((0, top, width, min(top + rows, height)))
+        part = out[top : top + rows]
+        if image.mode in _DEPTH16:
+            value = np.asarray(strip).astype(np.float32)[..., None] / 65535.0
+            part[:] = value if raw else from_srgb(value)
+        elif image.mode == "F":
+            part[..., 0] = np.asarray(strip, np.float32)
+        elif grey:
+            part[..., 0] = table[np.asarray(strip.convert("L"))]
+        else:
+            part[:] = table[np.asarray(strip.convert("RGB"))]
+    return out

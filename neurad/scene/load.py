@@ -9,6 +9,8 @@ from typing import TypeVar
 
 from neurad.core.errors import InputError
 from neurad.core.records import View
+from neurad.runtime.reading import exists, regular_file
+from neurad.runtime.reading import folder as existing_folder
 from neurad.scene.description import Scene
 
 T = TypeVar("T")
@@ -63,14 +65,12 @@ def read_folder(root: str | Path) -> Scene:
     Raises:
         InputError: something is missing or wrong; the sentence names the file and the frame.
     """
-    folder = Path(root).expanduser().resolve()
-    if not folder.is_dir():
-        raise InputError(f"--data.root: there is no folder {root}")
+    folder = existing_folder(root, "--data.root")
     read_surfaces, read_cameras = _reader(SCENE_FILES, folder), _reader(CAMERA_FILES, folder)
     train, test = read_cameras(folder)
-    relight = str(folder / RELIGHT) if any(view.relight for view in test) else None
-    if relight is not None and not (folder / RELIGHT).is_file():
-        raise InputError(f"{relight}: the map is missing that lights the photographs named by relight_path")
+    relight = None
+    if any(view.relight for view in test):
+        relight = str(regular_file(folder / RELIGHT, "the map is missing that lights the photographs of relight_path"))
     return replace(read_surfaces(folder), name=folder.name, train=train, test=test, relight=relight)
 
 
@@ -81,7 +81,7 @@ def _reader(readers: dict[str, Callable[[Path], T]], folder: Path) -> Callable[[
         InputError: it has none of them.
     """
     for name, reader in readers.items():
-        if (folder / name).is_file():
+        if exists(folder / name):
             return reader
     first, *others = readers
     instead = f" (or {', '.join(others)})" if others else ""

@@ -29,6 +29,8 @@ from neurad.core.reflection import (
     RoughPlasticModel,
     UnsupportedModel,
 )
+from neurad.runtime.reading import native
+from neurad.scene.numbers import UNIT, number, within
 from neurad.scene.readers.mitsuba_textures import TextureReader, Unsupported
 
 _GREY = Constant(np.full(3, 0.5, np.float32))
@@ -43,6 +45,8 @@ _DELTA = ("conductor", "dielectric")
 """Smooth BSDFs, which a fit keeps: it follows paths through them."""
 _OPAQUE = ("plastic", "pplastic", "phong", "ward", "measured")
 """BSDFs that cannot be rendered, but let no light through."""
+_LARGE = 100.0
+"""Largest refractive index, and smallest one over it; those of materials are below 10."""
 _NORMALS = ("bumpmap", "normalmap")
 """What turns shading normals."""
 
@@ -112,12 +116,21 @@ class MaterialReader:
         described = self.materials[material]
         return {t.name for t in (described.albedo, described.roughness) if isinstance(t, VertexAttribute)}
 
+    def has_bitmaps(self, material: int) -> bool:
+        """Whether a material reads texture coordinates."""
+        described = self.materials[material]
+        return isinstance(described.albedo, Bitmap) or isinstance(described.roughness, Bitmap)
+
     def _material(self, node: Any, shape: str) -> Material:
         inner = node
         while inner.props.plugin_name() == "twosided" and len(inside := self._inside(inner)) == 1:
             inner = inside[0]
         name = node.props.id() or inner.props.id() or f"{inner.props.plugin_name()} {len(self.materials)}"
-        read = self._read(node, f"bsdf {name} of shape {shape}")
+        where = f"bsdf {name} of shape {shape}"
+        read = self._read(node, where)
+        for what, texture in (("reflectance", read.albedo), ("roughness", read.roughness)):
+            if isinstance(texture, Constant):  # those that follow from other parameters, too
+                within(texture.value, f"{self.path}: the {what} of {where}", 0.0, UNIT)
         return Material(name, read.model, read.albedo, read.roughness, read.two_sided)
 
     def _read(self, node: Any, where: str) -> _Read:
@@ -147,12 +160,13 @@ class MaterialReader:
             raise InputError(f"{self.path}: {where} sets spec_trans, which lets light through and is not supported")
         for key in props:
             known = ("base_color", "roughness", "metallic", "specular", "eta", *_IRRELEVANT)
-            if key not in known and self.textures.number(node, key, where, 0.0) != 0.0:
+            if key not in known and self.textures.number(node, key, where, 0.0, 0.0, _LARGE) != 0.0:
                 raise Unsupported(f"{self.path}: {where} sets {key}, which is not supported (leave it at 0)", key)
-        eta = self.textures.number(node, "eta", where, 1.5)
+        eta = self.textures.number(node, "eta", where, 1.5, 1.0, _LARGE)
         if "specular" in props:
-            eta = 2.0 / (1.0 - (0.08 * self.textures.number(node, "specular", where, 0.5)) ** 0.5) - 1.0
-        model = PrincipledModel(float(np.round(max(eta, 1.001), 6)), self.textures.number(node, "metallic", where, 0.0))
+            eta = 2.0 / (1.0 - (0.08 * self.textures.number(node, "specular", where, 0.5, 0.0, 1.0)) ** 0.5) - 1.0
+        metallic = self.textures.number(node, "metallic", where, 0.0, 0.0, 1.0)
+        model = PrincipledModel(float(np.round(max(eta, 1.001), 6)), metallic)
         albedo = self.textures.texture(node, "base_color", where, _GREY)
         return _Read(model, albedo, self.textures.texture(node, "roughness", where, _HALF, scalar=True))
 
@@ -173,7 +187,7 @@ class MaterialReader:
         for key in ("specular_reflectance", "specular_transmittance"):
             if described.get(key, 1.0) != 1.0:
                 raise InputError(f"{self.path}: {where} sets {key}, which is not supported")
-        eta = float(self.mi.traverse(self._load(described, where))["eta"])
+        eta = self._ratio(described, where)
         return _Read(DielectricModel(eta), _ONES, two_sided=True)
 
     def _rough_conductor(self, node: Any, where: str) -> _Read:
@@ -181,6 +195,8 @@ class MaterialReader:
         described = self._plain(node, where, but=("specular_reflectance",))
         loaded = self.mi.traverse(self._load(described, where))
         eta, k = (self._colour(loaded[f"{key}.value"]) for key in ("eta", "k"))
+        for key, value in (("eta", eta), ("k", k)):
+            within(value, f"{self.path}: the {key} of {where}", 0.0, _LARGE)
         model = RoughConductorModel(eta, k, alpha)
         if min(model.normal_reflectance) == 0.0:
             message = f"{self.path}: {where} has a refractive index of 1 in some colour, which reflects nothing"
@@ -196,7 +212,7 @@ class MaterialReader:
             message = f"{self.path}: the specular_reflectance of {where} is textured, which is not supported"
             raise Unsupported(message, "textured specular_reflectance")
         described = self._plain(node, where, but=("diffuse_reflectance", "specular_reflectance"))
-        eta = float(self.mi.traverse(self._load(described, where))["eta"])
+        eta = self._ratio(described, where)
         model = RoughPlasticModel(eta, alpha, self._colour(tint.value), bool(node.props.get("nonlinear", False)))
         return _Read(model, self.textures.texture(node, "diffuse_reflectance", where, _GREY), _root(alpha))
 
@@ -238,8 +254,8 @@ class MaterialReader:
         if distribution != "ggx":
             message = f"{self.path}: {where} has distribution {distribution}, of which only ggx is supported"
             raise Unsupported(message, f"distribution {distribution}")
-        one = self.textures.number(node, "alpha", where, 0.1)
-        u, v = (self.textures.number(node, key, where, one) for key in ("alpha_u", "alpha_v"))
+        one = self.textures.number(node, "alpha", where, 0.1, 0.0, 1.0)
+        u, v = (self.textures.number(node, key, where, one, 0.0, 1.0) for key in ("alpha_u", "alpha_v"))
         if u != v:
             message = f"{self.path}: {where} has alpha_u and alpha_v that differ, which is not supported"
             raise Unsupported(message, "alpha_u unlike alpha_v")
@@ -266,10 +282,16 @@ class MaterialReader:
             raise Unsupported(message, f"textured {texture}")
         return {"type": props.plugin_name(), **{key: props[key] for key in props if key not in but}}
 
+    def _ratio(self, described: dict[str, Any], where: str) -> float:
+        """The refractive index of a dielectric, inside over outside."""
+        eta = float(self.mi.traverse(self._load(described, where))["eta"])
+        return number(eta, f"{self.path}: the refractive index of {where}, inside over outside,", 1.0 / _LARGE, _LARGE)
+
     def _load(self, described: dict[str, Any], where: str) -> Any:
         try:
-            return self.mi.load_dict(described)
-        except (RuntimeError, TypeError) as error:
+            with native(self.path, ""):
+                return self.mi.load_dict(described)
+        except InputError as error:
             message = f"{self.path}: {where} has parameters that Mitsuba does not accept"
             raise Unsupported(message, "parameters that Mitsuba does not accept") from error
 

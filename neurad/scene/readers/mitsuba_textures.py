@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -10,13 +11,17 @@ import numpy as np
 from neurad.core.colour import LUMINANCE
 from neurad.core.errors import InputError
 from neurad.core.records import Bitmap, Constant, FloatArray, Texture, VertexAttribute
+from neurad.runtime.reading import native, regular_file, shown
 from neurad.scene.image_io import read_bitmap
+from neurad.scene.numbers import UNIT, number, within
+from neurad.scene.picture_headers import check_hdr, check_pfm
 
 _LUMINANCE = np.array(LUMINANCE, np.float32)  # Mitsuba's, for a scalar from a colour bitmap
 _BITMAP_DEFAULTS = {"filter_type": ("bilinear",), "wrap_mode": ("repeat",)}
 _BITMAP_KNOWN = ("filename", "raw", "to_uv", "format", "accel")
 _PLANE = (0, 1, 3)  # rows and columns of a transform of space that act on homogeneous uv
-_BY_MITSUBA = (".hdr", ".rgbe", ".pfm")
+_BY_MITSUBA = {".hdr": check_hdr, ".rgbe": check_hdr, ".pfm": check_pfm}
+_HEAD = 1 << 16  # bytes that have the header of a picture
 
 
 class Unsupported(InputError):
@@ -47,19 +52,27 @@ class TextureReader:
         self.nodes = nodes
         self._pixels: dict[tuple[str, bool], FloatArray] = {}
         self._scalar: dict[tuple[str, bool], FloatArray] = {}
+        self._checked: set[tuple[str, bool]] = set()
 
     def pixels(self, filename: str, raw: bool) -> FloatArray:
         """The linear pixels [h, w, 1 or 3] of an image file beside the scene file, read once."""
         key = (filename, raw)
         if key not in self._pixels:
             file = self.path.parent / filename
-            if file.suffix.lower() in _BY_MITSUBA and file.is_file():
-                bitmap = self.mi.Bitmap(str(file))
-                rgb = bitmap.convert(self.mi.Bitmap.PixelFormat.RGB, self.mi.Struct.Type.Float32, srgb_gamma=False)
-                self._pixels[key] = np.array(rgb, np.float32)
-            else:
-                self._pixels[key] = read_bitmap(file, raw)
+            check = _BY_MITSUBA.get(file.suffix.lower())
+            self._pixels[key] = read_bitmap(file, raw) if check is None else self._by_mitsuba(file, check)
         return self._pixels[key]
+
+    def _by_mitsuba(self, file: Path, check: Callable[[Path, bytes], None]) -> FloatArray:
+        """The linear pixels [h, w, 3] of a file that only Mitsuba reads."""
+        said = "it cannot be read as an image"
+        regular_file(file, "there is no such texture file")
+        with native(file, said), file.open("rb") as stream:
+            check(file, stream.read(_HEAD))
+        with native(file, said):
+            bitmap = self.mi.Bitmap(str(file))
+            rgb = bitmap.convert(self.mi.Bitmap.PixelFormat.RGB, self.mi.Struct.Type.Float32, srgb_gamma=False)
+            return np.array(rgb, np.float32)
 
     def references(self, node: Any) -> dict[str, Any]:
         """The nodes that a node refers to, by the name of the parameter."""
@@ -78,34 +91,40 @@ class TextureReader:
             return default
         if (referred := self.references(node).get(key)) is not None:
             return self._textured(referred, key, where, scalar)
-        if isinstance(props[key], int | float):  # a number is not clipped to [0, 1] as a reflectance spectrum is
-            return Constant(np.full(1 if scalar else 3, props[key], np.float32))
-        try:
+        said = f"the {key} of {where}"
+        if isinstance(props[key], int | float):
+            return Constant(
+                np.full(1 if scalar else 3, number(props[key], f"{self.path}: {said}", 0.0, 1.0), np.float32)
+            )
+        with native(self.path, f"{said} is not a colour in [0, 1]"):
             texture = props.get_texture(key)
-        except RuntimeError as error:
-            raise InputError(f"{self.path}: the {key} of {where} is not a colour in [0, 1]") from error
-        value = np.array(texture.eval(self.mi.SurfaceInteraction3f()), np.float32).reshape(-1) * np.ones(3, np.float32)
+            value = np.array(texture.eval(self.mi.SurfaceInteraction3f()), np.float32).reshape(-1)
+        within(value, f"{self.path}: {said}", 0.0, 1.0)
+        value = value * np.ones(3, np.float32)
         return Constant((value @ _LUMINANCE).reshape(1) if scalar else value)
 
-    def number(self, node: Any, key: str, where: str, default: float) -> float:
+    def number(self, node: Any, key: str, where: str, default: float, low: float, high: float) -> float:
         """The constant under ``key``.
 
         Raises:
+            InputError: it is outside of [low, high].
             Unsupported: it is textured.
         """
         value = node.props.get(key, default)
         if not isinstance(value, int | float):
             message = f"{self.path}: the {key} of {where} is textured, which is not supported"
             raise Unsupported(message, f"textured {key}")
-        return float(value)
+        return number(value, f"{self.path}: the {key} of {where}", low, high)
 
     def _textured(self, node: Any, key: str, where: str, scalar: bool) -> Texture:
         plugin, props = node.props.plugin_name(), node.props
         if plugin == "mesh_attribute":
-            if abs(float(props.get("scale", 1.0)) - 1.0) > 1e-6:
+            if props.get("scale", 1.0) not in (1, 1.0):
                 message = f"{self.path}: the {key} of {where} sets scale, which is not supported"
                 raise Unsupported(message, f"scaled {key}")
-            return VertexAttribute(str(props["name"]))
+            if not isinstance(props.get("name", None), str):
+                raise InputError(f"{self.path}: the mesh_attribute for {key} of {where} has no name")
+            return VertexAttribute(props["name"])
         if plugin != "bitmap":
             message = (
                 f"{self.path}: the {key} of {where} is a texture of type {plugin}; there are: bitmap, mesh_attribute"
@@ -115,13 +134,23 @@ class TextureReader:
             if name not in _BITMAP_KNOWN and props[name] not in _BITMAP_DEFAULTS.get(name, ()):
                 message = f"{self.path}: the bitmap for {key} of {where} sets {name}, which is not supported"
                 raise Unsupported(message, f"{name} of {key}")
-        if "filename" not in props:
-            raise InputError(f"{self.path}: the bitmap for {key} of {where} has no filename")
+        filename, raw = props.get("filename", None), props.get("raw", False)
+        if not isinstance(filename, str) or not isinstance(raw, bool):
+            raise InputError(
+                f"{self.path}: the bitmap for {key} of {where} has no filename, or a raw that is not a boolean"
+            )
         to_uv = np.eye(3, dtype=np.float32)
         if "to_uv" in props:
-            to_uv = np.array(props["to_uv"].matrix, np.float32)[np.ix_(_PLANE, _PLANE)]
-        file = (str(props["filename"]), bool(props.get("raw", False)))
-        return Bitmap(self._one_channel(*file) if scalar else self.pixels(*file), to_uv)
+            to_uv = np.array(getattr(props["to_uv"], "matrix", np.full((4, 4), np.nan)), np.float32)[
+                np.ix_(_PLANE, _PLANE)
+            ]
+            within(to_uv, f"{self.path}: the to_uv of the bitmap for {key} of {where}", -1e6, 1e6)
+        file = filename, raw
+        pixels = self._one_channel(*file) if scalar else self.pixels(*file)
+        if file not in self._checked:
+            within(pixels, f"{shown(self.path.parent / filename)}: reflectance", 0.0, UNIT)
+            self._checked.add(file)
+        return Bitmap(pixels, to_uv)
 
     def _one_channel(self, filename: str, raw: bool) -> FloatArray:
         key = (filename, raw)

@@ -17,13 +17,19 @@ import numpy as np
 
 from neurad.core.errors import InputError
 from neurad.core.records import EnvironmentMap, FloatArray, Mesh
+from neurad.runtime.reading import native, shown
 from neurad.scene.description import Scene
+from neurad.scene.numbers import LENGTH, RADIANCE, TEXEL, UNIT, number, within
+from neurad.scene.readers.mesh_check import check_mesh_file
 from neurad.scene.readers.mitsuba_materials import MaterialReader
+from neurad.scene.readers.xml_check import check_xml
 
 _MESHES = ("ply", "obj", "serialized", "rectangle", "cube")
+_IN_FILES = ("ply", "obj", "serialized")
 _CURVED = ("sphere", "disk", "cylinder")
 _NOISE = re.compile(r'\[[\w.]+(:\d+)?\] *|At dictionary node "\w+": |failed to instantiate \w+ plugin of type "\w+": ')
 _UNLIMITED = 2**31 - 1
+_RIGID = 1e-4  # largest deviation of an environment's axes from orthonormal ones
 _IGNORED = ("Sensor", "Integrator", "BSDF", "Texture", "Film", "Sampler", "ReconstructionFilter")
 
 
@@ -36,10 +42,14 @@ def read_xml(path: str | Path) -> Scene:
         InputError: the package or a file is missing, the XML is wrong, or the scene uses what neurad cannot render.
     """
     path = Path(path)
-    if not path.is_file():
-        raise InputError(f"{path}: there is no such scene file")
+    check_xml(path)
     with _scalar_rgb(path) as mi:
-        return _Reader(mi, path).scene()
+        try:
+            return _Reader(mi, path).scene()
+        except RecursionError as error:
+            raise InputError(f"{shown(path)}: its BSDFs refer to one another through too many others") from error
+        except UnicodeDecodeError as error:  # of names and values in encodings that are not declared
+            raise InputError(f"{shown(path)}: it has text that is not in the encoding it declares") from error
 
 
 @contextmanager
@@ -92,24 +102,28 @@ class _Reader:
 
     def _limits(self, props: Any) -> tuple[int, int]:
         """``max_depth`` and ``rr_depth`` of an integrator."""
-        max_depth, rr_depth = int(props.get("max_depth", -1)), int(props.get("rr_depth", 5))
+        max_depth, rr_depth = self._integer(props, "max_depth", -1), self._integer(props, "rr_depth", 5)
         if max_depth < -1 or max_depth == 0:
             raise InputError(
                 f"{self.path}: its integrator has max_depth {max_depth}, which must be at least 1, or -1 for no limit"
             )
         if rr_depth < 1:
             raise InputError(f"{self.path}: its integrator has rr_depth {rr_depth}, which must be at least 1")
-        return (_UNLIMITED if max_depth == -1 else max_depth), rr_depth
+        return (_UNLIMITED if max_depth == -1 else min(max_depth, _UNLIMITED)), min(rr_depth, _UNLIMITED)
+
+    def _integer(self, props: Any, key: str, default: int) -> int:
+        value = props.get(key, default)
+        if isinstance(value, bool) or not isinstance(value, int):
+            raise InputError(f"{self.path}: its integrator has {key} {shown(value)}, which is not an integer")
+        return value
 
     def _parse(self) -> Any:
         parser = self.mi.parser
         config = parser.ParserConfig("scalar_rgb")
-        try:
+        with native(self.path, _reason):
             state = parser.parse_file(config, str(self.path))
             parser.transform_upgrade(config, state)
             parser.transform_resolve(config, state)
-        except RuntimeError as error:
-            raise InputError(f"{self.path}: {_reason(error)}") from error
         return state.nodes
 
     def _children(self, node: Any) -> Iterator[tuple[str, Any]]:
@@ -127,6 +141,9 @@ class _Reader:
             raise InputError(f"{self.path}: shape {label} has type {plugin}; there are: {', '.join(_MESHES)}")
         bsdf, radiance = None, None
         for _, child in self._children(node):
+            kind = child.type.name
+            if (bsdf if kind == "BSDF" else radiance if kind == "Emitter" else None) is not None:
+                raise InputError(f"{self.path}: shape {label} has more than one {kind.lower()}")
             if child.type.name == "BSDF":
                 bsdf = child
             elif child.type.name == "Emitter":
@@ -145,15 +162,31 @@ class _Reader:
         for name in props:
             if props.type(name) != self.mi.Properties.Type.ResolvedReference:
                 described[name] = props[name]
-        if "filename" in described:
-            file = self.path.parent / described["filename"]
-            if not file.is_file():
-                raise InputError(f"{file}: the mesh of shape {label} in {self.path.name} is missing")
+        self._transform(props, f"shape {label}")
+        file, plugin = self.path, props.plugin_name()
+        if plugin in _IN_FILES:
+            file = self._file(props, f"shape {label}")
+            index = int(number(props.get("shape_index", 0), f"{self.path}: shape {label}: shape_index", 0, _UNLIMITED))
+            check_mesh_file(file, plugin, f"the mesh of shape {label} in {self.path.name} is missing", index)
             described["filename"] = str(file)
-        try:
+        with native(file, lambda error: f"shape {label}: {_reason(error)}"):
             return self.mi.load_dict(described)
-        except RuntimeError as error:
-            raise InputError(f"{described.get('filename', self.path)}: shape {label}: {_reason(error)}") from error
+
+    def _file(self, props: Any, where: str) -> Path:
+        """The file that an element names, relative to the scene file."""
+        name = props.get("filename", None)
+        if not isinstance(name, str) or not name:
+            raise InputError(f"{self.path}: {where} has no filename")
+        return self.path.parent / name
+
+    def _transform(self, props: Any, where: str) -> FloatArray:
+        """The ``to_world`` of an element [4, 4]."""
+        if "to_world" not in props:
+            return np.eye(4, dtype=np.float32)
+        matrix = np.array(getattr(props["to_world"], "matrix", np.nan), np.float64)
+        if matrix.shape != (4, 4) or not np.isfinite(matrix).all() or np.linalg.det(matrix[:3, :3]) == 0:
+            raise InputError(f"{self.path}: the to_world of {where} is not a transform that can be inverted")
+        return matrix.astype(np.float32)
 
     def _mesh(self, shape: Any, label: str, material: int, wanted: set[str], radiance: FloatArray | None) -> Mesh:
         count = shape.vertex_count()
@@ -164,8 +197,11 @@ class _Reader:
             normals = np.array(shape.vertex_normals_buffer(), np.float32).reshape(count, 3)
         if shape.has_vertex_texcoords():
             uvs = np.array(shape.vertex_texcoords_buffer(), np.float32).reshape(count, 2)
-        if not np.isfinite(vertices).all():
-            raise InputError(f"{self.path}: shape {label} has vertices that are NaN or infinite")
+        within(vertices, f"{self.path}: the world coordinates of shape {label}", -LENGTH, LENGTH)
+        if normals is not None and not np.isfinite(normals).all():  # as if the file had a zero normal there
+            normals[~np.isfinite(normals).all(-1)] = 0.0
+        if uvs is not None and self.materials.has_bitmaps(material):
+            within(uvs, f"{self.path}: the texture coordinates of shape {label}", -TEXEL, TEXEL)
         if len(faces) and int(faces.max()) >= count:
             raise InputError(f"{self.path}: shape {label} has triangles with vertices that do not exist")
         if shape.has_flipped_normals():
@@ -178,6 +214,7 @@ class _Reader:
             if not name.startswith("vertex_") or not shape.has_attribute(name):
                 raise InputError(f"{self.path}: shape {label} has no vertex attribute {name}")
             attributes[name] = np.array(shape.attribute_buffer(name), np.float32).reshape(count, -1)
+            within(attributes[name], f"{self.path}: the attribute {name} of shape {label}", 0.0, UNIT)
         return Mesh(label, vertices, faces, material, normals, uvs, attributes, radiance)
 
     def _radiance(self, node: Any, label: str) -> FloatArray:
@@ -187,11 +224,25 @@ class _Reader:
         for name, child in self._children(node):
             kind = child.props.plugin_name()
             raise InputError(f"{self.path}: the {name} of the emitter on shape {label} is a {kind}, not a constant")
-        return self._emission(node.props)
+        return self._emission(node.props, f"the area light of shape {label}")
 
-    def _emission(self, props: Any) -> FloatArray:
-        value = np.ones(3, np.float32) if "radiance" not in props else _evaluated(self.mi, props, "radiance")
-        return value
+    def _emission(self, props: Any, where: str, *others: str) -> FloatArray:
+        """The constant radiance [3] of an emitter that may have ``others`` among its parameters."""
+        self._only(props, where, ("radiance", "sampling_weight", *others))
+        if "radiance" not in props:
+            return np.ones(3, np.float32)
+        with native(self.path, f"the radiance of {where} is not a colour"):
+            texture = props.get_emissive_texture("radiance")
+            value = np.array(texture.eval(self.mi.SurfaceInteraction3f()), np.float32).reshape(-1)
+        within(value, f"{self.path}: the radiance of {where}", 0.0, RADIANCE)
+        return value * np.ones(3, np.float32)
+
+    def _only(self, props: Any, where: str, known: tuple[str, ...]) -> None:
+        """Check that an emitter has no other parameters: what is not read would change the light."""
+        if other := next((key for key in props if key not in known), None):
+            raise InputError(
+                f"{self.path}: {where} sets {other}, which is not supported; there are: {', '.join(known)}"
+            )
 
     def _emitter(self, node: Any) -> None:
         props = node.props
@@ -199,24 +250,28 @@ class _Reader:
         if self.environment is not None:
             raise InputError(f"{self.path}: it has more than one environment emitter")
         if plugin == "constant":
-            self.environment = EnvironmentMap(np.broadcast_to(self._emission(props), (2, 4, 3)).copy())
+            radiance = self._emission(props, "the constant emitter", "to_world")
+            self.environment = EnvironmentMap(np.broadcast_to(radiance, (2, 4, 3)).copy())
         elif plugin == "envmap":
-            if "filename" not in props:
-                raise InputError(f"{self.path}: its envmap has no filename")
-            pixels = self.materials.textures.pixels(props["filename"], raw=False)
-            if not np.isfinite(pixels).all() or pixels.min() < 0:
-                raise InputError(f"{self.path.parent / props['filename']}: it has negative, NaN or infinite pixels")
-            pixels = np.broadcast_to(pixels, (*pixels.shape[:2], 3)) * np.float32(props.get("scale", 1.0))
-            to_world = np.array(props["to_world"].matrix) if "to_world" in props else np.eye(4)
-            self.environment = EnvironmentMap(pixels.astype(np.float32), to_world.astype(np.float32))
+            self._only(props, "the envmap", ("filename", "scale", "to_world", "sampling_weight", "mis_compensation"))
+            self.environment = self._map(props)
         else:
             raise InputError(f"{self.path}: emitter of type {plugin} is not supported; use area, envmap or constant")
 
-
-def _evaluated(mi: Any, props: Any, name: str) -> FloatArray:
-    """An emission spectrum as linear RGB [3], in Mitsuba's reading."""
-    texture = props.get_emissive_texture(name)
-    return np.array(texture.eval(mi.SurfaceInteraction3f()), np.float32).reshape(-1) * np.ones(3, np.float32)
+    def _map(self, props: Any) -> EnvironmentMap:
+        """The lat-long map of an envmap, with its scale and turn."""
+        file, to_world = self._file(props, "the envmap"), self._transform(props, "the envmap")
+        pixels = self.materials.textures.pixels(props["filename"], raw=False)
+        scale = number(props.get("scale", 1.0), f"{self.path}: the scale of the envmap", 0.0, RADIANCE)
+        with np.errstate(over="ignore"):
+            scaled = np.broadcast_to(pixels, (*pixels.shape[:2], 3)) * np.float32(scale)
+        times = "" if scale == 1.0 else f" times the scale {scale:g} in {self.path.name}"
+        within(scaled, f"{file}: radiance{times}", 0.0, RADIANCE)
+        axes = to_world[:3, :3].astype(np.float64)
+        axes /= np.linalg.norm(axes, axis=0).mean()
+        if np.abs(axes.T @ axes - np.eye(3)).max() > _RIGID:
+            raise InputError(f"{self.path}: the to_world of the envmap has to be a rotation")
+        return EnvironmentMap(scaled.astype(np.float32), to_world)
 
 
 def _wound_like_normals(vertices: FloatArray, faces: np.ndarray, normals: FloatArray) -> np.ndarray:
@@ -227,7 +282,7 @@ def _wound_like_normals(vertices: FloatArray, faces: np.ndarray, normals: FloatA
     return np.where(opposed[:, None], faces[:, [0, 2, 1]], faces)
 
 
-def _reason(error: RuntimeError) -> str:
+def _reason(error: Exception) -> str:
     """Mitsuba's message in one line, without the places in its own source code."""
     text = _NOISE.sub("", " ".join(str(error).split()))
     return text.rstrip(".!") or "Mitsuba cannot read it"

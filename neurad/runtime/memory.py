@@ -1,0 +1,52 @@
+"""How much memory there is, asked before much of it is taken."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+from neurad.core.errors import InputError
+
+_LARGE = 1 << 30  # bytes from which on it is said what is taken
+_SYSTEM, _GROUP = Path("/proc/meminfo"), Path("/sys/fs/cgroup")
+
+
+def free_memory() -> int | None:
+    """Bytes that this process can still get, of the machine or of the group of processes it is in; None if unknown."""
+    found = [x for x in (_of_system(), _of_group()) if x is not None]
+    return min(found, default=None)
+
+
+def reserve(what: str, needed: int, kept: int) -> None:
+    """Say what a large file takes, before it is read.
+
+    Args:
+        what: file and size, the beginning of the sentence.
+        needed: bytes while it is read.
+        kept: bytes of these that stay taken.
+
+    Raises:
+        InputError: the machine does not have them.
+    """
+    if needed < _LARGE:
+        return
+    free = free_memory()
+    if free is not None and needed > free:
+        raise InputError(f"{what}: reading it takes {needed / 1e9:.3g} GB of memory, and {free / 1e9:.3g} GB are free")
+    print(f"neurad: {what}: it takes {kept / 1e9:.3g} GB of memory", file=sys.stderr)
+
+
+def _of_system() -> int | None:
+    try:
+        lines = _SYSTEM.read_text().splitlines()
+    except OSError:
+        return None
+    return next((int(line.split()[1]) << 10 for line in lines if line.startswith("MemAvailable:")), None)
+
+
+def _of_group() -> int | None:
+    try:
+        most, used = ((_GROUP / name).read_text().strip() for name in ("memory.max", "memory.current"))
+    except OSError:
+        return None
+    return int(most) - int(used) if most.isdecimal() and used.isdecimal() else None
