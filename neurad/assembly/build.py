@@ -10,13 +10,14 @@ import torch
 from torch import Tensor, nn
 
 from neurad.assembly.lighting import fitted_environment, unknown_environment
+from neurad.assembly.region import Region, training_region
 from neurad.assembly.resolution import finest_cells, resolve_finest
 from neurad.assembly.settings import ModelSettings
 from neurad.bsdf.table import make_bsdf
 from neurad.core.protocols import Field
 from neurad.core.records import Surface, SurfaceInteraction
 from neurad.emitters.fitted import FittedEnvironment
-from neurad.emitters.lights import make_lights
+from neurad.emitters.lights import Lights, make_lights
 from neurad.fields.material import AlbedoField, RoughnessField
 from neurad.fields.radiance import RadianceField
 from neurad.fields.settings import FieldConfig, RadianceConfig
@@ -66,6 +67,12 @@ def build_world(
     )
 
 
+def adapt(world: World, region: Region) -> None:
+    """Choose between area lights and environment by what the region gets of them, not by what lies around it."""
+    if region.contracted and isinstance(world.lights, Lights):
+        world.lights.radius = region.radius
+
+
 class FittedMaterials(nn.Module):
     """Materials read from fields.
 
@@ -89,38 +96,50 @@ class FittedMaterials(nn.Module):
 
 
 def build_materials(
-    scene: Scene, albedo: FieldConfig, roughness: FieldConfig, geometry: Geometry | None = None
+    scene: Scene,
+    albedo: FieldConfig,
+    roughness: FieldConfig,
+    geometry: Geometry | None = None,
+    region: Region | None = None,
 ) -> FittedMaterials:
     """Fields for albedo and, where the scene is not Lambertian, roughness.
 
     With the scene's ``geometry`` emitting surfaces keep the albedo and roughness of the scene file: these are part of
     the light, and photographs do not show them. They are shaded by the fitted model (principled, or diffuse in a
-    Lambertian scene) like every recovered surface, whatever model the file gives them.
+    Lambertian scene) like every recovered surface, whatever model the file gives them. The grids span ``region``, by
+    default all triangles.
     """
-    bounds = torch.from_numpy(scene.bounds)
+    region = region or Region(scene.bounds)
+    bounds = torch.from_numpy(region.bounds)
     on_lamps: list[OnEmitters | None] = [None, None]
     if geometry is not None and scene.features.has_area_lights:
         textures = ([m.albedo for m in scene.materials], 3), ([m.roughness for m in scene.materials], 1)
         on_lamps = [OnEmitters(*texture, geometry) for texture in textures]
     return FittedMaterials(
-        AlbedoField(albedo, bounds, on_lamps[0]),
-        None if scene.features.is_diffuse else RoughnessField(roughness, bounds, on_lamps[1]),
+        AlbedoField(region.stretched(albedo), bounds, on_lamps[0], region.contracted),
+        None
+        if scene.features.is_diffuse
+        else RoughnessField(region.stretched(roughness), bounds, on_lamps[1], region.contracted),
     )
 
 
-def build_radiance(scene: Scene, config: RadianceConfig) -> RadianceField:
-    """The radiance field, its units still those of the scene: set ``scale`` once the photographs are known."""
-    return RadianceField(config.resolved(scene.features.is_diffuse), torch.from_numpy(scene.bounds))
+def build_radiance(scene: Scene, config: RadianceConfig, region: Region | None = None) -> RadianceField:
+    """The radiance field, its units still those of the scene: set ``scale`` once the photographs are known. Its grid
+    spans ``region``, by default all triangles.
+    """
+    region = region or Region(scene.bounds)
+    config = region.stretched(config.resolved(scene.features.is_diffuse))
+    return RadianceField(config, torch.from_numpy(region.bounds), contracted=region.contracted)
 
 
-def make_guide(scene: Scene, cells: int, method: Method) -> Guide | None:
-    """A guide with ``cells`` cells along the scene's longest side.
+def make_guide(scene: Scene, cells: int, method: Method, region: Region) -> Guide | None:
+    """A guide with ``cells`` cells along the longest side of the region; what lies outside shares its outermost cells.
 
     None for 0 cells, for a method whose samples come without the radiance that arrived, and for a diffuse scene.
     """
     if cells == 0 or not method.estimates_Li or scene.features.is_diffuse:
         return None
-    return Guide(torch.from_numpy(scene.bounds), cells)
+    return Guide(torch.from_numpy(region.bounds), cells)
 
 
 @dataclass(frozen=True)
@@ -135,6 +154,8 @@ class Assembly:
     """None for a method that reads none."""
     average: PolyakAverage | None
     """Averages of the materials' parameters; None where they are known or no average is wanted."""
+    region: Region
+    """What the grids of fields and guide resolve."""
 
     @property
     def environment(self) -> FittedEnvironment | None:
@@ -179,17 +200,20 @@ def assemble(
         scene, settings.tracer, hide_environment, unknown_environment(scene, settings.lighting),
         sampling.specular_fraction,
     )  # fmt: skip
-    world.guide = make_guide(scene, sampling.guide, settings.method)
-    cells = cache(partial(finest_cells, world.tracer.tracer, scene, device))  # not counted: these rays train nothing
+    region = training_region(world, scene, device)
+    adapt(world, region)
+    world.guide = make_guide(scene, sampling.guide, settings.method, region)
+    # Not counted: these rays train nothing.
+    cells = cache(partial(finest_cells, world.tracer.tracer, scene, device, region))
     materials: FittedMaterials | TrueMaterials
     average = None
     if settings.materials == "known":
         materials = TrueMaterials(scene, world.geometry)
     else:
         albedo, roughness = resolve_finest(settings.albedo, cells), resolve_finest(settings.roughness, cells)
-        materials = build_materials(scene, albedo, roughness, world.geometry if known_emitters else None)
+        materials = build_materials(scene, albedo, roughness, world.geometry if known_emitters else None, region)
         if optimization.average > 0:
             average = PolyakAverage(materials, optimization.average)
     needs_field = settings.method.needs_field
-    radiance = build_radiance(scene, resolve_finest(settings.radiance, cells)) if needs_field else None
-    return Assembly(scene, settings, world, materials, radiance, average)
+    radiance = build_radiance(scene, resolve_finest(settings.radiance, cells), region) if needs_field else None
+    return Assembly(scene, settings, world, materials, radiance, average, region)

@@ -9,12 +9,13 @@ from typing import TypeVar
 
 import torch
 
+from neurad.assembly.region import Region
 from neurad.core.camera import Cameras
 from neurad.core.protocols import Tracer
 from neurad.core.records import Rays
 from neurad.core.rng import Stream
-from neurad.fields.hash_grid import UnitCube
 from neurad.fields.settings import FieldConfig
+from neurad.fields.unit_cube import UnitCube
 from neurad.scene.description import Scene
 
 RAYS = 8192
@@ -33,8 +34,8 @@ def resolve_finest(config: Config, cells: Callable[[], int]) -> Config:
 
 
 @torch.no_grad()
-def finest_cells(tracer: Tracer, scene: Scene, device: torch.device | str = "cpu") -> int:
-    """Cells along the longest side of the scene, each as large as a pixel where the training views are close: a tenth
+def finest_cells(tracer: Tracer, scene: Scene, device: torch.device | str = "cpu", region: Region | None = None) -> int:
+    """Cells along the longest side of the region, each as large as a pixel where the training views are close: a tenth
     of what they show is closer. Finer cells would hold little but the photographs' noise.
 
     A pixel grows with the length of its ray. The figure is a power of the root of 2, so that nothing hangs on the last
@@ -44,6 +45,7 @@ def finest_cells(tracer: Tracer, scene: Scene, device: torch.device | str = "cpu
         tracer: casts the rays.
         scene: whose training views count.
         device: where rays are cast; they are drawn on the CPU, the same ones everywhere.
+        region: what the grids span; None: all triangles.
     """
     cameras = Cameras.of([view.camera for view in scene.train], "cpu")
     stream = Stream(0, 3)
@@ -54,6 +56,6 @@ def finest_cells(tracer: Tracer, scene: Scene, device: torch.device | str = "cpu
     if not bool(valid.any()):
         return 1
     pixel = (hit.t.cpu() * cameras.side[view])[valid]
-    side = 1.0 / float(UnitCube(torch.from_numpy(scene.bounds)).inverse_side)
+    side = 1.0 / float(UnitCube(torch.from_numpy((region or Region(scene.bounds)).bounds)).inverse_side)
     cells = side / max(float(pixel.quantile(CLOSER_FRACTION)), 1e-6 * side)
     return int(2.0 ** (0.5 * round(2.0 * math.log2(cells))) + 0.5)

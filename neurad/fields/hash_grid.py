@@ -9,7 +9,6 @@ from __future__ import annotations
 import math
 from typing import Any, Self
 
-import numpy as np
 import torch
 from torch import Tensor, nn
 from torch.nn.functional import embedding
@@ -17,47 +16,10 @@ from torch.nn.functional import embedding
 from neurad.fields.settings import GridConfig
 from neurad.fields.sparse import from_rows
 from neurad.runtime.dispatch import use_kernel
-from neurad.runtime.threads import GRAIN, split
+from neurad.runtime.threads import split
 
 PRIMES = (1, 2654435761, 805459861)
 """Factors of the spatial hash ``(x ^ y * 2654435761 ^ z * 805459861) mod size`` (Mueller et al., Eq. 4)."""
-MARGIN = 0.01
-"""Free space around the scene in the unit cube, as a fraction of its longest side."""
-
-
-class UnitCube(nn.Module):
-    """Maps scene positions into the unit cube, the longest side filling it: grid cells are cubes in the scene.
-
-    Args:
-        bounds: smallest and largest corner of the scene [2, 3].
-    """
-
-    low: Tensor
-    inverse_side: Tensor
-
-    def __init__(self, bounds: Tensor) -> None:
-        super().__init__()
-        side = float((bounds[1] - bounds[0]).max()) * (1.0 + 2.0 * MARGIN)
-        center = 0.5 * (bounds[0] + bounds[1]).double()
-        self.register_buffer("low", (center - 0.5 * side).float(), persistent=False)
-        self.register_buffer("inverse_side", torch.tensor(1.0 / max(side, 1e-30)), persistent=False)
-
-    def forward(self, p: Tensor) -> Tensor:
-        """Positions [n, 3] in [0, 1]^3, clamped, without gradient."""
-        p = p.detach()
-        return self._kernel(p) if use_kernel(True, p, self.low) else self.reference(p)
-
-    def _kernel(self, p: Tensor) -> Tensor:
-        from neurad.fields import hash_grid_kernels as kernels  # imported at first use: numba is slow to load
-
-        out = torch.empty_like(p, memory_format=torch.contiguous_format)
-        arrays = p.contiguous().numpy(), self.low.numpy(), np.float32(self.inverse_side.item()), out.numpy()
-        split(lambda low, high: kernels.unit_cube(*arrays, low, high), len(p), 4 * GRAIN)  # a lane costs little
-        return out
-
-    def reference(self, p: Tensor) -> Tensor:
-        """The same in plain torch, on any device."""
-        return ((p - self.low) * self.inverse_side).clamp_(0.0, 1.0)
 
 
 class HashGrid(nn.Module):

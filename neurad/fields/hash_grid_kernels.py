@@ -65,12 +65,19 @@ def _corners(x: Any, y: Any, z: Any, r: Any, stride: Any, mask: Any) -> tuple[An
 
 
 @kernel
-def unit_cube(p: Floats, corner: Floats, scale: Any, out: Floats, low: int, high: int) -> None:
-    """Fill ``out[low:high]`` with positions ``p`` [n, 3] in the unit cube that begins at ``corner`` [3], clamped."""
+def unit_cube(p: Floats, corner: Floats, scale: Any, shell: Any, out: Floats, low: int, high: int) -> None:
+    """Fill ``out[low:high]`` with positions ``p`` [n, 3] in the unit cube that begins at ``corner`` [3]: what lies
+    outside is contracted into a ``shell`` along its sides, or clamped for a shell of 0.
+    """
+    end, double, square = ONE - shell, shell + shell, shell * shell
     for i in range(low, high):
         for k in range(3):
             value = (p[i, k] - corner[k]) * scale
-            out[i, k] = ZERO if value < ZERO else ONE if value > ONE else value  # NaN stays NaN
+            if value < shell:
+                value = square / (double - value)
+            elif value > end:
+                value = ONE - square / (double - (ONE - value))
+            out[i, k] = value  # NaN stays NaN
 
 
 @kernel

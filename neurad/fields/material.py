@@ -6,9 +6,9 @@ import torch
 from torch import Tensor, nn
 
 from neurad.core.records import SurfaceInteraction
-from neurad.fields.hash_grid import UnitCube
 from neurad.fields.select import make_layers
 from neurad.fields.settings import FieldConfig, RoughnessConfig
+from neurad.fields.unit_cube import UnitCube
 from neurad.scene.textures import OnEmitters
 
 MIN_ROUGHNESS = 0.02
@@ -19,11 +19,11 @@ class _MaterialField(nn.Module):
     """Position -> hash grid -> network -> sigmoid, or position -> dense grid -> sigmoid. Values start near 0.5."""
 
     def __init__(
-        self, config: FieldConfig, bounds: Tensor, channels: int, extra: int = 0, known: OnEmitters | None = None
+        self, config: FieldConfig, cube: UnitCube, channels: int, extra: int = 0, known: OnEmitters | None = None
     ) -> None:
         super().__init__()
         self.known = known
-        self.cube = UnitCube(bounds)
+        self.cube = cube
         self.grid, self.mlp = make_layers(config, channels, extra)
 
     def _values(self, p: Tensor, *extra: Tensor) -> Tensor:
@@ -41,15 +41,18 @@ class AlbedoField(_MaterialField):
 
     Args:
         config: sizes of grid and network.
-        bounds: smallest and largest corner of the scene [2, 3].
+        bounds: smallest and largest corner of what is to be resolved [2, 3].
         known: the values on emitting surfaces, which replace the field's there; None for none.
+        contracted: whether what lies outside of the bounds is contracted, not clamped.
     """
 
-    def __init__(self, config: FieldConfig, bounds: Tensor, known: OnEmitters | None = None) -> None:
-        super().__init__(config, bounds, 3, known=known)
+    def __init__(
+        self, config: FieldConfig, bounds: Tensor, known: OnEmitters | None = None, contracted: bool = False
+    ) -> None:
+        super().__init__(config, UnitCube(bounds, contracted), 3, known=known)
 
     def at(self, p: Tensor) -> Tensor:
-        """Albedo [n, 3] at positions [n, 3]; outside the bounds, that of the nearest point of the cube."""
+        """Albedo [n, 3] at positions [n, 3]; outside the bounds as :class:`UnitCube` has it."""
         return self._values(p)
 
     def forward(self, si: SurfaceInteraction) -> Tensor:
@@ -62,17 +65,20 @@ class RoughnessField(_MaterialField):
 
     Args:
         config: sizes of grid and network, and whether the network reads the albedo.
-        bounds: smallest and largest corner of the scene [2, 3].
+        bounds: smallest and largest corner of what is to be resolved [2, 3].
         known: the values on emitting surfaces, which replace the field's there; None for none.
+        contracted: whether what lies outside of the bounds is contracted, not clamped.
     """
 
-    def __init__(self, config: FieldConfig, bounds: Tensor, known: OnEmitters | None = None) -> None:
+    def __init__(
+        self, config: FieldConfig, bounds: Tensor, known: OnEmitters | None = None, contracted: bool = False
+    ) -> None:
         reads_albedo = isinstance(config, RoughnessConfig) and config.reads_albedo and config.kind == "hash"
-        super().__init__(config, bounds, 1, 3 if reads_albedo else 0, known)
+        super().__init__(config, UnitCube(bounds, contracted), 1, 3 if reads_albedo else 0, known)
         self.reads_albedo = reads_albedo
 
     def at(self, p: Tensor, albedo: Tensor | None = None) -> Tensor:
-        """Roughness [n, 1] at positions [n, 3]; outside the bounds, that of the nearest point of the cube.
+        """Roughness [n, 1] at positions [n, 3]; outside the bounds as :class:`UnitCube` has it.
 
         Args:
             p: positions.

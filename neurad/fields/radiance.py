@@ -10,9 +10,9 @@ from torch.nn.functional import softplus
 
 from neurad.core.frame import faceforward
 from neurad.core.records import SurfaceInteraction
-from neurad.fields.hash_grid import UnitCube
 from neurad.fields.select import make_layers
 from neurad.fields.settings import RADIANCE_INPUTS, RadianceConfig
+from neurad.fields.unit_cube import UnitCube
 
 START = 0.2
 """Mean output at the start, in units of ``scale``."""
@@ -30,18 +30,19 @@ class RadianceField(nn.Module):
     Args:
         config: kind, sizes of grid and network, and the inputs beside the position; without inputs those of a scene
             with highlights.
-        bounds: smallest and largest corner of the scene [2, 3].
+        bounds: smallest and largest corner of what is to be resolved [2, 3].
         scale: typical training radiance; it is part of the checkpoint.
+        contracted: whether what lies outside of the bounds is contracted, not clamped.
     """
 
     scale: Tensor
 
-    def __init__(self, config: RadianceConfig, bounds: Tensor, scale: float = 1.0) -> None:
+    def __init__(self, config: RadianceConfig, bounds: Tensor, scale: float = 1.0, contracted: bool = False) -> None:
         super().__init__()
         config = config.resolved(diffuse=False)
         self.inputs = () if config.kind == "dense" or config.inputs is None else config.inputs
         self.reads_albedo = "albedo" in self.inputs
-        self.cube = UnitCube(bounds)
+        self.cube = UnitCube(bounds, contracted)
         self.grid, self.mlp = make_layers(config, 3, sum(RADIANCE_INPUTS[name] for name in self.inputs))
         self.register_buffer("scale", torch.tensor(float(scale)))
 

@@ -7,11 +7,19 @@ from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
+import numpy.typing as npt
 
 from neurad.core.errors import InputError
 from neurad.core.records import EnvironmentMap, FloatArray, Material, Mesh, View
 from neurad.core.reflection import DiffuseModel, PrincipledModel, ReflectionModel
 from neurad.scene.numbers import RADIANCE, within
+
+
+def is_used(mesh: Mesh) -> npt.NDArray[np.bool_]:
+    """Which vertices of a mesh belong to a triangle [v]."""
+    used = np.zeros(len(mesh.vertices), bool)
+    used[mesh.faces.ravel()] = True
+    return used
 
 
 @dataclass(frozen=True)
@@ -108,9 +116,10 @@ class Scene:
 
     @cached_property
     def bounds(self) -> FloatArray:
-        """Smallest and largest corner of the geometry [2, 3]."""
-        low = np.min([m.vertices.min(axis=0) for m in self.meshes], axis=0)
-        high = np.max([m.vertices.max(axis=0) for m in self.meshes], axis=0)
+        """Smallest and largest corner of the triangles [2, 3]; vertices that none of them uses do not count."""
+        used = [m.vertices[is_used(m)] for m in self.meshes]
+        low = np.min([vertices.min(axis=0) for vertices in used], axis=0)
+        high = np.max([vertices.max(axis=0) for vertices in used], axis=0)
         return np.stack((low, high)).astype(np.float32)
 
     @cached_property

@@ -7,6 +7,7 @@ import torch
 from torch import Tensor, nn
 
 from neurad.core.errors import InputError
+from neurad.core.extent import subsample, typical_extent
 from neurad.core.frame import dot
 from neurad.core.records import FloatArray, Hit, Mesh, Rays, SurfaceInteraction
 from neurad.runtime.dispatch import use_kernel
@@ -30,7 +31,8 @@ class Geometry(nn.Module):
         emission: emitted radiance to the side of the geometric normal [F, 3]; 0 where there is none.
         mesh_index: index into ``Scene.meshes`` [F], int64.
         face_offset: how far a spawned ray must start from the triangle [F], see :meth:`spawn`.
-        scale: radius of the bounding sphere in scene units.
+        scale: radius of the bounding sphere in scene units, without triangles that lie a thousand times farther out
+            than others.
     """
 
     vertices: Tensor
@@ -65,7 +67,7 @@ class Geometry(nn.Module):
         self._add("emission", np.repeat(radiance[: len(meshes)], count, axis=0), torch.float32)
 
         low, high = (p.min((0, 1)), p.max((0, 1))) if len(p) else (np.zeros(3), np.zeros(3))
-        self.scale = 0.5 * float(np.linalg.norm(high - low))
+        self.scale = typical_extent(0.5 * float(np.linalg.norm(high - low)), _distances(p))
         self._add("face_offset", _offsets(p, normal), torch.float32)
         corners = np.concatenate((p, _corner_normals(meshes, normal), _corner_uvs(meshes)), -1)  # [F, 3, 8]
         # value = base + (u du + v dv): one gather brings everything that an interaction needs.
@@ -211,6 +213,12 @@ def _normals(p: FloatArray) -> tuple[FloatArray, FloatArray]:
     flat = length == 0
     normal = np.where(flat[:, None], np.array([0.0, 0.0, 1.0]), cross / np.where(flat, 1.0, length)[:, None])
     return normal, 0.5 * length
+
+
+def _distances(p: FloatArray) -> FloatArray:
+    """Distances of some of the triangles [F, 3, 3] from their common middle."""
+    center = p[subsample(len(p))].mean(1)
+    return np.asarray(np.linalg.norm(center - np.median(center, 0), axis=-1)) if len(p) else np.zeros(0, np.float32)
 
 
 def _offsets(p: FloatArray, normal: FloatArray) -> FloatArray:

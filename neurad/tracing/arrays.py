@@ -10,6 +10,7 @@ import numpy.typing as npt
 import torch
 from torch import Tensor
 
+from neurad.core.extent import subsample, typical_extent
 from neurad.core.records import FloatArray, Hit, Rays
 
 
@@ -31,6 +32,15 @@ def no_hits(count: int, device: torch.device) -> Hit:
     return Hit(torch.full_like(zero, torch.inf), miss, zero, zero.clone(), miss >= 0)
 
 
+def coordinate_extent(vertices: Tensor, faces: Tensor) -> float:
+    """Largest coordinate of triangles [F, 3] with corners in ``vertices`` [V, 3], outliers left out."""
+    if len(faces) == 0:
+        return 0.0
+    sizes = vertices.detach().abs().amax(-1)
+    some = sizes[faces[subsample(len(faces))]]
+    return typical_extent(float(sizes.max()), some.cpu().double().numpy().ravel())
+
+
 def beyond_start(closest: Callable[[Rays], Hit], rays: Rays, hit: Hit, extent: float) -> Hit:
     """``hit`` with t > 0: Embree also reports t = 0, for a ray that starts exactly on a triangle.
 
@@ -41,7 +51,7 @@ def beyond_start(closest: Callable[[Rays], Hit], rays: Rays, hit: Hit, extent: f
         closest: casts rays, t >= 0.
         rays: what was cast.
         hit: what came of it.
-        extent: largest coordinate of the vertices; sets the smallest step.
+        extent: largest coordinate of the scene, see :func:`coordinate_extent`; sets the smallest step.
     """
     if len(hit) == 0 or hit.t.min() > 0:  # a miss is infinitely far away
         return hit

@@ -15,7 +15,7 @@ from torch import Tensor
 
 from neurad.core.records import Hit, Rays
 from neurad.runtime.threads import cut
-from neurad.tracing.arrays import as_floats, as_indices, beyond_start, no_hits
+from neurad.tracing.arrays import as_floats, as_indices, beyond_start, coordinate_extent, no_hits
 
 # Rays for each thread from which on handing a slice over is worth it, about 0.2 ms of work, and about as many as have
 # arrays that stay in the cache (measured on 330 k triangles).
@@ -42,7 +42,7 @@ class EmbreeTracer:
         """
         self.threads = threads or os.cpu_count() or 1
         self.empty = len(faces) == 0
-        self.extent = 0.0 if self.empty else float(vertices.detach().abs().max())
+        self.extent = coordinate_extent(vertices, faces)
         self._pool = ThreadPoolExecutor(self.threads - 1, "embree") if self.threads > 1 else None
         if self.empty:
             return

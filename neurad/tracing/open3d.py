@@ -8,7 +8,7 @@ from torch import Tensor
 
 from neurad.core.errors import InputError
 from neurad.core.records import Hit, Rays
-from neurad.tracing.arrays import as_floats, as_indices, beyond_start, no_hits
+from neurad.tracing.arrays import as_floats, as_indices, beyond_start, coordinate_extent, no_hits
 
 
 class Open3DTracer:
@@ -35,7 +35,7 @@ class Open3DTracer:
         self._core = open3d.core
         self.threads = threads or 0  # 0 means all cores
         self.empty = len(faces) == 0
-        self.extent = 0.0 if self.empty else float(vertices.detach().abs().max())
+        self.extent = coordinate_extent(vertices, faces)
         if self.empty:
             return
         points = as_floats(vertices)

@@ -9,7 +9,7 @@ from torch import Tensor
 
 from neurad.core.errors import InputError
 from neurad.core.records import Hit, Rays
-from neurad.tracing.arrays import beyond_start, no_hits
+from neurad.tracing.arrays import beyond_start, coordinate_extent, no_hits
 
 
 class WarpTracer:
@@ -51,7 +51,7 @@ class WarpTracer:
         self._corners = corners[self._prim].contiguous()
         self._meshes: dict[torch.device, tuple[Any, Any, Tensor]] = {}
         self.empty = len(self._prim) == 0
-        self.extent = 0.0 if self.empty else float(self._corners.abs().max())
+        self.extent = coordinate_extent(vertices, faces[self._prim])
 
     def closest(self, rays: Rays) -> Hit:
         """The nearest hit with t > 0 of every ray, dense [n], on the rays' device."""

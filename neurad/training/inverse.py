@@ -130,13 +130,14 @@ class InverseRenderer(L.LightningModule):
             made.average,
             made.radiance,
         )
+        self.region = made.region
         if self.trainer.world_size > 1:
             self._ddp_params_and_buffers_to_ignore = ddp_ignored(self)  # DDP's own name for it
 
     @property
     def assembly(self) -> Assembly:
         """The parts of the run."""
-        return Assembly(self.scene, self.settings, self.world, self.materials, self.radiance, self.average)
+        return Assembly(self.scene, self.settings, self.world, self.materials, self.radiance, self.average, self.region)
 
     @property
     def estimator(self) -> Estimator:
@@ -162,6 +163,8 @@ class InverseRenderer(L.LightningModule):
         begins = self.iteration == 0
         if self.settings.materials == "fit" and self.scene.replaced and self.trainer.is_global_zero:
             print(f"neurad: to be recovered as principled: {', '.join(self.scene.replaced)}", file=sys.stderr)
+        if self.trainer.is_global_zero and (left_out := self.region.sentence(self.scene)):
+            print(f"neurad: {left_out}", file=sys.stderr)
         with self.world.tracer.uncounted(not begins):  # a continued run counted its camera rays when it began
             views = prepare_views(self.assembly, self.photographs, self.device, check_brightness=begins)
         with excluded(), self.world.tracer.uncounted():

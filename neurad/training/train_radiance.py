@@ -11,6 +11,7 @@ import torch
 from torch import Tensor
 
 from neurad.assembly.build import Assembly, build_radiance, make_guide
+from neurad.assembly.region import training_region
 from neurad.assembly.settings import ModelSettings
 from neurad.core.camera import Cameras
 from neurad.core.protocols import Materials, PhotoSource
@@ -113,11 +114,12 @@ def radiance_run(
         objective=replace(settings.objective, lhs=0.0),
     )
     torch.manual_seed(settings.seed)
-    field = build_radiance(scene, settings.radiance)
-    world.guide = make_guide(scene, settings.sampling.guide, settings.method)
+    region = training_region(world, scene)
+    field = build_radiance(scene, settings.radiance, region)
+    world.guide = make_guide(scene, settings.sampling.guide, settings.method, region)
     mean_square = mean_square_reflected(world, materials, cameras, settings.seed)
     source = UnphotographedPixels(cameras, mean_square, pixels, settings.seed)
-    return TrainingRun(Assembly(scene, settings, world, materials, field, None), source, emitters_train=True)
+    return TrainingRun(Assembly(scene, settings, world, materials, field, None, region), source, emitters_train=True)
 
 
 def train_radiance(

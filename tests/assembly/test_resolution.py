@@ -10,8 +10,9 @@ import torch
 
 from neurad.assembly.build import build_world
 from neurad.assembly.resolution import finest_cells, resolve_finest
-from neurad.fields.hash_grid import MARGIN, HashGrid
+from neurad.fields.hash_grid import HashGrid
 from neurad.fields.settings import FieldConfig, GridConfig
+from neurad.fields.unit_cube import MARGIN
 from neurad.scene.builtin import build_cube
 from neurad.scene.description import Scene
 

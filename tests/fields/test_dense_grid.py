@@ -109,7 +109,7 @@ def test_fields_start_where_networks_start_and_stay_in_range():
             field.grid.table.normal_(0.0, 30.0)
         assert (field(si) >= low).all()
         assert (field(si) <= 1.0).all()
-        assert list(field.state_dict()) == ["grid.table"]
+        assert list(field.state_dict()) == ["cube.low", "cube.inverse_side", "cube.shell", "grid.table"]
     radiance = RadianceField(RadianceConfig(kind="dense", size=24), BOUNDS, scale=5.0)
     out = radiance(si, torch.rand(400, 3))
     torch.testing.assert_close(out, torch.full_like(out, 5.0 * START))

@@ -9,11 +9,12 @@ import torch
 
 from neurad.core.errors import InputError
 from neurad.core.records import SurfaceInteraction
-from neurad.fields.hash_grid import HashGrid, UnitCube
+from neurad.fields.hash_grid import HashGrid
 from neurad.fields.material import MIN_ROUGHNESS, AlbedoField, RoughnessField
 from neurad.fields.mlp import MLP
 from neurad.fields.radiance import START, RadianceField
 from neurad.fields.settings import FieldConfig, GridConfig, RadianceConfig, RoughnessConfig
+from neurad.fields.unit_cube import UnitCube
 from neurad.optim.sparse_row_adam import SparseRowAdam
 from neurad.runtime.threads import at_most, cut, threads, torch_on_one
 

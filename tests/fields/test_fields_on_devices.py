@@ -8,11 +8,12 @@ from helpers.devices import close, dense, on_devices
 
 from neurad.core.records import SurfaceInteraction
 from neurad.fields.dense_grid import DenseGrid
-from neurad.fields.hash_grid import HashGrid, UnitCube
+from neurad.fields.hash_grid import HashGrid
 from neurad.fields.material import AlbedoField, RoughnessField
 from neurad.fields.mlp import MLP, products
 from neurad.fields.radiance import RadianceField
 from neurad.fields.settings import FieldConfig, GridConfig, RadianceConfig, RoughnessConfig
+from neurad.fields.unit_cube import UnitCube
 
 N = 3000
 BOUNDS = torch.tensor([[-1.0, 0.0, -3.0], [1.0, 0.5, 5.0]])

@@ -1,0 +1,167 @@
+"""The part of a scene that the grids of fields and guide resolve: what training rays meet."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+from typing import TypeVar
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from neurad.core.camera import Cameras
+from neurad.core.frame import Frame, faceforward
+from neurad.core.records import FloatArray, Hit, Rays
+from neurad.core.rng import Stream
+from neurad.core.sampling import cosine_hemisphere
+from neurad.fields.settings import FieldConfig
+from neurad.fields.unit_cube import SHELL
+from neurad.integrators.world import World
+from neurad.scene.description import Scene, is_used
+
+RAYS = 8192
+"""Camera rays behind a region."""
+BOUNCES = 2
+"""Diffuse bounces that follow each of them."""
+IGNORED = 0.01
+"""Fraction of what rays meet that may lie beyond each side of the region, each point weighted by the inverse length
+of its path: what is far is seen coarsely, so it needs no fine cells.
+"""
+MARGIN = 0.05
+"""Free space around what rays meet, as a fraction of its longest side."""
+LARGER = 1.5
+"""A region takes the place of the whole scene where that is at least so many times as large."""
+
+Config = TypeVar("Config", bound=FieldConfig)
+
+
+@dataclass(frozen=True)
+class Region:
+    """A box that the grids span."""
+
+    bounds: FloatArray
+    """Smallest and largest corner [2, 3]."""
+    outside: float | None = None
+    """Fraction of the training pixels that show what lies outside; None where the box holds every triangle."""
+
+    @property
+    def contracted(self) -> bool:
+        """Whether something lies outside, which grids contract into their outermost cells."""
+        return self.outside is not None
+
+    @property
+    def radius(self) -> float:
+        """Of its bounding sphere."""
+        return float(np.linalg.norm(self.bounds[1] - self.bounds[0])) / 2
+
+    def stretched(self, config: Config) -> Config:
+        """``config`` with its cells counted over the whole unit cube, of which the region may take the middle only."""
+        if not self.contracted or config.kind != "hash" or config.grid.finest is None:
+            return config
+        coarsest, finest = (
+            min(round(x / (1.0 - 2.0 * SHELL)), 1 << 20) for x in (config.grid.coarsest, config.grid.finest)
+        )
+        return replace(config, grid=replace(config.grid, coarsest=coarsest, finest=finest))
+
+    def sentence(self, scene: Scene) -> str | None:
+        """What the grids leave out of a scene, or None if that is nothing."""
+        left_out = []
+        stray = sum(_outside(m.vertices[~is_used(m)], scene.bounds) for m in scene.meshes)
+        if stray:
+            left_out.append(f"{stray} {'vertex' if stray == 1 else 'vertices'} that no triangle uses")
+        if self.outside is not None:
+            far = sum(_outside(m.vertices[m.faces].reshape(-1, 9), np.tile(self.bounds, 3)) for m in scene.meshes)
+            count = sum(len(m.faces) for m in scene.meshes)
+            left_out.append(
+                f"parts of {far} of {count} triangles, resolved the more coarsely the farther out they lie "
+                f"({100.0 * self.outside:.2g} % of what the photographs show)"
+            )
+        if not left_out:
+            return None
+        low, high = (", ".join(f"{x:.4g}" for x in corner) for corner in self.bounds)
+        return f"grids span ({low}) to ({high}), what training rays meet; outside: {' and '.join(left_out)}"
+
+
+def _outside(values: FloatArray, bounds: FloatArray) -> int:
+    """Rows of ``values`` [n, k] that leave ``bounds`` [2, k] anywhere."""
+    return int(((values < bounds[0]) | (values > bounds[1])).any(-1).sum())
+
+
+@torch.no_grad()
+def training_region(world: World, scene: Scene, device: torch.device | str = "cpu") -> Region:
+    """The box around what camera rays of the training views and their diffuse bounces meet, but for few of them.
+
+    One triangle at the horizon would leave a room a few cells. Where all triangles together are not much larger than
+    that box, as in any room whose walls are seen, the region is the box of all triangles.
+
+    Args:
+        world: casts the rays, on the CPU; they do not count.
+        scene: whose training views count.
+        device: where rays are cast; they are drawn on the CPU, the same ones everywhere.
+    """
+    everything = Region(scene.bounds)
+    if not scene.train:
+        return everything
+    with world.tracer.uncounted():
+        points, weight, first = _met(world, scene, device)
+    if len(points) == 0:
+        return everything
+    low, high = (_quantile(points, weight, q) for q in (IGNORED, 1.0 - IGNORED))
+    # Rounded outwards to a 32nd of a power of 2: nothing hangs on the last digits of a ray.
+    space = MARGIN * float((high - low).max())
+    if not space > 0.0:
+        return everything
+    step = 2.0 ** (math.ceil(math.log2(space)) - 2)
+    bounds = np.stack((np.floor((low - space) / step) * step, np.ceil((high + space) / step) * step))
+    bounds = np.clip(bounds, *scene.bounds.astype(np.float64)).astype(np.float32)
+    if (scene.bounds[1] - scene.bounds[0]).max() < LARGER * (bounds[1] - bounds[0]).max():
+        return everything
+    return Region(bounds, _outside(first, bounds) / max(len(first), 1))
+
+
+def _met(world: World, scene: Scene, device: torch.device | str) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Where paths from the training cameras meet surfaces [n, 3], float64, their weights [n], and the first such points
+    of each path [k, 3].
+    """
+    cameras = Cameras.of([view.camera for view in scene.train], "cpu")
+    stream = Stream(0, 4)
+    view = stream.integers(len(scene.train), RAYS)
+    rays = cameras.rays(view, stream.uniform(RAYS, 2) * torch.tensor([cameras.width, cameras.height], device="cpu"))
+    tracer = _Elsewhere(world, device)
+    length = torch.zeros(RAYS)
+    points, weights = [], []
+    for _ in range(1 + BOUNCES):
+        si = world.geometry.interact(rays, tracer.closest(rays))
+        if world.delta is not None:
+            si = world.delta.follow(world.geometry, tracer, si, stream.uniform(len(si)))[0]
+        length = (length + (si.p - rays.o).norm(dim=-1))[si.valid]
+        si = si[si.valid]
+        points.append(si.p.double().numpy())
+        weights.append(1.0 / length.double().clamp_min(torch.finfo(torch.float32).tiny).numpy())
+        wi = Frame.around(faceforward(si)).to_world(cosine_hemisphere(stream.uniform(len(si), 2)))
+        rays = world.geometry.spawn(si, wi)
+    return np.concatenate(points), np.concatenate(weights), points[0]
+
+
+def _quantile(points: FloatArray, weight: FloatArray, fraction: float) -> FloatArray:
+    """Coordinates [3] below which a fraction of the weight of ``points`` [n, 3] lies, each for itself."""
+    found = []
+    for values in points.T:
+        order = np.argsort(values, kind="stable")
+        below = np.cumsum(weight[order])
+        found.append(values[order][np.searchsorted(below, fraction * below[-1])])
+    return np.array(found)
+
+
+class _Elsewhere:
+    """A world's tracer for rays on the CPU that are cast on another device."""
+
+    def __init__(self, world: World, device: torch.device | str) -> None:
+        self.tracer, self.device = world.tracer, device
+
+    def closest(self, rays: Rays) -> Hit:
+        return self.tracer.closest(rays.to(self.device)).to("cpu")
+
+    def occluded(self, rays: Rays, t_max: Tensor) -> Tensor:
+        return self.tracer.occluded(rays.to(self.device), t_max.to(self.device)).to("cpu")

@@ -1,0 +1,107 @@
+"""Scenes in memory written as scene folders, for rows that enter by the command line."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+
+import numpy as np
+
+from neurad.assembly.build import build_world
+from neurad.core.protocols import Integrator
+from neurad.core.records import Constant, Material, Mesh, Texture
+from neurad.core.reflection import DiffuseModel
+from neurad.integrators.film import render
+from neurad.integrators.renderer import path_tracer
+from neurad.scene.description import Scene
+from neurad.scene.image_io import write_exr
+from neurad.scene.textures import TrueMaterials
+
+
+def write_folder(scene: Scene, folder: Path, photographed: Scene | None = None, spp: int = 64) -> None:
+    """Write a scene of constant materials with path-traced photographs and true maps.
+
+    Args:
+        scene: what ``scene.xml`` and the camera files describe; diffuse and principled materials, area lights.
+        folder: to be made.
+        photographed: the same views and lights in a scene that may be easier to render; None: ``scene`` itself.
+        spp: samples per pixel of the photographs.
+    """
+    for kind in ("images", "albedo", "roughness", "meshes"):
+        (folder / kind).mkdir(parents=True)
+    shapes = []
+    for index, mesh in enumerate(scene.meshes):
+        _write_ply(mesh, folder / f"meshes/{index}.ply")
+        shapes.append(_shape(index, mesh))
+    parts = [
+        '<scene version="3.0.0">',
+        f'<integrator type="path"><integer name="max_depth" value="{scene.max_depth}"/>',
+        f'<integer name="rr_depth" value="{scene.rr_depth}"/></integrator>',
+    ]
+    parts += [_bsdf(index, material) for index, material in enumerate(scene.materials)]
+    (folder / "scene.xml").write_text("\n".join([*parts, *shapes, "</scene>"]) + "\n")
+    for name, views in (("train", scene.train), ("test", scene.test)):
+        camera = views[0].camera
+        frames = [{"file_path": f"images/{v.name}.exr", "transform_matrix": v.camera.to_world.tolist()} for v in views]
+        described = {"camera_angle_x": camera.fov_x, "w": camera.width, "h": camera.height, "frames": frames}
+        (folder / f"transforms_{name}.json").write_text(json.dumps(described))
+    _photograph(photographed or scene, folder, spp)
+
+
+def _photograph(scene: Scene, folder: Path, spp: int) -> None:
+    world = build_world(scene)
+    materials = TrueMaterials(scene, world.geometry)
+    path = path_tracer(world, materials, scene.max_depth, scene.rr_depth)
+    kinds: dict[str, tuple[Integrator, int]] = {
+        "images": (path, spp),
+        "albedo": (lambda rays, seed: materials(world.intersect(rays)).albedo, 4),
+        "roughness": (lambda rays, seed: materials(world.intersect(rays)).roughness, 4),
+    }
+    for index, view in enumerate([*scene.train, *scene.test]):
+        for kind, (integrator, samples) in kinds.items():
+            if kind == "images" or not scene.features.is_diffuse or kind == "albedo":
+                pixels = render(view.camera, integrator, samples, 7 + index)
+                write_exr(folder / kind / f"{view.name}.exr", pixels.numpy(), half=False)
+
+
+def _numbers(values: np.ndarray) -> str:
+    return " ".join(f"{float(x):.9g}" for x in values)
+
+
+def _shape(index: int, mesh: Mesh) -> str:
+    light = ""
+    if mesh.radiance is not None:
+        light = f'<emitter type="area"><rgb name="radiance" value="{_numbers(mesh.radiance)}"/></emitter>'
+    return (
+        f'<shape type="ply" id="mesh_{index}"><string name="filename" value="meshes/{index}.ply"/>'
+        f'<boolean name="face_normals" value="true"/><ref id="material_{mesh.material}"/>{light}</shape>'
+    )
+
+
+def _bsdf(index: int, material: Material) -> str:
+    albedo = _numbers(_value(material.albedo))
+    if isinstance(material.model, DiffuseModel):
+        inner = f'<bsdf type="diffuse"><rgb name="reflectance" value="{albedo}"/></bsdf>'
+    else:
+        roughness = _numbers(_value(material.roughness))
+        inner = (
+            f'<bsdf type="principled"><rgb name="base_color" value="{albedo}"/>'
+            f'<float name="roughness" value="{roughness}"/></bsdf>'
+        )
+    return f'<bsdf type="twosided" id="material_{index}">{inner}</bsdf>'
+
+
+def _value(texture: Texture) -> np.ndarray:
+    assert isinstance(texture, Constant)
+    return texture.value
+
+
+def _write_ply(mesh: Mesh, path: Path) -> None:
+    header = (
+        f"ply\nformat binary_little_endian 1.0\nelement vertex {len(mesh.vertices)}\nproperty float x\n"
+        f"property float y\nproperty float z\nelement face {len(mesh.faces)}\n"
+        "property list uchar int vertex_indices\nend_header\n"
+    )
+    faces = np.empty(len(mesh.faces), np.dtype([("count", "u1"), ("corner", "<i4", 3)]))
+    faces["count"], faces["corner"] = 3, mesh.faces
+    path.write_bytes(header.encode() + mesh.vertices.astype("<f4").tobytes() + faces.tobytes())
