@@ -75,6 +75,12 @@ configs. Every setting can be given as --KEY VALUE; `neurad VERB --help` lists t
 """
 
 
+_WORD = 300
+"""Characters of the longest word, a path for instance, that an error message shows whole."""
+_LINE = 3000
+"""Characters of the longest error message."""
+
+
 class _Parser(argparse.ArgumentParser):
     """A parser that raises its error messages, so that they are printed in one sentence like all others."""
 
@@ -214,10 +220,17 @@ def _sentence(errors: Sequence[BaseException]) -> str:
     return ""
 
 
+def _printable(sentence: str) -> str:
+    """One line for a terminal: what would steer it is escaped, and the middle of what is very long is left out."""
+    words = ("".join(c if c.isprintable() else ascii(c)[1:-1] for c in word) for word in sentence.split())
+    line = " ".join(word if len(word) <= _WORD else f"{word[: _WORD // 2]}...{word[-_WORD // 2 :]}" for word in words)
+    return line if len(line) <= _LINE else f"{line[: _LINE // 2]} ... {line[-_LINE // 2 :]}"
+
+
 def _fail(sentence: str) -> None:
     with suppress(OSError):  # standard errors may be on the same full disk
         flush_output()
     with suppress(OSError):
-        print(f"neurad: error: {' '.join(sentence.split())}", file=sys.stderr)
+        print(f"neurad: error: {_printable(sentence)}", file=sys.stderr)
         sys.stderr.flush()
     raise SystemExit(2)

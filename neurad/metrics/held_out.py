@@ -25,6 +25,7 @@ from neurad.metrics.seen import SeenBy
 from neurad.scene.description import Scene
 from neurad.scene.geometry import Geometry
 from neurad.scene.image_io import read_exr, to_srgb
+from neurad.scene.numbers import PIXEL, within
 
 CHUNK = 1 << 18
 """Sub-samples in flight: bounds the memory."""
@@ -294,4 +295,5 @@ def _read(path: str, view: View, channels: int) -> FloatArray:
         raise InputError(f"{path}: it has {size} pixels, but its camera has {camera}")
     if pixels.shape[2] < channels:
         raise InputError(f"{path}: it has {pixels.shape[2]} channels where {channels} are needed")
+    within(pixels, str(path), -PIXEL, PIXEL)
     return np.ascontiguousarray(pixels[:, :, :channels])

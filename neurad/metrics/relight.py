@@ -12,6 +12,7 @@ from neurad.metrics.held_out import HeldOut
 from neurad.metrics.scores import Pool
 from neurad.scene.description import Scene
 from neurad.scene.image_io import read_exr
+from neurad.scene.numbers import RADIANCE, within
 
 
 def relight_map(scene: Scene) -> EnvironmentMap | None:
@@ -25,6 +26,7 @@ def relight_map(scene: Scene) -> EnvironmentMap | None:
     pixels = read_exr(scene.relight)
     if pixels.shape[2] < 3:
         raise InputError(f"{scene.relight}: it has {pixels.shape[2]} channels where 3 are needed")
+    within(pixels[..., :3], f"{scene.relight}: radiance", 0.0, RADIANCE)
     frame = {} if scene.environment is None else {"to_world": scene.environment.to_world}
     return EnvironmentMap(np.ascontiguousarray(pixels[..., :3], np.float32), **frame)
 

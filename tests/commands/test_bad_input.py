@@ -60,12 +60,12 @@ def tree(folder):
     }
 
 
-def photograph(change):
-    """Spoils the pixels of a training photograph."""
+def photograph(change, name="train_1"):
+    """Spoils the pixels of a photograph."""
 
     def spoil(folder):
         pixels = np.full((SIZE, SIZE, 3), 0.5, np.float32)
-        write_exr(folder / "room/images/train_1.exr", change(pixels), half=False)
+        write_exr(folder / f"room/images/{name}.exr", change(pixels), half=False)
 
     return spoil
 
@@ -142,6 +142,7 @@ BAD = {
     ),
     "unreadable held-out EXR": (written("room/images/test_1.exr", "no picture"), [], ["test_1.exr", "cannot be read"]),
     "NaN pixels": (photograph(one_pixel(np.nan)), [], ["train_1.exr", "NaN"]),
+    "NaN pixels of a held-out view": (photograph(one_pixel(np.nan), "test_1"), [], ["test_1.exr", "nan"]),
     "infinite pixels": (photograph(one_pixel(np.inf)), [], ["train_1.exr", "infinite"]),
     "negative pixels": (photograph(one_pixel(-0.5)), [], ["train_1.exr", "negative"]),
     "another image size": (photograph(lambda p: p[: SIZE - 1]), [], ["train_1.exr", "8 x 7"]),
@@ -157,6 +158,7 @@ BAD = {
         camera("test", transform_matrix=...), [], ["transforms_test.json", "test_1", "transform_matrix"]),
     "no camera file": (removed("room/transforms_train.json"), [], ["transforms_train.json"]),
     "no scene file": (removed("room/scene.xml"), [], ["scene.xml"]),
+    "a name that steers terminals": (nothing, ["--data.root=\x1b[2J" + "x" * 9999], ["x...x", "\\x1b[2J"]),
     "no scene folder": (nothing, ["--data.root=nowhere"], ["--data.root", "nowhere"]),
     "absent mesh": (removed("room/meshes/floor.ply"), [], ["floor.ply", "missing"]),
     "unreadable mesh": (written("room/meshes/floor.ply", "no mesh"), [], ["floor.ply"]),

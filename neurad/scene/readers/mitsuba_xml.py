@@ -183,10 +183,12 @@ class _Reader:
         """The ``to_world`` of an element [4, 4]."""
         if "to_world" not in props:
             return np.eye(4, dtype=np.float32)
-        matrix = np.array(getattr(props["to_world"], "matrix", np.nan), np.float64)
-        if matrix.shape != (4, 4) or not np.isfinite(matrix).all() or np.linalg.det(matrix[:3, :3]) == 0:
+        with np.errstate(over="ignore", invalid="ignore"):  # what float32 cannot hold is said below
+            matrix = np.array(getattr(props["to_world"], "matrix", np.nan)).astype(np.float32)
+            inverts = matrix.shape == (4, 4) and np.linalg.det(matrix[:3, :3].astype(np.float64)) != 0
+        if not inverts or not np.isfinite(matrix).all():
             raise InputError(f"{self.path}: the to_world of {where} is not a transform that can be inverted")
-        return matrix.astype(np.float32)
+        return matrix
 
     def _mesh(self, shape: Any, label: str, material: int, wanted: set[str], radiance: FloatArray | None) -> Mesh:
         count = shape.vertex_count()
@@ -202,6 +204,8 @@ class _Reader:
             normals[~np.isfinite(normals).all(-1)] = 0.0
         if uvs is not None and self.materials.has_bitmaps(material):
             within(uvs, f"{self.path}: the texture coordinates of shape {label}", -TEXEL, TEXEL)
+        elif uvs is not None and not np.isfinite(uvs).all():  # nothing reads them
+            uvs[~np.isfinite(uvs).all(-1)] = 0.0
         if len(faces) and int(faces.max()) >= count:
             raise InputError(f"{self.path}: shape {label} has triangles with vertices that do not exist")
         if shape.has_flipped_normals():
@@ -269,7 +273,7 @@ class _Reader:
         within(scaled, f"{file}: radiance{times}", 0.0, RADIANCE)
         axes = to_world[:3, :3].astype(np.float64)
         axes /= np.linalg.norm(axes, axis=0).mean()
-        if np.abs(axes.T @ axes - np.eye(3)).max() > _RIGID:
+        if not np.abs(axes.T @ axes - np.eye(3)).max() <= _RIGID:
             raise InputError(f"{self.path}: the to_world of the envmap has to be a rotation")
         return EnvironmentMap(scaled.astype(np.float32), to_world)
 

@@ -73,6 +73,8 @@ def read_views(path: str | Path, root: str | Path, size: Size | None = None) -> 
 
 def _photograph(root: Path, name: str, path: Path) -> Path:
     image = root / name
+    if not image.name:
+        raise InputError(f"{path}: its file_path {shown(repr(name))} is not the name of a file")
     if image.suffix.lower() != ".exr":  # Blender's files omit the ending
         image = image.with_name(image.name + ".exr")
     return regular_file(image, f"the photograph is missing that {path.name} lists (an EXR file)")
