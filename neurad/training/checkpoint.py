@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from typing import Any
 
+import torch
 from torch import Tensor
 
 from neurad.core.errors import InputError
@@ -19,6 +20,7 @@ def fitting(
     scene: Scene,
     inputs: list[str] | None,
     source: str = "--ckpt_path",
+    continues: bool = False,
 ) -> dict[str, Any]:
     """What a run wrote about itself into its checkpoint, if the weights fit.
 
@@ -31,9 +33,11 @@ def fitting(
         scene: that the module is for.
         inputs: what the module's radiance field reads; None without one.
         source: begins the error messages.
+        continues: a fit goes on from it. That checks its own numbers, and ``bad.ckpt`` is there to repeat what it found.
 
     Raises:
-        InputError: it belongs to another scene or to fields of other sizes, or it is none of neurad's.
+        InputError: it belongs to another scene or to fields of other sizes, it is none of neurad's, or its weights are
+            no numbers.
     """
     state: dict[str, Any] | None = checkpoint.get("neurad")
     if state is None:
@@ -52,6 +56,10 @@ def fitting(
                 f"{source}: the checkpoint has other field sizes than the config ({name} differs); where "
                 "grid.finest is null they follow the training views"
             )
+        if own[name].is_floating_point() != value.is_floating_point():
+            raise InputError(f"{source}: {name} of the checkpoint is of another type ({value.dtype})")
+        if not continues and value.is_floating_point() and not torch.isfinite(value).all():
+            raise InputError(f"{source}: {name} of the checkpoint has values that are NaN or infinite")
     if missing := own.keys() - weights.keys():
         raise InputError(f"{source}: the checkpoint has other fields than the config ({min(missing)} is missing)")
     if state.get("radiance_inputs", inputs) != inputs:  # of the same size they would load, and mean something else

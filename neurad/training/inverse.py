@@ -263,7 +263,8 @@ class InverseRenderer(L.LightningModule):
         Raises:
             InputError: it belongs to another scene or to fields of other sizes, or it is none of neurad's.
         """
-        state = fitting(checkpoint, self.state_dict(), self.scene, self._inputs)
+        continues = self._trainer is None or self._trainer.state.fn == "fit"
+        state = fitting(checkpoint, self.state_dict(), self.scene, self._inputs, continues=continues)
         self.counters.iteration = state["iteration"]
         self.counters.samples = state.get("samples", 0)
         self.rays_before = state["rays"]
