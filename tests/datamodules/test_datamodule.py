@@ -296,7 +296,7 @@ def test_bad_photographs_are_named(folder, case):
 
 def test_bad_options_are_named(folder):
     for name in ("patches", "patch_size"):
-        with pytest.raises(InputError, match=rf"--data\.{name}: 0 is not"):
+        with pytest.raises(InputError, match=rf"SceneData\.{name}: 0 is out of range"):
             SceneData(str(folder), **{name: 0})
     with pytest.raises(InputError, match=r"--data\.pixel_multiplier: 3 is not a power of two"):
         SceneData(str(folder), pixel_multiplier=3)

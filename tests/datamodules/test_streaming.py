@@ -208,7 +208,7 @@ def test_a_photograph_that_goes_bad_is_named_when_its_turn_comes(folder, case, c
 
 def test_bad_streaming_options_are_named(folder):
     for name in ("resident", "replace_every"):
-        with pytest.raises(InputError, match=rf"--data\.{name}: 0 is not"):
+        with pytest.raises(InputError, match=rf"SceneData\.{name}: 0 is out of range"):
             SceneData(str(folder), **{name: 0})
     for i in range(VIEWS):
         write_exr(folder / f"images/train_{i}.exr", np.zeros((SIZE, SIZE, 4), np.float32))

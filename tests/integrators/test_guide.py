@@ -163,7 +163,7 @@ def test_means_stay_and_noise_falls(known: str) -> None:
     ("name", "value"), [("specular_fraction", 0.0), ("specular_fraction", 1.0), ("guide", -1), ("guide", 33)]
 )
 def test_settings_out_of_range(name: str, value: float) -> None:
-    with pytest.raises(InputError, match=f"model.sampling.{name}"):
+    with pytest.raises(InputError, match=rf"Sampling\.{name}: .* is out of range"):
         Sampling(**{name: value})
 
 

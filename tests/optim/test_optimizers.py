@@ -69,7 +69,7 @@ def test_noise_adds_up_without_decay_and_fades_with_it():
 
 @pytest.mark.parametrize("decay", [-1.0, 10.0])
 def test_a_decay_below_zero_or_beyond_all_is_refused(decay):
-    with pytest.raises(InputError, match=r"model\.optimization\.roughness_decay"):
+    with pytest.raises(InputError, match=r"ptimization\.roughness_decay"):
         Optimization(roughness=0.1, roughness_decay=decay)
 
 

@@ -85,5 +85,5 @@ def test_noise_about_a_minimum_is_averaged_out():
 
 @pytest.mark.parametrize("fraction", [-0.1, 1.1])
 def test_fractions_that_do_not_exist_are_refused(fraction):
-    with pytest.raises(InputError, match=r"model\.optimization\.average"):
+    with pytest.raises(InputError, match=r"Optimization\.average"):
         Optimization(average=fraction)

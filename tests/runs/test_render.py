@@ -50,8 +50,8 @@ def test_replay_renders_what_path_tracing_does_and_direct_light_is_depth_two(tmp
             r"no method pathh \(debiased, direct, path, .*\); did you mean path\?",
         ),
         (("--integrator", "direct", "--max-depth", "3"), "only paths have a depth"),
-        (("--spp", "0"), "--spp: 0 is not a positive number"),
-        (("--max-depth", "0"), "--max-depth: 0 is not a positive number"),
+        (("--spp", "0"), "--spp: 0 is out of range"),
+        (("--max-depth", "0"), "--max-depth: 0 is out of range"),
     ],
 )
 def test_bad_settings_get_one_sentence(

@@ -100,13 +100,13 @@ def test_a_batch_of_more_pixels_gets_fewer_samples_each():
 
 
 def test_one_group_of_samples_is_refused():
-    with pytest.raises(InputError, match=r"model\.sampling\.sample_groups"):
+    with pytest.raises(InputError, match=r"Sampling\.sample_groups"):
         Sampling(sample_groups=1)
 
 
 @pytest.mark.parametrize("fraction", [0.0, -0.5, 1.5])
 def test_fractions_of_first_hits_that_do_not_exist_are_refused(fraction):
-    with pytest.raises(InputError, match=r"model\.sampling\.field_fraction"):
+    with pytest.raises(InputError, match=r"Sampling\.field_fraction"):
         Sampling(field_fraction=fraction)
 
 
