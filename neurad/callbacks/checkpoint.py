@@ -1,8 +1,7 @@
-"""``last.ckpt``: written at intervals, at the end and when a run is stopped, always as a whole file."""
+"""``last.ckpt`` and ``previous.ckpt``: written at intervals, at the end and when a run is stopped, always whole."""
 
 from __future__ import annotations
 
-import os
 import signal
 import sys
 import threading
@@ -17,12 +16,14 @@ from lightning.pytorch.callbacks import Checkpoint
 from torch.optim import Optimizer
 
 from neurad.callbacks.run_folder import run_folder
+from neurad.core.errors import InputError
 from neurad.core.ranges import NonNegative, checked
+from neurad.training.checkpoint_file import CheckpointFiles
 from neurad.training.guard import NotFinite
 
 
 class LastCheckpoint(Checkpoint):
-    """Keeps ``checkpoints/last.ckpt`` in the run folder.
+    """Keeps ``checkpoints/last.ckpt`` in the run folder, and the one before it as ``checkpoints/previous.ckpt``.
 
     A checkpoint is taken between iterations only, since one in the middle of a step (one optimizer stepped, another
     not) could not be continued exactly. Ctrl-C therefore lets the iteration finish; a second one does not wait. Of
@@ -42,17 +43,28 @@ class LastCheckpoint(Checkpoint):
         self._agreed = False
         self._written = 0.0
         self._handler: Any = None
+        self._last_is_good = True
+        self._saved = -1
 
     def path(self, trainer: pl.Trainer) -> Path | None:
         """The checkpoint's path, or None if the run keeps no files."""
         folder = run_folder(trainer)
         return folder / "checkpoints" / "last.ckpt" if folder else None
 
+    def setup(self, trainer: pl.Trainer, pl_module: pl.LightningModule, stage: str) -> None:
+        """Let the trainer write and read checkpoints with checksums."""
+        trainer.strategy.checkpoint_io = CheckpointFiles()
+
     def on_train_start(self, trainer: pl.Trainer, pl_module: pl.LightningModule) -> None:
-        """Start the clock and handle Ctrl-C."""
+        """Start the clock and handle Ctrl-C, unless whoever started the process wants it ignored (a background job)."""
+        path = self.path(trainer)
+        began = trainer.ckpt_path
+        # A run that continues from the one before has a damaged last one, which must not take the place of the good.
+        self._last_is_good = path is None or began is None or Path(began).resolve() != _previous(path).resolve()
         self._written = time.monotonic()
         self._stop_requested = self._agreed = False
-        if threading.current_thread() is threading.main_thread():
+        may_stop = signal.getsignal(signal.SIGINT) is not signal.SIG_IGN
+        if may_stop and threading.current_thread() is threading.main_thread():
             self._handler = signal.signal(signal.SIGINT, self._on_interrupt)
 
     def on_before_optimizer_step(
@@ -86,7 +98,10 @@ class LastCheckpoint(Checkpoint):
             return
         alone = trainer.world_size > 1 and not self._agreed
         if not self._stepped and not alone:
-            self.save(trainer)
+            try:
+                self.save(trainer)
+            except InputError as error:  # the sentence that ends the run is that of the first failure
+                print(f"neurad: no further checkpoint: {error}", file=sys.stderr)
         elif path is not None and trainer.is_global_zero:
             print("neurad: stopped in the middle of an iteration, the last checkpoint stays as it is", file=sys.stderr)
         interrupted = isinstance(exception, KeyboardInterrupt) and trainer.is_global_zero
@@ -102,16 +117,17 @@ class LastCheckpoint(Checkpoint):
             self._handler = None
 
     def save(self, trainer: pl.Trainer) -> None:
-        """Write the checkpoint beside its place and move it there, so that a kill at any moment leaves a whole one."""
+        """Write the checkpoint; the last good one stays as it is, or goes on as the previous one.
+
+        Raises:
+            InputError: the system refused; the last one is as it was.
+        """
         path = self.path(trainer)
         if path is None:
             return
-        part = path.with_name(path.name + ".part")
-        trainer.save_checkpoint(part)
-        if trainer.is_global_zero:
-            with part.open("rb") as file:
-                os.fsync(file.fileno())
-            os.replace(part, path)
+        keep = self._last_is_good and trainer.global_step != self._saved  # twice the same would be no second one
+        trainer.save_checkpoint(path, storage_options={"previous": _previous(path) if keep else None})
+        self._last_is_good, self._saved = True, trainer.global_step
         trainer.strategy.barrier()  # a process that ends before the file is in its place would take this one with it
         self._written = time.monotonic()
 
@@ -120,6 +136,11 @@ class LastCheckpoint(Checkpoint):
             raise KeyboardInterrupt
         self._stop_requested = True
         print("\nneurad: stopping after this iteration (Ctrl-C again: at once)", file=sys.stderr)
+
+
+def _previous(path: Path) -> Path:
+    """Where the checkpoint before the last one is."""
+    return path.with_name("previous.ckpt")
 
 
 def _anywhere(trainer: pl.Trainer, *requests: bool) -> list[bool]:

@@ -1,30 +1,86 @@
-"""Checkpoints: the newest run's, and how one is read."""
+"""Which checkpoint a verb starts from: the newest run's last one, or the one before where that is damaged."""
 
 from __future__ import annotations
 
-import pickle
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
-from typing import Any
-
-import torch
 
 from neurad.core.errors import InputError
+from neurad.training.checkpoint_file import read_checkpoint
 
 RUNS = "lightning_logs"
 """Folder of all runs, inside the root directory of the trainer."""
 LAST = Path("checkpoints") / "last.ckpt"
 """A run's last checkpoint, inside its folder."""
+PREVIOUS = Path("checkpoints") / "previous.ckpt"
+"""The checkpoint before that."""
+_STRANGE = (KeyError, TypeError, ValueError, AttributeError, IndexError, RuntimeError, AssertionError)
+"""What Lightning and torch raise over entries that they do not expect."""
 
 
-def newest_checkpoint(root: Path) -> Path | None:
-    """The last checkpoint of the newest run in ``root``/lightning_logs that has one; None where no run has."""
-    found = sorted((root / RUNS).glob(f"version_*/{LAST.as_posix()}"), key=_version)
-    return found[-1] if found else None
+def newest_checkpoint(root: Path, name: str = "--ckpt_path last") -> Path | None:
+    """A whole checkpoint of the newest run in ``root``/lightning_logs; None where there is no run.
+
+    Args:
+        root: of the runs.
+        name: begins the error message.
+
+    Raises:
+        InputError: the newest run has no whole checkpoint. The sentence names the newest run that has one.
+    """
+    runs = sorted((path for path in (root / RUNS).glob("version_*") if path.is_dir()), key=_version, reverse=True)
+    if not runs:
+        return None
+    try:
+        return run_checkpoint(runs[0], name)
+    except InputError as error:
+        older = next((path for run in runs[1:] if (path := _whole(run))), None)
+        hint = "no older run has one" if older is None else f"the newest run that has one continues from {older}"
+        raise InputError(f"{error}; {hint}") from error
+
+
+def run_checkpoint(folder: Path, name: str) -> Path:
+    """The last checkpoint of a run or, where that is damaged, the one before, which is said.
+
+    Args:
+        folder: of the run.
+        name: begins the error message.
+
+    Raises:
+        InputError: neither is there and whole.
+    """
+    problems = []
+    for file in (LAST, PREVIOUS):
+        path = folder / file
+        try:
+            read_checkpoint(path, str(path))
+        except InputError as error:
+            problems.append(str(error))
+            continue
+        if problems:
+            print(f"neurad: {problems[0]}; {path} takes its place", file=sys.stderr)
+        return path
+    if not any((folder / file).is_file() for file in (LAST, PREVIOUS)):
+        raise InputError(f"{name}: run {folder} has no checkpoint, it ended before its first")
+    raise InputError(f"{name}: run {folder} has no whole checkpoint ({problems[0]})")
+
+
+def _whole(folder: Path) -> Path | None:
+    """The last whole checkpoint of a run, without a word."""
+    for file in (LAST, PREVIOUS):
+        try:
+            read_checkpoint(folder / file, "")
+        except InputError:
+            continue
+        return folder / file
+    return None
 
 
 def _version(path: Path) -> int:
-    """N of ``version_N/checkpoints/last.ckpt``; -1 where it is no number."""
-    number = path.parent.parent.name.removeprefix("version_")
+    """N of ``version_N``; -1 where it is no number."""
+    number = path.name.removeprefix("version_")
     return int(number) if number.isdecimal() else -1
 
 
@@ -34,22 +90,30 @@ def run_folder_of(checkpoint: Path) -> Path | None:
     return folder.parent if folder.name == "checkpoints" and (folder.parent / "config.yaml").is_file() else None
 
 
-def read_checkpoint(path: Path, name: str) -> dict[str, Any]:
-    """The content of a checkpoint: plain types, and tensors that stay on disk until they are used.
-
-    Args:
-        path: the file.
-        name: begins the error message.
+@contextmanager
+def restoring(checkpoint: Path | None) -> Iterator[None]:
+    """Turn an error over what a checkpoint holds into one sentence; errors of everything else pass.
 
     Raises:
-        InputError: there is no such file, or it is not a checkpoint.
+        InputError: the checkpoint has entries that do not fit the run.
     """
-    if not path.is_file():
-        raise InputError(f"{name}: no such file")
     try:
-        state = torch.load(path, map_location="cpu", weights_only=True, mmap=True)
-    except (pickle.UnpicklingError, RuntimeError, EOFError, OSError, ValueError) as error:
-        raise InputError(f"{name}: it is not a readable checkpoint") from error
-    if not isinstance(state, dict) or "state_dict" not in state:
-        raise InputError(f"{name}: it is not a checkpoint of neurad")
-    return state
+        yield
+    except _STRANGE as error:
+        if checkpoint is None or not _from_checkpoint(error):
+            raise
+        why = " ".join(f"{type(error).__name__}: {error}".split())[:200]
+        raise InputError(
+            f"--ckpt_path {checkpoint}: it does not hold what a run of these settings writes ({why})"
+        ) from error
+
+
+def _from_checkpoint(error: BaseException) -> bool:
+    """Whether an error arose while a trainer took over the content of a checkpoint."""
+    trace = error.__traceback__
+    while trace is not None:
+        code = trace.tb_frame.f_code
+        if code.co_filename.endswith("checkpoint_connector.py") and "restore" in code.co_name:
+            return True
+        trace = trace.tb_next
+    return False

@@ -14,15 +14,19 @@ from jsonargparse import ArgumentError
 from lightning.fabric.utilities.exceptions import MisconfigurationException
 from lightning.pytorch.cli import LightningArgumentParser, LightningCLI
 from lightning.pytorch.trainer.states import TrainerStatus
+from lightning.pytorch.utilities.exceptions import SIGTERMException
 from omegaconf import DictConfig, OmegaConf
 
 from neurad.callbacks import Bar, Evaluate, LastCheckpoint, RunFolder, RunLogger
+from neurad.callbacks.run_folder import run_folder
 from neurad.core.errors import InputError
 from neurad.core.ranges import hints
-from neurad.runs.checkpoints import RUNS, newest_checkpoint, read_checkpoint, run_folder_of
+from neurad.runs.checkpoints import RUNS, newest_checkpoint, restoring, run_folder_of
 from neurad.runs.configs import load_config, only_trusted_classes, overlay, resolve, split_arguments
 from neurad.runs.messages import setting_error, silence_lightning
 from neurad.runs.trainer_settings import complaints
+from neurad.runtime.files import check_folder
+from neurad.training.checkpoint_file import read_checkpoint
 
 SHARED_KEYS = ("seed_everything", "trainer", "model", "data", "evaluation", "checkpoint", "bar")
 """Parts of a config that every verb understands."""
@@ -88,7 +92,7 @@ def find_checkpoint(verb: str, settings: Any) -> Path | None:
         path = newest
     else:
         path = Path(str(given)).expanduser()
-    read_checkpoint(path, f"--ckpt_path {path}")
+        read_checkpoint(path, f"--ckpt_path {path}")
     print(f"neurad: {verb} starts from {path}")
     return path
 
@@ -181,7 +185,18 @@ class NeuradCLI(LightningCLI):
             kwargs["limit_val_batches"] = 0  # the Evaluate callback keeps its own schedule
         if settings["enable_progress_bar"] is False:
             self.config_init[self.verb].pop("bar", None)
-        return super().instantiate_trainer(**kwargs)
+        trainer = super().instantiate_trainer(**kwargs)
+        self._check_target(trainer)
+        return trainer
+
+    def _check_target(self, trainer: pl.Trainer) -> None:
+        """Find out before anything is measured whether the files of this verb can be written."""
+        folder = run_folder(trainer)
+        if self.verb == "fit":
+            for callback in _run_folders(trainer):
+                callback.claim(trainer)
+        elif self.verb in ("test", "predict") and folder is not None and trainer.is_global_zero:
+            check_folder(folder / "images")
 
     def _instantiate_trainer(self, config: dict[str, Any], callbacks: list[pl.Callback]) -> pl.Trainer:
         kept = [callback for callback in callbacks if callback is not None]
@@ -195,8 +210,19 @@ class NeuradCLI(LightningCLI):
 
     def _run_subcommand(self, subcommand: str) -> None:
         try:
-            super()._run_subcommand(subcommand)
+            with restoring(self.checkpoint):
+                super()._run_subcommand(subcommand)
+        except SIGTERMException:
+            raise SystemExit(128 + signal.SIGTERM) from None
         except SystemExit:
             if self.trainer.state.status == TrainerStatus.INTERRUPTED:
                 raise SystemExit(130) from None
             raise
+        finally:
+            for callback in _run_folders(self.trainer):
+                callback.release()
+
+
+def _run_folders(trainer: pl.Trainer) -> list[RunFolder]:
+    """The trainer's callback that owns the run folder; none where Lightning's ``fast_dev_run`` writes nothing."""
+    return [callback for callback in trainer.callbacks if isinstance(callback, RunFolder)]  # type: ignore[attr-defined]

@@ -23,7 +23,7 @@ from neurad.fields.radiance import RadianceField
 from neurad.integrators.film import render
 from neurad.integrators.renderer import MethodRenderer
 from neurad.integrators.world import World
-from neurad.runs.checkpoints import LAST, newest_checkpoint, read_checkpoint, run_folder_of
+from neurad.runs.checkpoints import newest_checkpoint, run_checkpoint, run_folder_of
 from neurad.runs.configs import load_config
 from neurad.runs.model_settings import parse_model
 from neurad.scene.description import Scene
@@ -31,6 +31,7 @@ from neurad.scene.image_io import read_photograph
 from neurad.scene.load import load_scene
 from neurad.scene.textures import TrueMaterials
 from neurad.training.checkpoint import fitting
+from neurad.training.checkpoint_file import read_checkpoint
 
 CHUNK = 1 << 17
 """Points that go through the fields at once, to bound the memory."""
@@ -204,7 +205,7 @@ def load_run(
 def _locate(run: str | os.PathLike[str] | None) -> tuple[Path, Path]:
     """Checkpoint and folder of a run."""
     if run is None or str(run) == "last":
-        newest = newest_checkpoint(Path())
+        newest = newest_checkpoint(Path(), "run last")
         if newest is None:
             raise InputError("no run in lightning_logs has a checkpoint")
         path = newest
@@ -212,9 +213,7 @@ def _locate(run: str | os.PathLike[str] | None) -> tuple[Path, Path]:
         path = Path(run).expanduser()
         if not path.exists():
             raise InputError(f"run {path}: there is no such run folder or checkpoint")
-        path = path / LAST if path.is_dir() else path
-    if not path.is_file():
-        raise InputError(f"run {path.parent.parent}: it has no checkpoint {LAST}")
+        path = run_checkpoint(path, f"run {path}") if path.is_dir() else path
     folder = run_folder_of(path)
     if folder is None:
         raise InputError(f"run {path}: the checkpoint is not in a run folder with a config.yaml")

@@ -150,13 +150,12 @@ def make_folder(path: str | os.PathLike[str], option: str = "") -> Path:
     return Path(path)
 
 
-def check_folder(path: str | os.PathLike[str], option: str = "", needed: int = 0) -> None:
+def check_folder(path: str | os.PathLike[str], option: str = "") -> None:
     """Find out before long work whether files can be written into a folder, without leaving anything behind.
 
     Args:
         path: the folder; it need not exist.
         option: begins the sentence, see :func:`writing`.
-        needed: bytes that the disk must have free.
 
     Raises:
         InputError: they cannot.
@@ -178,7 +177,6 @@ def check_folder(path: str | os.PathLike[str], option: str = "", needed: int = 0
         finally:
             os.close(handle)
             os.unlink(probe)
-        _check_space(place, needed)
 
 
 def check_file(path: str | os.PathLike[str], option: str = "") -> None:
@@ -201,19 +199,41 @@ def check_file(path: str | os.PathLike[str], option: str = "") -> None:
 
 
 def remove_parts(folder: Path) -> None:
-    """Remove what killed processes were writing into a folder and those in it. Nobody else may be writing there."""
-    for path in folder.rglob(f"*{PART}"):
+    """Remove what killed processes were writing into a folder. Nobody else may be writing there."""
+    for part in folder.glob(f"*{PART}"):
         with suppress(OSError):
-            path.unlink()
+            part.unlink()
 
 
-def _check_space(folder: Path, needed: int) -> None:
-    """Refuse where a disk or the limit of a file's size is too small for ``needed`` bytes."""
-    if not needed or not hasattr(os, "statvfs"):
-        return
-    disk = os.statvfs(folder)
-    if disk.f_blocks and disk.f_bavail * disk.f_frsize < needed:
-        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+def check_space(folder: Path, size: int, count: int, what: str) -> None:
+    """Find out before long work whether the disk of a folder has room.
+
+    Args:
+        folder: where files will be written.
+        size: bytes of the largest file.
+        count: how many of that size are to be there at once, besides what is there now.
+        what: these files are, in words.
+
+    Raises:
+        InputError: it has not, or the limit of a file's size is too small.
+    """
+    place = folder
+    while not place.exists() and place != place.parent:
+        place = place.parent
+    limit = file_size_limit()
+    if limit is not None and limit < size:
+        raise InputError(
+            f"{folder}: {what} need files of {size / 1e6:.1f} MB, but the largest that a file may have here is "
+            f"{limit / 1e6:.1f} MB (ulimit -f); raise that limit"
+        )
+    if hasattr(os, "statvfs"):
+        disk = os.statvfs(place)
+        free = disk.f_bavail * disk.f_frsize
+        if disk.f_blocks and free < count * size:  # some network file systems do not know
+            raise InputError(
+                f"{folder}: {what} need {count * size / 1e6:.1f} MB, but its disk has {free / 1e6:.1f} MB left; free "
+                "some, or write elsewhere"
+            )
 
 
 def file_size_limit() -> int | None:

@@ -63,20 +63,27 @@ def test_a_file_that_cannot_be_written_is_found_before(path, why):
 
 
 @pytest.mark.parametrize(
-    ("path", "needed", "why"),
+    ("path", "why"),
     [
-        ("file", 0, "it is a file, but a folder is needed"),
-        ("file/x/y", 0, "a part of its path is a file"),
-        ("/proc/x", 0, "^--out /proc/x: "),
-        ("new/folder", 1 << 60, "no space is left"),
+        ("file", "it is a file, but a folder is needed"),
+        ("file/x/y", "a part of its path is a file"),
+        ("/proc/x", "^--out /proc/x: "),
     ],
 )
-def test_a_folder_that_cannot_be_used_is_found_before(path, needed, why):
+def test_a_folder_that_cannot_be_used_is_found_before(path, why):
     Path("file").touch()
     with pytest.raises(InputError, match=why):
-        files.check_folder(path, "--out", needed)
-    files.check_folder("new/folder", "--out", 1)
+        files.check_folder(path, "--out")
+    files.check_folder("new/folder", "--out")
     assert os.listdir() == ["file"]
+
+
+def test_too_little_space_is_found_before(small_files):
+    files.check_space(Path("new/folder"), 4096, 1, "checkpoints")
+    with pytest.raises(InputError, match=r"^new: checkpoints need .* MB, but its disk has .* MB left"):
+        files.check_space(Path("new"), 4096, 1 << 50, "checkpoints")
+    with pytest.raises(InputError, match="ulimit -f"):
+        files.check_space(Path("new"), 5000, 1, "checkpoints")
 
 
 def test_a_device_is_written_to_and_not_replaced():
