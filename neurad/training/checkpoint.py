@@ -33,7 +33,8 @@ def fitting(
         scene: that the module is for.
         inputs: what the module's radiance field reads; None without one.
         source: begins the error messages.
-        continues: a fit goes on from it. That checks its own numbers, and ``bad.ckpt`` is there to repeat what it found.
+        continues: a fit goes on from it: that checks its own numbers, and ``bad.ckpt`` is there to repeat what it
+            found.
 
     Raises:
         InputError: it belongs to another scene or to fields of other sizes, it is none of neurad's, or its weights are

@@ -119,12 +119,13 @@ def _check_entries(state: Any, name: str) -> None:
     if not isinstance(state, dict):
         raise InputError(f"{name}: it is not a checkpoint of neurad")
     own = state.get("neurad")
-    for place, entries, kinds in (("", state, _ENTRIES), ("neurad.", own, _OWN)):
+    for place, entries, kinds in (("", state, _ENTRIES), ("neurad", own, _OWN)):
         for key, kind in kinds.items():
             value = entries.get(key) if isinstance(entries, dict) else None
+            entry = f"{place}.{key}" if place else key
             if not isinstance(value, kind):
-                raise InputError(f"{name}: it is not a checkpoint of neurad ({place}{key} is missing or wrong)")
+                raise InputError(f"{name}: it is not a checkpoint of neurad ({entry} is missing or wrong)")
             if isinstance(value, int | float) and not (value >= 0 and math.isfinite(value)):
-                raise InputError(f"{name}: {place}{key} is {value}, which no run writes")
+                raise InputError(f"{name}: {entry} is {value}, which no run writes")
     if not all(isinstance(key, str) and isinstance(value, Tensor) for key, value in state["state_dict"].items()):
         raise InputError(f"{name}: state_dict has entries that are no tensors")

@@ -18,6 +18,7 @@ from neurad.cli import main
 from neurad.core.errors import InputError
 from neurad.metrics.held_out import HeldOut
 from neurad.scene.image_io import read_exr
+from neurad.training.checkpoint_file import write_checkpoint
 from neurad.training.evaluate import SEED
 
 pytest.importorskip("mitsuba")
@@ -149,7 +150,7 @@ def elsewhere(folder):
 
 
 def foreign(folder):
-    torch.save({"state_dict": {}}, folder / "version_0/checkpoints/last.ckpt")
+    write_checkpoint({"state_dict": {}}, folder / "version_0/checkpoints/last.ckpt")
     return folder / "version_0"
 
 
@@ -173,10 +174,10 @@ def unknown_key(folder):
 
 BAD = {
     "no run": (no_run, r"run .*version_9: there is no such run folder or checkpoint"),
-    "no checkpoint": (no_checkpoint, r"run .*version_0: it has no checkpoint checkpoints/last\.ckpt"),
-    "broken": (broken, r"run .*last\.ckpt: it is not a readable checkpoint"),
+    "no checkpoint": (no_checkpoint, r"run .*version_0 has no checkpoint, it ended before its first"),
+    "broken": (broken, r"run .*version_0 has no whole checkpoint \(.*last\.ckpt: it is not a readable checkpoint"),
     "elsewhere": (elsewhere, r"run .*kept\.ckpt: the checkpoint is not in a run folder with a config\.yaml"),
-    "foreign": (foreign, r"run .*last\.ckpt: the file is no checkpoint of neurad"),
+    "foreign": (foreign, r"run .*last\.ckpt: it is not a checkpoint of neurad"),
     "moved": (moved, r"run .*version_0: its scene attic is missing; say where it is now with root="),
     "other sizes": (other_sizes, r"run .*last\.ckpt: the checkpoint has other field sizes than the config"),
     "unknown key": (unknown_key, r"version_0/config\.yaml: .*reads_colour"),

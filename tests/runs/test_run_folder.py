@@ -29,6 +29,23 @@ def at_iteration(monkeypatch):
     return install
 
 
+@pytest.fixture(autouse=True)
+def heeds_interrupts():
+    """A shell that starts the tests in the background has Ctrl-C ignored, which a run would respect."""
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    yield
+    signal.signal(signal.SIGINT, before)
+
+
+@pytest.mark.main
+def test_a_run_that_was_started_with_ctrl_c_ignored_is_not_stopped_by_it(tiny, at_iteration):
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    at_iteration(3, interrupt)
+    fit("--trainer.max_steps=6", "--evaluation.every_n_steps=null")
+    assert checkpoint()["neurad"]["iteration"] == 6
+    assert signal.getsignal(signal.SIGINT) is signal.SIG_IGN
+
+
 def interrupt():
     os.kill(os.getpid(), signal.SIGINT)
 
@@ -66,13 +83,12 @@ def test_max_time_ends_the_run_and_evaluations_keep_to_their_fraction(tiny):
 @pytest.mark.main
 def test_continuing_gives_what_one_run_gives(tiny, at_iteration):
     steps = ["--trainer.max_steps=12", "--evaluation.every_n_steps=4"]
-    before = signal.getsignal(signal.SIGINT)  # ignored where a shell started the tests in the background
     fit(*steps)
     at_iteration(5, interrupt)
     with pytest.raises(SystemExit) as stop:
         fit(*steps)
     assert stop.value.code == 130
-    assert signal.getsignal(signal.SIGINT) is before
+    assert signal.getsignal(signal.SIGINT) is signal.default_int_handler
     assert checkpoint(1)["neurad"]["iteration"] == 6
     assert [row["iteration"] for row in metrics(1)] == ["4"]
     main(["fit", "--ckpt_path", "last"])
