@@ -12,6 +12,7 @@ from pathlib import Path
 
 from neurad.core.errors import InputError
 from neurad.runtime.files import append, write_text
+from neurad.runtime.reading import exists, regular_file
 
 Cell = str | int | float | None
 Record = Mapping[str, Cell]
@@ -84,10 +85,10 @@ def read_lines(path: Path, count: int = -1) -> str:
     Raises:
         InputError: the file cannot be read, or has bytes that belong to no text.
     """
-    if not path.exists():
+    if not exists(path):
         return ""
     try:
-        with path.open("rb") as file:
+        with regular_file(path).open("rb") as file:
             lines = file.readlines() if count < 0 else [file.readline() for _ in range(count)]
     except OSError as error:
         raise InputError(f"{path}: it cannot be read ({error.strerror})") from error

@@ -1,5 +1,8 @@
+import os
+
 import pytest
 
+from neurad.core.errors import InputError
 from neurad.runtime.tables import align, append_csv, markdown, numbers, read_csv, read_header, write_csv
 
 
@@ -46,3 +49,10 @@ def test_a_table_that_cannot_be_written_leaves_the_old_one(tmp_path):
 def test_text_tables():
     assert align([["a", "n", "b"], ["long", "12", "c"]], left=(0, 2)) == ["a      n  b", "long  12  c"]
     assert markdown(("a", "n"), [["x|y", "1"]], left=("a",)) == ["| a | n |", "|---|---:|", "| x\\|y | 1 |"]
+
+
+@pytest.mark.parametrize("make", [lambda path: path.symlink_to("/dev/zero"), lambda path: os.mkfifo(path)])
+def test_what_has_no_end_is_no_table(tmp_path, make):
+    make(tmp_path / "metrics.csv")
+    with pytest.raises(InputError, match=r"metrics\.csv: it is a .*, not a file"):
+        read_csv(tmp_path / "metrics.csv")
