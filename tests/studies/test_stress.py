@@ -5,13 +5,19 @@ import math
 
 import pytest
 import torch
+from helpers.tiny_fit import write_tiny_config
 
 from neurad.cli import main
 from neurad.losses.firefly import clamp_fireflies, typical_square
+from neurad.runs.child import Ended
 from neurad.scene.builtin import build_furnace, build_sphere
+from neurad.scene.load import load_scene
+from neurad.studies.stress import numbers
 from neurad.studies.stress import run as stress
 from neurad.studies.stress.case import Case, Outcome, judge
 from neurad.studies.stress.families import FAMILIES
+from neurad.studies.stress.fit import resized
+from neurad.studies.stress.folder import photograph, write_folder
 from neurad.studies.stress.run import collect
 from neurad.studies.stress.scenes import difference, small_cube, with_light
 from neurad.studies.stress.stiff import closed_form
@@ -111,3 +117,48 @@ def test_a_firefly_does_not_set_the_unit_of_light():
     values[0] = 1e4
     assert float(values.square().mean()) > 1e4
     assert typical_square(values, 5.0) == pytest.approx(1.024)
+
+
+def test_extreme_numbers_go_through_the_command_line(monkeypatch, capsys, tmp_path):
+    """Two rows of the family, in this process and with tiny fields; what is not seen changes nothing."""
+    pytest.importorskip("mitsuba")
+    write_tiny_config(tmp_path / "tiny.yaml")
+    commands = []
+
+    def here(arguments, log):
+        commands.append(arguments)
+        main(arguments)
+        return Ended(0, 0.0, None, "")
+
+    monkeypatch.setattr(numbers, "run_neurad", here)
+    size = numbers.Size(pixels=8, spp=1, quick_steps=2, arguments=("--config", str(tmp_path / "tiny.yaml")))
+    monkeypatch.setitem(stress.CASES, "numbers", lambda: numbers.cases(size))
+    main(["stress", "--only", "numbers", "--quick"])
+    assert [arguments[0] for arguments in commands] == ["fit"] * 3  # the plain scene's is made once
+    with (tmp_path / "stress.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    assert [row["verdict"] for row in rows] == ["ok", "ok"]
+    assert [row["extreme"] for row in rows] == ["light times 1e-12", "three stray vertices at 1000"]
+    assert all(abs(float(row["error"])) < 0.01 for row in rows)
+
+
+def test_a_fit_that_fails_fails_its_row_with_its_sentence(monkeypatch):
+    monkeypatch.setattr(numbers, "run_neurad", lambda arguments, log: Ended(2, 0.0, None, "no light"))
+    row = judge(numbers.cases(numbers.Size(pixels=4, spp=1))[0], True)
+    assert row.verdict == "FAIL"
+    assert row.note == "RuntimeError: no light"
+
+
+def test_a_written_scene_is_the_scene(tmp_path):
+    pytest.importorskip("mitsuba")
+    scene = resized(numbers.glossy(0.25), 4)
+    write_folder(scene, tmp_path / "room", photograph(scene, 1), 2.0)
+    read = load_scene(str(tmp_path / "room"), None)
+    for mine, other in zip(scene.meshes, read.meshes, strict=True):
+        assert mine.vertices[mine.faces].tolist() == other.vertices[other.faces].tolist()
+        assert (mine.radiance is None) == (other.radiance is None)
+        here, there = scene.materials[mine.material], read.materials[other.material]
+        assert here.model == there.model
+        assert there.albedo.value.tolist() == pytest.approx(here.albedo.value.tolist(), rel=1e-6)
+    assert read.materials[0].roughness.value.tolist() == [0.25]
+    assert [view.camera.fov_x for view in read.test] == [view.camera.fov_x for view in scene.test]

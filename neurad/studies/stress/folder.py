@@ -9,7 +9,7 @@ import numpy as np
 
 from neurad.assembly.build import build_world
 from neurad.core.protocols import Integrator
-from neurad.core.records import Constant, Material, Mesh, Texture
+from neurad.core.records import Constant, FloatArray, Material, Mesh, Texture
 from neurad.core.reflection import DiffuseModel
 from neurad.integrators.film import render
 from neurad.integrators.renderer import path_tracer
@@ -17,51 +17,64 @@ from neurad.scene.description import Scene
 from neurad.scene.image_io import write_exr
 from neurad.scene.textures import TrueMaterials
 
+Photographs = dict[str, dict[str, FloatArray]]
+"""Pictures [h, w, c] by the name of the view, of each kind: images, albedo and, in a glossy scene, roughness."""
 
-def write_folder(scene: Scene, folder: Path, photographed: Scene | None = None, spp: int = 64) -> None:
-    """Write a scene of constant materials with path-traced photographs and true maps.
+
+def photograph(scene: Scene, spp: int) -> Photographs:
+    """Path-traced photographs of all views, and true maps.
 
     Args:
-        scene: what ``scene.xml`` and the camera files describe; diffuse and principled materials, area lights.
-        folder: to be made.
-        photographed: the same views and lights in a scene that may be easier to render; None: ``scene`` itself.
-        spp: samples per pixel of the photographs.
+        scene: what is seen.
+        spp: samples per pixel of the photographs; maps have four.
     """
-    for kind in ("images", "albedo", "roughness", "meshes"):
-        (folder / kind).mkdir(parents=True)
-    shapes = []
-    for index, mesh in enumerate(scene.meshes):
-        _write_ply(mesh, folder / f"meshes/{index}.ply")
-        shapes.append(_shape(index, mesh))
+    world = build_world(scene)
+    materials = TrueMaterials(scene, world.geometry)
+    kinds: dict[str, tuple[Integrator, int]] = {
+        "images": (path_tracer(world, materials, scene.max_depth, scene.rr_depth), spp),
+        "albedo": (lambda rays, seed: materials(world.intersect(rays)).albedo, 4),
+    }
+    if not scene.features.is_diffuse:
+        kinds["roughness"] = (lambda rays, seed: materials(world.intersect(rays)).roughness, 4)
+    return {
+        kind: {
+            view.name: render(view.camera, integrator, samples, 7 + index).numpy()
+            for index, view in enumerate([*scene.train, *scene.test])
+        }
+        for kind, (integrator, samples) in kinds.items()
+    }
+
+
+def write_folder(scene: Scene, folder: Path, photographs: Photographs, light: float = 1.0) -> None:
+    """Write a scene of constant materials and area lights.
+
+    Args:
+        scene: what ``scene.xml`` and the camera files describe.
+        folder: to be made.
+        photographs: of its views.
+        light: factor on them.
+    """
+    (folder / "meshes").mkdir(parents=True)
     parts = [
         '<scene version="3.0.0">',
         f'<integrator type="path"><integer name="max_depth" value="{scene.max_depth}"/>',
         f'<integer name="rr_depth" value="{scene.rr_depth}"/></integrator>',
     ]
     parts += [_bsdf(index, material) for index, material in enumerate(scene.materials)]
-    (folder / "scene.xml").write_text("\n".join([*parts, *shapes, "</scene>"]) + "\n")
+    for index, mesh in enumerate(scene.meshes):
+        _write_ply(mesh, folder / f"meshes/{index}.ply")
+        parts.append(_shape(index, mesh))
+    (folder / "scene.xml").write_text("\n".join([*parts, "</scene>"]) + "\n")
     for name, views in (("train", scene.train), ("test", scene.test)):
         camera = views[0].camera
         frames = [{"file_path": f"images/{v.name}.exr", "transform_matrix": v.camera.to_world.tolist()} for v in views]
         described = {"camera_angle_x": camera.fov_x, "w": camera.width, "h": camera.height, "frames": frames}
         (folder / f"transforms_{name}.json").write_text(json.dumps(described))
-    _photograph(photographed or scene, folder, spp)
-
-
-def _photograph(scene: Scene, folder: Path, spp: int) -> None:
-    world = build_world(scene)
-    materials = TrueMaterials(scene, world.geometry)
-    path = path_tracer(world, materials, scene.max_depth, scene.rr_depth)
-    kinds: dict[str, tuple[Integrator, int]] = {
-        "images": (path, spp),
-        "albedo": (lambda rays, seed: materials(world.intersect(rays)).albedo, 4),
-        "roughness": (lambda rays, seed: materials(world.intersect(rays)).roughness, 4),
-    }
-    for index, view in enumerate([*scene.train, *scene.test]):
-        for kind, (integrator, samples) in kinds.items():
-            if kind == "images" or not scene.features.is_diffuse or kind == "albedo":
-                pixels = render(view.camera, integrator, samples, 7 + index)
-                write_exr(folder / kind / f"{view.name}.exr", pixels.numpy(), half=False)
+    for kind, pictures in photographs.items():
+        (folder / kind).mkdir()
+        for name, pixels in pictures.items():
+            factor = np.float32(light if kind == "images" else 1.0)
+            write_exr(folder / kind / f"{name}.exr", pixels * factor, half=False)
 
 
 def _numbers(values: np.ndarray) -> str:
