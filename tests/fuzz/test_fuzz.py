@@ -1,0 +1,87 @@
+"""Odd input of every kind: it works, or it ends with one sentence and exit code 2.
+
+Recipes are drawn by hypothesis from a seed, NEURAD_FUZZ_SEED (0 if not given), and carried out in processes of their
+own, so that crashes and hangs are findings, too. A finding is printed with its recipe and a folder that has the files.
+NEURAD_FUZZ_SECONDS bounds the time of each long test.
+"""
+
+import os
+from pathlib import Path
+
+import pytest
+from helpers.fuzzing import RUN, strategies
+from helpers.fuzzing.driver import Worker, explore, report
+
+pytest.importorskip("mitsuba")
+
+SEED = int(os.environ.get("NEURAD_FUZZ_SEED", "0"))
+SECONDS = float(os.environ["NEURAD_FUZZ_SECONDS"]) if "NEURAD_FUZZ_SECONDS" in os.environ else None
+"""Of every long test."""
+
+
+@pytest.fixture(scope="module")
+def reading(tmp_path_factory):
+    """A worker that reads one case after the other."""
+    worker = Worker("in_process", tmp_path_factory.mktemp("reading"))
+    yield worker
+    worker.close()
+
+
+@pytest.fixture(scope="module")
+def running(tmp_path_factory):
+    """A worker that forks for each case."""
+    worker = Worker("forking", tmp_path_factory.mktemp("running"))
+    yield worker
+    worker.close()
+
+
+@pytest.fixture(scope="module")
+def finished_run(running, tmp_path_factory):
+    """A finished run that checkpoints are made from, named in the environment."""
+    folder = tmp_path_factory.mktemp("finished")
+    answer = running.carry_out({"kind": "settings", "runs": True, "mutations": []}, keep=folder)
+    assert answer["end"] == "done", answer
+    os.environ[RUN] = str(folder / "lightning_logs/version_0")
+    yield
+    del os.environ[RUN]
+
+
+def explored(strategy, worker, count, out: Path):
+    """Carry out the cases and fail with all that was found."""
+    found = explore(strategy, worker, count, SEED, SECONDS)
+    ends = ", ".join(f"{number} {end}" for end, number in found.ends.most_common())
+    times = f"in {found.seconds:.0f} s, the slowest {found.slowest:.1f} s"
+    print(f"\nfuzz: {found.ends.total()} cases {times}: {ends}; seed {SEED}")
+    if found.findings:
+        pytest.fail(
+            f"{len(found.findings)} kinds of findings, seed {SEED}\n\n{report(found, worker, out)}", pytrace=False
+        )
+
+
+def quick_and_whole(quick, whole):
+    return pytest.mark.parametrize("count", [quick, pytest.param(whole, marks=pytest.mark.slow)])
+
+
+@quick_and_whole(500, 3300)
+def test_scene_folders(count, reading, tmp_path):
+    explored(strategies.scenes(), reading, count, tmp_path)
+
+
+@quick_and_whole(100, 800)
+def test_settings(count, reading, tmp_path):
+    explored(strategies.settings(), reading, count, tmp_path)
+
+
+@quick_and_whole(50, 300)
+def test_options_of_other_verbs(count, reading, tmp_path):
+    explored(strategies.verbs(), reading, count, tmp_path)
+
+
+@quick_and_whole(60, 600)
+def test_checkpoints(count, finished_run, reading, tmp_path):
+    explored(strategies.checkpoints(), reading, count, tmp_path)
+
+
+@quick_and_whole(7, 200)
+def test_whole_commands(count, finished_run, running, tmp_path):
+    explored(strategies.fits(), running, count, tmp_path)

@@ -1,0 +1,199 @@
+"""What recipes mean: cases that are carried out in a process that reads one after the other, and whole commands."""
+
+from __future__ import annotations
+
+import math
+from pathlib import Path
+
+from helpers.fuzzing.read_scene import finite, read_scene
+from helpers.fuzzing.spoil import write_spoilt
+
+PREFIX = "neurad: error: "
+SHORT, LONG = 25, 3500
+"""Characters of an error message, more and fewer."""
+
+
+def _scene(recipe: dict, folder: Path) -> None:
+    write_spoilt(folder / "scene", recipe["variant"], recipe["mutations"])
+    read_scene(folder / "scene")
+
+
+def _settings(recipe: dict, folder: Path) -> None:
+    """Parse a command line and make everything that it names, without running it."""
+    from helpers.fuzzing.spoil_settings import write_settings
+    from neurad.cli import main
+
+    arguments = write_settings(recipe, folder)
+    _keep_parser()
+    main(arguments)
+
+
+_KEPT = ("parser", "_subcommand_parsers", "_subcommand_method_arguments")
+
+
+def _keep_parser() -> None:
+    """Let commands of this process end before they run, and share the parser, which takes longest to build."""
+    from neurad.runs.lightning import NeuradCLI
+
+    if "setup_parser" in NeuradCLI.__dict__:
+        return
+    kept: dict[str, dict] = {}
+    build = NeuradCLI.setup_parser
+
+    def setup_parser(self, *args, **kwargs):
+        if self.verb not in kept:
+            build(self, *args, **kwargs)
+            kept[self.verb] = {name: getattr(self, name) for name in _KEPT}
+        vars(self).update(kept[self.verb])
+
+    NeuradCLI.setup_parser = setup_parser
+    NeuradCLI._run_subcommand = lambda self, subcommand: None
+
+
+def _verb(recipe: dict, folder: Path) -> None:
+    """Parse the command line of one of the other verbs, without running it."""
+    from helpers.fuzzing.spoil_verbs import arguments
+    from neurad import cli
+
+    for verb, (load, text) in list(cli.OWN_VERBS.items()):
+        module = load()
+        module.run = lambda options: None
+        cli.OWN_VERBS[verb] = (lambda module=module: module), text
+    cli.main(arguments(recipe, folder))
+
+
+def _checkpoint(recipe: dict, folder: Path) -> None:
+    import neurad
+    from helpers.fuzzing.spoil_runs import write_run
+
+    run = neurad.load(write_run(recipe, folder))
+    view = (run.scene.test or run.scene.train)[0]
+    surface = run.surface(view)
+    finite("recovered materials", run.albedo(surface), run.roughness(surface))
+    finite("a picture", run.render(view, spp=1))
+
+
+JUDGES = {"scene": _scene, "settings": _settings, "verb": _verb, "checkpoint": _checkpoint}
+"""Cases that the worker carries out itself, by kind."""
+
+
+def judge_exit(code: object, folder: Path) -> dict:
+    """How a command that was carried out in the worker ended: with one sentence on stderr, or badly."""
+    if code in (None, 0):
+        return {"end": "done"}
+    return judge_end(code if isinstance(code, int) else 1, folder)
+
+
+# ---- whole commands
+
+
+def _fit_scene(recipe: dict, folder: Path) -> None:
+    from helpers.fuzzing.spoil_settings import TINY
+    from neurad.cli import main
+
+    write_spoilt(folder / "scene", recipe["variant"], recipe["mutations"])
+    (folder / "tiny.yaml").write_text(TINY)
+    main(["fit", "--config", "tiny.yaml", "--data.root", "scene"])
+
+
+def _fit_settings(recipe: dict, folder: Path) -> None:
+    from helpers.fuzzing.spoil_settings import write_settings
+    from neurad.cli import main
+
+    main(write_settings(recipe, folder))
+
+
+def _render(recipe: dict, folder: Path) -> None:
+    from helpers.fuzzing.spoil_verbs import arguments
+    from neurad.cli import main
+
+    main(arguments(recipe, folder))
+
+
+def _fit_checkpoint(recipe: dict, folder: Path) -> None:
+    from helpers.fuzzing.spoil_runs import write_run
+    from neurad.cli import main
+
+    path = write_run(recipe, folder)
+    verb = ("fit", "fit", "validate", "test", "predict")[recipe["variant"] % 5]
+    more = ["--trainer.max_steps", "4"] if verb == "fit" else []
+    main([verb, "--ckpt_path", "last" if recipe["variant"] % 2 else str(path), *more])
+
+
+COMMANDS = {"scene": _fit_scene, "settings": _fit_settings, "verb": _render, "checkpoint": _fit_checkpoint}
+"""Cases that get a process of their own, by kind."""
+
+
+def judge_end(code: int, folder: Path) -> dict:
+    """Whether a command ended as it may: with 0 and finite numbers, or with 2 and one sentence."""
+    printed = (folder / "stderr").read_text(errors="replace")
+    lines = [line for line in printed.splitlines() if line.strip()]
+    if code < 0:
+        return {"end": "crash", "where": f"signal {-code}", "text": printed[-6000:]}
+    if "Traceback (most recent call last)" in printed:
+        return {"end": "traceback", "where": _place(printed), "text": printed[-6000:]}
+    if code == 0:
+        return _finite_output(folder) or {"end": "done"}
+    said = [line for line in lines if line.startswith(PREFIX)]
+    one = len(said) == 1 and lines[-1] == said[0] and said[0].isprintable()
+    if code != 2 or not one or not SHORT < len(said[0]) < LONG:
+        return {"end": "no sentence", "where": f"exit code {code}, {len(said)} sentences", "text": printed[-6000:]}
+    if other := [line for line in lines if not line.startswith("neurad: ")]:
+        return {"end": "chatter", "where": other[0][:60], "text": printed[-6000:]}
+    return {"end": "sentence", "text": said[0].removeprefix(PREFIX)}
+
+
+def _place(printed: str) -> str:
+    """Where a printed traceback was raised."""
+    lines = printed.splitlines()
+    frames = [line.split(", in ") for line in lines if line.startswith('  File "') and ", in " in line]
+    own = [
+        f"{Path(f[0].split(chr(34))[1]).stem}.{f[1]}" for f in frames if "/neurad/" in f[0] or "/datamodules/" in f[0]
+    ]
+    kinds = [
+        line.split(":")[0]
+        for line in lines
+        if line and not line[0].isspace() and ":" in line and "Error" in line.split(":")[0]
+    ]
+    return f"{kinds[-1] if kinds else '?'} in " + " < ".join(reversed(own[-2:]))
+
+
+def _finite_output(folder: Path) -> dict | None:
+    """What a successful command has written that is no number; None where everything is."""
+    import numpy as np
+    import torch
+
+    from neurad.scene.image_io import read_exr
+
+    for path in sorted(folder.glob("lightning_logs/*/metrics.csv")):
+        rows = [line.split(",") for line in path.read_text(errors="replace").splitlines()]
+        for row in rows[1:]:
+            for name, cell in zip(rows[0], row, strict=False):
+                if _is_nan(cell):
+                    return {"end": "silent", "where": "NaN in metrics.csv", "text": f"{path}: {name} is {cell}"}
+    for path in sorted(folder.glob("lightning_logs/*/checkpoints/last.ckpt")):
+        state = torch.load(path, weights_only=True)["state_dict"]
+        if bad := [n for n, w in state.items() if w.is_floating_point() and not torch.isfinite(w).all()]:
+            return {"end": "silent", "where": "NaN in last.ckpt", "text": f"{path}: {bad[0]}"}
+    for path in sorted((*folder.glob("lightning_logs/*/images/**/*.exr"), *folder.glob("out/**/*.exr"))):
+        if not np.isfinite(read_exr(path)).all():
+            return {"end": "silent", "where": "NaN in a picture", "text": str(path)}
+    return None
+
+
+def _is_nan(cell: str) -> bool:
+    try:
+        return math.isnan(float(cell))
+    except ValueError:
+        return False
+
+
+def import_all() -> None:
+    """Import what a fit needs, and start no thread."""
+
+    import neurad.fields.hash_grid_kernels
+    import neurad.integrators.vertex_diffuse_kernels
+    import neurad.integrators.vertex_principled_kernels
+    import neurad.runs.lightning
+    import neurad.scene.geometry_kernels
+    import neurad.training.inverse  # noqa: F401

@@ -1,0 +1,190 @@
+"""Draws recipes, has a worker carry them out, and keeps what it finds, each kind once and as small as it gets."""
+
+import json
+import os
+import select
+import shutil
+import signal
+import subprocess
+import sys
+import time
+from collections import Counter
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import hypothesis
+from hypothesis import HealthCheck, Phase
+
+from helpers.fuzzing import RUN
+
+FINE = ("done", "sentence")
+HANG = 60.0
+"""Seconds that no case may take."""
+START = 180.0
+"""Seconds that a worker may take to import everything; a machine may be busy."""
+
+
+class Worker:
+    """A process that carries out cases; a new one takes its place when it has crashed or hangs.
+
+    Args:
+        mode: 'in_process' or 'forking', see :mod:`helpers.fuzzing.worker`.
+        scratch: folder for the cases' folders.
+    """
+
+    def __init__(self, mode: str, scratch: Path) -> None:
+        self.mode, self.scratch = mode, scratch
+        self.process: subprocess.Popen | None = None
+        self.count = 0
+
+    def carry_out(self, recipe: dict, keep: Path | None = None) -> dict:
+        """How a case ended: ``end``, and for a finding ``where`` and ``text``; its folder stays if it is ``keep``."""
+        self.count += 1
+        folder = keep or self.scratch / f"case{self.count}"
+        shutil.rmtree(folder, ignore_errors=True)
+        folder.mkdir(parents=True)
+        process = self._running()
+        job = {"recipe": recipe, "folder": str(folder.resolve()), "seconds": HANG, "run": os.environ.get(RUN, "")}
+        process.stdin.write((json.dumps(job) + "\n").encode())
+        process.stdin.flush()
+        answer = self._answer(HANG + 30 if self.mode == "forking" else HANG)
+        if answer is None:
+            answer = self._end(folder)
+        if keep is None:
+            shutil.rmtree(folder, ignore_errors=True)
+        return answer
+
+    def _running(self) -> subprocess.Popen:
+        if self.process is None or self.process.poll() is not None:
+            environment = {
+                **os.environ,
+                "PYTHONPATH": os.pathsep.join(p for p in sys.path if p),
+                "OMP_NUM_THREADS": "1",
+            }
+            environment |= {"CUDA_VISIBLE_DEVICES": "", "PYTHONFAULTHANDLER": "1", "HOME": str(self.scratch)}
+            log = (self.scratch / f"{self.mode}.log").open("wb")
+            self.process = subprocess.Popen(
+                [sys.executable, "-m", "helpers.fuzzing.worker", self.mode],
+                stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=log, env=environment, start_new_session=True,
+            )  # fmt: skip
+            if self._answer(START) is None:
+                self.close()
+                raise AssertionError("the worker does not start: " + (self.scratch / f"{self.mode}.log").read_text())
+        return self.process
+
+    def _answer(self, seconds: float) -> dict | None:
+        """The worker's next line; None if it ended or took too long."""
+        ready, _, _ = select.select([self.process.stdout], [], [], seconds)
+        line = self.process.stdout.readline() if ready else b""
+        return json.loads(line) if line.endswith(b"\n") else None
+
+    def _end(self, folder: Path) -> dict:
+        """Why there was no answer."""
+        try:
+            code = self.process.wait(timeout=1)  # one that has crashed is ending
+        except subprocess.TimeoutExpired:
+            code = None
+        self.close()
+        printed = (folder / "stderr").read_text(errors="replace")[-6000:] if (folder / "stderr").exists() else ""
+        if code is None:
+            return {"end": "hang", "where": f"over {HANG:g} s", "text": printed, "seconds": HANG}
+        own = [line.strip() for line in printed.splitlines() if "/neurad/" in line and " in " in line]
+        return {"end": "crash", "where": f"exit code {code}: {own[0] if own else ''}", "text": printed}
+
+    def close(self) -> None:
+        """End the worker and all that it started."""
+        if self.process is not None:
+            with _ignored():
+                os.killpg(self.process.pid, signal.SIGKILL)
+            self.process.wait()
+            self.process.stdin.close()
+            self.process.stdout.close()
+            self.process = None
+
+
+def _ignored():
+    from contextlib import suppress
+
+    return suppress(ProcessLookupError)
+
+
+@dataclass
+class Explored:
+    """What became of all cases."""
+
+    ends: Counter = field(default_factory=Counter)
+    findings: dict[str, tuple[dict, dict]] = field(default_factory=dict)
+    """Recipe and answer by kind of finding."""
+    counts: Counter = field(default_factory=Counter)
+    sentences: Counter = field(default_factory=Counter)
+    seconds: float = 0.0
+    slowest: float = 0.0
+
+
+def explore(strategy, worker: Worker, count: int, seed: int, seconds: float | None = None) -> Explored:
+    """Carry out ``count`` cases of a strategy, or as many as so many ``seconds`` allow; findings do not end it."""
+    explored = Explored()
+    begin = time.monotonic()
+
+    @hypothesis.seed(seed)
+    @hypothesis.settings(
+        max_examples=count,
+        database=None,
+        deadline=None,
+        phases=[Phase.generate],
+        suppress_health_check=list(HealthCheck),
+    )
+    @hypothesis.given(strategy)
+    def one(recipe):
+        if seconds is not None and time.monotonic() - begin > seconds:
+            return
+        answer = worker.carry_out(recipe)
+        explored.ends[answer["end"]] += 1
+        explored.slowest = max(explored.slowest, answer.get("seconds", 0.0))
+        if answer["end"] not in FINE:
+            kind = kind_of(answer)
+            explored.counts[kind] += 1
+            old = explored.findings.get(kind)
+            if old is None or len(json.dumps(recipe)) < len(json.dumps(old[0])):
+                explored.findings[kind] = recipe, answer
+
+    one()
+    explored.seconds = time.monotonic() - begin
+    return explored
+
+
+def kind_of(answer: dict) -> str:
+    """What kind of finding an answer is: findings of one kind are listed once."""
+    return f"{answer['end']}: {answer['where']}"
+
+
+def reduced(recipe: dict, answer: dict, worker: Worker) -> tuple[dict, dict]:
+    """The recipe without the mutations that its finding does not need."""
+    index = 0
+    while index < len(recipe["mutations"]) and len(recipe["mutations"]) > 1:
+        mutations = recipe["mutations"][:index] + recipe["mutations"][index + 1 :]
+        smaller = {**recipe, "mutations": mutations}
+        found = worker.carry_out(smaller)
+        if found["end"] not in FINE and kind_of(found) == kind_of(answer):
+            recipe, answer = smaller, found
+        else:
+            index += 1
+    return recipe, answer
+
+
+def report(explored: Explored, worker: Worker, out: Path) -> str:
+    """All findings as a text, each with a folder that shows it; empty if there are none."""
+    texts = []
+    for number, (kind, (recipe, answer)) in enumerate(sorted(explored.findings.items())):
+        hangs = answer["end"] == "hang"
+        recipe, answer = (recipe, answer) if hangs else reduced(recipe, answer, worker)
+        folder = out / f"finding{number}"
+        if not hangs:
+            worker.carry_out(recipe, keep=folder)
+        folder.mkdir(parents=True, exist_ok=True)
+        (folder / "recipe.json").write_text(json.dumps(recipe))
+        texts.append(
+            f"{kind} ({explored.counts[kind]} times)\n  recipe: {json.dumps(recipe)}\n  files: {folder}\n"
+            + "".join(f"    {line}\n" for line in answer["text"].splitlines()[-12:])
+        )
+    return "\n".join(texts)

@@ -1,0 +1,165 @@
+"""Mutations of a run folder: its checkpoint, config and table."""
+
+import io
+import os
+import pickle
+import shutil
+import zipfile
+from collections import OrderedDict
+from pathlib import Path
+from tempfile import TemporaryFile
+from typing import Any
+
+import torch
+
+from helpers.fuzzing import RUN
+from helpers.fuzzing.odd import FLOATS, INTEGERS, WORDS, pick
+from helpers.fuzzing.spoil_bytes import GENERAL, KINDS, write_files
+
+OTHERS = (
+    None, 0, -1, 1.5, float("nan"), float("inf"), "", "abc", [], {}, [1, 2], {"a": 1}, True, 2**70, torch.zeros(3),
+    torch.zeros(0), torch.full((2, 2), float("nan")), (1, 2), b"x", {"state": []}, OrderedDict(a=1),
+    torch.zeros(3, dtype=torch.int64), "a" * 70000,
+)  # fmt: skip
+
+
+def _parts(value: Any, above: tuple = ()) -> list[tuple]:
+    found = [above] if above else []
+    items = value.items() if isinstance(value, dict) else enumerate(value) if isinstance(value, list) else ()
+    for key, item in items:
+        found += _parts(item, (*above, key))
+    return found
+
+
+def _holder(content: Any, place: tuple) -> Any:
+    for key in place[:-1]:
+        content = content[key]
+    return content
+
+
+def entry(content: Any, i: int, j: int, k: int) -> Any:
+    """An entry is another thing, or is not there, or there is one more."""
+    places = _parts(content)
+    depth = pick(sorted({len(place) for place in places}), k // 3)
+    place = pick([place for place in places if len(place) == depth], i)
+    holder = _holder(content, place)
+    if k % 3 == 0:
+        del holder[place[-1]]
+    elif k % 3 == 1 or isinstance(holder, list):
+        holder[place[-1]] = pick(OTHERS, j)
+    else:
+        holder[pick((*WORDS, 5, None, "neurad", "state_dict"), i)] = pick(OTHERS, j)
+    return content
+
+
+def weights(content: Any, i: int, j: int, k: int) -> Any:
+    """A tensor of other values, another size or another kind."""
+    places = [p for p in _parts(content) if isinstance(_holder(content, p)[p[-1]], torch.Tensor)]
+    if places:
+        place = pick(places, i)
+        holder = _holder(content, place)
+        old = holder[place[-1]]
+        odd = (
+            torch.full_like(old, pick(FLOATS, j))
+            if old.is_floating_point()
+            else torch.full_like(old, pick(INTEGERS, j))
+        )
+        some = old.clone()
+        if some.numel():
+            some.view(-1)[i % some.numel()] = odd.view(-1)[0]
+        new = (
+            odd,
+            some,
+            some,
+            old.double(),
+            old.flatten()[:0],
+            old.unsqueeze(0),
+            old.to(torch.complex64),
+            old.bool(),
+            old.half(),
+        )
+        holder[place[-1]] = pick(new, k)
+    return content
+
+
+def saved(content: Any) -> bytes:
+    """As a checkpoint, with the checksum of its bytes."""
+    file = io.BytesIO()
+    torch.save(content, file)
+    return sealed(file.getvalue())
+
+
+def sealed(data: bytes) -> bytes:
+    """Bytes with a correct checksum, whatever they are: what reads them has to see for itself."""
+    from neurad.runtime.sealed import Sealer
+
+    with TemporaryFile() as file:
+        sealer = Sealer(file.fileno())
+        sealer.write(data)
+        sealer.seal()
+        file.seek(0)
+        return file.read()
+
+
+class _Evil:
+    """Would make a folder if it were loaded as an object."""
+
+    def __reduce__(self):
+        return os.mkdir, ("executed",)
+
+
+def other(data: bytes, i: int, j: int, k: int) -> bytes:
+    """Another kind of file."""
+    file = io.BytesIO()
+    with zipfile.ZipFile(file, "w") as made:
+        made.writestr(
+            pick(("data.pkl", "archive/data.pkl", "x", "../x", "archive/version"), i),
+            pick((b"", b"\x80\x02N.", data[:99]), j),
+        )
+    protocol = j % 6
+    kinds = (
+        file.getvalue(), pickle.dumps({"state_dict": {}}, protocol), pickle.dumps(_Evil(), protocol),
+        saved({"state_dict": _Evil()}), pickle.dumps([1], protocol), saved([1, 2]), saved({"state_dict": {}}),
+        saved({"state_dict": {}, "neurad": {}}), b"PK\3\4", b"", saved({"state_dict": None, "neurad": None}),
+        b"\x80\x02" + b"(" * 100_000 + b".", b"\x1f\x8b" + data[:500], data + data, b"\0" * 5000,
+        saved(torch.zeros(3)), saved(None), saved({5: 6}), b"{}", b"version https://git-lfs.github.com/spec/v1\n",
+    )  # fmt: skip
+    return pick(kinds, i) if k % 2 else sealed(pick(kinds, i))
+
+
+RUNS = ("flip", "cut", "insert", "entry", "entry", "weights", "weights", "other", "config", "table", "kind")
+"""Mutations of runs, by name."""
+
+
+def write_run(recipe: dict, folder: Path) -> Path:
+    """Copy the finished run into ``lightning_logs/version_0`` and spoil it; returns the path of its checkpoint."""
+    run = folder / "lightning_logs/version_0"
+    shutil.copytree(os.environ[RUN], run)
+    path = run / "checkpoints/last.ckpt"
+    whole = path.read_bytes()
+    content = torch.load(io.BytesIO(whole), weights_only=True)
+    data = whole
+    rest = {name: (run / name).read_bytes() for name in ("config.yaml", "metrics.csv")}
+    for name, i, j, k in recipe["mutations"]:
+        if name in ("entry", "weights"):
+            if isinstance(content, dict) and content:
+                content = {"entry": entry, "weights": weights}[name](content, i, j, k)
+            data = saved(content)
+        elif name == "other":
+            data = other(whole, i, j, k)
+        elif name in ("config", "table"):
+            one = {n: rest[n] for n in (("config.yaml",) if name == "config" else ("metrics.csv",))}
+            GENERAL[pick(("token", "line", "flip", "cut", "insert"), i)](one, 0, j, k)
+            rest |= one
+        elif name == "kind":
+            target = pick(("checkpoints/last.ckpt", "config.yaml", "metrics.csv"), i)
+            rest[target] = b"KIND " + pick(KINDS, j).encode()
+        else:
+            one = {"last.ckpt": data}
+            GENERAL[name](one, 0, j, k)
+            data = one["last.ckpt"] if k % 3 else sealed(one["last.ckpt"])
+    path.write_bytes(data)
+    for name, text in rest.items():
+        (run / name).unlink()
+        write_files({name: text}, run)
+    return path
