@@ -17,6 +17,7 @@ from omegaconf.errors import MissingMandatoryValue, OmegaConfBaseException
 
 import neurad
 from neurad.core.errors import InputError
+from neurad.runtime.reading import exists, regular_file, shown
 
 Tree = dict[str, Any]
 TRUSTED = ["neurad", "datamodules", "lightning", "torch.optim", "torch.nn", "datetime"]
@@ -40,14 +41,17 @@ def find_config(name: str) -> Path:
     Raises:
         InputError: there is neither.
     """
-    path = Path(name).expanduser()
-    if path.is_file():
-        return path
+    try:
+        path = Path(name).expanduser()
+    except RuntimeError as error:  # ~ of nobody
+        raise InputError(f"config {shown(name)}: {str(error).rstrip('.')}") from error
+    if exists(path) and not path.is_dir():
+        return regular_file(path)
     if not path.is_absolute():
         for folder in shipped_folders():
-            if (folder / path).is_file():
+            if exists(folder / path) and (folder / path).is_file():
                 return folder / path
-    raise InputError(f"config {name}: no such file, and no shipped config has this name ({_shipped()})")
+    raise InputError(f"config {shown(name)}: no such file, and no shipped config has this name ({_shipped()})")
 
 
 def _shipped() -> str:
@@ -76,16 +80,31 @@ def load_config(name: str, above: tuple[Path, ...] = ()) -> list[DictConfig]:
         raise InputError(f"config {name}: it is its own base")
     try:
         layer = OmegaConf.load(path)
-    except (yaml.YAMLError, OmegaConfBaseException, UnicodeDecodeError, OSError) as error:
+    except RecursionError as error:
+        raise InputError(f"config {name}: it is nested too deeply to be a config") from error
+    except (yaml.YAMLError, OmegaConfBaseException, ValueError, OSError) as error:
         raise InputError(f"config {name}: it is not readable YAML ({' '.join(str(error).split())})") from error
     if not isinstance(layer, DictConfig):
         raise InputError(f"config {name}: it is not a mapping of keys to values")
-    bases = layer.pop("base", [])
+    if "config" in layer:  # the parser would read it as --config
+        raise InputError(f"config {name}: config is not a known setting, did you mean base?")
     layers: list[DictConfig] = []
-    for base in [bases] if isinstance(bases, str) else bases:
+    for base in _bases(layer, name):
         beside = path.parent / base
-        layers += load_config(str(beside if beside.is_file() else base), (*above, path.resolve()))
+        layers += load_config(str(beside if exists(beside) and beside.is_file() else base), (*above, path.resolve()))
     return [*layers, layer]
+
+
+def _bases(layer: DictConfig, name: str) -> list[str]:
+    """The names under ``base``, which is taken out of the layer."""
+    referred = OmegaConf.is_interpolation(layer, "base") or OmegaConf.is_missing(layer, "base")
+    given = None if referred else layer.pop("base", [])
+    names = [given] if isinstance(given, str) else given
+    if isinstance(names, ListConfig):
+        names = OmegaConf.to_container(names, resolve=False)
+    if not isinstance(names, list) or not all(isinstance(base, str) for base in names):
+        raise InputError(f"config {name}: base must be the name of a config, or a list of names")
+    return names
 
 
 def split_arguments(args: Sequence[str]) -> tuple[list[str], dict[str, str], list[str]]:
@@ -124,16 +143,23 @@ def split_arguments(args: Sequence[str]) -> tuple[list[str], dict[str, str], lis
 
 
 def overlay(layers: Sequence[DictConfig], values: dict[str, str]) -> DictConfig:
-    """All layers and the command line's values in one tree, interpolations not yet resolved."""
+    """All layers and the command line's values in one tree, interpolations not yet resolved.
+
+    Raises:
+        InputError: the layers have different kinds of things under one key.
+    """
     merged: Any = OmegaConf.create({})
     for layer in layers:
-        merged = OmegaConf.merge(merged, layer)
+        try:
+            merged = OmegaConf.merge(merged, layer)
+        except (OmegaConfBaseException, TypeError) as error:
+            raise InputError(f"config: one has a list where another has keys ({str(error).splitlines()[0]})") from error
     for key, text in values.items():
         if key.endswith("+"):
             continue  # the parser's way to append to a list; nothing can refer to it
         try:
             OmegaConf.update(merged, key, yaml.safe_load(text), force_add=True)
-        except (yaml.YAMLError, OmegaConfBaseException, TypeError, ValueError):
+        except (yaml.YAMLError, OmegaConfBaseException, TypeError, ValueError, RecursionError):
             continue  # the parser judges values; here they only serve as targets of interpolations
     return cast(DictConfig, merged)
 
@@ -152,6 +178,8 @@ def resolve(layers: Sequence[DictConfig], values: dict[str, str]) -> list[Tree]:
         return [_plain(layer, final, "") for layer in layers]
     except OmegaConfBaseException as error:
         raise InputError(f"config: {str(error).splitlines()[0]}") from error
+    except RecursionError as error:
+        raise InputError("config: it is nested too deeply") from error
 
 
 def _plain(node: DictConfig, final: DictConfig, path: str) -> Tree:

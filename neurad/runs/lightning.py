@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 import signal
 import threading
 from collections.abc import Sequence
@@ -10,7 +11,7 @@ from pathlib import Path
 from typing import Any
 
 import lightning.pytorch as pl
-from jsonargparse import ArgumentError
+from jsonargparse import ArgumentError, Namespace
 from lightning.fabric.utilities.exceptions import MisconfigurationException
 from lightning.pytorch.cli import LightningArgumentParser, LightningCLI
 from lightning.pytorch.trainer.states import TrainerStatus
@@ -24,7 +25,7 @@ from neurad.core.ranges import hints
 from neurad.runs.checkpoints import RUNS, newest_checkpoint, restoring, run_folder_of
 from neurad.runs.configs import load_config, only_trusted_classes, overlay, resolve, split_arguments
 from neurad.runs.messages import setting_error, silence_lightning
-from neurad.runs.trainer_settings import complaints
+from neurad.runs.trainer_settings import check_environment, complaints
 from neurad.runtime.files import check_folder
 from neurad.training.checkpoint_file import read_checkpoint
 
@@ -48,6 +49,7 @@ def run(verb: str, args: Sequence[str], model: type[pl.LightningModule], data: t
     """
     silence_lightning()
     only_trusted_classes()
+    check_environment()
     names, values, rest = split_arguments(args)
     layers = [layer for name in names for layer in load_config(name)]
     settings = overlay(layers, values)
@@ -55,7 +57,7 @@ def run(verb: str, args: Sequence[str], model: type[pl.LightningModule], data: t
     checkpoint = None if only_print else find_checkpoint(verb, OmegaConf.to_container(settings, resolve=False))
     if checkpoint is not None:
         layers = [*_config_of_run(checkpoint), *layers]
-    parsed = [f"--config={json.dumps(tree)}" for tree in resolve(layers, values)]
+    parsed = [f"--config={_as_text(tree)}" for tree in resolve(layers, values)]
     rest = [token for token in rest if not token.startswith("--ckpt_path")]
     if checkpoint is not None:
         rest.append(f"--ckpt_path={checkpoint}")
@@ -69,6 +71,20 @@ def run(verb: str, args: Sequence[str], model: type[pl.LightningModule], data: t
         # Lightning leaves Ctrl-C ignored after an interrupt.
         if threading.current_thread() is threading.main_thread():
             signal.signal(signal.SIGINT, handler)
+
+
+def _as_text(tree: dict[str, Any]) -> str:
+    """Settings as the parser reads them.
+
+    Raises:
+        InputError: YAML has kinds of values that no setting has: dates, sets, bytes.
+    """
+    try:
+        return json.dumps(tree)
+    except (TypeError, ValueError) as error:
+        raise InputError(f"config: it has a value that no setting can have ({error})") from error
+    except RecursionError as error:
+        raise InputError("config: it is nested too deeply") from error
 
 
 def find_checkpoint(verb: str, settings: Any) -> Path | None:
@@ -157,7 +173,13 @@ class NeuradCLI(LightningCLI):
     def parse_arguments(self, parser: LightningArgumentParser, args: Any) -> None:
         """Parse what :func:`run` prepared, whatever ``sys.argv`` says, and check the ranges of all numbers."""
         self.known += [action.dest for action in self._subcommand_parsers[self.verb]._actions]
-        self.config = parser.parse_args(args)
+        try:
+            self.config = parser.parse_args(args)
+        except RecursionError as error:
+            raise InputError("the settings are nested too deeply") from error
+        for name in ("trainer", "model", "data", *CALLBACKS):
+            if not isinstance(self.config[self.verb].get(name), Namespace):
+                raise ArgumentError(None, f'Parser key "{name}": it is a group of settings, write them below it')
         owners: dict[str, Any] = {"model": self._model_class, "data": self._datamodule_class, **CALLBACKS}
         groups = {name: hints(owner) for name, owner in owners.items()}
         for key, text in complaints(self.config[self.verb].as_dict(), groups):
@@ -204,6 +226,10 @@ class NeuradCLI(LightningCLI):
             return super()._instantiate_trainer(config, kept)
         except (MisconfigurationException, ValueError) as error:
             raise InputError(f"trainer: {error}") from error
+        except (KeyError, RuntimeError) as error:
+            if not any(name.startswith("SLURM_") for name in os.environ):
+                raise
+            raise InputError(f"trainer: it seems to run under SLURM, but not by srun ({error}); see sbatch") from error
 
     def _prepare_subcommand_kwargs(self, subcommand: str) -> dict[str, Any]:
         return {**super()._prepare_subcommand_kwargs(subcommand), "weights_only": True}

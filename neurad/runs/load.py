@@ -188,7 +188,7 @@ def load_run(
     name = f"run {checkpoint}"
     content = read_checkpoint(checkpoint, name)
     config = OmegaConf.to_container(OmegaConf.merge(*load_config(str(folder / "config.yaml"))), resolve=True)
-    if not isinstance(config, dict) or "model" not in config or "data" not in config:
+    if not isinstance(config, dict) or not all(isinstance(config.get(part), dict) for part in ("model", "data")):
         raise InputError(f"{folder / 'config.yaml'}: it is not the config of a run")
     settings = parse_model(config["model"], str(folder / "config.yaml"))
     scene = _scene(config["data"], folder, root)

@@ -9,6 +9,7 @@ from collections.abc import Iterable, Mapping, Sequence
 from difflib import SequenceMatcher
 
 from omegaconf import OmegaConf
+from omegaconf.errors import OmegaConfBaseException
 
 from neurad.runs.configs import load_config
 
@@ -18,6 +19,7 @@ UNKNOWN = (
     r"Key '([^']+)' is not expected",
 )
 """What the parser says of a setting that does not exist."""
+_ABSENT = object()
 _ALIKE = 0.6
 """Similarity of two names, in [0, 1], from which on one is suggested for the other."""
 
@@ -44,7 +46,9 @@ def setting_error(
         return _unknown(f"{wrong[1]}.init_args.{nested[1]}", names, values, ())
     denied = re.search(r"Importing '[^']+' is not allowed", wrong[2])
     union = re.search(r"Does not validate against any of the Union subtypes.*Given value: (.*)", wrong[2])
+    group = "Unable to load config" in wrong[2]
     reason = denied[0] if denied else f"{union[1]} is not a valid value" if union else wrong[2]
+    reason = "it is a group of settings, write them below it" if group else reason
     return _located(wrong[1], reason, names, values)
 
 
@@ -80,7 +84,11 @@ def _origin(key: str, names: Sequence[str], values: Mapping[str, str]) -> str:
         return "command line"
     for name in reversed(names):
         for layer in load_config(name):
-            if OmegaConf.select(layer, key) is not None:
+            try:
+                given = OmegaConf.select(layer, key, default=_ABSENT) is not _ABSENT
+            except OmegaConfBaseException:  # it refers to another layer
+                given = True
+            if given:
                 return f"config {name}"
     return "config"
 

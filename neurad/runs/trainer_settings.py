@@ -6,10 +6,12 @@ Lightning would ignore, or refuse by an exception, is one sentence instead.
 
 from __future__ import annotations
 
+import os
 from collections.abc import Iterator, Mapping
 from typing import Annotated, Any
 
-from neurad.core.ranges import Count, CountOrZero, Range, Seed, shown, violations
+from neurad.core.errors import InputError
+from neurad.core.ranges import Count, CountOrZero, Range, Seed, is_settings, shown, violations
 
 RANGES: dict[str, Any] = {
     "num_nodes": Count,
@@ -43,6 +45,21 @@ WITHOUT_EFFECT: dict[str, tuple[tuple[Any, ...], str]] = {
 """Options that do not fit: their values that change nothing, and what to take instead."""
 
 
+_NUMBERS = ("RANK", "LOCAL_RANK", "WORLD_SIZE", "NODE_RANK", "MASTER_PORT", "SLURM_PROCID", "SLURM_LOCALID")
+"""Environment variables by which a launcher numbers processes."""
+
+
+def check_environment() -> None:
+    """Refuse what a launcher of processes can not have left in the environment; Lightning reads it.
+
+    Raises:
+        InputError: a variable is not a whole number.
+    """
+    for name in _NUMBERS:
+        if name in os.environ and not os.environ[name].isdecimal():
+            raise InputError(f"the environment variable {name} is {os.environ[name]!r}, not a whole number; unset it")
+
+
 def complaints(settings: Mapping[str, Any], groups: Mapping[str, Any]) -> Iterator[tuple[str, str]]:
     """What is wrong with parsed settings though each has the right type: names, and why.
 
@@ -70,7 +87,10 @@ def complaints(settings: Mapping[str, Any], groups: Mapping[str, Any]) -> Iterat
         yield from violations(callback, Any, "trainer.callbacks")
     for name, owner in groups.items():
         for key, hint in owner.items():
-            yield from violations((settings.get(name) or {}).get(key), hint, f"{name}.{key}")
+            value = (settings.get(name) or {}).get(key)
+            if is_settings(hint) and not isinstance(value, Mapping):
+                yield f"{name}.{key}", "it is a group of settings, write them below it"
+            yield from violations(value, hint, f"{name}.{key}")
 
 
 def _are_devices(value: Any) -> bool:

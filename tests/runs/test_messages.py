@@ -57,6 +57,11 @@ def test_a_word_on_the_command_line(capfd, words, said):
             "modell: {sampling: {spp: 3}}",
             "modell.sampling.spp is not a known setting, did you mean model.sampling.spp?",
         ),
+        ("base: 5", "base must be the name of a config, or a list of names"),
+        ("base: ${data.scene}", "base must be the name of a config, or a list of names"),
+        ("evaluation: null", "evaluation: it is a group of settings, write them below it"),
+        ("data: 5", "data: it is a group of settings, write them below it"),
+        ("data: " + "[" * 500 + "]" * 500, "it is nested too deeply to be a config"),
     ],
 )
 def test_a_key_in_a_config_file(tmp_path, capfd, text, said):
@@ -65,3 +70,12 @@ def test_a_key_in_a_config_file(tmp_path, capfd, text, said):
         main(["fit", "--config", "cornell.yaml", "--config", str(tmp_path / "mine.yaml")])
     assert end.value.code == 2
     assert capfd.readouterr().err == f"neurad: error: config {tmp_path / 'mine.yaml'}: {said}\n"
+
+
+def test_a_launcher_s_variable_that_is_no_number(capfd, monkeypatch):
+    monkeypatch.setenv("LOCAL_RANK", "x")
+    with pytest.raises(SystemExit) as end:
+        main(["fit", "--config", "cornell.yaml"])
+    assert end.value.code == 2
+    said = "neurad: error: the environment variable LOCAL_RANK is 'x', not a whole number; unset it\n"
+    assert capfd.readouterr().err == said
