@@ -101,7 +101,8 @@ class LastCheckpoint(Checkpoint):
             try:
                 self.save(trainer)
             except InputError as error:  # the sentence that ends the run is that of the first failure
-                print(f"neurad: no further checkpoint: {error}", file=sys.stderr)
+                if str(error) != str(exception):
+                    print(f"neurad: no further checkpoint: {error}", file=sys.stderr)
         elif path is not None and trainer.is_global_zero:
             print("neurad: stopped in the middle of an iteration, the last checkpoint stays as it is", file=sys.stderr)
         interrupted = isinstance(exception, KeyboardInterrupt) and trainer.is_global_zero

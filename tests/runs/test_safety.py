@@ -1,0 +1,155 @@
+"""Nothing is lost: damaged checkpoints, refused writes, two runs in one folder."""
+
+import errno
+import os
+import random
+import shutil
+from pathlib import Path
+
+import pytest
+import torch
+from helpers.tiny_fit import checkpoint, fails, fit, metrics, run_folder
+
+from neurad.callbacks.run_folder import RunLogger
+from neurad.cli import main
+from neurad.core.errors import InputError
+from neurad.runtime import files
+from neurad.runtime.lock import NAME, FolderLock
+from neurad.runtime.sealed import check_seal
+from neurad.training.checkpoint_file import read_checkpoint, write_checkpoint
+
+STEPS = ("--trainer.max_steps=4", "--evaluation.every_n_steps=2", "--checkpoint.every_seconds=0")
+
+
+def flip(path, bit):
+    data = bytearray(path.read_bytes())
+    data[bit // 8] ^= 1 << bit % 8
+    path.write_bytes(data)
+
+
+def test_every_flipped_bit_is_found(tmp_path):
+    path = tmp_path / "last.ckpt"
+    write_checkpoint({"weights": torch.arange(300.0)}, path)
+    assert torch.equal(torch.load(path, weights_only=True)["weights"], torch.arange(300.0))
+    check_seal(path, "it")
+    whole, chosen = path.read_bytes(), random.Random(5)
+    for bit in [0, 8 * len(whole) - 1, *chosen.sample(range(8 * len(whole)), 60)]:
+        path.write_bytes(whole)
+        flip(path, bit)
+        with pytest.raises(InputError, match=r"it is damaged|it is not a readable checkpoint"):
+            check_seal(path, "it")
+    for length in [0, 1, 63, len(whole) - 1, *chosen.sample(range(len(whole)), 20)]:
+        path.write_bytes(whole[:length])
+        with pytest.raises(InputError):
+            check_seal(path, "it")
+
+
+@pytest.mark.main
+def test_last_falls_back_to_the_checkpoint_before(tiny, capfd):
+    fit(*STEPS)
+    last, previous = (run_folder() / "checkpoints" / name for name in ("last.ckpt", "previous.ckpt"))
+    assert read_checkpoint(previous, "")["neurad"]["iteration"] < checkpoint()["neurad"]["iteration"] == 4
+    scores = metrics()
+    flip(last, 8 * (last.stat().st_size // 2) + 3)
+    capfd.readouterr()
+    main(["fit", "--ckpt_path", "last"])
+    printed = capfd.readouterr()
+    assert "last.ckpt: it is damaged" in printed.err
+    assert "previous.ckpt takes its place" in printed.err
+    assert metrics() == scores  # the steps between were made again, and are the same
+    assert read_checkpoint(last, "")["neurad"]["iteration"] == 4
+    assert read_checkpoint(previous, "")["neurad"]["iteration"] < 4  # the good one, not the damaged one
+
+    # A newer run without a whole checkpoint: the older one is named, not taken.
+    shutil.copytree(run_folder(0), run_folder(1))
+    for name in ("last.ckpt", "previous.ckpt"):
+        (run_folder(1) / "checkpoints" / name).write_bytes(b"no checkpoint")
+    error = fails(capfd, "fit", "--ckpt_path", "last")
+    assert "version_1 has no whole checkpoint" in error
+    assert "version_0/checkpoints/last.ckpt" in error
+
+    # And a folder that another process writes into.
+    shutil.rmtree(run_folder(1))
+    lock = FolderLock(run_folder(0))
+    try:
+        error = fails(capfd, "fit", "--ckpt_path", "last", "--trainer.max_steps=6")
+        assert f"a training run is writing into it (process {os.getpid()}" in error
+        assert metrics() == scores
+        main(["test"])  # reading is no harm
+    finally:
+        lock.release()
+    assert not (run_folder(0) / NAME).exists()
+
+    (run_folder(0) / "metrics.csv").write_bytes(b"iteration,seconds\n1,\xff\x00\n")
+    assert "metrics.csv: line 2 is not the text of a table" in fails(capfd, "fit", "--ckpt_path", "last")
+
+
+def test_two_runs_that_start_at_once_get_folders_of_their_own(tmp_path):
+    loggers = [RunLogger(tmp_path) for _ in range(3)]
+    assert {logger.version for logger in loggers} == {0}  # each would take the same
+    for logger in loggers:
+        logger.open()
+    assert [logger.version for logger in loggers] == [0, 1, 2]
+    assert sorted(path.name for path in (tmp_path / "lightning_logs").iterdir()) == [f"version_{n}" for n in range(3)]
+
+
+@pytest.mark.main
+@pytest.mark.parametrize("after", [0, 2000])
+def test_a_disk_that_fills_up_leaves_the_last_checkpoint(tiny, capfd, monkeypatch, after):
+    fit(*STEPS)
+    folder = run_folder() / "checkpoints"
+    before = {path.name: path.read_bytes() for path in folder.iterdir()}
+    write_all = files.write_all
+    left = after
+
+    def fills_up(handle, data):
+        nonlocal left
+        left -= len(data)
+        if left < 0:
+            raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+        write_all(handle, data)
+
+    monkeypatch.setattr("neurad.runtime.sealed.write_all", fills_up)
+    error = fails(capfd, "fit", "--ckpt_path", "last", "--trainer.max_steps=6", "--evaluation.every_n_steps=1000")
+    assert "last.ckpt: no space is left on its disk" in error
+    assert {path.name: path.read_bytes() for path in folder.iterdir()} == before
+
+
+@pytest.mark.main
+def test_checkpoints_are_staged_beside_their_place(tiny, monkeypatch):
+    monkeypatch.setenv("TMPDIR", "/nowhere")
+    monkeypatch.setattr("tempfile.tempdir", "/nowhere")
+    (run_folder() / "checkpoints").mkdir(parents=True)
+    left = run_folder() / "checkpoints" / f"last.ckpt{files.PART}"
+    fit(*STEPS)
+    assert checkpoint(1)["neurad"]["iteration"] == 4
+    left.write_bytes(b"what a killed run was writing")
+    shutil.copytree(run_folder(1), run_folder(0), dirs_exist_ok=True)
+    shutil.rmtree(run_folder(1))
+    main(["fit", "--ckpt_path", "last", "--trainer.max_steps=5"])
+    assert not left.exists()
+
+
+@pytest.mark.main
+def test_entries_that_no_run_writes_get_a_sentence(tiny, capfd):
+    fit(*STEPS)
+    path = run_folder() / "checkpoints" / "last.ckpt"
+    (run_folder() / "checkpoints" / "previous.ckpt").unlink()
+    whole = read_checkpoint(path, "", stay_on_disk=False)
+
+    def without(key):
+        return {name: value for name, value in whole.items() if name != key}
+
+    strange = {
+        "pytorch-lightning_version": without("pytorch-lightning_version"),
+        "loops": {**whole, "loops": [1]},
+        "neurad.iteration": {**whole, "neurad": {**whole["neurad"], "iteration": "x"}},
+        "neurad.seconds": {**whole, "neurad": {**whole["neurad"], "seconds": float("nan")}},
+        "state_dict": {**whole, "state_dict": {"a": 1}},
+        "neurad is missing": without("neurad"),
+    }
+    for said, state in strange.items():
+        write_checkpoint(state, path)
+        error = fails(capfd, "fit", "--ckpt_path", str(path))
+        assert said.split()[0] in error, error
+    assert Path("lightning_logs/version_1").exists() is False
