@@ -16,8 +16,8 @@ import numpy.typing as npt
 from neurad.core.errors import InputError
 from neurad.runtime.reading import shown
 
-RADIANCE = 1e16
-"""Largest radiance of a light. Losses square what comes from it, and fireflies are a thousand times as bright."""
+RADIANCE = 1e17
+"""Largest radiance of a light: what it lights may be ten times as bright in a photograph."""
 PIXEL = 1e18
 """Largest value in a photograph: its square, summed over the colours, is a number."""
 DIM = 1e-16
