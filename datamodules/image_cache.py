@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import zlib
 from collections.abc import Callable
 from concurrent.futures import Future, ThreadPoolExecutor
 
@@ -32,12 +33,14 @@ def dataset_stats(read: Read, views: int, left_out: Tensor | None, seed: int) ->
     """
     total, square = 0, 0.0
     foreground: list[int] = []
+    checksums: list[int] = []
     each = -(-SAMPLE // views)
     # Allocated once: small tensors that stay, between large ones that come and go, would fragment the heap.
     view_of, place = torch.empty(2, views * each, dtype=torch.int64)
     kept, filled = torch.empty(views * each, 3), 0
     for view in range(views):
         pixels = read(view)
+        checksums.append(checksum(pixels))
         color = pixels[:, :3]
         alpha = pixels[:, 3] if pixels.shape[1] == 4 else None
         counts = torch.ones(len(pixels), dtype=torch.bool) if left_out is None else ~left_out[view]
@@ -52,7 +55,12 @@ def dataset_stats(read: Read, views: int, left_out: Tensor | None, seed: int) ->
         here, filled = slice(filled, filled + len(pixel)), filled + len(pixel)
         view_of[here], place[here], kept[here] = view, pixel, color[pixel]
     sample = PixelBatch(view_of[:filled], place[:filled], kept[:filled], torch.ones(filled), 0)
-    return DatasetStats(square / total if total else 0.0, sample, foreground)
+    return DatasetStats(square / total if total else 0.0, sample, foreground, tuple(checksums))
+
+
+def checksum(pixels: Tensor) -> int:
+    """CRC-32 of a photograph [h * w, 3 or 4] as it was read."""
+    return zlib.crc32(pixels.contiguous().numpy().data)
 
 
 class ImageCache:

@@ -13,7 +13,7 @@ import torch
 from torch import Tensor
 from torch.utils.data import DataLoader, Dataset, IterableDataset
 
-from datamodules.image_cache import ImageCache, dataset_stats
+from datamodules.image_cache import ImageCache, checksum, dataset_stats
 from datamodules.pixels import blurred, multiplier_at
 from neurad.core.errors import InputError
 from neurad.core.patch_sampler import PatchSampler
@@ -211,6 +211,8 @@ class SceneData(pl.LightningDataModule, PhotoSource):
             Path(view.image).read_bytes()
         image = self._read(view)
         self._check_channels(view, image, 4 if self.has_alpha else 3)
+        if self._stats is not None and checksum(image) != self._stats.checksums[index]:
+            raise InputError(f"{view.image}: it has changed since the run began; put it back and continue the run")
         return image
 
     def _window(self, iteration: int, rank: int) -> ImageCache:

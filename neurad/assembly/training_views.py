@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+import zlib
 from dataclasses import dataclass
 
 import torch
@@ -25,6 +26,8 @@ class TrainingViews:
     """Pixels that an emitter covers, in part or whole; they train nothing [views, pixels], bool."""
     mean_square_radiance: float
     """Of all other pixels of the photographs."""
+    checksum: int = 0
+    """Of all photographs; 0 where they cannot change."""
 
 
 def prepare_views(
@@ -72,4 +75,5 @@ def prepare_views(
     kind = settings.objective.normaliser
     if kind == "blurred" or (kind == "prediction" and not settings.method.needs_field):
         photographs.request_blurred()
-    return TrainingViews(primary, emitter_mask, mean_square)
+    checksum = zlib.crc32(repr(stats.checksums).encode()) if stats.checksums else 0
+    return TrainingViews(primary, emitter_mask, mean_square, checksum)

@@ -211,6 +211,8 @@ class DatasetStats:
     """Random pixels that count, drawn from all views alike."""
     foreground: list[int]
     """Views that have any pixel with alpha above 0, in order."""
+    checksums: tuple[int, ...] = ()
+    """CRC-32 of each photograph, by which a changed one is found; none where they cannot change."""
 
 
 @dataclass(frozen=True)

@@ -94,6 +94,8 @@ class InverseRenderer(L.LightningModule):
         self._guard = Guard(self, self._keep)
         self._held_out: HeldOut | None = None
         self._light: UnknownLight | None = None
+        self._photographs = 0
+        """Checksum of the photographs; 0 before they are read, and where they cannot change."""
 
     # ---- set-up
 
@@ -167,6 +169,12 @@ class InverseRenderer(L.LightningModule):
             print(f"neurad: {left_out}", file=sys.stderr)
         with self.world.tracer.uncounted(not begins):  # a continued run counted its camera rays when it began
             views = prepare_views(self.assembly, self.photographs, self.device, check_brightness=begins)
+        if self._photographs not in (0, views.checksum):
+            raise InputError(
+                "--ckpt_path: the training photographs are not those that the run began with; put them back, or start "
+                "a new run"
+            )
+        self._photographs = views.checksum
         with excluded(), self.world.tracer.uncounted():
             self._held_out = HeldOut(self.scene, self.world.geometry, self.world.tracer).read()
         self.step = TrainingStep(
@@ -255,6 +263,7 @@ class InverseRenderer(L.LightningModule):
             "rays": self.rays,
             "samples": self.samples,
             "radiance_inputs": self._inputs,
+            "photographs": self._photographs,
         }
 
     def on_load_checkpoint(self, checkpoint: dict[str, Any]) -> None:
@@ -269,6 +278,7 @@ class InverseRenderer(L.LightningModule):
         self.counters.samples = state.get("samples", 0)
         self.rays_before = state["rays"]
         self.seconds_before = state["seconds"]
+        self._photographs = state.get("photographs", 0)
 
     @property
     def _inputs(self) -> list[str] | None:

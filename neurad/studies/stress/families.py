@@ -10,6 +10,7 @@ FAMILIES: dict[str, str] = {
     "precision": "float32 against float64, other number formats, many seeds, long runs",
     "guard": "planted NaN and Inf",
     "numbers": "extreme numbers through neurad fit itself: light, size, place, unseen geometry, materials",
+    "faults": "kills, full disks, a moved clock: nothing is lost, and runs continue alike",
     "features": "what a scene does not need is not built",
 }
 """Name, which is also that of the module with its cases, and subject."""

@@ -9,7 +9,19 @@ from pathlib import Path
 
 from neurad.core.errors import InputError
 from neurad.runtime.files import check_folder, make_folder
-from neurad.studies.stress import delta, features, guard, images, light, numbers, precision, shapes, stiff, surfaces
+from neurad.studies.stress import (
+    delta,
+    faults,
+    features,
+    guard,
+    images,
+    light,
+    numbers,
+    precision,
+    shapes,
+    stiff,
+    surfaces,
+)
 from neurad.studies.stress.case import Case, judge
 from neurad.studies.stress.families import FAMILIES
 from neurad.studies.stress.table import heading, line, write_csv, write_markdown
@@ -24,6 +36,7 @@ CASES = {
     "precision": precision.cases,
     "guard": guard.cases,
     "numbers": numbers.cases,
+    "faults": faults.cases,
     "features": features.cases,
 }
 """By family, in the order of :data:`FAMILIES`."""
