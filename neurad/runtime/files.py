@@ -223,15 +223,15 @@ def check_space(folder: Path, size: int, count: int, what: str) -> None:
     limit = file_size_limit()
     if limit is not None and limit < size:
         raise InputError(
-            f"{folder}: {what} need files of {size / 1e6:.1f} MB, but the largest that a file may have here is "
-            f"{limit / 1e6:.1f} MB (ulimit -f); raise that limit"
+            f"{folder}: {what} need files of {size / 1e6:.3g} MB, but the largest that a file may have here is "
+            f"{limit / 1e6:.3g} MB (ulimit -f); raise that limit"
         )
     if hasattr(os, "statvfs"):
         disk = os.statvfs(place)
         free = disk.f_bavail * disk.f_frsize
         if disk.f_blocks and free < count * size:  # some network file systems do not know
             raise InputError(
-                f"{folder}: {what} need {count * size / 1e6:.1f} MB, but its disk has {free / 1e6:.1f} MB left; free "
+                f"{folder}: {what} need {count * size / 1e6:.3g} MB, but its disk has {free / 1e6:.3g} MB left; free "
                 "some, or write elsewhere"
             )
 

@@ -153,3 +153,20 @@ def test_entries_that_no_run_writes_get_a_sentence(tiny, capfd):
         error = fails(capfd, "fit", "--ckpt_path", str(path))
         assert said.split()[0] in error, error
     assert Path("lightning_logs/version_1").exists() is False
+
+
+@pytest.mark.main
+def test_a_run_does_not_go_on_with_other_photographs(tiny, capfd, monkeypatch):
+    fit(*STEPS)
+    before = checkpoint()
+    monkeypatch.setattr("datamodules.image_cache.checksum", lambda pixels: 5)
+    error = fails(capfd, "fit", "--ckpt_path", "last", "--trainer.max_steps=6")
+    assert "the training photographs are not those that the run began with" in error
+    assert checkpoint()["neurad"] == before["neurad"]
+
+
+@pytest.mark.slow
+def test_faults_lose_nothing(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    main(["stress", "--only", "faults", "--quick"])
+    assert (tmp_path / "stress.csv").read_text().count(",ok,") == 1
