@@ -62,6 +62,15 @@ def quick_and_whole(quick, whole):
     return pytest.mark.parametrize("count", [quick, pytest.param(whole, marks=pytest.mark.slow)])
 
 
+@pytest.mark.parametrize("worker", ["reading", "running"])
+def test_crashes_and_tracebacks_are_findings(worker, request):
+    worker = request.getfixturevalue(worker)
+    crash, mistake = ({"kind": "crash", "variant": variant, "mutations": []} for variant in (1, 0))
+    assert worker.carry_out(crash)["end"] == "crash"
+    assert worker.carry_out(mistake)["where"].startswith("ValueError")
+    assert worker.carry_out(mistake)["end"] == "traceback"
+
+
 @quick_and_whole(800, 3300)
 def test_scene_folders(count, reading, tmp_path):
     explored(strategies.scenes(), reading, count, tmp_path)

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import math
+import os
+import signal
 from pathlib import Path
 
 from helpers.fuzzing.read_scene import finite, read_scene
@@ -73,7 +75,14 @@ def _checkpoint(recipe: dict, folder: Path) -> None:
     finite("a picture", run.render(view, spp=1))
 
 
-JUDGES = {"scene": _scene, "settings": _settings, "verb": _verb, "checkpoint": _checkpoint}
+def _crash(recipe: dict, folder: Path) -> None:
+    """What a library might do; to see that it is noticed."""
+    if recipe["variant"]:
+        os.kill(os.getpid(), signal.SIGSEGV)
+    raise ValueError("planted")
+
+
+JUDGES = {"crash": _crash, "scene": _scene, "settings": _settings, "verb": _verb, "checkpoint": _checkpoint}
 """Cases that the worker carries out itself, by kind."""
 
 
@@ -120,7 +129,13 @@ def _fit_checkpoint(recipe: dict, folder: Path) -> None:
     main([verb, "--ckpt_path", "last" if recipe["variant"] % 2 else str(path), *more])
 
 
-COMMANDS = {"scene": _fit_scene, "settings": _fit_settings, "verb": _render, "checkpoint": _fit_checkpoint}
+COMMANDS = {
+    "crash": _crash,
+    "scene": _fit_scene,
+    "settings": _fit_settings,
+    "verb": _render,
+    "checkpoint": _fit_checkpoint,
+}
 """Cases that get a process of their own, by kind."""
 
 
