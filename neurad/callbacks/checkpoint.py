@@ -45,6 +45,7 @@ class LastCheckpoint(Checkpoint):
         self._handler: Any = None
         self._last_is_good = True
         self._saved = -1
+        self._optimizers: int | None = None
 
     def path(self, trainer: pl.Trainer) -> Path | None:
         """The checkpoint's path, or None if the run keeps no files."""
@@ -54,6 +55,30 @@ class LastCheckpoint(Checkpoint):
     def setup(self, trainer: pl.Trainer, pl_module: pl.LightningModule, stage: str) -> None:
         """Let the trainer write and read checkpoints with checksums."""
         trainer.strategy.checkpoint_io = CheckpointFiles()
+
+    def on_load_checkpoint(
+        self, trainer: pl.Trainer, pl_module: pl.LightningModule, checkpoint: dict[str, Any]
+    ) -> None:
+        """Refuse loops that Lightning would leave as they are, or stumble over in the middle of the run.
+
+        Raises:
+            InputError: the checkpoint's loops have another form than the trainer's.
+        """
+        self._optimizers = len(checkpoint["optimizer_states"])
+        if trainer.training and not _covers(checkpoint["loops"].get("fit_loop"), trainer.fit_loop.state_dict()):
+            raise InputError(f"--ckpt_path {trainer.ckpt_path}: its loops are not those of a fit")
+
+    def on_fit_start(self, trainer: pl.Trainer, pl_module: pl.LightningModule) -> None:
+        """Refuse a checkpoint with too few or too many optimizers: Lightning would take those that there are.
+
+        Raises:
+            InputError: their number differs.
+        """
+        if self._optimizers not in (None, len(trainer.optimizers)):
+            raise InputError(
+                f"--ckpt_path {trainer.ckpt_path}: it has the state of {self._optimizers} optimizers, but these "
+                f"settings need {len(trainer.optimizers)}"
+            )
 
     def on_train_start(self, trainer: pl.Trainer, pl_module: pl.LightningModule) -> None:
         """Start the clock and handle Ctrl-C, unless whoever started the process wants it ignored (a background job)."""
@@ -137,6 +162,13 @@ class LastCheckpoint(Checkpoint):
             raise KeyboardInterrupt
         self._stop_requested = True
         print("\nneurad: stopping after this iteration (Ctrl-C again: at once)", file=sys.stderr)
+
+
+def _covers(value: Any, form: Any) -> bool:
+    """Whether nested mappings have all keys of ``form``, with whole numbers where it has such."""
+    if isinstance(form, dict):
+        return isinstance(value, dict) and all(key in value and _covers(value[key], form[key]) for key in form)
+    return not isinstance(form, int) or (isinstance(value, int) and value >= 0)
 
 
 def _previous(path: Path) -> Path:

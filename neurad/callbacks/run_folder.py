@@ -134,8 +134,8 @@ class RunFolder(SaveConfigCallback):
         check_folder(folder)
         check_folder(folder / "checkpoints")
         if folder.is_dir():
-            self._take(folder)
             MetricsTable(folder / "metrics.csv").rows()
+            self._take(folder)
 
     def setup(self, trainer: pl.Trainer, pl_module: pl.LightningModule, stage: str) -> None:
         """Nothing yet: input may still turn out bad."""

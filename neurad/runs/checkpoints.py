@@ -20,12 +20,12 @@ _STRANGE = (KeyError, TypeError, ValueError, AttributeError, IndexError, Runtime
 """What Lightning and torch raise over entries that they do not expect."""
 
 
-def newest_checkpoint(root: Path, name: str = "--ckpt_path last") -> Path | None:
+def newest_checkpoint(root: Path, name: str = "--ckpt_path last: ") -> Path | None:
     """A whole checkpoint of the newest run in ``root``/lightning_logs; None where there is no run.
 
     Args:
         root: of the runs.
-        name: begins the error message.
+        name: begins the error message, colon included.
 
     Raises:
         InputError: the newest run has no whole checkpoint. The sentence names the newest run that has one.
@@ -46,7 +46,7 @@ def run_checkpoint(folder: Path, name: str) -> Path:
 
     Args:
         folder: of the run.
-        name: begins the error message.
+        name: begins the error message, colon included.
 
     Raises:
         InputError: neither is there and whole.
@@ -63,8 +63,23 @@ def run_checkpoint(folder: Path, name: str) -> Path:
             print(f"neurad: {problems[0]}; {path} takes its place", file=sys.stderr)
         return path
     if not any((folder / file).is_file() for file in (LAST, PREVIOUS)):
-        raise InputError(f"{name}: run {folder} has no checkpoint, it ended before its first")
-    raise InputError(f"{name}: run {folder} has no whole checkpoint ({problems[0]})")
+        raise InputError(f"{name}run {folder}: it has no checkpoint {LAST}, it ended before its first")
+    raise InputError(f"{name}run {folder}: it has no whole checkpoint ({problems[0]})")
+
+
+def given_checkpoint(path: Path, name: str) -> None:
+    """Refuse a checkpoint that was named and is damaged; the sentence names the one before it where that is whole.
+
+    Raises:
+        InputError: there is no such file, or it cannot be used.
+    """
+    try:
+        read_checkpoint(path, name)
+    except InputError as error:
+        previous = path.with_name(PREVIOUS.name)
+        if path.is_file() and path.name == LAST.name and _whole(path.parent.parent) is not None:
+            raise InputError(f"{error}; the one before it is whole: {previous}") from error
+        raise
 
 
 def _whole(folder: Path) -> Path | None:

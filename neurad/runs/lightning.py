@@ -22,12 +22,11 @@ from neurad.callbacks import Bar, Evaluate, LastCheckpoint, RunFolder, RunLogger
 from neurad.callbacks.run_folder import run_folder
 from neurad.core.errors import InputError
 from neurad.core.ranges import hints
-from neurad.runs.checkpoints import RUNS, newest_checkpoint, restoring, run_folder_of
+from neurad.runs.checkpoints import RUNS, given_checkpoint, newest_checkpoint, restoring, run_folder_of
 from neurad.runs.configs import load_config, only_trusted_classes, overlay, resolve, split_arguments
 from neurad.runs.messages import setting_error, silence_lightning
 from neurad.runs.trainer_settings import check_environment, complaints
 from neurad.runtime.files import check_folder
-from neurad.training.checkpoint_file import read_checkpoint
 
 SHARED_KEYS = ("seed_everything", "trainer", "model", "data", "evaluation", "checkpoint", "bar")
 """Parts of a config that every verb understands."""
@@ -108,7 +107,7 @@ def find_checkpoint(verb: str, settings: Any) -> Path | None:
         path = newest
     else:
         path = Path(str(given)).expanduser()
-        read_checkpoint(path, f"--ckpt_path {path}")
+        given_checkpoint(path, f"--ckpt_path {path}")
     print(f"neurad: {verb} starts from {path}")
     return path
 

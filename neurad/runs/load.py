@@ -205,7 +205,7 @@ def load_run(
 def _locate(run: str | os.PathLike[str] | None) -> tuple[Path, Path]:
     """Checkpoint and folder of a run."""
     if run is None or str(run) == "last":
-        newest = newest_checkpoint(Path(), "run last")
+        newest = newest_checkpoint(Path(), "")
         if newest is None:
             raise InputError("no run in lightning_logs has a checkpoint")
         path = newest
@@ -213,7 +213,7 @@ def _locate(run: str | os.PathLike[str] | None) -> tuple[Path, Path]:
         path = Path(run).expanduser()
         if not path.exists():
             raise InputError(f"run {path}: there is no such run folder or checkpoint")
-        path = run_checkpoint(path, f"run {path}") if path.is_dir() else path
+        path = run_checkpoint(path, "") if path.is_dir() else path
     folder = run_folder_of(path)
     if folder is None:
         raise InputError(f"run {path}: the checkpoint is not in a run folder with a config.yaml")

@@ -174,8 +174,8 @@ def unknown_key(folder):
 
 BAD = {
     "no run": (no_run, r"run .*version_9: there is no such run folder or checkpoint"),
-    "no checkpoint": (no_checkpoint, r"run .*version_0 has no checkpoint, it ended before its first"),
-    "broken": (broken, r"run .*version_0 has no whole checkpoint \(.*last\.ckpt: it is not a readable checkpoint"),
+    "no checkpoint": (no_checkpoint, r"run .*version_0: it has no checkpoint"),
+    "broken": (broken, r"run .*version_0: it has no whole checkpoint \(.*last\.ckpt: it is not a readable checkpoint"),
     "elsewhere": (elsewhere, r"run .*kept\.ckpt: the checkpoint is not in a run folder with a config\.yaml"),
     "foreign": (foreign, r"run .*last\.ckpt: it is not a checkpoint of neurad"),
     "moved": (moved, r"run .*version_0: its scene attic is missing; say where it is now with root="),

@@ -65,7 +65,7 @@ def test_last_falls_back_to_the_checkpoint_before(tiny, capfd):
     for name in ("last.ckpt", "previous.ckpt"):
         (run_folder(1) / "checkpoints" / name).write_bytes(b"no checkpoint")
     error = fails(capfd, "fit", "--ckpt_path", "last")
-    assert "version_1 has no whole checkpoint" in error
+    assert "version_1: it has no whole checkpoint" in error
     assert "version_0/checkpoints/last.ckpt" in error
 
     # And a folder that another process writes into.
