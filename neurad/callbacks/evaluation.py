@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import sys
 import time
 from collections.abc import Mapping
 from typing import TYPE_CHECKING, Any, cast
@@ -15,9 +16,10 @@ from neurad.callbacks import pictures
 from neurad.callbacks.run_folder import run_folder
 from neurad.callbacks.table import MetricsTable, curve_table, score_table
 from neurad.core.ranges import Count, CountOrZero, NonNegative, checked
+from neurad.metrics.effort import affordable
 from neurad.runtime import clock
 from neurad.runtime.files import write_text
-from neurad.training.schedule import fraction_done
+from neurad.training.schedule import fraction_done, time_limit
 
 if TYPE_CHECKING:
     from neurad.training.evaluate import Evaluation
@@ -31,7 +33,8 @@ class Evaluate(pl.Callback):
     """Evaluates on the held-out views: during a fit, at its end, and for ``validate``, ``test`` and ``predict``.
 
     A run that only ``max_steps`` limits evaluates every ``max_steps // 20`` iterations, so that it is repeatable. One
-    limited by time evaluates at every twentieth of its length, as long as that keeps to ``fraction``.
+    limited by time evaluates at every twentieth of its length, as long as that keeps to ``fraction``. Large held-out
+    views are then scored at fewer positions in a pixel and in fewer pixels, see :mod:`neurad.metrics.effort`.
 
     Args:
         fraction: largest fraction of the training time that evaluations during the fit may take.
@@ -73,6 +76,24 @@ class Evaluate(pl.Callback):
         """Take over the state of the interrupted run."""
         self._spent, self._last = float(state_dict["spent"]), float(state_dict["last"])
         self._mark, self._evaluated = int(state_dict["mark"]), int(state_dict["evaluated"])
+
+    def on_fit_start(self, trainer: pl.Trainer, pl_module: pl.LightningModule) -> None:
+        """Decide how much of large held-out views evaluations look at: all ones of a run at the same pixels."""
+        module = cast("InverseRenderer", pl_module)
+        views = module.scene.test
+        if self.every_n_steps is not None or not views:
+            return
+        module.effort = affordable(views, self.spp, self.fraction, time_limit(trainer))
+        if not module.effort.whole and trainer.is_global_zero:
+            grid, stride = module.effort.grid, module.effort.stride
+            size = sum(view.camera.width * view.camera.height for view in views) / 1e6
+            pixels = f"one row and column in {stride}" if stride > 1 else "all"
+            print(
+                f"neurad: the held-out views have {size:.3g} million pixels: evaluations during the fit score "
+                f"{pixels}, at {grid**2} positions a pixel (a larger --evaluation.fraction allows more); "
+                "`neurad test` scores all",
+                file=sys.stderr,
+            )
 
     def on_train_batch_end(self, trainer: pl.Trainer, pl_module: pl.LightningModule, *_: Any) -> None:
         """Log losses, and evaluate if it is time."""

@@ -30,14 +30,30 @@ def pixel_positions(width: int, pixels: Tensor, spp: int, stream: Stream) -> Ten
     return corner.unsqueeze(1) + jitter
 
 
+def strided(width: int, index: Tensor, stride: int) -> Tensor:
+    """Row-major pixels of a film ``width`` pixels wide, from their numbers among every ``stride``-th row and column."""
+    if stride == 1:
+        return index
+    columns = -(-width // stride)
+    return (index // columns * width + index % columns) * stride
+
+
 def render(
-    camera: Camera, integrator: Integrator, spp: int, seed: int, device: torch.device | str = "cpu", chunk: int = CHUNK
+    camera: Camera,
+    integrator: Integrator,
+    spp: int,
+    seed: int,
+    device: torch.device | str = "cpu",
+    chunk: int = CHUNK,
+    stride: int = 1,
 ) -> Tensor:
-    """The mean of ``spp`` samples in every pixel [h, w, c] (paper Eq. 2).
+    """The mean of ``spp`` samples in every pixel [h, w, c] (paper Eq. 2), or in those of every ``stride``-th row and
+    column.
 
     The result depends on ``seed`` and ``spp`` and not on the chunk of any other view.
     """
-    count = camera.width * camera.height
+    height, width = -(-camera.height // stride), -(-camera.width // stride)
+    count = width * height
     batch = max(1, min(spp, chunk // 1024))
     rows = max(1, chunk // batch)
     image: Tensor | None = None
@@ -45,7 +61,7 @@ def render(
         n = min(batch, spp - done)
         parts = []
         for begin in range(0, count, rows):
-            pixels = torch.arange(begin, min(begin + rows, count), device=device)
+            pixels = strided(camera.width, torch.arange(begin, min(begin + rows, count), device=device), stride)
             stream = Stream(seed, done, begin, device=device)
             xy = pixel_positions(camera.width, pixels, n, stream)
             rays = camera_rays(camera, xy.reshape(-1, 2))
@@ -54,4 +70,4 @@ def render(
         total = torch.cat(parts)
         image = total if image is None else image + total
     assert image is not None
-    return (image / spp).view(camera.height, camera.width, -1)
+    return (image / spp).view(height, width, -1)

@@ -6,6 +6,7 @@ opened nowhere else.
 
 from __future__ import annotations
 
+import math
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Self
@@ -19,7 +20,7 @@ from neurad.core.errors import InputError
 from neurad.core.protocols import Materials, Tracer
 from neurad.core.records import FloatArray, SurfaceInteraction, View
 from neurad.core.rng import Stream
-from neurad.integrators.film import pixel_positions
+from neurad.integrators.film import pixel_positions, strided
 from neurad.metrics.scores import BoolArray, Float64Array, Pool, block_means
 from neurad.metrics.seen import SeenBy
 from neurad.scene.description import Scene
@@ -68,13 +69,15 @@ class HeldOut:
         grid: every pixel is predicted at ``grid`` x ``grid`` stratified positions and box-filtered like the truth. Four
             positions are too few for patterns as fine as a pixel: they took 0.2 dB from the staircase's albedo and 1 dB
             from the built-in kitchen's.
+        stride: of rows and columns only every so many-th count; all arrays below have only these pixels.
     """
 
-    def __init__(self, scene: Scene, geometry: Geometry, tracer: Tracer, grid: int = 4) -> None:
+    def __init__(self, scene: Scene, geometry: Geometry, tracer: Tracer, grid: int = 4, stride: int = 1) -> None:
         self.views: list[View] = scene.test
         self.geometry = geometry
         self.tracer = tracer
         self.grid = grid
+        self.stride = stride
         self.has_roughness = not scene.features.is_diffuse
         self.training = SeenBy(geometry, tracer, [view.camera for view in scene.train])
         self._room = CACHE_BYTES
@@ -106,7 +109,7 @@ class HeldOut:
         """
         camera, device = self.views[index].camera, self.geometry.vertices.device
         per = self.grid * self.grid
-        pixels = camera.width * camera.height
+        pixels = math.prod(self.size(index))
         step = max(1, CHUNK // per)
         for begin in range(0, pixels, step):
             part = slice(begin, min(begin + step, pixels))
@@ -132,7 +135,7 @@ class HeldOut:
 
     def _positions(self, index: int, width: int, part: slice, device: torch.device) -> Tensor:
         """Film positions [pixels * grid^2, 2], one in each cell of a grid on every pixel; always the same."""
-        pixels = torch.arange(part.start, part.stop, device=device)
+        pixels = strided(width, torch.arange(part.start, part.stop, device=device), self.stride)
         stream = Stream(SEED, index, part.start, device=device)
         return pixel_positions(width, pixels, self.grid * self.grid, stream).view(-1, 2)
 
@@ -172,8 +175,12 @@ class HeldOut:
 
     def _image(self, index: int, pixels: Tensor) -> np.ndarray:
         """Row-major pixels [h * w, ...] as an array [h, w, ...]."""
+        return pixels.view(*self.size(index), *pixels.shape[1:]).cpu().numpy()
+
+    def size(self, index: int) -> tuple[int, int]:
+        """Height and width in pixels of what counts of view ``index``."""
         camera = self.views[index].camera
-        return pixels.view(camera.height, camera.width, *pixels.shape[1:]).cpu().numpy()
+        return -(-camera.height // self.stride), -(-camera.width // self.stride)
 
     # --- maps
 
@@ -206,7 +213,9 @@ class HeldOut:
             if self.has_roughness:
                 files["roughness_true"] = (view.roughness, 1)
             self._truth[index] = {
-                name: _read(path, view, channels) for name, (path, channels) in files.items() if path is not None
+                name: np.ascontiguousarray(_read(path, view, channels)[:: self.stride, :: self.stride])
+                for name, (path, channels) in files.items()
+                if path is not None
             }
         return self._truth[index]
 
@@ -270,9 +279,10 @@ class HeldOut:
             pools["srgb"].add(to_srgb(render), to_srgb(truth["photograph"]), region)
         if "albedo_true" in truth and "albedo" in maps:
             pools["albedo"].add(maps["albedo"], truth["albedo_true"], counted)
-            guess, weight = block_means(maps["albedo"], counted, BLOCK)
-            exact, _ = block_means(truth["albedo_true"], counted, BLOCK)
-            pools["albedo 8x8"].add(guess, exact, weight > 0, weight)
+            if self.stride == 1:  # else blocks would be larger, and their scores others
+                guess, weight = block_means(maps["albedo"], counted, BLOCK)
+                exact, _ = block_means(truth["albedo_true"], counted, BLOCK)
+                pools["albedo 8x8"].add(guess, exact, weight > 0, weight)
         if "roughness_true" in truth and "roughness" in maps:
             pools["roughness"].add(maps["roughness"], truth["roughness_true"], counted)
 

@@ -55,8 +55,8 @@ def lit_glossy(
         min_specular: smallest specular fraction of the reflected light.
     """
     masks = []
-    for index, view in enumerate(held_out.views):
-        size = (view.camera.height, view.camera.width)
+    for index in range(len(held_out.views)):
+        size = held_out.size(index)
         truth = held_out.truth(index)
         if "albedo_true" not in truth or "roughness_true" not in truth:
             masks.append(np.zeros(size, np.bool_))

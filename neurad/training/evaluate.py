@@ -80,14 +80,14 @@ def evaluate(
     world, materials, radiance = estimator.world, estimator.materials, estimator.radiance
     rhs = MethodRenderer(estimator.method, estimator.scene)
     lhs = None if radiance is None else FieldRenderer(estimator.scene)
-    device = world.geometry.vertices.device
+    device, stride = world.geometry.vertices.device, held_out.stride
     fitted = not isinstance(materials, TrueMaterials)
     maps: list[dict[str, FloatArray]] = held_out.predict(materials) if fitted else [{} for _ in held_out.views]
     for index, (view, entry) in enumerate(zip(held_out.views, maps, strict=True)):
-        right = render(view.camera, rhs, render_spp, SEED + index, device)
+        right = render(view.camera, rhs, render_spp, SEED + index, device, stride=stride)
         entry["render"] = right.cpu().numpy()
         if lhs is not None:
-            left = render(view.camera, lhs, min(4, render_spp), SEED + index, device)
+            left = render(view.camera, lhs, min(4, render_spp), SEED + index, device, stride=stride)
             entry["residual"] = (left - right).abs().cpu().numpy()
         entry.update(held_out.truth(index))
     regions = (
@@ -116,5 +116,5 @@ def _relight(
     tracer = path_tracer(relit_world(world, scene, other), materials, scene.max_depth, scene.rr_depth)
     device = world.geometry.vertices.device
     for index, (view, entry) in enumerate(zip(held_out.views, maps, strict=True)):
-        entry["relit"] = render(view.camera, tracer, spp, SEED + index, device).cpu().numpy()
+        entry["relit"] = render(view.camera, tracer, spp, SEED + index, device, stride=held_out.stride).cpu().numpy()
     return score_relit(held_out, [entry["relit"] for entry in maps])

@@ -22,6 +22,7 @@ from neurad.integrators.estimator import Estimator
 from neurad.integrators.method import Method
 from neurad.integrators.radiometric import Radiometric
 from neurad.integrators.world import World
+from neurad.metrics.effort import Effort
 from neurad.metrics.held_out import HeldOut
 from neurad.optim.polyak_average import PolyakAverage, averaged
 from neurad.optim.pyramid_adam import PyramidAdam
@@ -93,6 +94,8 @@ class InverseRenderer(L.LightningModule):
         self.processes = 1
         self._guard = Guard(self, self._keep)
         self._held_out: HeldOut | None = None
+        self.effort = Effort()
+        """Of evaluations: what of the held-out views they look at. Set before a fit starts."""
         self._light: UnknownLight | None = None
         self._photographs = 0
         """Checksum of the photographs; 0 before they are read, and where they cannot change."""
@@ -176,7 +179,7 @@ class InverseRenderer(L.LightningModule):
             )
         self._photographs = views.checksum
         with excluded(), self.world.tracer.uncounted():
-            self._held_out = HeldOut(self.scene, self.world.geometry, self.world.tracer).read()
+            self._held_out = self._make_held_out().read()
         self.step = TrainingStep(
             self.assembly,
             make_objective(self.assembly, views),
@@ -238,13 +241,23 @@ class InverseRenderer(L.LightningModule):
     def evaluate(self, render_spp: int = 4, glossy: bool = False) -> Evaluation:
         """Score the present materials and radiance field on held-out views; its rays and seconds do not count."""
         if self._held_out is None:
-            self._held_out = HeldOut(self.scene, self.world.geometry, self.world.tracer)
+            self._held_out = self._make_held_out()
         with averaged(self.average), self.world.tracer.uncounted():
             if self._light is None and self.environment is not None:
                 self._light = unknown_light(self.scene, self.environment, self._held_out)
             result = evaluate(self._held_out, self.estimator, render_spp, glossy, self._light, self.scene)
         self._guard.images(self.iteration, result.maps, [view.name for view in self._held_out.views])
         return result
+
+    def _make_held_out(self) -> HeldOut:
+        """The held-out views, as much of them as evaluations look at."""
+        grid, stride = self.effort.grid, self.effort.stride
+        return HeldOut(self.scene, self.world.geometry, self.world.tracer, grid, stride)
+
+    def on_fit_end(self) -> None:
+        """Evaluations after a fit look at everything."""
+        if not self.effort.whole:
+            self.effort, self._held_out, self._light = Effort(), None, None
 
     def validation_step(self, *_: Any) -> None:
         """Nothing a batch: the evaluation callback looks at all held-out views at once, after the loop."""

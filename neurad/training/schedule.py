@@ -44,6 +44,17 @@ class Progress:
         return min((self.seconds * (1 - fraction) / fraction for fraction in done), default=None)
 
 
+def time_limit(trainer: pl.Trainer) -> float | None:
+    """Seconds that the fit may take; None without a limit."""
+    for callback in trainer.callbacks:  # type: ignore[attr-defined]
+        if isinstance(callback, Timer):
+            left = callback.time_remaining()
+            whole = None if left is None else callback.time_elapsed() + left
+            seconds: float | None = getattr(callback, "seconds", whole)  # a budget counts its set-up, too
+            return seconds
+    return None
+
+
 def fraction_done(trainer: pl.Trainer) -> Progress:
     """How much of ``max_steps`` and of ``max_time`` is used up."""
     by_steps = trainer.global_step / trainer.max_steps if trainer.max_steps > 0 else None

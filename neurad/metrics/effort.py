@@ -1,0 +1,71 @@
+"""How much of large held-out views an evaluation during a fit looks at."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+from neurad.core.records import View
+
+GRID = 4
+"""Positions along a side of a pixel, if there is time for all."""
+FEWER = 2
+SECONDS = 30.0
+"""That an evaluation may always take: no ordinary scene is cut."""
+UNLIMITED = 60.0
+"""That it may take in a run without a time limit."""
+PER_FIT = 4
+"""Evaluations that there must be time for in a run."""
+MOST_SPP = 16
+_SECONDS = 0.8e-6, 1.5e-6, 6e-6
+"""Nominal seconds of a position, a sample and a pixel, as measured on one core; not of this machine, so that a run is
+repeatable."""
+
+
+@dataclass(frozen=True)
+class Effort:
+    """Which pixels of the held-out views count, and how closely they are looked at."""
+
+    grid: int = GRID
+    """Each pixel is predicted at ``grid`` x ``grid`` positions."""
+    stride: int = 1
+    """Of rows and columns, every so many-th."""
+
+    @property
+    def whole(self) -> bool:
+        """Whether nothing is left out."""
+        return self == Effort()
+
+
+def seconds_of(views: Sequence[View], spp: int, effort: Effort = Effort()) -> float:
+    """Nominal seconds of an evaluation.
+
+    Args:
+        views: the held-out views.
+        spp: samples per pixel of the renderings; more than 16 count as 16, since who wants them has the time.
+        effort: what is looked at.
+    """
+    pixels = sum(
+        math.ceil(view.camera.width / effort.stride) * math.ceil(view.camera.height / effort.stride) for view in views
+    )
+    position, sample, pixel = _SECONDS
+    return pixels * (position * effort.grid**2 + sample * min(spp, MOST_SPP) + pixel)
+
+
+def affordable(views: Sequence[View], spp: int, fraction: float, seconds: float | None) -> Effort:
+    """The effort of each evaluation of a fit: first fewer positions in a pixel, then fewer pixels.
+
+    Args:
+        views: the held-out views.
+        spp: as in :func:`seconds_of`.
+        fraction: of the training time that all evaluations together may take.
+        seconds: of the fit; None without a time limit.
+    """
+    most = UNLIMITED if seconds is None else max(SECONDS, fraction * seconds / PER_FIT)
+    if seconds_of(views, spp) <= most:
+        return Effort()
+    stride = 1
+    while seconds_of(views, spp, Effort(FEWER, stride)) > most:
+        stride += 1
+    return Effort(FEWER, stride)
