@@ -17,6 +17,8 @@ from neurad.runtime.dispatch import use_kernel
 from neurad.runtime.threads import GRAIN, split
 
 _CHUNK = 1 << 18
+_POSITIONS = 1 << 22
+"""Positions that are drawn, or looked at, at a time: bounds the memory beside what is kept."""
 
 
 class PrimaryHits:
@@ -64,17 +66,20 @@ class PrimaryHits:
     def _keep(self, index: int, camera: Camera) -> None:
         """Trace the positions of one view."""
         device = self.prim.device
-        pixels = torch.arange(self.pixels, device=device)
-        xy = pixel_positions(camera.width, pixels, self.cached_spp, Stream(self.seed, index, device=device)).view(-1, 2)
-        first = index * len(xy)
-        for begin in range(0, len(xy), _CHUNK):
-            rays = camera_rays(camera, xy[begin : begin + _CHUNK])
-            hit = self.world.tracer.closest(rays)
-            here = slice(first + begin, first + begin + len(rays))
-            self.prim[here] = hit.prim.int()
-            self.bary[here] = torch.stack((hit.u, hit.v), -1)
-            if len(self.away):
-                self.away[here] = (-rays.d).half()
+        stream = Stream(self.seed, index, device=device)
+        step = max(1, _POSITIONS // self.cached_spp)
+        for row in range(0, self.pixels, step):
+            pixels = torch.arange(row, min(row + step, self.pixels), device=device)
+            xy = pixel_positions(camera.width, pixels, self.cached_spp, stream).view(-1, 2)
+            first = (index * self.pixels + row) * self.cached_spp
+            for begin in range(0, len(xy), _CHUNK):
+                rays = camera_rays(camera, xy[begin : begin + _CHUNK])
+                hit = self.world.tracer.closest(rays)
+                here = slice(first + begin, first + begin + len(rays))
+                self.prim[here] = hit.prim.int()
+                self.bary[here] = torch.stack((hit.u, hit.v), -1)
+                if len(self.away):
+                    self.away[here] = (-rays.d).half()
 
     def sees_emitter(self) -> Tensor:
         """Whether any position of a pixel sees an emitter's triangle [views, pixels], bool.
@@ -85,9 +90,12 @@ class PrimaryHits:
             return emitter_pixels(self.world, self.cameras, self.seed, self.prim.device)
         emission = self.world.geometry.emission.amax(-1)
         found = torch.empty(len(self.cameras), self.pixels, dtype=torch.bool, device=self.prim.device)
-        for index, prim in enumerate(torch.tensor_split(self.prim, len(self.cameras))):
+        step = max(1, _POSITIONS // self.cached_spp)
+        prims = self.prim.view(-1, self.cached_spp)
+        for begin in range(0, len(prims), step):
+            prim = prims[begin : begin + step]
             light = (emission[prim.clamp_min(0).long()] > 0) & (prim >= 0)
-            found[index] = light.view(self.pixels, self.cached_spp).any(-1)
+            found.view(-1)[begin : begin + step] = light.any(-1)
         return found
 
     def __call__(self, batch: PixelBatch, spp: int, stream: Stream) -> NonDeltaHit:
