@@ -11,6 +11,7 @@ from torch import Tensor
 
 from neurad.assembly.build import Assembly
 from neurad.assembly.exposure import brightness, mean_square_radiance, warn_if_far
+from neurad.assembly.memory import announce_camera_rays
 from neurad.core.errors import InputError
 from neurad.core.protocols import PhotoSource
 from neurad.integrators.primary_hits import PrimaryHits
@@ -49,11 +50,12 @@ def prepare_views(
         check_brightness: warn if the photographs are far brighter or darker than the lights make the scene.
 
     Raises:
-        InputError: every pixel shows an emitter, or every photograph is black.
+        InputError: camera rays do not fit in memory, every pixel shows an emitter, or every photograph is black.
     """
     scene, settings = assembly.scene, assembly.settings
     settings.for_batch(photographs.pixel_multiplier)  # raises where the samples cannot be split
     cameras = [view.camera for view in scene.train]
+    announce_camera_rays(cameras, settings.sampling.cached_spp, assembly.world.features.has_environment, device)
     # Stage 1: primary hits and the emitter mask [views, pixels].
     primary = PrimaryHits(assembly.world, cameras, settings.sampling.cached_spp, settings.seed, torch.device(device))
     none = torch.zeros(len(cameras), primary.pixels, dtype=torch.bool, device=device)

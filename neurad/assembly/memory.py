@@ -1,0 +1,61 @@
+"""What the camera rays and photographs of a run take of the memory, said before it is taken."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Sequence
+
+import torch
+
+from neurad.core.errors import InputError
+from neurad.core.records import Camera
+from neurad.runtime.memory import free_memory
+
+LARGE = 1 << 30
+"""Bytes from which on it is said what is taken."""
+_HIT, _DIRECTION, _MASK = 12, 6, 1
+
+
+def camera_ray_bytes(cameras: Sequence[Camera], cached_spp: int, has_environment: bool) -> int:
+    """Bytes of kept camera rays and of the emitter mask: for each pixel a byte, and for each kept ray a triangle and
+    barycentrics, in a scene with an environment its direction too.
+
+    Args:
+        cameras: of the training views, of one size.
+        cached_spp: kept rays of a pixel.
+        has_environment: of the scene.
+    """
+    pixels = sum(camera.width * camera.height for camera in cameras)
+    return pixels * (_MASK + cached_spp * (_HIT + (_DIRECTION if has_environment else 0)))
+
+
+def announce_camera_rays(
+    cameras: Sequence[Camera], cached_spp: int, has_environment: bool, device: torch.device | str
+) -> None:
+    """One line about what the camera rays take, if it is much.
+
+    Args:
+        cameras: as in :func:`camera_ray_bytes`, and so are the next two.
+        cached_spp: kept rays of a pixel.
+        has_environment: of the scene.
+        device: that they are kept on; only a CPU's memory is compared with what is free.
+
+    Raises:
+        InputError: the machine does not have as much.
+    """
+    needed = camera_ray_bytes(cameras, cached_spp, has_environment)
+    if cached_spp == 0 or needed < LARGE:
+        return
+    size = f"{cameras[0].width} x {cameras[0].height}"
+    what = f"the camera rays of {len(cameras)} views of {size} pixels take {needed / 1e9:.3g} GB of memory"
+    free = free_memory() if torch.device(device).type == "cpu" else None
+    stream = "--model.sampling.cached_spp 0 --data.resident 1"
+    if free is not None and needed > free:
+        raise InputError(f"{what}, and {free / 1e9:.3g} GB are free: stream them with {stream}")
+    print(f"neurad: {what}, and {_seconds(cameras, cached_spp)} to trace; none with {stream}", file=sys.stderr)
+
+
+def _seconds(cameras: Sequence[Camera], cached_spp: int) -> str:
+    """How long it takes to trace them, in words: five million rays a second are usual on a core."""
+    rays = cached_spp * sum(camera.width * camera.height for camera in cameras)
+    return f"about {max(1, round(rays / 5e6 / 60))} min"
