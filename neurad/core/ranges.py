@@ -113,6 +113,8 @@ def violations(value: Any, hint: Any, name: str) -> Iterator[tuple[str, str]]:
         if owner is not None and isinstance(inner, Mapping):
             prefix = f"{name}.init_args" if path else name
             for key, part in hints(owner).items():
+                if key in inner and inner[key] is None and needs_value(part):
+                    yield f"{prefix}.{key}", "null is no value for it, leave it out"
                 yield from violations(inner.get(key), part, f"{prefix}.{key}")
     elif isinstance(value, (list, tuple)):
         for part in _parts(hint):
@@ -126,6 +128,11 @@ def range_of(hint: Any) -> Range | None:
         if get_origin(part) is Annotated:
             return next((extra for extra in get_args(part)[1:] if isinstance(extra, Range)), None)
     return None
+
+
+def needs_value(hint: Any) -> bool:
+    """Whether a type leaves no room for None, which the parser lets through for every setting."""
+    return hint is not Any and hint is not None and type(None) not in _parts(hint)
 
 
 def is_settings(hint: Any) -> bool:
