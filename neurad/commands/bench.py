@@ -6,13 +6,14 @@ import argparse
 
 from neurad.commands import Verb
 from neurad.runtime.files import check_file, check_folder
-from neurad.studies.bench import ceiling, cube, encode, gradients, growth, peer, step, trace
+from neurad.studies.bench import ceiling, cube, encode, gradients, growth, memory, peer, step, trace
 
 BENCHMARKS: dict[str, tuple[Verb, str]] = {
     "step": (step, "time the stages of a training step, against what the machine allows"),
     "encode": (encode, "time hash grids, dense grids and networks, against what the machine allows"),
     "trace": (trace, "time every ray caster that is installed, by kind of ray and size of batch"),
     "growth": (growth, "time and memory against triangles, views, resolution and table size"),
+    "memory": (memory, "whether the memory of a fit of 20 000 steps grows"),
     "ceiling": (
         ceiling,
         "fit the material fields to the true maps: what a fit to photographs is not expected to beat",

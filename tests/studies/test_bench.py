@@ -10,8 +10,9 @@ import torch
 from neurad.cli import main
 from neurad.fields.hash_grid import HashGrid
 from neurad.scene.builtin import build_cornell
-from neurad.studies.bench import growth, machine, stages
+from neurad.studies.bench import growth, machine, memory, stages
 from neurad.studies.bench.measure import floor
+from neurad.studies.bench.memory_watch import resident
 
 CPU = torch.device("cpu")
 SMALL = [
@@ -145,3 +146,10 @@ def test_growth_measures_what_has_grown(curve, value, column):
     assert row["pixels"] == 256
     assert row["ms_per_step"] > 0
     assert row["setup_s"] > 0
+
+
+def test_memory_on_a_line():
+    slope, scatter = memory.line_through([(x, 100.0 + 0.25 * x) for x in range(0, 4000, 100)])
+    assert slope == pytest.approx(250.0)
+    assert scatter == pytest.approx(0.0, abs=1e-6)
+    assert resident() > 10_000

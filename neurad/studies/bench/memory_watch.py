@@ -1,0 +1,44 @@
+"""What takes the memory of a fit for ``neurad bench memory``."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any, cast
+
+import lightning.pytorch as pl
+
+from neurad.runtime.tables import Record, write_csv
+
+
+class MemoryWatch(pl.Callback):
+    """Writes the resident memory of the process as a table, a row every so many iterations.
+
+    Args:
+        out: the table.
+        every: iterations between two rows.
+    """
+
+    def __init__(self, out: str, every: int) -> None:
+        super().__init__()
+        self.out = Path(out)
+        self.every = every
+        self.rows: list[Record] = []
+
+    def on_train_batch_end(self, trainer: pl.Trainer, pl_module: pl.LightningModule, *_: Any) -> None:
+        """Take the memory if it is time."""
+        iteration = int(cast(Any, pl_module).iteration)
+        if iteration % self.every == 0:
+            self.rows.append({"iteration": iteration, "resident_KiB": resident()})
+
+    def on_train_end(self, trainer: pl.Trainer, pl_module: pl.LightningModule) -> None:
+        """Write the table."""
+        write_csv(self.out, ("iteration", "resident_KiB"), self.rows)
+
+
+def resident() -> int:
+    """Resident memory of this process in KiB; 0 where the system does not report it."""
+    try:
+        lines = Path("/proc/self/status").read_text().splitlines()
+    except OSError:
+        return 0
+    return next((int(line.split()[1]) for line in lines if line.startswith("VmRSS:")), 0)
