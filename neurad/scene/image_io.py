@@ -208,23 +208,29 @@ def _opened(path: Path) -> Any:
 
 
 def _linear(image: Any, raw: bool) -> FloatArray:
-    """Linear values [h, w, 1 or 3] of a picture of Pillow's, a strip after the other: together they would be many."""
+    """Linear values [h, w, 1 or 3] of a picture of Pillow's; of a large one strip by strip, as Pillow has copies."""
     width, height = image.size
-    grey = image.mode in ("1", "L", "LA")
-    levels = np.arange(256, dtype=np.float32) / 255.0
-    table = levels if raw else from_srgb(levels)
-    out = np.empty((height, width, 1 if grey or image.mode in ("F", *_DEPTH16) else 3), np.float32)
     rows = max(_ROWS // width, 1)
-    for top in range(0, height, rows):
-        strip = image.crop((0, top, width, min(top + rows, height)))
-        part = out[top : top + rows]
-        if image.mode in _DEPTH16:
-            value = np.asarray(strip).astype(np.float32)[..., None] / 65535.0
-            part[:] = value if raw else from_srgb(value)
-        elif image.mode == "F":
-            part[..., 0] = np.asarray(strip, np.float32)
-        elif grey:
-            part[..., 0] = table[np.asarray(strip.convert("L"))]
-        else:
-            part[:] = table[np.asarray(strip.convert("RGB"))]
+    if rows >= height:
+        return _strip(image, raw)
+    first = _strip(image.crop((0, 0, width, rows)), raw)
+    out = np.empty((height, *first.shape[1:]), np.float32)
+    out[:rows] = first
+    for top in range(rows, height, rows):
+        bottom = min(top + rows, height)
+        out[top:bottom] = _strip(image.crop((0, top, width, bottom)), raw)
     return out
+
+
+def _strip(image: Any, raw: bool) -> FloatArray:
+    if image.mode in _DEPTH16:
+        value = np.asarray(image).astype(np.float32)[..., None] / 65535.0
+        return value if raw else from_srgb(value)
+    if image.mode == "F":
+        return np.asarray(image, np.float32)[..., None].copy()
+    grey = image.mode in ("1", "L", "LA")
+    mode = "L" if grey else "RGB"
+    coded = np.asarray(image if image.mode == mode else image.convert(mode))
+    levels = np.arange(256, dtype=np.float32) / 255.0
+    decoded: FloatArray = (levels if raw else from_srgb(levels))[coded]
+    return decoded[..., None] if grey else decoded
