@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import replace
 from functools import cached_property
-from pathlib import Path
 from typing import Annotated, Any
 
 import lightning.pytorch as pl
@@ -20,9 +19,11 @@ from neurad.core.patch_sampler import PatchSampler
 from neurad.core.protocols import PhotoSource
 from neurad.core.ranges import Count, Range, Seed, checked
 from neurad.core.records import DatasetStats, PixelBatch, View
+from neurad.runtime.reading import read_bytes
 from neurad.scene.description import Scene
 from neurad.scene.image_io import read_photograph
 from neurad.scene.load import load_scene
+from neurad.scene.numbers import check_bright
 
 
 class SceneData(pl.LightningDataModule, PhotoSource):
@@ -93,8 +94,9 @@ class SceneData(pl.LightningDataModule, PhotoSource):
         scene = self.scene
         if stage != "fit":
             return
-        if not self.streams and self.dataset_stats().mean_square_radiance <= 0:
-            raise InputError(f"scene {scene.name}: every training photograph is black")
+        if not self.streams:
+            stats = self.dataset_stats()
+            check_bright(stats.mean_square_radiance, stats.brightest, scene.name)
         camera = scene.train[0].camera
         if self.patch_size > min(camera.width, camera.height):
             size = f"{camera.width} x {camera.height}"
@@ -206,9 +208,9 @@ class SceneData(pl.LightningDataModule, PhotoSource):
     def _streamed(self, index: int) -> Tensor:
         """One training photograph [h * w, 3 or 4] from disk; also called from the thread that reads ahead."""
         view = self.scene.train[index]
-        if view.image is not None and Path(view.image).is_file():
+        if view.image is not None:
             # OpenEXR holds Python's lock while it waits for the disk; this does not.
-            Path(view.image).read_bytes()
+            read_bytes(view.image)
         image = self._read(view)
         self._check_channels(view, image, 4 if self.has_alpha else 3)
         if self._stats is not None and checksum(image) != self._stats.checksums[index]:

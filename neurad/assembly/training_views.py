@@ -15,6 +15,7 @@ from neurad.assembly.memory import announce_camera_rays
 from neurad.core.errors import InputError
 from neurad.core.protocols import PhotoSource
 from neurad.integrators.primary_hits import PrimaryHits
+from neurad.scene.numbers import check_bright
 
 
 @dataclass(frozen=True)
@@ -50,7 +51,8 @@ def prepare_views(
         check_brightness: warn if the photographs are far brighter or darker than the lights make the scene.
 
     Raises:
-        InputError: camera rays do not fit in memory, every pixel shows an emitter, or every photograph is black.
+        InputError: camera rays do not fit in memory, every pixel shows an emitter, or the photographs are black or too
+            dim.
     """
     scene, settings = assembly.scene, assembly.settings
     settings.for_batch(photographs.pixel_multiplier)  # raises where the samples cannot be split
@@ -65,8 +67,7 @@ def prepare_views(
     # Stage 2: the unit of radiance.
     stats = photographs.dataset_stats(emitter_mask.cpu())
     mean_square = mean_square_radiance(stats, settings.objective.firefly_clamp)
-    if mean_square <= 0:
-        raise InputError(f"scene {scene.name}: every training photograph is black")
+    check_bright(mean_square, stats.brightest, scene.name)
     if assembly.environment is not None:
         assembly.environment.set_unit(math.sqrt(mean_square))
     elif check_brightness:

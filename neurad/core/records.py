@@ -214,6 +214,11 @@ class DatasetStats:
     checksums: tuple[int, ...] = ()
     """CRC-32 of each photograph, by which a changed one is found; none where they cannot change."""
 
+    @property
+    def brightest(self) -> float:
+        """Largest value of the sample; 0 where it is empty."""
+        return float(self.sample.color.max()) if len(self.sample.color) else 0.0
+
 
 @dataclass(frozen=True)
 class Camera:

@@ -8,12 +8,13 @@ from pathlib import Path
 from neurad.core.errors import InputError
 
 _LARGE = 1 << 30  # bytes from which on it is said what is taken
+_said: set[str] = set()
 _SYSTEM, _GROUP = Path("/proc/meminfo"), Path("/sys/fs/cgroup")
 
 
 def free_memory() -> int | None:
     """Bytes that this process can still get, of the machine or of the group of processes it is in; None if unknown."""
-    found = [x for x in (_of_system(), _of_group()) if x is not None]
+    found = [x for x in (_of_system(), _of_group(), _of_process()) if x is not None]
     return min(found, default=None)
 
 
@@ -33,7 +34,9 @@ def reserve(what: str, needed: int, kept: int) -> None:
     free = free_memory()
     if free is not None and needed > free:
         raise InputError(f"{what}: reading it takes {needed / 1e9:.3g} GB of memory, and {free / 1e9:.3g} GB are free")
-    print(f"neurad: {what}: it takes {kept / 1e9:.3g} GB of memory", file=sys.stderr)
+    if what not in _said:  # of photographs that are read again and again, once
+        _said.add(what)
+        print(f"neurad: {what}: it takes {kept / 1e9:.3g} GB of memory", file=sys.stderr)
 
 
 def _of_system() -> int | None:
@@ -50,3 +53,15 @@ def _of_group() -> int | None:
     except OSError:
         return None
     return int(most) - int(used) if most.isdecimal() and used.isdecimal() else None
+
+
+def _of_process() -> int | None:
+    """What the limit of the process (``ulimit -v``) leaves."""
+    try:
+        import resource
+
+        limit = resource.getrlimit(resource.RLIMIT_AS)[0]
+        used = int(Path("/proc/self/statm").read_text().split()[0]) * resource.getpagesize()
+    except (ImportError, OSError):
+        return None
+    return None if limit == resource.RLIM_INFINITY else max(limit - used, 0)

@@ -128,12 +128,12 @@ def folder(path: str | Path, option: str) -> Path:
     raise InputError(f"{option}: there is no folder {shown(path)}")
 
 
-def read_bytes(path: str | Path, limit: int, missing: str = "there is no such file") -> bytes:
+def read_bytes(path: str | Path, limit: int | None = None, missing: str = "there is no such file") -> bytes:
     """The bytes of a file.
 
     Args:
         path: of the file.
-        limit: bytes that it may have.
+        limit: bytes that it may have; None for any number.
         missing: what to say if nothing is there.
 
     Raises:
@@ -142,12 +142,11 @@ def read_bytes(path: str | Path, limit: int, missing: str = "there is no such fi
     file = regular_file(path, missing)
     try:
         with file.open("rb") as stream:
-            data = stream.read(limit + 1)
+            if limit is None or os.fstat(stream.fileno()).st_size <= limit:
+                return stream.read()
     except (OSError, MemoryError) as error:
         raise failure(path, error) from error
-    if len(data) > limit:
-        raise InputError(f"{shown(path)}: it has more than {limit >> 20} MB, which no file of its kind needs")
-    return data
+    raise InputError(f"{shown(path)}: it has more than {limit >> 20} MB, which no file of its kind needs")
 
 
 def read_text(path: str | Path, missing: str = "there is no such file") -> str:

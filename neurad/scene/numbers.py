@@ -57,6 +57,26 @@ def within(values: npt.ArrayLike, where: str, low: float, high: float) -> None:
     )
 
 
+def check_bright(mean_square: float, brightest: float, scene: str) -> None:
+    """Check that photographs are bright enough to compute with.
+
+    Args:
+        mean_square: of the pixels that count.
+        brightest: value among them.
+        scene: name for the sentence.
+
+    Raises:
+        InputError: they are black, or so dim that float32 loses their squares.
+    """
+    if brightest <= 0 and mean_square <= 0:
+        raise InputError(f"scene {scene}: every training photograph is black")
+    if mean_square < DIM**2:
+        raise InputError(
+            f"scene {scene}: the training photographs are too dim for numbers of 32 bits (up to {brightest:.3g}, but "
+            f"typical values must be at least {DIM:g}): multiply them and the lights by the same factor"
+        )
+
+
 def number(value: Any, where: str, low: float, high: float) -> float:
     """A single number that a file gives.
 

@@ -46,6 +46,8 @@ def read_xml(path: str | Path) -> Scene:
     with _scalar_rgb(path) as mi:
         try:
             return _Reader(mi, path).scene()
+        except MemoryError as error:
+            raise InputError(f"{shown(path)}: there is not enough memory for its meshes and textures") from error
         except RecursionError as error:
             raise InputError(f"{shown(path)}: its BSDFs refer to one another through too many others") from error
         except UnicodeDecodeError as error:  # of names and values in encodings that are not declared
