@@ -2,13 +2,16 @@
 
 from __future__ import annotations
 
-import sys
+from collections.abc import Callable
 
 import torch
+from torch import Tensor
 
-from neurad.core.records import DatasetStats, PixelBatch, Surface
+from neurad.core.records import DatasetStats, PixelBatch, Surface, SurfaceInteraction
 from neurad.core.rng import Stream
 from neurad.integrators.bounce import bounce
+from neurad.integrators.estimator import Estimator
+from neurad.integrators.path import PathTracing
 from neurad.integrators.primary_hits import PrimaryHits
 from neurad.integrators.vertex import DIMENSIONS
 from neurad.losses.firefly import typical_square
@@ -16,6 +19,9 @@ from neurad.losses.firefly import typical_square
 FAR = 50.0
 """Ratio from which on no material explains the photographs; a white closed room may be some tens of times brighter."""
 _PIXELS = 4096
+_WHITE_PIXELS, _WHITE_SPP, _LONGEST = 512, 2, 1000
+EXPLAINED = 2.0
+"""Times the brightness of a white scene up to which materials may explain photographs."""
 
 
 def mean_square_radiance(stats: DatasetStats, firefly_clamp: float) -> float:
@@ -56,12 +62,54 @@ def brightness(primary: PrimaryHits, sample: PixelBatch, seed: int) -> float:
     return float(color[si.valid].mean()) / expected if expected > 0 else 1.0
 
 
-def warn_if_far(factor: float) -> None:
-    """One warning if the photographs are out of reach of the lights."""
-    if not 1.0 / FAR < factor < FAR:
-        words = f"{factor:.3g} times as bright"
-        print(
-            f"neurad: warning: the photographs are about {words} as the scene's lights make it; "
-            "materials cannot explain that, so scale the lights or the photographs",
-            file=sys.stderr,
-        )
+@torch.no_grad()
+def white_brightness(primary: PrimaryHits, sample: PixelBatch, seed: int, max_depth: int) -> float:
+    """How many times as bright the photographs are as the scene would be if it were all but white (albedo 0.999).
+
+    Args:
+        primary: camera rays of the training views.
+        sample: random photographed pixels that show no emitter; some of them are drawn.
+        seed: of the paths.
+        max_depth: of the paths, as in the scene, but at most 1000; none of them ends at random.
+    """
+    world, device = primary.world, primary.origin.device
+    stream = Stream(seed, 19, device=device)
+    index = stream.integers(len(sample.view), min(len(sample.view), _WHITE_PIXELS))
+    view, pixel, color = (x.to(device)[index] for x in (sample.view, sample.pixel, sample.color))
+    with world.tracer.uncounted():
+        si = primary(PixelBatch(view, pixel, color, torch.ones_like(view).float(), 0), 1, stream).si
+        depth, white = min(max_depth, _LONGEST), _White()
+        method = PathTracing(max_depth=depth, rr_depth=depth)
+        estimate = Estimator(world, white, None, method).image(si, white(si), _WHITE_SPP, stream).value
+    expected = float(estimate.view(len(si), _WHITE_SPP, 3).mean(1)[si.valid].mean()) if bool(si.valid.any()) else 0.0
+    return float(color[si.valid].mean()) / expected if expected > 0 else 1.0
+
+
+class _White:
+    """Materials that keep nearly all light."""
+
+    def __call__(self, si: SurfaceInteraction) -> Surface:
+        """BSDF parameters at the lanes of ``si``."""
+        return Surface(self.albedo(si), torch.ones_like(si.p[:, :1]))
+
+    def albedo(self, si: SurfaceInteraction) -> Tensor:
+        """The albedo alone [n, 3]."""
+        return torch.full_like(si.p, 0.999)
+
+
+def sentence_if_far(factor: float, white: Callable[[], float]) -> str:
+    """A warning if the photographs may be out of reach of the lights, otherwise nothing.
+
+    Args:
+        factor: of :func:`brightness`.
+        white: :func:`white_brightness`, which takes a while: it is only called for photographs that are far brighter.
+    """
+    if 1.0 / FAR < factor < FAR:
+        return ""
+    said = f"the photographs are about {factor:.3g} times as bright as the scene's lights make surfaces of albedo 0.5"
+    if factor < 1.0:
+        return f"{said}; only a scene that is nearly black explains that, so see whether lights and photographs agree"
+    if white() > EXPLAINED:
+        return f"{said}; materials cannot explain that, so scale the lights or the photographs"
+    albedo = factor / (1.0 + factor)  # of a closed room: direct light / (1 - albedo)
+    return f"{said}; only a mean albedo of about {albedo:.2f} in a closed room explains that, see whether it is so"

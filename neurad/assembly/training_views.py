@@ -3,19 +3,28 @@
 from __future__ import annotations
 
 import math
+import sys
 import zlib
 from dataclasses import dataclass
+from functools import partial
 
+import numpy as np
 import torch
 from torch import Tensor
 
 from neurad.assembly.build import Assembly
-from neurad.assembly.exposure import brightness, mean_square_radiance, warn_if_far
+from neurad.assembly.exposure import brightness, mean_square_radiance, sentence_if_far, white_brightness
 from neurad.assembly.memory import announce_camera_rays
 from neurad.core.errors import InputError
 from neurad.core.protocols import PhotoSource
+from neurad.core.records import FloatArray, PixelBatch
 from neurad.integrators.primary_hits import PrimaryHits
+from neurad.metrics.view_residuals import surface_fractions
+from neurad.scene.description import Scene
 from neurad.scene.numbers import check_bright
+
+BLIND = 0.25
+"""Times the median fraction of pixels that meet a surface, below which a view is named."""
 
 
 @dataclass(frozen=True)
@@ -30,6 +39,10 @@ class TrainingViews:
     """Of all other pixels of the photographs."""
     checksum: int = 0
     """Of all photographs; 0 where they cannot change."""
+    sample: PixelBatch | None = None
+    """Random pixels of all photographs that show no emitter."""
+    surface: FloatArray | None = None
+    """Fraction of each view's pixels that meet a surface [views]; NaN where the sample has none of a view."""
 
 
 def prepare_views(
@@ -48,11 +61,12 @@ def prepare_views(
         photographs: of the training views.
         device: where the rays are traced.
         emitters_train: let pixels that an emitter covers train too: where everything emits there are no others.
-        check_brightness: warn if the photographs are far brighter or darker than the lights make the scene.
+        check_brightness: warn if the photographs are far brighter or darker than the lights make the scene, and if a
+            camera sees next to nothing of it.
 
     Raises:
-        InputError: camera rays do not fit in memory, every pixel shows an emitter, or the photographs are black or too
-            dim.
+        InputError: camera rays do not fit in memory, every pixel shows an emitter, the photographs are black or too
+            dim, or no camera sees a surface.
     """
     scene, settings = assembly.scene, assembly.settings
     settings.for_batch(photographs.pixel_multiplier)  # raises where the samples cannot be split
@@ -66,12 +80,17 @@ def prepare_views(
         raise InputError(f"scene {scene.name}: every pixel of every training view shows an emitter")
     # Stage 2: the unit of radiance.
     stats = photographs.dataset_stats(emitter_mask.cpu())
+    surface = surface_fractions(primary, stats.sample, settings.seed)
+    if check_brightness:
+        check_views(scene, surface)
     mean_square = mean_square_radiance(stats, settings.objective.firefly_clamp)
     check_bright(mean_square, stats.brightest, scene.name)
     if assembly.environment is not None:
         assembly.environment.set_unit(math.sqrt(mean_square))
     elif check_brightness:
-        warn_if_far(brightness(primary, stats.sample, settings.seed))
+        white = partial(white_brightness, primary, stats.sample, settings.seed, scene.max_depth)
+        if said := sentence_if_far(brightness(primary, stats.sample, settings.seed), white):
+            print(f"neurad: warning: {said}", file=sys.stderr)
     if assembly.radiance is not None:
         assembly.radiance.set_scale(math.sqrt(mean_square))
     # Stage 3: what residuals are relative to, where there is no field to predict it.
@@ -79,4 +98,34 @@ def prepare_views(
     if kind == "blurred" or (kind == "prediction" and not settings.method.needs_field):
         photographs.request_blurred()
     checksum = zlib.crc32(repr(stats.checksums).encode()) if stats.checksums else 0
-    return TrainingViews(primary, emitter_mask, mean_square, checksum)
+    return TrainingViews(primary, emitter_mask, mean_square, checksum, stats.sample, surface)
+
+
+def check_views(scene: Scene, surface: FloatArray) -> None:
+    """Name the training views whose cameras see next to nothing of the scene.
+
+    Args:
+        scene: whose training views they are.
+        surface: fraction of each view's pixels that meet a surface [views].
+
+    Raises:
+        InputError: no camera sees a surface.
+    """
+    if not np.nanmax(surface, initial=0.0) > 0.0:
+        raise InputError(
+            f"scene {scene.name}: no training camera sees a surface in the pixels that its photographs show; check "
+            "the units and the axes of transform_matrix (x right, y up, looking along -z)"
+        )
+    median = float(np.nanmedian(surface))
+    blind = [
+        f"{view.name} ({100 * share:.0f} %)"
+        for view, share in zip(scene.train, surface, strict=True)
+        if share < BLIND * median
+    ]
+    if blind:
+        print(
+            f"neurad: warning: of the pixels of training view{'s' if len(blind) > 1 else ''} {', '.join(blind[:8])}"
+            f"{f' and {len(blind) - 8} others' if len(blind) > 8 else ''} few meet a surface (median of all views: "
+            f"{100 * median:.0f} %); check the pose",
+            file=sys.stderr,
+        )

@@ -15,6 +15,7 @@ from lightning.pytorch.loggers import TensorBoardLogger
 from neurad.callbacks import pictures
 from neurad.callbacks.run_folder import run_folder
 from neurad.callbacks.table import MetricsTable, curve_table, score_table
+from neurad.callbacks.training_views import ViewTable
 from neurad.core.ranges import Count, CountOrZero, NonNegative, checked
 from neurad.metrics.effort import affordable
 from neurad.runtime import clock
@@ -67,6 +68,7 @@ class Evaluate(pl.Callback):
         self._last = 0.0
         self._mark = 0
         self._evaluated = -1
+        self._views: ViewTable | None = None
 
     def state_dict(self) -> dict[str, Any]:
         """Seconds and marks so far: a continued run keeps to its fraction of time."""
@@ -172,6 +174,7 @@ class Evaluate(pl.Callback):
                 self.last_scores = dict(evaluation.scores)
                 self._record(trainer, module, evaluation.scores, evaluation.maps)
                 self._preview(trainer, module, evaluation)
+                self._check_views(trainer, module)
             trainer.strategy.barrier("evaluation")
         taken = time.monotonic() - begin
         self._spent += taken
@@ -205,6 +208,14 @@ class Evaluate(pl.Callback):
         if evaluation.environment and isinstance(trainer.logger, TensorBoardLogger):
             picture = pictures.environment(evaluation.environment, pictures.exposure(evaluation.maps))
             trainer.logger.experiment.add_image("environment", picture, module.iteration, dataformats="HWC")
+
+    def _check_views(self, trainer: pl.Trainer, module: InverseRenderer) -> None:
+        """How well the training views agree with each other, into ``views.csv``."""
+        views, residuals = module.training_views, module.view_residuals()
+        if views is None or views.surface is None or residuals is None:
+            return
+        self._views = self._views or ViewTable([view.name for view in module.scene.train], views.surface)
+        self._views.update(run_folder(trainer), module.iteration, residuals)
 
     def _log_losses(self, trainer: pl.Trainer, module: InverseRenderer) -> None:
         if isinstance(trainer.logger, TensorBoardLogger) and trainer.is_global_zero:

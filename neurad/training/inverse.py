@@ -10,11 +10,11 @@ from torch import Tensor
 
 from neurad.assembly.build import Assembly, FittedMaterials, assemble
 from neurad.assembly.settings import Lighting, ModelSettings, Objective, Optimization, Sampling
-from neurad.assembly.training_views import prepare_views
+from neurad.assembly.training_views import TrainingViews, prepare_views
 from neurad.core.errors import InputError
 from neurad.core.protocols import PhotoSource
 from neurad.core.ranges import Seed
-from neurad.core.records import PixelBatch
+from neurad.core.records import FloatArray, PixelBatch
 from neurad.emitters.fitted import FittedEnvironment
 from neurad.fields.radiance import RadianceField
 from neurad.fields.settings import FieldConfig, RadianceConfig, RoughnessConfig
@@ -24,6 +24,7 @@ from neurad.integrators.radiometric import Radiometric
 from neurad.integrators.world import World
 from neurad.metrics.effort import Effort
 from neurad.metrics.held_out import HeldOut
+from neurad.metrics.view_residuals import view_residuals
 from neurad.optim.polyak_average import PolyakAverage, averaged
 from neurad.optim.pyramid_adam import PyramidAdam
 from neurad.optim.sparse_row_adam import SparseRowAdam
@@ -97,6 +98,7 @@ class InverseRenderer(L.LightningModule):
         self.effort = Effort()
         """Of evaluations: what of the held-out views they look at. Set before a fit starts."""
         self._light: UnknownLight | None = None
+        self.training_views: TrainingViews | None = None
         self._photographs = 0
         """Checksum of the photographs; 0 before they are read, and where they cannot change."""
 
@@ -178,6 +180,7 @@ class InverseRenderer(L.LightningModule):
                 "a new run"
             )
         self._photographs = views.checksum
+        self.training_views = views
         with excluded(), self.world.tracer.uncounted():
             self._held_out = self._make_held_out().read()
         self.step = TrainingStep(
@@ -263,6 +266,16 @@ class InverseRenderer(L.LightningModule):
         """Nothing a batch: the evaluation callback looks at all held-out views at once, after the loop."""
 
     test_step = predict_step = validation_step
+
+    def view_residuals(self) -> FloatArray | None:
+        """How far each training photograph is from what is recovered [views], see :func:`view_residuals`; its rays and
+        seconds do not count. None outside of a fit.
+        """
+        views = self.training_views
+        if views is None or views.sample is None:
+            return None
+        with averaged(self.average):
+            return view_residuals(self.estimator, views.primary, views.sample, self.settings.seed)
 
     # ---- checkpoints
 

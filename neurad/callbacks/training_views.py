@@ -1,0 +1,63 @@
+"""``views.csv``: how well each training view agrees with the others; and the line that names those that do not."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from neurad.core.records import FloatArray
+from neurad.metrics.view_residuals import outliers
+from neurad.runtime.tables import Record, write_csv
+
+COLUMNS = ("view", "surface", "residual", "iteration")
+"""``surface`` is the fraction of its pixels that meet a surface, ``residual`` the mean relative difference between
+photograph and what is recovered, both in [0, 1]."""
+LEARNT = 0.1
+"""Median residual below which one evaluation is enough to name a view; above, a second one in a row has to agree, since
+a field that has seen little is unsure."""
+
+
+class ViewTable:
+    """Keeps ``views.csv`` of a run, and names views that stand out, each once.
+
+    Args:
+        names: of the training views.
+        surface: fraction of each view's pixels that meet a surface.
+    """
+
+    def __init__(self, names: Sequence[str], surface: FloatArray) -> None:
+        self.names = names
+        self.surface = surface
+        self._found: dict[int, int] = {}
+        self._named: set[int] = set()
+
+    def update(self, folder: Path | None, iteration: int, residuals: FloatArray) -> None:
+        """Write the present residuals, and say which views are far outside the others.
+
+        Args:
+            folder: of the run; None keeps no table.
+            iteration: that they belong to.
+            residuals: of the views [views].
+        """
+        far = outliers(residuals)
+        median = float(np.nanmedian(residuals))
+        self._found = {view: self._found.get(view, 0) + (1 if median > LEARNT else 2) for view in far}
+        named = [view for view in far if self._found[view] > 1 and view not in self._named]
+        self._named.update(named)
+        if named:
+            listed = ", ".join(f"{self.names[view]} ({residuals[view]:.2f})" for view in named)
+            print(
+                f"neurad: training view{'s' if len(named) > 1 else ''} {listed} differ{'' if len(named) > 1 else 's'} "
+                f"from the photographs far more than the others (median {median:.2f}): check the pose, or leave "
+                f"{'them' if len(named) > 1 else 'it'} out; views.csv has all",
+                file=sys.stderr,
+            )
+        if folder is not None:
+            rows: list[Record] = [
+                {"view": name, "surface": float(seen), "residual": float(value), "iteration": iteration}
+                for name, seen, value in zip(self.names, self.surface, residuals, strict=True)
+            ]
+            write_csv(folder / "views.csv", COLUMNS, rows)
