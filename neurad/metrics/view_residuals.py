@@ -20,7 +20,7 @@ SPP = 2
 _STREAM = 23  # last number of the stream's key
 FAR = 6.0
 """Robust standard deviations from the median at which a view stands out ..."""
-LARGER = 1.4
+LARGER = 1.5
 """... if its residual is also this many times the median."""
 
 
