@@ -78,21 +78,35 @@ def load_config(name: str, above: tuple[Path, ...] = ()) -> list[DictConfig]:
     path = find_config(name)
     if path.resolve() in above:
         raise InputError(f"config {name}: it is its own base")
-    try:
-        layer = OmegaConf.load(path)
-    except RecursionError as error:
-        raise InputError(f"config {name}: it is nested too deeply to be a config") from error
-    except (yaml.YAMLError, OmegaConfBaseException, ValueError, OSError) as error:
-        raise InputError(f"config {name}: it is not readable YAML ({' '.join(str(error).split())})") from error
-    if not isinstance(layer, DictConfig):
-        raise InputError(f"config {name}: it is not a mapping of keys to values")
-    if "config" in layer:  # the parser would read it as --config
-        raise InputError(f"config {name}: config is not a known setting, did you mean base?")
+    layer = read_layer(path, f"config {name}")
     layers: list[DictConfig] = []
     for base in _bases(layer, name):
         beside = path.parent / base
         layers += load_config(str(beside if exists(beside) and beside.is_file() else base), (*above, path.resolve()))
     return [*layers, layer]
+
+
+def read_layer(path: Path, name: str) -> DictConfig:
+    """One file of settings, whatever it is based on.
+
+    Args:
+        path: of the file.
+        name: begins the error message.
+
+    Raises:
+        InputError: the file is no YAML mapping.
+    """
+    try:
+        layer = OmegaConf.load(path)
+    except RecursionError as error:
+        raise InputError(f"{name}: it is nested too deeply to be a config") from error
+    except (yaml.YAMLError, OmegaConfBaseException, ValueError, OSError) as error:
+        raise InputError(f"{name}: it is not readable YAML ({' '.join(str(error).split())})") from error
+    if not isinstance(layer, DictConfig):
+        raise InputError(f"{name}: it is not a mapping of keys to values")
+    if "config" in layer:  # the parser would read it as --config
+        raise InputError(f"{name}: config is not a known setting, did you mean base?")
+    return layer
 
 
 def _bases(layer: DictConfig, name: str) -> list[str]:

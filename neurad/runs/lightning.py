@@ -13,7 +13,9 @@ from typing import Any
 import lightning.pytorch as pl
 from jsonargparse import ArgumentError, Namespace
 from lightning.fabric.utilities.exceptions import MisconfigurationException
+from lightning.pytorch.accelerators import CPUAccelerator
 from lightning.pytorch.cli import LightningArgumentParser, LightningCLI
+from lightning.pytorch.strategies import StrategyRegistry
 from lightning.pytorch.trainer.states import TrainerStatus
 from lightning.pytorch.utilities.exceptions import SIGTERMException
 from omegaconf import DictConfig, OmegaConf
@@ -25,11 +27,12 @@ from neurad.core.ranges import hints
 from neurad.runs.checkpoints import RUNS, given_checkpoint, newest_checkpoint, restoring, run_folder_of
 from neurad.runs.configs import load_config, only_trusted_classes, overlay, resolve, split_arguments
 from neurad.runs.messages import setting_error, silence_lightning
+from neurad.runs.own_config import own_config
 from neurad.runs.trainer_settings import check_environment, complaints
 from neurad.runtime.files import check_folder
+from neurad.runtime.machine import usable_cores
+from neurad.training.loopback import LoopbackDDP
 
-SHARED_KEYS = ("seed_everything", "trainer", "model", "data", "evaluation", "checkpoint", "bar")
-"""Parts of a config that every verb understands."""
 CALLBACKS: dict[str, type[pl.Callback]] = {"evaluation": Evaluate, "checkpoint": LastCheckpoint, "bar": Bar}
 """Callbacks that every run has, by the key of their settings."""
 
@@ -115,10 +118,7 @@ def find_checkpoint(verb: str, settings: Any) -> Path | None:
 def _config_of_run(checkpoint: Path) -> list[DictConfig]:
     """The settings of the run that wrote the checkpoint, as the lowest layers: the user's own go on top."""
     folder = run_folder_of(checkpoint)
-    if folder is None:
-        return []
-    layers = load_config(str(folder / "config.yaml"))
-    return [OmegaConf.create({key: layer[key] for key in SHARED_KEYS if key in layer}) for layer in layers]
+    return [] if folder is None else [own_config(folder)]
 
 
 class NeuradCLI(LightningCLI):
@@ -207,6 +207,8 @@ class NeuradCLI(LightningCLI):
         if settings["enable_progress_bar"] is False:
             self.config_init[self.verb].pop("bar", None)
         trainer = super().instantiate_trainer(**kwargs)
+        if isinstance(trainer.accelerator, CPUAccelerator) and trainer.num_devices > max(2, usable_cores()):
+            raise InputError(f"--trainer.devices: {trainer.num_devices} processes for {usable_cores()} processor cores")
         self._check_target(trainer)
         return trainer
 
@@ -222,6 +224,7 @@ class NeuradCLI(LightningCLI):
     def _instantiate_trainer(self, config: dict[str, Any], callbacks: list[pl.Callback]) -> pl.Trainer:
         kept = [callback for callback in callbacks if callback is not None]
         try:
+            config["strategy"] = strategy(config["strategy"], config["devices"], config["num_nodes"])
             return super()._instantiate_trainer(config, kept)
         except (MisconfigurationException, ValueError) as error:
             raise InputError(f"trainer: {error}") from error
@@ -246,6 +249,21 @@ class NeuradCLI(LightningCLI):
         finally:
             for callback in _run_folders(self.trainer):
                 callback.release()
+
+
+def strategy(given: Any, devices: Any, num_nodes: int) -> Any:
+    """The trainer's strategy: ``ddp`` of processes that listen to this machine alone, and none for one process.
+
+    Args:
+        given: as in the settings; a name or an object.
+        devices: number of devices, their list, or a text for either.
+        num_nodes: number of machines.
+    """
+    if not isinstance(given, str) or not given.startswith("ddp") or given not in StrategyRegistry:
+        return given
+    if num_nodes == 1 and (str(devices) == "1" or (isinstance(devices, list) and len(devices) == 1)):
+        return "auto"
+    return LoopbackDDP(**StrategyRegistry[given]["init_params"])
 
 
 def _run_folders(trainer: pl.Trainer) -> list[RunFolder]:

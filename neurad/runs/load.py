@@ -24,8 +24,8 @@ from neurad.integrators.film import render
 from neurad.integrators.renderer import MethodRenderer
 from neurad.integrators.world import World
 from neurad.runs.checkpoints import newest_checkpoint, run_checkpoint, run_folder_of
-from neurad.runs.configs import load_config
 from neurad.runs.model_settings import parse_model
+from neurad.runs.own_config import own_config
 from neurad.scene.description import Scene
 from neurad.scene.image_io import read_photograph
 from neurad.scene.load import load_scene
@@ -187,7 +187,7 @@ def load_run(
     checkpoint, folder = _locate(run)
     name = f"run {checkpoint}"
     content = read_checkpoint(checkpoint, name)
-    config = OmegaConf.to_container(OmegaConf.merge(*load_config(str(folder / "config.yaml"))), resolve=True)
+    config = OmegaConf.to_container(own_config(folder))
     if not isinstance(config, dict) or not all(isinstance(config.get(part), dict) for part in ("model", "data")):
         raise InputError(f"{folder / 'config.yaml'}: it is not the config of a run")
     settings = parse_model(config["model"], str(folder / "config.yaml"))

@@ -9,6 +9,7 @@ from omegaconf import OmegaConf
 
 from neurad.assembly.settings import ModelSettings
 from neurad.core.errors import InputError
+from neurad.core.ranges import violations
 from neurad.integrators.radiometric import Radiometric
 from neurad.runs.configs import load_config, only_trusted_classes
 
@@ -28,7 +29,10 @@ def parse_model(model: dict[str, Any], source: str) -> ModelSettings:
     parser.add_class_arguments(ModelSettings, "model")
     given = {key: value for key, value in model.items() if not (key == "method" and value is None)}
     try:
-        settings: ModelSettings = parser.instantiate(parser.parse_object({"model": given})).model
+        parsed = parser.parse_object({"model": given})
+        for key, text in violations(parsed.as_dict()["model"], ModelSettings, "model"):
+            raise InputError(f"{source}: {key}: {text}")
+        settings: ModelSettings = parser.instantiate(parsed).model
     except ArgumentError as error:
         raise InputError(f"{source}: {' '.join(str(error).split())}") from error
     return settings

@@ -6,6 +6,7 @@ import sys
 from typing import Any, Literal
 
 import lightning as L
+from lightning.pytorch.strategies import DDPStrategy
 from torch import Tensor
 
 from neurad.assembly.build import Assembly, FittedMaterials, assemble
@@ -138,8 +139,13 @@ class InverseRenderer(L.LightningModule):
             made.radiance,
         )
         self.region = made.region
-        if self.trainer.world_size > 1:
+        if self._exchanges:
             self._ddp_params_and_buffers_to_ignore = ddp_ignored(self)  # DDP's own name for it
+
+    @property
+    def _exchanges(self) -> bool:
+        """Whether DDP averages gradients, of several processes or of one alone."""
+        return isinstance(self.trainer.strategy, DDPStrategy)
 
     @property
     def assembly(self) -> Assembly:
@@ -190,7 +196,7 @@ class InverseRenderer(L.LightningModule):
             self.counters,
             self.global_rank,
             self.processes,
-            GradientSync(self, self._ddp_params_and_buffers_to_ignore) if self.processes > 1 else None,
+            GradientSync(self, self._ddp_params_and_buffers_to_ignore) if self._exchanges else None,
             device=self.device,
         )
 

@@ -1,0 +1,145 @@
+"""A run's own ``config.yaml``, and what of it counts: it may have come with a checkpoint that somebody sent.
+
+A config that is given by name is the user's own choice. One that lies beside a checkpoint is not: it may say what was
+fitted, and for how long, but not name classes, other files of settings, or places to write to.
+"""
+
+from __future__ import annotations
+
+import inspect
+import re
+import sys
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import lightning.pytorch as pl
+from omegaconf import DictConfig, OmegaConf
+
+from neurad import callbacks, integrators
+from neurad.callbacks import TrainingBudget
+from neurad.core.errors import InputError
+from neurad.runs.configs import read_layer
+
+GROUPS = ("model", "data", "evaluation", "checkpoint", "bar")
+"""Groups of settings that are taken over: numbers, texts and lists of them."""
+TRAINER = (
+    "accelerator", "strategy", "devices", "num_nodes", "precision", "max_steps", "min_steps", "max_time",
+    "deterministic", "benchmark", "inference_mode", "detect_anomaly", "enable_progress_bar",
+)  # fmt: skip
+"""Settings of the trainer that are taken over. All others choose what is written where, or name classes."""
+_OURS = {"max_epochs": -1, "num_sanity_val_steps": 0, "enable_model_summary": False}
+"""What this project sets for every trainer."""
+_INNER = ("albedo", "roughness", "radiance", "sampling", "objective", "optimization", "lighting")
+"""Groups below ``model``."""
+METHODS = integrators.__name__
+"""Where the class of ``model.method`` has to be."""
+BUDGETS = tuple(f"{place}.{TrainingBudget.__name__}" for place in (callbacks.__name__, TrainingBudget.__module__))
+"""The one callback that is taken over, a limit of time."""
+
+
+def own_config(folder: Path) -> DictConfig:
+    """What counts of the settings of a run; says on stderr what was left out.
+
+    Args:
+        folder: the run's.
+
+    Raises:
+        InputError: the file is missing, is no config of a run, or names classes or other files of settings.
+    """
+    path = folder / "config.yaml"
+    tree: Any = OmegaConf.to_container(read_layer(path, str(path)), resolve=False)
+    if "base" in tree:
+        raise InputError(f"{path}: it has a base, which the config of a run never has")
+    kept: dict[str, Any] = {}
+    for name in GROUPS:
+        if name in tree:
+            if not isinstance(tree[name], dict):
+                raise InputError(f"{path}: {name} is not a group of settings")
+            kept[name] = tree[name]
+    if "seed_everything" in tree:
+        kept["seed_everything"] = tree["seed_everything"]
+    method = kept.get("model", {}).pop("method", None)
+    for name in _INNER:
+        _check_group(kept.get("model", {}), name, f"model.{name}", path)
+    _refuse(kept, "", path)
+    if method is not None:
+        kept["model"]["method"] = _method(method, path)
+    kept["trainer"], left_out = _of_trainer(tree.get("trainer", {}), path)
+    if left_out:
+        print(
+            f"neurad: {path}: left out {', '.join(f'trainer.{name}' for name in left_out)}, since a config beside a "
+            "checkpoint may come from anybody; give it again where it is wanted",
+            file=sys.stderr,
+        )
+    return OmegaConf.create(kept)
+
+
+def _check_group(tree: Mapping[str, Any], key: str, name: str, path: Path) -> None:
+    """A group has keys: its name as a text would be read as that of another file of settings."""
+    group = tree.get(key, {})
+    if not isinstance(group, Mapping):
+        raise InputError(f"{path}: {name} is not a group of settings")
+    if "grid" in group:
+        _check_group(group, "grid", f"{name}.grid", path)
+
+
+def _refuse(value: Any, name: str, path: Path) -> None:
+    """Nothing but numbers, texts, and lists and groups of them may stand in a run's own config."""
+    if isinstance(value, Mapping):
+        if "class_path" in value:
+            raise InputError(f"{path}: {name} names a class, {value['class_path']}; only model.method may do that")
+        for key, inner in value.items():
+            _refuse(inner, f"{name}.{key}".lstrip("."), path)
+    elif isinstance(value, list):
+        for inner in value:
+            _refuse(inner, name, path)
+    elif isinstance(value, str) and "${" in value:
+        raise InputError(f"{path}: {name} refers to something else ({value}), which the config of a run never does")
+
+
+def _method(method: Any, path: Path) -> dict[str, Any]:
+    """The class of the method and its settings."""
+    name = str(method.get("class_path")) if isinstance(method, dict) else str(method)
+    if not isinstance(method, dict) or not re.fullmatch(rf"{re.escape(METHODS)}\.\w+\.\w+", name):
+        raise InputError(f"{path}: model.method names {name}, which is no class of {METHODS}")
+    arguments = method.get("init_args") or {}
+    _refuse(arguments, "model.method.init_args", path)
+    return {"class_path": name, "init_args": arguments}
+
+
+def _of_trainer(trainer: Any, path: Path) -> tuple[dict[str, Any], list[str]]:
+    """Settings of the trainer that are taken over, and the names of those that say something and are not."""
+    if not isinstance(trainer, dict):
+        raise InputError(f"{path}: trainer is not a group of settings")
+    usual = {name: p.default for name, p in inspect.signature(pl.Trainer.__init__).parameters.items()} | _OURS
+    kept: dict[str, Any] = {}
+    left_out = []
+    for key, value in trainer.items():
+        budgets = isinstance(value, list) and all(_is_budget(entry) for entry in value)
+        if (key in TRAINER and _is_plain(key, value)) or (key == "callbacks" and budgets):
+            kept[key] = value
+        elif value is not None and value != usual.get(key):
+            left_out.append(str(key))
+    return kept, left_out
+
+
+def _is_plain(key: str, value: Any) -> bool:
+    """Whether a value of the trainer's is a scalar that may be taken over."""
+    if key == "strategy":
+        return isinstance(value, str) and re.fullmatch(r"auto|ddp\w*", value) is not None
+    if key in ("devices", "max_time") and isinstance(value, (list, dict)):
+        return all(isinstance(x, int) for x in (value.values() if isinstance(value, dict) else value))
+    return value is None or (isinstance(value, (bool, int, float, str)) and "${" not in str(value))
+
+
+def _is_budget(entry: Any) -> bool:
+    """Whether a callback is the limit of training seconds, with nothing but its seconds."""
+    arguments = entry.get("init_args") if isinstance(entry, dict) else None
+    return (
+        isinstance(arguments, dict)
+        and set(entry) == {"class_path", "init_args"}
+        and entry["class_path"] in BUDGETS
+        and set(arguments) == {"seconds"}
+        and isinstance(arguments["seconds"], (int, float))
+    )

@@ -1,0 +1,179 @@
+"""A run that somebody sent: nothing of it is executed, and no file outside its folder is written."""
+
+import os
+import pickle
+import shutil
+import socket
+import sys
+from pathlib import Path
+
+import pytest
+import torch
+import yaml
+from helpers.tiny_fit import checkpoint, config, fails, fit, run_folder
+
+import neurad
+from neurad.cli import main
+from neurad.core.errors import InputError
+
+
+@pytest.fixture(scope="module")
+def sent(tmp_path_factory):
+    """A finished run of two iterations, as it was sent."""
+    from helpers.tiny_fit import write_tiny_config
+
+    place = tmp_path_factory.mktemp("sent")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.chdir(place)
+        write_tiny_config()
+        fit("--trainer.max_steps=2", "--evaluation.pictures=0")
+    return place
+
+
+@pytest.fixture
+def place(sent, tmp_path, monkeypatch):
+    """A copy of it to spoil, as the working folder; a module ``evil`` lies there, as it would on ``sys.path``."""
+    shutil.copytree(sent, tmp_path / "work")
+    monkeypatch.chdir(tmp_path / "work")
+    Path("evil.py").write_text("open('executed', 'w').close()\nclass Evil:\n    pass\n")
+    monkeypatch.syspath_prepend(str(tmp_path / "work"))
+    yield tmp_path / "work"
+    sys.modules.pop("evil", None)
+    assert not list(tmp_path.rglob("executed"))
+
+
+def spoil(change):
+    """Change the tree of the run's config.yaml."""
+    path = run_folder() / "config.yaml"
+    tree = config()
+    change(tree)
+    path.write_text(yaml.safe_dump(tree))
+
+
+def files(folder):
+    return {str(path.relative_to(folder)) for path in folder.rglob("*") if path.is_file()}
+
+
+def logger(name):
+    return {"class_path": f"lightning.pytorch.loggers.{name}", "init_args": {"save_dir": "elsewhere"}}
+
+
+ELSEWHERE = {
+    "default_root_dir": "elsewhere",
+    "logger": [logger("CSVLogger"), logger("TensorBoardLogger")],
+    "callbacks": [
+        {"class_path": "lightning.pytorch.callbacks.ModelCheckpoint", "init_args": {"dirpath": "elsewhere"}},
+        {"class_path": "neurad.callbacks.TrainingBudget", "init_args": {"seconds": 100.0}},
+    ],
+    "profiler": {"class_path": "lightning.pytorch.profilers.AdvancedProfiler", "init_args": {"dirpath": "elsewhere"}},
+    "plugins": {"class_path": "lightning.pytorch.plugins.io.TorchCheckpointIO"},
+    "strategy": {"class_path": "evil.Evil"},
+    "fast_dev_run": True,
+}
+
+
+@pytest.mark.main
+def test_its_config_chooses_no_place_to_write(place, capfd):
+    before = files(place)
+    spoil(lambda tree: tree["trainer"].update(ELSEWHERE))
+    main(["fit", "--ckpt_path=last", "--trainer.max_steps=3"])
+    assert checkpoint()["neurad"]["iteration"] == 3
+    main(["test"])
+    said = capfd.readouterr().err
+    assert all(f"trainer.{name}" in said for name in ELSEWHERE)
+    made = files(place.parent) - {f"work/{name}" for name in before}
+    assert made
+    assert all(name.startswith("work/lightning_logs/version_0/") for name in made)
+
+
+@pytest.mark.main
+@pytest.mark.parametrize(
+    ("change", "said"),
+    [
+        (lambda tree: tree["model"].update(method={"class_path": "evil.Evil"}), "model.method names evil.Evil"),
+        (lambda tree: tree["model"].update(method={"class_path": "neurad.__main__.main"}), "neurad.__main__"),
+        (lambda tree: tree["model"].update(method="other.yaml"), "model.method names other.yaml"),
+        (lambda tree: tree["model"].update(sampling="/dev/zero"), "model.sampling is not a group"),
+        (lambda tree: tree["model"]["albedo"].update(grid="/dev/zero"), "model.albedo.grid is not a group"),
+        (lambda tree: tree.update(bar={"class_path": "evil.Evil"}), "bar names a class, evil.Evil"),
+        (lambda tree: tree["data"].update(root="${oc.env:HOME}"), "data.root refers to something else"),
+        (lambda tree: tree.update(base="/dev/zero"), "it has a base"),
+        (lambda tree: tree.update(trainer="other.yaml"), "trainer is not a group"),
+        (lambda tree: tree["model"].update(seed=-1), "seed"),
+    ],
+)
+def test_its_config_names_no_class_and_no_other_file(place, capfd, change, said):
+    spoil(change)
+    before = files(place)
+    for verb in ("test", "fit"):
+        assert said in fails(capfd, verb, "--ckpt_path=last")
+    with pytest.raises(InputError, match=r"config\.yaml|trainer is not"):
+        neurad.load()
+    assert files(place) == before
+
+
+@pytest.mark.main
+def test_its_config_with_tags_is_not_constructed(place, capfd):
+    path = run_folder() / "config.yaml"
+    path.write_text(path.read_text() + "evil: !!python/object/apply:os.system ['touch executed']\n")
+    assert "config.yaml" in fails(capfd, "test")
+    with pytest.raises(InputError, match="not readable YAML"):
+        neurad.load()
+
+
+class Touch:
+    """Executes a command where it is unpickled."""
+
+    def __reduce__(self):
+        return os.system, ("touch executed",)
+
+
+@pytest.mark.main
+@pytest.mark.parametrize("form", ["torch", "pickle", "hyper_parameters"])
+def test_its_checkpoint_is_not_executed(place, capfd, form):
+    path = Path("torn.ckpt")
+    if form == "torch":
+        torch.save({"state_dict": {}, "evil": Touch()}, path)
+    elif form == "pickle":
+        path.write_bytes(pickle.dumps({"state_dict": Touch()}))
+    else:  # Lightning would make the class that these name
+        state = torch.load(run_folder() / "checkpoints" / "last.ckpt", weights_only=True)
+        state["hyper_parameters"] = {"_class_path": "evil.Evil", "_instantiator": "evil.Evil"}
+        torch.save(state, path)
+    before = files(place)
+    assert "torn.ckpt" in fails(capfd, "test", "--config=tiny.yaml", f"--ckpt_path={path}")
+    assert files(place) == before
+
+
+def listening():
+    """Local addresses of this machine's listening TCP sockets that this process holds."""
+    mine = {os.readlink(link) for link in Path("/proc/self/fd").iterdir() if link.is_symlink() and link.exists()}
+    found = []
+    for table in ("tcp", "tcp6"):
+        for line in Path(f"/proc/net/{table}").read_text().splitlines()[1:]:
+            words = line.split()
+            if words[3] == "0A" and f"socket:[{words[9]}]" in mine:
+                found.append(words[1].rpartition(":")[0])
+    return found
+
+
+LOOPBACK = ("0100007F", "00000000000000000000000001000000", "0000000000000000FFFF00000100007F")
+
+
+@pytest.mark.main
+@pytest.mark.skipif(not Path("/proc/net/tcp").exists(), reason="reads Linux's list of sockets")
+def test_a_fit_listens_nowhere(place, monkeypatch):
+    from neurad.training.inverse import InverseRenderer
+
+    seen, step = [], InverseRenderer.training_step
+
+    def spied(self, batch, index):
+        seen.append(listening())
+        return step(self, batch, index)
+
+    with socket.create_server(("127.0.0.1", 0)):  # the test of the test
+        assert listening() == ["0100007F"]
+    monkeypatch.setattr(InverseRenderer, "training_step", spied)
+    fit("--trainer.max_steps=2")
+    fit("--trainer.max_steps=2", "--trainer.strategy=ddp")
+    assert seen == [[]] * 4
