@@ -44,9 +44,9 @@ class Range:
         """How a sentence goes on after 'it must be'."""
         parts = []
         if self.low > -math.inf:
-            parts.append(f"{'above' if self.above else 'at least'} {self.low:.16g}")
+            parts.append(f"{'above' if self.above else 'at least'} {_written(self.low)}")
         if self.high < math.inf:
-            parts.append(f"{'below' if self.below else 'at most'} {self.high:.16g}")
+            parts.append(f"{'below' if self.below else 'at most'} {_written(self.high)}")
         return " and ".join(parts) or "finite"
 
 
@@ -122,6 +122,21 @@ def violations(value: Any, hint: Any, name: str) -> Iterator[tuple[str, str]]:
                 yield from violations(entry, (get_args(part) or (Any,))[0], f"{name}[{index}]")
 
 
+def all_ranges(settings: Mapping[str, Any], prefix: str) -> Iterator[tuple[str, Range]]:
+    """Every number of a group of settings and of the groups inside it: its name with dots, and its range.
+
+    Args:
+        settings: types by name, from :func:`hints`.
+        prefix: name of the group, with a dot at its end.
+    """
+    for name, hint in settings.items():
+        if allowed := range_of(hint):
+            yield prefix + name, allowed
+        for part in _parts(hint):
+            if is_settings(part):
+                yield from all_ranges(hints(part), f"{prefix}{name}.")
+
+
 def range_of(hint: Any) -> Range | None:
     """The range in a type, also where None is allowed beside the number; None where there is none."""
     for part in _parts(hint):
@@ -166,6 +181,10 @@ def shown(value: object) -> str:
     except ValueError:  # Python writes out no number of more than 4300 digits
         return "a number of thousands of digits"
     return text if len(text) <= 60 else f"{text[:50]}... ({len(text)} characters)"
+
+
+def _written(number: float) -> str:
+    return str(number) if isinstance(number, int) else f"{number:.16g}"
 
 
 def _parts(hint: Any) -> tuple[Any, ...]:

@@ -23,10 +23,10 @@ from omegaconf import DictConfig, OmegaConf
 from neurad.callbacks import Bar, Evaluate, LastCheckpoint, RunFolder, RunLogger
 from neurad.callbacks.run_folder import run_folder
 from neurad.core.errors import InputError
-from neurad.core.ranges import hints
+from neurad.core.ranges import all_ranges, hints
 from neurad.runs.checkpoints import RUNS, given_checkpoint, newest_checkpoint, restoring, run_folder_of
 from neurad.runs.configs import load_config, only_trusted_classes, overlay, resolve, split_arguments
-from neurad.runs.messages import setting_error, silence_lightning
+from neurad.runs.messages import reason, setting_error, silence_lightning
 from neurad.runs.own_config import own_config
 from neurad.runs.trainer_settings import check_environment, complaints
 from neurad.runtime.files import check_folder
@@ -109,7 +109,10 @@ def find_checkpoint(verb: str, settings: Any) -> Path | None:
             raise InputError(f"--ckpt_path last: no run in {root / RUNS} has a checkpoint to start from")
         path = newest
     else:
-        path = Path(str(given)).expanduser()
+        try:
+            path = Path(str(given)).expanduser()
+        except RuntimeError as error:  # ~ of nobody
+            raise InputError(f"--ckpt_path {given}: {str(error).rstrip('.')}") from error
         given_checkpoint(path, f"--ckpt_path {path}")
     print(f"neurad: {verb} starts from {path}")
     return path
@@ -171,7 +174,13 @@ class NeuradCLI(LightningCLI):
 
     def parse_arguments(self, parser: LightningArgumentParser, args: Any) -> None:
         """Parse what :func:`run` prepared, whatever ``sys.argv`` says, and check the ranges of all numbers."""
-        self.known += [action.dest for action in self._subcommand_parsers[self.verb]._actions]
+        owners: dict[str, Any] = {"model": self._model_class, "data": self._datamodule_class, **CALLBACKS}
+        groups = {name: hints(owner) for name, owner in owners.items()}
+        ranges = {key: allowed for name, group in groups.items() for key, allowed in all_ranges(group, f"{name}.")}
+        for action in self._subcommand_parsers[self.verb]._actions:
+            self.known.append(action.dest)
+            if action.dest in ranges:  # for --help
+                action.help = f"{action.help or ''} It must be {ranges[action.dest]}.".strip()
         try:
             self.config = parser.parse_args(args)
         except RecursionError as error:
@@ -179,8 +188,6 @@ class NeuradCLI(LightningCLI):
         for name in ("trainer", "model", "data", *CALLBACKS):
             if not isinstance(self.config[self.verb].get(name), Namespace):
                 raise ArgumentError(None, f'Parser key "{name}": it is a group of settings, write them below it')
-        owners: dict[str, Any] = {"model": self._model_class, "data": self._datamodule_class, **CALLBACKS}
-        groups = {name: hints(owner) for name, owner in owners.items()}
         for key, text in complaints(self.config[self.verb].as_dict(), groups):
             raise ArgumentError(None, f'Parser key "{key}": {text}')
 
@@ -193,6 +200,19 @@ class NeuradCLI(LightningCLI):
         """Nothing: the run's ``config.yaml`` is the lowest layer of the config already, below the user's settings;
         Lightning would put the checkpoint's on top of them.
         """
+
+    def instantiate_classes(self) -> None:
+        """Make model, data and trainer.
+
+        Raises:
+            InputError: a class that the settings name cannot be made with them.
+        """
+        try:
+            super().instantiate_classes()
+        except ValueError as error:
+            if "Union subtypes" not in str(error):
+                raise
+            raise InputError(f"settings: {reason(' '.join(str(error).split()))}") from error
 
     def instantiate_trainer(self, **kwargs: Any) -> pl.Trainer:
         """A trainer that logs to the run folder, that of the checkpoint if there is one."""
@@ -226,7 +246,7 @@ class NeuradCLI(LightningCLI):
         try:
             config["strategy"] = strategy(config["strategy"], config["devices"], config["num_nodes"])
             return super()._instantiate_trainer(config, kept)
-        except (MisconfigurationException, ValueError) as error:
+        except (MisconfigurationException, ValueError, TypeError, ModuleNotFoundError) as error:
             raise InputError(f"trainer: {error}") from error
         except (KeyError, RuntimeError) as error:
             if not any(name.startswith("SLURM_") for name in os.environ):

@@ -11,6 +11,7 @@ from difflib import SequenceMatcher
 from omegaconf import OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
+from neurad.core.ranges import shown
 from neurad.runs.configs import load_config
 
 UNKNOWN = (
@@ -42,14 +43,52 @@ def setting_error(
             return _unknown(unknown[1], names, values, known)
     if wrong is None:
         return text
-    if nested := re.search(r"NestedArg\(key='([^']+)'", wrong[2]):
+    nested = re.search(r"NestedArg\(key='([^']+)'", wrong[2])
+    if nested and not re.search(r"Expected an? .* Got value: ", wrong[2]):
         return _unknown(f"{wrong[1]}.init_args.{nested[1]}", names, values, ())
-    denied = re.search(r"Importing '[^']+' is not allowed", wrong[2])
-    union = re.search(r"Does not validate against any of the Union subtypes.*Given value: (.*)", wrong[2])
-    group = "Unable to load config" in wrong[2]
-    reason = denied[0] if denied else f"{union[1]} is not a valid value" if union else wrong[2]
-    reason = "it is a group of settings, write them below it" if group else reason
-    return _located(wrong[1], reason, names, values)
+    key = f"{wrong[1]}.init_args.{nested[1]}" if nested else wrong[1]
+    origin = _origin(wrong[1], names, values)
+    return f"--{key}: {reason(wrong[2])}" if origin == "command line" else f"{origin}: {key}: {reason(wrong[2])}"
+
+
+def reason(text: str) -> str:
+    """What the parser says is wrong with a value, without names of its own functions and types.
+
+    Args:
+        text: its complaint in one line, without the setting's name.
+    """
+    given = re.search(r"Given value: (.*)$", text)
+    if named := re.search(r"Problem with given class_path '([^']+)': (.*?)(?: - |  ?Given value| \(given|$)", text):
+        inner = re.sub(r'^Parser key "[^"]+": ', "", named[2])
+        for pattern, words in _OF_CLASSES:
+            if found := re.search(pattern, inner):
+                return words.format(named[1], *found.groups())
+        return f"{named[1]}: {reason(inner)}" if "Got value" not in inner else reason(inner)
+    if surplus := re.search(r"unexpected keyword argument '([^']+)'.*class_path='([^']+)'", text):
+        return f"{surplus[2]} has no setting {surplus[1]}"
+    for pattern, words in _OF_VALUES:
+        if found := re.search(pattern, text):
+            return words.format(*(shown(group) for group in found.groups()))
+    if choices := re.search(r"Expected a typing\.Literal\[(.*?)\]\. Got value: (.*)", text):
+        return f"{shown(choices[2])} is none of {choices[1]}".replace("'", "")
+    return f"{shown(given[1])} is not a valid value" if given else text
+
+
+_OF_CLASSES = (
+    (r"arguments are required: (.+)", "{0} cannot be made without its init_args {1}"),
+    (r"Option '([^']+)' is not accepted", "{0} has no setting {1}"),
+    (r"Importing '([^']+)' is not allowed", "Importing '{1}' is not allowed"),
+)
+"""What the parser says of a class and its settings, and how it is said here; ``{0}`` is the class."""
+_OF_VALUES = (
+    (r"Unable to load config", "it is a group of settings, write them below it"),
+    (r"subclass of (\w+).*Given value: (.*)$", "{1} is not the class of a {0}"),
+    (r"Expected a <class 'int'>\. Got value: (.*?)(?: - Expected|$)", "{} is not a whole number"),
+    (r"Expected a <class 'float'>\. Got value: (.*?)(?: - Expected|$)", "{} is not a number"),
+    (r"Expected a <class 'bool'>\. Got value: (.*?)(?: - Expected|$)", "{} is neither true nor false"),
+    (r"Expected a <class 'str'>\. Got value: (.*?)(?: - Expected|$)", "{} is not a text"),
+)
+"""What the parser says of a value, and how it is said here."""
 
 
 def nearest(key: str, known: Iterable[str]) -> str | None:
@@ -70,12 +109,6 @@ def _unknown(key: str, names: Sequence[str], values: Mapping[str, str], known: I
     meant = nearest(key, known)
     hint = "" if meant is None else f", did you mean {meant}?"
     return f"{_origin(key, names, values)}: {key} is not a known setting{hint}"
-
-
-def _located(key: str, text: str, names: Sequence[str], values: Mapping[str, str]) -> str:
-    """A sentence about a setting: ``--data.patches: ...``, or ``config mine.yaml: data.patches: ...``."""
-    origin = _origin(key, names, values)
-    return f"--{key}: {text}" if origin == "command line" else f"{origin}: {key}: {text}"
 
 
 def _origin(key: str, names: Sequence[str], values: Mapping[str, str]) -> str:

@@ -6,8 +6,11 @@ Lightning would ignore, or refuse by an exception, is one sentence instead.
 
 from __future__ import annotations
 
+import math
 import os
+import re
 from collections.abc import Iterator, Mapping
+from datetime import timedelta
 from typing import Annotated, Any
 
 from neurad.core.errors import InputError
@@ -20,6 +23,7 @@ RANGES: dict[str, Any] = {
     "min_steps": CountOrZero | None,
 }
 """Ranges of the trainer's numbers; -1 steps are no limit."""
+_LONGEST = 30 * 365 * 86400
 _EPOCHS = "a fit has no epochs, its length is --trainer.max_steps or --trainer.max_time"
 _ALL_VIEWS = "all held-out views are evaluated together"
 _EVALUATIONS = "evaluations follow --evaluation.every_n_steps and --evaluation.fraction"
@@ -79,6 +83,8 @@ def complaints(settings: Mapping[str, Any], groups: Mapping[str, Any]) -> Iterat
         yield "trainer.max_steps", "0 is out of range, it must be at least 1, or -1 for no limit"
     if not _are_devices(trainer.get("devices")):
         yield "trainer.devices", f"{shown(trainer['devices'])} is neither a number of devices (at least 1) nor 'auto'"
+    if (seconds := _seconds(trainer.get("max_time"))) is not None and not 0 < seconds < _LONGEST:
+        yield "trainer.max_time", f"{shown(trainer['max_time'])} is out of range, it must be above 0 and below 30 years"
     for name, (harmless, instead) in WITHOUT_EFFECT.items():
         value = trainer.get(name)
         if name in trainer and value not in harmless:
@@ -93,6 +99,21 @@ def complaints(settings: Mapping[str, Any], groups: Mapping[str, Any]) -> Iterat
             elif value is None and key in (settings.get(name) or {}) and needs_value(hint):
                 yield f"{name}.{key}", "null is no value for it, leave it out"
             yield from violations(value, hint, f"{name}.{key}")
+
+
+def _seconds(value: Any) -> float | None:
+    """Seconds of a time limit; None where there is none, or where the trainer itself refuses it."""
+    if isinstance(value, timedelta):
+        return value.total_seconds()
+    if isinstance(value, str) and re.fullmatch(r"\d+:\d+:\d+:\d+", value.strip()):
+        words = value.split(":")
+        return float(sum(unit * int(word[:15]) for unit, word in zip((86400, 3600, 60, 1), words, strict=True)))
+    if isinstance(value, Mapping):
+        try:
+            return timedelta(**value).total_seconds()
+        except (TypeError, OverflowError):
+            return math.inf
+    return None
 
 
 def _are_devices(value: Any) -> bool:

@@ -78,6 +78,39 @@ def test_ctrl_c_stops_two_processes_after_the_same_iteration(tmp_path, interrupt
     assert torch.load(last, weights_only=True)["neurad"]["iteration"] > 0
 
 
+@pytest.mark.slow
+@pytest.mark.skipif(not Path("/proc/net/tcp").exists(), reason="reads Linux's list of sockets")
+def test_two_processes_listen_on_loopback_alone(tmp_path):
+    environment = {**os.environ, "OMP_NUM_THREADS": "1", "CUDA_VISIBLE_DEVICES": ""}
+    settings = {
+        "config": "cornell.yaml", "trainer.accelerator": "cpu", "trainer.devices": "2", "trainer.strategy": "ddp",
+        "trainer.max_time": "null", "trainer.max_steps": "40", "data.patches": "16", "evaluation.fraction": "0",
+    }  # fmt: skip
+    command = [sys.executable, "-m", "neurad", "fit", *(f"--{key}={value}" for key, value in settings.items())]
+    with (tmp_path / "log").open("w") as log:
+        process = subprocess.Popen(
+            command, env=environment, cwd=tmp_path, stdout=log, stderr=log, start_new_session=True
+        )
+    seen = set()
+    try:
+        wait_until(lambda: seen.update(listening(process.pid)) or process.poll() is not None, 120)
+    finally:
+        with contextlib.suppress(ProcessLookupError):  # nobody is left
+            os.killpg(process.pid, signal.SIGKILL)
+    assert process.returncode == 0, (tmp_path / "log").read_text()
+    assert seen == {"0100007F"}  # 127.0.0.1
+
+
+def listening(pid):
+    """Addresses on which a process and its children listen, as Linux writes them."""
+    with contextlib.suppress(OSError):
+        children = Path(f"/proc/{pid}/task/{pid}/children").read_text().split()
+        held = {os.readlink(link) for one in (pid, *children) for link in Path(f"/proc/{one}/fd").iterdir()}
+        rows = [row.split() for table in ("tcp", "tcp6") for row in Path(f"/proc/net/{table}").read_text().splitlines()]
+        return {row[1].rpartition(":")[0] for row in rows if row[3] == "0A" and f"socket:[{row[9]}]" in held}
+    return set()
+
+
 def wait_until(true, seconds):
     end = time.monotonic() + seconds
     while not true():
