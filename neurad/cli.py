@@ -189,7 +189,14 @@ def _unknown(verb: str) -> str:
 
 
 def _prepare() -> None:
-    """What must be set before torch is imported."""
+    """What must be set and looked at before torch and Lightning are imported.
+
+    Raises:
+        InputError: a variable of the environment, which Lightning reads when it is imported, is no number.
+    """
+    from neurad.runs.trainer_settings import check_environment
+
+    check_environment()
     keep_freed_memory()
     # Threads that spin while they wait collapse as soon as another process wants the same cores.
     os.environ.setdefault("OMP_WAIT_POLICY", "passive")

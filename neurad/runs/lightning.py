@@ -28,7 +28,7 @@ from neurad.runs.checkpoints import RUNS, given_checkpoint, newest_checkpoint, r
 from neurad.runs.configs import load_config, only_trusted_classes, overlay, resolve, split_arguments
 from neurad.runs.messages import reason, setting_error, silence_lightning
 from neurad.runs.own_config import own_config
-from neurad.runs.trainer_settings import check_environment, complaints
+from neurad.runs.trainer_settings import complaints
 from neurad.runtime.files import check_folder
 from neurad.runtime.machine import usable_cores
 from neurad.training.loopback import LoopbackDDP
@@ -51,7 +51,6 @@ def run(verb: str, args: Sequence[str], model: type[pl.LightningModule], data: t
     """
     silence_lightning()
     only_trusted_classes()
-    check_environment()
     names, values, rest = split_arguments(args)
     layers = [layer for name in names for layer in load_config(name)]
     settings = overlay(layers, values)
