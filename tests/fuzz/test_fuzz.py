@@ -1,6 +1,6 @@
 """Odd input of every kind: it works, or it ends with one sentence and exit code 2.
 
-Recipes are drawn by hypothesis from a seed, NEURAD_FUZZ_SEED (0 if not given), and carried out in processes of their
+Recipes are drawn by hypothesis from a seed, NEURAD_FUZZ_SEED (1 if not given), and carried out in processes of their
 own, so that crashes and hangs are findings, too. A finding is printed with its recipe and a folder that has the files.
 NEURAD_FUZZ_SECONDS bounds the time of each long test.
 """
@@ -14,7 +14,7 @@ from helpers.fuzzing.driver import Worker, explore, report
 
 pytest.importorskip("mitsuba")
 
-SEED = int(os.environ.get("NEURAD_FUZZ_SEED", "0"))
+SEED = int(os.environ.get("NEURAD_FUZZ_SEED", "1"))
 SECONDS = float(os.environ["NEURAD_FUZZ_SECONDS"]) if "NEURAD_FUZZ_SECONDS" in os.environ else None
 """Of every long test."""
 
@@ -56,6 +56,7 @@ def explored(strategy, worker, count, out: Path):
         pytest.fail(
             f"{len(found.findings)} kinds of findings, seed {SEED}\n\n{report(found, worker, out)}", pytrace=False
         )
+    assert found.ends["done"], "all cases were refused, which shows little of what accepted ones do"
 
 
 def quick_and_whole(quick, whole):
@@ -71,12 +72,12 @@ def test_crashes_and_tracebacks_are_findings(worker, request):
     assert worker.carry_out(mistake)["end"] == "traceback"
 
 
-@quick_and_whole(800, 3300)
+@quick_and_whole(700, 3300)
 def test_scene_folders(count, reading, tmp_path):
     explored(strategies.scenes(), reading, count, tmp_path)
 
 
-@quick_and_whole(150, 800)
+@quick_and_whole(100, 800)
 def test_settings(count, reading, tmp_path):
     explored(strategies.settings(), reading, count, tmp_path)
 

@@ -59,6 +59,8 @@ def weights(content: Any, i: int, j: int, k: int) -> Any:
         place = pick(places, i)
         holder = _holder(content, place)
         old = holder[place[-1]]
+        if old.is_complex():  # changed already
+            return content
         odd = (
             torch.full_like(old, pick(FLOATS, j))
             if old.is_floating_point()
