@@ -35,6 +35,7 @@ from neurad.training.loopback import LoopbackDDP
 
 CALLBACKS: dict[str, type[pl.Callback]] = {"evaluation": Evaluate, "checkpoint": LastCheckpoint, "bar": Bar}
 """Callbacks that every run has, by the key of their settings."""
+ROOT = "--trainer.default_root_dir"
 
 
 def run(verb: str, args: Sequence[str], model: type[pl.LightningModule], data: type[pl.LightningDataModule]) -> None:
@@ -102,19 +103,28 @@ def find_checkpoint(verb: str, settings: Any) -> Path | None:
     if given is None and verb == "fit":
         return None
     if given in (None, "last"):
-        root = Path((settings.get("trainer") or {}).get("default_root_dir") or ".")
+        root = _typed_path((settings.get("trainer") or {}).get("default_root_dir") or ".", ROOT)
         newest = newest_checkpoint(root)
         if newest is None:
             raise InputError(f"--ckpt_path last: no run in {root / RUNS} has a checkpoint to start from")
         path = newest
     else:
-        try:
-            path = Path(str(given)).expanduser()
-        except RuntimeError as error:  # ~ of nobody
-            raise InputError(f"--ckpt_path {given}: {str(error).rstrip('.')}") from error
+        path = _typed_path(given, "--ckpt_path")
         given_checkpoint(path, f"--ckpt_path {path}")
     print(f"neurad: {verb} starts from {path}")
     return path
+
+
+def _typed_path(text: Any, option: str) -> Path:
+    """The path behind an option, with ``~`` replaced by the home folder.
+
+    Raises:
+        InputError: there is no such user.
+    """
+    try:
+        return Path(str(text)).expanduser()
+    except RuntimeError as error:
+        raise InputError(f"{option} {text}: {str(error).rstrip('.')}") from error
 
 
 def _config_of_run(checkpoint: Path) -> list[DictConfig]:
@@ -218,7 +228,7 @@ class NeuradCLI(LightningCLI):
         settings = self._get(self.config_init, "trainer")
         if settings["logger"] in (None, True):
             logger = RunLogger.of_checkpoint(self.checkpoint) if self.checkpoint else None
-            kwargs["logger"] = logger or RunLogger(settings["default_root_dir"] or ".", RUNS)
+            kwargs["logger"] = logger or RunLogger(_typed_path(settings["default_root_dir"] or ".", ROOT), RUNS)
         if self.verb == "fit":
             if settings["max_steps"] < 0 and settings["max_time"] is None and not settings["fast_dev_run"]:
                 raise InputError("--trainer.max_steps or --trainer.max_time is needed: without either no fit ends")

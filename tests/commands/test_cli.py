@@ -54,6 +54,10 @@ FILES = {
         (["fit", "--config", "open.yaml"], "--data.root"),
         (["fit", "--config", "loop.yaml"], "loop.yaml"),
         (["fit", "--config", "dangling.yaml"], "nowhere"),
+        (
+            ["fit", "--config", "tiny.yaml", "--trainer.max_steps=1", "--trainer.default_root_dir=~nosuchuser"],
+            "--trainer.default_root_dir ~nosuchuser",
+        ),
         (["fit", "--ckpt_path", "~nosuchuser/last.ckpt"], "--ckpt_path ~nosuchuser/last.ckpt"),
         (["fit", "--model.objective.epsilon", "fast"], "--model.objective.epsilon: fast is not a number"),
         (["fit", "--model.albedo.kind", "sparse"], "--model.albedo.kind: sparse is none of hash, dense"),
