@@ -44,6 +44,7 @@ class Size:
 
 
 QUICK = Size(spp=16, steps=60)
+"""Of the short form, whose rows show nothing that noise could hide."""
 
 
 @dataclass(frozen=True)
