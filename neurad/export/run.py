@@ -1,0 +1,206 @@
+"""``neurad export``: from the parts of a run to a folder with the room in it."""
+
+from __future__ import annotations
+
+import json
+import sys
+import time
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from tqdm import tqdm
+
+import neurad
+from neurad.assembly.build import Assembly
+from neurad.core.errors import InputError
+from neurad.export.axes import UPS, Up, rotation
+from neurad.export.baking import bake_room
+from neurad.export.base_colour import TARGETS, Target
+from neurad.export.blender import blender_setup_path
+from neurad.export.cameras import write_views
+from neurad.export.evidence import COARSER, evidence
+from neurad.export.folder import MANIFEST, check_out, written_beside
+from neurad.export.gltf import write_glb
+from neurad.export.images import png
+from neurad.export.mitsuba import describe, path_integrator, sensor, write_xml
+from neurad.export.room import Room
+from neurad.metrics.seen import SeenBy
+
+
+@dataclass(frozen=True)
+class ExportSettings:
+    """What to write, and where."""
+
+    out: Path
+    """Folder to write."""
+    target: Target = "blender"
+    """Whose base colours ``scene.glb`` gets."""
+    texels: int = 16_000_000
+    """Most texels of all textures together."""
+    size: int | None = None
+    """Side of every texture, instead of what each mesh needs."""
+    up: Up | None = None
+    """Axis that points up; None takes the one that the cameras hold up."""
+    copy: bool = False
+    """Copy photographs and true maps instead of linking to them."""
+    overwrite: bool = False
+    verify: bool = True
+    spp: int = 64
+    """Samples a pixel of the pictures that verify, in each of several passes."""
+    blender: str | None = None
+    """A Python that has bpy, or Blender itself."""
+
+    def __post_init__(self) -> None:
+        """Refuse what cannot be written."""
+        if self.texels < 4096:
+            raise InputError(f"--texels: {self.texels} texels are too few for a room")
+        if self.size is not None and (self.size < 8 or self.size > 8192 or self.size & (self.size - 1)):
+            raise InputError(f"--size: {self.size} is no power of two between 8 and 8192")
+        if self.target not in TARGETS:
+            raise InputError(f"--for: {self.target} is unknown, choose {', '.join(TARGETS)}")
+        if self.up is not None and self.up not in UPS:
+            raise InputError(f"--up: {self.up} is no axis, choose {', '.join(UPS)}")
+        if self.spp < 1:
+            raise InputError(f"--spp: {self.spp} is not a positive number")
+
+
+class Bar:
+    """A progress bar on stderr, stage after stage; none where stderr is no terminal."""
+
+    def __init__(self) -> None:
+        self._bar: Any = None
+
+    def stage(self, name: str, total: int) -> None:
+        """A stage begins that has so many steps."""
+        self.close()
+        self._bar = tqdm(total=total, desc=name, unit_scale=True, file=sys.stderr, disable=None, leave=False)
+
+    def step(self, count: int = 1) -> None:
+        """Steps of the present stage are done."""
+        if self._bar is not None:
+            self._bar.update(count)
+
+    def close(self) -> None:
+        """The last stage is done."""
+        if self._bar is not None:
+            self._bar.close()
+            self._bar = None
+
+
+def export(assembly: Assembly, checkpoint: Path, settings: ExportSettings) -> list[str]:
+    """Write what a run recovered as a folder that other programs read, and verify it.
+
+    Args:
+        assembly: of the run, on the CPU.
+        checkpoint: where it comes from, for the folder's notes.
+        settings: what to write.
+
+    Returns:
+        What the verification found beyond its bounds, in a sentence each; none if all is well.
+
+    Raises:
+        InputError: something is missing, cannot be baked or cannot be written.
+    """
+    check_out(settings.out, settings.overwrite)
+    bar, start = Bar(), time.perf_counter()
+    try:
+        room = bake_room(assembly, settings.texels, settings.size, settings.up, bar)
+        baked = time.perf_counter()
+        with written_beside(settings.out) as folder:
+            notes = write_room(room, assembly, folder, settings, bar)
+            seconds = {"bake": round(baked - start, 2), "write": round(time.perf_counter() - baked, 2)}
+            notes |= {"checkpoint": str(checkpoint), "seconds": seconds}
+            (folder / MANIFEST).write_text(json.dumps(notes, indent=1) + "\n", encoding="utf-8")
+    finally:
+        bar.close()
+    _tell(room, settings, notes)
+    return []
+
+
+def write_room(room: Room, assembly: Assembly, folder: Path, settings: ExportSettings, bar: Bar) -> dict[str, Any]:
+    """Everything but the verification, into ``folder``; returns what ``room.json`` says.
+
+    Raises:
+        OSError: a file cannot be written.
+        InputError: likewise.
+    """
+    scene = room.scene
+    views = scene.test or scene.train
+    bar.stage("scene.xml", 1)
+    sensors = [sensor(v.camera, v.camera.width, v.camera.height, 256, room.hide_environment) for v in views]
+    write_xml(describe(scene, folder, sensors, path_integrator(scene, room.hide_environment)), folder / "scene.xml")
+    bar.stage("scene.glb", len(room.names))
+    clipped = write_glb(room, folder / "scene.glb", settings.target, lambda name, files: bar.step())
+    bar.stage("evidence", len(room.names))
+    seen = _write_evidence(room, assembly, folder, bar)
+    missing = write_views(scene, folder, settings.copy)
+    (folder / "blender_setup.py").write_bytes(blender_setup_path().read_bytes())
+    camera = views[0].camera if views else None
+    turned = None if scene.environment is None else np.asarray(scene.environment.to_world, float)[:3, :3].tolist()
+    return {
+        "neurad": neurad.__version__,
+        "base_color_for": settings.target,
+        "clipped_texels": clipped,
+        "texels": room.texels,
+        "up": room.up,
+        "to_y": rotation(room.up).tolist(),
+        "max_depth": scene.max_depth,
+        "hide_environment": room.hide_environment,
+        "environment": None if turned is None else {"file": "environment.exr", "to_world": turned},
+        "film": None if camera is None else [camera.width, camera.height],
+        "views": {"train": [v.name for v in scene.train], "test": [v.name for v in scene.test]},
+        "without_photographs": missing,
+        "meshes": [_mesh_notes(room, i, seen[i]) for i in range(len(room.names))],
+    }
+
+
+def _write_evidence(room: Room, assembly: Assembly, folder: Path, bar: Bar) -> list[float | None]:
+    """``evidence/MESH.png``, and what fraction of each mesh's texels a photograph saw."""
+    (folder / "evidence").mkdir()
+    world = assembly.world
+    seen_by = SeenBy(world.geometry, world.tracer.tracer, [view.camera for view in room.scene.train])
+    found: list[float | None] = []
+    first = 0
+    for name, chart, mesh in zip(room.names, room.charts, room.scene.meshes, strict=True):
+        if chart is None:
+            found.append(None)
+        else:
+            picture, fraction = evidence(chart, first, seen_by)
+            (folder / "evidence" / f"{name}.png").write_bytes(png(picture))
+            found.append(round(fraction, 4))
+        first += len(mesh.faces)
+        bar.step()
+    return found
+
+
+def _mesh_notes(room: Room, index: int, seen: float | None) -> dict[str, Any]:
+    """What ``room.json`` says of a mesh."""
+    mesh, chart = room.scene.meshes[index], room.charts[index]
+    texture = None
+    if chart is not None:
+        size = {"width": chart.width, "height": chart.height}
+        texture = {"coordinates": chart.kind, **size, "seen": seen, "evidence_is_coarser_by": COARSER}
+    return {
+        "name": room.names[index],
+        "triangles": len(mesh.faces),
+        "emits": bool(mesh.radiance is not None and mesh.radiance.max() > 0),
+        "two_sided": room.scene.materials[mesh.material].two_sided,
+        "texture": texture,
+    }
+
+
+def _tell(room: Room, settings: ExportSettings, notes: dict[str, Any]) -> None:
+    """Say what was written."""
+    kinds = [chart.kind for chart in room.charts if chart is not None]
+    counts = ", ".join(f"{kinds.count(k)} {k}" for k in ("own", "atlas", "grid") if k in kinds)
+    size = sum(f.stat().st_size for f in settings.out.rglob("*") if f.is_file() and not f.is_symlink())
+    glb, seconds = (settings.out / "scene.glb").stat().st_size, notes["seconds"]
+    print(
+        f"{settings.out}: {len(room.names)} meshes (texture coordinates: {counts}), {room.texels / 1e6:.2f} M texels, "
+        f"scene.glb {glb / 1e6:.1f} MB, all {size / 1e6:.1f} MB, baked in {seconds['bake']:.0f} s, written in "
+        f"{seconds['write']:.0f} s"
+    )
+    if notes["clipped_texels"]:
+        print(f"{notes['clipped_texels']} texels need a base colour beyond 0 to 1 for {settings.target}; clipped")
