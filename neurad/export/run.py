@@ -6,6 +6,7 @@ import json
 import sys
 import time
 from dataclasses import dataclass
+from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -20,12 +21,15 @@ from neurad.export.baking import bake_room
 from neurad.export.base_colour import TARGETS, Target
 from neurad.export.blender import blender_setup_path
 from neurad.export.cameras import write_views
+from neurad.export.cycles import Blender, find_blender
 from neurad.export.evidence import COARSER, evidence
 from neurad.export.folder import MANIFEST, check_out, written_beside
 from neurad.export.gltf import write_glb
 from neurad.export.images import png
 from neurad.export.mitsuba import describe, path_integrator, sensor, write_xml
+from neurad.export.report import write_report
 from neurad.export.room import Room
+from neurad.export.verify import Verified, verify
 from neurad.metrics.seen import SeenBy
 
 
@@ -104,6 +108,7 @@ def export(assembly: Assembly, checkpoint: Path, settings: ExportSettings) -> li
         InputError: something is missing, cannot be baked or cannot be written.
     """
     check_out(settings.out, settings.overwrite)
+    blender = None if settings.blender is None else find_blender(settings.blender)
     bar, start = Bar(), time.perf_counter()
     try:
         room = bake_room(assembly, settings.texels, settings.size, settings.up, bar)
@@ -113,10 +118,23 @@ def export(assembly: Assembly, checkpoint: Path, settings: ExportSettings) -> li
             seconds = {"bake": round(baked - start, 2), "write": round(time.perf_counter() - baked, 2)}
             notes |= {"checkpoint": str(checkpoint), "seconds": seconds}
             (folder / MANIFEST).write_text(json.dumps(notes, indent=1) + "\n", encoding="utf-8")
+            found = _verify(room, assembly, folder, settings, blender, bar) if settings.verify else None
     finally:
         bar.close()
-    _tell(room, settings, notes)
-    return []
+    _tell(room, settings, notes, found)
+    return [] if found is None else found.beyond
+
+
+def _verify(
+    room: Room, assembly: Assembly, folder: Path, settings: ExportSettings, blender: Blender | None, bar: Bar
+) -> Verified:
+    """Render the folder again, and write ``verify.json`` and ``report.html`` into it."""
+    bar.stage("verification", 1)
+    cycles = None if blender is None else partial(blender.render, folder)
+    found = verify(room, assembly, folder, settings.spp, cycles)
+    (folder / "verify.json").write_text(json.dumps(found.as_json(), indent=1) + "\n", encoding="utf-8")
+    write_report(found, folder / "report.html", f"{settings.out.name}: verified export")
+    return found
 
 
 def write_room(room: Room, assembly: Assembly, folder: Path, settings: ExportSettings, bar: Bar) -> dict[str, Any]:
@@ -191,7 +209,7 @@ def _mesh_notes(room: Room, index: int, seen: float | None) -> dict[str, Any]:
     }
 
 
-def _tell(room: Room, settings: ExportSettings, notes: dict[str, Any]) -> None:
+def _tell(room: Room, settings: ExportSettings, notes: dict[str, Any], found: Verified | None) -> None:
     """Say what was written."""
     kinds = [chart.kind for chart in room.charts if chart is not None]
     counts = ", ".join(f"{kinds.count(k)} {k}" for k in ("own", "atlas", "grid") if k in kinds)
@@ -204,3 +222,12 @@ def _tell(room: Room, settings: ExportSettings, notes: dict[str, Any]) -> None:
     )
     if notes["clipped_texels"]:
         print(f"{notes['clipped_texels']} texels need a base colour beyond 0 to 1 for {settings.target}; clipped")
+    if found is None:
+        return
+    for name, entry in found.as_json()["renderers"].items():
+        score = "" if entry["psnr_linear"] is None else f"PSNR {entry['psnr_linear']:.2f} dB, "
+        worst = entry["worst_view"]
+        print(f"{name:8} {score}mean {entry['ratio_of_means']:.4f} of baked, worst view {worst['name']} "
+              f"{worst['ratio_of_means']:.4f}")  # fmt: skip
+    for text in found.left_out:
+        print(f"left out: {text}")
