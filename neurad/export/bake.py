@@ -22,7 +22,7 @@ from neurad.scene.geometry import Geometry
 
 PER_TEXEL = 2
 """Positions along the side of a texel at which the field is asked. A point in the middle alone aliases: patterns as
-fine as a texel come out as coarse ones."""
+fine as a texel come out as coarse ones; with four a side nothing was gained over two."""
 GUTTER = 2.0
 """Texels around a chart that are still baked, in the plane of its nearest triangle; a bilinear lookup reads one."""
 BAND = 1 << 22

@@ -25,13 +25,14 @@ class Blender:
     """What stands before the program's path."""
     version: str
 
-    def render(self, folder: Path, views: list[View], samples: int) -> list[FloatArray]:
+    def render(self, folder: Path, views: list[View], samples: int, seed: int) -> list[FloatArray]:
         """Views of an exported folder [h, w, 3], linear, premultiplied by alpha.
 
         Args:
             folder: of the room.
             views: which, of one size.
             samples: per pixel.
+            seed: of its random numbers.
 
         Raises:
             InputError: Blender ended without the pictures.
@@ -41,7 +42,7 @@ class Blender:
             camera = views[0].camera
             described = {
                 "folder": str(folder), "views": [v.name for v in views], "width": camera.width,
-                "height": camera.height, "samples": samples, "seed": 1, "threads": usable_cores(), "out": out,
+                "height": camera.height, "samples": samples, "seed": seed, "threads": usable_cores(), "out": out,
             }  # fmt: skip
             job.write_text(json.dumps(described), encoding="utf-8")
             ended = subprocess.run(

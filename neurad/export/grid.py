@@ -17,7 +17,10 @@ from neurad.export.raster_kernels import Array
 
 SMALLEST = 4
 """Side of the smallest square in texels: two triangles of a quarter of a texel, two texels apart."""
-_EDGE, _GAP = 0.75, 3.75  # a triangle stays so far from the sides of its square; its legs are so much shorter than these
+_EDGE, _GAP = (
+    0.75,
+    3.75,
+)  # a triangle stays so far from the sides of its square; its legs are so much shorter than these
 
 
 def grid_chart(mesh: Mesh, density: float, largest: int) -> Chart:

@@ -21,6 +21,9 @@ RAYS = 1 << 20
 """Camera rays behind the figures."""
 CLOSER_FRACTION = 0.1
 """Fraction of what the photographs show of a mesh that is seen closer than its texels say."""
+FINER = 2.0
+"""Texels along the side of such a pixel. With one the built-in kitchen's albedo lost 0.61 dB, with two none, and with
+three or four nothing more was gained (a fit of 30.5 dB)."""
 UNSEEN = 0.25
 """Texels a length of a mesh that no photograph shows, over those of the room."""
 FILLED = 0.6
@@ -43,7 +46,7 @@ class TextureSize:
 def densities(tracer: Tracer, geometry: Geometry, scene: Scene) -> tuple[Array, Array]:
     """Texels per unit of length that each mesh needs [m], and the fraction of the rays that ended on it [m].
 
-    A texel is as large as the pixels that see the mesh closest, a tenth of them. What no photograph shows gets a
+    A texel is half as wide as the pixels that see the mesh closest, a tenth of them. What no photograph shows gets a
     quarter of what the whole room would need.
 
     Args:
@@ -66,7 +69,7 @@ def densities(tracer: Tracer, geometry: Geometry, scene: Scene) -> tuple[Array, 
     found, start = np.unique(mesh[order], return_index=True)
     for index, part in zip(found, np.split(footprint[order], start[1:]), strict=True):
         size[index] = max(float(np.quantile(part, CLOSER_FRACTION)), 1e-6 * extent)
-    return 1.0 / size, np.bincount(mesh, minlength=len(size)) / max(count, 1)
+    return FINER / size, np.bincount(mesh, minlength=len(size)) / max(count, 1)
 
 
 def wanted_size(mesh: Mesh, density: float) -> TextureSize:

@@ -51,6 +51,20 @@ class Pictures:
     """The same of the first two passes alone."""
     error: list[float] = field(default_factory=list)
     """Standard error of the mean of each."""
+    noise: list[float] = field(default_factory=list)
+    """Mean squared noise of a pixel of ``mean``."""
+    noise_of_two: list[float] = field(default_factory=list)
+    """The same of ``two``."""
+
+    def add(self, passes: list[FloatArray]) -> None:
+        """Add a view from its passes, two at least, which differ in nothing but their random numbers."""
+        stack = np.stack(passes).astype(np.float64)
+        self.mean.append(np.mean(passes, 0))
+        self.two.append(np.mean(passes[:2], 0))
+        self.error.append(standard_error(passes))
+        noise = float(stack.var(0, ddof=1).mean())
+        self.noise.append(noise / len(passes))
+        self.noise_of_two.append(float(stack[:2].var(0, ddof=1).mean()) / 2.0)
 
 
 @dataclass
@@ -75,13 +89,25 @@ class Verified:
         return [float(theirs.mean() / max(float(ours.mean()), 1e-30)) for theirs, ours in pairs]
 
     def psnr(self, name: str) -> float | None:
-        """Of a renderer's views against the photographs, linear, peak 1, over all pixels; None without photographs."""
+        """Of a renderer's views against the photographs, linear, peak 1, over all pixels; None without photographs.
+
+        The noise of the renderer, known from its passes, is taken out, as renderers differ in it.
+        """
+        shown = self.pictures[name]
+        return self._psnr(shown.mean, shown.noise)
+
+    def psnr_of_two(self, name: str) -> float | None:
+        """The same of the first two passes alone."""
+        shown = self.pictures[name]
+        return self._psnr(shown.two, shown.noise_of_two)
+
+    def _psnr(self, pictures: list[FloatArray], noise: list[float]) -> float | None:
         squares = [
-            np.square(shown.astype(np.float64) - photo).mean()
-            for shown, photo in zip(self.pictures[name].mean, self.photographs, strict=True)
+            np.square(shown.astype(np.float64) - photo).mean() - variance
+            for shown, photo, variance in zip(pictures, self.photographs, noise, strict=True)
             if photo is not None
         ]
-        return psnr(float(np.mean(squares))) if squares else None
+        return psnr(max(float(np.mean(squares)), 1e-12)) if squares else None
 
     def as_json(self) -> dict[str, Any]:
         """What ``verify.json`` holds."""
@@ -128,7 +154,11 @@ class _OnGeometry:
 
 
 def verify(
-    room: Room, assembly: Assembly, folder: Path, spp: int, cycles: Callable[[list[View], int], list[FloatArray]] | None
+    room: Room,
+    assembly: Assembly,
+    folder: Path,
+    spp: int,
+    cycles: Callable[[list[View], int, int], list[FloatArray]] | None,
 ) -> Verified:
     """Render an exported folder again.
 
@@ -137,7 +167,7 @@ def verify(
         assembly: of the run.
         folder: where it was written to.
         spp: samples a pixel of each pass.
-        cycles: renders views of ``scene.glb`` with so many samples a pixel; None leaves that out.
+        cycles: renders views of ``scene.glb`` with so many samples a pixel and a seed; None leaves that out.
     """
     views = room.scene.test or room.scene.train
     found = Verified(views, held_out=bool(room.scene.test))
@@ -157,8 +187,9 @@ def verify(
     if cycles is None:
         found.left_out.append("Cycles: --blender names no Python with bpy and no Blender")
     else:
-        shown = cycles(views, 2 * spp)
-        found.pictures["cycles"] = Pictures(shown, shown, [0.0] * len(shown))
+        found.pictures["cycles"] = Pictures()
+        for first, second in zip(cycles(views, spp, 1), cycles(views, spp, 2), strict=True):
+            found.pictures["cycles"].add([first, second])
     _judge(found)
     return found
 
@@ -181,7 +212,7 @@ def _compare_maps(found: Verified, scene: Scene, held_out: HeldOut, fields: Mate
         for key in ("albedo_psnr", "roughness_psnr"):
             if key in scores:
                 found.scores[f"{key}_{name}"] = scores[key]
-    for key in ("albedo", "roughness"):
+    for key in ("albedo", "roughness") if held_out.has_roughness else ("albedo",):
         square = [np.square(a[key] - b[key]).mean() for a, b in zip(of_fields, of_baked, strict=True)]
         found.scores[f"{key}_baked_to_fields_psnr"] = min(psnr(float(np.mean(square))), 200.0)
 
@@ -216,31 +247,22 @@ def _mitsuba(path: Path, spp: int, room: Room) -> Draw:
 def _render(found: Verified, draws: dict[str, Draw]) -> None:
     """Passes of every view until the means are known well enough; two of the fields, which baking is judged by."""
     for name, draw in draws.items():
-        shown = found.pictures[name] = Pictures()
+        found.pictures[name] = Pictures()
         for index in range(len(found.views)):
-            mean, two, error = _passes(draw, index, 2 if name == "fields" else PASSES)
-            shown.mean.append(mean)
-            shown.two.append(two)
-            shown.error.append(error)
+            passes = [draw(index, 0), draw(index, 1)]
+            most = 2 if name == "fields" else PASSES
+            while len(passes) < most and standard_error(passes) > ERROR * abs(float(np.mean(passes))):
+                passes.append(draw(index, len(passes)))
+            found.pictures[name].add(passes)
     for name in ("fields", "baked"):
-        pairs = zip(found.pictures[name].two, found.photographs, strict=True)
-        squares = [np.square(two - photo).mean() for two, photo in pairs if photo is not None]
-        if squares:
-            found.scores[f"picture_psnr_{name}"] = psnr(float(np.mean(squares)))
+        if (score := found.psnr_of_two(name)) is not None:
+            found.scores[f"picture_psnr_{name}"] = score
 
 
-def _passes(draw: Draw, index: int, most: int) -> tuple[FloatArray, FloatArray, float]:
-    """The mean of passes, that of the first two, and the standard error of the picture's mean.
-
-    The error comes from the spread of every pixel over the passes, as pixels are independent of each other.
-    """
-    passes = [draw(index, 0), draw(index, 1)]
-    while True:
-        stack = np.stack(passes).mean(-1, dtype=np.float64)
-        error = float(np.sqrt(stack.var(0, ddof=1).sum() / len(passes)) / stack[0].size)
-        if error <= ERROR * abs(float(stack.mean())) or len(passes) >= most:
-            return np.mean(passes, 0), np.mean(passes[:2], 0), error
-        passes.append(draw(index, len(passes)))
+def standard_error(passes: list[FloatArray]) -> float:
+    """Of the mean of a picture over passes, from the spread of every pixel over them: pixels are independent."""
+    stack = np.stack(passes).mean(-1, dtype=np.float64)
+    return float(np.sqrt(stack.var(0, ddof=1).sum() / len(passes)) / stack[0].size)
 
 
 def _judge(found: Verified) -> None:
