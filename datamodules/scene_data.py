@@ -12,6 +12,7 @@ import torch
 from torch import Tensor
 from torch.utils.data import DataLoader, Dataset, IterableDataset
 
+from datamodules.fireflies import Fireflies, spread_fireflies
 from datamodules.image_cache import ImageCache, checksum, dataset_stats
 from datamodules.pixels import blurred, multiplier_at
 from neurad.core.errors import InputError
@@ -72,6 +73,7 @@ class SceneData(pl.LightningDataModule, PhotoSource):
         self.replace_every = replace_every
         checked(self)
         self._with_blurred = False
+        self._spread: tuple[Tensor, Fireflies] | None = None
         self._stats: DatasetStats | None = None
         self._cache: ImageCache | None = None
 
@@ -172,11 +174,36 @@ class SceneData(pl.LightningDataModule, PhotoSource):
         Raises:
             InputError: a photograph is missing or wrong, or alpha is 0 in all of them.
         """
-        read = self._streamed if self.streams else self._resident
-        self._stats = dataset_stats(read, len(self.scene.train), left_out, self.seed)
+        read = self._streamed_spread if self.streams else self._resident
+        found = dataset_stats(read, len(self.scene.train), left_out, self.seed)
+        if self._spread is not None and self._stats is not None:  # checksums are those of the files
+            found = replace(found, checksums=self._stats.checksums)
+        self._stats = found
         if not self._stats.foreground:
             raise InputError(f"scene {self.scene.name}: alpha is 0 in every training photograph")
         return self._stats
+
+    def spread_fireflies(self, left_out: Tensor) -> float:
+        """Spread pixels that outshine all around them, if there is much light in them; streamed photographs as they
+        are read, of which a few are measured.
+
+        Args:
+            left_out: pixels that take no part [views, h * w], bool.
+
+        Returns:
+            Fraction of the light that was in them; 0 where the photographs stay as they are.
+        """
+        width = self.scene.train[0].camera.width
+        if self._spread is None:
+            found = Fireflies.measure(self._streamed if self.streams else self._resident, left_out, width)
+            self._spread = left_out, found
+            if found.spread and not self.streams:
+                pairs = zip(self._pixels, left_out, strict=True)
+                self._pixels = torch.stack([spread_fireflies(pixels, mask, width) for pixels, mask in pairs])
+                self.__dict__.pop("photographs", None)  # made anew from what they are now
+                self.__dict__.pop("_blurred", None)
+        found = self._spread[1]
+        return found.light if found.spread else 0.0
 
     def request_blurred(self) -> None:
         """From now on every batch has ``blurred``."""
@@ -217,13 +244,20 @@ class SceneData(pl.LightningDataModule, PhotoSource):
             raise InputError(f"{view.image}: it has changed since the run began; put it back and continue the run")
         return image
 
+    def _streamed_spread(self, index: int) -> Tensor:
+        """The same with its fireflies spread where they are to be."""
+        image = self._streamed(index)
+        if self._spread is None or not self._spread[1].spread:
+            return image
+        return spread_fireflies(image, self._spread[0][index], self.scene.train[0].camera.width)
+
     def _window(self, iteration: int, rank: int) -> ImageCache:
         """The photographs in memory at an iteration."""
         cache = self._cache
         if cache is None or cache.rank != rank:
             views = (self._stats or self.dataset_stats()).foreground
             cache = self._cache = ImageCache(
-                self._streamed, views, self.scene.train[0].camera, self.resident or 1, self.replace_every,
+                self._streamed_spread, views, self.scene.train[0].camera, self.resident or 1, self.replace_every,
                 self.patch_size, self.seed, rank, self._with_blurred,
             )  # fmt: skip
         cache.move(iteration)

@@ -9,7 +9,7 @@ import torch
 
 from neurad.core.errors import InputError
 from neurad.core.records import Camera
-from neurad.runtime.memory import free_memory
+from neurad.runtime.memory import free_memory, resident_memory
 
 LARGE = 1 << 30
 """Bytes from which on it is said what is taken."""
@@ -52,10 +52,11 @@ def announce_camera_rays(
     stream = "--model.sampling.cached_spp 0 --data.resident 1"
     if free is not None and needed > free:
         raise InputError(f"{what}, and {free / 1e9:.3g} GB are free: stream them with {stream}")
-    print(f"neurad: {what}, and {_seconds(cameras, cached_spp)} to trace; none with {stream}", file=sys.stderr)
+    whole = "" if free is None else f", so the process has {(resident_memory() + needed) / 1e9:.3g} GB then"
+    print(f"neurad: {what} ({_minutes(cameras, cached_spp)} to trace){whole}; {stream} keeps none", file=sys.stderr)
 
 
-def _seconds(cameras: Sequence[Camera], cached_spp: int) -> str:
+def _minutes(cameras: Sequence[Camera], cached_spp: int) -> str:
     """How long it takes to trace them, in words: five million rays a second are usual on a core."""
     rays = cached_spp * sum(camera.width * camera.height for camera in cameras)
     return f"about {max(1, round(rays / 5e6 / 60))} min"

@@ -98,6 +98,10 @@ class Objective:
     firefly_clamp: NonNegative = 0.0
     """Photographs count up to so many times what the radiance field predicts beyond its own value, so that a firefly in
     one does not pull; 0 lets everything through. A bound darkens: what is cut off is lost, highlights too."""
+    fireflies: Literal["keep", "spread"] = "keep"
+    """``spread`` lets pixels of the photographs that are more than twice as bright as all around them give what is
+    beyond that to the pixels around, if more than 2 % of all light is in such pixels; otherwise photographs stay as
+    they are. No light is lost. Scenes with a visible sky, glass or mirrors, where small lights show, keep theirs."""
     roughness_regulariser: NonNegative = 0.0
     """Weight of a mild quadratic penalty of roughness around its mean, for surfaces whose highlight no photograph
     shows; 0 leaves it out."""

@@ -13,7 +13,13 @@ import torch
 from torch import Tensor
 
 from neurad.assembly.build import Assembly
-from neurad.assembly.exposure import brightness, mean_square_radiance, sentence_if_far, white_brightness
+from neurad.assembly.exposure import (
+    brightness,
+    mean_square_radiance,
+    sentence_if_far,
+    sentence_of_fireflies,
+    white_brightness,
+)
 from neurad.assembly.memory import announce_camera_rays
 from neurad.core.errors import InputError
 from neurad.core.protocols import PhotoSource
@@ -83,6 +89,12 @@ def prepare_views(
     surface = surface_fractions(primary, stats.sample, settings.seed)
     if check_brightness:
         check_views(scene, surface)
+    if settings.objective.fireflies == "spread" and not _shows_small_lights(scene, photographs):
+        spread = photographs.spread_fireflies(emitter_mask.cpu())
+        if spread > 0:
+            stats = photographs.dataset_stats(emitter_mask.cpu())
+            if check_brightness:
+                print(f"neurad: {sentence_of_fireflies(spread)}", file=sys.stderr)
     mean_square = mean_square_radiance(stats, settings.objective.firefly_clamp)
     check_bright(mean_square, stats.brightest, scene.name)
     if assembly.environment is not None:
@@ -99,6 +111,15 @@ def prepare_views(
         photographs.request_blurred()
     checksum = zlib.crc32(repr(stats.checksums).encode()) if stats.checksums else 0
     return TrainingViews(primary, emitter_mask, mean_square, checksum, stats.sample, surface)
+
+
+def _shows_small_lights(scene: Scene, photographs: PhotoSource) -> bool:
+    """Whether single bright pixels may be there indeed: the sun in the sky, or a lamp behind glass or in a mirror.
+
+    Lamps that are seen themselves are no such pixels: the emitter mask leaves them out.
+    """
+    features = scene.features
+    return features.has_delta or (features.has_environment and not photographs.has_alpha)
 
 
 def check_views(scene: Scene, surface: FloatArray) -> None:

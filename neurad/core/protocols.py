@@ -156,6 +156,17 @@ class PhotoSource(Protocol):
         """Statistics of all pixels but those ``left_out`` [views, pixels], bool."""
         ...
 
+    def spread_fireflies(self, left_out: Tensor) -> float:
+        """Spread single pixels that outshine all around them, if there is much light in them; part of the set-up.
+
+        Args:
+            left_out: pixels that take no part [views, pixels], bool.
+
+        Returns:
+            Fraction of the light that was in them; 0 where the photographs stay as they are.
+        """
+        ...
+
     def request_blurred(self) -> None:
         """From now on every batch has ``blurred``. Part of the set-up, before the first batch."""
         ...

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import sys
 from pathlib import Path
 
@@ -10,12 +11,22 @@ from neurad.core.errors import InputError
 _LARGE = 1 << 30  # bytes from which on it is said what is taken
 _said: set[str] = set()
 _SYSTEM, _GROUP = Path("/proc/meminfo"), Path("/sys/fs/cgroup")
+_PROCESS = Path("/proc/self/statm")
 
 
 def free_memory() -> int | None:
     """Bytes that this process can still get, of the machine or of the group of processes it is in; None if unknown."""
     found = [x for x in (_of_system(), _of_group(), _of_process()) if x is not None]
     return min(found, default=None)
+
+
+def resident_memory() -> int:
+    """Bytes that this process has in memory; 0 where the system does not say."""
+    try:
+        pages = int(_PROCESS.read_text().split()[1])
+    except (OSError, ValueError, IndexError):
+        return 0
+    return pages * os.sysconf("SC_PAGE_SIZE")
 
 
 def reserve(what: str, needed: int, kept: int) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import torch
 from torch import Tensor
 
+from datamodules.fireflies import Fireflies, spread_fireflies
 from datamodules.image_cache import dataset_stats
 from datamodules.pixels import blurred
 from neurad.core.protocols import PhotoSource
@@ -32,6 +33,15 @@ class PhotosInMemory(PhotoSource):
     def dataset_stats(self, left_out: Tensor | None = None) -> DatasetStats:
         """Statistics of all pixels but those ``left_out`` [views, pixels], bool."""
         return dataset_stats(lambda view: self.photographs[view], len(self.photographs), left_out, self.seed)
+
+    def spread_fireflies(self, left_out: Tensor) -> float:
+        """As the data module of scene folders does; the tensor that was given stays as it was."""
+        found = Fireflies.measure(lambda view: self.photographs[view], left_out, self.width)
+        if not found.spread:
+            return 0.0
+        pairs = zip(self.photographs, left_out, strict=True)
+        self.photographs = torch.stack([spread_fireflies(image, mask, self.width) for image, mask in pairs])
+        return found.light
 
     def request_blurred(self) -> None:
         """From now on every batch has ``blurred``."""

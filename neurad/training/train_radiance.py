@@ -51,6 +51,10 @@ class UnphotographedPixels(PhotoSource):
         """The unit of radiance, whatever is left out."""
         return DatasetStats(self.mean_square, self.batch(0), [])
 
+    def spread_fireflies(self, left_out: Tensor) -> float:
+        """There are none."""
+        return 0.0
+
     def request_blurred(self) -> None:
         """Black means are the pixels' colours already."""
 

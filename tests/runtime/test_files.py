@@ -1,5 +1,6 @@
 """Files are written whole or not at all, and every refusal of the system becomes one sentence."""
 
+import contextlib
 import os
 import resource
 from pathlib import Path
@@ -15,26 +16,32 @@ def _here(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
 
 
-@pytest.fixture
-def small_files():
-    """No file may grow over 4096 bytes, as after ``ulimit -f 4``."""
+@contextlib.contextmanager
+def _small_files():
+    """No file may grow over 4096 bytes, as after ``ulimit -f 4``.
+
+    A context and not a fixture: pytest prints a test's outcome before its fixtures end, and where that goes to a file,
+    it would be refused as well.
+    """
     before = resource.getrlimit(resource.RLIMIT_FSIZE)
     resource.setrlimit(resource.RLIMIT_FSIZE, (4096, before[1]))
-    yield
-    resource.setrlimit(resource.RLIMIT_FSIZE, before)
+    try:
+        yield
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, before)
 
 
-def test_a_file_that_cannot_be_written_stays_as_it_was(small_files):
+def test_a_file_that_cannot_be_written_stays_as_it_was():
     files.write_text("a", "old")
-    with pytest.raises(InputError, match=r"^a: .*ulimit -f"):
+    with _small_files(), pytest.raises(InputError, match=r"^a: .*ulimit -f"):
         files.write_text("a", "x" * 5000)
     assert Path("a").read_text() == "old"
     assert os.listdir() == ["a"]
 
 
-def test_appending_adds_all_or_nothing(small_files):
+def test_appending_adds_all_or_nothing():
     files.append("a", b"1" * 4000)
-    with pytest.raises(InputError, match="ulimit -f"):
+    with _small_files(), pytest.raises(InputError, match="ulimit -f"):
         files.append("a", b"2" * 200)
     assert Path("a").read_bytes() == b"1" * 4000
 
@@ -78,11 +85,12 @@ def test_a_folder_that_cannot_be_used_is_found_before(path, why):
     assert os.listdir() == ["file"]
 
 
-def test_too_little_space_is_found_before(small_files):
-    files.check_space(Path("new/folder"), 4096, 1, "checkpoints")
+def test_too_little_space_is_found_before():
+    with _small_files():
+        files.check_space(Path("new/folder"), 4096, 1, "checkpoints")
     with pytest.raises(InputError, match=r"^new: checkpoints need .* MB, but its disk has .* MB left"):
         files.check_space(Path("new"), 4096, 1 << 50, "checkpoints")
-    with pytest.raises(InputError, match="ulimit -f"):
+    with _small_files(), pytest.raises(InputError, match="ulimit -f"):
         files.check_space(Path("new"), 5000, 1, "checkpoints")
 
 
