@@ -27,8 +27,8 @@ FILE = "room.usdc"
 MISSING = f"{FILE}: the package usd-core is missing (pip install 'neurad[usd]')"
 METERS_PER_UNIT = 1.0
 """A scene does not say how long its unit is; a metre is what glTF takes it for, too."""
-FILM = 36.0
-"""Width of the film, in tenths of a unit as USD has it: what counts is its ratio to the focal length."""
+FILM = 0.36
+"""Width of the film, in tenths of a unit as USD has it: 36 mm."""
 
 
 def has_usd() -> bool:
