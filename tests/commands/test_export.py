@@ -78,7 +78,7 @@ def test_a_room_is_exported_read_again_fitted_and_rendered(tiny, capfd):
         (["--out", "tiny.yaml"], "is there and no folder"),
         (["--out", "room", "--size", "100"], "is no power of two"),
         (["--out", "room", "--up", "w"], "is no axis"),
-        (["--out", "room", "--texels", "many"], "argument --texels: invalid"),
+        (["--out", "room", "--texels", "many"], "is not a number of texels"),
         (["--out", "room", "--for", "povray"], "argument --for: invalid choice"),
     ],
 )
@@ -100,11 +100,11 @@ def test_what_is_no_blender_is_refused():
 
 def test_a_folder_appears_whole_or_not_at_all(tmp_path):
     from neurad.core.errors import InputError
-    from neurad.export.folder import MANIFEST, check_out, written_beside
+    from neurad.export.folder import MANIFEST, MARK, check_out, written_beside
 
     out = tmp_path / "room"
     with written_beside(out) as stage:
-        (stage / MANIFEST).write_text("{}")
+        (stage / MANIFEST).write_text(json.dumps({MARK: "exact"}))
         assert not out.exists()
     check_out(out, overwrite=True)
     with pytest.raises(InputError, match=r"room/x: no space is left"), written_beside(out) as stage:
