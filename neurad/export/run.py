@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import sys
 import time
 from dataclasses import dataclass
 from functools import partial
@@ -11,7 +10,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from tqdm import tqdm
 
 import neurad
 from neurad.assembly.build import Assembly
@@ -27,6 +25,7 @@ from neurad.export.folder import MANIFEST, check_out, written_beside
 from neurad.export.gltf import write_glb
 from neurad.export.images import png
 from neurad.export.mitsuba import describe, path_integrator, sensor, write_xml
+from neurad.export.progress import Bar
 from neurad.export.report import write_report
 from neurad.export.room import Room
 from neurad.export.verify import Verified, verify
@@ -68,29 +67,6 @@ class ExportSettings:
             raise InputError(f"--up: {self.up} is no axis, choose {', '.join(UPS)}")
         if self.spp < 1:
             raise InputError(f"--spp: {self.spp} is not a positive number")
-
-
-class Bar:
-    """A progress bar on stderr, stage after stage; none where stderr is no terminal."""
-
-    def __init__(self) -> None:
-        self._bar: Any = None
-
-    def stage(self, name: str, total: int) -> None:
-        """A stage begins that has so many steps."""
-        self.close()
-        self._bar = tqdm(total=total, desc=name, unit_scale=True, file=sys.stderr, disable=None, leave=False)
-
-    def step(self, count: int = 1) -> None:
-        """Steps of the present stage are done."""
-        if self._bar is not None:
-            self._bar.update(count)
-
-    def close(self) -> None:
-        """The last stage is done."""
-        if self._bar is not None:
-            self._bar.close()
-            self._bar = None
 
 
 def export(assembly: Assembly, checkpoint: Path, settings: ExportSettings) -> list[str]:
