@@ -28,7 +28,8 @@ from neurad.export.mitsuba import describe, path_integrator, sensor, write_xml
 from neurad.export.progress import Bar
 from neurad.export.report import write_report
 from neurad.export.room import Room
-from neurad.export.verify import Verified, verify
+from neurad.export.verified import Verified
+from neurad.export.verify import verify
 from neurad.metrics.seen import SeenBy
 
 
@@ -50,7 +51,7 @@ class ExportSettings:
     """Copy photographs and true maps instead of linking to them."""
     overwrite: bool = False
     verify: bool = True
-    spp: int = 64
+    spp: int = 16
     """Samples a pixel of the pictures that verify, in each of several passes."""
     blender: str | None = None
     """A Python that has bpy, or Blender itself."""
@@ -105,9 +106,8 @@ def _verify(
     room: Room, assembly: Assembly, folder: Path, settings: ExportSettings, blender: Blender | None, bar: Bar
 ) -> Verified:
     """Render the folder again, and write ``verify.json`` and ``report.html`` into it."""
-    bar.stage("verification", 1)
     cycles = None if blender is None else partial(blender.render, folder)
-    found = verify(room, assembly, folder, settings.spp, cycles)
+    found = verify(room, assembly, folder, settings.spp, cycles, bar)
     (folder / "verify.json").write_text(json.dumps(found.as_json(), indent=1) + "\n", encoding="utf-8")
     write_report(found, folder / "report.html", f"{settings.out.name}: verified export")
     return found
@@ -205,5 +205,12 @@ def _tell(room: Room, settings: ExportSettings, notes: dict[str, Any], found: Ve
         worst = entry["worst_view"]
         print(f"{name:8} {score}mean {entry['ratio_of_means']:.4f} of baked, worst view {worst['name']} "
               f"{worst['ratio_of_means']:.4f}")  # fmt: skip
+    if found.seams is not None:
+        print(
+            f"seams: at most {255 * found.seams.largest:.2f}/255 over {found.seams.points} points on "
+            f"{found.seams.sides} sides of chart borders, {255 * found.seams.mean:.2f}/255 on average"
+        )
+    for text in found.noisy:
+        print(text)
     for text in found.left_out:
         print(f"left out: {text}")
