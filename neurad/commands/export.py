@@ -5,6 +5,9 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
+from neurad.core.ranges import Count, option, range_of, shown
+from neurad.export.limits import Side, Texels
+
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options of the verb."""
@@ -17,12 +20,12 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
              "(default), other glTF viewers, or unchanged",
     )  # fmt: skip
     parser.add_argument("--texels", type=_count, default=16_000_000, help="most texels in all, such as 16M (default)")
-    parser.add_argument("--size", type=int, help="side of every texture (default: what the photographs show)")
+    parser.add_argument("--size", type=option(Side), help="side of every texture (default: what the photographs show)")
     parser.add_argument("--up", help="axis that points up: x, y, z, -x, -y or -z (default: as the cameras hold it)")
     parser.add_argument("--copy", action="store_true", help="copy photographs and true maps instead of linking to them")
     parser.add_argument("--no-verify", dest="verify", action="store_false", help="write only, render nothing")
     parser.add_argument(
-        "--spp", type=int, default=16, help="samples a pixel in a pass of the verification (default: 16)"
+        "--spp", type=option(Count), default=16, help="samples a pixel in a pass of the verification (default: 16)"
     )
     parser.add_argument("--blender", help="a Python with bpy, or Blender: verifies scene.glb with Cycles, too")
     parser.add_argument("--overwrite", action="store_true", help="replace the folder of an earlier export")
@@ -31,7 +34,14 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 def _count(text: str) -> int:
     """A number that may end with k, M or G."""
     factor = {"k": 1e3, "M": 1e6, "G": 1e9}.get(text[-1:], 1)
-    return int(float(text[:-1] if factor != 1 else text) * factor)
+    try:
+        count = int(float(text[:-1] if factor != 1 else text) * factor)
+    except (ValueError, OverflowError):
+        raise argparse.ArgumentTypeError(f"'{shown(text)}' is not a number of texels, such as 16M") from None
+    allowed = range_of(Texels)
+    if allowed is not None and count not in allowed:
+        raise argparse.ArgumentTypeError(f"{shown(count)} is out of range, it must be {allowed}")
+    return count
 
 
 def run(options: argparse.Namespace) -> None:

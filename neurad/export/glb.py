@@ -10,9 +10,12 @@ from typing import IO, Any
 
 import numpy as np
 
+from neurad.core.errors import InputError
 from neurad.core.records import FloatArray
 
 Json = dict[str, Any]
+LARGEST = 2**32 - 1
+"""Bytes of the largest file: its length is a number of 32 bits."""
 _FLOAT, _SHORT, _INT = 5126, 5123, 5125
 _VERTICES, _TRIANGLES = 34962, 34963
 _LINEAR, _MIPMAPS, _CLAMP = 9729, 9987, 33071
@@ -74,6 +77,7 @@ class GlbWriter:
 
         Raises:
             OSError: it cannot be written.
+            InputError: it would be larger than any such file.
         """
         document = {name: value for name, value in self.json.items() if value != []}
         document["buffers"] = [{"byteLength": self.length}]
@@ -84,6 +88,9 @@ class GlbWriter:
             document["extensionsUsed"] = sorted(self.extensions)
         text = json.dumps(document, separators=(",", ":"), allow_nan=False).encode()
         text += b" " * (-len(text) % 4)
+        if 28 + len(text) + self.length > LARGEST:
+            size = (28 + len(text) + self.length) / 1e9
+            raise InputError(f"{path}: it would have {size:.1f} GB, glTF files 4.2 at most; ask for fewer --texels")
         with path.open("wb") as file, buffer.open("rb") as body:
             file.write(struct.pack("<4sII", b"glTF", 2, 12 + 8 + len(text) + 8 + self.length))
             file.write(struct.pack("<I4s", len(text), b"JSON") + text)

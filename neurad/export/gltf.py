@@ -56,7 +56,7 @@ def write_glb(
             children.append(_add_mesh(glb, room, index, files, target))
             clipped += files.clipped if files is not None else 0
             done(room.names[index], files)
-        near = NEAR * float(np.linalg.norm(room.scene.bounds[1] - room.scene.bounds[0]))
+        near = near_plane(room)
         children += [_add_camera(glb, view, near) for view in (*room.scene.train, *room.scene.test)]
         root: Json = {"name": "room", "children": children}
         if room.up != "y":
@@ -68,6 +68,12 @@ def write_glb(
     glb.finish(path, part)
     part.unlink()
     return clipped
+
+
+def near_plane(room: Room) -> float:
+    """Distance of the cameras' near plane; above 0 in any case."""
+    low, high = room.scene.bounds.astype(np.float64)
+    return max(NEAR * float(np.linalg.norm(high - low)), 1e-9)
 
 
 def _coded(room: Room, index: int, target: Target) -> Coded | None:
@@ -113,11 +119,11 @@ def _material(glb: GlbWriter, room: Room, index: int, files: Coded | None, targe
         surface |= {"roughnessFactor": 0.0, "metallicFactor": 0.0 if model.delta.transmits else 1.0}
         if model.delta.transmits:
             extensions["KHR_materials_transmission"] = {"transmissionFactor": 1.0}
-            extensions["KHR_materials_ior"] = {"ior": model.delta.eta}
+            extensions["KHR_materials_ior"] = {"ior": _index(model.delta.eta)}
     elif model.is_diffuse:
         extensions["KHR_materials_specular"] = {"specularFactor": 0.0}
     elif isinstance(model, PrincipledModel) and model.eta != 1.5:
-        extensions["KHR_materials_ior"] = {"ior": model.eta}
+        extensions["KHR_materials_ior"] = {"ior": _index(model.eta)}
     described: Json = {"name": name, "pbrMetallicRoughness": surface}
     if material.two_sided:
         described["doubleSided"] = True
@@ -130,6 +136,11 @@ def _material(glb: GlbWriter, room: Room, index: int, files: Coded | None, targe
         described["extensions"] = extensions
         glb.extensions |= extensions.keys()
     return described
+
+
+def _index(eta: float) -> float:
+    """A refractive index as glTF has it, at least 1: of a thing inside a denser one, that of the pair turned round."""
+    return max(eta, 1.0 / eta)
 
 
 def _constants(albedo: Any, roughness: Any, target: Target) -> Json:

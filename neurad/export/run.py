@@ -14,16 +14,19 @@ import numpy as np
 import neurad
 from neurad.assembly.build import Assembly
 from neurad.core.errors import InputError
+from neurad.core.ranges import Count, checked
+from neurad.export import usd
 from neurad.export.axes import UPS, Up, rotation
 from neurad.export.baking import bake_room
 from neurad.export.base_colour import TARGETS, Target
 from neurad.export.blender import blender_setup_path
-from neurad.export.cameras import write_views
+from neurad.export.cameras import files_of, write_views
 from neurad.export.cycles import Blender, find_blender
 from neurad.export.evidence import COARSER, evidence
-from neurad.export.folder import MANIFEST, check_out, written_beside
+from neurad.export.folder import MANIFEST, check_out, check_sources, written_beside
 from neurad.export.gltf import write_glb
-from neurad.export.images import png
+from neurad.export.images import Coded, png
+from neurad.export.limits import Side, Texels
 from neurad.export.mitsuba import describe, path_integrator, sensor, write_xml
 from neurad.export.progress import Bar
 from neurad.export.report import write_report
@@ -41,33 +44,32 @@ class ExportSettings:
     """Folder to write."""
     target: Target = "blender"
     """Whose base colours ``scene.glb`` gets."""
-    texels: int = 16_000_000
+    texels: Texels = 16_000_000
     """Most texels of all textures together."""
-    size: int | None = None
-    """Side of every texture, instead of what each mesh needs."""
+    size: Side | None = None
+    """Side of every texture, a power of two, instead of what each mesh needs."""
     up: Up | None = None
     """Axis that points up; None takes the one that the cameras hold up."""
     copy: bool = False
     """Copy photographs and true maps instead of linking to them."""
     overwrite: bool = False
     verify: bool = True
-    spp: int = 16
+    spp: Count = 16
     """Samples a pixel of the pictures that verify, in each of several passes."""
     blender: str | None = None
     """A Python that has bpy, or Blender itself."""
 
     def __post_init__(self) -> None:
         """Refuse what cannot be written."""
-        if self.texels < 4096:
-            raise InputError(f"--texels: {self.texels} texels are too few for a room")
-        if self.size is not None and (self.size < 8 or self.size > 8192 or self.size & (self.size - 1)):
+        checked(self)
+        if self.size is not None and self.size & (self.size - 1):
             raise InputError(f"--size: {self.size} is no power of two between 8 and 8192")
         if self.target not in TARGETS:
             raise InputError(f"--for: {self.target} is unknown, choose {', '.join(TARGETS)}")
         if self.up is not None and self.up not in UPS:
             raise InputError(f"--up: {self.up} is no axis, choose {', '.join(UPS)}")
-        if self.spp < 1:
-            raise InputError(f"--spp: {self.spp} is not a positive number")
+        if self.blender is not None and not self.verify:
+            raise InputError("--blender: it verifies, which --no-verify leaves out; give one of them")
 
 
 def export(assembly: Assembly, checkpoint: Path, settings: ExportSettings) -> list[str]:
@@ -85,6 +87,7 @@ def export(assembly: Assembly, checkpoint: Path, settings: ExportSettings) -> li
         InputError: something is missing, cannot be baked or cannot be written.
     """
     check_out(settings.out, settings.overwrite)
+    check_sources(settings.out, [checkpoint, *files_of(assembly.scene)])
     blender = None if settings.blender is None else find_blender(settings.blender)
     bar, start = Bar(), time.perf_counter()
     try:
@@ -126,7 +129,16 @@ def write_room(room: Room, assembly: Assembly, folder: Path, settings: ExportSet
     sensors = [sensor(v.camera, v.camera.width, v.camera.height, 256, room.hide_environment) for v in views]
     write_xml(describe(scene, folder, sensors, path_integrator(scene, room.hide_environment)), folder / "scene.xml")
     bar.stage("scene.glb", len(room.names))
-    clipped = write_glb(room, folder / "scene.glb", settings.target, lambda name, files: bar.step())
+    with_usd = usd.has_usd()
+
+    def done(name: str, files: Coded | None) -> None:
+        if with_usd and files is not None:
+            usd.save_textures(folder, name, files)
+        bar.step()
+
+    clipped = write_glb(room, folder / "scene.glb", settings.target, done)
+    if with_usd:
+        usd.write_usd(room, folder, settings.target)
     bar.stage("evidence", len(room.names))
     seen = _write_evidence(room, assembly, folder, bar)
     missing = write_views(scene, folder, settings.copy)
@@ -146,6 +158,7 @@ def write_room(room: Room, assembly: Assembly, folder: Path, settings: ExportSet
         "film": None if camera is None else [camera.width, camera.height],
         "views": {"train": [v.name for v in scene.train], "test": [v.name for v in scene.test]},
         "without_photographs": missing,
+        "left_out": [] if with_usd else [usd.MISSING],
         "meshes": [_mesh_notes(room, i, seen[i]) for i in range(len(room.names))],
     }
 
@@ -198,6 +211,10 @@ def _tell(room: Room, settings: ExportSettings, notes: dict[str, Any], found: Ve
     )
     if notes["clipped_texels"]:
         print(f"{notes['clipped_texels']} texels need a base colour beyond 0 to 1 for {settings.target}; clipped")
+    for text in (*notes["left_out"], *([] if found is None else found.left_out)):
+        print(f"left out: {text}")
+    for part in notes["without_photographs"]:
+        print(f"transforms_{part}.json: photographs are missing, so that the folder cannot be fitted as it stands")
     if found is None:
         return
     for name, entry in found.as_json()["renderers"].items():
@@ -212,5 +229,3 @@ def _tell(room: Room, settings: ExportSettings, notes: dict[str, Any], found: Ve
         )
     for text in found.noisy:
         print(text)
-    for text in found.left_out:
-        print(f"left out: {text}")
