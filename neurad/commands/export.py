@@ -27,7 +27,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--copy", action="store_true", help="copy photographs and true maps instead of linking to them")
     parser.add_argument("--no-verify", dest="verify", action="store_false", help="write only, render nothing")
     parser.add_argument(
-        "--spp", type=option(Count), default=64, help="samples a pixel of the verification (default: 64)"
+        "--spp", type=option(Count), default=16, help="samples a pixel in a pass of the verification (default: 16)"
     )
     parser.add_argument("--blender", help="a Python with bpy, or Blender: verifies scene.glb with Cycles, too")
     parser.add_argument("--overwrite", action="store_true", help="replace the folder of an earlier export")

@@ -20,9 +20,12 @@ from neurad.metrics.scores import BoolArray
 from neurad.runtime.threads import split
 from neurad.scene.geometry import Geometry
 
-PER_TEXEL = 2
-"""Positions along the side of a texel at which the field is asked. A point in the middle alone aliases: patterns as
-fine as a texel come out as coarse ones; with four a side nothing was gained over two."""
+PER_TEXEL, MOST_PER_TEXEL = 2, 8
+"""Positions along the side of a texel at which the field is asked: the first in large textures, up to the second in
+small ones, where more cost nothing. A point in the middle alone aliases: patterns as fine as a texel come out as coarse
+ones; with four a side nothing was gained over two in the pictures."""
+SMALL = 1 << 18
+"""Positions in a texture that cost next to nothing."""
 GUTTER = 2.0
 """Texels around a chart that are still baked, in the plane of its nearest triangle; a bilinear lookup reads one."""
 BAND = 1 << 22
@@ -49,10 +52,9 @@ def bake(
     first: int,
     geometry: Geometry,
     materials: Materials,
-    per: int = PER_TEXEL,
     done: Callable[[int], None] = lambda texels: None,
 ) -> Baked:
-    """Ask the materials for every texel of a mesh: the mean over ``per`` x ``per`` positions in it, a box filter.
+    """Ask the materials for every texel of a mesh: the mean over several positions in it, a box filter.
 
     Around a chart the positions lie in the plane of its nearest triangle beyond the edge. There the other side of a
     seam is close by, too, so both sides get about the same values and none can be seen.
@@ -62,23 +64,28 @@ def bake(
         first: number of its first triangle in ``geometry``.
         geometry: of the whole scene, with the same triangles.
         materials: what to ask, on the CPU or where ``geometry`` lies.
-        per: positions along the side of a texel.
         done: called with numbers of texels as they get done.
     """
     width, height = chart.width, chart.height
+    per = positions(width, height)
     pixels = np.zeros((height, width, 4), np.float32)
     covered = np.zeros((height, width), bool)
     for top, owner, x, y in _bands(chart, per):
         rows = owner.shape[0] // per
         lane = np.flatnonzero(owner.ravel() >= 0)
         total = np.zeros((owner.size, 4), np.float32)
-        total[lane] = _asked(chart, first, geometry, materials, owner.ravel()[lane], x[lane], y[lane])
+        total[lane] = asked(chart, first, geometry, materials, owner.ravel()[lane], x[lane], y[lane])
         count = (owner >= 0).reshape(rows, per, width, per).sum((1, 3), dtype=np.float32)
         summed = total.reshape(rows, per, width, per, 4).sum((1, 3))
         pixels[top : top + rows] = summed / np.maximum(count, 1.0)[..., None]
         covered[top : top + rows] = count > 0
         done(rows * width)
     return Baked(push_pull(pixels, covered).astype(np.float16), covered)
+
+
+def positions(width: int, height: int) -> int:
+    """Positions along the side of a texel at which the field is asked for a texture of this size."""
+    return min(max(math.isqrt(SMALL // (width * height)), PER_TEXEL), MOST_PER_TEXEL)
 
 
 def _bands(chart: Chart, per: int) -> Iterator[tuple[int, IntArray, Array, Array]]:
@@ -106,7 +113,7 @@ def _nearest(
     kernels.nearest(corners, chosen, first + low, per, GUTTER, distance[low:high], owner[low:high])
 
 
-def _asked(
+def asked(
     chart: Chart, first: int, geometry: Geometry, materials: Materials, owner: IntArray, x: Array, y: Array
 ) -> FloatArray:
     """Albedo and roughness [n, 4] at positions (x, y) [n] of the texture on or around the triangles ``owner`` [n]."""

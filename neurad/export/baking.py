@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from typing import Protocol
 
 import numpy as np
 
@@ -13,10 +12,11 @@ from neurad.core.records import Bitmap, Constant, EnvironmentMap, Material, Mesh
 from neurad.core.reflection import PrincipledModel, ReflectionModel
 from neurad.export.atlas import require_xatlas
 from neurad.export.axes import Up, up_axis
-from neurad.export.bake import PER_TEXEL, Baked, bake
+from neurad.export.bake import Baked, bake
 from neurad.export.cameras import named_apart
 from neurad.export.charts import Chart
 from neurad.export.mitsuba import file_names
+from neurad.export.progress import Progress
 from neurad.export.room import Room
 from neurad.export.texels import densities
 from neurad.export.unwrap import unwrap
@@ -24,19 +24,7 @@ from neurad.scene.description import Scene
 from neurad.scene.textures import TrueMaterials
 
 
-class Progress(Protocol):
-    """What is told of the work."""
-
-    def stage(self, name: str, total: int) -> None:
-        """A stage begins that has so many steps."""
-
-    def step(self, count: int = 1) -> None:
-        """Steps of the present stage are done."""
-
-
-def bake_room(
-    assembly: Assembly, texels: int, size: int | None, up: Up | None, progress: Progress, per: int = PER_TEXEL
-) -> Room:
+def bake_room(assembly: Assembly, texels: int, size: int | None, up: Up | None, progress: Progress) -> Room:
     """Bake what a run recovered.
 
     Args:
@@ -45,7 +33,6 @@ def bake_room(
         size: side of every texture instead of what each needs.
         up: axis that points up; None takes the one that the cameras hold up.
         progress: is told what is done.
-        per: positions along the side of a texel at which the fields are asked.
 
     Raises:
         InputError: the package xatlas or something that a mesh needs is missing, or a material cannot be baked.
@@ -55,7 +42,7 @@ def bake_room(
     check_meshes(scene)
     model = None if isinstance(materials, TrueMaterials) else scene.features.fitted_model
     described = [_material(scene, mesh, model) for mesh in scene.meshes]
-    density, seen = densities(world.tracer.tracer, world.geometry, scene)
+    density, seen = densities(world.tracer.tracer, world.geometry, scene, progress)
     textured = [i for i, material in enumerate(described) if not material.model.is_delta]
     progress.stage("texture coordinates", len(textured))
     made = unwrap([scene.meshes[i] for i in textured], density[textured], texels, size, lambda name: progress.step())
@@ -65,7 +52,7 @@ def bake_room(
     progress.stage("textures", sum(chart.width * chart.height for chart in made))
     first = np.cumsum([0, *(len(mesh.faces) for mesh in scene.meshes)])
     baked: list[Baked | None] = [
-        None if found is None else bake(found, int(start), world.geometry, materials, per, progress.step)
+        None if found is None else bake(found, int(start), world.geometry, materials, progress.step)
         for found, start in zip(charts, first[:-1], strict=True)
     ]
     names = file_names([mesh.name for mesh in scene.meshes])

@@ -47,19 +47,44 @@ def in_texels(mesh: Mesh, width: int, height: int) -> Array:
     return np.ascontiguousarray(corners)
 
 
+def edge_keys(values: Array, faces: IntArray) -> IntArray:
+    """Numbers [3 f] that are equal for edges with equal ends; edge k of a triangle leads from corner k to the next.
+
+    Args:
+        values: of the vertices, such as positions, to be compared to the bit [v, c].
+        faces: [f, 3].
+    """
+    place = np.ascontiguousarray(values, np.float32) + np.float32(0.0)  # no negative zeros
+    _, vertex = np.unique(place.view([("", place.dtype)] * place.shape[1]).ravel(), return_inverse=True)
+    corner = vertex.astype(np.int64)[faces]  # [f, 3]
+    following = corner[:, [1, 2, 0]]
+    keys: IntArray = (np.minimum(corner, following) * (len(vertex) + 1) + np.maximum(corner, following)).ravel()
+    return keys
+
+
 def find_charts(mesh: Mesh) -> IntArray:
     """The chart of each triangle [f]: triangles that share an edge, in space and in the texture, are of one."""
     assert mesh.uvs is not None
-    place = np.concatenate((mesh.vertices, mesh.uvs), 1).astype(np.float32) + np.float32(0.0)  # no negative zeros
-    _, vertex = np.unique(place.view([("", place.dtype)] * 5).ravel(), return_inverse=True)
-    corner = vertex.astype(np.int64)[mesh.faces]  # [f, 3]
-    following = corner[:, [1, 2, 0]]
-    edge = (np.minimum(corner, following) * (len(vertex) + 1) + np.maximum(corner, following)).ravel()
+    edge = edge_keys(np.concatenate((mesh.vertices, mesh.uvs), 1), mesh.faces)
     order = np.argsort(edge, kind="stable")
     same = np.flatnonzero(edge[order[1:]] == edge[order[:-1]])
     parent = np.arange(len(mesh.faces))
     kernels.join(order[same] // 3, order[same + 1] // 3, parent)
     return parent
+
+
+def find_borders(mesh: Mesh) -> IntArray:
+    """Sides of triangles [k], 3 times the triangle plus the edge, that another triangle shares in space, but not in the
+    texture: there two charts meet, or one meets itself.
+    """
+    assert mesh.uvs is not None
+    here = mesh.vertices[mesh.faces]
+    in_space, in_texture = (
+        np.unique(edge_keys(values, mesh.faces), return_inverse=True, return_counts=True)
+        for values in (mesh.vertices, np.concatenate((mesh.vertices, mesh.uvs), 1))
+    )
+    shared = in_space[2][in_space[1]] > in_texture[2][in_texture[1]]
+    return np.flatnonzero(shared & (here != here[:, [1, 2, 0]]).any(-1).ravel())
 
 
 def triangle_areas(points: Array) -> Array:

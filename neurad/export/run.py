@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import json
-import sys
 import time
 from dataclasses import dataclass
 from functools import partial
@@ -11,7 +10,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from tqdm import tqdm
 
 import neurad
 from neurad.assembly.build import Assembly
@@ -30,9 +28,11 @@ from neurad.export.gltf import write_glb
 from neurad.export.images import Coded, png
 from neurad.export.limits import Side, Texels
 from neurad.export.mitsuba import describe, path_integrator, sensor, write_xml
+from neurad.export.progress import Bar
 from neurad.export.report import write_report
 from neurad.export.room import Room
-from neurad.export.verify import Verified, verify
+from neurad.export.verified import Verified
+from neurad.export.verify import verify
 from neurad.metrics.seen import SeenBy
 
 
@@ -54,7 +54,7 @@ class ExportSettings:
     """Copy photographs and true maps instead of linking to them."""
     overwrite: bool = False
     verify: bool = True
-    spp: Count = 64
+    spp: Count = 16
     """Samples a pixel of the pictures that verify, in each of several passes."""
     blender: str | None = None
     """A Python that has bpy, or Blender itself."""
@@ -70,29 +70,6 @@ class ExportSettings:
             raise InputError(f"--up: {self.up} is no axis, choose {', '.join(UPS)}")
         if self.blender is not None and not self.verify:
             raise InputError("--blender: it verifies, which --no-verify leaves out; give one of them")
-
-
-class Bar:
-    """A progress bar on stderr, stage after stage; none where stderr is no terminal."""
-
-    def __init__(self) -> None:
-        self._bar: Any = None
-
-    def stage(self, name: str, total: int) -> None:
-        """A stage begins that has so many steps."""
-        self.close()
-        self._bar = tqdm(total=total, desc=name, unit_scale=True, file=sys.stderr, disable=None, leave=False)
-
-    def step(self, count: int = 1) -> None:
-        """Steps of the present stage are done."""
-        if self._bar is not None:
-            self._bar.update(count)
-
-    def close(self) -> None:
-        """The last stage is done."""
-        if self._bar is not None:
-            self._bar.close()
-            self._bar = None
 
 
 def export(assembly: Assembly, checkpoint: Path, settings: ExportSettings) -> list[str]:
@@ -132,9 +109,8 @@ def _verify(
     room: Room, assembly: Assembly, folder: Path, settings: ExportSettings, blender: Blender | None, bar: Bar
 ) -> Verified:
     """Render the folder again, and write ``verify.json`` and ``report.html`` into it."""
-    bar.stage("verification", 1)
     cycles = None if blender is None else partial(blender.render, folder)
-    found = verify(room, assembly, folder, settings.spp, cycles)
+    found = verify(room, assembly, folder, settings.spp, cycles, bar)
     (folder / "verify.json").write_text(json.dumps(found.as_json(), indent=1) + "\n", encoding="utf-8")
     write_report(found, folder / "report.html", f"{settings.out.name}: verified export")
     return found
@@ -246,3 +222,10 @@ def _tell(room: Room, settings: ExportSettings, notes: dict[str, Any], found: Ve
         worst = entry["worst_view"]
         print(f"{name:8} {score}mean {entry['ratio_of_means']:.4f} of baked, worst view {worst['name']} "
               f"{worst['ratio_of_means']:.4f}")  # fmt: skip
+    if found.seams is not None:
+        print(
+            f"seams: at most {255 * found.seams.largest:.2f}/255 over {found.seams.points} points on "
+            f"{found.seams.sides} sides of chart borders, {255 * found.seams.mean:.2f}/255 on average"
+        )
+    for text in found.noisy:
+        print(text)

@@ -13,12 +13,13 @@ from neurad.core.protocols import Tracer
 from neurad.core.records import IntArray, Mesh
 from neurad.core.rng import Stream
 from neurad.export.charts import in_texels, is_candidate, triangle_areas
+from neurad.export.progress import Progress
 from neurad.export.raster_kernels import Array
 from neurad.scene.description import Scene
 from neurad.scene.geometry import Geometry
 
-RAYS = 1 << 20
-"""Camera rays behind the figures."""
+RAYS, CHUNK = 1 << 20, 1 << 17
+"""Camera rays behind the figures, and those in flight."""
 CLOSER_FRACTION = 0.1
 """Fraction of what the photographs show of a mesh that is seen closer than its texels say."""
 FINER = 2.0
@@ -32,6 +33,9 @@ LARGEST = 8192
 """Side of the largest texture."""
 SMALLEST = 8
 """Side of the smallest one, but for what a grid of squares needs."""
+LEAST, MOST_LEAST, PER_TRIANGLE = 64, 256, 16
+"""Least side of what a mesh gets if the budget allows, the largest that it may be, and the texels a triangle it allows
+for: on a ball of few texels neighbours in the texture lie in planes too far apart, and seams show."""
 
 
 @dataclass(frozen=True)
@@ -43,7 +47,7 @@ class TextureSize:
 
 
 @torch.no_grad()
-def densities(tracer: Tracer, geometry: Geometry, scene: Scene) -> tuple[Array, Array]:
+def densities(tracer: Tracer, geometry: Geometry, scene: Scene, progress: Progress) -> tuple[Array, Array]:
     """Texels per unit of length that each mesh needs [m], and the fraction of the rays that ended on it [m].
 
     A texel is half as wide as the pixels that see the mesh closest, a tenth of them. What no photograph shows gets a
@@ -53,15 +57,22 @@ def densities(tracer: Tracer, geometry: Geometry, scene: Scene) -> tuple[Array, 
         tracer: casts the rays.
         geometry: of the scene.
         scene: whose training views count.
+        progress: is told of the rays.
     """
     cameras = Cameras.of([view.camera for view in scene.train], "cpu")
     count = min(RAYS, 4 * len(scene.train) * cameras.width * cameras.height)
+    progress.stage("measuring", count)
     stream = Stream(0, 7)
-    view = stream.integers(len(scene.train), count)
-    rays = cameras.rays(view, stream.uniform(count, 2) * torch.tensor([cameras.width, cameras.height]))
-    hit = tracer.closest(rays)
-    footprint = (hit.t * cameras.side[view])[hit.valid].numpy().astype(np.float64)
-    mesh = geometry.mesh_index[hit.prim[hit.valid]].numpy()
+    footprints, meshes = [], []
+    for begin in range(0, count, CHUNK):
+        lanes = min(CHUNK, count - begin)
+        view = stream.integers(len(scene.train), lanes)
+        rays = cameras.rays(view, stream.uniform(lanes, 2) * torch.tensor([cameras.width, cameras.height]))
+        hit = tracer.closest(rays)
+        footprints.append((hit.t * cameras.side[view])[hit.valid].numpy().astype(np.float64))
+        meshes.append(geometry.mesh_index[hit.prim[hit.valid]].numpy())
+        progress.step(lanes)
+    footprint, mesh = np.concatenate(footprints), np.concatenate(meshes)
     extent = float(np.linalg.norm(scene.bounds[1] - scene.bounds[0])) or 1.0
     room = float(np.quantile(footprint, CLOSER_FRACTION)) if len(footprint) else extent / 256
     size = np.full(len(scene.meshes), max(room, 1e-6 * extent) / UNSEEN)
@@ -80,10 +91,19 @@ def wanted_size(mesh: Mesh, density: float) -> TextureSize:
     """
     if is_candidate(mesh):
         along_u, along_v = _stretch(mesh)
-        return TextureSize(along_u * density, along_v * density)
+        return _not_too_small(along_u * density, along_v * density, len(mesh.faces))
     area = float(triangle_areas(mesh.vertices[mesh.faces]).sum())
     side = math.sqrt(area / FILLED) * density
-    return TextureSize(side, side)
+    return _not_too_small(side, side, len(mesh.faces))
+
+
+def _not_too_small(width: float, height: float, triangles: int) -> TextureSize:
+    """The texture, enlarged in both directions until it has the least number of texels."""
+    least = min(max(LEAST, math.sqrt(PER_TRIANGLE * triangles / FILLED)), MOST_LEAST)
+    factor = max(least / math.sqrt(max(width, 1.0) * max(height, 1.0)), 1.0)
+    return (
+        TextureSize(max(width, 1.0) * factor, max(height, 1.0) * factor) if factor > 1.0 else TextureSize(width, height)
+    )
 
 
 def _stretch(mesh: Mesh) -> tuple[float, float]:
