@@ -151,7 +151,7 @@ class _Stage:
             prim.CreateNormalsAttr(Vt.Vec3fArray.FromNumpy(_floats(unit_normals(mesh))))
             prim.SetNormalsInterpolation(UsdGeom.Tokens.vertex)
         if mesh.uvs is not None:
-            uvs = mesh.uvs * np.float32([1, -1]) + np.float32([0, 1])  # rows of USD's pictures count from below
+            uvs = np.stack((mesh.uvs[:, 0], 1.0 - mesh.uvs[:, 1]), 1)  # rows of USD's pictures count from below
             values = UsdGeom.PrimvarsAPI(prim).CreatePrimvar(
                 "st", Sdf.ValueTypeNames.TexCoord2fArray, UsdGeom.Tokens.vertex
             )
