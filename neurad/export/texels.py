@@ -36,6 +36,8 @@ SMALLEST = 8
 LEAST, MOST_LEAST, PER_TRIANGLE = 64, 256, 16
 """Least side of what a mesh gets if the budget allows, the largest that it may be, and the texels a triangle it allows
 for: on a ball of few texels neighbours in the texture lie in planes too far apart, and seams show."""
+HELD = 32
+"""Eighths of a halving by which the others get smaller before these do."""
 
 
 @dataclass(frozen=True)
@@ -44,6 +46,8 @@ class TextureSize:
 
     width: float
     height: float
+    least: float = 0.0
+    """Side of a square that it is not to be smaller than, as long as the budget allows."""
 
 
 @torch.no_grad()
@@ -91,19 +95,15 @@ def wanted_size(mesh: Mesh, density: float) -> TextureSize:
     """
     if is_candidate(mesh):
         along_u, along_v = _stretch(mesh)
-        return _not_too_small(along_u * density, along_v * density, len(mesh.faces))
+        return TextureSize(along_u * density, along_v * density, _least_side(mesh))
     area = float(triangle_areas(mesh.vertices[mesh.faces]).sum())
     side = math.sqrt(area / FILLED) * density
-    return _not_too_small(side, side, len(mesh.faces))
+    return TextureSize(side, side, _least_side(mesh))
 
 
-def _not_too_small(width: float, height: float, triangles: int) -> TextureSize:
-    """The texture, enlarged in both directions until it has the least number of texels."""
-    least = min(max(LEAST, math.sqrt(PER_TRIANGLE * triangles / FILLED)), MOST_LEAST)
-    factor = max(least / math.sqrt(max(width, 1.0) * max(height, 1.0)), 1.0)
-    return (
-        TextureSize(max(width, 1.0) * factor, max(height, 1.0) * factor) if factor > 1.0 else TextureSize(width, height)
-    )
+def _least_side(mesh: Mesh) -> float:
+    """Of a square texture in which the charts of a mesh are not too small."""
+    return min(max(LEAST, math.sqrt(PER_TRIANGLE * len(mesh.faces) / FILLED)), MOST_LEAST)
 
 
 def _stretch(mesh: Mesh) -> tuple[float, float]:
@@ -128,16 +128,20 @@ def rounded(sizes: list[TextureSize], budget: int, side: int | None = None) -> I
 
     Args:
         sizes: wanted.
-        budget: texels of all textures; what is wanted is made smaller by one factor until it fits.
+        budget: texels of all textures; what is wanted is made smaller by one factor until it fits, those last that are
+            as small as they may be.
         side: of every texture instead.
     """
     wanted = np.array([(s.width, s.height) for s in sizes], np.float64).reshape(-1, 2)
+    least = np.array([s.least for s in sizes])
     if side is not None:
         return np.full(wanted.shape, side, np.int64)
     found: IntArray = np.full(wanted.shape, SMALLEST, np.int64)
     for step in range(200):
-        log = np.log2(np.maximum(wanted * 2.0 ** (-step / 8.0), 1.0))
-        found = (2 ** np.clip(np.round(log), math.log2(SMALLEST), math.log2(LARGEST))).astype(np.int64)
+        scaled = np.maximum(wanted * 2.0 ** (-step / 8.0), 1.0)
+        kept = least * 2.0 ** (-max(step - HELD, 0) / 8.0)
+        scaled *= np.maximum(kept / np.sqrt(scaled.prod(1)), 1.0)[:, None]
+        found = (2 ** np.clip(np.round(np.log2(scaled)), math.log2(SMALLEST), math.log2(LARGEST))).astype(np.int64)
         if found.prod(1).sum() <= budget:
             break
     return found

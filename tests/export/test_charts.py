@@ -206,6 +206,10 @@ def test_textures_fit_into_the_budget():
 
 def test_size_follows_the_stretch_of_the_coordinates():
     wide = replace(quad(), vertices=quad().vertices * np.float32([4, 1, 1]))
-    assert wanted_size(wide, 10.0) == TextureSize(pytest.approx(40.0), pytest.approx(10.0))
+    size = wanted_size(wide, 10.0)
+    assert size == TextureSize(pytest.approx(40.0), pytest.approx(10.0), 64.0)
+    assert rounded([size], 1 << 20).tolist() == [[128, 32]]  # as many as 64 x 64
+    assert rounded([TextureSize(4096.0, 4096.0), size], 100_000).tolist() == [[256, 256], [128, 32]]
+    assert rounded([size] * 8, 8 * 512).prod(1).sum() <= 8 * 512  # a budget that is too small for that holds, too
     assert float(triangle_areas(wide.vertices[wide.faces]).sum()) == pytest.approx(4.0)
     assert isinstance(own_chart(wide, 32, 8), Chart)
