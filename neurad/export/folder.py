@@ -27,7 +27,7 @@ _REPLACED = "replaced"  # what was at the place, for the moment between two move
 
 
 def check_out(out: Path, overwrite: bool) -> None:
-    """Check that a folder may be written, before any work is done.
+    """Check that a folder may be written, before any work is done, and remove what killed exports to it left.
 
     Raises:
         InputError: something is there that is not to be replaced, or its parent is no folder that can be written to.
@@ -40,6 +40,7 @@ def check_out(out: Path, overwrite: bool) -> None:
     if Path.cwd().is_relative_to(place):
         raise InputError(f"--out: {out} is the folder that you are in, or lies above it; give a new one")
     with writing(out, "--out"):
+        _remove_dead(place)
         _new_stage(place).rmdir()
         occupied = place.is_dir() and any(place.iterdir())
     if occupied and not overwrite:
