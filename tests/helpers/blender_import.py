@@ -1,4 +1,7 @@
-"""For Blender's Python: import a file and say what is there. Its argument is a JSON file that describes the job."""
+"""For Blender's Python: import a file, and say what is there or render it with Cycles.
+
+Its argument is a JSON file that describes the job.
+"""
 
 import json
 import sys
@@ -23,8 +26,20 @@ def described(thing):
     }
 
 
+def picture(scene, job):
+    """Render a view with Cycles into a file of linear floats."""
+    scene.render.engine, scene.cycles.device = "CYCLES", "CPU"
+    scene.cycles.samples, scene.cycles.use_denoising = job["samples"], False
+    scene.camera = next(thing for thing in bpy.data.objects if thing.type == "CAMERA" and thing.name == job["view"])
+    form = scene.render.image_settings
+    form.file_format, form.color_mode, form.color_depth = "OPEN_EXR", "RGBA", "32"
+    scene.render.filepath = job["out"]
+    bpy.ops.render.render(write_still=True)
+
+
 def main(job):
     bpy.ops.wm.read_factory_settings(use_empty=True)
+    bpy.context.scene.world = bpy.data.worlds.new("world")  # USD's importer adds a dome to one that is there
     if job["file"].endswith(".glb"):
         bpy.ops.import_scene.gltf(filepath=job["file"])
     else:
@@ -32,6 +47,9 @@ def main(job):
     scene = bpy.context.scene
     scene.render.resolution_x, scene.render.resolution_y = job["width"], job["height"]
     scene.render.resolution_percentage = 100
+    if "view" in job:
+        picture(scene, job)
+        return
     bpy.context.view_layer.update()
     meshes = [thing for thing in bpy.data.objects if thing.type == "MESH"]
     cameras = [thing for thing in bpy.data.objects if thing.type == "CAMERA"]

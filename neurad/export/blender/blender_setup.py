@@ -84,7 +84,7 @@ def _world(scene: Any, room: dict[str, Any], folder: Path) -> None:
     # From directions of the world in Blender to the map's frame, +Y up, and from there to Blender's way of reading it,
     # in which the left edge of the picture looks another way by a quarter turn.
     to_map = (to_blender @ to_y @ to_world).inverted()
-    quarter = Matrix.Rotation(math.radians(-90.0), 3, "Z")
+    quarter = Matrix.Rotation(math.radians(90.0), 3, "Z")
     turned = nodes.new("ShaderNodeMapping")
     turned.vector_type = "POINT"
     turned.inputs["Rotation"].default_value = (quarter @ to_blender @ to_map).to_euler("XYZ")
