@@ -6,13 +6,16 @@ import numpy as np
 import pytest
 import torch
 from helpers.delta_scenes import delta_gallery
-from helpers.exported import corners_of, exported
+from helpers.exported import assembled, corners_of, exported
 from helpers.object_scene import object_scene, sky
 from PIL import Image
 
 from neurad.core.camera import project, to_camera
 from neurad.core.reflection import DiffuseModel
+from neurad.core.errors import InputError
 from neurad.export import usd
+from neurad.export.baking import bake_room
+from neurad.export.progress import Bar
 from neurad.scene.builtin import build_cornell
 from neurad.scene.load import load_scene
 
@@ -140,3 +143,16 @@ def test_without_the_package_the_rest_is_written_and_it_says_so(tmp_path, monkey
     assert not (room / usd.FILE).exists()
     assert (room / "scene.glb").is_file()
     assert "left out: room.usdc: the package usd-core is missing" in capsys.readouterr().out
+
+
+def test_a_full_disk_gets_a_sentence(tmp_path):
+    import resource
+
+    room = bake_room(assembled(build_cornell()), 1 << 16, 16, None, Bar())
+    limits = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (2000, limits[1]))
+    try:
+        with pytest.raises(InputError, match=r"room.usdc: usd-core cannot write it; is its disk full"):
+            usd.write_usd(room, tmp_path, "exact")
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, limits)
