@@ -17,7 +17,7 @@ import numpy as np
 
 from neurad.core.errors import InputError
 from neurad.core.records import Mesh
-from neurad.export.charts import MARGIN, Chart, find_charts, is_unique
+from neurad.export.charts import MARGIN, Chart, find_charts, is_unique, triangle_areas
 from neurad.export.texels import FILLED, LARGEST, SMALLEST
 
 WORKER = Path(__file__).with_name("atlas_worker.py")
@@ -26,8 +26,12 @@ PADDING = 4
 LEAST = 2.2
 """Texels that have to be left between them: each side of a lookup needs one."""
 SECONDS = 60.0
-"""Longest time for one mesh."""
-TRIES = 6
+"""Longest time for one mesh, on one core."""
+SHARED = 10.0
+"""Times that it may take so long on a machine that others use, too."""
+COARSEST = 0.4
+"""Fraction of the wanted texels a length at which the texture is doubled rather than the charts made smaller."""
+TRIES = 12
 
 
 def require_xatlas() -> None:
@@ -53,21 +57,30 @@ class AtlasMaker:
         self.seconds = seconds
         self._process: subprocess.Popen[str] | None = None
         self._answers: queue.Queue[str] = queue.Queue()
+        self._folder = tempfile.TemporaryDirectory()
+        self._mesh: Mesh | None = None
+        self._count, self._scale = 0, 1.0
 
     def make(self, mesh: Mesh, density: float) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray] | None:
         """Vertices [v], triangles [f, 3], coordinates in [0, 1] [v, 2] and size in texels [2]; None if there is none.
 
         Args:
-            mesh: its positions and triangles.
+            mesh: its positions and triangles; the same one again is only packed again. It is enlarged so that the mean
+                triangle has area 1, since xatlas takes areas below 1e-7 for none.
             density: texels per unit of length.
         """
-        with tempfile.TemporaryDirectory() as folder:
-            source, target = Path(folder) / "mesh.npz", Path(folder) / "atlas.npz"
-            np.savez(source, vertices=mesh.vertices, faces=mesh.faces.astype(np.uint32), density=density)
-            if self._ask(f"{source}\t{target}") != "made":
-                return None
-            with np.load(target) as made:
-                vertex, faces, uvs, size = (made[name] for name in ("vertex", "faces", "uvs", "size"))
+        folder = Path(self._folder.name)
+        target = folder / "atlas.npz"
+        if mesh is not self._mesh:
+            self._mesh, self._count = mesh, self._count + 1
+            self._scale = 1.0 / (math.sqrt(float(triangle_areas(mesh.vertices[mesh.faces]).mean())) or 1.0)
+            vertices, faces = (mesh.vertices * np.float64(self._scale)).astype(np.float32), mesh.faces.astype(np.uint32)
+            np.savez(folder / f"{self._count}.npz", vertices=vertices, faces=faces)
+            (folder / f"{self._count - 1}.npz").unlink(missing_ok=True)
+        if self._ask(f"{folder / f'{self._count}.npz'}\t{density / self._scale!r}\t{target}") != "made":
+            return None
+        with np.load(target) as made:
+            vertex, faces, uvs, size = (made[name] for name in ("vertex", "faces", "uvs", "size"))
         if not np.array_equal(vertex[faces], mesh.faces) or not np.isfinite(uvs).all() or size.min() < 1:
             return None
         return vertex, faces, uvs, size
@@ -79,16 +92,16 @@ class AtlasMaker:
         try:
             process.stdin.write(line + "\n")
             process.stdin.flush()
-            answer = self._answers.get(timeout=self.seconds)
+            answer = self._answers.get(timeout=SHARED * self.seconds)
         except (queue.Empty, OSError):
             answer = ""
         if answer == "":
-            self.close()
+            self._end()
         return answer
 
     def _started(self) -> subprocess.Popen[str]:
         if self._process is None:
-            command = [sys.executable, "-P", str(WORKER), str(self.number)]
+            command = [sys.executable, "-P", str(WORKER), str(self.number), str(self.seconds)]
             environment = {**os.environ, "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
             answers: queue.Queue[str] = queue.Queue()
             self._answers = answers
@@ -107,7 +120,11 @@ class AtlasMaker:
         return self._process
 
     def close(self) -> None:
-        """End the child."""
+        """End the child, and remove what it wrote."""
+        self._end()
+        self._folder.cleanup()
+
+    def _end(self) -> None:
         if self._process is not None:
             self._process.kill()
             self._process.wait()
@@ -125,8 +142,9 @@ def atlas_chart(mesh: Mesh, width: int, height: int, area: float, maker: AtlasMa
         area: of the mesh, in scene units.
         maker: runs xatlas.
     """
-    density = 0.9 * math.sqrt(FILLED * width * height / area) if area > 0 else 1.0
-    for attempt in range(TRIES):
+    wanted = 0.9 * math.sqrt(FILLED * width * height / area) if area > 0 else 1.0
+    density = wanted
+    for _ in range(TRIES):
         made = maker.make(mesh, density)
         if made is None:
             return None
@@ -138,12 +156,12 @@ def atlas_chart(mesh: Mesh, width: int, height: int, area: float, maker: AtlasMa
             unwrapped = _taken(mesh, vertex, faces, placed.astype(np.float32))
             found = Chart(unwrapped, find_charts(unwrapped), width, short, "atlas")
             return found if is_unique(found) else None
-        if attempt > 0 or scale < 0.25:  # what lies between the charts does not shrink with them
+        density *= 0.8 * scale
+        if density < COARSEST * wanted:  # what lies between the charts does not shrink with them
             width, height = 2 * width, 2 * height
             if max(width, height) > LARGEST:
                 return None
-            scale *= 2.0
-        density *= min(1.0, max(0.8 * scale, 0.02))
+            density = wanted
     return None
 
 

@@ -14,6 +14,10 @@ REACH = 1.0
 """Texels around a chart that a bilinear lookup on it reads."""
 MARGIN = 1.5
 """Texels that stay free along the sides of a texture, so that a lookup never reads across them: pictures repeat."""
+NOTHING = 0.05
+"""Texels that a chart of nothing but slivers may cover."""
+NOTHING_FRACTION = 1e-4
+"""Largest fraction of a mesh's area that may lie on such charts."""
 SHRUNK = 16.0
 """A triangle is shrunk if its texture is so many times smaller, for its area, than the mean over the mesh."""
 SHRUNK_FRACTION = 0.02
@@ -131,7 +135,20 @@ def own_chart(mesh: Mesh, width: int, height: int) -> Chart | None:
 
 
 def is_unique(chart: Chart) -> bool:
-    """Whether no texel is owned by two triangles, and none is needed by two charts."""
+    """Whether no texel is owned by two triangles, and none is needed by two charts.
+
+    Charts that are nothing but slivers count for neither as long as nothing of the mesh is on them: packers put them
+    where others lie, and nobody sees them.
+    """
+    corners = chart.corners
+    label, of_chart = np.unique(chart.chart, return_inverse=True)
+    nothing = (np.bincount(of_chart, triangle_areas(corners), len(label)) < NOTHING)[of_chart]
+    if nothing.any():
+        area = triangle_areas(chart.mesh.vertices[chart.mesh.faces])
+        if area[nothing].sum() > NOTHING_FRACTION * area.sum():
+            nothing[:] = False
     needed, owner = np.full((2, chart.height, chart.width), -1, np.int32)
-    twice, overlap = kernels.conflicts(chart.corners, chart.chart, REACH, needed, owner)
+    twice, overlap = kernels.conflicts(
+        np.ascontiguousarray(corners[~nothing]), chart.chart[~nothing], REACH, needed, owner
+    )
     return int(twice) == 0 and int(overlap) == 0

@@ -85,7 +85,7 @@ def _view(found: Verified, renderers: dict[str, Any], index: int) -> list[str]:
         if renderer != "baked":
             figures.append(f"{entry['ratio_of_means']:.4f} of baked")
         if entry["psnr_linear"] is not None:
-            figures.append(f"PSNR {entry['psnr_linear']:.2f} dB")
+            figures.append(f"PSNR {entry['psnr_linear']:.2f} &plusmn; {entry['psnr_standard_error']:.2f} dB")
         parts.append(_figure(renderer, ", ".join(figures), picture / top))
     parts.append('</div><div class="row">')
     others = shown if photo is None else {"photograph": photo, **shown}
@@ -126,7 +126,7 @@ def _renderers(renderers: dict[str, Any]) -> str:
         score, worst = entry["psnr_linear"], entry["worst_view"]
         ratio = worst["ratio_of_means"]
         last = f"{ratio:.4f}" if name not in BOUNDS else _held(ratio - 1.0, BOUNDS[name], "", f"{ratio:.4f}")
-        said = "-" if score is None else f"{score:.2f} dB"
+        said = "-" if score is None else f"{score:.2f} &plusmn; {entry['psnr_standard_error']:.2f} dB"
         rows.append([MEANINGS[name], said, f"{entry['ratio_of_means']:.4f}", html.escape(worst["name"]), last])
     head = ["renderer", "PSNR (linear)", "mean / baked", "worst view", "its mean / baked (bound)"]
     return "<h2>Renderers</h2>" + _table(head, rows)

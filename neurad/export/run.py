@@ -218,7 +218,11 @@ def _tell(room: Room, settings: ExportSettings, notes: dict[str, Any], found: Ve
     if found is None:
         return
     for name, entry in found.as_json()["renderers"].items():
-        score = "" if entry["psnr_linear"] is None else f"PSNR {entry['psnr_linear']:.2f} dB, "
+        score = (
+            ""
+            if entry["psnr_linear"] is None
+            else f"PSNR {entry['psnr_linear']:.2f} ({entry['psnr_standard_error']:.2f}) dB, "
+        )
         worst = entry["worst_view"]
         print(f"{name:8} {score}mean {entry['ratio_of_means']:.4f} of baked, worst view {worst['name']} "
               f"{worst['ratio_of_means']:.4f}")  # fmt: skip

@@ -60,21 +60,25 @@ class Verified:
 
         The noise of the renderer, known from its passes, is taken out, as renderers differ in it.
         """
-        shown = self.pictures[name]
-        return self._psnr(shown.mean, shown.noise, view)
+        squared = self._squared(name, view)
+        return None if squared is None else psnr(max(squared[0], 1e-12))
 
-    def psnr_of_two(self, name: str) -> float | None:
-        """The same of the first two passes alone, over all views."""
-        shown = self.pictures[name]
-        return self._psnr(shown.two, shown.noise_of_two, None)
+    def psnr_error(self, name: str, view: int | None = None) -> float:
+        """Standard error of :meth:`psnr` in dB."""
+        squared = self._squared(name, view)
+        return 0.0 if squared is None else 10.0 / math.log(10.0) * squared[1] / max(squared[0], 1e-12)
 
-    def _psnr(self, pictures: list[FloatArray], noise: list[float], view: int | None) -> float | None:
-        squares = [
-            np.square(pictures[i].astype(np.float64) - photo).mean() - noise[i]
-            for i, photo in enumerate(self.photographs)
-            if photo is not None and view in (None, i)
+    def _squared(self, name: str, view: int | None) -> tuple[float, float] | None:
+        """Mean squared difference to the photographs, and its standard error."""
+        shown = self.pictures[name]
+        pairs = [
+            (x, e)
+            for i, (x, e) in enumerate(zip(shown.squared, shown.squared_error, strict=True))
+            if x is not None and view in (None, i)
         ]
-        return psnr(max(float(np.mean(squares)), 1e-12)) if squares else None
+        if not pairs:
+            return None
+        return float(np.mean([x for x, _ in pairs])), math.hypot(*(e for _, e in pairs)) / len(pairs)
 
     def as_json(self) -> dict[str, Any]:
         """What ``verify.json`` holds."""
@@ -95,6 +99,7 @@ class Verified:
         means = [float(np.mean([x.mean() for x in p.mean])) for p in (shown, self.pictures["baked"])]
         return {
             "psnr_linear": self.psnr(name),
+            "psnr_standard_error": self.psnr_error(name),
             "ratio_of_means": means[0] / max(means[1], 1e-30),
             "worst_view": {"name": self.views[worst].name, "ratio_of_means": ratios[worst]},
             "views": {
@@ -104,6 +109,7 @@ class Verified:
                     "passes": shown.passes[i],
                     "ratio_of_means": ratios[i],
                     "psnr_linear": self.psnr(name, i),
+                    "psnr_standard_error": self.psnr_error(name, i),
                 }
                 for i, view in enumerate(self.views)
             },
@@ -111,7 +117,7 @@ class Verified:
 
     def judge(self) -> None:
         """Find what lies beyond its bound, and what noise leaves open."""
-        for what, bound in (("albedo", ALBEDO_LOSS), ("roughness", ROUGHNESS_LOSS), ("picture", PICTURE_LOSS)):
+        for what, bound in (("albedo", ALBEDO_LOSS), ("roughness", ROUGHNESS_LOSS)):
             before, after = self.scores.get(f"{what}_psnr_fields"), self.scores.get(f"{what}_psnr_baked")
             if before is not None and after is not None and before - after > bound:
                 self.beyond.append(f"baking took {before - after:.2f} dB of {what} (bound {bound})")
@@ -123,9 +129,24 @@ class Verified:
         for name, bound in (("mitsuba", MITSUBA_MEAN), ("cycles", CYCLES_MEAN)):
             if name in self.pictures:
                 self._judge_means(name, bound)
-        ours, theirs = self.psnr("baked"), self.psnr("mitsuba") if "mitsuba" in self.pictures else None
-        if ours is not None and theirs is not None and abs(ours - theirs) > MITSUBA_PSNR:
-            self.beyond.append(f"mitsuba's PSNR is {theirs:.2f} dB, ours {ours:.2f} (bound {MITSUBA_PSNR} dB)")
+        lost, error = self.difference("fields")
+        if lost - SIGMAS * error > PICTURE_LOSS:
+            self.beyond.append(f"baking took {lost:.2f} dB of the picture (bound {PICTURE_LOSS})")
+        elif error > PICTURE_LOSS:
+            self.noisy.append(f"what baking took of the picture is known to {error:.2f} dB; raise --spp")
+        if "mitsuba" in self.pictures:
+            apart, error = self.difference("mitsuba")
+            if abs(apart) - SIGMAS * error > MITSUBA_PSNR:
+                self.beyond.append(f"mitsuba's PSNR differs from ours by {apart:+.2f} dB (bound {MITSUBA_PSNR})")
+            elif error > MITSUBA_PSNR:
+                self.noisy.append(f"how far mitsuba's PSNR is from ours is known to {error:.2f} dB; raise --spp")
+
+    def difference(self, name: str) -> tuple[float, float]:
+        """PSNR of a renderer less that of the baked room in neurad, in dB, and its standard error; zeros without."""
+        ours, theirs = self.psnr("baked"), self.psnr(name)
+        if ours is None or theirs is None:
+            return 0.0, 0.0
+        return theirs - ours, math.hypot(self.psnr_error("baked"), self.psnr_error(name))
 
     def _judge_means(self, name: str, bound: float) -> None:
         """Compare the means of the views with ours."""

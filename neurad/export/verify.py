@@ -17,7 +17,7 @@ from neurad.assembly.build import Assembly, build_world
 from neurad.core.protocols import Materials
 from neurad.core.records import FloatArray, Surface, SurfaceInteraction, View
 from neurad.core.rng import mix
-from neurad.export.pictures import PASSES, Draw, Pictures
+from neurad.export.pictures import Draw, Pictures
 from neurad.export.progress import Progress
 from neurad.export.room import Room
 from neurad.export.seams import find_seams
@@ -104,8 +104,8 @@ def _render_cycles(found: Verified, cycles: Cycles, spp: int, progress: Progress
         passes.append(cycles(found.views, max(most // 2, 1), seed))
         progress.step()
     found.pictures["cycles"] = Pictures()
-    for pair in zip(*passes, strict=True):
-        found.pictures["cycles"].add(lambda seed, pair=pair: pair[seed], 2)  # type: ignore[misc]
+    for pair, photo in zip(zip(*passes, strict=True), found.photographs, strict=True):
+        found.pictures["cycles"].add(pair.__getitem__, photo, 2)
 
 
 def _read_again(room: Room, folder: Path, found: Verified) -> Scene:
@@ -159,14 +159,12 @@ def _mitsuba(path: Path, spp: int, room: Room) -> Draw:
 
 
 def _render(found: Verified, draws: dict[str, Draw], progress: Progress) -> None:
-    """Passes of every view until the means are known well enough; two of the fields, which baking is judged by."""
+    """Passes of every view until the means are known well enough."""
     for name, draw in draws.items():
-        most = 2 if name == "fields" else PASSES
         progress.stage(name, len(found.views))
         found.pictures[name] = Pictures()
-        for index in range(len(found.views)):
-            found.pictures[name].add(partial(draw, index), most)
+        for index, photo in enumerate(found.photographs):
+            found.pictures[name].add(partial(draw, index), photo)
             progress.step()
-    for name in ("fields", "baked"):
-        if (score := found.psnr_of_two(name)) is not None:
+        if (score := found.psnr(name)) is not None:
             found.scores[f"picture_psnr_{name}"] = score
