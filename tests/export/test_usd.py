@@ -11,8 +11,8 @@ from helpers.object_scene import object_scene, sky
 from PIL import Image
 
 from neurad.core.camera import project, to_camera
-from neurad.core.reflection import DiffuseModel
 from neurad.core.errors import InputError
+from neurad.core.reflection import DiffuseModel
 from neurad.export import usd
 from neurad.export.baking import bake_room
 from neurad.export.progress import Bar
