@@ -33,11 +33,14 @@ LARGEST = 8192
 """Side of the largest texture."""
 SMALLEST = 8
 """Side of the smallest one, but for what a grid of squares needs."""
-LEAST, MOST_LEAST, PER_TRIANGLE = 64, 256, 16
-"""Least side of what a mesh gets if the budget allows, the largest that it may be, and the texels a triangle it allows
-for: on a ball of few texels neighbours in the texture lie in planes too far apart, and seams show."""
-HELD = 32
-"""Eighths of a halving by which the others get smaller before these do."""
+PER_TRIANGLE = 16
+"""Texels a triangle that a mesh gets at least: where triangles are smaller than texels, those that lie side by side in
+the texture belong to planes too far apart, and seams show."""
+LEAST, MOST_LEAST = 64, 1024
+"""Smallest and largest side of a texture that is asked for because of that."""
+HELD, HELD_STEPS = 256, 32
+"""When all get smaller for the budget, textures are held at this side, or what is asked for if less, until the others
+are so many eighths of a halving smaller."""
 
 
 @dataclass(frozen=True)
@@ -128,8 +131,7 @@ def rounded(sizes: list[TextureSize], budget: int, side: int | None = None) -> I
 
     Args:
         sizes: wanted.
-        budget: texels of all textures; what is wanted is made smaller by one factor until it fits, those last that are
-            as small as they may be.
+        budget: texels of all textures; what is wanted is made smaller by one factor until it fits, the small ones last.
         side: of every texture instead.
     """
     wanted = np.array([(s.width, s.height) for s in sizes], np.float64).reshape(-1, 2)
@@ -139,7 +141,8 @@ def rounded(sizes: list[TextureSize], budget: int, side: int | None = None) -> I
     found: IntArray = np.full(wanted.shape, SMALLEST, np.int64)
     for step in range(200):
         scaled = np.maximum(wanted * 2.0 ** (-step / 8.0), 1.0)
-        kept = least * 2.0 ** (-max(step - HELD, 0) / 8.0)
+        held = np.minimum(least, HELD) * 2.0 ** (-max(step - HELD_STEPS, 0) / 8.0)
+        kept = np.maximum(least * 2.0 ** (-step / 8.0), held)
         scaled *= np.maximum(kept / np.sqrt(scaled.prod(1)), 1.0)[:, None]
         found = (2 ** np.clip(np.round(np.log2(scaled)), math.log2(SMALLEST), math.log2(LARGEST))).astype(np.int64)
         if found.prod(1).sum() <= budget:
