@@ -18,6 +18,7 @@ import numpy as np
 
 from neurad.core.errors import InputError
 from neurad.core.records import Bitmap, Camera, Constant, EnvironmentMap, Material, Mesh, Texture, View
+from neurad.export.cameras import clip_planes
 from neurad.export.ply import write_ply
 from neurad.export.raster_kernels import Array
 from neurad.scene.description import Scene
@@ -113,7 +114,7 @@ def path_integrator(scene: Scene, hide_emitters: bool = False) -> Node:
 
 def sensor(scene: Scene, camera: Camera, width: int, height: int, samples: int = 16, alpha: bool = False) -> Node:
     """A camera with a box filter that sees all of a scene; ``width`` and ``height`` are those of its film in pixels."""
-    near, far = _clip_planes(scene, camera)
+    near, far = clip_planes(scene, camera)
     # Mitsuba's camera looks along +Z with +X to the left, ours along -Z with +X to the right
     pose = np.asarray(camera.to_world, np.float64) @ np.diag([-1.0, 1.0, -1.0, 1.0])
     return {
@@ -133,14 +134,6 @@ def sensor(scene: Scene, camera: Camera, width: int, height: int, samples: int =
         },
         "sampler": {"type": "independent", "sample_count": samples},
     }
-
-
-def _clip_planes(scene: Scene, camera: Camera) -> tuple[float, float]:
-    """Distances before and beyond which nothing is seen: whatever the unit, all of the scene lies in between."""
-    low, high = scene.bounds.astype(np.float64)
-    eye = np.asarray(camera.to_world, np.float64)[:3, 3]
-    far = 2.0 * float(np.linalg.norm(np.maximum(np.abs(low - eye), np.abs(high - eye))))
-    return 1e-6 * max(far, 1e-30), max(far, 1e-30)
 
 
 def to_mitsuba(
