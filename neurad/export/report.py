@@ -21,6 +21,7 @@ from neurad.export.verified import (
     ROUGHNESS_LOSS,
     Verified,
 )
+from neurad.metrics.scores import block_means
 from neurad.scene.image_io import to_srgb
 
 _STYLE = """
@@ -35,6 +36,8 @@ figcaption { font-size: 13px; color: #444; padding: .2em 0; } figcaption b { col
 """
 DIFFERENCE = 10.0
 """Times that differences are enlarged."""
+BLOCK = 8
+"""Side of the blocks of pixels over which differences are averaged."""
 MEANINGS = {
     "photograph": "what the camera saw",
     "fields": "neurad, from the fields of the fit",
@@ -64,7 +67,8 @@ def write_report(found: Verified, path: Path, title: str) -> None:
         _seams(found),
         _renderers(said["renderers"]),
         f'<p class="note">Pictures of a view share one exposure, that of the photograph\'s brightest 3 %. '
-        f"Differences are to the exported folder in neurad, {DIFFERENCE:g} times enlarged, noise included.</p>",
+        f"Differences are to the exported folder in neurad, {DIFFERENCE:g} times enlarged, means of {BLOCK} x {BLOCK} "
+        "pixels as single ones are mostly noise.</p>",
     ]
     for index in range(len(found.views)):
         parts += _view(found, said["renderers"], index)
@@ -91,8 +95,9 @@ def _view(found: Verified, renderers: dict[str, Any], index: int) -> list[str]:
     others = shown if photo is None else {"photograph": photo, **shown}
     for renderer, picture in others.items():
         if renderer != "baked":
-            off = np.abs(picture - shown["baked"])
-            parts.append(_figure(f"{renderer} - baked", f"&times; {DIFFERENCE:g}", off * (DIFFERENCE / top)))
+            off = block_means(picture - shown["baked"], np.ones(picture.shape[:2], bool), BLOCK)[0]
+            off = np.abs(off) * np.float32(DIFFERENCE / top)
+            parts.append(_figure(f"{renderer} - baked", f"&times; {DIFFERENCE:g}, in blocks of {BLOCK}", off))
     return [*parts, "</div>"]
 
 
