@@ -11,6 +11,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from neurad.core.camera import focal_length
 from neurad.core.records import Camera, View
 from neurad.scene.description import Scene
@@ -50,6 +52,17 @@ def transforms(views: Sequence[View]) -> dict[str, Any]:
 def _lens(camera: Camera) -> dict[str, float]:
     focal = focal_length(camera)
     return {"camera_angle_x": camera.fov_x, "fl_x": focal, "fl_y": focal}
+
+
+def clip_planes(scene: Scene, camera: Camera) -> tuple[float, float]:
+    """Distances before and beyond which nothing is seen: whatever the unit, all of the scene lies in between.
+
+    The near one is as far as viewers with a depth buffer want it, half a millimetre in a room of five metres.
+    """
+    low, high = scene.bounds.astype(np.float64)
+    eye = np.asarray(camera.to_world, np.float64)[:3, 3]
+    far = max(2.0 * float(np.linalg.norm(np.maximum(np.abs(low - eye), np.abs(high - eye)))), 1e-30)
+    return 5e-5 * far, far
 
 
 def named_apart(scene: Scene) -> Scene:

@@ -20,13 +20,11 @@ from neurad.core.records import Constant, FloatArray, Mesh, View
 from neurad.core.reflection import PrincipledModel
 from neurad.export.axes import TO_Y, quaternion
 from neurad.export.base_colour import Target, base_for
+from neurad.export.cameras import clip_planes
 from neurad.export.glb import GlbWriter, Json
 from neurad.export.images import Coded, coded
 from neurad.export.room import Room
 from neurad.runtime import threads
-
-NEAR = 1e-4
-"""Distance of the cameras' near plane, in diagonals of the scene."""
 
 
 def write_glb(
@@ -56,8 +54,7 @@ def write_glb(
             children.append(_add_mesh(glb, room, index, files, target))
             clipped += files.clipped if files is not None else 0
             done(room.names[index], files)
-        near = near_plane(room)
-        children += [_add_camera(glb, view, near) for view in (*room.scene.train, *room.scene.test)]
+        children += [_add_camera(glb, room, view) for view in (*room.scene.train, *room.scene.test)]
         root: Json = {"name": "room", "children": children}
         if room.up != "y":
             root["rotation"] = list(TO_Y[room.up])
@@ -68,12 +65,6 @@ def write_glb(
     glb.finish(path, part)
     part.unlink()
     return clipped
-
-
-def near_plane(room: Room) -> float:
-    """Distance of the cameras' near plane; above 0 in any case."""
-    low, high = room.scene.bounds.astype(np.float64)
-    return max(NEAR * float(np.linalg.norm(high - low)), 1e-9)
 
 
 def _coded(room: Room, index: int, target: Target) -> Coded | None:
@@ -170,11 +161,15 @@ def unit_normals(mesh: Mesh) -> FloatArray:
     return np.asarray(normals / length[:, None], np.float32)
 
 
-def _add_camera(glb: GlbWriter, view: View, near: float) -> int:
+def _add_camera(glb: GlbWriter, room: Room, view: View) -> int:
     """Append a camera and a node; returns the number of the node."""
     camera = view.camera
     aspect = camera.width / camera.height
-    lens = {"yfov": 2.0 * math.atan(math.tan(0.5 * camera.fov_x) / aspect), "aspectRatio": aspect, "znear": near}
+    lens = {
+        "yfov": 2.0 * math.atan(math.tan(0.5 * camera.fov_x) / aspect),
+        "aspectRatio": aspect,
+        "znear": clip_planes(room.scene, camera)[0],
+    }
     pose = np.asarray(camera.to_world, np.float64)
     node = {
         "name": view.name,

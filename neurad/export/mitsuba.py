@@ -18,6 +18,7 @@ import numpy as np
 
 from neurad.core.errors import InputError
 from neurad.core.records import Bitmap, Camera, Constant, EnvironmentMap, Material, Mesh, Texture, View
+from neurad.export.cameras import clip_planes
 from neurad.export.ply import write_ply
 from neurad.export.raster_kernels import Array
 from neurad.scene.description import Scene
@@ -111,8 +112,9 @@ def path_integrator(scene: Scene, hide_emitters: bool = False) -> Node:
     return {"type": "path", "max_depth": depth, "rr_depth": scene.rr_depth, "hide_emitters": hide_emitters}
 
 
-def sensor(camera: Camera, width: int, height: int, samples: int = 16, alpha: bool = False) -> Node:
-    """A camera with a box filter; ``width`` and ``height`` are those of its film in pixels."""
+def sensor(scene: Scene, camera: Camera, width: int, height: int, samples: int = 16, alpha: bool = False) -> Node:
+    """A camera with a box filter that sees all of a scene; ``width`` and ``height`` are those of its film in pixels."""
+    near, far = clip_planes(scene, camera)
     # Mitsuba's camera looks along +Z with +X to the left, ours along -Z with +X to the right
     pose = np.asarray(camera.to_world, np.float64) @ np.diag([-1.0, 1.0, -1.0, 1.0])
     return {
@@ -120,7 +122,8 @@ def sensor(camera: Camera, width: int, height: int, samples: int = 16, alpha: bo
         "to_world": Matrix(pose.astype(np.float32)),
         "fov": float(np.degrees(camera.fov_x)),
         "fov_axis": "x",
-        "near_clip": 1e-3,
+        "near_clip": near,
+        "far_clip": far,
         "film": {
             "type": "hdrfilm",
             "width": width,
@@ -154,7 +157,7 @@ def to_mitsuba(
     import mitsuba as mi
 
     with tempfile.TemporaryDirectory() as folder:
-        camera = sensor(view.camera, size, size, samples)
+        camera = sensor(scene, view.camera, size, size, samples)
         tree = describe(scene, Path(folder), [camera], integrator, half=False, shading=shading)
         return mi.load_dict(_loadable(mi, tree, Path(folder)))
 

@@ -126,7 +126,7 @@ def write_room(room: Room, assembly: Assembly, folder: Path, settings: ExportSet
     scene = room.scene
     views = scene.test or scene.train
     bar.stage("scene.xml", 1)
-    sensors = [sensor(v.camera, v.camera.width, v.camera.height, 256, room.hide_environment) for v in views]
+    sensors = [sensor(scene, v.camera, v.camera.width, v.camera.height, 256, room.hide_environment) for v in views]
     write_xml(describe(scene, folder, sensors, path_integrator(scene, room.hide_environment)), folder / "scene.xml")
     bar.stage("scene.glb", len(room.names))
     with_usd = usd.has_usd()

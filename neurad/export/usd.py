@@ -17,7 +17,8 @@ from neurad.core.records import Constant, EnvironmentMap, FloatArray, Material, 
 from neurad.core.reflection import PrincipledModel
 from neurad.export.axes import rotation
 from neurad.export.base_colour import Target, base_for
-from neurad.export.gltf import near_plane, unit_normals
+from neurad.export.cameras import clip_planes
+from neurad.export.gltf import unit_normals
 from neurad.export.images import Coded
 from neurad.export.raster_kernels import Array
 from neurad.export.room import Room
@@ -116,9 +117,8 @@ class _Stage:
             material = scene.materials[mesh.material]
             surface = self._material(self.room.names[index], mesh, material, self.room.baked[index] is not None)
             self._mesh(self.room.names[index], mesh, material.two_sided, surface)
-        near = near_plane(self.room)
         for view in (*scene.train, *scene.test):
-            self._camera(view, near)
+            self._camera(view)
         if scene.environment is not None:
             self._environment(scene.environment)
 
@@ -199,7 +199,7 @@ class _Stage:
         kind = Sdf.ValueTypeNames.Float3 if channel == "rgb" else Sdf.ValueTypeNames.Float
         return shader.CreateOutput(channel, kind)
 
-    def _camera(self, view: View, near: float) -> None:
+    def _camera(self, view: View) -> None:
         from pxr import Gf, UsdGeom
 
         camera, prim = view.camera, UsdGeom.Camera.Define(self.stage, self._path("cameras", view.name))
@@ -208,8 +208,7 @@ class _Stage:
         prim.CreateHorizontalApertureAttr(FILM)
         prim.CreateVerticalApertureAttr(FILM * camera.height / camera.width)
         prim.CreateFocalLengthAttr(0.5 * FILM / np.tan(0.5 * camera.fov_x))
-        far = 10.0 * float(np.linalg.norm(self.room.scene.bounds[1] - self.room.scene.bounds[0]))
-        prim.CreateClippingRangeAttr(Gf.Vec2f(near, max(far, 2.0 * near)))
+        prim.CreateClippingRangeAttr(Gf.Vec2f(*clip_planes(self.room.scene, camera)))
         prim.AddTransformOp().Set(_matrix(np.asarray(camera.to_world, np.float64)))
 
     def _environment(self, environment: EnvironmentMap) -> None:

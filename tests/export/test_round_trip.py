@@ -124,6 +124,27 @@ def test_normals_stay_where_there_are_some(tmp_path):
             assert np.allclose(mesh.normals[mesh.faces], found.normals[found.faces], atol=1e-6)
 
 
+@pytest.mark.parametrize("unit", [0.03, 1e5])
+def test_the_length_of_the_unit_does_not_matter(tmp_path, unit):
+    """Light knows no lengths: Mitsuba shows a scene of another unit as before; below 1e-2 its own ray offsets show."""
+    import mitsuba as mi
+
+    mi.set_variant("scalar_rgb")
+    scene, means = build_cornell(), []
+    for factor in (1.0, unit):
+        meshes = [replace(mesh, vertices=mesh.vertices * np.float32(factor)) for mesh in scene.meshes]
+        views = []
+        for view in scene.test:
+            pose = np.array(view.camera.to_world)
+            pose[:3, 3] *= factor
+            views.append(replace(view, camera=replace(view.camera, to_world=pose)))
+        room = exported(replace(scene, meshes=meshes, train=views, test=views), tmp_path / f"{factor:g}")
+        loaded = mi.load_file(str(room / "scene.xml"))
+        means.append([np.array(mi.render(loaded, sensor=i, spp=8, seed=i)).mean() for i in range(len(views))])
+    assert min(means[0]) > 0
+    assert means[1] == pytest.approx(means[0], rel=0.02)
+
+
 @pytest.mark.parametrize("copy", [False, True])
 def test_photographs_with_alpha_and_a_second_light(tmp_path, copy):
     scene = photographed(object_scene(sky()), tmp_path, spp=1, relit=sky(seed=1))
