@@ -31,6 +31,8 @@ SHARED = 10.0
 """Times that it may take so long on a machine that others use, too."""
 COARSEST = 0.4
 """Fraction of the wanted texels a length at which the texture is doubled rather than the charts made smaller."""
+NEAR_ENOUGH = 0.8
+"""Fraction of the texels a length that a mesh needs with which it is left alone."""
 TRIES = 12
 
 
@@ -131,7 +133,29 @@ class AtlasMaker:
             self._process = None
 
 
-def atlas_chart(mesh: Mesh, width: int, height: int, area: float, maker: AtlasMaker) -> Chart | None:
+class Spare:
+    """Texels that nobody has asked for yet; threads may take from them.
+
+    Args:
+        texels: how many.
+    """
+
+    def __init__(self, texels: int) -> None:
+        self.texels = texels
+        self._lock = threading.Lock()
+
+    def take(self, texels: int) -> bool:
+        """Take so many, if there are so many left."""
+        with self._lock:
+            if texels > self.texels:
+                return False
+            self.texels -= texels
+            return True
+
+
+def atlas_chart(
+    mesh: Mesh, width: int, height: int, area: float, needed: float, maker: AtlasMaker, spare: Spare
+) -> Chart | None:
     """The mesh with an atlas in a texture of about this size; None where xatlas fails, takes too long, or the mesh
     falls into so many charts that they need more than the largest texture.
 
@@ -140,10 +164,12 @@ def atlas_chart(mesh: Mesh, width: int, height: int, area: float, maker: AtlasMa
         width: of the texture; doubled together with the height until the charts fit with room between them.
         height: likewise.
         area: of the mesh, in scene units.
+        needed: texels per unit of length; while the charts have much less, the texture is doubled from what is spare.
         maker: runs xatlas.
+        spare: texels beyond those of all textures.
     """
     wanted = 0.9 * math.sqrt(FILLED * width * height / area) if area > 0 else 1.0
-    density = wanted
+    density, found = wanted, None
     for _ in range(TRIES):
         made = maker.make(mesh, density)
         if made is None:
@@ -155,14 +181,20 @@ def atlas_chart(mesh: Mesh, width: int, height: int, area: float, maker: AtlasMa
             placed = (MARGIN + uvs * packed * scale) / np.array([width, short])
             unwrapped = _taken(mesh, vertex, faces, placed.astype(np.float32))
             found = Chart(unwrapped, find_charts(unwrapped), width, short, "atlas")
-            return found if is_unique(found) else None
+            if density * scale >= NEAR_ENOUGH * needed or 2 * max(width, height) > LARGEST:
+                break
+            if not spare.take(3 * width * short):
+                break
+            width, height, wanted = 2 * width, 2 * short, 2.0 * density * scale
+            density = wanted
+            continue
         density *= 0.8 * scale
         if density < COARSEST * wanted:  # what lies between the charts does not shrink with them
             width, height = 2 * width, 2 * height
             if max(width, height) > LARGEST:
-                return None
+                break
             density = wanted
-    return None
+    return found if found is not None and is_unique(found) else None
 
 
 def _taken(mesh: Mesh, vertex: np.ndarray, faces: np.ndarray, uvs: np.ndarray) -> Mesh:

@@ -45,7 +45,10 @@ def bake_room(assembly: Assembly, texels: int, size: int | None, up: Up | None, 
     density, seen = densities(world.tracer.tracer, world.geometry, scene, progress)
     textured = [i for i, material in enumerate(described) if not material.model.is_delta]
     progress.stage("texture coordinates", len(textured))
-    made = unwrap([scene.meshes[i] for i in textured], density[textured], texels, size, lambda name: progress.step())
+    made = unwrap(
+        [scene.meshes[i] for i in textured], density[textured], texels, size, lambda name: progress.step(),
+        share=seen[textured],
+    )  # fmt: skip
     charts: list[Chart | None] = [None] * len(scene.meshes)
     for index, chart in zip(textured, made, strict=True):
         charts[index] = chart

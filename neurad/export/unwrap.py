@@ -11,7 +11,7 @@ from dataclasses import replace
 import numpy as np
 
 from neurad.core.records import Mesh
-from neurad.export.atlas import SECONDS, AtlasMaker, atlas_chart
+from neurad.export.atlas import SECONDS, AtlasMaker, Spare, atlas_chart
 from neurad.export.charts import Chart, own_chart, triangle_areas
 from neurad.export.grid import grid_chart
 from neurad.export.raster_kernels import Array
@@ -26,6 +26,7 @@ def unwrap(
     side: int | None = None,
     done: Callable[[str], None] = lambda name: None,
     seconds: float = SECONDS,
+    share: Array | None = None,
 ) -> list[Chart]:
     """Every mesh with texture coordinates that are unique in a texture of its own.
 
@@ -36,6 +37,7 @@ def unwrap(
         side: of every texture, whatever it needs.
         done: called with the name of each mesh that is done.
         seconds: longest time for the atlas of one mesh.
+        share: of the photographs that each has [m]: who has most gets first what is left of the budget.
     """
     sizes = [wanted_size(mesh, float(d)) for mesh, d in zip(meshes, density, strict=True)]
     texels = rounded(sizes, budget, side)
@@ -46,12 +48,15 @@ def unwrap(
     sizes = [s if c else wanted_size(m, float(d)) for s, c, m, d in zip(sizes, own, bare, density, strict=True)]
     texels = np.where(_kept(own), texels, rounded(_or_nothing(sizes, own), _left(budget, own), side))
 
+    spare = Spare(max(budget - int(texels.prod(1).sum()), 0) if side is None else 0)
+    first = np.array([len(mesh.faces) for mesh in meshes]) if share is None else share
+
     def chart(index: int) -> Chart:
         found = own[index]
         if found is None:
             width, height = (int(x) for x in texels[index])
             with _borrowed(idle) as maker:
-                found = atlas_chart(bare[index], width, height, areas[index], maker)
+                found = atlas_chart(bare[index], width, height, areas[index], float(density[index]), maker, spare)
             if found is None:
                 found = grid_chart(bare[index], _grid_density(areas[index], width * height), LARGEST)
         done(meshes[index].name)
@@ -64,8 +69,7 @@ def unwrap(
         idle.put(maker)
     try:
         with ThreadPoolExecutor(count) as pool:
-            largest_first = sorted(range(len(meshes)), key=lambda i: -len(meshes[i].faces))
-            futures = {index: pool.submit(chart, index) for index in largest_first}
+            futures = {int(index): pool.submit(chart, int(index)) for index in np.argsort(-first, kind="stable")}
             return [futures[index].result() for index in range(len(meshes))]
     finally:
         for maker in makers:
