@@ -30,9 +30,14 @@ SECONDS = 60.0
 SHARED = 10.0
 """Times that it may take so long on a machine that others use, too."""
 COARSEST = 0.4
-"""Fraction of the wanted texels a length at which the texture is doubled rather than the charts made smaller."""
+"""Fraction of the wanted texels a length at which the texture is doubled rather than the charts made smaller, as long
+as texels are spare."""
+LAST = 0.05
+"""The same where none are."""
 NEAR_ENOUGH = 0.8
 """Fraction of the texels a length that a mesh needs with which it is left alone."""
+FOLDED = 1e-4
+"""Fraction of the texels in which a chart may lie over itself: slivers along its edges fold over."""
 TRIES = 12
 
 
@@ -189,12 +194,13 @@ def atlas_chart(
             density = wanted
             continue
         density *= 0.8 * scale
-        if density < COARSEST * wanted:  # what lies between the charts does not shrink with them
+        # What lies between the charts does not shrink with them.
+        if density < COARSEST * wanted and (spare.take(3 * width * height) or density < LAST * wanted):
             width, height = 2 * width, 2 * height
             if max(width, height) > LARGEST:
                 break
             density = wanted
-    return found if found is not None and is_unique(found) else None
+    return found if found is not None and is_unique(found, FOLDED) else None
 
 
 def _taken(mesh: Mesh, vertex: np.ndarray, faces: np.ndarray, uvs: np.ndarray) -> Mesh:

@@ -23,13 +23,14 @@ _EDGE, _GAP = (
 )  # a triangle stays so far from the sides of its square; its legs are so much shorter than these
 
 
-def grid_chart(mesh: Mesh, density: float, largest: int) -> Chart:
+def grid_chart(mesh: Mesh, density: float, largest: int, texels: int | None = None) -> Chart:
     """The mesh with every triangle apart, in a texture of a power of two that holds them.
 
     Args:
         mesh: what it has of texture coordinates is dropped.
-        density: wanted texels per unit of length; it is halved until all fits.
+        density: wanted texels per unit of length; it is made smaller until all fits.
         largest: side of the largest texture.
+        texels: of the texture, more only if the smallest squares need them; None for as many as it takes.
 
     Raises:
         InputError: the mesh has so many triangles that even the largest texture is too small.
@@ -44,11 +45,12 @@ def grid_chart(mesh: Mesh, density: float, largest: int) -> Chart:
         area = int((side**2).sum())
         width = 1 << max(int(np.ceil(np.log2(max(area, 16)) / 2)), 2)
         height = width // 2 if area * 2 <= width * width and width // 2 >= side[0] else width
-        if width <= largest:
+        smallest = bool((squares == SMALLEST).all())
+        if width <= largest and (smallest or texels is None or width * height <= texels):
             break
-        if (squares == SMALLEST).all():
+        if smallest:
             raise InputError(f"mesh {mesh.name}: {len(mesh.faces)} triangles do not fit in a texture of {largest}")
-        density *= 0.5
+        density *= 0.8
     corner = _morton(np.concatenate(([0], np.cumsum(side**2)[:-1])))  # [pairs, 2]
     pair = np.arange(len(order)) // 2
     uvs = np.empty((len(order), 3, 2))

@@ -18,6 +18,9 @@ from neurad.export.raster_kernels import Array
 from neurad.export.texels import LARGEST, TextureSize, rounded, wanted_size
 from neurad.runtime import threads
 
+PLANNED = 0.7
+"""Fraction of the budget that is dealt out before atlases are made; the rest goes where charts turn out to need it."""
+
 
 def unwrap(
     meshes: list[Mesh],
@@ -46,7 +49,8 @@ def unwrap(
     bare = [mesh if found else replace(mesh, uvs=None) for mesh, found in zip(meshes, own, strict=True)]
     # Without the coordinates that turned out not to be unique, textures are sized as atlases.
     sizes = [s if c else wanted_size(m, float(d)) for s, c, m, d in zip(sizes, own, bare, density, strict=True)]
-    texels = np.where(_kept(own), texels, rounded(_or_nothing(sizes, own), _left(budget, own), side))
+    planned = int(PLANNED * _left(budget, own))
+    texels = np.where(_kept(own), texels, rounded(_or_nothing(sizes, own), planned, side))
 
     spare = Spare(max(budget - int(texels.prod(1).sum()), 0) if side is None else 0)
     first = np.array([len(mesh.faces) for mesh in meshes]) if share is None else share
@@ -58,7 +62,7 @@ def unwrap(
             with _borrowed(idle) as maker:
                 found = atlas_chart(bare[index], width, height, areas[index], float(density[index]), maker, spare)
             if found is None:
-                found = grid_chart(bare[index], _grid_density(areas[index], width * height), LARGEST)
+                found = grid_chart(bare[index], _grid_density(areas[index], width * height), LARGEST, width * height)
         done(meshes[index].name)
         return found
 
