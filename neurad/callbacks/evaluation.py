@@ -225,7 +225,7 @@ class Evaluate(pl.Callback):
 
 def _group(name: str) -> str:
     """TensorBoard's group of a score: the curves to follow first, not lost among the flat lines of the constant."""
-    kinds = ("constant", "seen")
+    kinds = ("constant", "lookup", "seen")
     return "_".join(["held_out", *(kind for kind in kinds if kind in name.split("_"))])
 
 

@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from neurad.core.errors import InputError
+from neurad.metrics.marks import MARKS
 from neurad.runtime.files import write_text
 from neurad.runtime.tables import align, append_csv, numbers, read_csv, read_lines
 
@@ -90,7 +91,8 @@ class MetricsTable:
 
 
 def score_table(scores: Mapping[str, float], spp: int, label: str = "neurad") -> str:
-    """The closing table: this run beside the best constant, over all held-out pixels and over each of :data:`REGIONS`.
+    """The closing table: this run beside the best constant and, for roughness, a lookup by the true colours, over all
+    held-out pixels and over each of :data:`REGIONS`.
 
     Args:
         scores: by the names of :data:`COLUMNS`; a best constant's score has ``_constant`` before any ``_seen``.
@@ -100,7 +102,7 @@ def score_table(scores: Mapping[str, float], spp: int, label: str = "neurad") ->
     lines = []
     for suffix, pixels in REGIONS.items():
         body = [list(HEADINGS.values())]
-        for row, kind in ((label, ""), ("best constant", "_constant")):
+        for row, kind in ((label, ""), *MARKS.items()):
             values = {name: scores.get(f"{name}{kind}{suffix}") for name in HEADINGS if name}
             if any(value is not None for value in values.values()):
                 body.append([row, *(_score(name, value) for name, value in values.items())])

@@ -8,7 +8,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Self
 
 import numpy as np
@@ -21,6 +22,7 @@ from neurad.core.protocols import Materials, Tracer
 from neurad.core.records import FloatArray, SurfaceInteraction, View
 from neurad.core.rng import Stream
 from neurad.integrators.film import pixel_positions, strided
+from neurad.metrics.colour_lookup import MOST_VIEWS, ColourLookup, explained
 from neurad.metrics.scores import BoolArray, Float64Array, Pool, block_means
 from neurad.metrics.seen import SeenBy
 from neurad.scene.description import Scene
@@ -43,8 +45,9 @@ SCORES = {
     "albedo": ("psnr", "mape"),
     "albedo 8x8": ("psnr",),
     "roughness": ("psnr", "mape"),
+    "roughness lookup": ("psnr", "mape", "r2"),
 }
-"""What is compared, and the scores that are reported of it."""
+"""What is compared, and the scores that are reported of it; ``lookup`` is no prediction but a mark, as the constant."""
 SEED = 20230807
 
 Maps = Mapping[str, FloatArray]
@@ -73,6 +76,7 @@ class HeldOut:
     """
 
     def __init__(self, scene: Scene, geometry: Geometry, tracer: Tracer, grid: int = 4, stride: int = 1) -> None:
+        self.scene = scene
         self.views: list[View] = scene.test
         self.geometry = geometry
         self.tracer = tracer
@@ -95,7 +99,28 @@ class HeldOut:
         """
         for index in range(len(self.views)):
             self.truth(index)
+        _ = self.lookup
         return self
+
+    @cached_property
+    def lookup(self) -> ColourLookup | None:
+        """Roughness by colour in the true maps of some training views; None where there are none, or where held-out
+        views have none to score.
+
+        Raises:
+            InputError: as :meth:`truth`.
+        """
+        views = [view for view in self.scene.train if view.albedo and view.roughness]
+        if not (views and self.has_roughness and any(view.albedo and view.roughness for view in self.views)):
+            return None
+        chosen = replace(self.scene, test=views[:: -(-len(views) // MOST_VIEWS)])
+        training = HeldOut(chosen, self.geometry, self.tracer, 1)  # a ray a pixel tells what is no emitter
+
+        def pixels(index: int) -> tuple[FloatArray, FloatArray]:
+            truth, counted = training.truth(index), training.counted(index)
+            return truth["albedo_true"][counted], truth["roughness_true"][counted][:, 0]
+
+        return ColourLookup.of(pixels(index) for index in range(len(chosen.test)))
 
     # --- sub-samples
 
@@ -240,9 +265,11 @@ class HeldOut:
         Returns:
             ``psnr_linear`` and ``psnr_srgb`` over all pixels; ``mape_linear`` over those that show a surface;
             ``{albedo, roughness}_{psnr, mape}`` over counted ones and ``albedo_psnr_8x8`` over these after a box
-            filter. Each also with ``_constant``, of the best constant, and those of albedo, if ``scaled``, with
-            ``_scaled1`` and ``_scaled3``, after the best factor for all channels together or for each. All these also
-            with ``_seen``, over pixels of surfaces that a training view sees, and with the suffixes of ``regions``.
+            filter. Each also with ``_constant``, of the best constant, those of roughness with ``_lookup``, of
+            :attr:`lookup` by the true colours, whose fraction of explained variance is ``roughness_r2_lookup``, and
+            those of albedo, if ``scaled``, with ``_scaled1`` and ``_scaled3``, after the best factor for all channels
+            together or for each. All these also with ``_seen``, over pixels of surfaces that a training view sees, and
+            with the suffixes of ``regions``.
         """
         count = range(len(self.views))
         masks: dict[str, Sequence[BoolArray]] = {"seen": [self.seen(i) for i in count], **(regions or {})}
@@ -253,7 +280,11 @@ class HeldOut:
                 region = np.ones_like(self.counted(i)) if mask is None else mask[i]
                 self._pool(pools, i, maps[i], None if renders is None else renders[i], region)
             for name, pool in pools.items():
-                for score, value in pool.scores(scaled and name.startswith("albedo")).items():
+                found = pool.scores(scaled and name.startswith("albedo"))
+                if "lookup" in name and found:
+                    r2 = explained(found["psnr"], found["psnr_constant"])
+                    found = {"psnr": found["psnr"], "mape": found["mape"]} | ({} if math.isnan(r2) else {"r2": r2})
+                for score, value in found.items():
                     if score.partition("_")[0] in SCORES[name]:
                         scores[_key(name, score, suffix)] = value
         return scores
@@ -285,6 +316,8 @@ class HeldOut:
                 pools["albedo 8x8"].add(guess, exact, weight > 0, weight)
         if "roughness_true" in truth and "roughness" in maps:
             pools["roughness"].add(maps["roughness"], truth["roughness_true"], counted)
+            if self.lookup is not None and "albedo_true" in truth:
+                pools["roughness lookup"].add(self.lookup(truth["albedo_true"]), truth["roughness_true"], counted)
 
 
 def _key(name: str, score: str, region: str) -> str:
