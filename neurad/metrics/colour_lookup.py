@@ -16,7 +16,7 @@ from neurad.core.records import FloatArray
 from neurad.metrics.scores import Float64Array
 
 BINS = (24, 12, 6, 3, 1)
-"""Bins along each channel's square root, the finest table first; a bin that has nothing is looked up in the next one."""
+"""Bins along the square root of each channel, the finest table first; what is empty there is looked up in the next."""
 MOST_VIEWS = 8
 """Training views whose true maps are read for it."""
 

@@ -42,6 +42,7 @@ SCORES = {
     "linear": ("psnr",),
     "linear surfaces": ("mape",),
     "srgb": ("psnr",),
+    "lhs": ("psnr",),
     "albedo": ("psnr", "mape"),
     "albedo 8x8": ("psnr",),
     "roughness": ("psnr", "mape"),
@@ -252,6 +253,7 @@ class HeldOut:
         renders: Sequence[FloatArray] | None = None,
         regions: Mapping[str, Sequence[BoolArray]] | None = None,
         scaled: bool = False,
+        fields: Sequence[FloatArray] | None = None,
     ) -> dict[str, float]:
         """Scores over the pooled pixels of all views; what has no ground truth is left out.
 
@@ -261,15 +263,16 @@ class HeldOut:
             renders: pictures [h, w, 3] of every view, linear.
             regions: further masks [h, w] of every view, by the suffix of their scores.
             scaled: whether light and albedo are found up to a common factor only.
+            fields: pictures [h, w, 3] of every view that the radiance field itself shows (the left-hand side), linear.
 
         Returns:
-            ``psnr_linear`` and ``psnr_srgb`` over all pixels; ``mape_linear`` over those that show a surface;
-            ``{albedo, roughness}_{psnr, mape}`` over counted ones and ``albedo_psnr_8x8`` over these after a box
-            filter. Each also with ``_constant``, of the best constant, those of roughness with ``_lookup``, of
-            :attr:`lookup` by the true colours, whose fraction of explained variance is ``roughness_r2_lookup``, and
-            those of albedo, if ``scaled``, with ``_scaled1`` and ``_scaled3``, after the best factor for all channels
-            together or for each. All these also with ``_seen``, over pixels of surfaces that a training view sees, and
-            with the suffixes of ``regions``.
+            ``psnr_linear`` and ``psnr_srgb`` over all pixels, ``psnr_lhs`` (linear) likewise; ``mape_linear`` over
+            those that show a surface; ``{albedo, roughness}_{psnr, mape}`` over counted ones and ``albedo_psnr_8x8``
+            over these after a box filter. Each also with ``_constant``, of the best constant, those of roughness with
+            ``_lookup``, of :attr:`lookup` by the true colours, whose fraction of explained variance is
+            ``roughness_r2_lookup``, and those of albedo, if ``scaled``, with ``_scaled1`` and ``_scaled3``, after the
+            best factor for all channels together or for each. All these also with ``_seen``, over pixels of surfaces
+            that a training view sees, and with the suffixes of ``regions``.
         """
         count = range(len(self.views))
         masks: dict[str, Sequence[BoolArray]] = {"seen": [self.seen(i) for i in count], **(regions or {})}
@@ -279,8 +282,12 @@ class HeldOut:
             for i in count:
                 region = np.ones_like(self.counted(i)) if mask is None else mask[i]
                 self._pool(pools, i, maps[i], None if renders is None else renders[i], region)
+                if fields is not None and "photograph" in self.truth(i):
+                    pools["lhs"].add(fields[i], self.truth(i)["photograph"], region)
             for name, pool in pools.items():
                 found = pool.scores(scaled and name.startswith("albedo"))
+                if name == "lhs":  # its constant is that of the other picture
+                    found.pop("psnr_constant", None)
                 if "lookup" in name and found:
                     r2 = explained(found["psnr"], found["psnr_constant"])
                     found = {"psnr": found["psnr"], "mape": found["mape"]} | ({} if math.isnan(r2) else {"r2": r2})
@@ -324,7 +331,7 @@ def _key(name: str, score: str, region: str) -> str:
     """Column of a score, such as ``albedo_psnr_8x8_constant_seen``: what, score, filter, constant, region."""
     what, _, filtered = name.partition(" ")
     kind, _, constant = score.partition("_")
-    images = what in ("linear", "srgb")
+    images = what in ("linear", "srgb", "lhs")
     parts = (kind, what) if images else (what, kind, filtered)
     return "_".join(part for part in (*parts, constant, region) if part)
 

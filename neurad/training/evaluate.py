@@ -24,6 +24,8 @@ from neurad.scene.textures import TrueMaterials
 SEED = 20230806
 """Of evaluation pictures: their noise is the same at every evaluation, so that curves show learning only."""
 
+FIELD_SPP = 16
+"""Largest number of positions in a pixel at which the radiance field's own picture is taken: it has no other noise."""
 GLOSSY_SAMPLES = 2
 """Estimates for each sub-sample and training view that decide whether a pixel is lit and glossy."""
 
@@ -83,19 +85,23 @@ def evaluate(
     device, stride = world.geometry.vertices.device, held_out.stride
     fitted = not isinstance(materials, TrueMaterials)
     maps: list[dict[str, FloatArray]] = held_out.predict(materials) if fitted else [{} for _ in held_out.views]
+    fields: list[FloatArray] = []
     for index, (view, entry) in enumerate(zip(held_out.views, maps, strict=True)):
         right = render(view.camera, rhs, render_spp, SEED + index, device, stride=stride)
         entry["render"] = right.cpu().numpy()
         if lhs is not None:
-            left = render(view.camera, lhs, min(4, render_spp), SEED + index, device, stride=stride)
+            left = render(view.camera, lhs, min(FIELD_SPP, render_spp), SEED + index, device, stride=stride)
             entry["residual"] = (left - right).abs().cpu().numpy()
+            fields.append(left.cpu().numpy())
         entry.update(held_out.truth(index))
     regions = (
         {"lit_glossy": lit_glossy(held_out, reflected_by(estimator.method, estimator.scene), GLOSSY_SAMPLES)}
         if glossy and fitted
         else None
     )
-    scores = held_out.score(maps, [entry["render"] for entry in maps], regions, scaled=fitted and light is not None)
+    scores = held_out.score(
+        maps, [entry["render"] for entry in maps], regions, fitted and light is not None, fields or None
+    )
     if glossy and fitted and scene is not None:
         scores |= _relight(held_out, scene, world, materials, render_spp, maps)
     if light is None:

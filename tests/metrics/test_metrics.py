@@ -264,7 +264,7 @@ def test_scores_of_two_views_by_hand(tmp_path: Path) -> None:
 
 def test_lookup_by_true_colour_scores_what_colour_tells(tmp_path: Path) -> None:
     """Three colours in the training views; a fourth, near the third, in the held-out one. By hand: in one part
-    the two roughnesses of colour 0.4 have the mean 0.3, and 0.65, of which the finest table has nothing, is found with 0.6.
+    the two roughnesses of colour 0.4 have the mean 0.3; 0.65, which the finest table lacks, is found beside 0.6.
     """
     albedo, roughness = np.full((SIDE, SIDE, 3), 0.02), np.full((SIDE, SIDE, 1), 0.9)
     albedo[SEEN], roughness[SEEN] = 0.4, 0.3

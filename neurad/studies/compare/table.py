@@ -52,7 +52,9 @@ def seconds_to(run: Run, albedo_psnr: float) -> float:
 def table(runs: Sequence[Run], reach: Sequence[float] = REACH) -> list[TableRow]:
     """The rows: medians over the seeds of each method, then the best constant and the lookup by the true colours."""
     rows = [_row(method, group, reach) for method, group in by_method(runs).items()]
-    return [*rows, *({"method": label, **scores} for label, scores in marks(runs).items())]
+    for label, scores in marks(runs).items():
+        rows.append({"method": label, **scores})
+    return rows
 
 
 def _row(method: str, group: Sequence[Run], reach: Sequence[float]) -> TableRow:
