@@ -260,10 +260,10 @@ class Ladder:
         exact = recovery.less_mean(seen)
         drawn = sigma * np.random.default_rng(SEED).standard_normal(sigma.shape, np.float32)
         noise = self.errors(self.maps_of(recovery(exact + drawn)), regions)
-        photographs = self.photographs.reshape(-1, 3)[self.kept]
-        values = [recovery(exact + photographs - picture.reshape(-1, 3)[self.kept]) for picture in found.pictures]
+        seen_light: FloatArray = exact + self.photographs.reshape(-1, 3)[self.kept]
+        values = [recovery(seen_light - picture.reshape(-1, 3)[self.kept]) for picture in found.pictures]
         # The product of two errors whose samples are independent has no noise of the samples in it.
-        half = self.errors(self.maps_of((values[0] + values[1]) / 2), regions)
+        half = self.errors(self.maps_of(values[0] + (values[1] - values[0]) * np.float32(0.5)), regions)
         apart = self._spread(self.maps_of(values[0]), self.maps_of(values[1]), regions)
         return noise, {key: half[key] - apart[key] / 4 for key in half}
 
