@@ -21,6 +21,7 @@ HEADINGS = {
     "roughness_mape": "MAPE",
     "psnr_linear": "image PSNR linear",
     "psnr_srgb": "sRGB",
+    "psnr_lhs": "of the field",
 }
 LIGHT = {
     "": "",
@@ -90,7 +91,7 @@ class MetricsTable:
             write_text(self.path, "".join(kept))
 
 
-def score_table(scores: Mapping[str, float], spp: int, label: str = "neurad") -> str:
+def score_table(scores: Mapping[str, float], spp: int, label: str = "neurad", steady: bool = False) -> str:
     """The closing table: this run beside the best constant and, for roughness, a lookup by the true colours, over all
     held-out pixels and over each of :data:`REGIONS`.
 
@@ -98,6 +99,7 @@ def score_table(scores: Mapping[str, float], spp: int, label: str = "neurad") ->
         scores: by the names of :data:`COLUMNS`; a best constant's score has ``_constant`` before any ``_seen``.
         spp: samples per pixel of the renderings behind ``psnr_linear`` and ``psnr_srgb``; 0 where there are none.
         label: what the scores belong to.
+        steady: whether the radiance field took their noise from these renderings, where there is one.
     """
     lines = []
     for suffix, pixels in REGIONS.items():
@@ -107,7 +109,8 @@ def score_table(scores: Mapping[str, float], spp: int, label: str = "neurad") ->
             if any(value is not None for value in values.values()):
                 body.append([row, *(_score(name, value) for name, value in values.items())])
         if len(body) > 1:
-            rendered = f" (images rendered with {spp} samples per pixel)" if spp else ""
+            control = ", the radiance field as control variate" if steady and "psnr_lhs" in scores else ""
+            rendered = f" (images rendered with {spp} samples per pixel{control})" if spp else ""
             lines += [f"Held-out views, {pixels}{rendered}", *align(body), ""]
     return "\n".join(lines + light_table(scores)).rstrip()
 
@@ -140,8 +143,10 @@ def curve_table(rows: Sequence[Row], count: int = 8) -> str:
         return ""
     steps = min(count, len(rows))
     chosen = sorted({round(i * (len(rows) - 1) / max(steps - 1, 1)) for i in range(steps)})
-    names = ("albedo_psnr", "roughness_psnr", "psnr_linear")
-    body = [["seconds", "iteration", "albedo PSNR", "roughness PSNR", "image PSNR linear"]]
+    shown = {"albedo_psnr": "albedo PSNR", "roughness_psnr": "roughness PSNR", "psnr_linear": "image PSNR linear"}
+    shown |= {"psnr_lhs": "of the field"} if any("psnr_lhs" in row for row in rows) else {}
+    names = list(shown)
+    body = [["seconds", "iteration", *shown.values()]]
     for index in chosen:
         row = rows[index]
         scores = [_score(name, row.get(name)) for name in names]

@@ -7,7 +7,7 @@ opened nowhere else.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Self
@@ -91,6 +91,7 @@ class HeldOut:
         self._seen: dict[int, BoolArray] = {}
         self._shows: dict[int, BoolArray] = {}
         self._truth: dict[int, dict[str, FloatArray]] = {}
+        self._emitted: dict[int, Tensor] = {}
 
     def read(self) -> Self:
         """Read all files now, so that a bad one is found before training and not after it.
@@ -198,6 +199,16 @@ class HeldOut:
             parts = [self._pixels(part, si.valid).any(-1) for part, si in self.sub_samples(index)]
             self._shows[index] = self._image(index, torch.cat(parts))
         return self._shows[index]
+
+    @torch.no_grad()
+    def emitted(self, index: int, light: Callable[[SurfaceInteraction], Tensor]) -> Tensor:
+        """What the camera sees without any reflection [h, w, 3], the mean over all sub-samples; ``light`` gives it for
+        their interactions and never changes.
+        """
+        if index not in self._emitted:
+            parts = [self._pixels(part, light(si)).mean(1) for part, si in self.sub_samples(index)]
+            self._emitted[index] = torch.cat(parts).view(*self.size(index), 3)
+        return self._emitted[index]
 
     def _image(self, index: int, pixels: Tensor) -> np.ndarray:
         """Row-major pixels [h * w, ...] as an array [h, w, ...]."""

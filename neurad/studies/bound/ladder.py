@@ -13,6 +13,7 @@ from neurad.core.errors import InputError
 from neurad.core.protocols import Materials
 from neurad.core.records import FloatArray, IntArray, SurfaceInteraction
 from neurad.integrators.estimator import Estimator
+from neurad.integrators.film import box_mean
 from neurad.integrators.method import SceneModel
 from neurad.integrators.primary_hits import PrimaryHits
 from neurad.metrics.held_out import HeldOut, Maps
@@ -22,7 +23,7 @@ from neurad.runs.load import LoadedRun
 from neurad.scene.textures import TrueMaterials
 from neurad.studies.bound.cells import SurfaceCells, encode
 from neurad.studies.bound.fields import fit_fields, predicted, training_run
-from neurad.studies.bound.photographs import Predicted, box_mean, noise_scale, photo_noise, predict
+from neurad.studies.bound.photographs import Predicted, noise_scale, photo_noise, predict
 from neurad.studies.bound.recovery import Photographed, Prior, Recovery, Response, SeenDirectly
 from neurad.studies.bound.sparse import Rows
 from neurad.training.evaluate import GLOSSY_SAMPLES
@@ -169,8 +170,8 @@ class Ladder:
         if not self.held_out.has_roughness:
             both[..., 3] = 1.0
         width = self.run.scene.train[0].camera.width
-        power = (np.square(both[:, 0] - both[:, 1]) / 2).reshape(len(self.left_out), -1, width, 4)
-        spread = np.stack([box_mean(image, 5) for image in power]).reshape(-1, 4)[self.kept]
+        power = torch.from_numpy(np.square(both[:, 0] - both[:, 1]) / 2).view(len(self.left_out), -1, width, 4)
+        spread = torch.stack([box_mean(image, 5) for image in power]).view(-1, 4).numpy()[self.kept]
         pairs = both[self.kept]
         column = self.footprint.column.reshape(-1, POSITIONS)[:, :: POSITIONS // 2].reshape(-1)
         one = Rows(np.arange(len(column) + 1), column, np.ones(len(column), np.float32), self.footprint.columns)

@@ -14,6 +14,7 @@ from neurad.core.protocols import Materials
 from neurad.core.records import FloatArray, PixelBatch, Surface
 from neurad.core.rng import Stream
 from neurad.integrators.estimator import Estimator
+from neurad.integrators.film import box_mean
 from neurad.integrators.primary_hits import PrimaryHits
 
 DARK = 0.05
@@ -70,12 +71,10 @@ def noise_scale(photographs: FloatArray, predicted: Predicted, sigma: FloatArray
     return math.sqrt(float(np.clip((differences[0] * differences[1]).mean() / 2 - other.mean(), 0.1, 1.0)))
 
 
-def box_mean(image: FloatArray, size: int) -> FloatArray:
-    """Means over ``size`` x ``size`` pixels around each [h, w, c], of those that there are."""
-    picture = torch.as_tensor(np.ascontiguousarray(image)).permute(2, 0, 1).unsqueeze(0)
-    mean = torch.nn.functional.avg_pool2d(picture, size, 1, size // 2, count_include_pad=False)
-    result: FloatArray = mean[0].permute(1, 2, 0).numpy()
-    return result
+def _mean(image: FloatArray, size: int) -> FloatArray:
+    """:func:`neurad.integrators.film.box_mean` of arrays."""
+    mean: FloatArray = box_mean(torch.from_numpy(np.ascontiguousarray(image)), size).numpy()
+    return mean
 
 
 @dataclass(frozen=True)
@@ -149,7 +148,7 @@ def _respond(
 def _smooth(image: FloatArray, counted: np.ndarray, size: int) -> FloatArray:
     """Box means over the pixels that count [h, w, c]; 0 elsewhere."""
     inside = counted[..., None].astype(np.float32)
-    result = inside * box_mean(image * inside, size) / np.maximum(box_mean(inside, size), 1e-12)
+    result = inside * _mean(image * inside, size) / np.maximum(_mean(inside, size), 1e-12)
     return result.astype(np.float32)
 
 
