@@ -82,7 +82,8 @@ class Ladder:
         report: told what is done.
 
     Raises:
-        InputError: the run has no radiance field or known materials, or true maps or photographs are missing.
+        InputError: the run has no radiance field or known materials, the scene has smooth surfaces, or true maps or
+            photographs are missing.
     """
 
     def __init__(self, run: LoadedRun, report: Callable[[str], None] = print) -> None:
@@ -92,8 +93,11 @@ class Ladder:
             )
         self.run, self.report = run, report
         scene, world = run.scene, run.world
+        if world.delta is not None:
+            raise InputError(f"scene {scene.name}: footprints through glass and in mirrors are not known to the bound")
         self.truth: Materials = TrueMaterials(scene, world.geometry)
         self.held_out = HeldOut(scene, world.geometry, world.tracer).read()
+        self._check(self.held_out, "held-out")
         self.maps, photographs = self._training_truth()
         self.training: TrainingRun = training_run(scene, _settings(run.settings), photographs)
         primary, device = self.training.views.primary, world.geometry.vertices.device
@@ -102,9 +106,8 @@ class Ladder:
         missed = primary.prim.view(views, pixels, POSITIONS) < 0
         self.left_out |= missed.any(-1)
         self.photographs = self.training.photographs.photographs.numpy()  # type: ignore[attr-defined]
-        low, high = run.assembly.region.bounds
-        self.box = (low, high)
         report("cells of what the training views see")
+        self.box = low, high = self._box(primary)
         codes = np.concatenate([self._codes(primary, view) for view in range(views)])  # [views * pixels * POSITIONS]
         kept = (~self.left_out).view(-1).cpu().numpy()
         self.kept: IntArray = np.flatnonzero(kept)
@@ -122,18 +125,38 @@ class Ladder:
         """True materials of all training pixels [views, pixels, 4], and the photographs [h, w, 3]."""
         scene, world = self.run.scene, self.run.world
         reader = HeldOut(replace(scene, test=scene.train), world.geometry, world.tracer, 1)
+        self._check(reader, "training")
         maps, photographs = [], []
-        for index, view in enumerate(scene.train):
+        for index in range(len(scene.train)):
             found = reader.truth(index)
-            needed = ["photograph", "albedo_true", *(["roughness_true"] if reader.has_roughness else [])]
-            for name in needed:
-                if name not in found:
-                    raise InputError(f"training view {view.name}: it has no {name.replace('_', ', ')} to bound by")
             albedo = found["albedo_true"]
             roughness = found.get("roughness_true", np.ones_like(albedo[..., :1]))
             maps.append(np.concatenate((albedo, roughness), -1).reshape(-1, 4))
             photographs.append(found["photograph"])
         return np.stack(maps), photographs
+
+    @staticmethod
+    def _check(reader: HeldOut, kind: str) -> None:
+        """Raise InputError where a view lacks what is compared with."""
+        if not reader.views:
+            raise InputError(f"the scene has no {kind} views to bound by")
+        names = {"photograph": "photograph", "albedo_true": "true albedo"}
+        names |= {"roughness_true": "true roughness"} if reader.has_roughness else {}
+        for index, view in enumerate(reader.views):
+            for name, words in names.items():
+                if name not in reader.truth(index):
+                    raise InputError(f"{kind} view {view.name}: it has no {words}, which the bound needs")
+
+    def _box(self, primary: PrimaryHits) -> tuple[FloatArray, FloatArray]:
+        """Corners of what the training views see."""
+        ends = []
+        for view in range(len(self.left_out)):
+            si = self._points(primary, view, slice(0, 1))
+            if bool(si.valid.any()):
+                p = si.p[si.valid]
+                ends.append(torch.stack((p.amin(0), p.amax(0))).cpu().numpy())
+        low, high = np.min([end[0] for end in ends], 0), np.max([end[1] for end in ends], 0)
+        return low, high
 
     def _codes(self, primary: PrimaryHits, view: int) -> IntArray:
         """Cells of the kept positions of a view [pixels * POSITIONS]."""
