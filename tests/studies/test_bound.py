@@ -15,7 +15,7 @@ from neurad.integrators.estimator import Estimator
 from neurad.integrators.primary_hits import PrimaryHits
 from neurad.scene.builtin import build_furnace
 from neurad.studies.bench.bound import gap, sentence
-from neurad.studies.bound.cells import COARSEST, FINEST, SurfaceCells, encode
+from neurad.studies.bound.cells import COARSEST, FINEST, SurfaceCells, _pack, _unpack, encode
 from neurad.studies.bound.ladder import rungs
 from neurad.studies.bound.photographs import Predicted, noise_scale, photo_noise, predict
 from neurad.studies.bound.recovery import Photographed, Prior, Recovery, SeenDirectly
@@ -38,7 +38,7 @@ def lattice(power):
     """Cells of level ``power`` on the plane, all of them, and the middles of their squares [n]."""
     (x, y), finer = grid(power), grid(power + 1)
     codes = np.unique(encode(on_plane(*finer), LOW, HIGH))  # four in a cell, too many for the pixels
-    return SurfaceCells.of(LOW, HIGH, codes, round(len(x) / 1.5) + 1), x, y
+    return SurfaceCells.of(LOW, HIGH, codes, round(len(x) / 0.75) + 1), x, y
 
 
 def grid(power):
@@ -62,7 +62,16 @@ def test_products_are_those_of_the_dense_matrix():
     x, y = rng.random((7, 3), np.float32), rng.random((6, 3), np.float32)
     np.testing.assert_allclose(found @ x, exact @ x, rtol=1e-5)
     np.testing.assert_allclose(found.transposed(y), exact.T @ y, rtol=1e-5)
-    np.testing.assert_allclose((found.row_normalised() @ np.ones((7, 1)))[:5], 1.0, rtol=1e-6)
+
+
+def test_codes_say_side_and_place():
+    rng = np.random.default_rng(7)
+    for power in (3, FINEST):
+        side, place = rng.integers(0, 6, 50), rng.integers(0, 1 << power, (50, 3))
+        codes = _pack(side, place, power)
+        for found, true in zip(_unpack(codes, power), (side, place), strict=True):
+            np.testing.assert_array_equal(found, true)
+        np.testing.assert_array_equal(codes >> 3, _pack(side, place >> 1, power - 1))
 
 
 def test_what_is_linear_above_is_linear_below():
@@ -71,10 +80,7 @@ def test_what_is_linear_above_is_linear_below():
     assert cells.counts == [4 ** (COARSEST + i) for i in range(len(cells.counts))]
     for index, (above, here) in enumerate(pairwise(cells.codes)):
         powers = COARSEST + index, COARSEST + index + 1
-        x, y = (
-            [(codes >> 2 * p) % (1 << p), (codes >> p) % (1 << p)]
-            for codes, p in zip((above, here), powers, strict=True)
-        )
+        x, y = (_unpack(codes, power)[1][:, :2].T for codes, power in zip((above, here), powers, strict=True))
         values = ((np.array(x) + 0.5) / (1 << powers[0])).T.astype(np.float32)
         expected = ((np.array(y) + 0.5) / (1 << powers[1])).T
         inside = ((expected > 0.5 / (1 << powers[0])) & (expected < 1 - 0.5 / (1 << powers[0]))).all(-1)
@@ -88,7 +94,7 @@ def test_points_find_their_cell_or_what_lies_above_it():
     assert (found >= sum(cells.counts[:-1])).all()
     assert len(np.unique(found)) == len(found)
     assert (cells.find(encode(on_plane(x, y, up=False), LOW, HIGH)) == -1).all(), "the other side is another surface"
-    half = SurfaceCells.of(LOW, HIGH, np.unique(codes[x < 0.55]), len(codes))
+    half = SurfaceCells.of(LOW, HIGH, np.unique(codes[x < 0.55]), 2 * len(codes))
     beyond = half.find(encode(on_plane(np.array([0.7]), np.array([0.3])), LOW, HIGH))
     assert 0 <= beyond[0] < half.counts[0], "the coarse cell from 0.5 to 0.75 is seen, finer ones there are not"
 
@@ -99,7 +105,7 @@ def test_points_find_their_cell_or_what_lies_above_it():
 def single(response, sigma, n, spread, local=1.0):
     """``n`` pixels of one finest cell, details on the finest level alone, of these standard deviations [4]."""
     code = encode(on_plane(np.array([0.4]), np.array([0.4])), LOW, HIGH)
-    cells = SurfaceCells.of(LOW, HIGH, code, 1)
+    cells = SurfaceCells.of(LOW, HIGH, code, 2)
     levels = len(cells.codes)
     bases = [np.zeros((4, 4), np.float32)] * (levels - 1) + [np.diag(spread).astype(np.float32)]
     prior = Prior(np.zeros(4, np.float32), tuple(bases), tuple(np.full((1, 4), local, np.float32) for _ in bases))

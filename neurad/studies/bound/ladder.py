@@ -8,7 +8,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 import torch
 
-from neurad.assembly.settings import ModelSettings
 from neurad.core.errors import InputError
 from neurad.core.protocols import Materials
 from neurad.core.records import FloatArray, IntArray, SurfaceInteraction
@@ -24,13 +23,13 @@ from neurad.scene.textures import TrueMaterials
 from neurad.studies.bound.cells import SurfaceCells, encode
 from neurad.studies.bound.fields import fit_fields, predicted, training_run
 from neurad.studies.bound.photographs import Predicted, noise_scale, photo_noise, predict
-from neurad.studies.bound.recovery import Photographed, Prior, Recovery, Response, SeenDirectly
+from neurad.studies.bound.recovery import LOOSE, Photographed, Prior, Recovery, Response, SeenDirectly
 from neurad.studies.bound.sparse import Rows
 from neurad.training.evaluate import GLOSSY_SAMPLES
 from neurad.training.session import TrainingRun
 
-POSITIONS = 16
-"""In each training pixel, of which its footprint is made."""
+POSITIONS, MOST = (16, 9, 4), 1 << 23
+"""In each training pixel, of which its footprint is made: as many as make no more than so many in all."""
 TRUTH_SPP = 64
 """Samples per pixel of true maps, whose own noise is part of them."""
 MAPS = ("albedo", "roughness")
@@ -99,19 +98,24 @@ class Ladder:
         self.held_out = HeldOut(scene, world.geometry, world.tracer).read()
         self._check(self.held_out, "held-out")
         self.maps, photographs = self._training_truth()
-        self.training: TrainingRun = training_run(scene, _settings(run.settings), photographs)
+        pixels = len(scene.train) * scene.train[0].camera.width * scene.train[0].camera.height
+        self.positions = next((n for n in POSITIONS if n * pixels <= MOST), POSITIONS[-1])
+        sampling = replace(run.settings.sampling, cached_spp=self.positions)
+        self.training: TrainingRun = training_run(scene, replace(run.settings, sampling=sampling), photographs)
         primary, device = self.training.views.primary, world.geometry.vertices.device
         self.left_out = self.training.views.emitter_mask.clone()
         views, pixels = self.left_out.shape
-        missed = primary.prim.view(views, pixels, POSITIONS) < 0
+        missed = primary.prim.view(views, pixels, self.positions) < 0
         self.left_out |= missed.any(-1)
         self.photographs = self.training.photographs.photographs.numpy()  # type: ignore[attr-defined]
         report("cells of what the training views see")
         self.box = low, high = self._box(primary)
-        codes = np.concatenate([self._codes(primary, view) for view in range(views)])  # [views * pixels * POSITIONS]
+        codes = np.concatenate(
+            [self._codes(primary, view) for view in range(views)]
+        )  # [views * pixels * self.positions]
         kept = (~self.left_out).view(-1).cpu().numpy()
         self.kept: IntArray = np.flatnonzero(kept)
-        codes = codes.reshape(-1, POSITIONS)[self.kept]
+        codes = codes.reshape(-1, self.positions)[self.kept]
         self.cells = SurfaceCells.of(low, high, np.unique(codes), len(self.kept))
         self._first_finest = sum(self.cells.counts[:-1])
         self.footprint = self._footprint(codes)
@@ -159,12 +163,12 @@ class Ladder:
         return low, high
 
     def _codes(self, primary: PrimaryHits, view: int) -> IntArray:
-        """Cells of the kept positions of a view [pixels * POSITIONS]."""
+        """Cells of the kept positions of a view [pixels * self.positions]."""
         return encode(self._points(primary, view, slice(None)), *self.box)
 
     def _points(self, primary: PrimaryHits, view: int, chosen: slice) -> SurfaceInteraction:
         """Surface points of a view at some of the kept positions of every pixel."""
-        here = primary.hits.view(len(self.run.scene.train), primary.pixels, POSITIONS, 3)[view, :, chosen].reshape(
+        here = primary.hits.view(len(self.run.scene.train), primary.pixels, self.positions, 3)[view, :, chosen].reshape(
             -1, 3
         )
         bary = here[:, 1:].contiguous().view(torch.float32)
@@ -176,8 +180,8 @@ class Ladder:
     def _footprint(self, codes: IntArray) -> Rows:
         """Of the pixels that count, among the finest cells; each cell of a position weighs the same."""
         column = self.cells.find(codes.reshape(-1)) - self._first_finest
-        start = np.arange(len(codes) + 1, dtype=np.int64) * POSITIONS
-        weight = np.full(len(column), 1.0 / POSITIONS, np.float32)
+        start = np.arange(len(codes) + 1, dtype=np.int64) * self.positions
+        weight = np.full(len(column), 1.0 / self.positions, np.float32)
         return Rows(start, column.astype(np.int32), weight, self.cells.counts[-1])
 
     def _prior(self, primary: PrimaryHits, codes: IntArray, device: torch.device) -> tuple[Prior, FloatArray]:
@@ -186,7 +190,7 @@ class Ladder:
         """
         values = []
         for view in range(len(self.left_out)):
-            si = self._points(primary, view, slice(0, POSITIONS, POSITIONS // 2))
+            si = self._points(primary, view, slice(0, self.positions, self.positions // 2))
             surface = self.truth(si)
             values.append(torch.cat((surface.albedo, surface.roughness), -1).view(primary.pixels, 2, 4).cpu())
         both = torch.cat(values).numpy()  # [views * pixels, 2, 4]
@@ -196,7 +200,7 @@ class Ladder:
         power = torch.from_numpy(np.square(both[:, 0] - both[:, 1]) / 2).view(len(self.left_out), -1, width, 4)
         spread = torch.stack([box_mean(image, 5) for image in power]).view(-1, 4).numpy()[self.kept]
         pairs = both[self.kept]
-        column = self.footprint.column.reshape(-1, POSITIONS)[:, :: POSITIONS // 2].reshape(-1)
+        column = self.footprint.column.reshape(-1, self.positions)[:, :: self.positions // 2].reshape(-1)
         one = Rows(np.arange(len(column) + 1), column, np.ones(len(column), np.float32), self.footprint.columns)
         return Prior.of(self.cells, one, pairs.reshape(-1, 4)), spread
 
@@ -253,7 +257,7 @@ class Ladder:
         ours = self.errors(self.held_out.predict(self.run.materials), regions)
         self.report("resolution")
         seen = self.maps.reshape(-1, 4)[self.kept]
-        sampling = self.spread * np.float32(1.0 / POSITIONS + 1.0 / TRUTH_SPP) + np.float32(
+        sampling = self.spread * np.float32(1.0 / self.positions + 1.0 / TRUTH_SPP) + np.float32(
             1e-7
         )  # of counted positions
         direct = self._recovery(SeenDirectly(), np.sqrt(sampling))
@@ -282,13 +286,15 @@ class Ladder:
         sigma = self._noise(found, other, (views, -1, width, 3))
         recovery = self._recovery(response, np.sqrt(sigma**2 + other))
         exact = recovery.less_mean(seen)
+        values = recovery(exact)
         drawn = sigma * np.random.default_rng(SEED).standard_normal(sigma.shape, np.float32)
-        noise = self.errors(self.maps_of(recovery(exact + drawn)), regions)
-        seen_light: FloatArray = exact + self.photographs.reshape(-1, 3)[self.kept]
-        values = [recovery(seen_light - picture.reshape(-1, 3)[self.kept]) for picture in found.pictures]
+        noise = self.errors(self.maps_of(values + recovery(drawn, LOOSE)), regions)
+        photographs = self.photographs.reshape(-1, 3)[self.kept]
+        differences = [photographs - picture.reshape(-1, 3)[self.kept] for picture in found.pictures]
+        first, second = (values + recovery(difference, LOOSE) for difference in differences)
         # The product of two errors whose samples are independent has no noise of the samples in it.
-        half = self.errors(self.maps_of(values[0] + (values[1] - values[0]) * np.float32(0.5)), regions)
-        apart = self._spread(self.maps_of(values[0]), self.maps_of(values[1]), regions)
+        half = self.errors(self.maps_of((first + second) * np.float32(0.5)), regions)
+        apart = self._spread(self.maps_of(first), self.maps_of(second), regions)
         return noise, {key: half[key] - apart[key] / 4 for key in half}
 
     def _noise(self, found: Predicted, other: FloatArray, shape: tuple[int, ...]) -> FloatArray:
@@ -320,8 +326,3 @@ class Ladder:
             for i, (a, b) in enumerate(zip(first, second, strict=True))
         ]
         return self.errors(moved, regions)
-
-
-def _settings(settings: ModelSettings) -> ModelSettings:
-    """With as many kept positions as footprints have."""
-    return replace(settings, sampling=replace(settings.sampling, cached_spp=POSITIONS))

@@ -26,8 +26,8 @@ AROUND = 2
 LEAST_POWER = 1e-4
 """Of details anywhere, as a fraction of the level's mean."""
 ITERATIONS = 60
-TOLERANCE = 1e-3
-"""Of the residual, relative to the right side, in the norm of the preconditioner."""
+TOLERANCE, LOOSE = 2e-3, 2e-2
+"""Of what is observed, and of small differences in it."""
 
 
 class Response(Protocol):
@@ -172,11 +172,12 @@ class Recovery:
         self._parts = [slice(a, b) for a, b in pairwise(ends)]
         self._inverse = self._blocks()
 
-    def __call__(self, observed: FloatArray) -> FloatArray:
+    def __call__(self, observed: FloatArray, tolerance: float = TOLERANCE) -> FloatArray:
         """The estimate's details: values of the cells of all levels [cells, 4], less the prior's mean.
 
         Args:
             observed: pixels less their response to the mean [n, c]; the estimate is linear in them.
+            tolerance: of the residual, relative to the right side, in the norm of the preconditioner.
         """
         right = self._back(self.weight * observed)
         z, r = np.zeros_like(right), right
@@ -184,7 +185,7 @@ class Recovery:
         p, power = s, _dot(r, s)
         first = power
         for _ in range(ITERATIONS):
-            if power <= TOLERANCE**2 * first:
+            if power <= tolerance**2 * first:
                 break
             q = p + self._back(self.weight * self.response(self.footprint @ self._values(p)[self._parts[-1]]))
             step = np.float32(power / _dot(p, q))

@@ -44,9 +44,3 @@ class Rows:
         out = np.zeros((self.columns, x.shape[1]), np.float32)
         kernels.transposed(self.start, self.column, self.weight, np.ascontiguousarray(x, np.float32), out)
         return out
-
-    def row_normalised(self) -> Rows:
-        """Every row divided by its sum; rows without entries stay so."""
-        ones = np.ones((self.columns, 1), np.float32)
-        total = np.repeat((self @ ones)[:, 0], np.diff(self.start))
-        return Rows(self.start, self.column, (self.weight / total).astype(np.float32), self.columns)
