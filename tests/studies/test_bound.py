@@ -17,7 +17,7 @@ from neurad.scene.builtin import build_furnace
 from neurad.studies.bench.bound import gap, sentence
 from neurad.studies.bound.cells import COARSEST, FINEST, SurfaceCells, _pack, _unpack, encode
 from neurad.studies.bound.ladder import rungs
-from neurad.studies.bound.photographs import Predicted, noise_scale, photo_noise, predict
+from neurad.studies.bound.photographs import Predicted, misfit, noise_scale, photo_noise, predict
 from neurad.studies.bound.recovery import Photographed, Prior, Recovery, SeenDirectly
 from neurad.studies.bound.sparse import Rows
 
@@ -38,7 +38,7 @@ def lattice(power):
     """Cells of level ``power`` on the plane, all of them, and the middles of their squares [n]."""
     (x, y), finer = grid(power), grid(power + 1)
     codes = np.unique(encode(on_plane(*finer), LOW, HIGH))  # four in a cell, too many for the pixels
-    return SurfaceCells.of(LOW, HIGH, codes, round(len(x) / 0.75) + 1), x, y
+    return SurfaceCells.of(LOW, HIGH, codes, round(len(x) / 2.0) + 1), x, y
 
 
 def grid(power):
@@ -224,6 +224,19 @@ def test_two_predictions_correct_noise_that_was_taken_too_large():
     assert noise_scale(photographs, predicted, sigma, np.zeros(shape)) == pytest.approx(0.5, abs=0.02)
     assert noise_scale(photographs, predicted, sigma, np.full(shape, 0.04**2)) == pytest.approx(0.3, abs=0.03)
     assert noise_scale(photographs, predicted, sigma / 4, np.zeros(shape)) == 1.0
+
+
+def test_a_misfit_is_noise_of_the_photographs_and_wrong_light():
+    rng = np.random.default_rng(8)
+    shape = (2, 60, 60, 3)
+    photographs = 1 + rng.normal(0, 0.05, shape)
+    pictures = (1.1 + rng.normal(0, 0.2, (2, *shape))).astype(np.float32)
+    counted = np.ones(shape[:3], bool)
+    counted[:, :10] = False
+    found = misfit(photographs.astype(np.float32), Predicted(pictures, pictures[0], pictures[0]), counted)
+    assert not found[~counted].any()
+    # 18000 products of standard deviation 0.06
+    assert found[counted].mean() == pytest.approx(0.05**2 + 0.1**2, abs=4 * 0.06 / 134)
 
 
 @pytest.mark.parametrize("wrong", [1.0, 1.1])

@@ -12,7 +12,7 @@ from neurad.studies.bound.sparse import Rows
 
 COARSEST, FINEST = 2, 12
 """Cells along the longest side of the region, as powers of two."""
-PER_PIXEL = 0.75
+PER_PIXEL = 2.0
 """Largest number of the finest cells, in training pixels. Several views see each place, so that even then a pixel
 covers several cells."""
 _MASKS = 0x0000FF0000FF, 0x00F00F00F00F, 0x0C30C30C30C3, 0x249249249249

@@ -22,7 +22,7 @@ from neurad.runs.load import LoadedRun
 from neurad.scene.textures import TrueMaterials
 from neurad.studies.bound.cells import SurfaceCells, encode
 from neurad.studies.bound.fields import fit_fields, predicted, training_run
-from neurad.studies.bound.photographs import Predicted, noise_scale, photo_noise, predict
+from neurad.studies.bound.photographs import Predicted, misfit, noise_scale, photo_noise, predict
 from neurad.studies.bound.recovery import LOOSE, Photographed, Prior, Recovery, Response, SeenDirectly
 from neurad.studies.bound.sparse import Rows
 from neurad.training.evaluate import GLOSSY_SAMPLES
@@ -285,10 +285,14 @@ class Ladder:
         other = response.by_albedo**2 * sampling[:, :3] + response.by_roughness**2 * sampling[:, 3:]
         sigma = self._noise(found, other, (views, -1, width, 3))
         recovery = self._recovery(response, np.sqrt(sigma**2 + other))
-        exact = recovery.less_mean(seen)
-        values = recovery(exact)
         drawn = sigma * np.random.default_rng(SEED).standard_normal(sigma.shape, np.float32)
-        noise = self.errors(self.maps_of(values + recovery(drawn, LOOSE)), regions)
+        exact = recovery.less_mean(seen)
+        noise = self.errors(self.maps_of(recovery(exact + drawn)), regions)
+        # Who knows that the light is wrong, and by how much around each pixel, trusts photographs less.
+        counted = ~self.left_out.cpu().numpy().reshape(views, -1, width)
+        wrong = misfit(self.photographs.reshape(*counted.shape, 3), found, counted).reshape(-1, 3)[self.kept]
+        recovery = self._recovery(response, np.sqrt(np.maximum(wrong, sigma**2) + other))
+        values = recovery(exact)
         photographs = self.photographs.reshape(-1, 3)[self.kept]
         differences = [photographs - picture.reshape(-1, 3)[self.kept] for picture in found.pictures]
         first, second = (values + recovery(difference, LOOSE) for difference in differences)

@@ -16,6 +16,7 @@ from neurad.core.rng import Stream
 from neurad.integrators.estimator import Estimator
 from neurad.integrators.film import box_mean
 from neurad.integrators.primary_hits import PrimaryHits
+from neurad.metrics.scores import BoolArray
 
 DARK = 0.05
 """Added to the albedo that a photograph is divided by: what a black surface still reflects."""
@@ -69,6 +70,19 @@ def noise_scale(photographs: FloatArray, predicted: Predicted, sigma: FloatArray
         differences.append(np.clip(difference, -TAIL, TAIL)[used])
     other = ((known[:, :, 1:] + known[:, :, :-1]) / 2 / mean**2)[used]
     return math.sqrt(float(np.clip((differences[0] * differences[1]).mean() / 2 - other.mean(), 0.1, 1.0)))
+
+
+def misfit(photographs: FloatArray, predicted: Predicted, counted: BoolArray) -> FloatArray:
+    """Mean squared difference of photographs and predictions over 9 x 9 pixels around each [views, h, w, 3]: noise of
+    the photographs and what is wrong with the light; that of the predictions' samples drops out of a product of two.
+
+    Args:
+        photographs: [views, h, w, 3].
+        predicted: of the same pixels.
+        counted: pixels that count [views, h, w].
+    """
+    first, second = photographs - predicted.pictures.reshape(2, *photographs.shape)
+    return np.stack([_smooth(a * b, mask, 9) for a, b, mask in zip(first, second, counted, strict=True)])
 
 
 def _mean(image: FloatArray, size: int) -> FloatArray:
