@@ -117,14 +117,15 @@ class Evaluate(pl.Callback):
         rows = MetricsTable(folder / "metrics.csv").rows() if folder else []
         scores = rows[-1] if rows else self.last_scores
         if trainer.is_global_zero and scores:
-            print("\n" + "\n\n".join(t for t in (score_table(scores, self.spp), curve_table(rows)) if t))
+            print("\n" + "\n\n".join(t for t in (score_table(scores, self.spp, steady=True), curve_table(rows)) if t))
             if folder:
                 print(f"\nneurad: run folder {folder}")
 
     def on_validation_epoch_end(self, trainer: pl.Trainer, pl_module: pl.LightningModule) -> None:
         """``neurad validate``: print the scores."""
         if trainer.is_global_zero:
-            print(score_table(cast("InverseRenderer", pl_module).evaluate(self.spp).scores, self.spp))
+            found = cast("InverseRenderer", pl_module).evaluate(self.spp, steady=True)
+            print(score_table(found.scores, self.spp, steady=True))
 
     def on_test_epoch_end(self, trainer: pl.Trainer, pl_module: pl.LightningModule) -> None:
         """``neurad test``: write every held-out view and the scores."""
@@ -170,7 +171,7 @@ class Evaluate(pl.Callback):
         with clock.excluded():
             self._evaluated = module.iteration
             if trainer.is_global_zero:
-                evaluation = module.evaluate(self.spp)
+                evaluation = module.evaluate(self.spp, steady=True)
                 self.last_scores = dict(evaluation.scores)
                 self._record(trainer, module, evaluation.scores, evaluation.maps)
                 self._preview(trainer, module, evaluation)
@@ -225,7 +226,7 @@ class Evaluate(pl.Callback):
 
 def _group(name: str) -> str:
     """TensorBoard's group of a score: the curves to follow first, not lost among the flat lines of the constant."""
-    kinds = ("constant", "seen")
+    kinds = ("constant", "lookup", "seen")
     return "_".join(["held_out", *(kind for kind in kinds if kind in name.split("_"))])
 
 

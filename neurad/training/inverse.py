@@ -247,14 +247,17 @@ class InverseRenderer(L.LightningModule):
 
     # ---- held-out views
 
-    def evaluate(self, render_spp: int = 4, glossy: bool = False) -> Evaluation:
-        """Score the present materials and radiance field on held-out views; its rays and seconds do not count."""
+    def evaluate(self, render_spp: int = 4, glossy: bool = False, steady: bool = False) -> Evaluation:
+        """Score the present materials and radiance field on held-out views; its rays and seconds do not count.
+
+        The arguments are those of :func:`neurad.training.evaluate.evaluate`.
+        """
         if self._held_out is None:
             self._held_out = self._make_held_out()
         with averaged(self.average), self.world.tracer.uncounted():
             if self._light is None and self.environment is not None:
                 self._light = unknown_light(self.scene, self.environment, self._held_out)
-            result = evaluate(self._held_out, self.estimator, render_spp, glossy, self._light, self.scene)
+            result = evaluate(self._held_out, self.estimator, render_spp, glossy, self._light, self.scene, steady)
         self._guard.images(self.iteration, result.maps, [view.name for view in self._held_out.views])
         return result
 
