@@ -1,15 +1,14 @@
-"""Scales of the roughness's error bars, from two independent halves of the photographs' pixels and without any truth.
+"""Scale of the roughness's error bars, from two independent halves of the photographs' pixels and without any truth.
 
 Each half k of the pixels in a cell asks for a change of roughness ``d_k = g_k / F_k`` (:mod:`neurad.metrics.fisher`).
 With e the error of the recovered roughness, ``d_k = noise_k - e``, and the noise of one half is independent of that of
-the other. So the mean of ``d_1 d_2`` is the mean of e^2, less twice what the fit's own error shares with the noise of the
-pixels that it was fitted to. A fit that weighs what pixels say against a prior shares its posterior variance with them,
-``v = F / (F + 1 / prior^2)^2``:
+the other. So ``d_1 d_2`` has the mean of e^2, noise or not, and
 
-    mean of d_1 d_2 = 1 / (gain F + 1 / prior^2) - 2 v
+    mean of d_1 d_2 = 1 / (gain F + 1 / prior^2)
 
-``gain`` says how much of the information the fit made use of, ``prior`` how far it is off where there is none. Both are
-fitted to the products of all cells.
+gives the ``gain``, how much of the information the fit made use of, from the products of all cells; ``prior`` is how far
+it is off where there is none. What the fit's error shares with the noise of the very pixels that it was fitted to makes
+products smaller, at most by as much as a gain of 1 allows for.
 """
 
 from __future__ import annotations
@@ -21,14 +20,14 @@ import numpy as np
 from neurad.metrics.fisher import profile
 from neurad.metrics.scores import BoolArray, Float64Array, IntArray
 
-USUAL = 0.14
-"""Standard deviation of roughness where nothing is known: that of dielectrics between 0.1 and 0.6, all alike."""
-USUAL_CELLS = 16
-"""Cells' worth of trust in it: with many cells the photographs decide."""
+PRIOR = 0.14
+"""Standard deviation of roughness where nothing is known: that of dielectrics between 0.1 and 0.6, all alike. Cells in
+which pixels tell next to nothing could only measure it in larger numbers than there are."""
+USUAL_GAIN, FACTOR = 0.02, 3.0
+"""Gain of fits of some minutes, and the factor by which they differ: what the products have to outweigh."""
 OUTLIER = 4.0
 """Products are cut at so many standard deviations: residuals have long tails."""
-_PRIORS = np.geomspace(0.02, 0.4, 61)
-_GAINS = np.geomspace(1e-4, 1.0, 41)
+_GAINS = np.geomspace(1e-3, 1.0, 41)
 
 
 @dataclass(frozen=True)
@@ -77,14 +76,15 @@ def calibrate(
         if lanes.any():
             scatter = max(scatter, float(np.square(profiled.residual.mean(0)).mean()))
     both = (information > 0).all(0)
-    return _fit(information[:, both], gradient[:, both], scatter, times / noise)
+    information, gradient = information[:, both], gradient[:, both]
+    return RoughnessBars(_gain(information, gradient, scatter, times / noise), PRIOR)
 
 
-def _fit(information: Float64Array, gradient: Float64Array, scatter: float, times: float) -> RoughnessBars:
-    """The scales that fit the products of both halves best.
+def _gain(information: Float64Array, gradient: Float64Array, scatter: float, times: float) -> float:
+    """The gain that fits the products of both halves best, by weighted least squares, and is not far from the usual.
 
-    Products are weighted by their variance: a change is shrunk by ``F / (F + scatter / prior^2)``, which keeps cells
-    without information from deciding.
+    A product has the variance ``(e^2 + n_1) (e^2 + n_2)`` with ``n_k = scatter / F_k``, in which e^2 is that of the usual
+    gain.
 
     Args:
         information: F of both halves of the pixels, in units of w [2, cells], above 0.
@@ -92,20 +92,14 @@ def _fit(information: Float64Array, gradient: Float64Array, scatter: float, time
         scatter: variance of a residual, the estimate's own noise included.
         times: what turns ``information``, both halves together, into that of all pixels in units of 1 / variance.
     """
-    ridge = scatter / USUAL**2
-    shrunk = information / (information + ridge)  # [2, cells]
-    root = np.sqrt(shrunk.prod(0))  # [cells]
-    product = (gradient / (information + ridge)).prod(0) / np.maximum(root, 1e-12)
-    limit = OUTLIER * USUAL**2
-    product = product.clip(-limit, limit)
     all_pixels = times * information.sum(0)
-    best, scales = np.inf, RoughnessBars(1.0, USUAL)
-    for prior in _PRIORS:
-        shared = 2.0 * all_pixels / np.square(all_pixels + 1.0 / prior**2)
-        trust = USUAL_CELLS * np.square(prior**2 - USUAL**2)
-        for gain in _GAINS:
-            expected = RoughnessBars(gain, prior).variance(all_pixels) - shared
-            cost = float(np.square(product - root * expected).sum() + trust)
-            if cost < best:
-                best, scales = cost, RoughnessBars(float(gain), float(prior))
-    return scales
+    error = RoughnessBars(USUAL_GAIN, PRIOR).variance(all_pixels)
+    # Numbers of order 1, also where there is next to no information: F / (F e^2 + scatter) instead of 1 / (e^2 + n)
+    spread = information * error + scatter  # [2, cells]
+    product = (gradient / np.sqrt(information * spread)).prod(0).clip(-OUTLIER, OUTLIER)
+    slope = np.sqrt((information / spread).prod(0))  # 1 / standard deviation of a product
+    expected = [slope * RoughnessBars(gain, PRIOR).variance(all_pixels) for gain in (USUAL_GAIN, *_GAINS)]
+    squares = [float(np.square(product - mean).sum()) for mean in expected]
+    dispersion = max(squares[0] / max(len(product), 1), 1.0)  # residuals have longer tails than the variance above has
+    costs = np.array(squares[1:]) / dispersion + np.square(np.log(_GAINS / USUAL_GAIN) / np.log(FACTOR))
+    return float(_GAINS[int(np.argmin(costs))])

@@ -40,10 +40,6 @@ class Profiled:
         first, second = self.by_roughness[0] * self.residual[1], self.by_roughness[1] * self.residual[0]
         return np.asarray(0.5 * (first + second).sum(-1))
 
-    def noise(self) -> Float64Array:
-        """Squared residual without the estimate's own noise [n], a mean over channels: that of the photographs."""
-        return np.asarray((self.residual[0] * self.residual[1]).mean(-1))
-
 
 def profile(
     by_albedo: Float64Array, by_roughness: Float64Array, residual: Float64Array, patch: IntArray, patches: int
@@ -60,7 +56,7 @@ def profile(
         patch: that each pixel lies in, from 0 [n].
         patches: how many there are.
     """
-    square = per_patch(by_albedo[0] * by_albedo[1], patch, patches) + FLOOR  # [patches, c]
+    square = per_patch(by_albedo[0] * by_albedo[1], patch, patches).clip(0.0) + FLOOR  # [patches, c]
 
     def free(values: Float64Array) -> Float64Array:
         parts = []

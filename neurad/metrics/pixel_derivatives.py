@@ -60,7 +60,9 @@ class PixelDerivatives:
     def join(cls, parts: list[Self]) -> Self:
         """Pixels of all parts."""
         axes = {f.name: int(f.name in ("residual", "by_albedo", "by_roughness")) for f in fields(cls)}
-        return cls(**{name: np.concatenate([getattr(part, name) for part in parts], axis) for name, axis in axes.items()})
+        return cls(
+            **{name: np.concatenate([getattr(part, name) for part in parts], axis) for name, axis in axes.items()}
+        )
 
 
 def pixel_derivatives(
