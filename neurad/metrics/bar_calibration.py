@@ -6,9 +6,9 @@ the other. So ``d_1 d_2`` has the mean of e^2, noise or not, and
 
     mean of d_1 d_2 = 1 / (gain F + 1 / prior^2)
 
-gives the ``gain``, how much of the information the fit made use of, from the products of all cells; ``prior`` is how far
-it is off where there is none. What the fit's error shares with the noise of the very pixels that it was fitted to makes
-products smaller, at most by as much as a gain of 1 allows for.
+gives the ``gain``, how much of the information the fit made use of, from the products of all cells; ``prior`` is how
+far it is off where there is none. What the fit's error shares with the noise of the very pixels that it was fitted to
+makes products smaller, at most by as much as a gain of 1 allows for.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ class RoughnessBars:
     """Standard deviation without any information."""
 
     def variance(self, information: Float64Array) -> Float64Array:
-        """Variance of the roughness, in the shape of ``information`` (in units of 1 / variance; below 0 it is noise)."""
+        """Variance of the roughness by ``information`` in units of 1 / variance, which is noise where it is below 0."""
         return np.asarray(1.0 / (self.gain * np.maximum(information, 0.0) + 1.0 / self.prior**2))
 
 
@@ -70,7 +70,7 @@ def calibrate(
     scatter = noise
     for half in range(2):
         lanes = odd == bool(half)
-        profiled = profile(*(x[:, lanes] for x in (by_albedo, by_roughness, residual)), patch[lanes], patches)
+        profiled = profile(by_albedo[:, lanes], by_roughness[:, lanes], residual[:, lanes], patch[lanes], patches)
         information[half] = np.bincount(cell[lanes], profiled.information(), count)
         gradient[half] = np.bincount(cell[lanes], profiled.gradient(), count)
         if lanes.any():
@@ -83,8 +83,8 @@ def calibrate(
 def _gain(information: Float64Array, gradient: Float64Array, scatter: float, times: float) -> float:
     """The gain that fits the products of both halves best, by weighted least squares, and is not far from the usual.
 
-    A product has the variance ``(e^2 + n_1) (e^2 + n_2)`` with ``n_k = scatter / F_k``, in which e^2 is that of the usual
-    gain.
+    A product has the variance ``(e^2 + n_1) (e^2 + n_2)`` with ``n_k = scatter / F_k``, in which e^2 is that of the
+    usual gain.
 
     Args:
         information: F of both halves of the pixels, in units of w [2, cells], above 0.

@@ -2,9 +2,11 @@
 
 from __future__ import annotations
 
-import numpy as np
-from scipy.stats import norm, spearmanr
+from statistics import NormalDist
 
+import numpy as np
+
+from neurad.core.records import FloatArray
 from neurad.metrics.scores import BoolArray, Float64Array, psnr
 
 LEVELS = (0.5, 0.9)
@@ -15,9 +17,9 @@ class BarPool:
     """Pixels of one map from all views: what was predicted, its error bars and the truth."""
 
     def __init__(self) -> None:
-        self._parts: list[tuple[Float64Array, Float64Array, Float64Array]] = []
+        self._parts: list[tuple[FloatArray, FloatArray, FloatArray]] = []
 
-    def add(self, predicted: Float64Array, std: Float64Array, truth: Float64Array, mask: BoolArray) -> None:
+    def add(self, predicted: FloatArray, std: FloatArray, truth: FloatArray, mask: BoolArray) -> None:
         """Add the pixels in ``mask`` [h, w] of maps [h, w, c].
 
         Raises:
@@ -28,7 +30,7 @@ class BarPool:
         self._parts.append((predicted[mask], std[mask], truth[mask]))
 
     def scores(self) -> dict[str, float]:
-        """``coverage_50``, ``coverage_90``, ``spearman``, ``ause``, ``psnr_sure`` and ``psnr_sure_constant``; empty
+        """``coverage_50``, ``coverage_90``, ``spearman``, ``ause``, ``psnr_sure``, ``psnr_sure_constant``; none
         without pixels. See :func:`coverage`, :func:`ause` and :func:`sure`; ``spearman`` is the rank correlation of bars
         and absolute errors. A pixel's bar and error for the last four are roots of means over channels.
         """
@@ -48,14 +50,14 @@ def coverage(error: Float64Array, std: Float64Array, level: float) -> float:
     """Fraction of the values whose truth lies in the central interval of probability ``level`` of a normal distribution
     around the prediction; of ``error`` and ``std`` [n, c], channel by channel.
     """
-    return float((np.abs(error) <= norm.ppf(0.5 + 0.5 * level) * std).mean())
+    return float((np.abs(error) <= NormalDist().inv_cdf(0.5 + 0.5 * level) * std).mean())
 
 
 def spearman(bar: Float64Array, size: Float64Array) -> float:
     """Rank correlation of bars and absolute errors [n], in [-1, 1]; 0 where one of them is the same everywhere."""
     if np.ptp(bar) == 0 or np.ptp(size) == 0:
         return 0.0
-    return float(spearmanr(bar, size).statistic)
+    return float(np.corrcoef(_ranks(bar), _ranks(size))[0, 1])
 
 
 def ause(bar: Float64Array, size: Float64Array) -> float:
@@ -94,6 +96,12 @@ def _left_over(order: Float64Array, size: Float64Array) -> Float64Array:
     _, place, count = np.unique(order, return_inverse=True, return_counts=True)
     mean = np.bincount(place, np.square(size)) / count  # of equal bars, whichever goes first
     return np.asarray(np.sqrt(np.cumsum(np.repeat(mean, count)) / np.arange(1, len(size) + 1)))
+
+
+def _ranks(values: Float64Array) -> Float64Array:
+    """Ranks [n], of equal values their mean."""
+    _, place, count = np.unique(values, return_inverse=True, return_counts=True)
+    return np.asarray((np.cumsum(count) - 0.5 * (count - 1))[place])
 
 
 def _over_channels(values: Float64Array) -> Float64Array:

@@ -1,10 +1,10 @@
 """Error bars of recovered albedo and roughness at any surface point, from the photographs alone.
 
 A pass over some training pixels at the final parameters collects at the nodes of a grid what
-:mod:`neurad.metrics.pixel_derivatives` finds in them; nothing is kept while a fit runs. With sums over the pixels near a
-point, ``w`` = 1 / squared brightness, and scaled from the pixels of the pass to all pixels:
+:mod:`neurad.metrics.pixel_derivatives` finds in them; nothing is kept while a fit runs. With sums over the pixels near
+a point, ``w`` = 1 / squared brightness, and scaled from the pixels of the pass to all pixels:
 
-    roughness:  1 / variance = gain F / s + 1 / prior^2            F of :mod:`neurad.metrics.fisher`, s the noise of pixels
+    roughness:  1 / variance = gain F / s + 1 / prior^2       F of :mod:`neurad.metrics.fisher`, s the noise of pixels
     albedo:     1 / variance = 1 / sqrt(V N) + 1 / spread^2
                 N = (misfit^2 / D^2) / (pixels that see one pixel's patch of surface) + (X / A)^2 roughness variance
 
@@ -34,9 +34,9 @@ from neurad.metrics.scores import Float64Array, IntArray
 DARK = 0.01
 """Of the mean squared radiance: added to the squared brightness that pixels are weighted by."""
 LIMIT = 1.0
-"""Largest residual, and half of the largest derivative by roughness, in units of the brightness: a firefly is no highlight."""
+"""Largest residual, and half of the largest derivative by roughness, in units of the brightness: fireflies are cut."""
 CELLS = 64
-"""Of the grid along the longest side of what the pixels see: a highlight tells of one roughness over some 10 cm of a room."""
+"""Of the grid along the longest side of what the pixels see: some 10 cm of a room share their information."""
 FINER = 2
 """Patches of one unknown albedo along a cell of the grid."""
 
@@ -45,6 +45,8 @@ ToUnitCube = Callable[[Tensor], Tensor]
 
 _COLUMNS = {"count": 1, "area": 1, "square": 3, "misfit": 3, "detail": 3, "cross": 3, "weight": 3, "information": 1}
 """Sums at the nodes: of pixels, their area, D^2, squared misfit, V, D R w, D^2 w, F / s of all pixels."""
+
+COLUMNS = sum(_COLUMNS.values())
 
 
 @dataclass(frozen=True)

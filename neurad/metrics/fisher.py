@@ -1,7 +1,7 @@
 """Fisher information about roughness with the albedo profiled out (the Schur complement).
 
-A pixel's colour changes by ``D da + R dr`` with its albedo ``a`` and roughness ``r``. Over the pixels of a small patch of
-surface, whose albedo nobody knows either, what they say of the roughness is, summed over the colour channels,
+A pixel's colour changes by ``D da + R dr`` with its albedo ``a`` and roughness ``r``. Over the pixels of a small patch
+of surface, whose albedo nobody knows either, what they say of the roughness is, summed over the colour channels,
 
     F = sum R^2 w - (sum D R w)^2 / sum D^2 w,                     w = 1 / variance of a pixel,
 
@@ -9,7 +9,8 @@ the Schur complement of the albedo's block. A sheen that is the same from everyw
 another albedo explains it just as well. Only a change of R over D, of a highlight with the view, is knowledge.
 
 Every square here is a product of two independent halves of samples. The mean of such a product is that of what the
-samples estimate, while the square of an estimate has the variance of its noise on top, which would pass for information.
+samples estimate, while the square of an estimate has the variance of its noise on top, which would pass for
+information.
 """
 
 from __future__ import annotations
@@ -36,7 +37,7 @@ class Profiled:
         return np.asarray((self.by_roughness[0] * self.by_roughness[1]).sum(-1))
 
     def gradient(self) -> Float64Array:
-        """Parts of ``sum R (photograph - estimate) w`` [n]: over F it is the change of roughness that pixels ask for."""
+        """Parts of ``sum R (photograph - estimate) w`` [n]: over F, the change of roughness that pixels ask for."""
         first, second = self.by_roughness[0] * self.residual[1], self.by_roughness[1] * self.residual[0]
         return np.asarray(0.5 * (first + second).sum(-1))
 

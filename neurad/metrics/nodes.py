@@ -1,4 +1,4 @@
-"""Sums at the nodes of a regular grid in the unit cube: scattered and read trilinearly, kept where there is anything."""
+"""Sums at the nodes of a regular grid in the unit cube: scattered and read trilinearly, kept where there are any."""
 
 from __future__ import annotations
 

@@ -1,4 +1,4 @@
-"""What pixels of the photographs say of the materials that they show: residuals and derivatives, in independent halves."""
+"""What pixels of the photographs say of the materials in them: residuals and derivatives, in independent halves."""
 
 from __future__ import annotations
 
@@ -45,7 +45,7 @@ class PixelDerivatives:
     by_roughness: FloatArray
     """Derivative of the estimate by the roughness, by half [2, b, 3]; 0 in a diffuse scene."""
     misfit: FloatArray
-    """Photograph less what the radiance field predicts, which has no noise; without a field less the estimate [b, 3]."""
+    """Photograph less the radiance field's prediction, which has no noise; without a field less the estimate [b, 3]."""
     predicted: FloatArray
     """That prediction [b, 3]."""
     albedo: FloatArray
@@ -106,11 +106,12 @@ def _batches(photographs: PhotoSource, emitter_mask: Tensor, first: int, pixels:
         waiting.append(PixelBatch(view[kept], pixel[kept], color[kept], alpha[kept], 0))
         if taken < pixels and sum(len(part.view) for part in waiting) < _LANES // SPP:
             continue
-        columns = (torch.cat([getattr(part, name) for part in waiting]) for name in ("view", "pixel", "color", "alpha"))
-        joined, waiting = PixelBatch(*columns, 0), []
-        for begin in range(0, len(joined.view), _LANES // SPP):
-            lanes = slice(begin, begin + _LANES // SPP)
-            yield PixelBatch(joined.view[lanes], joined.pixel[lanes], joined.color[lanes], joined.alpha[lanes], 0)
+        names = "view", "pixel", "color", "alpha"
+        joined = [torch.split(torch.cat([getattr(part, name) for part in waiting]), _LANES // SPP) for name in names]
+        waiting = []
+        for columns in zip(*joined, strict=True):
+            if len(columns[0]):
+                yield PixelBatch(columns[0], columns[1], columns[2], columns[3], 0)
 
 
 @dataclass(frozen=True)
