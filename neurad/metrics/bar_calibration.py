@@ -25,7 +25,7 @@ PRIOR = 0.14
 which pixels tell next to nothing could only measure it in larger numbers than there are."""
 USUAL_GAIN, FACTOR = 0.02, 3.0
 """Gain of fits of some minutes, and the factor by which they differ: what the products have to outweigh."""
-OUTLIER = 4.0
+OUTLIER = 9.0
 """Products are cut at so many standard deviations: residuals have long tails."""
 _GAINS = np.geomspace(1e-3, 1.0, 41)
 
