@@ -6,6 +6,7 @@ import json
 import sys
 import time
 from collections.abc import Mapping
+from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
 import lightning.pytorch as pl
@@ -16,13 +17,16 @@ from neurad.callbacks import pictures
 from neurad.callbacks.run_folder import run_folder
 from neurad.callbacks.table import MetricsTable, curve_table, score_table
 from neurad.callbacks.training_views import ViewTable
+from neurad.core.errors import InputError
 from neurad.core.ranges import Count, CountOrZero, NonNegative, checked
+from neurad.metrics.bars_file import NAME, read_bars, write_bars
 from neurad.metrics.effort import affordable
 from neurad.runtime import clock
 from neurad.runtime.files import write_text
 from neurad.training.schedule import fraction_done, time_limit
 
 if TYPE_CHECKING:
+    from neurad.metrics.error_bars import ErrorBars
     from neurad.training.evaluate import Evaluation
     from neurad.training.inverse import InverseRenderer
 
@@ -110,6 +114,10 @@ class Evaluate(pl.Callback):
         module = cast("InverseRenderer", pl_module)
         if self._evaluated != module.iteration:
             self._evaluate_fit(trainer, module)
+        with clock.excluded():
+            if trainer.is_global_zero and run_folder(trainer) is not None:
+                self._show_bars(trainer, module)
+            trainer.strategy.barrier("error bars")
 
     def on_fit_end(self, trainer: pl.Trainer, pl_module: pl.LightningModule) -> None:
         """Print the closing table."""
@@ -132,8 +140,8 @@ class Evaluate(pl.Callback):
         if not trainer.is_global_zero:
             return
         module = cast("InverseRenderer", pl_module)
-        evaluation = module.evaluate(self.test_spp, glossy=True)
         folder = run_folder(trainer)
+        evaluation = module.evaluate(self.test_spp, glossy=True, bars=error_bars_of(module, folder))
         print(score_table(evaluation.scores, self.test_spp))
         if folder is not None:
             pictures.write_views(folder / "images", evaluation.maps, evaluation.environment)
@@ -210,6 +218,17 @@ class Evaluate(pl.Callback):
             picture = pictures.environment(evaluation.environment, pictures.exposure(evaluation.maps))
             trainer.logger.experiment.add_image("environment", picture, module.iteration, dataformats="HWC")
 
+    def _show_bars(self, trainer: pl.Trainer, module: InverseRenderer) -> None:
+        """The error bars of the final materials, into the run folder and TensorBoard."""
+        bars = error_bars_of(module, run_folder(trainer))
+        if bars is None or not isinstance(trainer.logger, TensorBoardLogger):
+            return
+        for index, view in enumerate(module.bar_maps(bars)[: self.pictures]):
+            for name, picture in pictures.pages(view, 1.0).items():
+                label = f"{name}/{pictures.view_name(view, index)}"
+                trainer.logger.experiment.add_image(label, picture, module.iteration, dataformats="HWC")
+        trainer.logger.experiment.flush()
+
     def _check_views(self, trainer: pl.Trainer, module: InverseRenderer) -> None:
         """How well the training views agree with each other, into ``views.csv``."""
         views, residuals = module.training_views, module.view_residuals()
@@ -222,6 +241,28 @@ class Evaluate(pl.Callback):
         if isinstance(trainer.logger, TensorBoardLogger) and trainer.is_global_zero:
             for name, value in module.last_losses.items():
                 trainer.logger.experiment.add_scalar(f"train/{name}", float(value), module.iteration)
+
+
+def error_bars_of(module: InverseRenderer, folder: Path | None) -> ErrorBars | None:
+    """Error bars of the module's materials: those in the run folder, or else measured and written there. None where
+    there are none, or where the training photographs are not there any more, which is said.
+    """
+    path = None if folder is None else folder / NAME
+    if path is not None and path.exists():
+        try:
+            found = read_bars(path)
+        except InputError:
+            found = None  # damaged: written anew
+        if found is not None and found.iteration == module.iteration:
+            return found
+    try:
+        bars = module.error_bars()
+    except InputError as error:
+        print(f"neurad: no error bars: {error}", file=sys.stderr)
+        return None
+    if bars is not None and path is not None:
+        write_bars(bars, path)
+    return bars
 
 
 def _group(name: str) -> str:

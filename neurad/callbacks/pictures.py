@@ -15,6 +15,8 @@ from neurad.scene.image_io import to_srgb, write_exr, write_png
 Image = npt.NDArray[np.float32]
 Bytes = npt.NDArray[np.uint8]
 View = Mapping[str, Any]
+BRIGHTEST_STD = 0.2
+"""Standard deviation that pictures of error bars show brightest; next to nothing is known there."""
 
 
 def view_name(view: View, index: int) -> str:
@@ -54,7 +56,8 @@ def pages(view: View, scale: float) -> dict[str, Bytes]:
     """The pictures of one view, side by side, those that have what they need.
 
     Args:
-        view: arrays [h, w, c] by name: render, photograph, albedo, albedo_true, roughness, roughness_true, residual.
+        view: arrays [h, w, c] by name: render, photograph, albedo, albedo_true, roughness, roughness_true, residual,
+            albedo_std, roughness_std.
         scale: exposure of radiance; an error of a quarter of display white is the brightest in the error pictures.
     """
     has = {name for name in view if view[name] is not None}
@@ -67,6 +70,9 @@ def pages(view: View, scale: float) -> dict[str, Bytes]:
         if name in has:
             shown = [view[name], view[f"{name}_true"]] if f"{name}_true" in has else [view[name]]
             result["_".join([name, "truth"][: len(shown)])] = _beside([show(image) for image in shown])
+    for name in ("albedo_std", "roughness_std"):
+        if name in has:
+            result[name] = false_colour(view[name], 1.0 / BRIGHTEST_STD)
     if "residual" in has:
         result["residual_lhs_rhs"] = false_colour(np.abs(view["residual"]), 4 * scale)
     return result
@@ -86,20 +92,23 @@ def environment(maps: Mapping[str, Image], scale: float) -> Bytes:
 
 
 def write_views(folder: Path, maps: Sequence[View], sky: Mapping[str, Image] | None = None) -> None:
-    """Write render, albedo, roughness and relit rendering of every view, those that it has, as linear EXR and as PNG
-    for looking at; ``sky``, a recovered environment map and the true one, as ``environment``.
+    """Write render, albedo, roughness, their error bars and relit rendering of every view, those that it has, as linear
+    EXR and as PNG for looking at; ``sky``, a recovered environment map and the true one, as ``environment``.
     """
     make_folder(folder)
     scale = exposure(maps)
     for index, view in enumerate(maps):
-        for name in ("render", "albedo", "roughness", "relit"):
+        for name in ("render", "albedo", "roughness", "relit", "albedo_std", "roughness_std"):
             image = view.get(name)
             if image is None:
                 continue
             stem = folder / f"{view_name(view, index)}_{name}"
             write_exr(stem.with_suffix(".exr"), image, half=False)
             light = name in ("render", "relit")
-            shown = grey(image) if name == "roughness" else encode(image * scale if light else image)
+            if name.endswith("_std"):
+                shown = false_colour(image, 1.0 / BRIGHTEST_STD)
+            else:
+                shown = grey(image) if name == "roughness" else encode(image * scale if light else image)
             write_png(stem.with_suffix(".png"), shown)
     if sky:
         write_exr(folder / "environment.exr", sky["fitted"], half=False)

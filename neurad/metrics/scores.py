@@ -11,6 +11,7 @@ from neurad.core.records import FloatArray
 
 BoolArray = npt.NDArray[np.bool_]
 Float64Array = npt.NDArray[np.float64]
+IntArray = npt.NDArray[np.int64]
 
 MAPE_OFFSET = 0.01
 """Added to the truth below the fraction, so that black does not decide alone."""

@@ -5,6 +5,7 @@ from __future__ import annotations
 import os
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -23,6 +24,9 @@ from neurad.fields.radiance import RadianceField
 from neurad.integrators.film import render
 from neurad.integrators.renderer import MethodRenderer
 from neurad.integrators.world import World
+from neurad.metrics.bar_maps import bars_at
+from neurad.metrics.bars_file import NAME, read_bars
+from neurad.metrics.error_bars import ErrorBars, in_cube
 from neurad.runs.checkpoints import newest_checkpoint, run_checkpoint, run_folder_of
 from neurad.runs.model_settings import parse_model
 from neurad.runs.own_config import own_config
@@ -32,6 +36,7 @@ from neurad.scene.load import load_scene
 from neurad.scene.textures import TrueMaterials
 from neurad.training.checkpoint import fitting
 from neurad.training.checkpoint_file import read_checkpoint
+from neurad.training.error_bars import to_cube
 
 CHUNK = 1 << 17
 """Points that go through the fields at once, to bound the memory."""
@@ -122,6 +127,49 @@ class LoadedRun:
 
         return self._evaluate(at, self._positions(points))
 
+    def albedo_std(self, points: Points) -> FloatArray:
+        """Standard deviation of the recovered albedo [n, 3]; 0 on emitters, where points of :meth:`surface` say so.
+
+        Args:
+            points: positions [n, 3] in world space, or points of :meth:`surface`.
+
+        Raises:
+            InputError: the run folder has no error bars, or others than those of this checkpoint; or as :meth:`albedo`.
+        """
+        return self._bars(points, "albedo")
+
+    def roughness_std(self, points: Points) -> FloatArray:
+        """Standard deviation of the recovered roughness [n, 1]; 0 in a diffuse scene, which has none. Arguments and
+        errors are those of :meth:`albedo_std`.
+        """
+        if isinstance(self.materials, FittedMaterials) and self.materials.roughness is None:
+            return np.zeros(
+                (len(points if isinstance(points, SurfaceInteraction) else self._positions(points)), 1), np.float32
+            )
+        return self._bars(points, "roughness")
+
+    def _bars(self, points: Points, name: str) -> FloatArray:
+        """Error bars of a map, of the run folder's file."""
+        cube, bars = to_cube(self._fields()), self._error_bars
+        if isinstance(points, SurfaceInteraction):
+            emits = (self.world.geometry.emission > 0).any(-1)
+            return np.concatenate([bars_at(bars, cube, part, emits)[name] for part in _chunks(points)])
+        found = [bars.at(in_cube(cube, part.cpu().numpy())) for part in _chunks(self._positions(points))]
+        stds = [albedo if name == "albedo" else roughness for albedo, roughness in found]
+        return np.concatenate([std for std in stds if std is not None])
+
+    @cached_property
+    def _error_bars(self) -> ErrorBars:
+        folder = run_folder_of(self.checkpoint)
+        assert folder is not None
+        bars = read_bars(folder / NAME)
+        if bars.iteration != self.iteration:
+            raise InputError(
+                f"{folder / NAME}: it is of iteration {bars.iteration}, the checkpoint of {self.iteration}; "
+                "neurad test writes it anew"
+            )
+        return bars
+
     def render(self, view: View | Camera | str, spp: int = 16, seed: int = 0) -> FloatArray:
         """The method's picture (the right-hand side) of a view, as ``neurad test`` shows it.
 
@@ -163,8 +211,13 @@ class LoadedRun:
     def _evaluate(self, values: Callable[[Any], Tensor], points: Tensor | SurfaceInteraction) -> FloatArray:
         """``values`` at points, in chunks, as an array."""
         with torch.no_grad():
-            parts = [values(points[i : i + CHUNK]).cpu() for i in range(0, max(1, len(points)), CHUNK)]
+            parts = [values(part).cpu() for part in _chunks(points)]
         return np.asarray(torch.cat(parts).numpy(), np.float32)
+
+
+def _chunks(points: Tensor | SurfaceInteraction) -> list[Any]:
+    """``points`` in parts of CHUNK, at least one."""
+    return [points[i : i + CHUNK] for i in range(0, max(1, len(points)), CHUNK)]
 
 
 def load_run(

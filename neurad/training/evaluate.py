@@ -15,7 +15,9 @@ from neurad.integrators.estimator import Estimator
 from neurad.integrators.film import box_mean, render
 from neurad.integrators.renderer import FieldRenderer, MethodRenderer, path_tracer
 from neurad.integrators.world import World
+from neurad.metrics.bar_maps import predict_bars, score_bars
 from neurad.metrics.environment import EnvironmentScores
+from neurad.metrics.error_bars import ErrorBars, ToUnitCube
 from neurad.metrics.held_out import HeldOut
 from neurad.metrics.lit_glossy import lit_glossy, reflected_by
 from neurad.metrics.relight import relight_map, score_relit
@@ -41,8 +43,9 @@ class Evaluation:
     """Keys as in ``metrics.csv``."""
     maps: list[dict[str, FloatArray]]
     """For each held-out view: ``render``; of materials that are fitted ``albedo`` and ``roughness``; with a radiance
-    field ``residual``; where there are files, ``photograph``, ``albedo_true`` and ``roughness_true`` [h, w, 1 or 3]; in
-    a thorough evaluation also ``relit`` and ``photograph_relit``."""
+    field ``residual``; with error bars ``albedo_std`` and ``roughness_std``; where there are files, ``photograph``,
+    ``albedo_true`` and ``roughness_true`` [h, w, 1 or 3]; in a thorough evaluation also ``relit`` and
+    ``photograph_relit``."""
     environment: dict[str, FloatArray] = field(default_factory=dict)
     """Of an environment that is recovered: ``fitted`` and, where it is known, ``truth`` [height, width, 3]."""
 
@@ -80,6 +83,7 @@ def evaluate(
     light: UnknownLight | None = None,
     scene: Scene | None = None,
     steady: bool = False,
+    bars: tuple[ErrorBars, ToUnitCube] | None = None,
 ) -> Evaluation:
     """Score albedo, roughness, light and the method's own rendering at ``render_spp`` samples a pixel.
 
@@ -91,6 +95,7 @@ def evaluate(
         light: an environment that is recovered.
         scene: where it has another light for its held-out views, they are rendered in it, too.
         steady: take the noise of few samples from the rendering, see :func:`steadied`, as long as there is a field.
+        bars: error bars of the materials, and what maps positions to the unit cube that they are in.
     """
     world, materials, radiance = estimator.world, estimator.materials, estimator.radiance
     rhs = MethodRenderer(estimator.method, estimator.scene)
@@ -113,6 +118,9 @@ def evaluate(
             entry["residual"] = (left - right).abs().cpu().numpy()
             fields.append(left.cpu().numpy())
         entry.update(held_out.truth(index))
+    if bars is not None:
+        for entry, found_bars in zip(maps, predict_bars(held_out, *bars), strict=True):
+            entry.update(found_bars)
     regions = (
         {"lit_glossy": lit_glossy(held_out, reflected_by(estimator.method, estimator.scene), GLOSSY_SAMPLES)}
         if glossy and fitted
@@ -123,6 +131,8 @@ def evaluate(
     )
     if glossy and fitted and scene is not None:
         scores |= _relight(held_out, scene, world, materials, render_spp, maps)
+    if bars is not None and glossy:
+        scores |= score_bars(held_out, maps)
     if light is None:
         return Evaluation(scores, maps)
     found = light.environment.map()

@@ -23,7 +23,9 @@ from neurad.integrators.estimator import Estimator
 from neurad.integrators.method import Method
 from neurad.integrators.radiometric import Radiometric
 from neurad.integrators.world import World
+from neurad.metrics.bar_maps import predict_bars
 from neurad.metrics.effort import Effort
+from neurad.metrics.error_bars import ErrorBars
 from neurad.metrics.held_out import HeldOut
 from neurad.metrics.view_residuals import view_residuals
 from neurad.optim.polyak_average import PolyakAverage, averaged
@@ -33,6 +35,7 @@ from neurad.runtime.clock import excluded, training_seconds
 from neurad.scene.description import Scene
 from neurad.scene.textures import TrueMaterials
 from neurad.training.checkpoint import fitting
+from neurad.training.error_bars import error_bars, to_cube
 from neurad.training.evaluate import Evaluation, UnknownLight, evaluate, unknown_light
 from neurad.training.gradient_sync import GradientSync, ddp_ignored
 from neurad.training.guard import Guard, keep_in_run_folder
@@ -247,7 +250,9 @@ class InverseRenderer(L.LightningModule):
 
     # ---- held-out views
 
-    def evaluate(self, render_spp: int = 4, glossy: bool = False, steady: bool = False) -> Evaluation:
+    def evaluate(
+        self, render_spp: int = 4, glossy: bool = False, steady: bool = False, bars: ErrorBars | None = None
+    ) -> Evaluation:
         """Score the present materials and radiance field on held-out views; its rays and seconds do not count.
 
         The arguments are those of :func:`neurad.training.evaluate.evaluate`.
@@ -257,9 +262,34 @@ class InverseRenderer(L.LightningModule):
         with averaged(self.average), self.world.tracer.uncounted():
             if self._light is None and self.environment is not None:
                 self._light = unknown_light(self.scene, self.environment, self._held_out)
-            result = evaluate(self._held_out, self.estimator, render_spp, glossy, self._light, self.scene, steady)
+            known = self.materials if isinstance(self.materials, FittedMaterials) else None
+            shown = None if bars is None or known is None else (bars, to_cube(known))
+            result = evaluate(
+                self._held_out, self.estimator, render_spp, glossy, self._light, self.scene, steady, shown
+            )
         self._guard.images(self.iteration, result.maps, [view.name for view in self._held_out.views])
         return result
+
+    def error_bars(self) -> ErrorBars | None:
+        """Error bars of the present materials, see :func:`neurad.training.error_bars.error_bars`.
+
+        Raises:
+            InputError: outside of a fit the training photographs are read for it, and one is missing or wrong.
+        """
+        views = self.training_views
+        with averaged(self.average):
+            if views is None:
+                with self.world.tracer.uncounted():
+                    views = prepare_views(self.assembly, self.photographs, self.device, check_brightness=False)
+            return error_bars(self.assembly, views, self.photographs, self.counters)
+
+    def bar_maps(self, bars: ErrorBars) -> list[dict[str, FloatArray]]:
+        """``albedo_std`` and ``roughness_std`` of the held-out views, see :func:`predict_bars`."""
+        if self._held_out is None:
+            self._held_out = self._make_held_out()
+        assert isinstance(self.materials, FittedMaterials)
+        with self.world.tracer.uncounted():
+            return predict_bars(self._held_out, bars, to_cube(self.materials))
 
     def _make_held_out(self) -> HeldOut:
         """The held-out views, as much of them as evaluations look at."""

@@ -1,0 +1,65 @@
+"""Sums at the nodes of a regular grid in the unit cube: scattered and read trilinearly, kept where there are any."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Self
+
+import numpy as np
+
+from neurad.metrics.scores import Float64Array, IntArray
+
+SIDE = 128
+"""Cells along the unit cube; 65 nodes along an edge."""
+_NODES = SIDE + 1
+
+
+@dataclass(frozen=True)
+class Nodes:
+    """Rows of sums at the occupied nodes."""
+
+    side: int
+    """Cells along an edge of the unit cube; one node more."""
+    index: IntArray
+    """Of the occupied nodes, ascending [k], int64."""
+    values: Float64Array
+    """Sums there [k, c]."""
+
+    @classmethod
+    def scattered(cls, x: Float64Array, values: Float64Array, side: int) -> Self:
+        """Spread ``values`` [n, c] at positions ``x`` [n, 3] in [0, 1] over the eight nodes around each."""
+        node, weight = _corners(x, side)
+        index, place = np.unique(node, return_inverse=True)
+        place = place.reshape(node.shape)
+        sums = np.zeros((len(index), values.shape[1]))
+        for channel in range(values.shape[1]):
+            spread = weight * values[:, channel, None]
+            sums[:, channel] = np.bincount(place.ravel(), spread.ravel(), len(index))
+        return cls(side, index, sums)
+
+    def read(self, x: Float64Array) -> Float64Array:
+        """Trilinear means [n, c] at positions ``x`` [n, 3] in [0, 1]; nodes without anything count as 0."""
+        result = np.zeros((len(x), self.values.shape[1]))
+        if len(self.index) == 0:
+            return result
+        node, weight = _corners(x, self.side)
+        place = np.searchsorted(self.index, node).clip(0, len(self.index) - 1)
+        weight = np.where(self.index[place] == node, weight, 0.0)
+        for corner in range(8):
+            result += weight[:, corner, None] * self.values[place[:, corner]]
+        return result
+
+
+def _corners(x: Float64Array, side: int) -> tuple[IntArray, Float64Array]:
+    """Indices and trilinear weights of the eight nodes around each position, each [n, 8]."""
+    scaled = np.clip(np.asarray(x, np.float64), 0.0, 1.0) * side
+    cell = np.minimum(scaled.astype(np.int64), side - 1)  # [n, 3]
+    fraction = scaled - cell
+    index = np.empty((len(scaled), 8), np.int64)
+    weight = np.empty((len(scaled), 8))
+    for corner in range(8):
+        step = np.array([corner & 1, corner >> 1 & 1, corner >> 2])
+        at = cell + step
+        index[:, corner] = (at[:, 0] * (side + 1) + at[:, 1]) * (side + 1) + at[:, 2]
+        weight[:, corner] = np.where(step == 1, fraction, 1.0 - fraction).prod(1)
+    return index, weight

@@ -1,0 +1,215 @@
+"""What pixels of the photographs say of the materials in them: residuals and derivatives, in independent halves."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass, fields, replace
+from typing import Self
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from neurad.core.protocols import PhotoSource
+from neurad.core.records import Camera, FloatArray, PixelBatch, Surface
+from neurad.core.rng import Stream
+from neurad.integrators.estimator import Estimator
+from neurad.integrators.primary_hits import PrimaryHits
+from neurad.losses.leave_one_out import ControlVariate
+from neurad.metrics.scores import BoolArray
+
+SPP = 8
+"""Samples a pixel, both halves together: a pixel more says more than a sample more."""
+_GROUPS = 2  # independent groups in a half, as its control variate needs
+_LANES = 1 << 15  # samples in flight: bounds the memory
+_STREAM = 29  # last number of the stream's key
+
+
+@dataclass(frozen=True)
+class PixelDerivatives:
+    """Training pixels whose every sample met a surface [b]. Halves are independent of each other, so that a product of
+    one with the other has no noise in its mean.
+    """
+
+    p: FloatArray
+    """One of the surface points in each pixel [b, 3]."""
+    area: FloatArray
+    """Surface that the pixel covers, in squared scene units [b]."""
+    odd: BoolArray
+    """Whether the pixel belongs to the second half of the photographs' pixels [b]."""
+    residual: FloatArray
+    """Photograph less estimate, by half [2, b, 3]."""
+    by_albedo: FloatArray
+    """Derivative of the estimate by the albedo's same channel, by half [2, b, 3]."""
+    by_roughness: FloatArray
+    """Derivative of the estimate by the roughness, by half [2, b, 3]; 0 in a diffuse scene."""
+    misfit: FloatArray
+    """Photograph less the radiance field's prediction, which has no noise; without a field less the estimate [b, 3]."""
+    predicted: FloatArray
+    """That prediction [b, 3]."""
+    albedo: FloatArray
+    """Recovered albedo, the mean over the pixel [b, 3]."""
+    detail: FloatArray
+    """Variance of the recovered albedo within the pixel [b, 3]."""
+
+    def __len__(self) -> int:
+        return len(self.p)
+
+    @classmethod
+    def join(cls, parts: list[Self]) -> Self:
+        """Pixels of all parts."""
+        axes = {f.name: int(f.name in ("residual", "by_albedo", "by_roughness")) for f in fields(cls)}
+        return cls(
+            **{name: np.concatenate([getattr(part, name) for part in parts], axis) for name, axis in axes.items()}
+        )
+
+
+def pixel_derivatives(
+    estimator: Estimator,
+    primary: PrimaryHits,
+    photographs: PhotoSource,
+    emitter_mask: Tensor,
+    first: int,
+    pixels: int,
+    seed: int,
+) -> PixelDerivatives | None:
+    """Residuals and derivatives of about ``pixels`` training pixels at the present materials; None if none is left.
+
+    Args:
+        estimator: the method with the present materials and radiance field.
+        primary: camera rays of the training views.
+        photographs: drawn from in turn, so that no pixel comes twice before all have come.
+        emitter_mask: pixels that an emitter covers [views, pixels], bool; they are left out.
+        first: iteration whose batch is the first one taken.
+        pixels: how many.
+        seed: of the samples.
+    """
+    parts = []
+    for index, batch in enumerate(_batches(photographs, emitter_mask, first, pixels)):
+        stream = Stream(seed, first, index, _STREAM, device=primary.origin.device)
+        parts.append(_of_batch(estimator, primary, batch, stream))
+    found = PixelDerivatives.join(parts) if parts else None
+    return found if found is not None and len(found) else None
+
+
+def _batches(photographs: PhotoSource, emitter_mask: Tensor, first: int, pixels: int) -> Iterator[PixelBatch]:
+    """Batches of the photographs from iteration ``first`` on, cut or joined to fit in memory, on the mask's device."""
+    device, taken, iteration = emitter_mask.device, 0, first
+    waiting: list[PixelBatch] = []
+    while taken < pixels:
+        batch = photographs.batch(iteration)
+        iteration, take = iteration + 1, min(len(batch.view), pixels - taken)
+        taken += take
+        view, pixel, color, alpha = (x[:take].to(device) for x in (batch.view, batch.pixel, batch.color, batch.alpha))
+        kept = ~emitter_mask[view, pixel] & (alpha > 0)
+        waiting.append(PixelBatch(view[kept], pixel[kept], color[kept], alpha[kept], 0))
+        if taken < pixels and sum(len(part.view) for part in waiting) < _LANES // SPP:
+            continue
+        names = "view", "pixel", "color", "alpha"
+        joined = [torch.split(torch.cat([getattr(part, name) for part in waiting]), _LANES // SPP) for name in names]
+        waiting = []
+        for columns in zip(*joined, strict=True):
+            if len(columns[0]):
+                yield PixelBatch(columns[0], columns[1], columns[2], columns[3], 0)
+
+
+@dataclass(frozen=True)
+class _Half:
+    """One half's estimate of the pixels of a batch."""
+
+    image: Tensor
+    """[b, 3]."""
+    by_albedo: Tensor
+    """[b, 3]."""
+    by_roughness: Tensor
+    """[b, 3]."""
+    field: Tensor | None
+    """What the radiance field predicts [b, 3]."""
+    albedo: Tensor
+    """By sample [b, n, 3]."""
+    p: Tensor
+    """Surface points by sample [b, n, 3]."""
+    cosine: Tensor
+    """Of the viewing direction, by sample [b, n]."""
+    valid: Tensor
+    """Whether all samples met a surface [b]."""
+
+
+def _of_batch(estimator: Estimator, primary: PrimaryHits, batch: PixelBatch, stream: Stream) -> PixelDerivatives:
+    halves = [_half(estimator, primary, batch, stream) for _ in range(2)]
+    image = torch.stack([half.image for half in halves])  # [2, b, 3]
+    lhs = [half.field for half in halves if half.field is not None]
+    predicted = torch.stack(lhs).mean(0) if lhs else image.mean(0)  # [b, 3]
+    albedo = torch.cat([half.albedo for half in halves], 1)  # [b, SPP, 3]
+    p, cosine = halves[0].p[:, 0], halves[0].cosine[:, 0]
+    distance = torch.linalg.vector_norm(p - primary.origin[batch.view], dim=-1)  # [b]
+    side = distance * _pixel_side(primary.cameras).to(p.device)[batch.view]
+    kept = halves[0].valid & halves[1].valid
+    # Neighbouring pixels alternate between the halves of the photographs.
+    row, column = batch.pixel // primary.views.width, batch.pixel % primary.views.width
+    odd = (row + column + batch.view) % 2 == 1
+    whole = {
+        "p": p, "area": side * side / cosine.clamp_min(0.1), "odd": odd, "misfit": batch.color - predicted,
+        "predicted": predicted, "albedo": albedo.mean(1), "detail": albedo.var(1),
+    }  # fmt: skip
+    halved = {
+        "residual": batch.color - image,
+        "by_albedo": torch.stack([half.by_albedo for half in halves]),
+        "by_roughness": torch.stack([half.by_roughness for half in halves]),
+    }
+    arrays = {name: values[kept] for name, values in whole.items()}
+    arrays |= {name: values[:, kept] for name, values in halved.items()}
+    return PixelDerivatives(**{name: values.cpu().numpy() for name, values in arrays.items()})
+
+
+def _half(estimator: Estimator, primary: PrimaryHits, batch: PixelBatch, stream: Stream) -> _Half:
+    """``SPP / 2`` samples of every pixel, with the control variate where the method has one."""
+    b, n = len(batch.view), SPP // 2
+    first = primary(batch, n, stream)
+    si, world = first.si, estimator.world
+    with torch.no_grad():
+        found, emitted = estimator.materials(si), world.emitted(si)
+        field = None
+        if estimator.radiance is not None:
+            field = first.attenuate(emitted + si.where_hit(estimator.radiance(si, found.albedo))).view(b, n, 3).mean(1)
+    albedo, roughness = found.albedo.detach().clone(), found.roughness.detach().clone()
+    surface = replace(found, albedo=albedo.requires_grad_(), roughness=roughness.requires_grad_())
+    with torch.enable_grad():
+        sample = estimator.image(si, surface, 1, stream, n // _GROUPS)
+        image = first.attenuate(sample.value).view(b, n, 3)
+        if sample.Li_bsdf is not None and sample.sample_stats is not None and estimator.method.control_variate:
+            light = (sample.Li_bsdf * sample.sample_stats.relative).view(b, n, 3)
+            deviation = first.attenuate(sample.sample_stats.deviation).view(b, n, 3)
+            image = image - ControlVariate(light, deviation, _GROUPS).residual()
+        by_albedo, by_roughness = _jacobian(image, surface)
+    return _Half(
+        (image.detach() + first.attenuate(emitted).view(b, n, 3)).mean(1), by_albedo, by_roughness, field,
+        albedo.detach().view(b, n, 3), si.p.view(b, n, 3), (si.n * si.wo).sum(-1).abs().view(b, n),
+        si.valid.view(b, n).all(1),
+    )  # fmt: skip
+
+
+def _jacobian(image: Tensor, surface: Surface) -> tuple[Tensor, Tensor]:
+    """Derivatives of pixels, the means of samples ``image`` [b, n, 3], by a change of the whole pixel's albedo, channel
+    by channel, and roughness: each [b, 3].
+    """
+    b, n, channels = image.shape
+    by_albedo, by_roughness = image.new_zeros(2, b, channels).unbind()
+    if not image.requires_grad:
+        return by_albedo, by_roughness
+    for channel in range(channels):
+        gradients = torch.autograd.grad(
+            image[..., channel].sum(), (surface.albedo, surface.roughness), retain_graph=channel + 1 < channels,
+            allow_unused=True,
+        )  # fmt: skip
+        if gradients[0] is not None:
+            by_albedo[:, channel] = gradients[0][:, channel].view(b, n).mean(1)
+        if gradients[1] is not None:
+            by_roughness[:, channel] = gradients[1][:, 0].view(b, n).mean(1)
+    return by_albedo, by_roughness
+
+
+def _pixel_side(cameras: list[Camera]) -> Tensor:
+    """Side of a pixel at distance 1 from each camera [views]."""
+    return torch.tensor([2.0 * math.tan(camera.fov_x / 2.0) / camera.width for camera in cameras])

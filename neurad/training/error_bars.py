@@ -1,0 +1,55 @@
+"""The pass over training pixels that error bars are measured in."""
+
+from __future__ import annotations
+
+import torch
+
+from neurad.assembly.build import Assembly, FittedMaterials
+from neurad.assembly.training_views import TrainingViews
+from neurad.core.protocols import PhotoSource
+from neurad.metrics.error_bars import ErrorBars, ToUnitCube, measure
+from neurad.metrics.pixel_derivatives import SPP, pixel_derivatives
+from neurad.training.step import Counters
+
+FRACTION = 0.03
+"""Samples of the pass over those that the fit has drawn. One of them costs about half of one of a training step."""
+MOST = 1 << 18
+"""Pixels in a pass."""
+
+
+def error_bars(
+    assembly: Assembly, views: TrainingViews, photographs: PhotoSource, counters: Counters
+) -> ErrorBars | None:
+    """Error bars of the present materials, from pixels that the fit would have drawn next; the same ones at every call.
+
+    None where materials are known, and of a fit too short to have drawn samples for one pixel. Nothing of the run
+    changes.
+
+    Args:
+        assembly: with the materials that are reported, the averaged ones if the run averages.
+        views: the training views.
+        photographs: of the training views.
+        counters: iterations and samples of the fit.
+    """
+    if not isinstance(assembly.materials, FittedMaterials):
+        return None
+    total = int((~views.emitter_mask).sum())
+    count = min(int(FRACTION * counters.samples) // SPP, MOST, total)
+    if count < 1:
+        return None
+    with assembly.world.tracer.uncounted():
+        pixels = pixel_derivatives(
+            assembly.estimator, views.primary, photographs, views.emitter_mask, counters.iteration, count,
+            assembly.settings.seed,
+        )  # fmt: skip
+    if pixels is None:
+        return None
+    has_roughness = assembly.materials.roughness is not None
+    return measure(pixels, to_cube(assembly.materials), total, counters.iteration, has_roughness)
+
+
+def to_cube(materials: FittedMaterials) -> ToUnitCube:
+    """Positions to the unit cube that the fields of ``materials`` span."""
+    cube: torch.nn.Module = materials.albedo.cube  # type: ignore[attr-defined]
+    device = next(iter(cube.buffers())).device
+    return lambda p: cube(p.to(device))

@@ -1,0 +1,132 @@
+"""Error bars at points: sums on a grid, their file, and derivatives of pixels against closed forms and differences."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+from helpers.oracles import accept, z_test_samples
+from helpers.small_step import SmallStep
+
+from neurad.assembly.settings import Sampling
+from neurad.core.errors import InputError
+from neurad.core.records import Surface
+from neurad.core.rng import Stream
+from neurad.integrators.direct import Direct
+from neurad.metrics import pixel_derivatives
+from neurad.metrics.bar_calibration import PRIOR, RoughnessBars
+from neurad.metrics.bars_file import read_bars, write_bars
+from neurad.metrics.error_bars import COLUMNS, ErrorBars, measure
+from neurad.metrics.nodes import Nodes
+from neurad.metrics.pixel_derivatives import PixelDerivatives
+
+RNG = np.random.default_rng(0)
+
+
+class Everywhere:
+    """One albedo and one roughness."""
+
+    def __init__(self, albedo, roughness):
+        self.values = albedo, roughness
+
+    def __call__(self, si):
+        ones = torch.ones_like(si.p)
+        return Surface(ones * self.values[0], ones[:, :1] * self.values[1])
+
+    def albedo(self, si):
+        return self(si).albedo
+
+
+def test_nodes_keep_sums_and_read_linear_functions():
+    x = RNG.random((500, 3))
+    values = RNG.random((500, 2))
+    nodes = Nodes.scattered(x, values, 8)
+    assert np.allclose(nodes.values.sum(0), values.sum(0))
+    corners = np.stack(np.meshgrid(*[np.arange(9) / 8] * 3, indexing="ij"), -1).reshape(-1, 3)
+    linear = Nodes.scattered(corners, 1.0 + corners @ np.array([[1.0], [2.0], [3.0]]), 8)
+    assert np.allclose(linear.read(x), 1.0 + x @ np.array([[1.0], [2.0], [3.0]]))
+    assert (Nodes.scattered(x[:0], values[:0], 8).read(x) == 0).all()
+
+
+def pixels(n=4000, noise=0.1, detail=1e-4):
+    """Pixels on a plane that all see D = 1 and no highlight."""
+    p = np.concatenate((RNG.random((n, 2)), np.full((n, 1), 0.5)), 1).astype(np.float32)
+    one = np.ones((n, 3), np.float32)
+    misfit = (noise * RNG.standard_normal((n, 3))).astype(np.float32)
+    both = np.stack([one, one])
+    return PixelDerivatives(
+        p=p, area=np.full(n, 1e-3, np.float32), odd=np.arange(n) % 2 == 0, residual=np.stack([misfit, misfit]),
+        by_albedo=both, by_roughness=0 * both, misfit=misfit, predicted=one,
+        albedo=(0.5 + 0.2 * RNG.standard_normal((n, 3))).astype(np.float32), detail=detail * one,
+    )  # fmt: skip
+
+
+def test_bars_where_pixels_are_and_where_none_is():
+    """On the plane the albedo's variance is the geometric mean of V and N = noise^2 / (pixels over a pixel's area);
+    away from it the bars are the spread and the prior."""
+    given = pixels()
+    bars = measure(given, lambda p: p, len(given), 7, has_roughness=True)
+    x = np.concatenate((RNG.uniform(0.2, 0.8, (200, 2)), np.full((200, 1), 0.5)), 1)
+    albedo, roughness = bars.at(x)
+    overlap = 4000 * 1e-3  # pixels a unit of area, times their area
+    expected = np.sqrt(np.sqrt(1e-4 * 0.01 / overlap))
+    assert np.median(albedo) == pytest.approx(expected, rel=0.25)
+    assert roughness == pytest.approx(PRIOR, rel=1e-3)
+    far_albedo, far_roughness = bars.at(np.array([[0.5, 0.5, 0.01]]))
+    assert far_albedo[0] == pytest.approx(given.albedo.std(0), rel=1e-3)
+    assert far_roughness[0, 0] == pytest.approx(PRIOR)
+    assert measure(given, lambda p: p, len(given), 7, has_roughness=False).at(x)[1] is None
+
+
+def test_bars_come_back_from_their_file(tmp_path):
+    bars = measure(pixels(), lambda p: p, 8000, 7, has_roughness=True)
+    write_bars(bars, tmp_path / "bars.npz")
+    found = read_bars(tmp_path / "bars.npz")
+    x = RNG.random((50, 3))
+    assert found.iteration == 7
+    assert all(np.allclose(a, b, rtol=1e-5) for a, b in zip(found.at(x), bars.at(x), strict=True))
+    with pytest.raises(InputError, match="neurad test writes them"):
+        read_bars(tmp_path / "none.npz")
+    (tmp_path / "bars.npz").write_bytes(b"PK not a file of arrays")
+    with pytest.raises(InputError, match=r"bars\.npz: .*neurad test"):
+        read_bars(tmp_path / "bars.npz")
+    broken = ErrorBars(Nodes(4, np.array([3, 2]), np.zeros((2, COLUMNS))), 1.0, np.ones(3), RoughnessBars(1, 1), 7)
+    write_bars(broken, tmp_path / "order.npz")
+    with pytest.raises(InputError, match="no file of error bars"):
+        read_bars(tmp_path / "order.npz")
+
+
+def step_of(albedo, roughness, method=None):
+    made = SmallStep(Sampling(spp=4, cached_spp=4))
+    materials = Everywhere(albedo, roughness)
+    estimator = replace(made.estimator, materials=materials, method=method or made.estimator.method)
+    return made, estimator
+
+
+def test_derivative_by_albedo_is_the_difference_of_images():
+    """Light that a surface reflects is linear in its albedo: with the same random numbers differences are exact."""
+    made, _ = step_of(0.5, 0.4)
+    batch = made.batch(128, where=~made.emitter_mask)
+    halves = []
+    for albedo in (0.4, 0.5, 0.6):
+        estimator = replace(step_of(albedo, 0.4, Direct())[1])
+        halves.append(pixel_derivatives._half(estimator, made.primary, batch, Stream(3)))
+    difference = (halves[2].image - halves[0].image) / 0.2
+    assert torch.allclose(difference, halves[1].by_albedo, rtol=1e-3, atol=1e-4)
+    assert halves[1].by_albedo.abs().mean() > 0.01
+
+
+def test_derivative_by_roughness_is_the_difference_of_mean_images():
+    """Central differences of the mean image over pixels and independent seeds, a z-test at 99 %."""
+    made, _ = step_of(0.5, 0.4)
+    batch = made.batch(256, where=~made.emitter_mask)
+
+    def rows(roughness, first, seeds=150):
+        estimator = step_of(0.3, roughness, Direct())[1]
+        found = [pixel_derivatives._half(estimator, made.primary, batch, Stream(first, k)) for k in range(seeds)]
+        return [torch.stack([getattr(half, name).mean() for half in found]) for name in ("image", "by_roughness")]
+
+    h = 0.02
+    low, high = rows(0.5 - h, 1)[0], rows(0.5 + h, 2)[0]
+    derivative = rows(0.5, 3)[1]
+    assert accept([float(z_test_samples(((high - low) / (2 * h)).double(), derivative.double()))])
