@@ -25,7 +25,7 @@ from neurad.metrics.scores import BoolArray, Float64Array, Pool, block_means
 from neurad.metrics.seen import SeenBy
 from neurad.scene.description import Scene
 from neurad.scene.geometry import Geometry
-from neurad.scene.image_io import read_exr, to_srgb
+from neurad.scene.image_io import read_exr, read_mask, to_srgb
 from neurad.scene.numbers import PIXEL, within
 
 CHUNK = 1 << 18
@@ -86,6 +86,7 @@ class HeldOut:
         self._seen: dict[int, BoolArray] = {}
         self._shows: dict[int, BoolArray] = {}
         self._truth: dict[int, dict[str, FloatArray]] = {}
+        self._kept: dict[int, BoolArray] = {}
 
     def read(self) -> Self:
         """Read all files now, so that a bad one is found before training and not after it.
@@ -95,6 +96,7 @@ class HeldOut:
         """
         for index in range(len(self.views)):
             self.truth(index)
+            self.kept(index)
         return self
 
     # --- sub-samples
@@ -173,6 +175,18 @@ class HeldOut:
             self._shows[index] = self._image(index, torch.cat(parts))
         return self._shows[index]
 
+    def kept(self, index: int) -> BoolArray:
+        """Pixels [h, w] of the photograph that count: those that its mask, if it has one, does not leave out.
+
+        Raises:
+            InputError: the mask cannot be read, or has another size than the camera.
+        """
+        if index not in self._kept:
+            view = self.views[index]
+            whole = np.ones((view.camera.height, view.camera.width), np.bool_) if view.mask is None else read_mask(view)
+            self._kept[index] = np.ascontiguousarray(whole[:: self.stride, :: self.stride])
+        return self._kept[index]
+
     def _image(self, index: int, pixels: Tensor) -> np.ndarray:
         """Row-major pixels [h * w, ...] as an array [h, w, ...]."""
         return pixels.view(*self.size(index), *pixels.shape[1:]).cpu().numpy()
@@ -238,7 +252,8 @@ class HeldOut:
             scaled: whether light and albedo are found up to a common factor only.
 
         Returns:
-            ``psnr_linear`` and ``psnr_srgb`` over all pixels; ``mape_linear`` over those that show a surface;
+            ``psnr_linear`` and ``psnr_srgb`` over all pixels but masked ones; ``mape_linear`` over those of them that
+            show a surface;
             ``{albedo, roughness}_{psnr, mape}`` over counted ones and ``albedo_psnr_8x8`` over these after a box
             filter. Each also with ``_constant``, of the best constant, and those of albedo, if ``scaled``, with
             ``_scaled1`` and ``_scaled3``, after the best factor for all channels together or for each. All these also
@@ -274,9 +289,10 @@ class HeldOut:
         truth = self.truth(index)
         counted = self.counted(index) & region
         if render is not None and "photograph" in truth:
-            pools["linear"].add(render, truth["photograph"], region)
-            pools["linear surfaces"].add(render, truth["photograph"], region & self.shows(index))
-            pools["srgb"].add(to_srgb(render), to_srgb(truth["photograph"]), region)
+            kept = region & self.kept(index)
+            pools["linear"].add(render, truth["photograph"], kept)
+            pools["linear surfaces"].add(render, truth["photograph"], kept & self.shows(index))
+            pools["srgb"].add(to_srgb(render), to_srgb(truth["photograph"]), kept)
         if "albedo_true" in truth and "albedo" in maps:
             pools["albedo"].add(maps["albedo"], truth["albedo_true"], counted)
             if self.stride == 1:  # else blocks would be larger, and their scores others

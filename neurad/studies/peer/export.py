@@ -9,6 +9,7 @@ from typing import Any
 
 import numpy as np
 
+from neurad.core.errors import InputError
 from neurad.core.records import Bitmap, Constant, EnvironmentMap, Material, Mesh, Texture, View
 from neurad.scene.description import Scene
 
@@ -30,9 +31,15 @@ def to_mitsuba(
         samples: per pixel.
         integrator: defaults to ``path`` with the scene's ``max_depth`` and ``rr_depth``.
         shading: the Mitsuba BSDF that stands for a material that is not a delta one; None keeps the scene's own.
+
+    Raises:
+        InputError: the view's camera distorts, or its pixels are not square.
     """
     import mitsuba as mi
 
+    lens = view.camera.lens
+    if lens.bends or lens.aspect != 1.0:
+        raise InputError(f"view {view.name}: Mitsuba's cameras have no lens distortion and square pixels only")
     # Mitsuba's camera looks along +Z with +X to the left, ours along -Z with +X to the right
     pose = np.asarray(view.camera.to_world, np.float64) @ np.diag([-1.0, 1.0, -1.0, 1.0])
     described: dict[str, Any] = {
@@ -43,6 +50,8 @@ def to_mitsuba(
             "to_world": mi.ScalarTransform4f(pose.astype(np.float32)),
             "fov": float(np.degrees(view.camera.fov_x)),
             "fov_axis": "x",
+            "principal_point_offset_x": 0.5 - lens.centre[0],
+            "principal_point_offset_y": 0.5 - lens.centre[1],
             "near_clip": 1e-3,
             "film": {
                 "type": "hdrfilm",
