@@ -18,13 +18,14 @@ from datamodules.pixels import blurred, multiplier_at
 from neurad.core.errors import InputError
 from neurad.core.patch_sampler import PatchSampler
 from neurad.core.protocols import PhotoSource
-from neurad.core.ranges import Count, Range, Seed, checked
+from neurad.core.ranges import Count, CountOrZero, Range, Seed, checked
 from neurad.core.records import DatasetStats, PixelBatch, View
 from neurad.runtime.reading import read_bytes
 from neurad.scene.description import Scene
 from neurad.scene.image_io import read_mask, read_photograph
 from neurad.scene.load import load_scene
 from neurad.scene.numbers import check_bright
+from neurad.scene.readers.nerf import HOLD_OUT
 
 
 class SceneData(pl.LightningDataModule, PhotoSource):
@@ -44,9 +45,10 @@ class SceneData(pl.LightningDataModule, PhotoSource):
         resident: training photographs in memory at once; the others are read from disk as their turn comes. None
             keeps all in memory.
         replace_every: iterations after which one of them is replaced, if not all are in memory.
+        hold_out: every so many-th photograph is held out where the camera file does not say which; 0 for none.
 
     Raises:
-        InputError: a number is not positive, or ``pixel_multiplier`` no power of two.
+        InputError: a number is out of range, ``pixel_multiplier`` no power of two, or ``hold_out`` is 1.
     """
 
     def __init__(
@@ -59,10 +61,13 @@ class SceneData(pl.LightningDataModule, PhotoSource):
         seed: Seed = 0,
         resident: Count | None = None,
         replace_every: Count = 16,
+        hold_out: CountOrZero = HOLD_OUT,
     ) -> None:
         super().__init__()
         if pixel_multiplier & (pixel_multiplier - 1):
             raise InputError(f"--data.pixel_multiplier: {pixel_multiplier} is not a power of two")
+        if hold_out == 1:
+            raise InputError("--data.hold_out: 1 would hold out every photograph and leave none to learn from")
         self.root = root
         self.scene_name = scene
         self.patches = patches
@@ -71,6 +76,7 @@ class SceneData(pl.LightningDataModule, PhotoSource):
         self.seed = seed
         self.resident = resident
         self.replace_every = replace_every
+        self.hold_out = hold_out
         checked(self)
         self._with_blurred = False
         self._spread: tuple[list[Tensor], Fireflies] | None = None
@@ -85,7 +91,7 @@ class SceneData(pl.LightningDataModule, PhotoSource):
     @cached_property
     def scene(self) -> Scene:
         """The scene, checked; read at the first access."""
-        return load_scene(self.root, self.scene_name)
+        return load_scene(self.root, self.scene_name, self.hold_out)
 
     def setup(self, stage: str) -> None:
         """Read the scene and, for a fit, all training photographs that are to stay in memory.
@@ -257,7 +263,7 @@ class SceneData(pl.LightningDataModule, PhotoSource):
         """
         made = SceneData(
             None, None, self.patches, self.patch_size, self.pixel_multiplier, self.seed, self.resident,
-            self.replace_every,
+            self.replace_every, self.hold_out,
         )  # fmt: skip
         made.scene = scene
         if photographs is not None:
@@ -343,8 +349,8 @@ class SceneData(pl.LightningDataModule, PhotoSource):
         return DataLoader(_Batches(self), batch_size=None, num_workers=0)
 
     def val_dataloader(self) -> DataLoader[int]:
-        """Indices of the held-out views, one an item."""
-        return DataLoader(_Range(len(self.scene.test)), batch_size=1, num_workers=0)
+        """Indices of the views that are scored, one an item."""
+        return DataLoader(_Range(len(self.scene.scored)), batch_size=1, num_workers=0)
 
     test_dataloader = val_dataloader
     predict_dataloader = val_dataloader

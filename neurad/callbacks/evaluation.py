@@ -82,7 +82,7 @@ class Evaluate(pl.Callback):
     def on_fit_start(self, trainer: pl.Trainer, pl_module: pl.LightningModule) -> None:
         """Decide how much of large held-out views evaluations look at: all ones of a run at the same pixels."""
         module = cast("InverseRenderer", pl_module)
-        views = module.scene.test
+        views = module.scene.scored
         if self.every_n_steps is not None or not views:
             return
         module.effort = affordable(views, self.spp, self.fraction, time_limit(trainer))
@@ -113,18 +113,19 @@ class Evaluate(pl.Callback):
 
     def on_fit_end(self, trainer: pl.Trainer, pl_module: pl.LightningModule) -> None:
         """Print the closing table."""
-        folder = run_folder(trainer)
+        folder, module = run_folder(trainer), cast("InverseRenderer", pl_module)
         rows = MetricsTable(folder / "metrics.csv").rows() if folder else []
         scores = rows[-1] if rows else self.last_scores
         if trainer.is_global_zero and scores:
-            print("\n" + "\n\n".join(t for t in (score_table(scores, self.spp), curve_table(rows)) if t))
+            print("\n" + "\n\n".join(t for t in (_table(module, scores, self.spp), curve_table(rows)) if t))
             if folder:
                 print(f"\nneurad: run folder {folder}")
 
     def on_validation_epoch_end(self, trainer: pl.Trainer, pl_module: pl.LightningModule) -> None:
         """``neurad validate``: print the scores."""
         if trainer.is_global_zero:
-            print(score_table(cast("InverseRenderer", pl_module).evaluate(self.spp).scores, self.spp))
+            module = cast("InverseRenderer", pl_module)
+            print(_table(module, module.evaluate(self.spp).scores, self.spp))
 
     def on_test_epoch_end(self, trainer: pl.Trainer, pl_module: pl.LightningModule) -> None:
         """``neurad test``: write every held-out view and the scores."""
@@ -133,7 +134,7 @@ class Evaluate(pl.Callback):
         module = cast("InverseRenderer", pl_module)
         evaluation = module.evaluate(self.test_spp, glossy=True)
         folder = run_folder(trainer)
-        print(score_table(evaluation.scores, self.test_spp))
+        print(_table(module, evaluation.scores, self.test_spp))
         if folder is not None:
             pictures.write_views(folder / "images", evaluation.maps, evaluation.environment)
             about = {"iteration": module.iteration, "seconds": round(module.seconds_before, 2), "rays": module.rays}
@@ -221,6 +222,14 @@ class Evaluate(pl.Callback):
         if isinstance(trainer.logger, TensorBoardLogger) and trainer.is_global_zero:
             for name, value in module.last_losses.items():
                 trainer.logger.experiment.add_scalar(f"train/{name}", float(value), module.iteration)
+
+
+def _table(module: InverseRenderer, scores: Mapping[str, float], spp: int) -> str:
+    """The closing table and, where its scores are not of held-out views, what they are of."""
+    said = module.scene.scores_are_of
+    if said is None:
+        return score_table(scores, spp)
+    return f"{score_table(scores, spp, views='Training photographs')}\n\nneurad: {said}"
 
 
 def _group(name: str) -> str:

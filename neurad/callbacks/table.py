@@ -89,13 +89,14 @@ class MetricsTable:
             write_text(self.path, "".join(kept))
 
 
-def score_table(scores: Mapping[str, float], spp: int, label: str = "neurad") -> str:
+def score_table(scores: Mapping[str, float], spp: int, label: str = "neurad", views: str = "Held-out views") -> str:
     """The closing table: this run beside the best constant, over all held-out pixels and over each of :data:`REGIONS`.
 
     Args:
         scores: by the names of :data:`COLUMNS`; a best constant's score has ``_constant`` before any ``_seen``.
         spp: samples per pixel of the renderings behind ``psnr_linear`` and ``psnr_srgb``; 0 where there are none.
         label: what the scores belong to.
+        views: which views they are of.
     """
     lines = []
     for suffix, pixels in REGIONS.items():
@@ -106,7 +107,7 @@ def score_table(scores: Mapping[str, float], spp: int, label: str = "neurad") ->
                 body.append([row, *(_score(name, value) for name, value in values.items())])
         if len(body) > 1:
             rendered = f" (images rendered with {spp} samples per pixel)" if spp else ""
-            lines += [f"Held-out views, {pixels}{rendered}", *align(body), ""]
+            lines += [f"{views}, {pixels}{rendered}", *align(body), ""]
     return "\n".join(lines + light_table(scores)).rstrip()
 
 

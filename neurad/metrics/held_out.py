@@ -63,7 +63,8 @@ class HeldOut:
     """The held-out views of a scene.
 
     Args:
-        scene: its ``test`` views are scored; its ``train`` views decide which surfaces count as seen.
+        scene: its ``scored`` views are scored, as a rule those held out; its ``train`` views decide which surfaces
+            count as seen.
         geometry: the triangles, on the device where predictions are made.
         tracer: casts rays against them.
         grid: every pixel is predicted at ``grid`` x ``grid`` stratified positions and box-filtered like the truth. Four
@@ -73,7 +74,7 @@ class HeldOut:
     """
 
     def __init__(self, scene: Scene, geometry: Geometry, tracer: Tracer, grid: int = 4, stride: int = 1) -> None:
-        self.views: list[View] = scene.test
+        self.views: list[View] = scene.scored
         self.geometry = geometry
         self.tracer = tracer
         self.grid = grid

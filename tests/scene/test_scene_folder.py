@@ -404,7 +404,7 @@ def pose(rotation):
 
 BAD = {
     "no scene.xml": (removed("scene.xml"), r"scene\.xml: the scene folder lacks"),
-    "no camera file": (removed("transforms_test.json"), r"transforms_test\.json: the scene folder lacks"),
+    "no camera file": (removed("transforms_train.json"), r"transforms_train\.json: the scene folder lacks"),
     "broken json": (written("transforms_train.json", "{"), r"transforms_train\.json: it is not valid JSON"),
     "no frames": (top(frames=[]), r"transforms_train\.json: it has no frames"),
     "json of another kind": (written("transforms_train.json", "[1]"), r"transforms_train\.json: it has no frames"),

@@ -2,27 +2,116 @@
 
 from __future__ import annotations
 
+import os
+from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+import numpy as np
+
 from neurad.core.errors import InputError
-from neurad.core.records import View
+from neurad.core.records import FloatArray, View
 from neurad.runtime.reading import exists, read_json, regular_file, shown
-from neurad.scene.numbers import number
+from neurad.scene.numbers import LENGTH, matrix, number
 from neurad.scene.picture_headers import SIDE, check_exr
 from neurad.scene.readers.intrinsics import Size, camera_of, rigid
 
+HOLD_OUT = 8
+"""Every so many-th photograph is held out where nothing says which."""
+_LISTS = {"train_filenames": "train", "val_filenames": "test", "test_filenames": "test"}
 
-def read_split(folder: Path) -> tuple[list[View], list[View]]:
-    """Training and held-out views of ``transforms_train.json`` and ``transforms_test.json``.
+
+@dataclass(frozen=True)
+class Split:
+    """The views of a folder."""
+
+    train: list[View]
+    test: list[View]
+    """Held out; perhaps none."""
+    notes: tuple[str, ...] = ()
+    """What was decided for the user, a sentence each."""
+
+
+def read_split(folder: Path, hold_out: int = HOLD_OUT) -> Split:
+    """Training and held-out views of ``transforms_train.json`` and, where it is there, ``transforms_test.json`` or
+    ``transforms_val.json``.
+
+    Args:
+        folder: a scene folder.
+        hold_out: not read: a folder with two files says itself what is held out.
 
     Raises:
-        InputError: one of the files is missing, or as :func:`read_views`.
+        InputError: as :func:`read_views`.
     """
-    for name in ("transforms_train.json", "transforms_test.json"):
-        regular_file(folder / name, "the scene folder lacks this file")
     train = read_views(folder / "transforms_train.json", folder)
-    return train, read_views(folder / "transforms_test.json", folder)
+    for name in ("transforms_test.json", "transforms_val.json"):
+        if exists(folder / name):
+            return Split(train, read_views(folder / name, folder))
+    return Split(train, [])
+
+
+def read_one(folder: Path, hold_out: int = HOLD_OUT) -> Split:
+    """Training and held-out views of ``transforms.json``, nerfstudio's one file for both.
+
+    Args:
+        folder: a scene folder.
+        hold_out: every so many-th photograph by name is held out where the file does not say which; 0 for none, not 1.
+
+    Raises:
+        InputError: as :func:`read_views`; or the lists of the file name what it does not have, or a frame twice.
+    """
+    path = folder / "transforms.json"
+    views = read_views(path, folder)
+    named = _named(path, [str(view.image) for view in views], folder)
+    if named is None:
+        return held_out_every(hold_out, views, path)
+    pairs = list(zip(views, named, strict=True))
+    train, test = ([view for view, kind in pairs if kind == part] for part in ("train", "test"))
+    if not train:
+        raise InputError(f"{path}: its train_filenames leave no photograph to learn from")
+    left = len(views) - len(train) - len(test)
+    said = f"{path}: {left} of {len(views)} photographs are in none of its lists of names, and are left out"
+    return Split(train, test, (said,) if left else ())
+
+
+def held_out_every(hold_out: int, views: list[View], path: Path) -> Split:
+    """Views of which every so many-th by name is held out, and the sentence that says so."""
+    if hold_out == 0 or len(views) < 2:
+        return Split(views, [])
+    order = sorted(range(len(views)), key=lambda i: str(views[i].image))
+    held = set(order[::hold_out])
+    train, test = ([view for i, view in enumerate(views) if (i in held) == part] for part in (False, True))
+    said = f"{path} does not say which photographs are held out: every {_ordinal(hold_out)} by name is"
+    return Split(train, test, (f"{said}, {len(test)} of {len(views)} (--data.hold_out 0 for none)",))
+
+
+def _named(path: Path, images: list[str], folder: Path) -> list[str] | None:
+    """For each photograph 'train', 'test' or '', by the lists in a file; None where it has no lists."""
+    described = read_json(path)
+    lists = {key: described[key] for key in _LISTS if described.get(key) is not None}
+    if not lists:
+        return None
+    place = {os.path.normpath(image): index for index, image in enumerate(images)}
+    kinds = [""] * len(images)
+    for key, names in lists.items():
+        if not isinstance(names, list) or not all(isinstance(name, str) for name in names):
+            raise InputError(f"{path}: {key} is not a list of names")
+        for name in names:
+            index = place.get(os.path.normpath(_exr(folder / name)))
+            if index is None:
+                raise InputError(f"{path}: {key} has {shown(repr(name))}, which is the file_path of no frame")
+            kind = _LISTS[key]
+            if kinds[index] not in ("", kind):
+                raise InputError(f"{path}: {shown(repr(name))} is both in train_filenames and in {key}")
+            kinds[index] = kind
+    if "train_filenames" not in lists:
+        kinds = [kind or "train" for kind in kinds]
+    return kinds
+
+
+def _ordinal(count: int) -> str:
+    return {2: "second", 3: "third"}.get(count, f"{count}th")
 
 
 def read_views(path: str | Path, root: str | Path) -> list[View]:
@@ -41,6 +130,7 @@ def read_views(path: str | Path, root: str | Path) -> list[View]:
     frames = described.get("frames") if isinstance(described, dict) else None
     if not isinstance(frames, list) or not frames:
         raise InputError(f"{path}: it has no frames")
+    undo = _applied(described, path)
     views: list[View] = []
     for index, frame in enumerate(frames):
         if not isinstance(frame, dict) or not isinstance(frame.get("file_path"), str):
@@ -49,7 +139,7 @@ def read_views(path: str | Path, root: str | Path) -> list[View]:
         image = _photograph(root, frame["file_path"], path)
         settings = {**described, **frame}
         size = _size(settings, where) or check_exr(image)
-        pose = rigid(frame.get("transform_matrix"), f"{where}: its transform_matrix")
+        pose = undo(rigid(frame.get("transform_matrix"), f"{where}: its transform_matrix"))
         camera = camera_of((frame, described), size, pose, where)
         mask = _listed(root, frame, "mask_path", f"the mask is missing that {path.name} lists", path)
         maps = {kind: _map(root, frame, kind, image, path) for kind in ("albedo", "roughness")}
@@ -58,13 +148,45 @@ def read_views(path: str | Path, root: str | Path) -> list[View]:
     return views
 
 
+def _applied(described: dict[str, Any], path: Path) -> Callable[[FloatArray], FloatArray]:
+    """What takes poses back to the frame that they had before nerfstudio moved them: ``x' = scale (A x + b)``.
+
+    Raises:
+        InputError: the transform of the file turns, scales and moves not alone, or its scale is out of range.
+    """
+    scale = number(described.get("applied_scale") or 1.0, f"{path}: applied_scale", 1e-9, 1e9)
+    rows = described.get("applied_transform")
+    if rows is None and scale == 1.0:
+        return lambda pose: pose
+    if rows is None:
+        rows = np.eye(4).tolist()
+    if isinstance(rows, list) and len(rows) == 3:
+        rows = [*rows, [0.0, 0.0, 0.0, 1.0]]
+    moved = matrix(rows, f"{path}: applied_transform", -LENGTH, LENGTH)
+    size = float(np.cbrt(max(np.linalg.det(moved[:3, :3]), 0.0)))
+    if size == 0.0 or np.abs(moved[:3, :3].T @ moved[:3, :3] / size**2 - np.eye(3)).max() > 1e-4:
+        raise InputError(f"{path}: applied_transform is not a rotation with a scale and a translation")
+    turn = moved[:3, :3] / size
+
+    def undo(pose: FloatArray) -> FloatArray:
+        before: FloatArray = np.array(pose)
+        before[:3, :3] = turn.T @ pose[:3, :3]
+        before[:3, 3] = turn.T @ (pose[:3, 3] / scale - moved[:3, 3]) / size
+        return before
+
+    return undo
+
+
 def _photograph(root: Path, name: str, path: Path) -> Path:
     image = root / name
     if not image.name:
         raise InputError(f"{path}: its file_path {shown(repr(name))} is not the name of a file")
-    if image.suffix.lower() != ".exr":  # Blender's files omit the ending
-        image = image.with_name(image.name + ".exr")
-    return regular_file(image, f"the photograph is missing that {path.name} lists (an EXR file)")
+    return regular_file(_exr(image), f"the photograph is missing that {path.name} lists (an EXR file)")
+
+
+def _exr(image: Path) -> Path:
+    """The name of a photograph; Blender's files omit the ending."""
+    return image if image.suffix.lower() == ".exr" or not image.name else image.with_name(image.name + ".exr")
 
 
 def _map(root: Path, frame: dict[str, Any], kind: str, image: Path, path: Path) -> str | None:
