@@ -30,6 +30,12 @@ def _render() -> Verb:
     return render
 
 
+def _data() -> Verb:
+    from neurad.commands import data
+
+    return data
+
+
 def _compare() -> Verb:
     from neurad.commands import compare
 
@@ -50,6 +56,7 @@ def _bench() -> Verb:
 
 OWN_VERBS: dict[str, tuple[Callable[[], Verb], str]] = {
     "render": (_render, "render a scene's views from its own, known materials"),
+    "data": (_data, "make a scene folder of what nerfstudio, COLMAP, Polycam or FIPT have"),
     "compare": (_compare, "run several methods with one budget and report error against cost"),
     "stress": (_stress, "check stiff and extreme cases against known answers, a row each"),
     "bench": (_bench, "measure what a training step, a method or a peer costs"),

@@ -19,6 +19,7 @@ from neurad.scene.readers.intrinsics import Size, camera_of, rigid
 
 HOLD_OUT = 8
 """Every so many-th photograph is held out where nothing says which."""
+Finder = Callable[[str, str], Path]
 _LISTS = {"train_filenames": "train", "val_filenames": "test", "test_filenames": "test"}
 
 
@@ -31,6 +32,8 @@ class Split:
     """Held out; perhaps none."""
     notes: tuple[str, ...] = ()
     """What was decided for the user, a sentence each."""
+    stated: bool = False
+    """Whether the source says which views are held out."""
 
 
 def read_split(folder: Path, hold_out: int = HOLD_OUT) -> Split:
@@ -45,25 +48,28 @@ def read_split(folder: Path, hold_out: int = HOLD_OUT) -> Split:
         InputError: as :func:`read_views`.
     """
     train = read_views(folder / "transforms_train.json", folder)
+    sizes = {(view.camera.width, view.camera.height) for view in train}
+    size = sizes.pop() if len(sizes) == 1 else None  # so that held-out photographs stay closed
     for name in ("transforms_test.json", "transforms_val.json"):
         if exists(folder / name):
-            return Split(train, read_views(folder / name, folder))
+            return Split(train, read_views(folder / name, folder, size), stated=True)
     return Split(train, [])
 
 
-def read_one(folder: Path, hold_out: int = HOLD_OUT) -> Split:
+def read_one(folder: Path, hold_out: int = HOLD_OUT, photograph: Finder | None = None) -> Split:
     """Training and held-out views of ``transforms.json``, nerfstudio's one file for both.
 
     Args:
         folder: a scene folder.
         hold_out: every so many-th photograph by name is held out where the file does not say which; 0 for none, not 1.
+        photograph: as in :func:`read_views`.
 
     Raises:
         InputError: as :func:`read_views`; or the lists of the file name what it does not have, or a frame twice.
     """
     path = folder / "transforms.json"
-    views = read_views(path, folder)
-    named = _named(path, [str(view.image) for view in views], folder)
+    views = read_views(path, folder, photograph=photograph)
+    named = _named(path)
     if named is None:
         return held_out_every(hold_out, views, path)
     pairs = list(zip(views, named, strict=True))
@@ -72,7 +78,7 @@ def read_one(folder: Path, hold_out: int = HOLD_OUT) -> Split:
         raise InputError(f"{path}: its train_filenames leave no photograph to learn from")
     left = len(views) - len(train) - len(test)
     said = f"{path}: {left} of {len(views)} photographs are in none of its lists of names, and are left out"
-    return Split(train, test, (said,) if left else ())
+    return Split(train, test, (said,) if left else (), stated=True)
 
 
 def held_out_every(hold_out: int, views: list[View], path: Path) -> Split:
@@ -86,19 +92,19 @@ def held_out_every(hold_out: int, views: list[View], path: Path) -> Split:
     return Split(train, test, (f"{said}, {len(test)} of {len(views)} (--data.hold_out 0 for none)",))
 
 
-def _named(path: Path, images: list[str], folder: Path) -> list[str] | None:
-    """For each photograph 'train', 'test' or '', by the lists in a file; None where it has no lists."""
+def _named(path: Path) -> list[str] | None:
+    """For each frame 'train', 'test' or '', by the lists in a file; None where it has no lists."""
     described = read_json(path)
     lists = {key: described[key] for key in _LISTS if described.get(key) is not None}
     if not lists:
         return None
-    place = {os.path.normpath(image): index for index, image in enumerate(images)}
-    kinds = [""] * len(images)
+    place = {_key(frame["file_path"]): index for index, frame in enumerate(described["frames"])}
+    kinds = [""] * len(described["frames"])
     for key, names in lists.items():
         if not isinstance(names, list) or not all(isinstance(name, str) for name in names):
             raise InputError(f"{path}: {key} is not a list of names")
         for name in names:
-            index = place.get(os.path.normpath(_exr(folder / name)))
+            index = place.get(_key(name))
             if index is None:
                 raise InputError(f"{path}: {key} has {shown(repr(name))}, which is the file_path of no frame")
             kind = _LISTS[key]
@@ -110,17 +116,27 @@ def _named(path: Path, images: list[str], folder: Path) -> list[str] | None:
     return kinds
 
 
+def _key(name: str) -> str:
+    """What is the same for two ways to write the name of a photograph."""
+    return os.path.normpath(name.removesuffix(".exr"))
+
+
 def _ordinal(count: int) -> str:
     return {2: "second", 3: "third"}.get(count, f"{count}th")
 
 
-def read_views(path: str | Path, root: str | Path) -> list[View]:
+def read_views(
+    path: str | Path, root: str | Path, size: Size | None = None, photograph: Finder | None = None
+) -> list[View]:
     """The views of a camera file; paths in it are relative to ``root``.
 
     Args:
         path: JSON with ``frames`` and, in the file or in a frame, what :func:`camera_of` reads and optionally ``w`` and
             ``h``; without them a photograph says itself how large it is.
         root: folder of the photographs.
+        size: width and height where the file has none, in place of what the photograph says.
+        photograph: finds the photograph of a name, its second argument begins the sentence if there is none; None
+            takes the EXR file of that name.
 
     Raises:
         InputError: not JSON, no frames, a bad camera, or a photograph that is missing.
@@ -136,11 +152,12 @@ def read_views(path: str | Path, root: str | Path) -> list[View]:
         if not isinstance(frame, dict) or not isinstance(frame.get("file_path"), str):
             raise InputError(f"{path}: frame {index} has no file_path")
         where = f"{path}: frame {index} ({shown(frame['file_path'])})"
-        image = _photograph(root, frame["file_path"], path)
+        name = frame["file_path"]
+        image = _photograph(root, name, path) if photograph is None else photograph(name, where)
         settings = {**described, **frame}
-        size = _size(settings, where) or check_exr(image)
+        film = _size(settings, where) or size or check_exr(image)
         pose = undo(rigid(frame.get("transform_matrix"), f"{where}: its transform_matrix"))
-        camera = camera_of((frame, described), size, pose, where)
+        camera = camera_of((frame, described), film, pose, where)
         mask = _listed(root, frame, "mask_path", f"the mask is missing that {path.name} lists", path)
         maps = {kind: _map(root, frame, kind, image, path) for kind in ("albedo", "roughness")}
         relit = _map(root, frame, "relight", image, path) if "relight_path" in frame else None
