@@ -24,7 +24,8 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--up", choices=("x", "y", "z", "-x", "-y", "-z"),
-        help="axis of the mesh that points up; it is turned to the axis that the cameras hold up (default: as it is)",
+        help="axis of the mesh that points up; it is turned to the axis that the cameras hold up (default: as it is); "
+             "write --up=-y for a negative one",
     )  # fmt: skip
     parser.add_argument(
         "--scale", type=option(Positive), default=1.0, help="times the mesh's lengths, such as 0.01 for cm (default: 1)"

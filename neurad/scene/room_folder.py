@@ -49,7 +49,9 @@ class Room:
 def axis(name: str) -> Matrix:
     """The unit vector of one of :data:`UP`."""
     index = UP[name]
-    return np.eye(3)[index // 2] * (-1.0 if index % 2 else 1.0)
+    vector = np.zeros(3)
+    vector[index // 2] = -1.0 if index % 2 else 1.0
+    return vector
 
 
 def held_up(views: Sequence[View]) -> str:
@@ -188,6 +190,8 @@ def _write_surfaces(room: Room, meshes: Sequence[Mesh], out: Path) -> None:
             write_ply(out / path, mesh)
         shape = _child(tree, "shape", type="ply", id=mesh.name)
         _child(shape, "string", name="filename", value=path)
+        if mesh.normals is None:  # flat, as the file has it: without this Mitsuba rounds all edges
+            _child(shape, "boolean", name="face_normals", value="true")
         if not np.array_equal(room.to_cameras, np.eye(4)):
             values = " ".join(f"{x:.17g}" for x in room.to_cameras.ravel())
             _child(_child(shape, "transform", name="to_world"), "matrix", value=values)
@@ -213,5 +217,5 @@ def bounds_of(room: Room) -> FloatArray:
     """Smallest and largest corner of the meshes in the frame of the cameras [2, 3]."""
     corners = np.concatenate([mesh.vertices for file in room.meshes for mesh in file.meshes]).astype(np.float64)
     there = corners @ room.to_cameras[:3, :3].T + room.to_cameras[:3, 3]
-    box: FloatArray = np.stack((there.min(0), there.max(0)))  # type: ignore[assignment]
+    box: FloatArray = np.stack((there.min(0), there.max(0)))
     return box

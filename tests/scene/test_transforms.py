@@ -121,9 +121,9 @@ def test_a_transform_may_scale_too(folder):
         ({"applied_scale": -1}, r"applied_scale is -1, which has to be"),
         ({"applied_scale": "two"}, r"applied_scale is 'two', not a number"),
         ({"train_filenames": "images/train_0.exr"}, r"train_filenames is not a list of names"),
-        ({"test_filenames": ["images/none.exr"]}, r"test_filenames has 'images/none\.exr', which is the file_path of no"),
+        ({"test_filenames": ["images/none.exr"]}, r"test_filenames has 'images/none\.exr', which is the file_path"),
         ({"train_filenames": []}, r"its train_filenames leave no photograph to learn from"),
-        ({"train_filenames": ["images/train_1"], "val_filenames": ["images/train_1.exr"]}, r"both in train_filenames and"),
+        ({"train_filenames": ["images/train_1"], "val_filenames": ["images/train_1.exr"]}, r"both in train_filenames"),
         ({"test_filenames": [3]}, r"test_filenames is not a list of names"),
     ],
 )  # fmt: skip
@@ -163,8 +163,8 @@ def test_a_fit_without_held_out_views_says_what_its_scores_are_of(folder, tmp_pa
 
 def test_sizes_and_defaults_are_those_of_nerfstudio(folder):
     """A file as ``ns-process-data`` writes it, with the keys that say nothing about cameras."""
-    change(folder, camera_angle_x=None, w=SIZE, h=SIZE, fl_x=10.0, fl_y=10.5, cx=4.2, cy=3.9, k1=0.01, k2=-0.002, p1=1e-3,
-           p2=0.0, camera_model="OPENCV", ply_file_path="sparse_pc.ply", orientation_override="none")  # fmt: skip
+    change(folder, camera_angle_x=None, w=SIZE, h=SIZE, fl_x=10.0, fl_y=10.5, cx=4.2, cy=3.9, k1=0.01, k2=-0.002,
+           p1=1e-3, p2=0.0, camera_model="OPENCV", ply_file_path="sparse_pc.ply")  # fmt: skip
     camera = load_scene(str(folder), None).train[0].camera
     assert (camera.fl_x, camera.fl_y, camera.cx, camera.cy) == pytest.approx((10.0, 10.5, 4.2, 3.9))
     assert (camera.lens.numerator, camera.lens.tangential) == ((0.01, -0.002), (1e-3, 0.0))

@@ -94,18 +94,13 @@ def _camera(line: _Camera, pose: FloatArray, where: str) -> Camera:
     if line.model not in MODELS:
         raise InputError(f"{where}: its model {shown(line.model)} is not supported ({', '.join(MODELS)} are)")
     focals = _FOCALS.get(line.model, 1)
-    keys = (
-        ["fl_x", "fl_y"][:focals]
-        + ["cx", "cy"]
-        + [k for k in MODELS[line.model] if (line.model, k) != ("OPENCV", "k3")]
-    )
+    coefficients = [k for k in MODELS[line.model] if (line.model, k) != ("OPENCV", "k3")]
+    keys = [*("fl_x", "fl_y")[:focals], "cx", "cy", *coefficients]
     if len(line.parameters) != len(keys):
         raise InputError(f"{where}: it has {len(line.parameters)} parameters, but {line.model} has {len(keys)}")
-    size = tuple(
-        int(number(x, f"{where}: its {name}", 1, SIDE)) for name, x in (("width", line.width), ("height", line.height))
-    )
+    width, height = (int(number(x, f"{where}: its size", 1, SIDE)) for x in (line.width, line.height))
     values = dict(zip(keys, line.parameters, strict=True))
-    return make_camera(pose, (size[0], size[1]), line.model, values, where)
+    return make_camera(pose, (width, height), line.model, values, where)
 
 
 def _pose(image: _Image, where: str) -> FloatArray:
@@ -162,9 +157,8 @@ def _text_images(path: Path) -> list[_Image]:
         words = line.split(None, 9)
         try:
             numbers = [float(word) for word in words[1:8]]
-            images.append(
-                _Image(int(words[0]), tuple(numbers[:4]), tuple(numbers[4:]), int(words[8]), words[9].strip())
-            )
+            key, camera, name = int(words[0]), int(words[8]), words[9].strip()
+            images.append(_Image(key, tuple(numbers[:4]), tuple(numbers[4:]), camera, name))
         except (ValueError, IndexError) as error:
             raise InputError(
                 f"{path}: line {index} is {shown(repr(line))}, not IMAGE_ID QW QX QY QZ TX TY TZ CAMERA_ID NAME"

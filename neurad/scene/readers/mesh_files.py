@@ -46,7 +46,7 @@ def read_meshes(path: str | Path) -> MeshFile:
         warnings.simplefilter("ignore")  # of numbers that are none: they are looked at below
         loaded: Any = trimesh.load_scene(path, process=False, maintain_order=True)
         parts = [(name, part) for name, part in loaded.geometry.items() if hasattr(part, "faces")]
-        meshes = [_mesh(name if len(parts) > 1 else path.stem, part) for name, part in parts]
+        meshes = [_mesh(name if len(parts) > 1 else path.stem, part, kind == ".stl") for name, part in parts]
     meshes = [mesh for mesh in meshes if len(mesh.faces)]
     if not meshes:
         raise InputError(f"{shown(path)}: it has no triangle")
@@ -57,14 +57,14 @@ def read_meshes(path: str | Path) -> MeshFile:
     return MeshFile(path, meshes, kind == ".ply" and _ply_faces(path) == len(meshes[0].faces))
 
 
-def _mesh(name: str, part: Any) -> Mesh:
-    """One of trimesh's meshes without the vertices that it does not use."""
+def _mesh(name: str, part: Any, flat: bool) -> Mesh:
+    """One of trimesh's meshes without the vertices that it does not use; without normals if it is ``flat``."""
     faces: IntArray = np.asarray(part.faces, np.int64).reshape(-1, 3)
     vertices = np.asarray(part.vertices, np.float64)
     if len(faces) and not (faces.min() >= 0 and faces.max() < len(vertices)):
         raise ValueError("a face names a vertex that there is not")
     # trimesh computes normals where a file has none; those that a file has are in its cache.
-    given = part._cache.cache.get("vertex_normals") if hasattr(part, "_cache") else None
+    given = None if flat else part._cache.cache.get("vertex_normals")
     normals = _usable(given, len(vertices), 3)
     uvs = _usable(getattr(part.visual, "uv", None), len(vertices), 2)
     used, corner = np.unique(faces, return_inverse=True)
@@ -86,7 +86,7 @@ def _usable(values: Any, count: int, channels: int) -> FloatArray | None:
     """Values of the vertices, if there are any and all are numbers."""
     if values is None:
         return None
-    array: FloatArray = np.asarray(values, np.float64)  # type: ignore[assignment]
+    array: FloatArray = np.asarray(values, np.float64)
     return array if array.shape == (count, channels) and np.isfinite(array).all() else None
 
 

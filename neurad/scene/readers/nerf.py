@@ -36,24 +36,25 @@ class Split:
     """Whether the source says which views are held out."""
 
 
-def read_split(folder: Path, hold_out: int = HOLD_OUT) -> Split:
+def read_split(folder: Path, hold_out: int = HOLD_OUT, photograph: Finder | None = None) -> Split:
     """Training and held-out views of ``transforms_train.json`` and, where it is there, ``transforms_test.json`` or
     ``transforms_val.json``.
 
     Args:
         folder: a scene folder.
         hold_out: not read: a folder with two files says itself what is held out.
+        photograph: as in :func:`read_views`.
 
     Raises:
         InputError: as :func:`read_views`.
     """
-    train = read_views(folder / "transforms_train.json", folder)
+    train = read_views(folder / "transforms_train.json", folder, None, photograph)
     sizes = {(view.camera.width, view.camera.height) for view in train}
     size = sizes.pop() if len(sizes) == 1 else None  # so that held-out photographs stay closed
     for name in ("transforms_test.json", "transforms_val.json"):
         if exists(folder / name):
-            return Split(train, read_views(folder / name, folder, size), stated=True)
-    return Split(train, [])
+            return Split(train, read_views(folder / name, folder, size, photograph), stated=True)
+    return Split(train, [], stated=True)
 
 
 def read_one(folder: Path, hold_out: int = HOLD_OUT, photograph: Finder | None = None) -> Split:
