@@ -23,6 +23,7 @@ STEPS = 20
 """Newton steps at most; two are usual."""
 SMALL = 1e-9
 """Size of a step after which there is no other: the number of right digits doubles, and float64 has no more of them."""
+_TINY = 1e-14  # coefficients that move nothing on any film
 _TABLE = 512  # cells of the first guess
 _SAMPLES = 33  # positions along a side of the film at which a lens is checked; the corners are among them
 _MARGIN = 1.02  # of the film's farthest corner: what lies beyond is not seen
@@ -64,7 +65,7 @@ class Lens:
         """
         above, below = (Polynomial((1.0, *k)) for k in (self.numerator, self.denominator))
         slope = above * below + Polynomial((0.0, 2.0)) * (above.deriv() * below - above * below.deriv())
-        roots = np.concatenate([part.trim().roots() for part in (slope, below)])
+        roots = np.concatenate([part.trim(_TINY).roots() for part in (slope, below)])
         real = roots[(np.abs(roots.imag) <= 1e-9 * np.abs(roots)) & (roots.real > 0)].real
         return min(math.sqrt(real.min()) if len(real) else math.inf, math.pi if self.fisheye else math.inf)
 

@@ -20,6 +20,7 @@ ANGLES = 1e-4, 3.1
 _RIGID = 1e-4  # largest deviation from orthonormal axes; the cameras of Blender have about 1e-6
 FAR = 1e12
 """Largest other number of a camera: none has any near it."""
+_BENT = 1e4  # largest coefficient of a distortion: with it a picture folds over next to its middle
 _SQUARE = 1e-9  # what rounding leaves of a difference between the sides of a pixel
 
 FULL = ("k1", "k2", "k3", "k4", "k5", "k6", "p1", "p2")
@@ -75,7 +76,7 @@ def make_camera(
         number(values.get("cx", 0.5 * width), f"{where}: cx", -FAR, FAR) / width,
         number(values.get("cy", 0.5 * height), f"{where}: cy", -FAR, FAR) / height,
     )
-    k = {key: number(values.get(key, 0.0), f"{where}: {key}", -FAR, FAR) for key in FULL}
+    k = {key: number(values.get(key, 0.0), f"{where}: {key}", -_BENT, _BENT) for key in FULL}
     fisheye = model.endswith("FISHEYE")
     last = ("k4",) if fisheye else ()
     lens = Lens(
