@@ -1,6 +1,7 @@
 """Photographs of different sizes in one set, and masks that leave parts of them out."""
 
 import json
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -21,7 +22,12 @@ from neurad.core.records import PixelBatch
 from neurad.core.rng import Stream
 from neurad.integrators import emitter_pixels
 from neurad.integrators.primary_hits import PrimaryHits
+from neurad.metrics.held_out import HeldOut
+from neurad.scene.geometry import Geometry
 from neurad.scene.image_io import read_exr, write_exr
+from neurad.scene.load import load_scene
+from neurad.studies.peer.fit import _photographs
+from neurad.tracing.embree import EmbreeTracer
 
 SIZES = [(8, 6), (5, 9), (8, 6), (12, 4)]
 CPU = torch.device("cpu")
@@ -58,11 +64,12 @@ def masked(folder, view, black):
 
 
 def agrees(batch, images, means=None):
-    for index, (view, pixel) in enumerate(zip(batch.view.tolist(), batch.pixel.tolist(), strict=True)):
-        place = divmod(pixel, SIZES[view][0])
-        np.testing.assert_array_equal(batch.color[index].numpy(), images[view][place])
+    for view in batch.view.unique().tolist():
+        here = batch.view == view
+        place = np.divmod(batch.pixel[here].numpy(), SIZES[view][0])
+        np.testing.assert_array_equal(batch.color[here].numpy(), images[view][place])
         if means is not None:
-            torch.testing.assert_close(batch.blurred[index], means[view][pixel])
+            torch.testing.assert_close(batch.blurred[here], means[view][batch.pixel[here]])
 
 
 @pytest.mark.parametrize("settings", [{}, {"resident": 2, "replace_every": 1}, {"patch_size": 3, "patches": 20}])
@@ -146,6 +153,28 @@ def test_what_does_not_fit_the_photograph_is_refused(folder, spoil, message):
     spoil(folder)
     with pytest.raises(InputError, match=message):
         ready(folder)
+
+
+def test_masked_pixels_are_not_scored(folder):
+    """A rendering that is wrong behind the mask alone is perfect; without the mask it is not."""
+    black = np.zeros((6, 8), bool)
+    black[2:4] = True
+    masked(folder, 2, black)
+    scene = load_scene(str(folder), None)
+    geometry = Geometry(scene)
+    tracer = EmbreeTracer(geometry.vertices, geometry.faces)
+    scores = []
+    for test in ([scene.train[2]], [replace(scene.train[2], mask=None)]):
+        held_out = HeldOut(replace(scene, test=test), geometry, tracer).read()
+        wrong = held_out.truth(0)["photograph"] + black[..., None].astype(np.float32)
+        scores.append(held_out.score([{}], [wrong])["psnr_linear"])
+    assert scores == [math.inf, pytest.approx(10 * math.log10(3.0))]
+
+
+def test_what_takes_one_size_says_so(folder):
+    scene = load_scene(str(folder), None)
+    with pytest.raises(InputError, match="train_1: the peer takes photographs of one size and without masks"):
+        _photographs(scene)
 
 
 # ---- camera rays
