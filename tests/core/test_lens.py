@@ -8,6 +8,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
+from helpers.devices import on_devices
 
 from neurad.core.camera import Cameras, camera_rays, fov_of, in_view, pixel_side, project, resized, to_camera
 from neurad.core.lens import Lens, fold
@@ -95,16 +96,20 @@ def test_what_is_not_on_the_film_is_not_in_view(name: str) -> None:
     assert (seen.numpy()[before] == expected).mean() > 0.999
 
 
-def test_rays_of_several_cameras_are_those_of_each() -> None:
+@on_devices
+def test_rays_of_several_cameras_are_those_of_each(device: str) -> None:
     cameras = [camera_with(name) for name in LENSES] + [replace(camera_with("full"), lens=Lens(1.1, (0.4, 0.5)))]
     view = Stream(6).integers(len(cameras), 3000)
-    many = Cameras.of(cameras, "cpu")
-    xy = Stream(7).uniform(3000, 2) * many.size[view]
-    rays = many.rays(view, xy)
+    many = Cameras.of(cameras, device)
+    xy = Stream(7).uniform(3000, 2) * many.size.cpu()[view]
+    rays = many.rays(view.to(device), xy.to(device)).to("cpu")
     for index, camera in enumerate(cameras):
-        alone = camera_rays(camera, xy[view == index])
+        here = xy[view == index]
+        alone = camera_rays(camera, here)
         torch.testing.assert_close(rays.d[view == index], alone.d, atol=1e-6, rtol=0.0)
         torch.testing.assert_close(rays.o[view == index], alone.o)
+        p = (alone.o + 2.0 * alone.d).to(device)
+        torch.testing.assert_close(project(camera, to_camera(camera, p)).cpu(), here, atol=2e-3, rtol=0.0)
 
 
 @pytest.mark.parametrize("name", LENSES)
