@@ -233,7 +233,9 @@ def _scene(data: dict[str, Any], folder: Path, root: str | os.PathLike[str] | No
     places = [first] if root is not None or first.is_absolute() else [first, folder.parent.parent / first]
     place = next((place for place in places if place.is_dir()), None)
     if place is None:
-        raise InputError(f"run {folder}: its scene {first} is missing; say where it is now with root=")
+        raise InputError(
+            f"run {folder}: its scene {first} is missing; say where it is now with --root (in Python, root=)"
+        )
     return load_scene(str(place), None, data.get("hold_out", HOLD_OUT))
 
 

@@ -3,9 +3,7 @@
 from __future__ import annotations
 
 import json
-import os
 import re
-import shutil
 import unicodedata
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -17,7 +15,7 @@ import numpy.typing as npt
 
 from neurad.core.errors import InputError
 from neurad.core.records import FloatArray, Mesh, View
-from neurad.runtime.files import writing
+from neurad.runtime.files import place, writing
 from neurad.runtime.reading import shown
 from neurad.scene.ply import write_ply
 from neurad.scene.readers.mesh_files import MeshFile
@@ -156,16 +154,8 @@ def _write_views(room: Room, out: Path) -> None:
                 frame.pop(key, None)
                 if source is not None:
                     frame[key] = f"{folder}/{view.name}{Path(source).suffix.lower()}"
-                    _place(Path(source), out / frame[key], room.copy)
+                    place(Path(source), out / frame[key], room.copy)
         (out / f"transforms{part}.json").write_text(json.dumps(described, indent=1) + "\n", encoding="utf-8")
-
-
-def _place(source: Path, target: Path, copy: bool) -> None:
-    target.parent.mkdir(exist_ok=True)
-    if copy:
-        shutil.copyfile(source, target)
-    else:
-        os.symlink(os.path.abspath(source), target)
 
 
 def _write_surfaces(room: Room, meshes: Sequence[Mesh], out: Path) -> None:
@@ -176,7 +166,7 @@ def _write_surfaces(room: Room, meshes: Sequence[Mesh], out: Path) -> None:
     _child(paint, "rgb", name="base_color", value="0.5")
     _child(paint, "float", name="roughness", value="0.5")
     if room.environment is not None:
-        _place(room.environment, out / f"environment{room.environment.suffix.lower()}", room.copy)
+        place(room.environment, out / f"environment{room.environment.suffix.lower()}", room.copy)
         sky = _child(tree, "emitter", type="envmap")
         _child(sky, "string", name="filename", value=f"environment{room.environment.suffix.lower()}")
     sources = [file for file in room.meshes for _ in file.meshes]
@@ -185,7 +175,7 @@ def _write_surfaces(room: Room, meshes: Sequence[Mesh], out: Path) -> None:
         path = f"meshes/{file_name(mesh.name, taken)}.ply"
         (out / "meshes").mkdir(exist_ok=True)
         if source.linkable:
-            _place(source.path, out / path, room.copy)
+            place(source.path, out / path, room.copy)
         else:
             write_ply(out / path, mesh)
         shape = _child(tree, "shape", type="ply", id=mesh.name)

@@ -17,6 +17,7 @@ from neurad.core.errors import InputError
 from neurad.core.lens import Lens
 from neurad.core.records import Bitmap, Camera, Rays, View
 from neurad.core.reflection import DiffuseModel, RoughPlasticModel
+from neurad.export.mitsuba import to_mitsuba
 from neurad.scene.builtin import build_cornell
 from neurad.scene.geometry import Geometry
 from neurad.scene.image_io import write_exr
@@ -24,7 +25,6 @@ from neurad.scene.load import load_scene, read_folder
 from neurad.scene.readers.nerf import read_views
 from neurad.scene.textures import TrueMaterials
 from neurad.scene.transforms import transforms
-from neurad.studies.peer.export import to_mitsuba
 from neurad.tracing.embree import EmbreeTracer
 
 mi = pytest.importorskip("mitsuba")
@@ -313,7 +313,7 @@ def test_what_a_lens_sees_is_what_mitsuba_sees_off_the_centre(tmp_path):
         expected = camera_rays(camera, torch.tensor([[x, y]])).d[0]
         np.testing.assert_allclose(list(ray.d), expected.numpy(), atol=2e-6)
     for lens in (Lens(numerator=(0.1,)), Lens(aspect=1.1)):
-        with pytest.raises(InputError, match="view a: Mitsuba's cameras have no lens distortion"):
+        with pytest.raises(InputError, match="Mitsuba's cameras have no lens distortion"):
             to_mitsuba(scene, View("a", replace(camera, lens=lens)), 64)
 
 

@@ -14,9 +14,9 @@ from neurad.core.lens import Lens
 from neurad.core.patch_sampler import PatchSampler
 from neurad.core.records import FloatArray, IntArray
 from neurad.core.rng import mix
+from neurad.export.mitsuba import to_mitsuba
 from neurad.losses.relative import relative_weight
 from neurad.scene.description import Scene
-from neurad.studies.peer.export import to_mitsuba
 from neurad.studies.peer.texture import make_shading, make_texture
 from neurad.studies.peer.voxels import SurfaceVoxels
 
