@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import shutil
 import sys
 from collections.abc import Callable, Sequence
@@ -140,6 +141,7 @@ def import_room(settings: ImportSettings) -> None:
     views = SOURCES[settings.kind][0](source, images)
     for view in (*views.train, *views.test):
         _check_size(view)
+        _check_place(view, [source] if images is None else [source, images])
     paths = settings.mesh or ([source / MESH] if settings.kind == "fipt" else [])
     if not paths and (lamps or settings.up or environment):
         raise InputError("--lamp, --up and --environment are about what --mesh names, and there is no --mesh")
@@ -201,6 +203,13 @@ def _check_size(view: View) -> None:
             f"{shown(view.image)}: it has {width} x {height} pixels, its camera {camera.width} x {camera.height}; "
             "calibrate for the photographs at their own size, or scale them to the camera's"
         )
+
+
+def _check_place(view: View, places: Sequence[Path]) -> None:
+    """Masks and maps, too, lie where the source is: a camera file of others links to nothing else."""
+    for file in filter(None, (view.mask, view.albedo, view.roughness)):
+        if not any(Path(os.path.abspath(file)).is_relative_to(place) for place in places):
+            raise InputError(f"{shown(file)}: its name in the camera file leads out of the folder {shown(places[0])}")
 
 
 def _placed(settings: ImportSettings, views: Split) -> Matrix:

@@ -532,6 +532,16 @@ def test_other_bad_words(place, source, capfd):
           "--out", "room")  # fmt: skip
 
 
+@pytest.mark.parametrize("key", ["mask_path", "albedo_path", "roughness_path"])
+def test_maps_that_lie_elsewhere_are_not_linked(place, source, capfd, key):
+    Image.new("L", layouts.SIZES[0]).save(place / "secret.png")
+    described = json.loads((source / "transforms.json").read_text())
+    described["frames"][0][key] = "images/../../secret.png"
+    (source / "transforms.json").write_text(json.dumps(described))
+    said = r"secret\.png: its name in the camera file leads out of the folder .*src"
+    check(capfd, place, said, "data", "nerfstudio", "src", "--out", "room")
+
+
 def test_a_disk_that_refuses_leaves_nothing(place, source, capfd, monkeypatch):
     def full(*_, **__):
         raise OSError(28, "No space left on device")
