@@ -91,7 +91,9 @@ class MetricsTable:
             write_text(self.path, "".join(kept))
 
 
-def score_table(scores: Mapping[str, float], spp: int, label: str = "neurad", steady: bool = False) -> str:
+def score_table(
+    scores: Mapping[str, float], spp: int, label: str = "neurad", steady: bool = False, views: str = "Held-out views"
+) -> str:
     """The closing table: this run beside the best constant and, for roughness, a lookup by the true colours, over all
     held-out pixels and over each of :data:`REGIONS`.
 
@@ -100,6 +102,7 @@ def score_table(scores: Mapping[str, float], spp: int, label: str = "neurad", st
         spp: samples per pixel of the renderings behind ``psnr_linear`` and ``psnr_srgb``; 0 where there are none.
         label: what the scores belong to.
         steady: whether the radiance field took their noise from these renderings, where there is one.
+        views: which views they are of.
     """
     lines = []
     for suffix, pixels in REGIONS.items():
@@ -111,7 +114,7 @@ def score_table(scores: Mapping[str, float], spp: int, label: str = "neurad", st
         if len(body) > 1:
             control = ", the radiance field as control variate" if steady and "psnr_lhs" in scores else ""
             rendered = f" (images rendered with {spp} samples per pixel{control})" if spp else ""
-            lines += [f"Held-out views, {pixels}{rendered}", *align(body), ""]
+            lines += [f"{views}, {pixels}{rendered}", *align(body), ""]
     return "\n".join(lines + light_table(scores)).rstrip()
 
 

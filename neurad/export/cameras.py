@@ -2,56 +2,37 @@
 
 from __future__ import annotations
 
-import errno
 import json
-import os
-import shutil
-from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
-from neurad.core.camera import focal_length
-from neurad.core.records import Camera, View
+from neurad.core.records import PINHOLE, Camera, View
+from neurad.runtime.files import place
 from neurad.scene.description import Scene
 from neurad.scene.load import RELIGHT
+from neurad.scene.transforms import transforms
 
-_NO_LINKS = (errno.EPERM, errno.ENOTSUP, errno.ENOSYS)
-KINDS = {"image": "images", "albedo": "albedo", "roughness": "roughness", "relight": "images_relight"}
+KINDS = {"image": "images", "albedo": "albedo", "roughness": "roughness", "relight": "images_relight", "mask": "masks"}
 """Folders of the files of a view."""
+NO_LENS = "other programs' cameras have no lens distortion, square pixels and their centre in the middle"
 LONGEST = 56
 """Bytes of the name of a view: Blender keeps 63 of a camera's, and adds some where two are alike."""
 
 
-def transforms(views: Sequence[View]) -> dict[str, Any]:
-    """The NeRF/Blender camera file of views of one film, their files in the folders that belong to them.
-
-    What all views share stands at the top; if their angles of view differ, each frame has its own.
+def shown_alike(scene: Scene) -> list[View]:
+    """The views that other programs can show: of those held out, or without any of all, the ones of the first one's
+    size whose cameras are pinholes over the middle of square pixels. They have no distortion.
     """
-    first = views[0].camera
-    shared = all(view.camera.fov_x == first.fov_x for view in views)
-    return {
-        **(_lens(first) if shared else {}),
-        "w": first.width,
-        "h": first.height,
-        "frames": [
-            {
-                "file_path": f"images/{view.name}.exr",
-                "albedo_path": f"albedo/{view.name}.exr",
-                "roughness_path": f"roughness/{view.name}.exr",
-                **({} if shared else _lens(view.camera)),
-                "transform_matrix": [[float(x) for x in row] for row in view.camera.to_world],
-            }
-            for view in views
-        ],
-    }
+    plain = [view for view in scene.test or scene.train if is_plain(view.camera)]
+    size = [(view.camera.width, view.camera.height) for view in plain[:1]]
+    return [view for view in plain if [(view.camera.width, view.camera.height)] == size]
 
 
-def _lens(camera: Camera) -> dict[str, float]:
-    focal = focal_length(camera)
-    return {"camera_angle_x": camera.fov_x, "fl_x": focal, "fl_y": focal}
+def is_plain(camera: Camera) -> bool:
+    """Whether a camera is a pinhole over the middle of square pixels."""
+    return camera.lens == PINHOLE
 
 
 def clip_planes(scene: Scene, camera: Camera) -> tuple[float, float]:
@@ -112,28 +93,11 @@ def write_views(scene: Scene, folder: Path, copy: bool) -> list[str]:
                 key = "file_path" if kind == "image" else f"{kind}_path"
                 source = getattr(view, kind)
                 if source is not None:
-                    frame[key] = f"{where}/{view.name}.exr"
-                    place(Path(source), folder / where / f"{view.name}.exr", copy)
+                    frame[key] = f"{where}/{view.name}{Path(source).suffix.lower() if kind == 'mask' else '.exr'}"
+                    place(Path(source), folder / frame[key], copy)
                 elif kind != "image":  # where the photograph belongs is said even if there is none
                     frame.pop(key, None)
         (folder / f"transforms_{part}.json").write_text(json.dumps(described, indent=1) + "\n", encoding="utf-8")
     if scene.relight is not None:
         place(Path(scene.relight), folder / RELIGHT, copy)
     return missing
-
-
-def place(source: Path, target: Path, copy: bool) -> None:
-    """Put a file at ``target``: a link to the original, or a copy. Disks that know no links get copies.
-
-    Raises:
-        OSError: it cannot be written or read.
-    """
-    target.parent.mkdir(exist_ok=True)
-    if not copy:
-        try:
-            os.symlink(source.resolve(), target)
-            return
-        except OSError as error:
-            if error.errno not in _NO_LINKS:
-                raise
-    shutil.copyfile(source, target)

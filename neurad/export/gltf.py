@@ -20,7 +20,7 @@ from neurad.core.records import Constant, FloatArray, Mesh, View
 from neurad.core.reflection import PrincipledModel
 from neurad.export.axes import TO_Y, quaternion
 from neurad.export.base_colour import Target, base_for
-from neurad.export.cameras import clip_planes
+from neurad.export.cameras import clip_planes, is_plain
 from neurad.export.glb import GlbWriter, Json
 from neurad.export.images import Coded, coded
 from neurad.export.room import Room
@@ -54,7 +54,8 @@ def write_glb(
             children.append(_add_mesh(glb, room, index, files, target))
             clipped += files.clipped if files is not None else 0
             done(room.names[index], files)
-        children += [_add_camera(glb, room, view) for view in (*room.scene.train, *room.scene.test)]
+        views = [view for view in (*room.scene.train, *room.scene.test) if is_plain(view.camera)]
+        children += [_add_camera(glb, room, view) for view in views]
         root: Json = {"name": "room", "children": children}
         if room.up != "y":
             root["rotation"] = list(TO_Y[room.up])

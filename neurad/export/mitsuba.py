@@ -19,10 +19,10 @@ import numpy as np
 from neurad.core.errors import InputError
 from neurad.core.records import Bitmap, Camera, Constant, EnvironmentMap, Material, Mesh, Texture, View
 from neurad.export.cameras import clip_planes
-from neurad.export.ply import write_ply
 from neurad.export.raster_kernels import Array
 from neurad.scene.description import Scene
 from neurad.scene.image_io import write_exr
+from neurad.scene.ply import write_ply
 
 Node = dict[str, Any]
 """A plugin: its ``type``, and its parameters by name: numbers, strings, booleans, :class:`Matrix` or further nodes."""
@@ -113,8 +113,15 @@ def path_integrator(scene: Scene, hide_emitters: bool = False) -> Node:
 
 
 def sensor(scene: Scene, camera: Camera, width: int, height: int, samples: int = 16, alpha: bool = False) -> Node:
-    """A camera with a box filter that sees all of a scene; ``width`` and ``height`` are those of its film in pixels."""
+    """A camera with a box filter that sees all of a scene; ``width`` and ``height`` are those of its film in pixels.
+
+    Raises:
+        InputError: the camera distorts, or its pixels are not square.
+    """
     near, far = clip_planes(scene, camera)
+    lens = camera.lens
+    if lens.bends or lens.aspect != 1.0:
+        raise InputError("Mitsuba's cameras have no lens distortion and square pixels only")
     # Mitsuba's camera looks along +Z with +X to the left, ours along -Z with +X to the right
     pose = np.asarray(camera.to_world, np.float64) @ np.diag([-1.0, 1.0, -1.0, 1.0])
     return {
@@ -122,6 +129,8 @@ def sensor(scene: Scene, camera: Camera, width: int, height: int, samples: int =
         "to_world": Matrix(pose.astype(np.float32)),
         "fov": float(np.degrees(camera.fov_x)),
         "fov_axis": "x",
+        "principal_point_offset_x": 0.5 - lens.centre[0],
+        "principal_point_offset_y": 0.5 - lens.centre[1],
         "near_clip": near,
         "far_clip": far,
         "film": {

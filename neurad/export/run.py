@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import sys
 import time
 from dataclasses import dataclass
 from functools import partial
@@ -20,7 +21,7 @@ from neurad.export.axes import UPS, Up, rotation
 from neurad.export.baking import bake_room
 from neurad.export.base_colour import TARGETS, Target
 from neurad.export.blender import blender_setup_path
-from neurad.export.cameras import files_of, write_views
+from neurad.export.cameras import NO_LENS, files_of, is_plain, shown_alike, write_views
 from neurad.export.cycles import Blender, find_blender
 from neurad.export.evidence import COARSER, evidence
 from neurad.export.folder import MANIFEST, check_out, check_sources, written_beside
@@ -34,6 +35,7 @@ from neurad.export.room import Room
 from neurad.export.verified import Verified
 from neurad.export.verify import verify
 from neurad.metrics.seen import SeenBy
+from neurad.scene.description import Scene
 
 
 @dataclass(frozen=True)
@@ -98,7 +100,11 @@ def export(assembly: Assembly, checkpoint: Path, settings: ExportSettings) -> li
             seconds = {"bake": round(baked - start, 2), "write": round(time.perf_counter() - baked, 2)}
             notes |= {"checkpoint": str(checkpoint), "seconds": seconds}
             (folder / MANIFEST).write_text(json.dumps(notes, indent=1) + "\n", encoding="utf-8")
-            found = _verify(room, assembly, folder, settings, blender, bar) if settings.verify else None
+            found = None
+            if settings.verify and not shown_alike(room.scene):
+                print(f"neurad: nothing is rendered again: {NO_LENS}", file=sys.stderr)
+            elif settings.verify:
+                found = _verify(room, assembly, folder, settings, blender, bar)
     finally:
         bar.close()
     _tell(room, settings, notes, found)
@@ -124,7 +130,7 @@ def write_room(room: Room, assembly: Assembly, folder: Path, settings: ExportSet
         InputError: likewise.
     """
     scene = room.scene
-    views = scene.test or scene.train
+    views = shown_alike(scene)
     bar.stage("scene.xml", 1)
     sensors = [sensor(scene, v.camera, v.camera.width, v.camera.height, 256, room.hide_environment) for v in views]
     write_xml(describe(scene, folder, sensors, path_integrator(scene, room.hide_environment)), folder / "scene.xml")
@@ -158,9 +164,15 @@ def write_room(room: Room, assembly: Assembly, folder: Path, settings: ExportSet
         "film": None if camera is None else [camera.width, camera.height],
         "views": {"train": [v.name for v in scene.train], "test": [v.name for v in scene.test]},
         "without_photographs": missing,
-        "left_out": [] if with_usd else [usd.MISSING],
+        "left_out": [*([] if with_usd else [usd.MISSING]), *_left_out(scene)],
         "meshes": [_mesh_notes(room, i, seen[i]) for i in range(len(room.names))],
     }
+
+
+def _left_out(scene: Scene) -> list[str]:
+    """Cameras that only the camera files have."""
+    bent = [view.name for view in (*scene.train, *scene.test) if not is_plain(view.camera)]
+    return [f"{len(bent)} cameras: {NO_LENS}"] if bent else []
 
 
 def _write_evidence(room: Room, assembly: Assembly, folder: Path, bar: Bar) -> list[float | None]:

@@ -67,16 +67,17 @@ def densities(tracer: Tracer, geometry: Geometry, scene: Scene, progress: Progre
         progress: is told of the rays.
     """
     cameras = Cameras.of([view.camera for view in scene.train], "cpu")
-    count = min(RAYS, 4 * len(scene.train) * cameras.width * cameras.height)
+    count = min(RAYS, 4 * sum(view.camera.width * view.camera.height for view in scene.train))
     progress.stage("measuring", count)
     stream = Stream(0, 7)
     footprints, meshes = [], []
     for begin in range(0, count, CHUNK):
         lanes = min(CHUNK, count - begin)
         view = stream.integers(len(scene.train), lanes)
-        rays = cameras.rays(view, stream.uniform(lanes, 2) * torch.tensor([cameras.width, cameras.height]))
+        xy = stream.uniform(lanes, 2) * cameras.size[view]
+        rays = cameras.rays(view, xy)
         hit = tracer.closest(rays)
-        footprints.append((hit.t * cameras.side[view])[hit.valid].numpy().astype(np.float64))
+        footprints.append((hit.t * cameras.footprint(view, xy))[hit.valid].numpy().astype(np.float64))
         meshes.append(geometry.mesh_index[hit.prim[hit.valid]].numpy())
         progress.step(lanes)
     footprint, mesh = np.concatenate(footprints), np.concatenate(meshes)

@@ -17,7 +17,7 @@ from neurad.core.records import Constant, EnvironmentMap, FloatArray, Material, 
 from neurad.core.reflection import PrincipledModel
 from neurad.export.axes import rotation
 from neurad.export.base_colour import Target, base_for
-from neurad.export.cameras import clip_planes
+from neurad.export.cameras import clip_planes, is_plain
 from neurad.export.gltf import unit_normals
 from neurad.export.images import Coded
 from neurad.export.raster_kernels import Array
@@ -117,7 +117,7 @@ class _Stage:
             material = scene.materials[mesh.material]
             surface = self._material(self.room.names[index], mesh, material, self.room.baked[index] is not None)
             self._mesh(self.room.names[index], mesh, material.two_sided, surface)
-        for view in (*scene.train, *scene.test):
+        for view in filter(lambda view: is_plain(view.camera), (*scene.train, *scene.test)):
             self._camera(view)
         if scene.environment is not None:
             self._environment(scene.environment)

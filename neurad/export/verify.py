@@ -17,6 +17,7 @@ from neurad.assembly.build import Assembly, build_world
 from neurad.core.protocols import Materials
 from neurad.core.records import FloatArray, Surface, SurfaceInteraction, View
 from neurad.core.rng import mix
+from neurad.export.cameras import shown_alike
 from neurad.export.pictures import Draw, Pictures
 from neurad.export.progress import Progress
 from neurad.export.room import Room
@@ -69,7 +70,7 @@ def verify(
         cycles: renders views of ``scene.glb``; None leaves that out.
         progress: is told of meshes and passes.
     """
-    views = room.scene.test or room.scene.train
+    views = shown_alike(room.scene)
     found = Verified(views, held_out=bool(room.scene.test))
     found.photographs = [None if v.image is None else read_exr(v.image)[..., :3] for v in views]
     progress.stage("seams", len(room.names))

@@ -27,7 +27,7 @@ from neurad.metrics.scores import BoolArray, Float64Array, Pool, block_means
 from neurad.metrics.seen import SeenBy
 from neurad.scene.description import Scene
 from neurad.scene.geometry import Geometry
-from neurad.scene.image_io import read_exr, to_srgb
+from neurad.scene.image_io import read_exr, read_mask, to_srgb
 from neurad.scene.numbers import PIXEL, within
 
 CHUNK = 1 << 18
@@ -67,7 +67,8 @@ class HeldOut:
     """The held-out views of a scene.
 
     Args:
-        scene: its ``test`` views are scored; its ``train`` views decide which surfaces count as seen.
+        scene: its ``scored`` views are scored, as a rule those held out; its ``train`` views decide which surfaces
+            count as seen.
         geometry: the triangles, on the device where predictions are made.
         tracer: casts rays against them.
         grid: every pixel is predicted at ``grid`` x ``grid`` stratified positions and box-filtered like the truth. Four
@@ -78,7 +79,7 @@ class HeldOut:
 
     def __init__(self, scene: Scene, geometry: Geometry, tracer: Tracer, grid: int = 4, stride: int = 1) -> None:
         self.scene = scene
-        self.views: list[View] = scene.test
+        self.views: list[View] = scene.scored
         self.geometry = geometry
         self.tracer = tracer
         self.grid = grid
@@ -92,6 +93,7 @@ class HeldOut:
         self._shows: dict[int, BoolArray] = {}
         self._truth: dict[int, dict[str, FloatArray]] = {}
         self._emitted: dict[int, Tensor] = {}
+        self._kept: dict[int, BoolArray] = {}
 
     def read(self) -> Self:
         """Read all files now, so that a bad one is found before training and not after it.
@@ -101,6 +103,7 @@ class HeldOut:
         """
         for index in range(len(self.views)):
             self.truth(index)
+            self.kept(index)
         _ = self.lookup
         return self
 
@@ -210,6 +213,18 @@ class HeldOut:
             self._emitted[index] = torch.cat(parts).view(*self.size(index), 3)
         return self._emitted[index]
 
+    def kept(self, index: int) -> BoolArray:
+        """Pixels [h, w] of the photograph that count: those that its mask, if it has one, does not leave out.
+
+        Raises:
+            InputError: the mask cannot be read, or has another size than the camera.
+        """
+        if index not in self._kept:
+            view = self.views[index]
+            whole = np.ones((view.camera.height, view.camera.width), np.bool_) if view.mask is None else read_mask(view)
+            self._kept[index] = np.ascontiguousarray(whole[:: self.stride, :: self.stride])
+        return self._kept[index]
+
     def _image(self, index: int, pixels: Tensor) -> np.ndarray:
         """Row-major pixels [h * w, ...] as an array [h, w, ...]."""
         return pixels.view(*self.size(index), *pixels.shape[1:]).cpu().numpy()
@@ -277,13 +292,13 @@ class HeldOut:
             fields: pictures [h, w, 3] of every view that the radiance field itself shows (the left-hand side), linear.
 
         Returns:
-            ``psnr_linear`` and ``psnr_srgb`` over all pixels, ``psnr_lhs`` (linear) likewise; ``mape_linear`` over
-            those that show a surface; ``{albedo, roughness}_{psnr, mape}`` over counted ones and ``albedo_psnr_8x8``
-            over these after a box filter. Each also with ``_constant``, of the best constant, those of roughness with
-            ``_lookup``, of :attr:`lookup` by the true colours, whose fraction of explained variance is
-            ``roughness_r2_lookup``, and those of albedo, if ``scaled``, with ``_scaled1`` and ``_scaled3``, after the
-            best factor for all channels together or for each. All these also with ``_seen``, over pixels of surfaces
-            that a training view sees, and with the suffixes of ``regions``.
+            ``psnr_linear`` and ``psnr_srgb`` over all pixels but masked ones, ``psnr_lhs`` (linear) likewise;
+            ``mape_linear`` over those of them that show a surface; ``{albedo, roughness}_{psnr, mape}`` over counted
+            ones and ``albedo_psnr_8x8`` over these after a box filter. Each also with ``_constant``, of the best
+            constant, those of roughness with ``_lookup``, of :attr:`lookup` by the true colours, whose fraction of
+            explained variance is ``roughness_r2_lookup``, and those of albedo, if ``scaled``, with ``_scaled1`` and
+            ``_scaled3``, after the best factor for all channels together or for each. All these also with ``_seen``,
+            over pixels of surfaces that a training view sees, and with the suffixes of ``regions``.
         """
         count = range(len(self.views))
         masks: dict[str, Sequence[BoolArray]] = {"seen": [self.seen(i) for i in count], **(regions or {})}
@@ -323,9 +338,10 @@ class HeldOut:
         truth = self.truth(index)
         counted = self.counted(index) & region
         if render is not None and "photograph" in truth:
-            pools["linear"].add(render, truth["photograph"], region)
-            pools["linear surfaces"].add(render, truth["photograph"], region & self.shows(index))
-            pools["srgb"].add(to_srgb(render), to_srgb(truth["photograph"]), region)
+            kept = region & self.kept(index)
+            pools["linear"].add(render, truth["photograph"], kept)
+            pools["linear surfaces"].add(render, truth["photograph"], kept & self.shows(index))
+            pools["srgb"].add(to_srgb(render), to_srgb(truth["photograph"]), kept)
         if "albedo_true" in truth and "albedo" in maps:
             pools["albedo"].add(maps["albedo"], truth["albedo_true"], counted)
             if self.stride == 1:  # else blocks would be larger, and their scores others

@@ -33,6 +33,7 @@ from neurad.runs.own_config import own_config
 from neurad.scene.description import Scene
 from neurad.scene.image_io import read_photograph
 from neurad.scene.load import load_scene
+from neurad.scene.readers.nerf import HOLD_OUT
 from neurad.scene.textures import TrueMaterials
 from neurad.training.checkpoint import fitting
 from neurad.training.checkpoint_file import read_checkpoint
@@ -288,7 +289,7 @@ def _scene(data: dict[str, Any], folder: Path, root: str | os.PathLike[str] | No
         raise InputError(
             f"run {folder}: its scene {first} is missing; say where it is now with --root (in Python, root=)"
         )
-    return load_scene(str(place), None)
+    return load_scene(str(place), None, data.get("hold_out", HOLD_OUT))
 
 
 def _has_alpha(scene: Scene) -> bool:

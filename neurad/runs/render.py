@@ -19,7 +19,6 @@ from neurad.core.errors import InputError
 from neurad.core.protocols import Integrator
 from neurad.core.ranges import Count, Positive, checked
 from neurad.core.rng import mix
-from neurad.export.cameras import transforms
 from neurad.integrators.aov import MaterialMap
 from neurad.integrators.film import render
 from neurad.integrators.method import Method, SceneModel
@@ -33,6 +32,7 @@ from neurad.scene.description import Scene
 from neurad.scene.image_io import write_exr
 from neurad.scene.load import load_scene
 from neurad.scene.textures import TrueMaterials
+from neurad.scene.transforms import transforms
 from neurad.training.train_radiance import train_radiance
 
 SEED = 20230806

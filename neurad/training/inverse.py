@@ -179,6 +179,9 @@ class InverseRenderer(L.LightningModule):
         begins = self.iteration == 0
         if self.settings.materials == "fit" and self.scene.replaced and self.trainer.is_global_zero:
             print(f"neurad: to be recovered as principled: {', '.join(self.scene.replaced)}", file=sys.stderr)
+        said = (*self.scene.notes, *filter(None, [self.scene.scores_are_of]))
+        if self.trainer.is_global_zero and said:
+            print(*(f"neurad: {note}" for note in said), sep="\n", file=sys.stderr)
         if self.trainer.is_global_zero and (left_out := self.region.sentence(self.scene)):
             print(f"neurad: {left_out}", file=sys.stderr)
         with self.world.tracer.uncounted(not begins):  # a continued run counted its camera rays when it began

@@ -2,6 +2,7 @@
 
 import json
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -9,11 +10,13 @@ import torch
 from helpers.delta_scenes import delta_gallery
 from helpers.exported import Glb, exported
 from helpers.object_scene import object_scene, photographed, sky
+from PIL import Image
 
 from neurad.assembly.build import build_world
+from neurad.core.lens import Lens
 from neurad.core.records import Camera, EnvironmentMap, View
 from neurad.core.reflection import ConductorModel, DielectricModel, DiffuseModel, PrincipledModel, RoughPlasticModel
-from neurad.export.cameras import named_apart, write_views
+from neurad.export.cameras import named_apart, shown_alike, write_views
 from neurad.integrators.film import render
 from neurad.integrators.renderer import path_tracer
 from neurad.scene.builtin import build_cornell
@@ -176,6 +179,30 @@ def test_every_view_keeps_its_own_angle(tmp_path):
     for before, after in zip(views, again, strict=True):
         assert (before.camera.fov_x, before.camera.width, before.camera.height) == (after.camera.fov_x, 12, 8)
         assert np.array_equal(before.camera.to_world, after.camera.to_world)
+
+
+def test_lenses_that_others_do_not_have_stay_in_the_camera_files(tmp_path, capfd):
+    """A room with a camera that distorts: other programs get the plain ones, which are compared; masks come along."""
+    import mitsuba as mi
+
+    scene = build_cornell()
+    bent = replace(scene.test[0], camera=replace(scene.test[0].camera, lens=Lens(numerator=(-0.1,))))
+    mask = tmp_path / "mask.PNG"
+    Image.new("L", (scene.test[1].camera.width, scene.test[1].camera.height), 255).save(mask)
+    scene = replace(scene, test=[bent, replace(scene.test[1], mask=str(mask))])
+    assert [view.name for view in shown_alike(scene)] == [scene.test[1].name]
+    room = exported(scene, tmp_path / "room")
+    assert len(mi.load_file(str(room / "scene.xml")).sensors()) == 1
+    names = [camera["name"] for camera in Glb(room / "scene.glb").json["cameras"]]
+    assert bent.name not in names
+    assert scene.test[1].name in names
+    again = load_scene(str(room), None).test
+    assert again[0].camera.lens == bent.camera.lens
+    assert Path(again[1].mask).read_bytes() == mask.read_bytes()
+    left_out = json.loads((room / "room.json").read_text())["left_out"]
+    assert any("1 cameras: other programs' cameras" in note for note in left_out)
+    exported(replace(scene, train=[bent], test=[]), tmp_path / "only", verify=True)
+    assert "nothing is rendered again: other programs' cameras have no lens distortion" in capfd.readouterr().err
 
 
 def test_views_without_photographs_keep_their_cameras(tmp_path):
