@@ -100,9 +100,9 @@ class Ladder:
         self.maps, photographs = self._training_truth()
         pixels = len(scene.train) * scene.train[0].camera.width * scene.train[0].camera.height
         self.positions = next((n for n in POSITIONS if n * pixels <= MOST), POSITIONS[-1])
-        sampling = replace(run.settings.sampling, cached_spp=self.positions)
-        self.training: TrainingRun = training_run(scene, replace(run.settings, sampling=sampling), photographs)
-        primary, device = self.training.views.primary, world.geometry.vertices.device
+        self.training: TrainingRun = training_run(scene, run.settings, photographs)
+        device, cameras = world.geometry.vertices.device, [view.camera for view in scene.train]
+        primary = PrimaryHits(world, cameras, self.positions, run.settings.seed, device)
         self.left_out = self.training.views.emitter_mask.clone()
         views, pixels = self.left_out.shape
         missed = primary.prim.view(views, pixels, self.positions) < 0
