@@ -30,8 +30,8 @@ class BarPool:
         self._parts.append((predicted[mask], std[mask], truth[mask]))
 
     def scores(self) -> dict[str, float]:
-        """``coverage_50``, ``coverage_90``, ``spearman``, ``ause``, ``psnr_sure`` and its constant;
-        none without pixels. See :func:`coverage`, :func:`ause`, :func:`sure`; ``spearman`` is the rank correlation of
+        """``coverage_50``, ``coverage_90``, ``spearman``, ``ause``, ``psnr_sure`` and its constant; none
+        without pixels. See :func:`coverage`, :func:`ause` and :func:`sure`; ``spearman`` is the rank correlation of
         bars and absolute errors. A pixel's bar and error for the last four are roots of means over channels.
         """
         if sum(len(part[0]) for part in self._parts) == 0:

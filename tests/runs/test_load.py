@@ -53,6 +53,34 @@ def fitted(tmp_path_factory):
     return folder
 
 
+def test_error_bars_are_those_of_neurad_test(place):
+    """At what a view shows they are within the range of its map; and a file of another iteration is not taken."""
+    run = neurad.load(place)
+    view = run.scene.test[0]
+    points = run.surface(view)
+    lit = points.valid.numpy()
+    for name, channels in (("albedo", 3), ("roughness", 1)):
+        std = getattr(run, f"{name}_std")(points)
+        assert std.shape == (SIZE * SIZE, channels)
+        assert (std[~lit] == 0).all()
+        shown = read_exr(str(place / "images" / f"{view.name}_{name}_std.exr")).reshape(SIZE * SIZE, -1)[:, :channels]
+        inner = lit & (shown > 0).all(1)
+        assert inner.any()
+        assert np.median(np.abs(std - shown)[inner] / shown[inner]) < 0.3
+        at = getattr(run, f"{name}_std")(points.p[points.valid].numpy())
+        assert np.allclose(at, std[lit]) or (std[lit] == 0).any()
+    scores = json.loads((place / "metrics.json").read_text())
+    assert not any("coverage" in key for key in scores)  # the room has no true maps
+    bars = place / "error_bars.npz"
+    kept = bars.read_bytes()
+    try:
+        bars.unlink()
+        with pytest.raises(InputError, match="no error bars of this run; neurad test writes them"):
+            neurad.load(place).albedo_std(points)
+    finally:
+        bars.write_bytes(kept)
+
+
 @pytest.fixture
 def place(fitted, monkeypatch):
     monkeypatch.chdir(fitted)
