@@ -22,7 +22,7 @@ SIGMAS = 3.0
 """A mean is beyond its bound if it is so by more than this many standard errors: noise is no difference."""
 SEAMS_BEYOND = 1e-2
 """Largest fraction of the points on borders of charts that may differ by more than two steps of 255. In the rooms
-measured it is 0.3 % at most, most of it on triangles below a texel, whose plane says little of the surface around."""
+measured it is 0.6 % at most, most of it on triangles below a texel, whose plane says little of the surface around."""
 
 
 @dataclass
