@@ -94,6 +94,9 @@ class Ladder:
         scene, world = run.scene, run.world
         if world.delta is not None:
             raise InputError(f"scene {scene.name}: footprints through glass and in mirrors are not known to the bound")
+        sizes = {(view.camera.width, view.camera.height) for view in scene.train}
+        if len(sizes) > 1 or any(view.mask is not None for view in scene.train):
+            raise InputError(f"scene {scene.name}: the bound takes training photographs of one size and without masks")
         self.truth: Materials = TrueMaterials(scene, world.geometry)
         self.held_out = HeldOut(scene, world.geometry, world.tracer).read()
         self._check(self.held_out, "held-out")
