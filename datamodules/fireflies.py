@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import torch
@@ -45,25 +45,25 @@ class Fireflies:
         return self.light > WORTH
 
     @classmethod
-    def measure(cls, read: Callable[[int], Tensor], left_out: Tensor, width: int) -> Fireflies:
+    def measure(cls, read: Callable[[int], Tensor], left_out: Sequence[Tensor], widths: Sequence[int]) -> Fireflies:
         """Look for fireflies in at most 8 photographs, in large ones in a band of rows, each time another.
 
         Args:
             read: reads the photograph of a view [h * w, 3 or 4].
-            left_out: pixels that do not count [views, h * w], bool.
-            width: of the photographs in pixels.
+            left_out: pixels that do not count, of each view [h * w], bool.
+            widths: of the photographs in pixels.
         """
         views = len(left_out)
         count, excess, total = 0, 0.0, 0.0
         number = min(views, _MEASURED)
         for i in range(number):
             view = i * views // number
-            pixels = read(view)
+            pixels, width = read(view), widths[view]
             height = len(pixels) // width
             rows = min(height, max(1, _LOOKED_AT // width))
             first = (height - rows) * i // max(1, number - 1)
             band = slice(first * width, (first + rows) * width)
-            lum, counts = _brightness(pixels[band], left_out[view, band], width)
+            lum, counts = _brightness(pixels[band], left_out[view][band], width)
             index, bound = _stand_out(lum, counts)
             count += len(index)
             excess += float((lum.view(-1)[index] - bound).sum(dtype=torch.float64))

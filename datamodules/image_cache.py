@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import zlib
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 
 import torch
@@ -11,7 +11,7 @@ from torch import Tensor
 
 from datamodules.pixels import blurred
 from neurad.core.patch_sampler import PatchSampler
-from neurad.core.records import Camera, DatasetStats, PixelBatch
+from neurad.core.records import DatasetStats, PixelBatch
 from neurad.core.rng import Stream
 
 SAMPLE = 1 << 16
@@ -43,7 +43,7 @@ def dataset_stats(read: Read, views: int, left_out: Tensor | None, seed: int) ->
         checksums.append(checksum(pixels))
         color = pixels[:, :3]
         alpha = pixels[:, 3] if pixels.shape[1] == 4 else None
-        counts = torch.ones(len(pixels), dtype=torch.bool) if left_out is None else ~left_out[view]
+        counts = torch.ones(len(pixels), dtype=torch.bool) if left_out is None else ~left_out[view, : len(pixels)]
         if alpha is not None:
             counts &= alpha > 0
         if alpha is None or bool((alpha > 0).any()):
@@ -73,7 +73,7 @@ class ImageCache:
     Args:
         read: reads a photograph; called in another thread.
         views: those that take part.
-        camera: gives the size of the photographs.
+        sizes: width and height of every photograph in pixels; memory is taken for the largest of ``views``.
         count: photographs in memory; all of ``views`` where there are fewer.
         every: iterations after which one is replaced.
         patch_size: side of the patches to draw.
@@ -86,7 +86,7 @@ class ImageCache:
         self,
         read: Read,
         views: list[int],
-        camera: Camera,
+        sizes: Sequence[tuple[int, int]],
         count: int,
         every: int,
         patch_size: int,
@@ -100,7 +100,8 @@ class ImageCache:
         self.count = min(count, len(views))
         self.every = every
         self.rank = rank
-        self.camera = camera
+        self.sizes = sizes
+        self._most = max(sizes[view][0] * sizes[view][1] for view in views)
         self.patch_size = patch_size
         self.with_blurred = with_blurred
         self._read = read
@@ -136,7 +137,7 @@ class ImageCache:
             view, slot = self.order[place % len(self.order)], place % self.count
             if self._slots[slot] != view:
                 self._slots[slot] = -1  # in case reading fails
-                self._put(slot, *self._take(view))
+                self._put(slot, view, *self._take(view))
                 self._slots[slot] = view
         self._tick = tick
         if self.count < len(self.order):
@@ -151,7 +152,7 @@ class ImageCache:
             return pixels, None
         images = pixels.unsqueeze(0)
         alpha = images[..., 3] if images.shape[-1] == 4 else None
-        return pixels, blurred(images[..., :3].contiguous(), alpha, self.camera.width)[0]
+        return pixels, blurred(images[..., :3].contiguous(), alpha, self.sizes[view][0])[0]
 
     def _take(self, view: int) -> tuple[Tensor, Tensor | None]:
         """What :meth:`_load` returns; usually it has been read ahead."""
@@ -160,28 +161,29 @@ class ImageCache:
             return future.result()
         return self._reader.submit(self._load, view).result()
 
-    def _put(self, slot: int, pixels: Tensor, means: Tensor | None) -> None:
+    def _put(self, slot: int, view: int, pixels: Tensor, means: Tensor | None) -> None:
         """Place a photograph in a slot, and update the list of the slot's patches."""
         if not len(self._pixels):
-            self._pixels = pixels.new_empty(self.count, *pixels.shape)
-        self._pixels[slot] = pixels
+            self._pixels = pixels.new_empty(self.count, self._most, pixels.shape[1])
+        self._pixels[slot, : len(pixels)] = pixels
         if means is not None:
             if not len(self._blurred):
-                self._blurred = means.new_empty(self.count, *means.shape)
-            self._blurred[slot] = means
-        width, height, size = self.camera.width, self.camera.height, self.patch_size
-        if pixels.shape[1] < 4:
-            self._sampler = self._sampler or PatchSampler.build(self.count, size, None, width, height, self.seed)
+                self._blurred = means.new_empty(self.count, self._most, 3)
+            self._blurred[slot, : len(means)] = means
+        size, patch = self.sizes[view], self.patch_size
+        if pixels.shape[1] < 4 and len(set(self.sizes)) == 1:
+            self._sampler = self._sampler or PatchSampler.build([size] * self.count, patch, None, self.seed)
             return
-        found = PatchSampler.build(1, size, pixels[None, :, 3], width, height, self.seed).corners
+        alpha = pixels[None, :, 3] if pixels.shape[1] == 4 else None
+        found = PatchSampler.build([size], patch, alpha, self.seed).corners
         if self._sampler is None:
-            most = (width - size + 1) * (height - size + 1)
-            self._corners = torch.empty(self.count, most, dtype=torch.int32)
-            slots = torch.arange(self.count)
+            self._corners = torch.empty(self.count, self._most, dtype=torch.int32)
+            slots, ones = torch.arange(self.count), torch.ones(self.count, dtype=torch.int64)
             lists = self._corners.view(-1)
-            self._sampler = PatchSampler(slots, slots * most, torch.ones_like(slots), lists, size, width, self.seed)
+            self._sampler = PatchSampler(slots, slots * self._most, ones, lists, patch, ones.clone(), self.seed)
         self._corners[slot, : len(found)] = found.int()
         self._sampler.count[slot] = len(found)
+        self._sampler.width[slot] = size[0]
 
     def batch(self, slot: Tensor, pixel: Tensor, iteration: int, pixel_multiplier: int) -> PixelBatch:
         """Pixels of photographs in memory.

@@ -18,13 +18,14 @@ from datamodules.pixels import blurred, multiplier_at
 from neurad.core.errors import InputError
 from neurad.core.patch_sampler import PatchSampler
 from neurad.core.protocols import PhotoSource
-from neurad.core.ranges import Count, Range, Seed, checked
+from neurad.core.ranges import Count, CountOrZero, Range, Seed, checked
 from neurad.core.records import DatasetStats, PixelBatch, View
 from neurad.runtime.reading import read_bytes
 from neurad.scene.description import Scene
-from neurad.scene.image_io import read_photograph
+from neurad.scene.image_io import read_mask, read_photograph
 from neurad.scene.load import load_scene
 from neurad.scene.numbers import check_bright
+from neurad.scene.readers.nerf import HOLD_OUT
 
 
 class SceneData(pl.LightningDataModule, PhotoSource):
@@ -44,9 +45,10 @@ class SceneData(pl.LightningDataModule, PhotoSource):
         resident: training photographs in memory at once; the others are read from disk as their turn comes. None
             keeps all in memory.
         replace_every: iterations after which one of them is replaced, if not all are in memory.
+        hold_out: every so many-th photograph is held out where the camera file does not say which; 0 for none.
 
     Raises:
-        InputError: a number is not positive, or ``pixel_multiplier`` no power of two.
+        InputError: a number is out of range, ``pixel_multiplier`` no power of two, or ``hold_out`` is 1.
     """
 
     def __init__(
@@ -59,10 +61,13 @@ class SceneData(pl.LightningDataModule, PhotoSource):
         seed: Seed = 0,
         resident: Count | None = None,
         replace_every: Count = 16,
+        hold_out: CountOrZero = HOLD_OUT,
     ) -> None:
         super().__init__()
         if pixel_multiplier & (pixel_multiplier - 1):
             raise InputError(f"--data.pixel_multiplier: {pixel_multiplier} is not a power of two")
+        if hold_out == 1:
+            raise InputError("--data.hold_out: 1 would hold out every photograph and leave none to learn from")
         self.root = root
         self.scene_name = scene
         self.patches = patches
@@ -71,9 +76,10 @@ class SceneData(pl.LightningDataModule, PhotoSource):
         self.seed = seed
         self.resident = resident
         self.replace_every = replace_every
+        self.hold_out = hold_out
         checked(self)
         self._with_blurred = False
-        self._spread: tuple[Tensor, Fireflies] | None = None
+        self._spread: tuple[list[Tensor], Fireflies] | None = None
         self._stats: DatasetStats | None = None
         self._cache: ImageCache | None = None
 
@@ -85,7 +91,7 @@ class SceneData(pl.LightningDataModule, PhotoSource):
     @cached_property
     def scene(self) -> Scene:
         """The scene, checked; read at the first access."""
-        return load_scene(self.root, self.scene_name)
+        return load_scene(self.root, self.scene_name, self.hold_out)
 
     def setup(self, stage: str) -> None:
         """Read the scene and, for a fit, all training photographs that are to stay in memory.
@@ -97,29 +103,55 @@ class SceneData(pl.LightningDataModule, PhotoSource):
         if stage != "fit":
             return
         if not self.streams:
-            stats = self.dataset_stats()
+            stats = self.dataset_stats(self.ignored())
             check_bright(stats.mean_square_radiance, stats.brightest, scene.name)
-        camera = scene.train[0].camera
-        if self.patch_size > min(camera.width, camera.height):
-            size = f"{camera.width} x {camera.height}"
+        smallest = min(self._sizes, key=min, default=None)
+        if smallest is not None and self.patch_size > min(smallest):
+            size = f"{smallest[0]} x {smallest[1]}"
             raise InputError(f"--data.patch_size: {self.patch_size} does not fit in photographs of {size} pixels")
 
     # ---- photographs
 
     @cached_property
+    def _sizes(self) -> list[tuple[int, int]]:
+        """Width and height in pixels of every training photograph."""
+        return [(view.camera.width, view.camera.height) for view in self.scene.train]
+
+    def _count(self, index: int) -> int:
+        """Pixels of a training photograph."""
+        return self._sizes[index][0] * self._sizes[index][1]
+
+    @cached_property
     def _pixels(self) -> Tensor:
-        """Training photographs [views, h * w, 3 or 4]."""
+        """Training photographs [views, pixels, 3 or 4]: of each its own ones, row by row, then 0 up to as many as the
+        largest has.
+        """
         views = self.scene.train
         if not views:
             raise InputError(f"scene {self.scene.name}: it has no training photographs")
         first = self._read(views[0])
-        pixels = first.new_empty(len(views), *first.shape)
-        pixels[0] = first
+        pixels = first.new_zeros(len(views), max(w * h for w, h in self._sizes), first.shape[1])
+        pixels[0, : len(first)] = first
         for index, view in enumerate(views[1:], 1):
             image = self._read(view)
             self._check_channels(view, image, first.shape[-1])
-            pixels[index] = image
+            pixels[index, : len(image)] = image
         return pixels
+
+    def ignored(self) -> Tensor | None:
+        """Pixels that masks leave out [views, pixels], bool; None where no view has a mask.
+
+        Raises:
+            InputError: a mask is missing, no picture, or of another size than its photograph.
+        """
+        views = self.scene.train
+        if not any(view.mask for view in views):
+            return None
+        left_out = torch.zeros(len(views), max(w * h for w, h in self._sizes), dtype=torch.bool)
+        for index, view in enumerate(views):
+            if view.mask is not None:
+                left_out[index, : self._count(index)] = ~torch.from_numpy(read_mask(view)).view(-1)
+        return left_out
 
     def _check_channels(self, view: View, image: Tensor, expected: int) -> None:
         if image.shape[-1] != expected:
@@ -142,20 +174,29 @@ class SceneData(pl.LightningDataModule, PhotoSource):
 
     @cached_property
     def photographs(self) -> Tensor:
-        """Linear colours of the training views, premultiplied by alpha [views, h * w, 3]."""
+        """Linear colours of the training views, premultiplied by alpha [views, pixels, 3]; 0 behind the last pixel of a
+        view that is smaller than others.
+        """
         return self._pixels[..., :3].contiguous()
 
     @cached_property
     def alpha(self) -> Tensor | None:
-        """Coverage of the training views [views, h * w], or None if the photographs have no alpha channel."""
+        """Coverage of the training views [views, pixels], or None if the photographs have no alpha channel."""
         if not self.has_alpha:
             return None
         return self._pixels[..., 3].contiguous()
 
     @cached_property
     def _blurred(self) -> Tensor:
-        """Means of the photographs over 5 x 5 pixels [views, h * w, 3]."""
-        return blurred(self.photographs, self.alpha, self.scene.train[0].camera.width)
+        """Means of the photographs over 5 x 5 pixels [views, pixels, 3]."""
+        if len(set(self._sizes)) == 1:
+            return blurred(self.photographs, self.alpha, self._sizes[0][0])
+        means = torch.zeros_like(self.photographs)
+        for index, (width, _) in enumerate(self._sizes):
+            here = slice(index, index + 1), slice(self._count(index))
+            alpha = None if self.alpha is None else self.alpha[here]
+            means[here] = blurred(self.photographs[here], alpha, width)
+        return means
 
     @cached_property
     def has_alpha(self) -> bool:
@@ -169,7 +210,7 @@ class SceneData(pl.LightningDataModule, PhotoSource):
         """Statistics of all training photographs; streamed ones are read from disk once, one after the other.
 
         Args:
-            left_out: pixels that do not count [views, h * w], bool, such as those that show emitters; None for none.
+            left_out: pixels that do not count [views, pixels], bool, such as those that show emitters; None for none.
 
         Raises:
             InputError: a photograph is missing or wrong, or alpha is 0 in all of them.
@@ -188,18 +229,21 @@ class SceneData(pl.LightningDataModule, PhotoSource):
         are read, of which a few are measured.
 
         Args:
-            left_out: pixels that take no part [views, h * w], bool.
+            left_out: pixels that take no part [views, pixels], bool.
 
         Returns:
             Fraction of the light that was in them; 0 where the photographs stay as they are.
         """
-        width = self.scene.train[0].camera.width
         if self._spread is None:
-            found = Fireflies.measure(self._streamed if self.streams else self._resident, left_out, width)
-            self._spread = left_out, found
+            read, widths = self._streamed if self.streams else self._resident, [width for width, _ in self._sizes]
+            masks = [mask[: self._count(index)] for index, mask in enumerate(left_out)]
+            found = Fireflies.measure(read, masks, widths)
+            self._spread = masks, found
             if found.spread and not self.streams:
-                pairs = zip(self._pixels, left_out, strict=True)
-                self._pixels = torch.stack([spread_fireflies(pixels, mask, width) for pixels, mask in pairs])
+                spread = torch.zeros_like(self._pixels)
+                for index, (mask, width) in enumerate(zip(masks, widths, strict=True)):
+                    spread[index, : len(mask)] = spread_fireflies(self._resident(index), mask, width)
+                self._pixels = spread
                 self.__dict__.pop("photographs", None)  # made anew from what they are now
                 self.__dict__.pop("_blurred", None)
         found = self._spread[1]
@@ -215,11 +259,11 @@ class SceneData(pl.LightningDataModule, PhotoSource):
 
         Args:
             scene: a checked scene.
-            photographs: of its training views [views, h * w, 3 or 4], kept in memory; None reads the views' files.
+            photographs: of its training views [views, pixels, 3 or 4], kept in memory; None reads the views' files.
         """
         made = SceneData(
             None, None, self.patches, self.patch_size, self.pixel_multiplier, self.seed, self.resident,
-            self.replace_every,
+            self.replace_every, self.hold_out,
         )  # fmt: skip
         made.scene = scene
         if photographs is not None:
@@ -230,7 +274,7 @@ class SceneData(pl.LightningDataModule, PhotoSource):
 
     def _resident(self, index: int) -> Tensor:
         """One training photograph [h * w, 3 or 4] of those in memory."""
-        return self._pixels[index]
+        return self._pixels[index, : self._count(index)]
 
     def _streamed(self, index: int) -> Tensor:
         """One training photograph [h * w, 3 or 4] from disk; also called from the thread that reads ahead."""
@@ -249,7 +293,7 @@ class SceneData(pl.LightningDataModule, PhotoSource):
         image = self._streamed(index)
         if self._spread is None or not self._spread[1].spread:
             return image
-        return spread_fireflies(image, self._spread[0][index], self.scene.train[0].camera.width)
+        return spread_fireflies(image, self._spread[0][index], self._sizes[index][0])
 
     def _window(self, iteration: int, rank: int) -> ImageCache:
         """The photographs in memory at an iteration."""
@@ -257,7 +301,7 @@ class SceneData(pl.LightningDataModule, PhotoSource):
         if cache is None or cache.rank != rank:
             views = (self._stats or self.dataset_stats()).foreground
             cache = self._cache = ImageCache(
-                self._streamed_spread, views, self.scene.train[0].camera, self.resident or 1, self.replace_every,
+                self._streamed_spread, views, self._sizes, self.resident or 1, self.replace_every,
                 self.patch_size, self.seed, rank, self._with_blurred,
             )  # fmt: skip
         cache.move(iteration)
@@ -268,15 +312,12 @@ class SceneData(pl.LightningDataModule, PhotoSource):
     @cached_property
     def _sampler(self) -> PatchSampler:
         """Draws patches of all photographs, where they are in memory."""
-        camera = self.scene.train[0].camera
-        views = len(self.scene.train)
-        return PatchSampler.build(views, self.patch_size, self.alpha, camera.width, camera.height, self.seed)
+        return PatchSampler.build(self._sizes, self.patch_size, self.alpha, self.seed)
 
     @cached_property
     def _total(self) -> int:
         """Patches that cover all photographs once; background that no patch shows is left out if not streamed."""
-        camera = self.scene.train[0].camera
-        pixels = len(self.scene.train) * camera.width * camera.height if self.streams else self._sampler.total
+        pixels = sum(w * h for w, h in self._sizes) if self.streams else self._sampler.total
         return -(-pixels // self.patch_size**2)
 
     def batch(self, iteration: int, rank: int = 0) -> PixelBatch:
@@ -287,8 +328,7 @@ class SceneData(pl.LightningDataModule, PhotoSource):
             cache = self._window(iteration, rank)
             return cache.batch(*cache.sampler.draw(first, patches, rank), iteration, pixel_multiplier)
         view, pixel = self._sampler.draw(first, patches, rank)
-        camera = self.scene.train[0].camera
-        index = view * (camera.width * camera.height) + pixel
+        index = view * self.photographs.shape[1] + pixel
         color = self.photographs.view(-1, 3).index_select(0, index)
         alpha = torch.ones(len(index)) if self.alpha is None else self.alpha.view(-1).index_select(0, index)
         means = self._blurred.view(-1, 3).index_select(0, index) if self._with_blurred else None
@@ -309,8 +349,8 @@ class SceneData(pl.LightningDataModule, PhotoSource):
         return DataLoader(_Batches(self), batch_size=None, num_workers=0)
 
     def val_dataloader(self) -> DataLoader[int]:
-        """Indices of the held-out views, one an item."""
-        return DataLoader(_Range(len(self.scene.test)), batch_size=1, num_workers=0)
+        """Indices of the views that are scored, one an item."""
+        return DataLoader(_Range(len(self.scene.scored)), batch_size=1, num_workers=0)
 
     test_dataloader = val_dataloader
     predict_dataloader = val_dataloader

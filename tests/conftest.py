@@ -10,7 +10,7 @@ import pytest
 import torch
 import yaml
 
-OPTIONAL = ("mitsuba", "open3d", "warp", "mkdocs")
+OPTIONAL = ("mitsuba", "open3d", "warp", "mkdocs", "xatlas", "pxr", "Node")
 
 
 @pytest.fixture(autouse=True)

@@ -21,7 +21,7 @@ def camera_ray_bytes(cameras: Sequence[Camera], cached_spp: int, has_environment
     barycentrics, in a scene with an environment its direction too.
 
     Args:
-        cameras: of the training views, of one size.
+        cameras: of the training views.
         cached_spp: kept rays of a pixel.
         has_environment: of the scene.
     """
@@ -46,7 +46,7 @@ def announce_camera_rays(
     needed = camera_ray_bytes(cameras, cached_spp, has_environment)
     if cached_spp == 0 or needed < LARGE:
         return
-    size = f"{cameras[0].width} x {cameras[0].height}"
+    size = " or ".join(dict.fromkeys(f"{camera.width} x {camera.height}" for camera in cameras))
     what = f"the camera rays of {len(cameras)} views of {size} pixels take {needed / 1e9:.3g} GB of memory"
     free = free_memory() if torch.device(device).type == "cpu" else None
     stream = "--model.sampling.cached_spp 0 --data.resident 1"

@@ -127,7 +127,7 @@ def _met(world: World, scene: Scene, device: torch.device | str) -> tuple[FloatA
     cameras = Cameras.of([view.camera for view in scene.train], "cpu")
     stream = Stream(0, 4)
     view = stream.integers(len(scene.train), RAYS)
-    rays = cameras.rays(view, stream.uniform(RAYS, 2) * torch.tensor([cameras.width, cameras.height], device="cpu"))
+    rays = cameras.rays(view, stream.uniform(RAYS, 2) * cameras.size[view])
     tracer = _Elsewhere(world, device)
     length = torch.zeros(RAYS)
     points, weights = [], []

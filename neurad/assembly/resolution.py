@@ -50,12 +50,13 @@ def finest_cells(tracer: Tracer, scene: Scene, device: torch.device | str = "cpu
     cameras = Cameras.of([view.camera for view in scene.train], "cpu")
     stream = Stream(0, 3)
     view = stream.integers(len(scene.train), RAYS)
-    rays = cameras.rays(view, stream.uniform(RAYS, 2) * torch.tensor([cameras.width, cameras.height], device="cpu"))
+    xy = stream.uniform(RAYS, 2) * cameras.size[view]
+    rays = cameras.rays(view, xy)
     hit = tracer.closest(Rays(rays.o.to(device), rays.d.to(device)))
     valid = hit.valid.cpu()
     if not bool(valid.any()):
         return 1
-    pixel = (hit.t.cpu() * cameras.side[view])[valid]
+    pixel = (hit.t.cpu() * cameras.footprint(view, xy))[valid]
     side = 1.0 / float(UnitCube(torch.from_numpy((region or Region(scene.bounds)).bounds)).inverse_side)
     cells = side / max(float(pixel.quantile(CLOSER_FRACTION)), 1e-6 * side)
     return int(2.0 ** (0.5 * round(2.0 * math.log2(cells))) + 0.5)

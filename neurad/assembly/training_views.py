@@ -40,7 +40,8 @@ class TrainingViews:
     primary: PrimaryHits
     """Camera rays of the views."""
     emitter_mask: Tensor
-    """Pixels that an emitter covers, in part or whole; they train nothing [views, pixels], bool."""
+    """Pixels that an emitter covers, in part or whole, or that a mask leaves out; they train nothing [views, pixels],
+    bool. True behind the last pixel of a view that is smaller than others."""
     mean_square_radiance: float
     """Of all other pixels of the photographs."""
     checksum: int = 0
@@ -80,10 +81,13 @@ def prepare_views(
     announce_camera_rays(cameras, settings.sampling.cached_spp, assembly.world.features.has_environment, device)
     # Stage 1: primary hits and the emitter mask [views, pixels].
     primary = PrimaryHits(assembly.world, cameras, settings.sampling.cached_spp, settings.seed, torch.device(device))
-    none = torch.zeros(len(cameras), primary.pixels, dtype=torch.bool, device=device)
-    emitter_mask = none if emitters_train else primary.sees_emitter()
+    emitter_mask = primary.nothing() if emitters_train else primary.sees_emitter()
+    ignored = photographs.ignored()
+    if ignored is not None:
+        emitter_mask |= ignored.to(emitter_mask.device)
     if bool(emitter_mask.all()):
-        raise InputError(f"scene {scene.name}: every pixel of every training view shows an emitter")
+        masked = "" if ignored is None else " or is black in its mask"
+        raise InputError(f"scene {scene.name}: every pixel of every training view shows an emitter{masked}")
     # Stage 2: the unit of radiance.
     stats = photographs.dataset_stats(emitter_mask.cpu())
     surface = surface_fractions(primary, stats.sample, settings.seed)

@@ -86,7 +86,7 @@ class Evaluate(pl.Callback):
     def on_fit_start(self, trainer: pl.Trainer, pl_module: pl.LightningModule) -> None:
         """Decide how much of large held-out views evaluations look at: all ones of a run at the same pixels."""
         module = cast("InverseRenderer", pl_module)
-        views = module.scene.test
+        views = module.scene.scored
         if self.every_n_steps is not None or not views:
             return
         module.effort = affordable(views, self.spp, self.fraction, time_limit(trainer))
@@ -121,18 +121,20 @@ class Evaluate(pl.Callback):
 
     def on_fit_end(self, trainer: pl.Trainer, pl_module: pl.LightningModule) -> None:
         """Print the closing table."""
-        folder = run_folder(trainer)
+        folder, module = run_folder(trainer), cast("InverseRenderer", pl_module)
         rows = MetricsTable(folder / "metrics.csv").rows() if folder else []
         scores = rows[-1] if rows else self.last_scores
         if trainer.is_global_zero and scores:
-            print("\n" + "\n\n".join(t for t in (score_table(scores, self.spp), curve_table(rows)) if t))
+            table = _table(module, scores, self.spp, steady=True)
+            print("\n" + "\n\n".join(t for t in (table, curve_table(rows)) if t))
             if folder:
                 print(f"\nneurad: run folder {folder}")
 
     def on_validation_epoch_end(self, trainer: pl.Trainer, pl_module: pl.LightningModule) -> None:
         """``neurad validate``: print the scores."""
         if trainer.is_global_zero:
-            print(score_table(cast("InverseRenderer", pl_module).evaluate(self.spp).scores, self.spp))
+            module = cast("InverseRenderer", pl_module)
+            print(_table(module, module.evaluate(self.spp, steady=True).scores, self.spp, steady=True))
 
     def on_test_epoch_end(self, trainer: pl.Trainer, pl_module: pl.LightningModule) -> None:
         """``neurad test``: write every held-out view and the scores."""
@@ -141,7 +143,7 @@ class Evaluate(pl.Callback):
         module = cast("InverseRenderer", pl_module)
         folder = run_folder(trainer)
         evaluation = module.evaluate(self.test_spp, glossy=True, bars=error_bars_of(module, folder))
-        print(score_table(evaluation.scores, self.test_spp))
+        print(_table(module, evaluation.scores, self.test_spp))
         if folder is not None:
             pictures.write_views(folder / "images", evaluation.maps, evaluation.environment)
             about = {"iteration": module.iteration, "seconds": round(module.seconds_before, 2), "rays": module.rays}
@@ -178,7 +180,7 @@ class Evaluate(pl.Callback):
         with clock.excluded():
             self._evaluated = module.iteration
             if trainer.is_global_zero:
-                evaluation = module.evaluate(self.spp)
+                evaluation = module.evaluate(self.spp, steady=True)
                 self.last_scores = dict(evaluation.scores)
                 self._record(trainer, module, evaluation.scores, evaluation.maps)
                 self._preview(trainer, module, evaluation)
@@ -264,9 +266,17 @@ def error_bars_of(module: InverseRenderer, folder: Path | None) -> ErrorBars | N
     return bars
 
 
+def _table(module: InverseRenderer, scores: Mapping[str, float], spp: int, steady: bool = False) -> str:
+    """The closing table and, where its scores are not of held-out views, what they are of."""
+    said = module.scene.scores_are_of
+    if said is None:
+        return score_table(scores, spp, steady=steady)
+    return f"{score_table(scores, spp, steady=steady, views='Training photographs')}\n\nneurad: {said}"
+
+
 def _group(name: str) -> str:
     """TensorBoard's group of a score: the curves to follow first, not lost among the flat lines of the constant."""
-    kinds = ("constant", "seen")
+    kinds = ("constant", "lookup", "seen")
     return "_".join(["held_out", *(kind for kind in kinds if kind in name.split("_"))])
 
 

@@ -6,6 +6,7 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from neurad.core.errors import InputError
+from neurad.metrics.marks import MARKS
 from neurad.runtime.files import write_text
 from neurad.runtime.tables import align, append_csv, numbers, read_csv, read_lines
 
@@ -20,6 +21,7 @@ HEADINGS = {
     "roughness_mape": "MAPE",
     "psnr_linear": "image PSNR linear",
     "psnr_srgb": "sRGB",
+    "psnr_lhs": "of the field",
 }
 LIGHT = {
     "": "",
@@ -89,24 +91,30 @@ class MetricsTable:
             write_text(self.path, "".join(kept))
 
 
-def score_table(scores: Mapping[str, float], spp: int, label: str = "neurad") -> str:
-    """The closing table: this run beside the best constant, over all held-out pixels and over each of :data:`REGIONS`.
+def score_table(
+    scores: Mapping[str, float], spp: int, label: str = "neurad", steady: bool = False, views: str = "Held-out views"
+) -> str:
+    """The closing table: this run beside the best constant and, for roughness, a lookup by the true colours, over all
+    held-out pixels and over each of :data:`REGIONS`.
 
     Args:
         scores: by the names of :data:`COLUMNS`; a best constant's score has ``_constant`` before any ``_seen``.
         spp: samples per pixel of the renderings behind ``psnr_linear`` and ``psnr_srgb``; 0 where there are none.
         label: what the scores belong to.
+        steady: whether the radiance field took their noise from these renderings, where there is one.
+        views: which views they are of.
     """
     lines = []
     for suffix, pixels in REGIONS.items():
         body = [list(HEADINGS.values())]
-        for row, kind in ((label, ""), ("best constant", "_constant")):
+        for row, kind in ((label, ""), *MARKS.items()):
             values = {name: scores.get(f"{name}{kind}{suffix}") for name in HEADINGS if name}
             if any(value is not None for value in values.values()):
                 body.append([row, *(_score(name, value) for name, value in values.items())])
         if len(body) > 1:
-            rendered = f" (images rendered with {spp} samples per pixel)" if spp else ""
-            lines += [f"Held-out views, {pixels}{rendered}", *align(body), ""]
+            control = ", the radiance field as control variate" if steady and "psnr_lhs" in scores else ""
+            rendered = f" (images rendered with {spp} samples per pixel{control})" if spp else ""
+            lines += [f"{views}, {pixels}{rendered}", *align(body), ""]
     return "\n".join(lines + light_table(scores)).rstrip()
 
 
@@ -138,8 +146,10 @@ def curve_table(rows: Sequence[Row], count: int = 8) -> str:
         return ""
     steps = min(count, len(rows))
     chosen = sorted({round(i * (len(rows) - 1) / max(steps - 1, 1)) for i in range(steps)})
-    names = ("albedo_psnr", "roughness_psnr", "psnr_linear")
-    body = [["seconds", "iteration", "albedo PSNR", "roughness PSNR", "image PSNR linear"]]
+    shown = {"albedo_psnr": "albedo PSNR", "roughness_psnr": "roughness PSNR", "psnr_linear": "image PSNR linear"}
+    shown |= {"psnr_lhs": "of the field"} if any("psnr_lhs" in row for row in rows) else {}
+    names = list(shown)
+    body = [["seconds", "iteration", *shown.values()]]
     for index in chosen:
         row = rows[index]
         scores = [_score(name, row.get(name)) for name in names]

@@ -1,4 +1,4 @@
-"""Pinhole cameras: rays through film positions, and film positions of points."""
+"""Cameras: rays through film positions, and film positions of points."""
 
 from __future__ import annotations
 
@@ -9,41 +9,69 @@ from typing import Self
 import torch
 from torch import Tensor
 
+from neurad.core.lens import Bending
 from neurad.core.records import Camera, Rays
+
+_CHUNK = 1 << 14
+"""Positions whose distortion is taken back at a time: what is computed on the way stays in the processor's cache."""
 
 
 def pixel_side(camera: Camera) -> float:
-    """Side of a pixel on the plane z = -1 of the camera's space."""
+    """Width of a pixel on the plane z = -1 of the camera's space, in the middle of the picture."""
     return 2.0 * math.tan(0.5 * camera.fov_x) / camera.width
 
 
-def focal_length(camera: Camera) -> float:
-    """Focal length in pixels."""
-    return 0.5 * camera.width / math.tan(0.5 * camera.fov_x)
-
-
 def fov_of(focal: float, width: int) -> float:
-    """Horizontal field of view in radians for a focal length in pixels; the inverse of :func:`focal_length`."""
+    """Horizontal field of view in radians for a focal length in pixels; the inverse of ``Camera.fl_x``."""
     return 2.0 * math.atan(0.5 * width / focal)
 
 
 def camera_rays(camera: Camera, xy: Tensor) -> Rays:
-    """Rays from the pinhole through film positions.
+    """Rays from the camera through film positions.
 
     Args:
-        camera: looks along -Z with +Y up; ``fov_x`` is horizontal, pixels are square.
+        camera: looks along -Z with +Y up. Distortion is taken back in float64, whatever the positions have.
         xy: film positions in pixels [n, 2]; x runs right from 0 to width, y runs down from 0 to height.
 
     Returns:
         Rays with unit directions, on the device of ``xy``.
     """
-    pixel = pixel_side(camera)
-    x = (xy[:, 0] - 0.5 * camera.width) * pixel
-    y = (0.5 * camera.height - xy[:, 1]) * pixel
     to_world = torch.as_tensor(camera.to_world, dtype=xy.dtype, device=xy.device)
-    d = torch.stack((x, y, -torch.ones_like(x)), -1) @ to_world[:3, :3].T
+    if camera.lens.bends:
+        bending = bending_of([camera], xy.device)
+        d = _unbent(bending, *_distorted(camera, xy))[0].to(xy.dtype) @ to_world[:3, :3].T
+    else:
+        side = pixel_side(camera)
+        x, y = (xy[:, 0] - camera.cx) * side, (camera.cy - xy[:, 1]) * (side / camera.lens.aspect)
+        d = torch.stack((x, y, -torch.ones_like(x)), -1) @ to_world[:3, :3].T
     d = d / d.norm(dim=-1, keepdim=True)
     return Rays(to_world[:3, 3].expand_as(d).contiguous(), d)
+
+
+def bending_of(cameras: list[Camera], device: torch.device | str) -> Bending:
+    """The distortion of cameras, a row each."""
+    return Bending.of([(c.lens, pixel_side(c), c.width, c.height) for c in cameras], device)
+
+
+def _distorted(camera: Camera, xy: Tensor) -> tuple[Tensor, Tensor]:
+    """Film positions on the plane at distance 1 as the lens shows it, y down, float64."""
+    side = pixel_side(camera)
+    x, y = xy.double().unbind(-1)
+    return (x - camera.cx) * side, (y - camera.cy) * (side / camera.lens.aspect)
+
+
+def _unbent(bending: Bending, xd: Tensor, yd: Tensor) -> tuple[Tensor, Tensor]:
+    """Directions in the camera's space [n, 3] and how much of the sphere around them comes to an area of the plane, as
+    a fraction of what it is in the middle of the picture [n].
+    """
+    directions, spreads = [], []
+    for begin in range(0, max(len(xd), 1), _CHUNK):
+        part = slice(begin, begin + _CHUNK)
+        here = bending if len(bending.row) == 1 else bending[part]
+        x, y, area = here.unbend(xd[part], yd[part])
+        directions.append(torch.stack(here.direction(x, y), -1))
+        spreads.append(torch.where(here.fisheye, torch.sinc(torch.hypot(x, y) / math.pi), 1.0) / area)
+    return torch.cat(directions), torch.cat(spreads)
 
 
 def to_camera(camera: Camera, p: Tensor) -> Tensor:
@@ -53,38 +81,82 @@ def to_camera(camera: Camera, p: Tensor) -> Tensor:
 
 
 def project(camera: Camera, p: Tensor) -> Tensor:
-    """Film positions in pixels [..., 2] of points in the camera's space [..., 3] with z < 0."""
-    depth = -p[..., 2] * pixel_side(camera)
-    return torch.stack((0.5 * camera.width + p[..., 0] / depth, 0.5 * camera.height - p[..., 1] / depth), -1)
+    """Film positions in pixels [..., 2] of points in the camera's space [..., 3] with z < 0, for a fisheye any z.
+
+    What a lens with distortion does not bring to the film at all is NaN.
+    """
+    side = pixel_side(camera)
+    if not camera.lens.bends:
+        depth = -p[..., 2] * side
+        y = p[..., 1] / (depth / camera.lens.aspect)
+        return torch.stack((camera.cx + p[..., 0] / depth, camera.cy - y), -1)
+    bending = bending_of([camera], p.device)
+    x, y = bending.bend(*bending.plane(*p.double().unbind(-1)))
+    return torch.stack((camera.cx + x / side, camera.cy + y / (side / camera.lens.aspect)), -1).to(p.dtype)
 
 
 def in_view(camera: Camera, p: Tensor) -> Tensor:
     """Whether world points [n, 3] lie before the camera and inside its film, whatever is in between [n], bool."""
-    x, y, z = to_camera(camera, p).unbind(-1)
+    here = to_camera(camera, p)
+    if camera.lens.bends:
+        x, y = project(camera, here).unbind(-1)
+        return (x >= 0) & (x <= camera.width) & (y >= 0) & (y <= camera.height)
+    x, y, z = here.unbind(-1)
     edge_x = math.tan(0.5 * camera.fov_x)
-    edge_y = edge_x * camera.height / camera.width
-    return (z < 0) & (x.abs() <= -z * edge_x) & (y.abs() <= -z * edge_y)
+    edge_y = edge_x * camera.height / camera.width / camera.lens.aspect
+    (right, down), depth = camera.lens.centre, -z
+    return (
+        (z < 0)
+        & (x >= -depth * (edge_x * 2.0 * right))
+        & (x <= depth * (edge_x * 2.0 * (1.0 - right)))
+        & (y <= depth * (edge_y * 2.0 * down))
+        & (y >= -depth * (edge_y * 2.0 * (1.0 - down)))
+    )
 
 
 @dataclass(frozen=True)
 class Cameras:
-    """Several cameras of one size on tensors, for rays through pixels of different views at once."""
+    """Several cameras on tensors, for rays through pixels of different views at once."""
 
     rotation: Tensor
     """Camera to world [v, 3, 3]."""
     origin: Tensor
     """[v, 3]."""
     side: Tensor
-    """Side of a pixel on the plane z = -1 [v]."""
-    width: int
-    height: int
+    """Width of a pixel on the plane z = -1 in the middle of the picture [v]."""
+    size: Tensor
+    """Width and height in pixels [v, 2], float32."""
+    centre: Tensor
+    """Place of the axis in pixels [v, 2]."""
+    rise: Tensor
+    """Height of a pixel on that plane [v]."""
+    width: Tensor
+    """[v], int64."""
+    bending: Bending | None = None
+    """None where no lens distorts."""
 
     @classmethod
     def of(cls, cameras: list[Camera], device: torch.device | str) -> Self:
-        """The cameras on a device, float32."""
+        """The cameras on a device, float32 but for distortion."""
         pose = torch.stack([torch.as_tensor(c.to_world, dtype=torch.float32) for c in cameras]).to(device)
-        side = torch.tensor([pixel_side(c) for c in cameras], device=device)
-        return cls(pose[:, :3, :3].contiguous(), pose[:, :3, 3].contiguous(), side, cameras[0].width, cameras[0].height)
+        side, rise, size, centre = (
+            torch.tensor(values, dtype=torch.float32, device=device)
+            for values in (
+                [pixel_side(c) for c in cameras],
+                [pixel_side(c) / c.lens.aspect for c in cameras],
+                [(c.width, c.height) for c in cameras],
+                [(c.cx, c.cy) for c in cameras],
+            )
+        )
+        width = torch.tensor([c.width for c in cameras], device=device)
+        bending = bending_of(cameras, device) if any(c.lens.bends for c in cameras) else None
+        rotation, origin = pose[:, :3, :3].contiguous(), pose[:, :3, 3].contiguous()
+        return cls(rotation, origin, side, size, centre, rise, width, bending)
+
+    def corner(self, view: Tensor, pixel: Tensor) -> Tensor:
+        """Upper left corners [n, 2], int64, of row-major pixels [n] of views [n]."""
+        width = self.width[view]
+        return torch.stack((pixel % width, pixel // width), -1)
 
     def rays(self, view: Tensor, xy: Tensor) -> Rays:
         """What :func:`camera_rays` gives, each lane with the camera of its view.
@@ -93,10 +165,29 @@ class Cameras:
             view: index of the camera [n], int64.
             xy: film positions in pixels [n, 2].
         """
-        side, axes = self.side[view], self.rotation[view]
-        x, y = (xy[:, 0] - 0.5 * self.width) * side, (0.5 * self.height - xy[:, 1]) * side
+        side, rise, axes, centre = self.side[view], self.rise[view], self.rotation[view], self.centre[view]
+        x, y = (xy[:, 0] - centre[:, 0]) * side, (centre[:, 1] - xy[:, 1]) * rise
         d = axes[:, :, 0] * x.unsqueeze(-1) + axes[:, :, 1] * y.unsqueeze(-1) - axes[:, :, 2]
+        if self.bending is not None:
+            local = _unbent(self.bending[view], *self._distorted(view, xy))[0].to(d.dtype)
+            d = (axes @ local.unsqueeze(-1)).squeeze(-1)
         return Rays(self.origin[view], d / d.norm(dim=-1, keepdim=True))
+
+    def footprint(self, view: Tensor, xy: Tensor) -> Tensor:
+        """Side of a pixel at distance 1 [n], as far as the lens changes it over the picture.
+
+        Args:
+            view: as in :meth:`rays`.
+            xy: as in :meth:`rays`.
+        """
+        side = (self.side * self.rise).sqrt()[view]
+        if self.bending is None:
+            return side
+        return side * _unbent(self.bending[view], *self._distorted(view, xy))[1].sqrt().to(side.dtype)
+
+    def _distorted(self, view: Tensor, xy: Tensor) -> tuple[Tensor, Tensor]:
+        x, y = (xy - self.centre[view]).double().unbind(-1)
+        return x * self.side[view], y * self.rise[view]
 
 
 def resized(camera: Camera, width: int | None) -> Camera:

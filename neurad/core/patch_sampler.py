@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Self
 
@@ -27,7 +28,7 @@ class PatchSampler:
         count: length of each view's list [m], int64.
         corners: row-major pixel indices of the patches' upper left pixels, in random order, int64 or int32.
         patch_size: side of a patch in pixels.
-        width: of the photographs in pixels.
+        width: of each view's photograph in pixels [m], int64.
         seed: of the place in its list where each view begins.
     """
 
@@ -36,11 +37,11 @@ class PatchSampler:
     count: Tensor
     corners: Tensor
     patch_size: int
-    width: int
+    width: Tensor
     seed: int
 
     @classmethod
-    def build(cls, views: int, patch_size: int, alpha: Tensor | None, width: int, height: int, seed: int) -> Self:
+    def build(cls, sizes: Sequence[tuple[int, int]], patch_size: int, alpha: Tensor | None, seed: int) -> Self:
         """A sampler of the patches that lie inside the photographs.
 
         With alpha these are only the patches of which at least half is foreground (alpha > 0), so that at least half
@@ -48,37 +49,38 @@ class PatchSampler:
         foreground are left out, since they contain no information about surfaces.
 
         Args:
-            views: number of training views.
-            patch_size: side of a patch in pixels, at most that of the photographs.
-            alpha: coverage [views, height * width], or None.
-            width: of the photographs in pixels.
-            height: of the photographs in pixels.
+            sizes: width and height in pixels of each training view's photograph.
+            patch_size: side of a patch in pixels, at most that of the smallest photograph.
+            alpha: coverage [views, pixels], row by row, those of a smaller photograph first; or None.
             seed: of the order.
         """
         generator = Stream(seed, _ORDER).generator
-        order = torch.randperm(views, generator=generator)
-        column = torch.arange(width - patch_size + 1)
-        row = torch.arange(height - patch_size + 1)
-        inside = (row[:, None] * width + column).flatten()
-        inside = inside[torch.randperm(len(inside), generator=generator)]
-        begin, count = torch.zeros_like(order), torch.full_like(order, len(inside))
-        everywhere = cls(order, begin, count, inside, patch_size, width, seed)
+        order = torch.randperm(len(sizes), generator=generator)
+        inside: dict[tuple[int, int], Tensor] = {}
+        for size in sizes:  # photographs of one size share a list
+            if size not in inside:
+                rows, columns = torch.arange(size[1] - patch_size + 1), torch.arange(size[0] - patch_size + 1)
+                corners = (rows[:, None] * size[0] + columns).flatten()
+                inside[size] = corners[torch.randperm(len(corners), generator=generator)]
+        count = torch.tensor([len(entries) for entries in inside.values()])
+        kinds = torch.tensor([list(inside).index(size) for size in sizes])[order]
+        width = torch.tensor([size[0] for size in sizes])
+        everywhere = cls(
+            order, (count.cumsum(0) - count)[kinds], count[kinds], torch.cat([*inside.values()]), patch_size,
+            width[order], seed,
+        )  # fmt: skip
         if alpha is None:
             return everywhere
         chosen, lists = [], []
         for view in order.tolist():
-            foreground = (alpha[view] > 0).view(1, height, width).float()
-            fraction = torch.zeros(width * height)
-            means = torch.nn.functional.avg_pool2d(foreground, patch_size, 1)[0]
-            fraction.view(height, width)[: len(row), : len(column)] = means
-            best = float(fraction.max())
-            if best > 0:
+            entries = _on_foreground(inside[sizes[view]], alpha[view], sizes[view], patch_size)
+            if len(entries):
                 chosen.append(view)
-                lists.append(inside[fraction[inside] >= min(_MIN_FOREGROUND, best) - 1e-6])
+                lists.append(entries)
         if not chosen:
             return everywhere
-        count = torch.tensor([len(entries) for entries in lists])
-        return cls(torch.tensor(chosen), count.cumsum(0) - count, count, torch.cat(lists), patch_size, width, seed)
+        views, count = torch.tensor(chosen), torch.tensor([len(entries) for entries in lists])
+        return cls(views, count.cumsum(0) - count, count, torch.cat(lists), patch_size, width[views], seed)
 
     @property
     def total(self) -> int:
@@ -105,5 +107,17 @@ class PatchSampler:
         if self.patch_size == 1:
             return view, corner
         step = torch.arange(self.patch_size)
-        offset = (step[:, None] * self.width + step).flatten()
-        return view.repeat_interleave(len(offset)), (corner[:, None] + offset).flatten()
+        row, column = step.repeat_interleave(self.patch_size), step.repeat(self.patch_size)
+        offset = self.width[slot].unsqueeze(1) * row + column  # [patches, patch_size^2]
+        return view.repeat_interleave(offset.shape[1]), (corner.unsqueeze(1) + offset).flatten()
+
+
+def _on_foreground(corners: Tensor, alpha: Tensor, size: tuple[int, int], patch_size: int) -> Tensor:
+    """Those of the patches at ``corners`` with enough foreground in a photograph's ``alpha``; none where all is 0."""
+    width, height = size
+    foreground = (alpha[: width * height] > 0).view(1, height, width).float()
+    fraction = torch.zeros(width * height)
+    means = torch.nn.functional.avg_pool2d(foreground, patch_size, 1)[0]
+    fraction.view(height, width)[: means.shape[0], : means.shape[1]] = means
+    best = float(fraction.max())
+    return corners[fraction[corners] >= min(_MIN_FOREGROUND, best) - 1e-6] if best > 0 else corners[:0]

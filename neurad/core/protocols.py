@@ -156,6 +156,10 @@ class PhotoSource(Protocol):
         """Statistics of all pixels but those ``left_out`` [views, pixels], bool."""
         ...
 
+    def ignored(self) -> Tensor | None:
+        """Pixels that masks leave out [views, pixels], bool; None where there is no mask."""
+        return None
+
     def spread_fireflies(self, left_out: Tensor) -> float:
         """Spread single pixels that outshine all around them, if there is much light in them; part of the set-up.
 

@@ -13,6 +13,7 @@ Conventions
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable
 from dataclasses import dataclass, field, fields
 from typing import Self
@@ -22,8 +23,10 @@ import numpy.typing as npt
 import torch
 from torch import Tensor
 
+from neurad.core.lens import Lens
 from neurad.core.reflection import ReflectionModel
 
+PINHOLE = Lens()
 FloatArray = npt.NDArray[np.float32]
 IntArray = npt.NDArray[np.int64]
 
@@ -222,14 +225,38 @@ class DatasetStats:
 
 @dataclass(frozen=True)
 class Camera:
-    """A pinhole camera with square pixels."""
+    """A camera: a pinhole over the middle of square pixels unless its lens says otherwise.
+
+    With another ``width`` and ``height`` of the same proportions it is the same camera with larger or smaller pixels.
+    """
 
     to_world: FloatArray
     """Camera-to-world matrix [4, 4], OpenGL axes, rigid; float64 is kept."""
     fov_x: float
-    """Horizontal field of view in radians."""
+    """Horizontal field of view in radians that the focal length has over the middle of the film, undistorted."""
     width: int
     height: int
+    lens: Lens = PINHOLE
+
+    @property
+    def fl_x(self) -> float:
+        """Focal length in pixels, along x."""
+        return 0.5 * self.width / math.tan(0.5 * self.fov_x)
+
+    @property
+    def fl_y(self) -> float:
+        """Focal length in pixels, along y."""
+        return self.fl_x * self.lens.aspect
+
+    @property
+    def cx(self) -> float:
+        """Place of the axis in pixels from the left edge of the film; the centre of the first pixel is at 0.5."""
+        return self.lens.centre[0] * self.width
+
+    @property
+    def cy(self) -> float:
+        """Place of the axis in pixels from the upper edge of the film."""
+        return self.lens.centre[1] * self.height
 
 
 @dataclass(frozen=True)
@@ -244,6 +271,8 @@ class View:
     roughness: str | None = None
     relight: str | None = None
     """The same view under another environment, ``Scene.relight``."""
+    mask: str | None = None
+    """Path of a picture of the photograph's size: what is black in it is ignored."""
 
 
 @dataclass(frozen=True)

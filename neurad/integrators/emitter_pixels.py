@@ -3,7 +3,9 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
+import numpy as np
 import torch
 from torch import Tensor
 
@@ -16,18 +18,21 @@ from neurad.integrators.world import World
 POSITIONS = 16
 """Stratified positions of a pixel at which an emitter is looked for."""
 _CHUNK = 1 << 14  # pixels
+_WIDEST, _CELLS = 4.0, 1024  # of the pinhole that stands in for a lens: tangent of its half angle, pixels for that
 
 
 def emitter_pixels(world: World, cameras: list[Camera], seed: int, device: torch.device) -> Tensor:
-    """Whether any of some positions in a pixel sees an emitter's triangle [views, pixels], bool.
+    """Whether any of some positions in a pixel sees an emitter's triangle [views, pixels], bool; True behind the last
+    pixel of a view that is smaller than others.
 
     Rays are cast only where the bounding box of an emitting triangle's projection lies: a few pixels, as a rule.
     """
     emission = world.geometry.emission.amax(-1) > 0
     triangles = world.geometry.vertices[world.geometry.faces[emission]].double()
-    found = torch.zeros(len(cameras), cameras[0].width * cameras[0].height, dtype=torch.bool, device=device)
+    counts = [camera.width * camera.height for camera in cameras]
+    found = torch.arange(max(counts), device=device) >= torch.tensor(counts, device=device).unsqueeze(1)
     for index, camera in enumerate(cameras):
-        pixels = projected(triangles, camera, world.geometry.scale).nonzero().squeeze(-1)
+        pixels = shown_in(triangles, camera, world.geometry.scale).nonzero().squeeze(-1)
         stream = Stream(seed, index, 3, device=device)
         for begin in range(0, len(pixels), _CHUNK):
             part = pixels[begin : begin + _CHUNK]
@@ -38,8 +43,39 @@ def emitter_pixels(world: World, cameras: list[Camera], seed: int, device: torch
     return found
 
 
+def shown_in(triangles: Tensor, camera: Camera, scale: float) -> Tensor:
+    """Pixels [h * w], bool, that may show a triangle: what :func:`projected` says, also through a lens that distorts.
+
+    Such a picture is looked up in that of a pinhole with a film of its own; what lies beyond that film, far off the
+    axis, may show anything.
+
+    Args:
+        triangles: as there, and so are the others.
+        camera: the view.
+        scale: size of the scene.
+    """
+    if not camera.lens.bends:
+        return projected(triangles, camera, scale)
+    pinhole = Camera(camera.to_world, 2.0 * math.atan(_WIDEST), 2 * _CELLS, 2 * _CELLS)
+    mask = projected(triangles, pinhole, scale).view(pinhole.height, pinhole.width)
+    columns, rows = torch.arange(camera.width + 1), torch.arange(camera.height + 1)
+    corners = torch.stack(torch.meshgrid(columns, rows, indexing="xy"), -1).view(-1, 2).double().to(triangles.device)
+    local = camera_rays(replace(camera, to_world=np.eye(4, dtype=np.float32)), corners).d
+    cell = torch.where(local[:, 2:] < 0, local[:, :2] / -local[:, 2:], math.inf) * (_CELLS / _WIDEST) + _CELLS
+    cell[:, 1] = 2 * _CELLS - cell[:, 1]
+    cell = cell.clamp(-2.0, 2 * _CELLS + 2.0).view(camera.height + 1, camera.width + 1, 2)
+    four = torch.stack((cell[:-1, :-1], cell[1:, :-1], cell[:-1, 1:], cell[1:, 1:]))  # [4, h, w, 2]
+    low, high = (four.amin(0) - 1.0).floor().long(), (four.amax(0) + 1.0).floor().long()
+    beyond = ((low < 0) | (high >= 2 * _CELLS)).any(-1)
+    total = torch.nn.functional.pad(mask.cumsum(0, dtype=torch.int32).cumsum(1, dtype=torch.int32), (1, 0, 1, 0))
+    (x0, y0), (x1, y1) = ((side.clamp(0, 2 * _CELLS - 1)).unbind(-1) for side in (low, high))
+    inside = total[y1 + 1, x1 + 1] - total[y0, x1 + 1] - total[y1 + 1, x0] + total[y0, x0]
+    return (beyond | (inside > 0)).flatten()
+
+
 def projected(triangles: Tensor, camera: Camera, scale: float) -> Tensor:
-    """Pixels [h * w], bool, that the bounding box of a triangle's picture touches, whatever lies before it.
+    """Pixels [h * w], bool, that the bounding box of a triangle's picture touches, whatever lies before it, without
+    distortion.
 
     Args:
         triangles: corners [n, 3, 3] in world space, float64.

@@ -38,6 +38,13 @@ def strided(width: int, index: Tensor, stride: int) -> Tensor:
     return (index // columns * width + index % columns) * stride
 
 
+def box_mean(image: Tensor, size: int) -> Tensor:
+    """Means over ``size`` x ``size`` pixels around each [h, w, c], of those that the picture has; ``size`` is odd."""
+    picture = image.permute(2, 0, 1).unsqueeze(0)
+    mean = torch.nn.functional.avg_pool2d(picture, size, 1, size // 2, count_include_pad=False)
+    return mean[0].permute(1, 2, 0)
+
+
 def render(
     camera: Camera,
     integrator: Integrator,

@@ -6,6 +6,7 @@ from dataclasses import replace
 
 import torch
 from torch import Tensor
+from torch.nn.utils.rnn import pad_sequence
 
 from neurad.core.camera import Cameras, camera_rays
 from neurad.core.records import Camera, PixelBatch, SurfaceInteraction
@@ -29,7 +30,7 @@ class PrimaryHits:
 
     Args:
         world: the scene.
-        cameras: training cameras, all of one size.
+        cameras: training cameras.
         cached_spp: positions per pixel; 0 for new ones in each call.
         seed: of the positions.
         device: where the cache lies.
@@ -52,8 +53,11 @@ class PrimaryHits:
         self.use_kernels = use_kernels
         self.views = Cameras.of(cameras, device)
         self.origin = self.views.origin
-        self.pixels = cameras[0].width * cameras[0].height
-        total = len(cameras) * self.pixels * cached_spp
+        counts = [camera.width * camera.height for camera in cameras]
+        self.pixels = max(counts)
+        """Of the largest view."""
+        self.first = (torch.tensor(counts).cumsum(0) - torch.tensor(counts)).to(device)  # pixel of each view
+        total = sum(counts) * cached_spp
         has_sky = world.features.has_environment
         # Triangle and barycentrics of a hit stand next to each other, since they are read at random addresses.
         self.hits = torch.empty(total, 3, dtype=torch.int32, device=device)
@@ -67,11 +71,12 @@ class PrimaryHits:
         """Trace the positions of one view."""
         device = self.prim.device
         stream = Stream(self.seed, index, device=device)
-        step = max(1, _POSITIONS // self.cached_spp)
-        for row in range(0, self.pixels, step):
-            pixels = torch.arange(row, min(row + step, self.pixels), device=device)
+        step, count = max(1, _POSITIONS // self.cached_spp), camera.width * camera.height
+        before = int(self.first[index])
+        for row in range(0, count, step):
+            pixels = torch.arange(row, min(row + step, count), device=device)
             xy = pixel_positions(camera.width, pixels, self.cached_spp, stream).view(-1, 2)
-            first = (index * self.pixels + row) * self.cached_spp
+            first = (before + row) * self.cached_spp
             for begin in range(0, len(xy), _CHUNK):
                 rays = camera_rays(camera, xy[begin : begin + _CHUNK])
                 hit = self.world.tracer.closest(rays)
@@ -81,22 +86,29 @@ class PrimaryHits:
                 if len(self.away):
                     self.away[here] = (-rays.d).half()
 
+    def nothing(self) -> Tensor:
+        """A mask of no pixel [views, pixels], bool; True behind the last one of a view that is smaller than others."""
+        counts = torch.tensor([camera.width * camera.height for camera in self.cameras])
+        return (torch.arange(self.pixels) >= counts.unsqueeze(1)).to(self.prim.device)
+
     def sees_emitter(self) -> Tensor:
         """Whether any position of a pixel sees an emitter's triangle [views, pixels], bool.
 
-        Without kept positions some are traced for it, in the pixels onto which an emitter projects.
+        Without kept positions some are traced for it, in the pixels onto which an emitter projects. A view that is
+        smaller than others has fewer pixels: what lies behind its last one is True.
         """
         if self.cached_spp == 0:
             return emitter_pixels(self.world, self.cameras, self.seed, self.prim.device)
         emission = self.world.geometry.emission.amax(-1)
-        found = torch.empty(len(self.cameras), self.pixels, dtype=torch.bool, device=self.prim.device)
-        step = max(1, _POSITIONS // self.cached_spp)
         prims = self.prim.view(-1, self.cached_spp)
+        found = torch.empty(len(prims), dtype=torch.bool, device=prims.device)
+        step = max(1, _POSITIONS // self.cached_spp)
         for begin in range(0, len(prims), step):
             prim = prims[begin : begin + step]
             light = (emission[prim.clamp_min(0).long()] > 0) & (prim >= 0)
-            found.view(-1)[begin : begin + step] = light.any(-1)
-        return found
+            found[begin : begin + step] = light.any(-1)
+        views = torch.split(found, [camera.width * camera.height for camera in self.cameras])
+        return pad_sequence(list(views), batch_first=True, padding_value=True)
 
     def __call__(self, batch: PixelBatch, spp: int, stream: Stream) -> NonDeltaHit:
         """First vertices at ``spp`` independent positions of every pixel, pixel by pixel [b * spp]."""
@@ -108,7 +120,7 @@ class PrimaryHits:
         # Independent draws: if a pixel's positions were always different ones, the leave-one-out gradient would miss
         # the pairs of one position with itself and reward contrast inside the pixel.
         chosen = stream.integers(self.cached_spp, b, spp)  # [b, spp]
-        first = (batch.view * self.pixels + batch.pixel) * self.cached_spp  # [b]
+        first = (self.first[batch.view] + batch.pixel) * self.cached_spp  # [b]
 
         # ---------------------- Surface points there ----------------------
 
@@ -150,8 +162,7 @@ class PrimaryHits:
     def _anew(self, batch: PixelBatch, spp: int, stream: Stream) -> NonDeltaHit:
         """The same by new rays: nothing is kept, or the scene has smooth surfaces, whose chains are random."""
         u = stream.uniform(len(batch.view), spp, 3)
-        width = self.views.width
-        corner = torch.stack((batch.pixel % width, batch.pixel // width), -1).unsqueeze(1)
+        corner = self.views.corner(batch.view, batch.pixel).unsqueeze(1)
         view = batch.view.repeat_interleave(spp)
         rays = self.views.rays(view, (corner + u[..., :2]).view(-1, 2))
         return self.world.trace_past_delta(rays, u[..., 2].reshape(-1))

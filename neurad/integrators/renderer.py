@@ -47,15 +47,19 @@ class FieldRenderer:
     """``E + L_theta``: what the radiance field itself shows, the paper's LHS rendering (Eq. 13)."""
 
     scene: SceneModel
+    parts: bool = False
+    """Give ``E`` beside it, in channels of its own."""
 
     @torch.no_grad()
     def __call__(self, rays: Rays, seed: int) -> Tensor:
-        """Radiance along camera rays [n, 3]; without noise, but for the choice at glass that ``seed`` makes."""
+        """Radiance along camera rays [n, 3 or 6]; without noise, but for the choice at glass that ``seed`` makes."""
         world, radiance = self.scene.world, self.scene.radiance
         assert radiance is not None
         first = world.trace_past_delta(rays, Stream(seed, device=rays.o.device).uniform(len(rays)))
         reflected = query_radiance(radiance, self.scene.materials, first.si)  # [n, 3]
-        return first.attenuate(world.emitted(first.si) + first.si.where_hit(reflected))
+        emitted = world.emitted(first.si)
+        whole = first.attenuate(emitted + first.si.where_hit(reflected))
+        return torch.cat((whole, first.attenuate(emitted)), -1) if self.parts else whole
 
 
 def path_tracer(

@@ -7,8 +7,9 @@ opened nowhere else.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Self
 
 import numpy as np
@@ -21,11 +22,12 @@ from neurad.core.protocols import Materials, Tracer
 from neurad.core.records import FloatArray, SurfaceInteraction, View
 from neurad.core.rng import Stream
 from neurad.integrators.film import pixel_positions, strided
+from neurad.metrics.colour_lookup import MOST_VIEWS, ColourLookup, explained
 from neurad.metrics.scores import BoolArray, Float64Array, Pool, block_means
 from neurad.metrics.seen import SeenBy
 from neurad.scene.description import Scene
 from neurad.scene.geometry import Geometry
-from neurad.scene.image_io import read_exr, to_srgb
+from neurad.scene.image_io import read_exr, read_mask, to_srgb
 from neurad.scene.numbers import PIXEL, within
 
 CHUNK = 1 << 18
@@ -40,11 +42,13 @@ SCORES = {
     "linear": ("psnr",),
     "linear surfaces": ("mape",),
     "srgb": ("psnr",),
+    "lhs": ("psnr",),
     "albedo": ("psnr", "mape"),
     "albedo 8x8": ("psnr",),
     "roughness": ("psnr", "mape"),
+    "roughness lookup": ("psnr", "mape", "r2"),
 }
-"""What is compared, and the scores that are reported of it."""
+"""What is compared, and the scores that are reported of it; ``lookup`` is no prediction but a mark, as the constant."""
 SEED = 20230807
 
 Maps = Mapping[str, FloatArray]
@@ -63,7 +67,8 @@ class HeldOut:
     """The held-out views of a scene.
 
     Args:
-        scene: its ``test`` views are scored; its ``train`` views decide which surfaces count as seen.
+        scene: its ``scored`` views are scored, as a rule those held out; its ``train`` views decide which surfaces
+            count as seen.
         geometry: the triangles, on the device where predictions are made.
         tracer: casts rays against them.
         grid: every pixel is predicted at ``grid`` x ``grid`` stratified positions and box-filtered like the truth. Four
@@ -73,7 +78,8 @@ class HeldOut:
     """
 
     def __init__(self, scene: Scene, geometry: Geometry, tracer: Tracer, grid: int = 4, stride: int = 1) -> None:
-        self.views: list[View] = scene.test
+        self.scene = scene
+        self.views: list[View] = scene.scored
         self.geometry = geometry
         self.tracer = tracer
         self.grid = grid
@@ -86,6 +92,8 @@ class HeldOut:
         self._seen: dict[int, BoolArray] = {}
         self._shows: dict[int, BoolArray] = {}
         self._truth: dict[int, dict[str, FloatArray]] = {}
+        self._emitted: dict[int, Tensor] = {}
+        self._kept: dict[int, BoolArray] = {}
 
     def read(self) -> Self:
         """Read all files now, so that a bad one is found before training and not after it.
@@ -95,7 +103,29 @@ class HeldOut:
         """
         for index in range(len(self.views)):
             self.truth(index)
+            self.kept(index)
+        _ = self.lookup
         return self
+
+    @cached_property
+    def lookup(self) -> ColourLookup | None:
+        """Roughness by colour in the true maps of some training views; None where there are none, or where held-out
+        views have none to score.
+
+        Raises:
+            InputError: as :meth:`truth`.
+        """
+        views = [view for view in self.scene.train if view.albedo and view.roughness]
+        if not (views and self.has_roughness and any(view.albedo and view.roughness for view in self.views)):
+            return None
+        chosen = replace(self.scene, test=views[:: -(-len(views) // MOST_VIEWS)])
+        training = HeldOut(chosen, self.geometry, self.tracer, 1)  # a ray a pixel tells what is no emitter
+
+        def pixels(index: int) -> tuple[FloatArray, FloatArray]:
+            truth, counted = training.truth(index), training.counted(index)
+            return truth["albedo_true"][counted], truth["roughness_true"][counted][:, 0]
+
+        return ColourLookup.of(pixels(index) for index in range(len(chosen.test)))
 
     # --- sub-samples
 
@@ -173,6 +203,28 @@ class HeldOut:
             self._shows[index] = self._image(index, torch.cat(parts))
         return self._shows[index]
 
+    @torch.no_grad()
+    def emitted(self, index: int, light: Callable[[SurfaceInteraction], Tensor]) -> Tensor:
+        """What the camera sees without any reflection [h, w, 3], the mean over all sub-samples; ``light`` gives it for
+        their interactions and never changes.
+        """
+        if index not in self._emitted:
+            parts = [self._pixels(part, light(si)).mean(1) for part, si in self.sub_samples(index)]
+            self._emitted[index] = torch.cat(parts).view(*self.size(index), 3)
+        return self._emitted[index]
+
+    def kept(self, index: int) -> BoolArray:
+        """Pixels [h, w] of the photograph that count: those that its mask, if it has one, does not leave out.
+
+        Raises:
+            InputError: the mask cannot be read, or has another size than the camera.
+        """
+        if index not in self._kept:
+            view = self.views[index]
+            whole = np.ones((view.camera.height, view.camera.width), np.bool_) if view.mask is None else read_mask(view)
+            self._kept[index] = np.ascontiguousarray(whole[:: self.stride, :: self.stride])
+        return self._kept[index]
+
     def _image(self, index: int, pixels: Tensor) -> np.ndarray:
         """Row-major pixels [h * w, ...] as an array [h, w, ...]."""
         return pixels.view(*self.size(index), *pixels.shape[1:]).cpu().numpy()
@@ -227,6 +279,7 @@ class HeldOut:
         renders: Sequence[FloatArray] | None = None,
         regions: Mapping[str, Sequence[BoolArray]] | None = None,
         scaled: bool = False,
+        fields: Sequence[FloatArray] | None = None,
     ) -> dict[str, float]:
         """Scores over the pooled pixels of all views; what has no ground truth is left out.
 
@@ -236,13 +289,16 @@ class HeldOut:
             renders: pictures [h, w, 3] of every view, linear.
             regions: further masks [h, w] of every view, by the suffix of their scores.
             scaled: whether light and albedo are found up to a common factor only.
+            fields: pictures [h, w, 3] of every view that the radiance field itself shows (the left-hand side), linear.
 
         Returns:
-            ``psnr_linear`` and ``psnr_srgb`` over all pixels; ``mape_linear`` over those that show a surface;
-            ``{albedo, roughness}_{psnr, mape}`` over counted ones and ``albedo_psnr_8x8`` over these after a box
-            filter. Each also with ``_constant``, of the best constant, and those of albedo, if ``scaled``, with
-            ``_scaled1`` and ``_scaled3``, after the best factor for all channels together or for each. All these also
-            with ``_seen``, over pixels of surfaces that a training view sees, and with the suffixes of ``regions``.
+            ``psnr_linear`` and ``psnr_srgb`` over all pixels but masked ones, ``psnr_lhs`` (linear) likewise;
+            ``mape_linear`` over those of them that show a surface; ``{albedo, roughness}_{psnr, mape}`` over counted
+            ones and ``albedo_psnr_8x8`` over these after a box filter. Each also with ``_constant``, of the best
+            constant, those of roughness with ``_lookup``, of :attr:`lookup` by the true colours, whose fraction of
+            explained variance is ``roughness_r2_lookup``, and those of albedo, if ``scaled``, with ``_scaled1`` and
+            ``_scaled3``, after the best factor for all channels together or for each. All these also with ``_seen``,
+            over pixels of surfaces that a training view sees, and with the suffixes of ``regions``.
         """
         count = range(len(self.views))
         masks: dict[str, Sequence[BoolArray]] = {"seen": [self.seen(i) for i in count], **(regions or {})}
@@ -252,8 +308,16 @@ class HeldOut:
             for i in count:
                 region = np.ones_like(self.counted(i)) if mask is None else mask[i]
                 self._pool(pools, i, maps[i], None if renders is None else renders[i], region)
+                if fields is not None and "photograph" in self.truth(i):
+                    pools["lhs"].add(fields[i], self.truth(i)["photograph"], region)
             for name, pool in pools.items():
-                for score, value in pool.scores(scaled and name.startswith("albedo")).items():
+                found = pool.scores(scaled and name.startswith("albedo"))
+                if name == "lhs":  # its constant is that of the other picture
+                    found.pop("psnr_constant", None)
+                if "lookup" in name and found:
+                    r2 = explained(found["psnr"], found["psnr_constant"])
+                    found = {"psnr": found["psnr"], "mape": found["mape"]} | ({} if math.isnan(r2) else {"r2": r2})
+                for score, value in found.items():
                     if score.partition("_")[0] in SCORES[name]:
                         scores[_key(name, score, suffix)] = value
         return scores
@@ -274,9 +338,10 @@ class HeldOut:
         truth = self.truth(index)
         counted = self.counted(index) & region
         if render is not None and "photograph" in truth:
-            pools["linear"].add(render, truth["photograph"], region)
-            pools["linear surfaces"].add(render, truth["photograph"], region & self.shows(index))
-            pools["srgb"].add(to_srgb(render), to_srgb(truth["photograph"]), region)
+            kept = region & self.kept(index)
+            pools["linear"].add(render, truth["photograph"], kept)
+            pools["linear surfaces"].add(render, truth["photograph"], kept & self.shows(index))
+            pools["srgb"].add(to_srgb(render), to_srgb(truth["photograph"]), kept)
         if "albedo_true" in truth and "albedo" in maps:
             pools["albedo"].add(maps["albedo"], truth["albedo_true"], counted)
             if self.stride == 1:  # else blocks would be larger, and their scores others
@@ -285,13 +350,15 @@ class HeldOut:
                 pools["albedo 8x8"].add(guess, exact, weight > 0, weight)
         if "roughness_true" in truth and "roughness" in maps:
             pools["roughness"].add(maps["roughness"], truth["roughness_true"], counted)
+            if self.lookup is not None and "albedo_true" in truth:
+                pools["roughness lookup"].add(self.lookup(truth["albedo_true"]), truth["roughness_true"], counted)
 
 
 def _key(name: str, score: str, region: str) -> str:
     """Column of a score, such as ``albedo_psnr_8x8_constant_seen``: what, score, filter, constant, region."""
     what, _, filtered = name.partition(" ")
     kind, _, constant = score.partition("_")
-    images = what in ("linear", "srgb")
+    images = what in ("linear", "srgb", "lhs")
     parts = (kind, what) if images else (what, kind, filtered)
     return "_".join(part for part in (*parts, constant, region) if part)
 

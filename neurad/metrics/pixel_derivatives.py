@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Iterator
 from dataclasses import dataclass, fields, replace
 from typing import Self
@@ -12,7 +11,7 @@ import torch
 from torch import Tensor
 
 from neurad.core.protocols import PhotoSource
-from neurad.core.records import Camera, FloatArray, PixelBatch, Surface
+from neurad.core.records import FloatArray, PixelBatch, Surface
 from neurad.core.rng import Stream
 from neurad.integrators.estimator import Estimator
 from neurad.integrators.primary_hits import PrimaryHits
@@ -144,11 +143,11 @@ def _of_batch(estimator: Estimator, primary: PrimaryHits, batch: PixelBatch, str
     albedo = torch.cat([half.albedo for half in halves], 1)  # [b, SPP, 3]
     p, cosine = halves[0].p[:, 0], halves[0].cosine[:, 0]
     distance = torch.linalg.vector_norm(p - primary.origin[batch.view], dim=-1)  # [b]
-    side = distance * _pixel_side(primary.cameras).to(p.device)[batch.view]
+    corner = primary.views.corner(batch.view, batch.pixel)  # [b, 2]
+    side = distance * primary.views.footprint(batch.view, corner + 0.5)
     kept = halves[0].valid & halves[1].valid
     # Neighbouring pixels alternate between the halves of the photographs.
-    row, column = batch.pixel // primary.views.width, batch.pixel % primary.views.width
-    odd = (row + column + batch.view) % 2 == 1
+    odd = (corner.sum(-1) + batch.view) % 2 == 1
     whole = {
         "p": p, "area": side * side / cosine.clamp_min(0.1), "odd": odd, "misfit": batch.color - predicted,
         "predicted": predicted, "albedo": albedo.mean(1), "detail": albedo.var(1),
@@ -208,8 +207,3 @@ def _jacobian(image: Tensor, surface: Surface) -> tuple[Tensor, Tensor]:
         if gradients[1] is not None:
             by_roughness[:, channel] = gradients[1][:, 0].view(b, n).mean(1)
     return by_albedo, by_roughness
-
-
-def _pixel_side(cameras: list[Camera]) -> Tensor:
-    """Side of a pixel at distance 1 from each camera [views]."""
-    return torch.tensor([2.0 * math.tan(camera.fov_x / 2.0) / camera.width for camera in cameras])

@@ -33,6 +33,7 @@ from neurad.runs.own_config import own_config
 from neurad.scene.description import Scene
 from neurad.scene.image_io import read_photograph
 from neurad.scene.load import load_scene
+from neurad.scene.readers.nerf import HOLD_OUT
 from neurad.scene.textures import TrueMaterials
 from neurad.training.checkpoint import fitting
 from neurad.training.checkpoint_file import read_checkpoint
@@ -285,8 +286,10 @@ def _scene(data: dict[str, Any], folder: Path, root: str | os.PathLike[str] | No
     places = [first] if root is not None or first.is_absolute() else [first, folder.parent.parent / first]
     place = next((place for place in places if place.is_dir()), None)
     if place is None:
-        raise InputError(f"run {folder}: its scene {first} is missing; say where it is now with root=")
-    return load_scene(str(place), None)
+        raise InputError(
+            f"run {folder}: its scene {first} is missing; say where it is now with --root (in Python, root=)"
+        )
+    return load_scene(str(place), None, data.get("hold_out", HOLD_OUT))
 
 
 def _has_alpha(scene: Scene) -> bool:

@@ -14,11 +14,10 @@ from jsonargparse import ArgumentParser
 from omegaconf import OmegaConf
 
 from neurad.assembly.build import build_world
-from neurad.core.camera import focal_length, resized
+from neurad.core.camera import resized
 from neurad.core.errors import InputError
 from neurad.core.protocols import Integrator
 from neurad.core.ranges import Count, Positive, checked
-from neurad.core.records import View
 from neurad.core.rng import mix
 from neurad.integrators.aov import MaterialMap
 from neurad.integrators.film import render
@@ -33,6 +32,7 @@ from neurad.scene.description import Scene
 from neurad.scene.image_io import write_exr
 from neurad.scene.load import load_scene
 from neurad.scene.textures import TrueMaterials
+from neurad.scene.transforms import transforms
 from neurad.training.train_radiance import train_radiance
 
 SEED = 20230806
@@ -162,25 +162,3 @@ def _pictures(
     field = train_radiance(scene, world, materials, cameras, model, settings.steps, settings.seconds, report)
     parts = SceneModel(world, materials, field)
     return {"images": MethodRenderer(method, parts), "images_lhs": FieldRenderer(parts)}
-
-
-def transforms(views: list[View]) -> dict[str, object]:
-    """The NeRF/Blender camera file of views that share one film."""
-    camera = views[0].camera
-    focal = focal_length(camera)
-    return {
-        "camera_angle_x": camera.fov_x,
-        "w": camera.width,
-        "h": camera.height,
-        "fl_x": focal,
-        "fl_y": focal,
-        "frames": [
-            {
-                "file_path": f"images/{view.name}.exr",
-                "albedo_path": f"albedo/{view.name}.exr",
-                "roughness_path": f"roughness/{view.name}.exr",
-                "transform_matrix": [[float(x) for x in row] for row in view.camera.to_world],
-            }
-            for view in views
-        ],
-    }

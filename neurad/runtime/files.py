@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import errno
 import os
+import shutil
 import stat
 import tempfile
 from collections.abc import Iterator
@@ -19,6 +20,7 @@ from neurad.core.errors import InputError
 PART = ".part"
 """Ends the names of files that are being written."""
 
+_NO_LINKS = (errno.EPERM, errno.ENOTSUP, errno.ENOSYS)
 _REASONS = {
     errno.ENOSPC: "no space is left on its disk; free some, or write elsewhere",
     errno.EDQUOT: "your quota on its disk is used up; free some space, or write elsewhere",
@@ -274,3 +276,21 @@ def _open_special(path: Path) -> Iterator[int]:
         yield handle
     finally:
         os.close(handle)
+
+
+def place(source: Path, target: Path, copy: bool) -> None:
+    """Put a file at ``target``, whose folder is made: a link to the original, or a copy. Disks that know no links get
+    copies.
+
+    Raises:
+        OSError: it cannot be written or read.
+    """
+    target.parent.mkdir(exist_ok=True)
+    if not copy:
+        try:
+            os.symlink(source.resolve(), target)
+            return
+        except OSError as error:
+            if error.errno not in _NO_LINKS:
+                raise
+    shutil.copyfile(source, target)

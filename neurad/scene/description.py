@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import hashlib
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 
 import numpy as np
@@ -13,6 +13,9 @@ from neurad.core.errors import InputError
 from neurad.core.records import EnvironmentMap, FloatArray, Material, Mesh, View
 from neurad.core.reflection import DiffuseModel, PrincipledModel, ReflectionModel
 from neurad.scene.numbers import RADIANCE, within
+
+SCORED = 8
+"""Training photographs that are scored where no view is held out."""
 
 
 def is_used(mesh: Mesh) -> npt.NDArray[np.bool_]:
@@ -64,6 +67,8 @@ class Scene:
     """Depth from which roulette may end a path, as Mitsuba's ``rr_depth``."""
     relight: str | None = None
     """Path of another environment map (EXR), under which held-out views were photographed again; for metrics only."""
+    notes: tuple[str, ...] = ()
+    """What the readers decided for the user, a sentence each."""
 
     def check(self) -> Scene:
         """This scene, if light transport can be computed in it.
@@ -89,6 +94,27 @@ class Scene:
         if not (features.has_area_lights or features.has_environment):
             raise InputError(f"scene {self.name}: it has no emitter, so every photograph would be black")
         return self
+
+    @cached_property
+    def scored(self) -> list[View]:
+        """The views that scores are of: those held out or, where there are none, a few training photographs, evenly
+        over all, without true maps.
+        """
+        if self.test or not self.train:
+            return self.test
+        few = min(SCORED, len(self.train))
+        chosen = [self.train[i * len(self.train) // few] for i in range(few)]
+        return [replace(view, albedo=None, roughness=None, relight=None) for view in chosen if view.image is not None]
+
+    @property
+    def scores_are_of(self) -> str | None:
+        """What has to be said of scores, where they are not of held-out views; None where they are."""
+        if self.test or not self.scored:
+            return None
+        return (
+            f"scene {self.name}: no view is held out, so scores are of {len(self.scored)} photographs that the fit "
+            "learns from: they say how well these are reproduced, not how right the materials are"
+        )
 
     @cached_property
     def features(self) -> Features:

@@ -12,7 +12,7 @@ import numpy as np
 import numpy.typing as npt
 
 from neurad.core.errors import InputError
-from neurad.core.records import FloatArray
+from neurad.core.records import FloatArray, View
 from neurad.runtime.files import replacing
 from neurad.runtime.reading import native, regular_file, shown
 from neurad.scene.numbers import PIXEL
@@ -177,6 +177,21 @@ def read_bitmap(path: str | Path, raw: bool = False) -> FloatArray:
         pixels = read_exr(path)
         return pixels[..., :3] if pixels.shape[2] > 1 else pixels
     return _decoded(path, raw)
+
+
+def read_mask(view: View) -> npt.NDArray[np.bool_]:
+    """What the mask of a view keeps of its photograph [h, w]: all that is not black.
+
+    Raises:
+        InputError: the file is missing, no picture, or of another size than the camera.
+    """
+    assert view.mask is not None
+    path, camera = regular_file(view.mask), view.camera
+    pixels = read_bitmap(path, raw=True)
+    if pixels.shape[:2] != (camera.height, camera.width):
+        size = f"{pixels.shape[1]} x {pixels.shape[0]}"
+        raise InputError(f"{shown(path)}: it has {size} pixels, its camera {camera.width} x {camera.height}")
+    return np.asarray((pixels > 0).any(-1))
 
 
 def _decoded(path: Path, raw: bool) -> FloatArray:

@@ -8,10 +8,10 @@ from pathlib import Path
 from typing import TypeVar
 
 from neurad.core.errors import InputError
-from neurad.core.records import View
 from neurad.runtime.reading import exists, regular_file
 from neurad.runtime.reading import folder as existing_folder
 from neurad.scene.description import Scene
+from neurad.scene.readers.nerf import HOLD_OUT, Split
 
 T = TypeVar("T")
 
@@ -25,24 +25,36 @@ def _mitsuba(folder: Path) -> Scene:
     return read_xml(folder / "scene.xml")
 
 
-def _nerf(folder: Path) -> tuple[list[View], list[View]]:
+def _two_files(folder: Path, hold_out: int) -> Split:
     from neurad.scene.readers.nerf import read_split
 
-    return read_split(folder)
+    return read_split(folder, hold_out)
+
+
+def _one_file(folder: Path, hold_out: int) -> Split:
+    from neurad.scene.readers.nerf import read_one
+
+    return read_one(folder, hold_out)
 
 
 SCENE_FILES: dict[str, Callable[[Path], Scene]] = {"scene.xml": _mitsuba}
 """Readers of meshes, materials and lights, by file name; the first one in a folder is read."""
-CAMERA_FILES: dict[str, Callable[[Path], tuple[list[View], list[View]]]] = {"transforms_train.json": _nerf}
-"""Readers of the training and the held-out views, by file name."""
+CAMERA_FILES: dict[str, Callable[[Path, int], Split]] = {
+    "transforms_train.json": _two_files,
+    "transforms.json": _one_file,
+}
+"""Readers of the training and the held-out views, by file name; the first one in a folder is read. They are told how
+many-th photograph to hold out where the file does not say which.
+"""
 
 
-def load_scene(root: str | None, scene: str | None) -> Scene:
+def load_scene(root: str | None, scene: str | None, hold_out: int = HOLD_OUT) -> Scene:
     """The scene of a folder or a built-in one, checked.
 
     Args:
         root: a scene folder (``--data.root``), or None.
         scene: name of a built-in scene (``--data.scene``), or None.
+        hold_out: every so many-th photograph of a folder is held out where nothing says which; 0 for none.
 
     Raises:
         InputError: not exactly one is given, the name is unknown, or the scene cannot be used.
@@ -50,31 +62,37 @@ def load_scene(root: str | None, scene: str | None) -> Scene:
     if (root is None) == (scene is None):
         raise InputError("give exactly one of --data.root (a scene folder) and --data.scene (a built-in scene)")
     if root is not None:
-        return read_folder(root).check()
+        return read_folder(root, hold_out).check()
     from neurad.scene.builtin import build
 
     assert scene is not None
     return build(scene).check()
 
 
-def read_folder(root: str | Path) -> Scene:
+def read_folder(root: str | Path, hold_out: int = HOLD_OUT) -> Scene:
     """The scene of a folder with one of :data:`SCENE_FILES` and one of :data:`CAMERA_FILES`.
 
-    Only the existence of photographs and maps is checked: at most the size of the first training photograph is read.
+    Only the existence of photographs and maps is checked, and of photographs without a size in the camera file the
+    size.
+
+    Args:
+        root: the folder.
+        hold_out: as in :func:`load_scene`.
 
     Raises:
         InputError: something is missing or wrong; the sentence names the file and the frame.
     """
     folder = existing_folder(root, "--data.root")
     read_surfaces, read_cameras = _reader(SCENE_FILES, folder), _reader(CAMERA_FILES, folder)
-    train, test = read_cameras(folder)
+    views = read_cameras(folder, hold_out)
     relight = None
-    if any(view.relight for view in test):
+    if any(view.relight for view in views.test):
         relight = str(regular_file(folder / RELIGHT, "the map is missing that lights the photographs of relight_path"))
-    return replace(read_surfaces(folder), name=folder.name, train=train, test=test, relight=relight)
+    surfaces = replace(read_surfaces(folder), name=folder.name, relight=relight)
+    return replace(surfaces, train=views.train, test=views.test, notes=views.notes)
 
 
-def _reader(readers: dict[str, Callable[[Path], T]], folder: Path) -> Callable[[Path], T]:
+def _reader(readers: dict[str, T], folder: Path) -> T:
     """The reader of the first file that the folder has.
 
     Raises:

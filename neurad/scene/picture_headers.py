@@ -49,8 +49,8 @@ def check_size(path: Path, width: int, height: int, needed: int, kept: int) -> N
     reserve(what, needed * width * height, kept * width * height)
 
 
-def check_exr(path: Path) -> None:
-    """Check the header of an EXR file.
+def check_exr(path: Path) -> tuple[int, int]:
+    """Check the header of an EXR file, and return the width and height of what it displays.
 
     Raises:
         InputError: it is no EXR image of one part, its windows are too large, or the file too short for them.
@@ -70,6 +70,8 @@ def check_exr(path: Path) -> None:
     least = (x1 - x0 + 1) * (y1 - y0 + 1) * 2 * header.channels // _RATIO
     if header.compression in _DEFLATE and path.stat().st_size < least:
         raise _unreadable(path)
+    x0, y0, x1, y1 = header.display
+    return x1 - x0 + 1, y1 - y0 + 1
 
 
 def _unreadable(path: Path) -> InputError:

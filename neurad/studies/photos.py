@@ -36,7 +36,7 @@ class PhotosInMemory(PhotoSource):
 
     def spread_fireflies(self, left_out: Tensor) -> float:
         """As the data module of scene folders does; the tensor that was given stays as it was."""
-        found = Fireflies.measure(lambda view: self.photographs[view], left_out, self.width)
+        found = Fireflies.measure(lambda view: self.photographs[view], left_out.unbind(), [self.width] * len(left_out))
         if not found.spread:
             return 0.0
         pairs = zip(self.photographs, left_out, strict=True)

@@ -5,13 +5,14 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 import torch
+from torch import Tensor
 
 from neurad.assembly.lighting import relit_world
 from neurad.core.protocols import Materials
 from neurad.core.records import FloatArray
 from neurad.emitters.fitted import FittedEnvironment
 from neurad.integrators.estimator import Estimator
-from neurad.integrators.film import render
+from neurad.integrators.film import box_mean, render
 from neurad.integrators.renderer import FieldRenderer, MethodRenderer, path_tracer
 from neurad.integrators.world import World
 from neurad.metrics.bar_maps import predict_bars, score_bars
@@ -26,6 +27,10 @@ from neurad.scene.textures import TrueMaterials
 SEED = 20230806
 """Of evaluation pictures: their noise is the same at every evaluation, so that curves show learning only."""
 
+FIELD_SPP = 16
+"""Largest number of positions in a pixel at which the radiance field's own picture is taken: it has no other noise."""
+STEADY = 9
+"""Side in pixels of what differences of both sides are averaged over: 3 to 33 were compared (``docs/results.md``)."""
 GLOSSY_SAMPLES = 2
 """Estimates for each sub-sample and training view that decide whether a pixel is lit and glossy."""
 
@@ -61,6 +66,14 @@ def unknown_light(scene: Scene, environment: FittedEnvironment, held_out: HeldOu
     )
 
 
+def steadied(right: Tensor, left: Tensor) -> Tensor:
+    """The right side's picture by few samples with the left side's as control variate [h, w, 3]: the left side plus the
+    mean difference of both over the pixels around. What the sides differ by is smooth where the field is, and has the
+    noise of as many times more samples; both pictures are of the same positions, so emitters cancel.
+    """
+    return left + box_mean(right - left, STEADY)
+
+
 @torch.no_grad()
 def evaluate(
     held_out: HeldOut,
@@ -69,6 +82,7 @@ def evaluate(
     glossy: bool = False,
     light: UnknownLight | None = None,
     scene: Scene | None = None,
+    steady: bool = False,
     bars: tuple[ErrorBars, ToUnitCube] | None = None,
 ) -> Evaluation:
     """Score albedo, roughness, light and the method's own rendering at ``render_spp`` samples a pixel.
@@ -80,20 +94,29 @@ def evaluate(
         glossy: also score the lit glossy pixels, which takes seconds to minutes to find, and what needs ``scene``.
         light: an environment that is recovered.
         scene: where it has another light for its held-out views, they are rendered in it, too.
+        steady: take the noise of few samples from the rendering, see :func:`steadied`, as long as there is a field.
         bars: error bars of the materials, and what maps positions to the unit cube that they are in.
     """
     world, materials, radiance = estimator.world, estimator.materials, estimator.radiance
     rhs = MethodRenderer(estimator.method, estimator.scene)
-    lhs = None if radiance is None else FieldRenderer(estimator.scene)
+    lhs = None if radiance is None else FieldRenderer(estimator.scene, parts=True)
+    fixed_light = light is None and world.delta is None
     device, stride = world.geometry.vertices.device, held_out.stride
     fitted = not isinstance(materials, TrueMaterials)
     maps: list[dict[str, FloatArray]] = held_out.predict(materials) if fitted else [{} for _ in held_out.views]
+    fields: list[FloatArray] = []
     for index, (view, entry) in enumerate(zip(held_out.views, maps, strict=True)):
         right = render(view.camera, rhs, render_spp, SEED + index, device, stride=stride)
         entry["render"] = right.cpu().numpy()
         if lhs is not None:
-            left = render(view.camera, lhs, min(4, render_spp), SEED + index, device, stride=stride)
+            spp = render_spp if steady else min(FIELD_SPP, render_spp)  # positions of the rendering, for a difference
+            left, emitted = render(view.camera, lhs, spp, SEED + index, device, stride=stride).tensor_split((3,), -1)
+            missing = held_out.emitted(index, world.emitted) - emitted if fixed_light else torch.zeros_like(left)
+            right = steadied(right, left) + missing if steady else right
+            left = left + missing
+            entry["render"] = right.cpu().numpy()
             entry["residual"] = (left - right).abs().cpu().numpy()
+            fields.append(left.cpu().numpy())
         entry.update(held_out.truth(index))
     if bars is not None:
         for entry, found_bars in zip(maps, predict_bars(held_out, *bars), strict=True):
@@ -103,7 +126,9 @@ def evaluate(
         if glossy and fitted
         else None
     )
-    scores = held_out.score(maps, [entry["render"] for entry in maps], regions, scaled=fitted and light is not None)
+    scores = held_out.score(
+        maps, [entry["render"] for entry in maps], regions, fitted and light is not None, fields or None
+    )
     if glossy and fitted and scene is not None:
         scores |= _relight(held_out, scene, world, materials, render_spp, maps)
     if bars is not None and glossy:

@@ -179,6 +179,9 @@ class InverseRenderer(L.LightningModule):
         begins = self.iteration == 0
         if self.settings.materials == "fit" and self.scene.replaced and self.trainer.is_global_zero:
             print(f"neurad: to be recovered as principled: {', '.join(self.scene.replaced)}", file=sys.stderr)
+        said = (*self.scene.notes, *filter(None, [self.scene.scores_are_of]))
+        if self.trainer.is_global_zero and said:
+            print(*(f"neurad: {note}" for note in said), sep="\n", file=sys.stderr)
         if self.trainer.is_global_zero and (left_out := self.region.sentence(self.scene)):
             print(f"neurad: {left_out}", file=sys.stderr)
         with self.world.tracer.uncounted(not begins):  # a continued run counted its camera rays when it began
@@ -250,8 +253,13 @@ class InverseRenderer(L.LightningModule):
 
     # ---- held-out views
 
-    def evaluate(self, render_spp: int = 4, glossy: bool = False, bars: ErrorBars | None = None) -> Evaluation:
-        """Score the present materials and radiance field on held-out views; its rays and seconds do not count."""
+    def evaluate(
+        self, render_spp: int = 4, glossy: bool = False, steady: bool = False, bars: ErrorBars | None = None
+    ) -> Evaluation:
+        """Score the present materials and radiance field on held-out views; its rays and seconds do not count.
+
+        The arguments are those of :func:`neurad.training.evaluate.evaluate`.
+        """
         if self._held_out is None:
             self._held_out = self._make_held_out()
         with averaged(self.average), self.world.tracer.uncounted():
@@ -259,7 +267,9 @@ class InverseRenderer(L.LightningModule):
                 self._light = unknown_light(self.scene, self.environment, self._held_out)
             known = self.materials if isinstance(self.materials, FittedMaterials) else None
             shown = None if bars is None or known is None else (bars, to_cube(known))
-            result = evaluate(self._held_out, self.estimator, render_spp, glossy, self._light, self.scene, shown)
+            result = evaluate(
+                self._held_out, self.estimator, render_spp, glossy, self._light, self.scene, steady, shown
+            )
         self._guard.images(self.iteration, result.maps, [view.name for view in self._held_out.views])
         return result
 

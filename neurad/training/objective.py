@@ -93,7 +93,8 @@ class ObjectiveStep:
         sampling: numbers of samples.
         settings: weights and forms of the terms.
         epsilon: floor of the relative losses in squared radiance units.
-        emitter_mask: pixels that an emitter covers, in part or whole; they train nothing [views, pixels], bool.
+        emitter_mask: pixels that an emitter covers, in part or whole, or that a mask leaves out; they train nothing
+            [views, pixels], bool.
     """
 
     estimator: Estimator

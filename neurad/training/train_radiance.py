@@ -34,7 +34,7 @@ class UnphotographedPixels(PhotoSource):
     """Random pixels of cameras that took no photographs. Their alpha is 0, so they train the prior alone.
 
     Args:
-        cameras: of one size.
+        cameras: where to look from.
         mean_square: squared unit of radiance.
         pixels: of a batch.
         seed: of the draws.
@@ -44,7 +44,7 @@ class UnphotographedPixels(PhotoSource):
     has_alpha = False
 
     def __init__(self, cameras: list[Camera], mean_square: float, pixels: int, seed: int) -> None:
-        self.views, self.count = len(cameras), cameras[0].width * cameras[0].height
+        self.counts = torch.tensor([camera.width * camera.height for camera in cameras])
         self.mean_square, self.pixels, self.seed = mean_square, pixels, seed
 
     def dataset_stats(self, left_out: Tensor | None = None) -> DatasetStats:
@@ -60,9 +60,11 @@ class UnphotographedPixels(PhotoSource):
 
     def batch(self, iteration: int, rank: int = 0) -> PixelBatch:
         """Random pixels of an iteration."""
-        index = Stream(self.seed, iteration, rank, 5).integers(self.views * self.count, self.pixels)
+        index = Stream(self.seed, iteration, rank, 5).integers(int(self.counts.sum()), self.pixels)
+        ends = self.counts.cumsum(0)
+        view = torch.searchsorted(ends, index, right=True)
         nothing = torch.zeros(len(index), 3)
-        return PixelBatch(index // self.count, index % self.count, nothing, nothing[:, 0], iteration)
+        return PixelBatch(view, index - (ends - self.counts)[view], nothing, nothing[:, 0], iteration)
 
 
 @torch.no_grad()
@@ -73,7 +75,7 @@ def mean_square_reflected(world: World, materials: Materials, cameras: list[Came
     stream = Stream(seed, 1)
     views = Cameras.of(cameras, "cpu")
     view = stream.integers(len(cameras), UNIT_RAYS)
-    rays = views.rays(view, stream.uniform(UNIT_RAYS, 2) * torch.tensor([views.width, views.height]))
+    rays = views.rays(view, stream.uniform(UNIT_RAYS, 2) * views.size[view])
     si = world.trace_past_delta(rays, stream.uniform(UNIT_RAYS)).si
     si = si[si.valid]
     if len(si) == 0:
@@ -106,8 +108,6 @@ def radiance_run(
         settings: of the model.
         pixels: of a batch.
     """
-    width, height = cameras[0].width, cameras[0].height  # one size for all
-    cameras = [replace(camera, width=width, height=height) for camera in cameras]
     scene = replace(scene, train=[View(f"camera {i}", camera) for i, camera in enumerate(cameras)])
     settings = replace(
         settings,

@@ -116,6 +116,14 @@ def test_the_clock_stands_still_during_evaluation():
     assert clock.training_seconds() < 0.05
 
 
+def test_closing_table_has_the_lookup_by_colour_where_there_is_one():
+    scores = {"roughness_psnr": 26.0, "roughness_psnr_constant": 21.0, "roughness_psnr_lookup": 31.4}
+    lines = score_table(scores, 4).splitlines()
+    assert [line.split()[-5] for line in lines[2:]] == ["26.00", "21.00", "31.40"]
+    assert lines[-1].startswith("true colour's lookup")
+    assert "lookup" not in score_table({"albedo_psnr": 30.0, "albedo_psnr_constant": 15.0}, 4)
+
+
 def test_tensorboard_groups_keep_the_constants_apart():
     groups = {name: _group(name) for name in ("albedo_psnr", "albedo_psnr_8x8_seen", "roughness_mape_constant_seen")}
     assert list(groups.values()) == ["held_out", "held_out_seen", "held_out_constant_seen"]

@@ -7,7 +7,7 @@ import math
 import pytest
 import torch
 
-from neurad.core.camera import Cameras, camera_rays, focal_length, fov_of, in_view, pixel_side, project, to_camera
+from neurad.core.camera import Cameras, camera_rays, fov_of, in_view, pixel_side, project, to_camera
 from neurad.core.records import Camera
 from neurad.core.rng import Stream
 from neurad.scene.builtin.shapes import look_at
@@ -46,5 +46,5 @@ def test_rays_of_several_cameras_are_those_of_each() -> None:
 
 def test_focal_length_and_field_of_view_are_inverse() -> None:
     camera = wide()
-    assert fov_of(focal_length(camera), camera.width) == pytest.approx(camera.fov_x)
-    assert focal_length(camera) * pixel_side(camera) == pytest.approx(1.0)
+    assert fov_of(camera.fl_x, camera.width) == pytest.approx(camera.fov_x)
+    assert camera.fl_x * pixel_side(camera) == pytest.approx(1.0)

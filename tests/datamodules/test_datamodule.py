@@ -71,7 +71,7 @@ def test_batches_are_a_function_of_seed_iteration_and_rank(folder):
 @pytest.mark.parametrize("patch_size", [1, 3, 8])
 def test_patches_are_squares_inside_one_view(patch_size):
     size = patch_size
-    view, pixel = PatchSampler.build(5, size, None, 12, 9, 0).draw(80, 40)
+    view, pixel = PatchSampler.build([(12, 9)] * 5, size, None, 0).draw(80, 40)
     view, pixel = view.view(40, size, size), pixel.view(40, size, size)
     assert (view == view[:, :1, :1]).all()
     x, y = pixel % 12, pixel // 12
@@ -87,7 +87,7 @@ def test_every_corner_is_drawn_once_before_any_is_drawn_again(patch_size, covere
     """Whatever the batches are that the draws come in; with alpha each view has its own corners."""
     random = torch.rand(3, 42, generator=torch.Generator().manual_seed(1))
     alpha = None if covered is None else (random > covered).float()
-    sampler = PatchSampler.build(3, patch_size, alpha, 7, 6, 1)
+    sampler = PatchSampler.build([(7, 6)] * 3, patch_size, alpha, 1)
     assert alpha is not None or sampler.count.tolist() == 3 * [(7 - patch_size + 1) * (6 - patch_size + 1)]
     most = int(sampler.count.max())
     drawn = [sampler.draw(first, 5) for first in range(0, 9 * most + 5, 5)]
@@ -100,7 +100,7 @@ def test_every_corner_is_drawn_once_before_any_is_drawn_again(patch_size, covere
 
 def test_draws_have_no_order_that_follows_the_image():
     """Of a view's consecutive corners half lie below the one before, within five standard deviations."""
-    _, pixel = PatchSampler.build(1, 1, None, 128, 128, 0).draw(0, 128 * 128)
+    _, pixel = PatchSampler.build([(128, 128)], 1, None, 0).draw(0, 128 * 128)
     assert abs(float((pixel.diff() < 0).double().mean()) - 0.5) < 5 / (12 * 128 * 128) ** 0.5
 
 

@@ -36,7 +36,7 @@ def test_a_clean_photograph_is_the_same_object():
     clean.view(HEIGHT, WIDTH, 3)[12, :] = 30.0
     clean.view(HEIGHT, WIDTH, 3)[range(20), range(20, 40)] = 30.0
     assert spread_fireflies(clean, none_left_out(), WIDTH) is clean
-    assert Fireflies.measure(lambda _: clean, none_left_out().expand(1, -1), WIDTH) == Fireflies(0, 0.0)
+    assert Fireflies.measure(lambda _: clean, none_left_out().expand(1, -1), [WIDTH]) == Fireflies(0, 0.0)
 
 
 @pytest.mark.parametrize("places", [[(9, 9)], [(20, 0), (1, 1), (39, 20)], [(19, 15), (20, 15), (21, 15)]])
@@ -120,7 +120,9 @@ def test_few_fireflies_are_kept_bit_for_bit():
         photos = PhotosInMemory(images, WIDTH)
         assert photos.spread_fireflies(torch.zeros(images.shape[:2], dtype=torch.bool)) == 0.0
         assert photos.photographs is images
-    assert 0.0 < Fireflies.measure(lambda v: spoilt[v], torch.zeros(3, HEIGHT * WIDTH).bool(), WIDTH).light < WORTH
+    assert (
+        0.0 < Fireflies.measure(lambda v: spoilt[v], torch.zeros(3, HEIGHT * WIDTH).bool(), [WIDTH] * 3).light < WORTH
+    )
 
 
 @pytest.mark.main

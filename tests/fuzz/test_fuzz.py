@@ -17,6 +17,8 @@ pytest.importorskip("mitsuba")
 SEED = int(os.environ.get("NEURAD_FUZZ_SEED", "1"))
 SECONDS = float(os.environ["NEURAD_FUZZ_SECONDS"]) if "NEURAD_FUZZ_SECONDS" in os.environ else None
 """Of every long test."""
+ENOUGH = 40
+"""Cases of which some have to succeed; a slow machine may not come so far within the seconds."""
 
 
 @pytest.fixture(scope="module")
@@ -56,7 +58,8 @@ def explored(strategy, worker, count, out: Path):
         pytest.fail(
             f"{len(found.findings)} kinds of findings, seed {SEED}\n\n{report(found, worker, out)}", pytrace=False
         )
-    assert found.ends["done"], "all cases were refused, which shows little of what accepted ones do"
+    if found.ends.total() >= ENOUGH:
+        assert found.ends["done"], "all cases were refused, which shows little of what accepted ones do"
 
 
 def quick_and_whole(quick, whole):

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -259,6 +260,35 @@ def test_scores_of_two_views_by_hand(tmp_path: Path) -> None:
     assert scores["psnr_linear_seen"] == math.inf
     without = views.score(maps)
     assert without == {key: value for key, value in scores.items() if "linear" not in key and "srgb" not in key}
+
+
+def test_lookup_by_true_colour_scores_what_colour_tells(tmp_path: Path) -> None:
+    """Three colours in the training views; a fourth, near the third, in the held-out one. By hand: in one part
+    the two roughnesses of colour 0.4 have the mean 0.3; 0.65, which the finest table lacks, is found beside 0.6.
+    """
+    albedo, roughness = np.full((SIDE, SIDE, 3), 0.02), np.full((SIDE, SIDE, 1), 0.9)
+    albedo[SEEN], roughness[SEEN] = 0.4, 0.3
+    rest = COUNTED & ~SEEN
+    albedo[rest], roughness[rest] = 0.6, 0.5
+    train = [save(tmp_path / "ta.exr", albedo), save(tmp_path / "tr.exr", roughness)]
+    half = np.flatnonzero(SEEN.ravel())[::2]
+    roughness.reshape(-1)[half] += 0.1
+    roughness.reshape(-1)[np.flatnonzero(SEEN.ravel())[1::2]] -= 0.1
+    albedo[rest] = 0.65
+    test = from_above(albedo=save(tmp_path / "a.exr", albedo), roughness=save(tmp_path / "r.exr", roughness))
+    scene = make_scene([test])
+    views = open_views(replace(scene, train=[from_above(albedo=train[0], roughness=train[1])]))
+    scores = views.score(views.predict(Plain(0.5, 0.4)), None, {"part": [SEEN]})
+    mse = 0.01 * SEEN.sum() / COUNTED.sum()
+    assert scores["roughness_psnr_lookup"] == pytest.approx(-10 * math.log10(mse), rel=1e-4)
+    assert scores["roughness_psnr_lookup_part"] == pytest.approx(20.0, rel=1e-4)
+    true = roughness[COUNTED]
+    assert scores["roughness_r2_lookup"] == pytest.approx(1 - mse / float(true.var()), rel=1e-3)
+    assert scores["roughness_r2_lookup_part"] == pytest.approx(0.0, abs=1e-4), "colour tells nothing there"
+    assert "roughness_psnr_lookup_constant" not in scores
+    bare = open_views(scene)  # no true maps of training views
+    assert bare.lookup is None
+    assert not [key for key in bare.score(bare.predict(Plain(0.5, 0.4))) if "lookup" in key]
 
 
 def test_regions_get_scores_of_their_own(tmp_path: Path) -> None:

@@ -206,7 +206,7 @@ BAD = {
     "broken": (broken, r"run .*version_0: it has no whole checkpoint \(.*last\.ckpt: it is not a readable checkpoint"),
     "elsewhere": (elsewhere, r"run .*kept\.ckpt: the checkpoint is not in a run folder with a config\.yaml"),
     "foreign": (foreign, r"run .*last\.ckpt: it is not a checkpoint of neurad"),
-    "moved": (moved, r"run .*version_0: its scene attic is missing; say where it is now with root="),
+    "moved": (moved, r"run .*version_0: its scene attic is missing; say where it is now with --root"),
     "other sizes": (other_sizes, r"run .*last\.ckpt: the checkpoint has other field sizes than the config"),
     "unknown key": (unknown_key, r"version_0/config\.yaml: .*reads_colour"),
 }

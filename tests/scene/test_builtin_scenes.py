@@ -195,7 +195,7 @@ def test_furnace_radiance_is_the_closed_form():
 def test_mitsuba_sees_the_same_surfaces(kitchen):
     mi = pytest.importorskip("mitsuba")
     mi.set_variant("scalar_rgb")
-    from helpers.mitsuba_export import to_mitsuba
+    from neurad.export.mitsuba import to_mitsuba
 
     scene, world = kitchen
     materials = TrueMaterials(scene, world.geometry)
@@ -232,7 +232,7 @@ def test_pixels_agree_with_mitsuba(name, spp):
     mi = pytest.importorskip("mitsuba")
     stats = pytest.importorskip("scipy.stats")
     mi.set_variant("scalar_rgb")
-    from helpers.mitsuba_export import to_mitsuba
+    from neurad.export.mitsuba import to_mitsuba
 
     scene, size, seeds = build(name), 32, 16
     view = scene.test[0]

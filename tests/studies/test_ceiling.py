@@ -1,5 +1,6 @@
 """What the fields could do at best, and what the mean of every mesh does."""
 
+import numpy as np
 import pytest
 import torch
 
@@ -67,6 +68,10 @@ def test_the_command_shows_the_fields_and_the_means(capsys):
         for who in ("the fields", "means of meshes", "mean of the room", "best constant"):
             if line.startswith(who):
                 albedo.setdefault(who, []).append(float(line.removeprefix(who).split()[0]))
+    lookup = float(next(line for line in lines if line.startswith("true colour's lookup")).split()[-5])
+    r2 = float(next(line for line in lines if "R2 of the lookup" in line).rstrip(")").split()[-1])
+    constant = float(next(line for line in lines if line.startswith("best constant")).split()[-5])
+    assert lookup - constant == pytest.approx(-10 * np.log10(1 - r2), abs=0.02)
     assert any(line.startswith("Held-out views, glossy pixels with light on them") for line in lines)
     assert len(albedo["the fields"]) == len(albedo["means of meshes"]) == len(albedo["mean of the room"]) == 3
     everywhere, glossy = (albedo["best constant"][k] - albedo["mean of the room"][k] for k in (0, 2))

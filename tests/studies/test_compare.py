@@ -21,7 +21,7 @@ from neurad.core.errors import InputError
 from neurad.runs import child
 from neurad.studies.compare import configs, curves, views
 from neurad.studies.compare.fits import time_limit
-from neurad.studies.compare.runs import Run, read_run, samples_per_step
+from neurad.studies.compare.runs import Run, marks, read_run, samples_per_step
 from neurad.training.inverse import InverseRenderer
 
 CONFIG = {
@@ -113,6 +113,16 @@ def test_table_of_finished_runs():
     lines = Path("report/table.md").read_text().splitlines()
     assert lines[0].split("|")[1].strip() == "method"
     assert len({line.count("|") for line in lines[:5]}) == 1
+
+
+def test_marks_stand_below_the_methods_where_runs_have_them():
+    rows = [{"roughness_psnr_constant": 21.0, "roughness_psnr_lookup": 31.4, "roughness_mape_lookup": 0.1}]
+    run = Run("ours", 0, Path("a"), rows=rows)
+    assert marks([run]) == {
+        "best constant": {"roughness_psnr": 21.0},
+        "true colour's lookup": {"roughness_psnr": 31.4, "roughness_mape": 0.1},
+    }
+    assert marks([Run("ours", 0, Path("a"), rows=[{"albedo_psnr": 20.0}])]) == {}
 
 
 def test_curves_hold_every_evaluation():

@@ -2,93 +2,228 @@
 
 from __future__ import annotations
 
+import os
+from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from neurad.core.camera import fov_of
 from neurad.core.errors import InputError
-from neurad.core.records import Camera, FloatArray, View
+from neurad.core.records import FloatArray, View
 from neurad.runtime.reading import exists, read_json, regular_file, shown
-from neurad.scene.image_io import read_exr
 from neurad.scene.numbers import LENGTH, matrix, number
-from neurad.scene.picture_headers import SIDE
+from neurad.scene.picture_headers import SIDE, check_exr
+from neurad.scene.readers.intrinsics import Size, camera_of, rigid
 
-_ANGLES = 1e-4, 3.1
-"""Smallest and largest angle of view in radians: beyond them neighbouring pixels see the same in float32."""
-_RIGID = 1e-4  # largest deviation from orthonormal axes; the cameras of Blender have about 1e-6
-_FAR = 1e12  # largest other number: no camera has any near it
-_DISTORTION = ("k1", "k2", "k3", "k4", "p1", "p2")
-
-Size = tuple[int, int]
+HOLD_OUT = 8
+"""Every so many-th photograph is held out where nothing says which."""
+Finder = Callable[[str, str], Path]
+_LISTS = {"train_filenames": "train", "val_filenames": "test", "test_filenames": "test"}
 
 
-def read_split(folder: Path) -> tuple[list[View], list[View]]:
-    """Training and held-out views of ``transforms_train.json`` and ``transforms_test.json``.
+@dataclass(frozen=True)
+class Split:
+    """The views of a folder."""
+
+    train: list[View]
+    test: list[View]
+    """Held out; perhaps none."""
+    notes: tuple[str, ...] = ()
+    """What was decided for the user, a sentence each."""
+    stated: bool = False
+    """Whether the source says which views are held out."""
+
+
+def read_split(folder: Path, hold_out: int = HOLD_OUT, photograph: Finder | None = None) -> Split:
+    """Training and held-out views of ``transforms_train.json`` and, where it is there, ``transforms_test.json`` or
+    ``transforms_val.json``.
+
+    Args:
+        folder: a scene folder.
+        hold_out: not read: a folder with two files says itself what is held out.
+        photograph: as in :func:`read_views`.
 
     Raises:
-        InputError: one of the files is missing, or as :func:`read_views`.
+        InputError: as :func:`read_views`.
     """
-    for name in ("transforms_train.json", "transforms_test.json"):
-        regular_file(folder / name, "the scene folder lacks this file")
-    train = read_views(folder / "transforms_train.json", folder)
-    camera = train[0].camera
-    return train, read_views(folder / "transforms_test.json", folder, (camera.width, camera.height))
+    train = read_views(folder / "transforms_train.json", folder, None, photograph)
+    sizes = {(view.camera.width, view.camera.height) for view in train}
+    size = sizes.pop() if len(sizes) == 1 else None  # so that held-out photographs stay closed
+    for name in ("transforms_test.json", "transforms_val.json"):
+        if exists(folder / name):
+            return Split(train, read_views(folder / name, folder, size, photograph), stated=True)
+    return Split(train, [], stated=True)
 
 
-def read_views(path: str | Path, root: str | Path, size: Size | None = None) -> list[View]:
+def read_one(folder: Path, hold_out: int = HOLD_OUT, photograph: Finder | None = None) -> Split:
+    """Training and held-out views of ``transforms.json``, nerfstudio's one file for both.
+
+    Args:
+        folder: a scene folder.
+        hold_out: every so many-th photograph by name is held out where the file does not say which; 0 for none, not 1.
+        photograph: as in :func:`read_views`.
+
+    Raises:
+        InputError: as :func:`read_views`; or the lists of the file name what it does not have, or a frame twice.
+    """
+    path = folder / "transforms.json"
+    views = read_views(path, folder, photograph=photograph)
+    named = _named(path)
+    if named is None:
+        return held_out_every(hold_out, views, path)
+    pairs = list(zip(views, named, strict=True))
+    train, test = ([view for view, kind in pairs if kind == part] for part in ("train", "test"))
+    if not train:
+        raise InputError(f"{path}: its train_filenames leave no photograph to learn from")
+    left = len(views) - len(train) - len(test)
+    said = f"{path}: {left} of {len(views)} photographs are in none of its lists of names, and are left out"
+    return Split(train, test, (said,) if left else (), stated=True)
+
+
+def held_out_every(hold_out: int, views: list[View], path: Path) -> Split:
+    """Views of which every so many-th by name is held out, and the sentence that says so."""
+    if hold_out == 0 or len(views) < 2:
+        return Split(views, [])
+    order = sorted(range(len(views)), key=lambda i: str(views[i].image))
+    held = set(order[::hold_out])
+    train, test = ([view for i, view in enumerate(views) if (i in held) == part] for part in (False, True))
+    said = f"{path} does not say which photographs are held out: every {_ordinal(hold_out)} by name is"
+    return Split(train, test, (f"{said}, {len(test)} of {len(views)} (--data.hold_out 0 for none)",))
+
+
+def _named(path: Path) -> list[str] | None:
+    """For each frame 'train', 'test' or '', by the lists in a file; None where it has no lists."""
+    described = read_json(path)
+    lists = {key: described[key] for key in _LISTS if described.get(key) is not None}
+    if not lists:
+        return None
+    place = {_key(frame["file_path"]): index for index, frame in enumerate(described["frames"])}
+    kinds = [""] * len(described["frames"])
+    for key, names in lists.items():
+        if not isinstance(names, list) or not all(isinstance(name, str) for name in names):
+            raise InputError(f"{path}: {key} is not a list of names")
+        for name in names:
+            index = place.get(_key(name))
+            if index is None:
+                raise InputError(f"{path}: {key} has {shown(repr(name))}, which is the file_path of no frame")
+            kind = _LISTS[key]
+            if kinds[index] not in ("", kind):
+                raise InputError(f"{path}: {shown(repr(name))} is both in train_filenames and in {key}")
+            kinds[index] = kind
+    if "train_filenames" not in lists:
+        kinds = [kind or "train" for kind in kinds]
+    return kinds
+
+
+def _key(name: str) -> str:
+    """What is the same for two ways to write the name of a photograph."""
+    return os.path.normpath(name.removesuffix(".exr"))
+
+
+def _ordinal(count: int) -> str:
+    return {2: "second", 3: "third"}.get(count, f"{count}th")
+
+
+def read_views(
+    path: str | Path, root: str | Path, size: Size | None = None, photograph: Finder | None = None
+) -> list[View]:
     """The views of a camera file; paths in it are relative to ``root``.
 
     Args:
-        path: JSON with ``camera_angle_x`` (or ``fl_x``), ``frames`` and optionally ``w`` and ``h``, in the file or in
-            each frame.
+        path: JSON with ``frames`` and, in the file or in a frame, what :func:`camera_of` reads and optionally ``w`` and
+            ``h``; without them a photograph says itself how large it is.
         root: folder of the photographs.
-        size: width and height where the file has none; without it they are those of the first photograph.
+        size: width and height where the file has none, in place of what the photograph says.
+        photograph: finds the photograph of a name, its second argument begins the sentence if there is none; None
+            takes the EXR file of that name.
 
     Raises:
-        InputError: not JSON, no frames, a bad camera, a photograph that is missing, or sizes that differ.
+        InputError: not JSON, no frames, a bad camera, or a photograph that is missing.
     """
     path, root = Path(path), Path(root)
     described = read_json(path)
     frames = described.get("frames") if isinstance(described, dict) else None
     if not isinstance(frames, list) or not frames:
         raise InputError(f"{path}: it has no frames")
+    undo = _applied(described, path)
     views: list[View] = []
     for index, frame in enumerate(frames):
         if not isinstance(frame, dict) or not isinstance(frame.get("file_path"), str):
             raise InputError(f"{path}: frame {index} has no file_path")
         where = f"{path}: frame {index} ({shown(frame['file_path'])})"
-        image = _photograph(root, frame["file_path"], path)
+        name = frame["file_path"]
+        image = _photograph(root, name, path) if photograph is None else photograph(name, where)
         settings = {**described, **frame}
-        size = _size(settings, where) or size or _size_of(image)
-        camera = _camera(settings, size, where)
-        if views and (camera.width, camera.height) != (views[0].camera.width, views[0].camera.height):
-            raise InputError(f"{where} differs in size from the first one")
+        film = _size(settings, where) or size or check_exr(image)
+        pose = undo(rigid(frame.get("transform_matrix"), f"{where}: its transform_matrix"))
+        camera = camera_of((frame, described), film, pose, where)
+        mask = _listed(root, frame, "mask_path", f"the mask is missing that {path.name} lists", path)
         maps = {kind: _map(root, frame, kind, image, path) for kind in ("albedo", "roughness")}
         relit = _map(root, frame, "relight", image, path) if "relight_path" in frame else None
-        views.append(View(image.stem, camera, str(image), maps["albedo"], maps["roughness"], relit))
+        views.append(View(image.stem, camera, str(image), maps["albedo"], maps["roughness"], relit, mask))
     return views
+
+
+def _applied(described: dict[str, Any], path: Path) -> Callable[[FloatArray], FloatArray]:
+    """What takes poses back to the frame that they had before nerfstudio moved them: ``x' = scale (A x + b)``.
+
+    Raises:
+        InputError: the transform of the file turns, scales and moves not alone, or its scale is out of range.
+    """
+    scale = number(described.get("applied_scale") or 1.0, f"{path}: applied_scale", 1e-9, 1e9)
+    rows = described.get("applied_transform")
+    if rows is None and scale == 1.0:
+        return lambda pose: pose
+    if rows is None:
+        rows = np.eye(4).tolist()
+    if isinstance(rows, list) and len(rows) == 3:
+        rows = [*rows, [0.0, 0.0, 0.0, 1.0]]
+    moved = matrix(rows, f"{path}: applied_transform", -LENGTH, LENGTH)
+    size = float(np.cbrt(max(np.linalg.det(moved[:3, :3]), 0.0)))
+    if size == 0.0 or np.abs(moved[:3, :3].T @ moved[:3, :3] / size**2 - np.eye(3)).max() > 1e-4:
+        raise InputError(f"{path}: applied_transform is not a rotation with a scale and a translation")
+    turn = moved[:3, :3] / size
+
+    def undo(pose: FloatArray) -> FloatArray:
+        before: FloatArray = np.array(pose)
+        before[:3, :3] = turn.T @ pose[:3, :3]
+        before[:3, 3] = turn.T @ (pose[:3, 3] / scale - moved[:3, 3]) / size
+        return before
+
+    return undo
 
 
 def _photograph(root: Path, name: str, path: Path) -> Path:
     image = root / name
     if not image.name:
         raise InputError(f"{path}: its file_path {shown(repr(name))} is not the name of a file")
-    if image.suffix.lower() != ".exr":  # Blender's files omit the ending
-        image = image.with_name(image.name + ".exr")
-    return regular_file(image, f"the photograph is missing that {path.name} lists (an EXR file)")
+    return regular_file(_exr(image), f"the photograph is missing that {path.name} lists (an EXR file)")
+
+
+def _exr(image: Path) -> Path:
+    """The name of a photograph; Blender's files omit the ending."""
+    return image if image.suffix.lower() == ".exr" or not image.name else image.with_name(image.name + ".exr")
 
 
 def _map(root: Path, frame: dict[str, Any], kind: str, image: Path, path: Path) -> str | None:
     """Path of a ground-truth map: as listed, or of the photograph's name in a folder beside the photographs."""
-    listed = frame.get(f"{kind}_path")
+    listed = _listed(root, frame, f"{kind}_path", f"the {kind} map is missing that {path.name} lists", path)
+    if listed is not None:
+        return listed
+    file = image.parent.parent / kind / image.name
+    return str(regular_file(file)) if exists(file) else None
+
+
+def _listed(root: Path, frame: dict[str, Any], key: str, missing: str, path: Path) -> str | None:
+    """Path of a file that a frame may list under a key."""
+    listed = frame.get(key)
     if listed is None:
-        file = image.parent.parent / kind / image.name
-        return str(regular_file(file)) if exists(file) else None
+        return None
     if not isinstance(listed, str):
-        raise InputError(f"{path}: {kind}_path is {shown(repr(listed))}, not the name of a file")
-    return str(regular_file(root / listed, f"the {kind} map is missing that {path.name} lists"))
+        raise InputError(f"{path}: {key} is {shown(repr(listed))}, not the name of a file")
+    return str(regular_file(root / listed, missing))
 
 
 def _size(settings: dict[str, Any], where: str) -> Size | None:
@@ -99,45 +234,3 @@ def _size(settings: dict[str, Any], where: str) -> Size | None:
     if width != int(width) or height != int(height):
         raise InputError(f"{where}: w and h are {width:g} and {height:g}, not numbers of pixels")
     return int(width), int(height)
-
-
-def _size_of(image: Path) -> Size:
-    height, width = read_exr(image).shape[:2]
-    return width, height
-
-
-def _number(settings: dict[str, Any], key: str, where: str, low: float, high: float) -> float | None:
-    value = settings.get(key)
-    return None if value is None else number(value, f"{where}: {key}", low, high)
-
-
-def _camera(settings: dict[str, Any], size: Size, where: str) -> Camera:
-    """A pinhole in the middle of square pixels, or an error that names what else the file describes."""
-    width, height = size
-    fov = _number(settings, "camera_angle_x", where, *_ANGLES)
-    focal, focal_y = (_number(settings, key, where, 0.0, _FAR) for key in ("fl_x", "fl_y"))
-    if fov is None:
-        if not focal:
-            raise InputError(f"{where}: neither camera_angle_x nor fl_x says how wide it sees")
-        fov = number(fov_of(focal, width), f"{where}: the angle of view by fl_x {focal:g}", *_ANGLES)
-    if focal and focal_y is not None and abs(focal_y / focal - 1.0) > 1e-3:
-        raise InputError(f"{where}: fl_x and fl_y differ, only square pixels are supported")
-    for key, middle in (("cx", 0.5 * width), ("cy", 0.5 * height)):
-        centre = _number(settings, key, where, -_FAR, _FAR)
-        if centre is not None and abs(centre - middle) > 0.51:
-            raise InputError(f"{where}: {key} is {centre:g}, only cameras centred at {middle:g} are supported")
-    if bent := [key for key in _DISTORTION if _number(settings, key, where, -_FAR, _FAR)]:
-        raise InputError(f"{where}: lens distortion ({bent[0]}) is not supported, undistort the photographs first")
-    return Camera(_pose(settings.get("transform_matrix"), where), fov, width, height)
-
-
-def _pose(value: Any, where: str) -> FloatArray:
-    """A rigid camera-to-world matrix [4, 4], float64."""
-    if value is None:
-        raise InputError(f"{where}: its transform_matrix is missing")
-    pose: FloatArray = matrix(value, f"{where}: its transform_matrix", -LENGTH, LENGTH)  # a pose keeps its digits
-    axes = pose[:3, :3]
-    straight = np.abs(axes.T @ axes - np.eye(3)).max() <= _RIGID and np.linalg.det(axes) > 0
-    if not straight or np.abs(pose[3] - (0, 0, 0, 1)).max() > _RIGID:
-        raise InputError(f"{where}: its transform_matrix is not rigid (a rotation and a translation)")
-    return pose

@@ -23,7 +23,8 @@ def run(options: argparse.Namespace) -> None:
     Whatever recovers materials from photographs with the same fields cannot be expected to score higher. Beside them
     stand those of the true mean of every mesh, right but for its patterns (and at edges, where pixels of the true maps
     mix several), and of the true mean of the whole room, one material for all surfaces; the
-    best constant of a table is fitted to the pixels that it scores. Which pixels are lit and glossy is estimated with
+    best constant of a table is fitted to the pixels that it scores, and the lookup from the true colour to roughness to
+    training views. Which pixels are lit and glossy is estimated with
     the true materials.
 
     Raises:
@@ -53,6 +54,9 @@ def run(options: argparse.Namespace) -> None:
     parts = SceneModel(world, TrueMaterials(module.scene, world.geometry))
     regions = {"lit_glossy": lit_glossy(held_out, reflected_by(PathTracing(None), parts), GLOSSY_SAMPLES)}
     with averaged(module.average):
-        print(score_table(held_out.score(held_out.predict(module.materials), None, regions), 0, "the fields"))
+        scores = held_out.score(held_out.predict(module.materials), None, regions)
+    print(score_table(scores, 0, "the fields"))
+    if (r2 := scores.get("roughness_r2_lookup")) is not None:
+        print(f"\nthe true colour explains {100 * r2:.0f} % of the roughness (R2 of the lookup {r2:.3f})")
     for means, name in ((maps.means, "means of meshes"), (maps.means.of_room(), "mean of the room")):
         print("\n" + score_table(held_out.score(held_out.predict(means), None, regions), 0, name))

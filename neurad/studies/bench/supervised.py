@@ -8,6 +8,7 @@ from typing import Any
 import lightning.pytorch as pl
 import torch
 from torch import Tensor
+from torch.nn.utils.rnn import pad_sequence
 
 from neurad.core.errors import InputError
 from neurad.core.protocols import Materials
@@ -60,16 +61,16 @@ class SurfaceMeans:
         """Means, on the CPU, of the true maps that ``step`` has, each pixel counted for the mesh at one position."""
         mesh, device = step.primary.world.geometry.mesh_index, step.emitter_mask.device
         sums = torch.zeros(int(mesh.max()) + 1, 5, device=device)
-        pixel = torch.arange(step.emitter_mask.shape[1], device=device)
-        black, whole = torch.zeros(len(pixel), 3, device=device), torch.ones(len(pixel), device=device)
-        for view in range(len(step.emitter_mask)):
+        for view, camera in enumerate(step.primary.cameras):
+            pixel = torch.arange(camera.width * camera.height, device=device)
+            black, whole = torch.zeros(len(pixel), 3, device=device), torch.ones(len(pixel), device=device)
             batch = PixelBatch(torch.full_like(pixel, view), pixel, black, whole, 0)
             si = step.primary(batch, 1, Stream(view, device=device)).si
             true = torch.ones(len(pixel), 5, device=device)  # the last one counts
-            true[:, :3] = step.truth["albedo"][view]
+            true[:, :3] = step.truth["albedo"][view, : len(pixel)]
             if "roughness" in step.truth:
-                true[:, 3:4] = step.truth["roughness"][view]
-            good = si.valid & ~step.emitter_mask[view]
+                true[:, 3:4] = step.truth["roughness"][view, : len(pixel)]
+            good = si.valid & ~step.emitter_mask[view, : len(pixel)]
             sums.index_add_(0, mesh[si.prim[good]], true[good])
         whole = sums.sum(0)
         sums[sums[:, 4] == 0] = whole
@@ -113,6 +114,7 @@ class TrueMaps(pl.Callback):
                     raise InputError(f"training view {view.name}: it has no true {name} to fit")
                 image = torch.from_numpy(found[f"{name}_true"])
                 parts[name].append(image.reshape(-1, image.shape[-1]))
-        truth = {name: torch.stack(maps).to(views.emitter_mask.device) for name, maps in parts.items()}
+        device = views.emitter_mask.device
+        truth = {name: pad_sequence(maps, batch_first=True).to(device) for name, maps in parts.items()}
         module.step.objective = SupervisedStep(module.materials, views.primary, views.emitter_mask, truth)
         self.means = SurfaceMeans.of(module.step.objective)

@@ -10,9 +10,10 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from neurad.core.records import FloatArray
+from neurad.metrics.marks import CONSTANT, LOOKUP
 from neurad.runtime import tables
 from neurad.runtime.files import replacing
-from neurad.studies.compare.runs import CONSTANT, Run, best_constant, by_method, rmse
+from neurad.studies.compare.runs import Run, by_method, marks, rmse
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -28,6 +29,8 @@ COLOURS = {
 """Okabe and Ito's palette: distinct to colour-blind readers too."""
 FURTHER = ("#000000", "#8c6d31", "#7b4ab8", "#7f7f7f", "#b3b300", "#00a3a3")
 AXES = {"seconds": "training time / s", "samples": "path samples"}
+DASHES = {CONSTANT: (0, (4, 3)), LOOKUP: (0, (1, 2))}
+"""Of the lines of what needs no fit."""
 LEAST_SPAN = 1.5
 """Least ratio of the ends of an error axis."""
 POINTS = 64
@@ -112,7 +115,7 @@ def figure(path: Path, runs: Sequence[Run], axis: str) -> bool:
 
     groups = by_method(runs)
     palette = colours(list(groups))
-    constant = best_constant(runs)
+    levels = marks(runs)
     panels = [panel for panel in PANELS if any(len(curve(run, axis, panel)[0]) for run in runs)]
     if not panels:
         return False
@@ -128,13 +131,14 @@ def figure(path: Path, runs: Sequence[Run], axis: str) -> bool:
         free.discard(ax)
         drawn = {method: _draw(ax, group, axis, panel, palette[method]) for method, group in groups.items()}
         entries |= {method: line for method, line in drawn.items() if line is not None}
-        if panel.score in constant:
-            level = panel.error(constant[panel.score])
-            entries[CONSTANT] = ax.axhline(level, color="#555555", lw=1.2, ls=(0, (4, 3)), zorder=1)
+        for label, scores in levels.items():
+            if panel.score in scores:
+                level = panel.error(scores[panel.score])
+                entries[label] = ax.axhline(level, color="#555555", lw=1.2, ls=DASHES[label], zorder=1)
         _dress(ax, axis, panel)
     for ax in free:
         ax.set_axis_off()
-    names = [name for name in [*groups, CONSTANT] if name in entries]
+    names = [name for name in [*groups, *levels] if name in entries]
     home = cells[0][-1] if cells[0][-1] in free else cells[-1][-1]
     home.legend([entries[name] for name in names], names, frameon=False, fontsize=12, loc="center left")
     with replacing(path) as part:

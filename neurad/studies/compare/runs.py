@@ -12,12 +12,12 @@ from typing import Any
 import yaml  # type: ignore[import-untyped]
 
 from neurad.core.errors import InputError
+from neurad.metrics.marks import MARKS
 from neurad.runtime.tables import numbers, read_csv
 
 FACTS = "compare.json"
 """File in a run folder with what the comparison that started it recorded."""
 SCORES = ("albedo_psnr", "albedo_mape", "roughness_psnr", "roughness_mape", "psnr_linear")
-CONSTANT = "best constant"
 
 Row = dict[str, float]
 
@@ -144,17 +144,18 @@ def by_method(runs: Sequence[Run]) -> dict[str, list[Run]]:
     return groups
 
 
-def best_constant(runs: Sequence[Run]) -> Row:
-    """What the best constant would score on the held-out views, by the names of :data:`SCORES`.
+def marks(runs: Sequence[Run]) -> dict[str, Row]:
+    """What the best constant and, of roughness, a lookup by the true colours would score on the held-out views: by
+    their label and the names of :data:`SCORES`, those that have any.
 
-    It depends on the ground truth alone, so any run that has it will do.
+    They depend on the ground truth alone, so any run that has it will do.
     """
-    found: Row = {}
-    for name in SCORES:
-        key = f"{name}_constant"
-        values = [run.last[key] for run in runs if key in run.last]
-        if values:
-            found[name] = values[0]
+    found: dict[str, Row] = {}
+    for label, suffix in MARKS.items():
+        for name in SCORES:
+            values = [run.last[f"{name}{suffix}"] for run in runs if f"{name}{suffix}" in run.last]
+            if values:
+                found.setdefault(label, {})[name] = values[0]
     return found
 
 

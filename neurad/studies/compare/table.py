@@ -10,7 +10,7 @@ from pathlib import Path
 from neurad.runtime import tables
 from neurad.runtime.files import write_text
 from neurad.runtime.tables import Cell
-from neurad.studies.compare.runs import CONSTANT, SCORES, Run, best_constant, by_method
+from neurad.studies.compare.runs import SCORES, Run, by_method, marks
 
 REACH = (20.0, 22.0, 24.0, 26.0, 28.0, 30.0)
 """Albedo PSNRs in dB whose time is reported."""
@@ -50,10 +50,11 @@ def seconds_to(run: Run, albedo_psnr: float) -> float:
 
 
 def table(runs: Sequence[Run], reach: Sequence[float] = REACH) -> list[TableRow]:
-    """The rows: medians over the seeds of each method, then the best constant."""
+    """The rows: medians over the seeds of each method, then the best constant and the lookup by the true colours."""
     rows = [_row(method, group, reach) for method, group in by_method(runs).items()]
-    constant = best_constant(runs)
-    return [*rows, {"method": CONSTANT, **constant}] if constant else rows
+    for label, scores in marks(runs).items():
+        rows.append({"method": label, **scores})
+    return rows
 
 
 def _row(method: str, group: Sequence[Run], reach: Sequence[float]) -> TableRow:

@@ -15,6 +15,7 @@ from neurad.core.records import FloatArray, View
 from neurad.runtime.files import replacing
 from neurad.scene.image_io import read_exr
 from neurad.scene.load import load_scene
+from neurad.scene.readers.nerf import HOLD_OUT
 from neurad.studies.compare.runs import Run
 
 KINDS = {"albedo": 3, "roughness": 1, "render": 3}
@@ -55,7 +56,7 @@ def held_out(config: Mapping[str, Any]) -> list[View]:
     """The held-out views of the scene that a run was fitted to; none if the scene cannot be read any more."""
     data = config.get("data") or {}
     try:
-        return load_scene(data.get("root"), data.get("scene")).test
+        return load_scene(data.get("root"), data.get("scene"), data.get("hold_out", HOLD_OUT)).scored
     except InputError as error:
         print(f"neurad: no truth beside the pictures: {error}")
         return []

@@ -17,7 +17,8 @@ from neurad.studies.compare.runs import Run, by_method
 NOTES = (
     "Scores are those of the held-out views at the end of a run: PSNR in dB with peak 1, "
     "MAPE = mean |p - g| / (g + 0.01), RMSE is what the PSNR measures. The best constant is the mean of the truth over "
-    "the same pixels.",
+    "the same pixels. The true colour's lookup is a table from albedo to roughness, made of the true maps of training "
+    "views and read with the true albedo: what roughness owes to following colour.",
     "Seconds run from the start of a process, set-up and compilation included, evaluations left out. Path samples are "
     "those drawn by training: pixels x samples per pixel x samples per vertex.",
     "Milliseconds a step and the rates are taken between the first and the last evaluation. Peak memory is the largest "

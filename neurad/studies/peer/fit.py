@@ -181,10 +181,12 @@ def _sizes(settings: PeerSettings, scene: Scene, tracer: Tracer) -> tuple[FieldC
 
 def _photographs(scene: Scene) -> tuple[FloatArray, bool]:
     """Training photographs [views, h * w, 3], and whether they have an alpha channel."""
-    images = []
+    images, first = [], scene.train[0].camera
     for view in scene.train:
         if view.image is None:
             raise InputError(f"training view {view.name}: it has no photograph")
+        if view.mask is not None or (view.camera.width, view.camera.height) != (first.width, first.height):
+            raise InputError(f"training view {view.name}: the peer takes photographs of one size and without masks")
         images.append(read_photograph(view.image))
     stacked = np.stack(images)
     return stacked[..., :3].reshape(len(images), -1, 3), stacked.shape[-1] == 4

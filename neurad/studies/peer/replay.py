@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any, cast
 
 import numpy as np
@@ -10,12 +10,13 @@ import numpy.typing as npt
 import torch
 
 from neurad.core.camera import Cameras
+from neurad.core.lens import Lens
 from neurad.core.patch_sampler import PatchSampler
 from neurad.core.records import FloatArray, IntArray
 from neurad.core.rng import mix
+from neurad.export.mitsuba import to_mitsuba
 from neurad.losses.relative import relative_weight
 from neurad.scene.description import Scene
-from neurad.studies.peer.export import to_mitsuba
 from neurad.studies.peer.texture import make_shading, make_texture
 from neurad.studies.peer.voxels import SurfaceVoxels
 
@@ -71,8 +72,9 @@ class Replay:
         self.texture = make_texture(mi, voxels)
         integrator = {"type": "prb", "max_depth": max_depth, "rr_depth": rr_depth, "hide_emitters": hide_emitters}
         shading = make_shading(mi, self.texture, scene.features.is_diffuse)
-        width = scene.train[0].camera.width
-        self.scene = to_mitsuba(scene, scene.train[0], width, 1, integrator, shading)
+        camera = scene.train[0].camera  # of one size with all others; their rays are ours
+        plain = replace(scene.train[0], camera=replace(camera, lens=Lens()))
+        self.scene = to_mitsuba(scene, plain, camera.width, 1, integrator, shading)
         self.integrator = self.scene.integrator()
         self.sampler = mi.load_dict({"type": "independent"})
         self.photographs = photographs
@@ -81,7 +83,7 @@ class Replay:
         self.random = np.random.default_rng(seed)
         self.iteration = 0
         self.cameras = Cameras.of([view.camera for view in scene.train], "cpu")
-        self.patches = PatchSampler.build(len(scene.train), 1, None, self.cameras.width, self.cameras.height, seed)
+        self.patches = PatchSampler.build([(camera.width, camera.height)] * len(scene.train), 1, None, seed)
         self.lit = self._sees_no_emitter()
         square = (photographs**2).mean(-1)
         self.epsilon = epsilon * float(square[self.lit].mean() if self.lit.any() else square.mean())
@@ -89,14 +91,15 @@ class Replay:
     def rays(self, view: IntArray, pixel: IntArray) -> Any:
         """Mitsuba rays through a random position of every pixel, row-major [n], of the views [n]."""
         jitter = self.random.random((len(view), 2), dtype=np.float32)
-        corner = np.stack((pixel % self.cameras.width, pixel // self.cameras.width), -1)  # [n, 2]
-        ours = self.cameras.rays(torch.from_numpy(view), torch.from_numpy((corner + jitter).astype(np.float32)))
+        where = torch.from_numpy(view)
+        corner = self.cameras.corner(where, torch.from_numpy(pixel))  # [n, 2]
+        ours = self.cameras.rays(where, corner + torch.from_numpy(jitter))
         o, d = (np.ascontiguousarray(x.numpy().T) for x in (ours.o, ours.d))
         return self.mi.Ray3f(self.mi.Point3f(o), self.mi.Vector3f(d))
 
     def _sees_no_emitter(self) -> npt.NDArray[np.bool_]:
         """Pixels none of whose tested positions sees an emitter [views, pixels]: the others train nothing."""
-        pixels = np.arange(self.cameras.width * self.cameras.height)
+        pixels = np.arange(self.photographs.shape[1])
         good = np.ones((len(self.cameras.origin), len(pixels)), bool)
         for view in range(len(good)):
             for _ in range(8):

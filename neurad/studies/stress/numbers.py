@@ -199,13 +199,10 @@ def _rows() -> list[Extreme]:
         Extreme("principled, roughness 0.5", partial(glossy, 0.5), shares=False),
         Extreme(
             "principled, roughness 0.01", partial(glossy, 0.01), "principled, roughness 0.5", shares=False,
-            reason="smoother than the smallest roughness that is fitted, 0.02",
+            reason="its caustics give photographs of as many samples 4.9 times the noise, and a fit learns it",
         ),
         Extreme("albedo 0.5", partial(_grey, 0.5), shares=False),
-        Extreme(
-            "albedo 0.999", partial(_grey, 0.999), "albedo 0.5", shares=False,
-            reason="paths of hundreds of bounces leave fireflies in the photographs, and those are learnt",
-        ),
+        Extreme("albedo 0.999", partial(_grey, 0.999), "albedo 0.5", shares=False),
     ]  # fmt: skip
 
 

@@ -1,0 +1,215 @@
+"""Texture coordinates by xatlas, one mesh at a time in a process of its own that has a time limit."""
+
+from __future__ import annotations
+
+import math
+import os
+import queue
+import subprocess
+import sys
+import tempfile
+import threading
+from dataclasses import replace
+from importlib.util import find_spec
+from pathlib import Path
+
+import numpy as np
+
+from neurad.core.errors import InputError
+from neurad.core.records import Mesh
+from neurad.export.charts import MARGIN, Chart, find_charts, is_unique, triangle_areas
+from neurad.export.texels import FILLED, LARGEST, SMALLEST
+
+WORKER = Path(__file__).with_name("atlas_worker.py")
+PADDING = 4
+"""Texels between charts that are asked for."""
+LEAST = 2.2
+"""Texels that have to be left between them: each side of a lookup needs one."""
+SECONDS = 60.0
+"""Longest time for one mesh, on one core."""
+SHARED = 10.0
+"""Times that it may take so long on a machine that others use, too."""
+COARSEST = 0.4
+"""Fraction of the wanted texels a length at which the texture is doubled rather than the charts made smaller, as long
+as texels are spare."""
+LAST = 0.05
+"""The same where none are."""
+NEAR_ENOUGH = 0.8
+"""Fraction of the texels a length that a mesh needs with which it is left alone."""
+FOLDED = 1e-4
+"""Fraction of the texels in which a chart may lie over itself: slivers along its edges fold over."""
+TRIES = 12
+
+
+def require_xatlas() -> None:
+    """Check that the package is there.
+
+    Raises:
+        InputError: it is not.
+    """
+    if find_spec("xatlas") is None:
+        raise InputError("export: texture atlases need the package xatlas: pip install 'neurad[export]'")
+
+
+class AtlasMaker:
+    """A child process that makes atlases, started again after a mesh that it crashed on or did not end with.
+
+    Args:
+        number: of the child: each stays on a core of its own.
+        seconds: longest time for one mesh.
+    """
+
+    def __init__(self, number: int = 0, seconds: float = SECONDS) -> None:
+        self.number = number
+        self.seconds = seconds
+        self._process: subprocess.Popen[str] | None = None
+        self._answers: queue.Queue[str] = queue.Queue()
+        self._folder = tempfile.TemporaryDirectory()
+        self._mesh: Mesh | None = None
+        self._count, self._scale = 0, 1.0
+
+    def make(self, mesh: Mesh, density: float) -> tuple[np.ndarray, np.ndarray, np.ndarray, np.ndarray] | None:
+        """Vertices [v], triangles [f, 3], coordinates in [0, 1] [v, 2] and size in texels [2]; None if there is none.
+
+        Args:
+            mesh: its positions and triangles; the same one again is only packed again. It is enlarged so that the mean
+                triangle has area 1, since xatlas takes areas below 1e-7 for none.
+            density: texels per unit of length.
+        """
+        folder = Path(self._folder.name)
+        target = folder / "atlas.npz"
+        if mesh is not self._mesh:
+            self._mesh, self._count = mesh, self._count + 1
+            self._scale = 1.0 / (math.sqrt(float(triangle_areas(mesh.vertices[mesh.faces]).mean())) or 1.0)
+            vertices, faces = (mesh.vertices * np.float64(self._scale)).astype(np.float32), mesh.faces.astype(np.uint32)
+            np.savez(folder / f"{self._count}.npz", vertices=vertices, faces=faces)
+            (folder / f"{self._count - 1}.npz").unlink(missing_ok=True)
+        if self._ask(f"{folder / f'{self._count}.npz'}\t{density / self._scale!r}\t{target}") != "made":
+            return None
+        with np.load(target) as made:
+            vertex, faces, uvs, size = (made[name] for name in ("vertex", "faces", "uvs", "size"))
+        if not np.array_equal(vertex[faces], mesh.faces) or not np.isfinite(uvs).all() or size.min() < 1:
+            return None
+        return vertex, faces, uvs, size
+
+    def _ask(self, line: str) -> str:
+        """The child's answer to a line; empty if it crashed or took too long, and then it is gone."""
+        process = self._started()
+        assert process.stdin is not None
+        try:
+            process.stdin.write(line + "\n")
+            process.stdin.flush()
+            answer = self._answers.get(timeout=SHARED * self.seconds)
+        except (queue.Empty, OSError):
+            answer = ""
+        if answer == "":
+            self._end()
+        return answer
+
+    def _started(self) -> subprocess.Popen[str]:
+        if self._process is None:
+            command = [sys.executable, "-P", str(WORKER), str(self.number), str(self.seconds)]
+            environment = {**os.environ, "OMP_NUM_THREADS": "1", "OPENBLAS_NUM_THREADS": "1"}
+            answers: queue.Queue[str] = queue.Queue()
+            self._answers = answers
+            self._process = process = subprocess.Popen(
+                command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, stderr=subprocess.DEVNULL, text=True,
+                env=environment,
+            )  # fmt: skip
+
+            def listen() -> None:
+                assert process.stdout is not None
+                for answer in process.stdout:
+                    answers.put(answer.strip() or "?")
+                answers.put("")  # it ended
+
+            threading.Thread(target=listen, daemon=True).start()
+        return self._process
+
+    def close(self) -> None:
+        """End the child, and remove what it wrote."""
+        self._end()
+        self._folder.cleanup()
+
+    def _end(self) -> None:
+        if self._process is not None:
+            self._process.kill()
+            self._process.wait()
+            self._process = None
+
+
+class Spare:
+    """Texels that nobody has asked for yet; threads may take from them.
+
+    Args:
+        texels: how many.
+    """
+
+    def __init__(self, texels: int) -> None:
+        self.texels = texels
+        self._lock = threading.Lock()
+
+    def take(self, texels: int) -> bool:
+        """Take so many, if there are so many left."""
+        with self._lock:
+            if texels > self.texels:
+                return False
+            self.texels -= texels
+            return True
+
+
+def atlas_chart(
+    mesh: Mesh, width: int, height: int, area: float, needed: float, maker: AtlasMaker, spare: Spare
+) -> Chart | None:
+    """The mesh with an atlas in a texture of about this size; None where xatlas fails, takes too long, or the mesh
+    falls into so many charts that they need more than the largest texture.
+
+    Args:
+        mesh: what it has of texture coordinates is dropped.
+        width: of the texture; doubled together with the height until the charts fit with room between them.
+        height: likewise.
+        area: of the mesh, in scene units.
+        needed: texels per unit of length; while the charts have much less, the texture is doubled from what is spare.
+        maker: runs xatlas.
+        spare: texels beyond those of all textures.
+    """
+    wanted = 0.9 * math.sqrt(FILLED * width * height / area) if area > 0 else 1.0
+    density, found = wanted, None
+    for _ in range(TRIES):
+        made = maker.make(mesh, density)
+        if made is None:
+            return None
+        vertex, faces, uvs, packed = made
+        short = max(height // 2, SMALLEST) if packed[1] * 2 <= packed[0] else height
+        scale = float(((np.array([width, short]) - 2.0 * MARGIN) / packed).min())
+        if PADDING * scale >= LEAST:
+            placed = (MARGIN + uvs * packed * scale) / np.array([width, short])
+            unwrapped = _taken(mesh, vertex, faces, placed.astype(np.float32))
+            found = Chart(unwrapped, find_charts(unwrapped), width, short, "atlas")
+            if density * scale >= NEAR_ENOUGH * needed or 2 * max(width, height) > LARGEST:
+                break
+            if not spare.take(3 * width * short):
+                break
+            width, height, wanted = 2 * width, 2 * short, 2.0 * density * scale
+            density = wanted
+            continue
+        density *= 0.8 * scale
+        # What lies between the charts does not shrink with them.
+        if density < COARSEST * wanted and (spare.take(3 * width * height) or density < LAST * wanted):
+            width, height = 2 * width, 2 * height
+            if max(width, height) > LARGEST:
+                break
+            density = wanted
+    return found if found is not None and is_unique(found, FOLDED) else None
+
+
+def _taken(mesh: Mesh, vertex: np.ndarray, faces: np.ndarray, uvs: np.ndarray) -> Mesh:
+    """The mesh with the vertices that an atlas has: each is one of its own."""
+    return replace(
+        mesh,
+        vertices=mesh.vertices[vertex],
+        faces=faces.astype(np.int64),
+        normals=None if mesh.normals is None else mesh.normals[vertex],
+        uvs=uvs,
+        attributes={name: values[vertex] for name, values in mesh.attributes.items()},
+    )

@@ -1,0 +1,142 @@
+"""Textures from fields: albedo and roughness asked at the places on a mesh that its texels stand for."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from functools import partial
+
+import numpy as np
+import torch
+
+from neurad.core.protocols import Materials
+from neurad.core.records import FloatArray
+from neurad.export import raster_kernels as kernels
+from neurad.export.charts import Chart, triangle_areas
+from neurad.export.fill import push_pull
+from neurad.export.raster_kernels import Array, IntArray
+from neurad.metrics.scores import BoolArray
+from neurad.runtime.threads import split
+from neurad.scene.geometry import Geometry
+
+PER_TEXEL, MOST_PER_TEXEL = 2, 8
+"""Positions along the side of a texel at which the field is asked: the first in large textures, up to the second in
+small ones, where more cost nothing. A point in the middle alone aliases: patterns as fine as a texel come out as coarse
+ones; with four a side nothing was gained over two in the pictures."""
+SMALL = 1 << 18
+"""Positions in a texture that cost next to nothing."""
+GUTTER = 2.0
+"""Texels around a chart that are still baked, in the plane of its nearest triangle; a bilinear lookup reads one."""
+BAND = 1 << 22
+"""Positions in flight, which bounds the memory."""
+CHUNK = 1 << 18
+"""Positions that go through the fields at once."""
+STRETCH = 4.0
+"""A texel of the gutter may lie so many times further from the mesh than texels are apart on it, not more."""
+
+
+@dataclass(frozen=True)
+class Baked:
+    """The texture of one mesh, albedo and roughness side by side."""
+
+    pixels: FloatArray
+    """Linear albedo (three channels) and roughness [h, w, 4], float16; every texel is filled."""
+    covered: BoolArray
+    """Texels that lie on the mesh or in the gutter around its charts [h, w]."""
+
+
+@torch.no_grad()
+def bake(
+    chart: Chart,
+    first: int,
+    geometry: Geometry,
+    materials: Materials,
+    done: Callable[[int], None] = lambda texels: None,
+) -> Baked:
+    """Ask the materials for every texel of a mesh: the mean over several positions in it, a box filter.
+
+    Around a chart the positions lie in the plane of its nearest triangle beyond the edge. There the other side of a
+    seam is close by, too, so both sides get about the same values and none can be seen.
+
+    Args:
+        chart: the mesh.
+        first: number of its first triangle in ``geometry``.
+        geometry: of the whole scene, with the same triangles.
+        materials: what to ask, on the CPU or where ``geometry`` lies.
+        done: called with numbers of texels as they get done.
+    """
+    width, height = chart.width, chart.height
+    per = positions(width, height)
+    pixels = np.zeros((height, width, 4), np.float32)
+    covered = np.zeros((height, width), bool)
+    for top, owner, x, y in _bands(chart, per):
+        rows = owner.shape[0] // per
+        lane = np.flatnonzero(owner.ravel() >= 0)
+        total = np.zeros((owner.size, 4), np.float32)
+        total[lane] = asked(chart, first, geometry, materials, owner.ravel()[lane], x[lane], y[lane])
+        count = (owner >= 0).reshape(rows, per, width, per).sum((1, 3), dtype=np.float32)
+        summed = total.reshape(rows, per, width, per, 4).sum((1, 3))
+        pixels[top : top + rows] = summed / np.maximum(count, 1.0)[..., None]
+        covered[top : top + rows] = count > 0
+        done(rows * width)
+    return Baked(push_pull(pixels, covered).astype(np.float16), covered)
+
+
+def positions(width: int, height: int) -> int:
+    """Positions along the side of a texel at which the field is asked for a texture of this size."""
+    return min(max(math.isqrt(SMALL // (width * height)), PER_TEXEL), MOST_PER_TEXEL)
+
+
+def _bands(chart: Chart, per: int) -> Iterator[tuple[int, IntArray, Array, Array]]:
+    """Rows of texels with the triangles that own their samples: first row, owners [rows * per, width * per], and the
+    samples' positions in texels [rows * per * width * per].
+    """
+    corners = chart.corners
+    low, high = corners[:, :, 1].min(1) - GUTTER, corners[:, :, 1].max(1) + GUTTER
+    width = chart.width
+    step = max(1, BAND // (width * per * per))
+    for top in range(0, chart.height, step):
+        rows = min(step, chart.height - top)
+        chosen = np.flatnonzero((high >= top) & (low <= top + rows))
+        owner = np.full((rows * per, width * per), -1, np.int64)
+        distance = np.full(owner.shape, GUTTER**2)
+        split(partial(_nearest, corners, chosen, top * per, per, distance, owner), rows * per, 64)
+        y, x = np.divmod(np.arange(owner.size), width * per)
+        yield top, owner, (x + 0.5) / per, (y + 0.5) / per + top
+
+
+def _nearest(
+    corners: Array, chosen: IntArray, first: int, per: int, distance: Array, owner: IntArray, low: int, high: int
+) -> None:
+    """The owners of rows ``low`` to ``high`` of samples, of which the band's first one is ``first``."""
+    kernels.nearest(corners, chosen, first + low, per, GUTTER, distance[low:high], owner[low:high])
+
+
+def asked(
+    chart: Chart, first: int, geometry: Geometry, materials: Materials, owner: IntArray, x: Array, y: Array
+) -> FloatArray:
+    """Albedo and roughness [n, 4] at positions (x, y) [n] of the texture on or around the triangles ``owner`` [n]."""
+    corners, points = chart.corners, chart.mesh.vertices[chart.mesh.faces].astype(np.float64)
+    on_texture = float(triangle_areas(corners).sum())
+    limit = STRETCH * math.sqrt(float(triangle_areas(points).sum()) / on_texture) if on_texture > 0 else 0.0
+    u, v = np.empty((2, len(owner)))
+    split(
+        lambda low, high: kernels.locate(
+            corners, points, owner[low:high], x[low:high], y[low:high], limit, u[low:high], v[low:high]
+        ),
+        len(owner),
+        4096,
+    )
+    device = geometry.vertices.device
+    out = np.empty((len(owner), 4), np.float32)
+    for begin in range(0, len(owner), CHUNK):
+        part = slice(begin, begin + CHUNK)
+        prim = torch.from_numpy(owner[part] + first).to(device)
+        at_u, at_v = (torch.from_numpy(z[part]).float().to(device) for z in (u, v))
+        towards = geometry.face_normal[prim]
+        si = geometry.interact_at(prim, at_u, at_v, towards, torch.ones_like(prim, dtype=torch.bool))
+        surface = materials(si)
+        values = torch.cat((surface.albedo, surface.roughness.expand(len(prim), 1)), -1)
+        out[part] = values.clamp(0.0, 1.0).cpu().numpy()
+    return out

@@ -1,0 +1,124 @@
+"""A room from the parts of a run: every mesh gets a texture, every texture what was recovered."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from neurad.assembly.build import Assembly
+from neurad.core.errors import InputError
+from neurad.core.records import Bitmap, Constant, EnvironmentMap, Material, Mesh
+from neurad.core.reflection import PrincipledModel, ReflectionModel
+from neurad.export.atlas import require_xatlas
+from neurad.export.axes import Up, up_axis
+from neurad.export.bake import Baked, bake
+from neurad.export.cameras import named_apart
+from neurad.export.charts import Chart
+from neurad.export.mitsuba import file_names
+from neurad.export.progress import Progress
+from neurad.export.room import Room
+from neurad.export.texels import densities
+from neurad.export.unwrap import unwrap
+from neurad.scene.description import Scene
+from neurad.scene.textures import TrueMaterials
+
+
+def bake_room(assembly: Assembly, texels: int, size: int | None, up: Up | None, progress: Progress) -> Room:
+    """Bake what a run recovered.
+
+    Args:
+        assembly: of the run, on the CPU.
+        texels: most texels of all textures together.
+        size: side of every texture instead of what each needs.
+        up: axis that points up; None takes the one that the cameras hold up.
+        progress: is told what is done.
+
+    Raises:
+        InputError: the package xatlas or something that a mesh needs is missing, or a material cannot be baked.
+    """
+    require_xatlas()
+    scene, world, materials = named_apart(assembly.scene), assembly.world, assembly.materials
+    check_meshes(scene)
+    model = None if isinstance(materials, TrueMaterials) else scene.features.fitted_model
+    described = [_material(scene, mesh, model) for mesh in scene.meshes]
+    density, seen = densities(world.tracer.tracer, world.geometry, scene, progress)
+    textured = [i for i, material in enumerate(described) if not material.model.is_delta]
+    progress.stage("texture coordinates", len(textured))
+    made = unwrap(
+        [scene.meshes[i] for i in textured], density[textured], texels, size, lambda name: progress.step(),
+        share=seen[textured],
+    )  # fmt: skip
+    charts: list[Chart | None] = [None] * len(scene.meshes)
+    for index, chart in zip(textured, made, strict=True):
+        charts[index] = chart
+    progress.stage("textures", sum(chart.width * chart.height for chart in made))
+    first = np.cumsum([0, *(len(mesh.faces) for mesh in scene.meshes)])
+    baked: list[Baked | None] = [
+        None if found is None else bake(found, int(start), world.geometry, materials, progress.step)
+        for found, start in zip(charts, first[:-1], strict=True)
+    ]
+    names = file_names([mesh.name for mesh in scene.meshes])
+    return Room(
+        scene=_baked_scene(scene, assembly, described, names, charts, baked),
+        names=names,
+        charts=charts,
+        baked=baked,
+        seen=[float(x) for x in seen],
+        up=up or up_axis(scene),
+        hide_environment=world.hide_environment,
+    )
+
+
+def check_meshes(scene: Scene) -> None:
+    """Check that there is nothing in the meshes that no file can hold.
+
+    Raises:
+        InputError: a mesh has vertices that are NaN or infinite.
+    """
+    for mesh in scene.meshes:
+        if not np.isfinite(mesh.vertices).all():
+            raise InputError(f"mesh {mesh.name}: it has vertices that are NaN or infinite")
+
+
+def _material(scene: Scene, mesh: Mesh, model: ReflectionModel | None) -> Material:
+    """What a mesh is written with: the recovered model, or for smooth surfaces and known materials the scene's own."""
+    own = scene.materials[mesh.material]
+    if own.model.is_delta:
+        return own
+    if model is not None:
+        return replace(own, model=model)
+    if not isinstance(own.model, PrincipledModel) and not own.model.is_diffuse:
+        raise InputError(f"material {own.name}: it is known and a {own.model.label}, which textures do not describe")
+    return own
+
+
+def _baked_scene(
+    scene: Scene,
+    assembly: Assembly,
+    described: list[Material],
+    names: list[str],
+    charts: list[Chart | None],
+    baked: list[Baked | None],
+) -> Scene:
+    """The scene with the new meshes and a material for each."""
+    meshes, materials = [], []
+    for index, (mesh, material, chart, texture) in enumerate(zip(scene.meshes, described, charts, baked, strict=True)):
+        if chart is not None and texture is not None:
+            albedo, roughness = texture.pixels[..., :3], texture.pixels[..., 3:]
+            material = replace(material, albedo=_shortest(albedo), roughness=_shortest(roughness))
+            mesh = chart.mesh
+        materials.append(replace(material, name=names[index]))
+        meshes.append(replace(mesh, name=names[index], material=index, attributes={}))
+    environment = scene.environment
+    if assembly.environment is not None and environment is not None:
+        environment = EnvironmentMap(assembly.environment.map(), environment.to_world)
+    return replace(scene, meshes=meshes, materials=materials, environment=environment)
+
+
+def _shortest(pixels: np.ndarray) -> Bitmap | Constant:
+    """A constant where the whole texture is one value."""
+    first = pixels[:1, :1]
+    if (pixels == first).all():
+        return Constant(first.reshape(-1).astype(np.float32))
+    return Bitmap(pixels)

@@ -1,0 +1,113 @@
+"""The base colour with which another program's model sends back as much light as neurad's.
+
+neurad and Mitsuba add Burley's diffuse lobe under the coat; glTF viewers and Cycles scale a Lambertian one by what the
+coat leaves. With the same base colour they send back less, and in a closed room that adds up to a fifth of the light.
+Here the means over all directions of both are equated. What remains are differences between angles, about 3 %.
+"""
+
+from __future__ import annotations
+
+import functools
+import math
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from neurad.bsdf.burley import lobes_pdf
+from neurad.bsdf.microfacet import MIN_ALPHA, fresnel_dielectric, reflectance
+from neurad.core.records import FloatArray
+from neurad.export.raster_kernels import Array
+
+Target = Literal["blender", "gltf", "exact"]
+"""Whose model the colour is for: Cycles', the sample BRDF of the Khronos group, or neurad's own."""
+TARGETS: tuple[Target, ...] = ("blender", "gltf", "exact")
+ETA = 1.5
+"""Refractive index of the coat in all three."""
+ROUGHNESSES = 65
+"""Entries of the tables, evenly over roughness 0 to 1."""
+_NODES = 24
+_F0 = 0.04
+
+
+@dataclass(frozen=True)
+class Energy:
+    """What lobes send back of light that is the same from everywhere, over roughness [ROUGHNESSES]."""
+
+    diffuse: Array
+    """E_d: Burley's diffuse lobe of base colour 1."""
+    specular: Array
+    """E_s: the coat."""
+    schlick: Array
+    """The coat with Schlick's Fresnel factor, as glTF has it."""
+    under_schlick: float
+    """E_g: Lambert's lobe of colour 1 as glTF has it, scaled by what Schlick's factor at the half-vector leaves."""
+
+
+@functools.cache
+def energy() -> Energy:
+    """The tables, by Gauss-Legendre quadrature."""
+    cosine, weight = _nodes()
+    mean = 2.0 * weight * cosine  # over the directions of the viewer, by their cosine
+    roughness = torch.linspace(0.0, 1.0, ROUGHNESSES, dtype=torch.float64)
+    diffuse, specular, schlick = [], [], []
+    for r in roughness.tolist():
+        alpha = max(r * r, MIN_ALPHA)
+        diffuse.append(float(mean @ _diffuse(cosine, r)))
+        specular.append(float(mean @ reflectance(cosine, alpha, lambda c: fresnel_dielectric(c, ETA)[:, None])[:, 0]))
+        schlick.append(float(mean @ reflectance(cosine, alpha, lambda c: _schlick(c)[:, None])[:, 0]))
+    wo, wi, solid = _pairs(cosine)
+    half = torch.nn.functional.normalize(wo + wi, dim=-1)
+    left = (1.0 - _schlick((wo * half).sum(-1))) * wi[:, 2] / math.pi
+    under = float(mean @ (left * solid).view(len(cosine), -1).sum(1))
+    return Energy(np.array(diffuse), np.array(specular), np.array(schlick), under)
+
+
+def base_for(target: Target, base: FloatArray, roughness: FloatArray) -> FloatArray:
+    """The base colour that ``target`` needs; it may exceed 1 or lie below 0.
+
+    Args:
+        target: whose model it is for.
+        base: neurad's [..., 3].
+        roughness: [..., 1].
+    """
+    if target == "exact":
+        return base
+    found = energy()
+    nodes = np.linspace(0.0, 1.0, ROUGHNESSES)
+    diffuse, specular = (np.interp(roughness, nodes, x).astype(np.float32) for x in (found.diffuse, found.specular))
+    if target == "blender":
+        return base * (diffuse / (1.0 - specular))
+    schlick = np.interp(roughness, nodes, found.schlick).astype(np.float32)
+    return (base * diffuse + specular - schlick) / np.float32(found.under_schlick)
+
+
+def _schlick(cosine: Tensor) -> Tensor:
+    return _F0 + (1.0 - _F0) * (1.0 - cosine).clamp(0.0, 1.0) ** 5
+
+
+def _nodes() -> tuple[Tensor, Tensor]:
+    """Nodes and weights over [0, 1]."""
+    at, weight = (torch.from_numpy(x) for x in np.polynomial.legendre.leggauss(_NODES))
+    return 0.5 + 0.5 * at, 0.5 * weight
+
+
+def _pairs(cosine: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+    """Directions towards viewers and lights [c * k, 3], and the solid angles [c * k] of the latter."""
+    at, weight = _nodes()
+    phi = (torch.arange(2 * _NODES, dtype=torch.float64) + 0.5) * (math.pi / _NODES)
+    z, angle = (x.reshape(-1) for x in torch.meshgrid(at, phi, indexing="ij"))
+    r = (1.0 - z * z).sqrt()
+    wi = torch.stack((r * angle.cos(), r * angle.sin(), z), -1)
+    solid = weight.repeat_interleave(2 * _NODES) * (math.pi / _NODES)
+    wo = torch.stack(((1.0 - cosine * cosine).sqrt(), torch.zeros_like(cosine), cosine), -1)
+    return wo.repeat_interleave(len(wi), 0), wi.repeat(len(wo), 1), solid.repeat(len(wo))
+
+
+def _diffuse(cosine: Tensor, roughness: float) -> Tensor:
+    """Directional albedo [c] of Burley's diffuse lobe of colour 1."""
+    wo, wi, solid = _pairs(cosine)
+    d = lobes_pdf(torch.full_like(wo[:, :1], roughness), wo, wi, ETA)[0]
+    return (d * solid).view(len(cosine), -1).sum(1)

@@ -1,0 +1,127 @@
+"""Open an exported room in Blender so that it looks as it was recovered.
+
+    blender --python blender_setup.py
+
+or open this file in Blender's text editor and run it. It imports scene.glb from the folder that it lies in and sets
+what importers leave wrong: a view transform that changes colours, limits that darken indirect light, lamps that shine
+to both sides, and the environment.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from pathlib import Path
+from typing import Any
+
+import bpy
+from mathutils import Matrix
+
+SAMPLES = 256
+
+
+def setup(folder: Path) -> dict[str, Any]:
+    """Import the room of ``folder`` into an empty scene and set Cycles up for it; returns what room.json says."""
+    room: dict[str, Any] = json.loads((folder / "room.json").read_text(encoding="utf-8"))
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    bpy.ops.import_scene.gltf(filepath=str(folder / "scene.glb"))
+    scene = bpy.context.scene
+    _render_settings(scene, room)
+    _world(scene, room, folder)
+    for mesh in room["meshes"]:
+        material = bpy.data.materials.get(mesh["name"])
+        if material is None or material.node_tree is None:
+            continue
+        if mesh["emits"]:
+            _shine_to_the_front(material)
+        if not mesh["two_sided"]:
+            _black_from_behind(material)
+    cameras = [thing for thing in bpy.data.objects if thing.type == "CAMERA"]
+    scene.camera = next((c for c in cameras if c.data.name in room["views"]["test"]), cameras[0] if cameras else None)
+    scene.render.resolution_x, scene.render.resolution_y = room["film"]
+    scene.render.resolution_percentage = 100
+    return room
+
+
+def _render_settings(scene: Any, room: dict[str, Any]) -> None:
+    """Light as it is: nothing clamped, blurred, denoised or left out, and colours as they are."""
+    scene.render.engine = "CYCLES"
+    cycles = scene.cycles
+    cycles.samples = SAMPLES
+    cycles.sample_clamp_direct = cycles.sample_clamp_indirect = 0.0
+    cycles.blur_glossy = 0.0
+    cycles.caustics_reflective = cycles.caustics_refractive = True
+    cycles.use_denoising = False
+    cycles.use_adaptive_sampling = False
+    cycles.pixel_filter_type = "BOX"
+    cycles.filter_width = 1.0
+    bounces = max(min(room["max_depth"] - 2, 1024), 0)
+    for kind in ("max", "diffuse", "glossy", "transmission", "transparent_max"):
+        setattr(cycles, f"{kind}_bounces", bounces)
+    scene.render.film_transparent = room["hide_environment"]
+    scene.render.dither_intensity = 0.0
+    scene.display_settings.display_device = "sRGB"
+    scene.view_settings.view_transform = "Standard"
+    scene.view_settings.look = "None"
+    scene.view_settings.exposure, scene.view_settings.gamma = 0.0, 1.0
+
+
+def _world(scene: Any, room: dict[str, Any], folder: Path) -> None:
+    """The environment, turned as it was; black without one."""
+    world = scene.world = bpy.data.worlds.new("room")
+    world.use_nodes = True
+    nodes, links = world.node_tree.nodes, world.node_tree.links
+    background = nodes["Background"]
+    background.inputs["Color"].default_value = (0.0, 0.0, 0.0, 1.0)
+    if room["environment"] is None:
+        return
+    picture = nodes.new("ShaderNodeTexEnvironment")
+    picture.image = bpy.data.images.load(str(folder / room["environment"]["file"]))
+    picture.interpolation = "Linear"
+    # Blender is z-up: glTF's (x, y, z) is its (x, -z, y).
+    to_blender = Matrix(((1, 0, 0), (0, 0, -1), (0, 1, 0)))
+    to_y, to_world = Matrix(room["to_y"]), Matrix(room["environment"]["to_world"])
+    # From directions of the world in Blender to the map's frame, +Y up, and from there to Blender's way of reading it,
+    # in which the left edge of the picture looks another way by a quarter turn.
+    to_map = (to_blender @ to_y @ to_world).inverted()
+    quarter = Matrix.Rotation(math.radians(90.0), 3, "Z")
+    turned = nodes.new("ShaderNodeMapping")
+    turned.vector_type = "POINT"
+    turned.inputs["Rotation"].default_value = (quarter @ to_blender @ to_map).to_euler("XYZ")
+    where = nodes.new("ShaderNodeTexCoord")
+    links.new(where.outputs["Generated"], turned.inputs["Vector"])
+    links.new(turned.outputs["Vector"], picture.inputs["Vector"])
+    links.new(picture.outputs["Color"], background.inputs["Color"])
+
+
+def _shader(material: Any) -> Any:
+    """The principled node of an imported material."""
+    return next(node for node in material.node_tree.nodes if node.type == "BSDF_PRINCIPLED")
+
+
+def _shine_to_the_front(material: Any) -> None:
+    """Light leaves by the front alone: strength times 1 - Backfacing."""
+    nodes, links = material.node_tree.nodes, material.node_tree.links
+    strength = _shader(material).inputs["Emission Strength"]
+    geometry, front = nodes.new("ShaderNodeNewGeometry"), nodes.new("ShaderNodeMath")
+    front.operation = "MULTIPLY_ADD"
+    links.new(geometry.outputs["Backfacing"], front.inputs[0])
+    front.inputs[1].default_value, front.inputs[2].default_value = -strength.default_value, strength.default_value
+    links.new(front.outputs[0], strength)
+    material.cycles.emission_sampling = "FRONT"
+
+
+def _black_from_behind(material: Any) -> None:
+    """A one-sided surface reflects nothing from behind."""
+    nodes, links = material.node_tree.nodes, material.node_tree.links
+    output = next(node for node in nodes if node.type == "OUTPUT_MATERIAL")
+    geometry, black, mix = (nodes.new(f"ShaderNode{kind}") for kind in ("NewGeometry", "BsdfDiffuse", "MixShader"))
+    black.inputs["Color"].default_value = (0.0, 0.0, 0.0, 1.0)
+    links.new(geometry.outputs["Backfacing"], mix.inputs[0])
+    links.new(_shader(material).outputs[0], mix.inputs[1])
+    links.new(black.outputs[0], mix.inputs[2])
+    links.new(mix.outputs[0], output.inputs["Surface"])
+
+
+if __name__ == "__main__":
+    setup(Path(__file__).resolve().parent)

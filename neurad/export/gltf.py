@@ -1,0 +1,181 @@
+"""glTF 2.0 in one binary file: meshes, textures, lamps and cameras.
+
+Written by hand, as no library at hand knows the extensions: ``KHR_materials_emissive_strength`` for lamps,
+``KHR_materials_specular`` for surfaces without a coat, ``KHR_materials_ior`` and ``KHR_materials_transmission`` for
+glass.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+import neurad
+from neurad.core.records import Constant, FloatArray, Mesh, View
+from neurad.core.reflection import PrincipledModel
+from neurad.export.axes import TO_Y, quaternion
+from neurad.export.base_colour import Target, base_for
+from neurad.export.cameras import clip_planes, is_plain
+from neurad.export.glb import GlbWriter, Json
+from neurad.export.images import Coded, coded
+from neurad.export.room import Room
+from neurad.runtime import threads
+
+
+def write_glb(
+    room: Room, path: Path, target: Target, done: Callable[[str, Coded | None], None] = lambda name, files: None
+) -> int:
+    """Write a room as ``scene.glb``.
+
+    Args:
+        room: what to write.
+        path: the file.
+        target: whose base colours it gets; stands in ``asset.extras``.
+        done: called with each mesh's name and pictures.
+
+    Returns:
+        Texels whose base colour was clipped to [0, 1].
+
+    Raises:
+        OSError: a file cannot be written.
+    """
+    part = path.with_name(path.name + ".bin")
+    clipped = 0
+    with part.open("wb") as buffer, ThreadPoolExecutor(threads.threads(len(room.names), 1)) as pool:
+        glb = GlbWriter(buffer)
+        pictures = pool.map(lambda index: _coded(room, index, target), range(len(room.names)))
+        children = []
+        for index, files in enumerate(pictures):
+            children.append(_add_mesh(glb, room, index, files, target))
+            clipped += files.clipped if files is not None else 0
+            done(room.names[index], files)
+        views = [view for view in (*room.scene.train, *room.scene.test) if is_plain(view.camera)]
+        children += [_add_camera(glb, room, view) for view in views]
+        root: Json = {"name": "room", "children": children}
+        if room.up != "y":
+            root["rotation"] = list(TO_Y[room.up])
+        glb.json["scenes"] = [{"nodes": [glb.add("nodes", root)], "name": room.scene.name}]
+        glb.json["scene"] = 0
+        extras = {"base_color_for": target, "up": room.up}
+        glb.json["asset"] = {"version": "2.0", "generator": f"neurad {neurad.__version__}", "extras": extras}
+    glb.finish(path, part)
+    part.unlink()
+    return clipped
+
+
+def _coded(room: Room, index: int, target: Target) -> Coded | None:
+    baked = room.baked[index]
+    if baked is None:
+        return None
+    model = room.scene.materials[room.scene.meshes[index].material].model
+    own = target if isinstance(model, PrincipledModel) and model.metallic == 0.0 else "exact"
+    return coded(baked.pixels, own, model.metallic if isinstance(model, PrincipledModel) else 0.0)
+
+
+def _add_mesh(glb: GlbWriter, room: Room, index: int, files: Coded | None, target: Target) -> int:
+    """Append a mesh, its material and a node; returns the number of the node."""
+    mesh, name = room.scene.meshes[index], room.names[index]
+    attributes = {"POSITION": glb.vertices(mesh.vertices, bounds=True)}
+    if mesh.normals is not None:
+        attributes["NORMAL"] = glb.vertices(unit_normals(mesh))
+    if mesh.uvs is not None and files is not None:
+        attributes["TEXCOORD_0"] = glb.vertices(mesh.uvs)
+    primitive: Json = {
+        "attributes": attributes,
+        "indices": glb.triangles(mesh.faces, len(mesh.vertices)),
+        "material": glb.add("materials", _material(glb, room, index, files, target)),
+    }
+    return glb.add("nodes", {"name": name, "mesh": glb.add("meshes", {"name": name, "primitives": [primitive]})})
+
+
+def _material(glb: GlbWriter, room: Room, index: int, files: Coded | None, target: Target) -> Json:
+    mesh, name = room.scene.meshes[index], room.names[index]
+    material = room.scene.materials[mesh.material]
+    model = material.model
+    surface: Json
+    extensions: Json = {}
+    if files is not None:
+        surface = {
+            "baseColorTexture": glb.texture(files.base, f"{name}_base_color"),
+            "metallicRoughnessTexture": glb.texture(files.orm, f"{name}_orm"),
+        }
+    else:
+        own = target if isinstance(model, PrincipledModel) else "exact"
+        surface = _constants(material.albedo, material.roughness, own)
+    if model.delta is not None:
+        surface |= {"roughnessFactor": 0.0, "metallicFactor": 0.0 if model.delta.transmits else 1.0}
+        if model.delta.transmits:
+            extensions["KHR_materials_transmission"] = {"transmissionFactor": 1.0}
+            extensions["KHR_materials_ior"] = {"ior": _index(model.delta.eta)}
+    elif model.is_diffuse:
+        extensions["KHR_materials_specular"] = {"specularFactor": 0.0}
+    elif isinstance(model, PrincipledModel) and model.eta != 1.5:
+        extensions["KHR_materials_ior"] = {"ior": _index(model.eta)}
+    described: Json = {"name": name, "pbrMetallicRoughness": surface}
+    if material.two_sided:
+        described["doubleSided"] = True
+    if mesh.radiance is not None and mesh.radiance.max() > 0:
+        strength = float(mesh.radiance.max())
+        described["emissiveFactor"] = [min(float(x) / strength, 1.0) for x in mesh.radiance]
+        extensions["KHR_materials_emissive_strength"] = {"emissiveStrength": strength}
+        described["extras"] = {"emits_to": "the side of the geometric normal"}
+    if extensions:
+        described["extensions"] = extensions
+        glb.extensions |= extensions.keys()
+    return described
+
+
+def _index(eta: float) -> float:
+    """A refractive index as glTF has it, at least 1: of a thing inside a denser one, that of the pair turned round."""
+    return max(eta, 1.0 / eta)
+
+
+def _constants(albedo: Any, roughness: Any, target: Target) -> Json:
+    """A surface without textures."""
+    colour = np.broadcast_to(albedo.value if isinstance(albedo, Constant) else np.float32(0.5), 3).astype(np.float32)
+    rough = roughness.value[:1] if isinstance(roughness, Constant) else np.full(1, 0.5, np.float32)
+    base = np.clip(base_for(target, colour, rough), 0.0, 1.0)
+    factors = {"roughnessFactor": min(max(float(rough[0]), 0.0), 1.0), "metallicFactor": 0.0}
+    return {"baseColorFactor": [*(float(x) for x in base), 1.0], **factors}
+
+
+def unit_normals(mesh: Mesh) -> FloatArray:
+    """Vertex normals [v, 3] of length 1; where a file has none that can be scaled to it, that of a triangle there."""
+    assert mesh.normals is not None
+    points = mesh.vertices[mesh.faces].astype(np.float64)
+    flat = np.cross(points[:, 1] - points[:, 0], points[:, 2] - points[:, 0])
+    normals = np.asarray(mesh.normals, np.float64).copy()
+    length = np.linalg.norm(normals, axis=1)
+    bad = ~np.isfinite(length) | (length < 1e-20)
+    if bad.any():
+        of_face = np.zeros_like(normals)
+        of_face[mesh.faces.ravel()] = flat.repeat(3, 0)
+        normals[bad] = of_face[bad]
+        length = np.linalg.norm(normals, axis=1)
+        normals[length < 1e-30] = 0.0, 0.0, 1.0
+        length = np.linalg.norm(normals, axis=1)
+    return np.asarray(normals / length[:, None], np.float32)
+
+
+def _add_camera(glb: GlbWriter, room: Room, view: View) -> int:
+    """Append a camera and a node; returns the number of the node."""
+    camera = view.camera
+    aspect = camera.width / camera.height
+    lens = {
+        "yfov": 2.0 * math.atan(math.tan(0.5 * camera.fov_x) / aspect),
+        "aspectRatio": aspect,
+        "znear": clip_planes(room.scene, camera)[0],
+    }
+    pose = np.asarray(camera.to_world, np.float64)
+    node = {
+        "name": view.name,
+        "camera": glb.add("cameras", {"name": view.name, "type": "perspective", "perspective": lens}),
+        "translation": [float(x) for x in pose[:3, 3]],
+        "rotation": quaternion(pose[:3, :3]),
+    }
+    return glb.add("nodes", node)

@@ -1,0 +1,62 @@
+"""Textures as 8-bit PNG files."""
+
+from __future__ import annotations
+
+import io
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+
+from neurad.core.records import FloatArray
+from neurad.export.base_colour import Target, base_for
+from neurad.scene.image_io import to_srgb
+
+ROWS = 1024
+"""Rows of texels at once: bounds the memory."""
+LEVEL = 5
+"""How hard PNG files are compressed, of 9."""
+
+Bytes = npt.NDArray[np.uint8]
+
+
+@dataclass(frozen=True)
+class Coded:
+    """The textures of a mesh as files."""
+
+    base: bytes
+    """Base colour, sRGB, 8 bits."""
+    orm: bytes
+    """Occlusion (1), roughness and metalness, linear, 8 bits."""
+    clipped: int
+    """Texels whose base colour would have left [0, 1]."""
+
+
+def coded(pixels: FloatArray, target: Target, metallic: float = 0.0) -> Coded:
+    """Albedo and roughness [h, w, 4] as the two files that glTF and USD read."""
+    base = np.empty((*pixels.shape[:2], 3), np.uint8)
+    orm = np.full(base.shape, 255, np.uint8)
+    orm[..., 2] = eight_bits(metallic)
+    clipped = 0
+    for top in range(0, len(pixels), ROWS):
+        part = slice(top, top + ROWS)
+        values = pixels[part].astype(np.float32)
+        wanted = base_for(target, values[..., :3], values[..., 3:])
+        clipped += int(((wanted > 1.0) | (wanted < 0.0)).any(-1).sum())
+        base[part] = eight_bits(to_srgb(wanted))
+        orm[part, :, 1] = eight_bits(values[..., 3])
+    return Coded(png(base), png(orm), clipped)
+
+
+def eight_bits(values: FloatArray | float) -> Bytes:
+    """Values in [0, 1] as the nearest of 256 steps."""
+    return np.asarray(np.rint(np.clip(values, 0.0, 1.0) * 255.0), np.uint8)
+
+
+def png(pixels: Bytes) -> bytes:
+    """An image [h, w, 3] or [h, w] as a PNG file, without a colour profile or alpha."""
+    from PIL import Image
+
+    out = io.BytesIO()
+    Image.fromarray(pixels).save(out, "PNG", compress_level=LEVEL)
+    return out.getvalue()

@@ -1,0 +1,233 @@
+"""Kernels over the texels of a mesh's texture: which triangle and chart they belong to, and where on it they lie.
+
+Texture space is measured in texels: x to the right and y down the rows from 0 to width and height, texel (row j, column
+i) has its centre at (i + 0.5, j + 0.5). All release the interpreter lock and run on the calling thread.
+"""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from neurad.runtime.jit import inlined, kernel
+
+Array = npt.NDArray[np.floating[Any]]
+"""Numbers of any precision."""
+IntArray = npt.NDArray[np.integer[Any]]
+
+
+@inlined
+def _outside(ax: Any, ay: Any, bx: Any, by: Any, cx: Any, cy: Any, x: Any, y: Any, reach: Any) -> Any:
+    """Whether the line through a and b separates the triangle a, b, c from the square around (x, y)."""
+    nx, ny = by - ay, ax - bx
+    at = nx * ax + ny * ay
+    side = nx * cx + ny * cy - at
+    here = nx * x + ny * y - at
+    if side < 0.0:
+        here = -here
+    return here < -reach * (abs(nx) + abs(ny))
+
+
+@kernel
+def join(first: IntArray, second: IntArray, parent: IntArray) -> None:  # pragma: no cover - compiled
+    """Join sets: afterwards ``parent`` names the smallest member of each one's set.
+
+    Args:
+        first: members [k], each of which is joined
+        second: with this one [k].
+        parent: of every member, itself at first [n].
+    """
+    for k in range(len(first)):
+        a, b = first[k], second[k]
+        while parent[a] != a:
+            parent[a] = parent[parent[a]]
+            a = parent[a]
+        while parent[b] != b:
+            parent[b] = parent[parent[b]]
+            b = parent[b]
+        parent[max(a, b)] = min(a, b)
+    for i in range(len(parent)):
+        parent[i] = parent[parent[i]]
+
+
+@kernel
+def conflicts(
+    corners: Array, chart: IntArray, reach: float, needed: IntArray, owner: IntArray
+) -> Any:  # pragma: no cover - compiled
+    """How many texels two charts need, and how many two triangles own.
+
+    A chart needs the texels within ``reach`` of it in both axes: a bilinear lookup reads those within one. The texture
+    repeats, so what leaves it on one side is needed on the other. A triangle owns the texels whose centres lie inside.
+
+    Args:
+        corners: of the triangles [f, 3, 2].
+        chart: of the triangles [f].
+        reach: in texels.
+        needed: -1 everywhere; filled with the charts [h, w].
+        owner: -1 everywhere; filled with the triangles [h, w].
+
+    Returns:
+        Two numbers of texels.
+    """
+    height, width = needed.shape
+    twice, overlap = 0, 0
+    for f in range(len(corners)):
+        ax, ay, bx, by, cx, cy = (
+            corners[f, 0, 0], corners[f, 0, 1], corners[f, 1, 0], corners[f, 1, 1], corners[f, 2, 0], corners[f, 2, 1],
+        )  # fmt: skip
+        det = (bx - ax) * (cy - ay) - (cx - ax) * (by - ay)
+        sign = 1.0 if det > 0.0 else -1.0
+        x0, x1 = math.floor(min(ax, bx, cx) - reach - 0.5), math.ceil(max(ax, bx, cx) + reach - 0.5)
+        y0, y1 = math.floor(min(ay, by, cy) - reach - 0.5), math.ceil(max(ay, by, cy) + reach - 0.5)
+        for row in range(y0, y1 + 1):
+            y = row + 0.5
+            if y <= min(ay, by, cy) - reach or y >= max(ay, by, cy) + reach:
+                continue
+            for column in range(x0, x1 + 1):
+                x = column + 0.5
+                if x <= min(ax, bx, cx) - reach or x >= max(ax, bx, cx) + reach:
+                    continue
+                if (
+                    _outside(ax, ay, bx, by, cx, cy, x, y, reach)
+                    or _outside(bx, by, cx, cy, ax, ay, x, y, reach)
+                    or _outside(cx, cy, ax, ay, bx, by, x, y, reach)
+                ):
+                    continue
+                j, i = row % height, column % width
+                if needed[j, i] < 0:
+                    needed[j, i] = chart[f]
+                elif needed[j, i] != chart[f]:
+                    twice += 1
+                inside = min(
+                    sign * ((bx - ax) * (y - ay) - (by - ay) * (x - ax)),
+                    sign * ((cx - bx) * (y - by) - (cy - by) * (x - bx)),
+                    sign * ((ax - cx) * (y - cy) - (ay - cy) * (x - cx)),
+                )
+                if inside > 1e-3 * abs(det):
+                    if owner[j, i] < 0:
+                        owner[j, i] = f
+                    else:
+                        overlap += 1
+    return twice, overlap
+
+
+@inlined
+def _to_segment(ax: Any, ay: Any, bx: Any, by: Any, x: Any, y: Any) -> Any:
+    """Squared distance from (x, y) to the segment from a to b."""
+    dx, dy = bx - ax, by - ay
+    length = dx * dx + dy * dy
+    t = 0.0
+    if length > 0.0:
+        t = min(max(((x - ax) * dx + (y - ay) * dy) / length, 0.0), 1.0)
+    ex, ey = x - ax - t * dx, y - ay - t * dy
+    return ex * ex + ey * ey
+
+
+@kernel
+def nearest(
+    corners: Array, chosen: IntArray, first: int, per: int, reach: float, distance: Array, owner: IntArray
+) -> None:  # pragma: no cover - compiled
+    """The nearest triangle of every sample in some rows of a texture that has ``per`` x ``per`` of them a texel.
+
+    Args:
+        corners: of all triangles [f, 3, 2].
+        chosen: those to look at [k].
+        first: the first row of samples.
+        per: samples along the side of a texel.
+        reach: largest distance in texels.
+        distance: squared distances found so far, ``reach`` squared or less [rows, width * per].
+        owner: the triangle of each, -1 for none; both are written to [rows, width * per].
+    """
+    rows, columns = distance.shape
+    for k in range(len(chosen)):
+        f = chosen[k]
+        ax, ay, bx, by, cx, cy = (
+            corners[f, 0, 0], corners[f, 0, 1], corners[f, 1, 0], corners[f, 1, 1], corners[f, 2, 0], corners[f, 2, 1],
+        )  # fmt: skip
+        det = (bx - ax) * (cy - ay) - (cx - ax) * (by - ay)
+        sign = 1.0 if det > 0.0 else -1.0
+        x0 = max(math.floor((min(ax, bx, cx) - reach) * per - 0.5), 0)
+        x1 = min(math.ceil((max(ax, bx, cx) + reach) * per - 0.5), columns - 1)
+        y0 = max(math.floor((min(ay, by, cy) - reach) * per - 0.5) - first, 0)
+        y1 = min(math.ceil((max(ay, by, cy) + reach) * per - 0.5) - first, rows - 1)
+        for row in range(y0, y1 + 1):
+            y = (row + first + 0.5) / per
+            for column in range(x0, x1 + 1):
+                if distance[row, column] <= 0.0 and owner[row, column] >= 0:
+                    continue
+                x = (column + 0.5) / per
+                inside = min(
+                    sign * ((bx - ax) * (y - ay) - (by - ay) * (x - ax)),
+                    sign * ((cx - bx) * (y - by) - (cy - by) * (x - bx)),
+                    sign * ((ax - cx) * (y - cy) - (ay - cy) * (x - cx)),
+                )
+                if det != 0.0 and inside >= 0.0:
+                    found = 0.0
+                else:
+                    found = min(
+                        _to_segment(ax, ay, bx, by, x, y),
+                        _to_segment(bx, by, cx, cy, x, y),
+                        _to_segment(cx, cy, ax, ay, x, y),
+                    )
+                if found < distance[row, column] or (found == 0.0 and owner[row, column] < 0):
+                    distance[row, column] = found
+                    owner[row, column] = f
+
+
+@kernel
+def locate(
+    corners: Array, points: Array, owner: IntArray, x: Array, y: Array, limit: float, u: Array, v: Array
+) -> None:  # pragma: no cover - compiled
+    """Barycentrics of samples in the triangles that own them, beyond the edges too: in the plane of the triangle.
+
+    What lies outside is taken back to the nearest point of the triangle where extrapolation would move it further than
+    ``limit`` for each texel: slivers, whose plane is known along one direction only.
+
+    Args:
+        corners: in texture space [f, 3, 2].
+        points: in space [f, 3, 3].
+        owner: triangles [n].
+        x: of the samples in texture space [n].
+        y: likewise [n].
+        limit: scene units a texel.
+        u: filled with the first barycentric [n].
+        v: filled with the second [n].
+    """
+    for n in range(len(owner)):
+        f = owner[n]
+        ax, ay = corners[f, 0, 0], corners[f, 0, 1]
+        bx, by, cx, cy = corners[f, 1, 0] - ax, corners[f, 1, 1] - ay, corners[f, 2, 0] - ax, corners[f, 2, 1] - ay
+        px, py = x[n] - ax, y[n] - ay
+        det = bx * cy - cx * by
+        b, c = -1.0, -1.0
+        if det != 0.0:
+            b, c = (px * cy - cx * py) / det, (bx * py - px * by) / det
+            if b >= 0.0 and c >= 0.0 and b + c <= 1.0:
+                u[n], v[n] = b, c
+                continue
+        # The nearest point of the edges
+        best, nb, nc = math.inf, 0.0, 0.0
+        for k in range(3):
+            sb, sc = (0.0, 0.0) if k == 0 else ((1.0, 0.0) if k == 1 else (0.0, 1.0))
+            eb, ec = (1.0, 0.0) if k == 0 else ((-1.0, 1.0) if k == 1 else (0.0, -1.0))
+            sx, sy = sb * bx + sc * cx, sb * by + sc * cy
+            dx, dy = eb * bx + ec * cx, eb * by + ec * cy
+            length = dx * dx + dy * dy
+            t = 0.0
+            if length > 0.0:
+                t = min(max(((px - sx) * dx + (py - sy) * dy) / length, 0.0), 1.0)
+            ex, ey = px - sx - t * dx, py - sy - t * dy
+            far = ex * ex + ey * ey
+            if far < best:
+                best, nb, nc = far, sb + t * eb, sc + t * ec
+        u[n], v[n] = nb, nc
+        if det != 0.0:
+            moved = 0.0
+            for k in range(3):
+                step = (b - nb) * (points[f, 1, k] - points[f, 0, k]) + (c - nc) * (points[f, 2, k] - points[f, 0, k])
+                moved += step * step
+            if moved <= limit * limit * best:
+                u[n], v[n] = b, c

@@ -1,0 +1,160 @@
+"""The page on what the verification found: figures and pictures side by side, nothing loaded from elsewhere."""
+
+from __future__ import annotations
+
+import base64
+import html
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from neurad.core.records import FloatArray
+from neurad.export.images import eight_bits, png
+from neurad.export.seams import BOUND
+from neurad.export.verified import (
+    ALBEDO_LOSS,
+    CYCLES_MEAN,
+    MITSUBA_MEAN,
+    PICTURE_LOSS,
+    ROUGHNESS_LOSS,
+    Verified,
+)
+from neurad.metrics.scores import block_means
+from neurad.scene.image_io import to_srgb
+
+_STYLE = """
+body { font: 15px/1.5 system-ui, sans-serif; color: #1a1a1a; max-width: 1500px; margin: 2em auto; padding: 0 1em; }
+table { border-collapse: collapse; font-variant-numeric: tabular-nums; margin: .5em 0 1.5em; }
+td, th { padding: .2em .8em; text-align: right; }
+th:first-child, td:first-child { text-align: left; } tr { border-bottom: 1px solid #ddd; }
+.row { display: flex; flex-wrap: wrap; gap: .6em; margin-bottom: .6em; }
+figure { margin: 0; width: 270px; } img { width: 100%; height: auto; image-rendering: pixelated; display: block; }
+figcaption { font-size: 13px; color: #444; padding: .2em 0; } figcaption b { color: #1a1a1a; }
+.beyond { color: #a40000; font-weight: 600; } .kept { color: #1b6e2d; font-weight: 600; } .note { color: #555; }
+"""
+DIFFERENCE = 10.0
+"""Times that differences are enlarged."""
+BLOCK = 8
+"""Side of the blocks of pixels over which differences are averaged."""
+MEANINGS = {
+    "photograph": "what the camera saw",
+    "fields": "neurad, from the fields of the fit",
+    "baked": "neurad, from the exported folder",
+    "mitsuba": "Mitsuba 3, scene.xml",
+    "cycles": "Blender's Cycles, scene.glb",
+}
+BOUNDS = {"mitsuba": MITSUBA_MEAN, "cycles": CYCLES_MEAN}
+
+
+def write_report(found: Verified, path: Path, title: str) -> None:
+    """Write the page.
+
+    Raises:
+        OSError: it cannot be written.
+    """
+    said = found.as_json()
+    parts = [
+        '<!doctype html><html lang="en"><head><meta charset="utf-8">',
+        f"<title>{html.escape(title)}</title><style>{_STYLE}</style></head><body><h1>{html.escape(title)}</h1>",
+        f"<p>Verified on {html.escape(said['verified_on'])}.</p>",
+        *(f'<p class="beyond">{html.escape(text)}</p>' for text in found.beyond),
+        *([] if found.beyond else ['<p class="kept">All bounds are kept.</p>']),
+        *(f'<p class="note">Noise: {html.escape(text)}.</p>' for text in found.noisy),
+        *(f'<p class="note">Left out: {html.escape(text)}.</p>' for text in found.left_out),
+        _baking(found),
+        _seams(found),
+        _renderers(said["renderers"]),
+        f'<p class="note">Pictures of a view share one exposure, that of the photograph\'s brightest 3 %. '
+        f"Differences are to the exported folder in neurad, {DIFFERENCE:g} times enlarged, means of {BLOCK} x {BLOCK} "
+        "pixels as single ones are mostly noise.</p>",
+    ]
+    for index in range(len(found.views)):
+        parts += _view(found, said["renderers"], index)
+    path.write_text("\n".join(parts) + "</body></html>\n", encoding="utf-8")
+
+
+def _view(found: Verified, renderers: dict[str, Any], index: int) -> list[str]:
+    """A row of pictures with their figures, and below it one of their differences."""
+    name, photo = found.views[index].name, found.photographs[index]
+    shown = {renderer: pictures.mean[index] for renderer, pictures in found.pictures.items()}
+    top = max(float(np.quantile(shown["baked"] if photo is None else photo, 0.97)), 1e-12)
+    parts = [f"<h2>{html.escape(name)}</h2>", '<div class="row">']
+    if photo is not None:
+        parts.append(_figure("photograph", f"mean {photo.mean():.4g}", photo / top))
+    for renderer, picture in shown.items():
+        entry = renderers[renderer]["views"][name]
+        figures = [f"mean {entry['mean']:.4g} &plusmn; {entry['standard_error']:.1g}"]
+        if renderer != "baked":
+            figures.append(f"{entry['ratio_of_means']:.4f} of baked")
+        if entry["psnr_linear"] is not None:
+            figures.append(f"PSNR {entry['psnr_linear']:.2f} &plusmn; {entry['psnr_standard_error']:.2f} dB")
+        parts.append(_figure(renderer, ", ".join(figures), picture / top))
+    parts.append('</div><div class="row">')
+    others = shown if photo is None else {"photograph": photo, **shown}
+    for renderer, picture in others.items():
+        if renderer != "baked":
+            off = block_means(picture - shown["baked"], np.ones(picture.shape[:2], bool), BLOCK)[0]
+            off = np.abs(off) * np.float32(DIFFERENCE / top)
+            parts.append(_figure(f"{renderer} - baked", f"&times; {DIFFERENCE:g}, in blocks of {BLOCK}", off))
+    return [*parts, "</div>"]
+
+
+def _baking(found: Verified) -> str:
+    """What the textures lost of what the fields knew."""
+    rows = []
+    for what, bound in (("albedo", ALBEDO_LOSS), ("roughness", ROUGHNESS_LOSS), ("picture", PICTURE_LOSS)):
+        before, after = (found.scores.get(f"{what}_psnr_{which}") for which in ("fields", "baked"))
+        if before is not None and after is not None:
+            rows.append([what, *(f"{x:.2f} dB" for x in (before, after)), _held(before - after, bound, "dB")])
+    head = ["against the truth (the picture: against the photographs)", "fields", "baked", "lost (bound)"]
+    return "<h2>Baking</h2>" + _table(head, rows)
+
+
+def _seams(found: Verified) -> str:
+    """What shows along borders of charts."""
+    seams = found.seams
+    if seams is None or seams.points == 0:
+        return ""
+    return (
+        f"<p>Seams: over {seams.points} points on {seams.sides} sides of chart borders lookups differ from the fields "
+        f"by {255 * seams.mean:.2f}/255 on average, {255 * seams.largest:.2f}/255 at most (on "
+        f"{html.escape(seams.where)}), {100 * seams.beyond:.2f} % of them by more than {255 * BOUND:g}/255.</p>"
+    )
+
+
+def _renderers(renderers: dict[str, Any]) -> str:
+    """Means and scores of all renderers."""
+    rows = []
+    for name, entry in renderers.items():
+        score, worst = entry["psnr_linear"], entry["worst_view"]
+        ratio = worst["ratio_of_means"]
+        last = f"{ratio:.4f}" if name not in BOUNDS else _held(ratio - 1.0, BOUNDS[name], "", f"{ratio:.4f}")
+        said = "-" if score is None else f"{score:.2f} &plusmn; {entry['psnr_standard_error']:.2f} dB"
+        rows.append([MEANINGS[name], said, f"{entry['ratio_of_means']:.4f}", html.escape(worst["name"]), last])
+    head = ["renderer", "PSNR (linear)", "mean / baked", "worst view", "its mean / baked (bound)"]
+    return "<h2>Renderers</h2>" + _table(head, rows)
+
+
+def _held(value: float, bound: float, unit: str, said: str | None = None) -> str:
+    """A figure with its bound, coloured by whether it is kept."""
+    kind = "kept" if abs(value) <= bound or (unit == "dB" and value < 0) else "beyond"
+    limit = f"{bound:g} dB" if unit == "dB" else f"{100 * bound:g} %"
+    return f'<span class="{kind}">{said or f"{value:.3f} {unit}"}</span> ({limit})'
+
+
+def _table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+    first = "".join(f"<th>{text}</th>" for text in head)
+    body = "".join("<tr>" + "".join(f"<td>{cell}</td>" for cell in row) + "</tr>" for row in rows)
+    return f"<table><tr>{first}</tr>{body}</table>"
+
+
+def _figure(name: str, figures: str, picture: FloatArray) -> str:
+    data = base64.b64encode(png(eight_bits(to_srgb(picture)))).decode("ascii")
+    title = html.escape(name)
+    meaning = f": {MEANINGS[name]}" if name in MEANINGS else ""
+    return (
+        f'<figure><img alt="{title}" src="data:image/png;base64,{data}">'
+        f"<figcaption><b>{title}</b>{meaning}<br>{figures}</figcaption></figure>"
+    )

@@ -1,0 +1,34 @@
+"""What was recovered, as a scene whose every surface has a texture of its own: what all writers write."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from neurad.export.axes import Up
+from neurad.export.bake import Baked
+from neurad.export.charts import Chart
+from neurad.scene.description import Scene
+
+
+@dataclass(frozen=True)
+class Room:
+    """A baked scene."""
+
+    scene: Scene
+    """Mesh by mesh as the one that was fitted, triangles in the same order; one material a mesh, bitmaps float16."""
+    names: list[str]
+    """A name for each mesh that is unique and may be that of a file."""
+    charts: list[Chart | None]
+    """Where each mesh got its texture coordinates; None of meshes without textures."""
+    baked: list[Baked | None]
+    """Their textures."""
+    seen: list[float]
+    """Fraction of the camera rays of the training views that ended on each mesh."""
+    up: Up
+    hide_environment: bool
+    """The photographs show no environment: they have an alpha channel."""
+
+    @property
+    def texels(self) -> int:
+        """Of all textures."""
+        return sum(chart.width * chart.height for chart in self.charts if chart is not None)

@@ -1,0 +1,247 @@
+"""``neurad export``: from the parts of a run to a folder with the room in it."""
+
+from __future__ import annotations
+
+import json
+import sys
+import time
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+import neurad
+from neurad.assembly.build import Assembly
+from neurad.core.errors import InputError
+from neurad.core.ranges import Count, checked
+from neurad.export import usd
+from neurad.export.axes import UPS, Up, rotation
+from neurad.export.baking import bake_room
+from neurad.export.base_colour import TARGETS, Target
+from neurad.export.blender import blender_setup_path
+from neurad.export.cameras import NO_LENS, files_of, is_plain, shown_alike, write_views
+from neurad.export.cycles import Blender, find_blender
+from neurad.export.evidence import COARSER, evidence
+from neurad.export.folder import MANIFEST, check_out, check_sources, written_beside
+from neurad.export.gltf import write_glb
+from neurad.export.images import Coded, png
+from neurad.export.limits import Side, Texels
+from neurad.export.mitsuba import describe, path_integrator, sensor, write_xml
+from neurad.export.progress import Bar
+from neurad.export.report import write_report
+from neurad.export.room import Room
+from neurad.export.verified import Verified
+from neurad.export.verify import verify
+from neurad.metrics.seen import SeenBy
+from neurad.scene.description import Scene
+
+
+@dataclass(frozen=True)
+class ExportSettings:
+    """What to write, and where."""
+
+    out: Path
+    """Folder to write."""
+    target: Target = "blender"
+    """Whose base colours ``scene.glb`` gets."""
+    texels: Texels = 16_000_000
+    """Most texels of all textures together."""
+    size: Side | None = None
+    """Side of every texture, a power of two, instead of what each mesh needs."""
+    up: Up | None = None
+    """Axis that points up; None takes the one that the cameras hold up."""
+    copy: bool = False
+    """Copy photographs and true maps instead of linking to them."""
+    overwrite: bool = False
+    verify: bool = True
+    spp: Count = 16
+    """Samples a pixel of the pictures that verify, in each of several passes."""
+    blender: str | None = None
+    """A Python that has bpy, or Blender itself."""
+
+    def __post_init__(self) -> None:
+        """Refuse what cannot be written."""
+        checked(self)
+        if self.size is not None and self.size & (self.size - 1):
+            raise InputError(f"--size: {self.size} is no power of two between 8 and 8192")
+        if self.target not in TARGETS:
+            raise InputError(f"--for: {self.target} is unknown, choose {', '.join(TARGETS)}")
+        if self.up is not None and self.up not in UPS:
+            raise InputError(f"--up: {self.up} is no axis, choose {', '.join(UPS)}")
+        if self.blender is not None and not self.verify:
+            raise InputError("--blender: it verifies, which --no-verify leaves out; give one of them")
+
+
+def export(assembly: Assembly, checkpoint: Path, settings: ExportSettings) -> list[str]:
+    """Write what a run recovered as a folder that other programs read, and verify it.
+
+    Args:
+        assembly: of the run, on the CPU.
+        checkpoint: where it comes from, for the folder's notes.
+        settings: what to write.
+
+    Returns:
+        What the verification found beyond its bounds, in a sentence each; none if all is well.
+
+    Raises:
+        InputError: something is missing, cannot be baked or cannot be written.
+    """
+    check_out(settings.out, settings.overwrite)
+    check_sources(settings.out, [checkpoint, *files_of(assembly.scene)])
+    blender = None if settings.blender is None else find_blender(settings.blender)
+    bar, start = Bar(), time.perf_counter()
+    try:
+        room = bake_room(assembly, settings.texels, settings.size, settings.up, bar)
+        baked = time.perf_counter()
+        with written_beside(settings.out) as folder:
+            notes = write_room(room, assembly, folder, settings, bar)
+            seconds = {"bake": round(baked - start, 2), "write": round(time.perf_counter() - baked, 2)}
+            notes |= {"checkpoint": str(checkpoint), "seconds": seconds}
+            (folder / MANIFEST).write_text(json.dumps(notes, indent=1) + "\n", encoding="utf-8")
+            found = None
+            if settings.verify and not shown_alike(room.scene):
+                print(f"neurad: nothing is rendered again: {NO_LENS}", file=sys.stderr)
+            elif settings.verify:
+                found = _verify(room, assembly, folder, settings, blender, bar)
+    finally:
+        bar.close()
+    _tell(room, settings, notes, found)
+    return [] if found is None else found.beyond
+
+
+def _verify(
+    room: Room, assembly: Assembly, folder: Path, settings: ExportSettings, blender: Blender | None, bar: Bar
+) -> Verified:
+    """Render the folder again, and write ``verify.json`` and ``report.html`` into it."""
+    cycles = None if blender is None else partial(blender.render, folder)
+    found = verify(room, assembly, folder, settings.spp, cycles, bar)
+    (folder / "verify.json").write_text(json.dumps(found.as_json(), indent=1) + "\n", encoding="utf-8")
+    write_report(found, folder / "report.html", f"{settings.out.name}: verified export")
+    return found
+
+
+def write_room(room: Room, assembly: Assembly, folder: Path, settings: ExportSettings, bar: Bar) -> dict[str, Any]:
+    """Everything but the verification, into ``folder``; returns what ``room.json`` says.
+
+    Raises:
+        OSError: a file cannot be written.
+        InputError: likewise.
+    """
+    scene = room.scene
+    views = shown_alike(scene)
+    bar.stage("scene.xml", 1)
+    sensors = [sensor(scene, v.camera, v.camera.width, v.camera.height, 256, room.hide_environment) for v in views]
+    write_xml(describe(scene, folder, sensors, path_integrator(scene, room.hide_environment)), folder / "scene.xml")
+    bar.stage("scene.glb", len(room.names))
+    with_usd = usd.has_usd()
+
+    def done(name: str, files: Coded | None) -> None:
+        if with_usd and files is not None:
+            usd.save_textures(folder, name, files)
+        bar.step()
+
+    clipped = write_glb(room, folder / "scene.glb", settings.target, done)
+    if with_usd:
+        usd.write_usd(room, folder, settings.target)
+    bar.stage("evidence", len(room.names))
+    seen = _write_evidence(room, assembly, folder, bar)
+    missing = write_views(scene, folder, settings.copy)
+    (folder / "blender_setup.py").write_bytes(blender_setup_path().read_bytes())
+    camera = views[0].camera if views else None
+    turned = None if scene.environment is None else np.asarray(scene.environment.to_world, float)[:3, :3].tolist()
+    return {
+        "neurad": neurad.__version__,
+        "base_color_for": settings.target,
+        "clipped_texels": clipped,
+        "texels": room.texels,
+        "up": room.up,
+        "to_y": rotation(room.up).tolist(),
+        "max_depth": scene.max_depth,
+        "hide_environment": room.hide_environment,
+        "environment": None if turned is None else {"file": "environment.exr", "to_world": turned},
+        "film": None if camera is None else [camera.width, camera.height],
+        "views": {"train": [v.name for v in scene.train], "test": [v.name for v in scene.test]},
+        "without_photographs": missing,
+        "left_out": [*([] if with_usd else [usd.MISSING]), *_left_out(scene)],
+        "meshes": [_mesh_notes(room, i, seen[i]) for i in range(len(room.names))],
+    }
+
+
+def _left_out(scene: Scene) -> list[str]:
+    """Cameras that only the camera files have."""
+    bent = [view.name for view in (*scene.train, *scene.test) if not is_plain(view.camera)]
+    return [f"{len(bent)} cameras: {NO_LENS}"] if bent else []
+
+
+def _write_evidence(room: Room, assembly: Assembly, folder: Path, bar: Bar) -> list[float | None]:
+    """``evidence/MESH.png``, and what fraction of each mesh's texels a photograph saw."""
+    (folder / "evidence").mkdir()
+    world = assembly.world
+    seen_by = SeenBy(world.geometry, world.tracer.tracer, [view.camera for view in room.scene.train])
+    found: list[float | None] = []
+    first = 0
+    for name, chart, mesh in zip(room.names, room.charts, room.scene.meshes, strict=True):
+        if chart is None:
+            found.append(None)
+        else:
+            picture, fraction = evidence(chart, first, seen_by)
+            (folder / "evidence" / f"{name}.png").write_bytes(png(picture))
+            found.append(round(fraction, 4))
+        first += len(mesh.faces)
+        bar.step()
+    return found
+
+
+def _mesh_notes(room: Room, index: int, seen: float | None) -> dict[str, Any]:
+    """What ``room.json`` says of a mesh."""
+    mesh, chart = room.scene.meshes[index], room.charts[index]
+    texture = None
+    if chart is not None:
+        size = {"width": chart.width, "height": chart.height}
+        texture = {"coordinates": chart.kind, **size, "seen": seen, "evidence_is_coarser_by": COARSER}
+    return {
+        "name": room.names[index],
+        "triangles": len(mesh.faces),
+        "emits": bool(mesh.radiance is not None and mesh.radiance.max() > 0),
+        "two_sided": room.scene.materials[mesh.material].two_sided,
+        "texture": texture,
+    }
+
+
+def _tell(room: Room, settings: ExportSettings, notes: dict[str, Any], found: Verified | None) -> None:
+    """Say what was written."""
+    kinds = [chart.kind for chart in room.charts if chart is not None]
+    counts = ", ".join(f"{kinds.count(k)} {k}" for k in ("own", "atlas", "grid") if k in kinds)
+    size = sum(f.stat().st_size for f in settings.out.rglob("*") if f.is_file() and not f.is_symlink())
+    glb, seconds = (settings.out / "scene.glb").stat().st_size, notes["seconds"]
+    print(
+        f"{settings.out}: {len(room.names)} meshes (texture coordinates: {counts}), {room.texels / 1e6:.2f} M texels, "
+        f"scene.glb {glb / 1e6:.1f} MB, all {size / 1e6:.1f} MB, baked in {seconds['bake']:.0f} s, written in "
+        f"{seconds['write']:.0f} s"
+    )
+    if notes["clipped_texels"]:
+        print(f"{notes['clipped_texels']} texels need a base colour beyond 0 to 1 for {settings.target}; clipped")
+    for text in (*notes["left_out"], *([] if found is None else found.left_out)):
+        print(f"left out: {text}")
+    for part in notes["without_photographs"]:
+        print(f"transforms_{part}.json: photographs are missing, so that the folder cannot be fitted as it stands")
+    if found is None:
+        return
+    for name, entry in found.as_json()["renderers"].items():
+        score = (
+            ""
+            if entry["psnr_linear"] is None
+            else f"PSNR {entry['psnr_linear']:.2f} ({entry['psnr_standard_error']:.2f}) dB, "
+        )
+        worst = entry["worst_view"]
+        print(f"{name:8} {score}mean {entry['ratio_of_means']:.4f} of baked, worst view {worst['name']} "
+              f"{worst['ratio_of_means']:.4f}")  # fmt: skip
+    if found.seams is not None:
+        print(
+            f"seams: at most {255 * found.seams.largest:.2f}/255 over {found.seams.points} points on "
+            f"{found.seams.sides} sides of chart borders, {255 * found.seams.mean:.2f}/255 on average"
+        )
+    for text in found.noisy:
+        print(text)

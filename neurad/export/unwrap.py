@@ -1,0 +1,108 @@
+"""A texture of its own for every mesh: with its own coordinates, those of an atlas, or squares for its triangles."""
+
+from __future__ import annotations
+
+import queue
+from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import contextmanager
+from dataclasses import replace
+
+import numpy as np
+
+from neurad.core.records import Mesh
+from neurad.export.atlas import SECONDS, AtlasMaker, Spare, atlas_chart
+from neurad.export.charts import Chart, own_chart, triangle_areas
+from neurad.export.grid import grid_chart
+from neurad.export.raster_kernels import Array
+from neurad.export.texels import LARGEST, TextureSize, rounded, wanted_size
+from neurad.runtime import threads
+
+PLANNED = 0.7
+"""Fraction of the budget that is dealt out before atlases are made; the rest goes where charts turn out to need it."""
+
+
+def unwrap(
+    meshes: list[Mesh],
+    density: Array,
+    budget: int,
+    side: int | None = None,
+    done: Callable[[str], None] = lambda name: None,
+    seconds: float = SECONDS,
+    share: Array | None = None,
+) -> list[Chart]:
+    """Every mesh with texture coordinates that are unique in a texture of its own.
+
+    Args:
+        meshes: each with at least one triangle.
+        density: texels per unit of length that each needs [m].
+        budget: texels of all textures; meshes of very many charts may exceed it.
+        side: of every texture, whatever it needs.
+        done: called with the name of each mesh that is done.
+        seconds: longest time for the atlas of one mesh.
+        share: of the photographs that each has [m]: who has most gets first what is left of the budget.
+    """
+    sizes = [wanted_size(mesh, float(d)) for mesh, d in zip(meshes, density, strict=True)]
+    texels = rounded(sizes, budget, side)
+    own = [own_chart(mesh, int(w), int(h)) for mesh, (w, h) in zip(meshes, texels, strict=True)]
+    areas = [float(triangle_areas(mesh.vertices[mesh.faces]).sum()) for mesh in meshes]
+    bare = [mesh if found else replace(mesh, uvs=None) for mesh, found in zip(meshes, own, strict=True)]
+    # Without the coordinates that turned out not to be unique, textures are sized as atlases.
+    sizes = [s if c else wanted_size(m, float(d)) for s, c, m, d in zip(sizes, own, bare, density, strict=True)]
+    planned = int(PLANNED * _left(budget, own))
+    texels = np.where(_kept(own), texels, rounded(_or_nothing(sizes, own), planned, side))
+
+    spare = Spare(max(budget - int(texels.prod(1).sum()), 0) if side is None else 0)
+    first = np.array([len(mesh.faces) for mesh in meshes]) if share is None else share
+
+    def chart(index: int) -> Chart:
+        found = own[index]
+        if found is None:
+            width, height = (int(x) for x in texels[index])
+            with _borrowed(idle) as maker:
+                found = atlas_chart(bare[index], width, height, areas[index], float(density[index]), maker, spare)
+            if found is None:
+                found = grid_chart(bare[index], _grid_density(areas[index], width * height), LARGEST, width * height)
+        done(meshes[index].name)
+        return found
+
+    count = threads.threads(len(meshes), 1)
+    makers = [AtlasMaker(number, seconds) for number in range(count)]
+    idle: queue.Queue[AtlasMaker] = queue.Queue()
+    for maker in makers:
+        idle.put(maker)
+    try:
+        with ThreadPoolExecutor(count) as pool:
+            futures = {int(index): pool.submit(chart, int(index)) for index in np.argsort(-first, kind="stable")}
+            return [futures[index].result() for index in range(len(meshes))]
+    finally:
+        for maker in makers:
+            maker.close()
+
+
+@contextmanager
+def _borrowed(idle: queue.Queue[AtlasMaker]) -> Iterator[AtlasMaker]:
+    """One of the idle makers, which nobody else uses meanwhile."""
+    maker = idle.get()
+    try:
+        yield maker
+    finally:
+        idle.put(maker)
+
+
+def _kept(own: list[Chart | None]) -> np.ndarray:
+    return np.array([found is not None for found in own]).reshape(-1, 1)
+
+
+def _left(budget: int, own: list[Chart | None]) -> int:
+    """Texels that are left of the budget beside the textures that are settled."""
+    return max(budget - sum(found.width * found.height for found in own if found is not None), budget // 4)
+
+
+def _or_nothing(sizes: list[TextureSize], own: list[Chart | None]) -> list[TextureSize]:
+    return [TextureSize(0.0, 0.0) if found else size for size, found in zip(sizes, own, strict=True)]
+
+
+def _grid_density(area: float, texels: int) -> float:
+    """Texels per unit of length of which squares for all triangles fill about ``texels`` ones."""
+    return float(np.sqrt(0.35 * texels / area)) if area > 0 else 1.0

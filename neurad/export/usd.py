@@ -1,0 +1,268 @@
+"""``room.usdc``: meshes, ``UsdPreviewSurface`` materials, cameras and the environment, by the optional ``usd-core``.
+
+Textures are those of ``scene.glb`` as files. As in the other files, vertices are those of the input and so are the
+cameras; one rotation at the root turns rooms whose up axis USD does not know.
+"""
+
+from __future__ import annotations
+
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from neurad.core.errors import InputError
+from neurad.core.records import Constant, EnvironmentMap, FloatArray, Material, Mesh, Texture, View
+from neurad.core.reflection import PrincipledModel
+from neurad.export.axes import rotation
+from neurad.export.base_colour import Target, base_for
+from neurad.export.cameras import clip_planes, is_plain
+from neurad.export.gltf import unit_normals
+from neurad.export.images import Coded
+from neurad.export.raster_kernels import Array
+from neurad.export.room import Room
+from neurad.runtime.reading import quiet
+
+FILE = "room.usdc"
+MISSING = f"{FILE}: the package usd-core is missing (pip install 'neurad[usd]')"
+METERS_PER_UNIT = 1.0
+"""A scene does not say how long its unit is; a metre is what glTF takes it for, too."""
+FILM = 0.36
+"""Width of the film, in tenths of a unit as USD has it: 36 mm."""
+
+
+def has_usd() -> bool:
+    """Whether the package is there."""
+    return find_spec("pxr") is not None
+
+
+def save_textures(folder: Path, name: str, files: Coded) -> None:
+    """Write the textures of a mesh to where :func:`write_usd` refers to them; ``textures/`` is there.
+
+    Raises:
+        OSError: a file cannot be written.
+    """
+    (folder / _base_file(name)).write_bytes(files.base)
+    (folder / _orm_file(name)).write_bytes(files.orm)
+
+
+def write_usd(room: Room, folder: Path, target: Target) -> None:
+    """Write a room as ``room.usdc``.
+
+    Args:
+        room: what to write.
+        folder: of the file; it has the textures already.
+        target: whose base colours they have; stands in the layer's custom data.
+
+    Raises:
+        InputError: the file cannot be written.
+    """
+    from pxr import Sdf, Tf, Usd
+
+    stage = Usd.Stage.CreateInMemory()
+    _Stage(stage, room, target).fill()
+    layer = Sdf.Layer.CreateAnonymous(".usdc")
+    layer.TransferContent(stage.GetRootLayer())
+    try:
+        with quiet():
+            written = layer.Export(str(folder / FILE))
+    except Tf.ErrorException:
+        written = False
+    if not written:
+        raise InputError(f"{folder / FILE}: usd-core cannot write it; is its disk full, or are large files forbidden?")
+
+
+def _base_file(name: str) -> str:
+    return f"textures/{name}_base_color.png"
+
+
+def _orm_file(name: str) -> str:
+    return f"textures/{name}_orm.png"
+
+
+class _Stage:
+    """A stage that a room is put on.
+
+    Args:
+        stage: an empty one.
+        room: what to put on it.
+        target: whose base colours it has.
+    """
+
+    def __init__(self, stage: Any, room: Room, target: Target) -> None:
+        self.stage = stage
+        self.room = room
+        self.target = target
+        self._taken: set[str] = set()
+
+    def fill(self) -> None:
+        """Put everything on the stage."""
+        from pxr import Gf, UsdGeom
+
+        up = "Z" if self.room.up == "z" else "Y"
+        UsdGeom.SetStageUpAxis(self.stage, up)
+        UsdGeom.SetStageMetersPerUnit(self.stage, METERS_PER_UNIT)
+        root = UsdGeom.Xform.Define(self.stage, "/room")
+        self.stage.SetDefaultPrim(root.GetPrim())
+        self.stage.GetRootLayer().customLayerData = {"base_color_for": self.target, "up": self.room.up}
+        if self.room.up not in ("y", "z"):
+            turn = np.eye(4)
+            turn[:3, :3] = rotation(self.room.up)
+            root.AddTransformOp().Set(Gf.Matrix4d(*turn.T.ravel().tolist()))
+        for scope in ("materials", "meshes", "cameras"):
+            UsdGeom.Scope.Define(self.stage, f"/room/{scope}")
+        scene = self.room.scene
+        for index, mesh in enumerate(scene.meshes):
+            material = scene.materials[mesh.material]
+            surface = self._material(self.room.names[index], mesh, material, self.room.baked[index] is not None)
+            self._mesh(self.room.names[index], mesh, material.two_sided, surface)
+        for view in filter(lambda view: is_plain(view.camera), (*scene.train, *scene.test)):
+            self._camera(view)
+        if scene.environment is not None:
+            self._environment(scene.environment)
+
+    def _path(self, scope: str, name: str) -> str:
+        """A path that no other prim has: names are identifiers."""
+        from pxr import Tf
+
+        stem = f"/room/{scope}/{Tf.MakeValidIdentifier(name)}"
+        path, count = stem, 1
+        while path in self._taken:
+            count += 1
+            path = f"{stem}_{count}"
+        self._taken.add(path)
+        return path
+
+    def _mesh(self, name: str, mesh: Mesh, two_sided: bool, material: Any) -> None:
+        from pxr import Sdf, UsdGeom, UsdShade, Vt
+
+        prim = UsdGeom.Mesh.Define(self.stage, self._path("meshes", name))
+        prim.CreatePointsAttr(Vt.Vec3fArray.FromNumpy(_floats(mesh.vertices)))
+        prim.CreateFaceVertexCountsAttr(Vt.IntArray.FromNumpy(np.full(len(mesh.faces), 3, np.int32)))
+        corners = np.ascontiguousarray(mesh.faces.ravel(), np.int32)
+        prim.CreateFaceVertexIndicesAttr(Vt.IntArray.FromNumpy(corners))
+        prim.CreateSubdivisionSchemeAttr(UsdGeom.Tokens.none)
+        prim.CreateOrientationAttr(UsdGeom.Tokens.rightHanded)
+        prim.CreateDoubleSidedAttr(two_sided)
+        box = np.stack((mesh.vertices.min(0), mesh.vertices.max(0)))
+        prim.CreateExtentAttr(Vt.Vec3fArray.FromNumpy(_floats(box)))
+        if mesh.normals is not None:
+            prim.CreateNormalsAttr(Vt.Vec3fArray.FromNumpy(_floats(unit_normals(mesh))))
+            prim.SetNormalsInterpolation(UsdGeom.Tokens.vertex)
+        if mesh.uvs is not None:
+            uvs = np.stack((mesh.uvs[:, 0], 1.0 - mesh.uvs[:, 1]), 1)  # rows of USD's pictures count from below
+            values = UsdGeom.PrimvarsAPI(prim).CreatePrimvar(
+                "st", Sdf.ValueTypeNames.TexCoord2fArray, UsdGeom.Tokens.vertex
+            )
+            values.Set(Vt.Vec2fArray.FromNumpy(_floats(uvs)))
+        UsdShade.MaterialBindingAPI.Apply(prim.GetPrim()).Bind(material)
+
+    def _material(self, name: str, mesh: Mesh, material: Material, textured: bool) -> Any:
+        """The material of a mesh: a ``UsdPreviewSurface`` with textures or constants."""
+        from pxr import Sdf, UsdShade
+
+        made = UsdShade.Material.Define(self.stage, self._path("materials", name))
+        path = str(made.GetPath())
+        shader = UsdShade.Shader.Define(self.stage, f"{path}/surface")
+        shader.CreateIdAttr("UsdPreviewSurface")
+        made.CreateSurfaceOutput().ConnectToSource(shader.ConnectableAPI(), "surface")
+        for key, kind, value in _inputs(mesh, material):
+            shader.CreateInput(key, getattr(Sdf.ValueTypeNames, kind)).Set(value)
+        colour = shader.CreateInput("diffuseColor", Sdf.ValueTypeNames.Color3f)
+        rough = shader.CreateInput("roughness", Sdf.ValueTypeNames.Float)
+        if not textured:
+            base, roughness = _constants(material, self.target)
+            colour.Set(tuple(base))
+            rough.Set(roughness)
+            return made
+        reader = UsdShade.Shader.Define(self.stage, f"{path}/st")
+        reader.CreateIdAttr("UsdPrimvarReader_float2")
+        reader.CreateInput("varname", Sdf.ValueTypeNames.String).Set("st")
+        st = reader.CreateOutput("result", Sdf.ValueTypeNames.Float2)
+        base_file, orm_file = _base_file(name), _orm_file(name)
+        colour.ConnectToSource(self._texture(f"{path}/base_color", base_file, "sRGB", st, "rgb"))
+        rough.ConnectToSource(self._texture(f"{path}/orm", orm_file, "raw", st, "g"))
+        return made
+
+    def _texture(self, path: str, file: str, space: str, st: Any, channel: str) -> Any:
+        """The output of a picture."""
+        from pxr import Sdf, UsdShade
+
+        shader = UsdShade.Shader.Define(self.stage, path)
+        shader.CreateIdAttr("UsdUVTexture")
+        shader.CreateInput("file", Sdf.ValueTypeNames.Asset).Set(Sdf.AssetPath(f"./{file}"))
+        shader.CreateInput("sourceColorSpace", Sdf.ValueTypeNames.Token).Set(space)
+        for wrap in ("wrapS", "wrapT"):
+            shader.CreateInput(wrap, Sdf.ValueTypeNames.Token).Set("clamp")
+        shader.CreateInput("st", Sdf.ValueTypeNames.Float2).ConnectToSource(st)
+        kind = Sdf.ValueTypeNames.Float3 if channel == "rgb" else Sdf.ValueTypeNames.Float
+        return shader.CreateOutput(channel, kind)
+
+    def _camera(self, view: View) -> None:
+        from pxr import Gf, UsdGeom
+
+        camera, prim = view.camera, UsdGeom.Camera.Define(self.stage, self._path("cameras", view.name))
+        prim.GetPrim().SetDisplayName(view.name)
+        prim.CreateProjectionAttr(UsdGeom.Tokens.perspective)
+        prim.CreateHorizontalApertureAttr(FILM)
+        prim.CreateVerticalApertureAttr(FILM * camera.height / camera.width)
+        prim.CreateFocalLengthAttr(0.5 * FILM / np.tan(0.5 * camera.fov_x))
+        prim.CreateClippingRangeAttr(Gf.Vec2f(*clip_planes(self.room.scene, camera)))
+        prim.AddTransformOp().Set(_matrix(np.asarray(camera.to_world, np.float64)))
+
+    def _environment(self, environment: EnvironmentMap) -> None:
+        """A dome: its map lies as in the specification of OpenEXR, which is how ours does."""
+        from pxr import Sdf, UsdLux
+
+        dome = UsdLux.DomeLight.Define(self.stage, "/room/environment")
+        dome.CreateTextureFileAttr(Sdf.AssetPath("./environment.exr"))
+        dome.CreateTextureFormatAttr(UsdLux.Tokens.latlong)
+        dome.CreateIntensityAttr(1.0)
+        pose = np.eye(4)
+        pose[:3, :3] = np.asarray(environment.to_world, np.float64)[:3, :3]
+        dome.AddTransformOp().Set(_matrix(pose))
+
+
+def _inputs(mesh: Mesh, material: Material) -> list[tuple[str, str, Any]]:
+    """Name, type and value of what a surface has besides base colour and roughness."""
+    model = material.model
+    inputs: list[tuple[str, str, Any]] = []
+    if model.delta is not None:
+        inputs += [("metallic", "Float", 0.0 if model.delta.transmits else 1.0)]
+        if model.delta.transmits:
+            inputs += [("opacity", "Float", 0.0), ("ior", "Float", float(model.delta.eta))]
+    elif model.is_diffuse:  # no coat: black in one workflow, and an index that reflects nothing for the other
+        inputs += [("useSpecularWorkflow", "Int", 1), ("specularColor", "Color3f", (0.0, 0.0, 0.0))]
+        inputs += [("ior", "Float", 1.0)]
+    elif isinstance(model, PrincipledModel):
+        inputs += [("metallic", "Float", float(model.metallic)), ("ior", "Float", float(model.eta))]
+    if mesh.radiance is not None and mesh.radiance.max() > 0:
+        inputs += [("emissiveColor", "Color3f", tuple(float(x) for x in mesh.radiance))]
+    return inputs
+
+
+def _constants(material: Material, target: Target) -> tuple[list[float], float]:
+    """Base colour and roughness of a surface without textures."""
+
+    def value(texture: Texture, channels: int) -> FloatArray:
+        found = texture.value if isinstance(texture, Constant) else np.float32(0.5)
+        return np.asarray(np.broadcast_to(found, channels), np.float32)
+
+    colour = value(material.albedo, 3)
+    if material.model.is_delta:
+        return [float(x) for x in colour], 0.0
+    rough = value(material.roughness, 1)
+    base = np.clip(base_for(target, colour, rough), 0.0, 1.0)
+    return [float(x) for x in base], min(max(float(rough[0]), 0.0), 1.0)
+
+
+def _matrix(pose: Array) -> Any:
+    """A transform [4, 4] as USD has it: vectors stand on its left."""
+    from pxr import Gf
+
+    return Gf.Matrix4d(*pose.T.ravel().tolist())
+
+
+def _floats(values: Any) -> FloatArray:
+    return np.ascontiguousarray(values, np.float32)

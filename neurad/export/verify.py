@@ -1,0 +1,171 @@
+"""The proof: an exported folder, rendered again, against the fields that it was baked from and the photographs."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import partial
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from neurad.assembly.build import Assembly, build_world
+from neurad.core.protocols import Materials
+from neurad.core.records import FloatArray, Surface, SurfaceInteraction, View
+from neurad.core.rng import mix
+from neurad.export.cameras import shown_alike
+from neurad.export.pictures import Draw, Pictures
+from neurad.export.progress import Progress
+from neurad.export.room import Room
+from neurad.export.seams import find_seams
+from neurad.export.verified import Verified
+from neurad.integrators.film import render
+from neurad.integrators.renderer import path_tracer
+from neurad.metrics.held_out import HeldOut
+from neurad.metrics.scores import psnr
+from neurad.scene.description import Scene
+from neurad.scene.geometry import Geometry
+from neurad.scene.image_io import read_exr
+from neurad.scene.textures import TrueMaterials
+
+SEED = 20260101
+Cycles = Callable[[list[View], int, int], list[FloatArray]]
+"""Renders views of ``scene.glb`` with so many samples a pixel and a seed."""
+
+
+@dataclass(frozen=True)
+class _OnGeometry:
+    """Materials of a run, asked at points of the exported meshes: same triangles, other texture coordinates."""
+
+    materials: Materials
+    geometry: Geometry
+
+    def _own(self, si: SurfaceInteraction) -> SurfaceInteraction:
+        u, v = si.bary.unbind(-1)
+        return self.geometry.interact_at(si.prim, u.contiguous(), v.contiguous(), si.wo, si.valid)
+
+    def __call__(self, si: SurfaceInteraction) -> Surface:
+        """BSDF parameters at the lanes of ``si``."""
+        return self.materials(self._own(si))
+
+    def albedo(self, si: SurfaceInteraction) -> Tensor:
+        """The albedo alone [n, 3]."""
+        return self.materials.albedo(self._own(si))
+
+
+def verify(
+    room: Room, assembly: Assembly, folder: Path, spp: int, cycles: Cycles | None, progress: Progress
+) -> Verified:
+    """Render an exported folder again.
+
+    Args:
+        room: what was written.
+        assembly: of the run.
+        folder: where it was written to.
+        spp: samples a pixel of each pass.
+        cycles: renders views of ``scene.glb``; None leaves that out.
+        progress: is told of meshes and passes.
+    """
+    views = shown_alike(room.scene)
+    found = Verified(views, held_out=bool(room.scene.test))
+    found.photographs = [None if v.image is None else read_exr(v.image)[..., :3] for v in views]
+    progress.stage("seams", len(room.names))
+    found.seams = find_seams(room, assembly.world.geometry, assembly.materials, done=progress.step)
+    scene = replace(_read_again(room, folder, found), train=room.scene.train, test=views)
+    fraction = assembly.settings.sampling.specular_fraction
+    world = build_world(scene, hide_environment=room.hide_environment, specular_fraction=fraction)
+    baked = TrueMaterials(scene, world.geometry)
+    fields = _OnGeometry(assembly.materials, assembly.world.geometry)
+    progress.stage("maps", 1)
+    _compare_maps(found, scene, HeldOut(scene, world.geometry, world.tracer.tracer), fields, baked)
+    draws = {"baked": _ours(world, baked, scene, spp), "fields": _ours(world, fields, scene, spp)}
+    if find_spec("mitsuba") is None:
+        found.left_out.append("Mitsuba: the package mitsuba is missing (pip install 'neurad[mitsuba]')")
+    else:
+        draws["mitsuba"] = _mitsuba(folder / "scene.xml", spp, room)
+    _render(found, draws, progress)
+    if cycles is None:
+        found.left_out.append("Cycles: --blender names no Python with bpy and no Blender")
+    else:
+        progress.stage("cycles", 2)
+        _render_cycles(found, cycles, spp, progress)
+    found.judge()
+    return found
+
+
+def _render_cycles(found: Verified, cycles: Cycles, spp: int, progress: Progress) -> None:
+    """Two passes of all views, with as many samples as neurad took."""
+    most = spp * max(found.pictures["baked"].passes)
+    passes = []
+    for seed in (1, 2):
+        passes.append(cycles(found.views, max(most // 2, 1), seed))
+        progress.step()
+    found.pictures["cycles"] = Pictures()
+    for pair, photo in zip(zip(*passes, strict=True), found.photographs, strict=True):
+        found.pictures["cycles"].add(pair.__getitem__, photo, 2)
+
+
+def _read_again(room: Room, folder: Path, found: Verified) -> Scene:
+    """The scene of ``scene.xml``, or what was written to it where nothing can read it."""
+    if find_spec("mitsuba") is None:
+        found.left_out.append("reading scene.xml: the package mitsuba is missing")
+        return room.scene
+    from neurad.scene.readers.mitsuba_xml import read_xml
+
+    return read_xml(folder / "scene.xml")
+
+
+def _compare_maps(found: Verified, scene: Scene, held_out: HeldOut, fields: Materials, baked: Materials) -> None:
+    """Scores of both materials against the truth, and of the baked ones against the fields."""
+    of_fields, of_baked = held_out.predict(fields), held_out.predict(baked)
+    for name, maps in (("fields", of_fields), ("baked", of_baked)):
+        scores = held_out.score(maps)
+        for key in ("albedo_psnr", "roughness_psnr"):
+            if key in scores:
+                found.scores[f"{key}_{name}"] = scores[key]
+    for key in ("albedo", "roughness") if held_out.has_roughness else ("albedo",):
+        square = [np.square(a[key] - b[key]).mean() for a, b in zip(of_fields, of_baked, strict=True)]
+        found.scores[f"{key}_baked_to_fields_psnr"] = min(psnr(float(np.mean(square))), 200.0)
+
+
+def _ours(world: Any, materials: Materials, scene: Scene, spp: int) -> Draw:
+    """Neurad's path tracer; the same seeds give both materials the same random numbers."""
+    tracer = path_tracer(world, materials, scene.max_depth, scene.rr_depth)
+
+    def draw(index: int, seed: int) -> FloatArray:
+        with torch.no_grad():
+            shown = render(scene.test[index].camera, tracer, spp, mix(SEED, index, seed))
+        return np.asarray(shown.numpy(), np.float32)
+
+    return draw
+
+
+def _mitsuba(path: Path, spp: int, room: Room) -> Draw:
+    """Mitsuba on ``scene.xml`` as it stands; its sensors are the views in order."""
+    import mitsuba as mi
+
+    if mi.variant() is None:
+        mi.set_variant("scalar_rgb")
+    loaded: Any = mi.load_file(str(path))
+    module: Any = mi
+
+    def draw(index: int, seed: int) -> FloatArray:
+        return np.array(module.render(loaded, sensor=index, spp=spp, seed=mix(SEED, index, seed) & 0xFFFFFF))[..., :3]
+
+    return draw
+
+
+def _render(found: Verified, draws: dict[str, Draw], progress: Progress) -> None:
+    """Passes of every view until the means are known well enough."""
+    for name, draw in draws.items():
+        progress.stage(name, len(found.views))
+        found.pictures[name] = Pictures()
+        for index, photo in enumerate(found.photographs):
+            found.pictures[name].add(partial(draw, index), photo)
+            progress.step()
+        if (score := found.psnr(name)) is not None:
+            found.scores[f"picture_psnr_{name}"] = score

@@ -1,0 +1,267 @@
+"""From what other programs write to a scene folder: ``neurad data``."""
+
+from __future__ import annotations
+
+import os
+import shutil
+import sys
+from collections.abc import Callable, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, field
+from pathlib import Path, PurePosixPath
+
+import numpy as np
+
+from neurad.core.errors import InputError
+from neurad.core.ranges import Positive, checked
+from neurad.core.records import Mesh, View
+from neurad.runtime.files import writing
+from neurad.runtime.reading import exists, folder, regular_file, shown
+from neurad.scene.load import read_folder
+from neurad.scene.numbers import RADIANCE, number
+from neurad.scene.picture_headers import check_exr
+from neurad.scene.readers.colmap import read_model
+from neurad.scene.readers.fipt import MESH, read_room
+from neurad.scene.readers.mesh_files import read_meshes
+from neurad.scene.readers.nerf import Split, read_one, read_split
+from neurad.scene.readers.polycam import read_export
+from neurad.scene.room_folder import Matrix, Room, bounds_of, held_up, turned, write_room
+
+PART = ".part"
+"""Ends the name of a folder that is being written."""
+
+
+@dataclass(frozen=True)
+class ImportSettings:
+    """What to make a scene folder of."""
+
+    kind: str
+    """One of :data:`SOURCES`."""
+    source: Path
+    out: Path
+    mesh: list[Path] = field(default_factory=list)
+    """Mesh files; none for the one that the source has."""
+    images: Path | None = None
+    """Folder of the photographs as EXR, where they do not lie with the others."""
+    up: str | None = None
+    """Axis of the meshes that points up; None leaves them as they are."""
+    scale: Positive = 1.0
+    """Length of the meshes' unit in the cameras'."""
+    lamp: list[str] = field(default_factory=list)
+    """Meshes that shine, each as ``NAME=R,G,B``."""
+    environment: Path | None = None
+    """Environment map that lights the room (EXR)."""
+    copy: bool = False
+    """Copy files instead of linking to them."""
+
+    def __post_init__(self) -> None:
+        """Refuse numbers outside their ranges."""
+        checked(self)
+
+
+class Photographs:
+    """Finds the EXR file of a photograph by the name that a source gives it.
+
+    Args:
+        places: folders to look in, one after the other.
+    """
+
+    def __init__(self, *places: Path) -> None:
+        self.places = places
+
+    def __call__(self, name: str, where: str) -> Path:
+        """The file.
+
+        Raises:
+            InputError: there is none, or the name leads out of the folder; begins with ``where``.
+        """
+        path = PurePosixPath(name.replace("\\", "/"))
+        if path.is_absolute() or ".." in path.parts or not path.name or ":" in path.parts[0]:
+            raise InputError(f"{where}: the name of its photograph, {shown(repr(name))}, leads out of the folder")
+        flat = path.with_suffix(".exr") if path.suffix else path.with_name(path.name + ".exr")
+        names = dict.fromkeys((flat, path.with_name(path.name + ".exr"), PurePosixPath(flat.name)))
+        for place in self.places:
+            for candidate in names:
+                if exists(place / candidate):
+                    return regular_file(place / candidate)
+        other = next((place / path for place in self.places if exists(place / path)), None)
+        looked = " or ".join(shown(place) for place in self.places)
+        if other is not None:
+            raise InputError(
+                f"{where}: its photograph {shown(other)} is no EXR file; light is computed from scene-linear EXR: put "
+                f"{shown(flat.name)} beside it, or name the folder of those files with --images"
+            )
+        raise InputError(f"{where}: its photograph {shown(flat)} is in none of {looked}")
+
+
+def _nerfstudio(source: Path, images: Path | None) -> Split:
+    photographs = Photographs(*([images] if images else [source]))
+    if exists(source / "transforms_train.json") and not exists(source / "transforms.json"):
+        return read_split(source, photograph=photographs)
+    return read_one(source, 0, photographs)
+
+
+def _colmap(source: Path, images: Path | None) -> Split:
+    return Split(read_model(source, Photographs(*([images] if images else [source / "images", source]))), [])
+
+
+def _polycam(source: Path, images: Path | None) -> Split:
+    keyframes = source / "keyframes" if exists(source / "keyframes") else source
+    own = [keyframes / "corrected_images", keyframes / "images"]
+    return read_export(source, Photographs(*([images] if images else own)))
+
+
+def _fipt(source: Path, images: Path | None) -> Split:
+    if images is not None:
+        raise InputError("--images: the data of FIPT say themselves where their photographs are; leave it out")
+    return read_room(source)
+
+
+SOURCES: dict[str, tuple[Callable[[Path, Path | None], Split], str]] = {
+    "nerfstudio": (_nerfstudio, "a folder with transforms.json"),
+    "colmap": (_colmap, "a project or model: cameras and images, .bin or .txt"),
+    "polycam": (_polycam, "Polycam's raw data: keyframes/corrected_cameras"),
+    "fipt": (_fipt, "a room of FIPT or IRIS, rendered or photographed"),
+}
+"""What reads a source, and what it is."""
+
+
+def import_room(settings: ImportSettings) -> None:
+    """Make the scene folder, whole or not at all, and say what is in it.
+
+    Raises:
+        InputError: a file is missing or broken, a number out of range, the cameras and photographs do not fit, or the
+            folder is there already.
+    """
+    out = _free(settings.out)
+    source = folder(settings.source, "SRC")
+    images = None if settings.images is None else folder(settings.images, "--images")
+    lamps = _lamps(settings.lamp)
+    environment = None if settings.environment is None else _environment(settings.environment)
+    views = SOURCES[settings.kind][0](source, images)
+    for view in (*views.train, *views.test):
+        _check_size(view)
+        _check_place(view, [source] if images is None else [source, images])
+    paths = settings.mesh or ([source / MESH] if settings.kind == "fipt" else [])
+    if not paths and (lamps or settings.up or environment):
+        raise InputError("--lamp, --up and --environment are about what --mesh names, and there is no --mesh")
+    to_cameras = _placed(settings, views)
+    room = Room(views, [read_meshes(path) for path in paths], to_cameras, lamps, environment, settings.copy)
+    part = out.with_name(out.name + PART)
+    with writing(part, "--out"):
+        part.mkdir(parents=True)
+    try:
+        meshes = write_room(room, part)
+        if meshes:
+            _check(part, out)
+        with writing(out, "--out"):
+            part.rename(out)
+    except BaseException:
+        with suppress(OSError):
+            shutil.rmtree(part)
+        raise
+    _say(room, meshes, out)
+
+
+def _free(path: Path) -> Path:
+    """The folder to write, which must not be there, or empty."""
+    out = Path(path).expanduser()
+    with writing(out, "--out"):
+        out = out.parent.resolve() / out.name if out.name not in ("", "..") else out.resolve()
+        taken = out.exists() and (not out.is_dir() or any(out.iterdir()))
+    if taken:
+        raise InputError(f"--out {shown(out)}: it is there already; name a folder that is not")
+    return out
+
+
+def _lamps(words: Sequence[str]) -> dict[str, tuple[float, float, float]]:
+    found = {}
+    for word in words:
+        name, _, values = word.rpartition("=")
+        try:
+            r, g, b = (float(x) for x in values.split(","))
+        except ValueError as error:
+            raise InputError(f"--lamp {shown(word)}: it is not NAME=R,G,B with three numbers") from error
+        if not name:
+            raise InputError(f"--lamp {shown(word)}: it is not NAME=R,G,B with three numbers")
+        r, g, b = (number(x, f"--lamp {shown(name)}: its radiance", 0.0, RADIANCE) for x in (r, g, b))
+        found[name] = (r, g, b)
+    return found
+
+
+def _environment(path: Path) -> Path:
+    check_exr(regular_file(path, "there is no such environment map"))
+    return path
+
+
+def _check_size(view: View) -> None:
+    assert view.image is not None
+    width, height = check_exr(Path(view.image))
+    camera = view.camera
+    if (width, height) != (camera.width, camera.height):
+        raise InputError(
+            f"{shown(view.image)}: it has {width} x {height} pixels, its camera {camera.width} x {camera.height}; "
+            "calibrate for the photographs at their own size, or scale them to the camera's"
+        )
+
+
+def _check_place(view: View, places: Sequence[Path]) -> None:
+    """Masks and maps, too, lie where the source is: a camera file of others links to nothing else."""
+    for file in filter(None, (view.mask, view.albedo, view.roughness)):
+        if not any(Path(os.path.abspath(file)).is_relative_to(place) for place in places):
+            raise InputError(f"{shown(file)}: its name in the camera file leads out of the folder {shown(places[0])}")
+
+
+def _placed(settings: ImportSettings, views: Split) -> Matrix:
+    """What takes the meshes to the frame of the cameras."""
+    if settings.up is None:
+        return np.diag([settings.scale] * 3 + [1.0])
+    to = held_up([*views.train, *views.test])
+    print(f"neurad: {settings.up} of the mesh is turned to {to}, which the cameras hold up", file=sys.stderr)
+    return turned(settings.up, to, settings.scale)
+
+
+def _check(part: Path, out: Path) -> None:
+    """Read the folder as a fit does; a light may still be missing."""
+    try:
+        scene = read_folder(part)
+        if scene.features.has_area_lights or scene.features.has_environment:
+            scene.check()
+    except InputError as error:
+        raise InputError(str(error).replace(str(part), str(out))) from error
+
+
+def _say(room: Room, meshes: Sequence[Mesh], out: Path) -> None:
+    """What the folder has, and what it lacks."""
+    views = [*room.views.train, *room.views.test]
+    sizes = dict.fromkeys(f"{view.camera.width} x {view.camera.height}" for view in views)
+    held = f", {len(room.views.test)} of them held out" if room.views.test else ""
+    print(f"{shown(out)}: {len(views)} photographs of {' or '.join(sizes)} pixels{held}")
+    for note in room.views.notes:
+        print(f"neurad: {note}", file=sys.stderr)
+    if not meshes:
+        print("no --mesh was given: put a scene.xml with geometry and lights into the folder")
+        return
+    low, high = bounds_of(room)
+    print(f"{len(meshes)} meshes, {sum(len(mesh.faces) for mesh in meshes)} triangles, {_box(low)} to {_box(high)}")
+    eyes = np.stack([view.camera.to_world[:3, 3] for view in views])
+    inside = ((eyes >= low) & (eyes <= high)).all(1)
+    print(f"cameras between {_box(eyes.min(0))} and {_box(eyes.max(0))}, {int(inside.sum())} of {len(eyes)} inside")
+    if 2 * inside.sum() < len(eyes):
+        print("neurad: warning: most cameras lie outside of the mesh's box; check --up and --scale", file=sys.stderr)
+    shining = [mesh.name for mesh in meshes if mesh.radiance is not None]
+    if shining:
+        print(f"lamps: {', '.join(shown(name) for name in shining)}")
+    elif room.environment is None:
+        names = ", ".join(shown(mesh.name) for mesh in meshes[:12])
+        print(
+            f"neurad: warning: nothing in the room shines, so it cannot be fitted yet: give --lamp NAME=R,G,B (meshes: "
+            f"{names}{' ...' if len(meshes) > 12 else ''}), a material with Ke in the OBJ file's MTL, or --environment",
+            file=sys.stderr,
+        )
+        return
+    print(f"neurad fit --config scene.yaml --data.root {shown(out)}")
+
+
+def _box(corner: Matrix) -> str:
+    return f"({', '.join(f'{x:.3g}' for x in corner)})"

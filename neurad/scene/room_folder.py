@@ -1,0 +1,211 @@
+"""A scene folder of views and meshes that come from elsewhere: links to photographs, one camera file, ``scene.xml``."""
+
+from __future__ import annotations
+
+import json
+import re
+import unicodedata
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from xml.etree import ElementTree
+
+import numpy as np
+import numpy.typing as npt
+
+from neurad.core.errors import InputError
+from neurad.core.records import FloatArray, Mesh, View
+from neurad.runtime.files import place, writing
+from neurad.runtime.reading import shown
+from neurad.scene.ply import write_ply
+from neurad.scene.readers.mesh_files import MeshFile
+from neurad.scene.readers.nerf import Split
+from neurad.scene.transforms import transforms
+
+Matrix = npt.NDArray[np.float64]
+
+UP = {f"{sign}{axis}": i * 2 + (sign == "-") for i, axis in enumerate("xyz") for sign in ("", "-")}
+"""Axes that may point up."""
+_TILT = 0.8  # smallest cosine between the mean of what cameras hold up and an axis
+
+
+@dataclass(frozen=True)
+class Room:
+    """What a scene folder is made of."""
+
+    views: Split
+    meshes: list[MeshFile]
+    to_cameras: Matrix
+    """Takes the meshes to the frame of the cameras [4, 4]."""
+    lamps: dict[str, tuple[float, float, float]]
+    """Radiance of meshes by their names, besides that which files give."""
+    environment: Path | None = None
+    copy: bool = False
+    """Copy photographs and meshes instead of linking to them."""
+
+
+def axis(name: str) -> Matrix:
+    """The unit vector of one of :data:`UP`."""
+    index = UP[name]
+    vector = np.zeros(3)
+    vector[index // 2] = -1.0 if index % 2 else 1.0
+    return vector
+
+
+def held_up(views: Sequence[View]) -> str:
+    """The axis that cameras hold up on average.
+
+    Raises:
+        InputError: there is no such axis.
+    """
+    mean = np.mean([view.camera.to_world[:3, 1] for view in views], axis=0)
+    name = max(UP, key=lambda name: float(axis(name) @ mean))
+    if axis(name) @ mean < _TILT * np.linalg.norm(mean) or np.linalg.norm(mean) < 0.1:
+        raise InputError(
+            f"--up: the cameras hold no axis up (on average {', '.join(f'{x:.2f}' for x in mean)}), so the mesh cannot "
+            "be turned to theirs; turn it in the program that it comes from"
+        )
+    return name
+
+
+def turned(up: str, to: str, scale: float) -> Matrix:
+    """The similarity that takes an axis to another by the shortest way and scales [4, 4]."""
+    a, b = axis(up), axis(to)
+    matrix = np.eye(4)
+    if a @ b < -0.5:  # straight down: half a turn about an axis beside it
+        side = axis("x" if abs(a[0]) < 0.5 else "y")
+        matrix[:3, :3] = 2.0 * np.outer(side, side) - np.eye(3)
+    elif a @ b < 0.5:
+        cross = np.cross(a, b)
+        matrix[:3, :3] = np.outer(b, a) - np.outer(a, b) + np.outer(cross, cross)
+    matrix[:3, :3] *= scale
+    return matrix
+
+
+def write_room(room: Room, out: Path) -> list[Mesh]:
+    """Write the folder.
+
+    Args:
+        room: what it is made of.
+        out: a folder that is there and empty.
+
+    Returns:
+        The meshes as they are in it, with their names and the radiance of lamps.
+
+    Raises:
+        InputError: a name of a lamp is none of a mesh, or the system refused to write.
+    """
+    meshes = _named_apart(room)
+    shining = {mesh.name for mesh in meshes}
+    if unknown := [name for name in room.lamps if name not in shining]:
+        raise InputError(f"--lamp: there is no mesh {shown(unknown[0])}, there are {_listed(sorted(shining))}")
+    meshes = [
+        replace(mesh, radiance=np.array(room.lamps[mesh.name], np.float32)) if mesh.name in room.lamps else mesh
+        for mesh in meshes
+    ]
+    with writing(out, "--out"):
+        _write_views(room, out)
+        _write_surfaces(room, meshes, out)
+    return meshes
+
+
+def _named_apart(room: Room) -> list[Mesh]:
+    """All meshes, no two of one name."""
+    taken: set[str] = set()
+    meshes = []
+    for file in room.meshes:
+        for mesh in file.meshes:
+            name, count = mesh.name, 1
+            while name in taken:
+                count += 1
+                name = f"{mesh.name}-{count}"
+            taken.add(name)
+            meshes.append(replace(mesh, name=name))
+    return meshes
+
+
+def file_name(name: str, taken: set[str]) -> str:
+    """A name for a file that XML, shells and other systems take, none of ``taken``, to which it is added."""
+    plain = unicodedata.normalize("NFKD", name).encode("ascii", "ignore").decode()
+    stem = re.sub(r"[^A-Za-z0-9_-]+", "_", plain).strip("_")[:60] or "part"
+    made, count = stem, 1
+    while made.lower() in taken:  # some systems do not tell capitals apart
+        count += 1
+        made = f"{stem}_{count}"
+    taken.add(made.lower())
+    return made
+
+
+def _write_views(room: Room, out: Path) -> None:
+    """Camera files, and what they name."""
+    taken: set[str] = set()
+    parts = {"": room.views.train}
+    if room.views.stated:
+        parts = {"_train": room.views.train, "_test": room.views.test}
+    for part, views in parts.items():
+        if not views:
+            continue
+        named = [replace(view, name=file_name(view.name, taken)) for view in views]
+        described = transforms(named)
+        for view, frame in zip(named, described["frames"], strict=True):
+            files = {"file_path": ("images", view.image), "albedo_path": ("albedo", view.albedo)}
+            files |= {"roughness_path": ("roughness", view.roughness), "mask_path": ("masks", view.mask)}
+            for key, (folder, source) in files.items():
+                frame.pop(key, None)
+                if source is not None:
+                    frame[key] = f"{folder}/{view.name}{Path(source).suffix.lower()}"
+                    place(Path(source), out / frame[key], room.copy)
+        (out / f"transforms{part}.json").write_text(json.dumps(described, indent=1) + "\n", encoding="utf-8")
+
+
+def _write_surfaces(room: Room, meshes: Sequence[Mesh], out: Path) -> None:
+    """``scene.xml`` and the meshes: one PLY file for each, or a link where the file is one already."""
+    tree = ElementTree.Element("scene", version="3.0.0")
+    _child(_child(tree, "integrator", type="path"), "integer", name="max_depth", value="-1")
+    paint = _child(_child(tree, "bsdf", type="twosided", id="paint"), "bsdf", type="principled")
+    _child(paint, "rgb", name="base_color", value="0.5")
+    _child(paint, "float", name="roughness", value="0.5")
+    if room.environment is not None:
+        place(room.environment, out / f"environment{room.environment.suffix.lower()}", room.copy)
+        sky = _child(tree, "emitter", type="envmap")
+        _child(sky, "string", name="filename", value=f"environment{room.environment.suffix.lower()}")
+    sources = [file for file in room.meshes for _ in file.meshes]
+    taken: set[str] = set()
+    for mesh, source in zip(meshes, sources, strict=True):
+        path = f"meshes/{file_name(mesh.name, taken)}.ply"
+        (out / "meshes").mkdir(exist_ok=True)
+        if source.linkable:
+            place(source.path, out / path, room.copy)
+        else:
+            write_ply(out / path, mesh)
+        shape = _child(tree, "shape", type="ply", id=mesh.name)
+        _child(shape, "string", name="filename", value=path)
+        if mesh.normals is None:  # flat, as the file has it: without this Mitsuba rounds all edges
+            _child(shape, "boolean", name="face_normals", value="true")
+        if not np.array_equal(room.to_cameras, np.eye(4)):
+            values = " ".join(f"{x:.17g}" for x in room.to_cameras.ravel())
+            _child(_child(shape, "transform", name="to_world"), "matrix", value=values)
+        _child(shape, "ref", id="paint")
+        if mesh.radiance is not None:
+            lamp = _child(shape, "emitter", type="area")
+            _child(lamp, "rgb", name="radiance", value=", ".join(f"{float(x):.9g}" for x in mesh.radiance))
+    ElementTree.indent(tree)
+    text = ElementTree.tostring(tree, encoding="unicode") + "\n"
+    (out / "scene.xml").write_text(text, encoding="utf-8")
+
+
+def _child(parent: ElementTree.Element, tag: str, **attributes: str) -> ElementTree.Element:
+    return ElementTree.SubElement(parent, tag, attributes)
+
+
+def _listed(names: Sequence[str], most: int = 12) -> str:
+    more = f" and {len(names) - most} others" if len(names) > most else ""
+    return ", ".join(shown(name) for name in names[:most]) + more
+
+
+def bounds_of(room: Room) -> FloatArray:
+    """Smallest and largest corner of the meshes in the frame of the cameras [2, 3]."""
+    corners = np.concatenate([mesh.vertices for file in room.meshes for mesh in file.meshes]).astype(np.float64)
+    there = corners @ room.to_cameras[:3, :3].T + room.to_cameras[:3, 3]
+    box: FloatArray = np.stack((there.min(0), there.max(0)))
+    return box

@@ -1,0 +1,28 @@
+"""Camera files as they are written: NeRF's and Blender's keys, with nerfstudio's for lenses."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from typing import Any
+
+from neurad.core.records import View
+from neurad.scene.readers.intrinsics import described
+
+
+def transforms(views: Sequence[View]) -> dict[str, Any]:
+    """The camera file of views: what all their cameras share stands at the top, what they do not in each frame."""
+    lenses = [described(view.camera) for view in views]
+    shared = lenses[0] if all(lens == lenses[0] for lens in lenses) else {}
+    return {
+        **shared,
+        "frames": [
+            {
+                "file_path": f"images/{view.name}.exr",
+                "albedo_path": f"albedo/{view.name}.exr",
+                "roughness_path": f"roughness/{view.name}.exr",
+                **({} if shared else lens),
+                "transform_matrix": [[float(x) for x in row] for row in view.camera.to_world],
+            }
+            for view, lens in zip(views, lenses, strict=True)
+        ],
+    }

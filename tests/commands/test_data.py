@@ -1,0 +1,563 @@
+"""``neurad data``: each layout written and read back, and one sentence for everything that can be wrong with it."""
+
+import json
+import os
+import re
+import struct
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+import trimesh
+from helpers import layouts
+from helpers.tiny_fit import fails, write_tiny_config
+from PIL import Image
+
+from neurad.cli import main
+from neurad.core.camera import camera_rays, project, to_camera
+from neurad.scene.geometry import Geometry
+from neurad.scene.image_io import read_exr, write_exr
+from neurad.scene.load import load_scene
+
+pytest.importorskip("mitsuba")
+
+BENT = [name for name, lens in layouts.LENSES.items() if lens.bends]
+
+
+@pytest.fixture(autouse=True)
+def place(tmp_path, monkeypatch):
+    """A working folder whose name has a space and an umlaut."""
+    folder = tmp_path / "Zimmer für alle"
+    folder.mkdir()
+    monkeypatch.chdir(folder)
+    return folder
+
+
+def made(*words):
+    """The scene of a folder that the verb makes; nothing is held out that the source does not hold out."""
+    main(["data", *map(str, words), "--out", "room"])
+    return load_scene("room", None, 0)
+
+
+def same_rays(found, camera):
+    """Farthest distance in pixels between what two cameras see at a position."""
+    assert (found.width, found.height) == (camera.width, camera.height)
+    rng = np.random.default_rng(3)
+    xy = torch.from_numpy(rng.uniform(0, 1, (300, 2)) * (camera.width, camera.height))
+    rays = camera_rays(camera, xy)
+    away = project(found, to_camera(found, rays.o + 2.0 * rays.d)) - xy
+    apart = np.abs(found.to_world[:3, 3] - camera.to_world[:3, 3]).max() * camera.fl_x
+    return max(float(away.abs().max()), float(apart))
+
+
+def agrees(scene, cameras, images):
+    """Views by the order of the cameras: rays to 1e-5 pixels, and the photographs themselves."""
+    views = sorted([*scene.train, *scene.test], key=lambda view: view.name)
+    assert len(views) == len(cameras)
+    for view, camera, image in zip(views, cameras, images, strict=True):
+        assert same_rays(view.camera, camera) < 1e-5
+        np.testing.assert_array_equal(read_exr(view.image), read_exr(image))
+
+
+def room_is_whole(scene):
+    """The mesh that all layouts have: floor and lamp, where they belong, the lamp shining down."""
+    assert {mesh.name: len(mesh.faces) for mesh in scene.meshes} == {"Wände": 2, "lamp 1": 2}
+    lamp = next(mesh for mesh in scene.meshes if mesh.radiance is not None)
+    assert lamp.name == "lamp 1"
+    np.testing.assert_array_equal(lamp.radiance, [3, 2, 1])
+    geometry = Geometry(scene)
+    normal = geometry.face_normal[(geometry.emission > 0).any(-1)]
+    torch.testing.assert_close(normal, torch.tensor([[0.0, -1.0, 0.0]]).expand(2, 3))
+    np.testing.assert_allclose(scene.bounds, [[-2, 0, -2], [2, 3, 2]], atol=1e-6)
+
+
+# ---- layouts
+
+
+@pytest.mark.parametrize("lens", layouts.LENSES)
+def test_nerfstudio(place, lens):
+    cameras = layouts.cameras(lens)
+    source = layouts.write_nerfstudio(place / "src", cameras)
+    scene = made("nerfstudio", source, "--mesh", layouts.write_mesh(place / "mesh"))
+    agrees(scene, cameras, sorted((source / "images").glob("*.exr")))
+    room_is_whole(scene)
+    assert sorted(p.name for p in (place / "room").iterdir()) == ["images", "meshes", "scene.xml", "transforms.json"]
+    assert all(path.is_symlink() for path in (place / "room/images").iterdir())
+
+
+@pytest.mark.parametrize("binary", [False, True])
+@pytest.mark.parametrize("lens", layouts.LENSES)
+def test_colmap(place, lens, binary):
+    cameras = layouts.cameras(lens)
+    if lens == "radial":  # has one focal length
+        assert all(layouts.colmap_line(camera)[0] == "RADIAL" for camera in cameras)
+    source = layouts.write_colmap(place / "src", cameras, binary)
+    scene = made("colmap", source, "--mesh", layouts.write_mesh(place / "mesh"), "--copy")
+    agrees(scene, cameras, sorted((source / "images").glob("*.exr")))
+    room_is_whole(scene)
+    assert not any(path.is_symlink() for path in (place / "room").rglob("*"))
+
+
+def test_polycam(place, capfd):
+    cameras = layouts.cameras("off-centre")
+    source = layouts.write_polycam(place / "src", cameras)
+    scene = made("polycam", source, "--mesh", layouts.write_mesh(place / "mesh"))
+    agrees(scene, cameras, sorted((source / "keyframes/corrected_images").glob("*.exr")))
+    room_is_whole(scene)
+    assert "before Polycam's adjustment" not in capfd.readouterr().err
+    for name in ("cameras", "images"):
+        (source / f"keyframes/corrected_{name}").rename(source / f"keyframes/{name}")
+    main(["data", "polycam", str(source / "keyframes"), "--out", "raw"])
+    captured = capfd.readouterr()
+    assert "cameras before Polycam's adjustment" in captured.err
+    assert "no --mesh was given" in captured.out
+
+
+def test_fipt_rendered(place):
+    cameras = layouts.one_angle(layouts.cameras())
+    source = layouts.write_fipt_rendered(place / "src", cameras)
+    scene = made("fipt", source)
+    assert [v.name for v in scene.test] == ["val_000", "val_001", "val_002"]
+    images = [*sorted((source / "train/Image").glob("*")), *sorted((source / "val/Image").glob("*"))]
+    agrees(scene, [*cameras[3:], *cameras[:3]], images)
+    room_is_whole(scene)
+    for view in scene.test:
+        index = view.name[-3:]
+        np.testing.assert_array_equal(read_exr(view.albedo), read_exr(source / f"val/DiffCol/{index}_0001.exr"))
+        np.testing.assert_array_equal(read_exr(view.roughness), read_exr(source / f"val/Roughness/{index}_0001.exr"))
+
+
+def test_fipt_photographed(place):
+    cameras = layouts.cameras("off-centre")
+    source = layouts.write_fipt_photographed(place / "src", cameras)
+    scene = made("fipt", source)
+    agrees(scene, cameras, sorted((source / "Image").glob("*")))
+    assert scene.test == []
+    room_is_whole(scene)
+
+
+def test_what_is_held_out_stays_so(place, capfd):
+    cameras = layouts.cameras()
+    source = layouts.write_nerfstudio(place / "src", cameras)
+    described = json.loads((source / "transforms.json").read_text())
+    names = [frame["file_path"] for frame in described["frames"]]
+    described |= {"train_filenames": names[:6], "val_filenames": names[6:8]}
+    (source / "transforms.json").write_text(json.dumps(described))
+    main(["data", "nerfstudio", str(source), "--mesh", str(layouts.write_mesh(place / "mesh")), "--out", "room"])
+    captured = capfd.readouterr()
+    assert "8 photographs of 12 x 9 or 10 x 14 pixels, 2 of them held out" in captured.out
+    assert "2 of 10 photographs are in none of its lists of names" in captured.err
+    scene = load_scene("room", None)
+    assert ([v.name for v in scene.test], len(scene.train)) == (["frame_00006", "frame_00007"], 6)
+
+
+def test_photographs_that_lie_elsewhere(place):
+    """PNG files for nerfstudio, and EXR files of the same names in another folder."""
+    cameras = layouts.cameras("opencv")
+    source = layouts.write_nerfstudio(place / "src", cameras)
+    (source / "images").rename(place / "developed")
+    text = (source / "transforms.json").read_text()
+    (source / "transforms.json").write_text(text.replace(".exr", ".png"))
+    (source / "images").mkdir()
+    for index in range(len(cameras)):
+        Image.new("RGB", layouts.SIZES[index % 2]).save(source / f"images/frame_{index:05d}.png")
+    scene = made("nerfstudio", source, "--images", "developed", "--mesh", layouts.write_mesh(place / "mesh"))
+    agrees(scene, cameras, sorted((place / "developed").glob("*.exr")))
+
+
+def test_masks_come_along(place):
+    cameras = layouts.cameras(count=2)
+    source = layouts.write_nerfstudio(place / "src", cameras)
+    described = json.loads((source / "transforms.json").read_text())
+    (source / "masks").mkdir()
+    Image.new("L", layouts.SIZES[1], 255).save(source / "masks/Maske 1.PNG")
+    described["frames"][1]["mask_path"] = "masks/Maske 1.PNG"
+    (source / "transforms.json").write_text(json.dumps(described))
+    scene = made("nerfstudio", source, "--mesh", layouts.write_mesh(place / "mesh"))
+    assert [view.mask and Path(view.mask).name for view in scene.train] == [None, "frame_00001.png"]
+
+
+# ---- meshes
+
+
+@pytest.fixture
+def source(place):
+    """Cameras that hold +Y up, inside the room."""
+    cameras = [layouts.cameras()[0]]
+    cameras[0].to_world[:3, :3] = np.eye(3)
+    return layouts.write_nerfstudio(place / "src", cameras)
+
+
+@pytest.mark.parametrize("kind", ["ply", "stl", "obj"])
+def test_kinds_of_meshes(place, source, kind):
+    ball = trimesh.creation.icosphere(2, radius=2.0)
+    (place / f"Kugel.{kind}").write_bytes(b"")
+    assert ball.vertex_normals is not None  # so that PLY and OBJ get them
+    ball.export(place / f"Kugel.{kind}", **({"vertex_normal": True} if kind == "ply" else {}))
+    scene = made("nerfstudio", source, "--mesh", f"Kugel.{kind}", "--lamp", "Kugel=1,2,3")
+    (mesh,) = scene.meshes
+    assert len(mesh.faces) == len(ball.faces)
+    corners = mesh.vertices[mesh.faces]
+    np.testing.assert_allclose(corners, ball.vertices[ball.faces], atol=1e-5)
+    assert (mesh.normals is None) == (kind == "stl")
+    np.testing.assert_array_equal(mesh.radiance, [1, 2, 3])
+    assert (place / "room/meshes/Kugel.ply").is_symlink() == (kind == "ply")
+
+
+def test_polygons_are_cut_into_triangles(place, source):
+    text = "ply\nformat ascii 1.0\nelement vertex 4\nproperty float x\nproperty float y\nproperty float z\n"
+    text += (
+        "element face 1\nproperty list uchar int vertex_indices\nend_header\n0 0 0\n1 0 0\n1 1 0\n0 1 0\n4 0 1 2 3\n"
+    )
+    (place / "quad.ply").write_text(text)
+    scene = made("nerfstudio", source, "--mesh", "quad.ply", "--lamp", "quad=1,1,1")
+    assert len(scene.meshes[0].faces) == 2
+    assert not (place / "room/meshes/quad.ply").is_symlink()
+
+
+@pytest.mark.parametrize(
+    ("up", "corner"), [("y", (1, 2, 3)), ("z", (1, 3, -2)), ("-y", (1, -2, -3)), ("x", (-2, 1, 3))]
+)
+def test_the_mesh_is_turned_and_scaled_to_the_cameras(place, source, up, corner, capfd):
+    """By the shortest way to what the cameras hold up; a lamp's side turns with it."""
+    (place / "m.obj").write_text("v 0 0 0\nv 1 2 3\nv 0 1 0\nf 1 2 3\n")
+    words = ("--mesh", "m.obj", f"--up={up}", "--scale", "0.5", "--lamp", "m=1,1,1")
+    scene = made("nerfstudio", source, *words)
+    np.testing.assert_allclose(scene.meshes[0].vertices[1], 0.5 * np.array(corner), atol=1e-6)
+    assert f"{up} of the mesh is turned to y, which the cameras hold up" in capfd.readouterr().err
+
+
+def test_several_meshes_and_an_environment(place, source):
+    for index in range(2):
+        (place / f"{index}").mkdir()
+        (place / f"{index}/part.obj").write_text(f"v 0 0 {index}\nv 1 0 0\nv 0 1 0\nf 1 2 3\n")
+    write_exr(place / "sky.exr", np.ones((4, 8, 3), np.float32))
+    scene = made("nerfstudio", source, "--mesh", "0/part.obj", "1/part.obj", "--environment", "sky.exr")
+    assert [mesh.name for mesh in scene.meshes] == ["part", "part-2"]
+    assert scene.features.has_environment
+    assert sorted(p.name for p in (place / "room/meshes").iterdir()) == ["part-2.ply", "part.ply"]
+
+
+def test_a_room_without_light_says_what_to_give(place, source, capfd):
+    (place / "m.obj").write_text("v 0 0 0\nv 1 2 3\nv 0 1 0\nf 1 2 3\n")
+    main(["data", "nerfstudio", str(source), "--mesh", "m.obj", "--out", "room"])
+    captured = capfd.readouterr()
+    assert "nothing in the room shines, so it cannot be fitted yet: give --lamp NAME=R,G,B (meshes: m)" in captured.err
+    assert "most cameras lie outside of the mesh's box" in captured.err
+    said = fails(capfd, "fit", "--config", "scene.yaml", "--data.root", "room")
+    assert "it has no emitter" in said
+
+
+def test_a_fit_of_what_was_made(place, capfd):
+    cameras = layouts.cameras("opencv", 8)
+    source = layouts.write_colmap(place / "src", cameras, True)
+    made("colmap", source, "--mesh", layouts.write_mesh(place / "mesh"))
+    write_tiny_config("tiny.yaml", "scene.yaml", data={"root": "room", "patches": 16})
+    main(["fit", "--config", "tiny.yaml", "--trainer.max_steps", "2"])
+    assert "does not say which photographs are held out: every 8th by name is, 1 of 8" in capfd.readouterr().err
+
+
+# ---- bad input
+
+
+def colmap(place, lens="opencv", binary=False):
+    return layouts.write_colmap(place / "src", layouts.cameras(lens, 3), binary)
+
+
+def replaced(name, old, new, count=1):
+    def spoil(source):
+        text = (source / name).read_text()
+        assert old in text
+        (source / name).write_text(text.replace(old, new, count))
+
+    return spoil
+
+
+def camera_line(line):
+    """Camera 7, the first one, described anew."""
+
+    def spoil(source):
+        path = source / "sparse/0/cameras.txt"
+        lines = path.read_text().splitlines()
+        path.write_text("\n".join([f"7 {line}", *lines[3:]]) + "\n")
+
+    return spoil
+
+
+def image_line(line):
+    return lambda source: (source / "sparse/0/images.txt").write_text(f"{line}\n\n")
+
+
+def cut(name, size):
+    return lambda source: (source / name).write_bytes((source / name).read_bytes()[:size])
+
+
+def written(name, data):
+    def spoil(source):
+        (source / name).parent.mkdir(parents=True, exist_ok=True)
+        (source / name).write_bytes(data if isinstance(data, bytes) else data.encode())
+
+    return spoil
+
+
+IMAGE = "1 1 0 0 0 0 0 0 7 {}".format
+TEXT = {
+    "no model": (lambda s: (s / "sparse/0/cameras.txt").unlink(),
+        r"src: it has no COLMAP model \(cameras\.bin or cameras"),
+    "no images": (lambda s: (s / "sparse/0/images.txt").unlink(), r"images\.txt: there is no such file"),
+    "empty images": (written("sparse/0/images.txt", "# none\n"), r"images\.txt: it has no image"),
+    "words": (camera_line("PINHOLE a b"), r"cameras\.txt: line 1 is '7 PINHOLE a b', not CAMERA_ID MODEL WIDTH"),
+    "unknown model": (camera_line("FOV 12 9 9 9 6 4 0.1"), r"camera 7: its model FOV is not supported \(SIMPLE_PIN"),
+    "few parameters": (camera_line("OPENCV 12 9 9 9 6 4.5"), r"camera 7: it has 4 parameters, but OPENCV has 8"),
+    "negative focal length": (camera_line("PINHOLE 12 9 -9 9 6 4"), r"camera 7: fl_x is -9, which has to be a number"),
+    "no focal length": (camera_line("SIMPLE_PINHOLE 12 9 0 6 4"), r"camera 7: fl_x is 0"),
+    "NaN focal length": (camera_line("PINHOLE 12 9 nan 9 6 4"), r"camera 7: fl_x is nan"),
+    "endless centre": (camera_line("PINHOLE 12 9 9 9 inf 4"), r"camera 7: cx is inf"),
+    "no size": (camera_line("PINHOLE 0 9 9 9 6 4"), r"camera 7: its size is 0, which has to be a number from 1"),
+    "another size": (camera_line("PINHOLE 24 18 9 9 6 4"), r"IMG 000 ä\.exr: it has 12 x 9 pixels, its camera 24 x 18"),
+    "folds over": (camera_line("RADIAL 12 9 5 6 4 -0.9 0"), r"camera 7: its lens distortion \(k1 -0\.9\) folds over"),
+    "short line": (image_line("1 1 0 0 0 0"), r"images\.txt: line 1 is '1 1 0 0 0 0', not IMAGE_ID QW QX"),
+    "no such camera": (image_line("1 1 0 0 0 0 0 0 99 a.jpg"),
+        r"image 1 \(a\.jpg\): its camera 99 is not in cameras\.txt"),
+    "no rotation": (image_line("1 0 0 0 0 0 0 0 7 IMG 000 ä.JPG"), r"image 1 \(IMG 000 ä\.JPG\): its quaternion is 0"),
+    "NaN rotation": (image_line("1 nan 0 0 0 0 0 0 7 IMG 000 ä.JPG"), r"image 1 .*: its quaternion is nan"),
+    "far away": (image_line("1 1 0 0 0 1e30 0 0 7 IMG 000 ä.JPG"), r"image 1 .*: its translation is 1e\+30"),
+    "leaves the folder": (image_line(IMAGE("../../other.jpg")),
+        r"image 1 .*'\.\./\.\./other\.jpg', leads out of the folder"),
+    "absolute": (image_line(IMAGE("/etc/passwd")), r"image 1 .*'/etc/passwd', leads out of the folder"),
+    "drive": (image_line(IMAGE("C:\\a.jpg")), r"image 1 .*leads out of the folder"),
+    "NUL": (image_line(IMAGE("a\0b.jpg")), r"has a NUL character"),
+    "no photograph": (image_line(IMAGE("none.jpg")),
+        r"image 1 \(none\.jpg\): its photograph none\.exr is in none of .*images"),
+    "a JPEG alone": (written("images/b.jpg", "jpeg"),
+        r"b\.jpg is no EXR file; light is computed from scene-linear EXR"),
+    "broken photograph": (written("images/IMG 000 ä.exr", "text"),
+        r"IMG 000 ä\.exr: it cannot be read as an EXR image"),
+    "not text": (written("sparse/0/cameras.txt", b"\xff\xfe"), r"cameras\.txt: it is not text in UTF-8"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("case", TEXT)
+def test_bad_colmap_text(place, case, capfd):
+    source = colmap(place)
+    spoil, said = TEXT[case]
+    spoil(source)
+    if case == "a JPEG alone":
+        image_line(IMAGE("b.jpg"))(source)
+    refused(capfd, place, said, "colmap", source)
+
+
+def binary_camera(kind, *values, size=(12, 9), key=7):
+    data = struct.pack("<Q", 1) + struct.pack("<iiQQ", key, kind, *size) + struct.pack(f"<{len(values)}d", *values)
+    return written("sparse/0/cameras.bin", data)
+
+
+BINARY = {
+    "cut cameras": (cut("sparse/0/cameras.bin", 30), r"cameras\.bin: it announces 3 entries, and ends before them"),
+    "cut images": (cut("sparse/0/images.bin", 300),
+        r"images\.bin: (it ends before what it announces|it announces|the name)"),
+    "no header": (cut("sparse/0/images.bin", 3), r"images\.bin: it ends before what it announces"),
+    "endless count": (written("sparse/0/images.bin", b"\xff" * 200), r"images\.bin: it announces 18446744073709551615"),
+    "unknown number": (binary_camera(77, 1.0), r"camera 7: its model has the number 77, which is not known"),
+    "FOV": (binary_camera(7, 9.0, 9, 6, 4, 0.1), r"camera 7: its model FOV is not supported"),
+    "huge size": (binary_camera(1, 9.0, 9, 6, 4, size=(2**40, 9)), r"camera 7: its size is 1099511627776"),
+    "NaN": (binary_camera(1, float("nan"), 9, 6, 4), r"camera 7: fl_x is nan"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("case", BINARY)
+def test_bad_colmap_binary(place, case, capfd):
+    source = colmap(place, binary=True)
+    spoil, said = BINARY[case]
+    spoil(source)
+    refused(capfd, place, said, "colmap", source)
+
+
+def test_a_name_of_bytes(place, capfd):
+    source = colmap(place, binary=True)
+    path = source / "sparse/0/images.bin"
+    path.write_bytes(path.read_bytes().replace(b"IMG", b"\xff\xfe\xfd"))
+    refused(capfd, place, r"images\.bin: the name .* of an image is not text in UTF-8", "colmap", source)
+
+
+def polycam_key(**changes):
+    def spoil(source):
+        path = source / "keyframes/corrected_cameras/1001.json"
+        described = {**json.loads(path.read_text()), **changes}
+        path.write_text(json.dumps({key: value for key, value in described.items() if value is not ...}))
+
+    return spoil
+
+
+POLYCAM = {
+    "no cameras": (lambda s: (s / "keyframes").rename(s / "frames"), r"src: it has no keyframes/corrected_cameras"),
+    "no matrix": (polycam_key(t_12=...), r"1001\.json: it lacks one of t_00 to t_23"),
+    "NaN": (polycam_key(t_12=float("nan")), r"1001\.json: its matrix t_00 to t_23: row 2, column 3 is nan"),
+    "singular": (polycam_key(t_00=0, t_01=0, t_02=0), r"1001\.json: its matrix t_00 to t_23 is not rigid"),
+    "words": (polycam_key(t_00="a"), r"1001\.json: its matrix t_00 to t_23: row 1, column 1 is 'a'"),
+    "negative focal length": (polycam_key(fx=-3), r"1001\.json: fl_x is -3"),
+    "no size": (polycam_key(width=...), r"1001\.json: width is None, not a number"),
+    "another size": (polycam_key(width=100), r"1001\.exr: it has 10 x 14 pixels, its camera 100 x 14"),
+    "json of another kind": (written("keyframes/corrected_cameras/1001.json", "[]"),
+        r"1001\.json: it is not the camera"),
+    "json bomb": (written("keyframes/corrected_cameras/1001.json", "[" * 100000),
+        r"1001\.json: it is nested too deeply"),
+    "no photograph": (lambda s: (s / "keyframes/corrected_images/1001.exr").unlink(),
+        r"photograph 1001\.exr is in none of"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("case", POLYCAM)
+def test_bad_polycam(place, case, capfd):
+    source = layouts.write_polycam(place / "src", layouts.cameras(count=3))
+    spoil, said = POLYCAM[case]
+    spoil(source)
+    refused(capfd, place, said, "polycam", source)
+
+
+FIPT = {
+    "neither": (lambda s: (s / "cam.txt").unlink(), r"src: it has neither train/transforms\.json nor cam\.txt"),
+    "no K_list": (lambda s: (s / "K_list.txt").unlink(), r"K_list\.txt: a photographed room of FIPT has this file"),
+    "no mesh": (lambda s: (s / "scene.obj").unlink(), r"scene\.obj: there is no such mesh file"),
+    "no photograph": (lambda s: (s / "Image/001_0001.exr").unlink(),
+        r"001_0001\.exr: the photograph of camera 1 is missing"),
+    "words": (written("cam.txt", "three\n"), r"cam\.txt: it is not a number of cameras and then numbers"),
+    "empty": (written("cam.txt", ""), r"cam\.txt: it is not a number of cameras"),
+    "few lines": (written("cam.txt", "3\n0 0 0\n"), r"cam\.txt: it has 1 lines of numbers, but 3 cameras have three"),
+    "one less": (written("cam.txt", "1\n0 0 0\n0 0 1\n0 1 0\n"), r"K_list\.txt: it has 3 cameras, but cam\.txt has 1"),
+    "NaN": (written("cam.txt", "3\n" + "nan 0 0\n" * 9), r"cam\.txt: a number of camera 0 is nan"),
+    "looks up": (written("cam.txt", "3\n" + "0 0 0\n0 1 0\n0 1 0\n" * 3),
+        r"camera 0: the directions .* not perpendicular"),
+    "looks nowhere": (written("cam.txt", "3\n" + "0 0 0\n0 0 0\n0 1 0\n" * 3),
+        r"camera 0: the directions .* not perpen"),
+    "negative focal length": (written("K_list.txt", "3\n" + "-9 0 6\n0 9 4\n0 0 1\n" * 3),
+        r"K_list\.txt: camera 0: fl_x is -9"),
+    "skew": (written("K_list.txt", "3\n" + "9 1 6\n0 9 4\n0 0 1\n" * 3),
+        r"camera 0: its matrix is not fx 0 cx, 0 fy cy"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("case", FIPT)
+def test_bad_fipt(place, case, capfd):
+    source = layouts.write_fipt_photographed(place / "src", layouts.cameras(count=3))
+    spoil, said = FIPT[case]
+    spoil(source)
+    main_words = ("data", "fipt", str(source), "--out", "room")
+    check(capfd, place, said, *main_words)
+
+
+RENDERED = {
+    "no frames": (replaced("train/transforms.json", '"frames"', '"shots"'),
+        r"train/transforms\.json: it has no frames"),
+    "no matrix": (replaced("train/transforms.json", "transform_matrix", "matrix"),
+        r"frame 0: its transform_matrix is miss"),
+    "bad frame": (written("val/transforms.json", '{"frames": [3]}'), r"val/transforms\.json: frame 0 is not an object"),
+    "no angle": (replaced("val/transforms.json", "camera_angle_x", "angle"),
+        r"frame 0: neither camera_angle_x nor fl_x"),
+    "no photograph": (lambda s: (s / "val/Image/000_0001.exr").unlink(), r"the photograph of frame 0 is missing"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("case", RENDERED)
+def test_bad_rendered_rooms(place, case, capfd):
+    source = layouts.write_fipt_rendered(place / "src", layouts.one_angle(layouts.cameras(count=5)), 2)
+    spoil, said = RENDERED[case]
+    spoil(source)
+    check(capfd, place, said, "data", "fipt", str(source), "--out", "room")
+
+
+MESHES = {
+    "no file": (None, "none.obj", r"none\.obj: there is no such mesh file"),
+    "another kind": (b"x", "a.fbx", r"a\.fbx: it is not a mesh that can be read \(\.obj, \.ply, \.stl\)"),
+    "empty OBJ": (b"", "a.obj", r"a\.obj: it (has no triangle|cannot be read as OBJ)"),
+    "words": (b"v a b c\nf 1 2 3\n", "a.obj", r"a\.obj: it cannot be read as OBJ"),
+    "corners that there are not": (b"v 0 0 0\nf 1 2 9\n", "a.obj", r"a\.obj: it cannot be read as OBJ"),
+    "NaN": (b"v nan 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n", "a.obj", r"a\.obj: the coordinates of a: 1 of 9 values are not"),
+    "far away": (b"v 1e30 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n", "a.obj", r"a\.obj: the coordinates of a: 1 of 9 values"),
+    "garbage PLY": (b"\xff" * 100, "a.ply", r"a\.ply: it cannot be read as PLY"),
+    "garbage STL": (b"\xff" * 10, "a.stl", r"a\.stl: it (cannot be read as STL|has no triangle)"),
+    "a folder": (..., "a.obj", r"a\.obj: it is a folder, not a file"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("case", MESHES)
+def test_bad_meshes(place, source, case, capfd):
+    data, name, said = MESHES[case]
+    if data is ...:
+        (place / name).mkdir()
+    elif data is not None:
+        (place / name).write_bytes(data)
+    check(capfd, place, said, "data", "nerfstudio", str(source), "--mesh", name, "--out", "room")
+
+
+OPTIONS = {
+    "lamp of no mesh": (["--lamp", "sun=1,1,1"], r"--lamp: there is no mesh sun, there are Wände, lamp 1"),
+    "lamp of words": (["--lamp", "lamp 1=bright"], r"--lamp lamp 1=bright: it is not NAME=R,G,B"),
+    "dark lamp": (["--lamp", "lamp 1=-1,0,0"], r"--lamp lamp 1: its radiance is -1"),
+    "NaN lamp": (["--lamp", "lamp 1=nan,0,0"], r"--lamp lamp 1: its radiance is nan"),
+    "no environment": (["--environment", "none.exr"], r"none\.exr: there is no such environment map"),
+    "environment of another kind": (["--environment", "src/transforms.json"],
+        r"transforms\.json: it cannot be read as an EXR"),
+    "no scale": (["--scale", "0"], r"argument --scale: 0\.0 is out of range, it must be above 0"),
+    "no axis": (["--up", "w"], r"argument --up: invalid choice: 'w'"),
+    "no images": (["--images", "none"], r"--images: there is no folder none"),
+    "out is there": (["--out", "src"], r"--out .*src: it is there already"),
+    "out is a file": (["--out", "mesh/room.obj"], r"--out .*room\.obj: it is there already"),
+    "out in a file": (["--out", "mesh/room.obj/x"], r"--out .*: a part of its path is a file"),
+    "out of no name": (["--out", "a\0b"], r"--out .*no file can have this name"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("case", OPTIONS)
+def test_bad_options(place, source, case, capfd):
+    words, said = OPTIONS[case]
+    mesh = layouts.write_mesh(place / "mesh")
+    check(capfd, place, said, "data", "nerfstudio", str(source), "--mesh", str(mesh), "--out", "room", *words)
+
+
+def test_other_bad_words(place, source, capfd):
+    check(capfd, place, "SRC: there is no folder nowhere", "data", "colmap", "nowhere", "--out", "room")
+    check(capfd, place, "argument kind: invalid choice: 'metashape'", "data", "metashape", "src", "--out", "room")
+    check(capfd, place, "about what --mesh names, and there is no --mesh", "data", "nerfstudio", "src", "--up", "y",
+          "--out", "room")  # fmt: skip
+    described = json.loads((source / "transforms.json").read_text())
+    pose = np.array(described["frames"][0]["transform_matrix"])
+    pose[:3, :3] @= [[1, 0, 0], [0, 0.6, -0.8], [0, 0.8, 0.6]]
+    pose[:3, :3] @= [[0.8, -0.6, 0], [0.6, 0.8, 0], [0, 0, 1]]
+    described["frames"][0]["transform_matrix"] = pose.tolist()
+    (source / "transforms.json").write_text(json.dumps(described))
+    mesh = str(layouts.write_mesh(place / "mesh"))
+    check(capfd, place, "--up: the cameras hold no axis up", "data", "nerfstudio", "src", "--mesh", mesh, "--up", "y",
+          "--out", "room")  # fmt: skip
+
+
+@pytest.mark.parametrize("key", ["mask_path", "albedo_path", "roughness_path"])
+def test_maps_that_lie_elsewhere_are_not_linked(place, source, capfd, key):
+    Image.new("L", layouts.SIZES[0]).save(place / "secret.png")
+    described = json.loads((source / "transforms.json").read_text())
+    described["frames"][0][key] = "images/../../secret.png"
+    (source / "transforms.json").write_text(json.dumps(described))
+    said = r"secret\.png: its name in the camera file leads out of the folder .*src"
+    check(capfd, place, said, "data", "nerfstudio", "src", "--out", "room")
+
+
+def test_a_disk_that_refuses_leaves_nothing(place, source, capfd, monkeypatch):
+    def full(*_, **__):
+        raise OSError(28, "No space left on device")
+
+    monkeypatch.setattr(os, "symlink", full)
+    check(capfd, place, "no space is left on its disk", "data", "nerfstudio", str(source), "--out", "room")
+
+
+def refused(capfd, place, said, kind, source):
+    mesh = layouts.write_mesh(place / "mesh")
+    check(capfd, place, said, "data", kind, str(source), "--mesh", str(mesh), "--out", "room")
+
+
+def check(capfd, place, said, *words):
+    """One sentence, exit code 2, and nothing new below the working folder."""
+    before = sorted(place.rglob("*"))
+    error = fails(capfd, *words)
+    assert re.search(said, error), error
+    assert sorted(place.rglob("*")) == before

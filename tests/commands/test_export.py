@@ -1,0 +1,113 @@
+"""``neurad export`` as a user runs it: a folder that others read, that is a scene folder itself, or one sentence."""
+
+import json
+import shutil
+import struct
+from contextlib import suppress
+from pathlib import Path
+
+import numpy as np
+import pytest
+from helpers.tiny_fit import fails, fit
+
+from neurad.cli import main
+from neurad.scene.load import load_scene
+
+pytest.importorskip("xatlas")
+pytest.importorskip("mitsuba")
+
+EXPORT = ["export", "--out", "room", "--size", "16", "--spp", "1"]
+
+
+def glb_json(path):
+    """The JSON of a binary glTF file, its header checked."""
+    data = Path(path).read_bytes()
+    magic, version, length, size, kind = struct.unpack("<4sIII4s", data[:20])
+    assert (magic, version, length, kind) == (b"glTF", 2, len(data), b"JSON")
+    return json.loads(data[20 : 20 + size])
+
+
+@pytest.mark.main
+def test_a_room_is_exported_read_again_fitted_and_rendered(tiny, capfd):
+    import trimesh
+
+    fit("--trainer.max_steps", "1")
+    with suppress(SystemExit):  # one sample a pixel is too noisy for the bounds of the verification
+        main(EXPORT)
+    room = Path("room")
+    described = glb_json(room / "scene.glb")
+    assert described["asset"]["extras"]["base_color_for"] == "blender"
+    assert described["extensionsUsed"] == ["KHR_materials_emissive_strength", "KHR_materials_specular"]
+    loaded = trimesh.load(room / "scene.glb")
+    scene, again = load_scene(None, "cornell"), load_scene("room", None)
+    assert len(loaded.geometry) == len(scene.meshes) == len(again.meshes)
+    assert np.allclose(loaded.bounds, scene.bounds, atol=1e-6)
+    for before, after in zip(scene.meshes, again.meshes, strict=True):
+        assert np.array_equal(before.vertices[before.faces], after.vertices[after.faces])
+        assert (before.radiance is None) == (after.radiance is None)
+    assert [v.name for v in again.test] == [v.name for v in scene.test]
+    notes = json.loads((room / "room.json").read_text())
+    assert {mesh["name"] for mesh in notes["meshes"]} == set(loaded.geometry)
+    verified = json.loads((room / "verify.json").read_text())
+    assert set(verified["renderers"]) == {"baked", "fields", "mitsuba"}
+    assert verified["scores"]["albedo_baked_to_fields_psnr"] > 40
+    assert "<figure>" in (room / "report.html").read_text()
+    assert all((room / "evidence" / f"{mesh['name']}.png").is_file() for mesh in notes["meshes"])
+    assert (room / "images" / f"{again.train[0].name}.exr").is_symlink()
+
+    fit("--data.scene", "null", "--data.root", "room", "--trainer.max_steps", "1")
+    main(["render", "--root", "room", "--out", "seen", "--views", "test", "--spp", "1", "--map-spp", "1"])
+    assert (Path("seen/images") / f"{again.test[0].name}.exr").is_file()
+
+    assert "is there already; add --overwrite" in fails(capfd, *EXPORT)
+    main([*EXPORT, "--overwrite", "--copy", "--no-verify", "--for", "gltf", "--ckpt_path", "lightning_logs/version_0"])
+    assert not (room / "verify.json").exists()
+    assert not (room / "images" / f"{again.train[0].name}.exr").is_symlink()
+    assert glb_json(room / "scene.glb")["asset"]["extras"]["base_color_for"] == "gltf"
+    assert sorted(p.name for p in Path().iterdir() if p.name.startswith(".")) == []
+
+
+@pytest.mark.main
+@pytest.mark.parametrize(
+    ("words", "sentence"),
+    [
+        (["--out", "room", "--ckpt_path", "none"], "there is no such run folder or checkpoint"),
+        (["--out", "no/room"], "there is no folder"),
+        (["--out", "full"], "is there already; add --overwrite"),
+        (["--out", "full", "--overwrite"], "is no folder of an earlier export"),
+        (["--out", "tiny.yaml"], "is there and no folder"),
+        (["--out", "room", "--size", "100"], "is no power of two"),
+        (["--out", "room", "--up", "w"], "is no axis"),
+        (["--out", "room", "--texels", "many"], "is not a number of texels"),
+        (["--out", "room", "--for", "povray"], "argument --for: invalid choice"),
+    ],
+)
+def test_bad_input_gets_one_sentence(tiny, capfd, words, sentence):
+    Path("full").mkdir()
+    Path("full/precious").write_text("x")
+    assert sentence in fails(capfd, "export", *words)
+    assert Path("full/precious").read_text() == "x"
+
+
+def test_what_is_no_blender_is_refused():
+    from neurad.core.errors import InputError
+    from neurad.export.cycles import find_blender
+
+    for program in ("/nowhere/blender", shutil.which("true") or "true"):
+        with pytest.raises(InputError, match="neither a Python with the package bpy nor Blender"):
+            find_blender(program)
+
+
+def test_a_folder_appears_whole_or_not_at_all(tmp_path):
+    from neurad.core.errors import InputError
+    from neurad.export.folder import MANIFEST, MARK, check_out, written_beside
+
+    out = tmp_path / "room"
+    with written_beside(out) as stage:
+        (stage / MANIFEST).write_text(json.dumps({MARK: "exact"}))
+        assert not out.exists()
+    check_out(out, overwrite=True)
+    with pytest.raises(InputError, match=r"room/x: no space is left"), written_beside(out) as stage:
+        raise OSError(28, "No space left on device", str(stage / "x"))
+    assert [p.name for p in tmp_path.iterdir()] == ["room"]
+    assert (out / MANIFEST).is_file()

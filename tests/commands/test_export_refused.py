@@ -1,0 +1,186 @@
+"""What ``neurad export`` refuses, in one sentence and without a folder that is half written."""
+
+import json
+import shutil
+from pathlib import Path
+
+import numpy as np
+import pytest
+from helpers.tiny_fit import fails, fit, write_tiny_config
+from helpers.tiny_scene import write_scene
+
+from neurad.cli import main
+from neurad.export import gltf
+from neurad.scene.image_io import write_exr
+
+pytest.importorskip("xatlas")
+pytest.importorskip("mitsuba")
+
+EXPORT = ["export", "--out", "out", "--size", "16", "--no-verify"]
+
+
+@pytest.fixture(scope="module")
+def _one_fit(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("fitted") / "Räume und mehr"
+    folder.mkdir()
+    with pytest.MonkeyPatch.context() as patch:
+        patch.chdir(folder)
+        write_scene(Path("Küche 1"))
+        write_tiny_config(base="scene.yaml")
+        fit("--trainer.max_steps=1", "--data.root=Küche 1")
+    return folder
+
+
+@pytest.fixture
+def fitted(_one_fit, tmp_path, monkeypatch):
+    """A copy of a folder with a run and its scene as the working one."""
+    here = tmp_path / "Räume und mehr"
+    shutil.copytree(_one_fit, here)
+    monkeypatch.chdir(here)
+    return here
+
+
+def left():
+    """What is there besides the run, its scene and its config."""
+    return sorted(p.name for p in Path().iterdir() if p.name not in ("lightning_logs", "Küche 1", "tiny.yaml"))
+
+
+@pytest.mark.main
+def test_paths_with_spaces_and_umlauts(fitted):
+    main([*EXPORT[:2], "meine Räume", *EXPORT[3:], "--copy"])
+    shutil.rmtree("Küche 1")  # with copies the folder stands alone
+    main(["render", "--root", "meine Räume", "--out", "seen", "--views", "test", "--spp", "1", "--map-spp", "1"])
+    assert len(list(Path("seen/images").iterdir())) == 2
+
+
+@pytest.mark.main
+@pytest.mark.parametrize(
+    ("words", "sentence"),
+    [
+        (["--texels", "many"], "'many' is not a number of texels, such as 16M"),
+        (["--texels", "inf"], "'inf' is not a number of texels"),
+        (["--texels", "nan"], "'nan' is not a number of texels"),
+        (["--texels=-1M"], "-1000000 is out of range, it must be at least 4096"),
+        (["--texels", "1e30"], "is out of range, it must be at least 4096 and at most"),
+        (["--size", "4"], "4 is out of range, it must be at least 8 and at most 8192"),
+        (["--size", "16384"], "is out of range, it must be at least 8 and at most 8192"),
+        (["--size", "1e3"], "'1e3' is not a whole number"),
+        (["--size", "100"], "100 is no power of two"),
+        (["--spp", "0"], "0 is out of range, it must be at least 1"),
+        (["--up", "w"], "w is no axis, choose x, y, z"),
+        (["--for", "povray"], "invalid choice: 'povray'"),
+        (["--blender", "true"], "it verifies, which --no-verify leaves out"),
+        (["--root", "nowhere"], "its scene nowhere is missing"),
+        (["--root", "tiny.yaml"], "its scene tiny.yaml is missing"),
+        (["--ckpt_path", "tiny.yaml"], "is not in a run folder"),
+        (["--out", "Küche 1"], "Küche 1 is there already; add --overwrite"),
+        (["--out", "Küche 1", "--overwrite"], "is no folder of an earlier export"),
+        (["--out", "."], "is the folder that you are in"),
+        (["--out", "lightning_logs", "--overwrite"], "is no folder of an earlier export"),
+    ],
+)
+def test_bad_options(fitted, capfd, words, sentence):
+    assert sentence in fails(capfd, *EXPORT, *words)
+    assert left() == []
+
+
+@pytest.mark.main
+def test_a_program_that_is_no_blender(fitted, capfd):
+    assert "neither a Python with the package bpy nor Blender" in fails(capfd, *EXPORT[:-1], "--blender", "true")
+    assert left() == []
+
+
+@pytest.mark.main
+def test_a_run_of_another_scene(fitted, capfd):
+    shutil.copytree("Küche 1", "other")
+    ply = Path("other/meshes/floor.ply")
+    ply.write_text(ply.read_text().replace("-1 0 1 0 0", "-1.5 0 1 0 0"))
+    sentence = fails(capfd, *EXPORT, "--root", "other")
+    assert "last.ckpt" in sentence
+    assert "scene" in sentence
+    assert left() == ["other"]
+
+
+@pytest.mark.main
+@pytest.mark.parametrize(
+    ("file", "content", "sentence"),
+    [
+        ("meshes/floor.ply", "-1 0 1 0 0|nan 0 1 0 0", "floor"),
+        ("scene.xml", "</scene>|", "scene.xml"),
+        ("transforms_train.json", "frames|pictures", "it has no frames"),
+    ],
+)
+def test_a_scene_that_cannot_be_read(fitted, capfd, file, content, sentence):
+    path = Path("Küche 1") / file
+    path.write_text(path.read_text().replace(*content.split("|")))
+    assert sentence in fails(capfd, *EXPORT)
+    assert left() == []
+
+
+@pytest.mark.main
+def test_a_scene_that_is_gone(fitted, capfd):
+    Path("Küche 1").rename("moved")
+    assert "its scene Küche 1 is missing" in fails(capfd, *EXPORT)
+    main([*EXPORT, "--root", "moved"])
+    assert left() == ["moved", "out"]
+
+
+@pytest.mark.main
+def test_the_scene_of_the_run_is_not_replaced(fitted, capfd):
+    main([*EXPORT, "--copy"])
+    fit("--trainer.max_steps=1", "--data.root=out")
+    assert "which the run needs; export to another folder" in fails(capfd, *EXPORT, "--overwrite")
+    assert Path("out/images").is_dir()
+
+
+@pytest.mark.main
+def test_a_full_disk(fitted, capfd):
+    import resource
+
+    from helpers.exported import Glb
+
+    main(EXPORT)
+    before = Path("out/scene.glb").read_bytes()
+    rng = np.random.default_rng(0)
+    for photo in Path("Küche 1/images").iterdir():  # larger than any file may be
+        write_exr(photo, rng.random((8, 8, 3), np.float32))
+    limits = resource.getrlimit(resource.RLIMIT_FSIZE)
+    resource.setrlimit(resource.RLIMIT_FSIZE, (2000, limits[1]))
+    try:
+        with pytest.raises(SystemExit) as stop:
+            main([*EXPORT, "--overwrite", "--copy"])
+    finally:
+        resource.setrlimit(resource.RLIMIT_FSIZE, limits)
+    sentence = capfd.readouterr().err.strip().splitlines()[-1]
+    assert stop.value.code == 2
+    assert sentence.startswith("neurad: error: --out ")
+    assert ".part" not in sentence
+    assert left() == ["out"]
+    assert Path("out/scene.glb").read_bytes() == before
+    assert Glb("out/scene.glb").json["asset"]["version"] == "2.0"
+
+
+@pytest.mark.main
+def test_ctrl_c(fitted, capfd, monkeypatch):
+    def interrupted(*args):
+        raise KeyboardInterrupt
+
+    monkeypatch.setattr(gltf, "_add_camera", interrupted)
+    with pytest.raises(SystemExit) as stop:
+        main(EXPORT)
+    assert stop.value.code == 130
+    assert capfd.readouterr().err.strip().endswith("neurad: interrupted")
+    assert left() == []
+
+
+@pytest.mark.main
+def test_links_and_copies(fitted):
+    main(EXPORT)
+    photo = Path("out/images/train_0.exr")
+    assert photo.is_symlink()
+    assert photo.resolve() == Path("Küche 1/images/train_0.exr").resolve()
+    main([*EXPORT, "--copy", "--overwrite"])
+    assert not photo.is_symlink()
+    assert photo.read_bytes() == Path("Küche 1/images/train_0.exr").read_bytes()
+    notes = json.loads(Path("out/room.json").read_text())
+    assert notes["without_photographs"] == []

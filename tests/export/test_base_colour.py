@@ -1,0 +1,35 @@
+"""Base colours for other programs' models."""
+
+import numpy as np
+import pytest
+import torch
+
+from neurad.export.base_colour import base_for, energy
+
+
+@pytest.mark.parametrize(
+    ("roughness", "blender", "gltf"),
+    [(0.1, 1.061, 1.020), (0.2, 1.068, 1.032), (0.35, 1.071, 1.050), (0.5, 1.071, 1.067), (1.0, 1.085, 1.117)],
+)
+def test_factors_at_a_base_of_one_half(roughness, blender, gltf):
+    """Against a quadrature made apart from this one."""
+    base, rough = np.full((1, 3), 0.5, np.float32), np.full((1, 1), roughness, np.float32)
+    assert base_for("blender", base, rough)[0, 0] / 0.5 == pytest.approx(blender, abs=1.5e-3)
+    assert base_for("gltf", base, rough)[0, 0] / 0.5 == pytest.approx(gltf, abs=1.5e-3)
+    assert base_for("exact", base, rough) is base
+
+
+def test_energy_is_what_the_shaded_model_sends_back():
+    """Against the mean of the weights of samples."""
+    from neurad.bsdf.principled import Principled
+    from neurad.core.records import Surface
+
+    torch.manual_seed(0)
+    n, roughness = 200_000, 0.5
+    cosine = torch.rand(n).sqrt()
+    wo = torch.stack(((1 - cosine * cosine).sqrt(), torch.zeros(n), cosine), -1)
+    surface = Surface(torch.full((n, 3), 0.8), torch.full((n, 1), roughness))
+    mean = float(Principled().sample(surface, wo, torch.rand(n, 3)).weight.mean())
+    found = energy()
+    at = int(roughness * 64)
+    assert 0.8 * found.diffuse[at] + found.specular[at] == pytest.approx(mean, abs=3e-3)

@@ -1,0 +1,108 @@
+"""``scene.glb`` and ``room.usdc`` as Blender imports them."""
+
+import json
+import subprocess
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from helpers.clients import blender_python, cache_folder
+from helpers.exported import exported
+from helpers.object_scene import object_scene
+
+from neurad.assembly.build import build_world
+from neurad.core.camera import project, to_camera
+from neurad.core.records import EnvironmentMap
+from neurad.export.cycles import find_blender
+from neurad.integrators.film import render
+from neurad.integrators.renderer import path_tracer
+from neurad.scene.image_io import read_exr
+from neurad.scene.readers.mitsuba_xml import read_xml
+from neurad.scene.textures import TrueMaterials
+
+IMPORT = Path(__file__).parent.parent / "helpers/blender_import.py"
+
+pytestmark = pytest.mark.slow
+
+
+@pytest.fixture(scope="module")
+def python(request):
+    """A Python that has bpy."""
+    return blender_python(cache_folder(request, "blender"))
+
+
+@pytest.fixture(scope="module")
+def imported(python, kitchen, kitchen_room, tmp_path_factory):
+    """What Blender has after an import, and where its cameras see some points, by file."""
+    pytest.importorskip("pxr")
+    out = tmp_path_factory.mktemp("blender")
+    points = np.random.default_rng(0).uniform(*kitchen.bounds, (200, 3))
+    camera = kitchen.train[0].camera
+    job = {"points": points.tolist(), "width": camera.width, "height": camera.height}
+    found = {}
+    for name in ("scene.glb", "room.usdc"):
+        (out / "job.json").write_text(json.dumps({**job, "file": str(kitchen_room / name), "out": str(out / name)}))
+        subprocess.run([python, str(IMPORT), str(out / "job.json")], check=True, capture_output=True)
+        found[name] = json.loads((out / name).read_text())
+    return points, found
+
+
+@pytest.mark.parametrize("name", ["scene.glb", "room.usdc"])
+def test_blender_has_all_meshes_textures_and_lamps(kitchen, imported, name):
+    found = imported[1][name]
+    assert len(found["meshes"]) == len(kitchen.meshes)
+    assert found["images"] == {"sRGB": len(kitchen.meshes), "Non-Color": len(kitchen.meshes)}
+    low, high = (np.array(found["bounds"][i]) for i in (0, 1))
+    ours = np.stack((kitchen.bounds[:, 0], -kitchen.bounds[::-1, 2], kitchen.bounds[:, 1]), 1)  # z is up there
+    assert np.allclose((low, high), ours, atol=1e-5)
+    lamps = [mesh for mesh in kitchen.meshes if mesh.radiance is not None]
+    shining = [m["emission"] for m in found["meshes"] if max(m["emission"]) > 0]
+    assert np.allclose(sorted(shining), sorted(m.radiance.tolist() for m in lamps), rtol=1e-6)
+    assert all(m["textured"] == ["Base Color", "Roughness"] for m in found["meshes"])
+    assert sum(m["triangles"] for m in found["meshes"]) >= 0.999 * sum(len(m.faces) for m in kitchen.meshes)
+
+
+@pytest.mark.parametrize("name", ["scene.glb", "room.usdc"])
+def test_its_cameras_see_points_where_ours_do(kitchen, imported, name):
+    points, found = imported[0], imported[1][name]["cameras"]
+    views = (*kitchen.train, *kitchen.test)
+    assert len(found) == len(views)
+    for view in views:
+        film = np.array(found[view.name]) * (view.camera.width, view.camera.height, 1)
+        seen = to_camera(view.camera, torch.from_numpy(points))
+        before = seen[:, 2] < -0.1
+        assert np.allclose(film[before, :2], project(view.camera, seen)[before], atol=0.02, rtol=1e-4)
+
+
+def sky_of_directions():
+    """A map whose colours are its directions, turned about all axes."""
+    theta, phi = np.linspace(0, np.pi, 32)[:, None], (np.arange(64) + 0.5) * (2 * np.pi / 64)
+    sine = np.sin(theta)
+    towards = np.stack((sine * np.sin(phi), np.cos(theta) + 0 * phi, -sine * np.cos(phi)), -1)
+    turn = np.array([[0, 0, 1, 0], [0.6, 0.8, 0, 0], [-0.8, 0.6, 0, 0], [0, 0, 0, 1]], np.float32)
+    return EnvironmentMap((0.6 + 0.5 * towards).astype(np.float32), turn)
+
+
+@pytest.mark.parametrize("up", ["y", "z", "-x"])
+def test_an_environment_lies_and_lights_as_it_did(python, tmp_path, up):
+    pytest.importorskip("pxr")
+    scene = object_scene(sky_of_directions(), size=32)
+    view = scene.test[0]
+    room = exported(scene, tmp_path / "room", up=up)
+    again = read_xml(room / "scene.xml").check()
+    world = build_world(again)
+    with torch.no_grad():
+        tracer = path_tracer(world, TrueMaterials(again, world.geometry), again.max_depth, again.rr_depth)
+        ours = render(view.camera, tracer, 64, 0).numpy()
+    job = {"file": str(room / "room.usdc"), "out": str(tmp_path / "usd.exr"), "width": 32, "height": 32}
+    (tmp_path / "job.json").write_text(json.dumps({**job, "view": view.name, "samples": 64, "points": []}))
+    subprocess.run([python, str(IMPORT), str(tmp_path / "job.json")], check=True, capture_output=True)
+    pictures = {
+        "scene.glb": find_blender(python).render(room, [view], 64, 1)[0],
+        "room.usdc": read_exr(tmp_path / "usd.exr")[..., :3],
+    }
+    assert np.ptp(ours, (0, 1)).min() > 0.2  # a map that is turned otherwise would show
+    for name, picture in pictures.items():
+        assert np.abs(picture - ours).mean() < 0.02, name
+        assert picture.mean() == pytest.approx(ours.mean(), rel=0.02), name

@@ -1,0 +1,215 @@
+"""Every mesh gets texture coordinates that name one place each, and textures without seams."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+from hypothesis import HealthCheck, given, settings
+from hypothesis import strategies as st
+
+from neurad.core.records import Constant, Material, Mesh, Surface
+from neurad.core.reflection import PrincipledModel
+from neurad.export.bake import bake
+from neurad.export.charts import Chart, find_charts, is_unique, own_chart, triangle_areas
+from neurad.export.fill import halved, push_pull
+from neurad.export.grid import grid_chart
+from neurad.export.texels import LARGEST, TextureSize, rounded, wanted_size
+from neurad.export.unwrap import unwrap
+from neurad.scene.description import Scene
+from neurad.scene.geometry import Geometry
+from neurad.scene.textures import TextureTable
+
+SQUARE = np.array([[0, 0], [1, 0], [1, 1], [0, 1]], np.float32)
+FACES = np.array([[0, 1, 2], [0, 2, 3]])
+
+
+def mesh(vertices, faces, uvs=None):
+    return Mesh("m", np.asarray(vertices, np.float32), np.asarray(faces, np.int64), 0, uvs=uvs)
+
+
+def quad(uvs=SQUARE):
+    return mesh(np.pad(SQUARE, ((0, 0), (0, 1))), FACES, uvs)
+
+
+def soup(count, rng, size=0.1):
+    points = rng.random((count, 1, 3)) + size * rng.standard_normal((count, 3, 3))
+    return mesh(points.reshape(-1, 3), np.arange(3 * count).reshape(-1, 3))
+
+
+class Position:
+    """Materials that say where they are asked."""
+
+    def __call__(self, si):
+        return Surface(si.p, si.p[:, :1])
+
+
+def baked_error(chart, values):
+    """Largest difference between bilinear lookups all over a mesh and the positions that were baked into it."""
+    geometry = Geometry(Scene("s", [chart.mesh], [paint()]))
+    generator = np.random.default_rng(1)
+    faces = np.repeat(np.arange(len(chart.mesh.faces)), 8)
+    u, v = generator.random((2, len(faces)))
+    u, v = np.where(u + v > 1, 1 - u, u), np.where(u + v > 1, 1 - v, v)
+    at = torch.from_numpy(np.stack((u, v)).astype(np.float32))
+    si = geometry.interact_at(torch.from_numpy(faces), at[0], at[1], geometry.face_normal[faces], at[0] >= 0)
+    from neurad.core.records import Bitmap
+
+    table = TextureTable([Bitmap(values[..., :3].astype(np.float32))], 3)
+    found = table(torch.zeros(len(faces), dtype=torch.int64), si, geometry)
+    return (found - si.p.clamp(0, 1)).abs().amax(-1)
+
+
+def paint():
+    return Material(
+        "p", PrincipledModel(), Constant(np.full(3, 0.5, np.float32)), Constant(np.full(1, 0.5, np.float32))
+    )
+
+
+def test_a_square_keeps_its_coordinates_drawn_in_from_the_sides():
+    found = own_chart(quad(), 64, 64)
+    assert found is not None
+    assert found.kind == "own"
+    assert np.array_equal(found.mesh.vertices, quad().vertices)
+    assert found.corners.min() == pytest.approx(1.5)
+    assert found.corners.max() == pytest.approx(62.5)
+
+
+@pytest.mark.parametrize(
+    "uvs",
+    [
+        SQUARE * 3,  # repeats
+        SQUARE - 0.5,
+        np.array([[0, 0], [1, 0], [1, 1], [1, 0]], np.float32),  # one half mirrored onto the other
+        np.zeros((4, 2), np.float32),
+        np.full((4, 2), np.nan, np.float32),
+        None,
+    ],
+)
+def test_coordinates_that_name_two_places_are_not_kept(uvs):
+    assert own_chart(quad(uvs), 64, 64) is None
+
+
+def test_charts_that_touch_in_the_texture_only_are_not_kept():
+    corners = np.array([[0.1, 0.1], [0.8, 0.1], [0.1, 0.8], [0.8, 0.8], [0.1, 0.8], [0.8, 0.1]], np.float32)
+    places = [[0, 0, 0], [1, 0, 0], [0, 1, 0], [5, 0, 0], [6, 0, 0], [5, 1, 0]]
+    two = mesh(places, [[0, 1, 2], [3, 4, 5]], corners)
+    assert len(np.unique(find_charts(two))) == 2
+    assert own_chart(two, 64, 64) is None
+    apart = replace(two, uvs=np.where(np.arange(6)[:, None] < 3, two.uvs - 0.08, two.uvs + 0.08))
+    assert own_chart(apart, 64, 64) is not None
+
+
+@settings(max_examples=25, deadline=None, suppress_health_check=list(HealthCheck))
+@given(st.integers(1, 200), st.integers(0, 1 << 16), st.floats(1e-4, 10.0), st.floats(0.1, 3000.0))
+def test_squares_hold_any_triangles(count, seed, size, density):
+    rng = np.random.default_rng(seed)
+    loose = soup(count, rng, size)
+    if seed % 3 == 0:  # slivers
+        loose = replace(loose, vertices=loose.vertices * np.float32([1, 1e-6, 1]))
+    found = grid_chart(loose, density, 1024)
+    assert is_unique(found)
+    assert found.corners.min() >= 0
+    assert (found.corners <= [found.width, found.height]).all()
+    assert np.array_equal(found.mesh.vertices[found.mesh.faces], loose.vertices[loose.faces])
+
+
+def broken_meshes(rng):
+    strip = np.stack((np.linspace(0, 1, 50), np.zeros(50), rng.random(50)), 1)
+    fan = np.concatenate((strip, strip + np.array([0, 1, 0])))
+    side = np.arange(49)
+    band = np.concatenate((np.stack((side, side + 1, side + 50), 1), np.stack((side + 1, side + 51, side + 50), 1)))
+    return {
+        "no coordinates": mesh(fan, band),
+        "one triangle": mesh(np.eye(3), [[0, 1, 2]]),
+        "no area": mesh([[0, 0, 0], [1, 0, 0], [2, 0, 0]], [[0, 1, 2]]),
+        "slivers": mesh(fan * [1, 1e-5, 1], band),
+        "overlapping": replace(quad(), uvs=SQUARE * 0),
+        "mirrored": quad(np.array([[0, 0], [1, 0], [1, 1], [1, 0]], np.float32)),
+        "coincident": mesh(np.eye(3), [[0, 1, 2], [0, 1, 2], [2, 1, 0]]),
+        "flipped": mesh(fan, np.where((np.arange(98) % 2 == 0)[:, None], band, band[:, ::-1])),
+        "non-manifold": mesh(rng.random((7, 3)), [[0, 1, k] for k in range(2, 7)]),
+        "loose": soup(500, rng),
+    }
+
+
+def test_any_mesh_bakes():
+    pytest.importorskip("xatlas")
+    meshes = broken_meshes(np.random.default_rng(0))
+    made = unwrap(list(meshes.values()), np.full(len(meshes), 40.0), 1 << 20)
+    for (name, bare), found in zip(meshes.items(), made, strict=True):
+        assert is_unique(found), name
+        assert np.array_equal(found.mesh.vertices[found.mesh.faces], bare.vertices[bare.faces]), name
+        geometry = Geometry(Scene("s", [found.mesh], [paint()]))
+        texture = bake(found, 0, geometry, Position())
+        assert texture.pixels.shape == (found.height, found.width, 4), name
+        assert np.isfinite(texture.pixels).all(), name
+
+
+def test_a_worker_that_does_not_end_is_replaced_by_squares():
+    pytest.importorskip("xatlas")
+    made = unwrap([soup(30, np.random.default_rng(1))], np.array([50.0]), 1 << 16, seconds=1e-4)
+    assert [found.kind for found in made] == ["grid"]
+    assert is_unique(made[0])
+
+
+def sphere():
+    import trimesh
+
+    ball = trimesh.creation.icosphere(3, 0.45)
+    return mesh(ball.vertices + 0.5, ball.faces)
+
+
+@pytest.mark.parametrize("kind", ["atlas", "grid"])
+def test_no_seam_shows(kind):
+    """Looked up bilinearly, the texture of a smooth function is that function on both sides of every border."""
+    if kind == "atlas":
+        pytest.importorskip("xatlas")
+        found = unwrap([sphere()], np.array([200.0]), 1 << 18)[0]
+    else:
+        found = grid_chart(sphere(), 200.0, LARGEST)
+    assert found.kind == kind
+    geometry = Geometry(Scene("s", [found.mesh], [paint()]))
+    texture = bake(found, 0, geometry, Position())
+    assert float(baked_error(found, texture.pixels).max()) < 2 / 255
+
+
+def test_nothing_bleeds_into_smaller_levels():
+    found = grid_chart(sphere(), 100.0, LARGEST)
+    geometry = Geometry(Scene("s", [found.mesh], [paint()]))
+
+    class White(Position):
+        def __call__(self, si):
+            return Surface(torch.ones_like(si.p), torch.ones_like(si.p[:, :1]))
+
+    level = bake(found, 0, geometry, White()).pixels.astype(np.float32)
+    for _ in range(3):
+        level = halved(level)
+    assert level.min() == 1.0
+
+
+def test_push_pull_keeps_what_is_known():
+    rng = np.random.default_rng(0)
+    pixels, known = rng.random((16, 8, 4), np.float32), rng.random((16, 8)) < 0.1
+    filled = push_pull(pixels, known)
+    assert np.array_equal(filled[known], pixels[known])
+    assert filled.min() >= pixels[known].min()
+    assert filled.max() <= pixels[known].max()
+
+
+def test_textures_fit_into_the_budget():
+    sizes = [TextureSize(3000.0, 700.0), TextureSize(20.0, 20.0), TextureSize(0.0, 0.0)]
+    assert rounded(sizes, 1 << 30).tolist() == [[4096, 512], [16, 16], [8, 8]]
+    assert rounded(sizes, 1 << 16).prod(1).sum() <= 1 << 16
+    assert rounded(sizes, 1 << 16, 64).tolist() == [[64, 64]] * 3
+
+
+def test_size_follows_the_stretch_of_the_coordinates():
+    wide = replace(quad(), vertices=quad().vertices * np.float32([4, 1, 1]))
+    size = wanted_size(wide, 10.0)
+    assert size == TextureSize(pytest.approx(40.0), pytest.approx(10.0), 64.0)
+    assert rounded([size], 1 << 20).tolist() == [[128, 32]]  # as many as 64 x 64
+    assert rounded([TextureSize(4096.0, 4096.0), size], 100_000).tolist() == [[256, 256], [128, 32]]
+    assert rounded([size] * 8, 8 * 512).prod(1).sum() <= 8 * 512  # a budget that is too small for that holds, too
+    assert float(triangle_areas(wide.vertices[wide.faces]).sum()) == pytest.approx(4.0)
+    assert isinstance(own_chart(wide, 32, 8), Chart)

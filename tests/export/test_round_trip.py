@@ -1,0 +1,226 @@
+"""``scene.xml`` and the camera files of an export keep what the scene said."""
+
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+from helpers.delta_scenes import delta_gallery
+from helpers.exported import Glb, exported
+from helpers.object_scene import object_scene, photographed, sky
+from PIL import Image
+
+from neurad.assembly.build import build_world
+from neurad.core.lens import Lens
+from neurad.core.records import Camera, EnvironmentMap, View
+from neurad.core.reflection import ConductorModel, DielectricModel, DiffuseModel, PrincipledModel, RoughPlasticModel
+from neurad.export.cameras import named_apart, shown_alike, write_views
+from neurad.integrators.film import render
+from neurad.integrators.renderer import path_tracer
+from neurad.scene.builtin import build_cornell
+from neurad.scene.image_io import read_exr
+from neurad.scene.load import load_scene
+from neurad.scene.readers.mitsuba_xml import read_xml
+from neurad.scene.readers.nerf import read_views
+from neurad.scene.textures import TrueMaterials
+
+pytest.importorskip("xatlas")
+pytest.importorskip("mitsuba")
+
+TURN = np.array([[0, 0, 1, 0], [0.6, 0.8, 0, 0], [-0.8, 0.6, 0, 0], [0, 0, 0, 1]], np.float32)
+
+
+def read_again(scene, folder, **settings):
+    return read_xml(exported(scene, folder / "room", **settings) / "scene.xml").check()
+
+
+def test_an_environment_map_alone(tmp_path):
+    environment = EnvironmentMap(sky(9, 16).pixels, TURN)
+    again = read_again(object_scene(environment), tmp_path)
+    assert np.array_equal(again.environment.pixels, environment.pixels)
+    assert np.allclose(again.environment.to_world, TURN, atol=1e-6)
+    assert np.array_equal(read_exr(tmp_path / "room/environment.exr"), environment.pixels)
+    notes = json.loads((tmp_path / "room/room.json").read_text())
+    assert notes["environment"] == {"file": "environment.exr", "to_world": TURN[:3, :3].tolist()}
+
+
+def test_a_constant_emitter(tmp_path):
+    radiance = np.array([1.0, 0.5, 0.25], np.float32)
+    environment = EnvironmentMap(np.broadcast_to(radiance, (2, 4, 3)).copy())
+    scene = object_scene(environment)
+    again = read_again(scene, tmp_path)
+    assert np.array_equal(again.environment.pixels.max((0, 1)), radiance)
+    assert np.array_equal(again.environment.pixels.min((0, 1)), radiance)
+    import mitsuba as mi
+
+    mi.set_variant("scalar_rgb")
+    picture = np.array(mi.render(mi.load_file(str(tmp_path / "room/scene.xml")), spp=16))[..., :3]
+    assert np.allclose(picture[0, 0], radiance, rtol=1e-3)  # past the floor
+    world = build_world(again)
+    with torch.no_grad():
+        ours = render(
+            scene.test[0].camera,
+            path_tracer(world, TrueMaterials(again, world.geometry), again.max_depth, again.rr_depth),
+            16,
+            0,
+        )
+    assert np.allclose(ours.numpy().mean((0, 1)), picture.mean((0, 1)), rtol=0.05)
+
+
+def test_mirrors_and_glass(tmp_path):
+    scene = delta_gallery()
+    again = read_again(scene, tmp_path)
+    for mesh, found in zip(scene.meshes, again.meshes, strict=True):
+        material, read = scene.materials[mesh.material], again.materials[found.material]
+        assert type(read.model) is type(material.model)
+        assert read.two_sided == material.two_sided
+        if isinstance(material.model, DielectricModel):
+            assert read.model.eta == pytest.approx(material.model.eta)
+        if isinstance(material.model, ConductorModel):
+            assert np.allclose(read.albedo.value, material.albedo.value, atol=1e-6)
+    described = {name: material for name, _, material in Glb(tmp_path / "room/scene.glb").meshes()}
+    glass = [m for m in described.values() if "KHR_materials_transmission" in m.get("extensions", {})]
+    assert len(glass) == 2
+    assert all(m["extensions"]["KHR_materials_ior"]["ior"] == pytest.approx(1.5) for m in glass)
+
+
+def test_glass_in_something_denser_has_an_index_that_gltf_allows(tmp_path, validator):
+    scene = delta_gallery()
+    thin = [
+        replace(m, model=DielectricModel(1 / 1.33)) if isinstance(m.model, DielectricModel) else m
+        for m in scene.materials
+    ]
+    room = exported(replace(scene, materials=thin), tmp_path / "room")
+    assert validator.issues(room / "scene.glb") == []
+    read = [m.model for m in read_xml(room / "scene.xml").materials]
+    assert [m.eta for m in read if isinstance(m, DielectricModel)] == pytest.approx([1 / 1.33] * 2)
+
+
+@pytest.mark.parametrize("depth", [5, 2**31 - 1])
+def test_a_lambertian_scene_and_the_depths(tmp_path, depth):
+    scene = replace(build_cornell(), max_depth=depth, rr_depth=3)
+    again = read_again(scene, tmp_path)
+    assert again.features.is_diffuse
+    assert {type(m.model) for m in again.materials} == {DiffuseModel}
+    assert (again.max_depth, again.rr_depth) == (depth, 3)
+    lamp, found = (next(m for m in s.meshes if m.radiance is not None) for s in (scene, again))
+    assert np.array_equal(lamp.radiance, found.radiance)
+
+
+def test_what_a_fit_recovers_is_principled_and_sides_stay(tmp_path):
+    scene = object_scene(sky(), RoughPlasticModel(1.5, 0.1))
+    one_sided = [replace(material, two_sided=False) for material in scene.materials]
+    again = read_again(replace(scene, materials=one_sided), tmp_path)
+    assert {m.model for m in again.materials} == {PrincipledModel()}
+    assert not any(m.two_sided for m in again.materials)
+    assert not any("doubleSided" in m for _, _, m in Glb(tmp_path / "room/scene.glb").meshes())
+
+
+def test_normals_stay_where_there_are_some(tmp_path):
+    scene = object_scene(sky())
+    again = read_again(scene, tmp_path)
+    for mesh, found in zip(scene.meshes, again.meshes, strict=True):
+        assert (mesh.normals is None) == (found.normals is None)
+        if mesh.normals is not None:
+            assert np.allclose(mesh.normals[mesh.faces], found.normals[found.faces], atol=1e-6)
+
+
+@pytest.mark.parametrize("unit", [0.03, 1e5])
+def test_the_length_of_the_unit_does_not_matter(tmp_path, unit):
+    """Light knows no lengths: Mitsuba shows a scene of another unit as before; below 1e-2 its own ray offsets show."""
+    import mitsuba as mi
+
+    mi.set_variant("scalar_rgb")
+    scene, means = build_cornell(), []
+    for factor in (1.0, unit):
+        meshes = [replace(mesh, vertices=mesh.vertices * np.float32(factor)) for mesh in scene.meshes]
+        views = []
+        for view in scene.test:
+            pose = np.array(view.camera.to_world)
+            pose[:3, 3] *= factor
+            views.append(replace(view, camera=replace(view.camera, to_world=pose)))
+        room = exported(replace(scene, meshes=meshes, train=views, test=views), tmp_path / f"{factor:g}")
+        loaded = mi.load_file(str(room / "scene.xml"))
+        means.append([np.array(mi.render(loaded, sensor=i, spp=8, seed=i)).mean() for i in range(len(views))])
+    assert min(means[0]) > 0
+    assert means[1] == pytest.approx(means[0], rel=0.02)
+
+
+@pytest.mark.parametrize("copy", [False, True])
+def test_photographs_with_alpha_and_a_second_light(tmp_path, copy):
+    scene = photographed(object_scene(sky()), tmp_path, spp=1, relit=sky(seed=1))
+    room = exported(scene, tmp_path / "room", hide_environment=True, copy=copy)
+    again = load_scene(str(room), None)
+    for before, after in zip((*scene.train, *scene.test), (*again.train, *again.test), strict=True):
+        assert (before.name, before.camera.fov_x) == (after.name, after.camera.fov_x)
+        assert np.array_equal(before.camera.to_world, after.camera.to_world)
+        for kind in ("image", "albedo", "roughness", "relight"):
+            first, second = getattr(before, kind), getattr(after, kind)
+            assert (first is None) == (second is None), kind
+            assert first is None or np.array_equal(read_exr(first), read_exr(second))
+    assert (scene.relight is None) == (again.relight is None)
+    links = [path for path in room.rglob("*.exr") if path.is_symlink()]
+    assert bool(links) is not copy
+    assert json.loads((room / "room.json").read_text())["hide_environment"]
+
+
+def pose(angle):
+    c, s = np.cos(angle), np.sin(angle)
+    return np.array([[c, 0, s, 0.1], [0, 1, 0, 0.2], [-s, 0, c, 0.3], [0, 0, 0, 1]])
+
+
+def test_every_view_keeps_its_own_angle(tmp_path):
+    views = [View(f"v{i}", Camera(pose(i), fov, 12, 8), str(tmp_path / "x.exr")) for i, fov in enumerate((0.5, 0.9))]
+    (tmp_path / "x.exr").touch()
+    write_views(replace(build_cornell(), train=views, test=[]), tmp_path, copy=True)
+    again = read_views(tmp_path / "transforms_train.json", tmp_path)
+    for before, after in zip(views, again, strict=True):
+        assert (before.camera.fov_x, before.camera.width, before.camera.height) == (after.camera.fov_x, 12, 8)
+        assert np.array_equal(before.camera.to_world, after.camera.to_world)
+
+
+def test_lenses_that_others_do_not_have_stay_in_the_camera_files(tmp_path, capfd):
+    """A room with a camera that distorts: other programs get the plain ones, which are compared; masks come along."""
+    import mitsuba as mi
+
+    scene = build_cornell()
+    bent = replace(scene.test[0], camera=replace(scene.test[0].camera, lens=Lens(numerator=(-0.1,))))
+    mask = tmp_path / "mask.PNG"
+    Image.new("L", (scene.test[1].camera.width, scene.test[1].camera.height), 255).save(mask)
+    scene = replace(scene, test=[bent, replace(scene.test[1], mask=str(mask))])
+    assert [view.name for view in shown_alike(scene)] == [scene.test[1].name]
+    room = exported(scene, tmp_path / "room")
+    assert len(mi.load_file(str(room / "scene.xml")).sensors()) == 1
+    names = [camera["name"] for camera in Glb(room / "scene.glb").json["cameras"]]
+    assert bent.name not in names
+    assert scene.test[1].name in names
+    again = load_scene(str(room), None).test
+    assert again[0].camera.lens == bent.camera.lens
+    assert Path(again[1].mask).read_bytes() == mask.read_bytes()
+    left_out = json.loads((room / "room.json").read_text())["left_out"]
+    assert any("1 cameras: other programs' cameras" in note for note in left_out)
+    exported(replace(scene, train=[bent], test=[]), tmp_path / "only", verify=True)
+    assert "nothing is rendered again: other programs' cameras have no lens distortion" in capfd.readouterr().err
+
+
+def test_views_without_photographs_keep_their_cameras(tmp_path):
+    bare = object_scene(sky())
+    assert write_views(bare, tmp_path, copy=False) == ["train", "test"]
+    for part in ("train", "test"):
+        described = json.loads((tmp_path / f"transforms_{part}.json").read_text())
+        views = getattr(bare, part)
+        assert [f["file_path"] for f in described["frames"]] == [f"images/{view.name}.exr" for view in views]
+        found = [f["transform_matrix"] for f in described["frames"]]
+        assert np.array_equal(found, [view.camera.to_world for view in views])
+    assert not (tmp_path / "images").exists()
+
+
+@pytest.mark.parametrize("name", ["r_0", "R_0", "x" * 57, "Küche\n", "ü" * 29])
+def test_names_of_views_serve_as_those_of_files_and_cameras(name):
+    scene = build_cornell()
+    first = replace(scene, train=[replace(scene.train[0], name="r_0"), *scene.train[1:]])
+    named = named_apart(replace(first, test=[replace(scene.test[0], name=name)]))
+    assert [v.name for v in (named.train[0], named.test[0])] == ["train_000", "test_000"]
+    assert named_apart(scene) is scene

@@ -1,0 +1,71 @@
+"""Borders of charts in a whole room: no seam where there is none, and one where the gutter is missing."""
+
+import numpy as np
+import pytest
+import torch
+
+from neurad.core.records import Surface
+from neurad.export import bake as baking
+from neurad.export.bake import bake
+from neurad.export.charts import find_borders
+from neurad.export.room import Room
+from neurad.export.seams import BOUND, find_seams
+from neurad.export.unwrap import unwrap
+from neurad.scene.geometry import Geometry
+from neurad.scene.load import load_scene
+
+pytest.importorskip("xatlas")
+
+
+class Waves:
+    """Materials that vary over a few centimetres in every direction."""
+
+    def __call__(self, si):
+        waves = 0.5 + 0.4 * torch.sin(si.p @ torch.tensor([[20.0, 3.0, 7.0], [5.0, 22.0, 1.0], [9.0, 2.0, 18.0]]))
+        return Surface(waves, waves[:, :1])
+
+
+@pytest.fixture(scope="module")
+def kitchen():
+    """The built-in kitchen's geometry, and every mesh with a texture."""
+    scene = load_scene(None, "kitchen")
+    charts = unwrap(scene.meshes, np.full(len(scene.meshes), 200.0), 3_000_000)
+    return scene, Geometry(scene), charts
+
+
+def room(scene, geometry, charts):
+    first = np.cumsum([0, *(len(mesh.faces) for mesh in scene.meshes)])
+    baked = [bake(chart, int(start), geometry, Waves()) for chart, start in zip(charts, first[:-1], strict=True)]
+    return Room(scene, [mesh.name for mesh in scene.meshes], charts, baked, [], "y", False)
+
+
+def test_no_border_of_the_built_in_kitchen_is_a_seam(kitchen):
+    scene, geometry, charts = kitchen
+    found = find_seams(room(scene, geometry, charts), geometry, Waves())
+    assert found.points == found.sides > 5000
+    assert found.largest <= BOUND, found
+    assert found.beyond == 0.0
+
+
+def test_without_a_gutter_seams_are_found(kitchen, monkeypatch):
+    scene, geometry, charts = kitchen
+    monkeypatch.setattr(baking, "GUTTER", 0.0)
+    found = find_seams(room(scene, geometry, charts), geometry, Waves(), points=4096)
+    assert found.points < found.sides
+    assert found.largest > 5 * BOUND
+    assert found.beyond > 0.05
+
+
+def test_borders_are_edges_that_two_charts_share(kitchen):
+    """A box unwrapped into six squares has its twelve edges twice; what lies inside a square is no border."""
+    import trimesh
+
+    from neurad.core.records import Mesh
+
+    box = trimesh.creation.box()
+    bare = Mesh("box", np.asarray(box.vertices, np.float32), np.asarray(box.faces, np.int64), 0)
+    apart = unwrap([bare], np.array([40.0]), 1 << 16)[0]
+    charts = len(np.unique(apart.chart))
+    assert charts > 1
+    inside = (3 * len(bare.faces) - len(find_borders(apart.mesh))) // 2  # edges that no border crosses
+    assert inside == len(bare.faces) - charts  # triangles of a chart hang together like a tree here

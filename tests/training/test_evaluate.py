@@ -1,0 +1,78 @@
+"""Pictures of an evaluation: what few samples show with the radiance field as control variate."""
+
+import csv
+import json
+from dataclasses import replace
+from pathlib import Path
+
+import pytest
+import torch
+from helpers.tiny_fit import fit, run_folder
+
+from neurad.assembly.build import build_world
+from neurad.cli import main
+from neurad.core.rng import Stream
+from neurad.integrators.film import box_mean, render
+from neurad.integrators.method import SceneModel
+from neurad.integrators.renderer import FieldRenderer
+from neurad.metrics.held_out import HeldOut
+from neurad.scene.builtin import build_cornell
+from neurad.scene.builtin.plain import views
+from neurad.scene.textures import TrueMaterials
+from neurad.training.evaluate import STEADY, steadied
+
+
+def test_box_means_are_those_of_the_pixels_that_there_are():
+    image = torch.arange(20.0).view(4, 5, 1)
+    found = box_mean(image, 3)
+    assert float(found[1, 1]) == pytest.approx(float(image[:3, :3].mean()))
+    assert float(found[0, 4]) == pytest.approx(float(image[:2, 3:].mean()))
+
+
+def test_a_steadied_picture_keeps_the_mean_and_loses_the_noise():
+    """The right side is the left one and a smooth difference, with noise of standard deviation 0.5."""
+    stream = Stream(3)
+    left = stream.uniform(64, 64, 3)  # as detailed as can be
+    slope = torch.linspace(0, 0.2, 64).view(1, 64, 1).expand(64, 64, 3)
+    noise = 0.5 * torch.randn(64, 64, 3, generator=stream.generator)
+    found = steadied(left + slope + noise, left)
+    inside = slice(STEADY, -STEADY)
+    error = (found - left - slope)[inside, inside]
+    assert float(error.std()) == pytest.approx(0.5 / STEADY, rel=0.15)
+    # 46 x 46 x 3 pixels: the mean of the noise has a standard deviation of 0.5 / 80
+    assert abs(float(error.mean())) < 4 * 0.5 / 80
+
+
+def test_emitters_have_the_mean_of_all_positions():
+    """A lamp covers pixels in part: what the held-out views' positions see of it is what a rendering converges to."""
+    scene = build_cornell()
+    scene = replace(scene, test=views("up", [((0.0, 0.0, 0.0), (0.05, 1.0, 0.1))], 70.0, 32))
+    world = build_world(scene)
+    materials = TrueMaterials(scene, world.geometry)
+    held_out = HeldOut(scene, world.geometry, world.tracer)
+    parts = SceneModel(world, materials, lambda si, albedo: torch.full_like(si.p, 0.25))
+    found = held_out.emitted(0, world.emitted)
+    assert float(found.max()) > 1.0
+    whole, emitted = render(scene.test[0].camera, FieldRenderer(parts, parts=True), 64, 1).tensor_split((3,), -1)
+    torch.testing.assert_close(whole - emitted, torch.full_like(whole, 0.25), atol=1e-4, rtol=0)
+    assert float((found - emitted).abs().mean()) < 0.02 * float(emitted.mean())
+
+
+@pytest.mark.main
+def test_a_fit_logs_the_fields_picture_and_a_steady_one(tiny, capfd):
+    """Four samples with the control variate are nearer to 64 samples' score than four without."""
+    fit("--trainer.max_steps", "60", "--evaluation.spp", "4")
+    with (run_folder() / "metrics.csv").open() as file:
+        row = list(csv.DictReader(file))[-1]
+    shown = capfd.readouterr().out
+    assert "the radiance field as control variate" in shown
+    assert "of the field" in shown
+
+    def tested(spp):
+        main(["test", "--config", "tiny.yaml", "--ckpt_path", "last", "--evaluation.test_spp", str(spp)])
+        newest = max(Path("lightning_logs").glob("*/metrics.json"), key=lambda path: path.stat().st_mtime)
+        return json.loads(newest.read_text())
+
+    few, many = tested(4), tested(64)
+    assert float(row["psnr_lhs"]) == pytest.approx(many["psnr_lhs"], abs=0.3)
+    assert abs(float(row["psnr_linear"]) - many["psnr_linear"]) < 0.5 * abs(few["psnr_linear"] - many["psnr_linear"])
