@@ -20,7 +20,7 @@ from neurad.commands.bench import BENCHMARKS
 from neurad.runs.configs import load_config, split_arguments
 
 SOURCES = [path for top in ("neurad", "datamodules") for path in sorted((REPOSITORY / top).rglob("*.py"))]
-FILES = re.compile(r".*\.(csv|png|exr|usdc|xml|json|html|md|ckpt|ipynb|py|toml)")
+FILES = re.compile(r".*\.(csv|png|exr|usdc|npz|xml|json|html|md|ckpt|ipynb|py|toml)")
 KEYS = re.compile(r"(?<![\w./])(?:--)?((?:model|data|trainer|evaluation|checkpoint)\.[a-z_]+(?:\.[a-z_]+)*)(?![\w/*(])")
 FOLDERS = ("neurad/", "datamodules/", "configs/", "tests/", "docs/", ".ci/")
 
