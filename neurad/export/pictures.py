@@ -9,13 +9,14 @@ import numpy as np
 
 from neurad.core.records import FloatArray
 from neurad.metrics.scores import Float64Array
+from neurad.scene.image_io import to_srgb
 
 ERROR = 0.002
 """Standard error of the mean of a view that is rendered for, as a fraction of it."""
 SQUARED_ERROR = 0.005
 """The same of its mean squared difference to the photograph: 0.02 dB."""
 PASSES = 8
-"""Most passes to get there."""
+"""Most passes to get there; an even number."""
 
 Draw = Callable[[int, int], FloatArray]
 """A picture [h, w, 3] of the view of this number by this seed."""
@@ -30,29 +31,36 @@ class Pictures:
     error: list[float] = field(default_factory=list)
     """Standard error of the mean of each."""
     squared: list[float | None] = field(default_factory=list)
-    """Mean squared difference to the photograph, without the renderer's own noise; None without a photograph."""
+    """Mean squared difference to the photograph, both encoded in sRGB, without the renderer's own noise; None without a
+    photograph. Encoded, since linear ones hang on lamps and on single bright samples."""
     squared_error: list[float] = field(default_factory=list)
     """Standard error of that."""
     passes: list[int] = field(default_factory=list)
 
     def add(self, draw: Callable[[int], FloatArray], photo: FloatArray | None, most: int = PASSES) -> None:
-        """Add a view: passes, two at least, until its mean and its difference to the photograph are known.
+        """Add a view: pairs of passes, until its mean and its difference to the photograph are known.
 
         Args:
             draw: the picture [h, w, 3] by a seed.
-            photo: to compare with [h, w, 3].
-            most: passes.
+            photo: to compare with [h, w, 3], linear.
+            most: passes; two at least.
         """
-        total, squares, grey = (np.zeros(1) for _ in range(3))
         first = draw(0).astype(np.float64)  # sums of differences to it: less is lost to cancellation
-        for count in range(2, max(most, 2) + 1):
-            off = draw(count - 1) - first
-            total, squares, grey = total + off, squares + off**2, grey + off.mean(-1) ** 2
+        halves = [np.zeros_like(first), np.zeros_like(first)]
+        grey, count = np.zeros(first.shape[:2]), 0
+        while count < max(most, 2):
+            for half in halves:
+                off = (draw(count) if count else first) - first
+                half += off
+                grey, count = grey + off.mean(-1) ** 2, count + 1
+            total = halves[0] + halves[1]
             error = float(np.sqrt(_variance(total.mean(-1), grey, count).sum()) / grey.size)
             mean = first + total / count
             known = error <= ERROR * abs(float(mean.mean()))
             if photo is not None:
-                squared, squared_error = squared_difference(mean - photo, _variance(total, squares, count), count)
+                shown = ((first + 2.0 * half / count).astype(np.float32) for half in halves)
+                encoded = [(to_srgb(x) - to_srgb(photo)).astype(np.float64) for x in shown]
+                squared, squared_error = squared_difference(*encoded)
                 known &= squared_error <= SQUARED_ERROR * squared
             if known:
                 break
@@ -63,20 +71,19 @@ class Pictures:
         self.passes.append(count)
 
 
-def squared_difference(off: Float64Array, variance: Float64Array, passes: int) -> tuple[float, float]:
+def squared_difference(first: Float64Array, second: Float64Array) -> tuple[float, float]:
     """Mean squared difference of a picture without its noise, and the standard error of that.
 
+    The product of two halves whose noise is independent has none of it on average. With m their mean and d their
+    difference, m . d has the variance of the product, and does not know the answer: (|a|^2 - |b|^2) / 2.
+
     Args:
-        off: the mean picture less what it is compared with [h, w, 3].
-        variance: of the mean picture, from the spread of its passes [h, w, 3].
-        passes: how many.
+        first: one half of the passes less what the picture is compared with [h, w, 3].
+        second: the other half.
     """
-    squares = off**2 - variance
-    # Of (mean - p)^2 - variance: 4 (mean - p)^2 variance by the first power of the noise, 2 variance^2 n / (n - 1) by
-    # the second; the channels of a pixel share their noise, pixels do not.
-    spread = 4.0 * np.maximum(squares, 0.0) * variance + 2.0 * variance**2 * (passes / (passes - 1))
-    error = float(np.sqrt(spread.sum() * off.shape[-1]) / off.size)
-    return float(squares.mean()), error
+    squared = float((first * second).mean())
+    spread = 0.5 * (first**2 - second**2).sum(-1)  # channels of a pixel share their noise, pixels do not
+    return squared, float(np.sqrt((spread**2).sum()) / first.size)
 
 
 def _variance(total: Float64Array, squares: Float64Array, passes: int) -> Float64Array:
