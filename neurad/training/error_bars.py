@@ -13,8 +13,8 @@ from neurad.training.step import Counters
 
 FRACTION = 0.03
 """Samples of the pass over those that the fit has drawn. One of them costs about half of one of a training step."""
-MOST = 1 << 18
-"""Pixels in a pass."""
+LEAST, MOST = 64, 1 << 18
+"""Pixels in a pass; of fewer nothing can be said."""
 
 
 def error_bars(
@@ -22,7 +22,7 @@ def error_bars(
 ) -> ErrorBars | None:
     """Error bars of the present materials, from pixels that the fit would have drawn next; the same ones at every call.
 
-    None where materials are known, and of a fit too short to have drawn samples for one pixel. Nothing of the run
+    None where materials are known, and of a fit too short to have drawn samples for :data:`LEAST` pixels. Nothing of the run
     changes.
 
     Args:
@@ -35,7 +35,7 @@ def error_bars(
         return None
     total = int((~views.emitter_mask).sum())
     count = min(int(FRACTION * counters.samples) // SPP, MOST, total)
-    if count < 1:
+    if count < LEAST:
         return None
     with assembly.world.tracer.uncounted():
         pixels = pixel_derivatives(
