@@ -195,7 +195,9 @@ def _jacobian(image: Tensor, surface: Surface) -> tuple[Tensor, Tensor]:
     """
     b, n, channels = image.shape
     by_albedo, by_roughness = image.new_zeros(2, b, channels).unbind()
-    if not image.requires_grad:
+    if torch.is_inference_mode_enabled():
+        raise RuntimeError("derivatives of pixels cannot be taken in torch's inference mode")
+    if not image.requires_grad:  # nothing reflects
         return by_albedo, by_roughness
     for channel in range(channels):
         gradients = torch.autograd.grad(

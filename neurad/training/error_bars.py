@@ -11,7 +11,7 @@ from neurad.metrics.error_bars import ErrorBars, ToUnitCube, measure
 from neurad.metrics.pixel_derivatives import SPP, pixel_derivatives
 from neurad.training.step import Counters
 
-FRACTION = 0.03
+FRACTION = 0.04
 """Samples of the pass over those that the fit has drawn. One of them costs about half of one of a training step."""
 LEAST, MOST = 64, 1 << 18
 """Pixels in a pass; of fewer nothing can be said."""

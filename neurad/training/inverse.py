@@ -6,6 +6,7 @@ import sys
 from typing import Any, Literal
 
 import lightning as L
+import torch
 from lightning.pytorch.strategies import DDPStrategy
 from torch import Tensor
 
@@ -280,7 +281,8 @@ class InverseRenderer(L.LightningModule):
             InputError: outside of a fit the training photographs are read for it, and one is missing or wrong.
         """
         views = self.training_views
-        with averaged(self.average):
+        # The trainer tests in inference mode, in which nothing can be differentiated.
+        with torch.inference_mode(False), torch.no_grad(), averaged(self.average):
             if views is None:
                 with self.world.tracer.uncounted():
                     views = prepare_views(self.assembly, self.photographs, self.device, check_brightness=False)

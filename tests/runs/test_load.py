@@ -16,6 +16,7 @@ from helpers.tiny_scene import SIZE, write_scene
 import neurad
 from neurad.cli import main
 from neurad.core.errors import InputError
+from neurad.metrics.bars_file import read_bars
 from neurad.metrics.held_out import HeldOut
 from neurad.scene.image_io import read_exr
 from neurad.training.checkpoint_file import write_checkpoint
@@ -70,10 +71,17 @@ def test_error_bars_are_those_of_neurad_test(place):
         at = getattr(run, f"{name}_std")(points.p[points.valid].numpy())
         assert np.allclose(at, std[lit]) or (std[lit] == 0).any()
     scores = json.loads((place / "metrics.json").read_text())
+    assert run.albedo_std(points)[lit].std() > 0
     assert not any("coverage" in key for key in scores)  # the room has no true maps
     bars = place / "error_bars.npz"
+    inside = np.random.default_rng(0).random((200, 3))
+    before = read_bars(bars).at(inside)[0]
+    assert before.std() > 0
     kept = bars.read_bytes()
     try:
+        bars.unlink()
+        main(["test"])  # in the trainer's inference mode, the same as at the end of the fit
+        assert read_bars(bars).at(inside)[0] == pytest.approx(before, rel=1e-3)
         bars.unlink()
         with pytest.raises(InputError, match="no error bars of this run; neurad test writes them"):
             neurad.load(place).albedo_std(points)
