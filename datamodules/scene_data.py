@@ -168,7 +168,8 @@ class SceneData(pl.LightningDataModule, PhotoSource):
         expected = view.camera
         if (width, height) != (expected.width, expected.height):
             raise InputError(
-                f"{view.image}: it has {width} x {height} pixels, its camera {expected.width} x {expected.height}"
+                f"{view.image}: it has {width} x {height} pixels, its camera {expected.width} x {expected.height}; "
+                "scale the photograph, or correct w and h in the camera file"
             )
         return torch.from_numpy(image).view(height * width, -1)
 

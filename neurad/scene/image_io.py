@@ -190,7 +190,10 @@ def read_mask(view: View) -> npt.NDArray[np.bool_]:
     pixels = read_bitmap(path, raw=True)
     if pixels.shape[:2] != (camera.height, camera.width):
         size = f"{pixels.shape[1]} x {pixels.shape[0]}"
-        raise InputError(f"{shown(path)}: it has {size} pixels, its camera {camera.width} x {camera.height}")
+        raise InputError(
+            f"{shown(path)}: it has {size} pixels, its camera {camera.width} x {camera.height}; "
+            "a mask is as large as its photograph"
+        )
     return np.asarray((pixels > 0).any(-1))
 
 

@@ -22,8 +22,8 @@ def error_bars(
 ) -> ErrorBars | None:
     """Error bars of the present materials, from pixels that the fit would have drawn next; the same ones at every call.
 
-    None where materials are known, and of a fit too short to have drawn samples for :data:`LEAST` pixels. Nothing of the run
-    changes.
+    None where materials are known, and of a fit too short to have drawn samples for :data:`LEAST` pixels. Nothing of
+    the run changes.
 
     Args:
         assembly: with the materials that are reported, the averaged ones if the run averages.

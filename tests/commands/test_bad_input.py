@@ -146,7 +146,7 @@ BAD = {
     "infinite pixels": (photograph(one_pixel(np.inf)), [], ["train_1.exr", "infinite"]),
     "negative pixels": (photograph(one_pixel(-0.5)), [], ["train_1.exr", "negative"]),
     "another image size": (photograph(lambda p: p[: SIZE - 1]), [], ["train_1.exr", "8 x 7"]),
-    "another film size": (camera(w=16), [], ["transforms_train.json", "train_1.exr", "size"]),
+    "another film size": (camera(w=16), [], ["train_1.exr", "8 x 8", "camera 16 x 8", "w and h"]),
     "another number of channels": (
         photograph(lambda p: np.concatenate((p, p[..., :1]), -1)), [], ["train_1.exr", "channels"]),
     "black photographs": (
