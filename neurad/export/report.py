@@ -90,8 +90,8 @@ def _view(found: Verified, renderers: dict[str, Any], index: int) -> list[str]:
         figures = [f"mean {entry['mean']:.4g} &plusmn; {entry['standard_error']:.1g}"]
         if renderer != "baked":
             figures.append(f"{entry['ratio_of_means']:.4f} of baked")
-        if entry["psnr_srgb"] is not None:
-            figures.append(f"PSNR {entry['psnr_srgb']:.2f} &plusmn; {entry['psnr_standard_error']:.2f} dB")
+        if entry["psnr_linear"] is not None:
+            figures.append(f"PSNR {entry['psnr_linear']:.2f} &plusmn; {entry['psnr_standard_error']:.2f} dB")
         parts.append(_figure(renderer, ", ".join(figures), picture / top))
     parts.append('</div><div class="row">')
     others = shown if photo is None else {"photograph": photo, **shown}
@@ -131,7 +131,7 @@ def _renderers(found: Verified, renderers: dict[str, Any]) -> str:
     """Means and scores of all renderers."""
     rows, names = [], [view.name for view in found.views]
     for name, entry in renderers.items():
-        score, worst = entry["psnr_srgb"], entry["worst_view"]
+        score, worst = entry["psnr_linear"], entry["worst_view"]
         ratio = worst["ratio_of_means"]
         last = f"{ratio:.4f}"
         if name in BOUNDS:
@@ -140,7 +140,7 @@ def _renderers(found: Verified, renderers: dict[str, Any]) -> str:
             last = f'<span class="{kind}">{ratio:.4f} &plusmn; {error:.4f}</span> ({100 * BOUNDS[name]:g} %)'
         said = "-" if score is None else f"{score:.2f} &plusmn; {entry['psnr_standard_error']:.2f} dB"
         rows.append([MEANINGS[name], said, f"{entry['ratio_of_means']:.4f}", html.escape(worst["name"]), last])
-    head = ["renderer", "PSNR (sRGB)", "mean / baked", "worst view", "its mean / baked (bound)"]
+    head = ["renderer", "PSNR (linear)", "mean / baked", "worst view", "its mean / baked (bound)"]
     return "<h2>Renderers</h2>" + _table(head, rows)
 
 

@@ -232,8 +232,8 @@ def _tell(room: Room, settings: ExportSettings, notes: dict[str, Any], found: Ve
     for name, entry in found.as_json()["renderers"].items():
         score = (
             ""
-            if entry["psnr_srgb"] is None
-            else f"PSNR {entry['psnr_srgb']:.2f} ({entry['psnr_standard_error']:.2f}) dB, "
+            if entry["psnr_linear"] is None
+            else f"PSNR {entry['psnr_linear']:.2f} ({entry['psnr_standard_error']:.2f}) dB, "
         )
         worst = entry["worst_view"]
         print(f"{name:8} {score}mean {entry['ratio_of_means']:.4f} of baked, worst view {worst['name']} "

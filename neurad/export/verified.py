@@ -57,7 +57,7 @@ class Verified:
         return [math.hypot(a, b) for a, b in zip(*parts, strict=True)]
 
     def psnr(self, name: str, view: int | None = None) -> float | None:
-        """Of a renderer's views, or of one, against the photographs, both encoded in sRGB; None without photographs.
+        """Of a renderer's views, or of one, against the photographs, linear, peak 1; None without photographs.
 
         The noise of the renderer, known from its passes, is taken out, as renderers differ in it.
         """
@@ -99,7 +99,7 @@ class Verified:
         worst = int(np.argmax(np.abs(np.array(ratios) - 1.0)))
         means = [float(np.mean([x.mean() for x in p.mean])) for p in (shown, self.pictures["baked"])]
         return {
-            "psnr_srgb": self.psnr(name),
+            "psnr_linear": self.psnr(name),
             "psnr_standard_error": self.psnr_error(name),
             "ratio_of_means": means[0] / max(means[1], 1e-30),
             "worst_view": {"name": self.views[worst].name, "ratio_of_means": ratios[worst]},
@@ -109,7 +109,7 @@ class Verified:
                     "standard_error": shown.error[i],
                     "passes": shown.passes[i],
                     "ratio_of_means": ratios[i],
-                    "psnr_srgb": self.psnr(name, i),
+                    "psnr_linear": self.psnr(name, i),
                     "psnr_standard_error": self.psnr_error(name, i),
                 }
                 for i, view in enumerate(self.views)
