@@ -20,6 +20,7 @@ from neurad.core.patch_sampler import PatchSampler
 from neurad.core.protocols import PhotoSource
 from neurad.core.ranges import Count, CountOrZero, Range, Seed, checked
 from neurad.core.records import DatasetStats, PixelBatch, View
+from neurad.runtime.progress import counted
 from neurad.runtime.reading import read_bytes
 from neurad.scene.description import Scene
 from neurad.scene.image_io import read_mask, read_photograph
@@ -34,14 +35,14 @@ class SceneData(pl.LightningDataModule, PhotoSource):
     A batch is a pure function of seed, iteration and rank, so a continued run draws what it would have drawn.
 
     Args:
-        root: a scene folder.
-        scene: name of a built-in scene instead.
+        root: a scene folder: ``scene.xml``, ``transforms_train.json``, photographs.
+        scene: name of a built-in scene instead, such as ``kitchen``.
         patches: patches in a batch, of all views in turn.
         patch_size: side of a patch in pixels; 1 draws single pixels.
         pixel_multiplier: times as many patches, with as many times fewer samples per pixel, in the first batches. It
             halves whenever the pixels have been visited a few times: at first too few pixels seen limits the result,
             and noise later. A power of two.
-        seed: of the draws.
+        seed: of the draws of pixels.
         resident: training photographs in memory at once; the others are read from disk as their turn comes. None
             keeps all in memory.
         replace_every: iterations after which one of them is replaced, if not all are in memory.
@@ -132,7 +133,7 @@ class SceneData(pl.LightningDataModule, PhotoSource):
         first = self._read(views[0])
         pixels = first.new_zeros(len(views), max(w * h for w, h in self._sizes), first.shape[1])
         pixels[0, : len(first)] = first
-        for index, view in enumerate(views[1:], 1):
+        for index, view in enumerate(counted(views[1:], "reading", len(views) - 1, "photographs"), 1):
             image = self._read(view)
             self._check_channels(view, image, first.shape[-1])
             pixels[index, : len(image)] = image

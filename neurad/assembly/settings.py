@@ -139,14 +139,17 @@ class Optimization:
     """Learning rates of the optimizers and the schedule that they share."""
 
     albedo: NonNegative = 5e-3
+    """Learning rate of the albedo field; 0 leaves it as it begins."""
     roughness: NonNegative = 5e-3
-    """For batches of the usual size; :meth:`ModelSettings.for_batch` lowers it where ``data.pixel_multiplier`` spreads
-    the samples over more pixels."""
+    """Learning rate of the roughness field, for batches of the usual size; :meth:`ModelSettings.for_batch` lowers it
+    where ``data.pixel_multiplier`` spreads the samples over more pixels."""
     roughness_decay: NonNegative = 0.0
     """Weight decay (AdamW's) of the table that roughness's network reads; 0 is none. Where photographs say little about
     roughness, noise writes patterns into the table that nothing else takes out again."""
     radiance: NonNegative = 5e-3
+    """Learning rate of the radiance field."""
     environment: NonNegative = 1e-1
+    """Learning rate of an environment map that is recovered; its texels are the parameters."""
     schedule: Literal["constant", "cosine"] = "cosine"
     """Cosine decay over the run: by iterations (``max_steps``) or time (``max_time``), whichever ends first."""
     warmup: CountOrZero = 20

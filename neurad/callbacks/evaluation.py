@@ -23,6 +23,7 @@ from neurad.metrics.bars_file import NAME, read_bars, write_bars
 from neurad.metrics.effort import affordable
 from neurad.runtime import clock
 from neurad.runtime.files import write_text
+from neurad.runtime.progress import phase
 from neurad.training.schedule import fraction_done, time_limit
 
 if TYPE_CHECKING:
@@ -68,6 +69,8 @@ class Evaluate(pl.Callback):
         self.log_every_n_steps = log_every_n_steps
         checked(self)
         self.last_scores: dict[str, float] = {}
+        self.last_scored = 0.0
+        """When that was, by the monotonic clock."""
         self._spent = 0.0
         self._last = 0.0
         self._mark = 0
@@ -116,7 +119,8 @@ class Evaluate(pl.Callback):
             self._evaluate_fit(trainer, module)
         with clock.excluded():
             if trainer.is_global_zero and run_folder(trainer) is not None:
-                self._show_bars(trainer, module)
+                with phase("error bars"):
+                    self._show_bars(trainer, module)
             trainer.strategy.barrier("error bars")
 
     def on_fit_end(self, trainer: pl.Trainer, pl_module: pl.LightningModule) -> None:
@@ -181,7 +185,7 @@ class Evaluate(pl.Callback):
             self._evaluated = module.iteration
             if trainer.is_global_zero:
                 evaluation = module.evaluate(self.spp, steady=True)
-                self.last_scores = dict(evaluation.scores)
+                self.last_scores, self.last_scored = dict(evaluation.scores), time.monotonic()
                 self._record(trainer, module, evaluation.scores, evaluation.maps)
                 self._preview(trainer, module, evaluation)
                 self._check_views(trainer, module)

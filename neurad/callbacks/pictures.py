@@ -10,6 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from neurad.runtime.files import make_folder
+from neurad.runtime.progress import counted
 from neurad.scene.image_io import to_srgb, write_exr, write_png
 
 Image = npt.NDArray[np.float32]
@@ -97,7 +98,7 @@ def write_views(folder: Path, maps: Sequence[View], sky: Mapping[str, Image] | N
     """
     make_folder(folder)
     scale = exposure(maps)
-    for index, view in enumerate(maps):
+    for index, view in enumerate(counted(maps, "writing", len(maps), "pictures")):
         for name in ("render", "albedo", "roughness", "relit", "albedo_std", "roughness_std"):
             image = view.get(name)
             if image is None:

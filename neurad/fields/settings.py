@@ -45,6 +45,7 @@ class FieldConfig:
     width: Annotated[int, Range(1, 1 << 14)] = 64
     """Neurons of a hidden layer."""
     hidden_layers: Annotated[int, Range(0, 64)] = 1
+    """Hidden layers of the network; 0 is one linear map."""
     kind: Literal["hash", "dense"] = "hash"
     """``hash``: a hash grid and a network that reads it; ``dense``: a dense grid of values, without either."""
     size: Annotated[int, Range(2, 1 << 10)] = 256

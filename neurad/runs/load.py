@@ -27,7 +27,7 @@ from neurad.integrators.world import World
 from neurad.metrics.bar_maps import bars_at
 from neurad.metrics.bars_file import NAME, read_bars
 from neurad.metrics.error_bars import ErrorBars, in_cube
-from neurad.runs.checkpoints import newest_checkpoint, run_checkpoint, run_folder_of
+from neurad.runs.checkpoints import named_checkpoint, newest_checkpoint, run_folder_of
 from neurad.runs.model_settings import parse_model
 from neurad.runs.own_config import own_config
 from neurad.scene.description import Scene
@@ -265,9 +265,7 @@ def _locate(run: str | os.PathLike[str] | None) -> tuple[Path, Path]:
         path = newest
     else:
         path = Path(run).expanduser()
-        if not path.exists():
-            raise InputError(f"run {path}: there is no such run folder or checkpoint")
-        path = run_checkpoint(path, "") if path.is_dir() else path
+        path = named_checkpoint(path, Path(), f"run {path}")
     folder = run_folder_of(path)
     if folder is None:
         raise InputError(f"run {path}: the checkpoint is not in a run folder with a config.yaml")

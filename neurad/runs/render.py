@@ -6,7 +6,6 @@ import json
 import sys
 import time
 from dataclasses import dataclass, replace
-from difflib import get_close_matches
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +18,7 @@ from neurad.core.errors import InputError
 from neurad.core.protocols import Integrator
 from neurad.core.ranges import Count, Positive, checked
 from neurad.core.rng import mix
+from neurad.core.suggest import did_you_mean
 from neurad.integrators.aov import MaterialMap
 from neurad.integrators.film import render
 from neurad.integrators.method import Method, SceneModel
@@ -28,6 +28,7 @@ from neurad.integrators.world import World
 from neurad.runs.configs import load_config, shipped_folders
 from neurad.runs.model_settings import model_settings
 from neurad.runtime.files import check_folder, make_folder, write_text
+from neurad.runtime.progress import phase
 from neurad.scene.description import Scene
 from neurad.scene.image_io import write_exr
 from neurad.scene.load import load_scene
@@ -101,13 +102,17 @@ def render_views(settings: RenderSettings) -> None:
     maps = MaterialMap(world, materials)
     for kind in folders:
         make_folder(out / kind, "--out")
-    start = time.perf_counter()
+    start, begin = time.perf_counter(), time.monotonic()
     for index, view in enumerate(views):
         camera = resized(view.camera, settings.size)
         seed = mix(SEED, *view.name.encode())
-        for kind, integrator in pictures.items():
-            write_exr(out / kind / f"{view.name}.exr", render(camera, integrator, settings.spp, seed).numpy())
-        both = render(camera, maps, settings.map_spp, seed).numpy()
+        with phase("rendering", len(views) * (len(pictures) + 1)) as rendering:
+            rendering.begin, rendering.detail = begin, view.name
+            rendering.done = index * (len(pictures) + 1)
+            for kind, integrator in pictures.items():
+                write_exr(out / kind / f"{view.name}.exr", render(camera, integrator, settings.spp, seed).numpy())
+                rendering.step(detail=view.name)
+            both = render(camera, maps, settings.map_spp, seed).numpy()
         write_exr(out / "albedo" / f"{view.name}.exr", both[..., :3])
         write_exr(out / "roughness" / f"{view.name}.exr", both[..., 3:])
         done = time.perf_counter() - start
@@ -127,9 +132,9 @@ def find_method(name: str) -> tuple[Method, bool]:
     """
     found = _methods()
     if name not in found:
-        near = get_close_matches(name, found, 1)
-        hint = f"; did you mean {near[0]}?" if near else ""
-        raise InputError(f"--integrator: there is no method {name} ({', '.join(sorted(found))}){hint}")
+        raise InputError(
+            f"--integrator: there is no method {name} ({', '.join(sorted(found))}){did_you_mean(name, found)}"
+        )
     parser = ArgumentParser(exit_on_error=False)  # the parser of ``neurad fit`` makes the class that a config names
     parser.add_subclass_arguments(Method, "method")
     method: Method = parser.instantiate(parser.parse_object({"method": found[name]})).method
@@ -156,9 +161,11 @@ def _pictures(
     start = time.perf_counter()
 
     def report(step: int, loss: float) -> None:
+        training.step(100, f"loss {loss:.3g}")
         print(f"radiance field: step {step}, {time.perf_counter() - start:.0f} s, loss {loss:.4g}", file=sys.stderr)
 
     model = model_settings("scene.yaml", SEED)
-    field = train_radiance(scene, world, materials, cameras, model, settings.steps, settings.seconds, report)
+    with phase("training", None if settings.seconds else settings.steps, settings.seconds) as training:
+        field = train_radiance(scene, world, materials, cameras, model, settings.steps, settings.seconds, report)
     parts = SceneModel(world, materials, field)
     return {"images": MethodRenderer(method, parts), "images_lhs": FieldRenderer(parts)}

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 
 import torch
@@ -9,7 +10,7 @@ from torch import Tensor
 
 from neurad.assembly.lighting import relit_world
 from neurad.core.protocols import Materials
-from neurad.core.records import FloatArray
+from neurad.core.records import FloatArray, View
 from neurad.emitters.fitted import FittedEnvironment
 from neurad.integrators.estimator import Estimator
 from neurad.integrators.film import box_mean, render
@@ -21,6 +22,7 @@ from neurad.metrics.error_bars import ErrorBars, ToUnitCube
 from neurad.metrics.held_out import HeldOut
 from neurad.metrics.lit_glossy import lit_glossy, reflected_by
 from neurad.metrics.relight import relight_map, score_relit
+from neurad.runtime.progress import counted
 from neurad.scene.description import Scene
 from neurad.scene.textures import TrueMaterials
 
@@ -105,7 +107,7 @@ def evaluate(
     fitted = not isinstance(materials, TrueMaterials)
     maps: list[dict[str, FloatArray]] = held_out.predict(materials) if fitted else [{} for _ in held_out.views]
     fields: list[FloatArray] = []
-    for index, (view, entry) in enumerate(zip(held_out.views, maps, strict=True)):
+    for index, (view, entry) in enumerate(_counted(held_out, maps, "pictures")):
         right = render(view.camera, rhs, render_spp, SEED + index, device, stride=stride)
         entry["render"] = right.cpu().numpy()
         if lhs is not None:
@@ -150,6 +152,13 @@ def _relight(
         return {}
     tracer = path_tracer(relit_world(world, scene, other), materials, scene.max_depth, scene.rr_depth)
     device = world.geometry.vertices.device
-    for index, (view, entry) in enumerate(zip(held_out.views, maps, strict=True)):
+    for index, (view, entry) in enumerate(_counted(held_out, maps, "relit pictures")):
         entry["relit"] = render(view.camera, tracer, spp, SEED + index, device, stride=held_out.stride).cpu().numpy()
     return score_relit(held_out, [entry["relit"] for entry in maps])
+
+
+def _counted(
+    held_out: HeldOut, maps: list[dict[str, FloatArray]], what: str
+) -> Iterator[tuple[View, dict[str, FloatArray]]]:
+    """Every held-out view and what was found for it, counted on the terminal."""
+    return counted(zip(held_out.views, maps, strict=True), "evaluating", len(maps), what)

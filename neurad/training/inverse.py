@@ -59,7 +59,7 @@ class InverseRenderer(L.LightningModule):
         sampling: numbers of samples.
         objective: terms of the loss.
         optimization: learning rates and schedule.
-        tracer: 'embree', 'open3d' or 'warp'.
+        tracer: what casts rays: ``embree``, ``open3d`` or ``warp``.
         seed: of every random decision of the training.
         method: how reflected light and its derivative are estimated; None is the paper's, one bounce and then the
             radiance field.

@@ -13,6 +13,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from neurad.core.errors import InputError
+from neurad.runtime.progress import phase
 from neurad.studies.compare.fits import check_free, fit_all, predict
 from neurad.studies.compare.runs import Run, read_run, runs_in
 
@@ -35,7 +36,9 @@ def compare(options: argparse.Namespace) -> None:
     from neurad.studies.compare.write import write_report
 
     command = ["neurad", "compare", *options.words]
-    write_report(options.out, runs, reach, options.views, command, _budget(options))
+    with phase("writing") as writing:
+        writing.detail = "the report"
+        write_report(options.out, runs, reach, options.views, command, _budget(options))
     print(f"neurad: report {options.out / 'index.html'}")
     if failed:
         names = ", ".join(f"{run.method} (seed {run.seed})" for run in failed)
