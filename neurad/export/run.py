@@ -26,7 +26,7 @@ from neurad.export.cycles import Blender, find_blender
 from neurad.export.evidence import COARSER, evidence
 from neurad.export.folder import MANIFEST, check_out, check_sources, written_beside
 from neurad.export.gltf import write_glb
-from neurad.export.images import Coded, png
+from neurad.export.images import Coded
 from neurad.export.limits import Side, Texels
 from neurad.export.mitsuba import describe, path_integrator, sensor, write_xml
 from neurad.export.progress import Bar
@@ -36,6 +36,7 @@ from neurad.export.verified import Verified
 from neurad.export.verify import verify
 from neurad.metrics.seen import SeenBy
 from neurad.scene.description import Scene
+from neurad.scene.image_io import png
 
 
 @dataclass(frozen=True)

@@ -22,6 +22,7 @@ from neurad.metrics.error_bars import ErrorBars, ToUnitCube
 from neurad.metrics.held_out import HeldOut
 from neurad.metrics.lit_glossy import lit_glossy, reflected_by
 from neurad.metrics.relight import relight_map, score_relit
+from neurad.metrics.unseen import seen_map
 from neurad.runtime.progress import counted
 from neurad.scene.description import Scene
 from neurad.scene.textures import TrueMaterials
@@ -44,7 +45,8 @@ class Evaluation:
     scores: dict[str, float]
     """Keys as in ``metrics.csv``."""
     maps: list[dict[str, FloatArray]]
-    """For each held-out view: ``render``; of materials that are fitted ``albedo`` and ``roughness``; with a radiance
+    """For each held-out view: ``render``; ``seen``, which surfaces training photographs show, see
+    :func:`neurad.metrics.unseen.seen_map`; of materials that are fitted ``albedo`` and ``roughness``; with a radiance
     field ``residual``; with error bars ``albedo_std`` and ``roughness_std``; where there are files, ``photograph``,
     ``albedo_true`` and ``roughness_true`` [h, w, 1 or 3]; in a thorough evaluation also ``relit`` and
     ``photograph_relit``."""
@@ -120,6 +122,7 @@ def evaluate(
             entry["residual"] = (left - right).abs().cpu().numpy()
             fields.append(left.cpu().numpy())
         entry.update(held_out.truth(index))
+        entry["seen"] = seen_map(held_out.counted(index), held_out.seen(index))
     if bars is not None:
         for entry, found_bars in zip(maps, predict_bars(held_out, *bars), strict=True):
             entry.update(found_bars)
