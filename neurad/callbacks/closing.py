@@ -1,9 +1,10 @@
-"""What a run ends with: a verdict in words, and the page that shows it."""
+"""What a run ends with: a verdict in words, the page that shows it, and how to go on."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
+from importlib.util import find_spec
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -13,12 +14,22 @@ from neurad.callbacks import report
 from neurad.callbacks.board import method_name
 from neurad.callbacks.run_folder import RunFolder
 from neurad.callbacks.table import MetricsTable
-from neurad.callbacks.verdict import verdict
+from neurad.callbacks.verdict import KINDS, verdict
+from neurad.core.durations import short
+from neurad.metrics.bars_file import NAME as BARS_FILE
 from neurad.metrics.unseen import Unseen
+from neurad.training.schedule import time_limit
 
 if TYPE_CHECKING:
     from neurad.training.evaluate import Evaluation
     from neurad.training.inverse import InverseRenderer
+
+
+READING = (
+    "20 dB are a typical error of 0.1, 30 dB of 0.03, 40 dB of 0.01 (of 1); the best constant is the one answer for "
+    "all surfaces that fits best, and what is not above it was not recovered"
+)
+"""How to read the scores."""
 
 
 @dataclass(frozen=True)
@@ -46,6 +57,54 @@ def print_verdict(module: InverseRenderer, scores: Mapping[str, float], unseen: 
     judged = verdict(scores, views)
     said = [judged.sentence, *judged.warnings, "" if unseen is None else unseen.sentence(f"the {views}")]
     print("\n".join(f"neurad: {text}" for text in said if text))
+
+
+def print_closing(
+    trainer: pl.Trainer, folder: Path | None, scores: Mapping[str, float], unseen: Unseen | None, tested: bool
+) -> None:
+    """The last lines of ``fit`` and ``test``: what was recovered, how well, where not to trust it, how to go on.
+
+    Args:
+        trainer: of the run.
+        folder: of the run; None where it keeps no files.
+        scores: by the names of ``metrics.csv``.
+        unseen: what of the scored views no photograph shows; None where nobody looked.
+        tested: whether ``test`` has just been run.
+    """
+    module: InverseRenderer = trainer.lightning_module  # type: ignore[assignment]
+    print_verdict(module, scores, unseen)
+    if any(name in scores for name in KINDS.values()):
+        print(f"neurad: {READING}")
+    if folder is None:
+        return
+    hatched = "surfaces that its pictures hatch, which no photograph shows, and "
+    hatched = hatched if unseen is not None and unseen.fraction else ""
+    bars = (folder / BARS_FILE).is_file()
+    if distrust := hatched + ("those that it shows bright in the error bars" if bars else ""):
+        print(f"neurad: do not trust {distrust.removesuffix(', and ').removesuffix(' and ')}")
+    name_report(folder)
+    images = ", images/, metrics.json" if tested else ""
+    print(f"neurad: run folder {folder}: {report.NAME}{images}, metrics.csv, config.yaml, checkpoints/")
+    print("go on with")
+    steps = [(f"neurad {words}", text) for words, text in _next_steps(trainer, folder, tested)]
+    steps.append((f"tensorboard --logdir {folder.parent}", "curves and pictures of all runs, also while one trains"))
+    width = max(len(command) for command, _ in steps)
+    print("\n".join(f"  {command:<{width}}  {text}" for command, text in steps))
+
+
+def _next_steps(trainer: pl.Trainer, folder: Path, tested: bool) -> Iterator[tuple[str, str]]:
+    """Commands of neurad that go on from here, and what they do."""
+    here = folder.parent.name == "lightning_logs" and folder.parent.resolve().parent == Path.cwd()
+    run = folder.name if here else str(folder)
+    if not tested:
+        yield f"test --ckpt_path {run}", "pictures of every held-out view, scores with more samples"
+    limit = time_limit(trainer)
+    if limit is not None:
+        yield f"fit --ckpt_path {run} --trainer.max_time {short(2 * limit)}", "the same fit for as long again"
+    elif trainer.max_steps > 0:
+        yield f"fit --ckpt_path {run} --trainer.max_steps {2 * trainer.max_steps}", "the same fit for as long again"
+    needs = "" if find_spec("xatlas") else " (after pip install 'neurad[export]')"
+    yield f"export --ckpt_path {run} --out room", f"textures for Blender, glTF viewers and Mitsuba{needs}"
 
 
 def report_run(module: InverseRenderer, folder: Path, evaluation: Evaluation, unseen: Unseen, pictured: str) -> None:

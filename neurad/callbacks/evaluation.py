@@ -16,7 +16,7 @@ from lightning.pytorch.loggers import TensorBoardLogger
 
 from neurad.callbacks import pictures, report
 from neurad.callbacks.board import Board
-from neurad.callbacks.closing import Shown, name_report, print_verdict, report_run, settings_of, title_of
+from neurad.callbacks.closing import Shown, print_closing, report_run, settings_of, title_of
 from neurad.callbacks.run_folder import run_folder
 from neurad.callbacks.table import MetricsTable, curve_table, score_table
 from neurad.callbacks.training_views import ViewTable
@@ -138,10 +138,8 @@ class Evaluate(pl.Callback):
         if trainer.is_global_zero and scores:
             table = _table(module, scores, self.spp, steady=True)
             print("\n" + "\n\n".join(t for t in (table, curve_table(rows)) if t) + "\n")
-            print_verdict(module, scores, None if self._shown is None else self._shown.unseen)
-            if folder:
-                print(f"neurad: run folder {folder}")
-                name_report(folder)
+            unseen = None if self._shown is None else self._shown.unseen
+            print_closing(trainer, folder, scores, unseen, tested=False)
 
     def on_validation_epoch_end(self, trainer: pl.Trainer, pl_module: pl.LightningModule) -> None:
         """``neurad validate``: print the scores."""
@@ -158,7 +156,6 @@ class Evaluate(pl.Callback):
         evaluation = module.evaluate(self.test_spp, glossy=True, bars=error_bars_of(module, folder))
         unseen = Unseen.of(evaluation.maps)
         print(_table(module, evaluation.scores, self.test_spp) + "\n")
-        print_verdict(module, evaluation.scores, unseen)
         if folder is not None:
             title = f"{title_of(module)}, step {module.iteration}. "
             pictures.write_views(folder / "images", evaluation.maps, evaluation.environment, title)
@@ -168,8 +165,7 @@ class Evaluate(pl.Callback):
             scores = {key: _json_number(value) for key, value in evaluation.scores.items()}
             text = json.dumps({**about, "render_spp": self.test_spp, **scores}, indent=2)
             write_text(folder / "metrics.json", text + "\n")
-            print(f"neurad: images and metrics.json are in {folder}")
-            name_report(folder)
+        print_closing(trainer, folder, evaluation.scores, unseen, tested=True)
 
     def on_predict_epoch_end(self, trainer: pl.Trainer, pl_module: pl.LightningModule) -> None:
         """``neurad predict``: write every held-out view, without scores."""
