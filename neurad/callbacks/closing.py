@@ -26,7 +26,7 @@ if TYPE_CHECKING:
 
 
 READING = (
-    "20 dB are a typical error of 0.1, 30 dB of 0.03, 40 dB of 0.01 (of 1); the best constant is the one answer for "
+    "a score of 20 dB is a typical error of 0.1, 30 dB of 0.03, 40 dB of 0.01; the best constant is the one answer for "
     "all surfaces that fits best, and what is not above it was not recovered"
 )
 """How to read the scores."""
@@ -77,10 +77,10 @@ def print_closing(
         print(f"neurad: {READING}")
     if folder is None:
         return
-    hatched = "surfaces that its pictures hatch, which no photograph shows, and "
+    hatched = "surfaces that the pictures hatch, which no photograph shows, and "
     hatched = hatched if unseen is not None and unseen.fraction else ""
     bars = (folder / BARS_FILE).is_file()
-    if distrust := hatched + ("those that it shows bright in the error bars" if bars else ""):
+    if distrust := hatched + ("those that are bright in its error bars" if bars else ""):
         print(f"neurad: do not trust {distrust.removesuffix(', and ').removesuffix(' and ')}")
     name_report(folder)
     images = ", images/, metrics.json" if tested else ""

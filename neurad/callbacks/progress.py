@@ -48,13 +48,15 @@ class Bar(ProgressBar):
         self._enabled = True
 
     def on_train_start(self, trainer: pl.Trainer, pl_module: pl.LightningModule) -> None:
-        """Note where counting starts."""
+        """Show the line."""
         super().on_train_start(trainer, pl_module)
-        self._began = (time.monotonic(), fraction_done(trainer).by_steps or 0.0)
+        self._began = None
         self._update(trainer, pl_module)
 
     def on_train_batch_end(self, trainer: pl.Trainer, pl_module: pl.LightningModule, *_: Any) -> None:
         """Update the line, at most once in ``refresh_seconds``."""
+        if self._began is None:  # the first step compiles kernels, which says nothing about the others
+            self._began = (time.monotonic(), fraction_done(trainer).by_steps or 0.0)
         every = self.refresh_seconds if progress.on_terminal() else LOGGED_EVERY
         if time.monotonic() - self._shown >= every:
             self._update(trainer, pl_module)

@@ -142,9 +142,9 @@ class _Line:
             return
         self.stream, self._kept = sys.stderr, (sys.stdout, sys.stderr)
         # Whatever else is printed must not stand in the middle of the line.
-        sys.stderr = _Around(sys.stderr, self)  # type: ignore[assignment]
+        sys.stderr = _Around(sys.stderr, self)
         if _is_terminal(sys.stdout):
-            sys.stdout = _Around(sys.stdout, self)  # type: ignore[assignment]
+            sys.stdout = _Around(sys.stdout, self)
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self._run, args=(self._stop,), name="progress", daemon=True)
         self._thread.start()

@@ -16,7 +16,7 @@ def test_a_run_is_named_by_folder_or_number(tiny, capsys, capfd):
     fit("--trainer.max_steps=4")
     out = capsys.readouterr().out
     # Someone who has read nothing goes on from the last lines.
-    assert "20 dB are a typical error of 0.1" in out
+    assert "20 dB is a typical error of 0.1" in out
     commands = re.findall(r"^  neurad (.*?)  ", out, re.M)
     assert commands[0] == "test --ckpt_path version_0"
     assert "fit --ckpt_path version_0 --trainer.max_steps 8" in commands
