@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import argparse
 import os
+import re
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import nullcontext, suppress
@@ -113,7 +114,11 @@ class _Parser(argparse.ArgumentParser):
     """A parser that raises its error messages, so that they are printed in one sentence like all others."""
 
     def error(self, message: str) -> NoReturn:
-        """Raise the message."""
+        """Raise the message, with the option or choice that was probably meant."""
+        if unknown := re.match(r"unrecognized arguments: (--[^\s=]+)", message):
+            message += did_you_mean(unknown[1], self._option_string_actions)
+        elif chosen := re.search(r"invalid choice: '([^']+)' \(choose from (.*)\)$", message):
+            message += did_you_mean(chosen[1], re.findall(r"[\w-]+", chosen[2]))
         raise InputError(message)
 
 

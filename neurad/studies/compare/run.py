@@ -14,8 +14,12 @@ from pathlib import Path
 
 from neurad.core.errors import InputError
 from neurad.runtime.progress import phase
+from neurad.runtime.reading import similar
 from neurad.studies.compare.fits import check_free, fit_all, predict
 from neurad.studies.compare.runs import Run, read_run, runs_in
+
+RUNS = Path("lightning_logs")
+"""Where runs lie that are given by name, such as ``version_3``."""
 
 
 def compare(options: argparse.Namespace) -> None:
@@ -99,8 +103,10 @@ def _budget(options: argparse.Namespace) -> str:
 
 def _run_folders(path: Path) -> list[Path]:
     """The run folder itself, or those in the folder of a report."""
+    if not path.is_dir() and len(path.parts) == 1 and (RUNS / path).is_dir():
+        path = RUNS / path
     if not path.is_dir():
-        raise InputError(f"{path}: no such run folder")
+        raise InputError(f"{path}: no such run folder{similar(path)}")
     if (path / "runs").is_dir() and not (path / "metrics.csv").is_file():
         return runs_in(path)
     return [path]
