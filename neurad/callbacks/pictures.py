@@ -53,6 +53,8 @@ def view_sheet(view: View, scale: float, title: str) -> Sheet:
         title: of the sheet.
     """
     has = {name for name in view if view[name] is not None}
+    if "roughness" in has and is_trivial(view["roughness"]):
+        has.discard("roughness")
     rows: dict[str, list[Tile | None]] = {
         "Picture": _light(view, has, scale, "render", "photograph", "Rendered", "Photograph"),
         "Albedo": _material(view, has, "albedo"),
@@ -129,6 +131,11 @@ def _errors(view: View, has: set[str], scale: float) -> list[tuple[str, Image]]:
         off = np.clip(view["render"] * scale, 0, 1) - np.clip(view["photograph"] * scale, 0, 1)
         found.append(("where the picture is most wrong", np.square(off).mean(-1)))
     return [(meaning, error.astype(np.float32)) for meaning, error in found]
+
+
+def is_trivial(roughness: Image) -> bool:
+    """Whether there was no roughness to find: a diffuse scene has 1 on its surfaces."""
+    return bool(np.isin(roughness, (0.0, 1.0)).all())
 
 
 def environment(maps: Mapping[str, Image], scale: float) -> Bytes:

@@ -41,7 +41,7 @@ def verdict(scores: Mapping[str, float], views: str = "held-out views") -> Verdi
             parts.append(f"{what} {'are' if verb == 'follow' else 'is'} not recovered {figures}")
             warnings.append(_below(what, name, scores))
         else:
-            parts.append(f"{what} {verb} the {'photographs' if verb == 'follow' else 'truth'} {how} {figures}")
+            parts.append(f"{what} {how} {verb} the {'photographs' if verb == 'follow' else 'truth'} {figures}")
     if not parts:
         return Verdict(f"There is nothing in the {views} that the result could be judged by.", [])
     text = parts[0] if len(parts) == 1 else f"{', '.join(parts[:-1])}, and {parts[-1]}"

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 
 from neurad.pages.colours import Bytes, ramp
-from neurad.pages.sheet import BOX, Scale, Sheet
+from neurad.pages.sheet import BOX, Scale, Sheet, Tile
 
 if TYPE_CHECKING:
     from PIL.ImageDraw import ImageDraw
@@ -27,7 +27,7 @@ def draw(sheet: Sheet) -> Bytes:
     """The sheet [h, w, 3] on white."""
     from PIL import Image, ImageDraw
 
-    pictures = {tile.key: sheet.shown(tile) for tile in sheet.tiles}
+    pictures = {tile.key: lettered(sheet, tile) for tile in sheet.tiles}
     height, width = next(iter(pictures.values())).shape[:2]
     columns = max(len(tiles) for tiles in sheet.rows.values())
     crops = [(crop, sheet.cropped(crop, CROP_WIDTH)) for crop in sheet.crops if sheet.crop_keys]
@@ -51,10 +51,6 @@ def draw(sheet: Sheet) -> Bytes:
             x = GAP + column * (width + GAP)
             pen.text((x, y), _fitting(tile.heading, _font("heading", True), width), INK, _font("heading", True))
             page.paste(Image.fromarray(pictures[tile.key]), (x, y + HEADING))
-            for crop in sheet.crops:
-                zoom, by = sheet.zoom
-                corner = (x + crop.x * zoom // by + 5, y + HEADING + crop.y * zoom // by + 3)
-                pen.text(corner, crop.letter, BOX, _font("small", True), stroke_width=1, stroke_fill="black")
             if tile.scale is not None:
                 _bar(page, pen, tile.scale, x, y + HEADING + height + 3, width)
         y += HEADING + height + (BAR + 2 * LINE if bars[label] else 0) + GAP
@@ -69,6 +65,21 @@ def draw(sheet: Sheet) -> Bytes:
     for note in notes:
         pen.text((GAP, y), note, PALE, _font("small"))
         y += LINE
+    return np.asarray(page)
+
+
+def lettered(sheet: Sheet, tile: Tile) -> Bytes:
+    """The picture of a tile as it is to be displayed, with the letters of its crops."""
+    from PIL import Image, ImageDraw
+
+    picture = sheet.shown(tile)
+    if not sheet.crops:
+        return picture
+    page = Image.fromarray(picture)
+    zoom, by = sheet.zoom
+    for crop in sheet.crops:
+        corner = (crop.x * zoom // by + 5, crop.y * zoom // by + 3)
+        ImageDraw.Draw(page).text(corner, crop.letter, BOX, _font("small", True), stroke_width=1, stroke_fill="black")
     return np.asarray(page)
 
 

@@ -8,6 +8,7 @@ from collections.abc import Mapping, Sequence
 
 from neurad.pages.assets import SCRIPT, STYLE
 from neurad.pages.colours import Bytes, ramp
+from neurad.pages.draw import lettered
 from neurad.pages.sheet import Scale, Sheet
 from neurad.scene.image_io import png
 
@@ -117,7 +118,7 @@ def sheet(shown: Sheet, name: str) -> str:
         cells = [
             "<figure></figure>"
             if one is None
-            else tile(shown.shown(one), one.heading, scale=one.scale, name=f"{name}-{one.key}")
+            else tile(lettered(shown, one), one.heading, scale=one.scale, name=f"{name}-{one.key}")
             for one in tiles
         ]
         parts.append(f'<div class="row" style="--columns:{columns}">{"".join(cells)}</div>')

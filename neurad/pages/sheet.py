@@ -82,16 +82,13 @@ class Sheet:
         width = self.tiles[0].picture.shape[1]
         return max(1, -(-SMALLEST // width)), max(1, width // LARGEST)
 
-    def shown(self, tile: Tile, frames: bool = True) -> Bytes:
+    def shown(self, tile: Tile) -> Bytes:
         """The picture of a tile as it is to be displayed: enlarged or reduced, hatched, crops framed."""
         zoom, by = self.zoom
         picture = enlarged(reduced(tile.picture, by), zoom)
         if self.unseen is not None:
-            picture = hatched(
-                picture,
-                enlarged(self.unseen[by // 2 :: by, by // 2 :: by], zoom)[: len(picture)][:, : picture.shape[1]],
-            )
-        for crop in self.crops if frames else ():
+            picture = hatched(picture, _fitting(self.unseen, zoom, by, picture))
+        for crop in self.crops:
             _frame(picture, *(round(side * zoom / by) for side in (crop.y, crop.x, crop.side)))
         return picture
 
@@ -105,8 +102,7 @@ class Sheet:
             if tile.key in self.crop_keys:
                 picture = enlarged(reduced(tile.picture[square], by), zoom)
                 if self.unseen is not None:
-                    mask = enlarged(self.unseen[square][::by, ::by], zoom)[: len(picture), : picture.shape[1]]
-                    picture = hatched(picture, mask)
+                    picture = hatched(picture, _fitting(self.unseen[square], zoom, by, picture))
                 found.append((tile, picture))
         return found
 
@@ -136,6 +132,12 @@ def worst_squares(errors: Sequence[tuple[str, FloatArray]], count: int = 2) -> l
             y, x = divmod(int(total.argmax()), total.shape[1])
             crops.append(Crop("ABCDEF"[len(crops)], y, x, side, meaning))
     return crops
+
+
+def _fitting(mask: BoolArray, zoom: int, by: int, picture: Bytes) -> BoolArray:
+    """A mask for a picture that was reduced and enlarged: of each block the pixel in its middle counts."""
+    large: BoolArray = enlarged(mask[by // 2 :: by, by // 2 :: by], zoom)
+    return large[: picture.shape[0], : picture.shape[1]]
 
 
 def _frame(picture: Bytes, y: int, x: int, side: int, stroke: int = 2) -> None:

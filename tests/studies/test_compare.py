@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import yaml
+from browser import LAPTOP
 from helpers import tiny_fit
 
 from neurad import cli
@@ -20,6 +21,7 @@ from neurad.commands import compare
 from neurad.core.errors import InputError
 from neurad.runs import child
 from neurad.studies.compare import configs, curves, page, views
+from neurad.studies.compare import table as table_of
 from neurad.studies.compare.fits import time_limit
 from neurad.studies.compare.runs import SCORES, Run, marks, read_run, samples_per_step
 from neurad.training.inverse import InverseRenderer
@@ -205,6 +207,29 @@ def test_picture_rows():
     wrong, right = rows["albedo error"][1].picture, rows["render error"][1].picture
     assert (wrong == wrong[0, 0]).all()
     assert wrong.sum() > 30 * right.sum()  # brightest against none
+
+
+def test_the_page_fits_a_laptop(look_at):
+    """With every column of the table, long labels, and pictures."""
+    names = table_of.columns((20.0, 30.0))
+    row = {name: 12345.678 for name in names} | {"seeds": 3.0, "status": "ok"}
+    rows = [row | {"method": "lightning_logs/of_some_longer_name/version_12"}, row | {"method": "prb"}]
+    one = np.full((8, 8, 3), 0.5, np.float32)
+    sheet = views.sheet("View 000", {"truth": {"albedo": one}, "a": {"albedo": one}, "b": {"albedo": one}}, 1.0)
+    run = Run("prb", 0, Path("a"), rows=[{"seconds": s, "albedo_psnr": s} for s in (5.0, 9.0)])
+    charts = curves.charts([run], "seconds", 0)
+    page.write_page(
+        Path("index.html"), "A page", [], rows, (20.0, 30.0), charts, {"More": charts}, [sheet], ["A note."]
+    )
+    seen = look_at(Path("index.html"), offline=True)
+    assert seen.width() == (LAPTOP[0], LAPTOP[0])
+    wide = "[...document.querySelectorAll('.scroll')].filter(box => box.scrollWidth > box.clientWidth).length"
+    assert seen.page.evaluate(wide) == 0  # no table has to be scrolled sideways
+    assert [seen.page.locator(what).count() for what in ("table", ".slider", "details")] == [3, 1, 1]
+    assert (seen.errors, seen.network) == ([], [])
+    first = seen.page.locator("table").first.inner_text()
+    assert "albedo PSNR / dB \u2191" in first
+    assert "albedo MAPE \u2193" in first
 
 
 def test_the_headline_says_who_is_best_and_what_nobody_found():

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from neurad.callbacks.pictures import ROUGHNESS
+from neurad.callbacks.pictures import ROUGHNESS, is_trivial
 from neurad.core.errors import InputError
 from neurad.core.records import FloatArray, View
 from neurad.metrics.unseen import UNSEEN
@@ -80,7 +80,7 @@ def sheets(runs: Sequence[Run], count: int) -> list[Sheet]:
         columns = {method: maps for method, maps in columns.items() if maps}
         if not columns:
             continue
-        if all(_is_trivial(maps.get("roughness")) for maps in columns.values()):
+        if all("roughness" not in maps or is_trivial(maps["roughness"]) for maps in columns.values()):
             columns = {method: {k: maps[k] for k in maps if k != "roughness"} for method, maps in columns.items()}
         mask = _unseen(runs, view.name, index)
         if mask is not None and any(maps[kind].shape[:2] != mask.shape for maps in columns.values() for kind in maps):
@@ -147,11 +147,6 @@ def _unseen(runs: Sequence[Run], name: str, index: int) -> BoolArray | None:
             if path.is_file():
                 return np.asarray(read_bitmap(path)[..., 0] == UNSEEN)
     return None
-
-
-def _is_trivial(roughness: FloatArray | None) -> bool:
-    """Whether there was no roughness to find: a Lambertian scene has 1 on its surfaces."""
-    return roughness is None or bool(np.isin(roughness, (0.0, 1.0)).all())
 
 
 def _error(guess: FloatArray | None, exact: FloatArray, unit: float) -> Bytes | None:
