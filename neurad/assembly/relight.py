@@ -7,7 +7,7 @@ from dataclasses import replace
 import torch
 from torch import Tensor, nn
 
-from neurad.assembly.build import Assembly, FittedMaterials, build_world
+from neurad.assembly.build import Assembly, FittedMaterials, build_world, know_lamps
 from neurad.core.records import EnvironmentMap, Surface, SurfaceInteraction
 from neurad.integrators.method import SceneModel
 from neurad.integrators.path import PathTracing
@@ -48,10 +48,9 @@ class EditedMaterials(nn.Module):
         self.fields = fields
         self.known = TrueMaterials(edited.scene, geometry)
         self.geometry = geometry
-        lamps = {i for i, mesh in enumerate(edited.base.meshes) if mesh.radiance is not None and mesh.radiance.any()}
         for name, given in (("albedo", edited.albedo), ("roughness", edited.roughness)):
             meshes = torch.zeros(len(edited.scene.meshes), dtype=torch.bool)
-            meshes[sorted(given | lamps)] = True
+            meshes[sorted(given | fields.known_meshes)] = True
             self.register_buffer(f"{name}_given", meshes, persistent=False)
 
     @torch.no_grad()
@@ -62,7 +61,7 @@ class EditedMaterials(nn.Module):
         recovered = self._albedo(si)
         roughness = known.roughness
         if self.fields.roughness is not None:
-            rough = self.fields.roughness.at(si.p, recovered)  # type: ignore[attr-defined]
+            rough = self.fields.roughness.at(si.p, recovered)
             roughness = torch.where(self.roughness_given[mesh].unsqueeze(-1), known.roughness, rough)
         albedo = torch.where(self.albedo_given[mesh].unsqueeze(-1), known.albedo, recovered)
         return Surface(albedo, roughness, known.model)
@@ -97,6 +96,28 @@ def relit(assembly: Assembly, edited: Edited) -> SceneModel:
     return SceneModel(world, TrueMaterials(edited.scene, world.geometry).to(device))
 
 
+def in_other_light(assembly: Assembly, fitted_lamps: frozenset[int]) -> Assembly:
+    """The parts of a run in a scene with another light than that of its fit: without radiance field and guide, which
+    belong to the light of the fit; pictures are path traced.
+
+    Args:
+        assembly: made for the scene as it is now, with the weights of the fit.
+        fitted_lamps: meshes that shone in the fit.
+    """
+    if isinstance(assembly.materials, FittedMaterials):
+        know_lamps(assembly.materials, assembly.scene, assembly.world.geometry, fitted_lamps)
+    assembly.world.guide = None
+    return replace(assembly, radiance=None, settings=replace(assembly.settings, method=paths(assembly.scene)))
+
+
 def paths(scene: Scene) -> PathTracing:
     """Path tracing as deep as a scene wants it."""
     return PathTracing(scene.max_depth, scene.rr_depth)
+
+
+def sentence_of_light(changes: list[str]) -> str:
+    """What is said where the light is not that of the fit."""
+    return (
+        f"another light than in the fit: {'; '.join(changes)}; pictures are path traced, as the radiance field belongs "
+        "to the light of the fit"
+    )

@@ -60,7 +60,7 @@ def test_lamps_are_switched_scaled_coloured_and_moved(two_lamps):
     both = {"lamps": {first: {"radiance": [1, 2, 3], "scale": 2, "move": [0, 0.1, 0]}}}
     moved = apply(two_lamps, both)
     np.testing.assert_allclose(mesh(moved.scene, first).radiance, [2, 4, 6])
-    np.testing.assert_allclose(mesh(moved.scene, first).vertices, before.vertices + [0, 0.1, 0], atol=1e-6)
+    np.testing.assert_allclose(mesh(moved.scene, first).vertices, before.vertices + np.float32([0, 0.1, 0]), atol=1e-6)
     assert moved.reshaped
     assert moved.said == (
         f"lamp {first} 2, 4, 6 instead of {', '.join(f'{x:.4g}' for x in before.radiance)}",
@@ -196,7 +196,7 @@ def test_a_thing_that_does_not_load_gets_one_sentence(tmp_path, name):
 
 def test_edits_are_read_from_files_beside_which_their_files_lie(tmp_path):
     box(tmp_path / "box.glb")
-    (tmp_path / "evening.yaml").write_text("lamps:\n  light: {scale: 0.5}\nobjects:\n- {file: box.glb, at: [0, 0, 0]}\n")
+    (tmp_path / "evening.yaml").write_text("lamps: {light: {scale: 0.5}}\nobjects: [{file: box.glb, at: 0}]\n")
     edit = read_edit(tmp_path / "evening.yaml")
     assert edit.lamps["light"].scale == 0.5
     assert edit.files == [str(tmp_path / "box.glb")]
