@@ -229,7 +229,7 @@ class SceneData(pl.LightningDataModule, PhotoSource):
         """Photographed radiance [n, 3] of pixels [n] of views [n]; streamed photographs are read from disk for it."""
         read = self._streamed if self.streams else self._resident
         found = torch.empty(len(view), 3)
-        for index in view.unique().tolist():
+        for index in sorted(set(view.tolist())):
             mine = (view == index).nonzero().squeeze(-1)
             found[mine] = read(index)[pixel[mine], :3]
         return found
