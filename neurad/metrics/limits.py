@@ -38,4 +38,4 @@ def sentence_of_limits(scores: Mapping[str, float]) -> str:
     said = f"albedo at its limits: {low:.1f} % below 0.01, {high:.1f} % above 0.99"
     if scores["albedo_at_1"] < MUCH:
         return said
-    return f"{said}; so much white says that the lights are brighter than they are taken for, see what the lamps are"
+    return f"{said}; so much white may mean that lights are brighter than they are taken for"

@@ -200,10 +200,19 @@ def test_a_missing_package_is_named_before_work(fitted, capfd, monkeypatch):
 @pytest.mark.main
 def test_a_lamp_that_is_far_off_is_refused_before_training(fitted, capfd):
     shutil.rmtree("lightning_logs")
+    xml = Path("room/scene.xml")
+    facing = xml.read_text().replace('<rotate x="1" angle="90"/><translate y="2"/>', '<translate y="1"/>')
+    assert facing != xml.read_text()
+    xml.write_text(facing)  # the cameras look at it; photographs are noise around 0.5
     error = fails_last(capfd, "fit", "--config", "tiny.yaml", "--data.root=room", "--trainer.max_steps=1")
-    assert re.search(r"scene room: lamp lamp is .* times darker in .* in the photographs than the declared", error)
+    assert re.search(r"scene room: lamp lamp is .* times darker in blue in the photographs than the declared", error)
     assert "--model.lighting.lamp_mismatch warn" in error
     assert not Path("lightning_logs").exists()
+    fit("--data.root=room", "--trainer.max_steps=1", "--model.lighting.lamp_mismatch=warn")
+    said = capfd.readouterr()
+    assert "neurad: lamp lamp: photographed over declared radiance 0." in said.err
+    assert "warning: lamp lamp is" in said.err
+    assert "neurad: albedo at its limits: 0.0 % below 0.01, 0.0 % above 0.99" in said.out
 
 
 def fails_last(capfd, *args):
