@@ -20,6 +20,7 @@ from neurad.assembly.exposure import (
     sentence_of_fireflies,
     white_brightness,
 )
+from neurad.assembly.lamps import check_lamps
 from neurad.assembly.memory import announce_camera_rays
 from neurad.core.errors import InputError
 from neurad.core.protocols import PhotoSource
@@ -73,7 +74,7 @@ def prepare_views(
 
     Raises:
         InputError: camera rays do not fit in memory, every pixel shows an emitter, the photographs are black or too
-            dim, or no camera sees a surface.
+            dim, no camera sees a surface, or a lamp is far from what the photographs show.
     """
     scene, settings = assembly.scene, assembly.settings
     settings.for_batch(photographs.pixel_multiplier)  # raises where the samples cannot be split
@@ -93,6 +94,7 @@ def prepare_views(
     surface = surface_fractions(primary, stats.sample, settings.seed)
     if check_brightness:
         check_views(scene, surface)
+        check_lamps(assembly, photographs, stats.sample)
     if settings.objective.fireflies == "spread" and not _shows_small_lights(scene, photographs):
         spread = photographs.spread_fireflies(emitter_mask.cpu())
         if spread > 0:
