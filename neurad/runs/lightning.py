@@ -31,6 +31,7 @@ from neurad.runs.own_config import own_config
 from neurad.runs.times import in_tree, in_words
 from neurad.runs.trainer_help import help_trainer
 from neurad.runs.trainer_settings import OURS, complaints
+from neurad.runtime import progress
 from neurad.runtime.files import check_folder
 from neurad.runtime.machine import usable_cores
 from neurad.training.loopback import LoopbackDDP
@@ -61,8 +62,11 @@ def run(verb: str, args: Sequence[str], model: type[pl.LightningModule], data: t
     if "--help-trainer" in args:
         print(help_trainer(), end="")
         return
+    tree: Any = OmegaConf.to_container(settings, resolve=False)
+    if isinstance(tree.get("trainer"), dict) and tree["trainer"].get("enable_progress_bar") is False:
+        progress.off()
     only_print = any(token.startswith("--print_config") for token in args)
-    checkpoint = None if only_print else find_checkpoint(verb, OmegaConf.to_container(settings, resolve=False))
+    checkpoint = None if only_print else find_checkpoint(verb, tree)
     if checkpoint is not None:
         found = [*((f"run {checkpoint}", layer) for layer in _config_of_run(checkpoint)), *found]
     resolved = resolve([layer for _, layer in found], values)

@@ -205,7 +205,8 @@ class _Line:
         with self.lock:
             self.clear()
             written = stream.write(text)
-            self._partial = bool(text) and not text.endswith(("\n", "\r"))
+            if text:
+                self._partial = not text.endswith(("\n", "\r"))
             return written
 
 
