@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Iterable
-from difflib import get_close_matches
 
 ALIKE = 0.6
 """Similarity of two names, in [0, 1], from which on one is suggested for the other."""
@@ -11,6 +10,8 @@ ALIKE = 0.6
 
 def nearest(name: str, names: Iterable[str]) -> str | None:
     """The name that is most similar, whatever the case; None where none is."""
+    from difflib import get_close_matches  # imported when something is wrong, so that help answers at once
+
     known = {other.lower(): other for other in names}
     found = get_close_matches(name.lower(), known, 1, ALIKE)
     return known[found[0]] if found else None
