@@ -18,7 +18,7 @@ from omegaconf.errors import MissingMandatoryValue, OmegaConfBaseException
 import neurad
 from neurad.core.errors import InputError
 from neurad.core.suggest import did_you_mean
-from neurad.runtime.reading import exists, regular_file, shown, similar
+from neurad.runtime.reading import beside, exists, regular_file, shown
 
 Tree = dict[str, Any]
 TRUSTED = ["neurad", "datamodules", "lightning", "torch.optim", "torch.nn", "datetime"]
@@ -52,7 +52,8 @@ def find_config(name: str) -> Path:
         for folder in shipped_folders():
             if exists(folder / path) and (folder / path).is_file():
                 return folder / path
-    near = did_you_mean(name, _names()) or similar(path)
+    own = [str(path.with_name(other)) for other in beside(path) if other.endswith((".yaml", ".yml"))]
+    near = did_you_mean(name, [*own, *_names()])
     raise InputError(f"config {shown(name)}: no such file, and no shipped config has this name ({_shipped()}){near}")
 
 

@@ -110,16 +110,21 @@ def regular_file(path: str | Path, missing: str = "there is no such file") -> Pa
     return Path(path)
 
 
+def beside(path: Path) -> list[str]:
+    """Names in the folder that a path would be in; none where that cannot be read."""
+    try:
+        return sorted(os.listdir(path.parent))[:_LISTED]
+    except (OSError, ValueError):
+        return []
+
+
 def similar(path: str | Path) -> str:
     """The end of a sentence about a path that leads nowhere: the name beside it that was probably meant, or nothing.
 
     Names that differ in their digits alone are others of a series and not meant.
     """
     path = Path(path)
-    try:
-        names = sorted(os.listdir(path.parent))[:_LISTED]
-    except (OSError, ValueError):
-        return ""
+    names = beside(path)
     letters = re.sub(r"\d", "", path.name)
     return did_you_mean(path.name, [name for name in names if re.sub(r"\d", "", name) != letters])
 

@@ -12,9 +12,9 @@ from neurad.runs.checkpoints import named_checkpoint
 
 
 @pytest.mark.main
-def test_a_run_is_named_by_folder_or_number(tiny, capsys, capfd):
+def test_a_run_is_named_by_folder_or_number(tiny, capfd):
     fit("--trainer.max_steps=4")
-    out = capsys.readouterr().out
+    out = capfd.readouterr().out
     # Someone who has read nothing goes on from the last lines.
     assert "20 dB is a typical error of 0.1" in out
     commands = re.findall(r"^  neurad (.*?)  ", out, re.M)

@@ -58,7 +58,7 @@ def test_defaults_are_those_of_the_parser(parser, settings):
 
 def test_methods_are_those_that_there_are():
     from neurad.integrators.method import Method
-    from neurad.runs.render import _methods
+    from neurad.runs.render_subject import _methods
 
     shipped = {method["class_path"] for method in _methods().values()}
     assert shipped <= methods().keys()
@@ -95,9 +95,9 @@ def test_help_imports_nothing_heavy_and_answers_at_once():
 
 
 @pytest.mark.main
-def test_help_of_some_settings(capsys, capfd):
+def test_help_of_some_settings(capfd):
     main(["fit", "--help", "guide"])
-    out = capsys.readouterr().out
+    out = capfd.readouterr().out
     assert "--model.sampling.guide 16" in out
     assert "at least 0 and at most 32" in out
     assert "--model.sampling.spp" not in out
