@@ -118,7 +118,7 @@ def test_tensorboard_has_the_settings_beside_the_scores(run):
     ours = EventAccumulator(str(folder / "cornell-radiometric")).Reload()
     assert {"_hparams_/experiment", "_hparams_/session_start_info"} <= set(ours.PluginTagToContent("hparams"))
     content = ours.PluginTagToContent("hparams")["_hparams_/session_start_info"]
-    for word in (b"scene", b"cornell", b"radiometric", b"sampling.spp", b"optimization.albedo", b"trainer.max_steps"):
+    for word in (b"Scene", b"cornell", b"Method", b"radiometric", b"sampling.spp", b"optimization.albedo", b"Steps"):
         assert word in content
 
 
