@@ -144,10 +144,16 @@ class Verified:
 
     def difference(self, name: str) -> tuple[float, float]:
         """PSNR of a renderer less that of the baked room in neurad, in dB, and its standard error; zeros without."""
-        ours, theirs = self.psnr("baked"), self.psnr(name)
-        if ours is None or theirs is None:
+        ours, theirs = self.pictures["baked"], self.pictures[name]
+        views = [i for i, half in enumerate(ours.halves) if half is not None and theirs.halves[i] is not None]
+        squared = self._squared("baked", None)
+        if not views or squared is None:
             return 0.0, 0.0
-        return theirs - ours, math.hypot(self.psnr_error("baked"), self.psnr_error(name))
+        pairs = [theirs.farther(ours, view) for view in views]
+        base = max(squared[0], 1e-12)
+        farther = max(float(np.mean([off for off, _ in pairs])) / base, -0.99)
+        error = math.hypot(*(e for _, e in pairs)) / len(pairs) / base
+        return -10.0 * math.log10(1.0 + farther), 10.0 / math.log(10.0) * error / (1.0 + farther)
 
     def _judge_means(self, name: str, bound: float) -> None:
         """Compare the means of the views with ours."""
