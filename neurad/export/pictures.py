@@ -36,7 +36,7 @@ class Pictures:
     squared_error: list[float] = field(default_factory=list)
     """Standard error of that."""
     passes: list[int] = field(default_factory=list)
-    halves: list[tuple[FloatArray, FloatArray] | None] = field(default_factory=list)
+    halves: list[tuple[Float64Array, Float64Array] | None] = field(default_factory=list)
     """Means of every other pass, less the photograph [h, w, 3] each; None without a photograph."""
 
     def add(
@@ -63,7 +63,7 @@ class Pictures:
             mean = first + total / count
             known = error <= ERROR * abs(float(mean.mean()))
             if photo is not None:
-                squared, squared_error = squared_difference(*(first + 2.0 * half / count - photo for half in halves))
+                squared, squared_error = squared_difference(*_off(first, halves, count, photo))
                 known &= squared_error <= SQUARED_ERROR * squared
             if known and count >= least:
                 break
@@ -72,10 +72,7 @@ class Pictures:
         self.squared.append(None if photo is None else squared)
         self.squared_error.append(0.0 if photo is None else squared_error)
         self.passes.append(count)
-        off = (
-            [np.asarray(first + 2.0 * half / count - photo, np.float32) for half in halves] if photo is not None else []
-        )
-        self.halves.append((off[0], off[1]) if off else None)
+        self.halves.append(None if photo is None else _off(first, halves, count, photo))
 
     def farther(self, other: Pictures, view: int) -> tuple[float, float]:
         """By how much a view's mean squared difference to the photograph exceeds that of other pictures of it.
@@ -92,7 +89,7 @@ class Pictures:
         ours, theirs = self.halves[view], other.halves[view]
         if ours is None or theirs is None:
             return 0.0, 0.0
-        a, b, c, d = (half.astype(np.float64) for half in (*ours, *theirs))
+        (a, b), (c, d) = ours, theirs
         spread = 0.5 * (a**2 - b**2 - c**2 + d**2).sum(-1)  # as in squared_difference
         return float((a * b - c * d).mean()), float(np.sqrt((spread**2).sum()) / a.size)
 
@@ -110,6 +107,14 @@ def squared_difference(first: Float64Array, second: Float64Array) -> tuple[float
     squared = float((first * second).mean())
     spread = 0.5 * (first**2 - second**2).sum(-1)  # channels of a pixel share their noise, pixels do not
     return squared, float(np.sqrt((spread**2).sum()) / first.size)
+
+
+def _off(
+    first: Float64Array, halves: list[Float64Array], passes: int, photo: FloatArray
+) -> tuple[Float64Array, Float64Array]:
+    """The mean of each half of the passes less the photograph, from the sums of their differences to the first pass."""
+    one, other = (first + 2.0 * half / passes - photo for half in halves)
+    return one, other
 
 
 def _variance(total: Float64Array, squares: Float64Array, passes: int) -> Float64Array:
