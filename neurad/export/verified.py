@@ -20,9 +20,8 @@ MITSUBA_MEAN, MITSUBA_PSNR = 0.01, 0.1
 CYCLES_MEAN = 0.03
 SIGMAS = 3.0
 """A mean is beyond its bound if it is so by more than this many standard errors: noise is no difference."""
-SEAMS_BEYOND = 1e-2
-"""Largest fraction of the points on borders of charts that may differ by more than two steps of 255. In the rooms
-measured it is 0.6 % at most, most of it on triangles below a texel, whose plane says little of the surface around."""
+SEAMS_BEYOND = 1e-3
+"""Largest fraction of the points on borders of charts that may differ by more than two steps of 255."""
 
 
 @dataclass
@@ -124,7 +123,7 @@ class Verified:
                 self.beyond.append(f"baking took {before - after:.2f} dB of {what} (bound {bound})")
         if self.seams is not None and self.seams.beyond > SEAMS_BEYOND:
             self.beyond.append(
-                f"seams: {100 * self.seams.beyond:.1f} % of the borders of charts differ by more than "
+                f"seams: {100 * self.seams.beyond:.2f} % of the borders of charts differ by more than "
                 f"{255 * BOUND:g}/255, most on {self.seams.where} ({255 * self.seams.largest:.1f}/255)"
             )
         for name, bound in (("mitsuba", MITSUBA_MEAN), ("cycles", CYCLES_MEAN)):
