@@ -44,6 +44,7 @@ from neurad.training.objective import make_objective
 from neurad.training.optimizers import make_optimizers
 from neurad.training.schedule import fraction_done
 from neurad.training.step import Counters, TrainingStep
+from neurad.training.validation import is_due, update_levels
 
 
 class InverseRenderer(L.LightningModule):
@@ -217,7 +218,15 @@ class InverseRenderer(L.LightningModule):
         """One iteration of :class:`neurad.training.step.TrainingStep`."""
         for optimizer in self._optimizers()[1:]:  # the trainer counts the first one's steps: max_steps are iterations
             optimizer._on_before_step = optimizer._on_after_step = _nothing
-        return self.step(batch, fraction_done(self.trainer).largest, self.manual_backward)
+        loss = self.step(batch, fraction_done(self.trainer).largest, self.manual_backward)
+        if is_due(self.iteration):
+            self.update_levels()
+        return loss
+
+    def update_levels(self) -> None:
+        """Fit the factors of the levels to the training pixels that are never drawn, where there are some."""
+        if self.training_views is not None:
+            update_levels(self.assembly, self.training_views, self.photographs, self.iteration)
 
     def _optimizers(self) -> list[Any]:
         """The optimizers in the trainer's wrappers."""
