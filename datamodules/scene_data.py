@@ -49,8 +49,8 @@ class SceneData(pl.LightningDataModule, PhotoSource):
             keeps all in memory.
         replace_every: iterations after which one of them is replaced, if not all are in memory.
         hold_out: every so many-th photograph is held out where the camera file does not say which; 0 for none.
-        validation_pixels: fraction of the training pixels that are never drawn, 16384 of them at most: their loss says how
-            much of each level of the fields is noise of the photographs. For single pixels.
+        validation_pixels: fraction of the training pixels that are never drawn, 16384 of them at most: their loss says
+            how much of each level of the fields is noise of the photographs. For single pixels.
 
     Raises:
         InputError: a number is out of range, ``pixel_multiplier`` no power of two, ``hold_out`` is 1, or

@@ -24,9 +24,9 @@ LARGEST = 2.0
 """Largest factor: decay shrinks levels that photographs would have larger."""
 SPREAD = 0.5
 """Spread of the factors around 1 before the pixels are asked; it decides where they say nothing."""
-ITERATIONS = 30
+ITERATIONS = 20
 SIGMAS = 2.0
-"""Factors are kept if the pixels' loss falls by more than this many standard errors."""
+"""Factors are kept if they lower the loss of pixels that they were not fitted to by so many standard errors."""
 
 
 class FittedFields(Protocol):
@@ -38,25 +38,27 @@ class FittedFields(Protocol):
 
 @dataclass(frozen=True)
 class LevelFit:
-    """What the pixels said."""
+    """What the pixels said of one field."""
 
-    factors: list[Tensor]
-    """Of albedo's levels and, if there is a roughness, of its levels [levels]."""
-    before: float
-    """The pixels' squared residual relative to the prediction, its noise included, with all factors 1."""
-    after: float
-    """The same with the new factors."""
+    factors: Tensor
+    """Of its levels [levels]; ones where others would not be better."""
+    gain: float
+    """By how much they lower the squared residual relative to the prediction, each half of the pixels judging factors
+    that were fitted to the other half."""
     error: float
-    """Standard error of the difference."""
+    """Standard error of that."""
 
     @property
     def holds(self) -> bool:
         """Whether the factors lower the loss by more than noise explains."""
-        return self.before - self.after > SIGMAS * self.error
+        return self.gain > SIGMAS * self.error
 
 
-def fit_levels(pixels: PixelDerivatives, materials: FittedFields, levels: LevelFactors, epsilon: float) -> LevelFit:
-    """The factors of the levels with which the fields explain pixels that they were not fitted to.
+def fit_levels(
+    pixels: PixelDerivatives, materials: FittedFields, levels: LevelFactors, epsilon: float
+) -> list[LevelFit]:
+    """The factors of the levels with which the fields explain pixels that they were not fitted to: those of the albedo,
+    and with them those of the roughness.
 
     Args:
         pixels: training pixels that no batch drew, derivatives at the present fields.
@@ -65,30 +67,53 @@ def fit_levels(pixels: PixelDerivatives, materials: FittedFields, levels: LevelF
         epsilon: floor of the relative loss in squared radiance units.
     """
     response = _Response(pixels, materials, levels, epsilon)
-    count = len(response.sizes)
-    scale = torch.ones(sum(response.sizes), device=response.device, requires_grad=True)
-    ones = [torch.ones(size, device=response.device) for size in response.sizes]
-    with torch.no_grad():
-        start = response.losses(ones)  # [b]
-    # A loss that noise has driven to zero or below says nothing of a scale: that of its spread does.
-    unit = max(float(start.mean()), float(start.std()) / max(len(start), 1) ** 0.5, 1e-12)
-    optimizer = torch.optim.LBFGS([scale], max_iter=ITERATIONS, history_size=count * 10, line_search_fn="strong_wolfe")
+    factors = [torch.ones(size, device=response.device) for size in response.sizes]
+    found = []
+    for index in range(len(factors)):
+        found.append(_cross_validated(response, factors, index, torch.from_numpy(pixels.odd).to(response.device)))
+        factors[index] = found[-1].factors
+    return found
 
-    def closure() -> Tensor:
-        optimizer.zero_grad()
-        with torch.enable_grad():
-            loss = response.losses(list(torch.split(scale, response.sizes))).mean() / unit
-            loss = loss + (scale - 1.0).square().sum() / (len(pixels) * SPREAD**2)
-            loss.backward()
-        return loss
 
-    optimizer.step(closure)  # type: ignore[no-untyped-call]
-    factors = [part.clamp(0.0, LARGEST) for part in torch.split(scale.detach(), response.sizes)]
+def _cross_validated(response: _Response, factors: list[Tensor], index: int, odd: Tensor) -> LevelFit:
+    """The factors of one field, those of the others as they are, if pixels confirm what others have said."""
     with torch.no_grad():
-        end = response.losses(factors)
-    off = (start - end).double()
-    error = float(off.std()) / max(len(off), 1) ** 0.5
-    return LevelFit(factors, float(start.mean()), float(end.mean()), error)
+        start = response.losses(factors)  # [b]
+        off = torch.zeros_like(start)
+        for half in (odd, ~odd):
+            fitted = [*factors[:index], _fitted(response, factors, index, half), *factors[index + 1 :]]
+            off += torch.where(half, 0.0, start - response.losses(fitted))
+    off = off.double()
+    gain, error = float(off.mean()), float(off.std()) / max(len(off), 1) ** 0.5
+    kept = LevelFit(torch.ones_like(factors[index]), gain, error)
+    if not kept.holds:
+        return kept
+    return LevelFit(_fitted(response, factors, index, torch.ones_like(odd)), gain, error)
+
+
+def _fitted(response: _Response, factors: list[Tensor], index: int, chosen: Tensor) -> Tensor:
+    """The factors of one field that explain the chosen pixels [b] best."""
+    scale = torch.ones_like(factors[index], requires_grad=True)
+    count = max(int(chosen.sum()), 1)
+
+    def whole() -> list[Tensor]:
+        return [*factors[:index], scale, *factors[index + 1 :]]
+
+    for _ in range(2):  # the second time knowing how much noise is left
+        with torch.no_grad():
+            noise = max(float(response.noise(whole())[chosen].mean()), 1e-12)
+        optimizer = torch.optim.LBFGS([scale], max_iter=ITERATIONS, history_size=10, line_search_fn="strong_wolfe")
+
+        def closure(noise: float = noise, optimizer: torch.optim.Optimizer = optimizer) -> Tensor:
+            optimizer.zero_grad()
+            with torch.enable_grad():
+                loss = response.losses(whole())[chosen].mean() / noise
+                loss = loss + (scale - 1.0).square().sum() / (count * SPREAD**2)
+                torch.autograd.backward(loss)
+            return loss
+
+        optimizer.step(closure)  # type: ignore[no-untyped-call]
+    return scale.detach().clamp(0.0, LARGEST)
 
 
 class _Response:
@@ -104,8 +129,8 @@ class _Response:
         self.residual, self.by_albedo = tensors["residual"], tensors["by_albedo"]  # [2, b, 3]
         self.by_roughness = tensors["by_roughness"]
         self.weight = relative_weight(tensors["predicted"], epsilon)  # [b, 3]
-        self.samples = tensors["points"].shape[1]
-        points = tensors["points"].reshape(-1, 3)
+        points = tensors["points"][:, ::2]  # half of them say what a pixel shows
+        self.samples, points = points.shape[1], points.reshape(-1, 3)
         fields = [materials.albedo] + ([] if materials.roughness is None else [materials.roughness])
         self.sizes = [len(factors) for field in fields if (factors := levels.of(field.grid)) is not None]
         with torch.no_grad():
@@ -126,10 +151,18 @@ class _Response:
         return values.view(-1, self.samples, values.shape[1]).mean(1)
 
     def losses(self, factors: list[Tensor]) -> Tensor:
-        """Squared relative residuals of the pixels [b], means over the channels."""
+        """Squared relative residuals of the pixels [b], means over channels, without Monte Carlo noise on average."""
+        residual = self._residual(factors)
+        return (residual[0] * residual[1] * self.weight).mean(-1)
+
+    def noise(self, factors: list[Tensor]) -> Tensor:
+        """The same with the noise of one half [b]."""
+        return (self._residual(factors).square() * self.weight).mean((0, 2))
+
+    def _residual(self, factors: list[Tensor]) -> Tensor:
+        """Residuals of the pixels by half [2, b, 3]."""
         albedo, roughness = self._values(factors)
         residual = self.residual - self.by_albedo * (albedo - self.at_ones[0])  # [2, b, 3]
         if roughness is not None and self.at_ones[1] is not None:
             residual = residual - self.by_roughness * (roughness - self.at_ones[1])
-        losses: Tensor = (residual[0] * residual[1] * self.weight).mean(-1)
-        return losses
+        return residual
