@@ -30,6 +30,8 @@ CHARTS = {
     "Loss: lower is better": LOSS,
 }
 """Charts of the tab of custom scalars; each has the run's curve and those of what needs no fit."""
+LARGEST = 256
+"""Of the pictures of a sheet: every evaluation adds sheets to the events."""
 GROUPS = ("sampling", "objective", "optimization")
 """Settings of the model that the tab of hyperparameters has, after those with a capital: it sorts them, and shows the
 first five."""
@@ -83,7 +85,9 @@ class Board:
         for index, view in enumerate(views):
             name = pictures.view_name(view, index)
             title = f"{self._scene}, {self._settings['Method']}, step {iteration}, view {name}"
-            self.picture(f"views/{name}", draw(pictures.view_sheet(view, scale, title)), iteration)
+            sheet = pictures.view_sheet(view, scale, title)
+            sheet.largest = LARGEST
+            self.picture(f"views/{name}", draw(sheet), iteration)
 
     def picture(self, tag: str, pixels: Any, iteration: int) -> None:
         """A picture [h, w, 3], packed faster than TensorBoard's own writer does."""

@@ -20,11 +20,11 @@ def run(tmp_path_factory):
     folder = tmp_path_factory.mktemp("run")
     os.chdir(folder)
     try:
-        write_tiny_config()
+        write_tiny_config(evaluation={"every_n_steps": 4, "pictures": 1})
         for words in (None, ["test"]):
             with redirect_stdout(StringIO()) as out:
                 if words is None:
-                    fit("--trainer.max_steps=8", "--evaluation.every_n_steps=4", "--evaluation.log_every_n_steps=2")
+                    fit("--trainer.max_steps=8", "--evaluation.log_every_n_steps=2")
                 else:
                     main(words)
             said.append(out.getvalue())
