@@ -31,8 +31,8 @@ class Shown:
 
 
 def title_of(module: InverseRenderer) -> str:
-    """Scene and method."""
-    return f"{module.scene.name}, {method_name(module)}"
+    """Scene, method and how far it got."""
+    return f"{module.scene.name}, {method_name(module)}, step {module.iteration}"
 
 
 def views_of(module: InverseRenderer) -> str:

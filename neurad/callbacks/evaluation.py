@@ -159,8 +159,7 @@ class Evaluate(pl.Callback):
         print(_table(module, evaluation.scores, self.test_spp) + "\n")
         print_verdict(module, evaluation.scores, unseen)
         if folder is not None:
-            title = f"{title_of(module)}, step {module.iteration}. "
-            pictures.write_views(folder / "images", evaluation.maps, evaluation.environment, title)
+            pictures.write_views(folder / "images", evaluation.maps, evaluation.environment, title_of(module))
             report_run(module, folder, evaluation, unseen, f"{self.test_spp} samples per pixel")
             about = {"iteration": module.iteration, "seconds": round(module.seconds_before, 2), "rays": module.rays}
             about["samples"] = module.samples
@@ -177,7 +176,7 @@ class Evaluate(pl.Callback):
         evaluation = cast("InverseRenderer", pl_module).evaluate(self.test_spp)
         folder = run_folder(trainer)
         if folder is not None:
-            pictures.write_views(folder / "images", evaluation.maps, evaluation.environment)
+            pictures.write_views(folder / "images", evaluation.maps, evaluation.environment, title_of(module))
             print(f"neurad: images are in {folder / 'images'}")
 
     def _due(self, trainer: pl.Trainer, module: InverseRenderer) -> bool:
