@@ -173,7 +173,8 @@ class Evaluate(pl.Callback):
         """``neurad predict``: write every held-out view, without scores."""
         if not trainer.is_global_zero:
             return
-        evaluation = cast("InverseRenderer", pl_module).evaluate(self.test_spp)
+        module = cast("InverseRenderer", pl_module)
+        evaluation = module.evaluate(self.test_spp)
         folder = run_folder(trainer)
         if folder is not None:
             pictures.write_views(folder / "images", evaluation.maps, evaluation.environment, title_of(module))
