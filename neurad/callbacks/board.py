@@ -30,8 +30,11 @@ CHARTS = {
     "Loss: lower is better": LOSS,
 }
 """Charts of the tab of custom scalars; each has the run's curve and those of what needs no fit."""
+LARGEST = 256
+"""Of the pictures of a sheet: every evaluation adds sheets to the events."""
 GROUPS = ("sampling", "objective", "optimization")
-"""Settings of the model that the tab of hyperparameters has."""
+"""Settings of the model that the tab of hyperparameters has, after those with a capital: it sorts them, and shows the
+first five."""
 
 
 class Board:
@@ -49,7 +52,7 @@ class Board:
         self.writer: SummaryWriter = logger.experiment
         self._folder = Path(logger.log_dir)
         self._scene = module.scene.name
-        self._settings = {"scene": self._scene, "method": method_name(module), "materials": module.settings.materials}
+        self._settings = {"Scene": self._scene, "Method": method_name(module), "materials": module.settings.materials}
         self._settings |= {key: plain(value) for key, value in settings.items()}
         for group in GROUPS:
             values = getattr(module.settings, group)
@@ -81,8 +84,10 @@ class Board:
         scale = exposure(views)
         for index, view in enumerate(views):
             name = pictures.view_name(view, index)
-            title = f"{self._scene}, {self._settings['method']}, step {iteration}, view {name}"
-            self.picture(f"views/{name}", draw(pictures.view_sheet(view, scale, title)), iteration)
+            title = f"{self._scene}, {self._settings['Method']}, step {iteration}, view {name}"
+            sheet = pictures.view_sheet(view, scale, title)
+            sheet.largest = LARGEST
+            self.picture(f"views/{name}", draw(sheet), iteration)
 
     def picture(self, tag: str, pixels: Any, iteration: int) -> None:
         """A picture [h, w, 3], packed faster than TensorBoard's own writer does."""

@@ -43,8 +43,8 @@ class Shown:
 
 
 def title_of(module: InverseRenderer) -> str:
-    """Scene and method."""
-    return f"{module.scene.name}, {method_name(module)}"
+    """Scene, method and how far it got."""
+    return f"{module.scene.name}, {method_name(module)}, step {module.iteration}"
 
 
 def views_of(module: InverseRenderer) -> str:
@@ -141,5 +141,6 @@ def settings_of(trainer: pl.Trainer) -> dict[str, Any]:
     """Settings of a run that are not the model's, for TensorBoard's tab of hyperparameters."""
     callbacks = trainer.callbacks  # type: ignore[attr-defined]
     config: Any = next((callback.config for callback in callbacks if isinstance(callback, RunFolder)), {})
-    names = ("seed_everything", "trainer.max_steps", "trainer.max_time", "data.patches", "data.patch_size")
-    return {name: config[name] for name in names if name in config}
+    names = {"Seed": "seed_everything", "Steps": "trainer.max_steps", "Time": "trainer.max_time"}
+    names |= {key: key for key in ("data.patches", "data.patch_size")}
+    return {label: config[name] for label, name in names.items() if name in config}

@@ -122,6 +122,9 @@ class Evaluate(pl.Callback):
     def on_train_end(self, trainer: pl.Trainer, pl_module: pl.LightningModule) -> None:
         """The scores that belong to the last checkpoint."""
         module = cast("InverseRenderer", pl_module)
+        sentence = module.update_levels() if module.iteration > 0 else None
+        if sentence and trainer.is_global_zero:
+            print(f"neurad: {sentence}", file=sys.stderr)
         if self._evaluated != module.iteration:
             self._evaluate_fit(trainer, module)
         with clock.excluded():
@@ -157,8 +160,7 @@ class Evaluate(pl.Callback):
         unseen = Unseen.of(evaluation.maps)
         print(_table(module, evaluation.scores, self.test_spp) + "\n")
         if folder is not None:
-            title = f"{title_of(module)}, step {module.iteration}. "
-            pictures.write_views(folder / "images", evaluation.maps, evaluation.environment, title)
+            pictures.write_views(folder / "images", evaluation.maps, evaluation.environment, title_of(module))
             report_run(module, folder, evaluation, unseen, f"{self.test_spp} samples per pixel")
             about = {"iteration": module.iteration, "seconds": round(module.seconds_before, 2), "rays": module.rays}
             about["samples"] = module.samples
@@ -171,10 +173,11 @@ class Evaluate(pl.Callback):
         """``neurad predict``: write every held-out view, without scores."""
         if not trainer.is_global_zero:
             return
-        evaluation = cast("InverseRenderer", pl_module).evaluate(self.test_spp)
+        module = cast("InverseRenderer", pl_module)
+        evaluation = module.evaluate(self.test_spp)
         folder = run_folder(trainer)
         if folder is not None:
-            pictures.write_views(folder / "images", evaluation.maps, evaluation.environment)
+            pictures.write_views(folder / "images", evaluation.maps, evaluation.environment, title_of(module))
             print(f"neurad: images are in {folder / 'images'}")
 
     def _due(self, trainer: pl.Trainer, module: InverseRenderer) -> bool:

@@ -169,7 +169,7 @@ def write_views(folder: Path, maps: Sequence[View], sky: Mapping[str, Image] | N
         if view.get("seen") is not None:
             write_png(folder / f"{name}_seen.png", grey(view["seen"]))
         if view.get("render") is not None:
-            write_png(folder / f"{name}_sheet.png", draw(view_sheet(view, scale, f"{title}View {name}")))
+            write_png(folder / f"{name}_sheet.png", draw(view_sheet(view, scale, f"{title}, view {name}".lstrip(", "))))
     if sky:
         write_exr(folder / "environment.exr", sky["fitted"], half=False)
         write_png(folder / "environment.png", environment(sky, scale))

@@ -9,6 +9,8 @@ CLOSELY, ROUGHLY = 10.0, 3.0
 """Decibels above the best constant: nine tenths of what a constant leaves unexplained is explained, and half of it."""
 KINDS = {"albedo": "albedo_psnr", "roughness": "roughness_psnr", "the pictures": "psnr_srgb"}
 """What is judged, and by which score; its best constant's has ``_constant`` behind."""
+PARTS = {"_seen": "surfaces that photographs show", "_lit_glossy": "glossy surfaces with light on them"}
+"""Of the views, by what ends the names of their scores."""
 
 
 @dataclass(frozen=True)
@@ -41,12 +43,26 @@ def verdict(scores: Mapping[str, float], views: str = "held-out views") -> Verdi
             parts.append(f"{what} {'are' if verb == 'follow' else 'is'} not recovered {figures}")
             warnings.append(_below(what, name, scores))
         else:
+            warnings += _below_in_parts(what, name, scores)
             parts.append(f"{what} {how} {verb} the {'photographs' if verb == 'follow' else 'truth'} {figures}")
     if not parts:
         return Verdict(f"There is nothing in the {views} that the result could be judged by.", [])
     text = parts[0] if len(parts) == 1 else f"{', '.join(parts[:-1])}, and {parts[-1]}"
     unknown = "" if "albedo_psnr" in scores else "; no true materials are known to judge albedo and roughness by"
     return Verdict(f"In the {views} {text}{unknown}.", warnings)
+
+
+def _below_in_parts(what: str, name: str, scores: Mapping[str, float]) -> list[str]:
+    """Where something is below the best constant although it is not over everything."""
+    found = []
+    for end, words in PARTS.items():
+        score, constant = scores.get(f"{name}{end}"), scores.get(f"{name}_constant{end}")
+        if score is not None and constant is not None and score <= constant:
+            text = (
+                f"{what[0].upper()}{what[1:]} {'are' if what == 'the pictures' else 'is'} not above the best constant"
+            )
+            found.append(f"{text} on {words}: {score:.2f} dB against {constant:.2f} dB.")
+    return found
 
 
 def _below(what: str, name: str, scores: Mapping[str, float]) -> str:

@@ -70,6 +70,8 @@ class Sheet:
     crop_keys: Sequence[str] = ()
     """Tiles that crops are taken of."""
     notes: list[str] = field(default_factory=list)
+    largest: int = LARGEST
+    """Width in pixels that pictures are reduced below twice of."""
 
     @property
     def tiles(self) -> list[Tile]:
@@ -80,7 +82,7 @@ class Sheet:
     def zoom(self) -> tuple[int, int]:
         """By which whole number pictures are enlarged, and by which they are reduced; one of both is 1."""
         width = self.tiles[0].picture.shape[1]
-        return max(1, -(-SMALLEST // width)), max(1, width // LARGEST)
+        return max(1, -(-SMALLEST // width)), max(1, width // self.largest)
 
     def shown(self, tile: Tile) -> Bytes:
         """The picture of a tile as it is to be displayed: enlarged or reduced, hatched, crops framed."""

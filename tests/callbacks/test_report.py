@@ -20,11 +20,11 @@ def run(tmp_path_factory):
     folder = tmp_path_factory.mktemp("run")
     os.chdir(folder)
     try:
-        write_tiny_config()
+        write_tiny_config(evaluation={"every_n_steps": 4, "pictures": 1})
         for words in (None, ["test"]):
             with redirect_stdout(StringIO()) as out:
                 if words is None:
-                    fit("--trainer.max_steps=8", "--evaluation.every_n_steps=4", "--evaluation.log_every_n_steps=2")
+                    fit("--trainer.max_steps=8", "--evaluation.log_every_n_steps=2")
                 else:
                     main(words)
             said.append(out.getvalue())
@@ -118,7 +118,7 @@ def test_tensorboard_has_the_settings_beside_the_scores(run):
     ours = EventAccumulator(str(folder / "cornell-radiometric")).Reload()
     assert {"_hparams_/experiment", "_hparams_/session_start_info"} <= set(ours.PluginTagToContent("hparams"))
     content = ours.PluginTagToContent("hparams")["_hparams_/session_start_info"]
-    for word in (b"scene", b"cornell", b"radiometric", b"sampling.spp", b"optimization.albedo", b"trainer.max_steps"):
+    for word in (b"Scene", b"cornell", b"Method", b"radiometric", b"sampling.spp", b"optimization.albedo", b"Steps"):
         assert word in content
 
 

@@ -28,6 +28,13 @@ def test_what_is_below_the_best_constant_is_said_in_words():
     assert both.warnings[0].endswith("Do not rely on it.")
 
 
+def test_what_is_below_in_a_part_of_the_views_is_said_too():
+    scores = GOOD | {"albedo_psnr_lit_glossy": 20.0, "albedo_psnr_constant_lit_glossy": 28.0}
+    said = "Albedo is not above the best constant on glossy surfaces with light on them: 20.00 dB against 28.00 dB."
+    assert verdict(scores).warnings == [said]
+    assert verdict(scores | {"albedo_psnr_lit_glossy": 29.0}).warnings == []
+
+
 def test_without_true_materials_only_pictures_are_judged():
     found = verdict({"psnr_srgb": 25.0, "psnr_srgb_constant": 20.0}, "training photographs")
     assert found.sentence.startswith("In the training photographs the pictures roughly follow")
