@@ -30,13 +30,12 @@ def test_the_same_edit_in_mitsuba(tmp_path):
     trimesh.creation.icosphere(2).export(tmp_path / "ball.glb")
     scene = build("cornell")
     scene = replace(scene, meshes=[m for m in scene.meshes if m.name != "ceiling"])
+    ball = {"file": "ball.glb", "at": [0.3, -0.4, 0.2], "size": 0.6, "albedo": [0.8, 0.3, 0.1], "roughness": 0.3}
     tree = {
         "lamps": {"light": {"color": [1.0, 0.5, 0.2], "scale": 0.3, "move": [0.3, -0.2, 0.1]}},
         "environment": {"file": "sky.exr", "turn": 70},
         "materials": {"floor": {"albedo": [0.2, 0.6, 0.3]}},
-        "objects": [
-            {"file": "ball.glb", "at": [0.3, -0.4, 0.2], "size": 0.6, "albedo": [0.8, 0.3, 0.1], "roughness": 0.3}
-        ],
+        "objects": [ball],
     }
     made = edited(scene, edit_of(tree, folder=tmp_path)).scene
     view = made.test[0]
