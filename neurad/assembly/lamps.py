@@ -11,7 +11,7 @@ from neurad.assembly.build import Assembly
 from neurad.core.errors import InputError
 from neurad.core.protocols import PhotoSource
 from neurad.core.records import PixelBatch
-from neurad.metrics.photographed_lamps import FEW, REFUSE, WARN, PhotographedLamp, photographed_lamps
+from neurad.metrics.photographed_lamps import FEW, REFUSE, WARN, Array, PhotographedLamp, photographed_lamps
 
 MOST = 8
 """Lamps that get a line of their own; those that differ always do."""
@@ -61,8 +61,7 @@ def report(lamps: Sequence[PhotographedLamp]) -> list[str]:
             lines.append(f"lamp {lamp.name}: all {seen} are clipped, so its radiance cannot be checked")
             continue
         clipped = f", {lamp.clipped} clipped" if lamp.clipped else ""
-        line = f"lamp {lamp.name}: photographed over declared radiance {_three(lamp.factor)} ({seen}{clipped})"
-        lines.append(line)
+        lines.append(f"lamp {lamp.name}: photographed over declared radiance {_three(lamp.factor)} ({seen}{clipped})")
         if differs:
             lines.append(
                 f"warning: lamp {lamp.name} is {_brighter(lamp)} in the photographs than in the scene; with known "
@@ -102,5 +101,5 @@ def _brighter(lamp: PhotographedLamp) -> str:
     return f"{1.0 / max(most, 1e-30):.3g} times darker{where}"
 
 
-def _three(values: Sequence[float] | np.ndarray) -> str:
+def _three(values: Array) -> str:
     return ", ".join(f"{float(x):.3g}" for x in values)

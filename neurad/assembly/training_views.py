@@ -94,7 +94,6 @@ def prepare_views(
     surface = surface_fractions(primary, stats.sample, settings.seed)
     if check_brightness:
         check_views(scene, surface)
-        check_lamps(assembly, photographs, stats.sample)
     if settings.objective.fireflies == "spread" and not _shows_small_lights(scene, photographs):
         spread = photographs.spread_fireflies(emitter_mask.cpu())
         if spread > 0:
@@ -109,6 +108,8 @@ def prepare_views(
         white = partial(white_brightness, primary, stats.sample, settings.seed, scene.max_depth)
         if said := sentence_if_far(brightness(primary, stats.sample, settings.seed), white):
             print(f"neurad: warning: {said}", file=sys.stderr)
+    if check_brightness:
+        check_lamps(assembly, photographs, stats.sample)
     if assembly.radiance is not None:
         assembly.radiance.set_scale(math.sqrt(mean_square))
     # Stage 3: what residuals are relative to, where there is no field to predict it.

@@ -70,7 +70,8 @@ def test_what_an_edit_says_replaces_what_was_recovered_there_alone(fitted):
     made = edited(recovered_scene(run.assembly), Edit(materials={"floor": MaterialEdit((0.1, 0.2, 0.3))}))
     parts = relit(run.assembly, made)
     si = run.surface(run.scene.test[0])
-    before, after = run.materials(si), parts.materials(si)
+    with torch.no_grad():
+        before, after = run.materials(si), parts.materials(si)
     floor = torch.from_numpy(np.isin(run.world.geometry.mesh_index[si.prim.clamp_min(0)].numpy(), [0])) & si.valid
     assert floor.any()
     np.testing.assert_allclose(after.albedo[floor].numpy(), np.broadcast_to([0.1, 0.2, 0.3], (int(floor.sum()), 3)))
@@ -209,10 +210,9 @@ def test_a_lamp_that_is_far_off_is_refused_before_training(fitted, capfd):
     assert "--model.lighting.lamp_mismatch warn" in error
     assert not Path("lightning_logs").exists()
     fit("--data.root=room", "--trainer.max_steps=1", "--model.lighting.lamp_mismatch=warn")
-    said = capfd.readouterr()
-    assert "neurad: lamp lamp: photographed over declared radiance 0." in said.err
-    assert "warning: lamp lamp is" in said.err
-    assert "neurad: albedo at its limits: 0.0 % below 0.01, 0.0 % above 0.99" in said.out
+    said = capfd.readouterr().err
+    assert "neurad: lamp lamp: photographed over declared radiance 0." in said
+    assert "warning: lamp lamp is" in said
 
 
 def fails_last(capfd, *args):
