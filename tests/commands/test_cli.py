@@ -46,7 +46,7 @@ FILES = {
         (["fti"], "did you mean fit"),
         (["fit", "--config", "kichen.yaml"], "did you mean kitchen.yaml?"),
         (["fit", "--config", "methods/ourz.yaml"], "did you mean methods/ours.yaml?"),
-        (["fit", "--config", "tyni.yaml"], "did you mean tiny.yaml?"),
+        (["fit", "--config", "tinny.yaml"], "did you mean tiny.yaml?"),
         (["fit", "--model.sampling.ssp", "4"], "did you mean model.sampling.spp?"),
         (["fit", "--config", "tiny.yaml", "--trainer.max_steps=2", "--data.scene=cornel"], "did you mean cornell?"),
         (["render", "--scene", "cornell", "--out", "x", "--integrator", "pth"], "did you mean path?"),

@@ -1,5 +1,7 @@
 """``neurad fit --help``: every setting, with its words, at once."""
 
+import importlib
+import pkgutil
 import subprocess
 import sys
 import time
@@ -57,9 +59,12 @@ def test_defaults_are_those_of_the_parser(parser, settings):
 
 
 def test_methods_are_those_that_there_are():
+    from neurad import integrators
     from neurad.integrators.method import Method
     from neurad.runs.render_subject import _methods
 
+    for module in pkgutil.iter_modules(integrators.__path__):
+        importlib.import_module(f"{integrators.__name__}.{module.name}")
     shipped = {method["class_path"] for method in _methods().values()}
     assert shipped <= methods().keys()
     known = {f"{sub.__module__}.{sub.__name__}" for sub in _subclasses(Method)}
