@@ -53,6 +53,10 @@ class Sampling:
     independent of each other, which unbiased gradients need. Where it does not divide ``spp``, every sample is a group
     of its own."""
 
+    focus: Annotated[float, Range(0.0, 0.9)] = 0.0
+    """Fraction of a batch's pixels that are drawn where the photometric gradient by roughness is large, highlights
+    above all, instead of in turn; weights keep every mean. Needs ``data.patch_size`` 1; 0 draws all pixels in turn."""
+
     @property
     def groups(self) -> int:
         """Independent groups of samples in a pixel."""

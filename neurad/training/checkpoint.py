@@ -10,7 +10,8 @@ from torch import Tensor
 from neurad.core.errors import InputError
 from neurad.scene.description import Scene
 
-DDP_IGNORED = "world.guide.", "average."
+FOCUS = "focus."
+DDP_IGNORED = "world.guide.", "average.", FOCUS
 """What names of state begin with that only takes noise away: no weights, and alike in all processes."""
 
 

@@ -96,6 +96,8 @@ class TrainingStep:
         Raises:
             NotFinite: a loss, gradient or weight is NaN or infinite.
         """
+        if self.assembly.focus is not None:
+            batch = self.assembly.focus.choose(batch, self._stream(2))
         settings = self.assembly.settings.for_batch(batch.pixel_multiplier)
         lanes = len(batch.view) * settings.sampling.spp * settings.sampling.samples_per_vertex  # path samples
         with of_step(lanes, self._networks):
@@ -120,9 +122,9 @@ class TrainingStep:
             backward(loss)
         # Stage 2: what other processes found, the finiteness check and the norm of the gradients.
         factor = rate_factor(optimization, counters.iteration, progress)
-        binned = bin_guide_samples(world.guide, terms.guide_samples)
+        recorded = bin_guide_samples(world.guide, terms.guide_samples), self._scores(batch, terms)
         if self.sync is not None:
-            factor, binned = self.sync.average(factor, binned)
+            factor, recorded = self.sync.average(factor, recorded)
         self.guard.check(counters.iteration, batch, terms.all, lambda: self.terms(batch))
         if optimization.clip > 0:
             clip([optimizer.param_groups for optimizer in self.optimizers.values()], optimization.clip)
@@ -134,7 +136,9 @@ class TrainingStep:
             list(self.optimizers.values())
         ):  # the first last: a trainer that counts it ends its step
             optimizer.step()
-        update_guide(world.guide, binned, counters.iteration)
+        update_guide(world.guide, recorded[0], counters.iteration)
+        if self.assembly.focus is not None and recorded[1] is not None:
+            self.assembly.focus.record(*recorded[1], counters.iteration)
         counters.iteration += 1
         if self.assembly.average is not None:
             self.assembly.average.update(counters.iteration)
@@ -143,5 +147,13 @@ class TrainingStep:
 
     def terms(self, batch: PixelBatch) -> StepTerms:
         """The losses of this iteration; the same ones at every call until the weights move."""
-        stream = Stream(self.assembly.settings.seed, self.counters.iteration, self.rank, 1, device=self.device)
-        return self.objective(batch, stream)
+        return self.objective(batch, self._stream(1))
+
+    def _stream(self, purpose: int) -> Stream:
+        """Random numbers of this iteration, the same at every call."""
+        return Stream(self.assembly.settings.seed, self.counters.iteration, self.rank, purpose, device=self.device)
+
+    def _scores(self, batch: PixelBatch, terms: StepTerms) -> tuple[Tensor, Tensor] | None:
+        """What the gradients by roughness say of where pixels are to be drawn."""
+        gradient = None if terms.roughness is None else terms.roughness.grad
+        return None if self.assembly.focus is None or gradient is None else self.assembly.focus.rows(batch, gradient)
