@@ -99,10 +99,10 @@ class Focus(nn.Module):
             batch: as :meth:`choose` left it.
             gradient: by the roughness at each sample [b * n, 1].
         """
-        size = gradient.view(len(batch.view), -1).sum(1).abs() * len(batch.view)
+        size = gradient.view(len(batch.view), -1).sum(1) * len(batch.view)
         if batch.weight is not None:
             size = size / batch.weight
-        return self.blocks(batch.view, batch.pixel), torch.stack((size, torch.ones_like(size)), -1)
+        return self.blocks(batch.view, batch.pixel), torch.stack((size.square(), torch.ones_like(size)), -1)
 
     @torch.no_grad()
     def record(self, blocks: Tensor, values: Tensor, iteration: int) -> None:
@@ -113,6 +113,6 @@ class Focus(nn.Module):
         mean = self.sums[:, 0].sum() / self.sums[:, 1].sum()
         if not bool(mean > 0):
             return
-        size = (self.sums[:, 0] + FAMILIAR * mean) / (self.sums[:, 1] + FAMILIAR)
+        size = ((self.sums[:, 0] + FAMILIAR * mean) / (self.sums[:, 1] + FAMILIAR)).sqrt()
         self.score.copy_(size / size.mean())
         self.sums.mul_(KEPT)
