@@ -364,9 +364,7 @@ class SceneData(pl.LightningDataModule, PhotoSource):
         """Move the tensors of a batch; an index of a held-out view is a tensor of its own."""
         if isinstance(batch, Tensor):
             return batch.to(device)
-        view, pixel, color, alpha = (x.to(device) for x in (batch.view, batch.pixel, batch.color, batch.alpha))
-        blurred = None if batch.blurred is None else batch.blurred.to(device)
-        return replace(batch, view=view, pixel=pixel, color=color, alpha=alpha, blurred=blurred)
+        return batch.to(device)
 
     def train_dataloader(self) -> DataLoader[PixelBatch]:
         """Batches without end, from the iteration that the module has reached."""

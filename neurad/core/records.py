@@ -15,7 +15,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, field, fields
+from dataclasses import dataclass, field, fields, replace
 from typing import Self
 
 import numpy as np
@@ -206,6 +206,19 @@ class PixelBatch:
     """The last so many pixels are uniform draws of which the step keeps some; 0 where it takes all pixels."""
     weight: Tensor | None = None
     """What each pixel counts for, so that means over the batch are unbiased [b]; None where all count 1."""
+
+    def to(self, device: torch.device | str) -> PixelBatch:
+        """The batch on a device."""
+        moved = {f.name: getattr(self, f.name) for f in fields(self)}
+        return replace(self, **{k: x.to(device) for k, x in moved.items() if isinstance(x, Tensor)})
+
+    def in_turn(self) -> PixelBatch:
+        """The batch without its candidates."""
+        if self.candidates == 0:
+            return self
+        left = len(self.view) - self.candidates
+        parts = {f.name: getattr(self, f.name) for f in fields(self)}
+        return replace(self, candidates=0, **{k: x[:left] for k, x in parts.items() if isinstance(x, Tensor)})
 
 
 @dataclass(frozen=True)

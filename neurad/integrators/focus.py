@@ -27,7 +27,7 @@ REFRESH = 64
 """Iterations between two updates of the scores."""
 KEPT = 0.9
 """Of the sums at an update: gradients change while materials are found."""
-FAMILIAR = 4.0
+FAMILIAR = 1.0
 """Pixels' worth of the mean of all blocks in each."""
 
 
@@ -110,9 +110,10 @@ class Focus(nn.Module):
         self.sums.index_add_(0, blocks, values)
         if (iteration + 1) % REFRESH:
             return
-        mean = self.sums[:, 0].sum() / self.sums[:, 1].sum()
-        if not bool(mean > 0):
+        square, count = self.sums.unbind(1)
+        usual = (square / count.clamp_min(1.0)).sqrt().mean().square()
+        if not bool(usual > 0):
             return
-        size = ((self.sums[:, 0] + FAMILIAR * mean) / (self.sums[:, 1] + FAMILIAR)).sqrt()
+        size = ((square + FAMILIAR * usual) / (count + FAMILIAR)).sqrt()
         self.score.copy_(size / size.mean())
         self.sums.mul_(KEPT)

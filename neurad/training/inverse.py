@@ -209,6 +209,7 @@ class InverseRenderer(L.LightningModule):
             self.processes,
             GradientSync(self, self._ddp_params_and_buffers_to_ignore) if self._exchanges else None,
             device=self.device,
+            photographs=self.photographs,
         )
 
     def on_train_start(self) -> None:

@@ -41,4 +41,14 @@ def _for_roughness(field: RoughnessField, rates: Optimization) -> SparseRowAdam:
     """
     decays = rates.roughness_decay > 0.0 and isinstance(field.mlp, MLP)
     table = field.grid.parameters() if decays else ()
-    return SparseRowAdam(field.parameters(), lr=rates.roughness, weight_decay={p: rates.roughness_decay for p in table})
+    import os
+
+    o = SparseRowAdam(
+        field.parameters(),
+        lr=rates.roughness,
+        betas=(0.9, float(os.environ.get("RB2", ".99"))),
+        weight_decay={p: rates.roughness_decay for p in table},
+    )
+    if "RFLOOR" in os.environ:
+        o.param_groups[0]["floor"] = float(os.environ["RFLOOR"])
+    return o
