@@ -262,14 +262,10 @@ class SceneData(pl.LightningDataModule, PhotoSource):
 
     def request_candidates(self, fraction: float, times: int) -> None:
         """From now on batches have fewer pixels in turn by ``fraction``, and ``times`` as many candidates for each that
-        is missing: uniform draws.
-
-        Raises:
-            InputError: batches are made of patches, which are not chosen pixel by pixel.
+        is missing: uniform draws. Where batches are made of patches they stay as they are.
         """
-        if self.patch_size > 1:
-            raise InputError("model.sampling.focus: it chooses pixels one by one, so data.patch_size must be 1")
-        self._focused, self._times = round(fraction * self.patches), times
+        if self.patch_size == 1:
+            self._focused, self._times = round(fraction * self.patches), times
 
     def over(self, scene: Scene, photographs: Tensor | None = None) -> SceneData:
         """A data module with the same settings over another scene.

@@ -55,7 +55,8 @@ class Sampling:
 
     focus: Annotated[float, Range(0.0, 0.9)] = 0.0
     """Fraction of a batch's pixels that are drawn where the photometric gradient by roughness is large, highlights
-    above all, instead of in turn; weights keep every mean. Needs ``data.patch_size`` 1; 0 draws all pixels in turn."""
+    above all, instead of in turn; weights keep every mean, and more of the samples there follow the specular lobe. 0
+    draws all pixels in turn, and so does a ``data.patch_size`` above 1."""
 
     @property
     def groups(self) -> int:

@@ -150,6 +150,9 @@ class Surface(Lanes):
     model: Tensor | None = None
     """Index into ``Features.models`` [n], int64, of known materials that are not all of one model; None where all lanes
     have the model that fitted surfaces have."""
+    specular_fraction: Tensor | None = None
+    """Probability of the specular lobe where samples are drawn [n, 1], for models that have one to choose; None for the
+    model's own."""
 
 
 @dataclass(frozen=True)
@@ -206,6 +209,8 @@ class PixelBatch:
     """The last so many pixels are uniform draws of which the step keeps some; 0 where it takes all pixels."""
     weight: Tensor | None = None
     """What each pixel counts for, so that means over the batch are unbiased [b]; None where all count 1."""
+    highlight: Tensor | None = None
+    """How much of the pixel's worth lies in highlights, in [0, 1): more of its samples follow the specular lobe [b]."""
 
     def to(self, device: torch.device | str) -> PixelBatch:
         """The batch on a device."""

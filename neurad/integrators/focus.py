@@ -30,6 +30,9 @@ KEPT = 0.9
 FAMILIAR = 1.0
 """Pixels' worth of the mean of all blocks in each."""
 
+USUAL = 3.0
+"""Score, over the mean of all blocks, at which a pixel's samples follow the specular lobe half as far as they can."""
+
 
 class Focus(nn.Module):
     """Scores of blocks of pixels. All of it is state: a continued run has the same.
@@ -87,9 +90,10 @@ class Focus(nn.Module):
         kept = torch.cat((torch.arange(b, device=score.device), b + chosen))
         weight = 1.0 / (1.0 - self.fraction + self.fraction * score[kept])
         weight[b:] *= among.mean()
+        highlight = score[kept] / (score[kept] + USUAL)
         picked = {name: getattr(batch, name)[kept] for name in ("view", "pixel", "color", "alpha")}
         blurred = None if batch.blurred is None else batch.blurred[kept]
-        return replace(batch, **picked, blurred=blurred, candidates=0, weight=weight)
+        return replace(batch, **picked, blurred=blurred, candidates=0, weight=weight, highlight=highlight)
 
     @torch.no_grad()
     def rows(self, batch: PixelBatch, gradient: Tensor) -> tuple[Tensor, Tensor]:

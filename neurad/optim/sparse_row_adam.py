@@ -102,11 +102,6 @@ def _update_rows(p: Tensor, gradient: Tensor, state: dict[str, Tensor], group: d
     rate, root = group["lr"] / (1.0 - beta1**step), (1.0 - beta2**step) ** 0.5
     m, v = state["exp_avg"], state["exp_avg_sq"]
     rows, values = unique_rows(gradient)
-    if "floor" in group:
-        if "mean_sq" not in state:
-            state["mean_sq"] = torch.zeros(())
-        state["mean_sq"].lerp_((values * values).mean(), 1.0 - beta2)
-        group = {**group, "eps": group["floor"] * float(state["mean_sq"].sqrt()) / root}
     if use_kernel(p.dim() == 2 and p.is_contiguous(), p, differentiable=True):
         _update_rows_kernel(p, m, v, rows, values, (rate, 1.0 / root, beta1, beta2, group["eps"]))
         return

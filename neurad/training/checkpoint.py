@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from typing import Any
 
 import torch
@@ -13,6 +14,9 @@ from neurad.scene.description import Scene
 FOCUS = "focus."
 DDP_IGNORED = "world.guide.", "average.", FOCUS
 """What names of state begin with that only takes noise away: no weights, and alike in all processes."""
+_WITHOUT_SCORES = (
+    "the checkpoint does not say which pixels tell of roughness (model.sampling.focus); the run finds out anew"
+)
 
 
 def fitting(
@@ -25,8 +29,8 @@ def fitting(
 ) -> dict[str, Any]:
     """What a run wrote about itself into its checkpoint, if the weights fit.
 
-    A guide and averages only take noise away: where the checkpoint has none, or others, it is given the fresh ones of
-    ``own``.
+    A guide, averages and scores of pixels only take noise away: where the checkpoint has none, or others, it is given
+    the fresh ones of ``own``.
 
     Args:
         checkpoint: as Lightning loads it; its ``state_dict`` may be replaced.
@@ -50,6 +54,8 @@ def fitting(
     for prefix in DDP_IGNORED:
         mine = {name: value for name, value in own.items() if name.startswith(prefix)}
         if {n: w.shape for n, w in weights.items() if n.startswith(prefix)} != {n: w.shape for n, w in mine.items()}:
+            if prefix == FOCUS and mine and continues:
+                print(f"neurad: {source}: {_WITHOUT_SCORES}", file=sys.stderr)
             weights = {name: value for name, value in weights.items() if not name.startswith(prefix)} | mine
     checkpoint["state_dict"] = weights
     for name, value in weights.items():

@@ -43,6 +43,9 @@ from neurad.losses.relative import (
     two_pass,
 )
 
+MOST_SPECULAR = 0.65
+"""Largest fraction of the BSDF samples that follow the specular lobe where highlights are."""
+
 
 @dataclass(frozen=True)
 class GuideSamples:
@@ -122,6 +125,10 @@ class ObjectiveStep:
         surface = self.estimator.materials(si)  # [b * n]
         if surface.roughness.requires_grad:
             surface.roughness.retain_grad()
+        if batch.highlight is not None:
+            own = self.sampling.specular_fraction
+            fraction = own + (max(own, MOST_SPECULAR) - own) * batch.highlight
+            surface = replace(surface, specular_fraction=fraction.repeat_interleave(n).unsqueeze(-1))
         emitted = self.estimator.world.emitted(si)  # [b * n, 3]
 
         # Stage 3: the method's estimate of reflected light, and the RHS image with it.

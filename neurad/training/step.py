@@ -154,7 +154,8 @@ class TrainingStep:
 
     def _choose_start(self, photographs: PhotoSource) -> None:
         """Let roughness begin where the loss is least, see :mod:`neurad.training.roughness_start`."""
-        if not isinstance(self.objective, ObjectiveStep):
+        roughness = self.assembly.settings.roughness
+        if not isinstance(self.objective, ObjectiveStep) or roughness.begin == "middle":
             return
         begin = self.counters.iteration
         batches = (photographs.batch(i, self.rank).in_turn().to(self.device) for i in range(begin, begin + BATCHES))

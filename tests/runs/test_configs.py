@@ -157,6 +157,8 @@ SECTION_5 = {
        for key, value in {"width": 256, "hidden_layers": layers, "kind": "hash"}.items()},
     "model.radiance.inputs": ["direction", "normal", "albedo"],
     "model.roughness.reads_albedo": False,
+    "model.roughness.begin": "middle",
+    "model.sampling.focus": 0.0,
     "model.method.class_path": "neurad.integrators.radiometric.Radiometric",
     "model.method.init_args.k": 1,
     "model.method.init_args.control_variate": False,
