@@ -79,8 +79,8 @@ def lobes_pdf(
 def direction(
     roughness: FloatArray, wo: FloatArray, u: FloatArray, fraction: FloatArray, out: FloatArray
 ) -> None:  # pragma: no cover - compiled
-    """Fill ``out`` [n, 3] with directions drawn by the principled BSDF from the numbers ``u`` [n, 3]; ``fraction`` as in
-    :func:`lobes_pdf`.
+    """Fill ``out`` [n, 3] with directions drawn by the principled BSDF from the numbers ``u`` [n, 3]; ``fraction`` as
+    in :func:`lobes_pdf`.
     """
     last = fraction.shape[0] - 1
     for i in range(wo.shape[0]):

@@ -77,7 +77,7 @@ def test_no_weight_is_large():
         batch = made.choose(before, Stream(8, i))
         among = float(made.score[made.blocks(before.view[16:], before.pixel[16:])].mean())
         assert float(batch.weight.max()) <= max(1.0, among) / (1.0 - FRACTION) + 1e-6
-        assert 0.0 <= float(batch.highlight.min())
+        assert float(batch.highlight.min()) >= 0.0
         assert float(batch.highlight.max()) < 1.0
 
 
