@@ -38,14 +38,10 @@ def make_optimizers(assembly: Assembly) -> dict[str, SparseRowAdam | PyramidAdam
 def _for_roughness(field: RoughnessField, rates: Optimization) -> SparseRowAdam:
     """Adam whose weight decay is that of the table in front of the network; a grid alone has none, as it would be drawn
     to one half.
-
-    Its second moments reach back ten times as far as those of other fields. Most of the squared gradient by roughness
-    comes from a hundredth of the pixels, those of highlights. Were they forgotten after a hundred steps, the noise of
-    all others would be scaled up to steps of the same size until the next highlight.
     """
     decays = rates.roughness_decay > 0.0 and isinstance(field.mlp, MLP)
     table = field.grid.parameters() if decays else ()
     return SparseRowAdam(
-        field.parameters(), lr=rates.roughness, betas=(0.9, 0.999),
+        field.parameters(), lr=rates.roughness, betas=(0.9, rates.roughness_beta2),
         weight_decay={p: rates.roughness_decay for p in table},
     )  # fmt: skip
