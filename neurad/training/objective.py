@@ -70,7 +70,7 @@ class StepTerms:
     guide_samples: GuideSamples | None = None
     """What a guide records; None from a method whose estimates come without the radiance that arrived."""
     roughness: Tensor | None = None
-    """At first hits [b * n, 1], with ``grad`` after the backward pass; None where none is recovered."""
+    """At first hits [b * n, 1], with ``grad`` after the backward pass; None where pixels have no weights."""
 
     @property
     def all(self) -> dict[str, tuple[float, Loss]]:
@@ -123,7 +123,7 @@ class ObjectiveStep:
 
         # Stage 2: what surfaces are made of, and what they emit.
         surface = self.estimator.materials(si)  # [b * n]
-        if surface.roughness.requires_grad:
+        if batch.weight is not None and surface.roughness.requires_grad:
             surface.roughness.retain_grad()
         if batch.highlight is not None:
             own = self.sampling.specular_fraction
@@ -165,7 +165,7 @@ class ObjectiveStep:
             if settings.lhs > 0:
                 lhs_weight = relative_weight(predicted, self.epsilon) * counts
                 terms["lhs"] = settings.lhs, leave_one_out(lhs_image, batch.color, lhs_weight)
-        roughness = surface.roughness if surface.roughness.requires_grad else None
+        roughness = surface.roughness if surface.roughness.retains_grad else None
         return StepTerms(materials, terms, self._guide_samples(si, sample), roughness)
 
     @property
