@@ -49,7 +49,7 @@ def check_lamps(assembly: Assembly, photographs: PhotoSource, sample: PixelBatch
 
 
 def report(lamps: Sequence[PhotographedLamp]) -> list[str]:
-    """Lines about lamps: all that differ, some of the others, and which ones nothing is known of."""
+    """Lines about lamps: all that differ, some of the others, and where some are shown, which ones are not."""
     lines, told = [], 0
     for lamp in lamps:
         differs = lamp.beyond(WARN)
@@ -72,7 +72,7 @@ def report(lamps: Sequence[PhotographedLamp]) -> list[str]:
     if shown > told:
         lines.append(f"{shown - told} more lamps are as bright in the photographs as declared")
     hidden = [lamp.name for lamp in lamps if lamp.pixels == 0]
-    if hidden:
+    if hidden and shown:
         more = f" and {len(hidden) - MOST} others" if len(hidden) > MOST else ""
         names = ", ".join(hidden[:MOST]) + more
         lines.append(f"no photograph shows {names} alone in a pixel: nothing checks the radiance there")
