@@ -27,6 +27,7 @@ from neurad.integrators.world import World
 from neurad.metrics.bar_maps import bars_at
 from neurad.metrics.bars_file import NAME, read_bars
 from neurad.metrics.error_bars import ErrorBars, in_cube
+from neurad.metrics.seen import SeenBy
 from neurad.runs.checkpoints import newest_checkpoint, run_checkpoint, run_folder_of
 from neurad.runs.model_settings import parse_model
 from neurad.runs.own_config import own_config
@@ -66,6 +67,11 @@ class LoadedRun:
     def scene(self) -> Scene:
         """Geometry, lights, true materials and cameras (``scene.train``, ``scene.test``)."""
         return self.assembly.scene
+
+    @property
+    def views(self) -> tuple[View, ...]:
+        """Training views, then held-out ones: ``name``, ``camera`` and ``image``, the path of the photograph."""
+        return (*self.scene.train, *self.scene.test)
 
     @property
     def settings(self) -> ModelSettings:
@@ -149,6 +155,31 @@ class LoadedRun:
             )
         return self._bars(points, "roughness")
 
+    def seen(self, points: Points) -> npt.NDArray[np.bool_]:
+        """Whether some training photograph shows the points [n]; what none shows is a guess.
+
+        Args:
+            points: positions [n, 3] of surfaces in world space, or points of :meth:`surface`. Positions count as seen
+                where nothing lies between them and the camera, whichever way their surface faces.
+
+        Raises:
+            InputError: ``points`` have another shape.
+        """
+        by = SeenBy(self.world.geometry, self.world.tracer, [view.camera for view in self.scene.train])
+        if isinstance(points, SurfaceInteraction):
+            return np.concatenate([by.any(part).cpu().numpy() for part in _chunks(points)])
+        return np.concatenate([by.any_at(part).cpu().numpy() for part in _chunks(self._positions(points))])
+
+    @property
+    def has_error_bars(self) -> bool:
+        """Whether the run folder has error bars of this checkpoint."""
+        if not isinstance(self.materials, FittedMaterials):
+            return False
+        try:
+            return self._error_bars is not None
+        except InputError:
+            return False
+
     def _bars(self, points: Points, name: str) -> FloatArray:
         """Error bars of a map, of the run folder's file."""
         cube, bars = to_cube(self._fields()), self._error_bars
@@ -193,7 +224,7 @@ class LoadedRun:
             return view
         if isinstance(view, View):
             return view.camera
-        views = {v.name: v for v in (*self.scene.train, *self.scene.test)}
+        views = {v.name: v for v in self.views}
         if view not in views:
             raise InputError(f"view {view}: scene {self.scene.name} has no view of that name")
         return views[view].camera
@@ -247,12 +278,10 @@ def load_run(
     settings = parse_model(config["model"], str(folder / "config.yaml"))
     scene = _scene(config["data"], folder, root)
     assembly = assemble(scene, settings, _has_alpha(scene))
-    state = _restore(assembly, content, name)
+    state = restore(assembly, content, name)
     target = torch.device(device)
     for _, part in assembly.modules():
         part.to(target)
-    if assembly.average is not None:
-        assembly.average.copy_to_module()
     return LoadedRun(checkpoint, int(state["iteration"]), assembly, target)
 
 
@@ -298,8 +327,12 @@ def _has_alpha(scene: Scene) -> bool:
     return image is not None and read_photograph(image).shape[-1] == 4
 
 
-def _restore(assembly: Assembly, checkpoint: dict[str, Any], name: str) -> dict[str, Any]:
-    """Copy the checkpoint's weights into the parts, and return what the run wrote about itself."""
+def restore(assembly: Assembly, checkpoint: dict[str, Any], name: str) -> dict[str, Any]:
+    """Copy the checkpoint's weights into the parts, averaged where the run averages; returns what it says of itself.
+
+    Raises:
+        InputError: the checkpoint does not fit them.
+    """
     own = {f"{part}.{key}": value for part, module in assembly.modules() for key, value in module.state_dict().items()}
     radiance = assembly.radiance
     state = fitting(checkpoint, own, assembly.scene, None if radiance is None else list(radiance.inputs), name)
@@ -307,4 +340,6 @@ def _restore(assembly: Assembly, checkpoint: dict[str, Any], name: str) -> dict[
         prefix = f"{part}."
         weights = checkpoint["state_dict"]
         module.load_state_dict({k.removeprefix(prefix): v for k, v in weights.items() if k.startswith(prefix)})
+    if assembly.average is not None:
+        assembly.average.copy_to_module()
     return state
