@@ -34,6 +34,10 @@ def run(options: argparse.Namespace) -> None:
     except ImportError as error:
         raise InputError("view: the page needs the package viser: pip install 'neurad[view]'") from error
 
+    from neurad.inspect.server import check_port
+
+    check_port(options.port)
+
     from neurad.inspect.viewer import Viewer
     from neurad.runs.load import load_run
 

@@ -73,7 +73,9 @@ class Film:
         return ((self._squares - self._sum.square() / self.count) / (self.count - 1)).clamp_min(0.0) / self.count
 
 
-def mixture(prior: Tensor | None, films: Sequence[Film], scales: Sequence[float]) -> tuple[Tensor, float]:
+def mixture(
+    prior: Tensor | None, films: Sequence[Film], scales: Sequence[float], shown: Sequence[Tensor] | None = None
+) -> tuple[Tensor, float]:
     """The picture ``sum_l s_l I_l`` from films of the ``I_l`` and a picture of ``sum_l I_l`` that is smooth but wrong.
 
     For any ``a``, ``a prior + sum_l (s_l - a) I_l`` shows the scaled sum where the prior is right. The square of its
@@ -86,6 +88,8 @@ def mixture(prior: Tensor | None, films: Sequence[Film], scales: Sequence[float]
         prior: [h, w, 3], or None.
         films: of the ``I_l``. Where some have no sample, or fewer than :data:`LEAST`, ``a`` is :func:`common` to those.
         scales: ``s_l``.
+        shown: what stands for the ``I_l`` of films that have samples, [h, w, 3] each, if not their means; ``a`` is made
+            for the means.
 
     Returns:
         The picture [h, w, 3], not negative, and the mean of ``a``.
@@ -95,7 +99,9 @@ def mixture(prior: Tensor | None, films: Sequence[Film], scales: Sequence[float]
         few = [s for film, s in zip(films, scales, strict=True) if film.count == 0]
         few = few or [s for film, s in zip(films, scales, strict=True) if film.count < LEAST]
         weight = common(few) if few else _weight(prior, films, scales)
-    parts = [(s - weight) * film.mean for film, s in zip(films, scales, strict=True) if film.count > 0]
+    drawn = [(film, s) for film, s in zip(films, scales, strict=True) if film.count > 0]
+    pictures = [film.mean for film, _ in drawn] if shown is None else shown
+    parts = [(s - weight) * picture for (_, s), picture in zip(drawn, pictures, strict=True)]
     if prior is not None:
         parts.append(weight * prior)
     return torch.stack(parts).sum(0).clamp_min(0.0), float(weight if isinstance(weight, float) else weight.mean())

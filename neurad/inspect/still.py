@@ -17,6 +17,7 @@ from neurad.core.rng import mix
 from neurad.inspect.film import LEAST, Film, common, mixture
 from neurad.inspect.lamps import Lamp, Light, as_photographed, lamp_renderer
 from neurad.inspect.maps import Mode, UnseenMap, hatch
+from neurad.inspect.smooth import Smoother
 from neurad.integrators.renderer import FieldRenderer, MethodRenderer
 from neurad.runs.load import LoadedRun
 
@@ -109,8 +110,9 @@ class LitStill:
     """The room in any light of its lamps.
 
     In the light of the photographs it begins as the radiance field's own picture, which has no noise, and goes over to
-    the method's, sample by sample. In other light it is the sum of path-traced pictures of each lamp, which begin in a
-    mixture with the picture in the photographs' light (:func:`neurad.inspect.film.mixture`).
+    the method's, sample by sample. In other light it is the sum of path-traced pictures of each lamp, smoothed at first
+    (:class:`neurad.inspect.smooth.Smoother`), which begin in a mixture with the picture in the photographs' light
+    (:func:`neurad.inspect.film.mixture`).
 
     Args:
         run: a loaded run.
@@ -127,6 +129,8 @@ class LitStill:
         self._turn = 0.0
         self._weight = 1.0
         self._films = [self._film(index) for index in range(len(lamps))]
+        self._smoother: Smoother | None = None
+        self._made: dict[Film, tuple[int, Tensor]] = {}
 
     def _film(self, index: int) -> Film:
         """Of one lamp alone."""
@@ -155,14 +159,16 @@ class LitStill:
 
     def radiance(self, light: Light) -> FloatArray:
         """The picture so far in a light, linear [h, w, 3]; it has to be ready for it."""
-        films, prior = self._parts(light)
+        needed, prior = self._parts(light)
         base = self._photographed() if prior else None
         if light == self._own and base is not None:
             return np.asarray(base.cpu().numpy(), np.float32)
-        chosen = range(len(self.lamps)) if prior else films
+        chosen = range(len(self.lamps)) if prior else needed
         if not chosen:  # every lamp is off
             return np.zeros((self.camera.height, self.camera.width, 3), np.float32)
-        mixed, self._weight = mixture(base, [self._films[i] for i in chosen], [light.scales[i] for i in chosen])
+        films, scales = [self._films[i] for i in chosen], [light.scales[i] for i in chosen]
+        shown = [self._smoothed(film) for film in films if film.count > 0]
+        mixed, self._weight = mixture(base, films, scales, shown)
         return np.asarray(mixed.cpu().numpy(), np.float32)
 
     def says(self, look: Look) -> str:
@@ -203,6 +209,7 @@ class LitStill:
         lit = [i for i in self._shining(light) if not self.lamps[i].meshes]
         if lit and light.turn % 360.0 != self._turn:
             self._turn = light.turn % 360.0
+            self._made.pop(self._films[lit[0]], None)
             self._films[lit[0]] = self._film(lit[0])
 
     @property
@@ -213,8 +220,18 @@ class LitStill:
     def _photographed(self) -> Tensor:
         """The picture so far in the photographs' light [h, w, 3]."""
         if self._field is None:
-            return self._whole.mean
+            return self._smoothed(self._whole)
         return mixture(self._field.mean, [self._whole], [1.0])[0] if self._whole.count else self._field.mean
+
+    def _smoothed(self, film: Film) -> Tensor:
+        """The picture of a film, mixed with what smoothing makes of it as long as that is better [h, w, 3]."""
+        count, picture = self._made.get(film, (0, None))
+        if picture is None or count != film.count:
+            if self._smoother is None:
+                self._smoother = Smoother(self.run.assembly, self.camera)
+            picture = mixture(self._smoother(film.mean), [film], [1.0])[0]
+            self._made[film] = film.count, picture
+        return picture
 
     def _next(self, light: Light) -> Film:
         """The film that gets a sample."""

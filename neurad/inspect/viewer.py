@@ -19,15 +19,12 @@ from neurad.inspect.maps import SeenMap, UnseenMap, modes_of
 from neurad.inspect.photographs import PhotographMap
 from neurad.inspect.pose import Stand, stand_of
 from neurad.inspect.refine import Room, warm_up
+from neurad.inspect.server import HOST, serve, stop
 from neurad.metrics.seen import SeenBy
 from neurad.runs.follow import Followed
 from neurad.runs.load import LoadedRun
 from neurad.scene.image_io import read_photograph
 
-HOST = "127.0.0.1"
-"""The page has no password, so no other machine may see it."""
-PORT = 8080
-"""Where the page is unless somebody says otherwise, or the next free one."""
 CHECKS = 2.0
 """Seconds between two looks at the run folder."""
 TONED = 8
@@ -39,7 +36,7 @@ class Viewer:
 
     Args:
         run: a loaded run.
-        port: of the page, 0 for any; None takes :data:`PORT` or the next free one.
+        port: of the page, 0 for any; None takes the first free from 8080.
 
     Raises:
         InputError: the port is taken, or the scene has no view to begin with.
@@ -85,7 +82,7 @@ class Viewer:
 
     def close(self) -> None:
         """End the page."""
-        self._server.stop()
+        stop(self._server)
 
     def _make_room(self) -> Room:
         run = self._followed.run
@@ -132,20 +129,3 @@ class Viewer:
         for guest in list(self.guests.values()):
             guest.renew(self._room, self._title(), followed.problem)
         self._checked = time.monotonic()
-
-
-def serve(port: int | None) -> viser.ViserServer:
-    """A page on a port of this machine, and on no other address.
-
-    Raises:
-        InputError: the port is taken.
-    """
-    server = viser.ViserServer(host=HOST, port=PORT if port is None else port, verbose=False)
-    # A browser can ask for a tunnel through which others see the page: nobody gets one.
-    server.request_share_url = lambda verbose=True: None  # type: ignore[method-assign]
-    if port and server.get_port() != port:
-        server.stop()
-        raise InputError(
-            f"--port {port}: it is in use, or needs rights that you lack; give another, or 0 for any free one"
-        )
-    return server
