@@ -13,8 +13,8 @@ from neurad.core.records import Camera
 from neurad.core.rng import mix
 from neurad.integrators.film import box_mean
 
-CHUNK = 1 << 13
-"""Camera rays between two looks at whether somebody waits: about a twentieth of a second of paths."""
+CHUNK = 1 << 14
+"""Camera rays between two looks at whether somebody waits: enough for two threads, at most some tenths of a second."""
 WINDOW = 11
 """Side of the square of pixels over which noise and bias are compared."""
 LEAST = 3

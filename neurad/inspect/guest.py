@@ -53,6 +53,7 @@ class Guest:
         self._client, self._stands, self._ask = client, stands, ask
         self._refiner = Refiner(room)
         self._click: tuple[FloatArray, FloatArray] | None = None
+        self._goal: str | None = None
         self._failed: Request | None = None
         self._warning = ""
         self.panel = Panel(client.gui, title, room.lamps, room.modes, tuple(stands), exposure, ask, self._go)
@@ -73,6 +74,8 @@ class Guest:
         Args:
             stop: whether somebody waits for something else.
         """
+        if self._goal is not None:
+            self._move()
         if self._click is not None:
             self._read_out()
         request = self._request()
@@ -123,12 +126,15 @@ class Guest:
             )
 
     def _go(self, name: str) -> None:
-        """Put the camera to a view."""
-        if name in self._stands:
-            stand, camera = self._stands[name](), self._client.camera
-            with self._client.atomic():
-                camera.up_direction = stand.up
-                camera.position = stand.position
-                camera.look_at = stand.look_at
-                camera.fov = stand.fov_y
-            self._ask()
+        self._goal = name
+        self._ask()
+
+    def _move(self) -> None:
+        """Put the camera to the view that was asked for."""
+        assert self._goal is not None
+        stand, camera, self._goal = self._stands[self._goal](), self._client.camera, None
+        with self._client.atomic():
+            camera.up_direction = stand.up
+            camera.position = stand.position
+            camera.look_at = stand.look_at
+            camera.fov = stand.fov_y

@@ -125,7 +125,7 @@ class LitStill:
         scene = run.assembly.estimator.scene
         self._own = as_photographed(lamps)
         self._field = None if run.radiance is None else Film(camera, FieldRenderer(scene), SEED, run.device)
-        self._whole = Film(camera, MethodRenderer(run.settings.method, scene), mix(SEED, 1), run.device)
+        self._whole = Film(camera, MethodRenderer(run.assembly.estimator.method, scene), mix(SEED, 1), run.device)
         self._turn = 0.0
         self._weight = 1.0
         self._films = [self._film(index) for index in range(len(lamps))]
@@ -185,7 +185,7 @@ class LitStill:
         if max(counts) == 0 or not self._parts(light)[0]:
             return "The picture in the photographs' light, scaled."
         samples = f"{min(counts)}" if min(counts) == max(counts) else f"{min(counts)} to {max(counts)}"
-        return f"Paths traced for each lamp with the recovered materials, {samples} samples a pixel."
+        return f"Paths traced for each lamp with the recovered materials, {samples} samples a pixel, smoothed if few."
 
     def _shining(self, light: Light) -> list[int]:
         """Lamps that are not off."""
