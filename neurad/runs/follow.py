@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from pathlib import Path
 
 from neurad.core.errors import InputError
 from neurad.runs.checkpoints import LAST, run_folder_of
-from neurad.runs.load import LoadedRun, restore
-from neurad.training.checkpoint_file import read_checkpoint
+from neurad.runs.load import LoadedRun, reload_run
 
 
 class Followed:
@@ -43,16 +41,11 @@ class Followed:
             self.problem = f"{what} is gone ({self.folder}): this is the last state, of iteration {self.run.iteration}"
             return False
         self._stamp = stamp
-        name = f"run {self._path}"
-        assembly = self.run.assembly
         try:
-            state = restore(assembly, read_checkpoint(self._path, name), name)
+            self.run = reload_run(self.run)
         except InputError as error:
             self.problem = str(error)
             return False
-        for _, part in assembly.modules():
-            part.to(self.run.device)
-        self.run = replace(self.run, iteration=int(state["iteration"]))
         self.problem = ""
         return True
 

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -278,11 +278,28 @@ def load_run(
     settings = parse_model(config["model"], str(folder / "config.yaml"))
     scene = _scene(config["data"], folder, root)
     assembly = assemble(scene, settings, _has_alpha(scene))
-    state = restore(assembly, content, name)
+    state = _restore(assembly, content, name)
     target = torch.device(device)
     for _, part in assembly.modules():
         part.to(target)
+    if assembly.average is not None:
+        assembly.average.copy_to_module()
     return LoadedRun(checkpoint, int(state["iteration"]), assembly, target)
+
+
+def reload_run(run: LoadedRun) -> LoadedRun:
+    """The same run with what its checkpoint holds now, in the same parts: the given one changes with it.
+
+    Raises:
+        InputError: the checkpoint cannot be read or does not fit; nothing changes then.
+    """
+    name = f"run {run.checkpoint}"
+    state = _restore(run.assembly, read_checkpoint(run.checkpoint, name), name)
+    for _, part in run.assembly.modules():
+        part.to(run.device)
+    if run.assembly.average is not None:
+        run.assembly.average.copy_to_module()
+    return replace(run, iteration=int(state["iteration"]))
 
 
 def _locate(run: str | os.PathLike[str] | None) -> tuple[Path, Path]:
@@ -327,12 +344,8 @@ def _has_alpha(scene: Scene) -> bool:
     return image is not None and read_photograph(image).shape[-1] == 4
 
 
-def restore(assembly: Assembly, checkpoint: dict[str, Any], name: str) -> dict[str, Any]:
-    """Copy the checkpoint's weights into the parts, averaged where the run averages; returns what it says of itself.
-
-    Raises:
-        InputError: the checkpoint does not fit them.
-    """
+def _restore(assembly: Assembly, checkpoint: dict[str, Any], name: str) -> dict[str, Any]:
+    """Copy the checkpoint's weights into the parts, and return what the run wrote about itself."""
     own = {f"{part}.{key}": value for part, module in assembly.modules() for key, value in module.state_dict().items()}
     radiance = assembly.radiance
     state = fitting(checkpoint, own, assembly.scene, None if radiance is None else list(radiance.inputs), name)
@@ -340,6 +353,4 @@ def restore(assembly: Assembly, checkpoint: dict[str, Any], name: str) -> dict[s
         prefix = f"{part}."
         weights = checkpoint["state_dict"]
         module.load_state_dict({k.removeprefix(prefix): v for k, v in weights.items() if k.startswith(prefix)})
-    if assembly.average is not None:
-        assembly.average.copy_to_module()
     return state

@@ -12,7 +12,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from helpers.tiny_fit import fails, fit, run_folder, write_tiny_config
+from helpers.tiny_fit import fails
 from PIL import Image
 
 import neurad
@@ -24,17 +24,6 @@ pytest.importorskip("viser")
 
 CANVAS = {"x": 40, "y": 120, "width": 500, "height": 400}
 """Part of the window that controls do not cover."""
-
-
-@pytest.fixture(scope="module")
-def folder(tmp_path_factory):
-    """A run with error bars of the built-in room with two lamps."""
-    place = tmp_path_factory.mktemp("page")
-    with pytest.MonkeyPatch.context() as patch:
-        patch.chdir(place)
-        write_tiny_config(base="kitchen.yaml", data={"patches": 128}, trainer={"max_steps": 60})
-        fit()
-    return place / run_folder()
 
 
 @contextlib.contextmanager
@@ -122,8 +111,8 @@ class Page:
 
 
 @pytest.mark.main
-def test_the_page(folder, look_at):
-    with viewed("--ckpt_path", str(folder), "--port", "0") as viewer:
+def test_the_page(viewed_run, look_at):
+    with viewed("--ckpt_path", str(viewed_run), "--port", "0") as viewer:
         port = int(viewer.address.rpartition(":")[2])
         assert listening(port) == ["0100007F"]  # 127.0.0.1
         page = Page(look_at(viewer.address, width=1000, height=640))
@@ -184,12 +173,12 @@ def test_the_page(folder, look_at):
 
 
 @pytest.mark.main
-def test_a_run_that_trains_on_and_then_is_gone(folder, tmp_path, look_at, monkeypatch):
+def test_a_run_that_trains_on_and_then_is_gone(viewed_run, tmp_path, look_at, monkeypatch):
     """A newer checkpoint is taken over under the open page; when the folder is deleted the page says so and stays."""
     from neurad.inspect import viewer as module
 
     monkeypatch.setattr(module, "CHECKS", 0.1)
-    place = shutil.copytree(folder, tmp_path / "version_0")
+    place = shutil.copytree(viewed_run, tmp_path / "version_0")
     with viewed("--ckpt_path", str(place), "--port", "0") as viewer:
         page = Page(look_at(viewer.address, width=1000, height=640))
         page.wait("samples a pixel")
@@ -209,10 +198,10 @@ def test_a_run_that_trains_on_and_then_is_gone(folder, tmp_path, look_at, monkey
         assert guest.frames > frames
 
 
-def test_a_newer_checkpoint_changes_what_is_recovered(folder, tmp_path):
+def test_a_newer_checkpoint_changes_what_is_recovered(viewed_run, tmp_path):
     import torch
 
-    place = shutil.copytree(folder, tmp_path / "version_0")
+    place = shutil.copytree(viewed_run, tmp_path / "version_0")
     followed = Followed(neurad.load(place))
     points = np.random.default_rng(0).uniform(-1, 1, (50, 3))
     before = followed.run.albedo(points)

@@ -6,7 +6,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
-from helpers.tiny_fit import fit, run_folder, write_tiny_config
 
 import neurad
 from neurad.core.camera import camera_rays
@@ -31,14 +30,8 @@ SIDE = 32
 
 
 @pytest.fixture(scope="module")
-def run(tmp_path_factory):
-    """A fit of a moment in the built-in room with two lamps; it has error bars."""
-    folder = tmp_path_factory.mktemp("viewed")
-    with pytest.MonkeyPatch.context() as patch:
-        patch.chdir(folder)
-        write_tiny_config(base="kitchen.yaml", data={"patches": 128}, trainer={"max_steps": 60})
-        fit()
-        return neurad.load(folder / run_folder())
+def run(viewed_run):
+    return neurad.load(viewed_run)
 
 
 @pytest.fixture

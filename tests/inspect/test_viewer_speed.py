@@ -127,7 +127,5 @@ def test_pictures_while_moving(room, camera, factor, mode):
     refiner.room.cost.update({mode: 1e-9})
     refiner.coarse(Request(pose, mode, Look(as_photographed(room.lamps), factor), SIDE * SIDE))
     full = time.perf_counter() - full
-    print(
-        f"\n{mode} moving: {1 / seconds:.1f} pictures a second of {np.median(sizes):.0f} rows; whole ones {1 / full:.1f}"
-    )
+    print(f"\n{mode} moving: {1 / seconds:.1f} a second of {np.median(sizes):.0f} rows, whole ones {1 / full:.1f}")
     assert 1 / seconds > 5
