@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
@@ -108,7 +109,7 @@ class Panel:
 
     def warn(self, text: str) -> None:
         """Say what is wrong; nothing is with an empty text."""
-        shown = f"⚠ {_plain(text)}" if text else ""
+        shown = f"⚠ {_escaped(text)}" if text else ""
         if self._warning.content != shown:
             self._warning.content = shown
 
@@ -136,6 +137,11 @@ class Panel:
         if scale is not None:
             self._legend.image = legend(scale)
             self._legend.label = f"{scale.title}: 0 to {scale.high:g}"
+
+
+def _escaped(text: str) -> str:
+    """Text that Markdown shows unchanged."""
+    return re.sub(r"([\\`*_{}\[\]<>#|~])", r"\\\1", " ".join(text.split()))
 
 
 def _plain(text: str) -> str:

@@ -26,7 +26,7 @@ from neurad.integrators.renderer import path_tracer
 from neurad.metrics.seen import SeenBy
 from neurad.scene.image_io import read_photograph
 
-SIDE = 32
+SIDE = 24
 
 
 @pytest.fixture(scope="module")
@@ -68,9 +68,9 @@ def films(camera, *pictures, count):
 def test_a_film_knows_its_noise(camera):
     (film,) = films(camera, (2.0, 0.6), count=9)
     assert film.count == 9
-    # 3072 values: the mean of the variances is known to 3 % (one standard deviation)
-    assert float(film.variance.mean()) == pytest.approx(0.36 / 9, rel=0.12)
-    assert float((film.mean - 2.0).square().mean()) == pytest.approx(0.36 / 9, rel=0.12)
+    # 1728 values of the mean, each with a relative variance of 2: known to 3.4 % (one standard deviation)
+    assert float(film.variance.mean()) == pytest.approx(0.36 / 9, rel=0.17)
+    assert float((film.mean - 2.0).square().mean()) == pytest.approx(0.36 / 9, rel=0.17)
 
 
 def test_an_interrupted_sample_leaves_nothing(camera):
@@ -121,7 +121,7 @@ def test_smoothing_stays_on_its_surface(run, camera):
     light = (1.0 + mesh % 7).float() * torch.tensor([1.0, 0.5, 2.0])
     smoother = Smoother(run.assembly, camera)
     assert torch.allclose(smoother(albedo * light), albedo * light, rtol=1e-4)
-    large = torch.stack([mesh == i for i in mesh.unique() if (mesh == i).sum() > 100]).any(0)[..., 0]
+    large = torch.stack([mesh == i for i in mesh.unique() if (mesh == i).sum() > 60]).any(0)[..., 0]
     noise = torch.randn(SIDE, SIDE, 3)
     left = (smoother(albedo * (light + noise)) / albedo - light)[large]
     assert float(left.square().mean()) < 0.2 * float(noise[large].square().mean())
@@ -133,7 +133,7 @@ def test_lamps_add_up_to_the_room(run, camera):
     assert len(lamps) >= 2
     names = {run.scene.meshes[i].name for lamp in lamps for i in lamp.meshes}
     assert names == {mesh.name for mesh in run.scene.meshes if mesh.radiance is not None}
-    spp = 64
+    spp = 32
     whole = Film(camera, path_tracer(run.world, run.materials, run.scene.max_depth, run.scene.rr_depth), 5)
     parts = [Film(camera, lamp_renderer(run.assembly, lamp), 6 + i) for i, lamp in enumerate(lamps)]
     for film in (whole, *parts):
@@ -144,7 +144,7 @@ def test_lamps_add_up_to_the_room(run, camera):
     difference = float(sum(part.mean.mean() for part in parts) - whole.mean.mean())
     error = math.sqrt(sum(float(film.variance.sum()) for film in (whole, *parts))) / whole.mean.numel()
     assert abs(difference) < 5 * error
-    assert error < 0.02 * float(whole.mean.mean())
+    assert error < 0.03 * float(whole.mean.mean())
 
 
 def test_an_environment_turns_about_its_own_axis():
@@ -181,11 +181,11 @@ def test_a_still_goes_from_the_field_to_the_method(run, camera):
     still.step(look, lambda: False)
     assert still.ready(look)
     assert "radiance field's own" in still.says(look)
-    reference = run.render(camera, 1024)
+    reference = run.render(camera, 400)
     first = still.radiance(own)
-    while still._whole.count < 200:
+    while still._whole.count < 60:
         still.step(look, lambda: False)
-    noise = float(np.mean((run.render(camera, 200, 3) - reference) ** 2))
+    noise = float(np.mean((run.render(camera, 60, 3) - reference) ** 2))
     error = float(np.mean((still.radiance(own) - reference) ** 2))
     assert error < np.mean((first - reference) ** 2)
     assert error < 1.5 * noise
@@ -197,7 +197,7 @@ def test_other_light_costs_no_new_samples(run, camera):
     still = LitStill(run, camera, lamps)
     off = Look(Light((0.0,) + (1.0,) * (len(lamps) - 1)))
     steps = 0
-    while not still.ready(off) or min(film.count for film in still._films) < 24:
+    while not still.ready(off) or min(film.count for film in still._films) < 16:
         still.step(off, lambda: False)
         steps += 1
         assert steps < 500
@@ -211,7 +211,7 @@ def test_other_light_costs_no_new_samples(run, camera):
         expected = sum(s * float(film.mean.mean()) for s, film in zip(light.scales, still._films, strict=True))
         assert float(still.radiance(light).mean()) == pytest.approx(expected, rel=0.05, abs=1e-6)
     assert [film.count for film in still._films] == counts
-    reference = render(camera, lamp_renderer(run.assembly, lamps[1]), 512, 4).mean()
+    reference = render(camera, lamp_renderer(run.assembly, lamps[1]), 128, 4).mean()
     if len(lamps) == 2:
         assert dark == pytest.approx(float(reference), rel=0.05)
 
