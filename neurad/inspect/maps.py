@@ -107,7 +107,7 @@ class UnseenMap:
 def hatch(picture: Bytes, marked: FloatArray) -> Bytes:
     """Stripes over the pixels where ``marked`` [h, w, 1] is above a half."""
     rows, columns = np.indices(picture.shape[:2])
-    stripes = ((rows + columns) % GAP < STRIPE)[..., None] & (marked > 0.5)
+    stripes = np.expand_dims(np.mod(rows + columns, GAP) < STRIPE, -1) & (marked > 0.5)
     return np.where(stripes, np.round(np.array(HATCHED) * 255).astype(np.uint8), picture)
 
 

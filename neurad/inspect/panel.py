@@ -58,14 +58,14 @@ class Panel:
     ) -> None:
         self._gui, self._lamps, self._modes, self._exposure = gui, lamps, modes, exposure
         self._title = gui.add_markdown(title)
-        self._mode = gui.add_dropdown("mode", (RENDER, *modes), initial_value=RENDER)
+        self._mode: Any = gui.add_dropdown("mode", (RENDER, *modes), initial_value=RENDER)
         self._legend = gui.add_image(np.zeros((1, 1, 3), np.uint8), format="png", visible=False)
         self._says = gui.add_markdown("")
         self._warning = gui.add_markdown("")
         with gui.add_folder("pixel"):
             self._reading = gui.add_markdown(_HINT)
         with gui.add_folder("light"):
-            self._sliders = [gui.add_slider(lamp.name, 0.0, BRIGHTEST, 0.05, 1.0) for lamp in lamps]
+            self._sliders: list[Any] = [gui.add_slider(lamp.name, 0.0, BRIGHTEST, 0.05, 1.0) for lamp in lamps]
             self._turn: Any = None
             if any(lamp.name == ENVIRONMENT and not lamp.meshes for lamp in lamps):
                 self._turn = gui.add_slider(

@@ -6,12 +6,15 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
+import numpy.typing as npt
 import torch
 
 from neurad.core.camera import camera_rays
-from neurad.core.records import Camera, FloatArray
+from neurad.core.records import Camera
 from neurad.integrators.world import World
 
+Vector = npt.NDArray[np.float64]
+"""[3]."""
 _FLIP = np.diag([1.0, -1.0, -1.0])
 """Between axes with +Y up, looking along -Z, and axes with +Y down, looking along +Z."""
 
@@ -56,9 +59,9 @@ def _fov_y(camera: Camera) -> float:
 class Stand:
     """Where a browser's camera is put to see what a view shows; it turns around what is in the middle."""
 
-    position: FloatArray
-    look_at: FloatArray
-    up: FloatArray
+    position: Vector
+    look_at: Vector
+    up: Vector
     fov_y: float
 
 

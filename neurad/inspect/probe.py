@@ -73,9 +73,9 @@ def probe(run: LoadedRun, seen: SeenMap, origin: FloatArray, direction: FloatArr
         position=si.p[0].cpu().numpy(),
         mesh=run.scene.meshes[int(geometry.mesh_index[prim])].name,
         albedo=run.albedo(si)[0],
-        roughness=float(run.roughness(si)),
+        roughness=float(run.roughness(si)[0, 0]),
         albedo_std=run.albedo_std(si)[0] if bars else None,
-        roughness_std=float(run.roughness_std(si)) if bars else None,
+        roughness_std=float(run.roughness_std(si)[0, 0]) if bars else None,
         photographs=count,
         emits=bool((geometry.emission[prim] > 0).any()),
     )
