@@ -82,9 +82,9 @@ def test_an_interrupted_sample_leaves_nothing(camera):
 
 @pytest.mark.parametrize("scales", [(1.0, 1.0), (0.0, 1.0), (2.0, 0.3)])
 def test_a_mixture_is_better_than_what_it_is_made_of(camera, scales):
-    """True pictures 0.5 and 1.5; a smooth prior of their sum that is off by 0.05; samples with noise."""
+    """True pictures 0.5 and 1.5; a smooth prior of their sum that is off by 0.1; samples with noise."""
     truth = 0.5 * scales[0] + 1.5 * scales[1]
-    prior = torch.full((SIDE, SIDE, 3), 2.05)
+    prior = torch.full((SIDE, SIDE, 3), 2.1)
     few = films(camera, (0.5, 0.3), (1.5, 0.3), count=4)
     mixed, weight = mixture(prior, few, scales)
     alone = sum(s * film.mean for s, film in zip(scales, few, strict=True))
@@ -94,12 +94,13 @@ def test_a_mixture_is_better_than_what_it_is_made_of(camera, scales):
 
     assert error(mixed) < 0.75 * error(alone)
     if scales == (1.0, 1.0):
-        assert weight > 0.8
-        assert error(mixed) < 0.05**2
+        assert weight > 0.6
+        assert error(mixed) < 0.1**2
     many = films(camera, (0.5, 0.3), (1.5, 0.3), count=400)
     mixed, weight = mixture(prior, many, scales)
-    assert abs(weight) < 0.3  # v = 0.09 / 400 each, b^2 = 0.0025
-    assert error(mixed) < 0.02**2
+    alone = sum(s * film.mean for s, film in zip(scales, many, strict=True))
+    assert abs(weight) < 0.2  # v = 0.09 / 400 each, b^2 = 0.01
+    assert error(mixed) < 1.1 * error(alone)
 
 
 def test_a_mixture_of_what_there_is(camera):
