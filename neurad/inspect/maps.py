@@ -141,7 +141,7 @@ def modes_of(run: LoadedRun, seen: SeenBy, photographs: PhotographMap) -> Mappin
     found["roughness"] = Mode(
         "The recovered roughness.", materials, lambda x, _: grey(x[..., 3:]), Scale("roughness", grey, 1.0)
     )
-    if run.has_error_bars:
+    if run.bars is not None:
         bars = Scale("standard deviation", lambda x: false_colour(x, 1.0 / BRIGHTEST_STD), BRIGHTEST_STD)
         for name in ("albedo", "roughness"):
             found[name + BARS] = Mode(

@@ -67,7 +67,7 @@ def probe(run: LoadedRun, seen: SeenMap, origin: FloatArray, direction: FloatArr
         if not bool(si.valid):
             return None
         count = int(seen.count(si))
-    geometry, bars = run.world.geometry, run.has_error_bars
+    geometry, bars = run.world.geometry, run.bars is not None
     prim = int(si.prim)
     return Reading(
         position=si.p[0].cpu().numpy(),

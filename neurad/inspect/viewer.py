@@ -125,7 +125,7 @@ class Viewer:
     def _follow(self) -> None:
         """Take over a newer checkpoint of a run that is still training, and error bars that came with its end."""
         followed = self._followed
-        if followed.update() or followed.run.has_error_bars != self._room.has_bars:
+        if followed.update() or (followed.run.bars is not None) != self._room.has_bars:
             cost = self._room.cost
             self._room = self._make_room()
             self._room.cost.update(cost)

@@ -170,16 +170,6 @@ class LoadedRun:
             return np.concatenate([by.any(part).cpu().numpy() for part in _chunks(points)])
         return np.concatenate([by.any_at(part).cpu().numpy() for part in _chunks(self._positions(points))])
 
-    @property
-    def has_error_bars(self) -> bool:
-        """Whether the run folder has error bars of this checkpoint."""
-        if not isinstance(self.materials, FittedMaterials):
-            return False
-        try:
-            return self._error_bars is not None
-        except InputError:
-            return False
-
     def _bars(self, points: Points, name: str) -> FloatArray:
         """Error bars of a map, of the run folder's file."""
         cube, bars = to_cube(self._fields()), self._error_bars

@@ -216,7 +216,7 @@ def test_a_newer_checkpoint_changes_what_is_recovered(viewed_run, tmp_path):
     assert followed.update()
     assert followed.run.iteration == 100
     assert np.abs(followed.run.albedo(points) - before).mean() > 0.01
-    assert not followed.run.has_error_bars  # those of the folder are of iteration 60
+    assert followed.run.bars is None  # those of the folder are of iteration 60
     assert not followed.update()
 
     kept = followed.run.albedo(points)

@@ -221,21 +221,24 @@ def test_coarse_while_it_moves_and_whole_when_it_rests(run, room):
     refiner = Refiner(room)
     pose = pose_of(run.scene.test[0].camera)
     own = as_photographed(room.lamps)
-    room.cost.update({"albedo": 1e-3})  # seconds a pixel: a whole picture would take one
-    request = Request(pose, "albedo", Look(own), SIDE * SIDE)
+    side = 96
+    room.cost.update({"albedo": 1e-6})  # seconds a pixel: a whole picture takes a hundredth of a second
+    request = Request(pose, "albedo", Look(own), side * side)
     first = refiner.work(request, lambda: False)
-    assert first.coarse is False or first.picture.shape[0] < SIDE
+    assert first.picture.shape == (side, side, 3)
+    assert not first.coarse
     moved = replace(request, pose=replace(pose, position=(pose.position[0] + 0.1, *pose.position[1:])))
     room.cost.update({"albedo": 1.0})
     frame = refiner.work(moved, lambda: False)
-    assert frame is not None
+    assert frame.coarse
+    assert frame.picture.shape == (48, 48, 3)
     for _ in range(200):
         better = refiner.work(moved, lambda: False)
         frame = better or frame
         if refiner.rests(moved):
             break
     assert refiner.rests(moved)
-    assert frame.picture.shape == (SIDE, SIDE, 3)
+    assert frame.picture.shape == (side, side, 3)
     assert not frame.coarse
 
 
