@@ -115,15 +115,17 @@ def test_a_mixture_of_what_there_is(camera):
 
 def test_smoothing_stays_on_its_surface(run, camera):
     """Light that is the same all over each mesh stays as it is; noise becomes less than a fifth."""
+    side = 64
+    camera = replace(camera, width=side, height=side)
     points = run.surface(camera)
-    albedo = torch.from_numpy(run.albedo(points)).view(SIDE, SIDE, 3).clamp_min(DARKEST)
-    mesh = run.world.geometry.mesh_index[points.prim].view(SIDE, SIDE, 1)
+    albedo = torch.from_numpy(run.albedo(points)).view(side, side, 3).clamp_min(DARKEST)
+    mesh = run.world.geometry.mesh_index[points.prim].view(side, side, 1)
     assert len(mesh.unique()) > 5
     light = (1.0 + mesh % 7).float() * torch.tensor([1.0, 0.5, 2.0])
     smoother = Smoother(run.assembly, camera)
     assert torch.allclose(smoother(albedo * light), albedo * light, rtol=1e-4)
-    large = torch.stack([mesh == i for i in mesh.unique() if (mesh == i).sum() > 60]).any(0)[..., 0]
-    noise = torch.randn(SIDE, SIDE, 3)
+    large = torch.stack([mesh == i for i in mesh.unique() if (mesh == i).sum() > 200]).any(0)[..., 0]
+    noise = torch.randn(side, side, 3)
     left = (smoother(albedo * (light + noise)) / albedo - light)[large]
     assert float(left.square().mean()) < 0.2 * float(noise[large].square().mean())
 
@@ -134,7 +136,7 @@ def test_lamps_add_up_to_the_room(run, camera):
     assert len(lamps) >= 2
     names = {run.scene.meshes[i].name for lamp in lamps for i in lamp.meshes}
     assert names == {mesh.name for mesh in run.scene.meshes if mesh.radiance is not None}
-    spp = 32
+    spp = 16
     whole = Film(camera, path_tracer(run.world, run.materials, run.scene.max_depth, run.scene.rr_depth), 5)
     parts = [Film(camera, lamp_renderer(run.assembly, lamp), 6 + i) for i, lamp in enumerate(lamps)]
     for film in (whole, *parts):
@@ -145,7 +147,7 @@ def test_lamps_add_up_to_the_room(run, camera):
     difference = float(sum(part.mean.mean() for part in parts) - whole.mean.mean())
     error = math.sqrt(sum(float(film.variance.sum()) for film in (whole, *parts))) / whole.mean.numel()
     assert abs(difference) < 5 * error
-    assert error < 0.03 * float(whole.mean.mean())
+    assert error < 0.05 * float(whole.mean.mean())
 
 
 def test_an_environment_turns_about_its_own_axis():
@@ -198,7 +200,7 @@ def test_other_light_costs_no_new_samples(run, camera):
     still = LitStill(run, camera, lamps)
     off = Look(Light((0.0,) + (1.0,) * (len(lamps) - 1)))
     steps = 0
-    while not still.ready(off) or min(film.count for film in still._films) < 16:
+    while not still.ready(off) or min(film.count for film in still._films) < 10:
         still.step(off, lambda: False)
         steps += 1
         assert steps < 500
@@ -212,7 +214,7 @@ def test_other_light_costs_no_new_samples(run, camera):
         expected = sum(s * float(film.mean.mean()) for s, film in zip(light.scales, still._films, strict=True))
         assert float(still.radiance(light).mean()) == pytest.approx(expected, rel=0.05, abs=1e-6)
     assert [film.count for film in still._films] == counts
-    reference = render(camera, lamp_renderer(run.assembly, lamps[1]), 128, 4).mean()
+    reference = render(camera, lamp_renderer(run.assembly, lamps[1]), 64, 4).mean()
     if len(lamps) == 2:
         assert dark == pytest.approx(float(reference), rel=0.05)
 
