@@ -41,8 +41,9 @@ def run(options: argparse.Namespace) -> None:
     from neurad.inspect.viewer import Viewer
     from neurad.runs.load import load_run
 
+    loaded = load_run(options.ckpt_path, options.root)
     print("neurad: preparing; the first time on a machine this compiles for a minute or two", file=sys.stderr)
-    viewer = Viewer(load_run(options.ckpt_path, options.root), options.port)
+    viewer = Viewer(loaded, options.port)
     print(f"open {viewer.address} in a browser; Ctrl-C ends", flush=True)
     try:
         viewer.run()

@@ -179,10 +179,10 @@ class LitStill:
                 return "The radiance field's own picture, in the photographs' light."
             begun = "" if self._field is None else ", begun with the radiance field's"
             return f"The method's picture in the photographs' light, {self._whole.count} samples a pixel{begun}."
-        counts = [self._films[i].count for i in self._shining(light)]
-        if not counts:
+        if not self._shining(light):
             return "Every lamp is off."
-        if max(counts) == 0 or not self._parts(light)[0]:
+        counts = [film.count for film, scale in zip(self._films, light.scales, strict=True) if film.count or scale]
+        if max(counts) == 0:
             return "The picture in the photographs' light, scaled."
         samples = f"{min(counts)}" if min(counts) == max(counts) else f"{min(counts)} to {max(counts)}"
         return f"Paths traced for each lamp with the recovered materials, {samples} samples a pixel, smoothed if few."

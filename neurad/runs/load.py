@@ -191,7 +191,8 @@ class LoadedRun:
     @cached_property
     def _error_bars(self) -> ErrorBars:
         folder = run_folder_of(self.checkpoint)
-        assert folder is not None
+        if folder is None:
+            raise InputError(f"run {self.checkpoint}: its folder is gone, and the error bars with it")
         bars = read_bars(folder / NAME)
         if bars.iteration != self.iteration:
             raise InputError(

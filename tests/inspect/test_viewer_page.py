@@ -22,8 +22,8 @@ from neurad.training.checkpoint_file import write_checkpoint
 
 pytest.importorskip("viser")
 
-CANVAS = {"x": 40, "y": 120, "width": 500, "height": 400}
-"""Part of the window that controls do not cover."""
+CANVAS = {"x": 40, "y": 180, "width": 500, "height": 400}
+"""Part of the window that neither controls cover nor what is said of missing graphics hardware."""
 
 
 @contextlib.contextmanager

@@ -74,7 +74,7 @@ def test_a_film_knows_its_noise(camera):
 
 
 def test_an_interrupted_sample_leaves_nothing(camera):
-    film = Film(replace(camera, width=128, height=128), Noisy(1.0, 0.1), 0)
+    film = Film(replace(camera, width=160, height=160), Noisy(1.0, 0.1), 0)
     assert not film.add(lambda: True)
     assert film.count == 0
     assert film.add()
@@ -257,7 +257,7 @@ def test_every_mode_shows_something_of_its_own(run, room):
         request = Request(pose, mode, Look(own), view.camera.width * view.camera.height)
         while not refiner.rests(request):
             shown[mode] = refiner.work(request, lambda: False) or shown.get(mode)
-        assert shown[mode].picture.std() > 3, mode
+        assert shown[mode].picture.std() > 0.3, mode  # a fit of a moment has hardly found any roughness
         assert shown[mode].says == room.modes[mode].says
     values = [frame.picture.astype(int) for frame in shown.values()]
     for i, a in enumerate(values):
