@@ -44,6 +44,12 @@ def _export() -> Verb:
     return export
 
 
+def _view() -> Verb:
+    from neurad.commands import view
+
+    return view
+
+
 def _compare() -> Verb:
     from neurad.commands import compare
 
@@ -66,6 +72,7 @@ OWN_VERBS: dict[str, tuple[Callable[[], Verb], str]] = {
     "render": (_render, "render a scene, or what a run recovered, from any camera and under any light"),
     "data": (_data, "make a scene folder of what nerfstudio, COLMAP, Polycam or FIPT have"),
     "export": (_export, "write what a run recovered for Mitsuba, Blender and glTF viewers"),
+    "view": (_view, "look at a run in the browser: any camera, lamps dimmed, materials read out"),
     "compare": (_compare, "run several methods with one budget and report error against cost"),
     "stress": (_stress, "check stiff and extreme cases against known answers, a row each"),
     "bench": (_bench, "measure what a training step, a method or a peer costs"),
