@@ -42,6 +42,8 @@ class Focus(nn.Module):
         fraction: of a batch's pixels that is drawn by score.
     """
 
+    width: Tensor
+    first: Tensor
     sums: Tensor
     score: Tensor
 

@@ -11,6 +11,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
+from functools import partial
 
 import torch
 import torch.distributed as dist
@@ -96,7 +97,7 @@ def choose_start(
     device = objective.emitter_mask.device
     rows, means = [], []
     for index, batch in enumerate(batches):
-        rows.append(losses(objective, batch, lambda index=index: Stream(*key, index, device=device)))
+        rows.append(losses(objective, batch, partial(Stream, *key, index, device=device)))
         si = objective.primary(batch, 2, Stream(*key, index, device=device)).si
         means.append(materials(si).roughness[si.valid].mean())
     found = torch.cat((torch.stack(rows), torch.stack(means).unsqueeze(1)), 1)
