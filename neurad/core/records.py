@@ -16,7 +16,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, field, fields, replace
-from typing import Self
+from typing import Any, Self
 
 import numpy as np
 import numpy.typing as npt
@@ -214,16 +214,20 @@ class PixelBatch:
 
     def to(self, device: torch.device | str) -> PixelBatch:
         """The batch on a device."""
-        moved = {f.name: getattr(self, f.name) for f in fields(self)}
-        return replace(self, **{k: x.to(device) for k, x in moved.items() if isinstance(x, Tensor)})
+        return self._map(lambda x: x.to(device))
 
     def in_turn(self) -> PixelBatch:
         """The batch without its candidates."""
         if self.candidates == 0:
             return self
         left = len(self.view) - self.candidates
-        parts = {f.name: getattr(self, f.name) for f in fields(self)}
-        return replace(self, candidates=0, **{k: x[:left] for k, x in parts.items() if isinstance(x, Tensor)})
+        return replace(self._map(lambda x: x[:left]), candidates=0)
+
+    def _map(self, function: Callable[[Tensor], Tensor]) -> PixelBatch:
+        """The batch with ``function`` applied to its tensors."""
+        values: dict[str, Any] = {f.name: getattr(self, f.name) for f in fields(self)}
+        values.update({name: function(x) for name, x in values.items() if isinstance(x, Tensor)})
+        return PixelBatch(**values)
 
 
 @dataclass(frozen=True)

@@ -12,6 +12,7 @@ import math
 from functools import partial
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
+from functools import partial
 
 import torch
 import torch.distributed as dist
