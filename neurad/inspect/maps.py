@@ -10,13 +10,13 @@ import numpy.typing as npt
 import torch
 from torch import Tensor
 
-from neurad.pages.colours import BRIGHTEST_STD, encode, false_colour, grey
 from neurad.core.protocols import Integrator
 from neurad.core.records import FloatArray, Rays, SurfaceInteraction
 from neurad.inspect.photographs import PhotographMap
 from neurad.integrators.aov import MaterialMap
 from neurad.integrators.world import World
 from neurad.metrics.seen import SeenBy
+from neurad.pages.colours import BRIGHTEST_STD, encode, false_colour, grey
 from neurad.runs.load import LoadedRun
 
 Bytes = npt.NDArray[np.uint8]

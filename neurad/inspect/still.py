@@ -11,7 +11,6 @@ import numpy.typing as npt
 import torch
 from torch import Tensor
 
-from neurad.pages.colours import encode
 from neurad.core.records import Camera, FloatArray
 from neurad.core.rng import mix
 from neurad.inspect.film import LEAST, Film, common, mixture
@@ -19,6 +18,7 @@ from neurad.inspect.lamps import Lamp, Light, as_photographed, lamp_renderer
 from neurad.inspect.maps import Mode, UnseenMap, hatch
 from neurad.inspect.smooth import Smoother
 from neurad.integrators.renderer import FieldRenderer, MethodRenderer
+from neurad.pages.colours import encode
 from neurad.runs.load import LoadedRun
 
 Bytes = npt.NDArray[np.uint8]

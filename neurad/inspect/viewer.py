@@ -9,7 +9,6 @@ from functools import partial
 
 import viser
 
-from neurad.pages.colours import exposure
 from neurad.core.errors import InputError
 from neurad.core.records import View
 from neurad.export.axes import up_axis
@@ -21,6 +20,7 @@ from neurad.inspect.pose import Stand, stand_of
 from neurad.inspect.refine import Room, warm_up
 from neurad.inspect.server import HOST, serve, stop
 from neurad.metrics.seen import SeenBy
+from neurad.pages.colours import exposure
 from neurad.runs.follow import Followed
 from neurad.runs.load import LoadedRun
 from neurad.scene.image_io import read_photograph

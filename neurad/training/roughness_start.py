@@ -9,7 +9,6 @@ there is, the field goes on from there.
 from __future__ import annotations
 
 import math
-from functools import partial
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass, replace
 from functools import partial

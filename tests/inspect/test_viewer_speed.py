@@ -12,7 +12,6 @@ import pytest
 from helpers.tiny_fit import fit, run_folder, write_tiny_config
 
 import neurad
-from neurad.pages.colours import encode, exposure
 from neurad.inspect.lamps import Light, as_photographed, lamp_renderer, lamps_of
 from neurad.inspect.maps import RENDER, SeenMap, UnseenMap, modes_of
 from neurad.inspect.photographs import PhotographMap
@@ -21,6 +20,7 @@ from neurad.inspect.refine import Refiner, Request, Room, warm_up
 from neurad.inspect.still import Look
 from neurad.integrators.film import render
 from neurad.metrics.seen import SeenBy
+from neurad.pages.colours import encode, exposure
 from neurad.scene.image_io import read_photograph
 
 SIDE, SPP = 256, 1024
