@@ -106,6 +106,8 @@ def _next_steps(trainer: pl.Trainer, folder: Path, tested: bool) -> Iterator[tup
         yield f"fit --ckpt_path {run} --trainer.max_time {short(2 * limit)}", "the same fit for as long again"
     elif trainer.max_steps > 0:
         yield f"fit --ckpt_path {run} --trainer.max_steps {2 * trainer.max_steps}", "the same fit for as long again"
+    needs = "" if find_spec("viser") else " (after pip install 'neurad[view]')"
+    yield f"view --ckpt_path {run}", f"the room in the browser: any camera, lamps dimmed, materials read out{needs}"
     needs = "" if find_spec("xatlas") else " (after pip install 'neurad[export]')"
     yield f"export --ckpt_path {run} --out room", f"textures for Blender, glTF viewers and Mitsuba{needs}"
 

@@ -33,11 +33,12 @@ def run(tmp_path_factory):
     return folder / run_folder(), said
 
 
-def test_fit_and_test_end_by_naming_the_report(run):
+def test_fit_and_test_end_by_naming_the_report_and_how_to_go_on(run):
     folder, said = run
     for text in said:
-        last = text.strip().splitlines()[-1]
-        assert re.search(rf"open .*{folder.name}/report\.html in a browser", last)
+        named, after = text.split("go on with\n")
+        assert re.search(rf"open .*{folder.name}/report\.html in a browser", named)
+        assert all(line.startswith(("  neurad ", "  tensorboard ")) for line in after.strip("\n").splitlines())
         assert "neurad: In the held-out views albedo " in text
         assert re.search(r"neurad: (Every surface|.* of the surfaces) in the held-out views", text)
     names = {path.name for path in (folder / "images").iterdir()}
