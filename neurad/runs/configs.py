@@ -52,7 +52,7 @@ def find_config(name: str) -> Path:
         for folder in shipped_folders():
             if exists(folder / path) and (folder / path).is_file():
                 return folder / path
-    own = [str(path.with_name(other)) for other in beside(path) if other.endswith((".yaml", ".yml"))]
+    own = [str(path.parent / other) for other in beside(path) if other.endswith((".yaml", ".yml"))]
     near = did_you_mean(name, [*own, *_names()])
     raise InputError(f"config {shown(name)}: no such file, and no shipped config has this name ({_shipped()}){near}")
 
