@@ -54,11 +54,10 @@ class SceneData(pl.LightningDataModule, PhotoSource):
         replace_every: iterations after which one of them is replaced, if not all are in memory.
         hold_out: every so many-th photograph is held out where the camera file does not say which; 0 for none.
         validation_pixels: fraction of the training pixels that are never drawn, 16384 of them at most: their loss says
-            how much of each level of the fields is noise of the photographs. For single pixels.
+            how much of each level of the fields is noise of the photographs. Patches draw all.
 
     Raises:
-        InputError: a number is out of range, ``pixel_multiplier`` no power of two, ``hold_out`` is 1, or
-            ``validation_pixels`` are given for patches.
+        InputError: a number is out of range, ``pixel_multiplier`` no power of two, or ``hold_out`` is 1.
     """
 
     def __init__(
@@ -79,10 +78,6 @@ class SceneData(pl.LightningDataModule, PhotoSource):
             raise InputError(f"--data.pixel_multiplier: {pixel_multiplier} is not a power of two")
         if hold_out == 1:
             raise InputError("--data.hold_out: 1 would hold out every photograph and leave none to learn from")
-        if validation_pixels > 0 and patch_size > 1:
-            raise InputError(
-                f"--data.validation_pixels: it needs single pixels, --data.patch_size 1 instead of {patch_size}"
-            )
         self.root = root
         self.scene_name = scene
         self.patches = patches
@@ -346,6 +341,8 @@ class SceneData(pl.LightningDataModule, PhotoSource):
     @cached_property
     def _validation(self) -> float:
         """Fraction of the pixels that are never drawn: more than :data:`VALIDATION_PIXELS` would say nothing more."""
+        if self.patch_size > 1:
+            return 0.0
         return min(self.validation_pixels, VALIDATION_PIXELS / max(sum(w * h for w, h in self._sizes), 1))
 
     def validation_batch(self) -> PixelBatch | None:
