@@ -89,14 +89,15 @@ class Page:
 
     def settled(self):
         """The picture once it stays nearly the same."""
-        before = self.picture()
-        for _ in range(50):
+        before, end = self.picture(), time.monotonic() + 30
+        while time.monotonic() < end:
             time.sleep(0.15)
             now = self.picture()
-            if now.std() > 2 and np.abs(now - before).mean() < 1.0:
+            change = np.abs(now - before).mean()
+            if now.std() > 0.3 and change < 1.0:
                 return now
             before = now
-        raise AssertionError("the picture never came to rest")
+        raise AssertionError(f"the picture never came to rest: spread {now.std():.2f}, change {change:.2f}")
 
     def choose(self, label, option):
         self.page.get_by_label(label, exact=True).click()
