@@ -20,7 +20,7 @@ MITSUBA_MEAN, MITSUBA_PSNR = 0.01, 0.1
 CYCLES_MEAN = 0.03
 SIGMAS = 3.0
 """A mean is beyond its bound if it is so by more than this many standard errors: noise is no difference."""
-SEAMS_BEYOND = 1e-3
+SEAMS_BEYOND = 1e-2
 """Largest fraction of the points on borders of charts that may differ by more than two steps of 255."""
 
 

@@ -119,6 +119,7 @@ def test_the_page(viewed_run, look_at):
         page = Page(look_at(viewer.address, width=1000, height=640))
         page.wait("samples a pixel")
         lit = page.settled()
+        assert lit.std() > 5
         (guest,) = viewer.guests.values()
         assert guest.first_picture < 5
         assert "iteration 60" in page.text()
@@ -147,7 +148,7 @@ def test_the_page(viewed_run, look_at):
         assert page.settled().mean() < 0.9 * lit.mean()
         page.page.get_by_role("button", name="as photographed").click()
         page.wait("photographs' light")
-        assert page.settled().mean() == pytest.approx(lit.mean(), rel=0.05)
+        assert page.settled().mean() == pytest.approx(lit.mean(), rel=0.12)  # it goes on from the field to the method
 
         # a point is read out
         page.page.mouse.click(300, 320)
