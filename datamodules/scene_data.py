@@ -400,8 +400,6 @@ class SceneData(pl.LightningDataModule, PhotoSource):
         self, batch: PixelBatch | Tensor, device: torch.device, dataloader_idx: int
     ) -> PixelBatch | Tensor:
         """Move the tensors of a batch; an index of a held-out view is a tensor of its own."""
-        if isinstance(batch, Tensor):
-            return batch.to(device)
         return batch.to(device)
 
     def train_dataloader(self) -> DataLoader[PixelBatch]:

@@ -50,12 +50,12 @@ def check_lamps(assembly: Assembly, photographs: PhotoSource, sample: PixelBatch
 
 def report(lamps: Sequence[PhotographedLamp]) -> list[str]:
     """Lines about lamps: all that differ, some of the others, and where some are shown, which ones are not."""
-    lines, told = [], 0
+    lines, listed = [], 0
     for lamp in lamps:
         differs = lamp.beyond(WARN)
-        if lamp.pixels == 0 or (told >= MOST and not differs):
+        if lamp.pixels == 0 or (listed >= MOST and not differs):
             continue
-        told += 1
+        listed += 1
         seen = f"{lamp.pixels} pixel{'s' * (lamp.pixels != 1)} of {lamp.views} view{'s' * (lamp.views != 1)}"
         if lamp.clipped == lamp.pixels:
             lines.append(f"lamp {lamp.name}: all {seen} are clipped, so its radiance cannot be checked")
@@ -69,8 +69,8 @@ def report(lamps: Sequence[PhotographedLamp]) -> list[str]:
                 "photographs' exposure"
             )
     shown = sum(lamp.pixels > 0 for lamp in lamps)
-    if shown > told:
-        lines.append(f"{shown - told} more lamps are as bright in the photographs as declared")
+    if shown > listed:
+        lines.append(f"{shown - listed} more lamps are as bright in the photographs as declared")
     hidden = [lamp.name for lamp in lamps if lamp.pixels == 0]
     if hidden and shown:
         more = f" and {len(hidden) - MOST} others" if len(hidden) > MOST else ""

@@ -2,20 +2,20 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
-import numpy as np
 import torch
 
 from neurad.assembly.build import Assembly
+from neurad.assembly.relight import shown_environment
 from neurad.core.colour import luminance
 from neurad.core.records import EnvironmentMap
 from neurad.emitters.area import AreaLights
 from neurad.emitters.environment import Environment
 from neurad.integrators.renderer import MethodRenderer, path_tracer
 from neurad.integrators.world import World
+from neurad.scene.placement import turned_environment
 
 MOST = 8
 """Area lights with a brightness of their own; dimmer ones beyond these share one."""
@@ -84,7 +84,7 @@ def lamp_renderer(assembly: Assembly, lamp: Lamp, turn: float = 0.0) -> MethodRe
     else:
         environment = _environment(assembly)
         assert environment is not None
-        lights = Environment(turned(environment, turn)).to(world.two_sided.device)
+        lights = Environment(turned_environment(environment, turn)).to(world.two_sided.device)
     alone = World(
         world.geometry, world.tracer, lights, world.bsdf, world.features, world.two_sided, world.hide_environment,
         world.delta,
@@ -92,18 +92,7 @@ def lamp_renderer(assembly: Assembly, lamp: Lamp, turn: float = 0.0) -> MethodRe
     return path_tracer(alone, assembly.materials, scene.max_depth, scene.rr_depth)
 
 
-def turned(environment: EnvironmentMap, degrees: float) -> EnvironmentMap:
-    """An environment turned about its own vertical axis, +Y of its frame, counterclockwise as seen from above."""
-    c, s = math.cos(math.radians(degrees)), math.sin(math.radians(degrees))
-    turn = np.eye(4)
-    turn[:3, :3] = [[c, 0.0, s], [0.0, 1.0, 0.0], [-s, 0.0, c]]
-    return replace(environment, to_world=(np.asarray(environment.to_world, np.float64) @ turn).astype(np.float32))
-
-
 def _environment(assembly: Assembly) -> EnvironmentMap | None:
     """The environment of a run: the recovered one where it recovers one; None where there is none."""
-    scene, fitted = assembly.scene, assembly.environment
-    if fitted is not None:
-        frame = {} if scene.environment is None else {"to_world": scene.environment.to_world}
-        return EnvironmentMap(fitted.map(), **frame)
-    return scene.environment if scene.features.has_environment else None
+    shines = assembly.environment is not None or assembly.scene.features.has_environment
+    return shown_environment(assembly) if shines else None

@@ -37,7 +37,7 @@ def update_levels(
         iteration: iterations done, the key of the random numbers.
     """
     average, materials = assembly.average, assembly.materials
-    if average is None or not isinstance(materials, FittedMaterials) or len(dict(average.levels.items())) == 0:
+    if average is None or not isinstance(materials, FittedMaterials) or not list(average.levels.items()):
         return None
     batch = photographs.validation_batch()
     if batch is None or len(batch.view) < LEAST:

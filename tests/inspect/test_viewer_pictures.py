@@ -13,7 +13,7 @@ from neurad.core.records import EnvironmentMap
 from neurad.core.rng import Stream
 from neurad.emitters.environment import Environment
 from neurad.inspect.film import Film, common, mixture
-from neurad.inspect.lamps import Light, as_photographed, lamp_renderer, lamps_of, turned
+from neurad.inspect.lamps import Light, as_photographed, lamp_renderer, lamps_of
 from neurad.inspect.maps import SeenMap, UnseenMap, modes_of
 from neurad.inspect.photographs import PhotographMap
 from neurad.inspect.pose import pose_of
@@ -25,6 +25,7 @@ from neurad.integrators.film import render
 from neurad.integrators.renderer import path_tracer
 from neurad.metrics.seen import SeenBy
 from neurad.scene.image_io import read_photograph
+from neurad.scene.placement import turned_environment
 
 SIDE = 24
 
@@ -158,7 +159,7 @@ def test_an_environment_turns_about_its_own_axis():
     d = torch.nn.functional.normalize(torch.randn(200, 3), dim=-1)
     c, s = math.cos(math.radians(30)), math.sin(math.radians(30))
     about_z = torch.tensor([[c, -s, 0], [s, c, 0], [0, 0, 1.0]])
-    before, after = Environment(there), Environment(turned(there, 30.0))
+    before, after = Environment(there), Environment(turned_environment(there, 30.0))
     assert torch.allclose(after.radiance(d @ about_z.T), before.radiance(d), atol=2e-4)
 
 
