@@ -7,20 +7,23 @@ from pathlib import Path
 
 from neurad.core.ranges import Positive, option
 
-KINDS = ("nerfstudio", "colmap", "polycam", "fipt")
+KINDS = ("nerfstudio", "colmap", "polycam", "fipt", "gltf")
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options of the verb."""
     parser.add_argument("kind", choices=KINDS, help="what SRC is")
-    parser.add_argument("source", metavar="SRC", type=Path, help="folder that the other program has written")
+    parser.add_argument("source", metavar="SRC", type=Path, help="folder or file that the other program has written")
     parser.add_argument("--out", required=True, type=Path, help="scene folder to make; it must not be there yet")
     parser.add_argument(
         "--mesh", type=Path, nargs="+", default=[],
-        help="the room's surfaces: OBJ, PLY or STL (default: scene.obj of FIPT's data)",
+        help="the room's surfaces: OBJ, PLY, STL, glTF or USD (default: scene.obj of FIPT's data)",
     )  # fmt: skip
     parser.add_argument(
-        "--images", type=Path, help="folder of the photographs as EXR, if they do not lie beside those that SRC names"
+        "--images",
+        type=Path,
+        help="folder of the photographs as EXR, if they do not lie beside those that SRC names; of a glTF "
+        "scene each has the name of its camera",
     )
     parser.add_argument(
         "--up", choices=("x", "y", "z", "-x", "-y", "-z"),
@@ -48,4 +51,10 @@ def run(options: argparse.Namespace) -> None:
 
     from neurad.scene.import_room import ImportSettings, import_room
 
-    import_room(ImportSettings(**{f.name: getattr(options, f.name) for f in fields(ImportSettings)}))
+    settings = ImportSettings(**{f.name: getattr(options, f.name) for f in fields(ImportSettings)})
+    if settings.kind == "gltf":
+        from neurad.scene.import_gltf import import_gltf
+
+        import_gltf(settings)
+    else:
+        import_room(settings)

@@ -31,7 +31,7 @@ def _mitsuba(folder: Path) -> Scene:
 
 def _gltf(name: str) -> Callable[[Path], Scene]:
     def read(folder: Path) -> Scene:
-        from neurad.scene.readers.gltf import read_scene
+        from neurad.scene.readers.gltf_scene import read_scene
 
         return read_scene(folder / name)
 

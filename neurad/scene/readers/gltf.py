@@ -11,11 +11,9 @@ from typing import Any
 import numpy as np
 
 from neurad.core.errors import InputError
-from neurad.core.records import EnvironmentMap, FloatArray, IntArray, Material, Mesh, View
+from neurad.core.records import FloatArray, IntArray, Material, Mesh
 from neurad.runtime.memory import reserve
-from neurad.runtime.reading import exists, shown
-from neurad.scene.description import Scene
-from neurad.scene.image_io import read_exr
+from neurad.runtime.reading import shown
 from neurad.scene.numbers import LENGTH, RADIANCE, TEXEL, within
 from neurad.scene.readers.gltf_file import Array, GltfFile, Json
 from neurad.scene.readers.gltf_lamps import back_of, cut, is_closed
@@ -24,11 +22,7 @@ from neurad.scene.readers.gltf_nodes import GltfCamera, Node, PunctualLight, cam
 from neurad.scene.readers.gltf_textures import LEVELS, look_up
 
 ENDINGS = (".glb", ".gltf")
-ENVIRONMENT = "environment.exr"
-"""Map beside a scene file of glTF that lights it, +Y up."""
-_UNLIMITED, _RR_DEPTH = 2**31 - 1, 5
 _TRIANGLES, _STRIP, _FAN = 4, 5, 6
-_LONGEST = 512  # pixels of the longer side of a picture whose size nothing says
 _SETS = 8  # sets of texture coordinates that are looked for
 
 
@@ -55,61 +49,6 @@ def read_gltf(path: str | Path) -> GltfRoom:
     """
     file = GltfFile(path)
     return _Reader(file).room()
-
-
-def read_scene(path: str | Path) -> Scene:
-    """The scene of a file, lit also by :data:`ENVIRONMENT` beside it; its cameras are held-out views without photographs.
-
-    Raises:
-        InputError: as :func:`read_gltf`; or it has lights without extent.
-    """
-    path = Path(path)
-    room = read_gltf(path)
-    refuse_lights(path, room)
-    environment, to_world = None, room.own.get("environment_to_world")
-    if exists(path.parent / ENVIRONMENT):
-        pixels = read_exr(path.parent / ENVIRONMENT)[..., :3]
-        within(pixels, f"{shown(path.parent / ENVIRONMENT)}: radiance", 0.0, RADIANCE)
-        pose = np.eye(4, dtype=np.float32)
-        if isinstance(to_world, list):
-            pose[:3, :3] = np.asarray(to_world, np.float32).reshape(3, 3)
-        environment = EnvironmentMap(np.broadcast_to(pixels, (*pixels.shape[:2], 3)).copy(), pose)
-    depths = [room.own.get(key, default) for key, default in (("max_depth", _UNLIMITED), ("rr_depth", _RR_DEPTH))]
-    max_depth, rr_depth = (x if type(x) is int and 1 <= x <= _UNLIMITED else _UNLIMITED for x in depths)
-    views = [View(camera.name, camera.seen(*_film(camera))) for camera in room.cameras]
-    limits: Any = {"max_depth": max_depth, "rr_depth": rr_depth}
-    return Scene(
-        path.stem, room.meshes, room.materials, environment, test=_named_apart(views), notes=room.notes, **limits
-    )
-
-
-def _film(camera: GltfCamera) -> tuple[int, int]:
-    """Width and height of a picture that no file gives the size of."""
-    aspect = 4.0 / 3.0 if camera.aspect is None else camera.aspect
-    width, height = (_LONGEST, _LONGEST / aspect) if aspect > 1 else (_LONGEST * aspect, _LONGEST)
-    return max(round(width), 1), max(round(height), 1)
-
-
-def _named_apart(views: list[View]) -> list[View]:
-    """Views whose names serve as those of files; numbers where they do not."""
-    names = [view.name for view in views]
-    if len(set(names)) == len(names) and all(name.isprintable() and not set(name) & set("/\\:") for name in names):
-        return views
-    return [replace(view, name=f"{index:04d}") for index, view in enumerate(views)]
-
-
-def refuse_lights(path: Path, room: GltfRoom) -> None:
-    """Refuse lights without extent.
-
-    Raises:
-        InputError: there is one.
-    """
-    if room.lights:
-        light = room.lights[0]
-        raise InputError(
-            f"{shown(path)}: {shown(light.name)} is a {light.kind} light (KHR_lights_punctual), which is not rendered "
-            "yet: put a small emitting surface in its place, or take it out"
-        )
 
 
 class _Reader:
