@@ -205,7 +205,8 @@ def read_coded(data: bytes, where: str) -> npt.NDArray[np.uint8]:
         warnings.simplefilter("ignore")
         image = _opened(stream, ("PNG", "JPEG", "WEBP"))
     with image:
-        check_size(Path(where), *image.size, 16, 4)
+        width, height = image.size
+        check_size(Path(where), width, height, 16, 4)
         with native(where, said), warnings.catch_warnings():
             warnings.simplefilter("ignore")
             image.load()

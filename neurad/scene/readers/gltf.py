@@ -48,7 +48,10 @@ def read_gltf(path: str | Path) -> GltfRoom:
         InputError: a file is missing or broken, or the scene uses what neurad cannot render; a sentence says what.
     """
     file = GltfFile(path)
-    return _Reader(file).room()
+    room = _Reader(file).room()
+    if not room.meshes:
+        raise file.error("it has no triangle")
+    return room
 
 
 class _Reader:

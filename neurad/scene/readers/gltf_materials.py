@@ -185,7 +185,7 @@ class MaterialReader:
         self._check_opaque(item, base, factor[3], colours, about)
         rgb = None if colours is None else np.asarray(np.clip(colours[:, :3], 0.0, 1.0) * tint, np.float32)
         if rgb is not None and np.ptp(rgb, 0).max() == 0:
-            tint, rgb = rgb[0], None
+            tint, rgb = np.asarray(rgb[0], np.float32), None
         if base is None:
             return (Constant(tint) if rgb is None else VertexAttribute(COLOUR)), rgb
         picture, matrix = self.textures.continued(base, corners.of(self.file, base.uv_set, where), where)

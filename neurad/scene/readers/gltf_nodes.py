@@ -87,7 +87,7 @@ def nodes_of(file: GltfFile) -> Iterator[Node]:
     if is_own(file) and len(roots) == 1:
         start = np.linalg.inv(_local(file, file.item("nodes", roots[0], "the scene"), "the first node"))
     waiting = [(index, start, "the scene") for index in reversed(roots)]
-    reached: set[int] = set()
+    reached: set[object] = set()
     while waiting:
         index, above, parent = waiting.pop()
         item = file.item("nodes", index, parent)
@@ -179,7 +179,7 @@ def camera_of(file: GltfFile, node: Node) -> GltfCamera:
     if np.linalg.det(axes) < 0:
         raise file.error(f"{about}: its node's transform mirrors it, which is not supported")
     pose[:3, :3], pose[:3, 3] = axes / length, node.to_world[:3, 3]
-    return GltfCamera(node.name, pose.astype(np.float64), fov, aspect)  # type: ignore[arg-type]
+    return GltfCamera(node.name, pose.astype(np.float64), fov, aspect)
 
 
 def light_of(file: GltfFile, node: Node) -> PunctualLight | None:

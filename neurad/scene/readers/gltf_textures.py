@@ -9,7 +9,6 @@ import numpy as np
 import numpy.typing as npt
 
 from neurad.core.errors import InputError
-from neurad.core.records import FloatArray
 from neurad.runtime.reading import shown
 from neurad.scene.image_io import from_srgb, read_coded
 from neurad.scene.numbers import TEXEL, within
@@ -31,7 +30,7 @@ class Place:
     coded: npt.NDArray[np.uint8]
     """As it is coded [h, w, 3 or 4]; row 0 lies at v = 0."""
     uv_set: int
-    to_uv: FloatArray
+    to_uv: Array
     """What takes texture coordinates to the picture's [3, 3], float64."""
     wrap: tuple[int, int]
     """How it goes on along u and v."""
@@ -71,14 +70,14 @@ class TextureReader:
         source = texture.get("source") if webp is None else webp.get("source")
         return Place(self._picture(source, about), uv_set, to_uv, wrap)
 
-    def _transform(self, moved: Json, about: str) -> FloatArray:
+    def _transform(self, moved: Json, about: str) -> Array:
         """The matrix of a texture transform as Blender and Khronos' viewer apply it: scaled, turned, moved."""
         offset = self.file.vector(moved, "offset", [0.0, 0.0], about, -TEXEL, TEXEL)
         scale = self.file.vector(moved, "scale", [1.0, 1.0], about, -TEXEL, TEXEL)
         angle = self.file.number(moved, "rotation", 0.0, about, -1e6, 1e6)
         c, s = math.cos(angle), math.sin(angle)
         turn = np.array([[c, s], [-s, c]])
-        matrix: FloatArray = np.eye(3)  # type: ignore[assignment]
+        matrix = np.eye(3)
         matrix[:2, :2], matrix[:2, 2] = turn * scale, offset
         return matrix
 
@@ -96,7 +95,7 @@ class TextureReader:
             self._coded[source] = read_coded(data, f"{shown(self.file.path)}: {name}")
         return self._coded[source]
 
-    def continued(self, place: Place, uvs: Array, where: str) -> tuple[npt.NDArray[np.uint8], FloatArray]:
+    def continued(self, place: Place, uvs: Array, where: str) -> tuple[npt.NDArray[np.uint8], Array]:
         """The picture and its matrix such that repeating it shows the same on a surface as wrapping it does.
 
         Args:

@@ -76,14 +76,10 @@ def _with_materials(path: Path, kind: str) -> MeshFile:
 
         room = read_gltf(path)
         refuse_lights(path, room)
-        found = MeshFile(path, room.meshes, False, tuple(room.materials), room.notes)
-    else:
-        from neurad.scene.readers.usd import read_usd
+        return MeshFile(path, room.meshes, False, tuple(room.materials), room.notes)
+    from neurad.scene.readers.usd import read_usd
 
-        found = MeshFile(path, read_usd(path), False)
-    if not found.meshes:
-        raise InputError(f"{shown(path)}: it has no triangle")
-    return found
+    return MeshFile(path, read_usd(path), False)
 
 
 def mesh_of(name: str, part: Any, flat: bool) -> Mesh:

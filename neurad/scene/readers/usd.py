@@ -3,15 +3,19 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from neurad.core.errors import InputError
-from neurad.core.records import FloatArray, IntArray, Mesh
+from neurad.core.records import IntArray, Mesh
 from neurad.runtime.reading import native, shown
 from neurad.scene.numbers import LENGTH, RADIANCE, within
+
+Array = npt.NDArray[Any]
 
 _SURFACES = ("Sphere", "Cube", "Cylinder", "Cone", "Capsule", "Plane", "NurbsPatch", "PointInstancer", "TetMesh")
 """Kinds of prims that have a surface and are no meshes."""
@@ -47,10 +51,12 @@ def read_usd(path: Path) -> list[Mesh]:
                 )
             to_world = np.array(placed.GetLocalToWorldTransform(prim), np.float64).T
             meshes += _meshes(path, prim, UsdGeom.Mesh(prim), to_world)
+    if not meshes:
+        raise InputError(f"{shown(path)}: it has no triangle")
     return _named_apart(meshes)
 
 
-def _meshes(path: Path, prim: Any, mesh: Any, to_world: FloatArray) -> Iterator[Mesh]:
+def _meshes(path: Path, prim: Any, mesh: Any, to_world: Array) -> Iterator[Mesh]:
     """The mesh of a prim, unless it has no faces."""
     where = f"{shown(path)}: mesh {shown(prim.GetPath())}"
     scheme = mesh.GetSubdivisionSchemeAttr()
@@ -93,7 +99,7 @@ def _fans(counts: IntArray) -> IntArray:
     return np.stack((first, first + step + 1, first + step + 2), -1)
 
 
-def _normals(mesh: Any, count: int, counts: IntArray, order: IntArray) -> FloatArray | None:
+def _normals(mesh: Any, count: int, counts: IntArray, order: IntArray) -> Array | None:
     """Normals of the vertices or of the corners; None where the file has none of the right number, or all are one a
     face.
     """
@@ -103,12 +109,12 @@ def _normals(mesh: Any, count: int, counts: IntArray, order: IntArray) -> FloatA
     primvar = UsdGeom.PrimvarsAPI(mesh).GetPrimvar("normals")
     if primvar and primvar.HasValue():  # goes before the attribute
         values, kind = primvar.ComputeFlattened(), str(primvar.GetInterpolation())
-    array: FloatArray = np.asarray(values if values is not None else (), np.float64).reshape(-1, 3)
+    array: Array = np.asarray(values if values is not None else (), np.float64).reshape(-1, 3)
     wanted = {"vertex": count, "varying": count, "faceVarying": len(order)}.get(kind)
     return array if wanted == len(array) and np.isfinite(array).all() else None
 
 
-def _emitted(prim: Any, where: str) -> FloatArray | None:
+def _emitted(prim: Any, where: str) -> Array | None:
     """What the material of a prim emits."""
     from pxr import UsdShade
 
@@ -119,14 +125,12 @@ def _emitted(prim: Any, where: str) -> FloatArray | None:
         return None
     if glow.HasConnectedSource():
         raise InputError(f"{where} shines by a picture, which is not read from USD; export glTF instead")
-    radiance: FloatArray = np.asarray(glow.Get() if glow.Get() is not None else (0, 0, 0), np.float32).reshape(3)
+    radiance: Array = np.asarray(glow.Get() if glow.Get() is not None else (0, 0, 0), np.float32).reshape(3)
     within(radiance, f"{where}: its emissiveColor", 0.0, RADIANCE)
     return radiance if radiance.any() else None
 
 
 def _named_apart(meshes: list[Mesh]) -> list[Mesh]:
-    from dataclasses import replace
-
     taken: dict[str, int] = {}
     made = []
     for mesh in meshes:
