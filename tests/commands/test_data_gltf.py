@@ -77,7 +77,7 @@ def test_a_room_with_photographs(place, form, capfd):
     assert len(load_scene("copied", None, 0).meshes) == 2
 
 
-def test_a_fit_and_a_rendering(place, capfd):
+def test_a_rendering_and_a_fit_without_photographs(place, capfd):
     room().glb(place / "raum.glb")
     main(["data", "gltf", "raum.glb", "--out", "room"])
     assert "no --images were given" in capfd.readouterr().out
@@ -86,12 +86,21 @@ def test_a_fit_and_a_rendering(place, capfd):
     assert [path.stem for path in found] == ["Blick 0", "Blick 1"]
     assert read_exr(found[0]).shape == (9, 12, 3)
     assert read_exr(found[0]).max() > 0
+    write_tiny_config(base="scene.yaml", data={"patches": 4})
+    sentence = fails(capfd, "fit", "--config", "tiny.yaml", "--data.root", "room", "--trainer.max_steps", "2")
+    assert "scene room: it has no photograph to learn from" in sentence
+    assert not Path("lightning_logs").exists()
+
+
+@pytest.mark.slow
+def test_a_fit_of_what_was_rendered(place):
+    room().glb(place / "raum.glb")
+    main(["data", "gltf", "raum.glb", "--out", "room"])
+    main(["render", "--root", "room", "--out", "pictures", "--spp", "16", "--map-spp", "1", "--size", "12"])
     main(["data", "gltf", "raum.glb", "--images", "pictures/images", "--out", "fitted"])
-    write_tiny_config(data={"patches": 4})
+    write_tiny_config(base="scene.yaml", data={"patches": 4})
     main(["fit", "--config", "tiny.yaml", "--data.root", "fitted", "--trainer.max_steps", "2", "--data.hold_out", "2"])
     assert (place / "lightning_logs/version_0/metrics.csv").is_file()
-    sentence = fails(capfd, "fit", "--config", "tiny.yaml", "--data.root", "room", "--trainer.max_steps", "2")
-    assert "photograph" in sentence
 
 
 def test_an_environment_beside_the_scene(place):
