@@ -116,8 +116,8 @@ class SceneData(pl.LightningDataModule, PhotoSource):
             return
         if not scene.train:
             raise InputError(
-                f"scene {scene.name}: it has no photograph to learn from; put a transforms_train.json (or transforms.json) "
-                "and its photographs into the folder"
+                f"scene {scene.name}: it has no photograph to learn from; put a transforms_train.json or a "
+                "transforms.json and its photographs into the folder"
             )
         if not self.streams:
             stats = self.dataset_stats(self.ignored())

@@ -15,10 +15,10 @@ from neurad.core.reflection import ConductorModel, DielectricModel
 from neurad.integrators.film import render
 from neurad.integrators.renderer import path_tracer
 from neurad.scene.builtin import build_cornell
+from neurad.scene.geometry import Geometry
 from neurad.scene.image_io import to_srgb
 from neurad.scene.readers.gltf_scene import read_scene
 from neurad.scene.readers.mitsuba_xml import read_xml
-from neurad.scene.geometry import Geometry
 from neurad.scene.textures import TrueMaterials
 
 pytest.importorskip("xatlas")
