@@ -30,6 +30,7 @@ from neurad.scene.description import Scene
 from neurad.scene.geometry import Geometry
 from neurad.scene.image_io import read_exr, read_mask, to_srgb
 from neurad.scene.numbers import PIXEL, within
+from neurad.scene.photographs import read_view
 
 CHUNK = 1 << 18
 """Sub-samples in flight: bounds the memory."""
@@ -261,7 +262,7 @@ class HeldOut:
         """
         if index not in self._truth:
             view = self.views[index]
-            files = {"photograph": (view.image, 3), "albedo_true": (view.albedo, 3)}
+            files = {"albedo_true": (view.albedo, 3)}
             files["photograph_relit"] = (view.relight, 3)
             if self.has_roughness:
                 files["roughness_true"] = (view.roughness, 1)
@@ -270,6 +271,9 @@ class HeldOut:
                 for name, (path, channels) in files.items()
                 if path is not None
             }
+            if view.image is not None:
+                photograph = _fitting(view.image, read_view(view), view, 3)
+                self._truth[index]["photograph"] = np.ascontiguousarray(photograph[:: self.stride, :: self.stride])
         return self._truth[index]
 
     # --- scores
@@ -366,7 +370,11 @@ def _key(name: str, score: str, region: str) -> str:
 
 def _read(path: str, view: View, channels: int) -> FloatArray:
     """The first ``channels`` channels [h, w, channels] of an EXR that has to fit the view's camera."""
-    pixels = read_exr(path)
+    return _fitting(path, read_exr(path), view, channels)
+
+
+def _fitting(path: str, pixels: FloatArray, view: View, channels: int) -> FloatArray:
+    """The first ``channels`` channels of a picture that has to fit the view's camera."""
     expected = (view.camera.height, view.camera.width)
     if pixels.shape[:2] != expected:
         size, camera = (f"{shape[1]} x {shape[0]}" for shape in (pixels.shape, expected))
