@@ -228,6 +228,10 @@ class PixelBatch:
         left = len(self.view) - self.candidates
         return replace(self._map(lambda x: x[:left]), candidates=0)
 
+    def picked(self, index: Tensor) -> PixelBatch:
+        """The pixels of an index or mask, in its order."""
+        return self._map(lambda x: x[index])
+
     def _map(self, function: Callable[[Tensor], Tensor]) -> PixelBatch:
         """The batch with ``function`` applied to its tensors."""
         values: dict[str, Any] = {f.name: getattr(self, f.name) for f in fields(self)}

@@ -111,6 +111,8 @@ def _unmasked(batch: PixelBatch, emitter_mask: Tensor) -> PixelBatch:
     """The pixels of a batch that show surfaces and no emitter, on the mask's device."""
     view, pixel, color, alpha = (x.to(emitter_mask.device) for x in (batch.view, batch.pixel, batch.color, batch.alpha))
     kept = ~emitter_mask[view, pixel] & (alpha > 0)
+    if batch.clipped is not None:  # no measurement
+        kept &= ~batch.clipped.any(-1).to(kept.device)
     return PixelBatch(view[kept], pixel[kept], color[kept], alpha[kept], 0)
 
 
@@ -131,8 +133,7 @@ def _batches(photographs: PhotoSource, emitter_mask: Tensor, first: int, pixels:
         batch = photographs.batch(iteration)
         iteration, take = iteration + 1, min(len(batch.view) - batch.candidates, pixels - taken)
         taken += take
-        view, pixel, color, alpha = (x[:take] for x in (batch.view, batch.pixel, batch.color, batch.alpha))
-        waiting.append(_unmasked(PixelBatch(view, pixel, color, alpha, 0), emitter_mask))
+        waiting.append(_unmasked(batch.picked(torch.arange(take)), emitter_mask))
         if taken < pixels and sum(len(part.view) for part in waiting) < _LANES // SPP:
             continue
         yield from _split(waiting)

@@ -156,9 +156,9 @@ def ceiling_of(view: View) -> float:
     return linear_value(development.response, development.ceiling) / development.gain * (1.0 - _AT)
 
 
-def rounding(development: Development) -> tuple[FloatArray, FloatArray]:
-    """Radiance of every code [levels + 1], rising, and the variance of what is rounded to it, in squared radiance."""
-    values = linear_values(development.response, development.levels).astype(np.float64) / development.gain
+def rounding(response: str, levels: int) -> tuple[FloatArray, FloatArray]:
+    """Linear value of every code [levels + 1], rising, and the variance of what is rounded to it."""
+    values = linear_values(response, levels).astype(np.float64)
     step: FloatArray = np.gradient(values)
     return values, step * step / 12.0
 

@@ -32,8 +32,9 @@ from neurad.integrators.estimator import Estimator, subsample
 from neurad.integrators.method import RadianceEstimate
 from neurad.integrators.primary_hits import PrimaryHits
 from neurad.integrators.world import NonDeltaHit
+from neurad.losses.censored import leave_one_out_censored
 from neurad.losses.firefly import clamp_fireflies
-from neurad.losses.leave_one_out import ControlVariate, leave_one_out
+from neurad.losses.leave_one_out import ControlVariate
 from neurad.losses.relative import (
     Loss,
     full_gradient_prior,
@@ -148,7 +149,9 @@ class ObjectiveStep:
 
         # Stage 5: losses. Where alpha is 0 nothing is photographed, even if a sample meets the edge of a surface.
         counts = (~self.emitter_mask[batch.view, batch.pixel] & (batch.alpha > 0)).float().unsqueeze(-1)  # [b, 1]
-        weight = relative_weight(self._normaliser(batch, predicted), self.epsilon) * counts  # [b, 3]
+        if batch.clipped is not None and predicted is not None:  # above the ceiling nothing is wrong
+            counts = counts * ~(batch.clipped & (predicted >= batch.color))  # [b, 3]
+        weight = relative_weight(self._normaliser(batch, predicted), self.epsilon, batch.variance) * counts  # [b, 3]
         if batch.weight is not None:
             weight = weight * batch.weight.unsqueeze(-1)
         in_image = None if control is None else replace(control, deviation=_attenuated(first, control.deviation))
@@ -163,8 +166,9 @@ class ObjectiveStep:
             if extra is not None:
                 terms["prior_extra_bounce"] = settings.prior, self._prior_extra_bounce(extra, stream)
             if settings.lhs > 0:
-                lhs_weight = relative_weight(predicted, self.epsilon) * counts
-                terms["lhs"] = settings.lhs, leave_one_out(lhs_image, batch.color, lhs_weight)
+                lhs_weight = relative_weight(predicted, self.epsilon, batch.variance) * counts
+                lhs = leave_one_out_censored(lhs_image, batch.color, lhs_weight, batch.clipped)
+                terms["lhs"] = settings.lhs, lhs
         roughness = surface.roughness if surface.roughness.retains_grad else None
         return StepTerms(materials, terms, self._guide_samples(si, sample), roughness)
 
@@ -228,7 +232,7 @@ class ObjectiveStep:
     ) -> Loss:
         """The method's image [b, n, 3] against photographs (Eq. 11, 12), by the estimator of the settings."""
         if self.settings.estimator == "leave_one_out":
-            return leave_one_out(image, batch.color, weight, control, self.sampling.groups)
+            return leave_one_out_censored(image, batch.color, weight, batch.clipped, control, self.sampling.groups)
         with torch.no_grad():
             first: NonDeltaHit = self.primary(batch, self.sampling.spp, stream)
             surface = self.estimator.materials(first.si)
@@ -236,7 +240,7 @@ class ObjectiveStep:
             other = first.attenuate(self.estimator.world.emitted(first.si) + again).view_as(image)
         if control is not None:
             image = image - control.residual()
-        return two_pass(image, other, batch.color, weight)
+        return two_pass(image, other, batch.color, weight, batch.clipped)
 
     def _prior(
         self,
