@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, fields, replace
 from typing import Self
 
@@ -74,6 +74,7 @@ def pixel_derivatives(
     first: int,
     pixels: int,
     seed: int,
+    develop: Callable[[PixelBatch], PixelBatch] | None = None,
 ) -> PixelDerivatives | None:
     """Residuals and derivatives of about ``pixels`` training pixels at the present materials; None if none is left.
 
@@ -85,9 +86,11 @@ def pixel_derivatives(
         first: iteration whose batch is the first one taken.
         pixels: how many.
         seed: of the samples.
+        develop: corrects the photographs; None leaves them as they are.
     """
     parts = []
     for index, batch in enumerate(_batches(photographs, emitter_mask, first, pixels)):
+        batch = batch if develop is None else develop(batch)
         stream = Stream(seed, first, index, _STREAM, device=primary.origin.device)
         parts.append(_of_batch(estimator, primary, batch, stream))
     found = PixelDerivatives.join(parts) if parts else None
