@@ -267,7 +267,7 @@ class SceneData(pl.LightningDataModule, PhotoSource):
         return ValueLimits.of(self.scene.train)
 
     def clipped(self, view: Tensor, pixel: Tensor) -> Tensor | None:
-        """Whether values of pixels [n] of views [n] are at their photograph's ceiling [n, 3], as far as there are some."""
+        """Whether values of pixels [n] of views [n] are at their photograph's ceiling [n, 3]; None if none has one."""
         if self._limits is None:
             return None
         color = self.colors(view, pixel)

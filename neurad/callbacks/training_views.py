@@ -91,6 +91,5 @@ def write_exposures(folder: Path | None, views: Sequence[View], development: Fit
     if development.bend is not None:
         with torch.no_grad():
             curve = development.curve().tolist()
-        write_text(
-            folder / "response.csv", "".join(f"{i / (len(curve) - 1):.6g},{y:.9g}\n" for i, y in enumerate(curve))
-        )
+        points = [f"{i / (len(curve) - 1):.6g},{value:.9g}\n" for i, value in enumerate(curve)]
+        write_text(folder / "response.csv", "".join(points))
