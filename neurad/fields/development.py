@@ -18,6 +18,8 @@ _TOE = 0.02
 """Code at which that logarithm levels off."""
 _STEPS = 256
 """Intervals of the curve's table."""
+_LEAST = 1e-3
+"""Part of sRGB's curve in every other, so that all rise by more than rounding."""
 
 
 class FittedDevelopment(nn.Module):
@@ -76,8 +78,11 @@ class FittedDevelopment(nn.Module):
 
     def curve(self) -> Tensor:
         """Linear values at equidistant codes from 0 to 1 [steps + 1]; rises from 0 to 1."""
-        rise = self.slope if self.bend is None else self.slope * (self.basis @ self.bend).exp()
-        return torch.cat((rise.new_zeros(1), rise.cumsum(0))) / rise.sum()
+        rise = self.slope
+        if self.bend is not None:
+            bent = rise * (self.basis @ self.bend).exp()
+            rise = torch.lerp(bent / bent.sum(), rise, _LEAST)
+        return torch.cat((rise.new_zeros(1), rise.cumsum(0)))
 
     def respond(self, linear: Tensor) -> Tensor:
         """Values by the present curve of those by sRGB's, both in [0, 1]."""

@@ -21,7 +21,7 @@ from neurad.scene.photographs import CODED, largest_code
 from neurad.scene.response import FIT, check_response
 
 Ceiling = Annotated[float, Range(0.0, 1e18, above=True)]
-_JPEG_CEILING = 250.0 / 255.0
+JPEG_CEILING = 250.0 / 255.0
 """Compression moves what is clipped by some codes, so that of JPEG files begins below the largest."""
 _EXIF, _TIME, _APERTURE, _SPEED = 0x8769, 0x829A, 0x829D, 0x8827
 
@@ -91,7 +91,7 @@ def _with_format(view: View, settings: Photography) -> View:
     made = replace(view.development, ceiling=settings.ceiling)
     if path.suffix.lower() in CODED:
         jpeg = path.suffix.lower() in (".jpg", ".jpeg")
-        usual = _JPEG_CEILING if jpeg else 1.0
+        usual = JPEG_CEILING if jpeg else 1.0
         made = replace(
             made,
             response=settings.response or "srgb",

@@ -22,6 +22,8 @@ CODED = (".png", ".jpg", ".jpeg", ".tif", ".tiff")
 """Endings of photographs of codes, which a response curve turns into linear values."""
 READABLE = (".exr", ".hdr", *CODED)
 """Endings of all photographs, in the order in which a name without ending is looked for."""
+RAW = (".arw", ".cr2", ".cr3", ".nef", ".dng", ".raf", ".rw2", ".orf", ".pef")
+"""Endings of what cameras write before anything is developed."""
 _ALPHA = 1.01  # coverage is at most 1, but for rounding and filters
 _BITS = 258  # TIFF's tag BitsPerSample
 _HEAD = 1 << 16  # bytes that have the header of a picture

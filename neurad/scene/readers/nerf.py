@@ -14,14 +14,12 @@ from neurad.core.errors import InputError
 from neurad.core.records import Development, FloatArray, View
 from neurad.runtime.reading import exists, read_json, regular_file, shown
 from neurad.scene.numbers import LENGTH, matrix, number
-from neurad.scene.photographs import READABLE, picture_size
+from neurad.scene.photographs import RAW, READABLE, picture_size
 from neurad.scene.picture_headers import SIDE
 from neurad.scene.readers.intrinsics import Size, camera_of, rigid
 
 HOLD_OUT = 8
 """Every so many-th photograph is held out where nothing says which."""
-RAW = (".arw", ".cr2", ".cr3", ".nef", ".dng", ".raf", ".rw2", ".orf", ".pef")
-"""What cameras write before anything is developed."""
 OTHER = (".webp", ".bmp", ".heic", ".gif", *RAW)
 """Photographs that are not read."""
 EXPOSURE = 1e-9, 1e9
