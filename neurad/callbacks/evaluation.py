@@ -19,7 +19,7 @@ from neurad.callbacks.board import Board
 from neurad.callbacks.closing import Shown, print_closing, report_run, settings_of, title_of
 from neurad.callbacks.run_folder import run_folder
 from neurad.callbacks.table import MetricsTable, curve_table, score_table
-from neurad.callbacks.training_views import ViewTable
+from neurad.callbacks.training_views import ViewTable, write_exposures
 from neurad.core.errors import InputError
 from neurad.core.ranges import Count, CountOrZero, NonNegative, checked
 from neurad.metrics.bars_file import NAME, read_bars, write_bars
@@ -256,6 +256,8 @@ class Evaluate(pl.Callback):
             return
         self._views = self._views or ViewTable([view.name for view in module.scene.train], views.surface)
         self._views.update(run_folder(trainer), module.iteration, residuals)
+        if module.development is not None:
+            write_exposures(run_folder(trainer), module.scene.train, module.development, module.iteration)
 
 
 def error_bars_of(module: InverseRenderer, folder: Path | None) -> ErrorBars | None:
