@@ -21,7 +21,7 @@ from neurad.scene.import_room import (
     map_of,
     whole,
 )
-from neurad.scene.picture_headers import check_exr
+from neurad.scene.photographs import picture_size
 from neurad.scene.readers.gltf import ENDINGS, GltfRoom, read_gltf
 from neurad.scene.readers.gltf_file import GltfFile
 from neurad.scene.readers.gltf_nodes import GltfCamera
@@ -105,7 +105,7 @@ def _photographed(room: GltfRoom, images: Path, source: Path) -> Split:
 
 
 def _view(camera: GltfCamera, photograph: Path, where: str) -> View:
-    width, height = check_exr(photograph)
+    width, height = picture_size(photograph)
     if camera.aspect is not None and abs(camera.aspect * height / width - 1.0) > _SHAPE:
         raise InputError(
             f"{where} has the aspectRatio {camera.aspect:.4g}, but its photograph {shown(photograph.name)} has "

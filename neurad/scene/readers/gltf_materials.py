@@ -207,7 +207,7 @@ class MaterialReader:
         metal = None if varies else metallic * float(picture[0, 0, 2]) / 255.0
         key = id(picture), "roughness", float(factor)
         if key not in self._pixels:
-            self._pixels[key] = picture[..., 1:2] / np.float32(255.0) * factor
+            self._pixels[key] = picture[..., 1:2].astype(np.float32) * (factor / np.float32(255.0))
         return Bitmap(self._pixels[key], matrix.astype(np.float32)), metal
 
     def _check_opaque(self, item: Json, base: Place | None, alpha: float, colours: Array | None, about: str) -> None:

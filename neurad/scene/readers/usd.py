@@ -86,10 +86,11 @@ def _meshes(path: Path, prim: Any, mesh: Any, to_world: Array) -> Iterator[Mesh]
             vertices, faces = points[order], corners
         normals = given @ np.linalg.inv(linear)
         length = np.linalg.norm(normals, axis=1, keepdims=True)
-        normals = (normals / np.where(length > 0, length, 1.0)).astype(np.float32)
+        normals /= np.where(length > 0, length, 1.0)
     there = (vertices @ linear.T + to_world[:3, 3]).astype(np.float32)
     within(there, f"{where}: its coordinates", -LENGTH, LENGTH)
-    yield Mesh(str(prim.GetName()), there, faces.astype(np.int64), 0, normals, radiance=_emitted(prim, where))
+    smooth = None if normals is None else normals.astype(np.float32)
+    yield Mesh(str(prim.GetName()), there, faces.astype(np.int64), 0, smooth, radiance=_emitted(prim, where))
 
 
 def _fans(counts: IntArray) -> IntArray:
