@@ -19,6 +19,7 @@ from neurad.scene.geometry import Geometry
 from neurad.scene.image_io import to_srgb
 from neurad.scene.readers.gltf_scene import read_scene
 from neurad.scene.readers.mitsuba_xml import read_xml
+from neurad.scene.readers.usd import read_usd
 from neurad.scene.textures import TrueMaterials
 
 pytest.importorskip("xatlas")
@@ -88,6 +89,20 @@ def test_a_room_with_a_lamp(tmp_path):
     same_room(by_xml, by_glb)
     first, second = picture(by_xml), picture(by_glb)
     assert np.abs(second - first).mean() < 0.02 * first.mean()  # what 8 bits leave of colours, over many bounces
+
+
+def test_usd_has_the_same_triangles_and_lamps(tmp_path):
+    pytest.importorskip("pxr")
+    room = exported(build_cornell(), tmp_path / "room")
+    by_xml = read_xml(room / "scene.xml")
+    found = {mesh.name: mesh for mesh in read_usd(room / "room.usdc")}
+    assert len(found) == len(by_xml.meshes)
+    for mesh in by_xml.meshes:
+        other = found[mesh.name.replace(" ", "_").replace("-", "_")]
+        np.testing.assert_array_equal(mesh.vertices[mesh.faces], other.vertices[other.faces])
+        assert (mesh.radiance is None) == (other.radiance is None)
+        if mesh.radiance is not None:
+            np.testing.assert_allclose(mesh.radiance, other.radiance, rtol=1e-6)
 
 
 def test_mirrors_and_glass(tmp_path):
