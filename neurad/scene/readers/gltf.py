@@ -164,11 +164,12 @@ class _Reader:
     ) -> Iterator[Mesh]:
         """The mesh of a primitive in world space, or its parts where it shines unevenly."""
         where = f"mesh {shown(name)}"
-        used, corner = np.unique(faces, return_inverse=True)
-        if len(used) < len(places):
-            faces = corner.reshape(-1, 3).astype(np.int64)
+        used: Any = np.zeros(len(places), bool)
+        used[faces] = True
+        if used.all():
+            used = slice(None)
         else:
-            used = slice(None)  # type: ignore[assignment]
+            faces = (np.cumsum(used) - 1)[faces]
         corners = self._corners(attributes, len(places), used, where)
         normals = None
         if "NORMAL" in attributes:

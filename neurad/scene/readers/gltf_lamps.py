@@ -19,6 +19,7 @@ RADIANCES = 64
 """Different radiances that the triangles of a mesh have, at most."""
 _EVEN = 2.0**-9  # difference of radiances, of the largest one, that does not count: half a step of 8 bits
 _SAMPLES = 8  # along a side of a piece, at most
+_AT_ONCE = 1 << 18  # samples that are looked up at once
 _GAP = 1e-4  # distance of two sheets, of the mesh's diagonal
 
 
@@ -44,11 +45,10 @@ def cut(mesh: Mesh, texels: float, look_up: Callable[[Array], Array], uvs: Array
     samples = min(max(math.ceil(2.0 * longest / parts), 1), _SAMPLES)
     inside = _pieces(samples).mean(1)  # [s, 3]
     shines = np.empty((len(mesh.faces), len(pieces), 3))
-    chunk = max((1 << 20) // (len(pieces) * len(inside)), 1)
-    for begin in range(0, len(mesh.faces), chunk):
-        part = slice(begin, begin + chunk)
-        at = np.einsum("sc,kcb,fbx->fksx", inside, pieces, corners[part])
-        shines[part] = look_up(at).mean(2) * mesh.radiance
+    flat, chunk = shines.reshape(-1, 3), max(_AT_ONCE // len(inside), 1)
+    for begin in range(0, len(flat), chunk):
+        face, piece = np.divmod(np.arange(begin, min(begin + chunk, len(flat))), len(pieces))
+        flat[begin : begin + chunk] = look_up(inside @ (pieces[piece] @ corners[face])).mean(1) * mesh.radiance
     most = float(shines.max())
     if most == 0.0:
         return [replace(mesh, radiance=None)]

@@ -136,6 +136,8 @@ class TextureReader:
 
 def affine_between(one: Array, other: Array) -> Array | None:
     """The matrix [3, 3] that takes texture coordinates [v, 2] to others; None where no single one does."""
+    if not (np.isfinite(one).all() and np.isfinite(other).all()):
+        return None
     full = np.column_stack((one, np.ones(len(one)))).astype(np.float64)
     solved = np.linalg.lstsq(full, other.astype(np.float64), rcond=None)[0]
     if not np.isfinite(solved).all() or np.abs(full @ solved - other).max() > _SAME:
