@@ -41,14 +41,18 @@ class GltfRoom:
     """What neurad's own export says of the scene besides."""
 
 
-def read_gltf(path: str | Path) -> GltfRoom:
+def read_gltf(path: str | Path, lamps: bool = True) -> GltfRoom:
     """Meshes, materials, cameras and lights of a file, in the frame of its scene.
+
+    Args:
+        path: of the file.
+        lamps: whether surfaces shine.
 
     Raises:
         InputError: a file is missing or broken, or the scene uses what neurad cannot render; a sentence says what.
     """
     file = GltfFile(path)
-    room = _Reader(file).room()
+    room = _Reader(file, lamps).room()
     if not room.meshes:
         raise file.error("it has no triangle")
     return room
@@ -57,8 +61,9 @@ def read_gltf(path: str | Path) -> GltfRoom:
 class _Reader:
     """A file on its way to a room."""
 
-    def __init__(self, file: GltfFile) -> None:
+    def __init__(self, file: GltfFile, lamps: bool) -> None:
         self.file = file
+        self.lamps = lamps
         self.materials = MaterialReader(file, is_own(file))
         self.notes: dict[str, None] = {}
         self.names: set[str] = set()
@@ -180,7 +185,7 @@ class _Reader:
         within(vertices, f"{shown(self.file.path)}: the coordinates of {where}", -LENGTH, LENGTH)
         index = primitive.get("material")
         painted = self.materials.paint(index, corners, where)
-        emission = self.materials.emission(index, where)
+        emission = self.materials.emission(index, where) if self.lamps else None
         reason = self.materials.materials[painted.material].model.unsupported
         if emission is not None and reason:
             raise InputError(f"{reason}; it emits light, and what a lamp reflects has to be known")
