@@ -13,7 +13,7 @@ from helpers.gltf_writer import Document
 
 from neurad.assembly.build import build_world
 from neurad.core.errors import InputError
-from neurad.core.records import Bitmap, Constant
+from neurad.core.records import Bitmap, Constant, VertexAttribute
 from neurad.core.reflection import DiffuseModel, PrincipledModel
 from neurad.integrators.film import render
 from neurad.integrators.renderer import path_tracer
@@ -29,7 +29,7 @@ ASSIMP = Path(os.environ.get("NEURAD_ASSIMP", "/usr/share/assimp/models"))
 
 
 def coded(texture, srgb):
-    """A texture as bytes [h, w, 3], and its transform."""
+    """A texture as bytes [h, w, 3]."""
     pixels = texture.pixels if isinstance(texture, Bitmap) else texture.value.reshape(1, 1, -1)
     pixels = np.broadcast_to(pixels, (*pixels.shape[:2], 3))
     return np.rint((to_srgb(pixels) if srgb else np.clip(pixels, 0, 1)) * 255).astype(np.uint8)
@@ -46,13 +46,14 @@ def moved(texture):
 
 
 def written(scene, path):
-    """A room as glTF; every mesh that is instanced below a node that is mirrored, moved and scaled keeps its place."""
+    """A room as glTF, below a node that turns, mirrors, scales and moves it, in coordinates that this undoes."""
     document = Document()
     materials = []
     emitted = {mesh.material: mesh.radiance for mesh in scene.meshes if mesh.radiance is not None}
     for index, material in enumerate(scene.materials):
         surface = {"metallicFactor": getattr(material.model, "metallic", 0.0)}
-        surface["baseColorTexture"] = {**document.texture(coded(material.albedo, True)), **moved(material.albedo)}
+        if not isinstance(material.albedo, VertexAttribute):
+            surface["baseColorTexture"] = {**document.texture(coded(material.albedo, True)), **moved(material.albedo)}
         rough = coded(material.roughness, False)
         rough[..., 2] = 255
         surface["metallicRoughnessTexture"] = {**document.texture(rough), **moved(material.roughness)}
@@ -72,6 +73,8 @@ def written(scene, path):
         attributes = {"POSITION": document.accessor(local)}
         if mesh.normals is not None:
             attributes["NORMAL"] = document.accessor(mesh.normals @ turn[:3, :3] / 2)
+        if isinstance(albedo := scene.materials[mesh.material].albedo, VertexAttribute):
+            attributes["COLOR_0"] = document.accessor(mesh.attributes[albedo.name])
         bary = np.zeros((len(local), 2))
         attributes["TEXCOORD_0"] = document.accessor(bary if mesh.uvs is None else mesh.uvs)
         wide = document.accessor(mesh.faces.ravel(), "u4")
