@@ -130,7 +130,9 @@ def test_shared_rooms(room, tmp_path):
     first, other, second = picture(scene, view), picture(scene, view, 1), picture(again, view)
     noise = np.abs(other - first).mean()
     assert np.abs(second - first).mean() < 1.2 * noise + 0.01 * first.mean()
-    assert second.mean() == pytest.approx(first.mean(), abs=0.02 * first.mean() + 3 * noise / math.sqrt(first.size))
+    assert second.mean() == pytest.approx(
+        first.mean(), abs=float(0.02 * first.mean() + 3 * noise / math.sqrt(first.size))
+    )
 
 
 @pytest.mark.parametrize("kind", ["glTF", "glTF2"])
