@@ -13,7 +13,7 @@ FULL_WELL = 20000.0
 """Electrons of a pixel at its largest value: shot noise has the variance of their number."""
 READ_NOISE = 6.0
 """Standard deviation in electrons of reading a pixel: between good cameras and telephones."""
-NEAR = 0.97
+NEAR = 0.93
 """Fraction of the ceiling from which on a sample is left out: noise would be cut off on one side there."""
 _ROUNDS = 3
 
@@ -32,7 +32,8 @@ def merge(
 
     A sample ``y = radiance * time`` has the variance of shot and read noise, ``y / full_well + (read_noise /
     full_well)^2``, with ``y`` by the present estimate: by the sample itself, those that noise made small would count
-    more. Whether a sample is near its ceiling is said by the shorter exposures, and so independent of its own noise.
+    more. Whether a sample is near its ceiling is said by the shorter exposures, and so independent of its own noise; where
+    their noise decides it, the mean is up to 0.4 % too large.
 
     Args:
         exposures: pictures of the same size, values in units of the largest [h, w, c].

@@ -153,7 +153,7 @@ def _raw(file: Path) -> tuple[FloatArray, FloatArray]:
         full = np.asarray(raw.raw_image_visible) >= 0.995 * white
         codes = raw.postprocess(
             gamma=(1, 1), no_auto_bright=True, use_camera_wb=True, output_bps=16, user_flip=0,
-            output_color=rawpy.ColorSpace.sRGB,
+            output_color=rawpy.ColorSpace.sRGB, adjust_maximum_thr=0.0,
         )  # fmt: skip
     pixels = (codes / _WHITE).astype(np.float32)
     pixels[_around(full, pixels.shape[:2])] = 1.0
