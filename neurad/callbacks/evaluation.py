@@ -181,6 +181,8 @@ class Evaluate(pl.Callback):
             print(f"neurad: images are in {folder / 'images'}")
 
     def _due(self, trainer: pl.Trainer, module: InverseRenderer) -> bool:
+        if fraction_done(trainer).largest >= 1.0:
+            return False  # the end is scored after the last fit of the levels' factors
         every = self.every_n_steps
         if every is None and trainer.max_steps > 0 and fraction_done(trainer).by_time is None:
             every = max(trainer.max_steps // MARKS, 1)
