@@ -32,8 +32,8 @@ def merge(
 
     A sample ``y = radiance * time`` has the variance of shot and read noise, ``y / full_well + (read_noise /
     full_well)^2``, with ``y`` by the present estimate: by the sample itself, those that noise made small would count
-    more. Whether a sample is near its ceiling is said by the shorter exposures, and so independent of its own noise; where
-    their noise decides it, the mean is up to 0.4 % too large.
+    more. Whether a sample is near its ceiling is said by the shorter exposures, and so independent of its own noise;
+    where their noise decides it, the mean is up to 0.4 % too large.
 
     Args:
         exposures: pictures of the same size, values in units of the largest [h, w, c].
