@@ -53,7 +53,7 @@ def merge(
     floor = (read_noise / full_well) ** 2 * np.ones_like(y[:1])
     floor = floor + (0.0 if rounding is None else np.stack([np.asarray(rounding[i]) for i in order]))
     free = _free(y, t, ceiling)
-    all_clipped = ~free.any(0)
+    all_clipped: npt.NDArray[np.bool_] = ~np.asarray(free.any(0))
     radiance = np.where(all_clipped, ceiling / t[0], _ratio((y * free).sum(0), (t * free).sum(0)))
     weight = np.zeros_like(y)
     for _ in range(_ROUNDS):

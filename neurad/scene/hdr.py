@@ -59,15 +59,18 @@ class MergeSettings:
 
 
 def merge_brackets(settings: MergeSettings) -> None:
-    """Write an EXR file for each view, named as the first of its photographs, and say what was taken.
+    """Write an EXR file for each view, named as the first of its photographs, its standard deviation into the folder
+    ``spread`` beside, and say what was taken.
 
     Raises:
         InputError: a photograph cannot be read, has no exposure or another size, or a file is there already.
     """
     size = settings.bracket or len(settings.files)
     brackets = [settings.files[i : i + size] for i in range(0, len(settings.files), size)]
+    spreads = settings.out.absolute().parent / "spread"
     with writing(settings.out, "--out"):
-        settings.out.mkdir(parents=True, exist_ok=True)
+        for folder in (settings.out, spreads):
+            folder.mkdir(parents=True, exist_ok=True)
     places = [settings.out / f"{files[0].stem}.exr" for files in brackets]
     for place in places:
         if place.exists():
@@ -80,6 +83,7 @@ def merge_brackets(settings: MergeSettings) -> None:
     ):
         radiance, spread, clipped = _merged(files, exposures, settings.response)
         write_exr(place, radiance, half=False)
+        write_exr(spreads / place.name, spread, half=False)
         free = ~clipped
         noise = float(np.median(spread[free] / np.maximum(radiance[free], 1e-30))) if free.any() else float("nan")
         span = f"exposures {min(exposures):.3g} to {max(exposures):.3g}"

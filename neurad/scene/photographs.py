@@ -158,6 +158,27 @@ def ceiling_of(view: View) -> float:
     return linear_value(development.response, development.ceiling) / development.gain * (1.0 - _AT)
 
 
+def read_spread(view: View) -> FloatArray:
+    """Standard deviation of a view's photographed radiance [h, w], the mean of its channels; infinite where it says
+    nothing.
+
+    Raises:
+        InputError: the file cannot be read, has another size than the camera, or values that are negative or NaN.
+    """
+    assert view.spread is not None
+    pixels = read_exr(view.spread).mean(-1)
+    camera = view.camera
+    if pixels.shape != (camera.height, camera.width):
+        raise InputError(
+            f"{shown(view.spread)}: it has {pixels.shape[1]} x {pixels.shape[0]} pixels, its camera {camera.width} x "
+            f"{camera.height}; the spread is as large as its photograph"
+        )
+    if not bool((pixels >= 0).all()):
+        raise InputError(f"{shown(view.spread)}: a standard deviation in it is negative or not a number")
+    found: FloatArray = pixels / np.float32(view.development.gain)
+    return found
+
+
 def rounding(response: str, levels: int) -> tuple[FloatArray, FloatArray]:
     """Linear value of every code [levels + 1], rising, and the variance of what is rounded to it."""
     values = linear_values(response, levels).astype(np.float64)

@@ -120,6 +120,7 @@ def test_files_with_times(tmp_path, capfd):
     files, values = brackets(tmp_path / "raw")
     data(*files, "--times", *TIMES, "--response", "linear", "--out", tmp_path / "images")
     assert (np.abs(patch_means(read_exr(tmp_path / "images/0.exr")) / values - 1) < 0.01).all()
+    assert np.median(read_exr(tmp_path / "spread/0.exr") / np.repeat(values, PATCH, 0)) < 0.02
     said = capfd.readouterr().out
     assert "5 photographs, exposures 0.001 to 0.25" in said
     assert "--data.ceiling 999" in said
