@@ -12,8 +12,8 @@ import torch
 from torch import Tensor
 
 from neurad.core.errors import InputError
-from neurad.core.records import FloatArray, PixelBatch, View
-from neurad.scene.photographs import ceiling_of, read_spread, rounding
+from neurad.core.records import PixelBatch, View
+from neurad.scene.photographs import Float64, ceiling_of, read_spread, rounding
 
 _COARSE = 255
 """Largest code of formats whose rounding counts; that of 16 bits is lost in any photograph's noise."""
@@ -29,7 +29,7 @@ class ValueLimits:
     """Radiance from which on a view is clipped [views], infinite where it never is."""
     kind: Tensor
     """Which of the curves a view has [views], int64; -1 for none."""
-    curves: tuple[tuple[FloatArray, FloatArray], ...]
+    curves: tuple[tuple[Float64, Float64], ...]
     """Linear values of codes and the variance of their rounding, of each response."""
     gain: Tensor
     """Exposures [views]."""

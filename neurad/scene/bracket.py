@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -24,7 +25,7 @@ def merge(
     exposures: Sequence[FloatArray],
     times: Sequence[float],
     ceiling: float = 1.0,
-    rounding: Sequence[FloatArray] | None = None,
+    rounding: Sequence[npt.NDArray[Any]] | None = None,
     full_well: float = FULL_WELL,
     read_noise: float = READ_NOISE,
 ) -> tuple[FloatArray, FloatArray, npt.NDArray[np.bool_]]:

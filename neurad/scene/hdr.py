@@ -5,8 +5,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from neurad.core.errors import InputError
 from neurad.core.ranges import CountOrZero, checked
@@ -118,8 +120,11 @@ def _exposures(files: Sequence[Path], given: Sequence[float] | None) -> list[flo
     return found
 
 
-def _merged(files: Sequence[Path], times: Sequence[float], response: str | None) -> tuple[FloatArray, ...]:
-    pictures, squares = [], []
+def _merged(
+    files: Sequence[Path], times: Sequence[float], response: str | None
+) -> tuple[FloatArray, FloatArray, npt.NDArray[np.bool_]]:
+    pictures: list[FloatArray] = []
+    squares: list[npt.NDArray[Any]] = []
     for file in files:
         pixels, variance = _linear(file, response or "srgb")
         if pictures and pixels.shape != pictures[0].shape:
@@ -132,7 +137,7 @@ def _merged(files: Sequence[Path], times: Sequence[float], response: str | None)
     return merge(pictures, times, _ceiling(files, response), squares)
 
 
-def _linear(file: Path, response: str) -> tuple[FloatArray, FloatArray]:
+def _linear(file: Path, response: str) -> tuple[FloatArray, npt.NDArray[Any]]:
     """Linear values of a photograph in units of the largest [h, w, 3], and the variance of their rounding."""
     ending = file.suffix.lower()
     if ending in RAW:
@@ -145,7 +150,7 @@ def _linear(file: Path, response: str) -> tuple[FloatArray, FloatArray]:
     return pixels, np.interp(pixels, values, squares)
 
 
-def _raw(file: Path) -> tuple[FloatArray, FloatArray]:
+def _raw(file: Path) -> tuple[FloatArray, npt.NDArray[Any]]:
     """A raw photograph: linear sRGB primaries in the camera's white balance; what is clipped in any colour is 1."""
     try:
         import rawpy
@@ -164,7 +169,7 @@ def _raw(file: Path) -> tuple[FloatArray, FloatArray]:
     return pixels, np.full(1, 1.0 / (12.0 * _WHITE**2)) * np.ones_like(pixels)
 
 
-def _around(full: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
+def _around(full: npt.NDArray[np.bool_], shape: tuple[int, ...]) -> npt.NDArray[np.bool_]:
     """Pixels whose colours are interpolated from a clipped one: those within two steps of it."""
     grown = np.zeros(shape, bool)
     height, width = min(shape[0], full.shape[0]), min(shape[1], full.shape[1])

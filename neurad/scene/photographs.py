@@ -24,6 +24,7 @@ READABLE = (".exr", ".hdr", *CODED)
 """Endings of all photographs, in the order in which a name without ending is looked for."""
 RAW = (".arw", ".cr2", ".cr3", ".nef", ".dng", ".raf", ".rw2", ".orf", ".pef")
 """Endings of what cameras write before anything is developed."""
+Float64 = npt.NDArray[np.float64]
 _ALPHA = 1.01  # coverage is at most 1, but for rounding and filters
 _BITS = 258  # TIFF's tag BitsPerSample
 _HEAD = 1 << 16  # bytes that have the header of a picture
@@ -179,11 +180,11 @@ def read_spread(view: View) -> FloatArray:
     return found
 
 
-def rounding(response: str, levels: int) -> tuple[FloatArray, FloatArray]:
+def rounding(response: str, levels: int) -> tuple[Float64, Float64]:
     """Linear value of every code [levels + 1], rising, and the variance of what is rounded to it."""
     values = linear_values(response, levels).astype(np.float64)
-    step: FloatArray = np.gradient(values)
-    return values, step * step / 12.0
+    step = np.gradient(values)
+    return values, np.asarray(step * step / 12.0)
 
 
 def _check(path: Path, pixels: FloatArray) -> None:
