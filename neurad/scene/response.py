@@ -63,7 +63,7 @@ def linear_value(response: str, value: float) -> float:
     return value if not response else float(_undone(response, np.array([value]))[0])
 
 
-def _undone(response: str, codes: Float64) -> npt.NDArray[Any]:
+def _undone(response: str, codes: npt.NDArray[Any]) -> npt.NDArray[Any]:
     if response == LINEAR:
         return codes
     if response in (SRGB, FIT):
