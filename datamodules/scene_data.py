@@ -55,6 +55,7 @@ class SceneData(pl.LightningDataModule, PhotoSource):
         hold_out: every so many-th photograph is held out where the camera file does not say which; 0 for none.
         validation_pixels: fraction of the training pixels that are never drawn, 16384 of them at most: their loss says
             how much of each level of the fields is noise of the photographs. Patches draw all.
+        lamps_true: table of the lamps' true radiance (mesh, r, g, b), for scores of lamps that are recovered.
 
     Raises:
         InputError: a number is out of range, ``pixel_multiplier`` no power of two, or ``hold_out`` is 1.
@@ -72,6 +73,7 @@ class SceneData(pl.LightningDataModule, PhotoSource):
         replace_every: Count = 16,
         hold_out: CountOrZero = HOLD_OUT,
         validation_pixels: Annotated[float, Range(0.0, 0.5)] = 0.0,
+        lamps_true: str | None = None,
     ) -> None:
         super().__init__()
         if pixel_multiplier & (pixel_multiplier - 1):
@@ -88,6 +90,7 @@ class SceneData(pl.LightningDataModule, PhotoSource):
         self.replace_every = replace_every
         self.hold_out = hold_out
         self.validation_pixels = validation_pixels
+        self.lamps_true = lamps_true
         checked(self)
         self._with_blurred = False
         self._focused = self._times = 0

@@ -136,23 +136,25 @@ def lamp_pixels(world: World, cameras: Sequence[Camera], seed: int, ignored: Ten
     return LampPixels(view, pixel, mesh)
 
 
+@dataclass(frozen=True)
+class LampPhotographs:
+    """What photographs show of lamps alone."""
+
+    at: LampPixels
+    color: Array
+    """Photographed there [n, 3]."""
+    clipped: npt.NDArray[np.bool_]
+    """Which values are at the ceiling of their photograph [n, 3]."""
+
+
 @torch.no_grad()
-def photographed_lamps(
-    scene: Scene,
-    world: World,
-    materials: Materials,
-    cameras: Sequence[Camera],
-    read: Read,
-    sample: PixelBatch,
-    seed: int,
-    ignored: Tensor | None = None,
-) -> list[PhotographedLamp]:
-    """Every lamp of a scene as its photographs show it; those that no pixel shows alone have 0 pixels.
+def lamp_photographs(
+    world: World, cameras: Sequence[Camera], read: Read, sample: PixelBatch, seed: int, ignored: Tensor | None = None
+) -> LampPhotographs:
+    """Read the pixels of photographs that show one lamp and nothing else.
 
     Args:
-        scene: with the lamps.
         world: of the scene.
-        materials: what surfaces are made of, as far as it is known; they decide what lamps reflect, a small part.
         cameras: of the photographs.
         read: gives what was photographed.
         sample: random pixels of the photographs that show no lamp: where they reach the largest value of a photograph,
@@ -162,22 +164,42 @@ def photographed_lamps(
     """
     with world.tracer.uncounted():
         shown = lamp_pixels(world, cameras, seed, ignored)
-        color: Array = (
-            read(shown.view.cpu(), shown.pixel.cpu()).double().numpy() if len(shown.view) else np.zeros((0, 3))
-        )
-        view, pixel, mesh = (x.cpu().numpy() for x in (shown.view, shown.pixel, shown.mesh))
-        clipped = _clipped(color, view, sample)  # [n, 3]
-        lamps = []
-        for index, part in enumerate(scene.meshes):
-            if part.radiance is None or not part.radiance.any():
-                continue
-            mine = np.flatnonzero(mesh == index)
-            free = mine[~clipped[mine].any(1)]
-            lit = _reflected(world, materials, cameras, view[mine], pixel[mine], mix(seed, index))
-            median = np.median(color[free], axis=0) if len(free) else np.full(3, math.nan)
-            declared, views = np.asarray(part.radiance, np.float64), len(np.unique(view[mine]))
-            count, full = len(mine), int(clipped[mine].any(1).sum())
-            lamps.append(PhotographedLamp(index, part.name, declared, lit, median, count, views, full))
+    color: Array = read(shown.view.cpu(), shown.pixel.cpu()).double().numpy() if len(shown.view) else np.zeros((0, 3))
+    return LampPhotographs(shown, color, _clipped(color, shown.view.cpu().numpy(), sample))
+
+
+@torch.no_grad()
+def photographed_lamps(
+    scene: Scene,
+    world: World,
+    materials: Materials,
+    cameras: Sequence[Camera],
+    shown: LampPhotographs,
+    seed: int,
+) -> list[PhotographedLamp]:
+    """Every lamp of a scene as its photographs show it; those that no pixel shows alone have 0 pixels.
+
+    Args:
+        scene: with the lamps.
+        world: of the scene.
+        materials: what surfaces are made of, as far as it is known; they decide what lamps reflect, a small part.
+        cameras: of the photographs.
+        shown: what these show of lamps.
+        seed: of all draws.
+    """
+    view, pixel, mesh = (x.cpu().numpy() for x in (shown.at.view, shown.at.pixel, shown.at.mesh))
+    lamps = []
+    for index, part in enumerate(scene.meshes):
+        if part.radiance is None or not part.radiance.any():
+            continue
+        mine = np.flatnonzero(mesh == index)
+        free = mine[~shown.clipped[mine].any(1)]
+        with world.tracer.uncounted():
+            lit = reflected_by_lamp(world, materials, cameras, view[mine], pixel[mine], mix(seed, index))
+        median = np.median(shown.color[free], axis=0) if len(free) else np.full(3, math.nan)
+        declared, views = np.asarray(part.radiance, np.float64), len(np.unique(view[mine]))
+        count, full = len(mine), int(shown.clipped[mine].any(1).sum())
+        lamps.append(PhotographedLamp(index, part.name, declared, lit, median, count, views, full))
     return lamps
 
 
@@ -198,7 +220,8 @@ def _clipped(color: Array, view: npt.NDArray[np.int64], sample: PixelBatch) -> n
     return result
 
 
-def _reflected(
+@torch.no_grad()
+def reflected_by_lamp(
     world: World,
     materials: Materials,
     cameras: Sequence[Camera],
