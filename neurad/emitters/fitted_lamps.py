@@ -109,8 +109,8 @@ class FittedLamps(AreaLights):
         """Radiance [n, 3] that leaves triangles [n], with the gradient of ``values`` while that is wanted."""
         if not self.trains:
             return super().radiance_of(face)
-        table = torch.cat((self.radiance, self.values.new_zeros(1, 3)))
-        return table.index_select(0, self.lamp.index_select(0, face))  # -1 wraps around to the row of zeros
+        table = torch.cat((self.values.new_zeros(1, 3), self.radiance))  # zeros first: no lamp is -1
+        return table.index_select(0, self.lamp.index_select(0, face) + 1)
 
     @torch.no_grad()
     def set_radiance(self, radiance: Array) -> None:

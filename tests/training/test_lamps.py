@@ -161,7 +161,7 @@ def test_light_of_fitted_lamps_is_that_of_known_ones_whatever_the_tables():
 
 
 def test_tables_follow_the_radiance_and_leave_no_lamp_out():
-    world, lamps = with_lamps(gallery())
+    _, lamps = with_lamps(gallery())
     u = Stream(1).uniform(20000)
 
     def fractions():
@@ -193,7 +193,7 @@ def test_what_cannot_be_recovered_is_said():
     scene = gallery()
     dark = replace(scene, meshes=[replace(m, radiance=None) for m in scene.meshes])
     assert lamps_of_scene(dark) == []
-    with pytest.raises(InputError, match="no shape of scene.xml has an area emitter"):
+    with pytest.raises(InputError, match=r"no shape of scene\.xml has an area emitter"):
         unknown_lamps(dark, build_world(scene).geometry, LAMPS)
     with pytest.raises(InputError, match="emitters: 'guess' is unknown"):
         Lighting(emitters="guess")
