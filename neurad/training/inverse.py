@@ -158,7 +158,7 @@ class InverseRenderer(L.LightningModule):
 
     def _read_lamps_true(self) -> FloatArray64 | None:
         """What recovered lamps are scored against [m, 3]; None where nothing is given."""
-        lamps, path = self.assembly.lamps, self.trainer.datamodule.lamps_true  # type: ignore[attr-defined]
+        lamps, path = self.assembly.lamps, getattr(self.trainer.datamodule, "lamps_true", None)  # type: ignore[attr-defined]
         if path is None or lamps is None:
             return None
         return read_lamps_true(path, [self.scene.meshes[index].name for index in lamps.mesh.tolist()])
@@ -318,7 +318,8 @@ class InverseRenderer(L.LightningModule):
         if lamps is None or self._lamps_true is None or self._held_out is None:
             return {}
         names = [self.scene.meshes[index].name for index in lamps.mesh.tolist()]
-        return lamp_scores(lamps.found(), self._lamps_true, names, self._held_out.albedo_factors(found.maps))
+        factors = self._held_out.albedo_factors(found.maps) if lamps.values.requires_grad else {}
+        return lamp_scores(lamps.found(), self._lamps_true, names, factors)
 
     def error_bars(self) -> ErrorBars | None:
         """Error bars of the present materials, see :func:`neurad.training.error_bars.error_bars`.

@@ -46,8 +46,8 @@ from neurad.losses.relative import (
 )
 
 LAMPS = 100.0
-"""Weight of the photographs of the lamps themselves. While materials are still wrong everything else pulls at the lamps:
-at 10 the Cornell box's was 5 % off after 70 steps."""
+"""Weight of the photographs of the lamps themselves. While materials are still wrong all else pulls at the lamps: at 10
+that of the Cornell box was 5 % off after 70 steps."""
 MOST_SPECULAR = 0.65
 """Largest fraction of the BSDF samples that follow the specular lobe where highlights are."""
 

@@ -20,10 +20,9 @@ def looking_up(scene, distance=0.9):
     return Camera(pose, 1.0, 24, 24)
 
 
-def unmeasured(glossy=False, shown=True):
-    """The box; ``shown``: one photograph is of the lamp."""
-    scene = photographed_cornell(glossy, more=[looking_up] if shown else [])
-    return declared(scene, 1.0)
+def unmeasured():
+    """The box; the last photograph is of the lamp."""
+    return declared(photographed_cornell(False, more=[looking_up]), 1.0)
 
 
 def declared(scene, radiance):
