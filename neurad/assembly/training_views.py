@@ -111,9 +111,7 @@ def prepare_views(
         assembly.environment.set_unit(math.sqrt(mean_square))
     lamps = None
     if assembly.lamps is not None:
-        lamps = lamp_photographs(
-            assembly.world, cameras, photographs.colors, stats.sample, settings.seed, photographs.ignored()
-        )
+        lamps = lamp_photographs(assembly.world, cameras, photographs, stats.sample, settings.seed)
         if not bool(assembly.lamps.begun):
             begin_lamps(assembly, primary, lamps, stats.sample)
     if assembly.environment is None and check_brightness:

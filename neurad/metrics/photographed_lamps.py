@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -13,7 +13,7 @@ from torch import Tensor
 
 from neurad.core.camera import camera_rays
 from neurad.core.frame import dot
-from neurad.core.protocols import Materials
+from neurad.core.protocols import Materials, PhotoSource
 from neurad.core.records import Camera, PixelBatch
 from neurad.core.rng import Stream, mix
 from neurad.integrators.emitter_pixels import POSITIONS, shown_in
@@ -35,9 +35,6 @@ _MOST = 4096  # pixels of a view that are looked at
 _LIT, _LIT_SPP = 64, 16  # pixels of a lamp and samples in each that say how much it reflects
 _DEPTH = 6  # of their paths: what a lamp reflects is a few per cent of what it sends
 _CHUNK = 1 << 14
-
-Read = Callable[[Tensor, Tensor], Tensor]
-"""Photographed radiance [n, 3] of pixels [n] of views [n]."""
 
 
 @dataclass(frozen=True)
@@ -149,23 +146,26 @@ class LampPhotographs:
 
 @torch.no_grad()
 def lamp_photographs(
-    world: World, cameras: Sequence[Camera], read: Read, sample: PixelBatch, seed: int, ignored: Tensor | None = None
+    world: World, cameras: Sequence[Camera], photographs: PhotoSource, sample: PixelBatch, seed: int
 ) -> LampPhotographs:
     """Read the pixels of photographs that show one lamp and nothing else.
 
     Args:
         world: of the scene.
         cameras: of the photographs.
-        read: gives what was photographed.
+        photographs: their pixels, those that masks leave out, and which are clipped, where that is known.
         sample: random pixels of the photographs that show no lamp: where they reach the largest value of a photograph,
-            too, that is its ceiling.
+            too, that is its ceiling, unless it is known.
         seed: of all draws.
-        ignored: pixels that masks leave out [views, pixels], bool.
     """
     with world.tracer.uncounted():
-        shown = lamp_pixels(world, cameras, seed, ignored)
-    color: Array = read(shown.view.cpu(), shown.pixel.cpu()).double().numpy() if len(shown.view) else np.zeros((0, 3))
-    return LampPhotographs(shown, color, _clipped(color, shown.view.cpu().numpy(), sample))
+        shown = lamp_pixels(world, cameras, seed, photographs.ignored())
+    color, known, view = np.zeros((0, 3)), None, shown.view.cpu()
+    if len(view):
+        color = photographs.colors(view, shown.pixel.cpu()).double().numpy()
+        known = photographs.clipped(view, shown.pixel.cpu())
+    clipped = _clipped(color, view.numpy(), sample) if known is None else known.numpy()  # [n, 3]
+    return LampPhotographs(shown, color, clipped)
 
 
 @torch.no_grad()
