@@ -58,7 +58,7 @@ def lamp_error(found: Array, truth: Array) -> Array:
 
 
 def lamp_scores(found: Array, truth: Array, names: Sequence[str], factors: Mapping[str, Array]) -> dict[str, float]:
-    """Errors of all lamps, by the columns of ``metrics.csv``.
+    """Errors of all lamps, by the columns of ``metrics.csv``: of each, and the largest.
 
     Args:
         found: radiance [m, 3].
@@ -68,7 +68,9 @@ def lamp_scores(found: Array, truth: Array, names: Sequence[str], factors: Mappi
     """
     scores = {}
     for kind, factor in {"": np.ones(3), **{f"_{key}": value for key, value in factors.items()}}.items():
-        for name, error in zip(columns_of(names), lamp_error(found / factor, truth), strict=True):
+        errors = lamp_error(found / factor, truth)
+        scores[f"{ERROR}{kind}"] = float(errors.max())
+        for name, error in zip(columns_of(names), errors, strict=True):
             scores[f"{ERROR}{kind}_{name}"] = float(error)
     return scores
 

@@ -146,8 +146,11 @@ def test_errors_of_lamps_by_hand():
     factors = {"scaled3": np.array([2.0, 1.0, 1.0])}
     scores = lamp_scores(found, truth, ["a,b", "c"], factors)
     assert scores == pytest.approx(
-        {"lamp_error_a_b": 1.0, "lamp_error_c": 0.1, "lamp_error_scaled3_a_b": 0.2, "lamp_error_scaled3_c": 0.5}
-    )
+        {
+            "lamp_error": 1.0, "lamp_error_a_b": 1.0, "lamp_error_c": 0.1,
+            "lamp_error_scaled3": 0.5, "lamp_error_scaled3_a_b": 0.2, "lamp_error_scaled3_c": 0.5,
+        }
+    )  # fmt: skip
     assert columns_of(["x", "y", "x"]) == ["x_0", "y", "x_2"]
 
 
