@@ -71,7 +71,7 @@ class Lights(nn.Module):
 
 
 def make_lights(
-    scene: Scene, geometry: Geometry, other: Environment | None = None
+    scene: Scene, geometry: Geometry, other: Environment | None = None, lamps: AreaLights | None = None
 ) -> AreaLights | Environment | Lights:
     """The scene's emitter: one kind alone, or both joined.
 
@@ -79,12 +79,15 @@ def make_lights(
         scene: whose area lights, and environment unless another one is given.
         geometry: of the same scene.
         other: used instead of the scene's own environment.
+        lamps: used instead of the scene's own area lights.
 
     Raises:
         InputError: the scene has no light at all.
     """
     features = scene.features
-    area = AreaLights(geometry) if features.has_area_lights else None
+    area = lamps
+    if lamps is None and features.has_area_lights:
+        area = AreaLights(geometry)
     environment = other
     if other is None and features.has_environment and scene.environment is not None:
         environment = Environment(scene.environment)
