@@ -142,7 +142,7 @@ def edited(scene: Scene, edit: Edit) -> Edited:
     for thing in edit.objects:
         work.put_in(thing)
     made = replace(work.scene, meshes=work.meshes, materials=work.materials)
-    if not (made.features.has_area_lights or made.features.has_environment):
+    if not made.features.has_light:
         raise InputError(f"{edit.source}: it leaves no light in the scene, so every picture would be black")
     return Edited(
         made.check(), scene, frozenset(work.albedo), frozenset(work.roughness), tuple(work.said), work.reshaped

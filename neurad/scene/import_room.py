@@ -225,7 +225,7 @@ def _check(part: Path, out: Path) -> None:
     """Read the folder as a fit does; a light may still be missing."""
     try:
         scene = read_folder(part)
-        if scene.features.has_area_lights or scene.features.has_environment:
+        if scene.features.has_light:
             scene.check()
     except InputError as error:
         raise InputError(str(error).replace(str(part), str(out))) from error

@@ -16,12 +16,13 @@ from typing import Any
 import numpy as np
 
 from neurad.core.errors import InputError
-from neurad.core.records import EnvironmentMap, FloatArray, Mesh
+from neurad.core.records import EnvironmentMap, FloatArray, Mesh, PunctualLight
 from neurad.runtime.reading import native, shown
 from neurad.scene.description import Scene
 from neurad.scene.numbers import LENGTH, RADIANCE, TEXEL, UNIT, number, within
 from neurad.scene.readers.mesh_check import check_mesh_file
 from neurad.scene.readers.mitsuba_materials import MaterialReader
+from neurad.scene.readers.mitsuba_punctual import PARAMETERS, read_punctual
 from neurad.scene.readers.xml_check import check_xml
 
 _MESHES = ("ply", "obj", "serialized", "rectangle", "cube")
@@ -80,6 +81,7 @@ class _Reader:
     path: Path
     meshes: list[Mesh] = field(default_factory=list)
     environment: EnvironmentMap | None = None
+    punctual: list[PunctualLight] = field(default_factory=list)
 
     def scene(self) -> Scene:
         """Everything in the file."""
@@ -99,8 +101,9 @@ class _Reader:
                 raise InputError(f"{self.path}: {kind.lower()} of type {child.props.plugin_name()} is not supported")
         name = self.path.resolve().parent.name
         return Scene(
-            name, self.meshes, self.materials.materials, self.environment, max_depth=limits[0], rr_depth=limits[1]
-        )
+            name, self.meshes, self.materials.materials, self.environment, max_depth=limits[0], rr_depth=limits[1],
+            punctual=tuple(self.punctual),
+        )  # fmt: skip
 
     def _limits(self, props: Any) -> tuple[int, int]:
         """``max_depth`` and ``rr_depth`` of an integrator."""
@@ -227,20 +230,25 @@ class _Reader:
         plugin = node.props.plugin_name()
         if plugin != "area":
             raise InputError(f"{self.path}: shape {label} has an emitter of type {plugin}, only area is supported")
-        for name, child in self._children(node):
-            kind = child.props.plugin_name()
-            raise InputError(f"{self.path}: the {name} of the emitter on shape {label} is a {kind}, not a constant")
+        self._plain(node, f"the emitter on shape {label}")
         return self._emission(node.props, f"the area light of shape {label}")
 
-    def _emission(self, props: Any, where: str, *others: str) -> FloatArray:
-        """The constant radiance [3] of an emitter that may have ``others`` among its parameters."""
-        self._only(props, where, ("radiance", "sampling_weight", *others))
-        if "radiance" not in props:
+    def _plain(self, node: Any, where: str) -> None:
+        """Check that an emitter has no textures."""
+        for name, child in self._children(node):
+            raise InputError(f"{self.path}: the {name} of {where} is a {child.props.plugin_name()}, not a constant")
+
+    def _emission(self, props: Any, where: str, *others: str, key: str = "radiance") -> FloatArray:
+        """The constant radiance, or whatever ``key`` says [3], of an emitter that may have ``others`` among its
+        parameters.
+        """
+        self._only(props, where, (key, "sampling_weight", *others))
+        if key not in props:
             return np.ones(3, np.float32)
-        with native(self.path, f"the radiance of {where} is not a colour"):
-            texture = props.get_emissive_texture("radiance")
+        with native(self.path, f"the {key} of {where} is not a colour"):
+            texture = props.get_emissive_texture(key)
             value = np.array(texture.eval(self.mi.SurfaceInteraction3f()), np.float32).reshape(-1)
-        within(value, f"{self.path}: the radiance of {where}", 0.0, RADIANCE)
+        within(value, f"{self.path}: the {key} of {where}", 0.0, RADIANCE)
         return value * np.ones(3, np.float32)
 
     def _only(self, props: Any, where: str, known: tuple[str, ...]) -> None:
@@ -253,7 +261,10 @@ class _Reader:
     def _emitter(self, node: Any) -> None:
         props = node.props
         plugin = props.plugin_name()
-        if self.environment is not None:
+        if plugin in PARAMETERS:
+            self._punctual(node)
+            return
+        if self.environment is not None and plugin in ("constant", "envmap"):
             raise InputError(f"{self.path}: it has more than one environment emitter")
         if plugin == "constant":
             radiance = self._emission(props, "the constant emitter", "to_world")
@@ -262,7 +273,19 @@ class _Reader:
             self._only(props, "the envmap", ("filename", "scale", "to_world", "sampling_weight", "mis_compensation"))
             self.environment = self._map(props)
         else:
-            raise InputError(f"{self.path}: emitter of type {plugin} is not supported; use area, envmap or constant")
+            there = ", ".join(("area", "envmap", "constant", *PARAMETERS))
+            raise InputError(f"{self.path}: emitter of type {plugin} is not supported; there are: {there}")
+
+    def _punctual(self, node: Any) -> None:
+        """Append a point, spot or directional light."""
+        props = node.props
+        plugin, name = props.plugin_name(), props.id() or f"light {len(self.punctual)}"
+        where = f"the {plugin} light {name}"
+        self._plain(node, where)
+        key, *others = PARAMETERS[plugin]
+        intensity = self._emission(props, where, *others, key=key)
+        to_world = self._transform(props, where)
+        self.punctual.append(read_punctual(props, name, intensity, to_world, f"{where} in {self.path}"))
 
     def _map(self, props: Any) -> EnvironmentMap:
         """The lat-long map of an envmap, with its scale and turn."""
