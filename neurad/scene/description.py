@@ -101,7 +101,7 @@ class Scene:
         if self.environment is not None:
             within(self.environment.pixels, f"scene {self.name}: the radiance of its environment", 0.0, RADIANCE)
         for light in self.punctual:
-            check_punctual(light, f"{light.kind} light {light.name} of scene {self.name}")
+            check_punctual(light, f"scene {self.name}: {light.kind} emitter {light.name}")
         if not self.features.has_light:
             raise InputError(f"scene {self.name}: it has no emitter, so every photograph would be black")
         return self

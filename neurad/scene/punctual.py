@@ -29,23 +29,23 @@ def check_punctual(light: PunctualLight, where: str) -> PunctualLight:
         InputError: its intensity is negative, its direction zero, its cone none, or a value is NaN or infinite.
     """
     if light.kind not in KINDS:
-        raise InputError(f"{where} has type {shown(light.kind)}; there are: {', '.join(KINDS)}")
+        raise InputError(f"{where}: its type is {shown(light.kind)}; there are: {', '.join(KINDS)}")
     measure = "irradiance" if light.kind == "directional" else "intensity"
-    within(light.intensity, f"the {measure} of {where}", 0.0, RADIANCE)
-    within(light.position, f"the position of {where}", -LENGTH, LENGTH)
+    within(light.intensity, f"{where}: its {measure}", 0.0, RADIANCE)
+    within(light.position, f"{where}: its position", -LENGTH, LENGTH)
     direction = np.asarray(light.direction, np.float64)
     if not np.isfinite(direction).all() or not np.linalg.norm(direction) > 0:
         listed = ", ".join(f"{x:.6g}" for x in direction)
-        raise InputError(f"the direction of {where} is {listed}, which points nowhere")
+        raise InputError(f"{where}: its direction is {listed}, which points nowhere")
     if light.kind == "spot":
         if not 0.0 < light.cutoff_angle < 90.0:
             raise InputError(
-                f"the cutoff_angle of {where} is {light.cutoff_angle:.6g}, which has to be between 0 and 90"
+                f"{where}: its cutoff_angle is {light.cutoff_angle:.6g}, which has to be between 0 and 90 degrees"
             )
         if not 0.0 <= light.beam_width <= light.cutoff_angle:
             raise InputError(
-                f"the beam_width of {where} is {light.beam_width:.6g}, which has to be a number from 0 to its "
-                f"cutoff_angle, {light.cutoff_angle:.6g}"
+                f"{where}: its beam_width is {light.beam_width:.6g}, which has to be a number from 0 to its "
+                f"cutoff_angle, {light.cutoff_angle:.6g} degrees"
             )
     return light
 
@@ -62,8 +62,8 @@ def from_gltf(
 ) -> PunctualLight:
     """A light of ``KHR_lights_punctual``, which shines along -Z of its node.
 
-    Intensities are candela and lux there; they become W/sr and W/m2 by :data:`LUMENS_PER_WATT`. Between its two angles a
-    spot falls linearly with the angle here and with a square of the cosine in most viewers.
+    Intensities are candela and lux there; they become W/sr and W/m2 by :data:`LUMENS_PER_WATT`. Between its two angles
+    a spot falls linearly with the angle here, and with a square of the cosine in most viewers.
 
     Args:
         name: of the light.

@@ -27,7 +27,7 @@ def read_punctual(props: Any, name: str, intensity: FloatArray, to_world: FloatA
         name: of the light.
         intensity: what it sends [3].
         to_world: its transform [4, 4], the identity where it has none.
-        where: element and file, for sentences.
+        where: file and element, for sentences.
 
     Raises:
         InputError: its place or direction is given twice, its cone is not round, or a number is out of its range.
@@ -35,18 +35,18 @@ def read_punctual(props: Any, name: str, intensity: FloatArray, to_world: FloatA
     kind = props.plugin_name()
     own = {"point": "position", "directional": "direction"}.get(kind)
     if own is not None and own in props and "to_world" in props:
-        raise InputError(f"{where} has both {own} and to_world; give one of them")
+        raise InputError(f"{where}: it has both {own} and to_world; give one of them")
     position, direction = to_world[:3, 3], to_world[:3, 2]
     if kind == "point" and "position" in props:
-        position = _vector(props["position"], f"the position of {where}")
+        position = _vector(props["position"], f"{where}: its position")
     if kind == "directional" and "direction" in props:
-        direction = _vector(props["direction"], f"the direction of {where}")
+        direction = _vector(props["direction"], f"{where}: its direction")
     angles = {}
     if kind == "spot":
         axes = to_world[:3, :3].astype(np.float64)
         axes /= np.linalg.norm(axes, axis=0).mean()
         if not np.abs(axes.T @ axes - np.eye(3)).max() <= _ROUND:
-            raise InputError(f"the to_world of {where} has to turn and move alone: its cone would not be round")
+            raise InputError(f"{where}: its to_world stretches it, and its cone would not be round")
         cutoff = _degrees(props, "cutoff_angle", 20.0, where)
         angles = {"cutoff_angle": cutoff, "beam_width": _degrees(props, "beam_width", 0.75 * cutoff, where)}
     light = PunctualLight(name, kind, intensity, position, direction, **angles)
@@ -65,5 +65,5 @@ def _vector(value: Any, where: str) -> FloatArray:
 def _degrees(props: Any, key: str, default: float, where: str) -> float:
     value = props.get(key, default)
     if isinstance(value, bool) or not isinstance(value, int | float):
-        raise InputError(f"the {key} of {where} is not a number")
+        raise InputError(f"{where}: its {key} is not a number")
     return float(value)

@@ -279,13 +279,14 @@ class _Reader:
     def _punctual(self, node: Any) -> None:
         """Append a point, spot or directional light."""
         props = node.props
-        plugin, name = props.plugin_name(), props.id() or f"light {len(self.punctual)}"
-        where = f"the {plugin} light {name}"
+        plugin = props.plugin_name()
+        name = props.id() or f"{plugin}-{len(self.punctual) + 1}"
+        where = f"the {plugin} emitter {name}"
         self._plain(node, where)
         key, *others = PARAMETERS[plugin]
         intensity = self._emission(props, where, *others, key=key)
         to_world = self._transform(props, where)
-        self.punctual.append(read_punctual(props, name, intensity, to_world, f"{where} in {self.path}"))
+        self.punctual.append(read_punctual(props, name, intensity, to_world, f"{self.path}: {where}"))
 
     def _map(self, props: Any) -> EnvironmentMap:
         """The lat-long map of an envmap, with its scale and turn."""
