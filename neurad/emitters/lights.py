@@ -139,13 +139,34 @@ def _through(environment: Environment, radius: float) -> float:
     return math.pi * radius**2 * environment.integral
 
 
-def make_lights(
-    scene: Scene, geometry: Geometry, other: Environment | None = None
-) -> AreaLights | Environment | Lights | PunctualLights | WithPunctual:
+AnyLights = AreaLights | Environment | Lights | PunctualLights | WithPunctual
+"""Whatever :func:`join` makes."""
+
+
+def join(
+    area: AreaLights | None, environment: Environment | None, punctual: PunctualLights | None, radius: float
+) -> AnyLights | None:
+    """One emitter of all that there are; None where there is none.
+
+    Args:
+        area: emitting triangles.
+        environment: the environment.
+        punctual: lights without extent.
+        radius: of the scene's bounding sphere.
+    """
+    others: AreaLights | Environment | Lights | None = area if environment is None else environment
+    if area is not None and environment is not None:
+        others = Lights(area, environment, radius)
+    if punctual is None or others is None:
+        return others if punctual is None else punctual
+    return WithPunctual(punctual, others, radius)
+
+
+def make_lights(scene: Scene, geometry: Geometry, other: Environment | None = None) -> AnyLights:
     """The scene's emitter: one kind alone, or those that there are joined.
 
     Args:
-        scene: whose area lights, and environment unless another one is given.
+        scene: whose lights, and environment unless another one is given.
         geometry: of the same scene.
         other: used instead of the scene's own environment.
 
@@ -157,13 +178,8 @@ def make_lights(
     environment = other
     if other is None and features.has_environment and scene.environment is not None:
         environment = Environment(scene.environment)
-    radius = float(np.linalg.norm(scene.bounds[1] - scene.bounds[0])) / 2
-    others: AreaLights | Environment | Lights | None = area if environment is None else environment
-    if area is not None and environment is not None:
-        others = Lights(area, environment, radius)
-    if features.has_punctual:
-        punctual = PunctualLights(scene.punctual)
-        return punctual if others is None else WithPunctual(punctual, others, radius)
-    if others is None:
+    punctual = PunctualLights(scene.punctual) if features.has_punctual else None
+    made = join(area, environment, punctual, float(np.linalg.norm(scene.bounds[1] - scene.bounds[0])) / 2)
+    if made is None:
         raise InputError(f"scene {scene.name}: it has no emitter, so every photograph would be black")
-    return others
+    return made

@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from neurad.core.errors import InputError
-from neurad.core.records import PunctualLight
+from neurad.core.records import FloatArray, PunctualLight
 from neurad.runtime.reading import shown
 from neurad.scene.numbers import LENGTH, RADIANCE, within
 
@@ -93,3 +93,16 @@ def from_gltf(
         math.degrees(inner_cone_angle),  # type: ignore[arg-type]
     )
     return check_punctual(light, where)
+
+
+def pose(light: PunctualLight, axis: float = 1.0) -> FloatArray:
+    """A rotation and translation [4, 4], float64, whose Z axis, times ``axis``, is the direction of the light."""
+    z = np.asarray(light.direction, np.float64)
+    z = axis * z / np.linalg.norm(z)
+    side = np.eye(3)[int(np.abs(z).argmin())]
+    x = np.cross(side, z)
+    x /= np.linalg.norm(x)
+    made = np.eye(4)
+    made[:3, :3] = np.stack((x, np.cross(z, x), z), 1)
+    made[:3, 3] = light.position
+    return made
