@@ -96,7 +96,7 @@ def read_folder(root: str | Path, hold_out: int = HOLD_OUT) -> Scene:
     if any(view.relight for view in views.test):
         relight = str(regular_file(folder / RELIGHT, "the map is missing that lights the photographs of relight_path"))
     surfaces = replace(read_surfaces(folder), name=folder.name, relight=relight)
-    return replace(surfaces, train=views.train, test=views.test, notes=views.notes)
+    return replace(surfaces, train=views.train, test=views.test, notes=(*surfaces.notes, *views.notes))
 
 
 def _reader(readers: dict[str, T], folder: Path) -> T:
