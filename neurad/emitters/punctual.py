@@ -117,9 +117,9 @@ class PunctualLights(nn.Module):
         k = len(self.intensity)
         if k == 1:
             return torch.zeros_like(u, dtype=torch.int64), torch.ones_like(u)
-        found = [
-            self._choose_some(*part) for part in zip(*(x.split(max(_AT_ONCE // k, 1)) for x in (p, u)), strict=True)
-        ]
+        count = max(_AT_ONCE // k, 1)
+        pieces = (slice(low, low + count) for low in range(0, max(len(u), 1), count))
+        found = [self._choose_some(p[piece], u[piece]) for piece in pieces]
         index, chance = zip(*found, strict=True)
         return torch.cat(index), torch.cat(chance)
 

@@ -12,6 +12,7 @@ import numpy.typing as npt
 from neurad.core.errors import InputError
 from neurad.core.records import EnvironmentMap, FloatArray, Material, Mesh, PunctualLight, View
 from neurad.core.reflection import DiffuseModel, PrincipledModel, ReflectionModel
+from neurad.scene.development import KNOWN, Photography
 from neurad.scene.numbers import RADIANCE, within
 from neurad.scene.punctual import check_punctual
 
@@ -79,6 +80,8 @@ class Scene:
     """What the readers decided for the user, a sentence each."""
     punctual: tuple[PunctualLight, ...] = ()
     """Lights without extent."""
+    photography: Photography = KNOWN
+    """What is known of how the photographs were taken."""
 
     def check(self) -> Scene:
         """This scene, if light transport can be computed in it.
