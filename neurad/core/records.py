@@ -411,12 +411,15 @@ class EnvironmentMap:
     """Rotation from the map's frame to the world [4, 4]."""
 
 
+PunctualKind = Literal["point", "spot", "directional"]
+
+
 @dataclass(frozen=True)
 class PunctualLight:
     """A light without extent: all of it comes from one point, or from one direction. Rays never hit it."""
 
     name: str
-    kind: Literal["point", "spot", "directional"]
+    kind: PunctualKind
     intensity: FloatArray
     """Linear RGB [3]: power per solid angle of a point and along the axis of a spot, irradiance on a surface that faces
     a directional light."""

@@ -103,7 +103,7 @@ def describe(
         else:
             tree[label] = _bsdf(material, label, names[i], pictures)
             bsdfs[i] = {"type": "ref", "id": label}
-    names = file_names([thing.name for thing in (*scene.meshes, *scene.punctual)])
+    names = file_names([*(mesh.name for mesh in scene.meshes), *(light.name for light in scene.punctual)])
     for mesh, name in zip(scene.meshes, names[: len(scene.meshes)], strict=True):
         tree[f"mesh-{name}"] = _shape(mesh, name, bsdfs[mesh.material], folder)
     for light, name in zip(scene.punctual, names[len(scene.meshes) :], strict=True):

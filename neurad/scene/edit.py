@@ -269,8 +269,8 @@ class _Work:
 
     def material(self, pattern: str, edit: MaterialEdit) -> None:
         """Give meshes of a name another material."""
-        names = {mesh.name for mesh in self._named(pattern, "mesh", self.scene.meshes)}
-        chosen = [i for i, mesh in enumerate(self.scene.meshes) if mesh.name in names]
+        meant = {mesh.name for mesh in self._named(pattern, "mesh", self.scene.meshes)}
+        chosen = [i for i, mesh in enumerate(self.scene.meshes) if mesh.name in meant]
         for index in chosen:
             material = self.materials[self.meshes[index].material]
             if edit.roughness is not None and (material.model.is_delta or material.model.is_diffuse):

@@ -3,19 +3,20 @@
 from __future__ import annotations
 
 import math
+from typing import get_args
 
 import numpy as np
 import numpy.typing as npt
 
 from neurad.core.errors import InputError
-from neurad.core.records import FloatArray, PunctualLight
+from neurad.core.records import PunctualKind, PunctualLight
 from neurad.runtime.reading import shown
 from neurad.scene.numbers import LENGTH, RADIANCE, within
 
 LUMENS_PER_WATT = 683.0
 """Photometric units over the radiometric ones of a scene: candela per W/sr and lux per W/m2, whatever the colour, as
 Blender writes and reads glTF's lights."""
-KINDS = ("point", "spot", "directional")
+KINDS: tuple[PunctualKind, ...] = get_args(PunctualKind)
 
 
 def check_punctual(light: PunctualLight, where: str) -> PunctualLight:
@@ -78,24 +79,20 @@ def from_gltf(
     Raises:
         InputError: as :func:`check_punctual`.
     """
+    known = next((known for known in KINDS if known == kind), None)
+    if known is None:
+        raise InputError(f"{where}: its type is {shown(kind)}; there are: {', '.join(KINDS)}")
     with np.errstate(over="ignore", invalid="ignore"):
         matrix = np.asarray(to_world, np.float64)
         rgb = (np.asarray(color, np.float64) * (intensity / LUMENS_PER_WATT)).astype(np.float32)
         position, axis = matrix[:3, 3].astype(np.float32), -matrix[:3, 2]
         direction = (axis / max(float(np.linalg.norm(axis)), 1e-300)).astype(np.float32)
-    light = PunctualLight(
-        name,
-        kind,
-        rgb,
-        position,
-        direction,
-        math.degrees(outer_cone_angle),
-        math.degrees(inner_cone_angle),  # type: ignore[arg-type]
-    )
+    cone = math.degrees(outer_cone_angle), math.degrees(inner_cone_angle)
+    light = PunctualLight(name, known, rgb, position, direction, *cone)
     return check_punctual(light, where)
 
 
-def pose(light: PunctualLight, axis: float = 1.0) -> FloatArray:
+def pose(light: PunctualLight, axis: float = 1.0) -> npt.NDArray[np.float64]:
     """A rotation and translation [4, 4], float64, whose Z axis, times ``axis``, is the direction of the light."""
     z = np.asarray(light.direction, np.float64)
     z = axis * z / np.linalg.norm(z)

@@ -28,6 +28,7 @@ def setup(folder: Path) -> dict[str, Any]:
     scene = bpy.context.scene
     _render_settings(scene, room)
     _world(scene, room, folder)
+    _lights(room)
     for mesh in room["meshes"]:
         material = bpy.data.materials.get(mesh["name"])
         if material is None or material.node_tree is None:
@@ -92,6 +93,25 @@ def _world(scene: Any, room: dict[str, Any], folder: Path) -> None:
     links.new(where.outputs["Generated"], turned.inputs["Vector"])
     links.new(turned.outputs["Vector"], picture.inputs["Vector"])
     links.new(picture.outputs["Color"], background.inputs["Color"])
+
+
+def _lights(room: dict[str, Any]) -> None:
+    """Lights without extent, as bright as they are: importers may take their units another way, and soften them.
+
+    A point of 1 W/sr has 4 pi watts here, and so has a spot, whatever its cone; a sun has its irradiance. The edge of a
+    spot's cone falls by another curve than in the fit.
+    """
+    for light in room["lights"]:
+        found = bpy.data.lights.get(light["name"])
+        if found is None:
+            continue
+        strength = max(light["intensity"])
+        found.color = [x / strength for x in light["intensity"]]
+        found.energy = strength if light["type"] == "directional" else 4.0 * math.pi * strength
+        if light["type"] == "directional":
+            found.angle = 0.0
+        else:
+            found.shadow_soft_size = 0.0
 
 
 def _shader(material: Any) -> Any:
