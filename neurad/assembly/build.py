@@ -24,7 +24,7 @@ from neurad.core.protocols import Field
 from neurad.core.records import Surface, SurfaceInteraction
 from neurad.emitters.fitted import FittedEnvironment
 from neurad.emitters.fitted_lamps import FittedLamps
-from neurad.emitters.lights import Lights, make_lights
+from neurad.emitters.lights import Lights, WithPunctual, make_lights
 from neurad.fields.development import FittedDevelopment
 from neurad.fields.material import AROUND, REACH, AlbedoField, RoughnessField
 from neurad.fields.radiance import RadianceField
@@ -77,8 +77,8 @@ def build_world(
 
 
 def adapt(world: World, region: Region) -> None:
-    """Choose between area lights and environment by what the region gets of them, not by what lies around it."""
-    if region.contracted and isinstance(world.lights, Lights):
+    """Choose between kinds of lights by what the region gets of them, not by what lies around it."""
+    if region.contracted and isinstance(world.lights, Lights | WithPunctual):
         world.lights.radius = region.radius
 
 
