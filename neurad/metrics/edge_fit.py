@@ -9,6 +9,7 @@ peak, or has it elsewhere.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -30,6 +31,12 @@ ROLLS = (-5.0, 0.0, 5.0)
 """... each of them with these degrees about its axis."""
 FINE = 4
 """Largest of the small turns, in pixels, in steps of one."""
+HERE = 1.5
+"""Pixels below which a turn is still the pose."""
+EXCESS = 0.5
+"""Standard deviations over turns by which some turned camera may fit better than the pose, see docs/check.md."""
+FAR, LEAST = 6.0, 0.1
+"""A mean rank is far below those of the other views if it is so many robust standard deviations and so much below."""
 _DARK = 0.03  # of the median: differences between darker values count little
 _BLUR = 1.0  # pixels
 
@@ -49,11 +56,11 @@ class EdgeFit:
     best: float
     """The largest of a turned camera, farther than :data:`FINE` pixels."""
     turn: tuple[float, float, float]
-    """The turn that belongs to ``best``: degrees to the left, up, and counterclockwise."""
+    """The turn of the camera that belongs to ``best``: degrees to the left, up, and counterclockwise."""
     gain: float
-    """How much larger the mean is at the best of the small turns."""
+    """How much larger than ``here`` the mean is at the best of the small turns that are another pose."""
     offset: tuple[float, float]
-    """That small turn in pixels: to the left and up."""
+    """That small turn of the camera in pixels: to the left and up."""
 
     @property
     def peak(self) -> float:
@@ -64,6 +71,11 @@ class EdgeFit:
     def margin(self) -> float:
         """By how much the pose stands out farther than the best of the turned ones."""
         return (self.here - self.best) / self.spread
+
+    @property
+    def excess(self) -> float:
+        """By how much the best turned camera, by little or by much, stands out farther than the pose."""
+        return max(-self.margin, self.gain / self.spread)
 
 
 def gradient_ranks(photograph: FloatArray) -> Tensor:
@@ -143,17 +155,30 @@ def edge_fit(ranks: Tensor, camera: Camera, towards: Tensor) -> EdgeFit | None:
     small = torch.cartesian_prod(steps, steps, torch.zeros(1).double())
     unit = torch.tensor([pixel, pixel, math.radians(1.0)]).double()
     far, near = (_means(ranks, camera, towards, _matrices(x * unit)) for x in (turns, small))
-    here, known = float(near[len(near) // 2]), far[~far.isnan()]
-    if math.isnan(here) or len(known) < 2:
+    beside = small[:, :2].norm(dim=-1) < HERE
+    here, known = float(near[beside].nan_to_num(-1.0).max()), far[~far.isnan()]
+    if here < 0.0 or len(known) < 2:
         return None
-    best, closest = int(far.nan_to_num(-1.0).argmax()), int(near.nan_to_num(-1.0).argmax())
-    up, left, roll = turns[best].tolist()
+    best, closest = (int(x.nan_to_num(-1.0).argmax()) for x in (far, torch.where(beside, -1.0, near)))
+    # Edges that move to the left are those of a camera that is turned to the right.
+    down, right, clockwise = turns[best].tolist()
     degrees = math.degrees(pixel)
     return EdgeFit(
         len(towards), here, float(known.mean()), max(float(known.std()), 1e-6), float(far[best]),
-        (left * degrees, up * degrees, roll), float(near[closest]) - here,
-        (float(small[closest, 1]), float(small[closest, 0])),
+        (-right * degrees, -down * degrees, -clockwise), float(near[closest]) - here,
+        (-float(small[closest, 1]), -float(small[closest, 0])),
     )  # fmt: skip
+
+
+def mean_rank(ranks: Tensor, camera: Camera, towards: Tensor) -> float:
+    """Mean rank of a photograph's gradients at edges as a camera sees them; -1 where more than half are out of sight.
+
+    Args:
+        ranks: as in :func:`edge_fit`, and so are the others.
+        camera: of that size.
+        towards: directions to edges.
+    """
+    return float(_means(ranks, camera, towards, torch.eye(3)[None]).nan_to_num(-1.0)[0])
 
 
 def _matrices(angles: Tensor) -> Tensor:
@@ -183,3 +208,17 @@ def _means(ranks: Tensor, camera: Camera, towards: Tensor, matrices: Tensor) -> 
         mean = values.sum(-1) / count
         found.append(torch.where(2 * count >= len(towards), mean, math.nan))
     return torch.cat(found)
+
+
+def misfits(fits: Sequence[EdgeFit | None]) -> list[int]:
+    """Views whose photographs do not show the edges of the geometry where their cameras see them.
+
+    Args:
+        fits: of each view; None is no misfit.
+    """
+    known = np.array([fit.here for fit in fits if fit is not None])
+    low = 0.0
+    if len(known) >= 4:
+        median = float(np.median(known))
+        low = median - max(FAR * 1.4826 * float(np.median(np.abs(known - median))), LEAST)
+    return [i for i, fit in enumerate(fits) if fit is not None and (fit.excess > EXCESS or fit.here < low)]

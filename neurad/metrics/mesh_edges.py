@@ -102,4 +102,3 @@ def mesh_edges(world: World, grid: PrimaryGrid) -> MeshEdges:
     place = torch.cat(places)
     column, row = place.long().unbind(-1)
     return MeshEdges(grid.camera, mask, place[crowd[row.clamp_max(h - 1), column.clamp_max(w - 1)] <= _CROWDED])
-
