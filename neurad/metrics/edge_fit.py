@@ -1,9 +1,9 @@
 """Whether a photograph shows the edges of the geometry where its camera sees them.
 
-The size of a photograph's gradients is replaced by their rank among all of its pixels: exposure, contrast and noise play
-no part then. Over the places where the camera sees edges of the geometry the mean rank is high, and it falls if the
-camera is turned by a pixel or two. A camera that has another pose, or a photograph that shows something else, has no such
-peak, or has it elsewhere.
+The size of a photograph's gradients is replaced by its rank among all pixels: exposure, contrast and noise play no part
+then. Over the places where the camera sees edges of the geometry the mean rank is high, and it falls if the camera is
+turned by a pixel or two. A camera that has another pose, or a photograph that shows something else, has no such peak,
+or has it elsewhere.
 """
 
 from __future__ import annotations

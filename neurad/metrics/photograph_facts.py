@@ -23,8 +23,8 @@ class PhotographFacts:
     highest: float
     """Of all pixels."""
     clipped: float
-    """Fraction of the pixels that show a surface and no emitter that have the largest value of a channel, of the channel
-    with most of them."""
+    """Fraction of the pixels that show a surface and no emitter that have the largest value of a channel, for the
+    channel with most of them."""
     black: float
     """Fraction of these that are 0 in all channels."""
     constant: bool

@@ -37,7 +37,9 @@ def hint(world: World, one: Looked, others: Sequence[Looked]) -> str:
         one: a view whose photograph does not fit.
         others: all views.
     """
-    assert one.ranks is not None and one.camera is not None and one.fit is not None
+    assert one.ranks is not None
+    assert one.camera is not None
+    assert one.fit is not None
     found: list[tuple[EdgeFit | None, str]] = []
     for words, dims in MIRRORS.items():
         found.append((edge_fit(one.ranks.flip(dims), one.camera, one.towards), words))
@@ -64,7 +66,8 @@ def _fits(fit: EdgeFit, wrong: EdgeFit) -> bool:
 
 def _of_another(one: Looked, others: Sequence[Looked]) -> Looked | None:
     """The view, of those with the same camera, whose edges fit a photograph best."""
-    assert one.ranks is not None and one.camera is not None
+    assert one.ranks is not None
+    assert one.camera is not None
     alike = [
         other
         for other in others

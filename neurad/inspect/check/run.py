@@ -102,10 +102,8 @@ def checked_scene(scene: Scene, source: Source) -> Checked:
         places = check_places(scene, world, looked, seen_by, findings)
     with phase("rendering"):
         good = usable(scene, [one.view.name for one in looked if one.refused])
-        if good.train:
-            light = check_light(good, world, source, findings)
-        else:
-            light = Light(lamp_power(scene, world))
+        bare = Light(lamp_power(scene, world))
+        light = check_light(good, world, source, findings) if good.train else bare
     power = sum(lamp[3] for lamp in light.power)
     return Checked(Counts.of(scene, world, power), looked, places, light, findings)
 
