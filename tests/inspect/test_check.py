@@ -77,7 +77,7 @@ def test_nothing_is_wrong_with_the_cornell_box(tmp_path, capsys):
 
 
 def test_each_damaged_view_is_named(tmp_path):
-    """A turned camera, another frame, a mirrored, a foreign, a clipped and a brighter photograph, a camera in a block."""
+    """A turned camera, another frame, a camera in a block; mirrored, foreign, clipped and brighter photographs."""
     scene = builtin.build("cornell")
     views = list(scene.train)
     views[0] = turned(views[0], 5.0)
