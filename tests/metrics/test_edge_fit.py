@@ -44,7 +44,7 @@ def turned(camera, axis, degrees):
 
 
 def test_edges_lie_where_the_blocks_project(box):
-    """The top edges of the tall block, which stand free before the room, are found to half a pixel."""
+    """The two upper edges of the tall block that face a camera below them are found to half a pixel."""
     scene, world = box
     camera = sizes(scene.train[4].camera, 128)
     edges = mesh_edges(world, primary_grid(world, camera, 128))
@@ -58,7 +58,7 @@ def test_edges_lie_where_the_blocks_project(box):
         points = torch.from_numpy(a + np.linspace(0.05, 0.95, 40)[:, None] * (b - a)).float()
         away = torch.cdist(project(camera, to_camera(camera, points)), edges.place)
         seen += bool((away.amin(1) < 0.75).all())
-    assert seen == 4
+    assert seen == 2
 
 
 def test_a_plane_has_no_edges(box):
