@@ -33,8 +33,9 @@ FINE = 4
 """Largest of the small turns, in pixels, in steps of one."""
 HERE = 1.5
 """Pixels below which a turn is still the pose."""
-EXCESS = 0.5
-"""Standard deviations over turns by which some turned camera may fit better than the pose, see docs/check.md."""
+EXCESS, EXCESS_OF_FEW, FEW = 0.25, 0.5, 1000
+"""Standard deviations over turns by which some turned camera may fit better than the pose, and where fewer than so many
+places are compared; measured, see docs/check.md."""
 FAR, LEAST = 6.0, 0.1
 """A mean rank is far below those of the other views if it is so many robust standard deviations and so much below."""
 _DARK = 0.03  # of the median: differences between darker values count little
@@ -76,6 +77,11 @@ class EdgeFit:
     def excess(self) -> float:
         """By how much the best turned camera, by little or by much, stands out farther than the pose."""
         return max(-self.margin, self.gain / self.spread)
+
+    @property
+    def fits(self) -> bool:
+        """Whether no turned camera fits better than chance allows."""
+        return self.excess <= (EXCESS if self.places >= FEW else EXCESS_OF_FEW)
 
 
 def gradient_ranks(photograph: FloatArray) -> Tensor:
@@ -221,4 +227,4 @@ def misfits(fits: Sequence[EdgeFit | None]) -> list[int]:
     if len(known) >= 4:
         median = float(np.median(known))
         low = median - max(FAR * 1.4826 * float(np.median(np.abs(known - median))), LEAST)
-    return [i for i, fit in enumerate(fits) if fit is not None and (fit.excess > EXCESS or fit.here < low)]
+    return [i for i, fit in enumerate(fits) if fit is not None and (not fit.fits or fit.here < low)]

@@ -11,7 +11,7 @@ from torch import Tensor
 from neurad.core.records import Camera
 from neurad.inspect.check.look import Looked, page_width
 from neurad.integrators.world import World
-from neurad.metrics.edge_fit import EXCESS, EdgeFit, directions, edge_fit, mean_rank
+from neurad.metrics.edge_fit import EdgeFit, directions, edge_fit, mean_rank
 from neurad.metrics.mesh_edges import mesh_edges, primary_grid
 
 AXES = {
@@ -61,7 +61,7 @@ def _towards(world: World, camera: Camera) -> Tensor:
 
 def _fits(fit: EdgeFit, wrong: EdgeFit) -> bool:
     """Whether a hint explains a photograph: it is a peak of its own, and a better one."""
-    return fit.excess < EXCESS and fit.margin > STEEP and fit.here > wrong.here + WORTH
+    return fit.fits and fit.margin > STEEP and fit.here > wrong.here + WORTH
 
 
 def _of_another(one: Looked, others: Sequence[Looked]) -> Looked | None:

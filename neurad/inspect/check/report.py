@@ -43,7 +43,8 @@ READING = (
     "They lie on edges of the photograph where pose, lens and geometry are right. Shadows and textures have no line.",
     "Edge rank: how large the photograph's gradients are at these lines among all of its pixels, from 0 to 1. Peak: "
     "how many standard deviations the pose stands out of cameras turned by up to 14 pixels. Excess: by how many the "
-    "best of those is better than the pose; a view is named from 0.5 on, or if its rank is far below all others.",
+    "best of those is better than the pose; a view is named from 0.25 on (0.5 with fewer than 1000 places along "
+    "edges), or if its rank is far below all others.",
     "Exposure: brightness of the photograph over that of a picture with the lights and materials of the scene file. "
     "Where these materials are made up (as by neurad data), only differences between views say something.",
     "Hatched: surfaces of held-out views that no training photograph shows.",

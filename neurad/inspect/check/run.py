@@ -18,7 +18,7 @@ from neurad.inspect.check.look import Looked, look
 from neurad.inspect.check.report import PAGE, TABLE, Checked, verdict, write_pages
 from neurad.inspect.check.subject import Counts
 from neurad.integrators.world import World
-from neurad.metrics.edge_fit import EXCESS, misfits
+from neurad.metrics.edge_fit import misfits
 from neurad.metrics.photograph_facts import LEVELS
 from neurad.metrics.photographed_lamps import CEILINGS
 from neurad.metrics.seen import SeenBy
@@ -147,9 +147,9 @@ def _edges(world: World, looked: Sequence[Looked], findings: Findings) -> None:
         fit = looked[index].fit
         assert fit is not None
         why = (
-            f"turned cameras fit better (by {fit.excess:.1f} of their standard deviations, {EXCESS} are allowed)"
-            if fit.excess > EXCESS
-            else f"edge rank {fit.here:.2f}, of all views {usual:.2f}"
+            f"edge rank {fit.here:.2f}, of all views {usual:.2f}"
+            if fit.fits
+            else f"turned cameras fit better (edge rank {fit.here:.2f}, excess {fit.excess:.1f})"
         )
         instead = f"; {words[index]}" if words.get(index) else ""
         findings.add(
