@@ -192,7 +192,8 @@ def _matrices(angles: Tensor) -> Tensor:
     x, y, z = angles.unbind(-1)
     zero = torch.zeros_like(x)
     cross = torch.stack((zero, -z, y, z, zero, -x, -y, x, zero), -1).view(-1, 3, 3)
-    return torch.linalg.matrix_exp(cross).float()
+    matrices: Tensor = torch.linalg.matrix_exp(cross)
+    return matrices.float()
 
 
 def _means(ranks: Tensor, camera: Camera, towards: Tensor, matrices: Tensor) -> Tensor:

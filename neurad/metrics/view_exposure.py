@@ -40,7 +40,7 @@ def rendered(world: World, materials: Materials, cameras: Sequence[Camera], pixe
     tracer = MethodRenderer(PathTracing(_DEPTH, _RR_DEPTH), SceneModel(world, materials))
     found = torch.zeros(len(pixels.view), 3, device=device)
     with world.tracer.uncounted():
-        for index in pixels.view.unique().tolist():
+        for index in sorted(set(pixels.view.tolist())):
             lanes = (pixels.view == index).nonzero().squeeze(-1).to(device)
             stream = Stream(seed, index, 33, device=device)
             xy = pixel_positions(cameras[index].width, pixels.pixel.to(device)[lanes], SPP, stream)

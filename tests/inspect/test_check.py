@@ -12,7 +12,8 @@ from neurad.cli import main
 from neurad.inspect.check.findings import Level
 from neurad.inspect.check.run import checked_scene
 from neurad.scene import builtin
-from neurad.scene.image_io import read_photograph, write_exr
+from neurad.scene.image_io import write_exr
+from neurad.scene.photographs import read_photograph
 
 INSIDE = (-0.35, -0.4, -0.3)
 """In the middle of the Cornell box's tall block."""

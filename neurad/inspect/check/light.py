@@ -105,7 +105,7 @@ def _lamps(
         return []
     lamps = photographed_lamps(
         scene, assembly.world, assembly.materials, [view.camera for view in scene.train], photographs.colors,
-        views.sample, SEED, photographs.ignored(),
+        views.sample, SEED, photographs.ignored(), photographs.clipped,
     )  # fmt: skip
     wrong = far_off(lamps)
     if wrong:
@@ -166,7 +166,7 @@ def _shining(
     mesh = torch.where(prim >= 0, world.geometry.mesh_index[prim.clamp_min(0)], -1)
     level = float(pixels.color.mean(-1).median())
     names = []
-    for index in mesh.unique().tolist():
+    for index in sorted(set(mesh.tolist())):
         mine = mesh == index
         if index < 0 or int(mine.sum()) < LEAST:
             continue

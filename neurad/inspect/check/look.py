@@ -20,7 +20,8 @@ from neurad.metrics.photograph_facts import PhotographFacts, photograph_facts
 from neurad.metrics.scores import BoolArray
 from neurad.metrics.seen import SeenBy
 from neurad.metrics.unseen import seen_map
-from neurad.scene.image_io import read_mask, read_photograph
+from neurad.scene.image_io import read_mask
+from neurad.scene.photographs import read_view
 
 SHOWN = 512
 """Pixels that pictures on the page are wide at most; edges are traced at that size."""
@@ -108,7 +109,8 @@ def page_width(width: int) -> int:
 def resampled(pixels: FloatArray, size: tuple[int, ...]) -> FloatArray:
     """A picture [h, w, c] with another height and width: means where it shrinks, equal pixels where it grows."""
     x = torch.from_numpy(np.ascontiguousarray(pixels, np.float32)).movedim(-1, 0)[None]
-    return np.ascontiguousarray(interpolate(x, size, mode="area")[0].movedim(0, -1).numpy())
+    made: FloatArray = interpolate(x, size, mode="area")[0].movedim(0, -1).contiguous().numpy()
+    return made
 
 
 def _photograph(view: View) -> FloatArray:
@@ -117,8 +119,7 @@ def _photograph(view: View) -> FloatArray:
     Raises:
         InputError: it cannot be read, or has another size than the camera.
     """
-    assert view.image is not None
-    pixels, camera = read_photograph(view.image), view.camera
+    pixels, camera = read_view(view), view.camera
     if pixels.shape[:2] != (camera.height, camera.width):
         size = f"{pixels.shape[1]} x {pixels.shape[0]}"
         raise InputError(f"{view.image}: it has {size} pixels, its camera {camera.width} x {camera.height}")

@@ -7,10 +7,11 @@ import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
-from neurad.core.records import FloatArray
 from neurad.inspect.check.findings import Finding, Findings, Level
 from neurad.inspect.check.geometry import Places
 from neurad.inspect.check.light import Light
@@ -139,10 +140,10 @@ def _row(checked: Checked, index: int) -> dict[str, str | int | float | None]:
         "part": one.part,
         "photograph": one.view.image,
         "wrong": "; ".join(finding.about for finding in checked.findings.bad(name)),
-        "mean": facts and facts.mean,
-        "highest": facts and facts.highest,
-        "clipped": facts and facts.clipped,
-        "black": facts and facts.black,
+        "mean": None if facts is None else facts.mean,
+        "highest": None if facts is None else facts.highest,
+        "clipped": None if facts is None else facts.clipped,
+        "black": None if facts is None else facts.black,
         "exposure": _known(checked.light.exposures.get(name)),
         "surface": one.surface,
         "distance": _known(one.distance),
@@ -151,9 +152,9 @@ def _row(checked: Checked, index: int) -> dict[str, str | int | float | None]:
         "backs": around.backs,
         "unseen": None if one.seen is None else float((one.seen == UNSEEN).mean()),
         "edges": 0 if fit is None else fit.places,
-        "edge_rank": fit and fit.here,
-        "edge_peak": fit and fit.peak,
-        "edge_excess": fit and fit.excess,
+        "edge_rank": None if fit is None else fit.here,
+        "edge_peak": None if fit is None else fit.peak,
+        "edge_excess": None if fit is None else fit.excess,
     }
 
 
@@ -211,5 +212,5 @@ def _short(value: str | int | float | None) -> str:
     return "" if value is None else value if isinstance(value, str) else f"{value:.3g}"
 
 
-def _three(values: FloatArray) -> str:
+def _three(values: npt.NDArray[Any]) -> str:
     return ", ".join(f"{float(x):.3g}" for x in values)

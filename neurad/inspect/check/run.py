@@ -10,6 +10,7 @@ import numpy as np
 
 from neurad.assembly.build import build_world
 from neurad.core.errors import InputError
+from neurad.core.records import Development
 from neurad.inspect.check.findings import Findings, Level, listed
 from neurad.inspect.check.geometry import check_places, check_units
 from neurad.inspect.check.hints import hint
@@ -29,6 +30,8 @@ from neurad.scene.load import load_scene
 
 CLIPPED, AT_CEILING = 0.005, 0.001
 """Fraction of the pixels at the largest value of a photograph that is too much, and where that is one of a format."""
+KNOWN_CEILING = 0.5
+"""The same where a fit knows the ceiling."""
 BLACK = 0.05
 """Fraction of the pixels of surfaces that may be exactly 0."""
 HINTS = 8
@@ -88,7 +91,7 @@ def checked_scene(scene: Scene, source: Source) -> Checked:
         findings.add(Level.NOTE, "scene", note)
     world = build_world(scene)
     seen_by = SeenBy(world.geometry, world.tracer, [view.camera for view in scene.train])
-    looked = []
+    looked: list[Looked] = []
     with phase("checking", len(scene.train) + len(scene.test)) as checking, world.tracer.uncounted():
         for part, views in (("train", scene.train), ("held out", scene.test)):
             for view in views:
@@ -119,13 +122,14 @@ def _photographs(looked: Sequence[Looked], findings: Findings) -> None:
         if facts.constant:
             findings.add(Level.WRONG, "photograph", "all pixels of its photograph are equal", name)
             continue
-        if facts.clipped > (AT_CEILING if facts.highest in CEILINGS else CLIPPED):
+        development = one.view.development
+        if facts.clipped > _clipped_from(development, facts.highest):
             findings.add(
                 Level.WRONG, "photograph",
                 f"its photograph is clipped: {100 * facts.clipped:.1f} % of the pixels without lamps have its largest "
                 "value; their light is lost", name,
             )  # fmt: skip
-        elif facts.levels is not None and facts.levels <= LEVELS:
+        elif development.levels == 0 and facts.levels is not None and facts.levels <= LEVELS:
             findings.add(
                 Level.WRONG, "photograph",
                 f"its photograph has {facts.levels} different values, as one of 8 bits: it must be linear, of high "
@@ -135,6 +139,13 @@ def _photographs(looked: Sequence[Looked], findings: Findings) -> None:
             findings.add(
                 Level.WRONG, "photograph", f"{100 * facts.black:.0f} % of its pixels that show surfaces are 0", name
             )
+
+
+def _clipped_from(development: Development, highest: float) -> float:
+    """Fraction of clipped pixels that is too much: more where a fit knows the ceiling and what lies at it."""
+    if development.ceiling is not None:
+        return KNOWN_CEILING
+    return AT_CEILING if highest in CEILINGS else CLIPPED
 
 
 def _edges(world: World, looked: Sequence[Looked], findings: Findings) -> None:
