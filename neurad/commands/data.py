@@ -23,7 +23,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--out",
         required=True,
         type=Path,
-        help="scene folder to make; it must not be there yet; for hdr that of the EXR",
+        help="scene folder to make, which must not be there yet; for hdr that of the EXR",
     )
     parser.add_argument(
         "--mesh", type=Path, nargs="+", default=[],

@@ -232,7 +232,7 @@ def check_photograph(view: View) -> None:
 
 def _check_place(view: View, places: Sequence[Path]) -> None:
     """Masks and maps, too, lie where the source is: a camera file of others links to nothing else."""
-    for file in filter(None, (view.mask, view.albedo, view.roughness)):
+    for file in filter(None, (view.mask, view.albedo, view.roughness, view.spread)):
         if not any(Path(os.path.abspath(file)).is_relative_to(place) for place in places):
             raise InputError(f"{shown(file)}: its name in the camera file leads out of the folder {shown(places[0])}")
 
@@ -258,7 +258,7 @@ def check_room(part: Path, out: Path) -> Scene:
     """
     try:
         scene = read_folder(part)
-        if scene.features.has_area_lights or scene.features.has_environment:
+        if scene.features.has_light:
             scene.check()
         return scene
     except InputError as error:

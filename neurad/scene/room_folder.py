@@ -150,6 +150,7 @@ def write_views(room: Room, out: Path) -> None:
         for view, frame in zip(named, described["frames"], strict=True):
             files = {"file_path": ("images", view.image), "albedo_path": ("albedo", view.albedo)}
             files |= {"roughness_path": ("roughness", view.roughness), "mask_path": ("masks", view.mask)}
+            files |= {"spread_path": ("spread", view.spread)}
             for key, (folder, source) in files.items():
                 frame.pop(key, None)
                 if source is not None:
