@@ -17,7 +17,7 @@ from neurad.bsdf.table import make_bsdf
 from neurad.core.protocols import Field
 from neurad.core.records import Surface, SurfaceInteraction
 from neurad.emitters.fitted import FittedEnvironment
-from neurad.emitters.lights import Lights, make_lights
+from neurad.emitters.lights import Lights, WithPunctual, make_lights
 from neurad.fields.development import FittedDevelopment
 from neurad.fields.material import AlbedoField, RoughnessField
 from neurad.fields.radiance import RadianceField
@@ -70,8 +70,8 @@ def build_world(
 
 
 def adapt(world: World, region: Region) -> None:
-    """Choose between area lights and environment by what the region gets of them, not by what lies around it."""
-    if region.contracted and isinstance(world.lights, Lights):
+    """Choose between kinds of lights by what the region gets of them, not by what lies around it."""
+    if region.contracted and isinstance(world.lights, Lights | WithPunctual):
         world.lights.radius = region.radius
 
 

@@ -9,14 +9,15 @@ from neurad.core.errors import InputError
 from neurad.core.records import EnvironmentMap
 from neurad.emitters.environment import Environment
 from neurad.emitters.fitted import FittedEnvironment
-from neurad.emitters.lights import Lights, make_lights
+from neurad.emitters.lights import Lights, WithPunctual, make_lights
 from neurad.integrators.world import World
 from neurad.scene.description import Scene
 
 
 def fitted_environment(world: World) -> FittedEnvironment | None:
     """The environment of a world that is being recovered; None where it is known."""
-    lights = world.lights.environment if isinstance(world.lights, Lights) else world.lights
+    lights = world.lights.others if isinstance(world.lights, WithPunctual) else world.lights
+    lights = lights.environment if isinstance(lights, Lights) else lights
     return lights if isinstance(lights, FittedEnvironment) else None
 
 

@@ -258,7 +258,7 @@ def check_room(part: Path, out: Path) -> Scene:
     """
     try:
         scene = read_folder(part)
-        if scene.features.has_area_lights or scene.features.has_environment:
+        if scene.features.has_light:
             scene.check()
         return scene
     except InputError as error:
