@@ -20,6 +20,7 @@ from neurad.core.errors import InputError
 from neurad.inspect.lamps import lamp_renderer, lamps_of
 from neurad.metrics.lamp_scores import columns_of, lamp_scores, read_lamps_true
 from neurad.scene import builtin
+from neurad.scene.builtin.shapes import quad
 
 FOLDER = Path("lightning_logs/version_0")
 CHEAP = {"sampling": {"spp": 2, "cached_spp": 4, "samples_per_vertex": 2}}
@@ -122,6 +123,30 @@ def test_a_lamp_that_no_photograph_shows(box, capfd):
     assert (row["scale"], row["pixels"]) == ("weak", "0")
     found = np.array([float(row[c]) for c in "rgb"])
     assert (np.abs(np.log(found / TRUTH)) < np.log(2.5)).all()
+
+
+@pytest.mark.main
+def test_lamps_that_cannot_be_told_apart_and_one_in_a_closed_box_are_named(box, capsys, monkeypatch):
+    """In place of the lamp there are two strips beside each other, and one inside of the tall block."""
+    scene = box(shown=False)
+    light = next(mesh for mesh in scene.meshes if mesh.radiance is not None)
+    strips = [
+        quad(corner, (0.02, 0, 0), (0, 0, 0.02)).mesh(
+            name, light.material, smooth_shading=False, radiance=light.radiance
+        )
+        for name, corner in (("left", (-0.02, 0.99, 0)), ("right", (0.0, 0.99, 0)), ("buried", (-0.35, -0.5, -0.3)))
+    ]
+    other = replace(scene, meshes=[*(mesh for mesh in scene.meshes if mesh is not light), *strips])
+    monkeypatch.setitem(builtin._BUILDERS, "small", lambda: other)
+    Path("true.csv").write_text("mesh,r,g,b\nleft,1,1,1\nright,1,1,1\nburied,1,1,1\n")
+    fit("--model.lighting.emitters=fit")
+    said = capsys.readouterr().err
+    assert "warning: the light of lamp buried reaches no surface that the photographs show" in said
+    assert "warning: lamps left, right light what the photographs show alike" in said
+    found = {row["mesh"]: row for row in table(FOLDER / "lamps.csv")}
+    assert float(found["buried"]["r"]) == pytest.approx(1.0, rel=0.05)  # the scene's, but for two steps
+    assert float(found["left"]["r"]) == pytest.approx(float(found["right"]["r"]), rel=0.05)
+    assert float(found["left"]["r"]) > 20.0  # of a three hundredth of the true lamp's area
 
 
 @pytest.mark.parametrize(
