@@ -137,6 +137,11 @@ class SceneData(pl.LightningDataModule, PhotoSource):
         scene = self.scene
         if stage != "fit":
             return
+        if not scene.train:
+            raise InputError(
+                f"scene {scene.name}: it has no photograph to learn from; put a transforms_train.json or a "
+                "transforms.json and its photographs into the folder"
+            )
         if not self.streams:
             stats = self.dataset_stats(self.ignored())
             check_bright(stats.mean_square_radiance, stats.brightest, scene.name)

@@ -24,9 +24,9 @@ from neurad.core.protocols import Field
 from neurad.core.records import Surface, SurfaceInteraction
 from neurad.emitters.fitted import FittedEnvironment
 from neurad.emitters.fitted_lamps import FittedLamps
-from neurad.emitters.lights import Lights, make_lights
+from neurad.emitters.lights import Lights, WithPunctual, make_lights
 from neurad.fields.development import FittedDevelopment
-from neurad.fields.material import AlbedoField, RoughnessField
+from neurad.fields.material import AROUND, REACH, AlbedoField, RoughnessField
 from neurad.fields.radiance import RadianceField
 from neurad.fields.settings import FieldConfig, RadianceConfig
 from neurad.integrators.delta import DeltaSurfaces
@@ -77,8 +77,8 @@ def build_world(
 
 
 def adapt(world: World, region: Region) -> None:
-    """Choose between area lights and environment by what the region gets of them, not by what lies around it."""
-    if region.contracted and isinstance(world.lights, Lights):
+    """Choose between kinds of lights by what the region gets of them, not by what lies around it."""
+    if region.contracted and isinstance(world.lights, Lights | WithPunctual):
         world.lights.radius = region.radius
 
 
@@ -104,6 +104,25 @@ class FittedMaterials(nn.Module):
             return Surface(albedo, albedo.new_ones(1, 1).expand(len(albedo), 1))
         roughness: Tensor = self.roughness(si, albedo)
         return Surface(albedo, roughness)
+
+    @torch.no_grad()
+    def guess(self, si: SurfaceInteraction) -> Surface:
+        """BSDF parameters at the lanes of ``si`` where no photograph shows the surface: what its neighbourhood has.
+
+        There the fine levels of a hash grid hold what photographs have written for other places, so the fields are
+        averaged over a box of some of their finest cells, see :data:`neurad.fields.material.REACH`.
+        """
+        field = self.albedo
+        assert isinstance(field, AlbedoField)
+        albedo, roughness = torch.zeros_like(si.p), si.p.new_full((len(si), 1), float(self.roughness is None))
+        for offset in REACH * field.cell * AROUND:
+            value = field.of_features(field.features(si.p, offset))
+            albedo += value / len(AROUND)
+            if self.roughness is not None:
+                roughness += self.roughness.of_features(self.roughness.features(si.p, offset), value) / len(AROUND)
+        if self.roughness is not None:
+            roughness = self.roughness.with_known(si, roughness)
+        return Surface(field.with_known(si, albedo), roughness)
 
 
 def build_materials(

@@ -48,11 +48,15 @@ def check_lamps(assembly: Assembly, photographs: PhotoSource, sample: PixelBatch
     lamps = photographed_lamps(scene, assembly.world, assembly.materials, cameras, shown, seed)
     for line in report(lamps):
         print(f"neurad: {line}", file=sys.stderr)
-    refused = assembly.settings.lighting.lamp_mismatch == "refuse"
-    wrong = [lamp for lamp in lamps if lamp.pixels - lamp.clipped >= FEW and lamp.beyond(REFUSE)]
-    if wrong and refused:
+    wrong = far_off(lamps)
+    if wrong and assembly.settings.lighting.lamp_mismatch == "refuse":
         raise InputError(f"scene {scene.name}: {refusal(wrong)}")
     return lamps
+
+
+def far_off(lamps: Sequence[PhotographedLamp]) -> list[PhotographedLamp]:
+    """Those that a fit refuses: surely more than three times brighter or darker than declared."""
+    return [lamp for lamp in lamps if lamp.pixels - lamp.clipped >= FEW and lamp.beyond(REFUSE)]
 
 
 def report(lamps: Sequence[PhotographedLamp]) -> list[str]:

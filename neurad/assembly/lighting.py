@@ -13,7 +13,7 @@ from neurad.emitters.area import AreaLights
 from neurad.emitters.environment import Environment
 from neurad.emitters.fitted import FittedEnvironment
 from neurad.emitters.fitted_lamps import FittedLamps
-from neurad.emitters.lights import Lights, make_lights
+from neurad.emitters.lights import Lights, WithPunctual, make_lights
 from neurad.integrators.world import World
 from neurad.scene.description import Scene
 from neurad.scene.geometry import Geometry
@@ -21,13 +21,15 @@ from neurad.scene.geometry import Geometry
 
 def fitted_environment(world: World) -> FittedEnvironment | None:
     """The environment of a world that is being recovered; None where it is known."""
-    lights = world.lights.environment if isinstance(world.lights, Lights) else world.lights
+    lights = world.lights.others if isinstance(world.lights, WithPunctual) else world.lights
+    lights = lights.environment if isinstance(lights, Lights) else lights
     return lights if isinstance(lights, FittedEnvironment) else None
 
 
 def area_lights(world: World) -> AreaLights | None:
     """The area lights of a world; None without any."""
-    lights = world.lights.area if isinstance(world.lights, Lights) else world.lights
+    lights = world.lights.others if isinstance(world.lights, WithPunctual) else world.lights
+    lights = lights.area if isinstance(lights, Lights) else lights
     return lights if isinstance(lights, AreaLights) else None
 
 

@@ -156,16 +156,20 @@ def check_views(scene: Scene, surface: FloatArray) -> None:
             f"scene {scene.name}: no training camera sees a surface in the pixels that its photographs show; check "
             "the units and the axes of transform_matrix (x right, y up, looking along -z)"
         )
-    median = float(np.nanmedian(surface))
-    blind = [
-        f"{view.name} ({100 * share:.0f} %)"
-        for view, share in zip(scene.train, surface, strict=True)
-        if share < BLIND * median
-    ]
+    blind = [f"{scene.train[i].name} ({100 * surface[i]:.0f} %)" for i in blind_views(surface)]
     if blind:
         print(
             f"neurad: warning: of the pixels of training view{'s' if len(blind) > 1 else ''} {', '.join(blind[:8])}"
             f"{f' and {len(blind) - 8} others' if len(blind) > 8 else ''} few meet a surface (median of all views: "
-            f"{100 * median:.0f} %); check the pose",
+            f"{100 * float(np.nanmedian(surface)):.0f} %); check the pose",
             file=sys.stderr,
         )
+
+
+def blind_views(surface: FloatArray) -> list[int]:
+    """Views that see next to nothing of the scene beside the others.
+
+    Args:
+        surface: fraction of each view's pixels that meet a surface [views].
+    """
+    return [int(i) for i in np.flatnonzero(surface < BLIND * float(np.nanmedian(surface)))]

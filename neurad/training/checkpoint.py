@@ -150,6 +150,9 @@ def _kept_light(state: dict[str, Any], source: str) -> dict[str, Any] | None:
         lamps, sky = light["lamps"], light["environment"]
         whole = all(isinstance(i, int) and isinstance(name, str) and len(rgb) == 3 for i, name, *rgb in lamps)
         numbers = [x for lamp in lamps for x in lamp[2:]]
+        for index, name, kind, *rest in light.get("punctual", []):
+            whole &= isinstance(index, int) and isinstance(name, str) and isinstance(kind, str) and len(rest) == 11
+            numbers += rest
         if sky is not None:
             whole &= isinstance(sky["pixels"], str) and (len(sky["mean"]), len(sky["to_world"])) == (3, 16)
             numbers += [*sky["mean"], *sky["to_world"]]
