@@ -164,7 +164,7 @@ class Optimization:
     """Learning rate of the radiance field."""
     environment: NonNegative = 1e-1
     """Learning rate of an environment map that is recovered; its texels are the parameters."""
-    exposure: NonNegative = 1e-2
+    exposure: NonNegative = 3e-4
     """Learning rate of the logarithms of the photographs' gains, where ``data.exposure`` or ``data.white_balance`` is
     ``fit``."""
     response: NonNegative = 1e-2
