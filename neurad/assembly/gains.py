@@ -69,7 +69,7 @@ def _pairs(
     chosen = Stream(seed, _STREAM).integers(len(sample.view), PIXELS)
     if sample.clipped is not None:
         chosen = chosen[~sample.clipped[chosen].any(-1)]
-    mine = PixelBatch(*(x[chosen].to(device) for x in (sample.view, sample.pixel, sample.color, sample.alpha)), 0)
+    mine = sample.picked(chosen).to(device)
     with world.tracer.uncounted():
         si = primary(mine, 1, Stream(seed, 0, _STREAM, device=device)).si
         seen = SeenBy(world.geometry, world.tracer, primary.cameras)
@@ -88,7 +88,7 @@ def _pairs(
             good = (theirs > 0).all(-1) & (color[lanes] > 0).all(-1)
             good &= True if clipped is None else ~clipped.any(-1)
             ratio = color[lanes[good]].double().log() - theirs[good].double().log()
-            for first in view[lanes[good]].unique().tolist():
+            for first in sorted(set(view[lanes[good]].tolist())):
                 part = ratio[view[lanes[good]] == first]
                 if len(part) >= FEW:
                     rows.append((first, other, part.median(0).values, min(float(len(part)), _MOST) ** 0.5))

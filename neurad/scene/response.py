@@ -72,7 +72,7 @@ def _undone(response: str, codes: npt.NDArray[Any]) -> npt.NDArray[Any]:
         found: Float64 = codes ** _gamma(response)
         return found
     known, values = _curve(response)
-    return np.interp(codes, known, values)
+    return np.asarray(np.interp(codes, known, values))
 
 
 def _gamma(text: str) -> float:
