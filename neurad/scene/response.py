@@ -72,7 +72,8 @@ def _undone(response: str, codes: npt.NDArray[Any]) -> npt.NDArray[Any]:
         found: Float64 = codes ** _gamma(response)
         return found
     known, values = _curve(response)
-    return np.asarray(np.interp(codes, known, values))
+    linear: Float64 = np.interp(codes, known, values)
+    return linear
 
 
 def _gamma(text: str) -> float:
