@@ -38,6 +38,12 @@ def _data() -> Verb:
     return data
 
 
+def _check() -> Verb:
+    from neurad.commands import check
+
+    return check
+
+
 def _export() -> Verb:
     from neurad.commands import export
 
@@ -71,6 +77,7 @@ def _bench() -> Verb:
 OWN_VERBS: dict[str, tuple[Callable[[], Verb], str]] = {
     "render": (_render, "render a scene, or what a run recovered, from any camera and under any light"),
     "data": (_data, "make a scene folder of what nerfstudio, COLMAP, Polycam or FIPT have"),
+    "check": (_check, "look for what is wrong in a scene folder before a fit learns from it, with pictures"),
     "export": (_export, "write what a run recovered for Mitsuba, Blender and glTF viewers"),
     "view": (_view, "look at a run in the browser: any camera, lamps dimmed, materials read out"),
     "compare": (_compare, "run several methods with one budget and report error against cost"),

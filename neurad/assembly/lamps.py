@@ -11,7 +11,15 @@ from neurad.assembly.build import Assembly
 from neurad.core.errors import InputError
 from neurad.core.protocols import PhotoSource
 from neurad.core.records import PixelBatch
-from neurad.metrics.photographed_lamps import FEW, REFUSE, WARN, Array, PhotographedLamp, photographed_lamps
+from neurad.metrics.photographed_lamps import (
+    FEW,
+    REFUSE,
+    WARN,
+    Array,
+    PhotographedLamp,
+    lamp_photographs,
+    photographed_lamps,
+)
 
 MOST = 8
 """Lamps that get a line of their own; those that differ always do."""
@@ -35,17 +43,20 @@ def check_lamps(assembly: Assembly, photographs: PhotoSource, sample: PixelBatch
     scene = assembly.scene
     if not scene.features.has_area_lights or not photographs.has_photographs:
         return []
-    lamps = photographed_lamps(
-        scene, assembly.world, assembly.materials, [view.camera for view in scene.train], photographs.colors, sample,
-        assembly.settings.seed, photographs.ignored(), photographs.clipped,
-    )  # fmt: skip
+    cameras, seed = [view.camera for view in scene.train], assembly.settings.seed
+    shown = lamp_photographs(assembly.world, cameras, photographs, sample, seed)
+    lamps = photographed_lamps(scene, assembly.world, assembly.materials, cameras, shown, seed)
     for line in report(lamps):
         print(f"neurad: {line}", file=sys.stderr)
-    refused = assembly.settings.lighting.lamp_mismatch == "refuse"
-    wrong = [lamp for lamp in lamps if lamp.pixels - lamp.clipped >= FEW and lamp.beyond(REFUSE)]
-    if wrong and refused:
+    wrong = far_off(lamps)
+    if wrong and assembly.settings.lighting.lamp_mismatch == "refuse":
         raise InputError(f"scene {scene.name}: {refusal(wrong)}")
     return lamps
+
+
+def far_off(lamps: Sequence[PhotographedLamp]) -> list[PhotographedLamp]:
+    """Those that a fit refuses: surely more than three times brighter or darker than declared."""
+    return [lamp for lamp in lamps if lamp.pixels - lamp.clipped >= FEW and lamp.beyond(REFUSE)]
 
 
 def report(lamps: Sequence[PhotographedLamp]) -> list[str]:

@@ -22,11 +22,13 @@ from neurad.assembly.exposure import (
 )
 from neurad.assembly.lamps import check_lamps
 from neurad.assembly.memory import announce_camera_rays
+from neurad.assembly.unknown_lamps import begin_lamps
 from neurad.core.errors import InputError
 from neurad.core.protocols import PhotoSource
 from neurad.core.records import FloatArray, PixelBatch
 from neurad.integrators.focus import TIMES
 from neurad.integrators.primary_hits import PrimaryHits
+from neurad.metrics.photographed_lamps import LampPhotographs, lamp_photographs
 from neurad.metrics.view_residuals import surface_fractions
 from neurad.scene.description import Scene
 from neurad.scene.numbers import check_bright
@@ -52,6 +54,8 @@ class TrainingViews:
     """Random pixels of all photographs that show no emitter."""
     surface: FloatArray | None = None
     """Fraction of each view's pixels that meet a surface [views]; NaN where the sample has none of a view."""
+    lamps: LampPhotographs | None = None
+    """What the photographs show of lamps alone; None where the lamps are known."""
 
 
 def prepare_views(
@@ -105,11 +109,16 @@ def prepare_views(
     check_bright(mean_square, stats.brightest, scene.name)
     if assembly.environment is not None:
         assembly.environment.set_unit(math.sqrt(mean_square))
-    elif check_brightness:
+    lamps = None
+    if assembly.lamps is not None:
+        lamps = lamp_photographs(assembly.world, cameras, photographs, stats.sample, settings.seed)
+        if not bool(assembly.lamps.begun):
+            begin_lamps(assembly, primary, lamps, stats.sample)
+    if assembly.environment is None and check_brightness:
         white = partial(white_brightness, primary, stats.sample, settings.seed, scene.max_depth)
         if said := sentence_if_far(brightness(primary, stats.sample, settings.seed), white):
             print(f"neurad: warning: {said}", file=sys.stderr)
-    if check_brightness:
+    if check_brightness and assembly.lamps is None:
         check_lamps(assembly, photographs, stats.sample)
     if assembly.radiance is not None:
         assembly.radiance.set_scale(math.sqrt(mean_square))
@@ -120,7 +129,7 @@ def prepare_views(
     if assembly.focus is not None:
         photographs.request_candidates(assembly.focus.fraction, TIMES)
     checksum = zlib.crc32(repr(stats.checksums).encode()) if stats.checksums else 0
-    return TrainingViews(primary, emitter_mask, mean_square, checksum, stats.sample, surface)
+    return TrainingViews(primary, emitter_mask, mean_square, checksum, stats.sample, surface, lamps)
 
 
 def _shows_small_lights(scene: Scene, photographs: PhotoSource) -> bool:
@@ -147,16 +156,20 @@ def check_views(scene: Scene, surface: FloatArray) -> None:
             f"scene {scene.name}: no training camera sees a surface in the pixels that its photographs show; check "
             "the units and the axes of transform_matrix (x right, y up, looking along -z)"
         )
-    median = float(np.nanmedian(surface))
-    blind = [
-        f"{view.name} ({100 * share:.0f} %)"
-        for view, share in zip(scene.train, surface, strict=True)
-        if share < BLIND * median
-    ]
+    blind = [f"{scene.train[i].name} ({100 * surface[i]:.0f} %)" for i in blind_views(surface)]
     if blind:
         print(
             f"neurad: warning: of the pixels of training view{'s' if len(blind) > 1 else ''} {', '.join(blind[:8])}"
             f"{f' and {len(blind) - 8} others' if len(blind) > 8 else ''} few meet a surface (median of all views: "
-            f"{100 * median:.0f} %); check the pose",
+            f"{100 * float(np.nanmedian(surface)):.0f} %); check the pose",
             file=sys.stderr,
         )
+
+
+def blind_views(surface: FloatArray) -> list[int]:
+    """Views that see next to nothing of the scene beside the others.
+
+    Args:
+        surface: fraction of each view's pixels that meet a surface [views].
+    """
+    return [int(i) for i in np.flatnonzero(surface < BLIND * float(np.nanmedian(surface)))]

@@ -219,7 +219,7 @@ class PixelBatch:
     """Whether a value is at its photograph's ceiling, so that the radiance is this or more [b, 3], bool; None where no
     photograph has a ceiling."""
     variance: Tensor | None = None
-    """Of the rounding to the format's codes, in squared radiance units [b, 3]; None where nothing is rounded."""
+    """Of values by their spread or rounding, in squared radiance units [b, 3]; None where nothing is known of it."""
 
     def to(self, device: torch.device | str) -> PixelBatch:
         """The batch on a device."""
@@ -332,6 +332,8 @@ class View:
     mask: str | None = None
     """Path of a picture of the photograph's size: what is black in it is ignored."""
     development: Development = Development()
+    spread: str | None = None
+    """Path of the standard deviation of the photograph's values (EXR), as ``neurad data hdr`` writes it."""
 
 
 @dataclass(frozen=True)

@@ -162,19 +162,24 @@ def join(
     return WithPunctual(punctual, others, radius)
 
 
-def make_lights(scene: Scene, geometry: Geometry, other: Environment | None = None) -> AnyLights:
+def make_lights(
+    scene: Scene, geometry: Geometry, other: Environment | None = None, lamps: AreaLights | None = None
+) -> AnyLights:
     """The scene's emitter: one kind alone, or those that there are joined.
 
     Args:
         scene: whose lights, and environment unless another one is given.
         geometry: of the same scene.
         other: used instead of the scene's own environment.
+        lamps: used instead of the scene's own area lights.
 
     Raises:
         InputError: the scene has no light at all.
     """
     features = scene.features
-    area = AreaLights(geometry) if features.has_area_lights else None
+    area = lamps
+    if lamps is None and features.has_area_lights:
+        area = AreaLights(geometry)
     environment = other
     if other is None and features.has_environment and scene.environment is not None:
         environment = Environment(scene.environment)

@@ -65,7 +65,11 @@ def write_glb(
             root["rotation"] = list(TO_Y[room.up])
         glb.json["scenes"] = [{"nodes": [glb.add("nodes", root)], "name": room.scene.name}]
         glb.json["scene"] = 0
-        extras = {"base_color_for": target, "up": room.up}
+        depths = {"max_depth": room.scene.max_depth, "rr_depth": room.scene.rr_depth}
+        extras: Json = {"base_color_for": target, "up": room.up, **depths}
+        if room.scene.environment is not None:
+            turn = np.asarray(room.scene.environment.to_world, np.float64)[:3, :3]
+            extras["environment_to_world"] = [float(x) for x in turn.ravel()]
         glb.json["asset"] = {"version": "2.0", "generator": f"neurad {neurad.__version__}", "extras": extras}
     glb.finish(path, part)
     part.unlink()

@@ -8,8 +8,10 @@ from dataclasses import dataclass
 
 import numpy as np
 import torch
+from torch import Tensor
 
 from neurad.assembly.build import Assembly
+from neurad.assembly.lighting import area_lights
 from neurad.assembly.relight import shown_environment
 from neurad.core.colour import luminance
 from neurad.core.records import EnvironmentMap
@@ -58,7 +60,7 @@ def lamps_of(assembly: Assembly) -> list[Lamp]:
     Meshes of one name are one lamp. At most :data:`MOST` lamps that are not the environment stand alone.
     """
     geometry, scene = assembly.world.geometry, assembly.scene
-    power = luminance(geometry.emission.double()) * geometry.face_area.double()
+    power = luminance(_emission(assembly.world).double()) * geometry.face_area.double()
     by_mesh = torch.zeros(len(scene.meshes), dtype=torch.float64, device=power.device)
     by_mesh.index_add_(0, geometry.mesh_index, power)
     named: dict[str, list[int]] = {}
@@ -97,7 +99,7 @@ def lamp_renderer(assembly: Assembly, lamp: Lamp, turn: float = 0.0) -> MethodRe
     area = environment = punctual = None
     if lamp.meshes:
         chosen = torch.isin(world.geometry.mesh_index, torch.tensor(lamp.meshes, device=world.two_sided.device))
-        area = AreaLights(world.geometry, world.geometry.emission * chosen.unsqueeze(-1))
+        area = AreaLights(world.geometry, _emission(world) * chosen.unsqueeze(-1))
     if lamp.punctual:
         punctual = PunctualLights([scene.punctual[index] for index in lamp.punctual])
     if lamp.is_environment:
@@ -107,11 +109,13 @@ def lamp_renderer(assembly: Assembly, lamp: Lamp, turn: float = 0.0) -> MethodRe
     lights = join(area, environment, punctual, float(np.linalg.norm(scene.bounds[1] - scene.bounds[0])) / 2)
     assert lights is not None
     lights = lights.to(world.two_sided.device)
-    alone = World(
-        world.geometry, world.tracer, lights, world.bsdf, world.features, world.two_sided, world.hide_environment,
-        world.delta,
-    )  # fmt: skip
-    return path_tracer(alone, assembly.materials, scene.max_depth, scene.rr_depth)
+    return path_tracer(world.under(lights), assembly.materials, scene.max_depth, scene.rr_depth)
+
+
+def _emission(world: World) -> Tensor:
+    """Radiance of every triangle [F, 3], as it was recovered where it was not known."""
+    lights = area_lights(world)
+    return world.geometry.emission if lights is None else lights.emission
 
 
 def _environment(assembly: Assembly) -> EnvironmentMap | None:

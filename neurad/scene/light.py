@@ -49,7 +49,7 @@ def _lamps_and_environment(scene: Scene) -> dict[str, Any]:
     }
 
 
-def light_changes(before: dict[str, Any], scene: Scene, environment: bool = True) -> list[str]:
+def light_changes(before: dict[str, Any], scene: Scene, environment: bool = True, lamps: bool = True) -> list[str]:
     """What differs between a light that :func:`light_of` kept and that of a scene of the same geometry, a few words
     each; none where the light is the same.
 
@@ -57,6 +57,7 @@ def light_changes(before: dict[str, Any], scene: Scene, environment: bool = True
         before: as it was kept.
         scene: the scene now.
         environment: compare the environment, too: False where it is recovered, and the scene's own is no light.
+        lamps: compare the lamps' radiance, likewise; which meshes shine counts in any case.
     """
     now = light_of(scene)
     old, new = ({lamp[0]: lamp for lamp in light["lamps"]} for light in (before, now))
@@ -64,7 +65,7 @@ def light_changes(before: dict[str, Any], scene: Scene, environment: bool = True
     for index in sorted(old.keys() | new.keys()):
         name = (new.get(index) or old[index])[1]
         was, is_ = (None if index not in lamps else lamps[index][2:] for lamps in (old, new))
-        if was is None or is_ is None or not np.allclose(was, is_, SAME, 0.0):
+        if was is None or is_ is None or (lamps and not np.allclose(was, is_, SAME, 0.0)):
             changes.append(f"lamp {name} {_radiance(is_)} instead of {_radiance(was)}")
     changes += _punctual_changes(before.get("punctual", []), now.get("punctual", []))
     if environment:

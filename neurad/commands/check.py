@@ -1,0 +1,32 @@
+"""``neurad check``: whether a scene folder is sound."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the options of the verb."""
+    parser.add_argument("--root", help="scene folder")
+    parser.add_argument("--scene", help="name of a built-in scene instead")
+    parser.add_argument(
+        "--out", type=Path, default=Path("check"), help="folder for check.html and check.csv (default: check)"
+    )
+    parser.add_argument("--overwrite", action="store_true", help="write over a check that is there")
+
+
+def run(options: argparse.Namespace) -> None:
+    """Check it.
+
+    Raises:
+        InputError: it cannot be read, or a fit would refuse it.
+        SystemExit: with 1 if something is wrong.
+    """
+    from dataclasses import fields
+
+    from datamodules.scene_data import SceneData
+    from neurad.inspect.check.run import CheckSettings, check
+
+    settings = CheckSettings(**{f.name: getattr(options, f.name) for f in fields(CheckSettings)})
+    check(settings, SceneData(options.root, options.scene).over)

@@ -1,0 +1,108 @@
+"""What a check says of triangles and cameras: units, cameras in walls or outside, surfaces that nobody shows."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from neurad.inspect.check.findings import Findings, Level, listed
+from neurad.inspect.check.look import Looked
+from neurad.integrators.world import World
+from neurad.metrics.seen import SeenBy
+from neurad.metrics.seen_area import seen_points
+from neurad.metrics.surroundings import Surroundings, surroundings
+from neurad.metrics.unseen import Unseen
+from neurad.scene.description import Scene
+
+LARGE, SMALL = 100.0, 0.1
+"""Units across beyond which a room is not likely to be in metres."""
+FAR_OUT, CLOSED = 0.35, 0.1
+"""Fraction of the directions with nothing in them from which on a camera is outside, where of others it is below the
+second."""
+NARROW, TIGHT = 0.1, 0.75
+"""Free width around a camera over that around others: inside a wall in any case, and if it sees backs of surfaces."""
+BACKS, FRONTS = 0.8, 0.3
+"""Fraction of the surfaces around it that a camera inside of a solid sees from behind, and a camera outside at most."""
+NEARBY = 0.005
+"""Median distance of what cameras see, over the size of the scene, below which both have different units."""
+
+
+@dataclass(frozen=True)
+class Places:
+    """Cameras in the geometry, and what they do not show."""
+
+    around: list[Surroundings]
+    """Of the training views, then of the held-out ones."""
+    unseen_meshes: list[tuple[str, float, float]]
+    """Name, fraction of all surface, and fraction of it that no training photograph shows; the largest first."""
+    unseen: float
+    """Fraction of all surface that no training photograph shows."""
+    held_out: Unseen
+    """Of the held-out views."""
+
+
+def check_units(scene: Scene, world: World, looked: Sequence[Looked], findings: Findings) -> None:
+    """Say whether lengths look like those of a room in metres, and cameras and meshes have the same ones."""
+    across = 2.0 * world.geometry.scale
+    if not SMALL <= across <= LARGE:
+        factor = 10.0 ** -round(np.log10(across / 6.0))
+        findings.add(
+            Level.WRONG, "units",
+            f"the scene is {across:.4g} units across, which is no room in metres; lengths of light transport need no "
+            f"unit, but exports and viewers take metres: scale meshes and cameras by {factor:g}",
+        )  # fmt: skip
+    distances = [one.distance for one in looked if np.isfinite(one.distance)]
+    if distances and np.median(distances) < NEARBY * across:
+        findings.add(
+            Level.WRONG, "units",
+            f"cameras see surfaces {np.median(distances):.3g} units away in a scene that is {across:.4g} units across: "
+            "cameras and meshes have different units",
+        )  # fmt: skip
+    blind = [one.view.name for one in looked if one.surface == 0.0]
+    if blind and len(blind) < len(looked):
+        findings.add(Level.WRONG, "camera", f"no surface is in sight of {listed(blind)}; check their poses")
+
+
+def check_places(scene: Scene, world: World, looked: Sequence[Looked], seen_by: SeenBy, findings: Findings) -> Places:
+    """Say which cameras are inside walls or outside of the room, and what no training photograph shows."""
+    around = surroundings(world, [one.view.camera for one in looked])
+    free, width, backs = (np.array([getattr(one, name) for one in around]) for name in ("free", "width", "backs"))
+    for index, one in enumerate(looked):
+        others = np.arange(len(around)) != index
+        if len(around) < 4:
+            break
+        usual = float(np.median(width[others]))
+        if free[index] > FAR_OUT and np.median(free[others]) < CLOSED:
+            findings.add(
+                Level.WRONG, "camera",
+                f"its camera is outside of the room: in {100 * free[index]:.0f} % of all directions there is nothing "
+                f"(around other cameras in {100 * np.median(free[others]):.0f} %)", one.view.name,
+            )  # fmt: skip
+        elif np.isfinite(usual) and width[index] < usual * (
+            TIGHT if backs[index] > BACKS and np.median(backs[others]) < FRONTS else NARROW
+        ):
+            findings.add(
+                Level.WRONG, "camera",
+                f"its camera is inside of a wall or a thing: free space around it is {width[index]:.3g} units wide "
+                f"(around other cameras {usual:.3g}), {100 * backs[index]:.0f} % of it shows backs of surfaces",
+                one.view.name,
+            )  # fmt: skip
+    points, seen = seen_points(world.geometry, seen_by, 1)
+    lit = np.array([mesh.radiance is not None and bool(mesh.radiance.any()) for mesh in scene.meshes])
+    total = max(int(points[~lit].sum()), 1)
+    rows = [
+        (mesh.name, float(points[i]) / total, 1.0 - float(seen[i]) / points[i])
+        for i, mesh in enumerate(scene.meshes)
+        if points[i] > 0 and not lit[i]
+    ]
+    rows.sort(key=lambda row: -row[1] * row[2])
+    held_out = Unseen.of([{"seen": one.seen} for one in looked if one.seen is not None])
+    places = Places(around, rows, 1.0 - float(seen[~lit].sum()) / total, held_out)
+    findings.add(
+        Level.NOTE, "surfaces",
+        f"{100 * places.unseen:.0f} % of all surface, undersides and insides of things included, is in no training "
+        f"photograph. {held_out.sentence()}".strip(),
+    )  # fmt: skip
+    return places

@@ -1,0 +1,88 @@
+"""What would make a photograph fit that does not: a turn, a mirror image, other axes, or the pose of another view."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+from torch import Tensor
+
+from neurad.core.records import Camera
+from neurad.inspect.check.look import Looked, page_width
+from neurad.integrators.world import World
+from neurad.metrics.edge_fit import EdgeFit, directions, edge_fit, mean_rank
+from neurad.metrics.mesh_edges import mesh_edges, primary_grid
+
+AXES = {
+    "the frame is OpenCV's (x right, y down, looking along +z), where neurad takes NeRF's (y up, looking along -z)":
+        (1.0, -1.0, -1.0),
+    "the frame is Mitsuba's (x left, y up, looking along +z), where neurad takes NeRF's (x right, looking along -z)":
+        (-1.0, 1.0, -1.0),
+}  # fmt: skip
+"""Signs of the camera's axes, by what they would mean."""
+MIRRORS = {"the photograph is mirrored, left and right are exchanged": (1,), "the photograph is upside down": (0,),
+           "the photograph is turned by half a turn": (0, 1)}  # fmt: skip
+STEEP = 1.0
+"""Standard deviations over turns by which a hint must fit better than what is turned from it."""
+WORTH = 0.05
+"""Mean rank that it must gain."""
+
+
+def hint(world: World, one: Looked, others: Sequence[Looked]) -> str:
+    """What would make the photograph of a view fit; empty where nothing simple does.
+
+    Args:
+        world: geometry and tracer.
+        one: a view whose photograph does not fit.
+        others: all views.
+    """
+    assert one.ranks is not None
+    assert one.camera is not None
+    assert one.fit is not None
+    found: list[tuple[EdgeFit | None, str]] = []
+    for words, dims in MIRRORS.items():
+        found.append((edge_fit(one.ranks.flip(dims), one.camera, one.towards), words))
+    for words, signs in AXES.items():
+        pose = (one.view.camera.to_world @ np.diag([*signs, 1.0])).astype(one.view.camera.to_world.dtype)
+        found.append((edge_fit(one.ranks, one.camera, _towards(world, replace(one.view.camera, to_world=pose))), words))
+    if (other := _of_another(one, others)) is not None:
+        fit = edge_fit(one.ranks, one.camera, other.towards)
+        found.append((fit, f"the photograph fits the pose of view {other.view.name}"))
+    good = [(fit.here, words) for fit, words in found if fit is not None and _fits(fit, one.fit)]
+    if good:
+        return max(good)[1]
+    return _turned(one.fit)
+
+
+def _towards(world: World, camera: Camera) -> Tensor:
+    return directions(mesh_edges(world, primary_grid(world, camera, page_width(camera.width))), 0)
+
+
+def _fits(fit: EdgeFit, wrong: EdgeFit) -> bool:
+    """Whether a hint explains a photograph: it is a peak of its own, and a better one."""
+    return fit.fits and fit.margin > STEEP and fit.here > wrong.here + WORTH
+
+
+def _of_another(one: Looked, others: Sequence[Looked]) -> Looked | None:
+    """The view, of those with the same camera, whose edges fit a photograph best."""
+    assert one.ranks is not None
+    assert one.camera is not None
+    alike = [
+        other
+        for other in others
+        if other is not one and replace(other.view.camera, to_world=one.view.camera.to_world) == one.view.camera
+    ]
+    means = [mean_rank(one.ranks, one.camera, other.towards) for other in alike]
+    return alike[int(np.argmax(means))] if means else None
+
+
+def _turned(fit: EdgeFit) -> str:
+    """By how much the camera would have to be turned, where that fits clearly."""
+    if -fit.margin < STEEP:
+        return ""
+    left, up, roll = fit.turn
+    parts = [f"{abs(left):.1f} degrees to the {'left' if left > 0 else 'right'}"] if abs(left) > 0.05 else []
+    parts += [f"{abs(up):.1f} degrees {'up' if up > 0 else 'down'}"] if abs(up) > 0.05 else []
+    parts += [f"{abs(roll):.0f} degrees {'counterclockwise' if roll > 0 else 'clockwise'}"] if roll else []
+    return f"it fits better with the camera turned by about {' and '.join(parts)}"

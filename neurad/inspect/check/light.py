@@ -1,0 +1,186 @@
+"""What a check says of light: lamps and their power, what a fit would refuse, and the exposure of each photograph."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+from functools import partial
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from neurad.assembly.build import Assembly
+from neurad.assembly.exposure import brightness, sentence_if_far, white_brightness
+from neurad.assembly.lamps import far_off, refusal, report
+from neurad.assembly.region import Region
+from neurad.assembly.training_views import TrainingViews, blind_views, check_views, prepare_views
+from neurad.core.errors import InputError
+from neurad.core.protocols import PhotoSource
+from neurad.core.records import FloatArray, PixelBatch
+from neurad.inspect.check.findings import Findings, Level, listed
+from neurad.integrators.world import World
+from neurad.metrics.photographed_lamps import PhotographedLamp, lamp_photographs, photographed_lamps
+from neurad.metrics.view_exposure import exposure_ratios, rendered
+from neurad.metrics.view_residuals import few
+from neurad.runs.model_settings import model_settings
+from neurad.scene.description import Scene
+from neurad.scene.textures import TrueMaterials
+
+SEED = 20231101
+OUT = 2.0
+"""Factor between a photograph's exposure and that of the others from which on it is named ..."""
+SPREADS = 6.0
+"""... if it is also so many robust standard deviations."""
+DIFFERENT = 5.0
+"""Factor between the photographs and the scene's own picture from which on lights and photographs disagree."""
+SHINES, LEAST = 8.0, 8
+"""A mesh shines that is photographed so many times as bright as its surroundings explain, in as many pixels."""
+
+Source = Callable[[Scene], PhotoSource]
+"""Makes the photographs of a scene's training views."""
+
+
+@dataclass(frozen=True)
+class Light:
+    """What is known of lamps and exposure."""
+
+    power: list[tuple[str, FloatArray, float, float]]
+    """Name, radiance [3], area and power (mean of the channels) of each lamp."""
+    lamps: list[PhotographedLamp] = field(default_factory=list)
+    """As the photographs show them."""
+    exposures: dict[str, float] = field(default_factory=dict)
+    """Photographed over expected brightness by name of the training view."""
+
+
+def lamp_power(scene: Scene, world: World) -> list[tuple[str, FloatArray, float, float]]:
+    """Name, radiance [3], area, and power ``pi A L`` of each lamp."""
+    geometry, rows = world.geometry, []
+    area = torch.zeros(len(scene.meshes)).index_add_(0, geometry.mesh_index, geometry.face_area)
+    for index, mesh in enumerate(scene.meshes):
+        if mesh.radiance is not None and mesh.radiance.any():
+            size = float(area[index])
+            rows.append((mesh.name, mesh.radiance, size, math.pi * size * float(mesh.radiance.mean())))
+    return rows
+
+
+def check_light(scene: Scene, world: World, source: Source, findings: Findings) -> Light:
+    """Say whether a fit would begin with these photographs and lights, and whether they belong together.
+
+    Args:
+        scene: whose training views have photographs that can be read.
+        world: of the scene.
+        source: makes the photographs.
+        findings: to be added to.
+    """
+    light = Light(lamp_power(scene, world))
+    materials = TrueMaterials(scene, world.geometry)
+    settings = model_settings("scene.yaml", SEED)
+    settings = replace(settings, sampling=replace(settings.sampling, cached_spp=0))
+    assembly = Assembly(scene, settings, world, materials, None, None, Region(scene.bounds))
+    try:
+        photographs = source(scene)
+        world.hide_environment = photographs.has_alpha
+        views = prepare_views(assembly, photographs, check_brightness=False)
+        assert views.surface is not None
+        if float(np.nanmax(views.surface, initial=0.0)) == 0.0:
+            check_views(scene, views.surface)  # raises
+    except InputError as error:
+        findings.add(Level.REFUSED, "photograph", str(error))
+        return light
+    for index in blind_views(views.surface):
+        few_met = f"only {100 * views.surface[index]:.0f} % of its pixels meet a surface, far fewer than of other views"
+        findings.add(Level.WRONG, "camera", f"{few_met}; check its pose", scene.train[index].name)
+    lamps = _lamps(assembly, photographs, views, findings)
+    return replace(light, lamps=lamps, exposures=_exposures(assembly, views, findings))
+
+
+def _lamps(
+    assembly: Assembly, photographs: PhotoSource, views: TrainingViews, findings: Findings
+) -> list[PhotographedLamp]:
+    """Lamps as the photographs show them."""
+    scene = assembly.scene
+    if not scene.features.has_area_lights or views.sample is None:
+        return []
+    cameras = [view.camera for view in scene.train]
+    shown = lamp_photographs(assembly.world, cameras, photographs, views.sample, SEED)
+    lamps = photographed_lamps(scene, assembly.world, assembly.materials, cameras, shown, SEED)
+    wrong = far_off(lamps)
+    if wrong:
+        findings.add(Level.REFUSED, "lamp", f"scene {scene.name}: {refusal(wrong)}")
+    for line in report(lamps):
+        warned = line.removeprefix("warning: ")
+        findings.add(Level.WRONG if warned != line else Level.NOTE, "lamp", warned)
+    return lamps
+
+
+def _exposures(assembly: Assembly, views: TrainingViews, findings: Findings) -> dict[str, float]:
+    """How bright each photograph is beside a picture with the scene's own lights and materials."""
+    scene, world = assembly.scene, assembly.world
+    assert views.sample is not None
+    primary, white = views.primary, partial(white_brightness, views.primary, views.sample, SEED, scene.max_depth)
+    if said := sentence_if_far(brightness(primary, views.sample, SEED), white):
+        findings.add(Level.WRONG, "exposure", said)
+    pixels = few(views.sample, len(scene.train))
+    expected = rendered(world, assembly.materials, [view.camera for view in scene.train], pixels, SEED)
+    ratios = exposure_ratios(pixels.color, expected, pixels.view, len(scene.train))
+    known = np.log(ratios[np.isfinite(ratios)])
+    if len(known):
+        middle = float(np.median(known))
+        _overall(math.exp(middle), findings)
+        _shining(scene, world, views, pixels, expected * math.exp(middle), findings)
+        spread = 1.4826 * float(np.median(np.abs(known - middle)))
+        limit = max(math.log(OUT), SPREADS * spread)
+        for view, ratio in zip(scene.train, ratios, strict=True):
+            if len(known) >= 4 and np.isfinite(ratio) and abs(math.log(ratio) - middle) > limit:
+                factor = ratio / math.exp(middle)
+                how = f"{factor:.3g} times brighter" if factor > 1 else f"{1 / factor:.3g} times darker"
+                findings.add(
+                    Level.WRONG, "exposure",
+                    f"its photograph is {how} than the lights make it, against all others: another exposure, or it "
+                    "shows something else", view.name,
+                )  # fmt: skip
+    return {view.name: float(ratio) for view, ratio in zip(scene.train, ratios, strict=True)}
+
+
+def _overall(ratio: float, findings: Findings) -> None:
+    if not 1.0 / DIFFERENT < ratio < DIFFERENT:
+        how = f"{ratio:.3g} times as bright" if ratio > 1 else f"{1 / ratio:.3g} times darker"
+        findings.add(
+            Level.WRONG, "exposure",
+            f"the photographs are {how} {'as' if ratio > 1 else 'than'} the scene with its own lights and materials; a "
+            "lamp may be missing or too many, or their units differ",
+        )  # fmt: skip
+
+
+def _shining(
+    scene: Scene, world: World, views: TrainingViews, pixels: PixelBatch, expected: Tensor, findings: Findings
+) -> None:
+    """Name meshes that shine in the photographs and are no lamps."""
+    primary = views.primary.views
+    with world.tracer.uncounted():
+        corner = primary.corner(pixels.view, pixels.pixel)
+        prim = world.tracer.closest(primary.rays(pixels.view, corner + 0.5)).prim
+    mesh = torch.where(prim >= 0, world.geometry.mesh_index[prim.clamp_min(0)], -1)
+    level = float(pixels.color.mean(-1).median())
+    names = []
+    for index in sorted(set(mesh.tolist())):
+        mine = mesh == index
+        if index < 0 or int(mine.sum()) < LEAST:
+            continue
+        shown = float(pixels.color[mine].mean(-1).median())
+        given = max(float(expected[mine].mean()), 0.05 * level)
+        if shown > SHINES * given and shown > SHINES * level:
+            names.append(f"{scene.meshes[index].name} ({shown / given:.3g} times)")
+    if names:
+        findings.add(
+            Level.WRONG, "lamp",
+            f"in the photographs {listed(names)} is far brighter than the lights make it, as if it shone, but the "
+            "scene has no lamp there",
+        )  # fmt: skip
+
+
+def usable(scene: Scene, refused: Sequence[str]) -> Scene:
+    """The scene with those of its training views whose photographs can be read."""
+    return replace(scene, train=[view for view in scene.train if view.image is not None and view.name not in refused])

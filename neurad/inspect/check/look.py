@@ -1,0 +1,141 @@
+"""One view of a check: its photograph, what its camera meets, and whether the edges of both agree."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+import torch
+from torch import Tensor
+from torch.nn.functional import interpolate
+
+from neurad.core.camera import project
+from neurad.core.errors import InputError
+from neurad.core.records import Camera, FloatArray, View
+from neurad.integrators.world import World
+from neurad.metrics.edge_fit import EdgeFit, compared, directions, edge_fit
+from neurad.metrics.mesh_edges import PrimaryGrid, mesh_edges, primary_grid
+from neurad.metrics.photograph_facts import PhotographFacts, photograph_facts
+from neurad.metrics.scores import BoolArray
+from neurad.metrics.seen import SeenBy
+from neurad.metrics.unseen import seen_map
+from neurad.scene.image_io import read_mask
+from neurad.scene.photographs import read_view
+
+SHOWN = 512
+"""Pixels that pictures on the page are wide at most; edges are traced at that size."""
+
+
+@dataclass(frozen=True)
+class Looked:
+    """What one view shows."""
+
+    view: View
+    part: str
+    """'train' or 'held out'."""
+    grid: Camera
+    """Of the pictures on the page."""
+    mask: BoolArray
+    """Pixels of these beside an edge of the geometry [h, w]."""
+    surface: float
+    """Fraction of the pixels that meet a surface."""
+    distance: float
+    """Median distance of what they meet, in scene units; NaN where that is nothing."""
+    towards: Tensor
+    """Directions to edges in the camera's space [m, 3]."""
+    picture: FloatArray | None = None
+    """The photograph at the size of the page, linear [h, w, 3]; None where it cannot be read."""
+    refused: str = ""
+    """Why it cannot be."""
+    ranks: Tensor | None = None
+    """Of the photograph's gradients."""
+    camera: Camera | None = None
+    """Of the size of these."""
+    facts: PhotographFacts | None = None
+    fit: EdgeFit | None = None
+    seen: FloatArray | None = None
+    """The map ``seen`` [h, w, 1] of a held-out view."""
+
+
+@torch.no_grad()
+def look(world: World, view: View, part: str, seen_by: SeenBy | None, seed: int) -> Looked:
+    """Look at a view.
+
+    Args:
+        world: of the scene.
+        view: with or without a photograph.
+        part: 'train' or 'held out'.
+        seen_by: the training cameras, for the map ``seen``; None makes none.
+        seed: of the choice of edges.
+    """
+    grid = primary_grid(world, view.camera, page_width(view.camera.width))
+    edges = mesh_edges(world, grid)
+    size = (edges.camera.height, edges.camera.width)
+    valid, solid = grid.si.valid, (grid.si.valid & ~grid.emits).view(size)
+    found = Looked(
+        view, part, edges.camera, edges.mask.numpy(), float(valid.float().mean()),
+        float(grid.t[valid].median()) if bool(valid.any()) else math.nan, directions(edges, seed),
+        seen=None if seen_by is None else _seen(grid, solid, seen_by),
+    )  # fmt: skip
+    if view.image is None:
+        return found
+    try:
+        pixels, kept = _photograph(view), None if view.mask is None else read_mask(view)
+    except InputError as error:
+        return replace(found, refused=str(error))
+    counted = (resampled(solid.numpy()[..., None].astype(np.float32), pixels.shape[:2]) == 1.0)[..., 0]
+    towards = found.towards
+    if kept is not None:
+        counted &= kept
+        towards = towards[_inside(kept, view.camera, towards)]
+    ranks, camera = compared(pixels, view.camera)
+    return replace(
+        found,
+        picture=resampled(pixels[..., :3], size),
+        ranks=ranks,
+        camera=camera,
+        towards=towards,
+        facts=photograph_facts(pixels, counted),
+        fit=edge_fit(ranks, camera, towards),
+    )
+
+
+def page_width(width: int) -> int:
+    """Width in pixels of a view's pictures: small ones are enlarged by two, large ones reduced by a whole number."""
+    return 2 * width if 2 * width <= SHOWN else width // -(-width // SHOWN)
+
+
+def resampled(pixels: FloatArray, size: tuple[int, ...]) -> FloatArray:
+    """A picture [h, w, c] with another height and width: means where it shrinks, equal pixels where it grows."""
+    x = torch.from_numpy(np.ascontiguousarray(pixels, np.float32)).movedim(-1, 0)[None]
+    made: FloatArray = interpolate(x, size, mode="area")[0].movedim(0, -1).contiguous().numpy()
+    return made
+
+
+def _photograph(view: View) -> FloatArray:
+    """The photograph of a view.
+
+    Raises:
+        InputError: it cannot be read, or has another size than the camera.
+    """
+    pixels, camera = read_view(view), view.camera
+    if pixels.shape[:2] != (camera.height, camera.width):
+        size = f"{pixels.shape[1]} x {pixels.shape[0]}"
+        raise InputError(f"{view.image}: it has {size} pixels, its camera {camera.width} x {camera.height}")
+    return pixels
+
+
+def _inside(kept: BoolArray, camera: Camera, towards: Tensor) -> Tensor:
+    """Which directions [m, 3] in the camera's space end at a pixel that a mask keeps [m], bool."""
+    x, y = project(camera, towards).nan_to_num(0.0).long().unbind(-1)
+    return torch.from_numpy(kept)[y.clamp(0, camera.height - 1), x.clamp(0, camera.width - 1)]
+
+
+def _seen(grid: PrimaryGrid, solid: Tensor, seen_by: SeenBy) -> FloatArray:
+    """The map ``seen`` of a view, from a ray in every second row and column."""
+    h, w = solid.shape
+    lanes = torch.arange(h * w).view(h, w)[::2, ::2]
+    few = seen_by.any(grid.si[lanes.flatten()]).view(lanes.shape)
+    seen = few.repeat_interleave(2, 0).repeat_interleave(2, 1)[:h, :w]
+    return seen_map(solid.numpy(), seen.numpy())

@@ -1,0 +1,187 @@
+"""``neurad check``: look at a scene before a fit does."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from neurad.assembly.build import build_world
+from neurad.core.errors import InputError
+from neurad.core.records import Development
+from neurad.inspect.check.findings import Findings, Level, listed
+from neurad.inspect.check.geometry import check_places, check_units
+from neurad.inspect.check.hints import hint
+from neurad.inspect.check.light import Light, Source, check_light, lamp_power, usable
+from neurad.inspect.check.look import Looked, look
+from neurad.inspect.check.report import PAGE, TABLE, Checked, verdict, write_pages
+from neurad.inspect.check.subject import Counts
+from neurad.integrators.world import World
+from neurad.metrics.edge_fit import misfits
+from neurad.metrics.photograph_facts import LEVELS
+from neurad.metrics.photographed_lamps import CEILINGS
+from neurad.metrics.seen import SeenBy
+from neurad.runtime.files import check_folder, make_folder
+from neurad.runtime.progress import phase
+from neurad.scene.description import Scene
+from neurad.scene.load import load_scene
+
+CLIPPED, AT_CEILING = 0.005, 0.001
+"""Fraction of the pixels at the largest value of a photograph that is too much, and where that is one of a format."""
+KNOWN_CEILING = 0.5
+"""The same where a fit knows the ceiling."""
+BLACK = 0.05
+"""Fraction of the pixels of surfaces that may be exactly 0."""
+HINTS = 8
+"""Views of which it is looked for what would make them fit."""
+
+
+@dataclass(frozen=True)
+class CheckSettings:
+    """Options of ``neurad check``."""
+
+    root: str | None
+    scene: str | None
+    out: Path
+    overwrite: bool
+
+
+def check(settings: CheckSettings, source: Source) -> Checked:
+    """Check a scene, write the page and the table, and print what was found.
+
+    Args:
+        settings: what, and where to.
+        source: makes the photographs of a scene's training views.
+
+    Raises:
+        InputError: it cannot be read, or a file would be written over.
+        SystemExit: with 1 if something is wrong. Of what a fit would refuse an InputError is raised, after the page is
+            written.
+    """
+    check_folder(settings.out, "--out")
+    if not settings.overwrite and (found := [p for p in (PAGE, TABLE) if (settings.out / p).exists()]):
+        raise InputError(f"--out: {settings.out / found[0]} is there already; add --overwrite to write over it")
+    scene = load_scene(settings.root, settings.scene)
+    if not any(view.image for view in scene.train):
+        raise InputError(f"scene {scene.name}: it has no training photographs")
+    checked = checked_scene(scene, source)
+    make_folder(settings.out, "--out")
+    write_pages(checked, settings.out)
+    _say(checked, settings.out)
+    findings = checked.findings
+    if refused := findings.of(Level.REFUSED):
+        more = f" ({len(refused) - 1} more on the page)" if len(refused) > 1 else ""
+        raise InputError(refused[0].text + more)
+    if findings.worst == Level.WRONG:
+        raise SystemExit(1)
+    return checked
+
+
+def checked_scene(scene: Scene, source: Source) -> Checked:
+    """Check a scene.
+
+    Args:
+        scene: with photographs.
+        source: as in :func:`check`.
+    """
+    findings = Findings()
+    for note in (*scene.notes, *filter(None, [scene.scores_are_of])):
+        findings.add(Level.NOTE, "scene", note)
+    world = build_world(scene)
+    seen_by = SeenBy(world.geometry, world.tracer, [view.camera for view in scene.train])
+    looked: list[Looked] = []
+    with phase("checking", len(scene.train) + len(scene.test)) as checking, world.tracer.uncounted():
+        for part, views in (("train", scene.train), ("held out", scene.test)):
+            for view in views:
+                checking.detail = view.name
+                seen = seen_by if part == "held out" else None
+                looked.append(look(world, view, part, seen, len(looked)))
+                checking.step()
+        check_units(scene, world, looked, findings)
+        _photographs(looked, findings)
+        _edges(world, looked, findings)
+        places = check_places(scene, world, looked, seen_by, findings)
+    with phase("rendering"):
+        good = usable(scene, [one.view.name for one in looked if one.refused])
+        bare = Light(lamp_power(scene, world))
+        light = check_light(good, world, source, findings) if good.train else bare
+    power = sum(lamp[3] for lamp in light.power)
+    return Checked(Counts.of(scene, world, power), looked, places, light, findings)
+
+
+def _photographs(looked: Sequence[Looked], findings: Findings) -> None:
+    """Say which photographs have bad pixels."""
+    for one in looked:
+        name, facts = one.view.name, one.facts
+        if one.refused:
+            findings.add(Level.REFUSED, "photograph", one.refused, name)
+        if facts is None:
+            continue
+        if facts.constant:
+            findings.add(Level.WRONG, "photograph", "all pixels of its photograph are equal", name)
+            continue
+        development = one.view.development
+        if facts.clipped > _clipped_from(development, facts.highest):
+            findings.add(
+                Level.WRONG, "photograph",
+                f"its photograph is clipped: {100 * facts.clipped:.1f} % of the pixels without lamps have its largest "
+                "value; their light is lost", name,
+            )  # fmt: skip
+        elif development.levels == 0 and facts.levels is not None and facts.levels <= LEVELS:
+            findings.add(
+                Level.WRONG, "photograph",
+                f"its photograph has {facts.levels} different values, as one of 8 bits: it must be linear, of high "
+                "dynamic range", name,
+            )  # fmt: skip
+        if facts.black > BLACK:
+            findings.add(
+                Level.WRONG, "photograph", f"{100 * facts.black:.0f} % of its pixels that show surfaces are 0", name
+            )
+
+
+def _clipped_from(development: Development, highest: float) -> float:
+    """Fraction of clipped pixels that is too much: more where a fit knows the ceiling and what lies at it."""
+    if development.ceiling is not None:
+        return KNOWN_CEILING
+    return AT_CEILING if highest in CEILINGS else CLIPPED
+
+
+def _edges(world: World, looked: Sequence[Looked], findings: Findings) -> None:
+    """Say which photographs do not show the edges of the geometry where their cameras see them."""
+    fits = [None if one.facts is None or one.facts.constant else one.fit for one in looked]
+    wrong = misfits(fits)
+    words = {index: hint(world, looked[index], looked) for index in wrong[:HINTS]}
+    usual = float(np.median([fit.here for fit in fits if fit is not None])) if any(fits) else 0.0
+    for index in wrong:
+        fit = looked[index].fit
+        assert fit is not None
+        why = (
+            f"edge rank {fit.here:.2f}, of all views {usual:.2f}"
+            if fit.fits
+            else f"turned cameras fit better (edge rank {fit.here:.2f}, excess {fit.excess:.1f})"
+        )
+        instead = f"; {words[index]}" if words.get(index) else ""
+        findings.add(
+            Level.WRONG, "edges",
+            f"its photograph does not show the edges of the geometry where the camera sees them: {why}{instead}",
+            looked[index].view.name,
+        )  # fmt: skip
+    if 2 * len(wrong) > len(looked):
+        causes = sorted({text for text in words.values() if text and "turned by about" not in text})
+        said = f" ({listed(causes, 2)})" if causes else ""
+        findings.add(
+            Level.WRONG, "edges",
+            f"most photographs ({len(wrong)} of {len(looked)}) do not fit the geometry: look at the frame and scale of "
+            f"the cameras, and whether these are its photographs{said}",
+        )  # fmt: skip
+
+
+def _say(checked: Checked, out: Path) -> None:
+    """Print the result."""
+    findings = checked.findings
+    print(*checked.counts.lines(), sep="\n")
+    for finding in (*findings.of(Level.NOTE), *findings.of(Level.WRONG), *findings.of(Level.REFUSED)):
+        print(f"{'wrong' if finding.level > Level.NOTE else 'note'}: {finding.text}")
+    print(f"{verdict(findings)} Look at {out / PAGE}; {out / TABLE} has a row a view.")

@@ -1,0 +1,52 @@
+"""What is wrong with the pixels of a photograph, whatever it shows: clipped ones, few values, all of them the same."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from neurad.core.records import FloatArray
+from neurad.metrics.scores import BoolArray
+
+LEVELS = 256
+"""Different values of a channel of 8 bits."""
+_ENOUGH = 4096  # pixels in which a photograph of more bits has more values than that
+
+
+@dataclass(frozen=True)
+class PhotographFacts:
+    """Of one photograph."""
+
+    mean: float
+    """Of the pixels that show a surface and no emitter, all channels; 0 where there are none."""
+    highest: float
+    """Of all pixels."""
+    clipped: float
+    """Fraction of the pixels that show a surface and no emitter that have the largest value of a channel, for the
+    channel with most of them."""
+    black: float
+    """Fraction of these that are 0 in all channels."""
+    constant: bool
+    """All pixels are equal."""
+    levels: int | None
+    """Different values of the channel with most of them; None where there are few pixels."""
+
+
+def photograph_facts(pixels: FloatArray, counted: BoolArray) -> PhotographFacts:
+    """Look at a photograph.
+
+    Args:
+        pixels: linear radiance [h, w, 3 or 4], finite.
+        counted: which of them show a surface and no emitter [h, w].
+    """
+    colour = pixels[..., :3]
+    inside = colour[counted]  # [n, 3]
+    constant = bool((colour == colour[0, 0]).all())
+    levels = max(len(np.unique(colour[..., c])) for c in range(3)) if len(colour.reshape(-1, 3)) >= _ENOUGH else None
+    if len(inside) == 0:
+        return PhotographFacts(0.0, float(colour.max()), 0.0, 0.0, constant, levels)
+    top = inside.max(0)
+    clipped = float(((inside == top) & (top > 0)).mean(0).max()) if len(inside) > 1 else 0.0
+    black = float((inside == 0).all(-1).mean())
+    return PhotographFacts(float(inside.mean(dtype=np.float64)), float(colour.max()), clipped, black, constant, levels)

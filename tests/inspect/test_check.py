@@ -1,0 +1,146 @@
+"""``neurad check``: nothing is wrong with built-in scenes, and each damage of a copy is named."""
+
+import csv
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from datamodules.scene_data import SceneData
+from neurad.cli import main
+from neurad.inspect.check.findings import Level
+from neurad.inspect.check.run import checked_scene
+from neurad.scene import builtin
+from neurad.scene.image_io import write_exr
+from neurad.scene.photographs import read_photograph
+
+INSIDE = (-0.35, -0.4, -0.3)
+"""In the middle of the Cornell box's tall block."""
+
+
+def source(scene):
+    return SceneData(scene="cornell").over(scene)
+
+
+def turned(view, degrees):
+    """The camera turned to the left about its own vertical axis."""
+    a = math.radians(degrees)
+    turn = np.eye(4)
+    turn[:3, :3] = [[math.cos(a), 0, math.sin(a)], [0, 1, 0], [-math.sin(a), 0, math.cos(a)]]
+    return posed(view, view.camera.to_world @ turn)
+
+
+def posed(view, pose):
+    return replace(view, camera=replace(view.camera, to_world=np.asarray(pose, np.float32)))
+
+
+def moved(view, place):
+    pose = view.camera.to_world.copy()
+    pose[:3, 3] = place
+    return posed(view, pose)
+
+
+def with_photograph(view, folder, change):
+    """The view with another photograph: what ``change`` makes of its own."""
+    path = folder / f"{view.name}.exr"
+    write_exr(path, change(read_photograph(view.image)).astype(np.float32), half=False)
+    return replace(view, image=str(path))
+
+
+def brighter(scene, factor):
+    """The scene with lamps so many times as bright."""
+    lit = [m if m.radiance is None else replace(m, radiance=m.radiance * np.float32(factor)) for m in scene.meshes]
+    return replace(scene, meshes=lit)
+
+
+def said(checked):
+    """For each view what is said to be wrong with it; under '' what is wrong with all."""
+    found = {}
+    for finding in checked.findings.found:
+        if finding.level > Level.NOTE:
+            found.setdefault(finding.view, {})[finding.about] = finding.sentence
+    return found
+
+
+@pytest.mark.main
+def test_nothing_is_wrong_with_the_cornell_box(tmp_path, capsys):
+    main(["check", "--scene", "cornell", "--out", str(tmp_path / "out")])
+    assert "Nothing looks wrong." in capsys.readouterr().out
+    page = (tmp_path / "out/check.html").read_text()
+    assert page.count('class="tile"') == 10
+    with (tmp_path / "out/check.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    assert [row["view"] for row in rows][:2] == ["train_000", "train_001"]
+    assert all(float(row["edge_excess"]) < 0.0 and not row["wrong"] for row in rows)
+    assert [float(row["exposure"]) for row in rows[:8]] == pytest.approx([1.0] * 8, abs=0.05)
+    assert all(row["exposure"] == "" for row in rows[8:])
+
+
+def test_each_damaged_view_is_named(tmp_path):
+    """A turned camera, another frame, a camera in a block; mirrored, foreign, clipped and brighter photographs."""
+    scene = builtin.build("cornell")
+    views = list(scene.train)
+    views[0] = turned(views[0], 5.0)
+    views[1] = posed(views[1], views[1].camera.to_world @ np.diag([1.0, -1.0, -1.0, 1.0]))
+    views[2] = with_photograph(views[2], tmp_path, lambda x: x[:, ::-1])
+    views[3] = replace(views[3], image=scene.train[6].image)
+    views[4] = with_photograph(views[4], tmp_path, lambda x: np.minimum(x, 0.2))
+    views[5] = with_photograph(views[5], tmp_path, lambda x: 4.0 * x)
+    views[7] = moved(views[7], INSIDE)
+    found = said(checked_scene(replace(scene, train=views, test=[]), source))
+    assert found["train_000"].keys() == {"edges"}
+    assert "degrees to the right" in found["train_000"]["edges"]
+    assert "OpenCV" in found["train_001"]["edges"]
+    assert "left and right are exchanged" in found["train_002"]["edges"]
+    assert "fits the pose of view train_006" in found["train_003"]["edges"]
+    assert found["train_004"].keys() == {"photograph"}
+    assert "clipped" in found["train_004"]["photograph"]
+    assert found["train_005"].keys() == {"exposure"}
+    assert "times brighter" in found["train_005"]["exposure"]
+    assert "inside of a wall" in found["train_007"]["camera"]
+    assert "train_006" not in found
+
+
+def test_what_a_fit_refuses_is_refused_and_the_others_are_looked_at(tmp_path, monkeypatch, capsys):
+    """A photograph with a NaN, one of equal pixels, in a room of 300 units whose lamp is ten times too bright."""
+    scene = brighter(builtin.build("cornell"), 10.0)
+    meshes = [replace(mesh, vertices=mesh.vertices * np.float32(100.0)) for mesh in scene.meshes]
+    views = [moved(view, 100.0 * view.camera.to_world[:3, 3]) for view in scene.train]
+
+    def spoilt(pixels):
+        pixels[3, 5] = np.nan
+        return pixels
+
+    views[2] = with_photograph(views[2], tmp_path, spoilt)
+    views[3] = with_photograph(views[3], tmp_path, lambda x: np.full_like(x, 0.25))
+    spoilt_scene = replace(scene, name="spoilt", meshes=meshes, train=views)
+    monkeypatch.setitem(builtin._BUILDERS, "spoilt", lambda: spoilt_scene)
+    with pytest.raises(SystemExit) as end:
+        main(["check", "--scene", "spoilt", "--out", str(tmp_path / "out")])
+    told = capsys.readouterr()
+    assert end.value.code == 2
+    assert "train_002.exr: it has pixels that are NaN or infinite (1 of 4096)" in told.err
+    assert told.err.count("\n") == 1
+    assert "scale meshes and cameras by 0.01" in told.out
+    assert "view train_003: all pixels of its photograph are equal" in told.out
+    assert "the photographs are" in told.out
+    assert "times darker than the scene" in told.out
+    assert "NaN" in (tmp_path / "out/check.html").read_text()
+
+
+@pytest.mark.main
+def test_bad_input_is_one_sentence(tmp_path, capsys):
+    (tmp_path / "check.csv").write_text("mine")
+    for words, sentence in (
+        (["--root", str(tmp_path / "none")], "none"),
+        (["--scene", "cornell", "--out", str(tmp_path)], "is there already"),
+        (["--scene", "furnace", "--out", str(tmp_path / "new")], "no training photographs"),
+        ([], "give exactly one of"),
+    ):
+        with pytest.raises(SystemExit) as end:
+            main(["check", *words])
+        assert end.value.code == 2
+        assert sentence in capsys.readouterr().err
+    assert (tmp_path / "check.csv").read_text() == "mine"
+    assert not (tmp_path / "new").exists()
