@@ -15,13 +15,13 @@ import torch
 from torch import Tensor
 
 from neurad.assembly.build import Assembly
+from neurad.assembly.lighting import environment_light, punctual_lights
 from neurad.core.errors import InputError
 from neurad.core.protocols import Emitter
 from neurad.core.records import PixelBatch
 from neurad.core.rng import Stream
 from neurad.emitters.area import AreaLights
 from neurad.emitters.fitted_lamps import Array
-from neurad.emitters.lights import Lights
 from neurad.integrators.estimator import Estimator
 from neurad.integrators.path import PathTracing
 from neurad.integrators.primary_hits import PrimaryHits
@@ -51,6 +51,8 @@ class Responses:
     """Whether it is as bright as it is."""
     photographs: Array
     """[n, 3]."""
+    punctual: Array | None = None
+    """By the lights without extent, which are known [n, 3]; None where there are none."""
 
     @property
     def lamps(self) -> Array:
@@ -105,10 +107,12 @@ def lamp_responses(assembly: Assembly, primary: PrimaryHits, sample: PixelBatch,
                 parts.append(torch.zeros(len(si), 2, 3, dtype=torch.float64))
                 continue
             parts.append(lit(alone, row))
-        environment = world.lights.environment if isinstance(world.lights, Lights) else None
-        sky = None if environment is None else lit(environment, len(parts)).mean(1).numpy()
+        others = environment_light(world), punctual_lights(world)
+        sky, punctual = (
+            None if light is None else lit(light, len(parts) + row).mean(1).numpy() for row, light in enumerate(others)
+        )
     halves: Array = torch.stack(parts).permute(2, 0, 1, 3).numpy()
-    return Responses(halves, sky, assembly.environment is None, color.double().cpu().numpy())
+    return Responses(halves, sky, assembly.environment is None, color.double().cpu().numpy(), punctual)
 
 
 def alike(responses: Responses, told: Bools) -> list[list[int]]:
@@ -130,9 +134,9 @@ def alike(responses: Responses, told: Bools) -> list[list[int]]:
 def explain(responses: Responses, radiance: Array, told: Bools, groups: list[list[int]]) -> Array:
     """Radiance of every lamp [m, 3] that explains the photographs best, each channel by itself.
 
-    What is known of the light (``radiance`` [m, 3] of lamps that are ``told`` [m], a known environment) is one column;
-    the factor that it gets is how much brighter the surfaces are than they are taken for, and all others are divided by
-    it.
+    What is known of the light (``radiance`` [m, 3] of lamps that are ``told`` [m], lights without extent, a known
+    environment) is one column; the factor that it gets is how much brighter the surfaces are than they are taken for,
+    and all others are divided by it.
     """
     from scipy.optimize import nnls  # type: ignore[import-untyped] # imported where it is needed: it loads slowly
 
@@ -140,6 +144,8 @@ def explain(responses: Responses, radiance: Array, told: Bools, groups: list[lis
     known = np.einsum("mc,mnc->nc", radiance * told[:, None], pictures)
     if responses.environment is not None and responses.environment_known:
         known = known + responses.environment
+    if responses.punctual is not None:
+        known = known + responses.punctual
     open_sky = responses.environment if not responses.environment_known else None
     free = [group for group in groups if not told[group].any() and responses.reaches[group].any()]
     found = np.zeros((len(pictures), 3))
@@ -167,6 +173,9 @@ def connected(responses: Responses, radiance: Array, told: Bools) -> Bools:
     if responses.environment is not None:
         parts.append(responses.environment * responses.weight)
         fixed = np.append(fixed, responses.environment_known)
+    if responses.punctual is not None:
+        parts.append(responses.punctual * responses.weight)
+        fixed = np.append(fixed, True)
     sums = np.array([part.sum() for part in parts])
     meet = np.array([[np.minimum(a, b).sum() for b in parts] for a in parts])
     near = meet > MEET * np.maximum(np.minimum.outer(sums, sums), 1e-300)

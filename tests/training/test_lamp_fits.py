@@ -176,6 +176,17 @@ def test_unseen_lamps_are_explained_beside_seen_ones_whatever_the_albedo():
     np.testing.assert_allclose(found[1:], radiance[1:], rtol=0.1)
 
 
+def test_lights_without_extent_are_known_light_beside_unknown_lamps():
+    light, radiance = pictures(6, 3), np.array([[4.0, 3.0, 2.0], [1.0, 5.0, 0.5]])
+    bulb = 3.0 * light[2]
+    photographs = 0.6 * (np.einsum("mc,mnc->nc", radiance, light[:2]) + bulb)
+    responses = Responses(noisy(light[:2]), None, True, photographs, bulb)
+    none = np.zeros(2, bool)
+    found = explain(responses, np.ones((2, 3)), none, alike(responses, none))
+    np.testing.assert_allclose(found, radiance, rtol=0.1)
+    assert connected(responses, radiance, none).all()
+
+
 def test_lamps_that_light_everything_alike_are_not_split():
     light = pictures(2, 3)
     light[1] = 2.0 * light[0]
