@@ -14,6 +14,7 @@ from neurad.emitters.environment import Environment
 from neurad.emitters.fitted import FittedEnvironment
 from neurad.emitters.fitted_lamps import FittedLamps
 from neurad.emitters.lights import Lights, WithPunctual, make_lights
+from neurad.emitters.punctual import PunctualLights
 from neurad.integrators.world import World
 from neurad.scene.description import Scene
 from neurad.scene.geometry import Geometry
@@ -21,9 +22,21 @@ from neurad.scene.geometry import Geometry
 
 def fitted_environment(world: World) -> FittedEnvironment | None:
     """The environment of a world that is being recovered; None where it is known."""
+    environment = environment_light(world)
+    return environment if isinstance(environment, FittedEnvironment) else None
+
+
+def environment_light(world: World) -> Environment | None:
+    """The environment of a world; None without any."""
     lights = world.lights.others if isinstance(world.lights, WithPunctual) else world.lights
     lights = lights.environment if isinstance(lights, Lights) else lights
-    return lights if isinstance(lights, FittedEnvironment) else None
+    return lights if isinstance(lights, Environment) else None
+
+
+def punctual_lights(world: World) -> PunctualLights | None:
+    """The lights without extent of a world; None without any."""
+    lights = world.lights.punctual if isinstance(world.lights, WithPunctual) else world.lights
+    return lights if isinstance(lights, PunctualLights) else None
 
 
 def area_lights(world: World) -> AreaLights | None:
