@@ -65,6 +65,7 @@ class SceneData(pl.LightningDataModule, PhotoSource):
         exposure: ``known`` divides by the exposures of the camera file or of EXIF; ``fit`` begins there and recovers a
             gain for each photograph, whose logarithms' mean stays what it is.
         white_balance: ``fit`` recovers a gain for each colour of each photograph.
+        lamps_true: table of the lamps' true radiance (mesh, r, g, b), for scores of lamps that are recovered.
 
     Raises:
         InputError: a number is out of range, ``pixel_multiplier`` no power of two, ``hold_out`` is 1, or the response
@@ -87,6 +88,7 @@ class SceneData(pl.LightningDataModule, PhotoSource):
         ceiling: Ceiling | None = None,
         exposure: Literal["known", "fit"] = "known",
         white_balance: Literal["known", "fit"] = "known",
+        lamps_true: str | None = None,
     ) -> None:
         super().__init__()
         if pixel_multiplier & (pixel_multiplier - 1):
@@ -107,6 +109,7 @@ class SceneData(pl.LightningDataModule, PhotoSource):
         self.ceiling = ceiling
         self.exposure = exposure
         self.white_balance = white_balance
+        self.lamps_true = lamps_true
         checked(self)
         self._photography = Photography(response, ceiling, exposure, white_balance)
         self._with_blurred = False
@@ -134,6 +137,11 @@ class SceneData(pl.LightningDataModule, PhotoSource):
         scene = self.scene
         if stage != "fit":
             return
+        if not scene.train:
+            raise InputError(
+                f"scene {scene.name}: it has no photograph to learn from; put a transforms_train.json or a "
+                "transforms.json and its photographs into the folder"
+            )
         if not self.streams:
             stats = self.dataset_stats(self.ignored())
             check_bright(stats.mean_square_radiance, stats.brightest, scene.name)

@@ -12,8 +12,8 @@ import torch
 from torch import Tensor
 
 from neurad.core.errors import InputError
-from neurad.core.records import FloatArray, PixelBatch, View
-from neurad.scene.photographs import ceiling_of, rounding
+from neurad.core.records import PixelBatch, View
+from neurad.scene.photographs import Float64, ceiling_of, read_spread, rounding
 
 _COARSE = 255
 """Largest code of formats whose rounding counts; that of 16 bits is lost in any photograph's noise."""
@@ -29,28 +29,31 @@ class ValueLimits:
     """Radiance from which on a view is clipped [views], infinite where it never is."""
     kind: Tensor
     """Which of the curves a view has [views], int64; -1 for none."""
-    curves: tuple[tuple[FloatArray, FloatArray], ...]
+    curves: tuple[tuple[Float64, Float64], ...]
     """Linear values of codes and the variance of their rounding, of each response."""
     gain: Tensor
     """Exposures [views]."""
+    spread: Tensor | None = None
+    """Standard deviation of each pixel [views, pixels], bfloat16, 0 where it is not given; None where it never is."""
 
     @classmethod
     def of(cls, views: Sequence[View]) -> Self | None:
         """Those of some views; None where there are no limits at all."""
         ceiling = torch.tensor([ceiling_of(view) for view in views])
         coarse = [0 < view.development.levels <= _COARSE for view in views]
-        if not any(coarse) and bool(ceiling.isinf().all()):
+        spread = _spreads(views)
+        if not any(coarse) and bool(ceiling.isinf().all()) and spread is None:
             return None
         responses = list(dict.fromkeys(v.development.response for v, c in zip(views, coarse, strict=True) if c))
         kind = [responses.index(v.development.response) if c else -1 for v, c in zip(views, coarse, strict=True)]
         gain = torch.tensor([view.development.gain for view in views])
-        return cls(ceiling, torch.tensor(kind), tuple(rounding(name, _COARSE) for name in responses), gain)
+        return cls(ceiling, torch.tensor(kind), tuple(rounding(name, _COARSE) for name in responses), gain, spread)
 
     def marked(self, batch: PixelBatch) -> PixelBatch:
         """A batch on the CPU, with ``clipped`` and ``variance`` of its pixels."""
         alpha = batch.alpha.unsqueeze(-1)
         clipped = (batch.color >= self.ceiling[batch.view].unsqueeze(-1) * alpha) & (alpha > 0)
-        if not self.curves:
+        if not self.curves and self.spread is None:
             return replace(batch, clipped=clipped)
         variance = torch.zeros_like(batch.color)
         kind, gain = self.kind[batch.view], self.gain[batch.view].unsqueeze(-1)
@@ -59,6 +62,9 @@ class ValueLimits:
             linear = batch.color[mine] * gain[mine] / alpha[mine].clamp_min(1e-6)
             found = np.interp(linear.numpy(), values, squares).astype(np.float32)
             variance[mine] = torch.from_numpy(found) * (alpha[mine] / gain[mine]).square()
+        if self.spread is not None:
+            known = self.spread[batch.view, batch.pixel].float().square().unsqueeze(-1)
+            variance = variance + torch.where(clipped, 0.0, known)  # a lower bound has no spread
         return replace(batch, clipped=clipped, variance=variance)
 
     def check(self, sample: PixelBatch, views: Sequence[View], scene: str) -> None:
@@ -84,3 +90,20 @@ class ValueLimits:
         if blown:
             named = ", ".join(blown[:8]) + (" ..." if len(blown) > 8 else "")
             print(f"neurad: warning: at their ceiling everywhere, so they say nothing: {named}", file=sys.stderr)
+
+
+def _spreads(views: Sequence[View]) -> Tensor | None:
+    """Standard deviations of all photographs [views, pixels]; None where no view has a file of them.
+
+    Raises:
+        InputError: a file cannot be read or does not fit.
+    """
+    if not any(view.spread for view in views):
+        return None
+    most = max(view.camera.width * view.camera.height for view in views)
+    found = torch.zeros(len(views), most, dtype=torch.bfloat16)
+    for index, view in enumerate(views):
+        if view.spread is not None:
+            pixels = torch.from_numpy(read_spread(view)).view(-1)
+            found[index, : len(pixels)] = pixels.to(torch.bfloat16)
+    return found

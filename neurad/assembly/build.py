@@ -9,7 +9,13 @@ from functools import cache, partial
 import torch
 from torch import Tensor, nn
 
-from neurad.assembly.lighting import fitted_environment, unknown_environment
+from neurad.assembly.lighting import (
+    fitted_environment,
+    lamps_of_scene,
+    recovered_lamps,
+    unknown_environment,
+    unknown_lamps,
+)
 from neurad.assembly.region import Region, training_region
 from neurad.assembly.resolution import finest_cells, resolve_finest
 from neurad.assembly.settings import ModelSettings
@@ -17,9 +23,10 @@ from neurad.bsdf.table import make_bsdf
 from neurad.core.protocols import Field
 from neurad.core.records import Surface, SurfaceInteraction
 from neurad.emitters.fitted import FittedEnvironment
-from neurad.emitters.lights import Lights, make_lights
+from neurad.emitters.fitted_lamps import FittedLamps
+from neurad.emitters.lights import Lights, WithPunctual, make_lights
 from neurad.fields.development import FittedDevelopment
-from neurad.fields.material import AlbedoField, RoughnessField
+from neurad.fields.material import AROUND, REACH, AlbedoField, RoughnessField
 from neurad.fields.radiance import RadianceField
 from neurad.fields.settings import FieldConfig, RadianceConfig
 from neurad.integrators.delta import DeltaSurfaces
@@ -70,8 +77,8 @@ def build_world(
 
 
 def adapt(world: World, region: Region) -> None:
-    """Choose between area lights and environment by what the region gets of them, not by what lies around it."""
-    if region.contracted and isinstance(world.lights, Lights):
+    """Choose between kinds of lights by what the region gets of them, not by what lies around it."""
+    if region.contracted and isinstance(world.lights, Lights | WithPunctual):
         world.lights.radius = region.radius
 
 
@@ -97,6 +104,25 @@ class FittedMaterials(nn.Module):
             return Surface(albedo, albedo.new_ones(1, 1).expand(len(albedo), 1))
         roughness: Tensor = self.roughness(si, albedo)
         return Surface(albedo, roughness)
+
+    @torch.no_grad()
+    def guess(self, si: SurfaceInteraction) -> Surface:
+        """BSDF parameters at the lanes of ``si`` where no photograph shows the surface: what its neighbourhood has.
+
+        There the fine levels of a hash grid hold what photographs have written for other places, so the fields are
+        averaged over a box of some of their finest cells, see :data:`neurad.fields.material.REACH`.
+        """
+        field = self.albedo
+        assert isinstance(field, AlbedoField)
+        albedo, roughness = torch.zeros_like(si.p), si.p.new_full((len(si), 1), float(self.roughness is None))
+        for offset in REACH * field.cell * AROUND:
+            value = field.of_features(field.features(si.p, offset))
+            albedo += value / len(AROUND)
+            if self.roughness is not None:
+                roughness += self.roughness.of_features(self.roughness.features(si.p, offset), value) / len(AROUND)
+        if self.roughness is not None:
+            roughness = self.roughness.with_known(si, roughness)
+        return Surface(field.with_known(si, albedo), roughness)
 
 
 def build_materials(
@@ -143,8 +169,7 @@ def know_lamps(
         for part, texture in zip((materials.albedo, materials.roughness), textures, strict=True):
             if isinstance(part, AlbedoField | RoughnessField):
                 part.known = OnEmitters(*texture, geometry, meshes).to(geometry.vertices.device)
-    shine = {i for i, mesh in enumerate(scene.meshes) if mesh.radiance is not None and mesh.radiance.any()}
-    materials.known_meshes = meshes | shine
+    materials.known_meshes = meshes | set(lamps_of_scene(scene))
 
 
 def build_radiance(scene: Scene, config: RadianceConfig, region: Region | None = None) -> RadianceField:
@@ -197,6 +222,11 @@ class Assembly:
         return fitted_environment(self.world)
 
     @property
+    def lamps(self) -> FittedLamps | None:
+        """The lamps whose radiance the photographs say; None where it is known."""
+        return recovered_lamps(self.world)
+
+    @property
     def estimator(self) -> Estimator:
         """The method's estimates with these materials and this radiance field."""
         return Estimator(self.world, self.materials, self.radiance, self.settings.method)
@@ -230,10 +260,11 @@ def assemble(
     """
     torch.manual_seed(settings.seed)
     sampling, optimization = settings.sampling, settings.optimization
-    world = build_world(
-        scene, settings.tracer, hide_environment, unknown_environment(scene, settings.lighting),
-        sampling.specular_fraction,
-    )  # fmt: skip
+    environment = unknown_environment(scene, settings.lighting)
+    world = build_world(scene, settings.tracer, hide_environment, environment, sampling.specular_fraction)
+    lamps = unknown_lamps(scene, world.geometry, settings.lighting)
+    if lamps is not None:
+        world.lights = make_lights(scene, world.geometry, environment, lamps)
     region = training_region(world, scene, device)
     adapt(world, region)
     world.guide = make_guide(scene, sampling.guide, settings.method, region)

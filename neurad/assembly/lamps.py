@@ -11,7 +11,15 @@ from neurad.assembly.build import Assembly
 from neurad.core.errors import InputError
 from neurad.core.protocols import PhotoSource
 from neurad.core.records import PixelBatch
-from neurad.metrics.photographed_lamps import FEW, REFUSE, WARN, Array, PhotographedLamp, photographed_lamps
+from neurad.metrics.photographed_lamps import (
+    FEW,
+    REFUSE,
+    WARN,
+    Array,
+    PhotographedLamp,
+    lamp_photographs,
+    photographed_lamps,
+)
 
 MOST = 8
 """Lamps that get a line of their own; those that differ always do."""
@@ -35,10 +43,9 @@ def check_lamps(assembly: Assembly, photographs: PhotoSource, sample: PixelBatch
     scene = assembly.scene
     if not scene.features.has_area_lights or not photographs.has_photographs:
         return []
-    lamps = photographed_lamps(
-        scene, assembly.world, assembly.materials, [view.camera for view in scene.train], photographs.colors, sample,
-        assembly.settings.seed, photographs.ignored(), photographs.clipped,
-    )  # fmt: skip
+    cameras, seed = [view.camera for view in scene.train], assembly.settings.seed
+    shown = lamp_photographs(assembly.world, cameras, photographs, sample, seed)
+    lamps = photographed_lamps(scene, assembly.world, assembly.materials, cameras, shown, seed)
     for line in report(lamps):
         print(f"neurad: {line}", file=sys.stderr)
     wrong = far_off(lamps)

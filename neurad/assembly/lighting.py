@@ -4,35 +4,46 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import numpy as np
+
 from neurad.assembly.settings import Lighting
 from neurad.core.errors import InputError
 from neurad.core.records import EnvironmentMap
+from neurad.emitters.area import AreaLights
 from neurad.emitters.environment import Environment
 from neurad.emitters.fitted import FittedEnvironment
-from neurad.emitters.lights import Lights, make_lights
+from neurad.emitters.fitted_lamps import FittedLamps
+from neurad.emitters.lights import Lights, WithPunctual, make_lights
 from neurad.integrators.world import World
 from neurad.scene.description import Scene
+from neurad.scene.geometry import Geometry
 
 
 def fitted_environment(world: World) -> FittedEnvironment | None:
     """The environment of a world that is being recovered; None where it is known."""
-    lights = world.lights.environment if isinstance(world.lights, Lights) else world.lights
+    lights = world.lights.others if isinstance(world.lights, WithPunctual) else world.lights
+    lights = lights.environment if isinstance(lights, Lights) else lights
     return lights if isinstance(lights, FittedEnvironment) else None
 
 
+def area_lights(world: World) -> AreaLights | None:
+    """The area lights of a world; None without any."""
+    lights = world.lights.others if isinstance(world.lights, WithPunctual) else world.lights
+    lights = lights.area if isinstance(lights, Lights) else lights
+    return lights if isinstance(lights, AreaLights) else None
+
+
+def recovered_lamps(world: World) -> FittedLamps | None:
+    """The lamps of a world whose radiance is being recovered; None where it is known."""
+    lights = area_lights(world)
+    return lights if isinstance(lights, FittedLamps) else None
+
+
 def relit_world(world: World, scene: Scene, environment: EnvironmentMap) -> World:
-    """The same surfaces under another environment; area lights stay."""
-    lights = make_lights(scene, world.geometry, Environment(environment)).to(world.geometry.vertices.device)
-    return World(
-        geometry=world.geometry,
-        tracer=world.tracer,
-        lights=lights,
-        bsdf=world.bsdf,
-        features=replace(world.features, has_environment=True),
-        two_sided=world.two_sided,
-        hide_environment=world.hide_environment,
-        delta=world.delta,
-    )
+    """The same surfaces under another environment; area lights stay, as they were recovered where they were."""
+    lamps = area_lights(world)
+    lights = make_lights(scene, world.geometry, Environment(environment), lamps).to(world.geometry.vertices.device)
+    return world.under(lights, replace(world.features, has_environment=True))
 
 
 def unknown_environment(scene: Scene, settings: Lighting) -> FittedEnvironment | None:
@@ -49,3 +60,26 @@ def unknown_environment(scene: Scene, settings: Lighting) -> FittedEnvironment |
             "(a constant one is enough)"
         )
     return FittedEnvironment(scene.environment, settings.width, settings.height)
+
+
+def unknown_lamps(scene: Scene, geometry: Geometry, settings: Lighting) -> FittedLamps | None:
+    """The lamps whose radiance the photographs are to say, or None where it is known.
+
+    Raises:
+        InputError: no mesh shines at all.
+    """
+    if settings.emitters == "known":
+        return None
+    meshes = lamps_of_scene(scene)
+    if not meshes:
+        raise InputError(
+            f"scene {scene.name}: model.lighting.emitters is {settings.emitters}, but no shape of scene.xml has an "
+            "area emitter; give each lamp one, whatever its radiance, such as 1"
+        )
+    declared = np.array([scene.meshes[index].radiance for index in meshes], np.float64)
+    return FittedLamps(geometry, meshes, declared, train=settings.emitters == "fit")
+
+
+def lamps_of_scene(scene: Scene) -> list[int]:
+    """Indices of the meshes that shine."""
+    return [i for i, mesh in enumerate(scene.meshes) if mesh.radiance is not None and mesh.radiance.any()]

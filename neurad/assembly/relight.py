@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import replace
 
+import numpy as np
 import torch
 from torch import Tensor, nn
 
@@ -19,7 +20,7 @@ from neurad.scene.textures import TrueMaterials
 
 def recovered_scene(assembly: Assembly) -> Scene:
     """The scene of a run as the run has it: surfaces reflect by the model that was fitted to them, and an environment
-    that was recovered is the one that was found. Edits apply to it.
+    and lamps that were recovered are as they were found. Edits apply to it.
     """
     scene = assembly.scene
     if isinstance(assembly.materials, FittedMaterials):
@@ -27,7 +28,18 @@ def recovered_scene(assembly: Assembly) -> Scene:
         scene = replace(scene, materials=[m if m.model.is_delta else replace(m, model=model) for m in scene.materials])
     if assembly.environment is not None:
         scene = replace(scene, environment=shown_environment(assembly))
-    return scene
+    return with_lamps(scene, assembly)
+
+
+def with_lamps(scene: Scene, assembly: Assembly) -> Scene:
+    """The scene with the radiance that a run found for its lamps, where it was not known."""
+    lamps = assembly.lamps
+    if lamps is None:
+        return scene
+    found = dict(zip(lamps.mesh.tolist(), lamps.found().astype(np.float32), strict=True))
+    return replace(
+        scene, meshes=[replace(m, radiance=found[i]) if i in found else m for i, m in enumerate(scene.meshes)]
+    )
 
 
 def shown_environment(assembly: Assembly) -> EnvironmentMap | None:

@@ -122,7 +122,11 @@ class Lighting:
 
     environment: Literal["known", "fit"] = "known"
     """``fit`` recovers the environment map; of the one in the scene only ``to_world`` is used then, and its pixels are
-    what the result is scored against. Area lights are always known."""
+    what the result is scored against."""
+    emitters: Literal["known", "photographs", "fit"] = "known"
+    """What is known of area lights: ``known`` takes the radiance in the scene; ``photographs`` that which the training
+    photographs show of each lamp, less what it reflects; ``fit`` goes on from there, or, for a lamp that no photograph
+    shows, from what explains the photographs best, and lets an optimizer find the radiance together with all else."""
     width: Annotated[int, Range(2, 1 << 14)] = 256
     """Texels across of a map to recover."""
     height: Annotated[int, Range(2, 1 << 14)] = 128
@@ -139,6 +143,8 @@ class Lighting:
         """Refuse what no map can have."""
         if self.environment not in ("known", "fit"):
             raise InputError(f"model.lighting.environment: '{self.environment}' is unknown, choose known or fit")
+        if self.emitters not in ("known", "photographs", "fit"):
+            raise InputError(f"model.lighting.emitters: '{self.emitters}' is unknown, choose known, photographs or fit")
         if self.lamp_mismatch not in ("refuse", "warn"):
             raise InputError(f"model.lighting.lamp_mismatch: '{self.lamp_mismatch}' is unknown, choose refuse or warn")
         checked(self)
@@ -164,6 +170,8 @@ class Optimization:
     """Learning rate of the radiance field."""
     environment: NonNegative = 1e-1
     """Learning rate of an environment map that is recovered; its texels are the parameters."""
+    lamps: NonNegative = 1e-2
+    """Learning rate of the logarithms of the lamps' radiance, where that is recovered."""
     exposure: NonNegative = 1e-2
     """Learning rate of the logarithms of the photographs' gains, where ``data.exposure`` or ``data.white_balance`` is
     ``fit``."""
@@ -235,7 +243,8 @@ class ModelSettings:
     def __post_init__(self) -> None:
         """Refuse settings that do not go together."""
         checked(self)
-        if self.materials == "known" and self.lighting.environment == "known" and not self.method.needs_field:
+        unknown = self.lighting.environment == "fit" or self.lighting.emitters == "fit"
+        if self.materials == "known" and not unknown and not self.method.needs_field:
             raise InputError("model.materials: with known materials, known light and no radiance field nothing is left")
         if not self.method.reflects:
             raise InputError("model.method: max_depth 1 shows emitters only, no surface; direct light takes 2")

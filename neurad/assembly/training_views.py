@@ -22,11 +22,13 @@ from neurad.assembly.exposure import (
 )
 from neurad.assembly.lamps import check_lamps
 from neurad.assembly.memory import announce_camera_rays
+from neurad.assembly.unknown_lamps import begin_lamps
 from neurad.core.errors import InputError
 from neurad.core.protocols import PhotoSource
 from neurad.core.records import FloatArray, PixelBatch
 from neurad.integrators.focus import TIMES
 from neurad.integrators.primary_hits import PrimaryHits
+from neurad.metrics.photographed_lamps import LampPhotographs, lamp_photographs
 from neurad.metrics.view_residuals import surface_fractions
 from neurad.scene.description import Scene
 from neurad.scene.numbers import check_bright
@@ -52,6 +54,8 @@ class TrainingViews:
     """Random pixels of all photographs that show no emitter."""
     surface: FloatArray | None = None
     """Fraction of each view's pixels that meet a surface [views]; NaN where the sample has none of a view."""
+    lamps: LampPhotographs | None = None
+    """What the photographs show of lamps alone; None where the lamps are known."""
 
 
 def prepare_views(
@@ -105,11 +109,16 @@ def prepare_views(
     check_bright(mean_square, stats.brightest, scene.name)
     if assembly.environment is not None:
         assembly.environment.set_unit(math.sqrt(mean_square))
-    elif check_brightness:
+    lamps = None
+    if assembly.lamps is not None:
+        lamps = lamp_photographs(assembly.world, cameras, photographs, stats.sample, settings.seed)
+        if not bool(assembly.lamps.begun):
+            begin_lamps(assembly, primary, lamps, stats.sample)
+    if assembly.environment is None and check_brightness:
         white = partial(white_brightness, primary, stats.sample, settings.seed, scene.max_depth)
         if said := sentence_if_far(brightness(primary, stats.sample, settings.seed), white):
             print(f"neurad: warning: {said}", file=sys.stderr)
-    if check_brightness:
+    if check_brightness and assembly.lamps is None:
         check_lamps(assembly, photographs, stats.sample)
     if assembly.radiance is not None:
         assembly.radiance.set_scale(math.sqrt(mean_square))
@@ -120,7 +129,7 @@ def prepare_views(
     if assembly.focus is not None:
         photographs.request_candidates(assembly.focus.fraction, TIMES)
     checksum = zlib.crc32(repr(stats.checksums).encode()) if stats.checksums else 0
-    return TrainingViews(primary, emitter_mask, mean_square, checksum, stats.sample, surface)
+    return TrainingViews(primary, emitter_mask, mean_square, checksum, stats.sample, surface, lamps)
 
 
 def _shows_small_lights(scene: Scene, photographs: PhotoSource) -> bool:

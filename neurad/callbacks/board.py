@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any
 
 from lightning.pytorch.loggers import TensorBoardLogger
 
+from neurad.assembly.unknown_lamps import rows
 from neurad.callbacks import pictures
 from neurad.metrics.marks import MARKS
 from neurad.pages.colours import exposure
@@ -71,6 +72,12 @@ class Board:
             if label is None and score in FIRST:
                 writer.add_scalar(f"more/by_seconds_{score}", value, int(seconds))
         self.writer.flush()
+
+    def lamps(self, module: InverseRenderer, iteration: int) -> None:
+        """The radiance of lamps that are recovered."""
+        for row in rows(module.assembly):
+            for channel in "rgb":
+                self.writer.add_scalar(f"more/lamp_{row['mesh']}_{channel}", float(row[channel]), iteration)
 
     def losses(self, losses: Mapping[str, Any], iteration: int) -> None:
         """The sum of all losses, and each of them."""

@@ -17,7 +17,7 @@ from neurad.callbacks.table import MetricsTable
 from neurad.callbacks.verdict import KINDS, verdict
 from neurad.core.durations import short
 from neurad.metrics.bars_file import NAME as BARS_FILE
-from neurad.metrics.limits import sentence_of_limits
+from neurad.metrics.limits import sentence_of_limits, sentence_of_roughness
 from neurad.metrics.unseen import Unseen
 from neurad.training.schedule import time_limit
 
@@ -74,8 +74,9 @@ def print_closing(
     """
     module: InverseRenderer = trainer.lightning_module  # type: ignore[assignment]
     print_verdict(module, scores, unseen)
-    if limits := sentence_of_limits(scores):
-        print(f"neurad: {limits}")
+    for sentence in (sentence_of_limits(scores), sentence_of_roughness(scores)):
+        if sentence:
+            print(f"neurad: {sentence}")
     if any(name in scores for name in KINDS.values()):
         print(f"neurad: {READING}")
     if folder is None:

@@ -17,6 +17,7 @@ from lightning.pytorch.loggers import TensorBoardLogger
 from neurad.callbacks import pictures, report
 from neurad.callbacks.board import Board
 from neurad.callbacks.closing import Shown, print_closing, report_run, settings_of, title_of
+from neurad.callbacks.lamps import lamps_table, write_lamps
 from neurad.callbacks.run_folder import run_folder
 from neurad.callbacks.table import MetricsTable, curve_table, score_table
 from neurad.callbacks.training_views import ViewTable, write_exposures
@@ -140,7 +141,7 @@ class Evaluate(pl.Callback):
         scores = rows[-1] if rows else self.last_scores
         if trainer.is_global_zero and scores:
             table = _table(module, scores, self.spp, steady=True)
-            print("\n" + "\n\n".join(t for t in (table, curve_table(rows)) if t) + "\n")
+            print("\n" + "\n\n".join(t for t in (table, lamps_table(module, scores), curve_table(rows)) if t) + "\n")
             unseen = None if self._shown is None else self._shown.unseen
             print_closing(trainer, folder, scores, unseen, tested=False)
 
@@ -158,7 +159,8 @@ class Evaluate(pl.Callback):
         folder = run_folder(trainer)
         evaluation = module.evaluate(self.test_spp, glossy=True, bars=error_bars_of(module, folder))
         unseen = Unseen.of(evaluation.maps)
-        print(_table(module, evaluation.scores, self.test_spp) + "\n")
+        tables = _table(module, evaluation.scores, self.test_spp), lamps_table(module, evaluation.scores)
+        print("\n\n".join(t for t in tables if t) + "\n")
         if folder is not None:
             pictures.write_views(folder / "images", evaluation.maps, evaluation.environment, title_of(module))
             report_run(module, folder, evaluation, unseen, f"{self.test_spp} samples per pixel")
@@ -202,6 +204,7 @@ class Evaluate(pl.Callback):
                 evaluation = module.evaluate(self.spp, steady=True)
                 self.last_scores, self.last_scored = dict(evaluation.scores), time.monotonic()
                 self._record(trainer, module, evaluation)
+                write_lamps(module, run_folder(trainer))
                 self._check_views(trainer, module)
             trainer.strategy.barrier("evaluation")
         taken = time.monotonic() - begin
@@ -220,6 +223,7 @@ class Evaluate(pl.Callback):
         self._shown = Shown(kept, Unseen.of(maps).summary())
         if board := self._board_of(trainer, module):
             board.scores(evaluation.scores, module.iteration, module.train_seconds)
+            board.lamps(module, module.iteration)
             board.sheets(maps[: self.pictures], module.iteration)
             if evaluation.environment:
                 picture = pictures.environment(evaluation.environment, exposure(maps))

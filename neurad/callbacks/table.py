@@ -132,11 +132,12 @@ def light_table(scores: Mapping[str, float]) -> list[str]:
     Where both were unknown, albedo times a factor and light over it look the same; then scores after the best factor,
     one for all channels or one for each, stand beside the raw ones.
     """
-    if not any(name.startswith(("environment", "relight")) for name in scores):
+    if not any(name.startswith(("environment", "relight")) or name == "albedo_psnr_scaled1" for name in scores):
         return []
-    body = [list(LIGHT.values())]
+    names = [name for name in LIGHT if name and name in scores]
+    body = [["", *(LIGHT[name] for name in names)]]
     for label, scale in (("as found", ""), ("one scale", "_scaled1"), ("three scales", "_scaled3")):
-        keys = [_scaled(name, scale) for name in LIGHT if name]
+        keys = [_scaled(name, scale) for name in names]
         if any(key in scores for key in keys):
             body.append([label, *(_score(key, scores.get(key)) for key in keys)])
     return ["Light and albedo, up to the factor between them", *align(body)]

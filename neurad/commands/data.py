@@ -8,7 +8,7 @@ from pathlib import Path
 from neurad.core.errors import InputError
 from neurad.core.ranges import Count, Positive, option
 
-KINDS = ("nerfstudio", "colmap", "polycam", "fipt")
+KINDS = ("nerfstudio", "colmap", "polycam", "fipt", "gltf")
 MERGE = "hdr"
 
 
@@ -17,20 +17,23 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("kind", choices=(*KINDS, MERGE), help="what SRC is; hdr merges brackets to linear EXR")
     parser.add_argument(
         "source", metavar="SRC", type=Path, nargs="+",
-        help="folder that the other program has written; for hdr the photographs, those of a view in a row",
+        help="folder or file that the other program has written; for hdr the photographs, those of a view in a row",
     )  # fmt: skip
     parser.add_argument(
         "--out",
         required=True,
         type=Path,
-        help="scene folder to make; it must not be there yet; for hdr that of the EXR",
+        help="scene folder to make, which must not be there yet; for hdr that of the EXR",
     )
     parser.add_argument(
         "--mesh", type=Path, nargs="+", default=[],
-        help="the room's surfaces: OBJ, PLY or STL (default: scene.obj of FIPT's data)",
+        help="the room's surfaces: OBJ, PLY, STL, glTF or USD (default: scene.obj of FIPT's data)",
     )  # fmt: skip
     parser.add_argument(
-        "--images", type=Path, help="folder of the photographs as EXR, if they do not lie beside those that SRC names"
+        "--images",
+        type=Path,
+        help="folder of the photographs as EXR, if they do not lie beside those that SRC names; of a glTF "
+        "scene each has the name of its camera",
     )
     parser.add_argument(
         "--up", choices=("x", "y", "z", "-x", "-y", "-z"),
@@ -74,7 +77,13 @@ def run(options: argparse.Namespace) -> None:
     from neurad.scene.import_room import ImportSettings, import_room
 
     values = {f.name: getattr(options, f.name) for f in fields(ImportSettings)}
-    import_room(ImportSettings(**{**values, "source": options.source[0]}))
+    settings = ImportSettings(**{**values, "source": options.source[0]})
+    if settings.kind == "gltf":
+        from neurad.scene.import_gltf import import_gltf
+
+        import_gltf(settings)
+    else:
+        import_room(settings)
 
 
 def _merge(options: argparse.Namespace) -> None:

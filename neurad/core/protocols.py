@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Protocol
+from typing import Protocol, runtime_checkable
 
 from torch import Tensor
 
@@ -47,6 +47,15 @@ class Materials(Protocol):
 
     def albedo(self, si: SurfaceInteraction) -> Tensor:
         """The albedo alone [n, 3], where no more is needed."""
+        ...
+
+
+@runtime_checkable
+class Guessing(Protocol):
+    """Materials that know that they were recovered, and have another answer where no photograph shows the surface."""
+
+    def guess(self, si: SurfaceInteraction) -> Surface:
+        """BSDF parameters at the lanes of ``si`` by what their neighbourhood has."""
         ...
 
 

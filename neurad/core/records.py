@@ -16,7 +16,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, field, fields, replace
-from typing import Any, Self
+from typing import Any, Literal, Self
 
 import numpy as np
 import numpy.typing as npt
@@ -184,7 +184,11 @@ class EmitterSample(Lanes):
     radiance: Tensor
     """Emitted radiance towards the reference point, not divided by the pdf [n, 3]."""
     pdf: Tensor
-    """Solid-angle density of ``wi`` [n]; 0 where no light can come from there."""
+    """Solid-angle density of ``wi`` [n]; 0 where no light can come from there. Of a light without extent: the
+    probability with which it was chosen."""
+    is_delta: Tensor | None = None
+    """Whether the light has no extent, so that no other technique finds it and its MIS weight is 1 [n], bool; None
+    where there is no such light. ``radiance`` is then the irradiance on a surface that faces it."""
 
 
 @dataclass(frozen=True)
@@ -215,7 +219,7 @@ class PixelBatch:
     """Whether a value is at its photograph's ceiling, so that the radiance is this or more [b, 3], bool; None where no
     photograph has a ceiling."""
     variance: Tensor | None = None
-    """Of the rounding to the format's codes, in squared radiance units [b, 3]; None where nothing is rounded."""
+    """Of values by their spread or rounding, in squared radiance units [b, 3]; None where nothing is known of it."""
 
     def to(self, device: torch.device | str) -> PixelBatch:
         """The batch on a device."""
@@ -328,6 +332,8 @@ class View:
     mask: str | None = None
     """Path of a picture of the photograph's size: what is black in it is ignored."""
     development: Development = Development()
+    spread: str | None = None
+    """Path of the standard deviation of the photograph's values (EXR), as ``neurad data hdr`` writes it."""
 
 
 @dataclass(frozen=True)
@@ -405,3 +411,26 @@ class EnvironmentMap:
     """Linear radiance, already multiplied by the emitter's scale [H, W, 3]."""
     to_world: FloatArray = field(default_factory=lambda: np.eye(4, dtype=np.float32))
     """Rotation from the map's frame to the world [4, 4]."""
+
+
+PunctualKind = Literal["point", "spot", "directional"]
+
+
+@dataclass(frozen=True)
+class PunctualLight:
+    """A light without extent: all of it comes from one point, or from one direction. Rays never hit it."""
+
+    name: str
+    kind: PunctualKind
+    intensity: FloatArray
+    """Linear RGB [3]: power per solid angle of a point and along the axis of a spot, irradiance on a surface that faces
+    a directional light."""
+    position: FloatArray = field(default_factory=lambda: np.zeros(3, np.float32))
+    """World place of a point or spot [3]."""
+    direction: FloatArray = field(default_factory=lambda: np.array([0.0, 0.0, 1.0], np.float32))
+    """World direction in which a spot or directional light shines, of any length but 0 [3]."""
+    cutoff_angle: float = 20.0
+    """Degrees from a spot's axis from which on it is dark, in (0, 90)."""
+    beam_width: float = 15.0
+    """Degrees from a spot's axis up to which it has its full intensity, in [0, cutoff_angle]; between both it falls
+    linearly with the angle, as Mitsuba's does."""

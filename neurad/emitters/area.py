@@ -64,6 +64,11 @@ class AreaLights(nn.Module):
         }.items():
             self.register_buffer(name, value.detach(), persistent=False)
 
+    @property
+    def trains(self) -> bool:
+        """Whether the radiance is recovered, and its derivative wanted now."""
+        return False
+
     def sample(self, p: Tensor, u: Tensor) -> EmitterSample:
         """A point on a triangle, seen from ``p`` [n, 3]; ``u`` [n, 3]: the point by the first two, the triangle by the
         third. The pdf is 0 where the point is seen from behind or edge-on.
@@ -79,14 +84,14 @@ class AreaLights(nn.Module):
         face = self.face.index_select(0, k)
         lit = (cos > 0) & (squared > 0)
         pdf = torch.where(lit, self.pdf_area.index_select(0, face) * squared / torch.where(lit, cos, 1.0), 0.0)
-        return EmitterSample(wi, distance, torch.where(lit[:, None], self.emission.index_select(0, face), 0.0), pdf)
+        return EmitterSample(wi, distance, torch.where(lit[:, None], self.radiance_of(face), 0.0), pdf)
 
     def eval(self, si: SurfaceInteraction) -> Tensor:  # type: ignore[override]
         """Radiance [n, 3] that leaves the surface at ``si`` towards ``si.wo``; 0 from behind and where not valid.
 
         Hides ``Module.eval()``; modules around this one switch their mode through ``train(False)``, which still works.
         """
-        if use_kernel(True, si.ng, si.wo, self.emission):
+        if use_kernel(not self.trains, si.ng, si.wo, self.emission):
             return self._eval_kernel(si)
         return self.eval_reference(si)
 
@@ -102,7 +107,11 @@ class AreaLights(nn.Module):
     def eval_reference(self, si: SurfaceInteraction) -> Tensor:
         """:meth:`eval` in plain torch, on any device and differentiable in ``emission``."""
         lit = si.valid & (dot(si.ng, si.wo) > 0)
-        return torch.where(lit[:, None], self.emission.index_select(0, si.prim.clamp_min(0)), 0.0)
+        return torch.where(lit[:, None], self.radiance_of(si.prim.clamp_min(0)), 0.0)
+
+    def radiance_of(self, face: Tensor) -> Tensor:
+        """Radiance [n, 3] that leaves triangles [n]."""
+        return self.emission.index_select(0, face)
 
     def pdf(self, p: Tensor, si: SurfaceInteraction) -> Tensor:
         """Solid-angle density [n] at ``p`` [n, 3] of the direction that ended at ``si``: area density * d^2 / cos."""
@@ -111,6 +120,10 @@ class AreaLights(nn.Module):
         lit = si.valid & (cos > 0)
         density = self.pdf_area.index_select(0, si.prim.clamp_min(0)) * dot(to_light, to_light)
         return torch.where(lit, density / torch.where(lit, cos, 1.0), 0.0)
+
+    def chosen(self, u: Tensor) -> Tensor:
+        """The triangle [n] that the third number [n] of a sample picks."""
+        return self.face.index_select(0, self._choose(u))
 
     def _choose(self, u: Tensor) -> Tensor:
         """Row [n] among the emitting triangles for uniform numbers [n]."""

@@ -12,6 +12,7 @@ from neurad.core.errors import InputError
 from neurad.core.records import EmitterSample, SurfaceInteraction
 from neurad.emitters.area import AreaLights
 from neurad.emitters.environment import Environment
+from neurad.emitters.punctual import PunctualLights
 from neurad.scene.description import Scene
 from neurad.scene.geometry import Geometry
 
@@ -39,10 +40,14 @@ class Lights(nn.Module):
         self.radius = radius
 
     @property
+    def power(self) -> float:
+        """Luminous power of both kinds."""
+        return self.area.power + _through(self.environment, self.radius)
+
+    @property
     def area_probability(self) -> float:
         """Probability of an area light; that of an environment which is being recovered follows its present power."""
-        through = math.pi * self.radius**2 * self.environment.integral
-        return min(max(self.area.power / (self.area.power + through), LEAST), 1.0 - LEAST)
+        return min(max(self.area.power / self.power, LEAST), 1.0 - LEAST)
 
     def sample(self, p: Tensor, u: Tensor) -> EmitterSample:
         """A direction towards either kind of light; the third of ``u`` [n, 3] chooses and is then used again."""
@@ -70,28 +75,116 @@ class Lights(nn.Module):
         )
 
 
-def make_lights(
-    scene: Scene, geometry: Geometry, other: Environment | None = None
-) -> AreaLights | Environment | Lights:
-    """The scene's emitter: one kind alone, or both joined.
+class WithPunctual(nn.Module):
+    """Lights without extent beside others; a sample comes from one of the two groups, chosen by power.
 
     Args:
-        scene: whose area lights, and environment unless another one is given.
+        punctual: lights without extent.
+        others: all that have one.
+        radius: radius of the scene's bounding sphere.
+    """
+
+    def __init__(self, punctual: PunctualLights, others: AreaLights | Environment | Lights, radius: float) -> None:
+        super().__init__()
+        self.punctual = punctual
+        self.others = others
+        self._radius = radius
+
+    @property
+    def radius(self) -> float:
+        """Radius of what light from far away is judged by."""
+        return self._radius
+
+    @radius.setter
+    def radius(self, radius: float) -> None:
+        self._radius = radius
+        if isinstance(self.others, Lights):
+            self.others.radius = radius
+
+    @property
+    def punctual_probability(self) -> float:
+        """Probability of a light without extent."""
+        others = self.others
+        power = _through(others, self.radius) if isinstance(others, Environment) else others.power
+        own = self.punctual.power(self.radius)
+        return min(max(own / (own + power), LEAST), 1.0 - LEAST)
+
+    def sample(self, p: Tensor, u: Tensor) -> EmitterSample:
+        """A direction towards a light of either group; the third of ``u`` [n, 3] chooses and is then used again."""
+        chance = self.punctual_probability
+        use = u[:, 2] < chance
+        again = torch.where(use, u[:, 2] / chance, (u[:, 2] - chance) / (1.0 - chance)).clamp(0.0, 1.0)
+        u = torch.cat((u[:, :2], again[:, None]), -1)
+        own, other = self.punctual.sample(p, u), self.others.sample(p, u)
+        three = use[:, None]
+        return EmitterSample(
+            wi=torch.where(three, own.wi, other.wi),
+            distance=torch.where(use, own.distance, other.distance),
+            radiance=torch.where(three, own.radiance, other.radiance),
+            pdf=torch.where(use, chance * own.pdf, (1.0 - chance) * other.pdf),
+            is_delta=use,
+        )
+
+    def eval(self, si: SurfaceInteraction) -> Tensor:  # type: ignore[override]
+        """Radiance [n, 3] sent towards ``si.wo`` by lights that have an extent."""
+        return self.others.eval(si)
+
+    def pdf(self, p: Tensor, si: SurfaceInteraction) -> Tensor:
+        """Density [n] at ``p`` [n, 3] of the direction that ended at ``si``, with the choice of the group."""
+        return (1.0 - self.punctual_probability) * self.others.pdf(p, si)
+
+
+def _through(environment: Environment, radius: float) -> float:
+    """Luminous power of an environment through a disk of this radius."""
+    return math.pi * radius**2 * environment.integral
+
+
+AnyLights = AreaLights | Environment | Lights | PunctualLights | WithPunctual
+"""Whatever :func:`join` makes."""
+
+
+def join(
+    area: AreaLights | None, environment: Environment | None, punctual: PunctualLights | None, radius: float
+) -> AnyLights | None:
+    """One emitter of all that there are; None where there is none.
+
+    Args:
+        area: emitting triangles.
+        environment: the environment.
+        punctual: lights without extent.
+        radius: of the scene's bounding sphere.
+    """
+    others: AreaLights | Environment | Lights | None = area if environment is None else environment
+    if area is not None and environment is not None:
+        others = Lights(area, environment, radius)
+    if punctual is None or others is None:
+        return others if punctual is None else punctual
+    return WithPunctual(punctual, others, radius)
+
+
+def make_lights(
+    scene: Scene, geometry: Geometry, other: Environment | None = None, lamps: AreaLights | None = None
+) -> AnyLights:
+    """The scene's emitter: one kind alone, or those that there are joined.
+
+    Args:
+        scene: whose lights, and environment unless another one is given.
         geometry: of the same scene.
         other: used instead of the scene's own environment.
+        lamps: used instead of the scene's own area lights.
 
     Raises:
         InputError: the scene has no light at all.
     """
     features = scene.features
-    area = AreaLights(geometry) if features.has_area_lights else None
+    area = lamps
+    if lamps is None and features.has_area_lights:
+        area = AreaLights(geometry)
     environment = other
     if other is None and features.has_environment and scene.environment is not None:
         environment = Environment(scene.environment)
-    if area is not None and environment is not None:
-        return Lights(area, environment, float(np.linalg.norm(scene.bounds[1] - scene.bounds[0])) / 2)
-    if area is not None:
-        return area
-    if environment is not None:
-        return environment
-    raise InputError(f"scene {scene.name}: it has no emitter, so every photograph would be black")
+    punctual = PunctualLights(scene.punctual) if features.has_punctual else None
+    made = join(area, environment, punctual, float(np.linalg.norm(scene.bounds[1] - scene.bounds[0])) / 2)
+    if made is None:
+        raise InputError(f"scene {scene.name}: it has no emitter, so every photograph would be black")
+    return made

@@ -7,7 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from neurad.assembly.build import Assembly
-from neurad.assembly.relight import shown_environment
+from neurad.assembly.relight import shown_environment, with_lamps
 from neurad.core.errors import InputError
 from neurad.core.records import Bitmap, Constant, Material, Mesh
 from neurad.core.reflection import PrincipledModel, ReflectionModel
@@ -112,7 +112,7 @@ def _baked_scene(
         materials.append(replace(material, name=names[index]))
         meshes.append(replace(mesh, name=names[index], material=index, attributes={}))
     environment = None if scene.environment is None else shown_environment(assembly)
-    return replace(scene, meshes=meshes, materials=materials, environment=environment)
+    return with_lamps(replace(scene, meshes=meshes, materials=materials, environment=environment), assembly)
 
 
 def _shortest(pixels: np.ndarray) -> Bitmap | Constant:

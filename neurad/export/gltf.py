@@ -2,7 +2,7 @@
 
 Written by hand, as no library at hand knows the extensions: ``KHR_materials_emissive_strength`` for lamps,
 ``KHR_materials_specular`` for surfaces without a coat, ``KHR_materials_ior`` and ``KHR_materials_transmission`` for
-glass.
+glass, ``KHR_lights_punctual`` for lights without extent.
 """
 
 from __future__ import annotations
@@ -16,7 +16,7 @@ from typing import Any
 import numpy as np
 
 import neurad
-from neurad.core.records import Constant, FloatArray, Mesh, View
+from neurad.core.records import Constant, FloatArray, Mesh, PunctualLight, View
 from neurad.core.reflection import PrincipledModel
 from neurad.export.axes import TO_Y, quaternion
 from neurad.export.base_colour import Target, base_for
@@ -25,6 +25,9 @@ from neurad.export.glb import GlbWriter, Json
 from neurad.export.images import Coded, coded
 from neurad.export.room import Room
 from neurad.runtime import threads
+from neurad.scene.punctual import LUMENS_PER_WATT, pose
+
+_PUNCTUAL = "KHR_lights_punctual"
 
 
 def write_glb(
@@ -56,12 +59,17 @@ def write_glb(
             done(room.names[index], files)
         views = [view for view in (*room.scene.train, *room.scene.test) if is_plain(view.camera)]
         children += [_add_camera(glb, room, view) for view in views]
+        children += [_add_light(glb, light) for light in room.scene.punctual if light.intensity.any()]
         root: Json = {"name": "room", "children": children}
         if room.up != "y":
             root["rotation"] = list(TO_Y[room.up])
         glb.json["scenes"] = [{"nodes": [glb.add("nodes", root)], "name": room.scene.name}]
         glb.json["scene"] = 0
-        extras = {"base_color_for": target, "up": room.up}
+        depths = {"max_depth": room.scene.max_depth, "rr_depth": room.scene.rr_depth}
+        extras: Json = {"base_color_for": target, "up": room.up, **depths}
+        if room.scene.environment is not None:
+            turn = np.asarray(room.scene.environment.to_world, np.float64)[:3, :3]
+            extras["environment_to_world"] = [float(x) for x in turn.ravel()]
         glb.json["asset"] = {"version": "2.0", "generator": f"neurad {neurad.__version__}", "extras": extras}
     glb.finish(path, part)
     part.unlink()
@@ -160,6 +168,37 @@ def unit_normals(mesh: Mesh) -> FloatArray:
         normals[length < 1e-30] = 0.0, 0.0, 1.0
         length = np.linalg.norm(normals, axis=1)
     return np.asarray(normals / length[:, None], np.float32)
+
+
+def _add_light(glb: GlbWriter, light: PunctualLight) -> int:
+    """Append a light without extent and a node; returns the number of the node.
+
+    The units are candela and lux there, :data:`LUMENS_PER_WATT` of them to a unit of the scene's. A spot falls between
+    its angles with a square of the cosine there, where it is linear in the angle here.
+    """
+    strength = float(light.intensity.max())
+    described: Json = {
+        "name": light.name,
+        "type": light.kind,
+        "color": [min(float(x) / strength, 1.0) for x in light.intensity],
+        "intensity": strength * LUMENS_PER_WATT,
+    }
+    if light.kind == "spot":
+        # the inner angle has to be less than the outer one
+        outer = math.radians(light.cutoff_angle)
+        described["spot"] = {
+            "innerConeAngle": min(math.radians(light.beam_width), outer * (1.0 - 1e-6)), "outerConeAngle": outer,
+        }  # fmt: skip
+    lights = glb.json.setdefault("extensions", {}).setdefault(_PUNCTUAL, {"lights": []})["lights"]
+    lights.append(described)
+    glb.extensions.add(_PUNCTUAL)
+    at = pose(light, -1.0)  # glTF's lights shine along -Z
+    node: Json = {"name": light.name, "extensions": {_PUNCTUAL: {"light": len(lights) - 1}}}
+    if light.kind != "directional":
+        node["translation"] = [float(x) for x in at[:3, 3]]
+    if light.kind != "point":
+        node["rotation"] = quaternion(at[:3, :3])
+    return glb.add("nodes", node)
 
 
 def _add_camera(glb: GlbWriter, room: Room, view: View) -> int:

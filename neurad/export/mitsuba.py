@@ -17,12 +17,13 @@ from xml.etree import ElementTree
 import numpy as np
 
 from neurad.core.errors import InputError
-from neurad.core.records import Bitmap, Camera, Constant, EnvironmentMap, Material, Mesh, Texture, View
+from neurad.core.records import Bitmap, Camera, Constant, EnvironmentMap, Material, Mesh, PunctualLight, Texture, View
 from neurad.export.cameras import clip_planes
 from neurad.export.raster_kernels import Array
 from neurad.scene.description import Scene
 from neurad.scene.image_io import write_exr
 from neurad.scene.ply import write_ply
+from neurad.scene.punctual import pose
 
 Node = dict[str, Any]
 """A plugin: its ``type``, and its parameters by name: numbers, strings, booleans, :class:`Matrix` or further nodes."""
@@ -31,6 +32,7 @@ TAGS = {
     "scene": "scene", "path": "integrator", "prb": "integrator", "perspective": "sensor", "hdrfilm": "film",
     "box": "rfilter", "independent": "sampler", "envmap": "emitter", "area": "emitter", "ply": "shape",
     "bitmap": "texture", "twosided": "bsdf", "principled": "bsdf", "diffuse": "bsdf", "conductor": "bsdf",
+    "point": "emitter", "spot": "emitter", "directional": "emitter",
     "dielectric": "bsdf", "roughconductor": "bsdf", "roughplastic": "bsdf", "rgb": "rgb", "ref": "ref",
 }  # fmt: skip
 """The XML element of each plugin."""
@@ -101,8 +103,11 @@ def describe(
         else:
             tree[label] = _bsdf(material, label, names[i], pictures)
             bsdfs[i] = {"type": "ref", "id": label}
-    for mesh, name in zip(scene.meshes, file_names([m.name for m in scene.meshes]), strict=True):
+    names = file_names([*(mesh.name for mesh in scene.meshes), *(light.name for light in scene.punctual)])
+    for mesh, name in zip(scene.meshes, names[: len(scene.meshes)], strict=True):
         tree[f"mesh-{name}"] = _shape(mesh, name, bsdfs[mesh.material], folder)
+    for light, name in zip(scene.punctual, names[len(scene.meshes) :], strict=True):
+        tree[f"light-{name}"] = _punctual(light, name)
     return tree
 
 
@@ -228,6 +233,15 @@ def _shape(mesh: Mesh, name: str, bsdf: Any, folder: Path) -> Node:
         radiance = [float(x) for x in mesh.radiance]
         shape["emitter"] = {"type": "area", "radiance": {"type": "rgb", "value": radiance}}
     return shape
+
+
+def _punctual(light: PunctualLight, name: str) -> Node:
+    key = "irradiance" if light.kind == "directional" else "intensity"
+    colour = {"type": "rgb", "value": [float(x) for x in light.intensity]}
+    node: Node = {"type": light.kind, "id": name, key: colour, "to_world": Matrix(pose(light))}
+    if light.kind == "spot":
+        node |= {"cutoff_angle": float(light.cutoff_angle), "beam_width": float(light.beam_width)}
+    return node
 
 
 def _environment(environment: EnvironmentMap, folder: Path) -> Node:

@@ -16,6 +16,7 @@ import neurad
 from neurad.assembly.build import Assembly, FittedMaterials
 from neurad.core.errors import InputError
 from neurad.core.ranges import Count, checked
+from neurad.core.records import PunctualLight
 from neurad.export import usd
 from neurad.export.axes import UPS, Up, rotation
 from neurad.export.baking import bake_room
@@ -38,6 +39,7 @@ from neurad.metrics.error_bars import ErrorBars
 from neurad.metrics.seen import SeenBy
 from neurad.scene.description import Scene
 from neurad.scene.image_io import png, write_exr
+from neurad.scene.punctual import pose
 from neurad.training.error_bars import to_cube
 
 NO_BARS = "error bars: the run folder has none of this checkpoint; neurad test writes them"
@@ -169,6 +171,7 @@ def write_room(
         "max_depth": scene.max_depth,
         "hide_environment": room.hide_environment,
         "environment": None if turned is None else {"file": "environment.exr", "to_world": turned},
+        "lights": [_light_notes(light) for light in scene.punctual if light.intensity.any()],
         "film": None if camera is None else [camera.width, camera.height],
         "views": {"train": [v.name for v in scene.train], "test": [v.name for v in scene.test]},
         "without_photographs": missing,
@@ -178,9 +181,26 @@ def write_room(
 
 
 def _left_out(scene: Scene) -> list[str]:
-    """Cameras that only the camera files have."""
+    """What other files than those that describe it best lack: cameras with lenses, lights without extent."""
     bent = [view.name for view in (*scene.train, *scene.test) if not is_plain(view.camera)]
-    return [f"{len(bent)} cameras: {NO_LENS}"] if bent else []
+    said = [f"{len(bent)} cameras: {NO_LENS}"] if bent else []
+    shine = [light.name for light in scene.punctual if light.intensity.any()]
+    if shine and usd.has_usd():
+        said.append(f"room.usdc: it lacks {len(shine)} lights without extent ({', '.join(shine[:8])})")
+    return said
+
+
+def _light_notes(light: PunctualLight) -> dict[str, Any]:
+    """A light without extent in the scene's frame and units, with its direction of length 1."""
+    return {
+        "name": light.name,
+        "type": light.kind,
+        "intensity": [float(x) for x in light.intensity],
+        "position": [float(x) for x in light.position],
+        "direction": pose(light)[:3, 2].tolist(),
+        "cutoff_angle": light.cutoff_angle,
+        "beam_width": light.beam_width,
+    }
 
 
 def _write_evidence(

@@ -17,6 +17,11 @@ from neurad.scene.textures import OnEmitters
 MIN_ROUGHNESS = 0.02
 """Smallest fitted roughness: below it a highlight is narrower than a pixel and its gradient is all noise."""
 
+REACH = 2.0
+"""Half of the side of the box around a point that its neighbourhood is, in cells of the albedo's finest level."""
+AROUND = torch.cartesian_prod(*[torch.tensor([-2.0, 0.0, 2.0]) / 3.0] * 3)
+"""Places evenly spread over a box of half the side 1 around a point [27, 3]."""
+
 
 class _MaterialField(nn.Module):
     """Position -> hash grid -> network -> sigmoid, or position -> dense grid -> sigmoid. Values start near 0.5."""
@@ -29,16 +34,27 @@ class _MaterialField(nn.Module):
         self.cube = cube
         self.grid, self.mlp = make_layers(config, channels, extra)
 
-    def features(self, p: Tensor) -> Tensor:
-        """What the grid says [n, k] at positions [n, 3]: what :meth:`of_features` makes values of."""
-        found: Tensor = self.grid(self.cube(p))
+    def features(self, p: Tensor, offset: Tensor | None = None) -> Tensor:
+        """What the grid says [n, k] at positions [n, 3]: what :meth:`of_features` makes values of.
+
+        Args:
+            p: positions in the scene.
+            offset: from them in the unit cube [3], to ask beside them.
+        """
+        x = self.cube(p)
+        found: Tensor = self.grid(x if offset is None else (x + offset.to(x)).clamp(0.0, 1.0))
         return found
+
+    @property
+    def cell(self) -> float:
+        """Side of a cell of the grid's finest level in the unit cube."""
+        return 1.0 / float(self.grid.cells)  # type: ignore[arg-type]
 
     def _values(self, features: Tensor, *extra: Tensor) -> Tensor:
         """Sigmoid outputs [n, c] of features [n, k] and the ``extra`` inputs [n, e]."""
         return torch.sigmoid(self.mlp(torch.cat((features, *extra), -1) if extra else features))
 
-    def _with_known(self, si: SurfaceInteraction, values: Tensor) -> Tensor:
+    def with_known(self, si: SurfaceInteraction, values: Tensor) -> Tensor:
         """``values`` [n, c], but the known ones on emitting surfaces."""
         return values if self.known is None else self.known(si, values)
 
@@ -68,7 +84,7 @@ class AlbedoField(_MaterialField):
 
     def forward(self, si: SurfaceInteraction) -> Tensor:
         """Albedo [n, 3] at the lanes of ``si``; gradients reach the parameters, not the positions."""
-        return self._with_known(si, self.at(si.p))
+        return self.with_known(si, self.at(si.p))
 
 
 class RoughnessField(_MaterialField):
@@ -119,4 +135,4 @@ class RoughnessField(_MaterialField):
 
     def forward(self, si: SurfaceInteraction, albedo: Tensor | None = None) -> Tensor:
         """Roughness [n, 1] at the lanes of ``si``; gradients reach the parameters, not the positions."""
-        return self._with_known(si, self.at(si.p, albedo))
+        return self.with_known(si, self.at(si.p, albedo))

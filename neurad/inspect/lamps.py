@@ -2,23 +2,29 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
+import numpy as np
 import torch
+from torch import Tensor
 
 from neurad.assembly.build import Assembly
+from neurad.assembly.lighting import area_lights
 from neurad.assembly.relight import shown_environment
 from neurad.core.colour import luminance
 from neurad.core.records import EnvironmentMap
 from neurad.emitters.area import AreaLights
 from neurad.emitters.environment import Environment
+from neurad.emitters.lights import join
+from neurad.emitters.punctual import PunctualLights
 from neurad.integrators.renderer import MethodRenderer, path_tracer
 from neurad.integrators.world import World
 from neurad.scene.placement import turned_environment
 
 MOST = 8
-"""Area lights with a brightness of their own; dimmer ones beyond these share one."""
+"""Lamps with a brightness of their own; dimmer ones beyond these share one."""
 ENVIRONMENT = "environment"
 
 
@@ -28,7 +34,14 @@ class Lamp:
 
     name: str
     meshes: tuple[int, ...] = ()
-    """Indices into ``Scene.meshes``; none: it is the environment."""
+    """Indices into ``Scene.meshes``."""
+    punctual: tuple[int, ...] = ()
+    """Indices into ``Scene.punctual``."""
+
+    @property
+    def is_environment(self) -> bool:
+        """Whether it is what is neither a mesh nor a light without extent."""
+        return not self.meshes and not self.punctual
 
 
 @dataclass(frozen=True)
@@ -44,20 +57,26 @@ class Light:
 def lamps_of(assembly: Assembly) -> list[Lamp]:
     """The lamps of a scene, brightest first, the environment last.
 
-    Meshes of one name are one lamp. At most :data:`MOST` area lights stand alone.
+    Meshes of one name are one lamp. At most :data:`MOST` lamps that are not the environment stand alone.
     """
     geometry, scene = assembly.world.geometry, assembly.scene
-    power = luminance(geometry.emission.double()) * geometry.face_area.double()
+    power = luminance(_emission(assembly.world).double()) * geometry.face_area.double()
     by_mesh = torch.zeros(len(scene.meshes), dtype=torch.float64, device=power.device)
     by_mesh.index_add_(0, geometry.mesh_index, power)
     named: dict[str, list[int]] = {}
     for index in by_mesh.nonzero().squeeze(-1).tolist():
         named.setdefault(scene.meshes[index].name, []).append(index)
-    order = sorted(named, key=lambda name: -float(by_mesh[named[name]].sum()))
-    lamps = [Lamp(name, tuple(named[name])) for name in order]
+    powers = {Lamp(name, tuple(ids)): math.pi * float(by_mesh[ids].sum()) for name, ids in named.items()}
+    radius = float(np.linalg.norm(scene.bounds[1] - scene.bounds[0])) / 2
+    for index, light in enumerate(scene.punctual):
+        if light.intensity.any():
+            powers[Lamp(light.name, punctual=(index,))] = PunctualLights([light]).power(radius)
+    lamps = sorted(powers, key=lambda lamp: -powers[lamp])
     if len(lamps) > MOST:
         rest = lamps[MOST - 1 :]
-        lamps = [*lamps[: MOST - 1], Lamp(f"{len(rest)} other lamps", sum((lamp.meshes for lamp in rest), ()))]
+        meshes = tuple(index for lamp in rest for index in lamp.meshes)
+        points = tuple(index for lamp in rest for index in lamp.punctual)
+        lamps = [*lamps[: MOST - 1], Lamp(f"{len(rest)} other lamps", meshes, points)]
     if _environment(assembly) is not None:
         lamps.append(Lamp(ENVIRONMENT))
     return lamps
@@ -77,19 +96,26 @@ def lamp_renderer(assembly: Assembly, lamp: Lamp, turn: float = 0.0) -> MethodRe
         turn: of the environment, in degrees.
     """
     world, scene = assembly.world, assembly.scene
-    lights: AreaLights | Environment
+    area = environment = punctual = None
     if lamp.meshes:
         chosen = torch.isin(world.geometry.mesh_index, torch.tensor(lamp.meshes, device=world.two_sided.device))
-        lights = AreaLights(world.geometry, world.geometry.emission * chosen.unsqueeze(-1))
-    else:
-        environment = _environment(assembly)
-        assert environment is not None
-        lights = Environment(turned_environment(environment, turn)).to(world.two_sided.device)
-    alone = World(
-        world.geometry, world.tracer, lights, world.bsdf, world.features, world.two_sided, world.hide_environment,
-        world.delta,
-    )  # fmt: skip
-    return path_tracer(alone, assembly.materials, scene.max_depth, scene.rr_depth)
+        area = AreaLights(world.geometry, _emission(world) * chosen.unsqueeze(-1))
+    if lamp.punctual:
+        punctual = PunctualLights([scene.punctual[index] for index in lamp.punctual])
+    if lamp.is_environment:
+        shown = _environment(assembly)
+        assert shown is not None
+        environment = Environment(turned_environment(shown, turn))
+    lights = join(area, environment, punctual, float(np.linalg.norm(scene.bounds[1] - scene.bounds[0])) / 2)
+    assert lights is not None
+    lights = lights.to(world.two_sided.device)
+    return path_tracer(world.under(lights), assembly.materials, scene.max_depth, scene.rr_depth)
+
+
+def _emission(world: World) -> Tensor:
+    """Radiance of every triangle [F, 3], as it was recovered where it was not known."""
+    lights = area_lights(world)
+    return world.geometry.emission if lights is None else lights.emission
 
 
 def _environment(assembly: Assembly) -> EnvironmentMap | None:

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import viser
 
-from neurad.inspect.lamps import ENVIRONMENT, Lamp, Light
+from neurad.inspect.lamps import Lamp, Light
 from neurad.inspect.maps import RENDER, Mode, legend
 from neurad.inspect.probe import Reading
 from neurad.inspect.still import Look
@@ -67,7 +67,7 @@ class Panel:
         with gui.add_folder("light"):
             self._sliders: list[Any] = [gui.add_slider(lamp.name, 0.0, BRIGHTEST, 0.05, 1.0) for lamp in lamps]
             self._turn: Any = None
-            if any(lamp.name == ENVIRONMENT and not lamp.meshes for lamp in lamps):
+            if any(lamp.is_environment for lamp in lamps):
                 self._turn = gui.add_slider(
                     "turn", 0, 360, 1, 0, hint="Degrees that the environment is turned, counterclockwise from above."
                 )

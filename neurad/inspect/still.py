@@ -206,7 +206,7 @@ class LitStill:
 
     def _follow(self, light: Light) -> None:
         """Begin anew with the environment's picture where it was turned."""
-        lit = [i for i in self._shining(light) if not self.lamps[i].meshes]
+        lit = [i for i in self._shining(light) if self.lamps[i].is_environment]
         if lit and light.turn % 360.0 != self._turn:
             self._turn = light.turn % 360.0
             self._made.pop(self._films[lit[0]], None)

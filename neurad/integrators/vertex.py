@@ -111,6 +111,8 @@ def bounce_reference(
     visible[index] = ~world.occluded(shadow_rays[index], t_max[index])
 
     mis_em = mis_weight(ds.pdf, bsdf_pdf_em)  # [n]
+    if ds.is_delta is not None:  # BSDF sampling cannot find lights without extent
+        mis_em = torch.where(ds.is_delta, 1.0, mis_em)
     scale = torch.where(visible, mis_em / ds.pdf.clamp_min(1e-30), 0.0)
     direct_em = bsdf_value_em * (ds.radiance * scale.unsqueeze(-1))  # [n, 3]
 

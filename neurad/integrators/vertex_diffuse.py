@@ -13,7 +13,9 @@ from torch import Tensor
 
 from neurad.core.records import Rays, Surface, SurfaceInteraction
 from neurad.emitters.area import AreaLights
+from neurad.emitters.fitted_lamps import FittedLamps
 from neurad.integrators import vertex_diffuse_kernels as kernels
+from neurad.integrators.lamp_gradient import by_lamps, found_light
 from neurad.integrators.vertex import Bounce
 from neurad.integrators.vertex_kernels_shared import RayArrays, ShadowRays, Triangles, Vertices, reads
 from neurad.integrators.world import World
@@ -57,6 +59,9 @@ def bounce_diffuse(world: World, si: SurfaceInteraction, surface: Surface, u: Te
         pdf.numpy(), Vertices.of(end), lights, direct.numpy(), weight.numpy(),
     )  # fmt: skip
     split(lambda low, high: kernels.resolve_hits_diffuse(low, high, *resolved), n, GRAIN)
+    if isinstance(world.lights, FittedLamps) and world.lights.trains:
+        shown = lane[~blocked], radiance[~blocked]
+        direct = by_lamps(world.lights, direct, found_light(world, si, u, shown, pdf, end, weight))
     return Bounce(direct, weight, end, albedo=surface.albedo)
 
 

@@ -203,7 +203,7 @@ def spawn_ray(
 
 
 def reads(enabled: bool, world: World, si: SurfaceInteraction) -> bool:
-    """Whether kernels can make bounces at ``si``, as far as lights and vertices go: known area lights, plain vertices
+    """Whether kernels can make bounces at ``si``, as far as lights and vertices go: area lights alone, plain vertices
     (what carries more has to hand it on).
     """
     lights = world.lights

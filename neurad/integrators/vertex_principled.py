@@ -18,8 +18,10 @@ from torch.autograd.function import once_differentiable
 from neurad.core.protocols import LobeKernels
 from neurad.core.records import Rays, Surface, SurfaceInteraction
 from neurad.emitters.area import AreaLights
+from neurad.emitters.fitted_lamps import FittedLamps
 from neurad.integrators import vertex_principled_kernels as kernels
 from neurad.integrators.guide import Guided
+from neurad.integrators.lamp_gradient import by_lamps, found_light
 from neurad.integrators.vertex import Bounce, BSDFSampleStats
 from neurad.integrators.vertex_kernels_shared import RayArrays, ShadowRays, Triangles, Vertices, reads
 from neurad.integrators.world import NonDeltaHit, World
@@ -90,8 +92,15 @@ def bounce_principled(
     values = found.values
     if torch.is_grad_enabled() and (surface.albedo.requires_grad or surface.roughness.requires_grad):
         values = _KnownDerivatives.apply(surface.albedo, surface.roughness, found)  # type: ignore[no-untyped-call]
+    direct = values[0]
+    if isinstance(world.lights, FittedLamps) and world.lights.trains:
+        lane = lane[~blocked]
+        bsdf_value = surface.albedo.detach()[lane] * bsdf_em[0, lane, None] + bsdf_em[1, lane, None]  # f cos [k, 3]
+        shown = lane, bsdf_value * radiance[~blocked]
+        light = found_light(world, si, u, shown, bsdf_wi[2], hit.si, found.values[1], hit.via_delta)
+        direct = by_lamps(world.lights, direct, light)
     stats = BSDFSampleStats(values[2], found.relative, wi) if sample_stats else None
-    return Bounce(values[0], values[1], hit.si, stats)
+    return Bounce(direct, values[1], hit.si, stats)
 
 
 @dataclass(frozen=True)

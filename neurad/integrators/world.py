@@ -78,6 +78,18 @@ class World(nn.Module):
         """Where to look for indirect light; None looks by the BSDF alone."""
         self.register_buffer("two_sided", two_sided, persistent=False)
 
+    def under(self, lights: Emitter, features: Features | None = None) -> World:
+        """The same surfaces under other lights, without a guide, which belongs to these.
+
+        Args:
+            lights: every emitter.
+            features: of the scene with them; None for the same.
+        """
+        return World(
+            self.geometry, self.tracer, lights, self.bsdf, features or self.features, self.two_sided,
+            self.hide_environment, self.delta,
+        )  # fmt: skip
+
     def intersect(self, rays: Rays) -> SurfaceInteraction:
         """Where rays end, misses and smooth surfaces included."""
         return self.geometry.interact(rays, self.tracer.closest(rays))

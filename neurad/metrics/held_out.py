@@ -18,8 +18,8 @@ from torch import Tensor
 
 from neurad.core.camera import camera_rays
 from neurad.core.errors import InputError
-from neurad.core.protocols import Materials, Tracer
-from neurad.core.records import FloatArray, SurfaceInteraction, View
+from neurad.core.protocols import Guessing, Materials, Tracer
+from neurad.core.records import FloatArray, Surface, SurfaceInteraction, View
 from neurad.core.rng import Stream
 from neurad.integrators.film import pixel_positions, strided
 from neurad.metrics.colour_lookup import MOST_VIEWS, ColourLookup, explained
@@ -242,18 +242,36 @@ class HeldOut:
 
     @torch.no_grad()
     def predict(self, materials: Materials) -> list[dict[str, FloatArray]]:
-        """Box-filtered ``albedo`` [h, w, 3] and ``roughness`` [h, w, 1] of every view; 0 where nothing is hit."""
+        """Box-filtered ``albedo`` [h, w, 3] and ``roughness`` [h, w, 1] of every view; 0 where nothing is hit.
+
+        Materials that can guess do so in pixels of surfaces that no training view sees.
+        """
         maps = []
         for index in counted(range(len(self.views)), "evaluating", len(self.views), "materials"):
             albedo, roughness = [], []
             for part, si in self.sub_samples(index):
                 surface = materials(si)
+                if isinstance(materials, Guessing):
+                    surface = self._guessed(materials, surface, si, index, part)
                 valid = si.valid[:, None]
                 albedo.append(self._pixels(part, torch.where(valid, surface.albedo, 0.0)).mean(1))
                 roughness.append(self._pixels(part, torch.where(valid, surface.roughness, 0.0)).mean(1))
             pair = {"albedo": torch.cat(albedo), "roughness": torch.cat(roughness)}
             maps.append({name: self._image(index, pixels) for name, pixels in pair.items()})
         return maps
+
+    def _guessed(
+        self, materials: Guessing, surface: Surface, si: SurfaceInteraction, index: int, part: slice
+    ) -> Surface:
+        """The surface of a chunk, guessed in the pixels that no training view sees."""
+        unseen = torch.from_numpy(~self.seen(index).reshape(-1)[part]).to(si.p.device)
+        lanes = (unseen.repeat_interleave(self.grid**2) & si.valid).nonzero().squeeze(-1)
+        if len(lanes) == 0:
+            return surface
+        guess = materials.guess(si[lanes])
+        pairs = ((surface.albedo, guess.albedo), (surface.roughness, guess.roughness))
+        albedo, roughness = (whole.index_copy(0, lanes, part.to(whole)) for whole, part in pairs)
+        return Surface(albedo, roughness)
 
     def truth(self, index: int) -> dict[str, FloatArray]:
         """``photograph`` [h, w, 3], ``albedo_true`` [h, w, 3], ``roughness_true`` [h, w, 1], and ``photograph_relit``

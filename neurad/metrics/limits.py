@@ -1,4 +1,4 @@
-"""How much of the recovered albedo can go no further: a sign of light that is not what it is taken for."""
+"""What recovered materials look like as a whole: signs of light that is not what it is taken for."""
 
 from __future__ import annotations
 
@@ -28,6 +28,28 @@ def albedo_at_limits(maps: Sequence[Mapping[str, FloatArray]], counted: Sequence
         return {}
     found = np.concatenate([v.reshape(-1) for v in values])
     return {"albedo_at_0": float((found < NEAR).mean()), "albedo_at_1": float((found > 1.0 - NEAR).mean())}
+
+
+def roughness_spread(maps: Sequence[Mapping[str, FloatArray]], counted: Sequence[BoolArray]) -> dict[str, float]:
+    """Mean of the roughness on counted pixels, ``roughness_mean``, and its standard deviation, ``roughness_spread``;
+    none without any pixel. While light is wrong, surfaces turn glossy or matt for it, all alike.
+
+    Args:
+        maps: ``roughness`` [h, w, 1] of every view.
+        counted: pixels that count, of every view [h, w].
+    """
+    values = [entry["roughness"][mask] for entry, mask in zip(maps, counted, strict=True) if "roughness" in entry]
+    if not any(v.size for v in values):
+        return {}
+    found = np.concatenate([v.reshape(-1) for v in values]).astype(np.float64)
+    return {"roughness_mean": float(found.mean()), "roughness_spread": float(found.std())}
+
+
+def sentence_of_roughness(scores: Mapping[str, float]) -> str:
+    """What the end of a fit with unknown light says about it; nothing otherwise."""
+    if "roughness_mean" not in scores:
+        return ""
+    return f"roughness found: {scores['roughness_mean']:.3f} on average, spread {scores['roughness_spread']:.3f}"
 
 
 def sentence_of_limits(scores: Mapping[str, float]) -> str:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -13,7 +13,7 @@ from torch import Tensor
 
 from neurad.core.camera import camera_rays
 from neurad.core.frame import dot
-from neurad.core.protocols import Materials
+from neurad.core.protocols import Materials, PhotoSource
 from neurad.core.records import Camera, PixelBatch
 from neurad.core.rng import Stream, mix
 from neurad.integrators.emitter_pixels import POSITIONS, shown_in
@@ -35,9 +35,6 @@ _MOST = 4096  # pixels of a view that are looked at
 _LIT, _LIT_SPP = 64, 16  # pixels of a lamp and samples in each that say how much it reflects
 _DEPTH = 6  # of their paths: what a lamp reflects is a few per cent of what it sends
 _CHUNK = 1 << 14
-
-Read = Callable[[Tensor, Tensor], Tensor]
-"""Photographed radiance [n, 3] of pixels [n] of views [n]."""
 
 
 @dataclass(frozen=True)
@@ -136,17 +133,49 @@ def lamp_pixels(world: World, cameras: Sequence[Camera], seed: int, ignored: Ten
     return LampPixels(view, pixel, mesh)
 
 
+@dataclass(frozen=True)
+class LampPhotographs:
+    """What photographs show of lamps alone."""
+
+    at: LampPixels
+    color: Array
+    """Photographed there [n, 3]."""
+    clipped: npt.NDArray[np.bool_]
+    """Which values are at the ceiling of their photograph [n, 3]."""
+
+
+@torch.no_grad()
+def lamp_photographs(
+    world: World, cameras: Sequence[Camera], photographs: PhotoSource, sample: PixelBatch, seed: int
+) -> LampPhotographs:
+    """Read the pixels of photographs that show one lamp and nothing else.
+
+    Args:
+        world: of the scene.
+        cameras: of the photographs.
+        photographs: their pixels, those that masks leave out, and which are clipped, where that is known.
+        sample: random pixels of the photographs that show no lamp: where they reach the largest value of a photograph,
+            too, that is its ceiling, unless it is known.
+        seed: of all draws.
+    """
+    with world.tracer.uncounted():
+        shown = lamp_pixels(world, cameras, seed, photographs.ignored())
+    color, known, view = np.zeros((0, 3)), None, shown.view.cpu()
+    if len(view):
+        color = photographs.colors(view, shown.pixel.cpu()).double().numpy()
+        known = photographs.clipped(view, shown.pixel.cpu())
+    clipped = _clipped(color, view.numpy(), sample) if known is None else known.numpy()  # [n, 3]
+    return LampPhotographs(shown, color, clipped)
+
+
 @torch.no_grad()
 def photographed_lamps(
     scene: Scene,
     world: World,
     materials: Materials,
     cameras: Sequence[Camera],
-    read: Read,
-    sample: PixelBatch,
+    shown: LampPhotographs,
     seed: int,
-    ignored: Tensor | None = None,
-    at_ceiling: Callable[[Tensor, Tensor], Tensor | None] | None = None,
 ) -> list[PhotographedLamp]:
     """Every lamp of a scene as its photographs show it; those that no pixel shows alone have 0 pixels.
 
@@ -155,33 +184,22 @@ def photographed_lamps(
         world: of the scene.
         materials: what surfaces are made of, as far as it is known; they decide what lamps reflect, a small part.
         cameras: of the photographs.
-        read: gives what was photographed.
-        sample: random pixels of the photographs that show no lamp: where they reach the largest value of a photograph,
-            too, that is its ceiling.
+        shown: what these show of lamps.
         seed: of all draws.
-        ignored: pixels that masks leave out [views, pixels], bool.
-        at_ceiling: says of pixels [n] of views [n] which values are clipped [n, 3] by what is known of the photographs,
-            or None where nothing is; it is looked for then.
     """
-    with world.tracer.uncounted():
-        shown = lamp_pixels(world, cameras, seed, ignored)
-        color: Array = (
-            read(shown.view.cpu(), shown.pixel.cpu()).double().numpy() if len(shown.view) else np.zeros((0, 3))
-        )
-        view, pixel, mesh = (x.cpu().numpy() for x in (shown.view, shown.pixel, shown.mesh))
-        known = None if at_ceiling is None or not len(view) else at_ceiling(shown.view.cpu(), shown.pixel.cpu())
-        clipped = _clipped(color, view, sample) if known is None else known.numpy()  # [n, 3]
-        lamps = []
-        for index, part in enumerate(scene.meshes):
-            if part.radiance is None or not part.radiance.any():
-                continue
-            mine = np.flatnonzero(mesh == index)
-            free = mine[~clipped[mine].any(1)]
-            lit = _reflected(world, materials, cameras, view[mine], pixel[mine], mix(seed, index))
-            median = np.median(color[free], axis=0) if len(free) else np.full(3, math.nan)
-            declared, views = np.asarray(part.radiance, np.float64), len(np.unique(view[mine]))
-            count, full = len(mine), int(clipped[mine].any(1).sum())
-            lamps.append(PhotographedLamp(index, part.name, declared, lit, median, count, views, full))
+    view, pixel, mesh = (x.cpu().numpy() for x in (shown.at.view, shown.at.pixel, shown.at.mesh))
+    lamps = []
+    for index, part in enumerate(scene.meshes):
+        if part.radiance is None or not part.radiance.any():
+            continue
+        mine = np.flatnonzero(mesh == index)
+        free = mine[~shown.clipped[mine].any(1)]
+        with world.tracer.uncounted():
+            lit = reflected_by_lamp(world, materials, cameras, view[mine], pixel[mine], mix(seed, index))
+        median = np.median(shown.color[free], axis=0) if len(free) else np.full(3, math.nan)
+        declared, views = np.asarray(part.radiance, np.float64), len(np.unique(view[mine]))
+        count, full = len(mine), int(shown.clipped[mine].any(1).sum())
+        lamps.append(PhotographedLamp(index, part.name, declared, lit, median, count, views, full))
     return lamps
 
 
@@ -202,7 +220,8 @@ def _clipped(color: Array, view: npt.NDArray[np.int64], sample: PixelBatch) -> n
     return result
 
 
-def _reflected(
+@torch.no_grad()
+def reflected_by_lamp(
     world: World,
     materials: Materials,
     cameras: Sequence[Camera],

@@ -287,7 +287,7 @@ def load_run(
     scene = _scene(config["data"], folder, root)
     assembly = assemble(scene, settings, _has_alpha(scene))
     state = _restore(assembly, content, name, other_light)
-    changes = changed_light(state, scene, assembly.environment is None)
+    changes = changed_light(state, scene, assembly.environment is None, assembly.lamps is None)
     target = torch.device(device)
     for _, part in assembly.modules():
         part.to(target)

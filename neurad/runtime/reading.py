@@ -192,7 +192,15 @@ def read_json(path: str | Path, missing: str = "there is no such file") -> Any:
     Raises:
         InputError: it cannot be read, is not JSON, nests deeper than Python can follow, or an object has a key twice.
     """
-    text = read_text(path, missing)
+    return parse_json(read_text(path, missing), path)
+
+
+def parse_json(text: str, path: str | Path) -> Any:
+    """What JSON describes that stands in a file.
+
+    Raises:
+        InputError: as :func:`read_json`.
+    """
     try:
         return json.loads(text, object_pairs_hook=lambda pairs: _once(pairs, path))
     except RecursionError as error:

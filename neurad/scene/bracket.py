@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -13,7 +14,7 @@ FULL_WELL = 20000.0
 """Electrons of a pixel at its largest value: shot noise has the variance of their number."""
 READ_NOISE = 6.0
 """Standard deviation in electrons of reading a pixel: between good cameras and telephones."""
-NEAR = 0.97
+NEAR = 0.93
 """Fraction of the ceiling from which on a sample is left out: noise would be cut off on one side there."""
 _ROUNDS = 3
 
@@ -24,7 +25,7 @@ def merge(
     exposures: Sequence[FloatArray],
     times: Sequence[float],
     ceiling: float = 1.0,
-    rounding: Sequence[FloatArray] | None = None,
+    rounding: Sequence[npt.NDArray[Any]] | None = None,
     full_well: float = FULL_WELL,
     read_noise: float = READ_NOISE,
 ) -> tuple[FloatArray, FloatArray, npt.NDArray[np.bool_]]:
@@ -32,7 +33,8 @@ def merge(
 
     A sample ``y = radiance * time`` has the variance of shot and read noise, ``y / full_well + (read_noise /
     full_well)^2``, with ``y`` by the present estimate: by the sample itself, those that noise made small would count
-    more. Whether a sample is near its ceiling is said by the shorter exposures, and so independent of its own noise.
+    more. Whether a sample is near its ceiling is said by the shorter exposures, and so independent of its own noise;
+    where their noise decides it, the mean is up to 0.4 % too large.
 
     Args:
         exposures: pictures of the same size, values in units of the largest [h, w, c].
@@ -52,7 +54,7 @@ def merge(
     floor = (read_noise / full_well) ** 2 * np.ones_like(y[:1])
     floor = floor + (0.0 if rounding is None else np.stack([np.asarray(rounding[i]) for i in order]))
     free = _free(y, t, ceiling)
-    all_clipped = ~free.any(0)
+    all_clipped: npt.NDArray[np.bool_] = ~np.asarray(free.any(0))
     radiance = np.where(all_clipped, ceiling / t[0], _ratio((y * free).sum(0), (t * free).sum(0)))
     weight = np.zeros_like(y)
     for _ in range(_ROUNDS):

@@ -10,10 +10,11 @@ import numpy as np
 import numpy.typing as npt
 
 from neurad.core.errors import InputError
-from neurad.core.records import EnvironmentMap, FloatArray, Material, Mesh, View
+from neurad.core.records import EnvironmentMap, FloatArray, Material, Mesh, PunctualLight, View
 from neurad.core.reflection import DiffuseModel, PrincipledModel, ReflectionModel
 from neurad.scene.development import KNOWN, Photography
 from neurad.scene.numbers import RADIANCE, within
+from neurad.scene.punctual import check_punctual
 
 SCORED = 8
 """Training photographs that are scored where no view is held out."""
@@ -40,6 +41,13 @@ class Features:
     """Some surface is black from behind."""
     models: tuple[ReflectionModel, ...] = ()
     """The reflection models of all surfaces that are not delta, each once; ``Surface.model`` counts them."""
+    has_punctual: bool = False
+    """Points, spots or directional lights."""
+
+    @property
+    def has_light(self) -> bool:
+        """Whether anything shines at all."""
+        return self.has_area_lights or self.has_environment or self.has_punctual
 
     @property
     def fitted_model(self) -> ReflectionModel:
@@ -70,6 +78,8 @@ class Scene:
     """Path of another environment map (EXR), under which held-out views were photographed again; for metrics only."""
     notes: tuple[str, ...] = ()
     """What the readers decided for the user, a sentence each."""
+    punctual: tuple[PunctualLight, ...] = ()
+    """Lights without extent."""
     photography: Photography = KNOWN
     """What is known of how the photographs were taken."""
 
@@ -93,8 +103,9 @@ class Scene:
                 )
         if self.environment is not None:
             within(self.environment.pixels, f"scene {self.name}: the radiance of its environment", 0.0, RADIANCE)
-        features = self.features
-        if not (features.has_area_lights or features.has_environment):
+        for light in self.punctual:
+            check_punctual(light, f"scene {self.name}: {light.kind} emitter {light.name}")
+        if not self.features.has_light:
             raise InputError(f"scene {self.name}: it has no emitter, so every photograph would be black")
         return self
 
@@ -132,6 +143,7 @@ class Scene:
             is_diffuse=all(m.model.is_diffuse for m in rough),
             has_one_sided=any(not m.two_sided for m in rough),
             models=tuple(dict.fromkeys(m.model for m in rough)),
+            has_punctual=any(bool(light.intensity.any()) for light in self.punctual),
         )
 
     @property
@@ -171,4 +183,8 @@ class Scene:
                 digest.update(np.ascontiguousarray(mesh.radiance, np.float32).tobytes())
         if self.environment is not None:
             digest.update(np.ascontiguousarray(self.environment.pixels, np.float32).tobytes())
+        for light in self.punctual:
+            digest.update(light.kind.encode())
+            digest.update(np.concatenate((light.intensity, light.position, light.direction)).astype("<f4").tobytes())
+            digest.update(np.asarray((light.cutoff_angle, light.beam_width), "<f4").tobytes())
         return digest.hexdigest()[:16]

@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from fnmatch import fnmatchcase
 from pathlib import Path
+from typing import TypeVar
 
 import numpy as np
 
 from neurad.core.colour import LUMINANCE
 from neurad.core.errors import InputError
-from neurad.core.records import Constant, EnvironmentMap, FloatArray, Material, Mesh
+from neurad.core.records import Constant, EnvironmentMap, FloatArray, Material, Mesh, PunctualLight
 from neurad.core.reflection import PrincipledModel
 from neurad.core.suggest import nearest
 from neurad.runtime.reading import shown
@@ -25,6 +26,8 @@ Color = tuple[float, float, float]
 """Linear RGB."""
 Vector = tuple[float, float, float]
 """In scene units."""
+Named = TypeVar("Named", Mesh, Mesh | PunctualLight)
+"""Things that an edit names."""
 
 
 @dataclass(frozen=True)
@@ -118,8 +121,9 @@ class Edited:
 
 
 def lamps_of(scene: Scene) -> list[str]:
-    """Names of the meshes that shine."""
-    return [mesh.name for mesh in scene.meshes if mesh.radiance is not None and float(mesh.radiance.max()) > 0.0]
+    """Names of the meshes that shine, then of the lights without extent that do."""
+    shine = [mesh.name for mesh in scene.meshes if mesh.radiance is not None and float(mesh.radiance.max()) > 0.0]
+    return [*shine, *(light.name for light in scene.punctual if light.intensity.any())]
 
 
 def edited(scene: Scene, edit: Edit) -> Edited:
@@ -141,8 +145,8 @@ def edited(scene: Scene, edit: Edit) -> Edited:
         work.material(pattern, material)
     for thing in edit.objects:
         work.put_in(thing)
-    made = replace(work.scene, meshes=work.meshes, materials=work.materials)
-    if not (made.features.has_area_lights or made.features.has_environment):
+    made = replace(work.scene, meshes=work.meshes, materials=work.materials, punctual=tuple(work.punctual))
+    if not made.features.has_light:
         raise InputError(f"{edit.source}: it leaves no light in the scene, so every picture would be black")
     return Edited(
         made.check(), scene, frozenset(work.albedo), frozenset(work.roughness), tuple(work.said), work.reshaped
@@ -166,6 +170,7 @@ class _Work:
         self.source = source
         self.meshes: list[Mesh] = list(scene.meshes)
         self.materials: list[Material] = list(scene.materials)
+        self.punctual: list[PunctualLight] = list(scene.punctual)
         self.albedo: set[int] = set()
         self.roughness: set[int] = set()
         self.said: list[str] = []
@@ -174,25 +179,56 @@ class _Work:
     def lamp(self, pattern: str, edit: LampEdit) -> None:
         """Change the lamps of a name."""
         lamps = set(lamps_of(self.scene))
-        for index in self._named(pattern, "lamp", lambda mesh: mesh.name in lamps):
+        shine: list[Mesh | PunctualLight] = [mesh for mesh in self.scene.meshes if mesh.name in lamps]
+        shine += [light for light in self.scene.punctual if light.name in lamps]
+        chosen = {thing.name for thing in self._named(pattern, "lamp", shine)}
+        for index, light in enumerate(self.scene.punctual):
+            if light.name in chosen and light.intensity.any():
+                self._punctual(index, edit)
+        for index, there in enumerate(self.scene.meshes):
+            if there.name not in chosen or there.radiance is None:
+                continue
             mesh = self.meshes[index]
-            now = self.scene.meshes[index].radiance if mesh.radiance is None else mesh.radiance
-            assert now is not None
-            light = now if edit.radiance is None else np.asarray(edit.radiance, np.float32)
-            light = light if edit.color is None else coloured(light, edit.color)
-            light = (light * np.float32(edit.scale)).astype(np.float32)
-            within(light, f"{self.source}: lamps: the radiance of {shown(mesh.name)} then", 0.0, RADIANCE)
-            dark = edit.off or not light.any()
-            self.meshes[index] = replace(mesh, radiance=None if dark else light)
-            words = "off" if dark else f"{', '.join(f'{x:.4g}' for x in light)} instead of {_listed(now)}"
-            if dark or not np.array_equal(light, now):
-                self.said.append(f"lamp {mesh.name} {words}")
+            now = there.radiance if mesh.radiance is None else mesh.radiance
+            dark, made = self._relit(mesh.name, now, edit, "radiance")
+            self.meshes[index] = replace(mesh, radiance=None if dark else made)
             if any(edit.move):
                 here = self.meshes[index]
                 step = np.asarray(edit.move, np.float32)
                 self.meshes[index] = replace(here, vertices=(here.vertices + step).astype(np.float32))
                 self.said.append(f"lamp {mesh.name} moved by {_listed(step)}")
                 self.reshaped = True
+
+    def _punctual(self, index: int, edit: LampEdit) -> None:
+        """Change a light without extent. One that is off keeps its place in the list, without light."""
+        light = self.punctual[index]
+        if edit.radiance is not None:
+            raise InputError(
+                f"{self.source}: lamps: {shown(light.name)} is a {light.kind} light and has no radiance; give a scale"
+            )
+        now = light.intensity if light.intensity.any() else self.scene.punctual[index].intensity
+        dark, made = self._relit(light.name, now, edit, "intensity")
+        self.punctual[index] = replace(light, intensity=np.zeros(3, np.float32) if dark else made)
+        if any(edit.move):
+            if light.kind == "directional":
+                raise InputError(
+                    f"{self.source}: lamps: {shown(light.name)} is a directional light, which has no place to move from"
+                )
+            step = np.asarray(edit.move, np.float32)
+            self.punctual[index] = replace(self.punctual[index], position=(light.position + step).astype(np.float32))
+            self.said.append(f"lamp {light.name} moved by {_listed(step)}")
+
+    def _relit(self, name: str, now: FloatArray, edit: LampEdit, measure: str) -> tuple[bool, FloatArray]:
+        """Whether a lamp is dark after an edit, and the light [3] that it sends instead of ``now``."""
+        light = now if edit.radiance is None else np.asarray(edit.radiance, np.float32)
+        light = light if edit.color is None else coloured(light, edit.color)
+        light = (light * np.float32(edit.scale)).astype(np.float32)
+        within(light, f"{self.source}: lamps: the {measure} of {shown(name)} then", 0.0, RADIANCE)
+        dark = edit.off or not light.any()
+        words = "off" if dark else f"{', '.join(f'{x:.4g}' for x in light)} instead of {_listed(now)}"
+        if dark or not np.array_equal(light, now):
+            self.said.append(f"lamp {name} {words}")
+        return dark, light
 
     def environment(self, edit: EnvironmentEdit) -> None:
         """Change the environment."""
@@ -233,7 +269,8 @@ class _Work:
 
     def material(self, pattern: str, edit: MaterialEdit) -> None:
         """Give meshes of a name another material."""
-        chosen = self._named(pattern, "mesh", lambda mesh: True)
+        meant = {mesh.name for mesh in self._named(pattern, "mesh", self.scene.meshes)}
+        chosen = [i for i, mesh in enumerate(self.scene.meshes) if mesh.name in meant]
         for index in chosen:
             material = self.materials[self.meshes[index].material]
             if edit.roughness is not None and (material.model.is_delta or material.model.is_diffuse):
@@ -279,16 +316,15 @@ class _Work:
         self.said.append(f"{name} put in ({count} triangles)")
         self.reshaped = True
 
-    def _named(self, pattern: str, what: str, kind: Callable[[Mesh], bool]) -> list[int]:
-        """Places of the meshes that a name or pattern means, of one kind.
+    def _named(self, pattern: str, what: str, known: Sequence[Named]) -> list[Named]:
+        """Those of some things that a name or pattern means.
 
         Raises:
             InputError: there is none.
         """
-        known = [i for i, mesh in enumerate(self.scene.meshes) if kind(mesh)]
-        names = [self.scene.meshes[i].name for i in known]
-        exact = [i for i, name in zip(known, names, strict=True) if name == pattern]
-        found = exact or [i for i, name in zip(known, names, strict=True) if fnmatchcase(name, pattern)]
+        names = [thing.name for thing in known]
+        exact = [thing for thing in known if thing.name == pattern]
+        found = exact or [thing for thing in known if fnmatchcase(thing.name, pattern)]
         if found:
             return found
         is_mesh = what == "lamp" and any(mesh.name == pattern for mesh in self.scene.meshes)

@@ -5,8 +5,10 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from neurad.core.errors import InputError
 from neurad.core.ranges import CountOrZero, checked
@@ -59,15 +61,18 @@ class MergeSettings:
 
 
 def merge_brackets(settings: MergeSettings) -> None:
-    """Write an EXR file for each view, named as the first of its photographs, and say what was taken.
+    """Write an EXR file for each view, named as the first of its photographs, its standard deviation into the folder
+    ``spread`` beside, and say what was taken.
 
     Raises:
         InputError: a photograph cannot be read, has no exposure or another size, or a file is there already.
     """
     size = settings.bracket or len(settings.files)
     brackets = [settings.files[i : i + size] for i in range(0, len(settings.files), size)]
+    spreads = settings.out.absolute().parent / "spread"
     with writing(settings.out, "--out"):
-        settings.out.mkdir(parents=True, exist_ok=True)
+        for folder in (settings.out, spreads):
+            folder.mkdir(parents=True, exist_ok=True)
     places = [settings.out / f"{files[0].stem}.exr" for files in brackets]
     for place in places:
         if place.exists():
@@ -80,6 +85,7 @@ def merge_brackets(settings: MergeSettings) -> None:
     ):
         radiance, spread, clipped = _merged(files, exposures, settings.response)
         write_exr(place, radiance, half=False)
+        write_exr(spreads / place.name, spread, half=False)
         free = ~clipped
         noise = float(np.median(spread[free] / np.maximum(radiance[free], 1e-30))) if free.any() else float("nan")
         span = f"exposures {min(exposures):.3g} to {max(exposures):.3g}"
@@ -114,8 +120,11 @@ def _exposures(files: Sequence[Path], given: Sequence[float] | None) -> list[flo
     return found
 
 
-def _merged(files: Sequence[Path], times: Sequence[float], response: str | None) -> tuple[FloatArray, ...]:
-    pictures, squares = [], []
+def _merged(
+    files: Sequence[Path], times: Sequence[float], response: str | None
+) -> tuple[FloatArray, FloatArray, npt.NDArray[np.bool_]]:
+    pictures: list[FloatArray] = []
+    squares: list[npt.NDArray[Any]] = []
     for file in files:
         pixels, variance = _linear(file, response or "srgb")
         if pictures and pixels.shape != pictures[0].shape:
@@ -128,7 +137,7 @@ def _merged(files: Sequence[Path], times: Sequence[float], response: str | None)
     return merge(pictures, times, _ceiling(files, response), squares)
 
 
-def _linear(file: Path, response: str) -> tuple[FloatArray, FloatArray]:
+def _linear(file: Path, response: str) -> tuple[FloatArray, npt.NDArray[Any]]:
     """Linear values of a photograph in units of the largest [h, w, 3], and the variance of their rounding."""
     ending = file.suffix.lower()
     if ending in RAW:
@@ -141,7 +150,7 @@ def _linear(file: Path, response: str) -> tuple[FloatArray, FloatArray]:
     return pixels, np.interp(pixels, values, squares)
 
 
-def _raw(file: Path) -> tuple[FloatArray, FloatArray]:
+def _raw(file: Path) -> tuple[FloatArray, npt.NDArray[Any]]:
     """A raw photograph: linear sRGB primaries in the camera's white balance; what is clipped in any colour is 1."""
     try:
         import rawpy
@@ -153,14 +162,14 @@ def _raw(file: Path) -> tuple[FloatArray, FloatArray]:
         full = np.asarray(raw.raw_image_visible) >= 0.995 * white
         codes = raw.postprocess(
             gamma=(1, 1), no_auto_bright=True, use_camera_wb=True, output_bps=16, user_flip=0,
-            output_color=rawpy.ColorSpace.sRGB,
+            output_color=rawpy.ColorSpace.sRGB, adjust_maximum_thr=0.0,
         )  # fmt: skip
     pixels = (codes / _WHITE).astype(np.float32)
     pixels[_around(full, pixels.shape[:2])] = 1.0
     return pixels, np.full(1, 1.0 / (12.0 * _WHITE**2)) * np.ones_like(pixels)
 
 
-def _around(full: np.ndarray, shape: tuple[int, int]) -> np.ndarray:
+def _around(full: npt.NDArray[np.bool_], shape: tuple[int, ...]) -> npt.NDArray[np.bool_]:
     """Pixels whose colours are interpolated from a clipped one: those within two steps of it."""
     grown = np.zeros(shape, bool)
     height, width = min(shape[0], full.shape[0]), min(shape[1], full.shape[1])

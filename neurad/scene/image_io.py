@@ -155,6 +155,35 @@ def read_bitmap(path: str | Path, raw: bool = False) -> FloatArray:
     return _decoded(path, raw)
 
 
+def read_coded(data: bytes, where: str) -> npt.NDArray[np.uint8]:
+    """The values [h, w, 3 or 4] of a picture in memory, PNG, JPEG or WebP, as they are coded; grey is repeated.
+
+    Args:
+        data: bytes of its file.
+        where: file and picture, for sentences.
+
+    Raises:
+        InputError: it cannot be read, or is larger than there is memory for.
+    """
+    from PIL import Image
+
+    said, stream = "it cannot be read as a PNG, JPEG or WebP picture", io.BytesIO(data)
+    with native(where, said), warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        image = opened(stream, ("PNG", "JPEG", "WEBP"))
+    with image:
+        width, height = image.size
+        check_size(Path(where), width, height, 16, 4)
+        with native(where, said), warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            image.load()
+            if image.mode in _DEPTH16:
+                levels = (np.asarray(image, np.float32) / 257.0).round()
+                image = Image.fromarray(levels.clip(0, 255).astype(np.uint8))
+            clear = image.mode in ("LA", "PA", "RGBA", "La", "RGBa") or "transparency" in image.info
+            return np.array(image.convert("RGBA" if clear else "RGB"))
+
+
 def read_mask(view: View) -> npt.NDArray[np.bool_]:
     """What the mask of a view keeps of its photograph [h, w]: all that is not black.
 
@@ -189,14 +218,14 @@ def _decoded(path: Path, raw: bool) -> FloatArray:
             return _linear(image, raw)
 
 
-def opened(path: Path) -> Any:
+def opened(file: Path | io.BytesIO, formats: tuple[str, ...] = _FORMATS) -> Any:
     """The picture of a file, not yet decoded."""
     from PIL import Image
 
     limit = Image.MAX_IMAGE_PIXELS
     Image.MAX_IMAGE_PIXELS = None  # large textures are honest; check_size looks at the memory
     try:
-        return Image.open(path, formats=_FORMATS)
+        return Image.open(file, formats=formats)
     finally:
         Image.MAX_IMAGE_PIXELS = limit
 

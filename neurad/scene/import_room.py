@@ -5,8 +5,8 @@ from __future__ import annotations
 import os
 import shutil
 import sys
-from collections.abc import Callable, Sequence
-from contextlib import suppress
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, field
 from pathlib import Path, PurePosixPath
 
@@ -17,6 +17,7 @@ from neurad.core.ranges import Positive, checked
 from neurad.core.records import Mesh, View
 from neurad.runtime.files import writing
 from neurad.runtime.reading import exists, folder, regular_file, shown
+from neurad.scene.description import Scene
 from neurad.scene.load import read_folder
 from neurad.scene.numbers import RADIANCE, number
 from neurad.scene.photographs import READABLE, picture_size
@@ -37,7 +38,7 @@ class ImportSettings:
     """What to make a scene folder of."""
 
     kind: str
-    """One of :data:`SOURCES`."""
+    """One of :data:`SOURCES`; or gltf, see :mod:`neurad.scene.import_gltf`."""
     source: Path
     out: Path
     mesh: list[Path] = field(default_factory=list)
@@ -136,37 +137,48 @@ def import_room(settings: ImportSettings) -> None:
         InputError: a file is missing or broken, a number out of range, the cameras and photographs do not fit, or the
             folder is there already.
     """
-    out = _free(settings.out)
+    out = free_folder(settings.out)
     source = folder(settings.source, "SRC")
     images = None if settings.images is None else folder(settings.images, "--images")
     lamps = _lamps(settings.lamp)
-    environment = None if settings.environment is None else _environment(settings.environment)
+    environment = None if settings.environment is None else map_of(settings.environment)
     views = SOURCES[settings.kind][0](source, images)
     for view in (*views.train, *views.test):
-        _check_size(view)
+        check_photograph(view)
         _check_place(view, [source] if images is None else [source, images])
     paths = settings.mesh or ([source / MESH] if settings.kind == "fipt" else [])
     if not paths and (lamps or settings.up or environment):
         raise InputError("--lamp, --up and --environment are about what --mesh names, and there is no --mesh")
     to_cameras = _placed(settings, views)
     room = Room(views, [read_meshes(path) for path in paths], to_cameras, lamps, environment, settings.copy)
+    with whole(out) as part:
+        meshes = write_room(room, part)
+        if meshes:
+            check_room(part, out)
+    _say(room, meshes, out)
+
+
+@contextmanager
+def whole(out: Path) -> Iterator[Path]:
+    """A new folder beside ``out``, which it becomes at the end of the block; it is removed if the block fails.
+
+    Raises:
+        InputError: the system refused to write.
+    """
     part = out.with_name(out.name + PART)
     with writing(part, "--out"):
         part.mkdir(parents=True)
     try:
-        meshes = write_room(room, part)
-        if meshes:
-            _check(part, out)
+        yield part
         with writing(out, "--out"):
             part.rename(out)
     except BaseException:
         with suppress(OSError):
             shutil.rmtree(part)
         raise
-    _say(room, meshes, out)
 
 
-def _free(path: Path) -> Path:
+def free_folder(path: Path) -> Path:
     """The folder to write, which must not be there, or empty."""
     out = Path(path).expanduser()
     with writing(out, "--out"):
@@ -192,12 +204,22 @@ def _lamps(words: Sequence[str]) -> dict[str, tuple[float, float, float]]:
     return found
 
 
-def _environment(path: Path) -> Path:
+def map_of(path: Path) -> Path:
+    """The environment map of ``--environment``.
+
+    Raises:
+        InputError: it is missing or no EXR image.
+    """
     check_exr(regular_file(path, "there is no such environment map"))
     return path
 
 
-def _check_size(view: View) -> None:
+def check_photograph(view: View) -> None:
+    """Check that a photograph has its camera's size.
+
+    Raises:
+        InputError: it has another one.
+    """
     assert view.image is not None
     width, height = picture_size(Path(view.image))
     camera = view.camera
@@ -210,7 +232,7 @@ def _check_size(view: View) -> None:
 
 def _check_place(view: View, places: Sequence[Path]) -> None:
     """Masks and maps, too, lie where the source is: a camera file of others links to nothing else."""
-    for file in filter(None, (view.mask, view.albedo, view.roughness)):
+    for file in filter(None, (view.mask, view.albedo, view.roughness, view.spread)):
         if not any(Path(os.path.abspath(file)).is_relative_to(place) for place in places):
             raise InputError(f"{shown(file)}: its name in the camera file leads out of the folder {shown(places[0])}")
 
@@ -224,12 +246,21 @@ def _placed(settings: ImportSettings, views: Split) -> Matrix:
     return turned(settings.up, to, settings.scale)
 
 
-def _check(part: Path, out: Path) -> None:
-    """Read the folder as a fit does; a light may still be missing."""
+def check_room(part: Path, out: Path) -> Scene:
+    """Read a folder as a fit does; a light may still be missing.
+
+    Args:
+        part: the folder.
+        out: where it is going to be, for sentences.
+
+    Raises:
+        InputError: a fit would refuse it.
+    """
     try:
         scene = read_folder(part)
-        if scene.features.has_area_lights or scene.features.has_environment:
+        if scene.features.has_light:
             scene.check()
+        return scene
     except InputError as error:
         raise InputError(str(error).replace(str(part), str(out))) from error
 
@@ -240,7 +271,7 @@ def _say(room: Room, meshes: Sequence[Mesh], out: Path) -> None:
     sizes = dict.fromkeys(f"{view.camera.width} x {view.camera.height}" for view in views)
     held = f", {len(room.views.test)} of them held out" if room.views.test else ""
     print(f"{shown(out)}: {len(views)} photographs of {' or '.join(sizes)} pixels{held}")
-    for note in room.views.notes:
+    for note in (*room.views.notes, *(note for file in room.meshes for note in file.notes)):
         print(f"neurad: {note}", file=sys.stderr)
     if not meshes:
         print("no --mesh was given: put a scene.xml with geometry and lights into the folder")

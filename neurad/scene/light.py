@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from neurad.core.records import PunctualLight
 from neurad.scene.description import Scene
 
 SAME = 1e-6
@@ -15,8 +16,20 @@ SAME = 1e-6
 
 def light_of(scene: Scene) -> dict[str, Any]:
     """Lamps and environment in plain types: ``lamps`` has the number of a mesh, its name and its radiance,
-    ``environment`` a hash of its pixels, their mean and its pose, or is None.
+    ``environment`` a hash of its pixels, their mean and its pose, or is None. Where there are lights without extent,
+    ``punctual`` has their number, name, kind, intensity, position, direction and angles.
     """
+    kept = _lamps_and_environment(scene)
+    punctual = [_punctual(i, light) for i, light in enumerate(scene.punctual) if light.intensity.any()]
+    return kept | {"punctual": punctual} if punctual else kept
+
+
+def _punctual(index: int, light: PunctualLight) -> list[Any]:
+    numbers = (*light.intensity, *light.position, *light.direction, light.cutoff_angle, light.beam_width)
+    return [index, light.name, light.kind, *(float(x) for x in numbers)]
+
+
+def _lamps_and_environment(scene: Scene) -> dict[str, Any]:
     environment = scene.environment
     lamps = [
         [i, mesh.name, *(float(x) for x in mesh.radiance)]
@@ -36,7 +49,7 @@ def light_of(scene: Scene) -> dict[str, Any]:
     }
 
 
-def light_changes(before: dict[str, Any], scene: Scene, environment: bool = True) -> list[str]:
+def light_changes(before: dict[str, Any], scene: Scene, environment: bool = True, lamps: bool = True) -> list[str]:
     """What differs between a light that :func:`light_of` kept and that of a scene of the same geometry, a few words
     each; none where the light is the same.
 
@@ -44,6 +57,7 @@ def light_changes(before: dict[str, Any], scene: Scene, environment: bool = True
         before: as it was kept.
         scene: the scene now.
         environment: compare the environment, too: False where it is recovered, and the scene's own is no light.
+        lamps: compare the lamps' radiance, likewise; which meshes shine counts in any case.
     """
     now = light_of(scene)
     old, new = ({lamp[0]: lamp for lamp in light["lamps"]} for light in (before, now))
@@ -51,10 +65,26 @@ def light_changes(before: dict[str, Any], scene: Scene, environment: bool = True
     for index in sorted(old.keys() | new.keys()):
         name = (new.get(index) or old[index])[1]
         was, is_ = (None if index not in lamps else lamps[index][2:] for lamps in (old, new))
-        if was is None or is_ is None or not np.allclose(was, is_, SAME, 0.0):
+        if was is None or is_ is None or (lamps and not np.allclose(was, is_, SAME, 0.0)):
             changes.append(f"lamp {name} {_radiance(is_)} instead of {_radiance(was)}")
+    changes += _punctual_changes(before.get("punctual", []), now.get("punctual", []))
     if environment:
         changes += _environment_changes(before["environment"], now["environment"])
+    return changes
+
+
+def _punctual_changes(was: list[list[Any]], are: list[list[Any]]) -> list[str]:
+    """What differs between two sets of lights without extent."""
+    changes = []
+    old, new = ({light[0]: light for light in lights} for lights in (was, are))
+    for index in sorted(old.keys() | new.keys()):
+        name = (new.get(index) or old[index])[1]
+        before, now = (lights[index][2:] if index in lights else [] for lights in (old, new))
+        shone, shines = (light[1:4] if light else None for light in (before, now))
+        if shone is None or shines is None or not np.allclose(shone, shines, SAME, 0.0):
+            changes.append(f"light {name} {_radiance(shines)} instead of {_radiance(shone)}")
+        elif before[0] != now[0] or not np.allclose(before[4:], now[4:], 1e-5, 1e-5):
+            changes.append(f"light {name} moved or turned")
     return changes
 
 

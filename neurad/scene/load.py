@@ -30,6 +30,15 @@ def _mitsuba(folder: Path) -> Scene:
     return read_xml(folder / "scene.xml")
 
 
+def _gltf(name: str) -> Callable[[Path], Scene]:
+    def read(folder: Path) -> Scene:
+        from neurad.scene.readers.gltf_scene import read_scene
+
+        return read_scene(folder / name)
+
+    return read
+
+
 def _two_files(folder: Path, hold_out: int) -> Split:
     from neurad.scene.readers.nerf import read_split
 
@@ -42,8 +51,14 @@ def _one_file(folder: Path, hold_out: int) -> Split:
     return read_one(folder, hold_out)
 
 
-SCENE_FILES: dict[str, Callable[[Path], Scene]] = {"scene.xml": _mitsuba}
-"""Readers of meshes, materials and lights, by file name; the first one in a folder is read."""
+SCENE_FILES: dict[str, Callable[[Path], Scene]] = {
+    "scene.xml": _mitsuba,
+    "scene.glb": _gltf("scene.glb"),
+    "scene.gltf": _gltf("scene.gltf"),
+}
+"""Readers of meshes, materials and lights, by file name; the first one in a folder is read. What a file says of cameras
+becomes held-out views without photographs.
+"""
 CAMERA_FILES: dict[str, Callable[[Path, int], Split]] = {
     "transforms_train.json": _two_files,
     "transforms.json": _one_file,
@@ -99,15 +114,21 @@ def read_folder(root: str | Path, hold_out: int = HOLD_OUT, photography: Photogr
         InputError: something is missing or wrong; the sentence names the file and the frame.
     """
     if Path(root).suffix.lower() in OTHER_SCENES and Path(root).is_file():
-        raise InputError(f"--data.root: {shown(root)}: {_otherwise()}")
+        raise InputError(f"--data.root: {shown(root)}: {_otherwise(Path(root))}")
     folder = existing_folder(root, "--data.root")
-    read_surfaces, read_cameras = _reader(SCENE_FILES, folder), _reader(CAMERA_FILES, folder)
-    views = read_cameras(folder, hold_out)
+    surfaces = None
+    read_surfaces = _reader(SCENE_FILES, folder)
+    if not any(exists(folder / name) for name in ("scene.xml", *CAMERA_FILES)):  # glTF may have cameras, to be rendered
+        surfaces = read_surfaces(folder)
+        if surfaces.test:
+            return replace(surfaces, name=folder.name)
+    views = _reader(CAMERA_FILES, folder)(folder, hold_out)
     relight = None
     if any(view.relight for view in views.test):
         relight = str(regular_file(folder / RELIGHT, "the map is missing that lights the photographs of relight_path"))
-    surfaces = replace(read_surfaces(folder), name=folder.name, relight=relight)
-    return _developed(replace(surfaces, train=views.train, test=views.test, notes=views.notes), photography)
+    surfaces = read_surfaces(folder) if surfaces is None else surfaces
+    surfaces = replace(surfaces, name=folder.name, relight=relight, notes=(*surfaces.notes, *views.notes))
+    return _developed(replace(surfaces, train=views.train, test=views.test), photography)
 
 
 def _reader(readers: dict[str, T], folder: Path) -> T:
@@ -122,14 +143,16 @@ def _reader(readers: dict[str, T], folder: Path) -> T:
     first, *others = readers
     instead = f" (or {', '.join(others)})" if others else ""
     other = next((file for file in sorted(folder.iterdir()) if file.suffix.lower() in OTHER_SCENES), None)
-    hint = "" if other is None or readers is not SCENE_FILES else f"; {other.name}: {_otherwise()}"
+    hint = "" if other is None or readers is not SCENE_FILES else f"; {other.name}: {_otherwise(other)}"
     near = did_you_mean(first, [file.name for file in folder.iterdir()])
     raise InputError(f"{folder / first}: the scene folder lacks this file{instead}{hint or near}")
 
 
-def _otherwise() -> str:
-    """What to do with a scene that cannot be read."""
+def _otherwise(file: Path) -> str:
+    """What to do with a scene that cannot be read where or as it is."""
+    if file.suffix.lower() in (".glb", ".gltf"):
+        return f"`neurad data gltf {shown(file.name)} --out DIR` makes a scene folder of it"
     return (
-        "it cannot be read as a scene; open it in Blender, export its surfaces as room.obj, and let "
-        "`neurad data colmap SRC --mesh room.obj --out DIR` make a scene folder of them and of the photographs"
+        "it cannot be read as a scene; open it in Blender, export it as room.glb, and let "
+        "`neurad data gltf room.glb --out DIR` make a scene folder of it"
     )

@@ -24,6 +24,7 @@ READABLE = (".exr", ".hdr", *CODED)
 """Endings of all photographs, in the order in which a name without ending is looked for."""
 RAW = (".arw", ".cr2", ".cr3", ".nef", ".dng", ".raf", ".rw2", ".orf", ".pef")
 """Endings of what cameras write before anything is developed."""
+Float64 = npt.NDArray[np.float64]
 _ALPHA = 1.01  # coverage is at most 1, but for rounding and filters
 _BITS = 258  # TIFF's tag BitsPerSample
 _HEAD = 1 << 16  # bytes that have the header of a picture
@@ -158,11 +159,32 @@ def ceiling_of(view: View) -> float:
     return linear_value(development.response, development.ceiling) / development.gain * (1.0 - _AT)
 
 
-def rounding(response: str, levels: int) -> tuple[FloatArray, FloatArray]:
+def read_spread(view: View) -> FloatArray:
+    """Standard deviation of a view's photographed radiance [h, w], the mean of its channels; infinite where it says
+    nothing.
+
+    Raises:
+        InputError: the file cannot be read, has another size than the camera, or values that are negative or NaN.
+    """
+    assert view.spread is not None
+    pixels = read_exr(view.spread).mean(-1)
+    camera = view.camera
+    if pixels.shape != (camera.height, camera.width):
+        raise InputError(
+            f"{shown(view.spread)}: it has {pixels.shape[1]} x {pixels.shape[0]} pixels, its camera {camera.width} x "
+            f"{camera.height}; the spread is as large as its photograph"
+        )
+    if not bool((pixels >= 0).all()):
+        raise InputError(f"{shown(view.spread)}: a standard deviation in it is negative or not a number")
+    found: FloatArray = pixels / np.float32(view.development.gain)
+    return found
+
+
+def rounding(response: str, levels: int) -> tuple[Float64, Float64]:
     """Linear value of every code [levels + 1], rising, and the variance of what is rounded to it."""
     values = linear_values(response, levels).astype(np.float64)
-    step: FloatArray = np.gradient(values)
-    return values, step * step / 12.0
+    step = np.gradient(values)
+    return values, np.asarray(step * step / 12.0)
 
 
 def _check(path: Path, pixels: FloatArray) -> None:

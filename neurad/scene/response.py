@@ -4,14 +4,17 @@ from __future__ import annotations
 
 from functools import lru_cache
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from neurad.core.errors import InputError
 from neurad.core.records import FloatArray
 from neurad.runtime.reading import read_text, shown
 from neurad.scene.image_io import from_srgb
 
+Float64 = npt.NDArray[np.float64]
 LINEAR, SRGB, FIT = "linear", "srgb", "fit"
 _GAMMA = "gamma="
 _STEEPEST = 10.0
@@ -60,16 +63,17 @@ def linear_value(response: str, value: float) -> float:
     return value if not response else float(_undone(response, np.array([value]))[0])
 
 
-def _undone(response: str, codes: FloatArray) -> FloatArray:
+def _undone(response: str, codes: npt.NDArray[Any]) -> npt.NDArray[Any]:
     if response == LINEAR:
         return codes
     if response in (SRGB, FIT):
         return from_srgb(codes)
     if response.startswith(_GAMMA):
-        found: FloatArray = codes ** _gamma(response)
+        found: Float64 = codes ** _gamma(response)
         return found
     known, values = _curve(response)
-    return np.interp(codes, known, values)
+    linear: Float64 = np.interp(codes, known, values)
+    return linear
 
 
 def _gamma(text: str) -> float:
@@ -86,7 +90,7 @@ def _gamma(text: str) -> float:
 
 
 @lru_cache(4)
-def _curve(name: str) -> tuple[FloatArray, FloatArray]:
+def _curve(name: str) -> tuple[Float64, Float64]:
     """Codes and linear values of a file, both scaled to [0, 1]."""
     if "." not in Path(name).name:
         raise InputError(

@@ -14,7 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from neurad.core.errors import InputError
-from neurad.core.records import FloatArray, Mesh, View
+from neurad.core.records import Constant, FloatArray, Material, Mesh, View
 from neurad.runtime.files import place, writing
 from neurad.runtime.reading import shown
 from neurad.scene.ply import write_ply
@@ -104,7 +104,7 @@ def write_room(room: Room, out: Path) -> list[Mesh]:
         for mesh in meshes
     ]
     with writing(out, "--out"):
-        _write_views(room, out)
+        write_views(room, out)
         _write_surfaces(room, meshes, out)
     return meshes
 
@@ -136,7 +136,7 @@ def file_name(name: str, taken: set[str]) -> str:
     return made
 
 
-def _write_views(room: Room, out: Path) -> None:
+def write_views(room: Room, out: Path) -> None:
     """Camera files, and what they name."""
     taken: set[str] = set()
     parts = {"": room.views.train}
@@ -150,6 +150,7 @@ def _write_views(room: Room, out: Path) -> None:
         for view, frame in zip(named, described["frames"], strict=True):
             files = {"file_path": ("images", view.image), "albedo_path": ("albedo", view.albedo)}
             files |= {"roughness_path": ("roughness", view.roughness), "mask_path": ("masks", view.mask)}
+            files |= {"spread_path": ("spread", view.spread)}
             for key, (folder, source) in files.items():
                 frame.pop(key, None)
                 if source is not None:
@@ -170,8 +171,9 @@ def _write_surfaces(room: Room, meshes: Sequence[Mesh], out: Path) -> None:
         sky = _child(tree, "emitter", type="envmap")
         _child(sky, "string", name="filename", value=f"environment{room.environment.suffix.lower()}")
     sources = [file for file in room.meshes for _ in file.meshes]
+    known = [_known(file, mesh) for file in room.meshes for mesh in file.meshes]
     taken: set[str] = set()
-    for mesh, source in zip(meshes, sources, strict=True):
+    for mesh, source, material in zip(meshes, sources, known, strict=True):
         path = f"meshes/{file_name(mesh.name, taken)}.ply"
         (out / "meshes").mkdir(exist_ok=True)
         if source.linkable:
@@ -185,13 +187,41 @@ def _write_surfaces(room: Room, meshes: Sequence[Mesh], out: Path) -> None:
         if not np.array_equal(room.to_cameras, np.eye(4)):
             values = " ".join(f"{x:.17g}" for x in room.to_cameras.ravel())
             _child(_child(shape, "transform", name="to_world"), "matrix", value=values)
-        _child(shape, "ref", id="paint")
+        if material is None:
+            _child(shape, "ref", id="paint")
+        else:
+            _add_known(shape, material)
         if mesh.radiance is not None:
             lamp = _child(shape, "emitter", type="area")
             _child(lamp, "rgb", name="radiance", value=", ".join(f"{float(x):.9g}" for x in mesh.radiance))
     ElementTree.indent(tree)
     text = ElementTree.tostring(tree, encoding="unicode") + "\n"
     (out / "scene.xml").write_text(text, encoding="utf-8")
+
+
+def _known(file: MeshFile, mesh: Mesh) -> Material | None:
+    """The material of a mesh if a fit keeps it and one line says it: smooth ones, and lamps of one colour."""
+    if not file.materials:
+        return None
+    material = file.materials[mesh.material]
+    plain = isinstance(material.albedo, Constant) and isinstance(material.roughness, Constant)
+    return material if plain and (material.model.is_delta or mesh.radiance is not None) else None
+
+
+def _add_known(shape: ElementTree.Element, material: Material) -> None:
+    """The BSDF of a material without textures."""
+    assert isinstance(material.albedo, Constant)
+    assert isinstance(material.roughness, Constant)
+    through = material.model.delta is not None and material.model.delta.transmits
+    around = shape if through else _child(shape, "bsdf", type="twosided")
+    colour = {"value": [float(x) for x in material.albedo.value]}
+    described = material.model.mitsuba(colour, float(material.roughness.value[0]))
+    bsdf = _child(around, "bsdf", type=described.pop("type"))
+    for key, value in described.items():
+        if isinstance(value, dict):
+            _child(bsdf, "rgb", name=key, value=", ".join(f"{x:.9g}" for x in value["value"]))
+        else:
+            _child(bsdf, "string" if isinstance(value, str) else "float", name=key, value=str(value))
 
 
 def _child(parent: ElementTree.Element, tag: str, **attributes: str) -> ElementTree.Element:

@@ -118,16 +118,17 @@ def check_scene(state: dict[str, Any], scene: Scene, source: str, same_light: bo
         )
 
 
-def changed_light(state: dict[str, Any], scene: Scene, environment: bool = True) -> list[str]:
+def changed_light(state: dict[str, Any], scene: Scene, environment: bool = True, lamps: bool = True) -> list[str]:
     """What differs between the light of a fit and that of a scene, a few words each; none where nothing is known.
 
     Args:
         state: what the run wrote about itself.
         scene: the scene now.
         environment: as in :func:`neurad.scene.light.light_changes`.
+        lamps: as there.
     """
     light = _kept_light(state, "--ckpt_path")
-    return [] if light is None else light_changes(light, scene, environment)
+    return [] if light is None else light_changes(light, scene, environment, lamps)
 
 
 def fitted_lamps(state: dict[str, Any]) -> frozenset[int]:
@@ -149,6 +150,9 @@ def _kept_light(state: dict[str, Any], source: str) -> dict[str, Any] | None:
         lamps, sky = light["lamps"], light["environment"]
         whole = all(isinstance(i, int) and isinstance(name, str) and len(rgb) == 3 for i, name, *rgb in lamps)
         numbers = [x for lamp in lamps for x in lamp[2:]]
+        for index, name, kind, *rest in light.get("punctual", []):
+            whole &= isinstance(index, int) and isinstance(name, str) and isinstance(kind, str) and len(rest) == 11
+            numbers += rest
         if sky is not None:
             whole &= isinstance(sky["pixels"], str) and (len(sky["mean"]), len(sky["to_world"])) == (3, 16)
             numbers += [*sky["mean"], *sky["to_world"]]

@@ -8,7 +8,7 @@ from dataclasses import dataclass, field
 import torch
 from torch import Tensor
 
-from neurad.assembly.lighting import relit_world
+from neurad.assembly.lighting import recovered_lamps, relit_world
 from neurad.core.protocols import Materials
 from neurad.core.records import FloatArray, View
 from neurad.emitters.fitted import FittedEnvironment
@@ -20,7 +20,7 @@ from neurad.metrics.bar_maps import predict_bars, score_bars
 from neurad.metrics.environment import EnvironmentScores
 from neurad.metrics.error_bars import ErrorBars, ToUnitCube
 from neurad.metrics.held_out import HeldOut
-from neurad.metrics.limits import albedo_at_limits
+from neurad.metrics.limits import albedo_at_limits, roughness_spread
 from neurad.metrics.lit_glossy import lit_glossy, reflected_by
 from neurad.metrics.relight import relight_map, score_relit
 from neurad.metrics.unseen import seen_map
@@ -105,7 +105,8 @@ def evaluate(
     world, materials, radiance = estimator.world, estimator.materials, estimator.radiance
     rhs = MethodRenderer(estimator.method, estimator.scene)
     lhs = None if radiance is None else FieldRenderer(estimator.scene, parts=True)
-    fixed_light = light is None and world.delta is None
+    lamps = recovered_lamps(world)
+    fixed_light = light is None and lamps is None and world.delta is None
     device, stride = world.geometry.vertices.device, held_out.stride
     fitted = not isinstance(materials, TrueMaterials)
     maps: list[dict[str, FloatArray]] = held_out.predict(materials) if fitted else [{} for _ in held_out.views]
@@ -127,16 +128,18 @@ def evaluate(
     if bars is not None:
         for entry, found_bars in zip(maps, predict_bars(held_out, *bars), strict=True):
             entry.update(found_bars)
+    unknown = light is not None or (lamps is not None and lamps.values.requires_grad)
     regions = (
         {"lit_glossy": lit_glossy(held_out, reflected_by(estimator.method, estimator.scene), GLOSSY_SAMPLES)}
         if glossy and fitted
         else None
     )
-    scores = held_out.score(
-        maps, [entry["render"] for entry in maps], regions, fitted and light is not None, fields or None
-    )
+    scores = held_out.score(maps, [entry["render"] for entry in maps], regions, fitted and unknown, fields or None)
     if fitted:
-        scores |= albedo_at_limits(maps, [held_out.counted(index) for index in range(len(held_out.views))])
+        counted = [held_out.counted(index) for index in range(len(held_out.views))]
+        scores |= albedo_at_limits(maps, counted)
+        if unknown and not world.features.is_diffuse:
+            scores |= roughness_spread(maps, counted)
     if glossy and fitted and scene is not None:
         scores |= _relight(held_out, scene, world, materials, render_spp, maps)
     if bars is not None and glossy:

@@ -34,7 +34,7 @@ def ddp_ignored(module: nn.Module) -> set[str]:
     to DDP, which needs at least one parameter; its gradient is dense, and :meth:`GradientSync.average` makes it sparse.
     """
     state = module.state_dict().keys()
-    parameters = dict(module.named_parameters())
+    parameters = {name: p for name, p in module.named_parameters() if p.requires_grad}
     tables = {name for name in parameters if name.endswith(".table")}
     if len(tables) == len(parameters):
         smallest = min(sorted(tables), key=lambda name: parameters[name].numel())  # the same in every process

@@ -31,6 +31,8 @@ from neurad.metrics.bar_maps import predict_bars
 from neurad.metrics.effort import Effort
 from neurad.metrics.error_bars import ErrorBars
 from neurad.metrics.held_out import HeldOut
+from neurad.metrics.lamp_scores import Array as FloatArray64
+from neurad.metrics.lamp_scores import lamp_scores, read_lamps_true
 from neurad.metrics.view_residuals import view_residuals
 from neurad.optim.polyak_average import PolyakAverage, averaged
 from neurad.optim.pyramid_adam import PyramidAdam
@@ -112,6 +114,7 @@ class InverseRenderer(L.LightningModule):
         self.training_views: TrainingViews | None = None
         self.other_light: list[str] = []
         """What differs between the scene's light and that of the fit; nothing may in a fit that goes on."""
+        self._lamps_true: FloatArray64 | None = None
         self._photographs = 0
         """Checksum of the photographs; 0 before they are read, and where they cannot change."""
 
@@ -151,8 +154,16 @@ class InverseRenderer(L.LightningModule):
             made.radiance,
         )
         self.region, self.focus, self.development = made.region, made.focus, made.development
+        self._lamps_true = self._read_lamps_true()
         if self._exchanges:
             self._ddp_params_and_buffers_to_ignore = ddp_ignored(self)  # DDP's own name for it
+
+    def _read_lamps_true(self) -> FloatArray64 | None:
+        """What recovered lamps are scored against [m, 3]; None where nothing is given."""
+        lamps, path = self.assembly.lamps, getattr(self.trainer.datamodule, "lamps_true", None)  # type: ignore[attr-defined]
+        if path is None or lamps is None:
+            return None
+        return read_lamps_true(path, [self.scene.meshes[index].name for index in lamps.mesh.tolist()])
 
     @property
     def _exchanges(self) -> bool:
@@ -222,6 +233,7 @@ class InverseRenderer(L.LightningModule):
             GradientSync(self, self._ddp_params_and_buffers_to_ignore) if self._exchanges else None,
             device=self.device,
             photographs=self.photographs,
+            lamp_photographs=views.lamps,
         )
 
     def on_train_start(self) -> None:
@@ -300,8 +312,18 @@ class InverseRenderer(L.LightningModule):
             result = evaluate(
                 self._held_out, self.estimator, render_spp, glossy, self._light, self.scene, steady, shown
             )
+            result.scores.update(self._lamp_scores(result))
         self._guard.images(self.iteration, result.maps, [view.name for view in self._held_out.views])
         return result
+
+    def _lamp_scores(self, found: Evaluation) -> dict[str, float]:
+        """Errors of lamps that are recovered, where the truth is given."""
+        lamps = self.assembly.lamps
+        if lamps is None or self._lamps_true is None or self._held_out is None:
+            return {}
+        names = [self.scene.meshes[index].name for index in lamps.mesh.tolist()]
+        factors = self._held_out.albedo_factors(found.maps) if lamps.values.requires_grad else {}
+        return lamp_scores(lamps.found(), self._lamps_true, names, factors)
 
     def error_bars(self) -> ErrorBars | None:
         """Error bars of the present materials, see :func:`neurad.training.error_bars.error_bars`.
@@ -386,7 +408,7 @@ class InverseRenderer(L.LightningModule):
 
     def _see_light(self, state: dict[str, Any]) -> None:
         """Take note of a light that is not that of the fit, and say so."""
-        self.other_light = changed_light(state, self.scene, self.environment is None)
+        self.other_light = changed_light(state, self.scene, self.environment is None, self.assembly.lamps is None)
         if self.other_light:
             if isinstance(self.materials, FittedMaterials):
                 know_lamps(self.materials, self.scene, self.world.geometry, fitted_lamps(state))

@@ -13,8 +13,8 @@ from neurad.optim.sparse_row_adam import SparseRowAdam
 def make_optimizers(assembly: Assembly) -> dict[str, SparseRowAdam | PyramidAdam]:
     """Optimizers by the names of their learning rates, in the order in which checkpoints keep them.
 
-    Known materials need none, a diffuse scene has no roughness to find, and a known environment and a method without a
-    radiance field have none either.
+    Known materials need none, a diffuse scene has no roughness to find, and a known environment, known lamps and a
+    method without a radiance field have none either.
     """
     rates, environment, radiance = assembly.settings.optimization, assembly.environment, assembly.radiance
     materials = assembly.materials
@@ -30,6 +30,8 @@ def make_optimizers(assembly: Assembly) -> dict[str, SparseRowAdam | PyramidAdam
             lr=rates.environment,
             detail_decay=assembly.settings.lighting.detail_decay,
         )
+    if assembly.lamps is not None and assembly.lamps.values.requires_grad:
+        made["lamps"] = SparseRowAdam([assembly.lamps.values], lr=rates.lamps)
     if radiance is not None:
         made["radiance"] = SparseRowAdam(radiance.parameters(), lr=rates.radiance)
     development = assembly.development

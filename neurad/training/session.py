@@ -40,6 +40,7 @@ class TrainingRun:
             optimizers=self.optimizers,
             device=device,
             photographs=photographs,
+            lamp_photographs=self.views.lamps,
         )
 
     @classmethod

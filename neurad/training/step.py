@@ -12,11 +12,13 @@ from torch import Tensor, nn
 
 from neurad.assembly.build import Assembly
 from neurad.assembly.settings import ModelSettings
+from neurad.assembly.unknown_lamps import is_due, refresh_lamps
 from neurad.core.protocols import PhotoSource
 from neurad.core.records import PixelBatch
 from neurad.core.rng import Stream
 from neurad.fields.mlp import MLP, products
 from neurad.losses.relative import total
+from neurad.metrics.photographed_lamps import LampPhotographs
 from neurad.runtime.threads import of_step
 from neurad.training.gradient_sync import GradientSync
 from neurad.training.guard import Guard, clip
@@ -65,6 +67,7 @@ class TrainingStep:
             before the first step.
         device: of the random streams.
         photographs: of the training views, for a look at several roughnesses to begin with; None leaves it out.
+        lamp_photographs: what photographs show of lamps that are not known; None where all are.
     """
 
     assembly: Assembly
@@ -77,6 +80,7 @@ class TrainingStep:
     optimizers: Mapping[str, StepOptimizer] = field(default_factory=dict)
     device: torch.device | str = "cpu"
     photographs: PhotoSource | None = None
+    lamp_photographs: LampPhotographs | None = None
     losses: dict[str, Tensor] = field(default_factory=dict, init=False)
     """Values of the last step's losses by name."""
 
@@ -118,11 +122,16 @@ class TrainingStep:
     ) -> Tensor:
         world = self.assembly.world
         optimization, environment, counters = settings.optimization, self.assembly.environment, self.counters
+        lamps = self.assembly.lamps
         # Stage 1: losses and gradients.
         for optimizer in self.optimizers.values():
             optimizer.zero_grad()
         if environment is not None and counters.iteration % settings.lighting.refresh == 0:
             environment.refresh()
+        if lamps is not None and self.lamp_photographs is not None and is_due(counters.iteration):
+            refresh_lamps(self.assembly, self.lamp_photographs, counters.iteration)
+        if lamps is not None and counters.iteration % settings.lighting.refresh == 0:
+            lamps.refresh()
         with products(optimization.matmul):
             terms = self.terms(batch)
             loss = total(terms.all)
@@ -143,6 +152,8 @@ class TrainingStep:
             list(self.optimizers.values())
         ):  # the first last: a trainer that counts it ends its step
             optimizer.step()
+        if lamps is not None:
+            lamps.update()
         update_guide(world.guide, recorded[0], counters.iteration)
         if self.assembly.focus is not None and recorded[1] is not None:
             self.assembly.focus.record(*recorded[1], counters.iteration)

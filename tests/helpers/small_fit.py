@@ -10,6 +10,7 @@ import torch
 from helpers.small_step import GRID, small_scene
 from neurad.assembly.build import build_world
 from neurad.cli import main
+from neurad.core.records import View
 from neurad.integrators.film import render
 from neurad.integrators.renderer import path_tracer
 from neurad.scene.image_io import write_exr
@@ -24,9 +25,13 @@ SMALL_FIT = {
 }
 
 
-def photographed_cornell(glossy, unit=1.0):
-    """A Cornell box of 24 x 24 pixels with photographs and true albedo, written into the working folder."""
+def photographed_cornell(glossy, unit=1.0, more=()):
+    """A Cornell box of 24 x 24 pixels with photographs and true albedo, written into the working folder; ``more``
+    cameras are functions of the scene.
+    """
     scene = small_scene(glossy=glossy, size=24)
+    extra = [View(f"more_{index}", camera(scene)) for index, camera in enumerate(more)]
+    scene = replace(scene, train=[*scene.train, *extra])
     lit = [m if m.radiance is None else replace(m, radiance=m.radiance * np.float32(unit)) for m in scene.meshes]
     scene = replace(scene, meshes=lit)
     world = build_world(scene)

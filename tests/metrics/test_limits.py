@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from neurad.metrics.limits import albedo_at_limits, sentence_of_limits
+from neurad.metrics.limits import albedo_at_limits, roughness_spread, sentence_of_limits, sentence_of_roughness
 
 
 def test_fractions_are_of_counted_channel_values():
@@ -28,3 +28,12 @@ def test_nothing_is_said_where_nothing_was_recovered():
     assert albedo_at_limits([{}], [np.ones((2, 2), bool)]) == {}
     assert albedo_at_limits([{"albedo": np.ones((2, 2, 3), np.float32)}], [np.zeros((2, 2), bool)]) == {}
     assert sentence_of_limits({}) == ""
+
+
+def test_mean_and_spread_of_roughness():
+    roughness = np.array([0.2, 0.4, 0.9], np.float32).reshape(1, 3, 1)
+    found = roughness_spread([{"roughness": roughness}, {}], [np.array([[True, True, False]])] * 2)
+    assert found == pytest.approx({"roughness_mean": 0.3, "roughness_spread": 0.1})
+    assert sentence_of_roughness(found) == "roughness found: 0.300 on average, spread 0.100"
+    assert roughness_spread([{}], [np.ones((1, 1), bool)]) == {}
+    assert sentence_of_roughness({}) == ""

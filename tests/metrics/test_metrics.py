@@ -210,6 +210,24 @@ def test_predictions_are_box_filtered() -> None:
     np.testing.assert_array_equal(again["albedo"], maps["albedo"])
 
 
+class Unsure(Plain):
+    """Materials that guess another albedo and roughness."""
+
+    def guess(self, si: SurfaceInteraction) -> Surface:
+        assert (si.p[:, 0] > 0.0).all()  # behind the wall
+        return Surface(torch.full((len(si), 3), 0.75), torch.full((len(si), 1), 0.125))
+
+
+@pytest.mark.parametrize("chunk", [1 << 18, 160])
+def test_what_no_photograph_shows_is_guessed(monkeypatch: pytest.MonkeyPatch, chunk: int) -> None:
+    monkeypatch.setattr(held_out, "CHUNK", chunk)
+    maps = open_views(make_scene([from_above()])).predict(Unsure(0.25, 0.5))[0]
+    np.testing.assert_array_equal(maps["albedo"][COUNTED & SEEN], 0.25)
+    np.testing.assert_array_equal(maps["albedo"][COUNTED & ~SEEN], 0.75)
+    np.testing.assert_array_equal(maps["roughness"][COUNTED & ~SEEN], 0.125)
+    np.testing.assert_array_equal(maps["albedo"][0], 0.0)  # nothing is hit
+
+
 def test_chunks_and_uncached_hits_change_nothing_that_counts(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(held_out, "CHUNK", 160)  # ten pixels, across rows, four in the last chunk
     monkeypatch.setattr(held_out, "CACHE_BYTES", 0)

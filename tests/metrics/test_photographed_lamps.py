@@ -8,15 +8,26 @@ import torch
 
 from neurad.assembly.build import build_world
 from neurad.assembly.lamps import refusal, report
+from neurad.core.protocols import PhotoSource
 from neurad.core.records import Camera, PixelBatch
 from neurad.integrators.emitter_pixels import emitter_pixels
 from neurad.integrators.film import render
 from neurad.integrators.renderer import path_tracer
-from neurad.metrics.photographed_lamps import REFUSE, WARN, lamp_pixels, photographed_lamps
+from neurad.metrics.photographed_lamps import REFUSE, WARN, lamp_photographs, lamp_pixels, photographed_lamps
 from neurad.scene.builtin import build
 from neurad.scene.textures import TrueMaterials
 
 SIZE = 24
+
+
+class Photographs(PhotoSource):
+    """Pixels [views, pixels, 3] in memory, of which nothing more is known."""
+
+    def __init__(self, pixels):
+        self.pixels = pixels
+
+    def colors(self, view, pixel):
+        return self.pixels[view, pixel]
 
 
 @pytest.fixture(scope="module")
@@ -44,8 +55,8 @@ def measured(box, photographs, scene=None):
     world = world if scene is first else build_world(scene)
     view, pixel = (~emitter_pixels(world, cameras, 1, torch.device("cpu"))).nonzero().unbind(-1)
     sample = PixelBatch(view, pixel, photographs[view, pixel], torch.ones(len(view)), 0)
-    read = lambda view, pixel: photographs[view, pixel]  # noqa: E731
-    (lamp,) = photographed_lamps(scene, world, materials, cameras, read, sample, 1)
+    shown = lamp_photographs(world, cameras, Photographs(photographs), sample, 1)
+    (lamp,) = photographed_lamps(scene, world, materials, cameras, shown, 1)
     return lamp
 
 
@@ -107,8 +118,8 @@ def test_a_lamp_that_no_pixel_shows_alone_is_named(box):
     scene, world, materials, cameras, photographs = box
     away = replace(cameras[0], to_world=np.diag([1.0, -1.0, -1.0, 1.0]).astype(np.float32) @ cameras[0].to_world)
     sample = PixelBatch(torch.zeros(1).long(), torch.zeros(1).long(), torch.ones(1, 3), torch.ones(1), 0)
-    read = lambda view, pixel: photographs[view, pixel]  # noqa: E731
-    (lamp,) = photographed_lamps(scene, world, materials, [away], read, sample, 1)
+    shown = lamp_photographs(world, [away], Photographs(photographs), sample, 1)
+    (lamp,) = photographed_lamps(scene, world, materials, [away], shown, 1)
     assert lamp.pixels == 0
     assert report([lamp]) == []
     told = report([lamp, replace(measured(box, box[4]), name="other")])

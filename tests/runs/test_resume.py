@@ -27,6 +27,7 @@ CONFIG = {
         "albedo": {"grid": GRID, "width": 16},
         "roughness": {"grid": GRID, "width": 16, "begin": "best"},
         "sampling": {"focus": 0.25},
+        "lighting": {"emitters": "fit"},
         "radiance": {"grid": GRID, "width": 16, "hidden_layers": 2},
         "objective": {"roughness_regulariser": 0.01},
         "optimization": {"average": 0.3, "roughness_decay": 1.0},
@@ -102,7 +103,8 @@ def test_a_killed_run_continues_to_the_same_bits(tmp_path, monkeypatch):
     for part in ("neurad", "state_dict", "optimizer_states", "global_step"):
         same(whole[part], continued[part], part)
     assert continued["neurad"]["iteration"] == continued["global_step"] == STEPS
-    assert len(continued["optimizer_states"]) == 5
+    assert "world.lights.reflected" in continued["state_dict"]
+    assert len(continued["optimizer_states"]) == 6
     assert continued["state_dict"]["development.values"].abs().max() > 0
     assert continued["state_dict"]["development.bend"].abs().max() > 0
     assert Path("lightning_logs/version_1/exposures.csv").read_text().startswith("view,known,r,g,b,iteration")

@@ -24,20 +24,26 @@ def test_photographs_of_other_formats(tmp_path, ending, said):
 
 
 def test_a_scene_of_another_program(tmp_path):
-    file = tmp_path / "room.glb"
-    file.write_bytes(b"x")
-    sentence = r"export its surfaces as room.obj, and let `neurad data"
-    with pytest.raises(InputError, match=rf"room\.glb: .*{sentence}"):
-        load_scene(str(file), None)
-    with pytest.raises(InputError, match=rf"scene\.xml: the scene folder lacks this file; room\.glb: .*{sentence}"):
-        load_scene(str(tmp_path), None)
-    with pytest.raises(InputError, match=r"room\.glb: it is no mesh that can be read; export it as one of \.obj"):
+    sentences = {
+        "room.glb": "`neurad data gltf room.glb --out DIR` makes",
+        "room.blend": "export it as room.glb, and let",
+    }
+    for name, sentence in sentences.items():
+        folder = tmp_path / name[5:]
+        folder.mkdir()
+        file = folder / name
+        file.write_bytes(b"x")
+        with pytest.raises(InputError, match=rf"{name}: .*{sentence}"):
+            load_scene(str(file), None)
+        with pytest.raises(InputError, match=rf"scene\.xml: the scene folder lacks this file .*; {name}: .*{sentence}"):
+            load_scene(str(folder), None)
+    with pytest.raises(InputError, match=r"room\.blend: it is no mesh that can be read; export it as one of \.obj"):
         read_meshes(file)
 
 
 def test_a_name_that_was_nearly_right(tmp_path):
     (tmp_path / "scene.xlm").write_text("")
-    with pytest.raises(InputError, match=r"lacks this file, did you mean scene\.xlm\?"):
+    with pytest.raises(InputError, match=r"lacks this file \(or scene\.glb, scene\.gltf\), did you mean scene\.xlm\?"):
         load_scene(str(tmp_path), None)
     (tmp_path / "kitchen").mkdir()
     with pytest.raises(InputError, match=r"there is no folder .*kichen, did you mean kitchen\?"):

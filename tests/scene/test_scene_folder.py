@@ -448,7 +448,6 @@ BAD = {
     "no emitter": (replaced("scene.xml", XML[XML.index("<emitter") : XML.index("</emitter>") + 10], ""), "no emitter"),
     "broken xml": (written("scene.xml", "<scene"), r"scene\.xml: it is not well-formed XML .*line 1"),
     "unknown reference": (replaced("scene.xml", 'ref id="paint"', 'ref id="pain"'), r"unresolved reference to .pain"),
-    "sphere": (replaced("scene.xml", '"rectangle"', '"sphere"'), r"shape lamp is a sphere"),
     "hair": (replaced("scene.xml", 'shape type="rectangle"', 'shape type="bsplinecurve"'), r"lamp has type bspline"),
     "rough plastic": (replaced("scene.xml", '"diffuse"', '"roughplastic"'), r"lamp has distribution beckmann"),
     "opacity mask": (inside("mask"), r"bsdf paint of shape floor has type mask, .* let light through"),
@@ -475,7 +474,8 @@ BAD = {
         replaced("scene.xml", '<rgb name="radiance" value="1, 2, 3"/>',
                  '<texture type="bitmap" name="radiance"><string name="filename" value="a.png"/></texture>'),
         r"radiance of the emitter on shape lamp is a bitmap"),
-    "spot light": (replaced("scene.xml", "</scene>", '<emitter type="spot"/></scene>'), r"emitter of type spot"),
+    "projector": (
+        replaced("scene.xml", "</scene>", '<emitter type="projector"/></scene>'), r"emitter of type projector"),
     "no envmap": (
         replaced("scene.xml", "</scene>",
                  '<emitter type="envmap"><string name="filename" value="a.exr"/></emitter></scene>'),

@@ -28,6 +28,7 @@ def setup(folder: Path) -> dict[str, Any]:
     scene = bpy.context.scene
     _render_settings(scene, room)
     _world(scene, room, folder)
+    _lights(room)
     for mesh in room["meshes"]:
         material = bpy.data.materials.get(mesh["name"])
         if material is None or material.node_tree is None:
@@ -92,6 +93,48 @@ def _world(scene: Any, room: dict[str, Any], folder: Path) -> None:
     links.new(where.outputs["Generated"], turned.inputs["Vector"])
     links.new(turned.outputs["Vector"], picture.inputs["Vector"])
     links.new(picture.outputs["Color"], background.inputs["Color"])
+
+
+def _lights(room: dict[str, Any]) -> None:
+    """Lights without extent, as bright as they are: importers may take their units another way, and soften them.
+
+    A point of 1 W/sr has 4 pi watts here, and so has a spot, whatever its cone; a sun has its irradiance.
+    """
+    for light in room["lights"]:
+        found = bpy.data.lights.get(light["name"])
+        if found is None:
+            continue
+        strength = max(light["intensity"])
+        found.color = [x / strength for x in light["intensity"]]
+        found.energy = strength if light["type"] == "directional" else 4.0 * math.pi * strength
+        if light["type"] == "directional":
+            found.angle = 0.0
+        else:
+            found.shadow_soft_size = 0.0
+        if light["type"] == "spot":
+            _cone(found, math.radians(light["cutoff_angle"]), math.radians(light["beam_width"]))
+
+
+def _cone(spot: Any, cutoff: float, beam: float) -> None:
+    """Light that falls linearly with the angle from the axis between ``beam`` and ``cutoff``, in radians."""
+    spot.spot_size, spot.spot_blend = 2.0 * cutoff, 0.0
+    if beam >= cutoff:
+        return
+    spot.use_nodes = True
+    nodes, links = spot.node_tree.nodes, spot.node_tree.links
+    emission = next(node for node in nodes if node.type == "EMISSION")
+    kinds = ("TexCoord", "VectorMath", "SeparateXYZ", "Math", "Math", "MapRange")
+    where, unit, split, upright, angle, falloff = (nodes.new(f"ShaderNode{kind}") for kind in kinds)
+    unit.operation, upright.operation, angle.operation = "NORMALIZE", "ABSOLUTE", "ARCCOSINE"
+    for name, value in {"From Min": cutoff, "From Max": beam, "To Min": 0.0, "To Max": 1.0}.items():
+        falloff.inputs[name].default_value = value
+    falloff.clamp = True
+    links.new(where.outputs["Normal"], unit.inputs[0])  # of a lamp: the direction from it, in its frame
+    links.new(unit.outputs[0], split.inputs[0])
+    links.new(split.outputs["Z"], upright.inputs[0])  # the axis is -Z
+    links.new(upright.outputs[0], angle.inputs[0])
+    links.new(angle.outputs[0], falloff.inputs["Value"])
+    links.new(falloff.outputs["Result"], emission.inputs["Strength"])
 
 
 def _shader(material: Any) -> Any:

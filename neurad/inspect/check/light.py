@@ -21,7 +21,7 @@ from neurad.core.protocols import PhotoSource
 from neurad.core.records import FloatArray, PixelBatch
 from neurad.inspect.check.findings import Findings, Level, listed
 from neurad.integrators.world import World
-from neurad.metrics.photographed_lamps import PhotographedLamp, photographed_lamps
+from neurad.metrics.photographed_lamps import PhotographedLamp, lamp_photographs, photographed_lamps
 from neurad.metrics.view_exposure import exposure_ratios, rendered
 from neurad.metrics.view_residuals import few
 from neurad.runs.model_settings import model_settings
@@ -103,10 +103,9 @@ def _lamps(
     scene = assembly.scene
     if not scene.features.has_area_lights or views.sample is None:
         return []
-    lamps = photographed_lamps(
-        scene, assembly.world, assembly.materials, [view.camera for view in scene.train], photographs.colors,
-        views.sample, SEED, photographs.ignored(), photographs.clipped,
-    )  # fmt: skip
+    cameras = [view.camera for view in scene.train]
+    shown = lamp_photographs(assembly.world, cameras, photographs, views.sample, SEED)
+    lamps = photographed_lamps(scene, assembly.world, assembly.materials, cameras, shown, SEED)
     wrong = far_off(lamps)
     if wrong:
         findings.add(Level.REFUSED, "lamp", f"scene {scene.name}: {refusal(wrong)}")

@@ -1,4 +1,4 @@
-"""Meshes as other programs write them: OBJ, PLY and STL, read by trimesh."""
+"""Meshes as other programs write them: OBJ, PLY and STL, read by trimesh, glTF and USD by readers of their own."""
 
 from __future__ import annotations
 
@@ -10,11 +10,13 @@ from typing import Any
 import numpy as np
 
 from neurad.core.errors import InputError
-from neurad.core.records import FloatArray, IntArray, Mesh
+from neurad.core.records import FloatArray, IntArray, Material, Mesh
 from neurad.runtime.reading import TEXT_MESH_LIMIT, native, regular_file, shown
 from neurad.scene.numbers import LENGTH, RADIANCE, within
 
 KINDS = (".obj", ".ply", ".stl")
+"""What trimesh reads."""
+MESHES = (*KINDS, ".glb", ".gltf", ".usd", ".usdc", ".usda")
 
 
 @dataclass(frozen=True)
@@ -26,6 +28,10 @@ class MeshFile:
     """One for each material of the file, by its name; with the radiance that the material emits (``Ke`` in MTL)."""
     linkable: bool
     """Whether the file can take part in a scene as it is: a PLY file of triangles."""
+    materials: tuple[Material, ...] = ()
+    """What the file says its meshes are made of, by ``Mesh.material``; none where it says nothing."""
+    notes: tuple[str, ...] = ()
+    """What was decided for the user, a sentence each."""
 
 
 def read_meshes(path: str | Path) -> MeshFile:
@@ -36,11 +42,13 @@ def read_meshes(path: str | Path) -> MeshFile:
     """
     path = regular_file(path, "there is no such mesh file")
     kind = path.suffix.lower()
-    if kind not in KINDS:
+    if kind not in MESHES:
         raise InputError(
-            f"{shown(path)}: it is no mesh that can be read; export it as one of {', '.join(KINDS)} from the program "
+            f"{shown(path)}: it is no mesh that can be read; export it as one of {', '.join(MESHES)} from the program "
             "that made it, or from Blender"
         )
+    if kind not in KINDS:
+        return _with_materials(path, kind)
     if kind != ".ply" and path.stat().st_size > TEXT_MESH_LIMIT:
         raise InputError(f"{shown(path)}: it has more than {TEXT_MESH_LIMIT >> 20} MB; convert it to PLY")
     import trimesh
@@ -58,6 +66,20 @@ def read_meshes(path: str | Path) -> MeshFile:
         if mesh.radiance is not None:
             within(mesh.radiance, f"{shown(path)}: the radiance (Ke) of material {shown(mesh.name)}", 0.0, RADIANCE)
     return MeshFile(path, meshes, kind == ".ply" and _ply_faces(path) == len(meshes[0].faces))
+
+
+def _with_materials(path: Path, kind: str) -> MeshFile:
+    """The triangles of a glTF or USD file."""
+    if kind in (".glb", ".gltf"):
+        from neurad.scene.readers.gltf import read_gltf
+        from neurad.scene.readers.gltf_scene import refuse_lights
+
+        room = read_gltf(path)
+        refuse_lights(path, room)
+        return MeshFile(path, room.meshes, False, tuple(room.materials), room.notes)
+    from neurad.scene.readers.usd import read_usd
+
+    return MeshFile(path, read_usd(path), False)
 
 
 def mesh_of(name: str, part: Any, flat: bool) -> Mesh:

@@ -16,17 +16,18 @@ from typing import Any
 import numpy as np
 
 from neurad.core.errors import InputError
-from neurad.core.records import EnvironmentMap, FloatArray, Mesh
+from neurad.core.records import EnvironmentMap, FloatArray, Mesh, PunctualLight
 from neurad.runtime.reading import native, shown
 from neurad.scene.description import Scene
 from neurad.scene.numbers import LENGTH, RADIANCE, TEXEL, UNIT, number, within
 from neurad.scene.readers.mesh_check import check_mesh_file
 from neurad.scene.readers.mitsuba_materials import MaterialReader
+from neurad.scene.readers.mitsuba_punctual import PARAMETERS, read_punctual
+from neurad.scene.readers.mitsuba_shapes import CURVED, ERROR, Triangles, is_round, triangulated
 from neurad.scene.readers.xml_check import check_xml
 
-_MESHES = ("ply", "obj", "serialized", "rectangle", "cube")
+_MESHES = ("ply", "obj", "serialized", "rectangle", "cube", *CURVED)
 _IN_FILES = ("ply", "obj", "serialized")
-_CURVED = ("sphere", "disk", "cylinder")
 _NOISE = re.compile(r'\[[\w.]+(:\d+)?\] *|At dictionary node "\w+": |failed to instantiate \w+ plugin of type "\w+": ')
 _UNLIMITED = 2**31 - 1
 _RIGID = 1e-4  # largest deviation of an environment's axes from orthonormal ones
@@ -80,6 +81,8 @@ class _Reader:
     path: Path
     meshes: list[Mesh] = field(default_factory=list)
     environment: EnvironmentMap | None = None
+    punctual: list[PunctualLight] = field(default_factory=list)
+    notes: list[str] = field(default_factory=list)
 
     def scene(self) -> Scene:
         """Everything in the file."""
@@ -99,8 +102,9 @@ class _Reader:
                 raise InputError(f"{self.path}: {kind.lower()} of type {child.props.plugin_name()} is not supported")
         name = self.path.resolve().parent.name
         return Scene(
-            name, self.meshes, self.materials.materials, self.environment, max_depth=limits[0], rr_depth=limits[1]
-        )
+            name, self.meshes, self.materials.materials, self.environment, max_depth=limits[0], rr_depth=limits[1],
+            punctual=tuple(self.punctual), notes=tuple(self.notes),
+        )  # fmt: skip
 
     def _limits(self, props: Any) -> tuple[int, int]:
         """``max_depth`` and ``rr_depth`` of an integrator."""
@@ -137,8 +141,6 @@ class _Reader:
     def _shape(self, node: Any) -> None:
         props = node.props
         plugin, label = props.plugin_name(), props.id() or f"shape {len(self.meshes)}"
-        if plugin in _CURVED:
-            raise InputError(f"{self.path}: shape {label} is a {plugin}; export it as a triangle mesh (ply or obj)")
         if plugin not in _MESHES:
             raise InputError(f"{self.path}: shape {label} has type {plugin}; there are: {', '.join(_MESHES)}")
         bsdf, radiance = None, None
@@ -172,7 +174,31 @@ class _Reader:
             check_mesh_file(file, plugin, f"the mesh of shape {label} in {self.path.name} is missing", index)
             described["filename"] = str(file)
         with native(file, lambda error: f"shape {label}: {_reason(error)}"):
-            return self.mi.load_dict(described)
+            shape = self.mi.load_dict(described)
+        return self._triangulated(shape, props, label) if plugin in CURVED else shape
+
+    def _triangulated(self, shape: Any, props: Any, label: str) -> Triangles:
+        """The triangles of a sphere, disk or cylinder."""
+        plugin = props.plugin_name()
+        pose = np.array(self.mi.traverse(shape)["to_world"].matrix, np.float64)
+        if not np.isfinite(pose).all() or np.linalg.det(pose[:3, :3]) == 0.0:
+            raise InputError(f"{self.path}: shape {label} is a {plugin} without an extent, or one of no finite size")
+        if not is_round(plugin, pose):
+            raise InputError(
+                f"{self.path}: the to_world of shape {label} stretches a {plugin}, which Mitsuba cannot do either; "
+                "export it as a triangle mesh (ply or obj)"
+            )
+        made = triangulated(plugin, pose)
+        self.notes.append(
+            f"shape {label} is a {plugin}: it is read as {len(made.faces)} triangles with its exact normals, at most "
+            f"{ERROR[plugin]:.1g} of its radius off"
+        )
+        flipped = shape.has_flipped_normals()  # false of a disk, whose pose has it already
+        if plugin == "cylinder" and np.linalg.det(pose[:3, :3]) < 0:  # the flag makes up for the mirrored pose there
+            flipped = not flipped
+        if flipped:
+            return made._replace(faces=made.faces[:, [0, 2, 1]], normals=-made.normals)
+        return made
 
     def _file(self, props: Any, where: str) -> Path:
         """The file that an element names, relative to the scene file."""
@@ -193,14 +219,8 @@ class _Reader:
         return matrix
 
     def _mesh(self, shape: Any, label: str, material: int, wanted: set[str], radiance: FloatArray | None) -> Mesh:
-        count = shape.vertex_count()
-        vertices = np.array(shape.vertex_positions_buffer(), np.float32).reshape(count, 3)
-        faces = np.array(shape.faces_buffer()).reshape(-1, 3).astype(np.int64)
-        normals = uvs = None
-        if shape.has_vertex_normals():
-            normals = np.array(shape.vertex_normals_buffer(), np.float32).reshape(count, 3)
-        if shape.has_vertex_texcoords():
-            uvs = np.array(shape.vertex_texcoords_buffer(), np.float32).reshape(count, 2)
+        vertices, faces, normals, uvs = _arrays(shape)
+        count = len(vertices)
         within(vertices, f"{self.path}: the world coordinates of shape {label}", -LENGTH, LENGTH)
         if normals is not None and not np.isfinite(normals).all():  # as if the file had a zero normal there
             normals[~np.isfinite(normals).all(-1)] = 0.0
@@ -210,14 +230,15 @@ class _Reader:
             uvs[~np.isfinite(uvs).all(-1)] = 0.0
         if len(faces) and int(faces.max()) >= count:
             raise InputError(f"{self.path}: shape {label} has triangles with vertices that do not exist")
-        if shape.has_flipped_normals():
+        if not isinstance(shape, Triangles) and shape.has_flipped_normals():
             faces = faces[:, [0, 2, 1]]
             normals = None if normals is None else -normals
         if radiance is not None and normals is not None:
             faces = _wound_like_normals(vertices, faces, normals)
         attributes: dict[str, FloatArray] = {}
         for name in sorted(wanted):
-            if not name.startswith("vertex_") or not shape.has_attribute(name):
+            known = not isinstance(shape, Triangles) and name.startswith("vertex_") and shape.has_attribute(name)
+            if not known:
                 raise InputError(f"{self.path}: shape {label} has no vertex attribute {name}")
             attributes[name] = np.array(shape.attribute_buffer(name), np.float32).reshape(count, -1)
             within(attributes[name], f"{self.path}: the attribute {name} of shape {label}", 0.0, UNIT)
@@ -227,20 +248,25 @@ class _Reader:
         plugin = node.props.plugin_name()
         if plugin != "area":
             raise InputError(f"{self.path}: shape {label} has an emitter of type {plugin}, only area is supported")
-        for name, child in self._children(node):
-            kind = child.props.plugin_name()
-            raise InputError(f"{self.path}: the {name} of the emitter on shape {label} is a {kind}, not a constant")
+        self._plain(node, f"the emitter on shape {label}")
         return self._emission(node.props, f"the area light of shape {label}")
 
-    def _emission(self, props: Any, where: str, *others: str) -> FloatArray:
-        """The constant radiance [3] of an emitter that may have ``others`` among its parameters."""
-        self._only(props, where, ("radiance", "sampling_weight", *others))
-        if "radiance" not in props:
+    def _plain(self, node: Any, where: str) -> None:
+        """Check that an emitter has no textures."""
+        for name, child in self._children(node):
+            raise InputError(f"{self.path}: the {name} of {where} is a {child.props.plugin_name()}, not a constant")
+
+    def _emission(self, props: Any, where: str, *others: str, key: str = "radiance") -> FloatArray:
+        """The constant radiance, or whatever ``key`` says [3], of an emitter that may have ``others`` among its
+        parameters.
+        """
+        self._only(props, where, (key, "sampling_weight", *others))
+        if key not in props:
             return np.ones(3, np.float32)
-        with native(self.path, f"the radiance of {where} is not a colour"):
-            texture = props.get_emissive_texture("radiance")
+        with native(self.path, f"the {key} of {where} is not a colour"):
+            texture = props.get_emissive_texture(key)
             value = np.array(texture.eval(self.mi.SurfaceInteraction3f()), np.float32).reshape(-1)
-        within(value, f"{self.path}: the radiance of {where}", 0.0, RADIANCE)
+        within(value, f"{self.path}: the {key} of {where}", 0.0, RADIANCE)
         return value * np.ones(3, np.float32)
 
     def _only(self, props: Any, where: str, known: tuple[str, ...]) -> None:
@@ -253,7 +279,10 @@ class _Reader:
     def _emitter(self, node: Any) -> None:
         props = node.props
         plugin = props.plugin_name()
-        if self.environment is not None:
+        if plugin in PARAMETERS:
+            self._punctual(node)
+            return
+        if self.environment is not None and plugin in ("constant", "envmap"):
             raise InputError(f"{self.path}: it has more than one environment emitter")
         if plugin == "constant":
             radiance = self._emission(props, "the constant emitter", "to_world")
@@ -262,7 +291,20 @@ class _Reader:
             self._only(props, "the envmap", ("filename", "scale", "to_world", "sampling_weight", "mis_compensation"))
             self.environment = self._map(props)
         else:
-            raise InputError(f"{self.path}: emitter of type {plugin} is not supported; use area, envmap or constant")
+            there = ", ".join(("area", "envmap", "constant", *PARAMETERS))
+            raise InputError(f"{self.path}: emitter of type {plugin} is not supported; there are: {there}")
+
+    def _punctual(self, node: Any) -> None:
+        """Append a point, spot or directional light."""
+        props = node.props
+        plugin = props.plugin_name()
+        name = props.id() or f"{plugin}-{len(self.punctual) + 1}"
+        where = f"the {plugin} emitter {name}"
+        self._plain(node, where)
+        key, *others = PARAMETERS[plugin]
+        intensity = self._emission(props, where, *others, key=key)
+        to_world = self._transform(props, where)
+        self.punctual.append(read_punctual(props, name, intensity, to_world, f"{self.path}: {where}"))
 
     def _map(self, props: Any) -> EnvironmentMap:
         """The lat-long map of an envmap, with its scale and turn."""
@@ -278,6 +320,21 @@ class _Reader:
         if not np.abs(axes.T @ axes - np.eye(3)).max() <= _RIGID:
             raise InputError(f"{self.path}: the to_world of the envmap has to be a rotation")
         return EnvironmentMap(scaled.astype(np.float32), to_world)
+
+
+def _arrays(shape: Any) -> tuple[FloatArray, np.ndarray, FloatArray | None, FloatArray | None]:
+    """Vertices, faces, normals and texture coordinates of Mitsuba's mesh, or of triangles made here."""
+    if isinstance(shape, Triangles):
+        return shape
+    count = shape.vertex_count()
+    vertices = np.array(shape.vertex_positions_buffer(), np.float32).reshape(count, 3)
+    faces = np.array(shape.faces_buffer()).reshape(-1, 3).astype(np.int64)
+    normals = uvs = None
+    if shape.has_vertex_normals():
+        normals = np.array(shape.vertex_normals_buffer(), np.float32).reshape(count, 3)
+    if shape.has_vertex_texcoords():
+        uvs = np.array(shape.vertex_texcoords_buffer(), np.float32).reshape(count, 2)
+    return vertices, faces, normals, uvs
 
 
 def _wound_like_normals(vertices: FloatArray, faces: np.ndarray, normals: FloatArray) -> np.ndarray:

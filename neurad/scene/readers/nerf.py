@@ -162,10 +162,11 @@ def read_views(
         pose = undo(rigid(frame.get("transform_matrix"), f"{where}: its transform_matrix"))
         camera = camera_of((frame, described), film, pose, where)
         mask = _listed(root, frame, "mask_path", f"the mask is missing that {path.name} lists", path)
-        maps = {kind: _map(root, frame, kind, image, path) for kind in ("albedo", "roughness")}
+        maps = {kind: _map(root, frame, kind, image, path) for kind in ("albedo", "roughness", "spread")}
         relit = _map(root, frame, "relight", image, path) if "relight_path" in frame else None
         made = Development(exposure=_exposure(settings, where))
-        views.append(View(image.stem, camera, str(image), maps["albedo"], maps["roughness"], relit, mask, made))
+        known = maps["albedo"], maps["roughness"], relit, mask, made, maps["spread"]
+        views.append(View(image.stem, camera, str(image), *known))
     return views
 
 

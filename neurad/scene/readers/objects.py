@@ -1,4 +1,4 @@
-"""A thing to be put into a scene: its meshes with the materials that the file gives them, read by trimesh."""
+"""A thing to be put into a scene: its meshes with the materials that the file gives them."""
 
 from __future__ import annotations
 
@@ -10,13 +10,15 @@ from typing import Any
 import numpy as np
 
 from neurad.core.errors import InputError
-from neurad.core.records import Bitmap, Constant, FloatArray, Mesh, Texture
+from neurad.core.records import Bitmap, Constant, Mesh, Texture
 from neurad.runtime.reading import TEXT_MESH_LIMIT, native, regular_file, shown
 from neurad.scene.image_io import from_srgb
 from neurad.scene.numbers import LENGTH, within
+from neurad.scene.readers.gltf import ENDINGS as GLTF
+from neurad.scene.readers.gltf import read_gltf
 from neurad.scene.readers.mesh_files import KINDS, mesh_of
 
-OBJECTS = (*KINDS, ".glb")
+OBJECTS = (*KINDS, *GLTF)
 PLAIN = 0.5
 """Albedo and roughness of what says nothing about its material."""
 
@@ -35,7 +37,7 @@ def read_object(path: str | Path, where: str) -> list[Part]:
     roughness that the file's materials have, as far as they have them.
 
     Args:
-        path: OBJ, GLB, PLY or STL.
+        path: OBJ, glTF, PLY or STL.
         where: begins the error message.
 
     Raises:
@@ -47,6 +49,8 @@ def read_object(path: str | Path, where: str) -> list[Part]:
         raise InputError(f"{where}: {shown(path)} is not an object that can be read ({', '.join(OBJECTS)})")
     if file.stat().st_size > TEXT_MESH_LIMIT:
         raise InputError(f"{where}: {shown(path)} has more than {TEXT_MESH_LIMIT >> 20} MB")
+    if kind in GLTF:
+        return _of_gltf(file)
     import trimesh
 
     with native(file, f"it cannot be read as {kind[1:].upper()}"), warnings.catch_warnings():
@@ -65,6 +69,15 @@ def read_object(path: str | Path, where: str) -> list[Part]:
     return parts
 
 
+def _of_gltf(file: Path) -> list[Part]:
+    """The meshes of a glTF file; they do not shine."""
+    room = read_gltf(file, lamps=False)
+    return [
+        Part(mesh, room.materials[mesh.material].albedo, room.materials[mesh.material].roughness)
+        for mesh in room.meshes
+    ]
+
+
 def _part(part: Any, flat: bool) -> Part:
     material = getattr(part.visual, "material", None)
     name = str(part.metadata.get("name") or getattr(material, "name", None) or "part")
@@ -72,32 +85,16 @@ def _part(part: Any, flat: bool) -> Part:
     if mesh.uvs is not None:  # in pictures here v runs down, in these files up
         mesh = replace(mesh, uvs=np.stack((mesh.uvs[:, 0], 1.0 - mesh.uvs[:, 1]), -1).astype(np.float32))
     mesh = replace(mesh, radiance=None)
-    roughness = getattr(material, "roughnessFactor", None)
-    return Part(
-        mesh,
-        _colour(material, mesh.uvs is not None),
-        Constant(np.asarray([PLAIN if roughness is None else float(roughness)], np.float32)),
-    )
+    return Part(mesh, _colour(material, mesh.uvs is not None), Constant(np.full(1, PLAIN, np.float32)))
 
 
 def _colour(material: Any, mapped: bool) -> Texture:
-    """The base colour of a material of glTF or MTL."""
-    is_gltf = hasattr(material, "baseColorFactor")
+    """The colour of a material of MTL."""
     factor = np.full(3, PLAIN, np.float32)
-    if is_gltf:
-        given = material.baseColorFactor  # linear; trimesh has it as bytes or as numbers
-        factor = np.ones(3, np.float32) if given is None else _unit(given)
-    elif (words := (getattr(material, "kwargs", None) or {}).get("kd")) is not None:
+    if (words := (getattr(material, "kwargs", None) or {}).get("kd")) is not None:
         factor = np.array([float(word) for word in np.atleast_1d(words)][:3], np.float32)
-    picture = getattr(material, "baseColorTexture" if is_gltf else "image", None)
+    picture = getattr(material, "image", None)
     if picture is None or not mapped:
         return Constant(factor)
     pixels = from_srgb(np.asarray(picture.convert("RGB"), np.float32) / 255.0)
-    return Bitmap(np.ascontiguousarray(pixels * (factor if is_gltf else 1.0), np.float32))
-
-
-def _unit(values: Any) -> FloatArray:
-    array = np.asarray(values)
-    scale = 255.0 if np.issubdtype(array.dtype, np.integer) else 1.0
-    made: FloatArray = (array[:3] / scale).astype(np.float32)
-    return made
+    return Bitmap(np.ascontiguousarray(pixels, np.float32))

@@ -57,6 +57,7 @@ PANELS = (
     Panel("psnr_linear", "Picture (linear)", "PSNR in dB", "higher is better", 0, 2),
     Panel("albedo_mape", "Albedo", "MAPE", "lower is better", 1, 0),
     Panel("roughness_mape", "Roughness", "MAPE", "lower is better", 1, 1),
+    Panel("lamp_error", "Worst lamp", "relative error", "lower is better", 2, 0),
 )
 """The first row is what a page shows first; where the figure has no picture's MAPE, it has its legend."""
 

@@ -20,6 +20,7 @@ HEADS = {
     "roughness_psnr": "roughness PSNR / dB",
     "roughness_mape": "roughness MAPE",
     "psnr_linear": "picture PSNR / dB, linear",
+    "lamp_error": "error of the worst lamp",
     "seconds": "training time / s",
     "samples": "path samples",
     "ms_per_step": "ms a step",
@@ -27,7 +28,7 @@ HEADS = {
     "samples_per_second": "samples / s",
     "peak_memory_mib": "peak memory / MiB",
 }
-LOWER = ("mape", "seconds", "samples", "ms_", "peak")
+LOWER = ("mape", "lamp_error", "seconds", "samples", "ms_", "peak")
 """Parts of the names of what is better when it is lower; everything else is better when it is higher."""
 
 

@@ -104,7 +104,7 @@ def shown(name: str, cell: Cell) -> str:
         return _DIGITS[name](cell)
     if name.startswith("seconds_to_"):
         return f"{cell:.1f}"
-    return f"{cell:.3f}" if "mape" in name else f"{cell:.2f}"
+    return f"{cell:.3f}" if "mape" in name or name == "lamp_error" else f"{cell:.2f}"
 
 
 def present(rows: Sequence[TableRow], reach: Sequence[float] = REACH) -> list[str]:

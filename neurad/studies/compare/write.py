@@ -59,6 +59,7 @@ def write_report(
         "Against path samples": curves.charts(done, "samples", 0),
         "MAPE against training time": curves.charts(done, "seconds", 1),
         "MAPE against path samples": curves.charts(done, "samples", 1),
+        "Lamps that were found against training time": curves.charts(done, "seconds", 2),
     }
     firsts = [group[0] for group in by_method(done).values()]
     sheets = views.sheets(firsts, count) if count else []

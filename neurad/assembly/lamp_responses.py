@@ -1,0 +1,189 @@
+"""Pictures lit by one lamp at a time: what they say of lamps that no photograph shows.
+
+Light is linear in the radiance of every lamp. At random photographed pixels each lamp alone, of radiance 1, gives a
+column of a matrix; photographs are a non-negative sum of these columns, as far as the materials are what they are taken
+for. That is only how the lamps begin.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+import torch
+from torch import Tensor
+
+from neurad.assembly.build import Assembly
+from neurad.core.errors import InputError
+from neurad.core.protocols import Emitter
+from neurad.core.records import PixelBatch
+from neurad.core.rng import Stream
+from neurad.emitters.area import AreaLights
+from neurad.emitters.fitted_lamps import Array
+from neurad.emitters.lights import Lights
+from neurad.integrators.estimator import Estimator
+from neurad.integrators.path import PathTracing
+from neurad.integrators.primary_hits import PrimaryHits
+
+Bools = npt.NDArray[np.bool_]
+
+_PIXELS, _SPP, _DEPTH = 1024, 4, 6  # of each picture: pixels, samples in each of two halves, longest path
+ALIKE = 0.99
+"""Correlation of two lamps' pictures from which on they cannot be told apart."""
+MEET = 0.1
+"""Fraction of the dimmer lamp's light that has to fall where another's does for the one to fix the other's scale."""
+_DARK = 1e-6  # of the brightest picture's mean: nothing arrives
+_FLOOR = 0.1  # of the mean: below it pixels count by their absolute error
+_LEAST = 0.01  # of the photographs' mean: what a lamp gives at least to begin with
+_COLOUR = 0.05  # of a lamp's brightest channel: what the others have at least to begin with
+
+
+@dataclass(frozen=True)
+class Responses:
+    """Pictures by one light at a time, and what is to be explained; all of the same pixels."""
+
+    halves: Array
+    """By each lamp alone at radiance 1, in two independent halves [2, m, n, 3]."""
+    environment: Array | None
+    """By the environment alone [n, 3]; None where there is none."""
+    environment_known: bool
+    """Whether it is as bright as it is."""
+    photographs: Array
+    """[n, 3]."""
+
+    @property
+    def lamps(self) -> Array:
+        """By each lamp alone [m, n, 3]."""
+        mean: Array = self.halves.mean(0)
+        return mean
+
+    @property
+    def reaches(self) -> Bools:
+        """Lamps whose light arrives at some of the pixels [m]."""
+        light = self.lamps.mean((1, 2))
+        reached: Bools = light > _DARK * max(float(light.max(initial=0.0)), 1e-300)
+        return reached
+
+    @property
+    def weight(self) -> Array:
+        """Of the residual in each pixel and channel [n, 3]: what is bright counts relatively."""
+        weight: Array = 1.0 / (self.photographs + _FLOOR * self.photographs.mean() + 1e-300)
+        return weight
+
+
+@torch.no_grad()
+def lamp_responses(assembly: Assembly, primary: PrimaryHits, sample: PixelBatch, seed: int) -> Responses:
+    """Path-trace random photographed pixels in the light of one lamp at a time, with the materials as they are.
+
+    Args:
+        assembly: with lamps that are recovered.
+        primary: camera rays of the training views.
+        sample: random photographed pixels that show no emitter.
+        seed: of all draws.
+    """
+    world, device, lamps = assembly.world, primary.origin.device, assembly.lamps
+    assert lamps is not None
+    stream = Stream(seed, 31, device=device)
+    index = stream.integers(len(sample.view), min(len(sample.view), _PIXELS))
+    view, pixel, color = (x.to(device)[index] for x in (sample.view, sample.pixel, sample.color))
+    with world.tracer.uncounted():
+        si = primary(PixelBatch(view, pixel, color, torch.ones_like(view).float(), 0), 1, stream).si
+        si, color = si[si.valid], color[si.valid]
+        surface, method = assembly.materials(si), PathTracing(_DEPTH, _DEPTH)
+
+        def lit(emitter: Emitter, key: int) -> Tensor:
+            estimator = Estimator(world.under(emitter), assembly.materials, None, method)
+            value = estimator.image(si, surface, 2 * _SPP, Stream(seed, 32, key, device=device)).value
+            return value.view(len(si), 2, _SPP, 3).mean(2).double().cpu()
+
+        parts = []
+        for row in range(len(lamps.mesh)):
+            try:
+                alone = AreaLights(world.geometry, (lamps.lamp == row).float().unsqueeze(-1).expand(-1, 3).contiguous())
+            except InputError:  # it has no area
+                parts.append(torch.zeros(len(si), 2, 3, dtype=torch.float64))
+                continue
+            parts.append(lit(alone, row))
+        environment = world.lights.environment if isinstance(world.lights, Lights) else None
+        sky = None if environment is None else lit(environment, len(parts)).mean(1).numpy()
+    halves: Array = torch.stack(parts).permute(2, 0, 1, 3).numpy()
+    return Responses(halves, sky, assembly.environment is None, color.double().cpu().numpy())
+
+
+def alike(responses: Responses, told: Bools) -> list[list[int]]:
+    """Lamps in groups that cannot be told apart by what they light; each of those that are ``told`` [m] alone.
+
+    The correlation of two pictures is taken of independent halves of the samples, so noise makes nothing unlike.
+    """
+    first, second = (half * responses.weight for half in responses.halves)
+    flat = [half.reshape(len(half), -1) for half in (first, second)]
+    product = flat[0] @ flat[1].T
+    product = (product + product.T) / 2
+    own = np.sqrt(np.maximum(np.diag(product), 1e-300))
+    close = product / np.outer(own, own) > ALIKE
+    usable = responses.reaches & ~told
+    close &= np.outer(usable, usable)
+    return [sorted(group) for group in _groups(close)]
+
+
+def explain(responses: Responses, radiance: Array, told: Bools, groups: list[list[int]]) -> Array:
+    """Radiance of every lamp [m, 3] that explains the photographs best, each channel by itself.
+
+    What is known of the light (``radiance`` [m, 3] of lamps that are ``told`` [m], a known environment) is one column;
+    the factor that it gets is how much brighter the surfaces are than they are taken for, and all others are divided by
+    it.
+    """
+    from scipy.optimize import nnls  # type: ignore[import-untyped] # imported where it is needed: it loads slowly
+
+    pictures, weight, target = responses.lamps, responses.weight, responses.photographs
+    known = np.einsum("mc,mnc->nc", radiance * told[:, None], pictures)
+    if responses.environment is not None and responses.environment_known:
+        known = known + responses.environment
+    open_sky = responses.environment if not responses.environment_known else None
+    free = [group for group in groups if not told[group].any() and responses.reaches[group].any()]
+    found = np.zeros((len(pictures), 3))
+    for channel in range(3):
+        columns = [known[:, channel], *(pictures[group, :, channel].sum(0) for group in free)]
+        columns += [] if open_sky is None else [open_sky[:, channel]]
+        w = weight[:, channel]
+        x, _ = nnls(np.stack(columns, 1) * w[:, None], target[:, channel] * w)
+        factor = float(np.clip(x[0], 0.2, 5.0)) if known[:, channel].any() else 1.0
+        for group, value in zip(free, x[1:], strict=False):
+            found[group, channel] = value / factor
+    mean = float(target.mean())
+    for group in free:
+        light = max(float(pictures[group].sum(0).mean()), 1e-300)
+        least = _LEAST * mean / light
+        found[group] = np.maximum(found[group], max(_COLOUR * float(found[group].max()), least))
+    return found
+
+
+def connected(responses: Responses, radiance: Array, told: Bools) -> Bools:
+    """Lamps [m] whose scale is fixed: those ``told``, and those whose light falls where light of fixed scale does."""
+    light = radiance[:, None] * responses.lamps * responses.weight  # [m, n, 3]
+    fixed = told.copy()
+    parts = [*light]
+    if responses.environment is not None:
+        parts.append(responses.environment * responses.weight)
+        fixed = np.append(fixed, responses.environment_known)
+    sums = np.array([part.sum() for part in parts])
+    meet = np.array([[np.minimum(a, b).sum() for b in parts] for a in parts])
+    near = meet > MEET * np.maximum(np.minimum.outer(sums, sums), 1e-300)
+    for group in _groups(near):
+        fixed[list(group)] = fixed[list(group)].any()
+    seen: Bools = fixed[: len(radiance)]
+    return seen
+
+
+def _groups(near: Bools) -> list[set[int]]:
+    """Sets of indices that pairs ``near`` [m, m] connect."""
+    left, found = set(range(len(near))), []
+    while left:
+        group, border = set(), {min(left)}
+        while border:
+            group |= border
+            border = {int(j) for i in border for j in np.flatnonzero(near[i])} - group
+        left -= group
+        found.append(group)
+    return found

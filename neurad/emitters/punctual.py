@@ -1,0 +1,154 @@
+"""Points, spots and directional lights: lights without extent."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+import torch
+from torch import Tensor, nn
+
+from neurad.core.colour import luminance
+from neurad.core.errors import InputError
+from neurad.core.frame import dot
+from neurad.core.records import EmitterSample, PunctualLight, SurfaceInteraction
+
+ARRIVING = 0.75
+"""Fraction of the choices that go by what arrives at a point; the rest is even, as a bright light may be hidden."""
+_AT_ONCE = 1 << 22
+"""Most pairs of points and lights whose arrival is computed together."""
+
+
+class PunctualLights(nn.Module):
+    """All lights without extent as one :class:`~neurad.core.protocols.Emitter`.
+
+    A light is chosen by the irradiance that it would give at the reference point with nothing in between; one that
+    cannot shine there is never chosen. No ray ends at such a light, so that ``eval`` and ``pdf``, which belong to where
+    rays end, are 0. The irradiance is differentiable in ``intensity``.
+
+    Args:
+        lights: checked; those without light are left out.
+
+    Raises:
+        InputError: all are black.
+    """
+
+    position: Tensor
+    direction: Tensor
+    intensity: Tensor
+    strength: Tensor
+    is_near: Tensor
+    is_spot: Tensor
+    cutoff: Tensor
+    beam: Tensor
+    inverse_transition: Tensor
+
+    def __init__(self, lights: Sequence[PunctualLight]) -> None:
+        super().__init__()
+        lights = [light for light in lights if light.intensity.any()]
+        if not lights:
+            raise InputError("the scene's lights without extent cannot send light: they are black")
+        axes = np.stack([np.asarray(light.direction, np.float64) for light in lights])
+        intensity = torch.from_numpy(np.stack([light.intensity for light in lights]).astype(np.float32))
+        cutoff, beam = (
+            torch.tensor([math.radians(x) for x in angles], dtype=torch.float64)
+            for angles in ([x.cutoff_angle for x in lights], [x.beam_width for x in lights])
+        )
+        kinds = [light.kind for light in lights]
+        transition = cutoff - beam
+        for name, value in {
+            "position": torch.from_numpy(np.stack([light.position for light in lights]).astype(np.float32)),  # [k, 3]
+            "direction": torch.from_numpy(axes / np.linalg.norm(axes, axis=1, keepdims=True)).float(),  # [k, 3]
+            "intensity": intensity,  # [k, 3]
+            "strength": luminance(intensity.double()).float(),  # [k]
+            "is_near": torch.tensor([kind != "directional" for kind in kinds]),  # [k]: has a place
+            "is_spot": torch.tensor([kind == "spot" for kind in kinds]),  # [k]
+            "cutoff": cutoff.float(),  # [k], radians
+            "beam": beam.float(),  # [k], radians
+            "inverse_transition": torch.where(transition > 0, 1.0 / transition, 0.0).float(),  # [k]
+        }.items():
+            self.register_buffer(name, value, persistent=False)
+        # Solid angle that a light fills, weighted with its falloff
+        filled = torch.where(
+            transition > 0, 1.0 - (cutoff.sin() - beam.sin()) / transition.clamp_min(1e-9), 1.0 - cutoff.cos()
+        )
+        solid = torch.where(self.is_spot, 2.0 * math.pi * filled, 4.0 * math.pi)
+        strength = luminance(intensity.double())
+        self._near = float((strength * solid)[self.is_near].sum())
+        self._far = float(strength[~self.is_near].sum())
+
+    def power(self, radius: float) -> float:
+        """Luminous power that gets into a scene of this radius; of directional lights through a disk as large."""
+        return self._near + math.pi * radius**2 * self._far
+
+    def sample(self, p: Tensor, u: Tensor) -> EmitterSample:
+        """The direction to a light for each of ``p`` [n, 3], chosen by the third of ``u`` [n, 3]."""
+        index, chance = self._choose(p, u[:, 2])
+        wi, distance, factor = self._arrival(p, index)
+        irradiance = self.intensity.index_select(0, index) * factor.unsqueeze(-1)
+        lit = (chance > 0) & (factor > 0) & torch.isfinite(irradiance).all(-1)
+        return EmitterSample(
+            wi, distance, torch.where(lit.unsqueeze(-1), irradiance, 0.0), torch.where(lit, chance, 0.0),
+            torch.ones_like(lit),
+        )  # fmt: skip
+
+    def eval(self, si: SurfaceInteraction) -> Tensor:  # type: ignore[override]
+        """Zeros [n, 3]: no ray ends at a light without extent."""
+        return torch.zeros_like(si.p)
+
+    def pdf(self, p: Tensor, si: SurfaceInteraction) -> Tensor:
+        """Zeros [n]: no ray ends at a light without extent."""
+        return torch.zeros_like(p[:, 0])
+
+    def chances(self, p: Tensor) -> Tensor:
+        """Probability of each light at ``p`` [n, 3]: [n, k], all 0 where none can shine."""
+        n, k = len(p), len(self.intensity)
+        every = torch.arange(k, device=p.device).repeat(n)
+        factor = self._arrival(p.repeat_interleave(k, 0), every)[2].view(n, k)
+        arrives = factor * self.strength
+        even = (arrives > 0).to(p.dtype)
+        total, count = arrives.sum(1, keepdim=True), even.sum(1, keepdim=True)
+        mixed = ARRIVING * arrives / total + (1.0 - ARRIVING) * even / count
+        return torch.where(torch.isfinite(total) & (total > 0), mixed, even / count.clamp_min(1.0))
+
+    def _choose(self, p: Tensor, u: Tensor) -> tuple[Tensor, Tensor]:
+        """Light [n] for uniform numbers [n] at ``p`` [n, 3], and its probability [n]."""
+        k = len(self.intensity)
+        if k == 1:
+            return torch.zeros_like(u, dtype=torch.int64), torch.ones_like(u)
+        count = max(_AT_ONCE // k, 1)
+        pieces = (slice(low, low + count) for low in range(0, max(len(u), 1), count))
+        found = [self._choose_some(p[piece], u[piece]) for piece in pieces]
+        index, chance = zip(*found, strict=True)
+        return torch.cat(index), torch.cat(chance)
+
+    def _choose_some(self, p: Tensor, u: Tensor) -> tuple[Tensor, Tensor]:
+        chances = self.chances(p)  # [n, k]
+        end = chances.cumsum(1)
+        index = (u.unsqueeze(-1) * end[:, -1:] >= end[:, :-1]).sum(1)
+        return index, chances.gather(1, index.unsqueeze(-1)).squeeze(-1)
+
+    def _arrival(self, p: Tensor, index: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        """How lights [n] are seen from ``p`` [n, 3]: direction [n, 3], distance [n], and what their intensity is
+        multiplied by to give the irradiance on a surface that faces them [n].
+        """
+        near, direction = self.is_near.index_select(0, index), self.direction.index_select(0, index)
+        to_light = self.position.index_select(0, index) - p
+        distance = to_light.norm(dim=-1)
+        apart = distance > 0
+        wi = torch.where(near.unsqueeze(-1), to_light / distance.clamp_min(1e-30).unsqueeze(-1), -direction)
+        # by division one after the other: the square of a short distance would be rounded to 0
+        factor = torch.where(near, self._falloff(wi, direction, index) / torch.where(apart, distance, 1.0), 1.0)
+        factor = torch.where(near, torch.where(apart, factor / torch.where(apart, distance, 1.0), 0.0), factor)
+        return wi, torch.where(near, distance, math.inf), factor
+
+    def _falloff(self, wi: Tensor, direction: Tensor, index: Tensor) -> Tensor:
+        """What a spot's intensity is multiplied by off its axis [n]; 1 for other lights."""
+        # atan2, as acos has few digits near the axis
+        cross = torch.linalg.cross(direction, wi)
+        angle = torch.atan2(cross.norm(dim=-1), -dot(direction, wi))
+        left = (self.cutoff.index_select(0, index) - angle) * self.inverse_transition.index_select(0, index)
+        inside = angle < self.cutoff.index_select(0, index)
+        falloff = torch.where(angle <= self.beam.index_select(0, index), 1.0, left.clamp(0.0, 1.0))
+        return torch.where(self.is_spot.index_select(0, index), torch.where(inside, falloff, 0.0), 1.0)

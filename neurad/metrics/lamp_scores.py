@@ -1,0 +1,81 @@
+"""Scores of lamps whose radiance was recovered, where the truth is given."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+
+from neurad.core.errors import InputError
+from neurad.runtime.reading import regular_file
+from neurad.runtime.tables import read_csv
+from neurad.scene.numbers import RADIANCE
+
+Array = npt.NDArray[np.float64]
+LEAST = 0.05
+"""Of a lamp's brightest channel: what errors of the others are relative to at least."""
+ERROR = "lamp_error"
+"""Begins the columns of the errors."""
+
+
+def read_lamps_true(path: str, names: Sequence[str]) -> Array:
+    """True radiance of lamps [m, 3], from a table with columns ``mesh``, ``r``, ``g`` and ``b``, as ``lamps.csv`` has
+    them.
+
+    Args:
+        path: of the table.
+        names: of the lamps' meshes.
+
+    Raises:
+        InputError: there is no such table, a lamp is missing in it, or a radiance is no number or negative.
+    """
+    option = f"--data.lamps_true {path}"
+    columns, rows = read_csv(Path(regular_file(path)))
+    if missing := [name for name in ("mesh", "r", "g", "b") if name not in columns]:
+        raise InputError(f"{option}: it has no column {missing[0]}; a table with mesh, r, g and b is needed")
+    given: dict[str, list[float]] = {}
+    for row in rows:
+        try:
+            rgb = [float(row[channel]) for channel in "rgb"]
+        except ValueError:
+            rgb = [math.nan]
+        if not all(0.0 <= value <= RADIANCE for value in rgb):  # neither is NaN
+            raise InputError(f"{option}: the radiance of {row['mesh']} must be three numbers from 0 to {RADIANCE:g}")
+        given[row["mesh"]] = rgb
+    if left := [name for name in names if name not in given]:
+        raise InputError(f"{option}: lamp {left[0]} of the scene is not in it")
+    return np.array([given[name] for name in names])
+
+
+def lamp_error(found: Array, truth: Array) -> Array:
+    """Largest relative error of a channel, for each lamp: [m, 3] and [m, 3] to [m]."""
+    least = LEAST * truth.max(-1, keepdims=True)
+    error: Array = (np.abs(found - truth) / np.maximum(np.maximum(truth, least), 1e-30)).max(-1)
+    return error
+
+
+def lamp_scores(found: Array, truth: Array, names: Sequence[str], factors: Mapping[str, Array]) -> dict[str, float]:
+    """Errors of all lamps, by the columns of ``metrics.csv``: of each, and the largest.
+
+    Args:
+        found: radiance [m, 3].
+        truth: [m, 3].
+        names: of the lamps.
+        factors: of the albedo by their names, [3] each: what albedo is to be multiplied by, light is divided by.
+    """
+    scores = {}
+    for kind, factor in {"": np.ones(3), **{f"_{key}": value for key, value in factors.items()}}.items():
+        errors = lamp_error(found / factor, truth)
+        scores[f"{ERROR}{kind}"] = float(errors.max())
+        for name, error in zip(columns_of(names), errors, strict=True):
+            scores[f"{ERROR}{kind}_{name}"] = float(error)
+    return scores
+
+
+def columns_of(names: Sequence[str]) -> list[str]:
+    """Names of lamps as the ends of columns: without what parts columns, and each once."""
+    plain = ["".join("_" if char in ',"\n\r' else char for char in name) for name in names]
+    return [name if plain.count(name) == 1 else f"{name}_{index}" for index, name in enumerate(plain)]

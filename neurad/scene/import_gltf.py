@@ -1,0 +1,139 @@
+"""From a glTF scene to a scene folder: ``neurad data gltf``."""
+
+from __future__ import annotations
+
+import sys
+from pathlib import Path
+
+import numpy as np
+
+from neurad.core.errors import InputError
+from neurad.core.records import View
+from neurad.runtime.files import place, writing
+from neurad.runtime.reading import folder, regular_file, shown
+from neurad.scene.description import Scene
+from neurad.scene.import_room import (
+    ImportSettings,
+    Photographs,
+    check_photograph,
+    check_room,
+    free_folder,
+    map_of,
+    whole,
+)
+from neurad.scene.photographs import picture_size
+from neurad.scene.readers.gltf import ENDINGS, GltfRoom, read_gltf
+from neurad.scene.readers.gltf_file import GltfFile
+from neurad.scene.readers.gltf_nodes import GltfCamera
+from neurad.scene.readers.gltf_scene import ENVIRONMENT, refuse_lights
+from neurad.scene.readers.nerf import HOLD_OUT, Split
+from neurad.scene.room_folder import Room, write_views
+
+_SHAPE = 0.01  # difference of the proportions of a camera and its photograph that is refused
+
+
+def import_gltf(settings: ImportSettings) -> None:
+    """Make the scene folder, whole or not at all, and say what is in it.
+
+    Raises:
+        InputError: a file is missing or broken, the scene uses what cannot be rendered, photographs and cameras do not
+            fit, an option does not apply, or the folder is there already.
+    """
+    if settings.mesh or settings.lamp or settings.up or settings.scale != 1.0:
+        raise InputError(
+            "--mesh, --lamp, --up and --scale are about meshes beside cameras; a glTF scene has its own surfaces and "
+            "lamps, in the frame of its cameras"
+        )
+    out = free_folder(settings.out)
+    source = _scene_file(settings.source)
+    environment = None if settings.environment is None else map_of(settings.environment)
+    room = read_gltf(source)
+    refuse_lights(source, room)
+    views = Split([], [])
+    if settings.images is not None:
+        views = _photographed(room, folder(settings.images, "--images"), source)
+    with whole(out) as part:
+        with writing(part, "--out"):
+            name = f"scene{source.suffix.lower()}"
+            place(source, part / name, settings.copy)
+            for beside in dict.fromkeys(GltfFile(source).files()):
+                (part / beside).parent.mkdir(parents=True, exist_ok=True)
+                place(regular_file(source.parent / beside), part / beside, settings.copy)
+            if environment is not None:
+                place(environment, part / ENVIRONMENT, settings.copy)
+            write_views(Room(views, [], np.eye(4), {}, None, settings.copy), part)
+        scene = None
+        if views.train or room.cameras:
+            scene = check_room(part, out)
+    _say(out, room, views, scene, environment is not None)
+
+
+def _scene_file(source: Path) -> Path:
+    """The file itself, or the only one of its kind in a folder."""
+    if not source.is_dir():
+        file = regular_file(source, "there is no such glTF file")
+        if file.suffix.lower() not in ENDINGS:
+            raise InputError(f"{shown(source)}: it is no glTF file ({' or '.join(ENDINGS)})")
+        return file.resolve()
+    found = [file for file in sorted(source.iterdir()) if file.suffix.lower() in ENDINGS]
+    if len(found) != 1:
+        raise InputError(f"{shown(source)}: it has {len(found)} files of glTF; name the one that is meant")
+    return found[0].resolve()
+
+
+def _photographed(room: GltfRoom, images: Path, source: Path) -> Split:
+    """The cameras that have a photograph of their name."""
+    find = Photographs(images)
+    views, without = [], []
+    for camera in room.cameras:
+        where = f"{shown(source)}: camera {shown(camera.name)}"
+        try:
+            photograph = find(camera.name, where)
+        except InputError as error:
+            without.append((camera.name, error))
+            continue
+        view = _view(camera, photograph, where)
+        check_photograph(view)
+        views.append(view)
+    if not room.cameras:
+        raise InputError(f"{shown(source)}: it has no camera, so that no photograph can belong to it")
+    if not views:
+        raise without[0][1]
+    names = ", ".join(shown(name) for name, _ in without[:12])
+    said = f"{shown(source)}: {len(without)} cameras have no photograph and are left out ({names})"
+    return Split(views, [], (said,) if without else ())
+
+
+def _view(camera: GltfCamera, photograph: Path, where: str) -> View:
+    width, height = picture_size(photograph)
+    if camera.aspect is not None and abs(camera.aspect * height / width - 1.0) > _SHAPE:
+        raise InputError(
+            f"{where} has the aspectRatio {camera.aspect:.4g}, but its photograph {shown(photograph.name)} has "
+            f"{width} x {height} pixels"
+        )
+    return View(camera.name, camera.seen(width, height), str(photograph))
+
+
+def _say(out: Path, room: GltfRoom, views: Split, scene: Scene | None, has_environment: bool) -> None:
+    """What the folder has, and what it lacks."""
+    triangles = sum(len(mesh.faces) for mesh in room.meshes)
+    shining = [mesh.name for mesh in room.meshes if mesh.radiance is not None]
+    print(f"{shown(out)}: {len(room.meshes)} meshes, {triangles} triangles, {len(room.cameras)} cameras")
+    for note in (*room.notes, *views.notes):
+        print(f"neurad: {note}", file=sys.stderr)
+    if shining:
+        print(f"lamps: {', '.join(shown(name) for name in shining[:12])}{' ...' if len(shining) > 12 else ''}")
+    elif not has_environment:
+        print(
+            "neurad: warning: nothing in the room shines, so it cannot be fitted yet: give materials an emission, or "
+            "--environment",
+            file=sys.stderr,
+        )
+    if views.train:
+        print(f"{len(views.train)} photographs; a fit holds out every {HOLD_OUT}th by name (--data.hold_out)")
+        print(f"neurad fit --config scene.yaml --data.root {shown(out)}")
+    elif scene is not None:
+        print("no --images were given: it can be rendered, and fitted when it has photographs and a camera file")
+        print(f"neurad render --root {shown(out)} --out pictures")
+    else:
+        print("neither cameras nor --images: put a transforms_train.json and photographs into the folder")

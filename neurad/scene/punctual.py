@@ -1,0 +1,105 @@
+"""Lights without extent: what may be read from files, and their light in the units of other programs."""
+
+from __future__ import annotations
+
+import math
+from typing import get_args
+
+import numpy as np
+import numpy.typing as npt
+
+from neurad.core.errors import InputError
+from neurad.core.records import PunctualKind, PunctualLight
+from neurad.runtime.reading import shown
+from neurad.scene.numbers import LENGTH, RADIANCE, within
+
+LUMENS_PER_WATT = 683.0
+"""Photometric units over the radiometric ones of a scene: candela per W/sr and lux per W/m2, whatever the colour, as
+Blender writes and reads glTF's lights."""
+KINDS: tuple[PunctualKind, ...] = get_args(PunctualKind)
+
+
+def check_punctual(light: PunctualLight, where: str) -> PunctualLight:
+    """This light, if light transport can be computed with it.
+
+    Args:
+        light: as a file gives it.
+        where: file and element, for the sentence.
+
+    Raises:
+        InputError: its intensity is negative, its direction zero, its cone none, or a value is NaN or infinite.
+    """
+    if light.kind not in KINDS:
+        raise InputError(f"{where}: its type is {shown(light.kind)}; there are: {', '.join(KINDS)}")
+    measure = "irradiance" if light.kind == "directional" else "intensity"
+    within(light.intensity, f"{where}: its {measure}", 0.0, RADIANCE)
+    within(light.position, f"{where}: its position", -LENGTH, LENGTH)
+    direction = np.asarray(light.direction, np.float64)
+    if not np.isfinite(direction).all() or not np.linalg.norm(direction) > 0:
+        listed = ", ".join(f"{x:.6g}" for x in direction)
+        raise InputError(f"{where}: its direction is {listed}, which points nowhere")
+    if light.kind == "spot":
+        if not 0.0 < light.cutoff_angle < 90.0:
+            raise InputError(
+                f"{where}: its cutoff_angle is {light.cutoff_angle:.6g}, which has to be between 0 and 90 degrees"
+            )
+        if not 0.0 <= light.beam_width <= light.cutoff_angle:
+            raise InputError(
+                f"{where}: its beam_width is {light.beam_width:.6g}, which has to be a number from 0 to its "
+                f"cutoff_angle, {light.cutoff_angle:.6g} degrees"
+            )
+    return light
+
+
+def from_gltf(
+    name: str,
+    kind: str,
+    intensity: float,
+    color: npt.ArrayLike,
+    to_world: npt.ArrayLike,
+    where: str,
+    inner_cone_angle: float = 0.0,
+    outer_cone_angle: float = math.pi / 4,
+) -> PunctualLight:
+    """A light of ``KHR_lights_punctual``, which shines along -Z of its node.
+
+    Intensities are candela and lux there; they become W/sr and W/m2 by :data:`LUMENS_PER_WATT`. Between its two angles
+    a spot falls linearly with the angle here, and with a square of the cosine in most viewers.
+
+    Args:
+        name: of the light.
+        kind: ``point``, ``spot`` or ``directional``.
+        intensity: in candela, or lux of a directional light.
+        color: linear RGB [3].
+        to_world: of its node [4, 4]; scale does not matter.
+        where: file and element, for sentences.
+        inner_cone_angle: radians from the axis up to which a spot is as bright as on it.
+        outer_cone_angle: radians from the axis from which on it is dark.
+
+    Raises:
+        InputError: as :func:`check_punctual`.
+    """
+    known = next((known for known in KINDS if known == kind), None)
+    if known is None:
+        raise InputError(f"{where}: its type is {shown(kind)}; there are: {', '.join(KINDS)}")
+    with np.errstate(over="ignore", invalid="ignore"):
+        matrix = np.asarray(to_world, np.float64)
+        rgb = (np.asarray(color, np.float64) * (intensity / LUMENS_PER_WATT)).astype(np.float32)
+        position, axis = matrix[:3, 3].astype(np.float32), -matrix[:3, 2]
+        direction = (axis / max(float(np.linalg.norm(axis)), 1e-300)).astype(np.float32)
+    cone = math.degrees(outer_cone_angle), math.degrees(inner_cone_angle)
+    light = PunctualLight(name, known, rgb, position, direction, *cone)
+    return check_punctual(light, where)
+
+
+def pose(light: PunctualLight, axis: float = 1.0) -> npt.NDArray[np.float64]:
+    """A rotation and translation [4, 4], float64, whose Z axis, times ``axis``, is the direction of the light."""
+    z = np.asarray(light.direction, np.float64)
+    z = axis * z / np.linalg.norm(z)
+    side = np.eye(3)[int(np.abs(z).argmin())]
+    x = np.cross(side, z)
+    x /= np.linalg.norm(x)
+    made = np.eye(4)
+    made[:3, :3] = np.stack((x, np.cross(z, x), z), 1)
+    made[:3, 3] = light.position
+    return made

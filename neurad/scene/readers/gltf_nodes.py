@@ -1,0 +1,215 @@
+"""The nodes of a glTF scene: where meshes, cameras and lights stand."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from neurad.core.errors import InputError
+from neurad.core.records import Camera, FloatArray
+from neurad.runtime.reading import shown
+from neurad.scene.numbers import LENGTH, RADIANCE, number
+from neurad.scene.readers.gltf_file import Array, GltfFile, Json
+
+_LIGHTS = "KHR_lights_punctual"
+_FAR = 1e9  # largest factor of a node's scale
+_STRAIGHT = 1e-4  # how far a camera's axes may be from perpendicular
+LightKind = Literal["point", "spot", "directional"]
+
+
+@dataclass(frozen=True)
+class Node:
+    """A node of the scene."""
+
+    item: Json
+    name: str
+    to_world: Array
+    """[4, 4], float64."""
+
+
+@dataclass(frozen=True)
+class GltfCamera:
+    """A camera without a film."""
+
+    name: str
+    to_world: FloatArray
+    """Camera to world [4, 4], OpenGL axes, rigid, float64."""
+    fov_y: float
+    """Vertical angle of view in radians."""
+    aspect: float | None
+    """Width over height of the picture, if the file says it."""
+
+    def seen(self, width: int, height: int) -> Camera:
+        """The camera with a film of so many square pixels."""
+        return Camera(self.to_world, 2.0 * math.atan(math.tan(0.5 * self.fov_y) * width / height), width, height)
+
+
+@dataclass(frozen=True)
+class PunctualLight:
+    """A light without extent (KHR_lights_punctual)."""
+
+    name: str
+    kind: LightKind
+    colour: FloatArray
+    """Linear RGB in [0, 1] [3]."""
+    intensity: float
+    """Candela of point and spot lights, lux of directional ones; the colour's factor."""
+    inner_cone: float
+    """Angle in radians from the axis up to which a spot light has its full intensity."""
+    outer_cone: float
+    """Angle at which a spot light ends."""
+    range: float | None
+    """Distance beyond which viewers leave the light out; None for no such distance."""
+    to_world: Array
+    """[4, 4], float64: the light stands at the origin and shines along -Z."""
+
+
+def is_own(file: GltfFile) -> bool:
+    """Whether ``neurad export`` wrote a file."""
+    generator = file.object(file.json, "asset", "it").get("generator")
+    return isinstance(generator, str) and generator.startswith("neurad ")
+
+
+def nodes_of(file: GltfFile) -> Iterator[Node]:
+    """The visible nodes of the scene, parents first.
+
+    A file that neurad wrote is turned back to the frame of the cameras beside it.
+
+    Raises:
+        InputError: a node is reached twice, refers to what there is not, or its transform cannot be used.
+    """
+    roots = _roots(file)
+    start = np.eye(4)
+    if is_own(file) and len(roots) == 1:
+        start = np.linalg.inv(_local(file, file.item("nodes", roots[0], "the scene"), "the first node"))
+    waiting = [(index, start, "the scene") for index in reversed(roots)]
+    reached: set[object] = set()
+    while waiting:
+        index, above, parent = waiting.pop()
+        item = file.item("nodes", index, parent)
+        if index in reached:
+            raise file.error(f"node {index} has more than one parent, or is among its own children")
+        reached.add(index)
+        name = file.name(item, f"node {index}")
+        about = f"node {shown(name)}"
+        visible = file.extension(item, "KHR_node_visibility", about) or {}
+        if visible.get("visible") is False:
+            continue
+        to_world = above @ _local(file, item, about)
+        if np.abs(to_world).max() > LENGTH:
+            raise file.error(f"{about} stands at or has a scale of {np.abs(to_world).max():.3g}, which is too large")
+        yield Node(item, name, _snapped(to_world))
+        waiting += [(child, to_world, about) for child in reversed(file.array(item, "children", about))]
+
+
+def _roots(file: GltfFile) -> list[object]:
+    """The nodes of the scene that the file shows; in a file without scenes those that have no parent."""
+    if file.array(file.json, "scenes", "it"):
+        scene = file.item("scenes", file.json.get("scene", 0), "it")
+        if file.extension(scene, "EXT_lights_image_based", "its scene") is not None:
+            raise file.error(
+                "its scene has a light of pictures (EXT_lights_image_based), which is not read: take that out, and "
+                "give an environment map (environment.exr)"
+            )
+        return file.array(scene, "nodes", "its scene")
+    nodes = file.array(file.json, "nodes", "it")
+    children = [
+        child
+        for i, _ in enumerate(nodes)
+        for child in file.array(file.item("nodes", i, "it"), "children", f"node {i}")
+        if isinstance(child, int)
+    ]
+    below = set(children)
+    return [i for i in range(len(nodes)) if i not in below]
+
+
+def _local(file: GltfFile, item: Json, about: str) -> Array:
+    if "matrix" in item:
+        matrix = file.vector(item, "matrix", [0.0] * 16, about, -LENGTH, LENGTH).reshape(4, 4).T
+        if np.abs(matrix[3] - (0, 0, 0, 1)).max() > 1e-6:
+            raise file.error(f"{about}: its matrix is a projection, not a transform of space")
+        return np.asarray(matrix)
+    matrix = np.eye(4)
+    turn = file.vector(item, "rotation", [0.0, 0.0, 0.0, 1.0], about, -_FAR, _FAR)
+    length = float(np.linalg.norm(turn))
+    if length < 1e-6:
+        raise file.error(f"{about}: its rotation is 0, which is no quaternion")
+    scale = file.vector(item, "scale", [1.0, 1.0, 1.0], about, -_FAR, _FAR)
+    matrix[:3, :3] = _rotation(turn / length) * scale
+    matrix[:3, 3] = file.vector(item, "translation", [0.0, 0.0, 0.0], about, -LENGTH, LENGTH)
+    return matrix
+
+
+def _rotation(q: Array) -> Array:
+    """The matrix [3, 3] of a unit quaternion (x, y, z, w)."""
+    x, y, z, w = (float(value) for value in q)
+    return np.array([
+        [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
+        [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
+        [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
+    ])  # fmt: skip
+
+
+def _snapped(matrix: Array) -> Array:
+    """The identity where a matrix is that but for rounding: vertices then keep all their bits."""
+    return np.eye(4) if np.abs(matrix - np.eye(4)).max() < 1e-12 else matrix
+
+
+def camera_of(file: GltfFile, node: Node) -> GltfCamera:
+    """The camera of a node that has one.
+
+    Raises:
+        InputError: it is orthographic, has no usable angle, or its node is scaled unevenly.
+    """
+    about = f"camera {shown(node.name)}"
+    item = file.item("cameras", node.item["camera"], about)
+    if item.get("type") != "perspective":
+        raise file.error(f"{about} is {shown(repr(item.get('type')))}; only perspective cameras are supported")
+    lens = file.object(item, "perspective", about)
+    fov = file.number(lens, "yfov", math.nan, about, 1e-4, 3.1)
+    aspect = file.number(lens, "aspectRatio", 1.0, about, 1e-4, 1e4) if "aspectRatio" in lens else None
+    axes, pose = node.to_world[:3, :3], np.eye(4)
+    length = np.linalg.norm(axes, axis=0)
+    if length.min() == 0 or np.abs((axes / length).T @ (axes / length) - np.eye(3)).max() > _STRAIGHT:
+        raise file.error(f"{about}: its node's transform bends it; only turned, moved and scaled cameras are supported")
+    if np.linalg.det(axes) < 0:
+        raise file.error(f"{about}: its node's transform mirrors it, which is not supported")
+    pose[:3, :3], pose[:3, 3] = axes / length, node.to_world[:3, 3]
+    return GltfCamera(node.name, pose.astype(np.float64), fov, aspect)
+
+
+def light_of(file: GltfFile, node: Node) -> PunctualLight | None:
+    """The light of a node, or None.
+
+    Raises:
+        InputError: it is broken or of an unknown kind.
+    """
+    named = file.extension(node.item, _LIGHTS, f"node {shown(node.name)}")
+    if named is None:
+        return None
+    about, listed = f"light {shown(node.name)}", file.extension(file.json, _LIGHTS, "it") or {}
+    lights, index = file.array(listed, "lights", _LIGHTS), named.get("light")
+    if isinstance(index, bool) or not isinstance(index, int) or not 0 <= index < len(lights):
+        raise file.error(f"{about} names number {shown(repr(index))} of lights, of which there are {len(lights)}")
+    item = lights[index]
+    if not isinstance(item, dict) or item.get("type") not in ("point", "spot", "directional"):
+        raise file.error(f"{about} is no light of the type point, spot or directional")
+    spot, right = file.object(item, "spot", about), math.pi / 2
+    outer = file.number(spot, "outerConeAngle", math.pi / 4, about, 0.0, right + 1e-4)
+    inner = file.number(spot, "innerConeAngle", 0.0, about, 0.0, right)
+    if inner > outer or outer == 0:
+        raise InputError(f"{shown(file.path)}: {about}: its inner cone is not within its outer one")
+    return PunctualLight(
+        node.name,
+        item["type"],
+        file.vector(item, "color", [1.0, 1.0, 1.0], about, 0.0, 1.0).astype(np.float32),
+        file.number(item, "intensity", 1.0, about, 0.0, RADIANCE),
+        inner,
+        min(outer, right),
+        number(item["range"], f"{shown(file.path)}: {about}: range", 0.0, LENGTH) if "range" in item else None,
+        node.to_world,
+    )

@@ -1,0 +1,209 @@
+"""Fits of rooms whose lamps nobody measured, through the command line: what they find, write and say."""
+
+import csv
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import torch
+import yaml
+from helpers.lamp_scene import TRUTH, declared, unmeasured
+from helpers.small_fit import SMALL_FIT
+from helpers.tiny_fit import fails
+
+from neurad import load
+from neurad.assembly.lamp_responses import Responses, alike, connected, explain
+from neurad.assembly.relight import recovered_scene
+from neurad.cli import main
+from neurad.core.errors import InputError
+from neurad.inspect.lamps import lamp_renderer, lamps_of
+from neurad.metrics.lamp_scores import columns_of, lamp_scores, read_lamps_true
+from neurad.scene import builtin
+
+FOLDER = Path("lightning_logs/version_0")
+CHEAP = {"sampling": {"spp": 2, "cached_spp": 4, "samples_per_vertex": 2}}
+
+
+@pytest.fixture(scope="module")
+def photographed(tmp_path_factory):
+    """The box with and without a photograph of its lamp; files by their whole paths."""
+    folder = tmp_path_factory.mktemp("photographs")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.chdir(folder)
+        scene = unmeasured()
+
+    def whole(view):
+        return replace(view, image=str(folder / view.image), albedo=str(folder / view.albedo))
+
+    train, test = [whole(view) for view in scene.train], [whole(view) for view in scene.test]
+    scene = replace(scene, train=train, test=test)
+    return {True: scene, False: replace(scene, train=train[:-1])}
+
+
+@pytest.fixture
+def box(tmp_path, monkeypatch, photographed):
+    """Registers a box as the built-in scene 'small'."""
+    monkeypatch.chdir(tmp_path)
+
+    def make(shown=True):
+        scene = photographed[shown]
+        monkeypatch.setitem(builtin._BUILDERS, "small", lambda: scene)
+        config = {**SMALL_FIT, "model": {**SMALL_FIT["model"], **CHEAP}, "data": {"scene": "small", "patches": 64}}
+        config["data"]["lamps_true"] = "true.csv"
+        config["trainer"] = {**SMALL_FIT["trainer"], "max_steps": 2}
+        Path("fit.yaml").write_text(yaml.safe_dump(config))
+        Path("true.csv").write_text(f"mesh,r,g,b\nlight,{','.join(str(x) for x in TRUTH)}\n")
+        return scene
+
+    return make
+
+
+def fit(*args):
+    main(["fit", "--config", "fit.yaml", *args])
+
+
+def table(path):
+    with Path(path).open() as file:
+        return list(csv.DictReader(file))
+
+
+@pytest.mark.main
+@pytest.mark.parametrize("emitters", ["photographs", "fit"])
+def test_a_lamp_that_photographs_show_is_found(box, capsys, emitters):
+    box()
+    fit("--trainer.max_steps=66", f"--model.lighting.emitters={emitters}")
+    said = capsys.readouterr()
+    (row,) = table(FOLDER / "lamps.csv")
+    assert list(row) == ["mesh", "r", "g", "b", "pixels", "views", "clipped", "scale"]
+    assert row["mesh"] == "light"
+    assert (int(row["pixels"]) > 20, row["clipped"], row["scale"]) == (True, "0", "seen")
+    np.testing.assert_allclose([float(row[c]) for c in "rgb"], TRUTH, rtol=0.03)
+    last = table(FOLDER / "metrics.csv")[-1]
+    assert float(last["lamp_error_light"]) < 0.03
+    assert ("lamp_error_scaled1_light" in last) is (emitters == "fit")
+    assert "lamp_mismatch" not in said.err
+    assert "warning" not in said.err
+    assert "Lamps\nlamp" in said.out
+    assert "seen" in said.err
+    run = load(FOLDER)
+    np.testing.assert_allclose(run.assembly.lamps.found()[0], [float(row[c]) for c in "rgb"], rtol=1e-5)
+    mesh = next(m for m in recovered_scene(run.assembly).meshes if m.name == "light")
+    np.testing.assert_allclose(mesh.radiance, TRUTH, rtol=0.03)
+    alone = lamp_renderer(run.assembly, lamps_of(run.assembly)[0])
+    assert float(alone.scene.world.lights.emission.max()) == pytest.approx(17.0, rel=0.03)
+    assert len(torch.load(FOLDER / "checkpoints/last.ckpt", weights_only=True)["optimizer_states"]) == (
+        3 if emitters == "fit" else 2
+    )
+
+
+@pytest.mark.main
+def test_the_radiance_that_the_scene_says_does_not_matter(box, monkeypatch):
+    """It is a guess, and another one gives the same lamp."""
+    scene = box()
+    fit("--model.lighting.emitters=photographs")
+    other = replace(declared(scene, 30.0), name=scene.name)
+    monkeypatch.setitem(builtin._BUILDERS, "small", lambda: other)
+    fit("--model.lighting.emitters=photographs")
+    first, second = (table(f"lightning_logs/version_{i}/lamps.csv")[0] for i in (0, 1))
+    for channel in "rgb":
+        assert float(first[channel]) == pytest.approx(float(second[channel]), rel=0.01)
+
+
+@pytest.mark.main
+def test_a_lamp_that_no_photograph_shows(box, capfd):
+    """It begins with what explains the photographs of surfaces, whose materials count as they begin."""
+    box(shown=False)
+    error = fails(capfd, "fit", "--config", "fit.yaml", "--model.lighting.emitters=photographs")
+    assert "no photograph shows a lamp alone in a pixel" in error
+    assert "take fit" in error
+    fit("--model.lighting.emitters=fit")
+    (row,) = table(sorted(Path("lightning_logs").iterdir())[-1] / "lamps.csv")
+    assert (row["scale"], row["pixels"]) == ("weak", "0")
+    found = np.array([float(row[c]) for c in "rgb"])
+    assert (np.abs(np.log(found / TRUTH)) < np.log(2.5)).all()
+
+
+@pytest.mark.parametrize(
+    ("text", "says"),
+    [
+        ("mesh,r,g\nlight,1,2\n", "no column b"),
+        ("mesh,r,g,b\nlamp,1,2,3\n", "lamp light of the scene is not in it"),
+        ("mesh,r,g,b\nlight,1,-2,3\n", "three numbers from 0"),
+        ("mesh,r,g,b\nlight,1,x,3\n", "three numbers from 0"),
+    ],
+)
+def test_a_table_of_the_truth_that_is_wrong_is_refused(tmp_path, text, says):
+    path = tmp_path / "true.csv"
+    path.write_text(text)
+    with pytest.raises(InputError, match=says) as refused:
+        read_lamps_true(str(path), ["light"])
+    assert "true.csv" in str(refused.value)
+
+
+def test_errors_of_lamps_by_hand():
+    found, truth = np.array([[2.0, 1.0, 0.0], [1.0, 1.1, 1.0]]), np.array([[1.0, 1.0, 0.01], [1.0, 1.0, 1.0]])
+    factors = {"scaled3": np.array([2.0, 1.0, 1.0])}
+    scores = lamp_scores(found, truth, ["a,b", "c"], factors)
+    assert scores == pytest.approx(
+        {
+            "lamp_error": 1.0, "lamp_error_a_b": 1.0, "lamp_error_c": 0.1,
+            "lamp_error_scaled3": 0.5, "lamp_error_scaled3_a_b": 0.2, "lamp_error_scaled3_c": 0.5,
+        }
+    )  # fmt: skip
+    assert columns_of(["x", "y", "x"]) == ["x_0", "y", "x_2"]
+
+
+# ---- lamps that no photograph shows, on pictures made up
+
+
+def pictures(seed, count=5, pixels=300):
+    """Independent patterns of light [m, n, 3], positive."""
+    return np.random.default_rng(seed).gamma(1.0, 1.0, (count, pixels, 1)) * np.ones(3)
+
+
+def noisy(light, sigma=0.05, seed=5):
+    rng = np.random.default_rng(seed)
+    return np.stack([light * (1 + sigma * rng.standard_normal(light.shape)) for _ in range(2)])
+
+
+def test_unseen_lamps_are_explained_beside_seen_ones_whatever_the_albedo():
+    light, radiance = pictures(1, 3), np.array([[4.0, 3.0, 2.0], [1.0, 5.0, 0.5], [0.7, 0.7, 7.0]])
+    photographs = 1.7 * np.einsum("mc,mnc->nc", radiance, light)  # surfaces are brighter than they are taken for
+    responses = Responses(noisy(light), None, True, photographs)
+    told = np.array([True, False, False])
+    found = explain(responses, np.where(told[:, None], radiance, 1.0), told, alike(responses, told))
+    np.testing.assert_allclose(found[1:], radiance[1:], rtol=0.1)
+
+
+def test_lamps_that_light_everything_alike_are_not_split():
+    light = pictures(2, 3)
+    light[1] = 2.0 * light[0]
+    responses = Responses(noisy(light, 0.3), None, True, light.sum(0))
+    none = np.zeros(3, bool)
+    groups = alike(responses, none)
+    assert groups == [[0, 1], [2]]
+    found = explain(responses, np.ones((3, 3)), none, groups)
+    np.testing.assert_array_equal(found[0], found[1])
+    assert alike(responses, np.array([True, False, False])) == [[0], [1], [2]]  # one is seen: no question
+
+
+def test_scale_goes_from_lamp_to_lamp_where_their_light_meets():
+    light = pictures(3, 4)
+    light[:2, 150:] = 0.0
+    light[2:, :150] = 0.0
+    responses = Responses(noisy(light), None, True, light.sum(0))
+    told = np.array([True, False, False, False])
+    np.testing.assert_array_equal(connected(responses, np.ones((4, 3)), told), [True, True, False, False])
+    sky = replace(responses, environment=np.ones((300, 3)))
+    assert connected(sky, np.ones((4, 3)), told).all()
+
+
+def test_a_lamp_whose_light_reaches_nothing():
+    light = pictures(4, 2)
+    light[1] = 0.0
+    responses = Responses(noisy(light), None, True, light[0])
+    none = np.zeros(2, bool)
+    np.testing.assert_array_equal(responses.reaches, [True, False])
+    assert alike(responses, none) == [[0], [1]]
+    assert (explain(responses, np.ones((2, 3)), none, [[0], [1]])[1] == 0).all()
