@@ -23,7 +23,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import FixedLocator, FuncFormatter, NullLocator
 
 DOCS = Path(__file__).resolve().parent
-ROOMS = {"demo": "built-in kitchen"}
+ROOMS = {"demo": "built-in patterned kitchen"}
 """Names of rooms that a reader would not recognise."""
 MAPS = ("albedo", "roughness")
 Row = dict[str, str]

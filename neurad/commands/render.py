@@ -11,7 +11,7 @@ from neurad.core.ranges import Count, Positive, option
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options of the verb."""
     source = parser.add_mutually_exclusive_group(required=True)
-    source.add_argument("--scene", help="name of a built-in scene: kitchen, cornell, cube, furnace or sphere")
+    source.add_argument("--scene", help="name of a built-in scene: kitchen, patterns, cornell, cube, furnace or sphere")
     source.add_argument("--root", help="scene folder with scene.xml and transforms_*.json")
     parser.add_argument("--out", required=True, type=Path, help="folder to write; it gets images/, albedo/, roughness/")
     parser.add_argument(

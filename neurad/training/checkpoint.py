@@ -44,7 +44,9 @@ def fitting(
     if state is None:
         raise InputError(f"{source}: the file is no checkpoint of neurad")
     if state["fingerprint"] != scene.fingerprint:
-        raise InputError(f"{source}: the checkpoint is of scene {state['scene']}, not of {scene.name} as given")
+        renamed = state["scene"] == scene.name == "kitchen"
+        hint = "; the built-in kitchen of older versions is now called patterns: --data.scene patterns" if renamed else ""
+        raise InputError(f"{source}: the checkpoint is of scene {state['scene']}, not of {scene.name} as given{hint}")
     weights = checkpoint["state_dict"]
     for prefix in DDP_IGNORED:
         mine = {name: value for name, value in own.items() if name.startswith(prefix)}

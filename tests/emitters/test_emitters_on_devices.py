@@ -12,7 +12,7 @@ from helpers.random_vertices import random_vertices
 from neurad.assembly.build import build_world
 from neurad.core.rng import Stream
 from neurad.emitters.fitted import FittedEnvironment
-from neurad.scene.builtin import build_cornell, build_kitchen
+from neurad.scene.builtin import build_cornell, build_patterns
 
 N = 3000
 
@@ -27,7 +27,7 @@ def lights_of(name):
             light.values.copy_(torch.randn(16 * 8, 3))
         light.refresh()
         return build_world(object_scene(sky()), fitted=light)
-    scene = build_cornell() if name == "area lights" else build_kitchen()
+    scene = build_cornell() if name == "area lights" else build_patterns()
     if name == "both":
         scene = type(scene)(**{**vars(scene), "environment": sky()})
     return build_world(scene)

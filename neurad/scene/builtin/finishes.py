@@ -29,10 +29,10 @@ def waves(seed: int, u: Mask, v: Mask, across: int, along: int) -> Mask:
     return np.asarray(total * np.sqrt(2.0 / len(pairs)))
 
 
-def patches(seed: int, u: Mask, v: Mask, share: float = 0.4, periods: int = 3) -> Mask:
+def patches(seed: int, u: Mask, v: Mask, share: float = 0.3, periods: int = 2) -> Mask:
     """Large soft patches in [0, 1] that cover about ``share`` of the map: where something is worn."""
     field = waves(seed, u, v, periods, periods)
-    return np.asarray(0.5 + 0.5 * np.tanh(3.0 * (field - np.quantile(field, 1.0 - share))))
+    return np.asarray(0.5 + 0.5 * np.tanh(1.6 * (field - np.quantile(field, 1.0 - share))))
 
 
 def material(name: str, albedo: Mask | Colour, roughness: Mask | float) -> Material:
@@ -54,7 +54,7 @@ def metal(name: str, reflectance: Colour) -> Material:
     )
 
 
-def paint(name: str, colour: Colour, smooth: float, worn: float, seed: int, share: float = 0.4) -> Material:
+def paint(name: str, colour: Colour, smooth: float, worn: float, seed: int, share: float = 0.3) -> Material:
     """A coat of paint with a faint unevenness, smooth in places and rubbed dull in others."""
     u, v = grid(64, 64)
     shade = 1.0 + 0.012 * waves(seed, u, v, 4, 4)
@@ -143,7 +143,7 @@ def stone(name: str, base: Colour, fleck: Colour, smooth: float, worn: float, se
     u, v = grid(128, 128)
     cloud = 0.5 + 0.22 * waves(seed, u, v, 5, 5) + 0.16 * waves(seed + 1, u, v, 14, 14)
     albedo = np.array(base) + (np.array(fleck) - np.array(base)) * np.clip(cloud, 0.0, 1.0)[..., None]
-    return material(name, albedo, smooth + (worn - smooth) * patches(seed + 2, u, v, 0.35, 2))
+    return material(name, albedo, smooth + (worn - smooth) * patches(seed + 2, u, v, 0.3))
 
 
 def cloth(name: str, ground: Colour, stripe: Colour, seed: int, count: int = 4, checked: bool = True) -> Material:
@@ -161,4 +161,4 @@ def skin(name: str, one: Colour, other: Colour, smooth: float, dull: float, seed
     u, v = grid(64, 64)
     blend = 0.5 + 0.5 * np.tanh(0.9 * waves(seed, u, v, 2, 2))
     albedo = np.array(one) + (np.array(other) - np.array(one)) * blend[..., None]
-    return material(name, albedo, smooth + (dull - smooth) * patches(seed + 1, u, v, 0.4, 2))
+    return material(name, albedo, smooth + (dull - smooth) * patches(seed + 1, u, v))

@@ -1,4 +1,4 @@
-"""Objects in the kitchen: table and stools, sideboard and shelf, crockery and fruit."""
+"""Objects in the patterned kitchen: table and stools, sideboard and shelf, crockery and fruit."""
 
 from __future__ import annotations
 
