@@ -55,11 +55,9 @@ def metal(name: str, reflectance: Colour) -> Material:
 
 
 def paint(name: str, colour: Colour, smooth: float, worn: float, seed: int, share: float = 0.3) -> Material:
-    """A coat of paint with a faint unevenness, smooth in places and rubbed dull in others."""
+    """A coat of paint or glaze: one colour, smooth in places and rubbed dull in others."""
     u, v = grid(64, 64)
-    shade = 1.0 + 0.012 * waves(seed, u, v, 4, 4)
-    wear = patches(seed + 1, u, v, share)
-    return material(name, np.array(colour) * shade[..., None], smooth + (worn - smooth) * wear)
+    return material(name, colour, smooth + (worn - smooth) * patches(seed, u, v, share))
 
 
 def boards(

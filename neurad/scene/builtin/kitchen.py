@@ -1,4 +1,4 @@
-"""The built-in kitchen: a room as people live in, lit by a window, two lamps over the table and a light below a shelf.
+"""The built-in kitchen: a room as people live in, lit by a window and two lamps over the table.
 
 Of its surfaces all but one are unknown; the tap is a smooth metal, which is known. Their roughness comes from varnish,
 glaze and wear, and does not follow their colour.

@@ -148,9 +148,9 @@ def door() -> Iterator[Item]:
 def pendants() -> Iterator[Item]:
     """Cords and caps of the two lamps over the table."""
     for i, (x, z) in enumerate(PENDANTS):
-        cord = tube([(x, GLOBE + 0.1, z), (x, 2.502, z)], 0.006, 8)
+        cord = tube([(x, GLOBE + 0.115, z), (x, 2.502, z)], 0.006, 8)
         rose = turned([(0.0, 2.46), (0.05, 2.46), (0.05, 2.502), (0.0, 2.502)], (x, 0.0, z), 0.2, 20)
-        cap = turned([(0.0, 0.075), (0.05, 0.075), (0.045, 0.11), (0.0, 0.13)], (x, GLOBE, z), 0.2, 20)
+        cap = turned([(0.0, 0.088), (0.052, 0.088), (0.046, 0.122), (0.0, 0.142)], (x, GLOBE, z), 0.2, 20)
         yield Item(join(cord, rose, cap), f.material(f"pendant_{i + 1}", (0.09, 0.08, 0.07), 0.35))
 
 
@@ -161,17 +161,15 @@ GLOBE = 1.72
 
 
 def lights() -> Iterator[Light]:
-    """What the window shows, the two lamps, and a strip of light below the shelf."""
+    """What the window shows, and the two lamps."""
     (x0, y0), (x1, y1) = OPENING
     left, right, z = x0 - 0.015, x1 + 0.015, OUTSIDE
     columns = np.linspace(left, right, 13)
     ridge = 1.36 + 0.05 * np.sin(5.0 * columns + 0.6) + 0.02 * np.sin(17.0 * columns)
     yield Light("sky", _strip(columns, ridge, np.full(13, y1 + 0.015), z), (5.6, 7.0, 8.6))
     yield Light("garden", _strip(columns, np.full(13, y0 - 0.015), ridge, z), (1.5, 2.3, 0.8))
-    globes = [ball((x, GLOBE, w), 0.085, 0.3, 10, 20) for x, w in PENDANTS]
-    yield Light("lamps", join(*globes), (25.0, 18.5, 11.0))
-    strip = box((1.25, 1.482, -1.56), (1.95, 1.497, -1.53))
-    yield Light("shelf_light", strip, (20.0, 16.0, 11.0))
+    globes = [ball((x, GLOBE, w), 0.1, 0.3, 10, 20) for x, w in PENDANTS]
+    yield Light("lamps", join(*globes), (15.0, 11.2, 7.0))
 
 
 def _strip(x: f.Mask, low: f.Mask, high: f.Mask, z: float) -> Solid:
