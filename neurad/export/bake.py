@@ -66,11 +66,38 @@ def bake(
         materials: what to ask, on the CPU or where ``geometry`` lies.
         done: called with numbers of texels as they get done.
     """
+    pixels, covered = texel_means(chart, first, geometry, materials, positions(chart.width, chart.height), done=done)
+    return Baked(push_pull(pixels, covered).astype(np.float16), covered)
+
+
+@torch.no_grad()
+def texel_means(
+    chart: Chart,
+    first: int,
+    geometry: Geometry,
+    materials: Materials,
+    per: int,
+    wanted: BoolArray | None = None,
+    done: Callable[[int], None] = lambda texels: None,
+) -> tuple[FloatArray, BoolArray]:
+    """Means of the materials over texels: of what lies under them, around a chart in the plane of its nearest triangle.
+
+    Args:
+        chart: the mesh.
+        first: number of its first triangle in ``geometry``.
+        geometry: of the whole scene, with the same triangles.
+        materials: what to ask.
+        per: positions along the side of a texel.
+        wanted: texels [h, w] to do; None does all.
+        done: called with numbers of texels as they get done.
+
+    Returns:
+        Albedo and roughness [h, w, 4], zero where there is nothing, and which texels have anything [h, w].
+    """
     width, height = chart.width, chart.height
-    per = positions(width, height)
     pixels = np.zeros((height, width, 4), np.float32)
     covered = np.zeros((height, width), bool)
-    for top, owner, x, y in _bands(chart, per):
+    for top, owner, x, y in _bands(chart, per, wanted):
         rows = owner.shape[0] // per
         lane = np.flatnonzero(owner.ravel() >= 0)
         total = np.zeros((owner.size, 4), np.float32)
@@ -80,7 +107,7 @@ def bake(
         pixels[top : top + rows] = summed / np.maximum(count, 1.0)[..., None]
         covered[top : top + rows] = count > 0
         done(rows * width)
-    return Baked(push_pull(pixels, covered).astype(np.float16), covered)
+    return pixels, covered
 
 
 def positions(width: int, height: int) -> int:
@@ -88,9 +115,9 @@ def positions(width: int, height: int) -> int:
     return min(max(math.isqrt(SMALL // (width * height)), PER_TEXEL), MOST_PER_TEXEL)
 
 
-def _bands(chart: Chart, per: int) -> Iterator[tuple[int, IntArray, Array, Array]]:
+def _bands(chart: Chart, per: int, wanted: BoolArray | None = None) -> Iterator[tuple[int, IntArray, Array, Array]]:
     """Rows of texels with the triangles that own their samples: first row, owners [rows * per, width * per], and the
-    samples' positions in texels [rows * per * width * per].
+    samples' positions in texels [rows * per * width * per]. Bands without a texel of ``wanted`` [h, w] are left out.
     """
     corners = chart.corners
     low, high = corners[:, :, 1].min(1) - GUTTER, corners[:, :, 1].max(1) + GUTTER
@@ -98,10 +125,15 @@ def _bands(chart: Chart, per: int) -> Iterator[tuple[int, IntArray, Array, Array
     step = max(1, BAND // (width * per * per))
     for top in range(0, chart.height, step):
         rows = min(step, chart.height - top)
+        asked_for = np.ones((rows, width), bool) if wanted is None else wanted[top : top + rows]
+        if not asked_for.any():
+            continue
         chosen = np.flatnonzero((high >= top) & (low <= top + rows))
-        owner = np.full((rows * per, width * per), -1, np.int64)
-        distance = np.full(owner.shape, GUTTER**2)
+        samples = asked_for.repeat(per, 0).repeat(per, 1)
+        owner = np.where(samples, -1, 0)  # what is owned at no distance is passed over
+        distance = np.where(samples, GUTTER**2, 0.0)
         split(partial(_nearest, corners, chosen, top * per, per, distance, owner), rows * per, 64)
+        owner[~samples] = -1
         y, x = np.divmod(np.arange(owner.size), width * per)
         yield top, owner, (x + 0.5) / per, (y + 0.5) / per + top
 

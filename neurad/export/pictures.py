@@ -36,14 +36,19 @@ class Pictures:
     squared_error: list[float] = field(default_factory=list)
     """Standard error of that."""
     passes: list[int] = field(default_factory=list)
+    halves: list[tuple[Float64Array, Float64Array] | None] = field(default_factory=list)
+    """Means of every other pass, less the photograph [h, w, 3] each; None without a photograph."""
 
-    def add(self, draw: Callable[[int], FloatArray], photo: FloatArray | None, most: int = PASSES) -> None:
+    def add(
+        self, draw: Callable[[int], FloatArray], photo: FloatArray | None, most: int = PASSES, least: int = 2
+    ) -> None:
         """Add a view: pairs of passes, until its mean and its difference to the photograph are known.
 
         Args:
             draw: the picture [h, w, 3] by a seed.
             photo: to compare with [h, w, 3], linear.
             most: passes; two at least.
+            least: passes, even where fewer would do.
         """
         first = draw(0).astype(np.float64)  # sums of differences to it: less is lost to cancellation
         halves = [np.zeros_like(first), np.zeros_like(first)]
@@ -58,15 +63,35 @@ class Pictures:
             mean = first + total / count
             known = error <= ERROR * abs(float(mean.mean()))
             if photo is not None:
-                squared, squared_error = squared_difference(*(first + 2.0 * half / count - photo for half in halves))
+                squared, squared_error = squared_difference(*_off(first, halves, count, photo))
                 known &= squared_error <= SQUARED_ERROR * squared
-            if known:
+            if known and count >= least:
                 break
         self.mean.append(mean.astype(np.float32))
         self.error.append(error)
         self.squared.append(None if photo is None else squared)
         self.squared_error.append(0.0 if photo is None else squared_error)
         self.passes.append(count)
+        self.halves.append(None if photo is None else _off(first, halves, count, photo))
+
+    def farther(self, other: Pictures, view: int) -> tuple[float, float]:
+        """By how much a view's mean squared difference to the photograph exceeds that of other pictures of it.
+
+        Renderers that were given the same random numbers share their noise, and most of it cancels here.
+
+        Args:
+            other: pictures of the same views, with photographs; as many passes where random numbers are shared.
+            view: its number.
+
+        Returns:
+            The mean of the difference, without either's noise, and its standard error.
+        """
+        ours, theirs = self.halves[view], other.halves[view]
+        if ours is None or theirs is None:
+            return 0.0, 0.0
+        (a, b), (c, d) = ours, theirs
+        spread = 0.5 * (a**2 - b**2 - c**2 + d**2).sum(-1)  # as in squared_difference
+        return float((a * b - c * d).mean()), float(np.sqrt((spread**2).sum()) / a.size)
 
 
 def squared_difference(first: Float64Array, second: Float64Array) -> tuple[float, float]:
@@ -82,6 +107,14 @@ def squared_difference(first: Float64Array, second: Float64Array) -> tuple[float
     squared = float((first * second).mean())
     spread = 0.5 * (first**2 - second**2).sum(-1)  # channels of a pixel share their noise, pixels do not
     return squared, float(np.sqrt((spread**2).sum()) / first.size)
+
+
+def _off(
+    first: Float64Array, halves: list[Float64Array], passes: int, photo: FloatArray
+) -> tuple[Float64Array, Float64Array]:
+    """The mean of each half of the passes less the photograph, from the sums of their differences to the first pass."""
+    one, other = (first + 2.0 * half / passes - photo for half in halves)
+    return one, other
 
 
 def _variance(total: Float64Array, squares: Float64Array, passes: int) -> Float64Array:

@@ -10,10 +10,10 @@ import numpy as np
 import torch
 
 from neurad.core.protocols import Materials
-from neurad.core.records import FloatArray
+from neurad.core.records import FloatArray, Mesh
 from neurad.core.rng import Stream
-from neurad.export.bake import asked
-from neurad.export.charts import Chart, find_borders
+from neurad.export.bake import texel_means
+from neurad.export.charts import Chart, edge_keys, find_borders
 from neurad.export.raster_kernels import Array, IntArray
 from neurad.export.room import Room
 from neurad.scene.geometry import Geometry
@@ -42,6 +42,10 @@ class Seams:
     """Fraction of the points that differ by more than :data:`BOUND`."""
     where: str
     """The mesh with the largest difference."""
+    across: float
+    """Largest difference between lookups on both sides of a border at one point in space: what an eye would see."""
+    across_beyond: float
+    """Fraction of the points where these differ by more than :data:`BOUND`."""
 
     def as_json(self) -> dict[str, Any]:
         """What ``verify.json`` holds."""
@@ -52,6 +56,8 @@ class Seams:
             **steps,
             "beyond_2_of_255": self.beyond,
             "worst": self.where,
+            "across_largest_of_255": round(255 * self.across, 3),
+            "across_beyond_2_of_255": self.across_beyond,
         }
 
 
@@ -65,8 +71,9 @@ def find_seams(
 ) -> Seams:
     """Compare bilinear lookups on both sides of every border between charts with the fields.
 
-    A lookup reads four texels. What it ought to show is the mean of the fields over these four, by its weights, in the
-    plane of the triangle whose side it is on; a texel of another chart, or one in a wrong plane, differs.
+    A lookup reads four texels. What it ought to show is the mean of the fields over these four, by its weights: over
+    what lies under them, and around the chart over the plane of its nearest triangle. A texel of another chart differs.
+    Lookups on both sides at one point in space are compared with each other, too, which tells wrong planes.
 
     Args:
         room: the baked one.
@@ -80,19 +87,48 @@ def find_seams(
     first = np.cumsum([0, *(len(mesh.faces) for mesh in room.scene.meshes)])
     stream = Stream(SEED, 0)
     largest, total, beyond, count, where = 0.0, 0.0, 0, 0, ""
+    apart, apart_beyond = 0.0, 0
     for index, (chart, baked, border) in enumerate(zip(room.charts, room.baked, borders, strict=True)):
         if chart is not None and baked is not None and len(border):
             share = max(round(points * len(border) / sides), min(len(border), 64))
-            side = border[stream.integers(len(border), share).numpy()] if share < len(border) else border
-            x, y = _along(chart, side, stream.uniform(len(side)).numpy().astype(np.float64))
+            chosen = stream.integers(len(border), share).numpy() if share < len(border) else np.arange(len(border))
+            part = stream.uniform(len(chosen)).numpy().astype(np.float64)
+            x, y = _along(chart, border[chosen], part)
             shown = _bilinear(baked.pixels, x, y)
-            meant = _meant(chart, int(first[index]), geometry, materials, side // 3, x, y)
-            off = np.abs(shown - meant).max(1)
+            off = np.abs(shown - _meant(chart, int(first[index]), geometry, materials, x, y)).max(1)
             if off.max() > largest:
                 largest, where = float(off.max()), room.names[index]
             total, beyond, count = total + float(off.sum()), beyond + int((off > BOUND).sum()), count + len(off)
+            other = _bilinear(baked.pixels, *_along(chart, *_across(chart.mesh, border, chosen, part)))
+            off = np.abs(shown - other).max(1)
+            apart, apart_beyond = max(apart, float(off.max())), apart_beyond + int((off > BOUND).sum())
         done(1)
-    return Seams(sides, count, largest, total / max(count, 1), beyond / max(count, 1), where)
+    count = max(count, 1)
+    return Seams(sides, count, largest, total / count, beyond / count, where, apart, apart_beyond / count)
+
+
+def _across(mesh: Mesh, border: IntArray, chosen: IntArray, part: Array) -> tuple[IntArray, Array]:
+    """The other side of borders, and how far along it the same points in space lie.
+
+    Args:
+        mesh: with its texture coordinates.
+        border: sides of triangles that are borders [k].
+        chosen: which of them [n].
+        part: how far along them from 0 to 1 [n].
+
+    Returns:
+        Sides of triangles [n] and how far along them [n].
+    """
+    key = edge_keys(mesh.vertices, mesh.faces)[border]
+    order = np.argsort(key, kind="stable")
+    last = np.append(key[order[1:]] != key[order[:-1]], True)
+    begin = np.maximum.accumulate(np.where(np.append(True, last[:-1]), np.arange(len(order)), 0))
+    following = np.empty_like(order)
+    following[order] = order[np.where(last, begin, np.arange(len(order)) + 1)]
+    here, there = border[chosen], border[following[chosen]]
+    starts = (mesh.vertices[mesh.faces[side // 3, side % 3]] for side in (here, there))
+    same = np.equal(*starts).all(-1)
+    return there, np.where(same, part, 1.0 - part)
 
 
 def _along(chart: Chart, side: IntArray, part: Array) -> tuple[Array, Array]:
@@ -113,18 +149,12 @@ def _bilinear(pixels: FloatArray, x: Array, y: Array) -> FloatArray:
     return shown
 
 
-def _meant(
-    chart: Chart, first: int, geometry: Geometry, materials: Materials, face: IntArray, x: Array, y: Array
-) -> FloatArray:
-    """Means of the fields [n, 4] over the texels that lookups at (x, y) [n] on the triangles ``face`` [n] read."""
-    meant = np.zeros((len(face), 4), np.float32)
-    inside = (np.arange(PER_SIDE) + 0.5) / PER_SIDE
-    dx, dy = (offset.reshape(-1, 1) for offset in np.meshgrid(inside, inside))
-    for column, row, weight in _four(x, y):
-        at_x, at_y = (column + dx).ravel(), (row + dy).ravel()
-        values = asked(chart, first, geometry, materials, np.tile(face, len(dx)), at_x, at_y)
-        meant += weight[:, None] * values.reshape(len(dx), len(face), 4).mean(0)
-    return meant
+def _meant(chart: Chart, first: int, geometry: Geometry, materials: Materials, x: Array, y: Array) -> FloatArray:
+    """What lookups at (x, y) [n] ought to show [n, 4]: means of the fields over the texels they read, by weight."""
+    wanted = np.zeros((chart.height, chart.width), bool)
+    for column, row, _ in _four(x, y):
+        wanted[row.astype(np.int64) % chart.height, column.astype(np.int64) % chart.width] = True
+    return _bilinear(texel_means(chart, first, geometry, materials, PER_SIDE, wanted)[0], x, y)
 
 
 def _four(x: Array, y: Array) -> list[tuple[Array, Array, Array]]:

@@ -18,7 +18,7 @@ from neurad.core.protocols import Materials
 from neurad.core.records import FloatArray, Surface, SurfaceInteraction, View
 from neurad.core.rng import mix
 from neurad.export.cameras import shown_alike
-from neurad.export.pictures import Draw, Pictures
+from neurad.export.pictures import PASSES, Draw, Pictures
 from neurad.export.progress import Progress
 from neurad.export.room import Room
 from neurad.export.seams import find_seams
@@ -165,7 +165,9 @@ def _render(found: Verified, draws: dict[str, Draw], progress: Progress) -> None
         progress.stage(name, len(found.views))
         found.pictures[name] = Pictures()
         for index, photo in enumerate(found.photographs):
-            found.pictures[name].add(partial(draw, index), photo)
+            # as many passes of the fields as of the folder: they share random numbers, so that noise cancels
+            count = found.pictures["baked"].passes[index] if name == "fields" else 0
+            found.pictures[name].add(partial(draw, index), photo, count or PASSES, count)
             progress.step()
         if (score := found.psnr(name)) is not None:
             found.scores[f"picture_psnr_{name}"] = score

@@ -45,15 +45,19 @@ def test_no_border_of_the_built_in_kitchen_is_a_seam(kitchen):
     assert found.points == found.sides > 5000
     assert found.largest <= BOUND, found
     assert found.beyond == 0.0
+    assert found.across <= 4 * BOUND  # these waves bend within a texel, and the two sides bend apart
 
 
 def test_without_a_gutter_seams_are_found(kitchen, monkeypatch):
     scene, geometry, charts = kitchen
-    monkeypatch.setattr(baking, "GUTTER", 0.0)
-    found = find_seams(room(scene, geometry, charts), geometry, Waves(), points=4096)
+    with monkeypatch.context() as patch:
+        patch.setattr(baking, "GUTTER", 0.0)
+        bare = room(scene, geometry, charts)
+    found = find_seams(bare, geometry, Waves(), points=4096)
     assert found.points < found.sides
     assert found.largest > 5 * BOUND
     assert found.beyond > 0.05
+    assert found.across_beyond > 0.05
 
 
 def test_borders_are_edges_that_two_charts_share(kitchen):
@@ -69,3 +73,14 @@ def test_borders_are_edges_that_two_charts_share(kitchen):
     assert charts > 1
     inside = (3 * len(bare.faces) - len(find_borders(apart.mesh))) // 2  # edges that no border crosses
     assert inside == len(bare.faces) - charts  # triangles of a chart hang together like a tree here
+
+
+def test_a_gutter_in_a_wrong_plane_is_seen_across(kitchen, monkeypatch):
+    """Texels around charts that take the nearest point of the triangle instead of its plane's."""
+    scene, geometry, charts = kitchen
+    with monkeypatch.context() as patch:
+        patch.setattr(baking, "STRETCH", 0.0)
+        clamped = room(scene, geometry, charts)
+    good = find_seams(room(scene, geometry, charts), geometry, Waves(), points=4096)
+    wrong = find_seams(clamped, geometry, Waves(), points=4096)
+    assert wrong.across > 1.5 * good.across, (wrong, good)
