@@ -61,7 +61,7 @@ def _bench() -> Verb:
 
 
 OWN_VERBS: dict[str, tuple[Callable[[], Verb], str]] = {
-    "render": (_render, "render a scene's views from its own, known materials"),
+    "render": (_render, "render a scene, or what a run recovered, from any camera and under any light"),
     "data": (_data, "make a scene folder of what nerfstudio, COLMAP, Polycam or FIPT have"),
     "export": (_export, "write what a run recovered for Mitsuba, Blender and glTF viewers"),
     "compare": (_compare, "run several methods with one budget and report error against cost"),

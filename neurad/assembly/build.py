@@ -85,6 +85,8 @@ class FittedMaterials(nn.Module):
         super().__init__()
         self.albedo = albedo
         self.roughness = roughness
+        self.known_meshes: frozenset[int] = frozenset()
+        """Meshes on which the scene's own values hold, see :func:`know_lamps`."""
 
     def forward(self, si: SurfaceInteraction) -> Surface:
         """BSDF parameters at the lanes of ``si``."""
@@ -111,16 +113,36 @@ def build_materials(
     """
     region = region or Region(scene.bounds)
     bounds = torch.from_numpy(region.bounds)
-    on_lamps: list[OnEmitters | None] = [None, None]
-    if geometry is not None and scene.features.has_area_lights:
-        textures = ([m.albedo for m in scene.materials], 3), ([m.roughness for m in scene.materials], 1)
-        on_lamps = [OnEmitters(*texture, geometry) for texture in textures]
-    return FittedMaterials(
-        AlbedoField(region.stretched(albedo), bounds, on_lamps[0], region.contracted),
+    materials = FittedMaterials(
+        AlbedoField(region.stretched(albedo), bounds, contracted=region.contracted),
         None
         if scene.features.is_diffuse
-        else RoughnessField(region.stretched(roughness), bounds, on_lamps[1], region.contracted),
+        else RoughnessField(region.stretched(roughness), bounds, contracted=region.contracted),
     )
+    if geometry is not None:
+        know_lamps(materials, scene, geometry)
+    return materials
+
+
+def know_lamps(
+    materials: FittedMaterials, scene: Scene, geometry: Geometry, meshes: frozenset[int] = frozenset()
+) -> None:
+    """Let emitting surfaces have the albedo and roughness of the scene file.
+
+    Args:
+        materials: whose fields are read elsewhere.
+        scene: with the lamps.
+        geometry: of the scene.
+        meshes: further meshes that are known: those that shone while the fields were fitted, and photographs did not
+            show what they reflect.
+    """
+    if scene.features.has_area_lights or meshes:
+        textures = ([m.albedo for m in scene.materials], 3), ([m.roughness for m in scene.materials], 1)
+        for part, texture in zip((materials.albedo, materials.roughness), textures, strict=True):
+            if isinstance(part, AlbedoField | RoughnessField):
+                part.known = OnEmitters(*texture, geometry, meshes).to(geometry.vertices.device)
+    shine = {i for i, mesh in enumerate(scene.meshes) if mesh.radiance is not None and mesh.radiance.any()}
+    materials.known_meshes = meshes | shine
 
 
 def build_radiance(scene: Scene, config: RadianceConfig, region: Region | None = None) -> RadianceField:

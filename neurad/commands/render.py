@@ -1,23 +1,26 @@
-"""``neurad render``: pictures and material maps of a scene's views from its own, known materials."""
+"""``neurad render``: pictures of a scene, or of what a run recovered, from any camera and under any light."""
 
 from __future__ import annotations
 
 import argparse
 from pathlib import Path
 
-from neurad.core.ranges import Count, Positive, option
+from neurad.core.ranges import Count, Finite, Positive, option
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options of the verb."""
-    source = parser.add_mutually_exclusive_group(required=True)
-    source.add_argument("--scene", help="name of a built-in scene: kitchen, patterns, cornell, cube, furnace or sphere")
-    source.add_argument("--root", help="scene folder with scene.xml and transforms_*.json")
+    parser.add_argument("--scene", help="name of a built-in scene, with its own materials")
+    parser.add_argument("--root", help="scene folder, with its own materials; of a run one of the same geometry")
+    parser.add_argument("--ckpt_path", help="run folder or checkpoint whose recovered materials are rendered")
+    parser.add_argument("--camera", help="camera file (as transforms.json; it needs no photographs) instead of views")
+    parser.add_argument("--edit", help="YAML: lamps off, scaled, coloured, moved; environment; materials; objects")
     parser.add_argument("--out", required=True, type=Path, help="folder to write; it gets images/, albedo/, roughness/")
     parser.add_argument(
-        "--integrator", default="path",
-        help="a method: path (default), prb, direct, radiometric, debiased. The last two are neural radiosity: a "
-             "radiance field is trained first, then images/ shows the method, images_lhs/ the field itself",
+        "--integrator",
+        help="a method: path, prb, direct, radiometric, debiased. The last two are neural radiosity: a radiance field "
+             "is trained first, then images/ shows the method, images_lhs/ the field itself (default: path, and of a "
+             "run that is not changed its own)",
     )  # fmt: skip
     parser.add_argument(
         "--steps", type=option(Count), default=2000, help="training steps of the radiance field (default: 2000)"
@@ -25,7 +28,19 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--seconds", type=option(Positive), help="longest training of the radiance field (default: no limit)"
     )
-    parser.add_argument("--views", choices=("train", "test", "all"), default="all", help="which views (default: all)")
+    parser.add_argument(
+        "--views", choices=("train", "test", "all"), help="which views (default: all; of a run those held out)"
+    )
+    parser.add_argument(
+        "--path", choices=("turntable", "pan", "fly"),
+        help="a film instead: round the middle of the scene, round the first camera itself, or through all cameras",
+    )  # fmt: skip
+    parser.add_argument("--frames", type=option(Count), default=120, help="frames of the film (default: 120)")
+    parser.add_argument("--fps", type=option(Count), default=30, help="frames a second (default: 30)")
+    parser.add_argument("--movie", choices=("mp4", "png"), default="mp4", help="film or its frames (default: mp4)")
+    parser.add_argument(
+        "--exposure", type=option(Finite), help="of PNG pictures and films in stops (default: by the first picture)"
+    )
     parser.add_argument(
         "--spp", type=option(Count), default=256, help="samples per pixel of the pictures (default: 256)"
     )
@@ -43,10 +58,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
 
 
 def run(options: argparse.Namespace) -> None:
-    """Render every view with the scene's true materials.
+    """Render views or a film.
 
     Raises:
-        InputError: unknown scene or method, unreadable files, a bad number, or a file that would be overwritten.
+        InputError: unknown scene, run or method, unreadable files, a bad number, or a file that would be overwritten.
     """
     from dataclasses import fields
 

@@ -16,6 +16,7 @@ from omegaconf import OmegaConf
 from torch import Tensor
 
 from neurad.assembly.build import Assembly, FittedMaterials, assemble
+from neurad.assembly.relight import in_other_light
 from neurad.assembly.settings import ModelSettings
 from neurad.core.camera import camera_rays
 from neurad.core.errors import InputError
@@ -35,7 +36,7 @@ from neurad.scene.image_io import read_photograph
 from neurad.scene.load import load_scene
 from neurad.scene.readers.nerf import HOLD_OUT
 from neurad.scene.textures import TrueMaterials
-from neurad.training.checkpoint import fitting
+from neurad.training.checkpoint import changed_light, fitted_lamps, fitting
 from neurad.training.checkpoint_file import read_checkpoint
 from neurad.training.error_bars import to_cube
 
@@ -61,6 +62,8 @@ class LoadedRun:
     iteration: int
     assembly: Assembly
     device: torch.device
+    light_changes: tuple[str, ...] = ()
+    """What differs between the scene's light and that of the fit, a few words each."""
 
     @property
     def scene(self) -> Scene:
@@ -84,7 +87,9 @@ class LoadedRun:
 
     @property
     def radiance(self) -> RadianceField | None:
-        """Reflected radiance L_theta(x, wo, n, albedo); None for a method without a radiance field."""
+        """Reflected radiance L_theta(x, wo, n, albedo); None for a method without a radiance field, and in another
+        light than that of the fit.
+        """
         return self.assembly.radiance
 
     def surface(self, view: View | Camera | str) -> SurfaceInteraction:
@@ -225,6 +230,7 @@ def load_run(
     run: str | os.PathLike[str] | None = None,
     root: str | os.PathLike[str] | None = None,
     device: str | torch.device = "cpu",
+    other_light: bool = True,
 ) -> LoadedRun:
     """Read what a fit has recovered.
 
@@ -233,6 +239,8 @@ def load_run(
             run in ``lightning_logs``.
         root: where the scene's folder is now, if it has moved since the fit.
         device: where to put everything.
+        other_light: whether the lamps and the environment of ``root`` may be others than in the fit. Pictures are then
+            path traced, as the radiance field belongs to the light of the fit.
 
     Raises:
         InputError: there is no such run, its checkpoint cannot be read or does not fit, or its scene is missing or
@@ -247,13 +255,16 @@ def load_run(
     settings = parse_model(config["model"], str(folder / "config.yaml"))
     scene = _scene(config["data"], folder, root)
     assembly = assemble(scene, settings, _has_alpha(scene))
-    state = _restore(assembly, content, name)
+    state = _restore(assembly, content, name, other_light)
+    changes = changed_light(state, scene, assembly.environment is None)
     target = torch.device(device)
     for _, part in assembly.modules():
         part.to(target)
     if assembly.average is not None:
         assembly.average.copy_to_module()
-    return LoadedRun(checkpoint, int(state["iteration"]), assembly, target)
+    if changes:
+        assembly = in_other_light(assembly, fitted_lamps(state))
+    return LoadedRun(checkpoint, int(state["iteration"]), assembly, target, tuple(changes))
 
 
 def _locate(run: str | os.PathLike[str] | None) -> tuple[Path, Path]:
@@ -298,11 +309,12 @@ def _has_alpha(scene: Scene) -> bool:
     return image is not None and read_photograph(image).shape[-1] == 4
 
 
-def _restore(assembly: Assembly, checkpoint: dict[str, Any], name: str) -> dict[str, Any]:
+def _restore(assembly: Assembly, checkpoint: dict[str, Any], name: str, other_light: bool) -> dict[str, Any]:
     """Copy the checkpoint's weights into the parts, and return what the run wrote about itself."""
     own = {f"{part}.{key}": value for part, module in assembly.modules() for key, value in module.state_dict().items()}
     radiance = assembly.radiance
-    state = fitting(checkpoint, own, assembly.scene, None if radiance is None else list(radiance.inputs), name)
+    inputs = None if radiance is None else list(radiance.inputs)
+    state = fitting(checkpoint, own, assembly.scene, inputs, name, other_light=other_light)
     for part, module in assembly.modules():
         prefix = f"{part}."
         weights = checkpoint["state_dict"]

@@ -1,41 +1,38 @@
-"""Pictures and material maps of a scene's views from its own, known materials, by any method there is."""
+"""Pictures and material maps of a scene or of what a run recovered, from any camera and by any method there is."""
 
 from __future__ import annotations
 
 import json
 import sys
 import time
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from difflib import get_close_matches
 from pathlib import Path
-from typing import Any
 
-from jsonargparse import ArgumentParser
-from omegaconf import OmegaConf
+import numpy as np
 
-from neurad.assembly.build import build_world
 from neurad.core.camera import resized
 from neurad.core.errors import InputError
 from neurad.core.protocols import Integrator
-from neurad.core.ranges import Count, Positive, checked
+from neurad.core.ranges import Count, Finite, Positive, checked
+from neurad.core.records import Camera, FloatArray, View
 from neurad.core.rng import mix
 from neurad.integrators.aov import MaterialMap
 from neurad.integrators.film import render
-from neurad.integrators.method import Method, SceneModel
-from neurad.integrators.path import PathTracing
-from neurad.integrators.renderer import FieldRenderer, MethodRenderer
-from neurad.integrators.world import World
-from neurad.runs.configs import load_config, shipped_folders
-from neurad.runs.model_settings import model_settings
+from neurad.runs.render_subject import SEED, Learning, Subject, find_method, recovered_subject, true_subject
 from neurad.runtime.files import check_folder, make_folder, write_text
+from neurad.scene.camera_paths import KINDS, path_of
 from neurad.scene.description import Scene
-from neurad.scene.image_io import write_exr
-from neurad.scene.load import load_scene
-from neurad.scene.textures import TrueMaterials
+from neurad.scene.edit import Edit
+from neurad.scene.edit_file import read_edit
+from neurad.scene.image_io import to_srgb, write_exr, write_png
+from neurad.scene.movie import FORMATS, check_movie, filming, target_of
+from neurad.scene.placement import scene_axis
+from neurad.scene.readers.nerf import read_cameras
+from neurad.scene.room_folder import axis
 from neurad.scene.transforms import transforms
-from neurad.training.train_radiance import train_radiance
 
-SEED = 20230806
+__all__ = ["RenderSettings", "find_method", "render_views"]
 
 
 @dataclass(frozen=True)
@@ -47,15 +44,31 @@ class RenderSettings:
     scene: str | None = None
     """Name of a built-in scene."""
     root: str | None = None
-    """Scene folder."""
-    integrator: str = "path"
-    """Name of a method, see :func:`method_names`."""
+    """Scene folder; of a run one of the same geometry, perhaps with other light."""
+    ckpt_path: str | None = None
+    """Run whose materials are rendered instead of the scene's own."""
+    camera: str | None = None
+    """Camera file, instead of the scene's views."""
+    edit: str | None = None
+    """File of what to change."""
+    integrator: str | None = None
+    """Name of a method, see :func:`find_method`; None is ``path``, of a run that is not changed its own."""
     steps: Count = 2000
     """Training steps of the radiance field, for methods that read one."""
     seconds: Positive | None = None
     """Longest training of the radiance field."""
-    views: str = "all"
-    """'train', 'test' or 'all'."""
+    views: str | None = None
+    """'train', 'test' or 'all'; None is all of a scene, and of a run those that it is scored on."""
+    path: str | None = None
+    """A film from a moving camera instead of pictures, see :data:`neurad.scene.camera_paths.KINDS`."""
+    frames: Count = 120
+    """Of the film."""
+    fps: Count = 30
+    """Frames a second of the film."""
+    movie: str = "mp4"
+    """How the film is written, see :data:`neurad.scene.movie.FORMATS`."""
+    exposure: Finite | None = None
+    """Of PNG pictures and films in stops; None shows the 90th percentile of the first picture at 0.8."""
     spp: Count = 256
     """Samples a pixel of the pictures."""
     map_spp: Count = 64
@@ -68,97 +81,155 @@ class RenderSettings:
     overwrite: bool = False
 
     def __post_init__(self) -> None:
-        """Refuse numbers outside their ranges."""
+        """Refuse what does not go together, and numbers outside their ranges."""
         checked(self)
+        if self.ckpt_path is None and (self.root is None) == (self.scene is None):
+            raise InputError("give one of --scene (a built-in scene), --root (a scene folder) and --ckpt_path (a run)")
+        if self.ckpt_path is not None and self.scene is not None:
+            raise InputError("--scene: a run has its own scene; --root names a folder with another light of it")
+        if self.camera is not None and self.views is not None:
+            raise InputError("--views: the cameras are those of --camera, give one of the two")
+        if self.path is not None and self.path not in KINDS:
+            raise InputError(f"--path: {self.path} is unknown, choose {', '.join(KINDS)}")
+        if self.movie not in FORMATS:
+            raise InputError(f"--movie: {self.movie} is unknown, choose {', '.join(FORMATS)}")
 
 
 def render_views(settings: RenderSettings) -> None:
-    """Render every view with the scene's true materials.
+    """Render views, or a film, of a scene or of what a run recovered.
 
     The same settings write the same bytes, but for ``seconds``: each view has its own random stream and nothing depends
     on the time.
 
     Raises:
-        InputError: unknown scene or method, unreadable files, a bad number, or a file that would be overwritten.
+        InputError: unknown scene, run or method, unreadable files, an edit that does not fit, a bad number, or a file
+            that would be overwritten.
     """
-    out = settings.out
-    check_folder(out, "--out")
-    method, paths = find_method(settings.integrator)
-    if settings.max_depth is not None and not paths:
-        raise InputError(f"--max-depth: only paths have a depth, --integrator {settings.integrator} has none to choose")
-    scene = load_scene(settings.root, settings.scene)
-    if paths:
-        assert isinstance(method, PathTracing)
-        method = type(method)(settings.max_depth or scene.max_depth, scene.rr_depth)
-    views = {"train": scene.train, "test": scene.test, "all": scene.train + scene.test}[settings.views]
-    folders = ("images", "albedo", "roughness", *(["images_lhs"] if method.needs_field else []))
-    targets = [out / kind / f"{v.name}.exr" for v in views for kind in folders]
-    if not settings.overwrite and (found := [t for t in targets if t.exists()]):
+    check_folder(settings.out, "--out")
+    if settings.path is not None:
+        check_movie(settings.movie)
+        _refuse([target_of(settings.movie, settings.out)], settings)
+    edit = Edit() if settings.edit is None else read_edit(settings.edit)
+    if settings.ckpt_path is None:
+        integrator = settings.integrator or "path"
+        depth, tracer = settings.max_depth, settings.tracer
+        subject = true_subject(settings.root, settings.scene, edit, integrator, depth, tracer)
+    else:
+        subject = recovered_subject(settings.ckpt_path, settings.root, edit, settings.integrator, settings.max_depth)
+    views = _views(settings, subject.scene)
+    kinds = ["images", *(["images_lhs"] if subject.method.needs_field else [])]
+    if settings.path is None:
+        names = [(kind, "exr") for kind in (*kinds, "albedo", "roughness")] + [("png", "png")] * _shows(settings)
+        _refuse([settings.out / kind / f"{view.name}.{end}" for view in views for kind, end in names], settings)
+    _tell(subject)
+    pictures = subject.integrators([view.camera for view in views], Learning(settings.steps, settings.seconds))
+    if settings.path is not None:
+        _film(settings, [resized(view.camera, settings.size) for view in views], pictures["images"])
+    else:
+        _write(settings, views, pictures, MaterialMap(subject.parts.world, subject.parts.materials), subject.scene)
+
+
+def _shows(settings: RenderSettings) -> bool:
+    """Whether PNG pictures are written, too: of what is not a data set of true maps."""
+    return settings.ckpt_path is not None or settings.edit is not None or settings.camera is not None
+
+
+def _tell(subject: Subject) -> None:
+    """Say what is rendered differently from what is in the files."""
+    for change in subject.said:
+        print(f"neurad: changed: {change}", file=sys.stderr)
+    if subject.said:
+        how = "its radiance field is learned anew" if subject.method.needs_field else "paths are traced"
+        print(f"neurad: {how} under this light, with these materials", file=sys.stderr)
+
+
+def _refuse(targets: Sequence[Path], settings: RenderSettings) -> None:
+    """Refuse to write over files.
+
+    Raises:
+        InputError: one is there.
+    """
+    if not settings.overwrite and (found := [target for target in targets if target.exists()]):
         raise InputError(f"--out: {found[0]} is there already; add --overwrite to write over it")
-    world = build_world(scene, settings.tracer)
-    materials = TrueMaterials(scene, world.geometry)
-    pictures = _pictures(settings, method, scene, world, materials)
-    maps = MaterialMap(world, materials)
-    for kind in folders:
+
+
+def _views(settings: RenderSettings, scene: Scene) -> list[View]:
+    """The views to render: of the camera file, or of the scene.
+
+    Raises:
+        InputError: the camera file is bad, there is no such view, or there is no path through them.
+    """
+    if settings.camera is not None:
+        film = next((view.camera for view in (*scene.test, *scene.train)), None)
+        size = (256, 256) if film is None else (film.width, film.height)
+        views = read_cameras(settings.camera, size)
+    else:
+        part = settings.views or ("all" if settings.ckpt_path is None else "scored")
+        named = {"train": scene.train, "test": scene.test, "all": scene.train + scene.test, "scored": scene.scored}
+        views = named[part]
+        if not views:
+            raise InputError(f"--views {part}: scene {scene.name} has none; name a camera file with --camera")
+    if settings.path is None:
+        return views
+    up, middle = axis(scene_axis(scene)), scene.bounds.mean(0)
+    cameras = path_of(settings.path, [view.camera for view in views], settings.frames, up, middle)
+    return [View(f"{index:04d}", camera) for index, camera in enumerate(cameras)]
+
+
+def _write(
+    settings: RenderSettings, views: list[View], pictures: dict[str, Integrator], maps: MaterialMap, scene: Scene
+) -> None:
+    """Pictures and maps of views, and their camera files."""
+    out = settings.out
+    for kind in (*pictures, "albedo", "roughness", *(["png"] if _shows(settings) else [])):
         make_folder(out / kind, "--out")
+    exposure = None if settings.exposure is None else 2.0**settings.exposure
     start = time.perf_counter()
     for index, view in enumerate(views):
         camera = resized(view.camera, settings.size)
         seed = mix(SEED, *view.name.encode())
         for kind, integrator in pictures.items():
-            write_exr(out / kind / f"{view.name}.exr", render(camera, integrator, settings.spp, seed).numpy())
+            image = render(camera, integrator, settings.spp, seed).numpy()
+            write_exr(out / kind / f"{view.name}.exr", image)
+            if kind == "images" and _shows(settings):
+                exposure = shown_at(image) if exposure is None else exposure
+                write_png(out / "png" / f"{view.name}.png", encoded(image, exposure))
         both = render(camera, maps, settings.map_spp, seed).numpy()
         write_exr(out / "albedo" / f"{view.name}.exr", both[..., :3])
         write_exr(out / "roughness" / f"{view.name}.exr", both[..., 3:])
-        done = time.perf_counter() - start
-        left = done / (index + 1) * (len(views) - index - 1)
-        print(f"{view.name}: {index + 1} of {len(views)}, {done:.0f} s, {left:.0f} s left", file=sys.stderr)
-    for part in ("train", "test"):
-        chosen = [replace(v, camera=resized(v.camera, settings.size)) for v in views if v in getattr(scene, part)]
+        _progress(view.name, index, len(views), start)
+    parts = {"": views} if settings.camera else {"_train": scene.train, "_test": scene.test}
+    for part, of in parts.items():
+        chosen = [replace(v, camera=resized(v.camera, settings.size)) for v in views if any(v is w for w in of)]
         if chosen:
-            write_text(out / f"transforms_{part}.json", json.dumps(transforms(chosen), indent=1) + "\n")
+            write_text(out / f"transforms{part}.json", json.dumps(transforms(chosen), indent=1) + "\n")
 
 
-def find_method(name: str) -> tuple[Method, bool]:
-    """A method by its name, with the settings of its overlay, and whether it is one of paths.
-
-    Raises:
-        InputError: there is none of this name.
-    """
-    found = _methods()
-    if name not in found:
-        near = get_close_matches(name, found, 1)
-        hint = f"; did you mean {near[0]}?" if near else ""
-        raise InputError(f"--integrator: there is no method {name} ({', '.join(sorted(found))}){hint}")
-    parser = ArgumentParser(exit_on_error=False)  # the parser of ``neurad fit`` makes the class that a config names
-    parser.add_subclass_arguments(Method, "method")
-    method: Method = parser.instantiate(parser.parse_object({"method": found[name]})).method
-    return method, isinstance(method, PathTracing)
-
-
-def _methods() -> dict[str, dict[str, Any]]:
-    """Class and settings of every method in ``configs/methods``, by the name of its module: path, prb, ..."""
-    found: dict[str, dict[str, Any]] = {}
-    for folder in shipped_folders():
-        for file in sorted((folder / "methods").glob("*.yaml")):
-            method: Any = OmegaConf.to_container(OmegaConf.merge(*load_config(str(file))).model.method)
-            found.setdefault(method["class_path"].split(".")[-2], method)
-    return found
-
-
-def _pictures(
-    settings: RenderSettings, method: Method, scene: Scene, world: World, materials: TrueMaterials
-) -> dict[str, Integrator]:
-    """What renders the pictures, by the folder that they go to; trains the radiance field where one is read."""
-    if not method.needs_field:
-        return {"images": MethodRenderer(method, SceneModel(world, materials))}
-    cameras = [view.camera for view in scene.train + scene.test]
+def _film(settings: RenderSettings, cameras: Sequence[Camera], integrator: Integrator) -> None:
+    """The film of a path."""
+    exposure = None if settings.exposure is None else 2.0**settings.exposure
     start = time.perf_counter()
+    with filming(settings.movie, settings.out, settings.fps) as add:
+        for index, camera in enumerate(cameras):
+            image = render(camera, integrator, settings.spp, mix(SEED, index)).numpy()
+            exposure = shown_at(image) if exposure is None else exposure
+            add(encoded(image, exposure))
+            _progress(f"frame {index:04d}", index, len(cameras), start)
+    print(f"neurad: {target_of(settings.movie, settings.out)}")
 
-    def report(step: int, loss: float) -> None:
-        print(f"radiance field: step {step}, {time.perf_counter() - start:.0f} s, loss {loss:.4g}", file=sys.stderr)
 
-    model = model_settings("scene.yaml", SEED)
-    field = train_radiance(scene, world, materials, cameras, model, settings.steps, settings.seconds, report)
-    parts = SceneModel(world, materials, field)
-    return {"images": MethodRenderer(method, parts), "images_lhs": FieldRenderer(parts)}
+def shown_at(image: FloatArray) -> float:
+    """The factor that shows the 90th percentile of a picture [h, w, 3] at 0.8; 1 of a black one."""
+    level = float(np.percentile(image, 90))
+    return 0.8 / level if level > 0.0 else 1.0
+
+
+def encoded(image: FloatArray, exposure: float) -> np.ndarray:
+    """A linear picture as sRGB bytes [h, w, 3]."""
+    return np.round(to_srgb(image * np.float32(exposure)) * 255).astype(np.uint8)
+
+
+def _progress(name: str, index: int, count: int, start: float) -> None:
+    done = time.perf_counter() - start
+    left = done / (index + 1) * (count - index - 1)
+    print(f"{name}: {index + 1} of {count}, {done:.0f} s, {left:.0f} s left", file=sys.stderr)

@@ -149,8 +149,17 @@ class Scene:
         return np.stack((low, high)).astype(np.float32)
 
     @cached_property
+    def geometry_fingerprint(self) -> str:
+        """A hash of the triangles: a checkpoint fits a scene only if it agrees."""
+        digest = hashlib.sha256()
+        for mesh in self.meshes:
+            digest.update(np.ascontiguousarray(mesh.vertices, np.float32).tobytes())
+            digest.update(np.ascontiguousarray(mesh.faces, np.int64).tobytes())
+        return digest.hexdigest()[:16]
+
+    @cached_property
     def fingerprint(self) -> str:
-        """A hash of geometry and emitters: a checkpoint fits a scene only if it agrees."""
+        """A hash of geometry and emitters: a fit goes on in a scene only if it agrees."""
         digest = hashlib.sha256()
         for mesh in self.meshes:
             digest.update(np.ascontiguousarray(mesh.vertices, np.float32).tobytes())

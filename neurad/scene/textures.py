@@ -63,13 +63,18 @@ class OnEmitters(nn.Module):
         textures: by material.
         channels: of the values.
         geometry: says which triangles emit.
+        meshes: further meshes that are treated so: lamps that are off now.
     """
 
     emits: Tensor
 
-    def __init__(self, textures: list[Texture], channels: int, geometry: Geometry) -> None:
+    def __init__(
+        self, textures: list[Texture], channels: int, geometry: Geometry, meshes: frozenset[int] = frozenset()
+    ) -> None:
         super().__init__()
         emits = geometry.emission.amax(-1) > 0
+        if meshes:
+            emits |= torch.isin(geometry.mesh_index, torch.tensor(sorted(meshes), device=emits.device))
         lamps = set(geometry.material[emits].tolist())
         blank = Constant(np.zeros(1, np.float32))
         self.table = TextureTable([t if i in lamps else blank for i, t in enumerate(textures)], channels)

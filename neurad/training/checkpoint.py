@@ -9,6 +9,7 @@ from torch import Tensor
 
 from neurad.core.errors import InputError
 from neurad.scene.description import Scene
+from neurad.scene.light import light_changes, light_of
 
 DDP_IGNORED = "world.guide.", "average."
 """What names of state begin with that only takes noise away: no weights, and alike in all processes."""
@@ -21,6 +22,7 @@ def fitting(
     inputs: list[str] | None,
     source: str = "--ckpt_path",
     continues: bool = False,
+    other_light: bool = True,
 ) -> dict[str, Any]:
     """What a run wrote about itself into its checkpoint, if the weights fit.
 
@@ -34,7 +36,8 @@ def fitting(
         inputs: what the module's radiance field reads; None without one.
         source: begins the error messages.
         continues: a fit goes on from it: that checks its own numbers, and ``bad.ckpt`` is there to repeat what it
-            found.
+            found; its light must be that of the scene.
+        other_light: whether the light of the scene may be another than in the fit, see :func:`changed_light`.
 
     Raises:
         InputError: it belongs to another scene or to fields of other sizes, it is none of neurad's, or its weights are
@@ -43,10 +46,7 @@ def fitting(
     state: dict[str, Any] | None = checkpoint.get("neurad")
     if state is None:
         raise InputError(f"{source}: the file is no checkpoint of neurad")
-    if state["fingerprint"] != scene.fingerprint:
-        renamed = state["scene"] == scene.name == "kitchen"
-        hint = "; the built-in kitchen of older versions is now called patterns: --data.scene patterns" if renamed else ""
-        raise InputError(f"{source}: the checkpoint is of scene {state['scene']}, not of {scene.name} as given{hint}")
+    check_scene(state, scene, source, continues or not other_light)
     weights = checkpoint["state_dict"]
     for prefix in DDP_IGNORED:
         mine = {name: value for name, value in own.items() if name.startswith(prefix)}
@@ -71,3 +71,82 @@ def fitting(
             f"{inputs}; set model.radiance.inputs"
         )
     return state
+
+
+def scene_state(scene: Scene) -> dict[str, Any]:
+    """What a checkpoint keeps of the scene of its fit."""
+    return {
+        "scene": scene.name,
+        "fingerprint": scene.fingerprint,
+        "geometry": scene.geometry_fingerprint,
+        "light": light_of(scene),
+    }
+
+
+def check_scene(state: dict[str, Any], scene: Scene, source: str, same_light: bool) -> None:
+    """Refuse a checkpoint that belongs to another scene.
+
+    Args:
+        state: what the run wrote about itself.
+        scene: that it is to be used for.
+        source: begins the error messages.
+        same_light: refuse another light, too.
+
+    Raises:
+        InputError: it does. Of a checkpoint that does not keep geometry and light apart any difference counts.
+    """
+    light = _kept_light(state, source)
+    if state["fingerprint"] == scene.fingerprint and (light is None or not same_light):
+        return
+    if light is None or state.get("geometry") != scene.geometry_fingerprint:
+        renamed = state["scene"] == scene.name == "kitchen"
+        hint = "; the built-in kitchen of older versions is now called patterns: --data.scene patterns" if renamed else ""
+        raise InputError(f"{source}: the checkpoint is of scene {state['scene']}, not of {scene.name} as given{hint}")
+    if same_light and (changes := light_changes(light, scene)):
+        raise InputError(
+            f"{source}: the light of scene {scene.name} is not that of the fit ({'; '.join(changes)}); put it back, or "
+            "start a new run"
+        )
+
+
+def changed_light(state: dict[str, Any], scene: Scene, environment: bool = True) -> list[str]:
+    """What differs between the light of a fit and that of a scene, a few words each; none where nothing is known.
+
+    Args:
+        state: what the run wrote about itself.
+        scene: the scene now.
+        environment: as in :func:`neurad.scene.light.light_changes`.
+    """
+    light = _kept_light(state, "--ckpt_path")
+    return [] if light is None else light_changes(light, scene, environment)
+
+
+def fitted_lamps(state: dict[str, Any]) -> frozenset[int]:
+    """Meshes that shone in a fit."""
+    light = _kept_light(state, "--ckpt_path")
+    return frozenset() if light is None else frozenset(lamp[0] for lamp in light["lamps"])
+
+
+def _kept_light(state: dict[str, Any], source: str) -> dict[str, Any] | None:
+    """The light that a run kept; None in a checkpoint of before it was.
+
+    Raises:
+        InputError: it is not what :func:`neurad.scene.light.light_of` gives.
+    """
+    light = state.get("light")
+    if light is None:
+        return None
+    try:
+        lamps, sky = light["lamps"], light["environment"]
+        whole = all(isinstance(i, int) and isinstance(name, str) and len(rgb) == 3 for i, name, *rgb in lamps)
+        numbers = [x for lamp in lamps for x in lamp[2:]]
+        if sky is not None:
+            whole &= isinstance(sky["pixels"], str) and (len(sky["mean"]), len(sky["to_world"])) == (3, 16)
+            numbers += [*sky["mean"], *sky["to_world"]]
+        whole &= all(isinstance(x, float) for x in numbers)
+    except (KeyError, TypeError, ValueError):
+        whole = False
+    if not whole:
+        raise InputError(f"{source}: the checkpoint's light is none that a run writes")
+    found: dict[str, Any] = light
+    return found

@@ -10,7 +10,8 @@ import torch
 from lightning.pytorch.strategies import DDPStrategy
 from torch import Tensor
 
-from neurad.assembly.build import Assembly, FittedMaterials, assemble
+from neurad.assembly.build import Assembly, FittedMaterials, assemble, know_lamps
+from neurad.assembly.relight import paths, sentence_of_light
 from neurad.assembly.settings import Lighting, ModelSettings, Objective, Optimization, Sampling
 from neurad.assembly.training_views import TrainingViews, prepare_views
 from neurad.core.errors import InputError
@@ -35,7 +36,7 @@ from neurad.optim.sparse_row_adam import SparseRowAdam
 from neurad.runtime.clock import excluded, training_seconds
 from neurad.scene.description import Scene
 from neurad.scene.textures import TrueMaterials
-from neurad.training.checkpoint import fitting
+from neurad.training.checkpoint import changed_light, fitted_lamps, fitting, scene_state
 from neurad.training.error_bars import error_bars, to_cube
 from neurad.training.evaluate import Evaluation, UnknownLight, evaluate, unknown_light
 from neurad.training.gradient_sync import GradientSync, ddp_ignored
@@ -104,6 +105,8 @@ class InverseRenderer(L.LightningModule):
         """Of evaluations: what of the held-out views they look at. Set before a fit starts."""
         self._light: UnknownLight | None = None
         self.training_views: TrainingViews | None = None
+        self.other_light: list[str] = []
+        """What differs between the scene's light and that of the fit; nothing may in a fit that goes on."""
         self._photographs = 0
         """Checksum of the photographs; 0 before they are read, and where they cannot change."""
 
@@ -158,7 +161,12 @@ class InverseRenderer(L.LightningModule):
 
     @property
     def estimator(self) -> Estimator:
-        """The method's estimates with the present materials and radiance field."""
+        """The method's estimates with the present materials and radiance field; under another light than that of the
+        fit, whose radiance field and guide say nothing about it, paths are traced.
+        """
+        if self.other_light:
+            self.world.guide = None
+            return Estimator(self.world, self.materials, None, paths(self.scene))
         return Estimator(self.world, self.materials, self.radiance, self.settings.method)
 
     @property
@@ -278,8 +286,11 @@ class InverseRenderer(L.LightningModule):
         """Error bars of the present materials, see :func:`neurad.training.error_bars.error_bars`.
 
         Raises:
-            InputError: outside of a fit the training photographs are read for it, and one is missing or wrong.
+            InputError: outside of a fit the training photographs are read for it, and one is missing or wrong; or they
+                are of another light.
         """
+        if self.other_light:
+            raise InputError("they are those of the light of the fit, which is another one here")
         views = self.training_views
         # The trainer tests in inference mode, in which nothing can be differentiated.
         with torch.inference_mode(False), torch.no_grad(), averaged(self.average):
@@ -326,8 +337,7 @@ class InverseRenderer(L.LightningModule):
     def on_save_checkpoint(self, checkpoint: dict[str, Any]) -> None:
         """Add what continues a run exactly; plain types only."""
         checkpoint["neurad"] = {
-            "scene": self.scene.name,
-            "fingerprint": self.scene.fingerprint,
+            **scene_state(self.scene),
             "iteration": self.iteration,
             "seconds": self.train_seconds,
             "rays": self.rays,
@@ -349,6 +359,16 @@ class InverseRenderer(L.LightningModule):
         self.rays_before = state["rays"]
         self.seconds_before = state["seconds"]
         self._photographs = state.get("photographs", 0)
+        if not continues:
+            self._see_light(state)
+
+    def _see_light(self, state: dict[str, Any]) -> None:
+        """Take note of a light that is not that of the fit, and say so."""
+        self.other_light = changed_light(state, self.scene, self.environment is None)
+        if self.other_light:
+            if isinstance(self.materials, FittedMaterials):
+                know_lamps(self.materials, self.scene, self.world.geometry, fitted_lamps(state))
+            print(f"neurad: {sentence_of_light(self.other_light)}", file=sys.stderr)
 
     @property
     def _inputs(self) -> list[str] | None:

@@ -46,7 +46,7 @@ def read_meshes(path: str | Path) -> MeshFile:
         warnings.simplefilter("ignore")  # of numbers that are none: they are looked at below
         loaded: Any = trimesh.load_scene(path, process=False, maintain_order=True)
         parts = [(name, part) for name, part in loaded.geometry.items() if hasattr(part, "faces")]
-        meshes = [_mesh(name if len(parts) > 1 else path.stem, part, kind == ".stl") for name, part in parts]
+        meshes = [mesh_of(name if len(parts) > 1 else path.stem, part, kind == ".stl") for name, part in parts]
     meshes = [mesh for mesh in meshes if len(mesh.faces)]
     if not meshes:
         raise InputError(f"{shown(path)}: it has no triangle")
@@ -57,7 +57,7 @@ def read_meshes(path: str | Path) -> MeshFile:
     return MeshFile(path, meshes, kind == ".ply" and _ply_faces(path) == len(meshes[0].faces))
 
 
-def _mesh(name: str, part: Any, flat: bool) -> Mesh:
+def mesh_of(name: str, part: Any, flat: bool) -> Mesh:
     """One of trimesh's meshes without the vertices that it does not use; without normals if it is ``flat``."""
     faces: IntArray = np.asarray(part.faces, np.int64).reshape(-1, 3)
     vertices = np.asarray(part.vertices, np.float64)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -143,10 +143,7 @@ def read_views(
         InputError: not JSON, no frames, a bad camera, or a photograph that is missing.
     """
     path, root = Path(path), Path(root)
-    described = read_json(path)
-    frames = described.get("frames") if isinstance(described, dict) else None
-    if not isinstance(frames, list) or not frames:
-        raise InputError(f"{path}: it has no frames")
+    described, frames = _frames(path)
     undo = _applied(described, path)
     views: list[View] = []
     for index, frame in enumerate(frames):
@@ -164,6 +161,50 @@ def read_views(
         relit = _map(root, frame, "relight", image, path) if "relight_path" in frame else None
         views.append(View(image.stem, camera, str(image), maps["albedo"], maps["roughness"], relit, mask))
     return views
+
+
+def read_cameras(path: str | Path, size: Size) -> list[View]:
+    """The cameras of a camera file, as views without photographs: none has to be there, and frames need no name.
+
+    Args:
+        path: as in :func:`read_views`.
+        size: width and height in pixels where the file has none.
+
+    Returns:
+        Views with the names of the photographs, or with numbers where not all frames have one of their own.
+
+    Raises:
+        InputError: not JSON, no frames, or a bad camera.
+    """
+    path = Path(path)
+    described, frames = _frames(path)
+    undo = _applied(described, path)
+    views = []
+    for index, frame in enumerate(frames):
+        if not isinstance(frame, dict):
+            raise InputError(f"{path}: frame {index} is {shown(repr(frame))}, not an object with a transform_matrix")
+        name = frame.get("file_path")
+        where = f"{path}: frame {index}" + (f" ({shown(name)})" if isinstance(name, str) else "")
+        film = _size({**described, **frame}, where) or size
+        pose = undo(rigid(frame.get("transform_matrix"), f"{where}: its transform_matrix"))
+        stem = Path(name).name.removesuffix(".exr") if isinstance(name, str) else ""
+        views.append(View(stem, camera_of((frame, described), film, pose, where)))
+    if not all(view.name for view in views) or len({view.name for view in views}) < len(views):
+        return [replace(view, name=f"{index:04d}") for index, view in enumerate(views)]
+    return views
+
+
+def _frames(path: Path) -> tuple[dict[str, Any], list[Any]]:
+    """What a camera file describes, and its frames.
+
+    Raises:
+        InputError: not JSON, or no frames.
+    """
+    described = read_json(path)
+    frames = described.get("frames") if isinstance(described, dict) else None
+    if not isinstance(frames, list) or not frames:
+        raise InputError(f"{path}: it has no frames")
+    return described, frames
 
 
 def _applied(described: dict[str, Any], path: Path) -> Callable[[FloatArray], FloatArray]:

@@ -46,7 +46,7 @@ def run(options: argparse.Namespace) -> None:
     from neurad.studies.bound.ladder import Ladder
 
     begin = time.process_time()
-    loaded = load_run(options.ckpt_path, options.root)
+    loaded = load_run(options.ckpt_path, options.root, other_light=False)
     found = Ladder(loaded, lambda text: print(f"neurad: {text}", flush=True)).climb(options.seconds, options.spp)
     rows = [[rung.name, rung.cause, *(_score(rung, name) for name in COLUMNS[2:])] for rung in found]
     print(f"\n{loaded.scene.name}, {loaded.iteration} steps, held-out views, dB")

@@ -1,0 +1,123 @@
+"""What a run recovered, under other light and with other things: the world after an edit, and its materials."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import torch
+from torch import Tensor, nn
+
+from neurad.assembly.build import Assembly, FittedMaterials, build_world, know_lamps
+from neurad.core.records import EnvironmentMap, Surface, SurfaceInteraction
+from neurad.integrators.method import SceneModel
+from neurad.integrators.path import PathTracing
+from neurad.scene.description import Scene
+from neurad.scene.edit import Edited
+from neurad.scene.geometry import Geometry
+from neurad.scene.textures import TrueMaterials
+
+
+def recovered_scene(assembly: Assembly) -> Scene:
+    """The scene of a run as the run has it: surfaces reflect by the model that was fitted to them, and an environment
+    that was recovered is the one that was found. Edits apply to it.
+    """
+    scene = assembly.scene
+    if isinstance(assembly.materials, FittedMaterials):
+        model = scene.features.fitted_model
+        scene = replace(scene, materials=[m if m.model.is_delta else replace(m, model=model) for m in scene.materials])
+    if assembly.environment is not None:
+        frame = {} if scene.environment is None else {"to_world": scene.environment.to_world}
+        scene = replace(scene, environment=EnvironmentMap(assembly.environment.map(), **frame))
+    return scene
+
+
+class EditedMaterials(nn.Module):
+    """Recovered materials, but what an edit says where it says something, and on known lamps the scene's own.
+
+    Args:
+        fields: what was recovered; read by position, so what was moved or put in does not disturb it.
+        edited: the scene after the edit of :func:`recovered_scene`.
+        geometry: of the scene after the edit.
+    """
+
+    albedo_given: Tensor
+    roughness_given: Tensor
+
+    def __init__(self, fields: FittedMaterials, edited: Edited, geometry: Geometry) -> None:
+        super().__init__()
+        self.fields = fields
+        self.known = TrueMaterials(edited.scene, geometry)
+        self.geometry = geometry
+        for name, given in (("albedo", edited.albedo), ("roughness", edited.roughness)):
+            meshes = torch.zeros(len(edited.scene.meshes), dtype=torch.bool)
+            meshes[sorted(given | fields.known_meshes)] = True
+            self.register_buffer(f"{name}_given", meshes, persistent=False)
+
+    @torch.no_grad()
+    def forward(self, si: SurfaceInteraction) -> Surface:
+        """BSDF parameters at the lanes of ``si``."""
+        known: Surface = self.known(si)
+        mesh = self.geometry.mesh_index[si.prim.clamp_min(0)]
+        recovered = self._albedo(si)
+        roughness = known.roughness
+        if self.fields.roughness is not None:
+            rough = self.fields.roughness.at(si.p, recovered)
+            roughness = torch.where(self.roughness_given[mesh].unsqueeze(-1), known.roughness, rough)
+        albedo = torch.where(self.albedo_given[mesh].unsqueeze(-1), known.albedo, recovered)
+        return Surface(albedo, roughness, known.model)
+
+    @torch.no_grad()
+    def albedo(self, si: SurfaceInteraction) -> Tensor:
+        """The albedo alone [n, 3]."""
+        given = self.albedo_given[self.geometry.mesh_index[si.prim.clamp_min(0)]].unsqueeze(-1)
+        return torch.where(given, self.known.albedo(si), self._albedo(si))
+
+    def _albedo(self, si: SurfaceInteraction) -> Tensor:
+        found: Tensor = self.fields.albedo.at(si.p)  # type: ignore[attr-defined]
+        return found
+
+
+def relit(assembly: Assembly, edited: Edited) -> SceneModel:
+    """World and materials of a run after an edit, without a radiance field: paths need none, and the run's own belongs
+    to the light that it was fitted under.
+
+    Args:
+        assembly: of the run.
+        edited: the edit of :func:`recovered_scene`, or of another scene of the same geometry that is treated so.
+    """
+    device = assembly.world.geometry.vertices.device
+    settings = assembly.settings
+    world = build_world(
+        edited.scene, settings.tracer, assembly.world.hide_environment,
+        specular_fraction=settings.sampling.specular_fraction,
+    ).to(device)  # fmt: skip
+    if isinstance(assembly.materials, FittedMaterials):
+        return SceneModel(world, EditedMaterials(assembly.materials, edited, world.geometry).to(device))
+    return SceneModel(world, TrueMaterials(edited.scene, world.geometry).to(device))
+
+
+def in_other_light(assembly: Assembly, fitted_lamps: frozenset[int]) -> Assembly:
+    """The parts of a run in a scene with another light than that of its fit: without radiance field and guide, which
+    belong to the light of the fit; pictures are path traced.
+
+    Args:
+        assembly: made for the scene as it is now, with the weights of the fit.
+        fitted_lamps: meshes that shone in the fit.
+    """
+    if isinstance(assembly.materials, FittedMaterials):
+        know_lamps(assembly.materials, assembly.scene, assembly.world.geometry, fitted_lamps)
+    assembly.world.guide = None
+    return replace(assembly, radiance=None, settings=replace(assembly.settings, method=paths(assembly.scene)))
+
+
+def paths(scene: Scene) -> PathTracing:
+    """Path tracing as deep as a scene wants it."""
+    return PathTracing(scene.max_depth, scene.rr_depth)
+
+
+def sentence_of_light(changes: list[str]) -> str:
+    """What is said where the light is not that of the fit."""
+    return (
+        f"another light than in the fit: {'; '.join(changes)}; pictures are path traced, as the radiance field belongs "
+        "to the light of the fit"
+    )

@@ -1,0 +1,194 @@
+"""What ``neurad render`` renders: a scene with its true materials, or what a run recovered, after an edit of either."""
+
+from __future__ import annotations
+
+import sys
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from difflib import get_close_matches
+from pathlib import Path
+from typing import Any
+
+from jsonargparse import ArgumentParser
+from omegaconf import OmegaConf
+
+from neurad.assembly.build import build_world
+from neurad.assembly.relight import paths, recovered_scene, relit
+from neurad.core.errors import InputError
+from neurad.core.protocols import Integrator
+from neurad.core.ranges import Count, Positive
+from neurad.core.records import Camera
+from neurad.fields.radiance import RadianceField
+from neurad.integrators.method import Method, ReflectedRadiance, SceneModel
+from neurad.integrators.path import PathTracing
+from neurad.integrators.renderer import FieldRenderer, MethodRenderer
+from neurad.runs.configs import load_config, shipped_folders
+from neurad.runs.load import LoadedRun, load_run
+from neurad.runs.model_settings import model_settings
+from neurad.scene.description import Scene
+from neurad.scene.edit import Edit, Edited, edited
+from neurad.scene.load import load_scene
+from neurad.scene.textures import TrueMaterials
+from neurad.training.train_radiance import train_radiance
+
+SEED = 20230806
+
+
+@dataclass(frozen=True)
+class Learning:
+    """How long a radiance field is learned, and how it is said."""
+
+    steps: Count
+    seconds: Positive | None
+
+
+@dataclass(frozen=True)
+class Subject:
+    """A world and its materials, and the method that renders them."""
+
+    scene: Scene
+    parts: SceneModel
+    method: Method
+    field: ReflectedRadiance | None = None
+    """The radiance field of a run whose light and materials are as they were; None where one has to be learned."""
+    said: tuple[str, ...] = ()
+    """What is other than in the scene or the run, a few words each."""
+
+    def integrators(self, cameras: Sequence[Camera], learning: Learning) -> dict[str, Integrator]:
+        """What renders the pictures, by the folder that they go to; learns the radiance field where one is read.
+
+        Args:
+            cameras: where the field is learned from.
+            learning: how long.
+        """
+        if not self.method.needs_field:
+            return {"images": MethodRenderer(self.method, self.parts)}
+        field = self._learned(cameras, learning) if self.field is None else self.field
+        parts = replace(self.parts, radiance=field)
+        return {"images": MethodRenderer(self.method, parts), "images_lhs": FieldRenderer(parts)}
+
+    def _learned(self, cameras: Sequence[Camera], learning: Learning) -> RadianceField:
+        """The radiance field of this light and these materials."""
+        start = time.perf_counter()
+
+        def report(step: int, loss: float) -> None:
+            print(f"radiance field: step {step}, {time.perf_counter() - start:.0f} s, loss {loss:.4g}", file=sys.stderr)
+
+        seen = [view.camera for view in (*self.scene.train, *self.scene.test)]
+        model = model_settings("scene.yaml", SEED)
+        return train_radiance(
+            self.scene, self.parts.world, self.parts.materials, [*seen, *cameras], model, learning.steps,
+            learning.seconds, report,
+        )  # fmt: skip
+
+
+def true_subject(
+    root: str | None, name: str | None, edit: Edit, integrator: str, max_depth: int | None, tracer: str
+) -> Subject:
+    """A scene with its own materials, edited.
+
+    Args:
+        root: scene folder, or None.
+        name: built-in scene, or None.
+        edit: what to change.
+        integrator: name of a method.
+        max_depth: longest path; None for that of the scene.
+        tracer: 'embree', 'open3d' or 'warp'.
+
+    Raises:
+        InputError: unknown scene or method, unreadable files, or an edit that does not fit.
+    """
+    method, is_paths = find_method(integrator)
+    check_depth(integrator, is_paths, max_depth)
+    made = edited(load_scene(root, name), edit)
+    world = build_world(made.scene, tracer)
+    parts = SceneModel(world, TrueMaterials(made.scene, world.geometry))
+    return Subject(made.scene, parts, deepened(method, made.scene, max_depth), said=made.said)
+
+
+def recovered_subject(
+    ckpt_path: str, root: str | None, edit: Edit, integrator: str | None, max_depth: int | None
+) -> Subject:
+    """What a run recovered, perhaps under another light, edited.
+
+    Args:
+        ckpt_path: run folder or checkpoint.
+        root: scene folder of the same geometry, with other light or not; None for that of the fit.
+        edit: what to change.
+        integrator: name of a method; None takes the run's own where nothing is changed, otherwise paths.
+        max_depth: longest path; None for that of the scene.
+
+    Raises:
+        InputError: no such run or method, a scene of other geometry, or an edit that does not fit.
+    """
+    given = None if integrator is None else find_method(integrator)
+    if given is not None and integrator is not None:
+        check_depth(integrator, given[1], max_depth)
+    run = load_run(ckpt_path, root)
+    made = edited(recovered_scene(run.assembly), edit)
+    said = (*run.light_changes, *made.said)
+    own = _own(run, said)
+    if given is None and own is not None and max_depth is None:
+        return own
+    if given is not None and own is not None and type(given[0]) is type(own.method):
+        return own
+    method = paths(made.scene) if given is None else given[0]
+    return Subject(made.scene, _parts(run, made), deepened(method, made.scene, max_depth), said=said)
+
+
+def _own(run: LoadedRun, said: Sequence[str]) -> Subject | None:
+    """The run as it is, with its method and its radiance field; None where anything is changed."""
+    if said:
+        return None
+    parts = run.assembly.estimator.scene
+    return Subject(run.scene, replace(parts, radiance=None), run.settings.method, run.radiance)
+
+
+def _parts(run: LoadedRun, made: Edited) -> SceneModel:
+    parts = relit(run.assembly, made)
+    return SceneModel(parts.world, parts.materials)
+
+
+def check_depth(integrator: str, is_paths: bool, max_depth: int | None) -> None:
+    """Refuse a depth for a method that has none.
+
+    Raises:
+        InputError: it is given one.
+    """
+    if max_depth is not None and not is_paths:
+        raise InputError(f"--max-depth: only paths have a depth, --integrator {integrator} has none to choose")
+
+
+def deepened(method: Method, scene: Scene, max_depth: int | None) -> Method:
+    """A method of paths with the depth that is wanted, or that of the scene; any other as it is."""
+    if not isinstance(method, PathTracing):
+        return method
+    return type(method)(max_depth or scene.max_depth, scene.rr_depth)
+
+
+def find_method(name: str) -> tuple[Method, bool]:
+    """A method by its name, with the settings of its overlay, and whether it is one of paths.
+
+    Raises:
+        InputError: there is none of this name.
+    """
+    found = _methods()
+    if name not in found:
+        near = get_close_matches(name, found, 1)
+        hint = f"; did you mean {near[0]}?" if near else ""
+        raise InputError(f"--integrator: there is no method {name} ({', '.join(sorted(found))}){hint}")
+    parser = ArgumentParser(exit_on_error=False)  # the parser of ``neurad fit`` makes the class that a config names
+    parser.add_subclass_arguments(Method, "method")
+    method: Method = parser.instantiate(parser.parse_object({"method": found[name]})).method
+    return method, isinstance(method, PathTracing)
+
+
+def _methods() -> dict[str, dict[str, Any]]:
+    """Class and settings of every method in ``configs/methods``, by the name of its module: path, prb, ..."""
+    found: dict[str, dict[str, Any]] = {}
+    for folder in shipped_folders():
+        for file in sorted(Path(folder / "methods").glob("*.yaml")):
+            method: Any = OmegaConf.to_container(OmegaConf.merge(*load_config(str(file))).model.method)
+            found.setdefault(method["class_path"].split(".")[-2], method)
+    return found

@@ -1,0 +1,326 @@
+"""Other light and other things in a scene: what ``neurad render --edit`` and the viewer change."""
+
+from __future__ import annotations
+
+import difflib
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+from fnmatch import fnmatchcase
+from pathlib import Path
+
+import numpy as np
+
+from neurad.core.colour import LUMINANCE
+from neurad.core.errors import InputError
+from neurad.core.records import Constant, EnvironmentMap, FloatArray, Material, Mesh
+from neurad.core.reflection import PrincipledModel
+from neurad.runtime.reading import shown
+from neurad.scene.description import Scene
+from neurad.scene.image_io import read_exr
+from neurad.scene.numbers import RADIANCE, within
+from neurad.scene.placement import Placement, placed, scene_up, turned_about
+from neurad.scene.readers.objects import Part, read_object
+
+Color = tuple[float, float, float]
+"""Linear RGB."""
+Vector = tuple[float, float, float]
+"""In scene units."""
+
+
+@dataclass(frozen=True)
+class LampEdit:
+    """What happens to a lamp. The radiance is replaced first, then coloured, then scaled."""
+
+    off: bool = False
+    scale: float = 1.0
+    """Times as bright."""
+    color: Color | None = None
+    """Colour that it gets at the luminance that it has."""
+    radiance: Color | None = None
+    """Radiance instead of what it has."""
+    move: Vector = (0.0, 0.0, 0.0)
+
+
+@dataclass(frozen=True)
+class EnvironmentEdit:
+    """What happens to the environment. Another map is read first, then coloured, scaled and turned."""
+
+    off: bool = False
+    file: str | None = None
+    """Lat-long map (EXR) instead of what the scene has, in the same frame."""
+    turn: float = 0.0
+    """Degrees about its vertical axis, counterclockwise as seen from above."""
+    scale: float = 1.0
+    color: Color | None = None
+
+
+@dataclass(frozen=True)
+class MaterialEdit:
+    """What a mesh is made of instead; None keeps what it has."""
+
+    albedo: Color | None = None
+    roughness: float | None = None
+
+
+@dataclass(frozen=True)
+class ObjectEdit:
+    """A thing that is put into the scene."""
+
+    file: str
+    """OBJ, GLB, PLY or STL."""
+    placement: Placement
+    name: str | None = None
+    """Of its meshes; None takes that of the file."""
+    material: MaterialEdit = MaterialEdit()
+    """Instead of what the file says, and where it says nothing albedo and roughness 0.5."""
+    radiance: Color | None = None
+    """It shines: a lamp is put in."""
+
+
+@dataclass(frozen=True)
+class Edit:
+    """What is to be changed in a scene. Names may be patterns such as ``lamp*``; they apply in their order."""
+
+    lamps: dict[str, LampEdit] = field(default_factory=dict)
+    environment: EnvironmentEdit | None = None
+    materials: dict[str, MaterialEdit] = field(default_factory=dict)
+    objects: tuple[ObjectEdit, ...] = ()
+    source: str = "--edit"
+    """Begins the sentences about it."""
+
+    @property
+    def files(self) -> list[str]:
+        """Files that it reads."""
+        named = [self.environment.file] if self.environment is not None else []
+        return [file for file in (*named, *(thing.file for thing in self.objects)) if file is not None]
+
+
+@dataclass(frozen=True)
+class Edited:
+    """A scene after an edit. Meshes keep their places in the list; what was put in comes last."""
+
+    scene: Scene
+    base: Scene
+    """The scene before."""
+    albedo: frozenset[int] = frozenset()
+    """Meshes whose albedo the scene's materials say, whatever was recovered there."""
+    roughness: frozenset[int] = frozenset()
+    """Meshes of whose roughness that holds."""
+    said: tuple[str, ...] = ()
+    """What was changed, a few words each."""
+    reshaped: bool = False
+    """Whether triangles moved or came: rays have to be traced against other ones."""
+
+    @property
+    def changes(self) -> bool:
+        """Whether anything was changed."""
+        return bool(self.said)
+
+
+def lamps_of(scene: Scene) -> list[str]:
+    """Names of the meshes that shine."""
+    return [mesh.name for mesh in scene.meshes if mesh.radiance is not None and float(mesh.radiance.max()) > 0.0]
+
+
+def edited(scene: Scene, edit: Edit) -> Edited:
+    """The scene with an edit applied.
+
+    Args:
+        scene: what to change; it stays as it is.
+        edit: what to change in it.
+
+    Raises:
+        InputError: a name is none of a lamp or mesh, a file cannot be read, or no light is left.
+    """
+    work = _Work(scene, edit.source)
+    for pattern, lamp in edit.lamps.items():
+        work.lamp(pattern, lamp)
+    if edit.environment is not None:
+        work.environment(edit.environment)
+    for pattern, material in edit.materials.items():
+        work.material(pattern, material)
+    for thing in edit.objects:
+        work.put_in(thing)
+    made = replace(work.scene, meshes=work.meshes, materials=work.materials)
+    if not (made.features.has_area_lights or made.features.has_environment):
+        raise InputError(f"{edit.source}: it leaves no light in the scene, so every picture would be black")
+    return Edited(
+        made.check(), scene, frozenset(work.albedo), frozenset(work.roughness), tuple(work.said), work.reshaped
+    )
+
+
+def coloured(radiance: FloatArray, color: Color) -> FloatArray:
+    """Radiance [..., 3] of another colour with the luminance that it has."""
+    weights = np.asarray(LUMINANCE)
+    tint = np.asarray(color, np.float64)
+    brightness = np.asarray(radiance, np.float64) @ weights
+    made: FloatArray = (brightness[..., None] * (tint / float(tint @ weights))).astype(np.float32)
+    return made
+
+
+class _Work:
+    """A scene while it is changed."""
+
+    def __init__(self, scene: Scene, source: str) -> None:
+        self.scene = scene
+        self.source = source
+        self.meshes: list[Mesh] = list(scene.meshes)
+        self.materials: list[Material] = list(scene.materials)
+        self.albedo: set[int] = set()
+        self.roughness: set[int] = set()
+        self.said: list[str] = []
+        self.reshaped = False
+
+    def lamp(self, pattern: str, edit: LampEdit) -> None:
+        """Change the lamps of a name."""
+        lamps = set(lamps_of(self.scene))
+        for index in self._named(pattern, "lamp", lambda mesh: mesh.name in lamps):
+            mesh = self.meshes[index]
+            now = self.scene.meshes[index].radiance if mesh.radiance is None else mesh.radiance
+            assert now is not None
+            light = now if edit.radiance is None else np.asarray(edit.radiance, np.float32)
+            light = light if edit.color is None else coloured(light, edit.color)
+            light = (light * np.float32(edit.scale)).astype(np.float32)
+            within(light, f"{self.source}: lamps: the radiance of {shown(mesh.name)} then", 0.0, RADIANCE)
+            dark = edit.off or not light.any()
+            self.meshes[index] = replace(mesh, radiance=None if dark else light)
+            words = "off" if dark else f"{', '.join(f'{x:.4g}' for x in light)} instead of {_listed(now)}"
+            if dark or not np.array_equal(light, now):
+                self.said.append(f"lamp {mesh.name} {words}")
+            if any(edit.move):
+                here = self.meshes[index]
+                step = np.asarray(edit.move, np.float32)
+                self.meshes[index] = replace(here, vertices=(here.vertices + step).astype(np.float32))
+                self.said.append(f"lamp {mesh.name} moved by {_listed(step)}")
+                self.reshaped = True
+
+    def environment(self, edit: EnvironmentEdit) -> None:
+        """Change the environment."""
+        there = self.scene.environment
+        if edit.off:
+            self._replace_environment(None, "no environment" if there is not None else "")
+            return
+        where = f"{self.source}: environment"
+        if edit.file is not None:
+            there = self._map(edit.file)
+            self.said.append(f"environment {edit.file}")
+        if there is None:
+            raise InputError(f"{where}: the scene has none to change; give it a file")
+        pixels = there.pixels if edit.color is None else coloured(there.pixels, edit.color)
+        pixels = (pixels * np.float32(edit.scale)).astype(np.float32)
+        within(pixels, f"{where}: its radiance then", 0.0, RADIANCE)
+        words = [] if edit.color is None else [f"of colour {_listed(edit.color)}"]
+        words += [] if edit.scale == 1.0 else [f"{edit.scale:g} times as bright"]
+        words += [] if edit.turn % 360.0 == 0.0 else [f"turned by {edit.turn:g} degrees"]
+        # The map's own vertical axis is +Y, before its pose.
+        pose = np.asarray(there.to_world, np.float64) @ turned_about((0.0, 1.0, 0.0), edit.turn)
+        made = replace(there, pixels=pixels, to_world=pose.astype(np.float32))
+        self._replace_environment(made, f"environment {', '.join(words)}" if words else "")
+
+    def _replace_environment(self, environment: EnvironmentMap | None, said: str) -> None:
+        self.scene = replace(self.scene, environment=environment)
+        if said:
+            self.said.append(said)
+
+    def _map(self, file: str) -> EnvironmentMap:
+        """Another map, in the frame of the scene's own or, where it has none, upright."""
+        pixels = read_exr(file)
+        if pixels.shape[2] < 3:
+            raise InputError(f"{shown(file)}: it has {pixels.shape[2]} channels where 3 are needed")
+        within(pixels[..., :3], f"{shown(file)}: radiance", 0.0, RADIANCE)
+        kept = np.ascontiguousarray(pixels[..., :3], np.float32)
+        if self.scene.environment is not None:
+            return EnvironmentMap(kept, self.scene.environment.to_world)
+        return EnvironmentMap(kept, scene_up(self.scene, "y").astype(np.float32))
+
+    def material(self, pattern: str, edit: MaterialEdit) -> None:
+        """Give meshes of a name another material."""
+        chosen = self._named(pattern, "mesh", lambda mesh: True)
+        for index in chosen:
+            material = self.materials[self.meshes[index].material]
+            if edit.roughness is not None and (material.model.is_delta or material.model.is_diffuse):
+                kind = "smooth" if material.model.is_delta else "diffuse"
+                raise InputError(
+                    f"{self.source}: materials: mesh {shown(self.meshes[index].name)} is {kind} and has no roughness"
+                )
+            self._paint(index, material, edit)
+        changes = [f"albedo {_listed(edit.albedo)}"] if edit.albedo is not None else []
+        changes += [f"roughness {edit.roughness:g}"] if edit.roughness is not None else []
+        names = self.meshes[chosen[0]].name if len(chosen) == 1 else f"{len(chosen)} meshes {pattern}"
+        if changes:
+            self.said.append(f"{names} of {' and '.join(changes)}")
+
+    def _paint(self, index: int, material: Material, edit: MaterialEdit) -> None:
+        """A material of its own for a mesh, with the constants of an edit."""
+        if edit.albedo is not None:
+            material = replace(material, albedo=Constant(np.asarray(edit.albedo, np.float32)))
+            self.albedo.add(index)
+        if edit.roughness is not None:
+            material = replace(material, roughness=Constant(np.asarray([edit.roughness], np.float32)))
+            self.roughness.add(index)
+        self.materials.append(replace(material, name=f"{material.name} of {self.meshes[index].name}"))
+        self.meshes[index] = replace(self.meshes[index], material=len(self.materials) - 1)
+
+    def put_in(self, thing: ObjectEdit) -> None:
+        """Add the meshes of a file."""
+        where = f"{self.source}: objects"
+        parts = read_object(thing.file, where)
+        meshes = placed([part.mesh for part in parts], thing.placement, self.scene, f"{where}: {shown(thing.file)}")
+        name = thing.name or Path(thing.file).stem
+        taken = {mesh.name for mesh in self.meshes}
+        for part, mesh in zip(parts, meshes, strict=True):
+            label = _free(name if len(parts) == 1 else f"{name} {part.mesh.name}", taken)
+            radiance = None if thing.radiance is None else np.asarray(thing.radiance, np.float32)
+            self.materials.append(_material(part, label))
+            self.meshes.append(replace(mesh, name=label, material=len(self.materials) - 1, radiance=radiance))
+            index = len(self.meshes) - 1
+            self._paint(index, self.materials[-1], thing.material)
+            self.albedo.add(index)
+            self.roughness.add(index)
+        count = sum(len(mesh.faces) for mesh in meshes)
+        self.said.append(f"{name} put in ({count} triangles)")
+        self.reshaped = True
+
+    def _named(self, pattern: str, what: str, kind: Callable[[Mesh], bool]) -> list[int]:
+        """Places of the meshes that a name or pattern means, of one kind.
+
+        Raises:
+            InputError: there is none.
+        """
+        known = [i for i, mesh in enumerate(self.scene.meshes) if kind(mesh)]
+        names = [self.scene.meshes[i].name for i in known]
+        exact = [i for i, name in zip(known, names, strict=True) if name == pattern]
+        found = exact or [i for i, name in zip(known, names, strict=True) if fnmatchcase(name, pattern)]
+        if found:
+            return found
+        is_mesh = what == "lamp" and any(mesh.name == pattern for mesh in self.scene.meshes)
+        near = difflib.get_close_matches(pattern, names, 1)
+        hint = f"did you mean {shown(near[0])}?" if near and not is_mesh else f"there are {_some(names)}"
+        wrong = f"mesh {shown(pattern)} is no lamp" if is_mesh else f"there is no {what} {shown(pattern)}"
+        raise InputError(f"{self.source}: {'lamps' if what == 'lamp' else 'materials'}: {wrong}; {hint}")
+
+
+def _material(part: Part, name: str) -> Material:
+    return Material(name, PrincipledModel(), part.albedo, part.roughness)
+
+
+def _free(name: str, taken: set[str]) -> str:
+    """A name that no mesh has, which is taken then."""
+    made, count = name, 1
+    while made in taken:
+        count += 1
+        made = f"{name}-{count}"
+    taken.add(made)
+    return made
+
+
+def _some(names: Sequence[str], most: int = 8) -> str:
+    """A few of some names, for a sentence."""
+    if not names:
+        return "none in this scene"
+    more = f" and {len(names) - most} others" if len(names) > most else ""
+    return ", ".join(shown(name) for name in names[:most]) + more
+
+
+def _listed(values: FloatArray | Sequence[float]) -> str:
+    return ", ".join(f"{float(x):.4g}" for x in values)

@@ -1,0 +1,103 @@
+"""A thing to be put into a scene: its meshes with the materials that the file gives them, read by trimesh."""
+
+from __future__ import annotations
+
+import warnings
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from neurad.core.errors import InputError
+from neurad.core.records import Bitmap, Constant, FloatArray, Mesh, Texture
+from neurad.runtime.reading import TEXT_MESH_LIMIT, native, regular_file, shown
+from neurad.scene.image_io import from_srgb
+from neurad.scene.numbers import LENGTH, within
+from neurad.scene.readers.mesh_files import KINDS, mesh_of
+
+OBJECTS = (*KINDS, ".glb")
+PLAIN = 0.5
+"""Albedo and roughness of what says nothing about its material."""
+
+
+@dataclass(frozen=True)
+class Part:
+    """One mesh of a thing."""
+
+    mesh: Mesh
+    albedo: Texture
+    roughness: Texture
+
+
+def read_object(path: str | Path, where: str) -> list[Part]:
+    """The meshes of a thing in the frame of its file, with albedo and roughness: the colour, its picture and the
+    roughness that the file's materials have, as far as they have them.
+
+    Args:
+        path: OBJ, GLB, PLY or STL.
+        where: begins the error message.
+
+    Raises:
+        InputError: the file is missing, of another kind, broken or empty, or a number in it is none to compute with.
+    """
+    file = regular_file(path, f"there is no such object ({where})")
+    kind = file.suffix.lower()
+    if kind not in OBJECTS:
+        raise InputError(f"{where}: {shown(path)} is not an object that can be read ({', '.join(OBJECTS)})")
+    if file.stat().st_size > TEXT_MESH_LIMIT:
+        raise InputError(f"{where}: {shown(path)} has more than {TEXT_MESH_LIMIT >> 20} MB")
+    import trimesh
+
+    with native(file, f"it cannot be read as {kind[1:].upper()}"), warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        loaded: Any = trimesh.load_scene(file, process=False, maintain_order=True)
+        # Copies of one mesh in several places become meshes of their own, each where it stands.
+        parts = [_part(part, kind == ".stl") for part in loaded.dump() if hasattr(part, "faces")]
+    parts = [part for part in parts if len(part.mesh.faces)]
+    if not parts:
+        raise InputError(f"{where}: {shown(path)} has no triangle")
+    for part in parts:
+        within(part.mesh.vertices, f"{shown(path)}: the coordinates of {shown(part.mesh.name)}", -LENGTH, LENGTH)
+        for texture in (part.albedo, part.roughness):
+            values = texture.value if isinstance(texture, Constant) else texture.pixels  # type: ignore[union-attr]
+            within(values, f"{shown(path)}: a colour or roughness of {shown(part.mesh.name)}", 0.0, 1.0)
+    return parts
+
+
+def _part(part: Any, flat: bool) -> Part:
+    material = getattr(part.visual, "material", None)
+    name = str(part.metadata.get("name") or getattr(material, "name", None) or "part")
+    mesh = mesh_of(name, part, flat)
+    if mesh.uvs is not None:  # in pictures here v runs down, in these files up
+        mesh = replace(mesh, uvs=np.stack((mesh.uvs[:, 0], 1.0 - mesh.uvs[:, 1]), -1).astype(np.float32))
+    mesh = replace(mesh, radiance=None)
+    roughness = getattr(material, "roughnessFactor", None)
+    return Part(
+        mesh,
+        _colour(material, mesh.uvs is not None),
+        Constant(np.asarray([PLAIN if roughness is None else float(roughness)], np.float32)),
+    )
+
+
+def _colour(material: Any, mapped: bool) -> Texture:
+    """The base colour of a material of glTF or MTL."""
+    is_gltf = hasattr(material, "baseColorFactor")
+    factor = np.full(3, PLAIN, np.float32)
+    if is_gltf:
+        given = material.baseColorFactor  # linear; trimesh has it as bytes or as numbers
+        factor = np.ones(3, np.float32) if given is None else _unit(given)
+    elif (words := (getattr(material, "kwargs", None) or {}).get("kd")) is not None:
+        factor = np.array([float(word) for word in np.atleast_1d(words)][:3], np.float32)
+    picture = getattr(material, "baseColorTexture" if is_gltf else "image", None)
+    if picture is None or not mapped:
+        return Constant(factor)
+    pixels = from_srgb(np.asarray(picture.convert("RGB"), np.float32) / 255.0)
+    return Bitmap(np.ascontiguousarray(pixels * (factor if is_gltf else 1.0), np.float32))
+
+
+def _unit(values: Any) -> FloatArray:
+    array = np.asarray(values)
+    scale = 255.0 if np.issubdtype(array.dtype, np.integer) else 1.0
+    made: FloatArray = (array[:3] / scale).astype(np.float32)
+    return made
