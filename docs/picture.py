@@ -3,9 +3,9 @@
     neurad fit --config kitchen.yaml
     python docs/picture.py lightning_logs/version_0
 
-It shows a held-out photograph, the albedo and the roughness that the run found, and the room with these in another light:
-``docs/evening.yaml``, traced by ``neurad render``. Run it in the folder of ``lightning_logs``, and name the run that the
-fit printed.
+It shows a held-out photograph, the albedo and the roughness that the run found, and the room with these in another
+light: ``docs/evening.yaml``, traced by ``neurad render``. Run it in the folder of ``lightning_logs``, and name the run
+that the fit printed.
 """
 
 from __future__ import annotations
@@ -51,7 +51,9 @@ def panels(run: Path, scene: str, name: str, spp: int) -> list[Bytes]:
         camera.write_text(json.dumps(transforms([view])))
         words = ["--camera", str(camera), "--edit", str(EVENING), "--integrator", "path", "--spp", str(spp)]
         neurad(["render", "--ckpt_path", str(run), *words, "--out", str(out)])
-        relit, albedo, rough = (read_exr(next((out / kind).glob("*.exr"))) for kind in ("images", "albedo", "roughness"))
+        relit, albedo, rough = (
+            read_exr(next((out / kind).glob("*.exr"))) for kind in ("images", "albedo", "roughness")
+        )
     day, evening = exposure([{"photograph": photograph}]), exposure([{"photograph": relit[..., :3]}])
     return [encode(photograph * day), encode(albedo[..., :3]), grey(rough[..., :1]), encode(relit[..., :3] * evening)]
 

@@ -61,8 +61,16 @@ def paint(name: str, colour: Colour, smooth: float, worn: float, seed: int, shar
 
 
 def boards(
-    name: str, dark: Colour, light: Colour, smooth: float, worn: float, seed: int,
-    count: int = 8, length: int = 2, size: tuple[int, int] = (256, 256), gap: float = 0.03,
+    name: str,
+    dark: Colour,
+    light: Colour,
+    smooth: float,
+    worn: float,
+    seed: int,
+    count: int = 8,
+    length: int = 2,
+    size: tuple[int, int] = (256, 256),
+    gap: float = 0.03,
 ) -> Material:
     """Boards along v, ``count`` across u and ``length`` in each row, with grain, joints and tones of their own.
 
@@ -99,9 +107,18 @@ def boards(
 
 
 def tiling(
-    name: str, glaze: Colour, grout: Colour, smooth: float, dull: float, seed: int,
-    rows: int = 8, columns: int = 4, joint: tuple[float, float] = (0.04, 0.08), bond: bool = True,
-    size: tuple[int, int] = (256, 256), second: Colour | None = None,
+    name: str,
+    glaze: Colour,
+    grout: Colour,
+    smooth: float,
+    dull: float,
+    seed: int,
+    rows: int = 8,
+    columns: int = 4,
+    joint: tuple[float, float] = (0.04, 0.08),
+    bond: bool = True,
+    size: tuple[int, int] = (256, 256),
+    second: Colour | None = None,
 ) -> Material:
     """Glazed tiles with grout between them. Some tiles shine, others are dull, whatever their colour.
 
@@ -132,7 +149,9 @@ def tiling(
     if second is not None:
         base = np.where(((row + column) % 2)[..., None] == 1, np.array(second), base)
     albedo = np.array(grout) + (base * tone[..., None] - np.array(grout)) * inside[..., None]
-    dullness = np.clip(0.25 + 0.22 * waves(seed + 1, u, v, 2, 2) + 0.5 * (uniform(seed + 2, rows * columns)[tile] > 0.7), 0, 1)
+    dullness = np.clip(
+        0.25 + 0.22 * waves(seed + 1, u, v, 2, 2) + 0.5 * (uniform(seed + 2, rows * columns)[tile] > 0.7), 0, 1
+    )
     return material(name, albedo, smooth + (dull - smooth) * dullness)
 
 

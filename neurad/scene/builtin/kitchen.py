@@ -12,9 +12,11 @@ import numpy as np
 
 from neurad.core.records import Constant, Material
 from neurad.core.reflection import PrincipledModel
+from neurad.scene.builtin.kitchen_crockery import crockery
 from neurad.scene.builtin.kitchen_room import Item, door, lights, pendants, shell, tiles, window
 from neurad.scene.builtin.kitchen_table import furniture
 from neurad.scene.builtin.kitchen_units import units
+from neurad.scene.builtin.kitchen_walls import walls
 from neurad.scene.builtin.plain import views, with_files
 from neurad.scene.builtin.shapes import Point
 from neurad.scene.description import Scene
@@ -70,7 +72,7 @@ def build_kitchen() -> Scene:
 
 def _items() -> Iterator[Item]:
     """All that does not send light."""
-    for part in (shell, window, tiles, door, pendants, units, furniture):
+    for part in (shell, window, tiles, door, pendants, units, crockery, furniture, walls):
         yield from part()
 
 

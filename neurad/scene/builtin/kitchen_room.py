@@ -139,7 +139,9 @@ def door() -> Iterator[Item]:
         bevelled((x - SINK, 2.003, z0 - 0.085), (x + 0.044, 2.099, z1 + 0.085)),
     ]
     yield Item(join(*frame), f.paint("door_frame", WHITE, 0.3, 0.6, 52), 0.8)
-    knob = turned([(0.0, 0.0), (0.012, 0.0), (0.012, 0.03), (0.026, 0.04), (0.026, 0.055), (0.0, 0.066)], (0, 0, 0), 0.1, 16)
+    knob = turned(
+        [(0.0, 0.0), (0.012, 0.0), (0.012, 0.03), (0.026, 0.04), (0.026, 0.055), (0.0, 0.066)], (0, 0, 0), 0.1, 16
+    )
     at = (x + 0.033, 0.98, z0 + 0.055)
     placed = Solid(knob.vertices + np.array(at), knob.faces, knob.uvs, knob.normals)
     yield Item(tilted(placed, -90.0, 2, at), f.material("door_knob", (0.5, 0.36, 0.16), 0.25))

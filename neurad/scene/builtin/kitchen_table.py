@@ -1,17 +1,15 @@
-"""The middle and the front of the kitchen: table and chairs, what lies on the table, a dresser, things on the walls."""
+"""The middle of the kitchen: table and chairs, and what is on the table."""
 
 from __future__ import annotations
 
 import math
 from collections.abc import Iterator
 
-import numpy as np
-
 from neurad.scene.builtin import finishes as f
+from neurad.scene.builtin.kitchen_crockery import mug
 from neurad.scene.builtin.kitchen_room import SINK, Item
-from neurad.scene.builtin.kitchen_units import mug, panelled, pull
-from neurad.scene.builtin.rounded import bevelled, draped, moved, swapped, tilted, tube
-from neurad.scene.builtin.shapes import Point, Solid, ball, box, cup, jar, join, rotated, turned
+from neurad.scene.builtin.rounded import bevelled, draped, moved, swapped, tube
+from neurad.scene.builtin.shapes import Point, Solid, ball, box, cup, join, rotated, turned
 
 TABLE = 0.76
 LOW, HIGH = (-0.35, 0.1), (1.05, 0.9)
@@ -23,7 +21,18 @@ def table() -> Iterator[Item]:
     (x0, z0), (x1, z1) = LOW, HIGH
     top = f.boards("table_top", (0.36, 0.19, 0.09), (0.6, 0.38, 0.2), 0.17, 0.6, 300, 8, 1, (512, 256), 0.03)
     yield Item(swapped(bevelled((x0, TABLE - 0.035, z0), (x1, TABLE, z1), 0.01, 2)), top, 1.0)
-    profile = [(0.0, 0.0), (0.02, 0.0), (0.026, 0.05), (0.022, 0.1), (0.034, 0.3), (0.034, 0.5), (0.026, 0.53), (0.036, 0.56), (0.036, 0.73), (0.0, 0.73)]
+    profile = [
+        (0.0, 0.0),
+        (0.02, 0.0),
+        (0.026, 0.05),
+        (0.022, 0.1),
+        (0.034, 0.3),
+        (0.034, 0.5),
+        (0.026, 0.53),
+        (0.036, 0.56),
+        (0.036, 0.73),
+        (0.0, 0.73),
+    ]
     legs = [turned(profile, (x, -SINK, z), 0.25, 18) for x in (x0 + 0.09, x1 - 0.09) for z in (z0 + 0.09, z1 - 0.09)]
     apron = [
         box((x0 + 0.07, TABLE - 0.12, z0 + 0.07), (x1 - 0.07, TABLE - 0.034, z0 + 0.09)),
@@ -37,10 +46,26 @@ def table() -> Iterator[Item]:
 def chair(at: tuple[float, float], degrees: float) -> Solid:
     """A chair with a slatted back, standing at ``at`` (x, z); unturned, one sits looking along -z."""
     half, seat, back = 0.19, 0.45, 0.88
-    legs = [tube([(s * half, -SINK, -half), (s * (half - 0.02), seat - 0.01, -half + 0.02)], [0.014, 0.02], 10) for s in (-1, 1)]
+    legs = [
+        tube([(s * half, -SINK, -half), (s * (half - 0.02), seat - 0.01, -half + 0.02)], [0.014, 0.02], 10)
+        for s in (-1, 1)
+    ]
     for s in (-1, 1):
-        legs.append(tube([(s * half, -SINK, half + 0.04), (s * (half - 0.02), seat, half - 0.01), (s * (half - 0.02), back, half + 0.06)], [0.014, 0.019, 0.014], 10))
-    rungs = [tube([(s * (half - 0.008), 0.2, -half + 0.008), (s * (half - 0.008), 0.2, half + 0.02)], 0.009, 8) for s in (-1, 1)]
+        legs.append(
+            tube(
+                [
+                    (s * half, -SINK, half + 0.04),
+                    (s * (half - 0.02), seat, half - 0.01),
+                    (s * (half - 0.02), back, half + 0.06),
+                ],
+                [0.014, 0.019, 0.014],
+                10,
+            )
+        )
+    rungs = [
+        tube([(s * (half - 0.008), 0.2, -half + 0.008), (s * (half - 0.008), 0.2, half + 0.02)], 0.009, 8)
+        for s in (-1, 1)
+    ]
     rungs.append(tube([(-half + 0.01, 0.24, -half + 0.01), (half - 0.01, 0.24, -half + 0.01)], 0.009, 8))
     plate = bevelled((-half - 0.015, seat - 0.012, -half - 0.02), (half + 0.015, seat + 0.018, half + 0.01), 0.012, 2)
     slats = []
@@ -53,7 +78,11 @@ def chair(at: tuple[float, float], degrees: float) -> Solid:
 
 def chairs() -> Iterator[Item]:
     """Three painted chairs around the table."""
-    places = [((-0.62, 0.5), 82.0, (0.16, 0.28, 0.36)), ((0.75, 1.05), 12.0, (0.16, 0.28, 0.36)), ((0.3, -0.1), 170.0, (0.16, 0.28, 0.36))]
+    places = [
+        ((-0.62, 0.5), 82.0, (0.16, 0.28, 0.36)),
+        ((0.75, 1.05), 12.0, (0.16, 0.28, 0.36)),
+        ((0.3, -0.1), 170.0, (0.16, 0.28, 0.36)),
+    ]
     for i, (at, degrees, colour) in enumerate(places):
         yield Item(chair(at, -degrees), f.paint(f"chair_{i + 1}", colour, 0.2, 0.62, 310 + 2 * i), 0.5)
 
@@ -67,14 +96,39 @@ def fruit() -> Iterator[Item]:
     ]  # fmt: skip
     yield Item(turned(profile, (x, y, z), 0.3, 40), f.paint("fruit_bowl", (0.76, 0.76, 0.73), 0.12, 0.45, 330), 0.3)
     h = y + 0.045
-    apples = [((x - 0.065, h, z + 0.03), 0.04), ((x + 0.035, h, z + 0.06), 0.039), ((x - 0.01, h + 0.058, z + 0.012), 0.039)]
-    reds = [((0.5, 0.04, 0.03), (0.6, 0.2, 0.06)), ((0.46, 0.05, 0.03), (0.56, 0.34, 0.08)), ((0.36, 0.5, 0.08), (0.5, 0.52, 0.12))]
+    apples = [
+        ((x - 0.065, h, z + 0.03), 0.04),
+        ((x + 0.035, h, z + 0.06), 0.039),
+        ((x - 0.01, h + 0.058, z + 0.012), 0.039),
+    ]
+    reds = [
+        ((0.5, 0.04, 0.03), (0.6, 0.2, 0.06)),
+        ((0.46, 0.05, 0.03), (0.56, 0.34, 0.08)),
+        ((0.36, 0.5, 0.08), (0.5, 0.52, 0.12)),
+    ]
     for i, ((at, r), (one, other)) in enumerate(zip(apples, reds, strict=True)):
         yield Item(_apple(at, r), f.skin(f"apple_{i + 1}", one, other, 0.2, 0.5, 332 + 2 * i), 0.25)
     oranges = [(x - 0.03, h, z - 0.055), (x + 0.066, h + 0.003, z - 0.02)]
     for i, at in enumerate(oranges):
-        yield Item(ball(at, 0.041, 0.2, 14, 26), f.skin(f"orange_{i + 1}", (0.68, 0.24, 0.02), (0.74, 0.33, 0.04), 0.3, 0.55, 340 + 2 * i), 0.25)
-    lemon = tube([(-0.052, 0, 0), (-0.045, 0, 0), (-0.033, 0, 0), (-0.015, 0, 0), (0.01, 0, 0), (0.03, 0, 0), (0.043, 0, 0), (0.051, 0, 0)], [0.004, 0.01, 0.024, 0.032, 0.032, 0.024, 0.01, 0.004], 20)
+        yield Item(
+            ball(at, 0.041, 0.2, 14, 26),
+            f.skin(f"orange_{i + 1}", (0.68, 0.24, 0.02), (0.74, 0.33, 0.04), 0.3, 0.55, 340 + 2 * i),
+            0.25,
+        )
+    lemon = tube(
+        [
+            (-0.052, 0, 0),
+            (-0.045, 0, 0),
+            (-0.033, 0, 0),
+            (-0.015, 0, 0),
+            (0.01, 0, 0),
+            (0.03, 0, 0),
+            (0.043, 0, 0),
+            (0.051, 0, 0),
+        ],
+        [0.004, 0.01, 0.024, 0.032, 0.032, 0.024, 0.01, 0.004],
+        20,
+    )
     placed = moved(rotated(lemon, 35.0, (0, 0, 0)), (x + 0.04, h + 0.052, z - 0.05))
     yield Item(placed, f.skin("lemon", (0.72, 0.56, 0.05), (0.76, 0.64, 0.12), 0.3, 0.55, 344), 0.2)
     bananas = []
@@ -82,15 +136,33 @@ def fruit() -> Iterator[Item]:
         arc = [0.55 + 1.9 * j / 12 for j in range(13)]
         path = [(0.1 * math.cos(a), 0.1 * math.sin(a) - 0.06 + 0.004 * k, 0.0) for a in arc]
         radii = [0.006, 0.011, 0.016, 0.018, 0.0185, 0.019, 0.019, 0.0185, 0.018, 0.016, 0.012, 0.007, 0.006]
-        bananas.append(moved(rotated(tube(path, radii, 14), 30.0 + 14.0 * k, (0.0, 0.0, 0.0)), (x - 0.04 - 0.01 * k, h + 0.037, z + 0.075 + 0.029 * k - 0.06)))
+        bananas.append(
+            moved(
+                rotated(tube(path, radii, 14), 30.0 + 14.0 * k, (0.0, 0.0, 0.0)),
+                (x - 0.04 - 0.01 * k, h + 0.037, z + 0.075 + 0.029 * k - 0.06),
+            )
+        )
     yield Item(join(*bananas), f.skin("bananas", (0.7, 0.52, 0.06), (0.76, 0.6, 0.14), 0.4, 0.65, 346), 0.25)
 
 
 def _apple(at: Point, radius: float) -> Solid:
     """An apple with its dimple and stalk, ``radius`` at its widest."""
-    profile = [(0.0, -0.82), (0.3, -0.88), (0.62, -0.72), (0.88, -0.35), (1.0, 0.1), (0.93, 0.5), (0.7, 0.8), (0.38, 0.88), (0.14, 0.74), (0.0, 0.62)]
+    profile = [
+        (0.0, -0.82),
+        (0.3, -0.88),
+        (0.62, -0.72),
+        (0.88, -0.35),
+        (1.0, 0.1),
+        (0.93, 0.5),
+        (0.7, 0.8),
+        (0.38, 0.88),
+        (0.14, 0.74),
+        (0.0, 0.62),
+    ]
     body = turned([(radius * a, radius * b) for a, b in profile], at, 0.25, 26)
-    stalk = tube([(at[0], at[1] + 0.6 * radius, at[2]), (at[0] + 0.1 * radius, at[1] + 1.15 * radius, at[2])], 0.0022, 6)
+    stalk = tube(
+        [(at[0], at[1] + 0.6 * radius, at[2]), (at[0] + 0.1 * radius, at[1] + 1.15 * radius, at[2])], 0.0022, 6
+    )
     return join(body, stalk)
 
 
@@ -98,14 +170,26 @@ def on_table() -> Iterator[Item]:
     """A cloth over the table's edge, a plate with a mug beside it, a jug."""
     yield Item(_runner(), f.cloth("cloth", (0.74, 0.7, 0.62), (0.52, 0.1, 0.09), 350, 3), 0.27)
     y = TABLE - SINK
-    yield Item(cup((-0.1, y, 0.6), 0.075, 0.125, 0.018, 0.01, 0.25, 36), f.paint("plate", (0.74, 0.72, 0.66), 0.13, 0.4, 352), 0.25)
-    yield Item(rotated(mug((-0.12, y, 0.3), 0.042, 0.095), 130.0, (-0.12, 0.0, 0.3)), f.paint("mug", (0.16, 0.32, 0.46), 0.14, 0.5, 354), 0.2)
+    yield Item(
+        cup((-0.1, y, 0.6), 0.075, 0.125, 0.018, 0.01, 0.25, 36),
+        f.paint("plate", (0.74, 0.72, 0.66), 0.13, 0.4, 352),
+        0.25,
+    )
+    yield Item(
+        rotated(mug((-0.12, y, 0.3), 0.042, 0.095), 130.0, (-0.12, 0.0, 0.3)),
+        f.paint("mug", (0.16, 0.32, 0.46), 0.14, 0.5, 354),
+        0.2,
+    )
     profile = [
-        (0.0, 0.0), (0.05, 0.0), (0.07, 0.03), (0.075, 0.08), (0.055, 0.14), (0.045, 0.18), (0.055, 0.215), (0.048, 0.215),
+        (0.0, 0.0), (0.05, 0.0), (0.07, 0.03), (0.075, 0.08), (0.055, 0.14), (0.045, 0.18), (0.055, 0.215),
+        (0.048, 0.215),
         (0.038, 0.18), (0.047, 0.14), (0.066, 0.08), (0.06, 0.03), (0.0, 0.02),
     ]  # fmt: skip
     x, z = 0.78, 0.32
-    ear = [(x + 0.05 + 0.045 * math.sin(a), y + 0.13 - 0.065 * math.cos(a), z) for a in [math.pi * k / 10 for k in range(11)]]
+    ear = [
+        (x + 0.05 + 0.045 * math.sin(a), y + 0.13 - 0.065 * math.cos(a), z)
+        for a in [math.pi * k / 10 for k in range(11)]
+    ]
     jug = rotated(join(turned(profile, (x, y, z), 0.3, 32), tube(ear, 0.008, 10)), -30.0, (x, 0.0, z))
     yield Item(jug, f.paint("jug", (0.66, 0.62, 0.5), 0.14, 0.5, 356), 0.3)
 
@@ -114,7 +198,14 @@ def _runner() -> Solid:
     """A cloth that lies on the table, rumpled, and falls over its front edge in folds."""
     (_, _), (_, z1) = LOW, HIGH
     lines = []
-    fall = [(0.24, z1 + 0.022), (0.18, z1 + 0.021), (0.11, z1 + 0.018), (0.05, z1 + 0.013), (0.015, z1 + 0.009), (0.0, z1 - 0.004)]
+    fall = [
+        (0.24, z1 + 0.022),
+        (0.18, z1 + 0.021),
+        (0.11, z1 + 0.018),
+        (0.05, z1 + 0.013),
+        (0.015, z1 + 0.009),
+        (0.0, z1 - 0.004),
+    ]
     flat = [(-0.0, z1 - 0.02 - 0.045 * k) for k in range(1, 9)]
     for n, (drop, z) in enumerate(fall + flat):
         row = []
@@ -128,77 +219,7 @@ def _runner() -> Solid:
     return draped(lines, 0.005)
 
 
-def dresser() -> Iterator[Item]:
-    """A dresser at the front wall, what stands on it, and a picture above."""
-    oak = f.boards("dresser", (0.28, 0.16, 0.08), (0.48, 0.3, 0.17), 0.25, 0.6, 360, 6, 1, (256, 256), 0.0)
-    yield Item(box((-0.8, -SINK, 1.32), (0.9, 0.84, 1.702)), oak, 0.8)
-    top = swapped(bevelled((-0.83, 0.838, 1.29), (0.93, 0.87, 1.702), 0.008, 2))
-    yield Item(top, f.boards("dresser_top", (0.3, 0.17, 0.085), (0.5, 0.32, 0.18), 0.18, 0.6, 362, 4, 1, (256, 256), 0.02), 0.8)
-    handles = []
-    for i in range(3):
-        x0 = -0.78 + 0.553 * i
-        front = panelled((x0, x0 + 0.553), (0.06, 0.82), 0.0)
-        centre = (x0 + 0.2765, 0.0, 0.0)
-        placed = moved(rotated(front, 180.0, centre), (0.0, 0.0, 1.32))
-        yield Item(placed, f.boards(f"dresser_door_{i + 1}", (0.28, 0.16, 0.08), (0.48, 0.3, 0.17), 0.22, 0.6, 364 + 7 * i, 5, 1, (256, 128), 0.0), 0.6)
-        handles.append(moved(rotated(pull(x0 + 0.2765, 0.785, 0.022), 180.0, centre), (0.0, 0.0, 1.32)))
-    yield Item(join(*handles), f.material("dresser_handles", (0.1, 0.09, 0.08), 0.3))
-    y = 0.868
-    yield Item(jar((-0.6, y, 1.5), 0.07, 0.24, 0.2), f.paint("dresser_jar", (0.5, 0.24, 0.14), 0.2, 0.6, 386), 0.3)
-    vase = turned([(0.0, 0.0), (0.05, 0.0), (0.09, 0.08), (0.085, 0.15), (0.035, 0.23), (0.04, 0.27), (0.0, 0.262)], (0.55, y, 1.5), 0.3, 32)
-    yield Item(vase, f.paint("vase", (0.22, 0.4, 0.38), 0.14, 0.5, 388), 0.3)
-    books = [bevelled((-0.25 + 0.05 * i, y, 1.45), (-0.207 + 0.05 * i, y + 0.2 + 0.02 * (i % 3), 1.62), 0.003) for i in range(5)]
-    colours = [(0.5, 0.14, 0.1), (0.14, 0.24, 0.4), (0.66, 0.58, 0.4), (0.16, 0.32, 0.2), (0.56, 0.38, 0.12)]
-    for i, (solid, colour) in enumerate(zip(books, colours, strict=True)):
-        yield Item(solid, f.paint(f"book_{i + 1}", colour, 0.35, 0.75, 390 + 2 * i), 0.3)
-    frame = [
-        bevelled((-0.3, 1.3, 1.665), (0.5, 1.34, 1.702)), bevelled((-0.3, 1.86, 1.665), (0.5, 1.9, 1.702)),
-        bevelled((-0.3, 1.335, 1.666), (-0.26, 1.865, 1.702)), bevelled((0.46, 1.335, 1.666), (0.5, 1.865, 1.702)),
-    ]  # fmt: skip
-    yield Item(join(*frame), f.paint("picture_frame", (0.3, 0.17, 0.08), 0.25, 0.6, 402), 0.4)
-    yield Item(box((-0.28, 1.32, 1.685), (0.48, 1.88, 1.702)), _landscape(), 1.0)
-
-
-def _landscape() -> f.Material:
-    """A painting of hills below a sky."""
-    u, v = f.grid(128, 128)
-    across, up = (0.5 - u) * 1.0 * np.ones_like(v), v * np.ones_like(u)
-    sky = np.array((0.5, 0.6, 0.68)) + np.array((0.2, 0.1, -0.1)) * np.exp(-((up - 0.6) ** 2) / 0.02)[..., None]
-    albedo = sky
-    for k, colour in enumerate([(0.34, 0.44, 0.46), (0.3, 0.4, 0.2), (0.5, 0.44, 0.16)]):
-        ridge = 0.62 - 0.1 * k + 0.05 * np.sin(2 * np.pi * ((2 + k) * across + 0.3 * k))
-        inside = 1.0 / (1.0 + np.exp(120.0 * (up - ridge)))
-        albedo = albedo + (np.array(colour) - albedo) * inside[..., None]
-    return f.material("picture", albedo, 0.4 + 0.2 * f.patches(404, u, v))
-
-
-def on_walls() -> Iterator[Item]:
-    """A clock and a shelf with jars on the right wall, an apron beside the door."""
-    clock = turned([(0.0, 0.0), (0.15, 0.0), (0.15, 0.03), (0.13, 0.035), (0.128, 0.022), (0.0, 0.022)], (0.0, 0.0, 0.0), 0.4, 40)
-    at = (1.99, 1.75, 0.1)
-    face = tilted(clock, 90.0, 2, (0.0, 0.0, 0.0))
-    yield Item(moved(face, (2.001, at[1], at[2])), f.paint("clock", (0.74, 0.72, 0.66), 0.2, 0.5, 410), 0.4)
-    x = 1.972
-    hands = [bevelled((x - 0.006, at[1] - 0.015, at[2] - 0.006), (x, at[1] + 0.075, at[2] + 0.006), 0.002)]
-    hands.append(tilted(bevelled((x - 0.009, at[1] - 0.015, at[2] - 0.004), (x - 0.004, at[1] + 0.105, at[2] + 0.004), 0.002), 110.0, 0, (x, at[1], at[2])))
-    hands += [tilted(box((x - 0.004, at[1] + 0.1, at[2] - 0.004), (x + 0.01, at[1] + 0.12, at[2] + 0.004)), 30.0 * k, 0, (x, at[1], at[2])) for k in range(12)]
-    yield Item(join(*hands), f.material("clock_hands", (0.05, 0.05, 0.05), 0.4))
-    oak = f.boards("side_shelf", (0.34, 0.2, 0.1), (0.54, 0.36, 0.2), 0.3, 0.65, 412, 1, 1, (128, 128), 0.0)
-    yield Item(bevelled((1.8, 1.2, 0.35), (2.002, 1.232, 1.25)), oak, 0.4)
-    for i, (z, r, h, colour) in enumerate([(0.5, 0.06, 0.2, (0.56, 0.5, 0.36)), (0.68, 0.06, 0.16, (0.22, 0.36, 0.3)), (1.05, 0.07, 0.22, (0.52, 0.2, 0.14))]):
-        yield Item(jar((1.9, 1.23, z), r, h, 0.2), f.paint(f"side_jar_{i + 1}", colour, 0.15, 0.55, 414 + 2 * i), 0.25)
-    hooks = [tube([(-1.998, 1.5, z), (-1.95, 1.5, z), (-1.945, 1.53, z)], 0.006, 8) for z in (-0.35, -0.15, 0.05)]
-    yield Item(join(bevelled((-2.002, 1.47, -0.45), (-1.98, 1.55, 0.15)), *hooks), f.paint("hook_rail", (0.4, 0.25, 0.13), 0.3, 0.6, 420), 0.4)
-    lines = []
-    for k, height in enumerate((0.75, 0.9, 1.05, 1.2, 1.35, 1.47)):
-        width = (0.2, 0.2, 0.19, 0.16, 0.09, 0.03)[k]
-        t = np.linspace(-1.0, 1.0, 25)
-        fold = 0.02 * np.sin(7.0 * t + 0.4 * k) * (1.0 - k / 6.0)
-        lines.append([(-1.95 + float(w), height, -0.15 - width * float(s)) for s, w in zip(t, fold, strict=True)])
-    yield Item(draped(lines), f.cloth("apron", (0.56, 0.58, 0.6), (0.2, 0.26, 0.36), 422, 5, checked=False), 0.4)
-
-
 def furniture() -> Iterator[Item]:
     """Everything in this file."""
-    for part in (table, chairs, fruit, on_table, dresser, on_walls):
+    for part in (table, chairs, fruit, on_table):
         yield from part()

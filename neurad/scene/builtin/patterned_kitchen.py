@@ -1,5 +1,5 @@
-"""The built-in patterned kitchen: a closed room of some tens of objects, every surface of them patterned, lit by a window
-and a ceiling lamp. Tests and measurements know it by the name ``patterns``.
+"""The built-in patterned kitchen: a closed room of some tens of objects, each of them patterned, lit by a window and a
+ceiling lamp. Tests and measurements know it by the name ``patterns``.
 """
 
 from __future__ import annotations
@@ -55,7 +55,7 @@ TEST: list[tuple[Point, Point]] = [
 
 
 def build_patterns() -> Scene:
-    """The patterned kitchen with the photographs and material maps that are shipped beside this file, where they are there."""
+    """The patterned kitchen with the photographs and material maps that are shipped beside this file."""
     items = [*shell(), *base_units(), *wall_units(), *frames(), *props()]
     materials = [item.material for item in items]
     meshes = [item.solid.mesh(item.material.name, i, item.tile) for i, item in enumerate(items)]

@@ -152,9 +152,16 @@ def curtain(
     for k, height in enumerate(np.linspace(y[0], y[1], 7)):
         t = np.linspace(0.0, 1.0, folds * columns + 1)
         sway = 0.12 * math.sin(1.7 * k)
-        wave = np.sin(2 * np.pi * (folds * t + sway * t * (1 - t))) + 0.25 * np.sin(4 * np.pi * folds * t + 1.0 + 0.3 * k)
+        wave = np.sin(2 * np.pi * (folds * t + sway * t * (1 - t))) + 0.25 * np.sin(
+            4 * np.pi * folds * t + 1.0 + 0.3 * k
+        )
         swing = depth * (1.0 - k / 18.0)
-        lines.append([(float(x[0] + (x[1] - x[0]) * s), float(height), float(z + swing * w)) for s, w in zip(t, wave, strict=True)])
+        lines.append(
+            [
+                (float(x[0] + (x[1] - x[0]) * s), float(height), float(z + swing * w))
+                for s, w in zip(t, wave, strict=True)
+            ]
+        )
     return draped(lines)
 
 

@@ -8,7 +8,7 @@ in turn, leave-one-out residuals instead of a second rendering, the relative los
 voxels or the networks of ``neurad fit``, Adam with the same decays of its moments (weight decay is ours alone) and a
 cosine over the budget.
 
-Tuning of the peer on the built-in patterned kitchen: 60 CPU-seconds on one core each, albedo (roughness) PSNR at the end.
+Tuning of the peer on the built-in patterned kitchen: 60 CPU-seconds on one core each, albedo (roughness) PSNR.
 Unless stated a Laplacian pyramid over 128^3, relative to the photograph, learning rate 0.03, roughness a third of it,
 Adam (0.9, 0.99), depth 6, roulette from 4. ``neurad fit --config patterns.yaml`` had 29.4 (17.9) in the same way.
 
