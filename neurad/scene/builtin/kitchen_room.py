@@ -13,14 +13,18 @@ import numpy as np
 from neurad.core.records import Material
 from neurad.scene.builtin import finishes as f
 from neurad.scene.builtin.plain import room
-from neurad.scene.builtin.rounded import bevelled, curtain, tilted, tube
-from neurad.scene.builtin.shapes import Solid, ball, box, join, quad, turned
+from neurad.scene.builtin.rounded import bevelled, curtain, tube
+from neurad.scene.builtin.shapes import Array, Solid, ball, box, join, quad, rotated, turned
 
 LOW, HIGH = (-2.0, 0.0, -1.7), (2.0, 2.5, 1.7)
 OPENING = ((-0.75, 1.1), (0.25, 2.05))
 """The window's lower left and upper right corner, x and y."""
 OUTSIDE = -1.87
 """Where the view out of the window stands, z."""
+DOORWAY = ((0.35, 0.03), (1.2, 2.05))
+"""The garden door's lower and upper corner, z and y."""
+BEYOND = -2.15
+"""Where the view out of the door stands, x."""
 SINK = 0.002
 """Things stand this much inside what carries them: no coplanar faces, no slits."""
 WARM = (0.74, 0.68, 0.56)
@@ -51,14 +55,16 @@ def shell() -> Iterator[Item]:
     floor = f.boards("floor", (0.22, 0.125, 0.065), (0.46, 0.29, 0.165), 0.24, 0.62, 1, 10, 2, (512, 512), 0.045)
     yield Item(side["floor"], floor, 1.6)
     yield Item(side["ceiling"], f.paint("ceiling", (0.8, 0.79, 0.76), 0.7, 0.85, 10), 2.0)
-    yield Item(side["left"], f.paint("wall_left", WARM, 0.42, 0.8, 12), 1.7)
+    yield Item(_door_wall(), f.paint("wall_left", WARM, 0.42, 0.8, 12), 1.7)
     yield Item(side["right"], f.paint("wall_right", WARM, 0.42, 0.8, 14), 1.7)
     yield Item(side["front"], f.paint("wall_front", (0.36, 0.46, 0.5), 0.4, 0.8, 16), 1.7)
     yield Item(_window_wall(), f.paint("wall_back", WARM, 0.45, 0.8, 18), 1.7)
     yield Item(_reveal(), f.paint("reveal", WHITE, 0.35, 0.6, 20), 0.9)
     ledge = [(LOW[0], HIGH[0], -1.702, -1.688), (LOW[0], HIGH[0], 1.688, 1.702)]
     skirting = [box((a, -SINK, c), (b, 0.09, d)) for a, b, c, d in ledge]
-    skirting += [box((x - 0.014, -SINK, -1.702), (x + 0.014, 0.09, 1.702)) for x in (LOW[0], HIGH[0])]
+    (z0, _), (z1, _) = DOORWAY
+    sides = [(LOW[0], -1.702, z0 - 0.08), (LOW[0], z1 + 0.08, 1.702), (HIGH[0], -1.702, 1.702)]
+    skirting += [box((x - 0.014, -SINK, a), (x + 0.014, 0.09, b)) for x, a, b in sides]
     yield Item(join(*skirting), f.paint("skirting", WHITE, 0.3, 0.6, 22), 0.9)
 
 
@@ -73,16 +79,36 @@ def _window_wall() -> Solid:
     return join(*parts)
 
 
+def _door_wall() -> Solid:
+    """The wall around the doorway, in eight parts that share their corners."""
+    (z0, y0), (z1, y1) = DOORWAY
+    zs, ys = (LOW[2], z0, z1, HIGH[2]), (LOW[1], y0, y1, HIGH[1])
+    parts = [
+        quad((LOW[0], ys[j], zs[i]), (0, ys[j + 1] - ys[j], 0), (0, 0, zs[i + 1] - zs[i]))
+        for i in range(3) for j in range(3) if (i, j) != (1, 1)
+    ]  # fmt: skip
+    return join(*parts)
+
+
 def _reveal() -> Solid:
-    """The four sides of the hole in the wall, facing into it."""
+    """The sides of the two holes in the walls, facing into them."""
     (x0, y0), (x1, y1) = OPENING
     z0, depth = OUTSIDE - 0.02, LOW[2] - OUTSIDE + 0.02
-    return join(
+    hole = [
         quad((x0, y0, z0), (0, y1 - y0, 0), (0, 0, depth)),
         quad((x1, y0, z0), (0, 0, depth), (0, y1 - y0, 0)),
         quad((x0, y0, z0), (0, 0, depth), (x1 - x0, 0, 0)),
         quad((x0, y1, z0), (x1 - x0, 0, 0), (0, 0, depth)),
-    )
+    ]
+    (z0, y0), (z1, y1) = DOORWAY
+    x0, depth = BEYOND - 0.02, LOW[0] - BEYOND + 0.02
+    hole += [
+        quad((x0, y0, z0), (depth, 0, 0), (0, y1 - y0, 0)),
+        quad((x0, y0, z1), (0, y1 - y0, 0), (depth, 0, 0)),
+        quad((x0, y0, z0), (0, 0, z1 - z0), (depth, 0, 0)),
+        quad((x0, y1, z0), (depth, 0, 0), (0, 0, z1 - z0)),
+    ]
+    return join(*hole)
 
 
 def window() -> Iterator[Item]:
@@ -102,8 +128,8 @@ def window() -> Iterator[Item]:
     sill = bevelled((x0 - 0.06, y0 - 0.03, -1.81), (x1 + 0.06, y0 + 0.004, -1.635), 0.008, 2)
     yield Item(sill, f.paint("window_sill", WHITE, 0.2, 0.6, 32), 0.5)
     linen = f.cloth("curtains", (0.74, 0.68, 0.58), (0.55, 0.25, 0.2), 34, 4, checked=False)
-    left = curtain((x0 - 0.1, x0 + 0.14), (y0 + 0.03, 2.19), -1.645, 4, 0.022)
-    right = curtain((x1 - 0.14, x1 + 0.1), (y0 + 0.03, 2.19), -1.645, 4, 0.022)
+    left = curtain((x0 - 0.1, x0 + 0.14), (y0 + 0.03, 2.19), -1.645, 4, 0.018)
+    right = curtain((x1 - 0.14, x1 + 0.1), (y0 + 0.03, 2.19), -1.645, 4, 0.018)
     yield Item(join(left, right), linen, 0.36)
     rod = tube([(x0 - 0.14, 2.2, -1.645), (x1 + 0.14, 2.2, -1.645)], 0.011)
     ends = [ball((x, 2.2, -1.645), 0.022, 0.2, 8, 14) for x in (x0 - 0.15, x1 + 0.15)]
@@ -125,26 +151,28 @@ def tiles() -> Iterator[Item]:
 
 
 def door() -> Iterator[Item]:
-    """A panelled door in the left wall, its frame and its handle."""
-    z0, z1, x = 0.35, 1.15, -2.0
-    leaf = [bevelled((x - SINK, 0.004, z0), (x + 0.02, 2.0, z1))]
-    rails = [(0.004, 0.2), (0.85, 1.0), (1.84, 2.0)]
-    leaf += [bevelled((x, y0, z0 + 0.1), (x + 0.034, y1, z1 - 0.1)) for y0, y1 in rails]
-    stiles = [(z0, z0 + 0.11), (0.7, 0.8), (z1 - 0.11, z1)]
-    leaf += [bevelled((x, 0.004, a), (x + 0.0345, 2.0, b)) for a, b in stiles]
-    yield Item(join(*leaf), f.paint("door", WHITE, 0.25, 0.65, 50), 0.8)
-    frame = [
-        bevelled((x - SINK, -SINK, z0 - 0.09), (x + 0.045, 2.1, z0 - 0.003)),
-        bevelled((x - SINK, -SINK, z1 + 0.003), (x + 0.045, 2.1, z1 + 0.09)),
-        bevelled((x - SINK, 2.003, z0 - 0.085), (x + 0.044, 2.099, z1 + 0.085)),
+    """A glazed door to the garden in the left wall, its frame and its handle."""
+    (z0, y0), (z1, y1) = DOORWAY
+    a, b, middle = -2.075, -2.03, 0.5 * (z0 + z1)
+    leaf = [
+        bevelled((a, y0 - SINK, z0 - SINK), (b, y1 + SINK, z0 + 0.09)),
+        bevelled((a, y0 - SINK, z1 - 0.09), (b, y1 + SINK, z1 + SINK)),
+        bevelled((a, y0 - SINK, z0 + 0.08), (b, y0 + 0.28, z1 - 0.08)),
+        bevelled((a, y1 - 0.1, z0 + 0.08), (b, y1 + SINK, z1 - 0.08)),
+        bevelled((a + 0.004, y0 + 0.27, middle - 0.013), (b - 0.004, y1 - 0.09, middle + 0.013)),
     ]
-    yield Item(join(*frame), f.paint("door_frame", WHITE, 0.3, 0.6, 52), 0.8)
-    knob = turned(
-        [(0.0, 0.0), (0.012, 0.0), (0.012, 0.03), (0.026, 0.04), (0.026, 0.055), (0.0, 0.066)], (0, 0, 0), 0.1, 16
-    )
-    at = (x + 0.033, 0.98, z0 + 0.055)
-    placed = Solid(knob.vertices + np.array(at), knob.faces, knob.uvs, knob.normals)
-    yield Item(tilted(placed, -90.0, 2, at), f.material("door_knob", (0.5, 0.36, 0.16), 0.25))
+    leaf += [bevelled((a + 0.005, y, z0 + 0.08), (b - 0.005, y + 0.026, z1 - 0.08)) for y in (0.73, 1.14, 1.55)]
+    yield Item(join(*leaf), f.paint("door", WHITE, 0.25, 0.65, 50), 1.4)
+    x = LOW[0]
+    frame = [
+        bevelled((x - SINK, -SINK, z0 - 0.09), (x + 0.03, y1 + 0.09, z0 - 0.003)),
+        bevelled((x - SINK, -SINK, z1 + 0.003), (x + 0.03, y1 + 0.09, z1 + 0.09)),
+        bevelled((x - SINK, y1 + 0.003, z0 - 0.085), (x + 0.029, y1 + 0.089, z1 + 0.085)),
+    ]
+    yield Item(join(*frame), f.paint("door_frame", WHITE, 0.3, 0.6, 52), 1.4)
+    at = (b - 0.001, 1.0, z0 + 0.045)
+    lever = tube([at, (at[0] + 0.045, at[1], at[2]), (at[0] + 0.05, at[1], at[2] + 0.11)], 0.009, 10)
+    yield Item(lever, f.material("door_handle", (0.5, 0.36, 0.16), 0.25))
 
 
 def pendants() -> Iterator[Item]:
@@ -163,18 +191,26 @@ GLOBE = 1.72
 
 
 def lights() -> Iterator[Light]:
-    """What the window shows, and the two lamps."""
+    """What window and door show, and the two lamps."""
     (x0, y0), (x1, y1) = OPENING
-    left, right, z = x0 - 0.015, x1 + 0.015, OUTSIDE
-    columns = np.linspace(left, right, 13)
-    ridge = 1.36 + 0.05 * np.sin(5.0 * columns + 0.6) + 0.02 * np.sin(17.0 * columns)
-    yield Light("sky", _strip(columns, ridge, np.full(13, y1 + 0.015), z), (5.6, 7.0, 8.6))
-    yield Light("garden", _strip(columns, np.full(13, y0 - 0.015), ridge, z), (1.5, 2.3, 0.8))
+    (z0, v0), (z1, v1) = DOORWAY
+    sky, garden = [], []
+    outlooks = [
+        (np.linspace(x0 - 0.015, x1 + 0.015, 13), y0, y1, OUTSIDE, 0.0),
+        (np.linspace(-z1 - 0.015, -z0 + 0.015, 13), v0, v1, BEYOND, 90.0),
+    ]
+    for across, low, high, depth, degrees in outlooks:
+        ridge = 1.36 + 0.05 * np.sin(5.0 * across + 0.6) + 0.02 * np.sin(17.0 * across)
+        bottom, top = np.full(13, low - 0.015), np.full(13, high + 0.015)
+        sky.append(rotated(_strip(across, ridge, top, depth), degrees, (0.0, 0.0, 0.0)))
+        garden.append(rotated(_strip(across, bottom, ridge, depth), degrees, (0.0, 0.0, 0.0)))
+    yield Light("sky", join(*sky), (5.8, 7.0, 8.2))
+    yield Light("garden", join(*garden), (1.9, 2.5, 1.1))
     globes = [ball((x, GLOBE, w), 0.1, 0.3, 10, 20) for x, w in PENDANTS]
-    yield Light("lamps", join(*globes), (15.0, 11.2, 7.0))
+    yield Light("lamps", join(*globes), (9.0, 6.8, 4.2))
 
 
-def _strip(x: f.Mask, low: f.Mask, high: f.Mask, z: float) -> Solid:
+def _strip(x: Array, low: Array, high: Array, z: float) -> Solid:
     """A flat band between two curves, facing +z."""
     count = len(x)
     depth = np.full(count, z)

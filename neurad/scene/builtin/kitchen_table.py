@@ -94,7 +94,7 @@ def fruit() -> Iterator[Item]:
         (0.0, 0.0), (0.065, 0.0), (0.065, 0.012), (0.11, 0.035), (0.15, 0.085), (0.155, 0.09), (0.15, 0.095),
         (0.143, 0.09), (0.105, 0.045), (0.05, 0.022), (0.0, 0.02),
     ]  # fmt: skip
-    yield Item(turned(profile, (x, y, z), 0.3, 40), f.paint("fruit_bowl", (0.76, 0.76, 0.73), 0.12, 0.45, 330), 0.3)
+    yield Item(turned(profile, (x, y, z), 0.3, 40), f.paint("fruit_bowl", (0.76, 0.76, 0.73), 0.16, 0.45, 330), 0.3)
     h = y + 0.045
     apples = [
         ((x - 0.065, h, z + 0.03), 0.04),
@@ -172,12 +172,12 @@ def on_table() -> Iterator[Item]:
     y = TABLE - SINK
     yield Item(
         cup((-0.1, y, 0.6), 0.075, 0.125, 0.018, 0.01, 0.25, 36),
-        f.paint("plate", (0.74, 0.72, 0.66), 0.13, 0.4, 352),
+        f.paint("plate", (0.74, 0.72, 0.66), 0.16, 0.4, 352),
         0.25,
     )
     yield Item(
         rotated(mug((-0.12, y, 0.3), 0.042, 0.095), 130.0, (-0.12, 0.0, 0.3)),
-        f.paint("mug", (0.16, 0.32, 0.46), 0.14, 0.5, 354),
+        f.paint("mug", (0.16, 0.32, 0.46), 0.17, 0.5, 354),
         0.2,
     )
     profile = [
@@ -191,7 +191,7 @@ def on_table() -> Iterator[Item]:
         for a in [math.pi * k / 10 for k in range(11)]
     ]
     jug = rotated(join(turned(profile, (x, y, z), 0.3, 32), tube(ear, 0.008, 10)), -30.0, (x, 0.0, z))
-    yield Item(jug, f.paint("jug", (0.66, 0.62, 0.5), 0.14, 0.5, 356), 0.3)
+    yield Item(jug, f.paint("jug", (0.66, 0.62, 0.5), 0.17, 0.5, 356), 0.3)
 
 
 def _runner() -> Solid:

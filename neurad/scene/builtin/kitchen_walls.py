@@ -54,7 +54,7 @@ def dresser() -> Iterator[Item]:
         0.3,
         32,
     )
-    yield Item(vase, f.paint("vase", (0.22, 0.4, 0.38), 0.14, 0.5, 388), 0.3)
+    yield Item(vase, f.paint("vase", (0.22, 0.4, 0.38), 0.17, 0.5, 388), 0.3)
     books = [
         bevelled((-0.25 + 0.05 * i, y, 1.45), (-0.207 + 0.05 * i, y + 0.2 + 0.02 * (i % 3), 1.62), 0.003)
         for i in range(5)
@@ -133,7 +133,7 @@ def on_walls() -> Iterator[Item]:
         t = np.linspace(-1.0, 1.0, 25)
         fold = 0.02 * np.sin(7.0 * t + 0.4 * k) * (1.0 - k / 6.0)
         lines.append([(-1.95 + float(w), height, -0.15 - width * float(s)) for s, w in zip(t, fold, strict=True)])
-    yield Item(draped(lines), f.cloth("apron", (0.56, 0.58, 0.6), (0.2, 0.26, 0.36), 422, 5, checked=False), 0.4)
+    yield Item(draped(lines, 0.003), f.cloth("apron", (0.56, 0.58, 0.6), (0.2, 0.26, 0.36), 422, 5, checked=False), 0.4)
 
 
 def walls() -> Iterator[Item]:

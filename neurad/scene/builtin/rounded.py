@@ -73,8 +73,9 @@ def tube(path: Sequence[Point], radius: float | Sequence[float], sides: int = 10
     angle = 2 * np.pi * np.arange(sides + 1) / sides
     angle[-1] = 0.0  # the seam closes exactly
     rings, normals, uvs, length = [], [], [], 0.0
+    across = across - along[0] * float(across @ along[0])
     for k, (p, t) in enumerate(zip(points, along, strict=True)):
-        across = across - t * float(across @ t)
+        across = _carried(across, along[max(k - 1, 0)], t)
         across /= np.linalg.norm(across)
         other = np.cross(t, across)
         outward = np.cos(angle)[:, None] * across + np.sin(angle)[:, None] * other
@@ -85,6 +86,13 @@ def tube(path: Sequence[Point], radius: float | Sequence[float], sides: int = 10
         uvs.append(np.stack((around, np.full(sides + 1, length)), axis=1))
     hull = _loft(rings, normals, uvs)
     return join(hull, _cap(rings[0][:-1], -along[0]), _cap(rings[-1][:-1], along[-1]))
+
+
+def _carried(vector: Array, before: Array, after: Array) -> Array:
+    """``vector`` turned as unit direction ``before`` turns into ``after``, which is not its opposite."""
+    axis, cosine = np.cross(before, after), float(before @ after)
+    carried: Array = vector * cosine + np.cross(axis, vector) + axis * float(axis @ vector) / (1.0 + cosine)
+    return carried
 
 
 def _loft(rings: Sequence[Array], normals: Sequence[Array], uvs: Sequence[Array]) -> Solid:
@@ -125,8 +133,8 @@ def draped(lines: Sequence[Sequence[Point]], thickness: float = 0.006) -> Solid:
     back = front - thickness * normal
     parts = [_loft(list(front), list(normal), list(uv)), _loft(list(back[::-1]), list(-normal[::-1]), list(uv[::-1]))]
     edges = [
-        (front[0], back[0], uv[0]), (back[-1], front[-1], uv[-1]),
-        (back[:, 0], front[:, 0], uv[:, 0]), (front[:, -1], back[:, -1], uv[:, -1]),
+        (back[0], front[0], uv[0]), (front[-1], back[-1], uv[-1]),
+        (front[:, 0], back[:, 0], uv[:, 0]), (back[:, -1], front[:, -1], uv[:, -1]),
     ]  # fmt: skip
     for one, other, at in edges:
         out = np.cross(np.gradient(one, axis=0), other - one)
@@ -136,7 +144,7 @@ def draped(lines: Sequence[Sequence[Point]], thickness: float = 0.006) -> Solid:
 
 
 def curtain(
-    x: tuple[float, float], y: tuple[float, float], z: float, folds: int, depth: float, columns: int = 8
+    x: tuple[float, float], y: tuple[float, float], z: float, folds: int, depth: float, columns: int = 12
 ) -> Solid:
     """A curtain across ``x`` that hangs in folds, from ``y[1]`` down to ``y[0]``, its front towards +z.
 
@@ -162,7 +170,7 @@ def curtain(
                 for s, w in zip(t, wave, strict=True)
             ]
         )
-    return draped(lines)
+    return draped(lines, 0.002)
 
 
 def swapped(solid: Solid) -> Solid:
