@@ -160,7 +160,7 @@ def curtain(
     for k, height in enumerate(np.linspace(y[0], y[1], 7)):
         t = np.linspace(0.0, 1.0, folds * columns + 1)
         sway = 0.12 * math.sin(1.7 * k)
-        wave = np.sin(2 * np.pi * (folds * t + sway * t * (1 - t))) + 0.25 * np.sin(
+        wave = np.sin(2 * np.pi * (folds * t + sway * t * (1 - t))) + 0.15 * np.sin(
             4 * np.pi * folds * t + 1.0 + 0.3 * k
         )
         swing = depth * (1.0 - k / 18.0)
