@@ -178,7 +178,7 @@ def test_kitchen_is_made_of_known_and_unknown_things():
     assert kinds.pop("tap") == ConductorModel()
     assert set(kinds.values()) == {PrincipledModel()}
     assert {"floor", "tiles", "worktop", "curtains", "wall_back", "fruit_bowl", "apple_1", "table_top"} <= set(kinds)
-    assert [m.name for m in scene.meshes if m.radiance is not None] == ["sky", "garden", "lamps"]
+    assert [m.name for m in scene.meshes if m.radiance is not None] == ["skylight", "sky", "garden", "lamps"]
     assert {(v.camera.width, v.camera.height) for v in scene.train + scene.test} == {(256, 256)}
     files = [f for f in (DATA / "kitchen").rglob("*") if f.is_file()]
     assert sum(f.stat().st_size for f in files) < 8e6

@@ -1,4 +1,4 @@
-"""The built-in kitchen: a room as people live in, lit by a window and two lamps over the table.
+"""The built-in kitchen: a room as people live in, lit by windows in its roof and its wall, a garden door and two lamps.
 
 Of its surfaces all but one are unknown; the tap is a smooth metal, which is known. Their roughness comes from varnish,
 glaze and wear, and does not follow their colour.
@@ -13,7 +13,7 @@ import numpy as np
 from neurad.core.records import Constant, Material
 from neurad.core.reflection import PrincipledModel
 from neurad.scene.builtin.kitchen_crockery import crockery
-from neurad.scene.builtin.kitchen_room import Item, door, lights, pendants, shell, tiles, window
+from neurad.scene.builtin.kitchen_room import Item, door, lights, pendants, shell, skylight, tiles, window
 from neurad.scene.builtin.kitchen_table import furniture
 from neurad.scene.builtin.kitchen_units import units
 from neurad.scene.builtin.kitchen_walls import walls
@@ -72,7 +72,7 @@ def build_kitchen() -> Scene:
 
 def _items() -> Iterator[Item]:
     """All that does not send light."""
-    for part in (shell, window, tiles, door, pendants, units, crockery, furniture, walls):
+    for part in (shell, window, skylight, tiles, door, pendants, units, crockery, furniture, walls):
         yield from part()
 
 

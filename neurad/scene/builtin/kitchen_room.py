@@ -23,6 +23,8 @@ OUTSIDE = -1.87
 """Where the view out of the window stands, z."""
 DOORWAY = ((0.35, 0.03), (1.2, 2.05))
 """The garden door's lower and upper corner, z and y."""
+ROOF = ((-0.5, -0.8), (1.1, 0.2))
+"""Two corners of the window in the ceiling, x and z."""
 BEYOND = -2.15
 """Where the view out of the door stands, x."""
 SINK = 0.002
@@ -137,6 +139,24 @@ def window() -> Iterator[Item]:
     yield Item(join(rod, *ends, *holders), f.material("curtain_rod", (0.07, 0.065, 0.06), 0.4))
 
 
+def skylight() -> Iterator[Item]:
+    """Frame and glazing bars of the window in the ceiling."""
+    (x0, z0), (x1, z1) = ROOF
+    low, high, wide = 2.462, 2.502, 0.06
+    bars = [
+        bevelled((x0 - wide, low, z0 - wide), (x1 + wide, high, z0 + 0.003)),
+        bevelled((x0 - wide, low, z1 - 0.003), (x1 + wide, high, z1 + wide)),
+        bevelled((x0 - wide, low + 0.0005, z0 - 0.003), (x0 + 0.003, high, z1 + 0.003)),
+        bevelled((x1 - 0.003, low + 0.0005, z0 - 0.003), (x1 + wide, high, z1 + 0.003)),
+    ]
+    third = (x1 - x0) / 3
+    bars += [
+        bevelled((x - 0.015, low + 0.004, z0 - 0.003), (x + 0.015, 2.4925, z1 + 0.003))
+        for x in (x0 + third, x1 - third)
+    ]
+    yield Item(join(*bars), f.paint("skylight_frame", WHITE, 0.3, 0.6, 60), 1.4)
+
+
 def tiles() -> Iterator[Item]:
     """Glazed tiles between worktop and shelves, left out where the window is."""
     glazed = f.tiling("tiles", (0.66, 0.67, 0.62), (0.36, 0.34, 0.31), 0.15, 0.55, 40)
@@ -191,7 +211,9 @@ GLOBE = 1.72
 
 
 def lights() -> Iterator[Light]:
-    """What window and door show, and the two lamps."""
+    """A window in the roof, which gives most of the light, what window and door show, and the two lamps."""
+    (x0, z0), (x1, z1) = ROOF
+    yield Light("skylight", quad((x0, 2.492, z0), (x1 - x0, 0, 0), (0, 0, z1 - z0)), (6.2, 6.9, 7.6))
     (x0, y0), (x1, y1) = OPENING
     (z0, v0), (z1, v1) = DOORWAY
     sky, garden = [], []
@@ -204,10 +226,10 @@ def lights() -> Iterator[Light]:
         bottom, top = np.full(13, low - 0.015), np.full(13, high + 0.015)
         sky.append(rotated(_strip(across, ridge, top, depth), degrees, (0.0, 0.0, 0.0)))
         garden.append(rotated(_strip(across, bottom, ridge, depth), degrees, (0.0, 0.0, 0.0)))
-    yield Light("sky", join(*sky), (5.8, 7.0, 8.2))
-    yield Light("garden", join(*garden), (1.9, 2.5, 1.1))
+    yield Light("sky", join(*sky), (2.7, 3.2, 3.7))
+    yield Light("garden", join(*garden), (1.0, 1.35, 0.6))
     globes = [ball((x, GLOBE, w), 0.1, 0.3, 10, 20) for x, w in PENDANTS]
-    yield Light("lamps", join(*globes), (9.0, 6.8, 4.2))
+    yield Light("lamps", join(*globes), (3.4, 2.6, 1.7))
 
 
 def _strip(x: Array, low: Array, high: Array, z: float) -> Solid:
