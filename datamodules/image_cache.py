@@ -80,6 +80,7 @@ class ImageCache:
         seed: of the order.
         rank: of the process; each has an order of its own.
         with_blurred: keep the photographs' means over 5 x 5 pixels too, and add them to batches.
+        validation: fraction of the pixels that is never drawn.
     """
 
     def __init__(
@@ -93,8 +94,10 @@ class ImageCache:
         seed: int,
         rank: int,
         with_blurred: bool = False,
+        validation: float = 0.0,
     ) -> None:
         self.seed = seed
+        self.validation = validation
         order = torch.randperm(len(views), generator=Stream(seed, rank, _ORDER).generator)
         self.order = [views[i] for i in order.tolist()]
         self.count = min(count, len(views))
@@ -172,10 +175,12 @@ class ImageCache:
             self._blurred[slot, : len(means)] = means
         size, patch = self.sizes[view], self.patch_size
         if pixels.shape[1] < 4 and len(set(self.sizes)) == 1:
-            self._sampler = self._sampler or PatchSampler.build([size] * self.count, patch, None, self.seed)
+            self._sampler = self._sampler or PatchSampler.build(
+                [size] * self.count, patch, None, self.seed, self.validation
+            )
             return
         alpha = pixels[None, :, 3] if pixels.shape[1] == 4 else None
-        found = PatchSampler.build([size], patch, alpha, self.seed).corners
+        found = PatchSampler.build([size], patch, alpha, self.seed, self.validation).corners
         if self._sampler is None:
             self._corners = torch.empty(self.count, self._most, dtype=torch.int32)
             slots, ones = torch.arange(self.count), torch.ones(self.count, dtype=torch.int64)

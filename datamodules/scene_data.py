@@ -16,7 +16,7 @@ from datamodules.fireflies import Fireflies, spread_fireflies
 from datamodules.image_cache import ImageCache, checksum, dataset_stats
 from datamodules.pixels import blurred, multiplier_at
 from neurad.core.errors import InputError
-from neurad.core.patch_sampler import PatchSampler
+from neurad.core.patch_sampler import PatchSampler, validation_pixels
 from neurad.core.protocols import PhotoSource
 from neurad.core.ranges import Count, CountOrZero, Range, Seed, checked
 from neurad.core.records import DatasetStats, PixelBatch, View
@@ -26,6 +26,9 @@ from neurad.scene.image_io import read_mask, read_photograph
 from neurad.scene.load import load_scene
 from neurad.scene.numbers import check_bright
 from neurad.scene.readers.nerf import HOLD_OUT
+
+VALIDATION_PIXELS = 1 << 14
+"""Most training pixels that are never drawn."""
 
 
 class SceneData(pl.LightningDataModule, PhotoSource):
@@ -46,9 +49,12 @@ class SceneData(pl.LightningDataModule, PhotoSource):
             keeps all in memory.
         replace_every: iterations after which one of them is replaced, if not all are in memory.
         hold_out: every so many-th photograph is held out where the camera file does not say which; 0 for none.
+        validation_pixels: fraction of the training pixels that are never drawn, 16384 of them at most: their loss says
+            how much of each level of the fields is noise of the photographs. For single pixels.
 
     Raises:
-        InputError: a number is out of range, ``pixel_multiplier`` no power of two, or ``hold_out`` is 1.
+        InputError: a number is out of range, ``pixel_multiplier`` no power of two, ``hold_out`` is 1, or
+            ``validation_pixels`` are given for patches.
     """
 
     def __init__(
@@ -62,12 +68,17 @@ class SceneData(pl.LightningDataModule, PhotoSource):
         resident: Count | None = None,
         replace_every: Count = 16,
         hold_out: CountOrZero = HOLD_OUT,
+        validation_pixels: Annotated[float, Range(0.0, 0.5)] = 0.0,
     ) -> None:
         super().__init__()
         if pixel_multiplier & (pixel_multiplier - 1):
             raise InputError(f"--data.pixel_multiplier: {pixel_multiplier} is not a power of two")
         if hold_out == 1:
             raise InputError("--data.hold_out: 1 would hold out every photograph and leave none to learn from")
+        if validation_pixels > 0 and patch_size > 1:
+            raise InputError(
+                f"--data.validation_pixels: it needs single pixels, --data.patch_size 1 instead of {patch_size}"
+            )
         self.root = root
         self.scene_name = scene
         self.patches = patches
@@ -77,6 +88,7 @@ class SceneData(pl.LightningDataModule, PhotoSource):
         self.resident = resident
         self.replace_every = replace_every
         self.hold_out = hold_out
+        self.validation_pixels = validation_pixels
         checked(self)
         self._with_blurred = False
         self._spread: tuple[list[Tensor], Fireflies] | None = None
@@ -303,7 +315,7 @@ class SceneData(pl.LightningDataModule, PhotoSource):
             views = (self._stats or self.dataset_stats()).foreground
             cache = self._cache = ImageCache(
                 self._streamed_spread, views, self._sizes, self.resident or 1, self.replace_every,
-                self.patch_size, self.seed, rank, self._with_blurred,
+                self.patch_size, self.seed, rank, self._with_blurred, self._validation,
             )  # fmt: skip
         cache.move(iteration)
         return cache
@@ -311,9 +323,33 @@ class SceneData(pl.LightningDataModule, PhotoSource):
     # ---- batches
 
     @cached_property
+    def _validation(self) -> float:
+        """Fraction of the pixels that are never drawn: more than :data:`VALIDATION_PIXELS` would say nothing more."""
+        return min(self.validation_pixels, VALIDATION_PIXELS / max(sum(w * h for w, h in self._sizes), 1))
+
+    def validation_batch(self) -> PixelBatch | None:
+        """Pixels that no batch draws, on the CPU; None where all are drawn."""
+        return self._validation_batch
+
+    @cached_property
+    def _validation_batch(self) -> PixelBatch | None:
+        fraction, parts = self._validation, []
+        read = self._streamed_spread if self.streams else self._resident
+        for index, size in enumerate(self._sizes):
+            pixel = validation_pixels(size, self.seed, fraction)
+            if len(pixel):
+                found = read(index)[pixel]
+                alpha = found[:, 3] if self.has_alpha else torch.ones(len(pixel))
+                parts.append((torch.full_like(pixel, index), pixel, found[:, :3], alpha))
+        if not parts:
+            return None
+        view, pixel, color, alpha = (torch.cat(columns) for columns in zip(*parts, strict=True))
+        return PixelBatch(view, pixel, color, alpha, 0)
+
+    @cached_property
     def _sampler(self) -> PatchSampler:
         """Draws patches of all photographs, where they are in memory."""
-        return PatchSampler.build(self._sizes, self.patch_size, self.alpha, self.seed)
+        return PatchSampler.build(self._sizes, self.patch_size, self.alpha, self.seed, self._validation)
 
     @cached_property
     def _total(self) -> int:

@@ -63,6 +63,6 @@ def run(options: argparse.Namespace) -> None:
     settings = ExportSettings(**{f.name: getattr(options, f.name) for f in fields(ExportSettings)})
     check_out(settings.out, settings.overwrite)
     loaded = load_run(options.ckpt_path, options.root, other_light=False)
-    if found := export(loaded.assembly, loaded.checkpoint, settings):
+    if found := export(loaded.assembly, loaded.checkpoint, settings, loaded.bars):
         print(f"neurad: {settings.out}: {'; '.join(found)}", file=sys.stderr)
         raise SystemExit(1)

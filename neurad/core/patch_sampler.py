@@ -11,7 +11,7 @@ from torch import Tensor
 
 from neurad.core.rng import Stream
 
-_START, _ORDER = 0, 13  # last numbers of the streams' keys; the training step has streams of its own
+_START, _ORDER, _VALIDATION = 0, 13, 17  # last numbers of the streams' keys; the training step has streams of its own
 _MIN_FOREGROUND = 0.5  # of the pixels of a patch
 
 
@@ -42,7 +42,14 @@ class PatchSampler:
     seed: int
 
     @classmethod
-    def build(cls, sizes: Sequence[tuple[int, int]], patch_size: int, alpha: Tensor | None, seed: int) -> Self:
+    def build(
+        cls,
+        sizes: Sequence[tuple[int, int]],
+        patch_size: int,
+        alpha: Tensor | None,
+        seed: int,
+        validation: float = 0.0,
+    ) -> Self:
         """A sampler of the patches that lie inside the photographs.
 
         With alpha these are only the patches of which at least half is foreground (alpha > 0), so that at least half
@@ -54,6 +61,7 @@ class PatchSampler:
             patch_size: side of a patch in pixels, at most that of the smallest photograph.
             alpha: coverage [views, pixels], row by row, those of a smaller photograph first; or None.
             seed: of the order.
+            validation: fraction of the pixels that is never drawn, see :func:`validation_pixels`; for single pixels.
         """
         generator = Stream(seed, _ORDER).generator
         order = torch.randperm(len(sizes), generator=generator)
@@ -62,6 +70,8 @@ class PatchSampler:
             if size not in inside:
                 rows, columns = torch.arange(size[1] - patch_size + 1), torch.arange(size[0] - patch_size + 1)
                 corners = (rows[:, None] * size[0] + columns).flatten()
+                if validation > 0:
+                    corners = corners[~torch.isin(corners, validation_pixels(size, seed, validation))]
                 inside[size] = corners[torch.randperm(len(corners), generator=generator)]
         count = torch.tensor([len(entries) for entries in inside.values()])
         kinds = torch.tensor([list(inside).index(size) for size in sizes])[order]
@@ -111,6 +121,14 @@ class PatchSampler:
         row, column = step.repeat_interleave(self.patch_size), step.repeat(self.patch_size)
         offset = self.width[slot].unsqueeze(1) * row + column  # [patches, patch_size^2]
         return view.repeat_interleave(offset.shape[1]), (corner.unsqueeze(1) + offset).flatten()
+
+
+def validation_pixels(size: tuple[int, int], seed: int, fraction: float) -> Tensor:
+    """Pixels of a photograph of this size that are never drawn, the same ones in all photographs of one size: row-major
+    indices [k], int64, in random order.
+    """
+    pixels = size[0] * size[1]
+    return torch.randperm(pixels, generator=Stream(seed, *size, _VALIDATION).generator)[: round(fraction * pixels)]
 
 
 def _on_foreground(corners: Tensor, alpha: Tensor, size: tuple[int, int], patch_size: int) -> Tensor:

@@ -178,3 +178,7 @@ class PhotoSource(Protocol):
     def batch(self, iteration: int, rank: int = 0) -> PixelBatch:
         """The batch of an iteration in process ``rank``, on the CPU; the same one at every call."""
         ...
+
+    def validation_batch(self) -> PixelBatch | None:
+        """Pixels that no other batch draws, whose noise a fit cannot have learnt; None where all are drawn."""
+        return None

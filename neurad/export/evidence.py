@@ -1,16 +1,22 @@
-"""Which texels some photograph saw: what of a texture is measured, and what is a guess."""
+"""How well texels are known: which ones a photograph saw, and the error bars of what was recovered there."""
 
 from __future__ import annotations
+
+from dataclasses import dataclass
 
 import numpy as np
 import torch
 
+from neurad.core.records import FloatArray, SurfaceInteraction
 from neurad.export import raster_kernels as kernels
 from neurad.export.bake import GUTTER
 from neurad.export.charts import Chart, in_texels
 from neurad.export.images import Bytes
-from neurad.metrics.scores import BoolArray
+from neurad.metrics.bar_maps import bars_at
+from neurad.metrics.error_bars import ErrorBars, ToUnitCube
+from neurad.metrics.scores import BoolArray, IntArray
 from neurad.metrics.seen import SeenBy
+from neurad.scene.geometry import Geometry
 
 COARSER = 4
 """Texels along the side of one of the evidence: it costs a ray for every camera."""
@@ -18,14 +24,26 @@ SEEN, UNSEEN, NOTHING = 255, 96, 0
 """Grey of texels that a training view sees, that none does, and that lie on no surface."""
 
 
+@dataclass(frozen=True)
+class CoarseTexels:
+    """A mesh's texels, :data:`COARSER` times larger, that lie on it or in the gutter."""
+
+    shape: tuple[int, int]
+    """Rows and columns."""
+    lane: IntArray
+    """The texels, row by row [n]."""
+    si: SurfaceInteraction
+    """The points in the middle of them, moved onto the mesh [n]."""
+
+
 @torch.no_grad()
-def evidence(chart: Chart, first: int, seen_by: SeenBy) -> tuple[Bytes, float]:
-    """The picture of a mesh [h, w], and the fraction of its texels that some training view sees.
+def coarse_texels(chart: Chart, first: int, geometry: Geometry) -> CoarseTexels:
+    """The coarse texels of a mesh.
 
     Args:
         chart: the mesh.
-        first: number of its first triangle in the scene.
-        seen_by: the training cameras.
+        first: number of its first triangle in ``geometry``.
+        geometry: of the whole scene.
     """
     height, width = max(chart.height // COARSER, 4), max(chart.width // COARSER, 4)
     corners = in_texels(chart.mesh, width, height)
@@ -38,10 +56,38 @@ def evidence(chart: Chart, first: int, seen_by: SeenBy) -> tuple[Bytes, float]:
     points = chart.mesh.vertices[chart.mesh.faces].astype(np.float64)
     kernels.locate(corners, points, owner.ravel()[lane], x + 0.5, y + 0.5, 0.0, u, v)  # limit 0: on the triangle
     prim = torch.from_numpy(owner.ravel()[lane] + first)
-    geometry = seen_by.geometry
     at_u, at_v = (torch.from_numpy(z).float() for z in (u, v))
     si = geometry.interact_at(prim, at_u, at_v, geometry.face_normal[prim], torch.ones_like(prim, dtype=torch.bool))
-    seen: BoolArray = seen_by.any(si).numpy()
-    picture = np.full(owner.shape, NOTHING, np.uint8)
-    picture.ravel()[lane] = np.where(seen, SEEN, UNSEEN)
+    return CoarseTexels((height, width), lane, si)
+
+
+@torch.no_grad()
+def evidence(texels: CoarseTexels, seen_by: SeenBy) -> tuple[Bytes, float]:
+    """The picture of a mesh [h, w], and the fraction of its texels that some training view sees.
+
+    Args:
+        texels: of the mesh.
+        seen_by: the training cameras.
+    """
+    seen: BoolArray = seen_by.any(texels.si).numpy()
+    picture = np.full(texels.shape, NOTHING, np.uint8)
+    picture.ravel()[texels.lane] = np.where(seen, SEEN, UNSEEN)
     return picture, float(seen.mean()) if len(seen) else 0.0
+
+
+def std_maps(texels: CoarseTexels, bars: ErrorBars, to_cube: ToUnitCube, emits: torch.Tensor) -> dict[str, FloatArray]:
+    """Standard deviations of a mesh: ``albedo`` [h, w, 3] and, where there is one, ``roughness`` [h, w, 1]; 0 on
+    emitters and where nothing lies.
+
+    Args:
+        texels: of the mesh.
+        bars: of the run.
+        to_cube: positions to the unit cube of the fields.
+        emits: whether each triangle of the scene does, bool.
+    """
+    maps = {}
+    for name, std in bars_at(bars, to_cube, texels.si, emits).items():
+        picture = np.zeros((texels.shape[0] * texels.shape[1], std.shape[1]), np.float32)
+        picture[texels.lane] = std
+        maps[name] = picture.reshape(*texels.shape, -1)
+    return maps

@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 import neurad
-from neurad.assembly.build import Assembly
+from neurad.assembly.build import Assembly, FittedMaterials
 from neurad.core.errors import InputError
 from neurad.core.ranges import Count, checked
 from neurad.export import usd
@@ -23,7 +23,7 @@ from neurad.export.base_colour import TARGETS, Target
 from neurad.export.blender import blender_setup_path
 from neurad.export.cameras import NO_LENS, files_of, is_plain, shown_alike, write_views
 from neurad.export.cycles import Blender, find_blender
-from neurad.export.evidence import COARSER, evidence
+from neurad.export.evidence import COARSER, coarse_texels, evidence, std_maps
 from neurad.export.folder import MANIFEST, check_out, check_sources, written_beside
 from neurad.export.gltf import write_glb
 from neurad.export.images import Coded, png
@@ -34,8 +34,13 @@ from neurad.export.report import write_report
 from neurad.export.room import Room
 from neurad.export.verified import Verified
 from neurad.export.verify import verify
+from neurad.metrics.error_bars import ErrorBars
 from neurad.metrics.seen import SeenBy
 from neurad.scene.description import Scene
+from neurad.scene.image_io import write_exr
+from neurad.training.error_bars import to_cube
+
+NO_BARS = "error bars: the run folder has none of this checkpoint; neurad test writes them"
 
 
 @dataclass(frozen=True)
@@ -74,13 +79,14 @@ class ExportSettings:
             raise InputError("--blender: it verifies, which --no-verify leaves out; give one of them")
 
 
-def export(assembly: Assembly, checkpoint: Path, settings: ExportSettings) -> list[str]:
+def export(assembly: Assembly, checkpoint: Path, settings: ExportSettings, bars: ErrorBars | None = None) -> list[str]:
     """Write what a run recovered as a folder that other programs read, and verify it.
 
     Args:
         assembly: of the run, on the CPU.
         checkpoint: where it comes from, for the folder's notes.
         settings: what to write.
+        bars: error bars of the run; None leaves their maps out, and says so.
 
     Returns:
         What the verification found beyond its bounds, in a sentence each; none if all is well.
@@ -96,7 +102,7 @@ def export(assembly: Assembly, checkpoint: Path, settings: ExportSettings) -> li
         room = bake_room(assembly, settings.texels, settings.size, settings.up, bar)
         baked = time.perf_counter()
         with written_beside(settings.out) as folder:
-            notes = write_room(room, assembly, folder, settings, bar)
+            notes = write_room(room, assembly, folder, settings, bar, bars)
             seconds = {"bake": round(baked - start, 2), "write": round(time.perf_counter() - baked, 2)}
             notes |= {"checkpoint": str(checkpoint), "seconds": seconds}
             (folder / MANIFEST).write_text(json.dumps(notes, indent=1) + "\n", encoding="utf-8")
@@ -122,7 +128,9 @@ def _verify(
     return found
 
 
-def write_room(room: Room, assembly: Assembly, folder: Path, settings: ExportSettings, bar: Bar) -> dict[str, Any]:
+def write_room(
+    room: Room, assembly: Assembly, folder: Path, settings: ExportSettings, bar: Bar, bars: ErrorBars | None = None
+) -> dict[str, Any]:
     """Everything but the verification, into ``folder``; returns what ``room.json`` says.
 
     Raises:
@@ -146,7 +154,7 @@ def write_room(room: Room, assembly: Assembly, folder: Path, settings: ExportSet
     if with_usd:
         usd.write_usd(room, folder, settings.target)
     bar.stage("evidence", len(room.names))
-    seen = _write_evidence(room, assembly, folder, bar)
+    seen = _write_evidence(room, assembly, folder, bar, bars)
     missing = write_views(scene, folder, settings.copy)
     (folder / "blender_setup.py").write_bytes(blender_setup_path().read_bytes())
     camera = views[0].camera if views else None
@@ -164,7 +172,7 @@ def write_room(room: Room, assembly: Assembly, folder: Path, settings: ExportSet
         "film": None if camera is None else [camera.width, camera.height],
         "views": {"train": [v.name for v in scene.train], "test": [v.name for v in scene.test]},
         "without_photographs": missing,
-        "left_out": [*([] if with_usd else [usd.MISSING]), *_left_out(scene)],
+        "left_out": [*([] if with_usd else [usd.MISSING]), *([] if bars else [NO_BARS]), *_left_out(scene)],
         "meshes": [_mesh_notes(room, i, seen[i]) for i in range(len(room.names))],
     }
 
@@ -175,9 +183,14 @@ def _left_out(scene: Scene) -> list[str]:
     return [f"{len(bent)} cameras: {NO_LENS}"] if bent else []
 
 
-def _write_evidence(room: Room, assembly: Assembly, folder: Path, bar: Bar) -> list[float | None]:
-    """``evidence/MESH.png``, and what fraction of each mesh's texels a photograph saw."""
+def _write_evidence(
+    room: Room, assembly: Assembly, folder: Path, bar: Bar, bars: ErrorBars | None
+) -> list[float | None]:
+    """``evidence/MESH.png``, ``albedo_std/MESH.exr`` and ``roughness_std/MESH.exr``, and what fraction of each mesh's
+    texels a photograph saw.
+    """
     (folder / "evidence").mkdir()
+    emits = (assembly.world.geometry.emission > 0).any(-1)
     world = assembly.world
     seen_by = SeenBy(world.geometry, world.tracer.tracer, [view.camera for view in room.scene.train])
     found: list[float | None] = []
@@ -186,9 +199,14 @@ def _write_evidence(room: Room, assembly: Assembly, folder: Path, bar: Bar) -> l
         if chart is None:
             found.append(None)
         else:
-            picture, fraction = evidence(chart, first, seen_by)
+            texels = coarse_texels(chart, first, world.geometry)
+            picture, fraction = evidence(texels, seen_by)
             (folder / "evidence" / f"{name}.png").write_bytes(png(picture))
             found.append(round(fraction, 4))
+            if bars is not None and isinstance(assembly.materials, FittedMaterials):
+                for of, std in std_maps(texels, bars, to_cube(assembly.materials), emits).items():
+                    (folder / f"{of}_std").mkdir(exist_ok=True)
+                    write_exr(folder / f"{of}_std" / f"{name}.exr", std)
         first += len(mesh.faces)
         bar.step()
     return found

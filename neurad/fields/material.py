@@ -26,9 +26,13 @@ class _MaterialField(nn.Module):
         self.cube = cube
         self.grid, self.mlp = make_layers(config, channels, extra)
 
-    def _values(self, p: Tensor, *extra: Tensor) -> Tensor:
-        """Sigmoid outputs [n, c] at positions [n, 3], by their features and the ``extra`` inputs [n, k]."""
-        features = self.grid(self.cube(p))
+    def features(self, p: Tensor) -> Tensor:
+        """What the grid says [n, k] at positions [n, 3]: what :meth:`of_features` makes values of."""
+        found: Tensor = self.grid(self.cube(p))
+        return found
+
+    def _values(self, features: Tensor, *extra: Tensor) -> Tensor:
+        """Sigmoid outputs [n, c] of features [n, k] and the ``extra`` inputs [n, e]."""
         return torch.sigmoid(self.mlp(torch.cat((features, *extra), -1) if extra else features))
 
     def _with_known(self, si: SurfaceInteraction, values: Tensor) -> Tensor:
@@ -53,7 +57,11 @@ class AlbedoField(_MaterialField):
 
     def at(self, p: Tensor) -> Tensor:
         """Albedo [n, 3] at positions [n, 3]; outside the bounds as :class:`UnitCube` has it."""
-        return self._values(p)
+        return self.of_features(self.features(p))
+
+    def of_features(self, features: Tensor) -> Tensor:
+        """Albedo [n, 3] where the grid says ``features`` [n, k]."""
+        return self._values(features)
 
     def forward(self, si: SurfaceInteraction) -> Tensor:
         """Albedo [n, 3] at the lanes of ``si``; gradients reach the parameters, not the positions."""
@@ -87,10 +95,14 @@ class RoughnessField(_MaterialField):
         Raises:
             ValueError: the field reads the albedo, and none is given.
         """
+        return self.of_features(self.features(p), albedo)
+
+    def of_features(self, features: Tensor, albedo: Tensor | None = None) -> Tensor:
+        """Roughness [n, 1] where the grid says ``features`` [n, k]; otherwise as :meth:`at`."""
         if self.reads_albedo and albedo is None:
             raise ValueError("RoughnessField: it reads the albedo, which is not given")
         extra = (4.0 * (albedo.detach() - 0.5),) if self.reads_albedo and albedo is not None else ()
-        return MIN_ROUGHNESS + (1.0 - MIN_ROUGHNESS) * self._values(p, *extra)
+        return MIN_ROUGHNESS + (1.0 - MIN_ROUGHNESS) * self._values(features, *extra)
 
     def forward(self, si: SurfaceInteraction, albedo: Tensor | None = None) -> Tensor:
         """Roughness [n, 1] at the lanes of ``si``; gradients reach the parameters, not the positions."""

@@ -22,7 +22,7 @@ SPP = 8
 """Samples a pixel, both halves together: a pixel more says more than a sample more."""
 _GROUPS = 2  # independent groups in a half, as its control variate needs
 _LANES = 1 << 15  # samples in flight: bounds the memory
-_STREAM = 29  # last number of the stream's key
+_STREAM, _GIVEN = 29, 31  # last number of the stream's key
 
 
 @dataclass(frozen=True)
@@ -51,6 +51,8 @@ class PixelDerivatives:
     """Recovered albedo, the mean over the pixel [b, 3]."""
     detail: FloatArray
     """Variance of the recovered albedo within the pixel [b, 3]."""
+    points: FloatArray
+    """Surface points of all samples [b, SPP, 3]."""
 
     def __len__(self) -> int:
         return len(self.p)
@@ -92,25 +94,49 @@ def pixel_derivatives(
     return found if found is not None and len(found) else None
 
 
+def derivatives_of(
+    estimator: Estimator, primary: PrimaryHits, batch: PixelBatch, emitter_mask: Tensor, seed: int, iteration: int
+) -> PixelDerivatives | None:
+    """The same of given pixels, of which those that ``emitter_mask`` covers are left out; None if none is left."""
+    batch = _unmasked(batch, emitter_mask)
+    parts = [
+        _of_batch(estimator, primary, part, Stream(seed, iteration, index, _GIVEN, device=primary.origin.device))
+        for index, part in enumerate(_split([batch]))
+    ]
+    found = PixelDerivatives.join(parts) if parts else None
+    return found if found is not None and len(found) else None
+
+
+def _unmasked(batch: PixelBatch, emitter_mask: Tensor) -> PixelBatch:
+    """The pixels of a batch that show surfaces and no emitter, on the mask's device."""
+    view, pixel, color, alpha = (x.to(emitter_mask.device) for x in (batch.view, batch.pixel, batch.color, batch.alpha))
+    kept = ~emitter_mask[view, pixel] & (alpha > 0)
+    return PixelBatch(view[kept], pixel[kept], color[kept], alpha[kept], 0)
+
+
+def _split(batches: list[PixelBatch]) -> Iterator[PixelBatch]:
+    """Batches joined and cut so that they fit in memory."""
+    names = "view", "pixel", "color", "alpha"
+    joined = [torch.split(torch.cat([getattr(part, name) for part in batches]), _LANES // SPP) for name in names]
+    for columns in zip(*joined, strict=True):
+        if len(columns[0]):
+            yield PixelBatch(columns[0], columns[1], columns[2], columns[3], 0)
+
+
 def _batches(photographs: PhotoSource, emitter_mask: Tensor, first: int, pixels: int) -> Iterator[PixelBatch]:
     """Batches of the photographs from iteration ``first`` on, cut or joined to fit in memory, on the mask's device."""
-    device, taken, iteration = emitter_mask.device, 0, first
+    taken, iteration = 0, first
     waiting: list[PixelBatch] = []
     while taken < pixels:
         batch = photographs.batch(iteration)
         iteration, take = iteration + 1, min(len(batch.view), pixels - taken)
         taken += take
-        view, pixel, color, alpha = (x[:take].to(device) for x in (batch.view, batch.pixel, batch.color, batch.alpha))
-        kept = ~emitter_mask[view, pixel] & (alpha > 0)
-        waiting.append(PixelBatch(view[kept], pixel[kept], color[kept], alpha[kept], 0))
+        view, pixel, color, alpha = (x[:take] for x in (batch.view, batch.pixel, batch.color, batch.alpha))
+        waiting.append(_unmasked(PixelBatch(view, pixel, color, alpha, 0), emitter_mask))
         if taken < pixels and sum(len(part.view) for part in waiting) < _LANES // SPP:
             continue
-        names = "view", "pixel", "color", "alpha"
-        joined = [torch.split(torch.cat([getattr(part, name) for part in waiting]), _LANES // SPP) for name in names]
+        yield from _split(waiting)
         waiting = []
-        for columns in zip(*joined, strict=True):
-            if len(columns[0]):
-                yield PixelBatch(columns[0], columns[1], columns[2], columns[3], 0)
 
 
 @dataclass(frozen=True)
@@ -151,6 +177,7 @@ def _of_batch(estimator: Estimator, primary: PrimaryHits, batch: PixelBatch, str
     whole = {
         "p": p, "area": side * side / cosine.clamp_min(0.1), "odd": odd, "misfit": batch.color - predicted,
         "predicted": predicted, "albedo": albedo.mean(1), "detail": albedo.var(1),
+        "points": torch.cat([half.p for half in halves], 1),
     }  # fmt: skip
     halved = {
         "residual": batch.color - image,

@@ -12,6 +12,8 @@ from contextlib import AbstractContextManager, contextmanager, nullcontext
 import torch
 from torch import Tensor, nn
 
+from neurad.optim.level_factors import LevelFactors
+
 EVERY = 16
 """Iterations between two updates: tables are large, and neighbouring iterations much alike."""
 
@@ -34,6 +36,8 @@ class PolyakAverage(nn.Module):
         self.register_buffer("updates", torch.zeros((), dtype=torch.int64))
         for index, p in enumerate(self._parameters_of):
             self.register_buffer(f"mean_{index}", p.detach().clone())
+        self.levels = LevelFactors(part)
+        """Of what is averaged; the module has them where it has the averages."""
 
     def _means(self) -> list[Tensor]:
         return [getattr(self, f"mean_{index}") for index in range(len(self._parameters_of))]
@@ -50,19 +54,28 @@ class PolyakAverage(nn.Module):
             self.updates += 1
 
     def copy_to_module(self) -> None:
-        """Give the module the averages for good; before the first update it keeps what it has."""
+        """Give the module the averages, times their levels' factors, for good; before the first update it keeps what it
+        has.
+        """
         if self.updates > 0:
             torch._foreach_copy_(self._values(), self._means())
+            self.levels.scale()
 
     @contextmanager
-    def used(self) -> Iterator[None]:
-        """The module has the averages inside the block; before the first update it keeps its present ones."""
+    def used(self, whole: bool = False) -> Iterator[None]:
+        """The module has the averages inside the block; before the first update it keeps its present ones.
+
+        Args:
+            whole: without the factors of the levels.
+        """
         if self.updates == 0:
             yield
             return
         values, means = self._values(), self._means()
         kept = [value.clone() for value in values]
         torch._foreach_copy_(values, means)
+        if not whole:
+            self.levels.scale()
         try:
             yield
         finally:

@@ -164,6 +164,14 @@ class LoadedRun:
         stds = [albedo if name == "albedo" else roughness for albedo, roughness in found]
         return np.concatenate([std for std in stds if std is not None])
 
+    @property
+    def bars(self) -> ErrorBars | None:
+        """Error bars of the run; None where its folder has none, or others than those of this checkpoint."""
+        try:
+            return self._error_bars
+        except InputError:
+            return None
+
     @cached_property
     def _error_bars(self) -> ErrorBars:
         folder = run_folder_of(self.checkpoint)

@@ -50,8 +50,10 @@ def fitting(
     weights = checkpoint["state_dict"]
     for prefix in DDP_IGNORED:
         mine = {name: value for name, value in own.items() if name.startswith(prefix)}
-        if {n: w.shape for n, w in weights.items() if n.startswith(prefix)} != {n: w.shape for n, w in mine.items()}:
-            weights = {name: value for name, value in weights.items() if not name.startswith(prefix)} | mine
+        theirs = {name: value for name, value in weights.items() if name.startswith(prefix)}
+        alike = theirs and all(name in mine and mine[name].shape == value.shape for name, value in theirs.items())
+        rest = {name: value for name, value in weights.items() if name not in theirs}
+        weights = rest | mine | (theirs if alike else {})  # an older version's may lack some
     checkpoint["state_dict"] = weights
     for name, value in weights.items():
         if name not in own or own[name].shape != value.shape:

@@ -45,6 +45,7 @@ from neurad.training.objective import make_objective
 from neurad.training.optimizers import make_optimizers
 from neurad.training.schedule import fraction_done
 from neurad.training.step import Counters, TrainingStep
+from neurad.training.validation import is_due, said, update_levels
 
 
 class InverseRenderer(L.LightningModule):
@@ -188,9 +189,9 @@ class InverseRenderer(L.LightningModule):
         begins = self.iteration == 0
         if self.settings.materials == "fit" and self.scene.replaced and self.trainer.is_global_zero:
             print(f"neurad: to be recovered as principled: {', '.join(self.scene.replaced)}", file=sys.stderr)
-        said = (*self.scene.notes, *filter(None, [self.scene.scores_are_of]))
-        if self.trainer.is_global_zero and said:
-            print(*(f"neurad: {note}" for note in said), sep="\n", file=sys.stderr)
+        notes = (*self.scene.notes, *filter(None, [self.scene.scores_are_of]))
+        if self.trainer.is_global_zero and notes:
+            print(*(f"neurad: {note}" for note in notes), sep="\n", file=sys.stderr)
         if self.trainer.is_global_zero and (left_out := self.region.sentence(self.scene)):
             print(f"neurad: {left_out}", file=sys.stderr)
         with self.world.tracer.uncounted(not begins):  # a continued run counted its camera rays when it began
@@ -225,7 +226,18 @@ class InverseRenderer(L.LightningModule):
         """One iteration of :class:`neurad.training.step.TrainingStep`."""
         for optimizer in self._optimizers()[1:]:  # the trainer counts the first one's steps: max_steps are iterations
             optimizer._on_before_step = optimizer._on_after_step = _nothing
-        return self.step(batch, fraction_done(self.trainer).largest, self.manual_backward)
+        loss = self.step(batch, fraction_done(self.trainer).largest, self.manual_backward)
+        if is_due(self.iteration):
+            self.update_levels()
+        return loss
+
+    def update_levels(self) -> str | None:
+        """Fit the factors of the levels to the training pixels that are never drawn, where there are some; returns a
+        sentence on what was found.
+        """
+        if self.training_views is None:
+            return None
+        return said(update_levels(self.assembly, self.training_views, self.photographs, self.iteration))
 
     def _optimizers(self) -> list[Any]:
         """The optimizers in the trainer's wrappers."""

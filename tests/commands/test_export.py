@@ -11,6 +11,7 @@ import pytest
 from helpers.tiny_fit import fails, fit
 
 from neurad.cli import main
+from neurad.scene.image_io import read_exr
 from neurad.scene.load import load_scene
 
 pytest.importorskip("xatlas")
@@ -31,7 +32,7 @@ def glb_json(path):
 def test_a_room_is_exported_read_again_fitted_and_rendered(tiny, capfd):
     import trimesh
 
-    fit("--trainer.max_steps", "1")
+    fit("--trainer.max_steps", "4", "--data.patches", "1024")
     with suppress(SystemExit):  # one sample a pixel is too noisy for the bounds of the verification
         main(EXPORT)
     room = Path("room")
@@ -53,6 +54,10 @@ def test_a_room_is_exported_read_again_fitted_and_rendered(tiny, capfd):
     assert verified["scores"]["albedo_baked_to_fields_psnr"] > 40
     assert "<figure>" in (room / "report.html").read_text()
     assert all((room / "evidence" / f"{mesh['name']}.png").is_file() for mesh in notes["meshes"])
+    for mesh in notes["meshes"]:
+        std, size = read_exr(room / "albedo_std" / f"{mesh['name']}.exr"), mesh["texture"]
+        assert std.shape == (max(size["height"] // 4, 4), max(size["width"] // 4, 4), 3)
+        assert bool(std.max() > 0) != mesh["emits"]  # what a lamp is made of is known
     assert (room / "images" / f"{again.train[0].name}.exr").is_symlink()
 
     fit("--data.scene", "null", "--data.root", "room", "--trainer.max_steps", "1")

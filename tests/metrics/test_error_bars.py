@@ -58,6 +58,7 @@ def pixels(n=80_000, noise=0.1, detail=1e-4):
         p=p, area=np.full(n, 5e-5, np.float32), odd=np.arange(n) % 2 == 0, residual=np.stack([misfit, misfit]),
         by_albedo=both, by_roughness=0 * both, misfit=misfit, predicted=one,
         albedo=(0.5 + 0.2 * RNG.standard_normal((n, 3))).astype(np.float32), detail=detail * one,
+        points=p[:, None],
     )  # fmt: skip
 
 

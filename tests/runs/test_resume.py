@@ -21,7 +21,7 @@ GRID = {"levels": 4, "coarsest": 4, "finest": 32, "log2_size": 12}
 CONFIG = {
     "seed_everything": 7,
     "trainer": {"max_steps": STEPS, "accelerator": "cpu", "enable_progress_bar": False},
-    "data": {"root": "room", "patches": 64},
+    "data": {"root": "room", "patches": 64, "validation_pixels": 0.5},
     "model": {
         "seed": "${seed_everything}",
         "albedo": {"grid": GRID, "width": 16},

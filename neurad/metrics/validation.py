@@ -1,0 +1,168 @@
+"""What training pixels that were never drawn say of the fields' levels: a cross-validated Wiener filter.
+
+With the light held fixed a pixel is linear in the albedo it shows, and nearly so in the roughness:
+``I(s) = I(1) + D (a(s) - a(1)) + R (r(s) - r(1))`` for factors ``s`` of the levels, with ``D`` and ``R`` from one pass
+over these pixels. The factors minimise the squared residual relative to the prediction, a product of two independent
+halves of the samples, so that Monte Carlo noise cancels in its mean.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from neurad.fields.material import AlbedoField, RoughnessField
+from neurad.losses.relative import relative_weight
+from neurad.metrics.pixel_derivatives import PixelDerivatives
+from neurad.optim.level_factors import LevelFactors
+
+LARGEST = 2.0
+"""Largest factor: decay shrinks levels that photographs would have larger."""
+SPREAD = 0.5
+"""Spread of the factors around 1 before the pixels are asked; it decides where they say nothing."""
+ITERATIONS = 20
+SIGMAS = 2.0
+"""Factors are kept if they lower the loss of pixels that they were not fitted to by so many standard errors."""
+
+
+class FittedFields(Protocol):
+    """Materials whose fields can be asked by their features."""
+
+    albedo: AlbedoField
+    roughness: RoughnessField | None
+
+
+@dataclass(frozen=True)
+class LevelFit:
+    """What the pixels said of one field."""
+
+    factors: Tensor
+    """Of its levels [levels]; ones where others would not be better."""
+    gain: float
+    """By how much they lower the squared residual relative to the prediction, each half of the pixels judging factors
+    that were fitted to the other half."""
+    error: float
+    """Standard error of that."""
+
+    @property
+    def holds(self) -> bool:
+        """Whether the factors lower the loss by more than noise explains."""
+        return self.gain > SIGMAS * self.error
+
+
+def fit_levels(
+    pixels: PixelDerivatives, materials: FittedFields, levels: LevelFactors, epsilon: float
+) -> list[LevelFit]:
+    """The factors of the levels with which the fields explain pixels that they were not fitted to: those of the albedo,
+    and with them those of the roughness.
+
+    Args:
+        pixels: training pixels that no batch drew, derivatives at the present fields.
+        materials: the fields, with all factors 1.
+        levels: whose factors are looked for; they do not change.
+        epsilon: floor of the relative loss in squared radiance units.
+    """
+    response = _Response(pixels, materials, levels, epsilon)
+    factors = [torch.ones(size, device=response.device) for size in response.sizes]
+    found = []
+    for index in range(len(factors)):
+        found.append(_cross_validated(response, factors, index, torch.from_numpy(pixels.odd).to(response.device)))
+        factors[index] = found[-1].factors
+    return found
+
+
+def _cross_validated(response: _Response, factors: list[Tensor], index: int, odd: Tensor) -> LevelFit:
+    """The factors of one field, those of the others as they are, if pixels confirm what others have said."""
+    with torch.no_grad():
+        start = response.losses(factors)  # [b]
+        off = torch.zeros_like(start)
+        for half in (odd, ~odd):
+            fitted = [*factors[:index], _fitted(response, factors, index, half), *factors[index + 1 :]]
+            off += torch.where(half, 0.0, start - response.losses(fitted))
+    off = off.double()
+    gain, error = float(off.mean()), float(off.std()) / max(len(off), 1) ** 0.5
+    kept = LevelFit(torch.ones_like(factors[index]), gain, error)
+    if not kept.holds:
+        return kept
+    return LevelFit(_fitted(response, factors, index, torch.ones_like(odd)), gain, error)
+
+
+def _fitted(response: _Response, factors: list[Tensor], index: int, chosen: Tensor) -> Tensor:
+    """The factors of one field that explain the chosen pixels [b] best."""
+    scale = torch.ones_like(factors[index], requires_grad=True)
+    count = max(int(chosen.sum()), 1)
+
+    def whole() -> list[Tensor]:
+        return [*factors[:index], scale, *factors[index + 1 :]]
+
+    for _ in range(2):  # the second time knowing how much noise is left
+        with torch.no_grad():
+            noise = max(float(response.noise(whole())[chosen].mean()), 1e-12)
+        optimizer = torch.optim.LBFGS([scale], max_iter=ITERATIONS, history_size=10, line_search_fn="strong_wolfe")
+
+        def closure(noise: float = noise, optimizer: torch.optim.Optimizer = optimizer) -> Tensor:
+            optimizer.zero_grad()
+            with torch.enable_grad():
+                loss = response.losses(whole())[chosen].mean() / noise
+                loss = loss + (scale - 1.0).square().sum() / (count * SPREAD**2)
+                torch.autograd.backward(loss)
+            return loss
+
+        optimizer.step(closure)  # type: ignore[no-untyped-call]
+    return scale.detach().clamp(0.0, LARGEST)
+
+
+class _Response:
+    """Losses of the pixels as a function of the factors."""
+
+    def __init__(self, pixels: PixelDerivatives, materials: FittedFields, levels: LevelFactors, epsilon: float) -> None:
+        self.materials = materials
+        device = next(iter(materials.albedo.grid.parameters())).device
+        tensors = {
+            name: torch.from_numpy(np.ascontiguousarray(getattr(pixels, name))).to(device)
+            for name in ("residual", "by_albedo", "by_roughness", "predicted", "points")
+        }
+        self.residual, self.by_albedo = tensors["residual"], tensors["by_albedo"]  # [2, b, 3]
+        self.by_roughness = tensors["by_roughness"]
+        self.weight = relative_weight(tensors["predicted"], epsilon)  # [b, 3]
+        points = tensors["points"][:, ::2]  # half of them say what a pixel shows
+        self.samples, points = points.shape[1], points.reshape(-1, 3)
+        fields = [materials.albedo] + ([] if materials.roughness is None else [materials.roughness])
+        self.sizes = [len(factors) for field in fields if (factors := levels.of(field.grid)) is not None]
+        with torch.no_grad():
+            self.features = [field.features(points) for field in fields]
+            self.at_ones = self._values([torch.ones(size, device=device) for size in self.sizes])
+        self.device = device
+
+    def _values(self, factors: list[Tensor]) -> tuple[Tensor, Tensor | None]:
+        """Means over the pixels of albedo [b, 3] and roughness [b, 1]."""
+        scaled = [x * f.repeat_interleave(x.shape[1] // len(f)) for x, f in zip(self.features, factors, strict=True)]
+        albedo = self.materials.albedo.of_features(scaled[0])
+        roughness = None
+        if self.materials.roughness is not None:
+            roughness = self._mean(self.materials.roughness.of_features(scaled[1], albedo))
+        return self._mean(albedo), roughness
+
+    def _mean(self, values: Tensor) -> Tensor:
+        return values.view(-1, self.samples, values.shape[1]).mean(1)
+
+    def losses(self, factors: list[Tensor]) -> Tensor:
+        """Squared relative residuals of the pixels [b], means over channels, without Monte Carlo noise on average."""
+        residual = self._residual(factors)
+        return (residual[0] * residual[1] * self.weight).mean(-1)
+
+    def noise(self, factors: list[Tensor]) -> Tensor:
+        """The same with the noise of one half [b]."""
+        return (self._residual(factors).square() * self.weight).mean((0, 2))
+
+    def _residual(self, factors: list[Tensor]) -> Tensor:
+        """Residuals of the pixels by half [2, b, 3]."""
+        albedo, roughness = self._values(factors)
+        residual = self.residual - self.by_albedo * (albedo - self.at_ones[0])  # [2, b, 3]
+        if roughness is not None and self.at_ones[1] is not None:
+            residual = residual - self.by_roughness * (roughness - self.at_ones[1])
+        return residual
