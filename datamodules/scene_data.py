@@ -237,6 +237,15 @@ class SceneData(pl.LightningDataModule, PhotoSource):
             raise InputError(f"scene {self.scene.name}: alpha is 0 in every training photograph")
         return self._stats
 
+    def colors(self, view: Tensor, pixel: Tensor) -> Tensor:
+        """Photographed radiance [n, 3] of pixels [n] of views [n]; streamed photographs are read from disk for it."""
+        read = self._streamed if self.streams else self._resident
+        found = torch.empty(len(view), 3)
+        for index in sorted(set(view.tolist())):
+            mine = (view == index).nonzero().squeeze(-1)
+            found[mine] = read(index)[pixel[mine], :3]
+        return found
+
     def spread_fireflies(self, left_out: Tensor) -> float:
         """Spread pixels that outshine all around them, if there is much light in them; streamed photographs as they
         are read, of which a few are measured.

@@ -30,7 +30,8 @@ def load(
     Args:
         run: a run folder such as ``lightning_logs/version_3``, or a checkpoint in one; None or 'last' takes the newest
             run in ``lightning_logs``.
-        root: where the scene's folder is now, if it has moved since the fit.
+        root: where the scene's folder is now, if it has moved since the fit; or a folder of the same geometry with
+            other light, in which pictures are path traced.
         device: where to put everything.
 
     Raises:

@@ -126,11 +126,16 @@ class Lighting:
     """Iterations after which directions are sampled by the present map instead of an older one."""
     detail_decay: NonNegative = 0.3
     """Decay of the map's detail, so that what no photograph shows stays smooth; 0 leaves it out."""
+    lamp_mismatch: Literal["refuse", "warn"] = "refuse"
+    """What happens if photographs show a lamp more than three times brighter or darker than the scene says: the fit is
+    refused before it begins, or goes on with a warning. From a factor of 1.2 on there is a warning in any case."""
 
     def __post_init__(self) -> None:
         """Refuse what no map can have."""
         if self.environment not in ("known", "fit"):
             raise InputError(f"model.lighting.environment: '{self.environment}' is unknown, choose known or fit")
+        if self.lamp_mismatch not in ("refuse", "warn"):
+            raise InputError(f"model.lighting.lamp_mismatch: '{self.lamp_mismatch}' is unknown, choose refuse or warn")
         checked(self)
 
 

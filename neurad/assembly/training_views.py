@@ -20,6 +20,7 @@ from neurad.assembly.exposure import (
     sentence_of_fireflies,
     white_brightness,
 )
+from neurad.assembly.lamps import check_lamps
 from neurad.assembly.memory import announce_camera_rays
 from neurad.core.errors import InputError
 from neurad.core.protocols import PhotoSource
@@ -73,7 +74,7 @@ def prepare_views(
 
     Raises:
         InputError: camera rays do not fit in memory, every pixel shows an emitter, the photographs are black or too
-            dim, or no camera sees a surface.
+            dim, no camera sees a surface, or a lamp is far from what the photographs show.
     """
     scene, settings = assembly.scene, assembly.settings
     settings.for_batch(photographs.pixel_multiplier)  # raises where the samples cannot be split
@@ -107,6 +108,8 @@ def prepare_views(
         white = partial(white_brightness, primary, stats.sample, settings.seed, scene.max_depth)
         if said := sentence_if_far(brightness(primary, stats.sample, settings.seed), white):
             print(f"neurad: warning: {said}", file=sys.stderr)
+    if check_brightness:
+        check_lamps(assembly, photographs, stats.sample)
     if assembly.radiance is not None:
         assembly.radiance.set_scale(math.sqrt(mean_square))
     # Stage 3: what residuals are relative to, where there is no field to predict it.

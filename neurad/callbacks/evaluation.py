@@ -21,6 +21,7 @@ from neurad.core.errors import InputError
 from neurad.core.ranges import Count, CountOrZero, NonNegative, checked
 from neurad.metrics.bars_file import NAME, read_bars, write_bars
 from neurad.metrics.effort import affordable
+from neurad.metrics.limits import sentence_of_limits
 from neurad.runtime import clock
 from neurad.runtime.files import write_text
 from neurad.training.schedule import fraction_done, time_limit
@@ -130,6 +131,8 @@ class Evaluate(pl.Callback):
         if trainer.is_global_zero and scores:
             table = _table(module, scores, self.spp, steady=True)
             print("\n" + "\n\n".join(t for t in (table, curve_table(rows)) if t))
+            if said := sentence_of_limits(scores):
+                print(f"\nneurad: {said}")
             if folder:
                 print(f"\nneurad: run folder {folder}")
 

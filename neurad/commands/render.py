@@ -53,7 +53,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--max-depth", type=option(Count), help="longest path, 2 is direct light (default: that of the scene)"
     )
-    parser.add_argument("--tracer", default="embree", help="embree (default), open3d or warp")
+    parser.add_argument("--tracer", default="embree", help="embree (default), open3d or warp; a run has its own")
     parser.add_argument("--overwrite", action="store_true", help="write over files that are there")
 
 

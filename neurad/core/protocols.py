@@ -160,6 +160,15 @@ class PhotoSource(Protocol):
         """Pixels that masks leave out [views, pixels], bool; None where there is no mask."""
         return None
 
+    @property
+    def has_photographs(self) -> bool:
+        """Whether there are photographs at all."""
+        return True
+
+    def colors(self, view: Tensor, pixel: Tensor) -> Tensor:
+        """Photographed radiance [n, 3] of row-major pixels [n] of views [n], on the CPU, premultiplied by alpha."""
+        ...
+
     def spread_fireflies(self, left_out: Tensor) -> float:
         """Spread single pixels that outshine all around them, if there is much light in them; part of the set-up.
 

@@ -19,7 +19,7 @@ from neurad.core.records import Camera, FloatArray, View
 from neurad.core.rng import mix
 from neurad.integrators.aov import MaterialMap
 from neurad.integrators.film import render
-from neurad.runs.render_subject import SEED, Learning, Subject, find_method, recovered_subject, true_subject
+from neurad.runs.render_subject import SEED, Learning, Subject, recovered_subject, true_subject
 from neurad.runtime.files import check_folder, make_folder, write_text
 from neurad.scene.camera_paths import KINDS, path_of
 from neurad.scene.description import Scene
@@ -31,8 +31,6 @@ from neurad.scene.placement import scene_axis
 from neurad.scene.readers.nerf import read_cameras
 from neurad.scene.room_folder import axis
 from neurad.scene.transforms import transforms
-
-__all__ = ["RenderSettings", "find_method", "render_views"]
 
 
 @dataclass(frozen=True)
@@ -52,7 +50,8 @@ class RenderSettings:
     edit: str | None = None
     """File of what to change."""
     integrator: str | None = None
-    """Name of a method, see :func:`find_method`; None is ``path``, of a run that is not changed its own."""
+    """Name of a method, see :func:`neurad.runs.render_subject.find_method`; None is ``path``, and of a run that is not
+    changed its own."""
     steps: Count = 2000
     """Training steps of the radiance field, for methods that read one."""
     seconds: Positive | None = None

@@ -46,7 +46,7 @@ def path_of(kind: str, cameras: Sequence[Camera], count: int, up: npt.ArrayLike,
     for index in range(count):
         turn = turned_about(axis, 360.0 * index / count)
         turn[:3, 3] = about - turn[:3, :3] @ about
-        made.append(replace(first, to_world=turn @ np.asarray(first.to_world, np.float64)))
+        made.append(_posed(first, turn @ np.asarray(first.to_world, np.float64)))
     return made
 
 
@@ -66,6 +66,11 @@ def _facing(camera: Camera, up: Array, target: Array) -> Camera:
     pose[:3, 0] = side / np.linalg.norm(side)
     pose[:3, 1] = np.cross(pose[:3, 2], pose[:3, 0])
     pose[:3, 3] = eye
+    return _posed(camera, pose)
+
+
+def _posed(camera: Camera, pose: Any) -> Camera:
+    """The camera at another place; poses keep their digits."""
     return replace(camera, to_world=pose)
 
 
@@ -95,7 +100,7 @@ def _flight(cameras: Sequence[Camera], count: int) -> list[Camera]:
     for row in values:
         pose = np.asarray(transformations.quaternion_matrix(row[3:7]), np.float64)
         pose[:3, 3] = row[:3]
-        made.append(replace(cameras[0], to_world=pose, fov_x=float(row[7])))
+        made.append(replace(_posed(cameras[0], pose), fov_x=float(row[7])))
     return made
 
 

@@ -34,6 +34,10 @@ class PhotosInMemory(PhotoSource):
         """Statistics of all pixels but those ``left_out`` [views, pixels], bool."""
         return dataset_stats(lambda view: self.photographs[view], len(self.photographs), left_out, self.seed)
 
+    def colors(self, view: Tensor, pixel: Tensor) -> Tensor:
+        """Photographed radiance [n, 3] of pixels [n] of views [n]."""
+        return self.photographs[view, pixel]
+
     def spread_fireflies(self, left_out: Tensor) -> float:
         """As the data module of scene folders does; the tensor that was given stays as it was."""
         found = Fireflies.measure(lambda view: self.photographs[view], left_out.unbind(), [self.width] * len(left_out))

@@ -19,6 +19,7 @@ from neurad.metrics.bar_maps import predict_bars, score_bars
 from neurad.metrics.environment import EnvironmentScores
 from neurad.metrics.error_bars import ErrorBars, ToUnitCube
 from neurad.metrics.held_out import HeldOut
+from neurad.metrics.limits import albedo_at_limits
 from neurad.metrics.lit_glossy import lit_glossy, reflected_by
 from neurad.metrics.relight import relight_map, score_relit
 from neurad.scene.description import Scene
@@ -129,6 +130,8 @@ def evaluate(
     scores = held_out.score(
         maps, [entry["render"] for entry in maps], regions, fitted and light is not None, fields or None
     )
+    if fitted:
+        scores |= albedo_at_limits(maps, [held_out.counted(index) for index in range(len(held_out.views))])
     if glossy and fitted and scene is not None:
         scores |= _relight(held_out, scene, world, materials, render_spp, maps)
     if bars is not None and glossy:

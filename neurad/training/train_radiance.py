@@ -42,6 +42,7 @@ class UnphotographedPixels(PhotoSource):
 
     pixel_multiplier = 1
     has_alpha = False
+    has_photographs = False
 
     def __init__(self, cameras: list[Camera], mean_square: float, pixels: int, seed: int) -> None:
         self.counts = torch.tensor([camera.width * camera.height for camera in cameras])

@@ -1,0 +1,106 @@
+"""Whether lamps that are taken as known are as bright as the photographs show them: said before training."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Sequence
+
+import numpy as np
+
+from neurad.assembly.build import Assembly
+from neurad.core.errors import InputError
+from neurad.core.protocols import PhotoSource
+from neurad.core.records import PixelBatch
+from neurad.metrics.photographed_lamps import FEW, REFUSE, WARN, PhotographedLamp, photographed_lamps
+
+MOST = 8
+"""Lamps that get a line of their own; those that differ always do."""
+
+
+def check_lamps(assembly: Assembly, photographs: PhotoSource, sample: PixelBatch) -> list[PhotographedLamp]:
+    """Print how bright each lamp is in the photographs, and refuse those that are far from what the scene says.
+
+    Args:
+        assembly: of a run that has not begun.
+        photographs: of the training views.
+        sample: random photographed pixels that show no emitter.
+
+    Returns:
+        What was found, a lamp each.
+
+    Raises:
+        InputError: a lamp is more than three times brighter or darker than declared, and
+            ``model.lighting.lamp_mismatch`` is ``refuse``.
+    """
+    scene = assembly.scene
+    if not scene.features.has_area_lights or not photographs.has_photographs:
+        return []
+    lamps = photographed_lamps(
+        scene, assembly.world, assembly.materials, [view.camera for view in scene.train], photographs.colors, sample,
+        assembly.settings.seed, photographs.ignored(),
+    )  # fmt: skip
+    for line in report(lamps):
+        print(f"neurad: {line}", file=sys.stderr)
+    refused = assembly.settings.lighting.lamp_mismatch == "refuse"
+    wrong = [lamp for lamp in lamps if lamp.pixels - lamp.clipped >= FEW and lamp.beyond(REFUSE)]
+    if wrong and refused:
+        raise InputError(f"scene {scene.name}: {refusal(wrong)}")
+    return lamps
+
+
+def report(lamps: Sequence[PhotographedLamp]) -> list[str]:
+    """Lines about lamps: all that differ, some of the others, and which ones nothing is known of."""
+    lines, told = [], 0
+    for lamp in lamps:
+        differs = lamp.beyond(WARN)
+        if lamp.pixels == 0 or (told >= MOST and not differs):
+            continue
+        told += 1
+        seen = f"{lamp.pixels} pixel{'s' * (lamp.pixels != 1)} of {lamp.views} view{'s' * (lamp.views != 1)}"
+        if lamp.clipped == lamp.pixels:
+            lines.append(f"lamp {lamp.name}: all {seen} are clipped, so its radiance cannot be checked")
+            continue
+        clipped = f", {lamp.clipped} clipped" if lamp.clipped else ""
+        line = f"lamp {lamp.name}: photographed over declared radiance {_three(lamp.factor)} ({seen}{clipped})"
+        lines.append(line)
+        if differs:
+            lines.append(
+                f"warning: lamp {lamp.name} is {_brighter(lamp)} in the photographs than in the scene; with known "
+                f"lamps the materials take that up, so set its radiance to {_three(lamp.radiance)}, or check the "
+                "photographs' exposure"
+            )
+    shown = sum(lamp.pixels > 0 for lamp in lamps)
+    if shown > told:
+        lines.append(f"{shown - told} more lamps are as bright in the photographs as declared")
+    hidden = [lamp.name for lamp in lamps if lamp.pixels == 0]
+    if hidden:
+        more = f" and {len(hidden) - MOST} others" if len(hidden) > MOST else ""
+        names = ", ".join(hidden[:MOST]) + more
+        lines.append(f"no photograph shows {names} alone in a pixel: nothing checks the radiance there")
+    return lines
+
+
+def refusal(wrong: Sequence[PhotographedLamp]) -> str:
+    """The sentence about lamps that are far from what the scene says."""
+    first = max(wrong, key=lambda lamp: float(np.nanmax(np.abs(np.log(np.maximum(lamp.factor, 1e-30))))))
+    others = f" (and {len(wrong) - 1} other lamps)" if len(wrong) > 1 else ""
+    return (
+        f"lamp {first.name}{others} is {_brighter(first)} in the photographs than the declared radiance "
+        f"{_three(first.declared)}: no material makes up for that; set it to {_three(first.radiance)}, or train all "
+        "the same with --model.lighting.lamp_mismatch warn"
+    )
+
+
+def _brighter(lamp: PhotographedLamp) -> str:
+    """By how much a lamp differs, by the channel that differs most."""
+    factor = lamp.factor[~np.isnan(lamp.factor)]
+    most = float(factor[np.argmax(np.abs(np.log(np.maximum(factor, 1e-30))))])
+    alike = float(factor.max()) < 1.1 * float(factor.min())
+    where = "" if alike else f" in {('red', 'green', 'blue')[int(np.argmax(lamp.factor == most))]}"
+    if most >= 1.0:
+        return f"{most:.3g} times brighter{where}"
+    return f"{1.0 / max(most, 1e-30):.3g} times darker{where}"
+
+
+def _three(values: Sequence[float] | np.ndarray) -> str:
+    return ", ".join(f"{float(x):.3g}" for x in values)

@@ -1,0 +1,41 @@
+"""How much of the recovered albedo can go no further: a sign of light that is not what it is taken for."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+
+from neurad.core.records import FloatArray
+from neurad.metrics.scores import BoolArray
+
+NEAR = 0.01
+"""Distance from 0 and from 1 that is no distance."""
+MUCH = 0.05
+"""Fraction at the upper limit from which it is said what that may mean."""
+
+
+def albedo_at_limits(maps: Sequence[Mapping[str, FloatArray]], counted: Sequence[BoolArray]) -> dict[str, float]:
+    """Fractions of albedo's channel values on counted pixels that lie below 0.01, ``albedo_at_0``, and above 0.99,
+    ``albedo_at_1``; none without any pixel.
+
+    Args:
+        maps: ``albedo`` [h, w, 3] of every view.
+        counted: pixels that count, of every view [h, w].
+    """
+    values = [entry["albedo"][mask] for entry, mask in zip(maps, counted, strict=True) if "albedo" in entry]
+    found = np.concatenate([v.reshape(-1) for v in values]) if values else np.zeros(0)
+    if len(found) == 0:
+        return {}
+    return {"albedo_at_0": float((found < NEAR).mean()), "albedo_at_1": float((found > 1.0 - NEAR).mean())}
+
+
+def sentence_of_limits(scores: Mapping[str, float]) -> str:
+    """What the end of a fit says about it; nothing where nothing was recovered."""
+    if "albedo_at_1" not in scores:
+        return ""
+    low, high = 100.0 * scores["albedo_at_0"], 100.0 * scores["albedo_at_1"]
+    said = f"albedo at its limits: {low:.1f} % below 0.01, {high:.1f} % above 0.99"
+    if scores["albedo_at_1"] < MUCH:
+        return said
+    return f"{said}; so much white may mean that lights are brighter than they are taken for"

@@ -1,0 +1,119 @@
+"""What photographs say about lamps: against photographs that are rendered here, of lamps of known radiance."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+
+from neurad.assembly.build import build_world
+from neurad.assembly.lamps import refusal, report
+from neurad.core.records import Camera, PixelBatch
+from neurad.integrators.emitter_pixels import emitter_pixels
+from neurad.integrators.film import render
+from neurad.integrators.renderer import path_tracer
+from neurad.metrics.photographed_lamps import REFUSE, WARN, lamp_pixels, photographed_lamps
+from neurad.scene.builtin import build
+from neurad.scene.textures import TrueMaterials
+
+SIZE = 24
+
+
+@pytest.fixture(scope="module")
+def box():
+    """A Cornell box whose lamp fills part of two pictures taken from below, as its photographs show it."""
+    scene = build("cornell")
+    lamp = next(mesh for mesh in scene.meshes if mesh.radiance is not None)
+    middle = lamp.vertices.mean(0)
+    poses = []
+    for shift in (0.0, 0.05):
+        pose = np.eye(4, dtype=np.float32)
+        pose[:3, :3] = [[1, 0, 0], [0, 0, -1], [0, 1, 0]]  # looks up: -z of the camera is +y
+        pose[:3, 3] = middle - [shift, 0.9, 0.0]
+        poses.append(pose)
+    cameras = [Camera(pose, 1.0, SIZE, SIZE) for pose in poses]
+    world = build_world(scene)
+    materials = TrueMaterials(scene, world.geometry)
+    photographs = torch.stack([render(c, path_tracer(world, materials), 16, 3).view(-1, 3) for c in cameras])
+    return scene, world, materials, cameras, photographs
+
+
+def measured(box, photographs, scene=None):
+    first, world, materials, cameras, _ = box
+    scene = scene or first
+    world = world if scene is first else build_world(scene)
+    view, pixel = (~emitter_pixels(world, cameras, 1, torch.device("cpu"))).nonzero().unbind(-1)
+    sample = PixelBatch(view, pixel, photographs[view, pixel], torch.ones(len(view)), 0)
+    read = lambda view, pixel: photographs[view, pixel]  # noqa: E731
+    (lamp,) = photographed_lamps(scene, world, materials, cameras, read, sample, 1)
+    return lamp
+
+
+def times(scene, factor):
+    """The scene with a lamp that is declared brighter."""
+    factor = np.asarray(factor, np.float32)
+    lit = [m if m.radiance is None else replace(m, radiance=m.radiance * factor) for m in scene.meshes]
+    return replace(scene, meshes=lit)
+
+
+def test_a_right_lamp_is_found_right_without_what_it_reflects(box):
+    """The lamp reflects part of the room's light: less than it is measured with, and more than none."""
+    lamp = measured(box, box[4])
+    assert lamp.pixels > 50
+    assert lamp.views == 2
+    assert lamp.clipped == 0
+    np.testing.assert_allclose(lamp.factor, 1.0, atol=0.02)
+    np.testing.assert_allclose(lamp.radiance, lamp.declared, rtol=0.02)
+    assert (lamp.photographed > lamp.declared * 1.005).all()
+    assert (lamp.reflected > 0).all()
+    assert not lamp.beyond(WARN)
+    lines = report([lamp])
+    assert len(lines) == 1
+    assert "photographed over declared radiance" in lines[0]
+
+
+@pytest.mark.parametrize("factor", [4.0, 0.1, (1.0, 0.7, 0.4)])
+def test_a_wrong_lamp_is_found_wrong_by_its_factor(box, factor):
+    scene = times(box[0], factor)
+    lamp = measured(box, box[4], scene)
+    np.testing.assert_allclose(lamp.factor, np.broadcast_to(1.0 / np.asarray(factor), 3), rtol=0.03)
+    np.testing.assert_allclose(lamp.radiance, [17, 12, 4], rtol=0.03)
+    assert lamp.beyond(WARN)
+    assert lamp.beyond(REFUSE) == (not isinstance(factor, tuple))
+    assert any(line.startswith("warning: lamp light is") for line in report([lamp]))
+    if lamp.beyond(REFUSE):
+        way = "darker" if factor > 1 else "brighter"
+        assert f"times {way} in the photographs than the declared radiance" in refusal([lamp])
+    else:
+        assert "2.5 times brighter in blue" in report([lamp])[1]
+
+
+def test_clipped_pixels_say_nothing(box):
+    """Where surfaces reach the ceiling, too, or it is that of a format, a lamp at it is clipped; alone it is not."""
+    photographs = box[4].clamp_max(1.0)
+    lamp = measured(box, photographs)
+    assert lamp.clipped == lamp.pixels
+    assert np.isnan(lamp.factor).all()
+    assert not lamp.beyond(WARN)
+    assert "are clipped, so its radiance cannot be checked" in report([lamp])[0]
+    bright = box[4].clamp_max(2.5)
+    bright[:, :2] = 2.5  # two pixels of the ceiling
+    assert measured(box, bright).clipped == lamp.pixels
+    even = box[4].clamp_max(16.0)  # no surface is as bright
+    assert measured(box, even).clipped == 0
+
+
+def test_a_lamp_that_no_pixel_shows_alone_is_named(box):
+    scene, world, materials, cameras, photographs = box
+    away = replace(cameras[0], to_world=np.diag([1.0, -1.0, -1.0, 1.0]).astype(np.float32) @ cameras[0].to_world)
+    sample = PixelBatch(torch.zeros(1).long(), torch.zeros(1).long(), torch.ones(1, 3), torch.ones(1), 0)
+    read = lambda view, pixel: photographs[view, pixel]  # noqa: E731
+    (lamp,) = photographed_lamps(scene, world, materials, [away], read, sample, 1)
+    assert lamp.pixels == 0
+    assert report([lamp]) == ["no photograph shows light alone in a pixel: nothing checks the radiance there"]
+
+
+def test_masked_pixels_do_not_count(box):
+    _, world, _, cameras, _ = box
+    everything = torch.ones(2, SIZE * SIZE, dtype=torch.bool)
+    assert len(lamp_pixels(world, cameras, 1, everything).view) == 0
