@@ -13,6 +13,7 @@ from datamodules.pixels import blurred
 from neurad.core.patch_sampler import PatchSampler
 from neurad.core.records import DatasetStats, PixelBatch
 from neurad.core.rng import Stream
+from neurad.runtime.progress import counted
 
 SAMPLE = 1 << 16
 """Pixels in the sample of :func:`dataset_stats`, all views together, or one of each view where there are more views."""
@@ -38,7 +39,7 @@ def dataset_stats(read: Read, views: int, left_out: Tensor | None, seed: int) ->
     # Allocated once: small tensors that stay, between large ones that come and go, would fragment the heap.
     view_of, place = torch.empty(2, views * each, dtype=torch.int64)
     kept, filled = torch.empty(views * each, 3), 0
-    for view in range(views):
+    for view in counted(range(views), "reading", views, "photographs"):
         pixels = read(view)
         checksums.append(checksum(pixels))
         color = pixels[:, :3]

@@ -20,6 +20,8 @@ from neurad.core.patch_sampler import PatchSampler, validation_pixels
 from neurad.core.protocols import PhotoSource
 from neurad.core.ranges import Count, CountOrZero, Range, Seed, checked
 from neurad.core.records import DatasetStats, PixelBatch, View
+from neurad.core.rng import Stream
+from neurad.runtime.progress import counted
 from neurad.runtime.reading import read_bytes
 from neurad.scene.description import Scene
 from neurad.scene.image_io import read_mask, read_photograph
@@ -27,6 +29,8 @@ from neurad.scene.load import load_scene
 from neurad.scene.numbers import check_bright
 from neurad.scene.readers.nerf import HOLD_OUT
 
+_CANDIDATES = 14
+"""Last number of the key of the candidates' stream; those of the patches are beside it."""
 VALIDATION_PIXELS = 1 << 14
 """Most training pixels that are never drawn."""
 
@@ -37,24 +41,23 @@ class SceneData(pl.LightningDataModule, PhotoSource):
     A batch is a pure function of seed, iteration and rank, so a continued run draws what it would have drawn.
 
     Args:
-        root: a scene folder.
-        scene: name of a built-in scene instead.
+        root: a scene folder: ``scene.xml``, ``transforms_train.json``, photographs.
+        scene: name of a built-in scene instead, such as ``kitchen``.
         patches: patches in a batch, of all views in turn.
         patch_size: side of a patch in pixels; 1 draws single pixels.
         pixel_multiplier: times as many patches, with as many times fewer samples per pixel, in the first batches. It
             halves whenever the pixels have been visited a few times: at first too few pixels seen limits the result,
             and noise later. A power of two.
-        seed: of the draws.
+        seed: of the draws of pixels.
         resident: training photographs in memory at once; the others are read from disk as their turn comes. None
             keeps all in memory.
         replace_every: iterations after which one of them is replaced, if not all are in memory.
         hold_out: every so many-th photograph is held out where the camera file does not say which; 0 for none.
         validation_pixels: fraction of the training pixels that are never drawn, 16384 of them at most: their loss says
-            how much of each level of the fields is noise of the photographs. For single pixels.
+            how much of each level of the fields is noise of the photographs. Patches draw all.
 
     Raises:
-        InputError: a number is out of range, ``pixel_multiplier`` no power of two, ``hold_out`` is 1, or
-            ``validation_pixels`` are given for patches.
+        InputError: a number is out of range, ``pixel_multiplier`` no power of two, or ``hold_out`` is 1.
     """
 
     def __init__(
@@ -75,10 +78,6 @@ class SceneData(pl.LightningDataModule, PhotoSource):
             raise InputError(f"--data.pixel_multiplier: {pixel_multiplier} is not a power of two")
         if hold_out == 1:
             raise InputError("--data.hold_out: 1 would hold out every photograph and leave none to learn from")
-        if validation_pixels > 0 and patch_size > 1:
-            raise InputError(
-                f"--data.validation_pixels: it needs single pixels, --data.patch_size 1 instead of {patch_size}"
-            )
         self.root = root
         self.scene_name = scene
         self.patches = patches
@@ -91,6 +90,7 @@ class SceneData(pl.LightningDataModule, PhotoSource):
         self.validation_pixels = validation_pixels
         checked(self)
         self._with_blurred = False
+        self._focused = self._times = 0
         self._spread: tuple[list[Tensor], Fireflies] | None = None
         self._stats: DatasetStats | None = None
         self._cache: ImageCache | None = None
@@ -144,7 +144,7 @@ class SceneData(pl.LightningDataModule, PhotoSource):
         first = self._read(views[0])
         pixels = first.new_zeros(len(views), max(w * h for w, h in self._sizes), first.shape[1])
         pixels[0, : len(first)] = first
-        for index, view in enumerate(views[1:], 1):
+        for index, view in enumerate(counted(views[1:], "reading", len(views) - 1, "photographs"), 1):
             image = self._read(view)
             self._check_channels(view, image, first.shape[-1])
             pixels[index, : len(image)] = image
@@ -276,6 +276,13 @@ class SceneData(pl.LightningDataModule, PhotoSource):
         self._with_blurred = True
         self._cache = None  # its photographs have no means
 
+    def request_candidates(self, fraction: float, times: int) -> None:
+        """From now on batches have fewer pixels in turn by ``fraction``, and ``times`` as many candidates for each that
+        is missing: uniform draws. Where batches are made of patches they stay as they are.
+        """
+        if self.patch_size == 1:
+            self._focused, self._times = round(fraction * self.patches), times
+
     def over(self, scene: Scene, photographs: Tensor | None = None) -> SceneData:
         """A data module with the same settings over another scene.
 
@@ -334,6 +341,8 @@ class SceneData(pl.LightningDataModule, PhotoSource):
     @cached_property
     def _validation(self) -> float:
         """Fraction of the pixels that are never drawn: more than :data:`VALIDATION_PIXELS` would say nothing more."""
+        if self.patch_size > 1:
+            return 0.0
         return min(self.validation_pixels, VALIDATION_PIXELS / max(sum(w * h for w, h in self._sizes), 1))
 
     def validation_batch(self) -> PixelBatch | None:
@@ -367,28 +376,31 @@ class SceneData(pl.LightningDataModule, PhotoSource):
         return -(-pixels // self.patch_size**2)
 
     def batch(self, iteration: int, rank: int = 0) -> PixelBatch:
-        """The batch of an iteration, on the CPU: ``pixel_multiplier * patches * patch_size^2`` pixels."""
-        pixel_multiplier, first = multiplier_at(iteration, self.patches, self.pixel_multiplier, self._total)
-        patches = pixel_multiplier * self.patches
-        if self.streams:
-            cache = self._window(iteration, rank)
-            return cache.batch(*cache.sampler.draw(first, patches, rank), iteration, pixel_multiplier)
-        view, pixel = self._sampler.draw(first, patches, rank)
+        """The batch of an iteration, on the CPU: ``pixel_multiplier * patches * patch_size^2`` pixels, where candidates
+        are wanted fewer of them, and the candidates after them.
+        """
+        in_turn = self.patches - self._focused
+        pixel_multiplier, first = multiplier_at(iteration, in_turn, self.pixel_multiplier, self._total)
+        cache = self._window(iteration, rank) if self.streams else None
+        sampler = self._sampler if cache is None else cache.sampler
+        view, pixel = sampler.draw(first, pixel_multiplier * in_turn, rank)
+        candidates = self._times * pixel_multiplier * self._focused
+        if candidates > 0:
+            drawn = sampler.draw_uniform(candidates, Stream(self.seed, iteration, rank, _CANDIDATES))
+            view, pixel = torch.cat((view, drawn[0])), torch.cat((pixel, drawn[1]))
+        if cache is not None:
+            return replace(cache.batch(view, pixel, iteration, pixel_multiplier), candidates=candidates)
         index = view * self.photographs.shape[1] + pixel
         color = self.photographs.view(-1, 3).index_select(0, index)
         alpha = torch.ones(len(index)) if self.alpha is None else self.alpha.view(-1).index_select(0, index)
         means = self._blurred.view(-1, 3).index_select(0, index) if self._with_blurred else None
-        return PixelBatch(view, pixel, color, alpha, iteration, means, pixel_multiplier)
+        return PixelBatch(view, pixel, color, alpha, iteration, means, pixel_multiplier, candidates)
 
     def transfer_batch_to_device(
         self, batch: PixelBatch | Tensor, device: torch.device, dataloader_idx: int
     ) -> PixelBatch | Tensor:
         """Move the tensors of a batch; an index of a held-out view is a tensor of its own."""
-        if isinstance(batch, Tensor):
-            return batch.to(device)
-        view, pixel, color, alpha = (x.to(device) for x in (batch.view, batch.pixel, batch.color, batch.alpha))
-        blurred = None if batch.blurred is None else batch.blurred.to(device)
-        return replace(batch, view=view, pixel=pixel, color=color, alpha=alpha, blurred=blurred)
+        return batch.to(device)
 
     def train_dataloader(self) -> DataLoader[PixelBatch]:
         """Batches without end, from the iteration that the module has reached."""

@@ -22,8 +22,8 @@ import numpy.typing as npt
 matplotlib.use("Agg")
 import matplotlib.pyplot as plt
 
-from neurad.callbacks.pictures import encode, exposure, grey
 from neurad.cli import main as neurad
+from neurad.pages.colours import encode, exposure, grey
 from neurad.scene.image_io import read_exr
 from neurad.scene.load import load_scene
 from neurad.scene.transforms import transforms

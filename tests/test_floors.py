@@ -9,7 +9,7 @@ import pytest
 REPOSITORY = Path(__file__).resolve().parent.parent
 FLOORS = (
     "core", "runtime", "tracing", "scene", "bsdf", "emitters", "fields", "optim", "losses", "integrators", "metrics",
-    "assembly", "training", "export", "callbacks", "runs", "studies", "commands", "cli", "__main__",
+    "assembly", "training", "pages", "export", "callbacks", "runs", "inspect", "studies", "commands", "cli", "__main__",
 )  # fmt: skip
 """Folders and modules of neurad, from the lowest to the highest: each may import those before it."""
 LEVEL = {name: level for level, name in enumerate(FLOORS)}

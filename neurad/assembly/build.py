@@ -23,6 +23,7 @@ from neurad.fields.radiance import RadianceField
 from neurad.fields.settings import FieldConfig, RadianceConfig
 from neurad.integrators.delta import DeltaSurfaces
 from neurad.integrators.estimator import Estimator
+from neurad.integrators.focus import Focus
 from neurad.integrators.guide import Guide
 from neurad.integrators.method import Method
 from neurad.integrators.world import World
@@ -164,6 +165,12 @@ def make_guide(scene: Scene, cells: int, method: Method, region: Region) -> Guid
     return Guide(torch.from_numpy(region.bounds), cells)
 
 
+def make_focus(scene: Scene, fraction: float, materials: FittedMaterials | TrueMaterials) -> Focus | None:
+    """What draws a fraction of the pixels where they tell of roughness; None where there is none to recover."""
+    recovers = isinstance(materials, FittedMaterials) and materials.roughness is not None
+    return Focus([view.camera for view in scene.train], fraction) if recovers and fraction > 0 else None
+
+
 @dataclass(frozen=True)
 class Assembly:
     """The parts of one run: what is trained, and the scene that it is trained in."""
@@ -178,6 +185,8 @@ class Assembly:
     """Averages of the materials' parameters; None where they are known or no average is wanted."""
     region: Region
     """What the grids of fields and guide resolve."""
+    focus: Focus | None = None
+    """By which a fraction of the pixels is drawn; None where all are drawn in turn."""
 
     @property
     def environment(self) -> FittedEnvironment | None:
@@ -191,7 +200,7 @@ class Assembly:
 
     def modules(self) -> Iterator[tuple[str, nn.Module]]:
         """The modules with parameters or state, by the names that they have in a checkpoint."""
-        for name in ("world", "materials", "average", "radiance"):
+        for name in ("world", "materials", "average", "radiance", "focus"):
             part = getattr(self, name)
             if isinstance(part, nn.Module):
                 yield name, part
@@ -238,4 +247,6 @@ def assemble(
             average = PolyakAverage(materials, optimization.average)
     needs_field = settings.method.needs_field
     radiance = build_radiance(scene, resolve_finest(settings.radiance, cells), region) if needs_field else None
-    return Assembly(scene, settings, world, materials, radiance, average, region)
+    return Assembly(
+        scene, settings, world, materials, radiance, average, region, make_focus(scene, sampling.focus, materials)
+    )

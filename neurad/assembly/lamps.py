@@ -11,7 +11,7 @@ from neurad.assembly.build import Assembly
 from neurad.core.errors import InputError
 from neurad.core.protocols import PhotoSource
 from neurad.core.records import PixelBatch
-from neurad.metrics.photographed_lamps import FEW, REFUSE, WARN, PhotographedLamp, photographed_lamps
+from neurad.metrics.photographed_lamps import FEW, REFUSE, WARN, Array, PhotographedLamp, photographed_lamps
 
 MOST = 8
 """Lamps that get a line of their own; those that differ always do."""
@@ -49,20 +49,19 @@ def check_lamps(assembly: Assembly, photographs: PhotoSource, sample: PixelBatch
 
 
 def report(lamps: Sequence[PhotographedLamp]) -> list[str]:
-    """Lines about lamps: all that differ, some of the others, and which ones nothing is known of."""
-    lines, told = [], 0
+    """Lines about lamps: all that differ, some of the others, and where some are shown, which ones are not."""
+    lines, listed = [], 0
     for lamp in lamps:
         differs = lamp.beyond(WARN)
-        if lamp.pixels == 0 or (told >= MOST and not differs):
+        if lamp.pixels == 0 or (listed >= MOST and not differs):
             continue
-        told += 1
+        listed += 1
         seen = f"{lamp.pixels} pixel{'s' * (lamp.pixels != 1)} of {lamp.views} view{'s' * (lamp.views != 1)}"
         if lamp.clipped == lamp.pixels:
             lines.append(f"lamp {lamp.name}: all {seen} are clipped, so its radiance cannot be checked")
             continue
         clipped = f", {lamp.clipped} clipped" if lamp.clipped else ""
-        line = f"lamp {lamp.name}: photographed over declared radiance {_three(lamp.factor)} ({seen}{clipped})"
-        lines.append(line)
+        lines.append(f"lamp {lamp.name}: photographed over declared radiance {_three(lamp.factor)} ({seen}{clipped})")
         if differs:
             lines.append(
                 f"warning: lamp {lamp.name} is {_brighter(lamp)} in the photographs than in the scene; with known "
@@ -70,10 +69,10 @@ def report(lamps: Sequence[PhotographedLamp]) -> list[str]:
                 "photographs' exposure"
             )
     shown = sum(lamp.pixels > 0 for lamp in lamps)
-    if shown > told:
-        lines.append(f"{shown - told} more lamps are as bright in the photographs as declared")
+    if shown > listed:
+        lines.append(f"{shown - listed} more lamps are as bright in the photographs as declared")
     hidden = [lamp.name for lamp in lamps if lamp.pixels == 0]
-    if hidden:
+    if hidden and shown:
         more = f" and {len(hidden) - MOST} others" if len(hidden) > MOST else ""
         names = ", ".join(hidden[:MOST]) + more
         lines.append(f"no photograph shows {names} alone in a pixel: nothing checks the radiance there")
@@ -102,5 +101,5 @@ def _brighter(lamp: PhotographedLamp) -> str:
     return f"{1.0 / max(most, 1e-30):.3g} times darker{where}"
 
 
-def _three(values: Sequence[float] | np.ndarray) -> str:
+def _three(values: Array) -> str:
     return ", ".join(f"{float(x):.3g}" for x in values)

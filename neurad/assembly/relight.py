@@ -26,9 +26,16 @@ def recovered_scene(assembly: Assembly) -> Scene:
         model = scene.features.fitted_model
         scene = replace(scene, materials=[m if m.model.is_delta else replace(m, model=model) for m in scene.materials])
     if assembly.environment is not None:
-        frame = {} if scene.environment is None else {"to_world": scene.environment.to_world}
-        scene = replace(scene, environment=EnvironmentMap(assembly.environment.map(), **frame))
+        scene = replace(scene, environment=shown_environment(assembly))
     return scene
+
+
+def shown_environment(assembly: Assembly) -> EnvironmentMap | None:
+    """The environment that a run found, in the frame of the scene's own, or the scene's own where that is known."""
+    own = assembly.scene.environment
+    if assembly.environment is None:
+        return own
+    return EnvironmentMap(assembly.environment.map(), **({} if own is None else {"to_world": own.to_world}))
 
 
 class EditedMaterials(nn.Module):

@@ -53,6 +53,11 @@ class Sampling:
     independent of each other, which unbiased gradients need. Where it does not divide ``spp``, every sample is a group
     of its own."""
 
+    focus: Annotated[float, Range(0.0, 0.9)] = 0.0
+    """Fraction of a batch's pixels that are drawn where the photometric gradient by roughness is large, highlights
+    above all, instead of in turn; weights keep every mean, and more of the samples there follow the specular lobe. 0
+    draws all pixels in turn, and so does a ``data.patch_size`` above 1."""
+
     @property
     def groups(self) -> int:
         """Independent groups of samples in a pixel."""
@@ -144,14 +149,21 @@ class Optimization:
     """Learning rates of the optimizers and the schedule that they share."""
 
     albedo: NonNegative = 5e-3
+    """Learning rate of the albedo field; 0 leaves it as it begins."""
     roughness: NonNegative = 5e-3
-    """For batches of the usual size; :meth:`ModelSettings.for_batch` lowers it where ``data.pixel_multiplier`` spreads
-    the samples over more pixels."""
+    """Learning rate of the roughness field, for batches of the usual size; :meth:`ModelSettings.for_batch` lowers it
+    where ``data.pixel_multiplier`` spreads the samples over more pixels."""
     roughness_decay: NonNegative = 0.0
     """Weight decay (AdamW's) of the table that roughness's network reads; 0 is none. Where photographs say little about
     roughness, noise writes patterns into the table that nothing else takes out again."""
+    roughness_beta2: Annotated[float, Range(0.0, 1.0, below=True)] = 0.99
+    """Decay of the second moment by which roughness's steps are scaled (Adam's). Most of the squared gradient by
+    roughness comes from a hundredth of the pixels, those of highlights. Where they are forgotten before the next
+    highlight comes, the noise of all others is scaled up to steps of the same size."""
     radiance: NonNegative = 5e-3
+    """Learning rate of the radiance field."""
     environment: NonNegative = 1e-1
+    """Learning rate of an environment map that is recovered; its texels are the parameters."""
     schedule: Literal["constant", "cosine"] = "cosine"
     """Cosine decay over the run: by iterations (``max_steps``) or time (``max_time``), whichever ends first."""
     warmup: CountOrZero = 20

@@ -25,6 +25,7 @@ from neurad.assembly.memory import announce_camera_rays
 from neurad.core.errors import InputError
 from neurad.core.protocols import PhotoSource
 from neurad.core.records import FloatArray, PixelBatch
+from neurad.integrators.focus import TIMES
 from neurad.integrators.primary_hits import PrimaryHits
 from neurad.metrics.view_residuals import surface_fractions
 from neurad.scene.description import Scene
@@ -116,6 +117,8 @@ def prepare_views(
     kind = settings.objective.normaliser
     if kind == "blurred" or (kind == "prediction" and not settings.method.needs_field):
         photographs.request_blurred()
+    if assembly.focus is not None:
+        photographs.request_candidates(assembly.focus.fraction, TIMES)
     checksum = zlib.crc32(repr(stats.checksums).encode()) if stats.checksums else 0
     return TrainingViews(primary, emitter_mask, mean_square, checksum, stats.sample, surface)
 

@@ -17,7 +17,12 @@ def _schlick(z: Tensor) -> Tensor:
 
 
 def lobes_pdf(
-    roughness: Tensor, wo: Tensor, wi: Tensor, eta: float, specular_fraction: float = 0.5, metallic: float = 0.0
+    roughness: Tensor,
+    wo: Tensor,
+    wi: Tensor,
+    eta: float,
+    specular_fraction: float | Tensor = 0.5,
+    metallic: float = 0.0,
 ) -> tuple[Tensor, Tensor, Tensor]:
     """Diffuse and specular lobe and the density; any device and dtype, differentiable in roughness.
 
@@ -34,7 +39,7 @@ def lobes_pdf(
         wo: towards the viewer, local [n, 3].
         wi: towards the light, local [n, 3].
         eta: refractive index, inside over outside.
-        specular_fraction: probability p of the specular lobe.
+        specular_fraction: probability p of the specular lobe, of all lanes or of each [n].
         metallic: 0 is a dielectric, 1 a metal.
 
     Returns:

@@ -37,13 +37,13 @@ def table(eta: float, device: torch.device, metallic: float = 0.0) -> Tensor:
     u = points.draw(SAMPLES).repeat(COSINES, 1)
     cosine = (torch.arange(COSINES) / (COSINES - 1)).square().clamp_min(1e-3).repeat_interleave(SAMPLES)
     wo = torch.stack(((1.0 - cosine * cosine).sqrt(), torch.zeros_like(cosine), cosine), -1)
-    wi, out = torch.empty_like(wo), torch.empty(5, len(wo))
+    wi, out, half = torch.empty_like(wo), torch.empty(5, len(wo)), np.array([0.5], np.float32)
     rows = []
     for step in range(ROUGHNESSES):
         roughness = torch.full_like(cosine, max(step / (ROUGHNESSES - 1), 1e-3)).unsqueeze(-1)
-        kernels.direction(roughness.numpy(), wo.numpy(), u.numpy(), np.float32(0.5), wi.numpy())
+        kernels.direction(roughness.numpy(), wo.numpy(), u.numpy(), half, wi.numpy())
         if metallic == 0.0:
-            kernels.lobes_pdf(roughness.numpy(), wo.numpy(), wi.numpy(), np.float32(eta), np.float32(0.5), out.numpy())
+            kernels.lobes_pdf(roughness.numpy(), wo.numpy(), wi.numpy(), np.float32(eta), half, out.numpy())
         else:
             out = _with_derivatives(roughness, wo, wi, eta, metallic)
         inverse = torch.where(out[2] > 0, 1.0 / out[2], 0.0)

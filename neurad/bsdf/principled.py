@@ -16,7 +16,7 @@ from neurad.bsdf import principled_kernels as kernels
 from neurad.bsdf.burley import lobes_pdf
 from neurad.bsdf.directional import directional_albedo, mean_lobes
 from neurad.bsdf.microfacet import alpha_of, mirror, visible_normal
-from neurad.core.records import BSDFSample, Surface
+from neurad.core.records import BSDFSample, FloatArray, Surface
 from neurad.core.reflection import PrincipledModel
 from neurad.core.sampling import cosine_hemisphere
 from neurad.runtime.dispatch import use_kernel
@@ -28,8 +28,17 @@ class PrincipledKernels:
 
     eta: float
     """Refractive index of the specular lobe, inside over outside."""
-    specular_fraction: float
-    """Probability of the specular lobe."""
+    specular_fraction: float | Tensor
+    """Probability of the specular lobe, of all lanes or of each [n]."""
+
+    def _fraction(self, lanes: int) -> FloatArray:
+        """It as an array [1] or [n]."""
+        if not isinstance(self.specular_fraction, Tensor):
+            return np.array([self.specular_fraction], np.float32)
+        if len(self.specular_fraction) != lanes:
+            raise ValueError(f"lanes differ: specular_fraction {len(self.specular_fraction)}, others {lanes}")
+        found: FloatArray = self.specular_fraction.contiguous().numpy()
+        return found
 
     def lobes(self, roughness: Tensor, wo: Tensor, wi: Tensor) -> Tensor:
         """Rows d, s, pdf of :func:`lobes_pdf` and dd/droughness, ds/droughness [5, n].
@@ -41,8 +50,7 @@ class PrincipledKernels:
             raise ValueError(f"lanes differ: roughness {roughness.shape[0]}, wo {wo.shape[0]}, wi {wi.shape[0]}")
         rough, view, towards = (x.detach().contiguous().numpy() for x in (roughness, wo, wi))
         out = torch.empty(5, len(wo))
-        eta, fraction = np.float32(self.eta), np.float32(self.specular_fraction)
-        kernels.lobes_pdf(rough, view, towards, eta, fraction, out.numpy())
+        kernels.lobes_pdf(rough, view, towards, np.float32(self.eta), self._fraction(len(wo)), out.numpy())
         return out
 
     def direction(self, roughness: Tensor, wo: Tensor, u: Tensor) -> Tensor:
@@ -60,7 +68,7 @@ class PrincipledKernels:
             raise ValueError(f"lanes differ: roughness {roughness.shape[0]}, wo {wo.shape[0]}, u {u.shape[0]}")
         rough, view, numbers = (x.detach().contiguous().numpy() for x in (roughness, wo, u))
         wi = torch.empty(len(wo), 3)
-        kernels.direction(rough, view, numbers, np.float32(1.0 - self.specular_fraction), wi.numpy())
+        kernels.direction(rough, view, numbers, self._fraction(len(wo)), wi.numpy())
         return wi
 
     def mean_lobes(self, roughness: Tensor, cosine: Tensor) -> Tensor:
@@ -88,7 +96,7 @@ class _LobesPdfKernel(torch.autograd.Function):
 
 
 def principled_lobes_pdf(
-    roughness: Tensor, wo: Tensor, wi: Tensor, eta: float, specular_fraction: float = 0.5
+    roughness: Tensor, wo: Tensor, wi: Tensor, eta: float, specular_fraction: float | Tensor = 0.5
 ) -> tuple[Tensor, Tensor, Tensor]:
     """The kernel of :func:`lobes_pdf` for float32 on the CPU; differentiable once, in the roughness only.
 
@@ -136,20 +144,25 @@ class Principled:
         """The compiled lobes, where ``surface`` is float32 on the CPU and all of one model."""
         enabled = self.use_kernels and surface.model is None
         if use_kernel(enabled, surface.albedo, surface.roughness, differentiable=True):
-            return PrincipledKernels(self.eta, self.specular_fraction)
+            return PrincipledKernels(self.eta, self._fraction(surface))
         return None
+
+    def _fraction(self, surface: Surface) -> float | Tensor:
+        """Probability of the specular lobe, the lanes' own [n] where they have one."""
+        return self.specular_fraction if surface.specular_fraction is None else surface.specular_fraction.squeeze(-1)
 
     def _lobes_pdf(self, surface: Surface, wo: Tensor, wi: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         if use_kernel(self.use_kernels, wo, differentiable=True):
-            return principled_lobes_pdf(surface.roughness, wo, wi, self.eta, self.specular_fraction)
-        return lobes_pdf(surface.roughness, wo, wi, self.eta, self.specular_fraction, self.metallic)
+            return principled_lobes_pdf(surface.roughness, wo, wi, self.eta, self._fraction(surface))
+        return lobes_pdf(surface.roughness, wo, wi, self.eta, self._fraction(surface), self.metallic)
 
     def _direction(self, surface: Surface, wo: Tensor, u: Tensor) -> Tensor:
-        roughness = surface.roughness.detach()
+        roughness, fraction = surface.roughness.detach(), self._fraction(surface)
         if use_kernel(self.use_kernels, wo, differentiable=True):
-            return PrincipledKernels(self.eta, self.specular_fraction).direction(roughness, wo, u)
+            return PrincipledKernels(self.eta, fraction).direction(roughness, wo, u)
         mirrored = mirror(wo, visible_normal(wo, alpha_of(roughness), u[:, 1:]))
-        return torch.where(u[:, :1] < 1.0 - self.specular_fraction, cosine_hemisphere(u[:, 1:]), mirrored)
+        by_cosine = (u[:, 0] < 1.0 - fraction).unsqueeze(-1)
+        return torch.where(by_cosine, cosine_hemisphere(u[:, 1:]), mirrored)
 
     def lobes(self, roughness: Tensor, wo: Tensor, wi: Tensor) -> tuple[Tensor, Tensor]:
         """Diffuse lobe for albedo 1 and specular lobe, cosine included: d [n] and s [n], differentiable in
@@ -177,7 +190,7 @@ class Principled:
 
     def diffuse_fraction(self, surface: Surface, wo: Tensor) -> float | Tensor:
         """Probability of the diffuse lobe."""
-        return 1.0 - self.specular_fraction
+        return 1.0 - self._fraction(surface)
 
     def mean_weight(self, surface: Surface, wo: Tensor) -> Tensor:
         """Mean of the weights of :meth:`sample` [n, 3], the directional albedo, differentiable in ``surface``."""

@@ -22,12 +22,15 @@ _MIN_ALPHA, _TINY = np.float32(0.001), np.float32(1e-6)
 
 @fastmath_kernel
 def lobes_pdf(
-    roughness: FloatArray, wo: FloatArray, wi: FloatArray, eta: np.float32, fraction: np.float32, out: FloatArray
+    roughness: FloatArray, wo: FloatArray, wi: FloatArray, eta: np.float32, fraction: FloatArray, out: FloatArray
 ) -> None:  # pragma: no cover - compiled
-    """Fill the rows of ``out`` [5, n] with d, s, pdf, dd/droughness and ds/droughness."""
-    cosine_fraction, ggx_fraction = _ONE - fraction, _HALF * fraction
+    """Fill the rows of ``out`` [5, n] with d, s, pdf, dd/droughness and ds/droughness; ``fraction`` is that of the
+    specular lobe, [n] or [1] for one of all lanes.
+    """
     inv_eta2 = _ONE / (eta * eta)
+    last = fraction.shape[0] - 1
     for i in range(wo.shape[0]):
+        specular = fraction[min(i, last)]
         zo, zi, r = wo[i, 2], wi[i, 2], roughness[i, 0]
         front = (zo > _ZERO) & (zi > _ZERO)
         zo, zi = max(zo, _ZERO), max(zi, _ZERO)
@@ -67,19 +70,22 @@ def lobes_pdf(
         base = (_ONE - _HALF * fo) * (_ONE - _HALF * fi)
         out[0, i] = lambert * (base + retro * (fo + fi - both + retro * both))
         out[1, i] = s if front else _ZERO
-        out[2, i] = cosine_fraction * lambert + ggx_fraction * density * inv_o if front else _ZERO
+        out[2, i] = (_ONE - specular) * lambert + _HALF * specular * density * inv_o if front else _ZERO
         out[3, i] = lambert * retro_by_roughness * (fo + fi - both + _TWO * retro * both)
         out[4, i] = s * log_s_by_alpha * _TWO * r if front and wide else _ZERO
 
 
 @fastmath_kernel
 def direction(
-    roughness: FloatArray, wo: FloatArray, u: FloatArray, cosine_fraction: np.float32, out: FloatArray
+    roughness: FloatArray, wo: FloatArray, u: FloatArray, fraction: FloatArray, out: FloatArray
 ) -> None:  # pragma: no cover - compiled
-    """Fill ``out`` [n, 3] with directions drawn by the principled BSDF from the numbers ``u`` [n, 3]."""
+    """Fill ``out`` [n, 3] with directions drawn by the principled BSDF from the numbers ``u`` [n, 3]; ``fraction`` as
+    in :func:`lobes_pdf`.
+    """
+    last = fraction.shape[0] - 1
     for i in range(wo.shape[0]):
         a, b = concentric_disk(u[i, 1], u[i, 2])
-        if u[i, 0] < cosine_fraction:
+        if u[i, 0] < _ONE - fraction[min(i, last)]:
             out[i, 0], out[i, 1] = a, b
             out[i, 2] = math.sqrt(max(_ONE - a * a - b * b, _ZERO))
             continue

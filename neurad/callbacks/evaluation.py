@@ -6,6 +6,7 @@ import json
 import sys
 import time
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
@@ -13,7 +14,9 @@ import lightning.pytorch as pl
 import numpy as np
 from lightning.pytorch.loggers import TensorBoardLogger
 
-from neurad.callbacks import pictures
+from neurad.callbacks import pictures, report
+from neurad.callbacks.board import Board
+from neurad.callbacks.closing import Shown, print_closing, report_run, settings_of, title_of
 from neurad.callbacks.run_folder import run_folder
 from neurad.callbacks.table import MetricsTable, curve_table, score_table
 from neurad.callbacks.training_views import ViewTable
@@ -21,9 +24,11 @@ from neurad.core.errors import InputError
 from neurad.core.ranges import Count, CountOrZero, NonNegative, checked
 from neurad.metrics.bars_file import NAME, read_bars, write_bars
 from neurad.metrics.effort import affordable
-from neurad.metrics.limits import sentence_of_limits
+from neurad.metrics.unseen import Unseen
+from neurad.pages.colours import exposure
 from neurad.runtime import clock
 from neurad.runtime.files import write_text
+from neurad.runtime.progress import phase
 from neurad.training.schedule import fraction_done, time_limit
 
 if TYPE_CHECKING:
@@ -69,11 +74,15 @@ class Evaluate(pl.Callback):
         self.log_every_n_steps = log_every_n_steps
         checked(self)
         self.last_scores: dict[str, float] = {}
+        self.last_scored = 0.0
+        """When that was, by the monotonic clock."""
         self._spent = 0.0
         self._last = 0.0
         self._mark = 0
         self._evaluated = -1
         self._views: ViewTable | None = None
+        self._board: Board | None = None
+        self._shown: Shown | None = None
 
     def state_dict(self) -> dict[str, Any]:
         """Seconds and marks so far: a continued run keeps to its fraction of time."""
@@ -105,8 +114,8 @@ class Evaluate(pl.Callback):
     def on_train_batch_end(self, trainer: pl.Trainer, pl_module: pl.LightningModule, *_: Any) -> None:
         """Log losses, and evaluate if it is time."""
         module = cast("InverseRenderer", pl_module)
-        if module.iteration % self.log_every_n_steps == 0:
-            self._log_losses(trainer, module)
+        if module.iteration % self.log_every_n_steps == 0 and (board := self._board_of(trainer, module)):
+            board.losses(module.last_losses, module.iteration)
         if trainer.strategy.broadcast(self._due(trainer, module)):
             self._evaluate_fit(trainer, module)
 
@@ -120,7 +129,8 @@ class Evaluate(pl.Callback):
             self._evaluate_fit(trainer, module)
         with clock.excluded():
             if trainer.is_global_zero and run_folder(trainer) is not None:
-                self._show_bars(trainer, module)
+                with phase("error bars"):
+                    self._finish(trainer, module)
             trainer.strategy.barrier("error bars")
 
     def on_fit_end(self, trainer: pl.Trainer, pl_module: pl.LightningModule) -> None:
@@ -130,11 +140,9 @@ class Evaluate(pl.Callback):
         scores = rows[-1] if rows else self.last_scores
         if trainer.is_global_zero and scores:
             table = _table(module, scores, self.spp, steady=True)
-            print("\n" + "\n\n".join(t for t in (table, curve_table(rows)) if t))
-            if said := sentence_of_limits(scores):
-                print(f"\nneurad: {said}")
-            if folder:
-                print(f"\nneurad: run folder {folder}")
+            print("\n" + "\n\n".join(t for t in (table, curve_table(rows)) if t) + "\n")
+            unseen = None if self._shown is None else self._shown.unseen
+            print_closing(trainer, folder, scores, unseen, tested=False)
 
     def on_validation_epoch_end(self, trainer: pl.Trainer, pl_module: pl.LightningModule) -> None:
         """``neurad validate``: print the scores."""
@@ -149,24 +157,27 @@ class Evaluate(pl.Callback):
         module = cast("InverseRenderer", pl_module)
         folder = run_folder(trainer)
         evaluation = module.evaluate(self.test_spp, glossy=True, bars=error_bars_of(module, folder))
-        print(_table(module, evaluation.scores, self.test_spp))
+        unseen = Unseen.of(evaluation.maps)
+        print(_table(module, evaluation.scores, self.test_spp) + "\n")
         if folder is not None:
-            pictures.write_views(folder / "images", evaluation.maps, evaluation.environment)
+            pictures.write_views(folder / "images", evaluation.maps, evaluation.environment, title_of(module))
+            report_run(module, folder, evaluation, unseen, f"{self.test_spp} samples per pixel")
             about = {"iteration": module.iteration, "seconds": round(module.seconds_before, 2), "rays": module.rays}
             about["samples"] = module.samples
             scores = {key: _json_number(value) for key, value in evaluation.scores.items()}
             text = json.dumps({**about, "render_spp": self.test_spp, **scores}, indent=2)
             write_text(folder / "metrics.json", text + "\n")
-            print(f"\nneurad: images and metrics.json are in {folder}")
+        print_closing(trainer, folder, evaluation.scores, unseen, tested=True)
 
     def on_predict_epoch_end(self, trainer: pl.Trainer, pl_module: pl.LightningModule) -> None:
         """``neurad predict``: write every held-out view, without scores."""
         if not trainer.is_global_zero:
             return
-        evaluation = cast("InverseRenderer", pl_module).evaluate(self.test_spp)
+        module = cast("InverseRenderer", pl_module)
+        evaluation = module.evaluate(self.test_spp)
         folder = run_folder(trainer)
         if folder is not None:
-            pictures.write_views(folder / "images", evaluation.maps, evaluation.environment)
+            pictures.write_views(folder / "images", evaluation.maps, evaluation.environment, title_of(module))
             print(f"neurad: images are in {folder / 'images'}")
 
     def _due(self, trainer: pl.Trainer, module: InverseRenderer) -> bool:
@@ -187,54 +198,54 @@ class Evaluate(pl.Callback):
             self._evaluated = module.iteration
             if trainer.is_global_zero:
                 evaluation = module.evaluate(self.spp, steady=True)
-                self.last_scores = dict(evaluation.scores)
-                self._record(trainer, module, evaluation.scores, evaluation.maps)
-                self._preview(trainer, module, evaluation)
+                self.last_scores, self.last_scored = dict(evaluation.scores), time.monotonic()
+                self._record(trainer, module, evaluation)
                 self._check_views(trainer, module)
             trainer.strategy.barrier("evaluation")
         taken = time.monotonic() - begin
         self._spent += taken
         self._last = taken  # the first one also fills caches, so it is no forecast
 
-    def _record(
-        self, trainer: pl.Trainer, module: InverseRenderer, scores: Mapping[str, float], maps: list[dict[str, Any]]
-    ) -> None:
+    def _record(self, trainer: pl.Trainer, module: InverseRenderer, evaluation: Evaluation) -> None:
         """A row of metrics.csv, and the page in TensorBoard."""
         folder = run_folder(trainer)
         if folder is None:
             return
         spent = {"seconds": module.train_seconds, "rays": module.rays, "samples": module.samples}
-        row = {"iteration": module.iteration, **spent, **scores}
-        MetricsTable(folder / "metrics.csv").append(row)
-        if not isinstance(trainer.logger, TensorBoardLogger):
-            return
-        writer = trainer.logger.experiment
-        for name, value in scores.items():
-            writer.add_scalar(f"{_group(name)}/{name}", value, module.iteration)
-            writer.add_scalar(f"{_group(name)}_by_seconds/{name}", value, int(module.train_seconds))
-        exposure = pictures.exposure(maps)
-        for index, view in enumerate(maps[: self.pictures]):
-            for name, picture in pictures.pages(view, exposure).items():
-                label = f"{name}/{pictures.view_name(view, index)}"
-                writer.add_image(label, picture, module.iteration, dataformats="HWC")
-        writer.flush()
+        MetricsTable(folder / "metrics.csv").append({"iteration": module.iteration, **spent, **evaluation.scores})
+        maps = evaluation.maps
+        kept = replace(evaluation, maps=maps[: max(self.pictures, report.VIEWS)])
+        self._shown = Shown(kept, Unseen.of(maps).summary())
+        if board := self._board_of(trainer, module):
+            board.scores(evaluation.scores, module.iteration, module.train_seconds)
+            board.sheets(maps[: self.pictures], module.iteration)
+            if evaluation.environment:
+                picture = pictures.environment(evaluation.environment, exposure(maps))
+                board.picture("environment", picture, module.iteration)
 
-    def _preview(self, trainer: pl.Trainer, module: InverseRenderer, evaluation: Evaluation) -> None:
-        """The environment map that is recovered, above the true one, in TensorBoard."""
-        if evaluation.environment and isinstance(trainer.logger, TensorBoardLogger):
-            picture = pictures.environment(evaluation.environment, pictures.exposure(evaluation.maps))
-            trainer.logger.experiment.add_image("environment", picture, module.iteration, dataformats="HWC")
-
-    def _show_bars(self, trainer: pl.Trainer, module: InverseRenderer) -> None:
-        """The error bars of the final materials, into the run folder and TensorBoard."""
-        bars = error_bars_of(module, run_folder(trainer))
-        if bars is None or not isinstance(trainer.logger, TensorBoardLogger):
+    def _finish(self, trainer: pl.Trainer, module: InverseRenderer) -> None:
+        """Measure the error bars of the final materials, into the run folder; show them with the last evaluation in
+        TensorBoard, and write the report.
+        """
+        folder = run_folder(trainer)
+        bars = error_bars_of(module, folder)
+        if self._shown is None or folder is None:
             return
-        for index, view in enumerate(module.bar_maps(bars)[: self.pictures]):
-            for name, picture in pictures.pages(view, 1.0).items():
-                label = f"{name}/{pictures.view_name(view, index)}"
-                trainer.logger.experiment.add_image(label, picture, module.iteration, dataformats="HWC")
-        trainer.logger.experiment.flush()
+        evaluation, unseen = self._shown.evaluation, self._shown.unseen
+        if bars is not None:
+            for view, found in zip(evaluation.maps, module.bar_maps(bars), strict=False):
+                view |= found
+            if board := self._board_of(trainer, module):
+                board.sheets(evaluation.maps[: self.pictures], module.iteration)
+        control = ", with the radiance field as control variate" if "psnr_lhs" in evaluation.scores else ""
+        about = f"{self.spp} samples per pixel{control}; neurad test takes {self.test_spp}"
+        report_run(module, folder, evaluation, unseen, about)
+
+    def _board_of(self, trainer: pl.Trainer, module: InverseRenderer) -> Board | None:
+        """The page in TensorBoard, if there is one."""
+        if self._board is None and isinstance(trainer.logger, TensorBoardLogger) and trainer.is_global_zero:
+            self._board = Board(trainer.logger, module, settings_of(trainer))
+        return self._board
 
     def _check_views(self, trainer: pl.Trainer, module: InverseRenderer) -> None:
         """How well the training views agree with each other, into ``views.csv``."""
@@ -243,11 +254,6 @@ class Evaluate(pl.Callback):
             return
         self._views = self._views or ViewTable([view.name for view in module.scene.train], views.surface)
         self._views.update(run_folder(trainer), module.iteration, residuals)
-
-    def _log_losses(self, trainer: pl.Trainer, module: InverseRenderer) -> None:
-        if isinstance(trainer.logger, TensorBoardLogger) and trainer.is_global_zero:
-            for name, value in module.last_losses.items():
-                trainer.logger.experiment.add_scalar(f"train/{name}", float(value), module.iteration)
 
 
 def error_bars_of(module: InverseRenderer, folder: Path | None) -> ErrorBars | None:
@@ -278,12 +284,6 @@ def _table(module: InverseRenderer, scores: Mapping[str, float], spp: int, stead
     if said is None:
         return score_table(scores, spp, steady=steady)
     return f"{score_table(scores, spp, steady=steady, views='Training photographs')}\n\nneurad: {said}"
-
-
-def _group(name: str) -> str:
-    """TensorBoard's group of a score: the curves to follow first, not lost among the flat lines of the constant."""
-    kinds = ("constant", "lookup", "seen")
-    return "_".join(["held_out", *(kind for kind in kinds if kind in name.split("_"))])
 
 
 def _json_number(value: float) -> float | None:

@@ -1,4 +1,4 @@
-"""Pictures of an evaluation: tone-mapped pages for TensorBoard, EXR and PNG files for ``neurad test``."""
+"""Pictures of an evaluation: the sheet of a view, and EXR and PNG files for ``neurad test``."""
 
 from __future__ import annotations
 
@@ -9,14 +9,33 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from neurad.metrics.unseen import Unseen
+from neurad.pages.colours import (
+    BARS,
+    BRIGHTEST,
+    BRIGHTEST_STD,
+    ERRORS,
+    LEVEL,
+    Bytes,
+    encode,
+    exposure,
+    false_colour,
+    grey,
+)
+from neurad.pages.draw import draw
+from neurad.pages.sheet import Scale, Sheet, Tile, worst_squares
 from neurad.runtime.files import make_folder
-from neurad.scene.image_io import to_srgb, write_exr, write_png
+from neurad.runtime.progress import counted
+from neurad.scene.image_io import write_exr, write_png
 
 Image = npt.NDArray[np.float32]
-Bytes = npt.NDArray[np.uint8]
 View = Mapping[str, Any]
-BRIGHTEST_STD = 0.2
-"""Standard deviation that pictures of error bars show brightest; next to nothing is known there."""
+CROPPED = ("render", "photograph", "albedo", "albedo_true", "roughness", "roughness_true")
+"""Pictures that the crops of a sheet are taken of."""
+WRITTEN = ("render", "albedo", "roughness", "relit", "albedo_std", "roughness_std")
+"""Maps that are written as EXR and as PNG."""
+ROUGHNESS = Scale("gray", "0 smooth", "1 rough", "roughness")
+STD = Scale(BARS, "0 sure", f"\u2265 {BRIGHTEST_STD:g}", "standard deviation, darker is surer")
 
 
 def view_name(view: View, index: int) -> str:
@@ -24,64 +43,99 @@ def view_name(view: View, index: int) -> str:
     return str(view.get("name") or f"{index:03d}").replace("/", "_")
 
 
-def exposure(maps: Sequence[View]) -> float:
-    """One factor for all pictures of a run, from the photographs alone: it must not follow the fit, or it would
-    hide its progress. The 90th percentile of the photographs becomes 0.8.
-    """
-    photographs = [view["photograph"] for view in maps if view.get("photograph") is not None]
-    if not photographs:
-        return 1.0
-    level = float(np.percentile(np.concatenate([p.reshape(-1) for p in photographs]), 90))
-    return 0.8 / level if level > 0 else 1.0
-
-
-def encode(image: Image) -> Bytes:
-    """Linear values in [0, 1] as sRGB bytes [h, w, 3]; one channel becomes grey."""
-    return np.round(to_srgb(np.broadcast_to(image, (*image.shape[:2], 3))) * 255).astype(np.uint8)
-
-
-def grey(image: Image) -> Bytes:
-    """Values in [0, 1] as bytes without a curve: roughness is no light."""
-    return np.round(np.clip(np.broadcast_to(image, (*image.shape[:2], 3)), 0, 1) * 255).astype(np.uint8)
-
-
-def false_colour(error: Image, scale: float) -> Bytes:
-    """The mean over channels of ``error`` [h, w, c], black at 0 and bright at ``1 / scale``."""
-    from matplotlib import colormaps
-
-    return np.asarray(colormaps["inferno"](np.clip(error.mean(axis=-1) * scale, 0, 1), bytes=True)[..., :3])
-
-
-def pages(view: View, scale: float) -> dict[str, Bytes]:
-    """The pictures of one view, side by side, those that have what they need.
+def view_sheet(view: View, scale: float, title: str) -> Sheet:
+    """Everything there is to see of one view.
 
     Args:
-        view: arrays [h, w, c] by name: render, photograph, albedo, albedo_true, roughness, roughness_true, residual,
-            albedo_std, roughness_std.
+        view: arrays [h, w, c] by name, those that it has: render, photograph, albedo, albedo_true, roughness,
+            roughness_true, residual, albedo_std, roughness_std, relit, photograph_relit, seen.
         scale: exposure of radiance; an error of a quarter of display white is the brightest in the error pictures.
+        title: of the sheet.
     """
     has = {name for name in view if view[name] is not None}
-    result = {}
-    if {"render", "photograph"} <= has:
-        result["render_photograph_error"] = _compared(view["render"], view["photograph"], scale)
-    if {"relit", "photograph_relit"} <= has:
-        result["relit_photograph_error"] = _compared(view["relit"], view["photograph_relit"], scale)
-    for name, show in (("albedo", encode), ("roughness", grey)):
-        if name in has:
-            shown = [view[name], view[f"{name}_true"]] if f"{name}_true" in has else [view[name]]
-            result["_".join([name, "truth"][: len(shown)])] = _beside([show(image) for image in shown])
-    for name in ("albedo_std", "roughness_std"):
-        if name in has:
-            result[name] = false_colour(view[name], 1.0 / BRIGHTEST_STD)
+    if "roughness" in has and is_trivial(view["roughness"]):
+        has.discard("roughness")
+    rows: dict[str, list[Tile | None]] = {
+        "Picture": _light(view, has, scale, "render", "photograph", "Rendered", "Photograph"),
+        "Albedo": _material(view, has, "albedo"),
+        "Roughness": _material(view, has, "roughness"),
+        "Relit": _light(view, has, scale, "relit", "photograph_relit", "Rendered in other light", "Photograph in it"),
+    }
     if "residual" in has:
-        result["residual_lhs_rhs"] = false_colour(np.abs(view["residual"]), 4 * scale)
-    return result
+        bar = Scale(ERRORS, "0", f"\u2265 {100 * BRIGHTEST:g} % of white", "field minus rendering, darker is better")
+        picture = false_colour(np.abs(view["residual"]), scale / BRIGHTEST)
+        rows["Picture"] += [Tile("residual", "Residual of the equation", picture, bar)]
+    found = Unseen.of([view])
+    notes = [
+        f"Exposure: radiance times {scale:.3g}, the same for all views; it shows the photographs' 90th percentile at "
+        f"{LEVEL:g} of display white. Albedo is shown by the sRGB curve, roughness without one."
+    ]
+    notes += [sentence for sentence in [found.hatching("this view")] if sentence]
+    sheet = Sheet(title, rows, found.masks[0], notes=notes, crop_keys=CROPPED)
+    sheet.crops = worst_squares(_errors(view, has, scale))
+    return sheet.compact()
 
 
-def _compared(render: Image, photograph: Image, scale: float) -> Bytes:
-    """A rendering, its photograph and the error, side by side."""
-    error = np.abs(render - photograph)
-    return _beside([encode(render * scale), encode(photograph * scale), false_colour(error, 4 * scale)])
+def _light(
+    view: View, has: set[str], scale: float, name: str, truth: str, heading: str, other: str
+) -> list[Tile | None]:
+    """A rendering, its photograph, and the error."""
+    if name not in has:
+        return []
+    tiles: list[Tile | None] = [Tile(name, heading, encode(view[name] * scale), pair=truth if truth in has else "")]
+    if truth in has:
+        bar = Scale(ERRORS, "0", f"\u2265 {100 * BRIGHTEST:g} % of white", "absolute error, darker is better")
+        error = false_colour(np.abs(view[name] - view[truth]), scale / BRIGHTEST)
+        tiles += [
+            Tile(truth, other, encode(view[truth] * scale), pair=name),
+            Tile(f"{name}_error", "Error", error, bar),
+        ]
+    return tiles
+
+
+def _material(view: View, has: set[str], name: str) -> list[Tile | None]:
+    """What was found of a material, the truth, the error, and the error bars."""
+    if name not in has:
+        return _bars(view, has, name)
+    truth, bar = f"{name}_true", ROUGHNESS if name == "roughness" else None
+    show = grey if name == "roughness" else encode
+    tiles: list[Tile | None] = [
+        Tile(name, f"{name.capitalize()} found", show(view[name]), bar, truth if truth in has else "")
+    ]
+    if truth in has:
+        error = false_colour(np.abs(view[name] - view[truth]), 1.0 / BRIGHTEST)
+        scale = Scale(ERRORS, "0", f"\u2265 {BRIGHTEST:g}", "absolute error, darker is better")
+        tiles += [
+            Tile(truth, f"{name.capitalize()} true", show(view[truth]), bar, name),
+            Tile(f"{name}_error", f"Error of {name}", error, scale),
+        ]
+    return tiles + _bars(view, has, name)
+
+
+def _bars(view: View, has: set[str], name: str) -> list[Tile | None]:
+    if f"{name}_std" not in has:
+        return []
+    picture = false_colour(view[f"{name}_std"], 1.0 / BRIGHTEST_STD, BARS)
+    return [Tile(f"{name}_std", f"Error bars of {name}", picture, STD)]
+
+
+def _errors(view: View, has: set[str], scale: float) -> list[tuple[str, Image]]:
+    """Squared errors [h, w] of surfaces that photographs show, with what they are of."""
+    known = np.ones(view["render"].shape[:2], np.bool_) if "seen" not in has else view["seen"][..., 0] == 1.0
+    found = []
+    for name in ("albedo", "roughness"):
+        if {name, f"{name}_true"} <= has:
+            error = np.square(view[name] - view[f"{name}_true"]).mean(-1)
+            found.append((f"where {name} is most wrong on surfaces that photographs show", np.where(known, error, 0.0)))
+    if {"render", "photograph"} <= has:
+        off = np.clip(view["render"] * scale, 0, 1) - np.clip(view["photograph"] * scale, 0, 1)
+        found.append(("where the picture is most wrong", np.square(off).mean(-1)))
+    return [(meaning, error.astype(np.float32)) for meaning, error in found]
+
+
+def is_trivial(roughness: Image) -> bool:
+    """Whether there was no roughness to find: a diffuse scene has 1 on its surfaces."""
+    return bool(np.isin(roughness, (0.0, 1.0)).all())
 
 
 def environment(maps: Mapping[str, Image], scale: float) -> Bytes:
@@ -91,32 +145,31 @@ def environment(maps: Mapping[str, Image], scale: float) -> Bytes:
     return np.concatenate([part for panel in panels for part in (panel, line)][:-1])
 
 
-def write_views(folder: Path, maps: Sequence[View], sky: Mapping[str, Image] | None = None) -> None:
+def write_views(folder: Path, maps: Sequence[View], sky: Mapping[str, Image] | None = None, title: str = "") -> None:
     """Write render, albedo, roughness, their error bars and relit rendering of every view, those that it has, as linear
-    EXR and as PNG for looking at; ``sky``, a recovered environment map and the true one, as ``environment``.
+    EXR and as PNG for looking at; which surfaces photographs show, and a sheet of everything, as PNG; ``sky``, a
+    recovered environment map and the true one, as ``environment``; ``title`` begins the headings of the sheets.
     """
     make_folder(folder)
     scale = exposure(maps)
-    for index, view in enumerate(maps):
-        for name in ("render", "albedo", "roughness", "relit", "albedo_std", "roughness_std"):
-            image = view.get(name)
+    for index, view in enumerate(counted(maps, "writing", len(maps), "pictures")):
+        name = view_name(view, index)
+        for kind in WRITTEN:
+            image = view.get(kind)
             if image is None:
                 continue
-            stem = folder / f"{view_name(view, index)}_{name}"
+            stem = folder / f"{name}_{kind}"
             write_exr(stem.with_suffix(".exr"), image, half=False)
-            light = name in ("render", "relit")
-            if name.endswith("_std"):
-                shown = false_colour(image, 1.0 / BRIGHTEST_STD)
+            light = kind in ("render", "relit")
+            if kind.endswith("_std"):
+                shown = false_colour(image, 1.0 / BRIGHTEST_STD, BARS)
             else:
-                shown = grey(image) if name == "roughness" else encode(image * scale if light else image)
+                shown = grey(image) if kind == "roughness" else encode(image * scale if light else image)
             write_png(stem.with_suffix(".png"), shown)
+        if view.get("seen") is not None:
+            write_png(folder / f"{name}_seen.png", grey(view["seen"]))
+        if view.get("render") is not None:
+            write_png(folder / f"{name}_sheet.png", draw(view_sheet(view, scale, f"{title}, view {name}".lstrip(", "))))
     if sky:
         write_exr(folder / "environment.exr", sky["fitted"], half=False)
         write_png(folder / "environment.png", environment(sky, scale))
-
-
-def _beside(panels: Sequence[Bytes]) -> Bytes:
-    """Panels of one height next to each other, a thin white line between."""
-    line = np.full((panels[0].shape[0], 2, 3), 255, np.uint8)
-    parts = [part for panel in panels for part in (panel, line)][:-1]
-    return np.concatenate(parts, axis=1)

@@ -1,100 +1,134 @@
-"""The bar that shows how far a run is."""
+"""The line that shows how far a fit is."""
 
 from __future__ import annotations
 
+import sys
 import time
 from typing import TYPE_CHECKING, Any, cast
 
 import lightning.pytorch as pl
-from lightning.pytorch.callbacks import TQDMProgressBar
-from lightning.pytorch.callbacks.progress.tqdm_progress import Tqdm
+from lightning.pytorch.callbacks import ProgressBar
 
+from neurad.core.durations import clock
 from neurad.core.ranges import NonNegative, checked
+from neurad.runtime import progress
 from neurad.training.schedule import fraction_done
 
 if TYPE_CHECKING:
     from neurad.training.inverse import InverseRenderer
 
+LOGGED_EVERY = 30.0
+"""Seconds between two lines where standard errors is no terminal but, say, a file."""
 
-class Bar(TQDMProgressBar):
-    """One line: iterations, losses, rays a second, albedo PSNR of the last evaluation, time left.
+
+class Bar(ProgressBar):
+    """One line: iterations, picture and albedo at the last evaluation and its age, time left.
+
+    What comes before and after training has a line of its own, see :mod:`neurad.runtime.progress`. Where standard
+    errors is no terminal there is a line every half minute.
 
     Args:
         refresh_seconds: at most one update of the line in this time.
     """
 
     def __init__(self, refresh_seconds: NonNegative = 0.5) -> None:
-        super().__init__(refresh_rate=1, leave=True)
+        super().__init__()
         self.refresh_seconds = refresh_seconds
         checked(self)
+        self._enabled = True
         self._shown = 0.0
-        self._begin = (0.0, 0, 0.0)
+        self._began: tuple[float, float] | None = None
 
-    def init_train_tqdm(self) -> Tqdm:
-        """A bar over the run's limit rather than over an epoch, which means nothing here."""
-        return Tqdm(
-            leave=True,
-            dynamic_ncols=True,
-            bar_format="fit {percentage:3.0f}%|{bar:12}| {desc}",
-            total=1000,
-            file=None,
-        )
+    def disable(self) -> None:
+        """Show nothing: Lightning asks all processes but the first for it."""
+        self._enabled = False
 
-    def init_validation_tqdm(self) -> Tqdm:
-        """No bar: there is nothing to count."""
-        return Tqdm(disable=True)
-
-    def init_test_tqdm(self) -> Tqdm:
-        """No bar: there is nothing to count."""
-        return Tqdm(disable=True)
-
-    def init_predict_tqdm(self) -> Tqdm:
-        """No bar: there is nothing to count."""
-        return Tqdm(disable=True)
+    def enable(self) -> None:
+        """Show the line again."""
+        self._enabled = True
 
     def on_train_start(self, trainer: pl.Trainer, pl_module: pl.LightningModule) -> None:
-        """Open the bar and note where counting starts."""
+        """Show the line."""
         super().on_train_start(trainer, pl_module)
-        module = cast("InverseRenderer", pl_module)
-        self._begin = (time.monotonic(), module.rays, fraction_done(trainer).largest)
-
-    def on_train_epoch_start(self, trainer: pl.Trainer, *_: Any) -> None:
-        """The bar goes on."""
-
-    def on_train_epoch_end(self, trainer: pl.Trainer, pl_module: pl.LightningModule) -> None:
-        """The bar goes on."""
+        self._began = None
+        self._update(trainer, pl_module)
 
     def on_train_batch_end(self, trainer: pl.Trainer, pl_module: pl.LightningModule, *_: Any) -> None:
         """Update the line, at most once in ``refresh_seconds``."""
-        now = time.monotonic()
-        if self.is_disabled or now - self._shown < self.refresh_seconds:
-            return
-        self._shown = now
-        module = cast("InverseRenderer", pl_module)
-        self.train_progress_bar.n = round(min(fraction_done(trainer).largest, 1.0) * 1000)
-        self.train_progress_bar.set_description_str(self.text(trainer, module))
+        if self._began is None:  # the first step compiles kernels, which says nothing about the others
+            self._began = (time.monotonic(), fraction_done(trainer).by_steps or 0.0)
+        every = self.refresh_seconds if progress.on_terminal() else LOGGED_EVERY
+        if time.monotonic() - self._shown >= every:
+            self._update(trainer, pl_module)
 
     def on_train_end(self, trainer: pl.Trainer, pl_module: pl.LightningModule) -> None:
-        """Close the bar."""
-        if not self.is_disabled:
-            self.train_progress_bar.n = round(min(fraction_done(trainer).largest, 1.0) * 1000)
-            self.train_progress_bar.set_description_str(self.text(trainer, cast("InverseRenderer", pl_module)))
-        self.train_progress_bar.close()
+        """Leave the last line standing; evaluations come before this callback."""
+        if self._enabled and self._began is not None:
+            text = self.text(trainer, cast("InverseRenderer", pl_module), progress.width(), ended=True)
+            if progress.on_terminal():
+                progress.finish(text)
+            else:
+                print(text.rstrip(), file=sys.stderr, flush=True)
+        self._began = None
+        progress.stage("writing")
 
-    def text(self, trainer: pl.Trainer, module: InverseRenderer) -> str:
-        """The text behind the bar."""
-        begin, rays, done = self._begin
-        seconds = max(time.monotonic() - begin, 1e-9)
+    def on_exception(self, trainer: pl.Trainer, pl_module: pl.LightningModule, exception: BaseException) -> None:
+        """Leave the line as it was when the fit was stopped."""
+        if self._enabled and self._began is not None:
+            progress.finish(self.text(trainer, cast("InverseRenderer", pl_module), progress.width()))
+        self._began = None
+
+    def _update(self, trainer: pl.Trainer, module: pl.LightningModule) -> None:
+        if not self._enabled:
+            return
+        self._shown = time.monotonic()
+        text = self.text(trainer, cast("InverseRenderer", module), progress.width())
+        if progress.on_terminal():
+            progress.show(text)
+        else:
+            print(text.rstrip(), file=sys.stderr, flush=True)
+
+    def text(self, trainer: pl.Trainer, module: InverseRenderer, width: int, ended: bool = False) -> str:
+        """The line.
+
+        Args:
+            trainer: of the fit.
+            module: that it trains.
+            width: columns that there are.
+            ended: whether training is over, so that no time is left whatever the evaluation after it takes.
+        """
+        done = 1.0 if ended else min(fraction_done(trainer).largest, 1.0)
         parts = [f"step {module.iteration}"]
-        parts += [f"{name} {float(value):.3g}" for name, value in module.last_losses.items()]
-        parts.append(f"{(module.rays - rays) / seconds / 1e6:.2f} Mrays/s")
-        for callback in trainer.callbacks:  # type: ignore[attr-defined]
-            if "albedo_psnr" in getattr(callback, "last_scores", {}):
-                parts.append(f"albedo {callback.last_scores['albedo_psnr']:.2f} dB")
-        left = fraction_done(trainer).seconds_left
-        if left is None or left == 0.0:
-            now = fraction_done(trainer).largest
-            left = seconds * (1 - now) / (now - done) if now > done else None
-        if left is not None:
-            parts.append(f"{int(left) // 60}:{int(left) % 60:02d} left")
-        return ", ".join(parts)
+        scores, age = _last_scores(trainer)
+        found = [
+            f"{name} {scores[key]:.1f}"
+            for name, key in (("image", "psnr_srgb"), ("albedo", "albedo_psnr"))
+            if key in scores
+        ]
+        if found:
+            old = "" if ended or age < 1 else f" ({int(age)} s ago)" if age < 600 else f" ({int(age / 60)} m ago)"
+            parts.append(f"{' '.join(found)} dB{old}")
+        elif module.last_losses:
+            parts.append(f"loss {sum(float(value) for value in module.last_losses.values()):.3g}")
+        left = 0.0 if ended else self._left(trainer)
+        parts += [] if left is None else [f"{clock(left)} left"]
+        return progress.with_bar(f"fit {int(100 * done):3d}%", done, ", ".join(parts), width, progress.full())
+
+    def _left(self, trainer: pl.Trainer) -> float | None:
+        """Seconds until the nearer of the two limits; None as long as nobody knows."""
+        now = fraction_done(trainer)
+        ends = []
+        if now.by_time:
+            ends.append(now.seconds * (1.0 - now.by_time) / now.by_time)
+        if now.by_steps and self._began is not None and now.by_steps > self._began[1]:
+            begin, done = self._began
+            ends.append((time.monotonic() - begin) * (1.0 - now.by_steps) / (now.by_steps - done))
+        return min(ends, default=None)
+
+
+def _last_scores(trainer: pl.Trainer) -> tuple[dict[str, float], float]:
+    """Scores of the last evaluation of the fit, and their age in seconds."""
+    for callback in trainer.callbacks:  # type: ignore[attr-defined]
+        if scores := getattr(callback, "last_scores", None):
+            return scores, time.monotonic() - getattr(callback, "last_scored", time.monotonic())
+    return {}, 0.0

@@ -4,19 +4,22 @@ from __future__ import annotations
 
 import os
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import TYPE_CHECKING, Any, cast
 
 import lightning.pytorch as pl
 from lightning.fabric.loggers.logger import _DummyExperiment as DummyExperiment
 from lightning.pytorch.cli import SaveConfigCallback
 from lightning.pytorch.loggers import TensorBoardLogger
 
+from neurad.callbacks.board import method_name, run_name
 from neurad.callbacks.table import MetricsTable
 from neurad.runtime.files import check_folder, check_space, make_folder, remove_parts, replacing, writing
 from neurad.runtime.lock import FolderLock
 
 if TYPE_CHECKING:
     from torch.utils.tensorboard import SummaryWriter
+
+    from neurad.training.inverse import InverseRenderer
 
 KEPT = 3
 """Checkpoints that are there at once: the last, the one before, and the one that is being written."""
@@ -33,6 +36,8 @@ class RunLogger(TensorBoardLogger):
     def __init__(self, save_dir: str | Path, name: str = "lightning_logs", version: int | str | None = None) -> None:
         super().__init__(save_dir=str(save_dir), name=name, version=version, default_hp_metric=False)
         self.opened = False
+        self.run_name = ""
+        """Folder of the events in that of the run: what TensorBoard calls it."""
         self._writer: SummaryWriter | None = None
 
     @classmethod
@@ -62,7 +67,7 @@ class RunLogger(TensorBoardLogger):
         if self._writer is None:
             from neurad.callbacks.events import EventWriter
 
-            self._writer = EventWriter(self.log_dir)
+            self._writer = EventWriter(os.path.join(self.log_dir, self.run_name))
         return self._writer
 
     def open(self) -> None:
@@ -159,6 +164,8 @@ class RunFolder(SaveConfigCallback):
         if run_folder(trainer) is None or not trainer.is_global_zero:
             return
         if isinstance(trainer.logger, RunLogger):
+            module = cast("InverseRenderer", pl_module)
+            trainer.logger.run_name = run_name(module.scene.name, method_name(module))
             trainer.logger.open()
         folder = run_folder(trainer)
         assert folder is not None

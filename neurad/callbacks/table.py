@@ -105,6 +105,16 @@ def score_table(
         views: which views they are of.
     """
     lines = []
+    for pixels, body in score_rows(scores, label).items():
+        control = ", the radiance field as control variate" if steady and "psnr_lhs" in scores else ""
+        rendered = f" (images rendered with {spp} samples per pixel{control})" if spp else ""
+        lines += [f"{views}, {pixels}{rendered}", *align(body), ""]
+    return "\n".join(lines + light_table(scores)).rstrip()
+
+
+def score_rows(scores: Mapping[str, float], label: str) -> dict[str, list[list[str]]]:
+    """Rows of cells, the headings first, by the pixels that they are of; see :func:`score_table`."""
+    found = {}
     for suffix, pixels in REGIONS.items():
         body = [list(HEADINGS.values())]
         for row, kind in ((label, ""), *MARKS.items()):
@@ -112,10 +122,8 @@ def score_table(
             if any(value is not None for value in values.values()):
                 body.append([row, *(_score(name, value) for name, value in values.items())])
         if len(body) > 1:
-            control = ", the radiance field as control variate" if steady and "psnr_lhs" in scores else ""
-            rendered = f" (images rendered with {spp} samples per pixel{control})" if spp else ""
-            lines += [f"{views}, {pixels}{rendered}", *align(body), ""]
-    return "\n".join(lines + light_table(scores)).rstrip()
+            found[pixels] = body
+    return found
 
 
 def light_table(scores: Mapping[str, float]) -> list[str]:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
+from neurad.core.durations import time_option
 from neurad.core.ranges import Count, CountOrZero, Positive, option
 
 EPILOG = """Settings of `neurad fit` such as --data.root DIR are passed on to every fit.
@@ -27,7 +28,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--config", "-c", action="append", default=[], help="config of the scene; may be repeated")
     parser.add_argument("--methods", help="names of overlays in configs/methods, or YAML files, separated by commas")
     parser.add_argument(
-        "--budget", type=option(Positive), help="training seconds of every fit, evaluations not counted"
+        "--budget",
+        type=time_option(Positive),
+        metavar="TIME",
+        help="training time of every fit, such as 120s or 10m, evaluations not counted",
     )
     parser.add_argument("--samples", type=option(Positive), help="path samples of every fit instead")
     parser.add_argument("--seeds", default="0", help="seeds separated by commas; several give bands (default: 0)")

@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 from pathlib import Path
 
+from neurad.core.durations import time_option
 from neurad.core.ranges import Count, Finite, Positive, option
 
 
@@ -26,7 +27,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--steps", type=option(Count), default=2000, help="training steps of the radiance field (default: 2000)"
     )
     parser.add_argument(
-        "--seconds", type=option(Positive), help="longest training of the radiance field (default: no limit)"
+        "--seconds",
+        type=time_option(Positive),
+        metavar="TIME",
+        help="longest training of the radiance field, such as 90s or 5m (default: no limit)",
     )
     parser.add_argument(
         "--views", choices=("train", "test", "all"), help="which views (default: all; of a run those held out)"

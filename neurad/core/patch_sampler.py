@@ -122,6 +122,15 @@ class PatchSampler:
         offset = self.width[slot].unsqueeze(1) * row + column  # [patches, patch_size^2]
         return view.repeat_interleave(offset.shape[1]), (corner.unsqueeze(1) + offset).flatten()
 
+    def draw_uniform(self, patches: int, stream: Stream) -> tuple[Tensor, Tensor]:
+        """Independent draws of upper left pixels, every view and in it every patch alike: view and row-major pixel
+        index [patches], int64.
+        """
+        slot = stream.integers(len(self.views), patches)
+        count = self.count[slot]
+        place = (stream.uniform(patches).double() * count).long().clamp_max(count - 1)
+        return self.views[slot], self.corners[self.begin[slot] + place].long()
+
 
 def validation_pixels(size: tuple[int, int], seed: int, fraction: float) -> Tensor:
     """Pixels of a photograph of this size that are never drawn, the same ones in all photographs of one size: row-major

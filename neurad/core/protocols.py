@@ -184,6 +184,12 @@ class PhotoSource(Protocol):
         """From now on every batch has ``blurred``. Part of the set-up, before the first batch."""
         ...
 
+    def request_candidates(self, fraction: float, times: int) -> None:
+        """From now on batches have fewer pixels in turn by ``fraction``, and ``times`` as many candidates for each that
+        is missing. A source that ignores this gives pixels in turn only. Part of the set-up, before the first batch.
+        """
+        return
+
     def batch(self, iteration: int, rank: int = 0) -> PixelBatch:
         """The batch of an iteration in process ``rank``, on the CPU; the same one at every call."""
         ...

@@ -15,8 +15,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass, field, fields
-from typing import Self
+from dataclasses import dataclass, field, fields, replace
+from typing import Any, Self
 
 import numpy as np
 import numpy.typing as npt
@@ -150,6 +150,9 @@ class Surface(Lanes):
     model: Tensor | None = None
     """Index into ``Features.models`` [n], int64, of known materials that are not all of one model; None where all lanes
     have the model that fitted surfaces have."""
+    specular_fraction: Tensor | None = None
+    """Probability of the specular lobe where samples are drawn [n, 1], for models that have one to choose; None for the
+    model's own."""
 
 
 @dataclass(frozen=True)
@@ -202,6 +205,29 @@ class PixelBatch:
     """Mean photographed radiance of the 5 x 5 pixels around [b, 3]; None unless requested from the source."""
     pixel_multiplier: int = 1
     """Times as many pixels as usual, each of which gets as many times fewer samples."""
+    candidates: int = 0
+    """The last so many pixels are uniform draws of which the step keeps some; 0 where it takes all pixels."""
+    weight: Tensor | None = None
+    """What each pixel counts for, so that means over the batch are unbiased [b]; None where all count 1."""
+    highlight: Tensor | None = None
+    """How much of the pixel's worth lies in highlights, in [0, 1): more of its samples follow the specular lobe [b]."""
+
+    def to(self, device: torch.device | str) -> PixelBatch:
+        """The batch on a device."""
+        return self._map(lambda x: x.to(device))
+
+    def in_turn(self) -> PixelBatch:
+        """The batch without its candidates."""
+        if self.candidates == 0:
+            return self
+        left = len(self.view) - self.candidates
+        return replace(self._map(lambda x: x[:left]), candidates=0)
+
+    def _map(self, function: Callable[[Tensor], Tensor]) -> PixelBatch:
+        """The batch with ``function`` applied to its tensors."""
+        values: dict[str, Any] = {f.name: getattr(self, f.name) for f in fields(self)}
+        values.update({name: function(x) for name, x in values.items() if isinstance(x, Tensor)})
+        return PixelBatch(**values)
 
 
 @dataclass(frozen=True)

@@ -26,6 +26,7 @@ class AreaLights(nn.Module):
 
     Args:
         geometry: the triangles; those with non-zero ``emission`` and ``face_area`` are sampled.
+        emission: radiance that leaves each triangle [F, 3], in place of the geometry's.
 
     Raises:
         InputError: no emitting triangle has an area.
@@ -37,9 +38,10 @@ class AreaLights(nn.Module):
     cdf: Tensor
     table: Tensor
 
-    def __init__(self, geometry: Geometry) -> None:
+    def __init__(self, geometry: Geometry, emission: Tensor | None = None) -> None:
         super().__init__()
-        radiance = luminance(geometry.emission.double())
+        emission = geometry.emission if emission is None else emission
+        radiance = luminance(emission.double())
         power = radiance * geometry.face_area.double()
         face = power.nonzero().squeeze(-1)
         total = power.sum()
@@ -54,8 +56,8 @@ class AreaLights(nn.Module):
         self.power = math.pi * float(total)
         """Luminous power, pi * sum(area * luminance)."""
         for name, value in {
-            "emission": geometry.emission,  # [F, 3]
-            "pdf_area": torch.where(power > 0, radiance / total, 0.0).to(geometry.emission.dtype),  # [F], 1 / area
+            "emission": emission,  # [F, 3]
+            "pdf_area": torch.where(power > 0, radiance / total, 0.0).to(emission.dtype),  # [F], 1 / area
             "face": face,  # [k]
             "cdf": cdf[:-1],  # [k - 1]: the last step is left out, so that rounding never runs past the end
             "table": table,  # [k, 12]

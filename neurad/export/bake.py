@@ -24,7 +24,7 @@ PER_TEXEL, MOST_PER_TEXEL = 2, 8
 """Positions along the side of a texel at which the field is asked: the first in large textures, up to the second in
 small ones, where more cost nothing. A point in the middle alone aliases: patterns as fine as a texel come out as coarse
 ones; with four a side nothing was gained over two in the pictures."""
-SMALL = 1 << 18
+SMALL = 1 << 20
 """Positions in a texture that cost next to nothing."""
 GUTTER = 2.0
 """Texels around a chart that are still baked, in the plane of its nearest triangle; a bilinear lookup reads one."""

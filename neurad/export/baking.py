@@ -7,8 +7,9 @@ from dataclasses import replace
 import numpy as np
 
 from neurad.assembly.build import Assembly
+from neurad.assembly.relight import shown_environment
 from neurad.core.errors import InputError
-from neurad.core.records import Bitmap, Constant, EnvironmentMap, Material, Mesh
+from neurad.core.records import Bitmap, Constant, Material, Mesh
 from neurad.core.reflection import PrincipledModel, ReflectionModel
 from neurad.export.atlas import require_xatlas
 from neurad.export.axes import Up, up_axis
@@ -110,9 +111,7 @@ def _baked_scene(
             mesh = chart.mesh
         materials.append(replace(material, name=names[index]))
         meshes.append(replace(mesh, name=names[index], material=index, attributes={}))
-    environment = scene.environment
-    if assembly.environment is not None and environment is not None:
-        environment = EnvironmentMap(assembly.environment.map(), environment.to_world)
+    environment = None if scene.environment is None else shown_environment(assembly)
     return replace(scene, meshes=meshes, materials=materials, environment=environment)
 
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import io
 from dataclasses import dataclass
 
 import numpy as np
@@ -10,12 +9,10 @@ import numpy.typing as npt
 
 from neurad.core.records import FloatArray
 from neurad.export.base_colour import Target, base_for
-from neurad.scene.image_io import to_srgb
+from neurad.scene.image_io import png, to_srgb
 
 ROWS = 1024
 """Rows of texels at once: bounds the memory."""
-LEVEL = 5
-"""How hard PNG files are compressed, of 9."""
 
 Bytes = npt.NDArray[np.uint8]
 
@@ -51,12 +48,3 @@ def coded(pixels: FloatArray, target: Target, metallic: float = 0.0) -> Coded:
 def eight_bits(values: FloatArray | float) -> Bytes:
     """Values in [0, 1] as the nearest of 256 steps."""
     return np.asarray(np.rint(np.clip(values, 0.0, 1.0) * 255.0), np.uint8)
-
-
-def png(pixels: Bytes) -> bytes:
-    """An image [h, w, 3] or [h, w] as a PNG file, without a colour profile or alpha."""
-    from PIL import Image
-
-    out = io.BytesIO()
-    Image.fromarray(pixels).save(out, "PNG", compress_level=LEVEL)
-    return out.getvalue()

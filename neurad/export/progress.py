@@ -1,11 +1,11 @@
-"""How far the work is: a bar on the terminal, stage after stage."""
+"""How far the work is: a phase on the terminal's line, stage after stage."""
 
 from __future__ import annotations
 
-import sys
-from typing import Any, Protocol
+from contextlib import ExitStack
+from typing import Protocol
 
-from tqdm import tqdm
+from neurad.runtime.progress import Phase, phase
 
 
 class Progress(Protocol):
@@ -19,23 +19,23 @@ class Progress(Protocol):
 
 
 class Bar:
-    """A progress bar on stderr; none where stderr is no terminal."""
+    """A phase for each stage; the next one ends it."""
 
     def __init__(self) -> None:
-        self._bar: Any = None
+        self._stack = ExitStack()
+        self._phase: Phase | None = None
 
     def stage(self, name: str, total: int) -> None:
         """A stage begins that has so many steps."""
         self.close()
-        self._bar = tqdm(total=total, desc=name, unit_scale=True, file=sys.stderr, disable=None, leave=False)
+        self._phase = self._stack.enter_context(phase(name, total))
 
     def step(self, count: int = 1) -> None:
         """Steps of the present stage are done."""
-        if self._bar is not None:
-            self._bar.update(count)
+        if self._phase is not None:
+            self._phase.step(count)
 
     def close(self) -> None:
         """The last stage is done."""
-        if self._bar is not None:
-            self._bar.close()
-            self._bar = None
+        self._stack.close()
+        self._phase = None

@@ -2,16 +2,14 @@
 
 from __future__ import annotations
 
-import base64
 import html
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from neurad.core.records import FloatArray
-from neurad.export.images import eight_bits, png
+from neurad.export.images import eight_bits
 from neurad.export.seams import BOUND
 from neurad.export.verified import (
     ALBEDO_LOSS,
@@ -23,19 +21,9 @@ from neurad.export.verified import (
     Verified,
 )
 from neurad.metrics.scores import block_means
+from neurad.pages import page
 from neurad.scene.image_io import to_srgb
 
-_STYLE = """
-body { font: 15px/1.5 system-ui, sans-serif; color: #1a1a1a; max-width: 1500px; margin: 2em auto; padding: 0 1em; }
-table { border-collapse: collapse; font-variant-numeric: tabular-nums; margin: .5em 0 1.5em; }
-td, th { padding: .2em .8em; text-align: right; }
-th:first-child, td:first-child { text-align: left; } tr { border-bottom: 1px solid #ddd; }
-.row { display: flex; flex-wrap: wrap; gap: .6em; margin-bottom: .6em; }
-figure { margin: 0; width: 270px; } img { width: 100%; height: auto; image-rendering: pixelated; display: block; }
-figcaption { font-size: 13px; color: #444; padding: .2em 0; } figcaption b { color: #1a1a1a; }
-.beyond { color: #a40000; font-weight: 600; } .kept { color: #1b6e2d; font-weight: 600; } .open { font-weight: 600; }
-.note { color: #555; }
-"""
 DIFFERENCE = 10.0
 """Times that differences are enlarged."""
 BLOCK = 8
@@ -58,8 +46,6 @@ def write_report(found: Verified, path: Path, title: str) -> None:
     """
     said = found.as_json()
     parts = [
-        '<!doctype html><html lang="en"><head><meta charset="utf-8">',
-        f"<title>{html.escape(title)}</title><style>{_STYLE}</style></head><body><h1>{html.escape(title)}</h1>",
         f"<p>Verified on {html.escape(said['verified_on'])}.</p>",
         *(f'<p class="beyond">{html.escape(text)}</p>' for text in found.beyond),
         *([] if found.beyond else ['<p class="kept">No bound is missed.</p>']),
@@ -74,7 +60,7 @@ def write_report(found: Verified, path: Path, title: str) -> None:
     ]
     for index in range(len(found.views)):
         parts += _view(found, said["renderers"], index)
-    path.write_text("\n".join(parts) + "</body></html>\n", encoding="utf-8")
+    path.write_text(page.page(title, parts), encoding="utf-8")
 
 
 def _view(found: Verified, renderers: dict[str, Any], index: int) -> list[str]:
@@ -112,7 +98,7 @@ def _baking(found: Verified) -> str:
             error = found.difference("fields")[1] if what == "picture" else 0.0
             rows.append([what, *(f"{x:.2f} dB" for x in (before, after)), _lost(before - after, bound, error)])
     head = ["against the truth (the picture: against the photographs)", "fields", "baked", "lost (bound)"]
-    return "<h2>Baking</h2>" + _table(head, rows)
+    return "<h2>Baking</h2>" + page.table(head, rows)
 
 
 def _seams(found: Verified) -> str:
@@ -141,7 +127,7 @@ def _renderers(found: Verified, renderers: dict[str, Any]) -> str:
         said = "-" if score is None else f"{score:.2f} &plusmn; {entry['psnr_standard_error']:.2f} dB"
         rows.append([MEANINGS[name], said, f"{entry['ratio_of_means']:.4f}", html.escape(worst["name"]), last])
     head = ["renderer", "PSNR (linear)", "mean / baked", "worst view", "its mean / baked (bound)"]
-    return "<h2>Renderers</h2>" + _table(head, rows)
+    return "<h2>Renderers</h2>" + page.table(head, rows)
 
 
 def _lost(value: float, bound: float, error: float) -> str:
@@ -157,17 +143,6 @@ def _kind(value: float, bound: float, error: float) -> str:
     return "beyond" if value - SIGMAS * error > bound else "open"
 
 
-def _table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
-    first = "".join(f"<th>{text}</th>" for text in head)
-    body = "".join("<tr>" + "".join(f"<td>{cell}</td>" for cell in row) + "</tr>" for row in rows)
-    return f"<table><tr>{first}</tr>{body}</table>"
-
-
 def _figure(name: str, figures: str, picture: FloatArray) -> str:
-    data = base64.b64encode(png(eight_bits(to_srgb(picture)))).decode("ascii")
-    title = html.escape(name)
-    meaning = f": {MEANINGS[name]}" if name in MEANINGS else ""
-    return (
-        f'<figure><img alt="{title}" src="data:image/png;base64,{data}">'
-        f"<figcaption><b>{title}</b>{meaning}<br>{figures}</figcaption></figure>"
-    )
+    meaning = f"{MEANINGS[name]}<br>" if name in MEANINGS else ""
+    return page.tile(eight_bits(to_srgb(picture)), name, f"{meaning}{figures}")

@@ -26,7 +26,7 @@ from neurad.export.cycles import Blender, find_blender
 from neurad.export.evidence import COARSER, coarse_texels, evidence, std_maps
 from neurad.export.folder import MANIFEST, check_out, check_sources, written_beside
 from neurad.export.gltf import write_glb
-from neurad.export.images import Coded, png
+from neurad.export.images import Coded
 from neurad.export.limits import Side, Texels
 from neurad.export.mitsuba import describe, path_integrator, sensor, write_xml
 from neurad.export.progress import Bar
@@ -37,7 +37,7 @@ from neurad.export.verify import verify
 from neurad.metrics.error_bars import ErrorBars
 from neurad.metrics.seen import SeenBy
 from neurad.scene.description import Scene
-from neurad.scene.image_io import write_exr
+from neurad.scene.image_io import png, write_exr
 from neurad.training.error_bars import to_cube
 
 NO_BARS = "error bars: the run folder has none of this checkpoint; neurad test writes them"

@@ -2,10 +2,13 @@
 
 from __future__ import annotations
 
+import math
+
 import torch
 from torch import Tensor, nn
 
 from neurad.core.records import SurfaceInteraction
+from neurad.fields.mlp import MLP
 from neurad.fields.select import make_layers
 from neurad.fields.settings import FieldConfig, RoughnessConfig
 from neurad.fields.unit_cube import UnitCube
@@ -103,6 +106,16 @@ class RoughnessField(_MaterialField):
             raise ValueError("RoughnessField: it reads the albedo, which is not given")
         extra = (4.0 * (albedo.detach() - 0.5),) if self.reads_albedo and albedo is not None else ()
         return MIN_ROUGHNESS + (1.0 - MIN_ROUGHNESS) * self._values(features, *extra)
+
+    @torch.no_grad()
+    def shift(self, mean: float, to: float) -> None:
+        """Move all values so that those around ``mean`` come to lie around ``to``; for a field with a network."""
+        low, span = MIN_ROUGHNESS, 1.0 - MIN_ROUGHNESS
+        before, after = (math.log(x / (1.0 - x)) for x in ((mean - low) / span, (to - low) / span))
+        assert isinstance(self.mlp, MLP)
+        bias = self.mlp.layers[-1].bias
+        assert isinstance(bias, Tensor)
+        bias += after - before
 
     def forward(self, si: SurfaceInteraction, albedo: Tensor | None = None) -> Tensor:
         """Roughness [n, 1] at the lanes of ``si``; gradients reach the parameters, not the positions."""

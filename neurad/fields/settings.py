@@ -45,6 +45,7 @@ class FieldConfig:
     width: Annotated[int, Range(1, 1 << 14)] = 64
     """Neurons of a hidden layer."""
     hidden_layers: Annotated[int, Range(0, 64)] = 1
+    """Hidden layers of the network; 0 is one linear map."""
     kind: Literal["hash", "dense"] = "hash"
     """``hash``: a hash grid and a network that reads it; ``dense``: a dense grid of values, without either."""
     size: Annotated[int, Range(2, 1 << 10)] = 256
@@ -65,6 +66,16 @@ class RoughnessConfig(FieldConfig):
     """Whether the network reads the albedo beside the position: what looks the same is then taken to shine the same,
     unless a highlight says otherwise. With a coarse grid it carries roughness from where a highlight is seen to where
     none is. A dense grid has no network to read it."""
+    begin: Literal["middle", "best"] = "middle"
+    """Where roughness begins: at one half, or, once albedo and light are roughly known, at the one of a few values at
+    which the photographs are surely explained better. From one half nothing leads to near mirrors. A dense grid begins
+    at one half."""
+
+    def __post_init__(self) -> None:
+        """Refuse what does not exist."""
+        super().__post_init__()
+        if self.begin not in ("middle", "best"):
+            raise InputError(f"model.roughness.begin: '{self.begin}' is unknown, choose middle or best")
 
 
 @dataclass(frozen=True)

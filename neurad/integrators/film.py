@@ -11,6 +11,7 @@ from neurad.core.camera import camera_rays
 from neurad.core.protocols import Integrator
 from neurad.core.records import Camera
 from neurad.core.rng import Stream, mix
+from neurad.runtime.progress import partly
 
 CHUNK = 1 << 16
 """Camera rays in flight: bounds the memory, and intermediate results stay in the processor's cache."""
@@ -74,6 +75,7 @@ def render(
             rays = camera_rays(camera, xy.reshape(-1, 2))
             values = integrator(rays, mix(seed, done, begin, 1))
             parts.append(values.view(len(pixels), n, -1).sum(1))
+            partly((done + n * min(begin + rows, count) / count) / spp)
         total = torch.cat(parts)
         image = total if image is None else image + total
     assert image is not None

@@ -15,6 +15,7 @@ from neurad.integrators.emitter_pixels import emitter_pixels
 from neurad.integrators.film import pixel_positions
 from neurad.integrators.world import NonDeltaHit, World
 from neurad.runtime.dispatch import use_kernel
+from neurad.runtime.progress import counted
 from neurad.runtime.threads import GRAIN, split
 
 _CHUNK = 1 << 18
@@ -64,7 +65,7 @@ class PrimaryHits:
         self.prim, self.bary = self.hits[:, 0], self.hits[:, 1:].view(torch.float32)
         self.away = torch.empty(total if has_sky else 0, 3, dtype=torch.float16, device=device)
         if cached_spp > 0:
-            for index, camera in enumerate(cameras):
+            for index, camera in enumerate(counted(cameras, "tracing", len(cameras), "camera rays")):
                 self._keep(index, camera)
 
     def _keep(self, index: int, camera: Camera) -> None:

@@ -129,7 +129,8 @@ def _lobes(bsdf: LobeKernels, guide: Guided | None, roughness: Tensor, wo: Tenso
     out = bsdf.lobes(roughness, wo, wi)
     if guide is not None:
         density = guide.guide.density(guide.rows, wi)
-        kernels.add_guide_pdf(np.float32(float(guide.fraction)), wi.numpy(), density.numpy(), out.numpy())
+        fraction = np.asarray(guide.fraction, np.float32).reshape(-1)
+        kernels.add_guide_pdf(fraction, wi.numpy(), density.numpy(), out.numpy())
     return out
 
 

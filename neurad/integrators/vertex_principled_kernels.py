@@ -101,15 +101,17 @@ def sample_emitter(
 
 @kernel
 def add_guide_pdf(
-    fraction: np.float32, wi: FloatArray, density: FloatArray, lobes: FloatArray
+    fraction: FloatArray, wi: FloatArray, density: FloatArray, lobes: FloatArray
 ) -> None:  # pragma: no cover - compiled
     """Add what a guide adds to the density of directions ``wi`` [m, 3], row 2 of ``lobes`` [5, m].
 
-    ``density`` [m] is the guide's own, relative to the cosine's; ``fraction`` of the samples are guided.
+    ``density`` [m] is the guide's own, relative to the cosine's; ``fraction`` of the samples are guided, [m] or [1] for
+    one of all lanes.
     """
+    last = fraction.shape[0] - 1
     for i in range(wi.shape[0]):
         if lobes[2, i] > ZERO:
-            delta = fraction * (max(wi[i, 2], ZERO) * INV_PI) * (density[i] - ONE)
+            delta = fraction[min(i, last)] * (max(wi[i, 2], ZERO) * INV_PI) * (density[i] - ONE)
             lobes[2, i] = max(lobes[2, i] + delta, ZERO)
 
 

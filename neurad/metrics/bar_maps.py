@@ -25,10 +25,10 @@ def bars_at(bars: ErrorBars, to_cube: ToUnitCube, si: SurfaceInteraction, emits:
         si: surface points.
         emits: whether each triangle does, bool.
     """
-    told = (si.valid & ~emits[si.prim.clamp_min(0)]).cpu().numpy()[:, None]
+    recovered = (si.valid & ~emits[si.prim.clamp_min(0)]).cpu().numpy()[:, None]
     albedo, roughness = bars.at(in_cube(to_cube, si.p.cpu().numpy()))
     found = {"albedo": albedo} if roughness is None else {"albedo": albedo, "roughness": roughness}
-    return {name: np.where(told, values, np.float32(0.0)) for name, values in found.items()}
+    return {name: np.where(recovered, values, np.float32(0.0)) for name, values in found.items()}
 
 
 def predict_bars(held_out: HeldOut, bars: ErrorBars, to_cube: ToUnitCube) -> list[dict[str, FloatArray]]:

@@ -25,6 +25,7 @@ from neurad.integrators.film import pixel_positions, strided
 from neurad.metrics.colour_lookup import MOST_VIEWS, ColourLookup, explained
 from neurad.metrics.scores import BoolArray, Float64Array, Pool, block_means
 from neurad.metrics.seen import SeenBy
+from neurad.runtime.progress import counted
 from neurad.scene.description import Scene
 from neurad.scene.geometry import Geometry
 from neurad.scene.image_io import read_exr, read_mask, to_srgb
@@ -101,7 +102,7 @@ class HeldOut:
         Raises:
             InputError: as :meth:`truth`.
         """
-        for index in range(len(self.views)):
+        for index in counted(range(len(self.views)), "reading", len(self.views), "held-out views"):
             self.truth(index)
             self.kept(index)
         _ = self.lookup
@@ -240,7 +241,7 @@ class HeldOut:
     def predict(self, materials: Materials) -> list[dict[str, FloatArray]]:
         """Box-filtered ``albedo`` [h, w, 3] and ``roughness`` [h, w, 1] of every view; 0 where nothing is hit."""
         maps = []
-        for index in range(len(self.views)):
+        for index in counted(range(len(self.views)), "evaluating", len(self.views), "materials"):
             albedo, roughness = [], []
             for part, si in self.sub_samples(index):
                 surface = materials(si)

@@ -24,9 +24,9 @@ def albedo_at_limits(maps: Sequence[Mapping[str, FloatArray]], counted: Sequence
         counted: pixels that count, of every view [h, w].
     """
     values = [entry["albedo"][mask] for entry, mask in zip(maps, counted, strict=True) if "albedo" in entry]
-    found = np.concatenate([v.reshape(-1) for v in values]) if values else np.zeros(0)
-    if len(found) == 0:
+    if not any(v.size for v in values):
         return {}
+    found = np.concatenate([v.reshape(-1) for v in values])
     return {"albedo_at_0": float((found < NEAR).mean()), "albedo_at_1": float((found > 1.0 - NEAR).mean())}
 
 

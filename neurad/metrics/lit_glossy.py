@@ -19,6 +19,7 @@ from neurad.integrators.method import Method, SceneModel
 from neurad.integrators.vertex import DIMENSIONS
 from neurad.metrics.held_out import HeldOut
 from neurad.metrics.scores import BoolArray
+from neurad.runtime.progress import counted
 
 Reflected = Callable[[SurfaceInteraction, Surface, int], Tensor]
 """One-sample estimate, by a seed, of the light [n, 3] that a surface reflects towards ``si.wo``."""
@@ -55,7 +56,8 @@ def lit_glossy(
         min_specular: smallest specular fraction of the reflected light.
     """
     masks = []
-    for index in range(len(held_out.views)):
+    views = len(held_out.views)
+    for index in counted(range(views), "evaluating", views, "glossy pixels"):
         size = held_out.size(index)
         truth = held_out.truth(index)
         if "albedo_true" not in truth or "roughness_true" not in truth:

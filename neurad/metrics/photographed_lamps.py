@@ -162,7 +162,9 @@ def photographed_lamps(
     """
     with world.tracer.uncounted():
         shown = lamp_pixels(world, cameras, seed, ignored)
-        color = read(shown.view.cpu(), shown.pixel.cpu()).double().numpy() if len(shown.view) else np.zeros((0, 3))
+        color: Array = (
+            read(shown.view.cpu(), shown.pixel.cpu()).double().numpy() if len(shown.view) else np.zeros((0, 3))
+        )
         view, pixel, mesh = (x.cpu().numpy() for x in (shown.view, shown.pixel, shown.mesh))
         clipped = _clipped(color, view, sample)  # [n, 3]
         lamps = []

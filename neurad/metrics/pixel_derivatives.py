@@ -129,7 +129,7 @@ def _batches(photographs: PhotoSource, emitter_mask: Tensor, first: int, pixels:
     waiting: list[PixelBatch] = []
     while taken < pixels:
         batch = photographs.batch(iteration)
-        iteration, take = iteration + 1, min(len(batch.view), pixels - taken)
+        iteration, take = iteration + 1, min(len(batch.view) - batch.candidates, pixels - taken)
         taken += take
         view, pixel, color, alpha = (x[:take] for x in (batch.view, batch.pixel, batch.color, batch.alpha))
         waiting.append(_unmasked(PixelBatch(view, pixel, color, alpha, 0), emitter_mask))

@@ -7,8 +7,8 @@ from torch import Tensor
 
 from neurad.core.camera import in_view
 from neurad.core.protocols import Tracer
-from neurad.core.records import Camera, SurfaceInteraction
-from neurad.scene.geometry import Geometry
+from neurad.core.records import Camera, Rays, SurfaceInteraction
+from neurad.scene.geometry import SHADOW_MARGIN, Geometry
 
 
 class SeenBy:
@@ -52,4 +52,20 @@ class SeenBy:
             self._found[index] += len(lanes)
             seen[left[lanes]] = True
             left = left[~seen[left]]
+        return seen
+
+    def any_at(self, p: Tensor) -> Tensor:
+        """Whether at least one camera sees points [n, 3] that lie on surfaces: bool [n].
+
+        :meth:`any` for positions of which no more is known: rays go from the cameras to them and end shortly before.
+        """
+        seen = torch.zeros(len(p), dtype=torch.bool, device=p.device)
+        for camera in self.cameras:
+            lanes = (~seen & in_view(camera, p)).nonzero().squeeze(-1)
+            eye = torch.as_tensor(camera.to_world, dtype=p.dtype, device=p.device)[:3, 3]
+            towards = p[lanes] - eye
+            distance = torch.linalg.vector_norm(towards, dim=-1)
+            d = towards / distance.clamp_min(torch.finfo(p.dtype).tiny)[:, None]
+            rays = Rays(eye.expand_as(d).contiguous(), d)
+            seen[lanes] = ~self.tracer.occluded(rays, distance * (1.0 - SHADOW_MARGIN))
         return seen

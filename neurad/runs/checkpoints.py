@@ -8,6 +8,7 @@ from contextlib import contextmanager
 from pathlib import Path
 
 from neurad.core.errors import InputError
+from neurad.runtime.reading import exists, similar
 from neurad.training.checkpoint_file import read_checkpoint
 
 RUNS = "lightning_logs"
@@ -65,6 +66,40 @@ def run_checkpoint(folder: Path, name: str) -> Path:
     if not any((folder / file).is_file() for file in (LAST, PREVIOUS)):
         raise InputError(f"{name}run {folder}: it has no checkpoint {LAST}, it ended before its first")
     raise InputError(f"{name}run {folder}: it has no whole checkpoint ({problems[0]})")
+
+
+def named_checkpoint(path: Path, root: Path, name: str) -> Path:
+    """The checkpoint that a path stands for: the file itself, or the last one of a run, which is named by its folder,
+    by the name of that in ``root``/lightning_logs, or by a folder that runs lie in.
+
+    Args:
+        path: as it was given.
+        root: of the runs.
+        name: begins the error message, without a colon.
+
+    Raises:
+        InputError: there is no such run or file, or it cannot be used.
+    """
+    folder = path if _is_folder(path) or path.is_absolute() or len(path.parts) != 1 else root / RUNS / path
+    if _is_folder(folder):
+        above = folder.parent if folder.name == RUNS else folder
+        if (above / RUNS).is_dir() and (found := newest_checkpoint(above, f"{name}: ")) is not None:
+            return found
+        return run_checkpoint(folder, f"{name}: ")
+    if not exists(path):
+        runs = sorted((p.name for p in (root / RUNS).glob("version_*") if p.is_dir()), key=lambda n: _version(Path(n)))
+        there = f"; there are {', '.join(runs[-8:])}" if runs and len(path.parts) == 1 and not path.suffix else ""
+        raise InputError(f"{name}: there is no such run folder or checkpoint{similar(path) or there}")
+    given_checkpoint(path, name)
+    return path
+
+
+def _is_folder(path: Path) -> bool:
+    """Whether there is a folder at a path that may be no possible name."""
+    try:
+        return path.is_dir()
+    except (OSError, ValueError):
+        return False
 
 
 def given_checkpoint(path: Path, name: str) -> None:

@@ -17,7 +17,8 @@ from omegaconf.errors import MissingMandatoryValue, OmegaConfBaseException
 
 import neurad
 from neurad.core.errors import InputError
-from neurad.runtime.reading import exists, regular_file, shown
+from neurad.core.suggest import did_you_mean
+from neurad.runtime.reading import beside, exists, regular_file, shown
 
 Tree = dict[str, Any]
 TRUSTED = ["neurad", "datamodules", "lightning", "torch.optim", "torch.nn", "datetime"]
@@ -51,7 +52,14 @@ def find_config(name: str) -> Path:
         for folder in shipped_folders():
             if exists(folder / path) and (folder / path).is_file():
                 return folder / path
-    raise InputError(f"config {shown(name)}: no such file, and no shipped config has this name ({_shipped()})")
+    own = [str(path.parent / other) for other in beside(path) if other.endswith((".yaml", ".yml"))]
+    near = did_you_mean(name, [*own, *_names()])
+    raise InputError(f"config {shown(name)}: no such file, and no shipped config has this name ({_shipped()}){near}")
+
+
+def _names() -> list[str]:
+    """Names of all shipped configs."""
+    return [file.relative_to(folder).as_posix() for folder in shipped_folders() for file in folder.rglob("*.yaml")]
 
 
 def _shipped() -> str:

@@ -23,12 +23,15 @@ from omegaconf import DictConfig, OmegaConf
 from neurad.callbacks import Bar, Evaluate, LastCheckpoint, RunFolder, RunLogger
 from neurad.callbacks.run_folder import run_folder
 from neurad.core.errors import InputError
-from neurad.core.ranges import all_ranges, hints
-from neurad.runs.checkpoints import RUNS, given_checkpoint, newest_checkpoint, restoring, run_folder_of
+from neurad.core.ranges import hints
+from neurad.runs.checkpoints import RUNS, named_checkpoint, newest_checkpoint, restoring, run_folder_of
 from neurad.runs.configs import load_config, only_trusted_classes, overlay, resolve, split_arguments
 from neurad.runs.messages import reason, setting_error, silence_lightning
 from neurad.runs.own_config import own_config
-from neurad.runs.trainer_settings import complaints
+from neurad.runs.times import in_tree, in_words
+from neurad.runs.trainer_help import help_trainer
+from neurad.runs.trainer_settings import OURS, complaints
+from neurad.runtime import progress
 from neurad.runtime.files import check_folder
 from neurad.runtime.machine import usable_cores
 from neurad.training.loopback import LoopbackDDP
@@ -53,14 +56,23 @@ def run(verb: str, args: Sequence[str], model: type[pl.LightningModule], data: t
     silence_lightning()
     only_trusted_classes()
     names, values, rest = split_arguments(args)
-    layers = [layer for name in names for layer in load_config(name)]
+    found = [(f"config {name}", layer) for name in names for layer in load_config(name)]
+    layers = [layer for _, layer in found]
     settings = overlay(layers, values)
-    only_print = any(token.startswith(("-h", "--help", "--print_config")) for token in args)
-    checkpoint = None if only_print else find_checkpoint(verb, OmegaConf.to_container(settings, resolve=False))
+    if "--help-trainer" in args:
+        print(help_trainer(), end="")
+        return
+    tree: Any = OmegaConf.to_container(settings, resolve=False)
+    if isinstance(tree.get("trainer"), dict) and tree["trainer"].get("enable_progress_bar") is False:
+        progress.off()
+    only_print = any(token.startswith("--print_config") for token in args)
+    checkpoint = None if only_print else find_checkpoint(verb, tree)
     if checkpoint is not None:
-        layers = [*_config_of_run(checkpoint), *layers]
-    parsed = [f"--config={_as_text(tree)}" for tree in resolve(layers, values)]
-    rest = [token for token in rest if not token.startswith("--ckpt_path")]
+        found = [*((f"run {checkpoint}", layer) for layer in _config_of_run(checkpoint)), *found]
+    resolved = resolve([layer for _, layer in found], values)
+    trees = [in_tree(tree, source) for tree, (source, _) in zip(resolved, found, strict=True)]
+    parsed = [f"--config={_as_text(tree)}" for tree in trees]
+    rest = in_words([token for token in rest if not token.startswith("--ckpt_path")])
     if checkpoint is not None:
         rest.append(f"--ckpt_path={checkpoint}")
     handler = signal.getsignal(signal.SIGINT)
@@ -102,15 +114,15 @@ def find_checkpoint(verb: str, settings: Any) -> Path | None:
     given = settings.get("ckpt_path")
     if given is None and verb == "fit":
         return None
+    root = _typed_path((settings.get("trainer") or {}).get("default_root_dir") or ".", ROOT)
     if given in (None, "last"):
-        root = _typed_path((settings.get("trainer") or {}).get("default_root_dir") or ".", ROOT)
         newest = newest_checkpoint(root)
         if newest is None:
             raise InputError(f"--ckpt_path last: no run in {root / RUNS} has a checkpoint to start from")
         path = newest
     else:
         path = _typed_path(given, "--ckpt_path")
-        given_checkpoint(path, f"--ckpt_path {path}")
+        path = named_checkpoint(path, root, f"--ckpt_path {path}")
     print(f"neurad: {verb} starts from {path}")
     return path
 
@@ -161,12 +173,7 @@ class NeuradCLI(LightningCLI):
             model,
             data,
             save_config_callback=RunFolder,
-            trainer_defaults={
-                "devices": 1,
-                "max_epochs": -1,  # runs are measured in iterations and seconds
-                "num_sanity_val_steps": 0,
-                "enable_model_summary": False,
-            },
+            trainer_defaults={"devices": 1, **OURS},
             seed_everything_default=0,
             args=args,
             auto_configure_optimizers=False,
@@ -185,11 +192,7 @@ class NeuradCLI(LightningCLI):
         """Parse what :func:`run` prepared, whatever ``sys.argv`` says, and check the ranges of all numbers."""
         owners: dict[str, Any] = {"model": self._model_class, "data": self._datamodule_class, **CALLBACKS}
         groups = {name: hints(owner) for name, owner in owners.items()}
-        ranges = {key: allowed for name, group in groups.items() for key, allowed in all_ranges(group, f"{name}.")}
-        for action in self._subcommand_parsers[self.verb]._actions:
-            self.known.append(action.dest)
-            if action.dest in ranges:  # for --help
-                action.help = f"{action.help or ''} It must be {ranges[action.dest]}.".strip()
+        self.known += [action.dest for action in self._subcommand_parsers[self.verb]._actions]
         try:
             self.config = parser.parse_args(args)
         except RecursionError as error:

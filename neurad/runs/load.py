@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import os
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from typing import Any
@@ -28,7 +28,8 @@ from neurad.integrators.world import World
 from neurad.metrics.bar_maps import bars_at
 from neurad.metrics.bars_file import NAME, read_bars
 from neurad.metrics.error_bars import ErrorBars, in_cube
-from neurad.runs.checkpoints import newest_checkpoint, run_checkpoint, run_folder_of
+from neurad.metrics.seen import SeenBy
+from neurad.runs.checkpoints import named_checkpoint, newest_checkpoint, run_folder_of
 from neurad.runs.model_settings import parse_model
 from neurad.runs.own_config import own_config
 from neurad.scene.description import Scene
@@ -69,6 +70,11 @@ class LoadedRun:
     def scene(self) -> Scene:
         """Geometry, lights, true materials and cameras (``scene.train``, ``scene.test``)."""
         return self.assembly.scene
+
+    @property
+    def views(self) -> tuple[View, ...]:
+        """Training views, then held-out ones: ``name``, ``camera`` and ``image``, the path of the photograph."""
+        return (*self.scene.train, *self.scene.test)
 
     @property
     def settings(self) -> ModelSettings:
@@ -154,6 +160,21 @@ class LoadedRun:
             )
         return self._bars(points, "roughness")
 
+    def seen(self, points: Points) -> npt.NDArray[np.bool_]:
+        """Whether some training photograph shows the points [n]; what none shows is a guess.
+
+        Args:
+            points: positions [n, 3] of surfaces in world space, or points of :meth:`surface`. Positions count as seen
+                where nothing lies between them and the camera, whichever way their surface faces.
+
+        Raises:
+            InputError: ``points`` have another shape.
+        """
+        by = SeenBy(self.world.geometry, self.world.tracer, [view.camera for view in self.scene.train])
+        if isinstance(points, SurfaceInteraction):
+            return np.concatenate([by.any(part).cpu().numpy() for part in _chunks(points)])
+        return np.concatenate([by.any_at(part).cpu().numpy() for part in _chunks(self._positions(points))])
+
     def _bars(self, points: Points, name: str) -> FloatArray:
         """Error bars of a map, of the run folder's file."""
         cube, bars = to_cube(self._fields()), self._error_bars
@@ -175,7 +196,8 @@ class LoadedRun:
     @cached_property
     def _error_bars(self) -> ErrorBars:
         folder = run_folder_of(self.checkpoint)
-        assert folder is not None
+        if folder is None:
+            raise InputError(f"run {self.checkpoint}: its folder is gone, and the error bars with it")
         bars = read_bars(folder / NAME)
         if bars.iteration != self.iteration:
             raise InputError(
@@ -206,7 +228,7 @@ class LoadedRun:
             return view
         if isinstance(view, View):
             return view.camera
-        views = {v.name: v for v in (*self.scene.train, *self.scene.test)}
+        views = {v.name: v for v in self.views}
         if view not in views:
             raise InputError(f"view {view}: scene {self.scene.name} has no view of that name")
         return views[view].camera
@@ -275,6 +297,21 @@ def load_run(
     return LoadedRun(checkpoint, int(state["iteration"]), assembly, target, tuple(changes))
 
 
+def reload_run(run: LoadedRun) -> LoadedRun:
+    """The same run with what its checkpoint holds now, in the same parts: the given one changes with it.
+
+    Raises:
+        InputError: the checkpoint cannot be read or does not fit; nothing changes then.
+    """
+    name = f"run {run.checkpoint}"
+    state = _restore(run.assembly, read_checkpoint(run.checkpoint, name), name, other_light=False)
+    for _, part in run.assembly.modules():
+        part.to(run.device)
+    if run.assembly.average is not None:
+        run.assembly.average.copy_to_module()
+    return replace(run, iteration=int(state["iteration"]))
+
+
 def _locate(run: str | os.PathLike[str] | None) -> tuple[Path, Path]:
     """Checkpoint and folder of a run."""
     if run is None or str(run) == "last":
@@ -284,9 +321,7 @@ def _locate(run: str | os.PathLike[str] | None) -> tuple[Path, Path]:
         path = newest
     else:
         path = Path(run).expanduser()
-        if not path.exists():
-            raise InputError(f"run {path}: there is no such run folder or checkpoint")
-        path = run_checkpoint(path, "") if path.is_dir() else path
+        path = named_checkpoint(path, Path(), f"run {path}")
     folder = run_folder_of(path)
     if folder is None:
         raise InputError(f"run {path}: the checkpoint is not in a run folder with a config.yaml")

@@ -12,6 +12,7 @@ from omegaconf import OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
 from neurad.core.ranges import shown
+from neurad.core.suggest import ALIKE
 from neurad.runs.configs import load_config
 
 UNKNOWN = (
@@ -21,8 +22,6 @@ UNKNOWN = (
 )
 """What the parser says of a setting that does not exist."""
 _ABSENT = object()
-_ALIKE = 0.6
-"""Similarity of two names, in [0, 1], from which on one is suggested for the other."""
 
 
 def setting_error(
@@ -102,7 +101,7 @@ def nearest(key: str, known: Iterable[str]) -> str | None:
         return SequenceMatcher(None, last, other_last).ratio(), SequenceMatcher(None, key, other).ratio()
 
     best = max(known, key=lambda other: sum(likeness(other)), default=None)
-    return best if best is not None and likeness(best)[0] >= _ALIKE else None
+    return best if best is not None and likeness(best)[0] >= ALIKE else None
 
 
 def _unknown(key: str, names: Sequence[str], values: Mapping[str, str], known: Iterable[str]) -> str:

@@ -20,6 +20,7 @@ from neurad import callbacks, integrators
 from neurad.callbacks import TrainingBudget
 from neurad.core.errors import InputError
 from neurad.runs.configs import read_layer
+from neurad.runs.trainer_settings import OURS
 
 GROUPS = ("model", "data", "evaluation", "checkpoint", "bar")
 """Groups of settings that are taken over: numbers, texts and lists of them."""
@@ -28,8 +29,6 @@ TRAINER = (
     "deterministic", "benchmark", "inference_mode", "detect_anomaly", "enable_progress_bar",
 )  # fmt: skip
 """Settings of the trainer that are taken over. All others choose what is written where, or name classes."""
-_OURS = {"max_epochs": -1, "num_sanity_val_steps": 0, "enable_model_summary": False}
-"""What this project sets for every trainer."""
 _INNER = ("albedo", "roughness", "radiance", "sampling", "objective", "optimization", "lighting")
 """Groups below ``model``."""
 METHODS = integrators.__name__
@@ -112,7 +111,7 @@ def _of_trainer(trainer: Any, path: Path) -> tuple[dict[str, Any], list[str]]:
     """Settings of the trainer that are taken over, and the names of those that say something and are not."""
     if not isinstance(trainer, dict):
         raise InputError(f"{path}: trainer is not a group of settings")
-    usual = {name: p.default for name, p in inspect.signature(pl.Trainer.__init__).parameters.items()} | _OURS
+    usual = {name: p.default for name, p in inspect.signature(pl.Trainer.__init__).parameters.items()} | OURS
     kept: dict[str, Any] = {}
     left_out = []
     for key, value in trainer.items():

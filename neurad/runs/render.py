@@ -21,6 +21,7 @@ from neurad.integrators.aov import MaterialMap
 from neurad.integrators.film import render
 from neurad.runs.render_subject import SEED, Learning, Subject, recovered_subject, true_subject
 from neurad.runtime.files import check_folder, make_folder, write_text
+from neurad.runtime.progress import counted, phase
 from neurad.scene.camera_paths import KINDS, path_of
 from neurad.scene.description import Scene
 from neurad.scene.edit import Edit
@@ -184,19 +185,23 @@ def _write(
         make_folder(out / kind, "--out")
     exposure = None if settings.exposure is None else 2.0**settings.exposure
     start = time.perf_counter()
-    for index, view in enumerate(views):
-        camera = resized(view.camera, settings.size)
-        seed = mix(SEED, *view.name.encode())
-        for kind, integrator in pictures.items():
-            image = render(camera, integrator, settings.spp, seed).numpy()
-            write_exr(out / kind / f"{view.name}.exr", image)
-            if kind == "images" and _shows(settings):
-                exposure = shown_at(image) if exposure is None else exposure
-                write_png(out / "png" / f"{view.name}.png", encoded(image, exposure))
-        both = render(camera, maps, settings.map_spp, seed).numpy()
-        write_exr(out / "albedo" / f"{view.name}.exr", both[..., :3])
-        write_exr(out / "roughness" / f"{view.name}.exr", both[..., 3:])
-        _progress(view.name, index, len(views), start)
+    with phase("rendering", len(views) * (len(pictures) + 1)) as rendering:
+        for index, view in enumerate(views):
+            rendering.detail = view.name
+            camera = resized(view.camera, settings.size)
+            seed = mix(SEED, *view.name.encode())
+            for kind, integrator in pictures.items():
+                image = render(camera, integrator, settings.spp, seed).numpy()
+                rendering.step(detail=view.name)
+                write_exr(out / kind / f"{view.name}.exr", image)
+                if kind == "images" and _shows(settings):
+                    exposure = shown_at(image) if exposure is None else exposure
+                    write_png(out / "png" / f"{view.name}.png", encoded(image, exposure))
+            both = render(camera, maps, settings.map_spp, seed).numpy()
+            rendering.step()
+            write_exr(out / "albedo" / f"{view.name}.exr", both[..., :3])
+            write_exr(out / "roughness" / f"{view.name}.exr", both[..., 3:])
+            _progress(view.name, index, len(views), start)
     parts = {"": views} if settings.camera else {"_train": scene.train, "_test": scene.test}
     for part, of in parts.items():
         chosen = [replace(v, camera=resized(v.camera, settings.size)) for v in views if any(v is w for w in of)]
@@ -209,7 +214,7 @@ def _film(settings: RenderSettings, cameras: Sequence[Camera], integrator: Integ
     exposure = None if settings.exposure is None else 2.0**settings.exposure
     start = time.perf_counter()
     with filming(settings.movie, settings.out, settings.fps) as add:
-        for index, camera in enumerate(cameras):
+        for index, camera in enumerate(counted(cameras, "rendering", len(cameras), "frames")):
             image = render(camera, integrator, settings.spp, mix(SEED, index)).numpy()
             exposure = shown_at(image) if exposure is None else exposure
             add(encoded(image, exposure))

@@ -6,7 +6,6 @@ import sys
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from difflib import get_close_matches
 from pathlib import Path
 from typing import Any
 
@@ -19,6 +18,7 @@ from neurad.core.errors import InputError
 from neurad.core.protocols import Integrator
 from neurad.core.ranges import Count, Positive
 from neurad.core.records import Camera
+from neurad.core.suggest import did_you_mean
 from neurad.fields.radiance import RadianceField
 from neurad.integrators.method import Method, ReflectedRadiance, SceneModel
 from neurad.integrators.path import PathTracing
@@ -26,6 +26,7 @@ from neurad.integrators.renderer import FieldRenderer, MethodRenderer
 from neurad.runs.configs import load_config, shipped_folders
 from neurad.runs.load import LoadedRun, load_run
 from neurad.runs.model_settings import model_settings
+from neurad.runtime.progress import phase
 from neurad.scene.description import Scene
 from neurad.scene.edit import Edit, Edited, edited
 from neurad.scene.load import load_scene
@@ -75,14 +76,16 @@ class Subject:
         start = time.perf_counter()
 
         def report(step: int, loss: float) -> None:
+            training.step(step - training.done, f"loss {loss:.3g}")
             print(f"radiance field: step {step}, {time.perf_counter() - start:.0f} s, loss {loss:.4g}", file=sys.stderr)
 
         seen = [view.camera for view in (*self.scene.train, *self.scene.test)]
         model = model_settings("scene.yaml", SEED)
-        return train_radiance(
-            self.scene, self.parts.world, self.parts.materials, [*seen, *cameras], model, learning.steps,
-            learning.seconds, report,
-        )  # fmt: skip
+        with phase("training", None if learning.seconds else learning.steps, learning.seconds) as training:
+            return train_radiance(
+                self.scene, self.parts.world, self.parts.materials, [*seen, *cameras], model, learning.steps,
+                learning.seconds, report,
+            )  # fmt: skip
 
 
 def true_subject(
@@ -177,9 +180,8 @@ def find_method(name: str) -> tuple[Method, bool]:
     """
     found = _methods()
     if name not in found:
-        near = get_close_matches(name, found, 1)
-        hint = f"; did you mean {near[0]}?" if near else ""
-        raise InputError(f"--integrator: there is no method {name} ({', '.join(sorted(found))}){hint}")
+        near = did_you_mean(name, found)
+        raise InputError(f"--integrator: there is no method {name} ({', '.join(sorted(found))}){near}")
     parser = ArgumentParser(exit_on_error=False)  # the parser of ``neurad fit`` makes the class that a config names
     parser.add_subclass_arguments(Method, "method")
     method: Method = parser.instantiate(parser.parse_object({"method": found[name]})).method

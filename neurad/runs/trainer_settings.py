@@ -23,6 +23,8 @@ RANGES: dict[str, Any] = {
     "min_steps": CountOrZero | None,
 }
 """Ranges of the trainer's numbers; -1 steps are no limit."""
+OURS = {"max_epochs": -1, "num_sanity_val_steps": 0, "enable_model_summary": False}
+"""What this project sets for every trainer: its runs are measured in iterations and seconds."""
 _LONGEST = 30 * 365 * 86400
 _EPOCHS = "a fit has no epochs, its length is --trainer.max_steps or --trainer.max_time"
 _ALL_VIEWS = "all held-out views are evaluated together"

@@ -19,6 +19,8 @@ from numba.core.caching import FunctionCache
 from numba.core.dispatcher import Dispatcher
 from numba.core.extending import _Intrinsic
 
+from neurad.runtime.progress import phase
+
 Function = TypeVar("Function", bound=Callable[..., Any])
 _KNOWN = (Dispatcher, _Intrinsic, int, float, np.generic, np.ndarray)  # what a kernel reads of its globals
 
@@ -46,7 +48,21 @@ def _cached(function: Function, fastmath: bool) -> Function:
         file = cache._cache_file
         file._source_stamp = (file._source_stamp, digest(compiled))  # stale as soon as anything it uses changes
         vars(compiled)["_cache"] = cache
+        _announce(compiled)
     return cast(Function, compiled)
+
+
+def _announce(compiled: Any) -> None:
+    """Let the line on the terminal say when a kernel is compiled, which takes seconds and happens once."""
+    compiler, name = compiled._compiler, compiled.__name__
+    compile_now = compiler.compile
+
+    def compile_and_say(*args: Any) -> Any:
+        with phase("compiling") as entered:
+            entered.detail = name.strip("_")
+            return compile_now(*args)
+
+    compiler.compile = compile_and_say
 
 
 def digest(compiled: Dispatcher) -> str:

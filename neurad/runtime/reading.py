@@ -9,6 +9,7 @@ from __future__ import annotations
 import errno
 import json
 import os
+import re
 import stat
 import threading
 from collections.abc import Callable, Iterator
@@ -17,11 +18,13 @@ from pathlib import Path
 from typing import Any
 
 from neurad.core.errors import InputError
+from neurad.core.suggest import did_you_mean
 
 TEXT_LIMIT = 256 << 20
 """Bytes of a text file. A camera file has about 1 kB a photograph; parsed, text takes some ten times its size."""
 TEXT_MESH_LIMIT = 2 << 30
 """Bytes of a mesh as text, some ten million triangles; larger ones are binary."""
+_LISTED = 2_000  # names of a folder that one is looked for among
 _SHOWN = 160  # characters of a path or value in a sentence
 
 _KINDS = {
@@ -94,7 +97,7 @@ def regular_file(path: str | Path, missing: str = "there is no such file") -> Pa
         InputError: it does not; the sentence says why.
     """
     if not exists(path):
-        raise InputError(f"{shown(path)}: {missing}")
+        raise InputError(f"{shown(path)}: {missing}{similar(path)}")
     try:
         mode = os.stat(path).st_mode
     except OSError as error:
@@ -105,6 +108,25 @@ def regular_file(path: str | Path, missing: str = "there is no such file") -> Pa
     if not os.access(path, os.R_OK):
         raise InputError(f"{shown(path)}: {_ERRORS[errno.EACCES]}")
     return Path(path)
+
+
+def beside(path: Path) -> list[str]:
+    """Names in the folder that a path would be in; none where that cannot be read."""
+    try:
+        return sorted(os.listdir(path.parent))[:_LISTED]
+    except (OSError, ValueError):
+        return []
+
+
+def similar(path: str | Path) -> str:
+    """The end of a sentence about a path that leads nowhere: the name beside it that was probably meant, or nothing.
+
+    Names that differ in their digits alone are others of a series and not meant.
+    """
+    path = Path(path)
+    names = beside(path)
+    letters = re.sub(r"\d", "", path.name)
+    return did_you_mean(path.name, [name for name in names if re.sub(r"\d", "", name) != letters])
 
 
 def folder(path: str | Path, option: str) -> Path:
@@ -125,7 +147,7 @@ def folder(path: str | Path, option: str) -> Path:
         raise InputError(f"{option}: {shown(path)}: {str(error).rstrip('.')}") from error
     except (OSError, ValueError) as error:
         raise InputError(f"{option}: {failure(path, error)}") from error
-    raise InputError(f"{option}: there is no folder {shown(path)}")
+    raise InputError(f"{option}: there is no folder {shown(path)}{similar(path)}")
 
 
 def read_bytes(path: str | Path, limit: int | None = None, missing: str = "there is no such file") -> bytes:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from fnmatch import fnmatchcase
@@ -14,11 +13,12 @@ from neurad.core.colour import LUMINANCE
 from neurad.core.errors import InputError
 from neurad.core.records import Constant, EnvironmentMap, FloatArray, Material, Mesh
 from neurad.core.reflection import PrincipledModel
+from neurad.core.suggest import nearest
 from neurad.runtime.reading import shown
 from neurad.scene.description import Scene
 from neurad.scene.image_io import read_exr
 from neurad.scene.numbers import RADIANCE, within
-from neurad.scene.placement import Placement, placed, scene_up, turned_about
+from neurad.scene.placement import Placement, placed, scene_up, turned_environment
 from neurad.scene.readers.objects import Part, read_object
 
 Color = tuple[float, float, float]
@@ -212,9 +212,7 @@ class _Work:
         words = [] if edit.color is None else [f"of colour {_listed(edit.color)}"]
         words += [] if edit.scale == 1.0 else [f"{edit.scale:g} times as bright"]
         words += [] if edit.turn % 360.0 == 0.0 else [f"turned by {edit.turn:g} degrees"]
-        # The map's own vertical axis is +Y, before its pose.
-        pose = np.asarray(there.to_world, np.float64) @ turned_about((0.0, 1.0, 0.0), edit.turn)
-        made = replace(there, pixels=pixels, to_world=pose.astype(np.float32))
+        made = turned_environment(replace(there, pixels=pixels), edit.turn)
         self._replace_environment(made, f"environment {', '.join(words)}" if words else "")
 
     def _replace_environment(self, environment: EnvironmentMap | None, said: str) -> None:
@@ -294,8 +292,8 @@ class _Work:
         if found:
             return found
         is_mesh = what == "lamp" and any(mesh.name == pattern for mesh in self.scene.meshes)
-        near = difflib.get_close_matches(pattern, names, 1)
-        hint = f"did you mean {shown(near[0])}?" if near and not is_mesh else f"there are {_some(names)}"
+        near = None if is_mesh else nearest(pattern, names)
+        hint = f"there are {_some(names)}" if near is None else f"did you mean {shown(near)}?"
         wrong = f"mesh {shown(pattern)} is no lamp" if is_mesh else f"there is no {what} {shown(pattern)}"
         raise InputError(f"{self.source}: {'lamps' if what == 'lamp' else 'materials'}: {wrong}; {hint}")
 

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import difflib
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -10,6 +9,7 @@ from typing import Any
 import yaml  # type: ignore[import-untyped]
 
 from neurad.core.errors import InputError
+from neurad.core.suggest import nearest
 from neurad.runtime.reading import read_text, shown
 from neurad.scene.edit import Color, Edit, EnvironmentEdit, LampEdit, MaterialEdit, ObjectEdit, Vector
 from neurad.scene.numbers import LENGTH, RADIANCE, number
@@ -67,11 +67,9 @@ def edit_of(tree: Any, source: str = "--edit", folder: Path = Path()) -> Edit:
 
 def _lamp(value: Any, where: str) -> LampEdit:
     """``off``, a factor, or a mapping."""
-    if _is_off(value):
-        return LampEdit(off=True)
-    if _is_number(value):
-        return LampEdit(scale=number(value, where, 0.0, RADIANCE))
-    given = _mapping(value, where, LAMP, "off, a factor, or a mapping")
+    given = _brightness(value, where, LAMP)
+    if not isinstance(given, Mapping):
+        return LampEdit(off=given is None, scale=1.0 if given is None else given)
     return LampEdit(
         scale=number(given.get("scale", 1.0), f"{where}: scale", 0.0, RADIANCE),
         color=_tint(given, where),
@@ -82,17 +80,24 @@ def _lamp(value: Any, where: str) -> LampEdit:
 
 def _environment(value: Any, where: str, folder: Path) -> EnvironmentEdit:
     """``off``, a factor, or a mapping."""
-    if _is_off(value):
-        return EnvironmentEdit(off=True)
-    if _is_number(value):
-        return EnvironmentEdit(scale=number(value, where, 0.0, RADIANCE))
-    given = _mapping(value, where, ENVIRONMENT, "off, a factor, or a mapping")
+    given = _brightness(value, where, ENVIRONMENT)
+    if not isinstance(given, Mapping):
+        return EnvironmentEdit(off=given is None, scale=1.0 if given is None else given)
     return EnvironmentEdit(
         file=_file(given, where, folder),
         turn=number(given.get("turn", 0.0), f"{where}: turn", -_TURN, _TURN),
         scale=number(given.get("scale", 1.0), f"{where}: scale", 0.0, RADIANCE),
         color=_tint(given, where),
     )
+
+
+def _brightness(value: Any, where: str, keys: tuple[str, ...]) -> Mapping[str, Any] | float | None:
+    """What a light becomes: None for ``off``, a factor, or a mapping with some of these keys."""
+    if _is_off(value):
+        return None
+    if _is_number(value):
+        return number(value, where, 0.0, RADIANCE)
+    return _mapping(value, where, keys, "off, a factor, or a mapping")
 
 
 def _material(value: Any, where: str) -> MaterialEdit:
@@ -135,8 +140,8 @@ def _mapping(value: Any, where: str, keys: tuple[str, ...], expected: str = "a m
         raise InputError(f"{where}: it is {shown(repr(value))}, but {expected} with keys {', '.join(keys)} is needed")
     for key in value:
         if key not in keys:
-            near = difflib.get_close_matches(str(key), keys, 1)
-            hint = f"did you mean {near[0]}?" if near else f"there are {', '.join(keys)}"
+            near = nearest(str(key), keys)
+            hint = f"there are {', '.join(keys)}" if near is None else f"did you mean {near}?"
             raise InputError(f"{where}: there is no key {shown(key)}; {hint}")
     return value
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import math
 import warnings
 from collections.abc import Mapping
@@ -20,6 +21,7 @@ from neurad.scene.picture_headers import check_exr, check_size
 
 _HALF_MAX = 65504.0
 _ORDER = "RGBA"
+_PNG_LEVEL = 5  # how hard files are compressed, of 9
 _ALPHA = 1.01  # coverage is at most 1, but for rounding and filters
 _FORMATS = ("PNG", "JPEG", "TIFF", "BMP", "TGA", "WEBP", "GIF", "PPM", "JPEG2000", "DDS", "PCX", "SGI", "ICO")
 """What Pillow decodes itself: for others, such as EPS, it starts programs."""
@@ -127,10 +129,17 @@ def write_png(path: str | Path, pixels: npt.NDArray[np.uint8]) -> None:
     Raises:
         InputError: the file cannot be written.
     """
+    with replacing(path) as part:
+        part.write_bytes(png(pixels))
+
+
+def png(pixels: npt.NDArray[np.uint8]) -> bytes:
+    """An image [h, w, 3] or [h, w] as a PNG file, without a colour profile or alpha."""
     from PIL import Image
 
-    with replacing(path) as part:
-        Image.fromarray(pixels).save(part, format="PNG")
+    out = io.BytesIO()
+    Image.fromarray(pixels).save(out, "PNG", compress_level=_PNG_LEVEL)
+    return out.getvalue()
 
 
 def read_photograph(path: str | Path) -> FloatArray:

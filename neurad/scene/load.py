@@ -8,13 +8,17 @@ from pathlib import Path
 from typing import TypeVar
 
 from neurad.core.errors import InputError
-from neurad.runtime.reading import exists, regular_file
+from neurad.core.suggest import did_you_mean
+from neurad.runtime.progress import phase
+from neurad.runtime.reading import exists, regular_file, shown
 from neurad.runtime.reading import folder as existing_folder
 from neurad.scene.description import Scene
 from neurad.scene.readers.nerf import HOLD_OUT, Split
 
 T = TypeVar("T")
 
+OTHER_SCENES = (".glb", ".gltf", ".blend", ".fbx", ".usd", ".usdc", ".usda", ".usdz", ".pbrt", ".obj", ".ply", ".stl")
+"""Files of other programs that somebody may take for a scene here."""
 RELIGHT = "env_relight.exr"
 """Map that lights the photographs named by ``relight_path``; it replaces the scene's own, in the same frame."""
 
@@ -61,12 +65,13 @@ def load_scene(root: str | None, scene: str | None, hold_out: int = HOLD_OUT) ->
     """
     if (root is None) == (scene is None):
         raise InputError("give exactly one of --data.root (a scene folder) and --data.scene (a built-in scene)")
-    if root is not None:
-        return read_folder(root, hold_out).check()
-    from neurad.scene.builtin import build
+    with phase("reading"):
+        if root is not None:
+            return read_folder(root, hold_out).check()
+        from neurad.scene.builtin import build
 
-    assert scene is not None
-    return build(scene).check()
+        assert scene is not None
+        return build(scene).check()
 
 
 def read_folder(root: str | Path, hold_out: int = HOLD_OUT) -> Scene:
@@ -82,6 +87,8 @@ def read_folder(root: str | Path, hold_out: int = HOLD_OUT) -> Scene:
     Raises:
         InputError: something is missing or wrong; the sentence names the file and the frame.
     """
+    if Path(root).suffix.lower() in OTHER_SCENES and Path(root).is_file():
+        raise InputError(f"--data.root: {shown(root)}: {_otherwise()}")
     folder = existing_folder(root, "--data.root")
     read_surfaces, read_cameras = _reader(SCENE_FILES, folder), _reader(CAMERA_FILES, folder)
     views = read_cameras(folder, hold_out)
@@ -103,4 +110,15 @@ def _reader(readers: dict[str, T], folder: Path) -> T:
             return reader
     first, *others = readers
     instead = f" (or {', '.join(others)})" if others else ""
-    raise InputError(f"{folder / first}: the scene folder lacks this file{instead}")
+    other = next((file for file in sorted(folder.iterdir()) if file.suffix.lower() in OTHER_SCENES), None)
+    hint = "" if other is None or readers is not SCENE_FILES else f"; {other.name}: {_otherwise()}"
+    near = did_you_mean(first, [file.name for file in folder.iterdir()])
+    raise InputError(f"{folder / first}: the scene folder lacks this file{instead}{hint or near}")
+
+
+def _otherwise() -> str:
+    """What to do with a scene that cannot be read."""
+    return (
+        "it cannot be read as a scene; open it in Blender, export its surfaces as room.obj, and let "
+        "`neurad data colmap SRC --mesh room.obj --out DIR` make a scene folder of them and of the photographs"
+    )

@@ -10,7 +10,7 @@ import numpy as np
 import numpy.typing as npt
 
 from neurad.core.errors import InputError
-from neurad.core.records import Mesh
+from neurad.core.records import EnvironmentMap, Mesh
 from neurad.scene.description import Scene
 from neurad.scene.numbers import LENGTH, within
 from neurad.scene.room_folder import axis, held_up, turned
@@ -55,6 +55,12 @@ def turned_about(vector: npt.ArrayLike, degrees: float) -> Matrix:
     made = np.eye(4)
     made[:3, :3] += math.sin(angle) * cross + (1.0 - math.cos(angle)) * cross @ cross
     return made
+
+
+def turned_environment(environment: EnvironmentMap, degrees: float) -> EnvironmentMap:
+    """An environment turned about its own vertical axis, +Y before its pose, counterclockwise as seen from above."""
+    pose = np.asarray(environment.to_world, np.float64) @ turned_about((0.0, 1.0, 0.0), degrees)
+    return replace(environment, to_world=pose.astype(np.float32))
 
 
 def placed(meshes: Sequence[Mesh], placement: Placement, scene: Scene, where: str) -> list[Mesh]:

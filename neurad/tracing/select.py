@@ -6,6 +6,7 @@ from torch import Tensor
 
 from neurad.core.errors import InputError
 from neurad.core.protocols import Tracer
+from neurad.core.suggest import did_you_mean
 
 TRACERS = ("embree", "open3d", "warp")
 
@@ -28,4 +29,5 @@ def make_tracer(name: str, vertices: Tensor, faces: Tensor, threads: int | None 
         from neurad.tracing.warp import WarpTracer
 
         return WarpTracer(vertices, faces, threads)
-    raise InputError(f"tracer {name}: there is none of that name, choose one of {', '.join(TRACERS)}")
+    near = did_you_mean(name, TRACERS)
+    raise InputError(f"tracer {name}: there is none of that name, choose one of {', '.join(TRACERS)}{near}")

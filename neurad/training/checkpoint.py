@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from typing import Any
 
 import torch
@@ -11,8 +12,12 @@ from neurad.core.errors import InputError
 from neurad.scene.description import Scene
 from neurad.scene.light import light_changes, light_of
 
-DDP_IGNORED = "world.guide.", "average."
+FOCUS = "focus."
+DDP_IGNORED = "world.guide.", "average.", FOCUS
 """What names of state begin with that only takes noise away: no weights, and alike in all processes."""
+_WITHOUT_SCORES = (
+    "the checkpoint does not say which pixels tell of roughness (model.sampling.focus); the run finds out anew"
+)
 
 
 def fitting(
@@ -26,8 +31,8 @@ def fitting(
 ) -> dict[str, Any]:
     """What a run wrote about itself into its checkpoint, if the weights fit.
 
-    A guide and averages only take noise away: where the checkpoint has none, or others, it is given the fresh ones of
-    ``own``.
+    A guide, averages and scores of pixels only take noise away: where the checkpoint has none, or others, it is given
+    the fresh ones of ``own``.
 
     Args:
         checkpoint: as Lightning loads it; its ``state_dict`` may be replaced.
@@ -52,6 +57,8 @@ def fitting(
         mine = {name: value for name, value in own.items() if name.startswith(prefix)}
         theirs = {name: value for name, value in weights.items() if name.startswith(prefix)}
         alike = theirs and all(name in mine and mine[name].shape == value.shape for name, value in theirs.items())
+        if prefix == FOCUS and mine and not alike and continues:
+            print(f"neurad: {source}: {_WITHOUT_SCORES}", file=sys.stderr)
         rest = {name: value for name, value in weights.items() if name not in theirs}
         weights = rest | mine | (theirs if alike else {})  # an older version's may lack some
     checkpoint["state_dict"] = weights

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, field
 
 import torch
@@ -9,7 +10,7 @@ from torch import Tensor
 
 from neurad.assembly.lighting import relit_world
 from neurad.core.protocols import Materials
-from neurad.core.records import FloatArray
+from neurad.core.records import FloatArray, View
 from neurad.emitters.fitted import FittedEnvironment
 from neurad.integrators.estimator import Estimator
 from neurad.integrators.film import box_mean, render
@@ -22,6 +23,8 @@ from neurad.metrics.held_out import HeldOut
 from neurad.metrics.limits import albedo_at_limits
 from neurad.metrics.lit_glossy import lit_glossy, reflected_by
 from neurad.metrics.relight import relight_map, score_relit
+from neurad.metrics.unseen import seen_map
+from neurad.runtime.progress import counted
 from neurad.scene.description import Scene
 from neurad.scene.textures import TrueMaterials
 
@@ -43,7 +46,8 @@ class Evaluation:
     scores: dict[str, float]
     """Keys as in ``metrics.csv``."""
     maps: list[dict[str, FloatArray]]
-    """For each held-out view: ``render``; of materials that are fitted ``albedo`` and ``roughness``; with a radiance
+    """For each held-out view: ``render``; ``seen``, which surfaces training photographs show, see
+    :func:`neurad.metrics.unseen.seen_map`; of materials that are fitted ``albedo`` and ``roughness``; with a radiance
     field ``residual``; with error bars ``albedo_std`` and ``roughness_std``; where there are files, ``photograph``,
     ``albedo_true`` and ``roughness_true`` [h, w, 1 or 3]; in a thorough evaluation also ``relit`` and
     ``photograph_relit``."""
@@ -106,7 +110,7 @@ def evaluate(
     fitted = not isinstance(materials, TrueMaterials)
     maps: list[dict[str, FloatArray]] = held_out.predict(materials) if fitted else [{} for _ in held_out.views]
     fields: list[FloatArray] = []
-    for index, (view, entry) in enumerate(zip(held_out.views, maps, strict=True)):
+    for index, (view, entry) in enumerate(_counted(held_out, maps, "pictures")):
         right = render(view.camera, rhs, render_spp, SEED + index, device, stride=stride)
         entry["render"] = right.cpu().numpy()
         if lhs is not None:
@@ -119,6 +123,7 @@ def evaluate(
             entry["residual"] = (left - right).abs().cpu().numpy()
             fields.append(left.cpu().numpy())
         entry.update(held_out.truth(index))
+        entry["seen"] = seen_map(held_out.counted(index), held_out.seen(index))
     if bars is not None:
         for entry, found_bars in zip(maps, predict_bars(held_out, *bars), strict=True):
             entry.update(found_bars)
@@ -153,6 +158,13 @@ def _relight(
         return {}
     tracer = path_tracer(relit_world(world, scene, other), materials, scene.max_depth, scene.rr_depth)
     device = world.geometry.vertices.device
-    for index, (view, entry) in enumerate(zip(held_out.views, maps, strict=True)):
+    for index, (view, entry) in enumerate(_counted(held_out, maps, "relit pictures")):
         entry["relit"] = render(view.camera, tracer, spp, SEED + index, device, stride=held_out.stride).cpu().numpy()
     return score_relit(held_out, [entry["relit"] for entry in maps])
+
+
+def _counted(
+    held_out: HeldOut, maps: list[dict[str, FloatArray]], what: str
+) -> Iterator[tuple[View, dict[str, FloatArray]]]:
+    """Every held-out view and what was found for it, counted on the terminal."""
+    return counted(zip(held_out.views, maps, strict=True), "evaluating", len(maps), what)

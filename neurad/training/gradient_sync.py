@@ -19,6 +19,8 @@ from torch import Tensor, nn
 from neurad.fields.sparse import unique_rows
 from neurad.training.checkpoint import DDP_IGNORED
 
+Recorded = tuple[Tensor, Tensor] | None
+"""Entries of a table, and what is to be added there."""
 _WORD = 8
 _SPARE = 1.25
 """Length of a new buffer relative to the message that outgrew the old one."""
@@ -55,16 +57,16 @@ class GradientSync:
         self._exchange = Exchange()
 
     def average(
-        self, factor: float, binned: tuple[Tensor, Tensor] | None
-    ) -> tuple[float, tuple[Tensor, Tensor] | None]:
+        self, factor: float, recorded: tuple[Recorded, Recorded] = (None, None)
+    ) -> tuple[float, tuple[Recorded, Recorded]]:
         """Replace the gradients that DDP leaves alone by their means over all processes.
 
         Args:
             factor: of the learning rates. It follows the clock, which differs between processes; the rates must not.
-            binned: bins [n] and values [n, 2] that the guide is to record.
+            recorded: entries [n] and values [n, k] that the guide, and the scores of pixels, are to record.
 
         Returns:
-            The first process's factor, and the guide's bins and values of all processes, in the order of their ranks.
+            The first process's factor, and what is to be recorded of all processes, in the order of their ranks.
         """
         sparse, parts = [], []
         for name, p in self._parameters:
@@ -83,15 +85,18 @@ class GradientSync:
                 p.grad /= dist.get_world_size()
         device = self._parameters[0][1].device
         parts.append(torch.tensor([factor], dtype=torch.float64, device=device))
-        if binned is not None:
-            parts += [binned[0].int(), binned[1]]
+        for pair in recorded:
+            parts += [] if pair is None else [pair[0].int(), pair[1]]
         found = self._exchange(parts)
         for index, p in enumerate(sparse):
             of_all, values_of_all = found[2 * index : 2 * index + 2]
             p.grad = _named(torch.cat(of_all).long(), torch.cat(values_of_all) / len(of_all), p)
-        if binned is not None:
-            binned = torch.cat(found[-2]).long(), torch.cat(found[-1])
-        return float(found[2 * len(sparse)][0]), binned
+        rest = iter(found[2 * len(sparse) :])
+        first = float(next(rest)[0])
+        guide, scores = (
+            None if pair is None else (torch.cat(next(rest)).long(), torch.cat(next(rest))) for pair in recorded
+        )
+        return first, (guide, scores)
 
 
 def _named(rows: Tensor, values: Tensor, p: Tensor) -> Tensor:

@@ -22,6 +22,7 @@ from neurad.emitters.fitted import FittedEnvironment
 from neurad.fields.radiance import RadianceField
 from neurad.fields.settings import FieldConfig, RadianceConfig, RoughnessConfig
 from neurad.integrators.estimator import Estimator
+from neurad.integrators.focus import Focus
 from neurad.integrators.method import Method
 from neurad.integrators.radiometric import Radiometric
 from neurad.integrators.world import World
@@ -61,7 +62,7 @@ class InverseRenderer(L.LightningModule):
         sampling: numbers of samples.
         objective: terms of the loss.
         optimization: learning rates and schedule.
-        tracer: 'embree', 'open3d' or 'warp'.
+        tracer: what casts rays: ``embree``, ``open3d`` or ``warp``.
         seed: of every random decision of the training.
         method: how reflected light and its derivative are estimated; None is the paper's, one bounce and then the
             radiance field.
@@ -73,6 +74,7 @@ class InverseRenderer(L.LightningModule):
     materials: FittedMaterials | TrueMaterials
     average: PolyakAverage | None
     radiance: RadianceField | None
+    focus: Focus | None
     step: TrainingStep
     """Set when a fit starts."""
 
@@ -146,7 +148,7 @@ class InverseRenderer(L.LightningModule):
             made.average,
             made.radiance,
         )
-        self.region = made.region
+        self.region, self.focus = made.region, made.focus
         if self._exchanges:
             self._ddp_params_and_buffers_to_ignore = ddp_ignored(self)  # DDP's own name for it
 
@@ -158,7 +160,9 @@ class InverseRenderer(L.LightningModule):
     @property
     def assembly(self) -> Assembly:
         """The parts of the run."""
-        return Assembly(self.scene, self.settings, self.world, self.materials, self.radiance, self.average, self.region)
+        return Assembly(
+            self.scene, self.settings, self.world, self.materials, self.radiance, self.average, self.region, self.focus
+        )
 
     @property
     def estimator(self) -> Estimator:
@@ -214,6 +218,7 @@ class InverseRenderer(L.LightningModule):
             self.processes,
             GradientSync(self, self._ddp_params_and_buffers_to_ignore) if self._exchanges else None,
             device=self.device,
+            photographs=self.photographs,
         )
 
     def on_train_start(self) -> None:

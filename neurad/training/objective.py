@@ -43,6 +43,9 @@ from neurad.losses.relative import (
     two_pass,
 )
 
+MOST_SPECULAR = 0.65
+"""Largest fraction of the BSDF samples that follow the specular lobe where highlights are."""
+
 
 @dataclass(frozen=True)
 class GuideSamples:
@@ -66,6 +69,8 @@ class StepTerms:
     """Terms whose gradient reaches the radiance field; phi too only with ``prior_trains: both``."""
     guide_samples: GuideSamples | None = None
     """What a guide records; None from a method whose estimates come without the radiance that arrived."""
+    roughness: Tensor | None = None
+    """At first hits [b * n, 1], with ``grad`` after the backward pass; None where pixels have no weights."""
 
     @property
     def all(self) -> dict[str, tuple[float, Loss]]:
@@ -118,6 +123,12 @@ class ObjectiveStep:
 
         # Stage 2: what surfaces are made of, and what they emit.
         surface = self.estimator.materials(si)  # [b * n]
+        if batch.weight is not None and surface.roughness.requires_grad:
+            surface.roughness.retain_grad()
+        if batch.highlight is not None:
+            own = self.sampling.specular_fraction
+            fraction = own + (max(own, MOST_SPECULAR) - own) * batch.highlight
+            surface = replace(surface, specular_fraction=fraction.repeat_interleave(n).unsqueeze(-1))
         emitted = self.estimator.world.emitted(si)  # [b * n, 3]
 
         # Stage 3: the method's estimate of reflected light, and the RHS image with it.
@@ -138,10 +149,13 @@ class ObjectiveStep:
         # Stage 5: losses. Where alpha is 0 nothing is photographed, even if a sample meets the edge of a surface.
         counts = (~self.emitter_mask[batch.view, batch.pixel] & (batch.alpha > 0)).float().unsqueeze(-1)  # [b, 1]
         weight = relative_weight(self._normaliser(batch, predicted), self.epsilon) * counts  # [b, 3]
+        if batch.weight is not None:
+            weight = weight * batch.weight.unsqueeze(-1)
         in_image = None if control is None else replace(control, deviation=_attenuated(first, control.deviation))
         materials = {"photometric": (1.0, self._photometric(batch, image, weight, in_image, stream))}
         if settings.roughness_regulariser > 0 and surface.roughness.requires_grad:
-            materials["roughness_regulariser"] = settings.roughness_regulariser, _to_mean(surface.roughness)
+            penalty = _to_mean(surface.roughness.view(b, n), batch.weight)
+            materials["roughness_regulariser"] = settings.roughness_regulariser, penalty
         terms: dict[str, tuple[float, Loss]] = {}
         if lhs_image is not None and predicted is not None:
             if settings.prior > 0:
@@ -151,7 +165,8 @@ class ObjectiveStep:
             if settings.lhs > 0:
                 lhs_weight = relative_weight(predicted, self.epsilon) * counts
                 terms["lhs"] = settings.lhs, leave_one_out(lhs_image, batch.color, lhs_weight)
-        return StepTerms(materials, terms, self._guide_samples(si, sample))
+        roughness = surface.roughness if surface.roughness.retains_grad else None
+        return StepTerms(materials, terms, self._guide_samples(si, sample), roughness)
 
     @property
     def _field_samples(self) -> int:
@@ -281,13 +296,19 @@ def make_objective(assembly: Assembly, views: TrainingViews) -> ObjectiveStep:
     )
 
 
-def _to_mean(roughness: Tensor) -> Loss:
-    """A quadratic penalty of roughness [b * n, 1] around its mean over the batch.
+def _to_mean(roughness: Tensor, weight: Tensor | None) -> Loss:
+    """A quadratic penalty of roughness [b, n] around its mean over the batch, pixels weighted by ``weight`` [b].
 
     Where no photograph shows a highlight, photographs say nothing about roughness, and noise would carry it anywhere.
     The gradients add up to zero over the batch, so the mean itself is left to the photographs.
     """
-    penalty = ((roughness - roughness.detach().mean()) ** 2).mean()
+    fixed = roughness.detach()
+    if weight is None:
+        penalty = ((roughness - fixed.mean()) ** 2).mean()
+    else:
+        of_pixel = weight.unsqueeze(-1)
+        mean = (of_pixel * fixed).sum() / (weight.sum() * fixed.shape[1])
+        penalty = (of_pixel * (roughness - mean) ** 2).mean()
     return Loss(penalty, penalty.detach())
 
 

@@ -41,4 +41,7 @@ def _for_roughness(field: RoughnessField, rates: Optimization) -> SparseRowAdam:
     """
     decays = rates.roughness_decay > 0.0 and isinstance(field.mlp, MLP)
     table = field.grid.parameters() if decays else ()
-    return SparseRowAdam(field.parameters(), lr=rates.roughness, weight_decay={p: rates.roughness_decay for p in table})
+    return SparseRowAdam(
+        field.parameters(), lr=rates.roughness, betas=(0.9, rates.roughness_beta2),
+        weight_decay={p: rates.roughness_decay for p in table},
+    )  # fmt: skip

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
 from typing import Self
 
 import torch
@@ -40,6 +39,7 @@ class TrainingRun:
             Guard(nn.ModuleDict(dict(assembly.modules()))),
             optimizers=self.optimizers,
             device=device,
+            photographs=photographs,
         )
 
     @classmethod
@@ -83,7 +83,4 @@ class TrainingRun:
 
     def _batch(self) -> PixelBatch:
         """The next batch, on the device of the parts."""
-        batch, device = self.photographs.batch(self.iteration), self.device
-        view, pixel, color, alpha = (x.to(device) for x in (batch.view, batch.pixel, batch.color, batch.alpha))
-        blurred = None if batch.blurred is None else batch.blurred.to(device)
-        return replace(batch, view=view, pixel=pixel, color=color, alpha=alpha, blurred=blurred)
+        return self.photographs.batch(self.iteration).to(self.device)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any, Protocol
@@ -11,6 +12,7 @@ from torch import Tensor, nn
 
 from neurad.assembly.build import Assembly
 from neurad.assembly.settings import ModelSettings
+from neurad.core.protocols import PhotoSource
 from neurad.core.records import PixelBatch
 from neurad.core.rng import Stream
 from neurad.fields.mlp import MLP, products
@@ -19,7 +21,8 @@ from neurad.runtime.threads import of_step
 from neurad.training.gradient_sync import GradientSync
 from neurad.training.guard import Guard, clip
 from neurad.training.guide_update import bin_guide_samples, update_guide
-from neurad.training.objective import StepTerms
+from neurad.training.objective import ObjectiveStep, StepTerms
+from neurad.training.roughness_start import AFTER, BATCHES, choose_start
 from neurad.training.schedule import rate_factor
 
 
@@ -61,6 +64,7 @@ class TrainingStep:
         optimizers: by the names of their learning rates. A trainer that wraps its optimizers sets the wrappers here
             before the first step.
         device: of the random streams.
+        photographs: of the training views, for a look at several roughnesses to begin with; None leaves it out.
     """
 
     assembly: Assembly
@@ -72,6 +76,7 @@ class TrainingStep:
     sync: GradientSync | None = None
     optimizers: Mapping[str, StepOptimizer] = field(default_factory=dict)
     device: torch.device | str = "cpu"
+    photographs: PhotoSource | None = None
     losses: dict[str, Tensor] = field(default_factory=dict, init=False)
     """Values of the last step's losses by name."""
 
@@ -96,6 +101,10 @@ class TrainingStep:
         Raises:
             NotFinite: a loss, gradient or weight is NaN or infinite.
         """
+        if self.counters.iteration == AFTER and self.photographs is not None:
+            self._choose_start(self.photographs)
+        if self.assembly.focus is not None:
+            batch = self.assembly.focus.choose(batch, self._stream(2))
         settings = self.assembly.settings.for_batch(batch.pixel_multiplier)
         lanes = len(batch.view) * settings.sampling.spp * settings.sampling.samples_per_vertex  # path samples
         with of_step(lanes, self._networks):
@@ -120,9 +129,9 @@ class TrainingStep:
             backward(loss)
         # Stage 2: what other processes found, the finiteness check and the norm of the gradients.
         factor = rate_factor(optimization, counters.iteration, progress)
-        binned = bin_guide_samples(world.guide, terms.guide_samples)
+        recorded = bin_guide_samples(world.guide, terms.guide_samples), self._scores(batch, terms)
         if self.sync is not None:
-            factor, binned = self.sync.average(factor, binned)
+            factor, recorded = self.sync.average(factor, recorded)
         self.guard.check(counters.iteration, batch, terms.all, lambda: self.terms(batch))
         if optimization.clip > 0:
             clip([optimizer.param_groups for optimizer in self.optimizers.values()], optimization.clip)
@@ -134,14 +143,36 @@ class TrainingStep:
             list(self.optimizers.values())
         ):  # the first last: a trainer that counts it ends its step
             optimizer.step()
-        update_guide(world.guide, binned, counters.iteration)
+        update_guide(world.guide, recorded[0], counters.iteration)
+        if self.assembly.focus is not None and recorded[1] is not None:
+            self.assembly.focus.record(*recorded[1], counters.iteration)
         counters.iteration += 1
         if self.assembly.average is not None:
             self.assembly.average.update(counters.iteration)
         self.losses = {name: term.value for name, (_, term) in terms.all.items()}
         return loss.detach()
 
+    def _choose_start(self, photographs: PhotoSource) -> None:
+        """Let roughness begin where the loss is least, see :mod:`neurad.training.roughness_start`."""
+        roughness = self.assembly.settings.roughness
+        if not isinstance(self.objective, ObjectiveStep) or roughness.begin == "middle":
+            return
+        begin = self.counters.iteration
+        batches = (photographs.batch(i, self.rank).in_turn().to(self.device) for i in range(begin, begin + BATCHES))
+        key = self.assembly.settings.seed, begin, self.rank, 3
+        level = choose_start(self.objective, batches, key, self.sync is not None)
+        if level is not None and self.rank == 0:
+            print(f"neurad: roughness begins at {level}", file=sys.stderr)
+
     def terms(self, batch: PixelBatch) -> StepTerms:
         """The losses of this iteration; the same ones at every call until the weights move."""
-        stream = Stream(self.assembly.settings.seed, self.counters.iteration, self.rank, 1, device=self.device)
-        return self.objective(batch, stream)
+        return self.objective(batch, self._stream(1))
+
+    def _stream(self, purpose: int) -> Stream:
+        """Random numbers of this iteration, the same at every call."""
+        return Stream(self.assembly.settings.seed, self.counters.iteration, self.rank, purpose, device=self.device)
+
+    def _scores(self, batch: PixelBatch, terms: StepTerms) -> tuple[Tensor, Tensor] | None:
+        """What the gradients by roughness say of where pixels are to be drawn."""
+        gradient = None if terms.roughness is None else terms.roughness.grad
+        return None if self.assembly.focus is None or gradient is None else self.assembly.focus.rows(batch, gradient)

@@ -52,6 +52,10 @@ class UnphotographedPixels(PhotoSource):
         """The unit of radiance, whatever is left out."""
         return DatasetStats(self.mean_square, self.batch(0), [])
 
+    def colors(self, view: Tensor, pixel: Tensor) -> Tensor:
+        """Black: nothing was photographed."""
+        return torch.zeros(len(view), 3)
+
     def spread_fireflies(self, left_out: Tensor) -> float:
         """There are none."""
         return 0.0

@@ -27,7 +27,8 @@ def update_levels(
 ) -> list[LevelFit] | None:
     """Fit the factors of the averages' levels to the pixels that no batch draws, and keep them where that helps.
 
-    They do not depend on what they were before. None where there are no such pixels, averages or levels.
+    They do not depend on what they were before. Rays are not counted: the last of these passes is made wherever a run
+    is stopped. None where there are no such pixels, averages or levels.
 
     Args:
         assembly: of the run.
@@ -36,12 +37,12 @@ def update_levels(
         iteration: iterations done, the key of the random numbers.
     """
     average, materials = assembly.average, assembly.materials
-    if average is None or not isinstance(materials, FittedMaterials) or len(dict(average.levels.items())) == 0:
+    if average is None or not isinstance(materials, FittedMaterials) or not list(average.levels.items()):
         return None
     batch = photographs.validation_batch()
     if batch is None or len(batch.view) < LEAST:
         return None
-    with torch.no_grad(), average.used(whole=True):
+    with torch.no_grad(), average.used(whole=True), assembly.world.tracer.uncounted():
         pixels = derivatives_of(
             assembly.estimator, views.primary, batch, views.emitter_mask, assembly.settings.seed, iteration
         )

@@ -1,6 +1,7 @@
 """Reflection models against Mitsuba, against statistics and against closed forms."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -384,3 +385,30 @@ def test_dielectric_conserves_power_in_the_mean():
         reflected = 0.5 * (((a - eta_i * b) / (a + eta_i * b)) ** 2 + ((eta_i * a - b) / (eta_i * a + b)) ** 2)
         p.append(z_test_samples((~through).double().numpy(), np.float64(reflected)))
     assert accept(p)
+
+
+@pytest.mark.parametrize("use_kernels", [True, False])
+def test_every_lane_can_have_its_own_fraction_of_the_specular_lobe(use_kernels):
+    """Directions, values and densities are those of a BSDF with that fraction for all."""
+    count, choices = 3000, (0.1, 0.25, 0.7)
+    wo, surf, u = directions(count, 3, upper=True), random_surface(count, 5), uniform(count, 3, seed=8)
+    kind = torch.arange(count) % len(choices)
+    own = replace(surf, specular_fraction=torch.tensor(choices)[kind].unsqueeze(-1))
+    made = Principled(use_kernels=use_kernels)
+    sample = made.sample(own, wo, u)
+    value, pdf = made.eval_pdf(own, wo, sample.wi)
+    for k, fraction in enumerate(choices):
+        there = (kind == k).nonzero().squeeze(-1)
+        plain = Principled(use_kernels=use_kernels, specular_fraction=fraction)
+        expected = plain.sample(surf[there], wo[there], u[there])
+        torch.testing.assert_close(sample.wi[there], expected.wi)
+        torch.testing.assert_close(sample.pdf[there], expected.pdf)
+        torch.testing.assert_close(value[there], plain.eval(surf[there], wo[there], expected.wi))
+        torch.testing.assert_close(pdf[there], expected.pdf)
+        assert float(made.diffuse_fraction(own, wo)[there].float().mean()) == pytest.approx(1.0 - fraction, abs=1e-6)
+
+
+def test_kernels_refuse_fractions_of_other_lanes():
+    own = replace(surface(4), specular_fraction=torch.full((3, 1), 0.5))
+    with pytest.raises(ValueError, match="specular_fraction 3, others 4"):
+        Principled().sample(own, directions(4, 1), uniform(4, 3))

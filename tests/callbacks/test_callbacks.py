@@ -6,11 +6,11 @@ import numpy as np
 import pytest
 
 from neurad.callbacks import pictures
-from neurad.callbacks.evaluation import _group
+from neurad.callbacks.board import split_mark
 from neurad.callbacks.table import COLUMNS, MetricsTable, curve_table, score_table
 from neurad.runtime import clock
 from neurad.runtime.tables import read_header
-from neurad.scene.image_io import read_exr
+from neurad.scene.image_io import read_bitmap, read_exr
 
 
 def row(iteration, **scores):
@@ -79,31 +79,32 @@ def views():
     return [{"name": "a", "render": ramp + 0.1, "photograph": ramp, "albedo": ramp / 2, "roughness": one}]
 
 
-def test_exposure_follows_the_photographs_only():
-    maps = views()
-    before = pictures.exposure(maps)
-    maps[0]["render"] = maps[0]["render"] * 5
-    assert pictures.exposure(maps) == before == pytest.approx(0.8 / 1.8, rel=0.05)
-    assert pictures.exposure([{"render": maps[0]["render"]}]) == 1.0
-
-
-def test_pages_hold_what_there_is():
-    pages = pictures.pages(views()[0], 0.5)
-    assert set(pages) == {"render_photograph_error", "albedo", "roughness"}
-    assert pages["render_photograph_error"].shape == (2, 3 * 5 + 2 * 2, 3)
-    assert pages["albedo"].shape == (2, 5, 3)
-    assert all(page.dtype == np.uint8 for page in pages.values())
-    # The error is 0.1 everywhere, so its picture has one colour.
-    assert len(np.unique(pages["render_photograph_error"][:, -5:].reshape(-1, 3), axis=0)) == 1
+def test_a_sheet_holds_what_there_is():
+    sheet = pictures.view_sheet(views()[0], 0.5, "a")
+    assert {label: [tile.key for tile in tiles] for label, tiles in sheet.rows.items()} == {
+        "Picture": ["render", "photograph", "render_error"],
+        "Albedo": ["albedo"],
+        "Roughness": ["roughness"],
+    }
+    error = sheet.rows["Picture"][2]
+    assert len(np.unique(error.picture.reshape(-1, 3), axis=0)) == 1  # the error is 0.1 everywhere
+    assert "darker is better" in error.scale.meaning
+    assert "Exposure: radiance times 0.5" in sheet.notes[0]
+    assert sheet.unseen is None
 
 
 def test_views_are_written_linear_and_for_looking_at(tmp_path):
     maps = views()
+    maps[0]["seen"] = np.array([[[0.0], [0.5], [1.0], [1.0], [1.0]]] * 2, np.float32)
     pictures.write_views(tmp_path / "images", maps)
     names = {f"a_{kind}.{end}" for kind in ("render", "albedo", "roughness") for end in ("exr", "png")}
+    names |= {"a_seen.png", "a_sheet.png"}
     assert {p.name for p in (tmp_path / "images").iterdir()} == names
     for kind in ("render", "albedo", "roughness"):
         np.testing.assert_array_equal(read_exr(tmp_path / "images" / f"a_{kind}.exr"), maps[0][kind])
+    assert read_bitmap(tmp_path / "images" / "a_seen.png", raw=True)[0, :3, 0].tolist() == pytest.approx(
+        [0, 128 / 255, 1]
+    )
 
 
 def test_the_clock_stands_still_during_evaluation():
@@ -124,7 +125,7 @@ def test_closing_table_has_the_lookup_by_colour_where_there_is_one():
     assert "lookup" not in score_table({"albedo_psnr": 30.0, "albedo_psnr_constant": 15.0}, 4)
 
 
-def test_tensorboard_groups_keep_the_constants_apart():
-    groups = {name: _group(name) for name in ("albedo_psnr", "albedo_psnr_8x8_seen", "roughness_mape_constant_seen")}
-    assert list(groups.values()) == ["held_out", "held_out_seen", "held_out_constant_seen"]
-    assert _group("psnr_linear_constant") == "held_out_constant"
+def test_what_needs_no_fit_is_told_apart_from_the_run():
+    assert split_mark("albedo_psnr_8x8_constant_seen") == ("best constant", "albedo_psnr_8x8_seen")
+    assert split_mark("roughness_r2_lookup") == ("true colour's lookup", "roughness_r2")
+    assert split_mark("albedo_psnr_seen") == (None, "albedo_psnr_seen")

@@ -52,7 +52,7 @@ def test_a_room_is_exported_read_again_fitted_and_rendered(tiny, capfd):
     verified = json.loads((room / "verify.json").read_text())
     assert set(verified["renderers"]) == {"baked", "fields", "mitsuba"}
     assert verified["scores"]["albedo_baked_to_fields_psnr"] > 40
-    assert "<figure>" in (room / "report.html").read_text()
+    assert '<figure class="tile">' in (room / "report.html").read_text()
     assert all((room / "evidence" / f"{mesh['name']}.png").is_file() for mesh in notes["meshes"])
     for mesh in notes["meshes"]:
         std, size = read_exr(room / "albedo_std" / f"{mesh['name']}.exr"), mesh["texture"]

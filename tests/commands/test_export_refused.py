@@ -72,7 +72,7 @@ def test_paths_with_spaces_and_umlauts(fitted):
         (["--blender", "true"], "it verifies, which --no-verify leaves out"),
         (["--root", "nowhere"], "its scene nowhere is missing"),
         (["--root", "tiny.yaml"], "its scene tiny.yaml is missing"),
-        (["--ckpt_path", "tiny.yaml"], "is not in a run folder"),
+        (["--ckpt_path", "tiny.yaml"], "it is not a readable checkpoint"),
         (["--out", "Küche 1"], "Küche 1 is there already; add --overwrite"),
         (["--out", "Küche 1", "--overwrite"], "is no folder of an earlier export"),
         (["--out", "."], "is the folder that you are in"),

@@ -350,3 +350,40 @@ def test_growth_names_what_needs_too_much(tmp_path, capsys):
         (row,) = csv.DictReader(file)
     assert row["peak_MiB"] == ""
     assert float(row["needs_MiB"]) > 20000
+
+
+@pytest.mark.parametrize("resident", [None, 3])
+def test_candidates_come_after_the_pixels_in_turn(folder, resident):
+    data = ready(folder, patches=40, resident=resident, pixel_multiplier=2)
+    data.request_candidates(0.25, 24)
+    images = [read_exr(view.image) for view in data.scene.train]
+    batch = data.batch(5)
+    assert len(batch.view) == 2 * (30 + 10 * 24)
+    assert batch.candidates == 2 * 10 * 24
+    for view, pixel, color in zip(batch.view.tolist(), batch.pixel.tolist(), batch.color, strict=True):
+        np.testing.assert_array_equal(color.numpy(), images[view][pixel // SIZE, pixel % SIZE])
+    again = data.batch(5)
+    assert torch.equal(again.pixel, batch.pixel)
+    assert not torch.equal(data.batch(6).pixel, batch.pixel)
+    in_turn = batch.in_turn()
+    assert len(in_turn.view) == len(in_turn.color) == 60
+    assert in_turn.candidates == 0
+    fewer = ready(folder, patches=30, resident=resident, pixel_multiplier=2)
+    assert torch.equal(fewer.batch(5).pixel, in_turn.pixel)
+
+
+def test_candidates_are_uniform(folder):
+    """Chi-square over views and pixels; fails by chance once in 10,000."""
+    data = ready(folder, patches=10)
+    data.request_candidates(0.5, 200)
+    batches = [data.batch(i) for i in range(60)]
+    index = torch.cat([b.view[-b.candidates :] * SIZE * SIZE + b.pixel[-b.candidates :] for b in batches])
+    counts = torch.bincount(index, minlength=VIEWS * SIZE * SIZE).numpy()
+    assert stats.chisquare(counts).pvalue > 1e-4
+
+
+def test_patches_have_no_candidates(folder):
+    data = ready(folder, patches=4, patch_size=2)
+    data.request_candidates(0.5, 24)
+    assert data.batch(0).candidates == 0
+    assert len(data.batch(0).view) == 16

@@ -5,7 +5,6 @@ import torch
 from helpers.tiny_scene import SIZE, write_scene
 
 from datamodules.scene_data import SceneData
-from neurad.core.errors import InputError
 from neurad.core.patch_sampler import PatchSampler, validation_pixels
 
 VIEWS = 5
@@ -60,5 +59,4 @@ def test_without_any_everything_stays_as_it_was(folder):
 
 
 def test_patches_have_none(folder):
-    with pytest.raises(InputError, match=r"--data\.validation_pixels: it needs single pixels"):
-        SceneData(str(folder), patch_size=2, validation_pixels=0.03)
+    assert ready(folder, patch_size=2).validation_batch() is None

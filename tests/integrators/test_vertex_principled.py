@@ -6,6 +6,7 @@ import pytest
 import torch
 from helpers.delta_scenes import delta_gallery
 from helpers.object_scene import object_scene, sky
+from helpers.oracles import accept, z_test_samples
 from helpers.random_vertices import one_sided, random_vertices
 
 from neurad.assembly.build import build_world
@@ -150,3 +151,27 @@ def test_the_compiled_mean_is_the_plain_one():
     value = directional_albedo(Surface(torch.ones(5000, 3), roughness), cosine, 1.5)
     assert bool((value[:, 0] >= d).all())
     assert 0.8 < float(d.mean()) < 1.2
+
+
+@pytest.mark.parametrize("guided", [False, True])
+def test_lanes_with_their_own_fraction_of_the_specular_lobe(guided):
+    """The compiled bounce is the plain one, and the mean is that of any other fraction: a z-test at 99 %."""
+    world = build_world(glossy(build_cornell()))
+    world.guide = trained_guide(world, 9) if guided else None
+    si, surface, u = random_vertices(world, N, 3), random_surface(N, 5).detach(), Stream(4).uniform(N, DIMENSIONS)
+    own = replace(surface, specular_fraction=0.05 + 0.9 * Stream(6).uniform(N, 1))
+    fast, plain = (bounce(world, si, own, u, guided=True, use_kernels=kernels) for kernels in (True, False))
+    same = (fast.next.prim == plain.next.prim).float().mean()
+    assert same > 0.999
+    for name in ("direct", "weight"):
+        off = ((getattr(fast, name) - getattr(plain, name)).abs() > 1e-3 * (1.0 + getattr(plain, name).abs())).any(-1)
+        assert float(off.float().mean()) < 1e-3
+
+    def means(surface):
+        rows = []
+        for k in range(60):
+            step = bounce(world, si, surface, Stream(7, k).uniform(N, DIMENSIONS), guided=True)
+            rows.append((step.direct + step.weight * 0.3)[si.valid].clamp_max(50.0).mean())
+        return torch.stack(rows).double()
+
+    assert accept([float(z_test_samples(means(own), means(surface)))])

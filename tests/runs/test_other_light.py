@@ -210,10 +210,9 @@ def test_a_lamp_that_is_far_off_is_refused_before_training(fitted, capfd):
     assert "--model.lighting.lamp_mismatch warn" in error
     assert not Path("lightning_logs").exists()
     fit("--data.root=room", "--trainer.max_steps=1", "--model.lighting.lamp_mismatch=warn")
-    said = capfd.readouterr()
-    assert "neurad: lamp lamp: photographed over declared radiance 0." in said.err
-    assert "warning: lamp lamp is" in said.err
-    assert "neurad: albedo at its limits: 0.0 % below 0.01, 0.0 % above 0.99" in said.out
+    said = capfd.readouterr().err
+    assert "neurad: lamp lamp: photographed over declared radiance 0." in said
+    assert "warning: lamp lamp is" in said
 
 
 def fails_last(capfd, *args):

@@ -47,7 +47,7 @@ def test_replay_renders_what_path_tracing_does_and_direct_light_is_depth_two(tmp
     [
         (
             ("--integrator", "pathh"),
-            r"no method pathh \(debiased, direct, path, .*\); did you mean path\?",
+            r"no method pathh \(debiased, direct, path, .*\), did you mean path\?",
         ),
         (("--integrator", "direct", "--max-depth", "3"), "only paths have a depth"),
         (("--spp", "0"), "--spp: 0 is out of range"),

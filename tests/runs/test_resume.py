@@ -25,7 +25,8 @@ CONFIG = {
     "model": {
         "seed": "${seed_everything}",
         "albedo": {"grid": GRID, "width": 16},
-        "roughness": {"grid": GRID, "width": 16},
+        "roughness": {"grid": GRID, "width": 16, "begin": "best"},
+        "sampling": {"focus": 0.25},
         "radiance": {"grid": GRID, "width": 16, "hidden_layers": 2},
         "objective": {"roughness_regulariser": 0.01},
         "optimization": {"average": 0.3, "roughness_decay": 1.0},

@@ -54,7 +54,9 @@ def interrupt():
 def test_run_folder_and_closing_table(tiny, capsys):
     fit("--trainer.max_steps=8", "--evaluation.every_n_steps=3")
     names = {p.name.split(".")[0] for p in run_folder().iterdir()}
-    assert names == {"config", "metrics", "events", "checkpoints", "views"}
+    boards = {"cornell-radiometric", "cornell-best-constant"}
+    assert names == {"config", "metrics", "checkpoints", "views", "report", *boards}
+    assert all(list(run_folder().glob(f"{board}/events.out.*")) for board in boards)
     rows = metrics()
     assert [row["iteration"] for row in rows] == ["3", "6", "8"]
     assert [int(row["samples"]) for row in rows] == [n * 2 * 16 * 2 for n in (3, 6, 8)]  # pixel_multiplier 2, spp 4

@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import yaml
+from browser import LAPTOP
 from helpers import tiny_fit
 
 from neurad import cli
@@ -19,9 +20,10 @@ from neurad.cli import main
 from neurad.commands import compare
 from neurad.core.errors import InputError
 from neurad.runs import child
-from neurad.studies.compare import configs, curves, views
+from neurad.studies.compare import configs, curves, page, views
+from neurad.studies.compare import table as table_of
 from neurad.studies.compare.fits import time_limit
-from neurad.studies.compare.runs import Run, marks, read_run, samples_per_step
+from neurad.studies.compare.runs import SCORES, Run, marks, read_run, samples_per_step
 from neurad.training.inverse import InverseRenderer
 
 CONFIG = {
@@ -139,7 +141,7 @@ def test_the_page_needs_nothing_else():
     make_run("a", (19.0, 23.0, 27.0))
     main(["compare", "<&>=a"])
     text = Path("report/index.html").read_text()
-    assert text.count('src="data:image/png;base64,') == 2
+    assert text.count('<figure class="chart">') == 6  # albedo and picture against time, then samples; MAPE of albedo
     assert not re.findall(r'(?:src|href)="(?!data:)|https?://|url\(', text)
     assert "&lt;&amp;&gt;" in text
     assert "<&>" not in text
@@ -157,11 +159,10 @@ def test_seeds_of_a_method_make_one_row_and_a_band():
     assert row["seconds_to_albedo_24"] == "40"  # 40, 20 and never
     assert row["seconds_to_albedo_26"] == ""  # one of three
     # By hand, at the geometric mean of 10 and 40: the middle evaluation.
-    pairs = [curves.curve(read_run(Path(f"report/runs/ours_{i}")), "seconds", curves.PANELS[2]) for i in range(3)]
+    pairs = [curves.curve(read_run(Path(f"report/runs/ours_{i}")), "seconds", curves.PANELS[0]) for i in range(3)]
     at, middle, low, high = curves.band(pairs)
     index = int(np.argmin(np.abs(at - 20.0)))
-    expected = [10 ** (-psnr / 20) for psnr in (22.0, 25.0, 19.5)]
-    np.testing.assert_allclose([middle[index], low[index], high[index]], expected, rtol=0.03)
+    np.testing.assert_allclose([middle[index], low[index], high[index]], (22.0, 19.5, 25.0), atol=0.3)
     assert (low <= middle).all()
     assert (middle <= high).all()
 
@@ -183,10 +184,11 @@ def test_own_samples_column_wins():
     assert samples_per_step({"data": {"patches": 3}}) is None
 
 
-def test_an_error_is_what_the_psnr_measures():
+def test_what_is_drawn_is_what_the_table_has():
     run = Run("m", 0, Path(), rows=[{"seconds": 1.0, "albedo_psnr": 20.0}, {"seconds": 2.0, "albedo_psnr": math.inf}])
-    x, y = curves.curve(run, "seconds", curves.PANELS[2])
-    assert (x.tolist(), y.tolist()) == ([1.0], [pytest.approx(0.1)])  # no error at all has no place on a log axis
+    x, y = curves.curve(run, "seconds", curves.PANELS[0])
+    assert (x.tolist(), y.tolist()) == ([1.0], [20.0])  # no error at all has no place on an axis
+    assert {panel.score for panel in curves.PANELS} == set(SCORES)
 
 
 def test_colours_are_fixed_and_distinct():
@@ -198,11 +200,50 @@ def test_colours_are_fixed_and_distinct():
 def test_picture_rows():
     one = np.full((4, 5, 3), 0.5, np.float32)
     columns = {"truth": {"albedo": one, "render": 2 * one}, "ours": {"albedo": one + 0.25, "render": 2 * one}}
-    rows = views.grid(columns, scale=0.5)
+    rows = views.sheet("a", columns, 0.5).rows
     assert list(rows) == ["albedo", "albedo error", "render", "render error"]
+    assert [tile.pair for tile in rows["albedo"]] == ["albedo-1", "albedo-0"]
     assert rows["albedo error"][0] is None
-    assert (rows["albedo error"][1] == rows["albedo error"][1][0, 0]).all()
-    assert rows["albedo error"][1].sum() > 30 * rows["render error"][1].sum()  # brightest against none
+    wrong, right = rows["albedo error"][1].picture, rows["render error"][1].picture
+    assert (wrong == wrong[0, 0]).all()
+    assert wrong.sum() > 30 * right.sum()  # brightest against none
+
+
+def test_the_page_fits_a_laptop(look_at):
+    """With every column of the table, long labels, and pictures."""
+    names = table_of.columns((20.0, 30.0))
+    row = {name: 12345.678 for name in names} | {"seeds": 3.0, "status": "ok"}
+    rows = [row | {"method": "lightning_logs/of_some_longer_name/version_12"}, row | {"method": "prb"}]
+    one = np.full((8, 8, 3), 0.5, np.float32)
+    sheet = views.sheet("View 000", {"truth": {"albedo": one}, "a": {"albedo": one}, "b": {"albedo": one}}, 1.0)
+    run = Run("prb", 0, Path("a"), rows=[{"seconds": s, "albedo_psnr": s} for s in (5.0, 9.0)])
+    charts = curves.charts([run], "seconds", 0)
+    page.write_page(
+        Path("index.html"), "A page", [], rows, (20.0, 30.0), charts, {"More": charts}, [sheet], ["A note."]
+    )
+    seen = look_at(Path("index.html"), offline=True)
+    assert seen.width() == (LAPTOP[0], LAPTOP[0])
+    wide = "[...document.querySelectorAll('.scroll')].filter(box => box.scrollWidth > box.clientWidth).length"
+    assert seen.page.evaluate(wide) == 0  # no table has to be scrolled sideways
+    assert [seen.page.locator(what).count() for what in ("table", ".slider", "details")] == [3, 1, 1]
+    assert (seen.errors, seen.network) == ([], [])
+    first = seen.page.locator("table").first.inner_text()
+    assert "albedo PSNR / dB \u2191" in first
+    assert "albedo MAPE \u2193" in first
+
+
+def test_the_headline_says_who_is_best_and_what_nobody_found():
+    scored = {"seeds": 1.0, "albedo_psnr": 20.0, "roughness_psnr": 9.0}
+    rows = [{"method": "a", **scored}, {"method": "b", **scored, "albedo_psnr": 21.0}]
+    rows.append({"method": "best constant", "albedo_psnr": 15.0, "roughness_psnr": 10.0})
+    text = page.headline(rows)
+    assert text.startswith(
+        "On the held-out views b has the best albedo (21.00 dB, the best constant 15.00); no method has roughness above"
+    )
+    assert (
+        page.headline([{"method": "a", "seeds": 0.0, "status": "failed"}])
+        == "On the held-out views nothing was scored."
+    )
 
 
 # ---- bad input

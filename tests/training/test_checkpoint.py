@@ -1,10 +1,41 @@
-"""Which scene a checkpoint may be used for."""
+"""Which scene a checkpoint may be used for, and checkpoints that lack what only takes noise away."""
+
+from types import SimpleNamespace
 
 import pytest
+import torch
 
 from neurad.core.errors import InputError
 from neurad.scene.builtin import build
-from neurad.training.checkpoint import check_scene, scene_state
+from neurad.training.checkpoint import check_scene, fitting, scene_state
+
+SCENE = SimpleNamespace(name="room", fingerprint="f")
+
+
+def checkpoint(**weights):
+    return {"neurad": {"fingerprint": "f", "scene": "room"}, "state_dict": weights}
+
+
+def test_a_checkpoint_without_scores_of_pixels_continues_with_a_sentence(capsys):
+    own = {"materials.w": torch.zeros(2), "focus.score": torch.ones(3), "focus.sums": torch.zeros(3, 2)}
+    old = checkpoint(**{"materials.w": torch.full((2,), 5.0)})
+    fitting(old, own, SCENE, None, continues=True)
+    assert "model.sampling.focus" in capsys.readouterr().err
+    assert torch.equal(old["state_dict"]["focus.score"], own["focus.score"])
+    assert torch.equal(old["state_dict"]["materials.w"], torch.full((2,), 5.0))
+
+    kept = checkpoint(**own | {"focus.score": torch.full((3,), 2.0)})
+    fitting(kept, own, SCENE, None, continues=True)
+    assert capsys.readouterr().err == ""
+    assert torch.equal(kept["state_dict"]["focus.score"], torch.full((3,), 2.0))
+
+
+def test_scores_of_pixels_are_dropped_where_none_are_wanted(capsys):
+    own = {"materials.w": torch.zeros(2)}
+    newer = checkpoint(**own, **{"focus.score": torch.ones(3)})
+    fitting(newer, own, SCENE, None, continues=True)
+    assert newer["state_dict"].keys() == own.keys()
+    assert capsys.readouterr().err == ""
 
 
 def test_a_run_of_the_kitchen_before_the_present_one_is_told_its_name():

@@ -152,12 +152,20 @@ def alone(tmp_path):
 @pytest.mark.parametrize("sparse", [True, False])
 def test_one_process_averages_to_its_own_gradient(alone, sparse):
     made = Grid(sparse)
-    places, values = torch.tensor([3, 3, 1]), torch.rand(3, 2)
-    factor, binned = GradientSync(made, {"grid.table"}).average(0.25, (places, values))
+    recorded = (torch.tensor([3, 3, 1]), torch.rand(3, 2)), (torch.tensor([7, 0]), torch.rand(2, 2))
+    factor, returned = GradientSync(made, {"grid.table"}).average(0.25, recorded)
     assert torch.equal(made.grid.table.grad.to_dense(), made.expected)
     assert factor == 0.25
-    assert torch.equal(binned[0], places)
-    assert torch.equal(binned[1], values)
+    for mine, theirs in zip(recorded, returned, strict=True):
+        assert torch.equal(theirs[0], mine[0])
+        assert torch.equal(theirs[1], mine[1])
+
+
+def test_what_nobody_records_is_not_sent(alone):
+    scores = torch.tensor([7, 0]), torch.rand(2, 2)
+    _, (guide, returned) = GradientSync(Grid(True), {"grid.table"}).average(0.25, (None, scores))
+    assert guide is None
+    assert torch.equal(returned[1], scores[1])
 
 
 def test_messages_keep_what_is_in_them_while_they_grow_and_shrink(alone):

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 
 from neurad.core.errors import InputError
+from neurad.core.suggest import did_you_mean
 from neurad.scene.builtin.cornell import build_cornell
 from neurad.scene.builtin.cube import build_cube
 from neurad.scene.builtin.furnace import build_furnace
@@ -36,5 +37,6 @@ def build(name: str) -> Scene:
         InputError: there is no scene of this name.
     """
     if name not in _BUILDERS:
-        raise InputError(f"data.scene: there is no built-in scene {name!r}, choose one of {', '.join(NAMES)}")
+        near = did_you_mean(name, NAMES)
+        raise InputError(f"data.scene: there is no built-in scene {name!r}, choose one of {', '.join(NAMES)}{near}")
     return _BUILDERS[name]()

@@ -37,7 +37,10 @@ def read_meshes(path: str | Path) -> MeshFile:
     path = regular_file(path, "there is no such mesh file")
     kind = path.suffix.lower()
     if kind not in KINDS:
-        raise InputError(f"{shown(path)}: it is not a mesh that can be read ({', '.join(KINDS)})")
+        raise InputError(
+            f"{shown(path)}: it is no mesh that can be read; export it as one of {', '.join(KINDS)} from the program "
+            "that made it, or from Blender"
+        )
     if kind != ".ply" and path.stat().st_size > TEXT_MESH_LIMIT:
         raise InputError(f"{shown(path)}: it has more than {TEXT_MESH_LIMIT >> 20} MB; convert it to PLY")
     import trimesh

@@ -19,6 +19,8 @@ from neurad.scene.readers.intrinsics import Size, camera_of, rigid
 
 HOLD_OUT = 8
 """Every so many-th photograph is held out where nothing says which."""
+LOW_RANGE = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".webp", ".bmp", ".heic")
+"""Photographs whose values are no linear radiance."""
 Finder = Callable[[str, str], Path]
 _LISTS = {"train_filenames": "train", "val_filenames": "test", "test_filenames": "test"}
 
@@ -240,7 +242,19 @@ def _photograph(root: Path, name: str, path: Path) -> Path:
     image = root / name
     if not image.name:
         raise InputError(f"{path}: its file_path {shown(repr(name))} is not the name of a file")
-    return regular_file(_exr(image), f"the photograph is missing that {path.name} lists (an EXR file)")
+    file = _exr(image)
+    if not exists(file) and (other := _low_range(image)) is not None:
+        raise InputError(
+            f"{shown(other)}: {path.name} lists a photograph that is no EXR, but light is recovered from linear values "
+            f"only: develop it from its raw file, or from several exposures, to {shown(file.name)} beside it"
+        )
+    return regular_file(file, f"the photograph is missing that {path.name} lists (an EXR file)")
+
+
+def _low_range(image: Path) -> Path | None:
+    """The photograph of this name in a format without linear values; None where there is none."""
+    names = [image, *(image.with_name(image.name + ending) for ending in LOW_RANGE)]
+    return next((file for file in names if file.suffix.lower() in LOW_RANGE and exists(file)), None)
 
 
 def _exr(image: Path) -> Path:

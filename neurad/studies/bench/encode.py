@@ -5,6 +5,7 @@ from __future__ import annotations
 import argparse
 from typing import TYPE_CHECKING
 
+from neurad.core.durations import time_option
 from neurad.core.ranges import Count, CountOrZero, Positive, option
 
 if TYPE_CHECKING:
@@ -24,7 +25,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--width", type=option(Count), default=64, help="neurons of a hidden layer")
     parser.add_argument("--hidden_layers", type=option(CountOrZero), default=3, help="hidden layers")
     parser.add_argument("--device", default="auto", help="cpu, cuda or auto")
-    parser.add_argument("--seconds", type=option(Positive), default=0.5, help="time for each figure")
+    parser.add_argument("--seconds", type=time_option(Positive), default=0.5, help="time for each figure")
     parser.add_argument("--out", metavar="FILE.csv", help="write the table here too")
 
 

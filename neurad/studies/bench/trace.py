@@ -5,7 +5,8 @@ from __future__ import annotations
 import argparse
 from typing import TYPE_CHECKING
 
-from neurad.core.ranges import Positive, option
+from neurad.core.durations import time_option
+from neurad.core.ranges import Positive
 
 if TYPE_CHECKING:
     import torch
@@ -25,7 +26,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--tracers", default="embree,open3d,warp", help="names, separated by commas")
     parser.add_argument("--sizes", default="1024,4096,32768,262144", help="rays in a batch, separated by commas")
     parser.add_argument("--device", default="cpu", help="where the rays lie: cpu or cuda")
-    parser.add_argument("--seconds", type=option(Positive), default=0.5, help="time for each figure")
+    parser.add_argument("--seconds", type=time_option(Positive), default=0.5, help="time for each figure")
     parser.add_argument("--out", metavar="FILE.csv", help="write the table here too")
 
 

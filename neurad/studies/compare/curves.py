@@ -1,4 +1,4 @@
-"""Error against seconds and against path samples: the numbers behind the curves, and the figures."""
+"""Scores against seconds and against path samples: the numbers behind the curves, and the figures."""
 
 from __future__ import annotations
 
@@ -9,11 +9,13 @@ from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
+from neurad.callbacks.report import DASHES as MARK_DASHES
 from neurad.core.records import FloatArray
 from neurad.metrics.marks import CONSTANT, LOOKUP
+from neurad.pages.chart import Line, chart
 from neurad.runtime import tables
 from neurad.runtime.files import replacing
-from neurad.studies.compare.runs import Run, by_method, marks, rmse
+from neurad.studies.compare.runs import Run, by_method, marks
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -27,41 +29,36 @@ COLOURS = {
     "debiased": "#56b4e9",
 }
 """Okabe and Ito's palette: distinct to colour-blind readers too."""
-FURTHER = ("#000000", "#8c6d31", "#7b4ab8", "#7f7f7f", "#b3b300", "#00a3a3")
+FURTHER = ("#c23b6b", "#8c6d31", "#7b4ab8", "#7f7f7f", "#b3b300", "#00a3a3")
 AXES = {"seconds": "training time / s", "samples": "path samples"}
 DASHES = {CONSTANT: (0, (4, 3)), LOOKUP: (0, (1, 2))}
 """Of the lines of what needs no fit."""
-LEAST_SPAN = 1.5
-"""Least ratio of the ends of an error axis."""
 POINTS = 64
 """Places at which the curves of several seeds are compared."""
 
 
 @dataclass(frozen=True)
 class Panel:
-    """One error against time."""
+    """One score against cost."""
 
     score: str
-    """Column of ``metrics.csv``."""
+    """Column of ``metrics.csv``, and of the table."""
     title: str
-    label: str
-    """Of the error axis."""
+    unit: str
+    better: str
+    """Which way is better."""
     row: int
     column: int
 
-    def error(self, value: float) -> float:
-        """The error behind a score: a MAPE is one, a PSNR is turned into the RMSE that it measures."""
-        return rmse(value) if "psnr" in self.score else value
-
 
 PANELS = (
-    Panel("albedo_mape", "Albedo", "MAPE", 0, 0),
-    Panel("roughness_mape", "Roughness", "MAPE", 0, 1),
-    Panel("albedo_psnr", "Albedo", "RMSE", 1, 0),
-    Panel("roughness_psnr", "Roughness", "RMSE", 1, 1),
-    Panel("psnr_linear", "Image, linear", "RMSE (scene radiance)", 1, 2),
+    Panel("albedo_psnr", "Albedo", "PSNR in dB", "higher is better", 0, 0),
+    Panel("roughness_psnr", "Roughness", "PSNR in dB", "higher is better", 0, 1),
+    Panel("psnr_linear", "Picture (linear)", "PSNR in dB", "higher is better", 0, 2),
+    Panel("albedo_mape", "Albedo", "MAPE", "lower is better", 1, 0),
+    Panel("roughness_mape", "Roughness", "MAPE", "lower is better", 1, 1),
 )
-"""Where the figure has no MAPE for the image, it has its legend."""
+"""The first row is what a page shows first; where the figure has no picture's MAPE, it has its legend."""
 
 
 def colours(methods: Sequence[str]) -> dict[str, str]:
@@ -84,23 +81,50 @@ def write_csv(path: Path, runs: Sequence[Run]) -> None:
 
 
 def curve(run: Run, axis: str, panel: Panel) -> tuple[FloatArray, FloatArray]:
-    """Positions on ``axis`` ('seconds' or 'samples') and errors [n], those that a logarithm can show."""
-    pairs = [(row[axis], panel.error(row[panel.score])) for row in run.rows if axis in row and panel.score in row]
-    kept = np.array([(x, y) for x, y in pairs if x > 0 and 0 < y < np.inf], np.float32).reshape(-1, 2)
+    """Positions on ``axis`` ('seconds' or 'samples') and scores [n], those that can be drawn."""
+    pairs = [(row[axis], row[panel.score]) for row in run.rows if axis in row and panel.score in row]
+    kept = np.array([(x, y) for x, y in pairs if x > 0 and np.isfinite(y)], np.float32).reshape(-1, 2)
     return kept[:, 0], kept[:, 1]
 
 
 def band(curves: Sequence[tuple[FloatArray, FloatArray]]) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """Positions, median, least and largest error [POINTS] of several seeds, where all of them have been measured."""
+    """Positions, median, least and largest score [POINTS] of several seeds, where all of them have been measured."""
     begin, end = max(x[0] for x, _ in curves), min(x[-1] for x, _ in curves)
     at = np.geomspace(begin, max(begin, end), POINTS)
-    log = np.stack([np.interp(np.log(at), np.log(x), np.log(y)) for x, y in curves])
-    middle, low, high = (np.exp(f(log, axis=0)).astype(np.float32) for f in (np.median, np.min, np.max))
+    values = np.stack([np.interp(np.log(at), np.log(x), y) for x, y in curves])
+    middle, low, high = (f(values, axis=0).astype(np.float32) for f in (np.median, np.min, np.max))
     return at.astype(np.float32), middle, low, high
 
 
+def charts(runs: Sequence[Run], axis: str, row: int) -> str:
+    """The charts of a row of :data:`PANELS` against ``axis``, for a page; empty where there is nothing to draw."""
+    groups, levels = by_method(runs), marks(runs)
+    palette = colours(list(groups))
+    drawn = []
+    for panel in (panel for panel in PANELS if panel.row == row):
+        lines: list[Line] = []
+        for method, group in groups.items():
+            found = [pair for pair in (curve(run, axis, panel) for run in group) if len(pair[0])]
+            if is_band(found):
+                x, middle, low, high = band(found)
+                lines.append(Line(method, x, middle, palette[method], low=low, high=high))
+            else:
+                lines += [Line(method, x, y, palette[method]) for x, y in found]
+        for label, scores in levels.items():
+            if panel.score in scores:
+                level = np.array([scores[panel.score]], np.float32)
+                lines.append(Line(label, np.zeros(0, np.float32), level, "var(--pale)", MARK_DASHES[label]))
+        drawn.append(chart(f"{panel.title}, {panel.unit}", panel.better, AXES[axis], lines))
+    return "".join(drawn)
+
+
+def is_band(curves: Sequence[tuple[FloatArray, FloatArray]]) -> bool:
+    """Whether several seeds have been measured at common places."""
+    return len(curves) > 1 and max(x[0] for x, _ in curves) < min(x[-1] for x, _ in curves)
+
+
 def figure(path: Path, runs: Sequence[Run], axis: str) -> bool:
-    """Draw every error against ``axis`` into a PNG.
+    """Draw every score against ``axis`` into a PNG.
 
     Args:
         path: the PNG.
@@ -133,8 +157,7 @@ def figure(path: Path, runs: Sequence[Run], axis: str) -> bool:
         entries |= {method: line for method, line in drawn.items() if line is not None}
         for label, scores in levels.items():
             if panel.score in scores:
-                level = panel.error(scores[panel.score])
-                entries[label] = ax.axhline(level, color="#555555", lw=1.2, ls=DASHES[label], zorder=1)
+                entries[label] = ax.axhline(scores[panel.score], color="#555555", lw=1.2, ls=DASHES[label], zorder=1)
         _dress(ax, axis, panel)
     for ax in free:
         ax.set_axis_off()
@@ -151,7 +174,7 @@ def _draw(ax: Axes, group: Sequence[Run], axis: str, panel: Panel, colour: str) 
     curves = [pair for pair in (curve(run, axis, panel) for run in group) if len(pair[0])]
     if not curves:
         return None
-    if len(curves) == 1 or max(x[0] for x, _ in curves) >= min(x[-1] for x, _ in curves):
+    if not is_band(curves):
         return [ax.plot(x, y, color=colour, lw=1.8, marker="o", ms=3.2)[0] for x, y in curves].pop()
     x, middle, low, high = band(curves)
     ax.fill_between(x, low, high, color=colour, alpha=0.2, lw=0)
@@ -159,22 +182,17 @@ def _draw(ax: Axes, group: Sequence[Run], axis: str, panel: Panel, colour: str) 
 
 
 def _dress(ax: Axes, axis: str, panel: Panel) -> None:
-    """Log axes with a few ticks in plain numbers, labels, a faint grid."""
+    """A logarithmic axis of cost with a few ticks in plain numbers, labels, a faint grid."""
     from matplotlib.ticker import EngFormatter, FuncFormatter, LogLocator, MaxNLocator, NullLocator
 
-    ax.set(xscale="log", yscale="log", title=panel.title, xlabel=AXES[axis], ylabel=panel.label)
-    low, high = ax.get_ylim()
-    if high < LEAST_SPAN * low:  # or differences that mean nothing would fill the panel
-        middle = np.sqrt(low * high)
-        ax.set_ylim(middle / np.sqrt(LEAST_SPAN), middle * np.sqrt(LEAST_SPAN))
+    ax.set(xscale="log", title=panel.title, xlabel=AXES[axis], ylabel=f"{panel.unit} ({panel.better})")
+    low, high = ax.get_xlim()
+    decades = np.log10(high / low)
+    subs = (1.0,) if decades > 3 else (1.0, 3.0) if decades > 1.5 else (1.0, 2.0, 5.0)
+    ax.xaxis.set_major_locator(MaxNLocator(5) if decades < 0.7 else LogLocator(subs=subs, numticks=12))
+    ax.xaxis.set_minor_locator(NullLocator())
     plain = FuncFormatter(lambda value, _: f"{value:g}")
-    for side, (low, high) in ((ax.xaxis, ax.get_xlim()), (ax.yaxis, ax.get_ylim())):
-        decades = np.log10(high / low)
-        subs = (1.0,) if decades > 3 else (1.0, 3.0) if decades > 1.5 else (1.0, 2.0, 5.0)
-        steps = LogLocator(subs=subs, numticks=12)
-        side.set_major_locator(MaxNLocator(5) if decades < 0.7 else steps)
-        side.set_minor_locator(NullLocator())
-        side.set_major_formatter(EngFormatter(sep=" ") if side is ax.xaxis and axis == "samples" else plain)
+    ax.xaxis.set_major_formatter(EngFormatter(sep=" ") if axis == "samples" else plain)
     ax.grid(True, color="#dddddd", lw=0.7)
     ax.set_axisbelow(True)
     for edge in ("top", "right"):

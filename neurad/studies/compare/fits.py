@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import json
-import math
 import re
 import shutil
 import sys
@@ -12,10 +11,12 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from neurad.core.durations import dd_hh_mm_ss
 from neurad.core.errors import InputError
 from neurad.runs.child import run_neurad
 from neurad.runs.configs import find_config
 from neurad.runtime.files import check_folder, make_folder, write_text
+from neurad.runtime.progress import phase
 from neurad.studies.compare import configs
 from neurad.studies.compare.runs import FACTS, Run, by_method, read_run, samples_per_step
 
@@ -44,12 +45,19 @@ def fit_all(options: argparse.Namespace) -> list[Run]:
     runs = []
     for number, fit in enumerate(fits, 1):
         print(f"neurad: {fit.method}, seed {fit.seed} ({number} of {len(fits)}) ...", flush=True)
-        run = _make(fit, number)
+        with phase(f"{fit.method} {fit.seed}", None, _expected(options)) as making:
+            making.detail = f"{number} of {len(fits)}"
+            run = _make(fit, number)
         runs.append(run)
         scores = f"albedo {run.last['albedo_psnr']:.2f} dB" if "albedo_psnr" in run.last else "done"
         seconds = f"{run.last.get('seconds', 0.0):.1f} s, "
         print(f"neurad: {fit.method}, seed {fit.seed}: {'failed: ' + run.message if run.message else seconds + scores}")
     return runs
+
+
+def _expected(options: argparse.Namespace) -> float | None:
+    """Seconds that a fit takes, evaluations included; None where samples limit it."""
+    return None if options.budget is None else options.budget * (1.0 + EVALUATION_FRACTION / 2)
 
 
 def plan(options: argparse.Namespace) -> list[Fit]:
@@ -98,11 +106,9 @@ def check_free(out: Path, overwrite: bool) -> None:
 
 def time_limit(seconds: float) -> list[str]:
     """Arguments that end a fit after training ``seconds``; ``max_time`` stands there so that the fit has a limit."""
-    whole = math.ceil(seconds)
-    days, hours, minutes = whole // 86400, whole // 3600 % 24, whole // 60 % 60
     budget = {"class_path": "TrainingBudget", "init_args": {"seconds": seconds}}
     return [
-        f"--trainer.max_time={days:02d}:{hours:02d}:{minutes:02d}:{whole % 60:02d}",
+        f"--trainer.max_time={dd_hh_mm_ss(seconds)}",
         "--trainer.max_steps=-1",
         f"--trainer.callbacks+={json.dumps(budget)}",
     ]
@@ -123,7 +129,9 @@ def predict(runs: Sequence[Run], spp: int) -> list[Run]:
             continue
         print(f"neurad: {run.method}: held-out views ...", flush=True)
         words = [f"--ckpt_path={checkpoint}", f"--evaluation.test_spp={spp}", "--trainer.enable_progress_bar=false"]
-        ended = run_neurad(["predict", *words], run.folder / "predict.txt")
+        with phase("rendering") as rendering:
+            rendering.detail = f"held-out views of {run.method}"
+            ended = run_neurad(["predict", *words], run.folder / "predict.txt")
         if ended.code != 0:
             print(f"neurad: {run.method}: no pictures: {ended.message}", file=sys.stderr)
             failed.append(run)

@@ -13,8 +13,13 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from neurad.core.errors import InputError
+from neurad.runtime.progress import phase
+from neurad.runtime.reading import similar
 from neurad.studies.compare.fits import check_free, fit_all, predict
 from neurad.studies.compare.runs import Run, read_run, runs_in
+
+RUNS = Path("lightning_logs")
+"""Where runs lie that are given by name, such as ``version_3``."""
 
 
 def compare(options: argparse.Namespace) -> None:
@@ -35,7 +40,9 @@ def compare(options: argparse.Namespace) -> None:
     from neurad.studies.compare.write import write_report
 
     command = ["neurad", "compare", *options.words]
-    write_report(options.out, runs, reach, options.views, command, _budget(options))
+    with phase("writing") as writing:
+        writing.detail = "the report"
+        write_report(options.out, runs, reach, options.views, command, _budget(options))
     print(f"neurad: report {options.out / 'index.html'}")
     if failed:
         names = ", ".join(f"{run.method} (seed {run.seed})" for run in failed)
@@ -96,8 +103,10 @@ def _budget(options: argparse.Namespace) -> str:
 
 def _run_folders(path: Path) -> list[Path]:
     """The run folder itself, or those in the folder of a report."""
+    if not path.is_dir() and len(path.parts) == 1 and (RUNS / path).is_dir():
+        path = RUNS / path
     if not path.is_dir():
-        raise InputError(f"{path}: no such run folder")
+        raise InputError(f"{path}: no such run folder{similar(path)}")
     if (path / "runs").is_dir() and not (path / "metrics.csv").is_file():
         return runs_in(path)
     return [path]

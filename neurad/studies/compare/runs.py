@@ -157,8 +157,3 @@ def marks(runs: Sequence[Run]) -> dict[str, Row]:
             if values:
                 found.setdefault(label, {})[name] = values[0]
     return found
-
-
-def rmse(psnr: float) -> float:
-    """Root mean square error behind a PSNR in dB with peak 1."""
-    return 0.0 if math.isinf(psnr) else 10.0 ** (-psnr / 20.0)

@@ -9,22 +9,24 @@ from collections.abc import Sequence
 from datetime import date
 from pathlib import Path
 
+from neurad.pages.draw import draw
 from neurad.runtime.files import make_folder
 from neurad.runtime.machine import processor, usable_cores
+from neurad.scene.image_io import write_png
 from neurad.studies.compare import curves, page, table, views
 from neurad.studies.compare.runs import Run, by_method
 
 NOTES = (
     "Scores are those of the held-out views at the end of a run: PSNR in dB with peak 1, "
-    "MAPE = mean |p - g| / (g + 0.01), RMSE is what the PSNR measures. The best constant is the mean of the truth over "
+    "MAPE = mean |p - g| / (g + 0.01). The best constant is the mean of the truth over "
     "the same pixels. The true colour's lookup is a table from albedo to roughness, made of the true maps of training "
     "views and read with the true albedo: what roughness owes to following colour.",
     "Seconds run from the start of a process, set-up and compilation included, evaluations left out. Path samples are "
     "those drawn by training: pixels x samples per pixel x samples per vertex.",
     "Milliseconds a step and the rates are taken between the first and the last evaluation. Peak memory is the largest "
     "resident memory of the process that fitted, evaluations included.",
-    "With several seeds the table has medians, and the curves have the median and a band from the least to the largest "
-    "error.",
+    "With several seeds the table has medians, and the curves have the median and a band from the lowest score to the "
+    "highest.",
 )
 
 
@@ -51,21 +53,26 @@ def write_report(
     note = ". ".join(part for part in (f"`{line}`", budget, machine(), date.today().isoformat()) if part)
     table.write_markdown(out / "table.md", rows, note + ".", reach)
     curves.write_csv(out / "curves.csv", runs)
-    figures = []
-    for axis, words in (("seconds", "training time"), ("samples", "path samples")):
-        if curves.figure(out / f"curves_{axis}.png", done, axis):
-            figures.append((f"Against {words}", out / f"curves_{axis}.png"))
+    for axis in curves.AXES:
+        curves.figure(out / f"curves_{axis}.png", done, axis)
+    further = {
+        "Against path samples": curves.charts(done, "samples", 0),
+        "MAPE against training time": curves.charts(done, "seconds", 1),
+        "MAPE against path samples": curves.charts(done, "samples", 1),
+    }
     firsts = [group[0] for group in by_method(done).values()]
-    sheets = views.write_views(out, firsts, count) if count else []
-    scale = f"error maps are black at 0 and brightest at {views.BRIGHTEST} (of display white for renders)"
+    sheets = views.sheets(firsts, count) if count else []
+    for number, sheet in enumerate(sheets):
+        write_png(out / f"view_{number:03d}.png", draw(sheet))
     page.write_page(
         out / "index.html",
         f"Comparison on {scene_name(runs)}",
         [f"<code>{html.escape(line)}</code>", html.escape(". ".join(p for p in (budget, _about()) if p) + ".")],
         rows,
         reach,
-        figures,
-        [(f"View {i}; {scale}", sheet) for i, sheet in enumerate(sheets)],
+        curves.charts(done, "seconds", 0),
+        further,
+        sheets,
         NOTES,
     )
 

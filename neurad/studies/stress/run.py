@@ -8,7 +8,9 @@ import time
 from pathlib import Path
 
 from neurad.core.errors import InputError
+from neurad.core.suggest import did_you_mean
 from neurad.runtime.files import check_folder, make_folder
+from neurad.runtime.progress import phase
 from neurad.studies.stress import (
     delta,
     faults,
@@ -50,7 +52,8 @@ def collect(only: list[str] | None = None) -> list[Case]:
     """
     for name in only or []:
         if name not in FAMILIES:
-            raise InputError(f"--only: {name} is no family of cases, there are {', '.join(FAMILIES)}")
+            near = did_you_mean(name, FAMILIES)
+            raise InputError(f"--only: {name} is no family of cases, there are {', '.join(FAMILIES)}{near}")
     return [case for name in (FAMILIES if only is None else only) for case in CASES[name]()]
 
 
@@ -69,12 +72,14 @@ def stress(options: argparse.Namespace) -> None:
     begin = time.perf_counter()
     rows = []
     print(heading(), flush=True)
-    for case in cases:
-        if options.quick and not case.quick:
-            continue
-        rows.append(judge(case, options.quick))
-        print(line(rows[-1]), flush=True)
-        write_csv(csv, rows)  # after each row, so that an interrupted run leaves what it found
+    chosen = [case for case in cases if case.quick or not options.quick]
+    with phase("stress", len(chosen), covers=True) as running:
+        for case in chosen:
+            running.detail = f"{case.family}: {case.extreme}"
+            rows.append(judge(case, options.quick))
+            running.step()
+            print(line(rows[-1]), flush=True)
+            write_csv(csv, rows)  # after each row, so that an interrupted run leaves what it found
     form = "quick" if options.quick else "full"
     failed = sum(row.verdict == "FAIL" for row in rows)
     spent = time.perf_counter() - begin

@@ -1,0 +1,147 @@
+"""TensorBoard's page of a run: four charts first, everything else under ``more``, sheets of views, settings."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import asdict, is_dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from lightning.pytorch.loggers import TensorBoardLogger
+
+from neurad.callbacks import pictures
+from neurad.metrics.marks import MARKS
+from neurad.pages.colours import exposure
+from neurad.pages.draw import draw
+from neurad.scene.image_io import png
+
+if TYPE_CHECKING:
+    from torch.utils.tensorboard import SummaryWriter
+
+    from neurad.training.inverse import InverseRenderer
+
+FIRST = {"albedo_psnr": "fit/albedo_psnr", "roughness_psnr": "fit/roughness_psnr", "psnr_srgb": "fit/picture_psnr"}
+"""Scores whose charts come first, and their tags."""
+LOSS = "fit/loss"
+CHARTS = {
+    "Albedo: PSNR in dB, higher is better": FIRST["albedo_psnr"],
+    "Roughness: PSNR in dB, higher is better": FIRST["roughness_psnr"],
+    "Picture: PSNR in dB (sRGB), higher is better": FIRST["psnr_srgb"],
+    "Loss: lower is better": LOSS,
+}
+"""Charts of the tab of custom scalars; each has the run's curve and those of what needs no fit."""
+LARGEST = 256
+"""Of the pictures of a sheet: every evaluation adds sheets to the events."""
+GROUPS = ("sampling", "objective", "optimization")
+"""Settings of the model that the tab of hyperparameters has, after those with a capital: it sorts them, and shows the
+first five."""
+
+
+class Board:
+    """What TensorBoard shows of a run.
+
+    What needs no fit, such as the best constant, is a run of its own beside it: so its line is in the same charts.
+
+    Args:
+        logger: of the run, opened.
+        module: what is trained.
+        settings: of the run, by name.
+    """
+
+    def __init__(self, logger: TensorBoardLogger, module: InverseRenderer, settings: Mapping[str, Any]) -> None:
+        self.writer: SummaryWriter = logger.experiment
+        self._folder = Path(logger.log_dir)
+        self._scene = module.scene.name
+        self._settings = {"Scene": self._scene, "Method": method_name(module), "materials": module.settings.materials}
+        self._settings |= {key: plain(value) for key, value in settings.items()}
+        for group in GROUPS:
+            values = getattr(module.settings, group)
+            assert is_dataclass(values)
+            self._settings |= {f"{group}.{key}": plain(value) for key, value in asdict(values).items()}  # type: ignore[arg-type]
+        self._marks: dict[str, SummaryWriter] = {}
+        self._begun = False
+
+    def scores(self, scores: Mapping[str, float], iteration: int, seconds: float) -> None:
+        """Curves of an evaluation."""
+        self._begin(scores)
+        for name, value in scores.items():
+            label, score = split_mark(name)
+            writer = self.writer if label is None else self._mark(label)
+            writer.add_scalar(FIRST.get(score, f"more/{score}"), value, iteration)
+            if label is None and score in FIRST:
+                writer.add_scalar(f"more/by_seconds_{score}", value, int(seconds))
+        self.writer.flush()
+
+    def losses(self, losses: Mapping[str, Any], iteration: int) -> None:
+        """The sum of all losses, and each of them."""
+        if losses:
+            self.writer.add_scalar(LOSS, sum(float(value) for value in losses.values()), iteration)
+        for name, value in losses.items():
+            self.writer.add_scalar(f"more/loss_{name}", float(value), iteration)
+
+    def sheets(self, views: Sequence[Mapping[str, Any]], iteration: int) -> None:
+        """A sheet of each view."""
+        scale = exposure(views)
+        for index, view in enumerate(views):
+            name = pictures.view_name(view, index)
+            title = f"{self._scene}, {self._settings['Method']}, step {iteration}, view {name}"
+            sheet = pictures.view_sheet(view, scale, title)
+            sheet.largest = LARGEST
+            self.picture(f"views/{name}", draw(sheet), iteration)
+
+    def picture(self, tag: str, pixels: Any, iteration: int) -> None:
+        """A picture [h, w, 3], packed faster than TensorBoard's own writer does."""
+        from tensorboard.compat.proto.summary_pb2 import Summary  # type: ignore[import-untyped]
+
+        height, width = pixels.shape[:2]
+        image = Summary.Image(height=height, width=width, colorspace=3, encoded_image_string=png(pixels))
+        self._add(Summary(value=[Summary.Value(tag=tag, image=image)]), iteration)
+        self.writer.flush()
+
+    def _begin(self, scores: Mapping[str, float]) -> None:
+        """Lay out the charts that there will be, and list the settings."""
+        if self._begun:
+            return
+        self._begun = True
+        from torch.utils.tensorboard.summary import custom_scalars, hparams
+
+        tags = [tag for name, tag in FIRST.items() if name in scores]
+        charts = {title: ["Multiline", [f"^{tag}$"]] for title, tag in CHARTS.items() if tag in (*tags, LOSS)}
+        self._add(custom_scalars({"neurad": charts}))  # type: ignore[no-untyped-call]
+        experiment, start, end = hparams(self._settings, dict.fromkeys(tags))  # type: ignore[no-untyped-call]
+        for summary in (experiment, start, end):
+            self._add(summary)
+
+    def _add(self, summary: Any, iteration: int | None = None) -> None:
+        self.writer._get_file_writer().add_summary(summary, iteration)  # type: ignore[no-untyped-call]
+
+    def _mark(self, label: str) -> SummaryWriter:
+        """The run of what needs no fit."""
+        if label not in self._marks:
+            from neurad.callbacks.events import EventWriter
+
+            self._marks[label] = EventWriter(str(self._folder / run_name(self._scene, label)))
+        return self._marks[label]
+
+
+def split_mark(name: str) -> tuple[str | None, str]:
+    """The label of what needs no fit, or None, and the score's name without it."""
+    for label, end in MARKS.items():
+        if end[1:] in name.split("_"):
+            return label, name.replace(end, "", 1)
+    return None, name
+
+
+def method_name(module: InverseRenderer) -> str:
+    """The method's, as its class is called."""
+    return type(module.settings.method).__name__.lower()
+
+
+def run_name(scene: str, what: str) -> str:
+    """What TensorBoard calls a run: the folder of its events."""
+    return f"{scene}-{what}".replace("/", "_").replace(" ", "-").replace("'", "")
+
+
+def plain(value: Any) -> Any:
+    """A setting as TensorBoard takes it."""
+    return value if isinstance(value, bool | int | float | str) else str(value)

@@ -1,0 +1,148 @@
+"""What a run ends with: a verdict in words, the page that shows it, and how to go on."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass
+from importlib.util import find_spec
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import lightning.pytorch as pl
+
+from neurad.callbacks import report
+from neurad.callbacks.board import method_name
+from neurad.callbacks.run_folder import RunFolder
+from neurad.callbacks.table import MetricsTable
+from neurad.callbacks.verdict import KINDS, verdict
+from neurad.core.durations import short
+from neurad.metrics.bars_file import NAME as BARS_FILE
+from neurad.metrics.limits import sentence_of_limits
+from neurad.metrics.unseen import Unseen
+from neurad.training.schedule import time_limit
+
+if TYPE_CHECKING:
+    from neurad.training.evaluate import Evaluation
+    from neurad.training.inverse import InverseRenderer
+
+
+READING = (
+    "a score of 20 dB is a typical error of 0.1, 30 dB of 0.03, 40 dB of 0.01; the best constant is the one answer for "
+    "all surfaces that fits best, and what is not above it was not recovered"
+)
+"""How to read the scores."""
+
+
+@dataclass(frozen=True)
+class Shown:
+    """The last evaluation of a fit, with as many views as are shown."""
+
+    evaluation: Evaluation
+    unseen: Unseen
+    """Of all held-out views."""
+
+
+def title_of(module: InverseRenderer) -> str:
+    """Scene, method and how far it got."""
+    return f"{module.scene.name}, {method_name(module)}, step {module.iteration}"
+
+
+def views_of(module: InverseRenderer) -> str:
+    """What the scores of a scene are of."""
+    return "held-out views" if module.scene.scores_are_of is None else "training photographs"
+
+
+def print_verdict(module: InverseRenderer, scores: Mapping[str, float], unseen: Unseen | None) -> None:
+    """What came out, what is not above the best constant, and what no photograph shows."""
+    views = views_of(module)
+    judged = verdict(scores, views)
+    said = [judged.sentence, *judged.warnings, "" if unseen is None else unseen.sentence(f"the {views}")]
+    print("\n".join(f"neurad: {text}" for text in said if text))
+
+
+def print_closing(
+    trainer: pl.Trainer, folder: Path | None, scores: Mapping[str, float], unseen: Unseen | None, tested: bool
+) -> None:
+    """The last lines of ``fit`` and ``test``: what was recovered, how well, where not to trust it, how to go on.
+
+    Args:
+        trainer: of the run.
+        folder: of the run; None where it keeps no files.
+        scores: by the names of ``metrics.csv``.
+        unseen: what of the scored views no photograph shows; None where nobody looked.
+        tested: whether ``test`` has just been run.
+    """
+    module: InverseRenderer = trainer.lightning_module  # type: ignore[assignment]
+    print_verdict(module, scores, unseen)
+    if limits := sentence_of_limits(scores):
+        print(f"neurad: {limits}")
+    if any(name in scores for name in KINDS.values()):
+        print(f"neurad: {READING}")
+    if folder is None:
+        return
+    hatched = "surfaces that the pictures hatch, which no photograph shows, and "
+    hatched = hatched if unseen is not None and unseen.fraction else ""
+    bars = (folder / BARS_FILE).is_file()
+    if distrust := hatched + ("those that are bright in its error bars" if bars else ""):
+        print(f"neurad: do not trust {distrust.removesuffix(', and ').removesuffix(' and ')}")
+    name_report(folder)
+    images = ", images/, metrics.json" if tested else ""
+    print(f"neurad: run folder {folder}: {report.NAME}{images}, metrics.csv, config.yaml, checkpoints/")
+    print("go on with")
+    steps = [(f"neurad {words}", text) for words, text in _next_steps(trainer, folder, tested)]
+    steps.append((f"tensorboard --logdir {folder.parent}", "curves and pictures of all runs, also while one trains"))
+    width = max(len(command) for command, _ in steps)
+    print("\n".join(f"  {command:<{width}}  {text}" for command, text in steps))
+
+
+def _next_steps(trainer: pl.Trainer, folder: Path, tested: bool) -> Iterator[tuple[str, str]]:
+    """Commands of neurad that go on from here, and what they do."""
+    here = folder.parent.name == "lightning_logs" and folder.parent.resolve().parent == Path.cwd()
+    run = folder.name if here else str(folder)
+    if not tested:
+        yield f"test --ckpt_path {run}", "pictures of every held-out view, scores with more samples"
+    limit = time_limit(trainer)
+    if limit is not None:
+        yield f"fit --ckpt_path {run} --trainer.max_time {short(2 * limit)}", "the same fit for as long again"
+    elif trainer.max_steps > 0:
+        yield f"fit --ckpt_path {run} --trainer.max_steps {2 * trainer.max_steps}", "the same fit for as long again"
+    needs = "" if find_spec("viser") else " (after pip install 'neurad[view]')"
+    yield f"view --ckpt_path {run}", f"the room in the browser: any camera, lamps dimmed, materials read out{needs}"
+    needs = "" if find_spec("xatlas") else " (after pip install 'neurad[export]')"
+    yield f"export --ckpt_path {run} --out room", f"textures for Blender, glTF viewers and Mitsuba{needs}"
+
+
+def report_run(module: InverseRenderer, folder: Path, evaluation: Evaluation, unseen: Unseen, pictured: str) -> None:
+    """Write ``report.html``."""
+    seconds = module.train_seconds if module.training_views is not None else module.seconds_before
+    spent = f"{module.iteration} iterations in {seconds:.0f} s, {module.samples:.3g} path samples"
+    facts = [f"{folder}: {spent}. Pictures by {pictured}.", *filter(None, [module.scene.scores_are_of])]
+    report.write_report(
+        folder / report.NAME,
+        report.Result(
+            title=title_of(module),
+            facts=facts,
+            scores=evaluation.scores,
+            maps=evaluation.maps,
+            unseen=unseen,
+            views=views_of(module),
+            rows=MetricsTable(folder / "metrics.csv").rows(),
+            environment=evaluation.environment,
+            number=len(module.scene.scored),
+        ),
+    )
+
+
+def name_report(folder: Path) -> None:
+    """Say where the page is, if there is one."""
+    if (folder / report.NAME).is_file():
+        print(f"neurad: open {folder / report.NAME} in a browser for pictures, scores and charts")
+
+
+def settings_of(trainer: pl.Trainer) -> dict[str, Any]:
+    """Settings of a run that are not the model's, for TensorBoard's tab of hyperparameters."""
+    callbacks = trainer.callbacks  # type: ignore[attr-defined]
+    config: Any = next((callback.config for callback in callbacks if isinstance(callback, RunFolder)), {})
+    names = {"Seed": "seed_everything", "Steps": "trainer.max_steps", "Time": "trainer.max_time"}
+    names |= {key: key for key in ("data.patches", "data.patch_size")}
+    return {label: config[name] for label, name in names.items() if name in config}

@@ -1,0 +1,131 @@
+"""``report.html``: one page on what a run recovered, how well, and where not to trust it."""
+
+from __future__ import annotations
+
+import html
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from neurad.callbacks import pictures
+from neurad.callbacks.table import Row, score_rows
+from neurad.callbacks.verdict import verdict
+from neurad.core.records import FloatArray
+from neurad.metrics.marks import CONSTANT, LOOKUP, MARKS
+from neurad.metrics.unseen import Unseen
+from neurad.pages import page
+from neurad.pages.chart import Line, chart
+from neurad.pages.colours import exposure
+from neurad.runtime.files import write_text
+
+NAME = "report.html"
+VIEWS = 8
+"""Views that the page shows at most: its pictures are in it."""
+COLOUR, GREY = "var(--accent)", "var(--pale)"
+DASHES = {CONSTANT: "6 4", LOOKUP: "2 3"}
+"""Of the lines of what needs no fit."""
+CHARTS = {
+    "Albedo, PSNR in dB": "albedo_psnr",
+    "Roughness, PSNR in dB": "roughness_psnr",
+    "Picture (sRGB), PSNR in dB": "psnr_srgb",
+}
+BETTER = "higher is better"
+READING = (
+    "PSNR is in dB with peak 1: 6 dB more is half the error. MAPE = mean |found - true| / (true + 0.01): lower is "
+    "better. The best constant is the mean of the truth over the same pixels: what is not above it was not recovered. "
+    "The true colour's lookup reads roughness from the true albedo by a table made of training views: what roughness "
+    "owes to following colour. 8x8 are scores after a box filter of 8 x 8 pixels.",
+    "A hatched surface is in no training photograph, so what stands there is a guess. Error bars are standard "
+    "deviations by the run's own reckoning.",
+    "Click a picture to enlarge it. The line in the upper pictures moves.",
+)
+
+
+@dataclass(frozen=True)
+class Result:
+    """What a report is made of."""
+
+    title: str
+    facts: list[str]
+    """Lines on how it was made."""
+    scores: Mapping[str, float]
+    maps: Sequence[Mapping[str, Any]]
+    """Of the held-out views, those that are shown first."""
+    unseen: Unseen
+    """Of all held-out views."""
+    views: str = "held-out views"
+    """Which views the scores are of."""
+    rows: Sequence[Row] = ()
+    """Of ``metrics.csv``."""
+    environment: Mapping[str, FloatArray] = field(default_factory=dict)
+    number: int = 0
+    """Of views there are."""
+
+
+def write_report(path: Path, result: Result) -> None:
+    """Write the page.
+
+    Raises:
+        InputError: it cannot be written.
+    """
+    scale = exposure(result.maps)
+    judged = verdict(result.scores, result.views)
+    parts = [
+        f'<p class="verdict">{html.escape(judged.sentence)}</p>',
+        *(f'<p class="warn">{html.escape(text)}</p>' for text in judged.warnings),
+        *(
+            [f"<p>{html.escape(result.unseen.sentence(f'the {result.views}'))}</p>"]
+            if result.unseen.fraction is not None
+            else []
+        ),
+        *(page.note(fact) for fact in result.facts),
+    ]
+    if drawn := _charts(result.rows):
+        parts += ["<h2>While it trained</h2>", f'<div class="charts">{drawn}</div>']
+    parts += [f"<h2>Scores</h2>{_tables(result.scores)}"]
+    if result.environment:
+        picture = pictures.environment(result.environment, scale)
+        below = ", the true one below" if "truth" in result.environment else ""
+        parts += ["<h2>Light</h2>", page.tile(picture, f"Recovered environment{below}")]
+    shown = result.maps[:VIEWS]
+    if shown:
+        parts.append("<h2>Views</h2>")
+        if len(shown) < result.number:
+            parts.append(page.note(f"The first {len(shown)} of {result.number}; the others are in images/."))
+    for index, view in enumerate(shown):
+        name = pictures.view_name(view, index)
+        parts += [f"<h3>View {html.escape(name)}</h3>", page.sheet(pictures.view_sheet(view, scale, ""), f"v{index}")]
+    parts += ["<h2>How to read this</h2>", *(page.note(text) for text in READING)]
+    write_text(path, page.page(result.title, parts))
+
+
+def _charts(rows: Sequence[Row]) -> str:
+    """Scores over training time beside what needs no fit."""
+    drawn = []
+    for title, name in CHARTS.items():
+        kept = [row for row in rows if np.isfinite(row.get(name, np.nan)) and row.get("seconds", 0.0) > 0]
+        if not kept:
+            continue
+        x, y = (np.array([row[key] for row in kept], np.float32) for key in ("seconds", name))
+        lines = [Line("this run", x, y, COLOUR)]
+        for label, end in MARKS.items():
+            level = kept[-1].get(f"{name}{end}")
+            if level is not None:
+                lines.append(Line(label, np.zeros(0, np.float32), np.array([level], np.float32), GREY, DASHES[label]))
+        drawn.append(chart(title, BETTER, "training time / s", lines))
+    return "".join(drawn)
+
+
+def _tables(scores: Mapping[str, float]) -> str:
+    """The closing tables."""
+    parts = []
+    for pixels, body in score_rows(scores, "this run").items():
+        head, *rows = [[html.escape(cell) for cell in row] for row in body]
+        kept = [i for i in range(len(head)) if i == 0 or any(row[i] != "-" for row in rows)]
+        styles = {number: "mark" for number in range(1, len(rows))}
+        cells = [[row[i] for i in kept] for row in rows]
+        parts += [f"<h4>{html.escape(pixels.capitalize())}</h4>", page.table([head[i] for i in kept], cells, styles)]
+    return "".join(parts)

@@ -1,0 +1,83 @@
+"""What scores mean, in words."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+CLOSELY, ROUGHLY = 10.0, 3.0
+"""Decibels above the best constant: nine tenths of what a constant leaves unexplained is explained, and half of it."""
+KINDS = {"albedo": "albedo_psnr", "roughness": "roughness_psnr", "the pictures": "psnr_srgb"}
+"""What is judged, and by which score; its best constant's has ``_constant`` behind."""
+PARTS = {"_seen": "surfaces that photographs show", "_lit_glossy": "glossy surfaces with light on them"}
+"""Of the views, by what ends the names of their scores."""
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """What came out of a run."""
+
+    sentence: str
+    """Everything in one."""
+    warnings: list[str]
+    """A sentence for each quantity that is not above the best constant."""
+
+
+def verdict(scores: Mapping[str, float], views: str = "held-out views") -> Verdict:
+    """Judge the scores of a run.
+
+    Args:
+        scores: by the names of ``metrics.csv``.
+        views: which views they are of.
+    """
+    parts, warnings = [], []
+    for what, name in KINDS.items():
+        score, constant = scores.get(name), scores.get(f"{name}_constant")
+        if score is None or constant is None:
+            continue
+        verb = "follow" if what == "the pictures" else "follows"
+        gain = score - constant
+        how = "closely" if gain >= CLOSELY else "roughly" if gain >= ROUGHLY else "hardly" if gain > 0 else None
+        figures = f"({score:.1f} dB; the best constant has {constant:.1f})"
+        if how is None:
+            parts.append(f"{what} {'are' if verb == 'follow' else 'is'} not recovered {figures}")
+            warnings.append(_below(what, name, scores))
+        else:
+            warnings += _below_in_parts(what, name, scores)
+            parts.append(f"{what} {how} {verb} the {'photographs' if verb == 'follow' else 'truth'} {figures}")
+    if not parts:
+        return Verdict(f"There is nothing in the {views} that the result could be judged by.", [])
+    text = parts[0] if len(parts) == 1 else f"{', '.join(parts[:-1])}, and {parts[-1]}"
+    unknown = "" if "albedo_psnr" in scores else "; no true materials are known to judge albedo and roughness by"
+    return Verdict(f"In the {views} {text}{unknown}.", warnings)
+
+
+def _below_in_parts(what: str, name: str, scores: Mapping[str, float]) -> list[str]:
+    """Where something is below the best constant although it is not over everything."""
+    found = []
+    for end, words in PARTS.items():
+        score, constant = scores.get(f"{name}{end}"), scores.get(f"{name}_constant{end}")
+        if score is not None and constant is not None and score <= constant:
+            text = (
+                f"{what[0].upper()}{what[1:]} {'are' if what == 'the pictures' else 'is'} not above the best constant"
+            )
+            found.append(f"{text} on {words}: {score:.2f} dB against {constant:.2f} dB.")
+    return found
+
+
+def _below(what: str, name: str, scores: Mapping[str, float]) -> str:
+    """That something is below the best constant, and whether it is where photographs look."""
+    score, constant = scores[name], scores[f"{name}_constant"]
+    verb = "are" if what == "the pictures" else "is"
+    mean = "the photographs' mean" if what == "the pictures" else f"the mean true {what} everywhere"
+    text = f"{what[0].upper()}{what[1:]} {verb} not above the best constant: {mean} would score "
+    text += f"{constant:.2f} dB, this result has {score:.2f} dB. Do not rely on it"
+    seen, level = scores.get(f"{name}_seen"), scores.get(f"{name}_constant_seen")
+    if seen is None or level is None:
+        return f"{text}."
+    if seen > level:
+        return (
+            f"{text} where no photograph looks; on surfaces that photographs show it has {seen:.2f} dB, and their "
+            f"best constant {level:.2f} dB."
+        )
+    return f"{text}."

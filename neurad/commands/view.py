@@ -1,0 +1,53 @@
+"""``neurad view``: a run in the browser."""
+
+from __future__ import annotations
+
+import argparse
+from typing import Annotated
+
+from neurad.core.ranges import Range, option
+
+Port = Annotated[int, Range(0, 65535)]
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the options of the verb."""
+    parser.add_argument("--ckpt_path", help="run folder or checkpoint (default: the newest run in lightning_logs)")
+    parser.add_argument("--root", help="where the scene's folder is now, if it has moved since the fit")
+    parser.add_argument(
+        "--port", type=option(Port), help="where the page is, 0 for any free port (default: the first free from 8080)"
+    )
+
+
+def run(options: argparse.Namespace) -> None:
+    """Show a run until Ctrl-C.
+
+    Raises:
+        InputError: no such run, the package viser is missing, or the port is taken.
+    """
+    import sys
+
+    from neurad.core.errors import InputError
+
+    try:
+        import viser  # noqa: F401
+    except ImportError as error:
+        raise InputError("view: the page needs the package viser: pip install 'neurad[view]'") from error
+
+    from neurad.inspect.server import check_port
+
+    check_port(options.port)
+
+    from neurad.inspect.viewer import Viewer
+    from neurad.runs.load import load_run
+
+    loaded = load_run(options.ckpt_path, options.root)
+    print("neurad: preparing; the first time on a machine this compiles for a minute or two", file=sys.stderr)
+    viewer = Viewer(loaded, options.port)
+    print(f"open {viewer.address} in a browser; Ctrl-C ends", flush=True)
+    try:
+        viewer.run()
+    except KeyboardInterrupt:
+        pass
+    finally:
+        viewer.close()

@@ -1,0 +1,140 @@
+"""One browser that looks at the room: its camera, its controls, its pictures."""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Mapping
+
+import numpy as np
+import viser
+import viser.transforms
+
+from neurad.core.errors import InputError
+from neurad.core.records import FloatArray
+from neurad.inspect.panel import Panel
+from neurad.inspect.pose import Pose, Stand
+from neurad.inspect.probe import probe
+from neurad.inspect.refine import Frame, Refiner, Request, Room
+
+QUALITY, QUALITY_COARSE = 95, 80
+"""Of JPEG pictures."""
+MARK = 0.006
+"""Radius of the mark at the point that was read out, over its distance."""
+
+
+class Guest:
+    """One browser.
+
+    Callbacks of the page only note what was asked; all pictures are made by :meth:`work`, on one thread.
+
+    Args:
+        client: the browser.
+        room: what it looks at.
+        title: of the run, Markdown.
+        exposure: factor of radiance that the photographs ask for.
+        stands: places of the views by name; asked for when the camera is to be put there.
+        ask: called whenever something is asked for.
+    """
+
+    def __init__(
+        self,
+        client: viser.ClientHandle,
+        room: Room,
+        title: str,
+        exposure: float,
+        stands: Mapping[str, Callable[[], Stand]],
+        ask: Callable[[], None],
+    ) -> None:
+        self.began = time.monotonic()
+        self.first_picture: float | None = None
+        """Seconds from the connection to the first picture."""
+        self.frames = 0
+        """Pictures sent."""
+        self._client, self._stands, self._ask = client, stands, ask
+        self._refiner = Refiner(room)
+        self._click: tuple[FloatArray, FloatArray] | None = None
+        self._goal: str | None = None
+        self._failed: Request | None = None
+        self._warning = ""
+        self.panel = Panel(client.gui, title, room.lamps, room.modes, tuple(stands), exposure, ask, self._go)
+        client.camera.on_update(lambda _: ask())
+        client.scene.on_click()(self._clicked)
+
+    def renew(self, room: Room, title: str, warning: str) -> None:
+        """Look at another state of the run, and say what is wrong with it."""
+        self._warning = warning
+        if room is not self._refiner.room:
+            self._refiner.replace(room)
+            self.panel.update(title, room.modes)
+        self.panel.warn(warning)
+
+    def work(self, stop: Callable[[], bool]) -> bool:
+        """A bounded step; False if there was nothing to do.
+
+        Args:
+            stop: whether somebody waits for something else.
+        """
+        if self._goal is not None:
+            self._move()
+        if self._click is not None:
+            self._read_out()
+        request = self._request()
+        if request == self._failed or self._refiner.rests(request):
+            return False
+        try:
+            frame = self._refiner.work(request, stop)
+        except InputError as error:  # a photograph that is gone, for instance
+            self._failed = request
+            self.panel.warn(str(error))
+            return True
+        if frame is not None:
+            self._send(frame)
+        return True
+
+    def _request(self) -> Request:
+        wishes, camera = self.panel.wishes(), self._client.camera
+        x, y, z = (float(v) for v in camera.position)
+        rotation = viser.transforms.SO3(camera.wxyz).as_matrix().ravel()
+        aspect = float(camera.aspect) if camera.image_height else 1.0
+        pose = Pose(tuple(float(v) for v in rotation), (x, y, z), float(camera.fov), aspect)
+        return Request(pose, wishes.mode, wishes.look, wishes.side**2)
+
+    def _send(self, frame: Frame) -> None:
+        quality = QUALITY_COARSE if frame.coarse else QUALITY
+        self._client.scene.set_background_image(frame.picture, format="jpeg", jpeg_quality=quality)
+        self._client.flush()
+        self.frames += 1
+        if self.first_picture is None:
+            self.first_picture = time.monotonic() - self.began
+        height, width = frame.picture.shape[:2]
+        self.panel.say(f"{frame.says} {width} x {height} pixels.")
+
+    def _clicked(self, event: viser.SceneClickEvent) -> None:
+        self._click = np.asarray(event.ray_origin, np.float64), np.asarray(event.ray_direction, np.float64)
+        self._ask()
+
+    def _read_out(self) -> None:
+        assert self._click is not None
+        (origin, direction), self._click = self._click, None
+        room = self._refiner.room
+        reading = probe(room.run, room.seen, origin, direction)
+        self.panel.read_out(reading)
+        if reading is not None:
+            away = float(np.linalg.norm(reading.position - origin))
+            self._client.scene.add_icosphere(
+                "/pixel", radius=MARK * away, color=(255, 90, 0), position=reading.position.astype(np.float64)
+            )
+
+    def _go(self, name: str) -> None:
+        self._goal = name
+        self._ask()
+
+    def _move(self) -> None:
+        """Put the camera to the view that was asked for."""
+        assert self._goal is not None
+        stand, camera, self._goal = self._stands[self._goal](), self._client.camera, None
+        with self._client.atomic():
+            camera.up_direction = stand.up
+            camera.position = stand.position
+            camera.look_at = stand.look_at
+            camera.fov = stand.fov_y

@@ -1,0 +1,157 @@
+"""What each mode of the viewer shows along camera rays, and how that becomes a picture."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+import torch
+from torch import Tensor
+
+from neurad.core.protocols import Integrator
+from neurad.core.records import FloatArray, Rays, SurfaceInteraction
+from neurad.inspect.photographs import PhotographMap
+from neurad.integrators.aov import MaterialMap
+from neurad.integrators.world import World
+from neurad.metrics.seen import SeenBy
+from neurad.pages.colours import BRIGHTEST_STD, encode, false_colour, grey
+from neurad.runs.load import LoadedRun
+
+Bytes = npt.NDArray[np.uint8]
+RENDER = "render"
+BARS = " error bars"
+"""Ends the names of modes."""
+HATCHED = (0.85, 0.1, 0.1)
+"""Colour of the stripes over what no photograph shows."""
+STRIPE, GAP = 2, 8
+"""Pixels of a stripe, and from stripe to stripe."""
+
+
+@dataclass(frozen=True)
+class Scale:
+    """What the colours of a map mean."""
+
+    title: str
+    colours: Callable[[FloatArray], Bytes]
+    """Of values [h, w, 1]."""
+    high: float
+    """Value at the bright end; the other end is 0."""
+
+
+@dataclass(frozen=True)
+class Mode:
+    """A way to look at the room, other than lit."""
+
+    says: str
+    """What the picture is, in a sentence."""
+    integrator: Integrator
+    show: Callable[[FloatArray, float], Bytes]
+    """The picture [h, w, 3] of values [h, w, c] and an exposure."""
+    scale: Scale | None = None
+    hatches: bool = True
+    """Whether what no photograph shows can be hatched."""
+
+
+@dataclass(frozen=True)
+class BarMap:
+    """Standard deviations of albedo (three channels) or roughness (one) at the first hit; 0 where nothing is hit."""
+
+    run: LoadedRun
+    name: str
+
+    @torch.no_grad()
+    def __call__(self, rays: Rays, seed: int) -> Tensor:
+        """Values along camera rays [n, c]; without noise."""
+        si = self.run.world.intersect(rays)
+        std = self.run.albedo_std(si) if self.name == "albedo" else self.run.roughness_std(si)
+        return torch.from_numpy(std).to(si.p.device) * si.valid.unsqueeze(-1)
+
+
+@dataclass(frozen=True)
+class SeenMap:
+    """By how many training views the first hit is seen; -1 where nothing is hit: [n, 1]."""
+
+    world: World
+    seen: SeenBy
+
+    @torch.no_grad()
+    def __call__(self, rays: Rays, seed: int) -> Tensor:
+        """Counts along camera rays; without noise."""
+        si = self.world.intersect(rays)
+        return torch.where(si.valid, self.count(si), -1.0).unsqueeze(-1)
+
+    def count(self, si: SurfaceInteraction) -> Tensor:
+        """Training views that see the lanes of ``si`` [n]."""
+        count = torch.zeros(len(si), device=si.p.device)
+        for index in range(len(self.seen.cameras)):
+            count[self.seen.by(index, si)[0]] += 1
+        return count
+
+
+@dataclass(frozen=True)
+class UnseenMap:
+    """1 where the first hit is a surface that no training view sees, else 0: [n, 1]."""
+
+    world: World
+    seen: SeenBy
+
+    @torch.no_grad()
+    def __call__(self, rays: Rays, seed: int) -> Tensor:
+        """Marks along camera rays; without noise."""
+        si = self.world.intersect(rays)
+        return (si.valid & ~self.seen.any(si)).float().unsqueeze(-1)
+
+
+def hatch(picture: Bytes, marked: FloatArray) -> Bytes:
+    """Stripes over the pixels where ``marked`` [h, w, 1] is above a half."""
+    rows, columns = np.indices(picture.shape[:2])
+    stripes = np.expand_dims(np.mod(rows + columns, GAP) < STRIPE, -1) & (marked > 0.5)
+    return np.where(stripes, np.round(np.array(HATCHED) * 255).astype(np.uint8), picture)
+
+
+def counted(values: FloatArray, views: int) -> Bytes:
+    """Counts of photographs as colours, dark to bright over a root, so that one and two differ; none is black."""
+    from matplotlib import colormaps
+
+    share = np.sqrt(np.clip(values[..., 0], 0, None) / max(views, 1))
+    shown = np.asarray(colormaps["viridis"](share, bytes=True)[..., :3])
+    return np.where(values > 0, shown, np.uint8(0))
+
+
+def legend(scale: Scale, width: int = 320, height: int = 18) -> Bytes:
+    """The colours of a scale from 0 to its end, left to right [h, w, 3]."""
+    ramp = np.broadcast_to(np.linspace(0.0, scale.high, width, dtype=np.float32)[None, :, None], (height, width, 1))
+    return scale.colours(ramp)
+
+
+def modes_of(run: LoadedRun, seen: SeenBy, photographs: PhotographMap) -> Mapping[str, Mode]:
+    """The modes that a run has something for, by name, but for the lit one; error bars if its folder has them."""
+    world, views = run.world, len(seen.cameras)
+    found = {}
+    if photographs.views:
+        found["photograph"] = Mode(
+            "The photographs, laid onto the surfaces that they show; each point is taken from the one that saw it from "
+            "the most similar direction.",
+            photographs, lambda x, exposure: hatch(encode(x[..., :3] * exposure), 1.0 - x[..., 3:]), hatches=False,
+        )  # fmt: skip
+    materials = MaterialMap(world, run.materials)
+    found["albedo"] = Mode("The recovered albedo.", materials, lambda x, _: encode(x[..., :3]))
+    found["roughness"] = Mode(
+        "The recovered roughness.", materials, lambda x, _: grey(x[..., 3:]), Scale("roughness", grey, 1.0)
+    )
+    if run.bars is not None:
+        bars = Scale("standard deviation", lambda x: false_colour(x, 1.0 / BRIGHTEST_STD), BRIGHTEST_STD)
+        for name in ("albedo", "roughness"):
+            found[name + BARS] = Mode(
+                f"How sure the recovered {name} is: its standard deviation, bright where next to nothing is known.",
+                BarMap(run, name), lambda x, _: false_colour(x, 1.0 / BRIGHTEST_STD), bars,
+            )  # fmt: skip
+    if views:
+        found["seen"] = Mode(
+            "How many training photographs show each point; hatched where none does: what is there is a guess.",
+            SeenMap(world, seen), lambda x, _: hatch(counted(x, views), (np.abs(x) < 0.5).astype(np.float32)),
+            Scale("photographs", lambda x: counted(x, views), views), hatches=False,
+        )  # fmt: skip
+    return found

@@ -1,0 +1,82 @@
+"""Photographs laid onto the surfaces that they show, so that they can be looked at from anywhere."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from functools import lru_cache
+
+import numpy as np
+import torch
+from torch import Tensor
+from torch.nn.functional import grid_sample
+
+from neurad.core.camera import project, to_camera
+from neurad.core.frame import dot
+from neurad.core.records import Rays, View
+from neurad.integrators.world import World
+from neurad.metrics.seen import SeenBy
+from neurad.scene.image_io import read_photograph
+
+NEAREST = 12
+"""Photographs that are looked at for one picture."""
+KEPT = 32
+"""Photographs in memory."""
+
+
+@lru_cache(KEPT)
+def _read(path: str) -> Tensor:
+    """The colours of a photograph [1, 3, h, w]."""
+    return torch.from_numpy(np.ascontiguousarray(read_photograph(path)[..., :3])).permute(2, 0, 1)[None]
+
+
+class PhotographMap:
+    """What photographs show of the surfaces along camera rays.
+
+    Every surface point gets the colour that it has in the photograph, among the :data:`NEAREST` to the camera, that
+    shows it from the most similar direction. Highlights therefore stay where the photograph saw them.
+
+    Args:
+        world: geometry and tracer.
+        views: those with a photograph are used.
+    """
+
+    def __init__(self, world: World, views: Sequence[View]) -> None:
+        self.world = world
+        self.views = [view for view in views if view.image is not None]
+        self.seen = SeenBy(world.geometry, world.tracer, [view.camera for view in self.views])
+
+    @torch.no_grad()
+    def __call__(self, rays: Rays, seed: int) -> Tensor:
+        """Radiance, and 1 where a photograph shows the surface or there is none, else 0: [n, 4]; without noise."""
+        si = self.world.intersect(rays)
+        best = torch.full((len(si),), -2.0)
+        out = torch.zeros(len(si), 4)
+        out[:, 3] = (~si.valid).float().cpu()
+        for index in self._nearest(rays):
+            lanes, towards = self.seen.by(index, si)
+            if len(lanes) == 0:
+                continue
+            likeness = dot(towards, si.wo[lanes]).cpu()
+            lanes = lanes.cpu()
+            better = likeness > best[lanes]
+            lanes, likeness = lanes[better], likeness[better]
+            best[lanes] = likeness
+            camera, image = self.views[index].camera, self.views[index].image
+            assert image is not None
+            photograph = _read(image)
+            xy = project(camera, to_camera(camera, si.p[lanes.to(si.p.device)])).cpu().float()
+            size = torch.tensor([camera.width, camera.height])
+            colours = grid_sample(
+                photograph, (2 * xy / size - 1)[None, None], padding_mode="border", align_corners=False
+            )
+            out[lanes, :3] = colours[0, :, 0].T
+            out[lanes, 3] = 1.0
+        return out.to(si.p.device)
+
+    def _nearest(self, rays: Rays) -> list[int]:
+        """Indices of the photographs taken nearest to a camera and in the most similar direction."""
+        eye, ahead = rays.o[0].cpu().numpy(), rays.d.mean(0).cpu().numpy()
+        poses = np.stack([view.camera.to_world for view in self.views])
+        away = np.linalg.norm(poses[:, :3, 3] - eye, axis=-1) / max(self.world.geometry.scale, 1e-30)
+        turned = 1.0 + poses[:, :3, 2] @ (ahead / max(float(np.linalg.norm(ahead)), 1e-30))
+        return [int(index) for index in np.argsort(away + turned, kind="stable")[:NEAREST]]

@@ -1,0 +1,81 @@
+"""What is under a pixel: material, how sure it is, and whose it is."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+
+from neurad.core.records import FloatArray, Rays
+from neurad.inspect.maps import SeenMap
+from neurad.runs.load import LoadedRun
+
+
+@dataclass(frozen=True)
+class Reading:
+    """A surface point."""
+
+    position: FloatArray
+    """[3]."""
+    mesh: str
+    albedo: FloatArray
+    """[3]."""
+    roughness: float
+    albedo_std: FloatArray | None
+    """[3]; None without error bars."""
+    roughness_std: float | None
+    photographs: int
+    """Training photographs that show it."""
+    emits: bool
+    """It is a lamp: its material is known."""
+
+    def lines(self) -> list[tuple[str, str]]:
+        """Names and values for people."""
+        bars = self.albedo_std is not None and not self.emits
+        albedo = " ".join(f"{x:.3f}" for x in self.albedo)
+        if bars and self.albedo_std is not None:
+            albedo += " ± " + " ".join(f"{x:.3f}" for x in self.albedo_std)
+        roughness = f"{self.roughness:.3f}"
+        if bars and self.roughness_std is not None:
+            roughness += f" ± {self.roughness_std:.3f}"
+        known = " (known: a lamp)" if self.emits else ""
+        shown = "none: a guess" if self.photographs == 0 and not self.emits else str(self.photographs)
+        return [
+            ("mesh", self.mesh + known),
+            ("albedo", albedo),
+            ("roughness", roughness),
+            ("photographs", shown),
+            ("position", " ".join(f"{x:.4g}" for x in self.position)),
+        ]
+
+
+def probe(run: LoadedRun, seen: SeenMap, origin: FloatArray, direction: FloatArray) -> Reading | None:
+    """The first surface along a ray; None where there is none.
+
+    Args:
+        run: a loaded run.
+        seen: counts photographs.
+        origin: [3].
+        direction: [3], of any length.
+    """
+    d = np.asarray(direction, np.float64)
+    ray = np.stack((np.asarray(origin, np.float64), d / np.linalg.norm(d))).astype(np.float32)
+    o, d = torch.tensor(ray, device=run.device).unsqueeze(1)
+    with torch.no_grad():
+        si = run.world.intersect(Rays(o, d))
+        if not bool(si.valid):
+            return None
+        count = int(seen.count(si))
+    geometry, bars = run.world.geometry, run.bars is not None
+    prim = int(si.prim)
+    return Reading(
+        position=si.p[0].cpu().numpy(),
+        mesh=run.scene.meshes[int(geometry.mesh_index[prim])].name,
+        albedo=run.albedo(si)[0],
+        roughness=float(run.roughness(si)[0, 0]),
+        albedo_std=run.albedo_std(si)[0] if bars else None,
+        roughness_std=float(run.roughness_std(si)[0, 0]) if bars else None,
+        photographs=count,
+        emits=bool((geometry.emission[prim] > 0).any()),
+    )

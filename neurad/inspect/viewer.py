@@ -1,0 +1,134 @@
+"""The viewer: a page on this machine alone, and the one loop that makes its pictures."""
+
+from __future__ import annotations
+
+import threading
+import time
+from collections.abc import Callable
+from functools import partial
+
+import viser
+
+from neurad.core.errors import InputError
+from neurad.core.records import View
+from neurad.export.axes import up_axis
+from neurad.inspect.guest import Guest
+from neurad.inspect.lamps import lamps_of
+from neurad.inspect.maps import SeenMap, UnseenMap, modes_of
+from neurad.inspect.photographs import PhotographMap
+from neurad.inspect.pose import Stand, stand_of
+from neurad.inspect.refine import Room, warm_up
+from neurad.inspect.server import HOST, serve, stop
+from neurad.metrics.seen import SeenBy
+from neurad.pages.colours import exposure
+from neurad.runs.follow import Followed
+from neurad.runs.load import LoadedRun
+from neurad.scene.image_io import read_photograph
+
+CHECKS = 2.0
+"""Seconds between two looks at the run folder."""
+TONED = 8
+"""Photographs whose brightness decides the exposure."""
+
+
+class Viewer:
+    """A run in the browser.
+
+    Args:
+        run: a loaded run.
+        port: of the page, 0 for any; None takes the first free from 8080.
+
+    Raises:
+        InputError: the port is taken, or the scene has no view to begin with.
+    """
+
+    def __init__(self, run: LoadedRun, port: int | None = None) -> None:
+        views = (*run.scene.test, *run.scene.train)
+        if not views:
+            raise InputError(f"scene {run.scene.name}: it has no view to begin with; a fit's scene has some")
+        self._followed = Followed(run)
+        self._views: dict[str, View] = {view.name: view for view in views}
+        self._exposure = exposure(
+            [{"photograph": read_photograph(v.image)[..., :3]} for v in run.scene.train[:TONED] if v.image is not None]
+        )
+        self._by_training = SeenBy(run.world.geometry, run.world.tracer, [view.camera for view in run.scene.train])
+        self._photographs = PhotographMap(run.world, run.views)
+        self._room = self._make_room()
+        self._asked = 0
+        self._wake = threading.Event()
+        self._checked = time.monotonic()
+        self.guests: dict[int, Guest] = {}
+        """Browsers that are connected, by number."""
+        warm_up(self._room, views[0].camera)
+        self._server = serve(port)
+        self.address = f"http://{HOST}:{self._server.get_port()}"
+        """What to open in a browser."""
+        self._arrange(self._stand(views[0]))
+
+    def run(self, until: Callable[[], bool] = lambda: False) -> None:
+        """Make pictures until ``until()`` is true, which is looked at a few times a second."""
+        while not until():
+            self.step()
+
+    def step(self) -> None:
+        """One bounded piece of work, or a short sleep where there is none."""
+        if time.monotonic() - self._checked > CHECKS:
+            self._follow()
+        asked = self._asked
+        worked = [guest.work(lambda: self._asked != asked) for guest in list(self.guests.values())]
+        if not any(worked):
+            self._wake.wait(0.25)
+            self._wake.clear()
+
+    def close(self) -> None:
+        """End the page."""
+        stop(self._server)
+
+    def _make_room(self) -> Room:
+        run = self._followed.run
+        modes = modes_of(run, self._by_training, self._photographs)
+        seen, unseen = SeenMap(run.world, self._by_training), UnseenMap(run.world, self._by_training)
+        return Room(run, lamps_of(run.assembly), modes, seen, unseen)
+
+    def _title(self) -> str:
+        run = self._followed.run
+        return f"`{self._followed.folder.name}` of `{run.scene.name}`, iteration {run.iteration}"
+
+    def _stand(self, view: View) -> Stand:
+        return stand_of(view.camera, self._followed.run.world)
+
+    def _arrange(self, first: Stand) -> None:
+        """Put the camera to the first view, and welcome browsers."""
+        server, up = self._server, up_axis(self._followed.run.scene)
+        server.scene.set_up_direction(up if up in ("-x", "-y", "-z") else f"+{up}")  # type: ignore[arg-type]
+        server.initial_camera.position = first.position
+        server.initial_camera.look_at = first.look_at
+        server.initial_camera.up = first.up
+        server.initial_camera.fov = first.fov_y
+        server.gui.configure_theme(show_logo=False, show_share_button=False)
+        server.on_client_connect(self._welcome)
+        server.on_client_disconnect(self._part)
+
+    def _part(self, client: viser.ClientHandle) -> None:
+        self.guests.pop(client.client_id, None)
+
+    def _welcome(self, client: viser.ClientHandle) -> None:
+        stands = {name: partial(self._stand, view) for name, view in self._views.items()}
+        self.guests[client.client_id] = Guest(client, self._room, self._title(), self._exposure, stands, self._ask)
+        self._ask()
+
+    def _ask(self) -> None:
+        """Somebody waits for something."""
+        self._asked += 1
+        self._wake.set()
+
+    def _follow(self) -> None:
+        """Take over a newer checkpoint of a run that is still training, and error bars that came with its end."""
+        followed = self._followed
+        if followed.update() or (followed.run.bars is not None) != self._room.has_bars:
+            cost = self._room.cost
+            self._room = self._make_room()
+            self._room.cost.update(cost)
+        for guest in list(self.guests.values()):
+            guest.renew(self._room, self._title(), followed.problem)
+        self._checked = time.monotonic()

@@ -1,0 +1,84 @@
+"""How much of held-out views no photograph shows, and how much of the error lies there."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any, Self
+
+import numpy as np
+import numpy.typing as npt
+
+from neurad.metrics.scores import BoolArray
+
+SEEN, NEITHER, UNSEEN = 1.0, 0.5, 0.0
+"""Values of the map ``seen``: a surface that a training photograph shows; an emitter, or no surface; a surface that
+none shows."""
+
+
+def seen_map(counted: BoolArray, seen: BoolArray) -> npt.NDArray[np.float32]:
+    """The map ``seen`` [h, w, 1] of a view.
+
+    Args:
+        counted: pixels [h, w] of surfaces alone, emitters left out.
+        seen: pixels [h, w] whose surface some training view sees.
+    """
+    return np.where(counted, np.where(seen, SEEN, UNSEEN), NEITHER).astype(np.float32)[..., None]
+
+
+@dataclass(frozen=True)
+class Unseen:
+    """What of some views no photograph shows."""
+
+    masks: list[BoolArray | None]
+    """Its pixels [h, w] by view; None where that is not known."""
+    fraction: float | None = None
+    """Of the surfaces; None where that is not known."""
+    squared: dict[str, float] = field(default_factory=dict)
+    """Fraction of the squared error that lies there, by ``albedo`` and ``roughness``."""
+
+    @classmethod
+    def of(cls, views: Sequence[Mapping[str, Any]]) -> Self:
+        """Of views with their maps [h, w, c] by name: ``seen``, and ``albedo``, ``albedo_true``, ``roughness``,
+        ``roughness_true`` where there are any.
+        """
+        masks = [view["seen"][..., 0] == UNSEEN if view.get("seen") is not None else None for view in views]
+        known = [(mask, view) for mask, view in zip(masks, views, strict=True) if mask is not None]
+        surfaces = sum(int((view["seen"] != NEITHER).sum()) for _, view in known)
+        if surfaces == 0:
+            return cls(masks)
+        squared = {}
+        for name in ("albedo", "roughness"):
+            inside = total = 0.0
+            for mask, view in known:
+                if view.get(name) is not None and view.get(f"{name}_true") is not None:
+                    error = np.square(view[name].astype(np.float64) - view[f"{name}_true"]).mean(-1)
+                    inside += float(error[mask].sum())
+                    total += float(error[view["seen"][..., 0] != NEITHER].sum())
+            if total > 0:
+                squared[name] = inside / total
+        return cls(masks, sum(int(mask.sum()) for mask, _ in known) / surfaces, squared)
+
+    def summary(self) -> Self:
+        """The same without the masks, which are as large as the views."""
+        return replace(self, masks=[])
+
+    def sentence(self, what: str = "the held-out views") -> str:
+        """How much was never photographed; empty where that is not known."""
+        if self.fraction is None:
+            return ""
+        if self.fraction == 0:
+            return f"Every surface in {what} is in some training photograph."
+        parts = [f"{_percent(value)} of the squared error of {name}" for name, value in self.squared.items()]
+        carried = f"; these carry {' and '.join(parts)}" if parts else ""
+        return f"{_percent(self.fraction)} of the surfaces in {what} are in no training photograph{carried}."
+
+    def hatching(self, what: str) -> str:
+        """The sentence, with what is hatched; empty where nothing is."""
+        return f"Hatched: {self.sentence(what)}" if self.fraction else ""
+
+
+def _percent(value: float) -> str:
+    """A fraction in percent with the digits that matter."""
+    percent = 100.0 * value
+    return f"{percent:.0f} %" if percent >= 9.5 else f"{percent:.1f} %" if percent >= 0.095 else "below 0.1 %"

@@ -1,0 +1,82 @@
+"""What pages look like, and how they move: style and script of :func:`neurad.pages.page.page`."""
+
+STYLE = """
+:root { --ink: #1a1a1a; --pale: #595959; --line: #d9d9d9; --ground: #fff; --card: #f5f5f5; --bad: #a40000;
+        --good: #1b6e2d; --accent: #0b63b5; }
+@media (prefers-color-scheme: dark) {
+  :root { --ink: #e8e8e8; --pale: #a8a8a8; --line: #3c3c3c; --ground: #161616; --card: #222; --bad: #ff8a80;
+          --good: #7fd68f; --accent: #7ab8ff; } }
+* { box-sizing: border-box; }
+body { font: 15px/1.5 system-ui, "DejaVu Sans", sans-serif; color: var(--ink); background: var(--ground);
+       max-width: 1300px; margin: 1.5em auto; padding: 0 1em; }
+h1 { font-size: 1.5em; margin: .4em 0; } h2 { font-size: 1.2em; margin: 2em 0 .4em; }
+h3 { font-size: 1.05em; margin: 1.6em 0 .4em; } h4 { font-size: 13px; margin: 1em 0 .2em; }
+p { margin: .5em 0; max-width: 75em; } .verdict { font-size: 1.12em; }
+.warn { color: var(--bad); font-weight: 600; } .note { color: var(--pale); font-size: 13px; }
+.scroll { overflow-x: auto; } code { font-size: 13px; overflow-wrap: anywhere; }
+table { border-collapse: collapse; font-variant-numeric: tabular-nums; font-size: 13px; margin: .5em 0 1em; }
+td, th { padding: .25em .55em; text-align: right; vertical-align: bottom; border-bottom: 1px solid var(--line); }
+th { font-weight: 600; } th:first-child, td:first-child { text-align: left; }
+td.words { text-align: left; white-space: normal; max-width: 32em; }
+.best { font-weight: 700; } .worse, .failed, .beyond { color: var(--bad); } .beyond { font-weight: 600; }
+.kept { color: var(--good); font-weight: 600; } .open { font-weight: 600; } .mark { color: var(--pale); }
+.row, .sliders, .charts { display: grid; gap: .7em; margin-bottom: .7em;
+       --share: calc((100% - 2.9em) / var(--columns, 4));
+       grid-template-columns: repeat(auto-fill, minmax(min(100%, max(190px, var(--share))), 1fr)); }
+.sliders, .charts { --columns: 3; }
+.crops { --columns: 6; grid-template-columns: repeat(auto-fill, minmax(120px, 168px)); }
+figure { margin: 0; min-width: 0; } figcaption { font-size: 13px; line-height: 1.35; padding: .15em 0; }
+figcaption, .ends, .meaning { color: var(--pale); } figcaption b { color: var(--ink); }
+img { width: 100%; height: auto; display: block; image-rendering: pixelated; }
+.tile img { cursor: zoom-in; } .tile img:focus-visible { outline: 3px solid var(--accent); }
+.bar { height: 9px; margin-top: 3px; border: 1px solid var(--line); }
+.ends { display: flex; justify-content: space-between; font-size: 12px; line-height: 1.3; }
+.meaning { text-align: center; font-size: 12px; padding: 0; }
+.slider figcaption { display: flex; justify-content: space-between; }
+.slider div { position: relative; --at: 50%; } .slider .over { position: absolute; inset: 0; height: 100%;
+       clip-path: inset(0 calc(100% - var(--at)) 0 0); }
+.slider span { position: absolute; top: 0; bottom: 0; left: var(--at); width: 3px; margin-left: -1.5px;
+       background: #fff; box-shadow: 0 0 0 1px #000; pointer-events: none; }
+.slider span::after { content: "\\2194"; position: absolute; top: 50%; left: 50%; transform: translate(-50%, -50%);
+       background: #fff; color: #000; border-radius: 50%; width: 26px; height: 26px; line-height: 25px; font-size: 16px;
+       text-align: center; box-shadow: 0 0 0 1px #000; }
+.slider input { position: absolute; inset: 0; width: 100%; height: 100%; margin: 0; opacity: 0; cursor: ew-resize; }
+.slider input:focus-visible ~ span, .slider div:focus-within { outline: 3px solid var(--accent); }
+dialog { border: 0; padding: 0; background: var(--ground); color: var(--ink); max-width: 98vw; max-height: 98vh; }
+dialog::backdrop { background: rgba(0, 0, 0, .75); }
+dialog img { width: auto; cursor: zoom-out; } dialog p { margin: .3em .6em; font-size: 14px; }
+.chart svg { width: 100%; height: auto; display: block; } .chart text { fill: var(--ink); font-size: 12px; }
+.chart .pale { fill: var(--pale); } .chart .grid { stroke: var(--line); } .chart .axis { stroke: var(--pale); }
+.chart .key { display: flex; flex-wrap: wrap; gap: 0 1em; font-size: 12px; color: var(--pale); }
+.chart .key svg { width: 26px; height: 10px; display: inline-block; margin-right: .3em; }
+details { margin: .8em 0; } summary { cursor: pointer; color: var(--accent); }
+"""
+
+SCRIPT = """
+for (const slider of document.querySelectorAll('.slider')) {
+  const box = slider.querySelector('div'), [under, over] = box.querySelectorAll('img');
+  under.src = document.getElementById(slider.dataset.after).src;
+  over.src = document.getElementById(slider.dataset.before).src;
+  box.querySelector('input').addEventListener('input', event =>
+    box.style.setProperty('--at', event.target.value + '%'));
+}
+const dialog = document.createElement('dialog'), large = document.createElement('img');
+const words = document.createElement('p');
+dialog.append(large, words);
+document.body.append(dialog);
+const enlarge = picture => {
+  large.src = picture.src;
+  large.alt = picture.alt;
+  words.textContent = picture.alt + ' \\u2014 click or Esc closes';
+  const room = Math.min(innerWidth * 0.96 / picture.naturalWidth, (innerHeight * 0.96 - 34) / picture.naturalHeight);
+  large.style.width = picture.naturalWidth * (room > 1 ? Math.max(1, Math.floor(room * 2) / 2) : room) + 'px';
+  dialog.showModal();
+};
+for (const picture of document.querySelectorAll('.tile img')) {
+  picture.addEventListener('click', () => enlarge(picture));
+  picture.addEventListener('keydown', event => {
+    if (event.key === 'Enter' || event.key === ' ') { event.preventDefault(); enlarge(picture); }
+  });
+}
+dialog.addEventListener('click', () => dialog.close());
+"""

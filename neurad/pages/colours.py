@@ -1,0 +1,84 @@
+"""Numbers as colours: exposure, the sRGB curve, greys, maps of errors and of uncertainty, hatching."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from neurad.core.records import FloatArray
+from neurad.scene.image_io import to_srgb
+
+Bytes = npt.NDArray[np.uint8]
+BoolArray = npt.NDArray[np.bool_]
+LEVEL = 0.8
+"""Of display white that the 90th percentile of the photographs is shown at."""
+BRIGHTEST = 0.25
+"""Error, in albedo, roughness or display white, that is the brightest in an error map."""
+BRIGHTEST_STD = 0.2
+"""Standard deviation that pictures of error bars show brightest; next to nothing is known there."""
+ERRORS, BARS = "inferno", "viridis"
+"""Matplotlib's names of the colour maps of errors and of error bars: they must not be taken for each other."""
+PERIOD, STROKE = 10, 2
+"""Of hatching in pixels: from line to line, and the width of each of its two colours."""
+
+
+def exposure(maps: Sequence[Mapping[str, Any]]) -> float:
+    """One factor for all pictures of a run, from the photographs alone: it must not follow the fit, or it would
+    hide its progress. The 90th percentile of the photographs becomes :data:`LEVEL`.
+    """
+    photographs = [view["photograph"] for view in maps if view.get("photograph") is not None]
+    if not photographs:
+        return 1.0
+    level = float(np.percentile(np.concatenate([p.reshape(-1) for p in photographs]), 90))
+    return LEVEL / level if level > 0 else 1.0
+
+
+def encode(image: FloatArray) -> Bytes:
+    """Linear values in [0, 1] as sRGB bytes [h, w, 3]; one channel becomes grey."""
+    return np.round(to_srgb(np.broadcast_to(image, (*image.shape[:2], 3))) * 255).astype(np.uint8)
+
+
+def grey(image: FloatArray) -> Bytes:
+    """Values in [0, 1] as bytes without a curve: roughness is no light."""
+    return np.round(np.clip(np.broadcast_to(image, (*image.shape[:2], 3)), 0, 1) * 255).astype(np.uint8)
+
+
+def false_colour(error: FloatArray, scale: float, colours: str = ERRORS) -> Bytes:
+    """The mean over channels of ``error`` [h, w, c], black at 0 and bright at ``1 / scale``."""
+    from matplotlib import colormaps
+
+    return np.asarray(colormaps[colours](np.clip(error.mean(axis=-1) * scale, 0, 1), bytes=True)[..., :3])
+
+
+def ramp(colours: str, steps: int = 64) -> Bytes:
+    """The colours of a map from low to high [steps, 3]; 'gray' is that of :func:`grey`."""
+    values = np.linspace(0.0, 1.0, steps, dtype=np.float32)[None, :, None]
+    picture = grey(values) if colours == "gray" else false_colour(values, 1.0, colours)
+    return np.asarray(picture[0], np.uint8)
+
+
+def enlarged(picture: npt.NDArray[Any], zoom: int) -> npt.NDArray[Any]:
+    """Every pixel of [h, w, ...] as ``zoom`` x ``zoom`` equal ones: nothing is blurred."""
+    return picture.repeat(zoom, axis=0).repeat(zoom, axis=1)
+
+
+def reduced(picture: Bytes, by: int) -> Bytes:
+    """Means over blocks of ``by`` x ``by`` pixels; what is left over at the right and lower edge is cut off."""
+    if by == 1:
+        return picture
+    h, w = (side // by * by for side in picture.shape[:2])
+    blocks = picture[:h, :w].reshape(h // by, by, w // by, by, -1)
+    return np.asarray(np.round(blocks.mean((1, 3), dtype=np.float32)), np.uint8)
+
+
+def hatched(picture: Bytes, mask: BoolArray) -> Bytes:
+    """Diagonal lines, white beside black so that they show on any colour, over the pixels of a mask [h, w]."""
+    y, x = np.ogrid[: mask.shape[0], : mask.shape[1]]
+    place = (x + y) % PERIOD
+    out = picture.copy()
+    out[mask & (place < STROKE)] = 255
+    out[mask & (place >= STROKE) & (place < 2 * STROKE)] = 0
+    return out

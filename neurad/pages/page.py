@@ -1,0 +1,139 @@
+"""Pages: one HTML file each that needs nothing beside it and no network, for light and dark screens."""
+
+from __future__ import annotations
+
+import base64
+import html
+from collections.abc import Mapping, Sequence
+
+from neurad.pages.assets import SCRIPT, STYLE
+from neurad.pages.colours import Bytes, ramp
+from neurad.pages.draw import lettered
+from neurad.pages.sheet import Scale, Sheet
+from neurad.scene.image_io import png
+
+POLICY = "default-src 'none'; img-src data:; style-src 'unsafe-inline'; script-src 'unsafe-inline'"
+"""Of the browser: nothing is loaded from anywhere."""
+
+
+def data_uri(picture: bytes) -> str:
+    """A PNG as the address of itself."""
+    return f"data:image/png;base64,{base64.b64encode(picture).decode('ascii')}"
+
+
+def page(title: str, parts: Sequence[str]) -> str:
+    """A whole page.
+
+    Args:
+        title: its heading, plain text.
+        parts: HTML below the heading.
+    """
+    head = [
+        "<!doctype html>",
+        '<html lang="en"><head><meta charset="utf-8">',
+        '<meta name="viewport" content="width=device-width, initial-scale=1">',
+        f'<meta http-equiv="Content-Security-Policy" content="{POLICY}">',
+        '<meta name="color-scheme" content="light dark">',
+        f"<title>{html.escape(title)}</title><style>{STYLE}</style></head><body>",
+        f"<h1>{html.escape(title)}</h1>",
+    ]
+    return "\n".join([*head, *parts, f"<script>{SCRIPT}</script></body></html>"]) + "\n"
+
+
+def note(text: str) -> str:
+    """A paragraph in small print."""
+    return f'<p class="note">{html.escape(text)}</p>'
+
+
+def table(head: Sequence[str], rows: Sequence[Sequence[str]], classes: Mapping[int, str] | None = None) -> str:
+    """A table.
+
+    Args:
+        head: headings, HTML.
+        rows: cells, HTML; the first one of each is its label.
+        classes: styles of rows, by number.
+    """
+    lines = ["<tr>" + "".join(f"<th>{cell}</th>" for cell in head) + "</tr>"]
+    for number, row in enumerate(rows):
+        style = f' class="{(classes or {})[number]}"' if number in (classes or {}) else ""
+        lines.append(f"<tr{style}>" + "".join(f"<td>{cell}</td>" for cell in row) + "</tr>")
+    return f'<div class="scroll"><table>{"".join(lines)}</table></div>'
+
+
+def tile(picture: Bytes, heading: str, caption: str = "", scale: Scale | None = None, name: str = "") -> str:
+    """A picture that enlarges.
+
+    Args:
+        picture: [h, w, 3].
+        heading: plain text.
+        caption: HTML below it.
+        scale: its colour bar.
+        name: of the element, for :func:`slider`.
+    """
+    title = html.escape(heading)
+    bar = "" if scale is None else _bar(scale)
+    identity = f' id="{html.escape(name)}"' if name else ""
+    return (
+        f'<figure class="tile"><figcaption><b>{title}</b></figcaption>'
+        f'<img{identity} alt="{title}" tabindex="0" role="button" src="{data_uri(png(picture))}">'
+        f"{bar}{f'<figcaption>{caption}</figcaption>' if caption else ''}</figure>"
+    )
+
+
+def slider(before: str, after: str, left: str, right: str) -> str:
+    """Two tiles over each other with a line between them that moves; the script takes their pictures.
+
+    Args:
+        before: name of the tile that is left of the line.
+        after: name of the one that is right of it.
+        left: heading of the first, plain text.
+        right: heading of the second.
+    """
+    words = f"{html.escape(left)} | {html.escape(right)}"
+    return (
+        f'<figure class="slider" data-before="{html.escape(before)}" data-after="{html.escape(after)}">'
+        f'<figcaption><b>{html.escape(left)}</b><b class="right">{html.escape(right)}</b></figcaption>'
+        f'<div><img alt="{html.escape(right)}"><img class="over" alt="{html.escape(left)}"><span></span>'
+        f'<input type="range" min="0" max="100" value="50" step="0.5" aria-label="{words}"></div></figure>'
+    )
+
+
+def sheet(shown: Sheet, name: str) -> str:
+    """A sheet: a slider for each pair, then its rows.
+
+    Args:
+        shown: the sheet.
+        name: begins the names of its elements, unique on the page.
+    """
+    parts, sliders, done = [], [], set()
+    for one in shown.tiles:
+        other = next((tile for tile in shown.tiles if tile.key == one.pair), None)
+        if other is not None and one.key not in done:
+            done |= {one.key, other.key}
+            sliders.append(slider(f"{name}-{one.key}", f"{name}-{other.key}", one.heading, other.heading))
+    if sliders:
+        parts.append(f'<div class="sliders">{"".join(sliders)}</div>')
+    columns = max(len(tiles) for tiles in shown.rows.values())
+    for tiles in shown.rows.values():
+        cells = [
+            "<figure></figure>"
+            if one is None
+            else tile(lettered(shown, one), one.heading, scale=one.scale, name=f"{name}-{one.key}")
+            for one in tiles
+        ]
+        parts.append(f'<div class="row" style="--columns:{columns}">{"".join(cells)}</div>')
+    for crop in shown.crops if shown.crop_keys else ():
+        pieces = "".join(tile(picture, one.heading) for one, picture in shown.cropped(crop, 168))
+        parts.append(f'<h4>{crop.letter}: {html.escape(crop.meaning)}</h4><div class="row crops">{pieces}</div>')
+    parts += [note(text) for text in shown.notes]
+    return "\n".join(parts)
+
+
+def _bar(scale: Scale) -> str:
+    """A colour bar under a picture."""
+    stops = ", ".join("#" + bytes(colour.tolist()).hex() for colour in ramp(scale.colours, 16))
+    ends = f"<span>{html.escape(scale.low)}</span><span>{html.escape(scale.high)}</span>"
+    return (
+        f'<div class="bar" style="background:linear-gradient(to right, {stops})"></div>'
+        f'<div class="ends">{ends}</div><figcaption class="meaning">{html.escape(scale.meaning)}</figcaption>'
+    )

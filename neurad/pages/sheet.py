@@ -1,0 +1,149 @@
+"""A sheet: pictures of a view in rows, with headings, colour bars, crops, and hatching of what no photograph shows."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+
+from neurad.core.records import FloatArray
+from neurad.pages.colours import BoolArray, Bytes, enlarged, hatched, reduced
+
+SMALLEST, LARGEST = 256, 512
+"""Width in pixels that small pictures are at least enlarged to, and that large ones are reduced below twice of."""
+CROP = 0.25
+"""Side of a crop over the shorter side of the view."""
+BOX = (255, 64, 160)
+"""Colour of the frame of a crop: one that no colour map here has."""
+
+
+@dataclass(frozen=True)
+class Scale:
+    """A colour bar."""
+
+    colours: str
+    """A name that :func:`neurad.pages.colours.ramp` knows."""
+    low: str
+    """What the left end stands for."""
+    high: str
+    meaning: str
+    """Quantity, unit, and which way is better."""
+
+
+@dataclass(frozen=True)
+class Tile:
+    """One picture of a sheet."""
+
+    key: str
+    """What it shows, such as ``albedo_true``; unique in its sheet."""
+    heading: str
+    picture: Bytes
+    """[h, w, 3], the same size for all tiles of a sheet."""
+    scale: Scale | None = None
+    pair: str = ""
+    """Key of the tile that it is to be compared with."""
+
+
+@dataclass(frozen=True)
+class Crop:
+    """A square of the view that is shown enlarged."""
+
+    letter: str
+    y: int
+    x: int
+    side: int
+    meaning: str
+    """Why this square."""
+
+
+@dataclass
+class Sheet:
+    """Pictures of one view."""
+
+    title: str
+    rows: dict[str, list[Tile | None]] = field(default_factory=dict)
+    """By label; None leaves a place empty."""
+    unseen: BoolArray | None = None
+    """Pixels [h, w] that are hatched in every tile."""
+    crops: list[Crop] = field(default_factory=list)
+    crop_keys: Sequence[str] = ()
+    """Tiles that crops are taken of."""
+    notes: list[str] = field(default_factory=list)
+    largest: int = LARGEST
+    """Width in pixels that pictures are reduced below twice of."""
+
+    @property
+    def tiles(self) -> list[Tile]:
+        """All tiles in reading order."""
+        return [tile for tiles in self.rows.values() for tile in tiles if tile is not None]
+
+    @property
+    def zoom(self) -> tuple[int, int]:
+        """By which whole number pictures are enlarged, and by which they are reduced; one of both is 1."""
+        width = self.tiles[0].picture.shape[1]
+        return max(1, -(-SMALLEST // width)), max(1, width // self.largest)
+
+    def shown(self, tile: Tile) -> Bytes:
+        """The picture of a tile as it is to be displayed: enlarged or reduced, hatched, crops framed."""
+        zoom, by = self.zoom
+        picture = enlarged(reduced(tile.picture, by), zoom)
+        if self.unseen is not None:
+            picture = hatched(picture, _fitting(self.unseen, zoom, by, picture))
+        for crop in self.crops:
+            _frame(picture, *(round(side * zoom / by) for side in (crop.y, crop.x, crop.side)))
+        return picture
+
+    def cropped(self, crop: Crop, width: int) -> list[tuple[Tile, Bytes]]:
+        """The tiles of :attr:`crop_keys` in a crop, enlarged by a whole number to at most ``width`` pixels."""
+        square = np.s_[crop.y : crop.y + crop.side, crop.x : crop.x + crop.side]
+        by = max(1, -(-crop.side // width))
+        zoom = max(1, width * by // crop.side)
+        found = []
+        for tile in self.tiles:
+            if tile.key in self.crop_keys:
+                picture = enlarged(reduced(tile.picture[square], by), zoom)
+                if self.unseen is not None:
+                    picture = hatched(picture, _fitting(self.unseen[square], zoom, by, picture))
+                found.append((tile, picture))
+        return found
+
+    def compact(self) -> Sheet:
+        """The same without rows that have no tile."""
+        return replace(self, rows={label: tiles for label, tiles in self.rows.items() if any(tiles)})
+
+
+def worst_squares(errors: Sequence[tuple[str, FloatArray]], count: int = 2) -> list[Crop]:
+    """Squares where errors are largest, a square an error, apart from each other.
+
+    Args:
+        errors: what an error is of, in words, and its squares [h, w], 0 where it does not count; in order of weight.
+        count: squares at most.
+    """
+    crops: list[Crop] = []
+    for meaning, error in errors:
+        if len(crops) == count:
+            break
+        side = max(1, round(CROP * min(error.shape)))
+        sums = np.pad(error.astype(np.float64), ((1, 0), (1, 0))).cumsum(0).cumsum(1)
+        total = sums[side:, side:] - sums[:-side, side:] - sums[side:, :-side] + sums[:-side, :-side]
+        for crop in crops:
+            apart = np.s_[max(crop.y - side, 0) : crop.y + side, max(crop.x - side, 0) : crop.x + side]
+            total[apart] = 0.0
+        if total.max(initial=0.0) > 0:
+            y, x = divmod(int(total.argmax()), total.shape[1])
+            crops.append(Crop("ABCDEF"[len(crops)], y, x, side, meaning))
+    return crops
+
+
+def _fitting(mask: BoolArray, zoom: int, by: int, picture: Bytes) -> BoolArray:
+    """A mask for a picture that was reduced and enlarged: of each block the pixel in its middle counts."""
+    large: BoolArray = enlarged(mask[by // 2 :: by, by // 2 :: by], zoom)
+    return large[: picture.shape[0], : picture.shape[1]]
+
+
+def _frame(picture: Bytes, y: int, x: int, side: int, stroke: int = 2) -> None:
+    """Draw the outline of a square."""
+    end_y, end_x = min(y + side, picture.shape[0]), min(x + side, picture.shape[1])
+    picture[y:end_y, x : x + stroke] = picture[y:end_y, max(end_x - stroke, 0) : end_x] = BOX
+    picture[y : y + stroke, x:end_x] = picture[max(end_y - stroke, 0) : end_y, x:end_x] = BOX

@@ -1,0 +1,263 @@
+"""``neurad view`` as a person has it: the page in Chromium, its pictures, sliders and read-out."""
+
+import contextlib
+import ctypes
+import re
+import shutil
+import socket
+import threading
+import time
+from io import BytesIO
+from pathlib import Path
+
+import numpy as np
+import pytest
+from helpers.tiny_fit import fails
+from PIL import Image
+
+import neurad
+from neurad.cli import main
+from neurad.runs.follow import Followed
+from neurad.training.checkpoint_file import write_checkpoint
+
+pytest.importorskip("viser")
+
+CANVAS = {"x": 40, "y": 180, "width": 500, "height": 400}
+"""Part of the window that neither controls cover nor what is said of missing graphics hardware."""
+
+
+@contextlib.contextmanager
+def viewed(*words):
+    """``neurad view`` on another thread until the block ends; gives the viewer."""
+    from neurad.inspect.viewer import Viewer
+
+    running, ended = [], []
+    run = Viewer.run
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(Viewer, "run", lambda self: (running.append(self), run(self)))
+
+        def work():
+            try:
+                main(["view", *words])
+            except BaseException as error:  # what a process would end with
+                ended.append(error)
+
+        thread = threading.Thread(target=work)
+        thread.start()
+        while not running and thread.is_alive():
+            time.sleep(0.02)
+        if ended:
+            raise ended[0]
+        try:
+            yield running[0]
+        finally:
+            interrupt = ctypes.py_object(KeyboardInterrupt)  # as Ctrl-C does
+            ctypes.pythonapi.PyThreadState_SetAsyncExc(ctypes.c_ulong(thread.ident), interrupt)
+            thread.join(30)
+            assert not thread.is_alive()
+            assert ended == []
+
+
+def listening(port):
+    """Addresses of this machine on which somebody waits at a port, in the kernel's hexadecimal."""
+    found = []
+    for table in ("tcp", "tcp6"):
+        for line in Path(f"/proc/net/{table}").read_text().splitlines()[1:]:
+            address, state = line.split()[1], line.split()[3]
+            if state == "0A" and int(address.rpartition(":")[2], 16) == port:
+                found.append(address.rpartition(":")[0])
+    return found
+
+
+class Page:
+    """The open page: its picture and its controls."""
+
+    def __init__(self, seen):
+        self.seen, self.page = seen, seen.page
+
+    def text(self):
+        return self.page.inner_text("body")
+
+    def wait(self, words, seconds=30):
+        self.page.wait_for_function(
+            "words => document.body.innerText.includes(words)", arg=words, timeout=1000 * seconds
+        )
+
+    def picture(self):
+        """What is shown, beside the controls [h, w, 3]."""
+        return np.asarray(Image.open(BytesIO(self.page.screenshot(clip=CANVAS))).convert("RGB")).astype(float)
+
+    def settled(self):
+        """The picture once it stays nearly the same."""
+        before, end = self.picture(), time.monotonic() + 30
+        while time.monotonic() < end:
+            time.sleep(0.15)
+            now = self.picture()
+            change = np.abs(now - before).mean()
+            if now.std() > 0.3 and change < 1.0:
+                return now
+            before = now
+        raise AssertionError(f"the picture never came to rest: spread {now.std():.2f}, change {change:.2f}")
+
+    def choose(self, label, option):
+        self.page.get_by_label(label, exact=True).click()
+        self.page.get_by_role("option", name=option, exact=True).click()
+
+    def slide(self, label, value):
+        """Write a number into the field beside a slider."""
+        slider = self.page.locator(f"label:text-is('{label}')").get_attribute("for")
+        field = self.page.locator(f"[id='{slider}'] + div input")
+        field.fill(str(value))
+        field.press("Enter")
+
+
+@pytest.mark.main
+def test_the_page(viewed_run, look_at):
+    with viewed("--ckpt_path", str(viewed_run), "--port", "0") as viewer:
+        port = int(viewer.address.rpartition(":")[2])
+        assert listening(port) == ["0100007F"]  # 127.0.0.1
+        page = Page(look_at(viewer.address, width=1000, height=640))
+        page.wait("samples a pixel")
+        lit = page.settled()
+        assert lit.std() > 5
+        (guest,) = viewer.guests.values()
+        assert guest.first_picture < 5
+        assert "iteration 60" in page.text()
+
+        # every mode has a picture of its own
+        shown = [lit]
+        for mode, words in {
+            "photograph": "laid onto the surfaces",
+            "albedo": "The recovered albedo.",
+            "roughness": "The recovered roughness.",
+            "albedo error bars": "How sure the recovered albedo is",
+            "roughness error bars": "How sure the recovered roughness is",
+            "seen": "How many training photographs",
+        }.items():
+            page.choose("mode", mode)
+            page.wait(words)
+            shown.append(page.settled())
+        for i, a in enumerate(shown):
+            assert all(np.abs(a - b).mean() > 2 for b in shown[:i])
+
+        # a lamp that is switched off makes the room darker, and comes back
+        page.choose("mode", "render")
+        page.wait("photographs' light")
+        page.slide(viewer._room.lamps[0].name, 0)
+        page.wait("Paths traced for each lamp")
+        assert page.settled().mean() < 0.9 * lit.mean()
+        page.page.get_by_role("button", name="as photographed").click()
+        page.wait("photographs' light")
+        assert page.settled().mean() == pytest.approx(lit.mean(), rel=0.12)  # it goes on from the field to the method
+
+        # a point is read out
+        page.page.mouse.click(300, 320)
+        page.wait("albedo: ")
+        said = page.text()
+        assert re.search(r"albedo: 0\.\d{3} 0\.\d{3} 0\.\d{3}( ± 0\.\d{3} 0\.\d{3} 0\.\d{3})?", said)
+        assert re.search(r"roughness: [01]\.\d{3}", said)
+        assert any(f"mesh: {mesh.name}" in said for mesh in viewer._followed.run.scene.meshes)
+
+        # dragging moves the camera
+        before = page.settled()
+        page.page.mouse.move(300, 300)
+        page.page.mouse.down()
+        page.page.mouse.move(420, 330, steps=4)
+        page.page.mouse.up()
+        time.sleep(0.5)
+        assert np.abs(page.settled() - before).mean() > 4
+
+        assert page.seen.errors == []
+        asked = [
+            address for address in page.seen.network if not re.match(rf"(http|ws)://127\.0\.0\.1:{port}/", address)
+        ]
+        assert asked == []
+
+
+@pytest.mark.main
+def test_a_run_that_trains_on_and_then_is_gone(viewed_run, tmp_path, look_at, monkeypatch):
+    """A newer checkpoint is taken over under the open page; when the folder is deleted the page says so and stays."""
+    from neurad.inspect import viewer as module
+
+    monkeypatch.setattr(module, "CHECKS", 0.1)
+    place = shutil.copytree(viewed_run, tmp_path / "version_0")
+    with viewed("--ckpt_path", str(place), "--port", "0") as viewer:
+        page = Page(look_at(viewer.address, width=1000, height=640))
+        page.wait("samples a pixel")
+        import torch
+
+        content = torch.load(place / "checkpoints/last.ckpt", weights_only=True)
+        content["neurad"]["iteration"] = 61
+        write_checkpoint(content, place / "checkpoints/last.ckpt")
+        page.wait("iteration 61")
+        shutil.rmtree(place)
+        page.wait("is gone")
+        assert page.settled().std() > 2
+        (guest,) = viewer.guests.values()
+        frames = guest.frames
+        page.choose("mode", "albedo")
+        page.wait("The recovered albedo.")
+        assert guest.frames > frames
+
+
+def test_a_newer_checkpoint_changes_what_is_recovered(viewed_run, tmp_path):
+    import torch
+
+    place = shutil.copytree(viewed_run, tmp_path / "version_0")
+    followed = Followed(neurad.load(place))
+    points = np.random.default_rng(0).uniform(-1, 1, (50, 3))
+    before = followed.run.albedo(points)
+    assert not followed.update()
+    path = place / "checkpoints/last.ckpt"
+    content = torch.load(path, weights_only=True)
+    for name, value in content["state_dict"].items():
+        if name.startswith(("materials.albedo", "average.mean")) and value.is_floating_point():
+            content["state_dict"][name] = value + 0.3
+    content["neurad"]["iteration"] += 40
+    write_checkpoint(content, path)
+    assert followed.update()
+    assert followed.run.iteration == 100
+    assert np.abs(followed.run.albedo(points) - before).mean() > 0.01
+    assert followed.run.bars is None  # those of the folder are of iteration 60
+    assert not followed.update()
+
+    kept = followed.run.albedo(points)
+    path.write_bytes(b"no checkpoint")
+    assert not followed.update()
+    assert "last.ckpt" in followed.problem
+    path.unlink()
+    assert not followed.update()
+    assert "is gone" in followed.problem
+    assert np.array_equal(followed.run.albedo(points), kept)
+
+
+@pytest.mark.main
+def test_a_port_in_use(capfd):
+    """Found before the run is read, which is not there."""
+    with socket.socket() as taken:
+        taken.bind(("127.0.0.1", 0))
+        taken.listen()
+        port = taken.getsockname()[1]
+        error = fails(capfd, "view", "--ckpt_path", "nowhere", "--port", str(port))
+    assert f"--port {port}: it is in use" in error
+
+
+@pytest.mark.main
+@pytest.mark.parametrize(
+    ("words", "sentence"),
+    [
+        (("--port", "70000"), "70000 is out of range"),
+        (("--ckpt_path", "nowhere"), "there is no such run folder"),
+    ],
+)
+def test_bad_options(words, sentence, capfd, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    assert sentence in fails(capfd, "view", *words)
+
+
+@pytest.mark.main
+def test_the_extra_is_missing(capfd, monkeypatch):
+    import sys
+
+    monkeypatch.setitem(sys.modules, "viser", None)
+    assert "pip install 'neurad[view]'" in fails(capfd, "view")

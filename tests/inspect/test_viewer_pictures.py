@@ -1,0 +1,292 @@
+"""Pictures of the viewer without a browser: their mixtures, lamps, cameras, and what is made when something moves."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+
+import neurad
+from neurad.core.camera import camera_rays
+from neurad.core.records import EnvironmentMap
+from neurad.core.rng import Stream
+from neurad.emitters.environment import Environment
+from neurad.inspect.film import Film, common, mixture
+from neurad.inspect.lamps import Light, as_photographed, lamp_renderer, lamps_of
+from neurad.inspect.maps import SeenMap, UnseenMap, modes_of
+from neurad.inspect.photographs import PhotographMap
+from neurad.inspect.pose import pose_of
+from neurad.inspect.probe import probe
+from neurad.inspect.refine import Refiner, Request, Room
+from neurad.inspect.smooth import DARKEST, Smoother
+from neurad.inspect.still import LitStill, Look
+from neurad.integrators.film import render
+from neurad.integrators.renderer import path_tracer
+from neurad.metrics.seen import SeenBy
+from neurad.scene.image_io import read_photograph
+from neurad.scene.placement import turned_environment
+
+SIDE = 24
+
+
+@pytest.fixture(scope="module")
+def run(viewed_run):
+    return neurad.load(viewed_run)
+
+
+@pytest.fixture
+def camera(run):
+    return replace(run.scene.test[0].camera, width=SIDE, height=SIDE)
+
+
+@pytest.fixture
+def room(run):
+    seen = SeenBy(run.world.geometry, run.world.tracer, [view.camera for view in run.scene.train])
+    modes = modes_of(run, seen, PhotographMap(run.world, run.views))
+    return Room(run, lamps_of(run.assembly), modes, SeenMap(run.world, seen), UnseenMap(run.world, seen))
+
+
+class Noisy:
+    """A picture of one value with noise of a known variance."""
+
+    def __init__(self, value, deviation):
+        self.value, self.deviation = value, deviation
+
+    def __call__(self, rays, seed):
+        noise = (Stream(seed).uniform(len(rays), 3) - 0.5) * math.sqrt(12)
+        return self.value + self.deviation * noise
+
+
+def films(camera, *pictures, count):
+    made = [Film(camera, Noisy(*picture), seed) for seed, picture in enumerate(pictures)]
+    for film in made:
+        for _ in range(count):
+            film.add()
+    return made
+
+
+def test_a_film_knows_its_noise(camera):
+    (film,) = films(camera, (2.0, 0.6), count=9)
+    assert film.count == 9
+    # 1728 values of the mean, each with a relative variance of 2: known to 3.4 % (one standard deviation)
+    assert float(film.variance.mean()) == pytest.approx(0.36 / 9, rel=0.17)
+    assert float((film.mean - 2.0).square().mean()) == pytest.approx(0.36 / 9, rel=0.17)
+
+
+def test_an_interrupted_sample_leaves_nothing(camera):
+    film = Film(replace(camera, width=160, height=160), Noisy(1.0, 0.1), 0)
+    assert not film.add(lambda: True)
+    assert film.count == 0
+    assert film.add()
+
+
+@pytest.mark.parametrize("scales", [(1.0, 1.0), (0.0, 1.0), (2.0, 0.3)])
+def test_a_mixture_is_better_than_what_it_is_made_of(camera, scales):
+    """True pictures 0.5 and 1.5; a smooth prior of their sum that is off by 0.1; samples with noise."""
+    truth = 0.5 * scales[0] + 1.5 * scales[1]
+    prior = torch.full((SIDE, SIDE, 3), 2.1)
+    few = films(camera, (0.5, 0.3), (1.5, 0.3), count=4)
+    mixed, weight = mixture(prior, few, scales)
+    alone = sum(s * film.mean for s, film in zip(scales, few, strict=True))
+
+    def error(x):
+        return float((x - truth).square().mean())
+
+    assert error(mixed) < 0.75 * error(alone)
+    if scales == (1.0, 1.0):
+        assert weight > 0.6
+        assert error(mixed) < 0.1**2
+    many = films(camera, (0.5, 0.3), (1.5, 0.3), count=400)
+    mixed, weight = mixture(prior, many, scales)
+    alone = sum(s * film.mean for s, film in zip(scales, many, strict=True))
+    assert abs(weight) < 0.2  # v = 0.09 / 400 each, b^2 = 0.01
+    assert error(mixed) < 1.1 * error(alone)
+
+
+def test_a_mixture_of_what_there_is(camera):
+    """A lamp without samples is in the prior already, at the brightness that most lamps have."""
+    (off,) = films(camera, (0.5, 0.0), count=1)
+    none = Film(camera, Noisy(1.5, 0.0), 9)
+    prior = torch.full((SIDE, SIDE, 3), 2.0)
+    assert torch.allclose(mixture(prior, [off, none], [0.0, 1.0])[0], torch.tensor(1.5))
+    assert torch.allclose(mixture(prior, [off, none], [0.0, 0.5])[0], torch.tensor(0.75))
+    assert (common([1.0, 0.0, 1.0]), common([]), common([0.2, 2.0])) == (1.0, 0.0, 2.0)
+
+
+def test_smoothing_stays_on_its_surface(run, camera):
+    """Light that is the same all over each mesh stays as it is; noise becomes less than a fifth."""
+    side = 64
+    camera = replace(camera, width=side, height=side)
+    points = run.surface(camera)
+    albedo = torch.from_numpy(run.albedo(points)).view(side, side, 3).clamp_min(DARKEST)
+    mesh = run.world.geometry.mesh_index[points.prim].view(side, side, 1)
+    assert len(mesh.unique()) > 5
+    light = (1.0 + mesh % 7).float() * torch.tensor([1.0, 0.5, 2.0])
+    smoother = Smoother(run.assembly, camera)
+    assert torch.allclose(smoother(albedo * light), albedo * light, rtol=1e-4)
+    large = torch.stack([mesh == i for i in mesh.unique() if (mesh == i).sum() > 200]).any(0)[..., 0]
+    noise = torch.randn(side, side, 3)
+    left = (smoother(albedo * (light + noise)) / albedo - light)[large]
+    assert float(left.square().mean()) < 0.2 * float(noise[large].square().mean())
+
+
+def test_lamps_add_up_to_the_room(run, camera):
+    """Means over the picture of path-traced lamps and of the whole light, within five standard errors."""
+    lamps = lamps_of(run.assembly)
+    assert len(lamps) >= 2
+    names = {run.scene.meshes[i].name for lamp in lamps for i in lamp.meshes}
+    assert names == {mesh.name for mesh in run.scene.meshes if mesh.radiance is not None}
+    spp = 16
+    whole = Film(camera, path_tracer(run.world, run.materials, run.scene.max_depth, run.scene.rr_depth), 5)
+    parts = [Film(camera, lamp_renderer(run.assembly, lamp), 6 + i) for i, lamp in enumerate(lamps)]
+    for film in (whole, *parts):
+        for _ in range(spp):
+            film.add()
+    for part in parts:
+        assert float(part.mean.mean()) > 0.02 * float(whole.mean.mean())
+    difference = float(sum(part.mean.mean() for part in parts) - whole.mean.mean())
+    error = math.sqrt(sum(float(film.variance.sum()) for film in (whole, *parts))) / whole.mean.numel()
+    assert abs(difference) < 5 * error
+    assert error < 0.05 * float(whole.mean.mean())
+
+
+def test_an_environment_turns_about_its_own_axis():
+    pixels = np.random.default_rng(0).random((9, 16, 3), np.float32)
+    tilt = np.eye(4, dtype=np.float32)
+    tilt[:3, :3] = [[1, 0, 0], [0, 0, -1], [0, 1, 0]]  # its +Y becomes the world's +Z
+    there = EnvironmentMap(pixels, tilt)
+    d = torch.nn.functional.normalize(torch.randn(200, 3), dim=-1)
+    c, s = math.cos(math.radians(30)), math.sin(math.radians(30))
+    about_z = torch.tensor([[c, -s, 0], [s, c, 0], [0, 0, 1.0]])
+    before, after = Environment(there), Environment(turned_environment(there, 30.0))
+    assert torch.allclose(after.radiance(d @ about_z.T), before.radiance(d), atol=2e-4)
+
+
+def test_a_pose_is_the_camera(run):
+    camera = run.scene.train[3].camera
+    pose = pose_of(camera)
+    again = pose.camera(camera.width * camera.height)
+    assert (again.width, again.height) == (camera.width, camera.height)
+    xy = torch.rand(50, 2) * torch.tensor([camera.width, camera.height])
+    ours, theirs = camera_rays(camera, xy), camera_rays(again, xy)
+    assert torch.allclose(ours.d, theirs.d, atol=1e-5)
+    assert torch.allclose(ours.o, theirs.o)
+    small = pose.camera(400)
+    assert small.width * small.height == pytest.approx(400, rel=0.1)
+    assert small.fov_x == pytest.approx(camera.fov_x)
+
+
+def test_a_still_goes_from_the_field_to_the_method(run, camera):
+    own = as_photographed(lamps_of(run.assembly))
+    still = LitStill(run, camera, lamps_of(run.assembly))
+    look = Look(own)
+    assert not still.ready(look)
+    still.step(look, lambda: False)
+    assert still.ready(look)
+    assert "radiance field's own" in still.says(look)
+    reference = run.render(camera, 400)
+    first = still.radiance(own)
+    while still._whole.count < 60:
+        still.step(look, lambda: False)
+    noise = float(np.mean((run.render(camera, 60, 3) - reference) ** 2))
+    error = float(np.mean((still.radiance(own) - reference) ** 2))
+    assert error < np.mean((first - reference) ** 2)
+    assert error < 1.5 * noise
+
+
+def test_other_light_costs_no_new_samples(run, camera):
+    """Once each lamp has its picture, every brightness is a sum; a lamp that is off makes the room darker."""
+    lamps = lamps_of(run.assembly)
+    still = LitStill(run, camera, lamps)
+    off = Look(Light((0.0,) + (1.0,) * (len(lamps) - 1)))
+    steps = 0
+    while not still.ready(off) or min(film.count for film in still._films) < 10:
+        still.step(off, lambda: False)
+        steps += 1
+        assert steps < 500
+    own = still.radiance(as_photographed(lamps)).mean()
+    dark = still.radiance(off.light).mean()
+    assert dark < 0.97 * own
+    counts = [film.count for film in still._films]
+    for scales in ((0.5, 2.0), (3.0, 0.0), (0.0, 0.0)):
+        light = Light(scales + (1.0,) * (len(lamps) - 2))
+        assert still.ready(Look(light))
+        expected = sum(s * float(film.mean.mean()) for s, film in zip(light.scales, still._films, strict=True))
+        assert float(still.radiance(light).mean()) == pytest.approx(expected, rel=0.05, abs=1e-6)
+    assert [film.count for film in still._films] == counts
+    reference = render(camera, lamp_renderer(run.assembly, lamps[1]), 64, 4).mean()
+    if len(lamps) == 2:
+        assert dark == pytest.approx(float(reference), rel=0.05)
+
+
+def test_coarse_while_it_moves_and_whole_when_it_rests(run, room):
+    refiner = Refiner(room)
+    pose = pose_of(run.scene.test[0].camera)
+    own = as_photographed(room.lamps)
+    side = 96
+    room.cost.update({"albedo": 1e-6})  # seconds a pixel: a whole picture takes a hundredth of a second
+    request = Request(pose, "albedo", Look(own), side * side)
+    first = refiner.work(request, lambda: False)
+    assert first.picture.shape == (side, side, 3)
+    assert not first.coarse
+    moved = replace(request, pose=replace(pose, position=(pose.position[0] + 0.1, *pose.position[1:])))
+    room.cost.update({"albedo": 1.0})
+    frame = refiner.work(moved, lambda: False)
+    assert frame.coarse
+    assert frame.picture.shape == (48, 48, 3)
+    for _ in range(200):
+        better = refiner.work(moved, lambda: False)
+        frame = better or frame
+        if refiner.rests(moved):
+            break
+    assert refiner.rests(moved)
+    assert frame.picture.shape == (side, side, 3)
+    assert not frame.coarse
+
+
+def test_every_mode_shows_something_of_its_own(run, room):
+    """At the pose of a training view; the photograph there is the photograph."""
+    view = run.scene.train[0]
+    pose, own = pose_of(view.camera), as_photographed(room.lamps)
+    assert set(room.modes) == {
+        "photograph", "albedo", "roughness", "albedo error bars", "roughness error bars", "seen"
+    }  # fmt: skip
+    shown = {}
+    for mode in room.modes:
+        refiner = Refiner(room)
+        request = Request(pose, mode, Look(own), view.camera.width * view.camera.height)
+        while not refiner.rests(request):
+            shown[mode] = refiner.work(request, lambda: False) or shown.get(mode)
+        assert shown[mode].picture.std() > 0.3, mode  # a fit of a moment has hardly found any roughness
+        assert shown[mode].says == room.modes[mode].says
+    values = [frame.picture.astype(int) for frame in shown.values()]
+    for i, a in enumerate(values):
+        for b in values[:i]:
+            assert np.abs(a - b).mean() > 1
+    own_photograph = room.modes["photograph"].integrator
+    xy = torch.tensor([[x + 0.5, y + 0.5] for y in range(0, 128, 3) for x in range(0, 128, 3)])
+    seen = own_photograph(camera_rays(view.camera, xy), 0).numpy()
+    photograph = read_photograph(view.image)[::3, ::3].reshape(-1, 3)
+    there = seen[:, 3] == 1
+    assert there.mean() > 0.98
+    assert np.median(np.abs(seen[there, :3] - photograph[there])) < 0.01 * photograph.mean()
+
+
+def test_a_point_is_read_out(run, room):
+    """What the pixel in the middle of a view shows, as the arrays of the whole view say it."""
+    view = run.scene.test[1]
+    points = run.surface(view)
+    lane = 128 * 64 + 64
+    eye = view.camera.to_world[:3, 3]
+    reading = probe(run, room.seen, eye, points.p[lane].numpy() - eye)
+    assert reading.position == pytest.approx(points.p[lane].numpy(), abs=1e-3)
+    assert reading.albedo == pytest.approx(run.albedo(points)[lane], abs=1e-3)
+    assert reading.roughness == pytest.approx(run.roughness(points)[lane, 0], abs=1e-3)
+    assert reading.albedo_std == pytest.approx(run.albedo_std(points)[lane], rel=0.05)
+    assert reading.mesh == run.scene.meshes[int(run.world.geometry.mesh_index[points.prim[lane]])].name
+    assert (reading.photographs > 0) == bool(run.seen(points)[lane])
+    words = dict(reading.lines())
+    assert words["mesh"] == reading.mesh
+    assert f"{reading.roughness:.3f} ± {reading.roughness_std:.3f}" == words["roughness"]
+    assert probe(run, room.seen, np.array([0.0, 1e4, 0.0]), np.array([0.0, 1.0, 0.0])) is None

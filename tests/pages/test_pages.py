@@ -1,0 +1,131 @@
+"""Sheets of a view, charts, and what a page consists of."""
+
+import re
+
+import numpy as np
+import pytest
+
+from neurad.pages import page
+from neurad.pages.chart import Line, _decades, _steps, chart
+from neurad.pages.colours import BARS, ERRORS, PERIOD, enlarged, exposure, hatched, ramp, reduced
+from neurad.pages.draw import draw
+from neurad.pages.sheet import BOX, LARGEST, SMALLEST, Scale, Sheet, Tile, worst_squares
+
+GREY = np.full((8, 12, 3), 128, np.uint8)
+
+
+def sheet(picture=GREY, unseen=None, **options):
+    scale = Scale(ERRORS, "0", "1", "error, darker is better")
+    tiles = [Tile("a", "Found", picture, pair="b"), Tile("b", "True", picture, pair="a")]
+    error, other = Tile("c", "Error", picture, scale), Tile("d", "Other", picture, scale)
+    return Sheet("A view", {"one": [*tiles, error], "two": [None, other]}, unseen, **options)
+
+
+def test_exposure_follows_the_photographs_only():
+    ramp = np.linspace(0.0, 2.0, 30, dtype=np.float32).reshape(2, 5, 3)
+    views = [{"photograph": ramp, "render": ramp}]
+    before = exposure(views)
+    views[0]["render"] = 5 * ramp
+    assert exposure(views) == before == pytest.approx(0.8 / 1.8, rel=0.05)
+    assert exposure([{"render": ramp}]) == 1.0
+
+
+@pytest.mark.parametrize("width", [5, 64, 100, 256, 300, 1023, 1024, 4000])
+def test_pictures_are_enlarged_by_whole_numbers_or_reduced(width):
+    one = sheet(np.zeros((2, width, 3), np.uint8))
+    zoom, by = one.zoom
+    assert 1 in (zoom, by)
+    assert SMALLEST <= width // by * zoom < 2 * max(LARGEST, SMALLEST)
+
+
+def test_nothing_is_blurred():
+    picture = np.random.default_rng(0).integers(0, 256, (4, 64, 3), np.uint8)
+    shown = sheet(picture).shown(Tile("a", "", picture))
+    np.testing.assert_array_equal(shown[::4, ::4], picture)
+    np.testing.assert_array_equal(shown, enlarged(picture, 4))
+    np.testing.assert_array_equal(reduced(enlarged(picture, 3), 3), picture)
+
+
+def test_what_no_photograph_shows_is_hatched_in_every_tile_and_nowhere_else():
+    unseen = np.zeros((8, 12), bool)
+    unseen[2:6, 3:9] = True
+    one = sheet(unseen=unseen)
+    mask = enlarged(unseen, one.zoom[0])
+    for tile in one.tiles:
+        shown = one.shown(tile)
+        assert (shown[~mask] == 128).all()
+        assert {0, 128, 255} == set(np.unique(shown[mask]))
+    lines = hatched(np.full((40, 40, 3), 128, np.uint8), np.ones((40, 40), bool))
+    np.testing.assert_array_equal(lines[:-PERIOD, :], lines[PERIOD:, :])  # one pattern for all tiles
+
+
+def test_crops_are_where_errors_are_largest_and_apart():
+    first, second = np.zeros((40, 60), np.float32), np.zeros((40, 60), np.float32)
+    first[3, 50] = 5.0
+    first[30, 10] = 4.0
+    second[4, 51] = 7.0
+    second[20, 20] = 1.0
+    a, b = worst_squares([("one", first), ("two", second), ("three", first)])
+    assert (a.letter, a.meaning, b.letter, b.meaning) == ("A", "one", "B", "two")
+    assert a.y <= 3 < a.y + a.side
+    assert a.x <= 50 < a.x + a.side
+    assert b.x + b.side <= a.x or b.y >= a.y + a.side
+    assert worst_squares([("none", np.zeros((8, 8), np.float32))]) == []
+
+
+def test_a_sheet_is_drawn_with_its_bars_and_frames():
+    error = np.zeros((8, 12), np.float32)
+    error[1, 1] = 1.0
+    one = sheet(crops=worst_squares([("it is wrong here", error)]), crop_keys=("a", "b"), notes=["A word. " * 60])
+    picture = draw(one)
+    assert picture.dtype == np.uint8
+    assert picture.shape[1] > 3 * SMALLEST
+    assert (picture == BOX).all(-1).sum() > 3 * 4 * 40
+    for colour in ramp(ERRORS)[[8, 32, 56]]:  # of the colour bar alone: the tiles are grey
+        assert (np.abs(picture.astype(int) - colour).sum(-1) < 12).any()
+    taller = draw(sheet(crops=one.crops, crop_keys=one.crop_keys, notes=["A word. " * 300]))
+    assert taller.shape[0] > picture.shape[0]
+    assert taller.shape[1] == picture.shape[1]
+
+
+def test_error_bars_cannot_be_taken_for_errors():
+    assert np.abs(ramp(ERRORS).astype(int) - ramp(BARS)).sum(-1)[8:].min() > 60
+
+
+def test_a_page_needs_nothing_from_anywhere():
+    text = page.page("<&>", [page.sheet(sheet(), "v"), page.note("<b>")])
+    assert not re.findall(r'(?:src|href)="(?!data:)|https?://|url\(', text)
+    assert "&lt;&amp;&gt;" in text
+    assert "<&>" not in text
+    assert "&lt;b&gt;" in text
+    assert re.findall(r'id="(v-\w)"', text) == ["v-a", "v-b", "v-c", "v-d"]
+    assert text.count('class="slider"') == 1
+
+
+def test_a_chart_has_its_curves_bands_and_levels():
+    x, y = np.array([10, 20, 40], np.float32), np.array([1, 2, 3], np.float32)
+    none, level = np.zeros(0, np.float32), np.array([2.5], np.float32)
+    lines = [Line("a <b>", x, y, "red", low=y - 1, high=y + 1), Line("c", none, level, "grey", "6 4")]
+    text = chart("PSNR", "higher is better", "s", lines)
+    assert text.count("<polygon") == 1
+    assert "a &lt;b&gt;" in text
+    assert "higher is better" in text
+    assert text.count("stroke-dasharray:6 4") == 2  # on the chart and in its key
+    drawn = re.findall(r'polyline points="([^"]*)"', text)[0]
+    places = [[float(value) for value in point.split(",")] for point in drawn.split()]
+    assert places[0][0] < places[1][0] < places[2][0]
+    assert places[0][1] > places[1][1] > places[2][1]
+    assert places[1][0] - places[0][0] == pytest.approx(places[2][0] - places[1][0], abs=0.2)  # a logarithmic axis
+    assert chart("PSNR", "", "s", [Line("c", none, level, "grey")]) == ""
+    single = chart("PSNR", "", "s", [Line("a", x[:1], y[:1], "red")])
+    assert "nan" not in single
+    assert "<circle" in single
+
+
+@pytest.mark.parametrize(("low", "high"), [(0.1, 0.13), (-3.0, 40.0), (20.1, 20.9), (1e4, 5e6)])
+def test_ticks_are_few_and_within(low, high):
+    steps = _steps(low, high)
+    assert 2 <= len(steps) <= 6
+    assert low <= steps[0] < steps[-1] <= high
+    ticks = _decades(max(low, 0.1), high)
+    assert 2 <= len(ticks) <= 8

@@ -1,0 +1,56 @@
+"""Settings that are times take ``4m``, on the command line and in configs."""
+
+from pathlib import Path
+
+import pytest
+import yaml
+from helpers.tiny_fit import fails, printed_config
+
+from neurad.runs.times import in_tree, in_words
+
+
+@pytest.mark.main
+def test_times_of_the_command_line_and_of_configs(tiny, capsys):
+    Path("mine.yaml").write_text(
+        yaml.safe_dump({"base": "tiny.yaml", "trainer": {"max_time": "1h30m"}, "checkpoint": {"every_seconds": "2m"}})
+    )
+    found = printed_config(capsys, "--config", "mine.yaml")
+    assert found["trainer"]["max_time"] == "00:01:30:00"
+    assert found["checkpoint"]["every_seconds"] == 120.0
+    found = printed_config(capsys, "--config", "mine.yaml", "--trainer.max_time", "90s", "--bar.refresh_seconds=1s")
+    assert found["trainer"]["max_time"] == "00:00:01:30"
+    assert found["bar"]["refresh_seconds"] == 1.0
+
+
+def test_what_the_parser_reads_stays_as_it_is():
+    words = [
+        "--trainer.max_time=00:00:04:00",
+        "--trainer.max_time=null",
+        "--data.root=4m",
+        "--checkpoint.every_seconds=5",
+    ]
+    assert in_words(words) == words
+    tree = {"trainer": {"max_time": None}, "data": {"root": "4m"}, "checkpoint": {"every_seconds": 5}}
+    assert in_tree(tree, "config x") == tree
+    assert in_words(["--trainer.max_time=04:00"]) == ["--trainer.max_time=00:00:04:00"]
+
+
+def test_budgets_of_callbacks():
+    entry = {"class_path": "TrainingBudget", "init_args": {"seconds": "2m"}}
+    tree = in_tree({"trainer": {"callbacks": [entry, "other"]}}, "config x")
+    assert tree["trainer"]["callbacks"] == [{**entry, "init_args": {"seconds": 120.0}}, "other"]
+    assert entry["init_args"]["seconds"] == "2m"
+
+
+@pytest.mark.main
+@pytest.mark.parametrize(
+    ("value", "said"),
+    [
+        ("240", "--trainer.max_time: 240 has no unit, a time is written 60s, 4m, 1h30m or DD:HH:MM:SS"),
+        ("soon", "--trainer.max_time: soon is not a time, such as 60s"),
+        ("0.2s", "--trainer.max_time: 0.2s is too short"),
+        ("0s", "--trainer.max_time: 00:00:00:00 is out of range"),
+    ],
+)
+def test_a_time_that_is_none_is_one_sentence(tiny, capfd, value, said):
+    assert said in fails(capfd, "fit", "--config", "tiny.yaml", "--trainer.max_time", value)

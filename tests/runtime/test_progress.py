@@ -1,0 +1,200 @@
+"""The line on the terminal: its width, what it says, and what it does to other output."""
+
+import io
+import os
+import subprocess
+import sys
+import time
+
+import pytest
+
+from neurad.runtime import progress
+from neurad.runtime.progress import COLUMNS, Phase, with_bar
+
+
+class Terminal(io.StringIO):
+    """A terminal of 80 columns that keeps what a person would see."""
+
+    def isatty(self):
+        return True
+
+    def lines(self):
+        """Lines on the screen: what ``\\r`` lets later text write over."""
+        shown = []
+        for line in self.getvalue().split("\n"):
+            cells = []
+            for part in line.split("\r"):
+                cells[: len(part)] = part
+            shown.append("".join(cells).rstrip())
+        return shown
+
+
+def terminal_of(monkeypatch):
+    """Standard errors and output as one terminal, without the environment of a launcher. Called in the test itself:
+    pytest sets the streams anew between a fixture and its test.
+    """
+    screen = Terminal()
+    monkeypatch.setattr(sys, "stderr", screen)
+    monkeypatch.setattr(sys, "stdout", screen)
+    monkeypatch.setattr(progress, "TICK", 1000.0)  # nothing is painted but by the test
+    for name in ("RANK", "LOCAL_RANK", "SLURM_PROCID"):
+        monkeypatch.delenv(name, raising=False)
+    return screen
+
+
+@pytest.mark.parametrize("width", [20, 40, 79])
+@pytest.mark.parametrize("tail", ["", "3 of 10, 0:04 left", "a very long account of what is going on " * 5])
+@pytest.mark.parametrize("fraction", [None, 0.0, 0.37, 1.0, 1.7])
+def test_a_line_has_its_width(width, tail, fraction):
+    text = with_bar("evaluating ", fraction, tail, width)
+    assert len(text) == width
+    if width == 79 and fraction is not None:
+        bar = text.split("|")[1]
+        assert bar.count("#") == int(min(fraction, 1.0) * len(bar))
+
+
+def test_a_phase_counts_and_estimates(monkeypatch):
+    now = [100.0]
+    monkeypatch.setattr(time, "monotonic", lambda: now[0])
+    phase = Phase("reading", 4)
+    assert "0 of 4, 0:00" in phase.text(79)
+    phase.step(detail="photographs")
+    now[0] += 10
+    assert "1 of 4, photographs, 0:30 left" in phase.text(79)
+    phase.part = 0.5
+    assert phase.fraction == 1.5 / 4
+    phase.step(3)
+    assert "4 of 4, 0:00 left" in phase.text(79)
+    phase.step(9)
+    assert phase.fraction == 1.0
+    assert "4 of 4, 0:00 left" in phase.text(79)
+
+
+def test_a_phase_of_a_given_time_ends_at_zero(monkeypatch):
+    now = [0.0]
+    monkeypatch.setattr(time, "monotonic", lambda: now[0])
+    phase = Phase("ours", seconds=60.0)
+    now[0] = 45.0
+    assert "0:15 left" in phase.text(79)
+    now[0] = 75.0
+    assert "0:00 left" in phase.text(79)
+
+
+def test_many_steps_are_a_percentage():
+    phase = Phase("textures", 1_000_000)
+    phase.step(250_000)
+    assert "25 %" in phase.text(79)
+
+
+def test_phases_show_the_innermost_unless_one_covers(monkeypatch):
+    terminal = terminal_of(monkeypatch)
+    with progress.opened("starting"):
+        assert terminal.lines()[-1].startswith("starting")
+        with progress.phase("evaluating", 3):
+            with progress.phase("compiling") as inner:
+                inner.detail = "walk"
+                progress._line.paint()
+                assert terminal.lines()[-1].startswith("compiling")
+                assert "walk" in terminal.lines()[-1]
+            progress.partly(0.5)
+            progress._line.paint()
+            assert terminal.lines()[-1].startswith("evaluating")
+            assert progress._line.phases[-1].fraction == 0.5 / 3
+        with progress.phase("stress", 2, covers=True), progress.phase("reading"):
+            progress._line.paint()
+            assert terminal.lines()[-1].startswith("stress")
+        assert all(len(line) < COLUMNS for line in terminal.lines())
+    assert terminal.lines() == [""]
+
+
+def test_other_output_stands_above_the_line(monkeypatch):
+    terminal = terminal_of(monkeypatch)
+    with progress.opened("starting"):
+        print("a table")
+        progress.show("fit  50% |####    | step 1")
+        print("neurad: a warning", file=sys.stderr)
+        progress._line.paint()
+        progress.finish("fit 100% |########| step 2")
+        print("run folder")
+    assert terminal.lines() == ["a table", "neurad: a warning", "fit 100% |########| step 2", "run folder", ""]
+    assert sys.stderr is terminal
+    assert sys.stdout is terminal
+
+
+def test_text_without_an_end_is_not_written_over(monkeypatch):
+    terminal = terminal_of(monkeypatch)
+    with progress.opened("starting"):
+        print("so far", end="")
+        progress._line.paint()
+        print(" and on")
+    assert terminal.lines() == ["so far and on", ""]
+
+
+def test_nothing_is_painted_where_nobody_looks(monkeypatch):
+    stream = io.StringIO()
+    monkeypatch.setattr(sys, "stderr", stream)
+    with progress.opened("starting"), progress.phase("reading", 3) as phase:
+        phase.step()
+        progress.show("text")
+        progress.finish("text")
+        assert not progress.on_terminal()
+    assert stream.getvalue() == ""
+
+
+def test_only_the_first_process_paints(monkeypatch):
+    terminal = terminal_of(monkeypatch)
+    monkeypatch.setenv("LOCAL_RANK", "1")
+    with progress.opened("starting"):
+        assert not progress.on_terminal()
+    assert terminal.getvalue() == ""
+
+
+def test_counted_items_are_steps():
+    seen = []
+    for item in progress.counted("abc", "reading", 3, "letters"):
+        seen.append((item, progress._line.phases[-1].done, progress._line.phases[-1].detail))
+    assert seen == [("a", 0, "letters"), ("b", 1, "letters"), ("c", 2, "letters")]
+    assert progress._line.phases == []
+
+
+def test_an_error_inside_leaves_no_phase():
+    with pytest.raises(ValueError, match="no"), progress.phase("reading"):
+        raise ValueError("no")
+    assert progress._line.phases == []
+
+
+CHILD = """
+import time
+from neurad.runtime import progress
+with progress.opened("starting"):
+    time.sleep(1.0)
+    with progress.phase("tracing", 2) as tracing:
+        tracing.step()
+        time.sleep(1.0)
+    print("done")
+"""
+
+
+@pytest.mark.skipif(sys.platform == "win32", reason="pseudo-terminals are Unix's")
+def test_a_real_terminal_shows_a_sign_of_life_and_is_left_clean():
+    import pty
+
+    main, child = pty.openpty()
+    process = subprocess.Popen(
+        [sys.executable, "-c", CHILD], stdout=child, stderr=child, env={**os.environ, "RANK": "0"}
+    )
+    os.close(child)
+    received = b""
+    try:
+        while part := os.read(main, 65536):
+            received += part
+    except OSError:  # Linux ends a terminal so
+        pass
+    os.close(main)
+    assert process.wait() == 0
+    screen = Terminal()
+    screen.write(received.decode().replace("\r\n", "\n"))
+    assert "starting" in screen.getvalue()
+    assert "tracing" in screen.getvalue()
+    assert "1 of 2" in screen.getvalue()
+    assert screen.lines() == ["done", ""]

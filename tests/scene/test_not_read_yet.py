@@ -1,0 +1,53 @@
+"""What cannot be read gets a sentence that says what to do."""
+
+import json
+
+import pytest
+
+from neurad.core.errors import InputError
+from neurad.scene.load import load_scene
+from neurad.scene.readers.mesh_files import read_meshes
+from neurad.scene.readers.nerf import read_views
+
+
+@pytest.mark.parametrize("listed", ["images/000.png", "images/000", "images/000.jpg"])
+def test_photographs_without_linear_values(tmp_path, listed):
+    (tmp_path / "images").mkdir()
+    ending = ".jpg" if listed.endswith("jpg") else ".png"
+    (tmp_path / "images" / f"000{ending}").write_bytes(b"x")
+    cameras = tmp_path / "transforms_train.json"
+    cameras.write_text(json.dumps({"camera_angle_x": 1.0, "frames": [{"file_path": listed, "transform_matrix": []}]}))
+    with pytest.raises(InputError, match=rf"000\{ending}: .*no EXR.*develop it from its raw file") as said:
+        read_views(cameras, tmp_path)
+    assert "000" in str(said.value).rpartition("to ")[2]
+
+
+def test_a_scene_of_another_program(tmp_path):
+    file = tmp_path / "room.glb"
+    file.write_bytes(b"x")
+    sentence = r"export its surfaces as room.obj, and let `neurad data"
+    with pytest.raises(InputError, match=rf"room\.glb: .*{sentence}"):
+        load_scene(str(file), None)
+    with pytest.raises(InputError, match=rf"scene\.xml: the scene folder lacks this file; room\.glb: .*{sentence}"):
+        load_scene(str(tmp_path), None)
+    with pytest.raises(InputError, match=r"room\.glb: it is no mesh that can be read; export it as one of \.obj"):
+        read_meshes(file)
+
+
+def test_a_name_that_was_nearly_right(tmp_path):
+    (tmp_path / "scene.xlm").write_text("")
+    with pytest.raises(InputError, match=r"lacks this file, did you mean scene\.xlm\?"):
+        load_scene(str(tmp_path), None)
+    (tmp_path / "kitchen").mkdir()
+    with pytest.raises(InputError, match=r"there is no folder .*kichen, did you mean kitchen\?"):
+        load_scene(str(tmp_path / "kichen"), None)
+
+
+def test_a_neighbour_in_a_series_is_not_suggested(tmp_path):
+    (tmp_path / "001.exr").write_bytes(b"x")
+    (tmp_path / "room.obj").write_bytes(b"x")
+    with pytest.raises(InputError) as said:
+        read_meshes(tmp_path / "002.exr")
+    assert "did you mean" not in str(said.value)
+    with pytest.raises(InputError, match=r"rom\.obj: there is no such mesh file, did you mean room\.obj\?"):
+        read_meshes(tmp_path / "rom.obj")

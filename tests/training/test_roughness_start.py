@@ -1,0 +1,67 @@
+"""Where roughness begins: only what is surely better moves it, and near mirrors are found."""
+
+import pytest
+import torch
+
+from neurad.assembly.settings import ModelSettings
+from neurad.core.records import Surface
+from neurad.core.reflection import PrincipledModel
+from neurad.core.rng import Stream
+from neurad.fields.material import RoughnessField
+from neurad.fields.settings import GridConfig, RoughnessConfig
+from neurad.studies.stress.fit import Fit, Plan, photographs, small_settings
+from neurad.studies.stress.scenes import small_cube, with_material
+from neurad.training.roughness_start import AFTER, LEVELS, best_level
+
+
+def losses(*gains: float, noise: float = 0.01) -> torch.Tensor:
+    """Losses of 12 batches: 1 as it is, and less by ``gains`` at the first levels, more at the others."""
+    base = torch.tensor([1.0, *(1.0 - g for g in gains), *(1.5 for _ in LEVELS[len(gains) :])])
+    return base + noise * (Stream(1).uniform(12, len(base)) - 0.5)
+
+
+def test_only_what_is_surely_better_moves_the_field():
+    assert best_level(losses()) is None
+    assert best_level(losses(0.5, 0.2)) == LEVELS[0]
+    assert best_level(losses(0.2, 0.5)) == LEVELS[1]
+    assert best_level(losses(0.1, noise=2.0)) is None  # better, but by less than its noise
+    assert best_level(losses(0.0005)) is None
+
+
+def test_a_shift_moves_the_whole_field():
+    bounds = torch.tensor([[0.0, 0.0, 0.0], [1.0, 1.0, 1.0]])
+    field = RoughnessField(RoughnessConfig(GridConfig(levels=2, coarsest=4, finest=8, log2_size=10), 16), bounds)
+    p = Stream(2).uniform(500, 3)
+    before = field.at(p)
+    field.shift(float(before.mean()), 0.1)
+    after = field.at(p)
+    assert float(after.mean()) == pytest.approx(0.1, abs=0.01)
+    field.shift(0.1, float(before.mean()))
+    torch.testing.assert_close(field.at(p), before, atol=0.02, rtol=0)
+
+
+def started(roughness: float, settings: ModelSettings) -> Surface:
+    """What a room of one glossy material is taken for right after the look."""
+    scene = with_material(small_cube(16), PrincipledModel(), 0.3, roughness)
+    made = Fit(scene, photographs(scene, 64), Plan(steps=600, settings=settings))
+    for i in range(AFTER + 1):
+        made.advance(i / 600)
+    with torch.no_grad():
+        return made.materials(made.seen(512))
+
+
+def test_a_near_mirror_is_found_and_a_rough_room_is_not_taken_for_one():
+    settings = small_settings()
+    assert settings.roughness.begin == "best"
+    assert float(started(0.02, settings).roughness.mean()) < 0.12
+    assert float(started(1.0, settings).roughness.mean()) > 0.7
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("roughness", [1e-3, 0.02])
+def test_near_mirrors_are_recovered(roughness):
+    scene = with_material(small_cube(16), PrincipledModel(), 0.3, roughness)
+    made = Fit(scene, photographs(scene, 64), Plan(steps=600)).run()
+    found = made.surface(made.seen(2048))
+    assert float((found.roughness - roughness).abs().mean()) < 0.05
+    assert float((found.albedo - 0.3).square().mean().sqrt()) < 0.05
