@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import replace
 from functools import cached_property
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 import lightning.pytorch as pl
 import torch
@@ -15,6 +15,7 @@ from torch.utils.data import DataLoader, Dataset, IterableDataset
 from datamodules.fireflies import Fireflies, spread_fireflies
 from datamodules.image_cache import ImageCache, checksum, dataset_stats
 from datamodules.pixels import blurred, multiplier_at
+from datamodules.value_limits import ValueLimits
 from neurad.core.errors import InputError
 from neurad.core.patch_sampler import PatchSampler, validation_pixels
 from neurad.core.protocols import PhotoSource
@@ -24,9 +25,11 @@ from neurad.core.rng import Stream
 from neurad.runtime.progress import counted
 from neurad.runtime.reading import read_bytes
 from neurad.scene.description import Scene
-from neurad.scene.image_io import read_mask, read_photograph
+from neurad.scene.development import Ceiling, Photography
+from neurad.scene.image_io import read_mask
 from neurad.scene.load import load_scene
 from neurad.scene.numbers import check_bright
+from neurad.scene.photographs import read_view
 from neurad.scene.readers.nerf import HOLD_OUT
 
 _CANDIDATES = 14
@@ -55,9 +58,17 @@ class SceneData(pl.LightningDataModule, PhotoSource):
         hold_out: every so many-th photograph is held out where the camera file does not say which; 0 for none.
         validation_pixels: fraction of the training pixels that are never drawn, 16384 of them at most: their loss says
             how much of each level of the fields is noise of the photographs. Patches draw all.
+        response: curve of photographs of codes (PNG, JPEG, TIFF): ``linear``, ``srgb``, ``gamma=G``, ``fit``, or a file
+            of codes and linear values; None takes sRGB's and says so. EXR and Radiance pictures are linear.
+        ceiling: value from which on photographs are clipped, of codes a fraction of the largest; there only a render
+            below it is wrong. None takes what the format says.
+        exposure: ``known`` divides by the exposures of the camera file or of EXIF; ``fit`` begins there and recovers a
+            gain for each photograph, whose logarithms' mean stays what it is.
+        white_balance: ``fit`` recovers a gain for each colour of each photograph.
 
     Raises:
-        InputError: a number is out of range, ``pixel_multiplier`` no power of two, or ``hold_out`` is 1.
+        InputError: a number is out of range, ``pixel_multiplier`` no power of two, ``hold_out`` is 1, or the response
+            is none.
     """
 
     def __init__(
@@ -72,6 +83,10 @@ class SceneData(pl.LightningDataModule, PhotoSource):
         replace_every: Count = 16,
         hold_out: CountOrZero = HOLD_OUT,
         validation_pixels: Annotated[float, Range(0.0, 0.5)] = 0.0,
+        response: str | None = None,
+        ceiling: Ceiling | None = None,
+        exposure: Literal["known", "fit"] = "known",
+        white_balance: Literal["known", "fit"] = "known",
     ) -> None:
         super().__init__()
         if pixel_multiplier & (pixel_multiplier - 1):
@@ -88,7 +103,12 @@ class SceneData(pl.LightningDataModule, PhotoSource):
         self.replace_every = replace_every
         self.hold_out = hold_out
         self.validation_pixels = validation_pixels
+        self.response = response
+        self.ceiling = ceiling
+        self.exposure = exposure
+        self.white_balance = white_balance
         checked(self)
+        self._photography = Photography(response, ceiling, exposure, white_balance)
         self._with_blurred = False
         self._focused = self._times = 0
         self._spread: tuple[list[Tensor], Fireflies] | None = None
@@ -103,7 +123,7 @@ class SceneData(pl.LightningDataModule, PhotoSource):
     @cached_property
     def scene(self) -> Scene:
         """The scene, checked; read at the first access."""
-        return load_scene(self.root, self.scene_name, self.hold_out)
+        return load_scene(self.root, self.scene_name, self.hold_out, self._photography)
 
     def setup(self, stage: str) -> None:
         """Read the scene and, for a fit, all training photographs that are to stay in memory.
@@ -175,7 +195,7 @@ class SceneData(pl.LightningDataModule, PhotoSource):
         """One photograph [h * w, 3 or 4]."""
         if view.image is None:
             raise InputError(f"training view {view.name}: it has no photograph")
-        image = read_photograph(view.image)
+        image = read_view(view)
         height, width = image.shape[:2]
         expected = view.camera
         if (width, height) != (expected.width, expected.height):
@@ -232,10 +252,26 @@ class SceneData(pl.LightningDataModule, PhotoSource):
         found = dataset_stats(read, len(self.scene.train), left_out, self.seed)
         if self._spread is not None and self._stats is not None:  # checksums are those of the files
             found = replace(found, checksums=self._stats.checksums)
+        if self._limits is not None:
+            found = replace(found, sample=self._limits.marked(found.sample))
+            if self._stats is None:
+                self._limits.check(found.sample, self.scene.train, self.scene.name)
         self._stats = found
         if not self._stats.foreground:
             raise InputError(f"scene {self.scene.name}: alpha is 0 in every training photograph")
         return self._stats
+
+    @cached_property
+    def _limits(self) -> ValueLimits | None:
+        """Ceilings and rounding of the photographs; None where none has either."""
+        return ValueLimits.of(self.scene.train)
+
+    def clipped(self, view: Tensor, pixel: Tensor) -> Tensor | None:
+        """Whether values of pixels [n] of views [n] are at their photograph's ceiling [n, 3]; None if none has one."""
+        if self._limits is None:
+            return None
+        color = self.colors(view, pixel)
+        return self._limits.marked(PixelBatch(view, pixel, color, torch.ones(len(view)), 0)).clipped
 
     def colors(self, view: Tensor, pixel: Tensor) -> Tensor:
         """Photographed radiance [n, 3] of pixels [n] of views [n]; streamed photographs are read from disk for it."""
@@ -362,7 +398,11 @@ class SceneData(pl.LightningDataModule, PhotoSource):
         if not parts:
             return None
         view, pixel, color, alpha = (torch.cat(columns) for columns in zip(*parts, strict=True))
-        return PixelBatch(view, pixel, color, alpha, 0)
+        return self._marked(PixelBatch(view, pixel, color, alpha, 0))
+
+    def _marked(self, batch: PixelBatch) -> PixelBatch:
+        """The batch, with what of it is clipped or rounded."""
+        return batch if self._limits is None else self._limits.marked(batch)
 
     @cached_property
     def _sampler(self) -> PatchSampler:
@@ -389,12 +429,12 @@ class SceneData(pl.LightningDataModule, PhotoSource):
             drawn = sampler.draw_uniform(candidates, Stream(self.seed, iteration, rank, _CANDIDATES))
             view, pixel = torch.cat((view, drawn[0])), torch.cat((pixel, drawn[1]))
         if cache is not None:
-            return replace(cache.batch(view, pixel, iteration, pixel_multiplier), candidates=candidates)
+            return self._marked(replace(cache.batch(view, pixel, iteration, pixel_multiplier), candidates=candidates))
         index = view * self.photographs.shape[1] + pixel
         color = self.photographs.view(-1, 3).index_select(0, index)
         alpha = torch.ones(len(index)) if self.alpha is None else self.alpha.view(-1).index_select(0, index)
         means = self._blurred.view(-1, 3).index_select(0, index) if self._with_blurred else None
-        return PixelBatch(view, pixel, color, alpha, iteration, means, pixel_multiplier, candidates)
+        return self._marked(PixelBatch(view, pixel, color, alpha, iteration, means, pixel_multiplier, candidates))
 
     def transfer_batch_to_device(
         self, batch: PixelBatch | Tensor, device: torch.device, dataloader_idx: int

@@ -18,6 +18,7 @@ from neurad.core.protocols import Field
 from neurad.core.records import Surface, SurfaceInteraction
 from neurad.emitters.fitted import FittedEnvironment
 from neurad.emitters.lights import Lights, make_lights
+from neurad.fields.development import FittedDevelopment
 from neurad.fields.material import AlbedoField, RoughnessField
 from neurad.fields.radiance import RadianceField
 from neurad.fields.settings import FieldConfig, RadianceConfig
@@ -187,6 +188,8 @@ class Assembly:
     """What the grids of fields and guide resolve."""
     focus: Focus | None = None
     """By which a fraction of the pixels is drawn; None where all are drawn in turn."""
+    development: FittedDevelopment | None = None
+    """How the photographs were taken, as far as it is recovered; None where it is known."""
 
     @property
     def environment(self) -> FittedEnvironment | None:
@@ -200,7 +203,7 @@ class Assembly:
 
     def modules(self) -> Iterator[tuple[str, nn.Module]]:
         """The modules with parameters or state, by the names that they have in a checkpoint."""
-        for name in ("world", "materials", "average", "radiance", "focus"):
+        for name in ("world", "materials", "average", "radiance", "focus", "development"):
             part = getattr(self, name)
             if isinstance(part, nn.Module):
                 yield name, part
@@ -248,5 +251,6 @@ def assemble(
     needs_field = settings.method.needs_field
     radiance = build_radiance(scene, resolve_finest(settings.radiance, cells), region) if needs_field else None
     return Assembly(
-        scene, settings, world, materials, radiance, average, region, make_focus(scene, sampling.focus, materials)
-    )
+        scene, settings, world, materials, radiance, average, region, make_focus(scene, sampling.focus, materials),
+        FittedDevelopment.of(scene.train, scene.photography),
+    )  # fmt: skip

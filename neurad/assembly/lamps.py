@@ -37,7 +37,7 @@ def check_lamps(assembly: Assembly, photographs: PhotoSource, sample: PixelBatch
         return []
     lamps = photographed_lamps(
         scene, assembly.world, assembly.materials, [view.camera for view in scene.train], photographs.colors, sample,
-        assembly.settings.seed, photographs.ignored(),
+        assembly.settings.seed, photographs.ignored(), photographs.clipped,
     )  # fmt: skip
     for line in report(lamps):
         print(f"neurad: {line}", file=sys.stderr)

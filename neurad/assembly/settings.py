@@ -164,6 +164,11 @@ class Optimization:
     """Learning rate of the radiance field."""
     environment: NonNegative = 1e-1
     """Learning rate of an environment map that is recovered; its texels are the parameters."""
+    exposure: NonNegative = 1e-2
+    """Learning rate of the logarithms of the photographs' gains, where ``data.exposure`` or ``data.white_balance`` is
+    ``fit``."""
+    response: NonNegative = 1e-2
+    """Learning rate of the weights of the response curve, where ``data.response`` is ``fit``."""
     schedule: Literal["constant", "cosine"] = "cosine"
     """Cosine decay over the run: by iterations (``max_steps``) or time (``max_time``), whichever ends first."""
     warmup: CountOrZero = 20

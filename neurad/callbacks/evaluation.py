@@ -19,7 +19,7 @@ from neurad.callbacks.board import Board
 from neurad.callbacks.closing import Shown, print_closing, report_run, settings_of, title_of
 from neurad.callbacks.run_folder import run_folder
 from neurad.callbacks.table import MetricsTable, curve_table, score_table
-from neurad.callbacks.training_views import ViewTable
+from neurad.callbacks.training_views import ViewTable, write_exposures
 from neurad.core.errors import InputError
 from neurad.core.ranges import Count, CountOrZero, NonNegative, checked
 from neurad.metrics.bars_file import NAME, read_bars, write_bars
@@ -181,6 +181,8 @@ class Evaluate(pl.Callback):
             print(f"neurad: images are in {folder / 'images'}")
 
     def _due(self, trainer: pl.Trainer, module: InverseRenderer) -> bool:
+        if fraction_done(trainer).largest >= 1.0:
+            return False  # the end is scored after the last fit of the levels' factors
         every = self.every_n_steps
         if every is None and trainer.max_steps > 0 and fraction_done(trainer).by_time is None:
             every = max(trainer.max_steps // MARKS, 1)
@@ -254,6 +256,8 @@ class Evaluate(pl.Callback):
             return
         self._views = self._views or ViewTable([view.name for view in module.scene.train], views.surface)
         self._views.update(run_folder(trainer), module.iteration, residuals)
+        if module.development is not None:
+            write_exposures(run_folder(trainer), module.scene.train, module.development, module.iteration)
 
 
 def error_bars_of(module: InverseRenderer, folder: Path | None) -> ErrorBars | None:

@@ -7,9 +7,12 @@ from collections.abc import Sequence
 from pathlib import Path
 
 import numpy as np
+import torch
 
-from neurad.core.records import FloatArray
+from neurad.core.records import FloatArray, View
+from neurad.fields.development import FittedDevelopment
 from neurad.metrics.view_residuals import outliers
+from neurad.runtime.files import write_text
 from neurad.runtime.tables import Record, write_csv
 
 COLUMNS = ("view", "surface", "residual", "iteration")
@@ -61,3 +64,32 @@ class ViewTable:
                 for name, seen, value in zip(self.names, self.surface, residuals, strict=True)
             ]
             write_csv(folder / "views.csv", COLUMNS, rows)
+
+
+def write_exposures(folder: Path | None, views: Sequence[View], development: FittedDevelopment, iteration: int) -> None:
+    """Write ``exposures.csv``, what photographs were multiplied by as far as a fit has recovered it, and where the
+    response curve is recovered ``response.csv``, in the form that ``--data.response`` reads.
+
+    Args:
+        folder: of the run; None writes nothing.
+        views: the training views.
+        development: of their photographs.
+        iteration: that it belongs to.
+    """
+    if folder is None:
+        return
+    rows: list[Record] = [
+        {
+            "view": view.name,
+            "known": view.development.gain,
+            **{colour: float(value) for colour, value in zip("rgb", found, strict=True)},
+            "iteration": iteration,
+        }
+        for view, found in zip(views, development.exposures(), strict=True)
+    ]
+    write_csv(folder / "exposures.csv", ("view", "known", "r", "g", "b", "iteration"), rows)
+    if development.bend is not None:
+        with torch.no_grad():
+            curve = development.curve().tolist()
+        points = [f"{i / (len(curve) - 1):.6g},{value:.9g}\n" for i, value in enumerate(curve)]
+        write_text(folder / "response.csv", "".join(points))

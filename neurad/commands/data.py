@@ -1,20 +1,30 @@
-"""``neurad data``: a scene folder from what other programs write."""
+"""``neurad data``: a scene folder from what other programs write, and EXR files from brackets."""
 
 from __future__ import annotations
 
 import argparse
 from pathlib import Path
 
-from neurad.core.ranges import Positive, option
+from neurad.core.errors import InputError
+from neurad.core.ranges import Count, Positive, option
 
 KINDS = ("nerfstudio", "colmap", "polycam", "fipt")
+MERGE = "hdr"
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options of the verb."""
-    parser.add_argument("kind", choices=KINDS, help="what SRC is")
-    parser.add_argument("source", metavar="SRC", type=Path, help="folder that the other program has written")
-    parser.add_argument("--out", required=True, type=Path, help="scene folder to make; it must not be there yet")
+    parser.add_argument("kind", choices=(*KINDS, MERGE), help="what SRC is; hdr merges brackets to linear EXR")
+    parser.add_argument(
+        "source", metavar="SRC", type=Path, nargs="+",
+        help="folder that the other program has written; for hdr the photographs, those of a view in a row",
+    )  # fmt: skip
+    parser.add_argument(
+        "--out",
+        required=True,
+        type=Path,
+        help="scene folder to make; it must not be there yet; for hdr that of the EXR",
+    )
     parser.add_argument(
         "--mesh", type=Path, nargs="+", default=[],
         help="the room's surfaces: OBJ, PLY or STL (default: scene.obj of FIPT's data)",
@@ -35,6 +45,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="a mesh or material that shines with this radiance; may be given several times",
     )  # fmt: skip
     parser.add_argument("--environment", type=Path, help="environment map that lights the room (EXR, +Y up)")
+    parser.add_argument("--bracket", type=option(Count), help="hdr: photographs of each view (default: all are of one)")
+    parser.add_argument(
+        "--times", type=option(Positive), nargs="+", help="hdr: exposures of a view's photographs (default: EXIF's)"
+    )
+    parser.add_argument(
+        "--response", help="hdr: linear, srgb (default), gamma=G or a file with the curve of PNG, JPEG and TIFF"
+    )
     parser.add_argument("--copy", action="store_true", help="copy photographs and meshes instead of linking to them")
 
 
@@ -44,8 +61,31 @@ def run(options: argparse.Namespace) -> None:
     Raises:
         InputError: a file is missing or broken, or the folder is there already.
     """
+    if options.kind == MERGE:
+        _merge(options)
+        return
+    for name in ("bracket", "times", "response"):
+        if getattr(options, name) is not None:
+            raise InputError(f"--{name}: it is for neurad data hdr alone")
+    if len(options.source) > 1:
+        raise InputError(f"SRC: neurad data {options.kind} takes one folder, not {len(options.source)}")
     from dataclasses import fields
 
     from neurad.scene.import_room import ImportSettings, import_room
 
-    import_room(ImportSettings(**{f.name: getattr(options, f.name) for f in fields(ImportSettings)}))
+    values = {f.name: getattr(options, f.name) for f in fields(ImportSettings)}
+    import_room(ImportSettings(**{**values, "source": options.source[0]}))
+
+
+def _merge(options: argparse.Namespace) -> None:
+    """Merge brackets.
+
+    Raises:
+        InputError: an option of scene folders is given, or what :func:`merge_brackets` raises.
+    """
+    for name in ("mesh", "images", "up", "lamp", "environment", "copy"):
+        if getattr(options, name):
+            raise InputError(f"--{name}: it is for scene folders, neurad data hdr makes EXR files")
+    from neurad.scene.hdr import MergeSettings, merge_brackets
+
+    merge_brackets(MergeSettings(options.source, options.out, options.bracket or 0, options.times, options.response))

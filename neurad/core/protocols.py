@@ -169,6 +169,12 @@ class PhotoSource(Protocol):
         """Photographed radiance [n, 3] of row-major pixels [n] of views [n], on the CPU, premultiplied by alpha."""
         ...
 
+    def clipped(self, view: Tensor, pixel: Tensor) -> Tensor | None:
+        """Whether values of row-major pixels [n] of views [n] are at their photograph's ceiling [n, 3], bool; None
+        where no photograph has one.
+        """
+        return None
+
     def spread_fireflies(self, left_out: Tensor) -> float:
         """Spread single pixels that outshine all around them, if there is much light in them; part of the set-up.
 

@@ -211,6 +211,11 @@ class PixelBatch:
     """What each pixel counts for, so that means over the batch are unbiased [b]; None where all count 1."""
     highlight: Tensor | None = None
     """How much of the pixel's worth lies in highlights, in [0, 1): more of its samples follow the specular lobe [b]."""
+    clipped: Tensor | None = None
+    """Whether a value is at its photograph's ceiling, so that the radiance is this or more [b, 3], bool; None where no
+    photograph has a ceiling."""
+    variance: Tensor | None = None
+    """Of the rounding to the format's codes, in squared radiance units [b, 3]; None where nothing is rounded."""
 
     def to(self, device: torch.device | str) -> PixelBatch:
         """The batch on a device."""
@@ -222,6 +227,10 @@ class PixelBatch:
             return self
         left = len(self.view) - self.candidates
         return replace(self._map(lambda x: x[:left]), candidates=0)
+
+    def picked(self, index: Tensor) -> PixelBatch:
+        """The pixels of an index or mask, in its order."""
+        return self._map(lambda x: x[index])
 
     def _map(self, function: Callable[[Tensor], Tensor]) -> PixelBatch:
         """The batch with ``function`` applied to its tensors."""
@@ -286,19 +295,39 @@ class Camera:
 
 
 @dataclass(frozen=True)
+class Development:
+    """How the values of a photograph become radiance: ``response(value) / exposure``."""
+
+    response: str = ""
+    """As in :func:`neurad.scene.response.linear_values`; empty for values that are linear already."""
+    levels: int = 0
+    """Largest code of the format, 255 or 65535; 0 for floating point."""
+    ceiling: float | None = None
+    """Value from which on the photograph is clipped, a fraction of the largest code; None where there is no such."""
+    exposure: float | None = None
+    """What the radiance was multiplied by, 1 where it is not given."""
+
+    @property
+    def gain(self) -> float:
+        """The exposure, 1 where it is not given."""
+        return 1.0 if self.exposure is None else self.exposure
+
+
+@dataclass(frozen=True)
 class View:
     """A camera and the files that belong to it. Ground-truth files are opened by metrics only."""
 
     name: str
     camera: Camera
     image: str | None = None
-    """Path of the photograph (EXR)."""
+    """Path of the photograph."""
     albedo: str | None = None
     roughness: str | None = None
     relight: str | None = None
     """The same view under another environment, ``Scene.relight``."""
     mask: str | None = None
     """Path of a picture of the photograph's size: what is black in it is ignored."""
+    development: Development = Development()
 
 
 @dataclass(frozen=True)

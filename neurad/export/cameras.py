@@ -93,7 +93,8 @@ def write_views(scene: Scene, folder: Path, copy: bool) -> list[str]:
                 key = "file_path" if kind == "image" else f"{kind}_path"
                 source = getattr(view, kind)
                 if source is not None:
-                    frame[key] = f"{where}/{view.name}{Path(source).suffix.lower() if kind == 'mask' else '.exr'}"
+                    ending = Path(source).suffix.lower() if kind in ("image", "mask") else ".exr"
+                    frame[key] = f"{where}/{view.name}{ending}"
                     place(Path(source), folder / frame[key], copy)
                 elif kind != "image":  # where the photograph belongs is said even if there is none
                     frame.pop(key, None)

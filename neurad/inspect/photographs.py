@@ -12,10 +12,10 @@ from torch.nn.functional import grid_sample
 
 from neurad.core.camera import project, to_camera
 from neurad.core.frame import dot
-from neurad.core.records import Rays, View
+from neurad.core.records import Development, Rays, View
 from neurad.integrators.world import World
 from neurad.metrics.seen import SeenBy
-from neurad.scene.image_io import read_photograph
+from neurad.scene.photographs import read_photograph
 
 NEAREST = 12
 """Photographs that are looked at for one picture."""
@@ -24,9 +24,10 @@ KEPT = 32
 
 
 @lru_cache(KEPT)
-def _read(path: str) -> Tensor:
+def _read(path: str, development: Development) -> Tensor:
     """The colours of a photograph [1, 3, h, w]."""
-    return torch.from_numpy(np.ascontiguousarray(read_photograph(path)[..., :3])).permute(2, 0, 1)[None]
+    colours = read_photograph(path, development)[..., :3]
+    return torch.from_numpy(np.ascontiguousarray(colours)).permute(2, 0, 1)[None]
 
 
 class PhotographMap:
@@ -63,7 +64,7 @@ class PhotographMap:
             best[lanes] = likeness
             camera, image = self.views[index].camera, self.views[index].image
             assert image is not None
-            photograph = _read(image)
+            photograph = _read(image, self.views[index].development)
             xy = project(camera, to_camera(camera, si.p[lanes.to(si.p.device)])).cpu().float()
             size = torch.tensor([camera.width, camera.height])
             colours = grid_sample(

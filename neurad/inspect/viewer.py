@@ -23,7 +23,7 @@ from neurad.metrics.seen import SeenBy
 from neurad.pages.colours import exposure
 from neurad.runs.follow import Followed
 from neurad.runs.load import LoadedRun
-from neurad.scene.image_io import read_photograph
+from neurad.scene.photographs import read_view
 
 CHECKS = 2.0
 """Seconds between two looks at the run folder."""
@@ -49,7 +49,7 @@ class Viewer:
         self._followed = Followed(run)
         self._views: dict[str, View] = {view.name: view for view in views}
         self._exposure = exposure(
-            [{"photograph": read_photograph(v.image)[..., :3]} for v in run.scene.train[:TONED] if v.image is not None]
+            [{"photograph": read_view(v)[..., :3]} for v in run.scene.train[:TONED] if v.image is not None]
         )
         self._by_training = SeenBy(run.world.geometry, run.world.tracer, [view.camera for view in run.scene.train])
         self._photographs = PhotographMap(run.world, run.views)

@@ -93,9 +93,7 @@ class Focus(nn.Module):
         weight = 1.0 / (1.0 - self.fraction + self.fraction * score[kept])
         weight[b:] *= among.mean()
         highlight = score[kept] / (score[kept] + USUAL)
-        picked = {name: getattr(batch, name)[kept] for name in ("view", "pixel", "color", "alpha")}
-        blurred = None if batch.blurred is None else batch.blurred[kept]
-        return replace(batch, **picked, blurred=blurred, candidates=0, weight=weight, highlight=highlight)
+        return replace(batch.picked(kept), candidates=0, weight=weight, highlight=highlight)
 
     @torch.no_grad()
     def rows(self, batch: PixelBatch, gradient: Tensor) -> tuple[Tensor, Tensor]:

@@ -24,7 +24,9 @@ class Loss:
     """Scalar estimate of the loss, without gradient, for reports."""
 
 
-def two_pass(samples: Tensor, independent: Tensor, target: Tensor, weight: Tensor) -> Loss:
+def two_pass(
+    samples: Tensor, independent: Tensor, target: Tensor, weight: Tensor, censored: Tensor | None = None
+) -> Loss:
     """Relative L2 of a pixel mean, its residual taken from a second rendering (the paper's way).
 
     Args:
@@ -32,17 +34,35 @@ def two_pass(samples: Tensor, independent: Tensor, target: Tensor, weight: Tenso
         independent: samples of another random stream, without gradient [b, m, c].
         target: photographed value [b, c].
         weight: as in :func:`leave_one_out`.
+        censored: where the target is a lower bound only, see :mod:`neurad.losses.censored` [b, c], bool.
     """
     residual = independent.detach().mean(1) - target
+    if censored is not None:
+        residual = torch.where(censored, residual.clamp_max(0.0), residual)
     mean = samples.mean(1)
     surrogate = (2.0 * weight * residual * mean).mean()
     return Loss(surrogate, (weight * residual * (mean.detach() - target)).mean())
 
 
-def relative_weight(normaliser: Tensor, epsilon: float) -> Tensor:
-    """``1 / (sg(normaliser)^2 + epsilon)``; ``epsilon`` is in squared radiance units."""
+NOISE = 0.05
+"""Relative noise that photographs are taken to have where their rounding is weighed against it."""
+
+
+def relative_weight(normaliser: Tensor, epsilon: float, variance: Tensor | None = None) -> Tensor:
+    """``1 / (sg(normaliser)^2 + epsilon + variance / NOISE^2)``.
+
+    The inverse of a variance of which ``NOISE`` is the relative part: a target that is known less well than that by
+    itself counts as much less.
+
+    Args:
+        normaliser: what errors are relative to.
+        epsilon: in squared radiance units.
+        variance: of the target, in squared radiance units; None for none.
+    """
     fixed = normaliser.detach()
-    return 1.0 / (fixed * fixed + epsilon)
+    if variance is None:
+        return 1.0 / (fixed * fixed + epsilon)
+    return 1.0 / (fixed * fixed + epsilon + variance / NOISE**2)
 
 
 def semi_gradient_prior(field: Tensor, transported: Tensor, epsilon: float, mask: Tensor) -> Loss:

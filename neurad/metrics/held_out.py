@@ -30,6 +30,7 @@ from neurad.scene.description import Scene
 from neurad.scene.geometry import Geometry
 from neurad.scene.image_io import read_exr, read_mask, to_srgb
 from neurad.scene.numbers import PIXEL, within
+from neurad.scene.photographs import ceiling_of, read_view
 
 CHUNK = 1 << 18
 """Sub-samples in flight: bounds the memory."""
@@ -95,6 +96,8 @@ class HeldOut:
         self._truth: dict[int, dict[str, FloatArray]] = {}
         self._emitted: dict[int, Tensor] = {}
         self._kept: dict[int, BoolArray] = {}
+        self.respond: Callable[[Tensor], Tensor] | None = None
+        """A response curve that was recovered, see :class:`neurad.fields.development.FittedDevelopment`."""
 
     def read(self) -> Self:
         """Read all files now, so that a bad one is found before training and not after it.
@@ -261,7 +264,7 @@ class HeldOut:
         """
         if index not in self._truth:
             view = self.views[index]
-            files = {"photograph": (view.image, 3), "albedo_true": (view.albedo, 3)}
+            files = {"albedo_true": (view.albedo, 3)}
             files["photograph_relit"] = (view.relight, 3)
             if self.has_roughness:
                 files["roughness_true"] = (view.roughness, 1)
@@ -270,6 +273,9 @@ class HeldOut:
                 for name, (path, channels) in files.items()
                 if path is not None
             }
+            if view.image is not None:
+                photograph = _fitting(view.image, read_view(view), view, 3)
+                self._truth[index]["photograph"] = np.ascontiguousarray(photograph[:: self.stride, :: self.stride])
         return self._truth[index]
 
     # --- scores
@@ -310,7 +316,7 @@ class HeldOut:
                 region = np.ones_like(self.counted(i)) if mask is None else mask[i]
                 self._pool(pools, i, maps[i], None if renders is None else renders[i], region)
                 if fields is not None and "photograph" in self.truth(i):
-                    pools["lhs"].add(fields[i], self.truth(i)["photograph"], region)
+                    pools["lhs"].add(*self._comparable(i, fields[i]), region)
             for name, pool in pools.items():
                 found = pool.scores(scaled and name.startswith("albedo"))
                 if name == "lhs":  # its constant is that of the other picture
@@ -322,6 +328,31 @@ class HeldOut:
                     if score.partition("_")[0] in SCORES[name]:
                         scores[_key(name, score, suffix)] = value
         return scores
+
+    def _comparable(self, index: int, render: FloatArray) -> tuple[FloatArray, FloatArray]:
+        """A picture of a view and its photograph, as they are compared [h, w, 3] each.
+
+        What is clipped is no error where the picture is brighter. Where gains are recovered, those of the scored
+        photographs are the best in least squares; where a response is, they are developed with it.
+        """
+        view, photograph = self.views[index], self.truth(index)["photograph"]
+        ceiling, gains = ceiling_of(view), self.scene.photography
+        if math.isinf(ceiling) and not gains.fits_gains and self.respond is None:
+            return render, photograph
+        clipped = photograph >= ceiling
+        if self.respond is not None and view.development.levels:
+            gain, device = view.development.gain, self.geometry.vertices.device
+            with torch.no_grad():
+                found = self.respond(torch.from_numpy(photograph * gain).float().to(device)).cpu().numpy() / gain
+            photograph = found.astype(np.float32)
+        if gains.fits_gains:
+            free = ~clipped & self.kept(index)[..., None]
+            axes = (0, 1) if gains.white_balance == "fit" else None
+            square = np.where(free, photograph, 0.0).astype(np.float64) ** 2
+            product = np.where(free, photograph, 0.0).astype(np.float64) * render
+            factor = product.sum(axes) / np.maximum(square.sum(axes), 1e-30)
+            photograph = (photograph * np.where(factor > 0.0, factor, 1.0)).astype(np.float32)
+        return np.where(clipped & (render > photograph), photograph, render), photograph
 
     def albedo_factors(self, maps: Sequence[Maps]) -> dict[str, Float64Array]:
         """The best factors of albedo over the counted pixels of all views, as ``scaled1`` and ``scaled3`` [3]."""
@@ -340,9 +371,10 @@ class HeldOut:
         counted = self.counted(index) & region
         if render is not None and "photograph" in truth:
             kept = region & self.kept(index)
-            pools["linear"].add(render, truth["photograph"], kept)
-            pools["linear surfaces"].add(render, truth["photograph"], kept & self.shows(index))
-            pools["srgb"].add(to_srgb(render), to_srgb(truth["photograph"]), kept)
+            render, photograph = self._comparable(index, render)
+            pools["linear"].add(render, photograph, kept)
+            pools["linear surfaces"].add(render, photograph, kept & self.shows(index))
+            pools["srgb"].add(to_srgb(render), to_srgb(photograph), kept)
         if "albedo_true" in truth and "albedo" in maps:
             pools["albedo"].add(maps["albedo"], truth["albedo_true"], counted)
             if self.stride == 1:  # else blocks would be larger, and their scores others
@@ -366,7 +398,11 @@ def _key(name: str, score: str, region: str) -> str:
 
 def _read(path: str, view: View, channels: int) -> FloatArray:
     """The first ``channels`` channels [h, w, channels] of an EXR that has to fit the view's camera."""
-    pixels = read_exr(path)
+    return _fitting(path, read_exr(path), view, channels)
+
+
+def _fitting(path: str, pixels: FloatArray, view: View, channels: int) -> FloatArray:
+    """The first ``channels`` channels of a picture that has to fit the view's camera."""
     expected = (view.camera.height, view.camera.width)
     if pixels.shape[:2] != expected:
         size, camera = (f"{shape[1]} x {shape[0]}" for shape in (pixels.shape, expected))

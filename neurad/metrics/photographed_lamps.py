@@ -146,6 +146,7 @@ def photographed_lamps(
     sample: PixelBatch,
     seed: int,
     ignored: Tensor | None = None,
+    at_ceiling: Callable[[Tensor, Tensor], Tensor | None] | None = None,
 ) -> list[PhotographedLamp]:
     """Every lamp of a scene as its photographs show it; those that no pixel shows alone have 0 pixels.
 
@@ -159,6 +160,8 @@ def photographed_lamps(
             too, that is its ceiling.
         seed: of all draws.
         ignored: pixels that masks leave out [views, pixels], bool.
+        at_ceiling: says of pixels [n] of views [n] which values are clipped [n, 3] by what is known of the photographs,
+            or None where nothing is; it is looked for then.
     """
     with world.tracer.uncounted():
         shown = lamp_pixels(world, cameras, seed, ignored)
@@ -166,7 +169,8 @@ def photographed_lamps(
             read(shown.view.cpu(), shown.pixel.cpu()).double().numpy() if len(shown.view) else np.zeros((0, 3))
         )
         view, pixel, mesh = (x.cpu().numpy() for x in (shown.view, shown.pixel, shown.mesh))
-        clipped = _clipped(color, view, sample)  # [n, 3]
+        known = None if at_ceiling is None or not len(view) else at_ceiling(shown.view.cpu(), shown.pixel.cpu())
+        clipped = _clipped(color, view, sample) if known is None else known.numpy()  # [n, 3]
         lamps = []
         for index, part in enumerate(scene.meshes):
             if part.radiance is None or not part.radiance.any():

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, fields, replace
 from typing import Self
 
@@ -74,6 +74,7 @@ def pixel_derivatives(
     first: int,
     pixels: int,
     seed: int,
+    develop: Callable[[PixelBatch], PixelBatch] | None = None,
 ) -> PixelDerivatives | None:
     """Residuals and derivatives of about ``pixels`` training pixels at the present materials; None if none is left.
 
@@ -85,9 +86,11 @@ def pixel_derivatives(
         first: iteration whose batch is the first one taken.
         pixels: how many.
         seed: of the samples.
+        develop: corrects the photographs; None leaves them as they are.
     """
     parts = []
     for index, batch in enumerate(_batches(photographs, emitter_mask, first, pixels)):
+        batch = batch if develop is None else develop(batch)
         stream = Stream(seed, first, index, _STREAM, device=primary.origin.device)
         parts.append(_of_batch(estimator, primary, batch, stream))
     found = PixelDerivatives.join(parts) if parts else None
@@ -111,6 +114,8 @@ def _unmasked(batch: PixelBatch, emitter_mask: Tensor) -> PixelBatch:
     """The pixels of a batch that show surfaces and no emitter, on the mask's device."""
     view, pixel, color, alpha = (x.to(emitter_mask.device) for x in (batch.view, batch.pixel, batch.color, batch.alpha))
     kept = ~emitter_mask[view, pixel] & (alpha > 0)
+    if batch.clipped is not None:  # no measurement
+        kept &= ~batch.clipped.any(-1).to(kept.device)
     return PixelBatch(view[kept], pixel[kept], color[kept], alpha[kept], 0)
 
 
@@ -131,8 +136,7 @@ def _batches(photographs: PhotoSource, emitter_mask: Tensor, first: int, pixels:
         batch = photographs.batch(iteration)
         iteration, take = iteration + 1, min(len(batch.view) - batch.candidates, pixels - taken)
         taken += take
-        view, pixel, color, alpha = (x[:take] for x in (batch.view, batch.pixel, batch.color, batch.alpha))
-        waiting.append(_unmasked(PixelBatch(view, pixel, color, alpha, 0), emitter_mask))
+        waiting.append(_unmasked(batch.picked(torch.arange(take)), emitter_mask))
         if taken < pixels and sum(len(part.view) for part in waiting) < _LANES // SPP:
             continue
         yield from _split(waiting)

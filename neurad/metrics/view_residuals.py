@@ -31,6 +31,8 @@ def few(sample: PixelBatch, views: int) -> PixelBatch:
     view = sample.view[order]
     place = torch.arange(len(view)) - torch.searchsorted(view, view)
     kept = order[place < each]
+    if sample.clipped is not None:  # they say nothing of how bright it was
+        kept = kept[~sample.clipped[kept].any(-1)]
     return PixelBatch(sample.view[kept], sample.pixel[kept], sample.color[kept], sample.alpha[kept], 0)
 
 

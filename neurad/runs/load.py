@@ -33,8 +33,9 @@ from neurad.runs.checkpoints import named_checkpoint, newest_checkpoint, run_fol
 from neurad.runs.model_settings import parse_model
 from neurad.runs.own_config import own_config
 from neurad.scene.description import Scene
-from neurad.scene.image_io import read_photograph
+from neurad.scene.development import Photography
 from neurad.scene.load import load_scene
+from neurad.scene.photographs import read_view
 from neurad.scene.readers.nerf import HOLD_OUT
 from neurad.scene.textures import TrueMaterials
 from neurad.training.checkpoint import changed_light, fitted_lamps, fitting
@@ -335,7 +336,7 @@ def _scene(data: dict[str, Any], folder: Path, root: str | os.PathLike[str] | No
         InputError: it is not there any more, or it is broken.
     """
     if data.get("root") is None and root is None:
-        return load_scene(None, data.get("scene"))
+        return load_scene(None, data.get("scene"), photography=Photography.of(data))
     first = Path(data["root"] if root is None else root).expanduser()
     places = [first] if root is not None or first.is_absolute() else [first, folder.parent.parent / first]
     place = next((place for place in places if place.is_dir()), None)
@@ -343,13 +344,13 @@ def _scene(data: dict[str, Any], folder: Path, root: str | os.PathLike[str] | No
         raise InputError(
             f"run {folder}: its scene {first} is missing; say where it is now with --root (in Python, root=)"
         )
-    return load_scene(str(place), None, data.get("hold_out", HOLD_OUT))
+    return load_scene(str(place), None, data.get("hold_out", HOLD_OUT), Photography.of(data))
 
 
 def _has_alpha(scene: Scene) -> bool:
     """Whether the training photographs have an alpha channel: then no environment is visible to the camera."""
-    image = scene.train[0].image if scene.train else None
-    return image is not None and read_photograph(image).shape[-1] == 4
+    first = scene.train[0] if scene.train else None
+    return first is not None and first.image is not None and read_view(first).shape[-1] == 4
 
 
 def _restore(assembly: Assembly, checkpoint: dict[str, Any], name: str, other_light: bool) -> dict[str, Any]:

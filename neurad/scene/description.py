@@ -12,6 +12,7 @@ import numpy.typing as npt
 from neurad.core.errors import InputError
 from neurad.core.records import EnvironmentMap, FloatArray, Material, Mesh, View
 from neurad.core.reflection import DiffuseModel, PrincipledModel, ReflectionModel
+from neurad.scene.development import KNOWN, Photography
 from neurad.scene.numbers import RADIANCE, within
 
 SCORED = 8
@@ -69,6 +70,8 @@ class Scene:
     """Path of another environment map (EXR), under which held-out views were photographed again; for metrics only."""
     notes: tuple[str, ...] = ()
     """What the readers decided for the user, a sentence each."""
+    photography: Photography = KNOWN
+    """What is known of how the photographs were taken."""
 
     def check(self) -> Scene:
         """This scene, if light transport can be computed in it.

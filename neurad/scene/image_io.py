@@ -1,9 +1,8 @@
-"""Pictures in files: EXR photographs and maps, bitmaps for textures, and PNG previews."""
+"""Pictures in files: EXR pictures, bitmaps for textures, masks, and PNG previews."""
 
 from __future__ import annotations
 
 import io
-import math
 import warnings
 from collections.abc import Mapping
 from pathlib import Path
@@ -16,13 +15,11 @@ from neurad.core.errors import InputError
 from neurad.core.records import FloatArray, View
 from neurad.runtime.files import replacing
 from neurad.runtime.reading import native, regular_file, shown
-from neurad.scene.numbers import PIXEL
 from neurad.scene.picture_headers import check_exr, check_size
 
 _HALF_MAX = 65504.0
 _ORDER = "RGBA"
 _PNG_LEVEL = 5  # how hard files are compressed, of 9
-_ALPHA = 1.01  # coverage is at most 1, but for rounding and filters
 _FORMATS = ("PNG", "JPEG", "TIFF", "BMP", "TGA", "WEBP", "GIF", "PPM", "JPEG2000", "DDS", "PCX", "SGI", "ICO")
 """What Pillow decodes itself: for others, such as EPS, it starts programs."""
 _ROWS = 1 << 22  # pixels that are decoded at once
@@ -142,36 +139,6 @@ def png(pixels: npt.NDArray[np.uint8]) -> bytes:
     return out.getvalue()
 
 
-def read_photograph(path: str | Path) -> FloatArray:
-    """A photograph: linear RGB or RGBA [h, w, 3 or 4], colour premultiplied by alpha.
-
-    Raises:
-        InputError: missing or unreadable, other channels, pixels that are not finite, negative or beyond what can be
-            squared, or alpha above 1.
-    """
-    pixels = read_exr(path)
-    if pixels.shape[2] not in (3, 4):
-        raise InputError(f"{shown(path)}: a photograph has channels RGB or RGBA, this one has {pixels.shape[2]} in all")
-    low, high = float(pixels.min(initial=0.0)), float(pixels.max(initial=0.0))  # both NaN if any pixel is
-    if not (math.isfinite(low) and math.isfinite(high)):
-        raise InputError(f"{shown(path)}: it has pixels that are NaN or infinite ({_share(~np.isfinite(pixels))})")
-    if low < 0:
-        raise InputError(f"{shown(path)}: it has negative pixels ({_share(pixels < 0)}, down to {low:.3g})")
-    if high > PIXEL:
-        raise InputError(
-            f"{shown(path)}: it has pixels above {PIXEL:g} ({_share(pixels > PIXEL)}, up to {high:.3g}), whose squares "
-            "leave 32 bits: scale the photographs and the lights"
-        )
-    if pixels.shape[2] == 4 and (alpha := float(pixels[..., 3].max(initial=0.0))) > _ALPHA:
-        raise InputError(f"{shown(path)}: its alpha is up to {alpha:.3g}, but means coverage, from 0 to 1")
-    return pixels
-
-
-def _share(wrong: npt.NDArray[np.bool_]) -> str:
-    """How many pixels [h, w, c] are marked in any channel."""
-    return f"{int(wrong.any(-1).sum())} of {wrong.shape[0] * wrong.shape[1]}"
-
-
 def read_bitmap(path: str | Path, raw: bool = False) -> FloatArray:
     """A texture as linear values [h, w, 1 or 3]; row 0 is the first of the file, alpha is dropped.
 
@@ -211,7 +178,7 @@ def _decoded(path: Path, raw: bool) -> FloatArray:
     said = "it cannot be read as an image"
     with native(path, said), warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        image = _opened(path)
+        image = opened(path)
     with image:
         grey = image.mode in ("1", "L", "LA", "F", *_DEPTH16)
         width, height = image.size
@@ -222,7 +189,7 @@ def _decoded(path: Path, raw: bool) -> FloatArray:
             return _linear(image, raw)
 
 
-def _opened(path: Path) -> Any:
+def opened(path: Path) -> Any:
     """The picture of a file, not yet decoded."""
     from PIL import Image
 

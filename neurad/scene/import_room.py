@@ -19,6 +19,7 @@ from neurad.runtime.files import writing
 from neurad.runtime.reading import exists, folder, regular_file, shown
 from neurad.scene.load import read_folder
 from neurad.scene.numbers import RADIANCE, number
+from neurad.scene.photographs import READABLE, picture_size
 from neurad.scene.picture_headers import check_exr
 from neurad.scene.readers.colmap import read_model
 from neurad.scene.readers.fipt import MESH, read_room
@@ -60,7 +61,7 @@ class ImportSettings:
 
 
 class Photographs:
-    """Finds the EXR file of a photograph by the name that a source gives it.
+    """Finds a photograph by the name that a source gives it: its EXR file or, where there is none, that which it names.
 
     Args:
         places: folders to look in, one after the other.
@@ -86,10 +87,12 @@ class Photographs:
                     return regular_file(place / candidate)
         other = next((place / path for place in self.places if exists(place / path)), None)
         looked = " or ".join(shown(place) for place in self.places)
+        if other is not None and other.suffix.lower() in READABLE:
+            return regular_file(other)
         if other is not None:
             raise InputError(
-                f"{where}: its photograph {shown(other)} is no EXR file; light is computed from scene-linear EXR: put "
-                f"{shown(flat.name)} beside it, or name the folder of those files with --images"
+                f"{where}: its photograph {shown(other)} is none of {', '.join(READABLE)}: put {shown(flat.name)} "
+                "beside it, or name the folder of such files with --images"
             )
         raise InputError(f"{where}: its photograph {shown(flat)} is in none of {looked}")
 
@@ -196,7 +199,7 @@ def _environment(path: Path) -> Path:
 
 def _check_size(view: View) -> None:
     assert view.image is not None
-    width, height = check_exr(Path(view.image))
+    width, height = picture_size(Path(view.image))
     camera = view.camera
     if (width, height) != (camera.width, camera.height):
         raise InputError(

@@ -13,6 +13,7 @@ from neurad.runtime.progress import phase
 from neurad.runtime.reading import exists, regular_file, shown
 from neurad.runtime.reading import folder as existing_folder
 from neurad.scene.description import Scene
+from neurad.scene.development import KNOWN, Photography, developed
 from neurad.scene.readers.nerf import HOLD_OUT, Split
 
 T = TypeVar("T")
@@ -52,13 +53,16 @@ many-th photograph to hold out where the file does not say which.
 """
 
 
-def load_scene(root: str | None, scene: str | None, hold_out: int = HOLD_OUT) -> Scene:
+def load_scene(
+    root: str | None, scene: str | None, hold_out: int = HOLD_OUT, photography: Photography = KNOWN
+) -> Scene:
     """The scene of a folder or a built-in one, checked.
 
     Args:
         root: a scene folder (``--data.root``), or None.
         scene: name of a built-in scene (``--data.scene``), or None.
         hold_out: every so many-th photograph of a folder is held out where nothing says which; 0 for none.
+        photography: what is known of how the photographs were taken.
 
     Raises:
         InputError: not exactly one is given, the name is unknown, or the scene cannot be used.
@@ -67,22 +71,29 @@ def load_scene(root: str | None, scene: str | None, hold_out: int = HOLD_OUT) ->
         raise InputError("give exactly one of --data.root (a scene folder) and --data.scene (a built-in scene)")
     with phase("reading"):
         if root is not None:
-            return read_folder(root, hold_out).check()
+            return read_folder(root, hold_out, photography).check()
         from neurad.scene.builtin import build
 
         assert scene is not None
-        return build(scene).check()
+        return _developed(build(scene), photography).check()
 
 
-def read_folder(root: str | Path, hold_out: int = HOLD_OUT) -> Scene:
+def _developed(scene: Scene, photography: Photography) -> Scene:
+    """The scene, whose views say how their photographs become radiance."""
+    train, test, notes = developed(scene.train, scene.test, photography)
+    return replace(scene, train=train, test=test, notes=(*scene.notes, *notes), photography=photography)
+
+
+def read_folder(root: str | Path, hold_out: int = HOLD_OUT, photography: Photography = KNOWN) -> Scene:
     """The scene of a folder with one of :data:`SCENE_FILES` and one of :data:`CAMERA_FILES`.
 
-    Only the existence of photographs and maps is checked, and of photographs without a size in the camera file the
-    size.
+    Only the existence of photographs and maps is checked, of photographs without a size in the camera file the size,
+    and of those of codes the format and EXIF.
 
     Args:
         root: the folder.
         hold_out: as in :func:`load_scene`.
+        photography: as in :func:`load_scene`.
 
     Raises:
         InputError: something is missing or wrong; the sentence names the file and the frame.
@@ -96,7 +107,7 @@ def read_folder(root: str | Path, hold_out: int = HOLD_OUT) -> Scene:
     if any(view.relight for view in views.test):
         relight = str(regular_file(folder / RELIGHT, "the map is missing that lights the photographs of relight_path"))
     surfaces = replace(read_surfaces(folder), name=folder.name, relight=relight)
-    return replace(surfaces, train=views.train, test=views.test, notes=views.notes)
+    return _developed(replace(surfaces, train=views.train, test=views.test, notes=views.notes), photography)
 
 
 def _reader(readers: dict[str, T], folder: Path) -> T:

@@ -125,8 +125,8 @@ def _word(stream: BinaryIO) -> bytes:
     return bytes(found)
 
 
-def check_hdr(path: Path, data: bytes) -> None:
-    """Check the first bytes of a Radiance picture.
+def check_hdr(path: Path, data: bytes) -> tuple[int, int]:
+    """Check the first bytes of a Radiance picture, and return its width and height.
 
     Raises:
         InputError: it is none, too large, or the file is too short for its size.
@@ -140,6 +140,7 @@ def check_hdr(path: Path, data: bytes) -> None:
     packed = 4 + 8 * -(-width // 127) if 8 <= width < 1 << 15 else 4 * width
     if path.stat().st_size < len(head) + height * packed:
         raise InputError(f"{shown(path)}: it ends before its {width} x {height} pixels")
+    return width, height
 
 
 def check_pfm(path: Path, data: bytes) -> None:

@@ -21,6 +21,7 @@ def transforms(views: Sequence[View]) -> dict[str, Any]:
                 "albedo_path": f"albedo/{view.name}.exr",
                 "roughness_path": f"roughness/{view.name}.exr",
                 **({} if shared else lens),
+                **({} if view.development.exposure is None else {"exposure": view.development.exposure}),
                 "transform_matrix": [[float(x) for x in row] for row in view.camera.to_world],
             }
             for view, lens in zip(views, lenses, strict=True)

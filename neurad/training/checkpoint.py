@@ -13,6 +13,8 @@ from neurad.scene.description import Scene
 from neurad.scene.light import light_changes, light_of
 
 FOCUS = "focus."
+DEVELOPMENT = "development."
+"""What names of state begin with that is of the fit's photographs alone; others may be looked at with its result."""
 DDP_IGNORED = "world.guide.", "average.", FOCUS
 """What names of state begin with that only takes noise away: no weights, and alike in all processes."""
 _WITHOUT_SCORES = (
@@ -53,7 +55,7 @@ def fitting(
         raise InputError(f"{source}: the file is no checkpoint of neurad")
     check_scene(state, scene, source, continues or not other_light)
     weights = checkpoint["state_dict"]
-    for prefix in DDP_IGNORED:
+    for prefix in DDP_IGNORED if continues else (*DDP_IGNORED, DEVELOPMENT):
         mine = {name: value for name, value in own.items() if name.startswith(prefix)}
         theirs = {name: value for name, value in weights.items() if name.startswith(prefix)}
         alike = theirs and all(name in mine and mine[name].shape == value.shape for name, value in theirs.items())

@@ -40,7 +40,7 @@ def error_bars(
     with assembly.world.tracer.uncounted():
         pixels = pixel_derivatives(
             assembly.estimator, views.primary, photographs, views.emitter_mask, counters.iteration, count,
-            assembly.settings.seed,
+            assembly.settings.seed, assembly.development,
         )  # fmt: skip
     if pixels is None:
         return None

@@ -19,6 +19,7 @@ from neurad.core.protocols import PhotoSource
 from neurad.core.ranges import Seed
 from neurad.core.records import FloatArray, PixelBatch
 from neurad.emitters.fitted import FittedEnvironment
+from neurad.fields.development import FittedDevelopment
 from neurad.fields.radiance import RadianceField
 from neurad.fields.settings import FieldConfig, RadianceConfig, RoughnessConfig
 from neurad.integrators.estimator import Estimator
@@ -75,6 +76,7 @@ class InverseRenderer(L.LightningModule):
     average: PolyakAverage | None
     radiance: RadianceField | None
     focus: Focus | None
+    development: FittedDevelopment | None
     step: TrainingStep
     """Set when a fit starts."""
 
@@ -148,7 +150,7 @@ class InverseRenderer(L.LightningModule):
             made.average,
             made.radiance,
         )
-        self.region, self.focus = made.region, made.focus
+        self.region, self.focus, self.development = made.region, made.focus, made.development
         if self._exchanges:
             self._ddp_params_and_buffers_to_ignore = ddp_ignored(self)  # DDP's own name for it
 
@@ -161,8 +163,9 @@ class InverseRenderer(L.LightningModule):
     def assembly(self) -> Assembly:
         """The parts of the run."""
         return Assembly(
-            self.scene, self.settings, self.world, self.materials, self.radiance, self.average, self.region, self.focus
-        )
+            self.scene, self.settings, self.world, self.materials, self.radiance, self.average, self.region, self.focus,
+            self.development,
+        )  # fmt: skip
 
     @property
     def estimator(self) -> Estimator:
@@ -288,6 +291,7 @@ class InverseRenderer(L.LightningModule):
         """
         if self._held_out is None:
             self._held_out = self._make_held_out()
+        self._held_out.respond = None if self.development is None else self.development.respond
         with averaged(self.average), self.world.tracer.uncounted():
             if self._light is None and self.environment is not None:
                 self._light = unknown_light(self.scene, self.environment, self._held_out)
@@ -347,7 +351,8 @@ class InverseRenderer(L.LightningModule):
         if views is None or views.sample is None:
             return None
         with averaged(self.average):
-            return view_residuals(self.estimator, views.primary, views.sample, self.settings.seed)
+            sample = views.sample if self.development is None else self.development(views.sample)
+            return view_residuals(self.estimator, views.primary, sample, self.settings.seed)
 
     # ---- checkpoints
 

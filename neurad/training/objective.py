@@ -7,10 +7,12 @@ photometric           the method's estimate with photographs       materials and
 prior                 ``L`` with ``T_hat(E + L)``, first hits       radiance field (theta)
 prior_extra_bounce    the same at hits of one more bounce          radiance field (theta)
 lhs                   ``E + L`` with photographs                   radiance field (theta)
+development           photographs with the method's estimate       gains and response
 ====================  ===========================================  ======================
 
 A method without a field has the first row alone. ``prior_trains: both`` lets the prior move phi too. Of the light only
-an environment that is being recovered is trained.
+an environment that is being recovered is trained. The last row is there where it is recovered how photographs were
+taken; all others see them as they are developed so far.
 
 Shapes: b pixels of a batch, n samples per pixel (``spp``), of which the field learns at m (``field_fraction``), c
 samples per vertex, e extra hits. Lanes are ordered by pixel, then sample, then vertex sample.
@@ -28,12 +30,14 @@ from neurad.assembly.settings import Objective, Sampling
 from neurad.assembly.training_views import TrainingViews
 from neurad.core.records import PixelBatch, Surface, SurfaceInteraction, first_of
 from neurad.core.rng import Stream
+from neurad.fields.development import FittedDevelopment
 from neurad.integrators.estimator import Estimator, subsample
 from neurad.integrators.method import RadianceEstimate
 from neurad.integrators.primary_hits import PrimaryHits
 from neurad.integrators.world import NonDeltaHit
+from neurad.losses.censored import leave_one_out_censored
 from neurad.losses.firefly import clamp_fireflies
-from neurad.losses.leave_one_out import ControlVariate, leave_one_out
+from neurad.losses.leave_one_out import ControlVariate
 from neurad.losses.relative import (
     Loss,
     full_gradient_prior,
@@ -45,6 +49,10 @@ from neurad.losses.relative import (
 
 MOST_SPECULAR = 0.65
 """Largest fraction of the BSDF samples that follow the specular lobe where highlights are."""
+
+
+CALM = 1e-4
+"""Weight of the squared weights of the response curve: what no photograph tells stays as it was."""
 
 
 @dataclass(frozen=True)
@@ -100,6 +108,7 @@ class ObjectiveStep:
         epsilon: floor of the relative losses in squared radiance units.
         emitter_mask: pixels that an emitter covers, in part or whole, or that a mask leaves out; they train nothing
             [views, pixels], bool.
+        development: how the photographs were taken, where that is recovered.
     """
 
     estimator: Estimator
@@ -108,6 +117,7 @@ class ObjectiveStep:
     settings: Objective
     epsilon: float
     emitter_mask: Tensor
+    development: FittedDevelopment | None = None
 
     def __call__(self, batch: PixelBatch, stream: Stream) -> StepTerms:
         """Terms for a batch of photographed pixels."""
@@ -116,6 +126,9 @@ class ObjectiveStep:
                 replace(batch, pixel_multiplier=1), stream
             )
         b, n, settings = len(batch.view), self.sampling.spp, self.settings
+        taken = batch
+        if self.development is not None:
+            batch = self.development(batch)
 
         # Stage 1: primary hits.
         first = self.primary(batch, n, stream)  # [b * n]
@@ -148,11 +161,15 @@ class ObjectiveStep:
 
         # Stage 5: losses. Where alpha is 0 nothing is photographed, even if a sample meets the edge of a surface.
         counts = (~self.emitter_mask[batch.view, batch.pixel] & (batch.alpha > 0)).float().unsqueeze(-1)  # [b, 1]
-        weight = relative_weight(self._normaliser(batch, predicted), self.epsilon) * counts  # [b, 3]
+        if batch.clipped is not None and predicted is not None:  # above the ceiling nothing is wrong
+            counts = counts * ~(batch.clipped & (predicted >= batch.color))  # [b, 3]
+        weight = relative_weight(self._normaliser(batch, predicted), self.epsilon, batch.variance) * counts  # [b, 3]
         if batch.weight is not None:
             weight = weight * batch.weight.unsqueeze(-1)
         in_image = None if control is None else replace(control, deviation=_attenuated(first, control.deviation))
         materials = {"photometric": (1.0, self._photometric(batch, image, weight, in_image, stream))}
+        if self.development is not None:
+            materials["development"] = 1.0, self._development(self.development, taken, image, weight)
         if settings.roughness_regulariser > 0 and surface.roughness.requires_grad:
             penalty = _to_mean(surface.roughness.view(b, n), batch.weight)
             materials["roughness_regulariser"] = settings.roughness_regulariser, penalty
@@ -163,10 +180,25 @@ class ObjectiveStep:
             if extra is not None:
                 terms["prior_extra_bounce"] = settings.prior, self._prior_extra_bounce(extra, stream)
             if settings.lhs > 0:
-                lhs_weight = relative_weight(predicted, self.epsilon) * counts
-                terms["lhs"] = settings.lhs, leave_one_out(lhs_image, batch.color, lhs_weight)
+                lhs_weight = relative_weight(predicted, self.epsilon, batch.variance) * counts
+                lhs = leave_one_out_censored(lhs_image, batch.color, lhs_weight, batch.clipped)
+                terms["lhs"] = settings.lhs, lhs
         roughness = surface.roughness if surface.roughness.retains_grad else None
         return StepTerms(materials, terms, self._guide_samples(si, sample), roughness)
+
+    def _development(self, development: FittedDevelopment, batch: PixelBatch, image: Tensor, weight: Tensor) -> Loss:
+        """The photographs as they are developed against the method's image [b, n, 3], which is held fixed.
+
+        What is clipped says nothing here. The residual is linear in the image, so its noise leaves the gradient
+        unbiased.
+        """
+        if batch.clipped is not None:
+            weight = weight * ~batch.clipped
+        residual = development.colors(batch) - image.detach().mean(1)
+        loss = (weight * residual * residual).mean()
+        if development.bend is not None:
+            loss = loss + CALM * development.bend.square().sum()
+        return Loss(loss, loss.detach())
 
     @property
     def _field_samples(self) -> int:
@@ -228,7 +260,7 @@ class ObjectiveStep:
     ) -> Loss:
         """The method's image [b, n, 3] against photographs (Eq. 11, 12), by the estimator of the settings."""
         if self.settings.estimator == "leave_one_out":
-            return leave_one_out(image, batch.color, weight, control, self.sampling.groups)
+            return leave_one_out_censored(image, batch.color, weight, batch.clipped, control, self.sampling.groups)
         with torch.no_grad():
             first: NonDeltaHit = self.primary(batch, self.sampling.spp, stream)
             surface = self.estimator.materials(first.si)
@@ -236,7 +268,7 @@ class ObjectiveStep:
             other = first.attenuate(self.estimator.world.emitted(first.si) + again).view_as(image)
         if control is not None:
             image = image - control.residual()
-        return two_pass(image, other, batch.color, weight)
+        return two_pass(image, other, batch.color, weight, batch.clipped)
 
     def _prior(
         self,
@@ -293,6 +325,7 @@ def make_objective(assembly: Assembly, views: TrainingViews) -> ObjectiveStep:
         settings=settings.objective,
         epsilon=settings.objective.epsilon * views.mean_square_radiance,
         emitter_mask=views.emitter_mask,
+        development=assembly.development,
     )
 
 

@@ -32,6 +32,11 @@ def make_optimizers(assembly: Assembly) -> dict[str, SparseRowAdam | PyramidAdam
         )
     if radiance is not None:
         made["radiance"] = SparseRowAdam(radiance.parameters(), lr=rates.radiance)
+    development = assembly.development
+    if development is not None and development.values is not None:
+        made["exposure"] = SparseRowAdam([development.values], lr=rates.exposure)
+    if development is not None and development.bend is not None:
+        made["response"] = SparseRowAdam([development.bend], lr=rates.response)
     return made
 
 

@@ -42,6 +42,8 @@ def update_levels(
     batch = photographs.validation_batch()
     if batch is None or len(batch.view) < LEAST:
         return None
+    if assembly.development is not None:
+        batch = assembly.development(batch)
     with torch.no_grad(), average.used(whole=True), assembly.world.tracer.uncounted():
         pixels = derivatives_of(
             assembly.estimator, views.primary, batch, views.emitter_mask, assembly.settings.seed, iteration

@@ -4,6 +4,7 @@ import time
 
 import numpy as np
 import pytest
+from helpers.tiny_fit import fit, metrics, write_tiny_config
 
 from neurad.callbacks import pictures
 from neurad.callbacks.board import split_mark
@@ -11,6 +12,7 @@ from neurad.callbacks.table import COLUMNS, MetricsTable, curve_table, score_tab
 from neurad.runtime import clock
 from neurad.runtime.tables import read_header
 from neurad.scene.image_io import read_bitmap, read_exr
+from neurad.training.inverse import InverseRenderer
 
 
 def row(iteration, **scores):
@@ -129,3 +131,21 @@ def test_what_needs_no_fit_is_told_apart_from_the_run():
     assert split_mark("albedo_psnr_8x8_constant_seen") == ("best constant", "albedo_psnr_8x8_seen")
     assert split_mark("roughness_r2_lookup") == ("true colour's lookup", "roughness_r2")
     assert split_mark("albedo_psnr_seen") == (None, "albedo_psnr_seen")
+
+
+def test_the_end_is_scored_once_with_the_last_factors_of_the_levels(tmp_path, monkeypatch):
+    """What is shown of a run depends on these factors, so the last row has to come after them."""
+    calls = []
+    for name in ("update_levels", "evaluate"):
+        whole = getattr(InverseRenderer, name)
+
+        def noted(self, *args, name=name, whole=whole, **kwargs):
+            calls.append((name, self.iteration))
+            return whole(self, *args, **kwargs)
+
+        monkeypatch.setattr(InverseRenderer, name, noted)
+    monkeypatch.chdir(tmp_path)
+    write_tiny_config(trainer={"max_steps": 4}, evaluation={"every_n_steps": 2})
+    fit()
+    assert calls == [("evaluate", 2), ("update_levels", 4), ("evaluate", 4)]
+    assert [row["iteration"] for row in metrics()] == ["2", "4"]

@@ -332,7 +332,7 @@ TEXT = {
     "no photograph": (image_line(IMAGE("none.jpg")),
         r"image 1 \(none\.jpg\): its photograph none\.exr is in none of .*images"),
     "a JPEG alone": (written("images/b.jpg", "jpeg"),
-        r"b\.jpg is no EXR file; light is computed from scene-linear EXR"),
+        r"b\.jpg: it cannot be read as an image"),
     "broken photograph": (written("images/IMG 000 ä.exr", "text"),
         r"IMG 000 ä\.exr: it cannot be read as an EXR image"),
     "not text": (written("sparse/0/cameras.txt", b"\xff\xfe"), r"cameras\.txt: it is not text in UTF-8"),

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from neurad.scene.image_io import write_exr
+from neurad.scene.image_io import read_exr, to_srgb, write_exr
 
 SIZE = 8
 
@@ -71,3 +71,19 @@ def read_json(folder: Path, part: str) -> dict:
 
 def write_json(folder: Path, part: str, value: dict) -> None:
     (folder / f"transforms_{part}.json").write_text(json.dumps(value))
+
+
+def as_png(folder: Path, gain: float = 1.0) -> Path:
+    """Replace the photographs of a scene folder by sRGB pictures of 8 bits, ``gain`` times as bright."""
+    from PIL import Image
+
+    for part in ("train", "test"):
+        described = read_json(folder, part)
+        for frame in described["frames"]:
+            path = folder / frame["file_path"]
+            codes = (to_srgb(gain * read_exr(path)) * 255.0 + 0.5).astype(np.uint8)
+            path.unlink()
+            Image.fromarray(codes).save(path.with_suffix(".png"))
+            frame["file_path"] = frame["file_path"].replace(".exr", ".png")
+        write_json(folder, part, described)
+    return folder

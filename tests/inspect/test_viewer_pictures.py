@@ -24,7 +24,7 @@ from neurad.inspect.still import LitStill, Look
 from neurad.integrators.film import render
 from neurad.integrators.renderer import path_tracer
 from neurad.metrics.seen import SeenBy
-from neurad.scene.image_io import read_photograph
+from neurad.scene.photographs import read_photograph
 from neurad.scene.placement import turned_environment
 
 SIDE = 24

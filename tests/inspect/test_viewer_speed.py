@@ -21,7 +21,7 @@ from neurad.inspect.still import Look
 from neurad.integrators.film import render
 from neurad.metrics.seen import SeenBy
 from neurad.pages.colours import encode, exposure
-from neurad.scene.image_io import read_photograph
+from neurad.scene.photographs import read_photograph
 
 SIDE, SPP = 256, 1024
 

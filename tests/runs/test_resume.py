@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 import torch
 import yaml
-from helpers.tiny_scene import write_scene
+from helpers.tiny_scene import as_png, write_scene
 
 pytest.importorskip("mitsuba")
 
@@ -21,7 +21,7 @@ GRID = {"levels": 4, "coarsest": 4, "finest": 32, "log2_size": 12}
 CONFIG = {
     "seed_everything": 7,
     "trainer": {"max_steps": STEPS, "accelerator": "cpu", "enable_progress_bar": False},
-    "data": {"root": "room", "patches": 64, "validation_pixels": 0.5},
+    "data": {"root": "room", "patches": 64, "validation_pixels": 0.5, "exposure": "fit", "response": "fit"},
     "model": {
         "seed": "${seed_everything}",
         "albedo": {"grid": GRID, "width": 16},
@@ -77,7 +77,7 @@ def same(a, b, where="checkpoint"):
 
 def test_a_killed_run_continues_to_the_same_bits(tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    write_scene(tmp_path / "room")
+    as_png(write_scene(tmp_path / "room"))
     Path("config.yaml").write_text(yaml.safe_dump(CONFIG))
     finish(start("--config", "config.yaml"))
 
@@ -102,5 +102,8 @@ def test_a_killed_run_continues_to_the_same_bits(tmp_path, monkeypatch):
     for part in ("neurad", "state_dict", "optimizer_states", "global_step"):
         same(whole[part], continued[part], part)
     assert continued["neurad"]["iteration"] == continued["global_step"] == STEPS
-    assert len(continued["optimizer_states"]) == 3
+    assert len(continued["optimizer_states"]) == 5
+    assert continued["state_dict"]["development.values"].abs().max() > 0
+    assert continued["state_dict"]["development.bend"].abs().max() > 0
+    assert Path("lightning_logs/version_1/exposures.csv").read_text().startswith("view,known,r,g,b,iteration")
     assert not Path("lightning_logs/version_2").exists()

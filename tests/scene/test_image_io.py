@@ -6,7 +6,8 @@ import pytest
 from PIL import Image
 
 from neurad.core.errors import InputError
-from neurad.scene.image_io import from_srgb, read_bitmap, read_exr, read_photograph, to_srgb, write_exr
+from neurad.scene.image_io import from_srgb, read_bitmap, read_exr, to_srgb, write_exr
+from neurad.scene.photographs import read_photograph
 
 HEADER = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
 

@@ -63,7 +63,7 @@ class TextureReader:
             self._pixels[key] = read_bitmap(file, raw) if check is None else self._by_mitsuba(file, check)
         return self._pixels[key]
 
-    def _by_mitsuba(self, file: Path, check: Callable[[Path, bytes], None]) -> FloatArray:
+    def _by_mitsuba(self, file: Path, check: Callable[[Path, bytes], object]) -> FloatArray:
         """The linear pixels [h, w, 3] of a file that only Mitsuba reads."""
         said = "it cannot be read as an image"
         regular_file(file, "there is no such texture file")

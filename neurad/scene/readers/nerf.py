@@ -11,16 +11,19 @@ from typing import Any
 import numpy as np
 
 from neurad.core.errors import InputError
-from neurad.core.records import FloatArray, View
+from neurad.core.records import Development, FloatArray, View
 from neurad.runtime.reading import exists, read_json, regular_file, shown
 from neurad.scene.numbers import LENGTH, matrix, number
-from neurad.scene.picture_headers import SIDE, check_exr
+from neurad.scene.photographs import RAW, READABLE, picture_size
+from neurad.scene.picture_headers import SIDE
 from neurad.scene.readers.intrinsics import Size, camera_of, rigid
 
 HOLD_OUT = 8
 """Every so many-th photograph is held out where nothing says which."""
-LOW_RANGE = (".png", ".jpg", ".jpeg", ".tif", ".tiff", ".webp", ".bmp", ".heic")
-"""Photographs whose values are no linear radiance."""
+OTHER = (".webp", ".bmp", ".heic", ".gif", *RAW)
+"""Photographs that are not read."""
+EXPOSURE = 1e-9, 1e9
+"""Smallest and largest exposure."""
 Finder = Callable[[str, str], Path]
 _LISTS = {"train_filenames": "train", "val_filenames": "test", "test_filenames": "test"}
 
@@ -155,13 +158,14 @@ def read_views(
         name = frame["file_path"]
         image = _photograph(root, name, path) if photograph is None else photograph(name, where)
         settings = {**described, **frame}
-        film = _size(settings, where) or size or check_exr(image)
+        film = _size(settings, where) or size or picture_size(image)
         pose = undo(rigid(frame.get("transform_matrix"), f"{where}: its transform_matrix"))
         camera = camera_of((frame, described), film, pose, where)
         mask = _listed(root, frame, "mask_path", f"the mask is missing that {path.name} lists", path)
         maps = {kind: _map(root, frame, kind, image, path) for kind in ("albedo", "roughness")}
         relit = _map(root, frame, "relight", image, path) if "relight_path" in frame else None
-        views.append(View(image.stem, camera, str(image), maps["albedo"], maps["roughness"], relit, mask))
+        made = Development(exposure=_exposure(settings, where))
+        views.append(View(image.stem, camera, str(image), maps["albedo"], maps["roughness"], relit, mask, made))
     return views
 
 
@@ -243,18 +247,21 @@ def _photograph(root: Path, name: str, path: Path) -> Path:
     if not image.name:
         raise InputError(f"{path}: its file_path {shown(repr(name))} is not the name of a file")
     file = _exr(image)
-    if not exists(file) and (other := _low_range(image)) is not None:
-        raise InputError(
-            f"{shown(other)}: {path.name} lists a photograph that is no EXR, but light is recovered from linear values "
-            f"only: develop it from its raw file, or from several exposures, to {shown(file.name)} beside it"
-        )
-    return regular_file(file, f"the photograph is missing that {path.name} lists (an EXR file)")
+    if exists(file):
+        return regular_file(file)
+    names = [image, *(image.with_name(image.name + ending) for ending in (*READABLE, *OTHER))]
+    other = next((name for name in names if name.suffix.lower() in (*READABLE, *OTHER) and exists(name)), None)
+    if other is None or other.suffix.lower() in READABLE:
+        return regular_file(other or file, f"the photograph is missing that {path.name} lists (an EXR file)")
+    how = "merge it with `neurad data hdr`" if other.suffix.lower() in RAW else "save it in one of these formats"
+    endings = ", ".join(READABLE)
+    raise InputError(f"{shown(other)}: {path.name} lists a photograph that is none of {endings}: {how}")
 
 
-def _low_range(image: Path) -> Path | None:
-    """The photograph of this name in a format without linear values; None where there is none."""
-    names = [image, *(image.with_name(image.name + ending) for ending in LOW_RANGE)]
-    return next((file for file in names if file.suffix.lower() in LOW_RANGE and exists(file)), None)
+def _exposure(settings: dict[str, Any], where: str) -> float | None:
+    """The exposure of a frame; None where the file has none."""
+    value = settings.get("exposure")
+    return None if value is None else number(value, f"{where}: its exposure", *EXPOSURE)
 
 
 def _exr(image: Path) -> Path:

@@ -13,8 +13,10 @@ from neurad.core.records import FloatArray, View
 from neurad.metrics.unseen import UNSEEN
 from neurad.pages.colours import BRIGHTEST, ERRORS, BoolArray, Bytes, encode, exposure, false_colour, grey
 from neurad.pages.sheet import Scale, Sheet, Tile
+from neurad.scene.development import Photography
 from neurad.scene.image_io import read_bitmap, read_exr
 from neurad.scene.load import load_scene
+from neurad.scene.photographs import read_view
 from neurad.scene.readers.nerf import HOLD_OUT
 from neurad.studies.compare.runs import Run
 
@@ -46,15 +48,17 @@ def predicted(run: Run, name: str, index: int) -> Maps:
 
 def truth(view: View) -> Maps:
     """Photograph (as ``render``) and true materials of a held-out view, those that have a file."""
-    files = {"albedo": view.albedo, "roughness": view.roughness, "render": view.image}
-    return {kind: read_exr(path)[..., : CHANNELS[kind]] for kind, path in files.items() if path is not None}
+    files = {"albedo": view.albedo, "roughness": view.roughness}
+    found = {kind: read_exr(path)[..., : CHANNELS[kind]] for kind, path in files.items() if path is not None}
+    return found if view.image is None else {**found, "render": read_view(view)[..., : CHANNELS["render"]]}
 
 
 def held_out(config: Mapping[str, Any]) -> list[View]:
     """The held-out views of the scene that a run was fitted to; none if the scene cannot be read any more."""
     data = config.get("data") or {}
     try:
-        return load_scene(data.get("root"), data.get("scene"), data.get("hold_out", HOLD_OUT)).scored
+        scene = load_scene(data.get("root"), data.get("scene"), data.get("hold_out", HOLD_OUT), Photography.of(data))
+        return scene.scored
     except InputError as error:
         print(f"neurad: no truth beside the pictures: {error}")
         return []

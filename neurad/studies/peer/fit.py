@@ -24,8 +24,8 @@ from neurad.runtime.allocator import imports_kept
 from neurad.runtime.machine import usable_cores
 from neurad.runtime.tables import append_csv, write_csv
 from neurad.scene.description import Scene
-from neurad.scene.image_io import read_photograph
 from neurad.scene.load import load_scene
+from neurad.scene.photographs import read_view
 from neurad.studies.peer.models import Networks, Pyramid
 from neurad.studies.peer.replay import Replay
 from neurad.studies.peer.variant import load_mitsuba
@@ -187,7 +187,7 @@ def _photographs(scene: Scene) -> tuple[FloatArray, bool]:
             raise InputError(f"training view {view.name}: it has no photograph")
         if view.mask is not None or (view.camera.width, view.camera.height) != (first.width, first.height):
             raise InputError(f"training view {view.name}: the peer takes photographs of one size and without masks")
-        images.append(read_photograph(view.image))
+        images.append(read_view(view))
     stacked = np.stack(images)
     return stacked[..., :3].reshape(len(images), -1, 3), stacked.shape[-1] == 4
 

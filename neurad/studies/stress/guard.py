@@ -15,7 +15,8 @@ from torch import Tensor
 from neurad.core.errors import InputError
 from neurad.core.records import PixelBatch
 from neurad.integrators import vertex_diffuse_kernels, vertex_principled_kernels
-from neurad.scene.image_io import read_photograph, write_exr
+from neurad.scene.image_io import write_exr
+from neurad.scene.photographs import read_photograph
 from neurad.studies.stress.case import Case, Outcome
 from neurad.studies.stress.fit import Fit, photographs, resized
 from neurad.studies.stress.parts import glossy

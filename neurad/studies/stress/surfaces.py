@@ -15,6 +15,7 @@ from neurad.core.sampling import cosine_hemisphere
 from neurad.scene.builtin import build_cornell
 from neurad.scene.description import Scene
 from neurad.scene.textures import TrueMaterials
+from neurad.studies.stress import highlights
 from neurad.studies.stress.case import Case, Outcome
 from neurad.studies.stress.fit import Fit, Plan, photographs, resized
 from neurad.studies.stress.scenes import small_cube, with_material
@@ -133,4 +134,5 @@ def cases() -> list[Case]:
         _dark(1.0),
         *(_estimate(a, r) for a in (0.0, 1.0) for r in (0.0, 1.0)),
         *(_rough_fit(r) for r in (1e-3, 0.02, 1.0)),
+        *highlights.cases(),
     ]

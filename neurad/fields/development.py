@@ -1,0 +1,138 @@
+"""How photographs were taken, where it is not known: a gain for each, perhaps for each colour, and a response curve."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import torch
+from torch import Tensor, nn
+
+from neurad.core.records import FloatArray, PixelBatch, View
+from neurad.scene.development import Photography
+from neurad.scene.response import FIT
+
+DEGREES = 5
+"""Degrees of the polynomial that bends the response curve, besides its logarithm."""
+_TOE = 0.02
+"""Code at which that logarithm levels off."""
+_STEPS = 256
+"""Intervals of the curve's table."""
+_LEAST = 1e-3
+"""Part of sRGB's curve in every other, so that all rise by more than rounding."""
+
+
+class FittedDevelopment(nn.Module):
+    """Corrects photographs from what is taken as known of them to what is recovered.
+
+    ``gain = exp(v - mean of v over the views)`` with trainable ``v`` per view, or per view and colour, so the mean of
+    their logarithms stays 0: the common factor of photographs and lights is not looked for. With a known exposure the
+    colours of a view have the mean 0, too.
+
+    The response curve is ``f(t) = integral of s(t) exp(a(t))`` over codes up to ``t``, over the same up to 1, with
+    ``s`` the slope of sRGB's decoding and ``a`` a sum of a logarithm and Legendre polynomials with trainable weights:
+    it rises everywhere, whatever the weights, and they begin at 0, sRGB's curve.
+
+    Args:
+        views: the training views.
+        photography: what of them is known.
+    """
+
+    values: nn.Parameter | None
+    bend: nn.Parameter | None
+    exposure: Tensor
+    coded: Tensor
+    basis: Tensor
+    slope: Tensor
+
+    def __init__(self, views: Sequence[View], photography: Photography) -> None:
+        super().__init__()
+        self.fits_exposure = photography.exposure == "fit"
+        colours = 3 if photography.white_balance == "fit" else 1
+        self.values = nn.Parameter(torch.zeros(len(views), colours)) if photography.fits_gains else None
+        self.bend = nn.Parameter(torch.zeros(DEGREES + 1)) if photography.response == FIT else None
+        exposure = torch.tensor([view.development.gain for view in views])
+        self.register_buffer("exposure", exposure, persistent=False)
+        coded = torch.tensor([view.development.levels > 0 for view in views], dtype=torch.bool)
+        self.register_buffer("coded", coded, persistent=False)
+        middle = (torch.arange(_STEPS) + 0.5) / _STEPS
+        self.register_buffer("basis", _basis(middle), persistent=False)
+        edge = _decoded(torch.arange(_STEPS + 1) / _STEPS)
+        self.register_buffer("slope", edge.diff(), persistent=False)
+
+    @classmethod
+    def of(cls, views: Sequence[View], photography: Photography) -> FittedDevelopment | None:
+        """What is to be recovered; None where all is known."""
+        if not views or not (photography.fits_gains or photography.response == FIT):
+            return None
+        return cls(views, photography)
+
+    def gains(self) -> Tensor:
+        """What each view's photograph is brighter by than its known exposure says [views, 3]."""
+        if self.values is None:
+            return torch.ones(len(self.exposure), 3, device=self.exposure.device)
+        log = self.values - self.values.mean(0)
+        if not self.fits_exposure:
+            log = log - log.mean(1, keepdim=True)
+        return log.exp().expand(-1, 3)
+
+    def curve(self) -> Tensor:
+        """Linear values at equidistant codes from 0 to 1 [steps + 1]; rises from 0 to 1."""
+        rise = self.slope
+        if self.bend is not None:
+            bent = rise * (self.basis @ self.bend).exp()
+            rise = torch.lerp(bent / bent.sum(), rise, _LEAST)
+        return torch.cat((rise.new_zeros(1), rise.cumsum(0)))
+
+    def respond(self, linear: Tensor) -> Tensor:
+        """Values by the present curve of those by sRGB's, both in [0, 1]."""
+        if self.bend is None:
+            return linear
+        place = _encoded(linear.clamp(0.0, 1.0)) * _STEPS
+        low = place.long().clamp_max(_STEPS - 1)
+        table = self.curve()
+        return torch.lerp(table[low], table[low + 1], place - low)
+
+    def colors(self, batch: PixelBatch) -> Tensor:
+        """Radiance of a batch's pixels as it is recovered, with its gradient [b, 3]."""
+        color = batch.color
+        if self.bend is not None:
+            scale = (self.exposure[batch.view] / batch.alpha.clamp_min(1e-6)).unsqueeze(-1)
+            coded = self.coded[batch.view].unsqueeze(-1)
+            color = torch.where(coded, self.respond(color * scale) / scale, color)
+        return color / self.gains()[batch.view]
+
+    @torch.no_grad()
+    def forward(self, batch: PixelBatch) -> PixelBatch:
+        """A batch whose photographs are developed with what is recovered so far, without gradient."""
+        batch = batch.to(self.exposure.device)
+        color = self.colors(batch)
+        if batch.blurred is None:
+            return replace(batch, color=color)
+        factor = color / batch.color.clamp_min(1e-30)
+        return replace(batch, color=color, blurred=batch.blurred * factor)
+
+    @torch.no_grad()
+    def exposures(self) -> FloatArray:
+        """Exposures as they are recovered, a colour each [views, 3]."""
+        found: FloatArray = (self.exposure.unsqueeze(1) * self.gains()).cpu().numpy()
+        return found
+
+
+def _encoded(linear: Tensor) -> Tensor:
+    """The sRGB code of linear values in [0, 1]."""
+    return torch.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear.clamp_min(1e-9) ** (1 / 2.4) - 0.055)
+
+
+def _decoded(code: Tensor) -> Tensor:
+    """The linear value of sRGB codes in [0, 1]."""
+    return torch.where(code <= 0.04045, code / 12.92, ((code + 0.055) / 1.055) ** 2.4)
+
+
+def _basis(code: Tensor) -> Tensor:
+    """What the logarithm of the curve's slope is a sum of, at codes in [0, 1] [n, DEGREES + 1]."""
+    x = 2.0 * code - 1.0
+    parts = [torch.ones_like(x), x]
+    for k in range(1, DEGREES):
+        parts.append(((2 * k + 1) * x * parts[k] - k * parts[k - 1]) / (k + 1))
+    return torch.stack([(code + _TOE).log(), *parts[1 : DEGREES + 1]], -1)

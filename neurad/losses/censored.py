@@ -1,0 +1,52 @@
+"""Photographs at their ceiling: the target is a lower bound, and only a render below it is wrong."""
+
+from __future__ import annotations
+
+from torch import Tensor
+
+from neurad.losses.leave_one_out import ControlVariate, grouped, leave_one_out
+from neurad.losses.relative import Loss
+
+
+def leave_one_out_censored(
+    samples: Tensor,
+    target: Tensor,
+    weight: Tensor,
+    censored: Tensor | None,
+    control: ControlVariate | None = None,
+    groups: int | None = None,
+) -> Loss:
+    """:func:`leave_one_out`, one-sided where the photograph is clipped.
+
+    There the residual that multiplies the derivative of a group is ``min(mean of the others - target, 0)``, still
+    independent of that group. Its mean lies below the minimum of the means, so noise of the size of the distance to the
+    ceiling draws a render up; where a prediction without noise lies above the ceiling, the caller sets the weight to 0.
+
+    Args:
+        samples: as in :func:`leave_one_out`.
+        target: photographed value [b, c].
+        weight: as in :func:`leave_one_out` [b, c].
+        censored: where the target is a lower bound [b, c], bool; None for nowhere.
+        control: as in :func:`leave_one_out`.
+        groups: as in :func:`leave_one_out`.
+    """
+    if censored is None:
+        return leave_one_out(samples, target, weight, control, groups)
+    exact = leave_one_out(samples, target, weight * ~censored, control, groups)
+    rows = censored.any(-1).nonzero().squeeze(-1)
+    if len(rows) == 0:
+        return exact
+    n = samples.shape[1] if groups is None else groups
+    picked = samples[rows]
+    fixed = grouped(picked.detach(), n)  # [r, groups, c]
+    others = (fixed.sum(1, keepdim=True) - fixed) / (n - 1)
+    if control is not None:
+        mine = ControlVariate(control.Li[rows], control.deviation[rows], n)
+        others = others - mine.residual_of_others()
+        picked = picked - mine.residual()
+    own, bound = grouped(picked, n), target[rows].unsqueeze(1)
+    residual = (weight * censored)[rows].unsqueeze(1) * (others - bound).clamp_max(0.0)
+    terms = len(samples) * n * samples.shape[2]
+    surrogate = (2.0 * residual * own).sum() / terms
+    value = (residual * (own.detach() - bound)).sum() / terms
+    return Loss(exact.surrogate + surrogate, exact.value + value)

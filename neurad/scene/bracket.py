@@ -1,0 +1,81 @@
+"""Several exposures of one view merged: what of each is neither clipped nor lost in noise."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+import numpy.typing as npt
+
+from neurad.core.records import FloatArray
+
+FULL_WELL = 20000.0
+"""Electrons of a pixel at its largest value: shot noise has the variance of their number."""
+READ_NOISE = 6.0
+"""Standard deviation in electrons of reading a pixel: between good cameras and telephones."""
+NEAR = 0.97
+"""Fraction of the ceiling from which on a sample is left out: noise would be cut off on one side there."""
+_ROUNDS = 3
+
+Float64 = npt.NDArray[np.float64]
+
+
+def merge(
+    exposures: Sequence[FloatArray],
+    times: Sequence[float],
+    ceiling: float = 1.0,
+    rounding: Sequence[FloatArray] | None = None,
+    full_well: float = FULL_WELL,
+    read_noise: float = READ_NOISE,
+) -> tuple[FloatArray, FloatArray, npt.NDArray[np.bool_]]:
+    """Radiance from linear pictures of one view, each sample weighted by one over its variance.
+
+    A sample ``y = radiance * time`` has the variance of shot and read noise, ``y / full_well + (read_noise /
+    full_well)^2``, with ``y`` by the present estimate: by the sample itself, those that noise made small would count
+    more. Whether a sample is near its ceiling is said by the shorter exposures, and so independent of its own noise.
+
+    Args:
+        exposures: pictures of the same size, values in units of the largest [h, w, c].
+        times: their exposures, times in any unit, above 0.
+        ceiling: value from which on a sample is clipped.
+        rounding: variance of each picture's rounding, in squared units of the largest value; None for none.
+        full_well: as :data:`FULL_WELL`.
+        read_noise: as :data:`READ_NOISE`.
+
+    Returns:
+        Radiance in units of the largest value over the unit of time [h, w, c], its standard deviation, and where every
+        sample is clipped: there the radiance is the ceiling of the shortest exposure, or more.
+    """
+    order = np.argsort(times)
+    y = np.stack([np.asarray(exposures[i], np.float64) for i in order])  # [n, h, w, c]
+    t = np.asarray(times, np.float64)[order].reshape(-1, 1, 1, 1)
+    floor = (read_noise / full_well) ** 2 * np.ones_like(y[:1])
+    floor = floor + (0.0 if rounding is None else np.stack([np.asarray(rounding[i]) for i in order]))
+    free = _free(y, t, ceiling)
+    all_clipped = ~free.any(0)
+    radiance = np.where(all_clipped, ceiling / t[0], _ratio((y * free).sum(0), (t * free).sum(0)))
+    weight = np.zeros_like(y)
+    for _ in range(_ROUNDS):
+        variance = np.maximum(radiance, 0.0) * t / full_well + floor
+        weight = np.where(free, t * t / variance, 0.0)
+        radiance = np.where(all_clipped, radiance, _ratio((weight * y / t).sum(0), weight.sum(0)))
+    spread = np.where(all_clipped, np.inf, np.sqrt(_ratio(np.ones_like(radiance), weight.sum(0))))
+    return np.maximum(radiance, 0.0).astype(np.float32), spread.astype(np.float32), all_clipped
+
+
+def _free(y: Float64, t: Float64, ceiling: float) -> npt.NDArray[np.bool_]:
+    """Which samples count [n, h, w, c], from the shortest exposure to the longest."""
+    free = y < ceiling
+    free[1:] &= free[:-1]  # what is clipped in a shorter exposure is so in a longer one
+    value, time = y[0].copy(), np.full_like(y[0], t[0].item())
+    for i in range(1, len(y)):
+        free[i] &= value / time * t[i] < NEAR * ceiling
+        value += np.where(free[i], y[i], 0.0)
+        time += np.where(free[i], t[i], 0.0)
+    return np.asarray(free)
+
+
+def _ratio(a: Float64, b: Float64) -> Float64:
+    """``a / b``, and 0 where ``b`` is 0."""
+    found: Float64 = np.divide(a, b, out=np.zeros_like(a), where=b > 0)
+    return found

@@ -1,0 +1,188 @@
+"""Photographs as files: EXR and Radiance pictures, and the codes of PNG, JPEG and TIFF, as linear radiance."""
+
+from __future__ import annotations
+
+import math
+import warnings
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from neurad.core.errors import InputError
+from neurad.core.records import Development, FloatArray, View
+from neurad.runtime.reading import native, regular_file, shown
+from neurad.scene.image_io import opened, read_exr
+from neurad.scene.numbers import PIXEL
+from neurad.scene.picture_headers import check_exr, check_hdr, check_size
+from neurad.scene.response import linear_value, linear_values
+
+CODED = (".png", ".jpg", ".jpeg", ".tif", ".tiff")
+"""Endings of photographs of codes, which a response curve turns into linear values."""
+READABLE = (".exr", ".hdr", *CODED)
+"""Endings of all photographs, in the order in which a name without ending is looked for."""
+RAW = (".arw", ".cr2", ".cr3", ".nef", ".dng", ".raf", ".rw2", ".orf", ".pef")
+"""Endings of what cameras write before anything is developed."""
+_ALPHA = 1.01  # coverage is at most 1, but for rounding and filters
+_BITS = 258  # TIFF's tag BitsPerSample
+_HEAD = 1 << 16  # bytes that have the header of a picture
+_AT = 1e-4  # relative rounding at a ceiling
+_SAID = "it cannot be read as an image"
+
+AS_IS = Development()
+"""Of photographs whose values are linear radiance."""
+
+
+def picture_size(path: Path) -> tuple[int, int]:
+    """Width and height in pixels of a photograph, by its header.
+
+    Raises:
+        InputError: it cannot be read, or has another format.
+    """
+    ending = path.suffix.lower()
+    if ending == ".hdr":
+        return check_hdr(path, _first_bytes(regular_file(path), _HEAD))
+    if ending not in CODED:
+        return check_exr(path)
+    with _header(path) as image:
+        width, height = image.size
+    check_size(path, width, height, 20, 16)
+    return width, height
+
+
+def largest_code(path: Path) -> int:
+    """Largest code of a photograph's format, by its header: 255 or 65535; 0 where values are floating point.
+
+    Raises:
+        InputError: it cannot be read, or is a picture of codes that are no RGB or RGBA of 8 or 16 bits.
+    """
+    if path.suffix.lower() not in CODED:
+        return 0
+    with _header(path) as image:
+        mode, bits = image.mode, 8
+        if image.format == "PNG":
+            bits = _first_bytes(path, 25)[24]
+        elif image.format == "TIFF":
+            bits = max(image.tag_v2.get(_BITS, (8,)))
+    if mode not in ("RGB", "RGBA", "P") or bits not in (8, 16):
+        raise InputError(f"{shown(path)}: a photograph has channels RGB or RGBA of 8 or 16 bits, this one is {mode}")
+    return (1 << bits) - 1
+
+
+def _first_bytes(path: Path, count: int) -> bytes:
+    with native(path, _SAID), path.open("rb") as stream:
+        return stream.read(count)
+
+
+def _header(path: Path) -> Any:
+    """The picture of a file, not yet decoded; a context manager."""
+    with native(path, _SAID), warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        return opened(regular_file(path))
+
+
+def _codes(path: Path, levels: int) -> npt.NDArray[np.uint8] | npt.NDArray[np.uint16]:
+    """The codes of a photograph [h, w, 3 or 4]."""
+    width, height = picture_size(path)
+    if levels == 255:
+        with _header(path) as image, native(path, _SAID), warnings.catch_warnings():
+            warnings.simplefilter("ignore")
+            return np.asarray(image.convert("RGB") if image.mode == "P" else image)
+    found = _by_opencv(path)  # Pillow reads colours with 8 bits
+    if found.dtype != np.uint16 or found.shape[:2] != (height, width):
+        raise InputError(f"{shown(path)}: {_SAID}")
+    return found
+
+
+def _by_opencv(path: Path) -> npt.NDArray[Any]:
+    """The values of a picture [h, w, 3 or 4] as its file has them.
+
+    Raises:
+        InputError: it cannot be read, or the package is missing.
+    """
+    try:
+        import cv2
+    except ImportError as error:
+        raise InputError(
+            f"{shown(path)}: Radiance pictures and 16 bits need the package OpenCV: pip install 'neurad[photos]'"
+        ) from error
+    with native(path, _SAID):
+        found = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
+    if found is None or found.ndim != 3 or found.shape[2] not in (3, 4):
+        raise InputError(f"{shown(path)}: {_SAID}")
+    return np.ascontiguousarray(found[..., [2, 1, 0, 3][: found.shape[2]]])
+
+
+def read_photograph(path: str | Path, development: Development = AS_IS) -> FloatArray:
+    """A photograph: linear RGB or RGBA [h, w, 3 or 4], colour premultiplied by alpha, the exposure divided out.
+
+    Args:
+        path: of the file.
+        development: how its values become radiance. Of codes without a response, sRGB's curve is undone.
+
+    Raises:
+        InputError: missing or unreadable, other channels, pixels that are not finite, negative or beyond what can be
+            squared, or alpha above 1.
+    """
+    path = regular_file(path)
+    ending = path.suffix.lower()
+    if ending in CODED:
+        levels = development.levels or largest_code(path)
+        codes = _codes(path, levels)
+        pixels = linear_values(development.response or "srgb", levels)[codes]
+        if codes.shape[2] == 4:
+            pixels[..., 3] = codes[..., 3] / np.float32(levels)
+            pixels[..., :3] *= pixels[..., 3:]
+    else:
+        if ending == ".hdr":
+            picture_size(path)
+        pixels = _by_opencv(path).astype(np.float32, copy=False) if ending == ".hdr" else read_exr(path)
+        _check(path, pixels)
+    if development.gain != 1.0:
+        pixels[..., :3] /= np.float32(development.gain)
+    return pixels
+
+
+def read_view(view: View) -> FloatArray:
+    """The photograph of a view, see :func:`read_photograph`."""
+    assert view.image is not None
+    return read_photograph(view.image, view.development)
+
+
+def ceiling_of(view: View) -> float:
+    """Radiance from which on a view's photograph is clipped; infinite where it is not."""
+    development = view.development
+    if development.ceiling is None:
+        return math.inf
+    return linear_value(development.response, development.ceiling) / development.gain * (1.0 - _AT)
+
+
+def rounding(response: str, levels: int) -> tuple[FloatArray, FloatArray]:
+    """Linear value of every code [levels + 1], rising, and the variance of what is rounded to it."""
+    values = linear_values(response, levels).astype(np.float64)
+    step: FloatArray = np.gradient(values)
+    return values, step * step / 12.0
+
+
+def _check(path: Path, pixels: FloatArray) -> None:
+    """Refuse pixels [h, w, c] that cannot be computed with."""
+    if pixels.shape[2] not in (3, 4):
+        raise InputError(f"{shown(path)}: a photograph has channels RGB or RGBA, this one has {pixels.shape[2]} in all")
+    low, high = float(pixels.min(initial=0.0)), float(pixels.max(initial=0.0))  # both NaN if any pixel is
+    if not (math.isfinite(low) and math.isfinite(high)):
+        raise InputError(f"{shown(path)}: it has pixels that are NaN or infinite ({_share(~np.isfinite(pixels))})")
+    if low < 0:
+        raise InputError(f"{shown(path)}: it has negative pixels ({_share(pixels < 0)}, down to {low:.3g})")
+    if high > PIXEL:
+        raise InputError(
+            f"{shown(path)}: it has pixels above {PIXEL:g} ({_share(pixels > PIXEL)}, up to {high:.3g}), whose squares "
+            "leave 32 bits: scale the photographs and the lights"
+        )
+    if pixels.shape[2] == 4 and (alpha := float(pixels[..., 3].max(initial=0.0))) > _ALPHA:
+        raise InputError(f"{shown(path)}: its alpha is up to {alpha:.3g}, but means coverage, from 0 to 1")
+
+
+def _share(wrong: npt.NDArray[np.bool_]) -> str:
+    """How many pixels [h, w, c] are marked in any channel."""
+    return f"{int(wrong.any(-1).sum())} of {wrong.shape[0] * wrong.shape[1]}"

@@ -1,0 +1,101 @@
+"""Gains and response curves that a fit recovers from photographs."""
+
+import numpy as np
+import pytest
+import torch
+
+from neurad.core.records import Camera, Development, PixelBatch, View
+from neurad.fields.development import FittedDevelopment
+from neurad.optim.sparse_row_adam import SparseRowAdam
+from neurad.scene.development import Photography
+from neurad.scene.image_io import to_srgb
+
+
+def views(count, exposures=None, levels=255):
+    camera = Camera(np.eye(4), 1.0, 8, 8)
+    exposures = exposures or [None] * count
+    return [View(str(i), camera, development=Development("srgb", levels, None, e)) for i, e in enumerate(exposures)]
+
+
+def batch_of(view, color):
+    nothing = torch.zeros_like(view)
+    return PixelBatch(view, nothing, color, torch.ones(len(view)), 0)
+
+
+def fitted(model, batch, truth, steps, rate):
+    optimizer = SparseRowAdam(model.parameters(), lr=rate)
+    for step in range(steps):
+        for group in optimizer.param_groups:
+            group["lr"] = rate * 0.02 ** (step / steps)
+        optimizer.zero_grad()
+        ((model.colors(batch) - truth).square() / (truth.square() + 0.01)).mean().backward()
+        optimizer.step()
+
+
+def test_what_is_known_is_not_recovered():
+    assert FittedDevelopment.of(views(3), Photography("srgb")) is None
+    assert FittedDevelopment.of([], Photography(exposure="fit")) is None
+
+
+def test_at_the_start_photographs_are_as_they_are():
+    model = FittedDevelopment(views(3, [0.5, 1, 2]), Photography("fit", None, "fit", "fit"))
+    batch = batch_of(torch.arange(3), torch.rand(3, 3) * torch.tensor([[2.0], [1.0], [0.5]]))
+    torch.testing.assert_close(model(batch).color, batch.color, rtol=1e-3, atol=1e-5)
+    np.testing.assert_allclose(model.exposures(), [[0.5] * 3, [1] * 3, [2] * 3])
+
+
+@pytest.mark.parametrize("colours", [False, True])
+def test_gains_are_recovered_up_to_a_common_factor(colours):
+    torch.manual_seed(1)
+    model = FittedDevelopment(views(6), Photography(None, None, "fit", "fit" if colours else "known"))
+    log = (torch.rand(6, 3 if colours else 1) - 0.5).expand(-1, 3)
+    view, truth = torch.randint(6, (4000,)), torch.rand(4000, 3)
+    taken = truth * log.exp()[view]
+    batch = batch_of(view, taken * (1 + 0.1 * torch.randn(4000, 3)))
+    fitted(model, batch, truth * log.mean(0).exp(), 400, 0.02)
+    np.testing.assert_allclose(model.exposures(), (log - log.mean(0)).exp(), rtol=0.01)
+
+
+def test_colours_of_a_known_exposure_keep_it():
+    model = FittedDevelopment(views(2), Photography(white_balance="fit"))
+    with torch.no_grad():
+        model.values.copy_(torch.tensor([[1.0, 2.0, 3.0], [0.0, 0.0, -1.0]]))
+    np.testing.assert_allclose(np.log(model.exposures()).mean(1), 0, atol=1e-6)
+    np.testing.assert_allclose(np.log(model.exposures()).mean(0), 0, atol=1e-6)
+
+
+def test_every_curve_rises():
+    model = FittedDevelopment(views(1), Photography("fit"))
+    for seed in range(20):
+        torch.manual_seed(seed)
+        with torch.no_grad():
+            model.bend.copy_(3 * torch.randn(len(model.bend)))
+            curve = model.curve()
+        assert bool((curve.diff() > 0).all())
+        assert (curve[0], curve[-1]) == (0, pytest.approx(1, abs=1e-5))
+
+
+@pytest.mark.parametrize("gamma", [1.0, 1.8, 2.6])
+def test_a_gamma_is_recovered(gamma):
+    torch.manual_seed(2)
+    model = FittedDevelopment(views(2), Photography("fit"))
+    truth = torch.rand(5000, 3) ** 2
+    code = truth ** (1 / gamma)
+    batch = batch_of(torch.randint(2, (5000,)), srgb_decoded(code))
+    fitted(model, batch, truth, 600, 0.05)
+    with torch.no_grad():
+        found = model.colors(batch)
+    assert float((found - truth).abs().mean()) < 0.005
+
+
+def srgb_decoded(code):
+    return torch.where(code <= 0.04045, code / 12.92, ((code + 0.055) / 1.055) ** 2.4)
+
+
+def test_linear_photographs_have_no_response():
+    model = FittedDevelopment(views(2, levels=0), Photography("fit"))
+    with torch.no_grad():
+        model.bend.fill_(1.0)
+    batch = batch_of(torch.zeros(4, dtype=torch.int64), torch.rand(4, 3) * 30)
+    assert torch.equal(model(batch).color, batch.color)
+    assert to_srgb(np.ones(1))[0] == pytest.approx(1)
