@@ -62,29 +62,29 @@ def _error_axis(axes: Axes, name: str) -> None:
     axes.grid(True, alpha=0.3)
 
 
-def _curves(name: str, key: str | None = None) -> Figure:
-    """Error of albedo and roughness against seconds: a curve for each value of column ``key`` or of room ``name``."""
+def _curves(name: str, key: str | None = None, unit: str = "seconds") -> Figure:
+    """Error of albedo and roughness against seconds or iterations: a curve for each value of column ``key`` or of room ``name``."""
     figure, both = plt.subplots(1, 2, figsize=(10, 4))
     constants = {row["room"]: row for row in rows("constants")}
     table = rows(name)
     for axes, quantity in zip(both, MAPS, strict=True):
         for index, group in enumerate(distinct(row[key] for row in table) if key else [name]):
             chosen = [row for row in table if key is None or row[key] == group]
-            seconds = [float(row["seconds"]) for row in chosen]
+            effort = [float(row[unit]) for row in chosen]
             label = ROOMS.get(group, group)
             axes.plot(
-                seconds, [rmse(r[f"{quantity}_psnr"]) for r in chosen], "o-", ms=3, color=f"C{index}", label=label
+                effort, [rmse(r[f"{quantity}_psnr"]) for r in chosen], "o-", ms=3, color=f"C{index}", label=label
             )
             axes.axhline(rmse(constants[group][f"{quantity}_psnr"]), color=f"C{index}", ls=":", lw=1)
-        axes.set_xlabel("seconds of training")
+        axes.set_xlabel(f"{unit} of training")
         _error_axis(axes, quantity)
     both[0].legend(title="dotted: best constant", fontsize=8, title_fontsize=8)
     return figure
 
 
 def demo() -> Figure:
-    """Error of the built-in demo against time."""
-    return _curves("demo")
+    """Error of the built-in demo against iterations."""
+    return _curves("demo", unit="iterations")
 
 
 def patterns() -> Figure:
