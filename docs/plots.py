@@ -63,7 +63,7 @@ def _error_axis(axes: Axes, name: str) -> None:
 
 
 def _curves(name: str, key: str | None = None, unit: str = "seconds") -> Figure:
-    """Error of albedo and roughness against seconds or iterations: a curve for each value of column ``key`` or of room ``name``."""
+    """Error of albedo and roughness against ``unit``: a curve for each value of column ``key``, or of room ``name``."""
     figure, both = plt.subplots(1, 2, figsize=(10, 4))
     constants = {row["room"]: row for row in rows("constants")}
     table = rows(name)
