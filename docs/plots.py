@@ -23,7 +23,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import FixedLocator, FuncFormatter, NullLocator
 
 DOCS = Path(__file__).resolve().parent
-ROOMS = {"demo": "built-in kitchen", "patterns": "built-in patterned kitchen"}
+ROOMS = {"patterns": "built-in patterned kitchen"}
 """Names of rooms that a reader would not recognise."""
 MAPS = ("albedo", "roughness")
 Row = dict[str, str]
@@ -62,29 +62,24 @@ def _error_axis(axes: Axes, name: str) -> None:
     axes.grid(True, alpha=0.3)
 
 
-def _curves(name: str, key: str | None = None, unit: str = "seconds") -> Figure:
-    """Error of albedo and roughness against ``unit``: a curve for each value of column ``key``, or of room ``name``."""
+def _curves(name: str, key: str | None = None) -> Figure:
+    """Error of albedo and roughness against seconds: a curve for each value of column ``key``, or of room ``name``."""
     figure, both = plt.subplots(1, 2, figsize=(10, 4))
     constants = {row["room"]: row for row in rows("constants")}
     table = rows(name)
     for axes, quantity in zip(both, MAPS, strict=True):
         for index, group in enumerate(distinct(row[key] for row in table) if key else [name]):
             chosen = [row for row in table if key is None or row[key] == group]
-            effort = [float(row[unit]) for row in chosen]
+            seconds = [float(row["seconds"]) for row in chosen]
             label = ROOMS.get(group, group)
             axes.plot(
-                effort, [rmse(r[f"{quantity}_psnr"]) for r in chosen], "o-", ms=3, color=f"C{index}", label=label
+                seconds, [rmse(r[f"{quantity}_psnr"]) for r in chosen], "o-", ms=3, color=f"C{index}", label=label
             )
             axes.axhline(rmse(constants[group][f"{quantity}_psnr"]), color=f"C{index}", ls=":", lw=1)
-        axes.set_xlabel(f"{unit} of training")
+        axes.set_xlabel("seconds of training")
         _error_axis(axes, quantity)
     both[0].legend(title="dotted: best constant", fontsize=8, title_fontsize=8)
     return figure
-
-
-def demo() -> Figure:
-    """Error of the built-in demo against iterations."""
-    return _curves("demo", unit="iterations")
 
 
 def patterns() -> Figure:
@@ -199,7 +194,7 @@ def growth() -> Figure:
 
 
 PLOTS: dict[str, Callable[[], Figure]] = {
-    "demo": demo, "patterns": patterns, "rooms": rooms, "methods": methods, "cube": cube, "growth": growth,
+    "patterns": patterns, "rooms": rooms, "methods": methods, "cube": cube, "growth": growth,
 }  # fmt: skip
 """Every plot by the name of its file."""
 
