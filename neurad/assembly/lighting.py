@@ -14,7 +14,6 @@ from neurad.emitters.environment import Environment
 from neurad.emitters.fitted import FittedEnvironment
 from neurad.emitters.fitted_lamps import FittedLamps
 from neurad.emitters.lights import Lights, WithPunctual, make_lights
-from neurad.emitters.punctual import PunctualLights
 from neurad.integrators.world import World
 from neurad.scene.description import Scene
 from neurad.scene.geometry import Geometry
@@ -31,12 +30,6 @@ def environment_light(world: World) -> Environment | None:
     lights = world.lights.others if isinstance(world.lights, WithPunctual) else world.lights
     lights = lights.environment if isinstance(lights, Lights) else lights
     return lights if isinstance(lights, Environment) else None
-
-
-def punctual_lights(world: World) -> PunctualLights | None:
-    """The lights without extent of a world; None without any."""
-    lights = world.lights.punctual if isinstance(world.lights, WithPunctual) else world.lights
-    return lights if isinstance(lights, PunctualLights) else None
 
 
 def area_lights(world: World) -> AreaLights | None:
