@@ -106,7 +106,8 @@ class TextureReader:
         Raises:
             InputError: a clamped picture ends far inside the surface.
         """
-        at = uvs @ place.to_uv[:2, :2].T + place.to_uv[:2, 2]
+        with np.errstate(over="ignore", invalid="ignore"):  # what is no number is said below
+            at = uvs @ place.to_uv[:2, :2].T + place.to_uv[:2, 2]
         within(at, f"{shown(self.file.path)}: {where}: texture coordinates", -TEXEL, TEXEL)
         changes, matrix = list[int](), place.to_uv.copy()
         for axis, side in ((0, place.coded.shape[1]), (1, place.coded.shape[0])):
