@@ -95,7 +95,8 @@ is accounted for.
 start here:
   neurad fit --config kitchen.yaml                         the built-in demo: four minutes on two CPU cores
   neurad test                                              pictures and scores of the newest run, with report.html
-  neurad fit --config scene.yaml --data.root DIR           a room of your own (DIR: scene.xml, cameras, EXR photographs)
+  neurad check --root DIR                                  whether a room of your own is sound, with pictures
+  neurad fit --config scene.yaml --data.root DIR           fit it (DIR: scene.xml, cameras, EXR photographs)
   neurad fit --ckpt_path last --trainer.max_time 20m       go on with the newest run, up to 20 minutes in all
   neurad export --out room                                 what it found, for Blender, glTF viewers and Mitsuba
 

@@ -102,6 +102,7 @@ def test_each_damaged_view_is_named(tmp_path):
     assert "train_006" not in found
 
 
+@pytest.mark.main
 def test_what_a_fit_refuses_is_refused_and_the_others_are_looked_at(tmp_path, monkeypatch, capsys):
     """A photograph with a NaN, one of equal pixels, in a room of 300 units whose lamp is ten times too bright."""
     scene = brighter(builtin.build("cornell"), 10.0)

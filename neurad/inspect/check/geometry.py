@@ -21,7 +21,7 @@ LARGE, SMALL = 100.0, 0.1
 FAR_OUT, CLOSED = 0.35, 0.1
 """Fraction of the directions with nothing in them from which on a camera is outside, where of others it is below the
 second."""
-NARROW, TIGHT = 0.1, 0.75
+NARROW, TIGHT = 0.1, 1.0
 """Free width around a camera over that around others: inside a wall in any case, and if it sees backs of surfaces."""
 BACKS, FRONTS = 0.8, 0.3
 """Fraction of the surfaces around it that a camera inside of a solid sees from behind, and a camera outside at most."""
