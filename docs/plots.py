@@ -23,7 +23,7 @@ from matplotlib.figure import Figure
 from matplotlib.ticker import FixedLocator, FuncFormatter, NullLocator
 
 DOCS = Path(__file__).resolve().parent
-ROOMS = {"demo": "built-in kitchen"}
+ROOMS = {"patterns": "built-in patterned kitchen"}
 """Names of rooms that a reader would not recognise."""
 MAPS = ("albedo", "roughness")
 Row = dict[str, str]
@@ -62,13 +62,13 @@ def _error_axis(axes: Axes, name: str) -> None:
     axes.grid(True, alpha=0.3)
 
 
-def _curves(name: str, key: str | None) -> Figure:
-    """Error of albedo and roughness against seconds, a curve for each value of column ``key``."""
+def _curves(name: str, key: str | None = None) -> Figure:
+    """Error of albedo and roughness against seconds: a curve for each value of column ``key``, or of room ``name``."""
     figure, both = plt.subplots(1, 2, figsize=(10, 4))
     constants = {row["room"]: row for row in rows("constants")}
     table = rows(name)
     for axes, quantity in zip(both, MAPS, strict=True):
-        for index, group in enumerate(distinct(row[key] for row in table) if key else ["demo"]):
+        for index, group in enumerate(distinct(row[key] for row in table) if key else [name]):
             chosen = [row for row in table if key is None or row[key] == group]
             seconds = [float(row["seconds"]) for row in chosen]
             label = ROOMS.get(group, group)
@@ -82,9 +82,9 @@ def _curves(name: str, key: str | None) -> Figure:
     return figure
 
 
-def demo() -> Figure:
-    """Error of the built-in demo against time."""
-    return _curves("demo", None)
+def patterns() -> Figure:
+    """Error of the patterned kitchen against time."""
+    return _curves("patterns")
 
 
 def rooms() -> Figure:
@@ -92,7 +92,7 @@ def rooms() -> Figure:
     return _curves("rooms", "room")
 
 
-COMPARED = ("demo", "staircase")
+COMPARED = ("patterns", "staircase")
 """Rooms with a ``methods_ROOM.csv``, which has the columns of the ``curves.csv`` that ``neurad compare`` writes."""
 
 
@@ -194,7 +194,7 @@ def growth() -> Figure:
 
 
 PLOTS: dict[str, Callable[[], Figure]] = {
-    "demo": demo, "rooms": rooms, "methods": methods, "cube": cube, "growth": growth,
+    "patterns": patterns, "rooms": rooms, "methods": methods, "cube": cube, "growth": growth,
 }  # fmt: skip
 """Every plot by the name of its file."""
 

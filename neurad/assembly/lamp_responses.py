@@ -20,11 +20,13 @@ from neurad.core.protocols import Emitter
 from neurad.core.records import PixelBatch
 from neurad.core.rng import Stream
 from neurad.emitters.area import AreaLights
+from neurad.emitters.environment import Environment
 from neurad.emitters.fitted_lamps import Array
-from neurad.emitters.lights import Lights
+from neurad.emitters.lights import AnyLights, Lights, WithPunctual, join
 from neurad.integrators.estimator import Estimator
 from neurad.integrators.path import PathTracing
 from neurad.integrators.primary_hits import PrimaryHits
+from neurad.integrators.world import World
 
 Bools = npt.NDArray[np.bool_]
 
@@ -45,10 +47,10 @@ class Responses:
 
     halves: Array
     """By each lamp alone at radiance 1, in two independent halves [2, m, n, 3]."""
-    environment: Array | None
-    """By the environment alone [n, 3]; None where there is none."""
-    environment_known: bool
-    """Whether it is as bright as it is."""
+    known: Array | None
+    """By all light that is known and no lamp [n, 3]; None where there is none."""
+    sky: Array | None
+    """By an environment that is recovered, as bright as it begins [n, 3]; None where there is none."""
     photographs: Array
     """[n, 3]."""
 
@@ -105,10 +107,21 @@ def lamp_responses(assembly: Assembly, primary: PrimaryHits, sample: PixelBatch,
                 parts.append(torch.zeros(len(si), 2, 3, dtype=torch.float64))
                 continue
             parts.append(lit(alone, row))
-        environment = world.lights.environment if isinstance(world.lights, Lights) else None
-        sky = None if environment is None else lit(environment, len(parts)).mean(1).numpy()
+        others = [other_lights(world, assembly.environment), assembly.environment]
+        known, sky = (
+            None if other is None else lit(other, len(parts) + key).mean(1).numpy() for key, other in enumerate(others)
+        )
     halves: Array = torch.stack(parts).permute(2, 0, 1, 3).numpy()
-    return Responses(halves, sky, assembly.environment is None, color.double().cpu().numpy())
+    return Responses(halves, known, sky, color.double().cpu().numpy())
+
+
+def other_lights(world: World, unknown: Environment | None) -> AnyLights | None:
+    """All light of a world but its area lights and an environment that is ``unknown``; None where there is none."""
+    punctual = world.lights.punctual if isinstance(world.lights, WithPunctual) else None
+    inner = world.lights.others if isinstance(world.lights, WithPunctual) else world.lights
+    environment = inner.environment if isinstance(inner, Lights) and unknown is None else None
+    radius = world.lights.radius if isinstance(world.lights, Lights | WithPunctual) else 0.0
+    return join(None, environment, punctual, radius)
 
 
 def alike(responses: Responses, told: Bools) -> list[list[int]]:
@@ -130,22 +143,21 @@ def alike(responses: Responses, told: Bools) -> list[list[int]]:
 def explain(responses: Responses, radiance: Array, told: Bools, groups: list[list[int]]) -> Array:
     """Radiance of every lamp [m, 3] that explains the photographs best, each channel by itself.
 
-    What is known of the light (``radiance`` [m, 3] of lamps that are ``told`` [m], a known environment) is one column;
-    the factor that it gets is how much brighter the surfaces are than they are taken for, and all others are divided by
-    it.
+    What is known of the light (``radiance`` [m, 3] of lamps that are ``told`` [m], lights of other kinds) is one
+    column; the factor that it gets is how much brighter the surfaces are than they are taken for, and all others are
+    divided by it.
     """
     from scipy.optimize import nnls  # type: ignore[import-untyped] # imported where it is needed: it loads slowly
 
     pictures, weight, target = responses.lamps, responses.weight, responses.photographs
     known = np.einsum("mc,mnc->nc", radiance * told[:, None], pictures)
-    if responses.environment is not None and responses.environment_known:
-        known = known + responses.environment
-    open_sky = responses.environment if not responses.environment_known else None
+    if responses.known is not None:
+        known = known + responses.known
     free = [group for group in groups if not told[group].any() and responses.reaches[group].any()]
     found = np.zeros((len(pictures), 3))
     for channel in range(3):
         columns = [known[:, channel], *(pictures[group, :, channel].sum(0) for group in free)]
-        columns += [] if open_sky is None else [open_sky[:, channel]]
+        columns += [] if responses.sky is None else [responses.sky[:, channel]]
         w = weight[:, channel]
         x, _ = nnls(np.stack(columns, 1) * w[:, None], target[:, channel] * w)
         factor = float(np.clip(x[0], 0.2, 5.0)) if known[:, channel].any() else 1.0
@@ -164,9 +176,10 @@ def connected(responses: Responses, radiance: Array, told: Bools) -> Bools:
     light = radiance[:, None] * responses.lamps * responses.weight  # [m, n, 3]
     fixed = told.copy()
     parts = [*light]
-    if responses.environment is not None:
-        parts.append(responses.environment * responses.weight)
-        fixed = np.append(fixed, responses.environment_known)
+    for other, is_known in ((responses.known, True), (responses.sky, False)):
+        if other is not None:
+            parts.append(other * responses.weight)
+            fixed = np.append(fixed, is_known)
     sums = np.array([part.sum() for part in parts])
     meet = np.array([[np.minimum(a, b).sum() for b in parts] for a in parts])
     near = meet > MEET * np.maximum(np.minimum.outer(sums, sums), 1e-300)

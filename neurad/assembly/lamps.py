@@ -96,8 +96,9 @@ def refusal(wrong: Sequence[PhotographedLamp]) -> str:
     others = f" (and {len(wrong) - 1} other lamps)" if len(wrong) > 1 else ""
     return (
         f"lamp {first.name}{others} is {_brighter(first)} in the photographs than the declared radiance "
-        f"{_three(first.declared)}: no material makes up for that; set it to {_three(first.radiance)}, or train all "
-        "the same with --model.lighting.lamp_mismatch warn"
+        f"{_three(first.declared)}: no material makes up for that; set it to {_three(first.radiance)}, take it from "
+        "the photographs with --model.lighting.emitters photographs, or train all the same with "
+        "--model.lighting.lamp_mismatch warn"
     )
 
 

@@ -21,9 +21,15 @@ from neurad.scene.geometry import Geometry
 
 def fitted_environment(world: World) -> FittedEnvironment | None:
     """The environment of a world that is being recovered; None where it is known."""
+    environment = environment_light(world)
+    return environment if isinstance(environment, FittedEnvironment) else None
+
+
+def environment_light(world: World) -> Environment | None:
+    """The environment of a world; None without any."""
     lights = world.lights.others if isinstance(world.lights, WithPunctual) else world.lights
     lights = lights.environment if isinstance(lights, Lights) else lights
-    return lights if isinstance(lights, FittedEnvironment) else None
+    return lights if isinstance(lights, Environment) else None
 
 
 def area_lights(world: World) -> AreaLights | None:

@@ -172,7 +172,7 @@ class Optimization:
     """Learning rate of an environment map that is recovered; its texels are the parameters."""
     lamps: NonNegative = 1e-2
     """Learning rate of the logarithms of the lamps' radiance, where that is recovered."""
-    exposure: NonNegative = 1e-2
+    exposure: NonNegative = 3e-4
     """Learning rate of the logarithms of the photographs' gains, where ``data.exposure`` or ``data.white_balance`` is
     ``fit``."""
     response: NonNegative = 1e-2

@@ -20,6 +20,7 @@ from neurad.assembly.exposure import (
     sentence_of_fireflies,
     white_brightness,
 )
+from neurad.assembly.gains import shared_gains
 from neurad.assembly.lamps import check_lamps
 from neurad.assembly.memory import announce_camera_rays
 from neurad.assembly.unknown_lamps import begin_lamps
@@ -118,6 +119,15 @@ def prepare_views(
         white = partial(white_brightness, primary, stats.sample, settings.seed, scene.max_depth)
         if said := sentence_if_far(brightness(primary, stats.sample, settings.seed), white):
             print(f"neurad: warning: {said}", file=sys.stderr)
+    development = assembly.development
+    if check_brightness and development is not None and development.values is not None:
+        development.begin(shared_gains(primary, photographs, stats.sample, emitter_mask, settings.seed))
+        begins = development.gains()
+        print(
+            f"neurad: gains begin between {float(begins.min()):.3g} and {float(begins.max()):.3g}, by surfaces that "
+            "several photographs show",
+            file=sys.stderr,
+        )
     if check_brightness and assembly.lamps is None:
         check_lamps(assembly, photographs, stats.sample)
     if assembly.radiance is not None:

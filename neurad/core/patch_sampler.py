@@ -20,7 +20,8 @@ class PatchSampler:
     """Draws square patches without replacement: views take turns, and so do the patches of each view.
 
     No patch is drawn a second time before every other patch of its view has been drawn. Compared with independent
-    draws, which after one visit a pixel on average have left out a third of them, the kitchen gains 0.3 dB after 20 s.
+    draws, which after one visit a pixel on average have left out a third of them, the built-in patterned kitchen gains
+    0.3 dB after 20 s.
 
     Attributes:
         views: indices of the views, in the order in which they take turns [m], int64.

@@ -76,6 +76,12 @@ class FittedDevelopment(nn.Module):
             log = log - log.mean(1, keepdim=True)
         return log.exp().expand(-1, 3)
 
+    @torch.no_grad()
+    def begin(self, log: Tensor) -> None:
+        """Let the gains begin at the exponentials of ``log`` [views, 3]."""
+        if self.values is not None:
+            self.values.copy_(log if self.values.shape[1] == 3 else log.mean(1, keepdim=True))
+
     def curve(self) -> Tensor:
         """Linear values at equidistant codes from 0 to 1 [steps + 1]; rises from 0 to 1."""
         rise = self.slope

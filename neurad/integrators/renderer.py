@@ -12,6 +12,7 @@ from neurad.core.records import Rays
 from neurad.core.rng import Stream
 from neurad.integrators.method import Method, SceneModel, query_radiance
 from neurad.integrators.path import PathTracing
+from neurad.integrators.stratified import stratified_samples
 from neurad.integrators.vertex import DIMENSIONS
 from neurad.integrators.world import World
 
@@ -26,6 +27,9 @@ class MethodRenderer:
 
     method: Method
     scene: SceneModel
+    spread: int = 1
+    """Rays in a row, those of a pixel, whose first bounces are spread evenly and not drawn one by one, where all rays
+    make up such rows. Every bounce's numbers stay uniform."""
 
     @torch.no_grad()
     def __call__(self, rays: Rays, seed: int) -> Tensor:
@@ -36,7 +40,10 @@ class MethodRenderer:
         lane = first.si.valid.nonzero().squeeze(-1)  # rays that end on a surface [m]
         if len(lane) > 0:
             si = first.si if len(lane) == len(rays) else first.si[lane]
-            u = stream.uniform(len(si), DIMENSIONS)
+            if self.spread > 1 and len(rays) % self.spread == 0:
+                u = stratified_samples(len(rays) // self.spread, self.spread, stream)[lane]
+            else:
+                u = stream.uniform(len(si), DIMENSIONS)
             sample = self.method.reflected(self.scene, si, self.scene.materials(si), u, stream)
             radiance.index_add_(0, lane, sample.value)
         return first.attenuate(radiance)

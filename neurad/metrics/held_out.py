@@ -75,7 +75,7 @@ class HeldOut:
         tracer: casts rays against them.
         grid: every pixel is predicted at ``grid`` x ``grid`` stratified positions and box-filtered like the truth. Four
             positions are too few for patterns as fine as a pixel: they took 0.2 dB from the staircase's albedo and 1 dB
-            from the built-in kitchen's.
+            from the built-in patterned kitchen's.
         stride: of rows and columns only every so many-th count; all arrays below have only these pixels.
     """
 

@@ -34,6 +34,8 @@ from neurad.scene.textures import TrueMaterials
 from neurad.training.train_radiance import train_radiance
 
 SEED = 20230806
+SPREAD = 16
+"""Samples of a pixel whose first bounces are spread evenly; more are several such sets."""
 
 
 @dataclass(frozen=True)
@@ -64,10 +66,10 @@ class Subject:
             learning: how long.
         """
         if not self.method.needs_field:
-            return {"images": MethodRenderer(self.method, self.parts)}
+            return {"images": MethodRenderer(self.method, self.parts, SPREAD)}
         field = self._learned(cameras, learning) if self.field is None else self.field
         parts = replace(self.parts, radiance=field)
-        return {"images": MethodRenderer(self.method, parts), "images_lhs": FieldRenderer(parts)}
+        return {"images": MethodRenderer(self.method, parts, SPREAD), "images_lhs": FieldRenderer(parts)}
 
     def _learned(self, cameras: Sequence[Camera], learning: Learning) -> RadianceField:
         """The radiance field of this light and these materials."""

@@ -25,7 +25,7 @@ from neurad.scene.photographs import picture_size
 from neurad.scene.readers.gltf import ENDINGS, GltfRoom, read_gltf
 from neurad.scene.readers.gltf_file import GltfFile
 from neurad.scene.readers.gltf_nodes import GltfCamera
-from neurad.scene.readers.gltf_scene import ENVIRONMENT, refuse_lights
+from neurad.scene.readers.gltf_scene import ENVIRONMENT
 from neurad.scene.readers.nerf import HOLD_OUT, Split
 from neurad.scene.room_folder import Room, write_views
 
@@ -48,7 +48,6 @@ def import_gltf(settings: ImportSettings) -> None:
     source = _scene_file(settings.source)
     environment = None if settings.environment is None else map_of(settings.environment)
     room = read_gltf(source)
-    refuse_lights(source, room)
     views = Split([], [])
     if settings.images is not None:
         views = _photographed(room, folder(settings.images, "--images"), source)
@@ -118,6 +117,7 @@ def _say(out: Path, room: GltfRoom, views: Split, scene: Scene | None, has_envir
     """What the folder has, and what it lacks."""
     triangles = sum(len(mesh.faces) for mesh in room.meshes)
     shining = [mesh.name for mesh in room.meshes if mesh.radiance is not None]
+    shining += [f"{light.name} ({light.kind})" for light in room.lights]
     print(f"{shown(out)}: {len(room.meshes)} meshes, {triangles} triangles, {len(room.cameras)} cameras")
     for note in (*room.notes, *views.notes):
         print(f"neurad: {note}", file=sys.stderr)

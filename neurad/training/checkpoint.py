@@ -110,7 +110,11 @@ def check_scene(state: dict[str, Any], scene: Scene, source: str, same_light: bo
     if state["fingerprint"] == scene.fingerprint and (light is None or not same_light):
         return
     if light is None or state.get("geometry") != scene.geometry_fingerprint:
-        raise InputError(f"{source}: the checkpoint is of scene {state['scene']}, not of {scene.name} as given")
+        renamed = state["scene"] == scene.name == "kitchen"
+        hint = (
+            "; the built-in kitchen of older versions is now called patterns: --data.scene patterns" if renamed else ""
+        )
+        raise InputError(f"{source}: the checkpoint is of scene {state['scene']}, not of {scene.name} as given{hint}")
     if same_light and (changes := light_changes(light, scene)):
         raise InputError(
             f"{source}: the light of scene {scene.name} is not that of the fit ({'; '.join(changes)}); put it back, or "

@@ -11,7 +11,7 @@ SMALL = FieldConfig(GridConfig(levels=2, coarsest=2, finest=4, log2_size=8), wid
 
 
 def test_emitters_keep_the_materials_of_the_scene():
-    scene = load_scene(None, "kitchen")
+    scene = load_scene(None, "patterns")
     geometry = build_world(scene).geometry
     made = build_materials(scene, SMALL, SMALL, geometry)
     prim = torch.arange(len(geometry.emission))

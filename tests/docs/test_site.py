@@ -2,13 +2,11 @@
 
 import importlib.util
 import re
-import shutil
 
 import matplotlib.image
 import pytest
 from helpers.pages import DOCS, PAGES, REPOSITORY, pages, without_blocks
-
-from neurad.scene.load import load_scene
+from helpers.tiny_fit import fit, run_folder, write_tiny_config
 
 
 def test_the_readme_is_short():
@@ -60,9 +58,9 @@ def test_plots_and_tables_show_the_same_numbers():
     plots = script("plots")
     readme, results = ((REPOSITORY / name).read_text() for name in ("README.md", "docs/results.md"))
     scores = ("albedo_psnr", "roughness_psnr")
-    ends = {row.get("room", "demo"): row for name in ("demo", "rooms") for row in plots.rows(name)}
+    ends = {row.get("room", name): row for name in ("patterns", "rooms") for row in plots.rows(name)}
     assert [room for room, row in ends.items() for key in scores if f" {row[key]} " not in results] == []
-    assert all(f"| {ends['demo'][key]} dB |" in readme for key in scores)
+    assert all(f"| {ends['patterns'][key]} dB |" in readme for key in scores)
     cells = {cell.strip() for line in results.splitlines() if line.startswith("|") for cell in line.split("|")}
     for room in plots.COMPARED:
         last = {row["method"]: row for row in plots.rows(f"methods_{room}")}
@@ -85,18 +83,16 @@ def test_curves_of_methods_are_drawn_where_there_are_some(tmp_path, monkeypatch)
     assert (tmp_path / "methods_curves.png").stat().st_size > 10_000
 
 
-def test_the_picture_shows_what_a_run_found(tmp_path):
+@pytest.mark.main
+def test_the_picture_of_the_readme_is_made_of_a_run(tiny, capsys):
+    write_tiny_config(base="kitchen.yaml")
+    fit("--trainer.max_steps=2")
     picture = script("picture")
-    (tmp_path / "images").mkdir()
-    for index in picture.VIEWS:
-        view = load_scene(None, "kitchen").test[index]
-        for kind, path in (("render", view.image), ("albedo", view.albedo), ("roughness", view.roughness)):
-            shutil.copy(path, tmp_path / "images" / f"{index:03d}_{kind}.exr")
-    picture.main([str(tmp_path), "--out", str(tmp_path / "kitchen.png")])
-    pixels = matplotlib.image.imread(tmp_path / "kitchen.png")
-    assert pixels.shape == matplotlib.image.imread(DOCS / "kitchen.png").shape
-    found, truth = (picture.columns(tmp_path, "kitchen", 0)[column] for column in (2, 3))
-    assert (found == truth).all()
+    picture.main([str(run_folder()), "--spp", "1", "--out", str(tiny / "kitchen.png")])
+    assert "lamps" in capsys.readouterr().err  # what is lit differently is said
+    pixels = matplotlib.image.imread(tiny / "kitchen.png")
+    assert pixels.shape == matplotlib.image.imread(DOCS / "images" / "kitchen.png").shape
+    assert (DOCS / "images" / "kitchen.png").stat().st_size < 400_000
 
 
 def test_the_site_loads_nothing_from_elsewhere(tmp_path):

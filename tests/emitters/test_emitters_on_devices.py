@@ -1,6 +1,7 @@
 """Lights send, evaluate and weigh the same on every device."""
 
 import copy
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -10,15 +11,21 @@ from helpers.object_scene import object_scene, sky
 from helpers.random_vertices import random_vertices
 
 from neurad.assembly.build import build_world
+from neurad.core.records import PunctualLight
 from neurad.core.rng import Stream
 from neurad.emitters.fitted import FittedEnvironment
-from neurad.scene.builtin import build_cornell, build_kitchen
+from neurad.scene.builtin import build_cornell, build_patterns
 
 N = 3000
+PUNCTUAL = (
+    PunctualLight("bulb", "point", np.float32([1, 2, 3]), np.float32([0.2, 0.3, 0.1])),
+    PunctualLight("beam", "spot", np.float32([4, 2, 1]), np.float32([0, 0.9, 0]), np.float32([0.3, -1, 0]), 60.0, 20.0),
+    PunctualLight("sun", "directional", np.float32([1, 1, 1]), direction=np.float32([0.3, -1, 0.2])),
+)
 
 
 def lights_of(name):
-    """A scene's world, whose lights are of one kind, of the other, or of both."""
+    """A scene's world, whose lights are of one kind, of another, or of several."""
     if name == "environment":
         return build_world(object_scene(sky()))
     if name == "fitted environment":
@@ -27,14 +34,18 @@ def lights_of(name):
             light.values.copy_(torch.randn(16 * 8, 3))
         light.refresh()
         return build_world(object_scene(sky()), fitted=light)
-    scene = build_cornell() if name == "area lights" else build_kitchen()
+    scene = build_patterns() if name == "both" else build_cornell()
+    if name == "points":
+        scene = replace(scene, meshes=[replace(mesh, radiance=None) for mesh in scene.meshes], punctual=PUNCTUAL)
+    if name == "all":
+        scene = replace(scene, environment=sky(), punctual=PUNCTUAL)
     if name == "both":
         scene = type(scene)(**{**vars(scene), "environment": sky()})
     return build_world(scene)
 
 
 @on_devices
-@pytest.mark.parametrize("name", ["area lights", "environment", "fitted environment", "both"])
+@pytest.mark.parametrize("name", ["area lights", "environment", "fitted environment", "both", "points", "all"])
 def test_lights_give_the_same_on_every_device(device, name):
     world = lights_of(name)
     si, u = random_vertices(world, N, 3), Stream(4).uniform(N, 3)

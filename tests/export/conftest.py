@@ -4,18 +4,18 @@ import pytest
 from helpers.clients import Validator, cache_folder
 from helpers.exported import exported
 
-from neurad.scene.builtin import build_kitchen
+from neurad.scene.builtin import build_patterns
 
 
 @pytest.fixture(scope="session")
 def kitchen():
-    """The built-in kitchen."""
-    return build_kitchen()
+    """The built-in patterned kitchen."""
+    return build_patterns()
 
 
 @pytest.fixture(scope="session")
 def kitchen_room(kitchen, tmp_path_factory):
-    """A folder with the built-in kitchen, textures of 16 x 16."""
+    """A folder with the built-in patterned kitchen, textures of 16 x 16."""
     pytest.importorskip("xatlas")
     return exported(kitchen, tmp_path_factory.mktemp("export") / "küche 1")
 

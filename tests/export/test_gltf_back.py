@@ -10,7 +10,7 @@ from helpers.exported import exported
 from helpers.object_scene import object_scene, sky
 
 from neurad.assembly.build import build_world
-from neurad.core.records import EnvironmentMap
+from neurad.core.records import EnvironmentMap, PunctualLight
 from neurad.core.reflection import ConductorModel, DielectricModel
 from neurad.integrators.film import render
 from neurad.integrators.renderer import path_tracer
@@ -89,6 +89,30 @@ def test_a_room_with_a_lamp(tmp_path):
     same_room(by_xml, by_glb)
     first, second = picture(by_xml), picture(by_glb)
     assert np.abs(second - first).mean() < 0.02 * first.mean()  # what 8 bits leave of colours, over many bounces
+
+
+@pytest.mark.parametrize("up", ["y", "-z"])
+def test_lights_without_extent(tmp_path, up):
+    side = np.array([0.6, -0.8, 0.0], np.float32)
+    lights = (
+        PunctualLight("bulb", "point", np.array([3, 2, 1], np.float32), np.array([0, 1, 0.5], np.float32)),
+        PunctualLight("beam", "spot", np.array([9, 9, 9], np.float32), side, -side, 40.0, 30.0),
+        PunctualLight("sun", "directional", np.array([1, 0.5, 0], np.float32), direction=side),
+    )
+    by_xml, by_glb = both(replace(build_cornell(), punctual=lights), tmp_path, up=up)
+    same_room(by_xml, by_glb)
+    found = {light.name: light for light in by_glb.punctual}
+    for light in by_xml.punctual:
+        other = found[light.name]
+        assert light.kind == other.kind
+        np.testing.assert_allclose(light.intensity, other.intensity, rtol=1e-5)
+        if light.kind != "directional":
+            np.testing.assert_allclose(light.position, other.position, atol=1e-6)
+        if light.kind != "point":
+            np.testing.assert_allclose(light.direction, other.direction, atol=1e-6)
+        if light.kind == "spot":
+            angles = other.cutoff_angle, other.beam_width
+            assert angles == pytest.approx((light.cutoff_angle, light.beam_width), rel=1e-5)
 
 
 def test_usd_has_the_same_triangles_and_lamps(tmp_path):

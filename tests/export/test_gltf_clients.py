@@ -1,4 +1,4 @@
-"""``scene.glb`` of the built-in kitchen as others read it: Khronos' validator, trimesh and Open3D."""
+"""``scene.glb`` of the built-in patterned kitchen as others read it: Khronos' validator, trimesh and Open3D."""
 
 import json
 import math

@@ -27,8 +27,8 @@ class Waves:
 
 @pytest.fixture(scope="module")
 def kitchen():
-    """The built-in kitchen's geometry, and every mesh with a texture."""
-    scene = load_scene(None, "kitchen")
+    """The built-in patterned kitchen's geometry, and every mesh with a texture."""
+    scene = load_scene(None, "patterns")
     charts = unwrap(scene.meshes, np.full(len(scene.meshes), 200.0), 3_000_000)
     return scene, Geometry(scene), charts
 

@@ -46,7 +46,7 @@ class Join(pl.Callback):
 
 
 def fit(devices, seed=0, kind="hash", joined=False):
-    """Fitted module after ``STEPS`` iterations; ``kind`` 'glossy' takes the kitchen, which has a guide."""
+    """Fitted module after ``STEPS`` iterations; ``kind`` 'glossy' takes the patterned kitchen, which has a guide."""
     warnings.filterwarnings("ignore")
     grid = GridConfig(levels=3, coarsest=4, finest=16, log2_size=10)
     sizes = {"grid": grid, "width": 16, "kind": "dense" if kind == "dense" else "hash", "size": 16}
@@ -60,7 +60,7 @@ def fit(devices, seed=0, kind="hash", joined=False):
         logger=False, enable_checkpointing=False, enable_progress_bar=False, enable_model_summary=False,
         num_sanity_val_steps=0, limit_val_batches=0, callbacks=[Join()] if joined else [],
     )  # fmt: skip
-    trainer.fit(module, SceneData(scene="kitchen" if kind == "glossy" else "cornell", patches=128, seed=seed))
+    trainer.fit(module, SceneData(scene="patterns" if kind == "glossy" else "cornell", patches=128, seed=seed))
     return module, trainer
 
 

@@ -5,10 +5,23 @@ from dataclasses import replace
 import numpy as np
 
 from helpers.small_fit import photographed_cornell
+from neurad.assembly.build import build_world
+from neurad.assembly.lighting import recovered_lamps, unknown_lamps
+from neurad.assembly.settings import Lighting
 from neurad.core.records import Camera
+from neurad.emitters.lights import make_lights
 
 TRUTH = np.array([17.0, 12.0, 4.0])
 """Radiance in the photographs."""
+LAMPS = Lighting(emitters="fit")
+
+
+def with_lamps(scene, sky=None):
+    """A world whose lamps are recovered, and these."""
+    scene = scene if sky is None else replace(scene, environment=sky)
+    world = build_world(scene)
+    world.lights = make_lights(scene, world.geometry, None, unknown_lamps(scene, world.geometry, LAMPS))
+    return world, recovered_lamps(world)
 
 
 def looking_up(scene, distance=0.9):

@@ -10,6 +10,6 @@ def viewed_run(tmp_path_factory):
     folder = tmp_path_factory.mktemp("viewed")
     with pytest.MonkeyPatch.context() as patch:
         patch.chdir(folder)
-        write_tiny_config(base="kitchen.yaml", data={"patches": 128}, trainer={"max_steps": 60})
+        write_tiny_config(base="patterns.yaml", data={"patches": 128}, trainer={"max_steps": 60})
         fit()
     return folder / run_folder()

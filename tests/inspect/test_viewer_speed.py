@@ -35,7 +35,7 @@ def room(tmp_path_factory):
         folder = tmp_path_factory.mktemp("speed")
         with pytest.MonkeyPatch.context() as patch:
             patch.chdir(folder)
-            write_tiny_config(base="kitchen.yaml", data={"patches": 128}, trainer={"max_steps": 600})
+            write_tiny_config(base="patterns.yaml", data={"patches": 128}, trainer={"max_steps": 600})
             fit()
             run = neurad.load(folder / run_folder())
     seen = SeenBy(run.world.geometry, run.world.tracer, [view.camera for view in run.scene.train])

@@ -1,13 +1,20 @@
 """Evenly spread uniform numbers: each is uniform whatever its place in the group, and groups are even."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import torch
 from helpers.oracles import accept, pooled_chi2
 
+from neurad.assembly.build import build_world
 from neurad.core.rng import Stream
+from neurad.integrators.film import render
+from neurad.integrators.renderer import path_tracer
 from neurad.integrators.stratified import stratified_samples
 from neurad.integrators.vertex import DIMENSIONS
+from neurad.scene.builtin import build_patterns
+from neurad.scene.textures import TrueMaterials
 
 GROUPS = 40_000
 
@@ -66,3 +73,18 @@ def test_double_precision_stays(monkeypatch: pytest.MonkeyPatch) -> None:
     double = stratified_samples(50, 4, Stream(6))
     assert double.dtype == torch.float64
     torch.testing.assert_close(double.float(), single)
+
+
+def test_pictures_with_spread_first_bounces_have_the_same_mean_and_less_noise() -> None:
+    scene = build_patterns()
+    world = build_world(scene)
+    plain = path_tracer(world, TrueMaterials(scene, world.geometry), scene.max_depth, scene.rr_depth)
+    camera = replace(scene.test[0].camera, width=12, height=12)
+    mean, error, noise = {}, {}, {}
+    for spread in (1, 16):
+        pictures = torch.stack([render(camera, replace(plain, spread=spread), 16, seed) for seed in range(16)])
+        means = pictures.mean((1, 2, 3))
+        mean[spread], error[spread] = float(means.mean()), float(means.std()) / 4
+        noise[spread] = float((pictures.var(0) / pictures.mean(0) ** 2).median())
+    assert abs(mean[1] - mean[16]) < 4 * (error[1] ** 2 + error[16] ** 2) ** 0.5  # by chance once in 16000 runs
+    assert noise[16] < 0.85 * noise[1], noise

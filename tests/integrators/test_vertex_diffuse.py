@@ -254,7 +254,7 @@ def test_parts_that_are_built_and_left_out():
 
 
 def test_the_plan_of_a_config_has_its_settings():
-    plan = plan_of("kitchen.yaml")
+    plan = plan_of("patterns.yaml")
     assert plan.pixels * plan.settings.sampling.spp == 4096
     assert plan.settings.roughness.reads_albedo
     assert plan.settings.albedo.grid.finest == 256

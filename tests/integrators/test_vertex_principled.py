@@ -18,7 +18,7 @@ from neurad.integrators import vertex_principled
 from neurad.integrators.bounce import bounce
 from neurad.integrators.guide import Guide
 from neurad.integrators.vertex import DIMENSIONS
-from neurad.scene.builtin import build_cornell, build_kitchen
+from neurad.scene.builtin import build_cornell, build_patterns
 from neurad.studies.stress.parts import glossy
 
 N = 4000
@@ -42,8 +42,8 @@ def trained_guide(world, seed):
 @pytest.mark.parametrize("guided", [False, True])
 @pytest.mark.parametrize("control", [False, True])
 @pytest.mark.parametrize(
-    "scene", [build_kitchen(), glossy(build_cornell()), one_sided(glossy(build_cornell()))],
-    ids=["kitchen", "cornell", "one-sided"],
+    "scene", [build_patterns(), glossy(build_cornell()), one_sided(glossy(build_cornell()))],
+    ids=["patterns", "cornell", "one-sided"],
 )  # fmt: skip
 def test_the_compiled_bounce_is_the_plain_one(scene, control, guided):
     world = build_world(scene)

@@ -187,26 +187,24 @@ def test_cameras(tmp_path):
     assert (view.name, view.camera.width, view.camera.height, view.image) == ("eye", 512, 341, None)
 
 
-def test_lights_without_extent_are_read_and_refused(tmp_path):
+def test_lights_without_extent(tmp_path):
     document = Document()
     document.quad()
-    spot = {"type": "spot", "color": [1, 0.5, 0], "intensity": 40.0, "spot": {"outerConeAngle": 0.5}}
+    spot = {"type": "spot", "color": [1, 0.5, 0], "intensity": 683.0, "spot": {"outerConeAngle": 0.5}}
     document.json["extensions"] = {"KHR_lights_punctual": {"lights": [spot, {"type": "directional"}]}}
     for index in (0, 1):
-        document.node(name=f"l{index}", translation=[0, 2, 0], extensions={"KHR_lights_punctual": {"light": index}})
-    first, second = read_gltf(document.glb(tmp_path / "a.glb")).lights
-    assert (first.kind, first.intensity, first.inner_cone, first.outer_cone, first.range) == (
-        "spot",
-        40.0,
-        0.0,
-        0.5,
-        None,
-    )
-    np.testing.assert_array_equal(first.colour, np.array([1, 0.5, 0], np.float32))
-    assert first.to_world[:3, 3].tolist() == [0, 2, 0]
-    assert (second.name, second.kind, second.intensity) == ("l1", "directional", 1.0)
-    with pytest.raises(InputError, match=r"l0 is a spot light .*not rendered yet"):
-        read_scene(tmp_path / "a.glb")
+        turn = [0.5**0.5, 0, 0, 0.5**0.5]
+        document.node(
+            name=f"l{index}", translation=[0, 2, 0], rotation=turn, extensions={"KHR_lights_punctual": {"light": index}}
+        )
+    first, second = read_scene(document.glb(tmp_path / "a.glb")).punctual
+    assert (first.name, first.kind, first.beam_width) == ("l0", "spot", 0.0)
+    assert first.cutoff_angle == pytest.approx(math.degrees(0.5))
+    np.testing.assert_allclose(first.intensity, [1, 0.5, 0], rtol=1e-6)
+    np.testing.assert_allclose(first.position, [0, 2, 0])
+    np.testing.assert_allclose(first.direction, [0, 1, 0], atol=1e-6)
+    assert second.kind == "directional"
+    np.testing.assert_allclose(second.intensity, [1 / 683] * 3, rtol=1e-6)
 
 
 # ---- textures

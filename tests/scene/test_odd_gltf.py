@@ -1,5 +1,6 @@
 """Odd glTF files: they are read, or end with one sentence; what is read can be computed with."""
 
+import copy
 import json
 import math
 import struct
@@ -77,7 +78,7 @@ def spoilt(document, changes):
             place = where % (len(body) - 8)
             body[place : place + 4] = struct.pack("<f", pick([math.nan, math.inf, 1e38, -1.0, 0.0, 3e-40], what))
             continue
-        place, odd = pick(list(containers(described)), where), pick(ODD, what)
+        place, odd = pick(list(containers(described)), where), copy.deepcopy(pick(ODD, what))
         if isinstance(place, dict):
             key = pick(list(place) or ["name"], how // 3) if how % 3 else pick(KEYS, how // 3)
             if how % 7 == 1:

@@ -604,7 +604,9 @@ def test_no_folder_and_wrong_arguments(tmp_path):
     for both in ((None, None), ("a", "kitchen")):
         with pytest.raises(InputError, match="exactly one of"):
             load_scene(*both)
-    with pytest.raises(InputError, match="there is no built-in scene 'ktchen', choose one of kitchen, cornell"):
+    with pytest.raises(
+        InputError, match="there is no built-in scene 'ktchen', choose one of kitchen, patterns, cornell"
+    ):
         load_scene(None, "ktchen")
 
 

@@ -69,7 +69,7 @@ def test_tables_line_up_and_survive_gaps(tmp_path):
 def test_step_has_every_stage_and_puts_the_library_back(tmp_path, capsys):
     out = tmp_path / "step.csv"
     forward, backward = HashGrid.forward, stages.hash_grid._Encode.backward
-    glossy = ["--config", "kitchen.yaml", *SMALL[2:]]  # a Lambertian scene leaves stages out
+    glossy = ["--config", "patterns.yaml", *SMALL[2:]]  # a Lambertian scene leaves stages out
     main(["bench", "step", *glossy, "--steps", "3", "--warmup", "2", "--out", str(out)])
     assert "ms a step" in capsys.readouterr().out
     rows = {row["stage"]: row for row in table(out)}

@@ -19,7 +19,7 @@ from neurad.integrators.method import SceneModel
 from neurad.integrators.prb import PRB
 from neurad.integrators.radiometric import Radiometric
 from neurad.integrators.vertex import DIMENSIONS
-from neurad.scene.builtin import build_cube, build_kitchen
+from neurad.scene.builtin import build_cube, build_patterns
 from neurad.scene.textures import TrueMaterials
 from neurad.studies.bench import bias, cube, cube_worker, gradients
 from neurad.studies.bench.closed_form import Sphere
@@ -379,7 +379,7 @@ def test_smooth_surfaces_are_refused():
     smooth = replace(scene, materials=[replace(m, model=ConductorModel()) for m in scene.materials])
     with pytest.raises(InputError, match="smooth"):
         build_path_world(smooth, "embree")
-    assert not build_kitchen().features.has_delta
+    assert not build_patterns().features.has_delta
 
 
 def test_bench_gradients(tmp_path, capsys):

@@ -186,8 +186,8 @@ def test_a_fraction_that_does_not_exist_is_refused(fraction):
 def test_the_peer_averages_as_the_config_does():
     from neurad.studies.bench.peer import _sizes
 
-    assert _sizes("kitchen.yaml")["average"] == 0.1
-    assert _sizes("kitchen.yaml")["epsilon"] == 0.01
+    assert _sizes("patterns.yaml")["average"] == 0.1
+    assert _sizes("patterns.yaml")["epsilon"] == 0.01
 
 
 def test_networks_are_as_fine_as_the_photographs_where_the_config_leaves_it_open(mi, tmp_path):

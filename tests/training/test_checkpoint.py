@@ -1,10 +1,13 @@
-"""Checkpoints that lack what only takes noise away."""
+"""Which scene a checkpoint may be used for, and checkpoints that lack what only takes noise away."""
 
 from types import SimpleNamespace
 
+import pytest
 import torch
 
-from neurad.training.checkpoint import fitting
+from neurad.core.errors import InputError
+from neurad.scene.builtin import build
+from neurad.training.checkpoint import check_scene, fitting, scene_state
 
 SCENE = SimpleNamespace(name="room", fingerprint="f")
 
@@ -33,3 +36,13 @@ def test_scores_of_pixels_are_dropped_where_none_are_wanted(capsys):
     fitting(newer, own, SCENE, None, continues=True)
     assert newer["state_dict"].keys() == own.keys()
     assert capsys.readouterr().err == ""
+
+
+def test_a_run_of_the_kitchen_before_the_present_one_is_told_its_name():
+    kitchen, patterns = build("kitchen"), build("patterns")
+    old = {**scene_state(patterns), "scene": "kitchen"}
+    with pytest.raises(InputError, match=r"is now called patterns: --data.scene patterns"):
+        check_scene(old, kitchen, "--ckpt_path", same_light=False)
+    check_scene(old, patterns, "--ckpt_path", same_light=True)
+    with pytest.raises(InputError, match=r"is of scene kitchen, not of cornell as given$"):
+        check_scene(old, build("cornell"), "--ckpt_path", same_light=False)

@@ -13,9 +13,9 @@ def words(device, tracer):
 
 @pytest.mark.main
 @on_devices
-@pytest.mark.parametrize("scene", ["cornell", "kitchen"])
+@pytest.mark.parametrize("scene", ["cornell", "patterns"])
 def test_a_fit_with_rays_on_the_device(tiny, device, scene):
-    """``cornell`` is diffuse; ``kitchen`` has roughness, a guide and a control variate."""
+    """``cornell`` is diffuse; ``patterns`` has roughness, a guide and a control variate."""
     pytest.importorskip("warp")
     name = [f"--data.scene={scene}", "--trainer.max_steps=4", "--data.patches=8"]
     tracer = "warp" if device == "cuda" or scene == "cornell" else "embree"  # Warp is slow on a CPU
@@ -46,7 +46,7 @@ def test_methods_train_on_the_device(tiny, device, method):
 @pytest.mark.main
 @on_devices
 def test_the_paper_s_settings_train_on_the_device(tiny, device):
-    write_tiny_config(base="paper.yaml", data={"root": None, "scene": "kitchen", "patch_size": 4})
+    write_tiny_config(base="paper.yaml", data={"root": None, "scene": "patterns", "patch_size": 4})
     fit("--trainer.max_steps=3", *words(device, "embree"))
     assert checkpoint()["neurad"]["iteration"] == 3
     assert len(checkpoint()["optimizer_states"]) == 3

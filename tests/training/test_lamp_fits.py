@@ -8,18 +8,24 @@ import numpy as np
 import pytest
 import torch
 import yaml
-from helpers.lamp_scene import TRUTH, declared, unmeasured
+from helpers.lamp_scene import TRUTH, declared, unmeasured, with_lamps
+from helpers.method_oracles import gallery
+from helpers.object_scene import sky
 from helpers.small_fit import SMALL_FIT
 from helpers.tiny_fit import fails
 
 from neurad import load
-from neurad.assembly.lamp_responses import Responses, alike, connected, explain
+from neurad.assembly.lamp_responses import Responses, alike, connected, explain, other_lights
 from neurad.assembly.relight import recovered_scene
 from neurad.cli import main
 from neurad.core.errors import InputError
+from neurad.core.records import PunctualLight
+from neurad.emitters.lights import join
+from neurad.emitters.punctual import PunctualLights
 from neurad.inspect.lamps import lamp_renderer, lamps_of
 from neurad.metrics.lamp_scores import columns_of, lamp_scores, read_lamps_true
 from neurad.scene import builtin
+from neurad.scene.builtin.shapes import quad
 
 FOLDER = Path("lightning_logs/version_0")
 CHEAP = {"sampling": {"spp": 2, "cached_spp": 4, "samples_per_vertex": 2}}
@@ -124,6 +130,30 @@ def test_a_lamp_that_no_photograph_shows(box, capfd):
     assert (np.abs(np.log(found / TRUTH)) < np.log(2.5)).all()
 
 
+@pytest.mark.main
+def test_lamps_that_cannot_be_told_apart_and_one_in_a_closed_box_are_named(box, capsys, monkeypatch):
+    """In place of the lamp there are two strips beside each other, and one inside of the tall block."""
+    scene = box(shown=False)
+    light = next(mesh for mesh in scene.meshes if mesh.radiance is not None)
+    strips = [
+        quad(corner, (0.02, 0, 0), (0, 0, 0.02)).mesh(
+            name, light.material, smooth_shading=False, radiance=light.radiance
+        )
+        for name, corner in (("left", (-0.02, 0.99, 0)), ("right", (0.0, 0.99, 0)), ("buried", (-0.35, -0.5, -0.3)))
+    ]
+    other = replace(scene, meshes=[*(mesh for mesh in scene.meshes if mesh is not light), *strips])
+    monkeypatch.setitem(builtin._BUILDERS, "small", lambda: other)
+    Path("true.csv").write_text("mesh,r,g,b\nleft,1,1,1\nright,1,1,1\nburied,1,1,1\n")
+    fit("--model.lighting.emitters=fit")
+    said = capsys.readouterr().err
+    assert "warning: the light of lamp buried reaches no surface that the photographs show" in said
+    assert "warning: lamps left, right light what the photographs show alike" in said
+    found = {row["mesh"]: row for row in table(FOLDER / "lamps.csv")}
+    assert float(found["buried"]["r"]) == pytest.approx(1.0, rel=0.05)  # the scene's, but for two steps
+    assert float(found["left"]["r"]) == pytest.approx(float(found["right"]["r"]), rel=0.05)
+    assert float(found["left"]["r"]) > 20.0  # of a three hundredth of the true lamp's area
+
+
 @pytest.mark.parametrize(
     ("text", "says"),
     [
@@ -170,16 +200,37 @@ def noisy(light, sigma=0.05, seed=5):
 def test_unseen_lamps_are_explained_beside_seen_ones_whatever_the_albedo():
     light, radiance = pictures(1, 3), np.array([[4.0, 3.0, 2.0], [1.0, 5.0, 0.5], [0.7, 0.7, 7.0]])
     photographs = 1.7 * np.einsum("mc,mnc->nc", radiance, light)  # surfaces are brighter than they are taken for
-    responses = Responses(noisy(light), None, True, photographs)
+    responses = Responses(noisy(light), None, None, photographs)
     told = np.array([True, False, False])
     found = explain(responses, np.where(told[:, None], radiance, 1.0), told, alike(responses, told))
     np.testing.assert_allclose(found[1:], radiance[1:], rtol=0.1)
 
 
+def test_light_of_other_kinds_is_known_and_an_unknown_sky_is_set_free():
+    light = pictures(6, 4)
+    photographs = 0.6 * (light[0] + 3.0 * light[1] + 2.0 * light[2] + 5.0 * light[3])
+    responses = Responses(noisy(light[1:3]), light[0], light[3], photographs)
+    none = np.zeros(2, bool)
+    found = explain(responses, np.ones((2, 3)), none, alike(responses, none))
+    np.testing.assert_allclose(found, [[3.0] * 3, [2.0] * 3], rtol=0.1)
+
+
+def test_what_is_no_lamp_is_found_in_any_mixture_of_lights():
+    world, lamps = with_lamps(gallery(), sky())
+    assert other_lights(world, None) is world.lights.environment
+    assert other_lights(world, world.lights.environment) is None
+    points = PunctualLights([PunctualLight("bulb", "point", np.ones(3, np.float32))])
+    world.lights = join(lamps, world.lights.environment, points, 1.0)
+    both = other_lights(world, None)
+    assert (both.punctual, both.others) == (points, world.lights.others.environment)
+    world.lights = lamps
+    assert other_lights(world, None) is None
+
+
 def test_lamps_that_light_everything_alike_are_not_split():
     light = pictures(2, 3)
     light[1] = 2.0 * light[0]
-    responses = Responses(noisy(light, 0.3), None, True, light.sum(0))
+    responses = Responses(noisy(light, 0.3), None, None, light.sum(0))
     none = np.zeros(3, bool)
     groups = alike(responses, none)
     assert groups == [[0, 1], [2]]
@@ -192,17 +243,20 @@ def test_scale_goes_from_lamp_to_lamp_where_their_light_meets():
     light = pictures(3, 4)
     light[:2, 150:] = 0.0
     light[2:, :150] = 0.0
-    responses = Responses(noisy(light), None, True, light.sum(0))
+    responses = Responses(noisy(light), None, None, light.sum(0))
     told = np.array([True, False, False, False])
     np.testing.assert_array_equal(connected(responses, np.ones((4, 3)), told), [True, True, False, False])
-    sky = replace(responses, environment=np.ones((300, 3)))
-    assert connected(sky, np.ones((4, 3)), told).all()
+    beside = replace(responses, known=np.ones((300, 3)))
+    assert connected(beside, np.ones((4, 3)), told).all()
+    unknown = replace(responses, sky=np.ones((300, 3)))  # its light meets that of all, and hands the scale on
+    assert connected(unknown, np.ones((4, 3)), told).all()
+    assert not connected(unknown, np.ones((4, 3)), np.zeros(4, bool)).any()
 
 
 def test_a_lamp_whose_light_reaches_nothing():
     light = pictures(4, 2)
     light[1] = 0.0
-    responses = Responses(noisy(light), None, True, light[0])
+    responses = Responses(noisy(light), None, None, light[0])
     none = np.zeros(2, bool)
     np.testing.assert_array_equal(responses.reaches, [True, False])
     assert alike(responses, none) == [[0], [1]]

@@ -5,19 +5,19 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
+from helpers.lamp_scene import LAMPS, with_lamps
 from helpers.method_oracles import Oracle, Textures, camera_vertices, gallery
 from helpers.object_scene import sky
 from helpers.random_vertices import random_vertices
 
 from neurad.assembly.build import build_world
-from neurad.assembly.lighting import lamps_of_scene, recovered_lamps, unknown_lamps
+from neurad.assembly.lighting import lamps_of_scene, unknown_lamps
 from neurad.assembly.settings import Lighting
 from neurad.core.errors import InputError
 from neurad.core.reflection import PrincipledModel
 from neurad.core.rng import Stream
 from neurad.emitters.area import AreaLights
 from neurad.emitters.fitted_lamps import EVEN, FittedLamps
-from neurad.emitters.lights import make_lights
 from neurad.integrators.bounce import bounce
 from neurad.integrators.debiased import Debiased
 from neurad.integrators.direct import Direct
@@ -28,17 +28,8 @@ from neurad.integrators.radiometric import Radiometric
 from neurad.integrators.vertex import DIMENSIONS
 from neurad.scene.builtin import build_cornell
 
-LAMPS = Lighting(emitters="fit")
 METHODS = (Direct(), Radiometric(), Radiometric(k=2), PathTracing(5), PRB(5), Debiased())
 RHO = 0.5
-
-
-def with_lamps(scene, sky=None):
-    """A world whose lamps are recovered, and these."""
-    scene = scene if sky is None else replace(scene, environment=sky)
-    world = build_world(scene)
-    world.lights = make_lights(scene, world.geometry, None, unknown_lamps(scene, world.geometry, LAMPS))
-    return world, recovered_lamps(world)
 
 
 def glossy(scene):

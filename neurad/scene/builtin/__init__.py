@@ -10,13 +10,17 @@ from neurad.scene.builtin.cornell import build_cornell
 from neurad.scene.builtin.cube import build_cube
 from neurad.scene.builtin.furnace import build_furnace
 from neurad.scene.builtin.kitchen import build_kitchen
+from neurad.scene.builtin.patterned_kitchen import build_patterns
 from neurad.scene.builtin.sphere import build_sphere
 from neurad.scene.description import Scene
 
-__all__ = ["NAMES", "build", "build_cornell", "build_cube", "build_furnace", "build_kitchen", "build_sphere"]
+__all__ = [
+    "NAMES", "build", "build_cornell", "build_cube", "build_furnace", "build_kitchen", "build_patterns", "build_sphere",
+]  # fmt: skip
 
 _BUILDERS: dict[str, Callable[[], Scene]] = {
     "kitchen": build_kitchen,
+    "patterns": build_patterns,
     "cornell": build_cornell,
     "cube": build_cube,
     "furnace": build_furnace,

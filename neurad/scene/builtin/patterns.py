@@ -20,7 +20,7 @@ Mask = npt.NDArray[np.float64]
 Colour = tuple[float, float, float]
 
 
-def _uniform(seed: int, count: int) -> Mask:
+def uniform(seed: int, count: int) -> Mask:
     """Uniform numbers in [0, 1): [count]."""
     return np.asarray(np.random.PCG64(seed).random_raw(count) / 2.0**64)
 
@@ -39,7 +39,7 @@ def _soft(x: Mask, sharpness: float) -> Mask:
 def noise(seed: int, frequency: int = 3) -> Mask:
     """Periodic smooth noise in about [0, 1], with up to ``frequency`` periods along each side: [s, s]."""
     x, y = _grid()
-    phase = 2 * np.pi * _uniform(seed, 2 * (2 * frequency + 1) ** 2)
+    phase = 2 * np.pi * uniform(seed, 2 * (2 * frequency + 1) ** 2)
     total = np.zeros((SIZE, SIZE))
     k = 0
     for i in range(frequency + 1):
@@ -61,7 +61,7 @@ def wood(seed: int, grains: int = 3) -> Mask:
 def planks(seed: int, count: int = 4) -> Mask:
     """Boards along the second axis, each of its own tone, with a faint grain: [s, s]."""
     x, y = _grid()
-    tone = _uniform(seed, count * 2).reshape(2, count)
+    tone = uniform(seed, count * 2).reshape(2, count)
     near = 0.5 + 0.5 * np.tanh(4 * np.sin(2 * np.pi * (y + 0.37)))
     mask = np.zeros((SIZE, SIZE))
     for i in range(count):
@@ -73,7 +73,7 @@ def planks(seed: int, count: int = 4) -> Mask:
 def tiles(seed: int, count: int = 4, grout: float = 0.12) -> Mask:
     """Square tiles of varying tone; the joints, a fraction ``grout`` of a tile, are dark: [s, s]."""
     x, y = _grid()
-    tone = 0.55 + 0.45 * _uniform(seed, count * count).reshape(count, count)
+    tone = 0.55 + 0.45 * uniform(seed, count * count).reshape(count, count)
     row, column = np.minimum(y * count, count - 1e-9).astype(int), np.minimum(x * count, count - 1e-9).astype(int)
     edge = np.minimum(0.5 - np.abs(x * count % 1.0 - 0.5), 0.5 - np.abs(y * count % 1.0 - 0.5))
     inside = np.clip(edge / grout, 0.0, 1.0)
@@ -114,7 +114,7 @@ def wallpaper(count: int = 2) -> Mask:
 def spots(seed: int, count: int = 3, radius: float = 0.3) -> Mask:
     """One soft spot in every cell of a ``count`` x ``count`` grid, moved at random (terrazzo, dotted china): [s, s]."""
     x, y = _grid()
-    draw = _uniform(seed, 3 * count * count).reshape(count, count, 3)
+    draw = uniform(seed, 3 * count * count).reshape(count, count, 3)
     mask = np.zeros((SIZE, SIZE))
     for i in range(count):
         for j in range(count):

@@ -11,14 +11,14 @@ from typing import Any
 import numpy as np
 
 from neurad.core.errors import InputError
-from neurad.core.records import FloatArray, IntArray, Material, Mesh
+from neurad.core.records import FloatArray, IntArray, Material, Mesh, PunctualLight
 from neurad.runtime.memory import reserve
 from neurad.runtime.reading import shown
 from neurad.scene.numbers import LENGTH, RADIANCE, TEXEL, within
 from neurad.scene.readers.gltf_file import Array, GltfFile, Json
 from neurad.scene.readers.gltf_lamps import back_of, cut, is_closed
 from neurad.scene.readers.gltf_materials import COLOUR, Corners, Emission, MaterialReader
-from neurad.scene.readers.gltf_nodes import GltfCamera, Node, PunctualLight, camera_of, is_own, light_of, nodes_of
+from neurad.scene.readers.gltf_nodes import GltfCamera, Node, camera_of, is_own, light_of, nodes_of
 from neurad.scene.readers.gltf_textures import LEVELS, look_up
 
 ENDINGS = (".glb", ".gltf")

@@ -5,20 +5,18 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Literal
 
 import numpy as np
 
-from neurad.core.errors import InputError
-from neurad.core.records import Camera, FloatArray
+from neurad.core.records import Camera, FloatArray, PunctualLight
 from neurad.runtime.reading import shown
-from neurad.scene.numbers import LENGTH, RADIANCE, number
+from neurad.scene.numbers import LENGTH, RADIANCE
+from neurad.scene.punctual import KINDS, from_gltf
 from neurad.scene.readers.gltf_file import Array, GltfFile, Json
 
 _LIGHTS = "KHR_lights_punctual"
 _FAR = 1e9  # largest factor of a node's scale
 _STRAIGHT = 1e-4  # how far a camera's axes may be from perpendicular
-LightKind = Literal["point", "spot", "directional"]
 
 
 @dataclass(frozen=True)
@@ -46,26 +44,6 @@ class GltfCamera:
     def seen(self, width: int, height: int) -> Camera:
         """The camera with a film of so many square pixels."""
         return Camera(self.to_world, 2.0 * math.atan(math.tan(0.5 * self.fov_y) * width / height), width, height)
-
-
-@dataclass(frozen=True)
-class PunctualLight:
-    """A light without extent (KHR_lights_punctual)."""
-
-    name: str
-    kind: LightKind
-    colour: FloatArray
-    """Linear RGB in [0, 1] [3]."""
-    intensity: float
-    """Candela of point and spot lights, lux of directional ones; the colour's factor."""
-    inner_cone: float
-    """Angle in radians from the axis up to which a spot light has its full intensity."""
-    outer_cone: float
-    """Angle at which a spot light ends."""
-    range: float | None
-    """Distance beyond which viewers leave the light out; None for no such distance."""
-    to_world: Array
-    """[4, 4], float64: the light stands at the origin and shines along -Z."""
 
 
 def is_own(file: GltfFile) -> bool:
@@ -183,7 +161,7 @@ def camera_of(file: GltfFile, node: Node) -> GltfCamera:
 
 
 def light_of(file: GltfFile, node: Node) -> PunctualLight | None:
-    """The light of a node, or None.
+    """The light without extent of a node, or None.
 
     Raises:
         InputError: it is broken or of an unknown kind.
@@ -196,20 +174,16 @@ def light_of(file: GltfFile, node: Node) -> PunctualLight | None:
     if isinstance(index, bool) or not isinstance(index, int) or not 0 <= index < len(lights):
         raise file.error(f"{about} names number {shown(repr(index))} of lights, of which there are {len(lights)}")
     item = lights[index]
-    if not isinstance(item, dict) or item.get("type") not in ("point", "spot", "directional"):
-        raise file.error(f"{about} is no light of the type point, spot or directional")
-    spot, right = file.object(item, "spot", about), math.pi / 2
-    outer = file.number(spot, "outerConeAngle", math.pi / 4, about, 0.0, right + 1e-4)
-    inner = file.number(spot, "innerConeAngle", 0.0, about, 0.0, right)
-    if inner > outer or outer == 0:
-        raise InputError(f"{shown(file.path)}: {about}: its inner cone is not within its outer one")
-    return PunctualLight(
+    if not isinstance(item, dict) or item.get("type") not in KINDS:
+        raise file.error(f"{about} is no light of the type {', '.join(KINDS)}")
+    spot = file.object(item, "spot", about)
+    return from_gltf(
         node.name,
         item["type"],
-        file.vector(item, "color", [1.0, 1.0, 1.0], about, 0.0, 1.0).astype(np.float32),
         file.number(item, "intensity", 1.0, about, 0.0, RADIANCE),
-        inner,
-        min(outer, right),
-        number(item["range"], f"{shown(file.path)}: {about}: range", 0.0, LENGTH) if "range" in item else None,
+        file.vector(item, "color", [1.0, 1.0, 1.0], about, 0.0, 1.0),
         node.to_world,
+        f"{shown(file.path)}: {about}",
+        file.number(spot, "innerConeAngle", 0.0, about, 0.0, math.pi / 2),
+        file.number(spot, "outerConeAngle", math.pi / 4, about, 0.0, math.pi / 2),
     )

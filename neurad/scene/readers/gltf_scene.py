@@ -14,7 +14,7 @@ from neurad.runtime.reading import exists, shown
 from neurad.scene.description import Scene
 from neurad.scene.image_io import read_exr
 from neurad.scene.numbers import RADIANCE, number, within
-from neurad.scene.readers.gltf import GltfRoom, read_gltf
+from neurad.scene.readers.gltf import read_gltf
 from neurad.scene.readers.gltf_nodes import GltfCamera
 
 ENVIRONMENT = "environment.exr"
@@ -27,11 +27,10 @@ def read_scene(path: str | Path) -> Scene:
     """The scene of a file, lit also by :data:`ENVIRONMENT` beside it; its cameras are held-out views without pictures.
 
     Raises:
-        InputError: as :func:`read_gltf`; or it has lights without extent.
+        InputError: as :func:`read_gltf`.
     """
     path = Path(path)
     room = read_gltf(path)
-    refuse_lights(path, room)
     environment, to_world = None, room.own.get("environment_to_world")
     if exists(path.parent / ENVIRONMENT):
         pixels = read_exr(path.parent / ENVIRONMENT)[..., :3]
@@ -48,7 +47,14 @@ def read_scene(path: str | Path) -> Scene:
     views = [View(camera.name, camera.seen(*_film(camera))) for camera in room.cameras]
     limits: Any = {"max_depth": max_depth, "rr_depth": rr_depth}
     return Scene(
-        path.stem, room.meshes, room.materials, environment, test=_named_apart(views), notes=room.notes, **limits
+        path.stem,
+        room.meshes,
+        room.materials,
+        environment,
+        test=_named_apart(views),
+        notes=room.notes,
+        punctual=tuple(room.lights),
+        **limits,
     )
 
 
@@ -65,17 +71,3 @@ def _named_apart(views: list[View]) -> list[View]:
     if len(set(names)) == len(names) and all(name.isprintable() and not set(name) & set("/\\:") for name in names):
         return views
     return [replace(view, name=f"{index:04d}") for index, view in enumerate(views)]
-
-
-def refuse_lights(path: Path, room: GltfRoom) -> None:
-    """Refuse lights without extent.
-
-    Raises:
-        InputError: there is one.
-    """
-    if room.lights:
-        light = room.lights[0]
-        raise InputError(
-            f"{shown(path)}: {shown(light.name)} is a {light.kind} light (KHR_lights_punctual), which is not rendered "
-            "yet: put a small emitting surface in its place, or take it out"
-        )

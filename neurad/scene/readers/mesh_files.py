@@ -72,10 +72,13 @@ def _with_materials(path: Path, kind: str) -> MeshFile:
     """The triangles of a glTF or USD file."""
     if kind in (".glb", ".gltf"):
         from neurad.scene.readers.gltf import read_gltf
-        from neurad.scene.readers.gltf_scene import refuse_lights
 
         room = read_gltf(path)
-        refuse_lights(path, room)
+        if room.lights:
+            raise InputError(
+                f"{shown(path)}: {shown(room.lights[0].name)} is a {room.lights[0].kind} light, and --mesh brings "
+                "surfaces alone: `neurad data gltf` takes the whole scene"
+            )
         return MeshFile(path, room.meshes, False, tuple(room.materials), room.notes)
     from neurad.scene.readers.usd import read_usd
 

@@ -7,7 +7,7 @@ import argparse
 from neurad.core.ranges import Count, CountOrZero, option
 
 
-def add_settings(parser: argparse.ArgumentParser, default: str = "kitchen.yaml") -> None:
+def add_settings(parser: argparse.ArgumentParser, default: str = "patterns.yaml") -> None:
     """Declare ``--config`` and ``--set``."""
     parser.add_argument(
         "--config", action="append", metavar="NAME.yaml", help=f"config, may be repeated as for fit (default {default})"

@@ -8,9 +8,9 @@ in turn, leave-one-out residuals instead of a second rendering, the relative los
 voxels or the networks of ``neurad fit``, Adam with the same decays of its moments (weight decay is ours alone) and a
 cosine over the budget.
 
-Tuning of the peer on the built-in kitchen: 60 CPU-seconds on one core each, albedo (roughness) PSNR at the end, in dB.
+Tuning of the peer on the built-in patterned kitchen: 60 CPU-seconds on one core each, albedo (roughness) PSNR.
 Unless stated a Laplacian pyramid over 128^3, relative to the photograph, learning rate 0.03, roughness a third of it,
-Adam (0.9, 0.99), depth 6, roulette from 4. ``neurad fit --config kitchen.yaml`` had 29.4 (17.9) in the same way.
+Adam (0.9, 0.99), depth 6, roulette from 4. ``neurad fit --config patterns.yaml`` had 29.4 (17.9) in the same way.
 
 =============================================  =======================
 pixels x samples of a batch                    grid
@@ -99,7 +99,7 @@ UNTIL_STOPPED = "30:00:00:00"
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options of the benchmark."""
     source = parser.add_mutually_exclusive_group(required=True)
-    source.add_argument("--scene", help="name of a built-in scene, such as kitchen")
+    source.add_argument("--scene", help="name of a built-in scene, such as kitchen or patterns")
     source.add_argument("--root", help="scene folder with scene.xml, transforms_*.json, images/ and albedo/")
     parser.add_argument(
         "--budget", type=time_option(Positive), nargs="+", required=True, metavar="TIME",
@@ -109,7 +109,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--peers", default=",".join(PEERS), help="grid, network, both with a comma, or none (default: grid,network)"
     )
-    parser.add_argument("--config", help="config of ours (default: kitchen.yaml for kitchen, otherwise scene.yaml)")
+    parser.add_argument("--config", help="config of ours (default: that of the scene's name, otherwise scene.yaml)")
     parser.add_argument("--without-ours", action="store_true", help="run the peers alone")
     parser.add_argument(
         "--set", action="append", default=[], metavar="[grid.|network.]KEY=VALUE", dest="changes",
@@ -134,7 +134,8 @@ def run(options: argparse.Namespace) -> None:
         raise InputError("--peers: none are left to run")
     if options.root is not None and not Path(options.root).is_dir():
         raise InputError(f"--root: there is no folder {options.root}")
-    config = options.config or ("kitchen.yaml" if options.scene == "kitchen" else "scene.yaml")
+    named = options.scene in ("kitchen", "patterns")
+    config = options.config or (f"{options.scene}.yaml" if named else "scene.yaml")
     sizes = _sizes(config)
     plans = {kind: _settings(options, kind, sizes) for kind in kinds}
     if kinds:

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options."""
     where = parser.add_mutually_exclusive_group()
-    where.add_argument("--scene", default=None, help="name of a built-in scene (default kitchen)")
+    where.add_argument("--scene", default=None, help="name of a built-in scene (default patterns)")
     where.add_argument("--root", default=None, metavar="DIR", help="a scene folder")
     parser.add_argument("--tracers", default="embree,open3d,warp", help="names, separated by commas")
     parser.add_argument("--sizes", default="1024,4096,32768,262144", help="rays in a batch, separated by commas")
@@ -52,7 +52,7 @@ def run(options: argparse.Namespace) -> None:
         raise InputError(f"--tracers {unknown[0]}: there is none of that name, choose from {', '.join(TRACERS)}")
     if min(sizes) < 1:
         raise InputError(f"--sizes {options.sizes}: a batch needs a ray")
-    scene = load_scene(options.root, None if options.root else options.scene or "kitchen")
+    scene = load_scene(options.root, None if options.root else options.scene or "patterns")
     geometry = Geometry(scene)
     kinds = ray_kinds(scene, geometry, max(sizes), device)
     rows: list[Row] = []

@@ -14,7 +14,7 @@ from neurad.studies.stress.fit import Fit, Plan, photographs, resized
 from neurad.studies.stress.parts import Form, Place, make, memory, milliseconds, parameters, parts
 
 FASTER = 1.5
-"""Least speed-up of a step of a Lambertian scene over one with the parts of ``kitchen``."""
+"""Least speed-up of a step of a Lambertian scene over one with the parts of ``patterns``."""
 
 
 def _fits(place: Place, *forms: Form) -> list[Fit]:
@@ -24,18 +24,18 @@ def _fits(place: Place, *forms: Form) -> list[Fit]:
 
 
 def _lambertian() -> Case:
-    """A Lambertian scene under one area light against the path of ``kitchen``, all settings those of its config."""
+    """A Lambertian scene under one area light against the path of ``patterns``, all settings those of its config."""
 
     def measure(quick: bool) -> Outcome:
-        lean, usual, full = _fits(Place("cornell"), "needed", "kitchen", "forced")
+        lean, usual, full = _fits(Place("cornell"), "needed", "patterns", "forced")
         ms, usual_ms, all_ms = milliseconds([lean, usual, full], 20 if quick else 60)
         note = (
-            f"{ms:.1f} ms a step, {parameters(lean)} parameters; kitchen {usual_ms:.1f} ms, {parameters(usual)}, "
+            f"{ms:.1f} ms a step, {parameters(lean)} parameters; patterns {usual_ms:.1f} ms, {parameters(usual)}, "
             f"{usual_ms / ms:.2f} times; forced {all_ms:.1f} ms, {parameters(full)}: {all_ms / ms:.2f} times"
         )
         return Outcome(ms / usual_ms, 1.0 / FASTER, note)
 
-    return Case("features", "Lambertian, one area light, settings of kitchen.yaml", "ms a step over kitchen's path",
+    return Case("features", "Lambertian, one area light, settings of patterns.yaml", "ms a step over patterns's path",
                 measure)  # fmt: skip
 
 

@@ -1,4 +1,4 @@
-"""The same scene with only the parts that it needs, with the parts of ``kitchen``, and with everything forced on."""
+"""The same scene with only the parts that it needs, with the parts of ``patterns``, and with everything forced on."""
 
 from __future__ import annotations
 
@@ -24,10 +24,10 @@ from neurad.scene.description import Features, Scene
 from neurad.scene.load import load_scene
 from neurad.studies.stress.fit import Fit, Plan, plan_of, resized
 
-CONFIG = "kitchen.yaml"
+CONFIG = "patterns.yaml"
 EVERYTHING = Features(True, True, True, False, True)
 """Every part enabled, whatever the scene has."""
-Form = Literal["needed", "kitchen", "forced"]
+Form = Literal["needed", "patterns", "forced"]
 
 
 @dataclass(frozen=True)
@@ -51,7 +51,7 @@ class Place:
 
 
 def glossy(scene: Scene) -> Scene:
-    """The same scene with the parts that ``kitchen`` has: principled BSDF and a roughness field."""
+    """The same scene with the parts that ``patterns`` has: principled BSDF and a roughness field."""
     rough = Constant(np.ones(1, np.float32))
     materials = [
         replace(m, model=PrincipledModel(), roughness=rough) if m.model.is_diffuse else m for m in scene.materials
@@ -71,7 +71,7 @@ def make(form: Form, scene: Scene, images: torch.Tensor, plan: Plan) -> Fit:
     """A fit of ``scene`` in one of its forms."""
     if form == "needed":
         return Fit(scene, images, plan)
-    if form == "kitchen":
+    if form == "patterns":
         return Fit(glossy(scene), images, plan)
     fit = Fit(forced(scene), images, plan)
     fit.world.delta = fit.world.delta or DeltaSurfaces(fit.scene, fit.world.geometry)

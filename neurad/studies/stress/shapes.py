@@ -139,9 +139,9 @@ def _hole() -> Case:
 
 def _no_normals() -> Case:
     def measure(quick: bool) -> Outcome:
-        from neurad.scene.builtin import build_kitchen
+        from neurad.scene.builtin import build_patterns
 
-        scene = build_kitchen()
+        scene = build_patterns()
         view = replace(scene.train[0], camera=replace(scene.train[0].camera, width=24, height=24))
         bare: Scene = with_meshes(replace(scene, train=[view]), lambda m: replace(m, normals=None))
         found, usual = picture(bare, 16, depth=3), picture(replace(scene, train=[view]), 16, depth=3)
@@ -149,7 +149,7 @@ def _no_normals() -> Case:
             difference(found, usual) if quick else mean_difference(found, usual), 0.2, "flat in place of smooth shading"
         )
 
-    return Case("shapes", "missing normals (kitchen)", "picture with normals, roughly", measure, False)
+    return Case("shapes", "missing normals (patterns)", "picture with normals, roughly", measure, False)
 
 
 def cases() -> list[Case]:

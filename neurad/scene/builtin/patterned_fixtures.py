@@ -1,4 +1,4 @@
-"""The kitchen's room and its fixed furniture: x from -2 to 2, y from 0 to 2.6, z from -1.75 to 1.75 metres."""
+"""The patterned kitchen's room and fixed furniture: x from -2 to 2, y from 0 to 2.6, z from -1.75 to 1.75 metres."""
 
 from __future__ import annotations
 

@@ -1,11 +1,11 @@
-"""Objects in the kitchen: table and stools, sideboard and shelf, crockery and fruit."""
+"""Objects in the patterned kitchen: table and stools, sideboard and shelf, crockery and fruit."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 
 from neurad.scene.builtin import patterns as p
-from neurad.scene.builtin.kitchen_fixtures import SINK, Item
+from neurad.scene.builtin.patterned_fixtures import SINK, Item
 from neurad.scene.builtin.patterns import finish
 from neurad.scene.builtin.shapes import Point, ball, box, cup, jar, join, rotated, turned
 

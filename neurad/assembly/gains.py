@@ -1,0 +1,97 @@
+"""Where the gains of photographs begin: what surfaces that several photographs show say, before anything is known of
+materials or light.
+"""
+
+from __future__ import annotations
+
+import torch
+from torch import Tensor
+
+from neurad.core.camera import project, to_camera
+from neurad.core.protocols import PhotoSource
+from neurad.core.records import PixelBatch
+from neurad.core.rng import Stream
+from neurad.integrators.primary_hits import PrimaryHits
+from neurad.metrics.seen import SeenBy
+
+PIXELS = 1 << 14
+"""Pixels of all photographs whose surface points are looked for in the others."""
+FEW = 8
+"""Points that two photographs must share for their ratio to count."""
+_MOST = 400.0  # points from which on a ratio is limited by highlights, not by noise
+_ROUNDS = 20
+_LOOSE = 1e-3  # weight that keeps photographs which share nothing with others at 0
+_STREAM = 37  # last number of the stream's key
+
+
+@torch.no_grad()
+def shared_gains(
+    primary: PrimaryHits, photographs: PhotoSource, sample: PixelBatch, emitter_mask: Tensor, seed: int
+) -> Tensor:
+    """Logarithms of the photographs' gains by the surface points that they share [views, 3], of mean 0.
+
+    A matt surface has one radiance from wherever it is seen, so the median over the points that two photographs share
+    of the logarithms' difference is that of their gains. All pairs together are a least absolute deviations problem.
+
+    Args:
+        primary: camera rays of the training views.
+        photographs: of the training views, known exposures divided out.
+        sample: random photographed pixels that show no emitter.
+        emitter_mask: pixels that take no part [views, pixels], bool.
+        seed: of the positions in the pixels.
+    """
+    views = len(primary.cameras)
+    a, b, difference, weight = _pairs(primary, photographs, sample, emitter_mask, seed)
+    found = torch.zeros(views, 3, dtype=torch.float64)
+    if len(a) == 0:
+        return found.float()
+    for channel in range(3):
+        target, w = difference[:, channel], weight.clone()
+        for _ in range(_ROUNDS):  # iteratively reweighted
+            matrix = _LOOSE * torch.eye(views, dtype=torch.float64)
+            right = torch.zeros(views, dtype=torch.float64)
+            for row, column, sign in ((a, a, 1.0), (b, b, 1.0), (a, b, -1.0), (b, a, -1.0)):
+                matrix.index_put_((row, column), sign * w, accumulate=True)
+            right.index_add_(0, a, w * target).index_add_(0, b, -w * target)
+            solution = torch.linalg.solve(matrix, right)
+            w = weight / (solution[a] - solution[b] - target).abs().clamp_min(0.01)
+        found[:, channel] = solution - solution.mean()
+    return found.float()
+
+
+def _pairs(
+    primary: PrimaryHits, photographs: PhotoSource, sample: PixelBatch, emitter_mask: Tensor, seed: int
+) -> tuple[Tensor, Tensor, Tensor, Tensor]:
+    """Pairs of photographs that share points: both views [m], the median difference of the logarithms of their colours
+    [m, 3], and its weight [m]; on the CPU.
+    """
+    world, device = primary.world, primary.origin.device
+    chosen = Stream(seed, _STREAM).integers(len(sample.view), PIXELS)
+    if sample.clipped is not None:
+        chosen = chosen[~sample.clipped[chosen].any(-1)]
+    mine = sample.picked(chosen).to(device)
+    with world.tracer.uncounted():
+        si = primary(mine, 1, Stream(seed, 0, _STREAM, device=device)).si
+        seen = SeenBy(world.geometry, world.tracer, primary.cameras)
+        view, color = mine.view.cpu(), mine.color.cpu()
+        rows: list[tuple[int, int, Tensor, float]] = []
+        for other, camera in enumerate(primary.cameras):
+            lanes, _ = seen.by(other, si)
+            lanes = lanes[mine.view[lanes] != other]
+            xy = project(camera, to_camera(camera, si.p[lanes])).floor().long()
+            xy = torch.minimum(xy.clamp_min(0), xy.new_tensor([camera.width - 1, camera.height - 1]))
+            pixel = xy[:, 1] * camera.width + xy[:, 0]
+            free = ~emitter_mask[other, pixel.to(emitter_mask.device)].to(device)
+            lanes, pixel = lanes[free].cpu(), pixel[free].cpu()
+            there = torch.full_like(pixel, other)
+            theirs, clipped = photographs.colors(there, pixel), photographs.clipped(there, pixel)
+            good = (theirs > 0).all(-1) & (color[lanes] > 0).all(-1)
+            good &= True if clipped is None else ~clipped.any(-1)
+            ratio = color[lanes[good]].double().log() - theirs[good].double().log()
+            for first in sorted(set(view[lanes[good]].tolist())):
+                part = ratio[view[lanes[good]] == first]
+                if len(part) >= FEW:
+                    rows.append((first, other, part.median(0).values, min(float(len(part)), _MOST) ** 0.5))
+    a, b = (torch.tensor([row[i] for row in rows], dtype=torch.int64) for i in (0, 1))
+    difference = torch.stack([row[2] for row in rows]) if rows else torch.zeros(0, 3, dtype=torch.float64)
+    return a, b, difference, torch.tensor([row[3] for row in rows], dtype=torch.float64)
