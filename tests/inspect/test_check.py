@@ -78,33 +78,32 @@ def test_nothing_is_wrong_with_the_cornell_box(tmp_path, capsys):
 
 
 def test_each_damaged_view_is_named(tmp_path):
-    """A turned camera, another frame, a camera in a block; mirrored, foreign, clipped and brighter photographs."""
+    """A turned camera, another frame, a camera in a block; mirrored, foreign and clipped photographs."""
     scene = builtin.build("cornell")
     views = list(scene.train)
-    views[0] = turned(views[0], 5.0)
-    views[1] = posed(views[1], views[1].camera.to_world @ np.diag([1.0, -1.0, -1.0, 1.0]))
+    views[0] = posed(views[0], views[0].camera.to_world @ np.diag([1.0, -1.0, -1.0, 1.0]))  # sees a blank wall
+    views[1] = turned(views[1], 5.0)
     views[2] = with_photograph(views[2], tmp_path, lambda x: x[:, ::-1])
     views[3] = replace(views[3], image=scene.train[6].image)
     views[4] = with_photograph(views[4], tmp_path, lambda x: np.minimum(x, 0.2))
-    views[5] = with_photograph(views[5], tmp_path, lambda x: 4.0 * x)
     views[7] = moved(views[7], INSIDE)
     found = said(checked_scene(replace(scene, train=views, test=[]), source))
-    assert found["train_000"].keys() == {"edges"}
-    assert "degrees to the right" in found["train_000"]["edges"]
-    assert "OpenCV" in found["train_001"]["edges"]
+    assert "OpenCV" in found["train_000"]["edges"]
+    assert found["train_001"].keys() == {"edges"}
+    assert "degrees to the right" in found["train_001"]["edges"]
     assert "left and right are exchanged" in found["train_002"]["edges"]
     assert "fits the pose of view train_006" in found["train_003"]["edges"]
     assert found["train_004"].keys() == {"photograph"}
     assert "clipped" in found["train_004"]["photograph"]
-    assert found["train_005"].keys() == {"exposure"}
-    assert "times brighter" in found["train_005"]["exposure"]
     assert "inside of a wall" in found["train_007"]["camera"]
-    assert "train_006" not in found
+    assert not {"train_005", "train_006"} & found.keys()
 
 
 @pytest.mark.main
 def test_what_a_fit_refuses_is_refused_and_the_others_are_looked_at(tmp_path, monkeypatch, capsys):
-    """A photograph with a NaN, one of equal pixels, in a room of 300 units whose lamp is ten times too bright."""
+    """Photographs with a NaN, of equal pixels, two stops brighter, in a room of 300 units with a lamp ten times as
+    bright.
+    """
     scene = brighter(builtin.build("cornell"), 10.0)
     meshes = [replace(mesh, vertices=mesh.vertices * np.float32(100.0)) for mesh in scene.meshes]
     views = [moved(view, 100.0 * view.camera.to_world[:3, 3]) for view in scene.train]
@@ -115,6 +114,7 @@ def test_what_a_fit_refuses_is_refused_and_the_others_are_looked_at(tmp_path, mo
 
     views[2] = with_photograph(views[2], tmp_path, spoilt)
     views[3] = with_photograph(views[3], tmp_path, lambda x: np.full_like(x, 0.25))
+    views[5] = with_photograph(views[5], tmp_path, lambda x: 4.0 * x)
     spoilt_scene = replace(scene, name="spoilt", meshes=meshes, train=views)
     monkeypatch.setitem(builtin._BUILDERS, "spoilt", lambda: spoilt_scene)
     with pytest.raises(SystemExit) as end:
@@ -125,6 +125,8 @@ def test_what_a_fit_refuses_is_refused_and_the_others_are_looked_at(tmp_path, mo
     assert told.err.count("\n") == 1
     assert "scale meshes and cameras by 0.01" in told.out
     assert "view train_003: all pixels of its photograph are equal" in told.out
+    assert "view train_005: its photograph is" in told.out
+    assert "times brighter than the lights make it, against all others" in told.out
     assert "the photographs are" in told.out
     assert "times darker than the scene" in told.out
     assert "NaN" in (tmp_path / "out/check.html").read_text()

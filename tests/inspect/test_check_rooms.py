@@ -156,7 +156,7 @@ DAMAGES = {
         "view train_005: its photograph does not show the edges",
     ),
     "a frame along +z": (pose(2, lambda m: m @ np.diag([1.0, -1, -1, 1])), 1, "the frame is OpenCV's"),
-    "all frames along +z": (all_frames_along_z, 1, "most photographs"),
+    "all frames along +z": (all_frames_along_z, 2, "most photographs"),
     "scale 100": (scene_file(larger), 1, "which is no room in metres"),
     "lamps x 10": (scene_file(lamps(brighter)), 2, "times darker"),
     "another room": (foreign, 1, "view train_004: its photograph does not show the edges"),
@@ -185,7 +185,7 @@ def test_damage_is_named(name, damage, tmp_path, capsys):
     spoil(folder)
     code, told = checked(folder, tmp_path / "out", capsys)
     assert sentence in told
-    assert code == expected
+    assert code == expected  # of all frames along +z a fit refuses the lamp, which is not where the photographs show it
 
 
 def test_a_lamp_that_is_missing_is_named(tmp_path, capsys):

@@ -25,8 +25,10 @@ MIRRORS = {"the photograph is mirrored, left and right are exchanged": (1,), "th
            "the photograph is turned by half a turn": (0, 1)}  # fmt: skip
 STEEP = 1.0
 """Standard deviations over turns by which a hint must fit better than what is turned from it."""
-WORTH = 0.05
-"""Mean rank that it must gain."""
+WORTH, NOTHING = 0.05, 0.6
+"""Mean rank that it must gain, over that of the view or, where there is none, over this."""
+FEWEST = 100
+"""Places along edges below which a photograph is not judged."""
 
 
 def hint(world: World, one: Looked, others: Sequence[Looked]) -> str:
@@ -37,9 +39,19 @@ def hint(world: World, one: Looked, others: Sequence[Looked]) -> str:
         one: a view whose photograph does not fit.
         others: all views.
     """
+    return explanation(world, one, others) or ("" if one.fit is None else _turned(one.fit))
+
+
+def explanation(world: World, one: Looked, others: Sequence[Looked]) -> str:
+    """The same without turns. It needs no edges in sight of the camera.
+
+    Args:
+        world: as in :func:`hint`, and so are the others.
+        one: a view with a photograph.
+        others: all views.
+    """
     assert one.ranks is not None
     assert one.camera is not None
-    assert one.fit is not None
     found: list[tuple[EdgeFit | None, str]] = []
     for words, dims in MIRRORS.items():
         found.append((edge_fit(one.ranks.flip(dims), one.camera, one.towards), words))
@@ -49,19 +61,18 @@ def hint(world: World, one: Looked, others: Sequence[Looked]) -> str:
     if (other := _of_another(one, others)) is not None:
         fit = edge_fit(one.ranks, one.camera, other.towards)
         found.append((fit, f"the photograph fits the pose of view {other.view.name}"))
-    good = [(fit.here, words) for fit, words in found if fit is not None and _fits(fit, one.fit)]
-    if good:
-        return max(good)[1]
-    return _turned(one.fit)
+    least = WORTH + (NOTHING if one.fit is None else one.fit.here)
+    good = [(fit.here, words) for fit, words in found if fit is not None and _fits(fit, least)]
+    return max(good)[1] if good else ""
 
 
 def _towards(world: World, camera: Camera) -> Tensor:
     return directions(mesh_edges(world, primary_grid(world, camera, page_width(camera.width))), 0)
 
 
-def _fits(fit: EdgeFit, wrong: EdgeFit) -> bool:
-    """Whether a hint explains a photograph: it is a peak of its own, and a better one."""
-    return fit.fits and fit.margin > STEEP and fit.here > wrong.here + WORTH
+def _fits(fit: EdgeFit, least: float) -> bool:
+    """Whether a hint explains a photograph: it is a peak of its own, of enough edges, and a better one."""
+    return fit.fits and fit.places >= FEWEST and fit.margin > STEEP and fit.here > least
 
 
 def _of_another(one: Looked, others: Sequence[Looked]) -> Looked | None:

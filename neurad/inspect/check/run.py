@@ -13,7 +13,7 @@ from neurad.core.errors import InputError
 from neurad.core.records import Development
 from neurad.inspect.check.findings import Findings, Level, listed
 from neurad.inspect.check.geometry import check_places, check_units
-from neurad.inspect.check.hints import hint
+from neurad.inspect.check.hints import FEWEST, explanation, hint
 from neurad.inspect.check.light import Light, Source, check_light, lamp_power, usable
 from neurad.inspect.check.look import Looked, look
 from neurad.inspect.check.report import PAGE, TABLE, Checked, verdict, write_pages
@@ -150,32 +150,53 @@ def _clipped_from(development: Development, highest: float) -> float:
 
 def _edges(world: World, looked: Sequence[Looked], findings: Findings) -> None:
     """Say which photographs do not show the edges of the geometry where their cameras see them."""
-    fits = [None if one.facts is None or one.facts.constant else one.fit for one in looked]
+    able = [one.facts is not None and not one.facts.constant for one in looked]
+    fits = [
+        one.fit if ok and one.fit is not None and one.fit.places >= FEWEST else None
+        for one, ok in zip(looked, able, strict=True)
+    ]
     wrong = misfits(fits)
     words = {index: hint(world, looked[index], looked) for index in wrong[:HINTS]}
     usual = float(np.median([fit.here for fit in fits if fit is not None])) if any(fits) else 0.0
     for index in wrong:
-        fit = looked[index].fit
+        fit = fits[index]
         assert fit is not None
         why = (
             f"edge rank {fit.here:.2f}, of all views {usual:.2f}"
             if fit.fits
             else f"turned cameras fit better (edge rank {fit.here:.2f}, excess {fit.excess:.1f})"
         )
-        instead = f"; {words[index]}" if words.get(index) else ""
-        findings.add(
-            Level.WRONG, "edges",
-            f"its photograph does not show the edges of the geometry where the camera sees them: {why}{instead}",
-            looked[index].view.name,
-        )  # fmt: skip
-    if 2 * len(wrong) > len(looked):
+        _misfit(looked[index], why, words.get(index, ""), findings)
+    blank = [index for index, ok in enumerate(able) if ok and fits[index] is None]
+    explained = {index: explanation(world, looked[index], looked) for index in blank[:HINTS]}
+    for index in blank:
+        if explained.get(index):
+            _misfit(looked[index], "it sees next to none", explained[index], findings)
+    if unknown := [looked[index].view.name for index in blank if not explained.get(index)]:
+        findings.add(Level.NOTE, "edges", f"next to no edges are in sight of {listed(unknown)}: they are not judged")
+    words |= {index: text for index, text in explained.items() if text}
+    bad = len({*wrong, *(index for index, text in explained.items() if text)})
+    judged = len(looked) - len(unknown) - able.count(False)
+    if 2 * bad > judged > 0:
         causes = sorted({text for text in words.values() if text and "turned by about" not in text})
         said = f" ({listed(causes, 2)})" if causes else ""
         findings.add(
-            Level.WRONG, "edges",
-            f"most photographs ({len(wrong)} of {len(looked)}) do not fit the geometry: look at the frame and scale of "
-            f"the cameras, and whether these are its photographs{said}",
-        )  # fmt: skip
+            Level.WRONG,
+            "edges",
+            f"most photographs ({bad} of {judged} that can be judged) do not fit the geometry: look at the frame and "
+            f"scale of the cameras, and whether these are its photographs{said}",
+        )
+
+
+def _misfit(one: Looked, why: str, instead: str, findings: Findings) -> None:
+    """Name a view."""
+    findings.add(
+        Level.WRONG,
+        "edges",
+        f"its photograph does not show the edges of the geometry where the camera sees them: {why}"
+        f"{f'; {instead}' if instead else ''}",
+        one.view.name,
+    )
 
 
 def _say(checked: Checked, out: Path) -> None:
