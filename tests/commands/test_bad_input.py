@@ -142,7 +142,7 @@ BAD = {
     ),
     "unreadable held-out EXR": (written("room/images/test_1.exr", "no picture"), [], ["test_1.exr", "cannot be read"]),
     "NaN pixels": (photograph(one_pixel(np.nan)), [], ["train_1.exr", "NaN"]),
-    "NaN pixels of a held-out view": (photograph(one_pixel(np.nan), "test_1"), [], ["test_1.exr", "nan"]),
+    "NaN pixels of a held-out view": (photograph(one_pixel(np.nan), "test_1"), [], ["test_1.exr", "NaN"]),
     "infinite pixels": (photograph(one_pixel(np.inf)), [], ["train_1.exr", "infinite"]),
     "negative pixels": (photograph(one_pixel(-0.5)), [], ["train_1.exr", "negative"]),
     "another image size": (photograph(lambda p: p[: SIZE - 1]), [], ["train_1.exr", "8 x 7"]),
