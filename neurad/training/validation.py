@@ -14,6 +14,8 @@ FIRST, EVERY = 512, 4096
 """Factors are fitted after so many iterations, whenever their number has doubled, and at multiples of the second."""
 LEAST = 64
 """Pixels of which fewer say nothing."""
+WHOLE = 0.95
+"""A level of which so much is kept counts as kept whole in what is said."""
 
 
 def is_due(iteration: int) -> bool:
@@ -57,11 +59,11 @@ def update_levels(
 
 
 def said(found: list[LevelFit] | None) -> str | None:
-    """A sentence on what was found; None if all factors stay 1."""
+    """A sentence on what was found; None if the finest levels are kept whole."""
     parts = [
         f"{float(fit.factors[-1]):.2f} of {name}'s finest level"
         for name, fit in zip(("albedo", "roughness"), found or [], strict=False)
-        if fit.holds
+        if fit.holds and float(fit.factors[-1]) < WHOLE
     ]
     if not parts:
         return None
