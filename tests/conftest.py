@@ -11,7 +11,7 @@ import torch
 import yaml
 from browser import chromium, look_at  # noqa: F401  fixtures of every test
 
-OPTIONAL = ("mitsuba", "open3d", "warp", "mkdocs", "xatlas", "pxr", "Node", "Chromium", "playwright")
+OPTIONAL = ("mitsuba", "open3d", "warp", "mkdocs", "xatlas", "pxr", "Node", "Chromium", "playwright", "rawpy", "cv2")
 
 
 @pytest.fixture(autouse=True)
