@@ -1,0 +1,294 @@
+"""Which meshes shine, where nobody says so: those that photographs show brighter than whatever arrives there, all of it
+reflected, and alike all over and from everywhere.
+
+What arrives is gathered from the photographs themselves: rays leave a surface by the cosine, and where they end the
+photographs say what comes back (:class:`neurad.metrics.photographed_surfaces.PhotographedRadiance`). No material enters.
+A white diffuse sheet would show the mean of it, so the photographed radiance over that mean is the albedo of a surface
+that does not shine, and at most about 1.
+
+The brightest thing that is photographed shines, since nothing reflects more than arrives. From then on its light is that
+of an emitter: shadow rays find it however small it is, and the parts of it that no photograph shows shine as well. What
+is brighter than all light so far explains is next, and so on, until nothing is.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+
+import torch
+from torch import Tensor
+
+from neurad.assembly.build import build_world
+from neurad.bsdf.diffuse import Diffuse
+from neurad.core.colour import luminance
+from neurad.core.errors import InputError
+from neurad.core.protocols import Emitter, PhotoSource
+from neurad.core.records import Surface, SurfaceInteraction
+from neurad.core.rng import Stream, mix
+from neurad.emitters.area import AreaLights
+from neurad.emitters.dark import Dark
+from neurad.emitters.lights import AnyLights, make_lights
+from neurad.integrators.emitter_pixels import POSITIONS
+from neurad.integrators.method import SceneModel
+from neurad.integrators.radiometric import Radiometric
+from neurad.integrators.stratified import stratified_samples
+from neurad.integrators.world import World
+from neurad.metrics.photographed_surfaces import PhotographedRadiance, SurfacePixels, showing_one_side, surface_pixels
+from neurad.runtime.progress import phase
+from neurad.scene.description import Scene
+from neurad.scene.shining import Shining, without_lamps
+
+MARGIN = 1.3
+"""How much brighter than a white sheet in its place a mesh has to be to be taken for a lamp."""
+SPREAD = 0.25
+"""Largest difference, relative to their median, between the tenth and the ninetieth per cent of a lamp's pixels."""
+FEWEST = 3
+"""Pixels that have to show nothing but a lamp: fewer do not tell whether it is alike all over."""
+UNEXPLAINED = 1.5
+"""How much brighter than a white sheet a tenth of all surfaces may be before something is said."""
+_POINTS, _SPP = 48, 64  # of each side of a mesh: points, and directions at each
+_OTHERS = 768  # points of all surfaces, to compare with
+_VERIFIED = 512  # pixels of each candidate that are looked at closely
+_ALIKE = 0.5  # of the brightest candidate's radiance: what is found together with it
+_CLIPPED = 0.9  # fraction of clipped pixels from which on all of a lamp counts as clipped
+_CHUNK = 1 << 17  # samples
+
+
+@dataclass
+class Candidate:
+    """A side of a mesh that may shine."""
+
+    side: int
+    """Twice the index of the mesh, and 1 more for its back."""
+    pixels: SurfacePixels
+    """That show nothing but it."""
+    radiance: Tensor
+    """Median of those that are not clipped; where most are, of all [3]."""
+    clipped: bool
+    """Whether most are clipped, so that it may be brighter."""
+    ratio: float = 0.0
+    """Photographed radiance over that of a white sheet in its place, at the last time it was measured."""
+
+    @property
+    def brightness(self) -> float:
+        """Luminance of the radiance."""
+        return float(luminance(self.radiance))
+
+    @property
+    def shining(self) -> Shining:
+        """The lamp that it is."""
+        return Shining(self.side // 2, bool(self.side % 2))
+
+
+@dataclass
+class Found:
+    """What was found."""
+
+    lamps: list[Shining] = field(default_factory=list)
+    lines: list[str] = field(default_factory=list)
+    """What there is to say."""
+
+
+class White:
+    """Everything is white and diffuse."""
+
+    def __call__(self, si: SurfaceInteraction) -> Surface:
+        """BSDF parameters at the lanes of ``si``."""
+        return Surface(torch.ones_like(si.p), torch.ones_like(si.p[:, :1]))
+
+    def albedo(self, si: SurfaceInteraction) -> Tensor:
+        """Ones [n, 3]."""
+        return torch.ones_like(si.p)
+
+
+def find_lamps(
+    scene: Scene, photographs: PhotoSource, tracer: str, unknown_sky: bool, seed: int, device: torch.device | str = "cpu"
+) -> Found:
+    """Find the meshes that shine. What the scene's file says of them is not looked at.
+
+    Args:
+        scene: geometry, cameras, and the light of other kinds.
+        photographs: of the training views.
+        tracer: 'embree', 'open3d' or 'warp'.
+        unknown_sky: the environment is not known either, so nothing is taken from it.
+        seed: of all draws.
+        device: where it is computed.
+
+    Raises:
+        InputError: there are no photographs, or no mesh shines and there is no other light.
+    """
+    scene = without_lamps(scene)
+    if unknown_sky:
+        scene = replace(scene, environment=None)
+    with phase("finding lamps"):
+        world = build_world(scene, tracer, photographs.has_alpha, lights=Dark()).to(device)
+        return Search(scene, world, photographs, seed).run()
+
+
+class Search:
+    """One search for lamps.
+
+    Args:
+        scene: without lamps; all other light that it has is known.
+        world: of the scene, dark.
+        photographs: of its training views.
+        seed: of all draws.
+    """
+
+    def __init__(self, scene: Scene, world: World, photographs: PhotoSource, seed: int) -> None:
+        self.scene, self.seed = scene, seed
+        self.geometry = world.geometry
+        self.world = World(
+            world.geometry, world.tracer, world.lights, Diffuse(), world.features, world.two_sided,
+            world.hide_environment, world.delta,
+        )  # fmt: skip
+        self.pixels = surface_pixels(world, [view.camera for view in scene.train], photographs, seed)
+        self.photographed = PhotographedRadiance(self.geometry, self.pixels)
+        self.lamps: list[Candidate] = []
+        self._relight()
+
+    def run(self) -> Found:
+        """Take lamp after lamp, the brightest first, until nothing is brighter than it could be otherwise."""
+        candidates, level = self._candidates(), 1.0
+        while True:
+            level = self._level(candidates)
+            for candidate, ratio in zip(candidates, self._ratios([c.pixels for c in candidates]), strict=True):
+                candidate.ratio = ratio
+            shining = [c for c in candidates if c.ratio > MARGIN * max(level, 1.0)]
+            if not shining:
+                return self._found(level)
+            least = _ALIKE * max(c.brightness for c in shining)
+            self.lamps += [c for c in shining if c.brightness >= least]
+            candidates = [c for c in candidates if c not in self.lamps]
+            self._relight()
+
+    def _candidates(self) -> list[Candidate]:
+        """Sides of meshes that are brighter than what arrives there explains before any lamp is known, and alike all
+        over. Smooth surfaces are none: they show other things.
+        """
+        smooth = {i for i, mesh in enumerate(self.scene.meshes) if self.scene.materials[mesh.material].model.is_delta}
+        sides = [side for side in self.pixels.side.unique().tolist() if side // 2 not in smooth]
+        groups = [self.pixels[(self.pixels.side == side).nonzero().squeeze(-1)] for side in sides]
+        ratios = self._ratios(groups)
+        found = []
+        for side, group, ratio in zip(sides, groups, ratios, strict=True):
+            if ratio > MARGIN / 1.5:  # without shadow rays to lamps it is noisier
+                shown = self._verified(side, group)
+                if len(shown) >= FEWEST and (candidate := alike_all_over(side, shown)) is not None:
+                    found.append(candidate)
+        return found
+
+    def _verified(self, side: int, pixels: SurfacePixels) -> SurfacePixels:
+        """Those of some of the pixels that show nothing else at more positions, too."""
+        pixels = evenly(pixels, _VERIFIED)
+        whole = torch.zeros_like(pixels.clipped)
+        for view in pixels.view.unique().tolist():
+            mine = (pixels.view == view).nonzero().squeeze(-1)
+            stream = Stream(self.seed, side, view, 42, device=mine.device)
+            camera = self.scene.train[view].camera
+            good, seen, _ = showing_one_side(self.world, camera, pixels.pixel[mine], POSITIONS, stream)
+            whole[mine[good]] = seen == side
+        return pixels[whole]
+
+    def _ratios(self, groups: Sequence[SurfacePixels]) -> list[float]:
+        """Photographed radiance over that of white sheets, of each group of pixels: of the channel where it is
+        largest; infinity where nothing arrives.
+        """
+        if not groups:
+            return []
+        some = [evenly(group, _POINTS) for group in groups]
+        sheet = self._white(SurfacePixels.cat(*some)).double()
+        ratios = []
+        for group, part in zip(some, sheet.split([len(group) for group in some]), strict=True):
+            shown, white = group.color.double().sum(0), part.sum(0)
+            ratios.append(float(torch.where(shown > 0, shown / white.clamp_min(1e-30), 0.0).max()))
+        return ratios
+
+    def _level(self, candidates: Sequence[Candidate]) -> float:
+        """How bright a tenth of all surfaces are at least, those that may shine left out, over white sheets in their
+        place: above 1 where light arrives that no photograph shows to come from anywhere.
+        """
+        known = torch.zeros_like(self.photographed.left_out)
+        known[[c.side for c in (*candidates, *self.lamps)]] = True
+        others = self.pixels[(~known[self.pixels.side] & ~self.pixels.clipped).nonzero().squeeze(-1)]
+        if len(others) == 0:
+            return 1.0
+        others = evenly(others, _OTHERS)
+        ratio = luminance(others.color) / luminance(self._white(others)).clamp_min(1e-30)
+        return float(ratio.double().quantile(0.9))
+
+    @torch.no_grad()
+    def _white(self, pixels: SurfacePixels) -> Tensor:
+        """Radiance [n, 3] of a white diffuse sheet in the place of each pixel's point."""
+        parts, model = [], SceneModel(self.world, White(), self.photographed)
+        for begin in range(0, len(pixels), max(1, _CHUNK // _SPP)):
+            si = pixels[begin : begin + _CHUNK // _SPP].points(self.geometry)
+            stream = Stream(mix(self.seed, len(self.lamps)), begin, 43, device=si.p.device)
+            u = stratified_samples(len(si), _SPP, stream)
+            lanes = si.repeat(_SPP)
+            value = Radiometric(control_variate=False).reflected(model, lanes, White()(lanes), u, stream).value
+            parts.append(value.view(len(si), _SPP, 3).mean(1))
+        return torch.cat(parts) if parts else pixels.color
+
+    def _relight(self) -> None:
+        """Let the lamps so far be emitters, and all else that shines in the photographs be what comes back from it.
+
+        Of a lamp that shines to the back of its triangles the light stays what photographs show of it.
+        """
+        emission = torch.zeros_like(self.geometry.emission)
+        for lamp in self.lamps:
+            if not lamp.shining.turned:
+                emission[self.geometry.mesh_index == lamp.shining.mesh] = lamp.radiance
+                self.photographed.left_out[lamp.side] = True
+        area = AreaLights(self.geometry, emission) if bool(emission.any()) else None
+        lights: AnyLights | Dark = Dark()
+        if area is not None or self.scene.features.has_light:
+            lights = make_lights(self.scene, self.geometry, lamps=area)
+        self.world = self.world.under(lights.to(emission.device))
+
+    def _found(self, level: float) -> Found:
+        """The result, and what there is to say of it."""
+        by_mesh = {lamp.shining.mesh: lamp for lamp in reversed(self.lamps)}  # the brighter of two sides
+        lines = []
+        for mesh, lamp in sorted(by_mesh.items()):
+            name = self.scene.meshes[mesh].name
+            times = f"{lamp.ratio:.3g} times as bright as a white sheet in its place"
+            lines.append(f"{name} shines: it is {'at least ' if lamp.clipped else ''}{times}")
+            if sum(other.shining.mesh == mesh for other in self.lamps) > 1:
+                lines.append(
+                    f"warning: {name} shines to both sides of its triangles; only the light of the brighter side is "
+                    "taken, so give each side a mesh of its own"
+                )
+        if level > UNEXPLAINED:
+            lines.append(
+                f"warning: a tenth of the surfaces are more than {level:.2g} times as bright as all light that the "
+                "photographs show can make them: some lamp is in no photograph, and its light will be missing; "
+                "photograph it, or give it an emitter in the scene and take --model.lighting.emitters fit"
+            )
+        lamps = [lamp.shining for _, lamp in sorted(by_mesh.items())]
+        if not lamps and not self.scene.features.has_light:
+            raise InputError(
+                f"scene {self.scene.name}: model.lighting.emitters is find, but no mesh shines in the photographs: none "
+                "is alike all over and brighter than what arrives there; give lamps that no photograph shows an area "
+                "emitter in the scene and take fit"
+            )
+        return Found(lamps, lines or ["no mesh shines in the photographs"])
+
+
+def alike_all_over(side: int, pixels: SurfacePixels) -> Candidate | None:
+    """A candidate, if its pixels are of one brightness; None otherwise."""
+    clipped = float(pixels.clipped.double().mean()) > _CLIPPED
+    told = pixels if clipped else pixels[~pixels.clipped]
+    light = luminance(told.color.double())
+    low, middle, high = light.quantile(torch.tensor([0.1, 0.5, 0.9], dtype=torch.float64, device=light.device)).tolist()
+    if high - low > SPREAD * middle or middle <= 0.0:
+        return None
+    return Candidate(side, pixels, told.color.double().quantile(0.5, 0).float(), clipped)
+
+
+def evenly(pixels: SurfacePixels, most: int) -> SurfacePixels:
+    """At most so many of the pixels, evenly over all."""
+    if len(pixels) <= most:
+        return pixels
+    return pixels[torch.arange(most, device=pixels.view.device) * len(pixels) // most]
