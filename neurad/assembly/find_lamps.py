@@ -2,13 +2,13 @@
 reflected, and alike all over and from everywhere.
 
 What arrives is gathered from the photographs themselves: rays leave a surface by the cosine, and where they end the
-photographs say what comes back (:class:`neurad.metrics.photographed_surfaces.PhotographedRadiance`). No material enters.
-A white diffuse sheet would show the mean of it, so the photographed radiance over that mean is the albedo of a surface
-that does not shine, and at most about 1.
+photographs say what comes back (:class:`neurad.metrics.photographed_surfaces.PhotographedRadiance`). No material
+enters. A white diffuse sheet would show the mean of it, so the photographed radiance over that mean is the albedo of a
+surface that does not shine, and at most about 1.
 
-The brightest thing that is photographed shines, since nothing reflects more than arrives. From then on its light is that
-of an emitter: shadow rays find it however small it is, and the parts of it that no photograph shows shine as well. What
-is brighter than all light so far explains is next, and so on, until nothing is.
+The brightest thing that is photographed shines, since nothing reflects more than arrives. From then on its light is
+that of an emitter: shadow rays find it however small it is, and the parts of it that no photograph shows shine as well.
+What is brighter than all light so far explains is next, and so on, until nothing is.
 """
 
 from __future__ import annotations
@@ -23,7 +23,7 @@ from neurad.assembly.build import build_world
 from neurad.bsdf.diffuse import Diffuse
 from neurad.core.colour import luminance
 from neurad.core.errors import InputError
-from neurad.core.protocols import Emitter, PhotoSource
+from neurad.core.protocols import PhotoSource
 from neurad.core.records import Surface, SurfaceInteraction
 from neurad.core.rng import Stream, mix
 from neurad.emitters.area import AreaLights
@@ -103,7 +103,12 @@ class White:
 
 
 def find_lamps(
-    scene: Scene, photographs: PhotoSource, tracer: str, unknown_sky: bool, seed: int, device: torch.device | str = "cpu"
+    scene: Scene,
+    photographs: PhotoSource,
+    tracer: str,
+    unknown_sky: bool,
+    seed: int,
+    device: torch.device | str = "cpu",
 ) -> Found:
     """Find the meshes that shine. What the scene's file says of them is not looked at.
 
@@ -119,25 +124,27 @@ def find_lamps(
         InputError: there are no photographs, or no mesh shines and there is no other light.
     """
     scene = without_lamps(scene)
-    if unknown_sky:
-        scene = replace(scene, environment=None)
     with phase("finding lamps"):
         world = build_world(scene, tracer, photographs.has_alpha, lights=Dark()).to(device)
-        return Search(scene, world, photographs, seed).run()
+        return Search(scene, world, photographs, seed, unknown_sky).run()
 
 
 class Search:
     """One search for lamps.
 
     Args:
-        scene: without lamps; all other light that it has is known.
+        scene: without lamps.
         world: of the scene, dark.
         photographs: of its training views.
         seed: of all draws.
+        unknown_sky: the environment is not known either.
     """
 
-    def __init__(self, scene: Scene, world: World, photographs: PhotoSource, seed: int) -> None:
-        self.scene, self.seed = scene, seed
+    def __init__(
+        self, scene: Scene, world: World, photographs: PhotoSource, seed: int, unknown_sky: bool = False
+    ) -> None:
+        self.scene, self.seed, self.unknown_sky = scene, seed, unknown_sky
+        self.known = replace(scene, environment=None) if unknown_sky else scene
         self.geometry = world.geometry
         self.world = World(
             world.geometry, world.tracer, world.lights, Diffuse(), world.features, world.two_sided,
@@ -168,7 +175,7 @@ class Search:
         over. Smooth surfaces are none: they show other things.
         """
         smooth = {i for i, mesh in enumerate(self.scene.meshes) if self.scene.materials[mesh.material].model.is_delta}
-        sides = [side for side in self.pixels.side.unique().tolist() if side // 2 not in smooth]
+        sides = [side for side in torch.unique(self.pixels.side).tolist() if side // 2 not in smooth]
         groups = [self.pixels[(self.pixels.side == side).nonzero().squeeze(-1)] for side in sides]
         ratios = self._ratios(groups)
         found = []
@@ -183,7 +190,7 @@ class Search:
         """Those of some of the pixels that show nothing else at more positions, too."""
         pixels = evenly(pixels, _VERIFIED)
         whole = torch.zeros_like(pixels.clipped)
-        for view in pixels.view.unique().tolist():
+        for view in torch.unique(pixels.view).tolist():
             mine = (pixels.view == view).nonzero().squeeze(-1)
             stream = Stream(self.seed, side, view, 42, device=mine.device)
             camera = self.scene.train[view].camera
@@ -200,7 +207,7 @@ class Search:
         some = [evenly(group, _POINTS) for group in groups]
         sheet = self._white(SurfacePixels.cat(*some)).double()
         ratios = []
-        for group, part in zip(some, sheet.split([len(group) for group in some]), strict=True):
+        for group, part in zip(some, torch.split(sheet, [len(group) for group in some]), strict=True):
             shown, white = group.color.double().sum(0), part.sum(0)
             ratios.append(float(torch.where(shown > 0, shown / white.clamp_min(1e-30), 0.0).max()))
         return ratios
@@ -243,8 +250,8 @@ class Search:
                 self.photographed.left_out[lamp.side] = True
         area = AreaLights(self.geometry, emission) if bool(emission.any()) else None
         lights: AnyLights | Dark = Dark()
-        if area is not None or self.scene.features.has_light:
-            lights = make_lights(self.scene, self.geometry, lamps=area)
+        if area is not None or self.known.features.has_light:
+            lights = make_lights(self.known, self.geometry, lamps=area)
         self.world = self.world.under(lights.to(emission.device))
 
     def _found(self, level: float) -> Found:
@@ -260,7 +267,7 @@ class Search:
                     f"warning: {name} shines to both sides of its triangles; only the light of the brighter side is "
                     "taken, so give each side a mesh of its own"
                 )
-        if level > UNEXPLAINED:
+        if level > UNEXPLAINED and not self.unknown_sky:
             lines.append(
                 f"warning: a tenth of the surfaces are more than {level:.2g} times as bright as all light that the "
                 "photographs show can make them: some lamp is in no photograph, and its light will be missing; "
@@ -269,9 +276,9 @@ class Search:
         lamps = [lamp.shining for _, lamp in sorted(by_mesh.items())]
         if not lamps and not self.scene.features.has_light:
             raise InputError(
-                f"scene {self.scene.name}: model.lighting.emitters is find, but no mesh shines in the photographs: none "
-                "is alike all over and brighter than what arrives there; give lamps that no photograph shows an area "
-                "emitter in the scene and take fit"
+                f"scene {self.scene.name}: model.lighting.emitters is find, but no mesh shines in the photographs: "
+                "none is alike all over and brighter than what arrives there; give lamps that no photograph shows an "
+                "area emitter in the scene, and take fit"
             )
         return Found(lamps, lines or ["no mesh shines in the photographs"])
 

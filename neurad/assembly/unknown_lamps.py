@@ -36,8 +36,8 @@ def begin_lamps(assembly: Assembly, primary: PrimaryHits, shown: LampPhotographs
     """Let the photographs say how bright each lamp is, and print it.
 
     Lamps that some pixel shows alone and unclipped get what these pixels show, less what the lamp reflects. With
-    ``model.lighting.emitters fit`` or ``find`` all others get what explains the photographs of surfaces best: pictures lit by one
-    lamp at a time, non-negative least squares.
+    ``model.lighting.emitters`` ``fit`` or ``find`` all others get what explains the photographs of surfaces best:
+    pictures lit by one lamp at a time, non-negative least squares.
 
     Args:
         assembly: of a run that has not begun.

@@ -97,13 +97,9 @@ def surface_pixels(world: World, cameras: Sequence[Camera], photographs: PhotoSo
             part = slice(begin, begin + _CHUNK)
             stream = Stream(seed, index, begin, 41, device=device)
             whole, side, si = showing_one_side(world, camera, pixel[part].to(device), POSITIONS, stream)
-            kept = whole.cpu()
-            parts.append(
-                SurfacePixels(
-                    view[part][kept].to(device), pixel[part][kept].to(device), side, color[pixel[part]][kept].to(device),
-                    full[part][kept].to(device), si.prim, si.bary, si.p, si.wo,
-                )
-            )  # fmt: skip
+            read = (view[part], pixel[part], color[pixel[part]], full[part])
+            views, places, colors, clips = (x[whole.cpu()].to(device) for x in read)
+            parts.append(SurfacePixels(views, places, side, colors, clips, si.prim, si.bary, si.p, si.wo))
     return SurfacePixels.cat(*parts)
 
 
@@ -141,7 +137,7 @@ def _chosen(pixel: Tensor, light: Tensor, most: int) -> Tensor:
         return pixel
     even = torch.arange(most // 2) * len(pixel) // (most // 2)
     bright = light.topk(most - most // 2).indices
-    return pixel[torch.cat((even, bright)).unique()]
+    return pixel[torch.unique(torch.cat((even, bright)))]
 
 
 class PhotographedRadiance:
@@ -164,7 +160,7 @@ class PhotographedRadiance:
         values = torch.cat((pixels.color, torch.ones_like(pixels.color[:, :1])), -1).double()
         for times in _COARSER:
             size = times * _FINEST * geometry.scale
-            keys, row = self._key(pixels.side, pixels.p, size).unique(return_inverse=True)
+            keys, row = torch.unique(self._key(pixels.side, pixels.p, size), return_inverse=True)
             total = values.new_zeros(len(keys), 4).index_add_(0, row, values)
             self.levels.append((size, keys, (total[:, :3] / total[:, 3:]).float()))
 

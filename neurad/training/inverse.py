@@ -33,8 +33,8 @@ from neurad.metrics.bar_maps import predict_bars
 from neurad.metrics.effort import Effort
 from neurad.metrics.error_bars import ErrorBars
 from neurad.metrics.held_out import HeldOut
-from neurad.metrics.lamp_scores import Array as FloatArray64
 from neurad.metrics.lamp_scores import EXTRA, MISSED, lamp_scores, read_lamps_true
+from neurad.metrics.lamp_scores import Array as FloatArray64
 from neurad.metrics.view_residuals import view_residuals
 from neurad.optim.polyak_average import PolyakAverage, averaged
 from neurad.optim.pyramid_adam import PyramidAdam

@@ -11,7 +11,8 @@ from neurad.core.records import Constant, Material, View
 from neurad.core.reflection import DiffuseModel
 from neurad.integrators.film import render
 from neurad.integrators.renderer import path_tracer
-from neurad.scene.builtin.shapes import box, look_at, quad, room
+from neurad.scene.builtin.plain import room
+from neurad.scene.builtin.shapes import box, look_at, quad
 from neurad.scene.description import Scene
 from neurad.scene.textures import TrueMaterials
 
@@ -25,7 +26,7 @@ EVERYWHERE = (
     look_at((-0.7, 0.9, -0.8), (0.2, 0.3, 0.3), 80.0, SIZE),
     look_at((-0.3, -0.2, 0.8), (0.0, 1.0, -0.2), 80.0, SIZE),
 )
-DOWNWARDS = tuple(look_at((x, 0.85, z), (0.2 * x, -1.0, 0.2 * z), 75.0, SIZE) for x in (-0.7, 0.7) for z in (-0.7, 0.7))
+DOWNWARDS = tuple(look_at((0.6, y, z), (0.7, -1.0, 0.2 * z), 60.0, SIZE) for y in (0.4, 0.9) for z in (-0.7, 0.7))
 """Cameras that see no lamp."""
 
 
@@ -47,8 +48,11 @@ class Photographs(PhotoSource):
 
 def lamp_room(ceiling=CEILING, strip=STRIP, cameras=EVERYWHERE, **more):
     """The room; ``more`` are further parts of the scene."""
+
     def paint(name, albedo):
-        return Material(name, DiffuseModel(), Constant(np.full(3, albedo, np.float32)), Constant(np.ones(1, np.float32)))
+        return Material(
+            name, DiffuseModel(), Constant(np.full(3, albedo, np.float32)), Constant(np.ones(1, np.float32))
+        )
 
     materials = [paint("white", 0.85), paint("card", 0.95), paint("wood", 0.4), paint("black", 0.05)]
     parts = {name: (solid, 0, None) for name, solid in room((-1, -1, -1), (1, 1, 1)).items()}
@@ -61,7 +65,7 @@ def lamp_room(ceiling=CEILING, strip=STRIP, cameras=EVERYWHERE, **more):
     return Scene("room", meshes, materials, train=views, **more)
 
 
-def photographed(scene, spp=64, ceiling=None):
+def photographed(scene, spp=32, ceiling=None):
     """Photographs of a scene."""
     world = build_world(scene)
     tracer = path_tracer(world, TrueMaterials(scene, world.geometry))
