@@ -1,5 +1,5 @@
 """Which meshes shine, where nobody says so: those that photographs show brighter than whatever arrives there, all of it
-reflected, and alike all over and from everywhere.
+reflected, and so that one radiance all over, and what can be reflected besides, explains every pixel.
 
 What arrives is gathered from the photographs themselves: rays leave a surface by the cosine, and where they end the
 photographs say what comes back (:class:`neurad.metrics.photographed_surfaces.PhotographedRadiance`). No material
@@ -41,8 +41,11 @@ from neurad.scene.shining import Shining, without_lamps
 
 MARGIN = 1.3
 """How much brighter than a white sheet in its place a mesh has to be to be taken for a lamp."""
-SPREAD = 0.25
-"""Largest difference, relative to their median, between the tenth and the ninetieth per cent of a lamp's pixels."""
+SURE, SPREAD = 2.0, 0.25
+"""Below so many times a white sheet a lamp's pixels have to be alike, too: largest difference, relative to their
+median, between the tenth and the ninetieth per cent."""
+NOISE = 0.15
+"""How much more than the darkest pixels those that least can be reflected in may say that a lamp sends, relatively."""
 FEWEST = 3
 """Pixels that have to show nothing but a lamp: fewer do not tell whether it is alike all over."""
 UNEXPLAINED = 1.5
@@ -69,6 +72,8 @@ class Candidate:
     """Whether most are clipped, so that it may be brighter."""
     ratio: float = 0.0
     """Photographed radiance over that of a white sheet in its place, at the last time it was measured."""
+    even: bool = False
+    """Whether one radiance all over explains its pixels then."""
 
     @property
     def brightness(self) -> float:
@@ -157,33 +162,34 @@ class Search:
 
     def run(self) -> Found:
         """Take lamp after lamp, the brightest first, until nothing is brighter than it could be otherwise."""
-        candidates, level = self._candidates(), 1.0
+        candidates = self._candidates()
         while True:
-            level = self._level(candidates)
-            for candidate, ratio in zip(candidates, self._ratios([c.pixels for c in candidates]), strict=True):
-                candidate.ratio = ratio
-            shining = [c for c in candidates if c.ratio > MARGIN * max(level, 1.0)]
+            for candidate, (shown, sheet) in zip(candidates, self._sheets([c.pixels for c in candidates]), strict=True):
+                candidate.ratio = over(shown, sheet)
+                candidate.even = one_radiance(luminance(shown), luminance(sheet), candidate.ratio)
+            even = [c for c in candidates if c.even]
+            level = max(self._level(even), 1.0)
+            shining = [c for c in even if c.ratio > MARGIN * level]
             if not shining:
-                return self._found(level)
+                return self._found(self._level([]))
             least = _ALIKE * max(c.brightness for c in shining)
             self.lamps += [c for c in shining if c.brightness >= least]
             candidates = [c for c in candidates if c not in self.lamps]
             self._relight()
 
     def _candidates(self) -> list[Candidate]:
-        """Sides of meshes that are brighter than what arrives there explains before any lamp is known, and alike all
-        over. Smooth surfaces are none: they show other things.
+        """Sides of meshes that are brighter than what arrives there explains before any lamp is known. Smooth surfaces
+        are none: they show other things.
         """
         smooth = {i for i, mesh in enumerate(self.scene.meshes) if self.scene.materials[mesh.material].model.is_delta}
         sides = [side for side in torch.unique(self.pixels.side).tolist() if side // 2 not in smooth]
         groups = [self.pixels[(self.pixels.side == side).nonzero().squeeze(-1)] for side in sides]
-        ratios = self._ratios(groups)
         found = []
-        for side, group, ratio in zip(sides, groups, ratios, strict=True):
-            if ratio > MARGIN / 1.5:  # without shadow rays to lamps it is noisier
-                shown = self._verified(side, group)
-                if len(shown) >= FEWEST and (candidate := alike_all_over(side, shown)) is not None:
-                    found.append(candidate)
+        for side, group, pair in zip(sides, groups, self._sheets(groups), strict=True):
+            if over(*pair) > MARGIN / 1.5:  # without shadow rays to lamps it is noisier
+                verified = self._verified(side, group)
+                if len(verified) >= FEWEST:
+                    found.append(candidate_of(side, verified))
         return found
 
     def _verified(self, side: int, pixels: SurfacePixels) -> SurfacePixels:
@@ -198,23 +204,18 @@ class Search:
             whole[mine[good]] = seen == side
         return pixels[whole]
 
-    def _ratios(self, groups: Sequence[SurfacePixels]) -> list[float]:
-        """Photographed radiance over that of white sheets, of each group of pixels: of the channel where it is
-        largest; infinity where nothing arrives.
-        """
+    def _sheets(self, groups: Sequence[SurfacePixels]) -> list[tuple[Tensor, Tensor]]:
+        """Photographed radiance at some pixels of each group [k, 3], and that of white sheets in their place [k, 3]."""
         if not groups:
             return []
         some = [evenly(group, _POINTS) for group in groups]
-        sheet = self._white(SurfacePixels.cat(*some)).double()
-        ratios = []
-        for group, part in zip(some, torch.split(sheet, [len(group) for group in some]), strict=True):
-            shown, white = group.color.double().sum(0), part.sum(0)
-            ratios.append(float(torch.where(shown > 0, shown / white.clamp_min(1e-30), 0.0).max()))
-        return ratios
+        sheets = torch.split(self._white(SurfacePixels.cat(*some)), [len(group) for group in some])
+        return [(group.color.double(), sheet.double()) for group, sheet in zip(some, sheets, strict=True)]
 
     def _level(self, candidates: Sequence[Candidate]) -> float:
-        """How bright a tenth of all surfaces are at least, those that may shine left out, over white sheets in their
-        place: above 1 where light arrives that no photograph shows to come from anywhere.
+        """How bright a tenth of all surfaces are at least, lamps and those that look like some left out, over white
+        sheets in their place: above 1 where light arrives that no photograph shows to come from anywhere. All surfaces
+        are too bright then, so a lamp has to stand out among them.
         """
         known = torch.zeros_like(self.photographed.left_out)
         known[[c.side for c in (*candidates, *self.lamps)]] = True
@@ -283,15 +284,30 @@ class Search:
         return Found(lamps, lines or ["no mesh shines in the photographs"])
 
 
-def alike_all_over(side: int, pixels: SurfacePixels) -> Candidate | None:
-    """A candidate, if its pixels are of one brightness; None otherwise."""
+def candidate_of(side: int, pixels: SurfacePixels) -> Candidate:
+    """A candidate with what its pixels show."""
     clipped = float(pixels.clipped.double().mean()) > _CLIPPED
     told = pixels if clipped else pixels[~pixels.clipped]
-    light = luminance(told.color.double())
-    low, middle, high = light.quantile(torch.tensor([0.1, 0.5, 0.9], dtype=torch.float64, device=light.device)).tolist()
-    if high - low > SPREAD * middle or middle <= 0.0:
-        return None
     return Candidate(side, pixels, told.color.double().quantile(0.5, 0).float(), clipped)
+
+
+def over(shown: Tensor, sheet: Tensor) -> float:
+    """Photographed radiance [k, 3] over that of white sheets [k, 3]: of the channel where it is largest."""
+    light, white = shown.sum(0), sheet.sum(0)
+    return float(torch.where(light > 0, light / white.clamp_min(1e-30), 0.0).max())
+
+
+def one_radiance(shown: Tensor, sheet: Tensor, ratio: float) -> bool:
+    """Whether a lamp of one radiance shows so: nowhere less than it sends, nor more than that and a white sheet.
+
+    Args:
+        shown: photographed luminance [k].
+        sheet: that of white sheets [k].
+        ratio: of both.
+    """
+    low, middle, high = (float(shown.quantile(q)) for q in (0.1, 0.5, 0.9))
+    sent = float((shown - sheet).quantile(0.9))
+    return sent <= (1.0 + NOISE) * low and (ratio > SURE or high - low <= SPREAD * middle)
 
 
 def evenly(pixels: SurfacePixels, most: int) -> SurfacePixels:

@@ -9,7 +9,7 @@ from helpers.lamp_room import DOWNWARDS, SIZE, Photographs, lamp_room, names, ph
 from helpers.object_scene import sky
 
 from neurad.assembly.build import build_world
-from neurad.assembly.find_lamps import Search, alike_all_over, find_lamps
+from neurad.assembly.find_lamps import Search, find_lamps, one_radiance, over
 from neurad.core.errors import InputError
 from neurad.emitters.dark import Dark
 from neurad.metrics.photographed_surfaces import PhotographedRadiance, side_of, surface_pixels
@@ -100,9 +100,9 @@ def test_a_white_sheet_shows_the_albedo_of_what_reflects(lit):
     albedo = {i: float(scene.materials[m.material].albedo.value[0]) for i, m in enumerate(scene.meshes)}
     sides = [2 * i for i, m in enumerate(scene.meshes) if "lamp" not in m.name and m.name != "strip"]
     groups = [search.pixels[search.pixels.side == side] for side in sides]
-    for side, group, ratio in zip(sides, groups, search._ratios(groups), strict=True):
+    for side, group, pair in zip(sides, groups, search._sheets(groups), strict=True):
         if len(group) > 100:
-            assert ratio == pytest.approx(albedo[side // 2], rel=0.15), scene.meshes[side // 2].name
+            assert over(*pair) == pytest.approx(albedo[side // 2], rel=0.15), scene.meshes[side // 2].name
     assert search._level([]) < 1.1
 
 
@@ -132,14 +132,15 @@ def test_large_photographs_are_looked_at_in_part_and_where_they_are_bright(lit, 
     assert names(scene, found(scene, photographs).lamps) == {"ceiling lamp", "strip"}
 
 
-def test_what_is_not_alike_all_over_is_no_candidate(lit):
-    scene, photographs = lit
-    pixels = surface_pixels(build_world(scene), [v.camera for v in scene.train], photographs, 0)[:100]
-    even = replace(pixels, color=torch.full((100, 3), 2.0), clipped=torch.zeros(100, dtype=torch.bool))
-    assert alike_all_over(0, even).brightness == pytest.approx(2.0)
-    assert alike_all_over(0, replace(even, color=torch.linspace(1, 2, 100)[:, None].expand(-1, 3))) is None
-    assert alike_all_over(0, replace(even, color=torch.zeros(100, 3))) is None
-    assert alike_all_over(0, replace(even, clipped=~even.clipped)).clipped
+def test_one_radiance_and_what_can_be_reflected_explain_a_lamp():
+    ramp = torch.linspace(0, 1, 100, dtype=torch.float64)
+    lamp, half = 2.0 + 0.05 * ramp, torch.full((100,), 0.5, dtype=torch.float64)
+    assert one_radiance(lamp, half, 4.0)
+    assert one_radiance(2.0 + 0.8 * ramp, ramp, 3.0)  # where more arrives, more comes back
+    assert not one_radiance(2.0 + 0.8 * (1 - ramp), ramp * 0.1, 3.0)  # brighter where nothing arrives
+    assert not one_radiance(1.0 + ramp, half, 3.0)
+    assert one_radiance(1.0 + 0.2 * ramp, 0.7 + 0 * ramp, 1.5)
+    assert not one_radiance(1.0 + 0.5 * ramp, 0.7 + 0 * ramp, 1.5)  # nearly white, and not alike
 
 
 def test_found_lamps_shine_to_the_front_alone_and_are_kept_as_plain_types(lit):
