@@ -31,6 +31,7 @@ from neurad.metrics.bar_maps import predict_bars
 from neurad.metrics.effort import Effort
 from neurad.metrics.error_bars import ErrorBars
 from neurad.metrics.held_out import HeldOut
+from neurad.metrics.held_out_scores import albedo_factors
 from neurad.metrics.lamp_scores import Array as FloatArray64
 from neurad.metrics.lamp_scores import lamp_scores, read_lamps_true
 from neurad.metrics.view_residuals import view_residuals
@@ -322,7 +323,7 @@ class InverseRenderer(L.LightningModule):
         if lamps is None or self._lamps_true is None or self._held_out is None:
             return {}
         names = [self.scene.meshes[index].name for index in lamps.mesh.tolist()]
-        factors = self._held_out.albedo_factors(found.maps) if lamps.values.requires_grad else {}
+        factors = albedo_factors(self._held_out, found.maps) if lamps.values.requires_grad else {}
         return lamp_scores(lamps.found(), self._lamps_true, names, factors)
 
     def error_bars(self) -> ErrorBars | None:
