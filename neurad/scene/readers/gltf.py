@@ -181,7 +181,7 @@ class _Reader:
             normals = self._values(attributes, "NORMAL", where, "VEC3")
             self._check_count(normals, len(places), f"{where}: NORMAL")
             normals = normals[used]
-        vertices, normals, faces = _in_world(node.to_world, places[used], normals, faces)
+        vertices, normals, faces = in_world(node.to_world, places[used], normals, faces)
         within(vertices, f"{shown(self.file.path)}: the coordinates of {where}", -LENGTH, LENGTH)
         index = primitive.get("material")
         painted = self.materials.paint(index, corners, where)
@@ -256,7 +256,7 @@ class _Reader:
         return made
 
 
-def _in_world(
+def in_world(
     to_world: Array, places: Array, normals: Array | None, faces: IntArray
 ) -> tuple[FloatArray, FloatArray | None, IntArray]:
     """Vertices, unit normals and triangles, which a mirroring transform winds the other way round."""
