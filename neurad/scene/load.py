@@ -150,7 +150,7 @@ def _reader(readers: dict[str, T], folder: Path) -> T:
     for name, reader in readers.items():
         if exists(folder / name):
             return reader
-    first, *others = readers
+    first, *others = (name for name in readers if name != CAMERAS)  # which no fit can do with
     instead = f" (or {', '.join(others)})" if others else ""
     other = next((file for file in sorted(folder.iterdir()) if file.suffix.lower() in OTHER_SCENES), None)
     hint = "" if other is None or readers is not SCENE_FILES else f"; {other.name}: {_otherwise(other)}"

@@ -163,6 +163,8 @@ def write_views(room: Room, out: Path, only: str | None = None) -> None:
                     frame[key] = f"{folder}/{view.name}{Path(source).suffix.lower()}"
                     if Path(source) != out / frame[key]:
                         place(Path(source), out / frame[key], room.copy)
+            if view.image is None:  # its name stays, for pictures to come
+                frame["file_path"] = view.name
         (out / (only or f"transforms{part}.json")).write_text(json.dumps(described, indent=1) + "\n", encoding="utf-8")
 
 

@@ -1,7 +1,7 @@
 """For Blender's Python: a small furnished room as a .blend file, and its photographs by Cycles.
 
-Its argument is a JSON file that describes the job: ``blend`` to write, ``views``, ``size``, ``samples``, ``threads``, and
-``pictures``, a folder that gets NAME.exr of each view and, in ``albedo`` beside it, what Cycles says surfaces reflect.
+Its argument is a JSON file that describes the job: ``blend`` to write, ``views``, ``size``, ``samples``, ``threads``,
+and ``pictures``, a folder that gets NAME.exr of each view and, in ``albedo``, what Cycles says surfaces reflect.
 """
 
 import json

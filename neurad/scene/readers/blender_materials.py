@@ -259,7 +259,7 @@ def _colour(value: Any, where: str, most: float) -> Any:
 
 def _to_uv(place: Mapping[str, Any], about: str) -> FloatArray:
     rows = place.get("to_uv")
-    if not isinstance(rows, list) or np.shape(rows) != (3, 3):
+    if not isinstance(rows, list) or [len(row) for row in rows] != [3, 3, 3]:
         raise InputError(f"{about}: the place of its picture is not 3 x 3 numbers")
     return np.array(
         [[number(x, f"{about}: the place of its picture", -TEXEL, TEXEL) for x in row] for row in rows], np.float32
