@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -22,8 +21,7 @@ from neurad.scene.readers.blender_cameras import BlenderCamera, camera_of
 from neurad.scene.readers.blender_lamps import lamp_of
 from neurad.scene.readers.blender_materials import MaterialReader, Painted
 from neurad.scene.readers.gltf import in_world
-from neurad.scene.readers.gltf_lamps import back_of, cut, is_closed
-from neurad.scene.readers.gltf_textures import look_up
+from neurad.scene.readers.gltf_lamps import back_of, is_closed, lit_by
 
 ROOM = "room.json"
 """The file that says what a folder has."""
@@ -228,10 +226,7 @@ class _Reader:
         if emission.picture is not None:
             if mesh.uvs is None:
                 raise InputError(f"{where} shines by a picture, but has no UV coordinates")
-            pixels, to_uv = emission.picture.pixels, emission.picture.to_uv.astype(np.float64)
-            size = ((pixels.shape[1],), (pixels.shape[0],))
-            scale = np.abs(np.linalg.svd(to_uv[:2, :2] * size, compute_uv=False)).max()
-            lit = cut(mesh, float(scale), partial(look_up, pixels, to_uv), mesh.uvs)
+            lit = lit_by(emission.picture.pixels, emission.picture.to_uv.astype(np.float64), mesh, mesh.uvs)
             if len(lit) > 1:
                 count = sum(len(part.faces) for part in lit)
                 self.notes.append(
