@@ -160,8 +160,9 @@ def _reader(readers: dict[str, T], folder: Path) -> T:
 
 def _otherwise(file: Path) -> str:
     """What to do with a scene that cannot be read where or as it is."""
-    if file.suffix.lower() in (".glb", ".gltf"):
-        return f"`neurad data gltf {shown(file.name)} --out DIR` makes a scene folder of it"
+    kind = {".glb": "gltf", ".gltf": "gltf", ".blend": "blender"}.get(file.suffix.lower())
+    if kind is not None:
+        return f"`neurad data {kind} {shown(file.name)} --out DIR` makes a scene folder of it"
     return (
         "it cannot be read as a scene; open it in Blender, export it as room.glb, and let "
         "`neurad data gltf room.glb --out DIR` make a scene folder of it"

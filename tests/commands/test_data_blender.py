@@ -124,7 +124,7 @@ def test_corners_of_one_normal_are_one_vertex(place):
     normals[..., 2] = 1.0
     normals[1, 0] = (0.6, 0.0, 0.8)
     describe(objects=[square(flat=False, uvs={})])
-    write_dump("dump", json.loads(Path("dump/room.json").read_text()), normals=normals)
+    write_dump("dump", json.loads(Path("dump/blender.json").read_text()), normals=normals)
     floor = convert().meshes[0]
     assert len(floor.vertices) == 5  # the first corner twice
     assert np.allclose(sorted(floor.normals[:, 2]), [0.8, 1, 1, 1, 1])

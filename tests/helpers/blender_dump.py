@@ -55,7 +55,7 @@ def write_dump(folder, described=None, **arrays):
     uv = (SQUARE[TWO][..., :2] + 1.0) / 2.0
     mesh = {"vertices": SQUARE, "faces": TWO, "material": np.zeros(2, np.int32), "uv0": uv.astype(np.float32)}
     np.savez(folder / "square.npz", **{**mesh, **arrays})
-    (folder / "room.json").write_text(json.dumps(room() if described is None else described))
+    (folder / "blender.json").write_text(json.dumps(room() if described is None else described))
     return folder
 
 

@@ -1,7 +1,8 @@
 """For Blender's Python: a small furnished room as a .blend file, and its photographs by Cycles.
 
 Its argument is a JSON file that describes the job: ``blend`` to write, ``views``, ``size``, ``samples``, ``threads``,
-and ``pictures``, a folder that gets NAME.exr of each view and, in ``albedo``, what Cycles says surfaces reflect.
+and ``pictures``, a folder that gets NAME.exr of each view. With ``open`` the room is Lambertian and without a ceiling,
+below a sky that is turned and a sun, with a spot, a point and a box that shines.
 """
 
 import json
@@ -19,12 +20,19 @@ PAINTS = {
 WIDE, DEEP, HIGH = 4.0, 5.0, 2.6
 
 
-def paint(name):
-    """A Principled BSDF of a colour and a roughness."""
+def paint(name, lambertian):
+    """A Principled BSDF of a colour and a roughness, or a Diffuse BSDF of the colour."""
     made = bpy.data.materials.new(name)
     made.use_nodes = True
     colour, roughness = PAINTS[name]
-    shader = made.node_tree.nodes["Principled BSDF"]
+    nodes, links = made.node_tree.nodes, made.node_tree.links
+    shader = nodes["Principled BSDF"]
+    if lambertian:
+        nodes.remove(shader)
+        shader = nodes.new("ShaderNodeBsdfDiffuse")
+        shader.inputs["Color"].default_value = (*colour, 1.0)
+        links.new(shader.outputs[0], nodes["Material Output"].inputs["Surface"])
+        return made
     shader.inputs["Base Color"].default_value = (*colour, 1.0)
     shader.inputs["Roughness"].default_value = roughness
     shader.inputs["IOR"].default_value = 1.5
@@ -44,19 +52,62 @@ def solid(name, corners, faces, paints, of_face=None):
     return made
 
 
-def box(name, low, high, paints, of_face=None):
+def box(name, low, high, paints, of_face=(0,) * 6, without=()):
     """A box; its faces are those below, above, before (-y), behind, left (-x) and right."""
     (a, b, c), (d, e, f) = low, high
     corners = [(x, y, z) for z in (c, f) for y in (b, e) for x in (a, d)]
     faces = [(0, 2, 3, 1), (4, 5, 7, 6), (0, 1, 5, 4), (2, 6, 7, 3), (0, 4, 6, 2), (1, 3, 7, 5)]
-    return solid(name, corners, faces, paints, of_face)
+    kept = [i for i in range(6) if i not in without]
+    return solid(name, corners, [faces[i] for i in kept], paints, [of_face[i] for i in kept])
 
 
-def furnish():
-    """The room, with modifiers, instances and a lamp of each kind."""
-    paints = {name: paint(name) for name in PAINTS}
+def shine_more():
+    """A sky, a sun, a spot, a point and a box that shines."""
+    world = bpy.context.scene.world = bpy.data.worlds.new("sky")
+    world.use_nodes = True
+    nodes, links = world.node_tree.nodes, world.node_tree.links
+    picture = bpy.data.images.new("sky", 32, 16, float_buffer=True)
+    picture.pixels = [x for row in range(16) for column in range(32) for x in
+                      (0.1 + column / 32, 0.3 + 0.5 * (column < 8), 0.2 + row / 16, 1.0)]  # fmt: skip
+    picture.pack()
+    where, turn, sky = (nodes.new(f"ShaderNode{kind}") for kind in ("TexCoord", "Mapping", "TexEnvironment"))
+    turn.inputs["Rotation"].default_value, sky.image = (0.3, -0.2, 1.1), picture
+    links.new(where.outputs["Generated"], turn.inputs["Vector"])
+    links.new(turn.outputs["Vector"], sky.inputs["Vector"])
+    links.new(sky.outputs["Color"], nodes["Background"].inputs["Color"])
+    nodes["Background"].inputs["Strength"].default_value = 0.6
+    for kind, energy, place, turned in (
+        ("SUN", 1.5, (0, 0, 5), (0.5, 0.4, 0.0)),
+        ("SPOT", 60.0, (3.2, 1.0, 2.4), (0.0, 0.0, 0.0)),
+        ("POINT", 10.0, (1.0, 1.0, 1.2), (0.0, 0.0, 0.0)),
+    ):
+        light = bpy.data.lights.new(kind.lower(), kind)
+        light.energy = energy
+        if kind == "SUN":
+            light.angle = 0.0
+        else:
+            light.shadow_soft_size = 0.0
+        if kind == "SPOT":
+            light.spot_size, light.spot_blend = 1.2, 0.1
+        made = bpy.data.objects.new(kind.lower(), light)
+        made.location, made.rotation_euler = place, turned
+        bpy.context.collection.objects.link(made)
+    glow = bpy.data.materials.new("glow")
+    glow.use_nodes = True
+    nodes = glow.node_tree.nodes
+    emission = nodes.new("ShaderNodeEmission")
+    emission.inputs["Color"].default_value, emission.inputs["Strength"].default_value = (1.0, 0.6, 0.3, 1.0), 3.0
+    glow.node_tree.links.new(emission.outputs[0], nodes["Material Output"].inputs["Surface"])
+    box("heater", (0.3, 2.0, 0.1), (0.5, 3.0, 0.6), [glow])
+
+
+def furnish(is_open):
+    """The room, with modifiers, instances and lamps."""
+    paints = {name: paint(name, is_open) for name in PAINTS}
     walls = [paints[name] for name in ("floor", "walls", "left", "right")]
-    box("room", (0, 0, 0), (WIDE, DEEP, HIGH), walls, [0, 1, 1, 1, 2, 3])
+    box("room", (0, 0, 0), (WIDE, DEEP, HIGH), walls, [0, 1, 1, 1, 2, 3], without=(1,) if is_open else ())
+    if is_open:
+        shine_more()
     box("table", (1.2, 2.0, 0.62), (2.6, 3.0, 0.7), [paints["table"]])
     leg = box("leg", (-0.05, -0.05, 0.0), (0.05, 0.05, 0.62), [paints["table"]])
     leg.location = (1.3, 2.1, 0.0)
@@ -112,25 +163,12 @@ def cameras(count):
 
 
 def photograph(made, job):
-    """Pictures of all cameras, linear, and the reflectance that Cycles gives to surfaces."""
+    """Linear pictures of all cameras."""
     scene = bpy.context.scene
-    out = Path(job["pictures"])
-    layer = bpy.context.view_layer
-    layer.use_pass_diffuse_color = True
-    scene.use_nodes = True
-    nodes, links = scene.node_tree.nodes, scene.node_tree.links
-    nodes.clear()
-    layers, file = nodes.new("CompositorNodeRLayers"), nodes.new("CompositorNodeOutputFile")
-    file.base_path, file.format.file_format, file.format.color_depth = str(out / "albedo"), "OPEN_EXR", "32"
-    links.new(layers.outputs["DiffCol"], file.inputs[0])
-    result = nodes.new("CompositorNodeComposite")
-    links.new(layers.outputs["Image"], result.inputs[0])
     for camera in made:
         scene.camera = camera
-        file.file_slots[0].path = f"{camera.name}#"
-        scene.render.filepath = str(out / f"{camera.name}.exr")
+        scene.render.filepath = str(Path(job["pictures"]) / f"{camera.name}.exr")
         bpy.ops.render.render(write_still=True)
-        (out / "albedo" / f"{camera.name}{scene.frame_current}.exr").rename(out / "albedo" / f"{camera.name}.exr")
 
 
 def settings(job):
@@ -150,7 +188,7 @@ def settings(job):
 
 def main(job):
     bpy.ops.wm.read_factory_settings(use_empty=True)
-    furnish()
+    furnish(job.get("open", False))
     made = cameras(job["views"])
     settings(job)
     bpy.ops.wm.save_as_mainfile(filepath=job["blend"])

@@ -2,7 +2,7 @@
 
     blender --background room.blend --python write_room.py -- FOLDER
 
-or, with a Python that has bpy, ``python write_room.py -- FOLDER room.blend``. The folder gets ``room.json``, written
+or, with a Python that has bpy, ``python write_room.py -- FOLDER room.blend``. The folder gets ``blender.json``, written
 last: cameras, lamps, objects and materials, their numbers as Blender has them; and what it names: meshes with modifiers
 applied as they are rendered (.npz), pictures (.npy) and the world as Cycles shows it (world.exr).
 """
@@ -270,9 +270,9 @@ def write(out: Path, blend: str | None) -> None:
         "notes": said,
         "cycles": {key: getattr(scene.cycles, key) for key in _CYCLES if hasattr(scene.cycles, key)},
     }  # fmt: skip
-    part = out / "room.json.part"
+    part = out / "blender.json.part"
     part.write_text(json.dumps(described), encoding="utf-8")
-    part.replace(out / "room.json")
+    part.replace(out / "blender.json")
     print(f"neurad: wrote {out}", flush=True)
 
 

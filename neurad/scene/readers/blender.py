@@ -23,7 +23,7 @@ from neurad.scene.readers.blender_materials import MaterialReader, Painted
 from neurad.scene.readers.gltf import in_world
 from neurad.scene.readers.gltf_lamps import back_of, is_closed, lit_by
 
-ROOM = "room.json"
+ROOM = "blender.json"
 """The file that says what a folder has."""
 FORMAT = 1
 _UNLIMITED, _RR_DEPTH = 2**31 - 1, 5
