@@ -61,8 +61,8 @@ def test_an_open_room_looks_as_in_cycles(python, tmp_path):
 
 
 def test_a_room_is_fitted_from_photographs_of_cycles(python, tmp_path, monkeypatch, capfd):
-    """Held-out photographs are met to 30 dB with 256 samples a pixel. Of a Principled BSDF's base colour Cycles shows less
-    than neurad does: what is found are Blender's base colours over what an export multiplies them by.
+    """Held-out photographs are met to 30 dB with 256 samples a pixel. Of a Principled BSDF's base colour Cycles shows
+    less than neurad does: what is found are Blender's base colours over what an export multiplies them by.
     """
     room = photographed(python, tmp_path, views=12, size=[80, 60], samples=256)
     monkeypatch.chdir(tmp_path)
