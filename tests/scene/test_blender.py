@@ -94,9 +94,8 @@ def test_a_room_is_fitted_from_photographs_of_cycles(python, tmp_path, monkeypat
         after.append((base_for("blender", found, rough[..., :1]) / np.maximum(base, 0.05))[surface])
     psnr = -10 * np.log10(np.mean(errors))
     middle, corrected = (np.median(np.concatenate(x), axis=0) for x in (ratios, after))
-    print(
-        f"held out {psnr:.2f} dB, found / base {middle.round(3)}, after the difference of models {corrected.round(3)}"
-    )
+    with capfd.disabled():
+        print(f"\nheld out {psnr:.2f} dB, found / base {middle.round(3)}, with the other model's {corrected.round(3)}")
     assert psnr > 30.0
     assert np.abs(corrected - 1.0).max() < 0.04
     assert (middle < 0.98).all()
