@@ -23,13 +23,13 @@ from neurad.export.baking import bake_room
 from neurad.export.base_colour import TARGETS, Target, is_converted, over_angles
 from neurad.export.blender import blender_setup_path
 from neurad.export.cameras import NO_LENS, files_of, is_plain, shown_alike, write_views
-from neurad.export.cycles import Blender, find_blender
+from neurad.export.cycles import render_views
 from neurad.export.evidence import COARSER, coarse_texels, evidence, std_maps
 from neurad.export.folder import MANIFEST, check_out, check_sources, written_beside
 from neurad.export.gltf import write_glb
 from neurad.export.images import Coded
 from neurad.export.limits import Side, Texels
-from neurad.export.mitsuba import describe, path_integrator, sensor, write_xml
+from neurad.export.mitsuba import sensor
 from neurad.export.progress import Bar
 from neurad.export.report import write_report
 from neurad.export.room import Room
@@ -37,9 +37,11 @@ from neurad.export.verified import Verified
 from neurad.export.verify import verify
 from neurad.metrics.error_bars import ErrorBars
 from neurad.metrics.seen import SeenBy
+from neurad.runtime.blender import Blender, find_blender
 from neurad.scene.description import Scene
 from neurad.scene.image_io import png, write_exr
 from neurad.scene.punctual import pose
+from neurad.scene.scene_xml import describe, path_integrator, write_xml
 from neurad.training.error_bars import to_cube
 
 _OVER_ANGLES = "base_color_over_angles.exr"
@@ -124,7 +126,7 @@ def _verify(
     room: Room, assembly: Assembly, folder: Path, settings: ExportSettings, blender: Blender | None, bar: Bar
 ) -> Verified:
     """Render the folder again, and write ``verify.json`` and ``report.html`` into it."""
-    cycles = None if blender is None else partial(blender.render, folder)
+    cycles = None if blender is None else partial(render_views, blender, folder)
     found = verify(room, assembly, folder, settings.spp, cycles, bar)
     (folder / "verify.json").write_text(json.dumps(found.as_json(), indent=1) + "\n", encoding="utf-8")
     write_report(found, folder / "report.html", f"{settings.out.name}: verified export")

@@ -38,7 +38,7 @@ class ImportSettings:
     """What to make a scene folder of."""
 
     kind: str
-    """One of :data:`SOURCES`; or gltf, see :mod:`neurad.scene.import_gltf`."""
+    """One of :data:`SOURCES`; or gltf and blender, which have modules of their own."""
     source: Path
     out: Path
     mesh: list[Path] = field(default_factory=list)
@@ -55,6 +55,8 @@ class ImportSettings:
     """Environment map that lights the room (EXR)."""
     copy: bool = False
     """Copy files instead of linking to them."""
+    blender: str | None = None
+    """Blender, or a Python that has bpy, which opens a .blend file."""
 
     def __post_init__(self) -> None:
         """Refuse numbers outside their ranges."""
@@ -70,6 +72,17 @@ class Photographs:
 
     def __init__(self, *places: Path) -> None:
         self.places = places
+
+    def named(self, name: str) -> Path | None:
+        """The photograph of a camera, whose name is that of the file without its ending; None where there is none.
+
+        A part of the name behind a dot is no ending: Blender counts its objects there.
+        """
+        for place in self.places if name and not set(name) & set("/\\:") else ():
+            for ending in (".exr", *READABLE):
+                if exists(place / f"{name}{ending}"):
+                    return regular_file(place / f"{name}{ending}")
+        return None
 
     def __call__(self, name: str, where: str) -> Path:
         """The file.

@@ -33,6 +33,7 @@ from neurad.metrics.bar_maps import predict_bars
 from neurad.metrics.effort import Effort
 from neurad.metrics.error_bars import ErrorBars
 from neurad.metrics.held_out import HeldOut
+from neurad.metrics.held_out_scores import albedo_factors
 from neurad.metrics.lamp_scores import EXTRA, MISSED, lamp_scores, read_lamps_true
 from neurad.metrics.lamp_scores import Array as FloatArray64
 from neurad.metrics.view_residuals import view_residuals
@@ -353,7 +354,7 @@ class InverseRenderer(L.LightningModule):
         if lamps is None or self._lamps_true is None or self._held_out is None:
             return {}
         truth, missed = self._lamps_true
-        factors = self._held_out.albedo_factors(found.maps) if lamps.values.requires_grad else {}
+        factors = albedo_factors(self._held_out, found.maps) if lamps.values.requires_grad else {}
         scores = lamp_scores(lamps.found(), truth, self._lamp_names(), factors)
         if self._shining is not None:
             scores |= {MISSED: float(missed), EXTRA: float((~truth.any(-1)).sum())}

@@ -15,9 +15,10 @@ from helpers.object_scene import object_scene
 from neurad.assembly.build import build_world
 from neurad.core.camera import project, to_camera
 from neurad.core.records import EnvironmentMap
-from neurad.export.cycles import find_blender
+from neurad.export.cycles import render_views
 from neurad.integrators.film import render
 from neurad.integrators.renderer import path_tracer
+from neurad.runtime.blender import find_blender
 from neurad.scene.builtin.plain import views
 from neurad.scene.image_io import read_exr
 from neurad.scene.readers.mitsuba_xml import read_xml
@@ -93,7 +94,7 @@ def test_a_surface_sends_as_much_light_into_each_direction(python, tmp_path):
     found = {}
     for table in (notes["base_color_over_angles"], None):
         (room / "room.json").write_text(json.dumps({**notes, "base_color_over_angles": table}))
-        found[table] = [x.mean((0, 1)) for x in find_blender(python).render(room, test, 1024, 1)]
+        found[table] = [x.mean((0, 1)) for x in render_views(find_blender(python), room, test, 1024, 1)]
     assert np.allclose(found[notes["base_color_over_angles"]], ours, rtol=0.01)
     assert not np.allclose(found[None], ours, rtol=0.025)
 
@@ -122,7 +123,7 @@ def test_an_environment_lies_and_lights_as_it_did(python, tmp_path, up):
     (tmp_path / "job.json").write_text(json.dumps({**job, "view": view.name, "samples": 64, "points": []}))
     subprocess.run([python, str(IMPORT), str(tmp_path / "job.json")], check=True, capture_output=True)
     pictures = {
-        "scene.glb": find_blender(python).render(room, [view], 64, 1)[0],
+        "scene.glb": render_views(find_blender(python), room, [view], 64, 1)[0],
         "room.usdc": read_exr(tmp_path / "usd.exr")[..., :3],
     }
     assert np.ptp(ours, (0, 1)).min() > 0.2  # a map that is turned otherwise would show
