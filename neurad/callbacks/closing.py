@@ -81,40 +81,63 @@ def print_closing(
         print(f"neurad: {READING}")
     if folder is None:
         return
-    hatched = "surfaces that the pictures hatch, which no photograph shows, and "
-    hatched = hatched if unseen is not None and unseen.fraction else ""
-    bars = (folder / BARS_FILE).is_file()
-    if distrust := hatched + ("those that are bright in its error bars" if bars else ""):
-        print(f"neurad: do not trust {distrust.removesuffix(', and ').removesuffix(' and ')}")
+    if distrusted := _distrusted(folder, unseen):
+        print(f"neurad: do not trust {distrusted}")
     name_report(folder)
     images = ", images/, metrics.json" if tested else ""
     print(f"neurad: run folder {folder}: {report.NAME}{images}, metrics.csv, config.yaml, checkpoints/")
     print("go on with")
-    steps = [(f"neurad {words}", text) for words, text in _next_steps(trainer, folder, tested)]
-    steps.append((f"tensorboard --logdir {folder.parent}", "curves and pictures of all runs, also while one trains"))
+    steps = list(_next_steps(trainer, folder, tested))
     width = max(len(command) for command, _ in steps)
     print("\n".join(f"  {command:<{width}}  {text}" for command, text in steps))
 
 
+def _distrusted(folder: Path, unseen: Unseen | None) -> str:
+    """Which surfaces a result may be wrong on, as far as pictures show it."""
+    parts = ["surfaces that the pictures hatch, which no photograph shows"] if unseen and unseen.fraction else []
+    if (folder / BARS_FILE).is_file():
+        parts.append(f"{'those' if parts else 'surfaces'} that are bright in its error bars")
+    return ", and ".join(parts)
+
+
 def _next_steps(trainer: pl.Trainer, folder: Path, tested: bool) -> Iterator[tuple[str, str]]:
-    """Commands of neurad that go on from here, and what they do."""
+    """Commands that go on from here, and what they do."""
     here = folder.parent.name == "lightning_logs" and folder.parent.resolve().parent == Path.cwd()
     run = folder.name if here else str(folder)
     if not tested:
-        yield f"test --ckpt_path {run}", "pictures of every held-out view, scores with more samples"
+        yield f"neurad test --ckpt_path {run}", "pictures of every held-out view, scores with more samples"
     limit = time_limit(trainer)
     if limit is not None:
-        yield f"fit --ckpt_path {run} --trainer.max_time {short(2 * limit)}", "the same fit for as long again"
+        yield f"neurad fit --ckpt_path {run} --trainer.max_time {short(2 * limit)}", "the same fit for as long again"
     elif trainer.max_steps > 0:
-        yield f"fit --ckpt_path {run} --trainer.max_steps {2 * trainer.max_steps}", "the same fit for as long again"
+        yield (
+            f"neurad fit --ckpt_path {run} --trainer.max_steps {2 * trainer.max_steps}",
+            "the same fit for as long again",
+        )
     needs = "" if find_spec("viser") else " (after pip install 'neurad[view]')"
-    yield f"view --ckpt_path {run}", f"the room in the browser: any camera, lamps dimmed, materials read out{needs}"
+    yield (
+        f"neurad view --ckpt_path {run}",
+        f"the room in the browser: any camera, lamps dimmed, materials read out{needs}",
+    )
     needs = "" if find_spec("xatlas") else " (after pip install 'neurad[export]')"
-    yield f"export --ckpt_path {run} --out room", f"textures for Blender, glTF viewers and Mitsuba{needs}"
+    yield f"neurad export --ckpt_path {run} --out room", f"textures for Blender, glTF viewers and Mitsuba{needs}"
+    yield f"tensorboard --logdir {folder.parent}", "curves and pictures of all runs, also while one trains"
 
 
-def report_run(module: InverseRenderer, folder: Path, evaluation: Evaluation, unseen: Unseen, pictured: str) -> None:
-    """Write ``report.html``."""
+def report_run(
+    trainer: pl.Trainer, folder: Path, evaluation: Evaluation, unseen: Unseen, pictured: str, tested: bool
+) -> None:
+    """Write ``report.html``.
+
+    Args:
+        trainer: of the run.
+        folder: of the run.
+        evaluation: what is shown.
+        unseen: what of the scored views no photograph shows.
+        pictured: how its pictures were made.
+        tested: whether ``test`` is what writes it.
+    """
+    module: InverseRenderer = trainer.lightning_module  # type: ignore[assignment]
     seconds = module.train_seconds if module.training_views is not None else module.seconds_before
     spent = f"{module.iteration} iterations in {seconds:.0f} s, {module.samples:.3g} path samples"
     facts = [f"{folder}: {spent}. Pictures by {pictured}.", *filter(None, [module.scene.scores_are_of])]
@@ -130,6 +153,8 @@ def report_run(module: InverseRenderer, folder: Path, evaluation: Evaluation, un
             rows=MetricsTable(folder / "metrics.csv").rows(),
             environment=evaluation.environment,
             number=len(module.scene.scored),
+            distrusted=_distrusted(folder, unseen),
+            steps=list(_next_steps(trainer, folder, tested)),
         ),
     )
 

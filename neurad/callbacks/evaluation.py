@@ -163,7 +163,7 @@ class Evaluate(pl.Callback):
         print("\n\n".join(t for t in tables if t) + "\n")
         if folder is not None:
             pictures.write_views(folder / "images", evaluation.maps, evaluation.environment, title_of(module))
-            report_run(module, folder, evaluation, unseen, f"{self.test_spp} samples per pixel")
+            report_run(trainer, folder, evaluation, unseen, f"{self.test_spp} samples per pixel", tested=True)
             about = {"iteration": module.iteration, "seconds": round(module.seconds_before, 2), "rays": module.rays}
             about["samples"] = module.samples
             scores = {key: _json_number(value) for key, value in evaluation.scores.items()}
@@ -245,7 +245,7 @@ class Evaluate(pl.Callback):
                 board.sheets(evaluation.maps[: self.pictures], module.iteration)
         control = ", with the radiance field as control variate" if "psnr_lhs" in evaluation.scores else ""
         about = f"{self.spp} samples per pixel{control}; neurad test takes {self.test_spp}"
-        report_run(module, folder, evaluation, unseen, about)
+        report_run(trainer, folder, evaluation, unseen, about, tested=False)
 
     def _board_of(self, trainer: pl.Trainer, module: InverseRenderer) -> Board | None:
         """The page in TensorBoard, if there is one."""

@@ -302,10 +302,12 @@ def _say(room: Room, meshes: Sequence[Mesh], out: Path) -> None:
     elif room.environment is None:
         names = ", ".join(shown(mesh.name) for mesh in meshes[:12])
         print(
-            f"neurad: warning: nothing in the room shines, so it cannot be fitted yet: give --lamp NAME=R,G,B (meshes: "
-            f"{names}{' ...' if len(meshes) > 12 else ''}), a material with Ke in the OBJ file's MTL, or --environment",
+            f"neurad: warning: nothing in the room is said to shine: give --lamp NAME=R,G,B (meshes: "
+            f"{names}{' ...' if len(meshes) > 12 else ''}), a material with Ke in the OBJ file's MTL, or "
+            "--environment; a fit finds meshes that shine in the photographs with --model.lighting.emitters find",
             file=sys.stderr,
         )
+        print(f"neurad fit --config scene.yaml --data.root {shown(out)} --model.lighting.emitters find")
         return
     print(f"neurad fit --config scene.yaml --data.root {shown(out)}")
 

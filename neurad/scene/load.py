@@ -81,7 +81,7 @@ many-th photograph to hold out where the file does not say which.
 def load_scene(
     root: str | None, scene: str | None, hold_out: int = HOLD_OUT, photography: Photography = KNOWN
 ) -> Scene:
-    """The scene of a folder or a built-in one, checked.
+    """The scene of a folder or a built-in one, checked; nothing in it has to shine, as that may be found.
 
     Args:
         root: a scene folder (``--data.root``), or None.
@@ -96,11 +96,11 @@ def load_scene(
         raise InputError("give exactly one of --data.root (a scene folder) and --data.scene (a built-in scene)")
     with phase("reading"):
         if root is not None:
-            return read_folder(root, hold_out, photography).check()
+            return read_folder(root, hold_out, photography).check(lit=False)
         from neurad.scene.builtin import build
 
         assert scene is not None
-        return _developed(build(scene), photography).check()
+        return _developed(build(scene), photography).check(lit=False)
 
 
 def _developed(scene: Scene, photography: Photography) -> Scene:

@@ -53,6 +53,9 @@ def test_the_report_in_a_browser(run, look_at, tmp_path):
     assert seen.width() == (LAPTOP[0], LAPTOP[0])
     assert page.evaluate("[...document.images].filter(i => i.closest('figure')).every(i => i.naturalWidth > 0)")
     assert page.locator(".verdict").inner_text().startswith("In the held-out views albedo ")
+    assert "How to go on" in page.inner_text("body")
+    assert f"neurad view --ckpt_path {folder.name}\n" in page.inner_text("body")
+    assert "Do not trust surfaces that " in page.inner_text("body")
     assert page.locator(".chart").count() >= 2
     assert page.locator(".chart polyline title").first.text_content().startswith("this run: ")
 

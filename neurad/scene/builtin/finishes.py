@@ -164,13 +164,13 @@ def stone(name: str, base: Colour, fleck: Colour, smooth: float, worn: float, se
 
 
 def cloth(name: str, ground: Colour, stripe: Colour, seed: int, count: int = 4, checked: bool = True) -> Material:
-    """Woven cloth with stripes, crossed where ``checked``; rough, and a little less where it was ironed."""
+    """Woven cloth with stripes, crossed where ``checked``; a little smoother where it was ironed."""
     u, v = grid(128, 128)
     warp = 1.0 / (1.0 + np.exp(-40.0 * (np.abs(u * count % 1.0 - 0.5) - 0.33))) * np.ones_like(v)
     weft = 1.0 / (1.0 + np.exp(-40.0 * (np.abs(v * count % 1.0 - 0.5) - 0.33))) * np.ones_like(u)
     blend = 0.5 * (warp + weft) if checked else warp
     albedo = np.array(ground) + (np.array(stripe) - np.array(ground)) * blend[..., None]
-    return material(name, albedo, 0.8 + 0.1 * np.tanh(waves(seed, u, v, 2, 2)))
+    return material(name, albedo, 0.5 + 0.05 * np.tanh(waves(seed, u, v, 2, 2)))
 
 
 def skin(name: str, one: Colour, other: Colour, smooth: float, dull: float, seed: int) -> Material:

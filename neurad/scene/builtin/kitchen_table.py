@@ -19,7 +19,7 @@ LOW, HIGH = (-0.35, 0.1), (1.05, 0.9)
 def table() -> Iterator[Item]:
     """The table: a top of boards, an apron and turned legs."""
     (x0, z0), (x1, z1) = LOW, HIGH
-    top = f.boards("table_top", (0.36, 0.19, 0.09), (0.6, 0.38, 0.2), 0.17, 0.6, 300, 8, 1, (512, 256), 0.03)
+    top = f.boards("table_top", (0.36, 0.19, 0.09), (0.6, 0.38, 0.2), 0.12, 0.7, 300, 8, 1, (512, 256), 0.03)
     yield Item(swapped(bevelled((x0, TABLE - 0.035, z0), (x1, TABLE, z1), 0.01, 2)), top, 1.0)
     profile = [
         (0.0, 0.0),
@@ -40,7 +40,7 @@ def table() -> Iterator[Item]:
         box((x0 + 0.071, TABLE - 0.1195, z0 + 0.08), (x0 + 0.09, TABLE - 0.034, z1 - 0.08)),
         box((x1 - 0.09, TABLE - 0.1195, z0 + 0.08), (x1 - 0.071, TABLE - 0.034, z1 - 0.08)),
     ]
-    yield Item(join(*legs, *apron), f.paint("table_legs", (0.66, 0.62, 0.54), 0.35, 0.65, 302), 0.5)
+    yield Item(join(*legs, *apron), f.paint("table_legs", (0.66, 0.62, 0.54), 0.38, 0.5, 302), 0.5)
 
 
 def chair(at: tuple[float, float], degrees: float) -> Solid:
@@ -84,7 +84,7 @@ def chairs() -> Iterator[Item]:
         ((0.3, -0.1), 170.0, (0.16, 0.28, 0.36)),
     ]
     for i, (at, degrees, colour) in enumerate(places):
-        yield Item(chair(at, -degrees), f.paint(f"chair_{i + 1}", colour, 0.2, 0.62, 310 + 2 * i), 0.5)
+        yield Item(chair(at, -degrees), f.paint(f"chair_{i + 1}", colour, 0.15, 0.65, 310 + 2 * i), 1.0)
 
 
 def fruit() -> Iterator[Item]:
@@ -191,7 +191,7 @@ def on_table() -> Iterator[Item]:
         for a in [math.pi * k / 10 for k in range(11)]
     ]
     jug = rotated(join(turned(profile, (x, y, z), 0.3, 32), tube(ear, 0.008, 10)), -30.0, (x, 0.0, z))
-    yield Item(jug, f.paint("jug", (0.66, 0.62, 0.5), 0.17, 0.5, 356), 0.3)
+    yield Item(jug, f.paint("jug", (0.66, 0.62, 0.5), 0.28, 0.48, 356), 0.3)
 
 
 def _runner() -> Solid:

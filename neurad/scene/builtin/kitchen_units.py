@@ -46,21 +46,21 @@ def base_units() -> Iterator[Item]:
         box((0.14, 0.638, -1.702), (0.45, 0.862, FRONT)),
         box((1.05, 0.1, -1.702), (2.002, 0.862, FRONT)),
     )
-    yield Item(body, f.paint("base_units", SAGE, 0.3, 0.6, 100), 1.4)
+    yield Item(body, f.paint("base_units", SAGE, 0.34, 0.46, 100), 1.4)
     yield Item(
-        box((-1.4, -SINK, -1.702), (2.002, 0.102, -1.17)), f.paint("plinth", (0.16, 0.2, 0.17), 0.4, 0.7, 102), 1.4
+        box((-1.4, -SINK, -1.702), (2.002, 0.102, -1.17)), f.paint("plinth", (0.16, 0.2, 0.17), 0.38, 0.5, 102), 1.4
     )
     handles = []
     for i, (y0, y1) in enumerate([(0.1, 0.36), (0.36, 0.62), (0.62, 0.855)]):
         yield Item(
             panelled((-1.4, -0.75), (y0, y1), FRONT, 0.05),
-            f.paint(f"drawer_{i + 1}", SAGE, 0.22, 0.62, 104 + 2 * i),
+            f.paint(f"drawer_{i + 1}", SAGE, 0.32, 0.48, 104 + 2 * i),
             1.15,
         )
         handles.append(pull(-1.075, 0.5 * (y0 + y1), FRONT + 0.009))
     doors = [(-0.75, -0.25, 0.635), (-0.25, 0.25, 0.635), (0.25, 0.45, 0.855), (1.05, 1.53, 0.855), (1.53, 1.98, 0.855)]
     for i, (x0, x1, y1) in enumerate(doors):
-        finish = f.paint(f"door_{i + 1}", SAGE, 0.22, 0.62, 112 + 2 * i)
+        finish = f.paint(f"door_{i + 1}", SAGE, 0.32, 0.48, 112 + 2 * i)
         yield Item(panelled((x0, x1), (0.1, y1), FRONT, 0.06 if x1 - x0 > 0.3 else 0.05), finish, 1.15)
         handles.append(pull(0.5 * (x0 + x1), y1 - 0.035, FRONT + 0.022, 0.11 if x1 - x0 > 0.3 else 0.08))
     yield Item(join(*handles), f.material("handles", (0.1, 0.09, 0.08), 0.3))
@@ -69,25 +69,25 @@ def base_units() -> Iterator[Item]:
 def larder() -> Iterator[Item]:
     """The tall cupboard in the corner, and the cupboard beside the window."""
     body = box((-2.002, -SINK, -1.702), (-1.4, 2.1, FRONT))
-    yield Item(body, f.paint("larder", SAGE, 0.3, 0.6, 130), 1.4)
+    yield Item(body, f.paint("larder", SAGE, 0.34, 0.46, 130), 1.4)
     handles = []
     for i, (y0, y1) in enumerate([(0.1, 0.95), (0.95, 2.09)]):
         yield Item(
             panelled((-1.985, -1.405), (y0, y1), FRONT),
-            f.paint(f"larder_door_{i + 1}", SAGE, 0.22, 0.62, 132 + 2 * i),
+            f.paint(f"larder_door_{i + 1}", SAGE, 0.32, 0.48, 132 + 2 * i),
             1.2,
         )
         at = (-1.45, 0.8 if i == 0 else 1.1, FRONT + 0.022)
         handles.append(tilted(pull(*at), 90.0, 2, at))
-    yield Item(box((-1.398, 1.5, -1.702), (-0.9, 2.1, -1.4)), f.paint("wall_unit", SAGE, 0.3, 0.6, 136), 1.4)
-    yield Item(panelled((-1.398, -0.9), (1.5, 2.1), -1.4), f.paint("wall_unit_door", SAGE, 0.22, 0.6, 138), 1.15)
+    yield Item(box((-1.398, 1.5, -1.702), (-0.9, 2.1, -1.4)), f.paint("wall_unit", SAGE, 0.34, 0.46, 136), 1.4)
+    yield Item(panelled((-1.398, -0.9), (1.5, 2.1), -1.4), f.paint("wall_unit_door", SAGE, 0.32, 0.48, 138), 1.15)
     handles.append(pull(-1.149, 1.533, -1.378))
     yield Item(join(*handles), f.material("wall_handles", (0.1, 0.09, 0.08), 0.3))
 
 
 def worktop() -> Iterator[Item]:
     """Polished stone with a round edge, cut out for the sink."""
-    stone = f.stone("worktop", (0.075, 0.075, 0.08), (0.2, 0.19, 0.18), 0.15, 0.45, 140)
+    stone = f.stone("worktop", (0.075, 0.075, 0.08), (0.2, 0.19, 0.18), 0.1, 0.5, 140)
     low, edge, nose = 0.86, -1.0845, -1.065
     slabs = [
         box((-1.4, low, -1.702), (-0.62, TOP, edge)),
@@ -112,7 +112,7 @@ def sink() -> Iterator[Item]:
         bevelled((x1 - wall, low + 0.01, z0 + 0.01), (x1, high - 0.0005, z1 - 0.01), 0.012, 2),
         box((x0 + 0.01, low + 0.002, z0 + 0.01), (x1 - 0.01, low + 0.04, z1 - 0.01)),
     ]
-    yield Item(join(*parts), f.paint("sink", (0.8, 0.79, 0.76), 0.18, 0.5, 142), 0.6)
+    yield Item(join(*parts), f.paint("sink", (0.8, 0.79, 0.76), 0.22, 0.42, 142), 0.6)
     x, z, rise, reach = -0.25, -1.595, 1.2, 0.1
     arc = [math.pi * k / 10 for k in range(11)]
     spout = [(x, TOP - SINK, z), (x, TOP + 0.1, z)]
@@ -132,9 +132,9 @@ def sink() -> Iterator[Item]:
 def cooker() -> Iterator[Item]:
     """Oven, hob and hood, and a towel over the oven's rail."""
     x0, x1 = 0.455, 1.045
-    yield Item(box((x0, 0.1, -1.702), (x1, 0.862, FRONT + 0.004)), f.paint("oven", CREAM, 0.22, 0.5, 150), 0.6)
+    yield Item(box((x0, 0.1, -1.702), (x1, 0.862, FRONT + 0.004)), f.paint("oven", CREAM, 0.3, 0.45, 150), 0.6)
     door = bevelled((x0 + 0.008, 0.16, FRONT), (x1 - 0.008, 0.7, FRONT + 0.03), 0.008, 2)
-    yield Item(door, f.paint("oven_door", CREAM, 0.18, 0.45, 152), 0.6)
+    yield Item(door, f.paint("oven_door", CREAM, 0.3, 0.45, 152), 0.6)
     pane = bevelled((x0 + 0.09, 0.27, FRONT + 0.02), (x1 - 0.09, 0.58, FRONT + 0.0335), 0.004)
     yield Item(pane, f.paint("oven_pane", (0.05, 0.045, 0.045), 0.15, 0.35, 154), 0.5)
     knobs = []
@@ -155,7 +155,7 @@ def cooker() -> Iterator[Item]:
         bevelled((x0 - 0.04, 1.56, -1.702), (x1 + 0.04, 1.63, -1.22), 0.008),
         bevelled((x0 + 0.17, 1.625, -1.702), (x1 - 0.17, 2.502, -1.42), 0.006),
     ]
-    yield Item(join(*hood), f.paint("hood", CREAM, 0.2, 0.5, 160), 1.2)
+    yield Item(join(*hood), f.paint("hood", CREAM, 0.3, 0.45, 160), 1.2)
 
 
 def _towel(x: float, y: float, z: float) -> Solid:

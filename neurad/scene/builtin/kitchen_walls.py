@@ -16,11 +16,11 @@ from neurad.scene.builtin.shapes import box, jar, join, rotated, turned
 
 def dresser() -> Iterator[Item]:
     """A dresser at the front wall, what stands on it, and a picture above."""
-    oak = f.boards("dresser", (0.28, 0.16, 0.08), (0.48, 0.3, 0.17), 0.25, 0.6, 360, 6, 1, (256, 256), 0.0)
+    oak = f.boards("dresser", (0.28, 0.16, 0.08), (0.48, 0.3, 0.17), 0.35, 0.5, 360, 6, 1, (256, 256), 0.0)
     yield Item(box((-0.8, -SINK, 1.32), (0.9, 0.84, 1.702)), oak, 0.8)
     top = swapped(bevelled((-0.83, 0.838, 1.29), (0.93, 0.87, 1.702), 0.008, 2))
     yield Item(
-        top, f.boards("dresser_top", (0.3, 0.17, 0.085), (0.5, 0.32, 0.18), 0.18, 0.6, 362, 4, 1, (256, 256), 0.02), 0.8
+        top, f.boards("dresser_top", (0.3, 0.17, 0.085), (0.5, 0.32, 0.18), 0.3, 0.6, 362, 4, 1, (256, 256), 0.02), 0.8
     )
     handles = []
     for i in range(3):
@@ -34,8 +34,8 @@ def dresser() -> Iterator[Item]:
                 f"dresser_door_{i + 1}",
                 (0.28, 0.16, 0.08),
                 (0.48, 0.3, 0.17),
-                0.22,
-                0.6,
+                0.35,
+                0.5,
                 364 + 7 * i,
                 5,
                 1,
@@ -80,7 +80,7 @@ def _landscape() -> Material:
         ridge = 0.62 - 0.1 * k + 0.05 * np.sin(2 * np.pi * ((2 + k) * across + 0.3 * k))
         inside = 1.0 / (1.0 + np.exp(120.0 * (up - ridge)))
         albedo = albedo + (np.array(colour) - albedo) * inside[..., None]
-    return f.material("picture", albedo, 0.4 + 0.2 * f.patches(404, u, v))
+    return f.material("picture", albedo, 0.4 + 0.1 * f.patches(404, u, v))
 
 
 def on_walls() -> Iterator[Item]:
