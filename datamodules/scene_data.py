@@ -128,6 +128,10 @@ class SceneData(pl.LightningDataModule, PhotoSource):
         """The scene, checked; read at the first access."""
         return load_scene(self.root, self.scene_name, self.hold_out, self._photography)
 
+    def relight(self, scene: Scene) -> None:
+        """Take a scene of the same views, in which other meshes shine, from now on."""
+        self.__dict__["scene"] = scene
+
     def setup(self, stage: str) -> None:
         """Read the scene and, for a fit, all training photographs that are to stay in memory.
 

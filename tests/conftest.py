@@ -3,6 +3,8 @@
 import os
 
 os.environ.setdefault("OMP_WAIT_POLICY", "passive")
+if "PYTEST_XDIST_WORKER" in os.environ:  # each worker has a core to itself
+    os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 from pathlib import Path
 

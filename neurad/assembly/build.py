@@ -20,7 +20,7 @@ from neurad.assembly.region import Region, training_region
 from neurad.assembly.resolution import finest_cells, resolve_finest
 from neurad.assembly.settings import ModelSettings
 from neurad.bsdf.table import make_bsdf
-from neurad.core.protocols import Field
+from neurad.core.protocols import Emitter, Field
 from neurad.core.records import Surface, SurfaceInteraction
 from neurad.emitters.fitted import FittedEnvironment
 from neurad.emitters.fitted_lamps import FittedLamps
@@ -49,6 +49,7 @@ def build_world(
     hide_environment: bool = False,
     fitted: FittedEnvironment | None = None,
     specular_fraction: float = 0.5,
+    lights: Emitter | None = None,
 ) -> World:
     """Geometry, tracer, lights and BSDF of a scene, on the CPU (``.to(device)`` moves them).
 
@@ -58,16 +59,17 @@ def build_world(
         hide_environment: camera rays that miss see black (photographs with an alpha channel).
         fitted: an environment to be recovered, in place of the scene's own.
         specular_fraction: fraction of the BSDF samples that the specular lobe draws.
+        lights: in place of all of the scene's.
 
     Raises:
-        InputError: unknown tracer, or its package is missing.
+        InputError: the scene has no light, unknown tracer, or its package is missing.
     """
     geometry = Geometry(scene)
     two_sided = torch.tensor([m.two_sided for m in scene.materials])[geometry.material]
     return World(
         geometry=geometry,
         tracer=CountingTracer(make_tracer(tracer, geometry.vertices, geometry.faces)),
-        lights=make_lights(scene, geometry, fitted),
+        lights=make_lights(scene, geometry, fitted) if lights is None else lights,
         bsdf=make_bsdf(scene.features, specular_fraction),
         features=scene.features,
         two_sided=two_sided,

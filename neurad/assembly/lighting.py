@@ -69,7 +69,7 @@ def unknown_environment(scene: Scene, settings: Lighting) -> FittedEnvironment |
 
 
 def unknown_lamps(scene: Scene, geometry: Geometry, settings: Lighting) -> FittedLamps | None:
-    """The lamps whose radiance the photographs are to say, or None where it is known.
+    """The lamps whose radiance the photographs are to say, or None where it is known or none was found.
 
     Raises:
         InputError: no mesh shines at all.
@@ -77,13 +77,15 @@ def unknown_lamps(scene: Scene, geometry: Geometry, settings: Lighting) -> Fitte
     if settings.emitters == "known":
         return None
     meshes = lamps_of_scene(scene)
+    if not meshes and settings.emitters == "find":
+        return None
     if not meshes:
         raise InputError(
             f"scene {scene.name}: model.lighting.emitters is {settings.emitters}, but no shape of scene.xml has an "
             "area emitter; give each lamp one, whatever its radiance, such as 1"
         )
     declared = np.array([scene.meshes[index].radiance for index in meshes], np.float64)
-    return FittedLamps(geometry, meshes, declared, train=settings.emitters == "fit")
+    return FittedLamps(geometry, meshes, declared, train=settings.fits_lamps)
 
 
 def lamps_of_scene(scene: Scene) -> list[int]:

@@ -123,10 +123,11 @@ class Lighting:
     environment: Literal["known", "fit"] = "known"
     """``fit`` recovers the environment map; of the one in the scene only ``to_world`` is used then, and its pixels are
     what the result is scored against."""
-    emitters: Literal["known", "photographs", "fit"] = "known"
+    emitters: Literal["known", "photographs", "fit", "find"] = "known"
     """What is known of area lights: ``known`` takes the radiance in the scene; ``photographs`` that which the training
     photographs show of each lamp, less what it reflects; ``fit`` goes on from there, or, for a lamp that no photograph
-    shows, from what explains the photographs best, and lets an optimizer find the radiance together with all else."""
+    shows, from what explains the photographs best, and lets an optimizer find the radiance together with all else;
+    ``find`` does the same for the meshes that the photographs show to shine, whatever the scene says of them."""
     width: Annotated[int, Range(2, 1 << 14)] = 256
     """Texels across of a map to recover."""
     height: Annotated[int, Range(2, 1 << 14)] = 128
@@ -143,11 +144,18 @@ class Lighting:
         """Refuse what no map can have."""
         if self.environment not in ("known", "fit"):
             raise InputError(f"model.lighting.environment: '{self.environment}' is unknown, choose known or fit")
-        if self.emitters not in ("known", "photographs", "fit"):
-            raise InputError(f"model.lighting.emitters: '{self.emitters}' is unknown, choose known, photographs or fit")
+        if self.emitters not in ("known", "photographs", "fit", "find"):
+            raise InputError(
+                f"model.lighting.emitters: '{self.emitters}' is unknown, choose known, photographs, fit or find"
+            )
         if self.lamp_mismatch not in ("refuse", "warn"):
             raise InputError(f"model.lighting.lamp_mismatch: '{self.lamp_mismatch}' is unknown, choose refuse or warn")
         checked(self)
+
+    @property
+    def fits_lamps(self) -> bool:
+        """Whether an optimizer moves the radiance of lamps."""
+        return self.emitters in ("fit", "find")
 
 
 @dataclass(frozen=True)
@@ -243,7 +251,7 @@ class ModelSettings:
     def __post_init__(self) -> None:
         """Refuse settings that do not go together."""
         checked(self)
-        unknown = self.lighting.environment == "fit" or self.lighting.emitters == "fit"
+        unknown = self.lighting.environment == "fit" or self.lighting.fits_lamps
         if self.materials == "known" and not unknown and not self.method.needs_field:
             raise InputError("model.materials: with known materials, known light and no radiance field nothing is left")
         if not self.method.reflects:

@@ -36,8 +36,8 @@ def begin_lamps(assembly: Assembly, primary: PrimaryHits, shown: LampPhotographs
     """Let the photographs say how bright each lamp is, and print it.
 
     Lamps that some pixel shows alone and unclipped get what these pixels show, less what the lamp reflects. With
-    ``model.lighting.emitters fit`` all others get what explains the photographs of surfaces best: pictures lit by one
-    lamp at a time, non-negative least squares.
+    ``model.lighting.emitters`` ``fit`` or ``find`` all others get what explains the photographs of surfaces best:
+    pictures lit by one lamp at a time, non-negative least squares.
 
     Args:
         assembly: of a run that has not begun.
@@ -50,7 +50,7 @@ def begin_lamps(assembly: Assembly, primary: PrimaryHits, shown: LampPhotographs
     """
     lamps, scene = assembly.lamps, assembly.scene
     assert lamps is not None
-    seed, train = assembly.settings.seed, assembly.settings.lighting.emitters == "fit"
+    seed, train = assembly.settings.seed, assembly.settings.lighting.fits_lamps
     cameras = [view.camera for view in scene.train]
     measured = photographed_lamps(scene, assembly.world, assembly.materials, cameras, shown, seed)
     _keep(lamps, measured)

@@ -8,7 +8,7 @@ from pathlib import Path
 from neurad.core.errors import InputError
 from neurad.core.ranges import Count, Positive, option
 
-KINDS = ("nerfstudio", "colmap", "polycam", "fipt", "gltf")
+KINDS = ("nerfstudio", "colmap", "polycam", "fipt", "gltf", "blender")
 MERGE = "hdr"
 
 
@@ -33,7 +33,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--images",
         type=Path,
         help="folder of the photographs as EXR, if they do not lie beside those that SRC names; of a glTF "
-        "scene each has the name of its camera",
+        "or Blender scene each has the name of its camera",
     )
     parser.add_argument(
         "--up", choices=("x", "y", "z", "-x", "-y", "-z"),
@@ -54,6 +54,9 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )
     parser.add_argument(
         "--response", help="hdr: linear, srgb (default), gamma=G or a file with the curve of PNG, JPEG and TIFF"
+    )
+    parser.add_argument(
+        "--blender", help="blender: Blender's program, or a Python with bpy (default: the blender on the PATH)"
     )
     parser.add_argument("--copy", action="store_true", help="copy photographs and meshes instead of linking to them")
 
@@ -78,7 +81,13 @@ def run(options: argparse.Namespace) -> None:
 
     values = {f.name: getattr(options, f.name) for f in fields(ImportSettings)}
     settings = ImportSettings(**{**values, "source": options.source[0]})
-    if settings.kind == "gltf":
+    if settings.blender is not None and settings.kind != "blender":
+        raise InputError("--blender: it is for neurad data blender alone")
+    if settings.kind == "blender":
+        from neurad.scene.import_blender import import_blender
+
+        import_blender(settings)
+    elif settings.kind == "gltf":
         from neurad.scene.import_gltf import import_gltf
 
         import_gltf(settings)
@@ -92,7 +101,7 @@ def _merge(options: argparse.Namespace) -> None:
     Raises:
         InputError: an option of scene folders is given, or what :func:`merge_brackets` raises.
     """
-    for name in ("mesh", "images", "up", "lamp", "environment", "copy"):
+    for name in ("mesh", "images", "up", "lamp", "environment", "copy", "blender"):
         if getattr(options, name):
             raise InputError(f"--{name}: it is for scene folders, neurad data hdr makes EXR files")
     from neurad.scene.hdr import MergeSettings, merge_brackets

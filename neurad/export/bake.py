@@ -13,7 +13,7 @@ import torch
 from neurad.core.protocols import Materials
 from neurad.core.records import FloatArray
 from neurad.export import raster_kernels as kernels
-from neurad.export.charts import Chart, triangle_areas
+from neurad.export.charts import Chart, border_texels, triangle_areas
 from neurad.export.fill import push_pull
 from neurad.export.raster_kernels import Array, IntArray
 from neurad.metrics.scores import BoolArray
@@ -24,6 +24,9 @@ PER_TEXEL, MOST_PER_TEXEL = 2, 8
 """Positions along the side of a texel at which the field is asked: the first in large textures, up to the second in
 small ones, where more cost nothing. A point in the middle alone aliases: patterns as fine as a texel come out as coarse
 ones; with four a side nothing was gained over two in the pictures."""
+PER_BORDER_TEXEL = 4
+"""Positions along the side of a texel that lookups on borders of charts read: the other side averages other positions,
+and an eye sees that they differ."""
 SMALL = 1 << 20
 """Positions in a texture that cost next to nothing."""
 GUTTER = 2.0
@@ -66,7 +69,11 @@ def bake(
         materials: what to ask, on the CPU or where ``geometry`` lies.
         done: called with numbers of texels as they get done.
     """
-    pixels, covered = texel_means(chart, first, geometry, materials, positions(chart.width, chart.height), done=done)
+    per = positions(chart.width, chart.height)
+    pixels, covered = texel_means(chart, first, geometry, materials, per, done=done)
+    if per < PER_BORDER_TEXEL and (border := border_texels(chart)).any():
+        again, found = texel_means(chart, first, geometry, materials, PER_BORDER_TEXEL, border)
+        pixels[border & found] = again[border & found]
     return Baked(push_pull(pixels, covered).astype(np.float16), covered)
 
 
@@ -97,15 +104,17 @@ def texel_means(
     width, height = chart.width, chart.height
     pixels = np.zeros((height, width, 4), np.float32)
     covered = np.zeros((height, width), bool)
-    for top, owner, x, y in _bands(chart, per, wanted):
+    for top, owner in _bands(chart, per, wanted):
         rows = owner.shape[0] // per
         lane = np.flatnonzero(owner.ravel() >= 0)
-        total = np.zeros((owner.size, 4), np.float32)
-        total[lane] = asked(chart, first, geometry, materials, owner.ravel()[lane], x[lane], y[lane])
-        count = (owner >= 0).reshape(rows, per, width, per).sum((1, 3), dtype=np.float32)
-        summed = total.reshape(rows, per, width, per, 4).sum((1, 3))
-        pixels[top : top + rows] = summed / np.maximum(count, 1.0)[..., None]
-        covered[top : top + rows] = count > 0
+        down, right = np.divmod(lane, width * per)
+        x, y = (right + 0.5) / per, (down + 0.5) / per + top
+        values = asked(chart, first, geometry, materials, owner.ravel()[lane], x, y)
+        texel = down // per * width + right // per
+        count = np.bincount(texel, minlength=rows * width)
+        summed = np.stack([np.bincount(texel, of, rows * width) for of in values.T], -1)
+        pixels[top : top + rows] = (summed / np.maximum(count, 1)[:, None]).reshape(rows, width, 4)
+        covered[top : top + rows] = (count > 0).reshape(rows, width)
         done(rows * width)
     return pixels, covered
 
@@ -115,9 +124,9 @@ def positions(width: int, height: int) -> int:
     return min(max(math.isqrt(SMALL // (width * height)), PER_TEXEL), MOST_PER_TEXEL)
 
 
-def _bands(chart: Chart, per: int, wanted: BoolArray | None = None) -> Iterator[tuple[int, IntArray, Array, Array]]:
-    """Rows of texels with the triangles that own their samples: first row, owners [rows * per, width * per], and the
-    samples' positions in texels [rows * per * width * per]. Bands without a texel of ``wanted`` [h, w] are left out.
+def _bands(chart: Chart, per: int, wanted: BoolArray | None = None) -> Iterator[tuple[int, IntArray]]:
+    """Rows of texels with the triangles that own their samples: first row and owners [rows * per, width * per], -1 for
+    none. Bands without a texel of ``wanted`` [h, w] are left out.
     """
     corners = chart.corners
     low, high = corners[:, :, 1].min(1) - GUTTER, corners[:, :, 1].max(1) + GUTTER
@@ -134,8 +143,7 @@ def _bands(chart: Chart, per: int, wanted: BoolArray | None = None) -> Iterator[
         distance = np.where(samples, GUTTER**2, 0.0)
         split(partial(_nearest, corners, chosen, top * per, per, distance, owner), rows * per, 64)
         owner[~samples] = -1
-        y, x = np.divmod(np.arange(owner.size), width * per)
-        yield top, owner, (x + 0.5) / per, (y + 0.5) / per + top
+        yield top, owner
 
 
 def _nearest(

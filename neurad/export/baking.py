@@ -16,12 +16,12 @@ from neurad.export.axes import Up, up_axis
 from neurad.export.bake import Baked, bake
 from neurad.export.cameras import named_apart
 from neurad.export.charts import Chart
-from neurad.export.mitsuba import file_names
 from neurad.export.progress import Progress
 from neurad.export.room import Room
 from neurad.export.texels import densities
 from neurad.export.unwrap import unwrap
 from neurad.scene.description import Scene
+from neurad.scene.scene_xml import file_names
 from neurad.scene.textures import TrueMaterials
 
 

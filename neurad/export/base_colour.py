@@ -2,7 +2,8 @@
 
 neurad and Mitsuba add Burley's diffuse lobe under the coat; glTF viewers and Cycles scale a Lambertian one by what the
 coat leaves. With the same base colour they send back less, and in a closed room that adds up to a fifth of the light.
-Here the means over all directions of both are equated. What remains are differences between angles, about 3 %.
+Here the means over all directions of both are equated. What remains are differences between angles, about 3 %: textures
+cannot say them, nodes in Blender can, by a table over the angle of the viewer.
 """
 
 from __future__ import annotations
@@ -19,6 +20,7 @@ from torch import Tensor
 from neurad.bsdf.burley import lobes_pdf
 from neurad.bsdf.microfacet import MIN_ALPHA, fresnel_dielectric, reflectance
 from neurad.core.records import FloatArray
+from neurad.core.reflection import PrincipledModel, ReflectionModel
 from neurad.export.raster_kernels import Array
 
 Target = Literal["blender", "gltf", "exact"]
@@ -28,6 +30,8 @@ ETA = 1.5
 """Refractive index of the coat in all three."""
 ROUGHNESSES = 65
 """Entries of the tables, evenly over roughness 0 to 1."""
+ANGLES = 64
+"""Sides of the table over angles and roughness."""
 _NODES = 24
 _F0 = 0.04
 
@@ -56,13 +60,18 @@ def energy() -> Energy:
     for r in roughness.tolist():
         alpha = max(r * r, MIN_ALPHA)
         diffuse.append(float(mean @ _diffuse(cosine, r)))
-        specular.append(float(mean @ reflectance(cosine, alpha, lambda c: fresnel_dielectric(c, ETA)[:, None])[:, 0]))
+        specular.append(float(mean @ _coat(cosine, r)))
         schlick.append(float(mean @ reflectance(cosine, alpha, lambda c: _schlick(c)[:, None])[:, 0]))
     wo, wi, solid = _pairs(cosine)
     half = torch.nn.functional.normalize(wo + wi, dim=-1)
     left = (1.0 - _schlick((wo * half).sum(-1))) * wi[:, 2] / math.pi
     under = float(mean @ (left * solid).view(len(cosine), -1).sum(1))
     return Energy(np.array(diffuse), np.array(specular), np.array(schlick), under)
+
+
+def is_converted(model: ReflectionModel) -> bool:
+    """Whether base colours of a reflection model are other ones for other programs: where diffuse light has a coat."""
+    return isinstance(model, PrincipledModel) and model.metallic == 0.0
 
 
 def base_for(target: Target, base: FloatArray, roughness: FloatArray) -> FloatArray:
@@ -82,6 +91,29 @@ def base_for(target: Target, base: FloatArray, roughness: FloatArray) -> FloatAr
         return base * (diffuse / (1.0 - specular))
     schlick = np.interp(roughness, nodes, found.schlick).astype(np.float32)
     return (base * diffuse + specular - schlick) / np.float32(found.under_schlick)
+
+
+@functools.cache
+def over_angles() -> FloatArray:
+    """What base colours for Blender have yet to be multiplied by for a viewer at an angle [ANGLES, ANGLES].
+
+    With it a surface in Cycles sends as much of a light that is the same from everywhere into each direction as it does
+    here. Rows are roughness, columns the cosine to the viewer, both at the centres of ANGLES equal steps over [0, 1].
+    """
+    steps = (torch.arange(ANGLES, dtype=torch.float64) + 0.5) / ANGLES
+    found, nodes = energy(), np.linspace(0.0, 1.0, ROUGHNESSES)
+    rows = []
+    for r in steps.tolist():
+        diffuse, specular = _diffuse(steps, r), _coat(steps, r)
+        mean = np.interp(r, nodes, found.diffuse) / (1.0 - np.interp(r, nodes, found.specular))
+        rows.append((diffuse / (1.0 - specular)).numpy() / mean)
+    return np.asarray(rows, np.float32)
+
+
+def _coat(cosine: Tensor, roughness: float) -> Tensor:
+    """Directional albedo [c] of the coat."""
+    alpha = max(roughness * roughness, MIN_ALPHA)
+    return reflectance(cosine, alpha, lambda c: fresnel_dielectric(c, ETA)[:, None])[:, 0]
 
 
 def _schlick(cosine: Tensor) -> Tensor:

@@ -9,6 +9,7 @@ import numpy as np
 from neurad.core.records import IntArray, Mesh
 from neurad.export import raster_kernels as kernels
 from neurad.export.raster_kernels import Array
+from neurad.metrics.scores import BoolArray
 
 REACH = 1.0
 """Texels around a chart that a bilinear lookup on it reads."""
@@ -89,6 +90,37 @@ def find_borders(mesh: Mesh) -> IntArray:
     )
     shared = in_space[2][in_space[1]] > in_texture[2][in_texture[1]]
     return np.flatnonzero(shared & (here != here[:, [1, 2, 0]]).any(-1).ravel())
+
+
+def four_texels(x: Array, y: Array) -> list[tuple[Array, Array, Array]]:
+    """Columns, rows and weights [n] of the four texels that bilinear lookups at (x, y) [n], in texels, read."""
+    left, top = np.floor(x - 0.5), np.floor(y - 0.5)
+    right, down = x - 0.5 - left, y - 0.5 - top
+    return [
+        (left + i, top + j, ((right if i else 1.0 - right) * (down if j else 1.0 - down)).astype(np.float32))
+        for j in (0, 1)
+        for i in (0, 1)
+    ]
+
+
+def texels_read(chart: Chart, x: Array, y: Array) -> BoolArray:
+    """Which texels [h, w] bilinear lookups at (x, y) [n], in texels, read; textures repeat."""
+    read = np.zeros((chart.height, chart.width), bool)
+    for column, row, _ in four_texels(x, y):
+        read[row.astype(np.int64) % chart.height, column.astype(np.int64) % chart.width] = True
+    return read
+
+
+def border_texels(chart: Chart) -> BoolArray:
+    """Texels [h, w] that lookups on borders between charts read, seen every half texel along them."""
+    border = find_borders(chart.mesh)
+    face, edge = border // 3, border % 3
+    a, b = chart.corners[face, edge], chart.corners[face, (edge + 1) % 3]
+    count = np.ceil(2.0 * np.abs(b - a).max(1, initial=0.0)).astype(np.int64) + 1
+    side = np.arange(len(border)).repeat(count)
+    part = (np.arange(len(side)) - (np.cumsum(count) - count).repeat(count)) / np.maximum(count - 1, 1)[side]
+    at = a[side] + (b - a)[side] * part[:, None]
+    return texels_read(chart, at[:, 0], at[:, 1])
 
 
 def triangle_areas(points: Array) -> Array:

@@ -19,7 +19,7 @@ import neurad
 from neurad.core.records import Constant, FloatArray, Mesh, PunctualLight, View
 from neurad.core.reflection import PrincipledModel
 from neurad.export.axes import TO_Y, quaternion
-from neurad.export.base_colour import Target, base_for
+from neurad.export.base_colour import Target, base_for, is_converted
 from neurad.export.cameras import clip_planes, is_plain
 from neurad.export.glb import GlbWriter, Json
 from neurad.export.images import Coded, coded
@@ -81,7 +81,7 @@ def _coded(room: Room, index: int, target: Target) -> Coded | None:
     if baked is None:
         return None
     model = room.scene.materials[room.scene.meshes[index].material].model
-    own = target if isinstance(model, PrincipledModel) and model.metallic == 0.0 else "exact"
+    own = target if is_converted(model) else "exact"
     return coded(baked.pixels, own, model.metallic if isinstance(model, PrincipledModel) else 0.0)
 
 
@@ -113,7 +113,7 @@ def _material(glb: GlbWriter, room: Room, index: int, files: Coded | None, targe
             "metallicRoughnessTexture": glb.texture(files.orm, f"{name}_orm"),
         }
     else:
-        own = target if isinstance(model, PrincipledModel) else "exact"
+        own = target if is_converted(model) else "exact"
         surface = _constants(material.albedo, material.roughness, own)
     if model.delta is not None:
         surface |= {"roughnessFactor": 0.0, "metallicFactor": 0.0 if model.delta.transmits else 1.0}

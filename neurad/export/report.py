@@ -22,6 +22,7 @@ from neurad.export.verified import (
 )
 from neurad.metrics.scores import block_means
 from neurad.pages import page
+from neurad.pages.colours import exposure
 from neurad.scene.image_io import to_srgb
 
 DIFFERENCE = 10.0
@@ -54,7 +55,7 @@ def write_report(found: Verified, path: Path, title: str) -> None:
         _baking(found),
         _seams(found),
         _renderers(found, said["renderers"]),
-        f'<p class="note">Pictures of a view share one exposure, that of the photograph\'s brightest 3 %. '
+        f'<p class="note">Pictures of a view share one exposure, that of its photograph. '
         f"Differences are to the exported folder in neurad, {DIFFERENCE:g} times enlarged, means of {BLOCK} x {BLOCK} "
         "pixels as single ones are mostly noise.</p>",
     ]
@@ -67,10 +68,10 @@ def _view(found: Verified, renderers: dict[str, Any], index: int) -> list[str]:
     """A row of pictures with their figures, and below it one of their differences."""
     name, photo = found.views[index].name, found.photographs[index]
     shown = {renderer: pictures.mean[index] for renderer, pictures in found.pictures.items()}
-    top = max(float(np.quantile(shown["baked"] if photo is None else photo, 0.97)), 1e-12)
+    gain = exposure([{"photograph": shown["baked"] if photo is None else photo}])
     parts = [f"<h2>{html.escape(name)}</h2>", '<div class="row">']
     if photo is not None:
-        parts.append(_figure("photograph", f"mean {photo.mean():.4g}", photo / top))
+        parts.append(_figure("photograph", f"mean {photo.mean():.4g}", photo * gain))
     for renderer, picture in shown.items():
         entry = renderers[renderer]["views"][name]
         figures = [f"mean {entry['mean']:.4g} &plusmn; {entry['standard_error']:.1g}"]
@@ -78,13 +79,13 @@ def _view(found: Verified, renderers: dict[str, Any], index: int) -> list[str]:
             figures.append(f"{entry['ratio_of_means']:.4f} of baked")
         if entry["psnr_linear"] is not None:
             figures.append(f"PSNR {entry['psnr_linear']:.2f} &plusmn; {entry['psnr_standard_error']:.2f} dB")
-        parts.append(_figure(renderer, ", ".join(figures), picture / top))
+        parts.append(_figure(renderer, ", ".join(figures), picture * gain))
     parts.append('</div><div class="row">')
     others = shown if photo is None else {"photograph": photo, **shown}
     for renderer, picture in others.items():
         if renderer != "baked":
             off = block_means(picture - shown["baked"], np.ones(picture.shape[:2], bool), BLOCK)[0]
-            off = np.abs(off) * np.float32(DIFFERENCE / top)
+            off = np.abs(off) * np.float32(DIFFERENCE * gain)
             parts.append(_figure(f"{renderer} - baked", f"&times; {DIFFERENCE:g}, in blocks of {BLOCK}", off))
     return [*parts, "</div>"]
 

@@ -20,16 +20,16 @@ from neurad.core.records import PunctualLight
 from neurad.export import usd
 from neurad.export.axes import UPS, Up, rotation
 from neurad.export.baking import bake_room
-from neurad.export.base_colour import TARGETS, Target
+from neurad.export.base_colour import TARGETS, Target, is_converted, over_angles
 from neurad.export.blender import blender_setup_path
 from neurad.export.cameras import NO_LENS, files_of, is_plain, shown_alike, write_views
-from neurad.export.cycles import Blender, find_blender
+from neurad.export.cycles import render_views
 from neurad.export.evidence import COARSER, coarse_texels, evidence, std_maps
 from neurad.export.folder import MANIFEST, check_out, check_sources, written_beside
 from neurad.export.gltf import write_glb
 from neurad.export.images import Coded
 from neurad.export.limits import Side, Texels
-from neurad.export.mitsuba import describe, path_integrator, sensor, write_xml
+from neurad.export.mitsuba import sensor
 from neurad.export.progress import Bar
 from neurad.export.report import write_report
 from neurad.export.room import Room
@@ -37,11 +37,14 @@ from neurad.export.verified import Verified
 from neurad.export.verify import verify
 from neurad.metrics.error_bars import ErrorBars
 from neurad.metrics.seen import SeenBy
+from neurad.runtime.blender import Blender, find_blender
 from neurad.scene.description import Scene
 from neurad.scene.image_io import png, write_exr
 from neurad.scene.punctual import pose
+from neurad.scene.scene_xml import describe, path_integrator, write_xml
 from neurad.training.error_bars import to_cube
 
+_OVER_ANGLES = "base_color_over_angles.exr"
 NO_BARS = "error bars: the run folder has none of this checkpoint; neurad test writes them"
 
 
@@ -123,7 +126,7 @@ def _verify(
     room: Room, assembly: Assembly, folder: Path, settings: ExportSettings, blender: Blender | None, bar: Bar
 ) -> Verified:
     """Render the folder again, and write ``verify.json`` and ``report.html`` into it."""
-    cycles = None if blender is None else partial(blender.render, folder)
+    cycles = None if blender is None else partial(render_views, blender, folder)
     found = verify(room, assembly, folder, settings.spp, cycles, bar)
     (folder / "verify.json").write_text(json.dumps(found.as_json(), indent=1) + "\n", encoding="utf-8")
     write_report(found, folder / "report.html", f"{settings.out.name}: verified export")
@@ -159,11 +162,15 @@ def write_room(
     seen = _write_evidence(room, assembly, folder, bar, bars)
     missing = write_views(scene, folder, settings.copy)
     (folder / "blender_setup.py").write_bytes(blender_setup_path().read_bytes())
+    if settings.target == "blender":
+        table = np.repeat(over_angles()[::-1, :, None], 3, -1)  # the lowest row of a picture is v = 0 in Blender
+        write_exr(folder / _OVER_ANGLES, np.ascontiguousarray(table), half=False)
     camera = views[0].camera if views else None
     turned = None if scene.environment is None else np.asarray(scene.environment.to_world, float)[:3, :3].tolist()
     return {
         "neurad": neurad.__version__,
         "base_color_for": settings.target,
+        "base_color_over_angles": _OVER_ANGLES if settings.target == "blender" else None,
         "clipped_texels": clipped,
         "texels": room.texels,
         "up": room.up,
@@ -244,6 +251,7 @@ def _mesh_notes(room: Room, index: int, seen: float | None) -> dict[str, Any]:
         "triangles": len(mesh.faces),
         "emits": bool(mesh.radiance is not None and mesh.radiance.max() > 0),
         "two_sided": room.scene.materials[mesh.material].two_sided,
+        "base_color_converted": is_converted(room.scene.materials[mesh.material].model),
         "texture": texture,
     }
 

@@ -13,13 +13,14 @@ from neurad.core.protocols import Materials
 from neurad.core.records import FloatArray, Mesh
 from neurad.core.rng import Stream
 from neurad.export.bake import texel_means
-from neurad.export.charts import Chart, edge_keys, find_borders
+from neurad.export.charts import Chart, edge_keys, find_borders, four_texels, texels_read
 from neurad.export.raster_kernels import Array, IntArray
 from neurad.export.room import Room
 from neurad.scene.geometry import Geometry
 
-PER_SIDE = 4
-"""Positions along the side of a texel over which the field's mean is taken; not those that were baked."""
+PER_SIDE = 7
+"""Positions along the side of a texel over which the field's mean is taken; never those that were baked, of which there
+are 2, 4, 5 or 8."""
 POINTS = 1 << 16
 """Points on the sides of borders that are looked at in a room; all of them if there are fewer."""
 SEED = 20260102
@@ -143,7 +144,7 @@ def _bilinear(pixels: FloatArray, x: Array, y: Array) -> FloatArray:
     """Lookups [n, c] at positions in texels."""
     height, width = pixels.shape[:2]
     shown = np.zeros((len(x), pixels.shape[2]), np.float32)
-    for column, row, weight in _four(x, y):
+    for column, row, weight in four_texels(x, y):
         texel = pixels[row.astype(np.int64) % height, column.astype(np.int64) % width].astype(np.float32)
         shown += weight[:, None] * texel
     return shown
@@ -151,18 +152,5 @@ def _bilinear(pixels: FloatArray, x: Array, y: Array) -> FloatArray:
 
 def _meant(chart: Chart, first: int, geometry: Geometry, materials: Materials, x: Array, y: Array) -> FloatArray:
     """What lookups at (x, y) [n] ought to show [n, 4]: means of the fields over the texels they read, by weight."""
-    wanted = np.zeros((chart.height, chart.width), bool)
-    for column, row, _ in _four(x, y):
-        wanted[row.astype(np.int64) % chart.height, column.astype(np.int64) % chart.width] = True
+    wanted = texels_read(chart, x, y)
     return _bilinear(texel_means(chart, first, geometry, materials, PER_SIDE, wanted)[0], x, y)
-
-
-def _four(x: Array, y: Array) -> list[tuple[Array, Array, Array]]:
-    """Columns, rows and weights [n] of the four texels that bilinear lookups at (x, y) [n] read."""
-    left, top = np.floor(x - 0.5), np.floor(y - 0.5)
-    right, down = x - 0.5 - left, y - 0.5 - top
-    return [
-        (left + i, top + j, ((right if i else 1.0 - right) * (down if j else 1.0 - down)).astype(np.float32))
-        for j in (0, 1)
-        for i in (0, 1)
-    ]

@@ -26,6 +26,7 @@ from neurad.export.verified import Verified
 from neurad.integrators.film import render
 from neurad.integrators.renderer import path_tracer
 from neurad.metrics.held_out import HeldOut
+from neurad.metrics.held_out_scores import score
 from neurad.metrics.scores import psnr
 from neurad.scene.description import Scene
 from neurad.scene.geometry import Geometry
@@ -123,7 +124,7 @@ def _compare_maps(found: Verified, scene: Scene, held_out: HeldOut, fields: Mate
     """Scores of both materials against the truth, and of the baked ones against the fields."""
     of_fields, of_baked = held_out.predict(fields), held_out.predict(baked)
     for name, maps in (("fields", of_fields), ("baked", of_baked)):
-        scores = held_out.score(maps)
+        scores = score(held_out, maps)
         for key in ("albedo_psnr", "roughness_psnr"):
             if key in scores:
                 found.scores[f"{key}_{name}"] = scores[key]

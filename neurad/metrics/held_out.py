@@ -1,4 +1,4 @@
-"""Held-out views: their photographs and true materials, and scores of what was predicted for them.
+"""Held-out views: their photographs, their true materials, and what materials show there.
 
 Together with the data module's reader of training photographs this is the only place that opens images; ground truth is
 opened nowhere else.
@@ -7,7 +7,7 @@ opened nowhere else.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Self
@@ -22,15 +22,15 @@ from neurad.core.protocols import Guessing, Materials, Tracer
 from neurad.core.records import FloatArray, Surface, SurfaceInteraction, View
 from neurad.core.rng import Stream
 from neurad.integrators.film import pixel_positions, strided
-from neurad.metrics.colour_lookup import MOST_VIEWS, ColourLookup, explained
-from neurad.metrics.scores import BoolArray, Float64Array, Pool, block_means
+from neurad.metrics.colour_lookup import MOST_VIEWS, ColourLookup
+from neurad.metrics.scores import BoolArray
 from neurad.metrics.seen import SeenBy
 from neurad.runtime.progress import counted
 from neurad.scene.description import Scene
 from neurad.scene.geometry import Geometry
-from neurad.scene.image_io import read_exr, read_mask, to_srgb
+from neurad.scene.image_io import read_exr, read_mask
 from neurad.scene.numbers import PIXEL, within
-from neurad.scene.photographs import ceiling_of, read_view
+from neurad.scene.photographs import read_view
 
 CHUNK = 1 << 18
 """Sub-samples in flight: bounds the memory."""
@@ -38,19 +38,6 @@ CACHE_BYTES = 1 << 28
 """Primary hits are kept between evaluations up to this size, and traced again beyond it."""
 _HIT_BYTES = 12
 """Of a kept hit: triangle and barycentrics."""
-BLOCK = 8
-"""Side of the box filter in pixels of the scores named ``_8x8``."""
-SCORES = {
-    "linear": ("psnr",),
-    "linear surfaces": ("mape",),
-    "srgb": ("psnr",),
-    "lhs": ("psnr",),
-    "albedo": ("psnr", "mape"),
-    "albedo 8x8": ("psnr",),
-    "roughness": ("psnr", "mape"),
-    "roughness lookup": ("psnr", "mape", "r2"),
-}
-"""What is compared, and the scores that are reported of it; ``lookup`` is no prediction but a mark, as the constant."""
 SEED = 20230807
 
 Maps = Mapping[str, FloatArray]
@@ -295,123 +282,6 @@ class HeldOut:
                 photograph = _fitting(view.image, read_view(view), view, 3)
                 self._truth[index]["photograph"] = np.ascontiguousarray(photograph[:: self.stride, :: self.stride])
         return self._truth[index]
-
-    # --- scores
-
-    def score(
-        self,
-        maps: Sequence[Maps],
-        renders: Sequence[FloatArray] | None = None,
-        regions: Mapping[str, Sequence[BoolArray]] | None = None,
-        scaled: bool = False,
-        fields: Sequence[FloatArray] | None = None,
-    ) -> dict[str, float]:
-        """Scores over the pooled pixels of all views; what has no ground truth is left out.
-
-        Args:
-            maps: ``albedo`` and ``roughness`` of every view, as :meth:`predict` gives them; what is missing gets no
-                score.
-            renders: pictures [h, w, 3] of every view, linear.
-            regions: further masks [h, w] of every view, by the suffix of their scores.
-            scaled: whether light and albedo are found up to a common factor only.
-            fields: pictures [h, w, 3] of every view that the radiance field itself shows (the left-hand side), linear.
-
-        Returns:
-            ``psnr_linear`` and ``psnr_srgb`` over all pixels but masked ones, ``psnr_lhs`` (linear) likewise;
-            ``mape_linear`` over those of them that show a surface; ``{albedo, roughness}_{psnr, mape}`` over counted
-            ones and ``albedo_psnr_8x8`` over these after a box filter. Each also with ``_constant``, of the best
-            constant, those of roughness with ``_lookup``, of :attr:`lookup` by the true colours, whose fraction of
-            explained variance is ``roughness_r2_lookup``, and those of albedo, if ``scaled``, with ``_scaled1`` and
-            ``_scaled3``, after the best factor for all channels together or for each. All these also with ``_seen``,
-            over pixels of surfaces that a training view sees, and with the suffixes of ``regions``.
-        """
-        count = range(len(self.views))
-        masks: dict[str, Sequence[BoolArray]] = {"seen": [self.seen(i) for i in count], **(regions or {})}
-        scores: dict[str, float] = {}
-        for suffix, mask in {"": None, **masks}.items():
-            pools = {name: Pool() for name in SCORES}
-            for i in count:
-                region = np.ones_like(self.counted(i)) if mask is None else mask[i]
-                self._pool(pools, i, maps[i], None if renders is None else renders[i], region)
-                if fields is not None and "photograph" in self.truth(i):
-                    pools["lhs"].add(*self._comparable(i, fields[i]), region)
-            for name, pool in pools.items():
-                found = pool.scores(scaled and name.startswith("albedo"))
-                if name == "lhs":  # its constant is that of the other picture
-                    found.pop("psnr_constant", None)
-                if "lookup" in name and found:
-                    r2 = explained(found["psnr"], found["psnr_constant"])
-                    found = {"psnr": found["psnr"], "mape": found["mape"]} | ({} if math.isnan(r2) else {"r2": r2})
-                for score, value in found.items():
-                    if score.partition("_")[0] in SCORES[name]:
-                        scores[_key(name, score, suffix)] = value
-        return scores
-
-    def _comparable(self, index: int, render: FloatArray) -> tuple[FloatArray, FloatArray]:
-        """A picture of a view and its photograph, as they are compared [h, w, 3] each.
-
-        What is clipped is no error where the picture is brighter. Where gains are recovered, those of the scored
-        photographs are the best in least squares; where a response is, they are developed with it.
-        """
-        view, photograph = self.views[index], self.truth(index)["photograph"]
-        ceiling, gains = ceiling_of(view), self.scene.photography
-        if math.isinf(ceiling) and not gains.fits_gains and self.respond is None:
-            return render, photograph
-        clipped = photograph >= ceiling
-        if self.respond is not None and view.development.levels:
-            gain, device = view.development.gain, self.geometry.vertices.device
-            with torch.no_grad():
-                found = self.respond(torch.from_numpy(photograph * gain).float().to(device)).cpu().numpy() / gain
-            photograph = found.astype(np.float32)
-        if gains.fits_gains:
-            free = ~clipped & self.kept(index)[..., None]
-            axes = (0, 1) if gains.white_balance == "fit" else None
-            square = np.where(free, photograph, 0.0).astype(np.float64) ** 2
-            product = np.where(free, photograph, 0.0).astype(np.float64) * render
-            factor = product.sum(axes) / np.maximum(square.sum(axes), 1e-30)
-            photograph = (photograph * np.where(factor > 0.0, factor, 1.0)).astype(np.float32)
-        return np.where(clipped & (render > photograph), photograph, render), photograph
-
-    def albedo_factors(self, maps: Sequence[Maps]) -> dict[str, Float64Array]:
-        """The best factors of albedo over the counted pixels of all views, as ``scaled1`` and ``scaled3`` [3]."""
-        pool = Pool()
-        for index, entry in enumerate(maps):
-            truth = self.truth(index).get("albedo_true")
-            if truth is not None and "albedo" in entry:
-                pool.add(entry["albedo"], truth, self.counted(index))
-        return pool.factors()
-
-    def _pool(
-        self, pools: dict[str, Pool], index: int, maps: Maps, render: FloatArray | None, region: BoolArray
-    ) -> None:
-        """Add the pixels of one view in ``region`` [h, w] to the pools."""
-        truth = self.truth(index)
-        counted = self.counted(index) & region
-        if render is not None and "photograph" in truth:
-            kept = region & self.kept(index)
-            render, photograph = self._comparable(index, render)
-            pools["linear"].add(render, photograph, kept)
-            pools["linear surfaces"].add(render, photograph, kept & self.shows(index))
-            pools["srgb"].add(to_srgb(render), to_srgb(photograph), kept)
-        if "albedo_true" in truth and "albedo" in maps:
-            pools["albedo"].add(maps["albedo"], truth["albedo_true"], counted)
-            if self.stride == 1:  # else blocks would be larger, and their scores others
-                guess, weight = block_means(maps["albedo"], counted, BLOCK)
-                exact, _ = block_means(truth["albedo_true"], counted, BLOCK)
-                pools["albedo 8x8"].add(guess, exact, weight > 0, weight)
-        if "roughness_true" in truth and "roughness" in maps:
-            pools["roughness"].add(maps["roughness"], truth["roughness_true"], counted)
-            if self.lookup is not None and "albedo_true" in truth:
-                pools["roughness lookup"].add(self.lookup(truth["albedo_true"]), truth["roughness_true"], counted)
-
-
-def _key(name: str, score: str, region: str) -> str:
-    """Column of a score, such as ``albedo_psnr_8x8_constant_seen``: what, score, filter, constant, region."""
-    what, _, filtered = name.partition(" ")
-    kind, _, constant = score.partition("_")
-    images = what in ("linear", "srgb", "lhs")
-    parts = (kind, what) if images else (what, kind, filtered)
-    return "_".join(part for part in (*parts, constant, region) if part)
 
 
 def _read(path: str, view: View, channels: int) -> FloatArray:

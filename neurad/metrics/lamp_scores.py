@@ -19,15 +19,18 @@ LEAST = 0.05
 """Of a lamp's brightest channel: what errors of the others are relative to at least."""
 ERROR = "lamp_error"
 """Begins the columns of the errors."""
+MISSED, EXTRA = "lamps_missed", "lamps_extra"
+"""Columns of a run that finds which meshes shine: how many that do were not found, and how many found do not."""
 
 
-def read_lamps_true(path: str, names: Sequence[str]) -> Array:
+def read_lamps_true(path: str, names: Sequence[str], found: bool = False) -> tuple[Array, int]:
     """True radiance of lamps [m, 3], from a table with columns ``mesh``, ``r``, ``g`` and ``b``, as ``lamps.csv`` has
-    them.
+    them, and how many meshes of the table shine and are none of these.
 
     Args:
         path: of the table.
         names: of the lamps' meshes.
+        found: they were found to shine, so one that the table lacks does not: its true radiance is 0.
 
     Raises:
         InputError: there is no such table, a lamp is missing in it, or a radiance is no number or negative.
@@ -45,16 +48,17 @@ def read_lamps_true(path: str, names: Sequence[str]) -> Array:
         if not all(0.0 <= value <= RADIANCE for value in rgb):  # neither is NaN
             raise InputError(f"{option}: the radiance of {row['mesh']} must be three numbers from 0 to {RADIANCE:g}")
         given[row["mesh"]] = rgb
-    if left := [name for name in names if name not in given]:
+    if not found and (left := [name for name in names if name not in given]):
         raise InputError(f"{option}: lamp {left[0]} of the scene is not in it")
-    return np.array([given[name] for name in names])
+    missed = sum(any(rgb) for name, rgb in given.items() if name not in names)
+    return np.array([given.get(name, [0.0] * 3) for name in names]).reshape(-1, 3), missed
 
 
 def lamp_error(found: Array, truth: Array) -> Array:
-    """Largest relative error of a channel, for each lamp: [m, 3] and [m, 3] to [m]."""
+    """Largest relative error of a channel, for each lamp: [m, 3] and [m, 3] to [m]. It is 1 where none shines."""
     least = LEAST * truth.max(-1, keepdims=True)
     error: Array = (np.abs(found - truth) / np.maximum(np.maximum(truth, least), 1e-30)).max(-1)
-    return error
+    return np.where(truth.any(-1), error, 1.0)
 
 
 def lamp_scores(found: Array, truth: Array, names: Sequence[str], factors: Mapping[str, Array]) -> dict[str, float]:

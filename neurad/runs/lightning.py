@@ -221,6 +221,7 @@ class NeuradCLI(LightningCLI):
         """
         try:
             super().instantiate_classes()
+            self.model.begins_from = self.checkpoint
         except ValueError as error:
             if "Union subtypes" not in str(error):
                 raise

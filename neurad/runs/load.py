@@ -37,6 +37,7 @@ from neurad.scene.development import Photography
 from neurad.scene.load import load_scene
 from neurad.scene.photographs import read_view
 from neurad.scene.readers.nerf import HOLD_OUT
+from neurad.scene.shining import from_kept, shining_scene
 from neurad.scene.textures import TrueMaterials
 from neurad.training.checkpoint import changed_light, fitted_lamps, fitting
 from neurad.training.checkpoint_file import read_checkpoint
@@ -285,6 +286,8 @@ def load_run(
         raise InputError(f"{folder / 'config.yaml'}: it is not the config of a run")
     settings = parse_model(config["model"], str(folder / "config.yaml"))
     scene = _scene(config["data"], folder, root)
+    if settings.lighting.emitters == "find":
+        scene = shining_scene(scene, from_kept(content["neurad"].get("shining"), scene, name))
     assembly = assemble(scene, settings, _has_alpha(scene))
     state = _restore(assembly, content, name, other_light)
     changes = changed_light(state, scene, assembly.environment is None, assembly.lamps is None)

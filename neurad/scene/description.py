@@ -83,8 +83,11 @@ class Scene:
     photography: Photography = KNOWN
     """What is known of how the photographs were taken."""
 
-    def check(self) -> Scene:
+    def check(self, lit: bool = True) -> Scene:
         """This scene, if light transport can be computed in it.
+
+        Args:
+            lit: refuse a scene in which nothing shines; False where what shines is still to be found.
 
         Raises:
             InputError: no triangle at all, a mesh without triangles, radiance that is no number to compute with, or
@@ -105,7 +108,7 @@ class Scene:
             within(self.environment.pixels, f"scene {self.name}: the radiance of its environment", 0.0, RADIANCE)
         for light in self.punctual:
             check_punctual(light, f"scene {self.name}: {light.kind} emitter {light.name}")
-        if not self.features.has_light:
+        if lit and not self.features.has_light:
             raise InputError(f"scene {self.name}: it has no emitter, so every photograph would be black")
         return self
 

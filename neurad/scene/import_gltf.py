@@ -86,10 +86,9 @@ def _photographed(room: GltfRoom, images: Path, source: Path) -> Split:
     views, without = [], []
     for camera in room.cameras:
         where = f"{shown(source)}: camera {shown(camera.name)}"
-        try:
-            photograph = find(camera.name, where)
-        except InputError as error:
-            without.append((camera.name, error))
+        photograph = find.named(camera.name)
+        if photograph is None:
+            without.append(camera.name)
             continue
         view = _view(camera, photograph, where)
         check_photograph(view)
@@ -97,8 +96,10 @@ def _photographed(room: GltfRoom, images: Path, source: Path) -> Split:
     if not room.cameras:
         raise InputError(f"{shown(source)}: it has no camera, so that no photograph can belong to it")
     if not views:
-        raise without[0][1]
-    names = ", ".join(shown(name) for name, _ in without[:12])
+        raise InputError(
+            f"--images {shown(images)}: it has no photograph of any camera, such as {shown(without[0])}.exr"
+        )
+    names = ", ".join(shown(name) for name in without[:12])
     said = f"{shown(source)}: {len(without)} cameras have no photograph and are left out ({names})"
     return Split(views, [], (said,) if without else ())
 

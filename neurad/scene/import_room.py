@@ -38,7 +38,7 @@ class ImportSettings:
     """What to make a scene folder of."""
 
     kind: str
-    """One of :data:`SOURCES`; or gltf, see :mod:`neurad.scene.import_gltf`."""
+    """One of :data:`SOURCES`; or gltf and blender, which have modules of their own."""
     source: Path
     out: Path
     mesh: list[Path] = field(default_factory=list)
@@ -55,6 +55,8 @@ class ImportSettings:
     """Environment map that lights the room (EXR)."""
     copy: bool = False
     """Copy files instead of linking to them."""
+    blender: str | None = None
+    """Blender, or a Python that has bpy, which opens a .blend file."""
 
     def __post_init__(self) -> None:
         """Refuse numbers outside their ranges."""
@@ -70,6 +72,17 @@ class Photographs:
 
     def __init__(self, *places: Path) -> None:
         self.places = places
+
+    def named(self, name: str) -> Path | None:
+        """The photograph of a camera, whose name is that of the file without its ending; None where there is none.
+
+        A part of the name behind a dot is no ending: Blender counts its objects there.
+        """
+        for place in self.places if name and not set(name) & set("/\\:") else ():
+            for ending in (".exr", *READABLE):
+                if exists(place / f"{name}{ending}"):
+                    return regular_file(place / f"{name}{ending}")
+        return None
 
     def __call__(self, name: str, where: str) -> Path:
         """The file.
@@ -289,10 +302,12 @@ def _say(room: Room, meshes: Sequence[Mesh], out: Path) -> None:
     elif room.environment is None:
         names = ", ".join(shown(mesh.name) for mesh in meshes[:12])
         print(
-            f"neurad: warning: nothing in the room shines, so it cannot be fitted yet: give --lamp NAME=R,G,B (meshes: "
-            f"{names}{' ...' if len(meshes) > 12 else ''}), a material with Ke in the OBJ file's MTL, or --environment",
+            f"neurad: warning: nothing in the room is said to shine: give --lamp NAME=R,G,B (meshes: "
+            f"{names}{' ...' if len(meshes) > 12 else ''}), a material with Ke in the OBJ file's MTL, or "
+            "--environment; a fit finds meshes that shine in the photographs with --model.lighting.emitters find",
             file=sys.stderr,
         )
+        print(f"neurad fit --config scene.yaml --data.root {shown(out)} --model.lighting.emitters find")
         return
     print(f"neurad fit --config scene.yaml --data.root {shown(out)}")
 

@@ -17,9 +17,12 @@ from neurad.scene.development import KNOWN, Photography, developed
 from neurad.scene.readers.nerf import HOLD_OUT, Split
 
 T = TypeVar("T")
+_SIDE = 512  # pixels of a picture whose size nothing says
 
 OTHER_SCENES = (".glb", ".gltf", ".blend", ".fbx", ".usd", ".usdc", ".usda", ".usdz", ".pbrt", ".obj", ".ply", ".stl")
 """Files of other programs that somebody may take for a scene here."""
+CAMERAS = "cameras.json"
+"""Cameras without photographs, in the form of other camera files."""
 RELIGHT = "env_relight.exr"
 """Map that lights the photographs named by ``relight_path``; it replaces the scene's own, in the same frame."""
 
@@ -51,6 +54,12 @@ def _one_file(folder: Path, hold_out: int) -> Split:
     return read_one(folder, hold_out)
 
 
+def _cameras_alone(folder: Path, hold_out: int) -> Split:
+    from neurad.scene.readers.nerf import read_cameras
+
+    return Split([], read_cameras(folder / CAMERAS, (_SIDE, _SIDE)))
+
+
 SCENE_FILES: dict[str, Callable[[Path], Scene]] = {
     "scene.xml": _mitsuba,
     "scene.glb": _gltf("scene.glb"),
@@ -62,6 +71,7 @@ becomes held-out views without photographs.
 CAMERA_FILES: dict[str, Callable[[Path, int], Split]] = {
     "transforms_train.json": _two_files,
     "transforms.json": _one_file,
+    CAMERAS: _cameras_alone,
 }
 """Readers of the training and the held-out views, by file name; the first one in a folder is read. They are told how
 many-th photograph to hold out where the file does not say which.
@@ -71,7 +81,7 @@ many-th photograph to hold out where the file does not say which.
 def load_scene(
     root: str | None, scene: str | None, hold_out: int = HOLD_OUT, photography: Photography = KNOWN
 ) -> Scene:
-    """The scene of a folder or a built-in one, checked.
+    """The scene of a folder or a built-in one, checked; nothing in it has to shine, as that may be found.
 
     Args:
         root: a scene folder (``--data.root``), or None.
@@ -86,11 +96,11 @@ def load_scene(
         raise InputError("give exactly one of --data.root (a scene folder) and --data.scene (a built-in scene)")
     with phase("reading"):
         if root is not None:
-            return read_folder(root, hold_out, photography).check()
+            return read_folder(root, hold_out, photography).check(lit=False)
         from neurad.scene.builtin import build
 
         assert scene is not None
-        return _developed(build(scene), photography).check()
+        return _developed(build(scene), photography).check(lit=False)
 
 
 def _developed(scene: Scene, photography: Photography) -> Scene:
@@ -140,7 +150,7 @@ def _reader(readers: dict[str, T], folder: Path) -> T:
     for name, reader in readers.items():
         if exists(folder / name):
             return reader
-    first, *others = readers
+    first, *others = (name for name in readers if name != CAMERAS)  # which no fit can do with
     instead = f" (or {', '.join(others)})" if others else ""
     other = next((file for file in sorted(folder.iterdir()) if file.suffix.lower() in OTHER_SCENES), None)
     hint = "" if other is None or readers is not SCENE_FILES else f"; {other.name}: {_otherwise(other)}"
@@ -150,8 +160,9 @@ def _reader(readers: dict[str, T], folder: Path) -> T:
 
 def _otherwise(file: Path) -> str:
     """What to do with a scene that cannot be read where or as it is."""
-    if file.suffix.lower() in (".glb", ".gltf"):
-        return f"`neurad data gltf {shown(file.name)} --out DIR` makes a scene folder of it"
+    kind = {".glb": "gltf", ".gltf": "gltf", ".blend": "blender"}.get(file.suffix.lower())
+    if kind is not None:
+        return f"`neurad data {kind} {shown(file.name)} --out DIR` makes a scene folder of it"
     return (
         "it cannot be read as a scene; open it in Blender, export it as room.glb, and let "
         "`neurad data gltf room.glb --out DIR` make a scene folder of it"

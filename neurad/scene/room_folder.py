@@ -136,8 +136,14 @@ def file_name(name: str, taken: set[str]) -> str:
     return made
 
 
-def write_views(room: Room, out: Path) -> None:
-    """Camera files, and what they name."""
+def write_views(room: Room, out: Path, only: str | None = None) -> None:
+    """Camera files, and what they name.
+
+    Args:
+        room: whose views.
+        out: the scene folder; files of views that lie in it already stay as they are.
+        only: name of the one camera file, in place of those that a fit reads.
+    """
     taken: set[str] = set()
     parts = {"": room.views.train}
     if room.views.stated:
@@ -155,8 +161,11 @@ def write_views(room: Room, out: Path) -> None:
                 frame.pop(key, None)
                 if source is not None:
                     frame[key] = f"{folder}/{view.name}{Path(source).suffix.lower()}"
-                    place(Path(source), out / frame[key], room.copy)
-        (out / f"transforms{part}.json").write_text(json.dumps(described, indent=1) + "\n", encoding="utf-8")
+                    if Path(source) != out / frame[key]:
+                        place(Path(source), out / frame[key], room.copy)
+            if view.image is None:  # its name stays, for pictures to come
+                frame["file_path"] = view.name
+        (out / (only or f"transforms{part}.json")).write_text(json.dumps(described, indent=1) + "\n", encoding="utf-8")
 
 
 def _write_surfaces(room: Room, meshes: Sequence[Mesh], out: Path) -> None:

@@ -20,6 +20,7 @@ from neurad.metrics.bar_maps import predict_bars, score_bars
 from neurad.metrics.environment import EnvironmentScores
 from neurad.metrics.error_bars import ErrorBars, ToUnitCube
 from neurad.metrics.held_out import HeldOut
+from neurad.metrics.held_out_scores import albedo_factors, score
 from neurad.metrics.limits import albedo_at_limits, roughness_spread
 from neurad.metrics.lit_glossy import lit_glossy, reflected_by
 from neurad.metrics.relight import relight_map, score_relit
@@ -134,7 +135,7 @@ def evaluate(
         if glossy and fitted
         else None
     )
-    scores = held_out.score(maps, [entry["render"] for entry in maps], regions, fitted and unknown, fields or None)
+    scores = score(held_out, maps, [entry["render"] for entry in maps], regions, fitted and unknown, fields or None)
     if fitted:
         counted = [held_out.counted(index) for index in range(len(held_out.views))]
         scores |= albedo_at_limits(maps, counted)
@@ -147,7 +148,7 @@ def evaluate(
     if light is None:
         return Evaluation(scores, maps)
     found = light.environment.map()
-    scores |= light.scores(found, held_out.albedo_factors(maps))
+    scores |= light.scores(found, albedo_factors(held_out, maps))
     truth = {} if light.scores.truth is None else {"truth": light.scores.truth}
     return Evaluation(scores, maps, {"fitted": found, **truth})
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import sys
+from pathlib import Path
 from typing import Any, Literal
 
 import lightning as L
@@ -11,6 +12,7 @@ from lightning.pytorch.strategies import DDPStrategy
 from torch import Tensor
 
 from neurad.assembly.build import Assembly, FittedMaterials, assemble, know_lamps
+from neurad.assembly.find_lamps import find_lamps
 from neurad.assembly.relight import paths, sentence_of_light
 from neurad.assembly.settings import Lighting, ModelSettings, Objective, Optimization, Sampling
 from neurad.assembly.training_views import TrainingViews, prepare_views
@@ -31,16 +33,19 @@ from neurad.metrics.bar_maps import predict_bars
 from neurad.metrics.effort import Effort
 from neurad.metrics.error_bars import ErrorBars
 from neurad.metrics.held_out import HeldOut
+from neurad.metrics.held_out_scores import albedo_factors
+from neurad.metrics.lamp_scores import EXTRA, MISSED, lamp_scores, read_lamps_true
 from neurad.metrics.lamp_scores import Array as FloatArray64
-from neurad.metrics.lamp_scores import lamp_scores, read_lamps_true
 from neurad.metrics.view_residuals import view_residuals
 from neurad.optim.polyak_average import PolyakAverage, averaged
 from neurad.optim.pyramid_adam import PyramidAdam
 from neurad.optim.sparse_row_adam import SparseRowAdam
 from neurad.runtime.clock import excluded, training_seconds
 from neurad.scene.description import Scene
+from neurad.scene.shining import Shining, from_kept, kept, shining_scene
 from neurad.scene.textures import TrueMaterials
 from neurad.training.checkpoint import changed_light, fitted_lamps, fitting, scene_state
+from neurad.training.checkpoint_file import read_checkpoint
 from neurad.training.error_bars import error_bars, to_cube
 from neurad.training.evaluate import Evaluation, UnknownLight, evaluate, unknown_light
 from neurad.training.gradient_sync import GradientSync, ddp_ignored
@@ -114,7 +119,11 @@ class InverseRenderer(L.LightningModule):
         self.training_views: TrainingViews | None = None
         self.other_light: list[str] = []
         """What differs between the scene's light and that of the fit; nothing may in a fit that goes on."""
-        self._lamps_true: FloatArray64 | None = None
+        self._lamps_true: tuple[FloatArray64, int] | None = None
+        self._shining: list[Shining] | None = None
+        """Meshes that were found to shine; None where that is known."""
+        self.begins_from: Path | None = None
+        """The checkpoint that will be loaded; None in a fit from scratch."""
         self._photographs = 0
         """Checksum of the photographs; 0 before they are read, and where they cannot change."""
 
@@ -145,6 +154,8 @@ class InverseRenderer(L.LightningModule):
                 f"--trainer.precision {self.trainer.precision}: light needs float32; for networks there is "
                 "model.optimization.matmul"
             )
+        if self.settings.lighting.emitters == "find":
+            self._find_lamps()
         made = assemble(self.scene, self.settings, self.photographs.has_alpha, self.device)
         # Of the world only a guide and an environment that is recovered have a state.
         self.world, self.materials, self.average, self.radiance = (
@@ -158,12 +169,33 @@ class InverseRenderer(L.LightningModule):
         if self._exchanges:
             self._ddp_params_and_buffers_to_ignore = ddp_ignored(self)  # DDP's own name for it
 
-    def _read_lamps_true(self) -> FloatArray64 | None:
-        """What recovered lamps are scored against [m, 3]; None where nothing is given."""
-        lamps, path = self.assembly.lamps, getattr(self.trainer.datamodule, "lamps_true", None)  # type: ignore[attr-defined]
-        if path is None or lamps is None:
+    def _find_lamps(self) -> None:
+        """Let those meshes of the scene shine that photographs show to shine, or, in a run that goes on, those that it
+        began with.
+        """
+        if self.begins_from is not None:
+            state = read_checkpoint(self.begins_from, f"--ckpt_path {self.begins_from}")["neurad"]
+            self._shining = from_kept(state.get("shining"), self.scene, "--ckpt_path")
+        else:
+            lighting, seed = self.settings.lighting, self.settings.seed
+            unknown_sky = lighting.environment == "fit"
+            found = find_lamps(self.scene, self.photographs, self.settings.tracer, unknown_sky, seed, self.device)
+            self._shining = found.lamps
+            if self.trainer.is_global_zero:
+                print(*(f"neurad: {line}" for line in found.lines), sep="\n", file=sys.stderr)
+        self.trainer.datamodule.relight(shining_scene(self.scene, self._shining))  # type: ignore[attr-defined]
+
+    def _read_lamps_true(self) -> tuple[FloatArray64, int] | None:
+        """What recovered lamps are scored against [m, 3], and how many others shine; None where nothing is given."""
+        path = getattr(self.trainer.datamodule, "lamps_true", None)  # type: ignore[attr-defined]
+        if path is None or self.assembly.lamps is None:
             return None
-        return read_lamps_true(path, [self.scene.meshes[index].name for index in lamps.mesh.tolist()])
+        return read_lamps_true(path, self._lamp_names(), found=self._shining is not None)
+
+    def _lamp_names(self) -> list[str]:
+        """Of the lamps that are recovered."""
+        lamps = self.assembly.lamps
+        return [] if lamps is None else [self.scene.meshes[index].name for index in lamps.mesh.tolist()]
 
     @property
     def _exchanges(self) -> bool:
@@ -321,9 +353,12 @@ class InverseRenderer(L.LightningModule):
         lamps = self.assembly.lamps
         if lamps is None or self._lamps_true is None or self._held_out is None:
             return {}
-        names = [self.scene.meshes[index].name for index in lamps.mesh.tolist()]
-        factors = self._held_out.albedo_factors(found.maps) if lamps.values.requires_grad else {}
-        return lamp_scores(lamps.found(), self._lamps_true, names, factors)
+        truth, missed = self._lamps_true
+        factors = albedo_factors(self._held_out, found.maps) if lamps.values.requires_grad else {}
+        scores = lamp_scores(lamps.found(), truth, self._lamp_names(), factors)
+        if self._shining is not None:
+            scores |= {MISSED: float(missed), EXTRA: float((~truth.any(-1)).sum())}
+        return scores
 
     def error_bars(self) -> ErrorBars | None:
         """Error bars of the present materials, see :func:`neurad.training.error_bars.error_bars`.
@@ -388,6 +423,7 @@ class InverseRenderer(L.LightningModule):
             "samples": self.samples,
             "radiance_inputs": self._inputs,
             "photographs": self._photographs,
+            **({} if self._shining is None else {"shining": kept(self._shining)}),
         }
 
     def on_load_checkpoint(self, checkpoint: dict[str, Any]) -> None:

@@ -8,11 +8,13 @@ import torch
 from torch import Tensor, nn
 
 from neurad.assembly.build import Assembly, assemble
+from neurad.assembly.find_lamps import find_lamps
 from neurad.assembly.settings import ModelSettings
 from neurad.assembly.training_views import prepare_views
 from neurad.core.protocols import PhotoSource
 from neurad.core.records import PixelBatch
 from neurad.scene.description import Scene
+from neurad.scene.shining import shining_scene
 from neurad.training.guard import Guard
 from neurad.training.objective import make_objective
 from neurad.training.optimizers import make_optimizers
@@ -61,6 +63,10 @@ class TrainingRun:
             device: where everything is to lie.
             emitters_train: as above; the materials of emitting surfaces are then fitted, too.
         """
+        if settings.lighting.emitters == "find":
+            unknown_sky = settings.lighting.environment == "fit"
+            found = find_lamps(scene, photographs, settings.tracer, unknown_sky, settings.seed, device)
+            scene = shining_scene(scene, found.lamps)
         assembly = assemble(scene, settings, photographs.has_alpha, device, not emitters_train)
         for _, part in assembly.modules():
             part.to(device)

@@ -243,7 +243,8 @@ def test_a_room_without_light_says_what_to_give(place, source, capfd):
     (place / "m.obj").write_text("v 0 0 0\nv 1 2 3\nv 0 1 0\nf 1 2 3\n")
     main(["data", "nerfstudio", str(source), "--mesh", "m.obj", "--out", "room"])
     captured = capfd.readouterr()
-    assert "nothing in the room shines, so it cannot be fitted yet: give --lamp NAME=R,G,B (meshes: m)" in captured.err
+    assert "nothing in the room is said to shine: give --lamp NAME=R,G,B (meshes: m)" in captured.err
+    assert "room --model.lighting.emitters find\n" in captured.out
     assert "most cameras lie outside of the mesh's box" in captured.err
     said = fails(capfd, "fit", "--config", "scene.yaml", "--data.root", "room")
     assert "it has no emitter" in said

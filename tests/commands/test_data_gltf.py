@@ -340,7 +340,7 @@ WORDS = {
     "missing": (["nichts.glb"], "there is no such glTF file"),
     "another kind": (["bild.png"], "it is no glTF file"),
     "an empty folder": (["fotos"], "it has 0 files of glTF"),
-    "no camera's": (["raum.glb", "--images", "leer"], "its photograph Blick 0.exr is in none of"),
+    "no camera's": (["raum.glb", "--images", "leer"], "it has no photograph of any camera, such as Blick 0.exr"),
     "proportions": (["raum.glb", "--images", "hoch"], "aspectRatio 1.333, but its photograph Blick 0.exr has 9 x 12"),
     "mesh": (["raum.glb", "--mesh", "raum.glb"], "are about meshes beside cameras"),
     "scale": (["raum.glb", "--scale", "2"], "are about meshes beside cameras"),

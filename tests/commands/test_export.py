@@ -96,7 +96,7 @@ def test_bad_input_gets_one_sentence(tiny, capfd, words, sentence):
 
 def test_what_is_no_blender_is_refused():
     from neurad.core.errors import InputError
-    from neurad.export.cycles import find_blender
+    from neurad.runtime.blender import find_blender
 
     for program in ("/nowhere/blender", shutil.which("true") or "true"):
         with pytest.raises(InputError, match="neither a Python with the package bpy nor Blender"):

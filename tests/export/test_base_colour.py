@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 import torch
 
-from neurad.export.base_colour import base_for, energy
+from neurad.export.base_colour import ANGLES, base_for, energy, over_angles
 
 
 @pytest.mark.parametrize(
@@ -33,3 +33,18 @@ def test_energy_is_what_the_shaded_model_sends_back():
     found = energy()
     at = int(roughness * 64)
     assert 0.8 * found.diffuse[at] + found.specular[at] == pytest.approx(mean, abs=3e-3)
+
+
+def test_the_table_over_angles_leaves_the_mean_over_them_alone():
+    """What Cycles sends back in all, its base colour times what the coat leaves, is Burley's lobe all the same."""
+    from neurad.bsdf.microfacet import fresnel_dielectric, reflectance
+
+    table, found = over_angles(), energy()
+    steps = (np.arange(ANGLES) + 0.5) / ANGLES
+    for row in (8, 31, 60):
+        alpha = steps[row] ** 2
+        coat = reflectance(torch.from_numpy(steps), alpha, lambda c: fresnel_dielectric(c, 1.5)[:, None])[:, 0].numpy()
+        mean = base_for("blender", np.ones((1, 3), np.float32), np.full((1, 1), steps[row], np.float32))[0, 0]
+        back = (2.0 * steps * mean * table[row] * (1.0 - coat)).mean()
+        assert back == pytest.approx(np.interp(steps[row], np.linspace(0, 1, 65), found.diffuse), rel=2e-3)
+    assert table[31, -1] < 1.0 < table[31, 8]  # head-on Cycles is too bright without it, at grazing angles too dark

@@ -2,6 +2,7 @@
 
 import json
 import subprocess
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -14,9 +15,11 @@ from helpers.object_scene import object_scene
 from neurad.assembly.build import build_world
 from neurad.core.camera import project, to_camera
 from neurad.core.records import EnvironmentMap
-from neurad.export.cycles import find_blender
+from neurad.export.cycles import render_views
 from neurad.integrators.film import render
 from neurad.integrators.renderer import path_tracer
+from neurad.runtime.blender import find_blender
+from neurad.scene.builtin.plain import views
 from neurad.scene.image_io import read_exr
 from neurad.scene.readers.mitsuba_xml import read_xml
 from neurad.scene.textures import TrueMaterials
@@ -75,6 +78,27 @@ def test_its_cameras_see_points_where_ours_do(kitchen, imported, name):
         assert np.allclose(film[before, :2], project(view.camera, seen)[before], atol=0.02, rtol=1e-4)
 
 
+def test_a_surface_sends_as_much_light_into_each_direction(python, tmp_path):
+    """Under an environment that is 1 everywhere, from nearly above to grazing."""
+    scene = object_scene(EnvironmentMap(np.ones((4, 8, 3), np.float32)), size=8)
+    eyes = [(4.0 * np.sin(a), 4.0 * np.cos(a), 0.0) for a in np.radians((5, 45, 70, 80))]
+    test = views("test", [(eye, (0.0, 0.0, 0.0)) for eye in eyes], 3.0, 8)
+    scene = replace(scene, meshes=[replace(scene.meshes[1])], test=test)
+    room = exported(scene, tmp_path / "room")
+    again = read_xml(room / "scene.xml").check()
+    world = build_world(again)
+    tracer = path_tracer(world, TrueMaterials(again, world.geometry), again.max_depth, again.rr_depth)
+    with torch.no_grad():
+        ours = [render(view.camera, tracer, 1024, 0).numpy().mean((0, 1)) for view in test]
+    notes = json.loads((room / "room.json").read_text())
+    found = {}
+    for table in (notes["base_color_over_angles"], None):
+        (room / "room.json").write_text(json.dumps({**notes, "base_color_over_angles": table}))
+        found[table] = [x.mean((0, 1)) for x in render_views(find_blender(python), room, test, 1024, 1)]
+    assert np.allclose(found[notes["base_color_over_angles"]], ours, rtol=0.01)
+    assert not np.allclose(found[None], ours, rtol=0.025)
+
+
 def sky_of_directions():
     """A map whose colours are its directions, turned about all axes."""
     theta, phi = np.linspace(0, np.pi, 32)[:, None], (np.arange(64) + 0.5) * (2 * np.pi / 64)
@@ -99,7 +123,7 @@ def test_an_environment_lies_and_lights_as_it_did(python, tmp_path, up):
     (tmp_path / "job.json").write_text(json.dumps({**job, "view": view.name, "samples": 64, "points": []}))
     subprocess.run([python, str(IMPORT), str(tmp_path / "job.json")], check=True, capture_output=True)
     pictures = {
-        "scene.glb": find_blender(python).render(room, [view], 64, 1)[0],
+        "scene.glb": render_views(find_blender(python), room, [view], 64, 1)[0],
         "room.usdc": read_exr(tmp_path / "usd.exr")[..., :3],
     }
     assert np.ptp(ours, (0, 1)).min() > 0.2  # a map that is turned otherwise would show

@@ -75,6 +75,26 @@ def test_borders_are_edges_that_two_charts_share(kitchen):
     assert inside == len(bare.faces) - charts  # triangles of a chart hang together like a tree here
 
 
+@pytest.mark.parametrize(("per", "seen"), [(2, True), (4, False)])
+def test_texels_on_borders_are_asked_at_more_positions(monkeypatch, per, seen):
+    """In a large texture, where fields bend within a texel."""
+    import trimesh
+
+    from neurad.core.records import Constant, Material, Mesh
+    from neurad.core.reflection import PrincipledModel
+    from neurad.scene.description import Scene
+
+    box = trimesh.creation.box((3.0, 3.0, 3.0))
+    mesh = Mesh("box", np.asarray(box.vertices, np.float32), np.asarray(box.faces, np.int64), 0)
+    paint = Material("paint", PrincipledModel(), *(Constant(np.full(n, 0.5, np.float32)) for n in (3, 1)))
+    scene = Scene("box", [mesh], [paint])
+    geometry, charts = Geometry(scene), unwrap([mesh], np.array([12.0]), 1 << 16)
+    monkeypatch.setattr(baking, "SMALL", 0)
+    monkeypatch.setattr(baking, "PER_BORDER_TEXEL", per)
+    found = find_seams(room(scene, geometry, charts), geometry, Waves())
+    assert (found.largest > BOUND) == seen, found
+
+
 def test_a_gutter_in_a_wrong_plane_is_seen_across(kitchen, monkeypatch):
     """Texels around charts that take the nearest point of the triangle instead of its plane's."""
     scene, geometry, charts = kitchen

@@ -22,6 +22,7 @@ from neurad.integrators.radiometric import Radiometric
 from neurad.integrators.world import World
 from neurad.metrics import held_out
 from neurad.metrics.held_out import HeldOut
+from neurad.metrics.held_out_scores import score
 from neurad.metrics.lit_glossy import lit_glossy, reflected_by
 from neurad.metrics.scores import Pool, block_means, psnr
 from neurad.metrics.seen import SeenBy
@@ -259,7 +260,7 @@ def test_scores_of_two_views_by_hand(tmp_path: Path) -> None:
     maps[1] = views.predict(Plain(0.7, 0.3))[1]
     renders = [np.full((SIDE, SIDE, 3), 4.0, np.float32), np.full((SIDE, SIDE, 3), 4.0, np.float32)]
     renders[1][0, 0] = [4.5, 4.0, 0.0]
-    scores = views.score(maps, renders)
+    scores = score(views, maps, renders)
     db = lambda mse: -10 * math.log10(mse)  # noqa: E731
     near = {"rel": 1e-4}
     assert scores["albedo_psnr"] == pytest.approx(db((0.01 * 16 + 0.09 * 8 + 0.01 * 8) / 32), **near)
@@ -276,7 +277,7 @@ def test_scores_of_two_views_by_hand(tmp_path: Path) -> None:
     assert scores["psnr_linear"] == pytest.approx(db((0.25 + 16) / 3 / 128), **near)
     assert scores["psnr_srgb"] == pytest.approx(db(1 / 3 / 128), **near)
     assert scores["psnr_linear_seen"] == math.inf
-    without = views.score(maps)
+    without = score(views, maps)
     assert without == {key: value for key, value in scores.items() if "linear" not in key and "srgb" not in key}
 
 
@@ -296,7 +297,7 @@ def test_lookup_by_true_colour_scores_what_colour_tells(tmp_path: Path) -> None:
     test = from_above(albedo=save(tmp_path / "a.exr", albedo), roughness=save(tmp_path / "r.exr", roughness))
     scene = make_scene([test])
     views = open_views(replace(scene, train=[from_above(albedo=train[0], roughness=train[1])]))
-    scores = views.score(views.predict(Plain(0.5, 0.4)), None, {"part": [SEEN]})
+    scores = score(views, views.predict(Plain(0.5, 0.4)), None, {"part": [SEEN]})
     mse = 0.01 * SEEN.sum() / COUNTED.sum()
     assert scores["roughness_psnr_lookup"] == pytest.approx(-10 * math.log10(mse), rel=1e-4)
     assert scores["roughness_psnr_lookup_part"] == pytest.approx(20.0, rel=1e-4)
@@ -306,27 +307,27 @@ def test_lookup_by_true_colour_scores_what_colour_tells(tmp_path: Path) -> None:
     assert "roughness_psnr_lookup_constant" not in scores
     bare = open_views(scene)  # no true maps of training views
     assert bare.lookup is None
-    assert not [key for key in bare.score(bare.predict(Plain(0.5, 0.4))) if "lookup" in key]
+    assert not [key for key in score(bare, bare.predict(Plain(0.5, 0.4))) if "lookup" in key]
 
 
 def test_regions_get_scores_of_their_own(tmp_path: Path) -> None:
     views = open_views(with_truth(tmp_path))
-    scores = views.score(views.predict(Plain(0.5, 0.5)), None, {"lit_glossy": [SEEN, np.zeros_like(SEEN)]})
+    scores = score(views, views.predict(Plain(0.5, 0.5)), None, {"lit_glossy": [SEEN, np.zeros_like(SEEN)]})
     assert scores["albedo_psnr_lit_glossy"] == pytest.approx(20.0, rel=1e-4)
-    empty = views.score(views.predict(Plain(0.5, 0.5)), None, {"none": [np.zeros_like(SEEN)] * 2})
+    empty = score(views, views.predict(Plain(0.5, 0.5)), None, {"none": [np.zeros_like(SEEN)] * 2})
     assert not [key for key in empty if key.endswith("_none")]
 
 
 def test_missing_truth_leaves_its_scores_out(tmp_path: Path) -> None:
     bare = open_views(make_scene([from_above()]))
     picture = np.zeros((SIDE, SIDE, 3), np.float32)
-    assert bare.score(bare.predict(Plain(0.5, 0.5)), [picture]) == {}
+    assert score(bare, bare.predict(Plain(0.5, 0.5)), [picture]) == {}
     roughness = save(tmp_path / "r.exr", np.full((SIDE, SIDE, 1), 0.5))
     views = [from_above(roughness=roughness)]
     only = open_views(make_scene(views))
-    assert "roughness_psnr" in only.score(only.predict(Plain(0.5, 0.5)))
+    assert "roughness_psnr" in score(only, only.predict(Plain(0.5, 0.5)))
     diffuse = open_views(make_scene(views, model=DiffuseModel()))  # which has no roughness
-    assert diffuse.score(diffuse.predict(Plain(0.5, 0.5))) == {}
+    assert score(diffuse, diffuse.predict(Plain(0.5, 0.5))) == {}
 
 
 def test_files_that_do_not_fit_are_named(tmp_path: Path) -> None:

@@ -10,10 +10,10 @@ import pytest
 from helpers.tiny_scene import XML, write_scene
 
 from neurad.core.errors import InputError
-from neurad.export.mitsuba import describe, write_xml
 from neurad.scene.load import load_scene
 from neurad.scene.readers.mitsuba_shapes import ERROR
 from neurad.scene.readers.mitsuba_xml import read_xml
+from neurad.scene.scene_xml import describe, write_xml
 
 pytest.importorskip("mitsuba")
 

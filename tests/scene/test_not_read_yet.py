@@ -26,7 +26,7 @@ def test_photographs_of_other_formats(tmp_path, ending, said):
 def test_a_scene_of_another_program(tmp_path):
     sentences = {
         "room.glb": "`neurad data gltf room.glb --out DIR` makes",
-        "room.blend": "export it as room.glb, and let",
+        "room.blend": "`neurad data blender room.blend --out DIR` makes",
     }
     for name, sentence in sentences.items():
         folder = tmp_path / name[5:]

@@ -12,6 +12,7 @@ import torch
 from helpers.tiny_scene import PLY, POSE, SIZE, XML, read_json, write_json, write_scene
 from PIL import Image
 
+from neurad.assembly.build import build_world
 from neurad.core.camera import camera_rays
 from neurad.core.errors import InputError
 from neurad.core.lens import Lens
@@ -445,7 +446,6 @@ BAD = {
     "NaN vertex": (binary_mesh(np.nan), r"floor\.ply: coordinate x of its vertices is nan, 1, 0"),
     "no texture": (removed("textures/paint.png"), r"paint\.png: there is no such texture file"),
     "broken texture": (written("textures/paint.png", "no picture"), r"paint\.png: it cannot be read"),
-    "no emitter": (replaced("scene.xml", XML[XML.index("<emitter") : XML.index("</emitter>") + 10], ""), "no emitter"),
     "broken xml": (written("scene.xml", "<scene"), r"scene\.xml: it is not well-formed XML .*line 1"),
     "unknown reference": (replaced("scene.xml", 'ref id="paint"', 'ref id="pain"'), r"unresolved reference to .pain"),
     "hair": (replaced("scene.xml", 'shape type="rectangle"', 'shape type="bsplinecurve"'), r"lamp has type bspline"),
@@ -542,6 +542,18 @@ def test_what_cannot_be_rendered_is_left_to_a_fit(tmp_path, case):
     with pytest.raises(InputError, match=said) as caught:
         TrueMaterials(scene, Geometry(scene))
     assert "\n" not in str(caught.value)
+
+
+def test_a_scene_may_be_dark_until_its_lamps_are_found(tmp_path):
+    folder = write_scene(tmp_path / "room")
+    spoil = replaced("scene.xml", XML[XML.index("<emitter") : XML.index("</emitter>") + 10], "")
+    spoil(folder)
+    scene = load_scene(str(folder), None)
+    assert not scene.features.has_light
+    with pytest.raises(InputError, match=r"scene room: it has no emitter, .* --model\.lighting\.emitters find"):
+        build_world(scene)
+    with pytest.raises(InputError, match="no emitter"):
+        scene.check()
 
 
 def test_an_emitter_keeps_what_it_has(tmp_path):

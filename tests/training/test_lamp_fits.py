@@ -75,7 +75,7 @@ def table(path):
 
 
 @pytest.mark.main
-@pytest.mark.parametrize("emitters", ["photographs", "fit"])
+@pytest.mark.parametrize("emitters", ["photographs", "fit", "find"])
 def test_a_lamp_that_photographs_show_is_found(box, capsys, emitters):
     box()
     fit("--trainer.max_steps=66", f"--model.lighting.emitters={emitters}")
@@ -87,7 +87,8 @@ def test_a_lamp_that_photographs_show_is_found(box, capsys, emitters):
     np.testing.assert_allclose([float(row[c]) for c in "rgb"], TRUTH, rtol=0.03)
     last = table(FOLDER / "metrics.csv")[-1]
     assert float(last["lamp_error_light"]) < 0.03
-    assert ("lamp_error_scaled1_light" in last) is (emitters == "fit")
+    assert ("lamp_error_scaled1_light" in last) is (emitters != "photographs")
+    assert [last.get(f"lamps_{kind}") for kind in ("missed", "extra")] == 2 * ["0" if emitters == "find" else None]
     assert "lamp_mismatch" not in said.err
     assert "warning" not in said.err
     assert "Lamps\nlamp" in said.out
@@ -99,8 +100,36 @@ def test_a_lamp_that_photographs_show_is_found(box, capsys, emitters):
     alone = lamp_renderer(run.assembly, lamps_of(run.assembly)[0])
     assert float(alone.scene.world.lights.emission.max()) == pytest.approx(17.0, rel=0.03)
     assert len(torch.load(FOLDER / "checkpoints/last.ckpt", weights_only=True)["optimizer_states"]) == (
-        3 if emitters == "fit" else 2
+        2 if emitters == "photographs" else 3
     )
+
+
+@pytest.mark.main
+def test_a_run_that_found_its_lamps_goes_on_with_them(box, monkeypatch, capsys):
+    """To the same bits, whatever the scene says shines by then, and without looking for lamps again."""
+    scene = box()
+    find = ["--model.lighting.emitters=find", "--data.lamps_true=null", "--model.optimization.schedule=constant"]
+    fit(*find, "--trainer.max_steps=4")
+    fit(*find, "--trainer.max_steps=2")
+    assert "light shines: it is" in capsys.readouterr().err
+    dark = replace(scene, meshes=[replace(m, radiance=None) for m in scene.meshes])
+    monkeypatch.setitem(builtin._BUILDERS, "small", lambda: dark)
+    main(["fit", "--ckpt_path=version_1", "--trainer.max_steps=4"])
+    assert "shines" not in capsys.readouterr().err
+    whole, parts = (torch.load(f"lightning_logs/version_{i}/checkpoints/last.ckpt", weights_only=True) for i in (0, 1))
+    assert whole["neurad"]["shining"] == parts["neurad"]["shining"]
+    for name, value in whole["state_dict"].items():
+        assert torch.equal(value, parts["state_dict"][name]), name
+    meshes = load("lightning_logs/version_1").scene.meshes
+    assert [mesh.name for mesh in meshes if mesh.radiance is not None] == ["light"]
+    main(["validate", "--ckpt_path=version_1"])
+
+
+@pytest.mark.main
+def test_no_lamp_is_found_where_no_photograph_shows_it(box, capfd):
+    box(shown=False)
+    error = fails(capfd, "fit", "--config", "fit.yaml", "--model.lighting.emitters=find")
+    assert "no mesh shines in the photographs" in error
 
 
 @pytest.mark.main
@@ -169,6 +198,16 @@ def test_a_table_of_the_truth_that_is_wrong_is_refused(tmp_path, text, says):
     with pytest.raises(InputError, match=says) as refused:
         read_lamps_true(str(path), ["light"])
     assert "true.csv" in str(refused.value)
+
+
+def test_lamps_found_wrongly_and_not_found_are_counted(tmp_path):
+    path = tmp_path / "true.csv"
+    path.write_text("mesh,r,g,b\nlight,1,2,3\nwindow,4,4,4\nshade,0,0,0\n")
+    truth, missed = read_lamps_true(str(path), ["light", "door"], found=True)
+    np.testing.assert_array_equal(truth, [[1, 2, 3], [0, 0, 0]])
+    assert missed == 1
+    scores = lamp_scores(np.array([[1.0, 2.0, 3.0], [5.0, 5.0, 5.0]]), truth, ["light", "door"], {})
+    assert (scores["lamp_error_light"], scores["lamp_error_door"], scores["lamp_error"]) == (0.0, 1.0, 1.0)
 
 
 def test_errors_of_lamps_by_hand():

@@ -29,10 +29,13 @@ def setup(folder: Path) -> dict[str, Any]:
     _render_settings(scene, room)
     _world(scene, room, folder)
     _lights(room)
+    table = _over_angles(room, folder)
     for mesh in room["meshes"]:
         material = bpy.data.materials.get(mesh["name"])
         if material is None or material.node_tree is None:
             continue
+        if table is not None and mesh["base_color_converted"]:
+            _colour_by_angle(material, table)
         if mesh["emits"]:
             _shine_to_the_front(material)
         if not mesh["two_sided"]:
@@ -140,6 +143,41 @@ def _cone(spot: Any, cutoff: float, beam: float) -> None:
 def _shader(material: Any) -> Any:
     """The principled node of an imported material."""
     return next(node for node in material.node_tree.nodes if node.type == "BSDF_PRINCIPLED")
+
+
+def _over_angles(room: dict[str, Any], folder: Path) -> Any:
+    """What base colours are multiplied by, over the cosine to the viewer and roughness; None where they are not."""
+    if room["base_color_over_angles"] is None:
+        return None
+    table = bpy.data.images.load(str(folder / room["base_color_over_angles"]))
+    table.colorspace_settings.name = "Non-Color"
+    return table
+
+
+def _colour_by_angle(material: Any, table: Any) -> None:
+    """A base colour that sends as much light into each direction as it did where it was recovered."""
+    nodes, links = material.node_tree.nodes, material.node_tree.links
+    shader = _shader(material)
+    colour, roughness = shader.inputs["Base Color"], shader.inputs["Roughness"]
+    kinds = ("NewGeometry", "VectorMath", "Math", "CombineXYZ", "TexImage", "VectorMath")
+    geometry, dot, cosine, where, gain, times = (nodes.new(f"ShaderNode{kind}") for kind in kinds)
+    dot.operation, cosine.operation, times.operation = "DOT_PRODUCT", "ABSOLUTE", "MULTIPLY"
+    gain.image, gain.interpolation, gain.extension = table, "Linear", "EXTEND"
+    links.new(geometry.outputs["Normal"], dot.inputs[0])
+    links.new(geometry.outputs["Incoming"], dot.inputs[1])
+    links.new(dot.outputs["Value"], cosine.inputs[0])
+    links.new(cosine.outputs[0], where.inputs["X"])
+    for source, value, to in (
+        (roughness, roughness.default_value, where.inputs["Y"]),
+        (colour, tuple(colour.default_value)[:3], times.inputs[0]),
+    ):
+        if source.is_linked:
+            links.new(source.links[0].from_socket, to)
+        else:
+            to.default_value = value
+    links.new(where.outputs[0], gain.inputs["Vector"])
+    links.new(gain.outputs["Color"], times.inputs[1])
+    links.new(times.outputs[0], colour)
 
 
 def _shine_to_the_front(material: Any) -> None:

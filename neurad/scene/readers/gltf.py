@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, field, replace
-from functools import partial
 from pathlib import Path
 from typing import Any
 
@@ -16,10 +15,10 @@ from neurad.runtime.memory import reserve
 from neurad.runtime.reading import shown
 from neurad.scene.numbers import LENGTH, RADIANCE, TEXEL, within
 from neurad.scene.readers.gltf_file import Array, GltfFile, Json
-from neurad.scene.readers.gltf_lamps import back_of, cut, is_closed
+from neurad.scene.readers.gltf_lamps import back_of, is_closed, lit_by
 from neurad.scene.readers.gltf_materials import COLOUR, Corners, Emission, MaterialReader
 from neurad.scene.readers.gltf_nodes import GltfCamera, Node, camera_of, is_own, light_of, nodes_of
-from neurad.scene.readers.gltf_textures import LEVELS, look_up
+from neurad.scene.readers.gltf_textures import LEVELS
 
 ENDINGS = (".glb", ".gltf")
 _TRIANGLES, _STRIP, _FAN = 4, 5, 6
@@ -181,7 +180,7 @@ class _Reader:
             normals = self._values(attributes, "NORMAL", where, "VEC3")
             self._check_count(normals, len(places), f"{where}: NORMAL")
             normals = normals[used]
-        vertices, normals, faces = _in_world(node.to_world, places[used], normals, faces)
+        vertices, normals, faces = in_world(node.to_world, places[used], normals, faces)
         within(vertices, f"{shown(self.file.path)}: the coordinates of {where}", -LENGTH, LENGTH)
         index = primitive.get("material")
         painted = self.materials.paint(index, corners, where)
@@ -228,10 +227,7 @@ class _Reader:
         if emission.place is not None:
             uvs = corners.of(self.file, emission.place.uv_set, where)
             picture, matrix = self.materials.textures.continued(emission.place, uvs, where)
-            linear = LEVELS[picture[..., :3]]
-            height, width = linear.shape[:2]
-            scale = np.abs(np.linalg.svd(matrix[:2, :2] * ((width,), (height,)), compute_uv=False)).max()
-            lit = cut(mesh, float(scale), partial(look_up, linear, matrix), uvs)
+            lit = lit_by(LEVELS[picture[..., :3]], matrix, mesh, uvs)
             if len(lit) > 1:
                 pieces = sum(len(part.faces) for part in lit)
                 self._note(f"{where} shines by a picture: it is cut into {pieces} triangles of {len(lit)} radiances")
@@ -256,7 +252,7 @@ class _Reader:
         return made
 
 
-def _in_world(
+def in_world(
     to_world: Array, places: Array, normals: Array | None, faces: IntArray
 ) -> tuple[FloatArray, FloatArray | None, IntArray]:
     """Vertices, unit normals and triangles, which a mirroring transform winds the other way round."""

@@ -7,11 +7,13 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
 from neurad.core.records import FloatArray, Mesh
 from neurad.scene.readers.gltf_file import Array
+from neurad.scene.readers.gltf_textures import look_up
 
 PIECES = 1 << 17
 """Triangles that an emitting picture is cut into, at most, on each mesh."""
@@ -21,6 +23,20 @@ _EVEN = 2.0**-9  # difference of radiances, of the largest one, that does not co
 _SAMPLES = 8  # along a side of a piece, at most
 _AT_ONCE = 1 << 18  # samples that are looked up at once
 _GAP = 1e-4  # distance of two sheets, of the mesh's diagonal
+
+
+def lit_by(picture: Array, to_uv: Array, mesh: Mesh, uvs: Array) -> list[Mesh]:
+    """A mesh that shines by a repeated picture, as :func:`cut` makes it.
+
+    Args:
+        picture: linear values [h, w, 3].
+        to_uv: takes texture coordinates to the picture's [3, 3].
+        mesh: with the radiance that the picture is multiplied by.
+        uvs: texture coordinates [v, 2].
+    """
+    height, width = picture.shape[:2]
+    texels = np.abs(np.linalg.svd(to_uv[:2, :2] * ((width,), (height,)), compute_uv=False)).max()
+    return cut(mesh, float(texels), partial(look_up, picture, to_uv), uvs)
 
 
 def cut(mesh: Mesh, texels: float, look_up: Callable[[Array], Array], uvs: Array) -> list[Mesh]:

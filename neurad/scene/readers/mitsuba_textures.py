@@ -13,7 +13,7 @@ from neurad.core.errors import InputError
 from neurad.core.records import Bitmap, Constant, FloatArray, Texture, VertexAttribute
 from neurad.runtime.reading import native, regular_file, shown
 from neurad.scene.image_io import read_bitmap
-from neurad.scene.numbers import UNIT, number, within
+from neurad.scene.numbers import RADIANCE, UNIT, number, within
 from neurad.scene.picture_headers import check_hdr, check_pfm
 
 _LUMINANCE = np.array(LUMINANCE, np.float32)  # Mitsuba's, for a scalar from a colour bitmap
@@ -52,7 +52,7 @@ class TextureReader:
         self.nodes = nodes
         self._pixels: dict[tuple[str, bool], FloatArray] = {}
         self._scalar: dict[tuple[str, bool], FloatArray] = {}
-        self._checked: set[tuple[str, bool]] = set()
+        self._checked: set[tuple[str, bool, float]] = set()
 
     def pixels(self, filename: str, raw: bool) -> FloatArray:
         """The linear pixels [h, w, 1 or 3] of an image file beside the scene file, read once."""
@@ -103,6 +103,19 @@ class TextureReader:
         value = value * np.ones(3, np.float32)
         return Constant((value @ _LUMINANCE).reshape(1) if scalar else value)
 
+    def emitted(self, node: Any, key: str, where: str) -> Bitmap | None:
+        """The picture that an emitter shines by [h, w, 3], linear; None where ``key`` is no texture.
+
+        Raises:
+            InputError: a file is missing or unreadable, a value is none to compute with, or it is another texture.
+        """
+        if (referred := self.references(node).get(key)) is None:
+            return None
+        made = self._textured(referred, key, where, False, RADIANCE)
+        if not isinstance(made, Bitmap):
+            raise InputError(f"{self.path}: the {key} of {where} is a mesh_attribute, which is not supported")
+        return Bitmap(np.broadcast_to(made.pixels, (*made.pixels.shape[:2], 3)), made.to_uv)
+
     def number(self, node: Any, key: str, where: str, default: float, low: float, high: float) -> float:
         """The constant under ``key``.
 
@@ -116,7 +129,7 @@ class TextureReader:
             raise Unsupported(message, f"textured {key}")
         return number(value, f"{self.path}: the {key} of {where}", low, high)
 
-    def _textured(self, node: Any, key: str, where: str, scalar: bool) -> Texture:
+    def _textured(self, node: Any, key: str, where: str, scalar: bool, most: float = UNIT) -> Texture:
         plugin, props = node.props.plugin_name(), node.props
         if plugin == "mesh_attribute":
             if props.get("scale", 1.0) not in (1, 1.0):
@@ -147,9 +160,10 @@ class TextureReader:
             within(to_uv, f"{self.path}: the to_uv of the bitmap for {key} of {where}", -1e6, 1e6)
         file = filename, raw
         pixels = self._one_channel(*file) if scalar else self.pixels(*file)
-        if file not in self._checked:
-            within(pixels, f"{shown(self.path.parent / filename)}: reflectance", 0.0, UNIT)
-            self._checked.add(file)
+        if (*file, most) not in self._checked:
+            kind = "reflectance" if most == UNIT else key
+            within(pixels, f"{shown(self.path.parent / filename)}: {kind}", 0.0, most)
+            self._checked.add((*file, most))
         return Bitmap(pixels, to_uv)
 
     def _one_channel(self, filename: str, raw: bool) -> FloatArray:

@@ -9,17 +9,18 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from neurad.core.errors import InputError
-from neurad.core.records import EnvironmentMap, FloatArray, Mesh, PunctualLight
+from neurad.core.records import Bitmap, EnvironmentMap, FloatArray, Mesh, PunctualLight
 from neurad.runtime.reading import native, shown
 from neurad.scene.description import Scene
 from neurad.scene.numbers import LENGTH, RADIANCE, TEXEL, UNIT, number, within
+from neurad.scene.readers.gltf_lamps import lit_by
 from neurad.scene.readers.mesh_check import check_mesh_file
 from neurad.scene.readers.mitsuba_materials import MaterialReader
 from neurad.scene.readers.mitsuba_punctual import PARAMETERS, read_punctual
@@ -143,7 +144,7 @@ class _Reader:
         plugin, label = props.plugin_name(), props.id() or f"shape {len(self.meshes)}"
         if plugin not in _MESHES:
             raise InputError(f"{self.path}: shape {label} has type {plugin}; there are: {', '.join(_MESHES)}")
-        bsdf, radiance = None, None
+        bsdf, radiance, picture = None, None, None
         for _, child in self._children(node):
             kind = child.type.name
             if (bsdf if kind == "BSDF" else radiance if kind == "Emitter" else None) is not None:
@@ -151,14 +152,27 @@ class _Reader:
             if child.type.name == "BSDF":
                 bsdf = child
             elif child.type.name == "Emitter":
-                radiance = self._radiance(child, label)
+                radiance, picture = self._radiance(child, label)
             else:
                 what = f"{child.type.name.lower()} of type {child.props.plugin_name()}"
                 raise InputError(f"{self.path}: shape {label} has a {what}, which is not supported")
         shape = self._load(props, label)
         material = self.materials.index(bsdf, label, shines=radiance is not None)
         wanted = self.materials.attributes(material)
-        self.meshes.append(self._mesh(shape, label, material, wanted, radiance))
+        mesh = self._mesh(shape, label, material, wanted, radiance)
+        self.meshes += [mesh] if picture is None else self._lit(mesh, picture)
+
+    def _lit(self, mesh: Mesh, picture: Bitmap) -> list[Mesh]:
+        """A mesh that shines by a picture, as meshes of one radiance each."""
+        if mesh.uvs is None:
+            raise InputError(f"{self.path}: shape {mesh.name} shines by a picture, but has no texture coordinates")
+        within(mesh.uvs, f"{self.path}: the texture coordinates of shape {mesh.name}", -TEXEL, TEXEL)
+        lit = lit_by(picture.pixels, picture.to_uv.astype(np.float64), mesh, mesh.uvs)
+        if len(lit) > 1:
+            count = sum(len(part.faces) for part in lit)
+            said = f"shines by a picture: it is cut into {count} triangles of {len(lit)} radiances"
+            self.notes.append(f"shape {mesh.name} {said}")
+        return [replace(part, name=mesh.name if i == 0 else f"{mesh.name}-{i + 1}") for i, part in enumerate(lit)]
 
     def _load(self, props: Any, label: str) -> Any:
         """Mitsuba's own mesh, alone: without a scene no acceleration structure is built."""
@@ -244,12 +258,17 @@ class _Reader:
             within(attributes[name], f"{self.path}: the attribute {name} of shape {label}", 0.0, UNIT)
         return Mesh(label, vertices, faces, material, normals, uvs, attributes, radiance)
 
-    def _radiance(self, node: Any, label: str) -> FloatArray:
+    def _radiance(self, node: Any, label: str) -> tuple[FloatArray, Bitmap | None]:
+        """What a shape emits, and the picture that this is multiplied by."""
         plugin = node.props.plugin_name()
         if plugin != "area":
             raise InputError(f"{self.path}: shape {label} has an emitter of type {plugin}, only area is supported")
+        where = f"the area light of shape {label}"
+        if (picture := self.materials.textures.emitted(node, "radiance", where)) is not None:
+            self._only(node.props, where, ("radiance", "sampling_weight"))
+            return np.ones(3, np.float32), picture
         self._plain(node, f"the emitter on shape {label}")
-        return self._emission(node.props, f"the area light of shape {label}")
+        return self._emission(node.props, where), None
 
     def _plain(self, node: Any, where: str) -> None:
         """Check that an emitter has no textures."""

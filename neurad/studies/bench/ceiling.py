@@ -37,6 +37,7 @@ def run(options: argparse.Namespace) -> None:
     from neurad.integrators.method import SceneModel
     from neurad.integrators.path import PathTracing
     from neurad.metrics.held_out import HeldOut
+    from neurad.metrics.held_out_scores import score
     from neurad.metrics.lit_glossy import lit_glossy, reflected_by
     from neurad.optim.polyak_average import averaged
     from neurad.scene.textures import TrueMaterials
@@ -54,9 +55,9 @@ def run(options: argparse.Namespace) -> None:
     parts = SceneModel(world, TrueMaterials(module.scene, world.geometry))
     regions = {"lit_glossy": lit_glossy(held_out, reflected_by(PathTracing(None), parts), GLOSSY_SAMPLES)}
     with averaged(module.average):
-        scores = held_out.score(held_out.predict(module.materials), None, regions)
+        scores = score(held_out, held_out.predict(module.materials), None, regions)
     print(score_table(scores, 0, "the fields"))
     if (r2 := scores.get("roughness_r2_lookup")) is not None:
         print(f"\nthe true colour explains {100 * r2:.0f} % of the roughness (R2 of the lookup {r2:.3f})")
     for means, name in ((maps.means, "means of meshes"), (maps.means.of_room(), "mean of the room")):
-        print("\n" + score_table(held_out.score(held_out.predict(means), None, regions), 0, name))
+        print("\n" + score_table(score(held_out, held_out.predict(means), None, regions), 0, name))

@@ -219,9 +219,11 @@ class _Report:
     @torch.no_grad()
     def __call__(self, iteration: int, model: Pyramid | Networks, average: PolyakAverage | None) -> None:
         """Evaluate what the model has, or has on average."""
+        from neurad.metrics.held_out_scores import score
+
         with clock.excluded(), averaged(average):
             values = model()
-            scores = self.held_out.score(self.held_out.predict(VoxelMaterials(self.voxels, values)))
+            scores = score(self.held_out, self.held_out.predict(VoxelMaterials(self.voxels, values)))
             row: dict[str, Any] = {
                 "iteration": iteration,
                 "seconds": f"{clock.training_seconds():.2f}",

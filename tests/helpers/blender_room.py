@@ -1,0 +1,200 @@
+"""For Blender's Python: a small furnished room as a .blend file, and its photographs by Cycles.
+
+Its argument is a JSON file that describes the job: ``blend`` to write, ``views``, ``size``, ``samples``, ``threads``,
+and ``pictures``, a folder that gets NAME.exr of each view. With ``open`` the room is Lambertian and without a ceiling,
+below a sky that is turned and a sun, with a spot, a point and a box that shines.
+"""
+
+import json
+import math
+import sys
+from pathlib import Path
+
+import bpy
+from mathutils import Vector
+
+PAINTS = {
+    "floor": ((0.45, 0.30, 0.18), 0.6), "walls": ((0.70, 0.68, 0.62), 0.8), "left": ((0.60, 0.20, 0.15), 0.7),
+    "right": ((0.20, 0.40, 0.60), 0.7), "table": ((0.50, 0.35, 0.10), 0.5), "ball": ((0.25, 0.55, 0.25), 0.5),
+}  # fmt: skip
+WIDE, DEEP, HIGH = 4.0, 5.0, 2.6
+
+
+def paint(name, lambertian):
+    """A Principled BSDF of a colour and a roughness, or a Diffuse BSDF of the colour."""
+    made = bpy.data.materials.new(name)
+    made.use_nodes = True
+    colour, roughness = PAINTS[name]
+    nodes, links = made.node_tree.nodes, made.node_tree.links
+    shader = nodes["Principled BSDF"]
+    if lambertian:
+        nodes.remove(shader)
+        shader = nodes.new("ShaderNodeBsdfDiffuse")
+        shader.inputs["Color"].default_value = (*colour, 1.0)
+        links.new(shader.outputs[0], nodes["Material Output"].inputs["Surface"])
+        return made
+    shader.inputs["Base Color"].default_value = (*colour, 1.0)
+    shader.inputs["Roughness"].default_value = roughness
+    shader.inputs["IOR"].default_value = 1.5
+    return made
+
+
+def solid(name, corners, faces, paints, of_face=None):
+    """An object of polygons."""
+    mesh = bpy.data.meshes.new(name)
+    mesh.from_pydata(corners, [], faces)
+    for one in paints:
+        mesh.materials.append(one)
+    for polygon, index in zip(mesh.polygons, of_face or [0] * len(faces), strict=True):
+        polygon.material_index = index
+    made = bpy.data.objects.new(name, mesh)
+    bpy.context.collection.objects.link(made)
+    return made
+
+
+def box(name, low, high, paints, of_face=(0,) * 6, without=()):
+    """A box; its faces are those below, above, before (-y), behind, left (-x) and right."""
+    (a, b, c), (d, e, f) = low, high
+    corners = [(x, y, z) for z in (c, f) for y in (b, e) for x in (a, d)]
+    faces = [(0, 2, 3, 1), (4, 5, 7, 6), (0, 1, 5, 4), (2, 6, 7, 3), (0, 4, 6, 2), (1, 3, 7, 5)]
+    kept = [i for i in range(6) if i not in without]
+    return solid(name, corners, [faces[i] for i in kept], paints, [of_face[i] for i in kept])
+
+
+def shine_more():
+    """A sky, a sun, a spot, a point and a box that shines."""
+    world = bpy.context.scene.world = bpy.data.worlds.new("sky")
+    world.use_nodes = True
+    nodes, links = world.node_tree.nodes, world.node_tree.links
+    picture = bpy.data.images.new("sky", 32, 16, float_buffer=True)
+    picture.pixels = [x for row in range(16) for column in range(32) for x in
+                      (0.1 + column / 32, 0.3 + 0.5 * (column < 8), 0.2 + row / 16, 1.0)]  # fmt: skip
+    picture.pack()
+    where, turn, sky = (nodes.new(f"ShaderNode{kind}") for kind in ("TexCoord", "Mapping", "TexEnvironment"))
+    turn.inputs["Rotation"].default_value, sky.image = (0.3, -0.2, 1.1), picture
+    links.new(where.outputs["Generated"], turn.inputs["Vector"])
+    links.new(turn.outputs["Vector"], sky.inputs["Vector"])
+    links.new(sky.outputs["Color"], nodes["Background"].inputs["Color"])
+    nodes["Background"].inputs["Strength"].default_value = 0.6
+    for kind, energy, place, turned in (
+        ("SUN", 1.5, (0, 0, 5), (0.5, 0.4, 0.0)),
+        ("SPOT", 60.0, (3.2, 1.0, 2.4), (0.0, 0.0, 0.0)),
+        ("POINT", 10.0, (1.0, 1.0, 1.2), (0.0, 0.0, 0.0)),
+    ):
+        light = bpy.data.lights.new(kind.lower(), kind)
+        light.energy = energy
+        if kind == "SUN":
+            light.angle = 0.0
+        else:
+            light.shadow_soft_size = 0.0
+        if kind == "SPOT":
+            light.spot_size, light.spot_blend = 1.2, 0.1
+        made = bpy.data.objects.new(kind.lower(), light)
+        made.location, made.rotation_euler = place, turned
+        bpy.context.collection.objects.link(made)
+    glow = bpy.data.materials.new("glow")
+    glow.use_nodes = True
+    nodes = glow.node_tree.nodes
+    emission = nodes.new("ShaderNodeEmission")
+    emission.inputs["Color"].default_value, emission.inputs["Strength"].default_value = (1.0, 0.6, 0.3, 1.0), 3.0
+    glow.node_tree.links.new(emission.outputs[0], nodes["Material Output"].inputs["Surface"])
+    box("heater", (0.3, 2.0, 0.1), (0.5, 3.0, 0.6), [glow])
+
+
+def furnish(is_open):
+    """The room, with modifiers, instances and lamps."""
+    paints = {name: paint(name, is_open) for name in PAINTS}
+    walls = [paints[name] for name in ("floor", "walls", "left", "right")]
+    box("room", (0, 0, 0), (WIDE, DEEP, HIGH), walls, [0, 1, 1, 1, 2, 3], without=(1,) if is_open else ())
+    if is_open:
+        shine_more()
+    box("table", (1.2, 2.0, 0.62), (2.6, 3.0, 0.7), [paints["table"]])
+    leg = box("leg", (-0.05, -0.05, 0.0), (0.05, 0.05, 0.62), [paints["table"]])
+    leg.location = (1.3, 2.1, 0.0)
+    for axis, step, name in ((0, 1.2, "across"), (1, 0.8, "along")):
+        array = leg.modifiers.new(name, "ARRAY")
+        array.count, array.use_relative_offset, array.use_constant_offset = 2, False, True
+        array.constant_offset_displace = [step if i == axis else 0.0 for i in range(3)]
+    bpy.ops.mesh.primitive_ico_sphere_add(subdivisions=2, radius=0.3, location=(1.7, 2.4, 1.0))
+    ball = bpy.context.object
+    ball.name = "ball"
+    ball.data.materials.append(paints["ball"])
+    ball.modifiers.new("finer", "SUBSURF").render_levels = 2
+    for polygon in ball.data.polygons:
+        polygon.use_smooth = True
+    other = bpy.data.objects.new("ball.001", ball.data)  # shares the mesh, mirrored and squeezed
+    other.location, other.scale = (3.2, 3.9, 0.4), (-1.2, 1.0, 1.3)
+    bpy.context.collection.objects.link(other)
+    ceiling = bpy.data.lights.new("ceiling", "AREA")
+    ceiling.shape, ceiling.size, ceiling.size_y, ceiling.energy = "RECTANGLE", 1.0, 0.5, 90.0
+    ceiling.color = (1.0, 0.9, 0.75)
+    lamp = bpy.data.objects.new("ceiling", ceiling)
+    lamp.location, lamp.scale = (2.0, 2.5, HIGH - 0.05), (1.4, 1.0, 1.0)
+    bulb = bpy.data.lights.new("bulb", "POINT")
+    bulb.energy, bulb.shadow_soft_size = 12.0, 0.08
+    bright = bpy.data.objects.new("bulb", bulb)
+    bright.location = (0.6, 4.3, 1.4)
+    for thing in (lamp, bright):
+        bpy.context.collection.objects.link(thing)
+
+
+def look(name, eye, target):
+    """A camera, shifted and of other sensors now and then."""
+    lens = bpy.data.cameras.new(name)
+    lens.lens, lens.sensor_width = 18.0, 36.0
+    made = bpy.data.objects.new(name, lens)
+    made.location = eye
+    made.rotation_euler = (Vector(target) - Vector(eye)).to_track_quat("-Z", "Y").to_euler()
+    bpy.context.collection.objects.link(made)
+    return made
+
+
+def cameras(count):
+    """Views from around the room, all to its middle and beyond."""
+    made = []
+    for i in range(count):
+        angle = 2.0 * math.pi * (i + 0.5) / count
+        eye = (2.0 + 1.65 * math.cos(angle), 2.5 + 2.15 * math.sin(angle), 1.1 + 0.9 * (0.5 + 0.5 * math.sin(5.0 * i)))
+        target = (2.0 - 0.8 * math.cos(angle), 2.5 - 0.8 * math.sin(angle), 0.7 + 0.5 * (i % 3))
+        made.append(look("Camera" if i == 0 else f"Camera.{i:03d}", eye, target))
+    made[1].data.shift_x, made[1].data.shift_y = 0.1, -0.05
+    made[2].data.sensor_fit, made[2].data.sensor_height, made[2].data.lens = "VERTICAL", 24.0, 14.0
+    return made
+
+
+def photograph(made, job):
+    """Linear pictures of all cameras."""
+    scene = bpy.context.scene
+    for camera in made:
+        scene.camera = camera
+        scene.render.filepath = str(Path(job["pictures"]) / f"{camera.name}.exr")
+        bpy.ops.render.render(write_still=True)
+
+
+def settings(job):
+    """Light as it is."""
+    scene = bpy.context.scene
+    scene.render.engine, scene.cycles.device = "CYCLES", "CPU"
+    scene.cycles.samples, scene.cycles.seed = job["samples"], 7
+    scene.cycles.use_denoising = scene.cycles.use_adaptive_sampling = False
+    scene.cycles.sample_clamp_direct = scene.cycles.sample_clamp_indirect = scene.cycles.blur_glossy = 0.0
+    scene.cycles.max_bounces = scene.cycles.diffuse_bounces = scene.cycles.glossy_bounces = 32
+    scene.render.threads_mode, scene.render.threads = "FIXED", job["threads"]
+    scene.render.resolution_x, scene.render.resolution_y = job["size"]
+    scene.render.resolution_percentage = 100
+    form = scene.render.image_settings
+    form.file_format, form.color_mode, form.color_depth = "OPEN_EXR", "RGB", "32"
+
+
+def main(job):
+    bpy.ops.wm.read_factory_settings(use_empty=True)
+    furnish(job.get("open", False))
+    made = cameras(job["views"])
+    settings(job)
+    bpy.ops.wm.save_as_mainfile(filepath=job["blend"])
+    if "pictures" in job:
+        photograph(made, job)
+
+
+if __name__ == "__main__":
+    main(json.loads(Path(sys.argv[-1]).read_text()))

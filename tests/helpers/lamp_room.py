@@ -1,0 +1,86 @@
+"""A white room with two lamps, a bright card below one of them and a table, and photographs of it in memory."""
+
+from dataclasses import replace
+
+import numpy as np
+import torch
+
+from neurad.assembly.build import build_world
+from neurad.core.protocols import PhotoSource
+from neurad.core.records import Constant, Material, View
+from neurad.core.reflection import DiffuseModel
+from neurad.integrators.film import render
+from neurad.integrators.renderer import path_tracer
+from neurad.scene.builtin.plain import room
+from neurad.scene.builtin.shapes import box, look_at, quad
+from neurad.scene.description import Scene
+from neurad.scene.textures import TrueMaterials
+
+SIZE = 28
+CEILING, STRIP = np.array([6.0, 5.0, 4.0], np.float32), np.array([0.4, 1.2, 3.0], np.float32)
+"""Radiance of the lamps."""
+EVERYWHERE = (
+    look_at((-0.8, 0.8, 0.8), (0.3, -0.3, -0.3), 80.0, SIZE),
+    look_at((0.8, 0.7, 0.8), (-0.6, 0.0, -0.2), 80.0, SIZE),
+    look_at((0.7, -0.6, -0.8), (-0.4, 0.5, 0.4), 80.0, SIZE),
+    look_at((-0.7, 0.9, -0.8), (0.2, 0.3, 0.3), 80.0, SIZE),
+    look_at((-0.3, -0.2, 0.8), (0.0, 1.0, -0.2), 80.0, SIZE),
+)
+DOWNWARDS = tuple(look_at((0.6, y, z), (0.7, -1.0, 0.2 * z), 60.0, SIZE) for y in (0.4, 0.9) for z in (-0.7, 0.7))
+"""Cameras that see no lamp."""
+
+
+class Photographs(PhotoSource):
+    """Pixels [views, pixels, 3] in memory, at most of a ceiling."""
+
+    has_alpha = False
+
+    def __init__(self, pixels, ceiling=None):
+        self.pixels = pixels if ceiling is None else pixels.clamp_max(ceiling)
+        self.ceiling = ceiling
+
+    def colors(self, view, pixel):
+        return self.pixels[view, pixel]
+
+    def clipped(self, view, pixel):
+        return None if self.ceiling is None else self.colors(view, pixel) >= self.ceiling
+
+
+def lamp_room(ceiling=CEILING, strip=STRIP, cameras=EVERYWHERE, **more):
+    """The room; ``more`` are further parts of the scene."""
+
+    def paint(name, albedo):
+        return Material(
+            name, DiffuseModel(), Constant(np.full(3, albedo, np.float32)), Constant(np.ones(1, np.float32))
+        )
+
+    materials = [paint("white", 0.85), paint("card", 0.95), paint("wood", 0.4), paint("black", 0.05)]
+    parts = {name: (solid, 0, None) for name, solid in room((-1, -1, -1), (1, 1, 1)).items()}
+    parts["card"] = (quad((-0.1, 0.6, -0.1), (0, 0, 0.2), (0.2, 0, 0)), 1, None)
+    parts["table"] = (box((0.1, -1.0, -0.6), (0.7, -0.5, 0.1)), 2, None)
+    parts["ceiling lamp"] = (quad((-0.3, 0.99, -0.3), (0.6, 0, 0), (0, 0, 0.6)), 3, ceiling)
+    parts["strip"] = (quad((-0.99, -0.2, 0.2), (0, 0.4, 0), (0, 0, 0.5)), 3, strip)
+    meshes = [s.mesh(name, m, smooth_shading=False, radiance=light) for name, (s, m, light) in parts.items()]
+    views = [View(f"view_{i}", camera) for i, camera in enumerate(cameras)]
+    return Scene("room", meshes, materials, train=views, **more)
+
+
+def photographed(scene, spp=32, ceiling=None):
+    """Photographs of a scene."""
+    world = build_world(scene)
+    tracer = path_tracer(world, TrueMaterials(scene, world.geometry))
+    pictures = [render(view.camera, tracer, spp, i).view(-1, 3) for i, view in enumerate(scene.train)]
+    return Photographs(torch.stack(pictures), ceiling)
+
+
+def names(scene, lamps):
+    """Of the meshes that shine, with a minus before those that do to their backs."""
+    return {("-" if lamp.turned else "") + scene.meshes[lamp.mesh].name for lamp in lamps}
+
+
+def turned(scene, name):
+    """The scene with one mesh inside out, and dark."""
+    return replace(
+        scene,
+        meshes=[replace(m, faces=m.faces[:, [0, 2, 1]], radiance=None) if m.name == name else m for m in scene.meshes],
+    )

@@ -1,0 +1,90 @@
+"""Area emitters of ``scene.xml`` that shine by a picture."""
+
+import numpy as np
+import pytest
+
+from neurad.core.errors import InputError
+from neurad.scene.image_io import write_exr, write_png
+from neurad.scene.readers.mitsuba_xml import read_xml
+
+mi = pytest.importorskip("mitsuba")
+
+FLOOR = '<shape type="rectangle" id="floor"><transform name="to_world"><translate z="-2"/></transform></shape>'
+TURN = '<transform name="to_uv"><rotate z="1" angle="90"/><scale x="0.5" y="1.5"/><translate x="0.2"/></transform>'
+
+
+def write(folder, texture, shape="rectangle", more=""):
+    """A room with a lamp of this radiance."""
+    lamp = f'<emitter type="area">{texture}{more}</emitter>'
+    (folder / "scene.xml").write_text(
+        f'<scene version="3.0.0">{FLOOR}<shape type="{shape}" id="lamp">{lamp}</shape></scene>'
+    )
+    return folder / "scene.xml"
+
+
+def bitmap(file, more="", kind="bitmap"):
+    return f'<texture type="{kind}" name="radiance"><string name="filename" value="{file}"/>{more}</texture>'
+
+
+def radiance_at(meshes, points):
+    """What the triangles at points of the plane z = 0 emit [n, 3]."""
+    found = np.full((len(points), 3), np.nan)
+    for mesh in meshes:
+        a, b, c = np.moveaxis(mesh.vertices[mesh.faces].astype(np.float64)[..., :2], 1, 0)
+        inverse = np.linalg.inv(np.stack((b - a, c - a), -1))
+        uv = np.einsum("fij,fnj->fni", inverse, points[None] - a[:, None])
+        inside = ((uv > -1e-6).all(-1) & (uv.sum(-1) < 1 + 1e-6)).any(0)
+        found[inside] = 0.0 if mesh.radiance is None else mesh.radiance
+    return found
+
+
+@pytest.mark.parametrize("more", ["", TURN])
+def test_it_shines_as_mitsubas(tmp_path, more):
+    rng = np.random.default_rng(0)
+    write_exr(tmp_path / "glow.exr", rng.uniform(0.0, 5.0, (4, 5, 3)).astype(np.float32), half=False)
+    path = write(tmp_path, bitmap("glow.exr", '<boolean name="raw" value="true"/>' + more))
+    scene = read_xml(path).check()
+    lit = [mesh for mesh in scene.meshes if mesh.name.startswith("lamp")]
+    assert len(lit) > 10
+    assert "shape lamp shines by a picture" in scene.notes[0]
+    points = np.stack(np.meshgrid(*[(np.arange(60) + 0.5) / 30 - 1] * 2), -1).reshape(-1, 2)
+    ours = radiance_at(lit, points)
+    mi.set_variant("scalar_rgb")
+    theirs = mi.load_file(str(path))
+    seen = np.empty_like(ours)
+    for i, (x, y) in enumerate(points):
+        hit = theirs.ray_intersect(mi.Ray3f([float(x), float(y), 1.0], [0.0, 0.0, -1.0]))
+        seen[i] = np.array(hit.emitter(theirs).eval(hit))
+    assert np.isfinite(ours).all()
+    parts = (points > 0) @ (1, 2)
+    for part in range(4):  # each quarter, so that a picture that lies otherwise is found
+        mine = parts == part
+        assert np.allclose(ours[mine].mean(0), seen[mine].mean(0), rtol=0.02)
+    assert np.abs(ours - seen).mean() < 0.1 * seen.mean()  # each piece has the mean of its texels
+
+
+def test_pictures_of_codes_are_decoded(tmp_path):
+    write_png(tmp_path / "glow.png", np.full((2, 2, 3), 188, np.uint8))
+    lamp = read_xml(write(tmp_path, bitmap("glow.png"))).check().meshes[1]
+    assert np.allclose(lamp.radiance, 0.503, atol=2e-3)
+    assert len(lamp.faces) == 2  # one colour: nothing is cut
+
+
+WRONG = {
+    "missing": (bitmap("fehlt.exr"), "", "fehlt.exr: there is no such"),
+    "another kind": (bitmap("x", kind="checkerboard"), "", "of shape lamp is a texture of type"),
+    "NaN": (bitmap("nan.exr"), "", "nan.exr: radiance"),
+    "negative": (bitmap("below.exr"), "", "below.exr: radiance"),
+    "dark": (bitmap("dark.exr"), "", "it has no emitter"),
+    "wrap": (bitmap("dark.exr", '<string name="wrap_mode" value="clamp"/>'), "", "sets wrap_mode, which is not"),
+    "other settings": (bitmap("dark.exr"), '<float name="scale" value="2"/>', "sets scale, which is not supported"),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("name", WRONG)
+def test_what_is_refused(tmp_path, name):
+    for file, value in (("nan", np.nan), ("below", -1.0), ("dark", 0.0)):
+        write_exr(tmp_path / f"{file}.exr", np.full((2, 2, 3), value, np.float32))
+    texture, more, sentence = WRONG[name]
+    with pytest.raises(InputError, match=sentence):
+        read_xml(write(tmp_path, texture, more=more)).check()
