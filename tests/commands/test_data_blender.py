@@ -12,7 +12,7 @@ from helpers.tiny_fit import fails
 from PIL import Image
 
 from neurad.cli import main
-from neurad.core.reflection import ConductorModel, DielectricModel, DiffuseModel
+from neurad.core.reflection import ConductorModel, DielectricModel
 from neurad.scene.image_io import read_exr, write_exr
 from neurad.scene.load import read_folder
 
@@ -399,8 +399,11 @@ def test_other_kinds_need_no_blender(place, capfd):
     assert "--blender: it is for neurad data blender alone" in said
 
 
-def test_all_diffuse_rooms_stay_diffuse(place):
-    describe(materials=[{**GREY, "shader": "BSDF_DIFFUSE"}])
-    scene = convert()
-    assert scene.features.is_diffuse
-    assert scene.features.models == (DiffuseModel(),)
+@pytest.mark.parametrize(("shader", "diffuse"), [("BSDF_DIFFUSE", True), ("BSDF_PRINCIPLED", False)])
+def test_lamps_have_the_model_of_their_room(place, shader, diffuse):
+    glow = {"name": "glow", "shader": "EMISSION", "emission": [1.0, 1.0, 1.0], "strength": 1.0}
+    describe(materials=[{**GREY, "shader": shader}, glow], objects=[square(), square("x", materials=[1])])
+    features = convert().features
+    assert features.is_diffuse == diffuse
+    assert not features.is_mixed
+    assert len(features.models) == 1

@@ -2,7 +2,8 @@
 
 Its argument is a JSON file that describes the job: ``blend`` to write, ``views``, ``size``, ``samples``, ``threads``,
 and ``pictures``, a folder that gets NAME.exr of each view. With ``open`` the room is Lambertian and without a ceiling,
-below a sky that is turned and a sun, with a spot, a point and a box that shines.
+below a sky that is turned and a sun, with a spot, a point, a box that shines, a carpet with a picture that lies askew,
+and pots that nodes put there.
 """
 
 import json
@@ -61,6 +62,59 @@ def box(name, low, high, paints, of_face=(0,) * 6, without=()):
     return solid(name, corners, [faces[i] for i in kept], paints, [of_face[i] for i in kept])
 
 
+def carpet():
+    """A rectangle with a picture of four colours, turned, scaled and moved."""
+    made = solid("carpet", [(0.8, 0.4, 0.02), (3.2, 0.4, 0.02), (3.2, 1.8, 0.02), (0.8, 1.8, 0.02)], [(0, 1, 2, 3)], [])
+    coordinates = made.data.uv_layers.new(name="lie")
+    for loop, uv in zip(coordinates.uv, ((0, 0), (1, 0), (1, 1), (0, 1)), strict=True):
+        loop.vector = uv
+    picture = bpy.data.images.new("four", 64, 64)  # of codes, between which Cycles interpolates: so they are many
+    red, green, blue, white = ((0.9, 0.1, 0.1, 1), (0.1, 0.9, 0.1, 1), (0.1, 0.1, 0.9, 1), (0.9, 0.9, 0.9, 1))
+    picture.pixels = ((red * 32 + green * 32) * 32) + ((blue * 32 + white * 32) * 32)
+    picture.pack()
+    material = bpy.data.materials.new("carpet")
+    material.use_nodes = True
+    nodes, links = material.node_tree.nodes, material.node_tree.links
+    nodes.remove(nodes["Principled BSDF"])
+    kinds = ("UVMap", "Mapping", "TexImage", "BsdfDiffuse")
+    where, turn, image, shader = (nodes.new(f"ShaderNode{kind}") for kind in kinds)
+    where.uv_map, image.image = "lie", picture
+    turn.inputs["Location"].default_value = (0.1, 0.2, 0.0)
+    turn.inputs["Rotation"].default_value = (0.0, 0.0, 0.5)
+    turn.inputs["Scale"].default_value = (1.5, 0.8, 1.0)
+    links.new(where.outputs[0], turn.inputs["Vector"])
+    links.new(turn.outputs[0], image.inputs["Vector"])
+    links.new(image.outputs["Color"], shader.inputs["Color"])
+    links.new(shader.outputs[0], nodes["Material Output"].inputs["Surface"])
+    made.data.materials.append(material)
+
+
+def pots():
+    """Cubes that geometry nodes put on the corners of a square, and a collection that is shown twice."""
+    tree = bpy.data.node_groups.new("pots", "GeometryNodeTree")
+    tree.interface.new_socket("Geometry", in_out="INPUT", socket_type="NodeSocketGeometry")
+    tree.interface.new_socket("Geometry", in_out="OUTPUT", socket_type="NodeSocketGeometry")
+    kinds = ("NodeGroupInput", "NodeGroupOutput", "GeometryNodeInstanceOnPoints", "GeometryNodeMeshCube")
+    given, made, instances, cube = (tree.nodes.new(kind) for kind in kinds)
+    cube.inputs["Size"].default_value = (0.2, 0.2, 0.4)
+    tree.links.new(given.outputs[0], instances.inputs["Points"])
+    tree.links.new(cube.outputs[0], instances.inputs["Instance"])
+    tree.links.new(instances.outputs[0], made.inputs[0])
+    square = solid("pots", [(2.6, 3.0, 0.2), (3.4, 3.0, 0.2), (3.4, 3.4, 0.2)], [(0, 1, 2)], [])
+    square.modifiers.new("pots", "NODES").node_group = tree
+    group = bpy.data.collections.new("stool")
+    text = bpy.data.curves.new("stool", "FONT")
+    text.body, text.size, text.extrude = "N", 0.8, 0.1
+    group.objects.link(bpy.data.objects.new("stool", text))
+    for x in (0.9, 1.6):
+        shown = bpy.data.objects.new("stool", None)
+        shown.instance_type, shown.instance_collection = "COLLECTION", group
+        shown.location, shown.rotation_euler = (x, 4.2, 0.1), (1.5, 0.0, 0.3)
+        bpy.context.collection.objects.link(shown)
+    unseen = box("unseen", (1.0, 1.0, 0.0), (3.0, 3.0, 2.0), [])
+    unseen.hide_render = True
+
+
 def shine_more():
     """A sky, a sun, a spot, a point and a box that shines."""
     world = bpy.context.scene.world = bpy.data.worlds.new("sky")
@@ -76,6 +130,8 @@ def shine_more():
     links.new(turn.outputs["Vector"], sky.inputs["Vector"])
     links.new(sky.outputs["Color"], nodes["Background"].inputs["Color"])
     nodes["Background"].inputs["Strength"].default_value = 0.6
+    carpet()
+    pots()
     for kind, energy, place, turned in (
         ("SUN", 1.5, (0, 0, 5), (0.5, 0.4, 0.0)),
         ("SPOT", 60.0, (3.2, 1.0, 2.4), (0.0, 0.0, 0.0)),
@@ -127,6 +183,8 @@ def furnish(is_open):
     bpy.context.collection.objects.link(other)
     ceiling = bpy.data.lights.new("ceiling", "AREA")
     ceiling.shape, ceiling.size, ceiling.size_y, ceiling.energy = "RECTANGLE", 1.0, 0.5, 90.0
+    if is_open:  # unlike Cycles' lamps it is in the way of the sky
+        ceiling.size, ceiling.size_y = 0.4, 0.25
     ceiling.color = (1.0, 0.9, 0.75)
     lamp = bpy.data.objects.new("ceiling", ceiling)
     lamp.location, lamp.scale = (2.0, 2.5, HIGH - 0.05), (1.4, 1.0, 1.0)

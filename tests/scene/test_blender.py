@@ -42,7 +42,7 @@ def photographed(python, folder, **job):
 
 def test_an_open_room_looks_as_in_cycles(python, tmp_path):
     """Lambertian, so that both have the same surfaces: lamps of all kinds, sky, cameras, modifiers and instances."""
-    room = photographed(python, tmp_path, open=True, views=4, size=[48, 36], samples=512)
+    room = photographed(python, tmp_path, open=True, views=4, size=[48, 36], samples=192)
     scene = read_folder(room, hold_out=0).check()
     assert scene.features.is_diffuse
     assert [light.kind for light in scene.punctual] == ["directional", "spot", "point"]
@@ -51,7 +51,7 @@ def test_an_open_room_looks_as_in_cycles(python, tmp_path):
     assert len(scene.train) == 4
     for view in scene.train:
         with torch.no_grad():
-            ours = render(view.camera, tracer, 512, 1).numpy()
+            ours = render(view.camera, tracer, 192, 1).numpy()
         theirs = read_exr(view.image)[..., :3]
         kept = read_mask(view) if view.mask else np.ones(ours.shape[:2], bool)
         assert kept.mean() > 0.8

@@ -105,6 +105,8 @@ class _Reader:
         self.notes: list[str] = []
         self.materials: list[Material] = []
         self.painted: dict[int, tuple[Painted, int]] = {}
+        self.black: list[int] = []
+        """Materials of what reflects nothing."""
         self.names: set[str] = set()
         self._arrays: dict[str, dict[str, Any]] = {}
         self._welded: dict[Any, tuple[FloatArray, FloatArray | None, FloatArray | None, IntArray]] = {}
@@ -113,6 +115,7 @@ class _Reader:
         """Everything in the folder."""
         meshes = [mesh for thing in self.described["objects"] for mesh in self._object(thing)]
         lamps, punctual, unseen = self._lamps()
+        self._blacken()
         scene = Scene(
             "blender",
             [*meshes, *lamps],
@@ -161,6 +164,8 @@ class _Reader:
             painted = self.reader.paint(self.described["materials"][number_of])
             if painted.material is not None:
                 self.materials.append(painted.material)
+                if self.described["materials"][number_of]["shader"] in ("NONE", "EMISSION"):
+                    self.black.append(len(self.materials) - 1)
             self.painted[number_of] = painted, len(self.materials) - 1
         return self.painted[number_of]
 
@@ -266,12 +271,17 @@ class _Reader:
             elif lamp is not None:
                 punctual.append(replace(lamp, name=self._apart(lamp.name)))
         if meshes:
-            # black, but of the model that others have: a model of its own would cost time wherever light is reflected
-            plain = all(material.model.is_diffuse for material in self.materials if not material.model.is_delta)
-            model = DiffuseModel() if plain else PrincipledModel()
+            self.black.append(len(self.materials))
             black, rough = Constant(np.zeros(3, np.float32)), Constant(np.ones(1, np.float32))
-            self.materials.append(Material("lamps", model, black, rough))
+            self.materials.append(Material("lamps", PrincipledModel(), black, rough))
         return meshes, punctual, unseen
+
+    def _blacken(self) -> None:
+        """Give what reflects nothing the model of what does: one of its own would cost time at every reflection."""
+        others = [material.model for i, material in enumerate(self.materials) if i not in self.black]
+        if others and all(model.is_diffuse or model.is_delta for model in others):
+            for index in self.black:
+                self.materials[index] = replace(self.materials[index], model=DiffuseModel())
 
     def _world(self) -> EnvironmentMap | None:
         world, where = self.described["world"], f"{self.where}: its world"

@@ -155,6 +155,8 @@ class MaterialReader:
             else:
                 linear = from_srgb(pixels) if place.get("coded") else pixels
             channel = place.get("channel")
+            if channel is not None and (type(channel) is not int or not 0 <= channel <= 2):
+                raise InputError(f"{about}: its picture has no channel {shown(repr(channel))}")
             if channels == 1:
                 linear = linear @ _LUMINANCE[:, None] if channel is None else linear[..., channel : channel + 1]
             elif channel is not None:
