@@ -155,7 +155,7 @@ NAMES = (
     "report", "report_view", "report_end", "view_render", "view_photograph", "view_albedo", "view_roughness",
     "view_bars", "view_seen", "view_lamps", "tensorboard", "site",
 )  # fmt: skip
-PICTURES = {"report_view", *(name for name in NAMES if name.startswith("view_"))}
+PICTURES = {"report_view", "site", *(name for name in NAMES if name.startswith("view_"))}
 
 
 def main(args: list[str] | None = None) -> None:
