@@ -12,7 +12,6 @@ from lightning.pytorch.strategies import DDPStrategy
 from torch import Tensor
 
 from neurad.assembly.build import Assembly, FittedMaterials, assemble, know_lamps
-from neurad.assembly.find_lamps import find_lamps
 from neurad.assembly.relight import paths, sentence_of_light
 from neurad.assembly.settings import Lighting, ModelSettings, Objective, Optimization, Sampling
 from neurad.assembly.training_views import TrainingViews, prepare_views
@@ -42,10 +41,9 @@ from neurad.optim.pyramid_adam import PyramidAdam
 from neurad.optim.sparse_row_adam import SparseRowAdam
 from neurad.runtime.clock import excluded, training_seconds
 from neurad.scene.description import Scene
-from neurad.scene.shining import Shining, from_kept, kept, shining_scene
+from neurad.scene.shining import Shining, kept, shining_scene
 from neurad.scene.textures import TrueMaterials
 from neurad.training.checkpoint import changed_light, fitted_lamps, fitting, scene_state
-from neurad.training.checkpoint_file import read_checkpoint
 from neurad.training.error_bars import error_bars, to_cube
 from neurad.training.evaluate import Evaluation, UnknownLight, evaluate, unknown_light
 from neurad.training.gradient_sync import GradientSync, ddp_ignored
@@ -53,6 +51,7 @@ from neurad.training.guard import Guard, keep_in_run_folder
 from neurad.training.objective import make_objective
 from neurad.training.optimizers import make_optimizers
 from neurad.training.schedule import fraction_done
+from neurad.training.shining_meshes import shining_meshes
 from neurad.training.step import Counters, TrainingStep
 from neurad.training.validation import is_due, said, update_levels
 
@@ -173,16 +172,10 @@ class InverseRenderer(L.LightningModule):
         """Let those meshes of the scene shine that photographs show to shine, or, in a run that goes on, those that it
         began with.
         """
-        if self.begins_from is not None:
-            state = read_checkpoint(self.begins_from, f"--ckpt_path {self.begins_from}")["neurad"]
-            self._shining = from_kept(state.get("shining"), self.scene, "--ckpt_path")
-        else:
-            lighting, seed = self.settings.lighting, self.settings.seed
-            unknown_sky = lighting.environment == "fit"
-            found = find_lamps(self.scene, self.photographs, self.settings.tracer, unknown_sky, seed, self.device)
-            self._shining = found.lamps
-            if self.trainer.is_global_zero:
-                print(*(f"neurad: {line}" for line in found.lines), sep="\n", file=sys.stderr)
+        found = shining_meshes(self.scene, self.photographs, self.settings, self.device, self.begins_from)
+        self._shining = found.lamps
+        if self.trainer.is_global_zero and found.lines:
+            print(*(f"neurad: {line}" for line in found.lines), sep="\n", file=sys.stderr)
         self.trainer.datamodule.relight(shining_scene(self.scene, self._shining))  # type: ignore[attr-defined]
 
     def _read_lamps_true(self) -> tuple[FloatArray64, int] | None:

@@ -8,7 +8,6 @@ import torch
 from torch import Tensor, nn
 
 from neurad.assembly.build import Assembly, assemble
-from neurad.assembly.find_lamps import find_lamps
 from neurad.assembly.settings import ModelSettings
 from neurad.assembly.training_views import prepare_views
 from neurad.core.protocols import PhotoSource
@@ -18,6 +17,7 @@ from neurad.scene.shining import shining_scene
 from neurad.training.guard import Guard
 from neurad.training.objective import make_objective
 from neurad.training.optimizers import make_optimizers
+from neurad.training.shining_meshes import shining_meshes
 from neurad.training.step import TrainingStep
 
 
@@ -64,9 +64,7 @@ class TrainingRun:
             emitters_train: as above; the materials of emitting surfaces are then fitted, too.
         """
         if settings.lighting.emitters == "find":
-            unknown_sky = settings.lighting.environment == "fit"
-            found = find_lamps(scene, photographs, settings.tracer, unknown_sky, settings.seed, device)
-            scene = shining_scene(scene, found.lamps)
+            scene = shining_scene(scene, shining_meshes(scene, photographs, settings, device).lamps)
         assembly = assemble(scene, settings, photographs.has_alpha, device, not emitters_train)
         for _, part in assembly.modules():
             part.to(device)

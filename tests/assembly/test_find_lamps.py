@@ -9,7 +9,8 @@ from helpers.lamp_room import DOWNWARDS, SIZE, Photographs, lamp_room, names, ph
 from helpers.object_scene import sky
 
 from neurad.assembly.build import build_world
-from neurad.assembly.find_lamps import Search, find_lamps, one_radiance, over
+from neurad.assembly.find_lamps import Search, find_lamps
+from neurad.assembly.lamp_candidates import one_radiance, over
 from neurad.core.errors import InputError
 from neurad.emitters.dark import Dark
 from neurad.metrics.photographed_surfaces import PhotographedRadiance, side_of, surface_pixels
