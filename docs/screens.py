@@ -4,8 +4,8 @@
     neurad fit --config kitchen.yaml && neurad test
     python docs/screens.py lightning_logs/version_0
 
-It opens the run's ``report.html``, ``neurad view``, TensorBoard and this site. ``docs/screens/*.png`` then have
-at most 256 colours. Names after the run take only these: ``python docs/screens.py RUN view_albedo site``.
+It opens the run's ``report.html``, ``neurad view``, TensorBoard and this site. Names after the run take only these:
+``python docs/screens.py RUN view_albedo site``.
 """
 
 from __future__ import annotations
@@ -22,7 +22,6 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from io import BytesIO
 from pathlib import Path
-from typing import Any
 
 from PIL import Image
 from playwright.sync_api import Browser, Page, sync_playwright
@@ -36,12 +35,16 @@ RESTS = 15.0
 WIDE, ROOM = (1200, 760), (1000, 640)
 
 
-def save(page: Page, name: str, out: Path, **clip: Any) -> None:
-    """A screenshot with few colours, which keeps it small."""
-    picture = Image.open(BytesIO(page.screenshot(**clip))).convert("RGB")
+def save(page: Page, name: str, out: Path) -> None:
+    """A screenshot, kept small: those full of pictures as JPEG, those of words and lines with few colours as PNG."""
+    picture = Image.open(BytesIO(page.screenshot())).convert("RGB")
     out.mkdir(parents=True, exist_ok=True)
-    picture.quantize(256, dither=Image.Dither.NONE).save(out / f"{name}.png", optimize=True)
-    print(f"{name}.png: {(out / f'{name}.png').stat().st_size / 1000:.0f} kB", flush=True)
+    file = out / f"{name}.{'jpg' if name in PICTURES else 'png'}"
+    if name in PICTURES:
+        picture.save(file, quality=70, optimize=True)
+    else:
+        picture.quantize(256, dither=Image.Dither.NONE).save(file, optimize=True)
+    print(f"{file.name}: {file.stat().st_size / 1000:.0f} kB", flush=True)
 
 
 @contextmanager
@@ -100,6 +103,8 @@ def viewer(browser: Browser, run: Path, out: Path, wanted: set[str]) -> None:
     words = [sys.executable, "-m", "neurad", "view", "--ckpt_path", str(run), "--port", "0"]
     with served(words, "open ") as address, opened(browser, address, ROOM) as page:
         page.wait_for_function("() => document.body.innerText.includes('samples a pixel')")
+        for button in page.locator(".mantine-Notification-closeButton").all():
+            button.click()  # viser's word on missing graphics hardware
         page.mouse.click(330, 400)
         if "view_render" in wanted:
             time.sleep(RESTS)
@@ -111,10 +116,10 @@ def viewer(browser: Browser, run: Path, out: Path, wanted: set[str]) -> None:
                 save(page, name, out)
         if "view_lamps" in wanted:
             choose(page, "mode", "render")
-            for lamp in ("skylight", "sky", "garden"):
-                slider = page.locator(f"label:text-is('{lamp}')").get_attribute("for")
+            for label, value in {"skylight": 0, "sky": 0, "garden": 0, "lamps": 4, "exposure": 0.5}.items():
+                slider = page.locator(f"label:text-is('{label}')").get_attribute("for")
                 field = page.locator(f"[id='{slider}'] + div input")
-                field.fill("0")
+                field.fill(str(value))
                 field.press("Enter")
             time.sleep(4 * RESTS)
             save(page, "view_lamps", out)
@@ -130,6 +135,7 @@ def tensorboard(browser: Browser, run: Path, out: Path, wanted: set[str]) -> Non
     words = [sys.executable, "-m", "tensorboard.main", "--logdir", str(run), "--host", "127.0.0.1", "--port", str(port)]
     with served(words, "TensorBoard") as address, opened(browser, f"{address}#timeseries", WIDE) as page:
         page.wait_for_function("() => document.body.innerText.includes('albedo_psnr')")
+        page.get_by_role("button", name="Settings").first.click()  # puts them away
         time.sleep(RESTS)
         save(page, "tensorboard", out)
 
@@ -149,6 +155,7 @@ NAMES = (
     "report", "report_view", "report_end", "view_render", "view_photograph", "view_albedo", "view_roughness",
     "view_bars", "view_seen", "view_lamps", "tensorboard", "site",
 )  # fmt: skip
+PICTURES = {"report_view", "site", *(name for name in NAMES if name.startswith("view_"))}
 
 
 def main(args: list[str] | None = None) -> None:

@@ -89,14 +89,15 @@ OWN_VERBS: dict[str, tuple[Callable[[], Verb], str]] = {
 HELP = """usage: neurad VERB [--config NAME.yaml ...] [--KEY VALUE ...]
 
 neurad recovers what the surfaces of a room are made of: their albedo (the colour that they reflect) and roughness
-(0 is a mirror, 1 is chalk), from the geometry, the lights and HDR photographs. Light that bounces from wall to wall
-is accounted for.
+(0 is a mirror, 1 is chalk), from the geometry, the lights and photographs. Light that bounces from wall to wall is
+accounted for.
 
 start here:
   neurad fit --config kitchen.yaml                         the built-in demo: four minutes on two CPU cores
   neurad test                                              pictures and scores of the newest run, with report.html
+  neurad view                                              the newest run in the browser, lamps dimmed, points read out
   neurad check --root DIR                                  whether a room of your own is sound, with pictures
-  neurad fit --config scene.yaml --data.root DIR           fit it (DIR: scene.xml, cameras, EXR photographs)
+  neurad fit --config scene.yaml --data.root DIR           fit it (DIR: scene.xml or scene.glb, cameras, photographs)
   neurad fit --ckpt_path last --trainer.max_time 20m       go on with the newest run, up to 20 minutes in all
   neurad export --out room                                 what it found, for Blender, glTF viewers and Mitsuba
 

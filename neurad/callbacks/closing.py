@@ -96,7 +96,7 @@ def _distrusted(folder: Path, unseen: Unseen | None) -> str:
     """Which surfaces a result may be wrong on, as far as pictures show it."""
     parts = ["surfaces that the pictures hatch, which no photograph shows"] if unseen and unseen.fraction else []
     if (folder / BARS_FILE).is_file():
-        parts.append(f"{'those' if parts else 'surfaces'} that are bright in its error bars")
+        parts.append(f"{'those' if parts else 'surfaces'} that are bright in the error bars")
     return ", and ".join(parts)
 
 

@@ -60,8 +60,10 @@ def test_plots_and_tables_show_the_same_numbers():
     scores = ("albedo_psnr", "roughness_psnr")
     ends = {row.get("room", name): row for name in ("patterns", "rooms") for row in plots.rows(name)}
     assert [room for room, row in ends.items() for key in scores if f" {row[key]} " not in results] == []
-    assert all(f"| {ends['patterns'][key]} dB |" in readme for key in scores)
     cells = {cell.strip() for line in results.splitlines() if line.startswith("|") for cell in line.split("|")}
+    shown = re.findall(r"\| ([\d.]+) dB ", readme)
+    assert len(shown) >= 4
+    assert set(shown) <= cells
     for room in plots.COMPARED:
         last = {row["method"]: row for row in plots.rows(f"methods_{room}")}
         assert {row[key] for row in last.values() for key in scores} <= cells

@@ -52,7 +52,7 @@ def damaged(rng):
     return described
 
 
-@pytest.mark.parametrize("count", [300, pytest.param(4000, marks=pytest.mark.slow)])
+@pytest.mark.parametrize("count", [100, pytest.param(4000, marks=pytest.mark.slow)])
 def test_odd_rooms(tmp_path, count):
     rng = random.Random(count)
     write_dump(tmp_path)

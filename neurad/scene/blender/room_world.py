@@ -12,7 +12,7 @@ from room_materials import plain_shader  # type: ignore[import-not-found]  # it 
 WIDEST = 4096
 """Pixels of the picture along the horizon, at most."""
 _PROCEDURAL = 1024  # pixels where no picture says how fine the world is
-_SAMPLES = 64  # a pixel, where it is not a pixel of a picture
+_SAMPLES = 16  # a pixel, where it is not a pixel of a picture
 
 
 def world_of(scene: Any, out: Path) -> tuple[dict[str, Any] | None, list[str]]:

@@ -316,8 +316,9 @@ class _Reader:
     def _say(self) -> None:
         """What is not as in Blender, a sentence each."""
         for kind, names in self.described["left_out"].items():
-            self.notes.append(f"{self.where}: {_listed(names)}: {kind} cannot be rendered and is left out")
-        for name, said in self.reader.anew.items():
+            self.notes.append(f"{self.where}: {_listed(names)}: {kind} cannot be rendered, and is left out")
+        for name, all_said in self.reader.anew.items():
+            said = ", ".join(all_said)
             self.notes.append(
                 f"{self.where}: material {shown(name)} has more than is read ({said}): a fit finds it anew"
             )

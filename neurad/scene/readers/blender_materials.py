@@ -66,7 +66,7 @@ class MaterialReader:
     def __init__(self, folder: Path, where: str) -> None:
         self.folder = folder
         self.where = where
-        self.anew: dict[str, str] = {}
+        self.anew: dict[str, list[str]] = {}
         """What is not as in Blender, by material."""
         self._pictures: dict[Any, FloatArray] = {}
 
@@ -83,7 +83,7 @@ class MaterialReader:
             return Painted(None if described.get("volume") else _black(name))
         if shader not in _SHADERS:
             self._check_other(described, shader, about)
-            self.anew[name] = f"{shown(shader)}"
+            self.anew.setdefault(name, []).append(f"{shown(shader)}")
             return Painted(Material(name, PrincipledModel(), _constant(START, 3), _constant(START, 1)))
         emission = self._emission(described, about)
         if shader == "EMISSION":
@@ -91,10 +91,10 @@ class MaterialReader:
         albedo, uv = self._texture(described, "color", 3, name, about)
         roughness, second = self._texture(described, "roughness", 1, name, about)
         if uv is not None and second is not None and second != uv:
-            self.anew[name] = "pictures on two sets of texture coordinates"
+            self.anew.setdefault(name, []).append("pictures on two sets of texture coordinates")
             roughness = _constant(START, 1)
         if found := [said for key, said in _LAYERS.items() if _is_on(described.get(key))]:
-            self.anew[name] = " and ".join(found)
+            self.anew.setdefault(name, []).append(" and ".join(found))
         model = _SHADERS[shader](described, albedo, roughness, about)
         if emission is not None and isinstance(model, PrincipledModel) and model.metallic == 0.0:
             model = PrincipledModel()  # a lamp's highlight is not worth a model of its own
@@ -138,7 +138,9 @@ class MaterialReader:
             )
             return Constant(np.clip(np.array(chosen, np.float32), 0.0, 1.0)), None
         if "unread" in value:
-            self.anew[name] = f"its {'base colour' if key == 'color' else key}: {shown(value['unread'])}"
+            self.anew.setdefault(name, []).append(
+                f"its {'base colour' if key == 'color' else key}: {shown(value['unread'])}"
+            )
             return _constant(START, channels), None
         pixels = np.clip(self._pixels(value, channels, about, math.inf), 0.0, 1.0)
         return Bitmap(pixels, _to_uv(value, about)), str(value.get("uv", ""))
