@@ -472,8 +472,12 @@ BAD = {
     "reflectance above 1": (replaced("scene.xml", "0.1, 0.2, 0.3", "2, 2, 2"), r"reflectance of bsdf .*\[0, 1\]"),
     "textured light": (
         replaced("scene.xml", '<rgb name="radiance" value="1, 2, 3"/>',
+                 '<texture type="checkerboard" name="radiance"/>'),
+        r"radiance of .*checkerboard"),
+    "textured light without a file": (
+        replaced("scene.xml", '<rgb name="radiance" value="1, 2, 3"/>',
                  '<texture type="bitmap" name="radiance"><string name="filename" value="a.png"/></texture>'),
-        r"radiance of the emitter on shape lamp is a bitmap"),
+        r"a\.png: there is no such texture file"),
     "projector": (
         replaced("scene.xml", "</scene>", '<emitter type="projector"/></scene>'), r"emitter of type projector"),
     "no envmap": (
