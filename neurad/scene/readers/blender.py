@@ -21,7 +21,7 @@ from neurad.scene.readers.blender_cameras import BlenderCamera, camera_of
 from neurad.scene.readers.blender_lamps import lamp_of
 from neurad.scene.readers.blender_materials import MaterialReader, Painted
 from neurad.scene.readers.gltf import in_world
-from neurad.scene.readers.gltf_lamps import back_of, is_closed, lit_by
+from neurad.scene.readers.gltf_lamps import apart, backs_of, lit_by
 
 ROOM = "blender.json"
 """The file that says what a folder has."""
@@ -108,6 +108,7 @@ class _Reader:
         self.black: list[int] = []
         """Materials of what reflects nothing."""
         self.names: set[str] = set()
+        """Of meshes and lamps."""
         self._arrays: dict[str, dict[str, Any]] = {}
         self._welded: dict[Any, tuple[FloatArray, FloatArray | None, FloatArray | None, IntArray]] = {}
 
@@ -153,7 +154,7 @@ class _Reader:
             vertices, normals, uvs, faces = self._weld(thing, int(slot), painted.uv, where)
             vertices, normals, faces = in_world(pose, vertices, normals, faces)
             within(vertices, f"{where}: its coordinates", -LENGTH, LENGTH)
-            made = self._apart(name if len(used) == 1 else f"{name} {painted.material.name}")
+            made = apart(name if len(used) == 1 else f"{name} {painted.material.name}", self.names)
             radiance = None if painted.emission is None else painted.emission.radiance
             mesh = Mesh(made, vertices, faces, index, normals, uvs, radiance=radiance)
             yield from [mesh] if painted.emission is None else self._shining(mesh, painted, where)
@@ -231,28 +232,12 @@ class _Reader:
         if emission.picture is not None:
             if mesh.uvs is None:
                 raise InputError(f"{where} shines by a picture, but has no UV coordinates")
-            lit = lit_by(emission.picture.pixels, emission.picture.to_uv.astype(np.float64), mesh, mesh.uvs)
-            if len(lit) > 1:
-                count = sum(len(part.faces) for part in lit)
-                self.notes.append(
-                    f"{where} shines by a picture: it is cut into {count} triangles of {len(lit)} radiances"
-                )
-            lit = [replace(part, name=part.name if i == 0 else self._apart(mesh.name)) for i, part in enumerate(lit)]
+            to_uv = emission.picture.to_uv.astype(np.float64)
+            lit = lit_by(emission.picture.pixels, to_uv, mesh, mesh.uvs, self.names, where, self.notes.append)
         yield from lit
-        if all(part.radiance is None for part in lit) or is_closed(mesh):
-            return
-        self.notes.append(f"{where} shines from both sides of its surface, as two sheets")
-        for part in lit:
-            yield replace(back_of(part), name=self._apart(f"{part.name} (back)"))
-
-    def _apart(self, name: str) -> str:
-        """A name that no other mesh or lamp has."""
-        made, count = name, 1
-        while made in self.names:
-            count += 1
-            made = f"{name}-{count}"
-        self.names.add(made)
-        return made
+        if sheets := backs_of(mesh, lit, self.names):
+            self.notes.append(f"{where} shines from both sides of its surface, as two sheets")
+            yield from sheets
 
     # ---- light
 
@@ -265,11 +250,11 @@ class _Reader:
             where = f"{self.where}: lamp {shown(described['name'])}"
             lamp = lamp_of(described, len(self.materials), where, self.notes)
             if isinstance(lamp, Mesh):
-                lamp = replace(lamp, name=self._apart(lamp.name))
+                lamp = replace(lamp, name=apart(lamp.name, self.names))
                 meshes.append(lamp)
                 unseen += [lamp] if "camera" in described["unseen_by"] else []
             elif lamp is not None:
-                punctual.append(replace(lamp, name=self._apart(lamp.name)))
+                punctual.append(replace(lamp, name=apart(lamp.name, self.names)))
         if meshes:
             self.black.append(len(self.materials))
             black, rough = Constant(np.zeros(3, np.float32)), Constant(np.ones(1, np.float32))

@@ -19,6 +19,7 @@ from neurad.runtime.reading import shown
 from neurad.scene.numbers import LENGTH, RADIANCE, matrix, number, within
 from neurad.scene.punctual import check_punctual
 from neurad.scene.readers.gltf import in_world
+from neurad.scene.readers.gltf_lamps import areas
 
 Array = npt.NDArray[np.float64]
 _CORNERS = 64  # of a disk
@@ -134,21 +135,15 @@ def _area(described: Mapping[str, Any], name: str, watts: FloatArray, pose: Arra
         raise InputError(f"{where} has no extent; give it a size")
     vertices, _, faces = in_world(pose, corners, None, faces)
     mesh = Mesh(name, vertices, faces, material)
-    return _shining(mesh, watts if described.get("normalize", True) else watts * np.float32(area_of(mesh)), where)
+    return _shining(mesh, watts if described.get("normalize", True) else watts * np.float32(areas(mesh).sum()), where)
 
 
 def _shining(mesh: Mesh, watts: FloatArray, where: str) -> Mesh:
     """A mesh that sends so much light in all."""
     within(mesh.vertices, f"{where}: its coordinates", -LENGTH, LENGTH)
-    radiance = watts.astype(np.float64) / (math.pi * max(area_of(mesh), 1e-300))
+    radiance = watts.astype(np.float64) / (math.pi * max(float(areas(mesh).sum()), 1e-300))
     within(radiance, f"{where}: its radiance", 0.0, RADIANCE)
     return Mesh(mesh.name, mesh.vertices, mesh.faces, mesh.material, radiance=radiance.astype(np.float32))
-
-
-def area_of(mesh: Mesh) -> float:
-    """Area of all triangles."""
-    p = mesh.vertices[mesh.faces].astype(np.float64)
-    return float(0.5 * np.linalg.norm(np.cross(p[:, 1] - p[:, 0], p[:, 2] - p[:, 0]), axis=-1).sum())
 
 
 def _ball() -> tuple[Array, IntArray]:

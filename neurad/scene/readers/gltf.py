@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -15,7 +15,7 @@ from neurad.runtime.memory import reserve
 from neurad.runtime.reading import shown
 from neurad.scene.numbers import LENGTH, RADIANCE, TEXEL, within
 from neurad.scene.readers.gltf_file import Array, GltfFile, Json
-from neurad.scene.readers.gltf_lamps import back_of, is_closed, lit_by
+from neurad.scene.readers.gltf_lamps import apart, backs_of, lit_by
 from neurad.scene.readers.gltf_materials import COLOUR, Corners, Emission, MaterialReader
 from neurad.scene.readers.gltf_nodes import GltfCamera, Node, camera_of, is_own, light_of, nodes_of
 from neurad.scene.readers.gltf_textures import LEVELS
@@ -192,7 +192,7 @@ class _Reader:
         if uvs is None and corners.uvs:
             uvs = corners.uvs[min(corners.uvs)]
         mesh = Mesh(
-            self._apart(name), vertices, faces, painted.material, normals,
+            apart(name, self.names), vertices, faces, painted.material, normals,
             uvs if uvs is None or np.isfinite(uvs).all() else None,
             {} if painted.colours is None else {COLOUR: painted.colours},
             None if emission is None else emission.radiance,
@@ -227,29 +227,14 @@ class _Reader:
         if emission.place is not None:
             uvs = corners.of(self.file, emission.place.uv_set, where)
             picture, matrix = self.materials.textures.continued(emission.place, uvs, where)
-            lit = lit_by(LEVELS[picture[..., :3]], matrix, mesh, uvs)
-            if len(lit) > 1:
-                pieces = sum(len(part.faces) for part in lit)
-                self._note(f"{where} shines by a picture: it is cut into {pieces} triangles of {len(lit)} radiances")
-            lit = [replace(part, name=part.name if i == 0 else self._apart(mesh.name)) for i, part in enumerate(lit)]
+            lit = lit_by(LEVELS[picture[..., :3]], matrix, mesh, uvs, self.names, where, self._note)
         yield from lit
-        if not emission.both_sides or all(part.radiance is None for part in lit) or is_closed(mesh):
-            return
-        self._note(
-            f"{where} is doubleSided and shines from both sides, as two sheets; where it should shine to the front "
-            "alone, take that off its material (Backface Culling in Blender)"
-        )
-        for part in lit:
-            yield replace(back_of(part), name=self._apart(f"{part.name} (back)"))
-
-    def _apart(self, name: str) -> str:
-        """A name that no other mesh has."""
-        made, count = name, 1
-        while made in self.names:
-            count += 1
-            made = f"{name}-{count}"
-        self.names.add(made)
-        return made
+        if emission.both_sides and (sheets := backs_of(mesh, lit, self.names)):
+            self._note(
+                f"{where} is doubleSided and shines from both sides, as two sheets; where it should shine to the front "
+                "alone, take that off its material (Backface Culling in Blender)"
+            )
+            yield from sheets
 
 
 def in_world(

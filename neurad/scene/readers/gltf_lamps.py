@@ -1,11 +1,11 @@
-"""Emitting surfaces of glTF: pictures that shine, as triangles of one radiance each, and surfaces that shine from both
-sides, as two sheets.
+"""Emitting surfaces of scenes that are read: pictures that shine, as triangles of one radiance each, and surfaces that
+shine from both sides, as two sheets.
 """
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
 
@@ -25,18 +25,51 @@ _AT_ONCE = 1 << 18  # samples that are looked up at once
 _GAP = 1e-4  # distance of two sheets, of the mesh's diagonal
 
 
-def lit_by(picture: Array, to_uv: Array, mesh: Mesh, uvs: Array) -> list[Mesh]:
-    """A mesh that shines by a repeated picture, as :func:`cut` makes it.
+def apart(name: str, taken: set[str]) -> str:
+    """The name, or with a number the first that is not taken; it is from then on."""
+    made, count = name, 1
+    while made in taken:
+        count += 1
+        made = f"{name}-{count}"
+    taken.add(made)
+    return made
+
+
+def lit_by(
+    picture: Array, to_uv: Array, mesh: Mesh, uvs: Array, taken: set[str], where: str, say: Callable[[str], None]
+) -> list[Mesh]:
+    """A mesh that shines by a repeated picture, as :func:`cut` makes it; the first part keeps the mesh's name.
 
     Args:
         picture: linear values [h, w, 3].
         to_uv: takes texture coordinates to the picture's [3, 3].
         mesh: with the radiance that the picture is multiplied by.
         uvs: texture coordinates [v, 2].
+        taken: names of meshes, the mesh's own among them; gets those of the other parts.
+        where: begins the note.
+        say: gets the note that the mesh is cut.
     """
     height, width = picture.shape[:2]
     texels = np.abs(np.linalg.svd(to_uv[:2, :2] * ((width,), (height,)), compute_uv=False)).max()
-    return cut(mesh, float(texels), partial(look_up, picture, to_uv), uvs)
+    lit = cut(mesh, float(texels), partial(look_up, picture, to_uv), uvs)
+    if len(lit) > 1:
+        count = sum(len(part.faces) for part in lit)
+        say(f"{where} shines by a picture: it is cut into {count} triangles of {len(lit)} radiances")
+    return [replace(part, name=part.name if i == 0 else apart(mesh.name, taken)) for i, part in enumerate(lit)]
+
+
+def backs_of(mesh: Mesh, lit: Sequence[Mesh], taken: set[str]) -> list[Mesh]:
+    """The sheets by which the parts of a mesh shine from its back, too; none where they are dark or nothing sees them.
+
+    Args:
+        mesh: the whole.
+        lit: its parts.
+        taken: names of meshes; gets those of the sheets.
+    """
+    if all(part.radiance is None for part in lit) or is_closed(mesh):
+        return []
+    sheets = [back_of(part) for part in lit]
+    return [replace(sheet, name=apart(sheet.name, taken)) for sheet in sheets]
 
 
 def cut(mesh: Mesh, texels: float, look_up: Callable[[Array], Array], uvs: Array) -> list[Mesh]:
@@ -73,7 +106,7 @@ def cut(mesh: Mesh, texels: float, look_up: Callable[[Array], Array], uvs: Array
     face = np.concatenate((whole, np.repeat(halved, len(pieces))))
     bary = np.concatenate((np.broadcast_to(np.eye(3), (len(whole), 3, 3)), np.tile(pieces, (len(halved), 1, 1))))
     radiance = np.concatenate((shines[whole].mean(1), shines[halved].reshape(-1, 3)))
-    area = _areas(mesh)[face] / np.concatenate((np.ones(len(whole)), np.full(len(face) - len(whole), len(pieces))))
+    area = areas(mesh)[face] / np.concatenate((np.ones(len(whole)), np.full(len(face) - len(whole), len(pieces))))
     group = _groups(radiance, area, most)
     made = []
     for index in range(-1, int(group.max()) + 1):
@@ -99,7 +132,8 @@ def _pieces(parts: int) -> Array:
     return np.concatenate((third, ij), -1) / parts
 
 
-def _areas(mesh: Mesh) -> Array:
+def areas(mesh: Mesh) -> Array:
+    """Of its triangles [f]."""
     p = mesh.vertices[mesh.faces].astype(np.float64)
     return np.asarray(0.5 * np.linalg.norm(np.cross(p[:, 1] - p[:, 0], p[:, 2] - p[:, 0]), axis=-1))
 

@@ -9,7 +9,7 @@ from __future__ import annotations
 import re
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -167,12 +167,8 @@ class _Reader:
         if mesh.uvs is None:
             raise InputError(f"{self.path}: shape {mesh.name} shines by a picture, but has no texture coordinates")
         within(mesh.uvs, f"{self.path}: the texture coordinates of shape {mesh.name}", -TEXEL, TEXEL)
-        lit = lit_by(picture.pixels, picture.to_uv.astype(np.float64), mesh, mesh.uvs)
-        if len(lit) > 1:
-            count = sum(len(part.faces) for part in lit)
-            said = f"shines by a picture: it is cut into {count} triangles of {len(lit)} radiances"
-            self.notes.append(f"shape {mesh.name} {said}")
-        return [replace(part, name=mesh.name if i == 0 else f"{mesh.name}-{i + 1}") for i, part in enumerate(lit)]
+        to_uv, where = picture.to_uv.astype(np.float64), f"shape {mesh.name}"
+        return lit_by(picture.pixels, to_uv, mesh, mesh.uvs, {mesh.name}, where, self.notes.append)
 
     def _load(self, props: Any, label: str) -> Any:
         """Mitsuba's own mesh, alone: without a scene no acceleration structure is built."""
