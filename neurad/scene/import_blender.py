@@ -25,6 +25,7 @@ from neurad.scene.import_room import (
     check_room,
     free_folder,
     map_of,
+    refuse_meshes,
     whole,
 )
 from neurad.scene.lamp_masks import mask_of
@@ -47,11 +48,7 @@ def import_blender(settings: ImportSettings) -> None:
         InputError: a file is missing or broken, Blender is, the scene has no camera, surface or light or uses what
             cannot be rendered, photographs and cameras do not fit, or the folder is there already.
     """
-    if settings.mesh or settings.lamp or settings.up or settings.scale != 1.0:
-        raise InputError(
-            "--mesh, --lamp, --up and --scale are about meshes beside cameras; a Blender scene has its own surfaces "
-            "and lamps, in the frame of its cameras"
-        )
+    refuse_meshes(settings, "a Blender scene")
     out = free_folder(settings.out)
     images = None if settings.images is None else folder(settings.images, "--images")
     environment = None if settings.environment is None else map_of(settings.environment)

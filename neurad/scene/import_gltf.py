@@ -19,6 +19,7 @@ from neurad.scene.import_room import (
     check_room,
     free_folder,
     map_of,
+    refuse_meshes,
     whole,
 )
 from neurad.scene.photographs import picture_size
@@ -39,11 +40,7 @@ def import_gltf(settings: ImportSettings) -> None:
         InputError: a file is missing or broken, the scene uses what cannot be rendered, photographs and cameras do not
             fit, an option does not apply, or the folder is there already.
     """
-    if settings.mesh or settings.lamp or settings.up or settings.scale != 1.0:
-        raise InputError(
-            "--mesh, --lamp, --up and --scale are about meshes beside cameras; a glTF scene has its own surfaces and "
-            "lamps, in the frame of its cameras"
-        )
+    refuse_meshes(settings, "a glTF scene")
     out = free_folder(settings.out)
     source = _scene_file(settings.source)
     environment = None if settings.environment is None else map_of(settings.environment)

@@ -63,6 +63,19 @@ class ImportSettings:
         checked(self)
 
 
+def refuse_meshes(settings: ImportSettings, source: str) -> None:
+    """Refuse options that are about meshes beside cameras, for a source that has its own.
+
+    Raises:
+        InputError: one is given.
+    """
+    if settings.mesh or settings.lamp or settings.up or settings.scale != 1.0:
+        raise InputError(
+            f"--mesh, --lamp, --up and --scale are about meshes beside cameras; {source} has its own surfaces and "
+            "lamps, in the frame of its cameras"
+        )
+
+
 class Photographs:
     """Finds a photograph by the name that a source gives it: its EXR file or, where there is none, that which it names.
 
