@@ -114,8 +114,8 @@ def texels_read(chart: Chart, x: Array, y: Array) -> BoolArray:
 def border_texels(chart: Chart) -> BoolArray:
     """Texels [h, w] that lookups on borders between charts read, seen every half texel along them."""
     border = find_borders(chart.mesh)
-    face, edge = border // 3, border % 3
-    a, b = chart.corners[face, edge], chart.corners[face, (edge + 1) % 3]
+    corners, face, edge = chart.corners, border // 3, border % 3
+    a, b = corners[face, edge], corners[face, (edge + 1) % 3]
     count = np.ceil(2.0 * np.abs(b - a).max(1, initial=0.0)).astype(np.int64) + 1
     side = np.arange(len(border)).repeat(count)
     part = (np.arange(len(side)) - (np.cumsum(count) - count).repeat(count)) / np.maximum(count - 1, 1)[side]
