@@ -8,16 +8,12 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-import numpy as np
-
-from neurad.core.records import Constant, Material
-from neurad.core.reflection import PrincipledModel
+from neurad.scene.builtin.furnished import Film, Item, furnished
 from neurad.scene.builtin.kitchen_crockery import crockery
-from neurad.scene.builtin.kitchen_room import Item, door, lights, pendants, shell, skylight, tiles, window
+from neurad.scene.builtin.kitchen_room import door, lights, pendants, shell, skylight, tiles, window
 from neurad.scene.builtin.kitchen_table import furniture
 from neurad.scene.builtin.kitchen_units import units
 from neurad.scene.builtin.kitchen_walls import walls
-from neurad.scene.builtin.plain import views, with_files
 from neurad.scene.builtin.shapes import Point
 from neurad.scene.description import Scene
 
@@ -54,30 +50,11 @@ TEST: list[tuple[Point, Point]] = [
 
 def build_kitchen() -> Scene:
     """The kitchen with the photographs and material maps that are shipped beside this file, where they are there."""
-    items = list(_items())
-    materials = [item.material for item in items]
-    meshes = [item.solid.mesh(item.material.name, i, item.tile) for i, item in enumerate(items)]
-    for light in lights():
-        materials.append(_pane(light.name))
-        radiance = np.array(light.radiance, np.float32)
-        meshes.append(light.solid.mesh(light.name, len(materials) - 1, smooth_shading=False, radiance=radiance))
-    return Scene(
-        name="kitchen",
-        meshes=meshes,
-        materials=materials,
-        train=with_files("kitchen", views("train", TRAIN, FOV, SIZE)),
-        test=with_files("kitchen", views("test", TEST, FOV, SIZE)),
-        rr_depth=2,  # two thirds of the time of the usual 8 for the same noise
-    )
+    # depth 2: two thirds of the time of the usual 8 for the same noise
+    return furnished("kitchen", _items(), lights(), Film(TRAIN, TEST, FOV, SIZE), rr_depth=2)
 
 
 def _items() -> Iterator[Item]:
     """All that does not send light."""
     for part in (shell, window, skylight, tiles, door, pendants, units, crockery, furniture, walls):
         yield from part()
-
-
-def _pane(name: str) -> Material:
-    return Material(
-        name, PrincipledModel(), Constant(np.full(3, 0.5, np.float32)), Constant(np.full(1, 0.4, np.float32))
-    )

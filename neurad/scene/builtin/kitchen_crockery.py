@@ -6,7 +6,8 @@ import math
 from collections.abc import Iterator
 
 from neurad.scene.builtin import finishes as f
-from neurad.scene.builtin.kitchen_room import SINK, WHITE, Item
+from neurad.scene.builtin.furnished import SINK, Item
+from neurad.scene.builtin.kitchen_room import WHITE
 from neurad.scene.builtin.kitchen_units import TOP
 from neurad.scene.builtin.rounded import bevelled, moved, swapped, tilted, tube
 from neurad.scene.builtin.shapes import Point, Solid, cup, jar, join, rotated, turned

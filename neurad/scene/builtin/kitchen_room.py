@@ -6,12 +6,11 @@ It reaches from -2 to 2 in x, from 0 to 2.5 in y and from -1.7 to 1.7 in z; the 
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
 
 import numpy as np
 
-from neurad.core.records import Material
 from neurad.scene.builtin import finishes as f
+from neurad.scene.builtin.furnished import SINK, Item, Light
 from neurad.scene.builtin.plain import room
 from neurad.scene.builtin.rounded import bevelled, curtain, tube
 from neurad.scene.builtin.shapes import Array, Solid, ball, box, join, quad, rotated, turned
@@ -27,30 +26,10 @@ ROOF = ((-0.5, -0.8), (1.1, 0.2))
 """Two corners of the window in the ceiling, x and z."""
 BEYOND = -2.15
 """Where the view out of the door stands, x."""
-SINK = 0.002
-"""Things stand this much inside what carries them: no coplanar faces, no slits."""
 WARM = (0.74, 0.68, 0.56)
 WHITE = (0.78, 0.77, 0.73)
 GREEN = (0.13, 0.17, 0.14)
 """Of what stands close to the sky: white, few paths would carry much of the light there, and the noise."""
-
-
-@dataclass(frozen=True)
-class Item:
-    """One object: a solid, its material, and the length in metres after which its texture repeats."""
-
-    solid: Solid
-    material: Material
-    tile: float = 1.0
-
-
-@dataclass(frozen=True)
-class Light:
-    """A surface that sends light, by its name."""
-
-    name: str
-    solid: Solid
-    radiance: tuple[float, float, float]
 
 
 def shell() -> Iterator[Item]:

@@ -6,8 +6,8 @@ import math
 from collections.abc import Iterator
 
 from neurad.scene.builtin import finishes as f
+from neurad.scene.builtin.furnished import SINK, Item
 from neurad.scene.builtin.kitchen_crockery import mug
-from neurad.scene.builtin.kitchen_room import SINK, Item
 from neurad.scene.builtin.rounded import bevelled, draped, moved, swapped, tube
 from neurad.scene.builtin.shapes import Point, Solid, ball, box, cup, join, rotated, turned
 

@@ -6,7 +6,7 @@ import math
 from collections.abc import Iterator
 
 from neurad.scene.builtin import finishes as f
-from neurad.scene.builtin.kitchen_room import SINK, Item
+from neurad.scene.builtin.furnished import SINK, Item
 from neurad.scene.builtin.rounded import bevelled, draped, tilted, tube
 from neurad.scene.builtin.shapes import Solid, box, join, turned
 

@@ -8,7 +8,7 @@ import numpy as np
 
 from neurad.core.records import Material
 from neurad.scene.builtin import finishes as f
-from neurad.scene.builtin.kitchen_room import SINK, Item
+from neurad.scene.builtin.furnished import SINK, Item
 from neurad.scene.builtin.kitchen_units import panelled, pull
 from neurad.scene.builtin.rounded import bevelled, draped, moved, swapped, tilted, tube
 from neurad.scene.builtin.shapes import box, jar, join, rotated, turned

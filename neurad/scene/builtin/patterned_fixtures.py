@@ -3,26 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
 
-from neurad.core.records import Material
 from neurad.scene.builtin import patterns as p
+from neurad.scene.builtin.furnished import SINK, Item
 from neurad.scene.builtin.patterns import finish
 from neurad.scene.builtin.plain import room
-from neurad.scene.builtin.shapes import Solid, box, join
+from neurad.scene.builtin.shapes import box, join
 
 LOW, HIGH = (-2.0, 0.0, -1.75), (2.0, 2.6, 1.75)
-SINK = 0.002
-"""Things stand this much inside what carries them: no coplanar faces, no slits."""
-
-
-@dataclass(frozen=True)
-class Item:
-    """One object: a solid, its material, and the length in metres after which its texture repeats."""
-
-    solid: Solid
-    material: Material
-    tile: float
 
 
 def shell() -> Iterator[Item]:

@@ -4,13 +4,9 @@ ceiling lamp. Tests and measurements know it by the name ``patterns``.
 
 from __future__ import annotations
 
-import numpy as np
-
-from neurad.core.records import Constant, Material
-from neurad.core.reflection import PrincipledModel
+from neurad.scene.builtin.furnished import Film, Light, furnished
 from neurad.scene.builtin.patterned_fixtures import base_units, frames, shell, wall_units
 from neurad.scene.builtin.patterned_props import props
-from neurad.scene.builtin.plain import views, with_files
 from neurad.scene.builtin.shapes import Point, join, quad
 from neurad.scene.description import Scene
 
@@ -56,25 +52,8 @@ TEST: list[tuple[Point, Point]] = [
 
 def build_patterns() -> Scene:
     """The patterned kitchen with the photographs and material maps that are shipped beside this file."""
-    items = [*shell(), *base_units(), *wall_units(), *frames(), *props()]
-    materials = [item.material for item in items]
-    meshes = [item.solid.mesh(item.material.name, i, item.tile) for i, item in enumerate(items)]
     window = join(*(quad((-1.935, 1.09, z), (0, 0.92, 0), (0, 0, 0.71)) for z in (-0.69, 0.08)))
     lamp = quad((-0.33, 2.535, -0.13), (0.66, 0, 0), (0, 0, 0.56))
-    for name, solid, radiance in (("window", window, WINDOW), ("lamp", lamp, LAMP)):
-        materials.append(_pane(name))
-        light = np.array(radiance, np.float32)
-        meshes.append(solid.mesh(name, len(materials) - 1, smooth_shading=False, radiance=light))
-    return Scene(
-        name="patterns",
-        meshes=meshes,
-        materials=materials,
-        train=with_files("patterns", views("train", TRAIN, FOV, SIZE)),
-        test=with_files("patterns", views("test", TEST, FOV, SIZE)),
-    )
-
-
-def _pane(name: str) -> Material:
-    return Material(
-        name, PrincipledModel(), Constant(np.full(3, 0.5, np.float32)), Constant(np.full(1, 0.4, np.float32))
-    )
+    items = (*shell(), *base_units(), *wall_units(), *frames(), *props())
+    lights = (Light("window", window, WINDOW), Light("lamp", lamp, LAMP))
+    return furnished("patterns", items, lights, Film(TRAIN, TEST, FOV, SIZE))

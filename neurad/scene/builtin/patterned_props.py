@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from neurad.scene.builtin import patterns as p
-from neurad.scene.builtin.patterned_fixtures import SINK, Item
+from neurad.scene.builtin.furnished import SINK, Item
 from neurad.scene.builtin.patterns import finish
 from neurad.scene.builtin.shapes import Point, ball, box, cup, jar, join, rotated, turned
 
