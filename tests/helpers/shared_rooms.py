@@ -74,7 +74,7 @@ def obj_file(scene, folder, name="room.obj"):
             materials.append("Ke " + " ".join(repr(float(x)) for x in mesh.radiance))
         parts += [_rows("v", mesh.vertices), _rows("vn", mesh.normals), f"usemtl {mesh.name}"]
         corners = (mesh.faces + first).tolist()
-        parts.append("\n".join("f %d//%d %d//%d %d//%d" % (a, a, b, b, c, c) for a, b, c in corners))
+        parts.append("\n".join(f"f {a}//{a} {b}//{b} {c}//{c}" for a, b, c in corners))
         first += len(mesh.vertices)
     (folder / "room.mtl").write_text("\n".join(materials) + "\n")
     (folder / name).write_text("\n".join(parts) + "\n")
