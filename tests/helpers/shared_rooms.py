@@ -22,7 +22,7 @@ ROOMS = Path(__file__).resolve().parents[3] / "shared" / "scenes"
 PAINT = Material(
     "paint", PrincipledModel(), Constant(np.full(3, 0.5, np.float32)), Constant(np.full(1, 0.5, np.float32))
 )
-"""What ``neurad data`` gives to surfaces of which it knows no more."""
+"""As ``neurad data`` makes it up for surfaces of which it knows no more."""
 
 
 def views_of(scene):
@@ -269,8 +269,6 @@ def _describe_lamps(scene, path):
     tree.write(path)
 
 
-def painted(scene):
-    """The scene with surfaces as ``neurad data`` makes them up, but for those of lamps."""
-    materials = [PAINT, *scene.materials]
-    meshes = [replace(m, material=0 if m.radiance is None else m.material + 1) for m in scene.meshes]
-    return replace(scene, meshes=meshes, materials=materials)
+def painted(scene, meshes):
+    """A scene of these meshes, all of one paint."""
+    return replace(scene, meshes=[replace(mesh, material=0) for mesh in meshes], materials=[PAINT])

@@ -59,7 +59,7 @@ def picture(scene, camera):
 @pytest.mark.parametrize("name", NAMES)
 def test_the_same_room_is_read_back(name, layout, tmp_path):
     """Rays to 1e-5 pixels (1e-3 as float32), photographs to the bit, triangles and lamps to what float32 keeps, and the
-    same picture of surfaces of one paint.
+    same picture if all surfaces have one paint.
     """
     scene, folder = read_back(name, layout, tmp_path / "there")
     hand_over(scene, folder)
@@ -88,7 +88,8 @@ def test_the_same_room_is_read_back(name, layout, tmp_path):
     assert (scene.environment is None) == (again.environment is None)
     if scene.environment is not None:
         np.testing.assert_array_equal(again.environment.pixels, scene.environment.pixels)
-    first, second = (picture(painted(room), scene.test[0].camera) for room in (scene, again))
+    first = picture(painted(scene, scene.meshes), scene.test[0].camera)
+    second = picture(painted(again, meshes), scene.test[0].camera)
     other = float(np.abs(first - second).mean() / first.mean())
     print(
         f"\n{name}, {layout}: rays {farthest[torch.float64]:.1e} and {farthest[torch.float32]:.1e} px, triangles "
@@ -97,8 +98,7 @@ def test_the_same_room_is_read_back(name, layout, tmp_path):
     assert farthest[torch.float64] < 1e-5
     assert farthest[torch.float32] < 1e-3
     assert moved < 1e-6
-    assert second.mean() == pytest.approx(first.mean(), rel=0.01)
-    assert other < 0.03
+    assert other < 0.01
 
 
 def fitted(name, root, folder):
