@@ -58,8 +58,8 @@ def picture(scene, camera):
 @pytest.mark.parametrize("layout", LAYOUTS)
 @pytest.mark.parametrize("name", NAMES)
 def test_the_same_room_is_read_back(name, layout, tmp_path):
-    """Rays to 1e-5 pixels (1e-3 as float32), photographs to the bit, triangles and lamps to what float32 keeps, and the
-    same picture if all surfaces have one paint.
+    """Rays to 1e-5 pixels (1e-3 as float32), photographs to the bit, triangles, normals and lamps to what float32 keeps,
+    and the same picture if all surfaces have one paint.
     """
     scene, folder = read_back(name, layout, tmp_path / "there")
     hand_over(scene, folder)
@@ -82,6 +82,7 @@ def test_the_same_room_is_read_back(name, layout, tmp_path):
     moved = 0.0
     for mesh, other in zip(scene.meshes, meshes, strict=True):
         moved = max(moved, float(np.abs(mesh.vertices[mesh.faces] - other.vertices[other.faces]).max()) / extent)
+        np.testing.assert_allclose(other.normals[other.faces], mesh.normals[mesh.faces], atol=1e-5)
         assert (mesh.radiance is None) == (other.radiance is None)
         if mesh.radiance is not None:
             np.testing.assert_allclose(other.radiance, mesh.radiance, rtol=1e-6)
