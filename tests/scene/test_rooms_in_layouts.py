@@ -58,8 +58,8 @@ def picture(scene, camera):
 @pytest.mark.parametrize("layout", LAYOUTS)
 @pytest.mark.parametrize("name", NAMES)
 def test_the_same_room_is_read_back(name, layout, tmp_path):
-    """Rays to 1e-5 pixels (1e-3 as float32), photographs to the bit, triangles, normals and lamps as float32 keeps them,
-    and the same picture if all surfaces have one paint.
+    """Rays to 1e-5 pixels (1e-3 as float32), photographs to the bit, triangles, normals, lamps as float32 keeps them, and
+    the same picture if all surfaces have one paint.
     """
     scene, folder = read_back(name, layout, tmp_path / "there")
     hand_over(scene, folder)
