@@ -39,9 +39,9 @@ STEPS = {"veach-ajar": 300}
 FEW = 120
 """Steps of the fits of the other rooms."""
 SCORES = {"albedo_psnr": 0.15, "roughness_psnr": 0.4, "psnr_srgb": 0.25}
-"""How far in dB the scores of fits may be apart whose rays and triangles differ by rounding. One decision of a path that
-falls otherwise gives all later paths other numbers, so that these fits differ as if by chance: by standard deviations of
-0.04, 0.09 and 0.06 dB over the layouts of veach-ajar.
+"""How far in dB the scores of fits may be apart whose rays and triangles differ by rounding. One decision of a path
+that falls otherwise gives all later paths other numbers, so that these fits differ as if by chance: by standard
+deviations of 0.04, 0.09 and 0.06 dB over the layouts of veach-ajar.
 """
 
 
