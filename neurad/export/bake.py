@@ -12,7 +12,7 @@ from neurad.core.protocols import Materials
 from neurad.core.records import FloatArray
 from neurad.export.charts import Chart, border_texels
 from neurad.export.fill import push_pull
-from neurad.export.texel_means import Means, TexelMeans
+from neurad.export.texel_means import Means, TexelMeans, uncertain
 from neurad.metrics.scores import BoolArray
 from neurad.scene.geometry import Geometry
 
@@ -20,12 +20,11 @@ PER_TEXEL, MOST_PER_TEXEL = 2, 8
 """Positions along the side of a texel at which the field is asked: the first in large textures, up to the second in
 small ones, where more cost nothing. A point in the middle alone aliases: patterns as fine as a texel come out as coarse
 ones; with four a side nothing was gained over two in the pictures."""
-PER_BORDER_TEXEL = 16
-"""The same, at most, of texels that lookups on borders of charts read: the other side averages other positions, and an
-eye sees that they differ."""
-SETTLED = 1.0 / 255.0
-"""Change at twice as many positions along the side of such a texel after which no more are asked: what is left is about
-half of that where fields jump under a texel, a third where they bend."""
+PER_BORDER_TEXEL, MOST_PER_BORDER_TEXEL = 4, 32
+"""The same of texels that lookups on borders of charts read: the other side averages other positions, and an eye sees
+that they differ. Up to the second where values jump under a texel: triangles may be smaller than it."""
+SETTLED = 0.5 / 255.0
+"""Error of such a mean that is small enough."""
 SMALL = 1 << 20
 """Positions in a texture that cost next to nothing."""
 GIVEN_BACK = 0.125
@@ -74,7 +73,7 @@ def bake(
 
 
 def refine(mesh: TexelMeans, means: Means, wanted: BoolArray, per: int) -> None:
-    """Ask texels at more and more positions, twice as many along a side, until that changes nothing.
+    """Ask texels at more and more positions, twice as many along a side, until their means are known.
 
     Args:
         mesh: what is asked.
@@ -82,20 +81,21 @@ def refine(mesh: TexelMeans, means: Means, wanted: BoolArray, per: int) -> None:
         wanted: texels to begin with [h, w].
         per: positions along the side of a texel so far.
     """
-    while per < PER_BORDER_TEXEL and wanted.any():
+    spread = means.spread
+    while per < MOST_PER_BORDER_TEXEL:
+        wanted = wanted & ((per < PER_BORDER_TEXEL) | (uncertain(spread, per) > SETTLED))
+        if not wanted.any():
+            return
         per *= 2
         finer = mesh.means(per, wanted)
         found = wanted & finer.covered
-        change = np.abs(finer.values[found] - means.values[found]).max(1, initial=0.0)
-        means.values[found] = finer.values[found]
-        wanted = np.zeros_like(wanted)
-        wanted[found] = change > SETTLED
+        means.values[found], spread = finer.values[found], finer.spread
 
 
 def sharpened(means: Means, mask: BoolArray) -> FloatArray:
     """Texels [h, w, 4] whose bilinear lookups show what lies under them, without the blur of box filter and lookup.
 
-    No texel gets a value beyond those that the mesh has.
+    No texel gets a value beyond all of those that the mesh has.
 
     Args:
         means: box-filtered.
@@ -106,13 +106,12 @@ def sharpened(means: Means, mask: BoolArray) -> FloatArray:
         return values
     row, column = np.nonzero(mask)
     here = values[row, column]
-    known = values[means.covered]
     moved = np.zeros_like(here)
     for down, right in ((0, 1), (1, 0), (0, -1), (-1, 0)):
         at = np.clip(row + down, 0, mask.shape[0] - 1), np.clip(column + right, 0, mask.shape[1] - 1)
         moved += np.where(means.covered[at][:, None], here - values[at], 0.0)
     out = values.copy()
-    out[row, column] = np.clip(here + np.float32(GIVEN_BACK) * moved, known.min(0), known.max(0))
+    out[row, column] = np.clip(here + np.float32(GIVEN_BACK) * moved, means.least, means.most)
     return out
 
 

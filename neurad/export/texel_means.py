@@ -29,6 +29,16 @@ STRETCH = 4.0
 """A texel of the gutter may lie so many times further from the mesh than texels are apart on it, not more."""
 
 
+def uncertain(spread: FloatArray, per: int) -> FloatArray:
+    """Estimates of the error of means over a grid of ``per`` x ``per`` positions whose values have this deviation.
+
+    Of so many places a jump under a texel crosses the root, and there the share of each side is guessed; what merely
+    bends is known better.
+    """
+    error: FloatArray = spread * np.float32(per**-1.5)
+    return error
+
+
 @dataclass(frozen=True)
 class Means:
     """Means over the texels of a texture."""
@@ -39,6 +49,12 @@ class Means:
     """Texels that have anything: on the mesh or in the gutter around its charts [h, w]."""
     inside: BoolArray
     """Texels whose positions all lie on the mesh itself [h, w]."""
+    spread: FloatArray
+    """Standard deviation over the positions of a texel, of the value that varies most [h, w]."""
+    least: FloatArray
+    """Smallest values at any position [4]."""
+    most: FloatArray
+    """Largest ones [4]."""
 
 
 class TexelMeans:
@@ -72,19 +88,27 @@ class TexelMeans:
             done: called with numbers of texels as they get done.
         """
         size = self.shape[0] * self.shape[1]
-        values, covered, inside = np.zeros((size, 4), np.float32), np.zeros(size, bool), np.zeros(size, bool)
+        values, spread = np.zeros((size, 4), np.float32), np.zeros(size, np.float32)
+        covered, inside = np.zeros((2, size), bool)
+        least, most = np.ones(4, np.float32), np.zeros(4, np.float32)
         for texels, owner, within in self._batches(per, wanted):
             sample = np.flatnonzero(owner.ravel() >= 0)
             texel, place = np.divmod(sample, per * per)
             row, column = np.divmod(texels[texel], self.shape[1])
             down, right = np.divmod(place, per)
+            asked = self._asked(owner.ravel()[sample], column + (right + 0.5) / per, row + (down + 0.5) / per)
+            least, most = np.minimum(least, asked.min(0, initial=1.0)), np.maximum(most, asked.max(0, initial=0.0))
             found = np.zeros((owner.size, 4), np.float32)
-            found[sample] = self._asked(owner.ravel()[sample], column + (right + 0.5) / per, row + (down + 0.5) / per)
-            count = (owner >= 0).sum(1)
-            values[texels] = found.reshape(len(texels), -1, 4).sum(1) / np.maximum(count, 1)[:, None]
-            covered[texels], inside[texels] = count > 0, within
+            found[sample] = asked
+            found = found.reshape(len(texels), -1, 4)
+            count = np.maximum((owner >= 0).sum(1), 1)[:, None]
+            mean = found.sum(1) / count
+            found = np.where((owner >= 0)[..., None], found - mean[:, None], 0.0)
+            values[texels], spread[texels] = mean, np.sqrt(np.einsum("nkc,nkc->nc", found, found) / count).max(1)
+            covered[texels], inside[texels] = (owner >= 0).any(1), within
             done(len(texels))
-        return Means(values.reshape(*self.shape, 4), covered.reshape(self.shape), inside.reshape(self.shape))
+        covered, inside, spread = (x.reshape(self.shape) for x in (covered, inside, spread))
+        return Means(values.reshape(*self.shape, 4), covered, inside, spread, least, most)
 
     def _batches(self, per: int, wanted: BoolArray | None) -> Iterator[tuple[IntArray, IntArray, BoolArray]]:
         """Texels in row-major order [n], the triangle of each of their positions, -1 for none [n, per * per], and
@@ -103,8 +127,7 @@ class TexelMeans:
             owner = np.full(distance.shape, -1, np.int64)
             work = partial(self._nearest, chosen, slot.reshape(-1, width), top, per, distance, owner)
             split(work, bottom - top, max(64 // per, 1))
-            inside: BoolArray = ((owner >= 0) & (distance <= 0.0)).all(1)
-            yield texels, owner, inside
+            yield texels, owner, np.asarray(((owner >= 0) & (distance <= 0.0)).all(1))
 
     def _nearest(
         self, chosen: IntArray, slot: IntArray, top: int, per: int, distance: Array, owner: IntArray, low: int,

@@ -76,7 +76,7 @@ def test_borders_are_edges_that_two_charts_share(kitchen):
     assert inside == len(bare.faces) - charts  # triangles of a chart hang together like a tree here
 
 
-@pytest.mark.parametrize(("per", "seen"), [(2, True), (16, False)])
+@pytest.mark.parametrize(("per", "seen"), [(2, True), (32, False)])
 def test_texels_on_borders_are_asked_at_more_positions(monkeypatch, per, seen):
     """In a large texture, where fields bend within a texel."""
     import trimesh
@@ -91,7 +91,7 @@ def test_texels_on_borders_are_asked_at_more_positions(monkeypatch, per, seen):
     scene = Scene("box", [mesh], [paint])
     geometry, charts = Geometry(scene), unwrap([mesh], np.array([12.0]), 1 << 16)
     monkeypatch.setattr(baking, "SMALL", 0)
-    monkeypatch.setattr(baking, "PER_BORDER_TEXEL", per)
+    monkeypatch.setattr(baking, "MOST_PER_BORDER_TEXEL", per)
     found = find_seams(room(scene, geometry, charts), geometry, Waves())
     assert (found.largest > BOUND) == seen, found
 
