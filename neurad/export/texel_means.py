@@ -29,6 +29,23 @@ STRETCH = 4.0
 """A texel of the gutter may lie so many times further from the mesh than texels are apart on it, not more."""
 
 
+def _bent(off: FloatArray, count: IntArray, per: int) -> FloatArray:
+    """What :attr:`Means.spread` says of texels.
+
+    Args:
+        off: values less their mean at positions row by row, zero where there is no surface [n, per * per, 4].
+        count: positions on a surface [n, 1].
+        per: positions along the side of a texel.
+    """
+    variance = np.einsum("nkc,nkc->nc", off, off) / count
+    if per > 1:
+        along = ((np.arange(per) + 0.5) / per - 0.5).astype(np.float32)
+        for axis in (np.tile(along, per), along.repeat(per)):
+            slope = np.einsum("nkc,k->nc", off, axis) / count
+            variance -= slope**2 / np.float32(np.square(along).mean())
+    return np.sqrt(np.maximum(variance.max(1), 0.0)).astype(np.float32)
+
+
 def uncertain(spread: FloatArray, per: int) -> FloatArray:
     """Estimates of the error of means over a grid of ``per`` x ``per`` positions whose values have this deviation.
 
@@ -50,7 +67,8 @@ class Means:
     inside: BoolArray
     """Texels whose positions all lie on the mesh itself [h, w]."""
     spread: FloatArray
-    """Standard deviation over the positions of a texel, of the value that varies most [h, w]."""
+    """Standard deviation over the positions of a texel from a plane through them, of the value that varies most [h, w]:
+    means over a grid know planes exactly."""
     least: FloatArray
     """Smallest values at any position [4]."""
     most: FloatArray
@@ -89,7 +107,7 @@ class TexelMeans:
         """
         size = self.shape[0] * self.shape[1]
         values, spread = np.zeros((size, 4), np.float32), np.zeros(size, np.float32)
-        covered, inside = np.zeros((2, size), bool)
+        covered, inside = np.zeros(size, bool), np.zeros(size, bool)
         least, most = np.ones(4, np.float32), np.zeros(4, np.float32)
         for texels, owner, within in self._batches(per, wanted):
             sample = np.flatnonzero(owner.ravel() >= 0)
@@ -98,17 +116,19 @@ class TexelMeans:
             down, right = np.divmod(place, per)
             asked = self._asked(owner.ravel()[sample], column + (right + 0.5) / per, row + (down + 0.5) / per)
             least, most = np.minimum(least, asked.min(0, initial=1.0)), np.maximum(most, asked.max(0, initial=0.0))
-            found = np.zeros((owner.size, 4), np.float32)
-            found[sample] = asked
-            found = found.reshape(len(texels), -1, 4)
+            found = np.zeros((len(texels), per * per, 4), np.float32)
+            found.reshape(-1, 4)[sample] = asked
             count = np.maximum((owner >= 0).sum(1), 1)[:, None]
             mean = found.sum(1) / count
-            found = np.where((owner >= 0)[..., None], found - mean[:, None], 0.0)
-            values[texels], spread[texels] = mean, np.sqrt(np.einsum("nkc,nkc->nc", found, found) / count).max(1)
+            found -= mean[:, None]
+            found[owner < 0] = 0.0
+            values[texels], spread[texels] = mean, _bent(found, count, per)
             covered[texels], inside[texels] = (owner >= 0).any(1), within
             done(len(texels))
-        covered, inside, spread = (x.reshape(self.shape) for x in (covered, inside, spread))
-        return Means(values.reshape(*self.shape, 4), covered, inside, spread, least, most)
+        return Means(
+            values.reshape(*self.shape, 4), covered.reshape(self.shape), inside.reshape(self.shape),
+            spread.reshape(self.shape), least, most,
+        )  # fmt: skip
 
     def _batches(self, per: int, wanted: BoolArray | None) -> Iterator[tuple[IntArray, IntArray, BoolArray]]:
         """Texels in row-major order [n], the triangle of each of their positions, -1 for none [n, per * per], and
