@@ -29,23 +29,6 @@ STRETCH = 4.0
 """A texel of the gutter may lie so many times further from the mesh than texels are apart on it, not more."""
 
 
-def _bent(off: FloatArray, count: IntArray, per: int) -> FloatArray:
-    """What :attr:`Means.spread` says of texels.
-
-    Args:
-        off: values less their mean at positions row by row, zero where there is no surface [n, per * per, 4].
-        count: positions on a surface [n, 1].
-        per: positions along the side of a texel.
-    """
-    variance = np.einsum("nkc,nkc->nc", off, off) / count
-    if per > 1:
-        along = ((np.arange(per) + 0.5) / per - 0.5).astype(np.float32)
-        for axis in (np.tile(along, per), along.repeat(per)):
-            slope = np.einsum("nkc,k->nc", off, axis) / count
-            variance -= slope**2 / np.float32(np.square(along).mean())
-    return np.sqrt(np.maximum(variance.max(1), 0.0)).astype(np.float32)
-
-
 def uncertain(spread: FloatArray, per: int) -> FloatArray:
     """Estimates of the error of means over a grid of ``per`` x ``per`` positions whose values have this deviation.
 
@@ -73,6 +56,19 @@ class Means:
     """Smallest values at any position [4]."""
     most: FloatArray
     """Largest ones [4]."""
+
+
+def _averaged(owner: IntArray, asked: FloatArray, per: int) -> tuple[FloatArray, FloatArray]:
+    """:attr:`Means.values` [n, 4] and :attr:`Means.spread` [n] of texels, from their samples in order."""
+    count = (owner >= 0).sum(1)
+    begin = np.cumsum(count) - count
+    mean, spread = np.empty((len(owner), 4), np.float32), np.empty(len(owner), np.float32)
+
+    def work(low: int, high: int) -> None:
+        kernels.averaged(owner[low:high], begin[low:high], asked, per, mean[low:high], spread[low:high])
+
+    split(work, len(owner), 4096)
+    return mean, spread
 
 
 class TexelMeans:
@@ -116,13 +112,7 @@ class TexelMeans:
             down, right = np.divmod(place, per)
             asked = self._asked(owner.ravel()[sample], column + (right + 0.5) / per, row + (down + 0.5) / per)
             least, most = np.minimum(least, asked.min(0, initial=1.0)), np.maximum(most, asked.max(0, initial=0.0))
-            found = np.zeros((len(texels), per * per, 4), np.float32)
-            found.reshape(-1, 4)[sample] = asked
-            count = np.maximum((owner >= 0).sum(1), 1)[:, None]
-            mean = found.sum(1) / count
-            found -= mean[:, None]
-            found[owner < 0] = 0.0
-            values[texels], spread[texels] = mean, _bent(found, count, per)
+            values[texels], spread[texels] = _averaged(owner, asked, per)
             covered[texels], inside[texels] = (owner >= 0).any(1), within
             done(len(texels))
         return Means(
