@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 
 from neurad.core.errors import InputError
+from neurad.core.names import apart
 from neurad.core.records import EnvironmentMap, FloatArray, Material, Mesh, View
 from neurad.core.reflection import PrincipledModel
 from neurad.export.axes import rotation
@@ -126,13 +127,7 @@ class _Stage:
         """A path that no other prim has: names are identifiers."""
         from pxr import Tf
 
-        stem = f"/room/{scope}/{Tf.MakeValidIdentifier(name)}"
-        path, count = stem, 1
-        while path in self._taken:
-            count += 1
-            path = f"{stem}_{count}"
-        self._taken.add(path)
-        return path
+        return apart(f"/room/{scope}/{Tf.MakeValidIdentifier(name)}", self._taken, "_")
 
     def _mesh(self, name: str, mesh: Mesh, two_sided: bool, material: Any) -> None:
         from pxr import Sdf, UsdGeom, UsdShade, Vt
