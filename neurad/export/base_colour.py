@@ -19,7 +19,7 @@ from torch import Tensor
 
 from neurad.bsdf.burley import lobes_pdf
 from neurad.bsdf.microfacet import MIN_ALPHA, fresnel_dielectric, reflectance
-from neurad.core.records import FloatArray
+from neurad.core.records import Constant, FloatArray, Material
 from neurad.core.reflection import PrincipledModel, ReflectionModel
 from neurad.export.raster_kernels import Array
 
@@ -143,3 +143,9 @@ def _diffuse(cosine: Tensor, roughness: float) -> Tensor:
     wo, wi, solid = _pairs(cosine)
     d = lobes_pdf(torch.full_like(wo[:, :1], roughness), wo, wi, ETA)[0]
     return (d * solid).view(len(cosine), -1).sum(1)
+
+
+def smooth_colour(material: Material) -> FloatArray:
+    """The colour [3] of a mirror or of glass, which are written as they came and get no texture."""
+    value = material.albedo.value if isinstance(material.albedo, Constant) else np.float32(0.5)
+    return np.broadcast_to(value, 3).astype(np.float32)

@@ -9,9 +9,9 @@ import torch
 
 from neurad.core.records import FloatArray, SurfaceInteraction
 from neurad.export import raster_kernels as kernels
-from neurad.export.bake import GUTTER
 from neurad.export.charts import Chart, in_texels
 from neurad.export.images import Bytes
+from neurad.export.texel_means import GUTTER
 from neurad.metrics.bar_maps import bars_at
 from neurad.metrics.error_bars import ErrorBars, ToUnitCube
 from neurad.metrics.scores import BoolArray, IntArray
@@ -47,9 +47,10 @@ def coarse_texels(chart: Chart, first: int, geometry: Geometry) -> CoarseTexels:
     """
     height, width = max(chart.height // COARSER, 4), max(chart.width // COARSER, 4)
     corners = in_texels(chart.mesh, width, height)
-    owner = np.full((height, width), -1, np.int64)
+    owner = np.full((height * width, 1), -1, np.int64)
+    slot = np.arange(height * width, dtype=np.int32).reshape(height, width)
     reach = GUTTER * width / chart.width
-    kernels.nearest(corners, np.arange(len(corners)), 0, 1, reach, np.full(owner.shape, reach**2), owner)
+    kernels.nearest(corners, np.arange(len(corners)), slot, 0, 1, reach, np.full(owner.shape, reach**2), owner)
     lane = np.flatnonzero(owner.ravel() >= 0)
     y, x = np.divmod(lane, width)
     u, v = np.empty((2, len(lane)))

@@ -11,15 +11,14 @@ import math
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 
 import neurad
-from neurad.core.records import Constant, FloatArray, Mesh, PunctualLight, View
+from neurad.core.records import FloatArray, Mesh, PunctualLight, View
 from neurad.core.reflection import PrincipledModel
 from neurad.export.axes import TO_Y, quaternion
-from neurad.export.base_colour import Target, base_for, is_converted
+from neurad.export.base_colour import Target, is_converted, smooth_colour
 from neurad.export.cameras import clip_planes, is_plain
 from neurad.export.glb import GlbWriter, Json
 from neurad.export.images import Coded, coded
@@ -54,7 +53,7 @@ def write_glb(
         pictures = pool.map(lambda index: _coded(room, index, target), range(len(room.names)))
         children = []
         for index, files in enumerate(pictures):
-            children.append(_add_mesh(glb, room, index, files, target))
+            children.append(_add_mesh(glb, room, index, files))
             clipped += files.clipped if files is not None else 0
             done(room.names[index], files)
         views = [view for view in (*room.scene.train, *room.scene.test) if is_plain(view.camera)]
@@ -85,7 +84,7 @@ def _coded(room: Room, index: int, target: Target) -> Coded | None:
     return coded(baked.pixels, own, model.metallic if isinstance(model, PrincipledModel) else 0.0)
 
 
-def _add_mesh(glb: GlbWriter, room: Room, index: int, files: Coded | None, target: Target) -> int:
+def _add_mesh(glb: GlbWriter, room: Room, index: int, files: Coded | None) -> int:
     """Append a mesh, its material and a node; returns the number of the node."""
     mesh, name = room.scene.meshes[index], room.names[index]
     attributes = {"POSITION": glb.vertices(mesh.vertices, bounds=True)}
@@ -96,12 +95,12 @@ def _add_mesh(glb: GlbWriter, room: Room, index: int, files: Coded | None, targe
     primitive: Json = {
         "attributes": attributes,
         "indices": glb.triangles(mesh.faces, len(mesh.vertices)),
-        "material": glb.add("materials", _material(glb, room, index, files, target)),
+        "material": glb.add("materials", _material(glb, room, index, files)),
     }
     return glb.add("nodes", {"name": name, "mesh": glb.add("meshes", {"name": name, "primitives": [primitive]})})
 
 
-def _material(glb: GlbWriter, room: Room, index: int, files: Coded | None, target: Target) -> Json:
+def _material(glb: GlbWriter, room: Room, index: int, files: Coded | None) -> Json:
     mesh, name = room.scene.meshes[index], room.names[index]
     material = room.scene.materials[mesh.material]
     model = material.model
@@ -113,8 +112,7 @@ def _material(glb: GlbWriter, room: Room, index: int, files: Coded | None, targe
             "metallicRoughnessTexture": glb.texture(files.orm, f"{name}_orm"),
         }
     else:
-        own = target if is_converted(model) else "exact"
-        surface = _constants(material.albedo, material.roughness, own)
+        surface = {"baseColorFactor": [*(float(x) for x in np.clip(smooth_colour(material), 0.0, 1.0)), 1.0]}
     if model.delta is not None:
         surface |= {"roughnessFactor": 0.0, "metallicFactor": 0.0 if model.delta.transmits else 1.0}
         if model.delta.transmits:
@@ -141,15 +139,6 @@ def _material(glb: GlbWriter, room: Room, index: int, files: Coded | None, targe
 def _index(eta: float) -> float:
     """A refractive index as glTF has it, at least 1: of a thing inside a denser one, that of the pair turned round."""
     return max(eta, 1.0 / eta)
-
-
-def _constants(albedo: Any, roughness: Any, target: Target) -> Json:
-    """A surface without textures."""
-    colour = np.broadcast_to(albedo.value if isinstance(albedo, Constant) else np.float32(0.5), 3).astype(np.float32)
-    rough = roughness.value[:1] if isinstance(roughness, Constant) else np.full(1, 0.5, np.float32)
-    base = np.clip(base_for(target, colour, rough), 0.0, 1.0)
-    factors = {"roughnessFactor": min(max(float(rough[0]), 0.0), 1.0), "metallicFactor": 0.0}
-    return {"baseColorFactor": [*(float(x) for x in base), 1.0], **factors}
 
 
 def unit_normals(mesh: Mesh) -> FloatArray:

@@ -16,9 +16,18 @@ SQUARED_ERROR = 0.005
 """The same of its mean squared difference to the photograph: 0.02 dB."""
 PASSES = 8
 """Most passes to get there; an even number."""
+WHITE = 1.0
+"""Values of a photograph from here on are white on a screen. They are left out of squared differences: on the edges of
+lamps and windows, which are many times as bright, noise and the photograph's own decide over all else."""
+BLOCK = 16
+"""Side in pixels of the blocks over whose means pictures are compared, too: over so many pixels noise averages out."""
+CHUNK = 1 << 14
+"""Pixels whose passes are multiplied with each other at once."""
 
 Draw = Callable[[int, int], FloatArray]
 """A picture [h, w, 3] of the view of this number by this seed."""
+Estimate = tuple[float, float]
+"""A figure and its standard error."""
 
 
 @dataclass
@@ -29,95 +38,134 @@ class Pictures:
     """Linear [h, w, 3]."""
     error: list[float] = field(default_factory=list)
     """Standard error of the mean of each."""
-    squared: list[float | None] = field(default_factory=list)
-    """Mean squared difference to the photograph, linear, without the renderer's own noise; None without a photograph.
-    Linear, since a curve turns noise into bias: encoded, veach-ajar at 128 samples is 0.5 dB worse in Mitsuba, whose
-    samples spread more, where linear the two agree."""
-    squared_error: list[float] = field(default_factory=list)
-    """Standard error of that."""
+    squared: list[Estimate | None] = field(default_factory=list)
+    """What :func:`squared_difference` says of each; None without a photograph."""
     passes: list[int] = field(default_factory=list)
-    halves: list[tuple[Float64Array, Float64Array] | None] = field(default_factory=list)
-    """Means of every other pass, less the photograph [h, w, 3] each; None without a photograph."""
 
-    def add(
-        self, draw: Callable[[int], FloatArray], photo: FloatArray | None, most: int = PASSES, least: int = 2
-    ) -> None:
-        """Add a view: pairs of passes, until its mean and its difference to the photograph are known.
+    def add(self, passes: FloatArray, photo: FloatArray | None) -> None:
+        """Add a view.
 
         Args:
-            draw: the picture [h, w, 3] by a seed.
-            photo: to compare with [h, w, 3], linear.
-            most: passes; two at least.
-            least: passes, even where fewer would do.
+            passes: pictures [k, h, w, 3] by different seeds, linear.
+            photo: what they are compared with [h, w, 3], linear.
         """
-        first = draw(0).astype(np.float64)  # sums of differences to it: less is lost to cancellation
-        halves = [np.zeros_like(first), np.zeros_like(first)]
-        grey, count = np.zeros(first.shape[:2]), 0
-        while count < max(most, 2):
-            for half in halves:
-                off = (draw(count) if count else first) - first
-                half += off
-                grey, count = grey + off.mean(-1) ** 2, count + 1
-            total = halves[0] + halves[1]
-            error = float(np.sqrt(_variance(total.mean(-1), grey, count).sum()) / grey.size)
-            mean = first + total / count
-            known = error <= ERROR * abs(float(mean.mean()))
-            if photo is not None:
-                squared, squared_error = squared_difference(*_off(first, halves, count, photo))
-                known &= squared_error <= SQUARED_ERROR * squared
-            if known and count >= least:
-                break
-        self.mean.append(mean.astype(np.float32))
-        self.error.append(error)
-        self.squared.append(None if photo is None else squared)
-        self.squared_error.append(0.0 if photo is None else squared_error)
-        self.passes.append(count)
-        self.halves.append(None if photo is None else _off(first, halves, count, photo))
-
-    def farther(self, other: Pictures, view: int) -> tuple[float, float]:
-        """By how much a view's mean squared difference to the photograph exceeds that of other pictures of it.
-
-        Renderers that were given the same random numbers share their noise, and most of it cancels here.
-
-        Args:
-            other: pictures of the same views, with photographs; as many passes where random numbers are shared.
-            view: its number.
-
-        Returns:
-            The mean of the difference, without either's noise, and its standard error.
-        """
-        ours, theirs = self.halves[view], other.halves[view]
-        if ours is None or theirs is None:
-            return 0.0, 0.0
-        (a, b), (c, d) = ours, theirs
-        spread = 0.5 * (a**2 - b**2 - c**2 + d**2).sum(-1)  # as in squared_difference
-        return float((a * b - c * d).mean()), float(np.sqrt((spread**2).sum()) / a.size)
+        self.mean.append(passes.mean(0, dtype=np.float64).astype(np.float32))
+        self.error.append(_error_of_mean(passes))
+        self.squared.append(None if photo is None else squared_difference(passes, photo))
+        self.passes.append(len(passes))
 
 
-def squared_difference(first: Float64Array, second: Float64Array) -> tuple[float, float]:
-    """Mean squared difference of a picture without its noise, and the standard error of that.
-
-    The product of two halves whose noise is independent has none of it on average. With m their mean and d their
-    difference, m . d has the variance of the product, and does not know the answer: (|a|^2 - |b|^2) / 2.
+def drawn(
+    draw: Callable[[int], FloatArray], photo: FloatArray | None, most: int = PASSES, least: int = 2
+) -> FloatArray:
+    """Pairs of passes of a view [k, h, w, 3], until its mean and its difference to the photograph are known.
 
     Args:
-        first: one half of the passes less what the picture is compared with [h, w, 3].
-        second: the other half.
+        draw: the picture [h, w, 3] by a seed.
+        photo: to compare with [h, w, 3], linear.
+        most: passes; two at least.
+        least: passes, even where fewer would do.
     """
-    squared = float((first * second).mean())
-    spread = 0.5 * (first**2 - second**2).sum(-1)  # channels of a pixel share their noise, pixels do not
-    return squared, float(np.sqrt((spread**2).sum()) / first.size)
+    passes: list[FloatArray] = []
+    while True:
+        passes += [draw(len(passes)), draw(len(passes) + 1)]
+        if len(passes) >= max(most, 2):
+            return np.stack(passes)
+        if len(passes) < least:
+            continue
+        found = np.stack(passes)
+        if _error_of_mean(found) > ERROR * abs(float(found.mean())):
+            continue
+        if photo is None:
+            return found
+        squared, error = squared_difference(found, photo)
+        if error <= SQUARED_ERROR * squared:
+            return found
 
 
-def _off(
-    first: Float64Array, halves: list[Float64Array], passes: int, photo: FloatArray
-) -> tuple[Float64Array, Float64Array]:
-    """The mean of each half of the passes less the photograph, from the sums of their differences to the first pass."""
-    one, other = (first + 2.0 * half / passes - photo for half in halves)
-    return one, other
+def squared_difference(passes: FloatArray, photo: FloatArray) -> Estimate:
+    """Mean squared difference to a photograph of what passes show on average, over values below :data:`WHITE`.
+
+    Linear, since a curve turns noise into bias: encoded, veach-ajar at 128 samples is 0.5 dB worse in Mitsuba, whose
+    samples spread more, where linear the two agree.
+
+    Args:
+        passes: [k, h, w, 3], an even number of them.
+        photo: [h, w, 3].
+    """
+    return _summed(_off(passes, photo, 1), None, photo)
 
 
-def _variance(total: Float64Array, squares: Float64Array, passes: int) -> Float64Array:
-    """Of the mean over passes, without bias, from their sum and the sum of their squares."""
-    spread: Float64Array = np.maximum(squares - total**2 / passes, 0.0) / (passes * (passes - 1))
-    return spread
+def excess(theirs: FloatArray, ours: FloatArray, photo: FloatArray, block: int = 1) -> Estimate:
+    """By how much the :func:`squared_difference` of some pictures to a photograph exceeds that of others.
+
+    Renderers that were given the same random numbers share their noise, and most of it cancels here.
+
+    Args:
+        theirs: passes [k, h, w, 3].
+        ours: passes [k, h, w, 3]; as many where random numbers are shared.
+        photo: [h, w, 3].
+        block: what differences over blocks of this side in pixels make of it, by their means over a block; 1 is all.
+    """
+    first, second = _off(theirs, photo, block), _off(ours, photo, block)
+    if len(first) == len(second):
+        return _summed(first, second, photo)
+    (a, a_error), (b, b_error) = _summed(first, None, photo), _summed(second, None, photo)
+    return a - b, float(np.hypot(a_error, b_error))
+
+
+def _off(passes: FloatArray, photo: FloatArray, block: int) -> Float64Array:
+    """Differences to a photograph [k, n, 3] of pixels, zero where that is white; or of blocks, by their sums over the
+    root of how many values there are: summed squares are then those of as many pixels with the mean of the block.
+    """
+    counts = photo < WHITE
+    off = np.where(counts, passes.astype(np.float64) - photo, 0.0)
+    if block == 1:
+        return off.reshape(len(off), -1, 3)
+    height, width = photo.shape[:2]
+    rows, columns = np.arange(0, height, block), np.arange(0, width, block)
+    total = np.add.reduceat(np.add.reduceat(off, rows, 1), columns, 2)
+    values = np.add.reduceat(np.add.reduceat(counts.astype(np.float64), rows, 0), columns, 1)
+    scaled: Float64Array = (total / np.sqrt(np.maximum(values, 1.0))).reshape(len(off), -1, 3)
+    return scaled
+
+
+def _summed(first: Float64Array, second: Float64Array | None, photo: FloatArray) -> Estimate:
+    """Squares of differences [k, n, 3], less those of others, over the number of values that count.
+
+    Products of different passes, whose noise is independent, have none of it on average. Pixels are independent, so
+    variances add up. That of a pixel is its square less what products of four different passes say of the squared
+    mean, without bias whatever the noise's distribution; one of fourth powers counts rare bright samples many times.
+    With two passes there are no four: a and b have the product's variance in (|a|^2 - |b|^2) / 2, if noise is Gaussian.
+    """
+    count, values = len(first), max(int((photo < WHITE).sum()), 1)
+    total, variance = 0.0, 0.0
+    for begin in range(0, first.shape[1], CHUNK):
+        gram = _gram(first[:, begin : begin + CHUNK])
+        if second is not None:
+            gram -= _gram(second[:, begin : begin + CHUNK])
+        own = np.einsum("nii->ni", gram)
+        pairs = gram - own[:, :, None] * np.eye(count)
+        rows = pairs.sum(2)
+        summed = rows.sum(1)
+        total += float(summed.sum()) / (count * (count - 1))
+        if count < 4:
+            variance += float((0.25 * (own[:, 0] - own[:, 1]) ** 2).sum())
+            continue
+        apart = summed**2 - 4.0 * (rows**2).sum(1) + 2.0 * (pairs**2).sum((1, 2))
+        fours = count * (count - 1) * (count - 2) * (count - 3)
+        variance += float(((summed / (count * (count - 1))) ** 2 - apart / fours).sum())
+    return total / values, float(np.sqrt(max(variance, 0.0))) / values
+
+
+def _gram(off: Float64Array) -> Float64Array:
+    """Products of every two passes of each pixel [n, k, k]."""
+    by_pixel = np.ascontiguousarray(off.transpose(1, 0, 2))
+    products: Float64Array = by_pixel @ by_pixel.transpose(0, 2, 1)
+    return products
+
+
+def _error_of_mean(passes: FloatArray) -> float:
+    """Standard error of the mean of a view, from the spread of its pixels' passes [k, h, w, 3]."""
+    grey = passes.mean(-1, dtype=np.float64)
+    return float(np.sqrt(grey.var(0, ddof=1).sum() / len(grey)) / grey[0].size)

@@ -128,20 +128,21 @@ def _to_segment(ax: Any, ay: Any, bx: Any, by: Any, x: Any, y: Any) -> Any:
 
 @kernel
 def nearest(
-    corners: Array, chosen: IntArray, first: int, per: int, reach: float, distance: Array, owner: IntArray
+    corners: Array, chosen: IntArray, slot: IntArray, top: int, per: int, reach: float, distance: Array, owner: IntArray
 ) -> None:  # pragma: no cover - compiled
-    """The nearest triangle of every sample in some rows of a texture that has ``per`` x ``per`` of them a texel.
+    """The nearest triangle of every sample in some texels of a texture, ``per`` x ``per`` of them in each.
 
     Args:
         corners: of all triangles [f, 3, 2].
         chosen: those to look at [k].
-        first: the first row of samples.
-        per: samples along the side of a texel.
+        slot: where the samples of a texel stand in ``distance`` and ``owner``, -1 for texels to pass over [rows, w].
+        top: row of the texture that is the first of ``slot``.
+        per: samples along the side of a texel, row by row.
         reach: largest distance in texels.
-        distance: squared distances found so far, ``reach`` squared or less [rows, width * per].
-        owner: the triangle of each, -1 for none; both are written to [rows, width * per].
+        distance: squared distances found so far, ``reach`` squared or less [n, per * per].
+        owner: the triangle of each, -1 for none; both are written to [n, per * per].
     """
-    rows, columns = distance.shape
+    rows, columns = slot.shape
     for k in range(len(chosen)):
         f = chosen[k]
         ax, ay, bx, by, cx, cy = (
@@ -149,32 +150,75 @@ def nearest(
         )  # fmt: skip
         det = (bx - ax) * (cy - ay) - (cx - ax) * (by - ay)
         sign = 1.0 if det > 0.0 else -1.0
-        x0 = max(math.floor((min(ax, bx, cx) - reach) * per - 0.5), 0)
-        x1 = min(math.ceil((max(ax, bx, cx) + reach) * per - 0.5), columns - 1)
-        y0 = max(math.floor((min(ay, by, cy) - reach) * per - 0.5) - first, 0)
-        y1 = min(math.ceil((max(ay, by, cy) + reach) * per - 0.5) - first, rows - 1)
+        x0 = max(math.floor(min(ax, bx, cx) - reach), 0)
+        x1 = min(math.floor(max(ax, bx, cx) + reach), columns - 1)
+        y0 = max(math.floor(min(ay, by, cy) - reach) - top, 0)
+        y1 = min(math.floor(max(ay, by, cy) + reach) - top, rows - 1)
         for row in range(y0, y1 + 1):
-            y = (row + first + 0.5) / per
             for column in range(x0, x1 + 1):
-                if distance[row, column] <= 0.0 and owner[row, column] >= 0:
+                n = slot[row, column]
+                if n < 0:
                     continue
-                x = (column + 0.5) / per
-                inside = min(
-                    sign * ((bx - ax) * (y - ay) - (by - ay) * (x - ax)),
-                    sign * ((cx - bx) * (y - by) - (cy - by) * (x - bx)),
-                    sign * ((ax - cx) * (y - cy) - (ay - cy) * (x - cx)),
-                )
-                if det != 0.0 and inside >= 0.0:
-                    found = 0.0
-                else:
-                    found = min(
-                        _to_segment(ax, ay, bx, by, x, y),
-                        _to_segment(bx, by, cx, cy, x, y),
-                        _to_segment(cx, cy, ax, ay, x, y),
+                for s in range(per * per):
+                    if distance[n, s] <= 0.0 and owner[n, s] >= 0:
+                        continue
+                    x, y = column + (s % per + 0.5) / per, row + top + (s // per + 0.5) / per
+                    inside = min(
+                        sign * ((bx - ax) * (y - ay) - (by - ay) * (x - ax)),
+                        sign * ((cx - bx) * (y - by) - (cy - by) * (x - bx)),
+                        sign * ((ax - cx) * (y - cy) - (ay - cy) * (x - cx)),
                     )
-                if found < distance[row, column] or (found == 0.0 and owner[row, column] < 0):
-                    distance[row, column] = found
-                    owner[row, column] = f
+                    if det != 0.0 and inside >= 0.0:
+                        found = 0.0
+                    else:
+                        found = min(
+                            _to_segment(ax, ay, bx, by, x, y),
+                            _to_segment(bx, by, cx, cy, x, y),
+                            _to_segment(cx, cy, ax, ay, x, y),
+                        )
+                    if found < distance[n, s] or (found == 0.0 and owner[n, s] < 0):
+                        distance[n, s] = found
+                        owner[n, s] = f
+
+
+@kernel
+def averaged(
+    owner: IntArray, begin: IntArray, values: Array, per: int, mean: Array, spread: Array
+) -> None:  # pragma: no cover - compiled
+    """Means over the samples of texels, and how far these are from a plane through them.
+
+    Args:
+        owner: the triangle of each sample, row by row, -1 for none [n, per * per].
+        begin: where the values of each texel begin [n].
+        values: of the samples that have a triangle, texel by texel [m, c].
+        per: samples along the side of a texel.
+        mean: filled with means, zero for texels without a sample [n, c].
+        spread: filled with the standard deviation from a plane of the value that varies most [n].
+    """
+    channels = values.shape[1]
+    scale = (1.0 - 1.0 / (per * per)) / 12.0
+    for n in range(len(owner)):
+        spread[n] = 0.0
+        for c in range(channels):
+            total, count = 0.0, 0
+            for s in range(per * per):
+                if owner[n, s] >= 0:
+                    total += values[begin[n] + count, c]
+                    count += 1
+            middle = total / max(count, 1)
+            mean[n, c] = middle
+            squares, right, down, at = 0.0, 0.0, 0.0, begin[n]
+            for s in range(per * per):
+                if owner[n, s] >= 0:
+                    off = values[at, c] - middle
+                    squares += off * off
+                    right += off * ((s % per + 0.5) / per - 0.5)
+                    down += off * ((s // per + 0.5) / per - 0.5)
+                    at += 1
+            variance = squares / max(count, 1)
+            if per > 1:
+                variance -= (right * right + down * down) / (max(count, 1) ** 2 * scale)
+            spread[n] = max(spread[n], math.sqrt(max(variance, 0.0)))
 
 
 @kernel

@@ -278,8 +278,8 @@ def _tell(room: Room, settings: ExportSettings, notes: dict[str, Any], found: Ve
     for name, entry in found.as_json()["renderers"].items():
         score = (
             ""
-            if entry["psnr_linear"] is None
-            else f"PSNR {entry['psnr_linear']:.2f} ({entry['psnr_standard_error']:.2f}) dB, "
+            if entry["psnr_below_white"] is None
+            else f"PSNR {entry['psnr_below_white']:.2f} ({entry['psnr_standard_error']:.2f}) dB, "
         )
         worst = entry["worst_view"]
         print(f"{name:8} {score}mean {entry['ratio_of_means']:.4f} of baked, worst view {worst['name']} "
@@ -289,5 +289,5 @@ def _tell(room: Room, settings: ExportSettings, notes: dict[str, Any], found: Ve
             f"seams: at most {255 * found.seams.largest:.2f}/255 over {found.seams.points} points on "
             f"{found.seams.sides} sides of chart borders, {255 * found.seams.mean:.2f}/255 on average"
         )
-    for text in found.noisy:
-        print(text)
+    for text in found.undecided:
+        print(f"not decided: {text}; raise --spp")

@@ -12,15 +12,15 @@ import torch
 from neurad.core.protocols import Materials
 from neurad.core.records import FloatArray, Mesh
 from neurad.core.rng import Stream
-from neurad.export.bake import texel_means
 from neurad.export.charts import Chart, edge_keys, find_borders, four_texels, texels_read
 from neurad.export.raster_kernels import Array, IntArray
 from neurad.export.room import Room
+from neurad.export.texel_means import TexelMeans, uncertain
 from neurad.scene.geometry import Geometry
 
-PER_SIDE = 7
-"""Positions along the side of a texel over which the field's mean is taken; never those that were baked, of which there
-are 2, 4, 5 or 8."""
+PER_SIDE, CLOSER = 7, 27
+"""Positions along the side of a texel over which the field's mean is taken, and where that is not known to a quarter of
+:data:`BOUND` then; never those that were baked, of which there are 4, 5, 8, 10, 16, 20 or 32."""
 POINTS = 1 << 16
 """Points on the sides of borders that are looked at in a room; all of them if there are fewer."""
 SEED = 20260102
@@ -96,7 +96,8 @@ def find_seams(
             part = stream.uniform(len(chosen)).numpy().astype(np.float64)
             x, y = _along(chart, border[chosen], part)
             shown = _bilinear(baked.pixels, x, y)
-            off = np.abs(shown - _meant(chart, int(first[index]), geometry, materials, x, y)).max(1)
+            mesh = TexelMeans(chart, int(first[index]), geometry, materials)
+            off = np.abs(shown - _meant(mesh, chart, x, y)).max(1)
             if off.max() > largest:
                 largest, where = float(off.max()), room.names[index]
             total, beyond, count = total + float(off.sum()), beyond + int((off > BOUND).sum()), count + len(off)
@@ -150,7 +151,11 @@ def _bilinear(pixels: FloatArray, x: Array, y: Array) -> FloatArray:
     return shown
 
 
-def _meant(chart: Chart, first: int, geometry: Geometry, materials: Materials, x: Array, y: Array) -> FloatArray:
+def _meant(mesh: TexelMeans, chart: Chart, x: Array, y: Array) -> FloatArray:
     """What lookups at (x, y) [n] ought to show [n, 4]: means of the fields over the texels they read, by weight."""
     wanted = texels_read(chart, x, y)
-    return _bilinear(texel_means(chart, first, geometry, materials, PER_SIDE, wanted)[0], x, y)
+    meant = mesh.means(PER_SIDE, wanted)
+    jumps = wanted & (uncertain(meant.spread, PER_SIDE) > 0.25 * BOUND)
+    if jumps.any():
+        meant.values[jumps] = mesh.means(CLOSER, jumps).values[jumps]
+    return _bilinear(meant.values, x, y)

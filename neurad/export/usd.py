@@ -13,10 +13,11 @@ from typing import Any
 import numpy as np
 
 from neurad.core.errors import InputError
-from neurad.core.records import Constant, EnvironmentMap, FloatArray, Material, Mesh, Texture, View
+from neurad.core.names import apart
+from neurad.core.records import EnvironmentMap, FloatArray, Material, Mesh, View
 from neurad.core.reflection import PrincipledModel
 from neurad.export.axes import rotation
-from neurad.export.base_colour import Target, base_for
+from neurad.export.base_colour import Target, smooth_colour
 from neurad.export.cameras import clip_planes, is_plain
 from neurad.export.gltf import unit_normals
 from neurad.export.images import Coded
@@ -126,13 +127,7 @@ class _Stage:
         """A path that no other prim has: names are identifiers."""
         from pxr import Tf
 
-        stem = f"/room/{scope}/{Tf.MakeValidIdentifier(name)}"
-        path, count = stem, 1
-        while path in self._taken:
-            count += 1
-            path = f"{stem}_{count}"
-        self._taken.add(path)
-        return path
+        return apart(f"/room/{scope}/{Tf.MakeValidIdentifier(name)}", self._taken, "_")
 
     def _mesh(self, name: str, mesh: Mesh, two_sided: bool, material: Any) -> None:
         from pxr import Sdf, UsdGeom, UsdShade, Vt
@@ -159,7 +154,7 @@ class _Stage:
         UsdShade.MaterialBindingAPI.Apply(prim.GetPrim()).Bind(material)
 
     def _material(self, name: str, mesh: Mesh, material: Material, textured: bool) -> Any:
-        """The material of a mesh: a ``UsdPreviewSurface`` with textures or constants."""
+        """The material of a mesh: a ``UsdPreviewSurface`` with textures, or a smooth one."""
         from pxr import Sdf, UsdShade
 
         made = UsdShade.Material.Define(self.stage, self._path("materials", name))
@@ -172,9 +167,8 @@ class _Stage:
         colour = shader.CreateInput("diffuseColor", Sdf.ValueTypeNames.Color3f)
         rough = shader.CreateInput("roughness", Sdf.ValueTypeNames.Float)
         if not textured:
-            base, roughness = _constants(material, self.target)
-            colour.Set(tuple(base))
-            rough.Set(roughness)
+            colour.Set(tuple(float(x) for x in smooth_colour(material)))
+            rough.Set(0.0)
             return made
         reader = UsdShade.Shader.Define(self.stage, f"{path}/st")
         reader.CreateIdAttr("UsdPrimvarReader_float2")
@@ -240,21 +234,6 @@ def _inputs(mesh: Mesh, material: Material) -> list[tuple[str, str, Any]]:
     if mesh.radiance is not None and mesh.radiance.max() > 0:
         inputs += [("emissiveColor", "Color3f", tuple(float(x) for x in mesh.radiance))]
     return inputs
-
-
-def _constants(material: Material, target: Target) -> tuple[list[float], float]:
-    """Base colour and roughness of a surface without textures."""
-
-    def value(texture: Texture, channels: int) -> FloatArray:
-        found = texture.value if isinstance(texture, Constant) else np.float32(0.5)
-        return np.asarray(np.broadcast_to(found, channels), np.float32)
-
-    colour = value(material.albedo, 3)
-    if material.model.is_delta:
-        return [float(x) for x in colour], 0.0
-    rough = value(material.roughness, 1)
-    base = np.clip(base_for(target, colour, rough), 0.0, 1.0)
-    return [float(x) for x in base], min(max(float(rough[0]), 0.0), 1.0)
 
 
 def _matrix(pose: Array) -> Any:

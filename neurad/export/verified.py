@@ -4,12 +4,12 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, field
-from typing import Any
+from typing import Any, Literal
 
 import numpy as np
 
 from neurad.core.records import FloatArray, View
-from neurad.export.pictures import ERROR, Pictures
+from neurad.export.pictures import BLOCK, Estimate, Pictures
 from neurad.export.seams import BOUND, Seams
 from neurad.metrics.scores import psnr
 
@@ -18,10 +18,41 @@ ALBEDO_LOSS, ROUGHNESS_LOSS, PICTURE_LOSS = 0.1, 0.1, 0.05
 MITSUBA_MEAN, MITSUBA_PSNR = 0.01, 0.1
 """Largest difference of a view's mean, as a fraction, and of the PSNR against the photographs, in dB."""
 CYCLES_MEAN = 0.03
-SIGMAS = 3.0
-"""A mean is beyond its bound if it is so by more than this many standard errors: noise is no difference."""
+MISSED, KEPT = 3.0, 2.0
+"""A bound is missed by what lies beyond it by more than so many standard errors, and kept by what lies within it by
+more than so many; what is neither is not decided."""
 SEAMS_BEYOND = 1e-2
 """Largest fraction of the points on borders of charts that may differ by more than two steps of 255."""
+State = Literal["kept", "missed", "not decided"]
+
+
+@dataclass(frozen=True)
+class Verdict:
+    """A figure against its bound."""
+
+    name: str
+    """What was measured, in few words."""
+    value: float
+    error: float
+    """Its standard error; 0 of what has no noise."""
+    bound: float
+    text: str
+    """A sentence with the figure, without what it comes to."""
+    signed: bool = True
+    """Only what is above the bound is beyond it; otherwise what is so far from 0."""
+
+    @property
+    def state(self) -> State:
+        """Whether the bound is kept, missed, or noise leaves that open."""
+        off = self.value if self.signed else abs(self.value)
+        if off - MISSED * self.error > self.bound:
+            return "missed"
+        return "kept" if off + KEPT * self.error <= self.bound else "not decided"
+
+    def as_json(self) -> dict[str, Any]:
+        """What ``verify.json`` holds."""
+        figures = {"value": round(self.value, 5), "standard_error": round(self.error, 5), "bound": self.bound}
+        return {"what": self.name, **figures, "verdict": self.state}
 
 
 @dataclass
@@ -33,15 +64,25 @@ class Verified:
     """Whether the views are held out; a scene without such views is verified on those that it was fitted to."""
     pictures: dict[str, Pictures] = field(default_factory=dict)
     """By renderer: 'fields', 'baked', 'mitsuba' and 'cycles'."""
+    excess: dict[str, list[dict[int, Estimate] | None]] = field(default_factory=dict)
+    """By renderer, of every view with a photograph: what :func:`neurad.export.pictures.excess` says of its pictures
+    against those of the baked room, by the side of the blocks."""
     photographs: list[FloatArray | None] = field(default_factory=list)
     scores: dict[str, float] = field(default_factory=dict)
     seams: Seams | None = None
     left_out: list[str] = field(default_factory=list)
     """What could not be verified, and why."""
-    beyond: list[str] = field(default_factory=list)
-    """What lies beyond its bound, a few words each."""
-    noisy: list[str] = field(default_factory=list)
-    """Which means are not known as well as was asked for."""
+    verdicts: list[Verdict] = field(default_factory=list)
+
+    @property
+    def beyond(self) -> list[str]:
+        """What lies beyond its bound, a few words each."""
+        return [verdict.text for verdict in self.verdicts if verdict.state == "missed"]
+
+    @property
+    def undecided(self) -> list[str]:
+        """What noise leaves open, a few words each."""
+        return [verdict.text for verdict in self.verdicts if verdict.state == "not decided"]
 
     def ratios(self, name: str) -> list[float]:
         """Means of the views by a renderer over those of the baked room in neurad's path tracer."""
@@ -56,7 +97,7 @@ class Verified:
         return [math.hypot(a, b) for a, b in zip(*parts, strict=True)]
 
     def psnr(self, name: str, view: int | None = None) -> float | None:
-        """Of a renderer's views, or of one, against the photographs, linear, peak 1; None without photographs.
+        """Of a renderer's views, or of one, against the photographs, linear, of values below 1; None without any.
 
         The noise of the renderer, known from its passes, is taken out, as renderers differ in it.
         """
@@ -66,19 +107,27 @@ class Verified:
     def psnr_error(self, name: str, view: int | None = None) -> float:
         """Standard error of :meth:`psnr` in dB."""
         squared = self._squared(name, view)
-        return 0.0 if squared is None else 10.0 / math.log(10.0) * squared[1] / max(squared[0], 1e-12)
+        return 0.0 if squared is None else _decibels(squared[1] / max(squared[0], 1e-12))
 
-    def _squared(self, name: str, view: int | None) -> tuple[float, float] | None:
-        """Mean squared difference to the photographs, and its standard error."""
-        shown = self.pictures[name]
-        pairs = [
-            (x, e)
-            for i, (x, e) in enumerate(zip(shown.squared, shown.squared_error, strict=True))
-            if x is not None and view in (None, i)
-        ]
-        if not pairs:
-            return None
-        return float(np.mean([x for x, _ in pairs])), math.hypot(*(e for _, e in pairs)) / len(pairs)
+    def _squared(self, name: str, view: int | None) -> Estimate | None:
+        """Mean squared difference to the photographs."""
+        shown = self.pictures[name].squared
+        return _mean([x for i, x in enumerate(shown) if x is not None and view in (None, i)])
+
+    def difference(self, name: str, block: int = 1) -> Estimate:
+        """PSNR of a renderer less that of the baked room in neurad, in dB; zeros without photographs.
+
+        Args:
+            name: of the renderer.
+            block: what differences over blocks of this side in pixels make of it, whatever is finer; 1 is all.
+        """
+        excess = _mean([entry[block] for entry in self.excess[name] if entry is not None])
+        squared = self._squared("baked", None)
+        if excess is None or squared is None:
+            return 0.0, 0.0
+        base = max(squared[0], 1e-12)
+        farther = max(excess[0] / base, -0.99)
+        return -10.0 * math.log10(1.0 + farther), _decibels(excess[1] / base / (1.0 + farther))
 
     def as_json(self) -> dict[str, Any]:
         """What ``verify.json`` holds."""
@@ -86,18 +135,12 @@ class Verified:
             "verified_on": "held-out views" if self.held_out else "training views, as there are no held-out ones",
             "scores": {name: round(value, 4) for name, value in self.scores.items()},
             "seams": None if self.seams is None else self.seams.as_json(),
-            "psnr_less_baked": {
-                name: self._less_baked(name) for name in ("fields", "mitsuba") if name in self.pictures
-            },
+            "bounds": [verdict.as_json() for verdict in self.verdicts],
             "beyond_bounds": self.beyond,
-            "noisy": self.noisy,
+            "not_decided": self.undecided,
             "left_out": self.left_out,
             "renderers": {name: self._renderer(name) for name in self.pictures},
         }
-
-    def _less_baked(self, name: str) -> dict[str, float]:
-        """What :meth:`difference` says, for ``verify.json``."""
-        return dict(zip(("db", "standard_error"), (round(x, 4) for x in self.difference(name)), strict=True))
 
     def _renderer(self, name: str) -> dict[str, Any]:
         """What ``verify.json`` says of a renderer."""
@@ -105,7 +148,7 @@ class Verified:
         worst = int(np.argmax(np.abs(np.array(ratios) - 1.0)))
         means = [float(np.mean([x.mean() for x in p.mean])) for p in (shown, self.pictures["baked"])]
         return {
-            "psnr_linear": self.psnr(name),
+            "psnr_below_white": self.psnr(name),
             "psnr_standard_error": self.psnr_error(name),
             "ratio_of_means": means[0] / max(means[1], 1e-30),
             "worst_view": {"name": self.views[worst].name, "ratio_of_means": ratios[worst]},
@@ -115,7 +158,7 @@ class Verified:
                     "standard_error": shown.error[i],
                     "passes": shown.passes[i],
                     "ratio_of_means": ratios[i],
-                    "psnr_linear": self.psnr(name, i),
+                    "psnr_below_white": self.psnr(name, i),
                     "psnr_standard_error": self.psnr_error(name, i),
                 }
                 for i, view in enumerate(self.views)
@@ -123,54 +166,68 @@ class Verified:
         }
 
     def judge(self) -> None:
-        """Find what lies beyond its bound, and what noise leaves open."""
-        for what, bound in (("albedo", ALBEDO_LOSS), ("roughness", ROUGHNESS_LOSS)):
-            before, after = self.scores.get(f"{what}_psnr_fields"), self.scores.get(f"{what}_psnr_baked")
-            if before is not None and after is not None and before - after > bound:
-                self.beyond.append(f"baking took {before - after:.2f} dB of {what} (bound {bound})")
-        if self.seams is not None and self.seams.beyond > SEAMS_BEYOND:
-            self.beyond.append(
-                f"seams: {100 * self.seams.beyond:.2f} % of the borders of charts differ by more than "
-                f"{255 * BOUND:g}/255, most on {self.seams.where} ({255 * self.seams.largest:.1f}/255)"
-            )
+        """Hold what was found against its bounds."""
+        self.verdicts = [*self._maps(), *self._seams()]
         for name, bound in (("mitsuba", MITSUBA_MEAN), ("cycles", CYCLES_MEAN)):
             if name in self.pictures:
-                self._judge_means(name, bound)
-        lost, error = self.difference("fields")
-        if lost - SIGMAS * error > PICTURE_LOSS:
-            self.beyond.append(f"baking took {lost:.2f} dB of the picture (bound {PICTURE_LOSS})")
-        elif error > PICTURE_LOSS:
-            self.noisy.append(f"what baking took of the picture is known to {error:.2f} dB; raise --spp")
-        if "mitsuba" in self.pictures:
-            apart, error = self.difference("mitsuba")
-            if abs(apart) - SIGMAS * error > MITSUBA_PSNR:
-                self.beyond.append(f"mitsuba's PSNR differs from ours by {apart:+.2f} dB (bound {MITSUBA_PSNR})")
-            elif error > MITSUBA_PSNR:
-                self.noisy.append(f"how far mitsuba's PSNR is from ours is known to {error:.2f} dB; raise --spp")
+                self.verdicts.append(self._means(name, bound))
+        if all(photo is None for photo in self.photographs):
+            return
+        apart, error = self.difference("fields")
+        text = f"baking took {apart:.3f} dB of the picture{_known(error)} (bound {PICTURE_LOSS})"
+        self.verdicts.append(Verdict("picture lost by baking, dB", apart, error, PICTURE_LOSS, text))
+        for block in (1, BLOCK) if "mitsuba" in self.pictures else ():
+            apart, error = self.difference("mitsuba", block)
+            what = "mitsuba's PSNR" + (f" by differences over {block} x {block} pixels" if block > 1 else "")
+            text = f"{what} differs from ours by {apart:+.2f} dB{_known(error)} (bound {MITSUBA_PSNR})"
+            self.verdicts.append(Verdict(f"{what} less ours, dB", apart, error, MITSUBA_PSNR, text, signed=False))
 
-    def difference(self, name: str) -> tuple[float, float]:
-        """PSNR of a renderer less that of the baked room in neurad, in dB, and its standard error; zeros without."""
-        ours, theirs = self.pictures["baked"], self.pictures[name]
-        views = [i for i, half in enumerate(ours.halves) if half is not None and theirs.halves[i] is not None]
-        squared = self._squared("baked", None)
-        if not views or squared is None:
-            return 0.0, 0.0
-        pairs = [theirs.farther(ours, view) for view in views]
-        base = max(squared[0], 1e-12)
-        farther = max(float(np.mean([off for off, _ in pairs])) / base, -0.99)
-        error = math.hypot(*(e for _, e in pairs)) / len(pairs) / base
-        return -10.0 * math.log10(1.0 + farther), 10.0 / math.log(10.0) * error / (1.0 + farther)
+    def _maps(self) -> list[Verdict]:
+        """What baking took of the maps."""
+        found = []
+        for what, bound in (("albedo", ALBEDO_LOSS), ("roughness", ROUGHNESS_LOSS)):
+            before, after = self.scores.get(f"{what}_psnr_fields"), self.scores.get(f"{what}_psnr_baked")
+            if before is not None and after is not None:
+                lost = before - after
+                text = f"baking took {lost:.2f} dB of {what} (bound {bound})"
+                found.append(Verdict(f"{what} lost by baking, dB", lost, 0.0, bound, text))
+        return found
 
-    def _judge_means(self, name: str, bound: float) -> None:
-        """Compare the means of the views with ours."""
+    def _seams(self) -> list[Verdict]:
+        """Borders of charts."""
+        if self.seams is None:
+            return []
+        text = (
+            f"seams: {100 * self.seams.beyond:.2f} % of the borders of charts differ by more than "
+            f"{255 * BOUND:g}/255, most on {self.seams.where} ({255 * self.seams.largest:.1f}/255)"
+        )
+        return [Verdict("fraction of borders beyond 2/255", self.seams.beyond, 0.0, SEAMS_BEYOND, text)]
+
+    def _means(self, name: str, bound: float) -> Verdict:
+        """The view whose mean is farthest from ours, noise told."""
         ratios, errors = self.ratios(name), self.errors(name)
-        off = [abs(ratio - 1.0) - SIGMAS * error for ratio, error in zip(ratios, errors, strict=True)]
-        worst = int(np.argmax(off))
-        if off[worst] > bound:
-            view = self.views[worst].name
-            self.beyond.append(f"{name} shows {view} {ratios[worst]:.3f} times as bright (bound {100 * bound:g} %)")
-        elif max(errors) > 2.0 * ERROR:
-            view = self.views[int(np.argmax(errors))].name
-            self.noisy.append(
-                f"{name}: the means are known to {100 * max(errors):.1f} % ({view}); raise --spp to know them better"
-            )
+        worst = int(np.argmax([abs(ratio - 1.0) + KEPT * error for ratio, error in zip(ratios, errors, strict=True)]))
+        missed = [i for i, (r, e) in enumerate(zip(ratios, errors, strict=True)) if abs(r - 1.0) - MISSED * e > bound]
+        worst = max(missed, key=lambda i: abs(ratios[i] - 1.0)) if missed else worst
+        ratio, error = ratios[worst], errors[worst]
+        text = (
+            f"{name} shows {self.views[worst].name} {ratio:.4f} times as bright{_known(error)} "
+            f"(bound {100 * bound:g} %)"
+        )
+        return Verdict(f"{name}: farthest mean of a view less 1", ratio - 1.0, error, bound, text, signed=False)
+
+
+def _mean(parts: list[Estimate]) -> Estimate | None:
+    """Of independent estimates; None of none."""
+    if not parts:
+        return None
+    return float(np.mean([x for x, _ in parts])), math.hypot(*(e for _, e in parts)) / len(parts)
+
+
+def _known(error: float) -> str:
+    return f" +- {error:.2g}"
+
+
+def _decibels(fraction: float) -> float:
+    """A small change of a squared difference, as a fraction, in dB."""
+    return 10.0 / math.log(10.0) * fraction

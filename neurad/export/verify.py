@@ -18,7 +18,7 @@ from neurad.core.protocols import Materials
 from neurad.core.records import FloatArray, Surface, SurfaceInteraction, View
 from neurad.core.rng import mix
 from neurad.export.cameras import shown_alike
-from neurad.export.pictures import PASSES, Draw, Pictures
+from neurad.export.pictures import BLOCK, PASSES, Draw, Pictures, drawn, excess
 from neurad.export.progress import Progress
 from neurad.export.room import Room
 from neurad.export.seams import find_seams
@@ -107,7 +107,7 @@ def _render_cycles(found: Verified, cycles: Cycles, spp: int, progress: Progress
         progress.step()
     found.pictures["cycles"] = Pictures()
     for pair, photo in zip(zip(*passes, strict=True), found.photographs, strict=True):
-        found.pictures["cycles"].add(pair.__getitem__, photo, 2)
+        found.pictures["cycles"].add(np.stack(pair), photo)
 
 
 def _read_again(room: Room, folder: Path, found: Verified) -> Scene:
@@ -161,14 +161,23 @@ def _mitsuba(path: Path, spp: int, room: Room) -> Draw:
 
 
 def _render(found: Verified, draws: dict[str, Draw], progress: Progress) -> None:
-    """Passes of every view until the means are known well enough."""
-    for name, draw in draws.items():
-        progress.stage(name, len(found.views))
-        found.pictures[name] = Pictures()
-        for index, photo in enumerate(found.photographs):
+    """Passes of every view until the means are known well enough, those of one view in memory at once."""
+    progress.stage("pictures", len(found.views) * len(draws))
+    found.pictures |= {name: Pictures() for name in draws}
+    found.excess |= {name: [] for name in draws if name != "baked"}
+    for index, photo in enumerate(found.photographs):
+        passes: dict[str, FloatArray] = {}
+        for name, draw in draws.items():
             # as many passes of the fields as of the folder: they share random numbers, so that noise cancels
-            count = found.pictures["baked"].passes[index] if name == "fields" else 0
-            found.pictures[name].add(partial(draw, index), photo, count or PASSES, count)
+            count = len(passes["baked"]) if name == "fields" else 0
+            passes[name] = drawn(partial(draw, index), photo, count or PASSES, count)
+            found.pictures[name].add(passes[name], photo)
             progress.step()
+        for name, entries in found.excess.items():
+            sides = None if photo is None else {
+                block: excess(passes[name], passes["baked"], photo, block) for block in (1, BLOCK)
+            }  # fmt: skip
+            entries.append(sides)
+    for name in draws:
         if (score := found.psnr(name)) is not None:
             found.scores[f"picture_psnr_{name}"] = score

@@ -14,6 +14,7 @@ import numpy as np
 import numpy.typing as npt
 
 from neurad.core.errors import InputError
+from neurad.core.names import apart
 from neurad.core.records import Constant, FloatArray, Material, Mesh, View
 from neurad.runtime.files import place, writing
 from neurad.runtime.reading import shown
@@ -112,28 +113,14 @@ def write_room(room: Room, out: Path) -> list[Mesh]:
 def _named_apart(room: Room) -> list[Mesh]:
     """All meshes, no two of one name."""
     taken: set[str] = set()
-    meshes = []
-    for file in room.meshes:
-        for mesh in file.meshes:
-            name, count = mesh.name, 1
-            while name in taken:
-                count += 1
-                name = f"{mesh.name}-{count}"
-            taken.add(name)
-            meshes.append(replace(mesh, name=name))
-    return meshes
+    return [replace(mesh, name=apart(mesh.name, taken)) for file in room.meshes for mesh in file.meshes]
 
 
 def file_name(name: str, taken: set[str]) -> str:
     """A name for a file that XML, shells and other systems take, none of ``taken``, to which it is added."""
     plain = unicodedata.normalize("NFKD", name).encode("ascii", "ignore").decode()
     stem = re.sub(r"[^A-Za-z0-9_-]+", "_", plain).strip("_")[:60] or "part"
-    made, count = stem, 1
-    while made.lower() in taken:  # some systems do not tell capitals apart
-        count += 1
-        made = f"{stem}_{count}"
-    taken.add(made.lower())
-    return made
+    return apart(stem, taken, "_", capitals=False)
 
 
 def write_views(room: Room, out: Path, only: str | None = None) -> None:

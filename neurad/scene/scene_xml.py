@@ -17,6 +17,7 @@ import numpy as np
 import numpy.typing as npt
 
 from neurad.core.errors import InputError
+from neurad.core.names import apart
 from neurad.core.records import Bitmap, Constant, EnvironmentMap, Material, Mesh, PunctualLight, Texture
 from neurad.scene.description import Scene
 from neurad.scene.image_io import write_exr
@@ -55,12 +56,7 @@ def file_names(names: Sequence[str]) -> list[str]:
     made = []
     for name in names:
         stem = re.sub(r"[^A-Za-z0-9_-]+", "_", name).strip("_")[:50] or "mesh"
-        candidate, count = stem, 1
-        while candidate.lower() in taken:  # some file systems do not tell capitals apart
-            count += 1
-            candidate = f"{stem}_{count}"
-        taken.add(candidate.lower())
-        made.append(candidate)
+        made.append(apart(stem, taken, "_", capitals=False))
     return made
 
 

@@ -4,55 +4,97 @@ import numpy as np
 import pytest
 
 from neurad.export import pictures
-from neurad.export.pictures import Pictures
+from neurad.export.pictures import Pictures, drawn, excess, squared_difference
 
 SHAPE = (24, 24, 3)
+PHOTO = np.full(SHAPE, 0.5, np.float32)
 
 
-def made(seed, photo, noise, most=8):
-    """A picture that differs from ``photo`` by 0.1 and has this much noise."""
+def passes(seed, noise, most=8):
+    """A picture that differs from the photograph by 0.1 and has this much noise."""
     rng = np.random.default_rng(seed)
-    shown = Pictures()
-    shown.add(lambda _: photo + 0.1 + noise * rng.standard_normal((*SHAPE[:2], 1)), photo, most)
-    return shown
+    return drawn(lambda _: PHOTO + 0.1 + noise * rng.standard_normal((*SHAPE[:2], 1)), PHOTO, most)
 
 
-def test_standard_errors_are_those_of_repeated_pictures(monkeypatch):
+def bright(rng):
+    """Rare samples, a thousand times as large as their share: noise of mean 0 and deviation 0.4."""
+    hits = rng.random((*SHAPE[:2], 1)) < 1e-2
+    return 0.4 * (np.where(hits, 10.0, 0.0) - 0.1)
+
+
+@pytest.mark.parametrize("most", [2, 4, 8])
+def test_standard_errors_are_those_of_repeated_pictures(monkeypatch, most):
     """Over 300 repetitions the spread is as stated within 15 % (four sigma), and squares are without bias."""
     monkeypatch.setattr(pictures, "ERROR", 0.0)  # all passes
-    photo = np.full(SHAPE, 0.5, np.float32)
-    found = [made(seed, photo, 0.4) for seed in range(300)]
-    assert all(p.passes == [8] for p in found)
-    means, squares = (np.array(x) for x in zip(*((p.mean[0].mean(), p.squared[0]) for p in found), strict=True))
-    assert np.std(means) == pytest.approx(np.mean([p.error[0] for p in found]), rel=0.15)
-    assert np.std(squares) == pytest.approx(np.mean([p.squared_error[0] for p in found]), rel=0.2)
+    shown = Pictures()
+    for seed in range(300):
+        shown.add(passes(seed, 0.4, most), PHOTO)
+    assert shown.passes == [most] * 300
+    assert np.std([x.mean() for x in shown.mean]) == pytest.approx(np.mean(shown.error), rel=0.15)
+    squares, errors = np.array(shown.squared).T
+    assert np.std(squares) == pytest.approx(np.mean(errors), rel=0.2)
     assert abs(squares.mean() - 0.01) < 4 * np.std(squares) / 300**0.5
 
 
-def test_passes_end_when_the_picture_is_known():
-    photo = np.full(SHAPE, 0.5, np.float32)
-    assert made(0, photo, 1e-4).passes == [2]
-    assert made(0, photo, 0.5).passes == [8]
-    assert made(0, photo, 0.5, most=4).passes == [4]
-
-
-def test_pictures_of_one_noise_are_compared_without_it(monkeypatch):
-    """Over 300 repetitions the difference is unbiased, spread as stated, and known far better than either picture."""
-    monkeypatch.setattr(pictures, "ERROR", 0.0)
-    photo = np.full(SHAPE, 0.5, np.float32)
+def test_rare_bright_samples_are_told_from_common_noise():
+    """Where noise is a few bright samples, the spread over 300 repetitions is as stated."""
     found = []
     for seed in range(300):
-        ours, theirs = Pictures(), Pictures()
-        for shown, off, own in ((ours, 0.1, 1000), (theirs, 0.11, 2000)):
-            common, alone = (np.random.default_rng([seed, s]) for s in (0, own))
+        rng = np.random.default_rng(seed)
+        found.append(squared_difference(np.stack([PHOTO + 0.1 + bright(rng) for _ in range(8)]), PHOTO))
+    squares, errors = np.array(found).T
+    assert abs(squares.mean() - 0.01) < 4 * np.std(squares) / 300**0.5
+    assert np.sqrt(np.square(errors).mean()) == pytest.approx(np.std(squares), rel=0.2)
 
-            def draw(_, off=off, common=common, alone=alone):
-                noise = 0.4 * common.standard_normal((*SHAPE[:2], 1)) + 0.01 * alone.standard_normal((*SHAPE[:2], 1))
-                return photo + off + noise
 
-            shown.add(draw, photo)
-        found.append((*theirs.farther(ours, 0), ours.squared_error[0]))
+def test_passes_end_when_the_picture_is_known():
+    assert len(passes(0, 1e-4)) == 2
+    assert len(passes(0, 0.5)) == 8
+    assert len(passes(0, 0.5, most=4)) == 4
+    assert len(drawn(lambda _: PHOTO, None, 8, 6)) == 6
+
+
+@pytest.mark.parametrize("most", [2, 8])
+def test_pictures_of_one_noise_are_compared_without_it(most):
+    """Over 300 repetitions the difference is unbiased, spread as stated, and known far better than either picture."""
+    found = []
+    for seed in range(300):
+        pair = []
+        for off, own in ((0.11, 2000), (0.1, 1000)):
+            shape = (most, *SHAPE[:2], 1)
+            common, alone = (np.random.default_rng([seed, s]).standard_normal(shape) for s in (0, own))
+            pair.append(PHOTO + off + 0.4 * common + 0.01 * alone)
+        found.append((*excess(*pair, PHOTO), squared_difference(pair[1], PHOTO)[1]))
     off, error, alone = np.array(found).T
     assert abs(off.mean() - (0.11**2 - 0.1**2)) < 4 * off.std() / 300**0.5
     assert off.std() == pytest.approx(error.mean(), rel=0.2)
     assert error.mean() < 0.2 * alone.mean()
+
+
+@pytest.mark.parametrize(("fine", "left"), [(False, 0.15**2 - 0.1**2), (True, 0.0)])
+def test_blocks_show_what_extends_over_them_and_drown_less_in_noise(fine, left):
+    """A difference of all pixels is all there, one that changes sign from pixel to pixel is not."""
+    rng = np.random.default_rng(0)
+    photo = np.full((64, 64, 3), 0.5, np.float32)
+    ours, theirs = (photo + 0.1 + 2.0 * rng.standard_normal((8, *photo.shape)) for _ in range(2))
+    even = np.indices(photo.shape[:2]).sum(0)[..., None] % 2 == 0
+    theirs += np.where(even | (not fine), 0.05, -0.05)
+    (whole, error), (blocks, block_error) = (excess(theirs, ours, photo, block) for block in (1, 16))
+    assert whole == pytest.approx(0.05**2 if fine else left, abs=4 * error)
+    assert blocks == pytest.approx(left, abs=4 * block_error)
+    assert block_error < 0.3 * error
+
+
+def test_what_is_white_in_the_photograph_does_not_count():
+    photo = PHOTO.copy()
+    photo[:12] = 20.0
+    shown = np.stack([photo + 0.1] * 4)
+    shown[:, :12] += np.random.default_rng(0).normal(0.0, 50.0, (4, 12, *SHAPE[1:]))
+    for block in (1, 16):
+        assert excess(shown, np.stack([photo] * 4), photo, block)[0] == pytest.approx(0.01, rel=1e-5)
+    assert squared_difference(shown, photo)[0] == pytest.approx(0.01, rel=1e-5)
+
+
+def test_a_number_of_passes_of_its_own_is_no_hindrance():
+    ours, theirs = (np.stack([PHOTO + off] * k) for off, k in ((0.1, 4), (0.2, 2)))
+    assert excess(theirs, ours, PHOTO)[0] == pytest.approx(0.03, rel=1e-5)

@@ -6,6 +6,7 @@ import torch
 
 from neurad.core.records import Surface
 from neurad.export import bake as baking
+from neurad.export import texel_means
 from neurad.export.bake import bake
 from neurad.export.charts import find_borders
 from neurad.export.room import Room
@@ -51,7 +52,7 @@ def test_no_border_of_the_built_in_kitchen_is_a_seam(kitchen):
 def test_without_a_gutter_seams_are_found(kitchen, monkeypatch):
     scene, geometry, charts = kitchen
     with monkeypatch.context() as patch:
-        patch.setattr(baking, "GUTTER", 0.0)
+        patch.setattr(texel_means, "GUTTER", 0.0)
         bare = room(scene, geometry, charts)
     found = find_seams(bare, geometry, Waves(), points=4096)
     assert found.points < found.sides
@@ -75,7 +76,7 @@ def test_borders_are_edges_that_two_charts_share(kitchen):
     assert inside == len(bare.faces) - charts  # triangles of a chart hang together like a tree here
 
 
-@pytest.mark.parametrize(("per", "seen"), [(2, True), (4, False)])
+@pytest.mark.parametrize(("per", "seen"), [(2, True), (32, False)])
 def test_texels_on_borders_are_asked_at_more_positions(monkeypatch, per, seen):
     """In a large texture, where fields bend within a texel."""
     import trimesh
@@ -90,7 +91,7 @@ def test_texels_on_borders_are_asked_at_more_positions(monkeypatch, per, seen):
     scene = Scene("box", [mesh], [paint])
     geometry, charts = Geometry(scene), unwrap([mesh], np.array([12.0]), 1 << 16)
     monkeypatch.setattr(baking, "SMALL", 0)
-    monkeypatch.setattr(baking, "PER_BORDER_TEXEL", per)
+    monkeypatch.setattr(baking, "MOST_PER_BORDER_TEXEL", per)
     found = find_seams(room(scene, geometry, charts), geometry, Waves())
     assert (found.largest > BOUND) == seen, found
 
@@ -99,7 +100,7 @@ def test_a_gutter_in_a_wrong_plane_is_seen_across(kitchen, monkeypatch):
     """Texels around charts that take the nearest point of the triangle instead of its plane's."""
     scene, geometry, charts = kitchen
     with monkeypatch.context() as patch:
-        patch.setattr(baking, "STRETCH", 0.0)
+        patch.setattr(texel_means, "STRETCH", 0.0)
         clamped = room(scene, geometry, charts)
     good = find_seams(room(scene, geometry, charts), geometry, Waves(), points=4096)
     wrong = find_seams(clamped, geometry, Waves(), points=4096)

@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 
 from neurad.core.errors import InputError
+from neurad.core.names import apart
 from neurad.core.records import Constant, EnvironmentMap, FloatArray, IntArray, Material, Mesh, PunctualLight
 from neurad.core.reflection import DiffuseModel, PrincipledModel
 from neurad.runtime.memory import reserve
@@ -21,7 +22,7 @@ from neurad.scene.readers.blender_cameras import BlenderCamera, camera_of
 from neurad.scene.readers.blender_lamps import lamp_of
 from neurad.scene.readers.blender_materials import MaterialReader, Painted
 from neurad.scene.readers.gltf import in_world
-from neurad.scene.readers.gltf_lamps import apart, backs_of, lit_by
+from neurad.scene.readers.gltf_lamps import backs_of, lit_by
 
 ROOM = "blender.json"
 """The file that says what a folder has."""

@@ -10,12 +10,13 @@ from typing import Any
 import numpy as np
 
 from neurad.core.errors import InputError
+from neurad.core.names import apart
 from neurad.core.records import FloatArray, IntArray, Material, Mesh, PunctualLight
 from neurad.runtime.memory import reserve
 from neurad.runtime.reading import shown
 from neurad.scene.numbers import LENGTH, RADIANCE, TEXEL, within
 from neurad.scene.readers.gltf_file import Array, GltfFile, Json
-from neurad.scene.readers.gltf_lamps import apart, backs_of, lit_by
+from neurad.scene.readers.gltf_lamps import backs_of, lit_by
 from neurad.scene.readers.gltf_materials import COLOUR, Corners, Emission, MaterialReader
 from neurad.scene.readers.gltf_nodes import GltfCamera, Node, camera_of, is_own, light_of, nodes_of
 from neurad.scene.readers.gltf_textures import LEVELS

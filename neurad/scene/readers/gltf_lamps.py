@@ -11,6 +11,7 @@ from functools import partial
 
 import numpy as np
 
+from neurad.core.names import apart
 from neurad.core.records import FloatArray, Mesh
 from neurad.scene.readers.gltf_file import Array
 from neurad.scene.readers.gltf_textures import look_up
@@ -23,16 +24,6 @@ _EVEN = 2.0**-9  # difference of radiances, of the largest one, that does not co
 _SAMPLES = 8  # along a side of a piece, at most
 _AT_ONCE = 1 << 18  # samples that are looked up at once
 _GAP = 1e-4  # distance of two sheets, of the mesh's diagonal
-
-
-def apart(name: str, taken: set[str]) -> str:
-    """The name, or with a number the first that is not taken; it is from then on."""
-    made, count = name, 1
-    while made in taken:
-        count += 1
-        made = f"{name}-{count}"
-    taken.add(made)
-    return made
 
 
 def lit_by(

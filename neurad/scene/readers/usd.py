@@ -11,6 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from neurad.core.errors import InputError
+from neurad.core.names import apart
 from neurad.core.records import IntArray, Mesh
 from neurad.runtime.reading import native, shown
 from neurad.scene.numbers import LENGTH, RADIANCE, within
@@ -132,10 +133,5 @@ def _emitted(prim: Any, where: str) -> Array | None:
 
 
 def _named_apart(meshes: list[Mesh]) -> list[Mesh]:
-    taken: dict[str, int] = {}
-    made = []
-    for mesh in meshes:
-        taken[mesh.name] = taken.get(mesh.name, 0) + 1
-        name = mesh.name if taken[mesh.name] == 1 else f"{mesh.name}-{taken[mesh.name]}"
-        made.append(replace(mesh, name=name))
-    return made
+    taken: set[str] = set()
+    return [replace(mesh, name=apart(mesh.name, taken)) for mesh in meshes]

@@ -1,0 +1,171 @@
+"""What lies under the texels of a mesh: means of albedo and roughness over positions in each."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from functools import partial
+
+import numpy as np
+import torch
+
+from neurad.core.protocols import Materials
+from neurad.core.records import FloatArray
+from neurad.export import raster_kernels as kernels
+from neurad.export.charts import Chart, triangle_areas
+from neurad.export.raster_kernels import Array, IntArray
+from neurad.metrics.scores import BoolArray
+from neurad.runtime.threads import split
+from neurad.scene.geometry import Geometry
+
+GUTTER = 2.0
+"""Texels around a chart that are still baked, in the plane of its nearest triangle; a bilinear lookup reads one."""
+BATCH = 1 << 22
+"""Positions in flight, which bounds the memory."""
+CHUNK = 1 << 18
+"""Positions that go through the fields at once."""
+STRETCH = 4.0
+"""A texel of the gutter may lie so many times further from the mesh than texels are apart on it, not more."""
+
+
+def uncertain(spread: FloatArray, per: int) -> FloatArray:
+    """Estimates of the error of means over a grid of ``per`` x ``per`` positions whose values have this deviation.
+
+    Of so many places a jump under a texel crosses the root, and there the share of each side is guessed; what merely
+    bends is known better.
+    """
+    error: FloatArray = spread * np.float32(per**-1.5)
+    return error
+
+
+@dataclass(frozen=True)
+class Means:
+    """Means over the texels of a texture."""
+
+    values: FloatArray
+    """Albedo and roughness [h, w, 4], zero where there is nothing; float32."""
+    covered: BoolArray
+    """Texels that have anything: on the mesh or in the gutter around its charts [h, w]."""
+    inside: BoolArray
+    """Texels whose positions all lie on the mesh itself [h, w]."""
+    spread: FloatArray
+    """Standard deviation over the positions of a texel from a plane through them, of the value that varies most [h, w]:
+    means over a grid know planes exactly."""
+    least: FloatArray
+    """Smallest values at any position [4]."""
+    most: FloatArray
+    """Largest ones [4]."""
+
+
+def _averaged(owner: IntArray, asked: FloatArray, per: int) -> tuple[FloatArray, FloatArray]:
+    """:attr:`Means.values` [n, 4] and :attr:`Means.spread` [n] of texels, from their samples in order."""
+    count = (owner >= 0).sum(1)
+    begin = np.cumsum(count) - count
+    mean, spread = np.empty((len(owner), 4), np.float32), np.empty(len(owner), np.float32)
+
+    def work(low: int, high: int) -> None:
+        kernels.averaged(owner[low:high], begin[low:high], asked, per, mean[low:high], spread[low:high])
+
+    split(work, len(owner), 4096)
+    return mean, spread
+
+
+class TexelMeans:
+    """A mesh whose texels can be asked for what lies under them, around a chart in the plane of its nearest triangle.
+
+    Args:
+        chart: the mesh.
+        first: number of its first triangle in ``geometry``.
+        geometry: of the whole scene, with the same triangles.
+        materials: what to ask, on the CPU or where ``geometry`` lies.
+    """
+
+    def __init__(self, chart: Chart, first: int, geometry: Geometry, materials: Materials) -> None:
+        self.shape = (chart.height, chart.width)
+        self._first, self._geometry, self._materials = first, geometry, materials
+        self._corners = chart.corners
+        self._low, self._high = self._corners[:, :, 1].min(1) - GUTTER, self._corners[:, :, 1].max(1) + GUTTER
+        self._points = chart.mesh.vertices[chart.mesh.faces].astype(np.float64)
+        on_texture, in_space = (float(triangle_areas(x).sum()) for x in (self._corners, self._points))
+        self._limit = STRETCH * math.sqrt(in_space / on_texture) if on_texture > 0 else 0.0
+
+    @torch.no_grad()
+    def means(
+        self, per: int, wanted: BoolArray | None = None, done: Callable[[int], None] = lambda texels: None
+    ) -> Means:
+        """Means over texels, a box filter.
+
+        Args:
+            per: positions along the side of a texel.
+            wanted: texels [h, w] to do; None does all, others have nothing.
+            done: called with numbers of texels as they get done.
+        """
+        size = self.shape[0] * self.shape[1]
+        values, spread = np.zeros((size, 4), np.float32), np.zeros(size, np.float32)
+        covered, inside = np.zeros(size, bool), np.zeros(size, bool)
+        least, most = np.ones(4, np.float32), np.zeros(4, np.float32)
+        for texels, owner, within in self._batches(per, wanted):
+            sample = np.flatnonzero(owner.ravel() >= 0)
+            texel, place = np.divmod(sample, per * per)
+            row, column = np.divmod(texels[texel], self.shape[1])
+            down, right = np.divmod(place, per)
+            asked = self._asked(owner.ravel()[sample], column + (right + 0.5) / per, row + (down + 0.5) / per)
+            least, most = np.minimum(least, asked.min(0, initial=1.0)), np.maximum(most, asked.max(0, initial=0.0))
+            values[texels], spread[texels] = _averaged(owner, asked, per)
+            covered[texels], inside[texels] = (owner >= 0).any(1), within
+            done(len(texels))
+        return Means(
+            values.reshape(*self.shape, 4), covered.reshape(self.shape), inside.reshape(self.shape),
+            spread.reshape(self.shape), least, most,
+        )  # fmt: skip
+
+    def _batches(self, per: int, wanted: BoolArray | None) -> Iterator[tuple[IntArray, IntArray, BoolArray]]:
+        """Texels in row-major order [n], the triangle of each of their positions, -1 for none [n, per * per], and
+        whether all of these lie on the mesh [n].
+        """
+        height, width = self.shape
+        every = np.arange(height * width) if wanted is None else np.flatnonzero(wanted)
+        step = max(1, BATCH // (per * per))
+        for begin in range(0, len(every), step):
+            texels = every[begin : begin + step]
+            top, bottom = int(texels[0] // width), int(texels[-1] // width) + 1
+            slot = np.full((bottom - top) * width, -1, np.int32)
+            slot[texels - top * width] = np.arange(len(texels), dtype=np.int32)
+            chosen = np.flatnonzero((self._high >= top) & (self._low <= bottom))
+            distance = np.full((len(texels), per * per), GUTTER**2)
+            owner = np.full(distance.shape, -1, np.int64)
+            work = partial(self._nearest, chosen, slot.reshape(-1, width), top, per, distance, owner)
+            split(work, bottom - top, max(64 // per, 1))
+            yield texels, owner, np.asarray(((owner >= 0) & (distance <= 0.0)).all(1))
+
+    def _nearest(
+        self, chosen: IntArray, slot: IntArray, top: int, per: int, distance: Array, owner: IntArray, low: int,
+        high: int,
+    ) -> None:  # fmt: skip
+        """The owners of the positions in rows ``low`` to ``high`` of a batch that begins in row ``top``."""
+        kernels.nearest(self._corners, chosen, slot[low:high], top + low, per, GUTTER, distance, owner)
+
+    def _asked(self, owner: IntArray, x: Array, y: Array) -> FloatArray:
+        """Albedo and roughness [n, 4] at positions (x, y) [n] of the texture, on or around triangles ``owner`` [n]."""
+        u, v = np.empty((2, len(owner)))
+        split(
+            lambda low, high: kernels.locate(
+                self._corners, self._points, owner[low:high], x[low:high], y[low:high], self._limit, u[low:high],
+                v[low:high],
+            ),
+            len(owner),
+            4096,
+        )  # fmt: skip
+        geometry, device = self._geometry, self._geometry.vertices.device
+        out = np.empty((len(owner), 4), np.float32)
+        for begin in range(0, len(owner), CHUNK):
+            part = slice(begin, begin + CHUNK)
+            prim = torch.from_numpy(owner[part] + self._first).to(device)
+            at_u, at_v = (torch.from_numpy(z[part]).float().to(device) for z in (u, v))
+            towards = geometry.face_normal[prim]
+            si = geometry.interact_at(prim, at_u, at_v, towards, torch.ones_like(prim, dtype=torch.bool))
+            surface = self._materials(si)
+            values = torch.cat((surface.albedo, surface.roughness.expand(len(prim), 1)), -1)
+            out[part] = values.clamp(0.0, 1.0).cpu().numpy()
+        return out

@@ -1,0 +1,110 @@
+"""What textures keep of fields: patterns as fine as texels, jumps on borders of charts, nothing that was not there."""
+
+import numpy as np
+import pytest
+import torch
+
+from neurad.core.records import Constant, Material, Mesh, Surface
+from neurad.core.reflection import PrincipledModel
+from neurad.export import bake as baking
+from neurad.export.bake import MOST_PER_BORDER_TEXEL, bake, refine
+from neurad.export.charts import Chart, border_texels, find_charts, four_texels
+from neurad.export.texel_means import TexelMeans
+from neurad.export.unwrap import unwrap
+from neurad.scene.description import Scene
+from neurad.scene.geometry import Geometry
+
+SIDE = 32
+
+
+class Field:
+    """Materials by a function of the position in texels of the square below; counts what it was asked."""
+
+    def __init__(self, of):
+        self.of, self.asked = of, 0
+
+    def __call__(self, si):
+        self.asked += len(si.p)
+        value = self.of(si.p[:, :2] * SIDE)[:, None]
+        return Surface(value.expand(-1, 3), value)
+
+
+def geometry_of(mesh):
+    paint = Material("paint", PrincipledModel(), *(Constant(np.full(n, 0.5, np.float32)) for n in (3, 1)))
+    return Geometry(Scene("s", [mesh], [paint]))
+
+
+@pytest.fixture(scope="module")
+def square():
+    """A unit square with as many texels as :data:`SIDE` each way, and its geometry."""
+    corners = np.array([[0, 0], [1, 0], [1, 1], [0, 1]], np.float32)
+    points = np.pad(corners, ((0, 0), (0, 1)))
+    mesh = Mesh("square", points, np.array([[0, 1, 2], [0, 2, 3]]), 0, uvs=corners)
+    return Chart(mesh, find_charts(mesh), SIDE, SIDE, "own"), geometry_of(mesh)
+
+
+def lookups(pixels, x, y):
+    return sum(w * pixels[r.astype(int), c.astype(int), 3].astype(np.float64) for c, r, w in four_texels(x, y))
+
+
+def error(chart, geometry, of):
+    """Root mean square of what lookups inside the square are off the field."""
+    pixels = bake(chart, 0, geometry, Field(of)).pixels
+    x, y = np.random.default_rng(0).uniform(4.0, SIDE - 4.0, (2, 20000))
+    meant = of(torch.from_numpy(np.stack((x, y), 1))).numpy()
+    return np.sqrt(np.square(lookups(pixels, x, y) - meant).mean())
+
+
+@pytest.mark.parametrize(("period", "better"), [(4.0, 1.8), (8.0, 2.6)])
+def test_stripes_as_fine_as_texels_keep_their_contrast(square, monkeypatch, period, better):
+    """Lookups between box means alone show 0.73 of the contrast of stripes of four texels, 0.93 of eight."""
+
+    def stripes(at):
+        return 0.5 + 0.3 * torch.sin(2 * np.pi / period * (at @ torch.tensor([0.8, 0.6], dtype=at.dtype)))
+
+    kept = error(*square, stripes)
+    monkeypatch.setattr(baking, "GIVEN_BACK", 0.0)
+    blurred = error(*square, stripes)
+    assert kept * better < blurred
+
+
+def test_no_texel_is_brighter_or_darker_than_the_field(square):
+    """Also beside a jump, where what is given back would go beyond both sides."""
+    found = bake(*square[:1], 0, square[1], Field(lambda at: torch.where(at[:, 0] < 15.0, 0.2, 0.7))).pixels
+    assert found.min() == np.float16(0.2)
+    assert found.max() == np.float16(0.7)
+
+
+def test_a_jump_is_asked_until_its_share_is_known(square):
+    """Texels that a slanted edge crosses have what lies on each side by its share; the others are asked no more."""
+    chart, geometry = square
+    field = Field(lambda at: torch.where(at @ torch.tensor([1.0, 0.37]) < 20.0, 0.1, 0.9))
+    mesh = TexelMeans(chart, 0, geometry, field)
+    means, exact = mesh.means(2), mesh.means(40).values
+    field.asked = 0
+    coarse = np.abs(means.values - exact).max()
+    refine(mesh, means, means.covered.copy(), 2)
+    assert coarse > 20 / 255
+    off = np.abs(means.values - exact).max(-1)
+    assert np.quantile(off, 0.99) < 0.5 / 255
+    assert off.max() < 0.8 / 32  # a corner between the positions of a grid of 4 x 4 is not seen
+    assert field.asked < 100 * SIDE**2  # all of them at 32 x 32 would be ten times as many
+    assert field.asked > MOST_PER_BORDER_TEXEL**2 * SIDE / 2
+
+
+def test_texels_on_borders_of_charts_stay_means(monkeypatch):
+    """Both sides of a border show the mean over a footprint; inside charts texels are given back what lookups take."""
+    pytest.importorskip("xatlas")
+    import trimesh
+
+    ball = trimesh.creation.icosphere(3, 0.45)
+    mesh = Mesh("ball", np.asarray(ball.vertices, np.float32), np.asarray(ball.faces, np.int64), 0)
+    chart = unwrap([mesh], np.array([200.0]), 1 << 18)[0]
+    geometry, field = geometry_of(chart.mesh), Field(lambda at: 0.5 + 0.3 * torch.sin(at @ torch.tensor([2.0, 1.0])))
+    given = bake(chart, 0, geometry, field).pixels
+    monkeypatch.setattr(baking, "GIVEN_BACK", 0.0)
+    plain = bake(chart, 0, geometry, field)
+    border, changed = border_texels(chart), (given != plain.pixels).any(-1)
+    assert border.any()
+    assert not changed[border].any()
+    assert changed[plain.covered & ~border].mean() > 0.5

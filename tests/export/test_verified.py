@@ -1,0 +1,78 @@
+"""Verdicts: a bound is kept or missed by more than noise explains, and what noise leaves open is said."""
+
+import json
+
+import numpy as np
+import pytest
+
+from neurad.core.records import Camera, View
+from neurad.export.pictures import BLOCK, Pictures, excess
+from neurad.export.report import write_report
+from neurad.export.verified import Verdict, Verified
+
+PHOTO = np.full((32, 32, 3), 0.5, np.float32)
+
+
+@pytest.mark.parametrize(
+    ("value", "error", "signed", "state"),
+    [
+        (0.05, 0.0, True, "kept"),
+        (0.1001, 0.0, True, "missed"),
+        (0.0, 0.049, True, "kept"),
+        (0.0, 0.051, True, "not decided"),
+        (0.3, 0.08, True, "not decided"),
+        (0.3, 0.06, True, "missed"),
+        (-5.0, 0.1, True, "kept"),
+        (-5.0, 0.1, False, "missed"),
+        (-0.05, 0.01, False, "kept"),
+    ],
+)
+def test_what_is_near_its_bound_is_not_decided(value, error, signed, state):
+    assert Verdict("w", value, error, 0.1, "t", signed).state == state
+
+
+def verified(noise, brighter=0.0):
+    """Three renderers of one view: the folder by neurad and by Mitsuba, and the fields with the folder's own noise."""
+    pose = np.eye(4, dtype=np.float32)
+    found = Verified([View("front", Camera(pose, 0.8, 32, 32))], held_out=True, photographs=[PHOTO])
+    rng = np.random.default_rng(0)
+    ours, theirs = (PHOTO + 0.1 + noise * rng.standard_normal((8, *PHOTO.shape)) for _ in range(2))
+    shown = {"baked": ours, "fields": ours, "mitsuba": theirs + brighter}
+    for name, passes in shown.items():
+        found.pictures[name] = Pictures()
+        found.pictures[name].add(passes.astype(np.float32), PHOTO)
+        if name != "baked":
+            found.excess[name] = [{block: excess(passes, ours, PHOTO, block) for block in (1, BLOCK)}]
+    found.judge()
+    return found
+
+
+def states(found):
+    said = json.loads(json.dumps(found.as_json()))
+    return {entry["what"]: entry["verdict"] for entry in said["bounds"]}
+
+
+def test_without_noise_all_bounds_are_kept():
+    found = verified(1e-4)
+    assert set(states(found).values()) == {"kept"}
+    assert found.beyond == found.undecided == []
+
+
+def test_noise_leaves_bounds_open_and_that_is_said(tmp_path):
+    found = verified(3.0)
+    said = states(found)
+    assert said["mitsuba's PSNR less ours, dB"] == "not decided"
+    assert said["picture lost by baking, dB"] == "kept"  # they share their noise
+    assert any(text.startswith("mitsuba's PSNR differs from ours by") for text in found.undecided)
+    write_report(found, tmp_path / "report.html", "Zimmer")
+    page = (tmp_path / "report.html").read_text()
+    assert "noise leaves some open" in page
+    assert "Not decided: mitsuba" in page
+
+
+def test_pictures_that_differ_miss_their_bounds():
+    found = verified(1e-3, brighter=0.02)
+    assert states(found)["mitsuba: farthest mean of a view less 1"] == "missed"
+    assert states(found)[f"mitsuba's PSNR by differences over {BLOCK} x {BLOCK} pixels less ours, dB"] == "missed"
+    assert found.difference("mitsuba")[0] == pytest.approx(-20 * np.log10(0.12 / 0.1), abs=0.01)
+    assert len(found.beyond) == 3
