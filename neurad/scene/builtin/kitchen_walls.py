@@ -20,7 +20,9 @@ def dresser() -> Iterator[Item]:
     yield Item(box((-0.8, -SINK, 1.32), (0.9, 0.84, 1.702)), oak, 0.8)
     top = swapped(bevelled((-0.83, 0.838, 1.29), (0.93, 0.87, 1.702), 0.008, 2))
     yield Item(
-        top, f.boards("dresser_top", (0.3, 0.17, 0.085), (0.5, 0.32, 0.18), 0.34, 0.46, 362, 4, 1, (256, 256), 0.02), 0.8
+        top,
+        f.boards("dresser_top", (0.3, 0.17, 0.085), (0.5, 0.32, 0.18), 0.34, 0.46, 362, 4, 1, (256, 256), 0.02),
+        0.8,
     )
     handles = []
     for i in range(3):
