@@ -189,6 +189,8 @@ class Optimization:
     """Cosine decay over the run: by iterations (``max_steps``) or time (``max_time``), whichever ends first."""
     warmup: CountOrZero = 20
     """Iterations over which the rates rise from zero."""
+    roughness_warmup: CountOrZero = 0
+    """The same of roughness alone, where its rate is to rise later than the others."""
     final: Fraction = 0.02
     """Fraction of the rates left at the end of the cosine."""
     average: Fraction = 0.0

@@ -23,6 +23,19 @@ def rate_factor(settings: Optimization, iteration: int, progress: float) -> floa
     return rise if settings.schedule == "constant" else rise * cosine(progress, settings.final)
 
 
+def learning_rate(settings: Optimization, name: str, iteration: int, factor: float) -> float:
+    """The learning rate of the optimizer of this name in an iteration.
+
+    Args:
+        settings: the rates.
+        name: ``albedo``, ``roughness``, ``radiance``, ``environment``, ``lamps``, ``exposure`` or ``response``.
+        iteration: iterations done.
+        factor: of all rates, see :func:`rate_factor`.
+    """
+    rate: float = factor * getattr(settings, name)
+    return rate * warmup(iteration, settings.roughness_warmup) if name == "roughness" else rate
+
+
 @dataclass(frozen=True)
 class Progress:
     """Fractions of a run's limits that are used up; None where there is no such limit."""

@@ -25,7 +25,7 @@ from neurad.training.guard import Guard, clip
 from neurad.training.guide_update import bin_guide_samples, update_guide
 from neurad.training.objective import ObjectiveStep, StepTerms
 from neurad.training.roughness_start import AFTER, BATCHES, choose_start
-from neurad.training.schedule import rate_factor
+from neurad.training.schedule import learning_rate, rate_factor
 
 
 class StepOptimizer(Protocol):
@@ -147,7 +147,7 @@ class TrainingStep:
         # Stage 3: parameters, guide and averages.
         for name, optimizer in self.optimizers.items():
             for group in optimizer.param_groups:
-                group["lr"] = factor * getattr(optimization, name)
+                group["lr"] = learning_rate(optimization, name, counters.iteration, factor)
         for optimizer in reversed(
             list(self.optimizers.values())
         ):  # the first last: a trainer that counts it ends its step

@@ -69,7 +69,7 @@ def read_blender(folder: Path, where: str) -> BlenderRoom:
         )
     try:
         return _Reader(folder, described, where).room()
-    except (KeyError, TypeError, AttributeError, IndexError) as error:
+    except (LookupError, TypeError, AttributeError, ValueError) as error:
         raise InputError(f"{shown(folder / ROOM)}: it is not as write_room.py writes it ({error})") from error
 
 

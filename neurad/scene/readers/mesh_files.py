@@ -55,7 +55,7 @@ def read_meshes(path: str | Path) -> MeshFile:
 
     with native(path, f"it cannot be read as {kind[1:].upper()}"), warnings.catch_warnings():
         warnings.simplefilter("ignore")  # of numbers that are none: they are looked at below
-        loaded: Any = trimesh.load_scene(path, process=False, maintain_order=True)
+        loaded: Any = trimesh.load_scene(path, process=False)
         parts = [(name, part) for name, part in loaded.geometry.items() if hasattr(part, "faces")]
         meshes = [mesh_of(name if len(parts) > 1 else path.stem, part, kind == ".stl") for name, part in parts]
     meshes = [mesh for mesh in meshes if len(mesh.faces)]

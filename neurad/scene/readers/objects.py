@@ -55,7 +55,7 @@ def read_object(path: str | Path, where: str) -> list[Part]:
 
     with native(file, f"it cannot be read as {kind[1:].upper()}"), warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        loaded: Any = trimesh.load_scene(file, process=False, maintain_order=True)
+        loaded: Any = trimesh.load_scene(file, process=False)
         # Copies of one mesh in several places become meshes of their own, each where it stands.
         parts = [_part(part, kind == ".stl") for part in loaded.dump() if hasattr(part, "faces")]
     parts = [part for part in parts if len(part.mesh.faces)]
