@@ -46,10 +46,25 @@ def ply_files(scene, folder, moved=None):
         solid = _solid(mesh) if moved is None else _solid(mesh, moved)
         (folder / f"{mesh.name}.ply").write_bytes(solid.export(file_type="ply", vertex_normal=True))
         words.append(str(folder / f"{mesh.name}.ply"))
-    for mesh in scene.meshes:
-        if mesh.radiance is not None:
-            words += ["--lamp", f"{mesh.name}={','.join(repr(float(x)) for x in mesh.radiance)}"]
-    return words
+    return words + shining(scene)
+
+
+def own_files(scene, folder):
+    """The room's own PLY files, whose bits all stay."""
+    words = ["--mesh"]
+    for shape in ElementTree.parse(ROOMS / scene.name / "scene.xml").getroot().findall("shape"):
+        assert shape.find("transform") is None
+        path = folder / f"{shape.get('id')}.ply"
+        path.parent.mkdir(exist_ok=True)
+        path.symlink_to((ROOMS / scene.name / shape.find("string[@name='filename']").get("value")).resolve())
+        words.append(str(path))
+    return words + shining(scene)
+
+
+def shining(scene):
+    """What says that lamps shine."""
+    lamps = [mesh for mesh in scene.meshes if mesh.radiance is not None]
+    return [x for m in lamps for x in ("--lamp", f"{m.name}={','.join(repr(float(x)) for x in m.radiance)}")]
 
 
 def centimetres(scene, folder):
@@ -140,6 +155,11 @@ def nerfstudio(scene, folder):
     return ["nerfstudio", str(folder / "src"), *ply_files(scene, folder / "mesh")]
 
 
+def nerfstudio_own(scene, folder):
+    _nerfstudio(scene, folder / "src")
+    return ["nerfstudio", str(folder / "src"), *own_files(scene, folder / "mesh")]
+
+
 def usd(scene, folder):
     _nerfstudio(scene, folder / "src")
     return ["nerfstudio", str(folder / "src"), "--mesh", str(usd_file(scene, folder / "room.usdc"))]
@@ -186,6 +206,7 @@ def gltf(scene, folder):
 
 
 LAYOUTS: dict[str, Callable] = {
+    "nerfstudio, its own PLY": nerfstudio_own,
     "nerfstudio, PLY": nerfstudio,
     "COLMAP text, OBJ": colmap_text,
     "COLMAP binary, PLY in cm with +Z up": colmap_binary,
@@ -229,7 +250,7 @@ def original(view):
 
 def hand_over(scene, room):
     """Add to a folder, as its documentation says, what its layout has no place for: which views are held out and their
-    true maps, and what lamps are made of, which no photograph shows.
+    true maps, how long its paths are, and what lamps are made of, which no photograph shows.
     """
     known = {original(view): view for view in views_of(scene)}
     held_out = {original(view) for view in scene.test}
@@ -246,12 +267,15 @@ def hand_over(scene, room):
                 place.parent.mkdir(exist_ok=True)
                 place.symlink_to(Path(getattr(known[original(view)], kind)).resolve())
     if (room / "scene.xml").is_file():
-        _describe_lamps(scene, room / "scene.xml")
+        _describe(scene, room / "scene.xml")
 
 
-def _describe_lamps(scene, path):
-    """Give the lamps of a scene file their own surfaces in place of what is made up."""
+def _describe(scene, path):
+    """Give a scene file the longest paths of the room, and its lamps their own surfaces in place of what is made up."""
     tree = ElementTree.parse(path)
+    integrator = tree.getroot().find("integrator")
+    integrator.find("integer[@name='max_depth']").set("value", str(scene.max_depth))
+    ElementTree.SubElement(integrator, "integer", name="rr_depth", value=str(scene.rr_depth))
     shapes = [shape for shape in tree.getroot().findall("shape") if shape.find("emitter") is not None]
     by_name = {shape.get("id").replace("_", "-"): shape for shape in shapes}  # USD has no names with a hyphen
     lamps = [mesh for mesh in scene.meshes if mesh.radiance is not None]

@@ -98,7 +98,7 @@ def test_scene_is_closed_and_seen_from_outside_its_solids(name):
 @pytest.mark.parametrize(
     ("name", "expected"),
     [
-        ("kitchen", "44f256c4f12abfd3"),
+        ("kitchen", "bdaf75a43d09b52b"),
         ("patterns", "177db4e2e60277c4"),
         ("cornell", "692063d6f1ed8ba6"),
         ("cube", "97022b0193f5dacc"),
@@ -194,7 +194,7 @@ def test_colours_of_the_kitchen_do_not_tell_its_roughness():
     lookup = ColourLookup.of(maps(scene.train))
     colour, rough = (np.concatenate(part) for part in zip(*maps(scene.test), strict=True))
     left = ((lookup(colour)[:, 0] - rough) ** 2).mean() / rough.var()
-    assert left > 0.3, left  # in rooms whose roughness follows colour it is 0.15
+    assert left > 0.6, left  # in rooms whose roughness follows colour it is 0.15
 
 
 def test_settable_albedo():

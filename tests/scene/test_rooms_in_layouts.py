@@ -25,18 +25,24 @@ pytestmark = [
     pytest.mark.skipif(not ROOMS.is_dir(), reason="the shared scenes are not here"),
 ]
 NAMES = ("veach-ajar", "living-room-2", "staircase", "kitchen", "bunny")
+EXACT = "nerfstudio, its own PLY"
+"""The layout that changes no bit of what a fit reads."""
 FITS = {
     "veach-ajar": tuple(LAYOUTS),
-    "staircase": ("COLMAP text, OBJ", "FIPT rendered", "glTF"),
-    "living-room-2": ("COLMAP binary, PLY in cm with +Z up", "FIPT photographed", "nerfstudio, PLY"),
-    "kitchen": ("Polycam, GLB", "nerfstudio, USD"),
-    "bunny": ("nerfstudio, PLY", "glTF"),
+    "staircase": (EXACT, "COLMAP text, OBJ", "FIPT rendered", "glTF"),
+    "living-room-2": (EXACT, "COLMAP binary, PLY in cm with +Z up", "FIPT photographed", "nerfstudio, PLY"),
+    "kitchen": (EXACT, "Polycam, GLB", "nerfstudio, USD"),
+    "bunny": (EXACT, "nerfstudio, PLY", "glTF"),
 }
 """Every layout of two rooms at least."""
 STEPS = {"veach-ajar": 300}
 FEW = 120
 """Steps of the fits of the other rooms."""
-SCORES = ("albedo_psnr", "roughness_psnr", "psnr_srgb")
+SCORES = {"albedo_psnr": 0.15, "roughness_psnr": 0.4, "psnr_srgb": 0.25}
+"""How far in dB the scores of fits may be apart whose rays and triangles differ by rounding. One decision of a path
+that falls otherwise gives all later paths other numbers, so that these fits differ as if by chance: by standard
+deviations of 0.04, 0.09 and 0.06 dB over the layouts of veach-ajar.
+"""
 
 
 def apart(found, camera, kind):
@@ -58,8 +64,8 @@ def picture(scene, camera):
 @pytest.mark.parametrize("layout", LAYOUTS)
 @pytest.mark.parametrize("name", NAMES)
 def test_the_same_room_is_read_back(name, layout, tmp_path):
-    """Rays to 1e-5 pixels (1e-3 as float32), photographs to the bit, triangles, normals and lamps as float32 keeps them,
-    and the same picture if all surfaces have one paint.
+    """Rays to 1e-5 pixels (1e-3 as float32), photographs to the bit, triangles, normals and lamps to what float32 keeps
+    of them, and the same picture if all surfaces have one paint.
     """
     scene, folder = read_back(name, layout, tmp_path / "there")
     hand_over(scene, folder)
@@ -134,11 +140,13 @@ def own(tmp_path_factory):
 
 @pytest.mark.parametrize(("name", "layout"), [(name, layout) for name in FITS for layout in FITS[name]])
 def test_the_same_fit(name, layout, own, tmp_path, capfd):
-    """At the same seed a fit scores what that of the room's own folder does, to 0.1 dB."""
+    """At the same seed a fit scores what that of the room's own folder does: the same digits where bits are the same,
+    and within what rounding makes of it where they are not.
+    """
     scene, folder = read_back(name, layout, tmp_path / "there")
     hand_over(scene, folder)
     first, found = own(name), fitted(name, folder, tmp_path / "fit")
     with capfd.disabled():
         print(f"\n{name}, {layout}:", *(f"{s} {first[s]:.3f} {found[s] - first[s]:+.3f}" for s in SCORES), sep="  ")
-    for score in SCORES:
-        assert found[score] == pytest.approx(first[score], abs=0.1), score
+    for score, bar in SCORES.items():
+        assert found[score] == pytest.approx(first[score], abs=1e-4 if layout == EXACT else bar), score

@@ -71,6 +71,7 @@ def boards(
     length: int = 2,
     size: tuple[int, int] = (256, 256),
     gap: float = 0.03,
+    share: float = 0.3,
 ) -> Material:
     """Boards along v, ``count`` across u and ``length`` in each row, with grain, joints and tones of their own.
 
@@ -85,6 +86,7 @@ def boards(
         length: boards in a row.
         size: texels along v and u.
         gap: width of a joint over that of a board; 0 for none.
+        share: of the surface that is worn.
     """
     u, v = grid(*size)
     row = np.minimum((u * count).astype(int), count - 1)
@@ -103,7 +105,7 @@ def boards(
         end = np.abs(place - np.round(place)) * (count / length)
         joint = np.clip(1.5 - np.minimum(side, end) / (0.5 * gap), 0.0, 1.0) if count > 1 else np.zeros_like(tone)
         albedo = albedo * (1.0 - 0.55 * joint[..., None])
-    return material(name, albedo, smooth + (worn - smooth) * patches(seed + 5, u, v))
+    return material(name, albedo, smooth + (worn - smooth) * patches(seed + 5, u, v, share))
 
 
 def tiling(
@@ -170,7 +172,7 @@ def cloth(name: str, ground: Colour, stripe: Colour, seed: int, count: int = 4, 
     weft = 1.0 / (1.0 + np.exp(-40.0 * (np.abs(v * count % 1.0 - 0.5) - 0.33))) * np.ones_like(u)
     blend = 0.5 * (warp + weft) if checked else warp
     albedo = np.array(ground) + (np.array(stripe) - np.array(ground)) * blend[..., None]
-    return material(name, albedo, 0.5 + 0.05 * np.tanh(waves(seed, u, v, 2, 2)))
+    return material(name, albedo, 0.46 + 0.03 * np.tanh(waves(seed, u, v, 2, 2)))
 
 
 def skin(name: str, one: Colour, other: Colour, smooth: float, dull: float, seed: int) -> Material:

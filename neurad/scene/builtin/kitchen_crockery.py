@@ -15,7 +15,7 @@ from neurad.scene.builtin.shapes import Point, Solid, cup, jar, join, rotated, t
 
 def shelves() -> Iterator[Item]:
     """Two wooden shelves on the wall and the crockery on them."""
-    oak = f.boards("shelves", (0.34, 0.2, 0.1), (0.56, 0.38, 0.22), 0.3, 0.65, 170, 1, 1, (256, 128), 0.0)
+    oak = f.boards("shelves", (0.34, 0.2, 0.1), (0.56, 0.38, 0.22), 0.3, 0.5, 170, 1, 1, (256, 128), 0.0)
     heights = (1.5, 1.86)
     yield Item(swapped(join(*(bevelled((1.2, h, -1.702), (2.002, h + 0.032, -1.46)) for h in heights))), oak, 0.5)
     irons = [
@@ -26,12 +26,12 @@ def shelves() -> Iterator[Item]:
     yield Item(join(*irons), f.material("shelf_irons", (0.07, 0.065, 0.06), 0.45))
     low, high = heights[0] + 0.03, heights[1] + 0.03
     plates = [cup((1.38, low + 0.012 * k, -1.585), 0.06, 0.1, 0.02, 0.009, 0.2) for k in range(5)]
-    yield Item(join(*plates), f.paint("plates", (0.78, 0.77, 0.73), 0.17, 0.45, 172), 0.2)
+    yield Item(join(*plates), f.paint("plates", (0.78, 0.77, 0.73), 0.22, 0.36, 172), 0.2)
     bowls = [cup((1.62, low + 0.03 * k, -1.585), 0.035, 0.075, 0.05, 0.006, 0.2) for k in range(3)]
-    yield Item(join(*bowls), f.paint("bowls", (0.2, 0.34, 0.5), 0.18, 0.5, 174), 0.2)
+    yield Item(join(*bowls), f.paint("bowls", (0.2, 0.34, 0.5), 0.22, 0.36, 174), 0.2)
     mugs = [((1.83, low, -1.6), (0.62, 0.25, 0.16)), ((1.93, low, -1.56), (0.72, 0.6, 0.3))]
     for i, (at, colour) in enumerate(mugs):
-        yield Item(mug(at), f.paint(f"shelf_mug_{i + 1}", colour, 0.18, 0.5, 176 + 2 * i), 0.2)
+        yield Item(mug(at), f.paint(f"shelf_mug_{i + 1}", colour, 0.22, 0.36, 176 + 2 * i), 0.2)
     tins = [
         (1.32, 0.055, 0.2, (0.66, 0.6, 0.46)), (1.46, 0.05, 0.17, (0.5, 0.2, 0.14)),
         (1.6, 0.055, 0.2, (0.3, 0.42, 0.34)), (1.74, 0.045, 0.15, (0.7, 0.68, 0.62)),
@@ -39,7 +39,7 @@ def shelves() -> Iterator[Item]:
     ]  # fmt: skip
     for i, (x, radius, height, colour) in enumerate(tins):
         yield Item(
-            jar((x, high, -1.585), radius, height, 0.2), f.paint(f"tin_{i + 1}", colour, 0.2, 0.6, 180 + 2 * i), 0.25
+            jar((x, high, -1.585), radius, height, 0.2), f.paint(f"tin_{i + 1}", colour, 0.24, 0.44, 180 + 2 * i), 0.25
         )
 
 
@@ -83,15 +83,15 @@ def on_worktop() -> Iterator[Item]:
         (0.64, TOP + 0.126, -1.46),
         0.3,
     )
-    yield Item(join(pot, *ears, lid), f.paint("pot", (0.55, 0.1, 0.06), 0.18, 0.45, 200), 0.3)
+    yield Item(join(pot, *ears, lid), f.paint("pot", (0.55, 0.1, 0.06), 0.2, 0.34, 200), 0.3)
     board = tilted(bevelled((1.1, y, -1.61), (1.34, y + 0.34, -1.59), 0.006), -9.0, 0, (1.2, y, -1.59))
     yield Item(
         board,
-        f.boards("chopping_board", (0.4, 0.24, 0.12), (0.62, 0.43, 0.25), 0.35, 0.75, 202, 3, 1, (128, 128), 0.0),
+        f.boards("chopping_board", (0.4, 0.24, 0.12), (0.62, 0.43, 0.25), 0.36, 0.55, 202, 3, 1, (128, 128), 0.0),
         0.26,
     )
     crock = cup((1.5, y, -1.52), 0.055, 0.065, 0.15, 0.008, 0.2)
-    yield Item(crock, f.paint("crock", (0.7, 0.66, 0.56), 0.2, 0.55, 204), 0.25)
+    yield Item(crock, f.paint("crock", (0.7, 0.66, 0.56), 0.26, 0.42, 204), 0.25)
     spoons = []
     for dx, dz, tall in [(-0.03, 0.01, 0.3), (0.02, -0.02, 0.33), (0.03, 0.025, 0.28)]:
         spoons.append(
@@ -108,13 +108,13 @@ def on_worktop() -> Iterator[Item]:
         )
     yield Item(join(*spoons), f.paint("spoons", (0.52, 0.35, 0.19), 0.5, 0.75, 206), 0.2)
     for i, (x, r, h, colour) in enumerate([(1.72, 0.065, 0.2, WHITE), (1.87, 0.055, 0.15, WHITE)]):
-        yield Item(jar((x, y, -1.54), r, h, 0.2), f.paint(f"jar_{i + 1}", colour, 0.18, 0.5, 208 + 2 * i), 0.25)
-    yield Item(kettle((-1.12, y, -1.4)), f.paint("kettle", (0.5, 0.58, 0.56), 0.18, 0.45, 212), 0.3)
+        yield Item(jar((x, y, -1.54), r, h, 0.2), f.paint(f"jar_{i + 1}", colour, 0.24, 0.4, 208 + 2 * i), 0.25)
+    yield Item(kettle((-1.12, y, -1.4)), f.paint("kettle", (0.5, 0.58, 0.56), 0.22, 0.38, 212), 0.3)
     loaf = bevelled((-0.86, y + 0.018, -1.5), (-0.68, y + 0.1, -1.4), 0.04, 4)
     slab = bevelled((-0.92, y, -1.54), (-0.66, y + 0.02, -1.3), 0.006)
     yield Item(
         rotated(slab, 8.0, (-0.8, 0, -1.42)),
-        f.boards("bread_board", (0.42, 0.27, 0.15), (0.6, 0.42, 0.26), 0.4, 0.75, 214, 1, 1, (128, 64), 0.0),
+        f.boards("bread_board", (0.42, 0.27, 0.15), (0.6, 0.42, 0.26), 0.38, 0.6, 214, 1, 1, (128, 64), 0.0),
         0.26,
     )
     yield Item(

@@ -35,20 +35,20 @@ GREEN = (0.13, 0.17, 0.14)
 def shell() -> Iterator[Item]:
     """Floor, ceiling, walls and the window's reveal."""
     side = room(LOW, HIGH)
-    floor = f.boards("floor", (0.22, 0.125, 0.065), (0.46, 0.29, 0.165), 0.15, 0.75, 1, 10, 2, (512, 512), 0.045)
-    yield Item(side["floor"], floor, 1.6)
-    yield Item(side["ceiling"], f.paint("ceiling", (0.8, 0.79, 0.76), 0.38, 0.48, 10), 2.0)
-    yield Item(_door_wall(), f.paint("wall_left", WARM, 0.4, 0.52, 12), 1.7)
-    yield Item(side["right"], f.paint("wall_right", WARM, 0.4, 0.52, 14), 1.7)
-    yield Item(side["front"], f.paint("wall_front", (0.36, 0.46, 0.5), 0.4, 0.52, 16), 1.7)
-    yield Item(_window_wall(), f.paint("wall_back", WARM, 0.4, 0.52, 18), 1.7)
-    yield Item(_reveal(), f.paint("reveal", WHITE, 0.35, 0.48, 20), 0.9)
+    floor = f.boards("floor", (0.22, 0.125, 0.065), (0.46, 0.29, 0.165), 0.15, 0.6, 1, 20, 4, (512, 768), 0.045, 0.4)
+    yield Item(side["floor"], floor, 3.2)
+    yield Item(side["ceiling"], f.paint("ceiling", (0.8, 0.79, 0.76), 0.34, 0.42, 10), 2.0)
+    yield Item(_door_wall(), f.paint("wall_left", WARM, 0.37, 0.43, 12), 1.7)
+    yield Item(side["right"], f.paint("wall_right", WARM, 0.37, 0.43, 14), 1.7)
+    yield Item(side["front"], f.paint("wall_front", (0.36, 0.46, 0.5), 0.37, 0.43, 16), 1.7)
+    yield Item(_window_wall(), f.paint("wall_back", WARM, 0.37, 0.43, 18), 1.7)
+    yield Item(_reveal(), f.paint("reveal", WHITE, 0.34, 0.44, 20), 0.9)
     ledge = [(LOW[0], HIGH[0], -1.702, -1.688), (LOW[0], HIGH[0], 1.688, 1.702)]
     skirting = [box((a, -SINK, c), (b, 0.09, d)) for a, b, c, d in ledge]
     (z0, _), (z1, _) = DOORWAY
     sides = [(LOW[0], -1.702, z0 - 0.08), (LOW[0], z1 + 0.08, 1.702), (HIGH[0], -1.702, 1.702)]
     skirting += [box((x - 0.014, -SINK, a), (x + 0.014, 0.09, b)) for x, a, b in sides]
-    yield Item(join(*skirting), f.paint("skirting", WHITE, 0.35, 0.48, 22), 0.9)
+    yield Item(join(*skirting), f.paint("skirting", WHITE, 0.34, 0.44, 22), 0.9)
 
 
 def _window_wall() -> Solid:
@@ -107,9 +107,9 @@ def window() -> Iterator[Item]:
         bevelled((x0 + 0.04, cross, a), (middle, cross + 0.035, b)),
         bevelled((middle, cross, a), (x1 - 0.04, cross + 0.035, b)),
     ]
-    yield Item(join(*bars), f.paint("window_frame", GREEN, 0.3, 0.45, 30), 0.6)
+    yield Item(join(*bars), f.paint("window_frame", GREEN, 0.28, 0.38, 30), 0.6)
     sill = bevelled((x0 - 0.06, y0 - 0.03, -1.81), (x1 + 0.06, y0 + 0.004, -1.635), 0.008, 2)
-    yield Item(sill, f.paint("window_sill", WHITE, 0.3, 0.45, 32), 0.5)
+    yield Item(sill, f.paint("window_sill", WHITE, 0.34, 0.44, 32), 0.5)
     linen = f.cloth("curtains", (0.74, 0.68, 0.58), (0.55, 0.25, 0.2), 34, 4, checked=False)
     left = curtain((x0 - 0.1, x0 + 0.14), (y0 + 0.03, 2.19), -1.645, 4, 0.018)
     right = curtain((x1 - 0.14, x1 + 0.1), (y0 + 0.03, 2.19), -1.645, 4, 0.018)
@@ -117,7 +117,7 @@ def window() -> Iterator[Item]:
     rod = tube([(x0 - 0.14, 2.2, -1.645), (x1 + 0.14, 2.2, -1.645)], 0.011)
     ends = [ball((x, 2.2, -1.645), 0.022, 0.2, 8, 14) for x in (x0 - 0.15, x1 + 0.15)]
     holders = [tube([(x, 2.2, -1.645), (x, 2.2, -1.705)], 0.008) for x in (x0 - 0.12, x1 + 0.12)]
-    yield Item(join(rod, *ends, *holders), f.material("curtain_rod", (0.07, 0.065, 0.06), 0.4))
+    yield Item(join(rod, *ends, *holders), f.material("curtain_rod", (0.07, 0.065, 0.06), 0.3))
 
 
 def skylight() -> Iterator[Item]:
@@ -135,12 +135,12 @@ def skylight() -> Iterator[Item]:
         bevelled((x - 0.015, low + 0.004, z0 - 0.003), (x + 0.015, 2.4925, z1 + 0.003))
         for x in (x0 + third, x1 - third)
     ]
-    yield Item(join(*bars), f.paint("skylight_frame", GREEN, 0.3, 0.45, 60), 1.4)
+    yield Item(join(*bars), f.paint("skylight_frame", GREEN, 0.28, 0.38, 60), 1.4)
 
 
 def tiles() -> Iterator[Item]:
     """Glazed tiles between worktop and shelves, left out where the window is."""
-    glazed = f.tiling("tiles", (0.66, 0.67, 0.62), (0.48, 0.46, 0.42), 0.3, 0.52, 40)
+    glazed = f.tiling("tiles", (0.66, 0.67, 0.62), (0.48, 0.46, 0.42), 0.38, 0.48, 40)
     (x0, y0), (x1, _) = OPENING
     back, front = -1.702, -1.69
     parts = [
@@ -163,14 +163,14 @@ def door() -> Iterator[Item]:
         bevelled((a + 0.004, y0 + 0.27, middle - 0.013), (b - 0.004, y1 - 0.09, middle + 0.013)),
     ]
     leaf += [bevelled((a + 0.005, y, z0 + 0.08), (b - 0.005, y + 0.026, z1 - 0.08)) for y in (0.73, 1.14, 1.55)]
-    yield Item(join(*leaf), f.paint("door", GREEN, 0.3, 0.45, 50), 1.4)
+    yield Item(join(*leaf), f.paint("door", GREEN, 0.26, 0.36, 50), 1.4)
     x = LOW[0]
     frame = [
         bevelled((x - SINK, -SINK, z0 - 0.09), (x + 0.03, y1 + 0.09, z0 - 0.003)),
         bevelled((x - SINK, -SINK, z1 + 0.003), (x + 0.03, y1 + 0.09, z1 + 0.09)),
         bevelled((x - SINK, y1 + 0.003, z0 - 0.085), (x + 0.029, y1 + 0.089, z1 + 0.085)),
     ]
-    yield Item(join(*frame), f.paint("door_frame", WHITE, 0.32, 0.45, 52), 1.4)
+    yield Item(join(*frame), f.paint("door_frame", WHITE, 0.32, 0.42, 52), 1.4)
     at = (b - 0.001, 1.0, z0 + 0.045)
     lever = tube([at, (at[0] + 0.045, at[1], at[2]), (at[0] + 0.05, at[1], at[2] + 0.11)], 0.009, 10)
     yield Item(lever, f.material("door_handle", (0.5, 0.36, 0.16), 0.25))

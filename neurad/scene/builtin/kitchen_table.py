@@ -19,8 +19,8 @@ LOW, HIGH = (-0.35, 0.1), (1.05, 0.9)
 def table() -> Iterator[Item]:
     """The table: a top of boards, an apron and turned legs."""
     (x0, z0), (x1, z1) = LOW, HIGH
-    top = f.boards("table_top", (0.36, 0.19, 0.09), (0.6, 0.38, 0.2), 0.12, 0.7, 300, 8, 1, (512, 256), 0.03)
-    yield Item(swapped(bevelled((x0, TABLE - 0.035, z0), (x1, TABLE, z1), 0.01, 2)), top, 1.0)
+    top = f.boards("table_top", (0.36, 0.19, 0.09), (0.6, 0.38, 0.2), 0.15, 0.6, 300, 12, 1, (512, 384), 0.03, 0.4)
+    yield Item(swapped(bevelled((x0, TABLE - 0.035, z0), (x1, TABLE, z1), 0.01, 2)), top, 1.5)
     profile = [
         (0.0, 0.0),
         (0.02, 0.0),
@@ -40,7 +40,7 @@ def table() -> Iterator[Item]:
         box((x0 + 0.071, TABLE - 0.1195, z0 + 0.08), (x0 + 0.09, TABLE - 0.034, z1 - 0.08)),
         box((x1 - 0.09, TABLE - 0.1195, z0 + 0.08), (x1 - 0.071, TABLE - 0.034, z1 - 0.08)),
     ]
-    yield Item(join(*legs, *apron), f.paint("table_legs", (0.66, 0.62, 0.54), 0.38, 0.5, 302), 0.5)
+    yield Item(join(*legs, *apron), f.paint("table_legs", (0.66, 0.62, 0.54), 0.36, 0.46, 302), 0.5)
 
 
 def chair(at: tuple[float, float], degrees: float) -> Solid:
@@ -77,14 +77,11 @@ def chair(at: tuple[float, float], degrees: float) -> Solid:
 
 
 def chairs() -> Iterator[Item]:
-    """Three painted chairs around the table."""
-    places = [
-        ((-0.62, 0.5), 82.0, (0.16, 0.28, 0.36)),
-        ((0.75, 1.05), 12.0, (0.16, 0.28, 0.36)),
-        ((0.3, -0.1), 170.0, (0.16, 0.28, 0.36)),
-    ]
-    for i, (at, degrees, colour) in enumerate(places):
-        yield Item(chair(at, -degrees), f.paint(f"chair_{i + 1}", colour, 0.15, 0.65, 310 + 2 * i), 1.0)
+    """Three chairs around the table, painted in one colour: one in gloss, two in satin."""
+    places = [((-0.62, 0.5), 82.0, 0.17), ((0.75, 1.05), 12.0, 0.38), ((0.3, -0.1), 170.0, 0.36)]
+    for i, (at, degrees, smooth) in enumerate(places):
+        coat = f.paint(f"chair_{i + 1}", (0.16, 0.28, 0.36), smooth, smooth + 0.1, 310 + 2 * i)
+        yield Item(chair(at, -degrees), coat, 1.0)
 
 
 def fruit() -> Iterator[Item]:
@@ -94,7 +91,7 @@ def fruit() -> Iterator[Item]:
         (0.0, 0.0), (0.065, 0.0), (0.065, 0.012), (0.11, 0.035), (0.15, 0.085), (0.155, 0.09), (0.15, 0.095),
         (0.143, 0.09), (0.105, 0.045), (0.05, 0.022), (0.0, 0.02),
     ]  # fmt: skip
-    yield Item(turned(profile, (x, y, z), 0.3, 40), f.paint("fruit_bowl", (0.76, 0.76, 0.73), 0.16, 0.45, 330), 0.3)
+    yield Item(turned(profile, (x, y, z), 0.3, 40), f.paint("fruit_bowl", (0.76, 0.76, 0.73), 0.22, 0.34, 330), 0.3)
     h = y + 0.045
     apples = [
         ((x - 0.065, h, z + 0.03), 0.04),
@@ -172,12 +169,12 @@ def on_table() -> Iterator[Item]:
     y = TABLE - SINK
     yield Item(
         cup((-0.1, y, 0.6), 0.075, 0.125, 0.018, 0.01, 0.25, 36),
-        f.paint("plate", (0.74, 0.72, 0.66), 0.16, 0.4, 352),
+        f.paint("plate", (0.74, 0.72, 0.66), 0.22, 0.34, 352),
         0.25,
     )
     yield Item(
         rotated(mug((-0.12, y, 0.3), 0.042, 0.095), 130.0, (-0.12, 0.0, 0.3)),
-        f.paint("mug", (0.16, 0.32, 0.46), 0.17, 0.5, 354),
+        f.paint("mug", (0.16, 0.32, 0.46), 0.2, 0.34, 354),
         0.2,
     )
     profile = [
@@ -191,7 +188,7 @@ def on_table() -> Iterator[Item]:
         for a in [math.pi * k / 10 for k in range(11)]
     ]
     jug = rotated(join(turned(profile, (x, y, z), 0.3, 32), tube(ear, 0.008, 10)), -30.0, (x, 0.0, z))
-    yield Item(jug, f.paint("jug", (0.66, 0.62, 0.5), 0.28, 0.48, 356), 0.3)
+    yield Item(jug, f.paint("jug", (0.66, 0.62, 0.5), 0.32, 0.42, 356), 0.3)
 
 
 def _runner() -> Solid:

@@ -48,7 +48,7 @@ def base_units() -> Iterator[Item]:
     )
     yield Item(body, f.paint("base_units", SAGE, 0.34, 0.46, 100), 1.4)
     yield Item(
-        box((-1.4, -SINK, -1.702), (2.002, 0.102, -1.17)), f.paint("plinth", (0.16, 0.2, 0.17), 0.38, 0.5, 102), 1.4
+        box((-1.4, -SINK, -1.702), (2.002, 0.102, -1.17)), f.paint("plinth", (0.16, 0.2, 0.17), 0.3, 0.4, 102), 1.4
     )
     handles = []
     for i, (y0, y1) in enumerate([(0.1, 0.36), (0.36, 0.62), (0.62, 0.855)]):
@@ -87,7 +87,7 @@ def larder() -> Iterator[Item]:
 
 def worktop() -> Iterator[Item]:
     """Polished stone with a round edge, cut out for the sink."""
-    stone = f.stone("worktop", (0.075, 0.075, 0.08), (0.2, 0.19, 0.18), 0.1, 0.5, 140)
+    stone = f.stone("worktop", (0.075, 0.075, 0.08), (0.2, 0.19, 0.18), 0.14, 0.34, 140)
     low, edge, nose = 0.86, -1.0845, -1.065
     slabs = [
         box((-1.4, low, -1.702), (-0.62, TOP, edge)),
@@ -112,7 +112,7 @@ def sink() -> Iterator[Item]:
         bevelled((x1 - wall, low + 0.01, z0 + 0.01), (x1, high - 0.0005, z1 - 0.01), 0.012, 2),
         box((x0 + 0.01, low + 0.002, z0 + 0.01), (x1 - 0.01, low + 0.04, z1 - 0.01)),
     ]
-    yield Item(join(*parts), f.paint("sink", (0.8, 0.79, 0.76), 0.22, 0.42, 142), 0.6)
+    yield Item(join(*parts), f.paint("sink", (0.8, 0.79, 0.76), 0.3, 0.4, 142), 0.6)
     x, z, rise, reach = -0.25, -1.595, 1.2, 0.1
     arc = [math.pi * k / 10 for k in range(11)]
     spout = [(x, TOP - SINK, z), (x, TOP + 0.1, z)]
@@ -132,11 +132,11 @@ def sink() -> Iterator[Item]:
 def cooker() -> Iterator[Item]:
     """Oven, hob and hood, and a towel over the oven's rail."""
     x0, x1 = 0.455, 1.045
-    yield Item(box((x0, 0.1, -1.702), (x1, 0.862, FRONT + 0.004)), f.paint("oven", CREAM, 0.3, 0.45, 150), 0.6)
+    yield Item(box((x0, 0.1, -1.702), (x1, 0.862, FRONT + 0.004)), f.paint("oven", CREAM, 0.34, 0.44, 150), 0.6)
     door = bevelled((x0 + 0.008, 0.16, FRONT), (x1 - 0.008, 0.7, FRONT + 0.03), 0.008, 2)
-    yield Item(door, f.paint("oven_door", CREAM, 0.3, 0.45, 152), 0.6)
+    yield Item(door, f.paint("oven_door", CREAM, 0.34, 0.44, 152), 0.6)
     pane = bevelled((x0 + 0.09, 0.27, FRONT + 0.02), (x1 - 0.09, 0.58, FRONT + 0.0335), 0.004)
-    yield Item(pane, f.paint("oven_pane", (0.05, 0.045, 0.045), 0.15, 0.35, 154), 0.5)
+    yield Item(pane, f.paint("oven_pane", (0.05, 0.045, 0.045), 0.15, 0.28, 154), 0.5)
     knobs = []
     for k in range(5):
         at = (x0 + 0.1 + 0.0975 * k, 0.785, FRONT + 0.002)
@@ -150,12 +150,12 @@ def cooker() -> Iterator[Item]:
     yield Item(rail, f.material("oven_rail", (0.5, 0.48, 0.45), 0.25))
     yield Item(_towel(0.79, y, z), f.cloth("towel", (0.76, 0.74, 0.68), (0.2, 0.3, 0.5), 156, 3), 0.12)
     hob = bevelled((x0 + 0.01, TOP - SINK, -1.6), (x1 - 0.01, TOP + 0.008, -1.14), 0.003)
-    yield Item(hob, f.paint("hob", (0.045, 0.045, 0.05), 0.15, 0.4, 158), 0.5)
+    yield Item(hob, f.paint("hob", (0.045, 0.045, 0.05), 0.15, 0.28, 158), 0.5)
     hood = [
         bevelled((x0 - 0.04, 1.56, -1.702), (x1 + 0.04, 1.63, -1.22), 0.008),
         bevelled((x0 + 0.17, 1.625, -1.702), (x1 - 0.17, 2.502, -1.42), 0.006),
     ]
-    yield Item(join(*hood), f.paint("hood", CREAM, 0.3, 0.45, 160), 1.2)
+    yield Item(join(*hood), f.paint("hood", CREAM, 0.34, 0.44, 160), 1.2)
 
 
 def _towel(x: float, y: float, z: float) -> Solid:
