@@ -32,10 +32,10 @@ STRETCH = 4.0
 def uncertain(spread: FloatArray, per: int) -> FloatArray:
     """Estimates of the error of means over a grid of ``per`` x ``per`` positions whose values have this deviation.
 
-    Of so many places a jump under a texel crosses the root, and there the share of each side is guessed; what merely
-    bends is known better.
+    Where triangles are smaller than texels, values are as good as drawn by lot, and the error falls with the root of
+    how many there are; what merely jumps or bends is known better.
     """
-    error: FloatArray = spread * np.float32(per**-1.5)
+    error: FloatArray = spread / np.float32(per)
     return error
 
 
