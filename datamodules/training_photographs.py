@@ -1,0 +1,236 @@
+"""The photographs of a scene's training views: in memory, or read from disk as their turn comes."""
+
+from __future__ import annotations
+
+from abc import abstractmethod
+from dataclasses import replace
+from functools import cached_property
+
+import torch
+from torch import Tensor
+
+from datamodules.fireflies import Fireflies, spread_fireflies
+from datamodules.image_cache import checksum, dataset_stats
+from datamodules.pixels import blurred
+from datamodules.value_limits import ValueLimits
+from neurad.core.errors import InputError
+from neurad.core.protocols import PhotoSource
+from neurad.core.records import DatasetStats, PixelBatch, View
+from neurad.runtime.progress import counted
+from neurad.runtime.reading import read_bytes
+from neurad.scene.description import Scene
+from neurad.scene.image_io import read_mask
+from neurad.scene.photographs import read_view
+
+
+class TrainingPhotographs(PhotoSource):
+    """What the photographs of a scene's training views hold, whole and pixel by pixel. Held-out photographs and
+    ground-truth maps are never opened here.
+
+    Attributes:
+        resident: photographs in memory at once; None keeps all there.
+        seed: of the sample of pixels that statistics keep.
+    """
+
+    resident: int | None = None
+    seed: int = 0
+    _spread: tuple[list[Tensor], Fireflies] | None = None
+    _stats: DatasetStats | None = None
+
+    @property
+    @abstractmethod
+    def scene(self) -> Scene:
+        """The scene whose training views these are."""
+
+    @property
+    def streams(self) -> bool:
+        """Whether only some of the photographs are in memory at a time."""
+        return self.resident is not None and self.resident < len(self.scene.train)
+
+    @cached_property
+    def _sizes(self) -> list[tuple[int, int]]:
+        """Width and height in pixels of every training photograph."""
+        return [(view.camera.width, view.camera.height) for view in self.scene.train]
+
+    def _count(self, index: int) -> int:
+        """Pixels of a training photograph."""
+        return self._sizes[index][0] * self._sizes[index][1]
+
+    @cached_property
+    def _pixels(self) -> Tensor:
+        """Training photographs [views, pixels, 3 or 4]: of each its own ones, row by row, then 0 up to as many as the
+        largest has.
+        """
+        views = self.scene.train
+        if not views:
+            raise InputError(f"scene {self.scene.name}: it has no training photographs")
+        first = self._read(views[0])
+        pixels = first.new_zeros(len(views), max(w * h for w, h in self._sizes), first.shape[1])
+        pixels[0, : len(first)] = first
+        for index, view in enumerate(counted(views[1:], "reading", len(views) - 1, "photographs"), 1):
+            image = self._read(view)
+            self._check_channels(view, image, first.shape[-1])
+            pixels[index, : len(image)] = image
+        return pixels
+
+    def ignored(self) -> Tensor | None:
+        """Pixels that masks leave out [views, pixels], bool; None where no view has a mask.
+
+        Raises:
+            InputError: a mask is missing, no picture, or of another size than its photograph.
+        """
+        views = self.scene.train
+        if not any(view.mask for view in views):
+            return None
+        left_out = torch.zeros(len(views), max(w * h for w, h in self._sizes), dtype=torch.bool)
+        for index, view in enumerate(views):
+            if view.mask is not None:
+                left_out[index, : self._count(index)] = ~torch.from_numpy(read_mask(view)).view(-1)
+        return left_out
+
+    def _check_channels(self, view: View, image: Tensor, expected: int) -> None:
+        if image.shape[-1] != expected:
+            first = self.scene.train[0].image
+            raise InputError(f"{view.image}: it has {image.shape[-1]} channels, but {first} has {expected}")
+
+    @staticmethod
+    def _read(view: View) -> Tensor:
+        """One photograph [h * w, 3 or 4]."""
+        if view.image is None:
+            raise InputError(f"training view {view.name}: it has no photograph")
+        image = read_view(view)
+        height, width = image.shape[:2]
+        expected = view.camera
+        if (width, height) != (expected.width, expected.height):
+            raise InputError(
+                f"{view.image}: it has {width} x {height} pixels, its camera {expected.width} x {expected.height}; "
+                "scale the photograph, or correct w and h in the camera file"
+            )
+        return torch.from_numpy(image).view(height * width, -1)
+
+    @cached_property
+    def photographs(self) -> Tensor:
+        """Linear colours of the training views, premultiplied by alpha [views, pixels, 3]; 0 behind the last pixel of a
+        view that is smaller than others.
+        """
+        return self._pixels[..., :3].contiguous()
+
+    @cached_property
+    def alpha(self) -> Tensor | None:
+        """Coverage of the training views [views, pixels], or None if the photographs have no alpha channel."""
+        if not self.has_alpha:
+            return None
+        return self._pixels[..., 3].contiguous()
+
+    @cached_property
+    def _blurred(self) -> Tensor:
+        """Means of the photographs over 5 x 5 pixels [views, pixels, 3]."""
+        if len(set(self._sizes)) == 1:
+            return blurred(self.photographs, self.alpha, self._sizes[0][0])
+        means = torch.zeros_like(self.photographs)
+        for index, (width, _) in enumerate(self._sizes):
+            here = slice(index, index + 1), slice(self._count(index))
+            alpha = None if self.alpha is None else self.alpha[here]
+            means[here] = blurred(self.photographs[here], alpha, width)
+        return means
+
+    @cached_property
+    def has_alpha(self) -> bool:
+        """Whether the photographs have an alpha channel, by the first of them; False in a scene without photographs."""
+        if "_pixels" in self.__dict__:
+            return self._pixels.shape[-1] == 4
+        views = self.scene.train
+        return bool(views) and views[0].image is not None and self._read(views[0]).shape[-1] == 4
+
+    def dataset_stats(self, left_out: Tensor | None = None) -> DatasetStats:
+        """Statistics of all training photographs; streamed ones are read from disk once, one after the other.
+
+        Args:
+            left_out: pixels that do not count [views, pixels], bool, such as those that show emitters; None for none.
+
+        Raises:
+            InputError: a photograph is missing or wrong, or alpha is 0 in all of them.
+        """
+        read = self._streamed_spread if self.streams else self._resident
+        found = dataset_stats(read, len(self.scene.train), left_out, self.seed)
+        if self._spread is not None and self._stats is not None:  # checksums are those of the files
+            found = replace(found, checksums=self._stats.checksums)
+        if self._limits is not None:
+            found = replace(found, sample=self._limits.marked(found.sample))
+            if self._stats is None:
+                self._limits.check(found.sample, self.scene.train, self.scene.name)
+        self._stats = found
+        if not self._stats.foreground:
+            raise InputError(f"scene {self.scene.name}: alpha is 0 in every training photograph")
+        return self._stats
+
+    @cached_property
+    def _limits(self) -> ValueLimits | None:
+        """Ceilings and rounding of the photographs; None where none has either."""
+        return ValueLimits.of(self.scene.train)
+
+    def clipped(self, view: Tensor, pixel: Tensor) -> Tensor | None:
+        """Whether values of pixels [n] of views [n] are at their photograph's ceiling [n, 3]; None if none has one."""
+        if self._limits is None:
+            return None
+        color = self.colors(view, pixel)
+        return self._limits.marked(PixelBatch(view, pixel, color, torch.ones(len(view)), 0)).clipped
+
+    def colors(self, view: Tensor, pixel: Tensor) -> Tensor:
+        """Photographed radiance [n, 3] of pixels [n] of views [n]; streamed photographs are read from disk for it."""
+        read = self._streamed if self.streams else self._resident
+        found = torch.empty(len(view), 3)
+        for index in sorted(set(view.tolist())):
+            mine = (view == index).nonzero().squeeze(-1)
+            found[mine] = read(index)[pixel[mine], :3]
+        return found
+
+    def spread_fireflies(self, left_out: Tensor) -> float:
+        """Spread pixels that outshine all around them, if there is much light in them; streamed photographs as they
+        are read, of which a few are measured.
+
+        Args:
+            left_out: pixels that take no part [views, pixels], bool.
+
+        Returns:
+            Fraction of the light that was in them; 0 where the photographs stay as they are.
+        """
+        if self._spread is None:
+            read, widths = self._streamed if self.streams else self._resident, [width for width, _ in self._sizes]
+            masks = [mask[: self._count(index)] for index, mask in enumerate(left_out)]
+            found = Fireflies.measure(read, masks, widths)
+            self._spread = masks, found
+            if found.spread and not self.streams:
+                spread = torch.zeros_like(self._pixels)
+                for index, (mask, width) in enumerate(zip(masks, widths, strict=True)):
+                    spread[index, : len(mask)] = spread_fireflies(self._resident(index), mask, width)
+                self._pixels = spread
+                self.__dict__.pop("photographs", None)  # made anew from what they are now
+                self.__dict__.pop("_blurred", None)
+        found = self._spread[1]
+        return found.light if found.spread else 0.0
+
+    # ---- where they are
+
+    def _resident(self, index: int) -> Tensor:
+        """One training photograph [h * w, 3 or 4] of those in memory."""
+        return self._pixels[index, : self._count(index)]
+
+    def _streamed(self, index: int) -> Tensor:
+        """One training photograph [h * w, 3 or 4] from disk; also called from the thread that reads ahead."""
+        view = self.scene.train[index]
+        if view.image is not None:
+            # OpenEXR holds Python's lock while it waits for the disk; this does not.
+            read_bytes(view.image)
+        image = self._read(view)
+        self._check_channels(view, image, 4 if self.has_alpha else 3)
+        if self._stats is not None and checksum(image) != self._stats.checksums[index]:
+            raise InputError(f"{view.image}: it has changed since the run began; put it back and continue the run")
+        return image
+
+    def _streamed_spread(self, index: int) -> Tensor:
+        """The same with its fireflies spread where they are to be."""
+        image = self._streamed(index)
+        if self._spread is None or not self._spread[1].spread:
+            return image
+        return spread_fireflies(image, self._spread[0][index], self._sizes[index][0])
