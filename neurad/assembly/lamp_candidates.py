@@ -50,8 +50,8 @@ class Candidate:
 def candidate_of(side: int, pixels: SurfacePixels) -> Candidate:
     """A candidate with what its pixels show."""
     clipped = float(pixels.clipped.double().mean()) > _CLIPPED
-    told = pixels if clipped else pixels[~pixels.clipped]
-    return Candidate(side, pixels, told.color.double().quantile(0.5, 0).float(), clipped)
+    counted = pixels if clipped else pixels[~pixels.clipped]
+    return Candidate(side, pixels, counted.color.double().quantile(0.5, 0).float(), clipped)
 
 
 def over(shown: Tensor, sheet: Tensor) -> float:

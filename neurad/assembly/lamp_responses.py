@@ -124,8 +124,8 @@ def other_lights(world: World, unknown: Environment | None) -> AnyLights | None:
     return join(None, environment, punctual, radius)
 
 
-def alike(responses: Responses, told: Bools) -> list[list[int]]:
-    """Lamps in groups that cannot be told apart by what they light; each of those that are ``told`` [m] alone.
+def alike(responses: Responses, observed: Bools) -> list[list[int]]:
+    """Lamps in groups that cannot be told apart by what they light; each of those that are ``observed`` [m] alone.
 
     The correlation of two pictures is taken of independent halves of the samples, so noise makes nothing unlike.
     """
@@ -135,25 +135,25 @@ def alike(responses: Responses, told: Bools) -> list[list[int]]:
     product = (product + product.T) / 2
     own = np.sqrt(np.maximum(np.diag(product), 1e-300))
     close = product / np.outer(own, own) > ALIKE
-    usable = responses.reaches & ~told
+    usable = responses.reaches & ~observed
     close &= np.outer(usable, usable)
     return [sorted(group) for group in _groups(close)]
 
 
-def explain(responses: Responses, radiance: Array, told: Bools, groups: list[list[int]]) -> Array:
+def explain(responses: Responses, radiance: Array, observed: Bools, groups: list[list[int]]) -> Array:
     """Radiance of every lamp [m, 3] that explains the photographs best, each channel by itself.
 
-    What is known of the light (``radiance`` [m, 3] of lamps that are ``told`` [m], lights of other kinds) is one
+    What is known of the light (``radiance`` [m, 3] of lamps that are ``observed`` [m], lights of other kinds) is one
     column; the factor that it gets is how much brighter the surfaces are than they are taken for, and all others are
     divided by it.
     """
     from scipy.optimize import nnls  # type: ignore[import-untyped] # imported where it is needed: it loads slowly
 
     pictures, weight, target = responses.lamps, responses.weight, responses.photographs
-    known = np.einsum("mc,mnc->nc", radiance * told[:, None], pictures)
+    known = np.einsum("mc,mnc->nc", radiance * observed[:, None], pictures)
     if responses.known is not None:
         known = known + responses.known
-    free = [group for group in groups if not told[group].any() and responses.reaches[group].any()]
+    free = [group for group in groups if not observed[group].any() and responses.reaches[group].any()]
     found = np.zeros((len(pictures), 3))
     for channel in range(3):
         columns = [known[:, channel], *(pictures[group, :, channel].sum(0) for group in free)]
@@ -171,10 +171,10 @@ def explain(responses: Responses, radiance: Array, told: Bools, groups: list[lis
     return found
 
 
-def connected(responses: Responses, radiance: Array, told: Bools) -> Bools:
-    """Lamps [m] whose scale is fixed: those ``told``, and those whose light falls where light of fixed scale does."""
+def connected(responses: Responses, radiance: Array, observed: Bools) -> Bools:
+    """Lamps [m] whose scale is fixed: those ``observed``, and those that shine where light of fixed scale does."""
     light = radiance[:, None] * responses.lamps * responses.weight  # [m, n, 3]
-    fixed = told.copy()
+    fixed = observed.copy()
     parts = [*light]
     for other, is_known in ((responses.known, True), (responses.sky, False)):
         if other is not None:

@@ -54,21 +54,21 @@ def begin_lamps(assembly: Assembly, primary: PrimaryHits, shown: LampPhotographs
     cameras = [view.camera for view in scene.train]
     measured = photographed_lamps(scene, assembly.world, assembly.materials, cameras, shown, seed)
     _keep(lamps, measured)
-    told = lamps.unclipped.cpu().numpy() > 0
-    if not train and not told.any():
-        raise InputError(f"scene {scene.name}: {_nothing_told(measured)}")
-    radiance = np.stack([m.radiance if seen else m.declared for m, seen in zip(measured, told, strict=True)])
+    observed = lamps.unclipped.cpu().numpy() > 0
+    if not train and not observed.any():
+        raise InputError(f"scene {scene.name}: {_nothing_seen(measured)}")
+    radiance = np.stack([m.radiance if seen else m.declared for m, seen in zip(measured, observed, strict=True)])
     lamps.set_radiance(radiance)
     lines: list[str] = []
-    if train and not told.all():
+    if train and not observed.all():
         responses = lamp_responses(assembly, primary, sample, seed)
-        radiance, lines = _start(assembly, responses, radiance, told)
+        radiance, lines = _start(assembly, responses, radiance, observed)
         lamps.set_radiance(radiance)
-        lamps.scale_seen.copy_(torch.from_numpy(connected(responses, radiance, told)))
+        lamps.scale_seen.copy_(torch.from_numpy(connected(responses, radiance, observed)))
     else:
-        lamps.scale_seen.copy_(torch.from_numpy(told))
-        if not told.all():
-            names = _names([m.name for m, seen in zip(measured, told, strict=True) if not seen])
+        lamps.scale_seen.copy_(torch.from_numpy(observed))
+        if not observed.all():
+            names = _names([m.name for m, seen in zip(measured, observed, strict=True) if not seen])
             lines.append(
                 f"warning: no photograph shows {names} unclipped, so the scene's radiance holds there; "
                 f"{ALL} fit recovers it"
@@ -92,9 +92,9 @@ def refresh_lamps(assembly: Assembly, shown: LampPhotographs, iteration: int) ->
     assert lamps is not None
     cameras = [view.camera for view in assembly.scene.train]
     view, pixel, mesh = (x.cpu().numpy() for x in (shown.at.view, shown.at.pixel, shown.at.mesh))
-    told, radiance = lamps.unclipped.cpu().numpy() > 0, lamps.found()
+    observed, radiance = lamps.unclipped.cpu().numpy() > 0, lamps.found()
     reflected = np.zeros_like(radiance)
-    for row in np.flatnonzero(told):
+    for row in np.flatnonzero(observed):
         index = int(lamps.mesh[row])
         mine = np.flatnonzero(mesh == index)
         key = mix(assembly.settings.seed, index, iteration)
@@ -104,7 +104,7 @@ def refresh_lamps(assembly: Assembly, shown: LampPhotographs, iteration: int) ->
     if iteration == 0 or not lamps.values.requires_grad:
         photographed = lamps.photographed.double().cpu().numpy()
         factor = photographed / np.maximum(radiance + reflected, 1e-30)  # what is too bright is reflected so, too
-        lamps.set_radiance(np.where(told[:, None], radiance * factor, radiance))
+        lamps.set_radiance(np.where(observed[:, None], radiance * factor, radiance))
 
 
 def is_due(iteration: int) -> bool:
@@ -127,7 +127,7 @@ def rows(assembly: Assembly) -> list[dict[str, str | int | float]]:
 
 
 def body(assembly: Assembly) -> list[list[str]]:
-    """Cells about each lamp of such a run: radiance and what told it, a row each, headings first; none otherwise."""
+    """Cells about each lamp of such a run: radiance and what shows it, a row each, headings first; none otherwise."""
     found = rows(assembly)
     cells = [[f"{row[name]:.4g}" if name in ("r", "g", "b") else str(row[name]) for name in COLUMNS] for row in found]
     return [["lamp", *COLUMNS[1:]], *cells] if cells else []
@@ -140,31 +140,31 @@ def _keep(lamps: FittedLamps, measured: Sequence[PhotographedLamp]) -> None:
     lamps.counts.copy_(torch.tensor([[m.pixels, m.views, m.clipped] for m in measured]))
 
 
-def _start(assembly: Assembly, responses: Responses, radiance: Array, told: np.ndarray) -> tuple[Array, list[str]]:
-    """Radiance [m, 3] to begin with, that of lamps that are ``told`` [m] as it is, and what there is to say."""
+def _start(assembly: Assembly, responses: Responses, radiance: Array, observed: np.ndarray) -> tuple[Array, list[str]]:
+    """Radiance [m, 3] to begin with, that of lamps that are ``observed`` [m] as it is, and what there is to say."""
     lamps = assembly.lamps
     assert lamps is not None
     names = [assembly.scene.meshes[index].name for index in lamps.mesh.tolist()]
     lines = []
-    dark = [name for name, lit, seen in zip(names, responses.reaches, told, strict=True) if not lit and not seen]
+    dark = [name for name, lit, seen in zip(names, responses.reaches, observed, strict=True) if not lit and not seen]
     if dark:
         lines.append(
             f"warning: the light of {_names(dark)} reaches no surface that the photographs show, so nothing says how "
             "bright it is: the scene's radiance holds"
         )
-    groups = alike(responses, told)
+    groups = alike(responses, observed)
     for group in groups:
         if len(group) > 1:
             lines.append(
                 f"warning: {_names([names[i] for i in group])} light what the photographs show alike, so these cannot "
                 "tell them apart: they begin equally bright, and only their sum is found"
             )
-    found = explain(responses, radiance, told, groups)
-    kept = told | ~responses.reaches
+    found = explain(responses, radiance, observed, groups)
+    kept = observed | ~responses.reaches
     return np.where(kept[:, None], radiance, found), lines
 
 
-def _nothing_told(measured: Sequence[PhotographedLamp]) -> str:
+def _nothing_seen(measured: Sequence[PhotographedLamp]) -> str:
     """The sentence about lamps none of which photographs tell."""
     clipped = any(m.pixels for m in measured)
     why = "every pixel that shows a lamp alone is clipped" if clipped else "no photograph shows a lamp alone in a pixel"

@@ -84,8 +84,8 @@ class ErrorBars:
             trade = sums["cross"] / np.maximum(sums["weight"], 1e-30)
             noise = noise + np.minimum(np.square(trade), 1.0) * variance
             roughness = np.sqrt(variance).astype(np.float32)
-        told = np.sqrt(noise * sums["detail"] / pixels)
-        known = count / (count + 1.0) / np.maximum(told, 1e-12)
+        deviation = np.sqrt(noise * sums["detail"] / pixels)
+        known = count / (count + 1.0) / np.maximum(deviation, 1e-12)
         albedo = np.sqrt(1.0 / (known + 1.0 / np.maximum(np.square(self.spread), 1e-12)))
         return albedo.astype(np.float32), roughness
 
