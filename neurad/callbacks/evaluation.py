@@ -79,6 +79,7 @@ class Evaluate(pl.Callback):
         """When that was, by the monotonic clock."""
         self._spent = 0.0
         self._last = 0.0
+        self._first: float | None = None
         self._mark = 0
         self._evaluated = -1
         self._views: ViewTable | None = None
@@ -87,11 +88,15 @@ class Evaluate(pl.Callback):
 
     def state_dict(self) -> dict[str, Any]:
         """Seconds and marks so far: a continued run keeps to its fraction of time."""
-        return {"spent": self._spent, "last": self._last, "mark": self._mark, "evaluated": self._evaluated}
+        return {
+            "spent": self._spent, "last": self._last, "first": self._first, "mark": self._mark,
+            "evaluated": self._evaluated,
+        }  # fmt: skip
 
     def load_state_dict(self, state_dict: dict[str, Any]) -> None:
         """Take over the state of the interrupted run."""
         self._spent, self._last = float(state_dict["spent"]), float(state_dict["last"])
+        self._first = state_dict.get("first", 0.0)  # checkpoints before this one have counted it
         self._mark, self._evaluated = int(state_dict["mark"]), int(state_dict["evaluated"])
 
     def on_fit_start(self, trainer: pl.Trainer, pl_module: pl.LightningModule) -> None:
@@ -190,11 +195,15 @@ class Evaluate(pl.Callback):
             every = max(trainer.max_steps // MARKS, 1)
         if every is not None:
             return bool(module.iteration % every == 0)
-        mark = int(fraction_done(trainer).largest * MARKS)
+        mark = self._mark_of(trainer)
         if mark <= self._mark or self.fraction <= 0:
             return False
         self._mark = mark
         return bool(self._spent + self._last <= self.fraction * module.train_seconds)
+
+    @staticmethod
+    def _mark_of(trainer: pl.Trainer) -> int:
+        return int(fraction_done(trainer).largest * MARKS)
 
     def _evaluate_fit(self, trainer: pl.Trainer, module: InverseRenderer) -> None:
         begin = time.monotonic()
@@ -207,9 +216,18 @@ class Evaluate(pl.Callback):
                 write_lamps(module, run_folder(trainer))
                 self._check_views(trainer, module)
             trainer.strategy.barrier("evaluation")
-        taken = time.monotonic() - begin
-        self._spent += taken
-        self._last = taken  # the first one also fills caches, so it is no forecast
+        self._count(time.monotonic() - begin)
+        self._mark = self._mark_of(trainer)  # Lightning's timer counts evaluations: those marks have passed
+
+    def _count(self, taken: float) -> None:
+        """Add the seconds of an evaluation. The first one also compiles kernels, for half a minute where no cache has
+        them: that is no forecast, and it counts for what the second takes.
+        """
+        if self._first is None:
+            self._first = taken
+            return
+        self._spent += taken + min(self._first, taken)
+        self._first, self._last = 0.0, taken
 
     def _record(self, trainer: pl.Trainer, module: InverseRenderer, evaluation: Evaluation) -> None:
         """A row of metrics.csv, and the page in TensorBoard."""

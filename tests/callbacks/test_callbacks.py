@@ -8,6 +8,7 @@ from helpers.tiny_fit import fit, metrics, write_tiny_config
 
 from neurad.callbacks import pictures
 from neurad.callbacks.board import split_mark
+from neurad.callbacks.evaluation import Evaluate
 from neurad.callbacks.table import COLUMNS, MetricsTable, curve_table, score_table
 from neurad.runtime import clock
 from neurad.runtime.tables import read_header
@@ -117,6 +118,19 @@ def test_the_clock_stands_still_during_evaluation():
         time.sleep(0.05)
         assert clock.training_seconds() == inside
     assert clock.training_seconds() < 0.05
+
+
+def test_the_first_evaluation_counts_for_what_the_second_takes():
+    """It compiles kernels where no cache has them, half a minute in a fresh environment."""
+    callback = Evaluate(fraction=0.1)
+    callback._count(30.0)
+    again = Evaluate(fraction=0.1)
+    again.load_state_dict(callback.state_dict())
+    for interrupted in (callback, again):
+        assert interrupted.state_dict() | {"spent": 0.0, "last": 0.0} == interrupted.state_dict()
+        interrupted._count(2.0)
+        interrupted._count(3.0)
+        assert interrupted.state_dict() | {"spent": 7.0, "last": 3.0} == interrupted.state_dict()
 
 
 def test_closing_table_has_the_lookup_by_colour_where_there_is_one():
