@@ -26,7 +26,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         help="scene folder to make, which must not be there yet; for hdr that of the EXR",
     )
     parser.add_argument(
-        "--mesh", type=Path, nargs="+", default=[],
+        "--mesh", type=Path, nargs="+", action="extend", default=[],
         help="the room's surfaces: OBJ, PLY, STL, glTF or USD (default: scene.obj of FIPT's data)",
     )  # fmt: skip
     parser.add_argument(

@@ -77,6 +77,18 @@ def check_bright(mean_square: float, brightest: float, scene: str) -> None:
         )
 
 
+def unit(vectors: npt.NDArray[Any]) -> npt.NDArray[Any]:
+    """Vectors [n, 3] at length 1, as float64; those without a length stay zero.
+
+    What has length 1 already, as far as files of six digits know, stays as it is: a mesh that goes through another
+    program's file and comes back has the same normals to the bit.
+    """
+    wide = np.asarray(vectors, np.float64)
+    length = np.linalg.norm(wide, axis=1, keepdims=True)
+    keep = (length == 0) | (np.abs(length - 1.0) < 1e-5)
+    return np.asarray(wide / np.where(keep, 1.0, length))
+
+
 def number(value: Any, where: str, low: float, high: float) -> float:
     """A single number that a file gives.
 

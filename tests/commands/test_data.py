@@ -138,6 +138,15 @@ def test_fipt_photographed(place):
     room_is_whole(scene)
 
 
+def test_mesh_may_be_given_several_times(place, source):
+    files = []
+    for name in ("a", "b", "c"):
+        files.append(place / f"{name}.obj")
+        files[-1].write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n")
+    scene = made("nerfstudio", source, "--mesh", files[0], files[1], "--mesh", files[2], "--lamp", "c=1,2,3")
+    assert [mesh.name for mesh in scene.meshes] == ["a", "b", "c"]
+
+
 def test_what_is_held_out_stays_so(place, capfd):
     cameras = layouts.cameras()
     source = layouts.write_nerfstudio(place / "src", cameras)
@@ -224,13 +233,41 @@ def test_corners_of_an_obj_have_normals_and_coordinates_of_their_own(place, mapp
     (place / "room.obj").write_text("mtllib room.mtl\n" + "\n".join(rows) + "\n")
     (place / "room.mtl").write_text("".join(f"newmtl part {i}\nKd 0.5 0.5 0.5\n" for i in range(3)))
     found = {mesh.name: mesh for mesh in read_meshes(place / "room.obj").meshes}
-    assert len(found) == 3
+    assert list(found) == ["part 0", "part 1", "part 2"]  # as in the file
     for index, part in enumerate(corners):
         mesh = found[f"part {index}"]
         np.testing.assert_allclose(mesh.vertices[mesh.faces], p[part[..., 0]], atol=1e-6)
-        np.testing.assert_allclose(mesh.normals[mesh.faces], n[part[..., 2]], atol=1e-6)
+        np.testing.assert_array_equal(mesh.normals[mesh.faces], n[part[..., 2]].astype(np.float32))
         if mapped:
             np.testing.assert_allclose(mesh.uvs[mesh.faces], uv[part[..., 1]], atol=1e-6)
+
+
+@pytest.mark.parametrize("coordinates", ["none", "of vertices", "of corners"])
+def test_a_ply_keeps_its_normals(place, coordinates):
+    """Where a vertex is not used, and where corners have texture coordinates of their own, which are dropped."""
+    rng = np.random.default_rng(5)
+    n = rng.normal(size=(5, 3)).astype(np.float32)
+    n /= np.linalg.norm(n, axis=1, keepdims=True)
+    p, uv = rng.normal(size=(5, 3)).astype(np.float32), rng.uniform(size=(5, 2)).astype(np.float32)
+    faces = np.array([[4, 1, 2], [1, 0, 2]])  # 3 is not used
+    names = ["x", "y", "z", "nx", "ny", "nz", *(["u", "v"] if coordinates == "of vertices" else [])]
+    values = np.concatenate((p, n, uv), 1)[:, : len(names)]
+    corners = coordinates == "of corners"
+    rows = [
+        "ply", "format ascii 1.0", "element vertex 5", *(f"property float {name}" for name in names),
+        "element face 2", "property list uchar int vertex_indices",
+        *(["property list uchar float texcoord"] if corners else []), "end_header",
+        *(" ".join(repr(float(x)) for x in row) for row in values),
+        *(f"3 {a} {b} {c}" + (" 6 0 0 1 0 1 1" if corners else "") for a, b, c in faces),
+    ]  # fmt: skip
+    (place / "room.ply").write_text("\n".join(rows) + "\n")
+    (mesh,) = read_meshes(place / "room.ply").meshes
+    np.testing.assert_array_equal(mesh.vertices[mesh.faces], p[faces])
+    np.testing.assert_allclose(mesh.normals[mesh.faces], n[faces], atol=1e-6)
+    if coordinates == "of vertices":
+        np.testing.assert_array_equal(mesh.uvs[mesh.faces], uv[faces])
+    else:
+        assert mesh.uvs is None
 
 
 def test_polygons_are_cut_into_triangles(place, source):

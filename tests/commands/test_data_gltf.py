@@ -305,9 +305,17 @@ BYTES = {
 @pytest.mark.parametrize("kind", BYTES)
 def test_files_that_are_none_get_a_sentence(place, kind, capfd):
     data, said = BYTES[kind]
+    name = "raum.glb" if data.startswith(b"glTF") else "raum.gltf"
+    (place / name).write_bytes(data)
+    sentence = fails(capfd, "data", "gltf", name, "--out", "room")
+    assert re.search(said, sentence), sentence
+
+
+@pytest.mark.parametrize("data", [b"", b"solid room", b'{"asset": {"version": "2.0"}}'])
+def test_a_glb_that_is_none(place, data, capfd):
     (place / "raum.glb").write_bytes(data)
     sentence = fails(capfd, "data", "gltf", "raum.glb", "--out", "room")
-    assert re.search(said, sentence), sentence
+    assert "raum.glb: it does not begin as a binary glTF file does" in sentence
 
 
 @pytest.mark.parametrize(

@@ -12,10 +12,11 @@ import numpy as np
 import trimesh
 
 from helpers import layouts
-from helpers.gltf_rooms import shown, written
+from helpers.gltf_rooms import coded, shown, written
 from neurad.cli import main
 from neurad.core.records import Constant, Material
 from neurad.core.reflection import PrincipledModel
+from neurad.scene.image_io import from_srgb
 from neurad.scene.load import read_folder
 
 ROOMS = Path(__file__).resolve().parents[3] / "shared" / "scenes"
@@ -267,15 +268,35 @@ def hand_over(scene, room):
                 place.parent.mkdir(exist_ok=True)
                 place.symlink_to(Path(getattr(known[original(view)], kind)).resolve())
     if (room / "scene.xml").is_file():
-        _describe(scene, room / "scene.xml")
+        _describe(scene, room / "scene.xml", (scene.max_depth, scene.rr_depth))
 
 
-def _describe(scene, path):
-    """Give a scene file the longest paths of the room, and its lamps their own surfaces in place of what is made up."""
+def as_gltf_has_it(name, folder):
+    """A shared room with what glTF says of it: paths have no longest length, and what lamps reflect has 8 bits."""
+    scene = read_folder(ROOMS / name)
+    folder.mkdir()
+    for entry in (ROOMS / name).iterdir():
+        if entry.name != "scene.xml":
+            (folder / entry.name).symlink_to(entry)
+    (folder / "scene.xml").write_bytes((ROOMS / name / "scene.xml").read_bytes())
+    of_bytes = [
+        replace(m, albedo=Constant(from_srgb(coded(m.albedo, True)[0, 0] / np.float32(255))))
+        if isinstance(m.albedo, Constant)
+        else m
+        for m in scene.materials
+    ]
+    _describe(replace(scene, materials=of_bytes), folder / "scene.xml", (-1, 5))
+    return folder
+
+
+def _describe(scene, path, depths):
+    """Give a scene file the longest paths, and its lamps their own surfaces."""
     tree = ElementTree.parse(path)
     integrator = tree.getroot().find("integrator")
-    integrator.find("integer[@name='max_depth']").set("value", str(scene.max_depth))
-    ElementTree.SubElement(integrator, "integer", name="rr_depth", value=str(scene.rr_depth))
+    for name, depth in zip(("max_depth", "rr_depth"), depths, strict=True):
+        for said in integrator.findall(f"integer[@name='{name}']"):
+            integrator.remove(said)
+        ElementTree.SubElement(integrator, "integer", name=name, value=str(depth))
     shapes = [shape for shape in tree.getroot().findall("shape") if shape.find("emitter") is not None]
     by_name = {shape.get("id").replace("_", "-"): shape for shape in shapes}  # USD has no names with a hyphen
     lamps = [mesh for mesh in scene.meshes if mesh.radiance is not None]

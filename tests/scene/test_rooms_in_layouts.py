@@ -7,7 +7,17 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
-from helpers.shared_rooms import LAYOUTS, ROOMS, hand_over, in_order, original, painted, read_back, views_of
+from helpers.shared_rooms import (
+    LAYOUTS,
+    ROOMS,
+    as_gltf_has_it,
+    hand_over,
+    in_order,
+    original,
+    painted,
+    read_back,
+    views_of,
+)
 
 from neurad.assembly.build import build_world
 from neurad.cli import main
@@ -27,22 +37,14 @@ pytestmark = [
 NAMES = ("veach-ajar", "living-room-2", "staircase", "kitchen", "bunny")
 EXACT = "nerfstudio, its own PLY"
 """The layout that changes no bit of what a fit reads."""
-FITS = {
-    "veach-ajar": tuple(LAYOUTS),
-    "staircase": (EXACT, "COLMAP text, OBJ", "FIPT rendered", "glTF"),
-    "living-room-2": (EXACT, "COLMAP binary, PLY in cm with +Z up", "FIPT photographed", "nerfstudio, PLY"),
-    "kitchen": (EXACT, "Polycam, GLB", "nerfstudio, USD"),
-    "bunny": (EXACT, "nerfstudio, PLY", "glTF"),
-}
-"""Every layout of two rooms at least."""
-STEPS = {"veach-ajar": 300}
-FEW = 120
-"""Steps of the fits of the other rooms."""
-SCORES = {"albedo_psnr": 0.15, "roughness_psnr": 0.4, "psnr_srgb": 0.25}
-"""How far in dB the scores of fits may be apart whose rays and triangles differ by rounding. One decision of a path
-that falls otherwise gives all later paths other numbers, so that these fits differ as if by chance: by standard
-deviations of 0.04, 0.09 and 0.06 dB over the layouts of veach-ajar.
+STEPS = 50
+"""Steps of the fits. Others change last bits of normals, rays or vertices, and training is chaotic: such a change grows
+about tenfold in 50 steps, until after some 300 the fits are as far apart as those of other seeds. Here it is still
+small, so that what differs is what was read.
 """
+SCORES = ("albedo_psnr", "roughness_psnr", "psnr_srgb")
+BAR = 0.1
+"""How far apart they may be in dB."""
 
 
 def apart(found, camera, kind):
@@ -108,10 +110,10 @@ def test_the_same_room_is_read_back(name, layout, tmp_path):
     assert other < 0.01
 
 
-def fitted(name, root, folder):
+def fitted(root, folder):
     """Held-out scores of a short fit of a room."""
     folder.mkdir()
-    steps = str(STEPS.get(name, FEW))
+    steps = str(STEPS)
     with pytest.MonkeyPatch.context() as patch:
         patch.chdir(folder)
         main([
@@ -127,26 +129,29 @@ def fitted(name, root, folder):
 
 @pytest.fixture(scope="module")
 def own(tmp_path_factory):
-    """Scores of the fits of rooms' own folders."""
+    """Scores of the fits of rooms' own folders, as they are or as glTF has them."""
     made = {}
 
-    def fit(name):
-        if name not in made:
-            made[name] = fitted(name, ROOMS / name, tmp_path_factory.mktemp(name) / "fit")
-        return made[name]
+    def fit(name, gltf):
+        if (name, gltf) not in made:
+            place = tmp_path_factory.mktemp(name)
+            root = as_gltf_has_it(name, place / "room") if gltf else ROOMS / name
+            made[name, gltf] = fitted(root, place / "fit")
+        return made[name, gltf]
 
     return fit
 
 
-@pytest.mark.parametrize(("name", "layout"), [(name, layout) for name in FITS for layout in FITS[name]])
+@pytest.mark.parametrize("layout", LAYOUTS)
+@pytest.mark.parametrize("name", NAMES)
 def test_the_same_fit(name, layout, own, tmp_path, capfd):
     """At the same seed a fit scores what that of the room's own folder does: the same digits where bits are the same,
-    and within what rounding makes of it where they are not.
+    and within a tenth of a dB where they are not.
     """
     scene, folder = read_back(name, layout, tmp_path / "there")
     hand_over(scene, folder)
-    first, found = own(name), fitted(name, folder, tmp_path / "fit")
+    first, found = own(name, layout == "glTF"), fitted(folder, tmp_path / "fit")
     with capfd.disabled():
-        print(f"\n{name}, {layout}:", *(f"{s} {first[s]:.3f} {found[s] - first[s]:+.3f}" for s in SCORES), sep="  ")
-    for score, bar in SCORES.items():
-        assert found[score] == pytest.approx(first[score], abs=1e-4 if layout == EXACT else bar), score
+        print(f"\n{name}, {layout}:", *(f"{s} {first[s]:.3f} {found[s] - first[s]:+.4f}" for s in SCORES), sep="  ")
+    for score in SCORES:
+        assert found[score] == pytest.approx(first[score], abs=1e-4 if layout == EXACT else BAR), score

@@ -224,6 +224,18 @@ def test_delta_materials_and_environments(tmp_path):
     np.testing.assert_allclose(pixels.reshape(-1, 3), np.tile([1, 2, 3], (pixels.size // 3, 1)))
 
 
+def test_the_integrator_within_another_one(tmp_path):
+    """``aov`` records beside the paths that the integrator inside it traces."""
+    from neurad.scene.readers.mitsuba_xml import read_xml
+
+    inside = '<integrator type="path"><integer name="max_depth" value="3"/></integrator>'
+    (tmp_path / "scene.xml").write_text(
+        '<scene version="3.0.0"><integrator type="aov"><string name="aovs" value="z:depth"/>'
+        f'{inside}</integrator><shape type="rectangle"/></scene>'
+    )
+    assert read_xml(tmp_path / "scene.xml").max_depth == 3
+
+
 def test_a_correct_folder(tmp_path):
     scene = load_scene(str(write_scene(tmp_path / "room")), None)
     assert (scene.name, scene.max_depth, scene.rr_depth) == ("room", 6, 4)
@@ -450,7 +462,7 @@ BAD = {
     "unknown reference": (replaced("scene.xml", 'ref id="paint"', 'ref id="pain"'), r"unresolved reference to .pain"),
     "hair": (replaced("scene.xml", 'shape type="rectangle"', 'shape type="bsplinecurve"'), r"lamp has type bspline"),
     "rough plastic": (replaced("scene.xml", '"diffuse"', '"roughplastic"'), r"lamp has distribution beckmann"),
-    "opacity mask": (inside("mask"), r"bsdf paint of shape floor has type mask, .* let light through"),
+    "opacity mask": (inside("mask"), r"bsdf paint of shape floor has type mask, .* lets light through"),
     "transparent": (set_paint('<float name="spec_trans" value="1"/>'), r"bsdf paint of shape floor sets spec_trans"),
     "transparent by a texture": (set_paint(PNG.format("spec_trans")), r"bsdf paint of shape floor sets spec_trans"),
     "glass that is rough": (beside('<bsdf type="roughdielectric"/>'), r"paint of shape floor has type roughdielectric"),

@@ -14,7 +14,7 @@ from neurad.core.names import apart
 from neurad.core.records import FloatArray, IntArray, Material, Mesh, PunctualLight
 from neurad.runtime.memory import reserve
 from neurad.runtime.reading import shown
-from neurad.scene.numbers import LENGTH, RADIANCE, TEXEL, within
+from neurad.scene.numbers import LENGTH, RADIANCE, TEXEL, unit, within
 from neurad.scene.readers.gltf_file import Array, GltfFile, Json
 from neurad.scene.readers.gltf_lamps import backs_of, lit_by
 from neurad.scene.readers.gltf_materials import COLOUR, Corners, Emission, MaterialReader
@@ -251,7 +251,5 @@ def in_world(
     with np.errstate(over="ignore", invalid="ignore"):
         vertices = (places.astype(np.float64) @ linear.T + to_world[:3, 3]).astype(np.float32)
     if turned is not None:
-        across = turned.astype(np.float64) @ np.linalg.inv(linear)
-        length = np.linalg.norm(across, axis=1, keepdims=True)
-        turned = (across / np.where(length > 0, length, 1.0)).astype(np.float32)
+        turned = unit(turned.astype(np.float64) @ np.linalg.inv(linear)).astype(np.float32)
     return vertices, turned, faces[:, [0, 2, 1]] if np.linalg.det(linear) < 0 else faces

@@ -58,6 +58,10 @@ class GltfFile:
         self.path = Path(path)
         data = read_bytes(self.path, missing="there is no such glTF file")
         self._binary: bytes | None = None
+        if data[:4] != _MAGIC and self.path.suffix.lower() == ".glb":
+            raise self.error(
+                "it does not begin as a binary glTF file does; export it again, or name it .gltf if it is JSON"
+            )
         text = self._chunks(data) if data[:4] == _MAGIC else data
         try:
             document = parse_json(text.decode("utf-8-sig"), self.path)

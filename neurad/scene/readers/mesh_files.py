@@ -12,7 +12,7 @@ import numpy as np
 from neurad.core.errors import InputError
 from neurad.core.records import FloatArray, IntArray, Material, Mesh
 from neurad.runtime.reading import TEXT_MESH_LIMIT, native, regular_file, shown
-from neurad.scene.numbers import LENGTH, RADIANCE, within
+from neurad.scene.numbers import LENGTH, RADIANCE, unit, within
 
 KINDS = (".obj", ".ply", ".stl")
 """What trimesh reads."""
@@ -51,12 +51,12 @@ def read_meshes(path: str | Path) -> MeshFile:
         return _with_materials(path, kind)
     if kind != ".ply" and path.stat().st_size > TEXT_MESH_LIMIT:
         raise InputError(f"{shown(path)}: it has more than {TEXT_MESH_LIMIT >> 20} MB; convert it to PLY")
-    import trimesh
-
     with native(path, f"it cannot be read as {kind[1:].upper()}"), warnings.catch_warnings():
         warnings.simplefilter("ignore")  # of numbers that are none: they are looked at below
-        loaded: Any = trimesh.load_scene(path, process=False)
+        loaded = loaded_by_trimesh(path)
         parts = [(name, part) for name, part in loaded.geometry.items() if hasattr(part, "faces")]
+        if kind == ".obj":
+            parts.reverse()  # trimesh takes the file from its end; ids and order of meshes are the file's
         meshes = [mesh_of(name if len(parts) > 1 else path.stem, part, kind == ".stl") for name, part in parts]
     meshes = [mesh for mesh in meshes if len(mesh.faces)]
     if not meshes:
@@ -66,6 +66,22 @@ def read_meshes(path: str | Path) -> MeshFile:
         if mesh.radiance is not None:
             within(mesh.radiance, f"{shown(path)}: the radiance (Ke) of material {shown(mesh.name)}", 0.0, RADIANCE)
     return MeshFile(path, meshes, kind == ".ply" and _ply_faces(path) == len(meshes[0].faces))
+
+
+def loaded_by_trimesh(path: Path) -> Any:
+    """The ``trimesh.Scene`` of an OBJ, PLY or STL file, its vertices as the file has them.
+
+    Of PLY files trimesh makes a vertex for each texture coordinate unless it is told otherwise, and loses normals and
+    colours where that gives another number of vertices: where one is not used, for example.
+    """
+    import trimesh
+
+    options: dict[str, Any] = {"fix_texture": False} if path.suffix.lower() == ".ply" else {}
+    loaded: Any = trimesh.load_scene(path, process=False, **options)
+    if options and b" texcoord" in _header(path):  # of corners: vertices cannot have them all
+        for part in loaded.geometry.values():
+            part.visual = trimesh.visual.ColorVisuals()
+    return loaded
 
 
 def _with_materials(path: Path, kind: str) -> MeshFile:
@@ -97,14 +113,14 @@ def mesh_of(name: str, part: Any, flat: bool) -> Mesh:
     uvs = _usable(getattr(part.visual, "uv", None), len(vertices), 2)
     used, corner = np.unique(faces, return_inverse=True)
     if normals is not None:
-        length = np.linalg.norm(normals, axis=1, keepdims=True)
-        normals = None if (length[used] < 1e-6).any() else normals / np.maximum(length, 1e-6)
+        normals = normals[used]
+        normals = None if (np.linalg.norm(normals, axis=1) < 1e-6).any() else unit(normals)
     return Mesh(
         name,
         vertices[used].astype(np.float32),
         corner.reshape(-1, 3).astype(np.int64),
         0,
-        None if normals is None else normals[used].astype(np.float32),
+        None if normals is None else normals.astype(np.float32),
         None if uvs is None else uvs[used].astype(np.float32),
         radiance=_emitted(part),
     )
@@ -132,10 +148,14 @@ def _emitted(part: Any) -> FloatArray | None:
 
 def _ply_faces(path: Path) -> int:
     """Number of faces that the header of a PLY file announces; -1 without one."""
-    with path.open("rb") as file:
-        header = file.read(1 << 16).partition(b"end_header")[0]
-    for line in header.splitlines():
+    for line in _header(path).splitlines():
         words = line.split()
         if words[:2] == [b"element", b"face"] and len(words) == 3 and words[2].isdigit():
             return int(words[2])
     return -1
+
+
+def _header(path: Path) -> bytes:
+    """The header of a PLY file."""
+    with path.open("rb") as file:
+        return file.read(1 << 16).partition(b"end_header")[0]

@@ -137,8 +137,9 @@ class MaterialReader:
         plugin = node.props.plugin_name()
         if plugin not in self._readers:
             raise InputError(
-                f"{self.path}: {where} has type {plugin}, which is not supported, nor can a fit replace what may let "
-                "light through"
+                f"{self.path}: {where} has type {plugin}, which is not read, so that it is not known whether it lets "
+                "light through; make it a principled BSDF, or one of "
+                f"{', '.join(sorted(set(self._readers) - {'principled'}))}"
             )
         try:
             return self._readers[plugin](node, where)

@@ -98,7 +98,7 @@ class _Reader:
             elif kind == "Emitter":
                 self._emitter(child)
             elif kind == "Integrator":
-                limits = self._limits(child.props)
+                limits = self._limits(self._tracing(child).props)
             elif kind not in _IGNORED:
                 raise InputError(f"{self.path}: {kind.lower()} of type {child.props.plugin_name()} is not supported")
         name = self.path.resolve().parent.name
@@ -106,6 +106,11 @@ class _Reader:
             name, self.meshes, self.materials.materials, self.environment, max_depth=limits[0], rr_depth=limits[1],
             punctual=tuple(self.punctual), notes=tuple(self.notes),
         )  # fmt: skip
+
+    def _tracing(self, integrator: Any) -> Any:
+        """The integrator that traces paths: what only records beside it (``aov``, ``moment``) has it inside."""
+        inside = [child for _, child in self._children(integrator) if child.type.name == "Integrator"]
+        return self._tracing(inside[0]) if inside else integrator
 
     def _limits(self, props: Any) -> tuple[int, int]:
         """``max_depth`` and ``rr_depth`` of an integrator."""

@@ -16,7 +16,7 @@ from neurad.scene.image_io import from_srgb
 from neurad.scene.numbers import LENGTH, within
 from neurad.scene.readers.gltf import ENDINGS as GLTF
 from neurad.scene.readers.gltf import read_gltf
-from neurad.scene.readers.mesh_files import KINDS, mesh_of
+from neurad.scene.readers.mesh_files import KINDS, loaded_by_trimesh, mesh_of
 
 OBJECTS = (*KINDS, *GLTF)
 PLAIN = 0.5
@@ -51,11 +51,9 @@ def read_object(path: str | Path, where: str) -> list[Part]:
         raise InputError(f"{where}: {shown(path)} has more than {TEXT_MESH_LIMIT >> 20} MB")
     if kind in GLTF:
         return _of_gltf(file)
-    import trimesh
-
     with native(file, f"it cannot be read as {kind[1:].upper()}"), warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        loaded: Any = trimesh.load_scene(file, process=False)
+        loaded = loaded_by_trimesh(file)
         # Copies of one mesh in several places become meshes of their own, each where it stands.
         parts = [_part(part, kind == ".stl") for part in loaded.dump() if hasattr(part, "faces")]
     parts = [part for part in parts if len(part.mesh.faces)]

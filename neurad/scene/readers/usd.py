@@ -14,7 +14,7 @@ from neurad.core.errors import InputError
 from neurad.core.names import apart
 from neurad.core.records import IntArray, Mesh
 from neurad.runtime.reading import native, shown
-from neurad.scene.numbers import LENGTH, RADIANCE, within
+from neurad.scene.numbers import LENGTH, RADIANCE, unit, within
 
 Array = npt.NDArray[Any]
 
@@ -85,9 +85,7 @@ def _meshes(path: Path, prim: Any, mesh: Any, to_world: Array) -> Iterator[Mesh]
     if given is not None:
         if len(given) != len(points):  # of corners: each gets a vertex of its own
             vertices, faces = points[order], corners
-        normals = given @ np.linalg.inv(linear)
-        length = np.linalg.norm(normals, axis=1, keepdims=True)
-        normals /= np.where(length > 0, length, 1.0)
+        normals = unit(given @ np.linalg.inv(linear))
     there = (vertices @ linear.T + to_world[:3, 3]).astype(np.float32)
     within(there, f"{where}: its coordinates", -LENGTH, LENGTH)
     smooth = None if normals is None else normals.astype(np.float32)
