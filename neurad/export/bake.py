@@ -81,15 +81,17 @@ def refine(mesh: TexelMeans, means: Means, wanted: BoolArray, per: int) -> None:
         wanted: texels to begin with [h, w].
         per: positions along the side of a texel so far.
     """
-    spread = means.spread
+    error = uncertain(means.values, means.covered, means.spread, per)
     while per < MOST_PER_BORDER_TEXEL:
-        wanted = wanted & ((per < PER_BORDER_TEXEL) | (uncertain(spread, per) > SETTLED))
+        wanted = wanted & ((per < PER_BORDER_TEXEL) | (error > SETTLED))
         if not wanted.any():
             return
         per *= 2
         finer = mesh.means(per, wanted)
         found = wanted & finer.covered
-        means.values[found], spread = finer.values[found], finer.spread
+        changed = np.abs(finer.values - means.values).max(-1)
+        means.values[found] = finer.values[found]
+        error = np.maximum(uncertain(means.values, means.covered, finer.spread, per), changed)
 
 
 def sharpened(means: Means, mask: BoolArray) -> FloatArray:

@@ -18,9 +18,9 @@ from neurad.export.room import Room
 from neurad.export.texel_means import TexelMeans, uncertain
 from neurad.scene.geometry import Geometry
 
-PER_SIDE, CLOSER = 7, 27
-"""Positions along the side of a texel over which the field's mean is taken, and where that is not known to a quarter of
-:data:`BOUND` then; never those that were baked, of which there are 4, 5, 8, 10, 16, 20 or 32."""
+PER_SIDE = 7, 27, 81
+"""Positions along the side of a texel over which the field's mean is taken: the next number where that is not known to
+a quarter of :data:`BOUND` then. They are odd, and so never those that were baked."""
 POINTS = 1 << 16
 """Points on the sides of borders that are looked at in a room; all of them if there are fewer."""
 SEED = 20260102
@@ -154,8 +154,13 @@ def _bilinear(pixels: FloatArray, x: Array, y: Array) -> FloatArray:
 def _meant(mesh: TexelMeans, chart: Chart, x: Array, y: Array) -> FloatArray:
     """What lookups at (x, y) [n] ought to show [n, 4]: means of the fields over the texels they read, by weight."""
     wanted = texels_read(chart, x, y)
-    meant = mesh.means(PER_SIDE, wanted)
-    jumps = wanted & (uncertain(meant.spread, PER_SIDE) > 0.25 * BOUND)
-    if jumps.any():
-        meant.values[jumps] = mesh.means(CLOSER, jumps).values[jumps]
+    meant = mesh.means(PER_SIDE[0], wanted)
+    error = uncertain(meant.values, meant.covered, meant.spread, PER_SIDE[0])
+    for per in PER_SIDE[1:]:
+        wanted = wanted & (error > 0.25 * BOUND)
+        if not wanted.any():
+            break
+        finer = mesh.means(per, wanted)
+        meant.values[wanted] = finer.values[wanted]
+        error = uncertain(meant.values, meant.covered, finer.spread, per)
     return _bilinear(meant.values, x, y)

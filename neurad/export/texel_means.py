@@ -29,13 +29,29 @@ STRETCH = 4.0
 """A texel of the gutter may lie so many times further from the mesh than texels are apart on it, not more."""
 
 
-def uncertain(spread: FloatArray, per: int) -> FloatArray:
-    """Estimates of the error of means over a grid of ``per`` x ``per`` positions whose values have this deviation.
+def uncertain(values: FloatArray, covered: BoolArray, spread: FloatArray, per: int) -> FloatArray:
+    """Estimates of the error of means over grids of ``per`` x ``per`` positions, of the value that errs most [h, w].
 
     Where triangles are smaller than texels, values are as good as drawn by lot, and the error falls with the root of
-    how many there are; what merely jumps or bends is known better.
+    how many there are; what merely jumps or bends is known better. What jumps between two positions in a corner is not
+    seen at all: there neighbours differ, and up to half of the way between two rows of positions may be theirs.
+
+    Args:
+        values: means over the texels of a texture [h, w, c].
+        covered: texels that have one [h, w].
+        spread: standard deviations over their positions [h, w].
+        per: positions along the side of a texel.
     """
-    error: FloatArray = spread / np.float32(per)
+    contrast = np.zeros(spread.shape, np.float32)
+    for axis in (0, 1):
+        lower = [slice(None)] * 2
+        upper = [slice(None)] * 2
+        lower[axis], upper[axis] = slice(None, -1), slice(1, None)
+        here, there = tuple(lower), tuple(upper)
+        apart = np.where(covered[here] & covered[there], np.abs(values[here] - values[there]).max(-1), 0.0)
+        contrast[here] = np.maximum(contrast[here], apart)
+        contrast[there] = np.maximum(contrast[there], apart)
+    error: FloatArray = np.maximum(spread, np.float32(0.25) * contrast) / np.float32(per)
     return error
 
 

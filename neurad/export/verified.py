@@ -21,7 +21,7 @@ CYCLES_MEAN = 0.03
 MISSED, KEPT = 3.0, 2.0
 """A bound is missed by what lies beyond it by more than so many standard errors, and kept by what lies within it by
 more than so many; what is neither is not decided."""
-SEAMS_BEYOND = 1e-2
+SEAMS_BEYOND = 1e-3
 """Largest fraction of the points on borders of charts that may differ by more than two steps of 255."""
 State = Literal["kept", "missed", "not decided"]
 

@@ -86,9 +86,8 @@ def test_a_jump_is_asked_until_its_share_is_known(square):
     refine(mesh, means, means.covered.copy(), 2)
     assert coarse > 20 / 255
     off = np.abs(means.values - exact).max(-1)
-    assert np.quantile(off, 0.99) < 0.5 / 255
-    assert off.max() < 0.8 / 32  # a corner between the positions of a grid of 4 x 4 is not seen
-    assert field.asked < 100 * SIDE**2  # all of them at 32 x 32 would be ten times as many
+    assert off.max() < 0.5 / 255, off.max() * 255  # also of corners between the positions of the first grids
+    assert field.asked < 150 * SIDE**2  # all of them at 32 x 32 would be seven times as many
     assert field.asked > MOST_PER_BORDER_TEXEL**2 * SIDE / 2
 
 
