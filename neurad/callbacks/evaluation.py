@@ -196,7 +196,8 @@ class Evaluate(pl.Callback):
         if every is not None:
             return bool(module.iteration % every == 0)
         mark = self._mark_of(trainer)
-        if mark <= self._mark or self.fraction <= 0:
+        # After the first, which compiles kernels and may end at a mark, the second one waits for as long again.
+        if mark < max(self._mark + 1, 2 * self._mark if self._first else 0) or self.fraction <= 0:
             return False
         self._mark = mark
         return bool(self._spent + self._last <= self.fraction * module.train_seconds)

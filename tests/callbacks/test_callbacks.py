@@ -1,6 +1,7 @@
 """metrics.csv, closing tables, pictures and the clock."""
 
 import time
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -131,6 +132,22 @@ def test_the_first_evaluation_counts_for_what_the_second_takes():
         interrupted._count(2.0)
         interrupted._count(3.0)
         assert interrupted.state_dict() | {"spent": 7.0, "last": 3.0} == interrupted.state_dict()
+
+
+def test_when_evaluations_are_due(monkeypatch):
+    """The second one as long after the first as that was after the start, the others as time allows."""
+    callback, now = Evaluate(fraction=0.2), {"mark": 0}
+    module = SimpleNamespace(iteration=0, train_seconds=0.0)
+    trainer = SimpleNamespace(max_steps=-1, callbacks=[], global_step=0)
+    monkeypatch.setattr(Evaluate, "_mark_of", staticmethod(lambda _: now["mark"]))
+    due: list[int] = []
+    for mark in range(20):  # of 12 seconds each; the first evaluation ends at the second mark
+        now["mark"], module.train_seconds = mark, 12.0 * mark
+        if callback._due(trainer, module):
+            callback._count(8.0 if due else 30.0)
+            due.append(mark)
+            now["mark"] = callback._mark = mark + (1 if mark == 1 else 0)
+    assert due == [1, 4, 10, 14, 17]
 
 
 def test_closing_table_has_the_lookup_by_colour_where_there_is_one():
