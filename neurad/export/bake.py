@@ -89,7 +89,8 @@ def refine(mesh: TexelMeans, means: Means, wanted: BoolArray, per: int) -> None:
         per *= 2
         finer = mesh.means(per, wanted)
         found = wanted & finer.covered
-        changed = np.abs(finer.values - means.values).max(-1)
+        changed = np.zeros_like(error)
+        changed[found] = np.abs(finer.values[found] - means.values[found]).max(-1)
         means.values[found] = finer.values[found]
         error = np.maximum(uncertain(means.values, means.covered, finer.spread, per), changed)
 

@@ -182,46 +182,6 @@ def nearest(
 
 
 @kernel
-def averaged(
-    owner: IntArray, begin: IntArray, values: Array, per: int, mean: Array, spread: Array
-) -> None:  # pragma: no cover - compiled
-    """Means over the samples of texels, and how far these are from a plane through them.
-
-    Args:
-        owner: the triangle of each sample, row by row, -1 for none [n, per * per].
-        begin: where the values of each texel begin [n].
-        values: of the samples that have a triangle, texel by texel [m, c].
-        per: samples along the side of a texel.
-        mean: filled with means, zero for texels without a sample [n, c].
-        spread: filled with the standard deviation from a plane of the value that varies most [n].
-    """
-    channels = values.shape[1]
-    scale = (1.0 - 1.0 / (per * per)) / 12.0
-    for n in range(len(owner)):
-        spread[n] = 0.0
-        for c in range(channels):
-            total, count = 0.0, 0
-            for s in range(per * per):
-                if owner[n, s] >= 0:
-                    total += values[begin[n] + count, c]
-                    count += 1
-            middle = total / max(count, 1)
-            mean[n, c] = middle
-            squares, right, down, at = 0.0, 0.0, 0.0, begin[n]
-            for s in range(per * per):
-                if owner[n, s] >= 0:
-                    off = values[at, c] - middle
-                    squares += off * off
-                    right += off * ((s % per + 0.5) / per - 0.5)
-                    down += off * ((s // per + 0.5) / per - 0.5)
-                    at += 1
-            variance = squares / max(count, 1)
-            if per > 1:
-                variance -= (right * right + down * down) / (max(count, 1) ** 2 * scale)
-            spread[n] = max(spread[n], math.sqrt(max(variance, 0.0)))
-
-
-@kernel
 def locate(
     corners: Array, points: Array, owner: IntArray, x: Array, y: Array, limit: float, u: Array, v: Array
 ) -> None:  # pragma: no cover - compiled

@@ -12,11 +12,11 @@ import torch
 
 from neurad.core.protocols import Materials
 from neurad.core.records import FloatArray
-from neurad.export import raster_kernels as kernels
+from neurad.export import raster_kernels, texel_means_kernels
 from neurad.export.charts import Chart, triangle_areas
 from neurad.export.raster_kernels import Array, IntArray
 from neurad.metrics.scores import BoolArray
-from neurad.runtime.threads import split
+from neurad.runtime.threads import split, torch_on_one
 from neurad.scene.geometry import Geometry
 
 GUTTER = 2.0
@@ -42,15 +42,8 @@ def uncertain(values: FloatArray, covered: BoolArray, spread: FloatArray, per: i
         spread: standard deviations over their positions [h, w].
         per: positions along the side of a texel.
     """
-    contrast = np.zeros(spread.shape, np.float32)
-    for axis in (0, 1):
-        lower = [slice(None)] * 2
-        upper = [slice(None)] * 2
-        lower[axis], upper[axis] = slice(None, -1), slice(1, None)
-        here, there = tuple(lower), tuple(upper)
-        apart = np.where(covered[here] & covered[there], np.abs(values[here] - values[there]).max(-1), 0.0)
-        contrast[here] = np.maximum(contrast[here], apart)
-        contrast[there] = np.maximum(contrast[there], apart)
+    contrast = np.empty(spread.shape, np.float32)
+    split(lambda low, high: texel_means_kernels.contrast(values, covered, low, high, contrast), len(values), 64)
     error: FloatArray = np.maximum(spread, np.float32(0.25) * contrast) / np.float32(per)
     return error
 
@@ -74,17 +67,33 @@ class Means:
     """Largest ones [4]."""
 
 
-def _averaged(owner: IntArray, asked: FloatArray, per: int) -> tuple[FloatArray, FloatArray]:
-    """:attr:`Means.values` [n, 4] and :attr:`Means.spread` [n] of texels, from their samples in order."""
-    count = (owner >= 0).sum(1)
-    begin = np.cumsum(count) - count
-    mean, spread = np.empty((len(owner), 4), np.float32), np.empty(len(owner), np.float32)
+def _counted(owner: IntArray, distance: Array) -> tuple[IntArray, BoolArray]:
+    """How many positions of texels have a triangle [n], and whether all of them lie on one [n]."""
+    count, inside = np.empty(len(owner), np.int64), np.empty(len(owner), bool)
 
     def work(low: int, high: int) -> None:
-        kernels.averaged(owner[low:high], begin[low:high], asked, per, mean[low:high], spread[low:high])
+        part = slice(low, high)
+        texel_means_kernels.count_owned(owner[part], distance[part], count[part], inside[part])
 
     split(work, len(owner), 4096)
-    return mean, spread
+    return count, inside
+
+
+def _averaged(
+    owner: IntArray, begin: IntArray, asked: FloatArray, per: int
+) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    """:attr:`Means.values` [n, 4] and :attr:`Means.spread` [n] of texels, from their samples in order, and the smallest
+    and largest values of these [4].
+    """
+    mean, spread = np.empty((len(owner), 4), np.float32), np.empty(len(owner), np.float32)
+
+    def work(low: int, high: int) -> tuple[FloatArray, FloatArray]:
+        part, (least, most) = slice(low, high), (np.ones(4, np.float32), np.zeros(4, np.float32))
+        texel_means_kernels.averaged(owner[part], begin[part], asked, per, mean[part], spread[part], least, most)
+        return least, most
+
+    least, most = zip(*split(work, len(owner), 4096), strict=True)
+    return mean, spread, np.minimum.reduce(least), np.maximum.reduce(most)
 
 
 class TexelMeans:
@@ -107,6 +116,7 @@ class TexelMeans:
         self._limit = STRETCH * math.sqrt(in_space / on_texture) if on_texture > 0 else 0.0
 
     @torch.no_grad()
+    @torch_on_one()
     def means(
         self, per: int, wanted: BoolArray | None = None, done: Callable[[int], None] = lambda texels: None
     ) -> Means:
@@ -121,24 +131,21 @@ class TexelMeans:
         values, spread = np.zeros((size, 4), np.float32), np.zeros(size, np.float32)
         covered, inside = np.zeros(size, bool), np.zeros(size, bool)
         least, most = np.ones(4, np.float32), np.zeros(4, np.float32)
-        for texels, owner, within in self._batches(per, wanted):
-            sample = np.flatnonzero(owner.ravel() >= 0)
-            texel, place = np.divmod(sample, per * per)
-            row, column = np.divmod(texels[texel], self.shape[1])
-            down, right = np.divmod(place, per)
-            asked = self._asked(owner.ravel()[sample], column + (right + 0.5) / per, row + (down + 0.5) / per)
-            least, most = np.minimum(least, asked.min(0, initial=1.0)), np.maximum(most, asked.max(0, initial=0.0))
-            values[texels], spread[texels] = _averaged(owner, asked, per)
-            covered[texels], inside[texels] = (owner >= 0).any(1), within
+        for texels, owner, count, within in self._batches(per, wanted):
+            begin = np.cumsum(count) - count
+            asked = self._asked(*self._placed(owner, texels, begin, int(count.sum()), per))
+            values[texels], spread[texels], low, high = _averaged(owner, begin, asked, per)
+            least, most = np.minimum(least, low), np.maximum(most, high)
+            covered[texels], inside[texels] = count > 0, within
             done(len(texels))
         return Means(
             values.reshape(*self.shape, 4), covered.reshape(self.shape), inside.reshape(self.shape),
             spread.reshape(self.shape), least, most,
         )  # fmt: skip
 
-    def _batches(self, per: int, wanted: BoolArray | None) -> Iterator[tuple[IntArray, IntArray, BoolArray]]:
-        """Texels in row-major order [n], the triangle of each of their positions, -1 for none [n, per * per], and
-        whether all of these lie on the mesh [n].
+    def _batches(self, per: int, wanted: BoolArray | None) -> Iterator[tuple[IntArray, IntArray, IntArray, BoolArray]]:
+        """Texels in row-major order [n], the triangle of each of their positions, -1 for none [n, per * per], how many
+        of these there are [n], and whether all positions lie on the mesh [n].
         """
         height, width = self.shape
         every = np.arange(height * width) if wanted is None else np.flatnonzero(wanted)
@@ -153,20 +160,34 @@ class TexelMeans:
             owner = np.full(distance.shape, -1, np.int64)
             work = partial(self._nearest, chosen, slot.reshape(-1, width), top, per, distance, owner)
             split(work, bottom - top, max(64 // per, 1))
-            yield texels, owner, np.asarray(((owner >= 0) & (distance <= 0.0)).all(1))
+            yield texels, owner, *_counted(owner, distance)
 
     def _nearest(
         self, chosen: IntArray, slot: IntArray, top: int, per: int, distance: Array, owner: IntArray, low: int,
         high: int,
     ) -> None:  # fmt: skip
         """The owners of the positions in rows ``low`` to ``high`` of a batch that begins in row ``top``."""
-        kernels.nearest(self._corners, chosen, slot[low:high], top + low, per, GUTTER, distance, owner)
+        raster_kernels.nearest(self._corners, chosen, slot[low:high], top + low, per, GUTTER, distance, owner)
+
+    def _placed(
+        self, owner: IntArray, texels: IntArray, begin: IntArray, total: int, per: int
+    ) -> tuple[IntArray, Array, Array]:
+        """Triangles and places in the texture of those positions that have a triangle, ``total`` in all."""
+        face, x, y = np.empty(total, np.int64), np.empty(total), np.empty(total)
+        split(
+            lambda low, high: texel_means_kernels.place(
+                owner[low:high], texels[low:high], begin[low:high], self.shape[1], per, face, x, y
+            ),
+            len(texels),
+            4096,
+        )  # fmt: skip
+        return face, x, y
 
     def _asked(self, owner: IntArray, x: Array, y: Array) -> FloatArray:
         """Albedo and roughness [n, 4] at positions (x, y) [n] of the texture, on or around triangles ``owner`` [n]."""
         u, v = np.empty((2, len(owner)))
         split(
-            lambda low, high: kernels.locate(
+            lambda low, high: raster_kernels.locate(
                 self._corners, self._points, owner[low:high], x[low:high], y[low:high], self._limit, u[low:high],
                 v[low:high],
             ),
