@@ -26,7 +26,7 @@ from neurad.emitters.fitted import FittedEnvironment
 from neurad.emitters.fitted_lamps import FittedLamps
 from neurad.emitters.lights import Lights, WithPunctual, make_lights
 from neurad.fields.development import FittedDevelopment
-from neurad.fields.material import AROUND, REACH, AlbedoField, RoughnessField
+from neurad.fields.material import AROUND, REACH, AlbedoField, Correction, RoughnessField
 from neurad.fields.radiance import RadianceField
 from neurad.fields.settings import FieldConfig, RadianceConfig
 from neurad.integrators.delta import DeltaSurfaces
@@ -123,7 +123,7 @@ class FittedMaterials(nn.Module):
             if self.roughness is not None:
                 roughness += self.roughness.of_features(self.roughness.features(si.p, offset), value) / len(AROUND)
         if self.roughness is not None:
-            roughness = self.roughness.with_known(si, roughness)
+            roughness = self.roughness.with_known(si, self.roughness.corrected(roughness, si.p))
         return Surface(field.with_known(si, albedo), roughness)
 
 
@@ -227,6 +227,18 @@ class Assembly:
     def lamps(self) -> FittedLamps | None:
         """The lamps whose radiance the photographs say; None where it is known."""
         return recovered_lamps(self.world)
+
+    @property
+    def correction(self) -> Correction | None:
+        """What a closing step adds to the roughness; None in a run that makes none."""
+        if self.radiance is None or not isinstance(self.materials, FittedMaterials) or self.materials.roughness is None:
+            return None
+        return self.materials.roughness.correction
+
+    @property
+    def settled(self) -> tuple[str, ...]:
+        """What is not trained any more, by the names of the learning rates."""
+        return ("roughness",) if self.correction is not None and self.correction.done else ()
 
     @property
     def estimator(self) -> Estimator:

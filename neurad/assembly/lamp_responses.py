@@ -147,7 +147,7 @@ def explain(responses: Responses, radiance: Array, observed: Bools, groups: list
     column; the factor that it gets is how much brighter the surfaces are than they are taken for, and all others are
     divided by it.
     """
-    from scipy.optimize import nnls  # type: ignore[import-untyped] # imported where it is needed: it loads slowly
+    from scipy.optimize import nnls  # imported where it is needed: it loads slowly
 
     pictures, weight, target = responses.lamps, responses.weight, responses.photographs
     known = np.einsum("mc,mnc->nc", radiance * observed[:, None], pictures)

@@ -7,7 +7,8 @@ import math
 import torch
 from torch import Tensor, nn
 
-from neurad.core.records import SurfaceInteraction
+from neurad.core.records import FloatArray, SurfaceInteraction
+from neurad.fields.dense_grid import DenseGrid
 from neurad.fields.mlp import MLP
 from neurad.fields.select import make_layers
 from neurad.fields.settings import FieldConfig, RoughnessConfig
@@ -17,10 +18,57 @@ from neurad.scene.textures import OnEmitters
 MIN_ROUGHNESS = 0.02
 """Smallest fitted roughness: below it a highlight is narrower than a pixel and its gradient is all noise."""
 
+CORRECTION_CELLS = 64
+"""Cells along the unit cube of what a closing step adds to the roughness."""
+
 REACH = 2.0
 """Half of the side of the box around a point that its neighbourhood is, in cells of the albedo's finest level."""
 AROUND = torch.cartesian_prod(*[torch.tensor([-2.0, 0.0, 2.0]) / 3.0] * 3)
 """Places evenly spread over a box of half the side 1 around a point [27, 3]."""
+
+
+class Correction(nn.Module):
+    """What is added to a field [n, 1] at positions in the unit cube [n, 3]: nothing, until it is set. No optimizer has
+    it.
+    """
+
+    made: Tensor
+
+    def __init__(self) -> None:
+        super().__init__()
+        self.grid = DenseGrid(CORRECTION_CELLS + 1, 1)
+        self.grid.table.requires_grad_(False)
+        self.register_buffer("made", torch.zeros((), dtype=torch.int64))
+        self.done = False
+        """Whether the step that sets it was made."""
+        self.found = False
+        """Whether it found anything; the table is 0 otherwise."""
+        self.register_load_state_dict_post_hook(lambda module, _: module._see())  # type: ignore[no-untyped-call]
+
+    def forward(self, x: Tensor) -> Tensor:
+        """The correction [n, 1] at positions [n, 3] in the unit cube."""
+        found: Tensor = self.grid(x)
+        return found
+
+    @torch.no_grad()
+    def set(self, values: FloatArray | None) -> None:
+        """The step was made, and found these values at the nodes [65, 65, 65], the axes those of the positions; None is
+        nothing.
+        """
+        if values is not None:
+            self.grid.table.copy_(torch.from_numpy(values.transpose(2, 1, 0).reshape(-1, 1).copy()))
+        self.made.fill_(1)
+        self._see()
+
+    @torch.no_grad()
+    def forget(self) -> None:
+        """As if no step was made."""
+        self.grid.table.zero_()
+        self.made.zero_()
+        self._see()
+
+    def _see(self) -> None:
+        self.done, self.found = bool(self.made), bool((self.grid.table != 0).any())
 
 
 class _MaterialField(nn.Module):
@@ -103,6 +151,9 @@ class RoughnessField(_MaterialField):
         reads_albedo = isinstance(config, RoughnessConfig) and config.reads_albedo and config.kind == "hash"
         super().__init__(config, UnitCube(bounds, contracted), 1, 3 if reads_albedo else 0, known)
         self.reads_albedo = reads_albedo
+        self.correction: Correction | None = None
+        if isinstance(config, RoughnessConfig) and config.closing_step and config.kind == "hash":
+            self.correction = Correction()
 
     def at(self, p: Tensor, albedo: Tensor | None = None) -> Tensor:
         """Roughness [n, 1] at positions [n, 3]; outside the bounds as :class:`UnitCube` has it.
@@ -114,10 +165,17 @@ class RoughnessField(_MaterialField):
         Raises:
             ValueError: the field reads the albedo, and none is given.
         """
-        return self.of_features(self.features(p), albedo)
+        return self.corrected(self.of_features(self.features(p), albedo), p)
+
+    def corrected(self, roughness: Tensor, p: Tensor) -> Tensor:
+        """Roughness [n, 1] at positions [n, 3] with what a closing step has added there."""
+        if self.correction is None or not self.correction.found:
+            return roughness
+        changed: Tensor = (roughness + self.correction(self.cube(p))).clamp(MIN_ROUGHNESS, 1.0)
+        return changed
 
     def of_features(self, features: Tensor, albedo: Tensor | None = None) -> Tensor:
-        """Roughness [n, 1] where the grid says ``features`` [n, k]; otherwise as :meth:`at`."""
+        """Roughness [n, 1] where the grid says ``features`` [n, k], uncorrected; otherwise as :meth:`at`."""
         if self.reads_albedo and albedo is None:
             raise ValueError("RoughnessField: it reads the albedo, which is not given")
         extra = (4.0 * (albedo.detach() - 0.5),) if self.reads_albedo and albedo is not None else ()

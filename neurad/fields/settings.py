@@ -66,6 +66,10 @@ class RoughnessConfig(FieldConfig):
     """Whether the network reads the albedo beside the position: what looks the same is then taken to shine the same,
     unless a highlight says otherwise. With a coarse grid it carries roughness from where a highlight is seen to where
     none is. A dense grid has no network to read it."""
+    closing_step: bool = False
+    """Whether, after four fifths of a fit, all training pixels together are asked for a correction of the roughness (a
+    Gauss-Newton step with the albedo profiled out). It takes a tenth of the time and finds what single gradients are
+    too noisy for. For hash grids and methods with a radiance field."""
     begin: Literal["middle", "best"] = "middle"
     """Where roughness begins: at one half, or, once albedo and light are roughly known, at the one of a few values at
     which the photographs are surely explained better. From one half nothing leads to near mirrors. A dense grid begins

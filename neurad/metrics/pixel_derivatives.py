@@ -20,6 +20,8 @@ from neurad.metrics.scores import BoolArray
 
 SPP = 8
 """Samples a pixel, both halves together: a pixel more says more than a sample more."""
+GROUP = SPP // 2
+"""Samples of a half."""
 _GROUPS = 2  # independent groups in a half, as its control variate needs
 _LANES = 1 << 15  # samples in flight: bounds the memory
 _STREAM, _GIVEN = 29, 31  # last number of the stream's key
@@ -89,7 +91,7 @@ def pixel_derivatives(
         develop: corrects the photographs; None leaves them as they are.
     """
     parts = []
-    for index, batch in enumerate(_batches(photographs, emitter_mask, first, pixels)):
+    for index, batch in enumerate(batches_in_turn(photographs, emitter_mask, first, pixels)):
         batch = batch if develop is None else develop(batch)
         stream = Stream(seed, first, index, _STREAM, device=primary.origin.device)
         parts.append(_of_batch(estimator, primary, batch, stream))
@@ -128,7 +130,7 @@ def _split(batches: list[PixelBatch]) -> Iterator[PixelBatch]:
             yield PixelBatch(columns[0], columns[1], columns[2], columns[3], 0)
 
 
-def _batches(photographs: PhotoSource, emitter_mask: Tensor, first: int, pixels: int) -> Iterator[PixelBatch]:
+def batches_in_turn(photographs: PhotoSource, emitter_mask: Tensor, first: int, pixels: int) -> Iterator[PixelBatch]:
     """Batches of the photographs from iteration ``first`` on, cut or joined to fit in memory, on the mask's device."""
     taken, iteration = 0, first
     waiting: list[PixelBatch] = []
@@ -144,8 +146,8 @@ def _batches(photographs: PhotoSource, emitter_mask: Tensor, first: int, pixels:
 
 
 @dataclass(frozen=True)
-class _Half:
-    """One half's estimate of the pixels of a batch."""
+class SampleGroup:
+    """The estimate of the pixels of a batch by :data:`GROUP` samples in each, as of one half."""
 
     image: Tensor
     """[b, 3]."""
@@ -166,7 +168,7 @@ class _Half:
 
 
 def _of_batch(estimator: Estimator, primary: PrimaryHits, batch: PixelBatch, stream: Stream) -> PixelDerivatives:
-    halves = [_half(estimator, primary, batch, stream) for _ in range(2)]
+    halves = [group_of_samples(estimator, primary, batch, stream) for _ in range(2)]
     image = torch.stack([half.image for half in halves])  # [2, b, 3]
     lhs = [half.field for half in halves if half.field is not None]
     predicted = torch.stack(lhs).mean(0) if lhs else image.mean(0)  # [b, 3]
@@ -193,9 +195,9 @@ def _of_batch(estimator: Estimator, primary: PrimaryHits, batch: PixelBatch, str
     return PixelDerivatives(**{name: values.cpu().numpy() for name, values in arrays.items()})
 
 
-def _half(estimator: Estimator, primary: PrimaryHits, batch: PixelBatch, stream: Stream) -> _Half:
-    """``SPP / 2`` samples of every pixel, with the control variate where the method has one."""
-    b, n = len(batch.view), SPP // 2
+def group_of_samples(estimator: Estimator, primary: PrimaryHits, batch: PixelBatch, stream: Stream) -> SampleGroup:
+    """:data:`GROUP` samples of every pixel, with the control variate where the method has one."""
+    b, n = len(batch.view), GROUP
     first = primary(batch, n, stream)
     si, world = first.si, estimator.world
     with torch.no_grad():
@@ -213,7 +215,7 @@ def _half(estimator: Estimator, primary: PrimaryHits, batch: PixelBatch, stream:
             deviation = first.attenuate(sample.sample_stats.deviation).view(b, n, 3)
             image = image - ControlVariate(light, deviation, _GROUPS).residual()
         by_albedo, by_roughness = _jacobian(image, surface)
-    return _Half(
+    return SampleGroup(
         (image.detach() + first.attenuate(emitted).view(b, n, 3)).mean(1), by_albedo, by_roughness, field,
         albedo.detach().view(b, n, 3), si.p.view(b, n, 3), (si.n * si.wo).sum(-1).abs().view(b, n),
         si.valid.view(b, n).all(1),

@@ -21,6 +21,7 @@ from neurad.core.ranges import Seed
 from neurad.core.records import FloatArray, PixelBatch
 from neurad.emitters.fitted import FittedEnvironment
 from neurad.fields.development import FittedDevelopment
+from neurad.fields.material import Correction
 from neurad.fields.radiance import RadianceField
 from neurad.fields.settings import FieldConfig, RadianceConfig, RoughnessConfig
 from neurad.integrators.estimator import Estimator
@@ -44,6 +45,8 @@ from neurad.scene.description import Scene
 from neurad.scene.shining import Shining, kept, shining_scene
 from neurad.scene.textures import TrueMaterials
 from neurad.training.checkpoint import changed_light, fitted_lamps, fitting, scene_state
+from neurad.training.closing_step import is_due as is_closing
+from neurad.training.closing_step import make_closing_step
 from neurad.training.error_bars import error_bars, to_cube
 from neurad.training.evaluate import Evaluation, UnknownLight, evaluate, unknown_light
 from neurad.training.gradient_sync import GradientSync, ddp_ignored
@@ -271,7 +274,11 @@ class InverseRenderer(L.LightningModule):
         """One iteration of :class:`neurad.training.step.TrainingStep`."""
         for optimizer in self._optimizers()[1:]:  # the trainer counts the first one's steps: max_steps are iterations
             optimizer._on_before_step = optimizer._on_after_step = _nothing
-        loss = self.step(batch, fraction_done(self.trainer).largest, self.manual_backward)
+        progress = fraction_done(self.trainer).largest
+        loss = self.step(batch, progress, self.manual_backward)
+        correction = self.assembly.correction
+        if correction is not None and self.trainer.strategy.broadcast(is_closing(correction, progress)):
+            self._make_closing_step(correction)
         if is_due(self.iteration):
             self.update_levels()
         return loss
@@ -283,6 +290,18 @@ class InverseRenderer(L.LightningModule):
         if self.training_views is None:
             return None
         return said(update_levels(self.assembly, self.training_views, self.photographs, self.iteration))
+
+    def _make_closing_step(self, correction: Correction) -> None:
+        """Correct the roughness from all training pixels, see :mod:`neurad.training.closing_step`. The first process
+        does it for all.
+        """
+        assert self.training_views is not None
+        if self.trainer.is_global_zero:
+            found = make_closing_step(self.assembly, self.training_views, self.photographs, self.counters)
+            if found is not None:
+                print(f"neurad: {found.sentence()}", file=sys.stderr)
+        state = self.trainer.strategy.broadcast(correction.state_dict())
+        correction.load_state_dict(state)
 
     def _optimizers(self) -> list[Any]:
         """The optimizers in the trainer's wrappers."""

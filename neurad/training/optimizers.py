@@ -49,6 +49,6 @@ def _for_roughness(field: RoughnessField, rates: Optimization) -> SparseRowAdam:
     decays = rates.roughness_decay > 0.0 and isinstance(field.mlp, MLP)
     table = field.grid.parameters() if decays else ()
     return SparseRowAdam(
-        field.parameters(), lr=rates.roughness, betas=(0.9, rates.roughness_beta2),
+        [p for p in field.parameters() if p.requires_grad], lr=rates.roughness, betas=(0.9, rates.roughness_beta2),
         weight_decay={p: rates.roughness_decay for p in table},
     )  # fmt: skip

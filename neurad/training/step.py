@@ -146,8 +146,11 @@ class TrainingStep:
             clip([optimizer.param_groups for optimizer in self.optimizers.values()], optimization.clip)
         # Stage 3: parameters, guide and averages.
         for name, optimizer in self.optimizers.items():
+            rate = (
+                0.0 if name in self.assembly.settled else learning_rate(optimization, name, counters.iteration, factor)
+            )
             for group in optimizer.param_groups:
-                group["lr"] = learning_rate(optimization, name, counters.iteration, factor)
+                group["lr"] = rate
         for optimizer in reversed(
             list(self.optimizers.values())
         ):  # the first last: a trainer that counts it ends its step

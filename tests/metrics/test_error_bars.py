@@ -111,7 +111,7 @@ def test_derivative_by_albedo_is_the_difference_of_images():
     halves = []
     for albedo in (0.4, 0.5, 0.6):
         estimator = replace(step_of(albedo, 0.4, Direct())[1])
-        halves.append(pixel_derivatives._half(estimator, made.primary, batch, Stream(3)))
+        halves.append(pixel_derivatives.group_of_samples(estimator, made.primary, batch, Stream(3)))
     difference = (halves[2].image - halves[0].image) / 0.2
     assert torch.allclose(difference, halves[1].by_albedo, rtol=1e-3, atol=1e-4)
     assert halves[1].by_albedo.abs().mean() > 0.01
@@ -124,7 +124,9 @@ def test_derivative_by_roughness_is_the_difference_of_mean_images():
 
     def rows(roughness, first, seeds=40):
         estimator = step_of(0.3, roughness, Direct())[1]
-        found = [pixel_derivatives._half(estimator, made.primary, batch, Stream(first, k)) for k in range(seeds)]
+        found = [
+            pixel_derivatives.group_of_samples(estimator, made.primary, batch, Stream(first, k)) for k in range(seeds)
+        ]
         return [torch.stack([getattr(half, name).mean() for half in found]) for name in ("image", "by_roughness")]
 
     h = 0.02

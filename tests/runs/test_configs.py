@@ -166,6 +166,7 @@ SECTION_5 = {
     "model.optimization.roughness_decay": 0.0,
     "model.optimization.roughness_beta2": 0.99,
     "model.roughness.begin": "middle",
+    "model.roughness.closing_step": False,
     "model.sampling.focus": 0.0,
     "model.optimization.clip": 0.0,
     "model.objective.estimator": "two_pass",

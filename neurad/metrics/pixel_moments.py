@@ -1,0 +1,126 @@
+"""What training pixels say of the materials in them over many independent groups of samples: sums of products."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, fields
+from typing import Self
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from neurad.core.protocols import PhotoSource
+from neurad.core.records import FloatArray, IntArray, PixelBatch
+from neurad.core.rng import Stream
+from neurad.integrators.estimator import Estimator
+from neurad.integrators.primary_hits import PrimaryHits
+from neurad.metrics.pixel_derivatives import batches_in_turn, group_of_samples
+
+_STREAM = 37  # last number of the stream's key
+LIMIT = 1.0
+"""Largest residual of a group in units of the brightness: fireflies are cut."""
+DARK = 0.01
+"""Of the mean squared radiance: added to the squared brightness that pixels are weighted by."""
+
+
+@dataclass(frozen=True)
+class PixelMoments:
+    """Means over groups of samples, in units of each pixel's brightness, of its derivative by roughness R, by albedo D
+    and its residual e, and of their products within a group, which hold the noise of the samples.
+    """
+
+    groups: int
+    """Independent groups of :data:`neurad.metrics.pixel_derivatives.GROUP` samples that every mean is over."""
+    view: IntArray
+    """[n]."""
+    corner: IntArray
+    """Column and row of the pixel [n, 2]."""
+    p: FloatArray
+    """One of the surface points in each pixel [n, 3]."""
+    r: FloatArray
+    """Derivative by roughness [n, 3]; so are the next ones, a value a channel."""
+    d: FloatArray
+    e: FloatArray
+    rr: FloatArray
+    rd: FloatArray
+    dd: FloatArray
+    re: FloatArray
+    de: FloatArray
+
+    def __len__(self) -> int:
+        return len(self.p)
+
+    def __getitem__(self, part: IntArray) -> Self:
+        """Some of the pixels."""
+        arrays = {f.name: getattr(self, f.name)[part] for f in fields(self) if f.name != "groups"}
+        return type(self)(self.groups, **arrays)
+
+
+def pixel_moments(
+    estimator: Estimator,
+    primary: PrimaryHits,
+    photographs: PhotoSource,
+    emitter_mask: Tensor,
+    first: int,
+    pixels: int,
+    groups: int,
+    seed: int,
+    mean_square_radiance: float,
+    develop: Callable[[PixelBatch], PixelBatch] | None = None,
+) -> PixelMoments | None:
+    """Moments of about ``pixels`` training pixels at the present materials; None if no pixel is left.
+
+    Args:
+        estimator: the method with the present materials and radiance field.
+        primary: camera rays of the training views.
+        photographs: drawn from in turn, so that no pixel comes twice before all have come.
+        emitter_mask: pixels that an emitter covers [views, pixels], bool; they are left out.
+        first: iteration whose batch is the first one taken.
+        pixels: how many.
+        groups: of :data:`neurad.metrics.pixel_derivatives.GROUP` samples in each pixel.
+        seed: of the samples.
+        mean_square_radiance: of the photographs.
+        develop: corrects the photographs; None leaves them as they are.
+    """
+    parts = list(
+        _parts(
+            estimator, primary, batches_in_turn(photographs, emitter_mask, first, pixels), groups, (seed, first),
+            mean_square_radiance, develop,
+        )
+    )  # fmt: skip
+    if not parts or not sum(len(part[0]) for part in parts):
+        return None
+    columns = [np.concatenate(column) for column in zip(*parts, strict=True)]
+    return PixelMoments(groups, *columns)
+
+
+def _parts(
+    estimator: Estimator,
+    primary: PrimaryHits,
+    batches: Iterator[PixelBatch],
+    groups: int,
+    key: tuple[int, int],
+    mean_square_radiance: float,
+    develop: Callable[[PixelBatch], PixelBatch] | None,
+) -> Iterator[list[FloatArray]]:
+    """The arrays of :class:`PixelMoments`, in the order of its fields, a batch at a time."""
+    for index, drawn in enumerate(batches):
+        batch = drawn if develop is None else develop(drawn)
+        stream = Stream(*key, index, _STREAM, device=primary.origin.device)
+        found = [group_of_samples(estimator, primary, batch, stream) for _ in range(groups)]
+        # ---------------------- In units of the brightness ----------------------
+
+        lhs = [group.field for group in found if group.field is not None]
+        predicted = torch.stack(lhs or [group.image for group in found]).mean(0)  # [b, 3]
+        unit = (predicted.square() + DARK * mean_square_radiance + 1e-30).sqrt()
+        d = torch.stack([group.by_albedo for group in found]) / unit  # [groups, b, 3]
+        r = torch.stack([group.by_roughness for group in found]) / unit
+        e = ((batch.color - torch.stack([group.image for group in found])) / unit).clamp(-LIMIT, LIMIT)
+        # ---------------------- Means over the groups ----------------------
+
+        kept = torch.stack([group.valid for group in found]).all(0)
+        corner = primary.views.corner(batch.view, batch.pixel)
+        means = [r, d, e, r * r, r * d, d * d, r * e, d * e]
+        columns = [batch.view, corner, found[0].p[:, 0], *(value.mean(0) for value in means)]
+        yield [column[kept].cpu().numpy() for column in columns]

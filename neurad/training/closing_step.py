@@ -1,0 +1,135 @@
+"""A Gauss-Newton step of the roughness late in a fit, from all training pixels at once.
+
+A gradient by roughness is noise above all, a hundredth of the pixels tells most, and the steps of Adam are as long
+where nothing is known as where much is. So a fit of minutes makes use of a fiftieth of what the photographs tell.
+After four fifths of a fit its materials and light are good enough for the pixels to be linear in what is left, and
+samples of a pass without an optimizer cost a third of those of training. :mod:`neurad.metrics.roughness_evidence`
+gathers what the pixels ask for, :func:`neurad.optim.multilevel.solve` weighs it against how little is to be expected,
+and the field adds what comes out from then on. Roughness then rests, since single gradients would only add noise, while
+albedo and radiance follow for the rest of the fit.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+import torch
+
+from neurad.assembly.build import Assembly, FittedMaterials
+from neurad.assembly.training_views import TrainingViews
+from neurad.core.protocols import PhotoSource
+from neurad.fields.material import CORRECTION_CELLS, Correction
+from neurad.metrics.pixel_derivatives import GROUP
+from neurad.metrics.pixel_moments import pixel_moments
+from neurad.metrics.roughness_evidence import Evidence, evidence
+from neurad.metrics.scores import Float64Array
+from neurad.optim.multilevel import solve
+from neurad.optim.polyak_average import averaged
+from neurad.runtime.progress import phase
+from neurad.training.error_bars import to_cube
+from neurad.training.step import Counters
+
+AFTER = 0.8
+"""Fraction of the fit after which the step is made."""
+SAMPLES = 0.4
+"""Samples of the pass over those that the fit has drawn: they cost a third as much."""
+MOST_GROUPS = 16
+"""Of samples in a pixel."""
+LEAST_PIXELS = 256
+"""Fewer say nothing."""
+LEVELS = 8, 16, 32, CORRECTION_CELLS
+STDS = 0.05, 0.05, 0.06, 0.08
+"""Cells along the unit cube, and what is expected of the details there; half or twice as much changes a tenth of the
+gain."""
+
+
+SPREAD = 0.3
+"""Of roughness. Patches that know it better than this count alike where halves of the pixels are compared: otherwise
+a few would decide, of which the fit has long known all that there is to know."""
+
+
+@dataclass(frozen=True)
+class ClosingStep:
+    """What was found."""
+
+    kept: float
+    """Fraction of the step that one half of the pixels confirms of the other's."""
+    size: float
+    """Root mean square of the change over what the pixels see."""
+
+    def sentence(self) -> str:
+        """What there is to say."""
+        if self.kept <= 0.0:
+            return "roughness stays as it is: halves of the training pixels do not agree on a change"
+        return f"roughness corrected by {self.size:.3f} (rms) from all training pixels at once"
+
+
+def is_due(correction: Correction | None, progress: float) -> bool:
+    """Whether the step is to be made at this fraction of the fit, in which it was not made yet. A fit that goes on for
+    longer than it was to forgets it and makes it again.
+    """
+    if correction is None:
+        return False
+    if progress < AFTER and correction.done:
+        correction.forget()
+    return progress >= AFTER and not correction.done
+
+
+def make_closing_step(
+    assembly: Assembly, views: TrainingViews, photographs: PhotoSource, counters: Counters
+) -> ClosingStep | None:
+    """Correct the roughness; None where there are too few pixels.
+
+    Args:
+        assembly: of the run; its averaged materials are what is corrected.
+        views: the training views.
+        photographs: of the training views.
+        counters: iterations and samples of the fit.
+    """
+    correction, materials = assembly.correction, assembly.materials
+    assert correction is not None
+    assert isinstance(materials, FittedMaterials)
+    correction.set(None)
+    total = int((~views.emitter_mask).sum())
+    groups = round(SAMPLES * counters.samples / (GROUP * max(total, 1)))
+    pixels = total if groups else int(SAMPLES * counters.samples / GROUP)
+    if pixels < LEAST_PIXELS:
+        return None
+    with torch.no_grad(), averaged(assembly.average), phase("correcting roughness"):
+        moments = pixel_moments(
+            assembly.estimator, views.primary, photographs, views.emitter_mask, counters.iteration, pixels,
+            min(max(groups, 1), MOST_GROUPS), assembly.settings.seed, views.mean_square_radiance, assembly.development,
+        )  # fmt: skip
+        if moments is None or len(moments) < LEAST_PIXELS:
+            return None
+        whole, *halves = evidence(moments, to_cube(materials))
+        counters.samples += len(moments) * moments.groups * GROUP
+        kept = agreement(*halves)
+        values = kept * _solved(whole)
+    correction.set(values.astype(np.float32))
+    size = float(np.sqrt(np.mean(np.square(_read(values, whole.x)))))
+    return ClosingStep(kept, size)
+
+
+def agreement(first: Evidence, second: Evidence) -> float:
+    """The factor, from 0 to 1, by which each half's step explains the other half's pixels best."""
+    asked = taken = 0.0
+    for own, other in ((first, second), (second, first)):
+        step = _read(_solved(own), other.x)
+        weight = 1.0 / (1.0 + SPREAD**2 * other.information)
+        asked += float((weight * other.gradient * step).sum())
+        taken += float((weight * other.information * np.square(step)).sum())
+    return min(max(asked / taken, 0.0), 1.0) if taken > 0.0 else 0.0
+
+
+def _solved(found: Evidence) -> Float64Array:
+    return solve(found.x, found.information, found.gradient, LEVELS, STDS)
+
+
+def _read(values: Float64Array, x: Float64Array) -> Float64Array:
+    """Trilinear values [m] of a grid over the unit cube at positions [m, 3]."""
+    grid = Correction()
+    grid.set(values.astype(np.float32))
+    found: Float64Array = grid(torch.from_numpy(x.astype(np.float32))).detach().squeeze(-1).double().numpy()
+    return found

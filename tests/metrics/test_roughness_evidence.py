@@ -1,0 +1,78 @@
+"""What pixels ask of the roughness: right in the mean with noisy derivatives, and sure of nothing that is noise."""
+
+import numpy as np
+import pytest
+
+from neurad.metrics.pixel_moments import PixelMoments
+from neurad.metrics.roughness_evidence import PATCHES, evidence
+
+SIDE, VIEWS = 48, 6
+CHANGE = 0.08
+
+
+def moments(groups=4, change=CHANGE, noise=0.5, steady=False, derivatives=True, seed=0):
+    """Views of a square of a patch and more, seen with highlights at different places; the roughness is ``change``
+    more than what was taken for it, the albedo of each patch another by chance.
+    """
+    rng = np.random.default_rng(seed)
+    row, column = np.divmod(np.arange(SIDE * SIDE), SIDE)
+    p = np.stack((0.3 + 0.2 * column / SIDE, 0.3 + 0.2 * row / SIDE, np.full(SIDE * SIDE, 0.5001)), -1)
+    patch = (p * PATCHES).astype(int)
+    albedo = np.random.default_rng(7).normal(0.0, 0.05, (PATCHES, PATCHES, 3))[patch[:, 0], patch[:, 1]]
+    parts = []
+    for view in range(VIEWS):
+        d = 1.0 + 0.3 * np.sin(column / 9.0 + view)[:, None] * np.ones(3)
+        centre = 0.0 if steady else 12.0 * np.cos(2.0 * view)
+        r = 0.8 * np.exp(-((column - SIDE / 2 - centre) ** 2 + (row - SIDE / 2 + centre) ** 2) / 150.0)[:, None]
+        r = (0.4 * d if steady else r * np.ones(3)) * derivatives
+        photograph = r * change + d * albedo + 0.05 * rng.standard_normal(d.shape)
+        r, d, e = (
+            value + size * rng.standard_normal((groups, *d.shape))
+            for value, size in ((r, noise), (d, 0.2), (photograph, 0.3))
+        )
+        means = [x.mean(0) for x in (r, d, e, r * r, r * d, d * d, r * e, d * e)]
+        corner = np.stack((column, row), -1)
+        parts.append([np.full(len(p), view), corner, p.astype(np.float32), *(x.astype(np.float32) for x in means)])
+    return PixelMoments(groups, *(np.concatenate(column) for column in zip(*parts, strict=True)))
+
+
+def asked(found):
+    return found.gradient.sum() / found.information.sum()
+
+
+def cube(p):
+    return p
+
+
+def test_the_change_is_right_where_derivatives_are_noisy():
+    """Over 20 draws within four standard errors, while least squares with the noisy derivatives is drawn to zero."""
+    draws = [moments(seed=k) for k in range(20)]
+    found = np.array([asked(evidence(draw, cube)[0]) for draw in draws])
+    assert abs(found.mean() - CHANGE) < 4 * found.std() / np.sqrt(20) + 0.03 * CHANGE
+    assert found.std() < 0.3 * CHANGE
+    naive = np.mean([(draw.re.sum() / draw.rr.sum()) for draw in draws])
+    assert abs(naive) < 0.5 * CHANGE
+
+
+def test_how_sure_it_is():
+    """One over the information of all patches is the variance over 30 draws, within a factor of two: a smooth
+    instrument has a part of its noise in common with its neighbours'."""
+    draws = [evidence(moments(seed=k), cube)[0] for k in range(30)]
+    scatter = np.var([asked(draw) for draw in draws])
+    claimed = np.mean([1.0 / draw.information.sum() for draw in draws])
+    assert 0.5 < scatter / claimed < 2.0, (scatter, claimed)
+
+
+def test_nothing_is_known_of_a_steady_sheen_and_of_noise():
+    known = evidence(moments(), cube)[0].information.sum()
+    assert evidence(moments(steady=True), cube)[0].information.sum() < 0.05 * known
+    assert evidence(moments(derivatives=False), cube)[0].information.sum() < 0.1 * known
+
+
+def test_halves_are_a_chess_board_and_add_up():
+    whole, first, second = evidence(moments(), cube)
+    assert asked(first) == pytest.approx(CHANGE, rel=0.6)
+    assert asked(second) == pytest.approx(CHANGE, rel=0.6)
+    assert asked(first) != asked(second)
+    total = first.information.sum() + second.information.sum()
+    assert total == pytest.approx(whole.information.sum(), rel=0.3)

@@ -1,0 +1,145 @@
+"""A step from all training pixels at once: what is off comes right, and what halves of them do not confirm stays."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+
+from neurad.core.reflection import PrincipledModel
+from neurad.fields.material import CORRECTION_CELLS, MIN_ROUGHNESS, Correction
+from neurad.metrics.roughness_evidence import Evidence
+from neurad.studies.stress.fit import Fit, Plan, photographs, small_settings
+from neurad.studies.stress.scenes import small_cube, with_material
+from neurad.training.closing_step import AFTER, agreement, is_due, make_closing_step
+
+ROUGHNESS, STEPS = 0.3, 150
+
+
+@pytest.fixture(scope="module")
+def room():
+    """A short fit of a glossy room."""
+    scene = with_material(small_cube(16), PrincipledModel(), 0.4, ROUGHNESS)
+    return Fit(scene, photographs(scene, 128), Plan(steps=STEPS)).run()
+
+
+def step_of(room, counters=None):
+    training = room.training
+    return make_closing_step(training.assembly, training.views, room.photos, counters or training.step.counters)
+
+
+def mean_roughness(room):
+    return float(room.surface(room.seen(2048)).roughness.mean())
+
+
+@pytest.mark.parametrize("off", [0.12, -0.1])
+def test_what_is_off_comes_right(room, off):
+    """Roughness that is off everywhere, with all else as the fit found it, is right again to a third of that."""
+    before = mean_roughness(room)
+    correction = room.training.assembly.correction
+    try:
+        shift = np.full((CORRECTION_CELLS + 1,) * 3, off, np.float32)
+        correction.set(shift)
+        assert mean_roughness(room) == pytest.approx(before + off, abs=0.01)
+        counters = replace(room.training.step.counters, samples=1 << 20)
+        found = step_of(room, counters)
+        assert counters.samples > 1 << 20
+        assert found.kept > 0.5, found
+        assert "corrected by" in found.sentence()
+        assert abs(mean_roughness(room) - before) < abs(off) / 3
+    finally:
+        correction.forget()
+
+
+def test_the_same_step_at_every_call(room):
+    correction = room.training.assembly.correction
+    counters = room.training.step.counters
+    try:
+        step_of(room, replace(counters))
+        first = {name: value.clone() for name, value in correction.state_dict().items()}
+        correction.forget()
+        step_of(room, replace(counters))
+        assert all(torch.equal(value, first[name]) for name, value in correction.state_dict().items())
+    finally:
+        correction.forget()
+
+
+def test_roughness_rests_after_it(room):
+    """Albedo goes on."""
+    field, correction = room.materials.roughness, room.training.assembly.correction
+    parameters = [p for p in field.parameters() if p.requires_grad]
+    kept = [p.detach().clone() for p in room.materials.albedo.parameters()], [p.detach().clone() for p in parameters]
+    try:
+        correction.set(None)
+        assert room.training.assembly.settled == ("roughness",)
+        room.advance(0.9)
+        assert all(torch.equal(p, before) for p, before in zip(parameters, kept[1], strict=True))
+        moved = zip(room.materials.albedo.parameters(), kept[0], strict=True)
+        assert any(not torch.equal(p, before) for p, before in moved)
+    finally:
+        correction.forget()
+    room.advance(0.9)
+    assert any(not torch.equal(p, before) for p, before in zip(parameters, kept[1], strict=True))
+
+
+def test_when_it_is_due():
+    correction = Correction()
+    assert not is_due(None, 0.9)
+    assert not is_due(correction, AFTER - 0.01)
+    assert is_due(correction, AFTER)
+    correction.set(None)
+    assert not is_due(correction, AFTER)  # made, whatever it found
+    assert not is_due(correction, 0.4)  # a fit that goes on for longer forgets it ...
+    assert is_due(correction, AFTER)  # ... and makes it again
+
+
+def test_only_what_halves_confirm_is_kept():
+    rng = np.random.default_rng(0)
+    x = rng.random((400, 3)) * [0.2, 0.2, 0.01] + 0.4
+    information = np.full(400, 200.0)
+
+    def half(change):
+        return Evidence(x, information, information * (change + rng.normal(0.0, 1.0 / np.sqrt(information))))
+
+    bump = 0.1 * np.sin(30.0 * x[:, 0])
+    assert agreement(half(bump), half(bump)) > 0.6
+    noise = [agreement(half(0.0), half(0.0)) for _ in range(20)]
+    assert np.mean(noise) < 0.25
+    assert agreement(half(bump), half(-bump)) == 0.0
+
+
+def test_a_correction_in_the_state(room):
+    """It travels with a checkpoint, is no optimizer's, and never leaves the range of roughness."""
+    values = np.zeros((CORRECTION_CELLS + 1,) * 3, np.float32)
+    values[3, 5, 7] = 0.25
+    correction = Correction()
+    correction.set(values)
+    at = torch.tensor([[3.0, 5.0, 7.0], [3.5, 5.0, 7.0], [20.0, 5.0, 7.0]]) / CORRECTION_CELLS
+    torch.testing.assert_close(correction(at)[:, 0], torch.tensor([0.25, 0.125, 0.0]), atol=1e-5, rtol=0)
+    other = Correction()
+    other.load_state_dict(correction.state_dict())
+    assert other.done
+    assert other.found
+    torch.testing.assert_close(other(at), correction(at))
+    assert not any(p.requires_grad for p in correction.parameters())
+    field, own = room.materials.roughness, room.training.assembly.correction
+    held = {id(p) for group in room.training.optimizers["roughness"].param_groups for p in group["params"]}
+    assert not held & {id(p) for p in own.parameters()}
+    try:
+        own.set(np.full((CORRECTION_CELLS + 1,) * 3, -2.0, np.float32))
+        si = room.seen(64)
+        assert float(field(si, torch.full((len(si), 3), 0.5)).min()) == pytest.approx(MIN_ROUGHNESS)
+    finally:
+        own.forget()
+
+
+def test_nothing_is_built_where_it_is_not_wanted():
+    settings = small_settings()
+    assert settings.roughness.closing_step
+    scene = small_cube(16)
+    images = torch.full((len(scene.train), 256, 3), 0.5)
+    diffuse = Fit(scene, images, Plan(settings=settings))
+    assert diffuse.training.assembly.correction is None
+    glossy = with_material(scene, PrincipledModel(), 0.4, 0.3)
+    without = replace(settings, roughness=replace(settings.roughness, closing_step=False))
+    assert Fit(glossy, images, Plan(settings=without)).training.assembly.correction is None
