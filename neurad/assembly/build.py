@@ -236,11 +236,6 @@ class Assembly:
         return self.materials.roughness.correction
 
     @property
-    def settled(self) -> tuple[str, ...]:
-        """What is not trained any more, by the names of the learning rates."""
-        return ("roughness",) if self.correction is not None and self.correction.done else ()
-
-    @property
     def estimator(self) -> Estimator:
         """The method's estimates with these materials and this radiance field."""
         return Estimator(self.world, self.materials, self.radiance, self.settings.method)

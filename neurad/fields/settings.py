@@ -67,7 +67,7 @@ class RoughnessConfig(FieldConfig):
     unless a highlight says otherwise. With a coarse grid it carries roughness from where a highlight is seen to where
     none is. A dense grid has no network to read it."""
     closing_step: bool = False
-    """Whether, after four fifths of a fit, all training pixels together are asked for a correction of the roughness (a
+    """Whether, towards the end of a fit, all training pixels together are asked for a correction of the roughness (a
     Gauss-Newton step with the albedo profiled out). It takes a tenth of the time and finds what single gradients are
     too noisy for. For hash grids and methods with a radiance field."""
     begin: Literal["middle", "best"] = "middle"

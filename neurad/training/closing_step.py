@@ -1,12 +1,11 @@
 """A Gauss-Newton step of the roughness late in a fit, from all training pixels at once.
 
 A gradient by roughness is noise above all, a hundredth of the pixels tells most, and the steps of Adam are as long
-where nothing is known as where much is. So a fit of minutes makes use of a fiftieth of what the photographs tell.
-After four fifths of a fit its materials and light are good enough for the pixels to be linear in what is left, and
-samples of a pass without an optimizer cost a third of those of training. :mod:`neurad.metrics.roughness_evidence`
-gathers what the pixels ask for, :func:`neurad.optim.multilevel.solve` weighs it against how little is to be expected,
-and the field adds what comes out from then on. Roughness then rests, since single gradients would only add noise, while
-albedo and radiance follow for the rest of the fit.
+where nothing is known as where much is. So a fit of minutes makes use of a fiftieth of what the photographs tell. Late
+in a fit its materials and light are good enough for the pixels to be linear in what is left, and samples of a pass
+without an optimizer cost a third of those of training. :mod:`neurad.metrics.roughness_evidence` gathers what the pixels
+ask for, :func:`neurad.optim.multilevel.solve` weighs it against how little is to be expected, and the field adds what
+comes out from then on, while all parts go on for the rest of the fit.
 """
 
 from __future__ import annotations
@@ -30,7 +29,7 @@ from neurad.runtime.progress import phase
 from neurad.training.error_bars import to_cube
 from neurad.training.step import Counters
 
-AFTER = 0.8
+AFTER = 0.85
 """Fraction of the fit after which the step is made."""
 SAMPLES = 0.4
 """Samples of the pass over those that the fit has drawn: they cost a third as much."""

@@ -64,24 +64,6 @@ def test_the_same_step_at_every_call(room):
         correction.forget()
 
 
-def test_roughness_rests_after_it(room):
-    """Albedo goes on."""
-    field, correction = room.materials.roughness, room.training.assembly.correction
-    parameters = [p for p in field.parameters() if p.requires_grad]
-    kept = [p.detach().clone() for p in room.materials.albedo.parameters()], [p.detach().clone() for p in parameters]
-    try:
-        correction.set(None)
-        assert room.training.assembly.settled == ("roughness",)
-        room.advance(0.9)
-        assert all(torch.equal(p, before) for p, before in zip(parameters, kept[1], strict=True))
-        moved = zip(room.materials.albedo.parameters(), kept[0], strict=True)
-        assert any(not torch.equal(p, before) for p, before in moved)
-    finally:
-        correction.forget()
-    room.advance(0.9)
-    assert any(not torch.equal(p, before) for p, before in zip(parameters, kept[1], strict=True))
-
-
 def test_when_it_is_due():
     correction = Correction()
     assert not is_due(None, 0.9)
