@@ -146,11 +146,8 @@ class TrainingStep:
             clip([optimizer.param_groups for optimizer in self.optimizers.values()], optimization.clip)
         # Stage 3: parameters, guide and averages.
         for name, optimizer in self.optimizers.items():
-            rate = (
-                0.0 if name in self.assembly.settled else learning_rate(optimization, name, counters.iteration, factor)
-            )
             for group in optimizer.param_groups:
-                group["lr"] = rate
+                group["lr"] = learning_rate(optimization, name, counters.iteration, factor)
         for optimizer in reversed(
             list(self.optimizers.values())
         ):  # the first last: a trainer that counts it ends its step
