@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache, partial
 
 import torch
@@ -28,7 +28,7 @@ from neurad.emitters.lights import Lights, WithPunctual, make_lights
 from neurad.fields.development import FittedDevelopment
 from neurad.fields.material import AROUND, REACH, AlbedoField, Correction, RoughnessField
 from neurad.fields.radiance import RadianceField
-from neurad.fields.settings import FieldConfig, RadianceConfig
+from neurad.fields.settings import FieldConfig, RadianceConfig, RoughnessConfig
 from neurad.integrators.delta import DeltaSurfaces
 from neurad.integrators.estimator import Estimator
 from neurad.integrators.focus import Focus
@@ -285,6 +285,8 @@ def assemble(
         materials = TrueMaterials(scene, world.geometry)
     else:
         albedo, roughness = resolve_finest(settings.albedo, cells), resolve_finest(settings.roughness, cells)
+        if isinstance(roughness, RoughnessConfig) and (environment is not None or not settings.method.needs_field):
+            roughness = replace(roughness, closing_step=False)  # residuals are then not those of materials alone
         materials = build_materials(scene, albedo, roughness, world.geometry if known_emitters else None, region)
         if optimization.average > 0:
             average = PolyakAverage(materials, optimization.average)

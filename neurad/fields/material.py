@@ -28,9 +28,7 @@ AROUND = torch.cartesian_prod(*[torch.tensor([-2.0, 0.0, 2.0]) / 3.0] * 3)
 
 
 class Correction(nn.Module):
-    """What is added to a field [n, 1] at positions in the unit cube [n, 3]: nothing, until it is set. No optimizer has
-    it.
-    """
+    """What is added to a field [n, 1] at positions in the unit cube [n, 3]: nothing at first. No optimizer has it."""
 
     made: Tensor
 
@@ -40,9 +38,9 @@ class Correction(nn.Module):
         self.grid.table.requires_grad_(False)
         self.register_buffer("made", torch.zeros((), dtype=torch.int64))
         self.done = False
-        """Whether the step that sets it was made."""
+        """Whether the step that adds to it was made."""
         self.found = False
-        """Whether it found anything; the table is 0 otherwise."""
+        """Whether any found something; the table is 0 otherwise."""
         self.register_load_state_dict_post_hook(lambda module, _: module._see())  # type: ignore[no-untyped-call]
 
     def forward(self, x: Tensor) -> Tensor:
@@ -51,19 +49,18 @@ class Correction(nn.Module):
         return found
 
     @torch.no_grad()
-    def set(self, values: FloatArray | None) -> None:
-        """The step was made, and found these values at the nodes [65, 65, 65], the axes those of the positions; None is
-        nothing.
+    def add(self, values: FloatArray | None) -> None:
+        """The step was made, and asks for these changes at the nodes [65, 65, 65], the axes those of the positions; for
+        none if None.
         """
         if values is not None:
-            self.grid.table.copy_(torch.from_numpy(values.transpose(2, 1, 0).reshape(-1, 1).copy()))
+            self.grid.table.add_(torch.from_numpy(values.transpose(2, 1, 0).reshape(-1, 1).copy()).to(self.grid.table))
         self.made.fill_(1)
         self._see()
 
     @torch.no_grad()
-    def forget(self) -> None:
-        """As if no step was made."""
-        self.grid.table.zero_()
+    def reopen(self) -> None:
+        """Another step is to be made, from where this one went."""
         self.made.zero_()
         self._see()
 

@@ -15,13 +15,10 @@ from neurad.core.records import FloatArray, IntArray, PixelBatch
 from neurad.core.rng import Stream
 from neurad.integrators.estimator import Estimator
 from neurad.integrators.primary_hits import PrimaryHits
+from neurad.metrics.error_bars import DARK, LIMIT
 from neurad.metrics.pixel_derivatives import batches_in_turn, group_of_samples
 
 _STREAM = 37  # last number of the stream's key
-LIMIT = 1.0
-"""Largest residual of a group in units of the brightness: fireflies are cut."""
-DARK = 0.01
-"""Of the mean squared radiance: added to the squared brightness that pixels are weighted by."""
 
 
 @dataclass(frozen=True)
@@ -92,7 +89,10 @@ def pixel_moments(
     if not parts or not sum(len(part[0]) for part in parts):
         return None
     columns = [np.concatenate(column) for column in zip(*parts, strict=True)]
-    return PixelMoments(groups, *columns)
+    # Views of few pixels, and those of which only a part shows a surface, are drawn from more than once.
+    view, corner = columns[0], columns[1]
+    _, once = np.unique((view * (1 << 20) + corner[:, 1]) * (1 << 20) + corner[:, 0], return_index=True)
+    return PixelMoments(groups, *(column[once] for column in columns))
 
 
 def _parts(
@@ -120,6 +120,7 @@ def _parts(
         # ---------------------- Means over the groups ----------------------
 
         kept = torch.stack([group.valid for group in found]).all(0)
+        kept &= torch.isfinite(torch.cat((d, r, e), -1)).all(-1).all(0)
         corner = primary.views.corner(batch.view, batch.pixel)
         means = [r, d, e, r * r, r * d, d * d, r * e, d * e]
         columns = [batch.view, corner, found[0].p[:, 0], *(value.mean(0) for value in means)]

@@ -22,20 +22,18 @@ import numpy as np
 
 from neurad.core.records import FloatArray, IntArray
 from neurad.metrics.error_bars import ToUnitCube, cells, in_cube
-from neurad.metrics.fisher import per_patch
+from neurad.metrics.fisher import FLOOR, per_patch
 from neurad.metrics.pixel_moments import PixelMoments
 from neurad.metrics.scores import BoolArray, Float64Array
 
 BOX = 5
 """Pixels along the side of the box that instruments are means over."""
-PATCHES = 128
-"""Patches along the unit cube, each with an albedo of its own."""
+PATCHES, PIXELS_A_PATCH = 128, 12
+"""Patches along the unit cube, each with an albedo of its own; half as many until so many pixels share one."""
 LEAST_VARIANCE = 0.3
 """Of the mean: the least that the residual's variance is taken for."""
 OUTLIER = 2.0
 """Parts of single pixels are cut at so many of their standard deviations."""
-FLOOR = 0.05
-"""Added to ``sum D'D w`` of a patch, in pixels of relative brightness 1: keeps dark patches from dividing noise."""
 RANKS = 20
 """Groups of patches of like ``F`` that the ratio is measured in."""
 
@@ -44,6 +42,8 @@ RANKS = 20
 class Evidence:
     """Of the patches that the pixels see."""
 
+    side: int
+    """Patches along the unit cube."""
     x: Float64Array
     """Middle of each in the unit cube [m, 3]."""
     information: Float64Array
@@ -60,11 +60,15 @@ def evidence(pixels: PixelMoments, to_cube: ToUnitCube) -> tuple[Evidence, Evide
         to_cube: positions to the unit cube of the fields.
     """
     x = in_cube(to_cube, pixels.p)
-    patch, count = cells(x, PATCHES)
+    side = PATCHES
+    patch, count = cells(x, side)
+    while side > 2 and len(x) < PIXELS_A_PATCH * count:
+        side //= 2
+        patch, count = cells(x, side)
     whole = _Pixels.of(pixels)
     odd = (pixels.corner.sum(-1) + pixels.view) % 2 == 1
     everything = np.ones(len(x), bool)
-    first, second, third = (whole.evidence(x, patch, count, part) for part in (everything, ~odd, odd))
+    first, second, third = (whole.evidence(x, side, patch, count, part) for part in (everything, ~odd, odd))
     return first, second, third
 
 
@@ -106,8 +110,10 @@ class _Pixels:
             ((sums[:, r] - pixels.r) / others, (sums[:, d] - pixels.d) / others), np.asarray(weight, np.float64),
         )  # fmt: skip
 
-    def evidence(self, x: Float64Array, patch: IntArray, count: int, chosen: BoolArray) -> Evidence:
-        """Of some of the pixels at ``x`` [n, 3] in ``patch`` [n], of which there are ``count``."""
+    def evidence(self, x: Float64Array, side: int, patch: IntArray, count: int, chosen: BoolArray) -> Evidence:
+        """Of some of the pixels at ``x`` [n, 3] in ``patch`` [n], of which there are ``count``, and ``side`` along the
+        cube.
+        """
         w = np.where(chosen, self.weight, 0.0)[:, None]
         rr, rd, dr, dd, de = (
             per_patch(w * value, patch, count) for value in (self.rr, self.rd, self.dr, self.dd, self.de)
@@ -126,7 +132,7 @@ class _Pixels:
         pixels = np.bincount(patch, chosen, count)[:, None]
         middle = per_patch(x * chosen[:, None], patch, count) / np.maximum(pixels, 1)
         known = pixels[:, 0] > 0
-        return Evidence(middle[known], (information.clip(0.0) / ratio)[known], (gradient / ratio)[known])
+        return Evidence(side, middle[known], (information.clip(0.0) / ratio)[known], (gradient / ratio)[known])
 
 
 def _box_sums(values: FloatArray, corner: IntArray) -> tuple[FloatArray, FloatArray]:

@@ -15,11 +15,14 @@ from neurad.scene.light import light_changes, light_of
 FOCUS = "focus."
 DEVELOPMENT = "development."
 """What names of state begin with that is of the fit's photographs alone; others may be looked at with its result."""
+CORRECTION = "materials.roughness.correction."
+"""What names of state begin with that a closing step has found; a fit that has none yet makes it later."""
 DDP_IGNORED = "world.guide.", "average.", FOCUS
 """What names of state begin with that only takes noise away: no weights, and alike in all processes."""
-_WITHOUT_SCORES = (
-    "the checkpoint does not say which pixels tell of roughness (model.sampling.focus); the run finds out anew"
-)
+_WITHOUT = {
+    FOCUS: "the checkpoint does not say which pixels tell of roughness (model.sampling.focus); the run finds out anew",
+    CORRECTION: "the checkpoint is of a fit without a closing step (model.roughness.closing_step); this one makes it",
+}
 
 
 def fitting(
@@ -55,12 +58,14 @@ def fitting(
         raise InputError(f"{source}: the file is no checkpoint of neurad")
     check_scene(state, scene, source, continues or not other_light)
     weights = checkpoint["state_dict"]
-    for prefix in DDP_IGNORED if continues else (*DDP_IGNORED, DEVELOPMENT):
+    for prefix in (*DDP_IGNORED, CORRECTION) if continues else (*DDP_IGNORED, CORRECTION, DEVELOPMENT):
         mine = {name: value for name, value in own.items() if name.startswith(prefix)}
         theirs = {name: value for name, value in weights.items() if name.startswith(prefix)}
         alike = theirs and all(name in mine and mine[name].shape == value.shape for name, value in theirs.items())
-        if prefix == FOCUS and mine and not alike and continues:
-            print(f"neurad: {source}: {_WITHOUT_SCORES}", file=sys.stderr)
+        if prefix in _WITHOUT and mine and not alike and continues:
+            print(f"neurad: {source}: {_WITHOUT[prefix]}", file=sys.stderr)
+        if prefix == CORRECTION and not mine and theirs.get(f"{CORRECTION}made", 0):
+            raise InputError(f"{source}: its roughness has had a closing step; set model.roughness.closing_step true")
         rest = {name: value for name, value in weights.items() if name not in theirs}
         weights = rest | mine | (theirs if alike else {})  # an older version's may lack some
     checkpoint["state_dict"] = weights

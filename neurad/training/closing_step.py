@@ -5,7 +5,8 @@ where nothing is known as where much is. So a fit of minutes makes use of a fift
 in a fit its materials and light are good enough for the pixels to be linear in what is left, and samples of a pass
 without an optimizer cost a third of those of training. :mod:`neurad.metrics.roughness_evidence` gathers what the pixels
 ask for, :func:`neurad.optim.multilevel.solve` weighs it against how little is to be expected, and the field adds what
-comes out from then on, while all parts go on for the rest of the fit.
+comes out from then on, while all parts go on for the rest of the fit. ``neurad fit`` makes the step; studies that drive
+:class:`neurad.training.step.TrainingStep` themselves have none.
 """
 
 from __future__ import annotations
@@ -23,7 +24,7 @@ from neurad.metrics.pixel_derivatives import GROUP
 from neurad.metrics.pixel_moments import pixel_moments
 from neurad.metrics.roughness_evidence import Evidence, evidence
 from neurad.metrics.scores import Float64Array
-from neurad.optim.multilevel import solve
+from neurad.optim.multilevel import finer, solve
 from neurad.optim.polyak_average import averaged
 from neurad.runtime.progress import phase
 from neurad.training.error_bars import to_cube
@@ -33,10 +34,12 @@ AFTER = 0.85
 """Fraction of the fit after which the step is made."""
 SAMPLES = 0.4
 """Samples of the pass over those that the fit has drawn: they cost a third as much."""
+EVERY = 16
+"""Iterations after which processes agree whether it is time."""
 MOST_GROUPS = 16
 """Of samples in a pixel."""
-LEAST_PIXELS = 256
-"""Fewer say nothing."""
+LEAST_PIXELS, MOST_PIXELS = 256, 1 << 21
+"""Fewer say nothing; more would take gigabytes."""
 LEVELS = 8, 16, 32, CORRECTION_CELLS
 STDS = 0.05, 0.05, 0.06, 0.08
 """Cells along the unit cube, and what is expected of the details there; half or twice as much changes a tenth of the
@@ -66,17 +69,17 @@ class ClosingStep:
 
 def is_due(correction: Correction | None, progress: float) -> bool:
     """Whether the step is to be made at this fraction of the fit, in which it was not made yet. A fit that goes on for
-    longer than it was to forgets it and makes it again.
+    longer than it was to makes another one.
     """
     if correction is None:
         return False
     if progress < AFTER and correction.done:
-        correction.forget()
+        correction.reopen()
     return progress >= AFTER and not correction.done
 
 
 def make_closing_step(
-    assembly: Assembly, views: TrainingViews, photographs: PhotoSource, counters: Counters
+    assembly: Assembly, views: TrainingViews, photographs: PhotoSource, counters: Counters, processes: int = 1
 ) -> ClosingStep | None:
     """Correct the roughness; None where there are too few pixels.
 
@@ -85,20 +88,21 @@ def make_closing_step(
         views: the training views.
         photographs: of the training views.
         counters: iterations and samples of the fit.
+        processes: that have drawn these samples; this one makes the step alone.
     """
     correction, materials = assembly.correction, assembly.materials
     assert correction is not None
     assert isinstance(materials, FittedMaterials)
-    correction.set(None)
-    total = int((~views.emitter_mask).sum())
-    groups = round(SAMPLES * counters.samples / (GROUP * max(total, 1)))
-    pixels = total if groups else int(SAMPLES * counters.samples / GROUP)
+    correction.add(None)
+    total, samples = int((~views.emitter_mask).sum()), SAMPLES * counters.samples / processes
+    pixels = min(total, MOST_PIXELS, int(samples / GROUP))
     if pixels < LEAST_PIXELS:
         return None
     with torch.no_grad(), averaged(assembly.average), phase("correcting roughness"):
+        groups = min(round(samples / (GROUP * pixels)), MOST_GROUPS)
         moments = pixel_moments(
-            assembly.estimator, views.primary, photographs, views.emitter_mask, counters.iteration, pixels,
-            min(max(groups, 1), MOST_GROUPS), assembly.settings.seed, views.mean_square_radiance, assembly.development,
+            assembly.estimator, views.primary, photographs, views.emitter_mask, counters.iteration, pixels, groups,
+            assembly.settings.seed, views.mean_square_radiance, assembly.development,
         )  # fmt: skip
         if moments is None or len(moments) < LEAST_PIXELS:
             return None
@@ -106,7 +110,7 @@ def make_closing_step(
         counters.samples += len(moments) * moments.groups * GROUP
         kept = agreement(*halves)
         values = kept * _solved(whole)
-    correction.set(values.astype(np.float32))
+    correction.add(values.astype(np.float32))
     size = float(np.sqrt(np.mean(np.square(_read(values, whole.x)))))
     return ClosingStep(kept, size)
 
@@ -123,12 +127,18 @@ def agreement(first: Evidence, second: Evidence) -> float:
 
 
 def _solved(found: Evidence) -> Float64Array:
-    return solve(found.x, found.information, found.gradient, LEVELS, STDS)
+    """The change at the nodes of the correction's grid. Of photographs so small that patches are larger than the grid's
+    cells, details are only looked for that patches can tell; the last of these levels stands for finer ones, too.
+    """
+    count = max(1, sum(2 * level <= found.side for level in LEVELS))
+    stds = (*STDS[: count - 1], float(np.linalg.norm(STDS[count - 1 :])))
+    values = solve(found.x, found.information, found.gradient, LEVELS[:count], stds)
+    return finer(values, CORRECTION_CELLS // LEVELS[count - 1])
 
 
 def _read(values: Float64Array, x: Float64Array) -> Float64Array:
     """Trilinear values [m] of a grid over the unit cube at positions [m, 3]."""
     grid = Correction()
-    grid.set(values.astype(np.float32))
+    grid.add(values.astype(np.float32))
     found: Float64Array = grid(torch.from_numpy(x.astype(np.float32))).detach().squeeze(-1).double().numpy()
     return found

@@ -21,7 +21,6 @@ from neurad.core.ranges import Seed
 from neurad.core.records import FloatArray, PixelBatch
 from neurad.emitters.fitted import FittedEnvironment
 from neurad.fields.development import FittedDevelopment
-from neurad.fields.material import Correction
 from neurad.fields.radiance import RadianceField
 from neurad.fields.settings import FieldConfig, RadianceConfig, RoughnessConfig
 from neurad.integrators.estimator import Estimator
@@ -45,6 +44,7 @@ from neurad.scene.description import Scene
 from neurad.scene.shining import Shining, kept, shining_scene
 from neurad.scene.textures import TrueMaterials
 from neurad.training.checkpoint import changed_light, fitted_lamps, fitting, scene_state
+from neurad.training.closing_step import EVERY as CLOSING_EVERY
 from neurad.training.closing_step import is_due as is_closing
 from neurad.training.closing_step import make_closing_step
 from neurad.training.error_bars import error_bars, to_cube
@@ -277,8 +277,9 @@ class InverseRenderer(L.LightningModule):
         progress = fraction_done(self.trainer).largest
         loss = self.step(batch, progress, self.manual_backward)
         correction = self.assembly.correction
-        if correction is not None and self.trainer.strategy.broadcast(is_closing(correction, progress)):
-            self._make_closing_step(correction)
+        now = correction is not None and self.iteration % CLOSING_EVERY == 0
+        if now and self.trainer.strategy.broadcast(is_closing(correction, progress)):
+            self._make_closing_step()
         if is_due(self.iteration):
             self.update_levels()
         return loss
@@ -291,16 +292,21 @@ class InverseRenderer(L.LightningModule):
             return None
         return said(update_levels(self.assembly, self.training_views, self.photographs, self.iteration))
 
-    def _make_closing_step(self, correction: Correction) -> None:
+    def _make_closing_step(self) -> None:
         """Correct the roughness from all training pixels, see :mod:`neurad.training.closing_step`. The first process
         does it for all.
         """
+        correction = self.assembly.correction
         assert self.training_views is not None
+        assert correction is not None
         if self.trainer.is_global_zero:
-            found = make_closing_step(self.assembly, self.training_views, self.photographs, self.counters)
+            found = make_closing_step(
+                self.assembly, self.training_views, self.photographs, self.counters, self.processes
+            )
             if found is not None:
                 print(f"neurad: {found.sentence()}", file=sys.stderr)
-        state = self.trainer.strategy.broadcast(correction.state_dict())
+        state = {name: value.cpu() for name, value in correction.state_dict().items()}
+        state = self.trainer.strategy.broadcast(state)
         correction.load_state_dict(state)
 
     def _optimizers(self) -> list[Any]:

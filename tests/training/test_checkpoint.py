@@ -46,3 +46,16 @@ def test_a_run_of_the_kitchen_before_the_present_one_is_told_its_name():
     check_scene(old, patterns, "--ckpt_path", same_light=True)
     with pytest.raises(InputError, match=r"is of scene kitchen, not of cornell as given$"):
         check_scene(old, build("cornell"), "--ckpt_path", same_light=False)
+
+
+def test_a_fit_without_a_closing_step_goes_on_to_one(capsys):
+    own = {"materials.w": torch.zeros(2), "materials.roughness.correction.made": torch.zeros((), dtype=torch.int64)}
+    old = checkpoint(**{"materials.w": torch.ones(2)})
+    fitting(old, own, SCENE, None, continues=True)
+    assert "model.roughness.closing_step" in capsys.readouterr().err
+    assert old["state_dict"]["materials.roughness.correction.made"] == 0
+    kept = checkpoint(**own | {"materials.roughness.correction.made": torch.ones((), dtype=torch.int64)})
+    fitting(kept, own, SCENE, None)
+    assert kept["state_dict"]["materials.roughness.correction.made"] == 1
+    with pytest.raises(InputError, match="closing_step"):  # nothing that was found is dropped
+        fitting(kept, {"materials.w": torch.zeros(2)}, SCENE, None)

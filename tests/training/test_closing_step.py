@@ -19,7 +19,7 @@ ROUGHNESS, STEPS = 0.3, 150
 @pytest.fixture(scope="module")
 def room():
     """A short fit of a glossy room."""
-    scene = with_material(small_cube(16), PrincipledModel(), 0.4, ROUGHNESS)
+    scene = with_material(small_cube(24), PrincipledModel(), 0.4, ROUGHNESS)
     return Fit(scene, photographs(scene, 128), Plan(steps=STEPS)).run()
 
 
@@ -28,27 +28,35 @@ def step_of(room, counters=None):
     return make_closing_step(training.assembly, training.views, room.photos, counters or training.step.counters)
 
 
+def forget(correction):
+    correction.load_state_dict(Correction().state_dict())
+
+
 def mean_roughness(room):
     return float(room.surface(room.seen(2048)).roughness.mean())
 
 
 @pytest.mark.parametrize("off", [0.12, -0.1])
 def test_what_is_off_comes_right(room, off):
-    """Roughness that is off everywhere, with all else as the fit found it, is right again to a third of that."""
+    """Roughness that is off everywhere, with all else as the fit found it: two steps from few pixels, against a prior
+    that expects details and no shift of everything, take back a fifth of it at least.
+    """
     before = mean_roughness(room)
     correction = room.training.assembly.correction
     try:
-        shift = np.full((CORRECTION_CELLS + 1,) * 3, off, np.float32)
-        correction.set(shift)
+        correction.add(np.full((CORRECTION_CELLS + 1,) * 3, off, np.float32))
         assert mean_roughness(room) == pytest.approx(before + off, abs=0.01)
         counters = replace(room.training.step.counters, samples=1 << 20)
-        found = step_of(room, counters)
+        for _ in range(2):
+            found = step_of(room, counters)
+            assert found.kept > 0.5, found
+            assert "corrected by" in found.sentence()
+            correction.reopen()
         assert counters.samples > 1 << 20
-        assert found.kept > 0.5, found
-        assert "corrected by" in found.sentence()
-        assert abs(mean_roughness(room) - before) < abs(off) / 3
+        left = (mean_roughness(room) - before) / off
+        assert 0.0 < left < 0.8
     finally:
-        correction.forget()
+        forget(correction)
 
 
 def test_the_same_step_at_every_call(room):
@@ -57,11 +65,11 @@ def test_the_same_step_at_every_call(room):
     try:
         step_of(room, replace(counters))
         first = {name: value.clone() for name, value in correction.state_dict().items()}
-        correction.forget()
+        forget(correction)
         step_of(room, replace(counters))
         assert all(torch.equal(value, first[name]) for name, value in correction.state_dict().items())
     finally:
-        correction.forget()
+        forget(correction)
 
 
 def test_when_it_is_due():
@@ -69,10 +77,19 @@ def test_when_it_is_due():
     assert not is_due(None, 0.9)
     assert not is_due(correction, AFTER - 0.01)
     assert is_due(correction, AFTER)
-    correction.set(None)
+    correction.add(None)
     assert not is_due(correction, AFTER)  # made, whatever it found
-    assert not is_due(correction, 0.4)  # a fit that goes on for longer forgets it ...
-    assert is_due(correction, AFTER)  # ... and makes it again
+    assert not is_due(correction, 0.4)  # a fit that goes on for longer ...
+    assert is_due(correction, AFTER)  # ... makes another one
+
+
+def test_a_second_step_goes_on_from_the_first():
+    correction, change = Correction(), np.full((CORRECTION_CELLS + 1,) * 3, 0.1, np.float32)
+    correction.add(change)
+    correction.reopen()
+    assert correction.found
+    correction.add(change)
+    torch.testing.assert_close(correction(torch.full((1, 3), 0.3)), torch.tensor([[0.2]]))
 
 
 def test_only_what_halves_confirm_is_kept():
@@ -81,7 +98,7 @@ def test_only_what_halves_confirm_is_kept():
     information = np.full(400, 200.0)
 
     def half(change):
-        return Evidence(x, information, information * (change + rng.normal(0.0, 1.0 / np.sqrt(information))))
+        return Evidence(128, x, information, information * (change + rng.normal(0.0, 1.0 / np.sqrt(information))))
 
     bump = 0.1 * np.sin(30.0 * x[:, 0])
     assert agreement(half(bump), half(bump)) > 0.6
@@ -95,7 +112,7 @@ def test_a_correction_in_the_state(room):
     values = np.zeros((CORRECTION_CELLS + 1,) * 3, np.float32)
     values[3, 5, 7] = 0.25
     correction = Correction()
-    correction.set(values)
+    correction.add(values)
     at = torch.tensor([[3.0, 5.0, 7.0], [3.5, 5.0, 7.0], [20.0, 5.0, 7.0]]) / CORRECTION_CELLS
     torch.testing.assert_close(correction(at)[:, 0], torch.tensor([0.25, 0.125, 0.0]), atol=1e-5, rtol=0)
     other = Correction()
@@ -108,11 +125,11 @@ def test_a_correction_in_the_state(room):
     held = {id(p) for group in room.training.optimizers["roughness"].param_groups for p in group["params"]}
     assert not held & {id(p) for p in own.parameters()}
     try:
-        own.set(np.full((CORRECTION_CELLS + 1,) * 3, -2.0, np.float32))
+        own.add(np.full((CORRECTION_CELLS + 1,) * 3, -2.0, np.float32))
         si = room.seen(64)
         assert float(field(si, torch.full((len(si), 3), 0.5)).min()) == pytest.approx(MIN_ROUGHNESS)
     finally:
-        own.forget()
+        forget(own)
 
 
 def test_nothing_is_built_where_it_is_not_wanted():

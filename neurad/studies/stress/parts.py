@@ -99,7 +99,7 @@ def parts(fit: Fit) -> tuple[list[str], list[str]]:
 
 def parameters(fit: Fit) -> int:
     """Trained numbers of all fields."""
-    return sum(p.numel() for module in (fit.materials, fit.radiance) for p in module.parameters())
+    return sum(p.numel() for module in (fit.materials, fit.radiance) for p in module.parameters() if p.requires_grad)
 
 
 def milliseconds(fits: Sequence[Fit], steps: int) -> list[float]:

@@ -87,7 +87,7 @@ def _estimate(albedo: float, roughness: float) -> Case:
         fit = Fit(scene, images, Plan(steps=1))
         with torch.no_grad():
             for field, value in ((fit.materials.albedo, albedo), (fit.materials.roughness, roughness)):
-                list(field.parameters())[-1].fill_(40.0 if value >= 1 else -40.0)  # type: ignore[union-attr]
+                list(field.mlp.parameters())[-1].fill_(40.0 if value >= 1 else -40.0)  # type: ignore[union-attr]
         worst = 0.0
         for i in range(5 if quick else 50):
             loss = fit.advance(i / 50)
