@@ -156,7 +156,7 @@ class SampleGroup:
     by_roughness: Tensor
     """[b, 3]."""
     field: Tensor | None
-    """What the radiance field predicts [b, 3]."""
+    """What the radiance field predicts [b, 3]; None without one, or where it was not asked."""
     albedo: Tensor
     """By sample [b, n, 3]."""
     p: Tensor
@@ -195,15 +195,19 @@ def _of_batch(estimator: Estimator, primary: PrimaryHits, batch: PixelBatch, str
     return PixelDerivatives(**{name: values.cpu().numpy() for name, values in arrays.items()})
 
 
-def group_of_samples(estimator: Estimator, primary: PrimaryHits, batch: PixelBatch, stream: Stream) -> SampleGroup:
-    """:data:`GROUP` samples of every pixel, with the control variate where the method has one."""
+def group_of_samples(
+    estimator: Estimator, primary: PrimaryHits, batch: PixelBatch, stream: Stream, predict: bool = True
+) -> SampleGroup:
+    """:data:`GROUP` samples of every pixel, with the control variate where the method has one, and with what the
+    radiance field predicts unless ``predict`` says no.
+    """
     b, n = len(batch.view), GROUP
     first = primary(batch, n, stream)
     si, world = first.si, estimator.world
     with torch.no_grad():
         found, emitted = estimator.materials(si), world.emitted(si)
         field = None
-        if estimator.radiance is not None:
+        if predict and estimator.radiance is not None:
             field = first.attenuate(emitted + si.where_hit(estimator.radiance(si, found.albedo))).view(b, n, 3).mean(1)
     albedo, roughness = found.albedo.detach().clone(), found.roughness.detach().clone()
     surface = replace(found, albedo=albedo.requires_grad_(), roughness=roughness.requires_grad_())

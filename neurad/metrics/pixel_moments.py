@@ -17,6 +17,7 @@ from neurad.integrators.estimator import Estimator
 from neurad.integrators.primary_hits import PrimaryHits
 from neurad.metrics.error_bars import DARK, LIMIT
 from neurad.metrics.pixel_derivatives import batches_in_turn, group_of_samples
+from neurad.runtime import threads
 
 _STREAM = 37  # last number of the stream's key
 
@@ -105,14 +106,17 @@ def _parts(
     develop: Callable[[PixelBatch], PixelBatch] | None,
 ) -> Iterator[list[FloatArray]]:
     """The arrays of :class:`PixelMoments`, in the order of its fields, a batch at a time."""
-    for index, drawn in enumerate(batches):
+    def of_batch(item: tuple[int, PixelBatch]) -> list[FloatArray]:
+        index, drawn = item
         batch = drawn if develop is None else develop(drawn)
         stream = Stream(*key, index, _STREAM, device=primary.origin.device)
-        found = [group_of_samples(estimator, primary, batch, stream) for _ in range(groups)]
+        # The unit needs no average over all groups, and the radiance field is a part of the cost.
+        found = [group_of_samples(estimator, primary, batch, stream, predict=k == 0) for k in range(groups)]
         # ---------------------- In units of the brightness ----------------------
 
-        lhs = [group.field for group in found if group.field is not None]
-        predicted = torch.stack(lhs or [group.image for group in found]).mean(0)  # [b, 3]
+        predicted = found[0].field  # [b, 3]
+        if predicted is None:
+            predicted = torch.stack([group.image for group in found]).mean(0)
         unit = (predicted.square() + DARK * mean_square_radiance + 1e-30).sqrt()
         d = torch.stack([group.by_albedo for group in found]) / unit  # [groups, b, 3]
         r = torch.stack([group.by_roughness for group in found]) / unit
@@ -124,4 +128,6 @@ def _parts(
         corner = primary.views.corner(batch.view, batch.pixel)
         means = [r, d, e, r * r, r * d, d * d, r * e, d * e]
         columns = [batch.view, corner, found[0].p[:, 0], *(value.mean(0) for value in means)]
-        yield [column[kept].cpu().numpy() for column in columns]
+        return [column[kept].cpu().numpy() for column in columns]
+
+    yield from threads.each(of_batch, enumerate(batches))

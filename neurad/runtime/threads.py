@@ -7,8 +7,9 @@ work for several threads, it runs on the calling thread and leaves the others to
 from __future__ import annotations
 
 import os
-from collections.abc import Callable, Iterator
-from concurrent.futures import ThreadPoolExecutor
+from collections import deque
+from collections.abc import Callable, Iterable, Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager, nullcontext
 from itertools import pairwise
 from typing import TypeVar
@@ -16,6 +17,7 @@ from typing import TypeVar
 import torch
 
 T = TypeVar("T")
+S = TypeVar("S")
 
 _pool: ThreadPoolExecutor | None = None
 _allowed: int | None = None
@@ -99,6 +101,35 @@ def at_most(count: int) -> Iterator[None]:
     finally:
         _allowed = allowed
         torch.set_num_threads(before)
+
+
+def each(work: Callable[[S], T], items: Iterable[S]) -> Iterator[T]:
+    """``work(item)`` of every item in order, as many at a time as torch may use threads, each on one thread alone.
+
+    For work that is large enough to be one thread's, for which :func:`split` would hand over parts too small.
+
+    Args:
+        work: holds the interpreter lock for a small part of its time only; it runs with gradients off, since the mode
+            of the caller is not that of other threads.
+        items: drawn by the calling thread, no more of them at a time than are worked on.
+    """
+    count = max(1, _allowed or torch.get_num_threads())
+
+    def alone(item: S) -> T:
+        with torch.no_grad():
+            return work(item)
+
+    if count == 1:
+        yield from map(alone, items)
+        return
+    running: deque[Future[T]] = deque()
+    with at_most(1), ThreadPoolExecutor(count, "neurad-each", torch.set_num_threads, (1,)) as pool:
+        for item in items:
+            running.append(pool.submit(alone, item))
+            if len(running) > count:
+                yield running.popleft().result()
+        while running:
+            yield running.popleft().result()
 
 
 def _executor() -> ThreadPoolExecutor:

@@ -30,9 +30,9 @@ from neurad.runtime.progress import phase
 from neurad.training.error_bars import to_cube
 from neurad.training.step import Counters
 
-AFTER = 0.85
+AFTER = 0.75
 """Fraction of the fit after which the step is made."""
-SAMPLES = 0.4
+SAMPLES = 0.8
 """Samples of the pass over those that the fit has drawn: they cost a third as much."""
 EVERY = 16
 """Iterations after which processes agree whether it is time."""
