@@ -106,6 +106,7 @@ def _parts(
     develop: Callable[[PixelBatch], PixelBatch] | None,
 ) -> Iterator[list[FloatArray]]:
     """The arrays of :class:`PixelMoments`, in the order of its fields, a batch at a time."""
+
     def of_batch(item: tuple[int, PixelBatch]) -> list[FloatArray]:
         index, drawn = item
         batch = drawn if develop is None else develop(drawn)
