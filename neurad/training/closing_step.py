@@ -28,15 +28,17 @@ from neurad.optim.multilevel import finer, solve
 from neurad.optim.polyak_average import averaged
 from neurad.runtime.progress import phase
 from neurad.training.error_bars import to_cube
+from neurad.training.schedule import Progress
 from neurad.training.step import Counters
 
-AFTER = 0.75
-"""Fraction of the fit after which the step is made."""
+TIME, STEPS = 0.8, 0.95
+"""Fractions of the fit's time and of its steps that learning rates fall in before the step is made: its samples take time
+and no steps. Rates that are higher afterwards would undo it (half of it in living-room-2)."""
 SAMPLES = 0.8
 """Samples of the pass over those that the fit has drawn: they cost a third as much."""
 EVERY = 16
 """Iterations after which processes agree whether it is time."""
-MOST_GROUPS = 16
+MOST_GROUPS = 64
 """Of samples in a pixel."""
 LEAST_PIXELS, MOST_PIXELS = 256, 1 << 21
 """Fewer say nothing; more would take gigabytes."""
@@ -65,15 +67,20 @@ class ClosingStep:
         return f"roughness corrected by {self.size:.3f} (rms) from all training pixels at once"
 
 
+def progress_before(done: Progress) -> float:
+    """How far a fit is on its way to the step, 1 or more from then on: what its learning rates go by."""
+    return max((done.by_time or 0.0) / TIME, (done.by_steps or 0.0) / STEPS)
+
+
 def is_due(correction: Correction | None, progress: float) -> bool:
-    """Whether the step is to be made at this fraction of the fit, in which it was not made yet. A fit that goes on for
-    longer than it was to makes another one.
+    """Whether the step is to be made at this :func:`progress_before` it, in a fit in which it was not made yet. A fit
+    that goes on for longer than it was to makes another one.
     """
     if correction is None:
         return False
-    if progress < AFTER and correction.done:
+    if progress < 1.0 and correction.done:
         correction.reopen()
-    return progress >= AFTER and not correction.done
+    return progress >= 1.0 and not correction.done
 
 
 def make_closing_step(

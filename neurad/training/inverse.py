@@ -46,7 +46,7 @@ from neurad.scene.textures import TrueMaterials
 from neurad.training.checkpoint import changed_light, fitted_lamps, fitting, scene_state
 from neurad.training.closing_step import EVERY as CLOSING_EVERY
 from neurad.training.closing_step import is_due as is_closing
-from neurad.training.closing_step import make_closing_step
+from neurad.training.closing_step import make_closing_step, progress_before
 from neurad.training.error_bars import error_bars, to_cube
 from neurad.training.evaluate import Evaluation, UnknownLight, evaluate, unknown_light
 from neurad.training.gradient_sync import GradientSync, ddp_ignored
@@ -274,9 +274,9 @@ class InverseRenderer(L.LightningModule):
         """One iteration of :class:`neurad.training.step.TrainingStep`."""
         for optimizer in self._optimizers()[1:]:  # the trainer counts the first one's steps: max_steps are iterations
             optimizer._on_before_step = optimizer._on_after_step = _nothing
-        progress = fraction_done(self.trainer).largest
+        done, correction = fraction_done(self.trainer), self.assembly.correction
+        progress = done.largest if correction is None else progress_before(done)
         loss = self.step(batch, progress, self.manual_backward)
-        correction = self.assembly.correction
         now = correction is not None and self.iteration % CLOSING_EVERY == 0
         if now and self.trainer.strategy.broadcast(is_closing(correction, progress)):
             self._make_closing_step()

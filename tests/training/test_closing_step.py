@@ -12,7 +12,8 @@ from neurad.fields.material import CORRECTION_CELLS, MIN_ROUGHNESS, Correction
 from neurad.metrics.roughness_evidence import Evidence
 from neurad.studies.stress.fit import Fit, Plan, photographs, small_settings
 from neurad.studies.stress.scenes import small_cube, with_material
-from neurad.training.closing_step import AFTER, agreement, is_due, make_closing_step
+from neurad.training.closing_step import STEPS, TIME, agreement, is_due, make_closing_step, progress_before
+from neurad.training.schedule import Progress
 
 ROUGHNESS, STEPS = 0.3, 150
 
@@ -87,12 +88,21 @@ def test_the_same_step_at_every_call_by_any_number_of_threads(room, threads):
 def test_when_it_is_due():
     correction = Correction()
     assert not is_due(None, 0.9)
-    assert not is_due(correction, AFTER - 0.01)
-    assert is_due(correction, AFTER)
+    assert not is_due(correction, 0.99)
+    assert is_due(correction, 1.0)
     correction.add(None)
-    assert not is_due(correction, AFTER)  # made, whatever it found
+    assert not is_due(correction, 1.0)  # made, whatever it found
     assert not is_due(correction, 0.4)  # a fit that goes on for longer ...
-    assert is_due(correction, AFTER)  # ... makes another one
+    assert is_due(correction, 1.0)  # ... makes another one
+
+
+def test_time_and_steps_lead_to_it():
+    """Its samples take time and no steps, so time is left for them."""
+    assert progress_before(Progress(None, 0.5 * TIME, 1.0)) == pytest.approx(0.5)
+    assert progress_before(Progress(0.5 * STEPS, None, 1.0)) == pytest.approx(0.5)
+    assert progress_before(Progress(0.1, TIME, 1.0)) == pytest.approx(1.0)
+    assert progress_before(Progress(STEPS, 0.1, 1.0)) == pytest.approx(1.0)
+    assert TIME < STEPS < 1.0
 
 
 def test_a_second_step_goes_on_from_the_first():
