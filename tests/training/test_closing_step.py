@@ -12,7 +12,8 @@ from neurad.fields.material import CORRECTION_CELLS, MIN_ROUGHNESS, Correction
 from neurad.metrics.roughness_evidence import Evidence
 from neurad.studies.stress.fit import Fit, Plan, photographs, small_settings
 from neurad.studies.stress.scenes import small_cube, with_material
-from neurad.training.closing_step import STEPS, TIME, agreement, is_due, make_closing_step, progress_before
+from neurad.training import closing_step
+from neurad.training.closing_step import agreement, is_due, make_closing_step, progress_before
 from neurad.training.schedule import Progress
 
 ROUGHNESS, STEPS = 0.3, 150
@@ -98,11 +99,11 @@ def test_when_it_is_due():
 
 def test_time_and_steps_lead_to_it():
     """Its samples take time and no steps, so time is left for them."""
-    assert progress_before(Progress(None, 0.5 * TIME, 1.0)) == pytest.approx(0.5)
-    assert progress_before(Progress(0.5 * STEPS, None, 1.0)) == pytest.approx(0.5)
-    assert progress_before(Progress(0.1, TIME, 1.0)) == pytest.approx(1.0)
-    assert progress_before(Progress(STEPS, 0.1, 1.0)) == pytest.approx(1.0)
-    assert TIME < STEPS < 1.0
+    assert progress_before(Progress(None, 0.5 * closing_step.TIME, 1.0)) == pytest.approx(0.5)
+    assert progress_before(Progress(0.5 * closing_step.STEPS, None, 1.0)) == pytest.approx(0.5)
+    assert progress_before(Progress(0.1, closing_step.TIME, 1.0)) == pytest.approx(1.0)
+    assert progress_before(Progress(closing_step.STEPS, 0.1, 1.0)) == pytest.approx(1.0)
+    assert closing_step.TIME < closing_step.STEPS < 1.0
 
 
 def test_a_second_step_goes_on_from_the_first():
