@@ -32,8 +32,8 @@ from neurad.training.schedule import Progress
 from neurad.training.step import Counters
 
 TIME, STEPS = 0.8, 0.95
-"""Fractions of the fit's time and of its steps that learning rates fall in before the step is made: its samples take time
-and no steps. Rates that are higher afterwards would undo it (half of it in living-room-2)."""
+"""Fractions of the fit's time and of its steps that learning rates fall in before the step is made: its samples take
+time and no steps. Rates that are higher afterwards would undo it (half of it in living-room-2)."""
 SAMPLES = 0.8
 """Samples of the pass over those that the fit has drawn: they cost a third as much."""
 EVERY = 16
