@@ -110,24 +110,24 @@ def prepare_views(
     check_bright(mean_square, stats.brightest, scene.name)
     if assembly.environment is not None:
         assembly.environment.set_unit(math.sqrt(mean_square))
-    lamps = None
-    if assembly.lamps is not None:
-        lamps = lamp_photographs(assembly.world, cameras, photographs, stats.sample, settings.seed)
-        if not bool(assembly.lamps.begun):
-            begin_lamps(assembly, primary, lamps, stats.sample)
-    if assembly.environment is None and check_brightness:
-        white = partial(white_brightness, primary, stats.sample, settings.seed, scene.max_depth)
-        if said := sentence_if_far(brightness(primary, stats.sample, settings.seed), white):
-            print(f"neurad: warning: {said}", file=sys.stderr)
     development = assembly.development
     if check_brightness and development is not None and development.values is not None:
         development.begin(shared_gains(primary, photographs, stats.sample, emitter_mask, settings.seed))
-        begins = development.gains()
+        begins = development.gains().detach()
         print(
             f"neurad: gains begin between {float(begins.min()):.3g} and {float(begins.max()):.3g}, by surfaces that "
             "several photographs show",
             file=sys.stderr,
         )
+    lamps = None
+    if assembly.lamps is not None:
+        lamps = lamp_photographs(assembly.world, cameras, photographs, stats.sample, settings.seed, development)
+        if not bool(assembly.lamps.begun):
+            begin_lamps(assembly, primary, lamps, stats.sample if development is None else development(stats.sample))
+    if assembly.environment is None and check_brightness:
+        white = partial(white_brightness, primary, stats.sample, settings.seed, scene.max_depth)
+        if said := sentence_if_far(brightness(primary, stats.sample, settings.seed), white):
+            print(f"neurad: warning: {said}", file=sys.stderr)
     if check_brightness and assembly.lamps is None:
         check_lamps(assembly, photographs, stats.sample)
     if assembly.radiance is not None:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import tempfile
 from collections.abc import Callable
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
 
@@ -12,8 +13,18 @@ import numpy as np
 from neurad.core.errors import InputError
 from neurad.core.records import Camera, Material, View
 from neurad.export.cameras import clip_planes
+from neurad.runtime.machine import usable_cores
 from neurad.scene.description import Scene
 from neurad.scene.scene_xml import Matrix, Node, describe
+
+
+def no_mitsuba() -> str | None:
+    """Why Mitsuba cannot render an exported folder here; None where it can."""
+    if find_spec("mitsuba") is None:
+        return "the package mitsuba is missing (pip install 'neurad[mitsuba]')"
+    if usable_cores() == 1:  # IlmThread's pool has no thread then (3.9.1), and its reader waits for one
+        return "it waits forever for EXR files where it has a single core"
+    return None
 
 
 def sensor(scene: Scene, camera: Camera, width: int, height: int, samples: int = 16, alpha: bool = False) -> Node:

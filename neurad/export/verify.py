@@ -18,6 +18,7 @@ from neurad.core.protocols import Materials
 from neurad.core.records import FloatArray, Surface, SurfaceInteraction, View
 from neurad.core.rng import mix
 from neurad.export.cameras import shown_alike
+from neurad.export.mitsuba import no_mitsuba
 from neurad.export.pictures import BLOCK, PASSES, Draw, Pictures, drawn, excess
 from neurad.export.progress import Progress
 from neurad.export.room import Room
@@ -84,8 +85,8 @@ def verify(
     progress.stage("maps", 1)
     _compare_maps(found, scene, HeldOut(scene, world.geometry, world.tracer.tracer), fields, baked)
     draws = {"baked": _ours(world, baked, scene, spp), "fields": _ours(world, fields, scene, spp)}
-    if find_spec("mitsuba") is None:
-        found.left_out.append("Mitsuba: the package mitsuba is missing (pip install 'neurad[mitsuba]')")
+    if (why := no_mitsuba()) is not None:
+        found.left_out.append(f"Mitsuba: {why}")
     else:
         draws["mitsuba"] = _mitsuba(folder / "scene.xml", spp, room)
     _render(found, draws, progress)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -146,7 +146,12 @@ class LampPhotographs:
 
 @torch.no_grad()
 def lamp_photographs(
-    world: World, cameras: Sequence[Camera], photographs: PhotoSource, sample: PixelBatch, seed: int
+    world: World,
+    cameras: Sequence[Camera],
+    photographs: PhotoSource,
+    sample: PixelBatch,
+    seed: int,
+    develop: Callable[[PixelBatch], PixelBatch] | None = None,
 ) -> LampPhotographs:
     """Read the pixels of photographs that show one lamp and nothing else.
 
@@ -157,6 +162,7 @@ def lamp_photographs(
         sample: random pixels of the photographs that show no lamp: where they reach the largest value of a photograph,
             too, that is its ceiling, unless it is known.
         seed: of all draws.
+        develop: corrects the photographs; None leaves them as they are.
     """
     with world.tracer.uncounted():
         shown = lamp_pixels(world, cameras, seed, photographs.ignored())
@@ -165,6 +171,11 @@ def lamp_photographs(
         color = photographs.colors(view, shown.pixel.cpu()).double().numpy()
         known = photographs.clipped(view, shown.pixel.cpu())
     clipped = _clipped(color, view.numpy(), sample) if known is None else known.numpy()  # [n, 3]
+    if develop is not None and len(view):
+        values = torch.from_numpy(color).float()
+        color = (
+            develop(PixelBatch(view, shown.pixel.cpu(), values, torch.ones(len(view)), 0)).color.cpu().double().numpy()
+        )
     return LampPhotographs(shown, color, clipped)
 
 

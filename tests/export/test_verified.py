@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from neurad.core.records import Camera, View
+from neurad.export import mitsuba
 from neurad.export.pictures import BLOCK, Pictures, excess
 from neurad.export.report import write_report
 from neurad.export.verified import Verdict, Verified
@@ -76,3 +77,11 @@ def test_pictures_that_differ_miss_their_bounds():
     assert states(found)[f"mitsuba's PSNR by differences over {BLOCK} x {BLOCK} pixels less ours, dB"] == "missed"
     assert found.difference("mitsuba")[0] == pytest.approx(-20 * np.log10(0.12 / 0.1), abs=0.01)
     assert len(found.beyond) == 3
+
+
+def test_mitsuba_is_left_out_where_it_would_wait_forever(monkeypatch):
+    pytest.importorskip("mitsuba")
+    monkeypatch.setattr(mitsuba, "usable_cores", lambda: 2)
+    assert mitsuba.no_mitsuba() is None
+    monkeypatch.setattr(mitsuba, "usable_cores", lambda: 1)
+    assert "single core" in mitsuba.no_mitsuba()

@@ -49,13 +49,13 @@ def box():
     return scene, world, materials, cameras, photographs
 
 
-def measured(box, photographs, scene=None):
+def measured(box, photographs, scene=None, develop=None):
     first, world, materials, cameras, _ = box
     scene = scene or first
     world = world if scene is first else build_world(scene)
     view, pixel = (~emitter_pixels(world, cameras, 1, torch.device("cpu"))).nonzero().unbind(-1)
     sample = PixelBatch(view, pixel, photographs[view, pixel], torch.ones(len(view)), 0)
-    shown = lamp_photographs(world, cameras, Photographs(photographs), sample, 1)
+    shown = lamp_photographs(world, cameras, Photographs(photographs), sample, 1, develop)
     (lamp,) = photographed_lamps(scene, world, materials, cameras, shown, 1)
     return lamp
 
@@ -81,6 +81,17 @@ def test_a_right_lamp_is_found_right_without_what_it_reflects(box):
     lines = report([lamp])
     assert len(lines) == 1
     assert "photographed over declared radiance" in lines[0]
+
+
+def test_photographs_of_unlike_exposures_are_developed_first(box):
+    gains = torch.tensor([[2.0], [0.25]])
+
+    def develop(batch):
+        return replace(batch, color=batch.color / gains[batch.view])
+
+    lamp = measured(box, box[4] * gains.unsqueeze(1), develop=develop)
+    np.testing.assert_allclose(lamp.factor, 1.0, atol=0.02)
+    assert measured(box, box[4] * gains.unsqueeze(1)).beyond(WARN)
 
 
 @pytest.mark.parametrize("factor", [4.0, 0.1, (1.0, 0.7, 0.4)])

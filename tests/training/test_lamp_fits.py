@@ -2,16 +2,17 @@
 
 import csv
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 import pytest
 import torch
 import yaml
-from helpers.lamp_scene import TRUTH, declared, unmeasured, with_lamps
+from helpers.lamp_scene import TRUTH, declared, looking_up, unmeasured, with_lamps
 from helpers.method_oracles import gallery
 from helpers.object_scene import sky
-from helpers.small_fit import SMALL_FIT
+from helpers.small_fit import SMALL_FIT, photographed_cornell
 from helpers.tiny_fit import fails
 
 from neurad import load
@@ -26,6 +27,7 @@ from neurad.inspect.lamps import lamp_renderer, lamps_of
 from neurad.metrics.lamp_scores import columns_of, lamp_scores, read_lamps_true
 from neurad.scene import builtin
 from neurad.scene.builtin.shapes import quad
+from neurad.scene.image_io import read_exr, write_exr
 
 FOLDER = Path("lightning_logs/version_0")
 CHEAP = {"sampling": {"spp": 2, "cached_spp": 4, "samples_per_vertex": 2}}
@@ -102,6 +104,26 @@ def test_a_lamp_that_photographs_show_is_found(box, capsys, emitters):
     assert len(torch.load(FOLDER / "checkpoints/last.ckpt", weights_only=True)["optimizer_states"]) == (
         2 if emitters == "photographs" else 3
     )
+
+
+@pytest.mark.main
+@pytest.mark.parametrize("emitters", ["photographs", "fit", "known"])
+def test_photographs_of_unlike_exposures_show_the_lamp(box, monkeypatch, capsys, emitters):
+    """The one that shows it is twice as bright as the others; it shows walls that they show, too."""
+    box()
+    scene = photographed_cornell(False, more=[partial(looking_up, distance=1.8)])
+    gains = np.where([view is scene.train[-1] for view in scene.train], 2.0, 1.0)
+    for view, gain in zip(scene.train, gains / np.exp(np.log(gains).mean()), strict=True):
+        write_exr(view.image, read_exr(view.image) * np.float32(gain), half=False)
+    scene = scene if emitters == "known" else declared(scene, 1.0)
+    monkeypatch.setitem(builtin._BUILDERS, "small", lambda: scene)
+    fit("--data.exposure=fit", f"--model.lighting.emitters={emitters}")
+    said = capsys.readouterr().err
+    assert "gains begin" in said
+    assert "warning" not in said.lower()
+    if emitters != "known":
+        (row,) = table(FOLDER / "lamps.csv")
+        np.testing.assert_allclose([float(row[c]) for c in "rgb"], TRUTH, rtol=0.1)
 
 
 @pytest.mark.main
