@@ -43,9 +43,9 @@ MOST_GROUPS = 64
 LEAST_PIXELS, MOST_PIXELS = 256, 1 << 21
 """Fewer say nothing; more would take gigabytes."""
 LEVELS = 8, 16, 32, CORRECTION_CELLS
-STDS = 0.05, 0.05, 0.06, 0.08
-"""Cells along the unit cube, and what is expected of the details there; with half as much living-room-2 gained a third
-less."""
+STDS = 0.06, 0.06, 0.08, 0.1
+"""Cells along the unit cube, and what is expected of the details there: between half and twice as much gain nearly the
+same."""
 SPREAD = 0.3
 """Of roughness. Patches that know it better than this count alike where halves of the pixels are compared: otherwise
 a few would decide, of which the fit has long known all that there is to know."""
