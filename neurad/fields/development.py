@@ -99,14 +99,44 @@ class FittedDevelopment(nn.Module):
         table = self.curve()
         return torch.lerp(table[low], table[low + 1], place - low)
 
-    def colors(self, batch: PixelBatch) -> Tensor:
-        """Radiance of a batch's pixels as it is recovered, with its gradient [b, 3]."""
+    def colors(self, batch: PixelBatch, radiance: Tensor | None = None) -> Tensor:
+        """Radiance of a batch's pixels as it is recovered, with its gradient [b, 3].
+
+        Args:
+            batch: photographed pixels.
+            radiance: what they are predicted to show [b, 3]. The gradient is then that of photographs of just this:
+                where it is taken at the photographed values themselves, their noise is in both factors of
+                the gradient of a squared residual, and darker photographs always fit better.
+        """
+        if radiance is not None:
+            shown = self.colors(replace(batch, color=self._photographed(radiance, batch)))
+            return self.colors(batch).detach() + shown - shown.detach()
         color = batch.color
         if self.bend is not None:
-            scale = (self.exposure[batch.view] / batch.alpha.clamp_min(1e-6)).unsqueeze(-1)
-            coded = self.coded[batch.view].unsqueeze(-1)
-            color = torch.where(coded, self.respond(color * scale) / scale, color)
+            color = torch.where(
+                self._coded(batch), self.respond(color * self._scale(batch)) / self._scale(batch), color
+            )
         return color / self.gains()[batch.view]
+
+    @torch.no_grad()
+    def _photographed(self, radiance: Tensor, batch: PixelBatch) -> Tensor:
+        """The inverse of :meth:`colors`: values of photographs that show this radiance [b, 3]."""
+        color = radiance * self.gains()[batch.view]
+        if self.bend is None:
+            return color
+        table, linear = self.curve(), (color * self._scale(batch)).clamp(0.0, 1.0)
+        high = torch.searchsorted(table, linear).clamp(1, _STEPS)
+        low = high - 1
+        place = low + (linear - table[low]) / (table[high] - table[low])
+        return torch.where(self._coded(batch), _decoded(place / _STEPS) / self._scale(batch), color)
+
+    def _scale(self, batch: PixelBatch) -> Tensor:
+        """From radiance to shares of the ceiling [b, 1]."""
+        return (self.exposure[batch.view] / batch.alpha.clamp_min(1e-6)).unsqueeze(-1)
+
+    def _coded(self, batch: PixelBatch) -> Tensor:
+        """Whether photographs are of codes [b, 1]."""
+        return self.coded[batch.view].unsqueeze(-1)
 
     @torch.no_grad()
     def forward(self, batch: PixelBatch) -> PixelBatch:

@@ -177,7 +177,7 @@ class ObjectiveStep:
         if lamps is not None and lamps.trains and bool((lamps.unclipped > 0).any()):
             materials["lamps"] = LAMPS, shown_lamps(lamps)
         if self.development is not None:
-            materials["development"] = 1.0, self._development(self.development, taken, image, weight)
+            materials["development"] = 1.0, self._development(self.development, taken, image, predicted, weight)
         if settings.roughness_regulariser > 0 and surface.roughness.requires_grad:
             penalty = _to_mean(surface.roughness.view(b, n), batch.weight)
             materials["roughness_regulariser"] = settings.roughness_regulariser, penalty
@@ -194,15 +194,17 @@ class ObjectiveStep:
         roughness = surface.roughness if surface.roughness.retains_grad else None
         return StepTerms(materials, terms, self._guide_samples(si, sample), roughness)
 
-    def _development(self, development: FittedDevelopment, batch: PixelBatch, image: Tensor, weight: Tensor) -> Loss:
+    def _development(
+        self, development: FittedDevelopment, batch: PixelBatch, image: Tensor, predicted: Tensor | None, weight: Tensor
+    ) -> Loss:
         """The photographs as they are developed against the method's image [b, n, 3], which is held fixed.
 
         What is clipped says nothing here. The residual is linear in the image, so its noise leaves the gradient
-        unbiased.
+        unbiased; that of the photographs does where a radiance field predicts the pixels [b, 3].
         """
         if batch.clipped is not None:
             weight = weight * ~batch.clipped
-        residual = development.colors(batch) - image.detach().mean(1)
+        residual = development.colors(batch, predicted) - image.detach().mean(1)
         loss = (weight * residual * residual).mean()
         if development.bend is not None:
             loss = loss + CALM * development.bend.square().sum()

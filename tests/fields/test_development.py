@@ -1,5 +1,7 @@
 """Gains and response curves that a fit recovers from photographs."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import torch
@@ -86,6 +88,50 @@ def test_a_gamma_is_recovered(gamma):
     with torch.no_grad():
         found = model.colors(batch)
     assert float((found - truth).abs().mean()) < 0.005
+
+
+def test_noise_of_photographs_does_not_bend_the_curve():
+    """Of photographs with 30 % noise, beginning at the truth: the curve stays where the derivative is that of what is
+    predicted; otherwise all that is photographed becomes darker.
+    """
+    torch.manual_seed(3)
+    truth = torch.rand(20000, 3) * 0.6
+    taken = (truth * (1 + 0.3 * torch.randn(20000, 3))).clamp(0, 1)
+    batch = batch_of(torch.zeros(20000, dtype=torch.int64), taken)
+    brighter = {}
+    for predicted in (False, True):
+        model = FittedDevelopment(views(1), Photography("fit"))
+        optimizer = SparseRowAdam(model.parameters(), lr=2e-3)
+        for _ in range(300):
+            optimizer.zero_grad()
+            residual = model.colors(batch, truth if predicted else None) - truth
+            (residual.square() / (truth.square() + 1e-3)).mean().backward()
+            optimizer.step()
+        with torch.no_grad():
+            middle = batch_of(torch.zeros(1, dtype=torch.int64), torch.full((1, 3), 0.3))
+            brighter[predicted] = float(model(middle).color.mean()) / 0.3
+    assert brighter[True] == pytest.approx(1.0, abs=0.015), brighter
+    assert brighter[False] < 0.97, brighter
+
+
+def test_what_is_predicted_gives_the_derivative_alone():
+    """The values are those that were photographed, and the derivative that of photographs of what is predicted."""
+    torch.manual_seed(4)
+    model = FittedDevelopment(views(2, [0.5, 2.0]), Photography("fit", None, "fit"))
+    with torch.no_grad():
+        model.bend.copy_(0.3 * torch.randn(len(model.bend)))
+        model.values.copy_(torch.tensor([[0.2], [-0.1]]))
+    view, radiance = torch.arange(2), torch.rand(2, 3) * 0.4
+    batch = batch_of(view, torch.rand(2, 3) * 0.4)
+    torch.testing.assert_close(model.colors(batch, radiance), model.colors(batch))
+    there = replace(batch, color=model._photographed(radiance, batch))
+    torch.testing.assert_close(model.colors(there), radiance, rtol=1e-3, atol=1e-5)
+    found, wanted = (
+        torch.autograd.grad(color.sum(), (model.bend, model.values))
+        for color in (model.colors(batch, radiance), model.colors(there))
+    )
+    for a, b in zip(found, wanted, strict=True):
+        torch.testing.assert_close(a, b)
 
 
 def srgb_decoded(code):
