@@ -44,7 +44,7 @@ def check_lamps(assembly: Assembly, photographs: PhotoSource, sample: PixelBatch
     if not scene.features.has_area_lights or not photographs.has_photographs:
         return []
     cameras, seed = [view.camera for view in scene.train], assembly.settings.seed
-    shown = lamp_photographs(assembly.world, cameras, photographs, sample, seed, assembly.development)
+    shown = lamp_photographs(assembly.world, cameras, photographs, sample, seed).developed(assembly.development)
     lamps = photographed_lamps(scene, assembly.world, assembly.materials, cameras, shown, seed)
     for line in report(lamps):
         print(f"neurad: {line}", file=sys.stderr)

@@ -121,9 +121,9 @@ def prepare_views(
         )
     lamps = None
     if assembly.lamps is not None:
-        lamps = lamp_photographs(assembly.world, cameras, photographs, stats.sample, settings.seed, development)
+        lamps = lamp_photographs(assembly.world, cameras, photographs, stats.sample, settings.seed)
         if not bool(assembly.lamps.begun):
-            begin_lamps(assembly, primary, lamps, stats.sample if development is None else development(stats.sample))
+            begin_lamps(assembly, primary, lamps, stats.sample)
     if assembly.environment is None and check_brightness:
         white = partial(white_brightness, primary, stats.sample, settings.seed, scene.max_depth)
         if said := sentence_if_far(brightness(primary, stats.sample, settings.seed), white):

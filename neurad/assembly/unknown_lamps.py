@@ -52,7 +52,8 @@ def begin_lamps(assembly: Assembly, primary: PrimaryHits, shown: LampPhotographs
     assert lamps is not None
     seed, train = assembly.settings.seed, assembly.settings.lighting.fits_lamps
     cameras = [view.camera for view in scene.train]
-    measured = photographed_lamps(scene, assembly.world, assembly.materials, cameras, shown, seed)
+    developed = shown.developed(assembly.development)
+    measured = photographed_lamps(scene, assembly.world, assembly.materials, cameras, developed, seed)
     _keep(lamps, measured)
     observed = lamps.unclipped.cpu().numpy() > 0
     if not train and not observed.any():
@@ -61,6 +62,7 @@ def begin_lamps(assembly: Assembly, primary: PrimaryHits, shown: LampPhotographs
     lamps.set_radiance(radiance)
     lines: list[str] = []
     if train and not observed.all():
+        sample = sample if assembly.development is None else assembly.development(sample)
         responses = lamp_responses(assembly, primary, sample, seed)
         radiance, lines = _start(assembly, responses, radiance, observed)
         lamps.set_radiance(radiance)
@@ -80,8 +82,8 @@ def begin_lamps(assembly: Assembly, primary: PrimaryHits, shown: LampPhotographs
 
 @torch.no_grad()
 def refresh_lamps(assembly: Assembly, shown: LampPhotographs, iteration: int) -> None:
-    """Estimate anew what lamps reflect of all light, with the present materials; with ``photographs`` the radiance
-    follows, with ``fit`` what holds it to the photographs.
+    """Estimate anew what lamps reflect of all light, with the present materials, and what photographs of them show as
+    they are developed by now; with ``photographs`` the radiance follows, with ``fit`` what holds it to the photographs.
 
     Args:
         assembly: of the run.
@@ -101,6 +103,10 @@ def refresh_lamps(assembly: Assembly, shown: LampPhotographs, iteration: int) ->
         with world.tracer.uncounted():
             reflected[row] = reflected_by_lamp(world, assembly.materials, cameras, view[mine], pixel[mine], key)
     lamps.reflected.copy_(torch.from_numpy(reflected))
+    if assembly.development is not None:
+        developed = shown.developed(assembly.development)
+        for row in np.flatnonzero(observed):
+            lamps.photographed[row] = torch.from_numpy(developed.radiance(int(lamps.mesh[row])))
     if iteration == 0 or not lamps.values.requires_grad:
         photographed = lamps.photographed.double().cpu().numpy()
         factor = photographed / np.maximum(radiance + reflected, 1e-30)  # what is too bright is reflected so, too

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import numpy.typing as npt
@@ -143,15 +143,23 @@ class LampPhotographs:
     clipped: npt.NDArray[np.bool_]
     """Which values are at the ceiling of their photograph [n, 3]."""
 
+    def developed(self, develop: Callable[[PixelBatch], PixelBatch] | None) -> LampPhotographs:
+        """The same of photographs that are corrected; None leaves them as they are."""
+        if develop is None or len(self.color) == 0:
+            return self
+        view, pixel = self.at.view.cpu(), self.at.pixel.cpu()
+        batch = PixelBatch(view, pixel, torch.from_numpy(self.color).float(), torch.ones(len(view)), 0)
+        return replace(self, color=develop(batch).color.double().cpu().numpy())
+
+    def radiance(self, mesh: int) -> Array:
+        """Median of the unclipped pixels of a mesh [3]; NaN where there are none."""
+        mine = (self.at.mesh.cpu().numpy() == mesh) & ~self.clipped.any(1)
+        return np.median(self.color[mine], axis=0) if mine.any() else np.full(3, math.nan)
+
 
 @torch.no_grad()
 def lamp_photographs(
-    world: World,
-    cameras: Sequence[Camera],
-    photographs: PhotoSource,
-    sample: PixelBatch,
-    seed: int,
-    develop: Callable[[PixelBatch], PixelBatch] | None = None,
+    world: World, cameras: Sequence[Camera], photographs: PhotoSource, sample: PixelBatch, seed: int
 ) -> LampPhotographs:
     """Read the pixels of photographs that show one lamp and nothing else.
 
@@ -162,7 +170,6 @@ def lamp_photographs(
         sample: random pixels of the photographs that show no lamp: where they reach the largest value of a photograph,
             too, that is its ceiling, unless it is known.
         seed: of all draws.
-        develop: corrects the photographs; None leaves them as they are.
     """
     with world.tracer.uncounted():
         shown = lamp_pixels(world, cameras, seed, photographs.ignored())
@@ -171,11 +178,6 @@ def lamp_photographs(
         color = photographs.colors(view, shown.pixel.cpu()).double().numpy()
         known = photographs.clipped(view, shown.pixel.cpu())
     clipped = _clipped(color, view.numpy(), sample) if known is None else known.numpy()  # [n, 3]
-    if develop is not None and len(view):
-        values = torch.from_numpy(color).float()
-        color = (
-            develop(PixelBatch(view, shown.pixel.cpu(), values, torch.ones(len(view)), 0)).color.cpu().double().numpy()
-        )
     return LampPhotographs(shown, color, clipped)
 
 
@@ -204,13 +206,11 @@ def photographed_lamps(
         if part.radiance is None or not part.radiance.any():
             continue
         mine = np.flatnonzero(mesh == index)
-        free = mine[~shown.clipped[mine].any(1)]
         with world.tracer.uncounted():
             lit = reflected_by_lamp(world, materials, cameras, view[mine], pixel[mine], mix(seed, index))
-        median = np.median(shown.color[free], axis=0) if len(free) else np.full(3, math.nan)
         declared, views = np.asarray(part.radiance, np.float64), len(np.unique(view[mine]))
         count, full = len(mine), int(shown.clipped[mine].any(1).sum())
-        lamps.append(PhotographedLamp(index, part.name, declared, lit, median, count, views, full))
+        lamps.append(PhotographedLamp(index, part.name, declared, lit, shown.radiance(index), count, views, full))
     return lamps
 
 

@@ -112,23 +112,26 @@ def _parts(
         batch = drawn if develop is None else develop(drawn)
         stream = Stream(*key, index, _STREAM, device=primary.origin.device)
         # The unit needs no average over all groups, and the radiance field is a part of the cost.
-        found = [group_of_samples(estimator, primary, batch, stream, predict=k == 0) for k in range(groups)]
+        first = group_of_samples(estimator, primary, batch, stream)
+        found = [(first.by_roughness, first.by_albedo, first.image)]
+        kept = first.valid
+        for _ in range(1, groups):
+            group = group_of_samples(estimator, primary, batch, stream, predict=False)
+            found.append((group.by_roughness, group.by_albedo, group.image))
+            kept = kept & group.valid
+        r, d, image = (torch.stack(values) for values in zip(*found, strict=True))  # [groups, b, 3]
         # ---------------------- In units of the brightness ----------------------
 
-        predicted = found[0].field  # [b, 3]
-        if predicted is None:
-            predicted = torch.stack([group.image for group in found]).mean(0)
+        predicted = image.mean(0) if first.field is None else first.field  # [b, 3]
         unit = (predicted.square() + DARK * mean_square_radiance + 1e-30).sqrt()
-        d = torch.stack([group.by_albedo for group in found]) / unit  # [groups, b, 3]
-        r = torch.stack([group.by_roughness for group in found]) / unit
-        e = ((batch.color - torch.stack([group.image for group in found])) / unit).clamp(-LIMIT, LIMIT)
+        d, r, e = d / unit, r / unit, ((batch.color - image) / unit).clamp(-LIMIT, LIMIT)
         # ---------------------- Means over the groups ----------------------
 
-        kept = torch.stack([group.valid for group in found]).all(0)
         kept &= torch.isfinite(torch.cat((d, r, e), -1)).all(-1).all(0)
         corner = primary.views.corner(batch.view, batch.pixel)
         means = [r, d, e, r * r, r * d, d * d, r * e, d * e]
-        columns = [batch.view, corner, found[0].p[:, 0], *(value.mean(0) for value in means)]
+        columns = [batch.view, corner, first.p[:, 0], *(value.mean(0) for value in means)]
         return [column[kept].cpu().numpy() for column in columns]
 
-    yield from threads.each(of_batch, enumerate(batches))
+    # A GPU is kept busy by one thread.
+    yield from (threads.each if primary.origin.device.type == "cpu" else map)(of_batch, enumerate(batches))

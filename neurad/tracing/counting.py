@@ -49,4 +49,5 @@ class CountingTracer:
 
     def _count(self, rays: Rays) -> None:
         if self._counts:
-            self.rays_cast += len(rays)
+            count = len(rays)  # before the sum is read: between the two no other thread may come
+            self.rays_cast += count

@@ -277,9 +277,9 @@ class InverseRenderer(L.LightningModule):
         done, correction = fraction_done(self.trainer), self.assembly.correction
         progress = done.largest if correction is None else progress_before(done)
         loss = self.step(batch, progress, self.manual_backward)
-        now = correction is not None and self.iteration % CLOSING_EVERY == 0
+        now = correction is not None and (self.processes == 1 or self.iteration % CLOSING_EVERY == 0)
         if now and self.trainer.strategy.broadcast(is_closing(correction, progress)):
-            self._make_closing_step()
+            self._make_closing_step(done.seconds_by_time)
         if is_due(self.iteration):
             self.update_levels()
         return loss
@@ -292,16 +292,16 @@ class InverseRenderer(L.LightningModule):
             return None
         return said(update_levels(self.assembly, self.training_views, self.photographs, self.iteration))
 
-    def _make_closing_step(self) -> None:
+    def _make_closing_step(self, seconds: float | None) -> None:
         """Correct the roughness from all training pixels, see :mod:`neurad.training.closing_step`. The first process
-        does it for all.
+        does it for all, within the ``seconds`` that are left.
         """
         correction = self.assembly.correction
         assert self.training_views is not None
         assert correction is not None
         if self.trainer.is_global_zero:
             found = make_closing_step(
-                self.assembly, self.training_views, self.photographs, self.counters, self.processes
+                self.assembly, self.training_views, self.photographs, self.counters, self.processes, seconds
             )
             if found is not None:
                 print(f"neurad: {found.sentence()}", file=sys.stderr)

@@ -200,11 +200,16 @@ class ObjectiveStep:
         """The photographs as they are developed against the method's image [b, n, 3], which is held fixed.
 
         What is clipped says nothing here. The residual is linear in the image, so its noise leaves the gradient
-        unbiased; that of the photographs does where a radiance field predicts the pixels [b, 3].
+        unbiased, and so does that of the photographs, since the derivative is that of what is predicted: by the
+        radiance field [b, 3], or without one by half of the samples, which the residual then lacks.
         """
         if batch.clipped is not None:
             weight = weight * ~batch.clipped
-        residual = development.colors(batch, predicted) - image.detach().mean(1)
+        image = image.detach()
+        if predicted is None and image.shape[1] > 1:
+            halves = image.tensor_split(2, dim=1)
+            predicted, image = halves[0].mean(1), halves[1]
+        residual = development.colors(batch, predicted) - image.mean(1)
         loss = (weight * residual * residual).mean()
         if development.bend is not None:
             loss = loss + CALM * development.bend.square().sum()

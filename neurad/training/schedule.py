@@ -17,7 +17,7 @@ def rate_factor(settings: Optimization, iteration: int, progress: float) -> floa
     Args:
         settings: schedule and warm-up.
         iteration: iterations done.
-        progress: fraction of the run that is over, in [0, 1].
+        progress: fraction of the run that is over, or of the way to its closing step; 1 or more is the end.
     """
     rise = warmup(iteration, settings.warmup)
     return rise if settings.schedule == "constant" else rise * cosine(progress, settings.final)
@@ -49,6 +49,11 @@ class Progress:
     def largest(self) -> float:
         """The fraction that counts: the run ends when either limit is reached."""
         return max(self.by_steps or 0.0, self.by_time or 0.0)
+
+    @property
+    def seconds_by_time(self) -> float | None:
+        """Seconds until the time limit; None without one, or before it began."""
+        return self.seconds * (1.0 / self.by_time - 1.0) if self.by_time else None
 
     @property
     def seconds_left(self) -> float | None:

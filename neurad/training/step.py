@@ -96,7 +96,7 @@ class TrainingStep:
 
         Args:
             batch: pixels of the training views.
-            progress: fraction of the run that is over, in [0, 1], for the learning rates.
+            progress: fraction of the run that is over, or of the way to its closing step, for the learning rates.
             backward: accumulates the gradients of a scalar; a trainer brings its own.
 
         Returns:

@@ -55,7 +55,7 @@ def measured(box, photographs, scene=None, develop=None):
     world = world if scene is first else build_world(scene)
     view, pixel = (~emitter_pixels(world, cameras, 1, torch.device("cpu"))).nonzero().unbind(-1)
     sample = PixelBatch(view, pixel, photographs[view, pixel], torch.ones(len(view)), 0)
-    shown = lamp_photographs(world, cameras, Photographs(photographs), sample, 1, develop)
+    shown = lamp_photographs(world, cameras, Photographs(photographs), sample, 1).developed(develop)
     (lamp,) = photographed_lamps(scene, world, materials, cameras, shown, 1)
     return lamp
 

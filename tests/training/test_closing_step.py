@@ -39,8 +39,10 @@ def forget(correction):
 def at_most_threads(count):
     before = torch.get_num_threads()
     torch.set_num_threads(count)
-    yield
-    torch.set_num_threads(before)
+    try:
+        yield
+    finally:
+        torch.set_num_threads(before)
 
 
 def mean_roughness(room):
@@ -73,15 +75,38 @@ def test_what_is_off_comes_right(room, off):
 @pytest.mark.parametrize("threads", [1, 3])
 def test_the_same_step_at_every_call_by_any_number_of_threads(room, threads):
     correction = room.training.assembly.correction
-    counters = room.training.step.counters
+    counters, tracer = room.training.step.counters, room.training.assembly.world.tracer
     try:
         step_of(room, replace(counters))
         first = {name: value.clone() for name, value in correction.state_dict().items()}
         forget(correction)
+        cast = tracer.rays_cast
         with at_most_threads(threads):
             step_of(room, replace(counters))
-        for name, value in correction.state_dict().items():
-            torch.testing.assert_close(value, first[name], rtol=1e-3, atol=1e-5)
+        assert all(torch.equal(value, first[name]) for name, value in correction.state_dict().items())
+        once = tracer.rays_cast - cast
+        forget(correction)
+        step_of(room, replace(counters))
+        assert tracer.rays_cast - cast == 2 * once > 0
+    finally:
+        forget(correction)
+
+
+@pytest.mark.parametrize("seconds", [1e-6, 1e6])
+def test_the_pass_fits_into_what_is_left_of_the_time(room, seconds):
+    """Next to no time leaves the fewest pixels, and so a step without much in it; more than enough changes nothing."""
+    correction = room.training.assembly.correction
+    try:
+        counters = [replace(room.training.step.counters) for _ in range(2)]
+        step_of(room, counters[0])
+        forget(correction)
+        training = room.training
+        make_closing_step(training.assembly, training.views, room.photos, counters[1], seconds=seconds)
+        used = [count.samples - training.step.counters.samples for count in counters]
+        if seconds > 1:
+            assert used[1] == used[0]
+        else:
+            assert used[1] < 0.5 * used[0]
     finally:
         forget(correction)
 

@@ -23,6 +23,7 @@ from neurad.core.errors import InputError
 from neurad.core.records import PunctualLight
 from neurad.emitters.lights import join
 from neurad.emitters.punctual import PunctualLights
+from neurad.fields.development import FittedDevelopment
 from neurad.inspect.lamps import lamp_renderer, lamps_of
 from neurad.metrics.lamp_scores import columns_of, lamp_scores, read_lamps_true
 from neurad.scene import builtin
@@ -322,3 +323,28 @@ def test_a_lamp_whose_light_reaches_nothing():
     np.testing.assert_array_equal(responses.reaches, [True, False])
     assert alike(responses, none) == [[0], [1]]
     assert (explain(responses, np.ones((2, 3)), none, [[0], [1]])[1] == 0).all()
+
+
+@pytest.mark.main
+@pytest.mark.parametrize("method", ["radiometric.Radiometric", "prb.PRB"])
+def test_gains_learn_by_the_derivative_of_what_is_predicted(box, monkeypatch, method):
+    """By every method; at the photographed values themselves noise would make photographs darker."""
+    box()
+    asked, colors = [], FittedDevelopment.colors
+
+    def noted(self, batch, radiance=None):
+        if torch.is_grad_enabled() and not batch.color.requires_grad:
+            asked.append(radiance)
+        return colors(self, batch, radiance)
+
+    monkeypatch.setattr(FittedDevelopment, "colors", noted)
+    objective = [] if method.startswith("radio") else ["--model.objective.prior=0", "--model.objective.lhs=0"]
+    fit(
+        "--data.exposure=fit",
+        f"--model.method=neurad.integrators.{method}",
+        "--model.lighting.emitters=photographs",
+        *objective,
+    )
+    first = [radiance for radiance in asked if radiance is not None]
+    assert len(first) >= 2  # one an iteration
+    assert all(len(radiance) == 64 and bool((radiance >= 0).all()) for radiance in first)

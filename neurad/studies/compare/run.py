@@ -98,7 +98,7 @@ def _budget(options: argparse.Namespace) -> str:
     """The budget in words."""
     if options.budget is not None:
         return f"Every fit had {options.budget:g} training seconds"
-    return f"Every fit drew {options.samples:g} path samples" if options.samples is not None else ""
+    return f"Every fit drew {options.samples:g} path samples in its steps" if options.samples is not None else ""
 
 
 def _run_folders(path: Path) -> list[Path]:
