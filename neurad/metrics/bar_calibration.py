@@ -23,8 +23,9 @@ from neurad.metrics.scores import BoolArray, Float64Array, IntArray
 PRIOR = 0.14
 """Standard deviation of roughness where nothing is known: that of dielectrics between 0.1 and 0.6, all alike. Cells in
 which pixels tell next to nothing could only measure it in larger numbers than there are."""
-USUAL_GAIN, FACTOR = 0.02, 3.0
-"""Gain of fits of some minutes, and the factor by which they differ: what the products have to outweigh."""
+USUAL_GAIN, CLOSING_GAIN, FACTOR = 0.02, 0.25, 3.0
+"""Gain of fits of some minutes, of those whose roughness was corrected from all pixels at once, and the factor by which
+they differ: what the products have to outweigh."""
 OUTLIER = 9.0
 """Products are cut at so many standard deviations: residuals have long tails."""
 _GAINS = np.geomspace(1e-3, 1.0, 41)
@@ -52,6 +53,7 @@ def calibrate(
     places: tuple[IntArray, IntArray],
     noise: float,
     times: float,
+    usual: float = USUAL_GAIN,
 ) -> RoughnessBars:
     """Measure the scales.
 
@@ -63,6 +65,7 @@ def calibrate(
         places: the patch of one albedo and the cell of one roughness that each pixel lies in [n], numbered from 0.
         noise: squared residual of the photographs.
         times: all pixels that the fit has seen over those given.
+        usual: gain of such fits.
     """
     patch, cell = places
     patches, count = int(patch.max(initial=-1)) + 1, int(cell.max(initial=-1)) + 1
@@ -77,10 +80,10 @@ def calibrate(
             scatter = max(scatter, float(np.square(profiled.residual.mean(0)).mean()))
     both = (information > 0).all(0)
     information, gradient = information[:, both], gradient[:, both]
-    return RoughnessBars(_gain(information, gradient, scatter, times / noise), PRIOR)
+    return RoughnessBars(_gain(information, gradient, scatter, times / noise, usual), PRIOR)
 
 
-def _gain(information: Float64Array, gradient: Float64Array, scatter: float, times: float) -> float:
+def _gain(information: Float64Array, gradient: Float64Array, scatter: float, times: float, usual: float) -> float:
     """The gain that fits the products of both halves best, by weighted least squares, and is not far from the usual.
 
     A product has the variance ``(e^2 + n_1) (e^2 + n_2)`` with ``n_k = scatter / F_k``, in which e^2 is that of the
@@ -91,15 +94,16 @@ def _gain(information: Float64Array, gradient: Float64Array, scatter: float, tim
         gradient: their gradients [2, cells].
         scatter: variance of a residual, the estimate's own noise included.
         times: what turns ``information``, both halves together, into that of all pixels in units of 1 / variance.
+        usual: gain of such fits.
     """
     all_pixels = times * information.sum(0)
-    error = RoughnessBars(USUAL_GAIN, PRIOR).variance(all_pixels)
+    error = RoughnessBars(usual, PRIOR).variance(all_pixels)
     # Numbers of order 1, also where there is next to no information: F / (F e^2 + scatter) instead of 1 / (e^2 + n)
     spread = information * error + scatter  # [2, cells]
     product = (gradient / np.sqrt(information * spread)).prod(0).clip(-OUTLIER, OUTLIER)
     slope = np.sqrt((information / spread).prod(0))  # 1 / standard deviation of a product
-    expected = [slope * RoughnessBars(gain, PRIOR).variance(all_pixels) for gain in (USUAL_GAIN, *_GAINS)]
+    expected = [slope * RoughnessBars(gain, PRIOR).variance(all_pixels) for gain in (usual, *_GAINS)]
     squares = [float(np.square(product - mean).sum()) for mean in expected]
     dispersion = max(squares[0] / max(len(product), 1), 1.0)  # residuals have longer tails than the variance above has
-    costs = np.array(squares[1:]) / dispersion + np.square(np.log(_GAINS / USUAL_GAIN) / np.log(FACTOR))
+    costs = np.array(squares[1:]) / dispersion + np.square(np.log(_GAINS / usual) / np.log(FACTOR))
     return float(_GAINS[int(np.argmin(costs))])

@@ -25,7 +25,7 @@ import torch
 from torch import Tensor
 
 from neurad.core.records import FloatArray
-from neurad.metrics.bar_calibration import RoughnessBars, calibrate
+from neurad.metrics.bar_calibration import USUAL_GAIN, RoughnessBars, calibrate
 from neurad.metrics.fisher import profile
 from neurad.metrics.nodes import Nodes
 from neurad.metrics.pixel_derivatives import PixelDerivatives
@@ -91,7 +91,12 @@ class ErrorBars:
 
 
 def measure(
-    pixels: PixelDerivatives, to_cube: ToUnitCube, total: int, iteration: int, has_roughness: bool
+    pixels: PixelDerivatives,
+    to_cube: ToUnitCube,
+    total: int,
+    iteration: int,
+    has_roughness: bool,
+    usual_gain: float = USUAL_GAIN,
 ) -> ErrorBars:
     """Error bars from the pixels of a pass.
 
@@ -101,6 +106,7 @@ def measure(
         total: training pixels that the fit has seen, of which ``pixels`` are a sample.
         iteration: of the fit.
         has_roughness: whether roughness was recovered.
+        usual_gain: of such fits, see :mod:`neurad.metrics.bar_calibration`.
     """
     x = in_cube(to_cube, pixels.p)
     side = _side(x)
@@ -118,7 +124,8 @@ def measure(
         profiled = profile(by_albedo, by_roughness, residual, patch, patches)
         noise = max(float((residual[0] * residual[1]).mean()), 1e-9)  # without the estimate's own
         information = times * profiled.information() / noise
-        scales = calibrate(by_albedo, by_roughness, residual, pixels.odd, (patch, cells(x, side)[0]), noise, times)
+        places = patch, cells(x, side)[0]
+        scales = calibrate(by_albedo, by_roughness, residual, pixels.odd, places, noise, times, usual_gain)
     # Stage 3: sums at the nodes.
     d = pixels.by_albedo[0] * pixels.by_albedo[1]
     weighted = by_albedo[0] * by_albedo[1]

@@ -7,6 +7,7 @@ import torch
 from neurad.assembly.build import Assembly, FittedMaterials
 from neurad.assembly.training_views import TrainingViews
 from neurad.core.protocols import PhotoSource
+from neurad.metrics.bar_calibration import CLOSING_GAIN, USUAL_GAIN
 from neurad.metrics.error_bars import ErrorBars, ToUnitCube, measure
 from neurad.metrics.pixel_derivatives import SPP, pixel_derivatives
 from neurad.training.step import Counters
@@ -45,7 +46,9 @@ def error_bars(
     if pixels is None:
         return None
     has_roughness = assembly.materials.roughness is not None
-    return measure(pixels, to_cube(assembly.materials), total, counters.iteration, has_roughness)
+    corrected = assembly.correction is not None and assembly.correction.found
+    usual = CLOSING_GAIN if corrected else USUAL_GAIN
+    return measure(pixels, to_cube(assembly.materials), total, counters.iteration, has_roughness, usual)
 
 
 def to_cube(materials: FittedMaterials) -> ToUnitCube:
