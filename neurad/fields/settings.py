@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 from typing import Annotated, Literal
 
 from neurad.core.errors import InputError
-from neurad.core.ranges import Range, checked
+from neurad.core.ranges import PositiveFraction, Range, checked
 
 RADIANCE_INPUTS = {"direction": 3, "reflection": 3, "normal": 3, "faceforward": 3, "albedo": 3}
 """What a radiance field may read beside the position, each with its number of channels."""
@@ -68,8 +68,11 @@ class RoughnessConfig(FieldConfig):
     none is. A dense grid has no network to read it."""
     closing_step: bool = False
     """Whether, towards the end of a fit, all training pixels together are asked for a correction of the roughness (a
-    Gauss-Newton step with the albedo profiled out). It takes a tenth of the time and finds what single gradients are
-    too noisy for. For hash grids and methods with a radiance field."""
+    Gauss-Newton step with the albedo profiled out). It finds what single gradients are too noisy for. For hash grids
+    and methods with a radiance field."""
+    closing_samples: PositiveFraction = 0.8
+    """Path samples of the closing step over those drawn before it. A quarter of this is the fraction of the fit's time
+    that is kept for it, after the learning rates have come to their end."""
     begin: Literal["middle", "best"] = "middle"
     """Where roughness begins: at one half, or, once albedo and light are roughly known, at the one of a few values at
     which the photographs are surely explained better. From one half nothing leads to near mirrors. A dense grid begins

@@ -22,6 +22,7 @@ from neurad.assembly.build import Assembly, FittedMaterials
 from neurad.assembly.training_views import TrainingViews
 from neurad.core.protocols import PhotoSource
 from neurad.fields.material import CORRECTION_CELLS, Correction
+from neurad.fields.settings import RoughnessConfig
 from neurad.metrics.pixel_derivatives import GROUP
 from neurad.metrics.pixel_moments import PixelMoments, pixel_moments
 from neurad.metrics.roughness_evidence import Evidence, evidence
@@ -33,11 +34,10 @@ from neurad.training.error_bars import to_cube
 from neurad.training.schedule import Progress
 from neurad.training.step import Counters
 
-TIME, STEPS = 0.8, 0.95
-"""Fractions of the fit's time and of its steps that learning rates fall in before the step is made: its samples take
-time and no steps. Rates that are higher afterwards would undo it (half of it in living-room-2)."""
-SAMPLES = 0.8
-"""Samples of the pass over those that the fit has drawn: they cost a third as much."""
+KEPT, STEPS = 0.25, 0.95
+"""Time that is kept for the step by its samples over those of the fit, which cost less than four times as much, and the
+fraction of a fit's steps after which it is made. Learning rates fall to their end until then: higher ones would undo it
+(half of it in living-room-2)."""
 EVERY = 16
 """Iterations after which processes agree whether it is time."""
 MOST_GROUPS = 64
@@ -73,9 +73,10 @@ class ClosingStep:
         return f"roughness corrected by {self.size:.3f} (rms) from all training pixels at once"
 
 
-def progress_before(done: Progress) -> float:
+def progress_before(done: Progress, settings: RoughnessConfig) -> float:
     """How far a fit is on its way to the step, 1 or more from then on: what its learning rates go by."""
-    return max((done.by_time or 0.0) / TIME, (done.by_steps or 0.0) / STEPS)
+    time_before = 1.0 - KEPT * settings.closing_samples
+    return max((done.by_time or 0.0) / time_before, (done.by_steps or 0.0) / STEPS)
 
 
 def is_due(correction: Correction | None, progress: float) -> bool:
@@ -111,7 +112,8 @@ def make_closing_step(
     assert correction is not None
     assert isinstance(materials, FittedMaterials)
     correction.add(None)
-    total, samples = int((~views.emitter_mask).sum()), SAMPLES * counters.samples / processes
+    total = int((~views.emitter_mask).sum())
+    samples = assembly.settings.roughness.closing_samples * counters.samples / processes
     pixels = min(total, MOST_PIXELS, int(samples / GROUP))
     if pixels < LEAST_PIXELS:
         return None

@@ -275,7 +275,7 @@ class InverseRenderer(L.LightningModule):
         for optimizer in self._optimizers()[1:]:  # the trainer counts the first one's steps: max_steps are iterations
             optimizer._on_before_step = optimizer._on_after_step = _nothing
         done, correction = fraction_done(self.trainer), self.assembly.correction
-        progress = done.largest if correction is None else progress_before(done)
+        progress = done.largest if correction is None else progress_before(done, self.assembly.settings.roughness)
         loss = self.step(batch, progress, self.manual_backward)
         now = correction is not None and (self.processes == 1 or self.iteration % CLOSING_EVERY == 0)
         if now and self.trainer.strategy.broadcast(is_closing(correction, progress)):

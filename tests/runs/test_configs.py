@@ -167,6 +167,7 @@ SECTION_5 = {
     "model.optimization.roughness_beta2": 0.99,
     "model.roughness.begin": "middle",
     "model.roughness.closing_step": False,
+    "model.roughness.closing_samples": 0.8,
     "model.sampling.focus": 0.0,
     "model.optimization.clip": 0.0,
     "model.objective.estimator": "two_pass",

@@ -9,6 +9,7 @@ import torch
 
 from neurad.core.reflection import PrincipledModel
 from neurad.fields.material import CORRECTION_CELLS, MIN_ROUGHNESS, Correction
+from neurad.fields.settings import RoughnessConfig
 from neurad.metrics.roughness_evidence import Evidence
 from neurad.studies.stress.fit import Fit, Plan, photographs, small_settings
 from neurad.studies.stress.scenes import small_cube, with_material
@@ -124,11 +125,13 @@ def test_when_it_is_due():
 
 def test_time_and_steps_lead_to_it():
     """Its samples take time and no steps, so time is left for them."""
-    assert progress_before(Progress(None, 0.5 * closing_step.TIME, 1.0)) == pytest.approx(0.5)
-    assert progress_before(Progress(0.5 * closing_step.STEPS, None, 1.0)) == pytest.approx(0.5)
-    assert progress_before(Progress(0.1, closing_step.TIME, 1.0)) == pytest.approx(1.0)
-    assert progress_before(Progress(closing_step.STEPS, 0.1, 1.0)) == pytest.approx(1.0)
-    assert closing_step.TIME < closing_step.STEPS < 1.0
+    half, whole = RoughnessConfig(closing_samples=0.4), RoughnessConfig(closing_samples=0.8)
+    assert progress_before(Progress(None, 0.45, 1.0), half) == pytest.approx(0.5)
+    assert progress_before(Progress(None, 0.4, 1.0), whole) == pytest.approx(0.5)
+    assert progress_before(Progress(0.5 * closing_step.STEPS, None, 1.0), half) == pytest.approx(0.5)
+    assert progress_before(Progress(0.1, 0.8, 1.0), whole) == pytest.approx(1.0)
+    assert progress_before(Progress(closing_step.STEPS, 0.1, 1.0), whole) == pytest.approx(1.0)
+    assert closing_step.STEPS < 1.0
 
 
 def test_a_second_step_goes_on_from_the_first():
