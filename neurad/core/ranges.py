@@ -115,6 +115,8 @@ def violations(value: Any, hint: Any, name: str) -> Iterator[tuple[str, str]]:
             for key, part in hints(owner).items():
                 if key in inner and inner[key] is None and needs_value(part):
                     yield f"{prefix}.{key}", "null is no value for it, leave it out"
+                elif key in inner and is_settings(part) and not isinstance(inner[key], Mapping):
+                    yield f"{prefix}.{key}", "it is a group of settings, write them below it"
                 yield from violations(inner.get(key), part, f"{prefix}.{key}")
     elif isinstance(value, (list, tuple)):
         for part in _parts(hint):
