@@ -50,6 +50,8 @@ class Range:
         return " and ".join(parts) or "finite"
 
 
+IS_GROUP = "it is a group of settings, write them below it"
+"""What is wrong with a value in a group's place."""
 _WHOLE = 2**31 - 1
 """Largest count; what is counted is indexed by 32 bits somewhere."""
 
@@ -116,7 +118,7 @@ def violations(value: Any, hint: Any, name: str) -> Iterator[tuple[str, str]]:
                 if key in inner and inner[key] is None and needs_value(part):
                     yield f"{prefix}.{key}", "null is no value for it, leave it out"
                 elif key in inner and is_settings(part) and not isinstance(inner[key], Mapping):
-                    yield f"{prefix}.{key}", "it is a group of settings, write them below it"
+                    yield f"{prefix}.{key}", IS_GROUP
                 yield from violations(inner.get(key), part, f"{prefix}.{key}")
     elif isinstance(value, (list, tuple)):
         for part in _parts(hint):

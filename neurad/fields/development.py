@@ -113,9 +113,8 @@ class FittedDevelopment(nn.Module):
             return self.colors(batch).detach() + shown - shown.detach()
         color = batch.color
         if self.bend is not None:
-            color = torch.where(
-                self._coded(batch), self.respond(color * self._scale(batch)) / self._scale(batch), color
-            )
+            scale = self._scale(batch)
+            color = torch.where(self._coded(batch), self.respond(color * scale) / scale, color)
         return color / self.gains()[batch.view]
 
     @torch.no_grad()
@@ -124,11 +123,12 @@ class FittedDevelopment(nn.Module):
         color = radiance * self.gains()[batch.view]
         if self.bend is None:
             return color
-        table, linear = self.curve(), (color * self._scale(batch)).clamp(0.0, 1.0)
+        table, scale = self.curve(), self._scale(batch)
+        linear = (color * scale).clamp(0.0, 1.0)
         high = torch.searchsorted(table, linear).clamp(1, _STEPS)
         low = high - 1
         place = low + (linear - table[low]) / (table[high] - table[low])
-        return torch.where(self._coded(batch), _decoded(place / _STEPS) / self._scale(batch), color)
+        return torch.where(self._coded(batch), _decoded(place / _STEPS) / scale, color)
 
     def _scale(self, batch: PixelBatch) -> Tensor:
         """From radiance to shares of the ceiling [b, 1]."""

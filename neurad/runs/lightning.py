@@ -23,7 +23,7 @@ from omegaconf import DictConfig, OmegaConf
 from neurad.callbacks import Bar, Evaluate, LastCheckpoint, RunFolder, RunLogger
 from neurad.callbacks.run_folder import run_folder
 from neurad.core.errors import InputError
-from neurad.core.ranges import hints
+from neurad.core.ranges import IS_GROUP, hints
 from neurad.runs.checkpoints import RUNS, named_checkpoint, newest_checkpoint, restoring, run_folder_of
 from neurad.runs.configs import load_config, only_trusted_classes, overlay, resolve, split_arguments
 from neurad.runs.messages import reason, setting_error, silence_lightning
@@ -199,7 +199,7 @@ class NeuradCLI(LightningCLI):
             raise InputError("the settings are nested too deeply") from error
         for name in ("trainer", "model", "data", *CALLBACKS):
             if not isinstance(self.config[self.verb].get(name), Namespace):
-                raise ArgumentError(None, f'Parser key "{name}": it is a group of settings, write them below it')
+                raise ArgumentError(None, f'Parser key "{name}": {IS_GROUP}')
         for key, text in complaints(self.config[self.verb].as_dict(), groups):
             raise ArgumentError(None, f'Parser key "{key}": {text}')
 

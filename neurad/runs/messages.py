@@ -11,7 +11,7 @@ from difflib import SequenceMatcher
 from omegaconf import OmegaConf
 from omegaconf.errors import OmegaConfBaseException
 
-from neurad.core.ranges import shown
+from neurad.core.ranges import IS_GROUP, shown
 from neurad.core.suggest import ALIKE
 from neurad.runs.configs import load_config
 
@@ -80,7 +80,7 @@ _OF_CLASSES = (
 )
 """What the parser says of a class and its settings, and how it is said here; ``{0}`` is the class."""
 _OF_VALUES = (
-    (r"Unable to load config", "it is a group of settings, write them below it"),
+    (r"Unable to load config", IS_GROUP),
     (r"subclass of (\w+).*Given value: (.*)$", "{1} is not the class of a {0}"),
     (r"Expected a <class 'int'>\. Got value: (.*?)(?: - Expected|$)", "{} is not a whole number"),
     (r"Expected a <class 'float'>\. Got value: (.*?)(?: - Expected|$)", "{} is not a number"),

@@ -14,7 +14,7 @@ from datetime import timedelta
 from typing import Annotated, Any
 
 from neurad.core.errors import InputError
-from neurad.core.ranges import Count, CountOrZero, Range, Seed, is_settings, needs_value, shown, violations
+from neurad.core.ranges import IS_GROUP, Count, CountOrZero, Range, Seed, is_settings, needs_value, shown, violations
 
 RANGES: dict[str, Any] = {
     "num_nodes": Count,
@@ -97,7 +97,7 @@ def complaints(settings: Mapping[str, Any], groups: Mapping[str, Any]) -> Iterat
         for key, hint in owner.items():
             value = (settings.get(name) or {}).get(key)
             if is_settings(hint) and not isinstance(value, Mapping):
-                yield f"{name}.{key}", "it is a group of settings, write them below it"
+                yield f"{name}.{key}", IS_GROUP
             elif value is None and key in (settings.get(name) or {}) and needs_value(hint):
                 yield f"{name}.{key}", "null is no value for it, leave it out"
             yield from violations(value, hint, f"{name}.{key}")
