@@ -9,7 +9,7 @@ from typing import Any, Literal
 import numpy as np
 
 from neurad.core.records import FloatArray, View
-from neurad.export.pictures import BLOCK, Estimate, Pictures
+from neurad.export.pictures import BLOCKS, BRIGHTEST, Estimate, Pictures
 from neurad.export.seams import BOUND, Seams
 from neurad.metrics.scores import psnr
 
@@ -99,6 +99,7 @@ class Verified:
     def psnr(self, name: str, view: int | None = None) -> float | None:
         """Of a renderer's views, or of one, against the photographs, linear, of values below 1; None without any.
 
+        Samples count as :data:`~neurad.export.pictures.BRIGHTEST` at most, but for Cycles, which shows no single ones.
         The noise of the renderer, known from its passes, is taken out, as renderers differ in it.
         """
         squared = self._squared(name, view)
@@ -139,6 +140,7 @@ class Verified:
             "beyond_bounds": self.beyond,
             "not_decided": self.undecided,
             "left_out": self.left_out,
+            "brightest_sample": BRIGHTEST,
             "renderers": {name: self._renderer(name) for name in self.pictures},
         }
 
@@ -158,6 +160,7 @@ class Verified:
                     "standard_error": shown.error[i],
                     "passes": shown.passes[i],
                     "ratio_of_means": ratios[i],
+                    "light_beyond_brightest": shown.beyond[i],
                     "psnr_below_white": self.psnr(name, i),
                     "psnr_standard_error": self.psnr_error(name, i),
                 }
@@ -173,14 +176,22 @@ class Verified:
                 self.verdicts.append(self._means(name, bound))
         if all(photo is None for photo in self.photographs):
             return
-        apart, error = self.difference("fields")
-        text = f"baking took {apart:.3f} dB of the picture{_known(error)} (bound {PICTURE_LOSS})"
-        self.verdicts.append(Verdict("picture lost by baking, dB", apart, error, PICTURE_LOSS, text))
-        for block in (1, BLOCK) if "mitsuba" in self.pictures else ():
-            apart, error = self.difference("mitsuba", block)
-            what = "mitsuba's PSNR" + (f" by differences over {block} x {block} pixels" if block > 1 else "")
-            text = f"{what} differs from ours by {apart:+.2f} dB{_known(error)} (bound {MITSUBA_PSNR})"
-            self.verdicts.append(Verdict(f"{what} less ours, dB", apart, error, MITSUBA_PSNR, text, signed=False))
+        self.verdicts.append(self._compared("fields", "picture lost by baking", PICTURE_LOSS, signed=True))
+        if "mitsuba" in self.pictures:
+            self.verdicts.append(self._compared("mitsuba", "mitsuba's PSNR less ours", MITSUBA_PSNR, signed=False))
+
+    def _compared(self, name: str, what: str, bound: float, signed: bool) -> Verdict:
+        """The PSNR of a renderer less that of the baked room, by all pixels or, where noise leaves that open, by the
+        smallest blocks that decide.
+        """
+        for block in BLOCKS:
+            apart, error = self.difference(name, block)
+            blocks = f" by means over {block} x {block} pixels" if block > 1 else ""
+            text = f"{what} is {apart:+.3f} dB{_known(error)}{blocks} (bound {bound})"
+            verdict = Verdict(f"{what}{blocks}, dB", apart, error, bound, text, signed)
+            if verdict.state != "not decided":
+                break
+        return verdict
 
     def _maps(self) -> list[Verdict]:
         """What baking took of the maps."""

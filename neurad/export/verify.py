@@ -15,11 +15,11 @@ from torch import Tensor
 
 from neurad.assembly.build import Assembly, build_world
 from neurad.core.protocols import Materials
-from neurad.core.records import FloatArray, Surface, SurfaceInteraction, View
+from neurad.core.records import FloatArray, Rays, Surface, SurfaceInteraction, View
 from neurad.core.rng import mix
 from neurad.export.cameras import shown_alike
 from neurad.export.mitsuba import no_mitsuba
-from neurad.export.pictures import BLOCK, PASSES, Draw, Pictures, drawn, excess
+from neurad.export.pictures import BLOCKS, BRIGHTEST, PASSES, Draw, Pictures, drawn, excess
 from neurad.export.progress import Progress
 from neurad.export.room import Room
 from neurad.export.seams import find_seams
@@ -108,7 +108,8 @@ def _render_cycles(found: Verified, cycles: Cycles, spp: int, progress: Progress
         progress.step()
     found.pictures["cycles"] = Pictures()
     for pair, photo in zip(zip(*passes, strict=True), found.photographs, strict=True):
-        found.pictures["cycles"].add(np.stack(pair), photo)
+        whole = np.stack(pair)
+        found.pictures["cycles"].add(np.stack((whole, whole), 1), photo)  # it shows no single samples
 
 
 def _read_again(room: Room, folder: Path, found: Verified) -> Scene:
@@ -138,10 +139,14 @@ def _ours(world: Any, materials: Materials, scene: Scene, spp: int) -> Draw:
     """Neurad's path tracer; the same seeds give both materials the same random numbers."""
     tracer = path_tracer(world, materials, scene.max_depth, scene.rr_depth)
 
+    def both(rays: Rays, seed: int) -> Tensor:
+        radiance = tracer(rays, seed)
+        return torch.cat((radiance, radiance.clamp_max(BRIGHTEST)), -1)  # [n, 6]
+
     def draw(index: int, seed: int) -> FloatArray:
         with torch.no_grad():
-            shown = render(scene.test[index].camera, tracer, spp, mix(SEED, index, seed))
-        return np.asarray(shown.numpy(), np.float32)
+            shown = render(scene.test[index].camera, both, spp, mix(SEED, index, seed))
+        return np.stack(np.split(shown.numpy(), 2, -1))
 
     return draw
 
@@ -155,8 +160,17 @@ def _mitsuba(path: Path, spp: int, room: Room) -> Draw:
     loaded: Any = mi.load_file(str(path))
     module: Any = mi
 
+    def sample(index: int, seed: int, number: int) -> FloatArray:
+        """A picture of one sample a pixel: its box filter leaves each sample as it is."""
+        key = mix(SEED, index, seed, number) & 0x7FFFFFFF
+        return np.array(module.render(loaded, sensor=index, spp=1, seed=key))[..., :3]
+
     def draw(index: int, seed: int) -> FloatArray:
-        return np.array(module.render(loaded, sensor=index, spp=spp, seed=mix(SEED, index, seed) & 0xFFFFFF))[..., :3]
+        total = np.zeros(1)
+        for number in range(spp):
+            radiance = sample(index, seed, number)
+            total = total + np.stack((radiance, np.minimum(radiance, BRIGHTEST)))
+        return np.asarray(total / spp, np.float32)
 
     return draw
 
@@ -175,10 +189,8 @@ def _render(found: Verified, draws: dict[str, Draw], progress: Progress) -> None
             found.pictures[name].add(passes[name], photo)
             progress.step()
         for name, entries in found.excess.items():
-            sides = None if photo is None else {
-                block: excess(passes[name], passes["baked"], photo, block) for block in (1, BLOCK)
-            }  # fmt: skip
-            entries.append(sides)
+            theirs, ours = passes[name][:, 1], passes["baked"][:, 1]
+            entries.append(None if photo is None else {block: excess(theirs, ours, photo, block) for block in BLOCKS})
     for name in draws:
         if (score := found.psnr(name)) is not None:
             found.scores[f"picture_psnr_{name}"] = score
