@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -17,6 +18,8 @@ from neurad.emitters.lights import Lights, WithPunctual, make_lights
 from neurad.integrators.world import World
 from neurad.scene.description import Scene
 from neurad.scene.geometry import Geometry
+from neurad.scene.lamp_parts import lamps_in_parts
+from neurad.scene.shining import Shining, shining_scene
 
 
 def fitted_environment(world: World) -> FittedEnvironment | None:
@@ -50,6 +53,21 @@ def relit_world(world: World, scene: Scene, environment: EnvironmentMap) -> Worl
     lamps = area_lights(world)
     lights = make_lights(scene, world.geometry, Environment(environment), lamps).to(world.geometry.vertices.device)
     return world.under(lights, replace(world.features, has_environment=True))
+
+
+def lit_scene(scene: Scene, settings: Lighting, lamps: Sequence[Shining] | None) -> Scene:
+    """The scene with the lamps of a fit.
+
+    Args:
+        scene: as it was read.
+        settings: of the fit.
+        lamps: what was found to shine; None where the scene says it.
+
+    Raises:
+        InputError: a lamp falls into too many parts.
+    """
+    scene = scene if lamps is None else shining_scene(scene, lamps)
+    return lamps_in_parts(scene) if settings.split_lamps and settings.emitters != "known" else scene
 
 
 def unknown_environment(scene: Scene, settings: Lighting) -> FittedEnvironment | None:

@@ -128,6 +128,9 @@ class Lighting:
     photographs show of each lamp, less what it reflects; ``fit`` goes on from there, or, for a lamp that no photograph
     shows, from what explains the photographs best, and lets an optimizer find the radiance together with all else;
     ``find`` does the same for the meshes that the photographs show to shine, whatever the scene says of them."""
+    split_lamps: bool = False
+    """Whether each connected part of a lamp's mesh is a lamp by itself, as the bulbs of a chandelier are that differ;
+    where radiance is recovered."""
     width: Annotated[int, Range(2, 1 << 14)] = 256
     """Texels across of a map to recover."""
     height: Annotated[int, Range(2, 1 << 14)] = 128

@@ -25,7 +25,8 @@ MISSED, EXTRA = "lamps_missed", "lamps_extra"
 
 def read_lamps_true(path: str, names: Sequence[str], found: bool = False) -> tuple[Array, int]:
     """True radiance of lamps [m, 3], from a table with columns ``mesh``, ``r``, ``g`` and ``b``, as ``lamps.csv`` has
-    them, and how many meshes of the table shine and are none of these.
+    them, and how many meshes of the table shine and are none of these. A part of a lamp, ``NAME_2``, that the table
+    lacks is as bright as ``NAME``.
 
     Args:
         path: of the table.
@@ -48,10 +49,11 @@ def read_lamps_true(path: str, names: Sequence[str], found: bool = False) -> tup
         if not all(0.0 <= value <= RADIANCE for value in rgb):  # neither is NaN
             raise InputError(f"{option}: the radiance of {row['mesh']} must be three numbers from 0 to {RADIANCE:g}")
         given[row["mesh"]] = rgb
-    if not found and (left := [name for name in names if name not in given]):
+    rows_of = [name if name in given else name.rpartition("_")[0] for name in names]
+    if not found and (left := [name for name, row in zip(names, rows_of, strict=True) if row not in given]):
         raise InputError(f"{option}: lamp {left[0]} of the scene is not in it")
-    missed = sum(any(rgb) for name, rgb in given.items() if name not in names)
-    return np.array([given.get(name, [0.0] * 3) for name in names]).reshape(-1, 3), missed
+    missed = sum(any(rgb) for name, rgb in given.items() if name not in rows_of)
+    return np.array([given.get(name, [0.0] * 3) for name in rows_of]).reshape(-1, 3), missed
 
 
 def lamp_error(found: Array, truth: Array) -> Array:

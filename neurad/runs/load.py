@@ -16,6 +16,7 @@ from omegaconf import OmegaConf
 from torch import Tensor
 
 from neurad.assembly.build import Assembly, FittedMaterials, assemble
+from neurad.assembly.lighting import lit_scene
 from neurad.assembly.relight import in_other_light
 from neurad.assembly.settings import ModelSettings
 from neurad.core.camera import camera_rays
@@ -37,7 +38,7 @@ from neurad.scene.development import Photography
 from neurad.scene.load import load_scene
 from neurad.scene.photographs import read_view
 from neurad.scene.readers.nerf import HOLD_OUT
-from neurad.scene.shining import from_kept, shining_scene
+from neurad.scene.shining import from_kept
 from neurad.scene.textures import TrueMaterials
 from neurad.training.checkpoint import changed_light, fitted_lamps, fitting
 from neurad.training.checkpoint_file import read_checkpoint
@@ -286,8 +287,9 @@ def load_run(
         raise InputError(f"{folder / 'config.yaml'}: it is not the config of a run")
     settings = parse_model(config["model"], str(folder / "config.yaml"))
     scene = _scene(config["data"], folder, root)
-    if settings.lighting.emitters == "find":
-        scene = shining_scene(scene, from_kept(content["neurad"].get("shining"), scene, name))
+    finds = settings.lighting.emitters == "find"
+    lamps = from_kept(content["neurad"].get("shining"), scene, name) if finds else None
+    scene = lit_scene(scene, settings.lighting, lamps)
     assembly = assemble(scene, settings, _has_alpha(scene))
     state = _restore(assembly, content, name, other_light)
     changes = changed_light(state, scene, assembly.environment is None, assembly.lamps is None)

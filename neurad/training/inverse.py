@@ -12,6 +12,7 @@ from lightning.pytorch.strategies import DDPStrategy
 from torch import Tensor
 
 from neurad.assembly.build import Assembly, FittedMaterials, assemble, know_lamps
+from neurad.assembly.lighting import lit_scene
 from neurad.assembly.relight import paths, sentence_of_light
 from neurad.assembly.settings import Lighting, ModelSettings, Objective, Optimization, Sampling
 from neurad.assembly.training_views import TrainingViews, prepare_views
@@ -41,7 +42,7 @@ from neurad.optim.pyramid_adam import PyramidAdam
 from neurad.optim.sparse_row_adam import SparseRowAdam
 from neurad.runtime.clock import excluded, training_seconds
 from neurad.scene.description import Scene
-from neurad.scene.shining import Shining, kept, shining_scene
+from neurad.scene.shining import Shining, kept
 from neurad.scene.textures import TrueMaterials
 from neurad.training.checkpoint import changed_light, fitted_lamps, fitting, scene_state
 from neurad.training.closing_step import EVERY as CLOSING_EVERY
@@ -158,6 +159,8 @@ class InverseRenderer(L.LightningModule):
             )
         if self.settings.lighting.emitters == "find":
             self._find_lamps()
+        if (lit := lit_scene(self.scene, self.settings.lighting, self._shining)) is not self.scene:
+            self.trainer.datamodule.relight(lit)  # type: ignore[attr-defined]
         made = assemble(self.scene, self.settings, self.photographs.has_alpha, self.device)
         # Of the world only a guide and an environment that is recovered have a state.
         self.world, self.materials, self.average, self.radiance = (
@@ -172,14 +175,13 @@ class InverseRenderer(L.LightningModule):
             self._ddp_params_and_buffers_to_ignore = ddp_ignored(self)  # DDP's own name for it
 
     def _find_lamps(self) -> None:
-        """Let those meshes of the scene shine that photographs show to shine, or, in a run that goes on, those that it
-        began with.
+        """Find those meshes of the scene that photographs show to shine; in a run that goes on, those that it began
+        with.
         """
         found = shining_meshes(self.scene, self.photographs, self.settings, self.device, self.begins_from)
         self._shining = found.lamps
         if self.trainer.is_global_zero and found.lines:
             print(*(f"neurad: {line}" for line in found.lines), sep="\n", file=sys.stderr)
-        self.trainer.datamodule.relight(shining_scene(self.scene, self._shining))  # type: ignore[attr-defined]
 
     def _read_lamps_true(self) -> tuple[FloatArray64, int] | None:
         """What recovered lamps are scored against [m, 3], and how many others shine; None where nothing is given."""

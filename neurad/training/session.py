@@ -8,12 +8,12 @@ import torch
 from torch import Tensor, nn
 
 from neurad.assembly.build import Assembly, assemble
+from neurad.assembly.lighting import lit_scene
 from neurad.assembly.settings import ModelSettings
 from neurad.assembly.training_views import prepare_views
 from neurad.core.protocols import PhotoSource
 from neurad.core.records import PixelBatch
 from neurad.scene.description import Scene
-from neurad.scene.shining import shining_scene
 from neurad.training.guard import Guard
 from neurad.training.objective import make_objective
 from neurad.training.optimizers import make_optimizers
@@ -63,8 +63,9 @@ class TrainingRun:
             device: where everything is to lie.
             emitters_train: as above; the materials of emitting surfaces are then fitted, too.
         """
-        if settings.lighting.emitters == "find":
-            scene = shining_scene(scene, shining_meshes(scene, photographs, settings, device).lamps)
+        finds = settings.lighting.emitters == "find"
+        lamps = shining_meshes(scene, photographs, settings, device).lamps if finds else None
+        scene = lit_scene(scene, settings.lighting, lamps)
         assembly = assemble(scene, settings, photographs.has_alpha, device, not emitters_train)
         for _, part in assembly.modules():
             part.to(device)

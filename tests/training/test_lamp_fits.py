@@ -9,6 +9,8 @@ import numpy as np
 import pytest
 import torch
 import yaml
+from helpers.lamp_room import CEILING, SIZE, STRIP, lamp_room
+from helpers.lamp_room import photographed as photographed_room
 from helpers.lamp_scene import TRUTH, declared, looking_up, unmeasured, with_lamps
 from helpers.method_oracles import gallery
 from helpers.object_scene import sky
@@ -148,6 +150,44 @@ def test_a_run_that_found_its_lamps_goes_on_with_them(box, monkeypatch, capsys):
     main(["validate", "--ckpt_path=version_1"])
 
 
+@pytest.fixture
+def two_in_one(tmp_path, monkeypatch):
+    """Registers a room as the built-in scene 'small' whose two lamps, unlike each other, are one mesh of radiance 1."""
+    monkeypatch.chdir(tmp_path)
+    scene = lamp_room()
+    pictures = photographed_room(scene).pixels.view(len(scene.train), SIZE, SIZE, 3).numpy()
+    views = []
+    for view, picture in zip(scene.train, pictures, strict=True):
+        write_exr(f"{view.name}.exr", picture, half=False)
+        views.append(replace(view, image=f"{view.name}.exr"))
+    both = [mesh for mesh in scene.meshes if mesh.radiance is not None]
+    parts = [replace(mesh, radiance=None) for mesh in scene.meshes if mesh.radiance is None]
+    faces = np.concatenate((both[0].faces, both[1].faces + len(both[0].vertices)))
+    vertices, uvs = (np.concatenate([getattr(mesh, name) for mesh in both]) for name in ("vertices", "uvs"))
+    one = replace(both[0], name="lamps", faces=faces, vertices=vertices, uvs=uvs, radiance=np.ones(3, np.float32))
+    scene = replace(scene, name="small", meshes=[*parts, one], train=views, test=views[:1])
+    monkeypatch.setitem(builtin._BUILDERS, "small", lambda: scene)
+    config = {**SMALL_FIT, "model": {**SMALL_FIT["model"], **CHEAP}, "data": {"scene": "small", "patches": 64}}
+    config["trainer"] = {**SMALL_FIT["trainer"], "max_steps": 66}
+    Path("fit.yaml").write_text(yaml.safe_dump(config))
+    rows = zip(("lamps_1", "lamps_2"), (CEILING, STRIP), strict=True)
+    Path("true.csv").write_text("mesh,r,g,b\n" + "".join(f"{n},{','.join(map(str, rgb))}\n" for n, rgb in rows))
+
+
+@pytest.mark.main
+def test_parts_of_a_lamp_shine_each_by_itself(two_in_one, capsys):
+    """Said by the setting; the run is read back and goes on with the parts as lamps."""
+    fit("--model.lighting.emitters=fit", "--model.lighting.split_lamps=true", "--data.lamps_true=true.csv")
+    found = {row["mesh"]: [float(row[c]) for c in "rgb"] for row in table(FOLDER / "lamps.csv")}
+    np.testing.assert_allclose(found["lamps_1"], CEILING, rtol=0.05)
+    np.testing.assert_allclose(found["lamps_2"], STRIP, rtol=0.05)
+    assert float(table(FOLDER / "metrics.csv")[-1]["lamp_error_lamps_2"]) < 0.05
+    assert [mesh.name for mesh in load(FOLDER).scene.meshes if mesh.radiance is not None] == ["lamps_1", "lamps_2"]
+    main(["fit", "--ckpt_path=version_0", "--trainer.max_steps=68"])
+    assert [row["mesh"] for row in table(FOLDER / "lamps.csv")] == ["lamps_1", "lamps_2"]
+    assert table(FOLDER / "metrics.csv")[-1]["iteration"] == "68"
+
+
 @pytest.mark.main
 def test_no_lamp_is_found_where_no_photograph_shows_it(box, capfd):
     box(shown=False)
@@ -221,6 +261,14 @@ def test_a_table_of_the_truth_that_is_wrong_is_refused(tmp_path, text, says):
     with pytest.raises(InputError, match=says) as refused:
         read_lamps_true(str(path), ["light"])
     assert "true.csv" in str(refused.value)
+
+
+def test_a_part_is_as_bright_as_the_whole_unless_the_table_says_more(tmp_path):
+    path = tmp_path / "true.csv"
+    path.write_text("mesh,r,g,b\nlight,1,2,3\nlight_2,4,4,4\n")
+    truth, missed = read_lamps_true(str(path), ["light_1", "light_2"])
+    np.testing.assert_array_equal(truth, [[1, 2, 3], [4, 4, 4]])
+    assert missed == 0
 
 
 def test_lamps_found_wrongly_and_not_found_are_counted(tmp_path):
