@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import tempfile
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from importlib.util import find_spec
 from pathlib import Path
 from typing import Any
@@ -17,6 +18,9 @@ from neurad.runtime.machine import usable_cores
 from neurad.scene.description import Scene
 from neurad.scene.scene_xml import Matrix, Node, describe
 
+LLVM = 17, 0, 0
+"""Oldest version that Mitsuba is given: 16 takes the process down with it (3.9.1)."""
+
 
 def no_mitsuba() -> str | None:
     """Why Mitsuba cannot render an exported folder here; None where it can."""
@@ -25,6 +29,23 @@ def no_mitsuba() -> str | None:
     if usable_cores() == 1:  # IlmThread's pool has no thread then (3.9.1), and its reader waits for one
         return "it waits forever for EXR files where it has a single core"
     return None
+
+
+@contextmanager
+def fastest_mitsuba() -> Iterator[Any]:
+    """The package with the fastest of its variants for CPUs set, ``llvm_ad_rgb`` where it finds a fitting LLVM and
+    ``scalar_rgb`` otherwise, at a fifth of the speed; the variant that was set before is set again afterwards.
+    """
+    import drjit as dr
+    import mitsuba as mi
+
+    before = mi.variant()
+    mi.set_variant("llvm_ad_rgb" if dr.detail.llvm_version() >= LLVM else "scalar_rgb")
+    dr.set_thread_count(usable_cores())
+    try:
+        yield mi
+    finally:
+        mi.set_variant(before or "scalar_rgb")
 
 
 def sensor(scene: Scene, camera: Camera, width: int, height: int, samples: int = 16, alpha: bool = False) -> Node:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
+from typing import Self
 
 import numpy as np
 
@@ -20,17 +21,17 @@ WHITE = 1.0
 """Values of a photograph from here on are white on a screen. They are left out of squared differences: on the edges of
 lamps and windows, which are many times as bright, noise and the photograph's own decide over all else."""
 BRIGHTEST = 4.0
-"""What a sample counts as at most where pictures are compared with photographs, in multiples of white. A few samples
-hundreds of times as bright, which are no fault of any renderer, make most of the noise otherwise. Means are of all
-light."""
+"""What a sample counts as at most where two pictures of neurad's path tracer are compared, in multiples of white: few
+that are hundreds of times as bright make most of the noise. Two renderers cannot be compared so, as the light in their
+brightest samples depends on how they draw them: the second view of veach-ajar has 5 % there, in Mitsuba 15 %."""
 BLOCKS = 1, 4, 16
 """Sides in pixels of the blocks over whose means pictures are compared: more pixels average more of the noise."""
 CHUNK = 1 << 14
 """Pixels whose passes are multiplied with each other at once."""
 
 Draw = Callable[[int, int], FloatArray]
-"""Two pictures [2, h, w, 3] of the view of this number by this seed: means of its samples as they are, and of those
-that count as :data:`BRIGHTEST` at most."""
+"""A picture [h, w, 3] of the view of this number by this seed, from neurad [h, w, 6]: means of its samples as they are,
+and then of those that count as :data:`BRIGHTEST` at most."""
 Estimate = tuple[float, float]
 """A figure and its standard error."""
 
@@ -43,36 +44,45 @@ class Pictures:
     """Linear [h, w, 3]."""
     error: list[float] = field(default_factory=list)
     """Standard error of the mean of each."""
-    beyond: list[float] = field(default_factory=list)
-    """Fraction of the light of each by which samples exceed :data:`BRIGHTEST`."""
     squared: list[Estimate | None] = field(default_factory=list)
-    """What :func:`squared_difference` says of each, of samples of at most :data:`BRIGHTEST`; None without a
-    photograph."""
+    """What :func:`squared_difference` says of each; None without a photograph."""
     passes: list[int] = field(default_factory=list)
 
     def add(self, passes: FloatArray, photo: FloatArray | None) -> None:
         """Add a view.
 
         Args:
-            passes: pairs of pictures [k, 2, h, w, 3] by different seeds, linear; see :data:`Draw`.
+            passes: pictures [k, h, w, 3] by different seeds, linear.
             photo: what they are compared with [h, w, 3], linear.
         """
-        whole, clamped = passes[:, 0], passes[:, 1]
-        self.mean.append(whole.mean(0, dtype=np.float64).astype(np.float32))
-        self.error.append(_error_of_mean(whole))
-        light = float(whole.mean(dtype=np.float64))
-        self.beyond.append(1.0 - float(clamped.mean(dtype=np.float64)) / light if light > 0.0 else 0.0)
-        self.squared.append(None if photo is None else squared_difference(clamped, photo))
+        self.mean.append(passes.mean(0, dtype=np.float64).astype(np.float32))
+        self.error.append(_error_of_mean(passes))
+        self.squared.append(None if photo is None else squared_difference(passes, photo))
         self.passes.append(len(passes))
+
+
+@dataclass(frozen=True)
+class Compared:
+    """A renderer's pictures of a view beside those of another, both against the photograph."""
+
+    squared: Estimate
+    """What :func:`squared_difference` says of the other's."""
+    excess: dict[int, Estimate]
+    """By how much the renderer's exceeds that, see :func:`excess`, by the side of the blocks."""
+
+    @classmethod
+    def of(cls, theirs: FloatArray, ours: FloatArray, photo: FloatArray) -> Self:
+        """Compare passes [k, h, w, 3] with others and with the photograph [h, w, 3]."""
+        return cls(squared_difference(ours, photo), {block: excess(theirs, ours, photo, block) for block in BLOCKS})
 
 
 def drawn(
     draw: Callable[[int], FloatArray], photo: FloatArray | None, most: int = PASSES, least: int = 2
 ) -> FloatArray:
-    """Passes of a view [k, 2, h, w, 3], two by two, until its mean and its difference to the photograph are known.
+    """Pairs of passes of a view [k, h, w, c], until its mean and its difference to the photograph are known.
 
     Args:
-        draw: both pictures [2, h, w, 3] by a seed; see :data:`Draw`.
+        draw: the picture [h, w, c] by a seed; see :data:`Draw`.
         photo: to compare with [h, w, 3], linear.
         most: passes; two at least.
         least: passes, even where fewer would do.
@@ -85,11 +95,12 @@ def drawn(
         if len(passes) < least:
             continue
         found = np.stack(passes)
-        if _error_of_mean(found[:, 0]) > ERROR * abs(float(found[:, 0].mean())):
+        whole = found[..., :3]
+        if _error_of_mean(whole) > ERROR * abs(float(whole.mean())):
             continue
         if photo is None:
             return found
-        squared, error = squared_difference(found[:, 1], photo)
+        squared, error = squared_difference(whole, photo)
         if error <= SQUARED_ERROR * squared:
             return found
 

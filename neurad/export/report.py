@@ -10,7 +10,6 @@ import numpy as np
 
 from neurad.core.records import FloatArray
 from neurad.export.images import eight_bits
-from neurad.export.pictures import BRIGHTEST
 from neurad.export.seams import BOUND
 from neurad.export.verified import Verified
 from neurad.metrics.scores import block_means
@@ -135,11 +134,7 @@ def _renderers(renderers: dict[str, Any]) -> str:
         ratio, last = f"{entry['ratio_of_means']:.4f}", f"{worst['ratio_of_means']:.4f}"
         rows.append([MEANINGS[name], said, ratio, html.escape(worst["name"]), last])
     head = ["renderer", "PSNR (linear, below white)", "mean / baked", "worst view", "its mean / baked"]
-    note = (
-        f"Means are of all light. For the PSNR samples count as {BRIGHTEST:g} times white at most, as a few that are "
-        "much brighter would decide it alone; Cycles shows no single samples, so there all light counts."
-    )
-    return "<h2>Renderers</h2>" + page.table(head, rows) + f'<p class="note">{note}</p>'
+    return "<h2>Renderers</h2>" + page.table(head, rows)
 
 
 def _figure(name: str, figures: str, picture: FloatArray) -> str:

@@ -9,7 +9,7 @@ from typing import Any, Literal
 import numpy as np
 
 from neurad.core.records import FloatArray, View
-from neurad.export.pictures import BLOCKS, BRIGHTEST, Estimate, Pictures
+from neurad.export.pictures import BLOCKS, Compared, Estimate, Pictures
 from neurad.export.seams import BOUND, Seams
 from neurad.metrics.scores import psnr
 
@@ -64,9 +64,8 @@ class Verified:
     """Whether the views are held out; a scene without such views is verified on those that it was fitted to."""
     pictures: dict[str, Pictures] = field(default_factory=dict)
     """By renderer: 'fields', 'baked', 'mitsuba' and 'cycles'."""
-    excess: dict[str, list[dict[int, Estimate] | None]] = field(default_factory=dict)
-    """By renderer, of every view with a photograph: what :func:`neurad.export.pictures.excess` says of its pictures
-    against those of the baked room, by the side of the blocks."""
+    compared: dict[str, list[Compared | None]] = field(default_factory=dict)
+    """By renderer, of every view: its pictures beside those of the baked room; None without a photograph."""
     photographs: list[FloatArray | None] = field(default_factory=list)
     scores: dict[str, float] = field(default_factory=dict)
     seams: Seams | None = None
@@ -99,7 +98,6 @@ class Verified:
     def psnr(self, name: str, view: int | None = None) -> float | None:
         """Of a renderer's views, or of one, against the photographs, linear, of values below 1; None without any.
 
-        Samples count as :data:`~neurad.export.pictures.BRIGHTEST` at most, but for Cycles, which shows no single ones.
         The noise of the renderer, known from its passes, is taken out, as renderers differ in it.
         """
         squared = self._squared(name, view)
@@ -122,8 +120,8 @@ class Verified:
             name: of the renderer.
             block: what differences over blocks of this side in pixels make of it, whatever is finer; 1 is all.
         """
-        excess = _mean([entry[block] for entry in self.excess[name] if entry is not None])
-        squared = self._squared("baked", None)
+        views = [view for view in self.compared[name] if view is not None]
+        excess, squared = _mean([view.excess[block] for view in views]), _mean([view.squared for view in views])
         if excess is None or squared is None:
             return 0.0, 0.0
         base = max(squared[0], 1e-12)
@@ -140,7 +138,6 @@ class Verified:
             "beyond_bounds": self.beyond,
             "not_decided": self.undecided,
             "left_out": self.left_out,
-            "brightest_sample": BRIGHTEST,
             "renderers": {name: self._renderer(name) for name in self.pictures},
         }
 
@@ -160,7 +157,6 @@ class Verified:
                     "standard_error": shown.error[i],
                     "passes": shown.passes[i],
                     "ratio_of_means": ratios[i],
-                    "light_beyond_brightest": shown.beyond[i],
                     "psnr_below_white": self.psnr(name, i),
                     "psnr_standard_error": self.psnr_error(name, i),
                 }

@@ -7,7 +7,7 @@ import pytest
 
 from neurad.core.records import Camera, View
 from neurad.export import mitsuba
-from neurad.export.pictures import BLOCKS, Pictures, excess
+from neurad.export.pictures import Compared, Pictures
 from neurad.export.report import write_report
 from neurad.export.verified import Verdict, Verified
 
@@ -41,9 +41,9 @@ def verified(noise, brighter=0.0):
     shown = {"baked": ours, "fields": ours, "mitsuba": theirs + brighter}
     for name, passes in shown.items():
         found.pictures[name] = Pictures()
-        found.pictures[name].add(np.stack((passes, passes), 1).astype(np.float32), PHOTO)
+        found.pictures[name].add(passes.astype(np.float32), PHOTO)
         if name != "baked":
-            found.excess[name] = [{block: excess(passes, ours, PHOTO, block) for block in BLOCKS}]
+            found.compared[name] = [Compared.of(passes, ours, PHOTO)]
     found.judge()
     return found
 
@@ -73,7 +73,8 @@ def test_noise_leaves_bounds_open_and_that_is_said(tmp_path):
 
 def test_what_noise_hides_in_pixels_is_decided_by_the_smallest_blocks_that_do():
     found = verified(1e-4)
-    found.excess["mitsuba"] = [{1: (0.0, 1e-3), 4: (1e-5, 1e-5), 16: (0.0, 0.0)}]  # of a squared difference of 0.01
+    excess = {1: (0.0, 1e-3), 4: (1e-5, 1e-5), 16: (0.0, 0.0)}
+    found.compared["mitsuba"] = [Compared((0.01, 0.0), excess)]
     found.judge()
     (verdict,) = (verdict for verdict in found.verdicts if verdict.name.startswith("mitsuba's PSNR"))
     assert (verdict.name, verdict.state) == ("mitsuba's PSNR less ours by means over 4 x 4 pixels, dB", "kept")

@@ -5,10 +5,11 @@ from __future__ import annotations
 from typing import Any
 
 from neurad.core.errors import InputError
+from neurad.export.mitsuba import LLVM
 from neurad.runtime.machine import usable_cores
 
 VARIANT = "llvm_ad_rgb"
-HOW = "apt-get install libllvm19, or set DRJIT_LIBLLVM_PATH to a libLLVM.so of version 16 or newer"
+HOW = f"apt-get install libllvm19, or set DRJIT_LIBLLVM_PATH to a libLLVM.so of version {LLVM[0]} or newer"
 
 
 def load_mitsuba() -> Any:
@@ -24,6 +25,8 @@ def load_mitsuba() -> Any:
         raise InputError("bench peer: it needs the package mitsuba: pip install 'neurad[mitsuba]'") from error
     try:
         mi.set_variant(VARIANT)
+        if dr.detail.llvm_version() < LLVM:
+            raise ValueError(f"it finds no LLVM of version {LLVM[0]} or newer")
         dr.set_thread_count(usable_cores())
         dr.eval(mi.Float(0.0) + dr.opaque(mi.Float, 1.0))
     except (ImportError, RuntimeError, AttributeError, ValueError) as error:
