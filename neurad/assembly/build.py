@@ -26,7 +26,7 @@ from neurad.emitters.fitted import FittedEnvironment
 from neurad.emitters.fitted_lamps import FittedLamps
 from neurad.emitters.lights import Lights, WithPunctual, make_lights
 from neurad.fields.development import FittedDevelopment
-from neurad.fields.material import AROUND, REACH, AlbedoField, Correction, RoughnessField
+from neurad.fields.material import AlbedoField, Correction, RoughnessField
 from neurad.fields.radiance import RadianceField
 from neurad.fields.settings import FieldConfig, RadianceConfig, RoughnessConfig
 from neurad.integrators.delta import DeltaSurfaces
@@ -106,25 +106,6 @@ class FittedMaterials(nn.Module):
             return Surface(albedo, albedo.new_ones(1, 1).expand(len(albedo), 1))
         roughness: Tensor = self.roughness(si, albedo)
         return Surface(albedo, roughness)
-
-    @torch.no_grad()
-    def guess(self, si: SurfaceInteraction) -> Surface:
-        """BSDF parameters at the lanes of ``si`` where no photograph shows the surface: what its neighbourhood has.
-
-        There the fine levels of a hash grid hold what photographs have written for other places, so the fields are
-        averaged over a box of some of their finest cells, see :data:`neurad.fields.material.REACH`.
-        """
-        field = self.albedo
-        assert isinstance(field, AlbedoField)
-        albedo, roughness = torch.zeros_like(si.p), si.p.new_full((len(si), 1), float(self.roughness is None))
-        for offset in REACH * field.cell * AROUND:
-            value = field.of_features(field.features(si.p, offset))
-            albedo += value / len(AROUND)
-            if self.roughness is not None:
-                roughness += self.roughness.of_features(self.roughness.features(si.p, offset), value) / len(AROUND)
-        if self.roughness is not None:
-            roughness = self.roughness.with_known(si, self.roughness.corrected(roughness, si.p))
-        return Surface(field.with_known(si, albedo), roughness)
 
 
 def build_materials(

@@ -51,12 +51,11 @@ class Materials(Protocol):
 
 
 @runtime_checkable
-class Guessing(Protocol):
-    """Materials that know that they were recovered, and have another answer where no photograph shows the surface."""
+class Recovered(Materials, Protocol):
+    """Materials that were recovered from photographs."""
 
-    def guess(self, si: SurfaceInteraction) -> Surface:
-        """BSDF parameters at the lanes of ``si`` by what their neighbourhood has."""
-        ...
+    known_meshes: frozenset[int]
+    """Meshes on which the scene's own values hold instead."""
 
 
 class LobeKernels(Protocol):

@@ -38,7 +38,6 @@ class DenseGrid(nn.Module):
     def __init__(self, size: int, channels: int, use_kernels: bool = True) -> None:
         super().__init__()
         self.size = size
-        self.cells = size - 1  # along a side
         self.channels = channels
         self.use_kernels = use_kernels
         self._marks: tuple[Any, ...] = ()

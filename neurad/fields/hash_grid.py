@@ -57,7 +57,6 @@ class HashGrid(nn.Module):
         self.levels = levels
         self.features = features
         self.channels = levels * features
-        self.cells = rows[-1][0]  # along a side of the finest level
         self.use_kernels = use_kernels
         self.register_buffer("level_table", torch.tensor(rows), persistent=False)  # [levels, 4], int64
         self.table = nn.Parameter(torch.empty(first, features).uniform_(-1e-4, 1e-4))

@@ -21,11 +21,6 @@ MIN_ROUGHNESS = 0.02
 CORRECTION_CELLS = 64
 """Cells along the unit cube of what a closing step adds to the roughness."""
 
-REACH = 2.0
-"""Half of the side of the box around a point that its neighbourhood is, in cells of the albedo's finest level."""
-AROUND = torch.cartesian_prod(*[torch.tensor([-2.0, 0.0, 2.0]) / 3.0] * 3)
-"""Places evenly spread over a box of half the side 1 around a point [27, 3]."""
-
 
 class Correction(nn.Module):
     """What is added to a field [n, 1] at positions in the unit cube [n, 3]: nothing at first. No optimizer has it."""
@@ -79,21 +74,10 @@ class _MaterialField(nn.Module):
         self.cube = cube
         self.grid, self.mlp = make_layers(config, channels, extra)
 
-    def features(self, p: Tensor, offset: Tensor | None = None) -> Tensor:
-        """What the grid says [n, k] at positions [n, 3]: what :meth:`of_features` makes values of.
-
-        Args:
-            p: positions in the scene.
-            offset: from them in the unit cube [3], to ask beside them.
-        """
-        x = self.cube(p)
-        found: Tensor = self.grid(x if offset is None else (x + offset.to(x)).clamp(0.0, 1.0))
+    def features(self, p: Tensor) -> Tensor:
+        """What the grid says [n, k] at positions [n, 3]: what :meth:`of_features` makes values of."""
+        found: Tensor = self.grid(self.cube(p))
         return found
-
-    @property
-    def cell(self) -> float:
-        """Side of a cell of the grid's finest level in the unit cube."""
-        return 1.0 / float(self.grid.cells)  # type: ignore[arg-type]
 
     def _values(self, features: Tensor, *extra: Tensor) -> Tensor:
         """Sigmoid outputs [n, c] of features [n, k] and the ``extra`` inputs [n, e]."""

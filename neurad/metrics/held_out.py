@@ -18,11 +18,12 @@ from torch import Tensor
 
 from neurad.core.camera import camera_rays
 from neurad.core.errors import InputError
-from neurad.core.protocols import Guessing, Materials, Tracer
+from neurad.core.protocols import Materials, Recovered, Tracer
 from neurad.core.records import FloatArray, Surface, SurfaceInteraction, View
 from neurad.core.rng import Stream
 from neurad.integrators.film import pixel_positions, strided
 from neurad.metrics.colour_lookup import MOST_VIEWS, ColourLookup
+from neurad.metrics.neighbours import Neighbours
 from neurad.metrics.scores import BoolArray
 from neurad.metrics.seen import SeenBy
 from neurad.runtime.progress import counted
@@ -74,7 +75,8 @@ class HeldOut:
         self.grid = grid
         self.stride = stride
         self.has_roughness = not scene.features.is_diffuse
-        self.training = SeenBy(geometry, tracer, [view.camera for view in scene.train])
+        cameras = [view.camera for view in scene.train]
+        self.training, self.neighbours = SeenBy(geometry, tracer, cameras), Neighbours(geometry, tracer, cameras)
         self._room = CACHE_BYTES
         self._hits: dict[tuple[int, int], _Hits] = {}
         self._counted: dict[int, BoolArray] = {}
@@ -231,14 +233,14 @@ class HeldOut:
     def predict(self, materials: Materials) -> list[dict[str, FloatArray]]:
         """Box-filtered ``albedo`` [h, w, 3] and ``roughness`` [h, w, 1] of every view; 0 where nothing is hit.
 
-        Materials that can guess do so in pixels of surfaces that no training view sees.
+        Where no training view sees the surface, recovered materials are guessed, see :class:`Neighbours`.
         """
         maps = []
         for index in counted(range(len(self.views)), "evaluating", len(self.views), "materials"):
             albedo, roughness = [], []
             for part, si in self.sub_samples(index):
                 surface = materials(si)
-                if isinstance(materials, Guessing):
+                if isinstance(materials, Recovered):
                     surface = self._guessed(materials, surface, si, index, part)
                 valid = si.valid[:, None]
                 albedo.append(self._pixels(part, torch.where(valid, surface.albedo, 0.0)).mean(1))
@@ -248,14 +250,18 @@ class HeldOut:
         return maps
 
     def _guessed(
-        self, materials: Guessing, surface: Surface, si: SurfaceInteraction, index: int, part: slice
+        self, materials: Recovered, surface: Surface, si: SurfaceInteraction, index: int, part: slice
     ) -> Surface:
         """The surface of a chunk, guessed in the pixels that no training view sees."""
         unseen = torch.from_numpy(~self.seen(index).reshape(-1)[part]).to(si.p.device)
-        lanes = (unseen.repeat_interleave(self.grid**2) & si.valid).nonzero().squeeze(-1)
+        known = torch.zeros(int(self.geometry.mesh_index.max()) + 1, dtype=torch.bool, device=si.p.device)
+        known[list(materials.known_meshes)] = True
+        free = si.valid & ~known[self.geometry.mesh_index[si.prim.clamp_min(0)]]
+        lanes = (unseen.repeat_interleave(self.grid**2) & free).nonzero().squeeze(-1)
         if len(lanes) == 0:
             return surface
-        guess = materials.guess(si[lanes])
+        kept, guess = self.neighbours.guess(materials, si[lanes], lanes // self.grid**2)
+        lanes = lanes[kept]
         pairs = ((surface.albedo, guess.albedo), (surface.roughness, guess.roughness))
         albedo, roughness = (whole.index_copy(0, lanes, part.to(whole)) for whole, part in pairs)
         return Surface(albedo, roughness)

@@ -22,8 +22,6 @@ def test_emitters_keep_the_materials_of_the_scene():
     assert 0 < int(lamp.sum()) < len(lamp)
     assert torch.equal(found.albedo[lamp], true.albedo[lamp])
     assert torch.equal(found.roughness[lamp], true.roughness[lamp])
-    assert torch.equal(made.guess(si).albedo[lamp], true.albedo[lamp])
-    assert torch.equal(made.guess(si).roughness[lamp], true.roughness[lamp])
     free = build_materials(scene, SMALL, SMALL)
     free.load_state_dict(made.state_dict())  # nothing known is in a checkpoint
     assert torch.equal(found.albedo[~lamp], free(si).albedo[~lamp])

@@ -1,0 +1,94 @@
+"""What a surface that no photograph shows is likely to be: what the photographed parts of its mesh beside it are."""
+
+from __future__ import annotations
+
+from functools import cached_property
+
+import torch
+from torch import Tensor
+
+from neurad.core.camera import camera_rays
+from neurad.core.protocols import Materials, Tracer
+from neurad.core.records import Camera, Surface, SurfaceInteraction
+from neurad.core.rng import Stream
+from neurad.scene.geometry import Geometry
+
+POINTS = 1 << 15
+"""Points of photographed surface among which neighbours are looked for."""
+NEAREST = 64
+"""Neighbours that an answer is the mean of, each weighted by the inverse of its distance."""
+TURNED = 3.0
+"""Times that a neighbour counts as farther away that faces to the side; one that faces back counts twice as much so."""
+_PAIRS = 1 << 24  # distances in memory at once
+_STREAM = 53  # last number of the stream's key
+
+
+class Neighbours:
+    """Photographed points of every mesh.
+
+    Args:
+        geometry: the triangles.
+        tracer: casts rays against them.
+        cameras: the training cameras.
+    """
+
+    def __init__(self, geometry: Geometry, tracer: Tracer, cameras: list[Camera]) -> None:
+        self.geometry, self.tracer, self.cameras = geometry, tracer, cameras
+
+    @cached_property
+    def points(self) -> SurfaceInteraction:
+        """Random ones that the training views show, as many of each view."""
+        parts, device = [], self.geometry.vertices.device
+        count = max(1, POINTS // max(len(self.cameras), 1))
+        for index, camera in enumerate(self.cameras):
+            xy = Stream(index, count, _STREAM, device=device).uniform(count, 2)
+            rays = camera_rays(camera, xy * xy.new_tensor([camera.width, camera.height]))
+            hit = self.tracer.closest(rays)
+            lanes = (hit.prim >= 0).nonzero().squeeze(-1)
+            parts.append((hit.prim[lanes].long(), hit.u[lanes], hit.v[lanes], -rays.d[lanes]))
+        prim, u, v, wo = (torch.cat(column) for column in zip(*parts, strict=True))
+        return self.geometry.interact_at(prim, u, v, wo, torch.ones_like(prim, dtype=torch.bool))
+
+    @torch.no_grad()
+    def guess(self, materials: Materials, si: SurfaceInteraction, pixel: Tensor) -> tuple[Tensor, Surface]:
+        """Lanes [k] of ``si`` on meshes of which photographs show a part, and what they are guessed to be there.
+
+        Args:
+            materials: as they were recovered.
+            si: points that no photograph shows [n].
+            pixel: number of the pixel that each is in [n]; the points of one pixel on one mesh have one answer.
+        """
+        mesh = self.geometry.mesh_index
+        # ---------------------- One place for each pixel and mesh ----------------------
+        key = pixel * (int(mesh.max()) + 1) + mesh[si.prim]
+        places, of_place = torch.unique(key, return_inverse=True)
+        first = torch.full_like(places, len(key)).scatter_reduce(
+            0, of_place, torch.arange(len(key), device=key.device), "amin"
+        )
+        at = si[first]
+        # ---------------------- Neighbours, mesh by mesh ----------------------
+        shown = mesh[self.points.prim]  # [points]
+        albedo, roughness = at.p.new_zeros(len(at), 3), at.p.new_zeros(len(at), 1)
+        found = torch.zeros(len(at), dtype=torch.bool, device=key.device)
+        for number in torch.unique(mesh[at.prim]).tolist():
+            near = self.points[(shown == number).nonzero().squeeze(-1)]
+            if len(near) == 0:
+                continue
+            surface = materials(near)
+            mine = (mesh[at.prim] == number).nonzero().squeeze(-1)
+            for lanes in mine.split(max(1, _PAIRS // len(near))):
+                weight, index = _nearest(at[lanes], near)
+                albedo[lanes] = (weight * surface.albedo[index]).sum(1)
+                roughness[lanes] = (weight * surface.roughness[index]).sum(1)
+            found[mine] = True
+        kept = found[of_place].nonzero().squeeze(-1)
+        return kept, Surface(albedo[of_place[kept]], roughness[of_place[kept]])
+
+
+def _nearest(at: SurfaceInteraction, near: SurfaceInteraction) -> tuple[Tensor, Tensor]:
+    """Weights [n, k, 1] that sum to 1, and indices [n, k], of the points that lie nearest to each of some."""
+    away = torch.cdist(at.p, near.p, compute_mode="donot_use_mm_for_euclid_dist")  # as a product it would lose digits
+    distance = away * (1.0 + TURNED * (1.0 - at.n @ near.n.T))
+    least, index = distance.topk(min(NEAREST, len(near)), largest=False)
+    weight = 1.0 / least.clamp_min(torch.finfo(least.dtype).tiny ** 0.5)
+    return (weight / weight.sum(1, keepdim=True)).unsqueeze(-1), index
