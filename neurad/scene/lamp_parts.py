@@ -12,7 +12,7 @@ from neurad.core.records import FloatArray, IntArray, Mesh
 from neurad.scene.description import Scene
 
 MOST = 256
-"""Parts of a mesh: more lamps than photographs tell apart."""
+"""Most parts of a mesh: photographs do not separate more lamps."""
 
 
 def lamps_in_parts(scene: Scene) -> Scene:
@@ -58,7 +58,7 @@ def _parts(mesh: Mesh, part: IntArray, names: set[str], scene: str) -> Iterator[
     if count > MOST:
         raise InputError(
             f"scene {scene}: model.lighting.split_lamps is true, but mesh {mesh.name} has {count} parts that are not "
-            f"connected, and more than {MOST} lamps are not told from each other; leave the option out"
+            f"connected, and photographs do not separate more than {MOST} lamps; leave the option out"
         )
     for index in range(count):
         used, corners = np.unique(mesh.faces[part == index], return_inverse=True)
