@@ -116,7 +116,7 @@ class SceneData(pl.LightningDataModule, TrainingPhotographs):
         return load_scene(self.root, self.scene_name, self.hold_out, self._photography)
 
     def relight(self, scene: Scene) -> None:
-        """Take a scene of the same views, in which other meshes shine, from now on."""
+        """Take a scene of the same views and triangles, in which other meshes or parts of them shine, from now on."""
         self.__dict__["scene"] = scene
 
     def setup(self, stage: str) -> None:

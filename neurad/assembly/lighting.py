@@ -67,7 +67,7 @@ def lit_scene(scene: Scene, settings: Lighting, lamps: Sequence[Shining] | None)
         InputError: a lamp falls into too many parts.
     """
     scene = scene if lamps is None else shining_scene(scene, lamps)
-    return lamps_in_parts(scene) if settings.split_lamps and settings.emitters != "known" else scene
+    return lamps_in_parts(scene) if settings.split_lamps else scene
 
 
 def unknown_environment(scene: Scene, settings: Lighting) -> FittedEnvironment | None:

@@ -151,6 +151,11 @@ class Lighting:
             raise InputError(
                 f"model.lighting.emitters: '{self.emitters}' is unknown, choose known, photographs, fit or find"
             )
+        if self.split_lamps and self.emitters == "known":
+            raise InputError(
+                "model.lighting.split_lamps: it splits lamps whose radiance is recovered, so choose "
+                "model.lighting.emitters photographs, fit or find, too"
+            )
         if self.lamp_mismatch not in ("refuse", "warn"):
             raise InputError(f"model.lighting.lamp_mismatch: '{self.lamp_mismatch}' is unknown, choose refuse or warn")
         checked(self)

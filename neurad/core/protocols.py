@@ -51,8 +51,8 @@ class Materials(Protocol):
 
 
 @runtime_checkable
-class Recovered(Materials, Protocol):
-    """Materials that were recovered from photographs."""
+class Recovered(Protocol):
+    """Beside :class:`Materials`: they were recovered from photographs."""
 
     known_meshes: frozenset[int]
     """Meshes on which the scene's own values hold instead."""

@@ -399,6 +399,8 @@ class Mesh:
     """Named vertex values [v, channels]."""
     radiance: FloatArray | None = None
     """Emitted radiance [3] to the side of the geometric normal, or None."""
+    part_of: str | None = None
+    """Name of the mesh that this is a connected part of, where lamps were split."""
 
 
 @dataclass(frozen=True)

@@ -34,18 +34,31 @@ def no_mitsuba() -> str | None:
 @contextmanager
 def fastest_mitsuba() -> Iterator[Any]:
     """The package with the fastest of its variants for CPUs set, ``llvm_ad_rgb`` where it finds a fitting LLVM and
-    ``scalar_rgb`` otherwise, at a fifth of the speed; the variant that was set before is set again afterwards.
+    ``scalar_rgb`` otherwise, at a fifth of the speed. The variant that was set before is set again afterwards,
+    ``scalar_rgb`` where none was.
     """
-    import drjit as dr
     import mitsuba as mi
 
     before = mi.variant()
-    mi.set_variant("llvm_ad_rgb" if dr.detail.llvm_version() >= LLVM else "scalar_rgb")
-    dr.set_thread_count(usable_cores())
     try:
+        mi.set_variant("llvm_ad_rgb" if compiles() else "scalar_rgb")
         yield mi
     finally:
         mi.set_variant(before or "scalar_rgb")
+
+
+def compiles() -> bool:
+    """Whether an LLVM is there that Mitsuba can compile with; it then has a thread for each usable core."""
+    import drjit as dr
+
+    if dr.detail.llvm_version() < LLVM:
+        return False
+    try:
+        dr.set_thread_count(usable_cores())
+        dr.eval(dr.llvm.Float(0.0) + dr.opaque(dr.llvm.Float, 1.0))
+    except (RuntimeError, ValueError):
+        return False
+    return True
 
 
 def sensor(scene: Scene, camera: Camera, width: int, height: int, samples: int = 16, alpha: bool = False) -> Node:

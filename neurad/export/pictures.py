@@ -21,8 +21,8 @@ WHITE = 1.0
 """Values of a photograph from here on are white on a screen. They are left out of squared differences: on the edges of
 lamps and windows, which are many times as bright, noise and the photograph's own decide over all else."""
 BRIGHTEST = 4.0
-"""What a sample counts as at most where two pictures of neurad's path tracer are compared, in multiples of white: few
-that are hundreds of times as bright make most of the noise. Two renderers cannot be compared so, as the light in their
+"""What a sample counts as at most where the change between two pictures of neurad's path tracer is looked for: few that
+are hundreds of times as bright make most of the noise. Two renderers cannot be compared so, as the light in their
 brightest samples depends on how they draw them: the second view of veach-ajar has 5 % there, in Mitsuba 15 %."""
 BLOCKS = 1, 4, 16
 """Sides in pixels of the blocks over whose means pictures are compared: more pixels average more of the noise."""
@@ -71,30 +71,33 @@ class Compared:
     """By how much the renderer's exceeds that, see :func:`excess`, by the side of the blocks."""
 
     @classmethod
-    def of(cls, theirs: FloatArray, ours: FloatArray, photo: FloatArray) -> Self:
-        """Compare passes [k, h, w, 3] with others and with the photograph [h, w, 3]."""
-        return cls(squared_difference(ours, photo), {block: excess(theirs, ours, photo, block) for block in BLOCKS})
+    def of(cls, theirs: FloatArray, ours: FloatArray, photo: FloatArray, change: FloatArray | None = None) -> Self:
+        """Compare passes [k, h, w, 3] with others and the photograph [h, w, 3]; ``change`` as in :func:`excess`."""
+        return cls(
+            squared_difference(ours, photo),
+            {block: excess(theirs, ours, photo, block, change) for block in BLOCKS},
+        )
 
 
 def drawn(
     draw: Callable[[int], FloatArray], photo: FloatArray | None, most: int = PASSES, least: int = 2
 ) -> FloatArray:
-    """Pairs of passes of a view [k, h, w, c], until its mean and its difference to the photograph are known.
+    """Passes of a view [k, h, w, c], twice as many again until its mean and its difference to the photograph are known.
 
     Args:
         draw: the picture [h, w, c] by a seed; see :data:`Draw`.
         photo: to compare with [h, w, 3], linear.
-        most: passes; two at least.
-        least: passes, even where fewer would do.
+        most: passes, an even number of them.
+        least: passes, even where fewer would do; an even number, too.
     """
     passes: list[FloatArray] = []
+    count = max(least, 2)
     while True:
-        passes += [draw(len(passes)), draw(len(passes) + 1)]
-        if len(passes) >= max(most, 2):
-            return np.stack(passes)
-        if len(passes) < least:
-            continue
+        passes += [draw(seed) for seed in range(len(passes), count)]
         found = np.stack(passes)
+        if count >= most:
+            return found
+        count = min(2 * count, most)
         whole = found[..., :3]
         if _error_of_mean(whole) > ERROR * abs(float(whole.mean())):
             continue
@@ -115,10 +118,13 @@ def squared_difference(passes: FloatArray, photo: FloatArray) -> Estimate:
         passes: [k, h, w, 3], an even number of them.
         photo: [h, w, 3].
     """
-    return _summed(_off(passes, photo, 1), None, photo)
+    off = _counting(passes.astype(np.float64) - photo, photo, 1)
+    return _summed(off, off, photo)
 
 
-def excess(theirs: FloatArray, ours: FloatArray, photo: FloatArray, block: int = 1) -> Estimate:
+def excess(
+    theirs: FloatArray, ours: FloatArray, photo: FloatArray, block: int = 1, change: FloatArray | None = None
+) -> Estimate:
     """By how much the :func:`squared_difference` of some pictures to a photograph exceeds that of others.
 
     Renderers that were given the same random numbers share their noise, and most of it cancels here.
@@ -128,20 +134,23 @@ def excess(theirs: FloatArray, ours: FloatArray, photo: FloatArray, block: int =
         ours: passes [k, h, w, 3]; as many where random numbers are shared.
         photo: [h, w, 3].
         block: what differences over blocks of this side in pixels make of it, by their means over a block; 1 is all.
+        change: of theirs from ours [k, h, w, 3], as many passes, without what is not to count; None for all of it.
     """
-    first, second = _off(theirs, photo, block), _off(ours, photo, block)
+    first, second = (_counting(passes.astype(np.float64) - photo, photo, block) for passes in (theirs, ours))
     if len(first) == len(second):
-        return _summed(first, second, photo)
-    (a, a_error), (b, b_error) = _summed(first, None, photo), _summed(second, None, photo)
+        # squares of both differ by the change times the sum
+        changed = first - second if change is None else _counting(change.astype(np.float64), photo, block)
+        return _summed(changed, first + second, photo)
+    (a, a_error), (b, b_error) = _summed(first, first, photo), _summed(second, second, photo)
     return a - b, float(np.hypot(a_error, b_error))
 
 
-def _off(passes: FloatArray, photo: FloatArray, block: int) -> Float64Array:
-    """Differences to a photograph [k, n, 3] of pixels, zero where that is white; or of blocks, by their sums over the
-    root of how many values there are: summed squares are then those of as many pixels with the mean of the block.
+def _counting(values: Float64Array, photo: FloatArray, block: int) -> Float64Array:
+    """Values [k, h, w, 3] as those of pixels [k, n, 3], zero where the photograph is white; or of blocks, by their sums
+    over the root of how many there are: summed squares are then those of as many pixels with the mean of the block.
     """
     counts = photo < WHITE
-    off = np.where(counts, passes.astype(np.float64) - photo, 0.0)
+    off = np.where(counts, values, 0.0)
     if block == 1:
         return off.reshape(len(off), -1, 3)
     height, width = photo.shape[:2]
@@ -152,8 +161,8 @@ def _off(passes: FloatArray, photo: FloatArray, block: int) -> Float64Array:
     return scaled
 
 
-def _summed(first: Float64Array, second: Float64Array | None, photo: FloatArray) -> Estimate:
-    """Squares of differences [k, n, 3], less those of others, over the number of values that count.
+def _summed(first: Float64Array, second: Float64Array, photo: FloatArray) -> Estimate:
+    """Products of values [k, n, 3] with others, over the number of values that count.
 
     Products of different passes, whose noise is independent, have none of it on average. Pixels are independent, so
     variances add up. That of a pixel is its square less what products of four different passes say of the squared
@@ -163,9 +172,7 @@ def _summed(first: Float64Array, second: Float64Array | None, photo: FloatArray)
     count, values = len(first), max(int((photo < WHITE).sum()), 1)
     total, variance = 0.0, 0.0
     for begin in range(0, first.shape[1], CHUNK):
-        gram = _gram(first[:, begin : begin + CHUNK])
-        if second is not None:
-            gram -= _gram(second[:, begin : begin + CHUNK])
+        gram = _gram(first[:, begin : begin + CHUNK], second[:, begin : begin + CHUNK])
         own = np.einsum("nii->ni", gram)
         pairs = gram - own[:, :, None] * np.eye(count)
         rows = pairs.sum(2)
@@ -180,11 +187,11 @@ def _summed(first: Float64Array, second: Float64Array | None, photo: FloatArray)
     return total / values, float(np.sqrt(max(variance, 0.0))) / values
 
 
-def _gram(off: Float64Array) -> Float64Array:
-    """Products of every two passes of each pixel [n, k, k]."""
-    by_pixel = np.ascontiguousarray(off.transpose(1, 0, 2))
-    products: Float64Array = by_pixel @ by_pixel.transpose(0, 2, 1)
-    return products
+def _gram(first: Float64Array, second: Float64Array) -> Float64Array:
+    """Products of every two passes of each pixel [n, k, k], the same in both orders."""
+    a, b = (np.ascontiguousarray(values.transpose(1, 0, 2)) for values in (first, second))
+    products: Float64Array = a @ b.transpose(0, 2, 1)
+    return 0.5 * (products + products.transpose(0, 2, 1))
 
 
 def _error_of_mean(passes: FloatArray) -> float:

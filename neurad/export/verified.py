@@ -114,7 +114,8 @@ class Verified:
         return _mean([x for i, x in enumerate(shown) if x is not None and view in (None, i)])
 
     def difference(self, name: str, block: int = 1) -> Estimate:
-        """PSNR of a renderer less that of the baked room in neurad, in dB; zeros without photographs.
+        """PSNR of a renderer less that of the baked room in neurad, in dB; zeros without photographs. Of the fields by
+        samples of at most :data:`~neurad.export.pictures.BRIGHTEST`.
 
         Args:
             name: of the renderer.
@@ -149,6 +150,12 @@ class Verified:
         return {
             "psnr_below_white": self.psnr(name),
             "psnr_standard_error": self.psnr_error(name),
+            "psnr_less_baked": {
+                f"{block} x {block} pixels": dict(
+                    zip(("value", "standard_error"), self.difference(name, block), strict=True)
+                )
+                for block in (BLOCKS if name in self.compared else ())
+            },
             "ratio_of_means": means[0] / max(means[1], 1e-30),
             "worst_view": {"name": self.views[worst].name, "ratio_of_means": ratios[worst]},
             "views": {

@@ -187,9 +187,9 @@ def _render(found: Verified, draws: dict[str, Draw], progress: Progress) -> None
             found.pictures[name].add(passes[name][..., :3], photo)
             progress.step()
         for name, views in found.compared.items():
-            part = slice(3, None) if name == "fields" else slice(3)  # of one renderer what is too bright is left out
-            theirs, ours = passes[name][..., part], passes["baked"][..., part]
-            views.append(None if photo is None else Compared.of(theirs, ours, photo))
+            theirs, ours = passes[name], passes["baked"]
+            change = (theirs - ours)[..., 3:] if name == "fields" else None  # by samples that are not too bright
+            views.append(None if photo is None else Compared.of(theirs[..., :3], ours[..., :3], photo, change))
     for name in draws:
         if (score := found.psnr(name)) is not None:
             found.scores[f"picture_psnr_{name}"] = score

@@ -241,7 +241,7 @@ class HeldOut:
             for part, si in self.sub_samples(index):
                 surface = materials(si)
                 if isinstance(materials, Recovered):
-                    surface = self._guessed(materials, surface, si, index, part)
+                    surface = self._guessed(materials, materials.known_meshes, surface, si, index, part)
                 valid = si.valid[:, None]
                 albedo.append(self._pixels(part, torch.where(valid, surface.albedo, 0.0)).mean(1))
                 roughness.append(self._pixels(part, torch.where(valid, surface.roughness, 0.0)).mean(1))
@@ -250,12 +250,18 @@ class HeldOut:
         return maps
 
     def _guessed(
-        self, materials: Recovered, surface: Surface, si: SurfaceInteraction, index: int, part: slice
+        self,
+        materials: Materials,
+        known_meshes: frozenset[int],
+        surface: Surface,
+        si: SurfaceInteraction,
+        index: int,
+        part: slice,
     ) -> Surface:
-        """The surface of a chunk, guessed in the pixels that no training view sees."""
+        """The surface of a chunk, guessed in the pixels that no training view sees, but not on known meshes."""
         unseen = torch.from_numpy(~self.seen(index).reshape(-1)[part]).to(si.p.device)
         known = torch.zeros(int(self.geometry.mesh_index.max()) + 1, dtype=torch.bool, device=si.p.device)
-        known[list(materials.known_meshes)] = True
+        known[list(known_meshes)] = True
         free = si.valid & ~known[self.geometry.mesh_index[si.prim.clamp_min(0)]]
         lanes = (unseen.repeat_interleave(self.grid**2) & free).nonzero().squeeze(-1)
         if len(lanes) == 0:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Mapping, Sequence
 from pathlib import Path
+from types import MappingProxyType
 
 import numpy as np
 import numpy.typing as npt
@@ -23,15 +24,17 @@ MISSED, EXTRA = "lamps_missed", "lamps_extra"
 """Columns of a run that finds which meshes shine: how many that do were not found, and how many found do not."""
 
 
-def read_lamps_true(path: str, names: Sequence[str], found: bool = False) -> tuple[Array, int]:
+def read_lamps_true(
+    path: str, names: Sequence[str], found: bool = False, wholes: Mapping[str, str] = MappingProxyType({})
+) -> tuple[Array, int]:
     """True radiance of lamps [m, 3], from a table with columns ``mesh``, ``r``, ``g`` and ``b``, as ``lamps.csv`` has
-    them, and how many meshes of the table shine and are none of these. A part of a lamp, ``NAME_2``, that the table
-    lacks is as bright as ``NAME``.
+    them, and how many meshes of the table shine and are none of these.
 
     Args:
         path: of the table.
         names: of the lamps' meshes.
         found: they were found to shine, so one that the table lacks does not: its true radiance is 0.
+        wholes: the mesh that each part of a split lamp belongs to; a part that the table lacks is as bright.
 
     Raises:
         InputError: there is no such table, a lamp is missing in it, or a radiance is no number or negative.
@@ -49,10 +52,10 @@ def read_lamps_true(path: str, names: Sequence[str], found: bool = False) -> tup
         if not all(0.0 <= value <= RADIANCE for value in rgb):  # neither is NaN
             raise InputError(f"{option}: the radiance of {row['mesh']} must be three numbers from 0 to {RADIANCE:g}")
         given[row["mesh"]] = rgb
-    rows_of = [name if name in given else name.rpartition("_")[0] for name in names]
+    rows_of = [name if name in given else wholes.get(name, name) for name in names]
     if not found and (left := [name for name, row in zip(names, rows_of, strict=True) if row not in given]):
         raise InputError(f"{option}: lamp {left[0]} of the scene is not in it")
-    missed = sum(any(rgb) for name, rgb in given.items() if name not in rows_of)
+    missed = sum(any(rgb) for name, rgb in given.items() if name not in rows_of and name not in wholes.values())
     return np.array([given.get(name, [0.0] * 3) for name in rows_of]).reshape(-1, 3), missed
 
 

@@ -13,13 +13,13 @@ from neurad.core.records import Camera, Surface, SurfaceInteraction
 from neurad.core.rng import Stream
 from neurad.scene.geometry import Geometry
 
-POINTS = 1 << 15
+POINTS = 1 << 14
 """Points of photographed surface among which neighbours are looked for."""
 NEAREST = 64
 """Neighbours that an answer is the mean of, each weighted by the inverse of its distance."""
 TURNED = 3.0
-"""Times that a neighbour counts as farther away that faces to the side; one that faces back counts twice as much so."""
-_PAIRS = 1 << 24  # distances in memory at once
+"""A neighbour at an angle counts as ``1 + TURNED (1 - cos)`` times as far away: 4 times one that faces to the side."""
+_PAIRS = 1 << 22  # distances in memory at once
 _STREAM = 53  # last number of the stream's key
 
 
@@ -37,8 +37,10 @@ class Neighbours:
 
     @cached_property
     def points(self) -> SurfaceInteraction:
-        """Random ones that the training views show, as many of each view."""
-        parts, device = [], self.geometry.vertices.device
+        """Random ones that the training views show, as many of each view; none without views."""
+        device = self.geometry.vertices.device
+        none = self.geometry.vertices.new_zeros(0)
+        parts = [(torch.zeros(0, dtype=torch.int64, device=device), none, none, none.new_zeros(0, 3))]
         count = max(1, POINTS // max(len(self.cameras), 1))
         for index, camera in enumerate(self.cameras):
             xy = Stream(index, count, _STREAM, device=device).uniform(count, 2)
@@ -87,8 +89,8 @@ class Neighbours:
 
 def _nearest(at: SurfaceInteraction, near: SurfaceInteraction) -> tuple[Tensor, Tensor]:
     """Weights [n, k, 1] that sum to 1, and indices [n, k], of the points that lie nearest to each of some."""
-    away = torch.cdist(at.p, near.p, compute_mode="donot_use_mm_for_euclid_dist")  # as a product it would lose digits
-    distance = away * (1.0 + TURNED * (1.0 - at.n @ near.n.T))
-    least, index = distance.topk(min(NEAREST, len(near)), largest=False)
-    weight = 1.0 / least.clamp_min(torch.finfo(least.dtype).tiny ** 0.5)
+    turned = 1.0 + TURNED * (1.0 - at.n @ near.n.T)
+    index = (torch.cdist(at.p, near.p) * turned).topk(min(NEAREST, len(near)), largest=False).indices
+    away = torch.linalg.vector_norm(at.p.unsqueeze(1) - near.p[index], dim=-1)  # products of matrices lose digits
+    weight = 1.0 / (away * turned.gather(1, index)).clamp_min(torch.finfo(away.dtype).tiny ** 0.5)
     return (weight / weight.sum(1, keepdim=True)).unsqueeze(-1), index

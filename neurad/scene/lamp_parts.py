@@ -39,8 +39,10 @@ def parts_of(mesh: Mesh) -> IntArray:
     part = np.arange(len(places))  # of each place: the lowest place that it is known to be connected with
     while True:
         lower = part.copy()
-        np.minimum.at(lower, faces, part[faces].min(1, keepdims=True))
-        lower = lower[lower]
+        of_corners = part[faces]
+        np.minimum.at(lower, of_corners, of_corners.min(1, keepdims=True))  # what they hang on, so that chains halve
+        while not np.array_equal(lower, lower[lower]):
+            lower = lower[lower]
         if np.array_equal(lower, part):
             break
         part = lower
@@ -78,4 +80,5 @@ def _parts(mesh: Mesh, part: IntArray, names: set[str], scene: str) -> Iterator[
             normals=of_used(mesh.normals),
             uvs=of_used(mesh.uvs),
             attributes={key: values[used] for key, values in mesh.attributes.items()},
+            part_of=mesh.name,
         )

@@ -148,7 +148,8 @@ class InverseRenderer(L.LightningModule):
         """Build world, materials and, for a method that reads it, the radiance field from the scene, once.
 
         Raises:
-            InputError: the trainer's precision is one that light transport does not work in.
+            InputError: the trainer's precision is one that light transport does not work in, or a lamp falls into too
+                many parts.
         """
         if hasattr(self, "materials"):
             return
@@ -188,7 +189,8 @@ class InverseRenderer(L.LightningModule):
         path = getattr(self.trainer.datamodule, "lamps_true", None)  # type: ignore[attr-defined]
         if path is None or self.assembly.lamps is None:
             return None
-        return read_lamps_true(path, self._lamp_names(), found=self._shining is not None)
+        wholes = {mesh.name: mesh.part_of for mesh in self.scene.meshes if mesh.part_of is not None}
+        return read_lamps_true(path, self._lamp_names(), self._shining is not None, wholes)
 
     def _lamp_names(self) -> list[str]:
         """Of the lamps that are recovered."""

@@ -95,3 +95,28 @@ def test_mitsuba_is_left_out_where_it_would_wait_forever(monkeypatch):
     assert mitsuba.no_mitsuba() is None
     monkeypatch.setattr(mitsuba, "usable_cores", lambda: 1)
     assert "single core" in mitsuba.no_mitsuba()
+
+
+@pytest.mark.parametrize("before", ["scalar_rgb", None])
+def test_mitsubas_variant_is_set_again_whatever_happens(monkeypatch, before):
+    mi = pytest.importorskip("mitsuba")
+    was = mi.variant()
+    mi.set_variant("scalar_rgb")
+    monkeypatch.setattr(mi, "variant", lambda: before)
+    chosen = []
+
+    def fail():
+        with mitsuba.fastest_mitsuba() as module:
+            chosen.append(module.Float)
+            raise ZeroDivisionError
+
+    for compiled in (True, False):
+        monkeypatch.setattr(mitsuba, "compiles", lambda compiled=compiled: compiled)
+        with pytest.raises(ZeroDivisionError):
+            fail()
+        assert mi.Float is float  # of scalar_rgb
+    monkeypatch.undo()
+    assert chosen[0] is not float
+    assert chosen[1] is float
+    if was is not None:
+        mi.set_variant(was)

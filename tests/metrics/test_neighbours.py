@@ -1,5 +1,6 @@
 """Surfaces that no photograph shows take what the photographed parts of their mesh beside them have."""
 
+import inspect
 from dataclasses import replace
 
 import numpy as np
@@ -7,9 +8,11 @@ import pytest
 import torch
 from helpers.lamp_room import DOWNWARDS, EVERYWHERE, lamp_room
 
-from neurad.assembly.build import build_world
+from neurad.assembly.build import build_materials, build_world
+from neurad.core.protocols import Recovered
 from neurad.core.records import Surface
 from neurad.core.rng import Stream
+from neurad.fields.settings import FieldConfig, GridConfig
 from neurad.metrics import neighbours
 from neurad.metrics.held_out import HeldOut
 from neurad.metrics.neighbours import NEAREST, TURNED, Neighbours
@@ -91,6 +94,27 @@ def test_points_of_a_pixel_have_one_answer_for_each_mesh(room, monkeypatch):
     torch.testing.assert_close(each.albedo, guess.albedo[torch.tensor(list(first.values()))])
     monkeypatch.setattr(neighbours, "_PAIRS", 1000)
     torch.testing.assert_close(found.guess(Striped(), si, pixel)[1].albedo, guess.albedo)
+
+
+def test_without_photographed_points_nothing_is_guessed(room):
+    """No view at all, or views that show nothing."""
+    _, world, si = room
+    pose = np.eye(4, dtype=np.float32)
+    pose[2, 3] = -10.0  # behind the room, which it turns its back to
+    away = replace(EVERYWHERE[0], to_world=pose)
+    for cameras in ([], [away]):
+        kept, guess = of(world, cameras).guess(Striped(), si, torch.arange(len(si)))
+        assert len(kept) == len(guess.albedo) == len(guess.roughness) == 0
+
+
+def test_fitted_materials_count_as_recovered_and_those_of_a_scene_do_not(room):
+    """Also where members are looked up without the modules of a network, as from Python 3.12 on."""
+    scene, world, _ = room
+    small = FieldConfig(GridConfig(levels=2, coarsest=2, finest=4, log2_size=8), width=8)
+    made = build_materials(scene, small, small, world.geometry)
+    assert isinstance(made, Recovered)
+    assert inspect.getattr_static(made, "known_meshes") == made.known_meshes
+    assert not isinstance(TrueMaterials(scene, world.geometry), Recovered)
 
 
 def test_maps_are_guessed_where_no_training_view_looks_but_not_on_known_meshes(room):

@@ -1,5 +1,6 @@
 """Lamps in parts: what is connected, and that nothing moves."""
 
+import time
 from dataclasses import replace
 
 import numpy as np
@@ -49,6 +50,21 @@ def test_vertices_at_one_place_connect_and_a_long_strip_is_one():
     assert (parts_of(replace(mesh, vertices=vertices)) == 0).all()
     apart = vertices + np.repeat(np.arange(200), 4)[:, None] * np.float32(0.01)
     np.testing.assert_array_equal(parts_of(replace(mesh, vertices=apart)), np.repeat(np.arange(200), 2))
+
+
+def test_a_spiral_is_one_part_after_few_rounds():
+    """A bent tube, whose places are sorted across its turns: rounds grow with the logarithm of its length."""
+    turns = np.linspace(0.0, 60.0 * np.pi, 4000)
+    centre = np.stack((np.cos(turns), np.sin(turns), turns / 40.0), 1)
+    side = np.concatenate((centre, centre + np.array([0.0, 0.0, 0.02]))).astype(np.float32)
+    first = np.arange(3999)
+    faces = np.concatenate(
+        (np.stack((first, first + 1, first + 4000), 1), np.stack((first + 1, first + 4001, first + 4000), 1))
+    )
+    mesh = replace(chandelier(), vertices=side, faces=faces, normals=None, uvs=None)
+    start = time.process_time()
+    assert (parts_of(mesh) == 0).all()
+    assert time.process_time() - start < 1.0  # some hundredths of a second; hooked on one by one it took twenty
 
 
 def test_only_lamps_are_split_and_nothing_moves():

@@ -175,9 +175,10 @@ def two_in_one(tmp_path, monkeypatch):
 
 
 @pytest.mark.main
-def test_parts_of_a_lamp_shine_each_by_itself(two_in_one, capsys):
+@pytest.mark.parametrize("emitters", ["fit", "photographs"])
+def test_parts_of_a_lamp_shine_each_by_itself(two_in_one, emitters):
     """Said by the setting; the run is read back and goes on with the parts as lamps."""
-    fit("--model.lighting.emitters=fit", "--model.lighting.split_lamps=true", "--data.lamps_true=true.csv")
+    fit(f"--model.lighting.emitters={emitters}", "--model.lighting.split_lamps=true", "--data.lamps_true=true.csv")
     found = {row["mesh"]: [float(row[c]) for c in "rgb"] for row in table(FOLDER / "lamps.csv")}
     np.testing.assert_allclose(found["lamps_1"], CEILING, rtol=0.05)
     np.testing.assert_allclose(found["lamps_2"], STRIP, rtol=0.05)
@@ -186,6 +187,12 @@ def test_parts_of_a_lamp_shine_each_by_itself(two_in_one, capsys):
     main(["fit", "--ckpt_path=version_0", "--trainer.max_steps=68"])
     assert [row["mesh"] for row in table(FOLDER / "lamps.csv")] == ["lamps_1", "lamps_2"]
     assert table(FOLDER / "metrics.csv")[-1]["iteration"] == "68"
+
+
+@pytest.mark.main
+def test_known_lamps_are_not_split(two_in_one, capfd):
+    error = fails(capfd, "fit", "--config", "fit.yaml", "--model.lighting.split_lamps=true")
+    assert "model.lighting.split_lamps: it splits lamps whose radiance is recovered" in error
 
 
 @pytest.mark.main
@@ -266,8 +273,15 @@ def test_a_table_of_the_truth_that_is_wrong_is_refused(tmp_path, text, says):
 def test_a_part_is_as_bright_as_the_whole_unless_the_table_says_more(tmp_path):
     path = tmp_path / "true.csv"
     path.write_text("mesh,r,g,b\nlight,1,2,3\nlight_2,4,4,4\n")
-    truth, missed = read_lamps_true(str(path), ["light_1", "light_2"])
+    names, wholes = ["light_1", "light_2"], {"light_1": "light", "light_2": "light"}
+    truth, missed = read_lamps_true(str(path), names, wholes=wholes)
     np.testing.assert_array_equal(truth, [[1, 2, 3], [4, 4, 4]])
+    assert missed == 0
+    with pytest.raises(InputError, match="lamp light_1 of the scene is not in it"):
+        read_lamps_true(str(path), names)
+    path.write_text("mesh,r,g,b\nlight,1,2,3\nlight_1,3,3,3\nlight_2,4,4,4\n")
+    truth, missed = read_lamps_true(str(path), names, wholes=wholes)
+    np.testing.assert_array_equal(truth, [[3, 3, 3], [4, 4, 4]])
     assert missed == 0
 
 
