@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from contextlib import contextmanager
+from functools import cache
 from itertools import pairwise
 from typing import Any
 
@@ -110,8 +111,18 @@ def _has_onednn() -> bool:
     )
 
 
+@cache
+def _multiplies_bfloat16() -> bool:
+    return bool(torch.ops.mkldnn._is_mkldnn_bf16_supported())
+
+
 def _linear(x: Tensor, weight: Tensor, bias: Tensor | None, after: str) -> Tensor:
-    """``after(x weight^T + bias)`` by oneDNN; ``after`` is 'relu' or 'none'."""
+    """``after(x weight^T + bias)`` by oneDNN; ``after`` is 'relu' or 'none'.
+
+    oneDNN has no layer in bfloat16 for a processor without AVX-512: there float32 takes the rounded numbers.
+    """
+    if x.dtype == torch.bfloat16 and not _multiplies_bfloat16():
+        return _linear(x.float(), weight.float(), None if bias is None else bias.float(), after).bfloat16()
     out: Tensor = torch.ops.mkldnn._linear_pointwise(x, weight, bias, after, [], "")
     return out
 
