@@ -98,8 +98,8 @@ def test_scene_is_closed_and_seen_from_outside_its_solids(name):
 @pytest.mark.parametrize(
     ("name", "expected"),
     [
-        ("kitchen", "bdaf75a43d09b52b"),
-        ("patterns", "177db4e2e60277c4"),
+        ("kitchen", "fe2a8a9156cd0175"),
+        ("patterns", "28c3af2b864977ba"),
         ("cornell", "692063d6f1ed8ba6"),
         ("cube", "97022b0193f5dacc"),
         ("furnace", "ade9ee9eb3993e6a"),
@@ -107,6 +107,26 @@ def test_scene_is_closed_and_seen_from_outside_its_solids(name):
 )
 def test_scene_is_the_same_everywhere(name, expected):
     # a change of the scene makes its shipped photographs wrong: render them again, then write the new value here
+    assert digest(build(name)) == expected
+
+
+@pytest.mark.parametrize("name", ["kitchen", "patterns"])
+def test_a_scene_does_not_depend_on_the_last_digit_of_a_sine(name, monkeypatch):
+    """Processors with wider vectors have their own sines."""
+    expected = digest(build(name))
+    rng = np.random.default_rng(1)
+
+    def inexact(function):
+        def call(*args, **kwargs):
+            values = np.asarray(function(*args, **kwargs))
+            return values * (1.0 + np.finfo(np.float64).eps * rng.integers(-1, 2, values.shape))
+
+        return call
+
+    for function in ("sin", "cos", "tan", "tanh", "exp"):
+        monkeypatch.setattr(np, function, inexact(getattr(np, function)))
+    monkeypatch.setattr(np.linalg, "norm", inexact(np.linalg.norm))
+    assert not np.array_equal(np.sin(np.ones(99)), np.full(99, np.sin(1.0)))
     assert digest(build(name)) == expected
 
 

@@ -41,18 +41,23 @@ class Solid:
     ) -> Mesh:
         """This solid as a mesh whose texture repeats every ``tile`` metres; ``smooth`` keeps the vertex normals.
 
-        Coordinates are rounded to a micrometre first: sines differ in their last digit between machines.
+        Coordinates are rounded to a micrometre first: sines differ in their last digit between processors.
         """
         normals = self.normals / np.linalg.norm(self.normals, axis=1, keepdims=True)
         return Mesh(
             name=name,
-            vertices=np.round(self.vertices, 6).astype(np.float32),
+            vertices=_rounded(self.vertices),
             faces=self.faces,
             material=material,
-            normals=np.round(normals, 6).astype(np.float32) if smooth_shading else None,
-            uvs=np.round(self.uvs / tile, 6).astype(np.float32),
+            normals=_rounded(normals) if smooth_shading else None,
+            uvs=_rounded(self.uvs / tile),
             radiance=radiance,
         )
+
+
+def _rounded(values: Array) -> FloatArray:
+    """To six decimals; what is nearly zero has no sign then, which would be that of the error."""
+    return (np.round(values, 6) + 0.0).astype(np.float32)
 
 
 def join(*solids: Solid) -> Solid:
