@@ -18,6 +18,8 @@ from neurad.runtime.machine import usable_cores
 from neurad.scene.description import Scene
 from neurad.scene.scene_xml import Matrix, Node, describe
 
+COMPILED = "llvm_ad_rgb"
+"""The variant that compiles its kernels for the CPU."""
 LLVM = 17, 0, 0
 """Oldest version that Mitsuba is given: 16 takes the process down with it (3.9.1)."""
 
@@ -33,7 +35,7 @@ def no_mitsuba() -> str | None:
 
 @contextmanager
 def fastest_mitsuba() -> Iterator[Any]:
-    """The package with the fastest of its variants for CPUs set, ``llvm_ad_rgb`` where it finds a fitting LLVM and
+    """The package with the fastest of its variants for CPUs set, :data:`COMPILED` where it finds a fitting LLVM and
     ``scalar_rgb`` otherwise, at a fifth of the speed. The variant that was set before is set again afterwards,
     ``scalar_rgb`` where none was.
     """
@@ -41,24 +43,24 @@ def fastest_mitsuba() -> Iterator[Any]:
 
     before = mi.variant()
     try:
-        mi.set_variant("llvm_ad_rgb" if compiles() else "scalar_rgb")
+        mi.set_variant(COMPILED if no_llvm() is None else "scalar_rgb")
         yield mi
     finally:
         mi.set_variant(before or "scalar_rgb")
 
 
-def compiles() -> bool:
-    """Whether an LLVM is there that Mitsuba can compile with; it then has a thread for each usable core."""
+def no_llvm() -> str | None:
+    """Why :data:`COMPILED` cannot run here; None where it can, and then it has a thread for each usable core."""
     import drjit as dr
 
     if dr.detail.llvm_version() < LLVM:
-        return False
+        return f"it finds no LLVM of version {LLVM[0]} or newer"
     try:
         dr.set_thread_count(usable_cores())
         dr.eval(dr.llvm.Float(0.0) + dr.opaque(dr.llvm.Float, 1.0))
-    except (RuntimeError, ValueError):
-        return False
-    return True
+    except (RuntimeError, ValueError) as error:
+        return " ".join(str(error).split()).rstrip(".")
+    return None
 
 
 def sensor(scene: Scene, camera: Camera, width: int, height: int, samples: int = 16, alpha: bool = False) -> Node:

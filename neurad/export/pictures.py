@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
-from typing import Self
 
 import numpy as np
 
@@ -59,24 +58,6 @@ class Pictures:
         self.error.append(_error_of_mean(passes))
         self.squared.append(None if photo is None else squared_difference(passes, photo))
         self.passes.append(len(passes))
-
-
-@dataclass(frozen=True)
-class Compared:
-    """A renderer's pictures of a view beside those of another, both against the photograph."""
-
-    squared: Estimate
-    """What :func:`squared_difference` says of the other's."""
-    excess: dict[int, Estimate]
-    """By how much the renderer's exceeds that, see :func:`excess`, by the side of the blocks."""
-
-    @classmethod
-    def of(cls, theirs: FloatArray, ours: FloatArray, photo: FloatArray, change: FloatArray | None = None) -> Self:
-        """Compare passes [k, h, w, 3] with others and the photograph [h, w, 3]; ``change`` as in :func:`excess`."""
-        return cls(
-            squared_difference(ours, photo),
-            {block: excess(theirs, ours, photo, block, change) for block in BLOCKS},
-        )
 
 
 def drawn(

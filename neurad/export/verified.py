@@ -9,7 +9,7 @@ from typing import Any, Literal
 import numpy as np
 
 from neurad.core.records import FloatArray, View
-from neurad.export.pictures import BLOCKS, Compared, Estimate, Pictures
+from neurad.export.pictures import BLOCKS, Estimate, Pictures
 from neurad.export.seams import BOUND, Seams
 from neurad.metrics.scores import psnr
 
@@ -64,8 +64,9 @@ class Verified:
     """Whether the views are held out; a scene without such views is verified on those that it was fitted to."""
     pictures: dict[str, Pictures] = field(default_factory=dict)
     """By renderer: 'fields', 'baked', 'mitsuba' and 'cycles'."""
-    compared: dict[str, list[Compared | None]] = field(default_factory=dict)
-    """By renderer, of every view: its pictures beside those of the baked room; None without a photograph."""
+    excess: dict[str, list[dict[int, Estimate] | None]] = field(default_factory=dict)
+    """By renderer, of every view with a photograph: what :func:`neurad.export.pictures.excess` says of its pictures
+    against those of the baked room, by the side of the blocks."""
     photographs: list[FloatArray | None] = field(default_factory=list)
     scores: dict[str, float] = field(default_factory=dict)
     seams: Seams | None = None
@@ -121,8 +122,8 @@ class Verified:
             name: of the renderer.
             block: what differences over blocks of this side in pixels make of it, whatever is finer; 1 is all.
         """
-        views = [view for view in self.compared[name] if view is not None]
-        excess, squared = _mean([view.excess[block] for view in views]), _mean([view.squared for view in views])
+        excess = _mean([entry[block] for entry in self.excess[name] if entry is not None])
+        squared = self._squared("baked", None)
         if excess is None or squared is None:
             return 0.0, 0.0
         base = max(squared[0], 1e-12)
@@ -154,7 +155,7 @@ class Verified:
                 f"{block} x {block} pixels": dict(
                     zip(("value", "standard_error"), self.difference(name, block), strict=True)
                 )
-                for block in (BLOCKS if name in self.compared else ())
+                for block in (BLOCKS if name in self.excess else ())
             },
             "ratio_of_means": means[0] / max(means[1], 1e-30),
             "worst_view": {"name": self.views[worst].name, "ratio_of_means": ratios[worst]},

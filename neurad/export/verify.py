@@ -19,7 +19,7 @@ from neurad.core.records import FloatArray, Rays, Surface, SurfaceInteraction, V
 from neurad.core.rng import mix
 from neurad.export.cameras import shown_alike
 from neurad.export.mitsuba import fastest_mitsuba, no_mitsuba
-from neurad.export.pictures import BRIGHTEST, PASSES, Compared, Draw, Pictures, drawn
+from neurad.export.pictures import BLOCKS, BRIGHTEST, PASSES, Draw, Pictures, drawn, excess
 from neurad.export.progress import Progress
 from neurad.export.room import Room
 from neurad.export.seams import find_seams
@@ -176,7 +176,7 @@ def _render(found: Verified, draws: dict[str, Draw], progress: Progress) -> None
     """Passes of every view until the means are known well enough, those of one view in memory at once."""
     progress.stage("pictures", len(found.views) * len(draws))
     found.pictures |= {name: Pictures() for name in draws}
-    found.compared |= {name: [] for name in draws if name != "baked"}
+    found.excess |= {name: [] for name in draws if name != "baked"}
     for index, photo in enumerate(found.photographs):
         passes: dict[str, FloatArray] = {}
         for name, draw in draws.items():
@@ -186,10 +186,13 @@ def _render(found: Verified, draws: dict[str, Draw], progress: Progress) -> None
             passes[name] = drawn(partial(draw, index), photo, count or most, count)
             found.pictures[name].add(passes[name][..., :3], photo)
             progress.step()
-        for name, views in found.compared.items():
+        for name, entries in found.excess.items():
             theirs, ours = passes[name], passes["baked"]
             change = (theirs - ours)[..., 3:] if name == "fields" else None  # by samples that are not too bright
-            views.append(None if photo is None else Compared.of(theirs[..., :3], ours[..., :3], photo, change))
+            sides = None if photo is None else {
+                block: excess(theirs[..., :3], ours[..., :3], photo, block, change) for block in BLOCKS
+            }  # fmt: skip
+            entries.append(sides)
     for name in draws:
         if (score := found.psnr(name)) is not None:
             found.scores[f"picture_psnr_{name}"] = score

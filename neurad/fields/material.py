@@ -146,10 +146,7 @@ class RoughnessField(_MaterialField):
         Raises:
             ValueError: the field reads the albedo, and none is given.
         """
-        return self.corrected(self.of_features(self.features(p), albedo), p)
-
-    def corrected(self, roughness: Tensor, p: Tensor) -> Tensor:
-        """Roughness [n, 1] at positions [n, 3] with what a closing step has added there."""
+        roughness = self.of_features(self.features(p), albedo)
         if self.correction is None or not self.correction.found:
             return roughness
         changed: Tensor = (roughness + self.correction(self.cube(p))).clamp(MIN_ROUGHNESS, 1.0)

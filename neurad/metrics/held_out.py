@@ -236,12 +236,14 @@ class HeldOut:
         Where no training view sees the surface, recovered materials are guessed, see :class:`Neighbours`.
         """
         maps = []
+        recovered = materials(self.neighbours.points) if isinstance(materials, Recovered) else None
         for index in counted(range(len(self.views)), "evaluating", len(self.views), "materials"):
             albedo, roughness = [], []
             for part, si in self.sub_samples(index):
                 surface = materials(si)
-                if isinstance(materials, Recovered):
-                    surface = self._guessed(materials, materials.known_meshes, surface, si, index, part)
+                if isinstance(materials, Recovered) and recovered is not None:
+                    lanes = self._unseen(index, part, si, materials.known_meshes)
+                    surface = self._guessed(surface, si, lanes, recovered)
                 valid = si.valid[:, None]
                 albedo.append(self._pixels(part, torch.where(valid, surface.albedo, 0.0)).mean(1))
                 roughness.append(self._pixels(part, torch.where(valid, surface.roughness, 0.0)).mean(1))
@@ -249,24 +251,18 @@ class HeldOut:
             maps.append({name: self._image(index, pixels) for name, pixels in pair.items()})
         return maps
 
-    def _guessed(
-        self,
-        materials: Materials,
-        known_meshes: frozenset[int],
-        surface: Surface,
-        si: SurfaceInteraction,
-        index: int,
-        part: slice,
-    ) -> Surface:
-        """The surface of a chunk, guessed in the pixels that no training view sees, but not on known meshes."""
-        unseen = torch.from_numpy(~self.seen(index).reshape(-1)[part]).to(si.p.device)
-        known = torch.zeros(int(self.geometry.mesh_index.max()) + 1, dtype=torch.bool, device=si.p.device)
-        known[list(known_meshes)] = True
-        free = si.valid & ~known[self.geometry.mesh_index[si.prim.clamp_min(0)]]
-        lanes = (unseen.repeat_interleave(self.grid**2) & free).nonzero().squeeze(-1)
+    def _unseen(self, index: int, part: slice, si: SurfaceInteraction, known_meshes: frozenset[int]) -> Tensor:
+        """Lanes of a chunk in pixels that no training view sees, but on known meshes."""
+        unseen = torch.from_numpy(~self.seen(index).reshape(-1)[part]).to(si.p.device).repeat_interleave(self.grid**2)
+        known = torch.tensor(sorted(known_meshes), dtype=torch.int64, device=si.p.device)
+        free = si.valid & ~torch.isin(self.geometry.mesh_index[si.prim.clamp_min(0)], known)
+        return (unseen & free).nonzero().squeeze(-1)
+
+    def _guessed(self, surface: Surface, si: SurfaceInteraction, lanes: Tensor, recovered: Surface) -> Surface:
+        """The surface of a chunk, guessed at some lanes from what was recovered at photographed points."""
         if len(lanes) == 0:
             return surface
-        kept, guess = self.neighbours.guess(materials, si[lanes], lanes // self.grid**2)
+        kept, guess = self.neighbours.guess(recovered, si[lanes], lanes // self.grid**2)
         lanes = lanes[kept]
         pairs = ((surface.albedo, guess.albedo), (surface.roughness, guess.roughness))
         albedo, roughness = (whole.index_copy(0, lanes, part.to(whole)) for whole, part in pairs)

@@ -8,7 +8,7 @@ import torch
 from torch import Tensor
 
 from neurad.core.camera import camera_rays
-from neurad.core.protocols import Materials, Tracer
+from neurad.core.protocols import Tracer
 from neurad.core.records import Camera, Surface, SurfaceInteraction
 from neurad.core.rng import Stream
 from neurad.scene.geometry import Geometry
@@ -52,11 +52,11 @@ class Neighbours:
         return self.geometry.interact_at(prim, u, v, wo, torch.ones_like(prim, dtype=torch.bool))
 
     @torch.no_grad()
-    def guess(self, materials: Materials, si: SurfaceInteraction, pixel: Tensor) -> tuple[Tensor, Surface]:
+    def guess(self, surface: Surface, si: SurfaceInteraction, pixel: Tensor) -> tuple[Tensor, Surface]:
         """Lanes [k] of ``si`` on meshes of which photographs show a part, and what they are guessed to be there.
 
         Args:
-            materials: as they were recovered.
+            surface: what was recovered at :attr:`points`.
             si: points that no photograph shows [n].
             pixel: number of the pixel that each is in [n]; the points of one pixel on one mesh have one answer.
         """
@@ -73,15 +73,15 @@ class Neighbours:
         albedo, roughness = at.p.new_zeros(len(at), 3), at.p.new_zeros(len(at), 1)
         found = torch.zeros(len(at), dtype=torch.bool, device=key.device)
         for number in torch.unique(mesh[at.prim]).tolist():
-            near = self.points[(shown == number).nonzero().squeeze(-1)]
-            if len(near) == 0:
+            beside = (shown == number).nonzero().squeeze(-1)
+            if len(beside) == 0:
                 continue
-            surface = materials(near)
+            near = self.points[beside]
             mine = (mesh[at.prim] == number).nonzero().squeeze(-1)
             for lanes in mine.split(max(1, _PAIRS // len(near))):
                 weight, index = _nearest(at[lanes], near)
-                albedo[lanes] = (weight * surface.albedo[index]).sum(1)
-                roughness[lanes] = (weight * surface.roughness[index]).sum(1)
+                albedo[lanes] = (weight * surface.albedo[beside[index]]).sum(1)
+                roughness[lanes] = (weight * surface.roughness[beside[index]]).sum(1)
             found[mine] = True
         kept = found[of_place].nonzero().squeeze(-1)
         return kept, Surface(albedo[of_place[kept]], roughness[of_place[kept]])

@@ -49,7 +49,7 @@ def of(world, cameras):
 def test_a_mesh_of_one_material_is_guessed_exactly_and_one_that_no_view_shows_is_not(room):
     scene, world, si = room
     found, truth = of(world, DOWNWARDS), TrueMaterials(scene, world.geometry)
-    kept, guess = found.guess(truth, si, torch.arange(len(si)))
+    kept, guess = found.guess(truth(found.points), si, torch.arange(len(si)))
     mesh = world.geometry.mesh_index
     shown = set(mesh[found.points.prim].tolist())
     assert 0 < len(shown) < len(scene.meshes)
@@ -63,7 +63,7 @@ def test_a_guess_is_the_mean_of_the_nearest_by_their_distance(room):
     """Against a plain loop."""
     _, world, si = room
     found = of(world, EVERYWHERE)
-    kept, guess = found.guess(Striped(), si, torch.arange(len(si)))
+    kept, guess = found.guess(Striped()(found.points), si, torch.arange(len(si)))
     near, mesh = found.points, world.geometry.mesh_index
     values = Striped()(near)
     for row, lane in list(enumerate(kept.tolist()))[::7]:
@@ -83,17 +83,17 @@ def test_points_of_a_pixel_have_one_answer_for_each_mesh(room, monkeypatch):
     _, world, si = room
     found = of(world, EVERYWHERE)
     pixel = torch.arange(len(si)) // 3
-    kept, guess = found.guess(Striped(), si, pixel)
+    kept, guess = found.guess(Striped()(found.points), si, pixel)
     mesh = world.geometry.mesh_index[si.prim]
     first = {}
     for row, lane in enumerate(kept.tolist()):
         alike = first.setdefault((int(pixel[lane]), int(mesh[lane])), row)
         assert torch.equal(guess.albedo[row], guess.albedo[alike])
     alone = torch.tensor([int(kept[row]) for row in first.values()])
-    _, each = found.guess(Striped(), si[alone], torch.arange(len(alone)))
+    _, each = found.guess(Striped()(found.points), si[alone], torch.arange(len(alone)))
     torch.testing.assert_close(each.albedo, guess.albedo[torch.tensor(list(first.values()))])
     monkeypatch.setattr(neighbours, "_PAIRS", 1000)
-    torch.testing.assert_close(found.guess(Striped(), si, pixel)[1].albedo, guess.albedo)
+    torch.testing.assert_close(found.guess(Striped()(found.points), si, pixel)[1].albedo, guess.albedo)
 
 
 def test_without_photographed_points_nothing_is_guessed(room):
@@ -103,7 +103,8 @@ def test_without_photographed_points_nothing_is_guessed(room):
     pose[2, 3] = -10.0  # behind the room, which it turns its back to
     away = replace(EVERYWHERE[0], to_world=pose)
     for cameras in ([], [away]):
-        kept, guess = of(world, cameras).guess(Striped(), si, torch.arange(len(si)))
+        found = of(world, cameras)
+        kept, guess = found.guess(Striped()(found.points), si, torch.arange(len(si)))
         assert len(kept) == len(guess.albedo) == len(guess.roughness) == 0
 
 
@@ -115,6 +116,17 @@ def test_fitted_materials_count_as_recovered_and_those_of_a_scene_do_not(room):
     assert isinstance(made, Recovered)
     assert inspect.getattr_static(made, "known_meshes") == made.known_meshes
     assert not isinstance(TrueMaterials(scene, world.geometry), Recovered)
+
+
+def test_fitted_materials_of_a_scene_without_training_views_are_predicted(room):
+    scene, _, _ = room
+    scene = replace(scene, train=[], test=scene.train[:1])
+    world = build_world(scene)
+    small = FieldConfig(GridConfig(levels=2, coarsest=2, finest=4, log2_size=8), width=8)
+    (maps,) = HeldOut(scene, world.geometry, world.tracer.tracer).predict(
+        build_materials(scene, small, small, world.geometry)
+    )
+    assert all(np.isfinite(pixels).all() for pixels in maps.values())
 
 
 def test_maps_are_guessed_where_no_training_view_looks_but_not_on_known_meshes(room):

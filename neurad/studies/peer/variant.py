@@ -5,10 +5,8 @@ from __future__ import annotations
 from typing import Any
 
 from neurad.core.errors import InputError
-from neurad.export.mitsuba import LLVM
-from neurad.runtime.machine import usable_cores
+from neurad.export.mitsuba import COMPILED, LLVM, no_llvm
 
-VARIANT = "llvm_ad_rgb"
 HOW = f"apt-get install libllvm19, or set DRJIT_LIBLLVM_PATH to a libLLVM.so of version {LLVM[0]} or newer"
 
 
@@ -19,17 +17,14 @@ def load_mitsuba() -> Any:
         InputError: the package or a fitting LLVM library is missing.
     """
     try:
-        import drjit as dr
         import mitsuba as mi
     except ImportError as error:
         raise InputError("bench peer: it needs the package mitsuba: pip install 'neurad[mitsuba]'") from error
     try:
-        mi.set_variant(VARIANT)
-        if dr.detail.llvm_version() < LLVM:
-            raise ValueError(f"it finds no LLVM of version {LLVM[0]} or newer")
-        dr.set_thread_count(usable_cores())
-        dr.eval(mi.Float(0.0) + dr.opaque(mi.Float, 1.0))
-    except (ImportError, RuntimeError, AttributeError, ValueError) as error:
+        mi.set_variant(COMPILED)
+        reason = no_llvm()
+    except (ImportError, AttributeError) as error:
         reason = " ".join(str(error).split()).rstrip(".")
-        raise InputError(f"bench peer: Mitsuba's {VARIANT} does not start ({reason}): {HOW}") from error
+    if reason is not None:
+        raise InputError(f"bench peer: Mitsuba's {COMPILED} does not start ({reason}): {HOW}")
     return mi
