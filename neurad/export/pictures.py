@@ -19,18 +19,14 @@ PASSES = 8
 WHITE = 1.0
 """Values of a photograph from here on are white on a screen. They are left out of squared differences: on the edges of
 lamps and windows, which are many times as bright, noise and the photograph's own decide over all else."""
-BRIGHTEST = 4.0
-"""What a sample counts as at most where the change between two pictures of neurad's path tracer is looked for: few that
-are hundreds of times as bright make most of the noise. Two renderers cannot be compared so, as the light in their
-brightest samples depends on how they draw them: the second view of veach-ajar has 5 % there, in Mitsuba 15 %."""
 BLOCKS = 1, 4, 16
 """Sides in pixels of the blocks over whose means pictures are compared: more pixels average more of the noise."""
 CHUNK = 1 << 14
 """Pixels whose passes are multiplied with each other at once."""
 
 Draw = Callable[[int, int], FloatArray]
-"""A picture [h, w, 3] of the view of this number by this seed, from neurad [h, w, 6]: means of its samples as they are,
-and then of those that count as :data:`BRIGHTEST` at most."""
+"""A picture [h, w, 3] of the view of this number by this seed; from neurad two [h, w, 6], of the folder and of the
+fields along the same paths."""
 Estimate = tuple[float, float]
 """A figure and its standard error."""
 
@@ -60,19 +56,16 @@ class Pictures:
         self.passes.append(len(passes))
 
 
-def drawn(
-    draw: Callable[[int], FloatArray], photo: FloatArray | None, most: int = PASSES, least: int = 2
-) -> FloatArray:
+def drawn(draw: Callable[[int], FloatArray], photo: FloatArray | None, most: int = PASSES) -> FloatArray:
     """Passes of a view [k, h, w, c], twice as many again until its mean and its difference to the photograph are known.
 
     Args:
         draw: the picture [h, w, c] by a seed; see :data:`Draw`.
         photo: to compare with [h, w, 3], linear.
         most: passes, an even number of them.
-        least: passes, even where fewer would do; an even number, too.
     """
     passes: list[FloatArray] = []
-    count = max(least, 2)
+    count = 2
     while True:
         passes += [draw(seed) for seed in range(len(passes), count)]
         found = np.stack(passes)
@@ -103,25 +96,20 @@ def squared_difference(passes: FloatArray, photo: FloatArray) -> Estimate:
     return _summed(off, off, photo)
 
 
-def excess(
-    theirs: FloatArray, ours: FloatArray, photo: FloatArray, block: int = 1, change: FloatArray | None = None
-) -> Estimate:
+def excess(theirs: FloatArray, ours: FloatArray, photo: FloatArray, block: int = 1) -> Estimate:
     """By how much the :func:`squared_difference` of some pictures to a photograph exceeds that of others.
 
-    Renderers that were given the same random numbers share their noise, and most of it cancels here.
+    Pictures along the same paths share their noise, and most of it cancels here.
 
     Args:
         theirs: passes [k, h, w, 3].
-        ours: passes [k, h, w, 3]; as many where random numbers are shared.
+        ours: passes [k, h, w, 3]; as many where noise is shared.
         photo: [h, w, 3].
         block: what differences over blocks of this side in pixels make of it, by their means over a block; 1 is all.
-        change: of theirs from ours [k, h, w, 3], as many passes, without what is not to count; None for all of it.
     """
     first, second = (_counting(passes.astype(np.float64) - photo, photo, block) for passes in (theirs, ours))
     if len(first) == len(second):
-        # squares of both differ by the change times the sum
-        changed = first - second if change is None else _counting(change.astype(np.float64), photo, block)
-        return _summed(changed, first + second, photo)
+        return _summed(first - second, first + second, photo)  # squares of both differ by their difference times sum
     (a, a_error), (b, b_error) = _summed(first, first, photo), _summed(second, second, photo)
     return a - b, float(np.hypot(a_error, b_error))
 

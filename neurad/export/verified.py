@@ -115,8 +115,7 @@ class Verified:
         return _mean([x for i, x in enumerate(shown) if x is not None and view in (None, i)])
 
     def difference(self, name: str, block: int = 1) -> Estimate:
-        """PSNR of a renderer less that of the baked room in neurad, in dB; zeros without photographs. Of the fields by
-        samples of at most :data:`~neurad.export.pictures.BRIGHTEST`.
+        """PSNR of a renderer less that of the baked room in neurad, in dB; zeros without photographs.
 
         Args:
             name: of the renderer.

@@ -10,22 +10,22 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import torch
 from torch import Tensor
 
 from neurad.assembly.build import Assembly, build_world
 from neurad.core.protocols import Materials
-from neurad.core.records import FloatArray, Rays, Surface, SurfaceInteraction, View
+from neurad.core.records import FloatArray, Surface, SurfaceInteraction, View
 from neurad.core.rng import mix
 from neurad.export.cameras import shown_alike
 from neurad.export.mitsuba import fastest_mitsuba, no_mitsuba
-from neurad.export.pictures import BLOCKS, BRIGHTEST, PASSES, Draw, Pictures, drawn, excess
+from neurad.export.pictures import BLOCKS, PASSES, Draw, Pictures, drawn, excess
 from neurad.export.progress import Progress
 from neurad.export.room import Room
 from neurad.export.seams import find_seams
 from neurad.export.verified import Verified
+from neurad.integrators.correlated import CorrelatedPaths
 from neurad.integrators.film import render
-from neurad.integrators.renderer import path_tracer
+from neurad.integrators.world import World
 from neurad.metrics.held_out import HeldOut
 from neurad.metrics.held_out_scores import score
 from neurad.metrics.scores import psnr
@@ -88,13 +88,13 @@ def verify(
     fields = _OnGeometry(assembly.materials, assembly.world.geometry)
     progress.stage("maps", 1)
     _compare_maps(found, scene, HeldOut(scene, world.geometry, world.tracer.tracer), fields, baked)
-    draws = {"baked": _ours(world, baked, scene, spp), "fields": _ours(world, fields, scene, spp)}
+    ours = _ours(world, baked, fields, scene, spp)
     if (why := no_mitsuba()) is not None:
         found.left_out.append(f"Mitsuba: {why}")
-        _render(found, draws, progress)
+        _render(found, ours, None, progress)
     else:
         with fastest_mitsuba() as mi:
-            _render(found, {**draws, "mitsuba": _mitsuba(mi, folder / "scene.xml", spp)}, progress)
+            _render(found, ours, _mitsuba(mi, folder / "scene.xml", spp), progress)
     if cycles is None:
         found.left_out.append("Cycles: --blender names no Python with bpy and no Blender")
     else:
@@ -139,17 +139,12 @@ def _compare_maps(found: Verified, scene: Scene, held_out: HeldOut, fields: Mate
         found.scores[f"{key}_baked_to_fields_psnr"] = min(psnr(float(np.mean(square))), 200.0)
 
 
-def _ours(world: Any, materials: Materials, scene: Scene, spp: int) -> Draw:
-    """Neurad's path tracer; the same seeds give both materials the same random numbers."""
-    tracer = path_tracer(world, materials, scene.max_depth, scene.rr_depth)
-
-    def both(rays: Rays, seed: int) -> Tensor:
-        radiance = tracer(rays, seed)
-        return torch.cat((radiance, radiance.clamp_max(BRIGHTEST)), -1)  # [n, 6]
+def _ours(world: World, baked: Materials, fields: Materials, scene: Scene, spp: int) -> Draw:
+    """Neurad's path tracer on the folder and the fields, along the same paths."""
+    tracer = CorrelatedPaths(world, baked, fields, scene.max_depth, scene.rr_depth)
 
     def draw(index: int, seed: int) -> FloatArray:
-        with torch.no_grad():
-            shown = render(scene.test[index].camera, both, spp, mix(SEED, index, seed))
+        shown = render(scene.test[index].camera, tracer, spp, mix(SEED, index, seed))
         return np.asarray(shown.numpy(), np.float32)
 
     return draw
@@ -172,27 +167,24 @@ def _mitsuba(mi: Any, path: Path, spp: int) -> Draw:
     return draw
 
 
-def _render(found: Verified, draws: dict[str, Draw], progress: Progress) -> None:
+def _render(found: Verified, ours: Draw, mitsuba: Draw | None, progress: Progress) -> None:
     """Passes of every view until the means are known well enough, those of one view in memory at once."""
-    progress.stage("pictures", len(found.views) * len(draws))
-    found.pictures |= {name: Pictures() for name in draws}
-    found.excess |= {name: [] for name in draws if name != "baked"}
+    names = ["baked", "fields"] if mitsuba is None else ["baked", "fields", "mitsuba"]
+    progress.stage("pictures", len(found.views) * len(names))
+    found.pictures |= {name: Pictures() for name in names}
+    found.excess |= {name: [] for name in names if name != "baked"}
     for index, photo in enumerate(found.photographs):
-        passes: dict[str, FloatArray] = {}
-        for name, draw in draws.items():
-            # as many passes of the fields as of the folder: they share random numbers, so that noise cancels
-            count = len(passes["baked"]) if name == "fields" else 0
-            most = MITSUBA_PASSES if name == "mitsuba" else PASSES
-            passes[name] = drawn(partial(draw, index), photo, count or most, count)
-            found.pictures[name].add(passes[name][..., :3], photo)
+        both = drawn(partial(ours, index), photo)  # [k, h, w, 6]
+        passes = {"baked": both[..., :3], "fields": both[..., 3:]}
+        progress.step(2)
+        if mitsuba is not None:
+            passes["mitsuba"] = drawn(partial(mitsuba, index), photo, MITSUBA_PASSES)
             progress.step()
+        for name, pictures in passes.items():
+            found.pictures[name].add(pictures, photo)
         for name, entries in found.excess.items():
-            theirs, ours = passes[name], passes["baked"]
-            change = (theirs - ours)[..., 3:] if name == "fields" else None  # by samples that are not too bright
-            sides = None if photo is None else {
-                block: excess(theirs[..., :3], ours[..., :3], photo, block, change) for block in BLOCKS
-            }  # fmt: skip
-            entries.append(sides)
-    for name in draws:
+            pair = passes[name], passes["baked"]
+            entries.append(None if photo is None else {block: excess(*pair, photo, block) for block in BLOCKS})
+    for name in names:
         if (score := found.psnr(name)) is not None:
             found.scores[f"picture_psnr_{name}"] = score

@@ -8,13 +8,13 @@ import torch
 from torch import Tensor
 
 from neurad.core.protocols import Materials
-from neurad.core.records import Rays
+from neurad.core.records import Rays, SurfaceInteraction
 from neurad.core.rng import Stream
 from neurad.integrators.method import Method, SceneModel, query_radiance
 from neurad.integrators.path import PathTracing
 from neurad.integrators.stratified import stratified_samples
 from neurad.integrators.vertex import DIMENSIONS
-from neurad.integrators.world import World
+from neurad.integrators.world import NonDeltaHit, World
 
 
 @dataclass(frozen=True)
@@ -35,11 +35,9 @@ class MethodRenderer:
     def __call__(self, rays: Rays, seed: int) -> Tensor:
         """One-sample estimate of the radiance along camera rays [n, 3]."""
         stream = Stream(seed, device=rays.o.device)
-        first = self.scene.world.trace_past_delta(rays, stream.uniform(len(rays)))
+        first, lane, si = first_vertices(self.scene.world, rays, stream)
         radiance = self.scene.world.emitted(first.si)  # [n, 3]
-        lane = first.si.valid.nonzero().squeeze(-1)  # rays that end on a surface [m]
         if len(lane) > 0:
-            si = first.si if len(lane) == len(rays) else first.si[lane]
             if self.spread > 1 and len(rays) % self.spread == 0:
                 u = stratified_samples(len(rays) // self.spread, self.spread, stream)[lane]
             else:
@@ -47,6 +45,13 @@ class MethodRenderer:
             sample = self.method.reflected(self.scene, si, self.scene.materials(si), u, stream)
             radiance.index_add_(0, lane, sample.value)
         return first.attenuate(radiance)
+
+
+def first_vertices(world: World, rays: Rays, stream: Stream) -> tuple[NonDeltaHit, Tensor, SurfaceInteraction]:
+    """Where camera rays [n] get to, which of them end on a surface [m], and their vertices [m]."""
+    first = world.trace_past_delta(rays, stream.uniform(len(rays)))
+    lane = first.si.valid.nonzero().squeeze(-1)
+    return first, lane, first.si if len(lane) == len(rays) else first.si[lane]
 
 
 @dataclass(frozen=True)

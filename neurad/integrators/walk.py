@@ -49,6 +49,9 @@ class Vertex:
     lane: Tensor
     """Which path [m], ascending."""
     si: SurfaceInteraction
+    surface: Surface
+    u: Tensor
+    """Uniform numbers of the bounce [m, DIMENSIONS]."""
     throughput: Tensor
     """Product of the weights before this vertex over the probabilities to get here [m, 3]."""
     bounce: Bounce
@@ -94,7 +97,7 @@ def walk(
         # Guided weights reach albedo / Guide.uniform: at every bounce of an endless path they would add up to infinite
         # variance. A guide is most accurate at first hits, too.
         step = bounce(world, si, surface, u, sample_stats=sample_stats and depth == 1, guided=depth == 1)
-        yield Vertex(lane, si, throughput, step, throughput_after_first)
+        yield Vertex(lane, si, surface, u, throughput, step, throughput_after_first)
         if max_depth is not None and depth + 1 >= max_depth:
             return
 

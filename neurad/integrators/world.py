@@ -85,10 +85,16 @@ class World(nn.Module):
             lights: every emitter.
             features: of the scene with them; None for the same.
         """
+        return self._with(lights, self.bsdf, features or self.features)
+
+    def reflecting_by(self, bsdf: BSDF) -> World:
+        """The same scene with another BSDF, without a guide, which belongs to this one."""
+        return self._with(self.lights, bsdf, self.features)
+
+    def _with(self, lights: Emitter, bsdf: BSDF, features: Features) -> World:
         return World(
-            self.geometry, self.tracer, lights, self.bsdf, features or self.features, self.two_sided,
-            self.hide_environment, self.delta,
-        )  # fmt: skip
+            self.geometry, self.tracer, lights, bsdf, features, self.two_sided, self.hide_environment, self.delta
+        )
 
     def intersect(self, rays: Rays) -> SurfaceInteraction:
         """Where rays end, misses and smooth surfaces included."""
