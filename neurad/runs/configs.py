@@ -17,6 +17,7 @@ from omegaconf.errors import MissingMandatoryValue, OmegaConfBaseException
 
 import neurad
 from neurad.core.errors import InputError
+from neurad.core.ranges import IS_GROUP
 from neurad.core.suggest import did_you_mean
 from neurad.runtime.reading import beside, exists, regular_file, shown
 
@@ -87,6 +88,10 @@ def load_config(name: str, above: tuple[Path, ...] = ()) -> list[DictConfig]:
     if path.resolve() in above:
         raise InputError(f"config {name}: it is its own base")
     layer = read_layer(path, f"config {name}")
+    referred = OmegaConf.is_interpolation(layer, "trainer") or OmegaConf.is_missing(layer, "trainer")
+    if "trainer" in layer and not referred and not isinstance(layer["trainer"], DictConfig):
+        # the parser itself refuses what stands for another group, and drops this
+        raise InputError(f"config {name}: trainer: {IS_GROUP}")
     layers: list[DictConfig] = []
     for base in _bases(layer, name):
         beside = path.parent / base

@@ -63,6 +63,7 @@ def test_a_word_on_the_command_line(capfd, words, said):
         ("model: {sampling: {spp: null}}", "model.sampling.spp: null is no value for it, leave it out"),
         ("model: {radiance: {grid: 5}}", "model.radiance.grid: it is a group of settings, write them below it"),
         ("data: 5", "data: it is a group of settings, write them below it"),
+        ("trainer: 5", "trainer: it is a group of settings, write them below it"),
         ("data: " + "[" * 500 + "]" * 500, "it is nested too deeply to be a config"),
     ],
 )
