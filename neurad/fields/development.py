@@ -14,6 +14,9 @@ from neurad.scene.response import FIT
 
 DEGREES = 5
 """Degrees of the polynomial that bends the response curve, besides its logarithm."""
+NEAR_CEILING = 0.9
+"""Share of the ceiling from which on the response curve is not fitted: what noise lifts above the ceiling is clipped and
+missing there, and the rest is too dark on average."""
 _TOE = 0.02
 """Code at which that logarithm levels off."""
 _STEPS = 256
@@ -116,6 +119,11 @@ class FittedDevelopment(nn.Module):
             scale = self._scale(batch)
             color = torch.where(self._coded(batch), self.respond(color * scale) / scale, color)
         return color / self.gains()[batch.view]
+
+    @torch.no_grad()
+    def below_ceiling(self, batch: PixelBatch, radiance: Tensor) -> Tensor:
+        """Whether pixels that show this radiance [b, 3] are too far below the ceiling for noise to clip them [b, 3]."""
+        return (radiance * self.gains()[batch.view] * self._scale(batch) < NEAR_CEILING) | ~self._coded(batch)
 
     @torch.no_grad()
     def _photographed(self, radiance: Tensor, batch: PixelBatch) -> Tensor:

@@ -209,6 +209,8 @@ class ObjectiveStep:
         if predicted is None and image.shape[1] > 1:
             halves = image.tensor_split(2, dim=1)
             predicted, image = halves[0].mean(1), halves[1]
+        if development.bend is not None and predicted is not None:
+            weight = weight * development.below_ceiling(batch, predicted)
         residual = development.colors(batch, predicted) - image.mean(1)
         loss = (weight * residual * residual).mean()
         if development.bend is not None:

@@ -145,3 +145,11 @@ def test_linear_photographs_have_no_response():
     batch = batch_of(torch.zeros(4, dtype=torch.int64), torch.rand(4, 3) * 30)
     assert torch.equal(model(batch).color, batch.color)
     assert to_srgb(np.ones(1))[0] == pytest.approx(1)
+
+
+def test_the_curve_is_fitted_where_noise_clips_nothing():
+    """By what is predicted, of any exposure; of linear photographs everywhere."""
+    model = FittedDevelopment([*views(2, [0.5, 2.0]), *views(1, levels=0)], Photography("fit"))
+    radiance = torch.tensor([[0.1, 0.44, 0.46], [0.1, 1.79, 1.81], [0.1, 1.0, 9.0]])
+    exposed = batch_of(torch.tensor([1, 0, 2]), torch.zeros(3, 3))
+    assert model.below_ceiling(exposed, radiance).tolist() == [[True, True, False], [True, True, False], [True] * 3]
