@@ -15,8 +15,8 @@ from neurad.scene.response import FIT
 DEGREES = 5
 """Degrees of the polynomial that bends the response curve, besides its logarithm."""
 NEAR_CEILING = 0.9
-"""Share of the ceiling from which on the response curve is not fitted: what noise lifts above the ceiling is clipped and
-missing there, and the rest is too dark on average."""
+"""Share of the ceiling from which on the response curve is not fitted: what noise lifts above the ceiling is missing
+there, and the rest is too dark on average."""
 _TOE = 0.02
 """Code at which that logarithm levels off."""
 _STEPS = 256
