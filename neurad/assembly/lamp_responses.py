@@ -32,7 +32,7 @@ Bools = npt.NDArray[np.bool_]
 
 _PIXELS, _SPP, _DEPTH = 1024, 4, 6  # of each picture: pixels, samples in each of two halves, longest path
 ALIKE = 0.99
-"""Correlation of two lamps' pictures from which on they cannot be told apart."""
+"""Correlation of two lamps' pictures from which on nothing distinguishes them."""
 MEET = 0.1
 """Fraction of the dimmer lamp's light that has to fall where another's does for the one to fix the other's scale."""
 _DARK = 1e-6  # of the brightest picture's mean: nothing arrives
@@ -125,7 +125,7 @@ def other_lights(world: World, unknown: Environment | None) -> AnyLights | None:
 
 
 def alike(responses: Responses, observed: Bools) -> list[list[int]]:
-    """Lamps in groups that cannot be told apart by what they light; each of those that are ``observed`` [m] alone.
+    """Lamps in groups that what they light does not distinguish; each of those that are ``observed`` [m] alone.
 
     The correlation of two pictures is taken of independent halves of the samples, so noise makes nothing unlike.
     """

@@ -26,7 +26,7 @@ def write_lamps(module: InverseRenderer, folder: Path | None) -> None:
 
 
 def lamps_table(module: InverseRenderer, scores: Mapping[str, float]) -> str:
-    """Lamps that were recovered, with what told them and, where the truth is given, their errors; empty without any."""
+    """Lamps that were recovered, the pixels that show them and the errors of those with a truth; empty without any."""
     lines = body(module.assembly)
     names = columns_of([line[0] for line in lines[1:]])
     for kind, heading in KINDS.items():

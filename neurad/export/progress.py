@@ -9,7 +9,7 @@ from neurad.runtime.progress import Phase, phase
 
 
 class Progress(Protocol):
-    """What is told of the work."""
+    """Shows how far the work is."""
 
     def stage(self, name: str, total: int) -> None:
         """A stage begins that has so many steps."""

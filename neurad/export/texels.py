@@ -64,7 +64,7 @@ def densities(tracer: Tracer, geometry: Geometry, scene: Scene, progress: Progre
         tracer: casts the rays.
         geometry: of the scene.
         scene: whose training views count.
-        progress: is told of the rays.
+        progress: shows how many rays are done.
     """
     cameras = Cameras.of([view.camera for view in scene.train], "cpu")
     count = min(RAYS, 4 * sum(view.camera.width * view.camera.height for view in scene.train))

@@ -65,8 +65,8 @@ class Verified:
     pictures: dict[str, Pictures] = field(default_factory=dict)
     """By renderer: 'fields', 'baked', 'mitsuba' and 'cycles'."""
     excess: dict[str, list[dict[int, Estimate] | None]] = field(default_factory=dict)
-    """By renderer, of every view with a photograph: what :func:`neurad.export.pictures.excess` says of its pictures
-    against those of the baked room, by the side of the blocks."""
+    """By renderer, of every view: what :func:`neurad.export.pictures.excess` says of its pictures against those of the
+    baked room, by the side of the blocks; None without a photograph."""
     photographs: list[FloatArray | None] = field(default_factory=list)
     scores: dict[str, float] = field(default_factory=dict)
     seams: Seams | None = None

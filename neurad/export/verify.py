@@ -74,7 +74,7 @@ def verify(
         folder: where it was written to.
         spp: samples a pixel of each pass.
         cycles: renders views of ``scene.glb``; None leaves that out.
-        progress: is told of meshes and passes.
+        progress: shows which meshes and passes are done.
     """
     views = shown_alike(room.scene)
     found = Verified(views, held_out=bool(room.scene.test))

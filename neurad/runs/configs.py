@@ -88,8 +88,7 @@ def load_config(name: str, above: tuple[Path, ...] = ()) -> list[DictConfig]:
     if path.resolve() in above:
         raise InputError(f"config {name}: it is its own base")
     layer = read_layer(path, f"config {name}")
-    referred = OmegaConf.is_interpolation(layer, "trainer") or OmegaConf.is_missing(layer, "trainer")
-    if "trainer" in layer and not referred and not isinstance(layer["trainer"], DictConfig):
+    if "trainer" in layer and not _refers(layer, "trainer") and not isinstance(layer["trainer"], DictConfig):
         # the parser itself refuses what stands for another group, and drops this
         raise InputError(f"config {name}: trainer: {IS_GROUP}")
     layers: list[DictConfig] = []
@@ -122,10 +121,14 @@ def read_layer(path: Path, name: str) -> DictConfig:
     return layer
 
 
+def _refers(layer: DictConfig, key: str) -> bool:
+    """Whether a value is ``${...}`` or left open, which reading it would raise."""
+    return OmegaConf.is_interpolation(layer, key) or OmegaConf.is_missing(layer, key)
+
+
 def _bases(layer: DictConfig, name: str) -> list[str]:
     """The names under ``base``, which is taken out of the layer."""
-    referred = OmegaConf.is_interpolation(layer, "base") or OmegaConf.is_missing(layer, "base")
-    given = None if referred else layer.pop("base", [])
+    given = None if _refers(layer, "base") else layer.pop("base", [])
     names = [given] if isinstance(given, str) else given
     if isinstance(names, ListConfig):
         names = OmegaConf.to_container(names, resolve=False)
