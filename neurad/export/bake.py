@@ -17,16 +17,20 @@ from neurad.metrics.scores import BoolArray
 from neurad.scene.geometry import Geometry
 
 PER_TEXEL, MOST_PER_TEXEL = 2, 8
-"""Positions along the side of a texel at which the field is asked: the first in large textures, up to the second in
-small ones, where more cost nothing. A point in the middle alone aliases: patterns as fine as a texel come out as coarse
-ones; with four a side nothing was gained over two in the pictures."""
+"""Positions along the side of a texel at which the field is asked where it is not settled: the first in large textures,
+up to the second in small ones. A point in the middle alone aliases: patterns as fine as a texel come out as coarse
+ones, so it stays alone only where it differs little from its neighbours; with four a side nothing was gained over two
+in the pictures."""
 PER_BORDER_TEXEL, MOST_PER_BORDER_TEXEL = 4, 32
 """The same of texels that lookups on borders of charts read: the other side averages other positions, and an eye sees
 that they differ. Up to the second where values jump under a texel: triangles may be smaller than it."""
 SETTLED = 0.5 / 255.0
 """Error of such a mean that is small enough."""
-SMALL = 1 << 20
-"""Positions in a texture that cost next to nothing."""
+SETTLED_INSIDE = 1.0 / 255.0
+"""The same away from borders, where there is no other side: one step of an 8-bit texture. The error is estimated from
+the whole way to the neighbours; texels of the kitchen that stay below it are off by 0.1/255 (rms)."""
+NOTHING, LITTLE = 1 << 16, 1 << 20
+"""Positions in a texture that cost next to nothing, and few enough to ask so many where the field is not settled."""
 GIVEN_BACK = 0.125
 """Of the difference to each of its four neighbours, what a texel is moved away from them. The mean over a texel and the
 lookup between texels spread what a texture shows, with a variance of 1/12 and 2/12 of a texel squared along each axis;
@@ -64,15 +68,19 @@ def bake(
         done: called with numbers of texels as they get done.
     """
     mesh = TexelMeans(chart, first, geometry, materials)
-    per = positions(chart.width, chart.height)
+    per = positions(NOTHING, chart, 1)
     means = mesh.means(per, done=done)
     border = border_texels(chart)
+    refine(mesh, means, means.covered & ~border, per, per, positions(LITTLE, chart, PER_TEXEL), SETTLED_INSIDE)
     refine(mesh, means, border, per)
     pixels = sharpened(means, means.inside & ~border)
     return Baked(push_pull(pixels, means.covered).astype(np.float16), means.covered)
 
 
-def refine(mesh: TexelMeans, means: Means, wanted: BoolArray, per: int) -> None:
+def refine(
+    mesh: TexelMeans, means: Means, wanted: BoolArray, per: int, least: int = PER_BORDER_TEXEL,
+    most: int = MOST_PER_BORDER_TEXEL, settled: float = SETTLED,
+) -> None:  # fmt: skip
     """Ask texels at more and more positions, twice as many along a side, until their means are known.
 
     Args:
@@ -80,10 +88,13 @@ def refine(mesh: TexelMeans, means: Means, wanted: BoolArray, per: int) -> None:
         means: of ``per`` positions along the side of a texel; replaced where more were asked.
         wanted: texels to begin with [h, w].
         per: positions along the side of a texel so far.
+        least: positions along a side that all of them get.
+        most: along a side, where that does not suffice.
+        settled: error of a mean that is small enough.
     """
     error = uncertain(means.values, means.covered, means.spread, per)
-    while per < MOST_PER_BORDER_TEXEL:
-        wanted = wanted & ((per < PER_BORDER_TEXEL) | (error > SETTLED))
+    while per < most:
+        wanted = wanted & ((per < least) | (error > settled))
         if not wanted.any():
             return
         per *= 2
@@ -118,6 +129,6 @@ def sharpened(means: Means, mask: BoolArray) -> FloatArray:
     return out
 
 
-def positions(width: int, height: int) -> int:
-    """Positions along the side of a texel at which the field is asked for a texture of this size."""
-    return min(max(math.isqrt(SMALL // (width * height)), PER_TEXEL), MOST_PER_TEXEL)
+def positions(budget: int, chart: Chart, least: int) -> int:
+    """Positions along the side of a texel so that a texture has about ``budget`` of them, but ``least`` or more."""
+    return min(max(math.isqrt(budget // (chart.width * chart.height)), least), MOST_PER_TEXEL)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -9,6 +10,7 @@ import numpy as np
 from neurad.assembly.build import Assembly
 from neurad.assembly.relight import shown_environment, with_lamps
 from neurad.core.errors import InputError
+from neurad.core.protocols import Materials
 from neurad.core.records import Bitmap, Constant, Material, Mesh
 from neurad.core.reflection import PrincipledModel, ReflectionModel
 from neurad.export.atlas import require_xatlas
@@ -20,7 +22,9 @@ from neurad.export.progress import Progress
 from neurad.export.room import Room
 from neurad.export.texels import densities
 from neurad.export.unwrap import unwrap
+from neurad.runtime import threads
 from neurad.scene.description import Scene
+from neurad.scene.geometry import Geometry
 from neurad.scene.scene_xml import file_names
 from neurad.scene.textures import TrueMaterials
 
@@ -53,12 +57,8 @@ def bake_room(assembly: Assembly, texels: int, size: int | None, up: Up | None, 
     charts: list[Chart | None] = [None] * len(scene.meshes)
     for index, chart in zip(textured, made, strict=True):
         charts[index] = chart
-    progress.stage("textures", sum(chart.width * chart.height for chart in made))
-    first = np.cumsum([0, *(len(mesh.faces) for mesh in scene.meshes)])
-    baked: list[Baked | None] = [
-        None if found is None else bake(found, int(start), world.geometry, materials, progress.step)
-        for found, start in zip(charts, first[:-1], strict=True)
-    ]
+    progress.stage("textures", sum(_texels(chart) for chart in made))
+    baked = _bake_all(charts, [len(mesh.faces) for mesh in scene.meshes], world.geometry, materials, progress)
     names = file_names([mesh.name for mesh in scene.meshes])
     return Room(
         scene=_baked_scene(scene, assembly, described, names, charts, baked),
@@ -69,6 +69,34 @@ def bake_room(assembly: Assembly, texels: int, size: int | None, up: Up | None, 
         up=up or up_axis(scene),
         hide_environment=world.hide_environment,
     )
+
+
+def _bake_all(
+    charts: list[Chart | None], faces: list[int], geometry: Geometry, materials: Materials, progress: Progress
+) -> list[Baked | None]:
+    """The texture of every mesh that has a chart: large ones in turn on all threads, then small ones a thread each."""
+    first = np.cumsum([0, *faces])
+    baked: list[Baked | None] = [None] * len(charts)
+    sizes = [0 if chart is None else _texels(chart) for chart in charts]
+    share = sum(sizes) / (2 * threads.threads(len(charts), 1))
+
+    def one(index: int, done: Callable[[int], None] = lambda texels: None) -> Baked | None:
+        chart = charts[index]
+        return None if chart is None else bake(chart, int(first[index]), geometry, materials, done)
+
+    largest_first = sorted(range(len(charts)), key=lambda index: -sizes[index])
+    large = [index for index in largest_first if sizes[index] > share]
+    for index in large:
+        baked[index] = one(index, progress.step)
+    small = largest_first[len(large) :]
+    for index, texture in zip(small, threads.each(one, small), strict=True):
+        baked[index] = texture
+        progress.step(sizes[index])
+    return baked
+
+
+def _texels(chart: Chart) -> int:
+    return chart.width * chart.height
 
 
 def check_meshes(scene: Scene) -> None:

@@ -22,6 +22,7 @@ from neurad.bsdf.microfacet import MIN_ALPHA, fresnel_dielectric, reflectance
 from neurad.core.records import Constant, FloatArray, Material
 from neurad.core.reflection import PrincipledModel, ReflectionModel
 from neurad.export.raster_kernels import Array
+from neurad.runtime import threads
 
 Target = Literal["blender", "gltf", "exact"]
 """Whose model the colour is for: Cycles', the sample BRDF of the Khronos group, or neurad's own."""
@@ -102,12 +103,14 @@ def over_angles() -> FloatArray:
     """
     steps = (torch.arange(ANGLES, dtype=torch.float64) + 0.5) / ANGLES
     found, nodes = energy(), np.linspace(0.0, 1.0, ROUGHNESSES)
-    rows = []
-    for r in steps.tolist():
+
+    def row(r: float) -> Array:
         diffuse, specular = _diffuse(steps, r), _coat(steps, r)
         mean = np.interp(r, nodes, found.diffuse) / (1.0 - np.interp(r, nodes, found.specular))
-        rows.append((diffuse / (1.0 - specular)).numpy() / mean)
-    return np.asarray(rows, np.float32)
+        of_row: Array = (diffuse / (1.0 - specular)).numpy() / mean
+        return of_row
+
+    return np.asarray(list(threads.each(row, steps.tolist())), np.float32)
 
 
 def _coat(cosine: Tensor, roughness: float) -> Tensor:

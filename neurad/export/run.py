@@ -37,6 +37,7 @@ from neurad.export.verified import Verified
 from neurad.export.verify import verify
 from neurad.metrics.error_bars import ErrorBars
 from neurad.metrics.seen import SeenBy
+from neurad.runtime import threads
 from neurad.runtime.blender import Blender, find_blender
 from neurad.scene.description import Scene
 from neurad.scene.image_io import png, write_exr
@@ -220,21 +221,24 @@ def _write_evidence(
     emits = (assembly.world.geometry.emission > 0).any(-1)
     world = assembly.world
     seen_by = SeenBy(world.geometry, world.tracer.tracer, [view.camera for view in room.scene.train])
-    found: list[float | None] = []
-    first = 0
-    for name, chart, mesh in zip(room.names, room.charts, room.scene.meshes, strict=True):
+    first = np.cumsum([0, *(len(mesh.faces) for mesh in room.scene.meshes)])
+
+    def one(index: int) -> float | None:
+        chart, name = room.charts[index], room.names[index]
         if chart is None:
-            found.append(None)
-        else:
-            texels = coarse_texels(chart, first, world.geometry)
-            picture, fraction = evidence(texels, seen_by)
-            (folder / "evidence" / f"{name}.png").write_bytes(png(picture))
-            found.append(round(fraction, 4))
-            if bars is not None and isinstance(assembly.materials, FittedMaterials):
-                for of, std in std_maps(texels, bars, to_cube(assembly.materials), emits).items():
-                    (folder / f"{of}_std").mkdir(exist_ok=True)
-                    write_exr(folder / f"{of}_std" / f"{name}.exr", std)
-        first += len(mesh.faces)
+            return None
+        texels = coarse_texels(chart, int(first[index]), world.geometry)
+        picture, fraction = evidence(texels, seen_by)
+        (folder / "evidence" / f"{name}.png").write_bytes(png(picture))
+        if bars is not None and isinstance(assembly.materials, FittedMaterials):
+            for of, std in std_maps(texels, bars, to_cube(assembly.materials), emits).items():
+                (folder / f"{of}_std").mkdir(exist_ok=True)
+                write_exr(folder / f"{of}_std" / f"{name}.exr", std)
+        return round(fraction, 4)
+
+    found: list[float | None] = []
+    for fraction in threads.each(one, range(len(room.names))):
+        found.append(fraction)
         bar.step()
     return found
 

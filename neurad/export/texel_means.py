@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from collections import deque
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from functools import partial
@@ -16,14 +17,14 @@ from neurad.export import raster_kernels, texel_means_kernels
 from neurad.export.charts import Chart, triangle_areas
 from neurad.export.raster_kernels import Array, IntArray
 from neurad.metrics.scores import BoolArray
-from neurad.runtime.threads import split, torch_on_one
+from neurad.runtime.threads import each, split, torch_on_one
 from neurad.scene.geometry import Geometry
 
 GUTTER = 2.0
 """Texels around a chart that are still baked, in the plane of its nearest triangle; a bilinear lookup reads one."""
-BATCH = 1 << 22
-"""Positions in flight, which bounds the memory."""
-CHUNK = 1 << 18
+BATCH = 1 << 21
+"""Positions in flight in a thread, which bounds the memory: 80 bytes each."""
+CHUNK = 1 << 16
 """Positions that go through the fields at once."""
 STRETCH = 4.0
 """A texel of the gutter may lie so many times further from the mesh than texels are apart on it, not more."""
@@ -196,7 +197,8 @@ class TexelMeans:
         )  # fmt: skip
         geometry, device = self._geometry, self._geometry.vertices.device
         out = np.empty((len(owner), 4), np.float32)
-        for begin in range(0, len(owner), CHUNK):
+
+        def work(begin: int) -> None:
             part = slice(begin, begin + CHUNK)
             prim = torch.from_numpy(owner[part] + self._first).to(device)
             at_u, at_v = (torch.from_numpy(z[part]).float().to(device) for z in (u, v))
@@ -205,4 +207,6 @@ class TexelMeans:
             surface = self._materials(si)
             values = torch.cat((surface.albedo, surface.roughness.expand(len(prim), 1)), -1)
             out[part] = values.clamp(0.0, 1.0).cpu().numpy()
+
+        deque(each(work, range(0, len(owner), CHUNK)), maxlen=0)
         return out

@@ -1,5 +1,7 @@
 """What textures keep of fields: patterns as fine as texels, jumps on borders of charts, nothing that was not there."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 import torch
@@ -107,3 +109,26 @@ def test_texels_on_borders_of_charts_stay_means(monkeypatch):
     assert border.any()
     assert not changed[border].any()
     assert changed[plain.covered & ~border].mean() > 0.5
+
+
+@pytest.mark.parametrize("side", [256, 1024])
+def test_texels_in_which_little_happens_are_asked_once(square, side):
+    """Means are as of every texel asked at 8 x 8 positions, within a step of 8 bits, for a fraction of the questions.
+    Stripes as fine as texels are seen to be there: what a point in the middle says, which is anything, does not stay.
+    """
+    chart = replace(square[0], width=side, height=side)
+
+    def waves(at):  # as long as the square; beyond 0.9 of it stripes of 1.08 texels
+        x = at[:, 0] / SIDE
+        stripes = 0.4 * torch.sin(2 * np.pi * 0.93 * side * x)
+        return 0.5 + torch.where(x < 0.9, 0.3 * torch.sin(2 * np.pi * x), stripes)
+
+    field = Field(waves)
+    found = bake(chart, 0, square[1], field).pixels[4, :, 3].astype(np.float32)
+    everywhere = (side * baking.positions(baking.LITTLE, chart, baking.PER_TEXEL)) ** 2
+    assert field.asked < 0.4 * everywhere
+    means = TexelMeans(chart, 0, square[1], Field(waves)).means(8, np.arange(side)[:, None] * np.ones(side) < 8)
+    exact = baking.sharpened(means, means.inside)[4, :, 3]
+    smooth, fine = slice(4, int(0.89 * side)), slice(int(0.91 * side), -4)
+    assert np.abs(found - exact)[smooth].max() < 1 / 255
+    assert np.abs(found[fine] - 0.5).max() < 0.2  # points in the middle have 0.4
