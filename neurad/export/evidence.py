@@ -62,18 +62,25 @@ def coarse_texels(chart: Chart, first: int, geometry: Geometry) -> CoarseTexels:
     return CoarseTexels((height, width), lane, si)
 
 
-@torch.no_grad()
-def evidence(texels: CoarseTexels, seen_by: SeenBy) -> tuple[Bytes, float]:
+def evidence(texels: CoarseTexels, seen: BoolArray) -> tuple[Bytes, float]:
     """The picture of a mesh [h, w], and the fraction of its texels that some training view sees.
 
     Args:
         texels: of the mesh.
-        seen_by: the training cameras.
+        seen: whether some training view sees each of them [n].
     """
-    seen: BoolArray = seen_by.any(texels.si).numpy()
     picture = np.full(texels.shape, NOTHING, np.uint8)
     picture.ravel()[texels.lane] = np.where(seen, SEEN, UNSEEN)
     return picture, float(seen.mean()) if len(seen) else 0.0
+
+
+@torch.no_grad()
+def seen_texels(texels: list[CoarseTexels], seen_by: SeenBy) -> list[BoolArray]:
+    """Which coarse texels of each mesh some training view sees; of many meshes at once, as every camera is asked."""
+    if not texels:
+        return []
+    seen = seen_by.any(SurfaceInteraction.cat(*(of_mesh.si for of_mesh in texels))).numpy()
+    return np.split(seen, np.cumsum([len(of_mesh.lane) for of_mesh in texels])[:-1])
 
 
 def std_maps(texels: CoarseTexels, bars: ErrorBars, to_cube: ToUnitCube, emits: torch.Tensor) -> dict[str, FloatArray]:

@@ -24,7 +24,7 @@ from neurad.export.base_colour import TARGETS, Target, is_converted, over_angles
 from neurad.export.blender import blender_setup_path
 from neurad.export.cameras import NO_LENS, files_of, is_plain, shown_alike, write_views
 from neurad.export.cycles import render_views
-from neurad.export.evidence import COARSER, coarse_texels, evidence, std_maps
+from neurad.export.evidence import COARSER, CoarseTexels, coarse_texels, evidence, seen_texels, std_maps
 from neurad.export.folder import MANIFEST, check_out, check_sources, written_beside
 from neurad.export.gltf import write_glb
 from neurad.export.images import Coded
@@ -45,6 +45,8 @@ from neurad.scene.punctual import pose
 from neurad.scene.scene_xml import describe, path_integrator, write_xml
 from neurad.training.error_bars import to_cube
 
+_TOGETHER = 32
+"""Meshes whose coarse texels are held at once: cameras are asked for many points more cheaply."""
 _OVER_ANGLES = "base_color_over_angles.exr"
 NO_BARS = "error bars: the run folder has none of this checkpoint; neurad test writes them"
 
@@ -222,24 +224,28 @@ def _write_evidence(
     world = assembly.world
     seen_by = SeenBy(world.geometry, world.tracer.tracer, [view.camera for view in room.scene.train])
     first = np.cumsum([0, *(len(mesh.faces) for mesh in room.scene.meshes)])
+    found: list[float | None] = [None] * len(room.names)
 
-    def one(index: int) -> float | None:
-        chart, name = room.charts[index], room.names[index]
-        if chart is None:
-            return None
-        texels = coarse_texels(chart, int(first[index]), world.geometry)
-        picture, fraction = evidence(texels, seen_by)
-        (folder / "evidence" / f"{name}.png").write_bytes(png(picture))
-        if bars is not None and isinstance(assembly.materials, FittedMaterials):
-            for of, std in std_maps(texels, bars, to_cube(assembly.materials), emits).items():
-                (folder / f"{of}_std").mkdir(exist_ok=True)
-                write_exr(folder / f"{of}_std" / f"{name}.exr", std)
-        return round(fraction, 4)
+    def texels_of(index: int) -> CoarseTexels:
+        chart = room.charts[index]
+        assert chart is not None
+        return coarse_texels(chart, int(first[index]), world.geometry)
 
-    found: list[float | None] = []
-    for fraction in threads.each(one, range(len(room.names))):
-        found.append(fraction)
-        bar.step()
+    textured = [index for index, chart in enumerate(room.charts) if chart is not None]
+    bar.step(len(found) - len(textured))
+    for begin in range(0, len(textured), _TOGETHER):
+        group = textured[begin : begin + _TOGETHER]
+        texels = list(threads.each(texels_of, group))
+        for index, of_mesh, seen in zip(group, texels, seen_texels(texels, seen_by), strict=True):
+            name = room.names[index]
+            picture, fraction = evidence(of_mesh, seen)
+            (folder / "evidence" / f"{name}.png").write_bytes(png(picture))
+            found[index] = round(fraction, 4)
+            if bars is not None and isinstance(assembly.materials, FittedMaterials):
+                for of, std in std_maps(of_mesh, bars, to_cube(assembly.materials), emits).items():
+                    (folder / f"{of}_std").mkdir(exist_ok=True)
+                    write_exr(folder / f"{of}_std" / f"{name}.exr", std)
+            bar.step()
     return found
 
 
