@@ -72,15 +72,12 @@ def bake(
     means = mesh.means(per, done=done)
     border = border_texels(chart)
     refine(mesh, means, means.covered & ~border, per, per, positions(LITTLE, chart, PER_TEXEL), SETTLED_INSIDE)
-    refine(mesh, means, border, per)
+    refine(mesh, means, border, per, PER_BORDER_TEXEL, MOST_PER_BORDER_TEXEL, SETTLED)
     pixels = sharpened(means, means.inside & ~border)
     return Baked(push_pull(pixels, means.covered).astype(np.float16), means.covered)
 
 
-def refine(
-    mesh: TexelMeans, means: Means, wanted: BoolArray, per: int, least: int = PER_BORDER_TEXEL,
-    most: int = MOST_PER_BORDER_TEXEL, settled: float = SETTLED,
-) -> None:  # fmt: skip
+def refine(mesh: TexelMeans, means: Means, wanted: BoolArray, per: int, least: int, most: int, settled: float) -> None:
     """Ask texels at more and more positions, twice as many along a side, until their means are known.
 
     Args:
