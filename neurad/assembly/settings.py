@@ -191,7 +191,7 @@ class Optimization:
     exposure: NonNegative = 3e-4
     """Learning rate of the logarithms of the photographs' gains, where ``data.exposure`` or ``data.white_balance`` is
     ``fit``."""
-    response: NonNegative = 1e-2
+    response: NonNegative = 5e-2
     """Learning rate of the weights of the response curve, where ``data.response`` is ``fit``."""
     schedule: Literal["constant", "cosine"] = "cosine"
     """Cosine decay over the run: by iterations (``max_steps``) or time (``max_time``), whichever ends first."""
