@@ -46,6 +46,7 @@ class FittedDevelopment(nn.Module):
     bend: nn.Parameter | None
     exposure: Tensor
     coded: Tensor
+    ceiling: Tensor
     basis: Tensor
     slope: Tensor
 
@@ -59,6 +60,8 @@ class FittedDevelopment(nn.Module):
         self.register_buffer("exposure", exposure, persistent=False)
         coded = torch.tensor([view.development.levels > 0 for view in views], dtype=torch.bool)
         self.register_buffer("coded", coded, persistent=False)
+        ceiling = torch.tensor([1.0 if (code := view.development.ceiling) is None else code for view in views])
+        self.register_buffer("ceiling", ceiling, persistent=False)
         middle = (torch.arange(_STEPS) + 0.5) / _STEPS
         self.register_buffer("basis", _basis(middle), persistent=False)
         edge = _decoded(torch.arange(_STEPS + 1) / _STEPS)
@@ -124,7 +127,9 @@ class FittedDevelopment(nn.Module):
     @torch.no_grad()
     def below_ceiling(self, batch: PixelBatch, radiance: Tensor) -> Tensor:
         """Whether pixels that show this radiance [b, 3] are too far below the ceiling for noise to clip them [b, 3]."""
-        return (radiance * self.gains()[batch.view] * self._scale(batch) < NEAR_CEILING) | ~self._coded(batch)
+        ceiling = self.respond(_decoded(self.ceiling))[batch.view].unsqueeze(-1)
+        shown = radiance * self.gains()[batch.view] * self._scale(batch)
+        return (shown < NEAR_CEILING * ceiling) | ~self._coded(batch)
 
     @torch.no_grad()
     def _photographed(self, radiance: Tensor, batch: PixelBatch) -> Tensor:

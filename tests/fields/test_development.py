@@ -150,6 +150,19 @@ def test_linear_photographs_have_no_response():
 def test_the_curve_is_fitted_where_noise_clips_nothing():
     """By what is predicted, of any exposure; of linear photographs everywhere."""
     model = FittedDevelopment([*views(2, [0.5, 2.0]), *views(1, levels=0)], Photography("fit"))
-    radiance = torch.tensor([[0.1, 0.44, 0.46], [0.1, 1.79, 1.81], [0.1, 1.0, 9.0]])
+    radiance = torch.tensor([[0.1, 0.32, 0.33], [0.1, 1.29, 1.31], [0.1, 1.0, 9.0]])
     exposed = batch_of(torch.tensor([1, 0, 2]), torch.zeros(3, 3))
     assert model.below_ceiling(exposed, radiance).tolist() == [[True, True, False], [True, True, False], [True] * 3]
+
+
+def test_the_curve_is_fitted_below_a_ceiling_that_is_given():
+    """It is one of codes; the curve says which radiance that is."""
+    lower = [replace(v, development=replace(v.development, ceiling=0.5)) for v in views(1)]
+    model = FittedDevelopment(lower, Photography("fit", ceiling=0.5))
+    half, batch = float(srgb_decoded(torch.tensor(0.5))), batch_of(torch.zeros(1, dtype=torch.int64), torch.zeros(1, 3))
+    assert model.below_ceiling(batch, half * torch.tensor([[0.1, 0.64, 0.66]])).tolist() == [[True, True, False]]
+    with torch.no_grad():
+        model.bend[1] = 1.0
+    bent = float(model.curve()[128])
+    assert bent < 0.95 * half or bent > 1.05 * half
+    assert model.below_ceiling(batch, bent * torch.tensor([[0.1, 0.64, 0.66]])).tolist() == [[True, True, False]]
