@@ -10,13 +10,14 @@ from helpers.tiny_fit import fails, fit, write_tiny_config
 
 from neurad.assembly.build import build_world
 from neurad.cli import main
+from neurad.core.protocols import Recovered
 from neurad.core.records import SurfaceInteraction
 from neurad.integrators.estimator import Estimator
 from neurad.integrators.primary_hits import PrimaryHits
 from neurad.scene.builtin import build_furnace
 from neurad.studies.bench.bound import gap, sentence
 from neurad.studies.bound import ladder
-from neurad.studies.bound.cells import COARSEST, FINEST, SurfaceCells, _pack, _unpack, encode
+from neurad.studies.bound.cells import COARSEST, FINEST, CellMaterials, SurfaceCells, _pack, _unpack, encode
 from neurad.studies.bound.ladder import rungs
 from neurad.studies.bound.photographs import Predicted, misfit, noise_scale, photo_noise, predict
 from neurad.studies.bound.recovery import Photographed, Prior, Recovery, SeenDirectly
@@ -98,6 +99,20 @@ def test_points_find_their_cell_or_what_lies_above_it():
     half = SurfaceCells.of(LOW, HIGH, np.unique(codes[x < 0.55]), 2 * len(codes))
     beyond = half.find(encode(on_plane(np.array([0.7]), np.array([0.3])), LOW, HIGH))
     assert 0 <= beyond[0] < half.counts[0], "the coarse cell from 0.5 to 0.75 is seen, finer ones there are not"
+
+
+def test_materials_of_cells_are_those_of_the_finest_or_the_mean():
+    cells, x, y = lattice(5)
+    details = np.random.default_rng(9).normal(0, 0.1, (sum(cells.counts), 4)).astype(np.float32)
+    mean = np.array([0.5, 0.4, 0.3, 0.2], np.float32)
+    materials = CellMaterials(cells, (LOW, HIGH), details, mean, frozenset())
+    assert isinstance(materials, Recovered), "so that held-out views guess where no photograph shows the surface"
+    found = materials(on_plane(x, y))
+    places = cells.find(encode(on_plane(x, y), LOW, HIGH))
+    np.testing.assert_allclose(found.albedo, (details[places] + mean)[:, :3], rtol=1e-6)
+    np.testing.assert_allclose(found.roughness, (details[places] + mean)[:, 3:], rtol=1e-6)
+    below = materials(on_plane(x[:1], y[:1], up=False))
+    np.testing.assert_allclose(torch.cat((below.albedo, below.roughness), -1)[0], mean)
 
 
 # ---- the estimate

@@ -5,8 +5,10 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+import torch
+from torch import Tensor
 
-from neurad.core.records import FloatArray, IntArray, SurfaceInteraction
+from neurad.core.records import FloatArray, IntArray, Surface, SurfaceInteraction
 from neurad.metrics.scores import Float64Array
 from neurad.studies.bound.sparse import Rows
 
@@ -83,6 +85,31 @@ class SurfaceCells:
             found[left[hit]] = cell[hit] + sum(self.counts[:index])
             left, codes = left[~hit], codes[~hit] >> 3
         return found
+
+
+@dataclass(frozen=True)
+class CellMaterials:
+    """Values in cells as the materials of surfaces: :class:`neurad.core.protocols.Materials` that were recovered."""
+
+    cells: SurfaceCells
+    box: tuple[FloatArray, FloatArray]
+    """Corners of the region that the cells' codes were made with."""
+    details: FloatArray
+    """Albedo and roughness in the cells of all levels, less ``mean`` [cells, 4]."""
+    mean: FloatArray
+    """What holds where there is no cell [4]."""
+    known_meshes: frozenset[int]
+
+    def __call__(self, si: SurfaceInteraction) -> Surface:
+        """What the finest cell at each lane has."""
+        place = self.cells.find(encode(si, *self.box))
+        there = np.where(place[:, None] >= 0, self.details[np.maximum(place, 0)], 0.0) + self.mean
+        values = torch.from_numpy(there.astype(np.float32)).to(si.p.device)
+        return Surface(values[:, :3], values[:, 3:])
+
+    def albedo(self, si: SurfaceInteraction) -> Tensor:
+        """The first three values [n, 3]."""
+        return self(si).albedo
 
 
 def encode(si: SurfaceInteraction, low: FloatArray, high: FloatArray) -> IntArray:

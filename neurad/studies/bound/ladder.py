@@ -9,7 +9,7 @@ import numpy as np
 import torch
 
 from neurad.core.errors import InputError
-from neurad.core.protocols import Materials
+from neurad.core.protocols import Materials, Recovered
 from neurad.core.records import FloatArray, IntArray, SurfaceInteraction
 from neurad.integrators.estimator import Estimator
 from neurad.integrators.film import box_mean
@@ -20,7 +20,7 @@ from neurad.metrics.lit_glossy import lit_glossy, reflected_by
 from neurad.metrics.scores import BoolArray, Pool, psnr
 from neurad.runs.load import LoadedRun
 from neurad.scene.textures import TrueMaterials
-from neurad.studies.bound.cells import SurfaceCells, encode
+from neurad.studies.bound.cells import CellMaterials, SurfaceCells, encode
 from neurad.studies.bound.fields import fit_fields, predicted, training_run
 from neurad.studies.bound.photographs import Predicted, misfit, noise_scale, photo_noise, predict
 from neurad.studies.bound.recovery import LOOSE, Photographed, Prior, Recovery, Response, SeenDirectly
@@ -124,7 +124,6 @@ class Ladder:
         self.footprint = self._footprint(codes)
         self.prior, self.spread = self._prior(primary, codes, device)
         report(f"{self.cells.counts[-1]} cells, {len(self.kept)} pixels")
-        self._readout = [self._places(index) for index in range(len(self.held_out.views))]
 
     # ---- what there is
 
@@ -207,22 +206,17 @@ class Ladder:
         one = Rows(np.arange(len(column) + 1), column, np.ones(len(column), np.float32), self.footprint.columns)
         return Prior.of(self.cells, one, pairs.reshape(-1, 4)), spread
 
-    def _places(self, index: int) -> IntArray:
-        """The cell of every position in a held-out view [pixels, positions]."""
-        grid = self.held_out.grid**2
-        parts = [self.cells.find(encode(si, *self.box)) for _, si in self.held_out.sub_samples(index)]
-        return np.concatenate(parts).reshape(-1, grid)
-
     # ---- maps and errors
 
     def maps_of(self, values: FloatArray) -> list[Maps]:
-        """What the held-out views show of values in the cells of all levels [cells, 4], less the mean."""
-        found: list[Maps] = []
-        for index, places in enumerate(self._readout):
-            there = np.where(places[..., None] >= 0, values[np.maximum(places, 0)], 0.0).mean(1) + self.prior.mean
-            image = there.reshape(*self.held_out.size(index), 4).astype(np.float32)
-            found.append({"albedo": image[..., :3], "roughness": image[..., 3:]})
-        return found
+        """What the held-out views show of values in the cells of all levels [cells, 4], less the mean: as of a fit,
+        with guesses where no photograph shows the surface.
+        """
+        known = self.run.materials.known_meshes if isinstance(self.run.materials, Recovered) else frozenset[int]()
+        maps: list[Maps] = list(
+            self.held_out.predict(CellMaterials(self.cells, self.box, values, self.prior.mean, known))
+        )
+        return maps
 
     def errors(self, maps: Sequence[Maps], regions: Mapping[str, Sequence[BoolArray]]) -> Errors:
         """Over the counted pixels, and over those of each region."""
