@@ -39,13 +39,16 @@ if TYPE_CHECKING:
 
 MARKS = 20
 """Evaluations in a run, if the allowed fraction of time is enough for them."""
+LEAST_STEPS = 500
+"""Iterations between two evaluations of a run that only its steps limit: a try of a few hundred steps took nine times as
+long as they did by its evaluations."""
 
 
 class Evaluate(pl.Callback):
     """Evaluates on the held-out views: during a fit, at its end, and for ``validate``, ``test`` and ``predict``.
 
-    A run that only ``max_steps`` limits evaluates every ``max_steps // 20`` iterations, so that it is repeatable. One
-    limited by time evaluates at every twentieth of its length, as long as that keeps to ``fraction``. Large held-out
+    A run that only ``max_steps`` limits evaluates every ``max_steps // 20`` iterations, so that it is repeatable, but
+    at least :data:`LEAST_STEPS` apart. One limited by time evaluates at every twentieth of its length, as long as that keeps to ``fraction``. Large held-out
     views are then scored at fewer positions in a pixel and in fewer pixels, see :mod:`neurad.metrics.effort`.
 
     Args:
@@ -192,7 +195,7 @@ class Evaluate(pl.Callback):
             return False  # the end is scored after the last fit of the levels' factors
         every = self.every_n_steps
         if every is None and trainer.max_steps > 0 and fraction_done(trainer).by_time is None:
-            every = max(trainer.max_steps // MARKS, 1)
+            every = max(trainer.max_steps // MARKS, LEAST_STEPS)
         if every is not None:
             return bool(module.iteration % every == 0)
         mark = self._mark_of(trainer)
