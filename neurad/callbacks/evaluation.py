@@ -40,16 +40,17 @@ if TYPE_CHECKING:
 MARKS = 20
 """Evaluations in a run, if the allowed fraction of time is enough for them."""
 LEAST_STEPS = 500
-"""Iterations between two evaluations of a run that only its steps limit: a try of a few hundred steps took nine times as
-long as they did by its evaluations."""
+"""Iterations between two evaluations of a run that only its steps limit: a try of a few hundred took nine times as long
+as its steps did."""
 
 
 class Evaluate(pl.Callback):
     """Evaluates on the held-out views: during a fit, at its end, and for ``validate``, ``test`` and ``predict``.
 
     A run that only ``max_steps`` limits evaluates every ``max_steps // 20`` iterations, so that it is repeatable, but
-    at least :data:`LEAST_STEPS` apart. One limited by time evaluates at every twentieth of its length, as long as that keeps to ``fraction``. Large held-out
-    views are then scored at fewer positions in a pixel and in fewer pixels, see :mod:`neurad.metrics.effort`.
+    at least :data:`LEAST_STEPS` apart. One limited by time evaluates at every twentieth of its length, as long as that
+    keeps to ``fraction``. Large held-out views are then scored at fewer positions in a pixel and in fewer pixels, see
+    :mod:`neurad.metrics.effort`.
 
     Args:
         fraction: largest fraction of the training time that evaluations during the fit may take.
