@@ -23,7 +23,7 @@ from neurad.studies.bound.photographs import Predicted, misfit, noise_scale, pho
 from neurad.studies.bound.recovery import Photographed, Prior, Recovery, SeenDirectly
 from neurad.studies.bound.sparse import Rows
 
-LOW, HIGH = np.zeros(3, np.float32), np.ones(3, np.float32)
+LOW, SIZE = np.zeros(3, np.float32), 1.0
 
 
 def on_plane(x, y, up=True):
@@ -39,8 +39,8 @@ def on_plane(x, y, up=True):
 def lattice(power):
     """Cells of level ``power`` on the plane, all of them, and the middles of their squares [n]."""
     (x, y), finer = grid(power), grid(power + 1)
-    codes = np.unique(encode(on_plane(*finer), LOW, HIGH))  # four in a cell, too many for the pixels
-    return SurfaceCells.of(LOW, HIGH, codes, round(len(x) / 2.0) + 1), x, y
+    codes = np.unique(encode(on_plane(*finer), LOW, SIZE))  # four in a cell, too many for the pixels
+    return SurfaceCells.of(LOW, SIZE, codes, round(len(x) / 2.0) + 1), x, y
 
 
 def grid(power):
@@ -91,13 +91,13 @@ def test_what_is_linear_above_is_linear_below():
 
 def test_points_find_their_cell_or_what_lies_above_it():
     cells, x, y = lattice(5)
-    codes = encode(on_plane(x, y), LOW, HIGH)
+    codes = encode(on_plane(x, y), LOW, SIZE)
     found = cells.find(codes)
     assert (found >= sum(cells.counts[:-1])).all()
     assert len(np.unique(found)) == len(found)
-    assert (cells.find(encode(on_plane(x, y, up=False), LOW, HIGH)) == -1).all(), "the other side is another surface"
-    half = SurfaceCells.of(LOW, HIGH, np.unique(codes[x < 0.55]), 2 * len(codes))
-    beyond = half.find(encode(on_plane(np.array([0.7]), np.array([0.3])), LOW, HIGH))
+    assert (cells.find(encode(on_plane(x, y, up=False), LOW, SIZE)) == -1).all(), "the other side is another surface"
+    half = SurfaceCells.of(LOW, SIZE, np.unique(codes[x < 0.55]), 2 * len(codes))
+    beyond = half.find(encode(on_plane(np.array([0.7]), np.array([0.3])), LOW, SIZE))
     assert 0 <= beyond[0] < half.counts[0], "the coarse cell from 0.5 to 0.75 is seen, finer ones there are not"
 
 
@@ -105,10 +105,10 @@ def test_materials_of_cells_are_those_of_the_finest_or_the_mean():
     cells, x, y = lattice(5)
     details = np.random.default_rng(9).normal(0, 0.1, (sum(cells.counts), 4)).astype(np.float32)
     mean = np.array([0.5, 0.4, 0.3, 0.2], np.float32)
-    materials = CellMaterials(cells, (LOW, HIGH), details, mean, frozenset())
+    materials = CellMaterials(cells, details, mean, frozenset())
     assert isinstance(materials, Recovered), "so that held-out views guess where no photograph shows the surface"
     found = materials(on_plane(x, y))
-    places = cells.find(encode(on_plane(x, y), LOW, HIGH))
+    places = cells.find(encode(on_plane(x, y), LOW, SIZE))
     np.testing.assert_allclose(found.albedo, (details[places] + mean)[:, :3], rtol=1e-6)
     np.testing.assert_allclose(found.roughness, (details[places] + mean)[:, 3:], rtol=1e-6)
     below = materials(on_plane(x[:1], y[:1], up=False))
@@ -120,8 +120,8 @@ def test_materials_of_cells_are_those_of_the_finest_or_the_mean():
 
 def single(response, sigma, n, spread, local=1.0):
     """``n`` pixels of one finest cell, details on the finest level alone, of these standard deviations [4]."""
-    code = encode(on_plane(np.array([0.4]), np.array([0.4])), LOW, HIGH)
-    cells = SurfaceCells.of(LOW, HIGH, code, 2)
+    code = encode(on_plane(np.array([0.4]), np.array([0.4])), LOW, SIZE)
+    cells = SurfaceCells.of(LOW, SIZE, code, 2)
     levels = len(cells.codes)
     bases = [np.zeros((4, 4), np.float32)] * (levels - 1) + [np.diag(spread).astype(np.float32)]
     prior = Prior(np.zeros(4, np.float32), tuple(bases), tuple(np.full((1, 4), local, np.float32) for _ in bases))
@@ -201,7 +201,7 @@ def test_many_levels_give_the_dense_solution():
 def test_the_prior_is_what_was_drawn():
     """White details of the finest level around a mean, quiet in one half of the plane."""
     cells, x, y = lattice(FINEST - 6)
-    column = cells.find(encode(on_plane(x, y), LOW, HIGH)) - sum(cells.counts[:-1])
+    column = cells.find(encode(on_plane(x, y), LOW, SIZE)) - sum(cells.counts[:-1])
     quiet = (x < 0.5)[:, None]
     values = np.random.default_rng(4).normal(0, 0.1, (len(x), 4)) * np.where(quiet, 0.1, 1.0) + [0.5, 0.4, 0.3, 0.2]
     one = Rows(np.arange(len(x) + 1), column.astype(np.int32), np.ones(len(x), np.float32), len(x))

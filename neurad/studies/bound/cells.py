@@ -41,12 +41,12 @@ class SurfaceCells:
     """What interpolates each level but the first from the one above."""
 
     @classmethod
-    def of(cls, low: FloatArray, high: FloatArray, codes: IntArray, pixels: int) -> SurfaceCells:
+    def of(cls, low: FloatArray, size: float, codes: IntArray, pixels: int) -> SurfaceCells:
         """The cells of some points.
 
         Args:
             low: corner of the region [3].
-            high: opposite corner [3].
+            size: its longest side.
             codes: of the points, from :func:`encode` with the same region, sorted and each once.
             pixels: that see them.
         """
@@ -57,7 +57,6 @@ class SurfaceCells:
         for _ in range(finest, COARSEST, -1):
             levels.insert(0, np.unique(levels[0] >> 3))
         parents = [_interpolation(levels[i], levels[i - 1], COARSEST + i) for i in range(1, len(levels))]
-        size = float(np.max(np.subtract(high, low)))
         return cls(np.asarray(low, np.float64), size, finest, tuple(levels), tuple(parents))
 
     @property
@@ -92,17 +91,16 @@ class CellMaterials:
     """Values in cells as the materials of surfaces: :class:`neurad.core.protocols.Materials` that were recovered."""
 
     cells: SurfaceCells
-    box: tuple[FloatArray, FloatArray]
-    """Corners of the region that the cells' codes were made with."""
     details: FloatArray
     """Albedo and roughness in the cells of all levels, less ``mean`` [cells, 4]."""
     mean: FloatArray
     """What holds where there is no cell [4]."""
     known_meshes: frozenset[int]
+    """Meshes of which the scene says what they are made of: nothing is guessed there, and cells hold as elsewhere."""
 
     def __call__(self, si: SurfaceInteraction) -> Surface:
         """What the finest cell at each lane has."""
-        place = self.cells.find(encode(si, *self.box))
+        place = self.cells.find(encode(si, self.cells.low, self.cells.size))
         there = np.where(place[:, None] >= 0, self.details[np.maximum(place, 0)], 0.0) + self.mean
         values = torch.from_numpy(there.astype(np.float32)).to(si.p.device)
         return Surface(values[:, :3], values[:, 3:])
@@ -112,7 +110,7 @@ class CellMaterials:
         return self(si).albedo
 
 
-def encode(si: SurfaceInteraction, low: FloatArray, high: FloatArray) -> IntArray:
+def encode(si: SurfaceInteraction, low: FloatArray | Float64Array, size: float) -> IntArray:
     """Codes of the finest cells of surface points [n]: their place in the region, and which of six ways they face, so
     that the two sides of a thin wall share nothing.
     """
@@ -120,7 +118,7 @@ def encode(si: SurfaceInteraction, low: FloatArray, high: FloatArray) -> IntArra
     ng = ng * np.where((ng * si.wo.cpu().numpy()).sum(-1, keepdims=True) < 0, -1.0, 1.0)
     axis = np.abs(ng).argmax(-1)
     side = 2 * axis + (np.take_along_axis(ng, axis[:, None], 1)[:, 0] > 0)
-    scale = (1 << FINEST) / float(np.max(np.subtract(high, low)))
+    scale = (1 << FINEST) / size
     place = ((si.p.cpu().numpy() - np.asarray(low, np.float32)) * scale).astype(np.int64)
     return _pack(side.astype(np.int64), np.clip(place, 0, (1 << FINEST) - 1), FINEST)
 

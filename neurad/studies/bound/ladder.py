@@ -9,7 +9,7 @@ import numpy as np
 import torch
 
 from neurad.core.errors import InputError
-from neurad.core.protocols import Materials, Recovered
+from neurad.core.protocols import Materials
 from neurad.core.records import FloatArray, IntArray, SurfaceInteraction
 from neurad.integrators.estimator import Estimator
 from neurad.integrators.film import box_mean
@@ -90,7 +90,7 @@ class Ladder:
             raise InputError(
                 f"--ckpt_path {run.checkpoint}: the bound needs a fit of materials by a method with a radiance field"
             )
-        self.run, self.report = run, report
+        self.run, self.report, self.known_meshes = run, report, run.materials.known_meshes
         scene, world = run.scene, run.world
         if world.delta is not None:
             raise InputError(f"scene {scene.name}: footprints through glass and in mirrors are not known to the bound")
@@ -112,14 +112,14 @@ class Ladder:
         self.left_out |= missed.any(-1)
         self.photographs = self.training.photographs.photographs.numpy()  # type: ignore[attr-defined]
         report("cells of what the training views see")
-        self.box = low, high = self._box(primary)
+        self.region = low, size = self._region(primary)
         codes = np.concatenate(
             [self._codes(primary, view) for view in range(views)]
         )  # [views * pixels * self.positions]
         kept = (~self.left_out).view(-1).cpu().numpy()
         self.kept: IntArray = np.flatnonzero(kept)
         codes = codes.reshape(-1, self.positions)[self.kept]
-        self.cells = SurfaceCells.of(low, high, np.unique(codes), len(self.kept))
+        self.cells = SurfaceCells.of(low, size, np.unique(codes), len(self.kept))
         self._first_finest = sum(self.cells.counts[:-1])
         self.footprint = self._footprint(codes)
         self.prior, self.spread = self._prior(primary, codes, device)
@@ -153,8 +153,8 @@ class Ladder:
                 if name not in reader.truth(index):
                     raise InputError(f"{kind} view {view.name}: it has no {words}, which the bound needs")
 
-    def _box(self, primary: PrimaryHits) -> tuple[FloatArray, FloatArray]:
-        """Corners of what the training views see."""
+    def _region(self, primary: PrimaryHits) -> tuple[FloatArray, float]:
+        """Corner and longest side of what the training views see."""
         ends = []
         for view in range(len(self.left_out)):
             si = self._points(primary, view, slice(0, 1))
@@ -162,11 +162,11 @@ class Ladder:
                 p = si.p[si.valid]
                 ends.append(torch.stack((p.amin(0), p.amax(0))).cpu().numpy())
         low, high = np.min([end[0] for end in ends], 0), np.max([end[1] for end in ends], 0)
-        return low, high
+        return low, float(np.max(np.subtract(high, low)))
 
     def _codes(self, primary: PrimaryHits, view: int) -> IntArray:
         """Cells of the kept positions of a view [pixels * self.positions]."""
-        return encode(self._points(primary, view, slice(None)), *self.box)
+        return encode(self._points(primary, view, slice(None)), *self.region)
 
     def _points(self, primary: PrimaryHits, view: int, chosen: slice) -> SurfaceInteraction:
         """Surface points of a view at some of the kept positions of every pixel."""
@@ -212,11 +212,7 @@ class Ladder:
         """What the held-out views show of values in the cells of all levels [cells, 4], less the mean: as of a fit,
         with guesses where no photograph shows the surface.
         """
-        known = self.run.materials.known_meshes if isinstance(self.run.materials, Recovered) else frozenset[int]()
-        maps: list[Maps] = list(
-            self.held_out.predict(CellMaterials(self.cells, self.box, values, self.prior.mean, known))
-        )
-        return maps
+        return [*self.held_out.predict(CellMaterials(self.cells, values, self.prior.mean, self.known_meshes))]
 
     def errors(self, maps: Sequence[Maps], regions: Mapping[str, Sequence[BoolArray]]) -> Errors:
         """Over the counted pixels, and over those of each region."""
