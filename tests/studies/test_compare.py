@@ -339,6 +339,15 @@ def test_samples_become_steps(stub):
     arguments = Path("report/runs/good_0/arguments.txt").read_text().splitlines()
     assert "--trainer.max_steps=41" in arguments
     assert "--trainer.max_time=null" in arguments
+    assert "--evaluation.every_n_steps=2" in arguments  # a curve needs points, and 41 steps are few
+
+
+def test_samples_leave_the_schedule_that_was_asked_for(stub, monkeypatch):
+    asked = CONFIG | {"evaluation": {"every_n_steps": 7}}
+    monkeypatch.setattr(configs, "resolved_configs", lambda fits: [asked for _ in fits])
+    main(["compare", "--config=scene.yaml", "--methods=good.yaml", f"--samples={PER_STEP * 41}"])
+    arguments = Path("report/runs/good_0/arguments.txt").read_text().splitlines()
+    assert not [word for word in arguments if word.startswith("--evaluation.every")]
 
 
 def test_overwrite_replaces_the_runs_but_nothing_else(stub):

@@ -22,6 +22,8 @@ from neurad.studies.compare.runs import FACTS, Run, by_method, read_run, samples
 
 EVALUATION_FRACTION = 0.5
 """Fraction of the training time that evaluations may take here: they do not count, and curves need points."""
+POINTS = 20
+"""Evaluations of a fit that its samples limit, however few steps these are."""
 
 
 @dataclass(frozen=True)
@@ -84,7 +86,10 @@ def plan(options: argparse.Namespace) -> list[Fit]:
             per_step = samples_per_step(resolved[method])
             if not per_step:
                 raise InputError(f"--samples: the settings of {method} do not say how many samples a step draws")
-            limits = ["--trainer.max_time=null", f"--trainer.max_steps={max(1, round(options.samples / per_step))}"]
+            steps = max(1, round(options.samples / per_step))
+            limits = ["--trainer.max_time=null", f"--trainer.max_steps={steps}"]
+            if resolved[method].get("evaluation", {}).get("every_n_steps") is None:
+                limits.append(f"--evaluation.every_n_steps={max(1, steps // POINTS)}")
         for seed in seeds:
             folder = options.out / "runs" / f"{method}_{seed}"
             place = [f"--trainer.default_root_dir={folder}", "--trainer.enable_progress_bar=false"]
