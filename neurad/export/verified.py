@@ -218,7 +218,7 @@ class Verified:
         return [Verdict("fraction of borders beyond 2/255", self.seams.beyond, 0.0, SEAMS_BEYOND, text)]
 
     def _means(self, name: str, bound: float) -> Verdict:
-        """The view whose mean is farthest from ours, noise told."""
+        """The view whose mean is farthest from ours, standard errors included."""
         ratios, errors = self.ratios(name), self.errors(name)
         worst = int(np.argmax([abs(ratio - 1.0) + KEPT * error for ratio, error in zip(ratios, errors, strict=True)]))
         missed = [i for i, (r, e) in enumerate(zip(ratios, errors, strict=True)) if abs(r - 1.0) - MISSED * e > bound]

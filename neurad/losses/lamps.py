@@ -20,8 +20,8 @@ def shown_lamps(lamps: FittedLamps) -> Loss:
     """
     pixels = lamps.unclipped
     weight = (pixels / (pixels + ENOUGH)).unsqueeze(-1)  # [m, 1]
-    told = lamps.photographed > 0
-    ratio = (lamps.radiance + lamps.reflected) / torch.where(told, lamps.photographed, 1.0)
-    squared = torch.where(told, weight * (ratio - 1.0).square(), 0.0)
+    shown = lamps.photographed > 0
+    ratio = (lamps.radiance + lamps.reflected) / torch.where(shown, lamps.photographed, 1.0)
+    squared = torch.where(shown, weight * (ratio - 1.0).square(), 0.0)
     loss = squared.sum() / (3 * int((pixels > 0).sum()))
     return Loss(loss, loss.detach())

@@ -28,7 +28,7 @@ Array = npt.NDArray[np.float64]
 WARN, REFUSE = 1.2, 3.0
 """Factors between the photographed and the declared radiance, in either direction."""
 FEW = 8
-"""Pixels below which a lamp is not told well enough to refuse a fit."""
+"""Pixels below which a lamp is not known well enough to refuse a fit."""
 CEILINGS = (1.0, 65504.0)
 """Largest values of formats: of pictures that were 8-bit once, and of half floats."""
 _MOST = 4096  # pixels of a view that are looked at
