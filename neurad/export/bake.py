@@ -20,16 +20,17 @@ PER_TEXEL, MOST_PER_TEXEL = 2, 8
 """Positions along the side of a texel at which the field is asked where it is not settled: the first in large textures,
 up to the second in small ones. A point in the middle alone aliases: patterns as fine as a texel come out as coarse
 ones, so it stays alone only where it differs little from its neighbours; with four a side nothing was gained over two
-in the pictures."""
+in the pictures. What no point in the middle of a texel meets, lines thinner than one, say, stays unseen in large
+textures; photographs cannot show it either, since texels are half as wide as their pixels where the budget allows."""
 PER_BORDER_TEXEL, MOST_PER_BORDER_TEXEL = 4, 32
 """The same of texels that lookups on borders of charts read: the other side averages other positions, and an eye sees
 that they differ. Up to the second where values jump under a texel: triangles may be smaller than it."""
 SETTLED = 0.5 / 255.0
 """Error of such a mean that is small enough."""
 SETTLED_INSIDE = 1.0 / 255.0
-"""The same away from borders, where there is no other side: one step of an 8-bit texture. The error is estimated from
-the whole way to the neighbours; texels of the kitchen that stay below it are off by 0.1/255 (rms)."""
-NOTHING, LITTLE = 1 << 16, 1 << 20
+"""The same away from borders, where there is no other side: one step of an 8-bit texture. A point alone stays if it is
+within four such steps of its neighbours; texels of the kitchen that stay so are off by 0.1/255 (rms)."""
+CHEAP, AFFORDABLE = 1 << 16, 1 << 20
 """Positions in a texture that cost next to nothing, and few enough to ask so many where the field is not settled."""
 GIVEN_BACK = 0.125
 """Of the difference to each of its four neighbours, what a texel is moved away from them. The mean over a texel and the
@@ -54,7 +55,8 @@ def bake(
     materials: Materials,
     done: Callable[[int], None] = lambda texels: None,
 ) -> Baked:
-    """Ask the materials for every texel of a mesh: the mean over several positions in it, a box filter.
+    """Ask the materials for every texel of a mesh: the mean over positions in it, a box filter. One position is enough
+    in large textures where neighbours say that little happens between them.
 
     Around a chart the positions lie in the plane of its nearest triangle beyond the edge. There the other side of a
     seam is close by, too, so both sides get about the same values and none can be seen. Inside charts texels get back
@@ -65,34 +67,49 @@ def bake(
         first: number of its first triangle in ``geometry``.
         geometry: of the whole scene, with the same triangles.
         materials: what to ask, on the CPU or where ``geometry`` lies.
-        done: called with numbers of texels as they get done.
+        done: called with numbers of texels, which count twice: when they are asked first, and when they are known.
     """
     mesh = TexelMeans(chart, first, geometry, materials)
-    per = positions(NOTHING, chart, 1)
+    per = positions(CHEAP, chart, 1)
     means = mesh.means(per, done=done)
     border = border_texels(chart)
-    refine(mesh, means, means.covered & ~border, per, per, positions(LITTLE, chart, PER_TEXEL), SETTLED_INSIDE)
-    refine(mesh, means, border, per, PER_BORDER_TEXEL, MOST_PER_BORDER_TEXEL, SETTLED)
+    inner = means.covered & ~border
+    done(int((~inner & ~border).sum()))
+    refine(mesh, means, inner, per, per, positions(AFFORDABLE, chart, PER_TEXEL), SETTLED_INSIDE, done)
+    refine(mesh, means, border, per, PER_BORDER_TEXEL, MOST_PER_BORDER_TEXEL, SETTLED, done)
     pixels = sharpened(means, means.inside & ~border)
     return Baked(push_pull(pixels, means.covered).astype(np.float16), means.covered)
 
 
-def refine(mesh: TexelMeans, means: Means, wanted: BoolArray, per: int, least: int, most: int, settled: float) -> None:
+def refine(
+    mesh: TexelMeans,
+    means: Means,
+    wanted: BoolArray,
+    per: int,
+    least: int,
+    most: int,
+    settled: float,
+    done: Callable[[int], None] = lambda texels: None,
+) -> None:
     """Ask texels at more and more positions, twice as many along a side, until their means are known.
 
     Args:
         mesh: what is asked.
-        means: of ``per`` positions along the side of a texel; replaced where more were asked.
+        means: of ``per`` positions along the side of a texel; replaced where more were asked, and their range widened.
         wanted: texels to begin with [h, w].
         per: positions along the side of a texel so far.
         least: positions along a side that all of them get.
         most: along a side, where that does not suffice.
         settled: error of a mean that is small enough.
+        done: called with numbers of texels as they get known.
     """
     error = uncertain(means.values, means.covered, means.spread, per)
     while per < most:
+        before = int(wanted.sum())
         wanted = wanted & ((per < least) | (error > settled))
-        if not wanted.any():
+        left = int(wanted.sum())
+        done(before - left)
+        if not left:
             return
         per *= 2
         finer = mesh.means(per, wanted)
@@ -100,7 +117,10 @@ def refine(mesh: TexelMeans, means: Means, wanted: BoolArray, per: int, least: i
         changed = np.zeros_like(error)
         changed[found] = np.abs(finer.values[found] - means.values[found]).max(-1)
         means.values[found] = finer.values[found]
+        np.minimum(means.least, finer.least, out=means.least)
+        np.maximum(means.most, finer.most, out=means.most)
         error = np.maximum(uncertain(means.values, means.covered, finer.spread, per), changed)
+    done(int(wanted.sum()))
 
 
 def sharpened(means: Means, mask: BoolArray) -> FloatArray:
@@ -127,5 +147,8 @@ def sharpened(means: Means, mask: BoolArray) -> FloatArray:
 
 
 def positions(budget: int, chart: Chart, least: int) -> int:
-    """Positions along the side of a texel so that a texture has about ``budget`` of them, but ``least`` or more."""
-    return min(max(math.isqrt(budget // (chart.width * chart.height)), least), MOST_PER_TEXEL)
+    """Positions along the side of a texel, a power of two: as many as a texture of ``budget`` of them has, but from
+    ``least`` to :data:`MOST_PER_TEXEL`.
+    """
+    most = max(math.isqrt(budget // (chart.width * chart.height)), 1)
+    return min(max(1 << (most.bit_length() - 1), least), MOST_PER_TEXEL)

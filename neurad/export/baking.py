@@ -57,7 +57,7 @@ def bake_room(assembly: Assembly, texels: int, size: int | None, up: Up | None, 
     charts: list[Chart | None] = [None] * len(scene.meshes)
     for index, chart in zip(textured, made, strict=True):
         charts[index] = chart
-    progress.stage("textures", sum(_texels(chart) for chart in made))
+    progress.stage("textures", 2 * sum(_texels(chart) for chart in made))
     baked = _bake_all(charts, [len(mesh.faces) for mesh in scene.meshes], world.geometry, materials, progress)
     names = file_names([mesh.name for mesh in scene.meshes])
     return Room(
@@ -78,20 +78,20 @@ def _bake_all(
     first = np.cumsum([0, *faces])
     baked: list[Baked | None] = [None] * len(charts)
     sizes = [0 if chart is None else _texels(chart) for chart in charts]
-    share = sum(sizes) / (2 * threads.threads(len(charts), 1))
+    large_from = sum(sizes) / (2 * threads.threads(len(charts), 1))
 
     def one(index: int, done: Callable[[int], None] = lambda texels: None) -> Baked | None:
         chart = charts[index]
         return None if chart is None else bake(chart, int(first[index]), geometry, materials, done)
 
     largest_first = sorted(range(len(charts)), key=lambda index: -sizes[index])
-    large = [index for index in largest_first if sizes[index] > share]
+    large = [index for index in largest_first if sizes[index] > large_from]
     for index in large:
         baked[index] = one(index, progress.step)
     small = largest_first[len(large) :]
     for index, texture in zip(small, threads.each(one, small), strict=True):
         baked[index] = texture
-        progress.step(sizes[index])
+        progress.step(2 * sizes[index])
     return baked
 
 

@@ -20,7 +20,7 @@ from neurad.scene.geometry import Geometry
 
 COARSER = 4
 """Texels along the side of one of the evidence: it costs a ray for every camera."""
-SEEN, UNSEEN, NOTHING = 255, 96, 0
+SEEN, UNSEEN, NO_SURFACE = 255, 96, 0
 """Grey of texels that a training view sees, that none does, and that lie on no surface."""
 
 
@@ -36,6 +36,11 @@ class CoarseTexels:
     """The points in the middle of them, moved onto the mesh [n]."""
 
 
+def coarse_size(chart: Chart) -> tuple[int, int]:
+    """Rows and columns of a mesh's coarse texels."""
+    return max(chart.height // COARSER, 4), max(chart.width // COARSER, 4)
+
+
 @torch.no_grad()
 def coarse_texels(chart: Chart, first: int, geometry: Geometry) -> CoarseTexels:
     """The coarse texels of a mesh.
@@ -45,7 +50,7 @@ def coarse_texels(chart: Chart, first: int, geometry: Geometry) -> CoarseTexels:
         first: number of its first triangle in ``geometry``.
         geometry: of the whole scene.
     """
-    height, width = max(chart.height // COARSER, 4), max(chart.width // COARSER, 4)
+    height, width = coarse_size(chart)
     corners = in_texels(chart.mesh, width, height)
     owner = np.full((height * width, 1), -1, np.int64)
     slot = np.arange(height * width, dtype=np.int32).reshape(height, width)
@@ -69,7 +74,7 @@ def evidence(texels: CoarseTexels, seen: BoolArray) -> tuple[Bytes, float]:
         texels: of the mesh.
         seen: whether some training view sees each of them [n].
     """
-    picture = np.full(texels.shape, NOTHING, np.uint8)
+    picture = np.full(texels.shape, NO_SURFACE, np.uint8)
     picture.ravel()[texels.lane] = np.where(seen, SEEN, UNSEEN)
     return picture, float(seen.mean()) if len(seen) else 0.0
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import sys
 import time
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -24,7 +25,7 @@ from neurad.export.base_colour import TARGETS, Target, is_converted, over_angles
 from neurad.export.blender import blender_setup_path
 from neurad.export.cameras import NO_LENS, files_of, is_plain, shown_alike, write_views
 from neurad.export.cycles import render_views
-from neurad.export.evidence import COARSER, CoarseTexels, coarse_texels, evidence, seen_texels, std_maps
+from neurad.export.evidence import COARSER, CoarseTexels, coarse_size, coarse_texels, evidence, seen_texels, std_maps
 from neurad.export.folder import MANIFEST, check_out, check_sources, written_beside
 from neurad.export.gltf import write_glb
 from neurad.export.images import Coded
@@ -45,8 +46,8 @@ from neurad.scene.punctual import pose
 from neurad.scene.scene_xml import describe, path_integrator, write_xml
 from neurad.training.error_bars import to_cube
 
-_TOGETHER = 32
-"""Meshes whose coarse texels are held at once: cameras are asked for many points more cheaply."""
+_AT_ONCE = 1 << 22
+"""Coarse texels that are held at once, of 160 bytes: cameras are asked for many points more cheaply."""
 _OVER_ANGLES = "base_color_over_angles.exr"
 NO_BARS = "error bars: the run folder has none of this checkpoint; neurad test writes them"
 
@@ -231,10 +232,9 @@ def _write_evidence(
         assert chart is not None
         return coarse_texels(chart, int(first[index]), world.geometry)
 
-    textured = [index for index, chart in enumerate(room.charts) if chart is not None]
-    bar.step(len(found) - len(textured))
-    for begin in range(0, len(textured), _TOGETHER):
-        group = textured[begin : begin + _TOGETHER]
+    size = {index: coarse_size(chart) for index, chart in enumerate(room.charts) if chart is not None}
+    bar.step(len(found) - len(size))
+    for group in grouped({index: height * width for index, (height, width) in size.items()}, _AT_ONCE):
         texels = list(threads.each(texels_of, group))
         for index, of_mesh, seen in zip(group, texels, seen_texels(texels, seen_by), strict=True):
             name = room.names[index]
@@ -247,6 +247,18 @@ def _write_evidence(
                     write_exr(folder / f"{of}_std" / f"{name}.exr", std)
             bar.step()
     return found
+
+
+def grouped(sizes: dict[int, int], most: int) -> Iterator[list[int]]:
+    """Keys in order, in groups whose sizes add up to at most ``most``; what is larger by itself is its own group."""
+    group: list[int] = []
+    for index, size in sizes.items():
+        if group and sum(sizes[i] for i in group) + size > most:
+            yield group
+            group = []
+        group.append(index)
+    if group:
+        yield group
 
 
 def _mesh_notes(room: Room, index: int, seen: float | None) -> dict[str, Any]:

@@ -125,10 +125,50 @@ def test_texels_in_which_little_happens_are_asked_once(square, side):
 
     field = Field(waves)
     found = bake(chart, 0, square[1], field).pixels[4, :, 3].astype(np.float32)
-    everywhere = (side * baking.positions(baking.LITTLE, chart, baking.PER_TEXEL)) ** 2
+    everywhere = (side * baking.positions(baking.AFFORDABLE, chart, baking.PER_TEXEL)) ** 2
     assert field.asked < 0.4 * everywhere
     means = TexelMeans(chart, 0, square[1], Field(waves)).means(8, np.arange(side)[:, None] * np.ones(side) < 8)
     exact = baking.sharpened(means, means.inside)[4, :, 3]
     smooth, fine = slice(4, int(0.89 * side)), slice(int(0.91 * side), -4)
     assert np.abs(found - exact)[smooth].max() < 1 / 255
     assert np.abs(found[fine] - 0.5).max() < 0.2  # points in the middle have 0.4
+
+
+def test_what_only_finer_grids_meet_is_not_cut_off(square):
+    """Lines that no texel's middle meets, on a ground whose neighbours differ, so that texels are asked more often."""
+    side = 256
+    chart = replace(square[0], width=side, height=side)
+
+    def lines(at):
+        x = at[:, 0] * side / SIDE
+        on = ((x - 0.55) % 8.0) < 0.9
+        return torch.where(on, 0.9, 0.3 + 0.03 * (x.floor() % 2))
+
+    found = bake(chart, 0, square[1], Field(lines)).pixels[8:-8, 8:-8, 3].astype(np.float32)
+    means = TexelMeans(chart, 0, square[1], Field(lines)).means(4).values[8:-8, 8:-8, 3]
+    assert abs(found.mean() - means.mean()) < 0.01, (found.mean(), means.mean())  # 0.315 against 0.388 if they were cut
+    assert found.max() > means.max() - 0.01
+    assert found.max() <= 0.9
+
+
+def test_progress_counts_texels_when_first_asked_and_when_known(square):
+    """A bar that is full while edges are still asked tells nothing."""
+    chart = replace(square[0], width=256, height=256)
+    steps, asked = [], []
+    field = Field(lambda at: torch.where(at @ torch.tensor([1.0, 0.37]) < 20.0, 0.1, 0.9))
+
+    def done(texels):
+        steps.append(texels)
+        asked.append(field.asked)
+
+    bake(chart, 0, square[1], field, done)
+    assert sum(steps) == 2 * 256**2
+    last = max(n for n, asked_before in zip(np.cumsum(steps), asked, strict=True) if asked_before < field.asked)
+    assert 256**2 < last < 2 * 256**2  # some count only after the last question
+
+
+def test_positions_are_powers_of_two(square):
+    for side, positions in ((8, 8), (64, 4), (128, 2), (256, 1), (512, 1)):
+        assert baking.positions(baking.CHEAP, replace(square[0], width=side, height=side), 1) == positions
+    assert baking.positions(baking.AFFORDABLE, replace(square[0], width=200, height=200), 2) == 4  # not 5
+    assert baking.positions(baking.AFFORDABLE, replace(square[0], width=4096, height=4096), 2) == 2
