@@ -90,8 +90,8 @@ def test_texels_on_borders_are_asked_at_more_positions(monkeypatch, per, seen):
     paint = Material("paint", PrincipledModel(), *(Constant(np.full(n, 0.5, np.float32)) for n in (3, 1)))
     scene = Scene("box", [mesh], [paint])
     geometry, charts = Geometry(scene), unwrap([mesh], np.array([12.0]), 1 << 16)
-    monkeypatch.setattr(baking, "NOTHING", 0)
-    monkeypatch.setattr(baking, "LITTLE", 0)
+    monkeypatch.setattr(baking, "CHEAP", 0)
+    monkeypatch.setattr(baking, "AFFORDABLE", 0)
     monkeypatch.setattr(baking, "MOST_PER_BORDER_TEXEL", per)
     found = find_seams(room(scene, geometry, charts), geometry, Waves())
     assert (found.largest > BOUND) == seen, found
