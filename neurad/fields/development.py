@@ -106,6 +106,14 @@ class FittedDevelopment(nn.Module):
         table = self.curve()
         return torch.lerp(table[low], table[low + 1], place - low)
 
+    def _stretch(self, batch: PixelBatch) -> Tensor:
+        """How many times as far apart as by sRGB's curve values lie by the present one around a batch's [b, 3]."""
+        if self.bend is None:
+            return torch.ones_like(batch.color)
+        linear = (batch.color * self._scale(batch)).clamp(0.0, 1.0)
+        low = (_encoded(linear) * _STEPS).long().clamp_max(_STEPS - 1)
+        return torch.where(self._coded(batch), (self.curve().diff() / self.slope)[low], 1.0)
+
     def colors(self, batch: PixelBatch, radiance: Tensor | None = None) -> Tensor:
         """Radiance of a batch's pixels as it is recovered, with its gradient [b, 3].
 
@@ -156,11 +164,12 @@ class FittedDevelopment(nn.Module):
     def forward(self, batch: PixelBatch) -> PixelBatch:
         """A batch whose photographs are developed with what is recovered so far, without gradient."""
         batch = batch.to(self.exposure.device)
-        color = self.colors(batch)
-        if batch.blurred is None:
-            return replace(batch, color=color)
-        factor = color / batch.color.clamp_min(1e-30)
-        return replace(batch, color=color, blurred=batch.blurred * factor)
+        blurred, variance = batch.blurred, batch.variance
+        if blurred is not None:
+            blurred = self.colors(replace(batch, color=blurred))
+        if variance is not None:
+            variance = variance * (self._stretch(batch) / self.gains()[batch.view]).square()
+        return replace(batch, color=self.colors(batch), blurred=blurred, variance=variance)
 
     @torch.no_grad()
     def exposures(self) -> FloatArray:

@@ -10,7 +10,7 @@ from neurad.core.records import Camera, Development, PixelBatch, View
 from neurad.fields.development import FittedDevelopment
 from neurad.optim.sparse_row_adam import SparseRowAdam
 from neurad.scene.development import Photography
-from neurad.scene.image_io import to_srgb
+from neurad.scene.image_io import from_srgb, to_srgb
 
 
 def views(count, exposures=None, levels=255):
@@ -166,3 +166,28 @@ def test_the_curve_is_fitted_below_a_ceiling_that_is_given():
     bent = float(model.curve()[128])
     assert bent < 0.95 * half or bent > 1.05 * half
     assert model.below_ceiling(batch, bent * torch.tensor([[0.1, 0.64, 0.66]])).tolist() == [[True, True, False]]
+
+
+def test_means_around_pixels_are_developed_by_themselves():
+    """Of a pixel that is black by noise the mean around it is not."""
+    model = FittedDevelopment(views(2), Photography(exposure="fit"))
+    model.begin(torch.tensor([[0.7] * 3, [-0.7] * 3]))
+    batch = replace(batch_of(torch.tensor([0, 1]), torch.zeros(2, 3)), blurred=torch.full((2, 3), 0.1))
+    np.testing.assert_allclose(model(batch).blurred, 0.1 * np.exp([[-0.7] * 3, [0.7] * 3]), rtol=1e-5)
+
+
+@pytest.mark.parametrize("curve", [False, True])
+def test_what_rounding_leaves_open_is_developed_with_the_values(curve):
+    """Variances are those of values that differ by little, by finite differences, as if the exposure had been known."""
+    photography = Photography("fit" if curve else None, exposure="fit")
+    model = FittedDevelopment(views(2, [0.5, 0.8]), photography)
+    model.begin(torch.tensor([[1.2] * 3, [-1.2] * 3]))
+    if curve:
+        torch.nn.init.uniform_(model.bend, -0.4, 0.4)
+    view = torch.tensor([0, 1]).repeat(200)
+    code = (torch.randint(256, (400, 3)) + 0.5) / 256  # in the middle of an interval of the table
+    color = torch.from_numpy(from_srgb(code.numpy())) / torch.tensor([0.5, 0.8])[view, None]
+    batch = replace(batch_of(view, color), variance=torch.full((400, 3), 1e-4))
+    step = 1e-3 * color
+    moved = model(replace(batch, color=color + step)).color - model(replace(batch, color=color - step)).color
+    np.testing.assert_allclose(model(batch).variance, 1e-4 * (moved / (2 * step)).square(), rtol=0.05)
