@@ -16,6 +16,8 @@ READ_NOISE = 6.0
 """Standard deviation in electrons of reading a pixel: between good cameras and telephones."""
 NEAR = 0.93
 """Fraction of the ceiling from which on a sample is left out: noise would be cut off on one side there."""
+NOTHING_KNOWN = 1e3
+"""Standard deviation, over the ceiling, where no sample says anything: a weight of next to nothing."""
 _ROUNDS = 3
 
 Float64 = npt.NDArray[np.float64]
@@ -26,6 +28,7 @@ def merge(
     times: Sequence[float],
     ceiling: float = 1.0,
     rounding: Sequence[npt.NDArray[Any]] | None = None,
+    usable: Sequence[npt.NDArray[np.bool_]] | None = None,
     full_well: float = FULL_WELL,
     read_noise: float = READ_NOISE,
 ) -> tuple[FloatArray, FloatArray, npt.NDArray[np.bool_]]:
@@ -41,33 +44,41 @@ def merge(
         times: their exposures, times in any unit, above 0.
         ceiling: value from which on a sample is clipped.
         rounding: variance of each picture's rounding, in squared units of the largest value; None for none.
+        usable: of each picture, samples that say something [h, w, c]; colours that are interpolated from clipped ones
+            do not, whatever they are. None for all.
         full_well: as :data:`FULL_WELL`.
         read_noise: as :data:`READ_NOISE`.
 
     Returns:
         Radiance in units of the largest value over the unit of time [h, w, c], its standard deviation, and where every
-        sample is clipped: there the radiance is the ceiling of the shortest exposure, or more.
+        sample is clipped: there the radiance is the ceiling of the shortest exposure, or more, and the standard
+        deviation infinite. Where no sample is usable it is that of the shortest exposure, below the ceiling, and the
+        standard deviation :data:`NOTHING_KNOWN` ceilings.
     """
     order = np.argsort(times)
     y = np.stack([np.asarray(exposures[i], np.float64) for i in order])  # [n, h, w, c]
     t = np.asarray(times, np.float64)[order].reshape(-1, 1, 1, 1)
     floor = (read_noise / full_well) ** 2 * np.ones_like(y[:1])
     floor = floor + (0.0 if rounding is None else np.stack([np.asarray(rounding[i]) for i in order]))
-    free = _free(y, t, ceiling)
-    all_clipped: npt.NDArray[np.bool_] = ~np.asarray(free.any(0))
-    radiance = np.where(all_clipped, ceiling / t[0], _ratio((y * free).sum(0), (t * free).sum(0)))
+    useful = np.ones(y.shape, bool) if usable is None else np.stack([np.asarray(usable[i], bool) for i in order])
+    free = _free(y, t, ceiling, useful)
+    none = ~np.asarray(free.any(0))
+    all_clipped: npt.NDArray[np.bool_] = none & (y[0] >= ceiling) & useful[0]
+    alone = np.where(all_clipped, ceiling, np.minimum(y[0], NEAR * ceiling)) / t[0]
+    radiance = np.where(none, alone, _ratio((y * free).sum(0), (t * free).sum(0)))
     weight = np.zeros_like(y)
     for _ in range(_ROUNDS):
         variance = np.maximum(radiance, 0.0) * t / full_well + floor
         weight = np.where(free, t * t / variance, 0.0)
-        radiance = np.where(all_clipped, radiance, _ratio((weight * y / t).sum(0), weight.sum(0)))
-    spread = np.where(all_clipped, np.inf, np.sqrt(_ratio(np.ones_like(radiance), weight.sum(0))))
+        radiance = np.where(none, radiance, _ratio((weight * y / t).sum(0), weight.sum(0)))
+    spread = np.sqrt(_ratio(np.ones_like(radiance), weight.sum(0)))
+    spread = np.where(none, np.where(all_clipped, np.inf, NOTHING_KNOWN * ceiling / t[0]), spread)
     return np.maximum(radiance, 0.0).astype(np.float32), spread.astype(np.float32), all_clipped
 
 
-def _free(y: Float64, t: Float64, ceiling: float) -> npt.NDArray[np.bool_]:
+def _free(y: Float64, t: Float64, ceiling: float, useful: npt.NDArray[np.bool_]) -> npt.NDArray[np.bool_]:
     """Which samples count [n, h, w, c], from the shortest exposure to the longest."""
-    free = y < ceiling
+    free = (y < ceiling) & useful
     free[1:] &= free[:-1]  # what is clipped in a shorter exposure is so in a longer one
     value, time = y[0].copy(), np.full_like(y[0], t[0].item())
     for i in range(1, len(y)):

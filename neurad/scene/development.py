@@ -17,7 +17,7 @@ from neurad.core.ranges import Range, checked
 from neurad.core.records import View
 from neurad.runtime.reading import native, regular_file
 from neurad.scene.image_io import opened
-from neurad.scene.photographs import CODED, largest_code
+from neurad.scene.photographs import CODED, colour_profile, largest_code
 from neurad.scene.response import FIT, check_response
 
 Ceiling = Annotated[float, Range(0.0, 1e18, above=True)]
@@ -90,15 +90,18 @@ def _with_format(view: View, settings: Photography) -> View:
     path = Path(view.image)
     made = replace(view.development, ceiling=settings.ceiling)
     if path.suffix.lower() in CODED:
-        jpeg = path.suffix.lower() in (".jpg", ".jpeg")
-        usual = JPEG_CEILING if jpeg else 1.0
         made = replace(
             made,
             response=settings.response or "srgb",
             levels=largest_code(path),
-            ceiling=min(settings.ceiling, 1.0) if settings.ceiling is not None else usual,
+            ceiling=usual_ceiling(path) if settings.ceiling is None else min(settings.ceiling, 1.0),
         )
     return replace(view, development=made)
+
+
+def usual_ceiling(path: Path) -> float:
+    """Fraction of the largest code from which on a photograph's format is clipped."""
+    return JPEG_CEILING if path.suffix.lower() in (".jpg", ".jpeg") else 1.0
 
 
 def _of_codes(views: Sequence[View], settings: Photography) -> list[str]:
@@ -126,7 +129,26 @@ def _of_codes(views: Sequence[View], settings: Photography) -> list[str]:
     }.get(settings.response, f"the response {settings.response} is undone")
     ceilings = sorted({round(float(view.development.ceiling or 1.0) * view.development.levels) for view in coded})
     codes = " or ".join(str(code) for code in ceilings)
-    return [f"photographs: {listed}: {curve}; from code {codes} on they are clipped (--data.ceiling)"]
+    notes = [f"photographs: {listed}: {curve}; from code {codes} on they are clipped (--data.ceiling)"]
+    if said := sentence_of_profiles([Path(str(view.image)) for view in coded]):
+        notes.append(f"warning: {said}")
+    return notes
+
+
+def sentence_of_profiles(files: Sequence[Path]) -> str | None:
+    """What is wrong with photographs whose colour profile is another than sRGB's; None where none has one.
+
+    Raises:
+        InputError: a file cannot be read.
+    """
+    found = Counter(name for file in files if (name := colour_profile(file)) and "srgb" not in name.lower())
+    if not found:
+        return None
+    named = ", ".join(f"'{name}'" for name in found)
+    return (
+        f"{sum(found.values())} of {len(files)} photographs have the colour profile {named}, but are taken as in "
+        "sRGB's primaries, so that saturated colours are wrong; convert them to sRGB"
+    )
 
 
 def _with_exposures(views: list[View], trained: int, settings: Photography) -> tuple[list[View], list[str]]:
@@ -191,24 +213,25 @@ def _span(exposures: Sequence[float], source: str, settings: Photography) -> str
 
 
 def exif_exposure(path: Path) -> float | None:
-    """Time x speed / (100 x aperture^2) of a photograph's EXIF; None where it has no time.
-
-    Speed and aperture that are not there count as 100 and 1.
-    """
+    """Time x speed / (100 x aperture^2) of a photograph's EXIF; None where it has no time."""
     with native(path, "its EXIF cannot be read"), warnings.catch_warnings():
         warnings.simplefilter("ignore")
         with opened(regular_file(path)) as image:
             entries = image.getexif().get_ifd(_EXIF)
-    time = _positive(entries.get(_TIME))
+    time, speed = positive(entries.get(_TIME)), entries.get(_SPEED)
     if time is None:
         return None
-    speed = entries.get(_SPEED)
-    speed = _positive(speed[0] if isinstance(speed, tuple) and speed else speed) or 100.0
-    aperture = _positive(entries.get(_APERTURE)) or 1.0
-    return time * speed / (100.0 * aperture * aperture)
+    speed = positive(speed[0] if isinstance(speed, tuple) and speed else speed)
+    return exposure_of(time, speed, positive(entries.get(_APERTURE)))
 
 
-def _positive(value: Any) -> float | None:
+def exposure_of(time: float, speed: float | None, aperture: float | None) -> float:
+    """Exposure by time in seconds, ISO speed and aperture; those that are not known count as 100 and 1."""
+    stop = 1.0 if aperture is None else aperture
+    return time * (100.0 if speed is None else speed) / (100.0 * stop * stop)
+
+
+def positive(value: Any) -> float | None:
     """A number above 0 and not infinite; else None."""
     try:
         number = float(value)

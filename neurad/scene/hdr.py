@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -17,13 +18,15 @@ from neurad.runtime.files import writing
 from neurad.runtime.progress import counted
 from neurad.runtime.reading import native, regular_file, shown
 from neurad.scene.bracket import merge
-from neurad.scene.development import JPEG_CEILING, exif_exposure
+from neurad.scene.development import exif_exposure, exposure_of, positive, sentence_of_profiles, usual_ceiling
 from neurad.scene.image_io import write_exr
 from neurad.scene.photographs import CODED, RAW, largest_code, read_photograph, rounding
 from neurad.scene.response import FIT, check_response, linear_value
 
 _SHORTEST, _LONGEST = 1e-9, 1e9
 _WHITE = 65535.0
+_CLIPPED = 0.995  # of a photosite's range
+_SAID_RAW = "it cannot be read as a raw photograph"
 
 
 @dataclass(frozen=True)
@@ -74,12 +77,18 @@ def merge_brackets(settings: MergeSettings) -> None:
         for folder in (settings.out, spreads):
             folder.mkdir(parents=True, exist_ok=True)
     places = [settings.out / f"{files[0].stem}.exr" for files in brackets]
-    for place in places:
-        if place.exists():
-            raise InputError(f"--out: {shown(place)} is there already; name another folder, or move it")
+    for index, place in enumerate(places):
+        if place in places[:index]:
+            first, second = (shown(brackets[i][0]) for i in (places.index(place), index))
+            raise InputError(f"--out: views are named as their first photographs, and {first} and {second} are alike")
+        for file in (place, spreads / place.name):
+            if file.exists():
+                raise InputError(f"--out: {shown(file)} is there already; name another folder, or move it")
     times = [_exposures(files, settings.times) for files in brackets]
     if any(file.suffix.lower() in CODED for file in settings.files) and settings.response is None:
         print("photographs of codes: sRGB's curve is undone, as nothing else is said (--response)")
+    if said := sentence_of_profiles(settings.files):
+        print(f"warning: {said}", file=sys.stderr)
     for files, exposures, place in counted(
         zip(brackets, times, places, strict=True), "merging", len(brackets), "views"
     ):
@@ -101,10 +110,8 @@ def merge_brackets(settings: MergeSettings) -> None:
 
 def _ceiling(files: Sequence[Path], response: str | None) -> float:
     """Linear value from which on photographs are clipped."""
-    jpeg = any(file.suffix.lower() in (".jpg", ".jpeg") for file in files)
-    if not jpeg:
-        return 1.0
-    return linear_value(response or "srgb", JPEG_CEILING)
+    code = min(usual_ceiling(file) for file in files)
+    return 1.0 if code == 1.0 else linear_value(response or "srgb", code)
 
 
 def _exposures(files: Sequence[Path], given: Sequence[float] | None) -> list[float]:
@@ -113,7 +120,7 @@ def _exposures(files: Sequence[Path], given: Sequence[float] | None) -> list[flo
         return list(given)
     found = []
     for file in files:
-        exposure = exif_exposure(file)
+        exposure = _raw_exposure(file) if file.suffix.lower() in RAW else exif_exposure(file)
         if exposure is None:
             raise InputError(f"{shown(file)}: its EXIF has no exposure time; give those of a view with --times")
         found.append(exposure)
@@ -125,8 +132,9 @@ def _merged(
 ) -> tuple[FloatArray, FloatArray, npt.NDArray[np.bool_]]:
     pictures: list[FloatArray] = []
     squares: list[npt.NDArray[Any]] = []
+    usable: list[npt.NDArray[np.bool_]] = []
     for file in files:
-        pixels, variance = _linear(file, response or "srgb")
+        pixels, variance, says = _linear(file, response or "srgb")
         if pictures and pixels.shape != pictures[0].shape:
             raise InputError(
                 f"{shown(file)}: it has {pixels.shape[1]} x {pixels.shape[0]} pixels, but {shown(files[0])} has "
@@ -134,11 +142,14 @@ def _merged(
             )
         pictures.append(pixels)
         squares.append(variance)
-    return merge(pictures, times, _ceiling(files, response), squares)
+        usable.append(says)
+    return merge(pictures, times, _ceiling(files, response), squares, usable)
 
 
-def _linear(file: Path, response: str) -> tuple[FloatArray, npt.NDArray[Any]]:
-    """Linear values of a photograph in units of the largest [h, w, 3], and the variance of their rounding."""
+def _linear(file: Path, response: str) -> tuple[FloatArray, npt.NDArray[Any], npt.NDArray[np.bool_]]:
+    """Linear values of a photograph in units of the largest [h, w, 3], the variance of their rounding, and which of
+    them say something.
+    """
     ending = file.suffix.lower()
     if ending in RAW:
         return _raw(file)
@@ -147,34 +158,88 @@ def _linear(file: Path, response: str) -> tuple[FloatArray, npt.NDArray[Any]]:
     levels = largest_code(file)
     pixels = read_photograph(file, Development(response, levels))[..., :3]
     values, squares = rounding(response, levels)
-    return pixels, np.interp(pixels, values, squares)
+    return pixels, np.interp(pixels, values, squares), np.ones(pixels.shape, bool)
 
 
-def _raw(file: Path) -> tuple[FloatArray, npt.NDArray[Any]]:
-    """A raw photograph: linear sRGB primaries in the camera's white balance; what is clipped in any colour is 1."""
+def _opened(file: Path) -> Any:
+    """A raw photograph; a context manager.
+
+    Raises:
+        InputError: it cannot be read, or the package rawpy is missing.
+    """
     try:
         import rawpy
     except ImportError as error:
         raise InputError(f"{shown(file)}: raw files need the package rawpy: pip install 'neurad[raw]'") from error
     regular_file(file)
-    with native(file, "it cannot be read as a raw photograph"), rawpy.imread(str(file)) as raw:
-        white = float(min(raw.camera_white_level_per_channel or [raw.white_level]) or raw.white_level)
-        full = np.asarray(raw.raw_image_visible) >= 0.995 * white
+    with native(file, _SAID_RAW):
+        return rawpy.imread(str(file))
+
+
+def _raw_exposure(file: Path) -> float | None:
+    """As :func:`exif_exposure`, of raw files, most of which only their own reader reads."""
+    with _opened(file) as raw:
+        if (other := getattr(raw, "other", None)) is None:  # rawpy before 0.27
+            return exif_exposure(file)
+        time, speed, aperture = (positive(getattr(other, n)) for n in ("shutter_speed", "iso_speed", "aperture"))
+    return None if time is None else exposure_of(time, speed, aperture)
+
+
+def _raw(file: Path) -> tuple[FloatArray, npt.NDArray[Any], npt.NDArray[np.bool_]]:
+    """A raw photograph: linear sRGB primaries in the camera's white balance.
+
+    What is clipped in all colours is 1. Where only some are, also in those that the others are interpolated from, the
+    conversion to other primaries mixes them into all: such values say nothing.
+    """
+    with _opened(file) as raw, native(file, _SAID_RAW):
+        import rawpy
+
+        full = _full(raw)
         codes = raw.postprocess(
             gamma=(1, 1), no_auto_bright=True, use_camera_wb=True, output_bps=16, user_flip=0,
             output_color=rawpy.ColorSpace.sRGB, adjust_maximum_thr=0.0,
         )  # fmt: skip
     pixels = (codes / _WHITE).astype(np.float32)
-    pixels[_around(full, pixels.shape[:2])] = 1.0
-    return pixels, np.full(1, 1.0 / (12.0 * _WHITE**2)) * np.ones_like(pixels)
+    if full.ndim == 3:
+        some, every = np.asarray(full.any(-1)), np.asarray(full.all(-1))
+    else:
+        some, every = _around(full, 2), ~_around(~full, 1)
+    some, every = (_fitted(part, pixels.shape[:2]) for part in (some, every))
+    pixels[every] = 1.0
+    usable = np.repeat((every | ~some)[..., None], 3, -1)
+    return pixels, np.full(1, 1.0 / (12.0 * _WHITE**2)) * np.ones_like(pixels), usable
 
 
-def _around(full: npt.NDArray[np.bool_], shape: tuple[int, ...]) -> npt.NDArray[np.bool_]:
-    """Pixels whose colours are interpolated from a clipped one: those within two steps of it."""
-    grown = np.zeros(shape, bool)
-    height, width = min(shape[0], full.shape[0]), min(shape[1], full.shape[1])
-    for dy in range(-2, 3):
-        for dx in range(-2, 3):
-            to = grown[max(dy, 0) : height + min(dy, 0), max(dx, 0) : width + min(dx, 0)]
-            to |= full[max(-dy, 0) : height + min(-dy, 0), max(-dx, 0) : width + min(-dx, 0)]
+def _full(raw: Any) -> npt.NDArray[np.bool_]:
+    """Photosites [h, w], of files without a mosaic pixels and their colours [h, w, 3], that are clipped: at the
+    sensor's white level, or beyond 1 in the camera's white balance, whose smallest factor is 1.
+    """
+    codes = np.asarray(raw.raw_image_visible)
+    white = np.asarray(raw.camera_white_level_per_channel or [raw.white_level] * 4, float)
+    white = np.where(white > 0, white, raw.white_level)
+    black = np.asarray(raw.black_level_per_channel, float)
+    factor = np.asarray(raw.camera_whitebalance, float)
+    if not (factor[:3] > 0).all():
+        factor = np.asarray(raw.daylight_whitebalance, float)  # what is taken where the file has none
+    factor[3] = factor[3] if factor[3] > 0 else factor[1]  # the second green
+    level = black + _CLIPPED * (white - black) * (factor.min() / factor if (factor > 0).all() else 1.0)
+    if codes.ndim == 3:
+        return np.asarray(codes[..., :3] >= level[:3])
+    return np.asarray(codes >= level[np.asarray(raw.raw_colors_visible)])
+
+
+def _around(marked: npt.NDArray[np.bool_], steps: int) -> npt.NDArray[np.bool_]:
+    """Photosites [h, w] that lie within so many steps of a marked one."""
+    height, width = marked.shape
+    wide = np.pad(marked, steps)
+    grown = np.zeros_like(marked)
+    for dy in range(2 * steps + 1):
+        for dx in range(2 * steps + 1):
+            grown |= wide[dy : dy + height, dx : dx + width]
     return grown
+
+
+def _fitted(mask: npt.NDArray[np.bool_], shape: tuple[int, ...]) -> npt.NDArray[np.bool_]:
+    """A mask [h, w] as large as a picture, which may lack or have a few more rows and columns at its end."""
+    more = [(0, max(want - has, 0)) for want, has in zip(shape, mask.shape, strict=True)]
+    return np.pad(mask, more, mode="edge")[: shape[0], : shape[1]]

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import io
 import math
 import warnings
 from pathlib import Path
@@ -9,6 +10,7 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
+from PIL import ImageCms
 
 from neurad.core.errors import InputError
 from neurad.core.records import Development, FloatArray, View
@@ -27,6 +29,7 @@ RAW = (".arw", ".cr2", ".cr3", ".nef", ".dng", ".raf", ".rw2", ".orf", ".pef")
 Float64 = npt.NDArray[np.float64]
 _ALPHA = 1.01  # coverage is at most 1, but for rounding and filters
 _BITS = 258  # TIFF's tag BitsPerSample
+_PLANAR, _EXTRA = 284, 338  # PlanarConfiguration, ExtraSamples
 _HEAD = 1 << 16  # bytes that have the header of a picture
 _AT = 1e-4  # relative rounding at a ceiling
 _SAID = "it cannot be read as an image"
@@ -66,9 +69,32 @@ def largest_code(path: Path) -> int:
             bits = _first_bytes(path, 25)[24]
         elif image.format == "TIFF":
             bits = max(image.tag_v2.get(_BITS, (8,)))
+            if bits == 16 and (image.tag_v2.get(_PLANAR, 1) == 2 or 1 in image.tag_v2.get(_EXTRA, ())):
+                raise InputError(
+                    f"{shown(path)}: TIFF of 16 bits is read with interleaved channels and colours that alpha does "
+                    "not multiply; save it so, or as PNG"
+                )
     if mode not in ("RGB", "RGBA", "P") or bits not in (8, 16):
         raise InputError(f"{shown(path)}: a photograph has channels RGB or RGBA of 8 or 16 bits, this one is {mode}")
     return (1 << bits) - 1
+
+
+def colour_profile(path: Path) -> str | None:
+    """The description of the colour profile that a photograph of codes carries; None where it has none.
+
+    Raises:
+        InputError: it cannot be read.
+    """
+    if path.suffix.lower() not in CODED:
+        return None
+    with _header(path) as image:
+        profile = image.info.get("icc_profile")
+    if not profile:
+        return None
+    try:
+        return str(ImageCms.getProfileDescription(ImageCms.ImageCmsProfile(io.BytesIO(profile)))).strip()
+    except (ImageCms.PyCMSError, OSError):
+        return "one that cannot be read"
 
 
 def _first_bytes(path: Path, count: int) -> bytes:
@@ -159,25 +185,28 @@ def ceiling_of(view: View) -> float:
     return linear_value(development.response, development.ceiling) / development.gain * (1.0 - _AT)
 
 
-def read_spread(view: View) -> FloatArray:
-    """Standard deviation of a view's photographed radiance [h, w], the mean of its channels; infinite where it says
-    nothing.
+def read_spread(view: View) -> tuple[FloatArray, npt.NDArray[np.bool_]]:
+    """Standard deviation of a view's photographed radiance [h, w], the mean of its finite channels, and which channels
+    are infinite [h, w, 3]: every exposure was clipped there, and the radiance is that of the photograph or more.
 
     Raises:
         InputError: the file cannot be read, has another size than the camera, or values that are negative or NaN.
     """
     assert view.spread is not None
-    pixels = read_exr(view.spread).mean(-1)
+    pixels = read_exr(view.spread)
     camera = view.camera
-    if pixels.shape != (camera.height, camera.width):
+    if pixels.shape[:2] != (camera.height, camera.width):
         raise InputError(
             f"{shown(view.spread)}: it has {pixels.shape[1]} x {pixels.shape[0]} pixels, its camera {camera.width} x "
             f"{camera.height}; the spread is as large as its photograph"
         )
     if not bool((pixels >= 0).all()):
         raise InputError(f"{shown(view.spread)}: a standard deviation in it is negative or not a number")
-    found: FloatArray = pixels / np.float32(view.development.gain)
-    return found
+    clipped = np.isinf(pixels)
+    count = np.maximum((~clipped).sum(-1), 1)
+    found: FloatArray = np.where(clipped, 0.0, pixels).sum(-1) / (count * np.float32(view.development.gain))
+    three = clipped[..., :3] if clipped.shape[2] >= 3 else np.repeat(clipped[..., :1], 3, -1)
+    return found.astype(np.float32), three
 
 
 def rounding(response: str, levels: int) -> tuple[Float64, Float64]:

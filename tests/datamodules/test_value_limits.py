@@ -58,13 +58,25 @@ def test_a_known_spread(tmp_path):
     folder = write_scene(tmp_path / "room")
     (folder / "spread").mkdir()
     spread = np.random.default_rng(1).random((SIZE, SIZE, 3), np.float32)
-    spread[0, 0] = np.inf
     write_exr(folder / "spread/train_1.exr", spread, half=False)
-    _, batch = batch_of(folder)
+    data, batch = batch_of(folder)
+    assert batch.clipped is None
+    assert data.clipped(batch.view, batch.pixel) is None  # nothing says from where on photographs are clipped
+    spread[0, 0], spread[0, 1, 0] = np.inf, np.inf
+    write_exr(folder / "spread/train_1.exr", spread, half=False)
+    data, batch = batch_of(folder)
     mine = batch.view == 1
-    want = torch.from_numpy(spread.mean(-1)).view(-1)[batch.pixel[mine]] ** 2
-    torch.testing.assert_close(batch.variance[mine], want.unsqueeze(-1).expand(-1, 3), rtol=0.01, atol=0)
+    blown = np.isinf(spread)
+    want = torch.from_numpy(np.ma.masked_array(spread, blown).mean(-1).filled(0.0)).view(-1)[batch.pixel[mine]] ** 2
+    want = want.float().unsqueeze(-1).expand(-1, 3).clone()
+    clipped = torch.from_numpy(blown).view(-1, 3)[batch.pixel[mine]]
+    want[clipped] = 0.0  # a lower bound has none; the other channels of its pixel keep theirs
+    torch.testing.assert_close(batch.variance[mine], want, rtol=0.01, atol=0)
     assert not bool(batch.variance[~mine].any())
+    assert torch.equal(batch.clipped[mine], clipped)
+    assert clipped.sum() == 4
+    assert not bool(batch.clipped[~mine].any())
+    assert torch.equal(data.clipped(batch.view, batch.pixel), batch.clipped)
     write_exr(folder / "spread/train_1.exr", spread[:4])
     with pytest.raises(InputError, match=r"spread/train_1\.exr: it has 8 x 4 pixels, its camera 8 x 8"):
         batch_of(folder)

@@ -163,19 +163,38 @@ def test_what_cannot_be_merged(tmp_path, capfd):
     assert "takes one folder, not 2" in capfd.readouterr().err
 
 
-def dng(path, mosaic, white):
-    """A small raw file: an uncompressed mosaic of 16 bits, red first, whose colours are sRGB's primaries."""
-    height, width = mosaic.shape
-    xyz = [32405, -15371, -4985, -9693, 18760, 416, 556, -2040, 10572]  # sRGB of XYZ, ten thousandths
+SRGB = [32405, -15371, -4985, -9693, 18760, 416, 556, -2040, 10572]
+"""sRGB of XYZ, ten thousandths."""
+CAMERA = [6722, -635, -963, -4287, 12460, 2028, -908, 2162, 5668]
+"""A camera's primaries of XYZ."""
+
+
+def dng(path, mosaic, white, xyz=SRGB, neutral=(1, 1, 1), time=None):
+    """A small raw file, uncompressed, of 16 bits: a mosaic, red first, or with three colours a pixel.
+
+    Args:
+        path: of the file.
+        mosaic: codes [h, w] or [h, w, 3].
+        white: largest code.
+        xyz: the camera's primaries.
+        neutral: what the camera sees of white light.
+        time: exposure time in seconds for EXIF; None writes none.
+    """
+    height, width = mosaic.shape[:2]
+    linear = mosaic.ndim == 3
+    ratio = [number for value in neutral for number in (round(1e4 * value), 10000)]
     matrix = struct.pack("<18i", *[number for value in xyz for number in (value, 10000)])
     shorts, longs = (lambda *v: struct.pack(f"<{len(v)}H", *v)), (lambda *v: struct.pack(f"<{len(v)}I", *v))
     entries = [
-        (254, 4, longs(0)), (256, 4, longs(width)), (257, 4, longs(height)), (258, 3, shorts(16)), (259, 3, shorts(1)),
-        (262, 3, shorts(32803)), (271, 2, b"None\0"), (272, 2, b"None\0"), (273, 4, None), (277, 3, shorts(1)),
-        (278, 4, longs(height)), (279, 4, longs(2 * width * height)), (33421, 3, shorts(2, 2)),
-        (33422, 1, bytes((0, 1, 1, 2))), (50706, 1, bytes((1, 4, 0, 0))), (50708, 2, b"None\0"),
-        (50714, 3, shorts(0)), (50717, 3, shorts(white)), (50721, 10, matrix),
-        (50728, 5, longs(1, 1, 1, 1, 1, 1)), (50778, 3, shorts(21)),
+        (254, 4, longs(0)), (256, 4, longs(width)), (257, 4, longs(height)),
+        (258, 3, shorts(*[16] * (3 if linear else 1))), (259, 3, shorts(1)),
+        (262, 3, shorts(34892 if linear else 32803)), (271, 2, b"None\0"), (272, 2, b"None\0"), (273, 4, None),
+        (277, 3, shorts(3 if linear else 1)), (278, 4, longs(height)), (279, 4, longs(2 * mosaic.size)),
+        *([] if linear else [(33421, 3, shorts(2, 2)), (33422, 1, bytes((0, 1, 1, 2)))]),
+        *([] if time is None else [(33434, 5, longs(round(1e6 * time), 1000000))]),
+        (50706, 1, bytes((1, 4, 0, 0))), (50708, 2, b"None\0"),
+        (50714, 3, shorts(*[0] * (3 if linear else 1))), (50717, 3, shorts(*[white] * (3 if linear else 1))),
+        (50721, 10, matrix), (50728, 5, longs(*ratio)), (50778, 3, shorts(21)),
     ]  # fmt: skip
     size = {1: 1, 2: 1, 3: 2, 4: 4, 5: 8, 10: 8}
     extra_at = 8 + 2 + 12 * len(entries) + 4
@@ -206,3 +225,82 @@ def test_raw_files(tmp_path):
     ratio = inner / values[:, :1]
     assert np.abs(ratio / np.median(ratio) - 1).max() < 0.01
     assert np.median(ratio) == pytest.approx(1, abs=0.02)
+
+
+def mosaic_of(colors):
+    """What each photosite says, red first, of colours [h, w, 3] in [0, 1]."""
+    codes = np.round(np.clip(colors, 0, 1) * 16383)
+    found = codes[..., 1].copy()
+    found[::2, ::2], found[1::2, 1::2] = codes[::2, ::2, 0], codes[1::2, 1::2, 2]
+    return found
+
+
+def test_what_raw_files_clip_in_one_colour_says_nothing(tmp_path, capfd):
+    """Conversion to other primaries mixes it into all: it is no lower bound of them, nor is what lies around it."""
+    pytest.importorskip("rawpy")
+    colors = np.full((64, 96, 3), 0.02)
+    colors[16:48, 16:40] = 1.5, 0.4, 0.1
+    colors[16:48, 56:80] = 2.0
+    dng(tmp_path / "0.dng", mosaic_of(colors), 16383, time=0.5)
+    data(tmp_path / "0.dng", "--out", tmp_path / "images")
+    found, spread = read_exr(tmp_path / "images/0.exr"), read_exr(tmp_path / "spread/0.exr")
+    assert "exposures 0.5 to 0.5" in capfd.readouterr().out  # of the raw file's own EXIF
+    ceiling = 1 / 0.5
+    assert (found[20:44, 20:36] < 0.999 * ceiling).all()
+    assert (spread[20:44, 20:36] > 100 * ceiling).all()
+    assert np.isfinite(spread[:, :50]).all()
+    white = found[20:44, 60:76]
+    assert (white == ceiling).all()
+    assert np.isinf(spread[20:44, 60:76]).all()
+    ring = spread[14:50, 14] > 100  # two steps beside the patch
+    assert ring.any()
+    dark = found[:10]
+    np.testing.assert_allclose(dark, 0.02 / 0.5, rtol=0.02)
+    assert (spread[:10] < 0.1).all()
+
+
+def test_a_longer_exposure_is_not_free_where_a_shorter_one_says_nothing(tmp_path):
+    rng = np.random.default_rng(3)
+    y = [rng.uniform(0.1, 0.2, (4, 4, 3)), rng.uniform(0.4, 0.8, (4, 4, 3))]
+    usable = [np.ones((4, 4, 3), bool), np.ones((4, 4, 3), bool)]
+    usable[0][0], usable[1][:2] = False, False
+    found, spread, clipped = merge(y, [1, 4], usable=usable)
+    assert not clipped.any()
+    np.testing.assert_allclose(found[0], y[0][0], rtol=1e-6)
+    assert (spread[0] > 100).all()
+    np.testing.assert_allclose(found[1], y[0][1], rtol=1e-6)  # the first alone
+    assert (spread[1:] < 1).all()
+
+
+def test_raw_values_beyond_the_white_balance_are_clipped(tmp_path):
+    """A reader cuts every colour at 1 after balancing it, below the sensor's own ceiling."""
+    pytest.importorskip("rawpy")
+    from neurad.scene.hdr import _raw
+
+    for level, says in ((0.4, True), (0.52, False)):
+        dng(tmp_path / "a.dng", np.full((32, 32), round(level * 16383)), 16383, CAMERA, (0.5, 1, 0.7))
+        assert _raw(tmp_path / "a.dng")[2].all() == says
+
+
+def test_raw_files_without_a_mosaic(tmp_path):
+    """What telephones and merging programs write."""
+    pytest.importorskip("rawpy")
+    colors = np.full((32, 32, 3), 0.1) * [1, 2, 3]
+    colors[8:24, 8:24] = 1.0
+    dng(tmp_path / "0.dng", np.round(colors * 16383), 16383, time=0.25)
+    data(tmp_path / "0.dng", "--out", tmp_path / "images")
+    found, spread = read_exr(tmp_path / "images/0.exr"), read_exr(tmp_path / "spread/0.exr")
+    np.testing.assert_allclose(found[:4], np.broadcast_to(colors[:4] / 0.25, (4, 32, 3)), rtol=0.02)
+    assert np.isinf(spread[10:22, 10:22]).all()
+    assert np.isfinite(spread[:4]).all()
+
+
+def test_no_view_is_written_over_another(tmp_path, capfd):
+    files, _ = brackets(tmp_path / "raw")
+    other, _ = brackets(tmp_path / "raw2")
+    words = ["--bracket", 2, "--times", 1, 4, "--response", "linear", "--out"]
+    said = refused(capfd, *files[:2], *other[:2], *words, tmp_path / "images")
+    assert "raw/0.tif" in said
+    assert "raw2/0.tif are alike" in said
+    data(*files[:2], *words, tmp_path / "a")
+    assert "spread/0.exr is there already" in refused(capfd, *other[:2], *words, tmp_path / "b")

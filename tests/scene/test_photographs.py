@@ -1,20 +1,28 @@
 """Photographs of all formats as linear radiance, and what is said of how they were taken."""
 
 import json
+import struct
 from pathlib import Path
 
 import cv2
 import numpy as np
 import pytest
 from helpers.tiny_scene import as_png, read_json, write_json, write_scene
-from PIL import Image
+from PIL import Image, ImageCms
 
 from neurad.core.errors import InputError
 from neurad.core.records import Development
-from neurad.scene.development import Photography, exif_exposure
+from neurad.scene.development import Photography, exif_exposure, sentence_of_profiles
 from neurad.scene.image_io import from_srgb, write_exr
 from neurad.scene.load import load_scene
-from neurad.scene.photographs import ceiling_of, largest_code, picture_size, read_photograph, read_view
+from neurad.scene.photographs import (
+    ceiling_of,
+    colour_profile,
+    largest_code,
+    picture_size,
+    read_photograph,
+    read_view,
+)
 from neurad.scene.response import check_response, linear_values
 
 CODES = np.random.default_rng(3).integers(0, 256, (6, 9, 3), dtype=np.uint8)
@@ -227,3 +235,47 @@ def test_settings_of_a_run_are_read_again():
     assert Photography.of(json.loads(json.dumps(data))) == Photography("gamma=2", exposure="fit")
     with pytest.raises(InputError, match="'some' is unknown, choose known or fit"):
         Photography(exposure="some")
+
+
+@pytest.mark.parametrize(("planar", "extra"), [(2, None), (1, 1)])
+def test_16_bit_tiff_that_would_be_read_wrongly(tmp_path, planar, extra):
+    """Its reader takes planes for rows, and premultiplied colours for others."""
+    count = 3 if extra is None else 4
+    shorts, longs = (lambda *v: struct.pack(f"<{len(v)}H", *v)), (lambda *v: struct.pack(f"<{len(v)}I", *v))
+    entries = [
+        (256, 4, 1, longs(4)), (257, 4, 1, longs(4)), (258, 3, count, None), (259, 3, 1, shorts(1, 0)),
+        (262, 3, 1, shorts(2, 0)), (277, 3, 1, shorts(count, 0)), (284, 3, 1, shorts(planar, 0)),
+    ]  # fmt: skip
+    planes = count if planar == 2 else 1
+    head = 8 + 2 + 12 * (len(entries) + 2 + (extra is not None)) + 4
+    tables = shorts(*[16] * count)
+    at = head + len(tables) + 8 * planes
+    strips = longs(*[at + 32 * i for i in range(planes)]), longs(*[32 * count // planes] * planes)
+    entries[2] = (258, 3, count, longs(head))
+    where = head + len(tables)
+    for tag, index in ((273, 0), (279, 1)):
+        entries.append((tag, 4, planes, strips[index] if planes == 1 else longs(where + 4 * planes * index)))
+    if extra is not None:
+        entries.append((338, 3, 1, shorts(extra, 0)))
+    body = b"".join(struct.pack("<HHI", tag, kind, n) + value for tag, kind, n, value in sorted(entries))
+    path = tmp_path / "a.tif"
+    path.write_bytes(
+        b"II*\0" + longs(8) + shorts(len(entries)) + body + longs(0) + tables + b"".join(strips) + bytes(32 * count)
+    )
+    with pytest.raises(InputError, match=r"a\.tif: TIFF of 16 bits is read with interleaved channels"):
+        largest_code(path)
+
+
+def test_other_colour_profiles_are_named(tmp_path):
+    """Codes of other primaries are other colours."""
+    profile = ImageCms.ImageCmsProfile(ImageCms.createProfile("sRGB")).tobytes()
+    other = profile.replace("sRGB".encode("utf-16-be"), "P3-D".encode("utf-16-be")).replace(b"sRGB", b"P3-D")
+    first = tmp_path / "a.png"
+    Image.new("RGB", (4, 4)).save(first, icc_profile=profile)
+    assert "srgb" in colour_profile(first).lower()
+    assert sentence_of_profiles([first]) is None
+    Image.new("RGB", (4, 4)).save(tmp_path / "b.png")
+    Image.new("RGB", (4, 4)).save(tmp_path / "c.jpg", icc_profile=other)
+    said = sentence_of_profiles([first, tmp_path / "b.png", tmp_path / "c.jpg"])
+    assert said.startswith("1 of 3 photographs have the colour profile 'P3-D")
+    assert "convert them to sRGB" in said
