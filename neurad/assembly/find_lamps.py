@@ -13,19 +13,20 @@ What is brighter than all light so far explains is next, and so on, until nothin
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 
 import torch
 from torch import Tensor
 
 from neurad.assembly.build import build_world
+from neurad.assembly.gains import shared_development
 from neurad.assembly.lamp_candidates import Candidate, candidate_of, evenly, one_radiance, over
 from neurad.bsdf.diffuse import Diffuse
 from neurad.core.colour import luminance
 from neurad.core.errors import InputError
 from neurad.core.protocols import PhotoSource
-from neurad.core.records import Surface, SurfaceInteraction
+from neurad.core.records import PixelBatch, Surface, SurfaceInteraction
 from neurad.core.rng import Stream, mix
 from neurad.emitters.area import AreaLights
 from neurad.emitters.dark import Dark
@@ -98,7 +99,8 @@ def find_lamps(
     scene = without_lamps(scene)
     with phase("finding lamps"):
         world = build_world(scene, tracer, photographs.has_alpha, lights=Dark()).to(device)
-        return Search(scene, world, photographs, seed, unknown_sky).run()
+        develop = shared_development(scene, world, photographs, seed)
+        return Search(scene, world, photographs, seed, unknown_sky, develop).run()
 
 
 class Search:
@@ -110,10 +112,17 @@ class Search:
         photographs: of its training views.
         seed: of all draws.
         unknown_sky: the environment is not known either.
+        develop: corrects the photographs where their exposures are not known: what shines has one radiance in all.
     """
 
     def __init__(
-        self, scene: Scene, world: World, photographs: PhotoSource, seed: int, unknown_sky: bool = False
+        self,
+        scene: Scene,
+        world: World,
+        photographs: PhotoSource,
+        seed: int,
+        unknown_sky: bool = False,
+        develop: Callable[[PixelBatch], PixelBatch] | None = None,
     ) -> None:
         self.scene, self.seed, self.unknown_sky = scene, seed, unknown_sky
         self.known = replace(scene, environment=None) if unknown_sky else scene
@@ -122,7 +131,7 @@ class Search:
             world.geometry, world.tracer, world.lights, Diffuse(), world.features, world.two_sided,
             world.hide_environment, world.delta,
         )  # fmt: skip
-        self.pixels = surface_pixels(world, [view.camera for view in scene.train], photographs, seed)
+        self.pixels = surface_pixels(world, [view.camera for view in scene.train], photographs, seed, develop)
         self.photographed = PhotographedRadiance(self.geometry, self.pixels)
         self.lamps: list[Candidate] = []
         self._relight()
@@ -224,7 +233,7 @@ class Search:
 
     def _found(self, level: float) -> Found:
         """The result, and what there is to say of it."""
-        by_mesh = {lamp.shining.mesh: lamp for lamp in reversed(self.lamps)}  # the brighter of two sides
+        by_mesh = {lamp.shining.mesh: lamp for lamp in sorted(self.lamps, key=lambda lamp: lamp.brightness)}
         lines = []
         for mesh, lamp in sorted(by_mesh.items()):
             name = self.scene.meshes[mesh].name

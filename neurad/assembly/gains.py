@@ -4,6 +4,8 @@ materials or light.
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import torch
 from torch import Tensor
 
@@ -11,8 +13,11 @@ from neurad.core.camera import project, to_camera
 from neurad.core.protocols import PhotoSource
 from neurad.core.records import PixelBatch
 from neurad.core.rng import Stream
+from neurad.fields.development import FittedDevelopment
 from neurad.integrators.primary_hits import PrimaryHits
+from neurad.integrators.world import World
 from neurad.metrics.seen import SeenBy
+from neurad.scene.description import Scene
 
 PIXELS = 1 << 14
 """Pixels of all photographs whose surface points are looked for in the others."""
@@ -21,6 +26,7 @@ FEW = 8
 _MOST = 400.0  # points from which on a ratio is limited by highlights, not by noise
 _ROUNDS = 20
 _LOOSE = 1e-3  # weight that keeps photographs which share nothing with others at 0
+_SAMPLE = 1 << 16  # pixels among which they are drawn
 _STREAM = 37  # last number of the stream's key
 
 
@@ -57,6 +63,37 @@ def shared_gains(
             w = weight / (solution[a] - solution[b] - target).abs().clamp_min(0.01)
         found[:, channel] = solution - solution.mean()
     return found.float()
+
+
+@torch.no_grad()
+def shared_development(scene: Scene, world: World, photographs: PhotoSource, seed: int) -> FittedDevelopment | None:
+    """Photographs developed as far as the surface points that they share say, before anything else is known; None where
+    their exposures and colours are known.
+
+    Args:
+        scene: whose training views they are.
+        world: of the scene, under any light.
+        photographs: of the training views.
+        seed: of all draws.
+    """
+    development = FittedDevelopment.of(scene.train, scene.photography)
+    if development is None or development.values is None:
+        return None
+    device, cameras = world.geometry.vertices.device, [view.camera for view in scene.train]
+    counts = torch.tensor([camera.width * camera.height for camera in cameras])
+    left_out = torch.arange(int(counts.max())) >= counts.unsqueeze(1)
+    if (ignored := photographs.ignored()) is not None:
+        left_out |= ignored.cpu()
+    stream = Stream(seed, 1, _STREAM)
+    view = stream.integers(len(cameras), _SAMPLE)
+    pixel = (stream.uniform(_SAMPLE) * counts[view]).long().minimum(counts[view] - 1)
+    good = ~left_out[view, pixel]
+    view, pixel = view[good], pixel[good]
+    color, clipped = photographs.colors(view, pixel), photographs.clipped(view, pixel)
+    sample = replace(PixelBatch(view, pixel, color, torch.ones(len(view)), 0), clipped=clipped)
+    primary = PrimaryHits(world, cameras, 0, seed, device)
+    development.begin(shared_gains(primary, photographs, sample, left_out, seed))
+    return development.to(device)
 
 
 def _pairs(

@@ -8,6 +8,7 @@ import torch
 from torch import Tensor
 
 from neurad.core.colour import luminance
+from neurad.metrics.photographed_lamps import saturated
 from neurad.metrics.photographed_surfaces import SurfacePixels
 from neurad.scene.shining import Shining
 
@@ -16,7 +17,6 @@ SURE, SPREAD = 2.0, 0.25
 median, between the tenth and the ninetieth per cent."""
 NOISE = 0.15
 """How much more than the darkest pixels those that least can be reflected in may say that a lamp sends, relatively."""
-_CLIPPED = 0.9  # fraction of clipped pixels from which on all of a lamp counts as clipped
 
 
 @dataclass
@@ -28,9 +28,9 @@ class Candidate:
     pixels: SurfacePixels
     """That show nothing but it."""
     radiance: Tensor
-    """Median of those that are not clipped; where most are, of all [3]."""
+    """Median of those in views where it is not clipped; where it is in all, of all [3]."""
     clipped: bool
-    """Whether most are clipped, so that it may be brighter."""
+    """Whether it is clipped in every view, so that it may be brighter."""
     ratio: float = 0.0
     """Photographed radiance over that of a white sheet in its place, at the last time it was measured."""
     even: bool = False
@@ -49,8 +49,9 @@ class Candidate:
 
 def candidate_of(side: int, pixels: SurfacePixels) -> Candidate:
     """A candidate with what its pixels show."""
-    clipped = float(pixels.clipped.double().mean()) > _CLIPPED
-    counted = pixels if clipped else pixels[~pixels.clipped]
+    blown = saturated(pixels.view, torch.zeros_like(pixels.view), pixels.clipped)
+    clipped = bool(blown.all())
+    counted = pixels if clipped else pixels[~blown]
     return Candidate(side, pixels, counted.color.double().quantile(0.5, 0).float(), clipped)
 
 

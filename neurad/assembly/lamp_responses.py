@@ -36,6 +36,7 @@ ALIKE = 0.99
 MEET = 0.1
 """Fraction of the dimmer lamp's light that has to fall where another's does for the one to fix the other's scale."""
 _DARK = 1e-6  # of the brightest picture's mean: nothing arrives
+_KNOWN = 0.1  # of a picture's mean square, what its two halves have in common at least for it to be told from others
 _FLOOR = 0.1  # of the mean: below it pixels count by their absolute error
 _LEAST = 0.01  # of the photographs' mean: what a lamp gives at least to begin with
 _COLOUR = 0.05  # of a lamp's brightest channel: what the others have at least to begin with
@@ -135,7 +136,9 @@ def alike(responses: Responses, observed: Bools) -> list[list[int]]:
     product = (product + product.T) / 2
     own = np.sqrt(np.maximum(np.diag(product), 1e-300))
     close = product / np.outer(own, own) > ALIKE
-    usable = responses.reaches & ~observed
+    squares = np.mean([np.square(half).sum(1) for half in flat], 0)
+    known = np.diag(product) > _KNOWN * squares  # else rare paths decide, and correlations are those of noise
+    usable = responses.reaches & ~observed & known
     close &= np.outer(usable, usable)
     return [sorted(group) for group in _groups(close)]
 

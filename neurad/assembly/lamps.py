@@ -61,10 +61,11 @@ def far_off(lamps: Sequence[PhotographedLamp]) -> list[PhotographedLamp]:
 
 def report(lamps: Sequence[PhotographedLamp]) -> list[str]:
     """Lines about lamps: all that differ, some of the others, and where some are shown, which ones are not."""
-    lines, listed = [], 0
+    lines, listed, unknown = [], 0, 0
     for lamp in lamps:
         differs = lamp.beyond(WARN)
         if lamp.pixels == 0 or (listed >= MOST and not differs):
+            unknown += 0 < lamp.pixels == lamp.clipped
             continue
         listed += 1
         seen = f"{lamp.pixels} pixel{'s' * (lamp.pixels != 1)} of {lamp.views} view{'s' * (lamp.views != 1)}"
@@ -80,8 +81,10 @@ def report(lamps: Sequence[PhotographedLamp]) -> list[str]:
                 "photographs' exposure"
             )
     shown = sum(lamp.pixels > 0 for lamp in lamps)
-    if shown > listed:
-        lines.append(f"{shown - listed} more lamps are as bright in the photographs as declared")
+    if shown > listed + unknown:
+        lines.append(f"{shown - listed - unknown} more lamps are as bright in the photographs as declared")
+    if unknown:
+        lines.append(f"all pixels of {unknown} more lamps are clipped, so their radiance cannot be checked")
     hidden = [lamp.name for lamp in lamps if lamp.pixels == 0]
     if hidden and shown:
         more = f" and {len(hidden) - MOST} others" if len(hidden) > MOST else ""
@@ -92,7 +95,7 @@ def report(lamps: Sequence[PhotographedLamp]) -> list[str]:
 
 def refusal(wrong: Sequence[PhotographedLamp]) -> str:
     """The sentence about lamps that are far from what the scene says."""
-    first = max(wrong, key=lambda lamp: float(np.nanmax(np.abs(np.log(np.maximum(lamp.factor, 1e-30))))))
+    first = max(wrong, key=lambda lamp: float(np.nanmax(np.abs(np.log(np.maximum(lamp.compared, 1e-30))))))
     others = f" (and {len(wrong) - 1} other lamps)" if len(wrong) > 1 else ""
     return (
         f"lamp {first.name}{others} is {_brighter(first)} in the photographs than the declared radiance "
@@ -104,10 +107,10 @@ def refusal(wrong: Sequence[PhotographedLamp]) -> str:
 
 def _brighter(lamp: PhotographedLamp) -> str:
     """By how much a lamp differs, by the channel that differs most."""
-    factor = lamp.factor[~np.isnan(lamp.factor)]
+    factor = lamp.compared[~np.isnan(lamp.compared)]
     most = float(factor[np.argmax(np.abs(np.log(np.maximum(factor, 1e-30))))])
     alike = float(factor.max()) < 1.1 * float(factor.min())
-    where = "" if alike else f" in {('red', 'green', 'blue')[int(np.argmax(lamp.factor == most))]}"
+    where = "" if alike else f" in {('red', 'green', 'blue')[int(np.argmax(lamp.compared == most))]}"
     if most >= 1.0:
         return f"{most:.3g} times brighter{where}"
     return f"{1.0 / max(most, 1e-30):.3g} times darker{where}"

@@ -100,7 +100,7 @@ def unknown_lamps(scene: Scene, geometry: Geometry, settings: Lighting) -> Fitte
     if not meshes:
         raise InputError(
             f"scene {scene.name}: model.lighting.emitters is {settings.emitters}, but no shape of scene.xml has an "
-            "area emitter; give each lamp one, whatever its radiance, such as 1"
+            "area emitter of a radiance above 0; give each lamp one, whatever it is, such as 1"
         )
     declared = np.array([scene.meshes[index].radiance for index in meshes], np.float64)
     return FittedLamps(geometry, meshes, declared, train=settings.fits_lamps)

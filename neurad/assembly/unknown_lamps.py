@@ -61,6 +61,10 @@ def begin_lamps(assembly: Assembly, primary: PrimaryHits, shown: LampPhotographs
     radiance = np.stack([m.radiance if seen else m.declared for m, seen in zip(measured, observed, strict=True)])
     lamps.set_radiance(radiance)
     lines: list[str] = []
+    if off := [mesh.name for mesh in scene.meshes if mesh.radiance is not None and not mesh.radiance.any()]:
+        lines.append(
+            f"warning: {_names(off)}: the radiance is 0 in the scene, so nothing is recovered; give any above 0"
+        )
     if train and not observed.all():
         sample = sample if assembly.development is None else assembly.development(sample)
         responses = lamp_responses(assembly, primary, sample, seed)

@@ -17,6 +17,8 @@ from neurad.scene.geometry import Geometry
 
 Array = npt.NDArray[np.float64]
 
+PER_LAMP = ("values", "sampled", "photographed", "reflected", "counts", "scale_seen")
+"""What of the state has a row for each lamp."""
 LEAST_CHANNEL = 1e-4
 """Smallest radiance of a channel in units of the lamp's brightest: what is positive has a logarithm."""
 EVEN = 0.1
@@ -43,6 +45,7 @@ class FittedLamps(AreaLights):
     """
 
     values: nn.Parameter
+    """Logarithm of each lamp's radiance [m, 3]."""
     sampled: Tensor
     photographed: Tensor
     """Of each lamp, with what it reflects [m, 3]; 0 where no photograph says."""

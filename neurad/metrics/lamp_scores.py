@@ -51,6 +51,8 @@ def read_lamps_true(
             rgb = [math.nan]
         if not all(0.0 <= value <= RADIANCE for value in rgb):  # neither is NaN
             raise InputError(f"{option}: the radiance of {row['mesh']} must be three numbers from 0 to {RADIANCE:g}")
+        if row["mesh"] in given:
+            raise InputError(f"{option}: lamp {row['mesh']} stands in it twice")
         given[row["mesh"]] = rgb
     rows_of = [name if name in given else wholes.get(name, name) for name in names]
     if not found and (left := [name for name, row in zip(names, rows_of, strict=True) if row not in given]):
@@ -78,7 +80,8 @@ def lamp_scores(found: Array, truth: Array, names: Sequence[str], factors: Mappi
     scores = {}
     for kind, factor in {"": np.ones(3), **{f"_{key}": value for key, value in factors.items()}}.items():
         errors = lamp_error(found / factor, truth)
-        scores[f"{ERROR}{kind}"] = float(errors.max())
+        if len(errors):
+            scores[f"{ERROR}{kind}"] = float(errors.max())
         for name, error in zip(columns_of(names), errors, strict=True):
             scores[f"{ERROR}{kind}_{name}"] = float(error)
     return scores

@@ -22,6 +22,7 @@ from neurad.integrators.method import SceneModel
 from neurad.integrators.path import PathTracing
 from neurad.integrators.renderer import MethodRenderer
 from neurad.integrators.world import World
+from neurad.metrics.lamp_scores import LEAST
 from neurad.scene.description import Scene
 
 Array = npt.NDArray[np.float64]
@@ -49,7 +50,7 @@ class PhotographedLamp:
     reflected: Array
     """What the lamp reflects of all declared light besides [3], roughly: the room counts as what it is so far."""
     photographed: Array
-    """Median of the pixels that show nothing else and are not clipped, a channel [3]; NaN where there are none."""
+    """Median of the pixels that show nothing else, where they are not clipped, a channel [3]; NaN where all are."""
     pixels: int
     """Pixels that show nothing but the lamp."""
     views: int
@@ -74,9 +75,17 @@ class PhotographedLamp:
             self.declared > 0.0, self.declared * factor, np.maximum(self.photographed - self.reflected, 0.0)
         )
 
+    @property
+    def compared(self) -> Array:
+        """:attr:`factor` in those channels that tell [3], NaN in others: where a lamp of one colour sends next to
+        nothing, what it reflects decides, and that is a guess.
+        """
+        both = np.fmax(self.declared, self.photographed)
+        return np.where(both >= LEAST * both.max(), self.factor, math.nan)
+
     def beyond(self, limit: float) -> bool:
         """Whether a channel differs by more than a factor, in either direction; False where nothing is known."""
-        known = self.factor[~np.isnan(self.factor)]
+        known = self.compared[~np.isnan(self.compared)]
         return bool(((known > limit) | (known < 1.0 / limit)).any())
 
 
@@ -96,7 +105,8 @@ class LampPixels:
 def lamp_pixels(world: World, cameras: Sequence[Camera], seed: int, ignored: Tensor | None = None) -> LampPixels:
     """Pixels in which every one of some rays first meets the shining side of one and the same lamp.
 
-    Of a view at most some thousand pixels are looked at, evenly over those onto which lamps project.
+    Of a view at most some thousand pixels are looked at, or as many of each lamp, evenly over those onto which it
+    projects.
 
     Args:
         world: the scene.
@@ -107,15 +117,18 @@ def lamp_pixels(world: World, cameras: Sequence[Camera], seed: int, ignored: Ten
     geometry = world.geometry
     device = geometry.vertices.device
     emits = geometry.emission.amax(-1) > 0
-    triangles = geometry.vertices[geometry.faces[emits]].double()
+    triangles, of = geometry.vertices[geometry.faces[emits]].double(), geometry.mesh_index[emits]
     found: list[tuple[Tensor, Tensor, Tensor]] = []
     for index, camera in enumerate(cameras):
         candidates = shown_in(triangles, camera, geometry.scale)
         if ignored is not None:
             candidates &= ~ignored[index, : len(candidates)].to(device)
         pixels = candidates.nonzero().squeeze(-1)
-        if len(pixels) > _MOST:
-            pixels = pixels[torch.arange(_MOST, device=device) * len(pixels) // _MOST]
+        if len(pixels) > _MOST:  # of each lamp, else a small one beside a window would hardly be looked at
+            of_lamp = (
+                candidates & shown_in(triangles[of == lamp], camera, geometry.scale) for lamp in torch.unique(of)
+            )
+            pixels = torch.unique(torch.cat([_evenly(shown.nonzero().squeeze(-1)) for shown in of_lamp]))
         stream = Stream(seed, index, 29, device=device)
         for begin in range(0, len(pixels), _CHUNK):
             part = pixels[begin : begin + _CHUNK]
@@ -133,6 +146,30 @@ def lamp_pixels(world: World, cameras: Sequence[Camera], seed: int, ignored: Ten
     return LampPixels(view, pixel, mesh)
 
 
+def _evenly(pixels: Tensor) -> Tensor:
+    """At most :data:`_MOST` of some pixels [n], evenly over all."""
+    if len(pixels) <= _MOST:
+        return pixels
+    return pixels[torch.arange(_MOST, device=pixels.device) * len(pixels) // _MOST]
+
+
+def saturated(view: Tensor, of: Tensor, clipped: Tensor) -> Tensor:
+    """Whether half of the pixels or more that show the same thing in the same view are clipped [n], bool.
+
+    Their median is beyond the ceiling. Those that are not clipped are its border, seldom the thing itself.
+
+    Args:
+        view: of each pixel [n].
+        of: what it shows [n], 0 or more.
+        clipped: whether it is [n], bool.
+    """
+    if len(view) == 0:
+        return clipped
+    _, group = torch.unique(view * (int(of.max()) + 1) + of, return_inverse=True)
+    count, full = torch.bincount(group), torch.bincount(group, clipped.double())
+    return (2.0 * full >= count)[group]
+
+
 @dataclass(frozen=True)
 class LampPhotographs:
     """What photographs show of lamps alone."""
@@ -141,7 +178,7 @@ class LampPhotographs:
     color: Array
     """Photographed there [n, 3]."""
     clipped: npt.NDArray[np.bool_]
-    """Which values are at the ceiling of their photograph [n, 3]."""
+    """Which values are at the ceiling [n, 3]: all of a lamp in a view where half of its pixels are."""
 
     def developed(self, develop: Callable[[PixelBatch], PixelBatch] | None) -> LampPhotographs:
         """The same of photographs that are corrected; None leaves them as they are."""
@@ -152,8 +189,12 @@ class LampPhotographs:
         return replace(self, color=develop(batch).color.double().cpu().numpy())
 
     def radiance(self, mesh: int) -> Array:
-        """Median of the unclipped pixels of a mesh [3]; NaN where there are none."""
-        mine = (self.at.mesh.cpu().numpy() == mesh) & ~self.clipped.any(1)
+        """Median of the pixels of a mesh in the views where it is not clipped [3]; NaN where there are none.
+
+        The few that are clipped there count: they are above the median, whatever they would be without a ceiling.
+        """
+        mine, view = self.at.mesh.cpu().numpy() == mesh, self.at.view.cpu().numpy()
+        mine &= np.isin(view, view[mine & ~self.clipped.any(1)])
         return np.median(self.color[mine], axis=0) if mine.any() else np.full(3, math.nan)
 
 
@@ -178,7 +219,8 @@ def lamp_photographs(
         color = photographs.colors(view, shown.pixel.cpu()).double().numpy()
         known = photographs.clipped(view, shown.pixel.cpu())
     clipped = _clipped(color, view.numpy(), sample) if known is None else known.numpy()  # [n, 3]
-    return LampPhotographs(shown, color, clipped)
+    blown = saturated(view, shown.mesh.cpu(), torch.from_numpy(clipped).any(1))
+    return LampPhotographs(shown, color, clipped | blown.numpy()[:, None])
 
 
 @torch.no_grad()

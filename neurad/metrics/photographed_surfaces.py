@@ -7,7 +7,7 @@ it is made of, so the light that arrives elsewhere can be gathered from it.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import torch
@@ -17,7 +17,7 @@ from neurad.core.camera import camera_rays
 from neurad.core.colour import luminance
 from neurad.core.frame import dot
 from neurad.core.protocols import PhotoSource
-from neurad.core.records import Camera, Lanes, SurfaceInteraction
+from neurad.core.records import Camera, Lanes, PixelBatch, SurfaceInteraction
 from neurad.core.rng import Stream
 from neurad.integrators.film import pixel_positions
 from neurad.integrators.world import World
@@ -70,7 +70,13 @@ def side_of(geometry: Geometry, si: SurfaceInteraction) -> Tensor:
 
 
 @torch.no_grad()
-def surface_pixels(world: World, cameras: Sequence[Camera], photographs: PhotoSource, seed: int) -> SurfacePixels:
+def surface_pixels(
+    world: World,
+    cameras: Sequence[Camera],
+    photographs: PhotoSource,
+    seed: int,
+    develop: Callable[[PixelBatch], PixelBatch] | None = None,
+) -> SurfacePixels:
     """Look at the photographs: of large ones at every few pixels, and as many of the brightest, which show what is
     small and shines.
 
@@ -79,6 +85,7 @@ def surface_pixels(world: World, cameras: Sequence[Camera], photographs: PhotoSo
         cameras: of the photographs.
         photographs: their pixels, and those that masks leave out.
         seed: of the positions in the pixels.
+        develop: corrects the photographs; None leaves them as they are.
     """
     device = world.geometry.vertices.device
     ignored = photographs.ignored()
@@ -87,6 +94,9 @@ def surface_pixels(world: World, cameras: Sequence[Camera], photographs: PhotoSo
     for index, camera in enumerate(counted(cameras, "looking at", len(cameras), "photographs")):
         pixel = torch.arange(camera.width * camera.height)
         color = photographs.colors(torch.full_like(pixel, index), pixel)
+        if develop is not None:
+            batch = PixelBatch(torch.full_like(pixel, index), pixel, color, torch.ones(len(pixel)), 0)
+            color = develop(batch).color.cpu()
         if ignored is not None:
             pixel = pixel[~ignored[index, : len(pixel)]]
         pixel = _chosen(pixel, luminance(color)[pixel], most)

@@ -8,7 +8,9 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from neurad.assembly.lighting import lamps_of_scene
 from neurad.core.errors import InputError
+from neurad.emitters.fitted_lamps import PER_LAMP
 from neurad.scene.description import Scene
 from neurad.scene.light import light_changes, light_of
 
@@ -58,6 +60,8 @@ def fitting(
         raise InputError(f"{source}: the file is no checkpoint of neurad")
     check_scene(state, scene, source, continues or not other_light)
     weights = checkpoint["state_dict"]
+    if not continues:
+        weights = _lamps_by_mesh(weights, own, state, scene)
     for prefix in (*DDP_IGNORED, CORRECTION) if continues else (*DDP_IGNORED, CORRECTION, DEVELOPMENT):
         mine = {name: value for name, value in own.items() if name.startswith(prefix)}
         theirs = {name: value for name, value in weights.items() if name.startswith(prefix)}
@@ -138,6 +142,25 @@ def changed_light(state: dict[str, Any], scene: Scene, environment: bool = True,
     """
     light = _kept_light(state, "--ckpt_path")
     return [] if light is None else light_changes(light, scene, environment, lamps)
+
+
+def _lamps_by_mesh(weights: dict[str, Any], own: dict[str, Any], state: dict[str, Any], scene: Scene) -> dict[str, Any]:
+    """Weights in which what belongs to lamps is that of the lamps of ``scene``: of those that did not shine in the fit
+    it stays as in ``own``.
+    """
+    before, now = sorted(fitted_lamps(state)), lamps_of_scene(scene)
+    if before == now:
+        return weights
+    found = dict(weights)
+    for name, mine in own.items():
+        part, _, tensor = name.rpartition(".")
+        theirs = weights.get(name)
+        if tensor in PER_LAMP and f"{part}.scale_seen" in own and theirs is not None and len(theirs) == len(before):
+            found[name] = mine.clone()
+            for row, mesh in enumerate(now):
+                if mesh in before:
+                    found[name][row] = theirs[before.index(mesh)]
+    return found
 
 
 def fitted_lamps(state: dict[str, Any]) -> frozenset[int]:

@@ -187,7 +187,7 @@ class InverseRenderer(L.LightningModule):
     def _read_lamps_true(self) -> tuple[FloatArray64, int] | None:
         """What recovered lamps are scored against [m, 3], and how many others shine; None where nothing is given."""
         path = getattr(self.trainer.datamodule, "lamps_true", None)  # type: ignore[attr-defined]
-        if path is None or self.assembly.lamps is None:
+        if path is None or (self.assembly.lamps is None and self._shining is None):
             return None
         wholes = {mesh.name: mesh.part_of for mesh in self.scene.meshes if mesh.part_of is not None}
         return read_lamps_true(path, self._lamp_names(), self._shining is not None, wholes)
@@ -373,9 +373,11 @@ class InverseRenderer(L.LightningModule):
     def _lamp_scores(self, found: Evaluation) -> dict[str, float]:
         """Errors of lamps that are recovered, where the truth is given."""
         lamps = self.assembly.lamps
-        if lamps is None or self._lamps_true is None or self._held_out is None:
+        if self._lamps_true is None or self._held_out is None:
             return {}
         truth, missed = self._lamps_true
+        if lamps is None:  # none was found
+            return {MISSED: float(missed), EXTRA: 0.0}
         factors = albedo_factors(self._held_out, found.maps) if lamps.values.requires_grad else {}
         scores = lamp_scores(lamps.found(), truth, self._lamp_names(), factors)
         if self._shining is not None:

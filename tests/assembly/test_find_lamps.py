@@ -10,11 +10,12 @@ from helpers.object_scene import sky
 
 from neurad.assembly.build import build_world
 from neurad.assembly.find_lamps import Search, find_lamps
-from neurad.assembly.lamp_candidates import one_radiance, over
+from neurad.assembly.lamp_candidates import Candidate, one_radiance, over
 from neurad.core.errors import InputError
 from neurad.emitters.dark import Dark
 from neurad.metrics.photographed_surfaces import PhotographedRadiance, side_of, surface_pixels
 from neurad.scene.builtin.shapes import look_at
+from neurad.scene.development import Photography
 from neurad.scene.shining import Shining, from_kept, kept, shining_scene, without_lamps
 
 
@@ -159,3 +160,33 @@ def test_found_lamps_shine_to_the_front_alone_and_are_kept_as_plain_types(lit):
             from_kept(bad, scene, "run")
     with pytest.raises(InputError, match="are not meshes of scene room"):
         from_kept([[99, 0]], scene, "run")
+
+
+@pytest.mark.parametrize("gains", [(2.0, 1.0, 0.5, 1.0, 1.0), (0.25, 1.0, 2.0, 1.0, 4.0)])
+def test_photographs_of_unlike_exposures_are_made_alike_first(lit, gains):
+    """A lamp has one radiance in all of them."""
+    scene, photographs = lit
+    unlike = Photographs(photographs.pixels * torch.tensor(gains).view(-1, 1, 1))
+    unknown = replace(without_lamps(scene), photography=Photography(exposure="fit"))
+    result = found(unknown, unlike)
+    assert names(scene, result.lamps) == {"ceiling lamp", "strip"}
+    assert not any(line.startswith("warning") for line in result.lines)
+    try:
+        as_they_are = names(scene, found(without_lamps(scene), unlike).lamps)
+    except InputError:
+        as_they_are = set()
+    assert as_they_are != {"ceiling lamp", "strip"}
+
+
+def test_of_a_lamp_that_shines_to_both_sides_the_brighter_counts(lit):
+    scene, photographs = lit
+    dark = without_lamps(scene)
+    search = Search(dark, build_world(dark, lights=Dark()), photographs, 1)
+    pixels = search.pixels[:4]
+    search.lamps = [
+        Candidate(6, pixels, torch.full((3,), 1.0), False),
+        Candidate(7, pixels, torch.full((3,), 2.0), False),
+    ]
+    result = search._found(1.0)
+    assert result.lamps == [Shining(3, True)]
+    assert "only the light of the brighter side" in result.lines[1]

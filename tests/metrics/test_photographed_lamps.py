@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
+from helpers.lamp_room import lamp_room
 
 from neurad.assembly.build import build_world
 from neurad.assembly.lamps import refusal, report
@@ -13,7 +14,16 @@ from neurad.core.records import Camera, PixelBatch
 from neurad.integrators.emitter_pixels import emitter_pixels
 from neurad.integrators.film import render
 from neurad.integrators.renderer import path_tracer
-from neurad.metrics.photographed_lamps import REFUSE, WARN, lamp_photographs, lamp_pixels, photographed_lamps
+from neurad.metrics import photographed_lamps as lamps
+from neurad.metrics.photographed_lamps import (
+    REFUSE,
+    WARN,
+    PhotographedLamp,
+    lamp_photographs,
+    lamp_pixels,
+    photographed_lamps,
+    saturated,
+)
 from neurad.scene.builtin import build
 from neurad.scene.textures import TrueMaterials
 
@@ -141,3 +151,83 @@ def test_masked_pixels_do_not_count(box):
     _, world, _, cameras, _ = box
     everything = torch.ones(2, SIZE * SIZE, dtype=torch.bool)
     assert len(lamp_pixels(world, cameras, 1, everything).view) == 0
+
+
+class Clipping(Photographs):
+    """Photographs that say where they are clipped: from a ceiling of each view on."""
+
+    def __init__(self, pixels, ceilings):
+        self.ceilings = torch.tensor(ceilings).view(-1, 1, 1)
+        super().__init__(pixels.minimum(self.ceilings))
+
+    def clipped(self, view, pixel):
+        return self.pixels[view, pixel] >= self.ceilings[view, 0]
+
+
+def shown_by(box, photographs):
+    """The lamp as such photographs show it."""
+    scene, world, materials, cameras, _ = box
+    sample = PixelBatch(torch.zeros(1).long(), torch.zeros(1).long(), torch.ones(1, 3), torch.ones(1), 0)
+    shown = lamp_photographs(world, cameras, photographs, sample, 1)
+    (lamp,) = photographed_lamps(scene, world, materials, cameras, shown, 1)
+    return lamp
+
+
+def test_the_border_of_a_saturated_lamp_is_not_the_lamp(box):
+    """The pose is off by two pixels, so some of its pixels show the ceiling beside it, hundred times darker."""
+    moved = box[4].view(2, SIZE, SIZE, 3).roll(2, 2).reshape(2, -1, 3)
+    lamp = shown_by(box, Clipping(moved, (1.0, 1.0)))
+    assert 0 < int((moved.view(2, -1, 3) < 1.0).any()) < lamp.pixels
+    assert lamp.clipped == lamp.pixels
+    assert np.isnan(lamp.factor).all()
+    assert not lamp.beyond(WARN)
+
+
+def test_of_unlike_exposures_the_shorter_says_how_bright_a_lamp_is(box):
+    lamp = shown_by(box, Clipping(box[4], (1.0, 100.0)))
+    assert 0 < lamp.clipped < lamp.pixels
+    np.testing.assert_allclose(lamp.factor, 1.0, atol=0.02)
+
+
+def test_a_channel_in_which_a_lamp_is_dark_is_not_compared():
+    """There only what it reflects shows, and that is a guess."""
+    sent, back = np.array([3.0, 0.0, 0.0]), np.array([0.1, 0.08, 0.08])
+    lamp = PhotographedLamp(0, "strip", sent, back, np.array([2.95, 0.015, 0.015]), 100, 3, 0)
+    assert lamp.factor[1] < 1 / REFUSE
+    assert not lamp.beyond(WARN)
+    assert report([lamp])[0].startswith("lamp strip: photographed over declared radiance 0.95")
+    red = replace(lamp, photographed=np.array([0.9, 0.015, 0.015]))
+    assert "3.44 times darker in the photographs" in refusal([red])
+    green = replace(lamp, photographed=np.array([2.95, 1.0, 0.015]))  # not dark there
+    assert green.beyond(REFUSE)
+
+
+def test_lamps_that_cannot_be_checked_do_not_count_as_agreeing(box):
+    lamp = measured(box, box[4])
+    full = replace(lamp, photographed=np.full(3, np.nan), clipped=lamp.pixels)
+    said = report([lamp] * 8 + [full] * 2 + [lamp])
+    assert said[-2:] == [
+        "1 more lamps are as bright in the photographs as declared",
+        "all pixels of 2 more lamps are clipped, so their radiance cannot be checked",
+    ]
+
+
+def test_a_small_lamp_is_looked_at_beside_a_large_one(monkeypatch):
+    """The limit on pixels is one of each lamp."""
+    scene = lamp_room()
+    world, cameras = build_world(scene), [view.camera for view in scene.train]
+    whole = lamp_pixels(world, cameras, 1)
+    monkeypatch.setattr(lamps, "_MOST", 40)
+    some = lamp_pixels(world, cameras, 1)
+    index = {mesh.name: i for i, mesh in enumerate(scene.meshes)}
+    strip, ceiling = (index[name] for name in ("strip", "ceiling lamp"))
+    assert int((some.mesh == ceiling).sum()) < int((whole.mesh == ceiling).sum())
+    assert int((some.mesh == strip).sum()) > 0.4 * int((whole.mesh == strip).sum())
+
+
+def test_saturated_pixels_by_hand():
+    view, of = torch.tensor([0, 0, 0, 0, 1, 1, 1]), torch.tensor([0, 0, 3, 3, 3, 3, 3])
+    clipped = torch.tensor([True, False, False, False, True, False, False])
+    assert saturated(view, of, clipped).tolist() == [True, True, False, False, False, False, False]
+    none = torch.zeros(0, dtype=torch.int64)
+    assert len(saturated(none, none, none.bool())) == 0

@@ -410,3 +410,29 @@ def test_gains_learn_by_the_derivative_of_what_is_predicted(box, monkeypatch, me
     first = [radiance for radiance in asked if radiance is not None]
     assert len(first) >= 2  # one an iteration
     assert all(len(radiance) == 64 and bool((radiance >= 0).all()) for radiance in first)
+
+
+def test_lamps_that_only_rare_paths_show_are_not_like_all_others():
+    """Where the two halves of the samples have nothing in common, their correlation means nothing."""
+    light = pictures(8, 3)
+    halves = noisy(light)
+    halves[:, 2] = 0.0
+    halves[0, 2, :40], halves[1, 2, 40:80] = 9.0, 9.0  # of one lamp, on other pixels in each half
+    responses = Responses(halves, None, None, np.einsum("mnc->nc", light))
+    assert responses.reaches.all()
+    assert alike(responses, np.zeros(3, bool)) == [[0], [1], [2]]
+
+
+def test_a_lamp_twice_in_the_table_is_refused(tmp_path):
+    path = tmp_path / "true.csv"
+    path.write_text("mesh,r,g,b\nlight,1,2,3\nlight,4,4,4\n")
+    with pytest.raises(InputError, match="lamp light stands in it twice"):
+        read_lamps_true(str(path), ["light"])
+
+
+def test_no_lamp_found_at_all_is_counted(tmp_path):
+    path = tmp_path / "true.csv"
+    path.write_text("mesh,r,g,b\nlight,1,2,3\nwindow,4,4,4\n")
+    truth, missed = read_lamps_true(str(path), [], found=True)
+    assert (truth.shape, missed) == ((0, 3), 2)
+    assert lamp_scores(truth, truth, [], {}) == {}

@@ -27,6 +27,7 @@ from neurad.integrators.prb import PRB
 from neurad.integrators.radiometric import Radiometric
 from neurad.integrators.vertex import DIMENSIONS
 from neurad.scene.builtin import build_cornell
+from neurad.training.checkpoint import fitting, scene_state
 
 METHODS = (Direct(), Radiometric(), Radiometric(k=2), PathTracing(5), PRB(5), Debiased())
 RHO = 0.5
@@ -190,3 +191,33 @@ def test_what_cannot_be_recovered_is_said():
         Lighting(emitters="guess")
     assert unknown_lamps(scene, build_world(scene).geometry, Lighting()) is None
     assert isinstance(build_world(scene).lights, AreaLights)
+
+
+def test_in_another_light_radiance_goes_to_the_lamps_that_it_was_found_of():
+    """Not to those that stand at the same place in a list."""
+    scene = gallery()
+    first, second = lamps_of_scene(scene)
+
+    def lit(*meshes):
+        chosen = {index: np.full(3, 1.0 + index, np.float32) for index in meshes}
+        return replace(scene, meshes=[replace(m, radiance=chosen.get(i)) for i, m in enumerate(scene.meshes)])
+
+    def state_of(scene):
+        world, lamps = with_lamps(scene)
+        return lamps, {f"world.{name}": value for name, value in world.state_dict().items()}
+
+    fit, weights = state_of(lit(second))
+    fit.set_radiance(np.array([[7.0, 8.0, 9.0]]))
+    weights = {name: value.clone() for name, value in weights.items()}
+
+    def taken_over(other):
+        checkpoint = {"neurad": scene_state(lit(second)), "state_dict": dict(weights)}
+        fitting(checkpoint, state_of(other)[1], other, None)
+        world, lamps = with_lamps(other)
+        state = {name.removeprefix("world."): value for name, value in checkpoint["state_dict"].items()}
+        world.load_state_dict(state)
+        return lamps.found()
+
+    np.testing.assert_allclose(taken_over(lit(second)), [[7, 8, 9]], rtol=1e-5)
+    np.testing.assert_allclose(taken_over(lit(first)), [[1.0 + first] * 3], rtol=1e-5)
+    np.testing.assert_allclose(taken_over(lit(first, second)), [[1.0 + first] * 3, [7, 8, 9]], rtol=1e-5)
