@@ -197,14 +197,21 @@ class HeldOut:
         return self._shows[index]
 
     @torch.no_grad()
-    def emitted(self, index: int, light: Callable[[SurfaceInteraction], Tensor]) -> Tensor:
-        """What the camera sees without any reflection [h, w, 3], the mean over all sub-samples; ``light`` gives it for
-        their interactions and never changes.
+    def emitted(self, index: int, light: Callable[[SurfaceInteraction], Tensor], changes: bool = False) -> Tensor:
+        """What the camera sees without any reflection [h, w, 3], the mean over all sub-samples.
+
+        Args:
+            index: of the view.
+            light: gives it for their interactions.
+            changes: ``light`` may be another the next time.
         """
-        if index not in self._emitted:
+        found = self._emitted.get(index)
+        if found is None or changes:
             parts = [self._pixels(part, light(si)).mean(1) for part, si in self.sub_samples(index)]
-            self._emitted[index] = torch.cat(parts).view(*self.size(index), 3)
-        return self._emitted[index]
+            found = torch.cat(parts).view(*self.size(index), 3)
+            if not changes:
+                self._emitted[index] = found
+        return found
 
     def kept(self, index: int) -> BoolArray:
         """Pixels [h, w] of the photograph that count: those that its mask, if it has one, does not leave out.

@@ -107,7 +107,7 @@ def evaluate(
     rhs = MethodRenderer(estimator.method, estimator.scene)
     lhs = None if radiance is None else FieldRenderer(estimator.scene, parts=True)
     lamps = recovered_lamps(world)
-    fixed_light = light is None and lamps is None and world.delta is None
+    found_light = light is not None or lamps is not None
     device, stride = world.geometry.vertices.device, held_out.stride
     fitted = not isinstance(materials, TrueMaterials)
     maps: list[dict[str, FloatArray]] = held_out.predict(materials) if fitted else [{} for _ in held_out.views]
@@ -118,7 +118,9 @@ def evaluate(
         if lhs is not None:
             spp = render_spp if steady else min(FIELD_SPP, render_spp)  # positions of the rendering, for a difference
             left, emitted = render(view.camera, lhs, spp, SEED + index, device, stride=stride).tensor_split((3,), -1)
-            missing = held_out.emitted(index, world.emitted) - emitted if fixed_light else torch.zeros_like(left)
+            missing = torch.zeros_like(left)
+            if world.delta is None:
+                missing = held_out.emitted(index, world.emitted, found_light) - emitted
             right = steadied(right, left) + missing if steady else right
             left = left + missing
             entry["render"] = right.cpu().numpy()

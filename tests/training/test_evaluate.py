@@ -5,21 +5,25 @@ import json
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 import torch
+from helpers.lamp_scene import with_lamps
 from helpers.tiny_fit import fit, run_folder
 
 from neurad.assembly.build import build_world
 from neurad.cli import main
 from neurad.core.rng import Stream
+from neurad.integrators.estimator import Estimator
 from neurad.integrators.film import box_mean, render
 from neurad.integrators.method import SceneModel
+from neurad.integrators.radiometric import Radiometric
 from neurad.integrators.renderer import FieldRenderer
 from neurad.metrics.held_out import HeldOut
 from neurad.scene.builtin import build_cornell
 from neurad.scene.builtin.plain import views
 from neurad.scene.textures import TrueMaterials
-from neurad.training.evaluate import STEADY, steadied
+from neurad.training.evaluate import STEADY, evaluate, steadied
 
 
 def test_box_means_are_those_of_the_pixels_that_there_are():
@@ -56,6 +60,26 @@ def test_emitters_have_the_mean_of_all_positions():
     whole, emitted = render(scene.test[0].camera, FieldRenderer(parts, parts=True), 64, 1).tensor_split((3,), -1)
     torch.testing.assert_close(whole - emitted, torch.full_like(whole, 0.25), atol=1e-4, rtol=0)
     assert float((found - emitted).abs().mean()) < 0.02 * float(emitted.mean())
+
+
+def test_pictures_of_recovered_lamps_are_those_of_known_ones():
+    """By few samples the edges of lamps would decide; whatever the lamps' radiance is by now."""
+    scene = build_cornell()
+    scene = replace(scene, test=views("up", [((0.0, 0.0, 0.0), (0.05, 1.0, 0.1))], 70.0, 32))
+    world, lamps = with_lamps(scene)
+    materials = TrueMaterials(scene, world.geometry)
+
+    def shown(world, held_out):
+        estimator = Estimator(world, materials, lambda si, albedo: torch.full_like(si.p, 0.25), Radiometric())
+        return evaluate(held_out, estimator, 1, steady=True).maps[0]["render"]
+
+    held_out = HeldOut(scene, world.geometry, world.tracer)
+    known = build_world(scene)
+    wanted = shown(known, HeldOut(scene, known.geometry, known.tracer))
+    np.testing.assert_allclose(shown(world, held_out), wanted, atol=0.02 * float(wanted.max()))
+    lit = wanted > 2.0
+    lamps.set_radiance(2.0 * lamps.found())
+    assert np.median(shown(world, held_out)[lit] / wanted[lit]) == pytest.approx(2.0, rel=0.05)
 
 
 @pytest.mark.main
