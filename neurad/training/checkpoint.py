@@ -148,18 +148,17 @@ def _lamps_by_mesh(weights: dict[str, Any], own: dict[str, Any], state: dict[str
     """Weights in which what belongs to lamps is that of the lamps of ``scene``: of those that did not shine in the fit
     it stays as in ``own``.
     """
-    before, now = sorted(fitted_lamps(state)), lamps_of_scene(scene)
-    if before == now:
+    lights = [name.removesuffix("scale_seen") for name in own if name.endswith(".scale_seen")]
+    before = sorted(fitted_lamps(state)) if lights else []
+    if not lights or before == (now := lamps_of_scene(scene)):
         return weights
     found = dict(weights)
-    for name, mine in own.items():
-        part, _, tensor = name.rpartition(".")
-        theirs = weights.get(name)
-        if tensor in PER_LAMP and f"{part}.scale_seen" in own and theirs is not None and len(theirs) == len(before):
-            found[name] = mine.clone()
+    for name in (part + tensor for part in lights for tensor in PER_LAMP):
+        if name in weights and len(weights[name]) == len(before):
+            found[name] = own[name].clone()
             for row, mesh in enumerate(now):
                 if mesh in before:
-                    found[name][row] = theirs[before.index(mesh)]
+                    found[name][row] = weights[name][before.index(mesh)]
     return found
 
 
