@@ -56,7 +56,7 @@ def dataset_stats(read: Read, views: int, left_out: Tensor | None, seed: int) ->
         here, filled = slice(filled, filled + len(pixel)), filled + len(pixel)
         view_of[here], place[here], kept[here] = view, pixel, color[pixel]
     sample = PixelBatch(view_of[:filled], place[:filled], kept[:filled], torch.ones(filled), 0)
-    return DatasetStats(square / total if total else 0.0, sample, foreground, tuple(checksums))
+    return DatasetStats(square / total if total else 0.0, sample, foreground, tuple(checksums), total)
 
 
 def checksum(pixels: Tensor) -> int:

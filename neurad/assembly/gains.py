@@ -80,8 +80,8 @@ def shared_development(scene: Scene, world: World, photographs: PhotoSource, see
     if development is None or development.values is None:
         return None
     device, cameras = world.geometry.vertices.device, [view.camera for view in scene.train]
-    counts = torch.tensor([camera.width * camera.height for camera in cameras])
-    left_out = torch.arange(int(counts.max())) >= counts.unsqueeze(1)
+    primary = PrimaryHits(world, cameras, 0, seed, device)
+    counts, left_out = torch.tensor([camera.width * camera.height for camera in cameras]), primary.nothing().cpu()
     if (ignored := photographs.ignored()) is not None:
         left_out |= ignored.cpu()
     stream = Stream(seed, 1, _STREAM)
@@ -91,7 +91,6 @@ def shared_development(scene: Scene, world: World, photographs: PhotoSource, see
     view, pixel = view[good], pixel[good]
     color, clipped = photographs.colors(view, pixel), photographs.clipped(view, pixel)
     sample = replace(PixelBatch(view, pixel, color, torch.ones(len(view)), 0), clipped=clipped)
-    primary = PrimaryHits(world, cameras, 0, seed, device)
     development.begin(shared_gains(primary, photographs, sample, left_out, seed))
     return development.to(device)
 

@@ -18,6 +18,8 @@ median, between the tenth and the ninetieth per cent."""
 NOISE = 0.15
 """How much more than the darkest pixels those that least can be reflected in may say that a lamp sends, relatively."""
 
+_AS_BRIGHT = 0.95  # of the brightest photograph's ceiling
+
 
 @dataclass
 class Candidate:
@@ -26,7 +28,7 @@ class Candidate:
     side: int
     """Twice the index of the mesh, and 1 more for its back."""
     pixels: SurfacePixels
-    """That show nothing but it."""
+    """That show nothing but it, in photographs where it is not clipped; where it is in all, in the brightest."""
     radiance: Tensor
     """Median of those in views where it is not clipped; where it is in all, of all [3]."""
     clipped: bool
@@ -51,8 +53,16 @@ def candidate_of(side: int, pixels: SurfacePixels) -> Candidate:
     """A candidate with what its pixels show."""
     blown = saturated(pixels.view, torch.zeros_like(pixels.view), pixels.clipped)
     clipped = bool(blown.all())
-    counted = pixels if clipped else pixels[~blown]
-    return Candidate(side, pixels, counted.color.double().quantile(0.5, 0).float(), clipped)
+    counted = _brightest(pixels) if clipped else pixels[~blown]
+    return Candidate(side, counted, counted.color.double().quantile(0.5, 0).float(), clipped)
+
+
+def _brightest(pixels: SurfacePixels) -> SurfacePixels:
+    """Those of the photographs that show it brightest: where all are clipped, the highest ceiling says most."""
+    light = luminance(pixels.color)
+    middle = torch.stack([light[pixels.view == view].median() for view in torch.unique(pixels.view)])
+    chosen = torch.unique(pixels.view)[middle >= _AS_BRIGHT * middle.max()]
+    return pixels[torch.isin(pixels.view, chosen)]
 
 
 def over(shown: Tensor, sheet: Tensor) -> float:

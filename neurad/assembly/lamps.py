@@ -70,7 +70,9 @@ def report(lamps: Sequence[PhotographedLamp]) -> list[str]:
         listed += 1
         seen = f"{lamp.pixels} pixel{'s' * (lamp.pixels != 1)} of {lamp.views} view{'s' * (lamp.views != 1)}"
         if lamp.clipped == lamp.pixels:
-            lines.append(f"lamp {lamp.name}: all {seen} are clipped, so its radiance cannot be checked")
+            lines.append(
+                f"lamp {lamp.name}: {seen} show it, half or more of them clipped in each, so it cannot be checked"
+            )
             continue
         clipped = f", {lamp.clipped} clipped" if lamp.clipped else ""
         lines.append(f"lamp {lamp.name}: photographed over declared radiance {_three(lamp.factor)} ({seen}{clipped})")
@@ -84,7 +86,7 @@ def report(lamps: Sequence[PhotographedLamp]) -> list[str]:
     if shown > listed + unknown:
         lines.append(f"{shown - listed - unknown} more lamps are as bright in the photographs as declared")
     if unknown:
-        lines.append(f"all pixels of {unknown} more lamps are clipped, so their radiance cannot be checked")
+        lines.append(f"{unknown} more lamps are clipped wherever they are shown, so they cannot be checked")
     hidden = [lamp.name for lamp in lamps if lamp.pixels == 0]
     if hidden and shown:
         more = f" and {len(hidden) - MOST} others" if len(hidden) > MOST else ""

@@ -57,6 +57,8 @@ class TrainingViews:
     """Fraction of each view's pixels that meet a surface [views]; NaN where the sample has none of a view."""
     lamps: LampPhotographs | None = None
     """What the photographs show of lamps alone; None where the lamps are known."""
+    pixels: int = 0
+    """Of the photographs that can be drawn: they show something, and no emitter."""
 
 
 def prepare_views(
@@ -139,7 +141,8 @@ def prepare_views(
     if assembly.focus is not None:
         photographs.request_candidates(assembly.focus.fraction, TIMES)
     checksum = zlib.crc32(repr(stats.checksums).encode()) if stats.checksums else 0
-    return TrainingViews(primary, emitter_mask, mean_square, checksum, stats.sample, surface, lamps)
+    pixels = stats.pixels or int((~emitter_mask).sum())
+    return TrainingViews(primary, emitter_mask, mean_square, checksum, stats.sample, surface, lamps, pixels)
 
 
 def _shows_small_lights(scene: Scene, photographs: PhotoSource) -> bool:

@@ -68,7 +68,8 @@ def begin_lamps(assembly: Assembly, primary: PrimaryHits, shown: LampPhotographs
     if train and not observed.all():
         sample = sample if assembly.development is None else assembly.development(sample)
         responses = lamp_responses(assembly, primary, sample, seed)
-        radiance, lines = _start(assembly, responses, radiance, observed)
+        radiance, said = _start(assembly, responses, radiance, observed)
+        lines += said
         lamps.set_radiance(radiance)
         lamps.scale_seen.copy_(torch.from_numpy(connected(responses, radiance, observed)))
     else:
@@ -177,7 +178,11 @@ def _start(assembly: Assembly, responses: Responses, radiance: Array, observed: 
 def _nothing_seen(measured: Sequence[PhotographedLamp]) -> str:
     """The sentence about lamps none of which photographs tell."""
     clipped = any(m.pixels for m in measured)
-    why = "every pixel that shows a lamp alone is clipped" if clipped else "no photograph shows a lamp alone in a pixel"
+    why = (
+        "in every photograph that shows a lamp half of its pixels or more are clipped"
+        if clipped
+        else "no photograph shows a lamp alone in a pixel"
+    )
     return f"{why}, so {ALL} photographs has nothing to go by; take fit, or known with radiance in scene.xml"
 
 

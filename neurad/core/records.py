@@ -255,6 +255,8 @@ class DatasetStats:
     """Views that have any pixel with alpha above 0, in order."""
     checksums: tuple[int, ...] = ()
     """CRC-32 of each photograph, by which a changed one is found; none where they cannot change."""
+    pixels: int = 0
+    """How many count; 0 where that is not known."""
 
     @property
     def brightest(self) -> float:

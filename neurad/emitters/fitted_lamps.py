@@ -52,7 +52,8 @@ class FittedLamps(AreaLights):
     reflected: Tensor
     """What each lamp reflects towards the cameras of all light [m, 3]."""
     counts: Tensor
-    """Pixels that show nothing but the lamp, views that these are of, and how many of them are clipped [m, 3]."""
+    """Pixels that show nothing but the lamp, views that these are of, and how many of them do not count, because they
+    or half of the lamp in their view are clipped [m, 3]."""
     scale_seen: Tensor
     """Whether some photograph fixes the scale of the lamp's radiance, directly or by light that meets its own [m]."""
     begun: Tensor

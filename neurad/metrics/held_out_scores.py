@@ -67,7 +67,7 @@ def score(
             region = np.ones_like(held_out.counted(i)) if mask is None else mask[i]
             _pool(held_out, pools, i, maps[i], None if renders is None else renders[i], region)
             if fields is not None and "photograph" in held_out.truth(i):
-                pools["lhs"].add(*_comparable(held_out, i, fields[i]), region)
+                pools["lhs"].add(*_comparable(held_out, i, fields[i]), region & held_out.kept(i))
         for name, pool in pools.items():
             found = pool.scores(scaled and name.startswith("albedo"))
             if name == "lhs":  # its constant is that of the other picture

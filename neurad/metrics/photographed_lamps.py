@@ -56,7 +56,8 @@ class PhotographedLamp:
     views: int
     """Views that these are of."""
     clipped: int
-    """How many of the pixels are at the photograph's ceiling in some channel."""
+    """How many of the pixels do not count: those at their photograph's ceiling in some channel, and all of a photograph
+    where half of them or more are."""
 
     @property
     def factor(self) -> Array:
@@ -105,8 +106,8 @@ class LampPixels:
 def lamp_pixels(world: World, cameras: Sequence[Camera], seed: int, ignored: Tensor | None = None) -> LampPixels:
     """Pixels in which every one of some rays first meets the shining side of one and the same lamp.
 
-    Of a view at most some thousand pixels are looked at, or as many of each lamp, evenly over those onto which it
-    projects.
+    Of a view at most some thousand pixels are looked at closely, or as many of each lamp, evenly over those that show
+    it.
 
     Args:
         world: the scene.
@@ -117,7 +118,7 @@ def lamp_pixels(world: World, cameras: Sequence[Camera], seed: int, ignored: Ten
     geometry = world.geometry
     device = geometry.vertices.device
     emits = geometry.emission.amax(-1) > 0
-    triangles, of = geometry.vertices[geometry.faces[emits]].double(), geometry.mesh_index[emits]
+    triangles = geometry.vertices[geometry.faces[emits]].double()
     found: list[tuple[Tensor, Tensor, Tensor]] = []
     for index, camera in enumerate(cameras):
         candidates = shown_in(triangles, camera, geometry.scale)
@@ -125,25 +126,39 @@ def lamp_pixels(world: World, cameras: Sequence[Camera], seed: int, ignored: Ten
             candidates &= ~ignored[index, : len(candidates)].to(device)
         pixels = candidates.nonzero().squeeze(-1)
         if len(pixels) > _MOST:  # of each lamp, else a small one beside a window would hardly be looked at
-            of_lamp = (
-                candidates & shown_in(triangles[of == lamp], camera, geometry.scale) for lamp in torch.unique(of)
-            )
-            pixels = torch.unique(torch.cat([_evenly(shown.nonzero().squeeze(-1)) for shown in of_lamp]))
-        stream = Stream(seed, index, 29, device=device)
-        for begin in range(0, len(pixels), _CHUNK):
-            part = pixels[begin : begin + _CHUNK]
-            rays = camera_rays(camera, pixel_positions(camera.width, part, POSITIONS, stream).view(-1, 2))
-            hit = world.tracer.closest(rays)
-            prim = hit.prim.clamp_min(0)
-            front = dot(geometry.face_normal[prim], rays.d) < 0
-            lamp = torch.where(hit.valid & emits[prim] & front, geometry.mesh_index[prim], -1).view(-1, POSITIONS)
-            whole = (lamp >= 0).all(-1) & (lamp == lamp[:, :1]).all(-1)
-            found.append((torch.full_like(part[whole], index), part[whole], lamp[whole, 0]))
+            middles = _lamps_at(world, emits, camera, pixels, 1, Stream(seed, index, 33, device=device)).squeeze(-1)
+            of_lamp = [pixels[middles == lamp] for lamp in torch.unique(middles[middles >= 0])]
+            pixels = torch.cat([pixels[:0], *map(_evenly, of_lamp)]).sort().values
+        lamp = _lamps_at(world, emits, camera, pixels, POSITIONS, Stream(seed, index, 29, device=device))
+        whole = (lamp >= 0).all(-1) & (lamp == lamp[:, :1]).all(-1)
+        found.append((torch.full_like(pixels[whole], index), pixels[whole], lamp[whole, 0]))
     if not found:
         none = torch.zeros(0, dtype=torch.int64, device=device)
         return LampPixels(none, none, none)
     view, pixel, mesh = (torch.cat(parts) for parts in zip(*found, strict=True))
     return LampPixels(view, pixel, mesh)
+
+
+def _lamps_at(world: World, emits: Tensor, camera: Camera, pixels: Tensor, positions: int, stream: Stream) -> Tensor:
+    """The meshes whose shining side is met first at so many positions of pixels [n], -1 for none [n, positions].
+
+    Args:
+        world: the scene.
+        emits: whether each triangle does, bool.
+        camera: the view.
+        pixels: row-major [n].
+        positions: in each, stratified.
+        stream: random numbers.
+    """
+    geometry, found = world.geometry, [pixels.new_zeros(0, positions)]
+    for part in torch.split(pixels, _CHUNK):
+        rays = camera_rays(camera, pixel_positions(camera.width, part, positions, stream).view(-1, 2))
+        hit = world.tracer.closest(rays)
+        prim = hit.prim.clamp_min(0)
+        front = dot(geometry.face_normal[prim], rays.d) < 0
+        lamp = torch.where(hit.valid & emits[prim] & front, geometry.mesh_index[prim], -1)
+        found.append(lamp.view(-1, positions))
+    return torch.cat(found)
 
 
 def _evenly(pixels: Tensor) -> Tensor:
@@ -178,7 +193,7 @@ class LampPhotographs:
     color: Array
     """Photographed there [n, 3]."""
     clipped: npt.NDArray[np.bool_]
-    """Which values are at the ceiling [n, 3]: all of a lamp in a view where half of its pixels are."""
+    """Which values do not count [n, 3]: those at the ceiling, and all of a lamp in a view where half are."""
 
     def developed(self, develop: Callable[[PixelBatch], PixelBatch] | None) -> LampPhotographs:
         """The same of photographs that are corrected; None leaves them as they are."""

@@ -131,15 +131,20 @@ def _split(batches: list[PixelBatch]) -> Iterator[PixelBatch]:
 
 
 def batches_in_turn(photographs: PhotoSource, emitter_mask: Tensor, first: int, pixels: int) -> Iterator[PixelBatch]:
-    """Batches of the photographs from iteration ``first`` on, cut or joined to fit in memory, on the mask's device."""
-    taken, iteration = 0, first
+    """Batches of the photographs from iteration ``first`` on, cut or joined to fit in memory, on the mask's device: so
+    many pixels that count, or fewer where as many as there are in all have been drawn.
+    """
+    taken, drawn, iteration = 0, 0, first
     waiting: list[PixelBatch] = []
-    while taken < pixels:
+    while taken < pixels and drawn < emitter_mask.numel():
         batch = photographs.batch(iteration)
-        iteration, take = iteration + 1, min(len(batch.view) - batch.candidates, pixels - taken)
-        taken += take
-        waiting.append(_unmasked(batch.picked(torch.arange(take)), emitter_mask))
-        if taken < pixels and sum(len(part.view) for part in waiting) < _LANES // SPP:
+        iteration, take = iteration + 1, len(batch.view) - batch.candidates
+        drawn += take
+        kept = _unmasked(batch.picked(torch.arange(take)), emitter_mask)
+        kept = kept.picked(torch.arange(min(len(kept.view), pixels - taken), device=kept.view.device))
+        taken += len(kept.view)
+        waiting.append(kept)
+        if taken < pixels and drawn < emitter_mask.numel() and sum(len(part.view) for part in waiting) < _LANES // SPP:
             continue
         yield from _split(waiting)
         waiting = []

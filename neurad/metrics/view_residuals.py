@@ -29,7 +29,7 @@ def few(sample: PixelBatch, views: int) -> PixelBatch:
     each = max(PIXELS // max(views, 1), EACH)
     order = torch.argsort(sample.view, stable=True)
     view = sample.view[order]
-    place = torch.arange(len(view)) - torch.searchsorted(view, view)
+    place = torch.arange(len(view), device=view.device) - torch.searchsorted(view, view)
     kept = order[place < each]
     if sample.clipped is not None:  # they say nothing of how bright it was
         kept = kept[~sample.clipped[kept].any(-1)]

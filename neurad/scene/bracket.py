@@ -29,6 +29,7 @@ def merge(
     ceiling: float = 1.0,
     rounding: Sequence[npt.NDArray[Any]] | None = None,
     usable: Sequence[npt.NDArray[np.bool_]] | None = None,
+    clipped: Sequence[npt.NDArray[np.bool_]] | None = None,
     full_well: float = FULL_WELL,
     read_noise: float = READ_NOISE,
 ) -> tuple[FloatArray, FloatArray, npt.NDArray[np.bool_]]:
@@ -46,12 +47,13 @@ def merge(
         rounding: variance of each picture's rounding, in squared units of the largest value; None for none.
         usable: of each picture, samples that say something [h, w, c]; colours that are interpolated from clipped ones
             do not, whatever they are. None for all.
+        clipped: of each picture, samples that are clipped below the ceiling [h, w, c]; None for none.
         full_well: as :data:`FULL_WELL`.
         read_noise: as :data:`READ_NOISE`.
 
     Returns:
         Radiance in units of the largest value over the unit of time [h, w, c], its standard deviation, and where every
-        sample is clipped: there the radiance is the ceiling of the shortest exposure, or more, and the standard
+        sample is clipped: there the radiance is what the shortest exposure shows, or more, and the standard
         deviation infinite. Where no sample is usable it is that of the shortest exposure, below the ceiling, and the
         standard deviation :data:`NOTHING_KNOWN` ceilings.
     """
@@ -61,10 +63,13 @@ def merge(
     floor = (read_noise / full_well) ** 2 * np.ones_like(y[:1])
     floor = floor + (0.0 if rounding is None else np.stack([np.asarray(rounding[i]) for i in order]))
     useful = np.ones(y.shape, bool) if usable is None else np.stack([np.asarray(usable[i], bool) for i in order])
-    free = _free(y, t, ceiling, useful)
+    full = y >= ceiling
+    if clipped is not None:
+        full |= np.stack([np.asarray(clipped[i], bool) for i in order])
+    free = _free(y, t, ceiling, useful & ~full)
     none = ~np.asarray(free.any(0))
-    all_clipped: npt.NDArray[np.bool_] = none & (y[0] >= ceiling) & useful[0]
-    alone = np.where(all_clipped, ceiling, np.minimum(y[0], NEAR * ceiling)) / t[0]
+    all_clipped: npt.NDArray[np.bool_] = none & full[0] & useful[0]
+    alone = np.minimum(y[0], np.where(all_clipped, ceiling, NEAR * ceiling)) / t[0]
     radiance = np.where(none, alone, _ratio((y * free).sum(0), (t * free).sum(0)))
     weight = np.zeros_like(y)
     for _ in range(_ROUNDS):
@@ -77,8 +82,8 @@ def merge(
 
 
 def _free(y: Float64, t: Float64, ceiling: float, useful: npt.NDArray[np.bool_]) -> npt.NDArray[np.bool_]:
-    """Which samples count [n, h, w, c], from the shortest exposure to the longest."""
-    free = (y < ceiling) & useful
+    """Which of the useful samples count [n, h, w, c], from the shortest exposure to the longest."""
+    free = useful.copy()
     free[1:] &= free[:-1]  # what is clipped in a shorter exposure is so in a longer one
     value, time = y[0].copy(), np.full_like(y[0], t[0].item())
     for i in range(1, len(y)):

@@ -29,6 +29,9 @@ _CLIPPED = 0.995  # of a photosite's range
 _SAID_RAW = "it cannot be read as a raw photograph"
 
 
+_Linear = tuple[FloatArray, npt.NDArray[Any], npt.NDArray[np.bool_], npt.NDArray[np.bool_]]
+
+
 @dataclass(frozen=True)
 class MergeSettings:
     """What to merge, and to where."""
@@ -133,8 +136,9 @@ def _merged(
     pictures: list[FloatArray] = []
     squares: list[npt.NDArray[Any]] = []
     usable: list[npt.NDArray[np.bool_]] = []
+    clipped: list[npt.NDArray[np.bool_]] = []
     for file in files:
-        pixels, variance, says = _linear(file, response or "srgb")
+        pixels, variance, says, full = _linear(file, response or "srgb")
         if pictures and pixels.shape != pictures[0].shape:
             raise InputError(
                 f"{shown(file)}: it has {pixels.shape[1]} x {pixels.shape[0]} pixels, but {shown(files[0])} has "
@@ -143,12 +147,13 @@ def _merged(
         pictures.append(pixels)
         squares.append(variance)
         usable.append(says)
-    return merge(pictures, times, _ceiling(files, response), squares, usable)
+        clipped.append(full)
+    return merge(pictures, times, _ceiling(files, response), squares, usable, clipped)
 
 
-def _linear(file: Path, response: str) -> tuple[FloatArray, npt.NDArray[Any], npt.NDArray[np.bool_]]:
-    """Linear values of a photograph in units of the largest [h, w, 3], the variance of their rounding, and which of
-    them say something.
+def _linear(file: Path, response: str) -> _Linear:
+    """Linear values of a photograph in units of the largest [h, w, 3], the variance of their rounding, which of them
+    say something, and which are clipped, whatever they are.
     """
     ending = file.suffix.lower()
     if ending in RAW:
@@ -158,7 +163,7 @@ def _linear(file: Path, response: str) -> tuple[FloatArray, npt.NDArray[Any], np
     levels = largest_code(file)
     pixels = read_photograph(file, Development(response, levels))[..., :3]
     values, squares = rounding(response, levels)
-    return pixels, np.interp(pixels, values, squares), np.ones(pixels.shape, bool)
+    return pixels, np.interp(pixels, values, squares), np.ones(pixels.shape, bool), np.zeros(pixels.shape, bool)
 
 
 def _opened(file: Path) -> Any:
@@ -185,16 +190,16 @@ def _raw_exposure(file: Path) -> float | None:
     return None if time is None else exposure_of(time, speed, aperture)
 
 
-def _raw(file: Path) -> tuple[FloatArray, npt.NDArray[Any], npt.NDArray[np.bool_]]:
-    """A raw photograph: linear sRGB primaries in the camera's white balance.
+def _raw(file: Path) -> _Linear:
+    """A raw photograph as :func:`_linear` says: linear sRGB primaries in the camera's white balance.
 
-    What is clipped in all colours is 1. Where only some are, also in those that the others are interpolated from, the
-    conversion to other primaries mixes them into all: such values say nothing.
+    What is clipped in all colours has the value from which on it is. Where only some are, also in those that the others
+    are interpolated from, the conversion to other primaries mixes them into all: such values say nothing.
     """
     with _opened(file) as raw, native(file, _SAID_RAW):
         import rawpy
 
-        full = _full(raw)
+        full, level = _full(raw)
         codes = raw.postprocess(
             gamma=(1, 1), no_auto_bright=True, use_camera_wb=True, output_bps=16, user_flip=0,
             output_color=rawpy.ColorSpace.sRGB, adjust_maximum_thr=0.0,
@@ -205,27 +210,31 @@ def _raw(file: Path) -> tuple[FloatArray, npt.NDArray[Any], npt.NDArray[np.bool_
     else:
         some, every = _around(full, 2), ~_around(~full, 1)
     some, every = (_fitted(part, pixels.shape[:2]) for part in (some, every))
-    pixels[every] = 1.0
-    usable = np.repeat((every | ~some)[..., None], 3, -1)
-    return pixels, np.full(1, 1.0 / (12.0 * _WHITE**2)) * np.ones_like(pixels), usable
+    pixels[every] = level
+    usable, clipped = (np.repeat(mask[..., None], 3, -1) for mask in (every | ~some, every))
+    return pixels, np.full(1, 1.0 / (12.0 * _WHITE**2)) * np.ones_like(pixels), usable, clipped
 
 
-def _full(raw: Any) -> npt.NDArray[np.bool_]:
+def _full(raw: Any) -> tuple[npt.NDArray[np.bool_], float]:
     """Photosites [h, w], of files without a mosaic pixels and their colours [h, w, 3], that are clipped: at the
-    sensor's white level, or beyond 1 in the camera's white balance, whose smallest factor is 1.
+    sensor's white level, or beyond 1 in the camera's white balance, whose smallest factor is 1. And what of the range
+    a surface is beyond that is clipped in all colours; a colour's own white level may lie below the range's end.
     """
     codes = np.asarray(raw.raw_image_visible)
     white = np.asarray(raw.camera_white_level_per_channel or [raw.white_level] * 4, float)
-    white = np.where(white > 0, white, raw.white_level)
+    white = np.where(white > 0, np.minimum(white, raw.white_level), raw.white_level)
     black = np.asarray(raw.black_level_per_channel, float)
     factor = np.asarray(raw.camera_whitebalance, float)
     if not (factor[:3] > 0).all():
         factor = np.asarray(raw.daylight_whitebalance, float)  # what is taken where the file has none
     factor[3] = factor[3] if factor[3] > 0 else factor[1]  # the second green
-    level = black + _CLIPPED * (white - black) * (factor.min() / factor if (factor > 0).all() else 1.0)
+    balance = factor / factor.min() if (factor > 0).all() else np.ones(4)
+    first = np.minimum((white - black) / (raw.white_level - black), 1.0 / balance)  # of the range, before balancing
+    level = black + _CLIPPED * (raw.white_level - black) * first
+    bound = float((first * balance).min())
     if codes.ndim == 3:
-        return np.asarray(codes[..., :3] >= level[:3])
-    return np.asarray(codes >= level[np.asarray(raw.raw_colors_visible)])
+        return np.asarray(codes[..., :3] >= level[:3]), bound
+    return np.asarray(codes >= level[np.asarray(raw.raw_colors_visible)]), bound
 
 
 def _around(marked: npt.NDArray[np.bool_], steps: int) -> npt.NDArray[np.bool_]:

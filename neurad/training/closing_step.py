@@ -112,9 +112,8 @@ def make_closing_step(
     assert correction is not None
     assert isinstance(materials, FittedMaterials)
     correction.add(None)
-    total = int((~views.emitter_mask).sum())
     samples = assembly.settings.roughness.closing_samples * counters.samples / processes
-    pixels = min(total, MOST_PIXELS, int(samples / GROUP))
+    pixels = min(views.pixels, MOST_PIXELS, int(samples / GROUP))
     if pixels < LEAST_PIXELS:
         return None
     with torch.no_grad(), averaged(assembly.average), phase("correcting roughness"):

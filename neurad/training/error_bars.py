@@ -34,8 +34,7 @@ def error_bars(
     """
     if not isinstance(assembly.materials, FittedMaterials):
         return None
-    total = int((~views.emitter_mask).sum())
-    count = min(int(FRACTION * counters.samples) // SPP, MOST, total)
+    count = min(int(FRACTION * counters.samples) // SPP, MOST, views.pixels)
     if count < LEAST:
         return None
     with assembly.world.tracer.uncounted():
@@ -48,7 +47,7 @@ def error_bars(
     has_roughness = assembly.materials.roughness is not None
     corrected = assembly.correction is not None and assembly.correction.found
     usual = CLOSING_GAIN if corrected else USUAL_GAIN
-    return measure(pixels, to_cube(assembly.materials), total, counters.iteration, has_roughness, usual)
+    return measure(pixels, to_cube(assembly.materials), views.pixels, counters.iteration, has_roughness, usual)
 
 
 def to_cube(materials: FittedMaterials) -> ToUnitCube:

@@ -30,7 +30,7 @@ def update_levels(
     """Fit the factors of the averages' levels to the pixels that no batch draws, and keep them where that helps.
 
     They do not depend on what they were before. Rays are not counted: the last of these passes is made wherever a run
-    is stopped. None where there are no such pixels, averages or levels.
+    is stopped. None where there are no such pixels or averages, or a field has no levels.
 
     Args:
         assembly: of the run.
@@ -39,7 +39,11 @@ def update_levels(
         iteration: iterations done, the key of the random numbers.
     """
     average, materials = assembly.average, assembly.materials
-    if average is None or not isinstance(materials, FittedMaterials) or not list(average.levels.items()):
+    if average is None or not isinstance(materials, FittedMaterials):
+        return None
+    fields = [materials.albedo] + ([] if materials.roughness is None else [materials.roughness])
+    grids = [getattr(field, "grid", None) for field in fields]
+    if any(grid is None or average.levels.of(grid) is None for grid in grids):
         return None
     batch = photographs.validation_batch()
     if batch is None or len(batch.view) < LEAST:

@@ -190,3 +190,16 @@ def test_of_a_lamp_that_shines_to_both_sides_the_brighter_counts(lit):
     result = search._found(1.0)
     assert result.lamps == [Shining(3, True)]
     assert "only the light of the brighter side" in result.lines[1]
+
+
+@pytest.mark.parametrize("known", [False, True])
+def test_a_lamp_that_some_photographs_clip_is_found_in_the_others(lit, known):
+    """Of unlike exposures the ceilings are as unlike; a lamp at them is not alike all over."""
+    scene, photographs = lit
+    gains = torch.tensor([1.0, 1.0, 4.0, 1.0, 4.0]).view(-1, 1, 1)
+    taken = Photographs(photographs.pixels * gains, 7.0)
+    if known:
+        taken.pixels, taken.ceiling = taken.pixels / gains, 7.0 / gains
+        taken.clipped = lambda view, pixel: taken.colors(view, pixel) >= taken.ceiling[view, 0] * (1 - 1e-6)
+    unknown = without_lamps(scene) if known else replace(without_lamps(scene), photography=Photography(exposure="fit"))
+    assert names(scene, found(unknown, taken).lamps) == {"ceiling lamp", "strip"}

@@ -285,6 +285,20 @@ def test_scores_of_two_views_by_hand(tmp_path: Path) -> None:
     assert without == {key: value for key, value in scores.items() if "linear" not in key and "srgb" not in key}
 
 
+def test_pixels_that_a_mask_leaves_out_count_in_no_picture(tmp_path: Path) -> None:
+    """Neither the rendering's nor the field's own."""
+    views = open_views(with_truth(tmp_path))
+    left_out = np.ones((SIDE, SIDE), bool)
+    left_out[0, 0] = False
+    views._kept = {0: left_out, 1: left_out}
+    pictures = [np.full((SIDE, SIDE, 3), 4.5, np.float32) for _ in range(2)]
+    for picture in pictures:
+        picture[0, 0] = 100.0
+    scores = score(views, views.predict(Plain(0.5, 0.4)), pictures, fields=pictures)
+    assert scores["psnr_linear"] == pytest.approx(-10 * math.log10(0.25), rel=1e-4)
+    assert scores["psnr_lhs"] == pytest.approx(scores["psnr_linear"], rel=1e-6)
+
+
 def test_lookup_by_true_colour_scores_what_colour_tells(tmp_path: Path) -> None:
     """Three colours in the training views; a fourth, near the third, in the held-out one. By hand: in one part
     the two roughnesses of colour 0.4 have the mean 0.3; 0.65, which the finest table lacks, is found beside 0.6.

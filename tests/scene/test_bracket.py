@@ -282,6 +282,30 @@ def test_raw_values_beyond_the_white_balance_are_clipped(tmp_path):
         assert _raw(tmp_path / "a.dng")[2].all() == says
 
 
+def test_a_sensor_that_is_full_before_its_range_ends(tmp_path, monkeypatch):
+    """What is clipped in all colours is as bright as the sensor's own level or more, not as the range's end."""
+    pytest.importorskip("rawpy")
+    from neurad.scene import hdr
+
+    class Raw:
+        white_level, camera_white_level_per_channel = 16383, [15360] * 4
+        black_level_per_channel, camera_whitebalance = [0] * 4, [2.0, 1.0, 1.4, 0.0]
+        raw_image_visible = np.full((8, 8), 15500)
+        raw_colors_visible = np.array([[0, 1], [3, 2]]).repeat(4, 0).repeat(4, 1)
+
+    full, level = hdr._full(Raw)
+    assert full.all()
+    assert level == pytest.approx(15360 / 16383)
+    Raw.raw_image_visible = np.full((8, 8), 12000)
+    full, _ = hdr._full(Raw)
+    np.testing.assert_array_equal(full, np.isin(Raw.raw_colors_visible, (0, 2)))  # green alone is not
+    y, mask = np.full((1, 2, 2, 3), 0.93), np.ones((1, 2, 2, 3), bool)
+    found, spread, clipped = merge(y, [2.0], clipped=mask)
+    np.testing.assert_allclose(found, 0.93 / 2)
+    assert clipped.all()
+    assert np.isinf(spread).all()
+
+
 def test_raw_files_without_a_mosaic(tmp_path):
     """What telephones and merging programs write."""
     pytest.importorskip("rawpy")
