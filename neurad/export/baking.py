@@ -140,7 +140,10 @@ def _baked_scene(
         materials.append(replace(material, name=names[index]))
         meshes.append(replace(mesh, name=names[index], material=index, attributes={}))
     environment = None if scene.environment is None else shown_environment(assembly)
-    return with_lamps(replace(scene, meshes=meshes, materials=materials, environment=environment), assembly)
+    lights = file_names([light.name for light in scene.punctual], names)  # Blender finds them by their names, too
+    punctual = tuple(replace(light, name=name) for light, name in zip(scene.punctual, lights, strict=True))
+    made = replace(scene, meshes=meshes, materials=materials, environment=environment, punctual=punctual)
+    return with_lamps(made, assembly)
 
 
 def _shortest(pixels: np.ndarray) -> Bitmap | Constant:

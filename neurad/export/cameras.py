@@ -14,7 +14,14 @@ from neurad.scene.description import Scene
 from neurad.scene.load import RELIGHT
 from neurad.scene.transforms import transforms
 
-KINDS = {"image": "images", "albedo": "albedo", "roughness": "roughness", "relight": "images_relight", "mask": "masks"}
+KINDS = {
+    "image": "images",
+    "albedo": "albedo",
+    "roughness": "roughness",
+    "relight": "images_relight",
+    "mask": "masks",
+    "spread": "spread",
+}
 """Folders of the files of a view."""
 NO_LENS = "other programs' cameras have no lens distortion, square pixels and their centre in the middle"
 LONGEST = 56

@@ -42,7 +42,12 @@ def check_out(out: Path, overwrite: bool) -> None:
     with writing(out, "--out"):
         _remove_dead(place)
         _new_stage(place).rmdir()
-        occupied = place.is_dir() and any(place.iterdir())
+    _check_free(out, place, overwrite)
+
+
+def _check_free(out: Path, place: Path, overwrite: bool) -> None:
+    with writing(out, "--out"):
+        occupied = place.exists() and (not place.is_dir() or any(place.iterdir()))
     if occupied and not overwrite:
         raise InputError(f"--out: {out} is there already; add --overwrite to replace it")
     if occupied and not _is_export(place):
@@ -67,11 +72,15 @@ def check_sources(out: Path, sources: Iterable[str | Path]) -> None:
 
 
 @contextmanager
-def written_beside(out: Path) -> Iterator[Path]:
+def written_beside(out: Path, overwrite: bool = True) -> Iterator[Path]:
     """A new folder beside ``out``; it takes its place at the end of the block, and is removed if the block fails.
 
+    Args:
+        out: where it is going to be.
+        overwrite: replace an earlier export; nothing else is replaced, also what has come there meanwhile.
+
     Raises:
-        InputError: a file cannot be written: no room on the disk, no permission.
+        InputError: a file cannot be written: no room on the disk, no permission; or something has come to ``out``.
     """
     place = _place(out)
     with writing(out, "--out"):
@@ -87,6 +96,7 @@ def written_beside(out: Path) -> Iterator[Path]:
         except OSError as error:
             where = str(error.filename or place).replace(str(stage), str(place))
             raise InputError(f"--out {where}: {reason(error)}") from error
+        _check_free(out, place, overwrite)
         with writing(out, "--out"):
             _move(stage, place)
     finally:
@@ -157,8 +167,9 @@ def _move(stage: Path, place: Path) -> None:
     os.replace(place, old / _REPLACED)
     try:
         os.replace(stage, place)
-    except OSError:
-        os.replace(old / _REPLACED, place)
+    except BaseException:  # also Ctrl-C between the two moves
+        if not place.exists():
+            os.replace(old / _REPLACED, place)
         raise
     finally:
         shutil.rmtree(old, ignore_errors=True)

@@ -63,6 +63,14 @@ def no_llvm() -> str | None:
     return None
 
 
+NOT_ALONE = "Mitsuba hides lamps that are seen together with the environment"
+
+
+def hides_alone(scene: Scene) -> bool:
+    """Whether Mitsuba's ``hide_emitters`` hides the environment and nothing else: it leaves out lamps as well."""
+    return scene.environment is not None and not scene.features.has_area_lights
+
+
 def sensor(scene: Scene, camera: Camera, width: int, height: int, samples: int = 16, alpha: bool = False) -> Node:
     """A camera with a box filter that sees all of a scene; ``width`` and ``height`` are those of its film in pixels.
 

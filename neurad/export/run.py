@@ -30,7 +30,7 @@ from neurad.export.folder import MANIFEST, check_out, check_sources, written_bes
 from neurad.export.gltf import write_glb
 from neurad.export.images import Coded
 from neurad.export.limits import Side, Texels
-from neurad.export.mitsuba import sensor
+from neurad.export.mitsuba import NOT_ALONE, hides_alone, sensor
 from neurad.export.progress import Bar
 from neurad.export.report import write_report
 from neurad.export.room import Room
@@ -40,7 +40,6 @@ from neurad.metrics.error_bars import ErrorBars
 from neurad.metrics.seen import SeenBy
 from neurad.runtime import threads
 from neurad.runtime.blender import Blender, find_blender
-from neurad.scene.description import Scene
 from neurad.scene.image_io import png, write_exr
 from neurad.scene.punctual import pose
 from neurad.scene.scene_xml import describe, path_integrator, write_xml
@@ -110,7 +109,7 @@ def export(assembly: Assembly, checkpoint: Path, settings: ExportSettings, bars:
     try:
         room = bake_room(assembly, settings.texels, settings.size, settings.up, bar)
         baked = time.perf_counter()
-        with written_beside(settings.out) as folder:
+        with written_beside(settings.out, settings.overwrite) as folder:
             notes = write_room(room, assembly, folder, settings, bar, bars)
             seconds = {"bake": round(baked - start, 2), "write": round(time.perf_counter() - baked, 2)}
             notes |= {"checkpoint": str(checkpoint), "seconds": seconds}
@@ -150,7 +149,8 @@ def write_room(
     views = shown_alike(scene)
     bar.stage("scene.xml", 1)
     sensors = [sensor(scene, v.camera, v.camera.width, v.camera.height, 256, room.hide_environment) for v in views]
-    write_xml(describe(scene, folder, sensors, path_integrator(scene, room.hide_environment)), folder / "scene.xml")
+    hidden = room.hide_environment and hides_alone(scene)
+    write_xml(describe(scene, folder, sensors, path_integrator(scene, hidden)), folder / "scene.xml")
     bar.stage("scene.glb", len(room.names))
     with_usd = usd.has_usd()
 
@@ -184,20 +184,24 @@ def write_room(
         "environment": None if turned is None else {"file": "environment.exr", "to_world": turned},
         "lights": [_light_notes(light) for light in scene.punctual if light.intensity.any()],
         "film": None if camera is None else [camera.width, camera.height],
+        "camera": views[0].name if views else None,
         "views": {"train": [v.name for v in scene.train], "test": [v.name for v in scene.test]},
         "without_photographs": missing,
-        "left_out": [*([] if with_usd else [usd.MISSING]), *([] if bars else [NO_BARS]), *_left_out(scene)],
+        "left_out": [*([] if with_usd else [usd.MISSING]), *([] if bars else [NO_BARS]), *_left_out(room)],
         "meshes": [_mesh_notes(room, i, seen[i]) for i in range(len(room.names))],
     }
 
 
-def _left_out(scene: Scene) -> list[str]:
+def _left_out(room: Room) -> list[str]:
     """What other files than those that describe it best lack: cameras with lenses, lights without extent."""
+    scene = room.scene
     bent = [view.name for view in (*scene.train, *scene.test) if not is_plain(view.camera)]
     said = [f"{len(bent)} cameras: {NO_LENS}"] if bent else []
     shine = [light.name for light in scene.punctual if light.intensity.any()]
     if shine and usd.has_usd():
         said.append(f"room.usdc: it lacks {len(shine)} lights without extent ({', '.join(shine[:8])})")
+    if room.hide_environment and scene.environment is not None and not hides_alone(scene):
+        said.append(f"scene.xml: it shows the environment, which the photographs leave out: {NOT_ALONE}")
     return said
 
 

@@ -17,7 +17,7 @@ from neurad.core.protocols import Materials
 from neurad.core.records import FloatArray, Surface, SurfaceInteraction, View
 from neurad.core.rng import mix
 from neurad.export.cameras import shown_alike
-from neurad.export.mitsuba import fastest_mitsuba, no_mitsuba
+from neurad.export.mitsuba import NOT_ALONE, fastest_mitsuba, hides_alone, no_mitsuba
 from neurad.export.pictures import BLOCKS, PASSES, Draw, Pictures, drawn, excess
 from neurad.export.progress import Progress
 from neurad.export.room import Room
@@ -27,11 +27,11 @@ from neurad.integrators.correlated import CorrelatedPaths
 from neurad.integrators.film import render
 from neurad.integrators.world import World
 from neurad.metrics.held_out import HeldOut
-from neurad.metrics.held_out_scores import score
+from neurad.metrics.held_out_scores import responded, score
 from neurad.metrics.scores import psnr
 from neurad.scene.description import Scene
 from neurad.scene.geometry import Geometry
-from neurad.scene.image_io import read_exr
+from neurad.scene.photographs import read_view
 from neurad.scene.textures import TrueMaterials
 
 SEED = 20260101
@@ -78,7 +78,7 @@ def verify(
     """
     views = shown_alike(room.scene)
     found = Verified(views, held_out=bool(room.scene.test))
-    found.photographs = [None if v.image is None else read_exr(v.image)[..., :3] for v in views]
+    found.photographs = [None if v.image is None else _photograph(v, assembly) for v in views]
     progress.stage("seams", len(room.names))
     found.seams = find_seams(room, assembly.world.geometry, assembly.materials, done=progress.step)
     scene = replace(_read_again(room, folder, found), train=room.scene.train, test=views)
@@ -89,7 +89,10 @@ def verify(
     progress.stage("maps", 1)
     _compare_maps(found, scene, HeldOut(scene, world.geometry, world.tracer.tracer), fields, baked)
     ours = _ours(world, baked, fields, scene, spp)
-    if (why := no_mitsuba()) is not None:
+    why = no_mitsuba()
+    if room.hide_environment and scene.environment is not None and not hides_alone(scene):
+        why = NOT_ALONE
+    if why is not None:
         found.left_out.append(f"Mitsuba: {why}")
         _render(found, ours, None, progress)
     else:
@@ -102,6 +105,13 @@ def verify(
         _render_cycles(found, cycles, spp, progress)
     found.judge()
     return found
+
+
+def _photograph(view: View, assembly: Assembly) -> FloatArray:
+    """A view's photograph [h, w, 3], by the response that the run recovered if it did."""
+    photograph = read_view(view)[..., :3]
+    development = assembly.development
+    return photograph if development is None else responded(view, photograph, development.respond)
 
 
 def _render_cycles(found: Verified, cycles: Cycles, spp: int, progress: Progress) -> None:

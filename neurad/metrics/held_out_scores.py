@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 import torch
+from torch import Tensor
 
-from neurad.core.records import FloatArray
+from neurad.core.records import FloatArray, View
 from neurad.metrics.colour_lookup import explained
 from neurad.metrics.held_out import HeldOut, Maps
 from neurad.metrics.scores import BoolArray, Float64Array, Pool, block_means
@@ -81,6 +82,26 @@ def score(
     return scores
 
 
+@torch.no_grad()
+def responded(
+    view: View, photograph: FloatArray, respond: Callable[[Tensor], Tensor], device: torch.device | str = "cpu"
+) -> FloatArray:
+    """A photograph [h, w, 3] by a response that was recovered; as it is where it is not of codes.
+
+    Args:
+        view: whose it is.
+        photograph: by sRGB's curve, the exposure divided out.
+        respond: values by the response of those by sRGB's, see
+            :meth:`neurad.fields.development.FittedDevelopment.respond`.
+        device: where the response lies.
+    """
+    if not view.development.levels:
+        return photograph
+    gain = view.development.gain
+    found = respond(torch.from_numpy(photograph * np.float32(gain)).float().to(device)).cpu().numpy() / gain
+    return found.astype(np.float32)
+
+
 def _comparable(held_out: HeldOut, index: int, render: FloatArray) -> tuple[FloatArray, FloatArray]:
     """A picture of a view and its photograph, as they are compared [h, w, 3] each.
 
@@ -92,11 +113,8 @@ def _comparable(held_out: HeldOut, index: int, render: FloatArray) -> tuple[Floa
     if math.isinf(ceiling) and not gains.fits_gains and held_out.respond is None:
         return render, photograph
     clipped = photograph >= ceiling
-    if held_out.respond is not None and view.development.levels:
-        gain, device = view.development.gain, held_out.geometry.vertices.device
-        with torch.no_grad():
-            found = held_out.respond(torch.from_numpy(photograph * gain).float().to(device)).cpu().numpy() / gain
-        photograph = found.astype(np.float32)
+    if held_out.respond is not None:
+        photograph = responded(view, photograph, held_out.respond, held_out.geometry.vertices.device)
     if gains.fits_gains:
         free = ~clipped & held_out.kept(index)[..., None]
         axes = (0, 1) if gains.white_balance == "fit" else None

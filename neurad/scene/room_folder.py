@@ -27,6 +27,8 @@ Matrix = npt.NDArray[np.float64]
 
 UP = {f"{sign}{axis}": i * 2 + (sign == "-") for i, axis in enumerate("xyz") for sign in ("", "-")}
 """Axes that may point up."""
+_PAINT = "paint"
+"""Id of the material that is to be recovered."""
 _TILT = 0.8  # smallest cosine between the mean of what cameras hold up and an axis
 
 
@@ -111,9 +113,10 @@ def write_room(room: Room, out: Path) -> list[Mesh]:
 
 
 def _named_apart(room: Room) -> list[Mesh]:
-    """All meshes, no two of one name."""
-    taken: set[str] = set()
-    return [replace(mesh, name=apart(mesh.name, taken)) for file in room.meshes for mesh in file.meshes]
+    """All meshes, no two of one name, and none that ``scene.xml`` cannot have: Mitsuba takes ``$`` for a parameter."""
+    taken = {_PAINT}
+    plain = re.compile(r"[$\x00-\x1f\x7f]")
+    return [replace(mesh, name=apart(plain.sub("_", mesh.name), taken)) for file in room.meshes for mesh in file.meshes]
 
 
 def file_name(name: str, taken: set[str]) -> str:
@@ -159,7 +162,7 @@ def _write_surfaces(room: Room, meshes: Sequence[Mesh], out: Path) -> None:
     """``scene.xml`` and the meshes: one PLY file for each, or a link where the file is one already."""
     tree = ElementTree.Element("scene", version="3.0.0")
     _child(_child(tree, "integrator", type="path"), "integer", name="max_depth", value="-1")
-    paint = _child(_child(tree, "bsdf", type="twosided", id="paint"), "bsdf", type="principled")
+    paint = _child(_child(tree, "bsdf", type="twosided", id=_PAINT), "bsdf", type="principled")
     _child(paint, "rgb", name="base_color", value="0.5")
     _child(paint, "float", name="roughness", value="0.5")
     if room.environment is not None:
@@ -184,7 +187,7 @@ def _write_surfaces(room: Room, meshes: Sequence[Mesh], out: Path) -> None:
             values = " ".join(f"{x:.17g}" for x in room.to_cameras.ravel())
             _child(_child(shape, "transform", name="to_world"), "matrix", value=values)
         if material is None:
-            _child(shape, "ref", id="paint")
+            _child(shape, "ref", id=_PAINT)
         else:
             _add_known(shape, material)
         if mesh.radiance is not None:

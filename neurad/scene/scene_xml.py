@@ -7,7 +7,7 @@ A scene is described once, as a tree of plugins (:func:`describe`), which become
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -47,13 +47,16 @@ class Matrix:
     values: Array
 
 
-def file_names(names: Sequence[str]) -> list[str]:
+def file_names(names: Sequence[str], others: Iterable[str] = ()) -> list[str]:
     """Names of files for things of these names, no two alike: letters, digits, ``-`` and ``_``.
 
     They have 56 characters at most, as Blender cuts off more.
+
+    Args:
+        names: of the things.
+        others: names that none of them gets.
     """
-    taken: set[str] = set()
-    made = []
+    taken, made = {name.lower() for name in others}, []
     for name in names:
         stem = re.sub(r"[^A-Za-z0-9_-]+", "_", name).strip("_")[:50] or "mesh"
         made.append(apart(stem, taken, "_", capitals=False))
@@ -98,7 +101,8 @@ def describe(
         else:
             tree[label] = _bsdf(material, label, names[i], pictures)
             bsdfs[i] = {"type": "ref", "id": label}
-    names = file_names([*(mesh.name for mesh in scene.meshes), *(light.name for light in scene.punctual)])
+    labels = [name for name in tree if name.startswith("material-")]
+    names = file_names([*(mesh.name for mesh in scene.meshes), *(light.name for light in scene.punctual)], labels)
     for mesh, name in zip(scene.meshes, names[: len(scene.meshes)], strict=True):
         tree[f"mesh-{name}"] = _shape(mesh, name, bsdfs[mesh.material], folder)
     for light, name in zip(scene.punctual, names[len(scene.meshes) :], strict=True):

@@ -151,3 +151,20 @@ def test_a_folder_is_not_replaced_by_what_is_read_from_it(tmp_path):
     for source in (out / "images/a.exr", tmp_path / "link.exr"):
         with pytest.raises(InputError, match="which the run needs; export to another folder"):
             check_sources(out, [source])
+
+
+@pytest.mark.parametrize("overwrite", [False, True])
+def test_what_has_come_to_the_place_meanwhile_stays(tmp_path, overwrite):
+    """An export takes minutes; another one, or a folder of one's own, may be there by then."""
+    out = tmp_path / "room"
+
+    def exported():
+        with written_beside(out, overwrite) as stage:
+            manifest(stage)
+            out.mkdir()
+            (out / "mine.txt").write_text("x")
+
+    with pytest.raises(InputError, match="is no folder of an earlier export" if overwrite else "is there already"):
+        exported()
+    assert (out / "mine.txt").is_file()
+    assert parts(tmp_path) == []

@@ -74,3 +74,17 @@ def test_the_notes_have_them_for_blender(room):
     assert notes["lights"][1]["intensity"] == [1.0, 3.0, 2.0]
     if (room / "room.usdc").exists():
         assert any("room.usdc: it lacks 3 lights" in said for said in notes["left_out"])
+
+
+def test_lights_of_one_name_are_told_apart_in_all_files(tmp_path):
+    """Blender finds them by names, of which it keeps 63 bytes."""
+    pytest.importorskip("xatlas")
+    lights = tuple(replace(light, name=name) for light, name in zip(LIGHTS, ("lamp", "lamp", "x" * 80), strict=False))
+    room = exported(replace(build_cornell(), punctual=lights), tmp_path / "room")
+    listed = [light["name"] for light in json.loads((room / "room.json").read_text())["lights"]]
+    assert len(set(listed)) == 3
+    assert max(map(len, listed)) <= 56
+    glb = Glb(room / "scene.glb").json["extensions"]["KHR_lights_punctual"]["lights"]
+    assert [light["name"] for light in glb] == listed
+    again = read_xml(room / "scene.xml")
+    assert sorted(light.name for light in again.punctual) == sorted(listed)

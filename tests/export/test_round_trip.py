@@ -8,8 +8,9 @@ import numpy as np
 import pytest
 import torch
 from helpers.delta_scenes import delta_gallery
-from helpers.exported import Glb, exported
+from helpers.exported import Glb, assembled, exported
 from helpers.object_scene import object_scene, photographed, sky
+from helpers.tiny_scene import as_png, read_json, write_json, write_scene
 from PIL import Image
 
 from neurad.assembly.build import build_world
@@ -17,10 +18,11 @@ from neurad.core.lens import Lens
 from neurad.core.records import Camera, EnvironmentMap, View
 from neurad.core.reflection import ConductorModel, DielectricModel, DiffuseModel, PrincipledModel, RoughPlasticModel
 from neurad.export.cameras import named_apart, shown_alike, write_views
+from neurad.export.verify import _photograph
 from neurad.integrators.film import render
 from neurad.integrators.renderer import path_tracer
 from neurad.scene.builtin import build_cornell
-from neurad.scene.image_io import read_exr
+from neurad.scene.image_io import read_exr, write_exr
 from neurad.scene.load import load_scene
 from neurad.scene.readers.mitsuba_xml import read_xml
 from neurad.scene.readers.nerf import read_views
@@ -224,3 +226,62 @@ def test_names_of_views_serve_as_those_of_files_and_cameras(name):
     named = named_apart(replace(first, test=[replace(scene.test[0], name=name)]))
     assert [v.name for v in (named.train[0], named.test[0])] == ["train_000", "test_000"]
     assert named_apart(scene) is scene
+
+
+def test_photographs_of_codes_are_verified_with_their_exposures(tmp_path):
+    """PNG, each view twice as bright as the lights make it, which its exposure says."""
+    folder = write_scene(tmp_path / "source")
+    first = load_scene(str(folder), None)
+    truth = {view.name: read_exr(view.image)[..., :3].mean() for view in first.test}
+    as_png(folder, 2.0)
+    for part in ("train", "test"):
+        described = read_json(folder, part)
+        write_json(folder, part, {**described, "frames": [{**f, "exposure": 2.0} for f in described["frames"]]})
+    assembly = assembled(load_scene(str(folder), None))
+    for view in assembly.scene.test:
+        assert _photograph(view, assembly).mean() == pytest.approx(truth[view.name], rel=0.25)  # some are clipped
+    room = exported(assembly.scene, tmp_path / "room", verify=True, spp=1)
+    assert json.loads((room / "verify.json").read_text())["renderers"]["baked"]["psnr_below_white"] is not None
+
+
+@pytest.mark.parametrize(
+    ("scene", "hidden"), [(build_cornell(), "false"), (object_scene(sky()), "true")], ids=["lamps", "sky"]
+)
+def test_mitsuba_hides_the_environment_and_no_lamp(tmp_path, scene, hidden):
+    """Its switch leaves out both; photographs with alpha may be of a closed room."""
+    room = exported(scene, tmp_path / "room", hide_environment=True)
+    assert f'name="hide_emitters" value="{hidden}"' in (room / "scene.xml").read_text()
+    assert not any("environment" in text for text in json.loads((room / "room.json").read_text())["left_out"])
+
+
+def test_an_environment_that_mitsuba_cannot_hide_is_said(tmp_path):
+    scene = replace(build_cornell(), environment=sky())
+    room = exported(scene, tmp_path / "room", hide_environment=True)
+    assert 'name="hide_emitters" value="false"' in (room / "scene.xml").read_text()
+    (said,) = (t for t in json.loads((room / "room.json").read_text())["left_out"] if t.startswith("scene.xml"))
+    assert "it shows the environment, which the photographs leave out" in said
+
+
+def test_the_spread_of_photographs_goes_along(tmp_path):
+    """Without it what every exposure clipped would be fitted as it is."""
+    folder = write_scene(tmp_path / "source")
+    (folder / "spread").mkdir()
+    scene = load_scene(str(folder), None)
+    for view in scene.train:
+        camera = view.camera
+        spread = np.random.default_rng(1).random((camera.height, camera.width, 3), np.float32)
+        write_exr(folder / f"spread/{view.name}.exr", spread, half=False)
+    scene = load_scene(str(folder), None)
+    assert all(view.spread for view in scene.train)
+    again = load_scene(str(exported(scene, tmp_path / "room", copy=True)), None)
+    for before, after in zip(scene.train, again.train, strict=True):
+        np.testing.assert_array_equal(read_exr(before.spread), read_exr(after.spread))
+
+
+def test_materials_and_meshes_may_have_each_others_names(tmp_path):
+    """Labels of materials begin with a word that a mesh may begin with, too."""
+    scene = build_cornell()
+    names = ["wall", "material-wall", *(mesh.name for mesh in scene.meshes[2:])]
+    meshes = [replace(mesh, name=name) for mesh, name in zip(scene.meshes, names, strict=True)]
+    again = read_again(replace(scene, meshes=meshes), tmp_path)
+    assert len(again.meshes) == len(meshes)

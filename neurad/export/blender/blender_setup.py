@@ -2,9 +2,8 @@
 
     blender --python blender_setup.py
 
-or open this file in Blender's text editor and run it. It imports scene.glb from the folder that it lies in and sets
-what importers leave wrong: a view transform that changes colours, limits that darken indirect light, lamps that shine
-to both sides, and the environment.
+It imports scene.glb from the folder that it lies in, into an empty scene, and sets what importers leave wrong: a view
+transform that changes colours, limits that darken indirect light, lamps that shine to both sides, and the environment.
 """
 
 from __future__ import annotations
@@ -41,8 +40,9 @@ def setup(folder: Path) -> dict[str, Any]:
         if not mesh["two_sided"]:
             _black_from_behind(material)
     cameras = [thing for thing in bpy.data.objects if thing.type == "CAMERA"]
-    scene.camera = next((c for c in cameras if c.data.name in room["views"]["test"]), cameras[0] if cameras else None)
-    scene.render.resolution_x, scene.render.resolution_y = room["film"]
+    scene.camera = next((c for c in cameras if c.data.name == room["camera"]), cameras[0] if cameras else None)
+    if room["film"] is not None:  # that of this camera; without a pinhole among them there are no cameras
+        scene.render.resolution_x, scene.render.resolution_y = room["film"]
     scene.render.resolution_percentage = 100
     return room
 
