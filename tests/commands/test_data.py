@@ -304,6 +304,15 @@ def test_several_meshes_and_an_environment(place, source):
     assert sorted(p.name for p in (place / "room/meshes").iterdir()) == ["part-2.ply", "part.ply"]
 
 
+@pytest.mark.parametrize("name", ["paint", "ColladaAutoName$_12"])
+def test_names_that_scene_xml_cannot_have(place, source, name):
+    """Mitsuba takes a dollar for a parameter, and a name twice for a mistake."""
+    (place / f"{name}.obj").write_text("v 0 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n")
+    meant = {"paint": "paint-2"}.get(name, name.replace("$", "_"))
+    scene = made("nerfstudio", source, "--mesh", f"{name}.obj", "--lamp", f"{meant}=1,1,1")
+    assert [mesh.name for mesh in scene.meshes] == [meant]
+
+
 def test_a_room_without_light_says_what_to_give(place, source, capfd):
     (place / "m.obj").write_text("v 0 0 0\nv 1 2 3\nv 0 1 0\nf 1 2 3\n")
     main(["data", "nerfstudio", str(source), "--mesh", "m.obj", "--out", "room"])
