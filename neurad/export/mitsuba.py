@@ -71,6 +71,11 @@ def hides_alone(scene: Scene) -> bool:
     return scene.environment is not None and not scene.features.has_area_lights
 
 
+def cannot_hide(scene: Scene, hide_environment: bool) -> bool:
+    """Whether photographs leave out an environment that Mitsuba shows, see :data:`NOT_ALONE`."""
+    return hide_environment and scene.environment is not None and not hides_alone(scene)
+
+
 def sensor(scene: Scene, camera: Camera, width: int, height: int, samples: int = 16, alpha: bool = False) -> Node:
     """A camera with a box filter that sees all of a scene; ``width`` and ``height`` are those of its film in pixels.
 

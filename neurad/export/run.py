@@ -30,7 +30,7 @@ from neurad.export.folder import MANIFEST, check_out, check_sources, written_bes
 from neurad.export.gltf import write_glb
 from neurad.export.images import Coded
 from neurad.export.limits import Side, Texels
-from neurad.export.mitsuba import NOT_ALONE, hides_alone, sensor
+from neurad.export.mitsuba import NOT_ALONE, cannot_hide, hides_alone, sensor
 from neurad.export.progress import Bar
 from neurad.export.report import write_report
 from neurad.export.room import Room
@@ -200,7 +200,7 @@ def _left_out(room: Room) -> list[str]:
     shine = [light.name for light in scene.punctual if light.intensity.any()]
     if shine and usd.has_usd():
         said.append(f"room.usdc: it lacks {len(shine)} lights without extent ({', '.join(shine[:8])})")
-    if room.hide_environment and scene.environment is not None and not hides_alone(scene):
+    if cannot_hide(scene, room.hide_environment):
         said.append(f"scene.xml: it shows the environment, which the photographs leave out: {NOT_ALONE}")
     return said
 

@@ -17,7 +17,7 @@ from neurad.core.protocols import Materials
 from neurad.core.records import FloatArray, Surface, SurfaceInteraction, View
 from neurad.core.rng import mix
 from neurad.export.cameras import shown_alike
-from neurad.export.mitsuba import NOT_ALONE, fastest_mitsuba, hides_alone, no_mitsuba
+from neurad.export.mitsuba import NOT_ALONE, cannot_hide, fastest_mitsuba, no_mitsuba
 from neurad.export.pictures import BLOCKS, PASSES, Draw, Pictures, drawn, excess
 from neurad.export.progress import Progress
 from neurad.export.room import Room
@@ -89,9 +89,7 @@ def verify(
     progress.stage("maps", 1)
     _compare_maps(found, scene, HeldOut(scene, world.geometry, world.tracer.tracer), fields, baked)
     ours = _ours(world, baked, fields, scene, spp)
-    why = no_mitsuba()
-    if room.hide_environment and scene.environment is not None and not hides_alone(scene):
-        why = NOT_ALONE
+    why = NOT_ALONE if cannot_hide(scene, room.hide_environment) else no_mitsuba()
     if why is not None:
         found.left_out.append(f"Mitsuba: {why}")
         _render(found, ours, None, progress)

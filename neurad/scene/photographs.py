@@ -10,7 +10,6 @@ from typing import Any
 
 import numpy as np
 import numpy.typing as npt
-from PIL import ImageCms
 
 from neurad.core.errors import InputError
 from neurad.core.records import Development, FloatArray, View
@@ -91,6 +90,8 @@ def colour_profile(path: Path) -> str | None:
         profile = image.info.get("icc_profile")
     if not profile:
         return None
+    from PIL import ImageCms  # few photographs have one, and it loads a library of its own
+
     try:
         return str(ImageCms.getProfileDescription(ImageCms.ImageCmsProfile(io.BytesIO(profile)))).strip()
     except (ImageCms.PyCMSError, OSError):

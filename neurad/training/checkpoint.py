@@ -149,8 +149,10 @@ def _lamps_by_mesh(weights: dict[str, Any], own: dict[str, Any], state: dict[str
     it stays as in ``own``.
     """
     lights = [name.removesuffix("scale_seen") for name in own if name.endswith(".scale_seen")]
-    before = sorted(fitted_lamps(state)) if lights else []
-    if not lights or before == (now := lamps_of_scene(scene)):
+    if not lights:
+        return weights
+    before, now = sorted(fitted_lamps(state)), lamps_of_scene(scene)
+    if before == now:
         return weights
     found = dict(weights)
     for name in (part + tensor for part in lights for tensor in PER_LAMP):
