@@ -107,6 +107,12 @@ class FittedMaterials(nn.Module):
         roughness: Tensor = self.roughness(si, albedo)
         return Surface(albedo, roughness)
 
+    def to_unit_cube(self, p: Tensor) -> Tensor:
+        """Positions [n, 3] in the scene's frame, on any device, to the unit cube that the fields span [n, 3]."""
+        cube: nn.Module = self.albedo.cube  # type: ignore[attr-defined]
+        inside: Tensor = cube(p.to(next(iter(cube.buffers())).device))
+        return inside
+
 
 def build_materials(
     scene: Scene,

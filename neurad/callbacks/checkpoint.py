@@ -18,7 +18,7 @@ from torch.optim import Optimizer
 from neurad.callbacks.run_folder import run_folder
 from neurad.core.errors import InputError
 from neurad.core.ranges import NonNegative, checked
-from neurad.training.checkpoint_file import CheckpointFiles
+from neurad.training.checkpoint_io import CheckpointFiles
 from neurad.training.guard import NotFinite
 
 

@@ -10,10 +10,12 @@ import numpy as np
 
 from neurad.core.protocols import Materials
 from neurad.core.records import FloatArray
+from neurad.export import texel_means_kernels
 from neurad.export.charts import Chart, border_texels
 from neurad.export.fill import push_pull
 from neurad.export.texel_means import Means, TexelMeans, uncertain
 from neurad.metrics.scores import BoolArray
+from neurad.runtime.threads import split
 from neurad.scene.geometry import Geometry
 
 PER_TEXEL, MOST_PER_TEXEL = 2, 8
@@ -132,17 +134,14 @@ def sharpened(means: Means, mask: BoolArray) -> FloatArray:
         means: box-filtered.
         mask: texels to change [h, w]; their neighbours have to belong to the same chart.
     """
-    values = means.values
-    if not mask.any():
-        return values
-    row, column = np.nonzero(mask)
-    here = values[row, column]
-    moved = np.zeros_like(here)
-    for down, right in ((0, 1), (1, 0), (0, -1), (-1, 0)):
-        at = np.clip(row + down, 0, mask.shape[0] - 1), np.clip(column + right, 0, mask.shape[1] - 1)
-        moved += np.where(means.covered[at][:, None], here - values[at], 0.0)
-    out = values.copy()
-    out[row, column] = np.clip(here + np.float32(GIVEN_BACK) * moved, means.least, means.most)
+    out = np.empty_like(means.values)
+
+    def work(low: int, high: int) -> None:
+        texel_means_kernels.sharpen(
+            means.values, means.covered, mask, GIVEN_BACK, means.least, means.most, low, high, out
+        )
+
+    split(work, len(mask), 64)
     return out
 
 

@@ -43,7 +43,6 @@ from neurad.runtime.blender import Blender, find_blender
 from neurad.scene.image_io import png, write_exr
 from neurad.scene.punctual import pose
 from neurad.scene.scene_xml import describe, path_integrator, write_xml
-from neurad.training.error_bars import to_cube
 
 _AT_ONCE = 1 << 22
 """Coarse texels that are held at once, of 160 bytes: cameras are asked for many points more cheaply."""
@@ -246,7 +245,7 @@ def _write_evidence(
             (folder / "evidence" / f"{name}.png").write_bytes(png(picture))
             found[index] = round(fraction, 4)
             if bars is not None and isinstance(assembly.materials, FittedMaterials):
-                for of, std in std_maps(of_mesh, bars, to_cube(assembly.materials), emits).items():
+                for of, std in std_maps(of_mesh, bars, assembly.materials.to_unit_cube, emits).items():
                     (folder / f"{of}_std").mkdir(exist_ok=True)
                     write_exr(folder / f"{of}_std" / f"{name}.exr", std)
             bar.step()

@@ -1,4 +1,5 @@
-"""Kernels of :mod:`neurad.export.texel_means`: samples of texels counted, placed in texture space and averaged.
+"""Kernels of :mod:`neurad.export.texel_means`: samples of texels counted, placed in texture space and averaged, and
+their means sharpened.
 
 A texel has ``per`` x ``per`` samples, row by row. All release the interpreter lock and run on the calling thread.
 """
@@ -126,3 +127,36 @@ def contrast(
                         for c in range(channels):
                             most = max(most, abs(values[j, i, c] - values[y, x, c]))
             out[j, i] = most
+
+
+@kernel
+def sharpen(
+    values: Array, covered: npt.NDArray[np.bool_], mask: npt.NDArray[np.bool_], share: float, least: Array, most: Array,
+    low: int, high: int, out: Array,
+) -> None:  # fmt: skip # pragma: no cover - compiled
+    """Move texels away from their four neighbours, but not beyond a range.
+
+    Args:
+        values: of a texture [h, w, c].
+        covered: texels that have one [h, w]; from others nothing is moved away.
+        mask: texels to move [h, w]; others keep their values.
+        share: of the difference to each neighbour, how much to add.
+        least: smallest values [c].
+        most: largest ones [c].
+        low: first row to fill.
+        high: row behind the last one.
+        out: filled [h, w, c].
+    """
+    height, width, channels = values.shape
+    for j in range(low, high):
+        for i in range(width):
+            for c in range(channels):
+                here = values[j, i, c]
+                if mask[j, i]:
+                    moved = np.float32(0.0)
+                    for k in range(4):
+                        y, x = j + (k == 0) - (k == 1), i + (k == 2) - (k == 3)
+                        if 0 <= y < height and 0 <= x < width and covered[y, x]:
+                            moved += here - values[y, x, c]
+                    here = min(max(here + np.float32(share) * moved, least[c]), most[c])
+                out[j, i, c] = here

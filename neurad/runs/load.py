@@ -42,7 +42,6 @@ from neurad.scene.shining import from_kept
 from neurad.scene.textures import TrueMaterials
 from neurad.training.checkpoint import changed_light, fitted_lamps, fitting
 from neurad.training.checkpoint_file import read_checkpoint
-from neurad.training.error_bars import to_cube
 
 CHUNK = 1 << 17
 """Points that go through the fields at once, to bound the memory."""
@@ -180,7 +179,7 @@ class LoadedRun:
 
     def _bars(self, points: Points, name: str) -> FloatArray:
         """Error bars of a map, of the run folder's file."""
-        cube, bars = to_cube(self._fields()), self._error_bars
+        cube, bars = self._fields().to_unit_cube, self._error_bars
         if isinstance(points, SurfaceInteraction):
             emits = (self.world.geometry.emission > 0).any(-1)
             return np.concatenate([bars_at(bars, cube, part, emits)[name] for part in _chunks(points)])

@@ -6,21 +6,18 @@ fitted, and for how long, but not name classes, other files of settings, or plac
 
 from __future__ import annotations
 
-import inspect
 import re
 import sys
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
 
-import lightning.pytorch as pl
 from omegaconf import DictConfig, OmegaConf
 
-from neurad import callbacks, integrators
-from neurad.callbacks import TrainingBudget
+from neurad import integrators
 from neurad.core.errors import InputError
 from neurad.runs.configs import read_layer
-from neurad.runs.trainer_settings import OURS
+from neurad.runs.trainer_settings import OURS, UNCHANGED
 
 GROUPS = ("model", "data", "evaluation", "checkpoint", "bar")
 """Groups of settings that are taken over: numbers, texts and lists of them."""
@@ -33,8 +30,9 @@ _INNER = ("albedo", "roughness", "radiance", "sampling", "objective", "optimizat
 """Groups below ``model``."""
 METHODS = integrators.__name__
 """Where the class of ``model.method`` has to be."""
-BUDGETS = tuple(f"{place}.{TrainingBudget.__name__}" for place in (callbacks.__name__, TrainingBudget.__module__))
-"""The one callback that is taken over, a limit of time."""
+BUDGETS = ("neurad.callbacks.TrainingBudget", "neurad.callbacks.budget.TrainingBudget")
+"""The one callback that is taken over, a limit of time. Its name alone: Lightning takes seconds to load, and reading a
+run does not need it."""
 
 
 def own_config(folder: Path) -> DictConfig:
@@ -111,7 +109,7 @@ def _of_trainer(trainer: Any, path: Path) -> tuple[dict[str, Any], list[str]]:
     """Settings of the trainer that are taken over, and the names of those that say something and are not."""
     if not isinstance(trainer, dict):
         raise InputError(f"{path}: trainer is not a group of settings")
-    usual = {name: p.default for name, p in inspect.signature(pl.Trainer.__init__).parameters.items()} | OURS
+    usual = UNCHANGED | OURS
     kept: dict[str, Any] = {}
     left_out = []
     for key, value in trainer.items():

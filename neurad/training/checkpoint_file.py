@@ -8,11 +8,10 @@ from pathlib import Path
 from typing import Any
 
 import torch
-from lightning.fabric.plugins import CheckpointIO
 from torch import Tensor
 
 from neurad.core.errors import InputError
-from neurad.runtime.files import PART, make_folder, replacing, synchronise
+from neurad.runtime.files import PART, replacing, synchronise
 from neurad.runtime.sealed import Sealer, check_seal
 
 _ENTRIES: dict[str, type] = {
@@ -34,26 +33,6 @@ _OWN: dict[str, type | tuple[type, ...]] = {
     "samples": int,
 }
 """What a run writes about itself, under 'neurad'."""
-
-
-class CheckpointFiles(CheckpointIO):
-    """How Lightning writes and reads checkpoints here.
-
-    Of ``storage_options``, 'previous' is the path that keeps the checkpoint which is replaced.
-    """
-
-    def save_checkpoint(self, checkpoint: dict[str, Any], path: Any, storage_options: Any = None) -> None:
-        """See :func:`write_checkpoint`."""
-        make_folder(Path(path).parent)
-        write_checkpoint(checkpoint, Path(path), (storage_options or {}).get("previous"))
-
-    def load_checkpoint(self, path: Any, map_location: Any = None, weights_only: bool | None = None) -> dict[str, Any]:
-        """See :func:`read_checkpoint`; only plain types and tensors are ever read."""
-        return read_checkpoint(Path(path), f"--ckpt_path {path}", stay_on_disk=False)
-
-    def remove_checkpoint(self, path: Any) -> None:
-        """Remove a file."""
-        Path(path).unlink(missing_ok=True)
 
 
 def write_checkpoint(state: dict[str, Any], path: Path, previous: Path | None = None) -> None:

@@ -30,7 +30,6 @@ from neurad.metrics.scores import Float64Array
 from neurad.optim.multilevel import finer, solve
 from neurad.optim.polyak_average import averaged
 from neurad.runtime.progress import phase
-from neurad.training.error_bars import to_cube
 from neurad.training.schedule import Progress
 from neurad.training.step import Counters
 
@@ -132,7 +131,7 @@ def make_closing_step(
         moments = look(pixels, groups)
         if moments is None or len(moments) < LEAST_PIXELS:
             return None
-        whole, *halves = evidence(moments, to_cube(materials))
+        whole, *halves = evidence(moments, materials.to_unit_cube)
         counters.samples += len(moments) * moments.groups * GROUP
         kept = agreement(*halves)
         values = kept * _solved(whole)

@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import torch
-
 from neurad.assembly.build import Assembly, FittedMaterials
 from neurad.assembly.training_views import TrainingViews
 from neurad.core.protocols import PhotoSource
 from neurad.metrics.bar_calibration import CLOSING_GAIN, USUAL_GAIN
-from neurad.metrics.error_bars import ErrorBars, ToUnitCube, measure
+from neurad.metrics.error_bars import ErrorBars, measure
 from neurad.metrics.pixel_derivatives import SPP, pixel_derivatives
 from neurad.training.step import Counters
 
@@ -47,11 +45,4 @@ def error_bars(
     has_roughness = assembly.materials.roughness is not None
     corrected = assembly.correction is not None and assembly.correction.found
     usual = CLOSING_GAIN if corrected else USUAL_GAIN
-    return measure(pixels, to_cube(assembly.materials), views.pixels, counters.iteration, has_roughness, usual)
-
-
-def to_cube(materials: FittedMaterials) -> ToUnitCube:
-    """Positions to the unit cube that the fields of ``materials`` span."""
-    cube: torch.nn.Module = materials.albedo.cube  # type: ignore[attr-defined]
-    device = next(iter(cube.buffers())).device
-    return lambda p: cube(p.to(device))
+    return measure(pixels, assembly.materials.to_unit_cube, views.pixels, counters.iteration, has_roughness, usual)

@@ -48,7 +48,7 @@ from neurad.training.checkpoint import changed_light, fitted_lamps, fitting, sce
 from neurad.training.closing_step import EVERY as CLOSING_EVERY
 from neurad.training.closing_step import is_due as is_closing
 from neurad.training.closing_step import make_closing_step, progress_before
-from neurad.training.error_bars import error_bars, to_cube
+from neurad.training.error_bars import error_bars
 from neurad.training.evaluate import Evaluation, UnknownLight, evaluate, unknown_light
 from neurad.training.gradient_sync import GradientSync, ddp_ignored
 from neurad.training.guard import Guard, keep_in_run_folder
@@ -362,7 +362,7 @@ class InverseRenderer(L.LightningModule):
             if self._light is None and self.environment is not None:
                 self._light = unknown_light(self.scene, self.environment, self._held_out)
             known = self.materials if isinstance(self.materials, FittedMaterials) else None
-            shown = None if bars is None or known is None else (bars, to_cube(known))
+            shown = None if bars is None or known is None else (bars, known.to_unit_cube)
             result = evaluate(
                 self._held_out, self.estimator, render_spp, glossy, self._light, self.scene, steady, shown
             )
@@ -407,7 +407,7 @@ class InverseRenderer(L.LightningModule):
             self._held_out = self._make_held_out()
         assert isinstance(self.materials, FittedMaterials)
         with self.world.tracer.uncounted():
-            return predict_bars(self._held_out, bars, to_cube(self.materials))
+            return predict_bars(self._held_out, bars, self.materials.to_unit_cube)
 
     def _make_held_out(self) -> HeldOut:
         """The held-out views, as much of them as evaluations look at."""

@@ -11,7 +11,7 @@ from neurad.core.reflection import PrincipledModel
 from neurad.export import bake as baking
 from neurad.export.bake import MOST_PER_BORDER_TEXEL, PER_BORDER_TEXEL, SETTLED, bake, refine
 from neurad.export.charts import Chart, border_texels, find_charts, four_texels
-from neurad.export.texel_means import TexelMeans
+from neurad.export.texel_means import Means, TexelMeans
 from neurad.export.unwrap import unwrap
 from neurad.scene.description import Scene
 from neurad.scene.geometry import Geometry
@@ -109,6 +109,24 @@ def test_texels_on_borders_of_charts_stay_means(monkeypatch):
     assert border.any()
     assert not changed[border].any()
     assert changed[plain.covered & ~border].mean() > 0.5
+
+
+def test_sharpened_texels_move_away_from_covered_neighbours_within_the_range():
+    """The kernel against whole pictures shifted by a texel."""
+    random = np.random.default_rng(3)
+    values = random.random((150, 70, 4), np.float32)
+    covered, mask = random.random((2, 150, 70)) < 0.8
+    least, most = np.full((2, 4), [[0.1], [0.9]], np.float32)
+    moved = np.zeros_like(values)
+    beside = np.pad(values, ((1, 1), (1, 1), (0, 0))), np.pad(covered, 1)
+    for rows, columns in ((slice(2, None), slice(1, -1)), (slice(-2), slice(1, -1)),
+                          (slice(1, -1), slice(2, None)), (slice(1, -1), slice(-2))):  # fmt: skip
+        other, there = (x[rows, columns] for x in beside)
+        moved += np.where(there[..., None], values - other, 0.0)
+    changed = np.clip(values + np.float32(baking.GIVEN_BACK) * moved, least, most)
+    means = Means(values, covered, covered, values[..., 0], least, most)
+    found = baking.sharpened(means, mask)
+    assert np.abs(found - np.where(mask[..., None], changed, values)).max() < 1e-6
 
 
 @pytest.mark.parametrize("side", [256, 1024])

@@ -17,7 +17,7 @@ from neurad.scene.textures import TrueMaterials
 from neurad.studies.stress.case import Case, Outcome
 from neurad.studies.stress.fit import Fit, Plan, photographs
 from neurad.studies.stress.scenes import small_cube, with_material
-from neurad.training.error_bars import error_bars, to_cube
+from neurad.training.error_bars import error_bars
 
 STEPS, LONG = 600, 1500
 PANELS = (0.15, 0.3, 0.45, 0.6)
@@ -74,7 +74,7 @@ def _no_highlight() -> Case:
         bars = error_bars(training.assembly, training.views, fit.photos, training.step.counters)
         if bars is None:
             raise FloatingPointError("the fit has no error bars")
-        std = bars.at(in_cube(to_cube(fit.materials), si.p.numpy()))[1]
+        std = bars.at(in_cube(fit.materials.to_unit_cube, si.p.numpy()))[1]
         assert std is not None
         found = fit.surface(si)
         with torch.no_grad():
