@@ -30,9 +30,6 @@ _INNER = ("albedo", "roughness", "radiance", "sampling", "objective", "optimizat
 """Groups below ``model``."""
 METHODS = integrators.__name__
 """Where the class of ``model.method`` has to be."""
-BUDGETS = ("neurad.callbacks.TrainingBudget", "neurad.callbacks.budget.TrainingBudget")
-"""The one callback that is taken over, a limit of time. Its name alone: Lightning takes seconds to load, and reading a
-run does not need it."""
 
 
 def own_config(folder: Path) -> DictConfig:
@@ -131,12 +128,15 @@ def _is_plain(key: str, value: Any) -> bool:
 
 
 def _is_budget(entry: Any) -> bool:
-    """Whether a callback is the limit of training seconds, with nothing but its seconds."""
+    """Whether a callback is the limit of training seconds, with nothing but its seconds: the one that is taken over."""
+    from neurad import callbacks  # few runs have one, and Lightning, which comes along, takes seconds to load
+
+    kind = callbacks.TrainingBudget
     arguments = entry.get("init_args") if isinstance(entry, dict) else None
     return (
         isinstance(arguments, dict)
         and set(entry) == {"class_path", "init_args"}
-        and entry["class_path"] in BUDGETS
+        and entry["class_path"] in tuple(f"{place}.{kind.__name__}" for place in (callbacks.__name__, kind.__module__))
         and set(arguments) == {"seconds"}
         and isinstance(arguments["seconds"], (int, float))
     )

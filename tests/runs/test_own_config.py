@@ -1,13 +1,13 @@
 """What reading a run's own config knows of Lightning without loading it."""
 
-import importlib
 import inspect
 import subprocess
 import sys
 
 import pytest
+import yaml
 
-from neurad.runs.own_config import BUDGETS, TRAINER
+from neurad.runs.own_config import TRAINER, own_config
 from neurad.runs.trainer_settings import OURS, UNCHANGED
 
 
@@ -20,12 +20,12 @@ def test_what_the_trainer_takes_where_nothing_is_said_is_what_lightning_says():
     assert not (OURS.keys() | UNCHANGED.keys()) - usual.keys()
 
 
-@pytest.mark.parametrize("name", BUDGETS)
-def test_the_callback_that_is_taken_over_is_the_limit_of_time(name):
-    from neurad.callbacks import TrainingBudget
-
-    module, _, kind = name.rpartition(".")
-    assert getattr(importlib.import_module(module), kind) is TrainingBudget
+@pytest.mark.parametrize("name", ["neurad.callbacks.TrainingBudget", "neurad.callbacks.budget.TrainingBudget"])
+def test_a_limit_of_training_time_is_taken_over(tmp_path, name):
+    budget = {"class_path": name, "init_args": {"seconds": 60.0}}
+    config = {"trainer": {"callbacks": [budget], "log_every_n_steps": None}, "model": {}, "data": {}}
+    (tmp_path / "config.yaml").write_text(yaml.safe_dump(config))
+    assert own_config(tmp_path).trainer.callbacks == [budget]
 
 
 @pytest.mark.parametrize("module", ["neurad.runs.load", "neurad.export.run", "neurad.inspect.viewer"])
