@@ -132,11 +132,12 @@ def _is_budget(entry: Any) -> bool:
     from neurad import callbacks  # few runs have one, and Lightning, which comes along, takes seconds to load
 
     kind = callbacks.TrainingBudget
+    names = [f"{place}.{kind.__name__}" for place in (callbacks.__name__, kind.__module__)]
     arguments = entry.get("init_args") if isinstance(entry, dict) else None
     return (
         isinstance(arguments, dict)
         and set(entry) == {"class_path", "init_args"}
-        and entry["class_path"] in tuple(f"{place}.{kind.__name__}" for place in (callbacks.__name__, kind.__module__))
+        and entry["class_path"] in names
         and set(arguments) == {"seconds"}
         and isinstance(arguments["seconds"], (int, float))
     )

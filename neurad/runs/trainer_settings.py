@@ -25,19 +25,6 @@ RANGES: dict[str, Any] = {
 """Ranges of the trainer's numbers; -1 steps are no limit."""
 OURS = {"max_epochs": -1, "num_sanity_val_steps": 0, "enable_model_summary": False}
 """What this project sets for every trainer: its runs are measured in iterations and seconds."""
-UNCHANGED: dict[str, Any] = {
-    "fast_dev_run": False,
-    "overfit_batches": 0.0,
-    "check_val_every_n_epoch": 1,
-    "accumulate_grad_batches": 1,
-    "use_distributed_sampler": True,
-    "barebones": False,
-    "sync_batchnorm": False,
-    "reload_dataloaders_every_n_epochs": 0,
-    "enable_autolog_hparams": True,
-}
-"""What Lightning's trainer takes where nothing is said, of the settings that are not None then and that a run's own
-config does not hand on."""
 _LONGEST = 30 * 365 * 86400
 _EPOCHS = "a fit has no epochs, its length is --trainer.max_steps or --trainer.max_time"
 _ALL_VIEWS = "all held-out views are evaluated together"
@@ -62,6 +49,14 @@ WITHOUT_EFFECT: dict[str, tuple[tuple[Any, ...], str]] = {
     "barebones": ((False,), "a fit without evaluations is --evaluation.fraction 0"),
 }
 """Options that do not fit: their values that change nothing, and what to take instead."""
+UNCHANGED: dict[str, Any] = {
+    "fast_dev_run": False,
+    "check_val_every_n_epoch": 1,
+    "use_distributed_sampler": True,
+    "enable_autolog_hparams": True,
+} | {name: values[0] for name, (values, _) in WITHOUT_EFFECT.items() if values[0] is not None}
+"""What Lightning's trainer takes where nothing is said, of the settings that are not None then and that a run's own
+config does not hand on."""
 
 
 _NUMBERS = ("RANK", "LOCAL_RANK", "WORLD_SIZE", "NODE_RANK", "MASTER_PORT", "SLURM_PROCID", "SLURM_LOCALID")
