@@ -6,9 +6,10 @@ the other. So ``d_1 d_2`` has the mean of e^2, noise or not, and
 
     mean of d_1 d_2 = 1 / (gain F + 1 / prior^2)
 
-gives the ``gain``, how much of the information the fit made use of, from the products of all cells; ``prior`` is how
-far it is off where there is none. What the fit's error shares with the noise of the very pixels that it was fitted to
-makes products smaller, at most by as much as a gain of 1 allows for.
+gives the ``gain``, how much of the information the fit made use of, from the products of all cells. ``F`` is that of
+all pixels together, more than ``F_1 + F_2``, since halves know the albedo of a patch less well; ``prior`` is how far it
+is off where there is no information. What the fit's error shares with the noise of the very pixels that it was fitted
+to makes products smaller, at most by as much as a gain of 1 allows for.
 """
 
 from __future__ import annotations
@@ -49,6 +50,7 @@ def calibrate(
     by_albedo: Float64Array,
     by_roughness: Float64Array,
     residual: Float64Array,
+    whole: Float64Array,
     odd: BoolArray,
     places: tuple[IntArray, IntArray],
     noise: float,
@@ -61,6 +63,8 @@ def calibrate(
         by_albedo: derivatives, by half of the samples, in units of the brightness [2, n, c].
         by_roughness: the same by the roughness.
         residual: the same unit.
+        whole: what every pixel adds to the information of all of them [n], see
+            :meth:`neurad.metrics.fisher.Profiled.information`.
         odd: whether a pixel belongs to the second half of the photographs' pixels [n].
         places: the patch of one albedo and the cell of one roughness that each pixel lies in [n], numbered from 0.
         noise: squared residual of the photographs.
@@ -80,10 +84,13 @@ def calibrate(
             scatter = max(scatter, float(np.square(profiled.residual.mean(0)).mean()))
     both = (information > 0).all(0)
     information, gradient = information[:, both], gradient[:, both]
-    return RoughnessBars(_gain(information, gradient, scatter, times / noise, usual), PRIOR)
+    all_pixels = times / noise * np.bincount(cell, whole, count)[both].astype(np.float64)
+    return RoughnessBars(_gain(information, gradient, scatter, all_pixels, usual), PRIOR)
 
 
-def _gain(information: Float64Array, gradient: Float64Array, scatter: float, times: float, usual: float) -> float:
+def _gain(
+    information: Float64Array, gradient: Float64Array, scatter: float, all_pixels: Float64Array, usual: float
+) -> float:
     """The gain that fits the products of both halves best, by weighted least squares, and is not far from the usual.
 
     A product has the variance ``(e^2 + n_1) (e^2 + n_2)`` with ``n_k = scatter / F_k``, in which e^2 is that of the
@@ -93,10 +100,9 @@ def _gain(information: Float64Array, gradient: Float64Array, scatter: float, tim
         information: F of both halves of the pixels, in units of w [2, cells], above 0.
         gradient: their gradients [2, cells].
         scatter: variance of a residual, the estimate's own noise included.
-        times: what turns ``information``, both halves together, into that of all pixels in units of 1 / variance.
+        all_pixels: F of all pixels that the fit has seen, in units of 1 / variance [cells].
         usual: gain of such fits.
     """
-    all_pixels = times * information.sum(0)
     error = RoughnessBars(usual, PRIOR).variance(all_pixels)
     # Numbers of order 1, also where there is next to no information: F / (F e^2 + scatter) instead of 1 / (e^2 + n)
     spread = information * error + scatter  # [2, cells]

@@ -123,9 +123,10 @@ def measure(
         patch, patches = cells(x, FINER * side)
         profiled = profile(by_albedo, by_roughness, residual, patch, patches)
         noise = max(float((residual[0] * residual[1]).mean()), 1e-9)  # without the estimate's own
-        information = times * profiled.information() / noise
+        whole = profiled.information()
+        information = times * whole / noise
         places = patch, cells(x, side)[0]
-        scales = calibrate(by_albedo, by_roughness, residual, pixels.odd, places, noise, times, usual_gain)
+        scales = calibrate(by_albedo, by_roughness, residual, whole, pixels.odd, places, noise, times, usual_gain)
     # Stage 3: sums at the nodes.
     d = pixels.by_albedo[0] * pixels.by_albedo[1]
     weighted = by_albedo[0] * by_albedo[1]
