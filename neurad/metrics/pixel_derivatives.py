@@ -100,12 +100,22 @@ def pixel_derivatives(
 
 
 def derivatives_of(
-    estimator: Estimator, primary: PrimaryHits, batch: PixelBatch, emitter_mask: Tensor, seed: int, iteration: int
+    estimator: Estimator,
+    primary: PrimaryHits,
+    batch: PixelBatch,
+    emitter_mask: Tensor,
+    seed: int,
+    iteration: int,
+    groups: int = 1,
 ) -> PixelDerivatives | None:
-    """The same of given pixels, of which those that ``emitter_mask`` covers are left out; None if none is left."""
+    """The same of given pixels, of which those that ``emitter_mask`` covers are left out, with so many groups of
+    :data:`GROUP` samples in each half; None if none is left.
+    """
     batch = _unmasked(batch, emitter_mask)
     parts = [
-        _of_batch(estimator, primary, part, Stream(seed, iteration, index, _GIVEN, device=primary.origin.device))
+        _of_batch(
+            estimator, primary, part, Stream(seed, iteration, index, _GIVEN, device=primary.origin.device), groups
+        )
         for index, part in enumerate(_split([batch]))
     ]
     found = PixelDerivatives.join(parts) if parts else None
@@ -172,9 +182,21 @@ class SampleGroup:
     """Whether all samples met a surface [b]."""
 
 
-def _of_batch(estimator: Estimator, primary: PrimaryHits, batch: PixelBatch, stream: Stream) -> PixelDerivatives:
-    halves = [group_of_samples(estimator, primary, batch, stream) for _ in range(2)]
-    image = torch.stack([half.image for half in halves])  # [2, b, 3]
+def _of_batch(
+    estimator: Estimator, primary: PrimaryHits, batch: PixelBatch, stream: Stream, groups: int = 1
+) -> PixelDerivatives:
+    """Residuals and derivatives are means over the groups of each half, all else is of its first group."""
+    parts = [
+        [group_of_samples(estimator, primary, batch, stream, predict=index == 0) for index in range(groups)]
+        for _ in range(2)
+    ]
+    halves = [part[0] for part in parts]
+
+    def mean(name: str) -> Tensor:
+        """[2, b, 3]."""
+        return torch.stack([torch.stack([getattr(group, name) for group in part]).mean(0) for part in parts])
+
+    image = mean("image")
     lhs = [half.field for half in halves if half.field is not None]
     predicted = torch.stack(lhs).mean(0) if lhs else image.mean(0)  # [b, 3]
     albedo = torch.cat([half.albedo for half in halves], 1)  # [b, SPP, 3]
@@ -182,7 +204,7 @@ def _of_batch(estimator: Estimator, primary: PrimaryHits, batch: PixelBatch, str
     distance = torch.linalg.vector_norm(p - primary.origin[batch.view], dim=-1)  # [b]
     corner = primary.views.corner(batch.view, batch.pixel)  # [b, 2]
     side = distance * primary.views.footprint(batch.view, corner + 0.5)
-    kept = halves[0].valid & halves[1].valid
+    kept = torch.stack([group.valid for part in parts for group in part]).all(0)
     # Neighbouring pixels alternate between the halves of the photographs.
     odd = (corner.sum(-1) + batch.view) % 2 == 1
     whole = {
@@ -192,8 +214,8 @@ def _of_batch(estimator: Estimator, primary: PrimaryHits, batch: PixelBatch, str
     }  # fmt: skip
     halved = {
         "residual": batch.color - image,
-        "by_albedo": torch.stack([half.by_albedo for half in halves]),
-        "by_roughness": torch.stack([half.by_roughness for half in halves]),
+        "by_albedo": mean("by_albedo"),
+        "by_roughness": mean("by_roughness"),
     }
     arrays = {name: values[kept] for name, values in whole.items()}
     arrays |= {name: values[:, kept] for name, values in halved.items()}

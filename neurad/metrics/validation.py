@@ -2,8 +2,8 @@
 
 With the light held fixed a pixel is linear in the albedo it shows, and nearly so in the roughness:
 ``I(s) = I(1) + D (a(s) - a(1)) + R (r(s) - r(1))`` for factors ``s`` of the levels, with ``D`` and ``R`` from one pass
-over these pixels. The factors minimise the squared residual relative to the prediction, a product of two independent
-halves of the samples, so that Monte Carlo noise cancels in its mean.
+over these pixels. The factors minimise the squared residual over that of the light that falls in, which is the squared
+error of an albedo: a product of two independent halves of the samples, so that Monte Carlo noise cancels in its mean.
 """
 
 from __future__ import annotations
@@ -22,9 +22,10 @@ from neurad.optim.level_factors import LevelFactors
 
 LARGEST = 2.0
 """Largest factor: decay shrinks levels that photographs would have larger."""
-SPREAD = 0.5
+SPREAD = 0.2
 """Spread of the factors around 1 before the pixels are asked; it decides where they say nothing."""
-ITERATIONS = 20
+ROUNDS, STEP = (1, 2, 2), 0.02
+"""Gauss-Newton steps with each set of derivatives by the factors, and the difference of factors that these are of."""
 SIGMAS = 2.0
 """Factors are kept if they lower the loss of pixels that they were not fitted to by so many standard errors."""
 
@@ -43,8 +44,8 @@ class LevelFit:
     factors: Tensor
     """Of its levels [levels]; ones where others would not be better."""
     gain: float
-    """By how much they lower the squared residual relative to the prediction, each half of the pixels judging factors
-    that were fitted to the other half."""
+    """By how much they lower the squared residual in units of the albedo, each half of the pixels judging factors that
+    were fitted to the other half."""
     error: float
     """Standard error of that."""
 
@@ -66,54 +67,58 @@ def fit_levels(
         levels: whose factors are looked for; they do not change.
         epsilon: floor of the relative loss in squared radiance units.
     """
-    response = _Response(pixels, materials, levels, epsilon)
-    factors = [torch.ones(size, device=response.device) for size in response.sizes]
-    found = []
-    for index in range(len(factors)):
-        found.append(_cross_validated(response, factors, index, torch.from_numpy(pixels.odd).to(response.device)))
-        factors[index] = found[-1].factors
+    with torch.no_grad():
+        response = _Response(pixels, materials, levels, epsilon)
+        factors = [torch.ones(size, device=response.device) for size in response.sizes]
+        odd = torch.from_numpy(pixels.odd).to(response.device)
+        found: list[LevelFit] = []
+        for _ in range(2):
+            for index in range(len(factors)):
+                found[index : index + 1] = [_cross_validated(response, factors, index, odd)]
+                factors[index] = found[index].factors
+            if not any(fit.holds for fit in found[1:]):
+                break  # otherwise again: what one field has explained by now, the other need not
     return found
 
 
 def _cross_validated(response: _Response, factors: list[Tensor], index: int, odd: Tensor) -> LevelFit:
     """The factors of one field, those of the others as they are, if pixels confirm what others have said."""
-    with torch.no_grad():
-        start = response.losses(factors)  # [b]
-        off = torch.zeros_like(start)
-        for half in (odd, ~odd):
-            fitted = [*factors[:index], _fitted(response, factors, index, half), *factors[index + 1 :]]
-            off += torch.where(half, 0.0, start - response.losses(fitted))
+    start = response.losses(factors)  # [b]
+    first, second, whole = _fitted(response, factors, index, (odd, ~odd, torch.ones_like(odd)))
+    off = torch.zeros_like(start)
+    for half, fitted in ((odd, first), (~odd, second)):
+        off += torch.where(half, 0.0, start - response.losses(_with(factors, index, fitted)))
     off = off.double()
     gain, error = float(off.mean()), float(off.std()) / max(len(off), 1) ** 0.5
     kept = LevelFit(torch.ones_like(factors[index]), gain, error)
-    if not kept.holds:
-        return kept
-    return LevelFit(_fitted(response, factors, index, torch.ones_like(odd)), gain, error)
+    return LevelFit(whole, gain, error) if kept.holds else kept
 
 
-def _fitted(response: _Response, factors: list[Tensor], index: int, chosen: Tensor) -> Tensor:
-    """The factors of one field that explain the chosen pixels [b] best."""
-    scale = torch.ones_like(factors[index], requires_grad=True)
-    count = max(int(chosen.sum()), 1)
+def _with(factors: list[Tensor], index: int, of_field: Tensor) -> list[Tensor]:
+    return [*factors[:index], of_field, *factors[index + 1 :]]
 
-    def whole() -> list[Tensor]:
-        return [*factors[:index], scale, *factors[index + 1 :]]
 
-    for _ in range(2):  # the second time knowing how much noise is left
-        with torch.no_grad():
-            noise = max(float(response.noise(whole())[chosen].mean()), 1e-12)
-        optimizer = torch.optim.LBFGS([scale], max_iter=ITERATIONS, history_size=10, line_search_fn="strong_wolfe")
+def _fitted(response: _Response, factors: list[Tensor], index: int, parts: tuple[Tensor, ...]) -> list[Tensor]:
+    """The factors of one field that explain each part of the pixels [b] best, the last of which is all of them.
 
-        def closure(noise: float = noise, optimizer: torch.optim.Optimizer = optimizer) -> Tensor:
-            optimizer.zero_grad()
-            with torch.enable_grad():
-                loss = response.losses(whole())[chosen].mean() / noise
-                loss = loss + (scale - 1.0).square().sum() / (count * SPREAD**2)
-                torch.autograd.backward(loss)
-            return loss
-
-        optimizer.step(closure)  # type: ignore[no-untyped-call]
-    return scale.detach().clamp(0.0, LARGEST)
+    Gauss-Newton steps; derivatives are taken where the last part is, for all of them: they hardly differ.
+    """
+    ones = torch.ones_like(factors[index])
+    found = [ones] * len(parts)
+    for steps in ROUNDS:
+        derivative = response.by_factors(_with(factors, index, found[-1]), index)  # [levels, 2, b, 3]
+        for number, part in enumerate(parts):
+            j, weight = derivative[:, :, part], response.weight[part]
+            square = torch.einsum("kbc,lbc,bc->kl", j[:, 0], j[:, 1], weight)
+            for _ in range(steps):
+                e = response.residual(_with(factors, index, found[number]))[:, part]
+                noise = (e.square() * weight).sum((0, 2)).mean().clamp_min(1e-12) / 2.0
+                slope = 0.5 * torch.einsum("khbc,hbc,bc->k", j, e.flip(0), weight)
+                prior = noise / SPREAD**2
+                normal = 0.5 * (square + square.T) + prior * torch.eye(len(ones), device=ones.device)
+                change = torch.linalg.solve(normal, slope + prior * (found[number] - 1.0))
+                found[number] = (found[number] - change).clamp(0.0, LARGEST)
+    return found
 
 
 class _Response:
@@ -126,16 +131,16 @@ class _Response:
             name: torch.from_numpy(np.ascontiguousarray(getattr(pixels, name))).to(device)
             for name in ("residual", "by_albedo", "by_roughness", "predicted", "points")
         }
-        self.residual, self.by_albedo = tensors["residual"], tensors["by_albedo"]  # [2, b, 3]
+        self.at_start, self.by_albedo = tensors["residual"], tensors["by_albedo"]  # [2, b, 3]
         self.by_roughness = tensors["by_roughness"]
-        self.weight = relative_weight(tensors["predicted"], epsilon)  # [b, 3]
+        albedo = torch.from_numpy(np.ascontiguousarray(pixels.albedo)).to(device)
+        self.weight = relative_weight(tensors["predicted"], epsilon) * albedo.square()  # [b, 3]
         points = tensors["points"][:, ::2]  # half of them say what a pixel shows
         self.samples, points = points.shape[1], points.reshape(-1, 3)
         fields = [materials.albedo] + ([] if materials.roughness is None else [materials.roughness])
         self.sizes = [len(factors) for field in fields if (factors := levels.of(field.grid)) is not None]
-        with torch.no_grad():
-            self.features = [field.features(points) for field in fields]
-            self.at_ones = self._values([torch.ones(size, device=device) for size in self.sizes])
+        self.features = [field.features(points) for field in fields]
+        self.at_ones = self._values([torch.ones(size, device=device) for size in self.sizes])
         self.device = device
 
     def _values(self, factors: list[Tensor]) -> tuple[Tensor, Tensor | None]:
@@ -151,18 +156,20 @@ class _Response:
         return values.view(-1, self.samples, values.shape[1]).mean(1)
 
     def losses(self, factors: list[Tensor]) -> Tensor:
-        """Squared relative residuals of the pixels [b], means over channels, without Monte Carlo noise on average."""
-        residual = self._residual(factors)
+        """Squared residuals of the pixels [b], means over channels, without Monte Carlo noise on average."""
+        residual = self.residual(factors)
         return (residual[0] * residual[1] * self.weight).mean(-1)
 
-    def noise(self, factors: list[Tensor]) -> Tensor:
-        """The same with the noise of one half [b]."""
-        return (self._residual(factors).square() * self.weight).mean((0, 2))
+    def by_factors(self, factors: list[Tensor], index: int) -> Tensor:
+        """Derivatives of the residuals by the factors of one field [levels, 2, b, 3], by differences."""
+        start = self.residual(factors)
+        changed = [factors[index] + STEP * row for row in torch.eye(len(factors[index]), device=self.device)]
+        return torch.stack([(self.residual(_with(factors, index, to)) - start) / STEP for to in changed])
 
-    def _residual(self, factors: list[Tensor]) -> Tensor:
+    def residual(self, factors: list[Tensor]) -> Tensor:
         """Residuals of the pixels by half [2, b, 3]."""
         albedo, roughness = self._values(factors)
-        residual = self.residual - self.by_albedo * (albedo - self.at_ones[0])  # [2, b, 3]
+        residual = self.at_start - self.by_albedo * (albedo - self.at_ones[0])  # [2, b, 3]
         if roughness is not None and self.at_ones[1] is not None:
             residual = residual - self.by_roughness * (roughness - self.at_ones[1])
         return residual

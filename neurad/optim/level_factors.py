@@ -1,13 +1,13 @@
-"""Factors of a field's levels: how much of what each of them has learnt is kept in what a run shows.
+"""Factors of a field's levels: how much of what each of them has learnt is kept.
 
-Photographs have noise, and the finest levels of a hash grid learn it: in veach-ajar albedo peaks after two minutes and
-has lost 0.7 dB after ten. Training pixels that were never drawn have noise of their own, so a fit to them tells signal
-from noise: one factor a level, a Wiener filter whose strength is cross-validated.
+Photographs have noise, and the finest levels of a hash grid learn it: in veach-ajar albedo peaks after three minutes
+and has lost 0.9 dB after eight. Training pixels that were never drawn have noise of their own, so a fit to them tells
+signal from noise: one factor a level, a Wiener filter whose strength is cross-validated.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 import torch
 from torch import Tensor, nn
@@ -16,7 +16,8 @@ from neurad.fields.hash_grid import HashGrid
 
 
 class LevelFactors(nn.Module):
-    """Factors [levels] of every hash grid in a module, ones at first. Training itself never sees them.
+    """Factors [levels] of every hash grid in a module, ones at first. Results show them; training goes on with those
+    below 1, see :meth:`shrink`.
 
     Args:
         part: the module whose grids they belong to.
@@ -53,7 +54,22 @@ class LevelFactors(nn.Module):
     def scale(self) -> None:
         """Multiply the grids' tables, for good."""
         for name, factors in self.items():
+            self._multiply(self._grids[name], self._grids[name].table, factors)
+
+    @torch.no_grad()
+    def shrink(self, parameters: Sequence[Tensor], averages: Sequence[Tensor]) -> None:
+        """Multiply the grids' tables among ``parameters`` and their ``averages`` by the factors below 1, for good, and
+        make these 1.
+        """
+        for name, factors in self.items():
             grid = self._grids[name]
-            for (_, _, first, entries), factor in zip(grid.level_table.tolist(), factors.tolist(), strict=True):
-                if factor != 1.0:
-                    grid.table[first : first + entries].mul_(factor)
+            at = next(i for i, values in enumerate(parameters) if values is grid.table)
+            for values in (grid.table, averages[at]):
+                self._multiply(grid, values, factors.clamp(max=1.0))
+            factors.clamp_(min=1.0)
+
+    @staticmethod
+    def _multiply(grid: HashGrid, table: Tensor, factors: Tensor) -> None:
+        for (_, _, first, entries), factor in zip(grid.level_table.tolist(), factors.tolist(), strict=True):
+            if factor != 1.0:
+                table[first : first + entries].mul_(factor)

@@ -1,7 +1,7 @@
 """Materials averaged over the last part of a run, which evaluations and results show.
 
 While learning rates are high, parameters wander about the point that they are drawn to; their average lies closer to it
-(Polyak and Juditsky 1992). Training itself never sees the average.
+(Polyak and Juditsky 1992). Training itself never sees the average, but for levels that are noise in part.
 """
 
 from __future__ import annotations
@@ -60,6 +60,13 @@ class PolyakAverage(nn.Module):
         if self.updates > 0:
             torch._foreach_copy_(self._values(), self._means())
             self.levels.scale()
+
+    @torch.no_grad()
+    def shrink(self) -> None:
+        """Go on from tables of which the factors below 1 are a part: what they take out is noise, which training would
+        learn again only slowly where few pixels show a place, and signal, which comes back.
+        """
+        self.levels.shrink(self._parameters_of, self._means())
 
     @contextmanager
     def used(self, whole: bool = False) -> Iterator[None]:

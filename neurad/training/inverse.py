@@ -283,9 +283,12 @@ class InverseRenderer(L.LightningModule):
         loss = self.step(batch, progress, self.manual_backward)
         now = correction is not None and (self.processes == 1 or self.iteration % CLOSING_EVERY == 0)
         if now and self.trainer.strategy.broadcast(is_closing(correction, progress)):
+            self.update_levels()  # noise that an albedo has copied hides what pixels say of the roughness
             self._make_closing_step(done.seconds_by_time)
         if is_due(self.iteration):
             self.update_levels()
+            if self.average is not None:
+                self.average.shrink()
         return loss
 
     def update_levels(self) -> str | None:

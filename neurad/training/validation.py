@@ -14,6 +14,8 @@ FIRST, EVERY = 512, 4096
 """Factors are fitted after so many iterations, whenever their number has doubled, and at multiples of the second."""
 LEAST = 64
 """Pixels of which fewer say nothing."""
+GROUPS = 2
+"""Of samples in each half of a pixel: with one, noise of the samples hides what there is to see."""
 WHOLE = 0.95
 """A level of which so much is kept counts as kept whole in what is said."""
 
@@ -52,7 +54,7 @@ def update_levels(
         batch = assembly.development(batch)
     with torch.no_grad(), average.used(whole=True), assembly.world.tracer.uncounted():
         pixels = derivatives_of(
-            assembly.estimator, views.primary, batch, views.emitter_mask, assembly.settings.seed, iteration
+            assembly.estimator, views.primary, batch, views.emitter_mask, assembly.settings.seed, iteration, GROUPS
         )
         found = None
         if pixels is not None and len(pixels) >= LEAST:
