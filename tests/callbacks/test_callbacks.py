@@ -164,8 +164,8 @@ def test_what_needs_no_fit_is_told_apart_from_the_run():
     assert split_mark("albedo_psnr_seen") == (None, "albedo_psnr_seen")
 
 
-def test_the_end_is_scored_once_with_the_last_factors_of_the_levels(tmp_path, monkeypatch):
-    """What is shown of a run depends on these factors, so the last row has to come after them."""
+def test_every_score_is_of_factors_of_the_levels_that_were_just_fitted(tmp_path, monkeypatch):
+    """What is shown of a run depends on these factors, so every row has to come after them; the end is scored once."""
     calls = []
     for name in ("update_levels", "evaluate"):
         whole = getattr(InverseRenderer, name)
@@ -178,5 +178,5 @@ def test_the_end_is_scored_once_with_the_last_factors_of_the_levels(tmp_path, mo
     monkeypatch.chdir(tmp_path)
     write_tiny_config(trainer={"max_steps": 4}, evaluation={"every_n_steps": 2})
     fit()
-    assert calls == [("evaluate", 2), ("update_levels", 4), ("evaluate", 4)]
+    assert calls == [("update_levels", 2), ("evaluate", 2), ("update_levels", 4), ("evaluate", 4)]
     assert [row["iteration"] for row in metrics()] == ["2", "4"]
