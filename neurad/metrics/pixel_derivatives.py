@@ -162,7 +162,7 @@ def batches_in_turn(photographs: PhotoSource, emitter_mask: Tensor, first: int, 
 
 @dataclass(frozen=True)
 class SampleGroup:
-    """The estimate of the pixels of a batch by :data:`GROUP` samples in each, as of one half."""
+    """The estimate of the pixels of a batch by a few samples in each."""
 
     image: Tensor
     """[b, 3]."""
@@ -223,12 +223,17 @@ def _of_batch(
 
 
 def group_of_samples(
-    estimator: Estimator, primary: PrimaryHits, batch: PixelBatch, stream: Stream, predict: bool = True
+    estimator: Estimator,
+    primary: PrimaryHits,
+    batch: PixelBatch,
+    stream: Stream,
+    predict: bool = True,
+    n: int = GROUP,
 ) -> SampleGroup:
-    """:data:`GROUP` samples of every pixel, with the control variate where the method has one, and with what the
-    radiance field predicts unless ``predict`` says no.
+    """``n`` samples of every pixel, an even number, with the control variate where the method has one, and with what
+    the radiance field predicts unless ``predict`` says no. Directions are stratified in each half of them.
     """
-    b, n = len(batch.view), GROUP
+    b = len(batch.view)
     first = primary(batch, n, stream)
     si, world = first.si, estimator.world
     with torch.no_grad():

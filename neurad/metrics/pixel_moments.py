@@ -16,7 +16,7 @@ from neurad.core.rng import Stream
 from neurad.integrators.estimator import Estimator
 from neurad.integrators.primary_hits import PrimaryHits
 from neurad.metrics.error_bars import DARK, LIMIT
-from neurad.metrics.pixel_derivatives import batches_in_turn, group_of_samples
+from neurad.metrics.pixel_derivatives import GROUP, batches_in_turn, group_of_samples
 from neurad.runtime import threads
 
 _STREAM = 37  # last number of the stream's key
@@ -29,7 +29,7 @@ class PixelMoments:
     """
 
     groups: int
-    """Independent groups of :data:`neurad.metrics.pixel_derivatives.GROUP` samples that every mean is over."""
+    """Independent groups of samples that every mean is over."""
     view: IntArray
     """[n]."""
     corner: IntArray
@@ -66,6 +66,7 @@ def pixel_moments(
     seed: int,
     mean_square_radiance: float,
     develop: Callable[[PixelBatch], PixelBatch] | None = None,
+    samples: int = GROUP,
 ) -> PixelMoments | None:
     """Moments of about ``pixels`` training pixels at the present materials; None if no pixel is left.
 
@@ -76,15 +77,16 @@ def pixel_moments(
         emitter_mask: pixels that an emitter covers [views, pixels], bool; they are left out.
         first: iteration whose batch is the first one taken.
         pixels: how many.
-        groups: of :data:`neurad.metrics.pixel_derivatives.GROUP` samples in each pixel.
+        groups: of samples in each pixel.
         seed: of the samples.
         mean_square_radiance: of the photographs.
         develop: corrects the photographs; None leaves them as they are.
+        samples: in a group, which are stratified: more have less noise, but products need two groups or more.
     """
     parts = list(
         _parts(
-            estimator, primary, batches_in_turn(photographs, emitter_mask, first, pixels), groups, (seed, first),
-            mean_square_radiance, develop,
+            estimator, primary, batches_in_turn(photographs, emitter_mask, first, pixels), (groups, samples),
+            (seed, first), mean_square_radiance, develop,
         )
     )  # fmt: skip
     if not parts or not sum(len(part[0]) for part in parts):
@@ -100,23 +102,26 @@ def _parts(
     estimator: Estimator,
     primary: PrimaryHits,
     batches: Iterator[PixelBatch],
-    groups: int,
+    size: tuple[int, int],
     key: tuple[int, int],
     mean_square_radiance: float,
     develop: Callable[[PixelBatch], PixelBatch] | None,
 ) -> Iterator[list[FloatArray]]:
-    """The arrays of :class:`PixelMoments`, in the order of its fields, a batch at a time."""
+    """The arrays of :class:`PixelMoments`, in the order of its fields, a batch at a time; ``size`` is how many groups
+    and how many samples in each.
+    """
+    groups, samples = size
 
     def of_batch(item: tuple[int, PixelBatch]) -> list[FloatArray]:
         index, drawn = item
         batch = drawn if develop is None else develop(drawn)
         stream = Stream(*key, index, _STREAM, device=primary.origin.device)
         # The unit needs no average over all groups, and the radiance field is a part of the cost.
-        first = group_of_samples(estimator, primary, batch, stream)
+        first = group_of_samples(estimator, primary, batch, stream, n=samples)
         found = [(first.by_roughness, first.by_albedo, first.image)]
         kept = first.valid
         for _ in range(1, groups):
-            group = group_of_samples(estimator, primary, batch, stream, predict=False)
+            group = group_of_samples(estimator, primary, batch, stream, False, samples)
             found.append((group.by_roughness, group.by_albedo, group.image))
             kept = kept & group.valid
         r, d, image = (torch.stack(values) for values in zip(*found, strict=True))  # [groups, b, 3]

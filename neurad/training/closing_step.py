@@ -39,8 +39,10 @@ fraction of a fit's steps after which it is made. Learning rates fall to their e
 (half of it in living-room-2)."""
 EVERY = 16
 """Iterations after which processes agree whether it is time."""
-MOST_GROUPS = 64
-"""Of samples in a pixel."""
+MOST_SAMPLES = 256
+"""In a pixel."""
+LARGEST_GROUP = 16
+"""Samples that are stratified together where a pixel has twice as many: they tell a sixth more than in fours."""
 SHARE = 0.85
 """Of the time that is left: the equations and iterations at the lowest rates follow."""
 TRIED = 1 << 15
@@ -116,12 +118,14 @@ def make_closing_step(
     if pixels < LEAST_PIXELS:
         return None
     with torch.no_grad(), averaged(assembly.average), phase("correcting roughness"):
-        groups = min(round(samples / (GROUP * pixels)), MOST_GROUPS)
+        in_pixel = min(samples / pixels, MOST_SAMPLES)
+        together = _group_size(in_pixel)
+        groups = max(round(in_pixel / together), 1)
 
         def look(pixels: int, groups: int) -> PixelMoments | None:
             return pixel_moments(
                 assembly.estimator, views.primary, photographs, views.emitter_mask, counters.iteration, pixels, groups,
-                assembly.settings.seed, views.mean_square_radiance, assembly.development,
+                assembly.settings.seed, views.mean_square_radiance, assembly.development, together,
             )  # fmt: skip
 
         if seconds is not None:
@@ -132,12 +136,20 @@ def make_closing_step(
         if moments is None or len(moments) < LEAST_PIXELS:
             return None
         whole, *halves = evidence(moments, materials.to_unit_cube)
-        counters.samples += len(moments) * moments.groups * GROUP
+        counters.samples += len(moments) * moments.groups * together
         kept = agreement(*halves)
         values = kept * _solved(whole)
     correction.add(values.astype(np.float32))
     size = float(np.sqrt(np.mean(np.square(_read(values, whole.x)))))
     return ClosingStep(kept, size)
+
+
+def _group_size(samples: float) -> int:
+    """How many of a pixel's samples make a group, so that it has two groups where it has two of the smallest."""
+    size = GROUP
+    while 2 * size <= LARGEST_GROUP and 4 * size <= samples:
+        size *= 2
+    return size
 
 
 def _seconds_a_pixel(look: Callable[[int, int], object], pixels: int) -> float:
