@@ -26,12 +26,16 @@ class Correction(nn.Module):
     """What is added to a field [n, 1] at positions in the unit cube [n, 3]: nothing at first. No optimizer has it."""
 
     made: Tensor
+    information: Tensor
+    """1 / variance that the photographs leave to the roughness in the cells [64, 64, 64], the axes those of positions;
+    0 where they tell nothing, and everywhere before the step or in a checkpoint of an older version."""
 
     def __init__(self) -> None:
         super().__init__()
         self.grid = DenseGrid(CORRECTION_CELLS + 1, 1)
         self.grid.table.requires_grad_(False)
         self.register_buffer("made", torch.zeros((), dtype=torch.int64))
+        self.register_buffer("information", torch.zeros((CORRECTION_CELLS,) * 3))
         self.done = False
         """Whether the step that adds to it was made."""
         self.found = False
@@ -44,10 +48,12 @@ class Correction(nn.Module):
         return found
 
     @torch.no_grad()
-    def add(self, values: FloatArray | None) -> None:
+    def add(self, values: FloatArray | None, information: FloatArray | None = None) -> None:
         """The step was made, and asks for these changes at the nodes [65, 65, 65], the axes those of the positions; for
-        none if None.
+        none if None. What it found pixels to tell of the cells [64, 64, 64] takes the place of what was known.
         """
+        if information is not None:
+            self.information.copy_(torch.from_numpy(information))
         if values is not None:
             self.grid.table.add_(torch.from_numpy(values.transpose(2, 1, 0).reshape(-1, 1).copy()).to(self.grid.table))
         self.made.fill_(1)

@@ -54,7 +54,6 @@ def calibrate(
     odd: BoolArray,
     places: tuple[IntArray, IntArray],
     noise: float,
-    times: float,
     usual: float = USUAL_GAIN,
 ) -> RoughnessBars:
     """Measure the scales.
@@ -63,12 +62,10 @@ def calibrate(
         by_albedo: derivatives, by half of the samples, in units of the brightness [2, n, c].
         by_roughness: the same by the roughness.
         residual: the same unit.
-        whole: what every pixel adds to the information of all of them [n], see
-            :meth:`neurad.metrics.fisher.Profiled.information`.
+        whole: what every pixel adds to the information of all that the fit has seen, in units of 1 / variance [n].
         odd: whether a pixel belongs to the second half of the photographs' pixels [n].
         places: the patch of one albedo and the cell of one roughness that each pixel lies in [n], numbered from 0.
         noise: squared residual of the photographs.
-        times: all pixels that the fit has seen over those given.
         usual: gain of such fits.
     """
     patch, cell = places
@@ -84,7 +81,7 @@ def calibrate(
             scatter = max(scatter, float(np.square(profiled.residual.mean(0)).mean()))
     both = (information > 0).all(0)
     information, gradient = information[:, both], gradient[:, both]
-    all_pixels = times / noise * np.bincount(cell, whole, count)[both].astype(np.float64)
+    all_pixels = np.bincount(cell, whole, count)[both].astype(np.float64)
     return RoughnessBars(_gain(information, gradient, scatter, all_pixels, usual), PRIOR)
 
 

@@ -97,6 +97,7 @@ def measure(
     iteration: int,
     has_roughness: bool,
     usual_gain: float = USUAL_GAIN,
+    known: FloatArray | None = None,
 ) -> ErrorBars:
     """Error bars from the pixels of a pass.
 
@@ -107,6 +108,8 @@ def measure(
         iteration: of the fit.
         has_roughness: whether roughness was recovered.
         usual_gain: of such fits, see :mod:`neurad.metrics.bar_calibration`.
+        known: information about the roughness in cells of the unit cube [s, s, s], from more samples than ``pixels``
+            have; None to take theirs.
     """
     x = in_cube(to_cube, pixels.p)
     side = _side(x)
@@ -123,10 +126,9 @@ def measure(
         patch, patches = cells(x, FINER * side)
         profiled = profile(by_albedo, by_roughness, residual, patch, patches)
         noise = max(float((residual[0] * residual[1]).mean()), 1e-9)  # without the estimate's own
-        whole = profiled.information()
-        information = times * whole / noise
+        information = times * profiled.information() / noise if known is None else _shared(x, known)
         places = patch, cells(x, side)[0]
-        scales = calibrate(by_albedo, by_roughness, residual, whole, pixels.odd, places, noise, times, usual_gain)
+        scales = calibrate(by_albedo, by_roughness, residual, information, pixels.odd, places, noise, usual_gain)
     # Stage 3: sums at the nodes.
     d = pixels.by_albedo[0] * pixels.by_albedo[1]
     weighted = by_albedo[0] * by_albedo[1]
@@ -150,9 +152,29 @@ def cells(x: Float64Array, side: int) -> tuple[IntArray, int]:
     """The cell that each position [n, 3] in the unit cube lies in, of ``side`` along an edge: numbers from 0 [n] of the
     occupied ones, and how many there are.
     """
-    at = np.minimum((np.clip(x, 0.0, 1.0) * side).astype(np.int64), side - 1)
-    occupied, place = np.unique((at[:, 0] * side + at[:, 1]) * side + at[:, 2], return_inverse=True)
+    occupied, place = np.unique(_number(x, side), return_inverse=True)
     return place.reshape(-1), len(occupied)
+
+
+def in_cells(x: Float64Array, values: Float64Array, side: int) -> FloatArray:
+    """Sums of ``values`` [n] over the positions ``x`` [n, 3] in each cell of the unit cube [side, side, side], the axes
+    those of the positions.
+    """
+    return np.bincount(_number(x, side), values, side**3).reshape((side,) * 3).astype(np.float32)
+
+
+def _shared(x: Float64Array, known: FloatArray) -> Float64Array:
+    """The share [n] of each position [n, 3] in what is known [s, s, s] of its cell."""
+    number = _number(x, len(known))
+    return np.asarray(known.reshape(-1)[number] / np.bincount(number, minlength=known.size)[number], np.float64)
+
+
+def _number(x: Float64Array, side: int) -> IntArray:
+    """Of the cell that each position [n, 3] in the unit cube lies in, of ``side`` along an edge, the last axis fastest
+    [n].
+    """
+    at = np.minimum((np.clip(x, 0.0, 1.0) * side).astype(np.int64), side - 1)
+    return np.asarray((at[:, 0] * side + at[:, 1]) * side + at[:, 2])
 
 
 def _brightness(pixels: PixelDerivatives) -> Float64Array:

@@ -23,6 +23,7 @@ from neurad.assembly.training_views import TrainingViews
 from neurad.core.protocols import PhotoSource
 from neurad.fields.material import CORRECTION_CELLS, Correction
 from neurad.fields.settings import RoughnessConfig
+from neurad.metrics.error_bars import in_cells
 from neurad.metrics.pixel_derivatives import GROUP
 from neurad.metrics.pixel_moments import PixelMoments, pixel_moments
 from neurad.metrics.roughness_evidence import Evidence, evidence
@@ -139,7 +140,7 @@ def make_closing_step(
         counters.samples += len(moments) * moments.groups * together
         kept = agreement(*halves)
         values = kept * _solved(whole)
-    correction.add(values.astype(np.float32))
+    correction.add(values.astype(np.float32), in_cells(whole.x, whole.information, CORRECTION_CELLS))
     size = float(np.sqrt(np.mean(np.square(_read(values, whole.x)))))
     return ClosingStep(kept, size)
 

@@ -43,6 +43,11 @@ def error_bars(
     if pixels is None:
         return None
     has_roughness = assembly.materials.roughness is not None
-    corrected = assembly.correction is not None and assembly.correction.found
-    usual = CLOSING_GAIN if corrected else USUAL_GAIN
-    return measure(pixels, assembly.materials.to_unit_cube, views.pixels, counters.iteration, has_roughness, usual)
+    correction = assembly.correction
+    usual, known = USUAL_GAIN, None
+    if correction is not None and correction.found:
+        usual = CLOSING_GAIN
+        if bool((correction.information > 0).any()):
+            known = correction.information.cpu().numpy()
+    to_cube = assembly.materials.to_unit_cube
+    return measure(pixels, to_cube, views.pixels, counters.iteration, has_roughness, usual, known)

@@ -16,7 +16,7 @@ from neurad.integrators.direct import Direct
 from neurad.metrics import pixel_derivatives
 from neurad.metrics.bar_calibration import PRIOR, RoughnessBars
 from neurad.metrics.bars_file import read_bars, write_bars
-from neurad.metrics.error_bars import COLUMNS, ErrorBars, measure
+from neurad.metrics.error_bars import COLUMNS, ErrorBars, in_cells, measure
 from neurad.metrics.nodes import Nodes
 from neurad.metrics.pixel_derivatives import PixelDerivatives
 
@@ -77,6 +77,27 @@ def test_bars_where_pixels_are_and_where_none_is():
     assert far_albedo[0] == pytest.approx(given.albedo.std(0), rel=1e-3)
     assert far_roughness[0, 0] == pytest.approx(PRIOR)
     assert measure(given, lambda p: p, len(given), 7, has_roughness=False).at(x)[1] is None
+
+
+def test_what_a_closing_step_found_takes_the_place_of_what_few_pixels_tell():
+    """Cells of half of the plane are known to 0.02, those of the other half not at all: none of it is lost in the sums,
+    of which a point midway between nodes reads a half or more."""
+    known = np.zeros((64, 64, 64), np.float32)
+    known[:32, :, 32] = 1.0 / 0.02**2  # the plane at 0.5 lies in these cells
+    given = pixels()
+    bars = measure(given, lambda p: p, len(given), 7, has_roughness=True, usual_gain=1.0, known=known)
+    assert bars.nodes.values[:, -1].sum() == pytest.approx(known.sum(), rel=1e-4)
+    scales = replace(bars, roughness=RoughnessBars(1.0, PRIOR))
+    y = np.linspace(0.1, 0.9, 50)
+    for x, low, high in ((0.25, 0.019, 0.03), (0.75, 0.99 * PRIOR, PRIOR)):
+        _, roughness = scales.at(np.stack((np.full(50, x), y, np.full(50, 0.5)), 1))
+        assert low < np.median(roughness) <= high + 1e-6
+
+
+def test_cells_hold_the_sums_of_their_positions():
+    x = np.array([[0.1, 0.1, 0.9], [0.2, 0.3, 0.6], [0.9, 0.1, 0.1], [1.0, 0.0, 0.0]])
+    found = in_cells(x, np.array([1.0, 2.0, 4.0, 8.0]), 2)
+    assert found.tolist() == [[[0.0, 3.0], [0.0, 0.0]], [[12.0, 0.0], [0.0, 0.0]]]
 
 
 def test_bars_come_back_from_their_file(tmp_path):

@@ -76,14 +76,14 @@ def synthetic(gain, seed, cells=1500, per=24, noise=0.1, samples_noise=0.05):
     error = rng.standard_normal(cells) * np.sqrt(RoughnessBars(gain, PRIOR).variance(information))
     residual = -r * error[cell, None] + noise * rng.standard_normal((n, CHANNELS))
     both = residual + samples_noise * rng.standard_normal((2, n, CHANNELS))
-    return halves, np.stack([r, r]), both, whole, rng.random(n) < 0.5, (cell, cell), noise**2
+    return halves, np.stack([r, r]), both, whole / noise**2, rng.random(n) < 0.5, (cell, cell), noise**2
 
 
 @pytest.mark.parametrize("gain", [0.003, 0.02, 0.2])
 def test_calibration_finds_the_gain_of_a_fit_without_its_truth(gain, monkeypatch):
     """Simulated fits that made use of a known part of the information: found within a factor of 2."""
     monkeypatch.setattr(bar_calibration, "FACTOR", 30.0)  # what is usual shall not help
-    found = calibrate(*synthetic(gain, seed=int(1000 * gain)), times=1.0)
+    found = calibrate(*synthetic(gain, seed=int(1000 * gain)))
     assert gain / 2.0 < found.gain < gain * 2.0
 
 
@@ -91,13 +91,13 @@ def test_gain_is_of_what_all_pixels_know_together(monkeypatch):
     """Few pixels a patch: halves profile the albedo out twice and know half of what all know together, so a gain by
     their sum is too large by a half. Mean logarithm over 16 fits, within 4 standard errors (0.2)."""
     monkeypatch.setattr(bar_calibration, "FACTOR", 30.0)  # what is usual shall not help
-    found = [np.log(calibrate(*synthetic(0.1, seed, cells=4000, per=4), times=1.0).gain / 0.1) for seed in range(16)]
+    found = [np.log(calibrate(*synthetic(0.1, seed, cells=4000, per=4)).gain / 0.1) for seed in range(16)]
     assert abs(np.mean(found)) < 4.0 * np.std(found) / np.sqrt(len(found))
 
 
 def test_without_information_the_usual_scales_stay():
     d = np.ones((2, 8, CHANNELS))
     places = np.zeros(8, int), np.zeros(8, int)
-    found = calibrate(d, 0.0 * d, 0.0 * d, np.zeros(8), np.arange(8) % 2 == 0, places, 1e-9, 1.0)
+    found = calibrate(d, 0.0 * d, 0.0 * d, np.zeros(8), np.arange(8) % 2 == 0, places, 1e-9)
     assert found.variance(np.zeros(1))[0] == pytest.approx(PRIOR**2)
     assert found.gain == pytest.approx(bar_calibration.USUAL_GAIN, rel=0.1)

@@ -65,6 +65,7 @@ def test_what_is_off_comes_right(room, off):
             found = step_of(room, counters)
             assert found.kept > 0.5, found
             assert "corrected by" in found.sentence()
+            assert float(correction.information.sum()) > 0.0
             correction.reopen()
         assert counters.samples > 1 << 20
         left = (mean_roughness(room) - before) / off
@@ -163,7 +164,7 @@ def test_a_correction_in_the_state(room):
     values = np.zeros((CORRECTION_CELLS + 1,) * 3, np.float32)
     values[3, 5, 7] = 0.25
     correction = Correction()
-    correction.add(values)
+    correction.add(values, np.full((CORRECTION_CELLS,) * 3, 9.0, np.float32))
     at = torch.tensor([[3.0, 5.0, 7.0], [3.5, 5.0, 7.0], [20.0, 5.0, 7.0]]) / CORRECTION_CELLS
     torch.testing.assert_close(correction(at)[:, 0], torch.tensor([0.25, 0.125, 0.0]), atol=1e-5, rtol=0)
     other = Correction()
@@ -171,6 +172,7 @@ def test_a_correction_in_the_state(room):
     assert other.done
     assert other.found
     torch.testing.assert_close(other(at), correction(at))
+    assert bool((other.information == 9.0).all())
     assert not any(p.requires_grad for p in correction.parameters())
     field, own = room.materials.roughness, room.training.assembly.correction
     held = {id(p) for group in room.training.optimizers["roughness"].param_groups for p in group["params"]}
