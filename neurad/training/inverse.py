@@ -57,7 +57,7 @@ from neurad.training.optimizers import make_optimizers
 from neurad.training.schedule import fraction_done
 from neurad.training.shining_meshes import shining_meshes
 from neurad.training.step import Counters, TrainingStep
-from neurad.training.validation import is_due, said, update_levels
+from neurad.training.validation import is_due, said, shrink_levels, update_levels
 
 
 class InverseRenderer(L.LightningModule):
@@ -286,9 +286,8 @@ class InverseRenderer(L.LightningModule):
             self.update_levels()  # noise that an albedo has copied hides what pixels say of the roughness
             self._make_closing_step(done.seconds_by_time)
         if is_due(self.iteration):
-            self.update_levels()
-            if self.average is not None:
-                self.average.shrink()
+            assert self.training_views is not None
+            shrink_levels(self.assembly, self.training_views, self.photographs, self.iteration)
         return loss
 
     def update_levels(self) -> str | None:

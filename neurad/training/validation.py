@@ -7,23 +7,38 @@ import torch
 from neurad.assembly.build import Assembly, FittedMaterials
 from neurad.assembly.training_views import TrainingViews
 from neurad.core.protocols import PhotoSource
+from neurad.core.records import PixelBatch
 from neurad.metrics.pixel_derivatives import derivatives_of
 from neurad.metrics.validation import LevelFit, fit_levels
 
-FIRST, EVERY = 512, 4096
-"""Factors are fitted after so many iterations, whenever their number has doubled, and at multiples of the second."""
+FIRST, EVERY = 512, 1024
+"""Training goes on from what is kept after so many iterations, and at multiples of the second: noise comes back in some
+thousands."""
 LEAST = 64
 """Pixels of which fewer say nothing."""
 GROUPS = 2
-"""Of samples in each half of a pixel: with one, noise of the samples hides what there is to see."""
+"""Of samples in each half of a pixel for what is shown: with one, noise of the samples hides what there is to see."""
 WHOLE = 0.95
 """A level of which so much is kept counts as kept whole in what is said."""
 
 
 def is_due(iteration: int) -> bool:
-    """Whether factors are fitted after this many iterations; they alone decide, so a continued run is the same."""
-    doubled = iteration >= FIRST and iteration & (iteration - 1) == 0
-    return doubled or (iteration > 0 and iteration % EVERY == 0)
+    """Whether training goes on from what is kept after this many iterations; they alone decide, so a continued run is
+    the same.
+    """
+    return iteration == FIRST or (iteration > 0 and iteration % EVERY == 0)
+
+
+def shrink_levels(assembly: Assembly, views: TrainingViews, photographs: PhotoSource, iteration: int) -> None:
+    """Let training go on from what every other one of the pixels that no batch draws confirms of each level, the even
+    and the odd ones in turn: half of the cost, and what one half does not tell surely the next may.
+    """
+    batch = photographs.validation_batch()
+    if assembly.average is None or batch is None:
+        return
+    half = torch.arange(iteration // EVERY % 2, len(batch.view), 2)
+    _fit(assembly, views, batch.picked(half.to(batch.view.device)), iteration, groups=1)
+    assembly.average.shrink()
 
 
 def update_levels(
@@ -40,6 +55,13 @@ def update_levels(
         photographs: of the training views.
         iteration: iterations done, the key of the random numbers.
     """
+    batch = photographs.validation_batch()
+    return None if batch is None else _fit(assembly, views, batch, iteration, GROUPS)
+
+
+def _fit(
+    assembly: Assembly, views: TrainingViews, batch: PixelBatch, iteration: int, groups: int
+) -> list[LevelFit] | None:
     average, materials = assembly.average, assembly.materials
     if average is None or not isinstance(materials, FittedMaterials):
         return None
@@ -47,14 +69,13 @@ def update_levels(
     grids = [getattr(field, "grid", None) for field in fields]
     if any(grid is None or average.levels.of(grid) is None for grid in grids):
         return None
-    batch = photographs.validation_batch()
-    if batch is None or len(batch.view) < LEAST:
+    if len(batch.view) < LEAST:
         return None
     if assembly.development is not None:
         batch = assembly.development(batch)
     with torch.no_grad(), average.used(whole=True), assembly.world.tracer.uncounted():
         pixels = derivatives_of(
-            assembly.estimator, views.primary, batch, views.emitter_mask, assembly.settings.seed, iteration, GROUPS
+            assembly.estimator, views.primary, batch, views.emitter_mask, assembly.settings.seed, iteration, groups
         )
         found = None
         if pixels is not None and len(pixels) >= LEAST:
