@@ -285,7 +285,7 @@ class InverseRenderer(L.LightningModule):
         if now and self.trainer.strategy.broadcast(is_closing(correction, progress)):
             self.update_levels()  # noise that an albedo has copied hides what pixels say of the roughness
             self._make_closing_step(done.seconds_by_time)
-        if is_due(self.iteration):
+        if progress < 1.0 and is_due(self.iteration):  # from then on rates are too low to bring signal back
             assert self.training_views is not None
             shrink_levels(self.assembly, self.training_views, self.photographs, self.iteration)
         return loss
