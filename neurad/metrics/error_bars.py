@@ -124,9 +124,12 @@ def measure(
     information, scales = np.zeros(len(pixels)), None
     if has_roughness:
         patch, patches = cells(x, FINER * side)
-        profiled = profile(by_albedo, by_roughness, residual, patch, patches)
         noise = max(float((residual[0] * residual[1]).mean()), 1e-9)  # without the estimate's own
-        information = times * profiled.information() / noise if known is None else _shared(x, known)
+        if known is None:
+            profiled = profile(by_albedo, by_roughness, residual, patch, patches)
+            information = times * profiled.information() / noise
+        else:
+            information = _shared(x, known)
         places = patch, cells(x, side)[0]
         scales = calibrate(by_albedo, by_roughness, residual, information, pixels.odd, places, noise, usual_gain)
     # Stage 3: sums at the nodes.
