@@ -29,6 +29,8 @@ class Correction(nn.Module):
     information: Tensor
     """1 / variance that the photographs leave to the roughness in the cells [64, 64, 64], the axes those of positions;
     0 where they tell nothing, and everywhere before the step or in a checkpoint of an older version."""
+    scales: Tensor
+    """Gain, prior and power by which it becomes error bars, see :mod:`neurad.metrics.bar_calibration`; 0 like it."""
 
     def __init__(self) -> None:
         super().__init__()
@@ -36,6 +38,7 @@ class Correction(nn.Module):
         self.grid.table.requires_grad_(False)
         self.register_buffer("made", torch.zeros((), dtype=torch.int64))
         self.register_buffer("information", torch.zeros((CORRECTION_CELLS,) * 3))
+        self.register_buffer("scales", torch.zeros(3))
         self.done = False
         """Whether the step that adds to it was made."""
         self.found = False
@@ -48,12 +51,20 @@ class Correction(nn.Module):
         return found
 
     @torch.no_grad()
-    def add(self, values: FloatArray | None, information: FloatArray | None = None) -> None:
+    def add(
+        self,
+        values: FloatArray | None,
+        information: FloatArray | None = None,
+        scales: tuple[float, float, float] | None = None,
+    ) -> None:
         """The step was made, and asks for these changes at the nodes [65, 65, 65], the axes those of the positions; for
-        none if None. What it found pixels to tell of the cells [64, 64, 64] takes the place of what was known.
+        none if None. What it found pixels to tell of the cells [64, 64, 64], and the scales of that, take the place of
+        what was known.
         """
         if information is not None:
             self.information.copy_(torch.from_numpy(information))
+        if scales is not None:
+            self.scales.copy_(torch.tensor(scales))
         if values is not None:
             self.grid.table.add_(torch.from_numpy(values.transpose(2, 1, 0).reshape(-1, 1).copy()).to(self.grid.table))
         self.made.fill_(1)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+from dataclasses import astuple
 from pathlib import Path
 
 import numpy as np
@@ -33,7 +34,7 @@ def write_bars(bars: ErrorBars, path: Path) -> None:
     Raises:
         InputError: the system refused.
     """
-    scales = [] if bars.roughness is None else [bars.roughness.gain, bars.roughness.prior]
+    scales = () if bars.roughness is None else astuple(bars.roughness)
     buffer = io.BytesIO()
     np.savez_compressed(
         buffer, side=bars.nodes.side, index=bars.nodes.index, values=bars.nodes.values.astype(np.float32),
@@ -60,12 +61,12 @@ def read_bars(path: Path) -> ErrorBars:
             raise InputError(f"{path}: {said}")
     side, scales = int(found["side"]), found["scales"]
     index = found["index"].astype(np.int64)
-    if side < 1 or len(scales) not in (0, 2) or len(index) != len(found["values"]) or (np.diff(index) <= 0).any():
+    if side < 1 or len(scales) not in (0, 2, 3) or len(index) != len(found["values"]) or (np.diff(index) <= 0).any():
         raise InputError(f"{path}: {said}")
     return ErrorBars(
         Nodes(side, index, found["values"].astype(np.float64)),
         float(found["cell"]),
         found["spread"].astype(np.float64),
-        RoughnessBars(float(scales[0]), float(scales[1])) if len(scales) else None,
+        RoughnessBars(*(float(value) for value in scales)) if len(scales) else None,
         int(found["iteration"]),
     )

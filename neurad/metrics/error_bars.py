@@ -4,15 +4,17 @@ A pass over some training pixels at the final parameters collects at the nodes o
 :mod:`neurad.metrics.pixel_derivatives` finds in them; nothing is kept while a fit runs. With sums over the pixels near
 a point, ``w`` = 1 / squared brightness, and scaled from the pixels of the pass to all pixels:
 
-    roughness:  1 / variance = gain F / s + 1 / prior^2       F of :mod:`neurad.metrics.fisher`, s the noise of pixels
+    roughness:  1 / variance = gain (F / s)^power + 1 / prior^2
+                F of :mod:`neurad.metrics.fisher`, s the noise of pixels
     albedo:     1 / variance = 1 / sqrt(V N) + 1 / spread^2
                 N = (misfit^2 / D^2) / (pixels that see one pixel's patch of surface) + (X / A)^2 roughness variance
 
 N is the variance that a noisy photograph leaves in what a pixel covers, the unknown roughness included (X / A is by how
 much albedo makes up for roughness); V is the variance that the recovered albedo has within a pixel, the detail that
 no pixel can tell. Both measure how much of the pattern at the size of a pixel is not known, each with errors of its own
-that are factors, so the mean of their logarithms is taken. ``gain`` is measured from what independent
-halves of the photographs say of the same place, see :mod:`neurad.metrics.bar_calibration`.
+that are factors, so the mean of their logarithms is taken. ``gain`` and, in a fit with a closing step, ``prior`` are
+measured from what independent halves of the photographs say of the same place, see
+:mod:`neurad.metrics.bar_calibration`.
 """
 
 from __future__ import annotations
@@ -25,7 +27,7 @@ import torch
 from torch import Tensor
 
 from neurad.core.records import FloatArray
-from neurad.metrics.bar_calibration import USUAL_GAIN, RoughnessBars, calibrate
+from neurad.metrics.bar_calibration import RoughnessBars, calibrate
 from neurad.metrics.fisher import profile
 from neurad.metrics.nodes import Nodes
 from neurad.metrics.pixel_derivatives import PixelDerivatives
@@ -47,6 +49,16 @@ _COLUMNS = {"count": 1, "area": 1, "square": 3, "misfit": 3, "detail": 3, "cross
 """Sums at the nodes: of pixels, their area, D^2, squared misfit, V, D R w, D^2 w, F / s of all pixels."""
 
 COLUMNS = sum(_COLUMNS.values())
+
+
+@dataclass(frozen=True)
+class Known:
+    """What the closing step of a fit found its photographs to tell of the roughness."""
+
+    information: FloatArray
+    """1 / variance in cells of the unit cube [s, s, s]."""
+    scales: RoughnessBars
+    """For information in such cells."""
 
 
 @dataclass(frozen=True)
@@ -96,8 +108,7 @@ def measure(
     total: int,
     iteration: int,
     has_roughness: bool,
-    usual_gain: float = USUAL_GAIN,
-    known: FloatArray | None = None,
+    known: Known | None = None,
 ) -> ErrorBars:
     """Error bars from the pixels of a pass.
 
@@ -107,9 +118,7 @@ def measure(
         total: training pixels that the fit has seen, of which ``pixels`` are a sample.
         iteration: of the fit.
         has_roughness: whether roughness was recovered.
-        usual_gain: of such fits, see :mod:`neurad.metrics.bar_calibration`.
-        known: information about the roughness in cells of the unit cube [s, s, s], from more samples than ``pixels``
-            have; None to take theirs.
+        known: of the roughness, from more samples than ``pixels`` have; None to take theirs.
     """
     x = in_cube(to_cube, pixels.p)
     side = _side(x)
@@ -123,15 +132,17 @@ def measure(
     times = max(total / len(pixels), 1.0)
     information, scales = np.zeros(len(pixels)), None
     if has_roughness:
-        patch, patches = cells(x, FINER * side)
-        noise = max(float((residual[0] * residual[1]).mean()), 1e-9)  # without the estimate's own
-        if known is None:
+        if known is not None:
+            # As much as in a cell of those, wherever nodes are nearer to each other.
+            information = _shared(x, known.information) * (side / len(known.information)) ** 2
+            scales = known.scales
+        else:
+            patch, patches = cells(x, FINER * side)
+            noise = max(float((residual[0] * residual[1]).mean()), 1e-9)  # without the estimate's own
             profiled = profile(by_albedo, by_roughness, residual, patch, patches)
             information = times * profiled.information() / noise
-        else:
-            information = _shared(x, known)
-        places = patch, cells(x, side)[0]
-        scales = calibrate(by_albedo, by_roughness, residual, information, pixels.odd, places, noise, usual_gain)
+            places = patch, cells(x, side)[0]
+            scales = calibrate(by_albedo, by_roughness, residual, information, pixels.odd, places, noise)
     # Stage 3: sums at the nodes.
     d = pixels.by_albedo[0] * pixels.by_albedo[1]
     weighted = by_albedo[0] * by_albedo[1]

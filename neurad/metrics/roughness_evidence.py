@@ -53,7 +53,7 @@ class Evidence:
 
 
 def evidence(pixels: PixelMoments, to_cube: ToUnitCube) -> tuple[Evidence, Evidence, Evidence]:
-    """Of all pixels, and of two halves of them, the two colours of a chess board.
+    """Of all pixels, and of two halves of them, the two colours of a chess board, in the same patches.
 
     Args:
         pixels: some of the training pixels.
@@ -129,10 +129,8 @@ class _Pixels:
         part = part.clip(-OUTLIER * deviation, OUTLIER * deviation)
         gradient = np.bincount(patch, part, count).astype(np.float64)
         ratio = _excess(information, np.bincount(patch, np.square(part), count).astype(np.float64))
-        pixels = np.bincount(patch, chosen, count)[:, None]
-        middle = per_patch(x * chosen[:, None], patch, count) / np.maximum(pixels, 1)
-        known = pixels[:, 0] > 0
-        return Evidence(side, middle[known], (information.clip(0.0) / ratio)[known], (gradient / ratio)[known])
+        middle = per_patch(x, patch, count) / np.bincount(patch, minlength=count)[:, None]
+        return Evidence(side, middle, information.clip(0.0) / ratio, gradient / ratio)
 
 
 def _box_sums(values: FloatArray, corner: IntArray) -> tuple[FloatArray, FloatArray]:

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import astuple, dataclass
 
 import numpy as np
 import torch
@@ -23,7 +23,9 @@ from neurad.assembly.training_views import TrainingViews
 from neurad.core.protocols import PhotoSource
 from neurad.fields.material import CORRECTION_CELLS, Correction
 from neurad.fields.settings import RoughnessConfig
+from neurad.metrics.bar_calibration import RoughnessBars, calibrate_at_closing
 from neurad.metrics.error_bars import in_cells
+from neurad.metrics.nodes import Nodes
 from neurad.metrics.pixel_derivatives import GROUP
 from neurad.metrics.pixel_moments import PixelMoments, pixel_moments
 from neurad.metrics.roughness_evidence import Evidence, evidence
@@ -140,7 +142,8 @@ def make_closing_step(
         counters.samples += len(moments) * moments.groups * together
         kept = agreement(*halves)
         values = kept * _solved(whole)
-    correction.add(values.astype(np.float32), in_cells(whole.x, whole.information, CORRECTION_CELLS))
+    information = in_cells(whole.x, whole.information, CORRECTION_CELLS)
+    correction.add(values.astype(np.float32), information, astuple(_scales(whole, *halves)))
     size = float(np.sqrt(np.mean(np.square(_read(values, whole.x)))))
     return ClosingStep(kept, size)
 
@@ -170,6 +173,15 @@ def agreement(first: Evidence, second: Evidence) -> float:
         asked += float((weight * other.gradient * step).sum())
         taken += float((weight * other.information * np.square(step)).sum())
     return min(max(asked / taken, 0.0), 1.0) if taken > 0.0 else 0.0
+
+
+def _scales(whole: Evidence, first: Evidence, second: Evidence) -> RoughnessBars:
+    """By which error bars are made of the information in the cells of the correction's grid."""
+    around = Nodes.scattered(whole.x, whole.information[:, None], CORRECTION_CELLS).read(whole.x)[:, 0]
+    information, gradient = (
+        np.stack(halves) for halves in ((first.information, second.information), (first.gradient, second.gradient))
+    )
+    return calibrate_at_closing(information, gradient, around)
 
 
 def _solved(found: Evidence) -> Float64Array:

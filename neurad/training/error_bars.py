@@ -5,8 +5,8 @@ from __future__ import annotations
 from neurad.assembly.build import Assembly, FittedMaterials
 from neurad.assembly.training_views import TrainingViews
 from neurad.core.protocols import PhotoSource
-from neurad.metrics.bar_calibration import CLOSING_GAIN, USUAL_GAIN
-from neurad.metrics.error_bars import ErrorBars, measure
+from neurad.metrics.bar_calibration import RoughnessBars
+from neurad.metrics.error_bars import ErrorBars, Known, measure
 from neurad.metrics.pixel_derivatives import SPP, pixel_derivatives
 from neurad.training.step import Counters
 
@@ -44,10 +44,8 @@ def error_bars(
         return None
     has_roughness = assembly.materials.roughness is not None
     correction = assembly.correction
-    usual, known = USUAL_GAIN, None
-    if correction is not None and correction.found:
-        usual = CLOSING_GAIN
-        if bool((correction.information > 0).any()):
-            known = correction.information.cpu().numpy()
+    known = None
+    if correction is not None and correction.found and bool((correction.scales > 0).all()):
+        known = Known(correction.information.cpu().numpy(), RoughnessBars(*correction.scales.tolist()))
     to_cube = assembly.materials.to_unit_cube
-    return measure(pixels, to_cube, views.pixels, counters.iteration, has_roughness, usual, known)
+    return measure(pixels, to_cube, views.pixels, counters.iteration, has_roughness, known)

@@ -16,7 +16,7 @@ from neurad.integrators.direct import Direct
 from neurad.metrics import pixel_derivatives
 from neurad.metrics.bar_calibration import PRIOR, RoughnessBars
 from neurad.metrics.bars_file import read_bars, write_bars
-from neurad.metrics.error_bars import COLUMNS, ErrorBars, in_cells, measure
+from neurad.metrics.error_bars import COLUMNS, ErrorBars, Known, in_cells, measure
 from neurad.metrics.nodes import Nodes
 from neurad.metrics.pixel_derivatives import PixelDerivatives
 
@@ -79,18 +79,22 @@ def test_bars_where_pixels_are_and_where_none_is():
     assert measure(given, lambda p: p, len(given), 7, has_roughness=False).at(x)[1] is None
 
 
-def test_what_a_closing_step_found_takes_the_place_of_what_few_pixels_tell():
+@pytest.mark.parametrize("size", [1.0, 0.5])
+def test_what_a_closing_step_found_takes_the_place_of_what_few_pixels_tell(size):
     """Cells of half of the plane are known to 0.02, those of the other half not at all: none of it is lost in the sums,
-    of which a point midway between nodes reads a half or more."""
+    of which a point midway between nodes reads a half or more. A plane that fills less of the cube has finer nodes
+    and the same bars."""
     known = np.zeros((64, 64, 64), np.float32)
-    known[:32, :, 32] = 1.0 / 0.02**2  # the plane at 0.5 lies in these cells
+    known[: int(32 * size), : int(64 * size), int(32 * size)] = 1.0 / 0.02**2  # the plane at 0.5 lies in these cells
     given = pixels()
-    bars = measure(given, lambda p: p, len(given), 7, has_roughness=True, usual_gain=1.0, known=known)
-    assert bars.nodes.values[:, -1].sum() == pytest.approx(known.sum(), rel=1e-4)
-    scales = replace(bars, roughness=RoughnessBars(1.0, PRIOR))
+    found = Known(known, RoughnessBars(1.0, PRIOR))
+    bars = measure(given, lambda p: size * p, len(given), 7, has_roughness=True, known=found)
+    assert bars.nodes.side == pytest.approx(64 / size, abs=4)
+    cell = 64 / bars.nodes.side  # of information, in cells of the bars: as much as in a cell of information
+    assert bars.nodes.values[:, -1].sum() * cell**2 == pytest.approx(known.sum(), rel=1e-4)
     y = np.linspace(0.1, 0.9, 50)
     for x, low, high in ((0.25, 0.019, 0.03), (0.75, 0.99 * PRIOR, PRIOR)):
-        _, roughness = scales.at(np.stack((np.full(50, x), y, np.full(50, 0.5)), 1))
+        _, roughness = bars.at(size * np.stack((np.full(50, x), y, np.full(50, 0.5)), 1))
         assert low < np.median(roughness) <= high + 1e-6
 
 

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from neurad.metrics import bar_calibration
-from neurad.metrics.bar_calibration import PRIOR, RoughnessBars, calibrate
+from neurad.metrics.bar_calibration import ASKED, POWER, PRIOR, RoughnessBars, calibrate, calibrate_at_closing
 from neurad.metrics.fisher import FLOOR, profile
 
 CHANNELS = 3
@@ -101,3 +101,33 @@ def test_without_information_the_usual_scales_stay():
     found = calibrate(d, 0.0 * d, 0.0 * d, np.zeros(8), np.arange(8) % 2 == 0, places, 1e-9)
     assert found.variance(np.zeros(1))[0] == pytest.approx(PRIOR**2)
     assert found.gain == pytest.approx(bar_calibration.USUAL_GAIN, rel=0.1)
+
+
+def halves_of(prior, gain, seed, patches=20_000):
+    """What halves of the pixels ask of patches before a closing step, whose error has these scales: information of both
+    over six orders of magnitude, gradients and the information around.
+    """
+    rng = np.random.default_rng(seed)
+    around = np.exp(rng.uniform(np.log(0.1), np.log(1e5), patches))
+    information = around * rng.uniform(0.1, 0.4, (2, patches))
+    error = rng.standard_normal(patches) * np.sqrt(RoughnessBars(gain, prior, POWER).variance(around))
+    noise = rng.standard_normal((2, patches)) * np.sqrt(information)
+    return information, np.sqrt(ASKED) * information * error + noise, around
+
+
+@pytest.mark.parametrize(("prior", "gain"), [(0.05, 4.0), (0.14, 0.5), (0.2, 1.5)])
+def test_both_scales_are_found_from_halves_at_the_closing_step(prior, gain):
+    """Without the truth: the prior within a quarter, the gain within a half, and so bars that cover what they say."""
+    information, gradient, around = halves_of(prior, gain, seed=3)
+    found = calibrate_at_closing(information, gradient, around)
+    assert found.prior == pytest.approx(prior, rel=0.25)
+    assert 1.0 / 1.5 < found.gain / gain < 1.5
+    true = RoughnessBars(gain, prior, POWER).variance(around)
+    assert np.abs(np.log(found.variance(around) / true)).max() < 0.5
+
+
+def test_halves_that_tell_nothing_leave_the_usual_scales_at_the_closing_step():
+    none = np.zeros((2, 50))
+    found = calibrate_at_closing(none, none, np.zeros(50))
+    assert found.prior == pytest.approx(PRIOR, rel=0.05)
+    assert found.gain == pytest.approx(bar_calibration.CLOSING_GAIN, rel=0.1)

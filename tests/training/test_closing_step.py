@@ -66,6 +66,7 @@ def test_what_is_off_comes_right(room, off):
             assert found.kept > 0.5, found
             assert "corrected by" in found.sentence()
             assert float(correction.information.sum()) > 0.0
+            assert (correction.scales > 0.0).all()
             correction.reopen()
         assert counters.samples > 1 << 20
         left = (mean_roughness(room) - before) / off
