@@ -21,7 +21,7 @@ from neurad.metrics.pixel_derivatives import PixelDerivatives
 from neurad.optim.level_factors import LevelFactors
 
 LARGEST = 2.0
-"""Largest factor: coarse levels take over what fine ones, of which less is kept, knew of whole regions."""
+"""Largest factor: decay shrinks levels that photographs would have larger."""
 SPREAD = 0.2
 """Spread of the factors around 1 before the pixels are asked; it decides where they say nothing."""
 ROUNDS, STEP = (1, 2, 2), 0.02

@@ -16,8 +16,8 @@ from neurad.fields.hash_grid import HashGrid
 
 
 class LevelFactors(nn.Module):
-    """Factors [levels] of every hash grid in a module, ones at first. Results show them; training goes on from tables
-    that they are folded into, see :meth:`fold`.
+    """Factors [levels] of every hash grid in a module, ones at first. Results show them; training goes on with those
+    below 1, see :meth:`shrink`.
 
     Args:
         part: the module whose grids they belong to.
@@ -57,16 +57,16 @@ class LevelFactors(nn.Module):
             self._multiply(self._grids[name], self._grids[name].table, factors)
 
     @torch.no_grad()
-    def fold(self, parameters: Sequence[Tensor], averages: Sequence[Tensor]) -> None:
-        """Multiply the grids' tables among ``parameters`` and their ``averages`` by the factors, for good, and make
-        these 1.
+    def shrink(self, parameters: Sequence[Tensor], averages: Sequence[Tensor]) -> None:
+        """Multiply the grids' tables among ``parameters`` and their ``averages`` by the factors below 1, for good, and
+        make these 1.
         """
         for name, factors in self.items():
             grid = self._grids[name]
             at = next(i for i, values in enumerate(parameters) if values is grid.table)
             for values in (grid.table, averages[at]):
-                self._multiply(grid, values, factors)
-            factors.fill_(1.0)
+                self._multiply(grid, values, factors.clamp(max=1.0))
+            factors.clamp_(min=1.0)
 
     @staticmethod
     def _multiply(grid: HashGrid, table: Tensor, factors: Tensor) -> None:

@@ -62,12 +62,11 @@ class PolyakAverage(nn.Module):
             self.levels.scale()
 
     @torch.no_grad()
-    def fold_levels(self) -> None:
-        """Go on from tables times their factors. Those below 1 take out noise, which training would learn again only
-        slowly where few pixels show a place, and signal, which comes back; those above 1 give coarse levels what of the
-        signal fine ones had.
+    def shrink(self) -> None:
+        """Go on from tables of which the factors below 1 are a part: what they take out is noise, which training would
+        learn again only slowly where few pixels show a place, and signal, which comes back.
         """
-        self.levels.fold(self._parameters_of, self._means())
+        self.levels.shrink(self._parameters_of, self._means())
 
     @contextmanager
     def used(self, whole: bool = False) -> Iterator[None]:

@@ -57,7 +57,7 @@ from neurad.training.optimizers import make_optimizers
 from neurad.training.schedule import fraction_done
 from neurad.training.shining_meshes import shining_meshes
 from neurad.training.step import Counters, TrainingStep
-from neurad.training.validation import fold_levels, is_due, said, update_levels
+from neurad.training.validation import is_due, said, shrink_levels, update_levels
 
 
 class InverseRenderer(L.LightningModule):
@@ -287,7 +287,7 @@ class InverseRenderer(L.LightningModule):
             self._make_closing_step(done.seconds_by_time)
         if progress < 1.0 and is_due(self.iteration):  # from then on rates are too low to bring signal back
             assert self.training_views is not None
-            fold_levels(self.assembly, self.training_views, self.photographs, self.iteration)
+            shrink_levels(self.assembly, self.training_views, self.photographs, self.iteration)
         return loss
 
     def update_levels(self) -> str | None:

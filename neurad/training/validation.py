@@ -29,7 +29,7 @@ def is_due(iteration: int) -> bool:
     return iteration == FIRST or (iteration > 0 and iteration % EVERY == 0)
 
 
-def fold_levels(assembly: Assembly, views: TrainingViews, photographs: PhotoSource, iteration: int) -> None:
+def shrink_levels(assembly: Assembly, views: TrainingViews, photographs: PhotoSource, iteration: int) -> None:
     """Let training go on from what every other one of the pixels that no batch draws confirms of each level, the even
     and the odd ones in turn: half of the cost, and what one half does not tell surely the next may.
     """
@@ -38,7 +38,7 @@ def fold_levels(assembly: Assembly, views: TrainingViews, photographs: PhotoSour
         return
     half = torch.arange(iteration // EVERY % 2, len(batch.view), 2)
     _fit(assembly, views, batch.picked(half.to(batch.view.device)), iteration, groups=1)
-    assembly.average.fold_levels()
+    assembly.average.shrink()
 
 
 def update_levels(

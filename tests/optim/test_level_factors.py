@@ -45,7 +45,7 @@ def test_features_scale_with_their_level():
 
 
 def test_training_goes_on_from_what_is_kept_and_results_stay():
-    """Factors become part of tables and averages, of both fields; what is shown is what it was."""
+    """Factors below 1 become part of tables and averages, of both fields; what is shown is what it was."""
     part = grid()
     part["roughness"] = HashGrid(2, 2, 4, log2_size=6)
     average = PolyakAverage(part, 0.1)
@@ -60,11 +60,11 @@ def test_training_goes_on_from_what_is_kept_and_results_stay():
             return [p.detach().clone() for p in part.parameters()]
 
     before, trained = shown(), [p.detach().clone() for p in part.parameters()]
-    average.fold_levels()
-    assert [factors.tolist() for _, factors in average.levels.items()] == [[1.0, 1.0, 1.0], [1.0, 1.0]]
+    average.shrink()
+    assert [factors.tolist() for _, factors in average.levels.items()] == [[2.0, 1.0, 1.0], [1.0, 1.0]]
     for old, new in zip(before, shown(), strict=True):
         torch.testing.assert_close(new, old)
-    for field, table, kept in zip(part.values(), trained, ((2.0, 0.5, 0.25), (0.75, 1.0)), strict=True):
+    for field, table, kept in zip(part.values(), trained, ((1.0, 0.5, 0.25), (0.75, 1.0)), strict=True):
         for (_, _, first, entries), factor in zip(field.level_table.tolist(), kept, strict=True):
             now = field.table.detach()[first : first + entries]
             torch.testing.assert_close(now, factor * table[first : first + entries])
