@@ -37,7 +37,9 @@ def shrink_levels(assembly: Assembly, views: TrainingViews, photographs: PhotoSo
     if assembly.average is None or batch is None:
         return
     half = torch.arange(iteration // EVERY % 2, len(batch.view), 2)
-    _fit(assembly, views, batch.picked(half.to(batch.view.device)), iteration, groups=1)
+    found = _fit(assembly, views, batch.picked(half.to(batch.view.device)), iteration, groups=1)
+    clear = [fit.factors if fit.is_clear else torch.ones_like(fit.factors) for fit in found or []]
+    assembly.average.levels.set(clear or None)
     assembly.average.shrink()
 
 

@@ -5,6 +5,7 @@ from types import SimpleNamespace
 import torch
 
 from neurad.core.records import PixelBatch
+from neurad.metrics.validation import LevelFit
 from neurad.training import validation
 from neurad.training.validation import EVERY, FIRST, is_due, shrink_levels
 
@@ -13,16 +14,48 @@ def test_when_levels_are_shrunk():
     assert [i for i in range(3 * EVERY + 1) if is_due(i)] == [FIRST, EVERY, 2 * EVERY, 3 * EVERY]
 
 
+class Shrunk:
+    """In place of the averages: the factors that training went on from, turn by turn."""
+
+    def __init__(self):
+        self.levels, self.turns = SimpleNamespace(set=self.take), []
+
+    def take(self, factors):
+        self.factors = factors
+
+    def shrink(self):
+        self.turns.append(self.factors)
+
+
+def turns_of(batch, turns=(4, 5)):
+    average = Shrunk()
+    for turn in turns:
+        photographs = SimpleNamespace(validation_batch=lambda: batch)
+        shrink_levels(SimpleNamespace(average=average), None, photographs, turn * EVERY)
+    return average.turns
+
+
+def pixels(count):
+    pixel = torch.arange(count)
+    return PixelBatch(0 * pixel, pixel, torch.zeros(count, 3), torch.ones(count), 0)
+
+
 def test_halves_of_the_pixels_take_turns(monkeypatch):
     """Two turns together ask every pixel once, and each of them shrinks; without such pixels nothing happens."""
-    asked, shrunk = [], []
+    asked = []
     monkeypatch.setattr(validation, "_fit", lambda a, v, batch, iteration, groups: asked.append(batch.pixel.tolist()))
-    pixel = torch.arange(7)
-    batch = PixelBatch(0 * pixel, pixel, torch.zeros(7, 3), torch.ones(7), 0)
-    assembly = SimpleNamespace(average=SimpleNamespace(shrink=lambda: shrunk.append(len(asked))))
-    for turn in (4, 5):
-        shrink_levels(assembly, None, SimpleNamespace(validation_batch=lambda: batch), turn * EVERY)
+    assert turns_of(pixels(7)) == [None, None]
     assert asked == [[0, 2, 4, 6], [1, 3, 5]]
-    assert shrunk == [1, 2]
-    shrink_levels(assembly, None, SimpleNamespace(validation_batch=lambda: None), EVERY)
-    assert len(asked) == len(shrunk) == 2
+    assert turns_of(None) == []
+    assert len(asked) == 2
+
+
+def test_training_goes_on_from_clear_factors_alone(monkeypatch):
+    """A field whose gain is within two standard errors keeps its levels whole, though results show what was found."""
+    factors = torch.tensor([1.0, 0.5])
+    found = [LevelFit(factors, gain=3.0, error=1.0), LevelFit(factors, gain=1.0, error=1.0)]
+    assert [fit.holds for fit in found] == [True, True]
+    monkeypatch.setattr(validation, "_fit", lambda *_, **__: found)
+    ((clear, unclear),) = turns_of(pixels(4), turns=(1,))
+    assert clear.tolist() == [1.0, 0.5]
+    assert unclear.tolist() == [1.0, 1.0]
