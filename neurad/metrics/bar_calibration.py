@@ -36,7 +36,7 @@ _GAINS = np.geomspace(1e-3, 1.0, 41)
 POWER = 0.75
 """Of the information at a closing step. With 0.7 to 0.8 bars of three rooms cover alike in each sixth of them by
 information; with 1 those that claim most are too narrow."""
-ASKED = 0.3
+ASKED = 0.4
 """Of the squared error, what products of halves are taken to have in the mean at a closing step: pixels ask for half of
 what a roughness is off by, since their response is not linear and albedo and light have made up for some of it. Between
 0.1 and 0.5 in the fits where it was measured."""
