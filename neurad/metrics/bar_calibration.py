@@ -36,7 +36,7 @@ _GAINS = np.geomspace(1e-3, 1.0, 41)
 POWER = 0.75
 """Of the information at a closing step. With 0.7 to 0.8 bars of three rooms cover alike in each sixth of them by
 information; with 1 those that claim most are too narrow."""
-ASKED = 0.4
+PRODUCT_SHARE = 0.4
 """Of the squared error, what products of halves are taken to have in the mean at a closing step: pixels ask for half of
 what a roughness is off by, since their response is not linear and albedo and light have made up for some of it. Between
 0.1 and 0.5 in the fits where it was measured."""
@@ -61,8 +61,19 @@ class RoughnessBars:
 
     def variance(self, information: Float64Array) -> Float64Array:
         """Variance of the roughness by ``information`` in units of 1 / variance, which is noise where it is below 0."""
-        known = np.maximum(information, 0.0) ** self.power
-        return np.asarray(1.0 / (self.gain * known + 1.0 / self.prior**2))
+        return _variance(information, self.gain, self.prior, self.power)
+
+
+def _variance(
+    information: Float64Array, gain: float | Float64Array, prior: float | Float64Array, power: float
+) -> Float64Array:
+    """:meth:`RoughnessBars.variance` of scales that broadcast with the information."""
+    return np.asarray(1.0 / (gain * np.maximum(information, 0.0) ** power + 1.0 / np.square(prior)))
+
+
+def _unusual(values: Float64Array, usual: float, factor: float) -> Float64Array:
+    """The cost of values that are not the usual one: 1 where they differ from it by ``factor``."""
+    return np.asarray(np.square(np.log(values / usual) / np.log(factor)))
 
 
 def calibrate(
@@ -122,7 +133,7 @@ def _gain(information: Float64Array, gradient: Float64Array, scatter: float, all
     expected = [slope * RoughnessBars(gain, PRIOR).variance(all_pixels) for gain in (USUAL_GAIN, *_GAINS)]
     squares = [float(np.square(product - mean).sum()) for mean in expected]
     dispersion = max(squares[0] / max(len(product), 1), 1.0)  # residuals have longer tails than the variance above has
-    costs = np.array(squares[1:]) / dispersion + np.square(np.log(_GAINS / USUAL_GAIN) / np.log(FACTOR))
+    costs = np.array(squares[1:]) / dispersion + _unusual(_GAINS, USUAL_GAIN, FACTOR)
     return float(_GAINS[int(np.argmin(costs))])
 
 
@@ -134,20 +145,23 @@ def calibrate_at_closing(information: Float64Array, gradient: Float64Array, arou
         gradient: what they ask for times that [2, m].
         around: information of all pixels around each patch, which the bars are made of [m].
     """
-    told = (information > 0).all(0)
-    edges = np.quantile(around[told], np.linspace(0.0, 1.0, LEVELS + 1)[1:-1]) if told.any() else np.empty(0)
-    level = np.searchsorted(edges, around[told])
-    asked, weight, patches, logarithm = (
-        np.bincount(level, values, LEVELS)
-        for values in (gradient.prod(0)[told], information.prod(0)[told], np.ones(told.sum()), np.log1p(around[told]))
+    both = (information > 0).all(0)
+    information, gradient, around = information[:, both], gradient[:, both], around[both]
+    # ---------------------- Mean squared error of patches of like information ----------------------
+
+    edges = np.quantile(around, np.linspace(0.0, 1.0, LEVELS + 1)[1:-1]) if both.any() else np.empty(0)
+    level = np.searchsorted(edges, around)
+    products, weight, logarithm = (
+        np.bincount(level, values, LEVELS) for values in (gradient.prod(0), information.prod(0), np.log1p(around))
     )
     some = weight > 0
-    square = asked[some] / weight[some] / ASKED  # of the error [levels]
-    deviation = 1.0 / np.sqrt(weight[some]) / ASKED
-    known = np.expm1(logarithm[some] / patches[some]) ** POWER
-    curve = 1.0 / (_CLOSING_GAINS[:, None] * known + 1.0 / np.square(_PRIORS[:, None, None]))  # [priors, gains, levels]
+    square = products[some] / weight[some] / PRODUCT_SHARE  # [levels]
+    deviation = 1.0 / np.sqrt(weight[some]) / PRODUCT_SHARE
+    middle = np.expm1(logarithm[some] / np.bincount(level, minlength=LEVELS)[some])
+    # ---------------------- The curve that fits it best ----------------------
+
+    curve = _variance(middle, _CLOSING_GAINS[:, None], _PRIORS[:, None, None], POWER)  # [priors, gains, levels]
     costs = (np.square(square - curve) / (np.square(deviation) + np.square(MODEL_ERROR * curve))).sum(-1)
-    costs += np.square(np.log(_PRIORS / PRIOR) / np.log(PRIOR_FACTOR))[:, None]
-    costs += np.square(np.log(_CLOSING_GAINS / CLOSING_GAIN) / np.log(CLOSING_FACTOR))
+    costs += _unusual(_PRIORS, PRIOR, PRIOR_FACTOR)[:, None] + _unusual(_CLOSING_GAINS, CLOSING_GAIN, CLOSING_FACTOR)
     prior, gain = np.unravel_index(int(np.argmin(costs)), costs.shape)
     return RoughnessBars(float(_CLOSING_GAINS[gain]), float(_PRIORS[prior]), POWER)

@@ -74,7 +74,7 @@ def test_factors_that_photographs_show_are_found(glossy):
 
 def test_fields_that_are_right_are_left_alone():
     """Noise alone: what fits one half of the pixels raises the loss of the other in the mean. Of 48 fits 3 hold by
-    chance, so more than 5 of 16 do once in 3000 times, and they change next to nothing."""
+    chance, and change next to nothing; more than three of 16 are clear, at 2 sigma, once in 3000 times (2.3 % each)."""
     materials = fields(glossy=True)
     fits = [
         fit
@@ -83,7 +83,8 @@ def test_fields_that_are_right_are_left_alone():
             photographed(materials, ((1.0,) * 3,) * 2, 0.3, seed), materials, LevelFactors(materials), 1e-3
         )
     ]
-    assert sum(fit.holds for fit in fits) <= 5
+    assert sum(fit.holds for fit in fits) <= 3
+    assert sum(fit.is_clear for fit in fits) <= 3
     assert all(float((fit.factors - 1.0).abs().max()) < 0.1 for fit in fits)
     assert all(fit.holds or bool((fit.factors == 1.0).all()) for fit in fits)
 
