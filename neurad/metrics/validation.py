@@ -28,6 +28,9 @@ ROUNDS, STEP = (1, 2, 2), 0.02
 """Gauss-Newton steps with each set of derivatives by the factors, and the difference of factors that these are of."""
 SIGMAS = 2.0
 """Factors are clear if they lower the loss of pixels that they were not fitted to by so many standard errors."""
+SHOWN = 0.0, SIGMAS
+"""The same for results to show factors of the albedo and of the roughness. Wrong ones of the albedo cost little, and
+noise that is shown whole half a dB and more; roughness has less noise, and wrong factors cost up to half a dB of it."""
 
 
 class FittedFields(Protocol):
@@ -48,13 +51,8 @@ class LevelFit:
     were fitted to the other half."""
     error: float
     """Standard error of that."""
-
-    @property
-    def holds(self) -> bool:
-        """Whether the factors lower the loss: then results show them. They cost little where they are wrong, and noise
-        that is shown whole costs half a dB.
-        """
-        return self.gain > 0.0
+    holds: bool
+    """Whether the factors are others than 1, for results to show, see :data:`SHOWN`."""
 
     @property
     def is_clear(self) -> bool:
@@ -80,25 +78,28 @@ def fit_levels(
         odd = torch.from_numpy(pixels.odd).to(response.device)
         found: list[LevelFit] = []
         for _ in range(2):
-            for index in range(len(factors)):
-                found[index : index + 1] = [_cross_validated(response, factors, index, odd)]
+            for index, sigmas in zip(range(len(factors)), SHOWN, strict=False):
+                found[index : index + 1] = [_cross_validated(response, factors, index, odd, sigmas)]
                 factors[index] = found[index].factors
             if not any(fit.holds for fit in found[1:]):
                 break  # otherwise again: what one field has explained by now, the other need not
     return found
 
 
-def _cross_validated(response: _Response, factors: list[Tensor], index: int, odd: Tensor) -> LevelFit:
-    """The factors of one field, those of the others as they are, if pixels confirm what others have said."""
-    start = response.losses(factors)  # [b]
+def _cross_validated(response: _Response, factors: list[Tensor], index: int, odd: Tensor, sigmas: float) -> LevelFit:
+    """The factors of one field, those of the others as they are, if pixels confirm what others have said by so many
+    standard errors.
+    """
+    ones = torch.ones_like(factors[index])
+    start = response.losses(_with(factors, index, ones))  # [b]
     first, second, whole = _fitted(response, factors, index, (odd, ~odd, torch.ones_like(odd)))
     off = torch.zeros_like(start)
     for half, fitted in ((odd, first), (~odd, second)):
         off += torch.where(half, 0.0, start - response.losses(_with(factors, index, fitted)))
     off = off.double()
     gain, error = float(off.mean()), float(off.std()) / max(len(off), 1) ** 0.5
-    kept = LevelFit(torch.ones_like(factors[index]), gain, error)
-    return LevelFit(whole, gain, error) if kept.holds else kept
+    holds = gain > sigmas * error
+    return LevelFit(whole if holds else ones, gain, error, holds)
 
 
 def _with(factors: list[Tensor], index: int, of_field: Tensor) -> list[Tensor]:

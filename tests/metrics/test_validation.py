@@ -7,7 +7,7 @@ import torch
 from neurad.fields.material import AlbedoField, RoughnessField
 from neurad.fields.settings import FieldConfig, GridConfig, RoughnessConfig
 from neurad.metrics.pixel_derivatives import PixelDerivatives
-from neurad.metrics.validation import fit_levels
+from neurad.metrics.validation import _cross_validated, _Response, fit_levels
 from neurad.optim.level_factors import LevelFactors
 
 GRID = GridConfig(levels=3, coarsest=2, finest=12, log2_size=12)
@@ -70,6 +70,19 @@ def test_factors_that_photographs_show_are_found(glossy):
         assert fit.holds
         assert fit.factors.tolist() == pytest.approx(list(true), abs=0.04)
     assert all(bool((factors == 1.0).all()) for _, factors in levels.items())
+
+
+def test_a_field_that_is_asked_again_is_judged_by_the_same():
+    """Factors that it had from the first time do not become what others have to be better than."""
+    materials = fields(glossy=False)
+    levels, pixels = LevelFactors(materials), photographed(materials, TRUE, 0.02)
+    with torch.no_grad():
+        response = _Response(pixels, materials, levels, 1e-3)
+        first = _cross_validated(response, [torch.ones(3)], 0, torch.from_numpy(pixels.odd), 0.0)
+        again = _cross_validated(response, [first.factors], 0, torch.from_numpy(pixels.odd), 0.0)
+    assert first.is_clear
+    assert (again.gain, again.error) == (first.gain, first.error)
+    assert torch.equal(again.factors, first.factors)
 
 
 def test_fields_that_are_right_are_left_alone():

@@ -53,7 +53,7 @@ def test_halves_of_the_pixels_take_turns(monkeypatch):
 def test_training_goes_on_from_clear_factors_alone(monkeypatch):
     """A field whose gain is within two standard errors keeps its levels whole, though results show what was found."""
     factors = torch.tensor([1.0, 0.5])
-    found = [LevelFit(factors, gain=3.0, error=1.0), LevelFit(factors, gain=1.0, error=1.0)]
+    found = [LevelFit(factors, 3.0, 1.0, True), LevelFit(factors, 1.0, 1.0, True)]
     assert [fit.holds for fit in found] == [True, True]
     monkeypatch.setattr(validation, "_fit", lambda *_, **__: found)
     ((clear, unclear),) = turns_of(pixels(4), turns=(1,))
