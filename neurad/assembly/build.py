@@ -26,7 +26,7 @@ from neurad.emitters.fitted import FittedEnvironment
 from neurad.emitters.fitted_lamps import FittedLamps
 from neurad.emitters.lights import Lights, WithPunctual, make_lights
 from neurad.fields.development import FittedDevelopment
-from neurad.fields.material import AlbedoField, Correction, RoughnessField
+from neurad.fields.material import CORRECTION_CELLS, CORRECTION_FACTOR, AlbedoField, Correction, RoughnessField
 from neurad.fields.radiance import RadianceField
 from neurad.fields.settings import FieldConfig, RadianceConfig, RoughnessConfig
 from neurad.integrators.delta import DeltaSurfaces
@@ -129,12 +129,12 @@ def build_materials(
     default all triangles.
     """
     region = region or Region(scene.bounds)
-    bounds = torch.from_numpy(region.bounds)
+    bounds, cells = torch.from_numpy(region.bounds), region.cells(CORRECTION_CELLS, CORRECTION_FACTOR)
     materials = FittedMaterials(
         AlbedoField(region.stretched(albedo), bounds, contracted=region.contracted),
         None
         if scene.features.is_diffuse
-        else RoughnessField(region.stretched(roughness), bounds, contracted=region.contracted),
+        else RoughnessField(region.stretched(roughness), bounds, None, region.contracted, cells),
     )
     if geometry is not None:
         know_lamps(materials, scene, geometry)

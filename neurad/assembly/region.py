@@ -56,13 +56,17 @@ class Region:
         return float(np.linalg.norm(self.bounds[1] - self.bounds[0])) / 2
 
     def stretched(self, config: Config) -> Config:
-        """``config`` with its cells counted over the whole unit cube, of which the region may take the middle only."""
+        """``config`` with its cells counted over the whole unit cube."""
         if not self.contracted or config.kind != "hash" or config.grid.finest is None:
             return config
-        coarsest, finest = (
-            min(round(x / (1.0 - 2.0 * SHELL)), 1 << 20) for x in (config.grid.coarsest, config.grid.finest)
-        )
+        coarsest, finest = (min(self.cells(x), 1 << 20) for x in (config.grid.coarsest, config.grid.finest))
         return replace(config, grid=replace(config.grid, coarsest=coarsest, finest=finest))
+
+    def cells(self, count: int, multiple: int = 1) -> int:
+        """``count`` cells along the region in cells of the whole unit cube, of which it may take the middle only; a
+        multiple of a number.
+        """
+        return multiple * round(count / (1.0 - 2.0 * SHELL) / multiple) if self.contracted else count
 
     def sentence(self, scene: Scene) -> str | None:
         """What the grids leave out of a scene, or None if that is nothing."""

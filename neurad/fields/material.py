@@ -18,26 +18,32 @@ from neurad.scene.textures import OnEmitters
 MIN_ROUGHNESS = 0.02
 """Smallest fitted roughness: below it a highlight is narrower than a pixel and its gradient is all noise."""
 
-CORRECTION_CELLS = 64
-"""Cells along the unit cube of what a closing step adds to the roughness."""
+CORRECTION_CELLS, CORRECTION_FACTOR = 64, 8
+"""Cells along the region of what a closing step adds to the roughness, and how many times as many they are as on the
+coarsest of the grids that it looks on."""
 
 
 class Correction(nn.Module):
-    """What is added to a field [n, 1] at positions in the unit cube [n, 3]: nothing at first. No optimizer has it."""
+    """What is added to a field [n, 1] at positions in the unit cube [n, 3]: nothing at first. No optimizer has it.
+
+    Args:
+        cells: along the unit cube.
+    """
 
     made: Tensor
     information: Tensor
-    """1 / variance that the photographs leave to the roughness in the cells [64, 64, 64], the axes those of positions;
-    0 where they tell nothing, and everywhere before the step or in a checkpoint of an older version."""
+    """1 / variance that the photographs leave to the roughness in the cells [cells, cells, cells], the axes those of
+    positions; 0 where they tell nothing, and everywhere before the step or in a checkpoint of an older version."""
     scales: Tensor
     """Gain, prior and power by which it becomes error bars, see :mod:`neurad.metrics.bar_calibration`; 0 like it."""
 
-    def __init__(self) -> None:
+    def __init__(self, cells: int = CORRECTION_CELLS) -> None:
         super().__init__()
-        self.grid = DenseGrid(CORRECTION_CELLS + 1, 1)
+        self.cells = cells
+        self.grid = DenseGrid(cells + 1, 1)
         self.grid.table.requires_grad_(False)
         self.register_buffer("made", torch.zeros((), dtype=torch.int64))
-        self.register_buffer("information", torch.zeros((CORRECTION_CELLS,) * 3))
+        self.register_buffer("information", torch.zeros((cells,) * 3))
         self.register_buffer("scales", torch.zeros(3))
         self.done = False
         """Whether the step that adds to it was made."""
@@ -57,9 +63,9 @@ class Correction(nn.Module):
         information: FloatArray | None = None,
         scales: tuple[float, float, float] | None = None,
     ) -> None:
-        """The step was made, and asks for these changes at the nodes [65, 65, 65], the axes those of the positions; for
-        none if None. What it found pixels to tell of the cells [64, 64, 64], and the scales of that, take the place of
-        what was known.
+        """The step was made, and asks for these changes at the nodes [cells + 1, cells + 1, cells + 1], the axes those
+        of the positions; for none if None. What it found pixels to tell of the cells [cells, cells, cells], and the
+        scales of that, take the place of what was known.
         """
         if information is not None:
             self.information.copy_(torch.from_numpy(information))
@@ -141,17 +147,23 @@ class RoughnessField(_MaterialField):
         bounds: smallest and largest corner of what is to be resolved [2, 3].
         known: the values on emitting surfaces, which replace the field's there; None for none.
         contracted: whether what lies outside of the bounds is contracted, not clamped.
+        correction_cells: along the unit cube, of what a closing step adds.
     """
 
     def __init__(
-        self, config: FieldConfig, bounds: Tensor, known: OnEmitters | None = None, contracted: bool = False
+        self,
+        config: FieldConfig,
+        bounds: Tensor,
+        known: OnEmitters | None = None,
+        contracted: bool = False,
+        correction_cells: int = CORRECTION_CELLS,
     ) -> None:
         reads_albedo = isinstance(config, RoughnessConfig) and config.reads_albedo and config.kind == "hash"
         super().__init__(config, UnitCube(bounds, contracted), 1, 3 if reads_albedo else 0, known)
         self.reads_albedo = reads_albedo
         self.correction: Correction | None = None
         if isinstance(config, RoughnessConfig) and config.closing_step and config.kind == "hash":
-            self.correction = Correction()
+            self.correction = Correction(correction_cells)
 
     def at(self, p: Tensor, albedo: Tensor | None = None) -> Tensor:
         """Roughness [n, 1] at positions [n, 3]; outside the bounds as :class:`UnitCube` has it.

@@ -28,8 +28,8 @@ from neurad.metrics.scores import BoolArray, Float64Array
 
 BOX = 5
 """Pixels along the side of the box that instruments are means over."""
-PATCHES, PIXELS_A_PATCH = 128, 12
-"""Patches along the unit cube, each with an albedo of its own; half as many until so many pixels share one."""
+PIXELS_A_PATCH = 4
+"""Fewer in the mean, and patches are larger: each has an albedo of its own, which takes a pixel's worth of evidence."""
 LEAST_VARIANCE = 0.3
 """Of the mean: the least that the residual's variance is taken for."""
 OUTLIER = 2.0
@@ -52,15 +52,15 @@ class Evidence:
     """Change of roughness that each asks for, times :attr:`information` [m]."""
 
 
-def evidence(pixels: PixelMoments, to_cube: ToUnitCube) -> tuple[Evidence, Evidence, Evidence]:
+def evidence(pixels: PixelMoments, to_cube: ToUnitCube, side: int) -> tuple[Evidence, Evidence, Evidence]:
     """Of all pixels, and of two halves of them, the two colours of a chess board, in the same patches.
 
     Args:
         pixels: some of the training pixels.
         to_cube: positions to the unit cube of the fields.
+        side: patches along that, each with an albedo of its own; half as many until pixels suffice.
     """
     x = in_cube(to_cube, pixels.p)
-    side = PATCHES
     patch, count = cells(x, side)
     while side > 2 and len(x) < PIXELS_A_PATCH * count:
         side //= 2

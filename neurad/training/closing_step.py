@@ -21,7 +21,7 @@ import torch
 from neurad.assembly.build import Assembly, FittedMaterials
 from neurad.assembly.training_views import TrainingViews
 from neurad.core.protocols import PhotoSource
-from neurad.fields.material import CORRECTION_CELLS, Correction
+from neurad.fields.material import CORRECTION_FACTOR, Correction
 from neurad.fields.settings import RoughnessConfig
 from neurad.metrics.bar_calibration import RoughnessBars, calibrate_at_closing
 from neurad.metrics.error_bars import in_cells
@@ -52,10 +52,11 @@ TRIED = 1 << 15
 """Pixels that tell how long a pass will take."""
 LEAST_PIXELS, MOST_PIXELS = 256, 1 << 21
 """Fewer say nothing; more would take gigabytes."""
-LEVELS = 8, 16, 32, CORRECTION_CELLS
-STDS = 0.06, 0.06, 0.08, 0.1
-"""Cells along the unit cube, and what is expected of the details there: with 0.8 to 1.4 times as much rooms gain within
-0.06 dB the same, with half as much a third less."""
+LEVELS, STDS = (CORRECTION_FACTOR, 4, 2, 1), (0.06, 0.06, 0.08, 0.1)
+"""Cells of the grid of corrections along one of a level, and what is expected of the details there: with 0.8 to 1.4
+times as much rooms gain within 0.06 dB the same, with half as much a third less."""
+PATCHES = 2
+"""Patches, each with an albedo of its own, along a cell of the grid of corrections."""
 SPREAD = 0.3
 """Of roughness. Patches that know it better than this count alike where halves of the pixels are compared: otherwise
 a few would decide, of which the fit has long known all that there is to know."""
@@ -138,12 +139,13 @@ def make_closing_step(
         moments = look(pixels, groups)
         if moments is None or len(moments) < LEAST_PIXELS:
             return None
-        whole, *halves = evidence(moments, materials.to_unit_cube)
+        whole, first, second = evidence(moments, materials.to_unit_cube, PATCHES * correction.cells)
         counters.samples += len(moments) * moments.groups * together
-        kept = agreement(*halves)
-        values = kept * _solved(whole)
-    information = in_cells(whole.x, whole.information, CORRECTION_CELLS)
-    correction.add(values.astype(np.float32), information, astuple(_scales(whole, *halves)))
+        kept = agreement(first, second, correction.cells)
+        values = kept * _solved(whole, correction.cells)
+    information = in_cells(whole.x, whole.information, correction.cells)
+    scales = _scales(whole, first, second, correction.cells)
+    correction.add(values.astype(np.float32), information, astuple(scales))
     size = float(np.sqrt(np.mean(np.square(_read(values, whole.x)))))
     return ClosingStep(kept, size)
 
@@ -164,39 +166,42 @@ def _seconds_a_pixel(look: Callable[[int, int], object], pixels: int) -> float:
     return max(time.monotonic() - begin, 1e-6) / pixels
 
 
-def agreement(first: Evidence, second: Evidence) -> float:
-    """The factor, from 0 to 1, by which each half's step explains the other half's pixels best."""
+def agreement(first: Evidence, second: Evidence, cells: int) -> float:
+    """The factor, from 0 to 1, by which each half's step, of so many ``cells`` along the unit cube, explains the other
+    half's pixels best.
+    """
     asked = taken = 0.0
     for own, other in ((first, second), (second, first)):
-        step = _read(_solved(own), other.x)
+        step = _read(_solved(own, cells), other.x)
         weight = 1.0 / (1.0 + SPREAD**2 * other.information)
         asked += float((weight * other.gradient * step).sum())
         taken += float((weight * other.information * np.square(step)).sum())
     return min(max(asked / taken, 0.0), 1.0) if taken > 0.0 else 0.0
 
 
-def _scales(whole: Evidence, first: Evidence, second: Evidence) -> RoughnessBars:
+def _scales(whole: Evidence, first: Evidence, second: Evidence, cells: int) -> RoughnessBars:
     """By which error bars are made of the information in the cells of the correction's grid."""
-    around = Nodes.scattered(whole.x, whole.information[:, None], CORRECTION_CELLS).read(whole.x)[:, 0]
+    around = Nodes.scattered(whole.x, whole.information[:, None], cells).read(whole.x)[:, 0]
     information, gradient = (
         np.stack(halves) for halves in ((first.information, second.information), (first.gradient, second.gradient))
     )
     return calibrate_at_closing(information, gradient, around)
 
 
-def _solved(found: Evidence) -> Float64Array:
+def _solved(found: Evidence, cells: int) -> Float64Array:
     """The change at the nodes of the correction's grid. Of photographs so small that patches are larger than the grid's
     cells, details are only looked for that patches can tell; the last of these levels stands for finer ones, too.
     """
-    count = max(1, sum(2 * level <= found.side for level in LEVELS))
+    levels = [cells // coarser for coarser in LEVELS]
+    count = max(1, sum(PATCHES * level <= found.side for level in levels))
     stds = (*STDS[: count - 1], float(np.linalg.norm(STDS[count - 1 :])))
-    values = solve(found.x, found.information, found.gradient, LEVELS[:count], stds)
-    return finer(values, CORRECTION_CELLS // LEVELS[count - 1])
+    values = solve(found.x, found.information, found.gradient, levels[:count], stds)
+    return finer(values, cells // levels[count - 1])
 
 
 def _read(values: Float64Array, x: Float64Array) -> Float64Array:
     """Trilinear values [m] of a grid over the unit cube at positions [m, 3]."""
-    grid = Correction()
+    grid = Correction(len(values) - 1)
     grid.add(values.astype(np.float32))
     found: Float64Array = grid(torch.from_numpy(x.astype(np.float32))).detach().squeeze(-1).double().numpy()
     return found

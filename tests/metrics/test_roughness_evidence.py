@@ -4,10 +4,10 @@ import numpy as np
 import pytest
 
 from neurad.metrics.pixel_moments import PixelMoments
-from neurad.metrics.roughness_evidence import PATCHES, evidence
+from neurad.metrics.roughness_evidence import evidence
 
 SIDE, VIEWS = 48, 6
-CHANGE = 0.08
+CHANGE, PATCHES = 0.08, 128
 
 
 def moments(groups=4, change=CHANGE, noise=0.5, steady=False, derivatives=True, seed=0):
@@ -47,7 +47,7 @@ def cube(p):
 def test_the_change_is_right_where_derivatives_are_noisy():
     """Over 20 draws within four standard errors, while least squares with the noisy derivatives is drawn to zero."""
     draws = [moments(seed=k) for k in range(20)]
-    found = np.array([asked(evidence(draw, cube)[0]) for draw in draws])
+    found = np.array([asked(evidence(draw, cube, PATCHES)[0]) for draw in draws])
     assert abs(found.mean() - CHANGE) < 4 * found.std() / np.sqrt(20) + 0.03 * CHANGE
     assert found.std() < 0.3 * CHANGE
     naive = np.mean([(draw.re.sum() / draw.rr.sum()) for draw in draws])
@@ -57,20 +57,20 @@ def test_the_change_is_right_where_derivatives_are_noisy():
 def test_how_sure_it_is():
     """One over the information of all patches is the variance over 30 draws, within a factor of two: a smooth
     instrument has a part of its noise in common with its neighbours'."""
-    draws = [evidence(moments(seed=k), cube)[0] for k in range(30)]
+    draws = [evidence(moments(seed=k), cube, PATCHES)[0] for k in range(30)]
     scatter = np.var([asked(draw) for draw in draws])
     claimed = np.mean([1.0 / draw.information.sum() for draw in draws])
     assert 0.5 < scatter / claimed < 2.0, (scatter, claimed)
 
 
 def test_nothing_is_known_of_a_steady_sheen_and_of_noise():
-    known = evidence(moments(), cube)[0].information.sum()
-    assert evidence(moments(steady=True), cube)[0].information.sum() < 0.05 * known
-    assert evidence(moments(derivatives=False), cube)[0].information.sum() < 0.1 * known
+    known = evidence(moments(), cube, PATCHES)[0].information.sum()
+    assert evidence(moments(steady=True), cube, PATCHES)[0].information.sum() < 0.05 * known
+    assert evidence(moments(derivatives=False), cube, PATCHES)[0].information.sum() < 0.1 * known
 
 
 def test_halves_are_a_chess_board_and_add_up():
-    whole, first, second = evidence(moments(), cube)
+    whole, first, second = evidence(moments(), cube, PATCHES)
     assert asked(first) == pytest.approx(CHANGE, rel=0.6)
     assert asked(second) == pytest.approx(CHANGE, rel=0.6)
     assert asked(first) != asked(second)

@@ -154,10 +154,10 @@ def test_only_what_halves_confirm_is_kept():
         return Evidence(128, x, information, information * (change + rng.normal(0.0, 1.0 / np.sqrt(information))))
 
     bump = 0.1 * np.sin(30.0 * x[:, 0])
-    assert agreement(half(bump), half(bump)) > 0.6
-    noise = [agreement(half(0.0), half(0.0)) for _ in range(20)]
+    assert agreement(half(bump), half(bump), CORRECTION_CELLS) > 0.6
+    noise = [agreement(half(0.0), half(0.0), CORRECTION_CELLS) for _ in range(20)]
     assert np.mean(noise) < 0.25
-    assert agreement(half(bump), half(-bump)) == 0.0
+    assert agreement(half(bump), half(-bump), CORRECTION_CELLS) == 0.0
 
 
 def test_a_correction_in_the_state(room):
