@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import torch
+from torch import Tensor
 
 from neurad.assembly.build import Assembly, FittedMaterials
 from neurad.assembly.training_views import TrainingViews
@@ -38,9 +39,16 @@ def shrink_levels(assembly: Assembly, views: TrainingViews, photographs: PhotoSo
         return
     half = torch.arange(iteration // EVERY % 2, len(batch.view), 2)
     found = _fit(assembly, views, batch.picked(half.to(batch.view.device)), iteration, groups=1)
-    clear = [fit.factors if fit.is_clear else torch.ones_like(fit.factors) for fit in found or []]
+    clear = [_from_fine(fit.factors) if fit.is_clear else torch.ones_like(fit.factors) for fit in found or []]
     assembly.average.levels.set(clear or None)
     assembly.average.shrink()
+
+
+def _from_fine(factors: Tensor) -> Tensor:
+    """No level below any that is finer: more pixels show each entry of its table, so less of it is noise. What is taken
+    from a coarse level by chance would be signal everywhere.
+    """
+    return factors.flip(0).cummax(0).values.flip(0)
 
 
 def update_levels(

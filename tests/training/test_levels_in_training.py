@@ -59,3 +59,10 @@ def test_training_goes_on_from_clear_factors_alone(monkeypatch):
     ((clear, unclear),) = turns_of(pixels(4), turns=(1,))
     assert clear.tolist() == [1.0, 0.5]
     assert unclear.tolist() == [1.0, 1.0]
+
+
+def test_training_takes_no_more_from_a_level_than_from_finer_ones(monkeypatch):
+    found = [LevelFit(torch.tensor([0.8, 1.1, 0.6, 0.9, 0.5]), 3.0, 1.0, True)]
+    monkeypatch.setattr(validation, "_fit", lambda *_, **__: found)
+    ((factors,),) = turns_of(pixels(4), turns=(1,))
+    torch.testing.assert_close(factors, torch.tensor([1.1, 1.1, 0.9, 0.9, 0.5]))
