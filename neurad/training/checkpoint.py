@@ -66,12 +66,12 @@ def fitting(
         mine = {name: value for name, value in own.items() if name.startswith(prefix)}
         theirs = {name: value for name, value in weights.items() if name.startswith(prefix)}
         alike = theirs and all(name in mine and mine[name].shape == value.shape for name, value in theirs.items())
+        if prefix == CORRECTION and not alike and theirs.get(f"{CORRECTION}made", 0):  # nothing found is dropped
+            if mine:
+                raise InputError(f"{source}: its closing step is of an older version, with other cells; fit anew")
+            raise InputError(f"{source}: its roughness has had a closing step; set model.roughness.closing_step true")
         if prefix in _WITHOUT and mine and not alike and continues:
             print(f"neurad: {source}: {_WITHOUT[prefix]}", file=sys.stderr)
-        if prefix == CORRECTION and not mine and theirs.get(f"{CORRECTION}made", 0):
-            raise InputError(f"{source}: its roughness has had a closing step; set model.roughness.closing_step true")
-        if prefix == CORRECTION and mine and not alike and theirs.get(f"{CORRECTION}made", 0):
-            raise InputError(f"{source}: its closing step is of an older version, with other cells; fit the room anew")
         rest = {name: value for name, value in weights.items() if name not in theirs}
         weights = rest | mine | (theirs if alike else {})  # an older version's may lack some
     checkpoint["state_dict"] = weights

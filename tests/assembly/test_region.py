@@ -13,12 +13,15 @@ from neurad.assembly.region import training_region
 from neurad.cli import main
 from neurad.core.extent import OUTLYING
 from neurad.core.records import Mesh
+from neurad.core.reflection import PrincipledModel
 from neurad.emitters.lights import Lights
+from neurad.fields.material import CORRECTION_CELLS, CORRECTION_FACTOR
 from neurad.fields.settings import FieldConfig, GridConfig
 from neurad.fields.unit_cube import SHELL, UnitCube
 from neurad.runs.model_settings import model_settings
 from neurad.scene.builtin import build_cornell
 from neurad.scene.geometry import Geometry
+from neurad.studies.stress.scenes import with_material
 
 CORNELL = build_cornell()
 
@@ -118,6 +121,19 @@ def test_all_parts_span_the_same_region_and_cells_are_counted_inside_it():
     assert near.region.stretched(config) is config
     dense = FieldConfig(kind="dense")
     assert far.region.stretched(dense) is dense
+
+
+@pytest.mark.parametrize("far", [False, True])
+def test_a_closing_step_has_cells_as_small_as_those_of_the_fields(far):
+    """Whole ones of its coarsest grid, so that every grid divides the finest."""
+    scene = replace(with_triangle(CORNELL, 300.0) if far else CORNELL, environment=None)
+    scene = with_material(scene, PrincipledModel(), 0.4, 0.3)
+    settings = model_settings("scene.yaml")
+    made = assemble(scene, settings)
+    cells, finest = made.correction.cells, made.materials.roughness.grid.level_table[-1, 0]
+    assert cells % CORRECTION_FACTOR == 0
+    assert cells / float(finest) == pytest.approx(CORRECTION_CELLS / settings.roughness.grid.finest, abs=0.05)
+    assert far == (cells > CORRECTION_CELLS)
 
 
 def test_the_environment_is_weighed_by_what_the_region_gets_of_it():

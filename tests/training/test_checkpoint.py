@@ -59,3 +59,15 @@ def test_a_fit_without_a_closing_step_goes_on_to_one(capsys):
     assert kept["state_dict"]["materials.roughness.correction.made"] == 1
     with pytest.raises(InputError, match="closing_step"):  # nothing that was found is dropped
         fitting(kept, {"materials.w": torch.zeros(2)}, SCENE, None)
+
+
+@pytest.mark.parametrize("continues", [False, True])
+def test_a_closing_step_with_other_cells_is_not_dropped(continues, capsys):
+    name = "materials.roughness.correction."
+    own = {f"{name}made": torch.zeros((), dtype=torch.int64), f"{name}grid.table": torch.zeros(27, 1)}
+    old = checkpoint(**{f"{name}made": torch.ones((), dtype=torch.int64), f"{name}grid.table": torch.zeros(8, 1)})
+    with pytest.raises(
+        InputError, match=r"^run r: its closing step is of an older version, with other cells; fit anew$"
+    ):
+        fitting(old, own, SCENE, None, "run r", continues)
+    assert capsys.readouterr().err == ""
