@@ -54,10 +54,10 @@ from neurad.training.gradient_sync import GradientSync, ddp_ignored
 from neurad.training.guard import Guard, keep_in_run_folder
 from neurad.training.objective import make_objective
 from neurad.training.optimizers import make_optimizers
-from neurad.training.schedule import fraction_done
+from neurad.training.schedule import Progress, fraction_done
 from neurad.training.shining_meshes import shining_meshes
 from neurad.training.step import Counters, TrainingStep
-from neurad.training.validation import is_due, said, shrink_levels, update_levels
+from neurad.training.validation import SETTLED, is_due, said, shrink_levels, update_levels
 
 
 class InverseRenderer(L.LightningModule):
@@ -279,7 +279,7 @@ class InverseRenderer(L.LightningModule):
         for optimizer in self._optimizers()[1:]:  # the trainer counts the first one's steps: max_steps are iterations
             optimizer._on_before_step = optimizer._on_after_step = _nothing
         done, correction = fraction_done(self.trainer), self.assembly.correction
-        progress = done.largest if correction is None else progress_before(done, self.assembly.settings.roughness)
+        progress = self._progress(done)
         loss = self.step(batch, progress, self.manual_backward)
         now = correction is not None and (self.processes == 1 or self.iteration % CLOSING_EVERY == 0)
         if now and self.trainer.strategy.broadcast(is_closing(correction, progress)):
@@ -296,7 +296,14 @@ class InverseRenderer(L.LightningModule):
         """
         if self.training_views is None:
             return None
-        return said(update_levels(self.assembly, self.training_views, self.photographs, self.iteration))
+        settled = self._progress(fraction_done(self.trainer)) >= SETTLED
+        return said(update_levels(self.assembly, self.training_views, self.photographs, self.iteration, settled))
+
+    def _progress(self, done: Progress) -> float:
+        """What learning rates go by: 1 or more at the end of the fit, or from its closing step on."""
+        if self.assembly.correction is None:
+            return done.largest
+        return progress_before(done, self.assembly.settings.roughness)
 
     def _make_closing_step(self, seconds: float | None) -> None:
         """Correct the roughness from all training pixels, see :mod:`neurad.training.closing_step`. The first process

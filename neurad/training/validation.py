@@ -19,6 +19,8 @@ LEAST = 64
 """Pixels of which fewer say nothing."""
 GROUPS = 2
 """Of samples in each half of a pixel for what is shown: with one, noise of the samples hides what there is to see."""
+SETTLED = 0.9
+"""Of the way to the end of the learning rates, which are at a fortieth then."""
 WHOLE = 0.95
 """A level of which so much is kept counts as kept whole in what is said."""
 
@@ -39,34 +41,42 @@ def shrink_levels(assembly: Assembly, views: TrainingViews, photographs: PhotoSo
         return
     half = torch.arange(iteration // EVERY % 2, len(batch.view), 2)
     found = _fit(assembly, views, batch.picked(half.to(batch.view.device)), iteration, groups=1)
-    clear = [_from_fine(fit.factors) if fit.is_clear else torch.ones_like(fit.factors) for fit in found or []]
+    clear = [_noise_alone(fit.factors) if fit.is_clear else torch.ones_like(fit.factors) for fit in found or []]
     assembly.average.levels.set(clear or None)
     assembly.average.shrink()
 
 
-def _from_fine(factors: Tensor) -> Tensor:
-    """No level below any that is finer: more pixels show each entry of its table, so less of it is noise. What is taken
-    from a coarse level by chance would be signal everywhere.
+def _noise_alone(factors: Tensor) -> Tensor:
+    """What factors take out of the levels as noise: no factor above 1, and no level's below any that is finer, since
+    more pixels show each entry of its table. What is taken from a coarse level by mistake is signal everywhere.
     """
-    return factors.flip(0).cummax(0).values.flip(0)
+    return factors.flip(0).cummax(0).values.flip(0).clamp(max=1.0)
 
 
 def update_levels(
-    assembly: Assembly, views: TrainingViews, photographs: PhotoSource, iteration: int
+    assembly: Assembly, views: TrainingViews, photographs: PhotoSource, iteration: int, settled: bool
 ) -> list[LevelFit] | None:
     """Fit the factors of the averages' levels to the pixels that no batch draws, and keep them where that helps.
 
-    They do not depend on what they were before. Rays are not counted: the last of these passes is made wherever a run
-    is stopped. None where there are no such pixels or averages, or a field has no levels.
+    While learning rates are high the radiance field is that of the present materials, not of their averages, and coarse
+    levels are asked to make up for that: then only noise is taken out. Factors do not depend on what they were before.
+    Rays are not counted: the last of these passes is made wherever a run is stopped. None where there are no such
+    pixels or averages, or a field has no levels.
 
     Args:
         assembly: of the run.
         views: the training views.
         photographs: of the training views.
         iteration: iterations done, the key of the random numbers.
+        settled: whether learning rates have come down.
     """
     batch = photographs.validation_batch()
-    return None if batch is None else _fit(assembly, views, batch, iteration, GROUPS)
+    if assembly.average is None or batch is None:
+        return None
+    found = _fit(assembly, views, batch, iteration, GROUPS)
+    shown = [fit.factors if settled else _noise_alone(fit.factors) for fit in found or []]
+    assembly.average.levels.set(shown or None)
+    return found
 
 
 def _fit(
@@ -91,7 +101,6 @@ def _fit(
         if pixels is not None and len(pixels) >= LEAST:
             epsilon = assembly.settings.objective.epsilon * views.mean_square_radiance
             found = fit_levels(pixels, materials, average.levels, epsilon)  # type: ignore[arg-type]
-    average.levels.set(None if found is None else [fit.factors for fit in found])
     return found
 
 

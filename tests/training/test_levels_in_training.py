@@ -2,12 +2,13 @@
 
 from types import SimpleNamespace
 
+import pytest
 import torch
 
 from neurad.core.records import PixelBatch
 from neurad.metrics.validation import LevelFit
 from neurad.training import validation
-from neurad.training.validation import EVERY, FIRST, is_due, shrink_levels
+from neurad.training.validation import EVERY, FIRST, is_due, shrink_levels, update_levels
 
 
 def test_when_levels_are_shrunk():
@@ -61,8 +62,17 @@ def test_training_goes_on_from_clear_factors_alone(monkeypatch):
     assert unclear.tolist() == [1.0, 1.0]
 
 
+@pytest.mark.parametrize("settled", [False, True])
+def test_only_noise_is_taken_out_before_rates_have_come_down(monkeypatch, settled):
+    average, asked = Shrunk(), torch.tensor([1.2, 0.7, 0.9, 0.5])
+    monkeypatch.setattr(validation, "_fit", lambda *_, **__: [LevelFit(asked, 3.0, 1.0, True)])
+    photographs = SimpleNamespace(validation_batch=lambda: pixels(4))
+    update_levels(SimpleNamespace(average=average), None, photographs, 100, settled)
+    torch.testing.assert_close(average.factors[0], asked if settled else torch.tensor([1.0, 0.9, 0.9, 0.5]))
+
+
 def test_training_takes_no_more_from_a_level_than_from_finer_ones(monkeypatch):
     found = [LevelFit(torch.tensor([0.8, 1.1, 0.6, 0.9, 0.5]), 3.0, 1.0, True)]
     monkeypatch.setattr(validation, "_fit", lambda *_, **__: found)
     ((factors,),) = turns_of(pixels(4), turns=(1,))
-    torch.testing.assert_close(factors, torch.tensor([1.1, 1.1, 0.9, 0.9, 0.5]))
+    torch.testing.assert_close(factors, torch.tensor([1.0, 1.0, 0.9, 0.9, 0.5]))
