@@ -58,10 +58,10 @@ def update_levels(
 ) -> list[LevelFit] | None:
     """Fit the factors of the averages' levels to the pixels that no batch draws, and keep them where that helps.
 
-    While learning rates are high the radiance field is that of the present materials, not of their averages, and coarse
-    levels are asked to make up for that: then only noise is taken out. Factors do not depend on what they were before.
-    Rays are not counted: the last of these passes is made wherever a run is stopped. None where there are no such
-    pixels or averages, or a field has no levels.
+    While learning rates are high coarse levels are asked for changes that are not right, probably as the radiance field
+    is that of the present materials and not of their averages: then only noise is taken out. Factors do not depend on
+    what they were before. Rays are not counted: the last of these passes is made wherever a run is stopped. None where
+    there are no such pixels or averages, or a field has no levels.
 
     Args:
         assembly: of the run.
@@ -109,7 +109,7 @@ def said(found: list[LevelFit] | None) -> str | None:
     parts = [
         f"{float(fit.factors[-1]):.2f} of {name}'s finest level"
         for name, fit in zip(("albedo", "roughness"), found or [], strict=False)
-        if fit.holds and float(fit.factors[-1]) < WHOLE
+        if float(fit.factors[-1]) < WHOLE
     ]
     if not parts:
         return None

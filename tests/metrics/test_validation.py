@@ -98,6 +98,7 @@ def test_fields_that_are_right_are_left_alone():
         )
     ]
     assert sum(fit.is_clear for fit in fits) <= 3
+    assert all(fit.holds == fit.is_clear for fit in fits[1::2])  # roughness
     assert all(float((fit.factors - 1.0).abs().max()) < 0.1 for fit in fits)
     assert all(fit.holds or bool((fit.factors == 1.0).all()) for fit in fits)
 
