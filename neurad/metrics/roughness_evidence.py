@@ -2,16 +2,19 @@
 
 A residual ``e`` of a pixel is explained by changes ``R dr + D da`` of the roughness and the albedo. Both derivatives
 are estimates with noise, and a least-squares fit to noisy derivatives is drawn to zero. So the equations are multiplied
-by instruments instead (instrumental variables): ``R'`` and ``D'``, the means of ``R`` and ``D`` over 5 x 5 pixels and
-all groups of samples, without what they are multiplied with. These have a twentieth of the noise, and none of it in
-common with ``R``, ``D`` and ``e`` of the pixel, so that sums of products have the right mean whatever the noise. With
-the albedo of each small patch free in every channel,
+by instruments instead (instrumental variables): ``R'`` and ``D'``, the means of ``R`` and ``D`` over the 5 x 5 pixels
+around, without the pixel itself. These have a twenty-fourth of the noise, and none of it in common with ``R``, ``D``
+and ``e`` of the pixel, so that sums of products have the right mean whatever the noise. With the albedo of each small
+patch free,
 
-    F = sum R'R w - (sum R'D w)(sum D'R w) / sum D'D w,   g = sum R'e w - (sum R'D w)(sum D'e w) / sum D'D w,
+    F = sum R'W R - (sum R'W D) (sum D'W D)^-1 (sum D'W R),   g = sum R'W e - (sum R'W D) (sum D'W D)^-1 (sum D'W e),
 
-``w`` = 1 / variance of the residual around the pixel, and the patch asks for ``dr = g / F``. How sure that is follows
-from how its pixels scatter: the variance of ``g`` is the sum of their squared parts, which is larger than ``F``, since
-residuals have long tails. ``F`` and ``g`` are divided by that ratio, measured over patches of like ``F``.
+and the patch asks for ``dr = g / F``. D is a diagonal matrix of the colour channels and W the inverse of the residual's
+covariance around the pixel: noise of light is much the same in all channels, in units of their brightness, while a
+sheen on coloured paint is not, so that differences of the channels tell most (generalised least squares, Aitken 1935).
+How sure the patch is follows from how its pixels scatter: the variance of ``g`` is the sum of their squared parts,
+which can be larger than ``F``, since residuals have long tails. ``F`` and ``g`` are divided by that ratio, measured
+over patches of like ``F``.
 """
 
 from __future__ import annotations
@@ -23,15 +26,21 @@ import numpy as np
 from neurad.core.records import FloatArray, IntArray
 from neurad.metrics.error_bars import ToUnitCube, cells, in_cube
 from neurad.metrics.fisher import FLOOR, per_patch
-from neurad.metrics.pixel_moments import PixelMoments
+from neurad.metrics.pixel_means import PixelMeans
 from neurad.metrics.scores import BoolArray, Float64Array
 
 BOX = 5
-"""Pixels along the side of the box that instruments are means over."""
+"""Pixels along the side of the box that instruments are means over, where all pixels are drawn."""
+COVARIANCE_BOX = 9
+"""The same of the residual's covariance, which has six numbers. With 5 a pixel's own residual is so much of it that
+parts no longer scatter as they should."""
+NEIGHBOURS = 8
+"""Of the pixels, so many should lie in the box; where a part of the pixels is drawn, boxes grow until they do."""
+LARGEST_BOX = 65
 PIXELS_A_PATCH = 4
 """Fewer in the mean, and patches are larger: each has an albedo of its own, which takes a pixel's worth of evidence."""
-LEAST_VARIANCE = 0.3
-"""Of the mean: the least that the residual's variance is taken for."""
+RIDGE = 0.05
+"""Of the covariance of all pixels, added to that around each."""
 OUTLIER = 2.0
 """Parts of single pixels are cut at so many of their standard deviations."""
 RANKS = 20
@@ -52,7 +61,7 @@ class Evidence:
     """Change of roughness that each asks for, times :attr:`information` [m]."""
 
 
-def evidence(pixels: PixelMoments, to_cube: ToUnitCube, side: int) -> tuple[Evidence, Evidence, Evidence]:
+def evidence(pixels: PixelMeans, to_cube: ToUnitCube, side: int) -> tuple[Evidence, Evidence, Evidence]:
     """Of all pixels, and of two halves of them, the two colours of a chess board, in the same patches.
 
     Args:
@@ -74,74 +83,107 @@ def evidence(pixels: PixelMoments, to_cube: ToUnitCube, side: int) -> tuple[Evid
 
 @dataclass(frozen=True)
 class _Pixels:
-    """Products of instruments and estimates [n, 3], each in a pixel and channel."""
+    """Estimates and instruments of pixels."""
 
-    rr: Float64Array
-    rd: Float64Array
-    dr: Float64Array
-    dd: Float64Array
-    re: Float64Array
-    de: Float64Array
-    instruments: tuple[Float64Array, Float64Array]
-    """R' and D' of all groups but one's share of the pixel itself [n, 3]."""
-    weight: Float64Array
-    """[n]."""
+    r: FloatArray
+    """R [n, 3]; D and e likewise."""
+    d: FloatArray
+    e: FloatArray
+    r_instrument: FloatArray
+    """R' [n, 3], and D' likewise."""
+    d_instrument: FloatArray
+    precision: FloatArray
+    """W [n, 3, 3]."""
+    root: Float64Array
+    """Cholesky factor of the residual's covariance over all pixels [3, 3]."""
 
     @classmethod
-    def of(cls, pixels: PixelMoments) -> _Pixels:
-        order = np.argsort(pixels.view, kind="stable")
-        values = np.concatenate((pixels.r, pixels.d, np.square(pixels.e).mean(-1, keepdims=True)), -1)
-        boxed, around = np.empty_like(values), np.empty(len(values), values.dtype)
-        for lanes in np.split(order, np.flatnonzero(np.diff(pixels.view[order])) + 1):
-            boxed[lanes], around[lanes] = _box_sums(values[lanes], pixels.corner[lanes])
-        others = np.maximum(around * pixels.groups - 1.0, 1.0)[:, None]
-        sums = boxed[:, :6] * pixels.groups
+    def of(cls, pixels: PixelMeans) -> _Pixels:
+        views = _by_view(pixels)
+        box = BOX
+        derivatives = np.concatenate((pixels.r, pixels.d), -1)
+        sums, around = _box_sums(derivatives, pixels.corner, views, box)
+        while np.median(around) < NEIGHBOURS and box < LARGEST_BOX:
+            box = 2 * box - 1
+            sums, around = _box_sums(derivatives, pixels.corner, views, box)
+        instruments = (sums - derivatives) / np.maximum(around - 1.0, 1.0)[:, None]
+        # ---------------------- Covariance of the channels ----------------------
 
-        def product(which: slice, with_: FloatArray, own: FloatArray) -> Float64Array:
-            """Mean over the groups of the instrument, without the group itself, times an estimate of the group."""
-            return ((sums[:, which] * with_ - own) / others).astype(np.float64)
-
-        r, d = slice(0, 3), slice(3, 6)
-        variance = boxed[:, 6] / around
-        weight = 1.0 / np.maximum(variance, LEAST_VARIANCE * variance.mean() + 1e-30)
+        pairs = pixels.e[:, _ROWS] * pixels.e[:, _COLUMNS]  # [n, 6]
+        sums, around = _box_sums(pairs, pixels.corner, views, box + COVARIANCE_BOX - BOX)
+        mean = _matrices(pairs.mean(0, dtype=np.float64))
+        mean += (1e-6 * np.trace(mean) + 1e-30) * np.eye(3)
+        precision = np.linalg.inv(_matrices(sums / around[:, None]) + RIDGE * mean).astype(np.float32)
         return cls(
-            product(r, pixels.r, pixels.rr), product(r, pixels.d, pixels.rd), product(d, pixels.r, pixels.rd),
-            product(d, pixels.d, pixels.dd), product(r, pixels.e, pixels.re), product(d, pixels.e, pixels.de),
-            ((sums[:, r] - pixels.r) / others, (sums[:, d] - pixels.d) / others), np.asarray(weight, np.float64),
+            pixels.r, pixels.d, pixels.e, instruments[:, :3], instruments[:, 3:], precision,
+            np.asarray(np.linalg.cholesky(mean), np.float64),
         )  # fmt: skip
 
     def evidence(self, x: Float64Array, side: int, patch: IntArray, count: int, chosen: BoolArray) -> Evidence:
         """Of some of the pixels at ``x`` [n, 3] in ``patch`` [n], of which there are ``count``, and ``side`` along the
         cube.
         """
-        w = np.where(chosen, self.weight, 0.0)[:, None]
-        rr, rd, dr, dd, de = (
-            per_patch(w * value, patch, count) for value in (self.rr, self.rd, self.dr, self.dd, self.de)
-        )
-        dd = dd.clip(0.0) + FLOOR * float(np.median(self.weight))
-        information = (rr - rd * dr / dd).sum(-1)
+        precision = self.precision * chosen[:, None, None]
+        by_r = np.einsum("ni,nij->nj", self.r_instrument, precision)  # R'W [n, 3]
+        by_d = self.d_instrument[:, :, None] * precision  # D'W [n, 3, 3]
+        rr = np.bincount(patch, (by_r * self.r).sum(-1), count).astype(np.float64)
+        rd = per_patch(np.asarray(by_r * self.d, np.float64), patch, count)
+        dr, de = (per_patch(np.einsum("nij,nj->ni", by_d, value), patch, count) for value in (self.r, self.e))
+        dd = per_patch((by_d * self.d[:, None]).reshape(-1, 9), patch, count).reshape(-1, 3, 3)
+        inverse = self._inverse(dd)
+        by_albedo = np.einsum("pi,pij->pj", rd, inverse)
+        information = rr - (by_albedo * dr).sum(-1)
         # ---------------------- What every pixel adds to g ----------------------
 
-        by_albedo, explained = (rd / dd)[patch], (de / dd)[patch]
-        part = (w * (self.re - by_albedo * self.de - explained * (self.rd - by_albedo * self.dd))).sum(-1)
-        free = self.instruments[0] - by_albedo * self.instruments[1]
-        deviation = np.sqrt((w * np.square(free)).sum(-1))
+        explained = np.einsum("pij,pj->pi", inverse, de)
+        free = self.r_instrument - by_albedo[patch] * self.d_instrument
+        weighted = np.einsum("ni,nij->nj", free, precision)
+        part = (weighted * (self.e - explained[patch] * self.d)).sum(-1)
+        deviation = np.sqrt((weighted * free).sum(-1).clip(0.0))
         part = part.clip(-OUTLIER * deviation, OUTLIER * deviation)
         gradient = np.bincount(patch, part, count).astype(np.float64)
         ratio = _excess(information, np.bincount(patch, np.square(part), count).astype(np.float64))
         middle = per_patch(x, patch, count) / np.bincount(patch, minlength=count)[:, None]
         return Evidence(side, middle, information.clip(0.0) / ratio, gradient / ratio)
 
+    def _inverse(self, dd: Float64Array) -> Float64Array:
+        """Of the ``sum D'W D`` of patches [m, 3, 3], but for their noise and with :data:`FLOOR` pixels of brightness 1
+        more.
+        """
+        white = self.root.T @ (0.5 * (dd + dd.transpose(0, 2, 1))) @ self.root
+        power, axes = np.linalg.eigh(white)
+        axes = self.root @ axes
+        return np.asarray(axes / (power.clip(0.0) + FLOOR)[:, None, :] @ axes.transpose(0, 2, 1))
 
-def _box_sums(values: FloatArray, corner: IntArray) -> tuple[FloatArray, FloatArray]:
+
+_ROWS, _COLUMNS = np.triu_indices(3)
+
+
+def _matrices(triangles: FloatArray | Float64Array) -> Float64Array:
+    """Symmetric matrices [..., 3, 3] by their upper triangles [..., 6]."""
+    matrices = np.empty((*triangles.shape[:-1], 3, 3))
+    matrices[..., _ROWS, _COLUMNS] = matrices[..., _COLUMNS, _ROWS] = triangles
+    return matrices
+
+
+def _by_view(pixels: PixelMeans) -> list[IntArray]:
+    """Indices of the pixels of each view."""
+    order = np.argsort(pixels.view, kind="stable")
+    return np.split(order, np.flatnonzero(np.diff(pixels.view[order])) + 1)
+
+
+def _box_sums(values: FloatArray, corner: IntArray, views: list[IntArray], box: int) -> tuple[FloatArray, FloatArray]:
     """Sums [n, c] of the values of a view's pixels over the boxes around them, and how many pixels each box has [n]."""
     from scipy.ndimage import uniform_filter  # imported where it is needed: it loads slowly
 
-    column, row = (corner - corner.min(0)).T
-    image = np.zeros((int(row.max()) + 1, int(column.max()) + 1, values.shape[1] + 1), np.float32)
-    image[row, column, :-1], image[row, column, -1] = values, 1.0
-    sums = uniform_filter(image, (BOX, BOX, 0), mode="constant")[row, column] * np.float32(BOX * BOX)
-    return sums[:, :-1], sums[:, -1]
+    sums, around = np.empty_like(values), np.empty(len(values), values.dtype)
+    for lanes in views:
+        column, row = (corner[lanes] - corner[lanes].min(0)).T
+        image = np.zeros((int(row.max()) + 1, int(column.max()) + 1, values.shape[1] + 1), np.float32)
+        image[row, column, :-1], image[row, column, -1] = values[lanes], 1.0
+        found = uniform_filter(image, (box, box, 0), mode="constant")[row, column] * np.float32(box * box)
+        sums[lanes], around[lanes] = found[:, :-1], np.rint(found[:, -1])
+    return sums, around
 
 
 def _excess(information: Float64Array, variance: Float64Array) -> Float64Array:

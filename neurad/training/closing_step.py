@@ -27,7 +27,7 @@ from neurad.metrics.bar_calibration import RoughnessBars, calibrate_at_closing
 from neurad.metrics.error_bars import in_cells
 from neurad.metrics.nodes import Nodes
 from neurad.metrics.pixel_derivatives import GROUP
-from neurad.metrics.pixel_moments import PixelMoments, pixel_moments
+from neurad.metrics.pixel_means import PixelMeans, pixel_means
 from neurad.metrics.roughness_evidence import Evidence, evidence
 from neurad.metrics.scores import Float64Array
 from neurad.optim.multilevel import finer, solve
@@ -45,7 +45,7 @@ EVERY = 16
 MOST_SAMPLES = 256
 """In a pixel."""
 LARGEST_GROUP = 16
-"""Samples that are stratified together where a pixel has twice as many: they tell a sixth more than in fours."""
+"""Samples that are stratified together at most: sixteen of them tell a sixth more than four times four."""
 SHARE = 0.85
 """Of the time that is left: the equations and iterations at the lowest rates follow."""
 TRIED = 1 << 15
@@ -126,8 +126,8 @@ def make_closing_step(
         together = _group_size(in_pixel)
         groups = max(round(in_pixel / together), 1)
 
-        def look(pixels: int, groups: int) -> PixelMoments | None:
-            return pixel_moments(
+        def look(pixels: int, groups: int) -> PixelMeans | None:
+            return pixel_means(
                 assembly.estimator, views.primary, photographs, views.emitter_mask, counters.iteration, pixels, groups,
                 assembly.settings.seed, views.mean_square_radiance, assembly.development, together,
             )  # fmt: skip
@@ -136,11 +136,11 @@ def make_closing_step(
             possible = SHARE * seconds / _seconds_a_pixel(look, min(pixels, TRIED))
             pixels = max(min(pixels, int(possible)), LEAST_PIXELS)
             groups = max(min(groups, int(possible / pixels)), 1)
-        moments = look(pixels, groups)
-        if moments is None or len(moments) < LEAST_PIXELS:
+        means = look(pixels, groups)
+        if means is None or len(means) < LEAST_PIXELS:
             return None
-        whole, first, second = evidence(moments, materials.to_unit_cube, PATCHES * correction.cells)
-        counters.samples += len(moments) * moments.groups * together
+        whole, first, second = evidence(means, materials.to_unit_cube, PATCHES * correction.cells)
+        counters.samples += len(means) * groups * together
         kept = agreement(first, second, correction.cells)
         values = kept * _solved(whole, correction.cells)
     information = in_cells(whole.x, whole.information, correction.cells)
@@ -151,9 +151,9 @@ def make_closing_step(
 
 
 def _group_size(samples: float) -> int:
-    """How many of a pixel's samples make a group, so that it has two groups where it has two of the smallest."""
+    """How many of a pixel's samples make a group."""
     size = GROUP
-    while 2 * size <= LARGEST_GROUP and 4 * size <= samples:
+    while 2 * size <= min(samples, LARGEST_GROUP):
         size *= 2
     return size
 

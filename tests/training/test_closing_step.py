@@ -52,7 +52,7 @@ def mean_roughness(room):
 
 @pytest.mark.parametrize("off", [0.12, -0.1])
 def test_what_is_off_comes_right(room, off):
-    """Roughness that is off everywhere, with all else as the fit found it: two steps from few pixels, against a prior
+    """Roughness that is off everywhere, with all else as the fit found it: three steps from few pixels, against a prior
     that expects details and no shift of everything, take back a fifth of it at least.
     """
     before = mean_roughness(room)

@@ -1,4 +1,4 @@
-"""What training pixels say of the materials in them over many independent groups of samples: sums of products."""
+"""What training pixels say of the materials in them, means over many samples."""
 
 from __future__ import annotations
 
@@ -23,13 +23,9 @@ _STREAM = 37  # last number of the stream's key
 
 
 @dataclass(frozen=True)
-class PixelMoments:
-    """Means over groups of samples, in units of each pixel's brightness, of its derivative by roughness R, by albedo D
-    and its residual e, and of their products within a group, which hold the noise of the samples.
-    """
+class PixelMeans:
+    """Of pixels, in units of their brightness: derivatives by roughness R and albedo D, and the residual e."""
 
-    groups: int
-    """Independent groups of samples that every mean is over."""
     view: IntArray
     """[n]."""
     corner: IntArray
@@ -39,23 +35,19 @@ class PixelMoments:
     r: FloatArray
     """Derivative by roughness [n, 3]; so are the next ones, a value a channel."""
     d: FloatArray
+    """Derivative by the albedo of the same channel."""
     e: FloatArray
-    rr: FloatArray
-    rd: FloatArray
-    dd: FloatArray
-    re: FloatArray
-    de: FloatArray
+    """Photograph less estimate."""
 
     def __len__(self) -> int:
         return len(self.p)
 
     def __getitem__(self, part: IntArray) -> Self:
         """Some of the pixels."""
-        arrays = {f.name: getattr(self, f.name)[part] for f in fields(self) if f.name != "groups"}
-        return type(self)(self.groups, **arrays)
+        return type(self)(**{f.name: getattr(self, f.name)[part] for f in fields(self)})
 
 
-def pixel_moments(
+def pixel_means(
     estimator: Estimator,
     primary: PrimaryHits,
     photographs: PhotoSource,
@@ -67,8 +59,8 @@ def pixel_moments(
     mean_square_radiance: float,
     develop: Callable[[PixelBatch], PixelBatch] | None = None,
     samples: int = GROUP,
-) -> PixelMoments | None:
-    """Moments of about ``pixels`` training pixels at the present materials; None if no pixel is left.
+) -> PixelMeans | None:
+    """Of about ``pixels`` training pixels at the present materials; None if no pixel is left.
 
     Args:
         estimator: the method with the present materials and radiance field.
@@ -77,11 +69,11 @@ def pixel_moments(
         emitter_mask: pixels that an emitter covers [views, pixels], bool; they are left out.
         first: iteration whose batch is the first one taken.
         pixels: how many.
-        groups: of samples in each pixel.
+        groups: of samples in each pixel, independent of each other.
         seed: of the samples.
         mean_square_radiance: of the photographs.
         develop: corrects the photographs; None leaves them as they are.
-        samples: in a group, which are stratified: more have less noise, but products need two groups or more.
+        samples: in a group, which are stratified together.
     """
     parts = list(
         _parts(
@@ -95,7 +87,7 @@ def pixel_moments(
     # Views of few pixels, and those of which only a part shows a surface, are drawn from more than once.
     view, corner = columns[0], columns[1]
     _, once = np.unique((view * (1 << 20) + corner[:, 1]) * (1 << 20) + corner[:, 0], return_index=True)
-    return PixelMoments(groups, *(column[once] for column in columns))
+    return PixelMeans(*(column[once] for column in columns))
 
 
 def _parts(
@@ -107,7 +99,7 @@ def _parts(
     mean_square_radiance: float,
     develop: Callable[[PixelBatch], PixelBatch] | None,
 ) -> Iterator[list[FloatArray]]:
-    """The arrays of :class:`PixelMoments`, in the order of its fields, a batch at a time; ``size`` is how many groups
+    """The arrays of :class:`PixelMeans`, in the order of its fields, a batch at a time; ``size`` is how many groups
     and how many samples in each.
     """
     groups, samples = size
@@ -134,8 +126,7 @@ def _parts(
 
         kept &= torch.isfinite(torch.cat((d, r, e), -1)).all(-1).all(0)
         corner = primary.views.corner(batch.view, batch.pixel)
-        means = [r, d, e, r * r, r * d, d * d, r * e, d * e]
-        columns = [batch.view, corner, first.p[:, 0], *(value.mean(0) for value in means)]
+        columns = [batch.view, corner, first.p[:, 0], *(value.mean(0) for value in (r, d, e))]
         return [column[kept].cpu().numpy() for column in columns]
 
     # A GPU is kept busy by one thread.
