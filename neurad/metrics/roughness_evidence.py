@@ -128,8 +128,8 @@ class _Pixels:
         by_d = self.d_instrument[:, :, None] * precision  # D'W [n, 3, 3]
         rr = np.bincount(patch, (by_r * self.r).sum(-1), count).astype(np.float64)
         rd = per_patch(np.asarray(by_r * self.d, np.float64), patch, count)
-        dr, de = (per_patch(np.einsum("nij,nj->ni", by_d, value), patch, count) for value in (self.r, self.e))
-        dd = per_patch((by_d * self.d[:, None]).reshape(-1, 9), patch, count).reshape(-1, 3, 3)
+        dr, de = (per_patch((by_d @ value[:, :, None])[..., 0], patch, count) for value in (self.r, self.e))
+        dd = per_patch(np.asarray(by_d * self.d[:, None], np.float64).reshape(-1, 9), patch, count).reshape(-1, 3, 3)
         inverse = self._inverse(dd)
         by_albedo = np.einsum("pi,pij->pj", rd, inverse)
         information = rr - (by_albedo * dr).sum(-1)

@@ -61,7 +61,7 @@ def test_what_is_off_comes_right(room, off):
         correction.add(np.full((CORRECTION_CELLS + 1,) * 3, off, np.float32))
         assert mean_roughness(room) == pytest.approx(before + off, abs=0.01)
         counters = replace(room.training.step.counters, samples=1 << 20)
-        for _ in range(2):
+        for _ in range(3):
             found = step_of(room, counters)
             assert found.kept > 0.5, found
             assert "corrected by" in found.sentence()
