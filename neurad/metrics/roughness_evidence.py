@@ -41,6 +41,8 @@ PIXELS_A_PATCH = 4
 """Fewer in the mean, and patches are larger: each has an albedo of its own, which takes a pixel's worth of evidence."""
 RIDGE = 0.05
 """Of the covariance of all pixels, added to that around each."""
+LEAST = 1e-3
+"""Of that covariance's trace, added to its diagonal: where all is grey, channels do not differ at all."""
 OUTLIER = 2.0
 """Parts of single pixels are cut at so many of their standard deviations."""
 RANKS = 20
@@ -112,7 +114,7 @@ class _Pixels:
         pairs = pixels.e[:, _ROWS] * pixels.e[:, _COLUMNS]  # [n, 6]
         sums, around = _box_sums(pairs, pixels.corner, views, box + COVARIANCE_BOX - BOX)
         mean = _matrices(pairs.mean(0, dtype=np.float64))
-        mean += (1e-6 * np.trace(mean) + 1e-30) * np.eye(3)
+        mean += (LEAST * np.trace(mean) + 1e-30) * np.eye(3)
         precision = np.linalg.inv(_matrices(sums / around[:, None]) + RIDGE * mean).astype(np.float32)
         return cls(
             pixels.r, pixels.d, pixels.e, instruments[:, :3], instruments[:, 3:], precision,
