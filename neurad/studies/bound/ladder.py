@@ -22,7 +22,7 @@ from neurad.runs.load import LoadedRun
 from neurad.scene.textures import TrueMaterials
 from neurad.studies.bound.cells import CellMaterials, SurfaceCells, encode
 from neurad.studies.bound.fields import fit_fields, predicted, training_run
-from neurad.studies.bound.photographs import Predicted, misfit, noise_scale, photo_noise, predict
+from neurad.studies.bound.photographs import Predicted, misfit, noise_covariance, photo_noise, predict
 from neurad.studies.bound.recovery import LOOSE, Photographed, Prior, Recovery, Response, SeenDirectly
 from neurad.studies.bound.sparse import Rows
 from neurad.training.evaluate import GLOSSY_SAMPLES
@@ -274,40 +274,64 @@ class Ladder:
         """
         views, width = len(self.left_out), self.run.scene.train[0].camera.width
         found = self._predicted(self.run.assembly.estimator, spp, width)
-        response = Photographed(found.by_albedo.reshape(-1, 3)[self.kept], found.by_roughness.reshape(-1, 3)[self.kept])
-        other = response.by_albedo**2 * sampling[:, :3] + response.by_roughness**2 * sampling[:, 3:]
-        sigma = self._noise(found, other, (views, -1, width, 3))
-        recovery = self._recovery(response, np.sqrt(sigma**2 + other))
-        drawn = sigma * np.random.default_rng(SEED).standard_normal(sigma.shape, np.float32)
-        exact = recovery.less_mean(seen)
-        noise = self.errors(self.maps_of(recovery(exact + drawn)), regions)
+        by_albedo, by_roughness = (x.reshape(-1, 3)[self.kept] for x in (found.by_albedo, found.by_roughness))
+        response = Photographed.of(by_albedo, by_roughness)
+        # What positions add to a pixel: each channel its own part of the albedo's, all of them the roughness's.
+        positions = (by_roughness[:, :, None] * by_roughness[:, None, :]) * sampling[:, 3:, None]  # [kept, 3, 3]
+        positions += (by_albedo**2 * sampling[:, :3])[:, :, None] * np.eye(3, dtype=np.float32)
+        sigma, shared = self._noise(found, np.einsum("ncc->nc", positions), (views, -1, width, 3))
+        recovery, white = self._whitened(response, sigma, shared, positions)
+        drawn = np.random.default_rng(SEED).standard_normal(sigma.shape, np.float32)
+        drawn = sigma * (drawn @ np.linalg.cholesky(shared).T.astype(np.float32))
+        noise = self.errors(self.maps_of(recovery(recovery.less_mean(seen) + white(drawn))), regions)
         # Who knows that the light is wrong, and by how much around each pixel, trusts photographs less.
         counted = ~self.left_out.cpu().numpy().reshape(views, -1, width)
         wrong = misfit(self.photographs.reshape(*counted.shape, 3), found, counted).reshape(-1, 3)[self.kept]
-        recovery = self._recovery(response, np.sqrt(np.maximum(wrong, sigma**2) + other))
-        values = recovery(exact)
+        variance = np.maximum(wrong, sigma**2 * np.diag(shared))
+        recovery, white = self._whitened(response, np.sqrt(variance / np.diag(shared)), shared, positions)
+        values = recovery(recovery.less_mean(seen))
         photographs = self.photographs.reshape(-1, 3)[self.kept]
         differences = [photographs - picture.reshape(-1, 3)[self.kept] for picture in found.pictures]
-        first, second = (values + recovery(difference, LOOSE) for difference in differences)
+        first, second = (values + recovery(white(difference), LOOSE) for difference in differences)
         # The product of two errors whose samples are independent has no noise of the samples in it.
         half = self.errors(self.maps_of((first + second) * np.float32(0.5)), regions)
         apart = self._spread(self.maps_of(first), self.maps_of(second), regions)
         return noise, {key: half[key] - apart[key] / 4 for key in half}
 
-    def _noise(self, found: Predicted, other: FloatArray, shape: tuple[int, ...]) -> FloatArray:
-        """Standard deviation of the photographs' noise in the pixels that count [kept, 3]; ``other`` is the variance
-        [kept, 3] that positions add.
+    def _whitened(
+        self, response: Photographed, sigma: FloatArray, shared: FloatArray, positions: FloatArray
+    ) -> tuple[Recovery, Callable[[FloatArray], FloatArray]]:
+        """The estimate from sums of the channels whose noise is independent and of variance 1, and what makes them of
+        radiance [kept, 3]. Noise has the deviation ``sigma`` [kept, 3] times the root of ``shared`` [3, 3], positions
+        add ``positions`` [kept, 3, 3].
+        """
+        covariance = sigma[:, :, None] * shared * sigma[:, None, :] + positions
+        channels = np.linalg.inv(np.linalg.cholesky(covariance.astype(np.float64))).astype(np.float32)
+
+        def white(radiance: FloatArray) -> FloatArray:
+            mixed: FloatArray = np.einsum("ncd,nd->nc", channels, radiance)
+            return mixed
+
+        return self._recovery(response.mixed(channels), np.ones_like(sigma)), white
+
+    def _noise(self, found: Predicted, other: FloatArray, shape: tuple[int, ...]) -> tuple[FloatArray, FloatArray]:
+        """Standard deviation of the photographs' noise in the pixels that count [kept, 3], and the covariance of the
+        channels in these units [3, 3]; ``other`` is the variance [kept, 3] that positions add.
         """
         photographs, maps = self.photographs.reshape(shape), self.maps[..., :3].reshape(shape)
         sigma, known = (np.zeros((self.left_out.numel(), 3), np.float32) for _ in range(2))
         pairs = zip(photographs, maps, strict=True)
         sigma[self.kept] = np.stack([photo_noise(*pair) for pair in pairs]).reshape(-1, 3)[self.kept]
         known[self.kept] = other
-        scale = noise_scale(photographs, found, sigma.reshape(photographs.shape), known.reshape(photographs.shape))
-        sigma = np.float32(scale) * sigma[self.kept]
+        shared = noise_covariance(
+            photographs, found, sigma.reshape(photographs.shape), known.reshape(photographs.shape)
+        )
+        sigma = sigma[self.kept]
         light = np.maximum(self.photographs.reshape(-1, 3)[self.kept], 1e-6)
-        self.report(f"noise of the photographs: {100 * float(np.median(sigma / light)):.1f} % (median of all pixels)")
-        return sigma
+        size = 100 * float(np.median(sigma / light)) * float(np.sqrt(shared[0, 0]))
+        common = float(shared[~np.eye(3, dtype=bool)].mean() / shared[0, 0])
+        self.report(f"noise of the photographs: {size:.1f} % (median), correlation of channels {common:.2f}")
+        return sigma, shared
 
     def _predicted(self, estimator: Estimator, spp: int, width: int) -> Predicted:
         primary = self.training.views.primary

@@ -24,6 +24,8 @@ LEAST, MOST = 0.003, 1.0
 """Standard deviations that are taken for a pixel's noise, as fractions of its radiance."""
 TAIL = 30.0
 """Standard deviations at which differences of neighbouring pixels are cut off: fireflies are no part of them."""
+LEAST_SCALE, LEAST_SHARE = 0.1, 1e-3
+"""Least variance that is left of the noise, and least of any sum of channels over the largest."""
 _CHUNK = 1 << 15  # pixels
 
 
@@ -33,7 +35,7 @@ def photo_noise(photograph: FloatArray, albedo: FloatArray) -> FloatArray:
     Light on a surface changes slowly: once a photograph is divided by the true albedo, second differences are noise,
     save at edges. Their median over 5 x 5 pixels, both ways, is little moved by edges and by single outliers, and noise
     is not the same everywhere. A pattern of single pixels that the albedo does not explain is taken for noise, too:
-    :func:`noise_scale` corrects for it.
+    :func:`noise_covariance` corrects for it.
 
     Args:
         photograph: linear radiance [h, w, 3].
@@ -51,9 +53,10 @@ def photo_noise(photograph: FloatArray, albedo: FloatArray) -> FloatArray:
     return sigma
 
 
-def noise_scale(photographs: FloatArray, predicted: Predicted, sigma: FloatArray, known: FloatArray) -> float:
-    """By how much to multiply the noise of :func:`photo_noise`, at most 1: what two predictions with noise of their own
-    agree that neighbouring pixels of the photographs differ by.
+def noise_covariance(photographs: FloatArray, predicted: Predicted, sigma: FloatArray, known: FloatArray) -> FloatArray:
+    """Of the channels' noise in units of that of :func:`photo_noise` [3, 3]: what two predictions with noise of their
+    own agree that neighbouring pixels of the photographs differ by. On its diagonal, the same in all channels, it is at
+    most 1. Off the diagonal is how much of the noise channels share: that of path-traced light nearly all.
 
     Args:
         photographs: [views, h, w, 3].
@@ -61,15 +64,23 @@ def noise_scale(photographs: FloatArray, predicted: Predicted, sigma: FloatArray
         sigma: from :func:`photo_noise` [views, h, w, 3]; 0 in pixels that do not count.
         known: variance of each pixel that is not the photographs' noise but has the same differences [views, h, w, 3].
     """
-    used = (sigma[:, :, 1:] > 0) & (sigma[:, :, :-1] > 0)
-    mean = np.where(used, (sigma[:, :, 1:] + sigma[:, :, :-1]) / 2, 1.0)
+    used = ((sigma[:, :, 1:] > 0) & (sigma[:, :, :-1] > 0)).all(-1)
+    mean = ((sigma[:, :, 1:] + sigma[:, :, :-1]) / 2)[used]  # [n, 3]
     differences = []
     for picture in predicted.pictures.reshape(2, *photographs.shape):
         residual = photographs - picture
-        difference = (residual[:, :, 1:] - residual[:, :, :-1]) / mean
-        differences.append(np.clip(difference, -TAIL, TAIL)[used])
-    other = ((known[:, :, 1:] + known[:, :, :-1]) / 2 / mean**2)[used]
-    return math.sqrt(float(np.clip((differences[0] * differences[1]).mean() / 2 - other.mean(), 0.1, 1.0)))
+        difference = (residual[:, :, 1:] - residual[:, :, :-1])[used] / mean
+        differences.append(np.clip(difference, -TAIL, TAIL).astype(np.float64))
+    other = ((known[:, :, 1:] + known[:, :, :-1]) / 2)[used] / mean**2
+    found = differences[0].T @ differences[1] / (2 * max(len(mean), 1)) - np.diag(other.mean(0))
+    # ---------------------- A scale, and what channels have in common ----------------------
+
+    scale = float(np.clip(np.trace(found) / 3, LEAST_SCALE, 1.0))
+    power, axes = np.linalg.eigh((found + found.T) / 2)
+    shared = (axes * power.clip(LEAST_SHARE * max(power.max(), 1e-12))) @ axes.T
+    deviation = np.sqrt(np.diag(shared))
+    covariance: FloatArray = (scale * shared / np.outer(deviation, deviation)).astype(np.float32)
+    return covariance
 
 
 def misfit(photographs: FloatArray, predicted: Predicted, counted: BoolArray) -> FloatArray:

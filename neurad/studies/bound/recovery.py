@@ -67,28 +67,36 @@ class SeenDirectly:
 class Photographed:
     """Photographs answer: each channel to its albedo and to the roughness."""
 
-    by_albedo: FloatArray
-    """Derivative of each channel by its albedo [n, 3]."""
-    by_roughness: FloatArray
-    """By the roughness [n, 3]."""
+    jacobian: FloatArray
+    """Derivatives of what is observed by albedo and roughness [n, 3, 4]."""
+
+    @classmethod
+    def of(cls, by_albedo: FloatArray, by_roughness: FloatArray) -> Photographed:
+        """Radiance is observed, whose channels answer to their albedo [n, 3] and all to the roughness [n, 3]."""
+        jacobian = np.zeros((len(by_albedo), 3, 4), np.float32)
+        for c in range(3):
+            jacobian[:, c, c] = by_albedo[:, c]
+        jacobian[:, :, 3] = by_roughness
+        return cls(jacobian)
+
+    def mixed(self, channels: FloatArray) -> Photographed:
+        """Sums of the channels are observed instead [n, 3, 3]."""
+        return Photographed(channels @ self.jacobian)
 
     def __call__(self, x: FloatArray) -> FloatArray:
-        """Radiance [n, 3]."""
-        answer: FloatArray = self.by_albedo * x[:, :3] + self.by_roughness * x[:, 3:]
+        """What is observed [n, 3]."""
+        answer: FloatArray = np.einsum("ncm,nm->nc", self.jacobian, x)
         return answer
 
     def transposed(self, y: FloatArray) -> FloatArray:
         """Back to materials [n, 4]."""
-        return np.concatenate((self.by_albedo * y, (self.by_roughness * y).sum(-1, keepdims=True)), -1)
+        found: FloatArray = np.einsum("ncm,nc->nm", self.jacobian, y)
+        return found
 
     def information(self, weight: FloatArray) -> FloatArray:
         """Of the photographs, pixel by pixel."""
-        found = np.zeros((len(weight), 4, 4), np.float32)
-        for c in range(3):
-            found[:, c, c] = weight[:, c] * self.by_albedo[:, c] ** 2
-            found[:, c, 3] = found[:, 3, c] = weight[:, c] * self.by_albedo[:, c] * self.by_roughness[:, c]
-        found[:, 3, 3] = (weight * self.by_roughness**2).sum(-1)
-        return found.reshape(-1, 16)
+        weighted = self.jacobian * weight[:, :, None]
+        return np.ascontiguousarray(self.jacobian.transpose(0, 2, 1) @ weighted).reshape(-1, 16)
 
 
 @dataclass(frozen=True)
