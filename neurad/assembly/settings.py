@@ -100,6 +100,9 @@ class Objective:
     """Weight of the radiance field's own photometric term; 0 leaves it out."""
     epsilon: Positive = 0.01
     """Floor of the relative losses, in units of the mean squared training radiance."""
+    chroma_weight: Positive = 1.0
+    """By how much more the colour channels' differences count than what they share, relative to the normaliser, in the
+    terms that compare with photographs; 1 as in the paper. Noise of path-traced light is nearly grey."""
     firefly_clamp: NonNegative = 0.0
     """Photographs count up to so many times what the radiance field predicts beyond its own value, so that a firefly in
     one does not pull; 0 lets everything through. A bound darkens: what is cut off is lost, highlights too."""

@@ -15,6 +15,7 @@ def leave_one_out_censored(
     censored: Tensor | None,
     control: ControlVariate | None = None,
     groups: int | None = None,
+    chroma: float = 1.0,
 ) -> Loss:
     """:func:`leave_one_out`, one-sided where the photograph is clipped.
 
@@ -29,10 +30,11 @@ def leave_one_out_censored(
         censored: where the target is a lower bound [b, c], bool; None for nowhere.
         control: as in :func:`leave_one_out`.
         groups: as in :func:`leave_one_out`.
+        chroma: as in :func:`leave_one_out`; what is clipped counts by channel.
     """
     if censored is None:
-        return leave_one_out(samples, target, weight, control, groups)
-    exact = leave_one_out(samples, target, weight * ~censored, control, groups)
+        return leave_one_out(samples, target, weight, control, groups, chroma=chroma)
+    exact = leave_one_out(samples, target, weight * ~censored, control, groups, chroma=chroma)
     rows = censored.any(-1).nonzero().squeeze(-1)
     if len(rows) == 0:
         return exact

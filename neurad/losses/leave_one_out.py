@@ -10,7 +10,7 @@ from torch import Tensor
 from torch.autograd.function import once_differentiable
 
 from neurad.losses import leave_one_out_kernels as kernels
-from neurad.losses.relative import Loss
+from neurad.losses.relative import Loss, weighted
 from neurad.runtime.dispatch import use_kernel
 from neurad.runtime.threads import GRAIN, split
 
@@ -63,10 +63,11 @@ def leave_one_out(
     control: ControlVariate | None = None,
     groups: int | None = None,
     use_kernels: bool = True,
+    chroma: float = 1.0,
 ) -> Loss:
     """Relative L2 (paper Eq. 5) of a pixel mean from n >= 2 independent groups of samples, in one pass.
 
-    With ``s_i`` the mean of a group, the gradient is ``(2/n) w sum_i (mean_{j != i} s_j - GT) ds_i``, averaged over
+    With ``s_i`` the mean of a group, the gradient is ``(2/n) sum_i W (mean_{j != i} s_j - GT) ds_i``, averaged over
     pixels and channels.
 
     Args:
@@ -76,6 +77,7 @@ def leave_one_out(
         control: takes noise from samples and residuals; the mean of the gradient stays the same.
         groups: how many; None where every sample is independent of all others.
         use_kernels: let a compiled kernel find the gradient where it can (CPU, float32).
+        chroma: by how much more differences of the channels count, :func:`neurad.losses.relative.weighted`.
 
     Raises:
         ValueError: groups of the samples, or of the control variate, are not as many or not equally long.
@@ -87,7 +89,7 @@ def leave_one_out(
         )
     if use_kernel(use_kernels, samples, differentiable=True):
         deviation = None if control is None else control.deviation
-        return Loss(*_Kernel.apply(samples, deviation, target, weight, control, n))  # type: ignore[no-untyped-call]
+        return Loss(*_Kernel.apply(samples, deviation, target, weight, control, n, chroma))  # type: ignore[no-untyped-call]
     # Mean of the other groups: the residual's independent estimate
     fixed = grouped(samples.detach(), n)  # [b, groups, c]
     others = (fixed.sum(1, keepdim=True) - fixed) / (n - 1)
@@ -100,10 +102,9 @@ def leave_one_out(
 
     # A surrogate with that gradient, and the loss itself
     fixed = samples.detach()
-    residual = others - target.unsqueeze(1)
-    scale = weight.unsqueeze(1)
-    surrogate = (2.0 * scale * residual * samples).mean()
-    value = (scale * residual * (fixed - target.unsqueeze(1))).mean()
+    scaled = weighted(others - target.unsqueeze(1), weight.unsqueeze(1), chroma)
+    surrogate = (2.0 * scaled * samples).mean()
+    value = (scaled * (fixed - target.unsqueeze(1))).mean()
     return Loss(surrogate, value)
 
 
@@ -119,6 +120,7 @@ class _Kernel(torch.autograd.Function):
         weight: Tensor,
         control: ControlVariate | None,
         groups: int,
+        chroma: float,
     ) -> tuple[Tensor, Tensor]:
         by_sample = torch.empty_like(samples, memory_format=torch.contiguous_format)
         light, around, by_deviation = (samples.new_empty(0, 0, 0) for _ in range(3))
@@ -127,7 +129,7 @@ class _Kernel(torch.autograd.Function):
         given = samples, target, weight.expand_as(target), light, around
         arrays = [x.detach().contiguous().numpy() for x in (*given, by_sample, by_deviation)]
         grain = -(-GRAIN // samples.shape[1])
-        parts = split(lambda low, high: kernels.leave_one_out(low, high, groups, *arrays), len(samples), grain)
+        parts = split(lambda low, high: kernels.leave_one_out(low, high, groups, chroma, *arrays), len(samples), grain)
         surrogate, value = (samples.new_tensor(sum(part)) for part in zip(*parts, strict=True))
         ctx.gradients = by_sample, by_deviation
         ctx.mark_non_differentiable(value)
@@ -138,4 +140,4 @@ class _Kernel(torch.autograd.Function):
     def backward(ctx: Any, outer: Tensor, _: Tensor) -> tuple[Tensor | None, ...]:
         by_sample, by_deviation = ctx.gradients
         wanted = ctx.needs_input_grad
-        return outer * by_sample, outer * by_deviation if wanted[1] else None, None, None, None, None
+        return outer * by_sample, outer * by_deviation if wanted[1] else None, None, None, None, None, None

@@ -15,6 +15,7 @@ def leave_one_out(
     low: int,
     high: int,
     groups: int,
+    chroma: float,
     samples: FloatArray,
     target: FloatArray,
     weight: FloatArray,
@@ -26,7 +27,8 @@ def leave_one_out(
     """What pixels ``low .. high - 1`` add to surrogate and loss for ``samples`` [b, n, c], ``target`` and ``weight``
     [b, c]; the surrogate's derivatives are written to ``by_sample`` and ``by_deviation`` [b, n, c].
 
-    ``light`` and ``deviation`` [b, n, c] are a control variate's; empty without one.
+    ``light`` and ``deviation`` [b, n, c] are a control variate's; empty without one. Of the residual relative to the
+    normaliser what channels differ by counts ``chroma`` times.
     """
     pixels, count, channels = samples.shape
     controlled = light.shape[0] > 0
@@ -36,8 +38,12 @@ def leave_one_out(
     unit = 1.0 / (pixels * groups * channels)
     means = np.empty((3, groups), np.float32)
     mean_s, mean_l, mean_z = means[0], means[1], means[2]
+    relative = np.empty((channels, groups), np.float32)
+    own, baseline = np.empty_like(relative), np.empty_like(relative)
+    by_channel, excess = np.float32(chroma), np.float32((chroma - 1.0) / channels)
     surrogate, loss = 0.0, 0.0
     for p in range(low, high):
+        # Residuals by the other groups, relative to the normaliser
         for c in range(channels):
             total_s, total_l, total_z, total_lz = _ZERO, _ZERO, _ZERO, _ZERO
             for i in range(groups):
@@ -52,17 +58,25 @@ def leave_one_out(
                 total_l += mean_l[i]
                 total_z += mean_z[i]
                 total_lz += mean_l[i] * mean_z[i]
-            twice = _TWO * weight[p, c]
+            root = np.sqrt(weight[p, c])
             for i in range(groups):
-                others, baseline = (total_s - mean_s[i]) * rest, (total_l - mean_l[i]) * rest
+                others, light_of_others = (total_s - mean_s[i]) * rest, (total_l - mean_l[i]) * rest
                 others -= ((total_l - mean_l[i]) * (total_z - mean_z[i]) - (total_lz - mean_l[i] * mean_z[i])) * pairs
-                own = mean_s[i] - baseline * mean_z[i]
-                factor = twice * (others - target[p, c])
-                surrogate += factor * own
-                loss += _HALF * factor * (own - target[p, c])
+                relative[c, i] = root * (others - target[p, c])
+                own[c, i] = mean_s[i] - light_of_others * mean_z[i]
+                baseline[c, i] = light_of_others
+        # Gradients
+        for i in range(groups):
+            shared = _ZERO
+            for c in range(channels):
+                shared += relative[c, i]
+            for c in range(channels):
+                factor = _TWO * np.sqrt(weight[p, c]) * (by_channel * relative[c, i] - excess * shared)
+                surrogate += factor * own[c, i]
+                loss += _HALF * factor * (own[c, i] - target[p, c])
                 gradient = np.float32(factor * unit) * inverse_size
                 for k in range(i * of_group, (i + 1) * of_group):
                     by_sample[p, k, c] = gradient
                     if controlled:
-                        by_deviation[p, k, c] = -gradient * baseline
+                        by_deviation[p, k, c] = -gradient * baseline[c, i]
     return surrogate * unit, loss * unit

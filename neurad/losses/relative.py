@@ -24,8 +24,35 @@ class Loss:
     """Scalar estimate of the loss, without gradient, for reports."""
 
 
+def weighted(residual: Tensor, weight: Tensor, chroma: float = 1.0) -> Tensor:
+    """``W r``: half of the gradient of ``r^T W r`` by a residual ``r`` [..., c].
+
+    In units of the normaliser what channels share, their mean, counts once and what they differ by ``chroma`` times:
+
+        W = w^(1/2) (chroma I - (chroma - 1) 1 1^T / c) w^(1/2).
+
+    Noise of path-traced light is much the same in all channels and what is wrong with a colour or a sheen is not, so
+    that differences tell more (generalised least squares, whose W is the inverse of the noise's covariance).
+
+    Args:
+        residual: [..., c].
+        weight: ``1 / (normaliser^2 + eps)`` [..., 1] or [..., c].
+        chroma: above 0; 1 for channels of their own.
+    """
+    if chroma == 1.0:
+        return weight * residual
+    root = weight.sqrt()
+    relative = root * residual
+    return root * (chroma * relative - (chroma - 1.0) * relative.mean(-1, keepdim=True))
+
+
 def two_pass(
-    samples: Tensor, independent: Tensor, target: Tensor, weight: Tensor, censored: Tensor | None = None
+    samples: Tensor,
+    independent: Tensor,
+    target: Tensor,
+    weight: Tensor,
+    censored: Tensor | None = None,
+    chroma: float = 1.0,
 ) -> Loss:
     """Relative L2 of a pixel mean, its residual taken from a second rendering (the paper's way).
 
@@ -35,13 +62,14 @@ def two_pass(
         target: photographed value [b, c].
         weight: as in :func:`leave_one_out`.
         censored: where the target is a lower bound only, see :mod:`neurad.losses.censored` [b, c], bool.
+        chroma: as in :func:`weighted`.
     """
     residual = independent.detach().mean(1) - target
     if censored is not None:
         residual = torch.where(censored, residual.clamp_max(0.0), residual)
     mean = samples.mean(1)
-    surrogate = (2.0 * weight * residual * mean).mean()
-    return Loss(surrogate, (weight * residual * (mean.detach() - target)).mean())
+    scaled = weighted(residual, weight, chroma)
+    return Loss((2.0 * scaled * mean).mean(), (scaled * (mean.detach() - target)).mean())
 
 
 NOISE = 0.05

@@ -189,7 +189,9 @@ class ObjectiveStep:
                 terms["prior_extra_bounce"] = settings.prior, self._prior_extra_bounce(extra, stream)
             if settings.lhs > 0:
                 lhs_weight = relative_weight(predicted, self.epsilon, batch.variance) * counts
-                lhs = leave_one_out_censored(lhs_image, batch.color, lhs_weight, batch.clipped)
+                lhs = leave_one_out_censored(
+                    lhs_image, batch.color, lhs_weight, batch.clipped, chroma=settings.chroma_weight
+                )
                 terms["lhs"] = settings.lhs, lhs
         roughness = surface.roughness if surface.roughness.retains_grad else None
         return StepTerms(materials, terms, self._guide_samples(si, sample), roughness)
@@ -276,8 +278,10 @@ class ObjectiveStep:
         self, batch: PixelBatch, image: Tensor, weight: Tensor, control: ControlVariate | None, stream: Stream
     ) -> Loss:
         """The method's image [b, n, 3] against photographs (Eq. 11, 12), by the estimator of the settings."""
+        chroma = self.settings.chroma_weight
         if self.settings.estimator == "leave_one_out":
-            return leave_one_out_censored(image, batch.color, weight, batch.clipped, control, self.sampling.groups)
+            groups = self.sampling.groups
+            return leave_one_out_censored(image, batch.color, weight, batch.clipped, control, groups, chroma)
         with torch.no_grad():
             first: NonDeltaHit = self.primary(batch, self.sampling.spp, stream)
             surface = self.estimator.materials(first.si)
@@ -285,7 +289,7 @@ class ObjectiveStep:
             other = first.attenuate(self.estimator.world.emitted(first.si) + again).view_as(image)
         if control is not None:
             image = image - control.residual()
-        return two_pass(image, other, batch.color, weight, batch.clipped)
+        return two_pass(image, other, batch.color, weight, batch.clipped, chroma)
 
     def _prior(
         self,

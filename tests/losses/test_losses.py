@@ -10,6 +10,7 @@ from neurad.losses.relative import (
     semi_gradient_prior,
     total,
     two_pass,
+    weighted,
 )
 
 TRIALS = 40_000
@@ -72,6 +73,33 @@ def test_leave_one_out_formula_on_two_groups_of_two_samples():
     torch.testing.assert_close(samples.grad.flatten(), 2 / 4 * 3.0 * (others - 0.5))
 
 
+def test_chroma_counts_more_than_what_channels_share():
+    """Relative to the normaliser a grey residual counts as ever and one without grey ``chroma`` times; it is the
+    gradient of a quadratic form, and with samples that do not scatter that of both estimators.
+    """
+    weight = torch.tensor([[4.0, 1.0, 0.25]])
+    root = weight.sqrt()
+    for relative, factor in ([1.0, 1.0, 1.0], 1.0), ([1.0, -1.0, 0.0], 6.0), ([1.0, 1.0, -2.0], 6.0):
+        residual = torch.tensor([relative]) / root
+        torch.testing.assert_close(weighted(residual, weight, 6.0), factor * weight * residual)
+    relative = torch.randn(5, 3, dtype=torch.float64, requires_grad=True)
+    grey = relative.mean(-1, keepdim=True)
+    form = (grey**2).expand_as(relative).sum() + 6.0 * ((relative - grey) ** 2).sum()
+    (gradient,) = torch.autograd.grad(form, relative)
+    torch.testing.assert_close(2.0 * weighted(relative.detach(), torch.ones(5, 1, dtype=torch.float64), 6.0), gradient)
+    samples = torch.randn(5, 1, 3).expand(5, 4, 3)
+    target, weight = torch.randn(5, 3), torch.rand(5, 3)
+    found = []
+    for loss in (
+        lambda x: leave_one_out(x, target, weight, chroma=6.0),
+        lambda x: two_pass(x, samples, target, weight, chroma=6.0),
+    ):
+        x = samples.clone().requires_grad_()
+        value = loss(x)
+        found.append((value.value, torch.autograd.grad(value.surrogate, x)[0]))
+    torch.testing.assert_close(found[0], found[1])
+
+
 def test_prior_gradients_reach_the_sides_that_they_should():
     field = torch.tensor([[2.0, 2.0, 2.0]], requires_grad=True)
     right = torch.tensor([[1.0, 1.0, 1.0]], requires_grad=True)
@@ -98,8 +126,11 @@ def test_masked_lanes_and_weights_count_nothing():
 @pytest.mark.parametrize(("samples", "groups"), [(2, 2), (5, 5), (8, 4), (6, 2)])
 @pytest.mark.parametrize("controlled", [False, True])
 @pytest.mark.parametrize("pixels", [7, 7000])  # the latter are shared among threads
+@pytest.mark.parametrize("chroma", [1.0, 6.0])
 @pytest.mark.usefixtures("three_threads")
-def test_the_compiled_leave_one_out_is_the_plain_one(samples: int, groups: int, controlled: bool, pixels: int) -> None:
+def test_the_compiled_leave_one_out_is_the_plain_one(
+    samples: int, groups: int, controlled: bool, pixels: int, chroma: float
+) -> None:
     generator = torch.Generator().manual_seed(samples)
 
     def numbers(*shape: int) -> torch.Tensor:
@@ -111,13 +142,13 @@ def test_the_compiled_leave_one_out_is_the_plain_one(samples: int, groups: int, 
     def found(use_kernels: bool) -> list[torch.Tensor]:
         s, z = value.clone().requires_grad_(), (deviation - 0.7).requires_grad_()
         control = ControlVariate(light, z, groups) if controlled else None
-        loss = leave_one_out(s, target, weight, control, groups, use_kernels)
+        loss = leave_one_out(s, target, weight, control, groups, use_kernels, chroma)
         (3.0 * loss.surrogate).backward()
         assert not loss.value.requires_grad
         return [loss.surrogate.detach(), loss.value, s.grad, *([z.grad] if controlled else [])]
 
     for kernel, reference in zip(found(True), found(False), strict=True):
-        torch.testing.assert_close(kernel, reference, rtol=1e-5, atol=1e-6)
+        torch.testing.assert_close(kernel, reference, rtol=1e-5, atol=1e-6 * chroma)
 
 
 @pytest.mark.parametrize(("samples", "groups", "of_control"), [(5, 2, None), (4, 1, None), (8, 4, 2)])
