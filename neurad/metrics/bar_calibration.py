@@ -36,10 +36,10 @@ _GAINS = np.geomspace(1e-3, 1.0, 41)
 POWER = 0.75
 """Of the information at a closing step. With 0.7 to 0.8 bars of three rooms cover alike in each sixth of them by
 information; with 1 those that claim most are too narrow."""
-PRODUCT_SHARE = 0.35
-"""Of the squared error, what products of halves are taken to have in the mean at a closing step: pixels ask for half of
-what a roughness is off by, since their response is not linear and albedo and light have made up for some of it. With
-0.33 to 0.4 bars of three rooms cover as they should."""
+PRODUCT_SHARE = 0.6
+"""Of the squared error that is left after a closing step, what products of halves before it are taken to have in the
+mean: pixels ask for two thirds of what a roughness is off by, since their response is not linear and albedo and light
+have made up for some of it. With 0.5 to 0.6 bars of two rooms cover as they should."""
 LEVELS, MODEL_ERROR = 16, 0.15
 """Of patches by information, and the part by which the means in them differ from any such curve."""
 PRIOR_FACTOR, CLOSING_GAIN, CLOSING_FACTOR = 1.65, 1.0, 7.4

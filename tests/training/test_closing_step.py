@@ -61,9 +61,9 @@ def test_what_is_off_comes_right(room, off):
         correction.add(np.full((CORRECTION_CELLS + 1,) * 3, off, np.float32))
         assert mean_roughness(room) == pytest.approx(before + off, abs=0.01)
         counters = replace(room.training.step.counters, samples=1 << 20)
-        for _ in range(2):
+        for least in (0.5, 0.0):  # less is left for the second
             found = step_of(room, counters)
-            assert found.kept > 0.5, found
+            assert found.kept > least, found
             assert "corrected by" in found.sentence()
             assert float(correction.information.sum()) > 0.0
             assert (correction.scales > 0.0).all()

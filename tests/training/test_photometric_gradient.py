@@ -85,7 +85,7 @@ def test_both_photometric_gradients_of_the_real_step_agree_in_the_mean(monkeypat
     twice = projections("two_pass", range(10_000, 10_000 + SEEDS))
     assert accept(z_test_samples(once, twice))
 
-    def naive(samples, target, weight, *_):
+    def naive(samples, target, weight, *_, **__):
         loss = (weight * (samples.mean(1) - target) ** 2).mean()
         return objective.Loss(loss, loss.detach())
 
