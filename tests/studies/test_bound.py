@@ -19,7 +19,7 @@ from neurad.studies.bench.bound import gap, sentence
 from neurad.studies.bound import ladder
 from neurad.studies.bound.cells import COARSEST, FINEST, CellMaterials, SurfaceCells, _pack, _unpack, encode
 from neurad.studies.bound.ladder import rungs
-from neurad.studies.bound.photographs import Predicted, misfit, noise_covariance, photo_noise, predict
+from neurad.studies.bound.photographs import Predicted, at_least, misfit, noise_covariance, photo_noise, predict
 from neurad.studies.bound.recovery import Photographed, Prior, Recovery, SeenDirectly
 from neurad.studies.bound.sparse import Rows
 
@@ -237,8 +237,10 @@ def test_two_predictions_correct_noise_that_was_taken_too_large():
     predicted = Predicted(pictures, pictures[0], pictures[0])
     sigma = np.full(shape, 0.1, np.float32)
 
+    each = np.broadcast_to(np.eye(3), (*shape, 3))
+
     def scale(sigma, known):
-        return float(noise_covariance(photographs, predicted, sigma, np.full(shape, known)).diagonal().mean()) ** 0.5
+        return float(noise_covariance(photographs, predicted, sigma, known * each).diagonal().mean()) ** 0.5
 
     assert scale(sigma, 0.0) == pytest.approx(0.5, abs=0.02)
     assert scale(sigma, 0.04**2) == pytest.approx(0.3, abs=0.03)
@@ -247,15 +249,15 @@ def test_two_predictions_correct_noise_that_was_taken_too_large():
 
 @pytest.mark.parametrize("shared", [0.0, 0.6, 0.95])
 def test_how_much_of_the_noise_channels_share_is_found(shared):
-    """Predictions' own noise, which is independent, is none of it, nor is what positions add to each channel."""
+    """Predictions' own noise, which is independent, is none of it, nor is what positions add to all channels alike."""
     rng = np.random.default_rng(7)
     shape = (2, 100, 100, 3)
     grey, own = rng.normal(0, 1, (2, 100, 100, 1)), rng.normal(0, 1, shape)
     noise = np.sqrt(shared) * grey + np.sqrt(1 - shared) * own
-    photographs = 1 + 0.05 * noise + 0.02 * rng.normal(0, 1, shape)
-    pictures = (1 + rng.normal(0, 0.1, (2, *shape))).astype(np.float32)
+    photographs = 1 + 0.05 * noise + 0.02 * rng.normal(0, 1, (2, 100, 100, 1))
+    pictures = (1 + rng.normal(0, 0.03, (2, *shape))).astype(np.float32)
     predicted = Predicted(pictures, pictures[0], pictures[0])
-    found = noise_covariance(photographs, predicted, np.full(shape, 0.1, np.float32), np.full(shape, 0.02**2))
+    found = noise_covariance(photographs, predicted, np.full(shape, 0.1, np.float32), np.full((*shape, 3), 0.02**2))
     assert found.diagonal() == pytest.approx(np.full(3, 0.25), abs=0.02)
     assert found[~np.eye(3, dtype=bool)] / 0.25 == pytest.approx(np.full(6, shared), abs=0.06)
 
@@ -299,7 +301,20 @@ def test_a_misfit_is_noise_of_the_photographs_and_wrong_light():
     found = misfit(photographs.astype(np.float32), Predicted(pictures, pictures[0], pictures[0]), counted)
     assert not found[~counted].any()
     # 18000 products of standard deviation 0.06
-    assert found[counted].mean() == pytest.approx(0.05**2 + 0.1**2, abs=4 * 0.06 / 134)
+    own = found[counted].diagonal(axis1=1, axis2=2)
+    assert own.mean() == pytest.approx(0.05**2 + 0.1**2, abs=4 * 0.06 / 134)
+    # Channels share what is wrong with the light.
+    assert found[counted][:, 0, 1].mean() == pytest.approx(0.1**2, abs=4 * 0.06 / 77)
+
+
+def test_a_covariance_is_no_less_than_another_in_any_direction():
+    rng = np.random.default_rng(9)
+    a, b = (np.einsum("nij,nkj->nik", x, x) for x in rng.normal(0, 1, (2, 50, 3, 3)))
+    b += 0.1 * np.eye(3)
+    found = at_least(a, b)
+    assert np.linalg.eigvalsh(found - b).min() > -1e-4 * np.abs(found).max()
+    np.testing.assert_allclose(at_least(a + 1.001 * b, b), a + 1.001 * b, rtol=1e-4, atol=1e-4)
+    np.testing.assert_allclose(at_least(0.5 * b, b), b, rtol=1e-4, atol=1e-4)
 
 
 @pytest.mark.parametrize("wrong", [1.0, 1.1])

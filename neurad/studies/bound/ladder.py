@@ -22,7 +22,7 @@ from neurad.runs.load import LoadedRun
 from neurad.scene.textures import TrueMaterials
 from neurad.studies.bound.cells import CellMaterials, SurfaceCells, encode
 from neurad.studies.bound.fields import fit_fields, predicted, training_run
-from neurad.studies.bound.photographs import Predicted, misfit, noise_covariance, photo_noise, predict
+from neurad.studies.bound.photographs import Predicted, at_least, misfit, noise_covariance, photo_noise, predict
 from neurad.studies.bound.recovery import LOOSE, Photographed, Prior, Recovery, Response, SeenDirectly
 from neurad.studies.bound.sparse import Rows
 from neurad.training.evaluate import GLOSSY_SAMPLES
@@ -187,8 +187,8 @@ class Ladder:
         return Rows(start, column.astype(np.int32), weight, self.cells.counts[-1])
 
     def _prior(self, primary: PrimaryHits, codes: IntArray, device: torch.device) -> tuple[Prior, FloatArray]:
-        """Of the true materials at two positions of each pixel, and their variance within pixels [kept, 4]: means over
-        5 x 5 of them.
+        """Of the true materials at two positions of each pixel, and their covariance within pixels [kept, 4, 4]: means
+        over 5 x 5 of them.
         """
         values = []
         for view in range(len(self.left_out)):
@@ -199,8 +199,9 @@ class Ladder:
         if not self.held_out.has_roughness:
             both[..., 3] = 1.0
         width = self.run.scene.train[0].camera.width
-        power = torch.from_numpy(np.square(both[:, 0] - both[:, 1]) / 2).view(len(self.left_out), -1, width, 4)
-        spread = torch.stack([box_mean(image, 5) for image in power]).view(-1, 4).numpy()[self.kept]
+        apart = torch.from_numpy(both[:, 0] - both[:, 1])
+        power = (apart[:, :, None] * apart[:, None, :] / 2).view(len(self.left_out), -1, width, 16)
+        spread = torch.stack([box_mean(image, 5) for image in power]).view(-1, 4, 4).numpy()[self.kept]
         pairs = both[self.kept]
         column = self.footprint.column.reshape(-1, self.positions)[:, :: self.positions // 2].reshape(-1)
         one = Rows(np.arange(len(column) + 1), column, np.ones(len(column), np.float32), self.footprint.columns)
@@ -250,10 +251,9 @@ class Ladder:
         ours = self.errors(self.held_out.predict(self.run.materials), regions)
         self.report("resolution")
         seen = self.maps.reshape(-1, 4)[self.kept]
-        sampling = self.spread * np.float32(1.0 / self.positions + 1.0 / TRUTH_SPP) + np.float32(
-            1e-7
-        )  # of counted positions
-        direct = self._recovery(SeenDirectly(), np.sqrt(sampling))
+        sampling = self.spread * np.float32(1.0 / self.positions + 1.0 / TRUTH_SPP)  # of counted positions
+        sampling += np.float32(1e-7) * np.eye(4, dtype=np.float32)
+        direct = self._recovery(SeenDirectly(), np.sqrt(np.einsum("ncc->nc", sampling)))
         resolution = self.errors(self.maps_of(direct(direct.less_mean(seen))), regions)
         self.report(f"what photographs tell, {spp} samples a pixel")
         noise, light = self._photographed(seen, sampling, spp, regions)
@@ -274,21 +274,16 @@ class Ladder:
         """
         views, width = len(self.left_out), self.run.scene.train[0].camera.width
         found = self._predicted(self.run.assembly.estimator, spp, width)
-        by_albedo, by_roughness = (x.reshape(-1, 3)[self.kept] for x in (found.by_albedo, found.by_roughness))
-        response = Photographed.of(by_albedo, by_roughness)
-        # What positions add to a pixel: each channel its own part of the albedo's, all of them the roughness's.
-        positions = (by_roughness[:, :, None] * by_roughness[:, None, :]) * sampling[:, 3:, None]  # [kept, 3, 3]
-        positions += (by_albedo**2 * sampling[:, :3])[:, :, None] * np.eye(3, dtype=np.float32)
-        sigma, shared = self._noise(found, np.einsum("ncc->nc", positions), (views, -1, width, 3))
-        recovery, white = self._whitened(response, sigma, shared, positions)
-        drawn = np.random.default_rng(SEED).standard_normal(sigma.shape, np.float32)
-        drawn = sigma * (drawn @ np.linalg.cholesky(shared).T.astype(np.float32))
+        response = Photographed.of(*(x.reshape(-1, 3)[self.kept] for x in (found.by_albedo, found.by_roughness)))
+        jacobian = response.jacobian  # [kept, 3, 4]
+        positions: FloatArray = (jacobian @ sampling @ jacobian.transpose(0, 2, 1)).astype(np.float32)  # [kept, 3, 3]
+        drawn, covariance = self._noise(found, positions, (views, -1, width, 3))
+        recovery, white = self._whitened(response, covariance + positions)
         noise = self.errors(self.maps_of(recovery(recovery.less_mean(seen) + white(drawn))), regions)
-        # Who knows that the light is wrong, and by how much around each pixel, trusts photographs less.
+        # Who knows that the light is wrong, and how around each pixel, trusts photographs less.
         counted = ~self.left_out.cpu().numpy().reshape(views, -1, width)
-        wrong = misfit(self.photographs.reshape(*counted.shape, 3), found, counted).reshape(-1, 3)[self.kept]
-        variance = np.maximum(wrong, sigma**2 * np.diag(shared))
-        recovery, white = self._whitened(response, np.sqrt(variance / np.diag(shared)), shared, positions)
+        wrong = misfit(self.photographs.reshape(*counted.shape, 3), found, counted).reshape(-1, 3, 3)[self.kept]
+        recovery, white = self._whitened(response, at_least(wrong, covariance) + positions)
         values = recovery(recovery.less_mean(seen))
         photographs = self.photographs.reshape(-1, 3)[self.kept]
         differences = [photographs - picture.reshape(-1, 3)[self.kept] for picture in found.pictures]
@@ -299,39 +294,40 @@ class Ladder:
         return noise, {key: half[key] - apart[key] / 4 for key in half}
 
     def _whitened(
-        self, response: Photographed, sigma: FloatArray, shared: FloatArray, positions: FloatArray
+        self, response: Photographed, covariance: FloatArray
     ) -> tuple[Recovery, Callable[[FloatArray], FloatArray]]:
         """The estimate from sums of the channels whose noise is independent and of variance 1, and what makes them of
-        radiance [kept, 3]. Noise has the deviation ``sigma`` [kept, 3] times the root of ``shared`` [3, 3], positions
-        add ``positions`` [kept, 3, 3].
+        radiance [kept, 3], by the ``covariance`` of that [kept, 3, 3].
         """
-        covariance = sigma[:, :, None] * shared * sigma[:, None, :] + positions
         channels = np.linalg.inv(np.linalg.cholesky(covariance.astype(np.float64))).astype(np.float32)
 
         def white(radiance: FloatArray) -> FloatArray:
             mixed: FloatArray = np.einsum("ncd,nd->nc", channels, radiance)
             return mixed
 
-        return self._recovery(response.mixed(channels), np.ones_like(sigma)), white
+        return self._recovery(response.mixed(channels), np.ones((len(covariance), 3), np.float32)), white
 
-    def _noise(self, found: Predicted, other: FloatArray, shape: tuple[int, ...]) -> tuple[FloatArray, FloatArray]:
-        """Standard deviation of the photographs' noise in the pixels that count [kept, 3], and the covariance of the
-        channels in these units [3, 3]; ``other`` is the variance [kept, 3] that positions add.
+    def _noise(self, found: Predicted, positions: FloatArray, shape: tuple[int, ...]) -> tuple[FloatArray, FloatArray]:
+        """Noise such as that of the photographs in the pixels that count [kept, 3], and its covariance [kept, 3, 3];
+        ``positions`` is the covariance [kept, 3, 3] that positions add.
         """
         photographs, maps = self.photographs.reshape(shape), self.maps[..., :3].reshape(shape)
-        sigma, known = (np.zeros((self.left_out.numel(), 3), np.float32) for _ in range(2))
+        sigma = np.zeros((self.left_out.numel(), 3), np.float32)
+        known = np.zeros((self.left_out.numel(), 3, 3), np.float32)
         pairs = zip(photographs, maps, strict=True)
         sigma[self.kept] = np.stack([photo_noise(*pair) for pair in pairs]).reshape(-1, 3)[self.kept]
-        known[self.kept] = other
+        known[self.kept] = positions
         shared = noise_covariance(
-            photographs, found, sigma.reshape(photographs.shape), known.reshape(photographs.shape)
+            photographs, found, sigma.reshape(photographs.shape), known.reshape(*photographs.shape, 3)
         )
         sigma = sigma[self.kept]
         light = np.maximum(self.photographs.reshape(-1, 3)[self.kept], 1e-6)
         size = 100 * float(np.median(sigma / light)) * float(np.sqrt(shared[0, 0]))
         common = float(shared[~np.eye(3, dtype=bool)].mean() / shared[0, 0])
         self.report(f"noise of the photographs: {size:.1f} % (median), correlation of channels {common:.2f}")
-        return sigma, shared
+        drawn = np.random.default_rng(SEED).standard_normal(sigma.shape, np.float32)
+        drawn = sigma * (drawn @ np.linalg.cholesky(shared).T.astype(np.float32))
+        return drawn, sigma[:, :, None] * shared * sigma[:, None, :]
 
     def _predicted(self, estimator: Estimator, spp: int, width: int) -> Predicted:
         primary = self.training.views.primary

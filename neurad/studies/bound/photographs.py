@@ -62,7 +62,8 @@ def noise_covariance(photographs: FloatArray, predicted: Predicted, sigma: Float
         photographs: [views, h, w, 3].
         predicted: of the same pixels.
         sigma: from :func:`photo_noise` [views, h, w, 3]; 0 in pixels that do not count.
-        known: variance of each pixel that is not the photographs' noise but has the same differences [views, h, w, 3].
+        known: covariance of each pixel's channels that is not the photographs' noise but has the same differences
+            [views, h, w, 3, 3].
     """
     used = ((sigma[:, :, 1:] > 0) & (sigma[:, :, :-1] > 0)).all(-1)
     mean = ((sigma[:, :, 1:] + sigma[:, :, :-1]) / 2)[used]  # [n, 3]
@@ -71,8 +72,8 @@ def noise_covariance(photographs: FloatArray, predicted: Predicted, sigma: Float
         residual = photographs - picture
         difference = (residual[:, :, 1:] - residual[:, :, :-1])[used] / mean
         differences.append(np.clip(difference, -TAIL, TAIL).astype(np.float64))
-    other = ((known[:, :, 1:] + known[:, :, :-1]) / 2)[used] / mean**2
-    found = differences[0].T @ differences[1] / (2 * max(len(mean), 1)) - np.diag(other.mean(0))
+    other = ((known[:, :, 1:] + known[:, :, :-1]) / 2)[used] / (mean[:, :, None] * mean[:, None, :])
+    found = differences[0].T @ differences[1] / (2 * max(len(mean), 1)) - other.mean(0, dtype=np.float64)
     # ---------------------- A scale, and what channels have in common ----------------------
 
     scale = float(np.clip(np.trace(found) / 3, LEAST_SCALE, 1.0))
@@ -84,7 +85,7 @@ def noise_covariance(photographs: FloatArray, predicted: Predicted, sigma: Float
 
 
 def misfit(photographs: FloatArray, predicted: Predicted, counted: BoolArray) -> FloatArray:
-    """Mean squared difference of photographs and predictions over 9 x 9 pixels around each [views, h, w, 3]: noise of
+    """Covariance of the channels of photographs less predictions, means over 9 x 9 pixels [views, h, w, 3, 3]: noise of
     the photographs and what is wrong with the light; that of the predictions' samples drops out of a product of two.
 
     Args:
@@ -93,7 +94,20 @@ def misfit(photographs: FloatArray, predicted: Predicted, counted: BoolArray) ->
         counted: pixels that count [views, h, w].
     """
     first, second = photographs - predicted.pictures.reshape(2, *photographs.shape)
-    return np.stack([_smooth(a * b, mask, 9) for a, b, mask in zip(first, second, counted, strict=True)])
+    found = []
+    for a, b, mask in zip(first, second, counted, strict=True):
+        products = (a[..., :, None] * b[..., None, :] + b[..., :, None] * a[..., None, :]) / 2  # [h, w, 3, 3]
+        found.append(_smooth(products.reshape(*mask.shape, 9), mask, 9).reshape(*mask.shape, 3, 3))
+    return np.stack(found)
+
+
+def at_least(covariance: FloatArray, least: FloatArray) -> FloatArray:
+    """Symmetric matrices [n, 3, 3], in each direction no less than ``least`` [n, 3, 3], which is positive definite."""
+    root = np.linalg.cholesky(least.astype(np.float64))
+    inverse = np.linalg.inv(root)
+    power, axes = np.linalg.eigh(inverse @ covariance @ inverse.transpose(0, 2, 1))
+    axes = root @ axes
+    return np.asarray((axes * power.clip(1.0)[:, None, :]) @ axes.transpose(0, 2, 1), np.float32)
 
 
 def _mean(image: FloatArray, size: int) -> FloatArray:
