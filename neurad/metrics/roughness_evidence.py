@@ -45,6 +45,8 @@ LEAST = 1e-3
 """Of that covariance's trace, added to its diagonal: where all is grey, channels do not differ at all."""
 OUTLIER = 2.0
 """Parts of single pixels are cut at so many of their standard deviations."""
+MOST, IMPOSSIBLE = 0.5, 4.0
+"""Patches that ask for a larger change, and for so many standard deviations more, are left out."""
 RANKS = 20
 """Groups of patches of like ``F`` that the ratio is measured in."""
 
@@ -144,7 +146,11 @@ class _Pixels:
         deviation = np.sqrt((weighted * free).sum(-1).clip(0.0))
         part = part.clip(-OUTLIER * deviation, OUTLIER * deviation)
         gradient = np.bincount(patch, part, count).astype(np.float64)
-        ratio = _excess(information, np.bincount(patch, np.square(part), count).astype(np.float64))
+        scatter = np.bincount(patch, np.square(part), count).astype(np.float64)
+        # Of few pixels, or lit in few colours, the albedo can take away nearly all that there is to know, and noise is left.
+        possible = np.abs(gradient) <= MOST * information + IMPOSSIBLE * np.sqrt(information.clip(0.0))
+        information, gradient, scatter = (np.where(possible, x, 0.0) for x in (information, gradient, scatter))
+        ratio = _excess(information, scatter)
         middle = per_patch(x, patch, count) / np.bincount(patch, minlength=count)[:, None]
         return Evidence(side, middle, information.clip(0.0) / ratio, gradient / ratio)
 
