@@ -147,7 +147,7 @@ class _Pixels:
         part = part.clip(-OUTLIER * deviation, OUTLIER * deviation)
         gradient = np.bincount(patch, part, count).astype(np.float64)
         scatter = np.bincount(patch, np.square(part), count).astype(np.float64)
-        # Of few pixels, or lit in few colours, the albedo can take away nearly all that there is to know, and noise is left.
+        # Of few pixels, or lit in few colours, the albedo can take away all that there is to know but for noise.
         possible = np.abs(gradient) <= MOST * information + IMPOSSIBLE * np.sqrt(information.clip(0.0))
         information, gradient, scatter = (np.where(possible, x, 0.0) for x in (information, gradient, scatter))
         ratio = _excess(information, scatter)

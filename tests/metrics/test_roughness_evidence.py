@@ -102,3 +102,20 @@ def test_boxes_grow_where_a_part_of_the_pixels_is_drawn():
         found.append(asked(evidence(draw[part], cube, PATCHES)[0]))
     assert abs(np.mean(found) - CHANGE) < 4 * np.std(found) / np.sqrt(20) + 0.05 * CHANGE
     assert np.std(found) < CHANGE
+
+
+def test_patches_that_ask_for_the_impossible_are_left_out():
+    """Four pixels in a patch of their own, whose neighbours have a highlight that they lack: what little they know of
+    the roughness is noise, and what is left of their residuals asks for changes of tens.
+    """
+    draw = means()
+    few = np.flatnonzero(draw.r[: SIDE * SIDE, 0] > 1.2)[:4]
+    for values, change in ((draw.p, 0.4), (draw.e, 5.0)):
+        values[few] += np.float32(change)
+    draw.r[few] = 0.01 * np.sign(draw.r[few])
+    found = evidence(draw, cube, PATCHES)[0]
+    there = (found.x > 0.6).any(-1)
+    assert there.any()
+    assert not found.gradient[there].any()
+    assert not found.information[there].any()
+    assert asked(found) == pytest.approx(CHANGE, rel=0.3)
