@@ -25,8 +25,8 @@ AROUND = 2
 """Levels above a cell, whose details' power it shares: about 16 cells of a plane have one."""
 LEAST_POWER = 1e-4
 """Of details anywhere, as a fraction of the level's mean."""
-ITERATIONS = 150
-TOLERANCE, LOOSE = 5e-4, 2e-2
+ITERATIONS = 100
+TOLERANCE, LOOSE = 1e-3, 2e-2
 """Of what is observed, and of small differences in it."""
 
 
