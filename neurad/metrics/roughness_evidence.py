@@ -34,9 +34,8 @@ BOX = 5
 COVARIANCE_BOX = 9
 """The same of the residual's covariance, which has six numbers. With 5 a pixel's own residual is so much of it that
 parts no longer scatter as they should."""
-NEIGHBOURS = 8
-"""Of the pixels, so many should lie in the box; where a part of the pixels is drawn, boxes grow until they do."""
-LARGEST_BOX = 65
+NEIGHBOURS, LARGEST_BOX = 8, 65
+"""Pixels that should lie in most boxes: where a part of them is drawn, boxes grow until they do, or to this side."""
 PIXELS_A_PATCH = 4
 """Fewer in the mean, and patches are larger: each has an albedo of its own, which takes a pixel's worth of evidence."""
 RIDGE = 0.05
