@@ -172,7 +172,7 @@ def test_a_checkpoint_of_other_inputs_is_refused(monkeypatch):
 
 def test_a_fit_of_a_lambertian_scene_finds_the_albedo():
     scene = resized(build_cornell(), 16)
-    fit = Fit(scene, photographs(replace(scene, max_depth=6), 16), Plan(steps=60, pixels=64))
+    fit = Fit(scene, photographs(replace(scene, max_depth=6), 16), Plan(steps=90, pixels=64))
     before = fit.albedo_error()[0]
     assert fit.run().albedo_error()[0] < 0.75 * before
 
