@@ -22,7 +22,7 @@ from neurad.runs.load import LoadedRun
 from neurad.scene.textures import TrueMaterials
 from neurad.studies.bound.cells import CellMaterials, SurfaceCells, encode
 from neurad.studies.bound.fields import fit_fields, predicted, training_run
-from neurad.studies.bound.photographs import Predicted, at_least, misfit, noise_covariance, photo_noise, predict
+from neurad.studies.bound.photographs import Predicted, misfit, noise_covariance, photo_noise, predict
 from neurad.studies.bound.recovery import LOOSE, Photographed, Prior, Recovery, Response, SeenDirectly
 from neurad.studies.bound.sparse import Rows
 from neurad.training.evaluate import GLOSSY_SAMPLES
@@ -280,10 +280,13 @@ class Ladder:
         drawn, covariance = self._noise(found, positions, (views, -1, width, 3))
         recovery, white = self._whitened(response, covariance + positions)
         noise = self.errors(self.maps_of(recovery(recovery.less_mean(seen) + white(drawn))), regions)
-        # Who knows that the light is wrong, and how around each pixel, trusts photographs less.
+        # Who knows that the light is wrong, and by how much around each pixel, trusts photographs less. What is wrong
+        # with the light is taken for independent in each channel: its colour may be what is wrong.
         counted = ~self.left_out.cpu().numpy().reshape(views, -1, width)
-        wrong = misfit(self.photographs.reshape(*counted.shape, 3), found, counted).reshape(-1, 3, 3)[self.kept]
-        recovery, white = self._whitened(response, at_least(wrong, covariance) + positions)
+        wrong = misfit(self.photographs.reshape(*counted.shape, 3), found, counted).reshape(-1, 3)[self.kept]
+        more = (wrong - np.einsum("ncc->nc", covariance)).clip(0.0)
+        covariance = covariance + positions + more[:, :, None] * np.eye(3, dtype=np.float32)
+        recovery, white = self._whitened(response, covariance)
         values = recovery(recovery.less_mean(seen))
         photographs = self.photographs.reshape(-1, 3)[self.kept]
         differences = [photographs - picture.reshape(-1, 3)[self.kept] for picture in found.pictures]

@@ -85,7 +85,7 @@ def noise_covariance(photographs: FloatArray, predicted: Predicted, sigma: Float
 
 
 def misfit(photographs: FloatArray, predicted: Predicted, counted: BoolArray) -> FloatArray:
-    """Covariance of the channels of photographs less predictions, means over 9 x 9 pixels [views, h, w, 3, 3]: noise of
+    """Mean squared difference of photographs and predictions over 9 x 9 pixels around each [views, h, w, 3]: noise of
     the photographs and what is wrong with the light; that of the predictions' samples drops out of a product of two.
 
     Args:
@@ -94,20 +94,7 @@ def misfit(photographs: FloatArray, predicted: Predicted, counted: BoolArray) ->
         counted: pixels that count [views, h, w].
     """
     first, second = photographs - predicted.pictures.reshape(2, *photographs.shape)
-    found = []
-    for a, b, mask in zip(first, second, counted, strict=True):
-        products = (a[..., :, None] * b[..., None, :] + b[..., :, None] * a[..., None, :]) / 2  # [h, w, 3, 3]
-        found.append(_smooth(products.reshape(*mask.shape, 9), mask, 9).reshape(*mask.shape, 3, 3))
-    return np.stack(found)
-
-
-def at_least(covariance: FloatArray, least: FloatArray) -> FloatArray:
-    """Symmetric matrices [n, 3, 3], in each direction no less than ``least`` [n, 3, 3], which is positive definite."""
-    root = np.linalg.cholesky(least.astype(np.float64))
-    inverse = np.linalg.inv(root)
-    power, axes = np.linalg.eigh(inverse @ covariance @ inverse.transpose(0, 2, 1))
-    axes = root @ axes
-    return np.asarray((axes * power.clip(1.0)[:, None, :]) @ axes.transpose(0, 2, 1), np.float32)
+    return np.stack([_smooth(a * b, mask, 9) for a, b, mask in zip(first, second, counted, strict=True)])
 
 
 def _mean(image: FloatArray, size: int) -> FloatArray:
