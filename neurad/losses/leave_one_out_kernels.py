@@ -39,7 +39,7 @@ def leave_one_out(
     means = np.empty((3, groups), np.float32)
     mean_s, mean_l, mean_z = means[0], means[1], means[2]
     relative = np.empty((channels, groups), np.float32)
-    own, baseline = np.empty_like(relative), np.empty_like(relative)
+    own, baseline, root = np.empty_like(relative), np.empty_like(relative), np.empty(channels, np.float32)
     by_channel, excess = np.float32(chroma), np.float32((chroma - 1.0) / channels)
     surrogate, loss = 0.0, 0.0
     for p in range(low, high):
@@ -58,11 +58,11 @@ def leave_one_out(
                 total_l += mean_l[i]
                 total_z += mean_z[i]
                 total_lz += mean_l[i] * mean_z[i]
-            root = np.sqrt(weight[p, c])
+            root[c] = np.sqrt(weight[p, c])
             for i in range(groups):
                 others, light_of_others = (total_s - mean_s[i]) * rest, (total_l - mean_l[i]) * rest
                 others -= ((total_l - mean_l[i]) * (total_z - mean_z[i]) - (total_lz - mean_l[i] * mean_z[i])) * pairs
-                relative[c, i] = root * (others - target[p, c])
+                relative[c, i] = root[c] * (others - target[p, c])
                 own[c, i] = mean_s[i] - light_of_others * mean_z[i]
                 baseline[c, i] = light_of_others
         # Gradients
@@ -71,7 +71,7 @@ def leave_one_out(
             for c in range(channels):
                 shared += relative[c, i]
             for c in range(channels):
-                factor = _TWO * np.sqrt(weight[p, c]) * (by_channel * relative[c, i] - excess * shared)
+                factor = _TWO * root[c] * (by_channel * relative[c, i] - excess * shared)
                 surrogate += factor * own[c, i]
                 loss += _HALF * factor * (own[c, i] - target[p, c])
                 gradient = np.float32(factor * unit) * inverse_size
