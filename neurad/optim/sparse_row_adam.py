@@ -68,6 +68,7 @@ class SparseRowAdam(torch.optim.Optimizer):
                 if p.grad.is_sparse:
                     _update_rows(p, p.grad, state, group)
                 else:
+                    state["step"] = state["step"].to(p.device)  # torch leaves that of a checkpoint where it was read
                     dense.append(p)
             if dense:
                 _update_dense(dense, [self.state[p] for p in dense], group)

@@ -158,11 +158,14 @@ class InverseRenderer(L.LightningModule):
                 f"--trainer.precision {self.trainer.precision}: light needs float32; for networks there is "
                 "model.optimization.matmul"
             )
-        if self.settings.lighting.emitters == "find":
-            self._find_lamps()
-        if (lit := lit_scene(self.scene, self.settings.lighting, self._shining)) is not self.scene:
-            self.trainer.datamodule.relight(lit)  # type: ignore[attr-defined]
-        made = assemble(self.scene, self.settings, self.photographs.has_alpha, self.device)
+        # The trainer would make tensors on the GPU; parts are made on the CPU, the same ones everywhere, then moved.
+        with torch.device("cpu"):
+            if self.settings.lighting.emitters == "find":
+                self._find_lamps()
+            if (lit := lit_scene(self.scene, self.settings.lighting, self._shining)) is not self.scene:
+                self.trainer.datamodule.relight(lit)  # type: ignore[attr-defined]
+            device = self.trainer.strategy.root_device
+            made = assemble(self.scene, self.settings, self.photographs.has_alpha, device)
         # Of the world only a guide and an environment that is recovered have a state.
         self.world, self.materials, self.average, self.radiance = (
             made.world,

@@ -67,6 +67,21 @@ def test_sparse_row_adam_steps_as_on_the_cpu(device, sparse, decay):
 
 
 @on_devices
+@pytest.mark.parametrize("sparse", [False, True])
+def test_sparse_row_adam_goes_on_from_a_file_read_on_the_cpu(device, sparse, tmp_path):
+    given = gradients((200, 4), torch.arange(0, 200, 3))
+    p, optimizer = stepped(lambda p: SparseRowAdam([p]), (200, 4), device, given, sparse)
+    torch.save(optimizer.state_dict(), tmp_path / "state")
+    again = torch.nn.Parameter(p.detach().clone())
+    other = SparseRowAdam([again])
+    other.load_state_dict(torch.load(tmp_path / "state", map_location="cpu", weights_only=True))
+    for which, of in ((p, optimizer), (again, other)):
+        which.grad = (given[0].to_sparse(1) if sparse else given[0]).to(device)
+        of.step()
+    assert torch.equal(p, again)
+
+
+@on_devices
 def test_pyramid_adam_steps_as_on_the_cpu(device):
     given = gradients((8 * 16, 3))
     (found, _), (expected, _) = (

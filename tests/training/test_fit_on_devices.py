@@ -1,8 +1,12 @@
 """One whole fit on every device: through the command line, evaluated, continued and scored again on the CPU."""
 
+from contextlib import contextmanager
+
 import pytest
+import torch
 from helpers.devices import on_devices
 from helpers.tiny_fit import checkpoint, fit, metrics, run_folder, write_tiny_config
+from lightning.pytorch.strategies import SingleDeviceStrategy
 
 from neurad.cli import main
 
@@ -50,3 +54,33 @@ def test_the_paper_s_settings_train_on_the_device(tiny, device):
     fit("--trainer.max_steps=3", *words(device, "embree"))
     assert checkpoint()["neurad"]["iteration"] == 3
     assert len(checkpoint()["optimizer_states"]) == 3
+
+
+@pytest.mark.main
+@on_devices
+def test_a_fit_goes_on_on_its_device(tiny, device):
+    """What its optimizers remember is read on the CPU."""
+    write_tiny_config(base="scene.yaml", data={"root": None, "scene": "patterns", "patch_size": 4})
+    fit("--trainer.max_steps=3", *words(device, "embree"))
+    main(["fit", "--ckpt_path=last", "--trainer.max_steps=6", *words(device, "embree")])
+    state = checkpoint()
+    assert state["neurad"]["iteration"] == 6
+    assert all(bool(value.isfinite().all()) for value in state["state_dict"].values() if value.is_floating_point())
+
+
+@pytest.mark.main
+def test_parts_are_made_on_the_cpu_wherever_a_trainer_makes_tensors(tiny, monkeypatch):
+    """A trainer on a GPU makes that the default device while a module builds its parts. The ``meta`` device stands for
+    it here, from which nothing could be read.
+    """
+
+    @contextmanager
+    def elsewhere(self, empty_init=None):
+        with torch.device("meta"):
+            yield
+
+    monkeypatch.setattr(SingleDeviceStrategy, "tensor_init_context", elsewhere)
+    fit("--data.scene=patterns", "--trainer.max_steps=2", "--model.lighting.emitters=fit")
+    state = checkpoint()
+    assert state["neurad"]["iteration"] == 2
+    assert all(not value.is_meta for value in state["state_dict"].values())
