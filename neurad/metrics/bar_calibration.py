@@ -13,7 +13,10 @@ to makes products smaller, at most by as much as a gain of 1 allows for.
 
 The closing step of a fit looks at all of its pixels with many more samples, and before it has taken any of what they
 ask for. From its halves both scales are found (:func:`calibrate_at_closing`), with ``F^POWER`` for ``F``: information
-lies in few of the pixels that share a place, so that its error falls more slowly.
+lies in few of the pixels that share a place, so that its error falls more slowly. Pixels ask for a part ``s``
+(:data:`RESPONSE`) of the error ``e``, and the step takes a part ``t`` of the power of that: what is too fine for its
+grid, or halves do not agree on, stays. So ``d_1 d_2`` has the mean of ``s^2 e^2``, and the step leaves
+``((1 - s)^2 t + 1 - t) e^2``.
 """
 
 from __future__ import annotations
@@ -33,13 +36,15 @@ USUAL_GAIN, FACTOR = 0.02, 3.0
 OUTLIER = 9.0
 """Products are cut at so many standard deviations: residuals have long tails."""
 _GAINS = np.geomspace(1e-3, 1.0, 41)
-POWER = 0.75
-"""Of the information at a closing step. With 0.7 to 0.8 bars of three rooms cover alike in each sixth of them by
+POWER = 0.8
+"""Of the information at a closing step. With 0.7 to 0.85 bars of three rooms cover alike in each sixth of them by
 information; with 1 those that claim most are too narrow."""
-PRODUCT_SHARE = 0.6
-"""Of the squared error that is left after a closing step, what products of halves before it are taken to have in the
-mean: pixels ask for two thirds of what a roughness is off by, since their response is not linear and albedo and light
-have made up for some of it. With 0.5 to 0.6 bars of two rooms cover as they should."""
+RESPONSE = 0.65
+"""The part of what a roughness is off by that pixels ask for at a closing step: their response is not linear, and
+albedo and light have made up for some of it."""
+SPREAD = 0.3
+"""Of roughness. Patches that know it better than this count alike where halves of the pixels are compared: otherwise
+a few would decide, of which the fit has long known all that there is to know."""
 LEVELS, MODEL_ERROR = 16, 0.15
 """Of patches by information, and the part by which the means in them differ from any such curve."""
 PRIOR_FACTOR, CLOSING_GAIN, CLOSING_FACTOR = 1.65, 1.0, 7.4
@@ -137,27 +142,50 @@ def _gain(information: Float64Array, gradient: Float64Array, scatter: float, all
     return float(_GAINS[int(np.argmin(costs))])
 
 
-def calibrate_at_closing(information: Float64Array, gradient: Float64Array, around: Float64Array) -> RoughnessBars:
+def levelled(information: Float64Array) -> Float64Array:
+    """Weights of equations of so much information (1 / variance of a roughness), with which patches that know it better
+    than :data:`SPREAD` count alike.
+    """
+    return np.asarray(1.0 / (1.0 + SPREAD**2 * information))
+
+
+def calibrate_at_closing(
+    information: Float64Array, gradient: Float64Array, around: Float64Array, explained: float = 0.0
+) -> RoughnessBars:
     """The scales that fit best what halves of all training pixels ask for at the closing step of a fit.
 
     Args:
         information: 1 / variance of what both halves ask of each patch [2, m].
         gradient: what they ask for times that [2, m].
         around: information of all pixels around each patch, which the bars are made of [m].
+        explained: by how much the step of one half lowers the other's squared residuals, over both halves, each
+            equation times its :func:`levelled` weight.
     """
     both = (information > 0).all(0)
     information, gradient, around = information[:, both], gradient[:, both], around[both]
-    # ---------------------- Mean squared error of patches of like information ----------------------
+    # ---------------------- Mean square of what patches of like information ask for ----------------------
 
     edges = np.quantile(around, np.linspace(0.0, 1.0, LEVELS + 1)[1:-1]) if both.any() else np.empty(0)
     level = np.searchsorted(edges, around)
-    products, weight, logarithm = (
-        np.bincount(level, values, LEVELS) for values in (gradient.prod(0), information.prod(0), np.log1p(around))
-    )
-    some = weight > 0
-    square = products[some] / weight[some] / PRODUCT_SHARE  # [levels]
-    deviation = 1.0 / np.sqrt(weight[some]) / PRODUCT_SHARE
-    middle = np.expm1(logarithm[some] / np.bincount(level, minlength=LEVELS)[some])
+    weight = levelled(information)  # [2, m]
+    part = {
+        "products": (weight * gradient).prod(0),
+        "amount": (weight * information).prod(0),
+        "noise": np.square(weight).prod(0) * information.prod(0),  # variance of the products
+        "logarithm": np.log1p(around),
+        "all": (weight * information).sum(0),
+        "count": np.ones(len(around)),
+    }
+    sums = {name: np.bincount(level, values, LEVELS) for name, values in part.items()}
+    sums = {name: values[sums["amount"] > 0] for name, values in sums.items()}  # [levels]
+    asked, deviation = sums["products"] / sums["amount"], np.sqrt(sums["noise"]) / sums["amount"]
+    # ---------------------- Mean squared error that the step leaves ----------------------
+
+    total = float((sums["all"] * asked.clip(0.0)).sum())
+    taken = min(max(explained / total, 0.0), 1.0) if total > 0.0 else 0.0
+    left = ((1.0 - RESPONSE) ** 2 * taken + 1.0 - taken) / RESPONSE**2
+    square, deviation = left * asked, left * deviation
+    middle = np.expm1(sums["logarithm"] / sums["count"])
     # ---------------------- The curve that fits it best ----------------------
 
     curve = _variance(middle, _CLOSING_GAINS[:, None], _PRIORS[:, None, None], POWER)  # [priors, gains, levels]

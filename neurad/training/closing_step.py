@@ -23,7 +23,7 @@ from neurad.assembly.training_views import TrainingViews
 from neurad.core.protocols import PhotoSource
 from neurad.fields.material import CORRECTION_FACTOR, Correction
 from neurad.fields.settings import RoughnessConfig
-from neurad.metrics.bar_calibration import RoughnessBars, calibrate_at_closing
+from neurad.metrics.bar_calibration import RoughnessBars, calibrate_at_closing, levelled
 from neurad.metrics.error_bars import in_cells
 from neurad.metrics.nodes import Nodes
 from neurad.metrics.pixel_derivatives import GROUP
@@ -57,9 +57,6 @@ LEVELS, STDS = (CORRECTION_FACTOR, 4, 2, 1), (0.08, 0.08, 0.1, 0.13)
 as much rooms gain within 0.04 dB the same."""
 PATCHES = 2
 """Patches, each with an albedo of its own, along a cell of the grid of corrections."""
-SPREAD = 0.3
-"""Of roughness. Patches that know it better than this count alike where halves of the pixels are compared: otherwise
-a few would decide, of which the fit has long known all that there is to know."""
 
 
 @dataclass(frozen=True)
@@ -141,13 +138,13 @@ def make_closing_step(
             return None
         whole, first, second = evidence(means, materials.to_unit_cube, PATCHES * correction.cells)
         counters.samples += len(means) * groups * together
-        kept = agreement(first, second, correction.cells)
-        values = kept * _solved(whole, correction.cells)
+        agreed = agreement(first, second, correction.cells)
+        values = agreed.kept * _solved(whole, correction.cells)
     information = in_cells(whole.x, whole.information, correction.cells)
-    scales = _scales(whole, first, second, correction.cells)
+    scales = _scales(whole, first, second, correction.cells, agreed.explained)
     correction.add(values.astype(np.float32), information, astuple(scales))
     size = float(np.sqrt(np.mean(np.square(_read(values, whole.x)))))
-    return ClosingStep(kept, size)
+    return ClosingStep(agreed.kept, size)
 
 
 def _group_size(samples: float) -> int:
@@ -166,26 +163,36 @@ def _seconds_a_pixel(look: Callable[[int, int], object], pixels: int) -> float:
     return max(time.monotonic() - begin, 1e-6) / pixels
 
 
-def agreement(first: Evidence, second: Evidence, cells: int) -> float:
-    """The factor, from 0 to 1, by which each half's step, of so many ``cells`` along the unit cube, explains the other
-    half's pixels best.
-    """
+@dataclass(frozen=True)
+class Agreement:
+    """Of the steps that two halves of the pixels ask for."""
+
+    kept: float
+    """The factor, from 0 to 1, by which each explains the other half's pixels best."""
+    explained: float
+    """By how much that lowers their squared residuals, each patch with its weight of
+    :func:`neurad.metrics.bar_calibration.levelled`."""
+
+
+def agreement(first: Evidence, second: Evidence, cells: int) -> Agreement:
+    """How far halves agree on a step of so many ``cells`` along the unit cube."""
     asked = taken = 0.0
     for own, other in ((first, second), (second, first)):
         step = _read(_solved(own, cells), other.x)
-        weight = 1.0 / (1.0 + SPREAD**2 * other.information)
+        weight = levelled(other.information)
         asked += float((weight * other.gradient * step).sum())
         taken += float((weight * other.information * np.square(step)).sum())
-    return min(max(asked / taken, 0.0), 1.0) if taken > 0.0 else 0.0
+    kept = min(max(asked / taken, 0.0), 1.0) if taken > 0.0 else 0.0
+    return Agreement(kept, kept * (2.0 * asked - kept * taken))
 
 
-def _scales(whole: Evidence, first: Evidence, second: Evidence, cells: int) -> RoughnessBars:
+def _scales(whole: Evidence, first: Evidence, second: Evidence, cells: int, explained: float) -> RoughnessBars:
     """By which error bars are made of the information in the cells of the correction's grid."""
     around = Nodes.scattered(whole.x, whole.information[:, None], cells).read(whole.x)[:, 0]
     information, gradient = (
         np.stack(halves) for halves in ((first.information, second.information), (first.gradient, second.gradient))
     )
-    return calibrate_at_closing(information, gradient, around)
+    return calibrate_at_closing(information, gradient, around, explained)
 
 
 def _solved(found: Evidence, cells: int) -> Float64Array:

@@ -4,7 +4,15 @@ import numpy as np
 import pytest
 
 from neurad.metrics import bar_calibration
-from neurad.metrics.bar_calibration import POWER, PRIOR, PRODUCT_SHARE, RoughnessBars, calibrate, calibrate_at_closing
+from neurad.metrics.bar_calibration import (
+    POWER,
+    PRIOR,
+    RESPONSE,
+    RoughnessBars,
+    calibrate,
+    calibrate_at_closing,
+    levelled,
+)
 from neurad.metrics.fisher import FLOOR, profile
 
 CHANNELS = 3
@@ -112,7 +120,7 @@ def halves_of(prior, gain, seed, patches=20_000):
     information = around * rng.uniform(0.1, 0.4, (2, patches))
     error = rng.standard_normal(patches) * np.sqrt(RoughnessBars(gain, prior, POWER).variance(around))
     noise = rng.standard_normal((2, patches)) * np.sqrt(information)
-    return information, np.sqrt(PRODUCT_SHARE) * information * error + noise, around
+    return information, RESPONSE * information * error + noise, around
 
 
 @pytest.mark.parametrize(("prior", "gain"), [(0.05, 4.0), (0.14, 0.5), (0.2, 1.5)])
@@ -126,6 +134,20 @@ def test_both_scales_are_found_from_halves_at_the_closing_step(prior, gain):
     assert 1.0 / 1.5 < found.gain / gain < 1.5
     true = RoughnessBars(gain, prior, POWER).variance(around)
     assert np.abs(np.log(found.variance(around) / true)).max() < 0.5
+
+
+@pytest.mark.parametrize("taken", [0.3, 0.8])
+def test_bars_are_of_what_the_step_leaves(taken):
+    """A step that takes this part of the power of what pixels ask for leaves the rest, and the part of the error that
+    they do not ask for.
+    """
+    information, gradient, around = halves_of(0.14, 0.5, seed=4, patches=200_000)
+    before = RoughnessBars(0.5, 0.14, POWER).variance(around)
+    explained = taken * float((levelled(information) * information * RESPONSE**2 * before).sum())
+    found = calibrate_at_closing(information, gradient, around, explained)
+    left = ((1.0 - RESPONSE) ** 2 * taken + 1.0 - taken) * before
+    some = around > 10.0  # where there is less the prior keeps bars as wide as usual
+    assert np.abs(np.log(found.variance(around) / left))[some].mean() < 0.3
 
 
 def test_halves_that_tell_nothing_leave_the_usual_scales_at_the_closing_step():

@@ -10,11 +10,12 @@ import torch
 from neurad.core.reflection import PrincipledModel
 from neurad.fields.material import CORRECTION_CELLS, MIN_ROUGHNESS, Correction
 from neurad.fields.settings import RoughnessConfig
+from neurad.metrics.bar_calibration import levelled
 from neurad.metrics.roughness_evidence import Evidence
 from neurad.studies.stress.fit import Fit, Plan, photographs, small_settings
 from neurad.studies.stress.scenes import small_cube, with_material
 from neurad.training import closing_step
-from neurad.training.closing_step import agreement, is_due, make_closing_step, progress_before
+from neurad.training.closing_step import Agreement, agreement, is_due, make_closing_step, progress_before
 from neurad.training.schedule import Progress
 
 ROUGHNESS, STEPS = 0.3, 150
@@ -154,10 +155,15 @@ def test_only_what_halves_confirm_is_kept():
         return Evidence(128, x, information, information * (change + rng.normal(0.0, 1.0 / np.sqrt(information))))
 
     bump = 0.1 * np.sin(30.0 * x[:, 0])
-    assert agreement(half(bump), half(bump), CORRECTION_CELLS) > 0.6
+    agreed = agreement(half(bump), half(bump), CORRECTION_CELLS)
+    assert agreed.kept > 0.6
+    # The most that there is to explain, and what a step from one half of it can.
+    most = 2.0 * float((levelled(information) * information * np.square(bump)).sum())
+    assert 0.4 * most < agreed.explained < 1.1 * most
     noise = [agreement(half(0.0), half(0.0), CORRECTION_CELLS) for _ in range(20)]
-    assert np.mean(noise) < 0.25
-    assert agreement(half(bump), half(-bump), CORRECTION_CELLS) == 0.0
+    assert np.mean([each.kept for each in noise]) < 0.25
+    assert np.mean([each.explained for each in noise]) < 0.05 * most
+    assert agreement(half(bump), half(-bump), CORRECTION_CELLS) == Agreement(0.0, 0.0)
 
 
 def test_a_correction_in_the_state(room):
