@@ -113,6 +113,11 @@ class FittedMaterials(nn.Module):
         inside: Tensor = cube(p.to(next(iter(cube.buffers())).device))
         return inside
 
+    def albedo_at(self, p: Tensor) -> Tensor:
+        """Albedo [n, 3] at positions [n, 3] in the scene's frame, on any device."""
+        found: Tensor = self.albedo.at(p.to(next(iter(self.albedo.parameters())).device))  # type: ignore[attr-defined]
+        return found
+
 
 def build_materials(
     scene: Scene,

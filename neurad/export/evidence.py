@@ -13,7 +13,7 @@ from neurad.export.charts import Chart, in_texels
 from neurad.export.images import Bytes
 from neurad.export.texel_means import GUTTER
 from neurad.metrics.bar_maps import bars_at
-from neurad.metrics.error_bars import ErrorBars, ToUnitCube
+from neurad.metrics.error_bars import BarFields, ErrorBars
 from neurad.metrics.scores import BoolArray, IntArray
 from neurad.metrics.seen import SeenBy
 from neurad.scene.geometry import Geometry
@@ -88,18 +88,18 @@ def seen_texels(texels: list[CoarseTexels], seen_by: SeenBy) -> list[BoolArray]:
     return np.split(seen, np.cumsum([len(of_mesh.lane) for of_mesh in texels])[:-1])
 
 
-def std_maps(texels: CoarseTexels, bars: ErrorBars, to_cube: ToUnitCube, emits: torch.Tensor) -> dict[str, FloatArray]:
+def std_maps(texels: CoarseTexels, bars: ErrorBars, fields: BarFields, emits: torch.Tensor) -> dict[str, FloatArray]:
     """Standard deviations of a mesh: ``albedo`` [h, w, 3] and, where there is one, ``roughness`` [h, w, 1]; 0 on
     emitters and where nothing lies.
 
     Args:
         texels: of the mesh.
         bars: of the run.
-        to_cube: positions to the unit cube of the fields.
+        fields: the recovered materials.
         emits: whether each triangle of the scene does, bool.
     """
     maps = {}
-    for name, std in bars_at(bars, to_cube, texels.si, emits).items():
+    for name, std in bars_at(bars, fields, texels.si, emits).items():
         picture = np.zeros((texels.shape[0] * texels.shape[1], std.shape[1]), np.float32)
         picture[texels.lane] = std
         maps[name] = picture.reshape(*texels.shape, -1)

@@ -245,7 +245,7 @@ def _write_evidence(
             (folder / "evidence" / f"{name}.png").write_bytes(png(picture))
             found[index] = round(fraction, 4)
             if bars is not None and isinstance(assembly.materials, FittedMaterials):
-                for of, std in std_maps(of_mesh, bars, assembly.materials.to_unit_cube, emits).items():
+                for of, std in std_maps(of_mesh, bars, assembly.materials, emits).items():
                     (folder / f"{of}_std").mkdir(exist_ok=True)
                     write_exr(folder / f"{of}_std" / f"{name}.exr", std)
             bar.step()

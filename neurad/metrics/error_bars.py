@@ -12,8 +12,9 @@ a point, ``w`` = 1 / squared brightness, and scaled from the pixels of the pass 
 N is the variance that a noisy photograph leaves in what a pixel covers, the unknown roughness included (X / A is by how
 much albedo makes up for roughness); V is the variance that the recovered albedo has within a pixel, the detail that
 no pixel can tell. Both measure how much of the pattern at the size of a pixel is not known, each with errors of its own
-that are factors, so the mean of their logarithms is taken. ``gain`` and, in a fit with a closing step, ``prior`` are
-measured from what independent halves of the photographs say of the same place, see
+that are factors, so the mean of their logarithms is taken. At a point the root of V is that of its cell, times how much
+more the albedo varies around the point than in the cell (texture, edges). ``gain`` and, in a fit with a closing step,
+``prior`` are measured from what independent halves of the photographs say of the same place, see
 :mod:`neurad.metrics.bar_calibration`.
 """
 
@@ -21,6 +22,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Protocol
 
 import numpy as np
 import torch
@@ -41,14 +43,32 @@ CELLS = 64
 """Of the grid along the longest side of what the pixels see: some 10 cm of a room share their information."""
 FINER = 2
 """Patches of one unknown albedo along a cell of the grid."""
+FLAT = 1e-3
+"""Standard deviation that an albedo has anywhere: what looks flat need not be."""
 
 ToUnitCube = Callable[[Tensor], Tensor]
 """Positions [n, 3] in the scene to the unit cube of the fields."""
 
-_COLUMNS = {"count": 1, "area": 1, "square": 3, "misfit": 3, "detail": 3, "cross": 3, "weight": 3, "information": 1}
-"""Sums at the nodes: of pixels, their area, D^2, squared misfit, V, D R w, D^2 w, F / s of all pixels."""
+_COLUMNS = {
+    "count": 1, "area": 1, "square": 3, "misfit": 3, "detail": 3, "texture": 3, "cross": 3, "weight": 3,
+    "information": 1,
+}  # fmt: skip
+"""Sums at the nodes: of pixels, their area, D^2, squared misfit, V, :func:`texture` at a point of each, D R w, D^2 w,
+F / s of all pixels."""
 
 COLUMNS = sum(_COLUMNS.values())
+
+
+class BarFields(Protocol):
+    """What bars read of recovered materials."""
+
+    def to_unit_cube(self, p: Tensor) -> Tensor:
+        """Positions [n, 3] in the scene, on any device, to the unit cube of the fields."""
+        ...
+
+    def albedo_at(self, p: Tensor) -> Tensor:
+        """Recovered albedo [n, 3] at such positions."""
+        ...
 
 
 @dataclass(frozen=True)
@@ -79,11 +99,25 @@ class ErrorBars:
     roughness: RoughnessBars | None
     iteration: int
 
-    def at(self, x: Float64Array) -> tuple[FloatArray, FloatArray | None]:
+    def of(self, fields: BarFields, p: Tensor) -> tuple[FloatArray, FloatArray | None]:
         """Standard deviations of the albedo [n, 3] and, where there is a roughness, of it [n, 1].
 
         Args:
-            x: positions in the unit cube of the fields [n, 3].
+            fields: the materials that were recovered.
+            p: positions in the scene [n, 3].
+        """
+        p = p.cpu()
+        x = in_cube(fields.to_unit_cube, p.numpy())
+        sums = self.nodes.read(x)
+        side = np.sqrt(sums[:, 1] / np.maximum(sums[:, 0], 1e-9))
+        return self.at(x, texture(fields, p, side))
+
+    def at(self, x: Float64Array, varies: Float64Array | None = None) -> tuple[FloatArray, FloatArray | None]:
+        """:meth:`of`, of positions in the unit cube of the fields.
+
+        Args:
+            x: the positions [n, 3].
+            varies: their :func:`texture` [n, 3]; None for that of their surroundings.
         """
         sums = dict(zip(_COLUMNS, np.split(self.nodes.read(x), np.cumsum([*_COLUMNS.values()])[:-1], 1), strict=True))
         count = sums["count"]
@@ -97,6 +131,9 @@ class ErrorBars:
             noise = noise + np.minimum(np.square(trade), 1.0) * variance
             roughness = np.sqrt(variance).astype(np.float32)
         deviation = np.sqrt(noise * sums["detail"] / pixels)
+        if varies is not None:  # its mean over the pixels of a cell is 1
+            usual = sums["texture"] / pixels
+            deviation = deviation * np.where(usual > 0.0, varies / np.maximum(usual, 1e-30), 1.0)
         known = count / (count + 1.0) / np.maximum(deviation, 1e-12)
         albedo = np.sqrt(1.0 / (known + 1.0 / np.maximum(np.square(self.spread), 1e-12)))
         return albedo.astype(np.float32), roughness
@@ -104,7 +141,7 @@ class ErrorBars:
 
 def measure(
     pixels: PixelDerivatives,
-    to_cube: ToUnitCube,
+    materials: BarFields,
     total: int,
     iteration: int,
     has_roughness: bool,
@@ -114,13 +151,13 @@ def measure(
 
     Args:
         pixels: some of the training pixels.
-        to_cube: positions to the unit cube of the fields.
+        materials: the recovered ones.
         total: training pixels that the fit has seen, of which ``pixels`` are a sample.
         iteration: of the fit.
         has_roughness: whether roughness was recovered.
         known: of the roughness, from more samples than ``pixels`` have; None to take theirs.
     """
-    x = in_cube(to_cube, pixels.p)
+    x = in_cube(materials.to_unit_cube, pixels.p)
     side = _side(x)
     # Stage 1: all in units of the brightness of each pixel, w = 1 / brightness^2.
     brightness = _brightness(pixels)  # [n, 3]
@@ -148,10 +185,11 @@ def measure(
     weighted = by_albedo[0] * by_albedo[1]
     cross = 0.5 * (by_albedo[0] * by_roughness[1] + by_albedo[1] * by_roughness[0])
     ones = np.ones((len(pixels), 1))
-    cell = _cell(to_cube, pixels.p, side)
+    cell = _cell(materials.to_unit_cube, pixels.p, side)
+    varies = texture(materials, torch.from_numpy(pixels.p), np.sqrt(pixels.area))
     columns = (
-        times * ones, times * pixels.area[:, None], times * d, times * misfit, times * pixels.detail, times * cross,
-        times * weighted, information[:, None],
+        times * ones, times * pixels.area[:, None], times * d, times * misfit, times * pixels.detail, times * varies,
+        times * cross, times * weighted, information[:, None],
     )  # fmt: skip
     nodes = Nodes.scattered(x, np.concatenate(columns, 1), side)
     return ErrorBars(nodes, cell, pixels.albedo.std(0).astype(np.float64), scales, iteration)
@@ -160,6 +198,23 @@ def measure(
 def in_cube(to_cube: ToUnitCube, p: FloatArray) -> Float64Array:
     """Positions [n, 3] in the unit cube."""
     return to_cube(torch.from_numpy(np.ascontiguousarray(p, np.float32))).cpu().numpy().astype(np.float64)
+
+
+def texture(fields: BarFields, p: Tensor, side: Float64Array | FloatArray) -> Float64Array:
+    """How the recovered albedo varies around positions: its standard deviation [n, 3] between the corners of a
+    tetrahedron.
+
+    Args:
+        fields: the materials.
+        p: positions in the scene, on the CPU [n, 3].
+        side: of a pixel there, in scene units [n]; the tetrahedron is half as large.
+    """
+    corners = torch.tensor([[1, 1, 1], [1, -1, -1], [-1, 1, -1], [-1, -1, 1]], dtype=torch.float32)
+    away = 0.25 * torch.from_numpy(np.asarray(side, np.float32)).unsqueeze(-1)
+    with torch.no_grad():
+        values = torch.stack([fields.albedo_at(p + away * corner).cpu().double() for corner in corners])  # [4, n, 3]
+    found: Float64Array = (values.var(0) + FLAT**2).sqrt().numpy()
+    return found
 
 
 def cells(x: Float64Array, side: int) -> tuple[IntArray, int]:

@@ -28,7 +28,7 @@ from neurad.integrators.renderer import MethodRenderer
 from neurad.integrators.world import World
 from neurad.metrics.bar_maps import bars_at
 from neurad.metrics.bars_file import NAME, read_bars
-from neurad.metrics.error_bars import ErrorBars, in_cube
+from neurad.metrics.error_bars import ErrorBars
 from neurad.metrics.seen import SeenBy
 from neurad.runs.checkpoints import named_checkpoint, newest_checkpoint, run_folder_of
 from neurad.runs.model_settings import parse_model
@@ -179,11 +179,11 @@ class LoadedRun:
 
     def _bars(self, points: Points, name: str) -> FloatArray:
         """Error bars of a map, of the run folder's file."""
-        cube, bars = self._fields().to_unit_cube, self._error_bars
+        fields, bars = self._fields(), self._error_bars
         if isinstance(points, SurfaceInteraction):
             emits = (self.world.geometry.emission > 0).any(-1)
-            return np.concatenate([bars_at(bars, cube, part, emits)[name] for part in _chunks(points)])
-        found = [bars.at(in_cube(cube, part.cpu().numpy())) for part in _chunks(self._positions(points))]
+            return np.concatenate([bars_at(bars, fields, part, emits)[name] for part in _chunks(points)])
+        found = [bars.of(fields, part) for part in _chunks(self._positions(points))]
         stds = [albedo if name == "albedo" else roughness for albedo, roughness in found]
         return np.concatenate([std for std in stds if std is not None])
 

@@ -47,5 +47,4 @@ def error_bars(
     known = None
     if correction is not None and correction.found and bool((correction.scales > 0).all()):
         known = Known(correction.information.cpu().numpy(), RoughnessBars(*correction.scales.tolist()))
-    to_cube = assembly.materials.to_unit_cube
-    return measure(pixels, to_cube, views.pixels, counters.iteration, has_roughness, known)
+    return measure(pixels, assembly.materials, views.pixels, counters.iteration, has_roughness, known)

@@ -18,7 +18,7 @@ from neurad.integrators.renderer import FieldRenderer, MethodRenderer, path_trac
 from neurad.integrators.world import World
 from neurad.metrics.bar_maps import predict_bars, score_bars
 from neurad.metrics.environment import EnvironmentScores
-from neurad.metrics.error_bars import ErrorBars, ToUnitCube
+from neurad.metrics.error_bars import BarFields, ErrorBars
 from neurad.metrics.held_out import HeldOut
 from neurad.metrics.held_out_scores import albedo_factors, score
 from neurad.metrics.limits import albedo_at_limits, roughness_spread
@@ -89,7 +89,7 @@ def evaluate(
     light: UnknownLight | None = None,
     scene: Scene | None = None,
     steady: bool = False,
-    bars: tuple[ErrorBars, ToUnitCube] | None = None,
+    bars: tuple[ErrorBars, BarFields] | None = None,
 ) -> Evaluation:
     """Score albedo, roughness, light and the method's own rendering at ``render_spp`` samples a pixel.
 
@@ -101,7 +101,7 @@ def evaluate(
         light: an environment that is recovered.
         scene: where it has another light for its held-out views, they are rendered in it, too.
         steady: take the noise of few samples from the rendering, see :func:`steadied`, as long as there is a field.
-        bars: error bars of the materials, and what maps positions to the unit cube that they are in.
+        bars: error bars, and the materials that they are of.
     """
     world, materials, radiance = estimator.world, estimator.materials, estimator.radiance
     rhs = MethodRenderer(estimator.method, estimator.scene)

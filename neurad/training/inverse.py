@@ -374,7 +374,7 @@ class InverseRenderer(L.LightningModule):
             if self._light is None and self.environment is not None:
                 self._light = unknown_light(self.scene, self.environment, self._held_out)
             known = self.materials if isinstance(self.materials, FittedMaterials) else None
-            shown = None if bars is None or known is None else (bars, known.to_unit_cube)
+            shown = None if bars is None or known is None else (bars, known)
             result = evaluate(
                 self._held_out, self.estimator, render_spp, glossy, self._light, self.scene, steady, shown
             )
@@ -418,8 +418,8 @@ class InverseRenderer(L.LightningModule):
         if self._held_out is None:
             self._held_out = self._make_held_out()
         assert isinstance(self.materials, FittedMaterials)
-        with self.world.tracer.uncounted():
-            return predict_bars(self._held_out, bars, self.materials.to_unit_cube)
+        with averaged(self.average), self.world.tracer.uncounted():
+            return predict_bars(self._held_out, bars, self.materials)
 
     def _make_held_out(self) -> HeldOut:
         """The held-out views, as much of them as evaluations look at."""

@@ -16,7 +16,7 @@ from neurad.integrators.direct import Direct
 from neurad.metrics import pixel_derivatives
 from neurad.metrics.bar_calibration import PRIOR, RoughnessBars
 from neurad.metrics.bars_file import read_bars, write_bars
-from neurad.metrics.error_bars import COLUMNS, ErrorBars, Known, in_cells, measure
+from neurad.metrics.error_bars import COLUMNS, FLAT, ErrorBars, Known, in_cells, measure, texture
 from neurad.metrics.nodes import Nodes
 from neurad.metrics.pixel_derivatives import PixelDerivatives
 
@@ -48,6 +48,20 @@ def test_nodes_keep_sums_and_read_linear_functions():
     assert (Nodes.scattered(x[:0], values[:0], 8).read(x) == 0).all()
 
 
+class Painted:
+    """Recovered materials in a cube of side 1 / ``size``: grey, or with vertical stripes where ``striped`` says so."""
+
+    def __init__(self, size=1.0, striped=lambda p: torch.zeros(len(p), dtype=torch.bool), period=0.05):
+        self.size, self.striped, self.period = size, striped, period
+
+    def to_unit_cube(self, p):
+        return self.size * p
+
+    def albedo_at(self, p):
+        stripes = 0.3 * torch.sin(2.0 * np.pi / self.period * p[:, :1]).expand(-1, 3)
+        return 0.5 + torch.where(self.striped(p)[:, None], stripes, torch.zeros(()))
+
+
 def pixels(n=80_000, noise=0.1, detail=1e-4):
     """Pixels on a plane that all see D = 1 and no highlight."""
     p = np.concatenate((RNG.random((n, 2)), np.full((n, 1), 0.5)), 1).astype(np.float32)
@@ -66,7 +80,7 @@ def test_bars_where_pixels_are_and_where_none_is():
     """On the plane the albedo's variance is the geometric mean of V and N = noise^2 / (pixels over a pixel's area);
     away from it the bars are the spread and the prior."""
     given = pixels()
-    bars = measure(given, lambda p: p, len(given), 7, has_roughness=True)
+    bars = measure(given, Painted(), len(given), 7, has_roughness=True)
     x = np.concatenate((RNG.uniform(0.2, 0.8, (200, 2)), np.full((200, 1), 0.5)), 1)
     albedo, roughness = bars.at(x)
     overlap = 80_000 * 5e-5  # pixels a unit of area, times their area
@@ -76,7 +90,42 @@ def test_bars_where_pixels_are_and_where_none_is():
     far_albedo, far_roughness = bars.at(np.array([[0.5, 0.5, 0.01]]))
     assert far_albedo[0] == pytest.approx(given.albedo.std(0), rel=1e-3)
     assert far_roughness[0, 0] == pytest.approx(PRIOR)
-    assert measure(given, lambda p: p, len(given), 7, has_roughness=False).at(x)[1] is None
+    assert measure(given, Painted(), len(given), 7, has_roughness=False).at(x)[1] is None
+
+
+def test_bars_of_albedo_are_wider_where_it_varies_and_as_wide_in_the_mean():
+    """Stripes on half of each cell: bars there are wider, next to them narrower, and the mean variance is that of a
+    cell of which nothing more is known."""
+
+    def striped(p):
+        return torch.floor(128.0 * p[:, 1]) % 2 == 0  # two to a cell
+
+    given = pixels()
+    bars = measure(given, Painted(striped=striped), len(given), 7, has_roughness=False)
+    n = 4000
+    p = torch.cat(
+        (0.2 + 0.6 * torch.rand(n, 2, generator=torch.Generator().manual_seed(1)), torch.full((n, 1), 0.5)), 1
+    )
+    found, everywhere = (x[0][:, 0] for x in (bars.of(Painted(striped=striped), p), bars.at(p.double().numpy())))
+    middle = (128.0 * p[:, 1]) % 1.0
+    inside = ((middle > 0.3) & (middle < 0.7)).numpy()
+    stripes = striped(p).numpy()
+    whole, on, beside = (float(np.square(found[lanes]).mean()) for lanes in (..., inside & stripes, inside & ~stripes))
+    assert whole == pytest.approx(np.square(everywhere).mean(), rel=0.1)
+    assert on > 0.5 * whole  # the edges have the most
+    assert beside < 0.1 * whole
+
+
+def test_texture_is_the_standard_deviation_within_half_a_pixel():
+    """Of a ramp of slope k over tetrahedra whose corners lie at +- side / 4: k side / 4 times the root of 4 / 3."""
+
+    class Ramp(Painted):
+        def albedo_at(self, p):
+            return 2.0 * p[:, :1].expand(-1, 3)
+
+    side = np.array([0.1, 0.02, 0.0])
+    found = texture(Ramp(), torch.zeros(3, 3), side)
+    assert found == pytest.approx(np.sqrt(4.0 / 3.0 * (0.5 * side[:, None]) ** 2 + FLAT**2).repeat(3, 1), rel=1e-4)
 
 
 @pytest.mark.parametrize("size", [1.0, 0.5])
@@ -88,7 +137,7 @@ def test_what_a_closing_step_found_takes_the_place_of_what_few_pixels_tell(size)
     known[: int(32 * size), : int(64 * size), int(32 * size)] = 1.0 / 0.02**2  # the plane at 0.5 lies in these cells
     given = pixels()
     found = Known(known, RoughnessBars(1.0, PRIOR))
-    bars = measure(given, lambda p: size * p, len(given), 7, has_roughness=True, known=found)
+    bars = measure(given, Painted(size), len(given), 7, has_roughness=True, known=found)
     assert bars.nodes.side == pytest.approx(64 / size, abs=4)
     cell = 64 / bars.nodes.side  # of information, in cells of the bars: as much as in a cell of information
     assert bars.nodes.values[:, -1].sum() * cell**2 == pytest.approx(known.sum(), rel=1e-4)
@@ -105,7 +154,7 @@ def test_cells_hold_the_sums_of_their_positions():
 
 
 def test_bars_come_back_from_their_file(tmp_path):
-    bars = measure(pixels(), lambda p: p, 8000, 7, has_roughness=True)
+    bars = measure(pixels(), Painted(), 8000, 7, has_roughness=True)
     write_bars(bars, tmp_path / "bars.npz")
     found = read_bars(tmp_path / "bars.npz")
     x = RNG.random((50, 3))

@@ -9,7 +9,6 @@ import torch
 
 from neurad.core.records import Constant, EnvironmentMap, Material
 from neurad.core.reflection import PrincipledModel
-from neurad.metrics.error_bars import in_cube
 from neurad.scene.builtin.plain import views
 from neurad.scene.builtin.shapes import quad
 from neurad.scene.description import Scene
@@ -74,7 +73,7 @@ def _no_highlight() -> Case:
         bars = error_bars(training.assembly, training.views, fit.photos, training.step.counters)
         if bars is None:
             raise FloatingPointError("the fit has no error bars")
-        std = bars.at(in_cube(fit.materials.to_unit_cube, si.p.numpy()))[1]
+        std = bars.of(fit.materials, si.p)[1]
         assert std is not None
         found = fit.surface(si)
         with torch.no_grad():
