@@ -107,19 +107,23 @@ class ErrorBars:
             p: positions in the scene [n, 3].
         """
         p = p.cpu()
-        x = in_cube(fields.to_unit_cube, p.numpy())
-        sums = self.nodes.read(x)
-        side = np.sqrt(sums[:, 1] / np.maximum(sums[:, 0], 1e-9))
-        return self.at(x, texture(fields, p, side))
+        sums = self._sums(in_cube(fields.to_unit_cube, p.numpy()))
+        side = np.sqrt(sums["area"] / np.maximum(sums["count"], 1e-9))[:, 0]
+        return self._deviations(sums, texture(fields, p, side))
 
-    def at(self, x: Float64Array, varies: Float64Array | None = None) -> tuple[FloatArray, FloatArray | None]:
-        """:meth:`of`, of positions in the unit cube of the fields.
+    def at(self, x: Float64Array) -> tuple[FloatArray, FloatArray | None]:
+        """The same at positions in the unit cube of the fields [n, 3], with the texture of their surroundings."""
+        return self._deviations(self._sums(x), None)
 
-        Args:
-            x: the positions [n, 3].
-            varies: their :func:`texture` [n, 3]; None for that of their surroundings.
-        """
-        sums = dict(zip(_COLUMNS, np.split(self.nodes.read(x), np.cumsum([*_COLUMNS.values()])[:-1], 1), strict=True))
+    def _sums(self, x: Float64Array) -> dict[str, Float64Array]:
+        """The sums [n, c] at positions in the unit cube [n, 3], by the names of _COLUMNS."""
+        ends = np.cumsum([*_COLUMNS.values()])[:-1]
+        return dict(zip(_COLUMNS, np.split(self.nodes.read(x), ends, 1), strict=True))
+
+    def _deviations(
+        self, sums: dict[str, Float64Array], varies: Float64Array | None
+    ) -> tuple[FloatArray, FloatArray | None]:
+        """Standard deviations where there are these sums and this :func:`texture` [n, 3]."""
         count = sums["count"]
         pixels = np.maximum(count, 1e-9)
         overlap = np.maximum(count * sums["area"] / pixels / self.cell**2, 1.0)  # pixels that see one pixel's patch
