@@ -8,7 +8,7 @@ import numpy as np
 import torch
 
 from neurad.core.records import FloatArray, SurfaceInteraction
-from neurad.metrics.bar_scores import LONG_TAILS, BarPool
+from neurad.metrics.bar_scores import BarPool
 from neurad.metrics.error_bars import BarFields, ErrorBars
 from neurad.metrics.held_out import HeldOut
 
@@ -54,7 +54,7 @@ def score_bars(held_out: HeldOut, maps: Sequence[Mapping[str, FloatArray]]) -> d
     """
     scores: dict[str, float] = {}
     for name in NAMES:
-        pool = BarPool(name in LONG_TAILS)
+        pool = BarPool()
         for index, entry in enumerate(maps):
             truth = held_out.truth(index).get(f"{name}_true")
             if truth is not None and f"{name}_std" in entry:

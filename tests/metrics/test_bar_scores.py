@@ -9,28 +9,20 @@ from neurad.metrics.bar_scores import BarPool, ause, coverage, spearman, sure
 N = 200_000
 
 
-def test_coverage_of_normal_errors():
-    """Bars of the right size cover their level; bars k times too small the level of k times fewer deviations."""
-    rng = np.random.default_rng(0)
-    std = rng.uniform(0.01, 0.3, (N, 3))
-    error = std * rng.standard_normal((N, 3))
-    assert coverage(error, std, 0.5) == pytest.approx(0.5, abs=5 * np.sqrt(0.25 / (3 * N)))
-    assert coverage(error, std, 0.9) == pytest.approx(0.9, abs=5 * np.sqrt(0.09 / (3 * N)))
-    assert coverage(error, std / 2.0, 0.9) == pytest.approx(0.5892, abs=0.004)  # erf(1.64485 / 2 / sqrt 2)
-    assert coverage(np.zeros((4, 1)), np.zeros((4, 1)), 0.5) == 1.0
-
-
-def test_coverage_of_errors_with_long_tails():
-    """Laplace errors of the same standard deviations: their own intervals cover their level; a normal distribution's of
-    0.5 is too wide for them, by closed form 1 - exp(-0.6745 sqrt 2).
+def test_coverage_of_errors():
+    """Bars of the right size cover their level of logistic errors; bars k times too small, and normal errors, what
+    closed forms say: (1 + exp(-x))^-1 and erf.
     """
     rng = np.random.default_rng(0)
     std = rng.uniform(0.01, 0.3, (N, 3))
-    error = std * rng.laplace(0.0, np.sqrt(0.5), (N, 3))
+    error = std * rng.logistic(0.0, np.sqrt(3.0) / np.pi, (N, 3))
     for level in (0.5, 0.9):
         limit = 5 * np.sqrt(level * (1.0 - level) / (3 * N))
-        assert coverage(error, std, level, long_tails=True) == pytest.approx(level, abs=limit)
-    assert coverage(error, std, 0.5) == pytest.approx(1.0 - np.exp(-0.6744898 * np.sqrt(2.0)), abs=0.003)
+        assert coverage(error, std, level) == pytest.approx(level, abs=limit)
+    assert coverage(error, std / 2.0, 0.9) == pytest.approx(2.0 / (1.0 + np.sqrt(1.0 / 19.0)) - 1.0, abs=0.004)
+    normal = std * rng.standard_normal((N, 3))
+    assert coverage(normal, std, 0.5) == pytest.approx(0.4552, abs=0.004)  # erf(0.6057 / sqrt 2)
+    assert coverage(np.zeros((4, 1)), np.zeros((4, 1)), 0.5) == 1.0
 
 
 def test_spearman_is_that_of_scipy_also_with_equal_values():
@@ -74,14 +66,6 @@ def test_the_sure_half_and_its_own_constant():
     found, constant = sure(bar, predicted, truth)
     assert found == pytest.approx(20.0)
     assert constant == pytest.approx(20.0)  # 0.2 and 0.4 around 0.3
-
-
-@pytest.mark.parametrize(("long_tails", "within"), [(False, 1.0), (True, 0.0)])
-def test_a_pool_has_intervals_of_its_map(long_tails, within):
-    """0.6 standard deviations lie within half of a normal distribution, and outside of half of one with long tails."""
-    pool, shape = BarPool(long_tails), (1, 4, 3)
-    pool.add(np.full(shape, 0.06), np.full(shape, 0.1), np.zeros(shape), np.ones((1, 4), bool))
-    assert pool.scores()["coverage_50"] == within
 
 
 def test_pool_takes_counted_pixels_alone_and_names_its_scores():
