@@ -43,7 +43,7 @@ CELLS = 64
 """Of the grid along the longest side of what the pixels see: some 10 cm of a room share their information."""
 FINER = 2
 """Patches of one unknown albedo along a cell of the grid."""
-FLAT = 1e-3
+FLAT = 5e-3
 """Standard deviation that an albedo has anywhere: what looks flat need not be."""
 
 ToUnitCube = Callable[[Tensor], Tensor]
