@@ -18,7 +18,7 @@ from neurad.scene.builtin import build_furnace
 from neurad.studies.bench.bound import gap, sentence
 from neurad.studies.bound import ladder
 from neurad.studies.bound.cells import COARSEST, FINEST, CellMaterials, SurfaceCells, _pack, _unpack, encode
-from neurad.studies.bound.ladder import rungs
+from neurad.studies.bound.ladder import Rung, rungs
 from neurad.studies.bound.photographs import Predicted, misfit, noise_covariance, photo_noise, predict
 from neurad.studies.bound.recovery import Photographed, Prior, Recovery, SeenDirectly
 from neurad.studies.bound.sparse import Rows
@@ -354,7 +354,18 @@ def test_what_a_cause_adds_is_added_to_all_below_it():
     assert [rung.errors["roughness"] for rung in found] == pytest.approx([1e-3, 2e-3, 2e-3, 2e-3, 2e-2])
     assert gap(found, "albedo") == pytest.approx(10 * np.log10(4))
     assert gap(found, "roughness") == pytest.approx(10.0)
-    assert "largest rung is ours, 90 %" in sentence(found, "roughness")
+    assert sentence(found, "roughness").endswith("largest rung is ours, 90 % of the squared error")
+
+
+def test_a_rung_that_a_fit_has_passed_is_not_the_largest():
+    def rung(name, error):
+        return Rung(name, "", {"albedo": error})
+
+    found = [rung("resolution", 1e-4), rung("noise", 3e-4), rung("light field", 5e-3), rung("ours", 1e-3)]
+    assert sentence(found, "albedo") == (
+        "albedo: gap_to_bound_db 5.23; the largest rung is ours, 70 % of the squared error; not counted, as the fit is "
+        "better: light field"
+    )
 
 
 @pytest.mark.main

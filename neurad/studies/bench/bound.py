@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import argparse
 import time
-from itertools import pairwise
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -71,14 +70,20 @@ def gap(rungs: list[Rung], what: str) -> float:
 
 
 def sentence(rungs: list[Rung], what: str) -> str:
-    """The gap, and the cause that adds the largest error."""
-    added = {rungs[0].name: rungs[0].errors[what]}
-    for above, rung in pairwise(rungs):
-        added[rung.name] = rung.errors[what] - above.errors[what]
+    """The gap, the cause that adds the largest error, and which rungs lie below the fit: they hold for linear estimates
+    with the light of the rung, which a fit need not be.
+    """
+    ours = rungs[-1].errors[what]
+    added, above, passed = {}, 0.0, []
+    for rung in rungs:
+        if rung.errors[what] > ours:
+            passed.append(rung.name)
+            continue
+        added[rung.name], above = rung.errors[what] - above, rung.errors[what]
     largest = max(added, key=lambda name: added[name])
-    part = 100 * added[largest] / rungs[-1].errors[what]
-    below = f"{what}: gap_to_bound_db {gap(rungs, what):.2f}"
-    return f"{below}; the largest rung is {largest}, {part:.0f} % of the squared error"
+    said = f"{what}: gap_to_bound_db {gap(rungs, what):.2f}"
+    said += f"; the largest rung is {largest}, {100 * added[largest] / ours:.0f} % of the squared error"
+    return f"{said}; not counted, as the fit is better: {', '.join(passed)}" if passed else said
 
 
 def _score(rung: Rung, column: str) -> str:
