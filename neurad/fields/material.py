@@ -191,8 +191,9 @@ class RoughnessField(_MaterialField):
     @torch.no_grad()
     def shift(self, mean: float, to: float) -> None:
         """Move all values so that those around ``mean`` come to lie around ``to``; for a field with a network."""
-        low, span = MIN_ROUGHNESS, 1.0 - MIN_ROUGHNESS
-        before, after = (math.log(x / (1.0 - x)) for x in ((mean - low) / span, (to - low) / span))
+        # Where a field has reached an end of its range in float32, its logarithm of odds is taken for that of 1e-6.
+        fraction = ((x - MIN_ROUGHNESS) / (1.0 - MIN_ROUGHNESS) for x in (mean, to))
+        before, after = (math.log(x / (1.0 - x)) for x in (min(max(x, 1e-6), 1.0 - 1e-6) for x in fraction))
         assert isinstance(self.mlp, MLP)
         bias = self.mlp.layers[-1].bias
         assert isinstance(bias, Tensor)

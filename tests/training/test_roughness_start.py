@@ -7,7 +7,7 @@ from neurad.assembly.settings import ModelSettings
 from neurad.core.records import Surface
 from neurad.core.reflection import PrincipledModel
 from neurad.core.rng import Stream
-from neurad.fields.material import RoughnessField
+from neurad.fields.material import MIN_ROUGHNESS, RoughnessField
 from neurad.fields.settings import GridConfig, RoughnessConfig
 from neurad.studies.stress.fit import Fit, Plan, photographs, small_settings
 from neurad.studies.stress.scenes import small_cube, with_material
@@ -38,6 +38,21 @@ def test_a_shift_moves_the_whole_field():
     assert float(after.mean()) == pytest.approx(0.1, abs=0.01)
     field.shift(0.1, float(before.mean()))
     torch.testing.assert_close(field.at(p), before, atol=0.02, rtol=0)
+
+
+@pytest.mark.parametrize(("bias", "mean"), [(40.0, 1.0), (-40.0, MIN_ROUGHNESS)])
+def test_a_field_at_an_end_of_its_range_is_shifted_by_a_finite_amount(bias, mean):
+    bounds = torch.tensor([[0.0, 0.0, 0.0], [1.0, 1.0, 1.0]])
+    field = RoughnessField(RoughnessConfig(GridConfig(levels=2, coarsest=4, finest=8, log2_size=10), 16), bounds)
+    with torch.no_grad():
+        field.mlp.layers[-1].bias.fill_(bias)
+    p = Stream(2).uniform(50, 3)
+    assert float(field.at(p).mean()) == pytest.approx(mean, abs=1e-6)
+    field.shift(mean, 0.3)
+    moved = float(field.mlp.layers[-1].bias)
+    assert 1.0 < abs(moved - bias) < 20.0
+    assert abs(moved) < abs(bias)
+    assert bool(field.at(p).isfinite().all())
 
 
 def started(roughness: float, settings: ModelSettings) -> Surface:
