@@ -133,7 +133,8 @@ def test_what_a_fit_refuses_is_refused_and_the_others_are_looked_at(tmp_path, mo
 
 
 @pytest.mark.main
-def test_bad_input_is_one_sentence(tmp_path, capsys):
+def test_bad_input_is_one_sentence(tmp_path, capsys, monkeypatch):
+    monkeypatch.chdir(tmp_path)  # a folder check/ may lie where a user has run it
     (tmp_path / "check.csv").write_text("mine")
     for words, sentence in (
         (["--root", str(tmp_path / "none")], "none"),
