@@ -13,7 +13,7 @@ import torch
 import yaml
 from browser import chromium, look_at  # noqa: F401  fixtures of every test
 
-_SKIPPED = pytest.StashKey[bool]()  # of a test that found in its body that it has to be skipped
+_SKIPPED = pytest.StashKey[bool]()  # of a test that found in a fixture or its body that it has to be skipped
 OPTIONAL = ("mitsuba", "open3d", "warp", "mkdocs", "xatlas", "pxr", "Node", "Chromium", "playwright", "rawpy", "cv2")
 
 
@@ -88,8 +88,8 @@ def pytest_runtest_makereport(item, call):
     """Skips in tests and fixtures."""
     outcome = yield
     report = outcome.get_result()
-    if call.when == "call":
-        item.stash[_SKIPPED] = report.skipped
+    if report.skipped:
+        item.stash[_SKIPPED] = True
     _forbid_skip(report)
 
 
