@@ -88,18 +88,18 @@ def seen_texels(texels: list[CoarseTexels], seen_by: SeenBy) -> list[BoolArray]:
     return np.split(seen, np.cumsum([len(of_mesh.lane) for of_mesh in texels])[:-1])
 
 
-def std_maps(texels: CoarseTexels, bars: ErrorBars, fields: BarFields, emits: torch.Tensor) -> dict[str, FloatArray]:
+def std_maps(texels: CoarseTexels, bars: ErrorBars, materials: BarFields, emits: torch.Tensor) -> dict[str, FloatArray]:
     """Standard deviations of a mesh: ``albedo`` [h, w, 3] and, where there is one, ``roughness`` [h, w, 1]; 0 on
     emitters and where nothing lies.
 
     Args:
         texels: of the mesh.
         bars: of the run.
-        fields: the recovered materials.
+        materials: the recovered ones.
         emits: whether each triangle of the scene does, bool.
     """
     maps = {}
-    for name, std in bars_at(bars, fields, texels.si, emits).items():
+    for name, std in bars_at(bars, materials, texels.si, emits).items():
         picture = np.zeros((texels.shape[0] * texels.shape[1], std.shape[1]), np.float32)
         picture[texels.lane] = std
         maps[name] = picture.reshape(*texels.shape, -1)

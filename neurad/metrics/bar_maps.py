@@ -15,23 +15,25 @@ from neurad.metrics.held_out import HeldOut
 NAMES = ("albedo", "roughness")
 
 
-def bars_at(bars: ErrorBars, fields: BarFields, si: SurfaceInteraction, emits: torch.Tensor) -> dict[str, FloatArray]:
+def bars_at(
+    bars: ErrorBars, materials: BarFields, si: SurfaceInteraction, emits: torch.Tensor
+) -> dict[str, FloatArray]:
     """Standard deviations at the lanes of ``si``: ``albedo`` [n, 3] and, where there is one, ``roughness`` [n, 1]; 0 on
     emitters, whose materials are known, and where there is no surface.
 
     Args:
         bars: of the run.
-        fields: the recovered materials.
+        materials: the recovered ones.
         si: surface points.
         emits: whether each triangle does, bool.
     """
     recovered = (si.valid & ~emits[si.prim.clamp_min(0)]).cpu().numpy()[:, None]
-    albedo, roughness = bars.of(fields, si.p)
+    albedo, roughness = bars.at(materials, si.p)
     found = {"albedo": albedo} if roughness is None else {"albedo": albedo, "roughness": roughness}
     return {name: np.where(recovered, values, np.float32(0.0)) for name, values in found.items()}
 
 
-def predict_bars(held_out: HeldOut, bars: ErrorBars, fields: BarFields) -> list[dict[str, FloatArray]]:
+def predict_bars(held_out: HeldOut, bars: ErrorBars, materials: BarFields) -> list[dict[str, FloatArray]]:
     """``albedo_std`` [h, w, 3] and, where there is one, ``roughness_std`` [h, w, 1] of every view, the root of the mean
     variance of a few points in each pixel.
     """
@@ -41,7 +43,7 @@ def predict_bars(held_out: HeldOut, bars: ErrorBars, fields: BarFields) -> list[
         size = held_out.size(index)
         parts: dict[str, list[FloatArray]] = {}
         for part, si in held_out.sub_samples(index, few=True):
-            for name, std in bars_at(bars, fields, si, emits).items():
+            for name, std in bars_at(bars, materials, si, emits).items():
                 variance = np.square(std).reshape(part.stop - part.start, -1, std.shape[-1]).mean(1)
                 parts.setdefault(f"{name}_std", []).append(np.sqrt(variance))
         maps.append({name: np.concatenate(values).reshape(*size, -1) for name, values in parts.items()})

@@ -99,31 +99,16 @@ class ErrorBars:
     roughness: RoughnessBars | None
     iteration: int
 
-    def of(self, fields: BarFields, p: Tensor) -> tuple[FloatArray, FloatArray | None]:
+    def at(self, materials: BarFields, p: Tensor) -> tuple[FloatArray, FloatArray | None]:
         """Standard deviations of the albedo [n, 3] and, where there is a roughness, of it [n, 1].
 
         Args:
-            fields: the materials that were recovered.
+            materials: the recovered ones.
             p: positions in the scene [n, 3].
         """
         p = p.cpu()
-        sums = self._sums(in_cube(fields.to_unit_cube, p.numpy()))
-        side = np.sqrt(sums["area"] / np.maximum(sums["count"], 1e-9))[:, 0]
-        return self._deviations(sums, texture(fields, p, side))
-
-    def at(self, x: Float64Array) -> tuple[FloatArray, FloatArray | None]:
-        """The same at positions in the unit cube of the fields [n, 3], with the texture of their surroundings."""
-        return self._deviations(self._sums(x), None)
-
-    def _sums(self, x: Float64Array) -> dict[str, Float64Array]:
-        """The sums [n, c] at positions in the unit cube [n, 3], by the names of _COLUMNS."""
-        ends = np.cumsum([*_COLUMNS.values()])[:-1]
-        return dict(zip(_COLUMNS, np.split(self.nodes.read(x), ends, 1), strict=True))
-
-    def _deviations(
-        self, sums: dict[str, Float64Array], varies: Float64Array | None
-    ) -> tuple[FloatArray, FloatArray | None]:
-        """Standard deviations where there are these sums and this :func:`texture` [n, 3]."""
+        read = self.nodes.read(in_cube(materials.to_unit_cube, p.numpy()))
+        sums = dict(zip(_COLUMNS, np.split(read, np.cumsum([*_COLUMNS.values()])[:-1], 1), strict=True))
         count = sums["count"]
         pixels = np.maximum(count, 1e-9)
         overlap = np.maximum(count * sums["area"] / pixels / self.cell**2, 1.0)  # pixels that see one pixel's patch
@@ -135,9 +120,9 @@ class ErrorBars:
             noise = noise + np.minimum(np.square(trade), 1.0) * variance
             roughness = np.sqrt(variance).astype(np.float32)
         deviation = np.sqrt(noise * sums["detail"] / pixels)
-        if varies is not None:  # its mean over the pixels of a cell is 1
-            usual = sums["texture"] / pixels
-            deviation = deviation * np.where(usual > 0.0, varies / np.maximum(usual, 1e-30), 1.0)
+        side = np.sqrt(sums["area"] / pixels)[:, 0]
+        # The mean of this factor over the pixels of a cell is 1.
+        deviation *= texture(materials, p, side) / np.maximum(sums["texture"] / pixels, 1e-30)
         known = count / (count + 1.0) / np.maximum(deviation, 1e-12)
         albedo = np.sqrt(1.0 / (known + 1.0 / np.maximum(np.square(self.spread), 1e-12)))
         return albedo.astype(np.float32), roughness
@@ -204,19 +189,19 @@ def in_cube(to_cube: ToUnitCube, p: FloatArray) -> Float64Array:
     return to_cube(torch.from_numpy(np.ascontiguousarray(p, np.float32))).cpu().numpy().astype(np.float64)
 
 
-def texture(fields: BarFields, p: Tensor, side: Float64Array | FloatArray) -> Float64Array:
+def texture(materials: BarFields, p: Tensor, side: Float64Array | FloatArray) -> Float64Array:
     """How the recovered albedo varies around positions: its standard deviation [n, 3] between the corners of a
     tetrahedron.
 
     Args:
-        fields: the materials.
+        materials: the recovered ones.
         p: positions in the scene, on the CPU [n, 3].
         side: of a pixel there, in scene units [n]; the tetrahedron is half as large.
     """
     corners = torch.tensor([[1, 1, 1], [1, -1, -1], [-1, 1, -1], [-1, -1, 1]], dtype=torch.float32)
     away = 0.25 * torch.from_numpy(np.asarray(side, np.float32)).unsqueeze(-1)
     with torch.no_grad():
-        values = torch.stack([fields.albedo_at(p + away * corner).cpu().double() for corner in corners])  # [4, n, 3]
+        values = torch.stack([materials.albedo_at(p + away * corner).cpu().double() for corner in corners])  # [4, n, 3]
     found: Float64Array = (values.var(0) + FLAT**2).sqrt().numpy()
     return found
 

@@ -122,7 +122,7 @@ class LoadedRun:
         """
         if isinstance(points, SurfaceInteraction):
             return self._evaluate(self.materials.albedo, points)
-        return self._evaluate(self._fields().albedo.at, self._positions(points))  # type: ignore[attr-defined]
+        return self._evaluate(self._fields().albedo_at, self._positions(points))
 
     def roughness(self, points: Points) -> FloatArray:
         """Recovered Burley roughness [n, 1], in [0, 1]; 1 in a diffuse scene, which has none.
@@ -137,7 +137,7 @@ class LoadedRun:
         def at(p: Tensor) -> Tensor:
             if fields.roughness is None:
                 return torch.ones_like(p[:, :1])
-            return fields.roughness.at(p, fields.albedo.at(p))  # type: ignore[attr-defined]
+            return fields.roughness.at(p, fields.albedo_at(p))
 
         return self._evaluate(at, self._positions(points))
 
@@ -183,7 +183,7 @@ class LoadedRun:
         if isinstance(points, SurfaceInteraction):
             emits = (self.world.geometry.emission > 0).any(-1)
             return np.concatenate([bars_at(bars, fields, part, emits)[name] for part in _chunks(points)])
-        found = [bars.of(fields, part) for part in _chunks(self._positions(points))]
+        found = [bars.at(fields, part) for part in _chunks(self._positions(points))]
         stds = [albedo if name == "albedo" else roughness for albedo, roughness in found]
         return np.concatenate([std for std in stds if std is not None])
 

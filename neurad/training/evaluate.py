@@ -8,6 +8,7 @@ from dataclasses import dataclass, field
 import torch
 from torch import Tensor
 
+from neurad.assembly.build import FittedMaterials
 from neurad.assembly.lighting import recovered_lamps, relit_world
 from neurad.core.protocols import Materials
 from neurad.core.records import FloatArray, View
@@ -18,7 +19,7 @@ from neurad.integrators.renderer import FieldRenderer, MethodRenderer, path_trac
 from neurad.integrators.world import World
 from neurad.metrics.bar_maps import predict_bars, score_bars
 from neurad.metrics.environment import EnvironmentScores
-from neurad.metrics.error_bars import BarFields, ErrorBars
+from neurad.metrics.error_bars import ErrorBars
 from neurad.metrics.held_out import HeldOut
 from neurad.metrics.held_out_scores import albedo_factors, score
 from neurad.metrics.limits import albedo_at_limits, roughness_spread
@@ -89,7 +90,7 @@ def evaluate(
     light: UnknownLight | None = None,
     scene: Scene | None = None,
     steady: bool = False,
-    bars: tuple[ErrorBars, BarFields] | None = None,
+    bars: ErrorBars | None = None,
 ) -> Evaluation:
     """Score albedo, roughness, light and the method's own rendering at ``render_spp`` samples a pixel.
 
@@ -101,7 +102,7 @@ def evaluate(
         light: an environment that is recovered.
         scene: where it has another light for its held-out views, they are rendered in it, too.
         steady: take the noise of few samples from the rendering, see :func:`steadied`, as long as there is a field.
-        bars: error bars, and the materials that they are of.
+        bars: error bars of the materials.
     """
     world, materials, radiance = estimator.world, estimator.materials, estimator.radiance
     rhs = MethodRenderer(estimator.method, estimator.scene)
@@ -128,8 +129,8 @@ def evaluate(
             fields.append(left.cpu().numpy())
         entry.update(held_out.truth(index))
         entry["seen"] = seen_map(held_out.counted(index), held_out.seen(index))
-    if bars is not None:
-        for entry, found_bars in zip(maps, predict_bars(held_out, *bars), strict=True):
+    if bars is not None and isinstance(materials, FittedMaterials):
+        for entry, found_bars in zip(maps, predict_bars(held_out, bars, materials), strict=True):
             entry.update(found_bars)
     unknown = light is not None or (lamps is not None and lamps.values.requires_grad)
     regions = (

@@ -373,11 +373,7 @@ class InverseRenderer(L.LightningModule):
         with averaged(self.average), self.world.tracer.uncounted():
             if self._light is None and self.environment is not None:
                 self._light = unknown_light(self.scene, self.environment, self._held_out)
-            known = self.materials if isinstance(self.materials, FittedMaterials) else None
-            shown = None if bars is None or known is None else (bars, known)
-            result = evaluate(
-                self._held_out, self.estimator, render_spp, glossy, self._light, self.scene, steady, shown
-            )
+            result = evaluate(self._held_out, self.estimator, render_spp, glossy, self._light, self.scene, steady, bars)
             result.scores.update(self._lamp_scores(result))
         self._guard.images(self.iteration, result.maps, [view.name for view in self._held_out.views])
         return result

@@ -82,15 +82,18 @@ def test_bars_where_pixels_are_and_where_none_is():
     given = pixels()
     bars = measure(given, Painted(), len(given), 7, has_roughness=True)
     x = np.concatenate((RNG.uniform(0.2, 0.8, (200, 2)), np.full((200, 1), 0.5)), 1)
-    albedo, roughness = bars.at(x)
+    albedo, roughness = bars.at(Painted(), torch.from_numpy(x).float())
     overlap = 80_000 * 5e-5  # pixels a unit of area, times their area
     expected = np.sqrt(np.sqrt(1e-4 * 0.01 / overlap))
     assert np.median(albedo) == pytest.approx(expected, rel=0.3)
     assert roughness == pytest.approx(PRIOR, rel=1e-3)
-    far_albedo, far_roughness = bars.at(np.array([[0.5, 0.5, 0.01]]))
+    far_albedo, far_roughness = bars.at(Painted(), torch.tensor([[0.5, 0.5, 0.01]]))
     assert far_albedo[0] == pytest.approx(given.albedo.std(0), rel=1e-3)
     assert far_roughness[0, 0] == pytest.approx(PRIOR)
-    assert measure(given, Painted(), len(given), 7, has_roughness=False).at(x)[1] is None
+    assert (
+        measure(given, Painted(), len(given), 7, has_roughness=False).at(Painted(), torch.from_numpy(x).float())[1]
+        is None
+    )
 
 
 def test_bars_of_albedo_are_wider_where_it_varies_and_as_wide_in_the_mean():
@@ -106,7 +109,8 @@ def test_bars_of_albedo_are_wider_where_it_varies_and_as_wide_in_the_mean():
     p = torch.cat(
         (0.2 + 0.6 * torch.rand(n, 2, generator=torch.Generator().manual_seed(1)), torch.full((n, 1), 0.5)), 1
     )
-    found, everywhere = (x[0][:, 0] for x in (bars.of(Painted(striped=striped), p), bars.at(p.double().numpy())))
+    found = bars.at(Painted(striped=striped), p)[0][:, 0]
+    everywhere = measure(given, Painted(), len(given), 7, has_roughness=False).at(Painted(), p)[0][:, 0]
     middle = (128.0 * p[:, 1]) % 1.0
     inside = ((middle > 0.3) & (middle < 0.7)).numpy()
     stripes = striped(p).numpy()
@@ -143,7 +147,8 @@ def test_what_a_closing_step_found_takes_the_place_of_what_few_pixels_tell(size)
     assert bars.nodes.values[:, -1].sum() * cell**2 == pytest.approx(known.sum(), rel=1e-4)
     y = np.linspace(0.1, 0.9, 50)
     for x, low, high in ((0.25, 0.019, 0.03), (0.75, 0.99 * PRIOR, PRIOR)):
-        _, roughness = bars.at(size * np.stack((np.full(50, x), y, np.full(50, 0.5)), 1))
+        p = torch.from_numpy(np.stack((np.full(50, x), y, np.full(50, 0.5)), 1)).float()
+        _, roughness = bars.at(Painted(size), p)
         assert low < np.median(roughness) <= high + 1e-6
 
 
@@ -157,9 +162,9 @@ def test_bars_come_back_from_their_file(tmp_path):
     bars = measure(pixels(), Painted(), 8000, 7, has_roughness=True)
     write_bars(bars, tmp_path / "bars.npz")
     found = read_bars(tmp_path / "bars.npz")
-    x = RNG.random((50, 3))
+    p = torch.from_numpy(RNG.random((50, 3))).float()
     assert found.iteration == 7
-    assert all(np.allclose(a, b, rtol=1e-5) for a, b in zip(found.at(x), bars.at(x), strict=True))
+    assert all(np.allclose(a, b, rtol=1e-5) for a, b in zip(found.at(Painted(), p), bars.at(Painted(), p), strict=True))
     with pytest.raises(InputError, match="neurad test writes them"):
         read_bars(tmp_path / "none.npz")
     (tmp_path / "bars.npz").write_bytes(b"PK not a file of arrays")

@@ -74,14 +74,13 @@ def test_error_bars_are_those_of_neurad_test(place):
     assert run.albedo_std(points)[lit].std() > 0
     assert not any("coverage" in key for key in scores)  # the room has no true maps
     bars = place / "error_bars.npz"
-    inside = np.random.default_rng(0).random((200, 3))
-    before = read_bars(bars).at(inside)[0]
+    before = read_bars(bars).at(run.materials, points.p)[0]
     assert before.std() > 0
     kept = bars.read_bytes()
     try:
         bars.unlink()
         main(["test"])  # in the trainer's inference mode, the same as at the end of the fit
-        assert read_bars(bars).at(inside)[0] == pytest.approx(before, rel=1e-3)
+        assert read_bars(bars).at(run.materials, points.p)[0] == pytest.approx(before, rel=1e-3)
         bars.unlink()
         with pytest.raises(InputError, match="no error bars of this run; neurad test writes them"):
             neurad.load(place).albedo_std(points)

@@ -73,7 +73,7 @@ def _no_highlight() -> Case:
         bars = error_bars(training.assembly, training.views, fit.photos, training.step.counters)
         if bars is None:
             raise FloatingPointError("the fit has no error bars")
-        std = bars.of(fit.materials, si.p)[1]
+        std = bars.at(fit.materials, si.p)[1]
         assert std is not None
         found = fit.surface(si)
         with torch.no_grad():
