@@ -9,6 +9,7 @@ import subprocess
 import sys
 import tempfile
 import threading
+from collections.abc import Callable
 from dataclasses import replace
 from importlib.util import find_spec
 from pathlib import Path
@@ -139,27 +140,37 @@ class AtlasMaker:
 
 
 class Spare:
-    """Texels that nobody has asked for yet; threads may take from them.
+    """Texels that nobody has asked for yet. Meshes take from them in turn, so that each gets the same in every export.
 
     Args:
         texels: how many.
+        order: of the meshes: one is answered when all before it are done.
     """
 
-    def __init__(self, texels: int) -> None:
+    def __init__(self, texels: int, order: list[int]) -> None:
         self.texels = texels
-        self._lock = threading.Lock()
+        self._turn = {mesh: turn for turn, mesh in enumerate(order)}
+        self._waiting = set(range(len(order)))
+        self._changed = threading.Condition()
 
-    def take(self, texels: int) -> bool:
-        """Take so many, if there are so many left."""
-        with self._lock:
+    def take(self, mesh: int, texels: int) -> bool:
+        """Take so many for this mesh, if there are so many left."""
+        with self._changed:
+            self._changed.wait_for(lambda: min(self._waiting) >= self._turn[mesh])
             if texels > self.texels:
                 return False
             self.texels -= texels
             return True
 
+    def done(self, mesh: int) -> None:
+        """This mesh takes no more."""
+        with self._changed:
+            self._waiting.remove(self._turn[mesh])
+            self._changed.notify_all()
+
 
 def atlas_chart(
-    mesh: Mesh, width: int, height: int, area: float, needed: float, maker: AtlasMaker, spare: Spare
+    mesh: Mesh, width: int, height: int, area: float, needed: float, maker: AtlasMaker, take: Callable[[int], bool]
 ) -> Chart | None:
     """The mesh with an atlas in a texture of about this size; None where xatlas fails, takes too long, or the mesh
     falls into so many charts that they need more than the largest texture.
@@ -171,7 +182,7 @@ def atlas_chart(
         area: of the mesh, in scene units.
         needed: texels per unit of length; while the charts have much less, the texture is doubled from what is spare.
         maker: runs xatlas.
-        spare: texels beyond those of all textures.
+        take: takes so many texels of those that are spare, and tells whether there were enough.
     """
     wanted = 0.9 * math.sqrt(FILLED * width * height / area) if area > 0 else 1.0
     density, found = wanted, None
@@ -188,14 +199,14 @@ def atlas_chart(
             found = Chart(unwrapped, find_charts(unwrapped), width, short, "atlas")
             if density * scale >= NEAR_ENOUGH * needed or 2 * max(width, height) > LARGEST:
                 break
-            if not spare.take(3 * width * short):
+            if not take(3 * width * short):
                 break
             width, height, wanted = 2 * width, 2 * short, 2.0 * density * scale
             density = wanted
             continue
         density *= 0.8 * scale
         # What lies between the charts does not shrink with them.
-        if density < COARSEST * wanted and (spare.take(3 * width * height) or density < LAST * wanted):
+        if density < COARSEST * wanted and (take(3 * width * height) or density < LAST * wanted):
             width, height = 2 * width, 2 * height
             if max(width, height) > LARGEST:
                 break

@@ -7,6 +7,7 @@ from collections.abc import Callable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
@@ -52,17 +53,23 @@ def unwrap(
     planned = int(PLANNED * _left(budget, own))
     texels = np.where(_kept(own), texels, rounded(_or_nothing(sizes, own), planned, side))
 
-    spare = Spare(max(budget - int(texels.prod(1).sum()), 0) if side is None else 0)
     first = np.array([len(mesh.faces) for mesh in meshes]) if share is None else share
+    order = [int(index) for index in np.argsort(-first, kind="stable")]
+    spare = Spare(max(budget - int(texels.prod(1).sum()), 0) if side is None else 0, order)
 
     def chart(index: int) -> Chart:
-        found = own[index]
-        if found is None:
-            width, height = (int(x) for x in texels[index])
-            with _borrowed(idle) as maker:
-                found = atlas_chart(bare[index], width, height, areas[index], float(density[index]), maker, spare)
+        try:
+            found = own[index]
             if found is None:
-                found = grid_chart(bare[index], _grid_density(areas[index], width * height), LARGEST, width * height)
+                width, height = (int(x) for x in texels[index])
+                take = partial(spare.take, index)
+                with _borrowed(idle) as maker:
+                    found = atlas_chart(bare[index], width, height, areas[index], float(density[index]), maker, take)
+                if found is None:
+                    grid = _grid_density(areas[index], width * height)
+                    found = grid_chart(bare[index], grid, LARGEST, width * height)
+        finally:
+            spare.done(index)
         done(meshes[index].name)
         return found
 
@@ -73,7 +80,7 @@ def unwrap(
         idle.put(maker)
     try:
         with ThreadPoolExecutor(count) as pool:
-            futures = {int(index): pool.submit(chart, int(index)) for index in np.argsort(-first, kind="stable")}
+            futures = {index: pool.submit(chart, index) for index in order}
             return [futures[index].result() for index in range(len(meshes))]
     finally:
         for maker in makers:

@@ -1,5 +1,6 @@
 """Every mesh gets texture coordinates that name one place each, and textures without seams."""
 
+import time
 from dataclasses import replace
 
 import numpy as np
@@ -10,12 +11,14 @@ from hypothesis import strategies as st
 
 from neurad.core.records import Constant, Material, Mesh, Surface
 from neurad.core.reflection import PrincipledModel
+from neurad.export.atlas import AtlasMaker
 from neurad.export.bake import bake
 from neurad.export.charts import Chart, find_charts, is_unique, own_chart, triangle_areas
 from neurad.export.fill import halved, push_pull
 from neurad.export.grid import grid_chart
 from neurad.export.texels import LARGEST, TextureSize, rounded, wanted_size
 from neurad.export.unwrap import unwrap
+from neurad.runtime import threads
 from neurad.scene.description import Scene
 from neurad.scene.geometry import Geometry
 from neurad.scene.textures import TextureTable
@@ -151,6 +154,25 @@ def test_a_worker_that_does_not_end_is_replaced_by_squares():
     made = unwrap([soup(30, np.random.default_rng(1))], np.array([50.0]), 1 << 16, seconds=1e-4)
     assert [found.kind for found in made] == ["grid"]
     assert is_unique(made[0])
+
+
+@pytest.mark.parametrize("slow", ["first", "second"])
+def test_what_is_left_of_the_budget_goes_to_whom_most_is_photographed_of(monkeypatch, slow):
+    """Whichever thread asks first: one export's textures are those of the next."""
+    pytest.importorskip("xatlas")
+    meshes = [replace(sphere(), name="second"), replace(sphere(), name="first")]
+    make = AtlasMaker.make
+
+    def make_late(self, mesh, density):
+        if mesh.name == slow:
+            time.sleep(1.0)  # the other one is through by then, or waits
+        return make(self, mesh, density)
+
+    monkeypatch.setattr(AtlasMaker, "make", make_late)
+    monkeypatch.setattr(threads, "threads", lambda count, grain: 2)
+    budget = 6 << 16
+    second, first = unwrap(meshes, np.full(2, 600.0), budget, share=np.array([1.0, 2.0]))
+    assert (first.width * first.height, second.width * second.height) == (4 << 16, 1 << 16)
 
 
 def sphere():
