@@ -118,6 +118,11 @@ class FittedMaterials(nn.Module):
         found: Tensor = self.albedo.at(p.to(next(iter(self.albedo.parameters())).device))  # type: ignore[attr-defined]
         return found
 
+    def roughness_at(self, p: Tensor) -> Tensor:
+        """Roughness [n, 1] at such positions; 1 in a Lambertian scene."""
+        albedo = self.albedo_at(p)
+        return torch.ones_like(albedo[:, :1]) if self.roughness is None else self.roughness.at(p.to(albedo), albedo)
+
 
 def build_materials(
     scene: Scene,

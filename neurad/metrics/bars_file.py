@@ -24,6 +24,7 @@ _SIZES = {
     "cell": (),
     "spread": (3,),
     "scales": (-1,),
+    "edges": (),
     "iteration": (),
 }
 
@@ -38,7 +39,8 @@ def write_bars(bars: ErrorBars, path: Path) -> None:
     buffer = io.BytesIO()
     np.savez_compressed(
         buffer, side=bars.nodes.side, index=bars.nodes.index, values=bars.nodes.values.astype(np.float32),
-        cell=bars.cell, spread=bars.spread, scales=np.array(scales, np.float64), iteration=bars.iteration,
+        cell=bars.cell, spread=bars.spread, scales=np.array(scales, np.float64), edges=bars.edges,
+        iteration=bars.iteration,
     )  # fmt: skip
     with replacing(path) as part:
         part.write_bytes(buffer.getvalue())
@@ -61,12 +63,14 @@ def read_bars(path: Path) -> ErrorBars:
             raise InputError(f"{path}: {said}")
     side, scales = int(found["side"]), found["scales"]
     index = found["index"].astype(np.int64)
-    if side < 1 or len(scales) not in (0, 2, 3) or len(index) != len(found["values"]) or (np.diff(index) <= 0).any():
+    ordered = len(index) == len(found["values"]) and (np.diff(index) > 0).all()
+    if side < 1 or len(scales) not in (0, 2, 3) or not ordered or not found["edges"] > 0.0:
         raise InputError(f"{path}: {said}")
     return ErrorBars(
         Nodes(side, index, found["values"].astype(np.float64)),
         float(found["cell"]),
         found["spread"].astype(np.float64),
         RoughnessBars(*(float(value) for value in scales)) if len(scales) else None,
+        float(found["edges"]),
         int(found["iteration"]),
     )

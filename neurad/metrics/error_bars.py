@@ -4,8 +4,8 @@ A pass over some training pixels at the final parameters collects at the nodes o
 :mod:`neurad.metrics.pixel_derivatives` finds in them; nothing is kept while a fit runs. With sums over the pixels near
 a point, ``w`` = 1 / squared brightness, and scaled from the pixels of the pass to all pixels:
 
-    roughness:  1 / variance = gain (F / s)^power + 1 / prior^2
-                F of :mod:`neurad.metrics.fisher`, s the noise of pixels
+    roughness:  1 / variance = (gain (F / s)^power + 1 / prior^2) (mean of sqrt(T)) / sqrt(T)
+                F of :mod:`neurad.metrics.fisher`, s the noise of pixels, T by how much roughness varies around a point
     albedo:     1 / variance = 1 / sqrt(V N) + 1 / spread^2
                 N = (misfit^2 / D^2) / (pixels that see one pixel's patch of surface) + (X / A)^2 roughness variance
 
@@ -13,9 +13,9 @@ N is the variance that a noisy photograph leaves in what a pixel covers, the unk
 much albedo makes up for roughness); V is the variance that the recovered albedo has within a pixel, the detail that
 no pixel can tell. Both measure how much of the pattern at the size of a pixel is not known, each with errors of its own
 that are factors, so the mean of their logarithms is taken. At a point the root of V is that of its cell, times how much
-more the albedo varies around the point than in the cell (texture, edges). ``gain`` and, in a fit with a closing step,
-``prior`` are measured from what independent halves of the photographs say of the same place, see
-:mod:`neurad.metrics.bar_calibration`.
+more the albedo varies around the point than in the cell (texture, edges). Errors of the roughness are larger next to
+its edges, too, but by less. ``gain`` and, in a fit with a closing step, ``prior`` are measured from what independent
+halves of the photographs say of the same place, see :mod:`neurad.metrics.bar_calibration`.
 """
 
 from __future__ import annotations
@@ -44,7 +44,7 @@ CELLS = 64
 FINER = 2
 """Patches of one unknown albedo along a cell of the grid."""
 FLAT = 5e-3
-"""Standard deviation that an albedo has anywhere: what looks flat need not be."""
+"""Standard deviation that materials have around any point: what looks flat need not be."""
 
 ToUnitCube = Callable[[Tensor], Tensor]
 """Positions [n, 3] in the scene to the unit cube of the fields."""
@@ -70,6 +70,10 @@ class BarFields(Protocol):
         """Recovered albedo [n, 3] at such positions."""
         ...
 
+    def roughness_at(self, p: Tensor) -> Tensor:
+        """Recovered roughness [n, 1] at such positions."""
+        ...
+
 
 @dataclass(frozen=True)
 class Known:
@@ -90,6 +94,7 @@ class ErrorBars:
         cell: side of a cell of that grid in scene units.
         spread: standard deviation of the recovered albedo over the photographs [3].
         roughness: scales of the roughness; None in a scene without any.
+        edges: mean over the photographs of the root of the roughness's :func:`texture`.
         iteration: of the fit when they were measured.
     """
 
@@ -97,6 +102,7 @@ class ErrorBars:
     cell: float
     spread: Float64Array
     roughness: RoughnessBars | None
+    edges: float
     iteration: int
 
     def at(self, materials: BarFields, p: Tensor) -> tuple[FloatArray, FloatArray | None]:
@@ -112,17 +118,19 @@ class ErrorBars:
         count = sums["count"]
         pixels = np.maximum(count, 1e-9)
         overlap = np.maximum(count * sums["area"] / pixels / self.cell**2, 1.0)  # pixels that see one pixel's patch
+        side = np.sqrt(sums["area"] / pixels)[:, 0]
         noise = sums["misfit"] / np.maximum(sums["square"], 1e-30) / overlap
         roughness = None
         if self.roughness is not None:
             variance = self.roughness.variance(sums["information"])  # [n, 1]
             trade = sums["cross"] / np.maximum(sums["weight"], 1e-30)
             noise = noise + np.minimum(np.square(trade), 1.0) * variance
-            roughness = np.sqrt(variance).astype(np.float32)
+            varies = np.sqrt(texture(materials.roughness_at, p, side)) / self.edges
+            varies = 1.0 + count / (count + 1.0) * (varies - 1.0)  # without pixels there is no size of one
+            roughness = np.sqrt(variance * varies).astype(np.float32)
         deviation = np.sqrt(noise * sums["detail"] / pixels)
-        side = np.sqrt(sums["area"] / pixels)[:, 0]
         # The mean of this factor over the pixels of a cell is 1.
-        deviation *= texture(materials, p, side) / np.maximum(sums["texture"] / pixels, 1e-30)
+        deviation *= texture(materials.albedo_at, p, side) / np.maximum(sums["texture"] / pixels, 1e-30)
         known = count / (count + 1.0) / np.maximum(deviation, 1e-12)
         albedo = np.sqrt(1.0 / (known + 1.0 / np.maximum(np.square(self.spread), 1e-12)))
         return albedo.astype(np.float32), roughness
@@ -175,13 +183,15 @@ def measure(
     cross = 0.5 * (by_albedo[0] * by_roughness[1] + by_albedo[1] * by_roughness[0])
     ones = np.ones((len(pixels), 1))
     cell = _cell(materials.to_unit_cube, pixels.p, side)
-    varies = texture(materials, torch.from_numpy(pixels.p), np.sqrt(pixels.area))
+    around = torch.from_numpy(pixels.p), np.sqrt(pixels.area)
+    varies = texture(materials.albedo_at, *around)
+    edges = float(np.sqrt(texture(materials.roughness_at, *around)).mean()) if has_roughness and len(pixels) else 1.0
     columns = (
         times * ones, times * pixels.area[:, None], times * d, times * misfit, times * pixels.detail, times * varies,
         times * cross, times * weighted, information[:, None],
     )  # fmt: skip
     nodes = Nodes.scattered(x, np.concatenate(columns, 1), side)
-    return ErrorBars(nodes, cell, pixels.albedo.std(0).astype(np.float64), scales, iteration)
+    return ErrorBars(nodes, cell, pixels.albedo.std(0).astype(np.float64), scales, edges, iteration)
 
 
 def in_cube(to_cube: ToUnitCube, p: FloatArray) -> Float64Array:
@@ -189,19 +199,19 @@ def in_cube(to_cube: ToUnitCube, p: FloatArray) -> Float64Array:
     return to_cube(torch.from_numpy(np.ascontiguousarray(p, np.float32))).cpu().numpy().astype(np.float64)
 
 
-def texture(materials: BarFields, p: Tensor, side: Float64Array | FloatArray) -> Float64Array:
-    """How the recovered albedo varies around positions: its standard deviation [n, 3] between the corners of a
+def texture(field: Callable[[Tensor], Tensor], p: Tensor, side: Float64Array | FloatArray) -> Float64Array:
+    """How recovered materials vary around positions: their standard deviation [n, c] between the corners of a
     tetrahedron.
 
     Args:
-        materials: the recovered ones.
+        field: gives them [n, c] at positions in the scene [n, 3].
         p: positions in the scene, on the CPU [n, 3].
         side: of a pixel there, in scene units [n]; the tetrahedron is half as large.
     """
     corners = torch.tensor([[1, 1, 1], [1, -1, -1], [-1, 1, -1], [-1, -1, 1]], dtype=torch.float32)
     away = 0.25 * torch.from_numpy(np.asarray(side, np.float32)).unsqueeze(-1)
     with torch.no_grad():
-        values = torch.stack([materials.albedo_at(p + away * corner).cpu().double() for corner in corners])  # [4, n, 3]
+        values = torch.stack([field(p + away * corner).cpu().double() for corner in corners])  # [4, n, c]
     found: Float64Array = (values.var(0) + FLAT**2).sqrt().numpy()
     return found
 

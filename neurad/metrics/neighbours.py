@@ -1,4 +1,4 @@
-"""What a surface that no photograph shows is likely to be: what the photographed parts of its mesh beside it are."""
+"""What a surface that no photograph shows is likely to be: what is photographed of its mesh, first of all beside it."""
 
 from __future__ import annotations
 
@@ -16,7 +16,10 @@ from neurad.scene.geometry import Geometry
 POINTS = 1 << 14
 """Points of photographed surface among which neighbours are looked for."""
 NEAREST = 64
-"""Neighbours that an answer is the mean of, each weighted by the inverse of its distance."""
+"""Neighbours that are averaged, each weighted by the inverse of its distance."""
+LOCAL = 0.5
+"""Part that these have in an answer. The mean of all that is photographed of the mesh has the rest: what was recovered
+has errors and does not reach far."""
 TURNED = 3.0
 """A neighbour at an angle counts as ``1 + TURNED (1 - cos)`` times as far away: 4 times one that faces to the side."""
 _PAIRS = 1 << 22  # distances in memory at once
@@ -80,8 +83,8 @@ class Neighbours:
             mine = (mesh[at.prim] == number).nonzero().squeeze(-1)
             for lanes in mine.split(max(1, _PAIRS // len(near))):
                 weight, index = _nearest(at[lanes], near)
-                albedo[lanes] = (weight * surface.albedo[beside[index]]).sum(1)
-                roughness[lanes] = (weight * surface.roughness[beside[index]]).sum(1)
+                for answer, value in ((albedo, surface.albedo[beside]), (roughness, surface.roughness[beside])):
+                    answer[lanes] = torch.lerp(value.mean(0), (weight * value[index]).sum(1), LOCAL)
             found[mine] = True
         kept = found[of_place].nonzero().squeeze(-1)
         return kept, Surface(albedo[of_place[kept]], roughness[of_place[kept]])

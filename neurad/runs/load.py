@@ -132,14 +132,7 @@ class LoadedRun:
         """
         if isinstance(points, SurfaceInteraction):
             return self._evaluate(lambda si: self.materials(si).roughness, points)
-        fields = self._fields()
-
-        def at(p: Tensor) -> Tensor:
-            if fields.roughness is None:
-                return torch.ones_like(p[:, :1])
-            return fields.roughness.at(p, fields.albedo_at(p))
-
-        return self._evaluate(at, self._positions(points))
+        return self._evaluate(self._fields().roughness_at, self._positions(points))
 
     def albedo_std(self, points: Points) -> FloatArray:
         """Standard deviation of the recovered albedo [n, 3]; 0 on emitters, where points of :meth:`surface` say so.

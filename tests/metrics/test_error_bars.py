@@ -61,6 +61,9 @@ class Painted:
         stripes = 0.3 * torch.sin(2.0 * np.pi / self.period * p[:, :1]).expand(-1, 3)
         return 0.5 + torch.where(self.striped(p)[:, None], stripes, torch.zeros(()))
 
+    def roughness_at(self, p):
+        return self.albedo_at(p)[:, :1]
+
 
 def pixels(n=80_000, noise=0.1, detail=1e-4):
     """Pixels on a plane that all see D = 1 and no highlight."""
@@ -122,14 +125,25 @@ def test_bars_of_albedo_are_wider_where_it_varies_and_as_wide_in_the_mean():
 
 def test_texture_is_the_standard_deviation_within_half_a_pixel():
     """Of a ramp of slope k over tetrahedra whose corners lie at +- side / 4: k side / 4 times the root of 4 / 3."""
-
-    class Ramp(Painted):
-        def albedo_at(self, p):
-            return 2.0 * p[:, :1].expand(-1, 3)
-
     side = np.array([0.1, 0.02, 0.0])
-    found = texture(Ramp(), torch.zeros(3, 3), side)
-    assert found == pytest.approx(np.sqrt(4.0 / 3.0 * (0.5 * side[:, None]) ** 2 + FLAT**2).repeat(3, 1), rel=1e-4)
+    found = texture(lambda p: 2.0 * p[:, :1].expand(-1, 2), torch.zeros(3, 3), side)
+    assert found == pytest.approx(np.sqrt(4.0 / 3.0 * (0.5 * side[:, None]) ** 2 + FLAT**2).repeat(2, 1), rel=1e-4)
+
+
+def test_bars_of_roughness_are_wider_next_to_its_edges_and_as_wide_in_the_mean():
+    """Stripes on the left half of the plane: variances go by the root of how it varies, and their mean is what they are
+    without.
+    """
+    striped = Painted(striped=lambda p: p[:, 0] < 0.5)
+    given = pixels()
+    bars = measure(given, striped, 100 * len(given), 7, has_roughness=True)  # a hundred times as many in the fit
+    p = torch.tensor(np.concatenate((RNG.uniform(0.1, 0.9, (4000, 2)), np.full((4000, 1), 0.5)), 1)).float()
+    variance = np.square(bars.at(striped, p)[1][:, 0].astype(np.float64))
+    varies = texture(striped.roughness_at, p, np.full(len(p), np.sqrt(5e-5)))[:, 0]
+    assert varies.max() > 5.0 * varies.min()
+    ratio = variance / np.sqrt(varies)
+    assert ratio == pytest.approx(np.median(ratio), rel=0.01)
+    assert variance.mean() == pytest.approx(PRIOR**2, rel=0.05)
 
 
 @pytest.mark.parametrize("size", [1.0, 0.5])
@@ -170,7 +184,7 @@ def test_bars_come_back_from_their_file(tmp_path):
     (tmp_path / "bars.npz").write_bytes(b"PK not a file of arrays")
     with pytest.raises(InputError, match=r"bars\.npz: .*neurad test"):
         read_bars(tmp_path / "bars.npz")
-    broken = ErrorBars(Nodes(4, np.array([3, 2]), np.zeros((2, COLUMNS))), 1.0, np.ones(3), RoughnessBars(1, 1), 7)
+    broken = ErrorBars(Nodes(4, np.array([3, 2]), np.zeros((2, COLUMNS))), 1.0, np.ones(3), RoughnessBars(1, 1), 1.0, 7)
     write_bars(broken, tmp_path / "order.npz")
     with pytest.raises(InputError, match="no file of error bars"):
         read_bars(tmp_path / "order.npz")

@@ -15,7 +15,7 @@ from neurad.core.rng import Stream
 from neurad.fields.settings import FieldConfig, GridConfig
 from neurad.metrics import neighbours
 from neurad.metrics.held_out import HeldOut
-from neurad.metrics.neighbours import NEAREST, TURNED, Neighbours
+from neurad.metrics.neighbours import LOCAL, NEAREST, TURNED, Neighbours
 from neurad.scene.textures import TrueMaterials
 
 
@@ -59,7 +59,7 @@ def test_a_mesh_of_one_material_is_guessed_exactly_and_one_that_no_view_shows_is
     torch.testing.assert_close(guess.roughness, truth(si[kept]).roughness)
 
 
-def test_a_guess_is_the_mean_of_the_nearest_by_their_distance(room):
+def test_a_guess_is_the_mean_of_the_nearest_by_their_distance_and_of_the_mesh(room):
     """Against a plain loop."""
     _, world, si = room
     found = of(world, EVERYWHERE)
@@ -73,9 +73,9 @@ def test_a_guess_is_the_mean_of_the_nearest_by_their_distance(room):
         first = away.argsort()[:NEAREST]
         weight = 1.0 / away[first] / (1.0 / away[first]).sum()
         for got, of_all in ((guess.albedo[row], values.albedo), (guess.roughness[row], values.roughness)):
-            torch.testing.assert_close(
-                got.double(), (weight[:, None] * of_all[mine[first]]).sum(0), atol=1e-4, rtol=1e-4
-            )
+            beside = (weight[:, None] * of_all[mine[first]]).sum(0)
+            expected = LOCAL * beside + (1.0 - LOCAL) * of_all[mine].double().mean(0)
+            torch.testing.assert_close(got.double(), expected, atol=1e-4, rtol=1e-4)
 
 
 def test_points_of_a_pixel_have_one_answer_for_each_mesh(room, monkeypatch):
