@@ -6,7 +6,7 @@ import argparse
 
 from neurad.commands import Verb
 from neurad.runtime.files import check_file, check_folder
-from neurad.studies.bench import bound, ceiling, cube, encode, gradients, growth, memory, peer, step, trace
+from neurad.studies.bench import bound, ceiling, cube, encode, gradients, growth, memory, peer, response, step, trace
 
 BENCHMARKS: dict[str, tuple[Verb, str]] = {
     "step": (step, "time the stages of a training step, against what the machine allows"),
@@ -22,6 +22,7 @@ BENCHMARKS: dict[str, tuple[Verb, str]] = {
         bound,
         "how far a fit is from the best possible: resolution, noise, fields, light field, and the fit itself",
     ),
+    "response": (response, "what photographs ask of a fit's roughness, beside what is wrong with it"),
     "peer": (peer, "race Mitsuba 3's path replay backpropagation to a given albedo error, on this machine"),
     "cube": (cube, "time and memory of a step against albedo, for ours, path replay and differentiated path tracing"),
     "gradients": (

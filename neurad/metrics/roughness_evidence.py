@@ -19,7 +19,7 @@ over patches of like ``F``.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -64,13 +64,16 @@ class Evidence:
     """Change of roughness that each asks for, times :attr:`information` [m]."""
 
 
-def evidence(pixels: PixelMeans, to_cube: ToUnitCube, side: int) -> tuple[Evidence, Evidence, Evidence]:
+def evidence(
+    pixels: PixelMeans, to_cube: ToUnitCube, side: int, residual: FloatArray | None = None
+) -> tuple[Evidence, Evidence, Evidence]:
     """Of all pixels, and of two halves of them, the two colours of a chess board, in the same patches.
 
     Args:
         pixels: some of the training pixels.
         to_cube: positions to the unit cube of the fields.
         side: patches along that, each with an albedo of its own; half as many until pixels suffice.
+        residual: what is to be explained in place of the pixels' own [n, 3], by whose covariance it is weighted.
     """
     x = in_cube(to_cube, pixels.p)
     patch, count = cells(x, side)
@@ -78,6 +81,8 @@ def evidence(pixels: PixelMeans, to_cube: ToUnitCube, side: int) -> tuple[Eviden
         side //= 2
         patch, count = cells(x, side)
     whole = _Pixels.of(pixels)
+    if residual is not None:
+        whole = replace(whole, e=residual)
     odd = (pixels.corner.sum(-1) + pixels.view) % 2 == 1
     everything = np.ones(len(x), bool)
     first, second, third = (whole.evidence(x, side, patch, count, part) for part in (everything, ~odd, odd))

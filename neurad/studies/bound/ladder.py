@@ -25,6 +25,7 @@ from neurad.studies.bound.fields import fit_fields, predicted, training_run
 from neurad.studies.bound.photographs import Predicted, misfit, noise_covariance, photo_noise, predict
 from neurad.studies.bound.recovery import LOOSE, Photographed, Prior, Recovery, Response, SeenDirectly
 from neurad.studies.bound.sparse import Rows
+from neurad.studies.true_views import check_truth, training_truth
 from neurad.training.evaluate import GLOSSY_SAMPLES
 from neurad.training.session import TrainingRun
 
@@ -94,13 +95,10 @@ class Ladder:
         scene, world = run.scene, run.world
         if world.delta is not None:
             raise InputError(f"scene {scene.name}: footprints through glass and in mirrors are not known to the bound")
-        sizes = {(view.camera.width, view.camera.height) for view in scene.train}
-        if len(sizes) > 1 or any(view.mask is not None for view in scene.train):
-            raise InputError(f"scene {scene.name}: the bound takes training photographs of one size and without masks")
         self.truth: Materials = TrueMaterials(scene, world.geometry)
         self.held_out = HeldOut(scene, world.geometry, world.tracer).read()
-        self._check(self.held_out, "held-out")
-        self.maps, photographs = self._training_truth()
+        check_truth(self.held_out, "held-out")
+        self.maps, photographs = training_truth(run)
         pixels = len(scene.train) * scene.train[0].camera.width * scene.train[0].camera.height
         self.positions = next((n for n in POSITIONS if n * pixels <= MOST), POSITIONS[-1])
         self.training: TrainingRun = training_run(scene, run.settings, photographs)
@@ -126,32 +124,6 @@ class Ladder:
         report(f"{self.cells.counts[-1]} cells, {len(self.kept)} pixels")
 
     # ---- what there is
-
-    def _training_truth(self) -> tuple[FloatArray, list[FloatArray]]:
-        """True materials of all training pixels [views, pixels, 4], and the photographs [h, w, 3]."""
-        scene, world = self.run.scene, self.run.world
-        reader = HeldOut(replace(scene, test=scene.train), world.geometry, world.tracer, 1)
-        self._check(reader, "training")
-        maps, photographs = [], []
-        for index in range(len(scene.train)):
-            found = reader.truth(index)
-            albedo = found["albedo_true"]
-            roughness = found.get("roughness_true", np.ones_like(albedo[..., :1]))
-            maps.append(np.concatenate((albedo, roughness), -1).reshape(-1, 4))
-            photographs.append(found["photograph"])
-        return np.stack(maps), photographs
-
-    @staticmethod
-    def _check(reader: HeldOut, kind: str) -> None:
-        """Raise InputError where a view lacks what is compared with."""
-        if not reader.views:
-            raise InputError(f"the scene has no {kind} views to bound by")
-        names = {"photograph": "photograph", "albedo_true": "true albedo"}
-        names |= {"roughness_true": "true roughness"} if reader.has_roughness else {}
-        for index, view in enumerate(reader.views):
-            for name, words in names.items():
-                if name not in reader.truth(index):
-                    raise InputError(f"{kind} view {view.name}: it has no {words}, which the bound needs")
 
     def _region(self, primary: PrimaryHits) -> tuple[FloatArray, float]:
         """Corner and longest side of what the training views see."""
