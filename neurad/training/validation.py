@@ -33,14 +33,11 @@ def is_due(iteration: int) -> bool:
 
 
 def shrink_levels(assembly: Assembly, views: TrainingViews, photographs: PhotoSource, iteration: int) -> None:
-    """Let training go on from what every other one of the pixels that no batch draws confirms of each level, the even
-    and the odd ones in turn: half of the cost, and what one half does not tell surely the next may.
-    """
+    """Let training go on from what the pixels that no batch draws confirm of each level."""
     batch = photographs.validation_batch()
     if assembly.average is None or batch is None:
         return
-    half = torch.arange(iteration // EVERY % 2, len(batch.view), 2)
-    found = _fit(assembly, views, batch.picked(half.to(batch.view.device)), iteration, groups=1)
+    found = _fit(assembly, views, batch, iteration, groups=1)
     clear = [_noise_alone(fit.factors) if fit.is_clear else torch.ones_like(fit.factors) for fit in found or []]
     assembly.average.levels.set(clear or None)
     assembly.average.shrink()
