@@ -12,9 +12,8 @@ from neurad.core.records import PixelBatch
 from neurad.metrics.pixel_derivatives import derivatives_of
 from neurad.metrics.validation import LevelFit, fit_levels
 
-FIRST, EVERY = 512, 1024
-"""Training goes on from what is kept after so many iterations, and at multiples of the second: noise comes back in some
-thousands."""
+EVERY = 512
+"""Iterations after which training goes on from what is kept: noise comes back in some thousands."""
 LEAST = 64
 """Pixels of which fewer say nothing."""
 GROUPS = 2
@@ -29,7 +28,7 @@ def is_due(iteration: int) -> bool:
     """Whether training goes on from what is kept after this many iterations; they alone decide, so a continued run is
     the same.
     """
-    return iteration == FIRST or (iteration > 0 and iteration % EVERY == 0)
+    return iteration > 0 and iteration % EVERY == 0
 
 
 def shrink_levels(assembly: Assembly, views: TrainingViews, photographs: PhotoSource, iteration: int) -> None:
