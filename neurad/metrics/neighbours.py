@@ -80,11 +80,13 @@ class Neighbours:
             if len(beside) == 0:
                 continue
             near = self.points[beside]
+            values = (albedo, surface.albedo[beside]), (roughness, surface.roughness[beside])
+            means = [value.mean(0) for _, value in values]
             mine = (mesh[at.prim] == number).nonzero().squeeze(-1)
             for lanes in mine.split(max(1, _PAIRS // len(near))):
                 weight, index = _nearest(at[lanes], near)
-                for answer, value in ((albedo, surface.albedo[beside]), (roughness, surface.roughness[beside])):
-                    answer[lanes] = torch.lerp(value.mean(0), (weight * value[index]).sum(1), LOCAL)
+                for (answer, value), mean in zip(values, means, strict=True):
+                    answer[lanes] = torch.lerp(mean, (weight * value[index]).sum(1), LOCAL)
             found[mine] = True
         kept = found[of_place].nonzero().squeeze(-1)
         return kept, Surface(albedo[of_place[kept]], roughness[of_place[kept]])

@@ -42,6 +42,11 @@ class PixelMeans:
     def __len__(self) -> int:
         return len(self.p)
 
+    @property
+    def number(self) -> IntArray:
+        """One for every pixel of the training views [n]."""
+        return np.asarray((self.view * (1 << 20) + self.corner[:, 1]) * (1 << 20) + self.corner[:, 0])
+
     def __getitem__(self, part: IntArray) -> Self:
         """Some of the pixels."""
         return type(self)(**{f.name: getattr(self, f.name)[part] for f in fields(self)})
@@ -83,11 +88,9 @@ def pixel_means(
     )  # fmt: skip
     if not parts or not sum(len(part[0]) for part in parts):
         return None
-    columns = [np.concatenate(column) for column in zip(*parts, strict=True)]
+    found = PixelMeans(*(np.concatenate(column) for column in zip(*parts, strict=True)))
     # Views of few pixels, and those of which only a part shows a surface, are drawn from more than once.
-    view, corner = columns[0], columns[1]
-    _, once = np.unique((view * (1 << 20) + corner[:, 1]) * (1 << 20) + corner[:, 0], return_index=True)
-    return PixelMeans(*(column[once] for column in columns))
+    return found[np.unique(found.number, return_index=True)[1]]
 
 
 def _parts(

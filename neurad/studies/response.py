@@ -209,11 +209,7 @@ def in_patches(means: PixelMeans, to_cube: ToUnitCube, side: int, values: Float6
 
 def _same_pixels(first: PixelMeans, second: PixelMeans) -> tuple[PixelMeans, PixelMeans]:
     """Those that both have, in the same order."""
-    mine, other = (
-        (x.view.astype(np.int64) << 40) + (x.corner[:, 1].astype(np.int64) << 20) + x.corner[:, 0]
-        for x in (first, second)
-    )
-    _, here, there = np.intersect1d(mine, other, assume_unique=True, return_indices=True)
+    _, here, there = np.intersect1d(first.number, second.number, assume_unique=True, return_indices=True)
     return first[here], second[there]
 
 

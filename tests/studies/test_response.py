@@ -46,8 +46,8 @@ def test_slopes_and_changes_are_those_that_were_put_in():
     assert 0.0 < known.value < 0.1
 
 
-def test_pixels_that_ask_for_all_that_is_wrong_have_a_slope_of_one():
-    """Over 20 draws within four standard errors; of a third of what is wrong, that much."""
+def test_pixels_that_ask_for_a_third_of_what_is_wrong_have_that_slope():
+    """Over 20 draws within four standard errors."""
     found = []
     for seed in range(20):
         draw = means(seed=seed)
