@@ -24,8 +24,9 @@ LARGEST = 2.0
 """Largest factor: decay shrinks levels that photographs would have larger."""
 SPREAD = 0.2
 """Spread of the factors around 1 before the pixels are asked; it decides where they say nothing."""
-ROUNDS, STEP = (1, 2, 2), 0.02
-"""Gauss-Newton steps with each set of derivatives by the factors, and the difference of factors that these are of."""
+ROUNDS, QUICK, STEP = (1, 2, 2), (2,), 0.02
+"""Gauss-Newton steps with each set of derivatives by the factors, those where one set has to do, and the difference of
+factors that derivatives are of."""
 SIGMAS = 2.0
 """Factors are clear if they lower the loss of pixels that they were not fitted to by so many standard errors."""
 SHOWN = -SIGMAS, SIGMAS
@@ -62,7 +63,7 @@ class LevelFit:
 
 
 def fit_levels(
-    pixels: PixelDerivatives, materials: FittedFields, levels: LevelFactors, epsilon: float
+    pixels: PixelDerivatives, materials: FittedFields, levels: LevelFactors, epsilon: float, quick: bool = False
 ) -> list[LevelFit]:
     """The factors of the levels with which the fields explain pixels that they were not fitted to: those of the albedo,
     and with them those of the roughness.
@@ -72,7 +73,9 @@ def fit_levels(
         materials: the fields, with all factors 1.
         levels: whose factors are looked for; they do not change.
         epsilon: floor of the relative loss in squared radiance units.
+        quick: with one set of derivatives, half of the time: enough where more is found soon after.
     """
+    rounds = QUICK if quick else ROUNDS
     with torch.no_grad():
         response = _Response(pixels, materials, levels, epsilon)
         factors = [torch.ones(size, device=response.device) for size in response.sizes]
@@ -80,20 +83,27 @@ def fit_levels(
         found: list[LevelFit] = []
         for _ in range(2):
             for index, sigmas in zip(range(len(factors)), SHOWN, strict=False):
-                found[index : index + 1] = [_cross_validated(response, factors, index, odd, sigmas)]
+                found[index : index + 1] = [_cross_validated(response, factors, index, odd, sigmas, rounds)]
                 factors[index] = found[index].factors
             if not any(fit.holds for fit in found[1:]):
                 break  # otherwise again: what one field has explained by now, the other need not
     return found
 
 
-def _cross_validated(response: _Response, factors: list[Tensor], index: int, odd: Tensor, sigmas: float) -> LevelFit:
+def _cross_validated(
+    response: _Response,
+    factors: list[Tensor],
+    index: int,
+    odd: Tensor,
+    sigmas: float,
+    rounds: tuple[int, ...] = ROUNDS,
+) -> LevelFit:
     """The factors of one field, those of the others as they are, if pixels confirm what others have said by so many
     standard errors.
     """
     ones = torch.ones_like(factors[index])
     start = response.losses(_with(factors, index, ones))  # [b]
-    first, second, whole = _fitted(response, factors, index, (odd, ~odd, torch.ones_like(odd)))
+    first, second, whole = _fitted(response, factors, index, (odd, ~odd, torch.ones_like(odd)), rounds)
     off = torch.zeros_like(start)
     for half, fitted in ((odd, first), (~odd, second)):
         off += torch.where(half, 0.0, start - response.losses(_with(factors, index, fitted)))
@@ -107,14 +117,16 @@ def _with(factors: list[Tensor], index: int, of_field: Tensor) -> list[Tensor]:
     return [*factors[:index], of_field, *factors[index + 1 :]]
 
 
-def _fitted(response: _Response, factors: list[Tensor], index: int, parts: tuple[Tensor, ...]) -> list[Tensor]:
+def _fitted(
+    response: _Response, factors: list[Tensor], index: int, parts: tuple[Tensor, ...], rounds: tuple[int, ...]
+) -> list[Tensor]:
     """The factors of one field that explain each part of the pixels [b] best, the last of which is all of them.
 
     Gauss-Newton steps; derivatives are taken where the last part is, for all of them: they hardly differ.
     """
     ones = torch.ones_like(factors[index])
     found = [ones] * len(parts)
-    for steps in ROUNDS:
+    for steps in rounds:
         derivative = response.by_factors(_with(factors, index, found[-1]), index)  # [levels, 2, b, 3]
         for number, part in enumerate(parts):
             j, weight = derivative[:, :, part], response.weight[part]

@@ -12,7 +12,7 @@ from neurad.core.records import PixelBatch
 from neurad.metrics.pixel_derivatives import derivatives_of
 from neurad.metrics.validation import LevelFit, fit_levels
 
-EVERY = 512
+EVERY = 256
 """Iterations after which training goes on from what is kept: noise comes back in some thousands."""
 LEAST = 64
 """Pixels of which fewer say nothing."""
@@ -36,7 +36,7 @@ def shrink_levels(assembly: Assembly, views: TrainingViews, photographs: PhotoSo
     batch = photographs.validation_batch()
     if assembly.average is None or batch is None:
         return
-    found = _fit(assembly, views, batch, iteration, groups=1)
+    found = _fit(assembly, views, batch, iteration, quick=True)
     clear = [_noise_alone(fit.factors) if fit.is_clear else torch.ones_like(fit.factors) for fit in found or []]
     assembly.average.levels.set(clear or None)
     assembly.average.shrink()
@@ -69,14 +69,14 @@ def update_levels(
     batch = photographs.validation_batch()
     if assembly.average is None or batch is None:
         return None
-    found = _fit(assembly, views, batch, iteration, GROUPS)
+    found = _fit(assembly, views, batch, iteration)
     shown = [fit.factors if settled else _noise_alone(fit.factors) for fit in found or []]
     assembly.average.levels.set(shown or None)
     return found
 
 
 def _fit(
-    assembly: Assembly, views: TrainingViews, batch: PixelBatch, iteration: int, groups: int
+    assembly: Assembly, views: TrainingViews, batch: PixelBatch, iteration: int, quick: bool = False
 ) -> list[LevelFit] | None:
     average, materials = assembly.average, assembly.materials
     if average is None or not isinstance(materials, FittedMaterials):
@@ -91,12 +91,13 @@ def _fit(
         batch = assembly.development(batch)
     with torch.no_grad(), average.used(whole=True), assembly.world.tracer.uncounted():
         pixels = derivatives_of(
-            assembly.estimator, views.primary, batch, views.emitter_mask, assembly.settings.seed, iteration, groups
-        )
+            assembly.estimator, views.primary, batch, views.emitter_mask, assembly.settings.seed, iteration,
+            1 if quick else GROUPS,
+        )  # fmt: skip
         found = None
         if pixels is not None and len(pixels) >= LEAST:
             epsilon = assembly.settings.objective.epsilon * views.mean_square_radiance
-            found = fit_levels(pixels, materials, average.levels, epsilon)  # type: ignore[arg-type]
+            found = fit_levels(pixels, materials, average.levels, epsilon, quick)  # type: ignore[arg-type]
     return found
 
 

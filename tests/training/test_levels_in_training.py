@@ -44,7 +44,7 @@ def pixels(count):
 def test_each_turn_asks_all_pixels(monkeypatch):
     """And shrinks the levels; without such pixels nothing happens."""
     asked = []
-    monkeypatch.setattr(validation, "_fit", lambda a, v, batch, iteration, groups: asked.append(batch.pixel.tolist()))
+    monkeypatch.setattr(validation, "_fit", lambda a, v, batch, iteration, quick: asked.append(batch.pixel.tolist()))
     assert turns_of(pixels(7)) == [None, None]
     assert asked == [list(range(7))] * 2
     assert turns_of(None) == []
