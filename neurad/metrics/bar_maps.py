@@ -8,11 +8,13 @@ import numpy as np
 import torch
 
 from neurad.core.records import FloatArray, SurfaceInteraction
+from neurad.metrics.bar_calibration import PRIOR
 from neurad.metrics.bar_scores import BarPool
 from neurad.metrics.error_bars import BarFields, ErrorBars
 from neurad.metrics.held_out import HeldOut
 
-NAMES = ("albedo", "roughness")
+PRIORS = {"albedo": None, "roughness": PRIOR}
+"""Standard deviation where nothing is known of the maps that have bars; that of an albedo is not known."""
 
 
 def bars_at(
@@ -55,8 +57,8 @@ def score_bars(held_out: HeldOut, maps: Sequence[Mapping[str, FloatArray]]) -> d
     no bars or no truth is left out.
     """
     scores: dict[str, float] = {}
-    for name in NAMES:
-        pool = BarPool()
+    for name, prior in PRIORS.items():
+        pool = BarPool(prior)
         for index, entry in enumerate(maps):
             truth = held_out.truth(index).get(f"{name}_true")
             if truth is not None and f"{name}_std" in entry:
