@@ -73,7 +73,8 @@ def fit_levels(
         materials: the fields, with all factors 1.
         levels: whose factors are looked for; they do not change.
         epsilon: floor of the relative loss in squared radiance units.
-        quick: with one set of derivatives, half of the time: enough where more is found soon after.
+        quick: only those of the albedo, with one set of derivatives: a third of the time, and enough where more is
+            found soon after.
     """
     rounds = QUICK if quick else ROUNDS
     with torch.no_grad():
@@ -82,7 +83,7 @@ def fit_levels(
         odd = torch.from_numpy(pixels.odd).to(response.device)
         found: list[LevelFit] = []
         for _ in range(2):
-            for index, sigmas in zip(range(len(factors)), SHOWN, strict=False):
+            for index, sigmas in zip(range(1 if quick else len(factors)), SHOWN, strict=False):
                 found[index : index + 1] = [_cross_validated(response, factors, index, odd, sigmas, rounds)]
                 factors[index] = found[index].factors
             if not any(fit.holds for fit in found[1:]):

@@ -46,9 +46,9 @@ class LevelFactors(nn.Module):
 
     @torch.no_grad()
     def set(self, factors: list[Tensor] | None) -> None:
-        """Take over new factors, grid by grid; None makes all of them 1."""
+        """Take over new factors of the first grids, and make all others 1."""
         for index, (_, own) in enumerate(self.items()):
-            own.fill_(1.0) if factors is None else own.copy_(factors[index])
+            own.copy_(factors[index]) if factors is not None and index < len(factors) else own.fill_(1.0)
 
     @torch.no_grad()
     def scale(self) -> None:

@@ -32,7 +32,9 @@ def is_due(iteration: int) -> bool:
 
 
 def shrink_levels(assembly: Assembly, views: TrainingViews, photographs: PhotoSource, iteration: int) -> None:
-    """Let training go on from what the pixels that no batch draws confirm of each level."""
+    """Let training go on from what the pixels that no batch draws confirm of each level of the albedo. Of the roughness
+    they confirm no noise while a fit runs: factors below 1 are as rare as chance makes them.
+    """
     batch = photographs.validation_batch()
     if assembly.average is None or batch is None:
         return

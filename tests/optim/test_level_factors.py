@@ -68,3 +68,8 @@ def test_training_goes_on_from_what_is_kept_and_results_stay():
         for (_, _, first, entries), factor in zip(field.level_table.tolist(), kept, strict=True):
             now = field.table.detach()[first : first + entries]
             torch.testing.assert_close(now, factor * table[first : first + entries])
+    average.levels.set([torch.tensor([0.5, 0.5, 0.5])])  # of the first grid alone
+    assert [factors.tolist() for _, factors in average.levels.items()] == [[0.5] * 3, [1.0] * 2]
+    average.levels.set([torch.tensor([0.5, 0.5, 0.5]), torch.tensor([0.5, 0.5])])
+    average.levels.set([torch.tensor([0.25, 0.5, 1.0])])
+    assert [factors.tolist() for _, factors in average.levels.items()] == [[0.25, 0.5, 1.0], [1.0] * 2]
