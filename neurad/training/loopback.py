@@ -39,6 +39,7 @@ class LoopbackDDP(DDPStrategy):
                 self._timeout or _PATIENCE,
             )
         super().setup_distributed()  # which joins nobody where that is done
+        atexit.register(_leave)
 
 
 def _join(backend: str, rank: int, size: int, port: int, patience: timedelta) -> None:
@@ -64,11 +65,9 @@ def _join(backend: str, rank: int, size: int, port: int, patience: timedelta) ->
         master_listen_fd=None if listener is None else listener.detach(),  # the store closes it
     )
     dist.init_process_group(backend, store=store, rank=rank, world_size=size, timeout=patience)
-    if backend == "nccl":
-        atexit.register(_leave)
 
 
 def _leave() -> None:
-    """NCCL warns about groups that are left to the end of the process."""
+    """Groups left to the end of a process make NCCL warn, and threads of Gloo can abort it (torch #190489)."""
     if dist.is_initialized():
         dist.destroy_process_group()

@@ -1,10 +1,12 @@
 """A short fit of the Cornell box on several processes; each writes what it has learned. Run by test_ddp.py."""
 
+import atexit
 import sys
 import warnings
 
 import lightning.pytorch as pl
 import torch
+import torch.distributed as dist
 
 from datamodules.scene_data import SceneData
 from neurad.assembly.settings import Optimization, Sampling
@@ -12,6 +14,7 @@ from neurad.core.records import SurfaceInteraction
 from neurad.core.rng import Stream
 from neurad.fields.settings import FieldConfig, GridConfig, RadianceConfig
 from neurad.training.inverse import InverseRenderer
+from neurad.training.loopback import LoopbackDDP
 from neurad.training.objective import GuideSamples, StepTerms
 
 STEPS = 12
@@ -56,8 +59,9 @@ def fit(devices, seed=0, kind="hash", joined=False):
         optimization=Optimization(warmup=1, average=0.5), seed=seed,
     )  # fmt: skip
     trainer = pl.Trainer(
-        accelerator="cpu", devices=devices, strategy="ddp" if devices > 1 else "auto", max_steps=STEPS, max_epochs=-1,
-        logger=False, enable_checkpointing=False, enable_progress_bar=False, enable_model_summary=False,
+        accelerator="cpu", devices=devices, strategy=LoopbackDDP() if devices > 1 else "auto",
+        max_steps=STEPS, max_epochs=-1, logger=False, enable_checkpointing=False,
+        enable_progress_bar=False, enable_model_summary=False,
         num_sanity_val_steps=0, limit_val_batches=0, callbacks=[Join()] if joined else [],
     )  # fmt: skip
     trainer.fit(module, SceneData(scene="patterns" if kind == "glossy" else "cornell", patches=128, seed=seed))
@@ -65,6 +69,7 @@ def fit(devices, seed=0, kind="hash", joined=False):
 
 
 if __name__ == "__main__":
+    atexit.register(lambda: print("in a group at exit:", dist.is_initialized()))  # runs after what registers later
     module, trainer = fit(2, kind=sys.argv[2])
     state = {name: value for name, value in module.state_dict().items()}
     torch.save(

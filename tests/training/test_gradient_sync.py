@@ -24,6 +24,7 @@ def test_two_processes_learn_what_one_learns_from_both_batches(tmp_path, kind):
     command = [sys.executable, str(HERE / "helpers" / "ddp_run.py"), str(tmp_path), kind]
     done = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=300)
     assert done.returncode == 0, done.stderr
+    assert done.stdout.count("in a group at exit: False") == 2, done.stdout
     first, second = (torch.load(tmp_path / f"{rank}.pt", weights_only=True) for rank in range(2))
     assert first["iteration"] == STEPS
     assert first["samples"] == 2 * STEPS * 128 * 2
