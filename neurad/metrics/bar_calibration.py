@@ -11,12 +11,7 @@ all pixels together, more than ``F_1 + F_2``, since halves know the albedo of a 
 is off where there is no information. What the fit's error shares with the noise of the very pixels that it was fitted
 to makes products smaller, at most by as much as a gain of 1 allows for.
 
-The closing step of a fit looks at all of its pixels with many more samples, and before it has taken any of what they
-ask for. From its halves both scales are found (:func:`calibrate_at_closing`), with ``F^POWER`` for ``F``: information
-lies in few of the pixels that share a place, so that its error falls more slowly. Pixels ask for a part ``s``
-(:data:`RESPONSE`) of the error ``e``, and the step takes a part ``t`` of the power of that: what is too fine for its
-grid, or halves do not agree on, stays. So ``d_1 d_2`` has the mean of ``s^2 e^2``, and the step leaves
-``((1 - s)^2 t + 1 - t) e^2``.
+A fit with a closing step has better ones: :mod:`neurad.metrics.closing_calibration`.
 """
 
 from __future__ import annotations
@@ -36,21 +31,6 @@ USUAL_GAIN, FACTOR = 0.02, 3.0
 OUTLIER = 9.0
 """Products are cut at so many standard deviations: residuals have long tails."""
 _GAINS = np.geomspace(1e-3, 1.0, 41)
-POWER = 0.8
-"""Of the information at a closing step. With 0.7 to 0.85 bars of three rooms cover alike in each sixth of them by
-information; with 1 those that claim most are too narrow."""
-RESPONSE = 0.65
-"""The part of what a roughness is off by that pixels ask for at a closing step: their response is not linear, and
-albedo and light have made up for some of it."""
-SPREAD = 0.3
-"""Of roughness. Patches that know it better than this count alike where halves of the pixels are compared: otherwise
-a few would decide, of which the fit has long known all that there is to know."""
-LEVELS, MODEL_ERROR = 16, 0.15
-"""Of patches by information, and the part by which the means in them differ from any such curve."""
-PRIOR_FACTOR, CLOSING_GAIN, CLOSING_FACTOR = 1.65, 1.0, 7.4
-"""By which the prior of rooms differs from :data:`PRIOR`; what is usual of the gain of ``F^POWER``, and how much that
-differs."""
-_PRIORS, _CLOSING_GAINS = np.geomspace(0.02, 0.5, 65), np.geomspace(1e-2, 1e2, 65)
 
 
 @dataclass(frozen=True)
@@ -66,17 +46,17 @@ class RoughnessBars:
 
     def variance(self, information: Float64Array) -> Float64Array:
         """Variance of the roughness by ``information`` in units of 1 / variance, which is noise where it is below 0."""
-        return _variance(information, self.gain, self.prior, self.power)
+        return variance(information, self.gain, self.prior, self.power)
 
 
-def _variance(
+def variance(
     information: Float64Array, gain: float | Float64Array, prior: float | Float64Array, power: float
 ) -> Float64Array:
     """:meth:`RoughnessBars.variance` of scales that broadcast with the information."""
     return np.asarray(1.0 / (gain * np.maximum(information, 0.0) ** power + 1.0 / np.square(prior)))
 
 
-def _unusual(values: Float64Array, usual: float, factor: float) -> Float64Array:
+def unusual(values: Float64Array, usual: float, factor: float) -> Float64Array:
     """The cost of values that are not the usual one: 1 where they differ from it by ``factor``."""
     return np.asarray(np.square(np.log(values / usual) / np.log(factor)))
 
@@ -138,58 +118,5 @@ def _gain(information: Float64Array, gradient: Float64Array, scatter: float, all
     expected = [slope * RoughnessBars(gain, PRIOR).variance(all_pixels) for gain in (USUAL_GAIN, *_GAINS)]
     squares = [float(np.square(product - mean).sum()) for mean in expected]
     dispersion = max(squares[0] / max(len(product), 1), 1.0)  # residuals have longer tails than the variance above has
-    costs = np.array(squares[1:]) / dispersion + _unusual(_GAINS, USUAL_GAIN, FACTOR)
+    costs = np.array(squares[1:]) / dispersion + unusual(_GAINS, USUAL_GAIN, FACTOR)
     return float(_GAINS[int(np.argmin(costs))])
-
-
-def levelled(information: Float64Array) -> Float64Array:
-    """Weights of equations of so much information (1 / variance of a roughness), with which patches that know it better
-    than :data:`SPREAD` count alike.
-    """
-    return np.asarray(1.0 / (1.0 + SPREAD**2 * information))
-
-
-def calibrate_at_closing(
-    information: Float64Array, gradient: Float64Array, around: Float64Array, explained: float = 0.0
-) -> RoughnessBars:
-    """The scales that fit best what halves of all training pixels ask for at the closing step of a fit.
-
-    Args:
-        information: 1 / variance of what both halves ask of each patch [2, m].
-        gradient: what they ask for times that [2, m].
-        around: information of all pixels around each patch, which the bars are made of [m].
-        explained: by how much the step of one half lowers the other's squared residuals, over both halves, each
-            equation times its :func:`levelled` weight.
-    """
-    both = (information > 0).all(0)
-    information, gradient, around = information[:, both], gradient[:, both], around[both]
-    # ---------------------- Mean square of what patches of like information ask for ----------------------
-
-    edges = np.quantile(around, np.linspace(0.0, 1.0, LEVELS + 1)[1:-1]) if both.any() else np.empty(0)
-    level = np.searchsorted(edges, around)
-    weight = levelled(information)  # [2, m]
-    part = {
-        "products": (weight * gradient).prod(0),
-        "amount": (weight * information).prod(0),
-        "noise": np.square(weight).prod(0) * information.prod(0),  # variance of the products
-        "logarithm": np.log1p(around),
-        "all": (weight * information).sum(0),
-        "count": np.ones(len(around)),
-    }
-    sums = {name: np.bincount(level, values, LEVELS) for name, values in part.items()}
-    sums = {name: values[sums["amount"] > 0] for name, values in sums.items()}  # [levels]
-    asked, deviation = sums["products"] / sums["amount"], np.sqrt(sums["noise"]) / sums["amount"]
-    # ---------------------- Mean squared error that the step leaves ----------------------
-
-    total = float((sums["all"] * asked.clip(0.0)).sum())
-    taken = min(max(explained / total, 0.0), 1.0) if total > 0.0 else 0.0
-    left = ((1.0 - RESPONSE) ** 2 * taken + 1.0 - taken) / RESPONSE**2
-    square, deviation = left * asked, left * deviation
-    middle = np.expm1(sums["logarithm"] / sums["count"])
-    # ---------------------- The curve that fits it best ----------------------
-
-    curve = _variance(middle, _CLOSING_GAINS[:, None], _PRIORS[:, None, None], POWER)  # [priors, gains, levels]
-    costs = (np.square(square - curve) / (np.square(deviation) + np.square(MODEL_ERROR * curve))).sum(-1)
-    costs += _unusual(_PRIORS, PRIOR, PRIOR_FACTOR)[:, None] + _unusual(_CLOSING_GAINS, CLOSING_GAIN, CLOSING_FACTOR)
-    prior, gain = np.unravel_index(int(np.argmin(costs)), costs.shape)
-    return RoughnessBars(float(_CLOSING_GAINS[gain]), float(_PRIORS[prior]), POWER)

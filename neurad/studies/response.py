@@ -25,7 +25,7 @@ from neurad.core.protocols import Materials
 from neurad.core.records import Surface, SurfaceInteraction
 from neurad.fields.material import CORRECTION_CELLS, Correction
 from neurad.integrators.radiometric import Radiometric
-from neurad.metrics.bar_calibration import levelled
+from neurad.metrics.closing_calibration import levelled
 from neurad.metrics.error_bars import ToUnitCube, cells, in_cube
 from neurad.metrics.pixel_means import PixelMeans, pixel_means
 from neurad.metrics.roughness_evidence import Evidence, evidence

@@ -23,7 +23,9 @@ from neurad.assembly.training_views import TrainingViews
 from neurad.core.protocols import PhotoSource
 from neurad.fields.material import CORRECTION_FACTOR, Correction
 from neurad.fields.settings import RoughnessConfig
-from neurad.metrics.bar_calibration import RoughnessBars, calibrate_at_closing, levelled
+from neurad.metrics.bar_calibration import RoughnessBars
+from neurad.metrics.closing_calibration import calibrate_at_closing, levelled
+from neurad.metrics.error_bars import cells as cells_of
 from neurad.metrics.error_bars import in_cells
 from neurad.metrics.nodes import Nodes
 from neurad.metrics.pixel_derivatives import GROUP
@@ -171,7 +173,7 @@ class Agreement:
     """The factor, from 0 to 1, by which each explains the other half's pixels best."""
     explained: float
     """By how much that lowers their squared residuals, each patch with its weight of
-    :func:`neurad.metrics.bar_calibration.levelled`."""
+    :func:`neurad.metrics.closing_calibration.levelled`."""
 
 
 def agreement(first: Evidence, second: Evidence, cells: int) -> Agreement:
@@ -192,7 +194,7 @@ def _scales(whole: Evidence, first: Evidence, second: Evidence, cells: int, expl
     information, gradient = (
         np.stack(halves) for halves in ((first.information, second.information), (first.gradient, second.gradient))
     )
-    return calibrate_at_closing(information, gradient, around, explained)
+    return calibrate_at_closing(information, gradient, around, cells_of(whole.x, cells)[0], explained)
 
 
 def _solved(found: Evidence, cells: int) -> Float64Array:

@@ -5,13 +5,9 @@ import pytest
 
 from neurad.metrics import bar_calibration
 from neurad.metrics.bar_calibration import (
-    POWER,
     PRIOR,
-    RESPONSE,
     RoughnessBars,
     calibrate,
-    calibrate_at_closing,
-    levelled,
 )
 from neurad.metrics.fisher import FLOOR, profile
 
@@ -109,49 +105,3 @@ def test_without_information_the_usual_scales_stay():
     found = calibrate(d, 0.0 * d, 0.0 * d, np.zeros(8), np.arange(8) % 2 == 0, places, 1e-9)
     assert found.variance(np.zeros(1))[0] == pytest.approx(PRIOR**2)
     assert found.gain == pytest.approx(bar_calibration.USUAL_GAIN, rel=0.1)
-
-
-def halves_of(prior, gain, seed, patches=20_000):
-    """What halves of the pixels ask of patches before a closing step, whose error has these scales: information of both
-    over six orders of magnitude, gradients and the information around.
-    """
-    rng = np.random.default_rng(seed)
-    around = np.exp(rng.uniform(np.log(0.1), np.log(1e5), patches))
-    information = around * rng.uniform(0.1, 0.4, (2, patches))
-    error = rng.standard_normal(patches) * np.sqrt(RoughnessBars(gain, prior, POWER).variance(around))
-    noise = rng.standard_normal((2, patches)) * np.sqrt(information)
-    return information, RESPONSE * information * error + noise, around
-
-
-@pytest.mark.parametrize(("prior", "gain"), [(0.05, 4.0), (0.14, 0.5), (0.2, 1.5)])
-def test_both_scales_are_found_from_halves_at_the_closing_step(prior, gain):
-    """Without the truth and of many patches: the prior within a quarter, the gain within a half, and so bars that
-    cover what they say. Of a room's 20 000 patches a prior of 0.05 is found as 0.045 to 0.095: little is known of it.
-    """
-    information, gradient, around = halves_of(prior, gain, seed=3, patches=200_000)
-    found = calibrate_at_closing(information, gradient, around)
-    assert found.prior == pytest.approx(prior, rel=0.25)
-    assert 1.0 / 1.5 < found.gain / gain < 1.5
-    true = RoughnessBars(gain, prior, POWER).variance(around)
-    assert np.abs(np.log(found.variance(around) / true)).max() < 0.5
-
-
-@pytest.mark.parametrize("taken", [0.3, 0.8])
-def test_bars_are_of_what_the_step_leaves(taken):
-    """A step that takes this part of the power of what pixels ask for leaves the rest, and the part of the error that
-    they do not ask for.
-    """
-    information, gradient, around = halves_of(0.14, 0.5, seed=4, patches=200_000)
-    before = RoughnessBars(0.5, 0.14, POWER).variance(around)
-    explained = taken * float((levelled(information) * information * RESPONSE**2 * before).sum())
-    found = calibrate_at_closing(information, gradient, around, explained)
-    left = ((1.0 - RESPONSE) ** 2 * taken + 1.0 - taken) * before
-    some = around > 10.0  # where there is less the prior keeps bars as wide as usual
-    assert np.abs(np.log(found.variance(around) / left))[some].mean() < 0.3
-
-
-def test_halves_that_tell_nothing_leave_the_usual_scales_at_the_closing_step():
-    none = np.zeros((2, 50))
-    found = calibrate_at_closing(none, none, np.zeros(50))
-    assert found.prior == pytest.approx(PRIOR, rel=0.05)
-    assert found.gain == pytest.approx(bar_calibration.CLOSING_GAIN, rel=0.1)

@@ -10,7 +10,7 @@ import torch
 from neurad.core.reflection import PrincipledModel
 from neurad.fields.material import CORRECTION_CELLS, MIN_ROUGHNESS, Correction
 from neurad.fields.settings import RoughnessConfig
-from neurad.metrics.bar_calibration import levelled
+from neurad.metrics.closing_calibration import levelled
 from neurad.metrics.roughness_evidence import Evidence
 from neurad.studies.stress.fit import Fit, Plan, photographs, small_settings
 from neurad.studies.stress.scenes import small_cube, with_material
