@@ -9,8 +9,8 @@ step leaves ``((1 - s)^2 t + 1 - t) e^2``.
 
 Where little is known products of patches are noise, and what both halves mistake for roughness, an edge of the albedo,
 say. Sums over the cells of the step's grid have less of both, but also less of the error: patches of a cell are off by
-the same only in part. By what ratio is told by the cells that know much, where both are measured well; so curves are
-fitted to patches and to cells together. What the step takes is compared with what these curves say that pixels ask for:
+the same only in part. The cells that know much give the ratio, where both are measured well; so curves are fitted to
+patches and to cells together. What the step takes is compared with what these curves say that pixels ask for:
 noise of the products that happens to be positive would count as something that the step leaves.
 """
 
@@ -22,6 +22,7 @@ from typing import Self
 import numpy as np
 
 from neurad.metrics.bar_calibration import PRIOR, RoughnessBars, unusual, variance
+from neurad.metrics.fisher import per_patch
 from neurad.metrics.scores import Float64Array, IntArray
 
 POWER = 0.8
@@ -38,8 +39,8 @@ LEVELS, MODEL_ERROR = 16, 0.15
 PRIOR_FACTOR, GAIN, GAIN_FACTOR = 1.65, 1.0, 7.4
 """By which the prior of rooms differs from :data:`PRIOR`; what is usual of the gain of ``F^POWER``, and how much that
 differs."""
-ROUNDS = 3
-"""Of fitting the curves and finding what the step takes of what they say that pixels ask for."""
+ROUNDS = 2
+"""Of finding what the step takes of what the curves say that pixels ask for, and fitting them again."""
 RATIO, RATIO_FACTOR = 1.4, 1.5
 """Mean squared error of patches over that of the means of cells, and by how much that differs."""
 _PRIORS, _GAINS, _RATIOS = np.geomspace(0.02, 0.5, 65), np.geomspace(1e-2, 1e2, 65), np.geomspace(0.8, 4.0, 33)
@@ -69,21 +70,23 @@ def calibrate_at_closing(
     patches = _Equations.levelled(information[:, both], gradient[:, both], around[both])
     edges = np.quantile(around[both], np.linspace(0.0, 1.0, LEVELS + 1)[1:-1]) if both.any() else np.empty(0)
     of_patches, of_cells = patches.products(edges), patches.summed(place[both]).products(edges)
-    usual = unusual(_PRIORS, PRIOR, PRIOR_FACTOR)[:, None] + unusual(_GAINS, GAIN, GAIN_FACTOR)
-    scales, left = RoughnessBars(GAIN, PRIOR, POWER), 1.0 / RESPONSE**2
+    left = 1.0 / RESPONSE**2
+    scales = _fitted(of_patches, of_cells, left)
     for _ in range(ROUNDS):
-        # ---------------------- The curve that fits best ----------------------
-
-        costs = np.stack([of_cells.misfit(left, ratio) for ratio in _RATIOS])  # [ratios, priors, gains]
-        costs += unusual(_RATIOS, RATIO, RATIO_FACTOR)[:, None, None] + of_patches.misfit(left) + usual
-        _, prior, gain = np.unravel_index(int(np.argmin(costs)), costs.shape)
-        scales = RoughnessBars(float(_GAINS[gain]), float(_PRIORS[prior]), POWER)
-        # ---------------------- Squared error that the step leaves, over the products ----------------------
-
-        total = float((of_patches.amount * scales.variance(of_patches.middle)).sum()) / left
+        total = float((of_patches.information * scales.variance(of_patches.middle)).sum()) / left
         taken = min(explained / total, 1.0) if total > 0.0 else 0.0
         left = ((1.0 - RESPONSE) ** 2 * taken + 1.0 - taken) / RESPONSE**2
+        scales = _fitted(of_patches, of_cells, left)
     return scales
+
+
+def _fitted(of_patches: _Products, of_cells: _Products, left: float) -> RoughnessBars:
+    """The scales that fit both best where the step leaves so much squared error over the products."""
+    costs = np.stack([of_cells.misfit(left, ratio) for ratio in _RATIOS])  # [ratios, priors, gains]
+    costs += unusual(_RATIOS, RATIO, RATIO_FACTOR)[:, None, None] + of_patches.misfit(left)
+    costs += unusual(_PRIORS, PRIOR, PRIOR_FACTOR)[:, None] + unusual(_GAINS, GAIN, GAIN_FACTOR)
+    _, prior, gain = np.unravel_index(int(np.argmin(costs)), costs.shape)
+    return RoughnessBars(float(_GAINS[gain]), float(_PRIORS[prior]), POWER)
 
 
 @dataclass(frozen=True)
@@ -92,12 +95,12 @@ class _Products:
 
     middle: Float64Array
     """Information around [levels]."""
-    asked: Float64Array
-    """Mean product of what both halves ask for [levels]."""
+    mean: Float64Array
+    """Product of what both halves ask for [levels]."""
     deviation: Float64Array
     """Standard deviation of that mean [levels]."""
-    amount: Float64Array
-    """Information of both halves times the weights [levels]."""
+    information: Float64Array
+    """Of both halves, times the weights [levels]."""
 
     def misfit(self, left: float, ratio: float = 1.0) -> Float64Array:
         """Sums of squared differences from the curves of all scales [priors, gains], in units of what they may be.
@@ -108,7 +111,7 @@ class _Products:
         """
         curve = variance(self.middle, _GAINS[:, None], _PRIORS[:, None, None], POWER) / ratio  # [priors, gains, levels]
         allowed = np.square(left * self.deviation) + np.square(MODEL_ERROR * curve)
-        return np.asarray((np.square(left * self.asked - curve) / allowed).sum(-1))
+        return np.asarray((np.square(left * self.mean - curve) / allowed).sum(-1))
 
 
 @dataclass(frozen=True)
@@ -129,24 +132,19 @@ class _Equations:
 
     def summed(self, place: IntArray) -> _Equations:
         """One equation for all that lie in the same of the places [n]; what is around them is their mean."""
-        place = np.unique(place, return_inverse=True)[1]
-
-        def sums(x: Float64Array) -> Float64Array:
-            return np.stack([np.bincount(place, half).astype(np.float64) for half in x])
-
-        around = np.bincount(place, self.around) / np.bincount(place)
-        return _Equations(sums(self.amount), sums(self.gradient), sums(self.noise), around)
+        occupied, place = np.unique(place, return_inverse=True)
+        amount, gradient, noise = (
+            per_patch(x.T, place, len(occupied)).T for x in (self.amount, self.gradient, self.noise)
+        )
+        return _Equations(amount, gradient, noise, np.bincount(place, self.around) / np.bincount(place))
 
     def products(self, edges: Float64Array) -> _Products:
         """By levels with these edges of the information around."""
         level = np.searchsorted(np.log1p(edges), self.around)
-        noise, amount, asked, both, around, count = (
-            np.bincount(level, x, LEVELS).astype(np.float64)
-            for x in (
-                self.noise.prod(0), self.amount.prod(0), self.gradient.prod(0), self.amount.sum(0), self.around,
-                np.ones(len(self.around)),
-            )
+        columns = (
+            self.noise.prod(0), self.amount.prod(0), self.gradient.prod(0), self.amount.sum(0), self.around,
+            np.ones(len(self.around)),
         )  # fmt: skip
-        some = amount > 0
-        noise, amount, asked, both, around, count = (x[some] for x in (noise, amount, asked, both, around, count))
-        return _Products(np.expm1(around / count), asked / amount, np.sqrt(noise) / amount, both)
+        sums = per_patch(np.stack(columns, -1), level, LEVELS)
+        noise, square, product, information, around, count = sums[sums[:, 1] > 0].T
+        return _Products(np.expm1(around / count), product / square, np.sqrt(noise) / square, information)

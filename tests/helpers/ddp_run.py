@@ -1,4 +1,4 @@
-"""A short fit of the Cornell box on several processes; each writes what it has learned. Run by test_ddp.py."""
+"""A short fit of the Cornell box on several processes; each writes what it has learned. For test_gradient_sync.py."""
 
 import atexit
 import os

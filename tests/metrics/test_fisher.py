@@ -4,11 +4,7 @@ import numpy as np
 import pytest
 
 from neurad.metrics import bar_calibration
-from neurad.metrics.bar_calibration import (
-    PRIOR,
-    RoughnessBars,
-    calibrate,
-)
+from neurad.metrics.bar_calibration import PRIOR, RoughnessBars, calibrate
 from neurad.metrics.fisher import FLOOR, profile
 
 CHANNELS = 3
