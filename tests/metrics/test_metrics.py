@@ -211,28 +211,6 @@ def test_predictions_are_box_filtered() -> None:
     np.testing.assert_array_equal(again["albedo"], maps["albedo"])
 
 
-class Unsure(Plain):
-    """Recovered materials that have learnt something else behind the wall."""
-
-    known_meshes: frozenset[int] = frozenset()
-
-    def __call__(self, si: SurfaceInteraction) -> Surface:
-        found, behind = super().__call__(si), si.p[:, :1] > 0.0
-        return Surface(torch.where(behind, 0.75, found.albedo), torch.where(behind, 0.125, found.roughness))
-
-
-@pytest.mark.parametrize("chunk", [1 << 18, 160])
-def test_what_no_photograph_shows_is_guessed(monkeypatch: pytest.MonkeyPatch, chunk: int) -> None:
-    monkeypatch.setattr(held_out, "CHUNK", chunk)
-    views, unsure = open_views(make_scene([from_above()])), Unsure(0.25, 0.5)
-    maps = views.predict(unsure)[0]
-    np.testing.assert_allclose(maps["albedo"][COUNTED], 0.25, rtol=1e-6)
-    np.testing.assert_allclose(maps["roughness"][COUNTED], 0.5, rtol=1e-6)
-    np.testing.assert_array_equal(maps["albedo"][0], 0.0)  # nothing is hit
-    unsure.known_meshes = frozenset(range(2))
-    np.testing.assert_array_equal(views.predict(unsure)[0]["albedo"][COUNTED & ~SEEN], 0.75)
-
-
 def test_chunks_and_uncached_hits_change_nothing_that_counts(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(held_out, "CHUNK", 160)  # ten pixels, across rows, four in the last chunk
     monkeypatch.setattr(held_out, "CACHE_BYTES", 0)
