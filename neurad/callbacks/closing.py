@@ -151,6 +151,7 @@ def report_run(
             unseen=unseen,
             views=views_of(module),
             rows=MetricsTable(folder / "metrics.csv").rows(),
+            exposure=evaluation.exposure,
             environment=evaluation.environment,
             number=len(module.scene.scored),
             distrusted=_distrusted(folder, unseen),

@@ -27,6 +27,7 @@ from neurad.metrics.scores import BoolArray
 from neurad.metrics.seen import SeenBy
 from neurad.runtime.progress import counted
 from neurad.scene.description import Scene
+from neurad.scene.exposure import scene_exposure
 from neurad.scene.geometry import Geometry
 from neurad.scene.image_io import read_exr, read_mask
 from neurad.scene.numbers import PIXEL, within
@@ -95,8 +96,17 @@ class HeldOut:
         for index in counted(range(len(self.views)), "reading", len(self.views), "held-out views"):
             self.truth(index)
             self.kept(index)
-        _ = self.lookup
+        _ = self.lookup, self.exposure
         return self
+
+    @cached_property
+    def exposure(self) -> float:
+        """What radiance is multiplied with before pictures are shown, or compared as they are shown.
+
+        Raises:
+            InputError: as :func:`neurad.scene.exposure.scene_exposure`.
+        """
+        return scene_exposure(self.scene)
 
     @cached_property
     def lookup(self) -> ColourLookup | None:

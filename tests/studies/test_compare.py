@@ -32,8 +32,8 @@ CONFIG = {
     "model": {"sampling": {"spp": 8, "samples_per_vertex": 2}, "objective": {"estimator": "leave_one_out"}},
 }
 PER_STEP = 4 * 4 * 8 * 2
-COLUMNS = ("iteration", "seconds", "rays", "psnr_linear", "albedo_psnr", "albedo_mape")
-CONSTANT = {"psnr_linear_constant": 10.0, "albedo_psnr_constant": 15.0, "albedo_mape_constant": 0.5}
+COLUMNS = ("iteration", "seconds", "rays", "psnr_srgb", "albedo_psnr", "albedo_mape")
+CONSTANT = {"psnr_srgb_constant": 10.0, "albedo_psnr_constant": 15.0, "albedo_mape_constant": 0.5}
 
 # A stand-in for the program: writes a run as `neurad fit` does, in no time, or fails as the overlay's name says.
 STUB = """
@@ -125,6 +125,18 @@ def test_marks_stand_below_the_methods_where_runs_have_them():
         "true colour's lookup": {"roughness_psnr": 31.4, "roughness_mape": 0.1},
     }
     assert marks([Run("ours", 0, Path("a"), rows=[{"albedo_psnr": 20.0}])]) == {}
+
+
+def test_what_is_exact_is_called_so_and_is_best():
+    make_run("a", (19.0, 23.0, 27.0))
+    make_run("b", (19.0, 23.0, math.inf))
+    text = Path("b/metrics.csv").read_text()
+    Path("b/metrics.csv").write_text(text.replace(",inf,", ",exact,"))  # as a run writes it
+    main(["compare", "a", "b"])
+    assert table()["b"]["albedo_psnr"] == "exact"
+    written = [Path("report", name).read_text() for name in ("index.html", "table.md", "curves.csv")]
+    assert "b has the best albedo (exact, the best constant 15.00)" in written[0]
+    assert not re.search(r"\b(inf|nan)\b", "".join(written))
 
 
 def test_curves_hold_every_evaluation():

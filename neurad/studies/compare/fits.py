@@ -11,6 +11,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
+from neurad.core.decibels import decibels
 from neurad.core.durations import dd_hh_mm_ss
 from neurad.core.errors import InputError
 from neurad.runs.child import run_neurad
@@ -51,7 +52,7 @@ def fit_all(options: argparse.Namespace) -> list[Run]:
             making.detail = f"{number} of {len(fits)}"
             run = _make(fit, number)
         runs.append(run)
-        scores = f"albedo {run.last['albedo_psnr']:.2f} dB" if "albedo_psnr" in run.last else "done"
+        scores = f"albedo {decibels(run.last['albedo_psnr'])}" if "albedo_psnr" in run.last else "done"
         seconds = f"{run.last.get('seconds', 0.0):.1f} s, "
         print(f"neurad: {fit.method}, seed {fit.seed}: {'failed: ' + run.message if run.message else seconds + scores}")
     return runs

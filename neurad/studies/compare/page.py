@@ -6,6 +6,7 @@ import html
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
+from neurad.core.decibels import decibels, figure
 from neurad.metrics.marks import CONSTANT
 from neurad.pages import page
 from neurad.pages.sheet import Sheet
@@ -19,7 +20,7 @@ HEADS = {
     "albedo_mape": "albedo MAPE",
     "roughness_psnr": "roughness PSNR / dB",
     "roughness_mape": "roughness MAPE",
-    "psnr_linear": "picture PSNR / dB, linear",
+    "psnr_srgb": "picture PSNR / dB, sRGB",
     "lamp_error": "error of the worst lamp",
     "seconds": "training time / s",
     "samples": "path samples",
@@ -90,17 +91,18 @@ def headline(rows: Sequence[TableRow]) -> str:
     level = next((row for row in rows if row["method"] == CONSTANT), {})
     parts = []
     for panel in (panel for panel in PANELS if panel.row == 0):
-        scored = [(value, str(row["method"])) for row in _fitted(rows) if (value := _number(row.get(panel.score)))]
+        found = [(_number(row.get(panel.score)), str(row["method"])) for row in _fitted(rows)]
+        scored = [(value, method) for value, method in found if value is not None]
         if not scored:
             continue
         score, method = max(scored)
         constant = _number(level.get(panel.score))
         what = panel.title.partition(" ")[0].lower()
         if constant is not None and score <= constant:
-            parts.append(f"no method has {what} above the best constant ({constant:.2f} dB)")
+            parts.append(f"no method has {what} above the best constant ({decibels(constant)})")
         else:
-            beside = "" if constant is None else f", the best constant {constant:.2f}"
-            parts.append(f"{method} has the best {what} ({score:.2f} dB{beside})")
+            beside = "" if constant is None else f", the best constant {figure(constant)}"
+            parts.append(f"{method} has the best {what} ({decibels(score)}{beside})")
     return f"On the held-out views {'; '.join(parts) or 'nothing was scored'}."
 
 

@@ -17,7 +17,7 @@ from neurad.runtime.tables import numbers, read_csv
 
 FACTS = "compare.json"
 """File in a run folder with what the comparison that started it recorded."""
-SCORES = ("albedo_psnr", "albedo_mape", "roughness_psnr", "roughness_mape", "psnr_linear", "lamp_error")
+SCORES = ("albedo_psnr", "albedo_mape", "roughness_psnr", "roughness_mape", "psnr_srgb", "lamp_error")
 
 Row = dict[str, float]
 

@@ -7,6 +7,7 @@ import statistics
 from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
+from neurad.core.decibels import figure
 from neurad.runtime import tables
 from neurad.runtime.files import write_text
 from neurad.runtime.tables import Cell
@@ -64,7 +65,8 @@ def _row(method: str, group: Sequence[Run], reach: Sequence[float]) -> TableRow:
     for name in ("seconds", "samples", *SCORES):
         row[name] = _median([run.last.get(name) for run in done])
     for value in reach:
-        row[f"seconds_to_albedo_{value:g}"] = _median([seconds_to(run, value) for run in done])
+        middle = _median([seconds_to(run, value) for run in done])
+        row[f"seconds_to_albedo_{value:g}"] = None if middle == math.inf else middle
     for name in RATES:
         row[name] = _median([rates(run).get(name) for run in done])
     row["peak_memory_mib"] = _median([run.peak_memory_mib for run in done])
@@ -72,12 +74,9 @@ def _row(method: str, group: Sequence[Run], reach: Sequence[float]) -> TableRow:
 
 
 def _median(values: Sequence[float | None]) -> float | None:
-    """The median of what is known; infinite ones count as the largest, and an infinite median as nothing."""
+    """The median of what is known."""
     known = [value for value in values if value is not None]
-    if not known:
-        return None
-    middle = statistics.median(known)
-    return middle if math.isfinite(middle) else None
+    return statistics.median(known) if known else None
 
 
 def write_csv(path: Path, rows: Sequence[TableRow], reach: Sequence[float] = REACH) -> None:
@@ -104,7 +103,7 @@ def shown(name: str, cell: Cell) -> str:
         return _DIGITS[name](cell)
     if name.startswith("seconds_to_"):
         return f"{cell:.1f}"
-    return f"{cell:.3f}" if "mape" in name or name == "lamp_error" else f"{cell:.2f}"
+    return f"{cell:.3f}" if "mape" in name or name == "lamp_error" else figure(cell)
 
 
 def present(rows: Sequence[TableRow], reach: Sequence[float] = REACH) -> list[str]:
