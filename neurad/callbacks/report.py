@@ -60,6 +60,8 @@ class Result:
     """Which views the scores are of."""
     rows: Sequence[Row] = ()
     """Of ``metrics.csv``."""
+    busy: str = ""
+    """That something else had the processor."""
     exposure: float = 1.0
     """What radiance is multiplied with to be shown."""
     environment: Mapping[str, FloatArray] = field(default_factory=dict)
@@ -80,7 +82,7 @@ def write_report(path: Path, result: Result) -> None:
     judged = verdict(result.scores, result.views)
     parts = [
         f'<p class="verdict">{html.escape(judged.sentence)}</p>',
-        *(f'<p class="warn">{html.escape(text)}</p>' for text in judged.warnings),
+        *(f'<p class="warn">{html.escape(text)}</p>' for text in filter(None, [result.busy, *judged.warnings])),
         *(
             [f"<p>{html.escape(result.unseen.sentence(f'the {result.views}'))}</p>"]
             if result.unseen.fraction is not None

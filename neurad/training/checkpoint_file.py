@@ -29,6 +29,8 @@ _OWN: dict[str, type | tuple[type, ...]] = {
     "fingerprint": str,
     "iteration": int,
     "seconds": (int, float),
+    "processor_seconds": (int, float),
+    "waited_seconds": (int, float),
     "rays": int,
     "samples": int,
 }

@@ -2,7 +2,10 @@
 
 import json
 import math
+import os
 import re
+import subprocess
+import sys
 import time
 from pathlib import Path
 from types import SimpleNamespace
@@ -14,6 +17,7 @@ from tensorboard.backend.event_processing.event_accumulator import EventAccumula
 
 from neurad.callbacks import pictures
 from neurad.callbacks.board import split_mark
+from neurad.callbacks.closing import busy
 from neurad.callbacks.evaluation import Evaluate
 from neurad.callbacks.report import Result, write_report
 from neurad.callbacks.table import COLUMNS, MetricsTable, curve_table, score_table
@@ -130,6 +134,48 @@ def test_the_clock_stands_still_during_evaluation():
         time.sleep(0.05)
         assert clock.training_seconds() == inside
     assert clock.training_seconds() < 0.05
+
+
+def test_processor_time_stands_still_during_evaluation_and_is_nothing_while_it_is_held(monkeypatch):
+    now = [10.0, 1.0]
+    monkeypatch.setattr(clock, "_processor", lambda: tuple(now))
+    clock.hold()
+    assert (clock.training_seconds(), clock.processor_seconds()) == (0.0, (0.0, 0.0))
+    clock.restart()
+    now[:] = 13.0, 2.0
+    with clock.excluded():
+        now[:] = 20.0, 7.0
+        assert clock.processor_seconds() == (3.0, 1.0)
+    now[:] = 21.0, 9.0
+    assert clock.processor_seconds() == (4.0, 3.0)
+
+
+@pytest.mark.skipif(not Path("/proc/self/schedstat").exists(), reason="the system does not report it")
+def test_waiting_for_a_processor_that_something_else_has_is_noticed():
+    usable = os.sched_getaffinity(0)
+    one = {min(usable)}
+    code = f"import os\nos.sched_setaffinity(0, {one})\nprint(flush=True)\nwhile True: pass"
+    other = subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE)
+    try:
+        other.stdout.readline()
+        os.sched_setaffinity(0, one)
+        clock.restart()
+        end = time.monotonic() + 0.5
+        while time.monotonic() < end:
+            pass
+        used, waited = clock.processor_seconds()
+    finally:
+        other.kill()
+        other.wait()
+        os.sched_setaffinity(0, usable)
+    assert used + waited == pytest.approx(0.5, abs=0.2)
+    assert waited > 0.1
+
+
+def test_the_end_of_a_fit_says_what_it_got_of_a_busy_processor():
+    module = SimpleNamespace(iteration=285, training_views=None, seconds_before=240.2, processor_share=0.28)
+    assert busy(module).startswith("285 iterations in 240 s: the fit got 28 % of the processor time that it asked for")
+    assert busy(SimpleNamespace(processor_share=0.88)) == ""
 
 
 def test_the_first_evaluation_counts_for_what_the_second_takes():
