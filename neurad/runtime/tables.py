@@ -19,7 +19,7 @@ from neurad.runtime.reading import exists, regular_file
 Cell = str | int | float | None
 Record = Mapping[str, Cell]
 
-COUNTS = ("iteration", "rays", "samples", "seeds")
+COUNTS = ("iteration", "iterations", "rays", "samples", "seeds")
 """Columns of whole numbers."""
 
 

@@ -23,6 +23,8 @@ from neurad.studies.compare.runs import FACTS, Run, by_method, read_run, samples
 
 EVALUATION_FRACTION = 0.5
 """Fraction of the training time that evaluations may take here: they do not count, and curves need points."""
+WARM_UP = '--trainer.callbacks+={"class_path": "WarmUp"}'
+"""Argument of every fit: what comes before the end of the first iteration is left out of its seconds."""
 POINTS = 20
 """Evaluations of a fit that its samples limit, however few steps these are."""
 
@@ -93,7 +95,7 @@ def plan(options: argparse.Namespace) -> list[Fit]:
                 limits.append(f"--evaluation.every_n_steps={max(1, steps // POINTS)}")
         for seed in seeds:
             folder = options.out / "runs" / f"{method}_{seed}"
-            place = [f"--trainer.default_root_dir={folder}", "--trainer.enable_progress_bar=false"]
+            place = [f"--trainer.default_root_dir={folder}", "--trainer.enable_progress_bar=false", WARM_UP]
             fits.append(Fit(method, seed, folder, (*arguments, *limits, *place, f"--seed_everything={seed}")))
     # Seeds take turns, so that a machine that slows down does so for every method.
     return sorted(fits, key=lambda fit: seeds.index(fit.seed))
@@ -192,6 +194,7 @@ def _make(fit: Fit, order: int) -> Run:
         "exit_code": ended.code,
         "wall_seconds": round(ended.seconds, 2),
         "peak_memory_mib": ended.peak_memory_mib,
+        "processor_seconds": ended.processor_seconds,
     }
     write_text(fit.folder / FACTS, json.dumps(facts, indent=1) + "\n")
     return read_run(fit.folder)
