@@ -131,7 +131,8 @@ class Evaluate(pl.Callback):
     def on_train_end(self, trainer: pl.Trainer, pl_module: pl.LightningModule) -> None:
         """The scores that belong to the last checkpoint."""
         module = cast("InverseRenderer", pl_module)
-        sentence = module.update_levels() if module.iteration > 0 else None
+        with clock.excluded():  # as before every other evaluation
+            sentence = module.update_levels() if module.iteration > 0 else None
         if sentence and trainer.is_global_zero:
             print(f"neurad: {sentence}", file=sys.stderr)
         if self._evaluated != module.iteration:
