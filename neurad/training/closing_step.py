@@ -5,8 +5,8 @@ where nothing is known as where much is. So a fit of minutes makes use of a fift
 in a fit its materials and light are good enough for the pixels to be linear in what is left, and samples of a pass
 without an optimizer cost a third of those of training. :mod:`neurad.metrics.roughness_evidence` gathers what the pixels
 ask for, :func:`neurad.optim.multilevel.solve` weighs it against how little is to be expected, and the field adds what
-comes out from then on, while all parts go on for the rest of the fit. ``neurad fit`` makes the step; studies that drive
-:class:`neurad.training.step.TrainingStep` themselves have none.
+comes out from then on, while all parts go on for the rest of the fit. ``neurad fit`` makes the step; what drives
+:class:`neurad.training.step.TrainingStep` itself, as benchmarks do, has none.
 """
 
 from __future__ import annotations

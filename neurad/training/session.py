@@ -1,4 +1,4 @@
-"""A training run without a trainer, for studies: the same parts and the same step."""
+"""A training run without a trainer, for benchmarks: the parts and the step of a fit."""
 
 from __future__ import annotations
 

@@ -13,6 +13,8 @@ from helpers.small_step import SmallStep, small_scene
 from helpers.tiny_scene import SIZE, write_scene
 from scipy import stats
 
+from benchmarks.bench import growth
+from benchmarks.bench.session import prepare
 from datamodules.image_cache import SAMPLE
 from datamodules.pixels import blurred
 from datamodules.scene_data import SceneData
@@ -28,8 +30,6 @@ from neurad.integrators.film import pixel_positions
 from neurad.integrators.primary_hits import PrimaryHits
 from neurad.scene.builtin import build_cornell, build_cube
 from neurad.scene.image_io import read_exr, write_exr
-from neurad.studies.bench import growth
-from neurad.studies.bench.session import prepare
 
 VIEWS = 7
 CPU = torch.device("cpu")

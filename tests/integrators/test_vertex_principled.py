@@ -9,6 +9,7 @@ from helpers.object_scene import object_scene, sky
 from helpers.oracles import accept, z_test_samples
 from helpers.random_vertices import one_sided, random_vertices
 
+from benchmarks.stress.parts import glossy
 from neurad.assembly.build import build_world
 from neurad.bsdf.directional import directional_albedo, mean_lobes
 from neurad.core.records import Surface, SurfaceInteraction
@@ -19,7 +20,6 @@ from neurad.integrators.bounce import bounce
 from neurad.integrators.guide import Guide
 from neurad.integrators.vertex import DIMENSIONS
 from neurad.scene.builtin import build_cornell, build_patterns
-from neurad.studies.stress.parts import glossy
 
 N = 4000
 
