@@ -139,9 +139,9 @@ def _hole() -> Case:
 
 def _no_normals() -> Case:
     def measure(quick: bool) -> Outcome:
-        from neurad.scene.builtin import build_patterns
+        from neurad.scene.builtin import build
 
-        scene = build_patterns()
+        scene = build("patterns")
         view = replace(scene.train[0], camera=replace(scene.train[0].camera, width=24, height=24))
         bare: Scene = with_meshes(replace(scene, train=[view]), lambda m: replace(m, normals=None))
         found, usual = picture(bare, 16, depth=3), picture(replace(scene, train=[view]), 16, depth=3)

@@ -22,7 +22,7 @@ from neurad.integrators.method import SceneModel
 from neurad.integrators.prb import PRB
 from neurad.integrators.radiometric import Radiometric
 from neurad.integrators.vertex import DIMENSIONS
-from neurad.scene.builtin import build_cube, build_patterns
+from neurad.scene.builtin import build, build_cube
 from neurad.scene.textures import TrueMaterials
 
 CPU = torch.device("cpu")
@@ -379,7 +379,7 @@ def test_smooth_surfaces_are_refused():
     smooth = replace(scene, materials=[replace(m, model=ConductorModel()) for m in scene.materials])
     with pytest.raises(InputError, match="smooth"):
         build_path_world(smooth, "embree")
-    assert not build_patterns().features.has_delta
+    assert not build("patterns").features.has_delta
 
 
 def test_bench_gradients(tmp_path, capsys):

@@ -19,7 +19,7 @@ from neurad.integrators import vertex_principled
 from neurad.integrators.bounce import bounce
 from neurad.integrators.guide import Guide
 from neurad.integrators.vertex import DIMENSIONS
-from neurad.scene.builtin import build_cornell, build_patterns
+from neurad.scene.builtin import build, build_cornell
 
 N = 4000
 
@@ -42,7 +42,7 @@ def trained_guide(world, seed):
 @pytest.mark.parametrize("guided", [False, True])
 @pytest.mark.parametrize("control", [False, True])
 @pytest.mark.parametrize(
-    "scene", [build_patterns(), glossy(build_cornell()), one_sided(glossy(build_cornell()))],
+    "scene", [build("patterns"), glossy(build_cornell()), one_sided(glossy(build_cornell()))],
     ids=["patterns", "cornell", "one-sided"],
 )  # fmt: skip
 def test_the_compiled_bounce_is_the_plain_one(scene, control, guided):

@@ -7,6 +7,8 @@ import pytest
 import torch
 from helpers import exam
 
+from benchmarks.rooms import ROOMS
+from benchmarks.rooms.write import write_room
 from neurad.assembly.build import build_world
 from neurad.core.camera import camera_rays
 from neurad.core.errors import InputError
@@ -127,7 +129,17 @@ def test_a_scene_does_not_depend_on_the_last_digit_of_a_sine(name, monkeypatch):
         monkeypatch.setattr(np, function, inexact(getattr(np, function)))
     monkeypatch.setattr(np.linalg, "norm", inexact(np.linalg.norm))
     assert not np.array_equal(np.sin(np.ones(99)), np.full(99, np.sin(1.0)))
-    assert digest(build(name)) == expected
+    model, _ = ROOMS[name]
+    assert digest(model()) == expected
+
+
+@pytest.mark.parametrize("name", sorted(ROOMS))
+def test_a_room_ships_as_it_is_modelled(name, tmp_path):
+    model, film = ROOMS[name]
+    assert digest(model()) == digest(build(name))
+    write_room(model(), film, tmp_path / "room.npz")
+    with np.load(tmp_path / "room.npz") as made, np.load(DATA / name / "room.npz") as shipped:
+        assert {key: made[key].tobytes() for key in made} == {key: shipped[key].tobytes() for key in shipped}
 
 
 def test_patterns_have_the_promised_variety(patterns):
@@ -201,8 +213,9 @@ def test_kitchen_is_made_of_known_and_unknown_things():
     assert {"floor", "tiles", "worktop", "curtains", "wall_back", "fruit_bowl", "apple_1", "table_top"} <= set(kinds)
     assert [m.name for m in scene.meshes if m.radiance is not None] == ["skylight", "sky", "garden", "lamps"]
     assert {(v.camera.width, v.camera.height) for v in scene.train + scene.test} == {(256, 256)}
-    files = [f for f in (DATA / "kitchen").rglob("*") if f.is_file()]
-    assert sum(f.stat().st_size for f in files) < 8e6
+    pictures = (DATA / "kitchen").rglob("*.exr")
+    assert sum(f.stat().st_size for f in pictures) < 8e6
+    assert (DATA / "kitchen" / "room.npz").stat().st_size < 3e6
 
 
 def test_colours_of_the_kitchen_do_not_tell_its_roughness():

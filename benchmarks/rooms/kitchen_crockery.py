@@ -5,12 +5,12 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 
-from neurad.scene.builtin import finishes as f
-from neurad.scene.builtin.furnished import SINK, Item
-from neurad.scene.builtin.kitchen_room import WHITE
-from neurad.scene.builtin.kitchen_units import TOP
-from neurad.scene.builtin.rounded import bevelled, moved, swapped, tilted, tube
-from neurad.scene.builtin.shapes import Point, Solid, cup, jar, join, rotated, turned
+from benchmarks.rooms import finishes as f
+from benchmarks.rooms.furnished import SINK, Item
+from benchmarks.rooms.kitchen_room import WHITE
+from benchmarks.rooms.kitchen_units import TOP
+from benchmarks.rooms.rounded import bevelled, cup, jar, moved, swapped, tilted, tube
+from neurad.scene.builtin.shapes import Point, Solid, join, rotated, turned
 
 
 def shelves() -> Iterator[Item]:

@@ -1,16 +1,16 @@
 """Materials of the kitchen: wood, tiles, stone, paint, cloth and fruit, each with a roughness of its own.
 
 Roughness does not follow colour: it comes from glaze, varnish and wear, which lie over the pattern. Random numbers are
-those of :mod:`neurad.scene.builtin.patterns`, so that every machine gets the same bytes.
+those of :mod:`benchmarks.rooms.patterns`, so that every machine gets the same bytes.
 """
 
 from __future__ import annotations
 
 import numpy as np
 
+from benchmarks.rooms.patterns import LEVELS, Colour, Mask, uniform
 from neurad.core.records import Bitmap, Constant, FloatArray, Material, Texture
 from neurad.core.reflection import ConductorModel, PrincipledModel
-from neurad.scene.builtin.patterns import LEVELS, Colour, Mask, uniform
 
 
 def grid(rows: int, columns: int) -> tuple[Mask, Mask]:

@@ -5,9 +5,9 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 
-from neurad.scene.builtin import finishes as f
-from neurad.scene.builtin.furnished import SINK, Item
-from neurad.scene.builtin.rounded import bevelled, draped, tilted, tube
+from benchmarks.rooms import finishes as f
+from benchmarks.rooms.furnished import SINK, Item
+from benchmarks.rooms.rounded import bevelled, draped, tilted, tube
 from neurad.scene.builtin.shapes import Solid, box, join, turned
 
 TOP = 0.9

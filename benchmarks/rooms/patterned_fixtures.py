@@ -4,9 +4,9 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from neurad.scene.builtin import patterns as p
-from neurad.scene.builtin.furnished import SINK, Item
-from neurad.scene.builtin.patterns import finish
+from benchmarks.rooms import patterns as p
+from benchmarks.rooms.furnished import SINK, Item
+from benchmarks.rooms.patterns import finish
 from neurad.scene.builtin.plain import room
 from neurad.scene.builtin.shapes import box, join
 

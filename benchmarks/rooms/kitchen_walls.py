@@ -6,12 +6,12 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from benchmarks.rooms import finishes as f
+from benchmarks.rooms.furnished import SINK, Item
+from benchmarks.rooms.kitchen_units import panelled, pull
+from benchmarks.rooms.rounded import bevelled, draped, jar, moved, swapped, tilted, tube
 from neurad.core.records import Material
-from neurad.scene.builtin import finishes as f
-from neurad.scene.builtin.furnished import SINK, Item
-from neurad.scene.builtin.kitchen_units import panelled, pull
-from neurad.scene.builtin.rounded import bevelled, draped, moved, swapped, tilted, tube
-from neurad.scene.builtin.shapes import box, jar, join, rotated, turned
+from neurad.scene.builtin.shapes import box, join, rotated, turned
 
 
 def dresser() -> Iterator[Item]:

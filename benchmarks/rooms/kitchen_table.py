@@ -5,11 +5,11 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator
 
-from neurad.scene.builtin import finishes as f
-from neurad.scene.builtin.furnished import SINK, Item
-from neurad.scene.builtin.kitchen_crockery import mug
-from neurad.scene.builtin.rounded import bevelled, draped, moved, swapped, tube
-from neurad.scene.builtin.shapes import Point, Solid, ball, box, cup, join, rotated, turned
+from benchmarks.rooms import finishes as f
+from benchmarks.rooms.furnished import SINK, Item
+from benchmarks.rooms.kitchen_crockery import mug
+from benchmarks.rooms.rounded import bevelled, cup, draped, moved, swapped, tube
+from neurad.scene.builtin.shapes import Point, Solid, ball, box, join, rotated, turned
 
 TABLE = 0.76
 LOW, HIGH = (-0.35, 0.1), (1.05, 0.9)

@@ -4,10 +4,11 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from neurad.scene.builtin import patterns as p
-from neurad.scene.builtin.furnished import SINK, Item
-from neurad.scene.builtin.patterns import finish
-from neurad.scene.builtin.shapes import Point, ball, box, cup, jar, join, rotated, turned
+from benchmarks.rooms import patterns as p
+from benchmarks.rooms.furnished import SINK, Item
+from benchmarks.rooms.patterns import finish
+from benchmarks.rooms.rounded import cup, jar
+from neurad.scene.builtin.shapes import Point, ball, box, join, rotated, turned
 
 TABLE = 0.75
 WORKTOP = 0.92

@@ -9,10 +9,10 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from neurad.scene.builtin import finishes as f
-from neurad.scene.builtin.furnished import SINK, Item, Light
+from benchmarks.rooms import finishes as f
+from benchmarks.rooms.furnished import SINK, Item, Light
+from benchmarks.rooms.rounded import bevelled, curtain, tube
 from neurad.scene.builtin.plain import room
-from neurad.scene.builtin.rounded import bevelled, curtain, tube
 from neurad.scene.builtin.shapes import Array, Solid, ball, box, join, quad, rotated, turned
 
 LOW, HIGH = (-2.0, 0.0, -1.7), (2.0, 2.5, 1.7)
