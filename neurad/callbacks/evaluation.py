@@ -132,11 +132,10 @@ class Evaluate(pl.Callback):
     def on_train_end(self, trainer: pl.Trainer, pl_module: pl.LightningModule) -> None:
         """The scores that belong to the last checkpoint."""
         module = cast("InverseRenderer", pl_module)
-        sentence = module.update_levels() if module.iteration > 0 else None
-        if sentence and trainer.is_global_zero:
-            print(f"neurad: {sentence}", file=sys.stderr)
         if self._evaluated != module.iteration:
-            self._evaluate_fit(trainer, module, fresh=True)
+            self._evaluate_fit(trainer, module)
+        if module.levels_found and trainer.is_global_zero:
+            print(f"neurad: {module.levels_found}", file=sys.stderr)
         with clock.excluded():
             if trainer.is_global_zero and run_folder(trainer) is not None:
                 with phase("error bars"):
@@ -210,13 +209,11 @@ class Evaluate(pl.Callback):
     def _mark_of(trainer: pl.Trainer) -> int:
         return int(fraction_done(trainer).largest * MARKS)
 
-    def _evaluate_fit(self, trainer: pl.Trainer, module: InverseRenderer, fresh: bool = False) -> None:
-        """Score what a run that ended here would show; ``fresh`` says that the levels' factors are of now."""
+    def _evaluate_fit(self, trainer: pl.Trainer, module: InverseRenderer) -> None:
+        """Score what a run that ended here would show."""
         begin = time.monotonic()
         with clock.excluded():
             self._evaluated = module.iteration
-            if not fresh:
-                module.update_levels()
             if trainer.is_global_zero:
                 evaluation = module.evaluate(self.spp, steady=True)
                 self.last_scores, self.last_scored = dict(evaluation.scores), time.monotonic()

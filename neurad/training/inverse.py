@@ -45,19 +45,15 @@ from neurad.scene.description import Scene
 from neurad.scene.shining import Shining, kept
 from neurad.scene.textures import TrueMaterials
 from neurad.training.checkpoint import changed_light, fitted_lamps, fitting, scene_state
-from neurad.training.closing_step import EVERY as CLOSING_EVERY
-from neurad.training.closing_step import is_due as is_closing
-from neurad.training.closing_step import make_closing_step, progress_before
 from neurad.training.error_bars import error_bars
 from neurad.training.evaluate import Evaluation, UnknownLight, evaluate, unknown_light
 from neurad.training.gradient_sync import GradientSync, ddp_ignored
 from neurad.training.guard import Guard, keep_in_run_folder
-from neurad.training.objective import make_objective
 from neurad.training.optimizers import make_optimizers
-from neurad.training.schedule import Progress, fraction_done
+from neurad.training.schedule import Counters, fraction_done
 from neurad.training.shining_meshes import shining_meshes
-from neurad.training.step import Counters, TrainingStep
-from neurad.training.validation import SETTLED, is_due, said, shrink_levels, update_levels
+from neurad.training.stages import LevelFilter
+from neurad.training.step import TrainingStep
 
 
 class InverseRenderer(L.LightningModule):
@@ -127,6 +123,8 @@ class InverseRenderer(L.LightningModule):
         """Meshes that were found to shine; None where that is known."""
         self.begins_from: Path | None = None
         """The checkpoint that will be loaded; None in a fit from scratch."""
+        self.levels_found: str | None = None
+        """What the last evaluation of a fit found of noise in the levels of the fields, in words."""
         self._photographs = 0
         """Checksum of the photographs; 0 before they are read, and where they cannot change."""
 
@@ -260,15 +258,14 @@ class InverseRenderer(L.LightningModule):
             self._held_out = self._make_held_out().read()
         self.step = TrainingStep(
             self.assembly,
-            make_objective(self.assembly, views),
+            views,
+            self.photographs,
             self._guard,
             self.counters,
             self.global_rank,
             self.processes,
             GradientSync(self, self._ddp_params_and_buffers_to_ignore) if self._exchanges else None,
             device=self.device,
-            photographs=self.photographs,
-            lamp_photographs=views.lamps,
         )
 
     def on_train_start(self) -> None:
@@ -281,49 +278,12 @@ class InverseRenderer(L.LightningModule):
         """One iteration of :class:`neurad.training.step.TrainingStep`."""
         for optimizer in self._optimizers()[1:]:  # the trainer counts the first one's steps: max_steps are iterations
             optimizer._on_before_step = optimizer._on_after_step = _nothing
-        done, correction = fraction_done(self.trainer), self.assembly.correction
-        progress = self._progress(done)
-        loss = self.step(batch, progress, self.manual_backward)
-        now = correction is not None and (self.processes == 1 or self.iteration % CLOSING_EVERY == 0)
-        if now and self.trainer.strategy.broadcast(is_closing(correction, progress)):
-            self.update_levels()  # noise that an albedo has copied hides what pixels say of the roughness
-            self._make_closing_step(done.seconds_by_time)
-        if progress < 1.0 and is_due(self.iteration):  # from then on rates are too low to bring signal back
-            assert self.training_views is not None
-            shrink_levels(self.assembly, self.training_views, self.photographs, self.iteration)
-        return loss
+        return self.step(batch, fraction_done(self.trainer), self.manual_backward)
 
-    def update_levels(self) -> str | None:
-        """Fit the factors of the levels to the training pixels that are never drawn, where there are some; returns a
-        sentence on what was found.
-        """
-        if self.training_views is None:
-            return None
-        settled = self._progress(fraction_done(self.trainer)) >= SETTLED
-        return said(update_levels(self.assembly, self.training_views, self.photographs, self.iteration, settled))
-
-    def _progress(self, done: Progress) -> float:
-        """What learning rates go by: 1 or more at the end of the fit, or from its closing step on."""
-        if self.assembly.correction is None:
-            return done.largest
-        return progress_before(done, self.assembly.settings.roughness)
-
-    def _make_closing_step(self, seconds: float | None) -> None:
-        """Correct the roughness from all training pixels, see :mod:`neurad.training.closing_step`. The first process
-        does it for all, within the ``seconds`` that are left.
-        """
-        correction = self.assembly.correction
-        assert self.training_views is not None
-        assert correction is not None
-        if self.trainer.is_global_zero:
-            found = make_closing_step(
-                self.assembly, self.training_views, self.photographs, self.counters, self.processes, seconds
-            )
-            if found is not None:
-                print(f"neurad: {found.sentence()}", file=sys.stderr)
-        state = {name: value.cpu() for name, value in correction.state_dict().items()}
-        state = self.trainer.strategy.broadcast(state)
-        correction.load_state_dict(state)
+    def _update_levels(self) -> None:
+        """Fit the factors by which results show each level of the fields, in a fit."""
+        if hasattr(self, "step"):
+            self.levels_found = LevelFilter.update(self.step, fraction_done(self.trainer))
 
     def _optimizers(self) -> list[Any]:
         """The optimizers in the trainer's wrappers."""
@@ -365,8 +325,10 @@ class InverseRenderer(L.LightningModule):
     ) -> Evaluation:
         """Score the present materials and radiance field on held-out views; its rays and seconds do not count.
 
-        The arguments are those of :func:`neurad.training.evaluate.evaluate`.
+        What is scored in a fit is what it would show if it ended now. The arguments are those of
+        :func:`neurad.training.evaluate.evaluate`.
         """
+        self._update_levels()
         if self._held_out is None:
             self._held_out = self._make_held_out()
         self._held_out.respond = None if self.development is None else self.development.respond

@@ -11,6 +11,15 @@ from neurad.assembly.settings import Optimization
 from neurad.optim.schedule import cosine, warmup
 
 
+@dataclass
+class Counters:
+    """What a run has done so far."""
+
+    iteration: int = 0
+    samples: int = 0
+    """Path samples drawn: pixels x spp x samples per vertex, of all processes."""
+
+
 def rate_factor(settings: Optimization, iteration: int, progress: float) -> float:
     """What the learning rates are multiplied by.
 

@@ -15,8 +15,8 @@ from neurad.core.protocols import PhotoSource
 from neurad.core.records import PixelBatch
 from neurad.scene.description import Scene
 from neurad.training.guard import Guard
-from neurad.training.objective import make_objective
 from neurad.training.optimizers import make_optimizers
+from neurad.training.schedule import Progress
 from neurad.training.shining_meshes import shining_meshes
 from neurad.training.step import TrainingStep
 
@@ -37,12 +37,11 @@ class TrainingRun:
         self.optimizers = make_optimizers(assembly)
         self.step = TrainingStep(
             assembly,
-            make_objective(assembly, self.views),
+            self.views,
+            photographs,
             Guard(nn.ModuleDict(dict(assembly.modules()))),
             optimizers=self.optimizers,
             device=device,
-            photographs=photographs,
-            lamp_photographs=self.views.lamps,
         )
 
     @classmethod
@@ -80,12 +79,12 @@ class TrainingRun:
         """One iteration.
 
         Args:
-            progress: fraction of the run that is over, in [0, 1], for the learning rates.
+            progress: fraction of the run that is over, in [0, 1].
 
         Returns:
             The weighted sum of the losses.
         """
-        return self.step(self._batch(), progress)
+        return self.step(self._batch(), Progress(progress, None, 0.0))
 
     def _batch(self) -> PixelBatch:
         """The next batch, on the device of the parts."""

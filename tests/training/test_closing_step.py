@@ -51,6 +51,11 @@ def mean_roughness(room):
     return float(room.surface(room.seen(2048)).roughness.mean())
 
 
+def test_a_run_without_a_trainer_has_made_its_step(room):
+    assert room.training.iteration == STEPS
+    assert room.training.assembly.correction.done
+
+
 @pytest.mark.parametrize("off", [0.12, -0.1])
 def test_what_is_off_comes_right(room, off):
     """Roughness that is off everywhere, with all else as the fit found it: two steps from few pixels, against a prior
