@@ -85,7 +85,6 @@ def prepare_views(
             dim, no camera sees a surface, or a lamp is far from what the photographs show.
     """
     scene, settings = assembly.scene, assembly.settings
-    settings.for_batch(photographs.pixel_multiplier)  # raises where the samples cannot be split
     cameras = [view.camera for view in scene.train]
     announce_camera_rays(cameras, settings.sampling.cached_spp, assembly.world.features.has_environment, device)
     # Stage 1: primary hits and the emitter mask [views, pixels].

@@ -126,10 +126,6 @@ class ObjectiveStep:
 
     def __call__(self, batch: PixelBatch, stream: Stream) -> StepTerms:
         """Terms for a batch of photographed pixels."""
-        if batch.pixel_multiplier > 1:
-            return replace(self, sampling=self.sampling.split_over(batch.pixel_multiplier))(
-                replace(batch, pixel_multiplier=1), stream
-            )
         b, n, settings = len(batch.view), self.sampling.spp, self.settings
         taken = batch
         if self.development is not None:

@@ -11,7 +11,6 @@ import torch
 from torch import Tensor, nn
 
 from neurad.assembly.build import Assembly
-from neurad.assembly.settings import ModelSettings
 from neurad.assembly.unknown_lamps import is_due, refresh_lamps
 from neurad.core.protocols import PhotoSource
 from neurad.core.records import PixelBatch
@@ -109,18 +108,16 @@ class TrainingStep:
             self._choose_start(self.photographs)
         if self.assembly.focus is not None:
             batch = self.assembly.focus.choose(batch, self._stream(2))
-        settings = self.assembly.settings.for_batch(batch.pixel_multiplier)
+        settings = self.assembly.settings
         lanes = len(batch.view) * settings.sampling.spp * settings.sampling.samples_per_vertex  # path samples
         with of_step(lanes, self._networks):
-            loss = self._iterate(batch, settings, progress, backward)
+            loss = self._iterate(batch, progress, backward)
         passes = self.processes * (2 if settings.objective.estimator == "two_pass" else 1)
         self.counters.samples += passes * lanes
         return loss
 
-    def _iterate(
-        self, batch: PixelBatch, settings: ModelSettings, progress: float, backward: Callable[[Tensor], None]
-    ) -> Tensor:
-        world = self.assembly.world
+    def _iterate(self, batch: PixelBatch, progress: float, backward: Callable[[Tensor], None]) -> Tensor:
+        world, settings = self.assembly.world, self.assembly.settings
         optimization, environment, counters = settings.optimization, self.assembly.environment, self.counters
         lamps = self.assembly.lamps
         # Stage 1: losses and gradients.

@@ -187,7 +187,6 @@ SECTION_5 = {
     "model.sampling.guide": 0,
     "model.sampling.specular_fraction": 0.5,
     "data.patches": 1,
-    "data.pixel_multiplier": 1,
     "trainer.max_time": None,
 }  # fmt: skip
 
