@@ -90,9 +90,6 @@ class Objective:
     chroma_weight: Positive = 1.0
     """By how much more the colour channels' differences count than what they share, relative to the normaliser, in the
     terms that compare with photographs; 1 as in the paper. Noise of path-traced light is nearly grey."""
-    firefly_clamp: NonNegative = 0.0
-    """Photographs count up to so many times what the radiance field predicts beyond its own value, so that a firefly in
-    one does not pull; 0 lets everything through. A bound darkens: what is cut off is lost, highlights too."""
     fireflies: Literal["keep", "spread"] = "keep"
     """``spread`` lets pixels of the photographs that are more than twice as bright as all around them give what is
     beyond that to the pixels around, if more than 2 % of all light is in such pixels; otherwise photographs stay as

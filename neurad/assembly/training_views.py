@@ -15,7 +15,6 @@ from torch import Tensor
 from neurad.assembly.build import Assembly
 from neurad.assembly.exposure import (
     brightness,
-    mean_square_radiance,
     sentence_if_far,
     sentence_of_fireflies,
     white_brightness,
@@ -107,7 +106,7 @@ def prepare_views(
             stats = photographs.dataset_stats(emitter_mask.cpu())
             if check_brightness:
                 print(f"neurad: {sentence_of_fireflies(spread)}", file=sys.stderr)
-    mean_square = mean_square_radiance(stats, settings.objective.firefly_clamp)
+    mean_square = stats.mean_square_radiance
     check_bright(mean_square, stats.brightest, scene.name)
     if assembly.environment is not None:
         assembly.environment.set_unit(math.sqrt(mean_square))
