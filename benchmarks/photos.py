@@ -23,7 +23,6 @@ class PhotosInMemory(PhotoSource):
         seed: of the draws.
     """
 
-    pixel_multiplier = 1
     has_alpha = False
 
     def __init__(self, images: Tensor, width: int, pixels: int = 64, seed: int = 0) -> None:

@@ -23,7 +23,7 @@ GRID = {"grid.levels": 2, "grid.coarsest": 4, "grid.finest": 8, "grid.log2_size"
 SETTINGS = (
     "--config=cornell.yaml", "--trainer.max_time=null", "--trainer.accelerator=cpu",
     "--trainer.enable_progress_bar=false",
-    "--data.patches=16", "--data.pixel_multiplier=1", "--model.sampling.spp=4", "--model.sampling.cached_spp=4",
+    "--data.patches=16", "--model.sampling.spp=4", "--model.sampling.cached_spp=4",
     "--evaluation.spp=1", "--checkpoint.every_seconds=5",
     *(f"--model.{part}.{key}={value}" for part in ("albedo", "roughness", "radiance") for key, value in GRID.items()),
 )  # fmt: skip

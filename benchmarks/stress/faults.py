@@ -40,7 +40,7 @@ SMALL = tuple(
 """Fields of a few cells."""
 SETTINGS = (
     "--trainer.max_time=null", f"--trainer.max_steps={STEPS}", "--trainer.enable_progress_bar=false",
-    "--trainer.accelerator=cpu", "--data.patches=16", "--data.pixel_multiplier=1", "--model.sampling.spp=4",
+    "--trainer.accelerator=cpu", "--data.patches=16", "--model.sampling.spp=4",
     "--model.sampling.cached_spp=4", "--evaluation.every_n_steps=10", "--evaluation.spp=1",
     "--checkpoint.every_seconds=0", *SMALL,
 )  # fmt: skip

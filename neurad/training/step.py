@@ -10,7 +10,6 @@ import torch
 from torch import Tensor, nn
 
 from neurad.assembly.build import Assembly
-from neurad.assembly.settings import ModelSettings
 from neurad.assembly.training_views import TrainingViews
 from neurad.core.protocols import PhotoSource
 from neurad.core.records import PixelBatch
@@ -98,10 +97,10 @@ class TrainingStep:
         self._run(BEFORE, progress)
         if self.assembly.focus is not None:
             batch = self.assembly.focus.choose(batch, self._stream(2))
-        settings = self.assembly.settings.for_batch(batch.pixel_multiplier)
+        settings = self.assembly.settings
         lanes = len(batch.view) * settings.sampling.spp * settings.sampling.samples_per_vertex  # path samples
         with of_step(lanes, self._networks):
-            loss = self._iterate(batch, settings, rate_progress(self.assembly, progress), backward)
+            loss = self._iterate(batch, rate_progress(self.assembly, progress), backward)
         passes = self.processes * (2 if settings.objective.estimator == "two_pass" else 1)
         self.counters.samples += passes * lanes
         self._run(AFTER_STEP, progress)
@@ -112,11 +111,9 @@ class TrainingStep:
             if stage.due(self, progress):
                 stage.run(self, progress)
 
-    def _iterate(
-        self, batch: PixelBatch, settings: ModelSettings, progress: float, backward: Callable[[Tensor], None]
-    ) -> Tensor:
-        world = self.assembly.world
-        optimization, counters, lamps = settings.optimization, self.counters, self.assembly.lamps
+    def _iterate(self, batch: PixelBatch, progress: float, backward: Callable[[Tensor], None]) -> Tensor:
+        world, optimization = self.assembly.world, self.assembly.settings.optimization
+        counters, lamps = self.counters, self.assembly.lamps
         # Stage 1: losses and gradients.
         for optimizer in self.optimizers.values():
             optimizer.zero_grad()

@@ -17,7 +17,7 @@ from neurad.scene.builtin import build_cornell
 CPU = torch.device("cpu")
 SMALL = [
     "--config", "cornell.yaml", "--set", "data.patches=64", "--set", "model.sampling.spp=2",
-    "--set", "model.sampling.cached_spp=2", "--set", "data.pixel_multiplier=1",
+    "--set", "model.sampling.cached_spp=2",
 ]  # fmt: skip
 
 

@@ -58,7 +58,7 @@ def test_without_true_roughness_it_is_one():
 
 @pytest.mark.main
 def test_the_command_shows_the_fields_and_the_means(capsys):
-    settings = ["data.patches=64", "model.sampling.spp=2", "model.sampling.cached_spp=2", "data.pixel_multiplier=1"]
+    settings = ["data.patches=64", "model.sampling.spp=2", "model.sampling.cached_spp=2"]
     words = [word for setting in settings for word in ("--set", setting)]
     main(["bench", "ceiling", "--config", "patterns.yaml", "--seconds", "1", *words])
     lines = capsys.readouterr().out.splitlines()

@@ -17,7 +17,6 @@ from benchmarks.stress.run import collect
 from benchmarks.stress.scenes import difference, small_cube, with_light
 from benchmarks.stress.stiff import closed_form
 from neurad.cli import main
-from neurad.losses.firefly import clamp_fireflies, typical_square
 from neurad.runs.child import Ended
 from neurad.scene.builtin import build_furnace, build_sphere
 from neurad.scene.load import load_scene
@@ -101,22 +100,6 @@ def test_pictures_that_are_not_finite_are_no_match():
     with pytest.raises(FloatingPointError):
         difference(torch.tensor([math.nan]), torch.tensor([1.0]))
     assert with_light(small_cube(), 2.0).meshes[1].radiance[0] == 10.0
-
-
-def test_a_bound_cuts_only_spikes_and_states_what_it_loses():
-    center = torch.full((4, 1), 2.0)
-    value = torch.tensor([[0.0], [2.0], [11.0], [1000.0]])
-    cut = clamp_fireflies(value, center, 0.0, 5.0)
-    assert cut.flatten().tolist() == [0.0, 2.0, 11.0, 12.0]
-    assert float((value - cut).mean()) == pytest.approx((value - 12.0).clamp_min(0).mean().item())  # the bias
-    assert clamp_fireflies(value, center, 0.0, 0.0) is value
-
-
-def test_a_firefly_does_not_set_the_unit_of_light():
-    values = torch.ones(1000, 1)
-    values[0] = 1e4
-    assert float(values.square().mean()) > 1e4
-    assert typical_square(values, 5.0) == pytest.approx(1.024)
 
 
 def test_extreme_numbers_go_through_the_command_line(monkeypatch, capsys, tmp_path):
