@@ -109,9 +109,9 @@ class Evaluate(pl.Callback):
         views = module.scene.scored
         if self.every_n_steps is not None or not views:
             return
-        module.effort = affordable(views, self.spp, self.fraction, time_limit(trainer))
-        if not module.effort.whole and trainer.is_global_zero:
-            grid, stride = module.effort.grid, module.effort.stride
+        module.scoring.effort = affordable(views, self.spp, self.fraction, time_limit(trainer))
+        if not module.scoring.effort.whole and trainer.is_global_zero:
+            grid, stride = module.scoring.effort.grid, module.scoring.effort.stride
             size = sum(view.camera.width * view.camera.height for view in views) / 1e6
             pixels = f"one row and column in {stride}" if stride > 1 else "all"
             print(
@@ -262,7 +262,7 @@ class Evaluate(pl.Callback):
             return
         evaluation, unseen = self._shown.evaluation, self._shown.unseen
         if bars is not None:
-            for view, found in zip(evaluation.maps, module.bar_maps(bars), strict=False):
+            for view, found in zip(evaluation.maps, module.scoring.bar_maps(bars), strict=False):
                 view |= found
             if board := self._board_of(trainer, module):
                 board.sheets(evaluation.maps[: self.pictures], module.iteration)
@@ -278,7 +278,7 @@ class Evaluate(pl.Callback):
 
     def _check_views(self, trainer: pl.Trainer, module: InverseRenderer) -> None:
         """How well the training views agree with each other, into ``views.csv``."""
-        views, residuals = module.training_views, module.view_residuals()
+        views, residuals = module.training_views, module.scoring.view_residuals()
         if views is None or views.surface is None or residuals is None:
             return
         self._views = self._views or ViewTable([view.name for view in module.scene.train], views.surface)
@@ -300,7 +300,7 @@ def error_bars_of(module: InverseRenderer, folder: Path | None) -> ErrorBars | N
         if found is not None and found.iteration == module.iteration:
             return found
     try:
-        bars = module.error_bars()
+        bars = module.scoring.error_bars()
     except InputError as error:
         print(f"neurad: no error bars: {error}", file=sys.stderr)
         return None

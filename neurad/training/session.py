@@ -8,16 +8,15 @@ import torch
 from torch import Tensor, nn
 
 from neurad.assembly.build import Assembly, assemble
-from neurad.assembly.lighting import lit_scene
 from neurad.assembly.settings import ModelSettings
 from neurad.assembly.training_views import prepare_views
 from neurad.core.protocols import PhotoSource
 from neurad.core.records import PixelBatch
 from neurad.scene.description import Scene
 from neurad.training.guard import Guard
+from neurad.training.lit_scene import light_scene
 from neurad.training.optimizers import make_optimizers
 from neurad.training.schedule import Progress
-from neurad.training.shining_meshes import shining_meshes
 from neurad.training.step import TrainingStep
 
 
@@ -62,9 +61,7 @@ class TrainingRun:
             device: where everything is to lie.
             emitters_train: as above; the materials of emitting surfaces are then fitted, too.
         """
-        finds = settings.lighting.emitters == "find"
-        lamps = shining_meshes(scene, photographs, settings, device).lamps if finds else None
-        scene = lit_scene(scene, settings.lighting, lamps)
+        scene = light_scene(scene, photographs, settings, device).scene
         assembly = assemble(scene, settings, photographs.has_alpha, device, not emitters_train)
         for _, part in assembly.modules():
             part.to(device)

@@ -14,7 +14,7 @@ from neurad.callbacks.table import COLUMNS, MetricsTable, curve_table, score_tab
 from neurad.runtime import clock
 from neurad.runtime.tables import read_header
 from neurad.scene.image_io import read_bitmap, read_exr
-from neurad.training import inverse
+from neurad.training import scoring
 from neurad.training.stages import LevelFilter
 
 
@@ -168,7 +168,7 @@ def test_what_needs_no_fit_is_told_apart_from_the_run():
 def test_every_score_is_of_factors_of_the_levels_that_were_just_fitted(tmp_path, monkeypatch):
     """What is shown of a run depends on these factors, so every row has to come after them; the end is scored once."""
     calls = []
-    update, score = LevelFilter.update, inverse.evaluate
+    update, score = LevelFilter.update, scoring.evaluate
 
     def updated(training, progress):
         calls.append(("levels", training.counters.iteration))
@@ -179,7 +179,7 @@ def test_every_score_is_of_factors_of_the_levels_that_were_just_fitted(tmp_path,
         return score(*args)
 
     monkeypatch.setattr(LevelFilter, "update", staticmethod(updated))
-    monkeypatch.setattr(inverse, "evaluate", scored)
+    monkeypatch.setattr(scoring, "evaluate", scored)
     monkeypatch.chdir(tmp_path)
     write_tiny_config(trainer={"max_steps": 4}, evaluation={"every_n_steps": 2})
     fit()
