@@ -49,7 +49,6 @@ GRIDS = (hash_grid.HashGrid, dense_grid.DenseGrid)
 class Work:
     """Work of a stage in one step."""
 
-    calls: int = 0
     lanes: int = 0
     bytes: float = 0.0
     """Bytes that must be read or written at least once."""
@@ -127,7 +126,6 @@ class Recorder:
 
     def _count(self, name: str, args: tuple[Any, ...], out: Any) -> None:
         work = self.work[name]
-        work.calls += 1
         values = [t for part in (args[1:], out) for t in tensors(part)]
         work.lanes += len(values[0]) if values else 0
         work.bytes += sum(t.nbytes for t in {t.data_ptr(): t for t in values}.values())

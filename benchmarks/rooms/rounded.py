@@ -178,11 +178,6 @@ def swapped(solid: Solid) -> Solid:
     return Solid(solid.vertices, solid.faces, solid.uvs[:, ::-1].copy(), solid.normals)
 
 
-def shifted(solid: Solid, u: float, v: float) -> Solid:
-    """The same solid with another part of its texture, moved by metres."""
-    return Solid(solid.vertices, solid.faces, solid.uvs + np.array([u, v]), solid.normals)
-
-
 def moved(solid: Solid, by: Point) -> Solid:
     """The same solid elsewhere."""
     return Solid(solid.vertices + np.array(by), solid.faces, solid.uvs, solid.normals)

@@ -44,7 +44,6 @@ SETTINGS = (
     "--model.sampling.cached_spp=4", "--evaluation.every_n_steps=10", "--evaluation.spp=1",
     "--checkpoint.every_seconds=0", *SMALL,
 )  # fmt: skip
-MEBIBYTE = 1 << 20
 _CLOCK = """import time
 real, start = time.time, time.monotonic()
 time.time = lambda: real() - 3e8 * ((time.monotonic() - start) % 0.4 < 0.2)

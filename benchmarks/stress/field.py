@@ -51,13 +51,13 @@ class Lab:
         wo = Frame.around(geometry.face_normal[face]).to_world(cosine_hemisphere(stream.uniform(count, 2)))
         return geometry.interact_at(face, bary[:, 0], bary[:, 1], wo, torch.ones(count, dtype=torch.bool))
 
-    def open_points(self, count: int, stream: Stream, clearance: float = 0.02) -> SurfaceInteraction:
+    def open_points(self, count: int, stream: Stream) -> SurfaceInteraction:
         """Points with free space above them: none in the gap between the back of a light and the ceiling."""
         parts: list[SurfaceInteraction] = []
         while sum(map(len, parts)) < count:
             si = self.points(count + count // 8, stream)
             above = self.world.geometry.spawn(si, si.ng)
-            parts.append(si[~self.world.tracer.occluded(above, torch.full_like(si.p[:, 0], clearance))])
+            parts.append(si[~self.world.tracer.occluded(above, torch.full_like(si.p[:, 0], 0.02))])
         return SurfaceInteraction.cat(*parts)[:count]
 
     @torch.no_grad()

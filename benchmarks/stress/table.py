@@ -11,7 +11,7 @@ from neurad.runtime import tables
 from neurad.runtime.files import write_text
 
 COLUMNS = tuple(f.name for f in fields(Row))
-_EXTREME, _ORACLE = 52, 46  # characters of a line on the screen
+_EXTREME = 52  # characters of a line on the screen
 
 
 def heading() -> str:

@@ -100,7 +100,7 @@ class Evaluate(pl.Callback):
     def load_state_dict(self, state_dict: dict[str, Any]) -> None:
         """Take over the state of the interrupted run."""
         self._spent, self._last = float(state_dict["spent"]), float(state_dict["last"])
-        self._first = state_dict.get("first", 0.0)  # checkpoints before this one have counted it
+        self._first = state_dict["first"]
         self._mark, self._evaluated = int(state_dict["mark"]), int(state_dict["evaluated"])
 
     def on_fit_start(self, trainer: pl.Trainer, pl_module: pl.LightningModule) -> None:

@@ -107,11 +107,6 @@ def shown(name: str, cell: Cell) -> str:
     return f"{cell:.3f}" if "mape" in name or name == "lamp_error" else f"{cell:.2f}"
 
 
-def present(rows: Sequence[TableRow], reach: Sequence[float] = REACH) -> list[str]:
-    """The columns in which some row has something; ``method`` always."""
-    return [name for name in columns(reach) if any(row.get(name) not in (None, "") for row in rows)]
-
-
 def write_markdown(path: Path, rows: Sequence[TableRow], note: str, reach: Sequence[float] = REACH) -> None:
     """The table for a README, every column, with a line on how it was measured."""
     names = columns(reach)

@@ -26,11 +26,13 @@ _ENTRIES: dict[str, type] = {
 }
 _OWN: dict[str, type | tuple[type, ...]] = {
     "scene": str,
-    "fingerprint": str,
+    "geometry": str,
+    "light": dict,
     "iteration": int,
     "seconds": (int, float),
     "rays": int,
     "samples": int,
+    "photographs": int,
 }
 """What a run writes about itself, under 'neurad'."""
 

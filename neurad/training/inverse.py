@@ -319,10 +319,10 @@ class InverseRenderer(L.LightningModule):
         continues = self._trainer is None or self._trainer.state.fn == "fit"
         state = fitting(checkpoint, self.state_dict(), self.scene, self._inputs, continues=continues)
         self.counters.iteration = state["iteration"]
-        self.counters.samples = state.get("samples", 0)
+        self.counters.samples = state["samples"]
         self.rays_before = state["rays"]
         self.seconds_before = state["seconds"]
-        self._photographs = state.get("photographs", 0)
+        self._photographs = state["photographs"]
         if not continues:
             self._see_light(state)
 

@@ -1,4 +1,4 @@
-"""Every ray against every triangle in float64: the readable twin that the fast tracers are tested against."""
+"""Every ray against every triangle in float64: what the tracers are compared with."""
 
 from __future__ import annotations
 
@@ -8,26 +8,27 @@ from torch import Tensor
 from neurad.core.records import Hit, Rays
 from neurad.tracing.arrays import no_hits
 
+MAX_PAIRS = 1 << 20
+"""Pairs of a ray and a triangle that are tested at once."""
+
 
 class BruteForceTracer:
-    """Closest-hit and occlusion queries in O(rays x triangles), for tests and tiny scenes."""
+    """Closest-hit and occlusion queries in O(rays x triangles), for tiny scenes."""
 
-    def __init__(self, vertices: Tensor, faces: Tensor, chunk: int = 1 << 20) -> None:
+    def __init__(self, vertices: Tensor, faces: Tensor) -> None:
         """Keep the triangles.
 
         Args:
             vertices: [V, 3].
             faces: indices into ``vertices`` [F, 3]; F may be 0.
-            chunk: how many ray-triangle pairs are tested at once.
         """
         self.corners = vertices.detach().double()[faces]  # [F, 3, 3]
-        self.chunk = chunk
 
     def closest(self, rays: Rays) -> Hit:
         """The nearest hit with t > 0 of every ray, dense [n], on the rays' device."""
         if len(self.corners) == 0 or len(rays) == 0:
             return no_hits(len(rays), rays.o.device)
-        step = max(1, self.chunk // len(self.corners))
+        step = max(1, MAX_PAIRS // len(self.corners))
         return Hit.cat(*(self._closest(rays[i : i + step]) for i in range(0, len(rays), step)))
 
     def occluded(self, rays: Rays, t_max: Tensor) -> Tensor:
