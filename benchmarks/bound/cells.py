@@ -88,15 +88,13 @@ class SurfaceCells:
 
 @dataclass(frozen=True)
 class CellMaterials:
-    """Values in cells as the materials of surfaces: :class:`neurad.core.protocols.Materials` that were recovered."""
+    """Values in cells as the :class:`neurad.core.protocols.Materials` of surfaces."""
 
     cells: SurfaceCells
     details: FloatArray
     """Albedo and roughness in the cells of all levels, less ``mean`` [cells, 4]."""
     mean: FloatArray
     """What holds where there is no cell [4]."""
-    known_meshes: frozenset[int]
-    """Meshes of which the scene says what they are made of: nothing is guessed there, and cells hold as elsewhere."""
 
     def __call__(self, si: SurfaceInteraction) -> Surface:
         """What the finest cell at each lane has."""

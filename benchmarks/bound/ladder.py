@@ -91,7 +91,7 @@ class Ladder:
             raise InputError(
                 f"--ckpt_path {run.checkpoint}: the bound needs a fit of materials by a method with a radiance field"
             )
-        self.run, self.report, self.known_meshes = run, report, run.materials.known_meshes
+        self.run, self.report = run, report
         scene, world = run.scene, run.world
         if world.delta is not None:
             raise InputError(f"scene {scene.name}: footprints through glass and in mirrors are not known to the bound")
@@ -182,10 +182,8 @@ class Ladder:
     # ---- maps and errors
 
     def maps_of(self, values: FloatArray) -> list[Maps]:
-        """What the held-out views show of values in the cells of all levels [cells, 4], less the mean: as of a fit,
-        with guesses where no photograph shows the surface.
-        """
-        return [*self.held_out.predict(CellMaterials(self.cells, values, self.prior.mean, self.known_meshes))]
+        """What the held-out views show of values in the cells of all levels [cells, 4], less the mean."""
+        return [*self.held_out.predict(CellMaterials(self.cells, values, self.prior.mean))]
 
     def errors(self, maps: Sequence[Maps], regions: Mapping[str, Sequence[BoolArray]]) -> Errors:
         """Over the counted pixels, and over those of each region."""

@@ -11,7 +11,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
 import lightning.pytorch as pl
-import numpy as np
 from lightning.pytorch.loggers import TensorBoardLogger
 
 from neurad.callbacks import pictures, report
@@ -21,12 +20,12 @@ from neurad.callbacks.lamps import lamps_table, write_lamps
 from neurad.callbacks.run_folder import run_folder
 from neurad.callbacks.table import MetricsTable, curve_table, score_table
 from neurad.callbacks.training_views import ViewTable, write_exposures
+from neurad.core.decibels import as_json
 from neurad.core.errors import InputError
 from neurad.core.ranges import Count, CountOrZero, NonNegative, checked
 from neurad.metrics.bars_file import NAME, read_bars, write_bars
 from neurad.metrics.effort import affordable
 from neurad.metrics.unseen import Unseen
-from neurad.pages.colours import exposure
 from neurad.runtime import clock
 from neurad.runtime.files import write_text
 from neurad.runtime.progress import phase
@@ -170,11 +169,11 @@ class Evaluate(pl.Callback):
         tables = _table(module, evaluation.scores, self.test_spp), lamps_table(module, evaluation.scores)
         print("\n\n".join(t for t in tables if t) + "\n")
         if folder is not None:
-            pictures.write_views(folder / "images", evaluation.maps, evaluation.environment, title_of(module))
+            _write_views(folder, evaluation, module)
             report_run(trainer, folder, evaluation, unseen, f"{self.test_spp} samples per pixel", tested=True)
             about = {"iteration": module.iteration, "seconds": round(module.seconds_before, 2), "rays": module.rays}
             about["samples"] = module.samples
-            scores = {key: _json_number(value) for key, value in evaluation.scores.items()}
+            scores = {key: as_json(value) for key, value in evaluation.scores.items()}
             text = json.dumps({**about, "render_spp": self.test_spp, **scores}, indent=2)
             write_text(folder / "metrics.json", text + "\n")
         print_closing(trainer, folder, evaluation.scores, unseen, tested=True)
@@ -187,7 +186,7 @@ class Evaluate(pl.Callback):
         evaluation = module.evaluate(self.test_spp)
         folder = run_folder(trainer)
         if folder is not None:
-            pictures.write_views(folder / "images", evaluation.maps, evaluation.environment, title_of(module))
+            _write_views(folder, evaluation, module)
             print(f"neurad: images are in {folder / 'images'}")
 
     def _due(self, trainer: pl.Trainer, module: InverseRenderer) -> bool:
@@ -247,9 +246,9 @@ class Evaluate(pl.Callback):
         if board := self._board_of(trainer, module):
             board.scores(evaluation.scores, module.iteration, module.train_seconds)
             board.lamps(module, module.iteration)
-            board.sheets(maps[: self.pictures], module.iteration)
+            board.sheets(maps[: self.pictures], evaluation.exposure, module.iteration)
             if evaluation.environment:
-                picture = pictures.environment(evaluation.environment, exposure(maps))
+                picture = pictures.environment(evaluation.environment, evaluation.exposure)
                 board.picture("environment", picture, module.iteration)
 
     def _finish(self, trainer: pl.Trainer, module: InverseRenderer) -> None:
@@ -265,7 +264,7 @@ class Evaluate(pl.Callback):
             for view, found in zip(evaluation.maps, module.scoring.bar_maps(bars), strict=False):
                 view |= found
             if board := self._board_of(trainer, module):
-                board.sheets(evaluation.maps[: self.pictures], module.iteration)
+                board.sheets(evaluation.maps[: self.pictures], evaluation.exposure, module.iteration)
         control = ", with the radiance field as control variate" if "psnr_lhs" in evaluation.scores else ""
         about = f"{self.spp} samples per pixel{control}; neurad test takes {self.test_spp}"
         report_run(trainer, folder, evaluation, unseen, about, tested=False)
@@ -317,6 +316,8 @@ def _table(module: InverseRenderer, scores: Mapping[str, float], spp: int, stead
     return f"{score_table(scores, spp, steady=steady, views='Training photographs')}\n\nneurad: {said}"
 
 
-def _json_number(value: float) -> float | None:
-    """JSON has no infinity and no NaN."""
-    return float(value) if np.isfinite(value) else None
+def _write_views(folder: Path, evaluation: Evaluation, module: InverseRenderer) -> None:
+    """Write every view into ``images/`` of a run folder."""
+    pictures.write_views(
+        folder / "images", evaluation.maps, evaluation.exposure, evaluation.environment, title_of(module)
+    )

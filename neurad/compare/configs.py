@@ -23,9 +23,9 @@ def resolved_configs(fits: Sequence[Sequence[str]]) -> list[Mapping[str, Any]]:
         InputError: the first complaint, in the words of ``neurad fit``.
     """
     text = json.dumps([list(fit) for fit in fits])
-    done = subprocess.run(
-        [*child.NEURAD, "compare", f"--resolve={text}"], capture_output=True, text=True, check=False
-    )  # fmt: skip
+    command = [*child.NEURAD, "compare", f"--resolve={text}"]
+    with child.signals_raise():
+        done = subprocess.run(command, capture_output=True, text=True, check=False)
     if done.returncode != 0:
         raise InputError(child.last_message(done.stderr) or f"exit code {done.returncode}")
     trees: list[Mapping[str, Any]] = json.loads(done.stdout)

@@ -54,7 +54,7 @@ class Panel:
 PANELS = (
     Panel("albedo_psnr", "Albedo", "PSNR in dB", "higher is better", 0, 0),
     Panel("roughness_psnr", "Roughness", "PSNR in dB", "higher is better", 0, 1),
-    Panel("psnr_linear", "Picture (linear)", "PSNR in dB", "higher is better", 0, 2),
+    Panel("psnr_srgb", "Picture (sRGB)", "PSNR in dB", "higher is better", 0, 2),
     Panel("albedo_mape", "Albedo", "MAPE", "lower is better", 1, 0),
     Panel("roughness_mape", "Roughness", "MAPE", "lower is better", 1, 1),
     Panel("lamp_error", "Worst lamp", "relative error", "lower is better", 2, 0),
@@ -157,7 +157,7 @@ def figure(path: Path, runs: Sequence[Run], axis: str) -> bool:
         drawn = {method: _draw(ax, group, axis, panel, palette[method]) for method, group in groups.items()}
         entries |= {method: line for method, line in drawn.items() if line is not None}
         for label, scores in levels.items():
-            if panel.score in scores:
+            if np.isfinite(scores.get(panel.score, np.inf)):
                 entries[label] = ax.axhline(scores[panel.score], color="#555555", lw=1.2, ls=DASHES[label], zorder=1)
         _dress(ax, axis, panel)
     for ax in free:

@@ -13,6 +13,7 @@ from pathlib import Path
 
 from neurad.compare import configs
 from neurad.compare.runs import FACTS, Run, by_method, read_run, samples_per_step
+from neurad.core.decibels import decibels
 from neurad.core.durations import dd_hh_mm_ss
 from neurad.core.errors import InputError
 from neurad.runs.child import run_neurad
@@ -22,6 +23,8 @@ from neurad.runtime.progress import phase
 
 EVALUATION_FRACTION = 0.5
 """Fraction of the training time that evaluations may take here: they do not count, and curves need points."""
+WARM_UP = '--trainer.callbacks+={"class_path": "WarmUp"}'
+"""Argument of every fit: what comes before the end of the first iteration is left out of its seconds."""
 POINTS = 20
 """Evaluations of a fit that its samples limit, however few steps these are."""
 
@@ -51,7 +54,7 @@ def fit_all(options: argparse.Namespace) -> list[Run]:
             making.detail = f"{number} of {len(fits)}"
             run = _make(fit, number)
         runs.append(run)
-        scores = f"albedo {run.last['albedo_psnr']:.2f} dB" if "albedo_psnr" in run.last else "done"
+        scores = f"albedo {decibels(run.last['albedo_psnr'])}" if "albedo_psnr" in run.last else "done"
         seconds = f"{run.last.get('seconds', 0.0):.1f} s, "
         print(f"neurad: {fit.method}, seed {fit.seed}: {'failed: ' + run.message if run.message else seconds + scores}")
     return runs
@@ -92,7 +95,7 @@ def plan(options: argparse.Namespace) -> list[Fit]:
                 limits.append(f"--evaluation.every_n_steps={max(1, steps // POINTS)}")
         for seed in seeds:
             folder = options.out / "runs" / f"{method}_{seed}"
-            place = [f"--trainer.default_root_dir={folder}", "--trainer.enable_progress_bar=false"]
+            place = [f"--trainer.default_root_dir={folder}", "--trainer.enable_progress_bar=false", WARM_UP]
             fits.append(Fit(method, seed, folder, (*arguments, *limits, *place, f"--seed_everything={seed}")))
     # Seeds take turns, so that a machine that slows down does so for every method.
     return sorted(fits, key=lambda fit: seeds.index(fit.seed))
@@ -191,6 +194,7 @@ def _make(fit: Fit, order: int) -> Run:
         "exit_code": ended.code,
         "wall_seconds": round(ended.seconds, 2),
         "peak_memory_mib": ended.peak_memory_mib,
+        "processor_seconds": ended.processor_seconds,
     }
     write_text(fit.folder / FACTS, json.dumps(facts, indent=1) + "\n")
     return read_run(fit.folder)

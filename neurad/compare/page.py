@@ -8,7 +8,8 @@ from pathlib import Path
 
 from neurad.compare.curves import PANELS
 from neurad.compare.runs import SCORES
-from neurad.compare.table import RATES, TableRow, columns, shown
+from neurad.compare.table import RATES, TOO_FEW, TableRow, columns, shown
+from neurad.core.decibels import decibels, figure
 from neurad.metrics.marks import CONSTANT
 from neurad.pages import page
 from neurad.pages.sheet import Sheet
@@ -19,9 +20,11 @@ HEADS = {
     "albedo_mape": "albedo MAPE",
     "roughness_psnr": "roughness PSNR / dB",
     "roughness_mape": "roughness MAPE",
-    "psnr_linear": "picture PSNR / dB, linear",
+    "psnr_srgb": "picture PSNR / dB, sRGB",
     "lamp_error": "error of the worst lamp",
     "seconds": "training time / s",
+    "iterations": "iterations",
+    "processor_seconds": "processor time / s",
     "samples": "path samples",
     "ms_per_step": "ms a step",
     "rays_per_second": "rays / s",
@@ -30,6 +33,8 @@ HEADS = {
 }
 LOWER = ("mape", "lamp_error", "seconds", "samples", "ms_", "peak")
 """Parts of the names of what is better when it is lower; everything else is better when it is higher."""
+UNRANKED = ("seeds", "seconds", "iterations", "processor_seconds", "samples")
+"""What is neither better nor worse."""
 
 
 def write_page(
@@ -61,9 +66,9 @@ def write_page(
         *(f'<p class="note">{fact}</p>' for fact in facts),
     ]
     for row in rows:
-        if str(row.get("status") or "").startswith("failed"):
-            parts.append(f'<p class="warn">{html.escape(str(row["method"]))} {html.escape(str(row["status"]))}</p>')
-    parts += ["<h2>Scores</h2>", _table(rows, ["method", "seeds", "seconds", *SCORES])]
+        if row.get("status") not in (None, "ok"):
+            parts.append(f'<p class="warn">{html.escape(str(row["method"]))}: {html.escape(str(row["status"]))}</p>')
+    parts += ["<h2>Scores</h2>", _table(rows, ["method", "seeds", "seconds", "iterations", *SCORES])]
     if first:
         parts += ["<h2>Scores against training time</h2>", f'<div class="charts">{first}</div>']
     for heading, drawn in further.items():
@@ -72,7 +77,7 @@ def write_page(
     times = [name for name in columns(reach) if name.startswith("seconds_to_")]
     for heading, names in (
         ("Training seconds until albedo first has so many dB", times),
-        ("Cost", ["samples", *RATES, "peak_memory_mib"]),
+        ("Cost", ["processor_seconds", "samples", *RATES, "peak_memory_mib"]),
     ):
         if made := _table(rows, ["method", *names]):
             parts += [f"<h2>{heading}</h2>", made]
@@ -90,18 +95,25 @@ def headline(rows: Sequence[TableRow]) -> str:
     level = next((row for row in rows if row["method"] == CONSTANT), {})
     parts = []
     for panel in (panel for panel in PANELS if panel.row == 0):
-        scored = [(value, str(row["method"])) for row in _fitted(rows) if (value := _number(row.get(panel.score)))]
+        found = [(_number(row.get(panel.score)), str(row["method"])) for row in _fitted(rows) if not _is_short(row)]
+        scored = [(value, method) for value, method in found if value is not None]
         if not scored:
             continue
         score, method = max(scored)
         constant = _number(level.get(panel.score))
         what = panel.title.partition(" ")[0].lower()
         if constant is not None and score <= constant:
-            parts.append(f"no method has {what} above the best constant ({constant:.2f} dB)")
+            parts.append(f"no method has {what} above the best constant ({decibels(constant)})")
         else:
-            beside = "" if constant is None else f", the best constant {constant:.2f}"
-            parts.append(f"{method} has the best {what} ({score:.2f} dB{beside})")
-    return f"On the held-out views {'; '.join(parts) or 'nothing was scored'}."
+            beside = "" if constant is None else f", the best constant {figure(constant)}"
+            parts.append(f"{method} has the best {what} ({decibels(score)}{beside})")
+    nothing = f"every fit did {TOO_FEW}" if any(map(_is_short, rows)) else "nothing was scored"
+    return f"On the held-out views {'; '.join(parts) or nothing}."
+
+
+def _is_short(row: TableRow) -> bool:
+    """Whether fits of a method did too few iterations to be compared."""
+    return TOO_FEW in str(row.get("status"))
 
 
 def _fitted(rows: Sequence[TableRow]) -> list[TableRow]:
@@ -121,15 +133,19 @@ def _table(rows: Sequence[TableRow], names: Sequence[str]) -> str:
     lines = [row for row in rows if any(row.get(name) not in (None, "") for name in kept if name != "method")]
     best = {}
     for name in kept:
-        values = [value for row in _fitted(lines) if (value := _number(row.get(name))) is not None]
-        if len(values) > 1 and name not in ("seeds", "seconds", "samples"):
+        eligible = [row for row in _fitted(lines) if not _is_short(row)]
+        values = [value for row in eligible if (value := _number(row.get(name))) is not None]
+        if len(values) > 1 and name not in UNRANKED:
             best[name] = (min if _is_lower(name) else max)(values)
     cells = [
-        [_cell(name, row.get(name), "seeds" in row and name in best and row.get(name) == best[name]) for name in kept]
+        [
+            _cell(name, row.get(name), "seeds" in row and not _is_short(row) and row.get(name) == best.get(name, ""))
+            for name in kept
+        ]
         for row in lines
     ]
     styles = {number: "mark" for number, row in enumerate(lines) if "seeds" not in row}
-    styles |= {n: "failed" for n, row in enumerate(lines) if str(row.get("status") or "").startswith("failed")}
+    styles |= {n: "failed" for n, row in enumerate(lines) if row.get("status") not in (None, "ok")}
     return page.table([_head(name) for name in kept], cells, styles)
 
 
@@ -139,7 +155,7 @@ def _cell(name: str, value: object, best: bool) -> str:
 
 
 def _head(name: str) -> str:
-    if name in ("method", "seeds", "seconds", "samples"):
+    if name in ("method", *UNRANKED):
         return html.escape(HEADS.get(name, name))
     text = HEADS.get(name) or f"{name.removeprefix('seconds_to_albedo_')} dB"
     return f"{html.escape(text)} {'&darr;' if _is_lower(name) else '&uarr;'}"

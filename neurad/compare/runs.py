@@ -17,7 +17,7 @@ from neurad.runtime.tables import numbers, read_csv
 
 FACTS = "compare.json"
 """File in a run folder with what the comparison that started it recorded."""
-SCORES = ("albedo_psnr", "albedo_mape", "roughness_psnr", "roughness_mape", "psnr_linear", "lamp_error")
+SCORES = ("albedo_psnr", "albedo_mape", "roughness_psnr", "roughness_mape", "psnr_srgb", "lamp_error")
 
 Row = dict[str, float]
 
@@ -35,6 +35,8 @@ class Run:
     columns: list[str] = field(default_factory=list)
     """Columns of ``metrics.csv`` in the file's order."""
     peak_memory_mib: float | None = None
+    processor_seconds: float | None = None
+    """Of its process."""
     message: str = ""
     """Why it failed; empty if it did not."""
 
@@ -92,6 +94,7 @@ def read_run(folder: Path, method: str | None = None) -> Run:
         rows=rows,
         columns=columns,
         peak_memory_mib=facts.get("peak_memory_mib"),
+        processor_seconds=facts.get("processor_seconds"),
         message=failed,
     )
 

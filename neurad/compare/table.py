@@ -8,12 +8,16 @@ from collections.abc import Callable, Mapping, Sequence
 from pathlib import Path
 
 from neurad.compare.runs import SCORES, Run, by_method, marks
+from neurad.core.decibels import figure
 from neurad.runtime import tables
 from neurad.runtime.files import write_text
 from neurad.runtime.tables import Cell
 
 REACH = (20.0, 22.0, 24.0, 26.0, 28.0, 30.0)
 """Albedo PSNRs in dB whose time is reported."""
+MIN_ITERATIONS = 100
+"""Of a fit whose scores say something of its method."""
+TOO_FEW = "too few iterations"
 RATES = ("ms_per_step", "rays_per_second", "samples_per_second")
 
 TableRow = dict[str, Cell]
@@ -22,7 +26,8 @@ TableRow = dict[str, Cell]
 def columns(reach: Sequence[float]) -> list[str]:
     """Names of the columns, in order."""
     times = [f"seconds_to_albedo_{value:g}" for value in reach]
-    return ["method", "seeds", "seconds", "samples", *SCORES, *times, *RATES, "peak_memory_mib", "status"]
+    costs = ["seconds", "iterations", "processor_seconds", "samples"]
+    return ["method", "seeds", *costs, *SCORES, *times, *RATES, "peak_memory_mib", "status"]
 
 
 def rates(run: Run) -> dict[str, float]:
@@ -59,12 +64,16 @@ def table(runs: Sequence[Run], reach: Sequence[float] = REACH) -> list[TableRow]
 
 def _row(method: str, group: Sequence[Run], reach: Sequence[float]) -> TableRow:
     done = [run for run in group if not run.message]
-    failed = [f"failed (seed {run.seed}): {run.message}" for run in group if run.message]
-    row: TableRow = {"method": method, "seeds": float(len(done)), "status": "; ".join(failed) or "ok"}
+    notes = [f"failed (seed {run.seed}): {run.message}" for run in group if run.message]
+    notes += [f"{TOO_FEW} (seed {run.seed})" for run in done if run.last.get("iteration", math.inf) < MIN_ITERATIONS]
+    row: TableRow = {"method": method, "seeds": float(len(done)), "status": "; ".join(notes) or "ok"}
+    row["iterations"] = _median([run.last.get("iteration") for run in done])
+    row["processor_seconds"] = _median([run.processor_seconds for run in done])
     for name in ("seconds", "samples", *SCORES):
         row[name] = _median([run.last.get(name) for run in done])
     for value in reach:
-        row[f"seconds_to_albedo_{value:g}"] = _median([seconds_to(run, value) for run in done])
+        middle = _median([seconds_to(run, value) for run in done])
+        row[f"seconds_to_albedo_{value:g}"] = None if middle == math.inf else middle
     for name in RATES:
         row[name] = _median([rates(run).get(name) for run in done])
     row["peak_memory_mib"] = _median([run.peak_memory_mib for run in done])
@@ -72,12 +81,9 @@ def _row(method: str, group: Sequence[Run], reach: Sequence[float]) -> TableRow:
 
 
 def _median(values: Sequence[float | None]) -> float | None:
-    """The median of what is known; infinite ones count as the largest, and an infinite median as nothing."""
+    """The median of what is known."""
     known = [value for value in values if value is not None]
-    if not known:
-        return None
-    middle = statistics.median(known)
-    return middle if math.isfinite(middle) else None
+    return statistics.median(known) if known else None
 
 
 def write_csv(path: Path, rows: Sequence[TableRow], reach: Sequence[float] = REACH) -> None:
@@ -88,6 +94,8 @@ def write_csv(path: Path, rows: Sequence[TableRow], reach: Sequence[float] = REA
 _DIGITS: Mapping[str, Callable[[float], str]] = {
     "seeds": lambda v: f"{v:.0f}",
     "seconds": lambda v: f"{v:.1f}",
+    "iterations": lambda v: f"{v:.0f}",
+    "processor_seconds": lambda v: f"{v:.1f}",
     "samples": lambda v: f"{v / 1e3:.1f} k" if v < 1e6 else f"{v / 1e6:.2f} M",
     "ms_per_step": lambda v: f"{v:.1f}",
     "rays_per_second": lambda v: f"{v / 1e3:.0f} k" if v < 1e6 else f"{v / 1e6:.2f} M",
@@ -104,7 +112,7 @@ def shown(name: str, cell: Cell) -> str:
         return _DIGITS[name](cell)
     if name.startswith("seconds_to_"):
         return f"{cell:.1f}"
-    return f"{cell:.3f}" if "mape" in name or name == "lamp_error" else f"{cell:.2f}"
+    return f"{cell:.3f}" if "mape" in name or name == "lamp_error" else figure(cell)
 
 
 def write_markdown(path: Path, rows: Sequence[TableRow], note: str, reach: Sequence[float] = REACH) -> None:

@@ -12,9 +12,11 @@ from neurad.compare.runs import Run
 from neurad.core.errors import InputError
 from neurad.core.records import FloatArray, View
 from neurad.metrics.unseen import UNSEEN
-from neurad.pages.colours import BRIGHTEST, ERRORS, BoolArray, Bytes, encode, exposure, false_colour, grey
+from neurad.pages.colours import BRIGHTEST, ERRORS, BoolArray, Bytes, encode, false_colour, grey
 from neurad.pages.sheet import Scale, Sheet, Tile
+from neurad.scene.description import Scene
 from neurad.scene.development import Photography
+from neurad.scene.exposure import scene_exposure
 from neurad.scene.image_io import read_bitmap, read_exr
 from neurad.scene.load import load_scene
 from neurad.scene.photographs import read_view
@@ -53,15 +55,14 @@ def truth(view: View) -> Maps:
     return found if view.image is None else {**found, "render": read_view(view)[..., : CHANNELS["render"]]}
 
 
-def held_out(config: Mapping[str, Any]) -> list[View]:
-    """The held-out views of the scene that a run was fitted to; none if the scene cannot be read any more."""
+def scene_of(config: Mapping[str, Any]) -> Scene | None:
+    """The scene that a run was fitted to; None if it cannot be read any more."""
     data = config.get("data") or {}
     try:
-        scene = load_scene(data.get("root"), data.get("scene"), data.get("hold_out", HOLD_OUT), Photography.of(data))
-        return scene.scored
+        return load_scene(data.get("root"), data.get("scene"), data.get("hold_out", HOLD_OUT), Photography.of(data))
     except InputError as error:
         print(f"neurad: no truth beside the pictures: {error}")
-        return []
+        return None
 
 
 def sheets(runs: Sequence[Run], count: int) -> list[Sheet]:
@@ -75,9 +76,11 @@ def sheets(runs: Sequence[Run], count: int) -> list[Sheet]:
     Returns:
         The sheets; none if no run has pictures.
     """
-    views = held_out(runs[0].config)[:count] if runs else []
+    scene = scene_of(runs[0].config) if runs else None
+    if scene is None:
+        return []
+    views, scale = scene.scored[:count], scene_exposure(scene)
     exact = [truth(view) for view in views]
-    scale = exposure([{"photograph": maps.get("render")} for maps in exact])
     made = []
     for index, view in enumerate(views):
         columns = {run.method: predicted(run, view.name, index) for run in runs}

@@ -11,6 +11,7 @@ from pathlib import Path
 
 from neurad.compare import curves, page, table, views
 from neurad.compare.runs import Run, by_method
+from neurad.compare.table import MIN_ITERATIONS
 from neurad.pages.draw import draw
 from neurad.runtime.files import make_folder
 from neurad.runtime.machine import processor, usable_cores
@@ -21,10 +22,12 @@ NOTES = (
     "MAPE = mean |p - g| / (g + 0.01). The best constant is the mean of the truth over "
     "the same pixels. The true colour's lookup is a table from albedo to roughness, made of the true maps of training "
     "views and read with the true albedo: what roughness owes to following colour.",
-    "Seconds run from the start of a process, set-up and compilation included, evaluations left out. Path samples are "
-    "those drawn by training: pixels x samples per pixel x samples per vertex.",
+    "Seconds run from the end of a fit's first iteration, as what comes before (the scene, camera rays, compilation) "
+    "depends on what ran before; of runs that were not made for this comparison, from the start of their process. "
+    "Evaluations are left out. Path samples are those drawn by training: pixels x samples per pixel x samples per "
+    f"vertex. Fits of under {MIN_ITERATIONS} iterations are marked and never best.",
     "Milliseconds a step and the rates are taken between the first and the last evaluation. Peak memory is the largest "
-    "resident memory of the process that fitted, evaluations included.",
+    "resident memory of the process that fitted, processor time that of all its threads, evaluations included.",
     "With several seeds the table has medians, and the curves have the median and a band from the lowest score to the "
     "highest.",
 )

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Protocol, runtime_checkable
+from typing import Protocol
 
 from torch import Tensor
 
@@ -48,14 +48,6 @@ class Materials(Protocol):
     def albedo(self, si: SurfaceInteraction) -> Tensor:
         """The albedo alone [n, 3], where no more is needed."""
         ...
-
-
-@runtime_checkable
-class Recovered(Protocol):
-    """Beside :class:`Materials`: they were recovered from photographs."""
-
-    known_meshes: frozenset[int]
-    """Meshes on which the scene's own values hold instead."""
 
 
 class LobeKernels(Protocol):

@@ -20,15 +20,12 @@ from neurad.inspect.pose import Stand, stand_of
 from neurad.inspect.refine import Room, warm_up
 from neurad.inspect.server import HOST, serve, stop
 from neurad.metrics.seen import SeenBy
-from neurad.pages.colours import exposure
 from neurad.runs.follow import Followed
 from neurad.runs.load import LoadedRun
-from neurad.scene.photographs import read_view
+from neurad.scene.exposure import scene_exposure
 
 CHECKS = 2.0
 """Seconds between two looks at the run folder."""
-TONED = 8
-"""Photographs whose brightness decides the exposure."""
 
 
 class Viewer:
@@ -48,9 +45,7 @@ class Viewer:
             raise InputError(f"scene {run.scene.name}: it has no view to begin with; a fit's scene has some")
         self._followed = Followed(run)
         self._views: dict[str, View] = {view.name: view for view in views}
-        self._exposure = exposure(
-            [{"photograph": read_view(v)[..., :3]} for v in run.scene.train[:TONED] if v.image is not None]
-        )
+        self._exposure = scene_exposure(run.scene)
         self._by_training = SeenBy(run.world.geometry, run.world.tracer, [view.camera for view in run.scene.train])
         self._photographs = PhotographMap(run.world, run.views)
         self._room = self._make_room()

@@ -30,6 +30,8 @@ _OWN: dict[str, type | tuple[type, ...]] = {
     "light": dict,
     "iteration": int,
     "seconds": (int, float),
+    "processor_seconds": (int, float),
+    "waited_seconds": (int, float),
     "rays": int,
     "samples": int,
     "photographs": int,

@@ -32,7 +32,7 @@ from neurad.metrics.error_bars import ErrorBars
 from neurad.optim.polyak_average import PolyakAverage
 from neurad.optim.pyramid_adam import PyramidAdam
 from neurad.optim.sparse_row_adam import SparseRowAdam
-from neurad.runtime.clock import excluded, training_seconds
+from neurad.runtime.clock import excluded, processor_seconds, training_seconds
 from neurad.scene.description import Scene
 from neurad.scene.shining import Shining, kept
 from neurad.scene.textures import TrueMaterials
@@ -100,6 +100,7 @@ class InverseRenderer(L.LightningModule):
         )
         self.counters = Counters()
         self.seconds_before = 0.0
+        self.processor_before = 0.0, 0.0
         self.rays_before = 0
         self.processes = 1
         self._guard = Guard(self, self._keep)
@@ -271,6 +272,22 @@ class InverseRenderer(L.LightningModule):
         return self.seconds_before + training_seconds()
 
     @property
+    def processor_share(self) -> float:
+        """Fraction of the processor time that the fit's threads asked for which they got, by the seconds in which they
+        ran and in which they waited for others; 1 where the system does not tell.
+        """
+        used, waited = self._processor
+        return used / (used + waited) if used > 0.0 else 1.0
+
+    @property
+    def _processor(self) -> tuple[float, float]:
+        """Seconds in which the fit's threads ran and waited, earlier runs of a continued one included."""
+        if self.training_views is None:  # not in a fit
+            return self.processor_before
+        (used, waited), (before, waited_before) = processor_seconds(), self.processor_before
+        return used + before, waited + waited_before
+
+    @property
     def rays(self) -> int:
         """Rays cast so far by training."""
         return self.rays_before + self.processes * self.world.tracer.rays_cast
@@ -303,6 +320,8 @@ class InverseRenderer(L.LightningModule):
             **scene_state(self.scene),
             "iteration": self.iteration,
             "seconds": self.train_seconds,
+            "processor_seconds": self._processor[0],
+            "waited_seconds": self._processor[1],
             "rays": self.rays,
             "samples": self.samples,
             "radiance_inputs": self._inputs,
@@ -322,6 +341,7 @@ class InverseRenderer(L.LightningModule):
         self.counters.samples = state["samples"]
         self.rays_before = state["rays"]
         self.seconds_before = state["seconds"]
+        self.processor_before = state["processor_seconds"], state["waited_seconds"]
         self._photographs = state["photographs"]
         if not continues:
             self._see_light(state)

@@ -17,7 +17,6 @@ from benchmarks.bound.recovery import Photographed, Prior, Recovery, SeenDirectl
 from benchmarks.bound.sparse import Rows
 from neurad.assembly.build import build_world
 from neurad.cli import main
-from neurad.core.protocols import Recovered
 from neurad.core.records import SurfaceInteraction
 from neurad.integrators.estimator import Estimator
 from neurad.integrators.primary_hits import PrimaryHits
@@ -105,8 +104,7 @@ def test_materials_of_cells_are_those_of_the_finest_or_the_mean():
     cells, x, y = lattice(5)
     details = np.random.default_rng(9).normal(0, 0.1, (sum(cells.counts), 4)).astype(np.float32)
     mean = np.array([0.5, 0.4, 0.3, 0.2], np.float32)
-    materials = CellMaterials(cells, details, mean, frozenset())
-    assert isinstance(materials, Recovered), "so that held-out views guess where no photograph shows the surface"
+    materials = CellMaterials(cells, details, mean)
     found = materials(on_plane(x, y))
     places = cells.find(encode(on_plane(x, y), LOW, SIZE))
     np.testing.assert_allclose(found.albedo, (details[places] + mean)[:, :3], rtol=1e-6)

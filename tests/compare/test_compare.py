@@ -3,7 +3,9 @@
 import csv
 import json
 import math
+import os
 import re
+import signal
 import subprocess
 import sys
 import time
@@ -20,7 +22,7 @@ from neurad.cli import main
 from neurad.commands import compare
 from neurad.compare import configs, curves, page, views
 from neurad.compare import table as table_of
-from neurad.compare.fits import time_limit
+from neurad.compare.fits import WARM_UP, time_limit
 from neurad.compare.runs import SCORES, Run, marks, read_run, samples_per_step
 from neurad.core.errors import InputError
 from neurad.runs import child
@@ -32,8 +34,8 @@ CONFIG = {
     "model": {"sampling": {"spp": 8, "samples_per_vertex": 2}, "objective": {"estimator": "leave_one_out"}},
 }
 PER_STEP = 4 * 4 * 8 * 2
-COLUMNS = ("iteration", "seconds", "rays", "psnr_linear", "albedo_psnr", "albedo_mape")
-CONSTANT = {"psnr_linear_constant": 10.0, "albedo_psnr_constant": 15.0, "albedo_mape_constant": 0.5}
+COLUMNS = ("iteration", "seconds", "rays", "psnr_srgb", "albedo_psnr", "albedo_mape")
+CONSTANT = {"psnr_srgb_constant": 10.0, "albedo_psnr_constant": 15.0, "albedo_mape_constant": 0.5}
 
 # A stand-in for the program: writes a run as `neurad fit` does, in no time, or fails as the overlay's name says.
 STUB = """
@@ -46,7 +48,7 @@ if "bad.yaml" in sys.argv[3]:
 run = Path(words["--trainer.default_root_dir"]) / "lightning_logs" / "version_0"
 run.mkdir(parents=True)
 (run / "config.yaml").write_text({config!r})
-(run / "metrics.csv").write_text("iteration,seconds,rays,samples,albedo_psnr\\n10,5,100,1000,20\\n30,7,300,3000,25\\n")
+(run / "metrics.csv").write_text("iteration,seconds,rays,samples,albedo_psnr\\n1000,5,9,1000,20\\n3000,7,9,3000,25\\n")
 (run.parents[1] / "arguments.txt").write_text("\\n".join(sys.argv[1:]))
 """
 
@@ -125,6 +127,18 @@ def test_marks_stand_below_the_methods_where_runs_have_them():
         "true colour's lookup": {"roughness_psnr": 31.4, "roughness_mape": 0.1},
     }
     assert marks([Run("ours", 0, Path("a"), rows=[{"albedo_psnr": 20.0}])]) == {}
+
+
+def test_what_is_exact_is_called_so_and_is_best():
+    make_run("a", (19.0, 23.0, 27.0))
+    make_run("b", (19.0, 23.0, math.inf))
+    text = Path("b/metrics.csv").read_text()
+    Path("b/metrics.csv").write_text(text.replace(",inf,", ",exact,"))  # as a run writes it
+    main(["compare", "a", "b"])
+    assert table()["b"]["albedo_psnr"] == "exact"
+    written = [Path("report", name).read_text() for name in ("index.html", "table.md", "curves.csv")]
+    assert "b has the best albedo (exact, the best constant 15.00)" in written[0]
+    assert not re.search(r"\b(inf|nan)\b", "".join(written))
 
 
 def test_curves_hold_every_evaluation():
@@ -312,6 +326,49 @@ def test_words_are_distinguished():
     assert (options.config, options.methods, options.out, options.runs) == (["a.yaml"], "x", Path("o"), ["RUN"])
 
 
+def test_fits_of_few_iterations_are_marked_and_never_best():
+    make_run("a", (19.0, 23.0), seconds=(10, 20))
+    make_run("b", (20.0, 29.0), seconds=(0.3, 0.9))  # 90 iterations
+    main(["compare", "a", "b"])
+    rows = table()
+    assert [(rows[name]["iterations"], rows[name]["status"]) for name in ("a", "b")] == [
+        ("2000", "ok"), ("90", "too few iterations (seed 0)")
+    ]  # fmt: skip
+    written = Path("report/index.html").read_text()
+    assert "a has the best albedo (23.00 dB" in written
+    assert '<span class="best">29.00</span>' not in written
+    assert "b: too few iterations (seed 0)</p>" in written
+    main(["compare", "b", "--out", "alone"])
+    assert "On the held-out views every fit did too few iterations." in Path("alone/index.html").read_text()
+
+
+@pytest.mark.parametrize("name", ["SIGTERM", "SIGINT", "SIGHUP"])
+@pytest.mark.parametrize("deaf", [False, True])
+def test_a_child_ends_with_who_started_it(tmp_path, name, deaf):
+    if not hasattr(signal, name):
+        pytest.skip("the system has no such signal")
+    stubborn = "import signal; signal.signal(signal.SIGTERM, signal.SIG_IGN);" if deaf else ""
+    code = f"""
+import signal, sys
+from pathlib import Path
+from neurad.runs import child
+signal.signal(signal.SIGINT, signal.default_int_handler)  # who runs the tests may have it ignored
+child.PATIENCE = 0.2
+child.NEURAD = [sys.executable, "-c", "{stubborn}import os, time; print(os.getpid(), flush=True); time.sleep(60)"]
+child.run_neurad([], Path("log"))
+"""
+    parent = subprocess.Popen([sys.executable, "-c", code], stderr=subprocess.PIPE)
+    log, end = Path("log"), time.monotonic() + 30
+    while not (log.is_file() and log.read_text().endswith("\n")) and time.monotonic() < end:
+        time.sleep(0.02)
+    parent.send_signal(getattr(signal, name))
+    parent.communicate(timeout=30)
+    expected = -signal.SIGINT if name == "SIGINT" else 128 + getattr(signal, name)
+    assert parent.returncode == expected
+    with pytest.raises(ProcessLookupError):
+        os.kill(int(log.read_text()), 0)
+
+
 def test_a_failed_run_does_not_lose_the_others(stub, capfd):
     words = ["--config", "scene.yaml", "--methods", "bad.yaml,good.yaml", "--budget", "2.5", "--seeds", "3,1"]
     with pytest.raises(SystemExit) as stop:
@@ -323,6 +380,7 @@ def test_a_failed_run_does_not_lose_the_others(stub, capfd):
     assert (rows["bad"]["seeds"], rows["bad"]["seconds"]) == ("0", "")
     assert (rows["good"]["seeds"], rows["good"]["albedo_psnr"], rows["good"]["status"]) == ("2", "25", "ok")
     assert float(rows["good"]["peak_memory_mib"]) > 1
+    assert float(rows["good"]["processor_seconds"]) > 0
     assert "the sky is green" in Path("report/index.html").read_text()
     run = Path("report/runs/good_3")
     assert not (run / "lightning_logs").exists()
@@ -377,7 +435,9 @@ for size in (200, 1):
 
 @pytest.mark.main
 def test_a_budget_counts_training_seconds(tiny, monkeypatch):
-    """Evaluations that are slowed down by half a second each take nothing from the training time."""
+    """Evaluations that are slowed down by half a second each take nothing from the training time, and neither does a
+    start that takes longer than the whole budget.
+    """
     tiny_fit.fit("--trainer.max_steps=2")  # compiles what a first run would compile within its budget
     evaluate, slept = InverseRenderer.evaluate, []
 
@@ -387,12 +447,15 @@ def test_a_budget_counts_training_seconds(tiny, monkeypatch):
         return evaluate(self, *args, **options)
 
     monkeypatch.setattr(InverseRenderer, "evaluate", slow)
+    start = InverseRenderer.on_fit_start
+    monkeypatch.setattr(InverseRenderer, "on_fit_start", lambda self: (time.sleep(3.5), start(self)))
     begin = time.monotonic()
-    tiny_fit.fit(*time_limit(3.0), "--evaluation.every_n_steps=20")
+    tiny_fit.fit(*time_limit(3.0), WARM_UP, "--evaluation.every_n_steps=20")
     taken = time.monotonic() - begin
     run = read_run(Path("lightning_logs/version_1"))
     assert len(run.rows) == len(slept)
-    assert 3.0 <= run.last["seconds"] < taken - sum(slept)
+    assert 3.0 <= run.last["seconds"] < taken - sum(slept) - 3.5
+    assert run.last["iteration"] > 20
     main(["fit", "--ckpt_path=last"])  # nothing is left of the budget
     assert read_run(Path("lightning_logs/version_1")).last["iteration"] == run.last["iteration"]
 
@@ -413,7 +476,7 @@ def test_two_real_methods():
     rows = table()
     assert list(rows) == ["ours", "direct", "best constant"]
     for method in ("ours", "direct"):
-        assert (rows[method]["samples"], rows[method]["status"]) == ("4096", "ok")
+        assert (rows[method]["samples"], rows[method]["status"]) == ("4096", "too few iterations (seed 0)")
         assert float(rows[method]["peak_memory_mib"]) > 100
         assert float(rows[method]["ms_per_step"]) > 0
         names = {path.name for path in Path(f"report/runs/{method}_0").iterdir()}
