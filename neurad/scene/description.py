@@ -82,6 +82,8 @@ class Scene:
     """Lights without extent."""
     photography: Photography = KNOWN
     """What is known of how the photographs were taken."""
+    origin: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    """What was subtracted from all coordinates of the scene's files, see :mod:`neurad.scene.origin`."""
 
     def check(self, lit: bool = True) -> Scene:
         """This scene, if light transport can be computed in it.

@@ -179,8 +179,9 @@ def import_room(settings: ImportSettings) -> None:
     room = Room(views, [read_meshes(path) for path in paths], to_cameras, lamps, environment, settings.copy)
     with whole(out) as part:
         meshes = write_room(room, part)
-        if meshes:
-            check_room(part, out)
+        read = check_room(part, out) if meshes else None
+    for note in () if read is None else read.notes:
+        print(f"neurad: {note}", file=sys.stderr)
     _say(room, meshes, out)
 
 
@@ -326,4 +327,4 @@ def _say(room: Room, meshes: Sequence[Mesh], out: Path) -> None:
 
 
 def _box(corner: Matrix) -> str:
-    return f"({', '.join(f'{x:.3g}' for x in corner)})"
+    return f"({', '.join(f'{x:.3g}' if abs(x) < 1e4 else f'{x:.1f}' for x in corner)})"
