@@ -3,11 +3,10 @@
 from __future__ import annotations
 
 import os
-import shutil
 import sys
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager, suppress
-from dataclasses import dataclass, field
+from collections.abc import Callable, Sequence
+from contextlib import AbstractContextManager
+from dataclasses import dataclass, field, replace
 from pathlib import Path, PurePosixPath
 
 import numpy as np
@@ -15,22 +14,20 @@ import numpy as np
 from neurad.core.errors import InputError
 from neurad.core.ranges import Positive, checked
 from neurad.core.records import Mesh, View
-from neurad.runtime.files import writing
+from neurad.runtime.files import check_folder, make_folder, writing
+from neurad.runtime.folders import place_of, written_beside
 from neurad.runtime.reading import exists, folder, regular_file, shown
 from neurad.scene.description import Scene
 from neurad.scene.load import read_folder
 from neurad.scene.numbers import RADIANCE, number
 from neurad.scene.photographs import READABLE, picture_size
 from neurad.scene.picture_headers import check_exr
-from neurad.scene.readers.colmap import read_model
+from neurad.scene.readers.colmap import find_model, photograph_places, read_model
 from neurad.scene.readers.fipt import MESH, read_room
 from neurad.scene.readers.mesh_files import read_meshes
 from neurad.scene.readers.nerf import Split, read_one, read_split
 from neurad.scene.readers.polycam import read_export
 from neurad.scene.room_folder import Matrix, Room, bounds_of, held_up, turned, write_room
-
-PART = ".part"
-"""Ends the name of a folder that is being written."""
 
 
 @dataclass(frozen=True)
@@ -132,7 +129,9 @@ def _nerfstudio(source: Path, images: Path | None) -> Split:
 
 
 def _colmap(source: Path, images: Path | None) -> Split:
-    return Split(read_model(source, Photographs(*([images] if images else [source / "images", source]))), [])
+    model, said = find_model(source)
+    split = read_model(model, Photographs(*([images] if images else photograph_places(source, model))))
+    return replace(split, notes=(*([said] if said else []), *split.notes))
 
 
 def _polycam(source: Path, images: Path | None) -> Split:
@@ -180,39 +179,33 @@ def import_room(settings: ImportSettings) -> None:
     with whole(out) as part:
         meshes = write_room(room, part)
         if meshes:
-            check_room(part, out)
+            check_room(part)
     _say(room, meshes, out)
 
 
-@contextmanager
-def whole(out: Path) -> Iterator[Path]:
+def whole(out: Path) -> AbstractContextManager[Path]:
     """A new folder beside ``out``, which it becomes at the end of the block; it is removed if the block fails.
 
     Raises:
-        InputError: the system refused to write.
+        InputError: the system refused to write, or something has come to ``out``.
     """
-    part = out.with_name(out.name + PART)
-    with writing(part, "--out"):
-        part.mkdir(parents=True)
-    try:
-        yield part
-        with writing(out, "--out"):
-            part.rename(out)
-    except BaseException:
-        with suppress(OSError):
-            shutil.rmtree(part)
-        raise
+    make_folder(out.parent, "--out")
+    return written_beside(out, lambda: _refuse_taken(out))
 
 
 def free_folder(path: Path) -> Path:
-    """The folder to write, which must not be there, or empty."""
-    out = Path(path).expanduser()
+    """The folder to write, which must not be there, or empty; a link stands for what it points to."""
+    out = place_of(Path(path).expanduser())
+    _refuse_taken(out)
+    check_folder(out, "--out")
+    return out
+
+
+def _refuse_taken(out: Path) -> None:
     with writing(out, "--out"):
-        out = out.parent.resolve() / out.name if out.name not in ("", "..") else out.resolve()
         taken = out.exists() and (not out.is_dir() or any(out.iterdir()))
     if taken:
         raise InputError(f"--out {shown(out)}: it is there already; name a folder that is not")
-    return out
 
 
 def _lamps(words: Sequence[str]) -> dict[str, tuple[float, float, float]]:
@@ -272,23 +265,16 @@ def _placed(settings: ImportSettings, views: Split) -> Matrix:
     return turned(settings.up, to, settings.scale)
 
 
-def check_room(part: Path, out: Path) -> Scene:
+def check_room(part: Path) -> Scene:
     """Read a folder as a fit does; a light may still be missing.
-
-    Args:
-        part: the folder.
-        out: where it is going to be, for sentences.
 
     Raises:
         InputError: a fit would refuse it.
     """
-    try:
-        scene = read_folder(part)
-        if scene.features.has_light:
-            scene.check()
-        return scene
-    except InputError as error:
-        raise InputError(str(error).replace(str(part), str(out))) from error
+    scene = read_folder(part)
+    if scene.features.has_light:
+        scene.check()
+    return scene
 
 
 def _say(room: Room, meshes: Sequence[Mesh], out: Path) -> None:

@@ -3,7 +3,8 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable
+from collections import Counter
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -11,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from neurad.core.errors import InputError
+from neurad.core.names import apart
 from neurad.core.records import Development, FloatArray, View
 from neurad.runtime.reading import exists, read_json, regular_file, shown
 from neurad.scene.numbers import LENGTH, matrix, number
@@ -58,8 +60,9 @@ def read_split(folder: Path, hold_out: int = HOLD_OUT, photograph: Finder | None
     size = sizes.pop() if len(sizes) == 1 else None  # so that held-out photographs stay closed
     for name in ("transforms_test.json", "transforms_val.json"):
         if exists(folder / name):
-            return Split(train, read_views(folder / name, folder, size, photograph), stated=True)
-    return Split(train, [], stated=True)
+            views = told_apart([*train, *read_views(folder / name, folder, size, photograph)])
+            return Split(views[: len(train)], views[len(train) :], stated=True)
+    return Split(told_apart(train), [], stated=True)
 
 
 def read_one(folder: Path, hold_out: int = HOLD_OUT, photograph: Finder | None = None) -> Split:
@@ -74,7 +77,7 @@ def read_one(folder: Path, hold_out: int = HOLD_OUT, photograph: Finder | None =
         InputError: as :func:`read_views`; or the lists of the file name what it does not have, or a frame twice.
     """
     path = folder / "transforms.json"
-    views = read_views(path, folder, photograph=photograph)
+    views = told_apart(read_views(path, folder, photograph=photograph))
     named = _named(path)
     if named is None:
         return held_out_every(hold_out, views, path)
@@ -85,6 +88,17 @@ def read_one(folder: Path, hold_out: int = HOLD_OUT, photograph: Finder | None =
     left = len(views) - len(train) - len(test)
     said = f"{path}: {left} of {len(views)} photographs are in none of its lists of names, and are left out"
     return Split(train, test, (said,) if left else (), stated=True)
+
+
+def told_apart(views: Sequence[View]) -> list[View]:
+    """Views no two of which have one name: where photographs of several folders do, the folder's goes before."""
+    alike = Counter(view.name for view in views)
+    taken: set[str] = set()
+    made = []
+    for view in views:
+        name = view.name if alike[view.name] == 1 else f"{Path(str(view.image)).parent.name}_{view.name}"
+        made.append(replace(view, name=apart(name, taken, "_")))
+    return made
 
 
 def held_out_every(hold_out: int, views: list[View], path: Path) -> Split:
