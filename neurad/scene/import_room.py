@@ -27,7 +27,7 @@ from neurad.scene.readers.fipt import MESH, read_room
 from neurad.scene.readers.mesh_files import read_meshes
 from neurad.scene.readers.nerf import Split, read_one, read_split
 from neurad.scene.readers.polycam import read_export
-from neurad.scene.room_folder import Matrix, Room, bounds_of, held_up, turned, write_room
+from neurad.scene.room_folder import Matrix, Room, axes, bounds_of, held_up, turned, write_room
 
 
 @dataclass(frozen=True)
@@ -44,6 +44,8 @@ class ImportSettings:
     """Folder of the photographs as EXR, where they do not lie with the others."""
     up: str | None = None
     """Axis of the meshes that points up; None leaves them as they are."""
+    axes: str | None = None
+    """The meshes' axes that become those of the cameras, see :func:`neurad.scene.room_folder.axes`."""
     scale: Positive = 1.0
     """Length of the meshes' unit in the cameras'."""
     lamp: list[str] = field(default_factory=list)
@@ -66,10 +68,10 @@ def refuse_meshes(settings: ImportSettings, source: str) -> None:
     Raises:
         InputError: one is given.
     """
-    if settings.mesh or settings.lamp or settings.up or settings.scale != 1.0:
+    if settings.mesh or settings.lamp or settings.up or settings.axes or settings.scale != 1.0:
         raise InputError(
-            f"--mesh, --lamp, --up and --scale are about meshes beside cameras; {source} has its own surfaces and "
-            "lamps, in the frame of its cameras"
+            f"--mesh, --lamp, --up, --axes and --scale are about meshes beside cameras; {source} has its own surfaces "
+            "and lamps, in the frame of its cameras"
         )
 
 
@@ -172,8 +174,8 @@ def import_room(settings: ImportSettings) -> None:
         check_photograph(view)
         _check_place(view, [source] if images is None else [source, images])
     paths = settings.mesh or ([source / MESH] if settings.kind == "fipt" else [])
-    if not paths and (lamps or settings.up or environment):
-        raise InputError("--lamp, --up and --environment are about what --mesh names, and there is no --mesh")
+    if not paths and (lamps or settings.up or settings.axes or environment):
+        raise InputError("--lamp, --up, --axes and --environment are about what --mesh names, and there is no --mesh")
     to_cameras = _placed(settings, views)
     room = Room(views, [read_meshes(path) for path in paths], to_cameras, lamps, environment, settings.copy)
     with whole(out) as part:
@@ -258,6 +260,10 @@ def _check_place(view: View, places: Sequence[Path]) -> None:
 
 def _placed(settings: ImportSettings, views: Split) -> Matrix:
     """What takes the meshes to the frame of the cameras."""
+    if settings.axes is not None:
+        if settings.up is not None:
+            raise InputError("--axes: it says where all axes of the mesh go, so --up has nothing to say; leave one out")
+        return axes(settings.axes) @ np.diag([settings.scale] * 3 + [1.0])
     if settings.up is None:
         return np.diag([settings.scale] * 3 + [1.0])
     to = held_up([*views.train, *views.test])
@@ -294,7 +300,10 @@ def _say(room: Room, meshes: Sequence[Mesh], out: Path) -> None:
     inside = ((eyes >= low) & (eyes <= high)).all(1)
     print(f"cameras between {_box(eyes.min(0))} and {_box(eyes.max(0))}, {int(inside.sum())} of {len(eyes)} inside")
     if 2 * inside.sum() < len(eyes):
-        print("neurad: warning: most cameras lie outside of the mesh's box; check --up and --scale", file=sys.stderr)
+        print(
+            "neurad: warning: most cameras lie outside of the mesh's box; check --up, --axes and --scale",
+            file=sys.stderr,
+        )
     shining = [mesh.name for mesh in meshes if mesh.radiance is not None]
     if shining:
         print(f"lamps: {', '.join(shown(name) for name in shining)}")

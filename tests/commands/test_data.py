@@ -592,9 +592,25 @@ def test_bad_options(place, source, case, capfd):
     check(capfd, place, said, "data", "nerfstudio", str(source), "--mesh", str(mesh), "--out", "room", *words)
 
 
+WAYS = {
+    "metashape": ": it exports cameras in COLMAP's format .*data colmap.*ns-process-data metashape",
+    "Agisoft": ": it exports cameras in COLMAP's format",
+    "realitycapture": ": it exports its registration in COLMAP's format",
+    "Reality_Capture": ": it exports its registration in COLMAP's format",
+    "record3d": ": `ns-process-data record3d` of nerfstudio makes what `neurad data nerfstudio` reads",
+    "instant-ngp": ": its transforms.json is read by `neurad data nerfstudio`",
+    "kapture": ": programs that find cameras export them in COLMAP's format",
+    "fbx": ": export the scene with its cameras as glTF",
+    "colmp": ", did you mean colmap",
+}
+"""How what other programs write comes in."""
+
+
 def test_other_bad_words(place, source, capfd):
     check(capfd, place, "SRC: there is no folder nowhere", "data", "colmap", "nowhere", "--out", "room")
-    check(capfd, place, "argument kind: invalid choice: 'metashape'", "data", "metashape", "src", "--out", "room")
+    for word, said in WAYS.items():
+        check(capfd, place, rf"argument kind: {word} is none of nerfstudio, colmap, .*hdr{said}", "data", word, "src",
+              "--out", "room")  # fmt: skip
     check(capfd, place, "about what --mesh names, and there is no --mesh", "data", "nerfstudio", "src", "--up", "y",
           "--out", "room")  # fmt: skip
     described = json.loads((source / "transforms.json").read_text())

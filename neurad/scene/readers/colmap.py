@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
+import numpy.typing as npt
 
 from neurad.core.errors import InputError
 from neurad.core.records import Camera, FloatArray, View
@@ -36,7 +37,7 @@ _FLIP = np.diag([1.0, -1.0, -1.0])  # COLMAP looks along +Z with Y down
 _SAME = 1e-6  # difference between the poses of frames and of images that rounding makes
 
 Numbers = tuple[float, ...]
-Rigid = tuple[FloatArray, FloatArray]
+Rigid = tuple[npt.NDArray[np.float64], npt.NDArray[np.float64]]
 """A rotation [3, 3] and a translation [3]."""
 
 
@@ -202,7 +203,7 @@ def _rigid(values: Numbers, where: str) -> Rigid:
     if length < 1e-9:
         raise InputError(f"{where}: its quaternion is 0, which is no rotation")
     w, x, y, z = q / length
-    rotation: FloatArray = np.array([
+    rotation = np.array([
         [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
         [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
         [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],

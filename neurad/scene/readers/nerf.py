@@ -26,6 +26,8 @@ OTHER = (".webp", ".bmp", ".heic", ".gif", *RAW)
 """Photographs that are not read."""
 EXPOSURE = 1e-9, 1e9
 """Smallest and largest exposure."""
+POLYCAM = [[0.0, 0.0, 1.0, 0.0], [1.0, 0.0, 0.0, 0.0], [0.0, 1.0, 0.0, 0.0]]
+"""What ns-process-data does to the cameras of Polycam: their Z, X and Y become X, Y and Z."""
 Finder = Callable[[str, str], Path]
 _LISTS = {"train_filenames": "train", "val_filenames": "test", "test_filenames": "test"}
 
@@ -78,16 +80,19 @@ def read_one(folder: Path, hold_out: int = HOLD_OUT, photograph: Finder | None =
     """
     path = folder / "transforms.json"
     views = told_apart(read_views(path, folder, photograph=photograph))
+    said = f"{path}: its cameras are Polycam's as ns-process-data turns them; they are turned back, to Polycam's mesh"
+    notes = (said,) if _is_polycam(read_json(path)) else ()
     named = _named(path)
     if named is None:
-        return held_out_every(hold_out, views, path)
+        split = held_out_every(hold_out, views, path)
+        return replace(split, notes=(*notes, *split.notes))
     pairs = list(zip(views, named, strict=True))
     train, test = ([view for view, kind in pairs if kind == part] for part in ("train", "test"))
     if not train:
         raise InputError(f"{path}: its train_filenames leave no photograph to learn from")
     left = len(views) - len(train) - len(test)
     said = f"{path}: {left} of {len(views)} photographs are in none of its lists of names, and are left out"
-    return Split(train, test, (said,) if left else (), stated=True)
+    return Split(train, test, (*notes, said) if left else notes, stated=True)
 
 
 def told_apart(views: Sequence[View]) -> list[View]:
@@ -235,7 +240,7 @@ def _applied(described: dict[str, Any], path: Path) -> Callable[[FloatArray], Fl
         InputError: the transform of the file turns, scales and moves not alone, or its scale is out of range.
     """
     scale = number(described.get("applied_scale") or 1.0, f"{path}: applied_scale", 1e-9, 1e9)
-    rows = described.get("applied_transform")
+    rows = POLYCAM if _is_polycam(described) else described.get("applied_transform")
     if rows is None and scale == 1.0:
         return lambda pose: pose
     if rows is None:
@@ -255,6 +260,18 @@ def _applied(described: dict[str, Any], path: Path) -> Callable[[FloatArray], Fl
         return before
 
     return undo
+
+
+def _is_polycam(described: dict[str, Any]) -> bool:
+    """Whether a camera file is what ns-process-data makes of Polycam's: it turns cameras and does not say so, but no
+    other of its sources has these keys.
+    """
+    return (
+        described.get("orientation_override") == "none"
+        and described.get("camera_model") == "OPENCV"
+        and "applied_transform" not in described
+        and all(isinstance(frame, dict) and {"fl_x", "cx", "w"} <= frame.keys() for frame in described["frames"])
+    )
 
 
 def _photograph(root: Path, name: str, path: Path) -> Path:
