@@ -24,6 +24,8 @@ HOLD_OUT = 8
 """Every so many-th photograph is held out where nothing says which."""
 OTHER = (".webp", ".bmp", ".heic", ".gif", *RAW)
 """Photographs that are not read."""
+FILM = 512, 512
+"""Width and height of a picture whose size nothing says."""
 EXPOSURE = 1e-9, 1e9
 """Smallest and largest exposure."""
 POLYCAM = [[0.0, 0.0, 1.0, 0.0], [1.0, 0.0, 0.0, 0.0], [0.0, 1.0, 0.0, 0.0]]
@@ -45,7 +47,9 @@ class Split:
     """Whether the source says which views are held out."""
 
 
-def read_split(folder: Path, hold_out: int = HOLD_OUT, photograph: Finder | None = None) -> Split:
+def read_split(
+    folder: Path, hold_out: int = HOLD_OUT, photograph: Finder | None = None, pictures: bool = True
+) -> Split:
     """Training and held-out views of ``transforms_train.json`` and, where it is there, ``transforms_test.json`` or
     ``transforms_val.json``.
 
@@ -53,33 +57,35 @@ def read_split(folder: Path, hold_out: int = HOLD_OUT, photograph: Finder | None
         folder: a scene folder.
         hold_out: not read: a folder with two files says itself what is held out.
         photograph: as in :func:`read_views`.
+        pictures: as in :func:`read_views`.
 
     Raises:
         InputError: as :func:`read_views`.
     """
-    train = read_views(folder / "transforms_train.json", folder, None, photograph)
+    train = read_views(folder / "transforms_train.json", folder, None, photograph, pictures)
     sizes = {(view.camera.width, view.camera.height) for view in train}
     size = sizes.pop() if len(sizes) == 1 else None  # so that held-out photographs stay closed
     for name in ("transforms_test.json", "transforms_val.json"):
         if exists(folder / name):
-            views = told_apart([*train, *read_views(folder / name, folder, size, photograph)])
+            views = told_apart([*train, *read_views(folder / name, folder, size, photograph, pictures)])
             return Split(views[: len(train)], views[len(train) :], stated=True)
     return Split(told_apart(train), [], stated=True)
 
 
-def read_one(folder: Path, hold_out: int = HOLD_OUT, photograph: Finder | None = None) -> Split:
+def read_one(folder: Path, hold_out: int = HOLD_OUT, photograph: Finder | None = None, pictures: bool = True) -> Split:
     """Training and held-out views of ``transforms.json``, nerfstudio's one file for both.
 
     Args:
         folder: a scene folder.
         hold_out: every so many-th photograph by name is held out where the file does not say which; 0 for none, not 1.
         photograph: as in :func:`read_views`.
+        pictures: as in :func:`read_views`.
 
     Raises:
         InputError: as :func:`read_views`; or the lists of the file name what it does not have, or a frame twice.
     """
     path = folder / "transforms.json"
-    views = told_apart(read_views(path, folder, photograph=photograph))
+    views = told_apart(read_views(path, folder, None, photograph, pictures))
     said = f"{path}: its cameras are Polycam's as ns-process-data turns them; they are turned back, to Polycam's mesh"
     notes = (said,) if _is_polycam(read_json(path)) else ()
     named = _named(path)
@@ -151,7 +157,11 @@ def _ordinal(count: int) -> str:
 
 
 def read_views(
-    path: str | Path, root: str | Path, size: Size | None = None, photograph: Finder | None = None
+    path: str | Path,
+    root: str | Path,
+    size: Size | None = None,
+    photograph: Finder | None = None,
+    pictures: bool = True,
 ) -> list[View]:
     """The views of a camera file; paths in it are relative to ``root``.
 
@@ -162,6 +172,8 @@ def read_views(
         size: width and height where the file has none, in place of what the photograph says.
         photograph: finds the photograph of a name, its second argument begins the sentence if there is none; None
             takes the EXR file of that name.
+        pictures: whether photographs, masks and maps are wanted. Otherwise none of them has to be there, and views have
+            their cameras and the name of the file where the photograph would be.
 
     Raises:
         InputError: not JSON, no frames, a bad camera, or a photograph that is missing.
@@ -175,11 +187,16 @@ def read_views(
             raise InputError(f"{path}: frame {index} has no file_path")
         where = f"{path}: frame {index} ({shown(frame['file_path'])})"
         name = frame["file_path"]
-        image = _photograph(root, name, path) if photograph is None else photograph(name, where)
+        image = _photograph(root, name, path, pictures) if photograph is None else photograph(name, where)
         settings = {**described, **frame}
-        film = _size(settings, where) or size or picture_size(image)
+        film = _size(settings, where) or size
+        if film is None:
+            film = picture_size(image) if pictures or exists(image) else _unsaid(settings, where)
         pose = undo(rigid(frame.get("transform_matrix"), f"{where}: its transform_matrix"))
         camera = camera_of((frame, described), film, pose, where)
+        if not pictures:
+            views.append(View(image.stem, camera, str(image)))
+            continue
         mask = _listed(root, frame, "mask_path", f"the mask is missing that {path.name} lists", path)
         maps = {kind: _map(root, frame, kind, image, path) for kind in ("albedo", "roughness", "spread")}
         relit = _map(root, frame, "relight", image, path) if "relight_path" in frame else None
@@ -274,7 +291,15 @@ def _is_polycam(described: dict[str, Any]) -> bool:
     )
 
 
-def _photograph(root: Path, name: str, path: Path) -> Path:
+def _unsaid(settings: dict[str, Any], where: str) -> Size:
+    """The size of a picture that is not there and of which the file says nothing but how wide it sees."""
+    if any(settings.get(key) is not None for key in ("fl_x", "fl_y", "cx", "cy")):
+        raise InputError(f"{where}: neither w and h nor a photograph says how many pixels its picture has; add w and h")
+    return FILM
+
+
+def _photograph(root: Path, name: str, path: Path, required: bool = True) -> Path:
+    """The photograph of a name; where it is not required, the file where it would be."""
     image = root / name
     if not image.name:
         raise InputError(f"{path}: its file_path {shown(repr(name))} is not the name of a file")
@@ -283,6 +308,8 @@ def _photograph(root: Path, name: str, path: Path) -> Path:
         return regular_file(file)
     names = [image, *(image.with_name(image.name + ending) for ending in (*READABLE, *OTHER))]
     other = next((name for name in names if name.suffix.lower() in (*READABLE, *OTHER) and exists(name)), None)
+    if not required:
+        return other or (image if image.suffix.lower() in (*READABLE, *OTHER) else file)
     if other is None or other.suffix.lower() in READABLE:
         return regular_file(other or file, f"the photograph is missing that {path.name} lists (an EXR file)")
     how = "merge it with `neurad data hdr`" if other.suffix.lower() in RAW else "save it in one of these formats"
