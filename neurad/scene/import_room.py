@@ -11,7 +11,7 @@ from pathlib import Path, PurePosixPath
 
 import numpy as np
 
-from neurad.core.errors import InputError
+from neurad.core.errors import InputError, Refusals
 from neurad.core.ranges import Positive, checked
 from neurad.core.records import Mesh, View
 from neurad.runtime.files import check_folder, make_folder, writing
@@ -170,9 +170,13 @@ def import_room(settings: ImportSettings) -> None:
     lamps = _lamps(settings.lamp)
     environment = None if settings.environment is None else map_of(settings.environment)
     views = SOURCES[settings.kind][0](source, images)
+    refusals = Refusals()
     for view in (*views.train, *views.test):
-        check_photograph(view)
-        _check_place(view, [source] if images is None else [source, images])
+        with refusals.part():
+            check_photograph(view)
+        with refusals.part():
+            _check_place(view, [source] if images is None else [source, images])
+    refusals.end()
     paths = settings.mesh or ([source / MESH] if settings.kind == "fipt" else [])
     if not paths and (lamps or settings.up or settings.axes or environment):
         raise InputError("--lamp, --up, --axes and --environment are about what --mesh names, and there is no --mesh")

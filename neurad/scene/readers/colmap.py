@@ -13,7 +13,7 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from neurad.core.errors import InputError
+from neurad.core.errors import InputError, Refusals
 from neurad.core.records import Camera, FloatArray, View
 from neurad.runtime.reading import exists, read_bytes, read_text, shown
 from neurad.scene.numbers import LENGTH, number
@@ -83,22 +83,25 @@ def read_model(folder: Path, photograph: Callable[[str, str], Path]) -> Split:
     framed = _framed(folder, ending)
     moved, views = 0, []
     by_file: dict[Path, _Image] = {}
+    refusals = Refusals()
     for image in sorted(images, key=lambda image: image.name):
-        where = f"{path}: image {image.number} ({shown(image.name)})"
-        if image.camera not in cameras:
-            raise InputError(f"{where}: its camera {image.camera} is not in cameras.{ending}")
-        about = f"{folder / f'cameras.{ending}'}: camera {image.camera}"
-        pose = _rigid(image.pose, where)
-        if (said := framed.get(image.number)) is not None:
-            moved += not all(np.allclose(a, b, _SAME, _SAME) for a, b in zip(said, pose, strict=True))
-            pose = said
-        file = photograph(image.name, where)
-        if (other := by_file.setdefault(file, image)) is not image:
-            raise InputError(
-                f"{where}: its photograph {shown(file)} is also that of image {other.number} ({shown(other.name)}); "
-                "put each into a folder of the name that COLMAP has"
-            )
-        views.append(View(Path(image.name).stem, _camera(cameras[image.camera], _to_world(pose), about), str(file)))
+        with refusals.part():
+            where = f"{path}: image {image.number} ({shown(image.name)})"
+            if image.camera not in cameras:
+                raise InputError(f"{where}: its camera {image.camera} is not in cameras.{ending}")
+            about = f"{folder / f'cameras.{ending}'}: camera {image.camera}"
+            pose = _rigid(image.pose, where)
+            if (said := framed.get(image.number)) is not None:
+                moved += not all(np.allclose(a, b, _SAME, _SAME) for a, b in zip(said, pose, strict=True))
+                pose = said
+            file = photograph(image.name, where)
+            if (other := by_file.setdefault(file, image)) is not image:
+                raise InputError(
+                    f"{where}: its photograph {shown(file)} is also that of image {other.number} "
+                    f"({shown(other.name)}); put each into a folder of the name that COLMAP has"
+                )
+            views.append(View(Path(image.name).stem, _camera(cameras[image.camera], _to_world(pose), about), str(file)))
+    refusals.end()
     if moved:
         notes.append(
             f"{folder / f'frames.{ending}'} and rigs.{ending} say otherwise than images.{ending} where {moved} of "

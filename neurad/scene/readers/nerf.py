@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from neurad.core.errors import InputError
+from neurad.core.errors import InputError, Refusals
 from neurad.core.names import apart
 from neurad.core.records import Development, FloatArray, View
 from neurad.runtime.reading import exists, read_json, regular_file, shown
@@ -181,28 +181,33 @@ def read_views(
     path, root = Path(path), Path(root)
     described, frames = _frames(path)
     undo = _applied(described, path)
+    if not pictures:
+        photograph = lambda name, _: _unmade(root, name)  # noqa: E731
     views: list[View] = []
+    refusals = Refusals()
     for index, frame in enumerate(frames):
-        if not isinstance(frame, dict) or not isinstance(frame.get("file_path"), str):
-            raise InputError(f"{path}: frame {index} has no file_path")
-        where = f"{path}: frame {index} ({shown(frame['file_path'])})"
-        name = frame["file_path"]
-        image = _photograph(root, name, path, pictures) if photograph is None else photograph(name, where)
-        settings = {**described, **frame}
-        film = _size(settings, where) or size
-        if film is None:
-            film = picture_size(image) if pictures or exists(image) else _unsaid(settings, where)
-        pose = undo(rigid(frame.get("transform_matrix"), f"{where}: its transform_matrix"))
-        camera = camera_of((frame, described), film, pose, where)
-        if not pictures:
-            views.append(View(image.stem, camera, str(image)))
-            continue
-        mask = _listed(root, frame, "mask_path", f"the mask is missing that {path.name} lists", path)
-        maps = {kind: _map(root, frame, kind, image, path) for kind in ("albedo", "roughness", "spread")}
-        relit = _map(root, frame, "relight", image, path) if "relight_path" in frame else None
-        made = Development(exposure=_exposure(settings, where))
-        known = maps["albedo"], maps["roughness"], relit, mask, made, maps["spread"]
-        views.append(View(image.stem, camera, str(image), *known))
+        with refusals.part():
+            if not isinstance(frame, dict) or not isinstance(frame.get("file_path"), str):
+                raise InputError(f"{path}: frame {index} has no file_path")
+            where = f"{path}: frame {index} ({shown(frame['file_path'])})"
+            name = frame["file_path"]
+            image = _photograph(root, name, path) if photograph is None else photograph(name, where)
+            settings = {**described, **frame}
+            film = _size(settings, where) or size
+            if film is None:
+                film = picture_size(image) if pictures or exists(image) else _unsaid(settings, where)
+            pose = undo(rigid(frame.get("transform_matrix"), f"{where}: its transform_matrix"))
+            camera = camera_of((frame, described), film, pose, where)
+            if not pictures:
+                views.append(View(image.stem, camera, str(image)))
+                continue
+            mask = _listed(root, frame, "mask_path", f"the mask is missing that {path.name} lists", path)
+            maps = {kind: _map(root, frame, kind, image, path) for kind in ("albedo", "roughness", "spread")}
+            relit = _map(root, frame, "relight", image, path) if "relight_path" in frame else None
+            made = Development(exposure=_exposure(settings, where))
+            known = maps["albedo"], maps["roughness"], relit, mask, made, maps["spread"]
+            views.append(View(image.stem, camera, str(image), *known))
+    refusals.end()
     return views
 
 
@@ -298,8 +303,15 @@ def _unsaid(settings: dict[str, Any], where: str) -> Size:
     return FILM
 
 
-def _photograph(root: Path, name: str, path: Path, required: bool = True) -> Path:
-    """The photograph of a name; where it is not required, the file where it would be."""
+def _unmade(root: Path, name: str) -> Path:
+    """The file where a photograph would be, or is."""
+    image = root / name
+    there = (_exr(image), image, *(image.with_name(image.name + ending) for ending in READABLE))
+    known = image.suffix.lower() in (*READABLE, *OTHER)
+    return next((file for file in there if image.name and file.is_file()), image if known else _exr(image))
+
+
+def _photograph(root: Path, name: str, path: Path) -> Path:
     image = root / name
     if not image.name:
         raise InputError(f"{path}: its file_path {shown(repr(name))} is not the name of a file")
@@ -308,8 +320,6 @@ def _photograph(root: Path, name: str, path: Path, required: bool = True) -> Pat
         return regular_file(file)
     names = [image, *(image.with_name(image.name + ending) for ending in (*READABLE, *OTHER))]
     other = next((name for name in names if name.suffix.lower() in (*READABLE, *OTHER) and exists(name)), None)
-    if not required:
-        return other or (image if image.suffix.lower() in (*READABLE, *OTHER) else file)
     if other is None or other.suffix.lower() in READABLE:
         return regular_file(other or file, f"the photograph is missing that {path.name} lists (an EXR file)")
     how = "merge it with `neurad data hdr`" if other.suffix.lower() in RAW else "save it in one of these formats"
