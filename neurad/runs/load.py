@@ -51,7 +51,7 @@ Points = npt.ArrayLike | SurfaceInteraction
 """Positions [n, 3] in the coordinates of the scene's files, or surface points of :meth:`LoadedRun.surface`."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class LoadedRun:
     """The result of a fit. Materials are the averaged ones if the run averages, as in ``neurad test``.
 
@@ -68,6 +68,11 @@ class LoadedRun:
     device: torch.device
     light_changes: tuple[str, ...] = ()
     """What differs between the scene's light and that of the fit, a few words each."""
+
+    def __repr__(self) -> str:
+        """The run in a line: everything else that it has is long."""
+        scene = f"{self.scene.name} of {len(self.scene.train)} training and {len(self.scene.test)} held-out views"
+        return f"LoadedRun({str(self.checkpoint)!r}, iteration {self.iteration}, {scene}, {self.device})"
 
     @property
     def scene(self) -> Scene:

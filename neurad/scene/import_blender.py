@@ -70,7 +70,7 @@ def import_blender(settings: ImportSettings) -> None:
                 if not any((part / name).iterdir()):
                     (part / name).rmdir()
             _write_cameras(room, views, part, settings.copy)
-        check_room(part, out)
+        check_room(part)
     _say(out, room, views)
 
 

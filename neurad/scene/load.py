@@ -20,7 +20,6 @@ from neurad.scene.origin import ZERO, Array, moved_views, near, origin_of
 from neurad.scene.readers.nerf import HOLD_OUT, Split
 
 T = TypeVar("T")
-_SIDE = 512  # pixels of a picture whose size nothing says
 
 OTHER_SCENES = (".glb", ".gltf", ".blend", ".fbx", ".usd", ".usdc", ".usda", ".usdz", ".pbrt", ".obj", ".ply", ".stl")
 """Files of other programs that somebody may take for a scene here."""
@@ -45,22 +44,22 @@ def _gltf(name: str) -> Callable[[Path, Array], Scene]:
     return read
 
 
-def _two_files(folder: Path, hold_out: int) -> Split:
+def _two_files(folder: Path, hold_out: int, pictures: bool) -> Split:
     from neurad.scene.readers.nerf import read_split
 
-    return read_split(folder, hold_out)
+    return read_split(folder, hold_out, None, pictures)
 
 
-def _one_file(folder: Path, hold_out: int) -> Split:
+def _one_file(folder: Path, hold_out: int, pictures: bool) -> Split:
     from neurad.scene.readers.nerf import read_one
 
-    return read_one(folder, hold_out)
+    return read_one(folder, hold_out, None, pictures)
 
 
-def _cameras_alone(folder: Path, hold_out: int) -> Split:
-    from neurad.scene.readers.nerf import read_cameras
+def _cameras_alone(folder: Path, hold_out: int, pictures: bool) -> Split:
+    from neurad.scene.readers.nerf import FILM, read_cameras
 
-    return Split([], read_cameras(folder / CAMERAS, (_SIDE, _SIDE)))
+    return Split([], read_cameras(folder / CAMERAS, FILM))
 
 
 SCENE_FILES: dict[str, Callable[[Path, Array], Scene]] = {
@@ -71,18 +70,18 @@ SCENE_FILES: dict[str, Callable[[Path, Array], Scene]] = {
 """Readers of meshes, materials and lights, by file name; the first one in a folder is read. They are told what to
 subtract from all coordinates. What a file says of cameras becomes held-out views without photographs.
 """
-CAMERA_FILES: dict[str, Callable[[Path, int], Split]] = {
+CAMERA_FILES: dict[str, Callable[[Path, int, bool], Split]] = {
     "transforms_train.json": _two_files,
     "transforms.json": _one_file,
     CAMERAS: _cameras_alone,
 }
 """Readers of the training and the held-out views, by file name; the first one in a folder is read. They are told how
-many-th photograph to hold out where the file does not say which.
+many-th photograph to hold out where the file does not say which, and whether photographs have to be there.
 """
 
 
 def load_scene(
-    root: str | None, scene: str | None, hold_out: int = HOLD_OUT, photography: Photography = KNOWN
+    root: str | None, scene: str | None, hold_out: int = HOLD_OUT, photography: Photography | None = KNOWN
 ) -> Scene:
     """The scene of a folder or a built-in one, checked; nothing in it has to shine, as that may be found.
 
@@ -90,7 +89,8 @@ def load_scene(
         root: a scene folder (``--data.root``), or None.
         scene: name of a built-in scene (``--data.scene``), or None.
         hold_out: every so many-th photograph of a folder is held out where nothing says which; 0 for none.
-        photography: what is known of how the photographs were taken.
+        photography: what is known of how the photographs were taken; None where they are not wanted: then they need not
+            be there, nor masks and maps.
 
     Raises:
         InputError: not exactly one is given, the name is unknown, or the scene cannot be used.
@@ -106,13 +106,15 @@ def load_scene(
         return _developed(build(scene), photography).check(lit=False)
 
 
-def _developed(scene: Scene, photography: Photography) -> Scene:
-    """The scene, whose views say how their photographs become radiance."""
+def _developed(scene: Scene, photography: Photography | None) -> Scene:
+    """The scene, whose views say how their photographs become radiance, where that is wanted."""
+    if photography is None:
+        return scene
     train, test, notes = developed(scene.train, scene.test, photography)
     return replace(scene, train=train, test=test, notes=(*scene.notes, *notes), photography=photography)
 
 
-def read_folder(root: str | Path, hold_out: int = HOLD_OUT, photography: Photography = KNOWN) -> Scene:
+def read_folder(root: str | Path, hold_out: int = HOLD_OUT, photography: Photography | None = KNOWN) -> Scene:
     """The scene of a folder with one of :data:`SCENE_FILES` and one of :data:`CAMERA_FILES`.
 
     Only the existence of photographs and maps is checked, of photographs without a size in the camera file the size,
@@ -135,7 +137,7 @@ def read_folder(root: str | Path, hold_out: int = HOLD_OUT, photography: Photogr
         surfaces = _near_origin(read_surfaces, folder)
         if surfaces.test:
             return replace(surfaces, name=folder.name)
-    views = _reader(CAMERA_FILES, folder)(folder, hold_out)
+    views = _reader(CAMERA_FILES, folder)(folder, hold_out, photography is not None)
     relight = None
     if any(view.relight for view in views.test):
         relight = str(regular_file(folder / RELIGHT, "the map is missing that lights the photographs of relight_path"))

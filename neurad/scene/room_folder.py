@@ -18,6 +18,7 @@ from neurad.core.names import apart
 from neurad.core.records import Constant, FloatArray, Material, Mesh, View
 from neurad.runtime.files import place, writing
 from neurad.runtime.reading import shown
+from neurad.scene.numbers import number
 from neurad.scene.origin import origin_of
 from neurad.scene.ply import write_ply
 from neurad.scene.readers.mesh_files import MeshFile
@@ -30,6 +31,7 @@ UP = {f"{sign}{axis}": i * 2 + (sign == "-") for i, axis in enumerate("xyz") for
 """Axes that may point up."""
 _PAINT = "paint"
 """Id of the material that is to be recovered."""
+_ROUNDED = 1e-2  # what matrices written with three digits have too much or too little
 _TILT = 0.8  # smallest cosine between the mean of what cameras hold up and an axis
 
 
@@ -84,6 +86,36 @@ def turned(up: str, to: str, scale: float) -> Matrix:
         matrix[:3, :3] = np.outer(b, a) - np.outer(a, b) + np.outer(cross, cross)
     matrix[:3, :3] *= scale
     return matrix
+
+
+def axes(words: str) -> Matrix:
+    """The rotation [4, 4] by which axes of a mesh become those of the cameras.
+
+    Args:
+        words: the mesh's axes that become X, Y and Z, such as ``zxy`` or ``x,-z,y``; or the nine numbers of the matrix,
+            row by row.
+
+    Raises:
+        InputError: they are neither, or no rotation.
+    """
+    parts = re.sub(r"[\[\],;\s]+", " ", words).split()
+    letters = re.findall(r"[-+]?[xyz]", "".join(parts))
+    made = np.eye(4)
+    if len(letters) == 3 and "".join(letters) == "".join(parts):
+        made[:3, :3] = [axis(name.lstrip("+")) for name in letters]
+    else:
+        try:
+            made[:3, :3] = np.array([number(float(x), "--axes: a number", -1.01, 1.01) for x in parts]).reshape(3, 3)
+        except ValueError as error:
+            raise InputError(
+                f"--axes {shown(words)}: it is neither three axes such as zxy or x,-z,y, nor a matrix of nine numbers"
+            ) from error
+    u, stretch, v = np.linalg.svd(made[:3, :3])
+    if np.abs(stretch - 1.0).max() > _ROUNDED or np.linalg.det(made[:3, :3]) < 0:
+        why = "it mirrors" if np.linalg.det(made[:3, :3]) < -0.5 else "its rows are not of length 1 and perpendicular"
+        raise InputError(f"--axes {shown(words)}: it is no rotation ({why}); --scale is for the size")
+    made[:3, :3] = u @ v
+    return made
 
 
 def write_room(room: Room, out: Path) -> list[Mesh]:
