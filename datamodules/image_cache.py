@@ -191,18 +191,17 @@ class ImageCache:
         self._sampler.count[slot] = len(found)
         self._sampler.width[slot] = size[0]
 
-    def batch(self, slot: Tensor, pixel: Tensor, iteration: int, pixel_multiplier: int) -> PixelBatch:
+    def batch(self, slot: Tensor, pixel: Tensor, iteration: int) -> PixelBatch:
         """Pixels of photographs in memory.
 
         Args:
             slot: slots of the cache [b], int64.
             pixel: row-major pixels [b], int64.
             iteration: that the batch belongs to.
-            pixel_multiplier: times the usual number of pixels.
         """
         index = slot * self._pixels.shape[1] + pixel
         values = self._pixels.view(-1, self._pixels.shape[2]).index_select(0, index)
         alpha = values[:, 3].contiguous() if values.shape[1] == 4 else torch.ones(len(index))
         means = self._blurred.view(-1, 3).index_select(0, index) if self.with_blurred else None
         view = torch.tensor(self._slots)[slot]
-        return PixelBatch(view, pixel, values[:, :3].contiguous(), alpha, iteration, means, pixel_multiplier)
+        return PixelBatch(view, pixel, values[:, :3].contiguous(), alpha, iteration, means)

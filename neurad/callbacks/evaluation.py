@@ -99,7 +99,7 @@ class Evaluate(pl.Callback):
     def load_state_dict(self, state_dict: dict[str, Any]) -> None:
         """Take over the state of the interrupted run."""
         self._spent, self._last = float(state_dict["spent"]), float(state_dict["last"])
-        self._first = state_dict.get("first", 0.0)  # checkpoints before this one have counted it
+        self._first = state_dict["first"]
         self._mark, self._evaluated = int(state_dict["mark"]), int(state_dict["evaluated"])
 
     def on_fit_start(self, trainer: pl.Trainer, pl_module: pl.LightningModule) -> None:
@@ -108,9 +108,9 @@ class Evaluate(pl.Callback):
         views = module.scene.scored
         if self.every_n_steps is not None or not views:
             return
-        module.effort = affordable(views, self.spp, self.fraction, time_limit(trainer))
-        if not module.effort.whole and trainer.is_global_zero:
-            grid, stride = module.effort.grid, module.effort.stride
+        module.scoring.effort = affordable(views, self.spp, self.fraction, time_limit(trainer))
+        if not module.scoring.effort.whole and trainer.is_global_zero:
+            grid, stride = module.scoring.effort.grid, module.scoring.effort.stride
             size = sum(view.camera.width * view.camera.height for view in views) / 1e6
             pixels = f"one row and column in {stride}" if stride > 1 else "all"
             print(
@@ -131,12 +131,10 @@ class Evaluate(pl.Callback):
     def on_train_end(self, trainer: pl.Trainer, pl_module: pl.LightningModule) -> None:
         """The scores that belong to the last checkpoint."""
         module = cast("InverseRenderer", pl_module)
-        with clock.excluded():  # as before every other evaluation
-            sentence = module.update_levels() if module.iteration > 0 else None
-        if sentence and trainer.is_global_zero:
-            print(f"neurad: {sentence}", file=sys.stderr)
         if self._evaluated != module.iteration:
-            self._evaluate_fit(trainer, module, fresh=True)
+            self._evaluate_fit(trainer, module)
+        if module.levels_found and trainer.is_global_zero:
+            print(f"neurad: {module.levels_found}", file=sys.stderr)
         with clock.excluded():
             if trainer.is_global_zero and run_folder(trainer) is not None:
                 with phase("error bars"):
@@ -210,13 +208,11 @@ class Evaluate(pl.Callback):
     def _mark_of(trainer: pl.Trainer) -> int:
         return int(fraction_done(trainer).largest * MARKS)
 
-    def _evaluate_fit(self, trainer: pl.Trainer, module: InverseRenderer, fresh: bool = False) -> None:
-        """Score what a run that ended here would show; ``fresh`` says that the levels' factors are of now."""
+    def _evaluate_fit(self, trainer: pl.Trainer, module: InverseRenderer) -> None:
+        """Score what a run that ended here would show."""
         begin = time.monotonic()
         with clock.excluded():
             self._evaluated = module.iteration
-            if not fresh:
-                module.update_levels()
             if trainer.is_global_zero:
                 evaluation = module.evaluate(self.spp, steady=True)
                 self.last_scores, self.last_scored = dict(evaluation.scores), time.monotonic()
@@ -265,7 +261,7 @@ class Evaluate(pl.Callback):
             return
         evaluation, unseen = self._shown.evaluation, self._shown.unseen
         if bars is not None:
-            for view, found in zip(evaluation.maps, module.bar_maps(bars), strict=False):
+            for view, found in zip(evaluation.maps, module.scoring.bar_maps(bars), strict=False):
                 view |= found
             if board := self._board_of(trainer, module):
                 board.sheets(evaluation.maps[: self.pictures], evaluation.exposure, module.iteration)
@@ -281,7 +277,7 @@ class Evaluate(pl.Callback):
 
     def _check_views(self, trainer: pl.Trainer, module: InverseRenderer) -> None:
         """How well the training views agree with each other, into ``views.csv``."""
-        views, residuals = module.training_views, module.view_residuals()
+        views, residuals = module.training_views, module.scoring.view_residuals()
         if views is None or views.surface is None or residuals is None:
             return
         self._views = self._views or ViewTable([view.name for view in module.scene.train], views.surface)
@@ -303,7 +299,7 @@ def error_bars_of(module: InverseRenderer, folder: Path | None) -> ErrorBars | N
         if found is not None and found.iteration == module.iteration:
             return found
     try:
-        bars = module.error_bars()
+        bars = module.scoring.error_bars()
     except InputError as error:
         print(f"neurad: no error bars: {error}", file=sys.stderr)
         return None

@@ -3,18 +3,59 @@
 from __future__ import annotations
 
 import argparse
+import re
 from pathlib import Path
 
 from neurad.core.errors import InputError
 from neurad.core.ranges import Count, Positive, option
+from neurad.core.suggest import did_you_mean
 
 KINDS = ("nerfstudio", "colmap", "polycam", "fipt", "gltf", "blender")
 MERGE = "hdr"
+_WAYS = {
+    "metashape agisoft photoscan": "it exports cameras in COLMAP's format (File, Export, Export Cameras), which "
+    "`neurad data colmap` reads, or `ns-process-data metashape` makes what `neurad data nerfstudio` reads",
+    "realitycapture realityscan": "it exports its registration in COLMAP's format, which `neurad data colmap` reads, "
+    "or `ns-process-data realitycapture` makes what `neurad data nerfstudio` reads",
+    "record3d odm aria": "`ns-process-data {}` of nerfstudio makes what `neurad data nerfstudio` reads",
+    "kiri kiriengine spectacularai nerfcapture instantngp ngp nerf": "its transforms.json is read by `neurad data "
+    "nerfstudio`",
+    "glomap hloc pycolmap 3dgs": "its model is COLMAP's: `neurad data colmap` reads it",
+    "glb fbx dae 3dsmax maya cinema4d houdini unity unreal sketchup revit usd obj ply stl": "export the scene with its "
+    "cameras as glTF (`neurad data gltf`); a mesh alone goes to --mesh, beside cameras of COLMAP or nerfstudio",
+    "mitsuba": "a folder with Mitsuba's scene.xml and camera files is a scene folder as it is, for --data.root",
+    "iris": "`neurad data fipt` reads it",
+}
+"""How what other programs write comes in, by their names."""
+_ANY_OTHER = (
+    "programs that find cameras export them in COLMAP's format (`neurad data colmap`) or as nerfstudio's "
+    "transforms.json (`neurad data nerfstudio`)"
+)
+
+
+def _kind(word: str) -> str:
+    """One of :data:`KINDS`, or hdr.
+
+    Raises:
+        InputError: it is none of them; the sentence says which way the files of other programs go.
+    """
+    wanted = word.lower()
+    if wanted in (*KINDS, MERGE):
+        return wanted
+    plain = re.sub(r"[-_ .]", "", wanted)
+    way = next((way for names, way in _WAYS.items() if plain in names.split()), _ANY_OTHER).replace("{}", plain)
+    near = did_you_mean(wanted, (*KINDS, MERGE)) if way is _ANY_OTHER else ""
+    raise InputError(f"argument kind: {word} is none of {', '.join((*KINDS, MERGE))}{near or f': {way}'}")
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options of the verb."""
-    parser.add_argument("kind", choices=(*KINDS, MERGE), help="what SRC is; hdr merges brackets to linear EXR")
+    parser.add_argument(
+        "kind",
+        type=_kind,
+        metavar=f"{{{','.join((*KINDS, MERGE))}}}",
+        help="what SRC is; hdr merges brackets to linear EXR",
+    )
     parser.add_argument(
         "source", metavar="SRC", type=Path, nargs="+",
         help="folder or file that the other program has written; for hdr the photographs, those of a view in a row",
@@ -39,6 +80,11 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--up", choices=("x", "y", "z", "-x", "-y", "-z"),
         help="axis of the mesh that points up; it is turned to the axis that the cameras hold up (default: as it is); "
              "write --up=-y for a negative one",
+    )  # fmt: skip
+    parser.add_argument(
+        "--axes", metavar="AXES",
+        help="axes of the mesh that become the cameras' x, y and z, such as zxy or x,-z,y; or a rotation, nine numbers "
+             "row by row (default: as they are)",
     )  # fmt: skip
     parser.add_argument(
         "--scale", type=option(Positive), default=1.0, help="times the mesh's lengths, such as 0.01 for cm (default: 1)"
@@ -101,7 +147,7 @@ def _merge(options: argparse.Namespace) -> None:
     Raises:
         InputError: an option of scene folders is given, or what :func:`merge_brackets` raises.
     """
-    for name in ("mesh", "images", "up", "lamp", "environment", "copy", "blender"):
+    for name in ("mesh", "images", "up", "axes", "lamp", "environment", "copy", "blender"):
         if getattr(options, name):
             raise InputError(f"--{name}: it is for scene folders, neurad data hdr makes EXR files")
     from neurad.scene.hdr import MergeSettings, merge_brackets

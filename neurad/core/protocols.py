@@ -144,9 +144,6 @@ class Integrator(Protocol):
 class PhotoSource(Protocol):
     """Training photographs, as a fit sees them: facts about all of them, and batches of their pixels."""
 
-    pixel_multiplier: int
-    """Times the usual number of pixels in the first batches; 1 where all batches have the same size."""
-
     @property
     def has_alpha(self) -> bool:
         """Whether the photographs have an alpha channel."""

@@ -207,8 +207,6 @@ class PixelBatch:
     """The iteration that this batch belongs to."""
     blurred: Tensor | None = None
     """Mean photographed radiance of the 5 x 5 pixels around [b, 3]; None unless requested from the source."""
-    pixel_multiplier: int = 1
-    """Times as many pixels as usual, each of which gets as many times fewer samples."""
     candidates: int = 0
     """The last so many pixels are uniform draws of which the step keeps some; 0 where it takes all pixels."""
     weight: Tensor | None = None

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from importlib.util import find_spec
@@ -33,6 +33,7 @@ from neurad.scene.description import Scene
 from neurad.scene.exposure import scene_exposure
 from neurad.scene.geometry import Geometry
 from neurad.scene.photographs import read_view
+from neurad.scene.scene_xml import ORIGIN
 from neurad.scene.textures import TrueMaterials
 
 SEED = 20260101
@@ -97,7 +98,8 @@ def verify(
         _render(found, ours, None, progress)
     else:
         with fastest_mitsuba() as mi:
-            _render(found, ours, _shown(_mitsuba(mi, folder / "scene.xml", spp), scale), progress)
+            mitsuba = _mitsuba(mi, folder / "scene.xml", spp, room.scene.origin)
+            _render(found, ours, _shown(mitsuba, scale), progress)
     if cycles is None:
         found.left_out.append("Cycles: --blender names no Python with bpy and no Blender")
     else:
@@ -138,7 +140,7 @@ def _read_again(room: Room, folder: Path, found: Verified) -> Scene:
         return room.scene
     from neurad.scene.readers.mitsuba_xml import read_xml
 
-    return read_xml(folder / "scene.xml")
+    return read_xml(folder / "scene.xml", np.array(room.scene.origin))
 
 
 def _compare_maps(found: Verified, scene: Scene, held_out: HeldOut, fields: Materials, baked: Materials) -> None:
@@ -165,9 +167,9 @@ def _ours(world: World, baked: Materials, fields: Materials, scene: Scene, spp: 
     return draw
 
 
-def _mitsuba(mi: Any, path: Path, spp: int) -> Draw:
-    """Mitsuba on ``scene.xml`` as it stands; its sensors are the views in order."""
-    loaded = mi.load_file(str(path))
+def _mitsuba(mi: Any, path: Path, spp: int, origin: Sequence[float]) -> Draw:
+    """Mitsuba on ``scene.xml``, moved to the origin if it lies far from it; its sensors are the views in order."""
+    loaded = mi.load_file(str(path), **dict.fromkeys(ORIGIN if any(origin) else (), "0"))
 
     def draw(index: int, seed: int) -> FloatArray:
         most = max(1, SAMPLES // int(np.prod(loaded.sensors()[index].film().size())))

@@ -36,6 +36,7 @@ from neurad.runs.own_config import own_config
 from neurad.scene.description import Scene
 from neurad.scene.development import Photography
 from neurad.scene.load import load_scene
+from neurad.scene.origin import camera_in_scene, in_scene
 from neurad.scene.photographs import read_view
 from neurad.scene.readers.nerf import HOLD_OUT
 from neurad.scene.shining import from_kept
@@ -47,10 +48,10 @@ CHUNK = 1 << 17
 """Points that go through the fields at once, to bound the memory."""
 
 Points = npt.ArrayLike | SurfaceInteraction
-"""Positions [n, 3] in world space, or surface points of :meth:`LoadedRun.surface`."""
+"""Positions [n, 3] in the coordinates of the scene's files, or surface points of :meth:`LoadedRun.surface`."""
 
 
-@dataclass(frozen=True)
+@dataclass(frozen=True, repr=False)
 class LoadedRun:
     """The result of a fit. Materials are the averaged ones if the run averages, as in ``neurad test``.
 
@@ -68,9 +69,18 @@ class LoadedRun:
     light_changes: tuple[str, ...] = ()
     """What differs between the scene's light and that of the fit, a few words each."""
 
+    def __repr__(self) -> str:
+        """The run in a line: everything else that it has is long."""
+        scene = f"{self.scene.name} of {len(self.scene.train)} training and {len(self.scene.test)} held-out views"
+        return f"LoadedRun({str(self.checkpoint)!r}, iteration {self.iteration}, {scene}, {self.device})"
+
     @property
     def scene(self) -> Scene:
-        """Geometry, lights, true materials and cameras (``scene.train``, ``scene.test``)."""
+        """Geometry, lights, true materials and cameras (``scene.train``, ``scene.test``).
+
+        Of a room far from the origin of its files' coordinates, and only there, ``scene.origin`` is subtracted from
+        all of these, and from the points of :meth:`surface`.
+        """
         return self.assembly.scene
 
     @property
@@ -115,7 +125,7 @@ class LoadedRun:
         position does not say what lies there: use the points of :meth:`surface` where that matters.
 
         Args:
-            points: positions [n, 3] in world space, or points of :meth:`surface`.
+            points: positions [n, 3] in the coordinates of the scene's files, or points of :meth:`surface`.
 
         Raises:
             InputError: ``points`` have another shape, or are positions and the run's materials are the scene's own.
@@ -220,7 +230,7 @@ class LoadedRun:
 
     def _camera(self, view: View | Camera | str) -> Camera:
         if isinstance(view, Camera):
-            return view
+            return camera_in_scene(view, self.scene)
         if isinstance(view, View):
             return view.camera
         views = {v.name: v for v in self.views}
@@ -234,10 +244,10 @@ class LoadedRun:
         return self.materials
 
     def _positions(self, points: npt.ArrayLike) -> Tensor:
-        p = np.asarray(points, np.float32)
+        p = np.asarray(points, np.float64)
         if p.ndim != 2 or p.shape[1] != 3:
             raise InputError(f"points: an array of shape [n, 3] is needed, not {list(p.shape)}")
-        return torch.tensor(p, device=self.device)
+        return torch.tensor(in_scene(p, self.scene), dtype=torch.float32, device=self.device)
 
     def _evaluate(self, values: Callable[[Any], Tensor], points: Tensor | SurfaceInteraction) -> FloatArray:
         """``values`` at points, in chunks, as an array."""

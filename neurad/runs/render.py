@@ -30,6 +30,7 @@ from neurad.scene.edit_file import read_edit
 from neurad.scene.exposure import exposure
 from neurad.scene.image_io import write_exr, write_png
 from neurad.scene.movie import FORMATS, check_movie, filming, target_of
+from neurad.scene.origin import camera_in_scene
 from neurad.scene.placement import scene_axis
 from neurad.scene.readers.nerf import read_cameras
 from neurad.scene.room_folder import axis
@@ -164,7 +165,9 @@ def _views(settings: RenderSettings, scene: Scene) -> list[View]:
     if settings.camera is not None:
         film = next((view.camera for view in (*scene.test, *scene.train)), None)
         size = (256, 256) if film is None else (film.width, film.height)
-        views = read_cameras(settings.camera, size)
+        views = [
+            replace(view, camera=camera_in_scene(view.camera, scene)) for view in read_cameras(settings.camera, size)
+        ]
     else:
         part = settings.views or ("all" if settings.ckpt_path is None else "scored")
         named = {"train": scene.train, "test": scene.test, "all": scene.train + scene.test, "scored": scene.scored}
@@ -208,7 +211,7 @@ def _write(
     for part, of in parts.items():
         chosen = [replace(v, camera=resized(v.camera, settings.size)) for v in views if any(v is w for w in of)]
         if chosen:
-            write_text(out / f"transforms{part}.json", json.dumps(transforms(chosen), indent=1) + "\n")
+            write_text(out / f"transforms{part}.json", json.dumps(transforms(chosen, scene.origin), indent=1) + "\n")
 
 
 def _film(settings: RenderSettings, cameras: Sequence[Camera], integrator: Integrator) -> None:

@@ -106,7 +106,7 @@ def true_subject(
     """
     method, is_paths = find_method(integrator)
     check_depth(integrator, is_paths, max_depth)
-    made = edited(load_scene(root, name), edit)
+    made = edited(load_scene(root, name, photography=None), edit)
     world = build_world(made.scene, tracer)
     parts = SceneModel(world, TrueMaterials(made.scene, world.geometry))
     return Subject(made.scene, parts, deepened(method, made.scene, max_depth), said=made.said)

@@ -50,13 +50,12 @@ def shown(value: object) -> str:
     return text if len(text) <= _SHOWN else f"{text[: _SHOWN // 2]}...{text[-_SHOWN // 2 :]}"
 
 
-def failure(path: object, error: Exception, said: str = "it cannot be read") -> InputError:
+def failure(path: object, error: Exception) -> InputError:
     """The sentence about a path that an operation of the system has failed for.
 
     Args:
         path: as the user knows it.
         error: what was raised.
-        said: if nothing better is known.
     """
     if isinstance(error, UnicodeError):
         return InputError(f"{shown(path)}: its name has characters that no file name can have")
@@ -65,10 +64,10 @@ def failure(path: object, error: Exception, said: str = "it cannot be read") -> 
     if isinstance(error, OSError) and error.errno in _ERRORS:
         return InputError(f"{shown(path)}: {_ERRORS[error.errno]}")
     if isinstance(error, OSError) and error.strerror:
-        return InputError(f"{shown(path)}: {said} ({error.strerror.lower()})")
+        return InputError(f"{shown(path)}: it cannot be read ({error.strerror.lower()})")
     if isinstance(error, ValueError) and "\0" in str(path):
         return InputError(f"{shown(path)}: its name has a NUL character")
-    return InputError(f"{shown(path)}: {said}")
+    return InputError(f"{shown(path)}: it cannot be read")
 
 
 def exists(path: str | Path) -> bool:

@@ -30,6 +30,7 @@ from neurad.scene.import_room import (
 )
 from neurad.scene.lamp_masks import mask_of
 from neurad.scene.load import CAMERAS
+from neurad.scene.origin import near, origin_of
 from neurad.scene.photographs import picture_size
 from neurad.scene.readers.blender import ROOM, TOWARDS_X, BlenderRoom, read_blender, read_world
 from neurad.scene.readers.nerf import HOLD_OUT, Split
@@ -60,6 +61,7 @@ def import_blender(settings: ImportSettings) -> None:
             room, scene=replace(room.scene, environment=read_world(environment, TOWARDS_X, shown(environment)))
         )
     _check(room, where)
+    room = replace(room, scene=near(room.scene, origin_of(room.scene.meshes)))
     views = Split([], []) if images is None else _photographed(room, images)
     with whole(out) as part:
         with writing(part, "--out"):
@@ -68,7 +70,7 @@ def import_blender(settings: ImportSettings) -> None:
                 if not any((part / name).iterdir()):
                     (part / name).rmdir()
             _write_cameras(room, views, part, settings.copy)
-        check_room(part, out)
+        check_room(part)
     _say(out, room, views)
 
 

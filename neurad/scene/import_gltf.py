@@ -60,7 +60,7 @@ def import_gltf(settings: ImportSettings) -> None:
             write_views(Room(views, [], np.eye(4), {}, None, settings.copy), part)
         scene = None
         if views.train or room.cameras:
-            scene = check_room(part, out)
+            scene = check_room(part)
     _say(out, room, views, scene, environment is not None)
 
 

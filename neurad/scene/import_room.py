@@ -3,34 +3,31 @@
 from __future__ import annotations
 
 import os
-import shutil
 import sys
-from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager, suppress
-from dataclasses import dataclass, field
+from collections.abc import Callable, Sequence
+from contextlib import AbstractContextManager
+from dataclasses import dataclass, field, replace
 from pathlib import Path, PurePosixPath
 
 import numpy as np
 
-from neurad.core.errors import InputError
+from neurad.core.errors import InputError, Refusals
 from neurad.core.ranges import Positive, checked
 from neurad.core.records import Mesh, View
-from neurad.runtime.files import writing
+from neurad.runtime.files import check_folder, make_folder, writing
+from neurad.runtime.folders import place_of, written_beside
 from neurad.runtime.reading import exists, folder, regular_file, shown
 from neurad.scene.description import Scene
 from neurad.scene.load import read_folder
 from neurad.scene.numbers import RADIANCE, number
 from neurad.scene.photographs import READABLE, picture_size
 from neurad.scene.picture_headers import check_exr
-from neurad.scene.readers.colmap import read_model
+from neurad.scene.readers.colmap import find_model, photograph_places, read_model
 from neurad.scene.readers.fipt import MESH, read_room
 from neurad.scene.readers.mesh_files import read_meshes
 from neurad.scene.readers.nerf import Split, read_one, read_split
 from neurad.scene.readers.polycam import read_export
-from neurad.scene.room_folder import Matrix, Room, bounds_of, held_up, turned, write_room
-
-PART = ".part"
-"""Ends the name of a folder that is being written."""
+from neurad.scene.room_folder import Matrix, Room, axes, bounds_of, held_up, turned, write_room
 
 
 @dataclass(frozen=True)
@@ -47,6 +44,8 @@ class ImportSettings:
     """Folder of the photographs as EXR, where they do not lie with the others."""
     up: str | None = None
     """Axis of the meshes that points up; None leaves them as they are."""
+    axes: str | None = None
+    """The meshes' axes that become those of the cameras, see :func:`neurad.scene.room_folder.axes`."""
     scale: Positive = 1.0
     """Length of the meshes' unit in the cameras'."""
     lamp: list[str] = field(default_factory=list)
@@ -69,10 +68,10 @@ def refuse_meshes(settings: ImportSettings, source: str) -> None:
     Raises:
         InputError: one is given.
     """
-    if settings.mesh or settings.lamp or settings.up or settings.scale != 1.0:
+    if settings.mesh or settings.lamp or settings.up or settings.axes or settings.scale != 1.0:
         raise InputError(
-            f"--mesh, --lamp, --up and --scale are about meshes beside cameras; {source} has its own surfaces and "
-            "lamps, in the frame of its cameras"
+            f"--mesh, --lamp, --up, --axes and --scale are about meshes beside cameras; {source} has its own surfaces "
+            "and lamps, in the frame of its cameras"
         )
 
 
@@ -132,7 +131,9 @@ def _nerfstudio(source: Path, images: Path | None) -> Split:
 
 
 def _colmap(source: Path, images: Path | None) -> Split:
-    return Split(read_model(source, Photographs(*([images] if images else [source / "images", source]))), [])
+    model, said = find_model(source)
+    split = read_model(model, Photographs(*([images] if images else photograph_places(source, model))))
+    return replace(split, notes=(*([said] if said else []), *split.notes))
 
 
 def _polycam(source: Path, images: Path | None) -> Split:
@@ -169,50 +170,49 @@ def import_room(settings: ImportSettings) -> None:
     lamps = _lamps(settings.lamp)
     environment = None if settings.environment is None else map_of(settings.environment)
     views = SOURCES[settings.kind][0](source, images)
+    refusals = Refusals()
     for view in (*views.train, *views.test):
-        check_photograph(view)
-        _check_place(view, [source] if images is None else [source, images])
+        with refusals.part():
+            check_photograph(view)
+        with refusals.part():
+            _check_place(view, [source] if images is None else [source, images])
+    refusals.end()
     paths = settings.mesh or ([source / MESH] if settings.kind == "fipt" else [])
-    if not paths and (lamps or settings.up or environment):
-        raise InputError("--lamp, --up and --environment are about what --mesh names, and there is no --mesh")
+    if not paths and (lamps or settings.up or settings.axes or environment):
+        raise InputError("--lamp, --up, --axes and --environment are about what --mesh names, and there is no --mesh")
     to_cameras = _placed(settings, views)
     room = Room(views, [read_meshes(path) for path in paths], to_cameras, lamps, environment, settings.copy)
     with whole(out) as part:
         meshes = write_room(room, part)
-        if meshes:
-            check_room(part, out)
+        read = check_room(part) if meshes else None
+    for note in () if read is None else read.notes:
+        print(f"neurad: {note}", file=sys.stderr)
     _say(room, meshes, out)
 
 
-@contextmanager
-def whole(out: Path) -> Iterator[Path]:
+def whole(out: Path) -> AbstractContextManager[Path]:
     """A new folder beside ``out``, which it becomes at the end of the block; it is removed if the block fails.
 
     Raises:
-        InputError: the system refused to write.
+        InputError: the system refused to write, or something has come to ``out``.
     """
-    part = out.with_name(out.name + PART)
-    with writing(part, "--out"):
-        part.mkdir(parents=True)
-    try:
-        yield part
-        with writing(out, "--out"):
-            part.rename(out)
-    except BaseException:
-        with suppress(OSError):
-            shutil.rmtree(part)
-        raise
+    make_folder(out.parent, "--out")
+    return written_beside(out, lambda: _refuse_taken(out))
 
 
 def free_folder(path: Path) -> Path:
-    """The folder to write, which must not be there, or empty."""
-    out = Path(path).expanduser()
+    """The folder to write, which must not be there, or empty; a link stands for what it points to."""
+    out = place_of(Path(path).expanduser())
+    _refuse_taken(out)
+    check_folder(out, "--out")
+    return out
+
+
+def _refuse_taken(out: Path) -> None:
     with writing(out, "--out"):
-        out = out.parent.resolve() / out.name if out.name not in ("", "..") else out.resolve()
         taken = out.exists() and (not out.is_dir() or any(out.iterdir()))
     if taken:
         raise InputError(f"--out {shown(out)}: it is there already; name a folder that is not")
-    return out
 
 
 def _lamps(words: Sequence[str]) -> dict[str, tuple[float, float, float]]:
@@ -265,6 +265,10 @@ def _check_place(view: View, places: Sequence[Path]) -> None:
 
 def _placed(settings: ImportSettings, views: Split) -> Matrix:
     """What takes the meshes to the frame of the cameras."""
+    if settings.axes is not None:
+        if settings.up is not None:
+            raise InputError("--axes: it says where all axes of the mesh go, so --up has nothing to say; leave one out")
+        return axes(settings.axes) @ np.diag([settings.scale] * 3 + [1.0])
     if settings.up is None:
         return np.diag([settings.scale] * 3 + [1.0])
     to = held_up([*views.train, *views.test])
@@ -272,23 +276,16 @@ def _placed(settings: ImportSettings, views: Split) -> Matrix:
     return turned(settings.up, to, settings.scale)
 
 
-def check_room(part: Path, out: Path) -> Scene:
+def check_room(part: Path) -> Scene:
     """Read a folder as a fit does; a light may still be missing.
-
-    Args:
-        part: the folder.
-        out: where it is going to be, for sentences.
 
     Raises:
         InputError: a fit would refuse it.
     """
-    try:
-        scene = read_folder(part)
-        if scene.features.has_light:
-            scene.check()
-        return scene
-    except InputError as error:
-        raise InputError(str(error).replace(str(part), str(out))) from error
+    scene = read_folder(part)
+    if scene.features.has_light:
+        scene.check()
+    return scene
 
 
 def _say(room: Room, meshes: Sequence[Mesh], out: Path) -> None:
@@ -308,7 +305,10 @@ def _say(room: Room, meshes: Sequence[Mesh], out: Path) -> None:
     inside = ((eyes >= low) & (eyes <= high)).all(1)
     print(f"cameras between {_box(eyes.min(0))} and {_box(eyes.max(0))}, {int(inside.sum())} of {len(eyes)} inside")
     if 2 * inside.sum() < len(eyes):
-        print("neurad: warning: most cameras lie outside of the mesh's box; check --up and --scale", file=sys.stderr)
+        print(
+            "neurad: warning: most cameras lie outside of the mesh's box; check --up, --axes and --scale",
+            file=sys.stderr,
+        )
     shining = [mesh.name for mesh in meshes if mesh.radiance is not None]
     if shining:
         print(f"lamps: {', '.join(shown(name) for name in shining)}")
@@ -326,4 +326,4 @@ def _say(room: Room, meshes: Sequence[Mesh], out: Path) -> None:
 
 
 def _box(corner: Matrix) -> str:
-    return f"({', '.join(f'{x:.3g}' for x in corner)})"
+    return f"({', '.join(f'{x:.3g}' if abs(x) < 1e4 else f'{x:.1f}' for x in corner)})"

@@ -7,6 +7,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TypeVar
 
+import numpy as np
+
 from neurad.core.errors import InputError
 from neurad.core.suggest import did_you_mean
 from neurad.runtime.progress import phase
@@ -14,10 +16,10 @@ from neurad.runtime.reading import exists, regular_file, shown
 from neurad.runtime.reading import folder as existing_folder
 from neurad.scene.description import Scene
 from neurad.scene.development import KNOWN, Photography, developed
+from neurad.scene.origin import ZERO, Array, moved_views, near, origin_of
 from neurad.scene.readers.nerf import HOLD_OUT, Split
 
 T = TypeVar("T")
-_SIDE = 512  # pixels of a picture whose size nothing says
 
 OTHER_SCENES = (".glb", ".gltf", ".blend", ".fbx", ".usd", ".usdc", ".usda", ".usdz", ".pbrt", ".obj", ".ply", ".stl")
 """Files of other programs that somebody may take for a scene here."""
@@ -27,59 +29,59 @@ RELIGHT = "env_relight.exr"
 """Map that lights the photographs named by ``relight_path``; it replaces the scene's own, in the same frame."""
 
 
-def _mitsuba(folder: Path) -> Scene:
+def _mitsuba(folder: Path, origin: Array) -> Scene:
     from neurad.scene.readers.mitsuba_xml import read_xml
 
-    return read_xml(folder / "scene.xml")
+    return read_xml(folder / "scene.xml", origin)
 
 
-def _gltf(name: str) -> Callable[[Path], Scene]:
-    def read(folder: Path) -> Scene:
+def _gltf(name: str) -> Callable[[Path, Array], Scene]:
+    def read(folder: Path, origin: Array) -> Scene:
         from neurad.scene.readers.gltf_scene import read_scene
 
-        return read_scene(folder / name)
+        return near(read_scene(folder / name), origin)
 
     return read
 
 
-def _two_files(folder: Path, hold_out: int) -> Split:
+def _two_files(folder: Path, hold_out: int, pictures: bool) -> Split:
     from neurad.scene.readers.nerf import read_split
 
-    return read_split(folder, hold_out)
+    return read_split(folder, hold_out, None, pictures)
 
 
-def _one_file(folder: Path, hold_out: int) -> Split:
+def _one_file(folder: Path, hold_out: int, pictures: bool) -> Split:
     from neurad.scene.readers.nerf import read_one
 
-    return read_one(folder, hold_out)
+    return read_one(folder, hold_out, None, pictures)
 
 
-def _cameras_alone(folder: Path, hold_out: int) -> Split:
-    from neurad.scene.readers.nerf import read_cameras
+def _cameras_alone(folder: Path, hold_out: int, pictures: bool) -> Split:
+    from neurad.scene.readers.nerf import FILM, read_cameras
 
-    return Split([], read_cameras(folder / CAMERAS, (_SIDE, _SIDE)))
+    return Split([], read_cameras(folder / CAMERAS, FILM))
 
 
-SCENE_FILES: dict[str, Callable[[Path], Scene]] = {
+SCENE_FILES: dict[str, Callable[[Path, Array], Scene]] = {
     "scene.xml": _mitsuba,
     "scene.glb": _gltf("scene.glb"),
     "scene.gltf": _gltf("scene.gltf"),
 }
-"""Readers of meshes, materials and lights, by file name; the first one in a folder is read. What a file says of cameras
-becomes held-out views without photographs.
+"""Readers of meshes, materials and lights, by file name; the first one in a folder is read. They are told what to
+subtract from all coordinates. What a file says of cameras becomes held-out views without photographs.
 """
-CAMERA_FILES: dict[str, Callable[[Path, int], Split]] = {
+CAMERA_FILES: dict[str, Callable[[Path, int, bool], Split]] = {
     "transforms_train.json": _two_files,
     "transforms.json": _one_file,
     CAMERAS: _cameras_alone,
 }
 """Readers of the training and the held-out views, by file name; the first one in a folder is read. They are told how
-many-th photograph to hold out where the file does not say which.
+many-th photograph to hold out where the file does not say which, and whether photographs have to be there.
 """
 
 
 def load_scene(
-    root: str | None, scene: str | None, hold_out: int = HOLD_OUT, photography: Photography = KNOWN
+    root: str | None, scene: str | None, hold_out: int = HOLD_OUT, photography: Photography | None = KNOWN
 ) -> Scene:
     """The scene of a folder or a built-in one, checked; nothing in it has to shine, as that may be found.
 
@@ -87,7 +89,8 @@ def load_scene(
         root: a scene folder (``--data.root``), or None.
         scene: name of a built-in scene (``--data.scene``), or None.
         hold_out: every so many-th photograph of a folder is held out where nothing says which; 0 for none.
-        photography: what is known of how the photographs were taken.
+        photography: what is known of how the photographs were taken; None where they are not wanted: then they need not
+            be there, nor masks and maps.
 
     Raises:
         InputError: not exactly one is given, the name is unknown, or the scene cannot be used.
@@ -103,13 +106,15 @@ def load_scene(
         return _developed(build(scene), photography).check(lit=False)
 
 
-def _developed(scene: Scene, photography: Photography) -> Scene:
-    """The scene, whose views say how their photographs become radiance."""
+def _developed(scene: Scene, photography: Photography | None) -> Scene:
+    """The scene, whose views say how their photographs become radiance, where that is wanted."""
+    if photography is None:
+        return scene
     train, test, notes = developed(scene.train, scene.test, photography)
     return replace(scene, train=train, test=test, notes=(*scene.notes, *notes), photography=photography)
 
 
-def read_folder(root: str | Path, hold_out: int = HOLD_OUT, photography: Photography = KNOWN) -> Scene:
+def read_folder(root: str | Path, hold_out: int = HOLD_OUT, photography: Photography | None = KNOWN) -> Scene:
     """The scene of a folder with one of :data:`SCENE_FILES` and one of :data:`CAMERA_FILES`.
 
     Only the existence of photographs and maps is checked, of photographs without a size in the camera file the size,
@@ -129,16 +134,33 @@ def read_folder(root: str | Path, hold_out: int = HOLD_OUT, photography: Photogr
     surfaces = None
     read_surfaces = _reader(SCENE_FILES, folder)
     if not any(exists(folder / name) for name in ("scene.xml", *CAMERA_FILES)):  # glTF may have cameras, to be rendered
-        surfaces = read_surfaces(folder)
+        surfaces = _near_origin(read_surfaces, folder)
         if surfaces.test:
             return replace(surfaces, name=folder.name)
-    views = _reader(CAMERA_FILES, folder)(folder, hold_out)
+    views = _reader(CAMERA_FILES, folder)(folder, hold_out, photography is not None)
     relight = None
     if any(view.relight for view in views.test):
         relight = str(regular_file(folder / RELIGHT, "the map is missing that lights the photographs of relight_path"))
-    surfaces = read_surfaces(folder) if surfaces is None else surfaces
+    surfaces = _near_origin(read_surfaces, folder) if surfaces is None else surfaces
     surfaces = replace(surfaces, name=folder.name, relight=relight, notes=(*surfaces.notes, *views.notes))
-    return _developed(replace(surfaces, train=views.train, test=views.test), photography)
+    step = -np.asarray(surfaces.origin)
+    train, test = moved_views(views.train, step), moved_views(views.test, step)
+    return _developed(replace(surfaces, train=train, test=test), photography)
+
+
+def _near_origin(read: Callable[[Path, Array], Scene], folder: Path) -> Scene:
+    """Surfaces of a folder, moved near the origin of their coordinates where they lie far from it."""
+    surfaces = read(folder, ZERO)
+    origin = origin_of(surfaces.meshes)
+    if not origin.any():
+        return surfaces
+    x, y, z = (float(value) for value in origin)
+    said = (
+        f"the room lies far from the origin of its coordinates: ({x:.10g}, {y:.10g}, {z:.10g}) is subtracted from all "
+        "of them while it is computed with, and added again to what is given back"
+    )
+    surfaces = read(folder, origin)
+    return replace(surfaces, origin=(x, y, z), notes=(*surfaces.notes, said))
 
 
 def _reader(readers: dict[str, T], folder: Path) -> T:

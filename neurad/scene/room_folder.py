@@ -18,6 +18,8 @@ from neurad.core.names import apart
 from neurad.core.records import Constant, FloatArray, Material, Mesh, View
 from neurad.runtime.files import place, writing
 from neurad.runtime.reading import shown
+from neurad.scene.numbers import number
+from neurad.scene.origin import origin_of
 from neurad.scene.ply import write_ply
 from neurad.scene.readers.mesh_files import MeshFile
 from neurad.scene.readers.nerf import Split
@@ -29,6 +31,7 @@ UP = {f"{sign}{axis}": i * 2 + (sign == "-") for i, axis in enumerate("xyz") for
 """Axes that may point up."""
 _PAINT = "paint"
 """Id of the material that is to be recovered."""
+_ROUNDED = 1e-2  # what matrices written with three digits have too much or too little
 _TILT = 0.8  # smallest cosine between the mean of what cameras hold up and an axis
 
 
@@ -83,6 +86,36 @@ def turned(up: str, to: str, scale: float) -> Matrix:
         matrix[:3, :3] = np.outer(b, a) - np.outer(a, b) + np.outer(cross, cross)
     matrix[:3, :3] *= scale
     return matrix
+
+
+def axes(words: str) -> Matrix:
+    """The rotation [4, 4] by which axes of a mesh become those of the cameras.
+
+    Args:
+        words: the mesh's axes that become X, Y and Z, such as ``zxy`` or ``x,-z,y``; or the nine numbers of the matrix,
+            row by row.
+
+    Raises:
+        InputError: they are neither, or no rotation.
+    """
+    parts = re.sub(r"[\[\],;\s]+", " ", words).split()
+    letters = re.findall(r"[-+]?[xyz]", "".join(parts))
+    made = np.eye(4)
+    if len(letters) == 3 and "".join(letters) == "".join(parts):
+        made[:3, :3] = [axis(name.lstrip("+")) for name in letters]
+    else:
+        try:
+            made[:3, :3] = np.array([number(float(x), "--axes: a number", -1.01, 1.01) for x in parts]).reshape(3, 3)
+        except ValueError as error:
+            raise InputError(
+                f"--axes {shown(words)}: it is neither three axes such as zxy or x,-z,y, nor a matrix of nine numbers"
+            ) from error
+    u, stretch, v = np.linalg.svd(made[:3, :3])
+    if np.abs(stretch - 1.0).max() > _ROUNDED or np.linalg.det(made[:3, :3]) < 0:
+        why = "it mirrors" if np.linalg.det(made[:3, :3]) < -0.5 else "its rows are not of length 1 and perpendicular"
+        raise InputError(f"--axes {shown(words)}: it is no rotation ({why}); --scale is for the size")
+    made[:3, :3] = u @ v
+    return made
 
 
 def write_room(room: Room, out: Path) -> list[Mesh]:
@@ -172,19 +205,22 @@ def _write_surfaces(room: Room, meshes: Sequence[Mesh], out: Path) -> None:
     sources = [file for file in room.meshes for _ in file.meshes]
     known = [_known(file, mesh) for file in room.meshes for mesh in file.meshes]
     taken: set[str] = set()
+    step = origin_of(meshes)  # of coordinates that files of float32 cannot hold: it goes into the transform
+    pose = room.to_cameras.copy()
+    pose[:3, 3] += pose[:3, :3] @ step
     for mesh, source, material in zip(meshes, sources, known, strict=True):
         path = f"meshes/{file_name(mesh.name, taken)}.ply"
         (out / "meshes").mkdir(exist_ok=True)
-        if source.linkable:
+        if source.linkable and not step.any():
             place(source.path, out / path, room.copy)
         else:
-            write_ply(out / path, mesh)
+            write_ply(out / path, replace(mesh, vertices=(mesh.vertices - step).astype(np.float32)))
         shape = _child(tree, "shape", type="ply", id=mesh.name)
         _child(shape, "string", name="filename", value=path)
         if mesh.normals is None:  # flat, as the file has it: without this Mitsuba rounds all edges
             _child(shape, "boolean", name="face_normals", value="true")
-        if not np.array_equal(room.to_cameras, np.eye(4)):
-            values = " ".join(f"{x:.17g}" for x in room.to_cameras.ravel())
+        if not np.array_equal(pose, np.eye(4)):
+            values = " ".join(f"{x:.17g}" for x in pose.ravel())
             _child(_child(shape, "transform", name="to_world"), "matrix", value=values)
         if material is None:
             _child(shape, "ref", id=_PAINT)

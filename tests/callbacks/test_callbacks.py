@@ -27,7 +27,8 @@ from neurad.metrics.unseen import Unseen
 from neurad.runtime import clock
 from neurad.runtime.tables import read_header
 from neurad.scene.image_io import read_bitmap, read_exr
-from neurad.training.inverse import InverseRenderer
+from neurad.training import scoring
+from neurad.training.stages import LevelFilter
 
 CASES = Path(__file__).resolve().parents[3] / "shared" / "cases"
 
@@ -257,16 +258,20 @@ def test_what_needs_no_fit_is_told_apart_from_the_run():
 def test_every_score_is_of_factors_of_the_levels_that_were_just_fitted(tmp_path, monkeypatch):
     """What is shown of a run depends on these factors, so every row has to come after them; the end is scored once."""
     calls = []
-    for name in ("update_levels", "evaluate"):
-        whole = getattr(InverseRenderer, name)
+    update, score = LevelFilter.update, scoring.evaluate
 
-        def noted(self, *args, name=name, whole=whole, **kwargs):
-            calls.append((name, self.iteration))
-            return whole(self, *args, **kwargs)
+    def updated(training, progress):
+        calls.append(("levels", training.counters.iteration))
+        return update(training, progress)
 
-        monkeypatch.setattr(InverseRenderer, name, noted)
+    def scored(*args):
+        calls.append("scores")
+        return score(*args)
+
+    monkeypatch.setattr(LevelFilter, "update", staticmethod(updated))
+    monkeypatch.setattr(scoring, "evaluate", scored)
     monkeypatch.chdir(tmp_path)
     write_tiny_config(trainer={"max_steps": 4}, evaluation={"every_n_steps": 2})
     fit()
-    assert calls == [("update_levels", 2), ("evaluate", 2), ("update_levels", 4), ("evaluate", 4)]
+    assert calls == [("levels", 2), "scores", ("levels", 4), "scores"]
     assert [row["iteration"] for row in metrics()] == ["2", "4"]

@@ -457,9 +457,9 @@ def test_a_name_of_bytes(place, capfd):
     refused(capfd, place, r"images\.bin: the name .* of an image is not text in UTF-8", "colmap", source)
 
 
-def polycam_key(**changes):
+def polycam_key(number=1001, **changes):
     def spoil(source):
-        path = source / "keyframes/corrected_cameras/1001.json"
+        path = source / f"keyframes/corrected_cameras/{number}.json"
         described = {**json.loads(path.read_text()), **changes}
         path.write_text(json.dumps({key: value for key, value in described.items() if value is not ...}))
 
@@ -547,11 +547,11 @@ MESHES = {
     "no file": (None, "none.obj", r"none\.obj: there is no such mesh file"),
     "another kind": (b"x", "a.fbx", r"a\.fbx: it is no mesh that can be read; export it as one of \.obj, \.ply, \.stl"),
     "empty OBJ": (b"", "a.obj", r"a\.obj: it (has no triangle|cannot be read as OBJ)"),
-    "words": (b"v a b c\nf 1 2 3\n", "a.obj", r"a\.obj: it cannot be read as OBJ"),
-    "corners that there are not": (b"v 0 0 0\nf 1 2 9\n", "a.obj", r"a\.obj: it cannot be read as OBJ"),
+    "words": (b"v a b c\nf 1 2 3\n", "a.obj", r"a\.obj: line 1 is 'v a b c', neither a vertex"),
+    "corners that there are not": (b"v 0 0 0\nf 1 2 9\n", "a.obj", r"a\.obj: face 1 names vertex 2, of 1 \(numbered"),
     "NaN": (b"v nan 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n", "a.obj", r"a\.obj: the coordinates of a: 1 of 9 values are not"),
     "far away": (b"v 1e30 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n", "a.obj", r"a\.obj: the coordinates of a: 1 of 9 values"),
-    "garbage PLY": (b"\xff" * 100, "a.ply", r"a\.ply: it cannot be read as PLY"),
+    "garbage PLY": (b"\xff" * 100, "a.ply", r"a\.ply: it is not a PLY file"),
     "garbage STL": (b"\xff" * 10, "a.stl", r"a\.stl: it (cannot be read as STL|has no triangle)"),
     "a folder": (..., "a.obj", r"a\.obj: it is a folder, not a file"),
 }  # fmt: skip
@@ -592,9 +592,25 @@ def test_bad_options(place, source, case, capfd):
     check(capfd, place, said, "data", "nerfstudio", str(source), "--mesh", str(mesh), "--out", "room", *words)
 
 
+WAYS = {
+    "metashape": ": it exports cameras in COLMAP's format .*data colmap.*ns-process-data metashape",
+    "Agisoft": ": it exports cameras in COLMAP's format",
+    "realitycapture": ": it exports its registration in COLMAP's format",
+    "Reality_Capture": ": it exports its registration in COLMAP's format",
+    "record3d": ": `ns-process-data record3d` of nerfstudio makes what `neurad data nerfstudio` reads",
+    "instant-ngp": ": its transforms.json is read by `neurad data nerfstudio`",
+    "kapture": ": programs that find cameras export them in COLMAP's format",
+    "fbx": ": export the scene with its cameras as glTF",
+    "colmp": ", did you mean colmap",
+}
+"""How what other programs write comes in."""
+
+
 def test_other_bad_words(place, source, capfd):
     check(capfd, place, "SRC: there is no folder nowhere", "data", "colmap", "nowhere", "--out", "room")
-    check(capfd, place, "argument kind: invalid choice: 'metashape'", "data", "metashape", "src", "--out", "room")
+    for word, said in WAYS.items():
+        check(capfd, place, rf"argument kind: {word} is none of nerfstudio, colmap, .*hdr{said}", "data", word, "src",
+              "--out", "room")  # fmt: skip
     check(capfd, place, "about what --mesh names, and there is no --mesh", "data", "nerfstudio", "src", "--up", "y",
           "--out", "room")  # fmt: skip
     described = json.loads((source / "transforms.json").read_text())
@@ -605,6 +621,33 @@ def test_other_bad_words(place, source, capfd):
     (source / "transforms.json").write_text(json.dumps(described))
     mesh = str(layouts.write_mesh(place / "mesh"))
     check(capfd, place, "--up: the cameras hold no axis up", "data", "nerfstudio", "src", "--mesh", mesh, "--up", "y",
+          "--out", "room")  # fmt: skip
+
+
+def test_all_that_is_wrong_with_cameras_is_said_at_once(place, capfd):
+    """Of every reader: what is missing or broken in several frames, each once."""
+    source = colmap(place)
+    for name in ("IMG 000 ä.exr", "IMG 002 ä.exr"):
+        (source / "images" / name).unlink()
+    said = r"2 things stand in the way: \(1\) .*IMG 000 ä\.exr is in none of .*; \(2\) .*IMG 002 ä\.exr is in none of"
+    refused(capfd, place, said, "colmap", source)
+    source = layouts.write_nerfstudio(place / "nerf", layouts.cameras(count=4))
+    described = json.loads((source / "transforms.json").read_text())
+    described["frames"][0]["transform_matrix"] = np.zeros((4, 4)).tolist()
+    described["frames"][1]["fl_x"] = -1
+    described["frames"][2].pop("file_path")
+    (source / "transforms.json").write_text(json.dumps(described))
+    said = r"3 things .*frame 0 .*is not rigid.*; \(2\) .*frame 1 .*fl_x is -1.*; \(3\) .*frame 2 has no file_path$"
+    refused(capfd, place, said, "nerfstudio", source)
+    source = layouts.write_polycam(place / "poly", layouts.cameras(count=3))
+    for index in (0, 2):
+        polycam_key(1000 + index, fx=0)(source)
+    said = r"2 things .*1000\.json: fl_x is 0; \(2\) .*1002\.json: fl_x is 0$"
+    refused(capfd, place, said, "polycam", source)
+    source = layouts.write_fipt_photographed(place / "fipt", layouts.cameras(count=3))
+    for index in (1, 2):
+        (source / f"Image/{index:03d}_0001.exr").unlink()
+    check(capfd, place, r"2 things .*camera 1 is missing; \(2\) .*camera 2 is missing", "data", "fipt", str(source),
           "--out", "room")  # fmt: skip
 
 

@@ -10,7 +10,7 @@ import pytest
 import torch
 from helpers.tiny_scene import SIZE, read_json, write_json, write_scene
 
-from datamodules.pixels import VISITS, blurred, multiplier_at
+from datamodules.pixels import blurred
 from datamodules.scene_data import SceneData
 from neurad.core.errors import InputError
 from neurad.core.patch_sampler import PatchSampler
@@ -102,32 +102,6 @@ def test_draws_have_no_order_that_follows_the_image():
     """Of a view's consecutive corners half lie below the one before, within five standard deviations."""
     _, pixel = PatchSampler.build([(128, 128)], 1, None, 0).draw(0, 128 * 128)
     assert abs(float((pixel.diff() < 0).double().mean()) - 0.5) < 5 / (12 * 128 * 128) ** 0.5
-
-
-def test_batches_with_a_larger_multiplier_come_first():
-    """Each pixel_multiplier draws every patch as often as the schedule says, and no draw is skipped or taken twice."""
-    total, patches = 1000, 16
-    sizes, expected = [], 0
-    for iteration in range(800):
-        pixel_multiplier, first = multiplier_at(iteration, patches, 4, total)
-        assert first == expected
-        expected += pixel_multiplier * patches
-        sizes.append(pixel_multiplier)
-    assert sizes == sorted(sizes, reverse=True)
-    for pixel_multiplier, visits in ((4, VISITS), (2, 2 * VISITS)):
-        assert (
-            visits * total
-            <= sizes.count(pixel_multiplier) * pixel_multiplier * patches
-            < visits * total + pixel_multiplier * patches
-        )
-    assert sizes[-1] == 1
-    assert multiplier_at(7, patches, 1, total) == (1, 7 * patches)
-
-
-def test_a_batch_with_a_multiplier_has_more_pixels_and_says_so(folder):
-    data = ready(folder, patches=8, pixel_multiplier=4)
-    assert (len(data.batch(0).view), data.batch(0).pixel_multiplier) == (32, 4)
-    assert (len(data.batch(1000).view), data.batch(1000).pixel_multiplier) == (8, 1)
 
 
 def test_means_are_over_the_five_by_five_pixels_around():
@@ -298,8 +272,6 @@ def test_bad_options_are_named(folder):
     for name in ("patches", "patch_size"):
         with pytest.raises(InputError, match=rf"SceneData\.{name}: 0 is out of range"):
             SceneData(str(folder), **{name: 0})
-    with pytest.raises(InputError, match=r"--data\.pixel_multiplier: 3 is not a power of two"):
-        SceneData(str(folder), pixel_multiplier=3)
     with pytest.raises(InputError, match=r"--data\.patch_size: 9 does not fit in photographs of 8 x 8"):
         ready(folder, patch_size=9)
     with pytest.raises(InputError, match="exactly one of"):

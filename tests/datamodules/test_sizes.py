@@ -11,6 +11,7 @@ from helpers.small_step import small_scene
 from helpers.tiny_scene import POSE, write_json, write_scene
 from PIL import Image
 
+from benchmarks.peer.fit import _photographs
 from datamodules.pixels import blurred
 from datamodules.scene_data import SceneData
 from neurad.assembly.build import build_world
@@ -27,7 +28,6 @@ from neurad.metrics.held_out_scores import score
 from neurad.scene.geometry import Geometry
 from neurad.scene.image_io import read_exr, write_exr
 from neurad.scene.load import load_scene
-from neurad.studies.peer.fit import _photographs
 from neurad.tracing.embree import EmbreeTracer
 
 SIZES = [(8, 6), (5, 9), (8, 6), (12, 4)]

@@ -87,7 +87,7 @@ def test_run_folder_and_closing_table(tiny, capsys):
     assert all(list(run_folder().glob(f"{board}/events.out.*")) for board in boards)
     rows = metrics()
     assert [row["iteration"] for row in rows] == ["3", "6", "8"]
-    assert [int(row["samples"]) for row in rows] == [n * 2 * 16 * 2 for n in (3, 6, 8)]  # pixel_multiplier 2, spp 4
+    assert [int(row["samples"]) for row in rows] == [n * 16 * 4 for n in (3, 6, 8)]  # spp 4
     assert 0 < int(rows[0]["rays"]) < int(rows[1]["rays"]) < int(rows[2]["rays"])
     out = capsys.readouterr().out
     assert "best constant" in out

@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 import numpy.typing as npt
 
-from neurad.core.errors import InputError
+from neurad.core.errors import InputError, Refusals
 from neurad.core.records import FloatArray, View
 from neurad.runtime.reading import exists, read_json, read_text, regular_file, shown
 from neurad.scene.numbers import LENGTH, number
@@ -49,16 +49,19 @@ def _rendered(folder: Path) -> list[View]:
     if not isinstance(frames, list) or not frames:
         raise InputError(f"{path}: it has no frames")
     views = []
+    refusals = Refusals()
     for index, frame in enumerate(frames):
-        where = f"{path}: frame {index}"
-        if not isinstance(frame, dict):
-            raise InputError(f"{where} is not an object")
-        image = regular_file(folder / f"Image/{index:03d}_0001.exr", f"the photograph of frame {index} is missing")
-        pose: FloatArray = rigid(frame.get("transform_matrix"), f"{where}: its transform_matrix") @ _LOOKS
-        camera = camera_of((frame, described), check_exr(image), pose, where)
-        maps = [folder / f"{kind}/{index:03d}_0001.exr" for kind in ("DiffCol", "Roughness")]
-        albedo, roughness = (str(regular_file(file)) if exists(file) else None for file in maps)
-        views.append(View(f"{folder.name}_{index:03d}", camera, str(image), albedo, roughness))
+        with refusals.part():
+            where = f"{path}: frame {index}"
+            if not isinstance(frame, dict):
+                raise InputError(f"{where} is not an object")
+            image = regular_file(folder / f"Image/{index:03d}_0001.exr", f"the photograph of frame {index} is missing")
+            pose: FloatArray = rigid(frame.get("transform_matrix"), f"{where}: its transform_matrix") @ _LOOKS
+            camera = camera_of((frame, described), check_exr(image), pose, where)
+            maps = [folder / f"{kind}/{index:03d}_0001.exr" for kind in ("DiffCol", "Roughness")]
+            albedo, roughness = (str(regular_file(file)) if exists(file) else None for file in maps)
+            views.append(View(f"{folder.name}_{index:03d}", camera, str(image), albedo, roughness))
+    refusals.end()
     return views
 
 
@@ -68,15 +71,18 @@ def _photographed(source: Path) -> list[View]:
     if len(poses) != len(inner):
         raise InputError(f"{source / 'K_list.txt'}: it has {len(inner)} cameras, but cam.txt has {len(poses)}")
     views = []
+    refusals = Refusals()
     for index, ((eye, target, up), k) in enumerate(zip(poses, inner, strict=True)):
-        where = f"{source / 'cam.txt'}: camera {index}"
-        image = regular_file(source / f"Image/{index:03d}_0001.exr", f"the photograph of camera {index} is missing")
-        about = f"{source / 'K_list.txt'}: camera {index}"
-        if np.abs((k[0, 1], k[1, 0], k[2, 0], k[2, 1], k[2, 2] - 1.0)).max() > 1e-6:
-            raise InputError(f"{about}: its matrix is not fx 0 cx, 0 fy cy, 0 0 1")
-        values = {"fl_x": k[0, 0], "fl_y": k[1, 1], "cx": k[0, 2], "cy": k[1, 2]}
-        camera = make_camera(_looking(eye, target, up, where), check_exr(image), "PINHOLE", values, about)
-        views.append(View(f"{index:03d}", camera, str(image)))
+        with refusals.part():
+            where = f"{source / 'cam.txt'}: camera {index}"
+            image = regular_file(source / f"Image/{index:03d}_0001.exr", f"the photograph of camera {index} is missing")
+            about = f"{source / 'K_list.txt'}: camera {index}"
+            if np.abs((k[0, 1], k[1, 0], k[2, 0], k[2, 1], k[2, 2] - 1.0)).max() > 1e-6:
+                raise InputError(f"{about}: its matrix is not fx 0 cx, 0 fy cy, 0 0 1")
+            values = {"fl_x": k[0, 0], "fl_y": k[1, 1], "cx": k[0, 2], "cy": k[1, 2]}
+            camera = make_camera(_looking(eye, target, up, where), check_exr(image), "PINHOLE", values, about)
+            views.append(View(f"{index:03d}", camera, str(image)))
+    refusals.end()
     return views
 
 

@@ -159,7 +159,7 @@ def _soup(mesh: Mesh, face: Array, bary: Array) -> Mesh:
 
     def at(values: FloatArray) -> FloatArray:
         corners = values[mesh.faces[face]].astype(np.float64)  # [p, 3, c]
-        return np.asarray((bary @ corners).reshape(-1, values.shape[1]), np.float32)
+        return np.asarray((bary @ corners).reshape(-1, values.shape[1]), values.dtype)
 
     return replace(
         mesh,
@@ -197,7 +197,7 @@ def back_of(mesh: Mesh) -> Mesh:
     return replace(
         mesh,
         name=f"{mesh.name} (back)",
-        vertices=(mesh.vertices - gap * normal).astype(np.float32),
+        vertices=mesh.vertices - gap * normal,
         faces=mesh.faces[:, [0, 2, 1]],
         normals=None if mesh.normals is None else -mesh.normals,
     )

@@ -3,14 +3,16 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable
+from collections import Counter
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from neurad.core.errors import InputError
+from neurad.core.errors import InputError, Refusals
+from neurad.core.names import apart
 from neurad.core.records import Development, FloatArray, View
 from neurad.runtime.reading import exists, read_json, regular_file, shown
 from neurad.scene.numbers import LENGTH, matrix, number
@@ -22,8 +24,12 @@ HOLD_OUT = 8
 """Every so many-th photograph is held out where nothing says which."""
 OTHER = (".webp", ".bmp", ".heic", ".gif", *RAW)
 """Photographs that are not read."""
+FILM = 512, 512
+"""Width and height of a picture whose size nothing says."""
 EXPOSURE = 1e-9, 1e9
 """Smallest and largest exposure."""
+POLYCAM = [[0.0, 0.0, 1.0, 0.0], [1.0, 0.0, 0.0, 0.0], [0.0, 1.0, 0.0, 0.0]]
+"""What ns-process-data does to the cameras of Polycam: their Z, X and Y become X, Y and Z."""
 Finder = Callable[[str, str], Path]
 _LISTS = {"train_filenames": "train", "val_filenames": "test", "test_filenames": "test"}
 
@@ -41,7 +47,9 @@ class Split:
     """Whether the source says which views are held out."""
 
 
-def read_split(folder: Path, hold_out: int = HOLD_OUT, photograph: Finder | None = None) -> Split:
+def read_split(
+    folder: Path, hold_out: int = HOLD_OUT, photograph: Finder | None = None, pictures: bool = True
+) -> Split:
     """Training and held-out views of ``transforms_train.json`` and, where it is there, ``transforms_test.json`` or
     ``transforms_val.json``.
 
@@ -49,42 +57,59 @@ def read_split(folder: Path, hold_out: int = HOLD_OUT, photograph: Finder | None
         folder: a scene folder.
         hold_out: not read: a folder with two files says itself what is held out.
         photograph: as in :func:`read_views`.
+        pictures: as in :func:`read_views`.
 
     Raises:
         InputError: as :func:`read_views`.
     """
-    train = read_views(folder / "transforms_train.json", folder, None, photograph)
+    train = read_views(folder / "transforms_train.json", folder, None, photograph, pictures)
     sizes = {(view.camera.width, view.camera.height) for view in train}
     size = sizes.pop() if len(sizes) == 1 else None  # so that held-out photographs stay closed
     for name in ("transforms_test.json", "transforms_val.json"):
         if exists(folder / name):
-            return Split(train, read_views(folder / name, folder, size, photograph), stated=True)
-    return Split(train, [], stated=True)
+            views = told_apart([*train, *read_views(folder / name, folder, size, photograph, pictures)])
+            return Split(views[: len(train)], views[len(train) :], stated=True)
+    return Split(told_apart(train), [], stated=True)
 
 
-def read_one(folder: Path, hold_out: int = HOLD_OUT, photograph: Finder | None = None) -> Split:
+def read_one(folder: Path, hold_out: int = HOLD_OUT, photograph: Finder | None = None, pictures: bool = True) -> Split:
     """Training and held-out views of ``transforms.json``, nerfstudio's one file for both.
 
     Args:
         folder: a scene folder.
         hold_out: every so many-th photograph by name is held out where the file does not say which; 0 for none, not 1.
         photograph: as in :func:`read_views`.
+        pictures: as in :func:`read_views`.
 
     Raises:
         InputError: as :func:`read_views`; or the lists of the file name what it does not have, or a frame twice.
     """
     path = folder / "transforms.json"
-    views = read_views(path, folder, photograph=photograph)
+    views = told_apart(read_views(path, folder, None, photograph, pictures))
+    said = f"{path}: its cameras are Polycam's as ns-process-data turns them; they are turned back, to Polycam's mesh"
+    notes = (said,) if _is_polycam(read_json(path)) else ()
     named = _named(path)
     if named is None:
-        return held_out_every(hold_out, views, path)
+        split = held_out_every(hold_out, views, path)
+        return replace(split, notes=(*notes, *split.notes))
     pairs = list(zip(views, named, strict=True))
     train, test = ([view for view, kind in pairs if kind == part] for part in ("train", "test"))
     if not train:
         raise InputError(f"{path}: its train_filenames leave no photograph to learn from")
     left = len(views) - len(train) - len(test)
     said = f"{path}: {left} of {len(views)} photographs are in none of its lists of names, and are left out"
-    return Split(train, test, (said,) if left else (), stated=True)
+    return Split(train, test, (*notes, said) if left else notes, stated=True)
+
+
+def told_apart(views: Sequence[View]) -> list[View]:
+    """Views no two of which have one name: where photographs of several folders do, the folder's goes before."""
+    alike = Counter(view.name for view in views)
+    taken: set[str] = set()
+    made = []
+    for view in views:
+        name = view.name if alike[view.name] == 1 else f"{Path(str(view.image)).parent.name}_{view.name}"
+        made.append(replace(view, name=apart(name, taken, "_")))
+    return made
 
 
 def held_out_every(hold_out: int, views: list[View], path: Path) -> Split:
@@ -132,7 +157,11 @@ def _ordinal(count: int) -> str:
 
 
 def read_views(
-    path: str | Path, root: str | Path, size: Size | None = None, photograph: Finder | None = None
+    path: str | Path,
+    root: str | Path,
+    size: Size | None = None,
+    photograph: Finder | None = None,
+    pictures: bool = True,
 ) -> list[View]:
     """The views of a camera file; paths in it are relative to ``root``.
 
@@ -143,6 +172,8 @@ def read_views(
         size: width and height where the file has none, in place of what the photograph says.
         photograph: finds the photograph of a name, its second argument begins the sentence if there is none; None
             takes the EXR file of that name.
+        pictures: whether photographs, masks and maps are wanted. Otherwise none of them has to be there, and views have
+            their cameras and the name of the file where the photograph would be.
 
     Raises:
         InputError: not JSON, no frames, a bad camera, or a photograph that is missing.
@@ -150,23 +181,33 @@ def read_views(
     path, root = Path(path), Path(root)
     described, frames = _frames(path)
     undo = _applied(described, path)
+    if not pictures:
+        photograph = lambda name, _: _unmade(root, name)  # noqa: E731
     views: list[View] = []
+    refusals = Refusals()
     for index, frame in enumerate(frames):
-        if not isinstance(frame, dict) or not isinstance(frame.get("file_path"), str):
-            raise InputError(f"{path}: frame {index} has no file_path")
-        where = f"{path}: frame {index} ({shown(frame['file_path'])})"
-        name = frame["file_path"]
-        image = _photograph(root, name, path) if photograph is None else photograph(name, where)
-        settings = {**described, **frame}
-        film = _size(settings, where) or size or picture_size(image)
-        pose = undo(rigid(frame.get("transform_matrix"), f"{where}: its transform_matrix"))
-        camera = camera_of((frame, described), film, pose, where)
-        mask = _listed(root, frame, "mask_path", f"the mask is missing that {path.name} lists", path)
-        maps = {kind: _map(root, frame, kind, image, path) for kind in ("albedo", "roughness", "spread")}
-        relit = _map(root, frame, "relight", image, path) if "relight_path" in frame else None
-        made = Development(exposure=_exposure(settings, where))
-        known = maps["albedo"], maps["roughness"], relit, mask, made, maps["spread"]
-        views.append(View(image.stem, camera, str(image), *known))
+        with refusals.part():
+            if not isinstance(frame, dict) or not isinstance(frame.get("file_path"), str):
+                raise InputError(f"{path}: frame {index} has no file_path")
+            where = f"{path}: frame {index} ({shown(frame['file_path'])})"
+            name = frame["file_path"]
+            image = _photograph(root, name, path) if photograph is None else photograph(name, where)
+            settings = {**described, **frame}
+            film = _size(settings, where) or size
+            if film is None:
+                film = picture_size(image) if pictures or exists(image) else _unsaid(settings, where)
+            pose = undo(rigid(frame.get("transform_matrix"), f"{where}: its transform_matrix"))
+            camera = camera_of((frame, described), film, pose, where)
+            if not pictures:
+                views.append(View(image.stem, camera, str(image)))
+                continue
+            mask = _listed(root, frame, "mask_path", f"the mask is missing that {path.name} lists", path)
+            maps = {kind: _map(root, frame, kind, image, path) for kind in ("albedo", "roughness", "spread")}
+            relit = _map(root, frame, "relight", image, path) if "relight_path" in frame else None
+            made = Development(exposure=_exposure(settings, where))
+            known = maps["albedo"], maps["roughness"], relit, mask, made, maps["spread"]
+            views.append(View(image.stem, camera, str(image), *known))
+    refusals.end()
     return views
 
 
@@ -221,7 +262,7 @@ def _applied(described: dict[str, Any], path: Path) -> Callable[[FloatArray], Fl
         InputError: the transform of the file turns, scales and moves not alone, or its scale is out of range.
     """
     scale = number(described.get("applied_scale") or 1.0, f"{path}: applied_scale", 1e-9, 1e9)
-    rows = described.get("applied_transform")
+    rows = POLYCAM if _is_polycam(described) else described.get("applied_transform")
     if rows is None and scale == 1.0:
         return lambda pose: pose
     if rows is None:
@@ -241,6 +282,33 @@ def _applied(described: dict[str, Any], path: Path) -> Callable[[FloatArray], Fl
         return before
 
     return undo
+
+
+def _is_polycam(described: dict[str, Any]) -> bool:
+    """Whether a camera file is what ns-process-data makes of Polycam's: it turns cameras and does not say so, but no
+    other of its sources has these keys.
+    """
+    return (
+        described.get("orientation_override") == "none"
+        and described.get("camera_model") == "OPENCV"
+        and "applied_transform" not in described
+        and all(isinstance(frame, dict) and {"fl_x", "cx", "w"} <= frame.keys() for frame in described["frames"])
+    )
+
+
+def _unsaid(settings: dict[str, Any], where: str) -> Size:
+    """The size of a picture that is not there and of which the file says nothing but how wide it sees."""
+    if any(settings.get(key) is not None for key in ("fl_x", "fl_y", "cx", "cy")):
+        raise InputError(f"{where}: neither w and h nor a photograph says how many pixels its picture has; add w and h")
+    return FILM
+
+
+def _unmade(root: Path, name: str) -> Path:
+    """The file where a photograph would be, or is."""
+    image = root / name
+    there = (_exr(image), image, *(image.with_name(image.name + ending) for ending in READABLE))
+    known = image.suffix.lower() in (*READABLE, *OTHER)
+    return next((file for file in there if image.name and file.is_file()), image if known else _exr(image))
 
 
 def _photograph(root: Path, name: str, path: Path) -> Path:

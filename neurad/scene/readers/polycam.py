@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from pathlib import Path
 
-from neurad.core.errors import InputError
+from neurad.core.errors import InputError, Refusals
 from neurad.core.records import View
 from neurad.runtime.reading import exists, read_json, shown
 from neurad.scene.numbers import number
@@ -32,7 +32,11 @@ def read_export(source: Path, photograph: Callable[[str, str], Path]) -> Split:
     files = [] if folder is None else sorted(folder.glob("*.json"))
     if folder is None or not files:
         raise InputError(f"{shown(source)}: it has no keyframes/corrected_cameras/*.json, as Polycam's raw data have")
-    views = [_view(path, photograph) for path in files]
+    views, refusals = [], Refusals()
+    for path in files:
+        with refusals.part():
+            views.append(_view(path, photograph))
+    refusals.end()
     said = f"{folder}: these are cameras before Polycam's adjustment, which may not fit the mesh"
     return Split(views, [], (said,) if folder.name == FOLDERS[1] else ())
 

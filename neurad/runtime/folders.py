@@ -1,0 +1,125 @@
+"""A folder that appears as a whole or not at all: it is written beside its place and then moved there.
+
+While it is written it is called ``.NAME.xxxxxxxx.part``. A process that is killed leaves it behind; whoever writes to
+the same place next removes it. A lock on the folder, which ends with the process that holds it, tells the dead from the
+living.
+"""
+
+from __future__ import annotations
+
+import os
+import re
+import shutil
+import tempfile
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager, suppress
+from pathlib import Path
+
+from neurad.core.errors import InputError
+from neurad.runtime.files import PART, reason, writing
+
+_REPLACED = "replaced"  # what was at the place, for the moment between two moves
+
+
+@contextmanager
+def written_beside(out: Path, check: Callable[[], None]) -> Iterator[Path]:
+    """A new folder beside ``out``; it takes its place at the end of the block, and is removed if the block fails.
+
+    Args:
+        out: where it is going to be; the folder that it is in exists.
+        check: refuses, at the end, what has come there meanwhile and is not to be replaced.
+
+    Raises:
+        InputError: a file cannot be written: no room on the disk, no permission; or what ``check`` raises.
+    """
+    place = place_of(out)
+    with writing(out, "--out"):
+        remove_dead(place)
+        stage = new_stage(place)
+    lock = _lock(stage)
+    try:
+        stage.chmod(0o777 & ~_umask())
+        try:
+            yield stage
+        except InputError as error:
+            raise InputError(str(error).replace(str(stage), str(place))) from error
+        except OSError as error:
+            where = str(error.filename or place).replace(str(stage), str(place))
+            raise InputError(f"--out {where}: {reason(error)}") from error
+        check()
+        with writing(out, "--out"):
+            _move(stage, place)
+    finally:
+        shutil.rmtree(stage, ignore_errors=True)
+        _unlock(lock)
+
+
+def place_of(out: Path) -> Path:
+    """Where the folder is going to be: what a link points to is written, not the link."""
+    with writing(out, "--out"):
+        return Path(os.path.realpath(out))
+
+
+def new_stage(place: Path) -> Path:
+    """A new, empty folder beside the place of another, which belongs to this process until it is locked or moved."""
+    return Path(tempfile.mkdtemp(prefix=f".{place.name}.", suffix=PART, dir=place.parent))
+
+
+def remove_dead(place: Path) -> None:
+    """Remove what killed processes that wrote to this place left; put back what one of them had just moved away."""
+    name = re.compile(rf"\.{re.escape(place.name)}\.[a-z0-9_]{{8}}{re.escape(PART)}")
+    for left in place.parent.iterdir():
+        if name.fullmatch(left.name) is None or left.is_symlink() or not left.is_dir():
+            continue
+        if (lock := _lock(left)) is None:
+            continue
+        with suppress(OSError):
+            if not place.exists() and (left / _REPLACED).is_dir():
+                os.replace(left / _REPLACED, place)
+        shutil.rmtree(left, ignore_errors=True)
+        _unlock(lock)
+
+
+def _lock(folder: Path) -> int | None:
+    """Lock a folder as long as this process lives; None if another one has, or if it cannot be locked here."""
+    try:
+        import fcntl
+    except ImportError:  # Windows
+        return None
+    handle = os.open(folder, os.O_RDONLY)
+    try:
+        fcntl.flock(handle, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except OSError:
+        os.close(handle)
+        return None
+    return handle
+
+
+def _unlock(handle: int | None) -> None:
+    if handle is not None:
+        os.close(handle)
+
+
+def _move(stage: Path, place: Path) -> None:
+    """Put ``stage`` at ``place``; what was there disappears only when it is."""
+    if not place.exists():
+        os.replace(stage, place)
+        return
+    old = new_stage(place)
+    lock = _lock(old)
+    os.replace(place, old / _REPLACED)
+    try:
+        os.replace(stage, place)
+    except BaseException:  # also Ctrl-C between the two moves
+        if not place.exists():
+            os.replace(old / _REPLACED, place)
+        raise
+    finally:
+        shutil.rmtree(old, ignore_errors=True)
+        _unlock(lock)
+
+
+def _umask() -> int:
+    mask = os.umask(0)
+    os.umask(mask)
+    return mask

@@ -1,0 +1,108 @@
+"""Meshes and cameras whose axes differ: ``--axes``, and what is known of programs that turn cameras without a word."""
+
+import json
+
+import numpy as np
+import pytest
+from helpers import layouts
+from helpers.tiny_fit import fails
+
+from neurad.cli import main
+from neurad.scene.load import load_scene
+
+pytest.importorskip("mitsuba")
+
+
+@pytest.fixture(autouse=True)
+def place(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    layouts.write_mesh(tmp_path / "mesh")
+    return tmp_path
+
+
+def through_nerfstudio(folder, cameras, **changes):
+    """As ``ns-process-data polycam`` writes cameras: their rows in another order, and no ``applied_transform``."""
+    frames = []
+    for index, camera in enumerate(cameras):
+        layouts.noise(folder / f"images/frame_{index + 1:05d}.exr", camera, "image", index)
+        frames.append({
+            "fl_x": camera.fl_x, "fl_y": camera.fl_y, "cx": camera.cx, "cy": camera.cy, "w": camera.width,
+            "h": camera.height, "file_path": f"./images/frame_{index + 1:05d}.jpg",
+            "transform_matrix": camera.to_world[[2, 0, 1, 3]].tolist(),
+        })  # fmt: skip
+    described = {"camera_model": "OPENCV", "orientation_override": "none", "frames": frames, **changes}
+    kept = {key: value for key, value in described.items() if value is not None}
+    (folder / "transforms.json").write_text(json.dumps(kept))
+    return folder
+
+
+def made(*words):
+    main(["data", "nerfstudio", *map(str, words), "--mesh", "mesh/room.obj", "--out", "room"])
+    return load_scene("room", None, 0)
+
+
+def test_polycam_through_nerfstudio_is_turned_back(place, capfd):
+    cameras = layouts.cameras()
+    scene = made(through_nerfstudio(place / "src", cameras))
+    for view, camera in zip(scene.train, cameras, strict=True):
+        np.testing.assert_allclose(view.camera.to_world, camera.to_world, atol=1e-12)
+    np.testing.assert_allclose(scene.bounds, [[-2, 0, -2], [2, 3, 2]], atol=1e-6)
+    assert "its cameras are Polycam's as ns-process-data turns them" in capfd.readouterr().err
+
+
+@pytest.mark.parametrize(
+    "changes",
+    [
+        {"orientation_override": None},
+        {"camera_model": "SIMPLE_PINHOLE"},
+        {"applied_transform": np.eye(4)[:3].tolist()},
+    ],
+)
+def test_other_cameras_stay_as_they_are(place, changes, capfd):
+    cameras = layouts.cameras()
+    scene = made(through_nerfstudio(place / "src", cameras, **changes))
+    for view, camera in zip(scene.train, cameras, strict=True):
+        np.testing.assert_allclose(view.camera.to_world, camera.to_world[[2, 0, 1, 3]], atol=1e-12)
+    assert "Polycam" not in capfd.readouterr().err
+
+
+@pytest.mark.parametrize("axes", ["zxy", "z,x,y", "+z +x +y", "0 0 1 1 0 0 0 1 0", "[[0,0,1],[1,0,0],[0,1,0]]"])
+def test_a_mesh_is_brought_to_cameras_whose_rows_are_permuted(place, axes):
+    """Where nothing in the file tells it: what cameras see is what those of before see of the mesh as it was."""
+    cameras = layouts.cameras()
+    source = through_nerfstudio(place / "src", cameras, orientation_override=None)
+    before, after = layouts.write_mesh(place / "again"), made(source, "--axes", axes, "--scale", "0.5")
+    corners = np.array([line.split()[1:] for line in before.read_text().splitlines() if line[:2] == "v "], float)
+    found = np.concatenate([mesh.vertices for mesh in after.meshes])
+    expected = 0.5 * corners[:, [2, 0, 1]]
+    assert {tuple(row) for row in np.round(found, 5)} == {tuple(row) for row in np.round(expected, 5)}
+    lamp = next(mesh for mesh in after.meshes if mesh.radiance is not None)
+    a, b, c = lamp.vertices[lamp.faces[0]].astype(float)
+    down = np.cross(b - a, c - a)
+    np.testing.assert_allclose(down / np.linalg.norm(down), [0, 0, -1], atol=1e-6)  # -Y of the mesh is -Z now
+
+
+def test_a_rotation_is_rounded_to_the_nearest(place):
+    c, s = round(np.cos(0.3), 3), round(np.sin(0.3), 3)
+    scene = made(layouts.write_nerfstudio(place / "src", layouts.cameras()), f"--axes={c} {-s} 0 {s} {c} 0 0 0 1")
+    floor = next(mesh for mesh in scene.meshes if mesh.radiance is None)
+    corners = np.sort(np.linalg.norm(floor.vertices, axis=1))
+    np.testing.assert_allclose(corners, np.full(len(corners), np.sqrt(8.0)), rtol=1e-6)
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        (["--axes", "zxw"], "--axes zxw: it is neither three axes such as zxy or x,-z,y, nor a matrix of nine numbers"),
+        (["--axes", "1 0 0 1"], "--axes 1 0 0 1: it is neither three axes"),
+        (["--axes", "xxy"], "--axes xxy: it is no rotation (its rows are not of length 1 and perpendicular)"),
+        (["--axes", "xzy"], "--axes xzy: it is no rotation (it mirrors)"),
+        (["--axes", "2 0 0 0 2 0 0 0 2"], "--axes: a number is 2, which has to be a number from -1.01 to 1.01"),
+        (["--axes", "nan 0 0 0 1 0 0 0 1"], "--axes: a number is nan"),
+        (["--axes", "zxy", "--up", "z"], "--axes: it says where all axes of the mesh go, so --up has nothing to say"),
+    ],
+)
+def test_bad_axes(place, words, said, capfd):
+    source = layouts.write_nerfstudio(place / "src", layouts.cameras(count=2))
+    assert said in fails(capfd, "data", "nerfstudio", str(source), "--mesh", "mesh/room.obj", "--out", "room", *words)
+    assert not (place / "room").exists()
