@@ -18,7 +18,7 @@ from neurad.core.records import Mesh, View
 from neurad.runtime.files import writing
 from neurad.runtime.reading import exists, folder, regular_file, shown
 from neurad.scene.description import Scene
-from neurad.scene.load import read_folder
+from neurad.scene.load import read_folder, surface_notes
 from neurad.scene.numbers import RADIANCE, number
 from neurad.scene.photographs import READABLE, picture_size
 from neurad.scene.picture_headers import check_exr
@@ -179,9 +179,8 @@ def import_room(settings: ImportSettings) -> None:
     room = Room(views, [read_meshes(path) for path in paths], to_cameras, lamps, environment, settings.copy)
     with whole(out) as part:
         meshes = write_room(room, part)
-        read = check_room(part, out) if meshes else None
-    for note in () if read is None else read.notes:
-        print(f"neurad: {note}", file=sys.stderr)
+        if meshes:
+            check_room(part, out)
     _say(room, meshes, out)
 
 
@@ -274,7 +273,7 @@ def _placed(settings: ImportSettings, views: Split) -> Matrix:
 
 
 def check_room(part: Path, out: Path) -> Scene:
-    """Read a folder as a fit does; a light may still be missing.
+    """Read a folder as a fit does, and say what is to be said of its surfaces; a light may still be missing.
 
     Args:
         part: the folder.
@@ -287,9 +286,11 @@ def check_room(part: Path, out: Path) -> Scene:
         scene = read_folder(part)
         if scene.features.has_light:
             scene.check()
-        return scene
     except InputError as error:
         raise InputError(str(error).replace(str(part), str(out))) from error
+    for note in surface_notes(scene):
+        print(f"neurad: {note}", file=sys.stderr)
+    return scene
 
 
 def _say(room: Room, meshes: Sequence[Mesh], out: Path) -> None:
