@@ -20,6 +20,7 @@ from neurad.runtime.reading import exists, folder, regular_file, shown
 from neurad.scene.description import Scene
 from neurad.scene.load import read_folder, surface_notes
 from neurad.scene.numbers import RADIANCE, number
+from neurad.scene.origin import place_text
 from neurad.scene.photographs import READABLE, picture_size
 from neurad.scene.picture_headers import check_exr
 from neurad.scene.readers.colmap import read_model
@@ -328,4 +329,4 @@ def _say(room: Room, meshes: Sequence[Mesh], out: Path) -> None:
 
 
 def _box(corner: Matrix) -> str:
-    return f"({', '.join(f'{x:.3g}' if abs(x) < 1e4 else f'{x:.1f}' for x in corner)})"
+    return f"({place_text(corner)})"
