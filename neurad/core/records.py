@@ -386,7 +386,7 @@ class Mesh:
 
     name: str
     vertices: FloatArray
-    """[v, 3], world space."""
+    """[v, 3], world space; float64 in readers until a scene is put together, see :mod:`neurad.scene.origin`."""
     faces: IntArray
     """[f, 3]."""
     material: int

@@ -11,6 +11,7 @@ import torch
 from neurad.core.records import FloatArray, Rays
 from neurad.inspect.maps import SeenMap
 from neurad.runs.load import LoadedRun
+from neurad.scene.origin import place_text
 
 
 @dataclass(frozen=True)
@@ -49,7 +50,7 @@ class Reading:
             ("albedo", albedo),
             ("roughness", roughness),
             ("photographs", shown),
-            ("position", " ".join(f"{x:.4g}" if abs(x) < 1e4 else f"{x:.3f}" for x in self.place)),
+            ("position", place_text(self.place, " ")),
         ]
 
 

@@ -18,8 +18,9 @@ from neurad.runtime.files import check_folder, make_folder, writing
 from neurad.runtime.folders import place_of, written_beside
 from neurad.runtime.reading import exists, folder, regular_file, shown
 from neurad.scene.description import Scene
-from neurad.scene.load import read_folder
+from neurad.scene.load import read_folder, surface_notes
 from neurad.scene.numbers import RADIANCE, number
+from neurad.scene.origin import place_text
 from neurad.scene.photographs import READABLE, picture_size
 from neurad.scene.picture_headers import check_exr
 from neurad.scene.readers.colmap import find_model, photograph_places, read_model
@@ -184,9 +185,8 @@ def import_room(settings: ImportSettings) -> None:
     room = Room(views, [read_meshes(path) for path in paths], to_cameras, lamps, environment, settings.copy)
     with whole(out) as part:
         meshes = write_room(room, part)
-        read = check_room(part) if meshes else None
-    for note in () if read is None else read.notes:
-        print(f"neurad: {note}", file=sys.stderr)
+        if meshes:
+            check_room(part)
     _say(room, meshes, out)
 
 
@@ -277,7 +277,7 @@ def _placed(settings: ImportSettings, views: Split) -> Matrix:
 
 
 def check_room(part: Path) -> Scene:
-    """Read a folder as a fit does; a light may still be missing.
+    """Read a folder as a fit does, and say what is to be said of its surfaces; a light may still be missing.
 
     Raises:
         InputError: a fit would refuse it.
@@ -285,6 +285,8 @@ def check_room(part: Path) -> Scene:
     scene = read_folder(part)
     if scene.features.has_light:
         scene.check()
+    for note in surface_notes(scene):
+        print(f"neurad: {note}", file=sys.stderr)
     return scene
 
 
@@ -326,4 +328,4 @@ def _say(room: Room, meshes: Sequence[Mesh], out: Path) -> None:
 
 
 def _box(corner: Matrix) -> str:
-    return f"({', '.join(f'{x:.3g}' if abs(x) < 1e4 else f'{x:.1f}' for x in corner)})"
+    return f"({place_text(corner)})"

@@ -17,6 +17,7 @@ from neurad.runtime.reading import folder as existing_folder
 from neurad.scene.description import Scene
 from neurad.scene.development import KNOWN, Photography, developed
 from neurad.scene.origin import ZERO, Array, moved_views, near, origin_of
+from neurad.scene.panes import pane_note
 from neurad.scene.readers.nerf import HOLD_OUT, Split
 
 T = TypeVar("T")
@@ -136,13 +137,15 @@ def read_folder(root: str | Path, hold_out: int = HOLD_OUT, photography: Photogr
     if not any(exists(folder / name) for name in ("scene.xml", *CAMERA_FILES)):  # glTF may have cameras, to be rendered
         surfaces = _near_origin(read_surfaces, folder)
         if surfaces.test:
-            return replace(surfaces, name=folder.name)
+            return replace(surfaces, name=folder.name, notes=(*surfaces.notes, *surface_notes(surfaces)))
     views = _reader(CAMERA_FILES, folder)(folder, hold_out, photography is not None)
     relight = None
     if any(view.relight for view in views.test):
         relight = str(regular_file(folder / RELIGHT, "the map is missing that lights the photographs of relight_path"))
     surfaces = _near_origin(read_surfaces, folder) if surfaces is None else surfaces
-    surfaces = replace(surfaces, name=folder.name, relight=relight, notes=(*surfaces.notes, *views.notes))
+    surfaces = replace(
+        surfaces, name=folder.name, relight=relight, notes=(*surfaces.notes, *surface_notes(surfaces), *views.notes)
+    )
     step = -np.asarray(surfaces.origin)
     train, test = moved_views(views.train, step), moved_views(views.test, step)
     return _developed(replace(surfaces, train=train, test=test), photography)
@@ -155,12 +158,19 @@ def _near_origin(read: Callable[[Path, Array], Scene], folder: Path) -> Scene:
     if not origin.any():
         return surfaces
     x, y, z = (float(value) for value in origin)
-    said = (
-        f"the room lies far from the origin of its coordinates: ({x:.10g}, {y:.10g}, {z:.10g}) is subtracted from all "
-        "of them while it is computed with, and added again to what is given back"
+    return replace(read(folder, origin), origin=(x, y, z))
+
+
+def surface_notes(scene: Scene) -> list[str]:
+    """What is to be said of the surfaces of a scene, whatever it was read from, a sentence each."""
+    if not any(scene.origin):
+        return pane_note(scene)
+    place = ", ".join(f"{x:.10g}" for x in scene.origin)
+    far = (
+        f"the room lies far from the origin of its coordinates: ({place}) is subtracted from all of them while it is "
+        "computed with, and added again to what is given back"
     )
-    surfaces = read(folder, origin)
-    return replace(surfaces, origin=(x, y, z), notes=(*surfaces.notes, said))
+    return [far, *pane_note(scene)]
 
 
 def _reader(readers: dict[str, T], folder: Path) -> T:

@@ -85,3 +85,8 @@ def camera_in_scene(camera: Camera, scene: Scene) -> Camera:
     """A camera whose place is read as :func:`in_scene` says."""
     eye = np.asarray(camera.to_world, np.float64)[:3, 3]
     return moved_camera(camera, in_scene(eye, scene) - eye)
+
+
+def place_text(place: Iterable[float], between: str = ", ") -> str:
+    """A place for people: four digits, and of large numbers those to a hundredth."""
+    return between.join(f"{x:.4g}" if abs(x) < 1e4 else f"{x:.2f}" for x in place)

@@ -26,6 +26,9 @@ from neurad.scene.photographs import read_view
 SHOWN = 512
 """Pixels that pictures on the page are wide at most; edges are traced at that size."""
 
+DARK = 0.02
+"""Part of a photograph's mean up to which a pixel shows nothing."""
+
 
 @dataclass(frozen=True)
 class Looked:
@@ -54,6 +57,8 @@ class Looked:
     """Of the size of these."""
     facts: PhotographFacts | None = None
     fit: EdgeFit | None = None
+    holes: float = 0.0
+    """Fraction of the photograph that shows something where its camera meets no surface."""
     seen: FloatArray | None = None
     """The map ``seen`` [h, w, 1] of a held-out view."""
 
@@ -84,10 +89,12 @@ def look(world: World, view: View, part: str, seen_by: SeenBy | None, seed: int)
         pixels, kept = _photograph(view), None if view.mask is None else read_mask(view)
     except InputError as error:
         return replace(found, refused=str(error))
+    nothing = (resampled((~valid).view(size).numpy()[..., None].astype(np.float32), pixels.shape[:2]) == 1.0)[..., 0]
     counted = (resampled(solid.numpy()[..., None].astype(np.float32), pixels.shape[:2]) == 1.0)[..., 0]
     towards = found.towards
     if kept is not None:
         counted &= kept
+        nothing &= kept
         towards = towards[_inside(kept, view.camera, towards)]
     ranks, camera = compared(pixels, view.camera)
     return replace(
@@ -98,6 +105,7 @@ def look(world: World, view: View, part: str, seen_by: SeenBy | None, seed: int)
         towards=towards,
         facts=photograph_facts(pixels, counted),
         fit=edge_fit(ranks, camera, towards),
+        holes=float((nothing & (pixels[..., :3].mean(-1) > DARK * pixels[..., :3].mean())).mean()),
     )
 
 

@@ -12,7 +12,7 @@ from neurad.assembly.build import build_world
 from neurad.core.errors import InputError
 from neurad.core.records import Development
 from neurad.inspect.check.findings import Findings, Level, listed
-from neurad.inspect.check.geometry import check_places, check_units
+from neurad.inspect.check.geometry import check_holes, check_places, check_units
 from neurad.inspect.check.hints import FEWEST, explanation, hint
 from neurad.inspect.check.light import Light, Source, check_light, lamp_power, usable
 from neurad.inspect.check.look import Looked, look
@@ -100,6 +100,7 @@ def checked_scene(scene: Scene, source: Source) -> Checked:
                 looked.append(look(world, view, part, seen, len(looked)))
                 checking.step()
         check_units(scene, world, looked, findings)
+        check_holes(scene, looked, findings)
         _photographs(looked, findings)
         _edges(world, looked, findings)
         places = check_places(scene, world, looked, seen_by, findings)

@@ -251,7 +251,7 @@ def in_world(
         return places, turned, faces
     linear = to_world[:3, :3]
     with np.errstate(over="ignore", invalid="ignore"):
-        vertices = places.astype(np.float64) @ linear.T + to_world[:3, 3]
+        vertices: Any = places.astype(np.float64) @ linear.T + to_world[:3, 3]
     if turned is not None:
         turned = unit(turned.astype(np.float64) @ np.linalg.inv(linear)).astype(np.float32)
     return vertices, turned, faces[:, [0, 2, 1]] if np.linalg.det(linear) < 0 else faces

@@ -22,6 +22,7 @@ from neurad.runtime.reading import native, shown
 from neurad.scene.description import Scene
 from neurad.scene.numbers import LENGTH, RADIANCE, TEXEL, UNIT, number, within
 from neurad.scene.origin import ZERO, Array
+from neurad.scene.polygons import check_triangle_count
 from neurad.scene.readers.gltf_lamps import lit_by
 from neurad.scene.readers.mesh_check import check_mesh_file
 from neurad.scene.readers.mitsuba_materials import MaterialReader
@@ -92,6 +93,7 @@ class _Reader:
     folder: Path
     """For mesh files that are moved near the origin."""
     meshes: list[Mesh] = field(default_factory=list)
+    triangles: int = 0
     environment: EnvironmentMap | None = None
     punctual: list[PunctualLight] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
@@ -176,6 +178,8 @@ class _Reader:
         material = self.materials.index(bsdf, label, shines=radiance is not None)
         wanted = self.materials.attributes(material)
         mesh = self._mesh(shape, label, material, wanted, radiance)
+        self.triangles += len(mesh.faces)
+        check_triangle_count(self.triangles, f"{shown(self.path)}: with shape {shown(label)}")
         self.meshes += [mesh] if picture is None else self._lit(mesh, picture)
 
     def _lit(self, mesh: Mesh, picture: Bitmap) -> list[Mesh]:
