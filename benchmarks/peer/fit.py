@@ -180,7 +180,7 @@ def _sizes(settings: PeerSettings, scene: Scene, tracer: Tracer) -> tuple[FieldC
 
 
 def _photographs(scene: Scene) -> tuple[FloatArray, bool]:
-    """Training photographs [views, h * w, 3], and whether they have an alpha channel."""
+    """Training photographs [views, h * w, 3], and whether alpha is below 1 in one."""
     images, first = [], scene.train[0].camera
     for view in scene.train:
         if view.image is None:
@@ -188,8 +188,8 @@ def _photographs(scene: Scene) -> tuple[FloatArray, bool]:
         if view.mask is not None or (view.camera.width, view.camera.height) != (first.width, first.height):
             raise InputError(f"training view {view.name}: the peer takes photographs of one size and without masks")
         images.append(read_view(view))
-    stacked = np.stack(images)
-    return stacked[..., :3].reshape(len(images), -1, 3), stacked.shape[-1] == 4
+    stacked = np.stack([image[..., :3] for image in images])
+    return stacked.reshape(len(images), -1, 3), any(image.shape[-1] == 4 for image in images)
 
 
 def _held_out(scene: Scene) -> HeldOut:

@@ -146,7 +146,7 @@ class PhotoSource(Protocol):
 
     @property
     def has_alpha(self) -> bool:
-        """Whether the photographs have an alpha channel."""
+        """Whether alpha is below 1 in some pixel of the photographs."""
         ...
 
     def dataset_stats(self, left_out: Tensor | None = None) -> DatasetStats:

@@ -202,7 +202,7 @@ class PixelBatch:
     color: Tensor
     """Photographed linear radiance, premultiplied by alpha [b, 3]."""
     alpha: Tensor
-    """Coverage in [0, 1]; ones for images without an alpha channel [b]."""
+    """Coverage in [0, 1]; ones for images without alpha [b]."""
     iteration: int
     """The iteration that this batch belongs to."""
     blurred: Tensor | None = None
@@ -255,6 +255,8 @@ class DatasetStats:
     """CRC-32 of each photograph, by which a changed one is found; none where they cannot change."""
     pixels: int = 0
     """How many count; 0 where that is not known."""
+    covered: tuple[int, ...] = ()
+    """Views whose alpha is 1 everywhere, where it is not so in all."""
 
     @property
     def brightest(self) -> float:

@@ -227,7 +227,7 @@ def _write_evidence(
     (folder / "evidence").mkdir()
     emits = (assembly.world.geometry.emission > 0).any(-1)
     world = assembly.world
-    seen_by = SeenBy(world.geometry, world.tracer.tracer, [view.camera for view in room.scene.train])
+    seen_by = SeenBy.of(world.geometry, world.tracer.tracer, room.scene.train)
     first = np.cumsum([0, *(len(mesh.faces) for mesh in room.scene.meshes)])
     found: list[float | None] = [None] * len(room.names)
 

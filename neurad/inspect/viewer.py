@@ -46,7 +46,7 @@ class Viewer:
         self._followed = Followed(run)
         self._views: dict[str, View] = {view.name: view for view in views}
         self._exposure = scene_exposure(run.scene)
-        self._by_training = SeenBy(run.world.geometry, run.world.tracer, [view.camera for view in run.scene.train])
+        self._by_training = SeenBy.of(run.world.geometry, run.world.tracer, run.scene.train)
         self._photographs = PhotographMap(run.world, run.views)
         self._room = self._make_room()
         self._asked = 0

@@ -29,9 +29,10 @@ from neurad.runtime.progress import counted
 from neurad.scene.description import Scene
 from neurad.scene.exposure import scene_exposure
 from neurad.scene.geometry import Geometry
-from neurad.scene.image_io import read_exr, read_mask
+from neurad.scene.image_io import read_exr
 from neurad.scene.numbers import PIXEL, within
-from neurad.scene.photographs import read_view
+from neurad.scene.photographs import kept_pixels, read_view
+from neurad.scene.picture_notes import say_pictures
 
 CHUNK = 1 << 18
 """Sub-samples in flight: bounds the memory."""
@@ -75,7 +76,7 @@ class HeldOut:
         self.grid = grid
         self.stride = stride
         self.has_roughness = not scene.features.is_diffuse
-        self.training = SeenBy(geometry, tracer, [view.camera for view in scene.train])
+        self.training = SeenBy.of(geometry, tracer, scene.train)
         self._room = CACHE_BYTES
         self._hits: dict[tuple[int, int], _Hits] = {}
         self._counted: dict[int, BoolArray] = {}
@@ -97,6 +98,7 @@ class HeldOut:
             self.truth(index)
             self.kept(index)
         _ = self.lookup, self.exposure
+        say_pictures()
         return self
 
     @cached_property
@@ -178,14 +180,16 @@ class HeldOut:
     # --- masks
 
     def counted(self, index: int) -> BoolArray:
-        """Pixels [h, w] that count for albedo and roughness: no sub-sample sees an emitter or nothing."""
+        """Pixels [h, w] that count for albedo and roughness: no sub-sample sees an emitter or nothing, and
+        :meth:`kept`.
+        """
         if index not in self._counted:
             shines = (self.geometry.emission > 0).any(-1)
             parts = []
             for part, si in self.sub_samples(index):
                 good = si.valid & ~shines[si.prim.clamp_min(0)]
                 parts.append(self._pixels(part, good).all(-1))
-            self._counted[index] = self._image(index, torch.cat(parts))
+            self._counted[index] = self._image(index, torch.cat(parts)) & self.kept(index)
         return self._counted[index]
 
     @torch.no_grad()
@@ -222,14 +226,16 @@ class HeldOut:
         return found
 
     def kept(self, index: int) -> BoolArray:
-        """Pixels [h, w] of the photograph that count: those that its mask, if it has one, does not leave out.
+        """Pixels [h, w] that count for anything: those that no mask leaves out, and that the photograph's file has.
 
         Raises:
-            InputError: the mask cannot be read, or has another size than the camera.
+            InputError: as :func:`neurad.scene.photographs.kept_pixels`.
         """
         if index not in self._kept:
             view = self.views[index]
-            whole = np.ones((view.camera.height, view.camera.width), np.bool_) if view.mask is None else read_mask(view)
+            whole = kept_pixels(view)
+            if whole is None:
+                whole = np.ones((view.camera.height, view.camera.width), np.bool_)
             self._kept[index] = np.ascontiguousarray(whole[:: self.stride, :: self.stride])
         return self._kept[index]
 
@@ -285,7 +291,7 @@ class HeldOut:
 
 def _read(path: str, view: View, channels: int) -> FloatArray:
     """The first ``channels`` channels [h, w, channels] of an EXR that has to fit the view's camera."""
-    return _fitting(path, read_exr(path), view, channels)
+    return _fitting(path, read_exr(path, raw=channels == 1), view, channels)
 
 
 def _fitting(path: str, pixels: FloatArray, view: View, channels: int) -> FloatArray:

@@ -37,7 +37,6 @@ from neurad.scene.description import Scene
 from neurad.scene.development import Photography
 from neurad.scene.load import load_scene
 from neurad.scene.origin import camera_in_scene, in_scene
-from neurad.scene.photographs import read_view
 from neurad.scene.readers.nerf import HOLD_OUT
 from neurad.scene.shining import from_kept
 from neurad.scene.textures import TrueMaterials
@@ -175,7 +174,7 @@ class LoadedRun:
         Raises:
             InputError: ``points`` have another shape.
         """
-        by = SeenBy(self.world.geometry, self.world.tracer, [view.camera for view in self.scene.train])
+        by = SeenBy.of(self.world.geometry, self.world.tracer, self.scene.train)
         if isinstance(points, SurfaceInteraction):
             return np.concatenate([by.any(part).cpu().numpy() for part in _chunks(points)])
         return np.concatenate([by.any_at(part).cpu().numpy() for part in _chunks(self._positions(points))])
@@ -292,7 +291,7 @@ def load_run(
     finds = settings.lighting.emitters == "find"
     lamps = from_kept(content["neurad"].get("shining"), scene, name) if finds else None
     scene = lit_scene(scene, settings.lighting, lamps)
-    assembly = assemble(scene, settings, _has_alpha(scene))
+    assembly = assemble(scene, settings, content["neurad"]["hide_environment"])
     state = _restore(assembly, content, name, other_light)
     changes = changed_light(state, scene, assembly.environment is None, assembly.lamps is None)
     target = torch.device(device)
@@ -352,12 +351,6 @@ def _scene(data: dict[str, Any], folder: Path, root: str | os.PathLike[str] | No
             f"run {folder}: its scene {first} is missing; say where it is now with --root (in Python, root=)"
         )
     return load_scene(str(place), None, data.get("hold_out", HOLD_OUT), Photography.of(data))
-
-
-def _has_alpha(scene: Scene) -> bool:
-    """Whether the training photographs have an alpha channel: then no environment is visible to the camera."""
-    first = scene.train[0] if scene.train else None
-    return first is not None and first.image is not None and read_view(first).shape[-1] == 4
 
 
 def _restore(assembly: Assembly, checkpoint: dict[str, Any], name: str, other_light: bool) -> dict[str, Any]:

@@ -31,6 +31,7 @@ from neurad.scene.exposure import exposure
 from neurad.scene.image_io import write_exr, write_png
 from neurad.scene.movie import FORMATS, check_movie, filming, target_of
 from neurad.scene.origin import camera_in_scene
+from neurad.scene.picture_notes import say_pictures
 from neurad.scene.placement import scene_axis
 from neurad.scene.readers.nerf import read_cameras
 from neurad.scene.room_folder import axis
@@ -139,6 +140,7 @@ def _shows(settings: RenderSettings) -> bool:
 
 def _tell(subject: Subject) -> None:
     """Say what is rendered differently from what is in the files."""
+    say_pictures()
     for change in subject.said:
         print(f"neurad: changed: {change}", file=sys.stderr)
     if subject.said:

@@ -14,6 +14,7 @@ import stat
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -115,6 +116,41 @@ def beside(path: Path) -> list[str]:
         return sorted(os.listdir(path.parent))[:_LISTED]
     except (OSError, ValueError):
         return []
+
+
+@lru_cache(maxsize=64)
+def _by_case(folder: str, changed: int) -> dict[str, list[str]]:
+    """Names in a folder by what is alike in upper and lower case; anew whenever the folder has changed."""
+    found: dict[str, list[str]] = {}
+    for name in sorted(os.listdir(folder)):
+        found.setdefault(name.casefold(), []).append(name)
+    return found
+
+
+def in_other_case(path: Path) -> Path | None:
+    """The path that differs from one that leads nowhere in upper and lower case alone; None where there is none.
+
+    Raises:
+        InputError: there are several.
+    """
+    known, missing = path, list[str]()
+    while not exists(known) and known.name:
+        missing.append(known.name)
+        known = known.parent
+    for name in reversed(missing):
+        try:
+            alike = _by_case(str(known), os.stat(known).st_mtime_ns).get(name.casefold(), [])
+        except OSError:
+            return None
+        if len(alike) > 1:
+            raise InputError(
+                f"{shown(known / name)}: it is missing, and {' and '.join(map(shown, alike))} differ from it in upper "
+                "and lower case alone"
+            )
+        if not alike:
+            return None
+        known /= alike[0]
+    return known
 
 
 def similar(path: str | Path) -> str:

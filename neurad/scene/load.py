@@ -18,6 +18,7 @@ from neurad.scene.description import Scene
 from neurad.scene.development import KNOWN, Photography, developed
 from neurad.scene.origin import ZERO, Array, moved_views, near, origin_of
 from neurad.scene.panes import pane_note
+from neurad.scene.picture_notes import say_pictures
 from neurad.scene.readers.nerf import HOLD_OUT, Split
 
 T = TypeVar("T")
@@ -100,7 +101,9 @@ def load_scene(
         raise InputError("give exactly one of --data.root (a scene folder) and --data.scene (a built-in scene)")
     with phase("reading"):
         if root is not None:
-            return read_folder(root, hold_out, photography).check(lit=False)
+            found = read_folder(root, hold_out, photography).check(lit=False)
+            say_pictures()
+            return found
         from neurad.scene.builtin import build
 
         assert scene is not None

@@ -35,6 +35,7 @@ _OWN: dict[str, type | tuple[type, ...]] = {
     "rays": int,
     "samples": int,
     "photographs": int,
+    "hide_environment": bool,
 }
 """What a run writes about itself, under 'neurad'."""
 

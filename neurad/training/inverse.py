@@ -326,6 +326,7 @@ class InverseRenderer(L.LightningModule):
             "samples": self.samples,
             "radiance_inputs": self._inputs,
             "photographs": self._photographs,
+            "hide_environment": self.world.hide_environment,
             **({} if self._shining is None else {"shining": kept(self._shining)}),
         }
 

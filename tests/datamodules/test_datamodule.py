@@ -138,6 +138,39 @@ def test_at_least_half_of_the_pixels_are_foreground(folder, patch_size):
     assert data.dataset_stats().mean_square_radiance == pytest.approx((0.25 + 0.0625 + 1) / 3, rel=1e-3)
 
 
+@pytest.mark.parametrize("alpha", [1.0, 0.9995, 1.001])
+def test_alpha_of_one_everywhere_says_nothing(folder, alpha):
+    plain = ready(folder)
+    for view in plain.scene.train:
+        whole = np.concatenate((read_exr(view.image), np.full((SIZE, SIZE, 1), alpha, np.float32)), -1)
+        write_exr(view.image, whole, half=False)
+    for resident in (None, 1):
+        data = ready(folder, resident=resident)
+        assert not data.has_alpha
+        assert torch.equal(torch.stack([data._streamed(i) for i in range(3)]), plain.photographs)
+        assert data.dataset_stats().covered == ()
+
+
+@pytest.mark.parametrize("resident", [None, 2])
+def test_alpha_of_some_photographs_counts_and_is_said(folder, resident, capsys):
+    """One without alpha, one where it is 1, and one where it is 0 somewhere."""
+    colours = ready(folder).photographs
+    for i, alpha in ((1, np.ones((SIZE, SIZE, 1), np.float32)), (2, np.eye(SIZE, dtype=np.float32)[..., None])):
+        path = folder / f"images/train_{i}.exr"
+        write_exr(path, np.concatenate((read_exr(path)[..., :3] * alpha, alpha), -1), half=False)
+    data = ready(folder, resident=resident)
+    assert data.has_alpha
+    read = data._streamed if data.streams else data._resident
+    images = torch.stack([read(i) for i in range(3)])
+    assert torch.equal(images[:2, :, :3], colours[:2])
+    assert bool((images[:2, :, 3] == 1).all())
+    assert torch.equal(images[2, :, 3], torch.eye(SIZE).flatten())
+    data.dataset_stats()
+    data.dataset_stats()
+    said = "alpha is 1 everywhere in 2 of 3 photographs (train_0, train_1) and below it in others"
+    assert capsys.readouterr().err.count(said) == 1
+
+
 def test_few_foreground_pixels_are_still_found(folder):
     """One covered pixel fills a quarter of a 2 x 2 patch at most: those patches are the best there are."""
     data = ready(with_alpha(folder, covered=2), patches=64, patch_size=3)
@@ -253,7 +286,6 @@ BAD = {
     "infinite": (photograph(value=np.inf), r"train_1\.exr: it has pixels that are NaN or infinite"),
     "negative": (photograph(value=-1.0), r"train_1\.exr: it has negative pixels"),
     "size": (photograph(height=9), r"train_1\.exr: it has 8 x 9 pixels, its camera 8 x 8"),
-    "alpha in one only": (photograph(channels=4), r"train_1\.exr: it has 4 channels, but .*train_0\.exr has 3"),
     "grey": (photograph(channels=1), r"train_1\.exr: a photograph has channels RGB or RGBA"),
     "no picture": (lambda f: (f / "images/train_1.exr").write_text("x"), r"train_1\.exr: it cannot be read"),
     "black": (black, "scene room: every training photograph is black"),

@@ -10,6 +10,7 @@ import numpy as np
 import OpenEXR
 import pytest
 import torch
+from PIL import Image
 
 from neurad.bsdf.table import make_bsdf
 from neurad.core.errors import InputError
@@ -24,8 +25,10 @@ from neurad.metrics import held_out
 from neurad.metrics.held_out import HeldOut
 from neurad.metrics.held_out_scores import score
 from neurad.metrics.lit_glossy import lit_glossy, reflected_by
+from neurad.metrics.relight import score_relit
 from neurad.metrics.scores import Pool, block_means, psnr
 from neurad.metrics.seen import SeenBy
+from neurad.metrics.unseen import NEITHER, seen_map
 from neurad.scene.description import Scene
 from neurad.scene.exposure import scene_exposure
 from neurad.scene.geometry import Geometry
@@ -291,6 +294,50 @@ def test_photographs_that_are_gone_or_black_leave_an_exposure(tmp_path: Path) ->
     assert scene_exposure(replace(scene, train=[gone, black, there])) == pytest.approx(0.4)
     assert scene_exposure(replace(scene, train=[gone])) == pytest.approx(0.4)  # by what is held out
     assert scene_exposure(replace(scene, train=[black], test=[black])) == 1.0
+
+
+def mask(path: Path, left_out: np.ndarray) -> str:
+    Image.fromarray(np.where(left_out, 0, 255).astype(np.uint8)).save(path)
+    return str(path)
+
+
+def test_pixels_that_a_mask_leaves_out_count_in_no_map(tmp_path: Path) -> None:
+    """Albedo and roughness by hand, and their constants, as if nothing but the kept half of the floor were there."""
+    right = np.zeros((SIDE, SIDE), bool)
+    right[:, 4:] = True
+    scene = with_truth(tmp_path)
+    scene = replace(scene, test=[replace(view, mask=mask(tmp_path / "m.png", right)) for view in scene.test])
+    views = open_views(scene)
+    np.testing.assert_array_equal(views.counted(0), COUNTED & ~right)
+    scores = score(views, views.predict(Plain(0.5, 0.4)))
+    for region in ("", "_seen"):
+        assert scores[f"albedo_psnr{region}"] == pytest.approx(20.0, rel=1e-4)
+        assert scores[f"albedo_psnr_8x8{region}"] == pytest.approx(20.0, rel=1e-4)
+        assert scores[f"albedo_mape{region}"] == pytest.approx(0.1 / 0.41, rel=1e-4)
+        assert scores[f"albedo_psnr_constant{region}"] > 100
+        assert scores[f"roughness_psnr{region}"] == pytest.approx(20.0, rel=1e-4)
+    shown = seen_map(views.counted(0), views.seen(0))[..., 0]
+    assert (shown[right] == NEITHER).all()
+    assert (shown[SEEN & ~right] == 1.0).all()
+    pictures = [np.full((SIDE, SIDE, 3), 4.5, np.float32) for _ in range(2)]
+    scene = replace(scene, test=[replace(view, relight=view.image) for view in scene.test])
+    views = open_views(scene)
+    for picture in pictures:
+        picture[right] = 100.0
+    assert score_relit(views, pictures)["relight_psnr_linear"] == pytest.approx(-10 * math.log10(0.25), rel=1e-4)
+
+
+def test_what_training_photographs_show_behind_a_mask_is_not_seen(tmp_path: Path) -> None:
+    left = np.zeros((SIDE, SIDE), bool)
+    left[:, :4] = True
+    scene = make_scene([from_above()])
+    above = replace(from_above(), mask=mask(tmp_path / "m.png", left))
+    views = open_views(replace(scene, train=[above]))
+    np.testing.assert_array_equal(views.seen(0) & COUNTED, COUNTED & ~left)
+    si = next(iter(views.sub_samples(0)))[1]
+    si = si[si.valid]
+    np.testing.assert_array_equal(views.training.any(si), views.training.any_at(si.p))
+    assert not views.training.any_at(si.p).all()
 
 
 def test_pixels_that_a_mask_leaves_out_count_in_no_picture(tmp_path: Path) -> None:

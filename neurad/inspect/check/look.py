@@ -19,9 +19,8 @@ from neurad.metrics.mesh_edges import PrimaryGrid, mesh_edges, primary_grid
 from neurad.metrics.photograph_facts import PhotographFacts, photograph_facts
 from neurad.metrics.scores import BoolArray
 from neurad.metrics.seen import SeenBy
-from neurad.metrics.unseen import seen_map
-from neurad.scene.image_io import read_mask
-from neurad.scene.photographs import read_view
+from neurad.metrics.unseen import NEITHER, seen_map
+from neurad.scene.photographs import kept_pixels, read_view
 
 SHOWN = 512
 """Pixels that pictures on the page are wide at most; edges are traced at that size."""
@@ -86,7 +85,7 @@ def look(world: World, view: View, part: str, seen_by: SeenBy | None, seed: int)
     if view.image is None:
         return found
     try:
-        pixels, kept = _photograph(view), None if view.mask is None else read_mask(view)
+        pixels, kept = read_view(view), kept_pixels(view)
     except InputError as error:
         return replace(found, refused=str(error))
     nothing = (resampled((~valid).view(size).numpy()[..., None].astype(np.float32), pixels.shape[:2]) == 1.0)[..., 0]
@@ -95,6 +94,9 @@ def look(world: World, view: View, part: str, seen_by: SeenBy | None, seed: int)
     if kept is not None:
         counted &= kept
         nothing &= kept
+        if found.seen is not None:
+            whole = resampled(kept[..., None].astype(np.float32), size) == 1.0
+            found = replace(found, seen=np.where(whole, found.seen, np.float32(NEITHER)))
         towards = towards[_inside(kept, view.camera, towards)]
     ranks, camera = compared(pixels, view.camera)
     return replace(
@@ -119,19 +121,6 @@ def resampled(pixels: FloatArray, size: tuple[int, ...]) -> FloatArray:
     x = torch.from_numpy(np.ascontiguousarray(pixels, np.float32)).movedim(-1, 0)[None]
     made: FloatArray = interpolate(x, size, mode="area")[0].movedim(0, -1).contiguous().numpy()
     return made
-
-
-def _photograph(view: View) -> FloatArray:
-    """The photograph of a view.
-
-    Raises:
-        InputError: it cannot be read, or has another size than the camera.
-    """
-    pixels, camera = read_view(view), view.camera
-    if pixels.shape[:2] != (camera.height, camera.width):
-        size = f"{pixels.shape[1]} x {pixels.shape[0]}"
-        raise InputError(f"{view.image}: it has {size} pixels, its camera {camera.width} x {camera.height}")
-    return pixels
 
 
 def _inside(kept: BoolArray, camera: Camera, towards: Tensor) -> Tensor:

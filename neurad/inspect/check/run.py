@@ -27,6 +27,7 @@ from neurad.runtime.files import check_folder, make_folder
 from neurad.runtime.progress import phase
 from neurad.scene.description import Scene
 from neurad.scene.load import load_scene
+from neurad.scene.picture_notes import say_pictures
 
 CLIPPED, AT_CEILING = 0.005, 0.001
 """Fraction of the pixels at the largest value of a photograph that is too much, and where that is one of a format."""
@@ -90,7 +91,7 @@ def checked_scene(scene: Scene, source: Source) -> Checked:
     for note in (*scene.notes, *filter(None, [scene.scores_are_of])):
         findings.add(Level.NOTE, "scene", note)
     world = build_world(scene)
-    seen_by = SeenBy(world.geometry, world.tracer, [view.camera for view in scene.train])
+    seen_by = SeenBy.of(world.geometry, world.tracer, scene.train)
     looked: list[Looked] = []
     with phase("checking", len(scene.train) + len(scene.test)) as checking, world.tracer.uncounted():
         for part, views in (("train", scene.train), ("held out", scene.test)):
@@ -99,6 +100,7 @@ def checked_scene(scene: Scene, source: Source) -> Checked:
                 seen = seen_by if part == "held out" else None
                 looked.append(look(world, view, part, seen, len(looked)))
                 checking.step()
+        say_pictures()
         check_units(scene, world, looked, findings)
         check_holes(scene, looked, findings)
         _photographs(looked, findings)
