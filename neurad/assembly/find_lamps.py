@@ -43,7 +43,7 @@ from neurad.scene.shining import Shining, without_lamps
 
 MARGIN = 1.3
 """How much brighter than a white sheet in its place a mesh has to be to be taken for a lamp."""
-FEWEST = 3
+MIN_LAMP_PIXELS = 3
 """Pixels that have to show nothing but a lamp: fewer do not tell whether it is alike all over."""
 UNEXPLAINED = 1.5
 """How much brighter than a white sheet a tenth of all surfaces may be before something is said."""
@@ -164,7 +164,7 @@ class Search:
         for side, group, pair in zip(sides, groups, self._sheets(groups), strict=True):
             if over(*pair) > MARGIN / 1.5:  # without shadow rays to lamps it is noisier
                 verified = self._verified(side, group)
-                if len(verified) >= FEWEST:
+                if len(verified) >= MIN_LAMP_PIXELS:
                     found.append(candidate_of(side, verified))
         return found
 

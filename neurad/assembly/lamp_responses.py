@@ -38,8 +38,8 @@ MEET = 0.1
 _DARK = 1e-6  # of the brightest picture's mean: nothing arrives
 _KNOWN = 0.1  # of a picture's mean square, what its two halves have in common at least for it to be told from others
 _FLOOR = 0.1  # of the mean: below it pixels count by their absolute error
-_LEAST = 0.01  # of the photographs' mean: what a lamp gives at least to begin with
-_COLOUR = 0.05  # of a lamp's brightest channel: what the others have at least to begin with
+_MIN_RADIANCE = 0.01  # of the photographs' mean: what a lamp gives at least to begin with
+_MIN_CHANNEL = 0.05  # of a lamp's brightest channel: what the others have at least to begin with
 
 
 @dataclass(frozen=True)
@@ -169,8 +169,8 @@ def explain(responses: Responses, radiance: Array, observed: Bools, groups: list
     mean = float(target.mean())
     for group in free:
         light = max(float(pictures[group].sum(0).mean()), 1e-300)
-        least = _LEAST * mean / light
-        found[group] = np.maximum(found[group], max(_COLOUR * float(found[group].max()), least))
+        least = _MIN_RADIANCE * mean / light
+        found[group] = np.maximum(found[group], max(_MIN_CHANNEL * float(found[group].max()), least))
     return found
 
 

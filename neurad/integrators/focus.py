@@ -21,11 +21,11 @@ TIMES = 24
 """Candidates for each pixel that is drawn by its score."""
 SIDE = 8
 """Smallest side of a block in pixels."""
-MOST = 1 << 18
+MAX_BLOCKS = 1 << 18
 """Blocks at most."""
 REFRESH = 64
 """Iterations between two updates of the scores."""
-KEPT = 0.9
+DECAY = 0.9
 """Of the sums at an update: gradients change while materials are found."""
 FAMILIAR = 1.0
 """Pixels' worth of the mean of all blocks in each."""
@@ -50,7 +50,7 @@ class Focus(nn.Module):
     def __init__(self, cameras: Sequence[Camera], fraction: float) -> None:
         super().__init__()
         self.fraction, self.side = fraction, SIDE
-        while sum(self._rows(camera) * self._columns(camera) for camera in cameras) > MOST:
+        while sum(self._rows(camera) * self._columns(camera) for camera in cameras) > MAX_BLOCKS:
             self.side *= 2
         counts = torch.tensor([self._rows(camera) * self._columns(camera) for camera in cameras])
         self.register_buffer("width", torch.tensor([camera.width for camera in cameras]), persistent=False)
@@ -120,4 +120,4 @@ class Focus(nn.Module):
             return
         size = ((square + FAMILIAR * usual) / (count + FAMILIAR)).sqrt()
         self.score.copy_(size / size.mean())
-        self.sums.mul_(KEPT)
+        self.sums.mul_(DECAY)

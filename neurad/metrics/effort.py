@@ -17,7 +17,7 @@ UNLIMITED = 60.0
 """That it may take in a run without a time limit."""
 PER_FIT = 4
 """Evaluations that there must be time for in a run."""
-MOST_SPP = 16
+MAX_SPP = 16
 _SECONDS = 0.8e-6, 1.5e-6, 6e-6
 """Nominal seconds of a position, a sample and a pixel, as measured on one core; not of this machine, so that a run is
 repeatable."""
@@ -50,7 +50,7 @@ def seconds_of(views: Sequence[View], spp: int, effort: Effort = Effort()) -> fl
         math.ceil(view.camera.width / effort.stride) * math.ceil(view.camera.height / effort.stride) for view in views
     )
     position, sample, pixel = _SECONDS
-    return pixels * (position * effort.grid**2 + sample * min(spp, MOST_SPP) + pixel)
+    return pixels * (position * effort.grid**2 + sample * min(spp, MAX_SPP) + pixel)
 
 
 def affordable(views: Sequence[View], spp: int, fraction: float, seconds: float | None) -> Effort:

@@ -20,7 +20,7 @@ from neurad.losses.relative import relative_weight
 from neurad.metrics.pixel_derivatives import PixelDerivatives
 from neurad.optim.level_factors import LevelFactors
 
-LARGEST = 2.0
+MAX_FACTOR = 2.0
 """Largest factor: decay shrinks levels that photographs would have larger."""
 SPREAD = 0.2
 """Spread of the factors around 1 before the pixels are asked; it decides where they say nothing."""
@@ -139,7 +139,7 @@ def _fitted(
                 prior = noise / SPREAD**2
                 normal = 0.5 * (square + square.T) + prior * torch.eye(len(ones), device=ones.device)
                 change = torch.linalg.solve(normal, slope + prior * (found[number] - 1.0))
-                found[number] = (found[number] - change).clamp(0.0, LARGEST)
+                found[number] = (found[number] - change).clamp(0.0, MAX_FACTOR)
     return found
 
 

@@ -34,7 +34,7 @@ from neurad.runs.load import LoadedRun
 from neurad.scene.textures import TrueMaterials
 from neurad.studies.bound.fields import training_run
 from neurad.studies.true_views import training_truth
-from neurad.training.closing_step import LARGEST_GROUP, PATCHES
+from neurad.training.closing_step import MAX_GROUP, PATCHES
 
 BLOCKS = 16
 """Slabs of the room that are left out in turn, for standard errors."""
@@ -130,7 +130,7 @@ def measure_response(
     truth = TrueMaterials(run.scene, run.world.geometry)
     training = training_run(run.scene, run.settings, photographs)
     views, correction = training.views, run.assembly.correction
-    groups = max(1, round(spp / LARGEST_GROUP))
+    groups = max(1, round(spp / MAX_GROUP))
 
     def look(what: str, materials: Materials, method: Radiometric | None = None) -> PixelMeans:
         report(what)
@@ -138,7 +138,7 @@ def measure_response(
         found = pixel_means(
             present if method is None else replace(present, method=method), views.primary, training.photographs,
             views.emitter_mask, 0, min(pixels, views.pixels), groups, run.settings.seed, views.mean_square_radiance,
-            run.assembly.development, min(spp, LARGEST_GROUP),
+            run.assembly.development, min(spp, MAX_GROUP),
         )  # fmt: skip
         if found is None:
             raise InputError(f"scene {run.scene.name}: no training pixel shows a surface")

@@ -38,21 +38,21 @@ from neurad.runtime.progress import phase
 from neurad.training.schedule import Progress
 from neurad.training.step import Counters
 
-KEPT, STEPS = 0.25, 0.95
+RESERVED_TIME, STEPS = 0.25, 0.95
 """Time that is kept for the step by its samples over those of the fit, which cost less than four times as much, and the
 fraction of a fit's steps after which it is made. Learning rates fall to their end until then: higher ones would undo it
 (half of it in living-room-2)."""
 EVERY = 16
 """Iterations after which processes agree whether it is time."""
-MOST_SAMPLES = 256
+MAX_SAMPLES = 256
 """In a pixel."""
-LARGEST_GROUP = 16
+MAX_GROUP = 16
 """Samples that are stratified together at most: sixteen of them tell a sixth more than four times four."""
 SHARE = 0.85
 """Of the time that is left: the equations and iterations at the lowest rates follow."""
 TRIED = 1 << 15
 """Pixels that tell how long a pass will take."""
-LEAST_PIXELS, MOST_PIXELS = 256, 1 << 21
+MIN_PIXELS, MAX_PIXELS = 256, 1 << 21
 """Fewer say nothing; more would take gigabytes."""
 LEVELS, STDS = (CORRECTION_FACTOR, 4, 2, 1), (0.08, 0.08, 0.1, 0.13)
 """Cells of the grid of corrections along one of a level, and what is expected of the details there: with three quarters
@@ -79,7 +79,7 @@ class ClosingStep:
 
 def progress_before(done: Progress, settings: RoughnessConfig) -> float:
     """How far a fit is on its way to the step, 1 or more from then on: what its learning rates go by."""
-    time_before = 1.0 - KEPT * settings.closing_samples
+    time_before = 1.0 - RESERVED_TIME * settings.closing_samples
     return max((done.by_time or 0.0) / time_before, (done.by_steps or 0.0) / STEPS)
 
 
@@ -117,11 +117,11 @@ def make_closing_step(
     assert isinstance(materials, FittedMaterials)
     correction.add(None)
     samples = assembly.settings.roughness.closing_samples * counters.samples / processes
-    pixels = min(views.pixels, MOST_PIXELS, int(samples / GROUP))
-    if pixels < LEAST_PIXELS:
+    pixels = min(views.pixels, MAX_PIXELS, int(samples / GROUP))
+    if pixels < MIN_PIXELS:
         return None
     with torch.no_grad(), averaged(assembly.average), phase("correcting roughness"):
-        in_pixel = min(samples / pixels, MOST_SAMPLES)
+        in_pixel = min(samples / pixels, MAX_SAMPLES)
         together = _group_size(in_pixel)
         groups = max(round(in_pixel / together), 1)
 
@@ -133,10 +133,10 @@ def make_closing_step(
 
         if seconds is not None:
             possible = SHARE * seconds / _seconds_a_pixel(look, min(pixels, TRIED))
-            pixels = max(min(pixels, int(possible)), LEAST_PIXELS)
+            pixels = max(min(pixels, int(possible)), MIN_PIXELS)
             groups = max(min(groups, int(possible / pixels)), 1)
         means = look(pixels, groups)
-        if means is None or len(means) < LEAST_PIXELS:
+        if means is None or len(means) < MIN_PIXELS:
             return None
         whole, first, second = evidence(means, materials.to_unit_cube, PATCHES * correction.cells)
         counters.samples += len(means) * groups * together
@@ -152,14 +152,14 @@ def make_closing_step(
 def _group_size(samples: float) -> int:
     """How many of a pixel's samples make a group."""
     size = GROUP
-    while 2 * size <= min(samples, LARGEST_GROUP):
+    while 2 * size <= min(samples, MAX_GROUP):
         size *= 2
     return size
 
 
 def _seconds_a_pixel(look: Callable[[int, int], object], pixels: int) -> float:
     """What one group of samples in one of so many pixels takes, without what only the first call does."""
-    look(min(pixels, LEAST_PIXELS), 1)
+    look(min(pixels, MIN_PIXELS), 1)
     begin = time.monotonic()
     look(pixels, 1)
     return max(time.monotonic() - begin, 1e-6) / pixels

@@ -127,7 +127,7 @@ def test_photographed_radiance_is_that_of_its_own_side_or_nothing(lit):
 
 def test_large_photographs_are_looked_at_in_part_and_where_they_are_bright(lit, monkeypatch):
     scene, photographs = lit
-    monkeypatch.setattr("neurad.metrics.photographed_surfaces.MOST", 5 * 200)
+    monkeypatch.setattr("neurad.metrics.photographed_surfaces.MAX_PIXELS", 5 * 200)
     world = build_world(scene)
     pixels = surface_pixels(world, [v.camera for v in scene.train], photographs, 0)
     assert 500 < len(pixels) <= 1000

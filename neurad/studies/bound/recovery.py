@@ -23,10 +23,10 @@ from neurad.studies.bound.sparse import Rows
 
 AROUND = 2
 """Levels above a cell, whose details' power it shares: about 16 cells of a plane have one."""
-LEAST_POWER = 1e-4
+MIN_POWER = 1e-4
 """Of details anywhere, as a fraction of the level's mean."""
 ITERATIONS = 100
-TOLERANCE, LOOSE = 1e-3, 2e-2
+TOLERANCE, LOOSE_TOLERANCE = 1e-3, 2e-2
 """Of what is observed, and of small differences in it."""
 
 
@@ -156,7 +156,7 @@ def _around(cells: SurfaceCells, index: int, power: Float64Array, count: Float64
     mean = both[:, :4] / np.maximum(both[:, 4:], 1e-20)
     for parent in reversed(above):
         mean = mean[parent]
-    return np.sqrt(np.clip(mean, LEAST_POWER, None)).astype(np.float32)
+    return np.sqrt(np.clip(mean, MIN_POWER, None)).astype(np.float32)
 
 
 class Recovery:
