@@ -70,7 +70,7 @@ class Responses:
 
     @property
     def weight(self) -> Array:
-        """Of the residual in each pixel and channel [n, 3]: what is bright counts relatively."""
+        """Weight of the residual in each pixel and channel [n, 3]: what is bright counts relatively."""
         weight: Array = 1.0 / (self.photographs + _FLOOR * self.photographs.mean() + 1e-300)
         return weight
 

@@ -29,7 +29,7 @@ FIRST, EVERY = 64, 4096
 """What lamps reflect is estimated anew after so many iterations, whenever their number has doubled, and at multiples
 of the second."""
 COLUMNS = ("mesh", "r", "g", "b", "pixels", "views", "clipped", "scale")
-"""Of ``lamps.csv``."""
+"""Columns of ``lamps.csv``."""
 
 
 def begin_lamps(assembly: Assembly, primary: PrimaryHits, shown: LampPhotographs, sample: PixelBatch) -> None:

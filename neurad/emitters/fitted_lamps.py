@@ -48,7 +48,7 @@ class FittedLamps(AreaLights):
     """Logarithm of each lamp's radiance [m, 3]."""
     sampled: Tensor
     photographed: Tensor
-    """Of each lamp, with what it reflects [m, 3]; 0 where no photograph says."""
+    """Radiance that photographs show of each lamp, with what it reflects [m, 3]; 0 where no photograph says."""
     reflected: Tensor
     """What each lamp reflects towards the cameras of all light [m, 3]."""
     counts: Tensor
@@ -96,7 +96,7 @@ class FittedLamps(AreaLights):
 
     @property
     def radiance(self) -> Tensor:
-        """Of each lamp [m, 3], with the gradient of ``values``."""
+        """Radiance of each lamp [m, 3], with the gradient of ``values``."""
         return self.values.exp()
 
     def found(self) -> Array:

@@ -25,7 +25,8 @@ class Lights(nn.Module):
 
     The environment's power is the flux through a disk as large as the scene, ``pi r^2 * integral of L``, that of
     the triangles ``pi * sum(area * L)``; both probabilities are kept above :data:`MIN_PROBABILITY`. Since one lights
-    only lanes that hit a surface and the other only lanes that did not, radiance and densities of both are simply added.
+    only lanes that hit a surface and the other only lanes that did not, radiance and densities of both are simply
+    added.
 
     Args:
         area: the emitting triangles.

@@ -26,7 +26,7 @@ MAX_BLOCKS = 1 << 18
 REFRESH = 64
 """Iterations between two updates of the scores."""
 DECAY = 0.9
-"""Of the sums at an update: gradients change while materials are found."""
+"""Fraction of the sums that an update keeps: gradients change while materials are found."""
 FAMILIAR = 1.0
 """Pixels' worth of the mean of all blocks in each."""
 

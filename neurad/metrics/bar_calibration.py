@@ -38,11 +38,11 @@ class RoughnessBars:
     """How information becomes a standard deviation."""
 
     gain: float
-    """Of the information: the fraction that the fit made use of, in (0, 1], where the power is 1."""
+    """Fraction of the information that the fit made use of, in (0, 1], where the power is 1."""
     prior: float
     """Standard deviation without any information."""
     power: float = 1.0
-    """Of the information."""
+    """Power of the information."""
 
     def variance(self, information: Float64Array) -> Float64Array:
         """Variance of the roughness by ``information`` in units of 1 / variance, which is noise where it is below 0."""

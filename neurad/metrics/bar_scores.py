@@ -10,7 +10,7 @@ from neurad.core.records import FloatArray
 from neurad.metrics.scores import BoolArray, Float64Array, psnr
 
 LEVELS = (0.5, 0.9)
-"""Of the central intervals whose coverage is reported."""
+"""Probabilities of the central intervals whose coverage is reported."""
 
 
 class BarPool:

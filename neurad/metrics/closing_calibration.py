@@ -26,21 +26,21 @@ from neurad.metrics.fisher import per_patch
 from neurad.metrics.scores import Float64Array, IntArray
 
 POWER = 0.8
-"""Of the information. With 0.7 to 0.85 bars of three rooms cover alike in each sixth of them by information; with 1
+"""Power of the information. With 0.7 to 0.85 bars of three rooms cover alike in each sixth by information; with 1
 those that claim most are too narrow."""
 RESPONSE = 0.65
 """The part of what a roughness is off by that pixels ask for at a closing step: their response is not linear, and
 albedo and light have made up for some of it."""
 SPREAD = 0.3
-"""Of roughness. Patches that know it better than this count alike where halves of the pixels are compared: otherwise
+"""Standard deviation of roughness. Patches that know it better count alike where halves are compared: otherwise
 a few would decide, of which the fit has long known all that there is to know."""
 LEVELS, MODEL_ERROR = 16, 0.15
-"""Of patches by information, and the part by which the means in them differ from any such curve."""
+"""Levels of patches by information, and the part by which the means in them differ from any such curve."""
 PRIOR_FACTOR, GAIN, GAIN_FACTOR = 1.65, 1.0, 7.4
 """By which the prior of rooms differs from :data:`PRIOR`; what is usual of the gain of ``F^POWER``, and how much that
 differs."""
 ROUNDS = 2
-"""Of finding what the step takes of what the curves say that pixels ask for, and fitting them again."""
+"""Rounds of finding what the step takes of what pixels ask for by the curves, and of fitting the curves again."""
 RATIO, RATIO_FACTOR = 1.4, 1.5
 """Mean squared error of patches over that of the means of cells, and by how much that differs."""
 _PRIORS, _GAINS, _RATIOS = np.geomspace(0.02, 0.5, 65), np.geomspace(1e-2, 1e2, 65), np.geomspace(0.8, 4.0, 33)
@@ -100,7 +100,7 @@ class _Products:
     deviation: Float64Array
     """Standard deviation of that mean [levels]."""
     information: Float64Array
-    """Of both halves, times the weights [levels]."""
+    """Information of both halves, times the weights [levels]."""
 
     def misfit(self, left: float, ratio: float = 1.0) -> Float64Array:
         """Sums of squared differences from the curves of all scales [priors, gains], in units of what they may be.

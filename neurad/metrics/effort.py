@@ -30,7 +30,7 @@ class Effort:
     grid: int = GRID
     """Each pixel is predicted at ``grid`` x ``grid`` positions."""
     stride: int = 1
-    """Of rows and columns, every so many-th."""
+    """Every so many-th row and column is looked at."""
 
     @property
     def whole(self) -> bool:

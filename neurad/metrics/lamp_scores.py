@@ -17,7 +17,7 @@ from neurad.scene.numbers import RADIANCE
 
 Array = npt.NDArray[np.float64]
 MIN_CHANNEL = 0.05
-"""Of a lamp's brightest channel: what errors of the others are relative to at least."""
+"""Fraction of a lamp's brightest channel that errors of the others are relative to at least."""
 ERROR = "lamp_error"
 """Begins the columns of the errors."""
 MISSED, EXTRA = "lamps_missed", "lamps_extra"

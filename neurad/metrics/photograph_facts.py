@@ -16,12 +16,12 @@ _MIN_PIXELS = 4096  # pixels in which a photograph of more bits has more values 
 
 @dataclass(frozen=True)
 class PhotographFacts:
-    """Of one photograph."""
+    """Brightness and codes of one photograph."""
 
     mean: float
-    """Of the pixels that show a surface and no emitter, all channels; 0 where there are none."""
+    """Mean of the pixels that show a surface and no emitter, all channels; 0 where there are none."""
     highest: float
-    """Of all pixels."""
+    """Largest value of all pixels."""
     clipped: float
     """Fraction of the pixels that show a surface and no emitter that have the largest value of a channel, for the
     channel with most of them."""

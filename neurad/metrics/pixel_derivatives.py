@@ -108,7 +108,7 @@ def derivatives_of(
     iteration: int,
     groups: int = 1,
 ) -> PixelDerivatives | None:
-    """The same of given pixels, of which those that ``emitter_mask`` covers are left out, with so many groups of
+    """Derivatives of given pixels, those that ``emitter_mask`` covers left out, with so many groups of
     :data:`GROUP` samples in each half; None if none is left.
     """
     batch = _unmasked(batch, emitter_mask)
@@ -177,7 +177,7 @@ class SampleGroup:
     p: Tensor
     """Surface points by sample [b, n, 3]."""
     cosine: Tensor
-    """Of the viewing direction, by sample [b, n]."""
+    """Cosine of the viewing direction, by sample [b, n]."""
     valid: Tensor
     """Whether all samples met a surface [b]."""
 

@@ -24,7 +24,7 @@ _STREAM = 37  # last number of the stream's key
 
 @dataclass(frozen=True)
 class PixelMeans:
-    """Of pixels, in units of their brightness: derivatives by roughness R and albedo D, and the residual e."""
+    """Derivatives by roughness R and albedo D and residuals e of pixels, in units of their brightness."""
 
     view: IntArray
     """[n]."""
@@ -65,7 +65,7 @@ def pixel_means(
     develop: Callable[[PixelBatch], PixelBatch] | None = None,
     samples: int = GROUP,
 ) -> PixelMeans | None:
-    """Of about ``pixels`` training pixels at the present materials; None if no pixel is left.
+    """Means of about ``pixels`` training pixels at the present materials; None if no pixel is left.
 
     Args:
         estimator: the method with the present materials and radiance field.

@@ -32,16 +32,16 @@ from neurad.metrics.scores import BoolArray, Float64Array
 BOX = 5
 """Pixels along the side of the box that instruments are means over, where all pixels are drawn."""
 COVARIANCE_BOX = 9
-"""The same of the residual's covariance, which has six numbers. With 5 a pixel's own residual is so much of it that
+"""Pixels along the side of the box of the residual's covariance. With 5 a pixel's own residual is so much of it that
 parts no longer scatter as they should."""
 NEIGHBOURS, MAX_BOX = 8, 65
 """Pixels that should lie in most boxes: where a part of them is drawn, boxes grow until they do, or to this side."""
 PIXELS_A_PATCH = 4
 """Fewer in the mean, and patches are larger: each has an albedo of its own, which takes a pixel's worth of evidence."""
 RIDGE = 0.05
-"""Of the covariance of all pixels, added to that around each."""
+"""Fraction of the covariance of all pixels that is added to that around each."""
 DIAGONAL_RIDGE = 1e-3
-"""Of that covariance's trace, added to its diagonal: where all is grey, channels do not differ at all."""
+"""Fraction of that covariance's trace on its diagonal: where all is grey, channels do not differ at all."""
 OUTLIER = 2.0
 """Parts of single pixels are cut at so many of their standard deviations."""
 MAX_CHANGE, MAX_DEVIATIONS = 0.5, 4.0
@@ -52,7 +52,7 @@ RANKS = 20
 
 @dataclass(frozen=True)
 class Evidence:
-    """Of the patches that the pixels see."""
+    """Information and gradient of the patches that the pixels see."""
 
     side: int
     """Patches along the unit cube."""
@@ -67,7 +67,7 @@ class Evidence:
 def evidence(
     pixels: PixelMeans, to_cube: ToUnitCube, side: int, residual: FloatArray | None = None
 ) -> tuple[Evidence, Evidence, Evidence]:
-    """Of all pixels, and of two halves of them, the two colours of a chess board, in the same patches.
+    """Evidence of all pixels and of two halves of them, the two colours of a chess board, in the same patches.
 
     Args:
         pixels: some of the training pixels.
@@ -128,7 +128,7 @@ class _Pixels:
         )  # fmt: skip
 
     def evidence(self, x: Float64Array, side: int, patch: IntArray, count: int, chosen: BoolArray) -> Evidence:
-        """Of some of the pixels at ``x`` [n, 3] in ``patch`` [n], of which there are ``count``, and ``side`` along the
+        """Evidence of some pixels at ``x`` [n, 3] in ``patch`` [n], of which there are ``count``, ``side`` along the
         cube.
         """
         precision = self.precision * chosen[:, None, None]
@@ -159,7 +159,7 @@ class _Pixels:
         return Evidence(side, middle, information.clip(0.0) / ratio, gradient / ratio)
 
     def _inverse(self, dd: Float64Array) -> Float64Array:
-        """Of the ``sum D'W D`` of patches [m, 3, 3], but for their noise and with :data:`FLOOR` pixels of brightness 1
+        """Inverse of ``sum D'W D`` of patches [m, 3, 3], but for noise and with :data:`FLOOR` pixels of brightness 1
         more.
         """
         white = self.root.T @ (0.5 * (dd + dd.transpose(0, 2, 1))) @ self.root

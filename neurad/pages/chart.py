@@ -15,7 +15,7 @@ WIDTH, HEIGHT = 400, 280
 LEFT, RIGHT, TOP, BOTTOM = 46, 10, 10, 40
 """Margins of the frame."""
 MIN_SPAN = 1.0
-"""Of the vertical axis, in its unit: smaller differences may not fill a chart."""
+"""Shortest vertical axis, in its unit: smaller differences may not fill a chart."""
 
 
 @dataclass(frozen=True)

@@ -14,7 +14,7 @@ from neurad.scene.image_io import to_srgb
 Bytes = npt.NDArray[np.uint8]
 BoolArray = npt.NDArray[np.bool_]
 LEVEL = 0.8
-"""Of display white that the 90th percentile of the photographs is shown at."""
+"""Fraction of display white that the 90th percentile of the photographs is shown at."""
 BRIGHTEST = 0.25
 """Error, in albedo, roughness or display white, that is the brightest in an error map."""
 BRIGHTEST_STD = 0.2
@@ -22,7 +22,7 @@ BRIGHTEST_STD = 0.2
 ERRORS, BARS = "inferno", "viridis"
 """Matplotlib's names of the colour maps of errors and of error bars: they must not be taken for each other."""
 PERIOD, STROKE = 10, 2
-"""Of hatching in pixels: from line to line, and the width of each of its two colours."""
+"""Hatching in pixels: from line to line, and the width of each of its two colours."""
 
 
 def exposure(maps: Sequence[Mapping[str, Any]]) -> float:

@@ -109,7 +109,7 @@ class Sheet:
         return found
 
     def compact(self) -> Sheet:
-        """The same without rows that have no tile."""
+        """The sheet without rows that have no tile."""
         return replace(self, rows={label: tiles for label, tiles in self.rows.items() if any(tiles)})
 
 

@@ -39,7 +39,7 @@ from neurad.training.closing_step import MAX_GROUP, PATCHES
 BLOCKS = 16
 """Slabs of the room that are left out in turn, for standard errors."""
 KNOWN = 1.0 / 3.0
-"""Of the patches with any information: those that photographs know best."""
+"""Fraction of the patches with any information: those that photographs know best."""
 BINS = (0.25, 0.4)
 """Bounds of true roughness between which what is asked at the truth is averaged."""
 

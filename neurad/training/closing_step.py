@@ -45,11 +45,11 @@ fraction of a fit's steps after which it is made. Learning rates fall to their e
 EVERY = 16
 """Iterations after which processes agree whether it is time."""
 MAX_SAMPLES = 256
-"""In a pixel."""
+"""Samples in a pixel."""
 MAX_GROUP = 16
 """Samples that are stratified together at most: sixteen of them tell a sixth more than four times four."""
 SHARE = 0.85
-"""Of the time that is left: the equations and iterations at the lowest rates follow."""
+"""Fraction of the time left that samples may take: the equations and iterations at the lowest rates follow."""
 TRIED = 1 << 15
 """Pixels that tell how long a pass will take."""
 MIN_PIXELS, MAX_PIXELS = 256, 1 << 21
@@ -167,7 +167,7 @@ def _seconds_a_pixel(look: Callable[[int, int], object], pixels: int) -> float:
 
 @dataclass(frozen=True)
 class Agreement:
-    """Of the steps that two halves of the pixels ask for."""
+    """How far the steps that two halves of the pixels ask for agree."""
 
     kept: float
     """The factor, from 0 to 1, by which each explains the other half's pixels best."""

@@ -31,7 +31,7 @@ from neurad.scene.description import Scene
 from neurad.scene.textures import TrueMaterials
 
 SEED = 20230806
-"""Of evaluation pictures: their noise is the same at every evaluation, so that curves show learning only."""
+"""Seed of evaluation pictures: their noise is alike at every evaluation, so that curves show learning only."""
 
 FIELD_SPP = 16
 """Largest number of positions in a pixel at which the radiance field's own picture is taken: it has no other noise."""
@@ -54,7 +54,7 @@ class Evaluation:
     ``albedo_true`` and ``roughness_true`` [h, w, 1 or 3]; in a thorough evaluation also ``relit`` and
     ``photograph_relit``."""
     environment: dict[str, FloatArray] = field(default_factory=dict)
-    """Of an environment that is recovered: ``fitted`` and, where it is known, ``truth`` [height, width, 3]."""
+    """Maps of an environment that is recovered: ``fitted`` and, where known, ``truth`` [height, width, 3]."""
 
 
 @dataclass(frozen=True)

@@ -117,7 +117,7 @@ class InverseRenderer(L.LightningModule):
         self._guard = Guard(self, self._keep)
         self._held_out: HeldOut | None = None
         self.effort = Effort()
-        """Of evaluations: what of the held-out views they look at. Set before a fit starts."""
+        """What of the held-out views evaluations look at. Set before a fit starts."""
         self._light: UnknownLight | None = None
         self.training_views: TrainingViews | None = None
         self.other_light: list[str] = []
@@ -196,7 +196,7 @@ class InverseRenderer(L.LightningModule):
         return read_lamps_true(path, self._lamp_names(), self._shining is not None, wholes)
 
     def _lamp_names(self) -> list[str]:
-        """Of the lamps that are recovered."""
+        """Names of the lamps that are recovered."""
         lamps = self.assembly.lamps
         return [] if lamps is None else [self.scene.meshes[index].name for index in lamps.mesh.tolist()]
 

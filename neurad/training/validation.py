@@ -17,9 +17,9 @@ EVERY = 256
 MIN_PIXELS = 64
 """Pixels of which fewer say nothing."""
 GROUPS = 2
-"""Of samples in each half of a pixel for what is shown: with one, noise of the samples hides what there is to see."""
+"""Groups of samples in each half of a pixel for what is shown: one alone leaves too much noise of the samples."""
 SETTLED = 0.9
-"""Of the way to the end of the learning rates, which are at a fortieth then."""
+"""Fraction of the way to the end of the learning rates, which are at a fortieth then."""
 WHOLE = 0.95
 """A level of which so much is kept counts as kept whole in what is said."""
 

@@ -152,14 +152,14 @@ class Ladder:
         return replace(si, wo=torch.nn.functional.normalize(origin - si.p, dim=-1))
 
     def _footprint(self, codes: IntArray) -> Rows:
-        """Of the pixels that count, among the finest cells; each cell of a position weighs the same."""
+        """Footprints of the pixels that count, among the finest cells; each cell of a position weighs the same."""
         column = self.cells.find(codes.reshape(-1)) - self._first_finest
         start = np.arange(len(codes) + 1, dtype=np.int64) * self.positions
         weight = np.full(len(column), 1.0 / self.positions, np.float32)
         return Rows(start, column.astype(np.int32), weight, self.cells.counts[-1])
 
     def _prior(self, primary: PrimaryHits, codes: IntArray, device: torch.device) -> tuple[Prior, FloatArray]:
-        """Of the true materials at two positions of each pixel, and their covariance within pixels [kept, 4, 4]: means
+        """Prior by true materials at two positions of each pixel, and their covariance in pixels [kept, 4, 4]: means
         over 5 x 5 of them.
         """
         values = []

@@ -54,7 +54,7 @@ def photo_noise(photograph: FloatArray, albedo: FloatArray) -> FloatArray:
 
 
 def noise_covariance(photographs: FloatArray, predicted: Predicted, sigma: FloatArray, known: FloatArray) -> FloatArray:
-    """Of the channels' noise in units of that of :func:`photo_noise` [3, 3]: what two predictions with noise of their
+    """Covariance of channels' noise in units of :func:`photo_noise` [3, 3]: what two predictions with noise of their
     own agree that neighbouring pixels of the photographs differ by. On its diagonal, the same in all channels, it is at
     most 1. Off the diagonal is how much of the noise channels share: that of path-traced light nearly all.
 
