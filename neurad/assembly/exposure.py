@@ -64,14 +64,14 @@ def white_brightness(primary: PrimaryHits, sample: PixelBatch, seed: int, max_de
     view, pixel, color = (x.to(device)[index] for x in (sample.view, sample.pixel, sample.color))
     with world.tracer.uncounted():
         si = primary(PixelBatch(view, pixel, color, torch.ones_like(view).float(), 0), 1, stream).si
-        depth, white = min(max_depth, _MAX_DEPTH), _White()
+        depth, white = min(max_depth, _MAX_DEPTH), _WhiteLambertian()
         method = PathTracing(max_depth=depth, rr_depth=depth)
         estimate = Estimator(world, white, None, method).image(si, white(si), _WHITE_SPP, stream).value
     expected = float(estimate.view(len(si), _WHITE_SPP, 3).mean(1)[si.valid].mean()) if bool(si.valid.any()) else 0.0
     return float(color[si.valid].mean()) / expected if expected > 0 else 1.0
 
 
-class _White:
+class _WhiteLambertian:
     """Materials that keep nearly all light."""
 
     def __call__(self, si: SurfaceInteraction) -> Surface:

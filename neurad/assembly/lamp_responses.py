@@ -125,7 +125,7 @@ def other_lights(world: World, unknown: Environment | None) -> AnyLights | None:
     return join(None, environment, punctual, radius)
 
 
-def alike(responses: Responses, observed: Bools) -> list[list[int]]:
+def indistinguishable(responses: Responses, observed: Bools) -> list[list[int]]:
     """Lamps in groups that what they light does not distinguish; each of those that are ``observed`` [m] alone.
 
     The correlation of two pictures is taken of independent halves of the samples, so noise makes nothing unlike.
@@ -143,7 +143,7 @@ def alike(responses: Responses, observed: Bools) -> list[list[int]]:
     return [sorted(group) for group in _groups(close)]
 
 
-def explain(responses: Responses, radiance: Array, observed: Bools, groups: list[list[int]]) -> Array:
+def nonnegative_least_squares(responses: Responses, radiance: Array, observed: Bools, groups: list[list[int]]) -> Array:
     """Radiance of every lamp [m, 3] that explains the photographs best, each channel by itself.
 
     What is known of the light (``radiance`` [m, 3] of lamps that are ``observed`` [m], lights of other kinds) is one

@@ -223,7 +223,7 @@ class PixelBatch:
         """The batch on a device."""
         return self._map(lambda x: x.to(device))
 
-    def in_turn(self) -> PixelBatch:
+    def without_candidates(self) -> PixelBatch:
         """The batch without its candidates."""
         if self.candidates == 0:
             return self

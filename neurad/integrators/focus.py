@@ -34,7 +34,7 @@ USUAL = 3.0
 """Score, over the mean of all blocks, at which a pixel's samples follow the specular lobe half as far as they can."""
 
 
-class Focus(nn.Module):
+class PixelImportance(nn.Module):
     """Scores of blocks of pixels. All of it is state: a continued run has the same.
 
     Args:

@@ -21,7 +21,7 @@ from typing import Self
 
 import numpy as np
 
-from neurad.metrics.bar_calibration import PRIOR, RoughnessBars, unusual, variance
+from neurad.metrics.bar_calibration import PRIOR, RoughnessBars, log_prior_cost, variance
 from neurad.metrics.fisher import per_patch
 from neurad.metrics.scores import Float64Array, IntArray
 
@@ -46,7 +46,7 @@ RATIO, RATIO_FACTOR = 1.4, 1.5
 _PRIORS, _GAINS, _RATIOS = np.geomspace(0.02, 0.5, 65), np.geomspace(1e-2, 1e2, 65), np.geomspace(0.8, 4.0, 33)
 
 
-def levelled(information: Float64Array) -> Float64Array:
+def robust_weight(information: Float64Array) -> Float64Array:
     """Weights of equations of so much information (1 / variance of a roughness), with which patches that know it better
     than :data:`SPREAD` count alike.
     """
@@ -64,10 +64,10 @@ def calibrate_at_closing(
         around: information of all pixels around each patch, which the bars are made of [m].
         place: the cell of the step's grid that each patch lies in, numbered from 0 [m].
         explained: by how much the step of one half lowers the other's squared residuals, over both halves, each
-            equation times its :func:`levelled` weight.
+            equation times its :func:`robust_weight` weight.
     """
     both = (information > 0).all(0)
-    patches = _Equations.levelled(information[:, both], gradient[:, both], around[both])
+    patches = _Equations.from_halves(information[:, both], gradient[:, both], around[both])
     edges = np.quantile(around[both], np.linspace(0.0, 1.0, LEVELS + 1)[1:-1]) if both.any() else np.empty(0)
     of_patches, of_cells = patches.products(edges), patches.summed(place[both]).products(edges)
     left = 1.0 / RESPONSE**2
@@ -83,8 +83,8 @@ def calibrate_at_closing(
 def _fitted(of_patches: _Products, of_cells: _Products, left: float) -> RoughnessBars:
     """The scales that fit both best where the step leaves so much squared error over the products."""
     costs = np.stack([of_cells.misfit(left, ratio) for ratio in _RATIOS])  # [ratios, priors, gains]
-    costs += unusual(_RATIOS, RATIO, RATIO_FACTOR)[:, None, None] + of_patches.misfit(left)
-    costs += unusual(_PRIORS, PRIOR, PRIOR_FACTOR)[:, None] + unusual(_GAINS, GAIN, GAIN_FACTOR)
+    costs += log_prior_cost(_RATIOS, RATIO, RATIO_FACTOR)[:, None, None] + of_patches.misfit(left)
+    costs += log_prior_cost(_PRIORS, PRIOR, PRIOR_FACTOR)[:, None] + log_prior_cost(_GAINS, GAIN, GAIN_FACTOR)
     _, prior, gain = np.unravel_index(int(np.argmin(costs)), costs.shape)
     return RoughnessBars(float(_GAINS[gain]), float(_PRIORS[prior]), POWER)
 
@@ -126,8 +126,8 @@ class _Equations:
     """log(1 + information around) [n]."""
 
     @classmethod
-    def levelled(cls, information: Float64Array, gradient: Float64Array, around: Float64Array) -> Self:
-        weight = levelled(information)
+    def from_halves(cls, information: Float64Array, gradient: Float64Array, around: Float64Array) -> Self:
+        weight = robust_weight(information)
         return cls(weight * information, weight * gradient, np.square(weight) * information, np.log1p(around))
 
     def summed(self, place: IntArray) -> _Equations:

@@ -24,7 +24,7 @@ repeatable."""
 
 
 @dataclass(frozen=True)
-class Effort:
+class EvaluationResolution:
     """Which pixels of the held-out views count, and how closely they are looked at."""
 
     grid: int = GRID
@@ -35,10 +35,10 @@ class Effort:
     @property
     def whole(self) -> bool:
         """Whether nothing is left out."""
-        return self == Effort()
+        return self == EvaluationResolution()
 
 
-def seconds_of(views: Sequence[View], spp: int, effort: Effort = Effort()) -> float:
+def seconds_of(views: Sequence[View], spp: int, effort: EvaluationResolution = EvaluationResolution()) -> float:
     """Nominal seconds of an evaluation.
 
     Args:
@@ -53,7 +53,7 @@ def seconds_of(views: Sequence[View], spp: int, effort: Effort = Effort()) -> fl
     return pixels * (position * effort.grid**2 + sample * min(spp, MAX_SPP) + pixel)
 
 
-def affordable(views: Sequence[View], spp: int, fraction: float, seconds: float | None) -> Effort:
+def affordable(views: Sequence[View], spp: int, fraction: float, seconds: float | None) -> EvaluationResolution:
     """The effort of each evaluation of a fit: first fewer positions in a pixel, then fewer pixels.
 
     Args:
@@ -64,8 +64,8 @@ def affordable(views: Sequence[View], spp: int, fraction: float, seconds: float 
     """
     most = UNLIMITED if seconds is None else max(SECONDS, fraction * seconds / PER_FIT)
     if seconds_of(views, spp) <= most:
-        return Effort()
+        return EvaluationResolution()
     stride = 1
-    while seconds_of(views, spp, Effort(FEWER, stride)) > most:
+    while seconds_of(views, spp, EvaluationResolution(FEWER, stride)) > most:
         stride += 1
-    return Effort(FEWER, stride)
+    return EvaluationResolution(FEWER, stride)

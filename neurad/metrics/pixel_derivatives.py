@@ -91,7 +91,7 @@ def pixel_derivatives(
         develop: corrects the photographs; None leaves them as they are.
     """
     parts = []
-    for index, batch in enumerate(batches_in_turn(photographs, emitter_mask, first, pixels)):
+    for index, batch in enumerate(batches_without_replacement(photographs, emitter_mask, first, pixels)):
         batch = batch if develop is None else develop(batch)
         stream = Stream(seed, first, index, _STREAM, device=primary.origin.device)
         parts.append(_of_batch(estimator, primary, batch, stream))
@@ -140,7 +140,9 @@ def _split(batches: list[PixelBatch]) -> Iterator[PixelBatch]:
             yield PixelBatch(columns[0], columns[1], columns[2], columns[3], 0)
 
 
-def batches_in_turn(photographs: PhotoSource, emitter_mask: Tensor, first: int, pixels: int) -> Iterator[PixelBatch]:
+def batches_without_replacement(
+    photographs: PhotoSource, emitter_mask: Tensor, first: int, pixels: int
+) -> Iterator[PixelBatch]:
     """Batches of the photographs from iteration ``first`` on, cut or joined to fit in memory, on the mask's device: so
     many pixels that count, or fewer where as many as there are in all have been drawn.
     """

@@ -25,7 +25,7 @@ from neurad.core.protocols import Materials
 from neurad.core.records import Surface, SurfaceInteraction
 from neurad.fields.material import CORRECTION_CELLS, Correction
 from neurad.integrators.radiometric import Radiometric
-from neurad.metrics.closing_calibration import levelled
+from neurad.metrics.closing_calibration import robust_weight
 from neurad.metrics.error_bars import ToUnitCube, cells, in_cube
 from neurad.metrics.pixel_means import PixelMeans, pixel_means
 from neurad.metrics.roughness_evidence import Evidence, evidence
@@ -180,14 +180,14 @@ def measure_response(
 
 def slopes_on(found: Evidence, wrong: Float64Array) -> tuple[Estimate, ...]:
     """Part of what is ``wrong`` with the roughness of patches [m] that they ask for: of all, of those known best."""
-    weight = levelled(found.information)
+    weight = robust_weight(found.information)
     above, below = weight * found.gradient * wrong, weight * found.information * np.square(wrong)
     return tuple(Estimate.ratio(above[part], below[part]) for part in (np.ones(len(wrong), bool), _known(found)))
 
 
 def changes(found: Evidence, truth: Float64Array) -> tuple[Estimate, ...]:
     """Mean changes that patches of some true roughness [m] ask for, see :attr:`Response.displaced`."""
-    weight = levelled(found.information)
+    weight = robust_weight(found.information)
     edges = (-np.inf, *BINS, np.inf)
     parts = [(truth >= low) & (truth < high) for low, high in pairwise(edges)]
     parts.append(_known(found) & (truth < BINS[-1]))

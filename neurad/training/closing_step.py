@@ -24,7 +24,7 @@ from neurad.core.protocols import PhotoSource
 from neurad.fields.material import CORRECTION_FACTOR, Correction
 from neurad.fields.settings import RoughnessConfig
 from neurad.metrics.bar_calibration import RoughnessBars
-from neurad.metrics.closing_calibration import calibrate_at_closing, levelled
+from neurad.metrics.closing_calibration import calibrate_at_closing, robust_weight
 from neurad.metrics.error_bars import cells as cells_of
 from neurad.metrics.error_bars import in_cells
 from neurad.metrics.nodes import Nodes
@@ -32,7 +32,7 @@ from neurad.metrics.pixel_derivatives import GROUP
 from neurad.metrics.pixel_means import PixelMeans, pixel_means
 from neurad.metrics.roughness_evidence import Evidence, evidence
 from neurad.metrics.scores import Float64Array
-from neurad.optim.multilevel import finer, solve
+from neurad.optim.multilevel import solve, upsample
 from neurad.optim.polyak_average import averaged
 from neurad.runtime.progress import phase
 from neurad.training.schedule import Progress
@@ -173,7 +173,7 @@ class Agreement:
     """The factor, from 0 to 1, by which each explains the other half's pixels best."""
     explained: float
     """By how much that lowers their squared residuals, each patch with its weight of
-    :func:`neurad.metrics.closing_calibration.levelled`."""
+    :func:`neurad.metrics.closing_calibration.robust_weight`."""
 
 
 def agreement(first: Evidence, second: Evidence, cells: int) -> Agreement:
@@ -181,7 +181,7 @@ def agreement(first: Evidence, second: Evidence, cells: int) -> Agreement:
     asked = taken = 0.0
     for own, other in ((first, second), (second, first)):
         step = _read(_solved(own, cells), other.x)
-        weight = levelled(other.information)
+        weight = robust_weight(other.information)
         asked += float((weight * other.gradient * step).sum())
         taken += float((weight * other.information * np.square(step)).sum())
     kept = min(max(asked / taken, 0.0), 1.0) if taken > 0.0 else 0.0
@@ -205,7 +205,7 @@ def _solved(found: Evidence, cells: int) -> Float64Array:
     count = max(1, sum(PATCHES * level <= found.side for level in levels))
     stds = (*STDS[: count - 1], float(np.linalg.norm(STDS[count - 1 :])))
     values = solve(found.x, found.information, found.gradient, levels[:count], stds)
-    return finer(values, cells // levels[count - 1])
+    return upsample(values, cells // levels[count - 1])
 
 
 def _read(values: Float64Array, x: Float64Array) -> Float64Array:

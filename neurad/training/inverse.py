@@ -11,7 +11,7 @@ import torch
 from lightning.pytorch.strategies import DDPStrategy
 from torch import Tensor
 
-from neurad.assembly.build import Assembly, FittedMaterials, assemble, know_lamps
+from neurad.assembly.build import Assembly, FittedMaterials, assemble, pin_emitter_materials
 from neurad.assembly.lighting import lit_scene
 from neurad.assembly.relight import paths, sentence_of_light
 from neurad.assembly.settings import Lighting, ModelSettings, Objective, Optimization, Sampling
@@ -25,12 +25,12 @@ from neurad.fields.development import FittedDevelopment
 from neurad.fields.radiance import RadianceField
 from neurad.fields.settings import FieldConfig, RadianceConfig, RoughnessConfig
 from neurad.integrators.estimator import Estimator
-from neurad.integrators.focus import Focus
+from neurad.integrators.focus import PixelImportance
 from neurad.integrators.method import Method
 from neurad.integrators.radiometric import Radiometric
 from neurad.integrators.world import World
 from neurad.metrics.bar_maps import predict_bars
-from neurad.metrics.effort import Effort
+from neurad.metrics.effort import EvaluationResolution
 from neurad.metrics.error_bars import ErrorBars
 from neurad.metrics.held_out import HeldOut
 from neurad.metrics.held_out_scores import albedo_factors
@@ -57,7 +57,7 @@ from neurad.training.optimizers import make_optimizers
 from neurad.training.schedule import Progress, fraction_done
 from neurad.training.shining_meshes import shining_meshes
 from neurad.training.step import Counters, TrainingStep
-from neurad.training.validation import SETTLED, is_due, said, shrink_levels, update_levels
+from neurad.training.validation import SETTLED, is_due, shrink_levels, summary, update_levels
 
 
 class InverseRenderer(L.LightningModule):
@@ -85,7 +85,7 @@ class InverseRenderer(L.LightningModule):
     materials: FittedMaterials | TrueMaterials
     average: PolyakAverage | None
     radiance: RadianceField | None
-    focus: Focus | None
+    focus: PixelImportance | None
     development: FittedDevelopment | None
     step: TrainingStep
     """Set when a fit starts."""
@@ -116,7 +116,7 @@ class InverseRenderer(L.LightningModule):
         self.processes = 1
         self._guard = Guard(self, self._keep)
         self._held_out: HeldOut | None = None
-        self.effort = Effort()
+        self.effort = EvaluationResolution()
         """What of the held-out views evaluations look at. Set before a fit starts."""
         self._light: UnknownLight | None = None
         self.training_views: TrainingViews | None = None
@@ -300,7 +300,7 @@ class InverseRenderer(L.LightningModule):
         if self.training_views is None:
             return None
         settled = self._progress(fraction_done(self.trainer)) >= SETTLED
-        return said(update_levels(self.assembly, self.training_views, self.photographs, self.iteration, settled))
+        return summary(update_levels(self.assembly, self.training_views, self.photographs, self.iteration, settled))
 
     def _progress(self, done: Progress) -> float:
         """What learning rates go by: 1 or more at the end of the fit, or from its closing step on."""
@@ -425,7 +425,7 @@ class InverseRenderer(L.LightningModule):
     def on_fit_end(self) -> None:
         """Evaluations after a fit look at everything."""
         if not self.effort.whole:
-            self.effort, self._held_out, self._light = Effort(), None, None
+            self.effort, self._held_out, self._light = EvaluationResolution(), None, None
 
     def validation_step(self, *_: Any) -> None:
         """Nothing a batch: the evaluation callback looks at all held-out views at once, after the loop."""
@@ -472,14 +472,14 @@ class InverseRenderer(L.LightningModule):
         self.seconds_before = state["seconds"]
         self._photographs = state["photographs"]
         if not continues:
-            self._see_light(state)
+            self._note_light_change(state)
 
-    def _see_light(self, state: dict[str, Any]) -> None:
+    def _note_light_change(self, state: dict[str, Any]) -> None:
         """Take note of a light that is not that of the fit, and say so."""
         self.other_light = changed_light(state, self.scene, self.environment is None, self.assembly.lamps is None)
         if self.other_light:
             if isinstance(self.materials, FittedMaterials):
-                know_lamps(self.materials, self.scene, self.world.geometry, fitted_lamps(state))
+                pin_emitter_materials(self.materials, self.scene, self.world.geometry, fitted_lamps(state))
             print(f"neurad: {sentence_of_light(self.other_light)}", file=sys.stderr)
 
     @property

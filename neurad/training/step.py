@@ -18,7 +18,7 @@ from neurad.core.rng import Stream
 from neurad.fields.mlp import MLP, products
 from neurad.losses.relative import total
 from neurad.metrics.photographed_lamps import LampPhotographs
-from neurad.runtime.threads import of_step
+from neurad.runtime.threads import step_threads
 from neurad.training.gradient_sync import GradientSync
 from neurad.training.guard import Guard, clip
 from neurad.training.guide_update import bin_guide_samples, update_guide
@@ -110,7 +110,7 @@ class TrainingStep:
             batch = self.assembly.focus.choose(batch, self._stream(2))
         settings = self.assembly.settings
         lanes = len(batch.view) * settings.sampling.spp * settings.sampling.samples_per_vertex  # path samples
-        with of_step(lanes, self._networks):
+        with step_threads(lanes, self._networks):
             loss = self._iterate(batch, progress, backward)
         passes = self.processes * (2 if settings.objective.estimator == "two_pass" else 1)
         self.counters.samples += passes * lanes
@@ -166,7 +166,8 @@ class TrainingStep:
         if not isinstance(self.objective, ObjectiveStep) or roughness.begin == "middle":
             return
         begin = self.counters.iteration
-        batches = (photographs.batch(i, self.rank).in_turn().to(self.device) for i in range(begin, begin + BATCHES))
+        drawn = (photographs.batch(i, self.rank) for i in range(begin, begin + BATCHES))
+        batches = (batch.without_candidates().to(self.device) for batch in drawn)
         key = self.assembly.settings.seed, begin, self.rank, 3
         level = choose_start(self.objective, batches, key, self.sync is not None)
         if level is not None and self.rank == 0:

@@ -103,7 +103,7 @@ def _fit(
     return found
 
 
-def said(found: list[LevelFit] | None) -> str | None:
+def summary(found: list[LevelFit] | None) -> str | None:
     """A sentence on what was found; None if the finest levels are kept whole."""
     parts = [
         f"{float(fit.factors[-1]):.2f} of {name}'s finest level"
