@@ -27,19 +27,19 @@ from neurad.core.protocols import Materials
 from neurad.core.records import Surface, SurfaceInteraction
 from neurad.fields.material import CORRECTION_CELLS, Correction
 from neurad.integrators.radiometric import Radiometric
-from neurad.metrics.closing_calibration import levelled
+from neurad.metrics.closing_calibration import robust_weight
 from neurad.metrics.error_bars import ToUnitCube, cells, in_cube
 from neurad.metrics.pixel_means import PixelMeans, pixel_means
 from neurad.metrics.roughness_evidence import Evidence, evidence
 from neurad.metrics.scores import BoolArray, Float64Array
 from neurad.runs.load import LoadedRun
 from neurad.scene.textures import TrueMaterials
-from neurad.training.closing_step import LARGEST_GROUP, PATCHES
+from neurad.training.closing_step import MAX_GROUP, PATCHES
 
 BLOCKS = 16
 """Slabs of the room that are left out in turn, for standard errors."""
 KNOWN = 1.0 / 3.0
-"""Of the patches with any information: those that photographs know best."""
+"""Fraction of the patches with any information: those that photographs know best."""
 BINS = (0.25, 0.4)
 """Bounds of true roughness between which what is asked at the truth is averaged."""
 
@@ -130,7 +130,7 @@ def measure_response(
     truth = TrueMaterials(run.scene, run.world.geometry)
     training = training_run(run.scene, run.settings, photographs)
     views, correction = training.views, run.assembly.correction
-    groups = max(1, round(spp / LARGEST_GROUP))
+    groups = max(1, round(spp / MAX_GROUP))
 
     def look(what: str, materials: Materials, method: Radiometric | None = None) -> PixelMeans:
         report(what)
@@ -138,7 +138,7 @@ def measure_response(
         found = pixel_means(
             present if method is None else replace(present, method=method), views.primary, training.photographs,
             views.emitter_mask, 0, min(pixels, views.pixels), groups, run.settings.seed, views.mean_square_radiance,
-            run.assembly.development, min(spp, LARGEST_GROUP),
+            run.assembly.development, min(spp, MAX_GROUP),
         )  # fmt: skip
         if found is None:
             raise InputError(f"scene {run.scene.name}: no training pixel shows a surface")
@@ -180,14 +180,14 @@ def measure_response(
 
 def slopes_on(found: Evidence, wrong: Float64Array) -> tuple[Estimate, ...]:
     """Part of what is ``wrong`` with the roughness of patches [m] that they ask for: of all, of those known best."""
-    weight = levelled(found.information)
+    weight = robust_weight(found.information)
     above, below = weight * found.gradient * wrong, weight * found.information * np.square(wrong)
     return tuple(Estimate.ratio(above[part], below[part]) for part in (np.ones(len(wrong), bool), _known(found)))
 
 
 def changes(found: Evidence, truth: Float64Array) -> tuple[Estimate, ...]:
     """Mean changes that patches of some true roughness [m] ask for, see :attr:`Response.displaced`."""
-    weight = levelled(found.information)
+    weight = robust_weight(found.information)
     edges = (-np.inf, *BINS, np.inf)
     parts = [(truth >= low) & (truth < high) for low, high in pairwise(edges)]
     parts.append(_known(found) & (truth < BINS[-1]))

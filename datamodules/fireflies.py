@@ -16,7 +16,7 @@ reflections of small lamps and the like, which are there indeed; they stay as th
 _HALF = 2
 """Half the side of the square of 5 x 5 pixels in which a firefly stands out."""
 _RANK = 4
-"""Of 24 neighbours by brightness, of fewer in proportion: a line one pixel wide has four others of its own in the
+"""Rank by brightness among 24 neighbours, in proportion among fewer: a line one pixel wide has four others in the
 square, and fewer at the border."""
 _NEIGHBOURS = 12
 """Neighbours that a pixel needs to be compared at all."""

@@ -231,7 +231,7 @@ class TrainingPhotographs(PhotoSource):
         return image
 
     def _streamed_spread(self, index: int) -> Tensor:
-        """The same with its fireflies spread where they are to be."""
+        """The photograph of a training view as it is streamed, its fireflies spread where they are to be."""
         image = self._streamed(index)
         if self._spread is None or not self._spread[1].spread:
             return image

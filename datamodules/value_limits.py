@@ -18,7 +18,7 @@ from neurad.scene.photographs import Float64, ceiling_of, read_spread, rounding
 _COARSE = 255
 """Largest code of formats whose rounding counts; that of 16 bits is lost in any photograph's noise."""
 _BITS = (1, 2, 4)
-_FEW = 8
+_MIN_SAMPLES = 8
 """Pixels of a sample by which a photograph is judged."""
 
 
@@ -99,7 +99,8 @@ class ValueLimits:
                 "--data.ceiling"
             )
         count, kept = (torch.bincount(index, minlength=len(views)) for index in (sample.view, sample.view[free]))
-        blown = [view.name for view, n, k in zip(views, count, kept, strict=True) if int(n) >= _FEW and int(k) == 0]
+        counts = zip(views, count.tolist(), kept.tolist(), strict=True)
+        blown = [view.name for view, n, k in counts if n >= _MIN_SAMPLES and k == 0]
         if blown:
             named = ", ".join(blown[:8]) + (" ..." if len(blown) > 8 else "")
             print(f"neurad: warning: at their ceiling everywhere, so they say nothing: {named}", file=sys.stderr)

@@ -32,7 +32,7 @@ METHODS = ("ours", "prb", "path")
 FIELDS = ("hash", "dense")
 BAR = 0.10
 """Largest change of time and memory that still counts as constant."""
-LEAST = 3
+MIN_STEPS = 3
 """Least number of steps behind a figure."""
 COLD = 3
 """Steps of a turn that do not count. Ours on dense grids take 17.8, 16.0, 14.5, 13.7, 13.6 and 14.0
@@ -71,7 +71,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     )  # fmt: skip
     parser.add_argument("--steps", type=option(Count), default=9, help="steps behind a figure")
     parser.add_argument(
-        "--limit", type=option(Positive), default=10.0, help=f"seconds after which {LEAST} steps suffice for a figure"
+        "--limit",
+        type=option(Positive),
+        default=10.0,
+        help=f"seconds after which {MIN_STEPS} steps suffice for a figure",
     )
     parser.add_argument("--device", default="cpu", help="cpu or cuda")
     parser.add_argument("--tracer", default=None, help="default: embree, on a GPU warp")
@@ -200,7 +203,7 @@ def measure(jobs: Sequence[dict[str, Any]], steps: int, limit: float) -> list[Ce
 
     def wanted(cell: Cell) -> bool:
         count = len(cell.seconds)
-        return not cell.failed and (count < LEAST or (count < steps and sum(cell.seconds) <= limit))
+        return not cell.failed and (count < MIN_STEPS or (count < steps and sum(cell.seconds) <= limit))
 
     try:
         for cell in cells:

@@ -29,7 +29,7 @@ COLUMNS = (
     "grows", "value", "triangles", "views", "in_memory", "pixels", "entries", "setup_s", "ms_per_step", "mean_ms",
     "cpu_ms", "needs_MiB", "peak_MiB",
 )  # fmt: skip
-"""Of the table: ``in_memory`` counts photographs, ``ms_per_step`` is the median, ``mean_ms`` includes what only some
+"""Columns: ``in_memory`` counts photographs, ``ms_per_step`` is the median, ``mean_ms`` includes what only some
 steps do (wait for a photograph), ``cpu_ms`` is the mean of the process's own time, ``needs_MiB`` an estimate of the
 part that grows and ``peak_MiB`` measured, of the process."""
 

@@ -34,7 +34,7 @@ class StepFigures:
     peak: int
     """Bytes."""
     rates: dict[str, float]
-    """Of the machine: 'closest' and 'shadow' (rays/s), 'matrix' (operations/s), 'bandwidth' (bytes/s)."""
+    """Rates of the machine: 'closest' and 'shadow' (rays/s), 'matrix' (operations/s), 'bandwidth' (bytes/s)."""
     rows: list[Row]
     setup_seconds: float = 0.0
     """Seconds from the start of the fit to its first step."""

@@ -18,7 +18,7 @@ from neurad.runtime.tables import Record, numbers, read_csv
 
 STEPS = 20_000
 SAMPLES = 200
-"""Of the resident memory, over a run."""
+"""Samples of the resident memory over a run."""
 GRID = {"grid.levels": 2, "grid.coarsest": 4, "grid.finest": 8, "grid.log2_size": 8, "width": 8}
 SETTINGS = (
     "--config=cornell.yaml", "--trainer.max_time=null", "--trainer.accelerator=cpu",

@@ -98,7 +98,7 @@ class TrueMaps(pl.Callback):
     """
 
     means: SurfaceMeans
-    """Of the same maps."""
+    """Surface means of these maps."""
 
     def on_train_start(self, trainer: pl.Trainer, pl_module: pl.LightningModule) -> None:
         """Read the true maps, by the one reader of ground truth."""

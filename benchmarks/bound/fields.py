@@ -18,7 +18,7 @@ from neurad.scene.description import Scene
 from neurad.training.session import TrainingRun
 
 PIXELS = 2048
-"""Of a batch: with no light to transport, more of them cost little."""
+"""Pixels of a batch: with no light to transport, more of them cost little."""
 
 
 def training_run(scene: Scene, settings: ModelSettings, photographs: Sequence[FloatArray]) -> TrainingRun:

@@ -11,7 +11,7 @@ import torch
 from benchmarks.bound.cells import CellMaterials, SurfaceCells, encode
 from benchmarks.bound.fields import fit_fields, predicted, training_run
 from benchmarks.bound.photographs import Predicted, misfit, noise_covariance, photo_noise, predict
-from benchmarks.bound.recovery import LOOSE, Photographed, Prior, Recovery, Response, SeenDirectly
+from benchmarks.bound.recovery import LOOSE_TOLERANCE, Photographed, Prior, Recovery, Response, SeenDirectly
 from benchmarks.bound.sparse import Rows
 from benchmarks.true_views import check_truth, training_truth
 from neurad.core.errors import InputError
@@ -29,7 +29,7 @@ from neurad.scene.textures import TrueMaterials
 from neurad.training.evaluate import GLOSSY_SAMPLES
 from neurad.training.session import TrainingRun
 
-POSITIONS, MOST = (16, 9, 4), 1 << 23
+POSITIONS, MAX_FOOTPRINT = (16, 9, 4), 1 << 23
 """In each training pixel, of which its footprint is made: as many as make no more than so many in all."""
 TRUTH_SPP = 64
 """Samples per pixel of true maps, whose own noise is part of them."""
@@ -100,7 +100,7 @@ class Ladder:
         check_truth(self.held_out, "held-out")
         self.maps, photographs = training_truth(run)
         pixels = len(scene.train) * scene.train[0].camera.width * scene.train[0].camera.height
-        self.positions = next((n for n in POSITIONS if n * pixels <= MOST), POSITIONS[-1])
+        self.positions = next((n for n in POSITIONS if n * pixels <= MAX_FOOTPRINT), POSITIONS[-1])
         self.training: TrainingRun = training_run(scene, run.settings, photographs)
         device, cameras = world.geometry.vertices.device, [view.camera for view in scene.train]
         primary = PrimaryHits(world, cameras, self.positions, run.settings.seed, device)
@@ -152,14 +152,14 @@ class Ladder:
         return replace(si, wo=torch.nn.functional.normalize(origin - si.p, dim=-1))
 
     def _footprint(self, codes: IntArray) -> Rows:
-        """Of the pixels that count, among the finest cells; each cell of a position weighs the same."""
+        """Footprints of the pixels that count, among the finest cells; each cell of a position weighs the same."""
         column = self.cells.find(codes.reshape(-1)) - self._first_finest
         start = np.arange(len(codes) + 1, dtype=np.int64) * self.positions
         weight = np.full(len(column), 1.0 / self.positions, np.float32)
         return Rows(start, column.astype(np.int32), weight, self.cells.counts[-1])
 
     def _prior(self, primary: PrimaryHits, codes: IntArray, device: torch.device) -> tuple[Prior, FloatArray]:
-        """Of the true materials at two positions of each pixel, and their covariance within pixels [kept, 4, 4]: means
+        """Prior by true materials at two positions of each pixel, and their covariance in pixels [kept, 4, 4]: means
         over 5 x 5 of them.
         """
         values = []
@@ -260,7 +260,7 @@ class Ladder:
         values = recovery(recovery.less_mean(seen))
         photographs = self.photographs.reshape(-1, 3)[self.kept]
         differences = [photographs - picture.reshape(-1, 3)[self.kept] for picture in found.pictures]
-        first, second = (values + recovery(white(difference), LOOSE) for difference in differences)
+        first, second = (values + recovery(white(difference), LOOSE_TOLERANCE) for difference in differences)
         # The product of two errors whose samples are independent has no noise of the samples in it.
         half = self.errors(self.maps_of((first + second) * np.float32(0.5)), regions)
         apart = self._spread(self.maps_of(first), self.maps_of(second), regions)

@@ -20,11 +20,11 @@ from neurad.metrics.scores import BoolArray
 
 DARK = 0.05
 """Added to the albedo that a photograph is divided by: what a black surface still reflects."""
-LEAST, MOST = 0.003, 1.0
+MIN_NOISE, MAX_NOISE = 0.003, 1.0
 """Standard deviations that are taken for a pixel's noise, as fractions of its radiance."""
 TAIL = 30.0
 """Standard deviations at which differences of neighbouring pixels are cut off: fireflies are no part of them."""
-LEAST_SCALE, LEAST_SHARE = 0.1, 1e-3
+MIN_SCALE, MIN_SHARE = 0.1, 1e-3
 """Least variance that is left of the noise, and least of any sum of channels over the largest."""
 _CHUNK = 1 << 15  # pixels
 
@@ -48,13 +48,13 @@ def photo_noise(photograph: FloatArray, albedo: FloatArray) -> FloatArray:
     padded = torch.nn.functional.pad(torch.stack((across, along)), (2, 2, 2, 2), mode="reflect")
     windows = padded.unfold(1, 5, 1).unfold(2, 5, 1).permute(1, 2, 0, 3, 4).flatten(2)  # [h, w, 50]
     deviation = windows.median(-1).values / (0.6745 * math.sqrt(6.0))  # of normal noise, by its second differences
-    relative = (deviation / light.clamp_min(1e-12)).clamp(LEAST, MOST).unsqueeze(-1).numpy()
+    relative = (deviation / light.clamp_min(1e-12)).clamp(MIN_NOISE, MAX_NOISE).unsqueeze(-1).numpy()
     sigma: FloatArray = (relative * np.maximum(photograph, 0.0) + 1e-6).astype(np.float32)
     return sigma
 
 
 def noise_covariance(photographs: FloatArray, predicted: Predicted, sigma: FloatArray, known: FloatArray) -> FloatArray:
-    """Of the channels' noise in units of that of :func:`photo_noise` [3, 3]: what two predictions with noise of their
+    """Covariance of channels' noise in units of :func:`photo_noise` [3, 3]: what two predictions with noise of their
     own agree that neighbouring pixels of the photographs differ by. On its diagonal, the same in all channels, it is at
     most 1. Off the diagonal is how much of the noise channels share: that of path-traced light nearly all.
 
@@ -76,9 +76,9 @@ def noise_covariance(photographs: FloatArray, predicted: Predicted, sigma: Float
     found = differences[0].T @ differences[1] / (2 * max(len(mean), 1)) - other.mean(0, dtype=np.float64)
     # ---------------------- A scale, and what channels have in common ----------------------
 
-    scale = float(np.clip(np.trace(found) / 3, LEAST_SCALE, 1.0))
+    scale = float(np.clip(np.trace(found) / 3, MIN_SCALE, 1.0))
     power, axes = np.linalg.eigh((found + found.T) / 2)
-    shared = (axes * power.clip(LEAST_SHARE * max(power.max(), 1e-12))) @ axes.T
+    shared = (axes * power.clip(MIN_SHARE * max(power.max(), 1e-12))) @ axes.T
     deviation = np.sqrt(np.diag(shared))
     covariance: FloatArray = (scale * shared / np.outer(deviation, deviation)).astype(np.float32)
     return covariance

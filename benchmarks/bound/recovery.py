@@ -23,11 +23,11 @@ from neurad.metrics.scores import Float64Array
 
 AROUND = 2
 """Levels above a cell, whose details' power it shares: about 16 cells of a plane have one."""
-LEAST_POWER = 1e-4
-"""Of details anywhere, as a fraction of the level's mean."""
+MIN_POWER = 1e-4
+"""Least power of details anywhere, as a fraction of the level's mean."""
 ITERATIONS = 100
-TOLERANCE, LOOSE = 1e-3, 2e-2
-"""Of what is observed, and of small differences in it."""
+TOLERANCE, LOOSE_TOLERANCE = 1e-3, 2e-2
+"""Relative residuals at which solving ends: of what is observed, and of small differences in it."""
 
 
 class Response(Protocol):
@@ -94,7 +94,7 @@ class Photographed:
         return found
 
     def information(self, weight: FloatArray) -> FloatArray:
-        """Of the photographs, pixel by pixel."""
+        """Information of the photographs, pixel by pixel."""
         weighted = self.jacobian * weight[:, :, None]
         return np.ascontiguousarray(self.jacobian.transpose(0, 2, 1) @ weighted).reshape(-1, 16)
 
@@ -106,7 +106,7 @@ class Prior:
     mean: FloatArray
     """[4]."""
     bases: tuple[FloatArray, ...]
-    """Of every level: principal axes times standard deviations of the details, by columns [4, 4]."""
+    """Bases of every level: principal axes times standard deviations of the details, by columns [4, 4]."""
     local: tuple[FloatArray, ...]
     """By how much the standard deviation of each differs around every cell [cells, 4]."""
 
@@ -156,7 +156,7 @@ def _around(cells: SurfaceCells, index: int, power: Float64Array, count: Float64
     mean = both[:, :4] / np.maximum(both[:, 4:], 1e-20)
     for parent in reversed(above):
         mean = mean[parent]
-    return np.sqrt(np.clip(mean, LEAST_POWER, None)).astype(np.float32)
+    return np.sqrt(np.clip(mean, MIN_POWER, None)).astype(np.float32)
 
 
 class Recovery:

@@ -12,7 +12,7 @@ from benchmarks.peer.voxels import SurfaceVoxels, coarser
 from neurad.fields.material import MIN_ROUGHNESS, AlbedoField, RoughnessField
 from neurad.optim.sparse_row_adam import SparseRowAdam
 
-LEAST = 4
+COARSEST = 4
 """Cells along the side of the coarsest level, about."""
 
 
@@ -41,7 +41,7 @@ class Pyramid(nn.Module):
         super().__init__()
         vertex, resolution = voxels.vertex, voxels.resolution
         counts, self.steps = [len(vertex)], list[_Upsample]()
-        while resolution % 2 == 0 and resolution // 2 >= LEAST:
+        while resolution % 2 == 0 and resolution // 2 >= COARSEST:
             vertex, parents = coarser(vertex, resolution)
             resolution //= 2
             counts.append(len(vertex))

@@ -30,7 +30,7 @@ from neurad.scene.builtin import build_cornell
 from neurad.training.checkpoint_file import read_checkpoint
 
 STEPS = 60
-"""Of each run."""
+"""Steps of each run."""
 KILLS, QUICK_KILLS = 100, 2
 SMALL = tuple(
     f"--model.{part}.{key}={value}"

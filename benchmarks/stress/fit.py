@@ -53,7 +53,7 @@ class Plan:
 
     steps: int = 300
     pixels: int = 64
-    """Of a batch: a quarter of the shipped number."""
+    """Pixels of a batch: a quarter of the shipped number."""
     settings: ModelSettings = field(default_factory=small_settings)
     emitters_train: bool = False
     """Whether pixels that show an emitter train too: where everything emits, as in a furnace, nothing else could."""

@@ -27,7 +27,7 @@ BAR = 0.3
 PLAIN = ("plain", "principled, roughness 0.5", "albedo 0.5")
 """Rows that others are compared with."""
 AREA = 0.2
-"""Of the box's own light."""
+"""Area of the box's own light."""
 
 
 @dataclass(frozen=True)
@@ -44,7 +44,7 @@ class Size:
 
 
 QUICK = Size(spp=16, steps=60)
-"""Of the short form, whose rows show nothing that noise could hide."""
+"""Sizes of the short form, whose rows show nothing that noise could hide."""
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,4 @@
-"""The same scene with only the parts that it needs, with the parts of ``patterns``, and with everything forced on."""
+"""One scene with only the parts that it needs, with the parts of ``patterns``, and with everything forced on."""
 
 from __future__ import annotations
 
@@ -51,7 +51,7 @@ class Place:
 
 
 def glossy(scene: Scene) -> Scene:
-    """The same scene with the parts that ``patterns`` has: principled BSDF and a roughness field."""
+    """The scene with the parts that ``patterns`` has: principled BSDF and a roughness field."""
     rough = Constant(np.ones(1, np.float32))
     materials = [
         replace(m, model=PrincipledModel(), roughness=rough) if m.model.is_diffuse else m for m in scene.materials
@@ -60,7 +60,7 @@ def glossy(scene: Scene) -> Scene:
 
 
 def forced(scene: Scene) -> Scene:
-    """The same scene for the general path: principled BSDF with a roughness field, and a black environment if it has
+    """The scene for the general path: principled BSDF with a roughness field, and a black environment if it has
     none. :func:`make` adds the delta chain and the one-sided tests.
     """
     dim = EnvironmentMap(np.full((8, 16, 3), 1e-12, np.float32))

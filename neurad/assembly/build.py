@@ -31,7 +31,7 @@ from neurad.fields.radiance import RadianceField
 from neurad.fields.settings import FieldConfig, RadianceConfig, RoughnessConfig
 from neurad.integrators.delta import DeltaSurfaces
 from neurad.integrators.estimator import Estimator
-from neurad.integrators.focus import Focus
+from neurad.integrators.focus import PixelImportance
 from neurad.integrators.guide import Guide
 from neurad.integrators.method import Method
 from neurad.integrators.world import World
@@ -78,7 +78,7 @@ def build_world(
     )
 
 
-def adapt(world: World, region: Region) -> None:
+def set_light_radius(world: World, region: Region) -> None:
     """Choose between kinds of lights by what the region gets of them, not by what lies around it."""
     if region.contracted and isinstance(world.lights, Lights | WithPunctual):
         world.lights.radius = region.radius
@@ -97,7 +97,7 @@ class FittedMaterials(nn.Module):
         self.albedo = albedo
         self.roughness = roughness
         self.known_meshes: frozenset[int] = frozenset()
-        """Meshes on which the scene's own values hold, see :func:`know_lamps`."""
+        """Meshes on which the scene's own values hold, see :func:`pin_emitter_materials`."""
 
     def forward(self, si: SurfaceInteraction) -> Surface:
         """BSDF parameters at the lanes of ``si``."""
@@ -147,11 +147,11 @@ def build_materials(
         else RoughnessField(region.stretched(roughness), bounds, None, region.contracted, cells),
     )
     if geometry is not None:
-        know_lamps(materials, scene, geometry)
+        pin_emitter_materials(materials, scene, geometry)
     return materials
 
 
-def know_lamps(
+def pin_emitter_materials(
     materials: FittedMaterials, scene: Scene, geometry: Geometry, meshes: frozenset[int] = frozenset()
 ) -> None:
     """Let emitting surfaces have the albedo and roughness of the scene file.
@@ -190,10 +190,10 @@ def make_guide(scene: Scene, cells: int, method: Method, region: Region) -> Guid
     return Guide(torch.from_numpy(region.bounds), cells)
 
 
-def make_focus(scene: Scene, fraction: float, materials: FittedMaterials | TrueMaterials) -> Focus | None:
+def make_focus(scene: Scene, fraction: float, materials: FittedMaterials | TrueMaterials) -> PixelImportance | None:
     """What draws a fraction of the pixels where they tell of roughness; None where there is none to recover."""
     recovers = isinstance(materials, FittedMaterials) and materials.roughness is not None
-    return Focus([view.camera for view in scene.train], fraction) if recovers and fraction > 0 else None
+    return PixelImportance([view.camera for view in scene.train], fraction) if recovers and fraction > 0 else None
 
 
 @dataclass(frozen=True)
@@ -210,7 +210,7 @@ class Assembly:
     """Averages of the materials' parameters; None where they are known or no average is wanted."""
     region: Region
     """What the grids of fields and guide resolve."""
-    focus: Focus | None = None
+    focus: PixelImportance | None = None
     """By which a fraction of the pixels is drawn; None where all are drawn in turn."""
     development: FittedDevelopment | None = None
     """How the photographs were taken, as far as it is recovered; None where it is known."""
@@ -272,7 +272,7 @@ def assemble(
     if lamps is not None:
         world.lights = make_lights(scene, world.geometry, environment, lamps)
     region = training_region(world, scene, device)
-    adapt(world, region)
+    set_light_radius(world, region)
     world.guide = make_guide(scene, sampling.guide, settings.method, region)
     # Not counted: these rays train nothing.
     cells = cache(partial(finest_cells, world.tracer.tracer, scene, device, region))

@@ -15,11 +15,11 @@ from neurad.integrators.path import PathTracing
 from neurad.integrators.primary_hits import PrimaryHits
 from neurad.integrators.vertex import DIMENSIONS
 
-FAR = 50.0
+MAX_BRIGHTNESS_RATIO = 50.0
 """Ratio from which on no material explains the photographs; a white closed room may be some tens of times brighter."""
 _PIXELS = 4096
-_WHITE_PIXELS, _WHITE_SPP, _LONGEST = 512, 2, 1000
-EXPLAINED = 2.0
+_WHITE_PIXELS, _WHITE_SPP, _MAX_DEPTH = 512, 2, 1000
+MAX_WHITE_RATIO = 2.0
 """Times the brightness of a white scene up to which materials may explain photographs."""
 
 
@@ -64,14 +64,14 @@ def white_brightness(primary: PrimaryHits, sample: PixelBatch, seed: int, max_de
     view, pixel, color = (x.to(device)[index] for x in (sample.view, sample.pixel, sample.color))
     with world.tracer.uncounted():
         si = primary(PixelBatch(view, pixel, color, torch.ones_like(view).float(), 0), 1, stream).si
-        depth, white = min(max_depth, _LONGEST), _White()
+        depth, white = min(max_depth, _MAX_DEPTH), _WhiteLambertian()
         method = PathTracing(max_depth=depth, rr_depth=depth)
         estimate = Estimator(world, white, None, method).image(si, white(si), _WHITE_SPP, stream).value
     expected = float(estimate.view(len(si), _WHITE_SPP, 3).mean(1)[si.valid].mean()) if bool(si.valid.any()) else 0.0
     return float(color[si.valid].mean()) / expected if expected > 0 else 1.0
 
 
-class _White:
+class _WhiteLambertian:
     """Materials that keep nearly all light."""
 
     def __call__(self, si: SurfaceInteraction) -> Surface:
@@ -90,12 +90,12 @@ def sentence_if_far(factor: float, white: Callable[[], float]) -> str:
         factor: of :func:`brightness`.
         white: :func:`white_brightness`, which takes a while: it is only called for photographs that are far brighter.
     """
-    if 1.0 / FAR < factor < FAR:
+    if 1.0 / MAX_BRIGHTNESS_RATIO < factor < MAX_BRIGHTNESS_RATIO:
         return ""
     said = f"the photographs are about {factor:.3g} times as bright as the scene's lights make surfaces of albedo 0.5"
     if factor < 1.0:
         return f"{said}; only a scene that is nearly black explains that, so see whether lights and photographs agree"
-    if white() > EXPLAINED:
+    if white() > MAX_WHITE_RATIO:
         return f"{said}; materials cannot explain that, so scale the lights or the photographs"
     albedo = factor / (1.0 + factor)  # of a closed room: direct light / (1 - albedo)
     return f"{said}; only a mean albedo of about {albedo:.2f} in a closed room explains that, see whether it is so"

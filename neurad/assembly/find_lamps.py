@@ -29,7 +29,7 @@ from neurad.core.protocols import PhotoSource
 from neurad.core.records import PixelBatch, Surface, SurfaceInteraction
 from neurad.core.rng import Stream, mix
 from neurad.emitters.area import AreaLights
-from neurad.emitters.dark import Dark
+from neurad.emitters.dark import NullEmitter
 from neurad.emitters.lights import AnyLights, make_lights
 from neurad.integrators.emitter_pixels import POSITIONS
 from neurad.integrators.method import SceneModel
@@ -43,7 +43,7 @@ from neurad.scene.shining import Shining, without_lamps
 
 MARGIN = 1.3
 """How much brighter than a white sheet in its place a mesh has to be to be taken for a lamp."""
-FEWEST = 3
+MIN_LAMP_PIXELS = 3
 """Pixels that have to show nothing but a lamp: fewer do not tell whether it is alike all over."""
 UNEXPLAINED = 1.5
 """How much brighter than a white sheet a tenth of all surfaces may be before something is said."""
@@ -63,7 +63,7 @@ class Found:
     """What there is to say."""
 
 
-class White:
+class WhiteLambertian:
     """Everything is white and diffuse."""
 
     def __call__(self, si: SurfaceInteraction) -> Surface:
@@ -98,7 +98,7 @@ def find_lamps(
     """
     scene = without_lamps(scene)
     with phase("finding lamps"):
-        world = build_world(scene, tracer, photographs.has_alpha, lights=Dark()).to(device)
+        world = build_world(scene, tracer, photographs.has_alpha, lights=NullEmitter()).to(device)
         develop = shared_development(scene, world, photographs, seed)
         return Search(scene, world, photographs, seed, unknown_sky, develop).run()
 
@@ -164,7 +164,7 @@ class Search:
         for side, group, pair in zip(sides, groups, self._sheets(groups), strict=True):
             if over(*pair) > MARGIN / 1.5:  # without shadow rays to lamps it is noisier
                 verified = self._verified(side, group)
-                if len(verified) >= FEWEST:
+                if len(verified) >= MIN_LAMP_PIXELS:
                     found.append(candidate_of(side, verified))
         return found
 
@@ -205,13 +205,15 @@ class Search:
     @torch.no_grad()
     def _white(self, pixels: SurfacePixels) -> Tensor:
         """Radiance [n, 3] of a white diffuse sheet in the place of each pixel's point."""
-        parts, model = [], SceneModel(self.world, White(), self.photographed)
+        parts, model = [], SceneModel(self.world, WhiteLambertian(), self.photographed)
         for begin in range(0, len(pixels), max(1, _CHUNK // _SPP)):
             si = pixels[begin : begin + _CHUNK // _SPP].points(self.geometry)
             stream = Stream(mix(self.seed, len(self.lamps)), begin, 43, device=si.p.device)
             u = stratified_samples(len(si), _SPP, stream)
             lanes = si.repeat(_SPP)
-            value = Radiometric(control_variate=False).reflected(model, lanes, White()(lanes), u, stream).value
+            value = (
+                Radiometric(control_variate=False).reflected(model, lanes, WhiteLambertian()(lanes), u, stream).value
+            )
             parts.append(value.view(len(si), _SPP, 3).mean(1))
         return torch.cat(parts) if parts else pixels.color
 
@@ -226,7 +228,7 @@ class Search:
                 emission[self.geometry.mesh_index == lamp.shining.mesh] = lamp.radiance
                 self.photographed.left_out[lamp.side] = True
         area = AreaLights(self.geometry, emission) if bool(emission.any()) else None
-        lights: AnyLights | Dark = Dark()
+        lights: AnyLights | NullEmitter = NullEmitter()
         if area is not None or self.known.features.has_light:
             lights = make_lights(self.known, self.geometry, lamps=area)
         self.world = self.world.under(lights.to(emission.device))

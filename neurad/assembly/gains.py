@@ -21,11 +21,11 @@ from neurad.scene.description import Scene
 
 PIXELS = 1 << 14
 """Pixels of all photographs whose surface points are looked for in the others."""
-FEW = 8
+MIN_SHARED_POINTS = 8
 """Points that two photographs must share for their ratio to count."""
-_MOST = 400.0  # points from which on a ratio is limited by highlights, not by noise
+_MAX_POINTS = 400.0  # points from which on a ratio is limited by highlights, not by noise
 _ROUNDS = 20
-_LOOSE = 1e-3  # weight that keeps photographs which share nothing with others at 0
+_PRIOR_WEIGHT = 1e-3  # weight that keeps photographs which share nothing with others at 0
 _SAMPLE = 1 << 16  # pixels among which they are drawn
 _STREAM = 37  # last number of the stream's key
 
@@ -54,7 +54,7 @@ def shared_gains(
     for channel in range(3):
         target, w = difference[:, channel], weight.clone()
         for _ in range(_ROUNDS):  # iteratively reweighted
-            matrix = _LOOSE * torch.eye(views, dtype=torch.float64)
+            matrix = _PRIOR_WEIGHT * torch.eye(views, dtype=torch.float64)
             right = torch.zeros(views, dtype=torch.float64)
             for row, column, sign in ((a, a, 1.0), (b, b, 1.0), (a, b, -1.0), (b, a, -1.0)):
                 matrix.index_put_((row, column), sign * w, accumulate=True)
@@ -126,8 +126,8 @@ def _pairs(
             ratio = color[lanes[good]].double().log() - theirs[good].double().log()
             for first in sorted(set(view[lanes[good]].tolist())):
                 part = ratio[view[lanes[good]] == first]
-                if len(part) >= FEW:
-                    rows.append((first, other, part.median(0).values, min(float(len(part)), _MOST) ** 0.5))
+                if len(part) >= MIN_SHARED_POINTS:
+                    rows.append((first, other, part.median(0).values, min(float(len(part)), _MAX_POINTS) ** 0.5))
     a, b = (torch.tensor([row[i] for row in rows], dtype=torch.int64) for i in (0, 1))
     difference = torch.stack([row[2] for row in rows]) if rows else torch.zeros(0, 3, dtype=torch.float64)
     return a, b, difference, torch.tensor([row[3] for row in rows], dtype=torch.float64)

@@ -38,8 +38,8 @@ MEET = 0.1
 _DARK = 1e-6  # of the brightest picture's mean: nothing arrives
 _KNOWN = 0.1  # of a picture's mean square, what its two halves have in common at least for it to be told from others
 _FLOOR = 0.1  # of the mean: below it pixels count by their absolute error
-_LEAST = 0.01  # of the photographs' mean: what a lamp gives at least to begin with
-_COLOUR = 0.05  # of a lamp's brightest channel: what the others have at least to begin with
+_MIN_RADIANCE = 0.01  # of the photographs' mean: what a lamp gives at least to begin with
+_MIN_CHANNEL = 0.05  # of a lamp's brightest channel: what the others have at least to begin with
 
 
 @dataclass(frozen=True)
@@ -70,7 +70,7 @@ class Responses:
 
     @property
     def weight(self) -> Array:
-        """Of the residual in each pixel and channel [n, 3]: what is bright counts relatively."""
+        """Weight of the residual in each pixel and channel [n, 3]: what is bright counts relatively."""
         weight: Array = 1.0 / (self.photographs + _FLOOR * self.photographs.mean() + 1e-300)
         return weight
 
@@ -125,7 +125,7 @@ def other_lights(world: World, unknown: Environment | None) -> AnyLights | None:
     return join(None, environment, punctual, radius)
 
 
-def alike(responses: Responses, observed: Bools) -> list[list[int]]:
+def indistinguishable(responses: Responses, observed: Bools) -> list[list[int]]:
     """Lamps in groups that what they light does not distinguish; each of those that are ``observed`` [m] alone.
 
     The correlation of two pictures is taken of independent halves of the samples, so noise makes nothing unlike.
@@ -143,7 +143,7 @@ def alike(responses: Responses, observed: Bools) -> list[list[int]]:
     return [sorted(group) for group in _groups(close)]
 
 
-def explain(responses: Responses, radiance: Array, observed: Bools, groups: list[list[int]]) -> Array:
+def nonnegative_least_squares(responses: Responses, radiance: Array, observed: Bools, groups: list[list[int]]) -> Array:
     """Radiance of every lamp [m, 3] that explains the photographs best, each channel by itself.
 
     What is known of the light (``radiance`` [m, 3] of lamps that are ``observed`` [m], lights of other kinds) is one
@@ -169,8 +169,8 @@ def explain(responses: Responses, radiance: Array, observed: Bools, groups: list
     mean = float(target.mean())
     for group in free:
         light = max(float(pictures[group].sum(0).mean()), 1e-300)
-        least = _LEAST * mean / light
-        found[group] = np.maximum(found[group], max(_COLOUR * float(found[group].max()), least))
+        least = _MIN_RADIANCE * mean / light
+        found[group] = np.maximum(found[group], max(_MIN_CHANNEL * float(found[group].max()), least))
     return found
 
 

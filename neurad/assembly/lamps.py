@@ -21,7 +21,7 @@ from neurad.metrics.photographed_lamps import (
     photographed_lamps,
 )
 
-MOST = 8
+MAX_LISTED_LAMPS = 8
 """Lamps that get a line of their own; those that differ always do."""
 
 
@@ -64,7 +64,7 @@ def report(lamps: Sequence[PhotographedLamp]) -> list[str]:
     lines, listed, unknown = [], 0, 0
     for lamp in lamps:
         differs = lamp.beyond(WARN)
-        if lamp.pixels == 0 or (listed >= MOST and not differs):
+        if lamp.pixels == 0 or (listed >= MAX_LISTED_LAMPS and not differs):
             unknown += 0 < lamp.pixels == lamp.clipped
             continue
         listed += 1
@@ -89,8 +89,8 @@ def report(lamps: Sequence[PhotographedLamp]) -> list[str]:
         lines.append(f"{unknown} more lamps are clipped wherever they are shown, so they cannot be checked")
     hidden = [lamp.name for lamp in lamps if lamp.pixels == 0]
     if hidden and shown:
-        more = f" and {len(hidden) - MOST} others" if len(hidden) > MOST else ""
-        names = ", ".join(hidden[:MOST]) + more
+        more = f" and {len(hidden) - MAX_LISTED_LAMPS} others" if len(hidden) > MAX_LISTED_LAMPS else ""
+        names = ", ".join(hidden[:MAX_LISTED_LAMPS]) + more
         lines.append(f"no photograph shows {names} alone in a pixel: nothing checks the radiance there")
     return lines
 

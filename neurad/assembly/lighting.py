@@ -49,7 +49,7 @@ def recovered_lamps(world: World) -> FittedLamps | None:
 
 
 def relit_world(world: World, scene: Scene, environment: EnvironmentMap) -> World:
-    """The same surfaces under another environment; area lights stay, as they were recovered where they were."""
+    """A world of equal surfaces under another environment; area lights stay as they are or were recovered."""
     lamps = area_lights(world)
     lights = make_lights(scene, world.geometry, Environment(environment), lamps).to(world.geometry.vertices.device)
     return world.under(lights, replace(world.features, has_environment=True))

@@ -52,7 +52,7 @@ class Region:
 
     @property
     def radius(self) -> float:
-        """Of its bounding sphere."""
+        """Radius of its bounding sphere."""
         return float(np.linalg.norm(self.bounds[1] - self.bounds[0])) / 2
 
     def stretched(self, config: Config) -> Config:

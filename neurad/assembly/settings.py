@@ -184,7 +184,7 @@ class Optimization:
     warmup: CountOrZero = 20
     """Iterations over which the rates rise from zero."""
     roughness_warmup: CountOrZero = 0
-    """The same of roughness alone, where its rate is to rise later than the others."""
+    """Iterations over which the rate of roughness rises from zero, where it is to rise later than the others."""
     final: Fraction = 0.02
     """Fraction of the rates left at the end of the cosine."""
     average: Fraction = 0.0
@@ -227,7 +227,7 @@ class ModelSettings:
     tracer: str = "embree"
     """'embree', 'open3d' or 'warp'."""
     seed: Seed = 0
-    """Of every random decision of the training."""
+    """Seed of every random decision of the training."""
 
     def __post_init__(self) -> None:
         """Refuse settings that do not go together."""

@@ -47,9 +47,9 @@ class TrainingViews:
     """Pixels that an emitter covers, in part or whole, or that a mask leaves out; they train nothing [views, pixels],
     bool. True behind the last pixel of a view that is smaller than others."""
     mean_square_radiance: float
-    """Of all other pixels of the photographs."""
+    """Mean squared radiance of all other pixels of the photographs."""
     checksum: int = 0
-    """Of all photographs; 0 where they cannot change."""
+    """Checksum of all photographs; 0 where they cannot change."""
     sample: PixelBatch | None = None
     """Random pixels of all photographs that show no emitter."""
     surface: FloatArray | None = None
@@ -57,7 +57,7 @@ class TrainingViews:
     lamps: LampPhotographs | None = None
     """What the photographs show of lamps alone; None where the lamps are known."""
     pixels: int = 0
-    """Of the photographs that can be drawn: they show something, and no emitter."""
+    """Number of pixels that can be drawn: they show something, and no emitter."""
 
 
 def prepare_views(

@@ -11,10 +11,10 @@ import torch
 from neurad.assembly.build import Assembly
 from neurad.assembly.lamp_responses import (
     Responses,
-    alike,
     connected,
-    explain,
+    indistinguishable,
     lamp_responses,
+    nonnegative_least_squares,
 )
 from neurad.core.errors import InputError
 from neurad.core.records import PixelBatch
@@ -29,8 +29,8 @@ FIRST, EVERY = 64, 4096
 """What lamps reflect is estimated anew after so many iterations, whenever their number has doubled, and at multiples
 of the second."""
 COLUMNS = ("mesh", "r", "g", "b", "pixels", "views", "clipped", "scale")
-"""Of ``lamps.csv``. The ``scale`` is ``seen`` in unclipped pixels of the lamp's own, ``shared`` where its light falls
-where light of fixed scale does, and else ``weak``."""
+"""Columns of ``lamps.csv``. The ``scale`` is ``seen`` in unclipped pixels of the lamp's own, ``shared`` where its light
+falls where light of fixed scale does, and else ``weak``."""
 
 
 def begin_lamps(assembly: Assembly, primary: PrimaryHits, shown: LampPhotographs, sample: PixelBatch) -> None:
@@ -165,14 +165,14 @@ def _start(assembly: Assembly, responses: Responses, radiance: Array, observed: 
             f"warning: the light of {_names(dark)} reaches no surface that the photographs show, so nothing says how "
             "bright it is: the scene's radiance holds"
         )
-    groups = alike(responses, observed)
+    groups = indistinguishable(responses, observed)
     for group in groups:
         if len(group) > 1:
             lines.append(
                 f"warning: {_names([names[i] for i in group])} light what the photographs show alike, so these cannot "
                 "tell them apart: they begin equally bright, and only their sum is found"
             )
-    found = explain(responses, radiance, observed, groups)
+    found = nonnegative_least_squares(responses, radiance, observed, groups)
     kept = observed | ~responses.reaches
     return np.where(kept[:, None], radiance, found), lines
 

@@ -41,7 +41,7 @@ class Lens:
     centre: tuple[float, float] = (0.5, 0.5)
     """``cx / width`` and ``cy / height``."""
     numerator: tuple[float, ...] = ()
-    """Of the radial distortion, up to four: k1 k2 k3 of a perspective lens, k1 k2 k3 k4 of a fisheye."""
+    """Coefficients of the radial distortion, up to four: k1 k2 k3 of a perspective lens, k1 k2 k3 k4 of a fisheye."""
     denominator: tuple[float, ...] = ()
     """Up to three: k4 k5 k6 of a perspective lens."""
     tangential: tuple[float, float] = (0.0, 0.0)
@@ -93,7 +93,7 @@ class Bending:
 
     @classmethod
     def of(cls, lenses: list[tuple[Lens, float, int, int]], device: torch.device | str) -> Self:
-        """Of lenses with the side of a pixel on the plane and their films' width and height."""
+        """Tables of lenses, each with the side of a pixel on the plane and its film's width and height in pixels."""
         return cls._of([lens for lens, *_ in lenses], [_solved(*lens) for lens in lenses], device)
 
     @classmethod

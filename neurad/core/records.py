@@ -71,11 +71,11 @@ class Lanes:
         return self.map(lambda x: x.unsqueeze(1).expand(-1, count, *x.shape[1:]).reshape(-1, *x.shape[1:]))
 
     def detach(self) -> Self:
-        """The same lanes without their autograd graph."""
+        """These lanes without their autograd graph."""
         return self.map(Tensor.detach)
 
     def to(self, device: torch.device | str) -> Self:
-        """The same lanes on another device."""
+        """These lanes on another device."""
         return self.map(lambda x: x.to(device))
 
     @classmethod
@@ -217,13 +217,13 @@ class PixelBatch:
     """Whether a value is at its photograph's ceiling, so that the radiance is this or more [b, 3], bool; None where no
     photograph has a ceiling."""
     variance: Tensor | None = None
-    """Of values by their spread or rounding, in squared radiance units [b, 3]; None where nothing is known of it."""
+    """Variance of the values by spread or rounding, in squared radiance units [b, 3]; None where it is not known."""
 
     def to(self, device: torch.device | str) -> PixelBatch:
         """The batch on a device."""
         return self._map(lambda x: x.to(device))
 
-    def in_turn(self) -> PixelBatch:
+    def without_candidates(self) -> PixelBatch:
         """The batch without its candidates."""
         if self.candidates == 0:
             return self
@@ -330,7 +330,7 @@ class View:
     albedo: str | None = None
     roughness: str | None = None
     relight: str | None = None
-    """The same view under another environment, ``Scene.relight``."""
+    """Path of a photograph of the view under another environment, ``Scene.relight``."""
     mask: str | None = None
     """Path of a picture of the photograph's size: what is black in it is ignored."""
     development: Development = Development()

@@ -38,7 +38,7 @@ class ReflectionModel(ABC):
 
     @property
     def delta(self) -> DeltaLobe | None:
-        """Of a smooth surface, which paths pass through; None of all others."""
+        """The lobe of a smooth surface, which paths pass through; None for all others."""
         return None
 
     @property
@@ -204,7 +204,7 @@ class UnsupportedModel(ReflectionModel):
     name: str
     """Mitsuba's plugin, and what of it is not supported in a few words."""
     reason: str
-    """The same as a sentence."""
+    """A sentence that says what is not supported."""
 
     @property
     def label(self) -> str:

@@ -8,7 +8,7 @@ from torch import Tensor, nn
 from neurad.core.records import EmitterSample, SurfaceInteraction
 
 
-class Dark(nn.Module):
+class NullEmitter(nn.Module):
     """An :class:`~neurad.core.protocols.Emitter` that sends nothing."""
 
     def sample(self, p: Tensor, u: Tensor) -> EmitterSample:

@@ -19,9 +19,9 @@ Array = npt.NDArray[np.float64]
 
 PER_LAMP = ("values", "sampled", "photographed", "reflected", "counts", "scale_seen")
 """What of the state has a row for each lamp."""
-LEAST_CHANNEL = 1e-4
+MIN_CHANNEL = 1e-4
 """Smallest radiance of a channel in units of the lamp's brightest: what is positive has a logarithm."""
-EVEN = 0.1
+UNIFORM_FRACTION = 0.1
 """Fraction of the samples that all lamps share alike, whatever their present power: one that seems dark may not have
 been fitted yet."""
 
@@ -48,7 +48,7 @@ class FittedLamps(AreaLights):
     """Logarithm of each lamp's radiance [m, 3]."""
     sampled: Tensor
     photographed: Tensor
-    """Of each lamp, with what it reflects [m, 3]; 0 where no photograph says."""
+    """Radiance that photographs show of each lamp, with what it reflects [m, 3]; 0 where no photograph says."""
     reflected: Tensor
     """What each lamp reflects towards the cameras of all light [m, 3]."""
     counts: Tensor
@@ -96,7 +96,7 @@ class FittedLamps(AreaLights):
 
     @property
     def radiance(self) -> Tensor:
-        """Of each lamp [m, 3], with the gradient of ``values``."""
+        """Radiance of each lamp [m, 3], with the gradient of ``values``."""
         return self.values.exp()
 
     def found(self) -> Array:
@@ -139,7 +139,8 @@ class FittedLamps(AreaLights):
         """Rebuild the choice of triangles from the radiance of the last refresh."""
         light = luminance(self.sampled.double()) * self.area  # [m]
         self.power = math.pi * float(light.sum())
-        chance = (1.0 - EVEN) * light / light.sum() + EVEN * (self.area > 0) / (self.area > 0).sum()
+        uniform = (self.area > 0) / (self.area > 0).sum()
+        chance = (1.0 - UNIFORM_FRACTION) * light / light.sum() + UNIFORM_FRACTION * uniform
         density = (chance / self.area.clamp_min(1e-300)).float()  # of a point on the lamp, 1 / area
         self.pdf_area.zero_()
         self.pdf_area[self.face] = density[self.lamp[self.face]]
@@ -148,8 +149,8 @@ class FittedLamps(AreaLights):
 
 
 def logarithm(radiance: Tensor) -> Tensor:
-    """Logarithms (float32) of radiance [m, 3] (float64); a channel that is black counts as :data:`LEAST_CHANNEL`."""
-    least = (LEAST_CHANNEL * radiance.amax(-1, keepdim=True)).clamp_min(float(np.finfo(np.float32).tiny))
+    """Logarithms (float32) of radiance [m, 3] (float64); a channel that is black counts as :data:`MIN_CHANNEL`."""
+    least = (MIN_CHANNEL * radiance.amax(-1, keepdim=True)).clamp_min(float(np.finfo(np.float32).tiny))
     return torch.maximum(radiance, least).log().float()
 
 

@@ -16,7 +16,7 @@ from neurad.emitters.punctual import PunctualLights
 from neurad.scene.description import Scene
 from neurad.scene.geometry import Geometry
 
-LEAST = 0.1
+MIN_PROBABILITY = 0.1
 """Smallest probability of either kind: power says nothing about what is visible from a point."""
 
 
@@ -24,8 +24,9 @@ class Lights(nn.Module):
     """Area lights and an environment together; a sample comes from one of them, chosen by power.
 
     The environment's power is the flux through a disk as large as the scene, ``pi r^2 * integral of L``, that of
-    the triangles ``pi * sum(area * L)``; both probabilities are kept above :data:`LEAST`. Since one lights only lanes
-    that hit a surface and the other only lanes that did not, radiance and densities of both are simply added.
+    the triangles ``pi * sum(area * L)``; both probabilities are kept above :data:`MIN_PROBABILITY`. Since one lights
+    only lanes that hit a surface and the other only lanes that did not, radiance and densities of both are simply
+    added.
 
     Args:
         area: the emitting triangles.
@@ -47,7 +48,7 @@ class Lights(nn.Module):
     @property
     def area_probability(self) -> float:
         """Probability of an area light; that of an environment which is being recovered follows its present power."""
-        return min(max(self.area.power / self.power, LEAST), 1.0 - LEAST)
+        return min(max(self.area.power / self.power, MIN_PROBABILITY), 1.0 - MIN_PROBABILITY)
 
     def sample(self, p: Tensor, u: Tensor) -> EmitterSample:
         """A direction towards either kind of light; the third of ``u`` [n, 3] chooses and is then used again."""
@@ -107,7 +108,7 @@ class WithPunctual(nn.Module):
         others = self.others
         power = _through(others, self.radius) if isinstance(others, Environment) else others.power
         own = self.punctual.power(self.radius)
-        return min(max(own / (own + power), LEAST), 1.0 - LEAST)
+        return min(max(own / (own + power), MIN_PROBABILITY), 1.0 - MIN_PROBABILITY)
 
     def sample(self, p: Tensor, u: Tensor) -> EmitterSample:
         """A direction towards a light of either group; the third of ``u`` [n, 3] chooses and is then used again."""

@@ -64,7 +64,7 @@ class DenseGrid(nn.Module):
         return self._marks
 
     def reference(self, x: Tensor) -> Tensor:
-        """The same in plain torch, with a dense gradient."""
+        """Values of :meth:`forward` in plain torch, with a dense gradient."""
         position = x * float(self.size - 1)  # [n, 3]
         cell = position.floor().clamp(0.0, self.size - 2.0)
         ends = torch.stack((cell, cell + 1.0), -1).long()  # [n, 3, 2]

@@ -22,7 +22,7 @@ _TOE = 0.02
 """Code at which that logarithm levels off."""
 _STEPS = 256
 """Intervals of the curve's table."""
-_LEAST = 1e-3
+_MIN_SRGB = 1e-3
 """Part of sRGB's curve in every other, so that all rise by more than rounding."""
 
 
@@ -94,7 +94,7 @@ class FittedDevelopment(nn.Module):
         rise = self.slope
         if self.bend is not None:
             bent = rise * (self.basis @ self.bend).exp()
-            rise = torch.lerp(bent / bent.sum(), rise, _LEAST)
+            rise = torch.lerp(bent / bent.sum(), rise, _MIN_SRGB)
         return torch.cat((rise.new_zeros(1), rise.cumsum(0)))
 
     def respond(self, linear: Tensor) -> Tensor:

@@ -86,7 +86,7 @@ class HashGrid(nn.Module):
         return self.reference(x)
 
     def reference(self, x: Tensor) -> Tensor:
-        """The same in plain torch, with a dense gradient."""
+        """Features of :meth:`forward` in plain torch, with a dense gradient."""
         # ---------------------- Cell of each level ----------------------
         resolution, stride, first, entries = (self.level_table[:, i].view(-1, 1, 1, 1) for i in range(4))
         cells = resolution[:, 0, 0].to(x.dtype)  # [l, 1]

@@ -49,7 +49,7 @@ class Correction(nn.Module):
         """Whether the step that adds to it was made."""
         self.found = False
         """Whether any found something; the table is 0 otherwise."""
-        self.register_load_state_dict_post_hook(lambda module, _: module._see())  # type: ignore[no-untyped-call]
+        self.register_load_state_dict_post_hook(lambda module, _: module._refresh_flags())  # type: ignore[no-untyped-call]
 
     def forward(self, x: Tensor) -> Tensor:
         """The correction [n, 1] at positions [n, 3] in the unit cube."""
@@ -74,15 +74,15 @@ class Correction(nn.Module):
         if values is not None:
             self.grid.table.add_(torch.from_numpy(values.transpose(2, 1, 0).reshape(-1, 1).copy()).to(self.grid.table))
         self.made.fill_(1)
-        self._see()
+        self._refresh_flags()
 
     @torch.no_grad()
     def reopen(self) -> None:
         """Another step is to be made, from where this one went."""
         self.made.zero_()
-        self._see()
+        self._refresh_flags()
 
-    def _see(self) -> None:
+    def _refresh_flags(self) -> None:
         self.done, self.found = bool(self.made), bool((self.grid.table != 0).any())
 
 

@@ -58,7 +58,7 @@ class MLP(nn.Module):
         return out[:rows] if padding else out
 
     def reference(self, x: Tensor) -> Tensor:
-        """The same in plain torch."""
+        """Outputs of :meth:`forward` in plain torch."""
         parameters = self._in_order()
         for weight, bias in zip(parameters[:-2:2], parameters[1:-2:2], strict=True):
             x = torch.relu(torch.addmm(bias, x, weight.t()))

@@ -58,7 +58,7 @@ class UnitCube(nn.Module):
         return out
 
     def reference(self, p: Tensor) -> Tensor:
-        """The same in plain torch, on any device."""
+        """Positions of :meth:`forward` in plain torch, on any device."""
         x = (p - self.low) * self.inverse_side
         square, double = self.shell * self.shell, self.shell + self.shell
         below, above = square / (double - x), 1.0 - square / (double - (1.0 - x))

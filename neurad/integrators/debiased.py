@@ -16,7 +16,7 @@ from neurad.integrators.radiometric import field_radiance
 from neurad.integrators.walk import scatter, walk
 
 Exponent = Annotated[float, Range(0.0, 2.0, above=True, below=True)]
-"""Of a weight, in a probability to go on; from 2 on the variance is infinite."""
+"""Power of a weight in a probability to go on; from 2 on the variance is infinite."""
 
 
 @dataclass(frozen=True)

@@ -21,12 +21,12 @@ TIMES = 24
 """Candidates for each pixel that is drawn by its score."""
 SIDE = 8
 """Smallest side of a block in pixels."""
-MOST = 1 << 18
+MAX_BLOCKS = 1 << 18
 """Blocks at most."""
 REFRESH = 64
 """Iterations between two updates of the scores."""
-KEPT = 0.9
-"""Of the sums at an update: gradients change while materials are found."""
+DECAY = 0.9
+"""Fraction of the sums that an update keeps: gradients change while materials are found."""
 FAMILIAR = 1.0
 """Pixels' worth of the mean of all blocks in each."""
 
@@ -34,7 +34,7 @@ USUAL = 3.0
 """Score, over the mean of all blocks, at which a pixel's samples follow the specular lobe half as far as they can."""
 
 
-class Focus(nn.Module):
+class PixelImportance(nn.Module):
     """Scores of blocks of pixels. All of it is state: a continued run has the same.
 
     Args:
@@ -50,7 +50,7 @@ class Focus(nn.Module):
     def __init__(self, cameras: Sequence[Camera], fraction: float) -> None:
         super().__init__()
         self.fraction, self.side = fraction, SIDE
-        while sum(self._rows(camera) * self._columns(camera) for camera in cameras) > MOST:
+        while sum(self._rows(camera) * self._columns(camera) for camera in cameras) > MAX_BLOCKS:
             self.side *= 2
         counts = torch.tensor([self._rows(camera) * self._columns(camera) for camera in cameras])
         self.register_buffer("width", torch.tensor([camera.width for camera in cameras]), persistent=False)
@@ -120,4 +120,4 @@ class Focus(nn.Module):
             return
         size = ((square + FAMILIAR * usual) / (count + FAMILIAR)).sqrt()
         self.score.copy_(size / size.mean())
-        self.sums.mul_(KEPT)
+        self.sums.mul_(DECAY)

@@ -78,7 +78,7 @@ def found_light(
 
 
 class _ByLamps(torch.autograd.Function):
-    """The same values, with a second way back."""
+    """Direct light as it is, whose gradient also goes to the lamps that it came from."""
 
     @staticmethod
     def forward(ctx: Any, direct: Tensor, values: Tensor, lane: Tensor, lamp: Tensor, light: Tensor) -> Tensor:

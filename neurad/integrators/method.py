@@ -55,7 +55,7 @@ class RadianceEstimate:
     """Reflected radiance that arrived along the first BSDF samples, without gradient [n, 3]; None from a method that
     has no such estimate."""
     sample_stats: BSDFSampleStats | None = None
-    """Of the first BSDF samples: with ``Li_bsdf`` the control variate of
+    """Statistics of the first BSDF samples: with ``Li_bsdf`` the control variate of
     :class:`neurad.losses.leave_one_out.ControlVariate`, and what a guide is made from."""
     next: SurfaceInteraction | None = None
     """Where the first BSDF samples ended; None from a method without a field."""

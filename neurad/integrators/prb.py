@@ -20,7 +20,7 @@ from neurad.core.rng import Stream
 from neurad.integrators.method import RadianceEstimate, SceneModel
 from neurad.integrators.path import PathTracing
 from neurad.integrators.vertex import BSDFSampleStats
-from neurad.integrators.walk import Vertex, loosen, walk
+from neurad.integrators.walk import Vertex, noncontiguous, walk
 from neurad.runtime.dispatch import use_kernel
 
 
@@ -174,7 +174,7 @@ class GradientSum:
         if not self.pieces:
             return self.dense
         self._merge()
-        return loosen(self.pieces[0]) if self.dense is None else self.dense + self.pieces[0]
+        return noncontiguous(self.pieces[0]) if self.dense is None else self.dense + self.pieces[0]
 
 
 def merge(pieces: Sequence[Tensor]) -> Tensor:

@@ -56,7 +56,7 @@ class PrimaryHits:
         self.origin = self.views.origin
         counts = [camera.width * camera.height for camera in cameras]
         self.pixels = max(counts)
-        """Of the largest view."""
+        """Pixels of the largest view."""
         self.first = (torch.tensor(counts).cumsum(0) - torch.tensor(counts)).to(device)  # pixel of each view
         total = sum(counts) * cached_spp
         has_sky = world.features.has_environment
@@ -146,7 +146,7 @@ class PrimaryHits:
         return replace(si, wo=torch.where(valid.unsqueeze(-1), seen, missed))
 
     def _kernel(self, first: Tensor, chosen: Tensor, view: Tensor) -> SurfaceInteraction:
-        """The same in one compiled pass."""
+        """Surface points of :meth:`_reference` in one compiled pass."""
         from neurad.scene import geometry_kernels as kernels  # compiled code is loaded by those who use it
 
         m = chosen.numel()
@@ -161,7 +161,7 @@ class PrimaryHits:
         return SurfaceInteraction(p, ng, n, wo, uv, bary, prim, valid)
 
     def _anew(self, batch: PixelBatch, spp: int, stream: Stream) -> NonDeltaHit:
-        """The same by new rays: nothing is kept, or the scene has smooth surfaces, whose chains are random."""
+        """Hits of new rays: nothing is kept, or the scene has smooth surfaces, whose chains are random."""
         u = stream.uniform(len(batch.view), spp, 3)
         corner = self.views.corner(batch.view, batch.pixel).unsqueeze(1)
         view = batch.view.repeat_interleave(spp)

@@ -62,7 +62,7 @@ class Bounce:
 
     @property
     def weight(self) -> Tensor:
-        """Of the BSDF sample: f cos / pdf [n, 3]."""
+        """Weight of the BSDF sample: f cos / pdf [n, 3]."""
         return self._modulated(self.weight_demodulated)
 
     def reflected(self, light: Tensor) -> Tensor:

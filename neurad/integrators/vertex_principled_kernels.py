@@ -41,7 +41,7 @@ class LocalSamples(NamedTuple):
     wi_em: FloatArray
     """Towards the point of a light, local [m, 3]."""
     ds_d: FloatArray
-    """The same direction, world [m, 3]."""
+    """Direction towards the point of a light, world [m, 3]."""
     ds_dist_pdf: FloatArray
     """Its distance, and its density by solid angle [m, 2]."""
     ds_prim: IntArray

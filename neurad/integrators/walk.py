@@ -165,10 +165,10 @@ def append_sparse_gradients(surface: Surface) -> None:
 
 
 def _loosen_all(gradients: Sequence[Tensor | None], outer: Sequence[Tensor | None]) -> tuple[Tensor | None, ...]:
-    return tuple(loosen(g) if g is not None and g.is_sparse else g for g in gradients)
+    return tuple(noncontiguous(g) if g is not None and g.is_sparse else g for g in gradients)
 
 
-def loosen(gradient: Tensor) -> Tensor:
+def noncontiguous(gradient: Tensor) -> Tensor:
     """A sparse gradient whose values are not contiguous; see :func:`append_sparse_gradients`."""
     values = gradient._values()
     if values.dim() != 2:

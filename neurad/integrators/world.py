@@ -23,7 +23,7 @@ class NonDeltaHit:
     si: SurfaceInteraction
     """First vertices that are not smooth, misses included."""
     throughput: Tensor | None
-    """Of the smooth surfaces on the way [n, 3]; None in a scene without any."""
+    """Product of the weights of smooth surfaces on the way [n, 3]; None in a scene without any."""
     via_delta: Tensor | None
     """Whether there was one on the way [n], bool."""
 
@@ -79,16 +79,16 @@ class World(nn.Module):
         self.register_buffer("two_sided", two_sided, persistent=False)
 
     def under(self, lights: Emitter, features: Features | None = None) -> World:
-        """The same surfaces under other lights, without a guide, which belongs to these.
+        """A world of these surfaces under other lights, without a guide, which belongs to the present ones.
 
         Args:
             lights: every emitter.
-            features: of the scene with them; None for the same.
+            features: of the scene with them; None for the present ones.
         """
         return self._with(lights, self.bsdf, features or self.features)
 
     def reflecting_by(self, bsdf: BSDF) -> World:
-        """The same scene with another BSDF, without a guide, which belongs to this one."""
+        """This world with another BSDF, without a guide, which belongs to the present one."""
         return self._with(self.lights, bsdf, self.features)
 
     def _with(self, lights: Emitter, bsdf: BSDF, features: Features) -> World:

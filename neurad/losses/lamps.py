@@ -7,7 +7,7 @@ import torch
 from neurad.emitters.fitted_lamps import FittedLamps
 from neurad.losses.relative import Loss
 
-ENOUGH = 8
+HALF_WEIGHT_PIXELS = 8
 """Pixels of a lamp that have half of the weight that any number has."""
 
 
@@ -19,7 +19,7 @@ def shown_lamps(lamps: FittedLamps) -> Loss:
     lamp does. What it reflects is held fixed, and few pixels count less.
     """
     pixels = lamps.unclipped
-    weight = (pixels / (pixels + ENOUGH)).unsqueeze(-1)  # [m, 1]
+    weight = (pixels / (pixels + HALF_WEIGHT_PIXELS)).unsqueeze(-1)  # [m, 1]
     shown = lamps.photographed > 0
     ratio = (lamps.radiance + lamps.reflected) / torch.where(shown, lamps.photographed, 1.0)
     squared = torch.where(shown, weight * (ratio - 1.0).square(), 0.0)

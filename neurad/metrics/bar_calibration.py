@@ -38,11 +38,11 @@ class RoughnessBars:
     """How information becomes a standard deviation."""
 
     gain: float
-    """Of the information: the fraction that the fit made use of, in (0, 1], where the power is 1."""
+    """Fraction of the information that the fit made use of, in (0, 1], where the power is 1."""
     prior: float
     """Standard deviation without any information."""
     power: float = 1.0
-    """Of the information."""
+    """Power of the information."""
 
     def variance(self, information: Float64Array) -> Float64Array:
         """Variance of the roughness by ``information`` in units of 1 / variance, which is noise where it is below 0."""
@@ -56,7 +56,7 @@ def variance(
     return np.asarray(1.0 / (gain * np.maximum(information, 0.0) ** power + 1.0 / np.square(prior)))
 
 
-def unusual(values: Float64Array, usual: float, factor: float) -> Float64Array:
+def log_prior_cost(values: Float64Array, usual: float, factor: float) -> Float64Array:
     """The cost of values that are not the usual one: 1 where they differ from it by ``factor``."""
     return np.asarray(np.square(np.log(values / usual) / np.log(factor)))
 
@@ -118,5 +118,5 @@ def _gain(information: Float64Array, gradient: Float64Array, scatter: float, all
     expected = [slope * RoughnessBars(gain, PRIOR).variance(all_pixels) for gain in (USUAL_GAIN, *_GAINS)]
     squares = [float(np.square(product - mean).sum()) for mean in expected]
     dispersion = max(squares[0] / max(len(product), 1), 1.0)  # residuals have longer tails than the variance above has
-    costs = np.array(squares[1:]) / dispersion + unusual(_GAINS, USUAL_GAIN, FACTOR)
+    costs = np.array(squares[1:]) / dispersion + log_prior_cost(_GAINS, USUAL_GAIN, FACTOR)
     return float(_GAINS[int(np.argmin(costs))])

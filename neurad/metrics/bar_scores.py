@@ -10,7 +10,7 @@ from neurad.core.records import FloatArray
 from neurad.metrics.scores import BoolArray, Float64Array, psnr
 
 LEVELS = (0.5, 0.9)
-"""Of the central intervals whose coverage is reported."""
+"""Probabilities of the central intervals whose coverage is reported."""
 
 
 class BarPool:
@@ -36,8 +36,9 @@ class BarPool:
 
     def scores(self) -> dict[str, float]:
         """``coverage_50``, ``coverage_90``, ``spearman``, ``ause``, ``psnr_sure`` and its constant; none
-        without pixels. See :func:`coverage`, :func:`ause` and :func:`sure`; ``spearman`` is the rank correlation of
-        bars and absolute errors. A pixel's bar and error for the last four are roots of means over channels.
+        without pixels. See :func:`coverage`, :func:`ause` and :func:`psnr_of_most_certain_half`; ``spearman`` is the
+        rank correlation of bars and absolute errors. A pixel's bar and error for the last four are roots of means over
+        channels.
         """
         if sum(len(part[0]) for part in self._parts) == 0:
             return {}
@@ -47,7 +48,7 @@ class BarPool:
         size, bar = _over_channels(error), _over_channels(std)
         result["spearman"] = spearman(bar, size)
         result["ause"] = ause(bar, size)
-        result["psnr_sure"], result["psnr_sure_constant"] = sure(bar, predicted, truth)
+        result["psnr_sure"], result["psnr_sure_constant"] = psnr_of_most_certain_half(bar, predicted, truth)
         return result
 
 
@@ -102,7 +103,7 @@ def ause(bar: Float64Array, size: Float64Array) -> float:
     return float((_left_over(bar, size) - best).mean()) / random_area if random_area > 0 else 1.0
 
 
-def sure(bar: Float64Array, predicted: Float64Array, truth: Float64Array) -> tuple[float, float]:
+def psnr_of_most_certain_half(bar: Float64Array, predicted: Float64Array, truth: Float64Array) -> tuple[float, float]:
     """PSNR of the half of the pixels with the smallest bars, and of the best constant of these same pixels.
 
     Args:

@@ -21,32 +21,32 @@ from typing import Self
 
 import numpy as np
 
-from neurad.metrics.bar_calibration import PRIOR, RoughnessBars, unusual, variance
+from neurad.metrics.bar_calibration import PRIOR, RoughnessBars, log_prior_cost, variance
 from neurad.metrics.fisher import per_patch
 from neurad.metrics.scores import Float64Array, IntArray
 
 POWER = 0.8
-"""Of the information. With 0.7 to 0.85 bars of three rooms cover alike in each sixth of them by information; with 1
+"""Power of the information. With 0.7 to 0.85 bars of three rooms cover alike in each sixth by information; with 1
 those that claim most are too narrow."""
 RESPONSE = 0.65
 """The part of what a roughness is off by that pixels ask for at a closing step: their response is not linear, and
 albedo and light have made up for some of it."""
 SPREAD = 0.3
-"""Of roughness. Patches that know it better than this count alike where halves of the pixels are compared: otherwise
+"""Standard deviation of roughness. Patches that know it better count alike where halves are compared: otherwise
 a few would decide, of which the fit has long known all that there is to know."""
 LEVELS, MODEL_ERROR = 16, 0.15
-"""Of patches by information, and the part by which the means in them differ from any such curve."""
+"""Levels of patches by information, and the part by which the means in them differ from any such curve."""
 PRIOR_FACTOR, GAIN, GAIN_FACTOR = 1.65, 1.0, 7.4
 """By which the prior of rooms differs from :data:`PRIOR`; what is usual of the gain of ``F^POWER``, and how much that
 differs."""
 ROUNDS = 2
-"""Of finding what the step takes of what the curves say that pixels ask for, and fitting them again."""
+"""Rounds of finding what the step takes of what pixels ask for by the curves, and of fitting the curves again."""
 RATIO, RATIO_FACTOR = 1.4, 1.5
 """Mean squared error of patches over that of the means of cells, and by how much that differs."""
 _PRIORS, _GAINS, _RATIOS = np.geomspace(0.02, 0.5, 65), np.geomspace(1e-2, 1e2, 65), np.geomspace(0.8, 4.0, 33)
 
 
-def levelled(information: Float64Array) -> Float64Array:
+def robust_weight(information: Float64Array) -> Float64Array:
     """Weights of equations of so much information (1 / variance of a roughness), with which patches that know it better
     than :data:`SPREAD` count alike.
     """
@@ -64,10 +64,10 @@ def calibrate_at_closing(
         around: information of all pixels around each patch, which the bars are made of [m].
         place: the cell of the step's grid that each patch lies in, numbered from 0 [m].
         explained: by how much the step of one half lowers the other's squared residuals, over both halves, each
-            equation times its :func:`levelled` weight.
+            equation times its :func:`robust_weight` weight.
     """
     both = (information > 0).all(0)
-    patches = _Equations.levelled(information[:, both], gradient[:, both], around[both])
+    patches = _Equations.from_halves(information[:, both], gradient[:, both], around[both])
     edges = np.quantile(around[both], np.linspace(0.0, 1.0, LEVELS + 1)[1:-1]) if both.any() else np.empty(0)
     of_patches, of_cells = patches.products(edges), patches.summed(place[both]).products(edges)
     left = 1.0 / RESPONSE**2
@@ -83,8 +83,8 @@ def calibrate_at_closing(
 def _fitted(of_patches: _Products, of_cells: _Products, left: float) -> RoughnessBars:
     """The scales that fit both best where the step leaves so much squared error over the products."""
     costs = np.stack([of_cells.misfit(left, ratio) for ratio in _RATIOS])  # [ratios, priors, gains]
-    costs += unusual(_RATIOS, RATIO, RATIO_FACTOR)[:, None, None] + of_patches.misfit(left)
-    costs += unusual(_PRIORS, PRIOR, PRIOR_FACTOR)[:, None] + unusual(_GAINS, GAIN, GAIN_FACTOR)
+    costs += log_prior_cost(_RATIOS, RATIO, RATIO_FACTOR)[:, None, None] + of_patches.misfit(left)
+    costs += log_prior_cost(_PRIORS, PRIOR, PRIOR_FACTOR)[:, None] + log_prior_cost(_GAINS, GAIN, GAIN_FACTOR)
     _, prior, gain = np.unravel_index(int(np.argmin(costs)), costs.shape)
     return RoughnessBars(float(_GAINS[gain]), float(_PRIORS[prior]), POWER)
 
@@ -100,7 +100,7 @@ class _Products:
     deviation: Float64Array
     """Standard deviation of that mean [levels]."""
     information: Float64Array
-    """Of both halves, times the weights [levels]."""
+    """Information of both halves, times the weights [levels]."""
 
     def misfit(self, left: float, ratio: float = 1.0) -> Float64Array:
         """Sums of squared differences from the curves of all scales [priors, gains], in units of what they may be.
@@ -126,8 +126,8 @@ class _Equations:
     """log(1 + information around) [n]."""
 
     @classmethod
-    def levelled(cls, information: Float64Array, gradient: Float64Array, around: Float64Array) -> Self:
-        weight = levelled(information)
+    def from_halves(cls, information: Float64Array, gradient: Float64Array, around: Float64Array) -> Self:
+        weight = robust_weight(information)
         return cls(weight * information, weight * gradient, np.square(weight) * information, np.log1p(around))
 
     def summed(self, place: IntArray) -> _Equations:

@@ -17,7 +17,7 @@ from neurad.metrics.scores import Float64Array
 
 BINS = (24, 12, 6, 3, 1)
 """Bins along the square root of each channel, the finest table first; what is empty there is looked up in the next."""
-MOST_VIEWS = 8
+MAX_VIEWS = 8
 """Training views whose true maps are read for it."""
 
 

@@ -17,28 +17,28 @@ UNLIMITED = 60.0
 """That it may take in a run without a time limit."""
 PER_FIT = 4
 """Evaluations that there must be time for in a run."""
-MOST_SPP = 16
+MAX_SPP = 16
 _SECONDS = 0.8e-6, 1.5e-6, 6e-6
 """Nominal seconds of a position, a sample and a pixel, as measured on one core; not of this machine, so that a run is
 repeatable."""
 
 
 @dataclass(frozen=True)
-class Effort:
+class EvaluationResolution:
     """Which pixels of the held-out views count, and how closely they are looked at."""
 
     grid: int = GRID
     """Each pixel is predicted at ``grid`` x ``grid`` positions."""
     stride: int = 1
-    """Of rows and columns, every so many-th."""
+    """Every so many-th row and column is looked at."""
 
     @property
     def whole(self) -> bool:
         """Whether nothing is left out."""
-        return self == Effort()
+        return self == EvaluationResolution()
 
 
-def seconds_of(views: Sequence[View], spp: int, effort: Effort = Effort()) -> float:
+def seconds_of(views: Sequence[View], spp: int, effort: EvaluationResolution = EvaluationResolution()) -> float:
     """Nominal seconds of an evaluation.
 
     Args:
@@ -50,10 +50,10 @@ def seconds_of(views: Sequence[View], spp: int, effort: Effort = Effort()) -> fl
         math.ceil(view.camera.width / effort.stride) * math.ceil(view.camera.height / effort.stride) for view in views
     )
     position, sample, pixel = _SECONDS
-    return pixels * (position * effort.grid**2 + sample * min(spp, MOST_SPP) + pixel)
+    return pixels * (position * effort.grid**2 + sample * min(spp, MAX_SPP) + pixel)
 
 
-def affordable(views: Sequence[View], spp: int, fraction: float, seconds: float | None) -> Effort:
+def affordable(views: Sequence[View], spp: int, fraction: float, seconds: float | None) -> EvaluationResolution:
     """The effort of each evaluation of a fit: first fewer positions in a pixel, then fewer pixels.
 
     Args:
@@ -64,8 +64,8 @@ def affordable(views: Sequence[View], spp: int, fraction: float, seconds: float 
     """
     most = UNLIMITED if seconds is None else max(SECONDS, fraction * seconds / PER_FIT)
     if seconds_of(views, spp) <= most:
-        return Effort()
+        return EvaluationResolution()
     stride = 1
-    while seconds_of(views, spp, Effort(FEWER, stride)) > most:
+    while seconds_of(views, spp, EvaluationResolution(FEWER, stride)) > most:
         stride += 1
-    return Effort(FEWER, stride)
+    return EvaluationResolution(FEWER, stride)

@@ -22,7 +22,7 @@ from neurad.core.protocols import Materials, Tracer
 from neurad.core.records import FloatArray, SurfaceInteraction, View
 from neurad.core.rng import Stream
 from neurad.integrators.film import pixel_positions, strided
-from neurad.metrics.colour_lookup import MOST_VIEWS, ColourLookup
+from neurad.metrics.colour_lookup import MAX_VIEWS, ColourLookup
 from neurad.metrics.scores import BoolArray
 from neurad.metrics.seen import SeenBy
 from neurad.runtime.progress import counted
@@ -121,7 +121,7 @@ class HeldOut:
         views = [view for view in self.scene.train if view.albedo and view.roughness]
         if not (views and self.has_roughness and any(view.albedo and view.roughness for view in self.views)):
             return None
-        chosen = replace(self.scene, test=views[:: -(-len(views) // MOST_VIEWS)])
+        chosen = replace(self.scene, test=views[:: -(-len(views) // MAX_VIEWS)])
         training = HeldOut(chosen, self.geometry, self.tracer, 1)  # a ray a pixel tells what is no emitter
 
         def pixels(index: int) -> tuple[FloatArray, FloatArray]:

@@ -16,8 +16,8 @@ from neurad.runtime.tables import read_csv
 from neurad.scene.numbers import RADIANCE
 
 Array = npt.NDArray[np.float64]
-LEAST = 0.05
-"""Of a lamp's brightest channel: what errors of the others are relative to at least."""
+MIN_CHANNEL = 0.05
+"""Fraction of a lamp's brightest channel that errors of the others are relative to at least."""
 ERROR = "lamp_error"
 """Begins the columns of the errors."""
 MISSED, EXTRA = "lamps_missed", "lamps_extra"
@@ -63,7 +63,7 @@ def read_lamps_true(
 
 def lamp_error(found: Array, truth: Array) -> Array:
     """Largest relative error of a channel, for each lamp: [m, 3] and [m, 3] to [m]. It is 1 where none shines."""
-    least = LEAST * truth.max(-1, keepdims=True)
+    least = MIN_CHANNEL * truth.max(-1, keepdims=True)
     error: Array = (np.abs(found - truth) / np.maximum(np.maximum(truth, least), 1e-30)).max(-1)
     return np.where(truth.any(-1), error, 1.0)
 

@@ -42,7 +42,7 @@ class MeshEdges:
     """Edges of the geometry in one view."""
 
     camera: Camera
-    """Of the grid that was traced: that of the view with another number of pixels."""
+    """Camera of the grid that was traced: the view's with another number of pixels."""
     mask: Tensor
     """Pixels of the grid beside an edge [h, w], bool: what is drawn."""
     place: Tensor

@@ -17,7 +17,7 @@ class Nodes:
     side: int
     """Cells along an edge of the unit cube; one node more."""
     index: IntArray
-    """Of the occupied nodes, ascending [k], int64."""
+    """Indices of the occupied nodes, ascending [k], int64."""
     values: Float64Array
     """Sums there [k, c]."""
 

@@ -11,17 +11,17 @@ from neurad.metrics.scores import BoolArray
 
 LEVELS = 256
 """Different values of a channel of 8 bits."""
-_ENOUGH = 4096  # pixels in which a photograph of more bits has more values than that
+_MIN_PIXELS = 4096  # pixels in which a photograph of more bits has more values than that
 
 
 @dataclass(frozen=True)
 class PhotographFacts:
-    """Of one photograph."""
+    """Brightness and codes of one photograph."""
 
     mean: float
-    """Of the pixels that show a surface and no emitter, all channels; 0 where there are none."""
+    """Mean of the pixels that show a surface and no emitter, all channels; 0 where there are none."""
     highest: float
-    """Of all pixels."""
+    """Largest value of all pixels."""
     clipped: float
     """Fraction of the pixels that show a surface and no emitter that have the largest value of a channel, for the
     channel with most of them."""
@@ -43,7 +43,8 @@ def photograph_facts(pixels: FloatArray, counted: BoolArray) -> PhotographFacts:
     colour = pixels[..., :3]
     inside = colour[counted]  # [n, 3]
     constant = bool((colour == colour[0, 0]).all())
-    levels = max(len(np.unique(colour[..., c])) for c in range(3)) if len(colour.reshape(-1, 3)) >= _ENOUGH else None
+    many = len(colour.reshape(-1, 3)) >= _MIN_PIXELS
+    levels = max(len(np.unique(colour[..., c])) for c in range(3)) if many else None
     if len(inside) == 0:
         return PhotographFacts(0.0, float(colour.max()), 0.0, 0.0, constant, levels)
     top = inside.max(0)

@@ -22,7 +22,7 @@ from neurad.integrators.method import SceneModel
 from neurad.integrators.path import PathTracing
 from neurad.integrators.renderer import MethodRenderer
 from neurad.integrators.world import World
-from neurad.metrics.lamp_scores import LEAST
+from neurad.metrics.lamp_scores import MIN_CHANNEL
 from neurad.scene.description import Scene
 
 Array = npt.NDArray[np.float64]
@@ -82,7 +82,7 @@ class PhotographedLamp:
         nothing, what it reflects decides, and that is a guess.
         """
         both = np.fmax(self.declared, self.photographed)
-        return np.where(both >= LEAST * both.max(), self.factor, math.nan)
+        return np.where(both >= MIN_CHANNEL * both.max(), self.factor, math.nan)
 
     def beyond(self, limit: float) -> bool:
         """Whether a channel differs by more than a factor, in either direction; False where nothing is known."""

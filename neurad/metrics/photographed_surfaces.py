@@ -24,9 +24,9 @@ from neurad.integrators.world import World
 from neurad.runtime.progress import counted
 from neurad.scene.geometry import Geometry
 
-MOST = 1 << 20
+MAX_PIXELS = 1 << 20
 """Pixels that are looked at, all photographs together."""
-LEAST = 64  # of each photograph, however many there are
+MIN_PIXELS_PER_VIEW = 64  # of each photograph, however many there are
 POSITIONS = 4
 """Stratified positions of a pixel, all of which have to show the same side of the same mesh."""
 _CHUNK = 1 << 15  # pixels
@@ -89,7 +89,7 @@ def surface_pixels(
     """
     device = world.geometry.vertices.device
     ignored = photographs.ignored()
-    most = max(LEAST, MOST // max(1, len(cameras)))
+    most = max(MIN_PIXELS_PER_VIEW, MAX_PIXELS // max(1, len(cameras)))
     parts: list[SurfacePixels] = []
     for index, camera in enumerate(counted(cameras, "looking at", len(cameras), "photographs")):
         pixel = torch.arange(camera.width * camera.height)

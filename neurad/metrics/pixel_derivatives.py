@@ -91,7 +91,7 @@ def pixel_derivatives(
         develop: corrects the photographs; None leaves them as they are.
     """
     parts = []
-    for index, batch in enumerate(batches_in_turn(photographs, emitter_mask, first, pixels)):
+    for index, batch in enumerate(batches_without_replacement(photographs, emitter_mask, first, pixels)):
         batch = batch if develop is None else develop(batch)
         stream = Stream(seed, first, index, _STREAM, device=primary.origin.device)
         parts.append(_of_batch(estimator, primary, batch, stream))
@@ -108,7 +108,7 @@ def derivatives_of(
     iteration: int,
     groups: int = 1,
 ) -> PixelDerivatives | None:
-    """The same of given pixels, of which those that ``emitter_mask`` covers are left out, with so many groups of
+    """Derivatives of given pixels, those that ``emitter_mask`` covers left out, with so many groups of
     :data:`GROUP` samples in each half; None if none is left.
     """
     batch = _unmasked(batch, emitter_mask)
@@ -140,7 +140,9 @@ def _split(batches: list[PixelBatch]) -> Iterator[PixelBatch]:
             yield PixelBatch(columns[0], columns[1], columns[2], columns[3], 0)
 
 
-def batches_in_turn(photographs: PhotoSource, emitter_mask: Tensor, first: int, pixels: int) -> Iterator[PixelBatch]:
+def batches_without_replacement(
+    photographs: PhotoSource, emitter_mask: Tensor, first: int, pixels: int
+) -> Iterator[PixelBatch]:
     """Batches of the photographs from iteration ``first`` on, cut or joined to fit in memory, on the mask's device: so
     many pixels that count, or fewer where as many as there are in all have been drawn.
     """
@@ -177,7 +179,7 @@ class SampleGroup:
     p: Tensor
     """Surface points by sample [b, n, 3]."""
     cosine: Tensor
-    """Of the viewing direction, by sample [b, n]."""
+    """Cosine of the viewing direction, by sample [b, n]."""
     valid: Tensor
     """Whether all samples met a surface [b]."""
 

@@ -16,7 +16,7 @@ from neurad.core.rng import Stream
 from neurad.integrators.estimator import Estimator
 from neurad.integrators.primary_hits import PrimaryHits
 from neurad.metrics.error_bars import DARK, LIMIT
-from neurad.metrics.pixel_derivatives import GROUP, batches_in_turn, group_of_samples
+from neurad.metrics.pixel_derivatives import GROUP, batches_without_replacement, group_of_samples
 from neurad.runtime import threads
 
 _STREAM = 37  # last number of the stream's key
@@ -24,7 +24,7 @@ _STREAM = 37  # last number of the stream's key
 
 @dataclass(frozen=True)
 class PixelMeans:
-    """Of pixels, in units of their brightness: derivatives by roughness R and albedo D, and the residual e."""
+    """Derivatives by roughness R and albedo D and residuals e of pixels, in units of their brightness."""
 
     view: IntArray
     """[n]."""
@@ -65,7 +65,7 @@ def pixel_means(
     develop: Callable[[PixelBatch], PixelBatch] | None = None,
     samples: int = GROUP,
 ) -> PixelMeans | None:
-    """Of about ``pixels`` training pixels at the present materials; None if no pixel is left.
+    """Means of about ``pixels`` training pixels at the present materials; None if no pixel is left.
 
     Args:
         estimator: the method with the present materials and radiance field.
@@ -80,12 +80,8 @@ def pixel_means(
         develop: corrects the photographs; None leaves them as they are.
         samples: in a group, which are stratified together.
     """
-    parts = list(
-        _parts(
-            estimator, primary, batches_in_turn(photographs, emitter_mask, first, pixels), (groups, samples),
-            (seed, first), mean_square_radiance, develop,
-        )
-    )  # fmt: skip
+    batches = batches_without_replacement(photographs, emitter_mask, first, pixels)
+    parts = list(_parts(estimator, primary, batches, (groups, samples), (seed, first), mean_square_radiance, develop))
     if not parts or not sum(len(part[0]) for part in parts):
         return None
     found = PixelMeans(*(np.concatenate(column) for column in zip(*parts, strict=True)))

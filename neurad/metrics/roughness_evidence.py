@@ -32,19 +32,19 @@ from neurad.metrics.scores import BoolArray, Float64Array
 BOX = 5
 """Pixels along the side of the box that instruments are means over, where all pixels are drawn."""
 COVARIANCE_BOX = 9
-"""The same of the residual's covariance, which has six numbers. With 5 a pixel's own residual is so much of it that
+"""Pixels along the side of the box of the residual's covariance. With 5 a pixel's own residual is so much of it that
 parts no longer scatter as they should."""
-NEIGHBOURS, LARGEST_BOX = 8, 65
+NEIGHBOURS, MAX_BOX = 8, 65
 """Pixels that should lie in most boxes: where a part of them is drawn, boxes grow until they do, or to this side."""
 PIXELS_A_PATCH = 4
 """Fewer in the mean, and patches are larger: each has an albedo of its own, which takes a pixel's worth of evidence."""
 RIDGE = 0.05
-"""Of the covariance of all pixels, added to that around each."""
-LEAST = 1e-3
-"""Of that covariance's trace, added to its diagonal: where all is grey, channels do not differ at all."""
+"""Fraction of the covariance of all pixels that is added to that around each."""
+DIAGONAL_RIDGE = 1e-3
+"""Fraction of that covariance's trace on its diagonal: where all is grey, channels do not differ at all."""
 OUTLIER = 2.0
 """Parts of single pixels are cut at so many of their standard deviations."""
-MOST, IMPOSSIBLE = 0.5, 4.0
+MAX_CHANGE, MAX_DEVIATIONS = 0.5, 4.0
 """Patches that ask for a larger change, and for so many standard deviations more, are left out."""
 RANKS = 20
 """Groups of patches of like ``F`` that the ratio is measured in."""
@@ -52,7 +52,7 @@ RANKS = 20
 
 @dataclass(frozen=True)
 class Evidence:
-    """Of the patches that the pixels see."""
+    """Information and gradient of the patches that the pixels see."""
 
     side: int
     """Patches along the unit cube."""
@@ -67,7 +67,7 @@ class Evidence:
 def evidence(
     pixels: PixelMeans, to_cube: ToUnitCube, side: int, residual: FloatArray | None = None
 ) -> tuple[Evidence, Evidence, Evidence]:
-    """Of all pixels, and of two halves of them, the two colours of a chess board, in the same patches.
+    """Evidence of all pixels and of two halves of them, the two colours of a chess board, in the same patches.
 
     Args:
         pixels: some of the training pixels.
@@ -111,7 +111,7 @@ class _Pixels:
         box = BOX
         derivatives = np.concatenate((pixels.r, pixels.d), -1)
         sums, around = _box_sums(derivatives, pixels.corner, views, box)
-        while np.median(around) < NEIGHBOURS and box < LARGEST_BOX:
+        while np.median(around) < NEIGHBOURS and box < MAX_BOX:
             box = 2 * box - 1
             sums, around = _box_sums(derivatives, pixels.corner, views, box)
         instruments = (sums - derivatives) / np.maximum(around - 1.0, 1.0)[:, None]
@@ -120,7 +120,7 @@ class _Pixels:
         pairs = pixels.e[:, _ROWS] * pixels.e[:, _COLUMNS]  # [n, 6]
         sums, around = _box_sums(pairs, pixels.corner, views, box + COVARIANCE_BOX - BOX)
         mean = _matrices(pairs.mean(0, dtype=np.float64))
-        mean += (LEAST * np.trace(mean) + 1e-30) * np.eye(3)
+        mean += (DIAGONAL_RIDGE * np.trace(mean) + 1e-30) * np.eye(3)
         precision = np.linalg.inv(_matrices(sums / around[:, None]) + RIDGE * mean).astype(np.float32)
         return cls(
             pixels.r, pixels.d, pixels.e, instruments[:, :3], instruments[:, 3:], precision,
@@ -128,7 +128,7 @@ class _Pixels:
         )  # fmt: skip
 
     def evidence(self, x: Float64Array, side: int, patch: IntArray, count: int, chosen: BoolArray) -> Evidence:
-        """Of some of the pixels at ``x`` [n, 3] in ``patch`` [n], of which there are ``count``, and ``side`` along the
+        """Evidence of some pixels at ``x`` [n, 3] in ``patch`` [n], of which there are ``count``, ``side`` along the
         cube.
         """
         precision = self.precision * chosen[:, None, None]
@@ -152,14 +152,14 @@ class _Pixels:
         gradient = np.bincount(patch, part, count).astype(np.float64)
         scatter = np.bincount(patch, np.square(part), count).astype(np.float64)
         # Of few pixels, or lit in few colours, the albedo can take away all that there is to know but for noise.
-        possible = np.abs(gradient) <= MOST * information + IMPOSSIBLE * np.sqrt(information.clip(0.0))
+        possible = np.abs(gradient) <= MAX_CHANGE * information + MAX_DEVIATIONS * np.sqrt(information.clip(0.0))
         information, gradient, scatter = (np.where(possible, x, 0.0) for x in (information, gradient, scatter))
         ratio = _excess(information, scatter)
         middle = per_patch(x, patch, count) / np.bincount(patch, minlength=count)[:, None]
         return Evidence(side, middle, information.clip(0.0) / ratio, gradient / ratio)
 
     def _inverse(self, dd: Float64Array) -> Float64Array:
-        """Of the ``sum D'W D`` of patches [m, 3, 3], but for their noise and with :data:`FLOOR` pixels of brightness 1
+        """Inverse of ``sum D'W D`` of patches [m, 3, 3], but for noise and with :data:`FLOOR` pixels of brightness 1
         more.
         """
         white = self.root.T @ (0.5 * (dd + dd.transpose(0, 2, 1))) @ self.root

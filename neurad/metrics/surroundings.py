@@ -19,7 +19,7 @@ DIRECTIONS = 512
 
 @dataclass(frozen=True)
 class Surroundings:
-    """Of one camera."""
+    """What surrounds one camera."""
 
     free: float
     """Fraction of the directions in which nothing is met."""

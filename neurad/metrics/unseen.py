@@ -33,13 +33,13 @@ class Unseen:
     masks: list[BoolArray | None]
     """Its pixels [h, w] by view; None where that is not known."""
     fraction: float | None = None
-    """Of the surfaces; None where that is not known."""
+    """Fraction of the surfaces that no training view sees; None where that is not known."""
     squared: dict[str, float] = field(default_factory=dict)
     """Fraction of the squared error that lies there, by ``albedo`` and ``roughness``."""
 
     @classmethod
     def of(cls, views: Sequence[Mapping[str, Any]]) -> Self:
-        """Of views with their maps [h, w, c] by name: ``seen``, and ``albedo``, ``albedo_true``, ``roughness``,
+        """Unseen parts of views by their maps [h, w, c]: ``seen``, and ``albedo``, ``albedo_true``, ``roughness``,
         ``roughness_true`` where there are any.
         """
         masks = [view["seen"][..., 0] == UNSEEN if view.get("seen") is not None else None for view in views]
@@ -60,7 +60,7 @@ class Unseen:
         return cls(masks, sum(int(mask.sum()) for mask, _ in known) / surfaces, squared)
 
     def summary(self) -> Self:
-        """The same without the masks, which are as large as the views."""
+        """The numbers without the masks, which are as large as the views."""
         return replace(self, masks=[])
 
     def sentence(self, what: str = "the held-out views") -> str:

@@ -20,7 +20,7 @@ from neurad.losses.relative import relative_weight
 from neurad.metrics.pixel_derivatives import PixelDerivatives
 from neurad.optim.level_factors import LevelFactors
 
-LARGEST = 2.0
+MAX_FACTOR = 2.0
 """Largest factor: decay shrinks levels that photographs would have larger."""
 SPREAD = 0.2
 """Spread of the factors around 1 before the pixels are asked; it decides where they say nothing."""
@@ -30,7 +30,7 @@ factors that derivatives are of."""
 SIGMAS = 2.0
 """Factors are clear if they lower the loss of pixels that they were not fitted to by so many standard errors."""
 SHOWN = -SIGMAS, SIGMAS
-"""The same for results to show factors of the albedo and of the roughness. Those of the albedo gained up to 1.3 dB in
+"""Standard errors from which results show factors of albedo and roughness. Those of the albedo gained up to 1.3 dB in
 four rooms, and lost 0.1 at most, whatever sign this had: what two halves of the pixels find has twice the noise of what
 all of them do. Roughness has less noise to take out, and wrong factors cost up to half a dB of it."""
 
@@ -47,7 +47,7 @@ class LevelFit:
     """What the pixels said of one field."""
 
     factors: Tensor
-    """Of its levels [levels]; ones where others would not be better."""
+    """Factors of its levels [levels]; ones where others would not be better."""
     gain: float
     """By how much they lower the squared residual in units of the albedo, each half of the pixels judging factors that
     were fitted to the other half."""
@@ -139,7 +139,7 @@ def _fitted(
                 prior = noise / SPREAD**2
                 normal = 0.5 * (square + square.T) + prior * torch.eye(len(ones), device=ones.device)
                 change = torch.linalg.solve(normal, slope + prior * (found[number] - 1.0))
-                found[number] = (found[number] - change).clamp(0.0, LARGEST)
+                found[number] = (found[number] - change).clamp(0.0, MAX_FACTOR)
     return found
 
 

@@ -46,7 +46,7 @@ def solve(
         detail = np.zeros((level + 1) ** 3)
         detail[node] = std * z[: matrix.shape[1]]
         z = z[matrix.shape[1] :]
-        values += finer(detail.reshape((level + 1,) * 3), finest // level)
+        values += upsample(detail.reshape((level + 1,) * 3), finest // level)
     return values
 
 
@@ -68,7 +68,7 @@ def _interpolation(x: Float64Array, level: int) -> tuple[IntArray, Any]:
     return node, sparse.csr_matrix((weight.ravel(), place.ravel(), start), (len(x), len(node)))
 
 
-def finer(values: Float64Array, times: int) -> Float64Array:
+def upsample(values: Float64Array, times: int) -> Float64Array:
     """Values at nodes interpolated to a grid with ``times`` as many cells along each axis."""
     for axis in range(3):
         last = values.shape[axis] - 1

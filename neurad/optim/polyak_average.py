@@ -37,7 +37,7 @@ class PolyakAverage(nn.Module):
         for index, p in enumerate(self._parameters_of):
             self.register_buffer(f"mean_{index}", p.detach().clone())
         self.levels = LevelFactors(part)
-        """Of what is averaged; the module has them where it has the averages."""
+        """Factors of the levels of what is averaged; the module has them where it has the averages."""
 
     def _means(self) -> list[Tensor]:
         return [getattr(self, f"mean_{index}") for index in range(len(self._parameters_of))]

@@ -15,8 +15,8 @@ from neurad.core.records import FloatArray
 WIDTH, HEIGHT = 400, 280
 LEFT, RIGHT, TOP, BOTTOM = 46, 10, 10, 40
 """Margins of the frame."""
-LEAST_SPAN = 1.0
-"""Of the vertical axis, in its unit: smaller differences may not fill a chart."""
+MIN_SPAN = 1.0
+"""Shortest vertical axis, in its unit: smaller differences may not fill a chart."""
 
 
 @dataclass(frozen=True)
@@ -54,7 +54,7 @@ def chart(title: str, better: str, x_label: str, lines: Sequence[Line]) -> str:
         x0, x1 = x0 / 1.25, x1 * 1.25
     values = np.concatenate([part for line in lines for part in (line.y, line.low, line.high) if part is not None])
     y0, y1 = float(values.min()), float(values.max())
-    spare = max(0.06 * (y1 - y0), (LEAST_SPAN - (y1 - y0)) / 2)
+    spare = max(0.06 * (y1 - y0), (MIN_SPAN - (y1 - y0)) / 2)
     y0, y1 = y0 - spare, y1 + spare
 
     def place(x: float, y: float) -> tuple[float, float]:

@@ -19,7 +19,7 @@ BRIGHTEST_STD = 0.2
 ERRORS, BARS = "inferno", "viridis"
 """Matplotlib's names of the colour maps of errors and of error bars: they must not be taken for each other."""
 PERIOD, STROKE = 10, 2
-"""Of hatching in pixels: from line to line, and the width of each of its two colours."""
+"""Hatching in pixels: from line to line, and the width of each of its two colours."""
 
 
 def encode(image: FloatArray) -> Bytes:

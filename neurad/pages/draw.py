@@ -20,7 +20,7 @@ HEADING, BAR, LINE = 18, 8, 15
 """Heights in pixels of a tile's heading, of a colour bar, and of a line of small text."""
 SIZE = {"title": 16, "heading": 13, "small": 11}
 CROP_WIDTH = 168
-"""Of the enlarged squares, at most."""
+"""Largest width of the enlarged squares in pixels."""
 
 
 def draw(sheet: Sheet) -> Bytes:

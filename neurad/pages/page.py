@@ -13,7 +13,7 @@ from neurad.pages.sheet import Scale, Sheet
 from neurad.scene.image_io import png
 
 POLICY = "default-src 'none'; img-src data:; style-src 'unsafe-inline'; script-src 'unsafe-inline'"
-"""Of the browser: nothing is loaded from anywhere."""
+"""Content policy for the browser: nothing is loaded from anywhere."""
 
 
 def data_uri(picture: bytes) -> str:

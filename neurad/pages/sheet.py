@@ -10,7 +10,7 @@ import numpy as np
 from neurad.core.records import FloatArray
 from neurad.pages.colours import BoolArray, Bytes, enlarged, hatched, reduced
 
-SMALLEST, LARGEST = 256, 512
+MIN_WIDTH, MAX_WIDTH = 256, 512
 """Width in pixels that small pictures are at least enlarged to, and that large ones are reduced below twice of."""
 CROP = 0.25
 """Side of a crop over the shorter side of the view."""
@@ -70,7 +70,7 @@ class Sheet:
     crop_keys: Sequence[str] = ()
     """Tiles that crops are taken of."""
     notes: list[str] = field(default_factory=list)
-    largest: int = LARGEST
+    largest: int = MAX_WIDTH
     """Width in pixels that pictures are reduced below twice of."""
 
     @property
@@ -82,7 +82,7 @@ class Sheet:
     def zoom(self) -> tuple[int, int]:
         """By which whole number pictures are enlarged, and by which they are reduced; one of both is 1."""
         width = self.tiles[0].picture.shape[1]
-        return max(1, -(-SMALLEST // width)), max(1, width // self.largest)
+        return max(1, -(-MIN_WIDTH // width)), max(1, width // self.largest)
 
     def shown(self, tile: Tile) -> Bytes:
         """The picture of a tile as it is to be displayed: enlarged or reduced, hatched, crops framed."""
@@ -109,7 +109,7 @@ class Sheet:
         return found
 
     def compact(self) -> Sheet:
-        """The same without rows that have no tile."""
+        """The sheet without rows that have no tile."""
         return replace(self, rows={label: tiles for label, tiles in self.rows.items() if any(tiles)})
 
 

@@ -8,9 +8,9 @@ import os
 from collections.abc import Iterator
 from contextlib import contextmanager
 
-KEPT = 512 << 20
+MAX_FREE_BYTES = 512 << 20
 """Bytes of freed memory that stay with the process."""
-MAPPED = 32 << 20
+MIN_MAPPED_BYTES = 32 << 20
 """Arrays from so many bytes on are mapped one by one and given back when freed; the most that glibc accepts."""
 _TRIM_THRESHOLD, _MMAP_THRESHOLD = -1, -3  # of malloc.h
 
@@ -27,8 +27,8 @@ def keep_freed_memory() -> None:
         mallopt = ctypes.CDLL(None).mallopt
     except (OSError, TypeError, AttributeError):  # not glibc
         return
-    mallopt(_TRIM_THRESHOLD, KEPT)
-    mallopt(_MMAP_THRESHOLD, MAPPED)
+    mallopt(_TRIM_THRESHOLD, MAX_FREE_BYTES)
+    mallopt(_MMAP_THRESHOLD, MIN_MAPPED_BYTES)
 
 
 @contextmanager

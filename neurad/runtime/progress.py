@@ -23,7 +23,7 @@ COLUMNS = 80
 """Widest line; the last column stays free, since some terminals go on to the next line when it is written."""
 TICK = 0.25
 """Seconds between two looks of the line at how far things are."""
-_SURE = 2.0
+_MIN_ESTIMATE_SECONDS = 2.0
 """Seconds that a phase has to take before its remaining time is estimated."""
 _NAME = 11
 """Columns of a phase's name."""
@@ -80,7 +80,7 @@ class Phase:
             many = self.total >= _MANY
             parts.append(f"{100 * (fraction or 0):.0f} %" if many else f"{min(self.done, self.total)} of {self.total}")
         parts += [self.detail] if self.detail else []
-        if fraction and elapsed > _SURE:
+        if fraction and elapsed > _MIN_ESTIMATE_SECONDS:
             parts.append(f"{clock(elapsed * (1.0 - fraction) / fraction)} left")
         else:
             parts.append(clock(elapsed))

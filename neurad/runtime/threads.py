@@ -67,7 +67,7 @@ def threads(count: int, grain: int) -> int:
 
 
 @contextmanager
-def of_step(lanes: int, networks: bool) -> Iterator[None]:
+def step_threads(lanes: int, networks: bool) -> Iterator[None]:
     """The threads of a training step of so many ``lanes``: torch's own where there are ``networks``, whose products
     they share, and otherwise none beside the calling one.
     """

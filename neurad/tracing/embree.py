@@ -21,7 +21,7 @@ from neurad.tracing.arrays import as_floats, as_indices, beyond_start, coordinat
 # arrays that stay in the cache (measured on 330 k triangles).
 CLOSEST_SHARD = 1024
 OCCLUDED_SHARD = 2048
-LARGEST_SHARD = 16384
+MAX_SHARD = 16384
 
 
 class EmbreeTracer:
@@ -97,7 +97,7 @@ class EmbreeTracer:
 
     def _in_slices(self, cast: Callable[[slice], None], count: int, least: int) -> None:
         """Run ``cast`` on slices of ``count`` rays, of ``least`` or more on average, on this thread and the pool."""
-        pieces = max(1, min(self.threads, count // least), -(-count // LARGEST_SHARD))
+        pieces = max(1, min(self.threads, count // least), -(-count // MAX_SHARD))
         if pieces > self.threads:  # as many for each
             pieces = -(-pieces // self.threads) * self.threads
         parts = [slice(low, high) for low, high in pairwise(cut(count, pieces, least))]

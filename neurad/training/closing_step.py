@@ -23,7 +23,7 @@ from neurad.core.protocols import PhotoSource
 from neurad.fields.material import CORRECTION_FACTOR, Correction
 from neurad.fields.settings import RoughnessConfig
 from neurad.metrics.bar_calibration import RoughnessBars
-from neurad.metrics.closing_calibration import calibrate_at_closing, levelled
+from neurad.metrics.closing_calibration import calibrate_at_closing, robust_weight
 from neurad.metrics.error_bars import cells as cells_of
 from neurad.metrics.error_bars import in_cells
 from neurad.metrics.nodes import Nodes
@@ -31,26 +31,26 @@ from neurad.metrics.pixel_derivatives import GROUP
 from neurad.metrics.pixel_means import PixelMeans, pixel_means
 from neurad.metrics.roughness_evidence import Evidence, evidence
 from neurad.metrics.scores import Float64Array
-from neurad.optim.multilevel import finer, solve
+from neurad.optim.multilevel import solve, upsample
 from neurad.optim.polyak_average import averaged
 from neurad.runtime.progress import phase
 from neurad.training.schedule import Counters, Progress
 
-KEPT, STEPS = 0.25, 0.95
+RESERVED_TIME, STEPS = 0.25, 0.95
 """Time that is kept for the step by its samples over those of the fit, which cost less than four times as much, and the
 fraction of a fit's steps after which it is made. Learning rates fall to their end until then: higher ones would undo it
 (half of it in living-room-2)."""
 EVERY = 16
 """Iterations after which processes agree whether it is time."""
-MOST_SAMPLES = 256
-"""In a pixel."""
-LARGEST_GROUP = 16
+MAX_SAMPLES = 256
+"""Samples in a pixel."""
+MAX_GROUP = 16
 """Samples that are stratified together at most: sixteen of them tell a sixth more than four times four."""
 SHARE = 0.85
-"""Of the time that is left: the equations and iterations at the lowest rates follow."""
+"""Fraction of the time left that samples may take: the equations and iterations at the lowest rates follow."""
 TRIED = 1 << 15
 """Pixels that tell how long a pass will take."""
-LEAST_PIXELS, MOST_PIXELS = 256, 1 << 21
+MIN_PIXELS, MAX_PIXELS = 256, 1 << 21
 """Fewer say nothing; more would take gigabytes."""
 LEVELS, STDS = (CORRECTION_FACTOR, 4, 2, 1), (0.08, 0.08, 0.1, 0.13)
 """Cells of the grid of corrections along one of a level, and what is expected of the details there: with three quarters
@@ -77,7 +77,7 @@ class ClosingStep:
 
 def progress_before(done: Progress, settings: RoughnessConfig) -> float:
     """How far a fit is on its way to the step, 1 or more from then on: what its learning rates go by."""
-    time_before = 1.0 - KEPT * settings.closing_samples
+    time_before = 1.0 - RESERVED_TIME * settings.closing_samples
     return max((done.by_time or 0.0) / time_before, (done.by_steps or 0.0) / STEPS)
 
 
@@ -115,11 +115,11 @@ def make_closing_step(
     assert isinstance(materials, FittedMaterials)
     correction.add(None)
     samples = assembly.settings.roughness.closing_samples * counters.samples / processes
-    pixels = min(views.pixels, MOST_PIXELS, int(samples / GROUP))
-    if pixels < LEAST_PIXELS:
+    pixels = min(views.pixels, MAX_PIXELS, int(samples / GROUP))
+    if pixels < MIN_PIXELS:
         return None
     with torch.no_grad(), averaged(assembly.average), phase("correcting roughness"):
-        in_pixel = min(samples / pixels, MOST_SAMPLES)
+        in_pixel = min(samples / pixels, MAX_SAMPLES)
         together = _group_size(in_pixel)
         groups = max(round(in_pixel / together), 1)
 
@@ -131,10 +131,10 @@ def make_closing_step(
 
         if seconds is not None:
             possible = SHARE * seconds / _seconds_a_pixel(look, min(pixels, TRIED))
-            pixels = max(min(pixels, int(possible)), LEAST_PIXELS)
+            pixels = max(min(pixels, int(possible)), MIN_PIXELS)
             groups = max(min(groups, int(possible / pixels)), 1)
         means = look(pixels, groups)
-        if means is None or len(means) < LEAST_PIXELS:
+        if means is None or len(means) < MIN_PIXELS:
             return None
         whole, first, second = evidence(means, materials.to_unit_cube, PATCHES * correction.cells)
         counters.samples += len(means) * groups * together
@@ -150,14 +150,14 @@ def make_closing_step(
 def _group_size(samples: float) -> int:
     """How many of a pixel's samples make a group."""
     size = GROUP
-    while 2 * size <= min(samples, LARGEST_GROUP):
+    while 2 * size <= min(samples, MAX_GROUP):
         size *= 2
     return size
 
 
 def _seconds_a_pixel(look: Callable[[int, int], object], pixels: int) -> float:
     """What one group of samples in one of so many pixels takes, without what only the first call does."""
-    look(min(pixels, LEAST_PIXELS), 1)
+    look(min(pixels, MIN_PIXELS), 1)
     begin = time.monotonic()
     look(pixels, 1)
     return max(time.monotonic() - begin, 1e-6) / pixels
@@ -165,13 +165,13 @@ def _seconds_a_pixel(look: Callable[[int, int], object], pixels: int) -> float:
 
 @dataclass(frozen=True)
 class Agreement:
-    """Of the steps that two halves of the pixels ask for."""
+    """How far the steps that two halves of the pixels ask for agree."""
 
     kept: float
     """The factor, from 0 to 1, by which each explains the other half's pixels best."""
     explained: float
     """By how much that lowers their squared residuals, each patch with its weight of
-    :func:`neurad.metrics.closing_calibration.levelled`."""
+    :func:`neurad.metrics.closing_calibration.robust_weight`."""
 
 
 def agreement(first: Evidence, second: Evidence, cells: int) -> Agreement:
@@ -179,7 +179,7 @@ def agreement(first: Evidence, second: Evidence, cells: int) -> Agreement:
     asked = taken = 0.0
     for own, other in ((first, second), (second, first)):
         step = _read(_solved(own, cells), other.x)
-        weight = levelled(other.information)
+        weight = robust_weight(other.information)
         asked += float((weight * other.gradient * step).sum())
         taken += float((weight * other.information * np.square(step)).sum())
     kept = min(max(asked / taken, 0.0), 1.0) if taken > 0.0 else 0.0
@@ -203,7 +203,7 @@ def _solved(found: Evidence, cells: int) -> Float64Array:
     count = max(1, sum(PATCHES * level <= found.side for level in levels))
     stds = (*STDS[: count - 1], float(np.linalg.norm(STDS[count - 1 :])))
     values = solve(found.x, found.information, found.gradient, levels[:count], stds)
-    return finer(values, cells // levels[count - 1])
+    return upsample(values, cells // levels[count - 1])
 
 
 def _read(values: Float64Array, x: Float64Array) -> Float64Array:

@@ -12,7 +12,7 @@ from neurad.training.schedule import Counters
 
 FRACTION = 0.04
 """Samples of the pass over those that the fit has drawn. One of them costs about half of one of a training step."""
-LEAST, MOST = 64, 1 << 18
+MIN_PIXELS, MAX_PIXELS = 64, 1 << 18
 """Pixels in a pass; of fewer nothing can be said."""
 
 
@@ -21,8 +21,8 @@ def error_bars(
 ) -> ErrorBars | None:
     """Error bars of the present materials, from pixels that the fit would have drawn next; the same ones at every call.
 
-    None where materials are known, and of a fit too short to have drawn samples for :data:`LEAST` pixels. Nothing of
-    the run changes.
+    None where materials are known, and of a fit too short to have drawn samples for :data:`MIN_PIXELS` pixels. Nothing
+    of the run changes.
 
     Args:
         assembly: with the materials that are reported, the averaged ones if the run averages.
@@ -32,8 +32,8 @@ def error_bars(
     """
     if not isinstance(assembly.materials, FittedMaterials):
         return None
-    count = min(int(FRACTION * counters.samples) // SPP, MOST, views.pixels)
-    if count < LEAST:
+    count = min(int(FRACTION * counters.samples) // SPP, MAX_PIXELS, views.pixels)
+    if count < MIN_PIXELS:
         return None
     with assembly.world.tracer.uncounted():
         pixels = pixel_derivatives(

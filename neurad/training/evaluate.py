@@ -31,7 +31,7 @@ from neurad.scene.description import Scene
 from neurad.scene.textures import TrueMaterials
 
 SEED = 20230806
-"""Of evaluation pictures: their noise is the same at every evaluation, so that curves show learning only."""
+"""Seed of evaluation pictures: their noise is alike at every evaluation, so that curves show learning only."""
 
 FIELD_SPP = 16
 """Largest number of positions in a pixel at which the radiance field's own picture is taken: it has no other noise."""
@@ -56,7 +56,7 @@ class Evaluation:
     exposure: float = 1.0
     """What radiance is multiplied with to be shown, see :attr:`HeldOut.exposure`."""
     environment: dict[str, FloatArray] = field(default_factory=dict)
-    """Of an environment that is recovered: ``fitted`` and, where it is known, ``truth`` [height, width, 3]."""
+    """Maps of an environment that is recovered: ``fitted`` and, where known, ``truth`` [height, width, 3]."""
 
 
 @dataclass(frozen=True)

@@ -11,7 +11,7 @@ import torch
 from lightning.pytorch.strategies import DDPStrategy
 from torch import Tensor
 
-from neurad.assembly.build import Assembly, FittedMaterials, assemble, know_lamps
+from neurad.assembly.build import Assembly, FittedMaterials, assemble, pin_emitter_materials
 from neurad.assembly.relight import paths, sentence_of_light
 from neurad.assembly.settings import Lighting, ModelSettings, Objective, Optimization, Sampling
 from neurad.assembly.training_views import TrainingViews, prepare_views
@@ -23,11 +23,11 @@ from neurad.fields.development import FittedDevelopment
 from neurad.fields.radiance import RadianceField
 from neurad.fields.settings import FieldConfig, RadianceConfig, RoughnessConfig
 from neurad.integrators.estimator import Estimator
-from neurad.integrators.focus import Focus
+from neurad.integrators.focus import PixelImportance
 from neurad.integrators.method import Method
 from neurad.integrators.radiometric import Radiometric
 from neurad.integrators.world import World
-from neurad.metrics.effort import Effort
+from neurad.metrics.effort import EvaluationResolution
 from neurad.metrics.error_bars import ErrorBars
 from neurad.optim.polyak_average import PolyakAverage
 from neurad.optim.pyramid_adam import PyramidAdam
@@ -73,7 +73,7 @@ class InverseRenderer(L.LightningModule):
     materials: FittedMaterials | TrueMaterials
     average: PolyakAverage | None
     radiance: RadianceField | None
-    focus: Focus | None
+    focus: PixelImportance | None
     development: FittedDevelopment | None
     step: TrainingStep
     """Set when a fit starts."""
@@ -305,7 +305,7 @@ class InverseRenderer(L.LightningModule):
     def on_fit_end(self) -> None:
         """Evaluations after a fit look at everything."""
         if not self.scoring.effort.whole:
-            self.scoring.restart(Effort())
+            self.scoring.restart(EvaluationResolution())
 
     def validation_step(self, *_: Any) -> None:
         """Nothing a batch: the evaluation callback looks at all held-out views at once, after the loop."""
@@ -345,16 +345,16 @@ class InverseRenderer(L.LightningModule):
         self.processor_before = state["processor_seconds"], state["waited_seconds"]
         self._photographs = state["photographs"]
         if not continues:
-            self._see_light(state)
+            self._note_light_change(state)
 
-    def _see_light(self, state: dict[str, Any]) -> None:
+    def _note_light_change(self, state: dict[str, Any]) -> None:
         """Take note of a light that is not that of the fit, and say so."""
         self.other_light = changed_light(
             state, self.scene, self.assembly.environment is None, self.assembly.lamps is None
         )
         if self.other_light:
             if isinstance(self.materials, FittedMaterials):
-                know_lamps(self.materials, self.scene, self.world.geometry, fitted_lamps(state))
+                pin_emitter_materials(self.materials, self.scene, self.world.geometry, fitted_lamps(state))
             print(f"neurad: {sentence_of_light(self.other_light)}", file=sys.stderr)
 
     @property

@@ -51,11 +51,11 @@ from neurad.losses.relative import (
 LAMPS = 100.0
 """Weight of the photographs of the lamps themselves. While materials are still wrong all else pulls at the lamps: at 10
 that of the Cornell box was 5 % off after 70 steps."""
-MOST_SPECULAR = 0.65
+MAX_SPECULAR_FRACTION = 0.65
 """Largest fraction of the BSDF samples that follow the specular lobe where highlights are."""
 
 
-CALM = 1e-4
+RESPONSE_RIDGE = 1e-4
 """Weight of the squared weights of the response curve: what no photograph tells stays as it was."""
 
 
@@ -140,7 +140,7 @@ class ObjectiveStep:
             surface.roughness.retain_grad()
         if batch.highlight is not None:
             own = self.sampling.specular_fraction
-            fraction = own + (max(own, MOST_SPECULAR) - own) * batch.highlight
+            fraction = own + (max(own, MAX_SPECULAR_FRACTION) - own) * batch.highlight
             surface = replace(surface, specular_fraction=fraction.repeat_interleave(n).unsqueeze(-1))
         emitted = self.estimator.world.emitted(si)  # [b * n, 3]
 
@@ -210,7 +210,7 @@ class ObjectiveStep:
         residual = development.colors(batch, predicted) - image.mean(1)
         loss = (weight * residual * residual).mean()
         if development.bend is not None:
-            loss = loss + CALM * development.bend.square().sum()
+            loss = loss + RESPONSE_RIDGE * development.bend.square().sum()
         return Loss(loss, loss.detach())
 
     @property

@@ -30,7 +30,7 @@ LEVELS = (0.05, 0.1, 0.2, 0.3, 0.45, 0.6, 0.8)
 """Roughnesses that are tried."""
 BATCHES = 12
 """Batches that they are tried on."""
-SURE = 3.0
+MIN_SIGMAS = 3.0
 """Standard errors, over batches, by which a level must be better than the field as it is."""
 
 
@@ -70,7 +70,7 @@ def best_level(found: Tensor) -> float | None:
     """The level to begin at from the losses of several batches [batches, 1 + levels]; None to go on as it is."""
     gain = found[:, :1] - found[:, 1:]
     mean, error = gain.mean(0), gain.std(0) / math.sqrt(len(gain))
-    mean = torch.where(mean > SURE * error, mean, 0.0)
+    mean = torch.where(mean > MIN_SIGMAS * error, mean, 0.0)
     return LEVELS[int(mean.argmax())] if bool((mean > 0).any()) else None
 
 

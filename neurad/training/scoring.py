@@ -14,7 +14,7 @@ from neurad.core.protocols import PhotoSource
 from neurad.core.records import FloatArray
 from neurad.integrators.estimator import Estimator
 from neurad.metrics.bar_maps import predict_bars
-from neurad.metrics.effort import Effort
+from neurad.metrics.effort import EvaluationResolution
 from neurad.metrics.error_bars import ErrorBars
 from neurad.metrics.held_out import HeldOut
 from neurad.metrics.held_out_scores import albedo_factors
@@ -63,7 +63,7 @@ class Scoring:
 
     def __init__(self, run: Scored, guard: Guard) -> None:
         self.run, self.guard = run, guard
-        self.effort = Effort()
+        self.effort = EvaluationResolution()
         """How much of the held-out views evaluations look at. Set before a fit starts."""
         self.found_lamps = False
         """Whether the meshes that shine were found by photographs."""
@@ -79,7 +79,7 @@ class Scoring:
             self._held_out = HeldOut(self.run.scene, world.geometry, world.tracer, effort.grid, effort.stride)
         return self._held_out
 
-    def restart(self, effort: Effort) -> None:
+    def restart(self, effort: EvaluationResolution) -> None:
         """Look at so much of the held-out views from now on."""
         self.effort, self._held_out, self._light = effort, None, None
 

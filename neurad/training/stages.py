@@ -77,7 +77,8 @@ class RoughnessStart:
         assert isinstance(training.objective, ObjectiveStep)
         begin, rank = training.counters.iteration, training.rank
         batches = (
-            training.photographs.batch(i, rank).in_turn().to(training.device) for i in range(begin, begin + BATCHES)
+            training.photographs.batch(i, rank).without_candidates().to(training.device)
+            for i in range(begin, begin + BATCHES)
         )
         key = training.assembly.settings.seed, begin, rank, 3
         level = choose_start(training.objective, batches, key, dist.is_initialized())

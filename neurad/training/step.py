@@ -16,7 +16,7 @@ from neurad.core.records import PixelBatch
 from neurad.core.rng import Stream
 from neurad.fields.mlp import MLP, products
 from neurad.losses.relative import total
-from neurad.runtime.threads import of_step
+from neurad.runtime.threads import step_threads
 from neurad.training.gradient_sync import GradientSync
 from neurad.training.guard import Guard, clip
 from neurad.training.guide_update import bin_guide_samples, update_guide
@@ -99,7 +99,7 @@ class TrainingStep:
             batch = self.assembly.focus.choose(batch, self._stream(2))
         settings = self.assembly.settings
         lanes = len(batch.view) * settings.sampling.spp * settings.sampling.samples_per_vertex  # path samples
-        with of_step(lanes, self._networks):
+        with step_threads(lanes, self._networks):
             loss = self._iterate(batch, rate_progress(self.assembly, progress), backward)
         passes = self.processes * (2 if settings.objective.estimator == "two_pass" else 1)
         self.counters.samples += passes * lanes

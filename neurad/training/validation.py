@@ -14,12 +14,12 @@ from neurad.metrics.validation import LevelFit, fit_levels
 
 EVERY = 256
 """Iterations after which training goes on from what is kept: noise comes back in some thousands."""
-LEAST = 64
+MIN_PIXELS = 64
 """Pixels of which fewer say nothing."""
 GROUPS = 2
-"""Of samples in each half of a pixel for what is shown: with one, noise of the samples hides what there is to see."""
+"""Groups of samples in each half of a pixel for what is shown: one alone leaves too much noise of the samples."""
 SETTLED = 0.9
-"""Of the way to the end of the learning rates, which are at a fortieth then."""
+"""Fraction of the way to the end of the learning rates, which are at a fortieth then."""
 WHOLE = 0.95
 """A level of which so much is kept counts as kept whole in what is said."""
 
@@ -88,7 +88,7 @@ def _fit(
     grids = [getattr(field, "grid", None) for field in fields]
     if any(grid is None or average.levels.of(grid) is None for grid in grids):
         return None
-    if len(batch.view) < LEAST:
+    if len(batch.view) < MIN_PIXELS:
         return None
     if assembly.development is not None:
         batch = assembly.development(batch)
@@ -98,7 +98,7 @@ def _fit(
             1 if quick else GROUPS,
         )  # fmt: skip
         found = None
-        if pixels is not None and len(pixels) >= LEAST:
+        if pixels is not None and len(pixels) >= MIN_PIXELS:
             epsilon = assembly.settings.objective.epsilon * views.mean_square_radiance
             found = fit_levels(pixels, materials, average.levels, epsilon, quick)  # type: ignore[arg-type]
     return found

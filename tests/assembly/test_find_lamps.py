@@ -12,7 +12,7 @@ from neurad.assembly.build import build_world
 from neurad.assembly.find_lamps import Search, find_lamps
 from neurad.assembly.lamp_candidates import Candidate, one_radiance, over
 from neurad.core.errors import InputError
-from neurad.emitters.dark import Dark
+from neurad.emitters.dark import NullEmitter
 from neurad.metrics.photographed_surfaces import PhotographedRadiance, side_of, surface_pixels
 from neurad.scene.builtin.shapes import look_at
 from neurad.scene.development import Photography
@@ -97,7 +97,7 @@ def test_a_white_sheet_shows_the_albedo_of_what_reflects(lit):
     """Photographed over white: the true albedo of each surface, within what cells and noise leave."""
     scene, photographs = lit
     dark = without_lamps(scene)
-    search = Search(dark, build_world(dark, lights=Dark()), photographs, 1)
+    search = Search(dark, build_world(dark, lights=NullEmitter()), photographs, 1)
     search.run()
     albedo = {i: float(scene.materials[m.material].albedo.value[0]) for i, m in enumerate(scene.meshes)}
     sides = [2 * i for i, m in enumerate(scene.meshes) if "lamp" not in m.name and m.name != "strip"]
@@ -127,7 +127,7 @@ def test_photographed_radiance_is_that_of_its_own_side_or_nothing(lit):
 
 def test_large_photographs_are_looked_at_in_part_and_where_they_are_bright(lit, monkeypatch):
     scene, photographs = lit
-    monkeypatch.setattr("neurad.metrics.photographed_surfaces.MOST", 5 * 200)
+    monkeypatch.setattr("neurad.metrics.photographed_surfaces.MAX_PIXELS", 5 * 200)
     world = build_world(scene)
     pixels = surface_pixels(world, [v.camera for v in scene.train], photographs, 0)
     assert 500 < len(pixels) <= 1000
@@ -181,7 +181,7 @@ def test_photographs_of_unlike_exposures_are_made_alike_first(lit, gains):
 def test_of_a_lamp_that_shines_to_both_sides_the_brighter_counts(lit):
     scene, photographs = lit
     dark = without_lamps(scene)
-    search = Search(dark, build_world(dark, lights=Dark()), photographs, 1)
+    search = Search(dark, build_world(dark, lights=NullEmitter()), photographs, 1)
     pixels = search.pixels[:4]
     search.lamps = [
         Candidate(6, pixels, torch.full((3,), 1.0), False),

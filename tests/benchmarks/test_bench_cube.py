@@ -155,10 +155,10 @@ def test_every_round_has_everybody_once_in_an_order_of_its_own(monkeypatch, tmp_
     monkeypatch.setattr(cube, "WORKER", ["bash", "-c", answers])
     monkeypatch.setattr(cube, "COLD", 0)
     cells = cube.measure([{"name": k} for k in (0, 1, 9)], 8, 20.0)
-    assert [len(cell.seconds) for cell in cells] == [8, 8, cube.LEAST]
+    assert [len(cell.seconds) for cell in cells] == [8, 8, cube.MIN_STEPS]
     order = turns.read_text().split()
-    rounds = [order[3 * i : 3 * i + 3] for i in range(cube.LEAST)]
-    rounds += [order[i : i + 2] for i in range(3 * cube.LEAST, len(order), 2)]
+    rounds = [order[3 * i : 3 * i + 3] for i in range(cube.MIN_STEPS)]
+    rounds += [order[i : i + 2] for i in range(3 * cube.MIN_STEPS, len(order), 2)]
     assert all(sorted(turn) == ["0", "1", "9"][: len(turn)] for turn in rounds)
     assert len({tuple(turn[:2]) for turn in rounds}) > 1
 

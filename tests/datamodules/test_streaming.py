@@ -364,7 +364,7 @@ def test_candidates_come_after_the_pixels_in_turn(folder, resident):
     again = data.batch(5)
     assert torch.equal(again.pixel, batch.pixel)
     assert not torch.equal(data.batch(6).pixel, batch.pixel)
-    in_turn = batch.in_turn()
+    in_turn = batch.without_candidates()
     assert len(in_turn.view) == len(in_turn.color) == 30
     assert in_turn.candidates == 0
     fewer = ready(folder, patches=30, resident=resident)

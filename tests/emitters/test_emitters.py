@@ -18,7 +18,7 @@ from neurad.core.reflection import DiffuseModel
 from neurad.core.rng import Stream
 from neurad.emitters.area import AreaLights
 from neurad.emitters.environment import Environment
-from neurad.emitters.lights import LEAST, Lights, make_lights
+from neurad.emitters.lights import MIN_PROBABILITY, Lights, make_lights
 from neurad.scene.description import Scene
 
 RECTANGLE = np.array([[0, 0, 0], [1, 0, 0], [1, 1, 0], [0, 1, 0]], np.float32)
@@ -354,7 +354,7 @@ def test_both_kinds_together_estimate_the_sum() -> None:
     """Irradiance at the origin, facing the lamp: lamp (it hides nothing here) plus upper half of the environment."""
     lights = make_lights(*scene_of(True, environment(12, rotate=True)))
     assert isinstance(lights, Lights)
-    assert LEAST <= lights.area_probability <= 1 - LEAST
+    assert MIN_PROBABILITY <= lights.area_probability <= 1 - MIN_PROBABILITY
     n = 100_000
     p = torch.zeros(n, 3)
     s = lights.sample(p, Stream(13).uniform(n, 3))

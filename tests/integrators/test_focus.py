@@ -11,7 +11,7 @@ from scipy.stats import norm
 from neurad.assembly.settings import Sampling
 from neurad.core.records import Camera, PixelBatch
 from neurad.core.rng import Stream
-from neurad.integrators.focus import REFRESH, TIMES, Focus
+from neurad.integrators.focus import REFRESH, TIMES, PixelImportance
 
 FRACTION = 0.5
 SIZES = (40, 24), (17, 9)
@@ -22,7 +22,7 @@ def cameras():
     return [Camera(pose, 1.0, width, height) for width, height in SIZES]
 
 
-def uneven(made: Focus, seed: int = 3) -> Focus:
+def uneven(made: PixelImportance, seed: int = 3) -> PixelImportance:
     """Scores from 0.01 to 100 at random."""
     made.score.copy_(10.0 ** (4.0 * Stream(seed).uniform(len(made.score)) - 2.0))
     made.score.div_(made.score.mean())
@@ -38,7 +38,7 @@ def drawn(iteration: int, in_turn: int = 16, focused: int = 16) -> PixelBatch:
 
 
 def test_blocks_are_those_of_each_view():
-    made = Focus(cameras(), FRACTION)
+    made = PixelImportance(cameras(), FRACTION)
     view = torch.tensor([0, 0, 0, 0, 1, 1, 1])
     x, y = torch.tensor([0, 7, 8, 39, 0, 16, 16]), torch.tensor([0, 7, 0, 23, 0, 0, 8])
     width = torch.tensor([SIZES[0][0]] * 4 + [SIZES[1][0]] * 3)
@@ -48,7 +48,7 @@ def test_blocks_are_those_of_each_view():
 
 def test_large_photographs_have_larger_blocks():
     wide = [Camera(np.eye(4, dtype=np.float32), 1.0, 4000, 3000)] * 20
-    made = Focus(wide, FRACTION)
+    made = PixelImportance(wide, FRACTION)
     assert len(made.score) <= 1 << 18
     last = made.blocks(torch.tensor([19]), torch.tensor([4000 * 3000 - 1]))
     assert int(last) == len(made.score) - 1
@@ -56,7 +56,7 @@ def test_large_photographs_have_larger_blocks():
 
 def test_means_over_chosen_pixels_are_those_of_all():
     """Mean of a fixed quantity of pixels, of which most lies in few: a z-test at 99 %."""
-    made = uneven(Focus(cameras(), FRACTION))
+    made = uneven(PixelImportance(cameras(), FRACTION))
     pixels = SIZES[0][0] * SIZES[0][1]
     quantity = 10.0 ** (3.0 * Stream(5).uniform(pixels).double() - 2.0)
     found = []
@@ -71,7 +71,7 @@ def test_means_over_chosen_pixels_are_those_of_all():
 
 
 def test_no_weight_is_large():
-    made = uneven(Focus(cameras(), FRACTION))
+    made = uneven(PixelImportance(cameras(), FRACTION))
     for i in range(50):
         before = drawn(i)
         batch = made.choose(before, Stream(8, i))
@@ -83,7 +83,7 @@ def test_no_weight_is_large():
 
 def test_scores_follow_the_gradients_and_take_noise_away():
     """What lies in one block of pixels is found with less than a third of the variance, and the scores say where."""
-    made, pixels = Focus(cameras(), FRACTION), SIZES[0][0] * SIZES[0][1]
+    made, pixels = PixelImportance(cameras(), FRACTION), SIZES[0][0] * SIZES[0][1]
     view, pixel = torch.zeros(pixels, dtype=torch.int64), torch.arange(pixels)
     size = torch.where(made.blocks(view, pixel) == 6, 50.0, 0.5)
 
@@ -106,7 +106,7 @@ def test_scores_follow_the_gradients_and_take_noise_away():
 
 def test_gradients_are_undone_of_their_weights():
     """A pixel's recorded size is that of its own gradient, whatever it counted for."""
-    made = Focus(cameras(), FRACTION)
+    made = PixelImportance(cameras(), FRACTION)
     batch = replace(drawn(0), candidates=0)
     weight = 0.1 + Stream(4).uniform(len(batch.view))
     plain = Stream(5).uniform(len(batch.view), 3)
@@ -121,7 +121,7 @@ def test_the_step_s_gradient_keeps_its_mean():
     seeds: z-tests at 99 %.
     """
     made = SmallStep(Sampling(spp=8, samples_per_vertex=1, cached_spp=8))
-    focus = Focus([view.camera for view in made.scene.train], FRACTION)
+    focus = PixelImportance([view.camera for view in made.scene.train], FRACTION)
     focus.score.copy_(4.0 * Stream(6).uniform(len(focus.score)) ** 2)
     focus.score.div_(focus.score.mean())
     views, cut = len(made.scene.train), SIZE * SIZE
@@ -146,4 +146,4 @@ def test_the_step_s_gradient_keeps_its_mean():
 
 def test_without_candidates_nothing_changes():
     batch = replace(drawn(0), candidates=0)
-    assert Focus(cameras(), FRACTION).choose(batch, Stream(1)) is batch
+    assert PixelImportance(cameras(), FRACTION).choose(batch, Stream(1)) is batch

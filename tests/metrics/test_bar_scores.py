@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.stats import spearmanr
 
-from neurad.metrics.bar_scores import BarPool, ause, coverage, half_width, spearman, sure
+from neurad.metrics.bar_scores import BarPool, ause, coverage, half_width, psnr_of_most_certain_half, spearman
 
 N = 200_000
 
@@ -82,7 +82,7 @@ def test_the_sure_half_and_its_own_constant():
     bar = np.array([0.3, 0.1, 0.2, 0.4])
     truth = np.array([[0.0], [0.2], [0.4], [0.9]])
     predicted = truth + np.array([[0.5], [0.1], [0.1], [0.5]])
-    found, constant = sure(bar, predicted, truth)
+    found, constant = psnr_of_most_certain_half(bar, predicted, truth)
     assert found == pytest.approx(20.0)
     assert constant == pytest.approx(20.0)  # 0.2 and 0.4 around 0.3
 

@@ -5,7 +5,7 @@ import pytest
 
 from neurad.metrics import closing_calibration
 from neurad.metrics.bar_calibration import PRIOR, RoughnessBars
-from neurad.metrics.closing_calibration import POWER, RESPONSE, calibrate_at_closing, levelled
+from neurad.metrics.closing_calibration import POWER, RESPONSE, calibrate_at_closing, robust_weight
 
 PER_CELL = 4
 
@@ -60,7 +60,7 @@ def test_bars_are_of_what_the_step_leaves(taken):
     """
     information, gradient, around, place = halves_of(0.14, 0.5, seed=4, patches=200_000)
     before = RoughnessBars(0.5, 0.14, POWER).variance(around)
-    explained = taken * float((levelled(information) * information * RESPONSE**2 * before).sum())
+    explained = taken * float((robust_weight(information) * information * RESPONSE**2 * before).sum())
     found = calibrate_at_closing(information, gradient, around, place, explained)
     left = ((1.0 - RESPONSE) ** 2 * taken + 1.0 - taken) * before
     some = around > 10.0  # where there is less the prior keeps bars as wide as usual

@@ -11,7 +11,7 @@ from helpers.tiny_fit import fit, metrics, write_tiny_config
 from neurad.assembly.build import build_world
 from neurad.integrators.film import render, strided
 from neurad.metrics import effort
-from neurad.metrics.effort import Effort, affordable, seconds_of
+from neurad.metrics.effort import EvaluationResolution, affordable, seconds_of
 from neurad.metrics.held_out import HeldOut
 from neurad.scene.builtin import build
 from neurad.scene.textures import TrueMaterials
@@ -23,14 +23,14 @@ def large(width=4000, height=3000, count=1):
 
 
 def test_ordinary_views_are_scored_as_a_whole_and_large_ones_within_their_time():
-    assert affordable(build("patterns").test, 16, 0.1, 30.0) == Effort()
-    assert affordable(large(256, 256, 6), 64, 0.1, None) == Effort()
+    assert affordable(build("patterns").test, 16, 0.1, 30.0) == EvaluationResolution()
+    assert affordable(large(256, 256, 6), 64, 0.1, None) == EvaluationResolution()
     for seconds, fraction in ((60.0, 0.1), (3600.0, 0.1), (None, 0.1)):
         found = affordable(large(), 4, fraction, seconds)
         assert found.grid == 2
         assert found.stride > 1
         assert seconds_of(large(), 4, found) <= max(30.0, 90.0 if seconds else 60.0)
-    assert affordable(large(), 4, 0.5, 36000.0) == Effort()
+    assert affordable(large(), 4, 0.5, 36000.0) == EvaluationResolution()
 
 
 def test_a_part_has_the_pixels_of_the_whole():

@@ -5,7 +5,7 @@ import torch
 
 from neurad.core.protocols import PhotoSource
 from neurad.core.records import PixelBatch
-from neurad.metrics.pixel_derivatives import batches_in_turn
+from neurad.metrics.pixel_derivatives import batches_without_replacement
 
 VIEWS, PIXELS = 2, 60
 
@@ -20,7 +20,7 @@ class InTurn(PhotoSource):
 
 
 def taken(mask, pixels):
-    parts = list(batches_in_turn(InTurn(), mask, 3, pixels))
+    parts = list(batches_without_replacement(InTurn(), mask, 3, pixels))
     return torch.cat([part.view * PIXELS + part.pixel for part in parts]) if parts else torch.zeros(0).long()
 
 

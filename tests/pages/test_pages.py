@@ -9,7 +9,7 @@ from neurad.pages import page
 from neurad.pages.chart import Line, _decades, _steps, chart
 from neurad.pages.colours import BARS, ERRORS, PERIOD, enlarged, hatched, ramp, reduced
 from neurad.pages.draw import draw
-from neurad.pages.sheet import BOX, LARGEST, SMALLEST, Scale, Sheet, Tile, worst_squares
+from neurad.pages.sheet import BOX, MAX_WIDTH, MIN_WIDTH, Scale, Sheet, Tile, worst_squares
 
 GREY = np.full((8, 12, 3), 128, np.uint8)
 
@@ -26,7 +26,7 @@ def test_pictures_are_enlarged_by_whole_numbers_or_reduced(width):
     one = sheet(np.zeros((2, width, 3), np.uint8))
     zoom, by = one.zoom
     assert 1 in (zoom, by)
-    assert SMALLEST <= width // by * zoom < 2 * max(LARGEST, SMALLEST)
+    assert MIN_WIDTH <= width // by * zoom < 2 * max(MAX_WIDTH, MIN_WIDTH)
 
 
 def test_nothing_is_blurred():
@@ -70,7 +70,7 @@ def test_a_sheet_is_drawn_with_its_bars_and_frames():
     one = sheet(crops=worst_squares([("it is wrong here", error)]), crop_keys=("a", "b"), notes=["A word. " * 60])
     picture = draw(one)
     assert picture.dtype == np.uint8
-    assert picture.shape[1] > 3 * SMALLEST
+    assert picture.shape[1] > 3 * MIN_WIDTH
     assert (picture == BOX).all(-1).sum() > 3 * 4 * 40
     for colour in ramp(ERRORS)[[8, 32, 56]]:  # of the colour bar alone: the tiles are grey
         assert (np.abs(picture.astype(int) - colour).sum(-1) < 12).any()

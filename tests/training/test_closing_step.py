@@ -12,7 +12,7 @@ from benchmarks.stress.scenes import small_cube, with_material
 from neurad.core.reflection import PrincipledModel
 from neurad.fields.material import CORRECTION_CELLS, MIN_ROUGHNESS, Correction
 from neurad.fields.settings import RoughnessConfig
-from neurad.metrics.closing_calibration import levelled
+from neurad.metrics.closing_calibration import robust_weight
 from neurad.metrics.roughness_evidence import Evidence
 from neurad.training import closing_step
 from neurad.training.closing_step import Agreement, agreement, is_due, make_closing_step, progress_before
@@ -163,7 +163,7 @@ def test_only_what_halves_confirm_is_kept():
     agreed = agreement(half(bump), half(bump), CORRECTION_CELLS)
     assert agreed.kept > 0.6
     # The most that there is to explain, and what a step from one half of it can.
-    most = 2.0 * float((levelled(information) * information * np.square(bump)).sum())
+    most = 2.0 * float((robust_weight(information) * information * np.square(bump)).sum())
     assert 0.4 * most < agreed.explained < 1.1 * most
     noise = [agreement(half(0.0), half(0.0), CORRECTION_CELLS) for _ in range(20)]
     assert np.mean([each.kept for each in noise]) < 0.25

@@ -19,7 +19,13 @@ from helpers.small_fit import SMALL_FIT, photographed_cornell
 from helpers.tiny_fit import fails
 
 from neurad import load
-from neurad.assembly.lamp_responses import Responses, alike, connected, explain, other_lights
+from neurad.assembly.lamp_responses import (
+    Responses,
+    connected,
+    indistinguishable,
+    nonnegative_least_squares,
+    other_lights,
+)
 from neurad.assembly.relight import recovered_scene
 from neurad.assembly.unknown_lamps import rows
 from neurad.cli import main
@@ -339,7 +345,9 @@ def test_unseen_lamps_are_explained_beside_seen_ones_whatever_the_albedo():
     photographs = 1.7 * np.einsum("mc,mnc->nc", radiance, light)  # surfaces are brighter than they are taken for
     responses = Responses(noisy(light), None, None, photographs)
     told = np.array([True, False, False])
-    found = explain(responses, np.where(told[:, None], radiance, 1.0), told, alike(responses, told))
+    found = nonnegative_least_squares(
+        responses, np.where(told[:, None], radiance, 1.0), told, indistinguishable(responses, told)
+    )
     np.testing.assert_allclose(found[1:], radiance[1:], rtol=0.1)
 
 
@@ -348,7 +356,7 @@ def test_light_of_other_kinds_is_known_and_an_unknown_sky_is_set_free():
     photographs = 0.6 * (light[0] + 3.0 * light[1] + 2.0 * light[2] + 5.0 * light[3])
     responses = Responses(noisy(light[1:3]), light[0], light[3], photographs)
     none = np.zeros(2, bool)
-    found = explain(responses, np.ones((2, 3)), none, alike(responses, none))
+    found = nonnegative_least_squares(responses, np.ones((2, 3)), none, indistinguishable(responses, none))
     np.testing.assert_allclose(found, [[3.0] * 3, [2.0] * 3], rtol=0.1)
 
 
@@ -369,11 +377,11 @@ def test_lamps_that_light_everything_alike_are_not_split():
     light[1] = 2.0 * light[0]
     responses = Responses(noisy(light, 0.3), None, None, light.sum(0))
     none = np.zeros(3, bool)
-    groups = alike(responses, none)
+    groups = indistinguishable(responses, none)
     assert groups == [[0, 1], [2]]
-    found = explain(responses, np.ones((3, 3)), none, groups)
+    found = nonnegative_least_squares(responses, np.ones((3, 3)), none, groups)
     np.testing.assert_array_equal(found[0], found[1])
-    assert alike(responses, np.array([True, False, False])) == [[0], [1], [2]]  # one is seen: no question
+    assert indistinguishable(responses, np.array([True, False, False])) == [[0], [1], [2]]  # one is seen: no question
 
 
 def test_scale_goes_from_lamp_to_lamp_where_their_light_meets():
@@ -396,8 +404,8 @@ def test_a_lamp_whose_light_reaches_nothing():
     responses = Responses(noisy(light), None, None, light[0])
     none = np.zeros(2, bool)
     np.testing.assert_array_equal(responses.reaches, [True, False])
-    assert alike(responses, none) == [[0], [1]]
-    assert (explain(responses, np.ones((2, 3)), none, [[0], [1]])[1] == 0).all()
+    assert indistinguishable(responses, none) == [[0], [1]]
+    assert (nonnegative_least_squares(responses, np.ones((2, 3)), none, [[0], [1]])[1] == 0).all()
 
 
 @pytest.mark.main
@@ -433,7 +441,7 @@ def test_lamps_that_only_rare_paths_show_are_not_like_all_others():
     halves[0, 2, :40], halves[1, 2, 40:80] = 9.0, 9.0  # of one lamp, on other pixels in each half
     responses = Responses(halves, None, None, np.einsum("mnc->nc", light))
     assert responses.reaches.all()
-    assert alike(responses, np.zeros(3, bool)) == [[0], [1], [2]]
+    assert indistinguishable(responses, np.zeros(3, bool)) == [[0], [1], [2]]
 
 
 def test_a_lamp_twice_in_the_table_is_refused(tmp_path):

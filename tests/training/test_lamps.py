@@ -17,7 +17,7 @@ from neurad.core.errors import InputError
 from neurad.core.reflection import PrincipledModel
 from neurad.core.rng import Stream
 from neurad.emitters.area import AreaLights
-from neurad.emitters.fitted_lamps import EVEN, FittedLamps
+from neurad.emitters.fitted_lamps import UNIFORM_FRACTION, FittedLamps
 from neurad.integrators.bounce import bounce
 from neurad.integrators.debiased import Debiased
 from neurad.integrators.direct import Direct
@@ -160,10 +160,10 @@ def test_tables_follow_the_radiance_and_leave_no_lamp_out():
         return torch.bincount(lamps.lamp[lamps.chosen(u)], minlength=2) / len(u)
 
     light = lamps.found() @ [0.212671, 0.715160, 0.072169] * lamps.area.numpy()
-    expected = (1 - EVEN) * light / light.sum() + EVEN / 2
+    expected = (1 - UNIFORM_FRACTION) * light / light.sum() + UNIFORM_FRACTION / 2
     np.testing.assert_allclose(fractions(), expected, atol=0.01)
     lamps.set_radiance(np.array([[1e-6, 1e-6, 1e-6], [5.0, 0.0, 0.0]]))
-    np.testing.assert_allclose(fractions(), [EVEN / 2, 1 - EVEN / 2], atol=0.01)
+    np.testing.assert_allclose(fractions(), [UNIFORM_FRACTION / 2, 1 - UNIFORM_FRACTION / 2], atol=0.01)
     assert lamps.found()[1, 1] == pytest.approx(5e-4, rel=1e-3)  # positive, and as good as black
     torch.testing.assert_close(lamps.emission[lamps.lit], lamps.radiance.detach()[lamps.lamp[lamps.lit]])
 
