@@ -19,12 +19,11 @@ from torch import Tensor
 from neurad.core.camera import camera_rays
 from neurad.core.errors import InputError
 from neurad.core.protocols import Materials, Recovered, Tracer
-from neurad.core.records import FloatArray, Surface, SurfaceInteraction, View
+from neurad.core.records import BoolArray, FloatArray, Surface, SurfaceInteraction, View
 from neurad.core.rng import Stream
 from neurad.integrators.film import pixel_positions, strided
 from neurad.metrics.colour_lookup import MAX_VIEWS, ColourLookup
 from neurad.metrics.neighbours import Neighbours
-from neurad.metrics.scores import BoolArray
 from neurad.metrics.seen import SeenBy
 from neurad.runtime.progress import counted
 from neurad.scene.description import Scene

@@ -8,11 +8,10 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from neurad.core.records import FloatArray
+from neurad.core.records import BoolArray, FloatArray
 from neurad.scene.image_io import to_srgb
 
 Bytes = npt.NDArray[np.uint8]
-BoolArray = npt.NDArray[np.bool_]
 LEVEL = 0.8
 """Fraction of display white that the 90th percentile of the photographs is shown at."""
 BRIGHTEST = 0.25

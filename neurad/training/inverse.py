@@ -19,7 +19,7 @@ from neurad.assembly.training_views import TrainingViews, prepare_views
 from neurad.core.errors import InputError
 from neurad.core.protocols import PhotoSource
 from neurad.core.ranges import Seed
-from neurad.core.records import FloatArray, PixelBatch
+from neurad.core.records import Float64Array, FloatArray, PixelBatch
 from neurad.emitters.fitted import FittedEnvironment
 from neurad.fields.development import FittedDevelopment
 from neurad.fields.radiance import RadianceField
@@ -35,7 +35,6 @@ from neurad.metrics.error_bars import ErrorBars
 from neurad.metrics.held_out import HeldOut
 from neurad.metrics.held_out_scores import albedo_factors
 from neurad.metrics.lamp_scores import EXTRA, MISSED, lamp_scores, read_lamps_true
-from neurad.metrics.lamp_scores import Array as FloatArray64
 from neurad.metrics.view_residuals import view_residuals
 from neurad.optim.polyak_average import PolyakAverage, averaged
 from neurad.optim.pyramid_adam import PyramidAdam
@@ -122,7 +121,7 @@ class InverseRenderer(L.LightningModule):
         self.training_views: TrainingViews | None = None
         self.other_light: list[str] = []
         """What differs between the scene's light and that of the fit; nothing may in a fit that goes on."""
-        self._lamps_true: tuple[FloatArray64, int] | None = None
+        self._lamps_true: tuple[Float64Array, int] | None = None
         self._shining: list[Shining] | None = None
         """Meshes that were found to shine; None where that is known."""
         self.begins_from: Path | None = None
@@ -187,7 +186,7 @@ class InverseRenderer(L.LightningModule):
         if self.trainer.is_global_zero and found.lines:
             print(*(f"neurad: {line}" for line in found.lines), sep="\n", file=sys.stderr)
 
-    def _read_lamps_true(self) -> tuple[FloatArray64, int] | None:
+    def _read_lamps_true(self) -> tuple[Float64Array, int] | None:
         """What recovered lamps are scored against [m, 3], and how many others shine; None where nothing is given."""
         path = getattr(self.trainer.datamodule, "lamps_true", None)  # type: ignore[attr-defined]
         if path is None or (self.assembly.lamps is None and self._shining is None):

@@ -8,8 +8,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from neurad.core.records import FloatArray, IntArray, Surface, SurfaceInteraction
-from neurad.metrics.scores import Float64Array
+from neurad.core.records import Float64Array, FloatArray, IntArray, Surface, SurfaceInteraction
 from neurad.studies.bound.sparse import Rows
 
 COARSEST, FINEST = 2, 12

@@ -16,8 +16,7 @@ from typing import Protocol
 
 import numpy as np
 
-from neurad.core.records import FloatArray, IntArray
-from neurad.metrics.scores import Float64Array
+from neurad.core.records import Float64Array, FloatArray, IntArray
 from neurad.studies.bound.cells import SurfaceCells
 from neurad.studies.bound.sparse import Rows
 
