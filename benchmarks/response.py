@@ -24,14 +24,13 @@ from benchmarks.true_views import training_truth
 from neurad.assembly.build import FittedMaterials
 from neurad.core.errors import InputError
 from neurad.core.protocols import Materials
-from neurad.core.records import Surface, SurfaceInteraction
+from neurad.core.records import BoolArray, Float64Array, Surface, SurfaceInteraction
 from neurad.fields.material import CORRECTION_CELLS, Correction
 from neurad.integrators.radiometric import Radiometric
 from neurad.metrics.closing_calibration import robust_weight
 from neurad.metrics.error_bars import ToUnitCube, cells, in_cube
 from neurad.metrics.pixel_means import PixelMeans, pixel_means
 from neurad.metrics.roughness_evidence import Evidence, evidence
-from neurad.metrics.scores import BoolArray, Float64Array
 from neurad.runs.load import LoadedRun
 from neurad.scene.textures import TrueMaterials
 from neurad.training.closing_step import MAX_GROUP, PATCHES

@@ -9,8 +9,7 @@ import torch
 from torch import Tensor
 
 from benchmarks.bound.sparse import Rows
-from neurad.core.records import FloatArray, IntArray, Surface, SurfaceInteraction
-from neurad.metrics.scores import Float64Array
+from neurad.core.records import Float64Array, FloatArray, IntArray, Surface, SurfaceInteraction
 
 COARSEST, FINEST = 2, 12
 """Cells along the longest side of the region, as powers of two."""

@@ -16,14 +16,14 @@ from benchmarks.bound.sparse import Rows
 from benchmarks.true_views import check_truth, training_truth
 from neurad.core.errors import InputError
 from neurad.core.protocols import Materials
-from neurad.core.records import FloatArray, IntArray, SurfaceInteraction
+from neurad.core.records import BoolArray, FloatArray, IntArray, SurfaceInteraction
 from neurad.integrators.estimator import Estimator
 from neurad.integrators.film import box_mean
 from neurad.integrators.method import SceneModel
 from neurad.integrators.primary_hits import PrimaryHits
 from neurad.metrics.held_out import HeldOut, Maps
 from neurad.metrics.lit_glossy import lit_glossy, reflected_by
-from neurad.metrics.scores import BoolArray, Pool, psnr
+from neurad.metrics.scores import Pool, psnr
 from neurad.runs.load import LoadedRun
 from neurad.scene.textures import TrueMaterials
 from neurad.training.evaluate import GLOSSY_SAMPLES

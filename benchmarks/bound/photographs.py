@@ -11,12 +11,11 @@ from torch import Tensor
 
 from neurad.core.colour import luminance
 from neurad.core.protocols import Materials
-from neurad.core.records import FloatArray, PixelBatch, Surface
+from neurad.core.records import BoolArray, FloatArray, PixelBatch, Surface
 from neurad.core.rng import Stream
 from neurad.integrators.estimator import Estimator
 from neurad.integrators.film import box_mean
 from neurad.integrators.primary_hits import PrimaryHits
-from neurad.metrics.scores import BoolArray
 
 DARK = 0.05
 """Added to the albedo that a photograph is divided by: what a black surface still reflects."""

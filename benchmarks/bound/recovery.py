@@ -18,8 +18,7 @@ import numpy as np
 
 from benchmarks.bound.cells import SurfaceCells
 from benchmarks.bound.sparse import Rows
-from neurad.core.records import FloatArray, IntArray
-from neurad.metrics.scores import Float64Array
+from neurad.core.records import Float64Array, FloatArray, IntArray
 
 AROUND = 2
 """Levels above a cell, whose details' power it shares: about 16 cells of a plane have one."""

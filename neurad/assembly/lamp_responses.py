@@ -10,25 +10,21 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 import torch
 from torch import Tensor
 
 from neurad.assembly.build import Assembly
 from neurad.core.errors import InputError
 from neurad.core.protocols import Emitter
-from neurad.core.records import PixelBatch
+from neurad.core.records import BoolArray, Float64Array, PixelBatch
 from neurad.core.rng import Stream
 from neurad.emitters.area import AreaLights
 from neurad.emitters.environment import Environment
-from neurad.emitters.fitted_lamps import Array
 from neurad.emitters.lights import AnyLights, Lights, WithPunctual, join
 from neurad.integrators.estimator import Estimator
 from neurad.integrators.path import PathTracing
 from neurad.integrators.primary_hits import PrimaryHits
 from neurad.integrators.world import World
-
-Bools = npt.NDArray[np.bool_]
 
 _PIXELS, _SPP, _DEPTH = 1024, 4, 6  # of each picture: pixels, samples in each of two halves, longest path
 ALIKE = 0.99
@@ -46,32 +42,32 @@ _MIN_CHANNEL = 0.05  # of a lamp's brightest channel: what the others have at le
 class Responses:
     """Pictures by one light at a time, and what is to be explained; all of the same pixels."""
 
-    halves: Array
+    halves: Float64Array
     """By each lamp alone at radiance 1, in two independent halves [2, m, n, 3]."""
-    known: Array | None
+    known: Float64Array | None
     """By all light that is known and no lamp [n, 3]; None where there is none."""
-    sky: Array | None
+    sky: Float64Array | None
     """By an environment that is recovered, as bright as it begins [n, 3]; None where there is none."""
-    photographs: Array
+    photographs: Float64Array
     """[n, 3]."""
 
     @property
-    def lamps(self) -> Array:
+    def lamps(self) -> Float64Array:
         """By each lamp alone [m, n, 3]."""
-        mean: Array = self.halves.mean(0)
+        mean: Float64Array = self.halves.mean(0)
         return mean
 
     @property
-    def reaches(self) -> Bools:
+    def reaches(self) -> BoolArray:
         """Lamps whose light arrives at some of the pixels [m]."""
         light = self.lamps.mean((1, 2))
-        reached: Bools = light > _DARK * max(float(light.max(initial=0.0)), 1e-300)
+        reached: BoolArray = light > _DARK * max(float(light.max(initial=0.0)), 1e-300)
         return reached
 
     @property
-    def weight(self) -> Array:
+    def weight(self) -> Float64Array:
         """Weight of the residual in each pixel and channel [n, 3]: what is bright counts relatively."""
-        weight: Array = 1.0 / (self.photographs + _FLOOR * self.photographs.mean() + 1e-300)
+        weight: Float64Array = 1.0 / (self.photographs + _FLOOR * self.photographs.mean() + 1e-300)
         return weight
 
 
@@ -112,7 +108,7 @@ def lamp_responses(assembly: Assembly, primary: PrimaryHits, sample: PixelBatch,
         known, sky = (
             None if other is None else lit(other, len(parts) + key).mean(1).numpy() for key, other in enumerate(others)
         )
-    halves: Array = torch.stack(parts).permute(2, 0, 1, 3).numpy()
+    halves: Float64Array = torch.stack(parts).permute(2, 0, 1, 3).numpy()
     return Responses(halves, known, sky, color.double().cpu().numpy())
 
 
@@ -125,7 +121,7 @@ def other_lights(world: World, unknown: Environment | None) -> AnyLights | None:
     return join(None, environment, punctual, radius)
 
 
-def indistinguishable(responses: Responses, observed: Bools) -> list[list[int]]:
+def indistinguishable(responses: Responses, observed: BoolArray) -> list[list[int]]:
     """Lamps in groups that what they light does not distinguish; each of those that are ``observed`` [m] alone.
 
     The correlation of two pictures is taken of independent halves of the samples, so noise makes nothing unlike.
@@ -143,7 +139,9 @@ def indistinguishable(responses: Responses, observed: Bools) -> list[list[int]]:
     return [sorted(group) for group in _groups(close)]
 
 
-def nonnegative_least_squares(responses: Responses, radiance: Array, observed: Bools, groups: list[list[int]]) -> Array:
+def nonnegative_least_squares(
+    responses: Responses, radiance: Float64Array, observed: BoolArray, groups: list[list[int]]
+) -> Float64Array:
     """Radiance of every lamp [m, 3] that explains the photographs best, each channel by itself.
 
     What is known of the light (``radiance`` [m, 3] of lamps that are ``observed`` [m], lights of other kinds) is one
@@ -174,7 +172,7 @@ def nonnegative_least_squares(responses: Responses, radiance: Array, observed: B
     return found
 
 
-def connected(responses: Responses, radiance: Array, observed: Bools) -> Bools:
+def connected(responses: Responses, radiance: Float64Array, observed: BoolArray) -> BoolArray:
     """Lamps [m] whose scale is fixed: those ``observed``, and those that shine where light of fixed scale does."""
     light = radiance[:, None] * responses.lamps * responses.weight  # [m, n, 3]
     fixed = observed.copy()
@@ -188,11 +186,11 @@ def connected(responses: Responses, radiance: Array, observed: Bools) -> Bools:
     near = meet > MEET * np.maximum(np.minimum.outer(sums, sums), 1e-300)
     for group in _groups(near):
         fixed[list(group)] = fixed[list(group)].any()
-    seen: Bools = fixed[: len(radiance)]
+    seen: BoolArray = fixed[: len(radiance)]
     return seen
 
 
-def _groups(near: Bools) -> list[set[int]]:
+def _groups(near: BoolArray) -> list[set[int]]:
     """Sets of indices that pairs ``near`` [m, m] connect."""
     left, found = set(range(len(near))), []
     while left:

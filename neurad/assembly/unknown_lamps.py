@@ -17,9 +17,9 @@ from neurad.assembly.lamp_responses import (
     nonnegative_least_squares,
 )
 from neurad.core.errors import InputError
-from neurad.core.records import PixelBatch
+from neurad.core.records import Float64Array, PixelBatch
 from neurad.core.rng import mix
-from neurad.emitters.fitted_lamps import Array, FittedLamps
+from neurad.emitters.fitted_lamps import FittedLamps
 from neurad.integrators.primary_hits import PrimaryHits
 from neurad.metrics.photographed_lamps import LampPhotographs, PhotographedLamp, photographed_lamps, reflected_by_lamp
 from neurad.runtime.tables import align
@@ -153,7 +153,9 @@ def _keep(lamps: FittedLamps, measured: Sequence[PhotographedLamp]) -> None:
     lamps.counts.copy_(torch.tensor([[m.pixels, m.views, m.clipped] for m in measured]))
 
 
-def _start(assembly: Assembly, responses: Responses, radiance: Array, observed: np.ndarray) -> tuple[Array, list[str]]:
+def _start(
+    assembly: Assembly, responses: Responses, radiance: Float64Array, observed: np.ndarray
+) -> tuple[Float64Array, list[str]]:
     """Radiance [m, 3] to begin with, that of lamps that are ``observed`` [m] as it is, and what there is to say."""
     lamps = assembly.lamps
     assert lamps is not None

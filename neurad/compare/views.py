@@ -10,9 +10,9 @@ import numpy as np
 from neurad.callbacks.pictures import ROUGHNESS, is_trivial
 from neurad.compare.runs import Run
 from neurad.core.errors import InputError
-from neurad.core.records import FloatArray, View
+from neurad.core.records import BoolArray, FloatArray, View
 from neurad.metrics.unseen import UNSEEN
-from neurad.pages.colours import BRIGHTEST, ERRORS, BoolArray, Bytes, encode, false_colour, grey
+from neurad.pages.colours import BRIGHTEST, ERRORS, Bytes, encode, false_colour, grey
 from neurad.pages.sheet import Scale, Sheet, Tile
 from neurad.scene.description import Scene
 from neurad.scene.development import Photography

@@ -28,7 +28,9 @@ from neurad.core.reflection import ReflectionModel
 
 PINHOLE = Lens()
 FloatArray = npt.NDArray[np.float32]
+Float64Array = npt.NDArray[np.float64]
 IntArray = npt.NDArray[np.int64]
+BoolArray = npt.NDArray[np.bool_]
 
 
 def _pick(values: Tensor, index: Tensor | slice) -> Tensor:

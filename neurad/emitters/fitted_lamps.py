@@ -7,15 +7,13 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 import torch
 from torch import Tensor, nn
 
 from neurad.core.colour import luminance
+from neurad.core.records import Float64Array
 from neurad.emitters.area import AreaLights
 from neurad.scene.geometry import Geometry
-
-Array = npt.NDArray[np.float64]
 
 PER_LAMP = ("values", "sampled", "photographed", "reflected", "counts", "scale_seen")
 """What of the state has a row for each lamp."""
@@ -65,7 +63,7 @@ class FittedLamps(AreaLights):
     area: Tensor
     fraction: Tensor
 
-    def __init__(self, geometry: Geometry, meshes: Sequence[int], radiance: Array, train: bool = True) -> None:
+    def __init__(self, geometry: Geometry, meshes: Sequence[int], radiance: Float64Array, train: bool = True) -> None:
         mesh = torch.tensor(list(meshes), dtype=torch.int64, device=geometry.vertices.device)
         of_mesh = mesh.new_full((max(int(geometry.mesh_index.max()), *meshes) + 1,), -1)
         of_mesh[mesh] = torch.arange(len(mesh), device=mesh.device)
@@ -99,9 +97,9 @@ class FittedLamps(AreaLights):
         """Radiance of each lamp [m, 3], with the gradient of ``values``."""
         return self.values.exp()
 
-    def found(self) -> Array:
+    def found(self) -> Float64Array:
         """Radiance of each lamp [m, 3], without gradient."""
-        radiance: Array = self.values.detach().double().exp().cpu().numpy()
+        radiance: Float64Array = self.values.detach().double().exp().cpu().numpy()
         return radiance
 
     @property
@@ -117,7 +115,7 @@ class FittedLamps(AreaLights):
         return table.index_select(0, self.lamp.index_select(0, face) + 1)
 
     @torch.no_grad()
-    def set_radiance(self, radiance: Array) -> None:
+    def set_radiance(self, radiance: Float64Array) -> None:
         """Take the radiance [m, 3] as the present one, and sample by it."""
         self.values.copy_(logarithm(torch.from_numpy(np.asarray(radiance, np.float64)).to(self.values.device)))
         self.update()

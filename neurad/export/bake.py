@@ -9,12 +9,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from neurad.core.protocols import Materials
-from neurad.core.records import FloatArray
+from neurad.core.records import BoolArray, FloatArray
 from neurad.export import texel_means_kernels
 from neurad.export.charts import Chart, border_texels
 from neurad.export.fill import push_pull
 from neurad.export.texel_means import Means, TexelMeans, uncertain
-from neurad.metrics.scores import BoolArray
 from neurad.runtime.threads import split
 from neurad.scene.geometry import Geometry
 

@@ -6,10 +6,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from neurad.core.records import IntArray, Mesh
+from neurad.core.records import BoolArray, IntArray, Mesh
 from neurad.export import raster_kernels as kernels
 from neurad.export.raster_kernels import Array
-from neurad.metrics.scores import BoolArray
 
 REACH = 1.0
 """Texels around a chart that a bilinear lookup on it reads."""

@@ -4,8 +4,7 @@ from __future__ import annotations
 
 import numpy as np
 
-from neurad.core.records import FloatArray
-from neurad.metrics.scores import BoolArray
+from neurad.core.records import BoolArray, FloatArray
 
 
 def push_pull(pixels: FloatArray, known: BoolArray) -> FloatArray:

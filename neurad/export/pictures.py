@@ -7,8 +7,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from neurad.core.records import FloatArray
-from neurad.metrics.scores import Float64Array
+from neurad.core.records import Float64Array, FloatArray
 
 ERROR = 0.002
 """Standard error of the mean of a view that is rendered for, as a fraction of it."""

@@ -12,11 +12,10 @@ import numpy as np
 import torch
 
 from neurad.core.protocols import Materials
-from neurad.core.records import FloatArray
+from neurad.core.records import BoolArray, FloatArray
 from neurad.export import raster_kernels, texel_means_kernels
 from neurad.export.charts import Chart, triangle_areas
 from neurad.export.raster_kernels import Array, IntArray
-from neurad.metrics.scores import BoolArray
 from neurad.runtime.threads import each, split, torch_on_one
 from neurad.scene.geometry import Geometry
 

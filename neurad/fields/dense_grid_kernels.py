@@ -4,17 +4,8 @@ from __future__ import annotations
 
 import numpy as np
 
-from neurad.fields.hash_grid_kernels import (
-    BIT,
-    BLOCK,
-    ONE,
-    ZERO,
-    Bits,
-    Floats,
-    Ints,
-    _corners,
-    _place,
-)
+from neurad.core.records import IntArray
+from neurad.fields.hash_grid_kernels import BIT, BLOCK, ONE, ZERO, Bits, Floats, _corners, _place
 from neurad.fields.intrinsics import lowest_bit, prefetch
 from neurad.runtime.jit import kernel
 
@@ -55,7 +46,7 @@ def encode_dense(x: Floats, table: Floats, size: int, out: Floats, low: int, hig
 
 
 @kernel
-def _list_used(bits: Bits, used: Bits, begin: int, end: int, rows: Ints, rank: Ints) -> int:
+def _list_used(bits: Bits, used: Bits, begin: int, end: int, rows: IntArray, rank: IntArray) -> int:
     """Write the entries that ``used[begin:end]`` marks, in order, to ``rows``; their number. ``rank[word]`` becomes the
     place of the word's first entry, in each word that is marked.
     """
@@ -76,7 +67,7 @@ def _list_used(bits: Bits, used: Bits, begin: int, end: int, rows: Ints, rank: I
 
 @kernel
 def dense_gradient(
-    x: Floats, gradient: Floats, size: int, low: int, high: int, bits: Bits, used: Bits, rank: Ints, rows: Ints,
+    x: Floats, gradient: Floats, size: int, low: int, high: int, bits: Bits, used: Bits, rank: IntArray, rows: IntArray,
     values: Floats,
 ) -> int:  # fmt: skip
     """Gradient of the entries ``low .. high - 1`` of the table for ``gradient`` [n, c]: the number of those that are

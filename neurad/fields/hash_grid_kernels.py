@@ -11,11 +11,11 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from neurad.core.records import IntArray
 from neurad.fields.intrinsics import interpolate, lowest_bit, popcount, prefetch
 from neurad.runtime.jit import inlined, kernel
 
 Floats = npt.NDArray[np.float32]
-Ints = npt.NDArray[np.int64]
 Bits = npt.NDArray[np.uint64]
 
 ONE = np.float32(1)
@@ -81,7 +81,7 @@ def unit_cube(p: Floats, corner: Floats, scale: Any, shell: Any, out: Floats, lo
 
 
 @kernel
-def encode(x: Floats, table: Floats, levels: Ints, out: Floats, low: int, high: int) -> None:
+def encode(x: Floats, table: Floats, levels: IntArray, out: Floats, low: int, high: int) -> None:
     """Trilinear features ``out[low:high]`` [n, levels * 2] at ``x[low:high]`` [n, 3].
 
     Level by level, so that one level's entries stay in the cache. Entries of a level too large for that are
@@ -115,7 +115,7 @@ def encode(x: Floats, table: Floats, levels: Ints, out: Floats, low: int, high: 
 
 
 @kernel
-def _list_marked(bits: Bits, words: int, first: int, rows: Ints, count: int, rank: Ints) -> int:
+def _list_marked(bits: Bits, words: int, first: int, rows: IntArray, count: int, rank: IntArray) -> int:
     """Append the marked entries, in order, to ``rows`` from ``count`` on; the new count. ``rank[word]`` becomes the
     place of the word's first entry.
     """
@@ -130,7 +130,7 @@ def _list_marked(bits: Bits, words: int, first: int, rows: Ints, count: int, ran
 
 
 @kernel
-def _place(e: int, bits: Bits, rank: Ints) -> int:
+def _place(e: int, bits: Bits, rank: IntArray) -> int:
     """Where :func:`_list_marked` put entry ``e``."""
     word = e >> 6
     below = (BIT << np.uint64(e & 63)) - BIT
@@ -139,7 +139,7 @@ def _place(e: int, bits: Bits, rank: Ints) -> int:
 
 @kernel
 def table_gradient(
-    x: Floats, gradient: Floats, levels: Ints, begin: int, end: int, rows: Ints, values: Floats
+    x: Floats, gradient: Floats, levels: IntArray, begin: int, end: int, rows: IntArray, values: Floats
 ) -> int:  # fmt: skip
     """Gradient of the table for ``gradient`` [n, levels * 2], levels ``begin`` to ``end``: the number of touched
     entries, which stand in ascending order at the front of ``rows``, with their gradients in ``values`` [k, 2].
@@ -186,7 +186,7 @@ def table_gradient(
 
 
 @kernel
-def is_ascending(rows: Ints) -> bool:
+def is_ascending(rows: IntArray) -> bool:
     """Whether every row is larger than the one before, so that none occurs twice."""
     ascending = True
     for i in range(1, rows.shape[0]):  # no early exit: this way the loop is vectorised
@@ -195,7 +195,7 @@ def is_ascending(rows: Ints) -> bool:
 
 
 @kernel
-def merge_rows(rows: Ints, values: Floats, size: int, merged: Ints, sums: Floats) -> int:
+def merge_rows(rows: IntArray, values: Floats, size: int, merged: IntArray, sums: Floats) -> int:
     """Add up the ``values`` [k, c] of equal ``rows`` (below ``size``) in their order: the number of different rows,
     which stand in ascending order at the front of ``merged``, with their sums in ``sums``.
     """
@@ -214,7 +214,7 @@ def merge_rows(rows: Ints, values: Floats, size: int, merged: Ints, sums: Floats
 
 @kernel
 def adam_rows(
-    p: Floats, m: Floats, v: Floats, rows: Ints, values: Floats, factors: Floats, low: int, high: int
+    p: Floats, m: Floats, v: Floats, rows: IntArray, values: Floats, factors: Floats, low: int, high: int
 ) -> None:  # fmt: skip
     """Adam on the rows ``rows[low:high]`` of ``p`` [e, c] and its moments ``m`` and ``v``; no row may occur twice.
 

@@ -10,12 +10,11 @@ import math
 import numpy as np
 
 from neurad.bsdf.sampling_kernels import concentric_disk
-from neurad.core.records import FloatArray
+from neurad.core.records import BoolArray, FloatArray
 from neurad.integrators.vertex_kernels_shared import (
     INV_PI,
     ONE,
     ZERO,
-    BoolArray,
     RayArrays,
     ShadowRays,
     Triangles,

@@ -11,16 +11,13 @@ import math
 from typing import Any, NamedTuple
 
 import numpy as np
-import numpy.typing as npt
 
-from neurad.core.records import FloatArray, IntArray, SurfaceInteraction
+from neurad.core.records import BoolArray, FloatArray, IntArray, SurfaceInteraction
 from neurad.emitters.area import AreaLights
 from neurad.integrators.world import World
 from neurad.runtime.dispatch import use_kernel
 from neurad.runtime.jit import inlined
 from neurad.scene.geometry import EPS, SHADOW_MARGIN
-
-BoolArray = npt.NDArray[np.bool_]
 
 ZERO, ONE, TWO = np.float32(0.0), np.float32(1.0), np.float32(2.0)
 INV_PI = np.float32(1.0 / math.pi)

@@ -9,12 +9,11 @@ from typing import NamedTuple
 
 import numpy as np
 
-from neurad.core.records import FloatArray, IntArray
+from neurad.core.records import BoolArray, FloatArray, IntArray
 from neurad.integrators.vertex_kernels_shared import (
     INV_PI,
     ONE,
     ZERO,
-    BoolArray,
     RayArrays,
     ShadowRays,
     Triangles,

@@ -20,8 +20,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from neurad.core.records import BoolArray, Float64Array, IntArray
 from neurad.metrics.fisher import profile
-from neurad.metrics.scores import BoolArray, Float64Array, IntArray
 
 PRIOR = 0.14
 """Standard deviation of roughness where nothing is known: that of dielectrics between 0.1 and 0.6, all alike. Cells in

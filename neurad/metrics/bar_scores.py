@@ -6,8 +6,8 @@ import math
 
 import numpy as np
 
-from neurad.core.records import FloatArray
-from neurad.metrics.scores import BoolArray, Float64Array, psnr
+from neurad.core.records import BoolArray, Float64Array, FloatArray
+from neurad.metrics.scores import psnr
 
 LEVELS = (0.5, 0.9)
 """Probabilities of the central intervals whose coverage is reported."""

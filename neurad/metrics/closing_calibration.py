@@ -21,9 +21,9 @@ from typing import Self
 
 import numpy as np
 
+from neurad.core.records import Float64Array, IntArray
 from neurad.metrics.bar_calibration import PRIOR, RoughnessBars, log_prior_cost, variance
 from neurad.metrics.fisher import per_patch
-from neurad.metrics.scores import Float64Array, IntArray
 
 POWER = 0.8
 """Power of the information. With 0.7 to 0.85 bars of three rooms cover alike in each sixth by information; with 1

@@ -12,8 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from neurad.core.records import FloatArray
-from neurad.metrics.scores import Float64Array
+from neurad.core.records import Float64Array, FloatArray
 
 BINS = (24, 12, 6, 3, 1)
 """Bins along the square root of each channel, the finest table first; what is empty there is looked up in the next."""

@@ -12,11 +12,11 @@ from torch import Tensor
 
 from neurad.core.camera import camera_rays
 from neurad.core.frame import dot
-from neurad.core.records import EnvironmentMap, FloatArray, Rays
+from neurad.core.records import BoolArray, EnvironmentMap, Float64Array, FloatArray, Rays
 from neurad.core.rng import Stream
 from neurad.emitters.environment import Environment, rotation_of
 from neurad.metrics.held_out import HeldOut
-from neurad.metrics.scores import BoolArray, Float64Array, Pool
+from neurad.metrics.scores import Pool
 
 VISIBILITY_POINTS = 32
 """Surface points from which the visibility of a texel is tested."""

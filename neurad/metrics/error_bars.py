@@ -28,12 +28,11 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from neurad.core.records import FloatArray
+from neurad.core.records import Float64Array, FloatArray, IntArray
 from neurad.metrics.bar_calibration import RoughnessBars, calibrate
 from neurad.metrics.fisher import profile
 from neurad.metrics.nodes import Nodes
 from neurad.metrics.pixel_derivatives import PixelDerivatives
-from neurad.metrics.scores import Float64Array, IntArray
 
 DARK = 0.01
 """Of the mean squared radiance: added to the squared brightness that pixels are weighted by."""

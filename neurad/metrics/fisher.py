@@ -19,7 +19,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from neurad.metrics.scores import Float64Array, IntArray
+from neurad.core.records import Float64Array, IntArray
 
 FLOOR = 0.05
 """Added to ``sum D^2 w`` of a patch, in pixels of relative brightness 1: keeps dark patches from dividing noise."""

@@ -19,11 +19,10 @@ from torch import Tensor
 from neurad.core.camera import camera_rays
 from neurad.core.errors import InputError
 from neurad.core.protocols import Materials, Tracer
-from neurad.core.records import FloatArray, SurfaceInteraction, View
+from neurad.core.records import BoolArray, FloatArray, SurfaceInteraction, View
 from neurad.core.rng import Stream
 from neurad.integrators.film import pixel_positions, strided
 from neurad.metrics.colour_lookup import MAX_VIEWS, ColourLookup
-from neurad.metrics.scores import BoolArray
 from neurad.metrics.seen import SeenBy
 from neurad.runtime.progress import counted
 from neurad.scene.description import Scene

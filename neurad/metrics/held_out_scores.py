@@ -9,10 +9,10 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from neurad.core.records import FloatArray, View
+from neurad.core.records import BoolArray, Float64Array, FloatArray, View
 from neurad.metrics.colour_lookup import explained
 from neurad.metrics.held_out import HeldOut, Maps
-from neurad.metrics.scores import BoolArray, Float64Array, Pool, block_means
+from neurad.metrics.scores import Pool, block_means
 from neurad.scene.image_io import to_srgb
 from neurad.scene.photographs import ceiling_of
 

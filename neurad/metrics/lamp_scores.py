@@ -8,14 +8,13 @@ from pathlib import Path
 from types import MappingProxyType
 
 import numpy as np
-import numpy.typing as npt
 
 from neurad.core.errors import InputError
+from neurad.core.records import Float64Array
 from neurad.runtime.reading import regular_file
 from neurad.runtime.tables import read_csv
 from neurad.scene.numbers import RADIANCE
 
-Array = npt.NDArray[np.float64]
 MIN_CHANNEL = 0.05
 """Fraction of a lamp's brightest channel that errors of the others are relative to at least."""
 ERROR = "lamp_error"
@@ -26,7 +25,7 @@ MISSED, EXTRA = "lamps_missed", "lamps_extra"
 
 def read_lamps_true(
     path: str, names: Sequence[str], found: bool = False, wholes: Mapping[str, str] = MappingProxyType({})
-) -> tuple[Array, int]:
+) -> tuple[Float64Array, int]:
     """True radiance of lamps [m, 3], from a table with columns ``mesh``, ``r``, ``g`` and ``b``, as ``lamps.csv`` has
     them, and how many meshes of the table shine and are none of these.
 
@@ -61,14 +60,16 @@ def read_lamps_true(
     return np.array([given.get(name, [0.0] * 3) for name in rows_of]).reshape(-1, 3), missed
 
 
-def lamp_error(found: Array, truth: Array) -> Array:
+def lamp_error(found: Float64Array, truth: Float64Array) -> Float64Array:
     """Largest relative error of a channel, for each lamp: [m, 3] and [m, 3] to [m]. It is 1 where none shines."""
     least = MIN_CHANNEL * truth.max(-1, keepdims=True)
-    error: Array = (np.abs(found - truth) / np.maximum(np.maximum(truth, least), 1e-30)).max(-1)
+    error: Float64Array = (np.abs(found - truth) / np.maximum(np.maximum(truth, least), 1e-30)).max(-1)
     return np.where(truth.any(-1), error, 1.0)
 
 
-def lamp_scores(found: Array, truth: Array, names: Sequence[str], factors: Mapping[str, Array]) -> dict[str, float]:
+def lamp_scores(
+    found: Float64Array, truth: Float64Array, names: Sequence[str], factors: Mapping[str, Float64Array]
+) -> dict[str, float]:
     """Errors of all lamps, by the columns of ``metrics.csv``: of each, and the largest.
 
     Args:

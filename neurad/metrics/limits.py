@@ -6,8 +6,7 @@ from collections.abc import Mapping, Sequence
 
 import numpy as np
 
-from neurad.core.records import FloatArray
-from neurad.metrics.scores import BoolArray
+from neurad.core.records import BoolArray, FloatArray
 
 NEAR = 0.01
 """Distance from 0 and from 1 that is no distance."""

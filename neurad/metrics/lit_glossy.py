@@ -13,12 +13,11 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from neurad.core.records import Surface, SurfaceInteraction
+from neurad.core.records import BoolArray, Surface, SurfaceInteraction
 from neurad.core.rng import Stream, mix
 from neurad.integrators.method import Method, SceneModel
 from neurad.integrators.vertex import DIMENSIONS
 from neurad.metrics.held_out import HeldOut
-from neurad.metrics.scores import BoolArray
 from neurad.runtime.progress import counted
 
 Reflected = Callable[[SurfaceInteraction, Surface, int], Tensor]

@@ -7,7 +7,7 @@ from typing import Self
 
 import numpy as np
 
-from neurad.metrics.scores import Float64Array, IntArray
+from neurad.core.records import Float64Array, IntArray
 
 
 @dataclass(frozen=True)

@@ -6,8 +6,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from neurad.core.records import FloatArray
-from neurad.metrics.scores import BoolArray
+from neurad.core.records import BoolArray, FloatArray
 
 LEVELS = 256
 """Different values of a channel of 8 bits."""

@@ -11,12 +11,11 @@ import torch
 from torch import Tensor
 
 from neurad.core.protocols import PhotoSource
-from neurad.core.records import FloatArray, PixelBatch, Surface
+from neurad.core.records import BoolArray, FloatArray, PixelBatch, Surface
 from neurad.core.rng import Stream
 from neurad.integrators.estimator import Estimator
 from neurad.integrators.primary_hits import PrimaryHits
 from neurad.losses.leave_one_out import ControlVariate
-from neurad.metrics.scores import BoolArray
 
 SPP = 8
 """Samples a pixel, both halves together: a pixel more says more than a sample more."""

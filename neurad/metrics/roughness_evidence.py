@@ -23,11 +23,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from neurad.core.records import FloatArray, IntArray
+from neurad.core.records import BoolArray, Float64Array, FloatArray, IntArray
 from neurad.metrics.error_bars import ToUnitCube, cells, in_cube
 from neurad.metrics.fisher import FLOOR, per_patch
 from neurad.metrics.pixel_means import PixelMeans
-from neurad.metrics.scores import BoolArray, Float64Array
 
 BOX = 5
 """Pixels along the side of the box that instruments are means over, where all pixels are drawn."""

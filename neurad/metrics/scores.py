@@ -5,13 +5,8 @@ from __future__ import annotations
 import math
 
 import numpy as np
-import numpy.typing as npt
 
-from neurad.core.records import FloatArray
-
-BoolArray = npt.NDArray[np.bool_]
-Float64Array = npt.NDArray[np.float64]
-IntArray = npt.NDArray[np.int64]
+from neurad.core.records import BoolArray, Float64Array, FloatArray
 
 MAPE_OFFSET = 0.01
 """Added to the truth below the fraction, so that black does not decide alone."""

@@ -9,7 +9,7 @@ from typing import Any, Self
 import numpy as np
 import numpy.typing as npt
 
-from neurad.metrics.scores import BoolArray
+from neurad.core.records import BoolArray
 
 SEEN, NEITHER, UNSEEN = 1.0, 0.5, 0.0
 """Values of the map ``seen``: a surface that a training photograph shows; an emitter, no surface, or a pixel that a

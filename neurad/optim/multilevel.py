@@ -6,10 +6,8 @@ from collections.abc import Sequence
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
-Float64Array = npt.NDArray[np.float64]
-IntArray = npt.NDArray[np.int64]
+from neurad.core.records import Float64Array, IntArray
 
 TOLERANCE, ITERATIONS = 1e-4, 400
 

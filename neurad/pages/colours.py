@@ -7,11 +7,10 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from neurad.core.records import FloatArray
+from neurad.core.records import BoolArray, FloatArray
 from neurad.scene.image_io import to_srgb
 
 Bytes = npt.NDArray[np.uint8]
-BoolArray = npt.NDArray[np.bool_]
 BRIGHTEST = 0.25
 """Error, in albedo, roughness or display white, that is the brightest in an error map."""
 BRIGHTEST_STD = 0.2

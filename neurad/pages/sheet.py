@@ -7,8 +7,8 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from neurad.core.records import FloatArray
-from neurad.pages.colours import BoolArray, Bytes, enlarged, hatched, reduced
+from neurad.core.records import BoolArray, FloatArray
+from neurad.pages.colours import Bytes, enlarged, hatched, reduced
 
 MIN_WIDTH, MAX_WIDTH = 256, 512
 """Width in pixels that small pictures are at least enlarged to, and that large ones are reduced below twice of."""

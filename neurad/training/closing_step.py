@@ -20,6 +20,7 @@ import torch
 from neurad.assembly.build import Assembly, FittedMaterials
 from neurad.assembly.training_views import TrainingViews
 from neurad.core.protocols import PhotoSource
+from neurad.core.records import Float64Array
 from neurad.fields.material import CORRECTION_FACTOR, Correction
 from neurad.fields.settings import RoughnessConfig
 from neurad.metrics.bar_calibration import RoughnessBars
@@ -30,7 +31,6 @@ from neurad.metrics.nodes import Nodes
 from neurad.metrics.pixel_derivatives import GROUP
 from neurad.metrics.pixel_means import PixelMeans, pixel_means
 from neurad.metrics.roughness_evidence import Evidence, evidence
-from neurad.metrics.scores import Float64Array
 from neurad.optim.multilevel import solve, upsample
 from neurad.optim.polyak_average import averaged
 from neurad.runtime.progress import phase

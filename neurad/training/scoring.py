@@ -11,14 +11,14 @@ from neurad.assembly.settings import ModelSettings
 from neurad.assembly.training_views import TrainingViews, prepare_views
 from neurad.core.errors import InputError
 from neurad.core.protocols import PhotoSource
-from neurad.core.records import FloatArray
+from neurad.core.records import Float64Array, FloatArray
 from neurad.integrators.estimator import Estimator
 from neurad.metrics.bar_maps import predict_bars
 from neurad.metrics.effort import EvaluationResolution
 from neurad.metrics.error_bars import ErrorBars
 from neurad.metrics.held_out import HeldOut
 from neurad.metrics.held_out_scores import albedo_factors
-from neurad.metrics.lamp_scores import EXTRA, MISSED, Array, lamp_scores, read_lamps_true
+from neurad.metrics.lamp_scores import EXTRA, MISSED, lamp_scores, read_lamps_true
 from neurad.metrics.view_residuals import view_residuals
 from neurad.optim.polyak_average import averaged
 from neurad.scene.description import Scene
@@ -69,7 +69,7 @@ class Scoring:
         """Whether the meshes that shine were found by photographs."""
         self._held_out: HeldOut | None = None
         self._light: UnknownLight | None = None
-        self._lamps_true: tuple[Array, int] | None = None
+        self._lamps_true: tuple[Float64Array, int] | None = None
 
     @property
     def held_out(self) -> HeldOut:
