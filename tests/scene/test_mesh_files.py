@@ -203,7 +203,7 @@ def test_broken_lists_are_refused(tmp_path):
     with pytest.raises(InputError, match="face 1 names vertex 9, of 7"):
         read(tmp_path, "a.ply", ply("ascii", [[0, 1, 2], [0, 1, 9]]))
     with pytest.raises(InputError, match="its header says 1 faces, but 0 are there"):
-        read(tmp_path, "a.ply", ply("ascii", [[0, 1, 2]]).replace(b"\n3 0.5", b"\n-3 0.5"))
+        read(tmp_path, "a.ply", ply("ascii", [[0, 1, 2]]).replace(b"\n3 0.5", b"\n-1 0.5"))
     with pytest.raises(InputError, match="its header says 9000000000000 faces"):
         read(tmp_path, "a.ply", ply("binary_little_endian", said=9 * 10**12))
     with pytest.raises(InputError, match="property list float float weights"):

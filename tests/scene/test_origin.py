@@ -13,6 +13,7 @@ from neurad.core.errors import InputError
 from neurad.core.records import Camera, Mesh
 from neurad.scene.load import read_folder
 from neurad.scene.origin import camera_in_scene, in_scene, origin_of
+from neurad.scene.scene_xml import ORIGIN, describe, write_xml
 from neurad.scene.transforms import transforms
 
 FAR = np.array([441545.5021, 2345.0873, -5121948.0137])
@@ -182,3 +183,24 @@ def test_copies_of_a_file_are_counted(tmp_path, monkeypatch):
     monkeypatch.setattr("neurad.scene.polygons.MAX_TRIANGLES", 13)
     with pytest.raises(InputError, match=r"with shape .*: it would have 18 triangles"):
         read_folder(tmp_path)
+
+
+def test_a_written_scene_has_its_place_and_mitsuba_may_leave_it_out(tmp_path):
+    mi = pytest.importorskip("mitsuba")
+    (tmp_path / "near.ply").write_bytes(ply(BOX, "binary_big_endian"))
+    lines = [line for line in SHAPES.splitlines() if "box" not in line and "text" not in line]
+    (tmp_path / "scene.xml").write_text("\n".join(lines))
+    camera_file(tmp_path)
+    scene = read_folder(tmp_path)
+    folder = tmp_path / "written"
+    folder.mkdir()
+    write_xml(describe(scene, folder), folder / "scene.xml")
+    camera_file(folder)
+    again = read_folder(folder)
+    np.testing.assert_array_equal(again.origin, scene.origin)
+    np.testing.assert_allclose(corners(again, "placed"), (2 * BOX + FAR)[TRIANGLES], rtol=0, atol=2e-6)
+    for light in again.punctual:
+        np.testing.assert_allclose(light.position + np.asarray(again.origin), FAR, rtol=0, atol=1e-6)
+    mi.set_variant("scalar_rgb")
+    loaded = mi.load_file(str(folder / "scene.xml"), **dict.fromkeys(ORIGIN, "0"))
+    np.testing.assert_allclose([loaded.bbox().min, loaded.bbox().max], scene.bounds, atol=1e-5)

@@ -231,7 +231,7 @@ class _Body:
                     return
                 raw = data[at] if width == 1 else int.from_bytes(data[at : at + width], whole)  # type: ignore[arg-type]
                 number = int(raw) if 0 <= raw < 1 << 62 else -1
-                if number != raw or (kind[0] == "i" and self.order and number >= 1 << (8 * width - 1)):
+                if number < 0 or number != raw or (kind[0] == "i" and self.order and number >= 1 << (8 * width - 1)):
                     return
                 at += width + number * entry
                 found.append(number)
