@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from neurad.core.ranges import Count, Positive, option
+from neurad.runs.trust import add_trust
 
 if TYPE_CHECKING:
     from benchmarks.bound.ladder import Rung
@@ -24,6 +25,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--ckpt_path", metavar="RUN", help="run folder or checkpoint of a fit (default: the newest run)"
     )
     parser.add_argument("--root", metavar="DIR", help="where the scene's folder is now, if it has moved since the fit")
+    add_trust(parser)
     parser.add_argument(
         "--seconds", type=option(Positive), default=60.0,
         help="processor time of the fields' fit to the true maps (default: 60)",
@@ -45,7 +47,7 @@ def run(options: argparse.Namespace) -> None:
     from neurad.runtime.tables import align, write_csv
 
     begin = time.process_time()
-    loaded = load_run(options.ckpt_path, options.root, other_light=False)
+    loaded = load_run(options.ckpt_path, options.root, other_light=False, trust=options.trust)
     found = Ladder(loaded, lambda text: print(f"neurad: {text}", flush=True)).climb(options.seconds, options.spp)
     rows = [[rung.name, rung.cause, *(_score(rung, name) for name in COLUMNS[2:])] for rung in found]
     print(f"\n{loaded.scene.name}, {loaded.iteration} steps, held-out views, dB")

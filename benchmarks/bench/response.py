@@ -6,6 +6,7 @@ import argparse
 from pathlib import Path
 
 from neurad.core.ranges import Count, option
+from neurad.runs.trust import add_trust
 
 COLUMNS = ("table", "row", "part", "value", "standard_error")
 SLOPES = ("all patches", "best known third")
@@ -17,6 +18,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
         "--ckpt_path", metavar="RUN", help="run folder or checkpoint of a fit (default: the newest run)"
     )
     parser.add_argument("--root", metavar="DIR", help="where the scene's folder is now, if it has moved since the fit")
+    add_trust(parser)
     parser.add_argument(
         "--pixels", type=option(Count), default=1 << 18, help="training pixels, at most (default: 262144)"
     )
@@ -34,7 +36,7 @@ def run(options: argparse.Namespace) -> None:
     from neurad.runs.load import load_run
     from neurad.runtime.tables import align, write_csv
 
-    loaded = load_run(options.ckpt_path, options.root, other_light=False)
+    loaded = load_run(options.ckpt_path, options.root, other_light=False, trust=options.trust)
     found = measure_response(loaded, options.pixels, options.spp, lambda text: print(f"neurad: {text}", flush=True))
     low, high = BINS
     bins = (f"below {low:g}", f"{low:g} to {high:g}", f"above {high:g}", f"below {high:g}, best known third")

@@ -123,6 +123,10 @@ def _next_steps(trainer: pl.Trainer, folder: Path, tested: bool) -> Iterator[tup
     """Commands that go on from here, and what they do."""
     here = folder.parent.name == "lightning_logs" and folder.parent.resolve().parent == Path.cwd()
     run = folder.name if here else str(folder)
+    module: InverseRenderer = trainer.lightning_module  # type: ignore[assignment]
+    top = type(module.settings.method).__module__.split(".")[0]
+    if top != __name__.split(".")[0]:
+        run += f" --trust {top}"
     if not tested:
         yield f"neurad test --ckpt_path {run}", "pictures of every held-out view, scores with more samples"
     limit = time_limit(trainer)

@@ -7,6 +7,7 @@ from pathlib import Path
 
 from neurad.core.durations import time_option
 from neurad.core.ranges import Count, CountOrZero, Positive, option
+from neurad.runs.trust import add_trust
 
 EPILOG = """Settings of `neurad fit` such as --data.root DIR are passed on to every fit.
 
@@ -27,6 +28,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("runs", nargs="*", metavar="[NAME=]RUN", help="finished runs, or the folder of a report")
     parser.add_argument("--config", "-c", action="append", default=[], help="config of the scene; may be repeated")
     parser.add_argument("--methods", help="names of overlays in configs/methods, or YAML files, separated by commas")
+    add_trust(parser)
     parser.add_argument(
         "--budget",
         type=time_option(Positive),

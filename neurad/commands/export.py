@@ -7,6 +7,7 @@ from pathlib import Path
 
 from neurad.core.ranges import Count, option, range_of, shown
 from neurad.export.limits import Side, Texels
+from neurad.runs.trust import add_trust
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -14,6 +15,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--ckpt_path", help="run folder or checkpoint (default: the newest run in lightning_logs)")
     parser.add_argument("--out", required=True, type=Path, help="folder to write; it is a scene folder itself")
     parser.add_argument("--root", help="where the scene's folder is now, if it has moved since the fit")
+    add_trust(parser)
     parser.add_argument(
         "--for", dest="target", choices=("blender", "gltf", "exact"), default="blender",
         help="whose base colours scene.glb gets, so that surfaces send back as much light there: Blender's Cycles "
@@ -62,7 +64,7 @@ def run(options: argparse.Namespace) -> None:
 
     settings = ExportSettings(**{f.name: getattr(options, f.name) for f in fields(ExportSettings)})
     check_out(settings.out, settings.overwrite)
-    loaded = load_run(options.ckpt_path, options.root, other_light=False)
+    loaded = load_run(options.ckpt_path, options.root, other_light=False, trust=options.trust)
     if found := export(loaded.assembly, loaded.checkpoint, settings, loaded.bars):
         print(f"neurad: {settings.out}: {'; '.join(found)}", file=sys.stderr)
         raise SystemExit(1)

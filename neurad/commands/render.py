@@ -7,6 +7,7 @@ from pathlib import Path
 
 from neurad.core.durations import time_option
 from neurad.core.ranges import Count, Finite, Positive, option
+from neurad.runs.trust import add_trust
 
 
 def add_arguments(parser: argparse.ArgumentParser) -> None:
@@ -14,6 +15,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument("--scene", help="name of a built-in scene, with its own materials")
     parser.add_argument("--root", help="scene folder, with its own materials; of a run one of the same geometry")
     parser.add_argument("--ckpt_path", help="run folder or checkpoint whose recovered materials are rendered")
+    add_trust(parser)
     parser.add_argument("--camera", help="camera file (as transforms.json; it needs no photographs) instead of views")
     parser.add_argument("--edit", help="YAML: lamps off, scaled, coloured, moved; environment; materials; objects")
     parser.add_argument("--out", required=True, type=Path, help="folder to write; it gets images/, albedo/, roughness/")

@@ -6,6 +6,7 @@ import argparse
 from typing import Annotated
 
 from neurad.core.ranges import Range, option
+from neurad.runs.trust import add_trust
 
 Port = Annotated[int, Range(0, 65535)]
 
@@ -14,6 +15,7 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options of the verb."""
     parser.add_argument("--ckpt_path", help="run folder or checkpoint (default: the newest run in lightning_logs)")
     parser.add_argument("--root", help="where the scene's folder is now, if it has moved since the fit")
+    add_trust(parser)
     parser.add_argument(
         "--port", type=option(Port), help="where the page is, 0 for any free port (default: the first free from 8080)"
     )
@@ -41,7 +43,7 @@ def run(options: argparse.Namespace) -> None:
     from neurad.inspect.viewer import Viewer
     from neurad.runs.load import load_run
 
-    loaded = load_run(options.ckpt_path, options.root)
+    loaded = load_run(options.ckpt_path, options.root, trust=options.trust)
     print("neurad: preparing; the first time on a machine this compiles for a minute or two", file=sys.stderr)
     viewer = Viewer(loaded, options.port)
     print(f"open {viewer.address} in a browser; Ctrl-C ends", flush=True)

@@ -122,12 +122,13 @@ def time_limit(seconds: float) -> list[str]:
     ]
 
 
-def predict(runs: Sequence[Run], spp: int) -> list[Run]:
+def predict(runs: Sequence[Run], spp: int, trust: Sequence[str] = ()) -> list[Run]:
     """Let every method's first finished run write its held-out views, unless it has; returns those that failed.
 
     Args:
         runs: of the comparison.
         spp: samples per pixel of the renders.
+        trust: the user's own modules, whose classes the runs may name.
     """
     failed = []
     for group in by_method([run for run in runs if not run.message]).values():
@@ -137,6 +138,7 @@ def predict(runs: Sequence[Run], spp: int) -> list[Run]:
             continue
         print(f"neurad: {run.method}: held-out views ...", flush=True)
         words = [f"--ckpt_path={checkpoint}", f"--evaluation.test_spp={spp}", "--trainer.enable_progress_bar=false"]
+        words += [f"--trust={name}" for name in trust]
         with phase("rendering") as rendering:
             rendering.detail = f"held-out views of {run.method}"
             ended = run_neurad(["predict", *words], run.folder / "predict.txt")
@@ -162,7 +164,8 @@ def _common(options: argparse.Namespace, name: str) -> list[str]:
     find_config(overlay)
     chosen = any("evaluation.fraction" in word for word in options.settings)
     fraction = [] if chosen else [f"--evaluation.fraction={EVALUATION_FRACTION}"]
-    return [*(f"--config={config}" for config in [*options.config, overlay]), *fraction, *options.settings]
+    trust = [f"--trust={name}" for name in options.trust]
+    return [*trust, *(f"--config={config}" for config in [*options.config, overlay]), *fraction, *options.settings]
 
 
 def _seeds(text: str) -> list[int]:

@@ -36,7 +36,7 @@ def compare(options: argparse.Namespace) -> None:
     runs = finished_runs(options) if options.runs else fit_all(options)
     failed = [run for run in runs if run.message]
     if options.views:
-        failed += predict(runs, options.view_spp)
+        failed += predict(runs, options.view_spp, options.trust)
     from neurad.compare.write import write_report
 
     command = ["neurad", "compare", *options.words]

@@ -6,7 +6,7 @@ resolved against that final state, so ``--model.width 32`` also changes every va
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import Any, cast
 
@@ -19,16 +19,22 @@ import neurad
 from neurad.core.errors import InputError
 from neurad.core.ranges import IS_GROUP
 from neurad.core.suggest import did_you_mean
+from neurad.runs.trust import SHIPPED
 from neurad.runtime.reading import beside, exists, regular_file, shown
 
 Tree = dict[str, Any]
-TRUSTED = ["neurad", "datamodules", "lightning", "torch.optim", "torch.nn", "datetime"]
-"""Packages whose classes a config may name: configs are passed around, and naming a class runs it."""
+_granted: set[str] = set()
+"""What the parser was ever told to import beyond what every config may name."""
 
 
-def only_trusted_classes() -> None:
-    """Let the parser import classes of :data:`TRUSTED` packages only."""
-    set_parsing_settings(import_path_denylist=["*"], import_path_allowlist=TRUSTED)
+def only_trusted_classes(trusted: Iterable[str] = ()) -> None:
+    """Let the parser import what every config may name, and these modules, from now on; nothing else.
+
+    Args:
+        trusted: modules that :func:`neurad.runs.trust.import_trusted` has imported.
+    """
+    set_parsing_settings(import_path_denylist=["*", *_granted], import_path_allowlist=[*SHIPPED, *trusted])
+    _granted.update(trusted)
 
 
 def shipped_folders() -> list[Path]:
@@ -118,6 +124,8 @@ def read_layer(path: Path, name: str) -> DictConfig:
         raise InputError(f"{name}: it is not a mapping of keys to values")
     if "config" in layer:  # the parser would read it as --config
         raise InputError(f"{name}: config is not a known setting, did you mean base?")
+    if "trust" in layer:
+        raise InputError(f"{name}: trust: no file can say whom you trust, give --trust on the command line")
     return layer
 
 

@@ -25,12 +25,13 @@ from neurad.callbacks.run_folder import run_folder
 from neurad.core.errors import InputError
 from neurad.core.ranges import IS_GROUP, hints
 from neurad.runs.checkpoints import RUNS, named_checkpoint, newest_checkpoint, restoring, run_folder_of
-from neurad.runs.configs import load_config, only_trusted_classes, overlay, resolve, split_arguments
+from neurad.runs.configs import find_config, load_config, only_trusted_classes, overlay, resolve, split_arguments
 from neurad.runs.messages import reason, setting_error, silence_lightning
 from neurad.runs.own_config import own_config
 from neurad.runs.times import in_tree, in_words
 from neurad.runs.trainer_help import help_trainer
 from neurad.runs.trainer_settings import OURS, complaints
+from neurad.runs.trust import import_trusted, split_trust
 from neurad.runtime import progress
 from neurad.runtime.files import check_folder
 from neurad.runtime.machine import usable_cores
@@ -54,8 +55,10 @@ def run(verb: str, args: Sequence[str], model: type[pl.LightningModule], data: t
         InputError: the user's mistake, in one sentence.
     """
     silence_lightning()
-    only_trusted_classes()
+    trust, args = split_trust(args)
     names, values, rest = split_arguments(args)
+    trusted = import_trusted(trust, [find_config(name).parent for name in names])
+    only_trusted_classes(trusted)
     found = [(f"config {name}", layer) for name in names for layer in load_config(name)]
     layers = [layer for _, layer in found]
     settings = overlay(layers, values)
@@ -68,7 +71,7 @@ def run(verb: str, args: Sequence[str], model: type[pl.LightningModule], data: t
     only_print = any(token.startswith("--print_config") for token in args)
     checkpoint = None if only_print else find_checkpoint(verb, tree)
     if checkpoint is not None:
-        found = [*((f"run {checkpoint}", layer) for layer in _config_of_run(checkpoint)), *found]
+        found = [*((f"run {checkpoint}", layer) for layer in _config_of_run(checkpoint, trusted)), *found]
     resolved = resolve([layer for _, layer in found], values)
     trees = [in_tree(tree, source) for tree, (source, _) in zip(resolved, found, strict=True)]
     parsed = [f"--config={_as_text(tree)}" for tree in trees]
@@ -139,10 +142,10 @@ def _typed_path(text: Any, option: str) -> Path:
         raise InputError(f"{option} {text}: {str(error).rstrip('.')}") from error
 
 
-def _config_of_run(checkpoint: Path) -> list[DictConfig]:
+def _config_of_run(checkpoint: Path, trusted: Sequence[str]) -> list[DictConfig]:
     """The settings of the run that wrote the checkpoint, as the lowest layers: the user's own go on top."""
     folder = run_folder_of(checkpoint)
-    return [] if folder is None else [own_config(folder)]
+    return [] if folder is None else [own_config(folder, trusted)]
 
 
 class NeuradCLI(LightningCLI):

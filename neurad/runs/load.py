@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -33,6 +33,7 @@ from neurad.metrics.seen import SeenBy
 from neurad.runs.checkpoints import named_checkpoint, newest_checkpoint, run_folder_of
 from neurad.runs.model_settings import parse_model
 from neurad.runs.own_config import own_config
+from neurad.runs.trust import import_trusted
 from neurad.scene.description import Scene
 from neurad.scene.development import Photography
 from neurad.scene.load import load_scene
@@ -265,6 +266,7 @@ def load_run(
     root: str | os.PathLike[str] | None = None,
     device: str | torch.device = "cpu",
     other_light: bool = True,
+    trust: str | Sequence[str] = (),
 ) -> LoadedRun:
     """Read what a fit has recovered.
 
@@ -275,18 +277,20 @@ def load_run(
         device: where to put everything.
         other_light: whether the lamps and the environment of ``root`` may be others than in the fit. Pictures are then
             path traced, as the radiance field belongs to the light of the fit.
+        trust: modules of the user's own, whose classes the run may name, as :func:`neurad.load` takes them.
 
     Raises:
-        InputError: there is no such run, its checkpoint cannot be read or does not fit, or its scene is missing or
-            has changed.
+        InputError: there is no such run, its checkpoint cannot be read or does not fit, its scene is missing or has
+            changed, or its method is in a module that is not trusted.
     """
+    trusted = import_trusted(trust)
     checkpoint, folder = _locate(run)
     name = f"run {checkpoint}"
     content = read_checkpoint(checkpoint, name)
-    config = OmegaConf.to_container(own_config(folder))
+    config = OmegaConf.to_container(own_config(folder, trusted))
     if not isinstance(config, dict) or not all(isinstance(config.get(part), dict) for part in ("model", "data")):
         raise InputError(f"{folder / 'config.yaml'}: it is not the config of a run")
-    settings = parse_model(config["model"], str(folder / "config.yaml"))
+    settings = parse_model(config["model"], str(folder / "config.yaml"), trusted)
     scene = _scene(config["data"], folder, root)
     finds = settings.lighting.emitters == "find"
     lamps = from_kept(content["neurad"].get("shining"), scene, name) if finds else None

@@ -14,6 +14,7 @@ from omegaconf.errors import OmegaConfBaseException
 from neurad.core.ranges import IS_GROUP, shown
 from neurad.core.suggest import ALIKE
 from neurad.runs.configs import load_config
+from neurad.runs.trust import how_to_trust
 
 UNKNOWN = (
     r"unrecognized arguments: --([^\s=]+)",
@@ -57,6 +58,8 @@ def reason(text: str) -> str:
         text: its complaint in one line, without the setting's name.
     """
     given = re.search(r"Given value: (.*)$", text)
+    if denied := re.search(r"Importing '([^']+)' is not allowed", text):
+        return f"{denied[1]} is no class of neurad, Lightning or torch{how_to_trust(denied[1])}"
     if named := re.search(r"Problem with given class_path '([^']+)': (.*?)(?: - |  ?Given value| \(given|$)", text):
         inner = re.sub(r'^Parser key "[^"]+": ', "", named[2])
         for pattern, words in _OF_CLASSES:
@@ -76,7 +79,6 @@ def reason(text: str) -> str:
 _OF_CLASSES = (
     (r"arguments are required: (.+)", "{0} cannot be made without its init_args {1}"),
     (r"Option '([^']+)' is not accepted", "{0} has no setting {1}"),
-    (r"Importing '([^']+)' is not allowed", "Importing '{1}' is not allowed"),
 )
 """What the parser says of a class and its settings, and how it is said here; ``{0}`` is the class."""
 _OF_VALUES = (

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable
 from typing import Any
 
 from jsonargparse import ArgumentError, ArgumentParser
@@ -14,17 +15,18 @@ from neurad.integrators.radiometric import Radiometric
 from neurad.runs.configs import load_config, only_trusted_classes
 
 
-def parse_model(model: dict[str, Any], source: str) -> ModelSettings:
+def parse_model(model: dict[str, Any], source: str, trusted: Iterable[str] = ()) -> ModelSettings:
     """Make the settings of a ``model`` section, as the command line makes them.
 
     Args:
         model: values by key, classes by ``class_path``.
         source: the file that they are from; begins the error message.
+        trusted: the user's own modules, whose classes they may name.
 
     Raises:
         InputError: a key is unknown or a value is wrong.
     """
-    only_trusted_classes()
+    only_trusted_classes(trusted)
     parser = ArgumentParser(exit_on_error=False)
     parser.add_class_arguments(ModelSettings, "model")
     given = {key: value for key, value in model.items() if not (key == "method" and value is None)}

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import re
 import sys
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +18,7 @@ from neurad import integrators
 from neurad.core.errors import InputError
 from neurad.runs.configs import read_layer
 from neurad.runs.trainer_settings import OURS, UNCHANGED
+from neurad.runs.trust import how_to_trust, is_trusted
 
 GROUPS = ("model", "data", "evaluation", "checkpoint", "bar")
 """Groups of settings that are taken over: numbers, texts and lists of them."""
@@ -32,11 +33,12 @@ METHODS = integrators.__name__
 """Where the class of ``model.method`` has to be."""
 
 
-def own_config(folder: Path) -> DictConfig:
+def own_config(folder: Path, trusted: Iterable[str] = ()) -> DictConfig:
     """What counts of the settings of a run; says on stderr what was left out.
 
     Args:
         folder: the run's.
+        trusted: the user's own modules, whose methods it may name.
 
     Raises:
         InputError: the file is missing, is no config of a run, or names classes or other files of settings.
@@ -58,7 +60,7 @@ def own_config(folder: Path) -> DictConfig:
         _check_group(kept.get("model", {}), name, f"model.{name}", path)
     _refuse(kept, "", path)
     if method is not None:
-        kept["model"]["method"] = _method(method, path)
+        kept["model"]["method"] = _method(method, path, trusted)
     kept["trainer"], left_out = _of_trainer(tree.get("trainer", {}), path)
     if left_out:
         print(
@@ -92,11 +94,13 @@ def _refuse(value: Any, name: str, path: Path) -> None:
         raise InputError(f"{path}: {name} refers to something else ({value}), which the config of a run never does")
 
 
-def _method(method: Any, path: Path) -> dict[str, Any]:
+def _method(method: Any, path: Path, trusted: Iterable[str]) -> dict[str, Any]:
     """The class of the method and its settings."""
     name = str(method.get("class_path")) if isinstance(method, dict) else str(method)
-    if not isinstance(method, dict) or not re.fullmatch(rf"{re.escape(METHODS)}\.\w+\.\w+", name):
-        raise InputError(f"{path}: model.method names {name}, which is no class of {METHODS}")
+    known = re.fullmatch(rf"{re.escape(METHODS)}\.\w+\.\w+", name) or is_trusted(name, trusted)
+    if not isinstance(method, dict) or not known:
+        hint = how_to_trust(name) if isinstance(method, dict) else ""
+        raise InputError(f"{path}: model.method names {name}, which is no class of {METHODS}{hint}")
     arguments = method.get("init_args") or {}
     _refuse(arguments, "model.method.init_args", path)
     return {"class_path": name, "init_args": arguments}

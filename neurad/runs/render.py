@@ -50,6 +50,8 @@ class RenderSettings:
     """Scene folder; of a run one of the same geometry, perhaps with other light."""
     ckpt_path: str | None = None
     """Run whose materials are rendered instead of the scene's own."""
+    trust: Sequence[str] = ()
+    """The user's own modules, whose classes the run may name."""
     camera: str | None = None
     """Camera file, instead of the scene's views."""
     edit: str | None = None
@@ -119,7 +121,8 @@ def render_views(settings: RenderSettings) -> None:
         depth, tracer = settings.max_depth, settings.tracer
         subject = true_subject(settings.root, settings.scene, edit, integrator, depth, tracer)
     else:
-        subject = recovered_subject(settings.ckpt_path, settings.root, edit, settings.integrator, settings.max_depth)
+        wanted = settings.integrator, settings.max_depth
+        subject = recovered_subject(settings.ckpt_path, settings.root, edit, *wanted, settings.trust)
     views = _views(settings, subject.scene)
     kinds = ["images", *(["images_lhs"] if subject.method.needs_field else [])]
     if settings.path is None:

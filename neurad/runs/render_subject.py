@@ -113,7 +113,12 @@ def true_subject(
 
 
 def recovered_subject(
-    ckpt_path: str, root: str | None, edit: Edit, integrator: str | None, max_depth: int | None
+    ckpt_path: str,
+    root: str | None,
+    edit: Edit,
+    integrator: str | None,
+    max_depth: int | None,
+    trust: Sequence[str] = (),
 ) -> Subject:
     """What a run recovered, perhaps under another light, edited.
 
@@ -123,6 +128,7 @@ def recovered_subject(
         edit: what to change.
         integrator: name of a method; None takes the run's own where nothing is changed, otherwise paths.
         max_depth: longest path; None for that of the scene.
+        trust: the user's own modules, whose classes the run may name.
 
     Raises:
         InputError: no such run or method, a scene of other geometry, or an edit that does not fit.
@@ -130,7 +136,7 @@ def recovered_subject(
     given = None if integrator is None else find_method(integrator)
     if given is not None and integrator is not None:
         check_depth(integrator, given[1], max_depth)
-    run = load_run(ckpt_path, root)
+    run = load_run(ckpt_path, root, trust=trust)
     made = edited(recovered_scene(run.assembly), edit)
     said = (*run.light_changes, *made.said)
     own = _own(run, said)

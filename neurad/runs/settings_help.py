@@ -26,6 +26,8 @@ FIRST = {
     "--trainer.devices N": "Processes or GPUs; with several also --trainer.strategy ddp.",
     "--trainer.enable_progress_bar BOOL": "false prints no line of progress.",
     "--seed_everything N": "Seed of every random decision, 0 unless told.",
+    "--trust MODULE": "A module of your own, mine for mine.py, whose classes the config may name: it is run. Several "
+    "are separated by commas. No file can say it, so every verb that reads the run asks again.",
     "--print_config": "Print all settings as they would hold, and end.",
     "--help [WORD]": "This text, or of it the settings whose name has WORD in it.",
     "--help-trainer": "The settings of Lightning's trainer, all below --trainer.",

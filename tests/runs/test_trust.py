@@ -1,0 +1,216 @@
+"""``--trust``: a method in the user's own file works by an explicit word, and by nothing else."""
+
+import re
+import sys
+from pathlib import Path
+
+import pytest
+import yaml
+from helpers.tiny_fit import config, fails, fit, run_folder, write_tiny_config
+
+import neurad
+from neurad.cli import main
+from neurad.core.errors import InputError
+from neurad.runs import trust
+from neurad.runs.trust import how_to_trust, import_trusted, is_trusted, split_trust
+
+DOCS = Path(__file__).parents[2] / "docs" / "extending.md"
+MARK = "open('executed', 'a').close()\n"
+"""Says that a file was run."""
+STEPS = ("--trainer.max_steps=2", "--evaluation.pictures=0")
+
+
+def shown(language):
+    """The example of the page on extending."""
+    return re.search(rf"```{language}\n(.*?)```", DOCS.read_text(), re.S)[1]
+
+
+@pytest.fixture(autouse=True)
+def _forgets():
+    yield
+    for name in trust._imported:
+        sys.modules.pop(name, None)
+    trust._imported.clear()
+
+
+@pytest.fixture(scope="module")
+def own(tmp_path_factory):
+    """A folder with the page's example, and a run of it; the file says when it is run."""
+    place = tmp_path_factory.mktemp("own")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.chdir(place)
+        write_tiny_config()
+        Path("mine.py").write_text(MARK + shown("python"))
+        Path("mine.yaml").write_text(shown("yaml"))
+        fit("--config", "mine.yaml", "--trust", "mine", *STEPS)
+    trust._imported.clear()
+    sys.modules.pop("mine", None)
+    return place
+
+
+@pytest.fixture
+def place(own, monkeypatch):
+    """It as the working folder, from a process that has not run the file yet."""
+    monkeypatch.chdir(own)
+    Path("executed").unlink(missing_ok=True)
+    return own
+
+
+def ran():
+    return Path("executed").exists()
+
+
+@pytest.mark.main
+def test_the_example_of_the_docs(place, capfd):
+    assert len([line for line in shown("python").splitlines() if line.strip()]) <= 12
+    assert config()["model"]["method"] == {"class_path": "mine.Ambient", "init_args": {"ambient": 0.05}}
+    assert "trust" not in config()
+    main(["test", "--ckpt_path", "last", "--trust", "mine", "--trainer.enable_progress_bar=false"])
+    said = capfd.readouterr().out
+    assert "neurad export --ckpt_path version_0 --trust mine" in said  # what is advised is not refused
+    assert (run_folder() / "metrics.json").is_file()
+    run = neurad.load(trust="mine")
+    assert type(run.settings.method).__name__ == "Ambient"
+    assert run.settings.method.ambient == 0.05
+    assert run.render(run.scene.test[0], spp=1).mean() > 0
+    assert "--trust mine" in said
+    fit("--ckpt_path=last", "--trust=mine", "--trainer.max_steps=3", "--evaluation.pictures=0")
+
+
+@pytest.mark.main
+def test_every_door_asks_again(place, capfd):
+    before = {path: path.stat().st_mtime_ns for path in place.rglob("*") if path.is_file()}
+    for verb in ("fit", "validate", "test", "predict"):
+        assert "model.method names mine.Ambient" in (said := fails(capfd, verb, "--ckpt_path=last"))
+        assert "give --trust mine" in said
+    for words in (
+        ("export", "--ckpt_path", "last", "--out", "out"),
+        ("render", "--ckpt_path", "last", "--out", "out"),
+        ("view", "--ckpt_path", "last", "--port", "0"),
+        ("bench", "bound", "--ckpt_path", "last"),
+        ("bench", "response", "--ckpt_path", "last"),
+    ):
+        if words[0] == "view":
+            pytest.importorskip("viser")
+        assert "give --trust mine" in fails(capfd, *words)
+    with pytest.raises(InputError, match="trust='mine'"):
+        neurad.load()
+    said = fails(capfd, "fit", "--config=tiny.yaml", "--config=mine.yaml", *STEPS)
+    assert "config mine.yaml: model.method: mine.Ambient is no class of neurad" in said
+    assert "give --trust mine" in said
+    assert "give --trust mine" in fails(
+        capfd, "fit", "--config=tiny.yaml", "--trainer.callbacks=[mine.Ambient]", *STEPS
+    )
+    assert not ran()
+    assert {path: path.stat().st_mtime_ns for path in place.rglob("*") if path.is_file()} == before
+    # a word for one call holds for no other
+    assert neurad.load(trust=["mine"]).iteration >= 2
+    with pytest.raises(InputError, match="--trust mine"):
+        neurad.load()
+    assert "give --trust mine" in fails(capfd, "fit", "--config=tiny.yaml", "--config=mine.yaml", *STEPS)
+    with pytest.raises(InputError, match="--trust mine"):
+        neurad.load(trust="helpers")
+
+
+@pytest.mark.main
+def test_no_file_can_say_it(place, tmp_path, capfd, monkeypatch):
+    Path("sly.yaml").write_text(yaml.safe_dump({"trust": "mine", **yaml.safe_load(shown("yaml"))}))
+    said = fails(capfd, "fit", "--config=tiny.yaml", "--config=sly.yaml", *STEPS)
+    assert "config sly.yaml: trust: no file can say whom you trust" in said
+    Path("deep.yaml").write_text(yaml.safe_dump({"base": "sly.yaml"}))
+    assert "trust: no file" in fails(capfd, "fit", "--config=tiny.yaml", "--config=deep.yaml", *STEPS)
+    kept = (run_folder() / "config.yaml").read_text()
+    try:
+        (run_folder() / "config.yaml").write_text(f"trust: mine\n{kept}")
+        assert "trust: no file" in fails(capfd, "test", "--ckpt_path=last")
+        with pytest.raises(InputError, match="no file can say"):
+            neurad.load()
+        # somebody's run with a module of the same name in it
+        (run_folder() / "config.yaml").write_text(kept)
+        (run_folder() / "mine.py").write_text("raise SystemExit('hijacked')")
+        assert type(neurad.load(trust="mine").settings.method).__module__ == "mine"
+        monkeypatch.chdir(tmp_path)
+        with pytest.raises(InputError, match="--trust mine: no such module"):
+            neurad.load(place / run_folder(), trust="mine")
+    finally:
+        (place / run_folder() / "config.yaml").write_text(kept)
+        (place / run_folder() / "mine.py").unlink(missing_ok=True)
+
+
+@pytest.mark.main
+def test_a_trusted_run_names_no_other_class(place, capfd):
+    path = run_folder() / "config.yaml"
+    kept = path.read_text()
+    try:
+        for name in ("minez.Ambient", "mine", "mine.", "os.system", "mine.Ambient; x", "torch.hub.load"):
+            tree = yaml.safe_load(kept)
+            tree["model"]["method"]["class_path"] = name
+            path.write_text(yaml.safe_dump(tree))
+            said = fails(capfd, "test", "--ckpt_path=last", "--trust=mine")
+            assert f"model.method names {name}" in said
+            assert ("give --trust minez" in said) == name.startswith("minez")
+        for name in ("mine.Nothing", "mine.MARK", "mine.RadianceEstimate", "mine.bounce"):
+            tree["model"]["method"]["class_path"] = name
+            path.write_text(yaml.safe_dump(tree))
+            assert "method" in fails(capfd, "test", "--ckpt_path=last", "--trust=mine")
+    finally:
+        path.write_text(kept)
+
+
+def test_where_a_module_is_found(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    beside, elsewhere = tmp_path / "configs", tmp_path / "elsewhere"
+    for folder in (beside, elsewhere, tmp_path / "pack"):
+        folder.mkdir()
+    (beside / "side.py").write_text("HERE = 'configs'")
+    (tmp_path / "pack" / "__init__.py").write_text("")
+    (tmp_path / "pack" / "inner.py").write_text("HERE = 'inner'")
+    assert import_trusted(["side, pack.inner", "yaml"], [beside]) == ("side", "pack.inner", "yaml")
+    assert sys.modules["side"].HERE == "configs"
+    from pack import inner
+
+    assert inner.HERE == "inner"
+    first = sys.modules["side"]
+    import_trusted("side", [beside])
+    assert sys.modules["side"] is first
+    (tmp_path / "side.py").write_text("HERE = 'here'")
+    with pytest.raises(InputError, match=r"--trust side: there are several: .*/side\.py, .*configs/side\.py"):
+        import_trusted("side", [beside])
+    import_trusted("side")
+    assert sys.modules["side"].HERE == "here"  # not the one of another folder
+    (tmp_path / "yaml.py").write_text(MARK)  # takes no installed module's place
+    with pytest.raises(InputError, match="--trust yaml: there are several"):
+        import_trusted("yaml")
+    assert not ran()
+    (tmp_path / "odd.py").write_text("\n\n1 / 0\n")
+    with pytest.raises(InputError, match=r"--trust odd: .*odd\.py, line 3: ZeroDivisionError: division by zero"):
+        import_trusted("odd")
+    assert "odd" not in sys.modules
+    (tmp_path / "odd.py").write_text("def")
+    with pytest.raises(InputError, match=r"--trust odd: .*odd\.py: SyntaxError"):
+        import_trusted("odd")
+
+
+@pytest.mark.parametrize("name", ["os", "subprocess", "os.path", "builtins", "pickle", "jsonargparse", "sys"])
+def test_python_itself_is_never_trusted(name):
+    with pytest.raises(InputError, match=f"--trust {name}: no class of Python's own modules"):
+        import_trusted(name)
+    assert how_to_trust(f"{name}.x") == ""
+
+
+@pytest.mark.parametrize("name", ["", "mine.py", "../mine", "a b", "mine,", "mine..x", "1a", "nothing_of_this_name"])
+def test_what_is_no_module(name, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    Path("mine.py").write_text("")
+    with pytest.raises(InputError, match=r"^--trust "):
+        import_trusted(name)
+
+
+def test_the_words():
+    assert split_trust(["--trust", "a", "--config=x", "--trust=b,c", "-h"]) == (["a", "b,c"], ["--config=x", "-h"])
+    for words in (["--trust"], ["--trust", "--config=x"]):
+        with pytest.raises(InputError, match="--trust needs the name"):
+            split_trust(words)
+    assert is_trusted("a.b.C", ["a"])
+    assert is_trusted("a.b.C", ["x", "a.b"])
+    assert not any(is_trusted(path, ["a.b"]) for path in ("a.C", "a.bc.C", "a.b", "a.b.", "a.b.C()"))
