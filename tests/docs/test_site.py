@@ -44,45 +44,37 @@ def script(name):
     return module
 
 
-def test_plots_are_drawn_from_the_data(tmp_path):
-    plots = script("plots")
-    plots.main(["--out", str(tmp_path)])
+def test_the_results_page_is_made_of_the_data(tmp_path):
+    results = script("results")
+    results.main(["--out", str(tmp_path)])
+    page = (DOCS / "results.md").read_text()
+    assert (tmp_path / "results.md").read_text() == page
     drawn = {path.stem for path in tmp_path.glob("*.png")}
-    assert drawn == set(plots.PLOTS)
-    shown = re.findall(r"\]\((\w+)\.png\)", (DOCS / "results.md").read_text())
-    assert drawn <= set(shown)
+    shown = set(re.findall(r"\]\((\w+)\.png\)", page))
+    assert drawn == set(results.PLOTS)
+    assert drawn <= shown
     assert all((DOCS / f"{name}.png").stat().st_size < 300_000 for name in shown)
+    tables = set(re.findall(r"^<!-- table: (\w+) -->$", page, re.M))
+    assert {path.stem for path in (DOCS / "data").glob("*.csv")} == tables | drawn
 
 
-def test_plots_and_tables_show_the_same_numbers():
-    plots = script("plots")
-    readme, results = ((REPOSITORY / name).read_text() for name in ("README.md", "docs/results.md"))
-    scores = ("albedo_psnr", "roughness_psnr")
-    ends = {row.get("room", name): row for name in ("patterns", "rooms") for row in plots.rows(name)}
-    assert [room for room, row in ends.items() for key in scores if f" {row[key]} " not in results] == []
-    cells = {cell.strip() for line in results.splitlines() if line.startswith("|") for cell in line.split("|")}
-    shown = re.findall(r"\| ([\d.]+) dB ", readme)
-    assert len(shown) >= 4
-    assert set(shown) <= cells
-    for room in plots.COMPARED:
-        last = {row["method"]: row for row in plots.rows(f"methods_{room}")}
-        assert {row[key] for row in last.values() for key in scores} <= cells
-    assert {row["ms_per_step"] for row in plots.rows("cube")} <= cells
-
-
-def test_curves_of_methods_are_drawn_where_there_are_some(tmp_path, monkeypatch):
-    plots = script("plots")
+def test_a_number_of_the_data_comes_to_the_page(tmp_path, monkeypatch):
+    results = script("results")
     (tmp_path / "data").mkdir()
-    for file in (DOCS / "data").glob("*.csv"):
-        head, *lines = file.read_text().splitlines()
-        if file.stem.startswith("methods_"):  # the same methods half way, and another seed
-            earlier = [line.replace(",0,600,", ",0,300,") for line in lines]
-            lines = [*earlier, *lines, *(line.replace(",0,600,", ",1,600,") for line in lines)]
-        (tmp_path / "data" / file.name).write_text("\n".join([head, *lines]) + "\n")
-    monkeypatch.setattr(plots, "DOCS", tmp_path)
-    monkeypatch.setattr(plots, "PLOTS", {})
-    plots.main(["--out", str(tmp_path)])
-    assert (tmp_path / "methods_curves.png").stat().st_size > 10_000
+    (tmp_path / "data" / "rooms.csv").write_text('room,albedo,albedo\nattic,"23.4, 5",\n')
+    monkeypatch.setattr(results, "DOCS", tmp_path)
+    made = results.page("Command.\n<!-- table: rooms -->\n| old |\n\nAfter it.\n")
+    rows = "| room | albedo | albedo |\n| --- | --- | --- |\n| attic | 23.4, 5 |  |\n"
+    assert made == f"Command.\n<!-- table: rooms -->\n{rows}\nAfter it.\n"
+
+
+def test_the_readme_has_the_numbers_of_the_demo():
+    results = script("results")
+    shown = re.findall(r"\| ([\d.]+) dB ", (REPOSITORY / "README.md").read_text())
+    assert len(shown) >= 4
+    assert set(shown) <= {cell for row in results.rows("builtin") for cell in row.values()}
+    end = results.rows("patterns")[-1]
+    assert {end["albedo_psnr"], end["roughness_psnr"]} <= set(results.rows("builtin")[3].values())
 
 
 @pytest.mark.main

@@ -1,12 +1,10 @@
 """Every number among the settings has a range, whoever reads it: the parser, the help and the pages."""
 
 import math
-import re
 import types
 from typing import Union, get_args, get_origin
 
 import pytest
-from helpers.pages import DOCS
 from helpers.tiny_fit import write_tiny_config
 
 from neurad.cli import main
@@ -106,15 +104,3 @@ def test_settings_that_have_no_effect_say_what_has_one(parsed):
         ((key, text),) = complaints(changed(parsed["settings"], f"trainer.{name}", 7), parsed["groups"])
         assert key == f"trainer.{name}"
         assert text.startswith("it has no effect here, ")
-
-
-def test_the_page_states_every_range(parsed):
-    every = list(ranges(parsed["groups"]).items())
-    every += [pair for method in METHODS for pair in all_ranges(hints(method), "init_args.")]
-    by_range = {}
-    for key, allowed in every:
-        by_range.setdefault(str(allowed), set()).add(f"`{key}`")
-    table = "".join(f"| {allowed} | {', '.join(sorted(keys))} |\n" for allowed, keys in sorted(by_range.items()))
-    stated = re.search(r"\| it must be \| settings \|\n\|---\|---\|\n((?:\|.*\n)+)", (DOCS / "settings.md").read_text())
-    assert stated is not None
-    assert stated[1] == table, f"docs/settings.md should say:\n{table}"
