@@ -111,6 +111,7 @@ def test_polycam(place, capfd):
     assert "before Polycam's adjustment" not in capfd.readouterr().err
     for name in ("cameras", "images"):
         (source / f"keyframes/corrected_{name}").rename(source / f"keyframes/{name}")
+    (source / "keyframes/corrected_cameras").mkdir()  # an adjustment that was not finished
     main(["data", "polycam", str(source / "keyframes"), "--out", "raw"])
     captured = capfd.readouterr()
     assert "cameras before Polycam's adjustment" in captured.err
@@ -643,6 +644,8 @@ WAYS = {
 
 def test_other_bad_words(place, source, capfd):
     check(capfd, place, "SRC: there is no folder nowhere", "data", "colmap", "nowhere", "--out", "room")
+    check(capfd, place, r"SRC: src/transforms\.json is a file; name the folder that it is in", "data", "nerfstudio",
+          "src/transforms.json", "--out", "room")  # fmt: skip
     for word, said in WAYS.items():
         check(capfd, place, rf"argument kind: {word} is none of nerfstudio, colmap, .*hdr{said}", "data", word, "src",
               "--out", "room")  # fmt: skip
