@@ -35,6 +35,7 @@ def dataset_stats(read: Read, views: int, left_out: Tensor | None, seed: int) ->
     total, square = 0, 0.0
     foreground: list[int] = []
     checksums: list[int] = []
+    covered: list[int] = []
     each = -(-SAMPLE // views)
     # Allocated once: small tensors that stay, between large ones that come and go, would fragment the heap.
     view_of, place = torch.empty(2, views * each, dtype=torch.int64)
@@ -49,6 +50,8 @@ def dataset_stats(read: Read, views: int, left_out: Tensor | None, seed: int) ->
             counts &= alpha > 0
         if alpha is None or bool((alpha > 0).any()):
             foreground.append(view)
+        if alpha is not None and bool((alpha >= 1).all()):
+            covered.append(view)
         total += int(counts.sum())
         square += float((color.square().mean(-1) * counts).sum(dtype=torch.float64))
         pixel = Stream(seed, view, _SAMPLE).integers(len(pixels), each)
@@ -56,7 +59,7 @@ def dataset_stats(read: Read, views: int, left_out: Tensor | None, seed: int) ->
         here, filled = slice(filled, filled + len(pixel)), filled + len(pixel)
         view_of[here], place[here], kept[here] = view, pixel, color[pixel]
     sample = PixelBatch(view_of[:filled], place[:filled], kept[:filled], torch.ones(filled), 0)
-    return DatasetStats(square / total if total else 0.0, sample, foreground, tuple(checksums), total)
+    return DatasetStats(square / total if total else 0.0, sample, foreground, tuple(checksums), total, tuple(covered))
 
 
 def checksum(pixels: Tensor) -> int:
@@ -191,18 +194,17 @@ class ImageCache:
         self._sampler.count[slot] = len(found)
         self._sampler.width[slot] = size[0]
 
-    def batch(self, slot: Tensor, pixel: Tensor, iteration: int, pixel_multiplier: int) -> PixelBatch:
+    def batch(self, slot: Tensor, pixel: Tensor, iteration: int) -> PixelBatch:
         """Pixels of photographs in memory.
 
         Args:
             slot: slots of the cache [b], int64.
             pixel: row-major pixels [b], int64.
             iteration: that the batch belongs to.
-            pixel_multiplier: times the usual number of pixels.
         """
         index = slot * self._pixels.shape[1] + pixel
         values = self._pixels.view(-1, self._pixels.shape[2]).index_select(0, index)
         alpha = values[:, 3].contiguous() if values.shape[1] == 4 else torch.ones(len(index))
         means = self._blurred.view(-1, 3).index_select(0, index) if self.with_blurred else None
         view = torch.tensor(self._slots)[slot]
-        return PixelBatch(view, pixel, values[:, :3].contiguous(), alpha, iteration, means, pixel_multiplier)
+        return PixelBatch(view, pixel, values[:, :3].contiguous(), alpha, iteration, means)

@@ -1,4 +1,4 @@
-"""How many pixels a batch has, and the means around pixels."""
+"""Means around pixels."""
 
 from __future__ import annotations
 
@@ -7,28 +7,6 @@ from torch import Tensor
 
 _WINDOW = 5
 """Side in pixels of the square that :func:`blurred` averages over."""
-
-VISITS = 3
-"""Times that each patch is drawn at the largest pixel_multiplier; at half of it twice as often, and so on."""
-
-
-def multiplier_at(iteration: int, patches: int, largest: int, total: int) -> tuple[int, int]:
-    """The pixel_multiplier of a batch, and the number of patches in all batches before it.
-
-    Args:
-        iteration: of the batch.
-        patches: of a batch whose multiplier is 1.
-        largest: multiplier of the first batches, a power of two.
-        total: number of different patches.
-    """
-    first, multiplier, visits = 0, largest, VISITS
-    while multiplier > 1:
-        steps = -(-visits * total // (multiplier * patches))
-        if iteration < steps:
-            break
-        first, iteration = first + steps * multiplier * patches, iteration - steps
-        multiplier, visits = multiplier // 2, 2 * visits
-    return multiplier, first + iteration * multiplier * patches
 
 
 def blurred(photographs: Tensor, alpha: Tensor | None, width: int) -> Tensor:

@@ -13,7 +13,6 @@ from torch import Tensor
 from torch.utils.data import DataLoader, Dataset, IterableDataset
 
 from datamodules.image_cache import ImageCache
-from datamodules.pixels import multiplier_at
 from datamodules.training_photographs import TrainingPhotographs
 from neurad.core.errors import InputError
 from neurad.core.patch_sampler import PatchSampler, validation_pixels
@@ -42,9 +41,6 @@ class SceneData(pl.LightningDataModule, TrainingPhotographs):
         scene: name of a built-in scene instead, such as ``kitchen``.
         patches: patches in a batch, of all views in turn.
         patch_size: side of a patch in pixels; 1 draws single pixels.
-        pixel_multiplier: times as many patches, with as many times fewer samples per pixel, in the first batches. It
-            halves whenever the pixels have been visited a few times: at first too few pixels seen limits the result,
-            and noise later. A power of two.
         seed: of the draws of pixels.
         resident: training photographs in memory at once; the others are read from disk as their turn comes. None
             keeps all in memory.
@@ -62,8 +58,7 @@ class SceneData(pl.LightningDataModule, TrainingPhotographs):
         lamps_true: table of the lamps' true radiance (mesh, r, g, b), for scores of lamps that are recovered.
 
     Raises:
-        InputError: a number is out of range, ``pixel_multiplier`` no power of two, ``hold_out`` is 1, or the response
-            is none.
+        InputError: a number is out of range, ``hold_out`` is 1, or the response is none.
     """
 
     def __init__(
@@ -72,7 +67,6 @@ class SceneData(pl.LightningDataModule, TrainingPhotographs):
         scene: str | None = None,
         patches: Annotated[int, Range(1, 1 << 24)] = 256,
         patch_size: Annotated[int, Range(1, 1 << 14)] = 1,
-        pixel_multiplier: Annotated[int, Range(1, 1 << 15)] = 1,
         seed: Seed = 0,
         resident: Count | None = None,
         replace_every: Count = 16,
@@ -85,15 +79,12 @@ class SceneData(pl.LightningDataModule, TrainingPhotographs):
         lamps_true: str | None = None,
     ) -> None:
         super().__init__()
-        if pixel_multiplier & (pixel_multiplier - 1):
-            raise InputError(f"--data.pixel_multiplier: {pixel_multiplier} is not a power of two")
         if hold_out == 1:
             raise InputError("--data.hold_out: 1 would hold out every photograph and leave none to learn from")
         self.root = root
         self.scene_name = scene
         self.patches = patches
         self.patch_size = patch_size
-        self.pixel_multiplier = pixel_multiplier
         self.seed = seed
         self.resident = resident
         self.replace_every = replace_every
@@ -161,8 +152,7 @@ class SceneData(pl.LightningDataModule, TrainingPhotographs):
             photographs: of its training views [views, pixels, 3 or 4], kept in memory; None reads the views' files.
         """
         made = SceneData(
-            None, None, self.patches, self.patch_size, self.pixel_multiplier, self.seed, self.resident,
-            self.replace_every, self.hold_out,
+            None, None, self.patches, self.patch_size, self.seed, self.resident, self.replace_every, self.hold_out,
         )  # fmt: skip
         made.scene = scene
         if photographs is not None:
@@ -218,32 +208,25 @@ class SceneData(pl.LightningDataModule, TrainingPhotographs):
         """Draws patches of all photographs, where they are in memory."""
         return PatchSampler.build(self._sizes, self.patch_size, self.alpha, self.seed, self._validation)
 
-    @cached_property
-    def _total(self) -> int:
-        """Patches that cover all photographs once; background that no patch shows is left out if not streamed."""
-        pixels = sum(w * h for w, h in self._sizes) if self.streams else self._sampler.total
-        return -(-pixels // self.patch_size**2)
-
     def batch(self, iteration: int, rank: int = 0) -> PixelBatch:
-        """The batch of an iteration, on the CPU: ``pixel_multiplier * patches * patch_size^2`` pixels, where candidates
-        are wanted fewer of them, and the candidates after them.
+        """The batch of an iteration, on the CPU: ``patches * patch_size^2`` pixels, fewer where candidates are wanted,
+        and the candidates after them.
         """
         in_turn = self.patches - self._focused
-        pixel_multiplier, first = multiplier_at(iteration, in_turn, self.pixel_multiplier, self._total)
         cache = self._window(iteration, rank) if self.streams else None
         sampler = self._sampler if cache is None else cache.sampler
-        view, pixel = sampler.draw(first, pixel_multiplier * in_turn, rank)
-        candidates = self._times * pixel_multiplier * self._focused
+        view, pixel = sampler.draw(iteration * in_turn, in_turn, rank)
+        candidates = self._times * self._focused
         if candidates > 0:
             drawn = sampler.draw_uniform(candidates, Stream(self.seed, iteration, rank, _CANDIDATES))
             view, pixel = torch.cat((view, drawn[0])), torch.cat((pixel, drawn[1]))
         if cache is not None:
-            return self._marked(replace(cache.batch(view, pixel, iteration, pixel_multiplier), candidates=candidates))
+            return self._marked(replace(cache.batch(view, pixel, iteration), candidates=candidates))
         index = view * self.photographs.shape[1] + pixel
         color = self.photographs.view(-1, 3).index_select(0, index)
         alpha = torch.ones(len(index)) if self.alpha is None else self.alpha.view(-1).index_select(0, index)
         means = self._blurred.view(-1, 3).index_select(0, index) if self._with_blurred else None
-        return self._marked(PixelBatch(view, pixel, color, alpha, iteration, means, pixel_multiplier, candidates))
+        return self._marked(PixelBatch(view, pixel, color, alpha, iteration, means, candidates))
 
     def transfer_batch_to_device(
         self, batch: PixelBatch | Tensor, device: torch.device, dataloader_idx: int

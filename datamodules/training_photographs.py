@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import sys
 from abc import abstractmethod
 from dataclasses import replace
 from functools import cached_property
@@ -19,8 +20,8 @@ from neurad.core.records import DatasetStats, PixelBatch, View
 from neurad.runtime.progress import counted
 from neurad.runtime.reading import read_bytes
 from neurad.scene.description import Scene
-from neurad.scene.image_io import read_mask
-from neurad.scene.photographs import read_view
+from neurad.scene.photographs import kept_pixels, may_have_alpha, read_view
+from neurad.scene.picture_notes import say_pictures
 
 
 class TrainingPhotographs(PhotoSource):
@@ -64,49 +65,39 @@ class TrainingPhotographs(PhotoSource):
         views = self.scene.train
         if not views:
             raise InputError(f"scene {self.scene.name}: it has no training photographs")
-        first = self._read(views[0])
-        pixels = first.new_zeros(len(views), max(w * h for w, h in self._sizes), first.shape[1])
-        pixels[0, : len(first)] = first
-        for index, view in enumerate(counted(views[1:], "reading", len(views) - 1, "photographs"), 1):
+        most, pixels = max(w * h for w, h in self._sizes), torch.empty(0)
+        for index, view in enumerate(counted(views, "reading", len(views), "photographs")):
             image = self._read(view)
-            self._check_channels(view, image, first.shape[-1])
-            pixels[index, : len(image)] = image
+            if index == 0 or image.shape[1] > pixels.shape[2]:
+                before, pixels = pixels[:index], image.new_zeros(len(views), most, image.shape[1])
+                for place, other in enumerate(before):
+                    pixels[place, : self._count(place)] = _with_alpha(other[: self._count(place)])
+            pixels[index, : len(image)] = image if image.shape[1] == pixels.shape[2] else _with_alpha(image)
         return pixels
 
     def ignored(self) -> Tensor | None:
-        """Pixels that masks leave out [views, pixels], bool; None where no view has a mask.
+        """Pixels that masks leave out, or that files do not have [views, pixels], bool; None where there are none.
 
         Raises:
-            InputError: a mask is missing, no picture, or of another size than its photograph.
+            InputError: as :func:`neurad.scene.photographs.kept_pixels`.
         """
         views = self.scene.train
-        if not any(view.mask for view in views):
+        kept = [kept_pixels(view) for view in views]
+        if all(part is None for part in kept):
             return None
         left_out = torch.zeros(len(views), max(w * h for w, h in self._sizes), dtype=torch.bool)
-        for index, view in enumerate(views):
-            if view.mask is not None:
-                left_out[index, : self._count(index)] = ~torch.from_numpy(read_mask(view)).view(-1)
+        for index, part in enumerate(kept):
+            if part is not None:
+                left_out[index, : self._count(index)] = ~torch.from_numpy(part).view(-1)
         return left_out
-
-    def _check_channels(self, view: View, image: Tensor, expected: int) -> None:
-        if image.shape[-1] != expected:
-            first = self.scene.train[0].image
-            raise InputError(f"{view.image}: it has {image.shape[-1]} channels, but {first} has {expected}")
 
     @staticmethod
     def _read(view: View) -> Tensor:
-        """One photograph [h * w, 3 or 4]."""
+        """One photograph [h * w, 3], or [h * w, 4] where its alpha is below 1 somewhere."""
         if view.image is None:
             raise InputError(f"training view {view.name}: it has no photograph")
         image = read_view(view)
-        height, width = image.shape[:2]
-        expected = view.camera
-        if (width, height) != (expected.width, expected.height):
-            raise InputError(
-                f"{view.image}: it has {width} x {height} pixels, its camera {expected.width} x {expected.height}; "
-                "scale the photograph, or correct w and h in the camera file"
-            )
-        return torch.from_numpy(image).view(height * width, -1)
+        return torch.from_numpy(image).view(-1, image.shape[2])
 
     @cached_property
     def photographs(self) -> Tensor:
@@ -117,7 +108,7 @@ class TrainingPhotographs(PhotoSource):
 
     @cached_property
     def alpha(self) -> Tensor | None:
-        """Coverage of the training views [views, pixels], or None if the photographs have no alpha channel."""
+        """Coverage of the training views [views, pixels], or None if it is 1 everywhere."""
         if not self.has_alpha:
             return None
         return self._pixels[..., 3].contiguous()
@@ -136,11 +127,11 @@ class TrainingPhotographs(PhotoSource):
 
     @cached_property
     def has_alpha(self) -> bool:
-        """Whether the photographs have an alpha channel, by the first of them; False in a scene without photographs."""
-        if "_pixels" in self.__dict__:
+        """Whether alpha is below 1 in some pixel of the photographs; False in a scene without photographs."""
+        views = [view for view in self.scene.train if view.image is not None]
+        if "_pixels" in self.__dict__ or (views and not self.streams):
             return self._pixels.shape[-1] == 4
-        views = self.scene.train
-        return bool(views) and views[0].image is not None and self._read(views[0]).shape[-1] == 4
+        return any(may_have_alpha(view) and self._read(view).shape[-1] == 4 for view in views)
 
     def dataset_stats(self, left_out: Tensor | None = None) -> DatasetStats:
         """Statistics of all training photographs; streamed ones are read from disk once, one after the other.
@@ -159,6 +150,16 @@ class TrainingPhotographs(PhotoSource):
             found = replace(found, sample=self._limits.marked(found.sample))
             if self._stats is None:
                 self._limits.check(found.sample, self.scene.train, self.scene.name)
+        if self._stats is None:
+            say_pictures()
+            if found.covered:
+                names = [self.scene.train[index].name for index in found.covered]
+                named = ", ".join(names[:8]) + (" ..." if len(names) > 8 else "")
+                print(
+                    f"neurad: alpha is 1 everywhere in {len(names)} of {len(self._sizes)} photographs ({named}) and "
+                    "below it in others: where no surface is, all are taken to be black, and to show no environment",
+                    file=sys.stderr,
+                )
         self._stats = found
         if not self._stats.foreground:
             raise InputError(f"scene {self.scene.name}: alpha is 0 in every training photograph")
@@ -223,7 +224,8 @@ class TrainingPhotographs(PhotoSource):
             # OpenEXR holds Python's lock while it waits for the disk; this does not.
             read_bytes(view.image)
         image = self._read(view)
-        self._check_channels(view, image, 4 if self.has_alpha else 3)
+        if self.has_alpha and image.shape[1] == 3:
+            image = _with_alpha(image)
         if self._stats is not None and checksum(image) != self._stats.checksums[index]:
             raise InputError(f"{view.image}: it has changed since the run began; put it back and continue the run")
         return image
@@ -234,3 +236,8 @@ class TrainingPhotographs(PhotoSource):
         if self._spread is None or not self._spread[1].spread:
             return image
         return spread_fireflies(image, self._spread[0][index], self._sizes[index][0])
+
+
+def _with_alpha(pixels: Tensor) -> Tensor:
+    """Photographs [..., 3] with an alpha of 1 [..., 4]."""
+    return torch.cat((pixels, torch.ones_like(pixels[..., :1])), -1)

@@ -25,7 +25,8 @@ import matplotlib.pyplot as plt
 from PIL import Image
 
 from neurad.cli import main as neurad
-from neurad.pages.colours import encode, exposure, grey
+from neurad.pages.colours import encode, grey
+from neurad.scene.exposure import exposure
 from neurad.scene.image_io import read_exr
 from neurad.scene.load import load_scene
 from neurad.scene.transforms import transforms
@@ -56,7 +57,7 @@ def panels(run: Path, scene: str, name: str, spp: int) -> list[Bytes]:
         relit, albedo, rough = (
             read_exr(next((out / kind).glob("*.exr"))) for kind in ("images", "albedo", "roughness")
         )
-    day, evening = exposure([{"photograph": photograph}]), exposure([{"photograph": relit[..., :3]}])
+    day, evening = exposure([photograph]), exposure([relit[..., :3]])
     return [encode(photograph * day), encode(albedo[..., :3]), grey(rough[..., :1]), encode(relit[..., :3] * evening)]
 
 

@@ -8,6 +8,7 @@ import re
 import sys
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import nullcontext, suppress
+from pathlib import Path
 from typing import NoReturn
 
 from neurad.commands import Verb
@@ -63,15 +64,30 @@ def _compare() -> Verb:
 
 
 def _stress() -> Verb:
-    from neurad.commands import stress
+    _check_checkout("stress")
+    from benchmarks.stress import verb
 
-    return stress
+    return verb
 
 
 def _bench() -> Verb:
-    from neurad.commands import bench
+    _check_checkout("bench")
+    from benchmarks.bench import verb
 
-    return bench
+    return verb
+
+
+def _check_checkout(verb: str) -> None:
+    """Refuse a verb that measures the program where only the installed package is there.
+
+    Raises:
+        InputError: no folder ``benchmarks`` lies beside the package.
+    """
+    if not (Path(__file__).resolve().parent.parent / "benchmarks" / "__init__.py").is_file():
+        raise InputError(
+            f"{verb}: the benchmarks are not part of the installed package; run it in a checkout of neurad's"
+            " repository, installed with pip install -e ."
+        )
 
 
 OWN_VERBS: dict[str, tuple[Callable[[], Verb], str]] = {
@@ -81,8 +97,8 @@ OWN_VERBS: dict[str, tuple[Callable[[], Verb], str]] = {
     "export": (_export, "write what a run recovered for Mitsuba, Blender and glTF viewers"),
     "view": (_view, "look at a run in the browser: any camera, lamps dimmed, materials read out"),
     "compare": (_compare, "run several methods with one budget and report error against cost"),
-    "stress": (_stress, "check stiff and extreme cases against known answers, a row each"),
-    "bench": (_bench, "measure what a training step, a method or a peer costs"),
+    "stress": (_stress, "check stiff and extreme cases against known answers, a row each (in a checkout)"),
+    "bench": (_bench, "measure what a training step, a method or a peer costs (in a checkout)"),
 }
 """Verbs beyond Lightning's: a function that imports the verb's module, and what the verb does."""
 

@@ -9,14 +9,17 @@ import pytest
 REPOSITORY = Path(__file__).resolve().parent.parent
 FLOORS = (
     "core", "runtime", "tracing", "scene", "bsdf", "emitters", "fields", "optim", "losses", "integrators", "metrics",
-    "assembly", "training", "pages", "export", "callbacks", "runs", "inspect", "studies", "commands", "cli", "__main__",
+    "assembly", "training", "pages", "export", "callbacks", "runs", "inspect", "compare", "commands", "benchmarks",
+    "cli", "__main__",
 )  # fmt: skip
-"""Folders and modules of neurad, from the lowest to the highest: each may import those before it."""
+"""Folders and modules of neurad, and benchmarks beside it, from the lowest to the highest: each imports those below."""
 LEVEL = {name: level for level, name in enumerate(FLOORS)}
 DATA_MODULES_USE = ("core", "runtime", "scene")
-DATA_MODULES_FROM = LEVEL["studies"]
+DATA_MODULES_FROM = LEVEL["compare"]
 """The lowest floor that may name the data modules; below it they stand behind a Protocol of core."""
-HIDDEN = re.compile(r"\bneurad\.(?:$|" + "|".join(f"{floor}\\b" for floor in FLOORS) + r")|\bdatamodules\.\w")
+HIDDEN = re.compile(
+    r"\bneurad\.(?:$|" + "|".join(f"{floor}\\b" for floor in FLOORS) + r")|\b(?:datamodules|benchmarks)\.\w"
+)
 """A module's path in a string. The name ``neurad`` alone is the program."""
 LOADERS = ("import_module", "__import__", "run_module", "run_path")
 
@@ -54,7 +57,7 @@ def hidden(source: str) -> list[str]:
 def sources() -> dict[str, str]:
     """Text by dotted module name."""
     found = {}
-    for top in ("neurad", "datamodules"):
+    for top in ("neurad", "datamodules", "benchmarks"):
         for path in sorted((REPOSITORY / top).rglob("*.py")):
             parts = list(path.relative_to(REPOSITORY).with_suffix("").parts)
             found[".".join(parts[:-1] if parts[-1] == "__init__" else parts)] = path.read_text()
@@ -65,6 +68,15 @@ def floor_of(name: str) -> str:
     """The floor of a module: 'neurad' itself, which is the Python door, 'datamodules', or a name of FLOORS."""
     parts = name.split(".")
     return parts[1] if parts[0] == "neurad" and len(parts) > 1 else parts[0]
+
+
+def at_import(source: str) -> set[str]:
+    """Modules that a source file imports when it is imported itself: not inside its functions."""
+    tree = ast.parse(source)
+    for node in ast.walk(tree):
+        if isinstance(node, ast.FunctionDef):
+            node.body = [ast.Pass()]
+    return imported(ast.unparse(tree))
 
 
 def is_allowed(importer: str, target: str) -> bool:
@@ -86,7 +98,7 @@ def violations(files: dict[str, str]) -> list[str]:
     for name, text in files.items():
         for target in imported(text):
             top, _, attribute = target.partition(".")
-            if top not in ("neurad", "datamodules"):
+            if top not in ("neurad", "datamodules", "benchmarks"):
                 continue
             floor = floor_of(target)
             if top == "neurad" and floor not in LEVEL:  # the package itself, or something that it defines
@@ -128,6 +140,12 @@ def test_imports_go_down():
     assert violations(sources()) == []
 
 
+def test_the_package_does_without_benchmarks():
+    files = {name: at_import(text) for name, text in sources().items() if name.split(".")[0] != "benchmarks"}
+    assert [name for name, targets in files.items() if any(floor_of(t) == "benchmarks" for t in targets)] == []
+    assert at_import("import benchmarks.a\ndef f():\n    import benchmarks.b") == {"benchmarks.a"}
+
+
 def test_no_cycle():
     assert cycle(sources()) == []
 
@@ -160,8 +178,9 @@ def test_commands_are_thin():
         ("neurad.losses.relative", "from neurad.metrics import scores"),
         ("neurad.losses.relative", "from neurad import load"),
         ("neurad.training.inverse", "from datamodules.scene_data import SceneData"),
-        ("neurad.studies.bench.step", "from neurad.commands import bench"),
-        ("neurad", "def load():\n    from neurad.studies.compare import runs"),
+        ("benchmarks.bench.step", "from neurad.cli import main"),
+        ("neurad.inspect.film", "def f():\n    from benchmarks.bench import step"),
+        ("neurad", "def load():\n    from neurad.compare import runs"),
         ("datamodules.scene_data", "from neurad.fields import hash_grid"),
     ],
 )
@@ -174,7 +193,7 @@ def test_a_wrong_arrow_is_found(name, text):
     [
         ("neurad", "def load():\n    from neurad.runs import child"),
         ("neurad.cli", "import neurad\nfrom datamodules.scene_data import SceneData"),
-        ("neurad.studies.bench.session", "from datamodules.scene_data import SceneData"),
+        ("benchmarks.bench.session", "from datamodules.scene_data import SceneData"),
         ("datamodules.scene_data", "from neurad.core.errors import InputError\nimport torch"),
     ],
 )
@@ -190,7 +209,7 @@ def test_a_right_arrow_is_allowed(name, text):
         "__import__('torch')",
         "verbs = {'render': 'neurad.commands.render'}",
         "name = f'neurad.{floor}'",
-        "command = ['-m', 'neurad.studies.bench.cube_worker']",
+        "command = ['-m', 'benchmarks.bench.cube_worker']",
         "code = 'import sys\\nfrom neurad.cli import main\\nmain()'",
         "data = 'datamodules.scene_data', 'SceneData'",
     ],

@@ -56,7 +56,7 @@ def build_world(
     Args:
         scene: a checked scene.
         tracer: 'embree', 'open3d' or 'warp'.
-        hide_environment: camera rays that miss see black (photographs with an alpha channel).
+        hide_environment: camera rays that miss see black, as in photographs whose alpha is below 1 there.
         fitted: an environment to be recovered, in place of the scene's own.
         specular_fraction: fraction of the BSDF samples that the specular lobe draws.
         lights: in place of all of the scene's.

@@ -7,14 +7,13 @@ from collections.abc import Callable
 import torch
 from torch import Tensor
 
-from neurad.core.records import DatasetStats, PixelBatch, Surface, SurfaceInteraction
+from neurad.core.records import PixelBatch, Surface, SurfaceInteraction
 from neurad.core.rng import Stream
 from neurad.integrators.bounce import bounce
 from neurad.integrators.estimator import Estimator
 from neurad.integrators.path import PathTracing
 from neurad.integrators.primary_hits import PrimaryHits
 from neurad.integrators.vertex import DIMENSIONS
-from neurad.losses.firefly import typical_square
 
 FAR = 50.0
 """Ratio from which on no material explains the photographs; a white closed room may be some tens of times brighter."""
@@ -22,19 +21,6 @@ _PIXELS = 4096
 _WHITE_PIXELS, _WHITE_SPP, _LONGEST = 512, 2, 1000
 EXPLAINED = 2.0
 """Times the brightness of a white scene up to which materials may explain photographs."""
-
-
-def mean_square_radiance(stats: DatasetStats, firefly_clamp: float) -> float:
-    """Mean squared radiance of the photographs, the square of the unit of radiance.
-
-    Args:
-        stats: of the pixels that show no emitter.
-        firefly_clamp: with a positive one no value counts more than so many times a large one, see
-            :func:`neurad.losses.firefly.typical_square`: a few fireflies must not set the unit.
-    """
-    if firefly_clamp > 0 and stats.mean_square_radiance > 0:
-        return typical_square(stats.sample.color, firefly_clamp) or stats.mean_square_radiance
-    return stats.mean_square_radiance
 
 
 @torch.no_grad()

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
 from typing import Annotated, Literal
 
 from neurad.core.errors import InputError
@@ -63,19 +63,6 @@ class Sampling:
         """Independent groups of samples in a pixel."""
         return self.sample_groups if self.spp % self.sample_groups == 0 else self.spp
 
-    def split_over(self, pixel_multiplier: int) -> Sampling:
-        """The same number of samples over ``pixel_multiplier`` times as many pixels.
-
-        Raises:
-            InputError: it does not divide ``spp``, or leaves fewer than two samples per pixel.
-        """
-        if pixel_multiplier > 1 and (self.spp % pixel_multiplier or self.spp < 2 * pixel_multiplier):
-            raise InputError(
-                f"--data.pixel_multiplier: {pixel_multiplier} must divide model.sampling.spp ({self.spp}) "
-                "and leave two of them a pixel"
-            )
-        return replace(self, spp=self.spp // pixel_multiplier)
-
     def __post_init__(self) -> None:
         """Refuse what cannot be sampled."""
         checked(self)
@@ -103,9 +90,6 @@ class Objective:
     chroma_weight: Positive = 1.0
     """By how much more the colour channels' differences count than what they share, relative to the normaliser, in the
     terms that compare with photographs; 1 as in the paper. Noise of path-traced light is nearly grey."""
-    firefly_clamp: NonNegative = 0.0
-    """Photographs count up to so many times what the radiance field predicts beyond its own value, so that a firefly in
-    one does not pull; 0 lets everything through. A bound darkens: what is cut off is lost, highlights too."""
     fireflies: Literal["keep", "spread"] = "keep"
     """``spread`` lets pixels of the photographs that are more than twice as bright as all around them give what is
     beyond that to the pixels around, if more than 2 % of all light is in such pixels; otherwise photographs stay as
@@ -176,8 +160,7 @@ class Optimization:
     albedo: NonNegative = 5e-3
     """Learning rate of the albedo field; 0 leaves it as it begins."""
     roughness: NonNegative = 5e-3
-    """Learning rate of the roughness field, for batches of the usual size; :meth:`ModelSettings.for_batch` lowers it
-    where ``data.pixel_multiplier`` spreads the samples over more pixels."""
+    """Learning rate of the roughness field."""
     roughness_decay: NonNegative = 0.0
     """Weight decay (AdamW's) of the table that roughness's network reads; 0 is none. Where photographs say little about
     roughness, noise writes patterns into the table that nothing else takes out again."""
@@ -245,21 +228,6 @@ class ModelSettings:
     """'embree', 'open3d' or 'warp'."""
     seed: Seed = 0
     """Of every random decision of the training."""
-
-    def for_batch(self, pixel_multiplier: int) -> ModelSettings:
-        """The settings of a batch with ``pixel_multiplier`` times as many pixels, and as many times fewer samples each.
-
-        The rate of roughness falls by the square of it: its derivative is a product of two estimates, each of which
-        the missing samples make that much noisier.
-
-        Raises:
-            InputError: the samples cannot be split so.
-        """
-        if pixel_multiplier == 1:
-            return self
-        sampling = self.sampling.split_over(pixel_multiplier)
-        rate = self.optimization.roughness / pixel_multiplier**2
-        return replace(self, sampling=sampling, optimization=replace(self.optimization, roughness=rate))
 
     def __post_init__(self) -> None:
         """Refuse settings that do not go together."""

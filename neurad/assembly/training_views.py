@@ -15,7 +15,6 @@ from torch import Tensor
 from neurad.assembly.build import Assembly
 from neurad.assembly.exposure import (
     brightness,
-    mean_square_radiance,
     sentence_if_far,
     sentence_of_fireflies,
     white_brightness,
@@ -85,7 +84,6 @@ def prepare_views(
             dim, no camera sees a surface, or a lamp is far from what the photographs show.
     """
     scene, settings = assembly.scene, assembly.settings
-    settings.for_batch(photographs.pixel_multiplier)  # raises where the samples cannot be split
     cameras = [view.camera for view in scene.train]
     announce_camera_rays(cameras, settings.sampling.cached_spp, assembly.world.features.has_environment, device)
     # Stage 1: primary hits and the emitter mask [views, pixels].
@@ -108,7 +106,7 @@ def prepare_views(
             stats = photographs.dataset_stats(emitter_mask.cpu())
             if check_brightness:
                 print(f"neurad: {sentence_of_fireflies(spread)}", file=sys.stderr)
-    mean_square = mean_square_radiance(stats, settings.objective.firefly_clamp)
+    mean_square = stats.mean_square_radiance
     check_bright(mean_square, stats.brightest, scene.name)
     if assembly.environment is not None:
         assembly.environment.set_unit(math.sqrt(mean_square))

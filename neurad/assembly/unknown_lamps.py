@@ -29,7 +29,8 @@ FIRST, EVERY = 64, 4096
 """What lamps reflect is estimated anew after so many iterations, whenever their number has doubled, and at multiples
 of the second."""
 COLUMNS = ("mesh", "r", "g", "b", "pixels", "views", "clipped", "scale")
-"""Of ``lamps.csv``."""
+"""Of ``lamps.csv``. The ``scale`` is ``seen`` in unclipped pixels of the lamp's own, ``shared`` where its light falls
+where light of fixed scale does, and else ``weak``."""
 
 
 def begin_lamps(assembly: Assembly, primary: PrimaryHits, shown: LampPhotographs, sample: PixelBatch) -> None:
@@ -130,11 +131,12 @@ def rows(assembly: Assembly) -> list[dict[str, str | int | float]]:
     if lamps is None:
         return []
     names = [assembly.scene.meshes[index].name for index in lamps.mesh.tolist()]
-    parts = zip(names, lamps.found().tolist(), lamps.counts.tolist(), lamps.scale_seen.tolist(), strict=True)
-    return [
-        dict(zip(COLUMNS, (name, *rgb, *counts, "seen" if seen else "weak"), strict=True))
-        for name, rgb, counts, seen in parts
+    scales = [
+        "seen" if own > 0 else "shared" if fixed else "weak"
+        for own, fixed in zip(lamps.unclipped.tolist(), lamps.scale_seen.tolist(), strict=True)
     ]
+    parts = zip(names, lamps.found().tolist(), lamps.counts.tolist(), scales, strict=True)
+    return [dict(zip(COLUMNS, (name, *rgb, *counts, scale), strict=True)) for name, rgb, counts, scale in parts]
 
 
 def body(assembly: Assembly) -> list[list[str]]:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict, is_dataclass
 from pathlib import Path
@@ -11,8 +12,8 @@ from lightning.pytorch.loggers import TensorBoardLogger
 
 from neurad.assembly.unknown_lamps import rows
 from neurad.callbacks import pictures
+from neurad.core.decibels import EXACT
 from neurad.metrics.marks import MARKS
-from neurad.pages.colours import exposure
 from neurad.pages.draw import draw
 from neurad.scene.image_io import png
 
@@ -68,6 +69,9 @@ class Board:
         for name, value in scores.items():
             label, score = split_mark(name)
             writer = self.writer if label is None else self._mark(label)
+            if value == math.inf:  # which no curve can show
+                writer.add_text(FIRST.get(score, f"more/{score}"), EXACT, iteration)
+                continue
             writer.add_scalar(FIRST.get(score, f"more/{score}"), value, iteration)
             if label is None and score in FIRST:
                 writer.add_scalar(f"more/by_seconds_{score}", value, int(seconds))
@@ -86,9 +90,8 @@ class Board:
         for name, value in losses.items():
             self.writer.add_scalar(f"more/loss_{name}", float(value), iteration)
 
-    def sheets(self, views: Sequence[Mapping[str, Any]], iteration: int) -> None:
-        """A sheet of each view."""
-        scale = exposure(views)
+    def sheets(self, views: Sequence[Mapping[str, Any]], scale: float, iteration: int) -> None:
+        """A sheet of each view, radiance times ``scale``."""
         for index, view in enumerate(views):
             name = pictures.view_name(view, index)
             title = f"{self._scene}, {self._settings['Method']}, step {iteration}, view {name}"

@@ -9,9 +9,33 @@ from lightning.pytorch.callbacks import Timer
 from lightning.pytorch.trainer.states import RunningStage
 
 from neurad.core.ranges import Positive, checked
+from neurad.runtime import clock
 
 if TYPE_CHECKING:
     from neurad.training.inverse import InverseRenderer
+
+
+class WarmUp(pl.Callback):
+    """Counts training seconds from the end of the first iteration on.
+
+    What comes before it, imports, the scene, camera rays and compiled kernels, takes longer the first time that
+    something runs on a machine, which says nothing about methods that are compared.
+    """
+
+    def __init__(self) -> None:
+        super().__init__()
+        self._over = False
+
+    def setup(self, trainer: pl.Trainer, pl_module: pl.LightningModule, stage: str) -> None:
+        """Nothing counts yet."""
+        if stage == "fit":
+            clock.hold()
+
+    def on_train_batch_end(self, trainer: pl.Trainer, pl_module: pl.LightningModule, *_: Any) -> None:
+        """Count from here on."""
+        if not self._over:
+            self._over = True
+            clock.restart()
 
 
 class TrainingBudget(Timer):

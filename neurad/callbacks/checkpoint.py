@@ -18,6 +18,7 @@ from torch.optim import Optimizer
 from neurad.callbacks.run_folder import run_folder
 from neurad.core.errors import InputError
 from neurad.core.ranges import NonNegative, checked
+from neurad.runtime.streams import silence_gone_terminals
 from neurad.training.checkpoint_io import CheckpointFiles
 from neurad.training.guard import NotFinite
 
@@ -26,9 +27,10 @@ class LastCheckpoint(Checkpoint):
     """Keeps ``checkpoints/last.ckpt`` in the run folder, and the one before it as ``checkpoints/previous.ckpt``.
 
     A checkpoint is taken between iterations only, since one in the middle of a step (one optimizer stepped, another
-    not) could not be continued exactly. Ctrl-C therefore lets the iteration finish; a second one does not wait. Of
-    several processes all stop after the same iteration, whichever got the signal; where one fails alone nothing is
-    saved, since saving would have to wait for the others.
+    not) could not be continued exactly. Ctrl-C therefore lets the iteration finish; a second one does not wait. A
+    terminal that goes (SIGHUP) ends a fit as SIGTERM does, which lets the iteration finish, too. Of several processes
+    all stop after the same iteration, whichever got Ctrl-C; where one fails alone nothing is saved, since saving would
+    have to wait for the others.
 
     Args:
         every_seconds: wall-clock seconds between two checkpoints.
@@ -42,7 +44,7 @@ class LastCheckpoint(Checkpoint):
         self._stop_requested = False
         self._agreed = False
         self._written = 0.0
-        self._handler: Any = None
+        self._handlers: dict[int, Any] = {}
         self._last_is_good = True
         self._saved = -1
         self._optimizers: int | None = None
@@ -81,16 +83,21 @@ class LastCheckpoint(Checkpoint):
             )
 
     def on_train_start(self, trainer: pl.Trainer, pl_module: pl.LightningModule) -> None:
-        """Start the clock and handle Ctrl-C, unless whoever started the process wants it ignored (a background job)."""
+        """Start the clock, and handle Ctrl-C and a terminal that goes, unless whoever started the process wants them
+        ignored (a background job, nohup).
+        """
         path = self.path(trainer)
         began = trainer.ckpt_path
         # A run that continues from the one before has a damaged last one, which must not take the place of the good.
         self._last_is_good = path is None or began is None or Path(began).resolve() != _previous(path).resolve()
         self._written = time.monotonic()
         self._stop_requested = self._agreed = False
-        may_stop = signal.getsignal(signal.SIGINT) is not signal.SIG_IGN
-        if may_stop and threading.current_thread() is threading.main_thread():
-            self._handler = signal.signal(signal.SIGINT, self._on_interrupt)
+        for name, handler in (("SIGINT", self._on_interrupt), ("SIGHUP", _on_hangup)):
+            number = getattr(signal, name, None)  # Windows has no SIGHUP
+            if number is None or signal.getsignal(number) is signal.SIG_IGN:
+                continue
+            if threading.current_thread() is threading.main_thread():
+                self._handlers[number] = signal.signal(number, handler)
 
     def on_before_optimizer_step(
         self, trainer: pl.Trainer, pl_module: pl.LightningModule, optimizer: Optimizer
@@ -137,10 +144,9 @@ class LastCheckpoint(Checkpoint):
             getattr(trainer.strategy.launcher, "procs", []).clear()
 
     def teardown(self, trainer: pl.Trainer, pl_module: pl.LightningModule, stage: str) -> None:
-        """Restore the handler of Ctrl-C."""
-        if self._handler is not None:
-            signal.signal(signal.SIGINT, self._handler)
-            self._handler = None
+        """Restore the handlers."""
+        while self._handlers:
+            signal.signal(*self._handlers.popitem())
 
     def save(self, trainer: pl.Trainer) -> None:
         """Write the checkpoint; the last good one stays as it is, or goes on as the previous one.
@@ -162,6 +168,12 @@ class LastCheckpoint(Checkpoint):
             raise KeyboardInterrupt
         self._stop_requested = True
         print("\nneurad: stopping after this iteration (Ctrl-C again: at once)", file=sys.stderr)
+
+
+def _on_hangup(signum: int, frame: Any) -> None:
+    """End the fit as SIGTERM does, without a word to the terminal that is gone."""
+    silence_gone_terminals()
+    signal.raise_signal(signal.SIGTERM)
 
 
 def _covers(value: Any, form: Any) -> bool:

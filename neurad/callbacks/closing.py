@@ -31,6 +31,8 @@ READING = (
     "all surfaces that fits best, and what is not above it was not recovered"
 )
 """How to read the scores."""
+MIN_SHARE = 2 / 3
+"""Of the processor time that a fit asks for. With nothing else running it gets 0.9: its threads wait for each other."""
 
 
 @dataclass(frozen=True)
@@ -52,11 +54,28 @@ def views_of(module: InverseRenderer) -> str:
     return "held-out views" if module.scene.scores_are_of is None else "training photographs"
 
 
+def seconds_of(module: InverseRenderer) -> float:
+    """Training seconds of the fit, also outside of it."""
+    return module.train_seconds if module.training_views is not None else module.seconds_before
+
+
+def busy(module: InverseRenderer) -> str:
+    """That something else had the processor; empty where the fit got enough of it, or nobody knows."""
+    share = module.processor_share
+    if share >= MIN_SHARE:
+        return ""
+    return (
+        f"{module.iteration} iterations in {seconds_of(module):.0f} s: the fit got {100 * share:.0f} % of the "
+        "processor time that it asked for, as something else was running; on a quiet computer it does more of them"
+    )
+
+
 def print_verdict(module: InverseRenderer, scores: Mapping[str, float], unseen: Unseen | None) -> None:
     """What came out, what is not above the best constant, and what no photograph shows."""
     views = views_of(module)
     judged = verdict(scores, views)
-    said = [judged.sentence, *judged.warnings, "" if unseen is None else unseen.sentence(f"the {views}")]
+    done = busy(module) or f"{module.iteration} iterations in {seconds_of(module):.0f} s"
+    said = [judged.sentence, done, *judged.warnings, "" if unseen is None else unseen.sentence(f"the {views}")]
     print("\n".join(f"neurad: {text}" for text in said if text))
 
 
@@ -138,19 +157,20 @@ def report_run(
         tested: whether ``test`` is what writes it.
     """
     module: InverseRenderer = trainer.lightning_module  # type: ignore[assignment]
-    seconds = module.train_seconds if module.training_views is not None else module.seconds_before
-    spent = f"{module.iteration} iterations in {seconds:.0f} s, {module.samples:.3g} path samples"
+    spent = f"{module.iteration} iterations in {seconds_of(module):.0f} s, {module.samples:.3g} path samples"
     facts = [f"{folder}: {spent}. Pictures by {pictured}.", *filter(None, [module.scene.scores_are_of])]
     report.write_report(
         folder / report.NAME,
         report.Result(
             title=title_of(module),
             facts=facts,
+            busy=busy(module),
             scores=evaluation.scores,
             maps=evaluation.maps,
             unseen=unseen,
             views=views_of(module),
             rows=MetricsTable(folder / "metrics.csv").rows(),
+            exposure=evaluation.exposure,
             environment=evaluation.environment,
             number=len(module.scene.scored),
             distrusted=_distrusted(folder, unseen),

@@ -11,7 +11,6 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, cast
 
 import lightning.pytorch as pl
-import numpy as np
 from lightning.pytorch.loggers import TensorBoardLogger
 
 from neurad.callbacks import pictures, report
@@ -21,12 +20,12 @@ from neurad.callbacks.lamps import lamps_table, write_lamps
 from neurad.callbacks.run_folder import run_folder
 from neurad.callbacks.table import MetricsTable, curve_table, score_table
 from neurad.callbacks.training_views import ViewTable, write_exposures
+from neurad.core.decibels import as_json
 from neurad.core.errors import InputError
 from neurad.core.ranges import Count, CountOrZero, NonNegative, checked
 from neurad.metrics.bars_file import NAME, read_bars, write_bars
 from neurad.metrics.effort import affordable
 from neurad.metrics.unseen import Unseen
-from neurad.pages.colours import exposure
 from neurad.runtime import clock
 from neurad.runtime.files import write_text
 from neurad.runtime.progress import phase
@@ -100,7 +99,7 @@ class Evaluate(pl.Callback):
     def load_state_dict(self, state_dict: dict[str, Any]) -> None:
         """Take over the state of the interrupted run."""
         self._spent, self._last = float(state_dict["spent"]), float(state_dict["last"])
-        self._first = state_dict.get("first", 0.0)  # checkpoints before this one have counted it
+        self._first = state_dict["first"]
         self._mark, self._evaluated = int(state_dict["mark"]), int(state_dict["evaluated"])
 
     def on_fit_start(self, trainer: pl.Trainer, pl_module: pl.LightningModule) -> None:
@@ -109,9 +108,9 @@ class Evaluate(pl.Callback):
         views = module.scene.scored
         if self.every_n_steps is not None or not views:
             return
-        module.effort = affordable(views, self.spp, self.fraction, time_limit(trainer))
-        if not module.effort.whole and trainer.is_global_zero:
-            grid, stride = module.effort.grid, module.effort.stride
+        module.scoring.effort = affordable(views, self.spp, self.fraction, time_limit(trainer))
+        if not module.scoring.effort.whole and trainer.is_global_zero:
+            grid, stride = module.scoring.effort.grid, module.scoring.effort.stride
             size = sum(view.camera.width * view.camera.height for view in views) / 1e6
             pixels = f"one row and column in {stride}" if stride > 1 else "all"
             print(
@@ -132,11 +131,10 @@ class Evaluate(pl.Callback):
     def on_train_end(self, trainer: pl.Trainer, pl_module: pl.LightningModule) -> None:
         """The scores that belong to the last checkpoint."""
         module = cast("InverseRenderer", pl_module)
-        sentence = module.update_levels() if module.iteration > 0 else None
-        if sentence and trainer.is_global_zero:
-            print(f"neurad: {sentence}", file=sys.stderr)
         if self._evaluated != module.iteration:
-            self._evaluate_fit(trainer, module, fresh=True)
+            self._evaluate_fit(trainer, module)
+        if module.levels_found and trainer.is_global_zero:
+            print(f"neurad: {module.levels_found}", file=sys.stderr)
         with clock.excluded():
             if trainer.is_global_zero and run_folder(trainer) is not None:
                 with phase("error bars"):
@@ -171,11 +169,11 @@ class Evaluate(pl.Callback):
         tables = _table(module, evaluation.scores, self.test_spp), lamps_table(module, evaluation.scores)
         print("\n\n".join(t for t in tables if t) + "\n")
         if folder is not None:
-            pictures.write_views(folder / "images", evaluation.maps, evaluation.environment, title_of(module))
+            _write_views(folder, evaluation, module)
             report_run(trainer, folder, evaluation, unseen, f"{self.test_spp} samples per pixel", tested=True)
             about = {"iteration": module.iteration, "seconds": round(module.seconds_before, 2), "rays": module.rays}
             about["samples"] = module.samples
-            scores = {key: _json_number(value) for key, value in evaluation.scores.items()}
+            scores = {key: as_json(value) for key, value in evaluation.scores.items()}
             text = json.dumps({**about, "render_spp": self.test_spp, **scores}, indent=2)
             write_text(folder / "metrics.json", text + "\n")
         print_closing(trainer, folder, evaluation.scores, unseen, tested=True)
@@ -188,7 +186,7 @@ class Evaluate(pl.Callback):
         evaluation = module.evaluate(self.test_spp)
         folder = run_folder(trainer)
         if folder is not None:
-            pictures.write_views(folder / "images", evaluation.maps, evaluation.environment, title_of(module))
+            _write_views(folder, evaluation, module)
             print(f"neurad: images are in {folder / 'images'}")
 
     def _due(self, trainer: pl.Trainer, module: InverseRenderer) -> bool:
@@ -210,13 +208,11 @@ class Evaluate(pl.Callback):
     def _mark_of(trainer: pl.Trainer) -> int:
         return int(fraction_done(trainer).largest * MARKS)
 
-    def _evaluate_fit(self, trainer: pl.Trainer, module: InverseRenderer, fresh: bool = False) -> None:
-        """Score what a run that ended here would show; ``fresh`` says that the levels' factors are of now."""
+    def _evaluate_fit(self, trainer: pl.Trainer, module: InverseRenderer) -> None:
+        """Score what a run that ended here would show."""
         begin = time.monotonic()
         with clock.excluded():
             self._evaluated = module.iteration
-            if not fresh:
-                module.update_levels()
             if trainer.is_global_zero:
                 evaluation = module.evaluate(self.spp, steady=True)
                 self.last_scores, self.last_scored = dict(evaluation.scores), time.monotonic()
@@ -250,9 +246,9 @@ class Evaluate(pl.Callback):
         if board := self._board_of(trainer, module):
             board.scores(evaluation.scores, module.iteration, module.train_seconds)
             board.lamps(module, module.iteration)
-            board.sheets(maps[: self.pictures], module.iteration)
+            board.sheets(maps[: self.pictures], evaluation.exposure, module.iteration)
             if evaluation.environment:
-                picture = pictures.environment(evaluation.environment, exposure(maps))
+                picture = pictures.environment(evaluation.environment, evaluation.exposure)
                 board.picture("environment", picture, module.iteration)
 
     def _finish(self, trainer: pl.Trainer, module: InverseRenderer) -> None:
@@ -265,10 +261,10 @@ class Evaluate(pl.Callback):
             return
         evaluation, unseen = self._shown.evaluation, self._shown.unseen
         if bars is not None:
-            for view, found in zip(evaluation.maps, module.bar_maps(bars), strict=False):
+            for view, found in zip(evaluation.maps, module.scoring.bar_maps(bars), strict=False):
                 view |= found
             if board := self._board_of(trainer, module):
-                board.sheets(evaluation.maps[: self.pictures], module.iteration)
+                board.sheets(evaluation.maps[: self.pictures], evaluation.exposure, module.iteration)
         control = ", with the radiance field as control variate" if "psnr_lhs" in evaluation.scores else ""
         about = f"{self.spp} samples per pixel{control}; neurad test takes {self.test_spp}"
         report_run(trainer, folder, evaluation, unseen, about, tested=False)
@@ -281,7 +277,7 @@ class Evaluate(pl.Callback):
 
     def _check_views(self, trainer: pl.Trainer, module: InverseRenderer) -> None:
         """How well the training views agree with each other, into ``views.csv``."""
-        views, residuals = module.training_views, module.view_residuals()
+        views, residuals = module.training_views, module.scoring.view_residuals()
         if views is None or views.surface is None or residuals is None:
             return
         self._views = self._views or ViewTable([view.name for view in module.scene.train], views.surface)
@@ -303,7 +299,7 @@ def error_bars_of(module: InverseRenderer, folder: Path | None) -> ErrorBars | N
         if found is not None and found.iteration == module.iteration:
             return found
     try:
-        bars = module.error_bars()
+        bars = module.scoring.error_bars()
     except InputError as error:
         print(f"neurad: no error bars: {error}", file=sys.stderr)
         return None
@@ -320,6 +316,8 @@ def _table(module: InverseRenderer, scores: Mapping[str, float], spp: int, stead
     return f"{score_table(scores, spp, steady=steady, views='Training photographs')}\n\nneurad: {said}"
 
 
-def _json_number(value: float) -> float | None:
-    """JSON has no infinity and no NaN."""
-    return float(value) if np.isfinite(value) else None
+def _write_views(folder: Path, evaluation: Evaluation, module: InverseRenderer) -> None:
+    """Write every view into ``images/`` of a run folder."""
+    pictures.write_views(
+        folder / "images", evaluation.maps, evaluation.exposure, evaluation.environment, title_of(module)
+    )

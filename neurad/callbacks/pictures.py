@@ -15,10 +15,8 @@ from neurad.pages.colours import (
     BRIGHTEST,
     BRIGHTEST_STD,
     ERRORS,
-    LEVEL,
     Bytes,
     encode,
-    exposure,
     false_colour,
     grey,
 )
@@ -26,6 +24,7 @@ from neurad.pages.draw import draw
 from neurad.pages.sheet import Scale, Sheet, Tile, worst_squares
 from neurad.runtime.files import make_folder
 from neurad.runtime.progress import counted
+from neurad.scene.exposure import LEVEL
 from neurad.scene.image_io import write_exr, write_png
 
 Image = npt.NDArray[np.float32]
@@ -67,8 +66,8 @@ def view_sheet(view: View, scale: float, title: str) -> Sheet:
         rows["Picture"] += [Tile("residual", "Residual of the equation", picture, bar)]
     found = Unseen.of([view])
     notes = [
-        f"Exposure: radiance times {scale:.3g}, the same for all views; it shows the photographs' 90th percentile at "
-        f"{LEVEL:g} of display white. Albedo is shown by the sRGB curve, roughness without one."
+        f"Exposure: radiance times {scale:.3g}, the same for all views; it shows the training photographs' 90th "
+        f"percentile at {LEVEL:g} of display white. Albedo is shown by the sRGB curve, roughness without one."
     ]
     notes += [sentence for sentence in [found.hatching("this view")] if sentence]
     sheet = Sheet(title, rows, found.masks[0], notes=notes, crop_keys=CROPPED)
@@ -145,13 +144,15 @@ def environment(maps: Mapping[str, Image], scale: float) -> Bytes:
     return np.concatenate([part for panel in panels for part in (panel, line)][:-1])
 
 
-def write_views(folder: Path, maps: Sequence[View], sky: Mapping[str, Image] | None = None, title: str = "") -> None:
+def write_views(
+    folder: Path, maps: Sequence[View], scale: float, sky: Mapping[str, Image] | None = None, title: str = ""
+) -> None:
     """Write render, albedo, roughness, their error bars and relit rendering of every view, those that it has, as linear
-    EXR and as PNG for looking at; which surfaces photographs show, and a sheet of everything, as PNG; ``sky``, a
-    recovered environment map and the true one, as ``environment``; ``title`` begins the headings of the sheets.
+    EXR and, radiance times ``scale``, as PNG for looking at; which surfaces photographs show, and a sheet of
+    everything, as PNG; ``sky``, a recovered environment map and the true one, as ``environment``; ``title`` begins the
+    headings of the sheets.
     """
     make_folder(folder)
-    scale = exposure(maps)
     for index, view in enumerate(counted(maps, "writing", len(maps), "pictures")):
         name = view_name(view, index)
         for kind in WRITTEN:

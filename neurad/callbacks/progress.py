@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Any, cast
 import lightning.pytorch as pl
 from lightning.pytorch.callbacks import ProgressBar
 
+from neurad.core.decibels import figure
 from neurad.core.durations import clock
 from neurad.core.ranges import NonNegative, checked
 from neurad.runtime import progress
@@ -101,7 +102,7 @@ class Bar(ProgressBar):
         parts = [f"step {module.iteration}"]
         scores, age = _last_scores(trainer)
         found = [
-            f"{name} {scores[key]:.1f}"
+            f"{name} {figure(scores[key], 1)}"
             for name, key in (("image", "psnr_srgb"), ("albedo", "albedo_psnr"))
             if key in scores
         ]

@@ -18,7 +18,6 @@ from neurad.metrics.marks import CONSTANT, LOOKUP, MARKS
 from neurad.metrics.unseen import Unseen
 from neurad.pages import page
 from neurad.pages.chart import Line, chart
-from neurad.pages.colours import exposure
 from neurad.runtime.files import write_text
 
 NAME = "report.html"
@@ -61,6 +60,10 @@ class Result:
     """Which views the scores are of."""
     rows: Sequence[Row] = ()
     """Of ``metrics.csv``."""
+    busy: str = ""
+    """That something else had the processor."""
+    exposure: float = 1.0
+    """What radiance is multiplied with to be shown."""
     environment: Mapping[str, FloatArray] = field(default_factory=dict)
     number: int = 0
     """Of views there are."""
@@ -76,11 +79,10 @@ def write_report(path: Path, result: Result) -> None:
     Raises:
         InputError: it cannot be written.
     """
-    scale = exposure(result.maps)
     judged = verdict(result.scores, result.views)
     parts = [
         f'<p class="verdict">{html.escape(judged.sentence)}</p>',
-        *(f'<p class="warn">{html.escape(text)}</p>' for text in judged.warnings),
+        *(f'<p class="warn">{html.escape(text)}</p>' for text in filter(None, [result.busy, *judged.warnings])),
         *(
             [f"<p>{html.escape(result.unseen.sentence(f'the {result.views}'))}</p>"]
             if result.unseen.fraction is not None
@@ -93,7 +95,7 @@ def write_report(path: Path, result: Result) -> None:
         parts += ["<h2>While it trained</h2>", f'<div class="charts">{drawn}</div>']
     parts += [f"<h2>Scores</h2>{_tables(result.scores)}"]
     if result.environment:
-        picture = pictures.environment(result.environment, scale)
+        picture = pictures.environment(result.environment, result.exposure)
         below = ", the true one below" if "truth" in result.environment else ""
         parts += ["<h2>Light</h2>", page.tile(picture, f"Recovered environment{below}")]
     shown = result.maps[:VIEWS]
@@ -103,7 +105,10 @@ def write_report(path: Path, result: Result) -> None:
             parts.append(page.note(f"The first {len(shown)} of {result.number}; the others are in images/."))
     for index, view in enumerate(shown):
         name = pictures.view_name(view, index)
-        parts += [f"<h3>View {html.escape(name)}</h3>", page.sheet(pictures.view_sheet(view, scale, ""), f"v{index}")]
+        parts += [
+            f"<h3>View {html.escape(name)}</h3>",
+            page.sheet(pictures.view_sheet(view, result.exposure, ""), f"v{index}"),
+        ]
     parts += ["<h2>How to read this</h2>", *(page.note(text) for text in READING)]
     if result.steps:
         steps = [f"<p><code>{html.escape(command)}</code><br>{html.escape(text)}</p>" for command, text in result.steps]
@@ -115,7 +120,7 @@ def _charts(rows: Sequence[Row]) -> str:
     """Scores over training time beside what needs no fit."""
     drawn = []
     for title, name in CHARTS.items():
-        kept = [row for row in rows if np.isfinite(row.get(name, np.nan)) and row.get("seconds", 0.0) > 0]
+        kept = [row for row in rows if name in row and row.get("seconds", 0.0) > 0]
         if not kept:
             continue
         x, y = (np.array([row[key] for row in kept], np.float32) for key in ("seconds", name))

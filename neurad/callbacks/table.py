@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from pathlib import Path
 
+from neurad.core.decibels import figure
 from neurad.core.errors import InputError
 from neurad.metrics.marks import MARKS
 from neurad.runtime.files import write_text
@@ -19,9 +20,7 @@ HEADINGS = {
     "albedo_mape": "MAPE",
     "roughness_psnr": "roughness PSNR",
     "roughness_mape": "MAPE",
-    "psnr_linear": "image PSNR linear",
-    "psnr_srgb": "sRGB",
-    "psnr_lhs": "of the field",
+    "psnr_srgb": "image PSNR (sRGB)",
 }
 LIGHT = {
     "": "",
@@ -99,7 +98,7 @@ def score_table(
 
     Args:
         scores: by the names of :data:`COLUMNS`; a best constant's score has ``_constant`` before any ``_seen``.
-        spp: samples per pixel of the renderings behind ``psnr_linear`` and ``psnr_srgb``; 0 where there are none.
+        spp: samples per pixel of the renderings behind ``psnr_srgb``; 0 where there are none.
         label: what the scores belong to.
         steady: whether the radiance field took their noise from these renderings, where there is one.
         views: which views they are of.
@@ -155,10 +154,8 @@ def curve_table(rows: Sequence[Row], count: int = 8) -> str:
         return ""
     steps = min(count, len(rows))
     chosen = sorted({round(i * (len(rows) - 1) / max(steps - 1, 1)) for i in range(steps)})
-    shown = {"albedo_psnr": "albedo PSNR", "roughness_psnr": "roughness PSNR", "psnr_linear": "image PSNR linear"}
-    shown |= {"psnr_lhs": "of the field"} if any("psnr_lhs" in row for row in rows) else {}
-    names = list(shown)
-    body = [["seconds", "iteration", *shown.values()]]
+    names = ["albedo_psnr", "roughness_psnr", "psnr_srgb"]
+    body = [["seconds", "iteration", "albedo PSNR", "roughness PSNR", "image PSNR (sRGB)"]]
     for index in chosen:
         row = rows[index]
         scores = [_score(name, row.get(name)) for name in names]
@@ -169,4 +166,4 @@ def curve_table(rows: Sequence[Row], count: int = 8) -> str:
 def _score(name: str, value: float | None) -> str:
     if value is None:
         return "-"
-    return f"{value:.3f}" if "mape" in name else f"{value:.2f}"
+    return f"{value:.3f}" if "mape" in name else figure(value)

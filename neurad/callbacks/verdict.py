@@ -2,8 +2,11 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass
+
+from neurad.core.decibels import FINEST, decibels
 
 CLOSELY, ROUGHLY = 10.0, 3.0
 """Decibels above the best constant: nine tenths of what a constant leaves unexplained is explained, and half of it."""
@@ -38,8 +41,11 @@ def verdict(scores: Mapping[str, float], views: str = "held-out views") -> Verdi
         verb = "follow" if what == "the pictures" else "follows"
         gain = score - constant
         how = "closely" if gain >= CLOSELY else "roughly" if gain >= ROUGHLY else "hardly" if gain > 0 else None
-        figures = f"({score:.1f} dB; the best constant has {constant:.1f})"
-        if how is None:
+        beside = "is exact" if constant == math.inf else f"has {constant:.1f}"
+        figures = f"({decibels(score, 1)}; the best constant {beside})"
+        if constant > FINEST:  # nothing is above it
+            parts.append(f"{what} {'are' if verb == 'follow' else 'is'} the same everywhere {figures}")
+        elif how is None:
             parts.append(f"{what} {'are' if verb == 'follow' else 'is'} not recovered {figures}")
             warnings.append(_below(what, name, scores))
         else:
@@ -57,7 +63,7 @@ def _below_in_parts(what: str, name: str, scores: Mapping[str, float]) -> list[s
     found = []
     for end, words in PARTS.items():
         score, constant = scores.get(f"{name}{end}"), scores.get(f"{name}_constant{end}")
-        if score is not None and constant is not None and score <= constant:
+        if score is not None and constant is not None and score <= constant <= FINEST:
             text = (
                 f"{what[0].upper()}{what[1:]} {'are' if what == 'the pictures' else 'is'} not above the best constant"
             )
@@ -73,11 +79,11 @@ def _below(what: str, name: str, scores: Mapping[str, float]) -> str:
     text = f"{what[0].upper()}{what[1:]} {verb} not above the best constant: {mean} would score "
     text += f"{constant:.2f} dB, this result has {score:.2f} dB. Do not rely on it"
     seen, level = scores.get(f"{name}_seen"), scores.get(f"{name}_constant_seen")
-    if seen is None or level is None:
+    if seen is None or level is None or level > FINEST:
         return f"{text}."
     if seen > level:
         return (
-            f"{text} where no photograph looks; on surfaces that photographs show it has {seen:.2f} dB, and their "
+            f"{text} where no photograph looks; on surfaces that photographs show it has {decibels(seen)}, and their "
             f"best constant {level:.2f} dB."
         )
     return f"{text}."

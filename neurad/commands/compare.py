@@ -57,10 +57,10 @@ def run(options: argparse.Namespace) -> None:
         SystemExit: with 1 if a fit failed; the report then has the others.
     """
     if options.resolve is not None:
-        from neurad.studies.compare.configs import print_configs
+        from neurad.compare.configs import print_configs
 
         print_configs(options.resolve)
         return
-    from neurad.studies.compare.run import compare
+    from neurad.compare.run import compare
 
     compare(options)

@@ -93,11 +93,6 @@ class PatchSampler:
         views, count = torch.tensor(chosen), torch.tensor([len(entries) for entries in lists])
         return cls(views, count.cumsum(0) - count, count, torch.cat(lists), patch_size, width[views], seed)
 
-    @property
-    def total(self) -> int:
-        """Number of different patches."""
-        return int(self.count.sum())
-
     def draw(self, first: int, patches: int, rank: int = 0) -> tuple[Tensor, Tensor]:
         """The pixels of one batch; each view has the same number of patches in it, give or take one.
 

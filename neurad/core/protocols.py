@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from typing import Protocol, runtime_checkable
+from typing import Protocol
 
 from torch import Tensor
 
@@ -48,14 +48,6 @@ class Materials(Protocol):
     def albedo(self, si: SurfaceInteraction) -> Tensor:
         """The albedo alone [n, 3], where no more is needed."""
         ...
-
-
-@runtime_checkable
-class Recovered(Protocol):
-    """Beside :class:`Materials`: they were recovered from photographs."""
-
-    known_meshes: frozenset[int]
-    """Meshes on which the scene's own values hold instead."""
 
 
 class LobeKernels(Protocol):
@@ -152,12 +144,9 @@ class Integrator(Protocol):
 class PhotoSource(Protocol):
     """Training photographs, as a fit sees them: facts about all of them, and batches of their pixels."""
 
-    pixel_multiplier: int
-    """Times the usual number of pixels in the first batches; 1 where all batches have the same size."""
-
     @property
     def has_alpha(self) -> bool:
-        """Whether the photographs have an alpha channel."""
+        """Whether alpha is below 1 in some pixel of the photographs."""
         ...
 
     def dataset_stats(self, left_out: Tensor | None = None) -> DatasetStats:

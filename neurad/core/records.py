@@ -202,13 +202,11 @@ class PixelBatch:
     color: Tensor
     """Photographed linear radiance, premultiplied by alpha [b, 3]."""
     alpha: Tensor
-    """Coverage in [0, 1]; ones for images without an alpha channel [b]."""
+    """Coverage in [0, 1]; ones for images without alpha [b]."""
     iteration: int
     """The iteration that this batch belongs to."""
     blurred: Tensor | None = None
     """Mean photographed radiance of the 5 x 5 pixels around [b, 3]; None unless requested from the source."""
-    pixel_multiplier: int = 1
-    """Times as many pixels as usual, each of which gets as many times fewer samples."""
     candidates: int = 0
     """The last so many pixels are uniform draws of which the step keeps some; 0 where it takes all pixels."""
     weight: Tensor | None = None
@@ -257,6 +255,8 @@ class DatasetStats:
     """CRC-32 of each photograph, by which a changed one is found; none where they cannot change."""
     pixels: int = 0
     """How many count; 0 where that is not known."""
+    covered: tuple[int, ...] = ()
+    """Views whose alpha is 1 everywhere, where it is not so in all."""
 
     @property
     def brightest(self) -> float:
@@ -388,7 +388,7 @@ class Mesh:
 
     name: str
     vertices: FloatArray
-    """[v, 3], world space."""
+    """[v, 3], world space; float64 in readers until a scene is put together, see :mod:`neurad.scene.origin`."""
     faces: IntArray
     """[f, 3]."""
     material: int

@@ -94,7 +94,7 @@ def write_views(scene: Scene, folder: Path, copy: bool) -> list[str]:
             missing.append(part)
         if not views:
             continue
-        described = transforms(views)
+        described = transforms(views, scene.origin)
         for view, frame in zip(views, described["frames"], strict=True):
             for kind, where in KINDS.items():
                 key = "file_path" if kind == "image" else f"{kind}_path"

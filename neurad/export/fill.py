@@ -40,8 +40,3 @@ def _halved(filled: FloatArray, known: BoolArray) -> tuple[FloatArray, BoolArray
     total = filled.reshape(*shape, -1).sum((1, 3))
     mean: FloatArray = total / np.maximum(count, 1.0)[..., None]
     return mean, count > 0
-
-
-def halved(pixels: FloatArray) -> FloatArray:
-    """The next mip level of a texture [h, w, c]: means of 2 x 2 texels."""
-    return _halved(pixels, np.ones(pixels.shape[:2], bool))[0]

@@ -17,7 +17,7 @@ import numpy as np
 import neurad
 from neurad.core.records import FloatArray, Mesh, PunctualLight, View
 from neurad.core.reflection import PrincipledModel
-from neurad.export.axes import TO_Y, quaternion
+from neurad.export.axes import TO_Y, quaternion, rotation
 from neurad.export.base_colour import Target, is_converted, smooth_colour
 from neurad.export.cameras import clip_planes, is_plain
 from neurad.export.glb import GlbWriter, Json
@@ -62,6 +62,8 @@ def write_glb(
         root: Json = {"name": "room", "children": children}
         if room.up != "y":
             root["rotation"] = list(TO_Y[room.up])
+        if any(room.scene.origin):
+            root["translation"] = (rotation(room.up) @ room.scene.origin).tolist()
         glb.json["scenes"] = [{"nodes": [glb.add("nodes", root)], "name": room.scene.name}]
         glb.json["scene"] = 0
         depths = {"max_depth": room.scene.max_depth, "rr_depth": room.scene.rr_depth}

@@ -16,7 +16,7 @@ from neurad.core.records import Camera, Material, View
 from neurad.export.cameras import clip_planes
 from neurad.runtime.machine import usable_cores
 from neurad.scene.description import Scene
-from neurad.scene.scene_xml import Matrix, Node, describe
+from neurad.scene.scene_xml import ORIGIN, Matrix, Node, describe
 
 COMPILED = "llvm_ad_rgb"
 """The variant that compiles its kernels for the CPU."""
@@ -90,7 +90,7 @@ def sensor(scene: Scene, camera: Camera, width: int, height: int, samples: int =
     pose = np.asarray(camera.to_world, np.float64) @ np.diag([-1.0, 1.0, -1.0, 1.0])
     return {
         "type": "perspective",
-        "to_world": Matrix(pose.astype(np.float32)),
+        "to_world": Matrix(pose.astype(np.float32), any(scene.origin)),
         "fov": float(np.degrees(camera.fov_x)),
         "fov_axis": "x",
         "principal_point_offset_x": 0.5 - lens.centre[0],
@@ -142,7 +142,7 @@ def _loadable(mi: Any, node: Any, folder: Path) -> Any:
         return mi.ScalarTransform4f(square) if len(square) == 4 else mi.ScalarTransform3f(square)
     if not isinstance(node, dict):
         return node
-    made = {key: _loadable(mi, value, folder) for key, value in node.items()}
+    made = {key: _loadable(mi, value, folder) for key, value in node.items() if key not in ORIGIN}
     if "filename" in made:
         made["filename"] = str(folder / made["filename"])
     return made

@@ -17,8 +17,9 @@ SQUARED_ERROR = 0.01
 PASSES = 8
 """Most passes to get there; an even number."""
 WHITE = 1.0
-"""Values of a photograph from here on are white on a screen. They are left out of squared differences: on the edges of
-lamps and windows, which are many times as bright, noise and the photograph's own decide over all else."""
+"""Values of a photograph, at the scene's exposure, from here on are white on a screen. They are left out of squared
+differences: on the edges of lamps and windows, which are many times as bright, noise and the photograph's own decide
+over all else."""
 BLOCKS = 1, 4, 16
 """Sides in pixels of the blocks over whose means pictures are compared: more pixels average more of the noise."""
 CHUNK = 1 << 14

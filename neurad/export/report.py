@@ -8,13 +8,13 @@ from typing import Any
 
 import numpy as np
 
+from neurad.core.decibels import FINEST, decibels
 from neurad.core.records import FloatArray
 from neurad.export.images import eight_bits
 from neurad.export.seams import BOUND
 from neurad.export.verified import Verified
 from neurad.metrics.scores import block_means
 from neurad.pages import page
-from neurad.pages.colours import exposure
 from neurad.scene.image_io import to_srgb
 
 DIFFERENCE = 10.0
@@ -52,7 +52,7 @@ def write_report(found: Verified, path: Path, title: str) -> None:
         _baking(found),
         _seams(found),
         _renderers(said["renderers"]),
-        f'<p class="note">Pictures of a view share one exposure, that of its photograph. '
+        f'<p class="note">All pictures share one exposure, as in the report of the run. '
         f"Differences are to the exported folder in neurad, {DIFFERENCE:g} times enlarged, means of {BLOCK} x {BLOCK} "
         "pixels as single ones are mostly noise.</p>",
     ]
@@ -65,10 +65,9 @@ def _view(found: Verified, renderers: dict[str, Any], index: int) -> list[str]:
     """A row of pictures with their figures, and below it one of their differences."""
     name, photo = found.views[index].name, found.photographs[index]
     shown = {renderer: pictures.mean[index] for renderer, pictures in found.pictures.items()}
-    gain = exposure([{"photograph": shown["baked"] if photo is None else photo}])
     parts = [f"<h2>{html.escape(name)}</h2>", '<div class="row">']
     if photo is not None:
-        parts.append(_figure("photograph", f"mean {photo.mean():.4g}", photo * gain))
+        parts.append(_figure("photograph", f"mean {photo.mean():.4g}", photo))
     for renderer, picture in shown.items():
         entry = renderers[renderer]["views"][name]
         figures = [f"mean {entry['mean']:.4g} &plusmn; {entry['standard_error']:.1g}"]
@@ -76,13 +75,13 @@ def _view(found: Verified, renderers: dict[str, Any], index: int) -> list[str]:
             figures.append(f"{entry['ratio_of_means']:.4f} of baked")
         if entry["psnr_below_white"] is not None:
             figures.append(f"PSNR {entry['psnr_below_white']:.2f} &plusmn; {entry['psnr_standard_error']:.2f} dB")
-        parts.append(_figure(renderer, ", ".join(figures), picture * gain))
+        parts.append(_figure(renderer, ", ".join(figures), picture))
     parts.append('</div><div class="row">')
     others = shown if photo is None else {"photograph": photo, **shown}
     for renderer, picture in others.items():
         if renderer != "baked":
             off = block_means(picture - shown["baked"], np.ones(picture.shape[:2], bool), BLOCK)[0]
-            off = np.abs(off) * np.float32(DIFFERENCE * gain)
+            off = np.abs(off) * np.float32(DIFFERENCE)
             parts.append(_figure(f"{renderer} - baked", f"&times; {DIFFERENCE:g}, in blocks of {BLOCK}", off))
     return [*parts, "</div>"]
 
@@ -108,7 +107,8 @@ def _baking(found: Verified) -> str:
     for what in ("albedo", "roughness", "picture"):
         before, after = (found.scores.get(f"{what}_psnr_{which}") for which in ("fields", "baked"))
         if before is not None and after is not None:
-            rows.append([what, *(f"{x:.2f} dB" for x in (before, after)), f"{before - after:.3f} dB"])
+            lost = min(before, FINEST) - min(after, FINEST)
+            rows.append([what, decibels(before), decibels(after), decibels(lost, 3)])
     head = ["against the truth (the picture: against the photographs)", "fields", "baked", "lost"]
     return "<h2>Baking</h2>" + page.table(head, rows)
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import json
 import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
 from pathlib import Path
@@ -177,11 +177,12 @@ def write_room(
         "clipped_texels": clipped,
         "texels": room.texels,
         "up": room.up,
+        "origin": list(scene.origin),
         "to_y": rotation(room.up).tolist(),
         "max_depth": scene.max_depth,
         "hide_environment": room.hide_environment,
         "environment": None if turned is None else {"file": "environment.exr", "to_world": turned},
-        "lights": [_light_notes(light) for light in scene.punctual if light.intensity.any()],
+        "lights": [_light_notes(light, scene.origin) for light in scene.punctual if light.intensity.any()],
         "film": None if camera is None else [camera.width, camera.height],
         "camera": views[0].name if views else None,
         "views": {"train": [v.name for v in scene.train], "test": [v.name for v in scene.test]},
@@ -204,13 +205,13 @@ def _left_out(room: Room) -> list[str]:
     return said
 
 
-def _light_notes(light: PunctualLight) -> dict[str, Any]:
+def _light_notes(light: PunctualLight, origin: Sequence[float]) -> dict[str, Any]:
     """A light without extent in the scene's frame and units, with its direction of length 1."""
     return {
         "name": light.name,
         "type": light.kind,
         "intensity": [float(x) for x in light.intensity],
-        "position": [float(x) for x in light.position],
+        "position": [float(x) + step for x, step in zip(light.position, origin, strict=True)],
         "direction": pose(light)[:3, 2].tolist(),
         "cutoff_angle": light.cutoff_angle,
         "beam_width": light.beam_width,
@@ -226,7 +227,7 @@ def _write_evidence(
     (folder / "evidence").mkdir()
     emits = (assembly.world.geometry.emission > 0).any(-1)
     world = assembly.world
-    seen_by = SeenBy(world.geometry, world.tracer.tracer, [view.camera for view in room.scene.train])
+    seen_by = SeenBy.of(world.geometry, world.tracer.tracer, room.scene.train)
     first = np.cumsum([0, *(len(mesh.faces) for mesh in room.scene.meshes)])
     found: list[float | None] = [None] * len(room.names)
 

@@ -99,7 +99,7 @@ class _Stage:
 
     def fill(self) -> None:
         """Put everything on the stage."""
-        from pxr import Gf, UsdGeom
+        from pxr import UsdGeom
 
         up = "Z" if self.room.up == "z" else "Y"
         UsdGeom.SetStageUpAxis(self.stage, up)
@@ -107,10 +107,12 @@ class _Stage:
         root = UsdGeom.Xform.Define(self.stage, "/room")
         self.stage.SetDefaultPrim(root.GetPrim())
         self.stage.GetRootLayer().customLayerData = {"base_color_for": self.target, "up": self.room.up}
+        pose = np.eye(4)
         if self.room.up not in ("y", "z"):
-            turn = np.eye(4)
-            turn[:3, :3] = rotation(self.room.up)
-            root.AddTransformOp().Set(Gf.Matrix4d(*turn.T.ravel().tolist()))
+            pose[:3, :3] = rotation(self.room.up)
+        pose[:3, 3] = pose[:3, :3] @ self.room.scene.origin
+        if not np.array_equal(pose, np.eye(4)):
+            root.AddTransformOp().Set(_matrix(pose))
         for scope in ("materials", "meshes", "cameras"):
             UsdGeom.Scope.Define(self.stage, f"/room/{scope}")
         scene = self.room.scene

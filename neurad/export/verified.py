@@ -8,6 +8,7 @@ from typing import Any, Literal
 
 import numpy as np
 
+from neurad.core.decibels import FINEST, as_json
 from neurad.core.records import FloatArray, View
 from neurad.export.pictures import BLOCKS, Estimate, Pictures
 from neurad.export.seams import BOUND, Seams
@@ -62,6 +63,8 @@ class Verified:
     views: list[View]
     held_out: bool
     """Whether the views are held out; a scene without such views is verified on those that it was fitted to."""
+    exposure: float = 1.0
+    """What all pictures and photographs below are multiplied with, see :mod:`neurad.scene.exposure`."""
     pictures: dict[str, Pictures] = field(default_factory=dict)
     """By renderer: 'fields', 'baked', 'mitsuba' and 'cycles'."""
     excess: dict[str, list[dict[int, Estimate] | None]] = field(default_factory=dict)
@@ -133,7 +136,8 @@ class Verified:
         """What ``verify.json`` holds."""
         return {
             "verified_on": "held-out views" if self.held_out else "training views, as there are no held-out ones",
-            "scores": {name: round(value, 4) for name, value in self.scores.items()},
+            "exposure": self.exposure,
+            "scores": {name: as_json(round(value, 4)) for name, value in self.scores.items()},
             "seams": None if self.seams is None else self.seams.as_json(),
             "bounds": [verdict.as_json() for verdict in self.verdicts],
             "beyond_bounds": self.beyond,
@@ -202,7 +206,7 @@ class Verified:
         for what, bound in (("albedo", ALBEDO_LOSS), ("roughness", ROUGHNESS_LOSS)):
             before, after = self.scores.get(f"{what}_psnr_fields"), self.scores.get(f"{what}_psnr_baked")
             if before is not None and after is not None:
-                lost = before - after
+                lost = min(before, FINEST) - min(after, FINEST)
                 text = f"baking took {lost:.2f} dB of {what} (bound {bound})"
                 found.append(Verdict(f"{what} lost by baking, dB", lost, 0.0, bound, text))
         return found

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from importlib.util import find_spec
@@ -30,8 +30,10 @@ from neurad.metrics.held_out import HeldOut
 from neurad.metrics.held_out_scores import responded, score
 from neurad.metrics.scores import psnr
 from neurad.scene.description import Scene
+from neurad.scene.exposure import scene_exposure
 from neurad.scene.geometry import Geometry
 from neurad.scene.photographs import read_view
+from neurad.scene.scene_xml import ORIGIN
 from neurad.scene.textures import TrueMaterials
 
 SEED = 20260101
@@ -77,8 +79,9 @@ def verify(
         progress: shows which meshes and passes are done.
     """
     views = shown_alike(room.scene)
-    found = Verified(views, held_out=bool(room.scene.test))
-    found.photographs = [None if v.image is None else _photograph(v, assembly) for v in views]
+    scale = np.float32(scene_exposure(room.scene))
+    found = Verified(views, bool(room.scene.test), float(scale))
+    found.photographs = [None if v.image is None else scale * _photograph(v, assembly) for v in views]
     progress.stage("seams", len(room.names))
     found.seams = find_seams(room, assembly.world.geometry, assembly.materials, done=progress.step)
     scene = replace(_read_again(room, folder, found), train=room.scene.train, test=views)
@@ -88,14 +91,15 @@ def verify(
     fields = _OnGeometry(assembly.materials, assembly.world.geometry)
     progress.stage("maps", 1)
     _compare_maps(found, scene, HeldOut(scene, world.geometry, world.tracer.tracer), fields, baked)
-    ours = _ours(world, baked, fields, scene, spp)
+    ours = _shown(_ours(world, baked, fields, scene, spp), scale)
     why = NOT_ALONE if cannot_hide(scene, room.hide_environment) else no_mitsuba()
     if why is not None:
         found.left_out.append(f"Mitsuba: {why}")
         _render(found, ours, None, progress)
     else:
         with fastest_mitsuba() as mi:
-            _render(found, ours, _mitsuba(mi, folder / "scene.xml", spp), progress)
+            mitsuba = _mitsuba(mi, folder / "scene.xml", spp, room.scene.origin)
+            _render(found, ours, _shown(mitsuba, scale), progress)
     if cycles is None:
         found.left_out.append("Cycles: --blender names no Python with bpy and no Blender")
     else:
@@ -112,6 +116,11 @@ def _photograph(view: View, assembly: Assembly) -> FloatArray:
     return photograph if development is None else responded(view, photograph, development.respond)
 
 
+def _shown(draw: Draw, scale: np.float32) -> Draw:
+    """Pictures at an exposure."""
+    return lambda index, seed: scale * draw(index, seed)
+
+
 def _render_cycles(found: Verified, cycles: Cycles, spp: int, progress: Progress) -> None:
     """Two passes of all views, with as many samples as neurad took."""
     most = spp * max(found.pictures["baked"].passes)
@@ -121,7 +130,7 @@ def _render_cycles(found: Verified, cycles: Cycles, spp: int, progress: Progress
         progress.step()
     found.pictures["cycles"] = Pictures()
     for pair, photo in zip(zip(*passes, strict=True), found.photographs, strict=True):
-        found.pictures["cycles"].add(np.stack(pair), photo)
+        found.pictures["cycles"].add(np.float32(found.exposure) * np.stack(pair), photo)
 
 
 def _read_again(room: Room, folder: Path, found: Verified) -> Scene:
@@ -131,7 +140,7 @@ def _read_again(room: Room, folder: Path, found: Verified) -> Scene:
         return room.scene
     from neurad.scene.readers.mitsuba_xml import read_xml
 
-    return read_xml(folder / "scene.xml")
+    return read_xml(folder / "scene.xml", np.array(room.scene.origin))
 
 
 def _compare_maps(found: Verified, scene: Scene, held_out: HeldOut, fields: Materials, baked: Materials) -> None:
@@ -144,7 +153,7 @@ def _compare_maps(found: Verified, scene: Scene, held_out: HeldOut, fields: Mate
                 found.scores[f"{key}_{name}"] = scores[key]
     for key in ("albedo", "roughness") if held_out.has_roughness else ("albedo",):
         square = [np.square(a[key] - b[key]).mean() for a, b in zip(of_fields, of_baked, strict=True)]
-        found.scores[f"{key}_baked_to_fields_psnr"] = min(psnr(float(np.mean(square))), 200.0)
+        found.scores[f"{key}_baked_to_fields_psnr"] = psnr(float(np.mean(square)))
 
 
 def _ours(world: World, baked: Materials, fields: Materials, scene: Scene, spp: int) -> Draw:
@@ -158,9 +167,9 @@ def _ours(world: World, baked: Materials, fields: Materials, scene: Scene, spp: 
     return draw
 
 
-def _mitsuba(mi: Any, path: Path, spp: int) -> Draw:
-    """Mitsuba on ``scene.xml`` as it stands; its sensors are the views in order."""
-    loaded = mi.load_file(str(path))
+def _mitsuba(mi: Any, path: Path, spp: int, origin: Sequence[float]) -> Draw:
+    """Mitsuba on ``scene.xml``, moved to the origin if it lies far from it; its sensors are the views in order."""
+    loaded = mi.load_file(str(path), **dict.fromkeys(ORIGIN if any(origin) else (), "0"))
 
     def draw(index: int, seed: int) -> FloatArray:
         most = max(1, SAMPLES // int(np.prod(loaded.sensors()[index].film().size())))

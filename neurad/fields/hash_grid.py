@@ -62,7 +62,7 @@ class HashGrid(nn.Module):
         self.table = nn.Parameter(torch.empty(first, features).uniform_(-1e-4, 1e-4))
 
     @classmethod
-    def from_config(cls, config: GridConfig, use_kernels: bool = True) -> Self:
+    def from_config(cls, config: GridConfig) -> Self:
         """A grid of the sizes in ``config``.
 
         Raises:
@@ -70,7 +70,7 @@ class HashGrid(nn.Module):
         """
         if config.finest is None:
             raise ValueError("HashGrid: finest is not set; it comes from resolve_finest")
-        return cls(config.levels, config.coarsest, config.finest, config.features, config.log2_size, use_kernels)
+        return cls(config.levels, config.coarsest, config.finest, config.features, config.log2_size)
 
     def forward(self, x: Tensor) -> Tensor:
         """Features [n, levels * features] at positions [n, 3] in [0, 1]^3; the table alone gets a gradient.

@@ -33,7 +33,7 @@ class Correction(nn.Module):
     made: Tensor
     information: Tensor
     """1 / variance that the photographs leave to the roughness in the cells [cells, cells, cells], the axes those of
-    positions; 0 where they tell nothing, and everywhere before the step or in a checkpoint of an older version."""
+    positions; 0 where they tell nothing, and everywhere before the step."""
     scales: Tensor
     """Gain, prior and power by which it becomes error bars, see :mod:`neurad.metrics.bar_calibration`; 0 like it."""
 

@@ -11,11 +11,13 @@ import viser.transforms
 
 from neurad.core.errors import InputError
 from neurad.core.records import FloatArray
-from neurad.inspect.panel import Panel
+from neurad.inspect.panel import Panel, chosen
 from neurad.inspect.pose import Pose, Stand
 from neurad.inspect.probe import probe
 from neurad.inspect.refine import Frame, Refiner, Request, Room
 
+MAX_ASPECT = 32.0
+"""Of a window's longer side to its shorter one; pictures of longer windows are stretched."""
 QUALITY, QUALITY_COARSE = 95, 80
 """Of JPEG pictures."""
 MARK = 0.006
@@ -34,6 +36,7 @@ class Guest:
         exposure: factor of radiance that the photographs ask for.
         stands: places of the views by name; asked for when the camera is to be put there.
         ask: called whenever something is asked for.
+        leave: ends the connection.
     """
 
     def __init__(
@@ -44,7 +47,9 @@ class Guest:
         exposure: float,
         stands: Mapping[str, Callable[[], Stand]],
         ask: Callable[[], None],
+        leave: Callable[[], None],
     ) -> None:
+        self.leave = leave
         self.began = time.monotonic()
         self.first_picture: float | None = None
         """Seconds from the connection to the first picture."""
@@ -95,7 +100,8 @@ class Guest:
         wishes, camera = self.panel.wishes(), self._client.camera
         x, y, z = (float(v) for v in camera.position)
         rotation = viser.transforms.SO3(camera.wxyz).as_matrix().ravel()
-        aspect = float(camera.aspect) if camera.image_height else 1.0
+        aspect = max(camera.image_width, 1) / max(camera.image_height, 1)
+        aspect = min(max(aspect, 1.0 / MAX_ASPECT), MAX_ASPECT)
         pose = Pose(tuple(float(v) for v in rotation), (x, y, z), float(camera.fov), aspect)
         return Request(pose, wishes.mode, wishes.look, wishes.side**2)
 
@@ -132,7 +138,7 @@ class Guest:
     def _move(self) -> None:
         """Put the camera to the view that was asked for."""
         assert self._goal is not None
-        stand, camera, self._goal = self._stands[self._goal](), self._client.camera, None
+        stand, camera, self._goal = self._stands[chosen(self._goal, self._stands)](), self._client.camera, None
         with self._client.atomic():
             camera.up_direction = stand.up
             camera.position = stand.position

@@ -3,13 +3,15 @@
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 import viser
 
+from neurad.core.errors import InputError
+from neurad.core.ranges import Range
 from neurad.inspect.lamps import Lamp, Light
 from neurad.inspect.maps import RENDER, Mode, legend
 from neurad.inspect.probe import Reading
@@ -97,10 +99,14 @@ class Panel:
             changed()
 
     def wishes(self) -> Wishes:
-        """What the controls say now."""
-        light = Light(tuple(float(s.value) for s in self._sliders), float(self._turn.value) if self._turn else 0.0)
-        look = Look(light, self._exposure * 2.0 ** float(self._stops.value), bool(self._hatched.value))
-        return Wishes(self._mode.value, look, int(self._side.value))
+        """What the controls say now.
+
+        Raises:
+            InputError: something that no control of the page can say.
+        """
+        light = Light(tuple(_level(s) for s in self._sliders), _level(self._turn) if self._turn else 0.0)
+        look = Look(light, self._exposure * 2.0 ** _level(self._stops), bool(self._hatched.value))
+        return Wishes(chosen(self._mode.value, self._mode.options), look, int(chosen(self._side.value, SIDES)))
 
     def say(self, text: str) -> None:
         """Say what the picture is."""
@@ -118,7 +124,7 @@ class Panel:
         if reading is None:
             self._reading.content = "There is no surface."
             return
-        self._reading.content = "\n".join(f"- {name}: `{_plain(value)}`" for name, value in reading.lines())
+        self._reading.content = "\n".join(f"- {name}: `{plain(value)}`" for name, value in reading.lines())
 
     def update(self, title: str, modes: Mapping[str, Mode]) -> None:
         """Other modes, or a run that went on."""
@@ -141,9 +147,33 @@ class Panel:
 
 def _escaped(text: str) -> str:
     """Text that Markdown shows unchanged."""
-    return re.sub(r"([\\`*_{}\[\]<>#|~])", r"\\\1", " ".join(text.split()))
+    return re.sub(r"([!-/:-@\[-`{-~])", r"\\\1", " ".join(text.split()))
 
 
-def _plain(text: str) -> str:
+def chosen(value: object, options: Iterable[str]) -> str:
+    """The option that a control says.
+
+    Raises:
+        InputError: there is no such option.
+    """
+    for option in options:
+        if option == value:
+            return option
+    raise InputError("a choice that the page does not have")
+
+
+def _level(slider: Any) -> float:
+    """What a slider says, within its range: the field beside it sends what is typed before the page looks at it.
+
+    Raises:
+        InputError: NaN.
+    """
+    value = float(slider.value)
+    if value not in Range():
+        raise InputError(f"the slider {slider.label} at {value}")
+    return min(max(value, float(slider.min)), float(slider.max))
+
+
+def plain(text: str) -> str:
     """Text that Markdown shows unchanged between backticks."""
     return " ".join(text.replace("`", "'").split())

@@ -44,7 +44,7 @@ class PhotographMap:
     def __init__(self, world: World, views: Sequence[View]) -> None:
         self.world = world
         self.views = [view for view in views if view.image is not None]
-        self.seen = SeenBy(world.geometry, world.tracer, [view.camera for view in self.views])
+        self.seen = SeenBy.of(world.geometry, world.tracer, self.views)
 
     @torch.no_grad()
     def __call__(self, rays: Rays, seed: int) -> Tensor:

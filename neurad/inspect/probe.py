@@ -5,11 +5,13 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
+import numpy.typing as npt
 import torch
 
 from neurad.core.records import FloatArray, Rays
 from neurad.inspect.maps import SeenMap
 from neurad.runs.load import LoadedRun
+from neurad.scene.origin import place_text
 
 
 @dataclass(frozen=True)
@@ -17,7 +19,9 @@ class Reading:
     """A surface point."""
 
     position: FloatArray
-    """[3]."""
+    """[3], relative to ``Scene.origin``."""
+    place: npt.NDArray[np.float64]
+    """The position in the coordinates of the scene's files [3]."""
     mesh: str
     albedo: FloatArray
     """[3]."""
@@ -46,7 +50,7 @@ class Reading:
             ("albedo", albedo),
             ("roughness", roughness),
             ("photographs", shown),
-            ("position", " ".join(f"{x:.4g}" for x in self.position)),
+            ("position", place_text(self.place, " ")),
         ]
 
 
@@ -71,6 +75,7 @@ def probe(run: LoadedRun, seen: SeenMap, origin: FloatArray, direction: FloatArr
     prim = int(si.prim)
     return Reading(
         position=si.p[0].cpu().numpy(),
+        place=si.p[0].double().cpu().numpy() + np.asarray(run.scene.origin),
         mesh=run.scene.meshes[int(geometry.mesh_index[prim])].name,
         albedo=run.albedo(si)[0],
         roughness=float(run.roughness(si)[0, 0]),

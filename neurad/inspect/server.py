@@ -1,17 +1,22 @@
-"""The page's place: a port of this machine alone."""
+"""The page's place: a port of this machine alone, behind a door that a token opens."""
 
 from __future__ import annotations
 
+import http.client
+import secrets
 import socket
+import sys
 from contextlib import redirect_stdout
 from io import StringIO
+from typing import Any
 
 import viser
 
 from neurad.core.errors import InputError
+from neurad.inspect.door import guarded
 
 HOST = "127.0.0.1"
-"""The page has no password, so no other machine may see it."""
+"""No other machine sees the page."""
 PORT = 8080
 """Where the page is unless somebody says otherwise, or the next free one."""
 
@@ -32,26 +37,48 @@ def check_port(port: int | None) -> None:
             raise InputError(_refused(port)) from error
 
 
-def serve(port: int | None) -> viser.ViserServer:
-    """A page on a port of this machine, and on no other address.
+def serve(port: int | None) -> tuple[viser.ViserServer, str]:
+    """A page on a port of this machine, and on no other address; and what to open, which has a token.
 
     Raises:
-        InputError: the port is taken.
+        InputError: the port is taken, or the installed viser lets somebody in without the token.
     """
-    with redirect_stdout(StringIO()):  # it says where it is; so does the command
+    token = secrets.token_urlsafe(32)
+    with redirect_stdout(StringIO()), guarded(token):  # it says where it is; so does the command
         server = viser.ViserServer(host=HOST, port=PORT if port is None else port, label="neurad", verbose=False)
-    # A browser can ask for a tunnel through which others see the page: nobody gets one.
-    server.request_share_url = lambda verbose=True: None  # type: ignore[method-assign]
-    if port and server.get_port() != port:  # taken since it was looked at
+    server.get_event_loop().set_exception_handler(_say)
+    where = server.get_port()
+    if port and where != port:  # taken since it was looked at
         stop(server)
         raise InputError(_refused(port))
-    return server
+    if not _is_shut(where):
+        stop(server)
+        raise InputError(f"view: viser {viser.__version__} lets in everybody; install 1.1: pip install viser==1.1.1")
+    return server, f"http://{HOST}:{where}/{token}/"
 
 
 def stop(server: viser.ViserServer) -> None:
     """End a page."""
     with redirect_stdout(StringIO()):
         server.stop()
+
+
+def _is_shut(port: int) -> bool:
+    """Whether a request without the token is turned away."""
+    asked = http.client.HTTPConnection(HOST, port, timeout=10)
+    try:
+        asked.request("GET", "/")
+        return asked.getresponse().status == http.HTTPStatus.FORBIDDEN
+    except (OSError, http.client.HTTPException):
+        return False
+    finally:
+        asked.close()
+
+
+def _say(loop: object, context: dict[str, Any]) -> None:
+    """A sentence for what a control of the page did not take, where asyncio has a traceback."""
+    if isinstance(error := context.get("exception"), Exception):
+        print(f"neurad: view: {type(error).__name__}: {error}", file=sys.stderr)
 
 
 def _refused(port: int) -> str:

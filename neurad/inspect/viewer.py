@@ -12,23 +12,22 @@ import viser
 from neurad.core.errors import InputError
 from neurad.core.records import View
 from neurad.export.axes import up_axis
+from neurad.inspect.door import connection_closer, say_dropped
 from neurad.inspect.guest import Guest
 from neurad.inspect.lamps import lamps_of
 from neurad.inspect.maps import SeenMap, UnseenMap, modes_of
+from neurad.inspect.panel import plain
 from neurad.inspect.photographs import PhotographMap
 from neurad.inspect.pose import Stand, stand_of
 from neurad.inspect.refine import Room, warm_up
-from neurad.inspect.server import HOST, serve, stop
+from neurad.inspect.server import serve, stop
 from neurad.metrics.seen import SeenBy
-from neurad.pages.colours import exposure
 from neurad.runs.follow import Followed
 from neurad.runs.load import LoadedRun
-from neurad.scene.photographs import read_view
+from neurad.scene.exposure import scene_exposure
 
 CHECKS = 2.0
 """Seconds between two looks at the run folder."""
-TONED = 8
-"""Photographs whose brightness decides the exposure."""
 
 
 class Viewer:
@@ -37,6 +36,9 @@ class Viewer:
     Args:
         run: a loaded run.
         port: of the page, 0 for any; None takes the first free from 8080.
+
+    Attributes:
+        address: what to open in a browser; who does not know it is not let in.
 
     Raises:
         InputError: the port is taken, or the scene has no view to begin with.
@@ -48,10 +50,8 @@ class Viewer:
             raise InputError(f"scene {run.scene.name}: it has no view to begin with; a fit's scene has some")
         self._followed = Followed(run)
         self._views: dict[str, View] = {view.name: view for view in views}
-        self._exposure = exposure(
-            [{"photograph": read_view(v)[..., :3]} for v in run.scene.train[:TONED] if v.image is not None]
-        )
-        self._by_training = SeenBy(run.world.geometry, run.world.tracer, [view.camera for view in run.scene.train])
+        self._exposure = scene_exposure(run.scene)
+        self._by_training = SeenBy.of(run.world.geometry, run.world.tracer, run.scene.train)
         self._photographs = PhotographMap(run.world, run.views)
         self._room = self._make_room()
         self._asked = 0
@@ -60,9 +60,7 @@ class Viewer:
         self.guests: dict[int, Guest] = {}
         """Browsers that are connected, by number."""
         warm_up(self._room, views[0].camera)
-        self._server = serve(port)
-        self.address = f"http://{HOST}:{self._server.get_port()}"
-        """What to open in a browser."""
+        self._server, self.address = serve(port)
         self._arrange(self._stand(views[0]))
 
     def run(self, until: Callable[[], bool] = lambda: False) -> None:
@@ -75,10 +73,23 @@ class Viewer:
         if time.monotonic() - self._checked > CHECKS:
             self._follow()
         asked = self._asked
-        worked = [guest.work(lambda: self._asked != asked) for guest in list(self.guests.values())]
+        worked = [self._served(n, lambda guest: guest.work(lambda: self._asked != asked)) for n in [*self.guests]]
         if not any(worked):
             self._wake.wait(0.25)
             self._wake.clear()
+
+    def _served(self, number: int, work: Callable[[Guest], bool | None]) -> bool:
+        """Do something for one browser, and whether there was something to do. What fails for it ends it alone."""
+        guest = self.guests.get(number)
+        if guest is None:
+            return False
+        try:
+            return bool(work(guest))
+        except Exception as error:
+            say_dropped(error)
+            self.guests.pop(number, None)
+            guest.leave()
+            return True
 
     def close(self) -> None:
         """End the page."""
@@ -92,7 +103,7 @@ class Viewer:
 
     def _title(self) -> str:
         run = self._followed.run
-        return f"`{self._followed.folder.name}` of `{run.scene.name}`, iteration {run.iteration}"
+        return f"`{plain(self._followed.folder.name)}` of `{plain(run.scene.name)}`, iteration {run.iteration}"
 
     def _stand(self, view: View) -> Stand:
         return stand_of(view.camera, self._followed.run.world)
@@ -112,9 +123,10 @@ class Viewer:
     def _part(self, client: viser.ClientHandle) -> None:
         self.guests.pop(client.client_id, None)
 
-    def _welcome(self, client: viser.ClientHandle) -> None:
+    async def _welcome(self, client: viser.ClientHandle) -> None:
         stands = {name: partial(self._stand, view) for name, view in self._views.items()}
-        self.guests[client.client_id] = Guest(client, self._room, self._title(), self._exposure, stands, self._ask)
+        guest = Guest(client, self._room, self._title(), self._exposure, stands, self._ask, connection_closer())
+        self.guests[client.client_id] = guest
         self._ask()
 
     def _ask(self) -> None:
@@ -129,6 +141,6 @@ class Viewer:
             cost = self._room.cost
             self._room = self._make_room()
             self._room.cost.update(cost)
-        for guest in list(self.guests.values()):
-            guest.renew(self._room, self._title(), followed.problem)
+        for number in [*self.guests]:
+            self._served(number, lambda guest: guest.renew(self._room, self._title(), followed.problem))
         self._checked = time.monotonic()

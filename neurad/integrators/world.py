@@ -49,7 +49,7 @@ class World(nn.Module):
         bsdf: reflection model of all surfaces that are not delta.
         features: what the scene has; parts it does not have are skipped.
         two_sided: for each triangle, whether it reflects on both sides [F], bool.
-        hide_environment: rays from the camera that miss see black, as in photographs with an alpha channel.
+        hide_environment: rays from the camera that miss see black, as in photographs whose alpha is below 1 there.
         delta: smooth surfaces, or None in a scene that has none.
     """
 

@@ -54,11 +54,11 @@ class EnvironmentScores:
         geometry, device = held_out.geometry, held_out.geometry.vertices.device
         stream = Stream(SEED, device=device)
         parts = []
-        for camera in held_out.training.cameras:
+        for number, camera in enumerate(held_out.training.cameras):
             xy = stream.uniform(4096, 2) * torch.tensor([camera.width, camera.height], device=device)
             rays = camera_rays(camera, xy)
             si = geometry.interact(rays, held_out.tracer.closest(rays))
-            parts.append(si[si.valid])
+            parts.append(si[si.valid & held_out.training.in_view(number, si.p)])
         points = type(parts[0]).cat(*parts)
         if len(points) == 0:
             return np.zeros((height, width), np.bool_)

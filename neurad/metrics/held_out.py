@@ -18,20 +18,21 @@ from torch import Tensor
 
 from neurad.core.camera import camera_rays
 from neurad.core.errors import InputError
-from neurad.core.protocols import Materials, Recovered, Tracer
-from neurad.core.records import FloatArray, Surface, SurfaceInteraction, View
+from neurad.core.protocols import Materials, Tracer
+from neurad.core.records import FloatArray, SurfaceInteraction, View
 from neurad.core.rng import Stream
 from neurad.integrators.film import pixel_positions, strided
 from neurad.metrics.colour_lookup import MOST_VIEWS, ColourLookup
-from neurad.metrics.neighbours import Neighbours
 from neurad.metrics.scores import BoolArray
 from neurad.metrics.seen import SeenBy
 from neurad.runtime.progress import counted
 from neurad.scene.description import Scene
+from neurad.scene.exposure import scene_exposure
 from neurad.scene.geometry import Geometry
-from neurad.scene.image_io import read_exr, read_mask
+from neurad.scene.image_io import read_exr
 from neurad.scene.numbers import PIXEL, within
-from neurad.scene.photographs import read_view
+from neurad.scene.photographs import kept_pixels, read_view
+from neurad.scene.picture_notes import say_pictures
 
 CHUNK = 1 << 18
 """Sub-samples in flight: bounds the memory."""
@@ -75,8 +76,7 @@ class HeldOut:
         self.grid = grid
         self.stride = stride
         self.has_roughness = not scene.features.is_diffuse
-        cameras = [view.camera for view in scene.train]
-        self.training, self.neighbours = SeenBy(geometry, tracer, cameras), Neighbours(geometry, tracer, cameras)
+        self.training = SeenBy.of(geometry, tracer, scene.train)
         self._room = CACHE_BYTES
         self._hits: dict[tuple[int, int], _Hits] = {}
         self._counted: dict[int, BoolArray] = {}
@@ -97,8 +97,18 @@ class HeldOut:
         for index in counted(range(len(self.views)), "reading", len(self.views), "held-out views"):
             self.truth(index)
             self.kept(index)
-        _ = self.lookup
+        _ = self.lookup, self.exposure
+        say_pictures()
         return self
+
+    @cached_property
+    def exposure(self) -> float:
+        """What radiance is multiplied with before pictures are shown, or compared as they are shown.
+
+        Raises:
+            InputError: as :func:`neurad.scene.exposure.scene_exposure`.
+        """
+        return scene_exposure(self.scene)
 
     @cached_property
     def lookup(self) -> ColourLookup | None:
@@ -170,14 +180,16 @@ class HeldOut:
     # --- masks
 
     def counted(self, index: int) -> BoolArray:
-        """Pixels [h, w] that count for albedo and roughness: no sub-sample sees an emitter or nothing."""
+        """Pixels [h, w] that count for albedo and roughness: no sub-sample sees an emitter or nothing, and
+        :meth:`kept`.
+        """
         if index not in self._counted:
             shines = (self.geometry.emission > 0).any(-1)
             parts = []
             for part, si in self.sub_samples(index):
                 good = si.valid & ~shines[si.prim.clamp_min(0)]
                 parts.append(self._pixels(part, good).all(-1))
-            self._counted[index] = self._image(index, torch.cat(parts))
+            self._counted[index] = self._image(index, torch.cat(parts)) & self.kept(index)
         return self._counted[index]
 
     @torch.no_grad()
@@ -214,14 +226,16 @@ class HeldOut:
         return found
 
     def kept(self, index: int) -> BoolArray:
-        """Pixels [h, w] of the photograph that count: those that its mask, if it has one, does not leave out.
+        """Pixels [h, w] that count for anything: those that no mask leaves out, and that the photograph's file has.
 
         Raises:
-            InputError: the mask cannot be read, or has another size than the camera.
+            InputError: as :func:`neurad.scene.photographs.kept_pixels`.
         """
         if index not in self._kept:
             view = self.views[index]
-            whole = np.ones((view.camera.height, view.camera.width), np.bool_) if view.mask is None else read_mask(view)
+            whole = kept_pixels(view)
+            if whole is None:
+                whole = np.ones((view.camera.height, view.camera.width), np.bool_)
             self._kept[index] = np.ascontiguousarray(whole[:: self.stride, :: self.stride])
         return self._kept[index]
 
@@ -238,42 +252,18 @@ class HeldOut:
 
     @torch.no_grad()
     def predict(self, materials: Materials) -> list[dict[str, FloatArray]]:
-        """Box-filtered ``albedo`` [h, w, 3] and ``roughness`` [h, w, 1] of every view; 0 where nothing is hit.
-
-        Where no training view sees the surface, recovered materials are guessed, see :class:`Neighbours`.
-        """
+        """Box-filtered ``albedo`` [h, w, 3] and ``roughness`` [h, w, 1] of every view; 0 where nothing is hit."""
         maps = []
-        recovered = materials(self.neighbours.points) if isinstance(materials, Recovered) else None
         for index in counted(range(len(self.views)), "evaluating", len(self.views), "materials"):
             albedo, roughness = [], []
             for part, si in self.sub_samples(index):
                 surface = materials(si)
-                if isinstance(materials, Recovered) and recovered is not None:
-                    lanes = self._unseen(index, part, si, materials.known_meshes)
-                    surface = self._guessed(surface, si, lanes, recovered)
                 valid = si.valid[:, None]
                 albedo.append(self._pixels(part, torch.where(valid, surface.albedo, 0.0)).mean(1))
                 roughness.append(self._pixels(part, torch.where(valid, surface.roughness, 0.0)).mean(1))
             pair = {"albedo": torch.cat(albedo), "roughness": torch.cat(roughness)}
             maps.append({name: self._image(index, pixels) for name, pixels in pair.items()})
         return maps
-
-    def _unseen(self, index: int, part: slice, si: SurfaceInteraction, known_meshes: frozenset[int]) -> Tensor:
-        """Lanes of a chunk in pixels that no training view sees, but on known meshes."""
-        unseen = torch.from_numpy(~self.seen(index).reshape(-1)[part]).to(si.p.device).repeat_interleave(self.grid**2)
-        known = torch.tensor(sorted(known_meshes), dtype=torch.int64, device=si.p.device)
-        free = si.valid & ~torch.isin(self.geometry.mesh_index[si.prim.clamp_min(0)], known)
-        return (unseen & free).nonzero().squeeze(-1)
-
-    def _guessed(self, surface: Surface, si: SurfaceInteraction, lanes: Tensor, recovered: Surface) -> Surface:
-        """The surface of a chunk, guessed at some lanes from what was recovered at photographed points."""
-        if len(lanes) == 0:
-            return surface
-        kept, guess = self.neighbours.guess(recovered, si[lanes], lanes // self.grid**2)
-        lanes = lanes[kept]
-        pairs = ((surface.albedo, guess.albedo), (surface.roughness, guess.roughness))
-        albedo, roughness = (whole.index_copy(0, lanes, part.to(whole)) for whole, part in pairs)
-        return Surface(albedo, roughness)
 
     def truth(self, index: int) -> dict[str, FloatArray]:
         """``photograph`` [h, w, 3], ``albedo_true`` [h, w, 3], ``roughness_true`` [h, w, 1], and ``photograph_relit``
@@ -301,7 +291,7 @@ class HeldOut:
 
 def _read(path: str, view: View, channels: int) -> FloatArray:
     """The first ``channels`` channels [h, w, channels] of an EXR that has to fit the view's camera."""
-    return _fitting(path, read_exr(path), view, channels)
+    return _fitting(path, read_exr(path, raw=channels == 1), view, channels)
 
 
 def _fitting(path: str, pixels: FloatArray, view: View, channels: int) -> FloatArray:

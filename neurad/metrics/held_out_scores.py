@@ -51,7 +51,8 @@ def score(
         fields: pictures [h, w, 3] of every view that the radiance field itself shows (the left-hand side), linear.
 
     Returns:
-        ``psnr_linear`` and ``psnr_srgb`` over all pixels but masked ones, ``psnr_lhs`` (linear) likewise;
+        ``psnr_srgb``, by :attr:`HeldOut.exposure`, clamped and by the sRGB curve, and ``psnr_linear``, of radiance
+        with peak 1, over all pixels but masked ones, ``psnr_lhs`` (linear) likewise;
         ``mape_linear`` over those of them that show a surface; ``{albedo, roughness}_{psnr, mape}`` over counted
         ones and ``albedo_psnr_8x8`` over these after a box filter. Each also with ``_constant``, of the best
         constant, those of roughness with ``_lookup``, of :attr:`HeldOut.lookup` by the true colours, whose fraction of
@@ -146,7 +147,8 @@ def _pool(
         render, photograph = _comparable(held_out, index, render)
         pools["linear"].add(render, photograph, kept)
         pools["linear surfaces"].add(render, photograph, kept & held_out.shows(index))
-        pools["srgb"].add(to_srgb(render), to_srgb(photograph), kept)
+        shown, true = (to_srgb(image * np.float32(held_out.exposure)) for image in (render, photograph))
+        pools["srgb"].add(shown, true, kept)
     if "albedo_true" in truth and "albedo" in maps:
         pools["albedo"].add(maps["albedo"], truth["albedo_true"], counted)
         if held_out.stride == 1:  # else blocks would be larger, and their scores others

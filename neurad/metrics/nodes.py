@@ -9,10 +9,6 @@ import numpy as np
 
 from neurad.metrics.scores import Float64Array, IntArray
 
-SIDE = 128
-"""Cells along the unit cube; 65 nodes along an edge."""
-_NODES = SIDE + 1
-
 
 @dataclass(frozen=True)
 class Nodes:

@@ -35,15 +35,16 @@ def score_relit(held_out: HeldOut, renders: Sequence[FloatArray]) -> dict[str, f
     """Scores of pictures [h, w, 3] of every held-out view against its relit photograph; views without one are left out.
 
     Returns:
-        ``relight_psnr_linear`` over all pixels and ``relight_mape_linear`` over those that show a surface; also with
-        ``_scaled1`` and ``_scaled3``, after the best factor for all channels together or for each.
+        ``relight_psnr_linear`` over all pixels but masked ones and ``relight_mape_linear`` over those of them that show
+        a surface; also with ``_scaled1`` and ``_scaled3``, after the best factor for all channels together or for each.
     """
     everywhere, surfaces = Pool(), Pool()
     for index, render in enumerate(renders):
         truth = held_out.truth(index).get("photograph_relit")
         if truth is not None:
-            everywhere.add(render, truth)
-            surfaces.add(render, truth, held_out.shows(index))
+            kept = held_out.kept(index)
+            everywhere.add(render, truth, kept)
+            surfaces.add(render, truth, kept & held_out.shows(index))
     scores = {}
     for kind, pool in (("psnr", everywhere), ("mape", surfaces)):
         for score, value in pool.scores(scaled=True).items():

@@ -2,13 +2,19 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+from typing import Self
+
+import numpy as np
+import numpy.typing as npt
 import torch
 from torch import Tensor
 
-from neurad.core.camera import in_view
+from neurad.core.camera import in_view, project, to_camera
 from neurad.core.protocols import Tracer
-from neurad.core.records import Camera, Rays, SurfaceInteraction
+from neurad.core.records import Camera, Rays, SurfaceInteraction, View
 from neurad.scene.geometry import SHADOW_MARGIN, Geometry
+from neurad.scene.photographs import kept_pixels
 
 
 class SeenBy:
@@ -18,18 +24,36 @@ class SeenBy:
         geometry: the triangles.
         tracer: casts rays against them.
         cameras: the training cameras.
+        kept: pixels [h, w] of each that count, see :func:`neurad.scene.photographs.kept_pixels`: what only others show
+            is not seen. None for a camera or for all: every pixel does.
     """
 
-    def __init__(self, geometry: Geometry, tracer: Tracer, cameras: list[Camera]) -> None:
+    def __init__(
+        self,
+        geometry: Geometry,
+        tracer: Tracer,
+        cameras: list[Camera],
+        kept: Sequence[npt.NDArray[np.bool_] | None] | None = None,
+    ) -> None:
         self.geometry = geometry
         self.tracer = tracer
         self.cameras = cameras
+        self.kept = list(kept or [None] * len(cameras))
         self._found = [0] * len(cameras)
+
+    @classmethod
+    def of(cls, geometry: Geometry, tracer: Tracer, views: Sequence[View]) -> Self:
+        """By what photographs show: pixels of views that masks leave out, or that files do not have, show nothing.
+
+        Raises:
+            InputError: as :func:`neurad.scene.photographs.kept_pixels`.
+        """
+        return cls(geometry, tracer, [view.camera for view in views], [kept_pixels(view) for view in views])
 
     def by(self, index: int, si: SurfaceInteraction) -> tuple[Tensor, Tensor]:
         """Lanes [k] of ``si`` that camera ``index`` sees, and the unit directions [k, 3] from them to it."""
         camera = self.cameras[index]
-        lanes = (si.valid & in_view(camera, si.p)).nonzero().squeeze(-1)
+        lanes = (si.valid & self.in_view(index, si.p)).nonzero().squeeze(-1)
         points = si[lanes]
         eye = torch.as_tensor(camera.to_world, dtype=si.p.dtype, device=si.p.device)[:3, 3]
         away = eye - points.p  # [k, 3]
@@ -37,6 +61,16 @@ class SeenBy:
         wi = away / distance.clamp_min(torch.finfo(away.dtype).tiny)[:, None]
         clear = ~self.tracer.occluded(*self.geometry.spawn_towards(points, wi, distance))
         return lanes[clear], wi[clear]
+
+    def in_view(self, index: int, p: Tensor) -> Tensor:
+        """Whether points [n, 3] lie in pixels of camera ``index`` that count, whatever is in between [n], bool."""
+        camera, kept = self.cameras[index], self.kept[index]
+        inside = in_view(camera, p)
+        if kept is None:
+            return inside
+        x, y = project(camera, to_camera(camera, p)).nan_to_num(0.0).long().unbind(-1)
+        counts = torch.from_numpy(kept).to(p.device)
+        return inside & counts[y.clamp(0, camera.height - 1), x.clamp(0, camera.width - 1)]
 
     def any(self, si: SurfaceInteraction) -> Tensor:
         """Whether at least one camera sees the lanes of ``si``: bool [n].
@@ -60,8 +94,8 @@ class SeenBy:
         :meth:`any` for positions of which no more is known: rays go from the cameras to them and end shortly before.
         """
         seen = torch.zeros(len(p), dtype=torch.bool, device=p.device)
-        for camera in self.cameras:
-            lanes = (~seen & in_view(camera, p)).nonzero().squeeze(-1)
+        for index, camera in enumerate(self.cameras):
+            lanes = (~seen & self.in_view(index, p)).nonzero().squeeze(-1)
             eye = torch.as_tensor(camera.to_world, dtype=p.dtype, device=p.device)[:3, 3]
             towards = p[lanes] - eye
             distance = torch.linalg.vector_norm(towards, dim=-1)

@@ -12,15 +12,15 @@ import numpy.typing as npt
 from neurad.metrics.scores import BoolArray
 
 SEEN, NEITHER, UNSEEN = 1.0, 0.5, 0.0
-"""Values of the map ``seen``: a surface that a training photograph shows; an emitter, or no surface; a surface that
-none shows."""
+"""Values of the map ``seen``: a surface that a training photograph shows; an emitter, no surface, or a pixel that a
+mask leaves out; a surface that none shows."""
 
 
 def seen_map(counted: BoolArray, seen: BoolArray) -> npt.NDArray[np.float32]:
     """The map ``seen`` [h, w, 1] of a view.
 
     Args:
-        counted: pixels [h, w] of surfaces alone, emitters left out.
+        counted: pixels [h, w] of surfaces alone, emitters and masked ones left out.
         seen: pixels [h, w] whose surface some training view sees.
     """
     return np.where(counted, np.where(seen, SEEN, UNSEEN), NEITHER).astype(np.float32)[..., None]

@@ -5,10 +5,11 @@ from __future__ import annotations
 import html
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
+from neurad.core.decibels import EXACT
 from neurad.core.records import FloatArray
 
 WIDTH, HEIGHT = 400, 280
@@ -44,6 +45,7 @@ def chart(title: str, better: str, x_label: str, lines: Sequence[Line]) -> str:
         x_label: of the horizontal axis.
         lines: curves and levels.
     """
+    lines = [_drawable(line) for line in lines]
     curves = [line for line in lines if len(line.x)]
     if not curves:
         return ""
@@ -78,6 +80,8 @@ def chart(title: str, better: str, x_label: str, lines: Sequence[Line]) -> str:
             edge = [*zip(line.x, line.low, strict=True), *reversed([*zip(line.x, line.high, strict=True)])]
             path = " ".join("{:.1f},{:.1f}".format(*place(float(x), float(y))) for x, y in edge)
             marks.append(f'<polygon points="{path}" style="fill:{line.colour};opacity:.2"/>')
+        if not len(line.y):
+            continue
         level = not len(line.x)
         points = [(x0, line.y[0]), (x1, line.y[0])] if level else [*zip(line.x, line.y, strict=True)]
         places = [place(float(x), float(y)) for x, y in points]
@@ -96,6 +100,13 @@ def chart(title: str, better: str, x_label: str, lines: Sequence[Line]) -> str:
         f'<svg viewBox="0 0 {WIDTH} {HEIGHT}" role="img" aria-label="{html.escape(title)}">{"".join(marks)}</svg>'
         f'<div class="key">{key}</div></figure>'
     )
+
+
+def _drawable(line: Line) -> Line:
+    """A line without the scores that no axis has a place for: its label says where it ends with one."""
+    there = np.isfinite(line.y)
+    label = f"{line.label}: {EXACT}" if len(line.y) and line.y[-1] == np.inf else line.label
+    return replace(line, label=label, x=line.x[there] if len(line.x) else line.x, y=line.y[there])
 
 
 def _stroke(line: Line) -> str:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -13,8 +12,6 @@ from neurad.scene.image_io import to_srgb
 
 Bytes = npt.NDArray[np.uint8]
 BoolArray = npt.NDArray[np.bool_]
-LEVEL = 0.8
-"""Of display white that the 90th percentile of the photographs is shown at."""
 BRIGHTEST = 0.25
 """Error, in albedo, roughness or display white, that is the brightest in an error map."""
 BRIGHTEST_STD = 0.2
@@ -23,17 +20,6 @@ ERRORS, BARS = "inferno", "viridis"
 """Matplotlib's names of the colour maps of errors and of error bars: they must not be taken for each other."""
 PERIOD, STROKE = 10, 2
 """Of hatching in pixels: from line to line, and the width of each of its two colours."""
-
-
-def exposure(maps: Sequence[Mapping[str, Any]]) -> float:
-    """One factor for all pictures of a run, from the photographs alone: it must not follow the fit, or it would
-    hide its progress. The 90th percentile of the photographs becomes :data:`LEVEL`.
-    """
-    photographs = [view["photograph"] for view in maps if view.get("photograph") is not None]
-    if not photographs:
-        return 1.0
-    level = float(np.percentile(np.concatenate([p.reshape(-1) for p in photographs]), 90))
-    return LEVEL / level if level > 0 else 1.0
 
 
 def encode(image: FloatArray) -> Bytes:

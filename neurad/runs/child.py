@@ -7,15 +7,21 @@ children has to stay small until the last of them has ended.
 from __future__ import annotations
 
 import os
+import signal
 import subprocess
 import sys
+import threading
 import time
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 NEURAD = [sys.executable, "-P", "-m", "neurad"]
 """The command; ``-P`` keeps files of the working folder from taking the place of modules."""
+PATIENCE = 60.0
+"""Seconds that a child has to save its work when this process is to end."""
 
 
 @dataclass(frozen=True)
@@ -28,37 +34,71 @@ class Ended:
     """Wall-clock seconds from start to end, everything included."""
     peak_memory_mib: float | None
     """Largest resident memory; None where the system does not report it."""
+    processor_seconds: float | None
+    """Of all its threads; None where the system does not report it."""
     message: str
     """One sentence on why it failed; empty if it did not."""
 
 
 def run_neurad(arguments: Sequence[str], log: Path) -> Ended:
-    """Run ``neurad ARGUMENTS`` to its end.
+    """Run ``neurad ARGUMENTS`` to its end. Ctrl-C and signals that end this process end the child, which may save its
+    last iteration, before it.
 
     Args:
         arguments: the verb and what follows it.
         log: file that gets everything the child prints; its folder exists.
     """
     begin = time.monotonic()
-    with log.open("wb") as file:
+    with log.open("wb") as file, signals_raise():
         process = subprocess.Popen([*NEURAD, *arguments], stdout=file, stderr=subprocess.STDOUT)
         try:
-            code, peak = _wait(process)
-        except KeyboardInterrupt:
-            # The child got the same Ctrl-C and is saving its last iteration.
-            _wait(process)
+            code, peak, used = _wait(process)
+        except BaseException:
+            _end(process)
             raise
-    return Ended(code, time.monotonic() - begin, peak, "" if code == 0 else failure(code, log))
+    return Ended(code, time.monotonic() - begin, peak, used, "" if code == 0 else failure(code, log))
 
 
-def _wait(process: subprocess.Popen[bytes]) -> tuple[int, float | None]:
-    """Exit code and peak resident memory in MiB of this child alone (``RUSAGE_CHILDREN`` is the peak of all)."""
+@contextmanager
+def signals_raise() -> Iterator[None]:
+    """Let SIGTERM and, of a terminal that is gone, SIGHUP raise SystemExit inside the block where they would end this
+    process at once: its children would go on without it.
+    """
+    found = [getattr(signal, name) for name in ("SIGTERM", "SIGHUP") if hasattr(signal, name)]
+    alone = threading.current_thread() is threading.main_thread()
+    before = {number: signal.signal(number, _raise) for number in found
+              if alone and signal.getsignal(number) is signal.SIG_DFL}  # fmt: skip
+    try:
+        yield
+    finally:
+        for number, handler in before.items():
+            signal.signal(number, handler)
+
+
+def _raise(number: int, frame: Any) -> None:
+    raise SystemExit(128 + number)
+
+
+def _end(process: subprocess.Popen[bytes]) -> None:
+    """End a child: it saves its last iteration, unless that takes too long or another signal comes."""
+    process.terminate()
+    try:
+        process.wait(PATIENCE)
+    except BaseException as error:
+        process.kill()
+        process.wait()
+        if not isinstance(error, subprocess.TimeoutExpired):
+            raise
+
+
+def _wait(process: subprocess.Popen[bytes]) -> tuple[int, float | None, float | None]:
+    """Exit code, peak resident memory in MiB and processor seconds of this child; ``RUSAGE_CHILDREN`` is of all."""
     if not hasattr(os, "wait4"):
-        return process.wait(), None
+        return process.wait(), None, None
     _, status, usage = os.wait4(process.pid, 0)
     process.returncode = os.waitstatus_to_exitcode(status)
     unit = 1 << 20 if sys.platform == "darwin" else 1 << 10
-    return process.returncode, usage.ru_maxrss / unit
+    return process.returncode, usage.ru_maxrss / unit, usage.ru_utime + usage.ru_stime
 
 
 def failure(code: int, log: Path) -> str:

@@ -36,7 +36,7 @@ from neurad.runs.own_config import own_config
 from neurad.scene.description import Scene
 from neurad.scene.development import Photography
 from neurad.scene.load import load_scene
-from neurad.scene.photographs import read_view
+from neurad.scene.origin import camera_in_scene, in_scene
 from neurad.scene.readers.nerf import HOLD_OUT
 from neurad.scene.shining import from_kept
 from neurad.scene.textures import TrueMaterials
@@ -47,7 +47,7 @@ CHUNK = 1 << 17
 """Points that go through the fields at once, to bound the memory."""
 
 Points = npt.ArrayLike | SurfaceInteraction
-"""Positions [n, 3] in world space, or surface points of :meth:`LoadedRun.surface`."""
+"""Positions [n, 3] in the coordinates of the scene's files, or surface points of :meth:`LoadedRun.surface`."""
 
 
 @dataclass(frozen=True, repr=False)
@@ -75,7 +75,11 @@ class LoadedRun:
 
     @property
     def scene(self) -> Scene:
-        """Geometry, lights, true materials and cameras (``scene.train``, ``scene.test``)."""
+        """Geometry, lights, true materials and cameras (``scene.train``, ``scene.test``).
+
+        Of a room far from the origin of its files' coordinates, and only there, ``scene.origin`` is subtracted from
+        all of these, and from the points of :meth:`surface`.
+        """
         return self.assembly.scene
 
     @property
@@ -120,7 +124,7 @@ class LoadedRun:
         position does not say what lies there: use the points of :meth:`surface` where that matters.
 
         Args:
-            points: positions [n, 3] in world space, or points of :meth:`surface`.
+            points: positions [n, 3] in the coordinates of the scene's files, or points of :meth:`surface`.
 
         Raises:
             InputError: ``points`` have another shape, or are positions and the run's materials are the scene's own.
@@ -170,7 +174,7 @@ class LoadedRun:
         Raises:
             InputError: ``points`` have another shape.
         """
-        by = SeenBy(self.world.geometry, self.world.tracer, [view.camera for view in self.scene.train])
+        by = SeenBy.of(self.world.geometry, self.world.tracer, self.scene.train)
         if isinstance(points, SurfaceInteraction):
             return np.concatenate([by.any(part).cpu().numpy() for part in _chunks(points)])
         return np.concatenate([by.any_at(part).cpu().numpy() for part in _chunks(self._positions(points))])
@@ -225,7 +229,7 @@ class LoadedRun:
 
     def _camera(self, view: View | Camera | str) -> Camera:
         if isinstance(view, Camera):
-            return view
+            return camera_in_scene(view, self.scene)
         if isinstance(view, View):
             return view.camera
         views = {v.name: v for v in self.views}
@@ -239,10 +243,10 @@ class LoadedRun:
         return self.materials
 
     def _positions(self, points: npt.ArrayLike) -> Tensor:
-        p = np.asarray(points, np.float32)
+        p = np.asarray(points, np.float64)
         if p.ndim != 2 or p.shape[1] != 3:
             raise InputError(f"points: an array of shape [n, 3] is needed, not {list(p.shape)}")
-        return torch.tensor(p, device=self.device)
+        return torch.tensor(in_scene(p, self.scene), dtype=torch.float32, device=self.device)
 
     def _evaluate(self, values: Callable[[Any], Tensor], points: Tensor | SurfaceInteraction) -> FloatArray:
         """``values`` at points, in chunks, as an array."""
@@ -287,7 +291,7 @@ def load_run(
     finds = settings.lighting.emitters == "find"
     lamps = from_kept(content["neurad"].get("shining"), scene, name) if finds else None
     scene = lit_scene(scene, settings.lighting, lamps)
-    assembly = assemble(scene, settings, _has_alpha(scene))
+    assembly = assemble(scene, settings, content["neurad"]["hide_environment"])
     state = _restore(assembly, content, name, other_light)
     changes = changed_light(state, scene, assembly.environment is None, assembly.lamps is None)
     target = torch.device(device)
@@ -347,12 +351,6 @@ def _scene(data: dict[str, Any], folder: Path, root: str | os.PathLike[str] | No
             f"run {folder}: its scene {first} is missing; say where it is now with --root (in Python, root=)"
         )
     return load_scene(str(place), None, data.get("hold_out", HOLD_OUT), Photography.of(data))
-
-
-def _has_alpha(scene: Scene) -> bool:
-    """Whether the training photographs have an alpha channel: then no environment is visible to the camera."""
-    first = scene.train[0] if scene.train else None
-    return first is not None and first.image is not None and read_view(first).shape[-1] == 4
 
 
 def _restore(assembly: Assembly, checkpoint: dict[str, Any], name: str, other_light: bool) -> dict[str, Any]:

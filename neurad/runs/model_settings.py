@@ -55,7 +55,7 @@ def model_settings(config: str, seed: int = 0) -> ModelSettings:
 
 
 def batch_pixels(config: str) -> int:
-    """Pixels of a batch of a config, apart from its ``pixel_multiplier``."""
+    """Pixels of a batch of a config."""
     data = _section(config, "data", seed=0)
     return int(data["patches"] * data.get("patch_size", 1) ** 2)
 

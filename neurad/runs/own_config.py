@@ -128,9 +128,13 @@ def _is_plain(key: str, value: Any) -> bool:
 
 
 def _is_budget(entry: Any) -> bool:
-    """Whether a callback is the limit of training seconds, with nothing but its seconds: the one that is taken over."""
+    """Whether a callback is the limit of training seconds, with nothing but its seconds, or begins to count them: those
+    that are taken over.
+    """
     from neurad import callbacks  # few runs have one, and Lightning, which comes along, takes seconds to load
 
+    if entry == {"class_path": f"{callbacks.__name__}.{callbacks.WarmUp.__name__}"}:
+        return True
     kind = callbacks.TrainingBudget
     names = [f"{place}.{kind.__name__}" for place in (callbacks.__name__, kind.__module__)]
     arguments = entry.get("init_args") if isinstance(entry, dict) else None

@@ -15,10 +15,11 @@ from neurad.core.camera import resized
 from neurad.core.errors import InputError
 from neurad.core.protocols import Integrator
 from neurad.core.ranges import Count, Finite, Positive, checked
-from neurad.core.records import Camera, FloatArray, View
+from neurad.core.records import Camera, View
 from neurad.core.rng import mix
 from neurad.integrators.aov import MaterialMap
 from neurad.integrators.film import render
+from neurad.pages.colours import encode
 from neurad.runs.render_subject import SEED, Learning, Subject, recovered_subject, true_subject
 from neurad.runtime.files import check_folder, make_folder, write_text
 from neurad.runtime.progress import counted, phase
@@ -26,8 +27,11 @@ from neurad.scene.camera_paths import KINDS, path_of
 from neurad.scene.description import Scene
 from neurad.scene.edit import Edit
 from neurad.scene.edit_file import read_edit
-from neurad.scene.image_io import to_srgb, write_exr, write_png
+from neurad.scene.exposure import exposure
+from neurad.scene.image_io import write_exr, write_png
 from neurad.scene.movie import FORMATS, check_movie, filming, target_of
+from neurad.scene.origin import camera_in_scene
+from neurad.scene.picture_notes import say_pictures
 from neurad.scene.placement import scene_axis
 from neurad.scene.readers.nerf import read_cameras
 from neurad.scene.room_folder import axis
@@ -136,6 +140,7 @@ def _shows(settings: RenderSettings) -> bool:
 
 def _tell(subject: Subject) -> None:
     """Say what is rendered differently from what is in the files."""
+    say_pictures()
     for change in subject.said:
         print(f"neurad: changed: {change}", file=sys.stderr)
     if subject.said:
@@ -162,7 +167,9 @@ def _views(settings: RenderSettings, scene: Scene) -> list[View]:
     if settings.camera is not None:
         film = next((view.camera for view in (*scene.test, *scene.train)), None)
         size = (256, 256) if film is None else (film.width, film.height)
-        views = read_cameras(settings.camera, size)
+        views = [
+            replace(view, camera=camera_in_scene(view.camera, scene)) for view in read_cameras(settings.camera, size)
+        ]
     else:
         part = settings.views or ("all" if settings.ckpt_path is None else "scored")
         named = {"train": scene.train, "test": scene.test, "all": scene.train + scene.test, "scored": scene.scored}
@@ -183,7 +190,7 @@ def _write(
     out = settings.out
     for kind in (*pictures, "albedo", "roughness", *(["png"] if _shows(settings) else [])):
         make_folder(out / kind, "--out")
-    exposure = None if settings.exposure is None else 2.0**settings.exposure
+    scale = None if settings.exposure is None else 2.0**settings.exposure
     start = time.perf_counter()
     with phase("rendering", len(views) * (len(pictures) + 1)) as rendering:
         for index, view in enumerate(views):
@@ -195,8 +202,8 @@ def _write(
                 rendering.step(detail=view.name)
                 write_exr(out / kind / f"{view.name}.exr", image)
                 if kind == "images" and _shows(settings):
-                    exposure = shown_at(image) if exposure is None else exposure
-                    write_png(out / "png" / f"{view.name}.png", encoded(image, exposure))
+                    scale = exposure([image]) if scale is None else scale
+                    write_png(out / "png" / f"{view.name}.png", encode(image * np.float32(scale)))
             both = render(camera, maps, settings.map_spp, seed).numpy()
             rendering.step()
             write_exr(out / "albedo" / f"{view.name}.exr", both[..., :3])
@@ -206,31 +213,20 @@ def _write(
     for part, of in parts.items():
         chosen = [replace(v, camera=resized(v.camera, settings.size)) for v in views if any(v is w for w in of)]
         if chosen:
-            write_text(out / f"transforms{part}.json", json.dumps(transforms(chosen), indent=1) + "\n")
+            write_text(out / f"transforms{part}.json", json.dumps(transforms(chosen, scene.origin), indent=1) + "\n")
 
 
 def _film(settings: RenderSettings, cameras: Sequence[Camera], integrator: Integrator) -> None:
     """The film of a path."""
-    exposure = None if settings.exposure is None else 2.0**settings.exposure
+    scale = None if settings.exposure is None else 2.0**settings.exposure
     start = time.perf_counter()
     with filming(settings.movie, settings.out, settings.fps) as add:
         for index, camera in enumerate(counted(cameras, "rendering", len(cameras), "frames")):
             image = render(camera, integrator, settings.spp, mix(SEED, index)).numpy()
-            exposure = shown_at(image) if exposure is None else exposure
-            add(encoded(image, exposure))
+            scale = exposure([image]) if scale is None else scale
+            add(encode(image * np.float32(scale)))
             _progress(f"frame {index:04d}", index, len(cameras), start)
     print(f"neurad: {target_of(settings.movie, settings.out)}")
-
-
-def shown_at(image: FloatArray) -> float:
-    """The factor that shows the 90th percentile of a picture [h, w, 3] at 0.8; 1 of a black one."""
-    level = float(np.percentile(image, 90))
-    return 0.8 / level if level > 0.0 else 1.0
-
-
-def encoded(image: FloatArray, exposure: float) -> np.ndarray:
-    """A linear picture as sRGB bytes [h, w, 3]."""
-    return np.round(to_srgb(image * np.float32(exposure)) * 255).astype(np.uint8)
 
 
 def _progress(name: str, index: int, count: int, start: float) -> None:

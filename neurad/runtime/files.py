@@ -108,13 +108,13 @@ def synchronise(path: Path) -> None:
         os.close(handle)
 
 
-def write_text(path: str | os.PathLike[str], text: str, option: str = "") -> None:
+def write_text(path: str | os.PathLike[str], text: str) -> None:
     """Write a text file in UTF-8, line ends as they are.
 
     Raises:
         InputError: the system refused; ``path`` is as it was.
     """
-    with replacing(path, option) as part:
+    with replacing(path) as part:
         part.write_bytes(text.encode(errors="backslashreplace"))
 
 

@@ -14,6 +14,7 @@ import stat
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -50,13 +51,12 @@ def shown(value: object) -> str:
     return text if len(text) <= _SHOWN else f"{text[: _SHOWN // 2]}...{text[-_SHOWN // 2 :]}"
 
 
-def failure(path: object, error: Exception, said: str = "it cannot be read") -> InputError:
+def failure(path: object, error: Exception) -> InputError:
     """The sentence about a path that an operation of the system has failed for.
 
     Args:
         path: as the user knows it.
         error: what was raised.
-        said: if nothing better is known.
     """
     if isinstance(error, UnicodeError):
         return InputError(f"{shown(path)}: its name has characters that no file name can have")
@@ -65,10 +65,10 @@ def failure(path: object, error: Exception, said: str = "it cannot be read") -> 
     if isinstance(error, OSError) and error.errno in _ERRORS:
         return InputError(f"{shown(path)}: {_ERRORS[error.errno]}")
     if isinstance(error, OSError) and error.strerror:
-        return InputError(f"{shown(path)}: {said} ({error.strerror.lower()})")
+        return InputError(f"{shown(path)}: it cannot be read ({error.strerror.lower()})")
     if isinstance(error, ValueError) and "\0" in str(path):
         return InputError(f"{shown(path)}: its name has a NUL character")
-    return InputError(f"{shown(path)}: {said}")
+    return InputError(f"{shown(path)}: it cannot be read")
 
 
 def exists(path: str | Path) -> bool:
@@ -116,6 +116,41 @@ def beside(path: Path) -> list[str]:
         return sorted(os.listdir(path.parent))[:_LISTED]
     except (OSError, ValueError):
         return []
+
+
+@lru_cache(maxsize=64)
+def _by_case(folder: str, changed: int) -> dict[str, list[str]]:
+    """Names in a folder by what is alike in upper and lower case; anew whenever the folder has changed."""
+    found: dict[str, list[str]] = {}
+    for name in sorted(os.listdir(folder)):
+        found.setdefault(name.casefold(), []).append(name)
+    return found
+
+
+def in_other_case(path: Path) -> Path | None:
+    """The path that differs from one that leads nowhere in upper and lower case alone; None where there is none.
+
+    Raises:
+        InputError: there are several.
+    """
+    known, missing = path, list[str]()
+    while not exists(known) and known.name:
+        missing.append(known.name)
+        known = known.parent
+    for name in reversed(missing):
+        try:
+            alike = _by_case(str(known), os.stat(known).st_mtime_ns).get(name.casefold(), [])
+        except OSError:
+            return None
+        if len(alike) > 1:
+            raise InputError(
+                f"{shown(known / name)}: it is missing, and {' and '.join(map(shown, alike))} differ from it in upper "
+                "and lower case alone"
+            )
+        if not alike:
+            return None
+        known /= alike[0]
+    return known
 
 
 def similar(path: str | Path) -> str:

@@ -93,8 +93,7 @@ def check_seal(path: Path, name: str) -> None:
         raise InputError(f"{name}: it cannot be read ({error.strerror})") from error
     if tail != _MARK:
         raise InputError(
-            f"{name}: it is not a readable checkpoint (it has no checksum at its end: it was cut short, changed, or "
-            "written by an older version)"
+            f"{name}: it is not a readable checkpoint (it has no checksum at its end: it was cut short or changed)"
         )
     if digest != found.hexdigest().encode():
         raise InputError(f"{name}: it is damaged, its content does not agree with its checksum")

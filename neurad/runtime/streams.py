@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import stat
 import sys
 
 
@@ -28,6 +29,15 @@ def open_closed_streams() -> None:
         sys.stderr = open(2, "w", closefd=False, errors="backslashreplace")  # noqa: SIM115
     if sys.stdin is None:
         sys.stdin = open(0, closefd=False)  # noqa: SIM115
+
+
+def silence_gone_terminals() -> None:
+    """Let standard output and errors lead nowhere that belong to a terminal which is gone: writing to it fails."""
+    for number in (1, 2):
+        if stat.S_ISCHR(os.fstat(number).st_mode) and not os.isatty(number):
+            nowhere = os.open(os.devnull, os.O_WRONLY)
+            os.dup2(nowhere, number)
+            os.close(nowhere)
 
 
 def flush_output() -> None:

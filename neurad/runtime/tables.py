@@ -7,9 +7,11 @@ from __future__ import annotations
 
 import csv
 import io
+import math
 from collections.abc import Collection, Iterable, Mapping, Sequence
 from pathlib import Path
 
+from neurad.core.decibels import EXACT, parsed
 from neurad.core.errors import InputError
 from neurad.runtime.files import append, write_text
 from neurad.runtime.reading import exists, regular_file
@@ -17,7 +19,7 @@ from neurad.runtime.reading import exists, regular_file
 Cell = str | int | float | None
 Record = Mapping[str, Cell]
 
-COUNTS = ("iteration", "rays", "samples", "seeds")
+COUNTS = ("iteration", "iterations", "rays", "samples", "seeds")
 """Columns of whole numbers."""
 
 
@@ -27,7 +29,7 @@ def write_csv(path: Path, columns: Sequence[str], rows: Iterable[Record]) -> Non
     Args:
         path: the file; its folder exists.
         columns: names, in order.
-        rows: cells by column; a missing one and None stay empty, floats get seven digits.
+        rows: cells by column; a missing one and None stay empty, floats get seven digits, infinity is called exact.
 
     Raises:
         InputError: the file cannot be written.
@@ -116,7 +118,7 @@ def numbers(row: Mapping[str, str]) -> dict[str, float]:
     Raises:
         ValueError: a cell is not a number.
     """
-    return {name: float(text) for name, text in row.items() if text != ""}
+    return {name: parsed(text) for name, text in row.items() if text != ""}
 
 
 def align(body: Sequence[Sequence[str]], left: Collection[int] = (0,)) -> list[str]:
@@ -142,6 +144,8 @@ def _text(name: str, value: Cell) -> str:
     """A cell as it is stored."""
     if value is None or isinstance(value, str):
         return value or ""
+    if value == math.inf:
+        return EXACT
     if name in COUNTS:
         return str(int(value))
     return f"{value:.7g}" if isinstance(value, float) else str(value)

@@ -82,6 +82,8 @@ class Scene:
     """Lights without extent."""
     photography: Photography = KNOWN
     """What is known of how the photographs were taken."""
+    origin: tuple[float, float, float] = (0.0, 0.0, 0.0)
+    """What was subtracted from all coordinates of the scene's files, see :mod:`neurad.scene.origin`."""
 
     def check(self, lit: bool = True) -> Scene:
         """This scene, if light transport can be computed in it.
@@ -173,21 +175,4 @@ class Scene:
         for mesh in self.meshes:
             digest.update(np.ascontiguousarray(mesh.vertices, np.float32).tobytes())
             digest.update(np.ascontiguousarray(mesh.faces, np.int64).tobytes())
-        return digest.hexdigest()[:16]
-
-    @cached_property
-    def fingerprint(self) -> str:
-        """A hash of geometry and emitters: a fit goes on in a scene only if it agrees."""
-        digest = hashlib.sha256()
-        for mesh in self.meshes:
-            digest.update(np.ascontiguousarray(mesh.vertices, np.float32).tobytes())
-            digest.update(np.ascontiguousarray(mesh.faces, np.int64).tobytes())
-            if mesh.radiance is not None:
-                digest.update(np.ascontiguousarray(mesh.radiance, np.float32).tobytes())
-        if self.environment is not None:
-            digest.update(np.ascontiguousarray(self.environment.pixels, np.float32).tobytes())
-        for light in self.punctual:
-            digest.update(light.kind.encode())
-            digest.update(np.concatenate((light.intensity, light.position, light.direction)).astype("<f4").tobytes())
-            digest.update(np.asarray((light.cutoff_angle, light.beam_width), "<f4").tobytes())
         return digest.hexdigest()[:16]

@@ -15,10 +15,16 @@ from neurad.core.errors import InputError
 from neurad.core.records import FloatArray, View
 from neurad.runtime.files import replacing
 from neurad.runtime.reading import native, regular_file, shown
-from neurad.scene.picture_headers import check_exr, check_size
+from neurad.scene.exr_picture import in_display, known_in_display, picture_in, to_rec709
+from neurad.scene.picture_headers import check_size, exr_parts
+from neurad.scene.picture_notes import note
 
-_HALF_MAX = 65504.0
-_ORDER = "RGBA"
+MAX_NEGATIVE = 0.01
+"""Of a picture's mean: what is no further below 0 is rounding, and taken as 0."""
+MAX_RINGING = 0.25
+"""Of the brightest pixel around: how far below 0 Lanczos' filter takes the pixel beside a point or line of light."""
+_LOBES = 3  # pixels that the filter reaches
+_HALF_MAX, _HALF_NORMAL = 65504.0, 2.0**-14
 _PNG_LEVEL = 5  # how hard files are compressed, of 9
 _FORMATS = ("PNG", "JPEG", "TIFF", "BMP", "TGA", "WEBP", "GIF", "PPM", "JPEG2000", "DDS", "PCX", "SGI", "ICO")
 """What Pillow decodes itself: for others, such as EPS, it starts programs."""
@@ -38,11 +44,16 @@ def from_srgb(encoded: FloatArray) -> FloatArray:
     return np.where(x <= 0.04045, x / 12.92, ((x + 0.055) / 1.055) ** 2.4).astype(np.float32)
 
 
-def read_exr(path: str | Path) -> FloatArray:
-    """The pixels of an EXR file [h, w, c] over its display window.
+def read_exr(path: str | Path, raw: bool = False) -> FloatArray:
+    """The picture of an EXR file [h, w, c] over its display window: RGB, RGBA or a single channel of any name, see
+    :func:`neurad.scene.exr_picture.picture_in`. Pixels outside the data window are those of its edge.
 
-    Channels are RGB, RGBA, Y or a single one of any name, in a layer or not; half and float alike. Pixels outside the
-    data window are 0.
+    Colours by other primaries become linear Rec.709, and tiny negatives 0; both are noted. What is left below 0 is for
+    the caller to refuse.
+
+    Args:
+        path: of the file.
+        raw: its values are no light and no colours, and stay as they are.
 
     Raises:
         InputError: the file is missing or unreadable, or holds other channels.
@@ -50,43 +61,64 @@ def read_exr(path: str | Path) -> FloatArray:
     import OpenEXR
 
     path = regular_file(path)
-    check_exr(path)
+    parts = exr_parts(path)
+    index, names = picture_in(parts, path)
     with native(path, "it cannot be read as an EXR image"):
-        # The name of the option that separates the channels changed between versions: accept both.
-        part = OpenEXR.File(str(path))
-        header = part.header()
-        found = {name: np.asarray(channel.pixels) for name, channel in part.channels().items()}
-        return _displayed(_stacked(found, path), header)
+        # By position: the name of the option that separates the channels changed between versions.
+        part = OpenEXR.File(str(path), True).parts[index]
+        header = part.header
+        found = [np.asarray(part.channels[name].pixels) for name in names.values()]
+    if len({channel.shape for channel in found}) > 1:
+        raise InputError(f"{shown(path)}: its channels {', '.join(names)} differ in size")
+    pixels = in_display(np.stack(found, axis=-1).astype(np.float32), parts[index])
+    return pixels if raw else as_light(pixels, header, path)
 
 
-def _stacked(found: Mapping[str, Any], path: Path) -> FloatArray:
-    """Channels by name, each [h, w] or several interleaved [h, w, c], as one float32 array [h, w, c]."""
-    layers = {name.rpartition(".")[0] for name in found}
-    if len(found) == 1:
-        pixels = np.ascontiguousarray(next(iter(found.values())), np.float32)
-        return pixels if pixels.ndim == 3 else pixels[..., None]
-    plain = {name.rpartition(".")[2]: pixels for name, pixels in found.items()}
-    names = "".join(name for name in _ORDER if name in plain)
-    shapes = {pixels.shape for pixels in plain.values()}
-    if len(layers) > 1 or len(names) != len(found) or names not in ("RGB", "RGBA") or len(shapes) != 1:
-        raise InputError(f"{path}: its channels are {', '.join(sorted(found))}, not RGB, RGBA or a single one")
-    return np.stack([plain[name] for name in names], axis=-1).astype(np.float32)
+def as_light(pixels: FloatArray, header: Mapping[str, Any], path: Path) -> FloatArray:
+    """Pixels [h, w, c] by Rec.709's primaries, without negatives that filters and other primaries leave; may be the
+    same array.
 
-
-def _displayed(pixels: FloatArray, header: Mapping[str, Any]) -> FloatArray:
-    """Move pixels from the data window to the display window."""
-    (dx0, dy0), (wx0, wy0) = (np.asarray(header[k][0], int) for k in ("dataWindow", "displayWindow"))
-    wx1, wy1 = np.asarray(header["displayWindow"][1], int)
-    shape = (int(wy1 - wy0 + 1), int(wx1 - wx0 + 1))
-    if (dx0, dy0) == (wx0, wy0) and pixels.shape[:2] == shape:
+    Args:
+        pixels: RGB, RGBA or a single channel.
+        header: as :func:`neurad.scene.exr_picture.to_rec709` reads it.
+        path: of the file, for notes.
+    """
+    colours = pixels[..., :3]
+    for values in (colours, pixels[..., 3:]):
+        _cut_ringing(values, path)
+    try:
+        converted = to_rec709(header) if pixels.shape[2] > 1 else None
+    except (ValueError, np.linalg.LinAlgError):
+        note("its chromaticities are those of no primaries, and Rec.709 is taken", path)
+        converted = None
+    if converted is None:
         return pixels
-    out = np.zeros((*shape, pixels.shape[2]), np.float32)
-    y, x = int(dy0 - wy0), int(dx0 - wx0)
-    y0, x0 = max(y, 0), max(x, 0)
-    y1, x1 = min(y + pixels.shape[0], shape[0]), min(x + pixels.shape[1], shape[1])
-    if y1 > y0 and x1 > x0:
-        out[y0:y1, x0:x1] = pixels[y0 - y : y1 - y, x0 - x : x1 - x]
-    return out
+    matrix, primaries = converted
+    note(f"colours by the primaries of {primaries} are converted to linear Rec.709", path)
+    good = colours.min(initial=0.0) >= 0.0
+    colours[:] = colours @ matrix.T.astype(np.float32)
+    outside = (colours < 0.0).any(-1)
+    if good and outside.any():  # of bad values none are made good
+        np.maximum(colours, 0.0, out=colours)
+        note("{} pixels have colours outside of Rec.709, whose negative parts are taken as 0", path, int(outside.sum()))
+    return pixels
+
+
+def _cut_ringing(values: FloatArray, path: Path) -> None:
+    """Set to 0 what is negative in values [h, w, c] by rounding or by a filter with negative lobes."""
+    negative = values < 0.0
+    if not negative.any() or not np.isfinite(values).all():
+        return
+    from scipy.ndimage import maximum_filter  # imported where it is needed: it loads slowly
+
+    side = 2 * _LOBES + 1
+    around = maximum_filter(values, (side, side, 1))
+    bound = np.maximum(MAX_RINGING * around, MAX_NEGATIVE * np.maximum(values, 0.0).mean())
+    if not (values[negative] >= -bound[negative]).all():
+        return
+    count, low = int(negative.any(-1).sum()), float(values.min())
+    values[negative] = 0.0
+    note(f"{{}} pixels are negative by rounding or filters (down to {low:.1g}), and are taken as 0", path, count)
 
 
 def write_exr(path: str | Path, pixels: FloatArray, half: bool = True) -> None:
@@ -94,8 +126,9 @@ def write_exr(path: str | Path, pixels: FloatArray, half: bool = True) -> None:
 
     Args:
         path: file to write.
-        pixels: linear values; as half floats what exceeds 65504 is written as 65504.
-        half: 16 bits a value instead of 32.
+        pixels: linear values.
+        half: 16 bits a value instead of 32, where these hold the values: none is above 65504, and the picture is not so
+            dark that bits are lost below 6.1e-5.
 
     Raises:
         InputError: the file cannot be written.
@@ -105,9 +138,7 @@ def write_exr(path: str | Path, pixels: FloatArray, half: bool = True) -> None:
     image = np.asarray(pixels, np.float32)
     if image.ndim != 3 or image.shape[2] not in (1, 3, 4):
         raise ValueError(f"an image is [h, w, 1, 3 or 4], not {image.shape}")
-    if half:
-        image = np.clip(image, -_HALF_MAX, _HALF_MAX).astype(np.float16)
-    image = np.ascontiguousarray(image)
+    image = np.ascontiguousarray(image.astype(np.float16) if half and _fits_half(image[..., :3]) else image)
     name = {1: "Y", 3: "RGB", 4: "RGBA"}[image.shape[2]]
     header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
     file = OpenEXR.File(header, {name: image[..., 0].copy() if name == "Y" else image})
@@ -118,6 +149,20 @@ def write_exr(path: str | Path, pixels: FloatArray, half: bool = True) -> None:
             with part.open("ab", buffering=0) as again:
                 again.write(b"\0")  # the system says again what is wrong, in a form that is known
             raise InputError(f"{path}: it cannot be written ({' '.join(str(error).split())})") from error
+
+
+def _fits_half(values: FloatArray) -> bool:
+    """Whether half floats hold values: none is too large, and below their normal range, where bits are lost, no more
+    is than the rounding of the median.
+    """
+    size = np.abs(values[values != 0])
+    if size.max(initial=0.0) > _HALF_MAX:
+        return False
+    small = size[size < _HALF_NORMAL]
+    if len(small) == 0:
+        return True
+    lost = np.abs(small.astype(np.float16).astype(np.float32) - small).max()
+    return bool(lost <= np.median(size) * 2.0**-11)
 
 
 def write_png(path: str | Path, pixels: npt.NDArray[np.uint8]) -> None:
@@ -143,7 +188,7 @@ def read_bitmap(path: str | Path, raw: bool = False) -> FloatArray:
     """A texture as linear values [h, w, 1 or 3]; row 0 is the first of the file, alpha is dropped.
 
     8-bit and grey 16-bit files are divided by their largest value, and sRGB-decoded unless ``raw``; EXR files are
-    linear. Pillow reads colour PNG files of 16 bits with 8.
+    linear, see :func:`read_exr`. Pillow reads colour PNG files of 16 bits with 8.
 
     Raises:
         InputError: the file is missing or unreadable.
@@ -182,6 +227,19 @@ def read_coded(data: bytes, where: str) -> npt.NDArray[np.uint8]:
                 image = Image.fromarray(levels.clip(0, 255).astype(np.uint8))
             clear = image.mode in ("LA", "PA", "RGBA", "La", "RGBa") or "transparency" in image.info
             return np.array(image.convert("RGBA" if clear else "RGB"))
+
+
+def data_window(path: Path) -> npt.NDArray[np.bool_] | None:
+    """Which pixels [h, w] the picture of an EXR file has, of those that it displays; None where it has all.
+
+    Raises:
+        InputError: it is no EXR image, or has none of them.
+    """
+    parts = exr_parts(regular_file(path))
+    known = known_in_display(parts[picture_in(parts, path)[0]])
+    if known is not None and not known.any():
+        raise InputError(f"{shown(path)}: its data window lies outside of what it displays, so it shows nothing")
+    return known
 
 
 def read_mask(view: View) -> npt.NDArray[np.bool_]:

@@ -20,8 +20,6 @@ from neurad.scene.blender import write_room_path
 from neurad.scene.image_io import write_png
 from neurad.scene.import_room import (
     ImportSettings,
-    Photographs,
-    check_photograph,
     check_room,
     free_folder,
     map_of,
@@ -30,9 +28,12 @@ from neurad.scene.import_room import (
 )
 from neurad.scene.lamp_masks import mask_of
 from neurad.scene.load import CAMERAS
-from neurad.scene.photographs import picture_size
+from neurad.scene.origin import near, origin_of
+from neurad.scene.photographs import check_views, picture_size
+from neurad.scene.picture_notes import say_pictures
 from neurad.scene.readers.blender import ROOM, TOWARDS_X, BlenderRoom, read_blender, read_world
 from neurad.scene.readers.nerf import HOLD_OUT, Split
+from neurad.scene.readers.photograph_files import Photographs
 from neurad.scene.room_folder import Room, file_name, write_views
 from neurad.scene.scene_xml import FOLDERS, describe, write_xml
 
@@ -60,6 +61,7 @@ def import_blender(settings: ImportSettings) -> None:
             room, scene=replace(room.scene, environment=read_world(environment, TOWARDS_X, shown(environment)))
         )
     _check(room, where)
+    room = replace(room, scene=near(room.scene, origin_of(room.scene.meshes)))
     views = Split([], []) if images is None else _photographed(room, images)
     with whole(out) as part:
         with writing(part, "--out"):
@@ -138,9 +140,8 @@ def _photographed(room: BlenderRoom, images: Path) -> Split:
             continue
         size = picture_size(photograph)
         film = camera.seen(*size, f"its photograph {shown(photograph.name)}")
-        view = View(file_name(camera.names[0], taken), film, str(photograph), development=development)
-        check_photograph(view)
-        views.append(view)
+        views.append(View(file_name(camera.names[0], taken), film, str(photograph), development=development))
+    check_views(views)
     if not views:
         raise InputError(
             f"--images {shown(images)}: it has no photograph of any camera, such as {shown(without[0].names[-1])}.exr; "
@@ -173,6 +174,7 @@ def _write_cameras(room: BlenderRoom, views: Split, part: Path, copy: bool) -> N
 
 def _say(out: Path, room: BlenderRoom, views: Split) -> None:
     """What the folder has."""
+    say_pictures()
     scene = room.scene
     triangles = sum(len(mesh.faces) for mesh in scene.meshes)
     print(f"{shown(out)}: {len(scene.meshes)} meshes, {triangles} triangles, {len(room.cameras)} cameras")

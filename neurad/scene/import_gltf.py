@@ -14,20 +14,20 @@ from neurad.runtime.reading import folder, regular_file, shown
 from neurad.scene.description import Scene
 from neurad.scene.import_room import (
     ImportSettings,
-    Photographs,
-    check_photograph,
     check_room,
     free_folder,
     map_of,
     refuse_meshes,
     whole,
 )
-from neurad.scene.photographs import picture_size
+from neurad.scene.photographs import check_views, picture_size
+from neurad.scene.picture_notes import say_pictures
 from neurad.scene.readers.gltf import ENDINGS, GltfRoom, read_gltf
 from neurad.scene.readers.gltf_file import GltfFile
 from neurad.scene.readers.gltf_nodes import GltfCamera
 from neurad.scene.readers.gltf_scene import ENVIRONMENT
 from neurad.scene.readers.nerf import HOLD_OUT, Split
+from neurad.scene.readers.photograph_files import Photographs
 from neurad.scene.room_folder import Room, write_views
 
 _SHAPE = 0.01  # difference of the proportions of a camera and its photograph that is refused
@@ -87,9 +87,8 @@ def _photographed(room: GltfRoom, images: Path, source: Path) -> Split:
         if photograph is None:
             without.append(camera.name)
             continue
-        view = _view(camera, photograph, where)
-        check_photograph(view)
-        views.append(view)
+        views.append(_view(camera, photograph, where))
+    check_views(views)
     if not room.cameras:
         raise InputError(f"{shown(source)}: it has no camera, so that no photograph can belong to it")
     if not views:
@@ -117,6 +116,7 @@ def _say(out: Path, room: GltfRoom, views: Split, scene: Scene | None, has_envir
     shining = [mesh.name for mesh in room.meshes if mesh.radiance is not None]
     shining += [f"{light.name} ({light.kind})" for light in room.lights]
     print(f"{shown(out)}: {len(room.meshes)} meshes, {triangles} triangles, {len(room.cameras)} cameras")
+    say_pictures()
     for note in (*room.notes, *views.notes):
         print(f"neurad: {note}", file=sys.stderr)
     if shining:

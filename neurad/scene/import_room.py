@@ -7,7 +7,7 @@ import sys
 from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager
 from dataclasses import dataclass, field, replace
-from pathlib import Path, PurePosixPath
+from pathlib import Path
 
 import numpy as np
 
@@ -18,14 +18,17 @@ from neurad.runtime.files import check_folder, make_folder, writing
 from neurad.runtime.folders import place_of, written_beside
 from neurad.runtime.reading import exists, folder, regular_file, shown
 from neurad.scene.description import Scene
-from neurad.scene.load import read_folder
+from neurad.scene.load import read_folder, surface_notes
 from neurad.scene.numbers import RADIANCE, number
-from neurad.scene.photographs import READABLE, picture_size
+from neurad.scene.origin import place_text
+from neurad.scene.photographs import check_views
 from neurad.scene.picture_headers import check_exr
+from neurad.scene.picture_notes import say_pictures
 from neurad.scene.readers.colmap import find_model, photograph_places, read_model
 from neurad.scene.readers.fipt import MESH, read_room
 from neurad.scene.readers.mesh_files import read_meshes
 from neurad.scene.readers.nerf import Split, read_one, read_split
+from neurad.scene.readers.photograph_files import Photographs
 from neurad.scene.readers.polycam import read_export
 from neurad.scene.room_folder import Matrix, Room, axes, bounds_of, held_up, turned, write_room
 
@@ -75,56 +78,13 @@ def refuse_meshes(settings: ImportSettings, source: str) -> None:
         )
 
 
-class Photographs:
-    """Finds a photograph by the name that a source gives it: its EXR file or, where there is none, that which it names.
-
-    Args:
-        places: folders to look in, one after the other.
-    """
-
-    def __init__(self, *places: Path) -> None:
-        self.places = places
-
-    def named(self, name: str) -> Path | None:
-        """The photograph of a camera, whose name is that of the file without its ending; None where there is none.
-
-        A part of the name behind a dot is no ending: Blender counts its objects there.
-        """
-        for place in self.places if name and not set(name) & set("/\\:") else ():
-            for ending in (".exr", *READABLE):
-                if exists(place / f"{name}{ending}"):
-                    return regular_file(place / f"{name}{ending}")
-        return None
-
-    def __call__(self, name: str, where: str) -> Path:
-        """The file.
-
-        Raises:
-            InputError: there is none, or the name leads out of the folder; begins with ``where``.
-        """
-        path = PurePosixPath(name.replace("\\", "/"))
-        if path.is_absolute() or ".." in path.parts or not path.name or ":" in path.parts[0]:
-            raise InputError(f"{where}: the name of its photograph, {shown(repr(name))}, leads out of the folder")
-        flat = path.with_suffix(".exr") if path.suffix else path.with_name(path.name + ".exr")
-        names = dict.fromkeys((flat, path.with_name(path.name + ".exr"), PurePosixPath(flat.name)))
-        for place in self.places:
-            for candidate in names:
-                if exists(place / candidate):
-                    return regular_file(place / candidate)
-        other = next((place / path for place in self.places if exists(place / path)), None)
-        looked = " or ".join(shown(place) for place in self.places)
-        if other is not None and other.suffix.lower() in READABLE:
-            return regular_file(other)
-        if other is not None:
-            raise InputError(
-                f"{where}: its photograph {shown(other)} is none of {', '.join(READABLE)}: put {shown(flat.name)} "
-                "beside it, or name the folder of such files with --images"
-            )
-        raise InputError(f"{where}: its photograph {shown(flat)} is in none of {looked}")
+def _photographs(images: Path | None, *own: Path) -> Photographs:
+    """What finds photographs in the folder of ``--images`` or, without it, in a source's own."""
+    return Photographs(*own) if images is None else Photographs(images, moved=True)
 
 
 def _nerfstudio(source: Path, images: Path | None) -> Split:
-    photographs = Photographs(*([images] if images else [source]))
+    photographs = _photographs(images, source)
     if exists(source / "transforms_train.json") and not exists(source / "transforms.json"):
         return read_split(source, photograph=photographs)
     return read_one(source, 0, photographs)
@@ -132,14 +92,14 @@ def _nerfstudio(source: Path, images: Path | None) -> Split:
 
 def _colmap(source: Path, images: Path | None) -> Split:
     model, said = find_model(source)
-    split = read_model(model, Photographs(*([images] if images else photograph_places(source, model))))
+    split = read_model(model, _photographs(images, *photograph_places(source, model)))
     return replace(split, notes=(*([said] if said else []), *split.notes))
 
 
 def _polycam(source: Path, images: Path | None) -> Split:
     keyframes = source / "keyframes" if exists(source / "keyframes") else source
     own = [keyframes / "corrected_images", keyframes / "images"]
-    return read_export(source, Photographs(*([images] if images else own)))
+    return read_export(source, _photographs(images, *own))
 
 
 def _fipt(source: Path, images: Path | None) -> Split:
@@ -173,7 +133,7 @@ def import_room(settings: ImportSettings) -> None:
     refusals = Refusals()
     for view in (*views.train, *views.test):
         with refusals.part():
-            check_photograph(view)
+            check_views([view])
         with refusals.part():
             _check_place(view, [source] if images is None else [source, images])
     refusals.end()
@@ -239,22 +199,6 @@ def map_of(path: Path) -> Path:
     return path
 
 
-def check_photograph(view: View) -> None:
-    """Check that a photograph has its camera's size.
-
-    Raises:
-        InputError: it has another one.
-    """
-    assert view.image is not None
-    width, height = picture_size(Path(view.image))
-    camera = view.camera
-    if (width, height) != (camera.width, camera.height):
-        raise InputError(
-            f"{shown(view.image)}: it has {width} x {height} pixels, its camera {camera.width} x {camera.height}; "
-            "calibrate for the photographs at their own size, or scale them to the camera's"
-        )
-
-
 def _check_place(view: View, places: Sequence[Path]) -> None:
     """Masks and maps, too, lie where the source is: a camera file of others links to nothing else."""
     for file in filter(None, (view.mask, view.albedo, view.roughness, view.spread)):
@@ -276,7 +220,7 @@ def _placed(settings: ImportSettings, views: Split) -> Matrix:
 
 
 def check_room(part: Path) -> Scene:
-    """Read a folder as a fit does; a light may still be missing.
+    """Read a folder as a fit does, and say what is to be said of its surfaces; a light may still be missing.
 
     Raises:
         InputError: a fit would refuse it.
@@ -284,11 +228,14 @@ def check_room(part: Path) -> Scene:
     scene = read_folder(part)
     if scene.features.has_light:
         scene.check()
+    for note in surface_notes(scene):
+        print(f"neurad: {note}", file=sys.stderr)
     return scene
 
 
 def _say(room: Room, meshes: Sequence[Mesh], out: Path) -> None:
     """What the folder has, and what it lacks."""
+    say_pictures()
     views = [*room.views.train, *room.views.test]
     sizes = dict.fromkeys(f"{view.camera.width} x {view.camera.height}" for view in views)
     held = f", {len(room.views.test)} of them held out" if room.views.test else ""
@@ -325,4 +272,4 @@ def _say(room: Room, meshes: Sequence[Mesh], out: Path) -> None:
 
 
 def _box(corner: Matrix) -> str:
-    return f"({', '.join(f'{x:.3g}' for x in corner)})"
+    return f"({place_text(corner)})"

@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from neurad.core.records import PunctualLight
+from neurad.core.records import EnvironmentMap, PunctualLight
 from neurad.scene.description import Scene
 
 SAME = 1e-6
@@ -15,13 +15,17 @@ SAME = 1e-6
 
 
 def light_of(scene: Scene) -> dict[str, Any]:
-    """Lamps and environment in plain types: ``lamps`` has the number of a mesh, its name and its radiance,
-    ``environment`` a hash of its pixels, their mean and its pose, or is None. Where there are lights without extent,
-    ``punctual`` has their number, name, kind, intensity, position, direction and angles.
+    """The light of a scene in plain types: ``lamps`` has the number of a mesh, its name and its radiance,
+    ``environment`` a hash of its pixels, their mean and its pose, or is None, and ``punctual`` of lights without extent
+    their number, name, kind, intensity, position, direction and angles.
     """
-    kept = _lamps_and_environment(scene)
+    lamps = [
+        [i, mesh.name, *(float(x) for x in mesh.radiance)]
+        for i, mesh in enumerate(scene.meshes)
+        if mesh.radiance is not None and mesh.radiance.any()
+    ]
     punctual = [_punctual(i, light) for i, light in enumerate(scene.punctual) if light.intensity.any()]
-    return kept | {"punctual": punctual} if punctual else kept
+    return {"lamps": lamps, "environment": _environment(scene.environment), "punctual": punctual}
 
 
 def _punctual(index: int, light: PunctualLight) -> list[Any]:
@@ -29,23 +33,14 @@ def _punctual(index: int, light: PunctualLight) -> list[Any]:
     return [index, light.name, light.kind, *(float(x) for x in numbers)]
 
 
-def _lamps_and_environment(scene: Scene) -> dict[str, Any]:
-    environment = scene.environment
-    lamps = [
-        [i, mesh.name, *(float(x) for x in mesh.radiance)]
-        for i, mesh in enumerate(scene.meshes)
-        if mesh.radiance is not None and mesh.radiance.any()
-    ]
+def _environment(environment: EnvironmentMap | None) -> dict[str, Any] | None:
     if environment is None:
-        return {"lamps": lamps, "environment": None}
+        return None
     pixels = np.ascontiguousarray(environment.pixels, np.float32)
     return {
-        "lamps": lamps,
-        "environment": {
-            "pixels": hashlib.sha256(pixels.tobytes()).hexdigest()[:16],
-            "mean": [float(x) for x in pixels.reshape(-1, 3).mean(0, dtype=np.float64)],
-            "to_world": [float(x) for x in np.asarray(environment.to_world, np.float64).ravel()],
-        },
+        "pixels": hashlib.sha256(pixels.tobytes()).hexdigest()[:16],
+        "mean": [float(x) for x in pixels.reshape(-1, 3).mean(0, dtype=np.float64)],
+        "to_world": [float(x) for x in np.asarray(environment.to_world, np.float64).ravel()],
     }
 
 
@@ -67,7 +62,7 @@ def light_changes(before: dict[str, Any], scene: Scene, environment: bool = True
         was, is_ = (None if index not in lamps else lamps[index][2:] for lamps in (old, new))
         if was is None or is_ is None or (lamps and not np.allclose(was, is_, SAME, 0.0)):
             changes.append(f"lamp {name} {_radiance(is_)} instead of {_radiance(was)}")
-    changes += _punctual_changes(before.get("punctual", []), now.get("punctual", []))
+    changes += _punctual_changes(before["punctual"], now["punctual"])
     if environment:
         changes += _environment_changes(before["environment"], now["environment"])
     return changes

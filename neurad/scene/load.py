@@ -7,6 +7,8 @@ from dataclasses import replace
 from pathlib import Path
 from typing import TypeVar
 
+import numpy as np
+
 from neurad.core.errors import InputError
 from neurad.core.suggest import did_you_mean
 from neurad.runtime.progress import phase
@@ -14,6 +16,9 @@ from neurad.runtime.reading import exists, regular_file, shown
 from neurad.runtime.reading import folder as existing_folder
 from neurad.scene.description import Scene
 from neurad.scene.development import KNOWN, Photography, developed
+from neurad.scene.origin import ZERO, Array, moved_views, near, origin_of
+from neurad.scene.panes import pane_note
+from neurad.scene.picture_notes import say_pictures
 from neurad.scene.readers.nerf import HOLD_OUT, Split
 
 T = TypeVar("T")
@@ -26,17 +31,17 @@ RELIGHT = "env_relight.exr"
 """Map that lights the photographs named by ``relight_path``; it replaces the scene's own, in the same frame."""
 
 
-def _mitsuba(folder: Path) -> Scene:
+def _mitsuba(folder: Path, origin: Array) -> Scene:
     from neurad.scene.readers.mitsuba_xml import read_xml
 
-    return read_xml(folder / "scene.xml")
+    return read_xml(folder / "scene.xml", origin)
 
 
-def _gltf(name: str) -> Callable[[Path], Scene]:
-    def read(folder: Path) -> Scene:
+def _gltf(name: str) -> Callable[[Path, Array], Scene]:
+    def read(folder: Path, origin: Array) -> Scene:
         from neurad.scene.readers.gltf_scene import read_scene
 
-        return read_scene(folder / name)
+        return near(read_scene(folder / name), origin)
 
     return read
 
@@ -59,13 +64,13 @@ def _cameras_alone(folder: Path, hold_out: int, pictures: bool) -> Split:
     return Split([], read_cameras(folder / CAMERAS, FILM))
 
 
-SCENE_FILES: dict[str, Callable[[Path], Scene]] = {
+SCENE_FILES: dict[str, Callable[[Path, Array], Scene]] = {
     "scene.xml": _mitsuba,
     "scene.glb": _gltf("scene.glb"),
     "scene.gltf": _gltf("scene.gltf"),
 }
-"""Readers of meshes, materials and lights, by file name; the first one in a folder is read. What a file says of cameras
-becomes held-out views without photographs.
+"""Readers of meshes, materials and lights, by file name; the first one in a folder is read. They are told what to
+subtract from all coordinates. What a file says of cameras becomes held-out views without photographs.
 """
 CAMERA_FILES: dict[str, Callable[[Path, int, bool], Split]] = {
     "transforms_train.json": _two_files,
@@ -96,7 +101,9 @@ def load_scene(
         raise InputError("give exactly one of --data.root (a scene folder) and --data.scene (a built-in scene)")
     with phase("reading"):
         if root is not None:
-            return read_folder(root, hold_out, photography).check(lit=False)
+            found = read_folder(root, hold_out, photography).check(lit=False)
+            say_pictures()
+            return found
         from neurad.scene.builtin import build
 
         assert scene is not None
@@ -131,16 +138,42 @@ def read_folder(root: str | Path, hold_out: int = HOLD_OUT, photography: Photogr
     surfaces = None
     read_surfaces = _reader(SCENE_FILES, folder)
     if not any(exists(folder / name) for name in ("scene.xml", *CAMERA_FILES)):  # glTF may have cameras, to be rendered
-        surfaces = read_surfaces(folder)
+        surfaces = _near_origin(read_surfaces, folder)
         if surfaces.test:
-            return replace(surfaces, name=folder.name)
+            return replace(surfaces, name=folder.name, notes=(*surfaces.notes, *surface_notes(surfaces)))
     views = _reader(CAMERA_FILES, folder)(folder, hold_out, photography is not None)
     relight = None
     if any(view.relight for view in views.test):
         relight = str(regular_file(folder / RELIGHT, "the map is missing that lights the photographs of relight_path"))
-    surfaces = read_surfaces(folder) if surfaces is None else surfaces
-    surfaces = replace(surfaces, name=folder.name, relight=relight, notes=(*surfaces.notes, *views.notes))
-    return _developed(replace(surfaces, train=views.train, test=views.test), photography)
+    surfaces = _near_origin(read_surfaces, folder) if surfaces is None else surfaces
+    surfaces = replace(
+        surfaces, name=folder.name, relight=relight, notes=(*surfaces.notes, *surface_notes(surfaces), *views.notes)
+    )
+    step = -np.asarray(surfaces.origin)
+    train, test = moved_views(views.train, step), moved_views(views.test, step)
+    return _developed(replace(surfaces, train=train, test=test), photography)
+
+
+def _near_origin(read: Callable[[Path, Array], Scene], folder: Path) -> Scene:
+    """Surfaces of a folder, moved near the origin of their coordinates where they lie far from it."""
+    surfaces = read(folder, ZERO)
+    origin = origin_of(surfaces.meshes)
+    if not origin.any():
+        return surfaces
+    x, y, z = (float(value) for value in origin)
+    return replace(read(folder, origin), origin=(x, y, z))
+
+
+def surface_notes(scene: Scene) -> list[str]:
+    """What is to be said of the surfaces of a scene, whatever it was read from, a sentence each."""
+    if not any(scene.origin):
+        return pane_note(scene)
+    place = ", ".join(f"{x:.10g}" for x in scene.origin)
+    far = (
+        f"the room lies far from the origin of its coordinates: ({place}) is subtracted from all of them while it is "
+        "computed with, and added again to what is given back"
+    )
+    return [far, *pane_note(scene)]
 
 
 def _reader(readers: dict[str, T], folder: Path) -> T:

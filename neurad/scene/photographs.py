@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import math
 import warnings
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -13,10 +14,11 @@ import numpy.typing as npt
 
 from neurad.core.errors import InputError
 from neurad.core.records import Development, FloatArray, View
+from neurad.runtime.progress import counted
 from neurad.runtime.reading import native, regular_file, shown
-from neurad.scene.image_io import opened, read_exr
+from neurad.scene.image_io import as_light, data_window, opened, read_exr, read_mask
 from neurad.scene.numbers import PIXEL
-from neurad.scene.picture_headers import check_exr, check_hdr, check_size
+from neurad.scene.picture_headers import check_exr, check_hdr, check_size, exr_parts
 from neurad.scene.response import linear_value, linear_values
 
 CODED = (".png", ".jpg", ".jpeg", ".tif", ".tiff")
@@ -27,6 +29,8 @@ RAW = (".arw", ".cr2", ".cr3", ".nef", ".dng", ".raf", ".rw2", ".orf", ".pef")
 """Endings of what cameras write before anything is developed."""
 Float64 = npt.NDArray[np.float64]
 _ALPHA = 1.01  # coverage is at most 1, but for rounding and filters
+WHOLE = 0.999
+"""Alpha from which on a pixel is covered: renderers and half floats round 1 down to 0.9995."""
 _BITS = 258  # TIFF's tag BitsPerSample
 _PLANAR, _EXTRA = 284, 338  # PlanarConfiguration, ExtraSamples
 _HEAD = 1 << 16  # bytes that have the header of a picture
@@ -98,6 +102,18 @@ def colour_profile(path: Path) -> str | None:
         return "one that cannot be read"
 
 
+_MAGIC = {
+    b"\x89PNG": ".png", b"\xff\xd8\xff": ".jpg", b"II*\0": ".tif", b"MM\0*": ".tif", b"\x76\x2f\x31\x01": ".exr",
+    b"#?": ".hdr",
+}  # fmt: skip
+
+
+def kind_of(path: Path) -> str | None:
+    """The ending that a photograph should have by its first bytes; None where these are of no kind that is read."""
+    first = _first_bytes(path, 4)
+    return next((ending for magic, ending in _MAGIC.items() if first.startswith(magic)), None)
+
+
 def _first_bytes(path: Path, count: int) -> bytes:
     with native(path, _SAID), path.open("rb") as stream:
         return stream.read(count)
@@ -142,8 +158,26 @@ def _by_opencv(path: Path) -> npt.NDArray[Any]:
     return np.ascontiguousarray(found[..., [2, 1, 0, 3][: found.shape[2]]])
 
 
+def _radiance(path: Path) -> FloatArray:
+    """The values of a Radiance picture [h, w, 3], the exposures and primaries that its header says undone."""
+    picture_size(path)
+    pixels = _by_opencv(path).astype(np.float32, copy=False)
+    head = _first_bytes(path, _HEAD).partition(b"\n\n")[0]
+    said = [line.split(b"=", 1) for line in head.split(b"\n") if b"=" in line]
+    try:
+        exposures = [float(value) for key, value in said if key.strip() == b"EXPOSURE"]
+        primaries = [[float(x) for x in value.split()] for key, value in said if key.strip() == b"PRIMARIES"]
+    except ValueError as error:
+        raise InputError(f"{shown(path)}: the EXPOSURE or PRIMARIES in its header are no numbers") from error
+    exposure = math.prod(exposures)
+    if not 0.0 < exposure < math.inf:
+        raise InputError(f"{shown(path)}: the EXPOSURE in its header is {exposure:g}")
+    return as_light(pixels / np.float32(exposure), {"chromaticities": primaries[-1]} if primaries else {}, path)
+
+
 def read_photograph(path: str | Path, development: Development = AS_IS) -> FloatArray:
-    """A photograph: linear RGB or RGBA [h, w, 3 or 4], colour premultiplied by alpha, the exposure divided out.
+    """A photograph: linear RGB or RGBA [h, w, 3 or 4], colour premultiplied by alpha, the exposure divided out. Alpha
+    that is 1 everywhere says nothing, and is left out.
 
     Args:
         path: of the file.
@@ -163,19 +197,70 @@ def read_photograph(path: str | Path, development: Development = AS_IS) -> Float
             pixels[..., 3] = codes[..., 3] / np.float32(levels)
             pixels[..., :3] *= pixels[..., 3:]
     else:
-        if ending == ".hdr":
-            picture_size(path)
-        pixels = _by_opencv(path).astype(np.float32, copy=False) if ending == ".hdr" else read_exr(path)
+        pixels = _radiance(path) if ending == ".hdr" else read_exr(path)
         _check(path, pixels)
+    if pixels.shape[2] == 4 and pixels[..., 3].min() >= WHOLE:
+        pixels = np.ascontiguousarray(pixels[..., :3])
     if development.gain != 1.0:
         pixels[..., :3] /= np.float32(development.gain)
     return pixels
 
 
 def read_view(view: View) -> FloatArray:
-    """The photograph of a view, see :func:`read_photograph`."""
+    """The photograph of a view, see :func:`read_photograph`.
+
+    Raises:
+        InputError: as there, or it has another size than the camera.
+    """
     assert view.image is not None
-    return read_photograph(view.image, view.development)
+    pixels, camera = read_photograph(view.image, view.development), view.camera
+    if pixels.shape[:2] != (camera.height, camera.width):
+        raise InputError(
+            f"{shown(view.image)}: it has {pixels.shape[1]} x {pixels.shape[0]} pixels, its camera {camera.width} x "
+            f"{camera.height}; calibrate for the photographs at their own size (w and h in the camera file), or scale "
+            "them to the camera's"
+        )
+    return pixels
+
+
+def check_views(views: Sequence[View]) -> None:
+    """Read photographs, their masks and spreads as a fit does.
+
+    Raises:
+        InputError: a fit would refuse one.
+    """
+    for view in counted(views, "reading", len(views), "photographs"):
+        read_view(view)
+        kept_pixels(view)
+        if view.spread is not None:
+            read_spread(view)
+
+
+def may_have_alpha(view: View) -> bool:
+    """Whether the file of a view's photograph has an alpha channel, by its header."""
+    assert view.image is not None
+    path = regular_file(view.image)
+    ending = path.suffix.lower()
+    if ending in CODED:
+        with _header(path) as image:
+            return "A" in image.getbands()
+    return ending == ".exr" and any(name.rpartition(".")[2] in "Aa" for p in exr_parts(path) for name in p.channels)
+
+
+def kept_pixels(view: View) -> npt.NDArray[np.bool_] | None:
+    """Pixels of a view's photograph that count [h, w]: its mask does not leave them out, and they lie in the data
+    window of its file, outside of which nothing is known. None where all do.
+
+    Raises:
+        InputError: the mask cannot be read, or has another size than the camera; or the data window shows nothing.
+    """
+    kept = None if view.mask is None else read_mask(view)
+    known = None
+    if view.image is not None and Path(view.image).suffix.lower() not in (".hdr", *CODED):
+        known = data_window(Path(view.image))
+    if kept is None or known is None:
+        return known if kept is None else kept
+    return np.asarray(kept & known)
 
 
 def ceiling_of(view: View) -> float:
@@ -194,7 +279,7 @@ def read_spread(view: View) -> tuple[FloatArray, npt.NDArray[np.bool_]]:
         InputError: the file cannot be read, has another size than the camera, or values that are negative or NaN.
     """
     assert view.spread is not None
-    pixels = read_exr(view.spread)
+    pixels = read_exr(view.spread, raw=True)
     camera = view.camera
     if pixels.shape[:2] != (camera.height, camera.width):
         raise InputError(

@@ -18,15 +18,17 @@ _DEEP, _PARTS = 0x800, 0x1000  # flags of the version
 _RATIO = 1032  # of deflate at most
 _DEFLATE = (0, 1, 2, 3, 5)  # compressions that are no better: none, RLE, ZIPS, ZIP, PXR24
 _NAME = 256  # longest name of an attribute
+_MAX_PARTS = 1024
 
 
 @dataclass
-class _ExrHeader:
-    """What matters of a header: windows as (x0, y0, x1, y1), the number of channels and the compression."""
+class ExrPart:
+    """What matters of the header of one part: windows as (x0, y0, x1, y1), the names of channels, the compression."""
 
-    data: tuple[int, int, int, int] | None = None
-    display: tuple[int, int, int, int] | None = None
-    channels: int = 0
+    name: str = ""
+    data: tuple[int, int, int, int] = (0, 0, -1, -1)
+    display: tuple[int, int, int, int] = (0, 0, -1, -1)
+    channels: tuple[str, ...] = ()
     compression: int = 0
 
 
@@ -53,47 +55,63 @@ def check_exr(path: Path) -> tuple[int, int]:
     """Check the header of an EXR file, and return the width and height of what it displays.
 
     Raises:
-        InputError: it is no EXR image of one part, its windows are too large, or the file too short for them.
+        InputError: as :func:`exr_parts`.
+    """
+    x0, y0, x1, y1 = exr_parts(path)[0].display
+    return x1 - x0 + 1, y1 - y0 + 1
+
+
+def exr_parts(path: Path) -> list[ExrPart]:
+    """The headers of an EXR file, of which there is one in most files.
+
+    Raises:
+        InputError: it is no flat EXR image, its windows are too large, or the file too short for them.
     """
     try:
         with path.open("rb") as stream:
-            header = _exr_header(path, stream)
-    except (struct.error, EOFError) as error:
+            parts = _exr_headers(path, stream)
+    except (struct.error, EOFError, UnicodeError) as error:
         raise _unreadable(path) from error
     except OSError as error:
         raise failure(path, error) from error
-    if header.data is None or header.display is None or not 1 <= header.channels <= 1024:
+    count = sum(len(part.channels) for part in parts)
+    if not 1 <= count <= 1024 or not all(part.channels for part in parts):
         raise _unreadable(path)
-    for x0, y0, x1, y1 in (header.data, header.display):
-        check_size(path, x1 - x0 + 1, y1 - y0 + 1, 8 * header.channels, 4 * header.channels)
-    x0, y0, x1, y1 = header.data
-    least = (x1 - x0 + 1) * (y1 - y0 + 1) * 2 * header.channels // _RATIO
-    if header.compression in _DEFLATE and path.stat().st_size < least:
+    least = 0
+    for part in parts:
+        for x0, y0, x1, y1 in (part.data, part.display):
+            check_size(path, x1 - x0 + 1, y1 - y0 + 1, 8 * count, 4 * count)
+        x0, y0, x1, y1 = part.data
+        if part.compression in _DEFLATE:
+            least += (x1 - x0 + 1) * (y1 - y0 + 1) * 2 * len(part.channels) // _RATIO
+    if path.stat().st_size < least:
         raise _unreadable(path)
-    x0, y0, x1, y1 = header.display
-    return x1 - x0 + 1, y1 - y0 + 1
+    return parts
 
 
 def _unreadable(path: Path) -> InputError:
     return InputError(f"{shown(path)}: it cannot be read as an EXR image")
 
 
-def _exr_header(path: Path, stream: BinaryIO) -> _ExrHeader:
+def _exr_headers(path: Path, stream: BinaryIO) -> list[ExrPart]:
     magic, version = struct.unpack("<II", stream.read(8))
     if magic != _MAGIC or version & 0xFF != 2:
         raise _unreadable(path)
     if version & _DEEP:
         raise InputError(f"{shown(path)}: it is a deep image, which is not supported")
-    header = _attributes(stream)
-    if version & _PARTS and stream.read(1) != b"\0":
-        raise InputError(f"{shown(path)}: it has several parts, which is not supported")
-    return header
+    parts: list[ExrPart] = []
+    while (part := _attributes(stream)) is not None and len(parts) < _MAX_PARTS:
+        parts.append(part)
+        if not version & _PARTS:
+            break
+    return parts
 
 
-def _attributes(stream: BinaryIO) -> _ExrHeader:
-    """The attributes of one part, up to the empty name that ends them."""
-    header = _ExrHeader()
+def _attributes(stream: BinaryIO) -> ExrPart | None:
+    """The attributes of one part, up to the empty name that ends them; None where there is no further part."""
+    header = None
     while name := _word(stream):
+        header = header or ExrPart()
         kind = _word(stream)
         (size,) = struct.unpack("<I", stream.read(4))
         if (name, kind) in ((b"dataWindow", b"box2i"), (b"displayWindow", b"box2i")):
@@ -104,11 +122,14 @@ def _attributes(stream: BinaryIO) -> _ExrHeader:
                 header.display = window
         elif (name, kind) == (b"compression", b"compression"):
             header.compression = stream.read(size)[0] if size == 1 else -1
+        elif (name, kind) == (b"name", b"string") and size <= _NAME:
+            header.name = stream.read(size).decode()
         elif (name, kind) == (b"channels", b"chlist"):
-            end = stream.tell() + size
-            while _word(stream):
-                header.channels += 1
+            end, found = stream.tell() + size, []
+            while channel := _word(stream):
+                found.append(channel.decode())
                 stream.seek(16, 1)
+            header.channels = tuple(found)
             stream.seek(end)
         else:
             stream.seek(size, 1)

@@ -13,6 +13,7 @@ from neurad.core.errors import InputError
 from neurad.core.records import EnvironmentMap, Mesh
 from neurad.scene.description import Scene
 from neurad.scene.numbers import LENGTH, within
+from neurad.scene.origin import in_scene
 from neurad.scene.room_folder import axis, held_up, turned
 
 Matrix = npt.NDArray[np.float64]
@@ -89,7 +90,7 @@ def placed(meshes: Sequence[Mesh], placement: Placement, scene: Scene, where: st
     foot = middle - up * (0.5 * float((high - low) @ np.abs(up)))
     made = []
     for mesh in meshes:
-        there = (mesh.vertices.astype(np.float64) @ pose[:3, :3].T - foot) * scale + np.asarray(placement.at)
+        there = (mesh.vertices.astype(np.float64) @ pose[:3, :3].T - foot) * scale + in_scene(placement.at, scene)
         within(there, f"{where}: its coordinates then", -LENGTH, LENGTH)
         normals = None if mesh.normals is None else (mesh.normals @ pose[:3, :3].T).astype(np.float32)
         made.append(replace(mesh, vertices=there.astype(np.float32), normals=normals))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from typing import get_args
+from typing import Any, get_args
 
 import numpy as np
 import numpy.typing as npt
@@ -85,7 +85,8 @@ def from_gltf(
     with np.errstate(over="ignore", invalid="ignore"):
         matrix = np.asarray(to_world, np.float64)
         rgb = (np.asarray(color, np.float64) * (intensity / LUMENS_PER_WATT)).astype(np.float32)
-        position, axis = matrix[:3, 3].astype(np.float32), -matrix[:3, 2]
+        position: Any = matrix[:3, 3]  # float64 until a scene is put together
+        axis = -matrix[:3, 2]
         direction = (axis / max(float(np.linalg.norm(axis)), 1e-300)).astype(np.float32)
     cone = math.degrees(outer_cone_angle), math.degrees(inner_cone_angle)
     light = PunctualLight(name, known, rgb, position, direction, *cone)

@@ -19,6 +19,7 @@ from neurad.core.records import Constant, FloatArray, Material, Mesh, View
 from neurad.runtime.files import place, writing
 from neurad.runtime.reading import shown
 from neurad.scene.numbers import number
+from neurad.scene.origin import origin_of
 from neurad.scene.ply import write_ply
 from neurad.scene.readers.mesh_files import MeshFile
 from neurad.scene.readers.nerf import Split
@@ -204,19 +205,22 @@ def _write_surfaces(room: Room, meshes: Sequence[Mesh], out: Path) -> None:
     sources = [file for file in room.meshes for _ in file.meshes]
     known = [_known(file, mesh) for file in room.meshes for mesh in file.meshes]
     taken: set[str] = set()
+    step = origin_of(meshes)  # of coordinates that files of float32 cannot hold: it goes into the transform
+    pose = room.to_cameras.copy()
+    pose[:3, 3] += pose[:3, :3] @ step
     for mesh, source, material in zip(meshes, sources, known, strict=True):
         path = f"meshes/{file_name(mesh.name, taken)}.ply"
         (out / "meshes").mkdir(exist_ok=True)
-        if source.linkable:
+        if source.linkable and not step.any():
             place(source.path, out / path, room.copy)
         else:
-            write_ply(out / path, mesh)
+            write_ply(out / path, replace(mesh, vertices=(mesh.vertices - step).astype(np.float32)))
         shape = _child(tree, "shape", type="ply", id=mesh.name)
         _child(shape, "string", name="filename", value=path)
         if mesh.normals is None:  # flat, as the file has it: without this Mitsuba rounds all edges
             _child(shape, "boolean", name="face_normals", value="true")
-        if not np.array_equal(room.to_cameras, np.eye(4)):
-            values = " ".join(f"{x:.17g}" for x in room.to_cameras.ravel())
+        if not np.array_equal(pose, np.eye(4)):
+            values = " ".join(f"{x:.17g}" for x in pose.ravel())
             _child(_child(shape, "transform", name="to_world"), "matrix", value=values)
         if material is None:
             _child(shape, "ref", id=_PAINT)

@@ -45,6 +45,13 @@ class Matrix:
     """A transform: [4, 4], or [3, 3] of homogeneous texture coordinates."""
 
     values: Array
+    placed: bool = False
+    """Whether ``Scene.origin`` is added, by the parameters :data:`ORIGIN` of the file."""
+
+
+ORIGIN = ("origin_x", "origin_y", "origin_z")
+"""Parameters of a scene file of a room far from the origin: Mitsuba takes others with ``-D``, such as 0, as it computes
+with float32."""
 
 
 def file_names(names: Sequence[str], others: Iterable[str] = ()) -> list[str]:
@@ -88,6 +95,9 @@ def describe(
         (folder / name).mkdir(parents=True, exist_ok=True)
     pictures = _Pictures(folder, half)
     tree: Node = {"type": "scene", "integrator": integrator or path_integrator(scene)}
+    far = any(scene.origin)
+    if far:
+        tree |= dict(zip(ORIGIN, scene.origin, strict=True))
     tree |= {f"sensor_{i}": node for i, node in enumerate(sensors)}
     if scene.environment is not None:
         tree["environment"] = _environment(scene.environment, folder)
@@ -105,8 +115,10 @@ def describe(
     names = file_names([*(mesh.name for mesh in scene.meshes), *(light.name for light in scene.punctual)], labels)
     for mesh, name in zip(scene.meshes, names[: len(scene.meshes)], strict=True):
         tree[f"mesh-{name}"] = _shape(mesh, name, bsdfs[mesh.material], folder)
+        if far:
+            tree[f"mesh-{name}"]["to_world"] = Matrix(np.eye(4), placed=True)
     for light, name in zip(scene.punctual, names[len(scene.meshes) :], strict=True):
-        tree[f"light-{name}"] = _punctual(light, name)
+        tree[f"light-{name}"] = _punctual(light, name, far)
     return tree
 
 
@@ -123,9 +135,11 @@ def write_xml(tree: Node, path: Path) -> None:
         OSError: the file cannot be written.
     """
     root = ElementTree.Element("scene", version="3.0.0")
-    for node in tree.values():
+    for name, node in tree.items():
         if isinstance(node, dict):
             _element(root, node)
+        elif name in ORIGIN:
+            ElementTree.SubElement(root, "default", name=name, value=_number(node))
     ElementTree.indent(root, "\t")
     path.write_bytes(ElementTree.tostring(root, encoding="utf-8", xml_declaration=True) + b"\n")
 
@@ -175,10 +189,10 @@ def _shape(mesh: Mesh, name: str, bsdf: Any, folder: Path) -> Node:
     return shape
 
 
-def _punctual(light: PunctualLight, name: str) -> Node:
+def _punctual(light: PunctualLight, name: str, far: bool) -> Node:
     key = "irradiance" if light.kind == "directional" else "intensity"
     colour = {"type": "rgb", "value": [float(x) for x in light.intensity]}
-    node: Node = {"type": light.kind, "id": name, key: colour, "to_world": Matrix(pose(light))}
+    node: Node = {"type": light.kind, "id": name, key: colour, "to_world": Matrix(pose(light), far)}
     if light.kind == "spot":
         node |= {"cutoff_angle": float(light.cutoff_angle), "beam_width": float(light.beam_width)}
     return node
@@ -211,6 +225,9 @@ def _element(parent: ElementTree.Element, node: Node, name: str | None = None) -
         elif isinstance(value, Matrix):
             transform = ElementTree.SubElement(made, "transform", name=key)
             ElementTree.SubElement(transform, "matrix", value=" ".join(_entries(value.values)))
+            if value.placed:
+                step = {axis: f"${name}" for axis, name in zip("xyz", ORIGIN, strict=True)}
+                ElementTree.SubElement(transform, "translate", step)
         else:
             kind, text = _literal(value)
             ElementTree.SubElement(made, kind, name=key, value=text)

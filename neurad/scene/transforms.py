@@ -5,12 +5,21 @@ from __future__ import annotations
 from collections.abc import Sequence
 from typing import Any
 
+import numpy.typing as npt
+
 from neurad.core.records import View
+from neurad.scene.origin import ZERO, moved_views
 from neurad.scene.readers.intrinsics import described
 
 
-def transforms(views: Sequence[View]) -> dict[str, Any]:
-    """The camera file of views: what all their cameras share stands at the top, what they do not in each frame."""
+def transforms(views: Sequence[View], origin: npt.ArrayLike = ZERO) -> dict[str, Any]:
+    """The camera file of views: what all their cameras share stands at the top, what they do not in each frame.
+
+    Args:
+        views: relative to ``origin``.
+        origin: ``Scene.origin``, which is added.
+    """
+    views = moved_views(views, origin)
     lenses = [described(view.camera) for view in views]
     shared = lenses[0] if all(lens == lenses[0] for lens in lenses) else {}
     return {

@@ -65,15 +65,17 @@ def fitting(
     for prefix in (*DDP_IGNORED, CORRECTION) if continues else (*DDP_IGNORED, CORRECTION, DEVELOPMENT):
         mine = {name: value for name, value in own.items() if name.startswith(prefix)}
         theirs = {name: value for name, value in weights.items() if name.startswith(prefix)}
-        alike = theirs and all(name in mine and mine[name].shape == value.shape for name, value in theirs.items())
-        if prefix == CORRECTION and not alike and theirs.get(f"{CORRECTION}made", 0):  # nothing found is dropped
-            if mine:
-                raise InputError(f"{source}: its closing step is of an older version, with other cells; fit anew")
-            raise InputError(f"{source}: its roughness has had a closing step; set model.roughness.closing_step true")
-        if prefix in _WITHOUT and mine and not alike and continues:
+        if prefix == CORRECTION and theirs.get(f"{CORRECTION}made", 0):  # nothing found is dropped
+            if not mine:
+                raise InputError(
+                    f"{source}: its roughness has had a closing step; set model.roughness.closing_step true"
+                )
+            continue
+        if {name: value.shape for name, value in mine.items()} == {name: value.shape for name, value in theirs.items()}:
+            continue
+        if prefix in _WITHOUT and mine and continues:
             print(f"neurad: {source}: {_WITHOUT[prefix]}", file=sys.stderr)
-        rest = {name: value for name, value in weights.items() if name not in theirs}
-        weights = rest | mine | (theirs if alike else {})  # an older version's may lack some
+        weights = {name: value for name, value in weights.items() if name not in theirs} | mine
     checkpoint["state_dict"] = weights
     for name, value in weights.items():
         if name not in own or own[name].shape != value.shape:
@@ -87,10 +89,11 @@ def fitting(
             raise InputError(f"{source}: {name} of the checkpoint has values that are NaN or infinite")
     if missing := own.keys() - weights.keys():
         raise InputError(f"{source}: the checkpoint has other fields than the config ({min(missing)} is missing)")
-    if state.get("radiance_inputs", inputs) != inputs:  # of the same size they would load, and mean something else
+    reads = state.get("radiance_inputs")
+    if reads != inputs:  # of the same size they would load, and mean something else
         raise InputError(
-            f"{source}: the checkpoint's radiance field reads {state['radiance_inputs']}, that of the config "
-            f"{inputs}; set model.radiance.inputs"
+            f"{source}: the checkpoint's radiance field reads {reads}, that of the config {inputs}; set "
+            "model.radiance.inputs"
         )
     return state
 
@@ -99,7 +102,6 @@ def scene_state(scene: Scene) -> dict[str, Any]:
     """What a checkpoint keeps of the scene of its fit."""
     return {
         "scene": scene.name,
-        "fingerprint": scene.fingerprint,
         "geometry": scene.geometry_fingerprint,
         "light": light_of(scene),
     }
@@ -115,17 +117,11 @@ def check_scene(state: dict[str, Any], scene: Scene, source: str, same_light: bo
         same_light: refuse another light, too.
 
     Raises:
-        InputError: it does. Of a checkpoint that does not keep geometry and light apart any difference counts.
+        InputError: it does.
     """
     light = _kept_light(state, source)
-    if state["fingerprint"] == scene.fingerprint and (light is None or not same_light):
-        return
-    if light is None or state.get("geometry") != scene.geometry_fingerprint:
-        renamed = state["scene"] == scene.name == "kitchen"
-        hint = (
-            "; the built-in kitchen of older versions is now called patterns: --data.scene patterns" if renamed else ""
-        )
-        raise InputError(f"{source}: the checkpoint is of scene {state['scene']}, not of {scene.name} as given{hint}")
+    if state["geometry"] != scene.geometry_fingerprint:
+        raise InputError(f"{source}: the checkpoint is of scene {state['scene']}, not of {scene.name} as given")
     if same_light and (changes := light_changes(light, scene)):
         raise InputError(
             f"{source}: the light of scene {scene.name} is not that of the fit ({'; '.join(changes)}); put it back, or "
@@ -134,7 +130,7 @@ def check_scene(state: dict[str, Any], scene: Scene, source: str, same_light: bo
 
 
 def changed_light(state: dict[str, Any], scene: Scene, environment: bool = True, lamps: bool = True) -> list[str]:
-    """What differs between the light of a fit and that of a scene, a few words each; none where nothing is known.
+    """What differs between the light of a fit and that of a scene, a few words each.
 
     Args:
         state: what the run wrote about itself.
@@ -142,8 +138,7 @@ def changed_light(state: dict[str, Any], scene: Scene, environment: bool = True,
         environment: as in :func:`neurad.scene.light.light_changes`.
         lamps: as there.
     """
-    light = _kept_light(state, "--ckpt_path")
-    return [] if light is None else light_changes(light, scene, environment, lamps)
+    return light_changes(_kept_light(state, "--ckpt_path"), scene, environment, lamps)
 
 
 def _lamps_by_mesh(weights: dict[str, Any], own: dict[str, Any], state: dict[str, Any], scene: Scene) -> dict[str, Any]:
@@ -168,24 +163,21 @@ def _lamps_by_mesh(weights: dict[str, Any], own: dict[str, Any], state: dict[str
 
 def fitted_lamps(state: dict[str, Any]) -> frozenset[int]:
     """Meshes that shone in a fit."""
-    light = _kept_light(state, "--ckpt_path")
-    return frozenset() if light is None else frozenset(lamp[0] for lamp in light["lamps"])
+    return frozenset(lamp[0] for lamp in _kept_light(state, "--ckpt_path")["lamps"])
 
 
-def _kept_light(state: dict[str, Any], source: str) -> dict[str, Any] | None:
-    """The light that a run kept; None in a checkpoint of before it was.
+def _kept_light(state: dict[str, Any], source: str) -> dict[str, Any]:
+    """The light that a run kept.
 
     Raises:
         InputError: it is not what :func:`neurad.scene.light.light_of` gives.
     """
-    light = state.get("light")
-    if light is None:
-        return None
+    light: dict[str, Any] = state["light"]
     try:
         lamps, sky = light["lamps"], light["environment"]
         whole = all(isinstance(i, int) and isinstance(name, str) and len(rgb) == 3 for i, name, *rgb in lamps)
         numbers = [x for lamp in lamps for x in lamp[2:]]
-        for index, name, kind, *rest in light.get("punctual", []):
+        for index, name, kind, *rest in light["punctual"]:
             whole &= isinstance(index, int) and isinstance(name, str) and isinstance(kind, str) and len(rest) == 11
             numbers += rest
         if sky is not None:
@@ -196,5 +188,4 @@ def _kept_light(state: dict[str, Any], source: str) -> dict[str, Any] | None:
         whole = False
     if not whole:
         raise InputError(f"{source}: the checkpoint's light is none that a run writes")
-    found: dict[str, Any] = light
-    return found
+    return light

@@ -26,11 +26,16 @@ _ENTRIES: dict[str, type] = {
 }
 _OWN: dict[str, type | tuple[type, ...]] = {
     "scene": str,
-    "fingerprint": str,
+    "geometry": str,
+    "light": dict,
     "iteration": int,
     "seconds": (int, float),
+    "processor_seconds": (int, float),
+    "waited_seconds": (int, float),
     "rays": int,
     "samples": int,
+    "photographs": int,
+    "hide_environment": bool,
 }
 """What a run writes about itself, under 'neurad'."""
 

@@ -5,8 +5,7 @@ where nothing is known as where much is. So a fit of minutes makes use of a fift
 in a fit its materials and light are good enough for the pixels to be linear in what is left, and samples of a pass
 without an optimizer cost a third of those of training. :mod:`neurad.metrics.roughness_evidence` gathers what the pixels
 ask for, :func:`neurad.optim.multilevel.solve` weighs it against how little is to be expected, and the field adds what
-comes out from then on, while all parts go on for the rest of the fit. ``neurad fit`` makes the step; studies that drive
-:class:`neurad.training.step.TrainingStep` themselves have none.
+comes out from then on, while all parts go on for the rest of the fit.
 """
 
 from __future__ import annotations
@@ -35,8 +34,7 @@ from neurad.metrics.scores import Float64Array
 from neurad.optim.multilevel import finer, solve
 from neurad.optim.polyak_average import averaged
 from neurad.runtime.progress import phase
-from neurad.training.schedule import Progress
-from neurad.training.step import Counters
+from neurad.training.schedule import Counters, Progress
 
 KEPT, STEPS = 0.25, 0.95
 """Time that is kept for the step by its samples over those of the fit, which cost less than four times as much, and the

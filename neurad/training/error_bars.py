@@ -8,7 +8,7 @@ from neurad.core.protocols import PhotoSource
 from neurad.metrics.bar_calibration import RoughnessBars
 from neurad.metrics.error_bars import ErrorBars, Known, measure
 from neurad.metrics.pixel_derivatives import SPP, pixel_derivatives
-from neurad.training.step import Counters
+from neurad.training.schedule import Counters
 
 FRACTION = 0.04
 """Samples of the pass over those that the fit has drawn. One of them costs about half of one of a training step."""

@@ -53,6 +53,8 @@ class Evaluation:
     field ``residual``; with error bars ``albedo_std`` and ``roughness_std``; where there are files, ``photograph``,
     ``albedo_true`` and ``roughness_true`` [h, w, 1 or 3]; in a thorough evaluation also ``relit`` and
     ``photograph_relit``."""
+    exposure: float = 1.0
+    """What radiance is multiplied with to be shown, see :attr:`HeldOut.exposure`."""
     environment: dict[str, FloatArray] = field(default_factory=dict)
     """Of an environment that is recovered: ``fitted`` and, where it is known, ``truth`` [height, width, 3]."""
 
@@ -149,11 +151,11 @@ def evaluate(
     if bars is not None and glossy:
         scores |= score_bars(held_out, maps)
     if light is None:
-        return Evaluation(scores, maps)
+        return Evaluation(scores, maps, held_out.exposure)
     found = light.environment.map()
     scores |= light.scores(found, albedo_factors(held_out, maps))
     truth = {} if light.scores.truth is None else {"truth": light.scores.truth}
-    return Evaluation(scores, maps, {"fitted": found, **truth})
+    return Evaluation(scores, maps, held_out.exposure, {"fitted": found, **truth})
 
 
 def _relight(

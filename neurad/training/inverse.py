@@ -12,15 +12,13 @@ from lightning.pytorch.strategies import DDPStrategy
 from torch import Tensor
 
 from neurad.assembly.build import Assembly, FittedMaterials, assemble, know_lamps
-from neurad.assembly.lighting import lit_scene
 from neurad.assembly.relight import paths, sentence_of_light
 from neurad.assembly.settings import Lighting, ModelSettings, Objective, Optimization, Sampling
 from neurad.assembly.training_views import TrainingViews, prepare_views
 from neurad.core.errors import InputError
 from neurad.core.protocols import PhotoSource
 from neurad.core.ranges import Seed
-from neurad.core.records import FloatArray, PixelBatch
-from neurad.emitters.fitted import FittedEnvironment
+from neurad.core.records import PixelBatch
 from neurad.fields.development import FittedDevelopment
 from neurad.fields.radiance import RadianceField
 from neurad.fields.settings import FieldConfig, RadianceConfig, RoughnessConfig
@@ -29,35 +27,25 @@ from neurad.integrators.focus import Focus
 from neurad.integrators.method import Method
 from neurad.integrators.radiometric import Radiometric
 from neurad.integrators.world import World
-from neurad.metrics.bar_maps import predict_bars
 from neurad.metrics.effort import Effort
 from neurad.metrics.error_bars import ErrorBars
-from neurad.metrics.held_out import HeldOut
-from neurad.metrics.held_out_scores import albedo_factors
-from neurad.metrics.lamp_scores import EXTRA, MISSED, lamp_scores, read_lamps_true
-from neurad.metrics.lamp_scores import Array as FloatArray64
-from neurad.metrics.view_residuals import view_residuals
-from neurad.optim.polyak_average import PolyakAverage, averaged
+from neurad.optim.polyak_average import PolyakAverage
 from neurad.optim.pyramid_adam import PyramidAdam
 from neurad.optim.sparse_row_adam import SparseRowAdam
-from neurad.runtime.clock import excluded, training_seconds
+from neurad.runtime.clock import excluded, processor_seconds, training_seconds
 from neurad.scene.description import Scene
 from neurad.scene.shining import Shining, kept
 from neurad.scene.textures import TrueMaterials
 from neurad.training.checkpoint import changed_light, fitted_lamps, fitting, scene_state
-from neurad.training.closing_step import EVERY as CLOSING_EVERY
-from neurad.training.closing_step import is_due as is_closing
-from neurad.training.closing_step import make_closing_step, progress_before
-from neurad.training.error_bars import error_bars
-from neurad.training.evaluate import Evaluation, UnknownLight, evaluate, unknown_light
+from neurad.training.evaluate import Evaluation
 from neurad.training.gradient_sync import GradientSync, ddp_ignored
 from neurad.training.guard import Guard, keep_in_run_folder
-from neurad.training.objective import make_objective
+from neurad.training.lit_scene import light_scene
 from neurad.training.optimizers import make_optimizers
-from neurad.training.schedule import Progress, fraction_done
-from neurad.training.shining_meshes import shining_meshes
-from neurad.training.step import Counters, TrainingStep
-from neurad.training.validation import SETTLED, is_due, said, shrink_levels, update_levels
+from neurad.training.schedule import Counters, fraction_done
+from neurad.training.scoring import Scoring
+from neurad.training.stages import LevelFilter
+from neurad.training.step import TrainingStep
 
 
 class InverseRenderer(L.LightningModule):
@@ -112,21 +100,20 @@ class InverseRenderer(L.LightningModule):
         )
         self.counters = Counters()
         self.seconds_before = 0.0
+        self.processor_before = 0.0, 0.0
         self.rays_before = 0
         self.processes = 1
         self._guard = Guard(self, self._keep)
-        self._held_out: HeldOut | None = None
-        self.effort = Effort()
-        """Of evaluations: what of the held-out views they look at. Set before a fit starts."""
-        self._light: UnknownLight | None = None
+        self.scoring = Scoring(self, self._guard)
         self.training_views: TrainingViews | None = None
         self.other_light: list[str] = []
         """What differs between the scene's light and that of the fit; nothing may in a fit that goes on."""
-        self._lamps_true: tuple[FloatArray64, int] | None = None
         self._shining: list[Shining] | None = None
         """Meshes that were found to shine; None where that is known."""
         self.begins_from: Path | None = None
         """The checkpoint that will be loaded; None in a fit from scratch."""
+        self.levels_found: str | None = None
+        """What the last evaluation of a fit found of noise in the levels of the fields, in words."""
         self._photographs = 0
         """Checksum of the photographs; 0 before they are read, and where they cannot change."""
 
@@ -160,45 +147,27 @@ class InverseRenderer(L.LightningModule):
             )
         # The trainer would make tensors on the GPU; parts are made on the CPU, the same ones everywhere, then moved.
         with torch.device("cpu"):
-            if self.settings.lighting.emitters == "find":
-                self._find_lamps()
-            if (lit := lit_scene(self.scene, self.settings.lighting, self._shining)) is not self.scene:
-                self.trainer.datamodule.relight(lit)  # type: ignore[attr-defined]
+            lit = light_scene(self.scene, self.photographs, self.settings, self.device, self.begins_from)
+            self._shining = lit.found
+            self._say(*lit.lines)
+            if lit.scene is not self.scene:
+                self.trainer.datamodule.relight(lit.scene)  # type: ignore[attr-defined]
             device = self.trainer.strategy.root_device
             made = assemble(self.scene, self.settings, self.photographs.has_alpha, device)
         # Of the world only a guide and an environment that is recovered have a state.
-        self.world, self.materials, self.average, self.radiance = (
-            made.world,
-            made.materials,
-            made.average,
-            made.radiance,
-        )
-        self.region, self.focus, self.development = made.region, made.focus, made.development
-        self._lamps_true = self._read_lamps_true()
+        self.world, self.materials, self.radiance = made.world, made.materials, made.radiance
+        self.average, self.region, self.focus, self.development = (
+            made.average, made.region, made.focus, made.development,
+        )  # fmt: skip
+        given = getattr(self.trainer.datamodule, "lamps_true", None)  # type: ignore[attr-defined]
+        self.scoring.read_lamps_true(given, found=self._shining is not None)
         if self._exchanges:
             self._ddp_params_and_buffers_to_ignore = ddp_ignored(self)  # DDP's own name for it
 
-    def _find_lamps(self) -> None:
-        """Find those meshes of the scene that photographs show to shine; in a run that goes on, those that it began
-        with.
-        """
-        found = shining_meshes(self.scene, self.photographs, self.settings, self.device, self.begins_from)
-        self._shining = found.lamps
-        if self.trainer.is_global_zero and found.lines:
-            print(*(f"neurad: {line}" for line in found.lines), sep="\n", file=sys.stderr)
-
-    def _read_lamps_true(self) -> tuple[FloatArray64, int] | None:
-        """What recovered lamps are scored against [m, 3], and how many others shine; None where nothing is given."""
-        path = getattr(self.trainer.datamodule, "lamps_true", None)  # type: ignore[attr-defined]
-        if path is None or (self.assembly.lamps is None and self._shining is None):
-            return None
-        wholes = {mesh.name: mesh.part_of for mesh in self.scene.meshes if mesh.part_of is not None}
-        return read_lamps_true(path, self._lamp_names(), self._shining is not None, wholes)
-
-    def _lamp_names(self) -> list[str]:
-        """Of the lamps that are recovered."""
-        lamps = self.assembly.lamps
-        return [] if lamps is None else [self.scene.meshes[index].name for index in lamps.mesh.tolist()]
+    def _say(self, *lines: str) -> None:
+        """Print lines, once for all processes."""
+        if self.trainer.is_global_zero and lines:
+            print(*(f"neurad: {line}" for line in lines), sep="\n", file=sys.stderr)
 
     @property
     def _exchanges(self) -> bool:
@@ -223,11 +192,6 @@ class InverseRenderer(L.LightningModule):
             return Estimator(self.world, self.materials, None, paths(self.scene))
         return Estimator(self.world, self.materials, self.radiance, self.settings.method)
 
-    @property
-    def environment(self) -> FittedEnvironment | None:
-        """The environment that is recovered; None where it is known."""
-        return self.assembly.environment
-
     def configure_optimizers(self) -> list[SparseRowAdam | PyramidAdam]:
         """One optimizer each for what is not known: albedo, roughness (if there is one to find), the environment, and
         radiance (if the method reads it).
@@ -240,13 +204,9 @@ class InverseRenderer(L.LightningModule):
         """Trace the camera rays of the training views, take the unit of radiance, and make the step."""
         self.processes = self.trainer.world_size
         begins = self.iteration == 0
-        if self.settings.materials == "fit" and self.scene.replaced and self.trainer.is_global_zero:
-            print(f"neurad: to be recovered as principled: {', '.join(self.scene.replaced)}", file=sys.stderr)
-        notes = (*self.scene.notes, *filter(None, [self.scene.scores_are_of]))
-        if self.trainer.is_global_zero and notes:
-            print(*(f"neurad: {note}" for note in notes), sep="\n", file=sys.stderr)
-        if self.trainer.is_global_zero and (left_out := self.region.sentence(self.scene)):
-            print(f"neurad: {left_out}", file=sys.stderr)
+        if self.settings.materials == "fit" and self.scene.replaced:
+            self._say(f"to be recovered as principled: {', '.join(self.scene.replaced)}")
+        self._say(*self.scene.notes, *filter(None, (self.scene.scores_are_of, self.region.sentence(self.scene))))
         with self.world.tracer.uncounted(not begins):  # a continued run counted its camera rays when it began
             views = prepare_views(self.assembly, self.photographs, self.device, check_brightness=begins)
         if self._photographs not in (0, views.checksum):
@@ -257,18 +217,18 @@ class InverseRenderer(L.LightningModule):
         self._photographs = views.checksum
         self.training_views = views
         with excluded(), self.world.tracer.uncounted():
-            self._held_out = self._make_held_out().read()
+            self.scoring.restart(self.scoring.effort)
+            self.scoring.held_out.read()
         self.step = TrainingStep(
             self.assembly,
-            make_objective(self.assembly, views),
+            views,
+            self.photographs,
             self._guard,
             self.counters,
             self.global_rank,
             self.processes,
             GradientSync(self, self._ddp_params_and_buffers_to_ignore) if self._exchanges else None,
             device=self.device,
-            photographs=self.photographs,
-            lamp_photographs=views.lamps,
         )
 
     def on_train_start(self) -> None:
@@ -281,49 +241,7 @@ class InverseRenderer(L.LightningModule):
         """One iteration of :class:`neurad.training.step.TrainingStep`."""
         for optimizer in self._optimizers()[1:]:  # the trainer counts the first one's steps: max_steps are iterations
             optimizer._on_before_step = optimizer._on_after_step = _nothing
-        done, correction = fraction_done(self.trainer), self.assembly.correction
-        progress = self._progress(done)
-        loss = self.step(batch, progress, self.manual_backward)
-        now = correction is not None and (self.processes == 1 or self.iteration % CLOSING_EVERY == 0)
-        if now and self.trainer.strategy.broadcast(is_closing(correction, progress)):
-            self.update_levels()  # noise that an albedo has copied hides what pixels say of the roughness
-            self._make_closing_step(done.seconds_by_time)
-        if progress < 1.0 and is_due(self.iteration):  # from then on rates are too low to bring signal back
-            assert self.training_views is not None
-            shrink_levels(self.assembly, self.training_views, self.photographs, self.iteration)
-        return loss
-
-    def update_levels(self) -> str | None:
-        """Fit the factors of the levels to the training pixels that are never drawn, where there are some; returns a
-        sentence on what was found.
-        """
-        if self.training_views is None:
-            return None
-        settled = self._progress(fraction_done(self.trainer)) >= SETTLED
-        return said(update_levels(self.assembly, self.training_views, self.photographs, self.iteration, settled))
-
-    def _progress(self, done: Progress) -> float:
-        """What learning rates go by: 1 or more at the end of the fit, or from its closing step on."""
-        if self.assembly.correction is None:
-            return done.largest
-        return progress_before(done, self.assembly.settings.roughness)
-
-    def _make_closing_step(self, seconds: float | None) -> None:
-        """Correct the roughness from all training pixels, see :mod:`neurad.training.closing_step`. The first process
-        does it for all, within the ``seconds`` that are left.
-        """
-        correction = self.assembly.correction
-        assert self.training_views is not None
-        assert correction is not None
-        if self.trainer.is_global_zero:
-            found = make_closing_step(
-                self.assembly, self.training_views, self.photographs, self.counters, self.processes, seconds
-            )
-            if found is not None:
-                print(f"neurad: {found.sentence()}", file=sys.stderr)
-        state = {name: value.cpu() for name, value in correction.state_dict().items()}
-        state = self.trainer.strategy.broadcast(state)
-        correction.load_state_dict(state)
+        return self.step(batch, fraction_done(self.trainer), self.manual_backward)
 
     def _optimizers(self) -> list[Any]:
         """The optimizers in the trainer's wrappers."""
@@ -354,6 +272,22 @@ class InverseRenderer(L.LightningModule):
         return self.seconds_before + training_seconds()
 
     @property
+    def processor_share(self) -> float:
+        """Fraction of the processor time that the fit's threads asked for which they got, by the seconds in which they
+        ran and in which they waited for others; 1 where the system does not tell.
+        """
+        used, waited = self._processor
+        return used / (used + waited) if used > 0.0 else 1.0
+
+    @property
+    def _processor(self) -> tuple[float, float]:
+        """Seconds in which the fit's threads ran and waited, earlier runs of a continued one included."""
+        if self.training_views is None:  # not in a fit
+            return self.processor_before
+        (used, waited), (before, waited_before) = processor_seconds(), self.processor_before
+        return used + before, waited + waited_before
+
+    @property
     def rays(self) -> int:
         """Rays cast so far by training."""
         return self.rays_before + self.processes * self.world.tracer.rays_cast
@@ -363,85 +297,20 @@ class InverseRenderer(L.LightningModule):
     def evaluate(
         self, render_spp: int = 4, glossy: bool = False, steady: bool = False, bars: ErrorBars | None = None
     ) -> Evaluation:
-        """Score the present materials and radiance field on held-out views; its rays and seconds do not count.
-
-        The arguments are those of :func:`neurad.training.evaluate.evaluate`.
-        """
-        if self._held_out is None:
-            self._held_out = self._make_held_out()
-        self._held_out.respond = None if self.development is None else self.development.respond
-        with averaged(self.average), self.world.tracer.uncounted():
-            if self._light is None and self.environment is not None:
-                self._light = unknown_light(self.scene, self.environment, self._held_out)
-            result = evaluate(self._held_out, self.estimator, render_spp, glossy, self._light, self.scene, steady, bars)
-            result.scores.update(self._lamp_scores(result))
-        self._guard.images(self.iteration, result.maps, [view.name for view in self._held_out.views])
-        return result
-
-    def _lamp_scores(self, found: Evaluation) -> dict[str, float]:
-        """Errors of lamps that are recovered, where the truth is given."""
-        lamps = self.assembly.lamps
-        if self._lamps_true is None or self._held_out is None:
-            return {}
-        truth, missed = self._lamps_true
-        if lamps is None:  # none was found
-            return {MISSED: float(missed), EXTRA: 0.0}
-        factors = albedo_factors(self._held_out, found.maps) if lamps.values.requires_grad else {}
-        scores = lamp_scores(lamps.found(), truth, self._lamp_names(), factors)
-        if self._shining is not None:
-            scores |= {MISSED: float(missed), EXTRA: float((~truth.any(-1)).sum())}
-        return scores
-
-    def error_bars(self) -> ErrorBars | None:
-        """Error bars of the present materials, see :func:`neurad.training.error_bars.error_bars`.
-
-        Raises:
-            InputError: outside of a fit the training photographs are read for it, and one is missing or wrong; or they
-                are of another light.
-        """
-        if self.other_light:
-            raise InputError("they are those of the light of the fit, which is another one here")
-        views = self.training_views
-        # The trainer tests in inference mode, in which nothing can be differentiated.
-        with torch.inference_mode(False), torch.no_grad(), averaged(self.average):
-            if views is None:
-                with self.world.tracer.uncounted():
-                    views = prepare_views(self.assembly, self.photographs, self.device, check_brightness=False)
-            return error_bars(self.assembly, views, self.photographs, self.counters)
-
-    def bar_maps(self, bars: ErrorBars) -> list[dict[str, FloatArray]]:
-        """``albedo_std`` and ``roughness_std`` of the held-out views, see :func:`predict_bars`."""
-        if self._held_out is None:
-            self._held_out = self._make_held_out()
-        assert isinstance(self.materials, FittedMaterials)
-        with averaged(self.average), self.world.tracer.uncounted():
-            return predict_bars(self._held_out, bars, self.materials)
-
-    def _make_held_out(self) -> HeldOut:
-        """The held-out views, as much of them as evaluations look at."""
-        grid, stride = self.effort.grid, self.effort.stride
-        return HeldOut(self.scene, self.world.geometry, self.world.tracer, grid, stride)
+        """Score held-out views, see :meth:`Scoring.evaluate`; in a fit what it would show if it ended now."""
+        if hasattr(self, "step"):
+            self.levels_found = LevelFilter.update(self.step, fraction_done(self.trainer))
+        return self.scoring.evaluate(render_spp, glossy, steady, bars)
 
     def on_fit_end(self) -> None:
         """Evaluations after a fit look at everything."""
-        if not self.effort.whole:
-            self.effort, self._held_out, self._light = Effort(), None, None
+        if not self.scoring.effort.whole:
+            self.scoring.restart(Effort())
 
     def validation_step(self, *_: Any) -> None:
         """Nothing a batch: the evaluation callback looks at all held-out views at once, after the loop."""
 
     test_step = predict_step = validation_step
-
-    def view_residuals(self) -> FloatArray | None:
-        """How far each training photograph is from what is recovered [views], see :func:`view_residuals`; its rays and
-        seconds do not count. None outside of a fit.
-        """
-        views = self.training_views
-        if views is None or views.sample is None:
-            return None
-        with averaged(self.average):
-            sample = views.sample if self.development is None else self.development(views.sample)
-            return view_residuals(self.estimator, views.primary, sample, self.settings.seed)
 
     # ---- checkpoints
 
@@ -451,10 +320,13 @@ class InverseRenderer(L.LightningModule):
             **scene_state(self.scene),
             "iteration": self.iteration,
             "seconds": self.train_seconds,
+            "processor_seconds": self._processor[0],
+            "waited_seconds": self._processor[1],
             "rays": self.rays,
             "samples": self.samples,
             "radiance_inputs": self._inputs,
             "photographs": self._photographs,
+            "hide_environment": self.world.hide_environment,
             **({} if self._shining is None else {"shining": kept(self._shining)}),
         }
 
@@ -467,16 +339,19 @@ class InverseRenderer(L.LightningModule):
         continues = self._trainer is None or self._trainer.state.fn == "fit"
         state = fitting(checkpoint, self.state_dict(), self.scene, self._inputs, continues=continues)
         self.counters.iteration = state["iteration"]
-        self.counters.samples = state.get("samples", 0)
+        self.counters.samples = state["samples"]
         self.rays_before = state["rays"]
         self.seconds_before = state["seconds"]
-        self._photographs = state.get("photographs", 0)
+        self.processor_before = state["processor_seconds"], state["waited_seconds"]
+        self._photographs = state["photographs"]
         if not continues:
             self._see_light(state)
 
     def _see_light(self, state: dict[str, Any]) -> None:
         """Take note of a light that is not that of the fit, and say so."""
-        self.other_light = changed_light(state, self.scene, self.environment is None, self.assembly.lamps is None)
+        self.other_light = changed_light(
+            state, self.scene, self.assembly.environment is None, self.assembly.lamps is None
+        )
         if self.other_light:
             if isinstance(self.materials, FittedMaterials):
                 know_lamps(self.materials, self.scene, self.world.geometry, fitted_lamps(state))

@@ -37,7 +37,6 @@ from neurad.integrators.method import RadianceEstimate
 from neurad.integrators.primary_hits import PrimaryHits
 from neurad.integrators.world import NonDeltaHit
 from neurad.losses.censored import leave_one_out_censored
-from neurad.losses.firefly import clamp_fireflies
 from neurad.losses.lamps import shown_lamps
 from neurad.losses.leave_one_out import ControlVariate
 from neurad.losses.relative import (
@@ -126,10 +125,6 @@ class ObjectiveStep:
 
     def __call__(self, batch: PixelBatch, stream: Stream) -> StepTerms:
         """Terms for a batch of photographed pixels."""
-        if batch.pixel_multiplier > 1:
-            return replace(self, sampling=self.sampling.split_over(batch.pixel_multiplier))(
-                replace(batch, pixel_multiplier=1), stream
-            )
         b, n, settings = len(batch.view), self.sampling.spp, self.settings
         taken = batch
         if self.development is not None:
@@ -162,7 +157,6 @@ class ObjectiveStep:
             field, extra = self._query(at.si, at_surface, sample, stream)  # [b * m, 3]
             lhs_image = at.attenuate(first_of(emitted.detach(), m, n) + at.si.where_hit(field)).view(b, m, 3)
             predicted = lhs_image.detach().mean(1)  # [b, 3]
-            batch = replace(batch, color=clamp_fireflies(batch.color, predicted, self.epsilon, settings.firefly_clamp))
 
         # Stage 5: losses. Where alpha is 0 nothing is photographed, even if a sample meets the edge of a surface.
         counts = (~self.emitter_mask[batch.view, batch.pixel] & (batch.alpha > 0)).float().unsqueeze(-1)  # [b, 1]

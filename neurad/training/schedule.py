@@ -11,6 +11,15 @@ from neurad.assembly.settings import Optimization
 from neurad.optim.schedule import cosine, warmup
 
 
+@dataclass
+class Counters:
+    """What a run has done so far."""
+
+    iteration: int = 0
+    samples: int = 0
+    """Path samples drawn: pixels x spp x samples per vertex, of all processes."""
+
+
 def rate_factor(settings: Optimization, iteration: int, progress: float) -> float:
     """What the learning rates are multiplied by.
 
@@ -53,17 +62,7 @@ class Progress:
     @property
     def seconds_by_time(self) -> float | None:
         """Seconds until the time limit; None without one, or before it began."""
-        return self._left(self.by_time)
-
-    @property
-    def seconds_left(self) -> float | None:
-        """Seconds until the nearer limit at the average speed so far; None if it is not known yet."""
-        left = [self._left(self.by_steps), self._left(self.by_time)]
-        return min((seconds for seconds in left if seconds is not None), default=None)
-
-    def _left(self, fraction: float | None) -> float | None:
-        """Seconds until a limit of which this fraction is used up."""
-        return self.seconds * (1 - fraction) / fraction if fraction else None
+        return self.seconds * (1 - self.by_time) / self.by_time if self.by_time else None
 
 
 def time_limit(trainer: pl.Trainer) -> float | None:

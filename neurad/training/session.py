@@ -1,4 +1,4 @@
-"""A training run without a trainer, for studies: the same parts and the same step."""
+"""A training run without a trainer, for benchmarks: the parts and the step of a fit."""
 
 from __future__ import annotations
 
@@ -8,16 +8,15 @@ import torch
 from torch import Tensor, nn
 
 from neurad.assembly.build import Assembly, assemble
-from neurad.assembly.lighting import lit_scene
 from neurad.assembly.settings import ModelSettings
 from neurad.assembly.training_views import prepare_views
 from neurad.core.protocols import PhotoSource
 from neurad.core.records import PixelBatch
 from neurad.scene.description import Scene
 from neurad.training.guard import Guard
-from neurad.training.objective import make_objective
+from neurad.training.lit_scene import light_scene
 from neurad.training.optimizers import make_optimizers
-from neurad.training.shining_meshes import shining_meshes
+from neurad.training.schedule import Progress
 from neurad.training.step import TrainingStep
 
 
@@ -37,12 +36,11 @@ class TrainingRun:
         self.optimizers = make_optimizers(assembly)
         self.step = TrainingStep(
             assembly,
-            make_objective(assembly, self.views),
+            self.views,
+            photographs,
             Guard(nn.ModuleDict(dict(assembly.modules()))),
             optimizers=self.optimizers,
             device=device,
-            photographs=photographs,
-            lamp_photographs=self.views.lamps,
         )
 
     @classmethod
@@ -63,9 +61,7 @@ class TrainingRun:
             device: where everything is to lie.
             emitters_train: as above; the materials of emitting surfaces are then fitted, too.
         """
-        finds = settings.lighting.emitters == "find"
-        lamps = shining_meshes(scene, photographs, settings, device).lamps if finds else None
-        scene = lit_scene(scene, settings.lighting, lamps)
+        scene = light_scene(scene, photographs, settings, device).scene
         assembly = assemble(scene, settings, photographs.has_alpha, device, not emitters_train)
         for _, part in assembly.modules():
             part.to(device)
@@ -80,12 +76,12 @@ class TrainingRun:
         """One iteration.
 
         Args:
-            progress: fraction of the run that is over, in [0, 1], for the learning rates.
+            progress: fraction of the run that is over, in [0, 1].
 
         Returns:
             The weighted sum of the losses.
         """
-        return self.step(self._batch(), progress)
+        return self.step(self._batch(), Progress(progress, None, 0.0))
 
     def _batch(self) -> PixelBatch:
         """The next batch, on the device of the parts."""

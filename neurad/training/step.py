@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import sys
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from typing import Any, Protocol
@@ -11,21 +10,19 @@ import torch
 from torch import Tensor, nn
 
 from neurad.assembly.build import Assembly
-from neurad.assembly.settings import ModelSettings
-from neurad.assembly.unknown_lamps import is_due, refresh_lamps
+from neurad.assembly.training_views import TrainingViews
 from neurad.core.protocols import PhotoSource
 from neurad.core.records import PixelBatch
 from neurad.core.rng import Stream
 from neurad.fields.mlp import MLP, products
 from neurad.losses.relative import total
-from neurad.metrics.photographed_lamps import LampPhotographs
 from neurad.runtime.threads import of_step
 from neurad.training.gradient_sync import GradientSync
 from neurad.training.guard import Guard, clip
 from neurad.training.guide_update import bin_guide_samples, update_guide
-from neurad.training.objective import ObjectiveStep, StepTerms
-from neurad.training.roughness_start import AFTER, BATCHES, choose_start
-from neurad.training.schedule import learning_rate, rate_factor
+from neurad.training.objective import StepTerms, make_objective
+from neurad.training.schedule import Counters, Progress, learning_rate, rate_factor
+from neurad.training.stages import AFTER_STEP, BEFORE, Stage, rate_progress
 
 
 class StepOptimizer(Protocol):
@@ -43,21 +40,13 @@ class StepOptimizer(Protocol):
 
 
 @dataclass
-class Counters:
-    """What a run has done so far."""
-
-    iteration: int = 0
-    samples: int = 0
-    """Path samples drawn: pixels x spp x samples per vertex, of all processes."""
-
-
-@dataclass
 class TrainingStep:
     """Losses, one backward pass whose gradients never meet, and a step of each optimizer.
 
     Attributes:
         assembly: what is trained.
-        objective: losses of a batch, from a random stream of their own.
+        views: the training views.
+        photographs: of them.
         guard: stops at the first number that is not finite.
         counters: carried on by a continued run.
         rank: number of this process; each has its own random streams.
@@ -66,12 +55,11 @@ class TrainingStep:
         optimizers: by the names of their learning rates. A trainer that wraps its optimizers sets the wrappers here
             before the first step.
         device: of the random streams.
-        photographs: of the training views, for a look at several roughnesses to begin with; None leaves it out.
-        lamp_photographs: what photographs show of lamps that are not known; None where all are.
     """
 
     assembly: Assembly
-    objective: Callable[[PixelBatch, Stream], StepTerms]
+    views: TrainingViews
+    photographs: PhotoSource
     guard: Guard
     counters: Counters = field(default_factory=Counters)
     rank: int = 0
@@ -79,24 +67,25 @@ class TrainingStep:
     sync: GradientSync | None = None
     optimizers: Mapping[str, StepOptimizer] = field(default_factory=dict)
     device: torch.device | str = "cpu"
-    photographs: PhotoSource | None = None
-    lamp_photographs: LampPhotographs | None = None
+    objective: Callable[[PixelBatch, Stream], StepTerms] = field(init=False)
+    """Losses of a batch, from a random stream of their own."""
     losses: dict[str, Tensor] = field(default_factory=dict, init=False)
     """Values of the last step's losses by name."""
 
     def __post_init__(self) -> None:
-        """See whether there are networks, whose matrix products take torch's threads."""
+        """Make the objective, and see whether there are networks, whose matrix products take torch's threads."""
+        self.objective = make_objective(self.assembly, self.views)
         parts: list[nn.Module] = [part for _, part in self.assembly.modules()]
         self._networks = any(isinstance(inner, MLP) for part in parts for inner in part.modules())
 
     def __call__(
-        self, batch: PixelBatch, progress: float, backward: Callable[[Tensor], None] = torch.autograd.backward
+        self, batch: PixelBatch, progress: Progress, backward: Callable[[Tensor], None] = torch.autograd.backward
     ) -> Tensor:
-        """One iteration.
+        """One iteration, with the stages that are due before and after it.
 
         Args:
             batch: pixels of the training views.
-            progress: fraction of the run that is over, or of the way to its closing step, for the learning rates.
+            progress: how much of the run is over.
             backward: accumulates the gradients of a scalar; a trainer brings its own.
 
         Returns:
@@ -105,33 +94,29 @@ class TrainingStep:
         Raises:
             NotFinite: a loss, gradient or weight is NaN or infinite.
         """
-        if self.counters.iteration == AFTER and self.photographs is not None:
-            self._choose_start(self.photographs)
+        self._run(BEFORE, progress)
         if self.assembly.focus is not None:
             batch = self.assembly.focus.choose(batch, self._stream(2))
-        settings = self.assembly.settings.for_batch(batch.pixel_multiplier)
+        settings = self.assembly.settings
         lanes = len(batch.view) * settings.sampling.spp * settings.sampling.samples_per_vertex  # path samples
         with of_step(lanes, self._networks):
-            loss = self._iterate(batch, settings, progress, backward)
+            loss = self._iterate(batch, rate_progress(self.assembly, progress), backward)
         passes = self.processes * (2 if settings.objective.estimator == "two_pass" else 1)
         self.counters.samples += passes * lanes
+        self._run(AFTER_STEP, progress)
         return loss
 
-    def _iterate(
-        self, batch: PixelBatch, settings: ModelSettings, progress: float, backward: Callable[[Tensor], None]
-    ) -> Tensor:
-        world = self.assembly.world
-        optimization, environment, counters = settings.optimization, self.assembly.environment, self.counters
-        lamps = self.assembly.lamps
+    def _run(self, stages: tuple[Stage, ...], progress: Progress) -> None:
+        for stage in stages:
+            if stage.due(self, progress):
+                stage.run(self, progress)
+
+    def _iterate(self, batch: PixelBatch, progress: float, backward: Callable[[Tensor], None]) -> Tensor:
+        world, optimization = self.assembly.world, self.assembly.settings.optimization
+        counters, lamps = self.counters, self.assembly.lamps
         # Stage 1: losses and gradients.
         for optimizer in self.optimizers.values():
             optimizer.zero_grad()
-        if environment is not None and counters.iteration % settings.lighting.refresh == 0:
-            environment.refresh()
-        if lamps is not None and self.lamp_photographs is not None and is_due(counters.iteration):
-            refresh_lamps(self.assembly, self.lamp_photographs, counters.iteration)
-        if lamps is not None and counters.iteration % settings.lighting.refresh == 0:
-            lamps.refresh()
         with products(optimization.matmul):
             terms = self.terms(batch)
             loss = total(terms.all)
@@ -162,18 +147,6 @@ class TrainingStep:
             self.assembly.average.update(counters.iteration)
         self.losses = {name: term.value for name, (_, term) in terms.all.items()}
         return loss.detach()
-
-    def _choose_start(self, photographs: PhotoSource) -> None:
-        """Let roughness begin where the loss is least, see :mod:`neurad.training.roughness_start`."""
-        roughness = self.assembly.settings.roughness
-        if not isinstance(self.objective, ObjectiveStep) or roughness.begin == "middle":
-            return
-        begin = self.counters.iteration
-        batches = (photographs.batch(i, self.rank).in_turn().to(self.device) for i in range(begin, begin + BATCHES))
-        key = self.assembly.settings.seed, begin, self.rank, 3
-        level = choose_start(self.objective, batches, key, self.sync is not None)
-        if level is not None and self.rank == 0:
-            print(f"neurad: roughness begins at {level}", file=sys.stderr)
 
     def terms(self, batch: PixelBatch) -> StepTerms:
         """The losses of this iteration; the same ones at every call until the weights move."""

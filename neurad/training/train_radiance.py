@@ -40,7 +40,6 @@ class UnphotographedPixels(PhotoSource):
         seed: of the draws.
     """
 
-    pixel_multiplier = 1
     has_alpha = False
     has_photographs = False
 

@@ -53,13 +53,14 @@ def _noise_alone(factors: Tensor) -> Tensor:
 
 def update_levels(
     assembly: Assembly, views: TrainingViews, photographs: PhotoSource, iteration: int, settled: bool
-) -> list[LevelFit] | None:
+) -> str | None:
     """Fit the factors of the averages' levels to the pixels that no batch draws, and keep them where that helps.
 
     While learning rates are high coarse levels are asked for changes that are not right, probably as the radiance field
     is that of the present materials and not of their averages: then only noise is taken out. Factors do not depend on
-    what they were before. Rays are not counted: the last of these passes is made wherever a run is stopped. None where
-    there are no such pixels or averages, or a field has no levels.
+    what they were before. Rays are not counted: the last of these passes is made wherever a run is stopped. Returns a
+    sentence on what was found; None where the finest levels are kept whole, where there are no such pixels or averages,
+    or where a field has no levels.
 
     Args:
         assembly: of the run.
@@ -74,7 +75,7 @@ def update_levels(
     found = _fit(assembly, views, batch, iteration)
     shown = [fit.factors if settled else _noise_alone(fit.factors) for fit in found or []]
     assembly.average.levels.set(shown or None)
-    return found
+    return _summary(found)
 
 
 def _fit(
@@ -103,7 +104,7 @@ def _fit(
     return found
 
 
-def said(found: list[LevelFit] | None) -> str | None:
+def _summary(found: list[LevelFit] | None) -> str | None:
     """A sentence on what was found; None if the finest levels are kept whole."""
     parts = [
         f"{float(fit.factors[-1]):.2f} of {name}'s finest level"

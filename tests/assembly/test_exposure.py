@@ -2,10 +2,10 @@
 
 import pytest
 
+from benchmarks.stress.fit import photographs, resized
+from benchmarks.stress.runs import fit
 from neurad.assembly.exposure import sentence_if_far
 from neurad.scene.builtin import build_cornell
-from neurad.studies.stress.fit import photographs, resized
-from neurad.studies.stress.runs import fit
 
 
 def never():

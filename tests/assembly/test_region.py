@@ -8,6 +8,7 @@ import torch
 from helpers.tiny_fit import checkpoint, fit, write_tiny_config
 from helpers.tiny_scene import PLY, write_scene
 
+from benchmarks.stress.scenes import with_material
 from neurad.assembly.build import assemble, build_world
 from neurad.assembly.region import training_region
 from neurad.cli import main
@@ -21,7 +22,6 @@ from neurad.fields.unit_cube import SHELL, UnitCube
 from neurad.runs.model_settings import model_settings
 from neurad.scene.builtin import build_cornell
 from neurad.scene.geometry import Geometry
-from neurad.studies.stress.scenes import with_material
 
 CORNELL = build_cornell()
 

@@ -1,20 +1,36 @@
 """metrics.csv, closing tables, pictures and the clock."""
 
+import json
+import math
+import os
+import re
+import subprocess
+import sys
 import time
+from pathlib import Path
 from types import SimpleNamespace
 
 import numpy as np
 import pytest
 from helpers.tiny_fit import fit, metrics, write_tiny_config
+from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
 from neurad.callbacks import pictures
 from neurad.callbacks.board import split_mark
+from neurad.callbacks.closing import busy
 from neurad.callbacks.evaluation import Evaluate
+from neurad.callbacks.report import Result, write_report
 from neurad.callbacks.table import COLUMNS, MetricsTable, curve_table, score_table
+from neurad.cli import main
+from neurad.core.decibels import as_json
+from neurad.metrics.unseen import Unseen
 from neurad.runtime import clock
 from neurad.runtime.tables import read_header
 from neurad.scene.image_io import read_bitmap, read_exr
-from neurad.training.inverse import InverseRenderer
+from neurad.training import scoring
+from neurad.training.stages import LevelFilter
+
+CASES = Path(__file__).resolve().parents[3] / "shared" / "cases"
 
 
 def row(iteration, **scores):
@@ -100,7 +116,7 @@ def test_a_sheet_holds_what_there_is():
 def test_views_are_written_linear_and_for_looking_at(tmp_path):
     maps = views()
     maps[0]["seen"] = np.array([[[0.0], [0.5], [1.0], [1.0], [1.0]]] * 2, np.float32)
-    pictures.write_views(tmp_path / "images", maps)
+    pictures.write_views(tmp_path / "images", maps, 1.0)
     names = {f"a_{kind}.{end}" for kind in ("render", "albedo", "roughness") for end in ("exr", "png")}
     names |= {"a_seen.png", "a_sheet.png"}
     assert {p.name for p in (tmp_path / "images").iterdir()} == names
@@ -119,6 +135,48 @@ def test_the_clock_stands_still_during_evaluation():
         time.sleep(0.05)
         assert clock.training_seconds() == inside
     assert clock.training_seconds() < 0.05
+
+
+def test_processor_time_stands_still_during_evaluation_and_is_nothing_while_it_is_held(monkeypatch):
+    now = [10.0, 1.0]
+    monkeypatch.setattr(clock, "_processor", lambda: tuple(now))
+    clock.hold()
+    assert (clock.training_seconds(), clock.processor_seconds()) == (0.0, (0.0, 0.0))
+    clock.restart()
+    now[:] = 13.0, 2.0
+    with clock.excluded():
+        now[:] = 20.0, 7.0
+        assert clock.processor_seconds() == (3.0, 1.0)
+    now[:] = 21.0, 9.0
+    assert clock.processor_seconds() == (4.0, 3.0)
+
+
+@pytest.mark.skipif(not Path("/proc/self/schedstat").exists(), reason="the system does not report it")
+def test_waiting_for_a_processor_that_something_else_has_is_noticed():
+    usable = os.sched_getaffinity(0)
+    one = {min(usable)}
+    code = f"import os\nos.sched_setaffinity(0, {one})\nprint(flush=True)\nwhile True: pass"
+    other = subprocess.Popen([sys.executable, "-c", code], stdout=subprocess.PIPE)
+    try:
+        other.stdout.readline()
+        os.sched_setaffinity(0, one)
+        clock.restart()
+        end = time.monotonic() + 0.5
+        while time.monotonic() < end:
+            pass
+        used, waited = clock.processor_seconds()
+    finally:
+        other.kill()
+        other.wait()
+        os.sched_setaffinity(0, usable)
+    assert used + waited == pytest.approx(0.5, abs=0.2)
+    assert waited > 0.1
+
+
+def test_the_end_of_a_fit_says_what_it_got_of_a_busy_processor():
+    module = SimpleNamespace(iteration=285, training_views=None, seconds_before=240.2, processor_share=0.28)
+    assert busy(module).startswith("285 iterations in 240 s: the fit got 28 % of the processor time that it asked for")
+    assert busy(SimpleNamespace(processor_share=0.88)) == ""
 
 
 def test_the_first_evaluation_counts_for_what_the_second_takes():
@@ -150,10 +208,43 @@ def test_when_evaluations_are_due(monkeypatch):
     assert due == [1, 4, 10, 14, 17]
 
 
+def test_what_is_exact_is_called_so_in_tables_files_and_pages(tmp_path):
+    scores = {"albedo_psnr": 30.0, "albedo_psnr_constant": 15.0, "albedo_mape": 0.1, "albedo_mape_constant": 0.4}
+    scores |= {"roughness_psnr": 26.0, "roughness_psnr_constant": math.inf, "roughness_psnr_lookup": math.inf}
+    table = MetricsTable(tmp_path / "metrics.csv")
+    for iteration in (1, 2):
+        table.append({"iteration": iteration, "seconds": iteration, "rays": 1, "samples": 1, **scores})
+    assert table.rows()[-1]["roughness_psnr_constant"] == math.inf
+    report = Result("a run", [], scores, [], Unseen([]), rows=table.rows())
+    write_report(tmp_path / "report.html", report)
+    page = (tmp_path / "report.html").read_text()
+    assert "best constant: exact</span>" in page  # in the key of the chart, as no axis has a place for it
+    said = score_table(scores | {"roughness_psnr": math.inf}, 0)
+    said += curve_table([table.rows()[0] | {"albedo_psnr": math.inf}])
+    assert said.count("exact") == 4
+    written = [page, said, (tmp_path / "metrics.csv").read_text()]
+    assert not re.search(r"\b(inf|nan|infinity)\b", " ".join(written), re.I)
+    assert json.dumps([as_json(x) for x in (1.5, math.inf, math.nan)]) == '[1.5, "exact", null]'
+
+
+@pytest.mark.main
+@pytest.mark.skipif(not (CASES / "one_roughness").is_dir(), reason="the shared cases are not here")
+def test_a_room_whose_roughness_colour_tells_ends_with_a_report(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    limits = ["--trainer.max_time=null", "--trainer.max_steps=3", "--trainer.accelerator=cpu"]
+    main(["fit", "--config", "scene.yaml", f"--data.root={CASES / 'one_roughness'}", *limits])
+    run = Path("lightning_logs/version_0")
+    assert "true colour&#x27;s lookup: exact" in (run / "report.html").read_text()
+    assert MetricsTable(run / "metrics.csv").rows()[-1]["roughness_psnr_lookup"] == math.inf
+    events = EventAccumulator(str(run / "one_roughness-true-colours-lookup")).Reload()
+    (event,) = events.Tensors("fit/roughness_psnr/text_summary")
+    assert event.tensor_proto.string_val == [b"exact"]
+
+
 def test_closing_table_has_the_lookup_by_colour_where_there_is_one():
     scores = {"roughness_psnr": 26.0, "roughness_psnr_constant": 21.0, "roughness_psnr_lookup": 31.4}
     lines = score_table(scores, 4).splitlines()
-    assert [line.split()[-5] for line in lines[2:]] == ["26.00", "21.00", "31.40"]
+    assert [line.split()[-3] for line in lines[2:]] == ["26.00", "21.00", "31.40"]
     assert lines[-1].startswith("true colour's lookup")
     assert "lookup" not in score_table({"albedo_psnr": 30.0, "albedo_psnr_constant": 15.0}, 4)
 
@@ -167,16 +258,20 @@ def test_what_needs_no_fit_is_told_apart_from_the_run():
 def test_every_score_is_of_factors_of_the_levels_that_were_just_fitted(tmp_path, monkeypatch):
     """What is shown of a run depends on these factors, so every row has to come after them; the end is scored once."""
     calls = []
-    for name in ("update_levels", "evaluate"):
-        whole = getattr(InverseRenderer, name)
+    update, score = LevelFilter.update, scoring.evaluate
 
-        def noted(self, *args, name=name, whole=whole, **kwargs):
-            calls.append((name, self.iteration))
-            return whole(self, *args, **kwargs)
+    def updated(training, progress):
+        calls.append(("levels", training.counters.iteration))
+        return update(training, progress)
 
-        monkeypatch.setattr(InverseRenderer, name, noted)
+    def scored(*args):
+        calls.append("scores")
+        return score(*args)
+
+    monkeypatch.setattr(LevelFilter, "update", staticmethod(updated))
+    monkeypatch.setattr(scoring, "evaluate", scored)
     monkeypatch.chdir(tmp_path)
     write_tiny_config(trainer={"max_steps": 4}, evaluation={"every_n_steps": 2})
     fit()
-    assert calls == [("update_levels", 2), ("evaluate", 2), ("update_levels", 4), ("evaluate", 4)]
+    assert calls == [("levels", 2), "scores", ("levels", 4), "scores"]
     assert [row["iteration"] for row in metrics()] == ["2", "4"]

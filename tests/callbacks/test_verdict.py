@@ -1,5 +1,7 @@
 """What scores mean in words, and what no photograph shows."""
 
+import math
+
 import numpy as np
 
 from neurad.callbacks.verdict import verdict
@@ -26,6 +28,18 @@ def test_what_is_below_the_best_constant_is_said_in_words():
     assert "where no photograph looks" in seen.warnings[0]
     both = verdict(scores | {"roughness_psnr_seen": 15.0, "roughness_psnr_constant_seen": 16.0})
     assert both.warnings[0].endswith("Do not rely on it.")
+
+
+def test_nothing_is_called_wrong_for_not_being_above_a_constant_that_is_exact():
+    exact = {"roughness_psnr_constant": math.inf, "roughness_psnr_constant_seen": math.inf}
+    found = verdict(GOOD | exact | {"roughness_psnr": 26.0, "roughness_psnr_seen": 26.0})
+    assert "roughness is the same everywhere (26.0 dB; the best constant is exact)" in found.sentence
+    assert found.warnings == []
+    rounded = verdict(GOOD | {"roughness_psnr": 26.0, "roughness_psnr_constant": 76.3})  # half floats
+    assert "roughness is the same everywhere (26.0 dB; the best constant has 76.3)" in rounded.sentence
+    both = verdict(GOOD | exact | {"roughness_psnr": math.inf})
+    assert "roughness is the same everywhere (exact; the best constant is exact)" in both.sentence
+    assert "albedo closely follows the truth (exact; the" in verdict(GOOD | {"albedo_psnr": math.inf}).sentence
 
 
 def test_what_is_below_in_a_part_of_the_views_is_said_too():

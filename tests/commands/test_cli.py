@@ -127,7 +127,6 @@ def test_bad_input_is_one_sentence_and_leaves_nothing(tiny, capfd, args, said):
         ("model.method.init_args.k=0", "--model.method.init_args.k: 0 is out of range, it must be at least 1"),
         ("data.patches=0", "--data.patches"),
         ("data.patch_size=-1", "--data.patch_size"),
-        ("data.pixel_multiplier=3", "--data.pixel_multiplier"),
         ("data.resident=0", "--data.resident"),
         ("data.scene=ktchen", "ktchen"),
         ("model.sampling.specular_fraction=1", "model.sampling.specular_fraction"),

@@ -206,7 +206,7 @@ def test_a_lens_may_fold_over_where_a_mask_leaves_it_out(place, kept, capfd):
         if kept == "one pixel more" and index == 1:
             mask[tuple(np.argwhere(lost)[-1])] = True
         frame |= {} if kept == "no mask" else {"mask_path": f"{index}.png"}
-        Image.fromarray(mask.astype(np.uint8) * 255).save(source / f"{index}.png")
+        Image.fromarray(mask.astype(np.uint8) * 255).save(source / f"{index}.PNG")  # in another case, and found
         masks.append(mask)
     (source / "transforms.json").write_text(json.dumps(described))
     mesh = layouts.write_mesh(place / "mesh")
@@ -583,11 +583,11 @@ MESHES = {
     "no file": (None, "none.obj", r"none\.obj: there is no such mesh file"),
     "another kind": (b"x", "a.fbx", r"a\.fbx: it is no mesh that can be read; export it as one of \.obj, \.ply, \.stl"),
     "empty OBJ": (b"", "a.obj", r"a\.obj: it (has no triangle|cannot be read as OBJ)"),
-    "words": (b"v a b c\nf 1 2 3\n", "a.obj", r"a\.obj: it cannot be read as OBJ"),
-    "corners that there are not": (b"v 0 0 0\nf 1 2 9\n", "a.obj", r"a\.obj: it cannot be read as OBJ"),
+    "words": (b"v a b c\nf 1 2 3\n", "a.obj", r"a\.obj: line 1 is 'v a b c', neither a vertex"),
+    "corners that there are not": (b"v 0 0 0\nf 1 2 9\n", "a.obj", r"a\.obj: face 1 names vertex 2, of 1 \(numbered"),
     "NaN": (b"v nan 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n", "a.obj", r"a\.obj: the coordinates of a: 1 of 9 values are not"),
     "far away": (b"v 1e30 0 0\nv 1 0 0\nv 0 1 0\nf 1 2 3\n", "a.obj", r"a\.obj: the coordinates of a: 1 of 9 values"),
-    "garbage PLY": (b"\xff" * 100, "a.ply", r"a\.ply: it cannot be read as PLY"),
+    "garbage PLY": (b"\xff" * 100, "a.ply", r"a\.ply: it is not a PLY file"),
     "garbage STL": (b"\xff" * 10, "a.stl", r"a\.stl: it (cannot be read as STL|has no triangle)"),
     "a folder": (..., "a.obj", r"a\.obj: it is a folder, not a file"),
 }  # fmt: skip

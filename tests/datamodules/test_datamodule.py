@@ -10,7 +10,7 @@ import pytest
 import torch
 from helpers.tiny_scene import SIZE, read_json, write_json, write_scene
 
-from datamodules.pixels import VISITS, blurred, multiplier_at
+from datamodules.pixels import blurred
 from datamodules.scene_data import SceneData
 from neurad.core.errors import InputError
 from neurad.core.patch_sampler import PatchSampler
@@ -104,32 +104,6 @@ def test_draws_have_no_order_that_follows_the_image():
     assert abs(float((pixel.diff() < 0).double().mean()) - 0.5) < 5 / (12 * 128 * 128) ** 0.5
 
 
-def test_batches_with_a_larger_multiplier_come_first():
-    """Each pixel_multiplier draws every patch as often as the schedule says, and no draw is skipped or taken twice."""
-    total, patches = 1000, 16
-    sizes, expected = [], 0
-    for iteration in range(800):
-        pixel_multiplier, first = multiplier_at(iteration, patches, 4, total)
-        assert first == expected
-        expected += pixel_multiplier * patches
-        sizes.append(pixel_multiplier)
-    assert sizes == sorted(sizes, reverse=True)
-    for pixel_multiplier, visits in ((4, VISITS), (2, 2 * VISITS)):
-        assert (
-            visits * total
-            <= sizes.count(pixel_multiplier) * pixel_multiplier * patches
-            < visits * total + pixel_multiplier * patches
-        )
-    assert sizes[-1] == 1
-    assert multiplier_at(7, patches, 1, total) == (1, 7 * patches)
-
-
-def test_a_batch_with_a_multiplier_has_more_pixels_and_says_so(folder):
-    data = ready(folder, patches=8, pixel_multiplier=4)
-    assert (len(data.batch(0).view), data.batch(0).pixel_multiplier) == (32, 4)
-    assert (len(data.batch(1000).view), data.batch(1000).pixel_multiplier) == (8, 1)
-
-
 def test_means_are_over_the_five_by_five_pixels_around():
     """A mean over 5 x 5 pixels, over the covered ones where there is an alpha."""
     image = torch.arange(48.0).view(1, 48, 1).expand(1, 48, 3).contiguous()
@@ -162,6 +136,39 @@ def test_at_least_half_of_the_pixels_are_foreground(folder, patch_size):
         assert (batch.alpha > 0).float().mean() >= 0.5
         assert set(batch.view.tolist()) == {1, 2}, "a view without foreground says nothing"
     assert data.dataset_stats().mean_square_radiance == pytest.approx((0.25 + 0.0625 + 1) / 3, rel=1e-3)
+
+
+@pytest.mark.parametrize("alpha", [1.0, 0.9995, 1.001])
+def test_alpha_of_one_everywhere_says_nothing(folder, alpha):
+    plain = ready(folder)
+    for view in plain.scene.train:
+        whole = np.concatenate((read_exr(view.image), np.full((SIZE, SIZE, 1), alpha, np.float32)), -1)
+        write_exr(view.image, whole, half=False)
+    for resident in (None, 1):
+        data = ready(folder, resident=resident)
+        assert not data.has_alpha
+        assert torch.equal(torch.stack([data._streamed(i) for i in range(3)]), plain.photographs)
+        assert data.dataset_stats().covered == ()
+
+
+@pytest.mark.parametrize("resident", [None, 2])
+def test_alpha_of_some_photographs_counts_and_is_said(folder, resident, capsys):
+    """One without alpha, one where it is 1, and one where it is 0 somewhere."""
+    colours = ready(folder).photographs
+    for i, alpha in ((1, np.ones((SIZE, SIZE, 1), np.float32)), (2, np.eye(SIZE, dtype=np.float32)[..., None])):
+        path = folder / f"images/train_{i}.exr"
+        write_exr(path, np.concatenate((read_exr(path)[..., :3] * alpha, alpha), -1), half=False)
+    data = ready(folder, resident=resident)
+    assert data.has_alpha
+    read = data._streamed if data.streams else data._resident
+    images = torch.stack([read(i) for i in range(3)])
+    assert torch.equal(images[:2, :, :3], colours[:2])
+    assert bool((images[:2, :, 3] == 1).all())
+    assert torch.equal(images[2, :, 3], torch.eye(SIZE).flatten())
+    data.dataset_stats()
+    data.dataset_stats()
+    said = "alpha is 1 everywhere in 2 of 3 photographs (train_0, train_1) and below it in others"
+    assert capsys.readouterr().err.count(said) == 1
 
 
 def test_few_foreground_pixels_are_still_found(folder):
@@ -279,7 +286,6 @@ BAD = {
     "infinite": (photograph(value=np.inf), r"train_1\.exr: it has pixels that are NaN or infinite"),
     "negative": (photograph(value=-1.0), r"train_1\.exr: it has negative pixels"),
     "size": (photograph(height=9), r"train_1\.exr: it has 8 x 9 pixels, its camera 8 x 8"),
-    "alpha in one only": (photograph(channels=4), r"train_1\.exr: it has 4 channels, but .*train_0\.exr has 3"),
     "grey": (photograph(channels=1), r"train_1\.exr: a photograph has channels RGB or RGBA"),
     "no picture": (lambda f: (f / "images/train_1.exr").write_text("x"), r"train_1\.exr: it cannot be read"),
     "black": (black, "scene room: every training photograph is black"),
@@ -298,8 +304,6 @@ def test_bad_options_are_named(folder):
     for name in ("patches", "patch_size"):
         with pytest.raises(InputError, match=rf"SceneData\.{name}: 0 is out of range"):
             SceneData(str(folder), **{name: 0})
-    with pytest.raises(InputError, match=r"--data\.pixel_multiplier: 3 is not a power of two"):
-        SceneData(str(folder), pixel_multiplier=3)
     with pytest.raises(InputError, match=r"--data\.patch_size: 9 does not fit in photographs of 8 x 8"):
         ready(folder, patch_size=9)
     with pytest.raises(InputError, match="exactly one of"):

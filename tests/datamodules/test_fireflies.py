@@ -6,10 +6,10 @@ import torch
 from helpers.tiny_fit import fit, write_tiny_config
 from helpers.tiny_scene import SIZE, write_scene
 
+from benchmarks.photos import PhotosInMemory
 from datamodules.fireflies import RATIO, WORTH, Fireflies, spread_fireflies
 from datamodules.scene_data import SceneData
 from neurad.scene.image_io import read_exr, write_exr
-from neurad.studies.photos import PhotosInMemory
 
 WIDTH, HEIGHT = 40, 30
 

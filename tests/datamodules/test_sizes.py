@@ -5,12 +5,14 @@ import math
 from dataclasses import replace
 
 import numpy as np
+import OpenEXR
 import pytest
 import torch
 from helpers.small_step import small_scene
 from helpers.tiny_scene import POSE, write_json, write_scene
 from PIL import Image
 
+from benchmarks.peer.fit import _photographs
 from datamodules.pixels import blurred
 from datamodules.scene_data import SceneData
 from neurad.assembly.build import build_world
@@ -27,7 +29,6 @@ from neurad.metrics.held_out_scores import score
 from neurad.scene.geometry import Geometry
 from neurad.scene.image_io import read_exr, write_exr
 from neurad.scene.load import load_scene
-from neurad.studies.peer.fit import _photographs
 from neurad.tracing.embree import EmbreeTracer
 
 SIZES = [(8, 6), (5, 9), (8, 6), (12, 4)]
@@ -170,6 +171,30 @@ def test_masked_pixels_are_not_scored(folder):
         wrong = held_out.truth(0)["photograph"] + black[..., None].astype(np.float32)
         scores.append(score(held_out, [{}], [wrong])["psnr_linear"])
     assert scores == [math.inf, pytest.approx(10 * math.log10(3.0))]
+
+
+def test_pixels_outside_the_data_window_take_no_part(folder):
+    """Beside those of a mask; of a photograph whose file has 5 x 4 of its 8 x 6 pixels."""
+    image = np.random.default_rng(1).random((4, 5, 3), np.float32)
+    header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
+    header |= {"dataWindow": ((1, 1), (5, 4)), "displayWindow": ((0, 0), (7, 5))}
+    OpenEXR.File(header, {"RGB": image}).write(str(folder / "images/train_2.exr"))
+    outside = np.ones((6, 8), bool)
+    outside[1:5, 1:6] = False
+    data = ready(folder)
+    assert data.ignored()[2].view(6, 8).numpy().tolist() == outside.tolist()
+    assert not data.ignored()[[0, 1, 3]].any()
+    black = np.zeros((6, 8), bool)
+    black[:, :3] = True
+    masked(folder, 2, black)
+    data = ready(folder)
+    assert data.ignored()[2].view(6, 8).numpy().tolist() == (outside | black).tolist()
+    inside = data.photographs[2, :48].view(6, 8, 3)[~outside]
+    np.testing.assert_array_equal(inside, image.reshape(-1, 3))
+    scene = load_scene(str(folder), None)
+    geometry = Geometry(scene)
+    held_out = HeldOut(replace(scene, test=scene.train[2:3]), geometry, EmbreeTracer(geometry.vertices, geometry.faces))
+    np.testing.assert_array_equal(held_out.kept(0), ~(outside | black))
 
 
 def test_what_takes_one_size_says_so(folder):

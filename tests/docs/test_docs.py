@@ -15,8 +15,8 @@ import pytest
 import yaml
 from helpers.pages import DOCS, PAGES, REPOSITORY, pages, without_blocks
 
+from benchmarks.bench.verb import BENCHMARKS
 from neurad.cli import LIGHTNING_VERBS, OWN_VERBS, main, split_settings
-from neurad.commands.bench import BENCHMARKS
 from neurad.runs.configs import load_config, split_arguments
 
 SOURCES = [path for top in ("neurad", "datamodules") for path in sorted((REPOSITORY / top).rglob("*.py"))]

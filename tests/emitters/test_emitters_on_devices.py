@@ -14,7 +14,7 @@ from neurad.assembly.build import build_world
 from neurad.core.records import PunctualLight
 from neurad.core.rng import Stream
 from neurad.emitters.fitted import FittedEnvironment
-from neurad.scene.builtin import build_cornell, build_patterns
+from neurad.scene.builtin import build, build_cornell
 
 N = 3000
 PUNCTUAL = (
@@ -34,7 +34,7 @@ def lights_of(name):
             light.values.copy_(torch.randn(16 * 8, 3))
         light.refresh()
         return build_world(object_scene(sky()), fitted=light)
-    scene = build_patterns() if name == "both" else build_cornell()
+    scene = build("patterns") if name == "both" else build_cornell()
     if name == "points":
         scene = replace(scene, meshes=[replace(mesh, radiance=None) for mesh in scene.meshes], punctual=PUNCTUAL)
     if name == "all":

@@ -4,13 +4,13 @@ import pytest
 from helpers.clients import Validator, cache_folder
 from helpers.exported import exported
 
-from neurad.scene.builtin import build_patterns
+from neurad.scene.builtin import build
 
 
 @pytest.fixture(scope="session")
 def kitchen():
     """The built-in patterned kitchen."""
-    return build_patterns()
+    return build("patterns")
 
 
 @pytest.fixture(scope="session")

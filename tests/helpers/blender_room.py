@@ -1,9 +1,9 @@
 """For Blender's Python: a small furnished room as a .blend file, and its photographs by Cycles.
 
 Its argument is a JSON file that describes the job: ``blend`` to write, ``views``, ``size``, ``samples``, ``threads``,
-and ``pictures``, a folder that gets NAME.exr of each view. With ``open`` the room is Lambertian and without a ceiling,
-below a sky that is turned and a sun, with a spot, a point, a box that shines, a carpet with a picture that lies askew,
-and pots that nodes put there.
+and ``pictures``, a folder that gets NAME.exr of each view, with ``passes`` as layers of one file. With ``open`` the
+room is Lambertian and without a ceiling, below a sky that is turned and a sun, with a spot, a point, a box that shines,
+a carpet with a picture that lies askew, and pots that nodes put there.
 """
 
 import json
@@ -242,6 +242,10 @@ def settings(job):
     scene.render.resolution_percentage = 100
     form = scene.render.image_settings
     form.file_format, form.color_mode, form.color_depth = "OPEN_EXR", "RGB", "32"
+    if job.get("passes", False):
+        form.file_format, form.color_mode, form.color_depth = "OPEN_EXR_MULTILAYER", "RGBA", "16"
+        layer = bpy.context.view_layer
+        layer.use_pass_z = layer.use_pass_normal = layer.use_pass_diffuse_color = True
 
 
 def main(job):

@@ -77,6 +77,14 @@ def test_nothing_is_wrong_with_the_cornell_box(tmp_path, capsys):
     assert all(row["exposure"] == "" for row in rows[8:])
 
 
+def test_a_hole_in_a_scan_is_told():
+    """Without a triangle of a wall, of which the photographs show all."""
+    scene = builtin.build("cornell")
+    meshes = [replace(m, faces=m.faces[1:]) if m.name == "back" else m for m in scene.meshes]
+    found = said(checked_scene(replace(scene, meshes=meshes), source))
+    assert "the mesh has holes" in found[""]["holes"]
+
+
 def test_each_damaged_view_is_named(tmp_path):
     """A turned camera, another frame, a camera in a block; mirrored, foreign and clipped photographs."""
     scene = builtin.build("cornell")

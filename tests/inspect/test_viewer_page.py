@@ -1,11 +1,8 @@
 """``neurad view`` as a person has it: the page in Chromium, its pictures, sliders and read-out."""
 
-import contextlib
-import ctypes
 import re
 import shutil
 import socket
-import threading
 import time
 from io import BytesIO
 from pathlib import Path
@@ -13,10 +10,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 from helpers.tiny_fit import fails
+from helpers.viewed import viewed
 from PIL import Image
 
 import neurad
-from neurad.cli import main
 from neurad.runs.follow import Followed
 from neurad.training.checkpoint_file import write_checkpoint
 
@@ -24,38 +21,6 @@ pytest.importorskip("viser")
 
 CANVAS = {"x": 40, "y": 180, "width": 500, "height": 400}
 """Part of the window that neither controls cover nor what is said of missing graphics hardware."""
-
-
-@contextlib.contextmanager
-def viewed(*words):
-    """``neurad view`` on another thread until the block ends; gives the viewer."""
-    from neurad.inspect.viewer import Viewer
-
-    running, ended = [], []
-    run = Viewer.run
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(Viewer, "run", lambda self: (running.append(self), run(self)))
-
-        def work():
-            try:
-                main(["view", *words])
-            except BaseException as error:  # what a process would end with
-                ended.append(error)
-
-        thread = threading.Thread(target=work)
-        thread.start()
-        while not running and thread.is_alive():
-            time.sleep(0.02)
-        if ended:
-            raise ended[0]
-        try:
-            yield running[0]
-        finally:
-            interrupt = ctypes.py_object(KeyboardInterrupt)  # as Ctrl-C does
-            ctypes.pythonapi.PyThreadState_SetAsyncExc(ctypes.c_ulong(thread.ident), interrupt)
-            thread.join(30)
-            assert not thread.is_alive()
-            assert ended == []
 
 
 def listening(port):
@@ -114,7 +79,7 @@ class Page:
 @pytest.mark.main
 def test_the_page(viewed_run, look_at):
     with viewed("--ckpt_path", str(viewed_run), "--port", "0") as viewer:
-        port = int(viewer.address.rpartition(":")[2])
+        port = int(viewer.address.split(":")[2].partition("/")[0])
         assert listening(port) == ["0100007F"]  # 127.0.0.1
         page = Page(look_at(viewer.address, width=1000, height=640))
         page.wait("samples a pixel")
@@ -180,7 +145,7 @@ def test_a_run_that_trains_on_and_then_is_gone(viewed_run, tmp_path, look_at, mo
     from neurad.inspect import viewer as module
 
     monkeypatch.setattr(module, "CHECKS", 0.1)
-    place = shutil.copytree(viewed_run, tmp_path / "version_0")
+    place = shutil.copytree(viewed_run, tmp_path / "`<b id=evil>`")  # Markdown on the page
     with viewed("--ckpt_path", str(place), "--port", "0") as viewer:
         page = Page(look_at(viewer.address, width=1000, height=640))
         page.wait("samples a pixel")
@@ -192,6 +157,8 @@ def test_a_run_that_trains_on_and_then_is_gone(viewed_run, tmp_path, look_at, mo
         page.wait("iteration 61")
         shutil.rmtree(place)
         page.wait("is gone")
+        assert page.text().count("<b id=evil>") == 2  # in the title and in the warning
+        assert page.page.locator("#evil").count() == 0
         assert page.settled().std() > 2
         (guest,) = viewer.guests.values()
         frames = guest.frames

@@ -20,8 +20,8 @@ from neurad.inspect.refine import Refiner, Request, Room, warm_up
 from neurad.inspect.still import Look
 from neurad.integrators.film import render
 from neurad.metrics.seen import SeenBy
-from neurad.pages.colours import encode, exposure
-from neurad.scene.photographs import read_photograph
+from neurad.pages.colours import encode
+from neurad.scene.exposure import scene_exposure
 
 SIDE, SPP = 256, 1024
 
@@ -53,8 +53,7 @@ def camera(room):
 @pytest.fixture
 def factor(room):
     """Exposure that the page shows the run with."""
-    photographs = [read_photograph(view.image)[..., :3] for view in room.run.scene.train[:8]]
-    return exposure([{"photograph": photograph} for photograph in photographs])
+    return scene_exposure(room.run.scene)
 
 
 def psnr(shown, reference):

@@ -10,6 +10,7 @@ from helpers.object_scene import object_scene, sky
 from helpers.oracles import accept, z_test_samples
 from helpers.random_vertices import one_sided, random_vertices
 
+from benchmarks.stress.parts import glossy
 from neurad.assembly.build import build_world
 from neurad.core.camera import camera_rays
 from neurad.core.records import Surface
@@ -20,7 +21,6 @@ from neurad.integrators.renderer import path_tracer
 from neurad.integrators.vertex import DIMENSIONS
 from neurad.scene.builtin import build_cornell, build_furnace
 from neurad.scene.textures import TrueMaterials
-from neurad.studies.stress.parts import glossy
 
 N = 4000
 SCENES = {

@@ -7,6 +7,9 @@ import torch
 from helpers.oracles import accept
 from scipy.stats import chisquare, norm
 
+from benchmarks.stress.fit import photographs, resized
+from benchmarks.stress.parts import glossy
+from benchmarks.stress.runs import fit
 from neurad.assembly.build import build_world
 from neurad.assembly.settings import Sampling
 from neurad.bsdf.principled import Principled
@@ -23,9 +26,6 @@ from neurad.integrators.prb import PRB
 from neurad.integrators.radiometric import Radiometric
 from neurad.integrators.vertex import DIMENSIONS, shading_frame
 from neurad.scene import builtin
-from neurad.studies.stress.fit import photographs, resized
-from neurad.studies.stress.parts import glossy
-from neurad.studies.stress.runs import fit
 
 BOX = torch.tensor([[-1.0, 0.0, 2.0], [1.0, 1.0, 5.0]])
 

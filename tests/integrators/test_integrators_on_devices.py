@@ -22,14 +22,14 @@ from neurad.integrators.primary_hits import PrimaryHits
 from neurad.integrators.renderer import path_tracer
 from neurad.integrators.stratified import stratified_samples
 from neurad.integrators.vertex import DIMENSIONS
-from neurad.scene.builtin import build_cornell, build_patterns
+from neurad.scene.builtin import build, build_cornell
 from neurad.scene.textures import TrueMaterials
 
 N = 3000
 SCENES = {
     "diffuse": build_cornell,
     "diffuse, one-sided": lambda: one_sided(build_cornell()),
-    "principled": build_patterns,
+    "principled": lambda: build("patterns"),
     "under an environment": lambda: object_scene(sky()),
     "mirrors and glass": delta_gallery,
 }
@@ -87,7 +87,7 @@ def test_a_bounce_is_that_of_the_reference(device, name, tracer):
 
 @on_devices
 def test_the_guide_draws_records_and_updates_the_same(device):
-    world = build_world(build_patterns())
+    world = build_world(build("patterns"))
     guide = filled_guide(world)
     there = filled_guide(world).to(device)
     si, u = random_vertices(world, N, 3), Stream(5).uniform(N, 2)

@@ -13,7 +13,7 @@ from neurad.integrators.film import render
 from neurad.integrators.renderer import path_tracer
 from neurad.integrators.stratified import stratified_samples
 from neurad.integrators.vertex import DIMENSIONS
-from neurad.scene.builtin import build_patterns
+from neurad.scene.builtin import build
 from neurad.scene.textures import TrueMaterials
 
 GROUPS = 40_000
@@ -76,7 +76,7 @@ def test_double_precision_stays(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_pictures_with_spread_first_bounces_have_the_same_mean_and_less_noise() -> None:
-    scene = build_patterns()
+    scene = build("patterns")
     world = build_world(scene)
     plain = path_tracer(world, TrueMaterials(scene, world.geometry), scene.max_depth, scene.rr_depth)
     camera = replace(scene.test[0].camera, width=12, height=12)

@@ -7,6 +7,12 @@ import pytest
 import torch
 from helpers.random_vertices import one_sided, random_vertices
 
+from benchmarks.stress import features
+from benchmarks.stress.field import Lab
+from benchmarks.stress.fit import Fit, Plan, photographs, plan_of, resized, small_settings
+from benchmarks.stress.parts import Place, glossy, make, memory, parts
+from benchmarks.stress.runs import Memory
+from benchmarks.stress.runs import fit as fit_through_trainer
 from neurad.assembly.build import build_radiance, build_world
 from neurad.assembly.settings import Optimization, Sampling
 from neurad.cli import main
@@ -21,12 +27,6 @@ from neurad.integrators.stratified import stratified_samples
 from neurad.integrators.vertex import DIMENSIONS
 from neurad.scene.builtin import build, build_cornell, build_sphere
 from neurad.scene.geometry import Geometry
-from neurad.studies.stress import features
-from neurad.studies.stress.field import Lab
-from neurad.studies.stress.fit import Fit, Plan, photographs, plan_of, resized, small_settings
-from neurad.studies.stress.parts import Place, glossy, make, memory, parts
-from neurad.studies.stress.runs import Memory
-from neurad.studies.stress.runs import fit as fit_through_trainer
 from neurad.training.inverse import InverseRenderer
 
 GRID = GridConfig(levels=3, coarsest=4, finest=16, log2_size=10)

@@ -9,6 +9,7 @@ from helpers.object_scene import object_scene, sky
 from helpers.oracles import accept, z_test_samples
 from helpers.random_vertices import one_sided, random_vertices
 
+from benchmarks.stress.parts import glossy
 from neurad.assembly.build import build_world
 from neurad.bsdf.directional import directional_albedo, mean_lobes
 from neurad.core.records import Surface, SurfaceInteraction
@@ -18,8 +19,7 @@ from neurad.integrators import vertex_principled
 from neurad.integrators.bounce import bounce
 from neurad.integrators.guide import Guide
 from neurad.integrators.vertex import DIMENSIONS
-from neurad.scene.builtin import build_cornell, build_patterns
-from neurad.studies.stress.parts import glossy
+from neurad.scene.builtin import build, build_cornell
 
 N = 4000
 
@@ -42,7 +42,7 @@ def trained_guide(world, seed):
 @pytest.mark.parametrize("guided", [False, True])
 @pytest.mark.parametrize("control", [False, True])
 @pytest.mark.parametrize(
-    "scene", [build_patterns(), glossy(build_cornell()), one_sided(glossy(build_cornell()))],
+    "scene", [build("patterns"), glossy(build_cornell()), one_sided(glossy(build_cornell()))],
     ids=["patterns", "cornell", "one-sided"],
 )  # fmt: skip
 def test_the_compiled_bounce_is_the_plain_one(scene, control, guided):

@@ -13,7 +13,7 @@ from neurad.integrators.film import render, strided
 from neurad.metrics import effort
 from neurad.metrics.effort import Effort, affordable, seconds_of
 from neurad.metrics.held_out import HeldOut
-from neurad.scene.builtin import build_patterns
+from neurad.scene.builtin import build
 from neurad.scene.textures import TrueMaterials
 
 
@@ -23,7 +23,7 @@ def large(width=4000, height=3000, count=1):
 
 
 def test_ordinary_views_are_scored_as_a_whole_and_large_ones_within_their_time():
-    assert affordable(build_patterns().test, 16, 0.1, 30.0) == Effort()
+    assert affordable(build("patterns").test, 16, 0.1, 30.0) == Effort()
     assert affordable(large(256, 256, 6), 64, 0.1, None) == Effort()
     for seconds, fraction in ((60.0, 0.1), (3600.0, 0.1), (None, 0.1)):
         found = affordable(large(), 4, fraction, seconds)

@@ -10,6 +10,7 @@ import numpy as np
 import OpenEXR
 import pytest
 import torch
+from PIL import Image
 
 from neurad.bsdf.table import make_bsdf
 from neurad.core.errors import InputError
@@ -24,9 +25,12 @@ from neurad.metrics import held_out
 from neurad.metrics.held_out import HeldOut
 from neurad.metrics.held_out_scores import score
 from neurad.metrics.lit_glossy import lit_glossy, reflected_by
+from neurad.metrics.relight import score_relit
 from neurad.metrics.scores import Pool, block_means, psnr
 from neurad.metrics.seen import SeenBy
+from neurad.metrics.unseen import NEITHER, seen_map
 from neurad.scene.description import Scene
+from neurad.scene.exposure import scene_exposure
 from neurad.scene.geometry import Geometry
 from neurad.scene.image_io import to_srgb
 from neurad.tracing.select import make_tracer
@@ -211,28 +215,6 @@ def test_predictions_are_box_filtered() -> None:
     np.testing.assert_array_equal(again["albedo"], maps["albedo"])
 
 
-class Unsure(Plain):
-    """Recovered materials that have learnt something else behind the wall."""
-
-    known_meshes: frozenset[int] = frozenset()
-
-    def __call__(self, si: SurfaceInteraction) -> Surface:
-        found, behind = super().__call__(si), si.p[:, :1] > 0.0
-        return Surface(torch.where(behind, 0.75, found.albedo), torch.where(behind, 0.125, found.roughness))
-
-
-@pytest.mark.parametrize("chunk", [1 << 18, 160])
-def test_what_no_photograph_shows_is_guessed(monkeypatch: pytest.MonkeyPatch, chunk: int) -> None:
-    monkeypatch.setattr(held_out, "CHUNK", chunk)
-    views, unsure = open_views(make_scene([from_above()])), Unsure(0.25, 0.5)
-    maps = views.predict(unsure)[0]
-    np.testing.assert_allclose(maps["albedo"][COUNTED], 0.25, rtol=1e-6)
-    np.testing.assert_allclose(maps["roughness"][COUNTED], 0.5, rtol=1e-6)
-    np.testing.assert_array_equal(maps["albedo"][0], 0.0)  # nothing is hit
-    unsure.known_meshes = frozenset(range(2))
-    np.testing.assert_array_equal(views.predict(unsure)[0]["albedo"][COUNTED & ~SEEN], 0.75)
-
-
 def test_chunks_and_uncached_hits_change_nothing_that_counts(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(held_out, "CHUNK", 160)  # ten pixels, across rows, four in the last chunk
     monkeypatch.setattr(held_out, "CACHE_BYTES", 0)
@@ -277,12 +259,85 @@ def test_scores_of_two_views_by_hand(tmp_path: Path) -> None:
     assert scores["albedo_psnr_8x8"] == pytest.approx(db(0.02), **near)
     assert scores["roughness_psnr"] == pytest.approx(db(0.005), **near)
     assert scores["roughness_mape_seen"] == pytest.approx(0.05 / 0.31, **near)
-    # images count everywhere: one pixel of 128 is off by 0.5 and 4 in two of three channels
+    # images count everywhere: one pixel of 128 is off by 0.5 and 4 in two of three channels; photographs of 4 are
+    # shown at 0.8
     assert scores["psnr_linear"] == pytest.approx(db((0.25 + 16) / 3 / 128), **near)
-    assert scores["psnr_srgb"] == pytest.approx(db(1 / 3 / 128), **near)
+    shown, brighter = 1.055 * 0.8 ** (1 / 2.4) - 0.055, 1.055 * 0.9 ** (1 / 2.4) - 0.055
+    assert scores["psnr_srgb"] == pytest.approx(db(((brighter - shown) ** 2 + shown**2) / 3 / 128), **near)
     assert scores["psnr_linear_seen"] == math.inf
     without = score(views, maps)
     assert without == {key: value for key, value in scores.items() if "linear" not in key and "srgb" not in key}
+
+
+@pytest.mark.parametrize("lit", [1.0, 0.05])
+def test_the_unit_of_radiance_changes_no_score_of_pictures_as_they_are_shown(tmp_path: Path, lit: float) -> None:
+    """Also where most of the photographs is black, as around an object."""
+    rng = np.random.default_rng(3)
+    photograph = rng.exponential(1.0, (SIDE, SIDE, 3)) * (rng.random((SIDE, SIDE, 1)) < lit)
+    found = []
+    for unit in (1.0, 1000.0, 1e-3):
+        files = {"image": save(tmp_path / f"{unit}.exr", unit * photograph)}
+        train = [from_above(**files)]
+        views = open_views(replace(make_scene([from_above(**files)]), train=train))
+        assert views.exposure == pytest.approx(0.8 / (unit * np.percentile(photograph[photograph > 0], 90)), rel=1e-5)
+        scores = score(views, [{}], [(unit * (photograph + 0.1)).astype(np.float32)])
+        found.append([scores[name] for name in ("psnr_srgb", "psnr_srgb_constant")])
+    assert 10.0 < found[0][0] < 40.0
+    np.testing.assert_allclose(found, [found[0]] * 3, rtol=1e-4)
+
+
+def test_photographs_that_are_gone_or_black_leave_an_exposure(tmp_path: Path) -> None:
+    gone = from_above(image=str(tmp_path / "gone.exr"))
+    there = from_above(image=save(tmp_path / "a.exr", np.full((SIDE, SIDE, 3), 2.0)))
+    black = from_above(image=save(tmp_path / "b.exr", np.zeros((SIDE, SIDE, 3))))
+    scene = make_scene([there])
+    assert scene_exposure(replace(scene, train=[gone, black, there])) == pytest.approx(0.4)
+    assert scene_exposure(replace(scene, train=[gone])) == pytest.approx(0.4)  # by what is held out
+    assert scene_exposure(replace(scene, train=[black], test=[black])) == 1.0
+
+
+def mask(path: Path, left_out: np.ndarray) -> str:
+    Image.fromarray(np.where(left_out, 0, 255).astype(np.uint8)).save(path)
+    return str(path)
+
+
+def test_pixels_that_a_mask_leaves_out_count_in_no_map(tmp_path: Path) -> None:
+    """Albedo and roughness by hand, and their constants, as if nothing but the kept half of the floor were there."""
+    right = np.zeros((SIDE, SIDE), bool)
+    right[:, 4:] = True
+    scene = with_truth(tmp_path)
+    scene = replace(scene, test=[replace(view, mask=mask(tmp_path / "m.png", right)) for view in scene.test])
+    views = open_views(scene)
+    np.testing.assert_array_equal(views.counted(0), COUNTED & ~right)
+    scores = score(views, views.predict(Plain(0.5, 0.4)))
+    for region in ("", "_seen"):
+        assert scores[f"albedo_psnr{region}"] == pytest.approx(20.0, rel=1e-4)
+        assert scores[f"albedo_psnr_8x8{region}"] == pytest.approx(20.0, rel=1e-4)
+        assert scores[f"albedo_mape{region}"] == pytest.approx(0.1 / 0.41, rel=1e-4)
+        assert scores[f"albedo_psnr_constant{region}"] > 100
+        assert scores[f"roughness_psnr{region}"] == pytest.approx(20.0, rel=1e-4)
+    shown = seen_map(views.counted(0), views.seen(0))[..., 0]
+    assert (shown[right] == NEITHER).all()
+    assert (shown[SEEN & ~right] == 1.0).all()
+    pictures = [np.full((SIDE, SIDE, 3), 4.5, np.float32) for _ in range(2)]
+    scene = replace(scene, test=[replace(view, relight=view.image) for view in scene.test])
+    views = open_views(scene)
+    for picture in pictures:
+        picture[right] = 100.0
+    assert score_relit(views, pictures)["relight_psnr_linear"] == pytest.approx(-10 * math.log10(0.25), rel=1e-4)
+
+
+def test_what_training_photographs_show_behind_a_mask_is_not_seen(tmp_path: Path) -> None:
+    left = np.zeros((SIDE, SIDE), bool)
+    left[:, :4] = True
+    scene = make_scene([from_above()])
+    above = replace(from_above(), mask=mask(tmp_path / "m.png", left))
+    views = open_views(replace(scene, train=[above]))
+    np.testing.assert_array_equal(views.seen(0) & COUNTED, COUNTED & ~left)
+    si = next(iter(views.sub_samples(0)))[1]
+    si = si[si.valid]
+    np.testing.assert_array_equal(views.training.any(si), views.training.any_at(si.p))
+    assert not views.training.any_at(si.p).all()
 
 
 def test_pixels_that_a_mask_leaves_out_count_in_no_picture(tmp_path: Path) -> None:

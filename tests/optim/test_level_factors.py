@@ -1,4 +1,4 @@
-"""Factors of levels: what a module has while it has its averages, and what older checkpoints lack."""
+"""Factors of levels: what a module has while it has its averages."""
 
 import torch
 

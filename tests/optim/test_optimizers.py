@@ -8,7 +8,7 @@ from neurad.assembly.settings import ModelSettings, Optimization
 from neurad.core.errors import InputError
 from neurad.fields.settings import FieldConfig, GridConfig, RadianceConfig, RoughnessConfig
 from neurad.integrators.direct import Direct
-from neurad.scene.builtin import build_patterns
+from neurad.scene.builtin import build
 from neurad.training.optimizers import make_optimizers
 
 GRID = GridConfig(levels=3, coarsest=4, finest=16, log2_size=10)
@@ -21,7 +21,7 @@ def optimizers(decay, kind="hash"):
         albedo=FieldConfig(GRID, 16), roughness=roughness, radiance=RadianceConfig(GRID, 16), method=Direct(),
         optimization=Optimization(roughness=0.1, roughness_decay=decay),
     )  # fmt: skip
-    made = assemble(build_patterns(), settings)
+    made = assemble(build("patterns"), settings)
     return made.materials, make_optimizers(made)
 
 

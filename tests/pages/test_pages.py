@@ -7,7 +7,7 @@ import pytest
 
 from neurad.pages import page
 from neurad.pages.chart import Line, _decades, _steps, chart
-from neurad.pages.colours import BARS, ERRORS, PERIOD, enlarged, exposure, hatched, ramp, reduced
+from neurad.pages.colours import BARS, ERRORS, PERIOD, enlarged, hatched, ramp, reduced
 from neurad.pages.draw import draw
 from neurad.pages.sheet import BOX, LARGEST, SMALLEST, Scale, Sheet, Tile, worst_squares
 
@@ -19,15 +19,6 @@ def sheet(picture=GREY, unseen=None, **options):
     tiles = [Tile("a", "Found", picture, pair="b"), Tile("b", "True", picture, pair="a")]
     error, other = Tile("c", "Error", picture, scale), Tile("d", "Other", picture, scale)
     return Sheet("A view", {"one": [*tiles, error], "two": [None, other]}, unseen, **options)
-
-
-def test_exposure_follows_the_photographs_only():
-    ramp = np.linspace(0.0, 2.0, 30, dtype=np.float32).reshape(2, 5, 3)
-    views = [{"photograph": ramp, "render": ramp}]
-    before = exposure(views)
-    views[0]["render"] = 5 * ramp
-    assert exposure(views) == before == pytest.approx(0.8 / 1.8, rel=0.05)
-    assert exposure([{"render": ramp}]) == 1.0
 
 
 @pytest.mark.parametrize("width", [5, 64, 100, 256, 300, 1023, 1024, 4000])
@@ -120,6 +111,17 @@ def test_a_chart_has_its_curves_bands_and_levels():
     single = chart("PSNR", "", "s", [Line("a", x[:1], y[:1], "red")])
     assert "nan" not in single
     assert "<circle" in single
+
+
+def test_what_is_exact_has_a_word_in_the_key_and_no_place_in_the_chart():
+    x, none = np.array([10, 20, 40], np.float32), np.zeros(0, np.float32)
+    curve, exact = np.array([1, 2, np.inf], np.float32), np.array([np.inf], np.float32)
+    text = chart("PSNR", "", "s", [Line("a", x, curve, "red"), Line("c", none, exact, "grey")])
+    assert "a: exact</span>" in text
+    assert "c: exact</span>" in text
+    assert not re.search(r"\b(inf|nan)\b", text)
+    assert text.count("<circle") == 2
+    assert chart("PSNR", "", "s", [Line("a", x, np.full(3, np.inf, np.float32), "red")]) == ""
 
 
 @pytest.mark.parametrize(("low", "high"), [(0.1, 0.13), (-3.0, 40.0), (20.1, 20.9), (1e4, 5e6)])

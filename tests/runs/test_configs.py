@@ -177,7 +177,6 @@ SECTION_5 = {
     "model.objective.prior": 1.0,
     "model.objective.lhs": 1.0,
     "model.objective.epsilon": 0.01,
-    "model.objective.firefly_clamp": 0.0,
     "model.objective.fireflies": "keep",
     "model.objective.roughness_regulariser": 0.0,
     "model.sampling.extra_bounce_fraction": 1.0,
@@ -187,7 +186,6 @@ SECTION_5 = {
     "model.sampling.guide": 0,
     "model.sampling.specular_fraction": 0.5,
     "data.patches": 1,
-    "data.pixel_multiplier": 1,
     "trainer.max_time": None,
 }  # fmt: skip
 

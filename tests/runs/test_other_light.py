@@ -107,15 +107,15 @@ def test_light_may_change_for_results_and_not_for_a_fit_that_goes_on(fitted, cap
     assert "not of evening as given" in fails(capfd, "test", "--data.root=evening")
 
 
-def test_a_checkpoint_of_before_light_was_kept_apart_is_compared_as_a_whole(fitted):
+def test_a_checkpoint_that_does_not_keep_a_light_is_refused(fitted):
     path = run_folder() / "checkpoints" / "last.ckpt"
     content = read_checkpoint(path, "")
-    old = {k: v for k, v in content["neurad"].items() if k not in ("geometry", "light")}
-    write_checkpoint({**content, "neurad": old}, path)
-    assert load_run(run_folder()).light_changes == ()
-    with pytest.raises(InputError, match="not of evening as given"):
-        load_run(run_folder(), "evening")
-    for light in ({}, {"lamps": [[0]], "environment": None}, {"lamps": [], "environment": {"pixels": 1}}, [1]):
+    for name in ("geometry", "light"):
+        write_checkpoint({**content, "neurad": {k: v for k, v in content["neurad"].items() if k != name}}, path)
+        with pytest.raises(InputError, match=rf"neurad\.{name} is missing or wrong"):
+            load_run(run_folder())
+    none = {"lamps": [], "environment": None, "punctual": []}
+    for light in ({}, none | {"lamps": [[0]]}, none | {"environment": {"pixels": 1}}, none | {"punctual": [1]}):
         write_checkpoint({**content, "neurad": {**content["neurad"], "light": light}}, path)
         with pytest.raises(InputError, match="light is none that a run writes"):
             load_run(run_folder())

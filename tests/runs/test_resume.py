@@ -100,6 +100,8 @@ def test_a_killed_run_continues_to_the_same_bits(tmp_path, monkeypatch):
     whole, continued = (torch.load(last(version), weights_only=True) for version in (0, 1))
     for state in (whole, continued):
         assert state["neurad"].pop("seconds") > 0
+        assert state["neurad"].pop("processor_seconds") > 0
+        state["neurad"].pop("waited_seconds")
     for part in ("neurad", "state_dict", "optimizer_states", "global_step"):
         same(whole[part], continued[part], part)
     assert continued["neurad"]["iteration"] == continued["global_step"] == STEPS

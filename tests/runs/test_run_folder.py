@@ -1,7 +1,11 @@
 """Runs of the command line: what they write, when they evaluate, and how they continue."""
 
+import contextlib
 import os
 import signal
+import subprocess
+import sys
+import time
 from pathlib import Path
 
 import pytest
@@ -51,6 +55,29 @@ def interrupt():
     os.kill(os.getpid(), signal.SIGINT)
 
 
+@pytest.mark.skipif(not hasattr(signal, "SIGHUP"), reason="the system has no terminals that hang up")
+def test_a_terminal_that_goes_leaves_a_checkpoint(tiny):
+    import pty
+
+    code = "import fcntl, termios\nfcntl.ioctl(0, termios.TIOCSCTTY, 0)\nfrom neurad.cli import main\nmain()"
+    words = ["fit", "--config=tiny.yaml", "--trainer.max_steps=1000000", "--trainer.enable_progress_bar=true"]
+    words += ["--evaluation.every_n_steps=3", "--checkpoint.every_seconds=1000"]
+    ours, theirs = pty.openpty()
+    fitting = subprocess.Popen(
+        [sys.executable, "-c", code, *words], stdin=theirs, stdout=theirs, stderr=theirs, start_new_session=True
+    )
+    os.close(theirs)
+    os.set_blocking(ours, False)
+    table, end = run_folder() / "metrics.csv", time.monotonic() + 120
+    while not table.is_file() and fitting.poll() is None and time.monotonic() < end:
+        with contextlib.suppress(BlockingIOError):
+            os.read(ours, 1 << 16)
+        time.sleep(0.05)
+    os.close(ours)
+    assert fitting.wait(60) == 128 + signal.SIGTERM
+    assert checkpoint()["neurad"]["iteration"] >= 3
+
+
 @pytest.mark.main
 def test_run_folder_and_closing_table(tiny, capsys):
     fit("--trainer.max_steps=8", "--evaluation.every_n_steps=3")
@@ -60,7 +87,7 @@ def test_run_folder_and_closing_table(tiny, capsys):
     assert all(list(run_folder().glob(f"{board}/events.out.*")) for board in boards)
     rows = metrics()
     assert [row["iteration"] for row in rows] == ["3", "6", "8"]
-    assert [int(row["samples"]) for row in rows] == [n * 2 * 16 * 2 for n in (3, 6, 8)]  # pixel_multiplier 2, spp 4
+    assert [int(row["samples"]) for row in rows] == [n * 16 * 4 for n in (3, 6, 8)]  # spp 4
     assert 0 < int(rows[0]["rays"]) < int(rows[1]["rays"]) < int(rows[2]["rays"])
     out = capsys.readouterr().out
     assert "best constant" in out

@@ -1,3 +1,4 @@
+import math
 import os
 
 import pytest
@@ -15,7 +16,7 @@ def test_what_is_written_is_read(tmp_path):
     columns, rows = read_csv(path)
     assert columns == read_header(path) == ["name", "seconds", "rays"]
     assert rows[0] == {"name": 'a, "b"', "seconds": "0.3333333", "rays": "2"}
-    assert numbers({"x": "1.5", "y": ""}) == {"x": 1.5}
+    assert numbers({"x": "1.5", "y": "", "z": "exact"}) == {"x": 1.5, "z": math.inf}
     assert not list(tmp_path.glob("*.part"))
 
 

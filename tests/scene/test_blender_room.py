@@ -1,10 +1,12 @@
 """``neurad data blender`` on files that Blender has made, beside pictures that Cycles has rendered of them."""
 
+import csv
 import json
 import subprocess
 from pathlib import Path
 
 import numpy as np
+import OpenEXR
 import pytest
 import torch
 from helpers.clients import blender_python, cache_folder
@@ -99,3 +101,33 @@ def test_a_room_is_fitted_from_photographs_of_cycles(python, tmp_path, monkeypat
     assert psnr > 30.0
     assert np.abs(corrected - 1.0).max() < 0.04
     assert (middle < 0.98).all()
+
+
+def test_the_sky_of_an_open_room_stays(python, tmp_path, monkeypatch, capfd):
+    """Files of several layers, RGBA with an alpha of 1: all pixels are met as well as those of surfaces, and the sky is
+    there when the room is exported and rendered again.
+    """
+    room = photographed(python, tmp_path, open=True, views=10, size=[64, 48], samples=256, passes=True)
+    monkeypatch.chdir(tmp_path)
+    assert len(OpenEXR.File(str(next((tmp_path / "fotos").glob("*.exr")))).channels()) > 2
+    main([
+        "fit", "--config", "scene.yaml", "--data.root", str(room), "--trainer.max_time", "null",
+        "--trainer.max_steps", "300", "--trainer.accelerator", "cpu", "--trainer.enable_progress_bar", "false",
+        "--evaluation.every_n_steps", "300", "--evaluation.pictures", "0",
+    ])  # fmt: skip
+    assert "alpha" not in capfd.readouterr().err
+    with Path("lightning_logs/version_0/metrics.csv").open() as file:
+        scores = list(csv.DictReader(file))[-1]
+    all_pixels, seen = (float(scores[key]) for key in ("psnr_linear", "psnr_linear_seen"))
+    with capfd.disabled():
+        print(f"\nall pixels {all_pixels:.2f} dB, surfaces that photographs show {seen:.2f} dB")
+    assert all_pixels > seen - 0.5
+    main(["export", "--ckpt_path", "lightning_logs/version_0", "--out", "out", "--size", "128", "--no-verify"])
+    main(["render", "--root", "out", "--out", "again", "--views", "test", "--spp", "16", "--map-spp", "4"])
+    for view in read_folder(Path("out")).test:
+        again, before = (read_exr(path)[..., :3] for path in (f"again/images/{view.name}.exr", view.image))
+        sky = read_exr(f"again/albedo/{view.name}.exr").max(-1) == 0.0
+        if view.mask is not None:
+            sky &= read_mask(view)
+        assert sky.mean() > 0.05
+        np.testing.assert_allclose(again[sky].mean(0), before[sky].mean(0), rtol=0.02)

@@ -13,7 +13,6 @@ from neurad.scene.builtin import build_cornell
 from neurad.scene.edit import edited, lamps_of
 from neurad.scene.edit_file import edit_of
 from neurad.scene.light import light_changes, light_of
-from neurad.training.checkpoint import scene_state
 
 
 @pytest.fixture(scope="module")
@@ -83,8 +82,3 @@ def test_another_light_is_told_from_the_one_of_a_fit(scene):
     turned = replace(scene.punctual[1], direction=np.float32([0, -1, 0.1]))
     assert light_changes(kept, replace(scene, punctual=(scene.punctual[0], turned))) == ["light sun moved or turned"]
     assert light_changes(kept, replace(scene, punctual=()))[0] == "light bulb off instead of 2, 2, 2"
-
-
-def test_checkpoints_of_scenes_without_them_are_as_before():
-    assert set(light_of(build_cornell())) == {"lamps", "environment"}
-    assert set(scene_state(build_cornell())["light"]) == {"lamps", "environment"}

@@ -5,6 +5,7 @@ import math
 import numpy as np
 import pytest
 import torch
+from helpers.brute_force import BruteForceTracer
 
 from neurad.core.camera import camera_rays
 from neurad.core.errors import InputError
@@ -13,7 +14,6 @@ from neurad.core.reflection import DiffuseModel
 from neurad.scene import geometry as module
 from neurad.scene.description import Scene
 from neurad.scene.geometry import Geometry
-from neurad.tracing.brute_force import BruteForceTracer
 
 ONE = Constant(np.ones(3, np.float32))
 TRIANGLE = np.array([[0, 1, 2]])

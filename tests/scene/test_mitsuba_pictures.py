@@ -1,10 +1,12 @@
 """Area emitters of ``scene.xml`` that shine by a picture."""
 
 import numpy as np
+import OpenEXR
 import pytest
 
 from neurad.core.errors import InputError
 from neurad.scene.image_io import write_exr, write_png
+from neurad.scene.picture_notes import say_pictures
 from neurad.scene.readers.mitsuba_xml import read_xml
 
 mi = pytest.importorskip("mitsuba")
@@ -88,3 +90,39 @@ def test_what_is_refused(tmp_path, name):
     texture, more, sentence = WRONG[name]
     with pytest.raises(InputError, match=sentence):
         read_xml(write(tmp_path, texture, more=more)).check()
+
+
+@pytest.mark.parametrize("raw", ["false", "true"])
+def test_skies_and_textures_of_other_primaries_are_converted(tmp_path, capsys, raw):
+    """Of Rec.2020, by the numbers of its standard; tiny negatives of a sky are 0."""
+    half = np.full((4, 8, 3), 0.5, np.float32)
+    half[1, 2] = 0.2, 0.7, 0.3
+    sky = np.concatenate((half, np.full((4, 8, 1), 1.0, np.float32)), -1)
+    sky[3, 3, :3] = -1e-7
+    header = {"compression": OpenEXR.ZIP_COMPRESSION, "type": OpenEXR.scanlineimage}
+    header["chromaticities"] = (0.708, 0.292, 0.170, 0.797, 0.131, 0.046, 0.3127, 0.3290)
+    for name, pixels in (("sky.exr", sky), ("base_color.exr", half), ("roughness.exr", half)):
+        OpenEXR.File(header, {"RGBA"[: pixels.shape[2]]: pixels}).write(str(tmp_path / name))
+    textures = "".join(
+        f'<texture type="bitmap" name="{key}"><string name="filename" value="{key}.exr"/>'
+        f'<boolean name="raw" value="{value}"/></texture>'
+        for key, value in (("base_color", raw), ("roughness", "true"))
+    )
+    bsdf = f'<bsdf type="twosided"><bsdf type="principled">{textures}</bsdf></bsdf>'
+    (tmp_path / "scene.xml").write_text(
+        '<scene version="3.0.0"><emitter type="envmap"><string name="filename" value="sky.exr"/></emitter>'
+        f'<shape type="rectangle" id="floor">{bsdf}</shape></scene>'
+    )
+    scene = read_xml(tmp_path / "scene.xml").check()
+    say_pictures()
+    said = capsys.readouterr().err
+    want = [0.2 * 1.660491 - 0.7 * 0.587641 - 0.3 * 0.07285, -0.2 * 0.12455 + 0.7 * 1.1329 - 0.3 * 0.008349,
+            -0.2 * 0.018151 - 0.7 * 0.100579 + 0.3 * 1.11873]  # fmt: skip
+    want = np.maximum(want, 0.0)
+    texture = scene.materials[scene.meshes[0].material].albedo
+    assert np.allclose(texture.pixels[1, 2], want, atol=1e-4)
+    assert np.allclose(scene.environment.pixels[1, 2], want, atol=1e-4)
+    assert np.allclose(scene.environment.pixels[0, 0], 0.5, atol=1e-4)
+    assert scene.environment.pixels.min() == 0.0
+    assert "primaries of Rec.2020 are converted" in said
+    assert "sky.exr: 1 pixels are negative" in said

@@ -67,6 +67,24 @@ def test_a_radiance_picture(tmp_path):
     assert np.median(np.abs(found / values - 1)) < 0.01
 
 
+def test_a_radiance_picture_says_its_exposure_and_primaries(tmp_path):
+    """Half a stop and two stops more; Rec.2020, in which white is white."""
+    values = np.full((6, 9, 3), 8.0, np.float32)
+    values[2, 3] = 4.0, 2.0, 2.0
+    cv2.imwrite(str(tmp_path / "a.hdr"), values[..., ::-1])
+    head, _, rest = (tmp_path / "a.hdr").read_bytes().partition(b"\n\n")
+    more = b"\nEXPOSURE= 2.0\nEXPOSURE=4\nPRIMARIES= 0.708 0.292 0.170 0.797 0.131 0.046 0.3127 0.3290\n\n"
+    (tmp_path / "a.hdr").write_bytes(head + more + rest)
+    found = read_photograph(tmp_path / "a.hdr")
+    np.testing.assert_allclose(found[0, 0], 1.0, rtol=0.01)
+    np.testing.assert_allclose(
+        found[2, 3], [0.25 + 0.25 * 1.660491, 0.25 - 0.25 * 0.1245505, 0.25 - 0.25 * 0.0181508], rtol=0.01
+    )
+    (tmp_path / "b.hdr").write_bytes(head + b"\nEXPOSURE=x\n\n" + rest)
+    with pytest.raises(InputError, match=r"b\.hdr: the EXPOSURE or PRIMARIES in its header are no numbers"):
+        read_photograph(tmp_path / "b.hdr")
+
+
 @pytest.mark.parametrize("codes", [CODES, DEEP])
 def test_alpha_is_linear_and_colour_is_premultiplied(tmp_path, codes):
     levels = 255 if codes.dtype == np.uint8 else 65535

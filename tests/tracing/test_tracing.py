@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 import torch
 import trimesh
+from helpers.brute_force import BruteForceTracer
 
 from neurad.core.errors import InputError
 from neurad.core.records import Constant, Material, Mesh, Rays
@@ -11,7 +12,6 @@ from neurad.core.reflection import DiffuseModel
 from neurad.core.sampling import uniform_triangle
 from neurad.scene.description import Scene
 from neurad.scene.geometry import Geometry
-from neurad.tracing.brute_force import BruteForceTracer
 from neurad.tracing.counting import CountingTracer
 from neurad.tracing.select import make_tracer
 

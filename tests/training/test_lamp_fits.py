@@ -4,6 +4,7 @@ import csv
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -20,6 +21,7 @@ from helpers.tiny_fit import fails
 from neurad import load
 from neurad.assembly.lamp_responses import Responses, alike, connected, explain, other_lights
 from neurad.assembly.relight import recovered_scene
+from neurad.assembly.unknown_lamps import rows
 from neurad.cli import main
 from neurad.core.errors import InputError
 from neurad.core.records import PunctualLight
@@ -227,6 +229,17 @@ def test_a_lamp_that_no_photograph_shows(box, capfd):
     assert (row["scale"], row["pixels"]) == ("weak", "0")
     found = np.array([float(row[c]) for c in "rgb"])
     assert (np.abs(np.log(found / TRUTH)) < np.log(2.5)).all()
+
+
+def test_the_scale_of_a_lamp_is_seen_in_unclipped_pixels_of_its_own_alone():
+    """The ceiling lamp is clipped wherever it is shown; its light meets that of the strip, and then it does not."""
+    scene = lamp_room()
+    _, lamps = with_lamps(scene)
+    assembly = SimpleNamespace(scene=scene, lamps=lamps)
+    lamps.counts.copy_(torch.tensor([[40, 3, 40], [30, 2, 4]]))
+    for fixed, scales in (([True, True], ["shared", "seen"]), ([False, True], ["weak", "seen"])):
+        lamps.scale_seen.copy_(torch.tensor(fixed))
+        assert [row["scale"] for row in rows(assembly)] == scales
 
 
 @pytest.mark.main

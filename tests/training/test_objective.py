@@ -87,18 +87,6 @@ def test_the_field_learns_the_same_from_some_of_the_first_hits():
     assert some["lhs"].mean() == pytest.approx(every["lhs"].mean(), rel=0.01)
 
 
-def test_a_batch_of_more_pixels_gets_fewer_samples_each():
-    """Terms of a batch with pixel_multiplier 4 are those of a usual one under a quarter of the positions."""
-    multiplied = SmallStep(Sampling(spp=8, samples_per_vertex=1, cached_spp=8))
-    usual = SmallStep(Sampling(spp=2, samples_per_vertex=1, cached_spp=8))
-    batch = multiplied.batch(64)
-    found = multiplied.step(replace(batch, pixel_multiplier=4), Stream(3)).all
-    expected = usual.step(batch, Stream(3)).all
-    assert found.keys() == expected.keys()
-    for name in found:
-        assert torch.equal(found[name][1].value, expected[name][1].value), name
-
-
 def test_one_group_of_samples_is_refused():
     with pytest.raises(InputError, match=r"Sampling\.sample_groups"):
         Sampling(sample_groups=1)

@@ -3,14 +3,14 @@
 import pytest
 import torch
 
+from benchmarks.stress.fit import Fit, Plan, photographs, small_settings
+from benchmarks.stress.scenes import small_cube, with_material
 from neurad.assembly.settings import ModelSettings
 from neurad.core.records import Surface
 from neurad.core.reflection import PrincipledModel
 from neurad.core.rng import Stream
 from neurad.fields.material import MIN_ROUGHNESS, RoughnessField
 from neurad.fields.settings import GridConfig, RoughnessConfig
-from neurad.studies.stress.fit import Fit, Plan, photographs, small_settings
-from neurad.studies.stress.scenes import small_cube, with_material
 from neurad.training.roughness_start import AFTER, LEVELS, best_level
 
 

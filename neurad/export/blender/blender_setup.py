@@ -25,6 +25,11 @@ def setup(folder: Path) -> dict[str, Any]:
     bpy.ops.wm.read_factory_settings(use_empty=True)
     bpy.ops.import_scene.gltf(filepath=str(folder / "scene.glb"))
     scene = bpy.context.scene
+    if any(room["origin"]):  # Blender computes with float32: the room stands at the origin, its place is remembered
+        scene["origin"] = room["origin"]
+        for thing in bpy.data.objects:
+            if thing.parent is None:
+                thing.location = (0.0, 0.0, 0.0)
     _render_settings(scene, room)
     _world(scene, room, folder)
     _lights(room)

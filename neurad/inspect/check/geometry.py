@@ -28,6 +28,9 @@ BACKS, FRONTS = 0.8, 0.3
 NEARBY = 0.005
 """Median distance of what cameras see, over the size of the scene, below which both have different units."""
 
+HOLE = 1e-3
+"""Fraction of a photograph beyond which surfaces are missing there: fewer pixels are between triangles."""
+
 
 @dataclass(frozen=True)
 class Places:
@@ -63,6 +66,19 @@ def check_units(scene: Scene, world: World, looked: Sequence[Looked], findings: 
     blind = [one.view.name for one in looked if one.surface == 0.0]
     if blind and len(blind) < len(looked):
         findings.add(Level.WRONG, "camera", f"no surface is in sight of {listed(blind)}; check their poses")
+
+
+def check_holes(scene: Scene, looked: Sequence[Looked], findings: Findings) -> None:
+    """Say where photographs show something and there is no surface, nor an environment that could be seen there."""
+    open_ = [one for one in looked if one.holes > HOLE]
+    if scene.environment is None and open_:
+        worst = max(open_, key=lambda one: one.holes)
+        findings.add(
+            Level.WRONG, "holes",
+            f"in {len(open_)} of {len(looked)} views photographs show something where there is no surface (up to "
+            f"{100 * worst.holes:.1f} % of the pixels, in {worst.view.name}): the mesh has holes, through which "
+            "light is lost; close them, or give the environment that is seen there",
+        )  # fmt: skip
 
 
 def check_places(scene: Scene, world: World, looked: Sequence[Looked], seen_by: SeenBy, findings: Findings) -> Places:

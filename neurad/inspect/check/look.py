@@ -19,12 +19,14 @@ from neurad.metrics.mesh_edges import PrimaryGrid, mesh_edges, primary_grid
 from neurad.metrics.photograph_facts import PhotographFacts, photograph_facts
 from neurad.metrics.scores import BoolArray
 from neurad.metrics.seen import SeenBy
-from neurad.metrics.unseen import seen_map
-from neurad.scene.image_io import read_mask
-from neurad.scene.photographs import read_view
+from neurad.metrics.unseen import NEITHER, seen_map
+from neurad.scene.photographs import kept_pixels, read_view
 
 SHOWN = 512
 """Pixels that pictures on the page are wide at most; edges are traced at that size."""
+
+DARK = 0.02
+"""Part of a photograph's mean up to which a pixel shows nothing."""
 
 
 @dataclass(frozen=True)
@@ -54,6 +56,8 @@ class Looked:
     """Of the size of these."""
     facts: PhotographFacts | None = None
     fit: EdgeFit | None = None
+    holes: float = 0.0
+    """Fraction of the photograph that shows something where its camera meets no surface."""
     seen: FloatArray | None = None
     """The map ``seen`` [h, w, 1] of a held-out view."""
 
@@ -81,13 +85,18 @@ def look(world: World, view: View, part: str, seen_by: SeenBy | None, seed: int)
     if view.image is None:
         return found
     try:
-        pixels, kept = _photograph(view), None if view.mask is None else read_mask(view)
+        pixels, kept = read_view(view), kept_pixels(view)
     except InputError as error:
         return replace(found, refused=str(error))
+    nothing = (resampled((~valid).view(size).numpy()[..., None].astype(np.float32), pixels.shape[:2]) == 1.0)[..., 0]
     counted = (resampled(solid.numpy()[..., None].astype(np.float32), pixels.shape[:2]) == 1.0)[..., 0]
     towards = found.towards
     if kept is not None:
         counted &= kept
+        nothing &= kept
+        if found.seen is not None:
+            whole = resampled(kept[..., None].astype(np.float32), size) == 1.0
+            found = replace(found, seen=np.where(whole, found.seen, np.float32(NEITHER)))
         towards = towards[_inside(kept, view.camera, towards)]
     ranks, camera = compared(pixels, view.camera)
     return replace(
@@ -98,6 +107,7 @@ def look(world: World, view: View, part: str, seen_by: SeenBy | None, seed: int)
         towards=towards,
         facts=photograph_facts(pixels, counted),
         fit=edge_fit(ranks, camera, towards),
+        holes=float((nothing & (pixels[..., :3].mean(-1) > DARK * pixels[..., :3].mean())).mean()),
     )
 
 
@@ -111,19 +121,6 @@ def resampled(pixels: FloatArray, size: tuple[int, ...]) -> FloatArray:
     x = torch.from_numpy(np.ascontiguousarray(pixels, np.float32)).movedim(-1, 0)[None]
     made: FloatArray = interpolate(x, size, mode="area")[0].movedim(0, -1).contiguous().numpy()
     return made
-
-
-def _photograph(view: View) -> FloatArray:
-    """The photograph of a view.
-
-    Raises:
-        InputError: it cannot be read, or has another size than the camera.
-    """
-    pixels, camera = read_view(view), view.camera
-    if pixels.shape[:2] != (camera.height, camera.width):
-        size = f"{pixels.shape[1]} x {pixels.shape[0]}"
-        raise InputError(f"{view.image}: it has {size} pixels, its camera {camera.width} x {camera.height}")
-    return pixels
 
 
 def _inside(kept: BoolArray, camera: Camera, towards: Tensor) -> Tensor:

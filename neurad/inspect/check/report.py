@@ -19,9 +19,10 @@ from neurad.inspect.check.look import Looked
 from neurad.inspect.check.subject import Counts
 from neurad.metrics.unseen import UNSEEN
 from neurad.pages import page
-from neurad.pages.colours import Bytes, encode, exposure, hatched
+from neurad.pages.colours import Bytes, encode, hatched
 from neurad.runtime.files import write_text
 from neurad.runtime.tables import write_csv
+from neurad.scene.exposure import exposure
 
 PAGE, TABLE = "check.html", "check.csv"
 VIEWS = 60
@@ -162,7 +163,7 @@ def _pictures(checked: Checked) -> str:
     """Photographs with edges over them; of views with something wrong the bare photograph beside it."""
     findings = checked.findings
     order = sorted(range(len(checked.looked)), key=lambda i: not findings.bad(checked.looked[i].view.name))
-    level = exposure([{"photograph": one.picture} for one in checked.looked])
+    level = exposure(one.picture for one in checked.looked if one.picture is not None)
     parts, tiles = [], []
     for index in order[:VIEWS]:
         one = checked.looked[index]

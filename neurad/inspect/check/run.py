@@ -12,7 +12,7 @@ from neurad.assembly.build import build_world
 from neurad.core.errors import InputError
 from neurad.core.records import Development
 from neurad.inspect.check.findings import Findings, Level, listed
-from neurad.inspect.check.geometry import check_places, check_units
+from neurad.inspect.check.geometry import check_holes, check_places, check_units
 from neurad.inspect.check.hints import FEWEST, explanation, hint
 from neurad.inspect.check.light import Light, Source, check_light, lamp_power, usable
 from neurad.inspect.check.look import Looked, look
@@ -27,6 +27,7 @@ from neurad.runtime.files import check_folder, make_folder
 from neurad.runtime.progress import phase
 from neurad.scene.description import Scene
 from neurad.scene.load import load_scene
+from neurad.scene.picture_notes import say_pictures
 
 CLIPPED, AT_CEILING = 0.005, 0.001
 """Fraction of the pixels at the largest value of a photograph that is too much, and where that is one of a format."""
@@ -90,7 +91,7 @@ def checked_scene(scene: Scene, source: Source) -> Checked:
     for note in (*scene.notes, *filter(None, [scene.scores_are_of])):
         findings.add(Level.NOTE, "scene", note)
     world = build_world(scene)
-    seen_by = SeenBy(world.geometry, world.tracer, [view.camera for view in scene.train])
+    seen_by = SeenBy.of(world.geometry, world.tracer, scene.train)
     looked: list[Looked] = []
     with phase("checking", len(scene.train) + len(scene.test)) as checking, world.tracer.uncounted():
         for part, views in (("train", scene.train), ("held out", scene.test)):
@@ -99,7 +100,9 @@ def checked_scene(scene: Scene, source: Source) -> Checked:
                 seen = seen_by if part == "held out" else None
                 looked.append(look(world, view, part, seen, len(looked)))
                 checking.step()
+        say_pictures()
         check_units(scene, world, looked, findings)
+        check_holes(scene, looked, findings)
         _photographs(looked, findings)
         _edges(world, looked, findings)
         places = check_places(scene, world, looked, seen_by, findings)

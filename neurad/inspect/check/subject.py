@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 from neurad.integrators.world import World
 from neurad.scene.description import Scene
+from neurad.scene.origin import place_text
 
 
 @dataclass(frozen=True)
@@ -44,7 +45,7 @@ class Counts:
         sizes = sorted({(view.camera.width, view.camera.height) for view in (*scene.train, *scene.test)})
         said = ", ".join(f"{w} x {h}" for w, h in sizes[:4]) + (f" and {len(sizes) - 4} more" if len(sizes) > 4 else "")
         sky = scene.environment
-        low, high = scene.bounds.tolist()
+        low, high = (scene.bounds + scene.origin).tolist()
         return cls(
             scene.name, len(world.geometry.faces), len(scene.meshes), len(scene.materials),
             sum(mesh.radiance is not None and bool(mesh.radiance.any()) for mesh in scene.meshes), power,
@@ -54,7 +55,7 @@ class Counts:
 
     def rows(self) -> list[list[str]]:
         """Label and value, HTML."""
-        box = " to ".join(f"({', '.join(f'{x:.4g}' for x in corner)})" for corner in (self.low, self.high))
+        box = " to ".join(f"({place_text(corner)})" for corner in (self.low, self.high))
         pairs = [
             ("triangles, meshes, materials", f"{self.triangles}, {self.meshes}, {self.materials}"),
             ("bounds", f"{box}, {self.across:.4g} units across"),

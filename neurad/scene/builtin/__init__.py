@@ -1,26 +1,26 @@
-"""Scenes that need no file: procedural, the same on every machine."""
+"""Scenes that need no file of the user's: small procedural ones, and two kitchens that ship."""
 
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 
 from neurad.core.errors import InputError
 from neurad.core.suggest import did_you_mean
 from neurad.scene.builtin.cornell import build_cornell
 from neurad.scene.builtin.cube import build_cube
 from neurad.scene.builtin.furnace import build_furnace
-from neurad.scene.builtin.kitchen import build_kitchen
-from neurad.scene.builtin.patterned_kitchen import build_patterns
+from neurad.scene.builtin.shipped import read_room
 from neurad.scene.builtin.sphere import build_sphere
 from neurad.scene.description import Scene
 
 __all__ = [
-    "NAMES", "build", "build_cornell", "build_cube", "build_furnace", "build_kitchen", "build_patterns", "build_sphere",
+    "NAMES", "build", "build_cornell", "build_cube", "build_furnace", "build_sphere",
 ]  # fmt: skip
 
 _BUILDERS: dict[str, Callable[[], Scene]] = {
-    "kitchen": build_kitchen,
-    "patterns": build_patterns,
+    "kitchen": partial(read_room, "kitchen"),
+    "patterns": partial(read_room, "patterns"),
     "cornell": build_cornell,
     "cube": build_cube,
     "furnace": build_furnace,

@@ -173,39 +173,6 @@ def ball(centre: Point, radius: float, tile: float, rings: int = 12, segments: i
     return turned(profile, centre, tile, segments)
 
 
-def cup(centre: Point, foot: float, rim: float, height: float, wall: float, tile: float, segments: int = 28) -> Solid:
-    """An open vessel standing on ``centre``: bowls, pots, plates and mugs differ in their four lengths."""
-    middle = (0.45 * foot + 0.55 * rim, 0.45 * height)
-    profile = [
-        (0.0, 0.0),
-        (foot, 0.0),
-        middle,
-        (rim, height),
-        (rim - wall, height),
-        (middle[0] - wall, middle[1] + 0.5 * wall),
-        (max(foot - wall, 0.01), wall),
-        (0.0, wall),
-    ]
-    return turned(profile, centre, tile, segments)
-
-
-def jar(centre: Point, radius: float, height: float, tile: float, segments: int = 24) -> Solid:
-    """A closed cylinder with a rounded shoulder and a knob, standing on ``centre``."""
-    r, h = radius, height
-    profile = [
-        (0.0, 0.0),
-        (0.9 * r, 0.0),
-        (r, 0.06 * h),
-        (r, 0.72 * h),
-        (0.82 * r, 0.82 * h),
-        (0.82 * r, 0.9 * h),
-        (0.25 * r, 0.92 * h),
-        (0.25 * r, h),
-        (0.0, h),
-    ]
-    return turned(profile, centre, tile, segments)
-
-
 def look_at(eye: Point, target: Point, fov: float, size: int) -> Camera:
     """A square camera at ``eye`` that looks at ``target`` with +Y up; ``fov`` in degrees."""
     back = np.subtract(eye, target)

@@ -14,6 +14,7 @@ from neurad.scene.numbers import LENGTH, number
 from neurad.scene.picture_headers import check_exr
 from neurad.scene.readers.intrinsics import camera_of, make_camera, rigid
 from neurad.scene.readers.nerf import Split
+from neurad.scene.readers.photograph_files import any_case, listed_file
 
 MESH = "scene.obj"
 _LOOKS = np.diag([-1.0, 1.0, -1.0, 1.0])
@@ -55,11 +56,11 @@ def _rendered(folder: Path) -> list[View]:
             where = f"{path}: frame {index}"
             if not isinstance(frame, dict):
                 raise InputError(f"{where} is not an object")
-            image = regular_file(folder / f"Image/{index:03d}_0001.exr", f"the photograph of frame {index} is missing")
+            image = listed_file(folder / f"Image/{index:03d}_0001.exr", f"the photograph of frame {index} is missing")
             pose: FloatArray = rigid(frame.get("transform_matrix"), f"{where}: its transform_matrix") @ _LOOKS
             camera = camera_of((frame, described), check_exr(image), pose, where)
             maps = [folder / f"{kind}/{index:03d}_0001.exr" for kind in ("DiffCol", "Roughness")]
-            albedo, roughness = (str(regular_file(file)) if exists(file) else None for file in maps)
+            albedo, roughness = (str(regular_file(file)) if (file := any_case(path)) else None for path in maps)
             views.append(View(f"{folder.name}_{index:03d}", camera, str(image), albedo, roughness))
     refusals.end()
     return views
@@ -75,7 +76,7 @@ def _photographed(source: Path) -> list[View]:
     for index, ((eye, target, up), k) in enumerate(zip(poses, inner, strict=True)):
         with refusals.part():
             where = f"{source / 'cam.txt'}: camera {index}"
-            image = regular_file(source / f"Image/{index:03d}_0001.exr", f"the photograph of camera {index} is missing")
+            image = listed_file(source / f"Image/{index:03d}_0001.exr", f"the photograph of camera {index} is missing")
             about = f"{source / 'K_list.txt'}: camera {index}"
             if np.abs((k[0, 1], k[1, 0], k[2, 0], k[2, 1], k[2, 2] - 1.0)).max() > 1e-6:
                 raise InputError(f"{about}: its matrix is not fx 0 cx, 0 fy cy, 0 0 1")

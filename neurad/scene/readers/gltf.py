@@ -241,15 +241,17 @@ class _Reader:
 def in_world(
     to_world: Array, places: Array, normals: Array | None, faces: IntArray
 ) -> tuple[FloatArray, FloatArray | None, IntArray]:
-    """Vertices, unit normals and triangles, which a mirroring transform winds the other way round."""
+    """Vertices (float64 where they move), unit normals and triangles, which a mirroring transform winds the other way
+    round.
+    """
     turned = None if normals is None else normals.astype(np.float32)
     if turned is not None:
         turned = np.where(np.isfinite(turned), turned, np.float32(0.0))
     if np.array_equal(to_world, np.eye(4)):
-        return places.astype(np.float32), turned, faces
+        return places, turned, faces
     linear = to_world[:3, :3]
     with np.errstate(over="ignore", invalid="ignore"):
-        vertices = (places.astype(np.float64) @ linear.T + to_world[:3, 3]).astype(np.float32)
+        vertices: Any = places.astype(np.float64) @ linear.T + to_world[:3, 3]
     if turned is not None:
         turned = unit(turned.astype(np.float64) @ np.linalg.inv(linear)).astype(np.float32)
     return vertices, turned, faces[:, [0, 2, 1]] if np.linalg.det(linear) < 0 else faces

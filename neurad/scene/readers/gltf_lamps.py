@@ -8,6 +8,7 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
+from typing import Any
 
 import numpy as np
 
@@ -159,7 +160,7 @@ def _soup(mesh: Mesh, face: Array, bary: Array) -> Mesh:
 
     def at(values: FloatArray) -> FloatArray:
         corners = values[mesh.faces[face]].astype(np.float64)  # [p, 3, c]
-        return np.asarray((bary @ corners).reshape(-1, values.shape[1]), np.float32)
+        return np.asarray((bary @ corners).reshape(-1, values.shape[1]), values.dtype)
 
     return replace(
         mesh,
@@ -193,11 +194,13 @@ def back_of(mesh: Mesh) -> Mesh:
         np.add.at(normal, mesh.faces[:, corner], across)
     normal /= np.maximum(np.linalg.norm(normal, axis=1, keepdims=True), 1e-300)
     diagonal = float(np.linalg.norm(np.ptp(mesh.vertices.astype(np.float64), axis=0)))
-    gap = max(_GAP * diagonal, 8e-6 * float(np.abs(mesh.vertices).max(initial=0.0)))
+    far = 8e-6 * float(np.abs(mesh.vertices).max(initial=0.0))  # what float32 needs, where the room stays so far away
+    gap = max(_GAP * diagonal, min(far, 0.01 * diagonal))
+    vertices: Any = mesh.vertices - gap * normal
     return replace(
         mesh,
         name=f"{mesh.name} (back)",
-        vertices=(mesh.vertices - gap * normal).astype(np.float32),
+        vertices=vertices,
         faces=mesh.faces[:, [0, 2, 1]],
         normals=None if mesh.normals is None else -mesh.normals,
     )

@@ -28,7 +28,6 @@ from neurad.scene.readers.gltf_textures import LEVELS, Place, TextureReader, aff
 COLOUR = "colour"
 """The vertex attribute that colours of vertices become."""
 _ONES = Constant(np.ones(3, np.float32))
-_SMOOTH = Constant(np.zeros(1, np.float32))
 _LARGEST_INDEX = 100.0
 _OPAQUE = 254  # of 255: what writers round down to
 _LAYERS = {

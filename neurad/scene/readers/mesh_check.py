@@ -12,7 +12,7 @@ import numpy as np
 
 from neurad.core.errors import InputError
 from neurad.runtime.reading import TEXT_MESH_LIMIT, failure, read_bytes, regular_file, shown
-from neurad.scene.readers.ply_check import check_indices, check_ply
+from neurad.scene.readers.ply_file import check_indices, check_ply
 
 
 def check_mesh_file(path: Path, kind: str, missing: str, index: int = 0) -> None:

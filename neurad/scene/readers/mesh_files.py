@@ -1,22 +1,36 @@
-"""Meshes as other programs write them: OBJ, PLY and STL, read by trimesh, glTF and USD by readers of their own."""
+"""Meshes as other programs write them: OBJ, PLY, STL, glTF and USD."""
 
 from __future__ import annotations
 
+import re
 import warnings
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
 from neurad.core.errors import InputError
-from neurad.core.records import FloatArray, IntArray, Material, Mesh
-from neurad.runtime.reading import TEXT_MESH_LIMIT, native, regular_file, shown
-from neurad.scene.numbers import LENGTH, RADIANCE, unit, within
+from neurad.core.names import apart
+from neurad.core.records import Material, Mesh
+from neurad.runtime.reading import TEXT_MESH_LIMIT, native, read_bytes, regular_file, shown
+from neurad.scene.numbers import LENGTH, RADIANCE, within
+from neurad.scene.polygons import triangulate_polygons
+from neurad.scene.readers.obj_file import read_obj
+from neurad.scene.readers.ply_file import Lists, coordinates, corners_of, read_ply
+from neurad.scene.readers.triangles import crossing_note, mesh_of
 
 KINDS = (".obj", ".ply", ".stl")
-"""What trimesh reads."""
+"""Files of meshes that are no scenes."""
+_NORMALS = ("nx", "ny", "nz")
+_UVS = (("texture_u", "texture_v"), ("u", "v"), ("s", "t"))
+"""Names that texture coordinates of vertices have in PLY files."""
 MESHES = (*KINDS, ".glb", ".gltf", ".usd", ".usdc", ".usda")
+_FACET = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
+_SOLID, _END = re.compile(rb"^\s*solid\b[ \t]*", re.M | re.I), re.compile(rb"\bendsolid\b", re.I)
+_BEGUN, _ENDED = re.compile(rb"\bfacet\b", re.I), re.compile(rb"\bendfacet\b", re.I)
+_VERTEX = re.compile(rb"\bvertex\s+(\S+)\s+(\S+)\s+(\S+)", re.I)
 
 
 @dataclass(frozen=True)
@@ -50,14 +64,19 @@ def read_meshes(path: str | Path) -> MeshFile:
     if kind not in KINDS:
         return _with_materials(path, kind)
     if kind != ".ply" and path.stat().st_size > TEXT_MESH_LIMIT:
-        raise InputError(f"{shown(path)}: it has more than {TEXT_MESH_LIMIT >> 20} MB; convert it to PLY")
+        raise InputError(f"{shown(path)}: it has more than {TEXT_MESH_LIMIT >> 20} MB; convert it to binary PLY")
+    notes: tuple[str, ...] = ()
+    linkable = False
     with native(path, f"it cannot be read as {kind[1:].upper()}"), warnings.catch_warnings():
         warnings.simplefilter("ignore")  # of numbers that are none: they are looked at below
-        loaded = loaded_by_trimesh(path)
-        parts = [(name, part) for name, part in loaded.geometry.items() if hasattr(part, "faces")]
         if kind == ".obj":
-            parts.reverse()  # trimesh takes the file from its end; ids and order of meshes are the file's
-        meshes = [mesh_of(name if len(parts) > 1 else path.stem, part, kind == ".stl") for name, part in parts]
+            obj = read_obj(path)
+            meshes, notes = obj.meshes, obj.notes
+        elif kind == ".ply":
+            mesh, linkable, notes = read_ply_mesh(path)
+            meshes = [mesh]
+        else:
+            meshes = read_stl(path)
     meshes = [mesh for mesh in meshes if len(mesh.faces)]
     if not meshes:
         raise InputError(f"{shown(path)}: it has no triangle")
@@ -65,23 +84,69 @@ def read_meshes(path: str | Path) -> MeshFile:
         within(mesh.vertices, f"{shown(path)}: the coordinates of {shown(mesh.name)}", -LENGTH, LENGTH)
         if mesh.radiance is not None:
             within(mesh.radiance, f"{shown(path)}: the radiance (Ke) of material {shown(mesh.name)}", 0.0, RADIANCE)
-    return MeshFile(path, meshes, kind == ".ply" and _ply_faces(path) == len(meshes[0].faces))
+    return MeshFile(path, meshes, linkable, notes=notes)
 
 
-def loaded_by_trimesh(path: Path) -> Any:
-    """The ``trimesh.Scene`` of an OBJ, PLY or STL file, its vertices as the file has them.
+def read_ply_mesh(path: Path) -> tuple[Mesh, bool, tuple[str, ...]]:
+    """The mesh of a PLY file, whether it can take part in a scene as it is, and what has to be said.
 
-    Of PLY files trimesh makes a vertex for each texture coordinate unless it is told otherwise, and loses normals and
-    colours where that gives another number of vertices: where one is not used, for example.
+    Raises:
+        InputError: it is no such file, or its faces are broken.
     """
-    import trimesh
+    ply = read_ply(path)
+    points = coordinates(path, ply)
+    if not ply.get("face"):
+        raise InputError(f"{shown(path)}: it has no triangle: it is a cloud of points, or its faces are strips")
+    corners = corners_of(path, ply)
+    triangles, crossing = triangulate_polygons(points[corners.values], corners.counts)
+    vertex, face = ply["vertex"], ply["face"]
+    of_corners = isinstance(face.get("texcoord"), Lists)  # vertices cannot have them all
+    names = () if of_corners else next((pair for pair in _UVS if set(pair) <= set(vertex)), ())
+    mesh = mesh_of(path.stem, points, corners.values[triangles], _stacked(vertex, _NORMALS), _stacked(vertex, names))
+    lists = [column for columns in ply.values() for column in columns.values() if isinstance(column, Lists)]
+    return mesh, all((x.counts == 3).all() for x in lists), tuple(crossing_note(path, crossing))
 
-    options: dict[str, Any] = {"fix_texture": False} if path.suffix.lower() == ".ply" else {}
-    loaded: Any = trimesh.load_scene(path, process=False, **options)
-    if options and b" texcoord" in _header(path):  # of corners: vertices cannot have them all
-        for part in loaded.geometry.values():
-            part.visual = trimesh.visual.ColorVisuals()
-    return loaded
+
+def _stacked(columns: Mapping[str, Any], names: tuple[str, ...]) -> Any:
+    """Columns side by side [n, names]; None where one is not there."""
+    if not names or not all(isinstance(columns.get(name), np.ndarray) for name in names):
+        return None
+    return np.stack([np.asarray(columns[name], np.float64) for name in names], -1)
+
+
+def read_stl(path: Path) -> list[Mesh]:
+    """The meshes of an STL file, without normals: one, or the solids of a text by their names.
+
+    Raises:
+        InputError: it is cut short.
+        ValueError: what should be a number is none.
+    """
+    data = read_bytes(path, TEXT_MESH_LIMIT)
+    count = int.from_bytes(data[80:84], "little")
+    if data.lstrip()[:5].lower() != b"solid" or len(data) == 84 + 50 * count:
+        facets = np.frombuffer(data[84 : 84 + (len(data) - 84) // 50 * 50] if len(data) > 84 else b"", _FACET)
+        if len(facets) < count:
+            raise InputError(f"{shown(path)}: its header says {count} triangles, but {len(facets)} are there")
+        return [_soup(path.stem, facets["corners"][:count])]
+    found = []
+    for solid in _SOLID.split(data)[1:]:
+        name, _, body = solid.partition(b"\n")
+        corners = [[float(x) for x in match.groups()] for match in _VERTEX.finditer(body)]
+        begun, ended = len(_BEGUN.findall(body)), len(_ENDED.findall(body))
+        if begun != ended or len(corners) != 3 * begun or not _END.search(body):
+            raise InputError(
+                f"{shown(path)}: it begins {begun} facets, of which {ended} end, with {len(corners)} corners: it is "
+                "cut short or broken; save it again"
+            )
+        found.append(_soup(name.strip().decode("utf-8", "replace"), np.array(corners).reshape(-1, 3, 3)))
+    taken = set[str]()
+    return [replace(mesh, name=apart(mesh.name or path.stem, taken) if found[1:] else path.stem) for mesh in found]
+
+
+def _soup(name: str, corners: Any) -> Mesh:
+    """A mesh of triangles [f, 3 corners, 3] that share no vertices."""
+    points = np.asarray(corners, np.float64).reshape(-1, 3)
+    return mesh_of(name, points, np.arange(len(points)).reshape(-1, 3))
 
 
 def _with_materials(path: Path, kind: str) -> MeshFile:
@@ -99,63 +164,3 @@ def _with_materials(path: Path, kind: str) -> MeshFile:
     from neurad.scene.readers.usd import read_usd
 
     return MeshFile(path, read_usd(path), False)
-
-
-def mesh_of(name: str, part: Any, flat: bool) -> Mesh:
-    """One of trimesh's meshes without the vertices that it does not use; without normals if it is ``flat``."""
-    faces: IntArray = np.asarray(part.faces, np.int64).reshape(-1, 3)
-    vertices = np.asarray(part.vertices, np.float64)
-    if len(faces) and not (faces.min() >= 0 and faces.max() < len(vertices)):
-        raise ValueError("a face names a vertex that there is not")
-    # trimesh computes normals where a file has none; those that a file has are in its cache.
-    given = None if flat else part._cache.cache.get("vertex_normals")
-    normals = _usable(given, len(vertices), 3)
-    uvs = _usable(getattr(part.visual, "uv", None), len(vertices), 2)
-    used, corner = np.unique(faces, return_inverse=True)
-    if normals is not None:
-        normals = normals[used]
-        normals = None if (np.linalg.norm(normals, axis=1) < 1e-6).any() else unit(normals)
-    return Mesh(
-        name,
-        vertices[used].astype(np.float32),
-        corner.reshape(-1, 3).astype(np.int64),
-        0,
-        None if normals is None else normals.astype(np.float32),
-        None if uvs is None else uvs[used].astype(np.float32),
-        radiance=_emitted(part),
-    )
-
-
-def _usable(values: Any, count: int, channels: int) -> FloatArray | None:
-    """Values of the vertices, if there are any and all are numbers."""
-    if values is None:
-        return None
-    array: FloatArray = np.asarray(values, np.float64)
-    return array if array.shape == (count, channels) and np.isfinite(array).all() else None
-
-
-def _emitted(part: Any) -> FloatArray | None:
-    """What the material of an MTL file emits."""
-    material = getattr(part.visual, "material", None)
-    words = (getattr(material, "kwargs", None) or {}).get("ke")
-    if words is None:
-        return None
-    radiance: FloatArray = np.array([float(word) for word in np.atleast_1d(words)], np.float32)
-    if radiance.shape != (3,):
-        raise ValueError("Ke is not three numbers")
-    return radiance if radiance.any() else None
-
-
-def _ply_faces(path: Path) -> int:
-    """Number of faces that the header of a PLY file announces; -1 without one."""
-    for line in _header(path).splitlines():
-        words = line.split()
-        if words[:2] == [b"element", b"face"] and len(words) == 3 and words[2].isdigit():
-            return int(words[2])
-    return -1
-
-
-def _header(path: Path) -> bytes:
-    """The header of a PLY file."""
-    with path.open("rb") as file:
-        return file.read(1 << 16).partition(b"end_header")[0]

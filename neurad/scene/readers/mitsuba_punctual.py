@@ -8,6 +8,7 @@ import numpy as np
 
 from neurad.core.errors import InputError
 from neurad.core.records import FloatArray, PunctualLight
+from neurad.scene.origin import ZERO, Array
 from neurad.scene.punctual import check_punctual
 
 PARAMETERS = {
@@ -19,15 +20,18 @@ PARAMETERS = {
 _ROUND = 1e-4  # largest relative deviation of a spot's axes from orthogonal ones of one length
 
 
-def read_punctual(props: Any, name: str, intensity: FloatArray, to_world: FloatArray, where: str) -> PunctualLight:
+def read_punctual(
+    props: Any, name: str, intensity: FloatArray, to_world: FloatArray, where: str, origin: Array = ZERO
+) -> PunctualLight:
     """A light from the properties of its element.
 
     Args:
         props: Mitsuba's.
         name: of the light.
         intensity: what it sends [3].
-        to_world: its transform [4, 4], the identity where it has none.
+        to_world: its transform [4, 4] after ``origin`` was subtracted, the identity where it has none.
         where: file and element, for sentences.
+        origin: subtracted from its position [3].
 
     Raises:
         InputError: its place or direction is given twice, its cone is not round, or a number is out of its range.
@@ -38,7 +42,7 @@ def read_punctual(props: Any, name: str, intensity: FloatArray, to_world: FloatA
         raise InputError(f"{where}: it has both {own} and to_world; give one of them")
     position, direction = to_world[:3, 3], to_world[:3, 2]
     if kind == "point" and "position" in props:
-        position = _vector(props["position"], f"{where}: its position")
+        position = _vector(props["position"], f"{where}: its position", origin)
     if kind == "directional" and "direction" in props:
         direction = _vector(props["direction"], f"{where}: its direction")
     angles = {}
@@ -53,13 +57,13 @@ def read_punctual(props: Any, name: str, intensity: FloatArray, to_world: FloatA
     return check_punctual(light, where)
 
 
-def _vector(value: Any, where: str) -> FloatArray:
+def _vector(value: Any, where: str, origin: Array = ZERO) -> FloatArray:
     """Three numbers [3]; those that float32 cannot hold are infinite."""
     with np.errstate(over="ignore"):
-        made = np.array(value, np.float64).reshape(-1).astype(np.float32)
-    if made.shape != (3,):
-        raise InputError(f"{where} is not three numbers")
-    return made
+        made = np.array(value, np.float64).reshape(-1)
+        if made.shape != (3,):
+            raise InputError(f"{where} is not three numbers")
+        return np.asarray(made - origin, np.float32)
 
 
 def _degrees(props: Any, key: str, default: float, where: str) -> float:

@@ -11,6 +11,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any
 
 import numpy as np
@@ -20,11 +21,14 @@ from neurad.core.records import Bitmap, EnvironmentMap, FloatArray, Mesh, Punctu
 from neurad.runtime.reading import native, shown
 from neurad.scene.description import Scene
 from neurad.scene.numbers import LENGTH, RADIANCE, TEXEL, UNIT, number, within
+from neurad.scene.origin import ZERO, Array
+from neurad.scene.polygons import check_triangle_count
 from neurad.scene.readers.gltf_lamps import lit_by
 from neurad.scene.readers.mesh_check import check_mesh_file
 from neurad.scene.readers.mitsuba_materials import MaterialReader
 from neurad.scene.readers.mitsuba_punctual import PARAMETERS, read_punctual
 from neurad.scene.readers.mitsuba_shapes import CURVED, ERROR, Triangles, is_round, triangulated
+from neurad.scene.readers.moved_file import moved_file
 from neurad.scene.readers.xml_check import check_xml
 
 _MESHES = ("ply", "obj", "serialized", "rectangle", "cube", *CURVED)
@@ -35,10 +39,14 @@ _RIGID = 1e-4  # largest deviation of an environment's axes from orthonormal one
 _IGNORED = ("Sensor", "Integrator", "BSDF", "Texture", "Film", "Sampler", "ReconstructionFilter")
 
 
-def read_xml(path: str | Path) -> Scene:
+def read_xml(path: str | Path, origin: Array = ZERO) -> Scene:
     """Geometry, materials, lights and depths of a Mitsuba scene file; cameras are not read.
 
     Vertices are in world space, and the winding of emitters is such that they shine to the side they do in Mitsuba.
+
+    Args:
+        path: of the file.
+        origin: subtracted from all places [3] as float64, before Mitsuba makes float32 of them.
 
     Raises:
         InputError: the package or a file is missing, the XML is wrong, or the scene uses what neurad cannot render.
@@ -47,7 +55,8 @@ def read_xml(path: str | Path) -> Scene:
     check_xml(path)
     with _scalar_rgb(path) as mi:
         try:
-            return _Reader(mi, path).scene()
+            with TemporaryDirectory() as folder:
+                return _Reader(mi, path, origin, Path(folder)).scene()
         except MemoryError as error:
             raise InputError(f"{shown(path)}: there is not enough memory for its meshes and textures") from error
         except RecursionError as error:
@@ -80,7 +89,11 @@ class _Reader:
 
     mi: Any
     path: Path
+    origin: Array
+    folder: Path
+    """For mesh files that are moved near the origin."""
     meshes: list[Mesh] = field(default_factory=list)
+    triangles: int = 0
     environment: EnvironmentMap | None = None
     punctual: list[PunctualLight] = field(default_factory=list)
     notes: list[str] = field(default_factory=list)
@@ -165,6 +178,8 @@ class _Reader:
         material = self.materials.index(bsdf, label, shines=radiance is not None)
         wanted = self.materials.attributes(material)
         mesh = self._mesh(shape, label, material, wanted, radiance)
+        self.triangles += len(mesh.faces)
+        check_triangle_count(self.triangles, f"{shown(self.path)}: with shape {shown(label)}")
         self.meshes += [mesh] if picture is None else self._lit(mesh, picture)
 
     def _lit(self, mesh: Mesh, picture: Bitmap) -> list[Mesh]:
@@ -188,9 +203,28 @@ class _Reader:
             index = int(number(props.get("shape_index", 0), f"{self.path}: shape {label}: shape_index", 0, _UNLIMITED))
             check_mesh_file(file, plugin, f"the mesh of shape {label} in {self.path.name} is missing", index)
             described["filename"] = str(file)
+        if self.origin.any():
+            self._move(described, props, label)
         with native(file, lambda error: f"shape {label}: {_reason(error)}"):
             shape = self.mi.load_dict(described)
         return self._triangulated(shape, props, label) if plugin in CURVED else shape
+
+    def _move(self, described: dict[str, Any], props: Any, label: str) -> None:
+        """Subtract the origin from a shape, and take what its own coordinates lie off into its transform."""
+        plugin, pose, step = described["type"], np.eye(4), np.zeros(3)
+        if "to_world" in props:
+            pose = np.array(props["to_world"].matrix, np.float64)
+        if plugin in ("ply", "obj"):
+            moved, step = moved_file(Path(described["filename"]), plugin, self.folder / f"{len(self.meshes)}.{plugin}")
+            described["filename"] = str(moved)
+        for key in ("center", "p0"):
+            if key in props:
+                step = np.array(props[key], np.float64)
+                described[key] = [0.0, 0.0, 0.0]
+        if "p1" in props:
+            described["p1"] = (np.array(props["p1"], np.float64) - step).tolist()
+        pose[:3, 3] += pose[:3, :3] @ step - self.origin
+        described["to_world"] = self.mi.ScalarTransform4f(pose)
 
     def _triangulated(self, shape: Any, props: Any, label: str) -> Triangles:
         """The triangles of a sphere, disk or cylinder."""
@@ -227,7 +261,10 @@ class _Reader:
         if "to_world" not in props:
             return np.eye(4, dtype=np.float32)
         with np.errstate(over="ignore", invalid="ignore"):  # what float32 cannot hold is said below
-            matrix = np.array(getattr(props["to_world"], "matrix", np.nan)).astype(np.float32)
+            matrix = np.array(getattr(props["to_world"], "matrix", np.nan))
+            if matrix.shape == (4, 4):
+                matrix[:3, 3] -= self.origin
+            matrix = matrix.astype(np.float32)
             inverts = matrix.shape == (4, 4) and np.linalg.det(matrix[:3, :3].astype(np.float64)) != 0
         if not inverts or not np.isfinite(matrix).all():
             raise InputError(f"{self.path}: the to_world of {where} is not a transform that can be inverted")
@@ -324,7 +361,7 @@ class _Reader:
         key, *others = PARAMETERS[plugin]
         intensity = self._emission(props, where, *others, key=key)
         to_world = self._transform(props, where)
-        self.punctual.append(read_punctual(props, name, intensity, to_world, f"{self.path}: {where}"))
+        self.punctual.append(read_punctual(props, name, intensity, to_world, f"{self.path}: {where}", self.origin))
 
     def _map(self, props: Any) -> EnvironmentMap:
         """The lat-long map of an envmap, with its scale and turn."""

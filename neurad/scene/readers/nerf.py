@@ -18,14 +18,13 @@ from neurad.core.records import Camera, Development, FloatArray, View
 from neurad.runtime.reading import exists, read_json, regular_file, shown
 from neurad.scene.image_io import read_mask
 from neurad.scene.numbers import LENGTH, matrix, number
-from neurad.scene.photographs import RAW, READABLE, picture_size
+from neurad.scene.photographs import READABLE, picture_size
 from neurad.scene.picture_headers import SIDE
 from neurad.scene.readers.intrinsics import Kept, Size, camera_of, rigid
+from neurad.scene.readers.photograph_files import OTHER, listed_file, listed_photograph
 
 HOLD_OUT = 8
 """Every so many-th photograph is held out where nothing says which."""
-OTHER = (".webp", ".bmp", ".heic", ".gif", *RAW)
-"""Photographs that are not read."""
 FILM = 512, 512
 """Width and height of a picture whose size nothing says."""
 EXPOSURE = 1e-9, 1e9
@@ -151,7 +150,7 @@ def _named(path: Path) -> list[str] | None:
 
 def _key(name: str) -> str:
     """What is the same for two ways to write the name of a photograph."""
-    return os.path.normpath(name.removesuffix(".exr"))
+    return os.path.normpath(name.replace("\\", "/").removesuffix(".exr"))
 
 
 def _ordinal(count: int) -> str:
@@ -173,7 +172,7 @@ def read_views(
         root: folder of the photographs.
         size: width and height where the file has none, in place of what the photograph says.
         photograph: finds the photograph of a name, its second argument begins the sentence if there is none; None
-            takes the EXR file of that name.
+            takes that of :func:`listed_photograph`.
         pictures: whether photographs, masks and maps are wanted. Otherwise none of them has to be there, and views have
             their cameras and the name of the file where the photograph would be.
 
@@ -193,18 +192,18 @@ def read_views(
                 raise InputError(f"{path}: frame {index} has no file_path")
             where = f"{path}: frame {index} ({shown(frame['file_path'])})"
             name = frame["file_path"]
-            image = _photograph(root, name, path) if photograph is None else photograph(name, where)
+            image = listed_photograph(root, name, where, path.name) if photograph is None else photograph(name, where)
             settings = {**described, **frame}
             film = _size(settings, where) or size
             if film is None:
                 film = picture_size(image) if pictures or exists(image) else _unsaid(settings, where)
             pose = undo(rigid(frame.get("transform_matrix"), f"{where}: its transform_matrix"))
             if not pictures:
-                camera = camera_of((frame, described), film, pose, where, _kept_of(root, frame))
+                camera = camera_of((frame, described), film, pose, where, _kept_of(_mask_name(root, frame)))
                 views.append(View(image.stem, camera, str(image)))
                 continue
             mask = _listed(root, frame, "mask_path", f"the mask is missing that {path.name} lists", path)
-            camera = camera_of((frame, described), film, pose, where, _kept_of(root, frame))
+            camera = camera_of((frame, described), film, pose, where, _kept_of(mask))
             maps = {kind: _map(root, frame, kind, image, path) for kind in ("albedo", "roughness", "spread")}
             relit = _map(root, frame, "relight", image, path) if "relight_path" in frame else None
             made = Development(exposure=_exposure(settings, where))
@@ -239,24 +238,30 @@ def read_cameras(path: str | Path, size: Size) -> list[View]:
         film = _size({**described, **frame}, where) or size
         pose = undo(rigid(frame.get("transform_matrix"), f"{where}: its transform_matrix"))
         stem = Path(name).name.removesuffix(".exr") if isinstance(name, str) else ""
-        views.append(View(stem, camera_of((frame, described), film, pose, where, _kept_of(path.parent, frame))))
+        kept = _kept_of(_mask_name(path.parent, frame))
+        views.append(View(stem, camera_of((frame, described), film, pose, where, kept)))
     if not all(view.name for view in views) or len({view.name for view in views}) < len(views):
         return [replace(view, name=f"{index:04d}") for index, view in enumerate(views)]
     return views
 
 
-def _kept_of(root: Path, frame: dict[str, Any]) -> Kept | None:
-    """What reads the mask that a frame lists; one that is not there keeps nothing. None where it lists none."""
-    listed = frame.get("mask_path")
-    if not isinstance(listed, str):
+def _kept_of(mask: str | Path | None) -> Kept | None:
+    """What reads a mask; one that is not there keeps nothing. None without a mask."""
+    if mask is None:
         return None
 
     def kept(camera: Camera) -> npt.NDArray[np.bool_]:
-        if not (root / listed).is_file():
+        if not Path(mask).is_file():
             return np.zeros((camera.height, camera.width), np.bool_)
-        return read_mask(View("", camera, mask=str(root / listed)))
+        return read_mask(View("", camera, mask=str(mask)))
 
     return kept
+
+
+def _mask_name(root: Path, frame: dict[str, Any]) -> Path | None:
+    """Where the mask that a frame lists would be."""
+    listed = frame.get("mask_path")
+    return root / listed.replace("\\", "/") if isinstance(listed, str) else None
 
 
 def _frames(path: Path) -> tuple[dict[str, Any], list[Any]]:
@@ -322,37 +327,19 @@ def _unsaid(settings: dict[str, Any], where: str) -> Size:
 
 def _unmade(root: Path, name: str) -> Path:
     """The file where a photograph would be, or is."""
-    image = root / name
-    there = (_exr(image), image, *(image.with_name(image.name + ending) for ending in READABLE))
-    known = image.suffix.lower() in (*READABLE, *OTHER)
-    return next((file for file in there if image.name and file.is_file()), image if known else _exr(image))
-
-
-def _photograph(root: Path, name: str, path: Path) -> Path:
-    image = root / name
-    if not image.name:
-        raise InputError(f"{path}: its file_path {shown(repr(name))} is not the name of a file")
-    file = _exr(image)
-    if exists(file):
-        return regular_file(file)
-    names = [image, *(image.with_name(image.name + ending) for ending in (*READABLE, *OTHER))]
-    other = next((name for name in names if name.suffix.lower() in (*READABLE, *OTHER) and exists(name)), None)
-    if other is None or other.suffix.lower() in READABLE:
-        return regular_file(other or file, f"the photograph is missing that {path.name} lists (an EXR file)")
-    how = "merge it with `neurad data hdr`" if other.suffix.lower() in RAW else "save it in one of these formats"
-    endings = ", ".join(READABLE)
-    raise InputError(f"{shown(other)}: {path.name} lists a photograph that is none of {endings}: {how}")
+    try:
+        return listed_photograph(root, name, name, name)
+    except InputError:
+        image = root / name.replace("\\", "/")
+        if not image.name:
+            raise
+        return image if image.suffix.lower() in (*READABLE, *OTHER) else image.with_name(f"{image.name}.exr")
 
 
 def _exposure(settings: dict[str, Any], where: str) -> float | None:
     """The exposure of a frame; None where the file has none."""
     value = settings.get("exposure")
     return None if value is None else number(value, f"{where}: its exposure", *EXPOSURE)
-
-
-def _exr(image: Path) -> Path:
-    """The name of a photograph; Blender's files omit the ending."""
-    return image if image.suffix.lower() == ".exr" or not image.name else image.with_name(image.name + ".exr")
 
 
 def _map(root: Path, frame: dict[str, Any], kind: str, image: Path, path: Path) -> str | None:
@@ -371,7 +358,7 @@ def _listed(root: Path, frame: dict[str, Any], key: str, missing: str, path: Pat
         return None
     if not isinstance(listed, str):
         raise InputError(f"{path}: {key} is {shown(repr(listed))}, not the name of a file")
-    return str(regular_file(root / listed, missing))
+    return str(listed_file(root / listed.replace("\\", "/"), missing))
 
 
 def _size(settings: dict[str, Any], where: str) -> Size | None:

@@ -16,7 +16,8 @@ from neurad.scene.image_io import from_srgb
 from neurad.scene.numbers import LENGTH, within
 from neurad.scene.readers.gltf import ENDINGS as GLTF
 from neurad.scene.readers.gltf import read_gltf
-from neurad.scene.readers.mesh_files import KINDS, loaded_by_trimesh, mesh_of
+from neurad.scene.readers.mesh_files import KINDS, read_ply_mesh, read_stl
+from neurad.scene.readers.obj_file import read_obj
 
 OBJECTS = (*KINDS, *GLTF)
 PLAIN = 0.5
@@ -53,9 +54,11 @@ def read_object(path: str | Path, where: str) -> list[Part]:
         return _of_gltf(file)
     with native(file, f"it cannot be read as {kind[1:].upper()}"), warnings.catch_warnings():
         warnings.simplefilter("ignore")
-        loaded = loaded_by_trimesh(file)
-        # Copies of one mesh in several places become meshes of their own, each where it stands.
-        parts = [_part(part, kind == ".stl") for part in loaded.dump() if hasattr(part, "faces")]
+        if kind == ".obj":
+            obj = read_obj(file)
+            parts = [_part(mesh, paint) for mesh, paint in zip(obj.meshes, obj.paints, strict=True)]
+        else:
+            parts = [_part(mesh, {}) for mesh in (read_stl(file) if kind == ".stl" else [read_ply_mesh(file)[0]])]
     parts = [part for part in parts if len(part.mesh.faces)]
     if not parts:
         raise InputError(f"{where}: {shown(path)} has no triangle")
@@ -76,22 +79,20 @@ def _of_gltf(file: Path) -> list[Part]:
     ]
 
 
-def _part(part: Any, flat: bool) -> Part:
-    material = getattr(part.visual, "material", None)
-    name = str(part.metadata.get("name") or getattr(material, "name", None) or "part")
-    mesh = mesh_of(name, part, flat)
-    if mesh.uvs is not None:  # in pictures here v runs down, in these files up
-        mesh = replace(mesh, uvs=np.stack((mesh.uvs[:, 0], 1.0 - mesh.uvs[:, 1]), -1).astype(np.float32))
-    mesh = replace(mesh, radiance=None)
-    return Part(mesh, _colour(material, mesh.uvs is not None), Constant(np.full(1, PLAIN, np.float32)))
+def _part(mesh: Mesh, paint: dict[str, Any]) -> Part:
+    """A mesh with the material of MTL that it has."""
+    uvs = mesh.uvs  # in pictures here v runs down, in these files up
+    uvs = None if uvs is None else np.stack((uvs[:, 0], 1.0 - uvs[:, 1]), -1).astype(np.float32)
+    mesh = replace(mesh, vertices=mesh.vertices.astype(np.float32), uvs=uvs, radiance=None)
+    return Part(mesh, _colour(paint, uvs is not None), Constant(np.full(1, PLAIN, np.float32)))
 
 
-def _colour(material: Any, mapped: bool) -> Texture:
+def _colour(paint: dict[str, Any], mapped: bool) -> Texture:
     """The colour of a material of MTL."""
     factor = np.full(3, PLAIN, np.float32)
-    if (words := (getattr(material, "kwargs", None) or {}).get("kd")) is not None:
+    if (words := paint.get("kd")) is not None:
         factor = np.array([float(word) for word in np.atleast_1d(words)][:3], np.float32)
-    picture = getattr(material, "image", None)
+    picture = paint.get("image")
     if picture is None or not mapped:
         return Constant(factor)
     pixels = from_srgb(np.asarray(picture.convert("RGB"), np.float32) / 255.0)

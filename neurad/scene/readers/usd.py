@@ -86,7 +86,7 @@ def _meshes(path: Path, prim: Any, mesh: Any, to_world: Array) -> Iterator[Mesh]
         if len(given) != len(points):  # of corners: each gets a vertex of its own
             vertices, faces = points[order], corners
         normals = unit(given @ np.linalg.inv(linear))
-    there = (vertices @ linear.T + to_world[:3, 3]).astype(np.float32)
+    there: Any = vertices @ linear.T + to_world[:3, 3]
     within(there, f"{where}: its coordinates", -LENGTH, LENGTH)
     smooth = None if normals is None else normals.astype(np.float32)
     yield Mesh(str(prim.GetName()), there, faces.astype(np.int64), 0, smooth, radiance=_emitted(prim, where))

@@ -1,0 +1,227 @@
+"""A process of ``neurad bench cube``: builds one method at one albedo, then takes a step for each command it reads."""
+
+from __future__ import annotations
+
+import json
+import math
+import os
+import sys
+import time
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import torch
+from torch import Tensor
+
+from benchmarks.bench.machine import peak_bytes, pick_device, wait
+from benchmarks.photos import PhotosInMemory
+from neurad.assembly.build import FittedMaterials, build_world
+from neurad.assembly.settings import ModelSettings
+from neurad.core.camera import camera_rays
+from neurad.core.errors import InputError
+from neurad.core.rng import Stream
+from neurad.fields.dense_grid import DenseGrid
+from neurad.fields.mlp import MLP
+from neurad.fields.radiance import START
+from neurad.fields.settings import FieldConfig, RadianceConfig, RoughnessConfig
+from neurad.integrators.method import Method
+from neurad.integrators.path import PathTracing
+from neurad.integrators.prb import PRB
+from neurad.integrators.vertex import DIMENSIONS
+from neurad.integrators.walk import Roulette, walk
+from neurad.runs.model_settings import model_settings
+from neurad.runtime.allocator import keep_freed_memory
+from neurad.scene.builtin import build_cube
+from neurad.scene.description import Scene
+from neurad.scene.geometry import Geometry
+from neurad.scene.textures import TrueMaterials
+from neurad.training.session import TrainingRun
+
+WARMUP = 2
+"""Steps that do not count."""
+PATHS = 1 << 15
+"""Walks whose lengths are counted."""
+LAST_LAYER_SCALE = 0.01
+"""Factor on the last layer's random weights, so that they change the albedo by less than a thousandth of its range."""
+
+SHIPPED = "scene.yaml"
+"""Config that the settings of the step come from."""
+
+Step = Callable[[], int]
+"""Takes a training step and returns how many rays it cast."""
+
+
+def main(job: dict[str, Any]) -> None:
+    """Do a job of ``neurad bench cube`` and answer on standard output, a line of JSON for every command read."""
+    keep_freed_memory()
+    output = os.fdopen(os.dup(1), "w")
+    os.dup2(2, 1)  # what libraries print goes to standard error
+
+    def answer(**values: Any) -> None:
+        print(json.dumps(values), file=output, flush=True)
+
+    try:
+        if job["method"] == "lengths":
+            answer(lengths=[path_lengths(albedo, job["rr_prob"], job["tracer"]) for albedo in job["albedos"]])
+            return
+        device = pick_device(job["device"])
+        step = mitsuba_step(job) if job["method"] == "mitsuba" else make_step(make_run(job, device))
+        base = resident_bytes(device)
+        for _ in range(WARMUP):
+            step()
+    except InputError as error:
+        answer(error=str(error))
+        return
+    answer(ready=True)
+    for command in sys.stdin:
+        if command.strip() == "end":
+            answer(base=base, peak=peak_bytes(device))
+            return
+        wait(device)
+        begin = time.perf_counter()
+        rays = step()
+        wait(device)
+        answer(seconds=time.perf_counter() - begin, rays=rays)
+
+
+def make_method(name: str, limit: int, rr_prob: float) -> Method:
+    """'ours', 'prb' or 'path'; the latter two end paths by roulette from the first bounce, and after ``limit``."""
+    if name == "ours":
+        return model_settings(SHIPPED).method
+    return (PRB if name == "prb" else PathTracing)(limit + 1, 1, rr_prob)
+
+
+def make_run(job: dict[str, Any], device: torch.device) -> TrainingRun:
+    """A run of one method in the cube, with the shipped step and all learning rates at 0.
+
+    The radiance field has the closed room's unit of radiance, and albedo fields the room's albedo everywhere.
+    """
+    scene = build_cube(job["albedo"])
+    light = reflected_radiance(scene)
+    camera = scene.train[0].camera
+    photographs = torch.full((len(scene.train), camera.width * camera.height, 3), light)
+    run = TrainingRun.of_scene(
+        scene, PhotosInMemory(photographs, camera.width, job["pixels"]), cube_settings(job), device
+    )
+    assert isinstance(run.assembly.materials, FittedMaterials)
+    set_albedo(run.assembly.materials, job["albedo"])
+    if run.assembly.radiance is not None:
+        run.assembly.radiance.set_scale(light / START)
+    return run
+
+
+def make_step(run: TrainingRun) -> Step:
+    """The run's step, which counts its rays."""
+    tracer = run.assembly.world.tracer
+
+    def step() -> int:
+        cast = tracer.rays_cast
+        run.advance(0.0)
+        return tracer.rays_cast - cast
+
+    return step
+
+
+def cube_settings(job: dict[str, Any]) -> ModelSettings:
+    """The shipped settings with the job's fields, method and numbers of samples; learning rates are 0."""
+    shipped = model_settings(SHIPPED)
+    sizes = {"kind": job["fields"], "size": job["size"]}
+    spp = job["spp"]
+    return replace(
+        shipped,
+        albedo=FieldConfig(**sizes),
+        roughness=RoughnessConfig(**sizes),
+        radiance=RadianceConfig(**sizes),
+        sampling=replace(
+            shipped.sampling, spp=spp, samples_per_vertex=1, cached_spp=spp, field_fraction=job["field_fraction"]
+        ),
+        optimization=replace(shipped.optimization, albedo=0.0, roughness=0.0, radiance=0.0, average=0.0),
+        method=make_method(job["method"], job["limit"], job["rr_prob"]),
+        tracer=job["tracer"],
+    )
+
+
+def reflected_radiance(scene: Scene) -> float:
+    """``E a rho / (1 - rho)`` with ``a`` the lights' fraction of the area: mean reflected light of a closed room."""
+    geometry = Geometry(scene)
+    light = float((geometry.face_area * geometry.emission[:, 0]).sum() / geometry.face_area.sum())
+    albedo = float(TrueMaterials(scene, geometry).albedo_table.constant[0, 0])
+    return light * albedo / (1.0 - albedo)
+
+
+@torch.no_grad()
+def set_albedo(materials: FittedMaterials, albedo: float) -> None:
+    """Set a new albedo field to ``albedo`` everywhere, so that throughput is the scene's; it stays trainable."""
+    value = math.log(albedo / (1.0 - albedo))
+    for part in materials.albedo.modules():  # type: ignore[attr-defined]
+        if isinstance(part, DenseGrid):
+            part.table.fill_(value)
+        elif isinstance(part, MLP):
+            last: Any = part.layers[-1]
+            last.weight.mul_(LAST_LAYER_SCALE)
+            last.bias.fill_(value)
+
+
+@torch.no_grad()
+def path_lengths(albedo: float, rr_prob: float, tracer: str, paths: int = PATHS) -> tuple[float, int]:
+    """Average number of bounces of walks that roulette alone ends, from the cameras, and the 99.9 percentile."""
+    scene = build_cube(albedo)
+    world = build_world(scene, tracer)
+    materials = TrueMaterials(scene, world.geometry)
+    stream = Stream(1)
+    cameras = [view.camera for view in scene.train]
+    lengths = []
+    for camera in cameras:
+        size = torch.tensor([camera.width, camera.height])
+        si = world.intersect(camera_rays(camera, stream.uniform(paths // len(cameras), 2) * size))
+        u = stream.uniform(len(si), DIMENSIONS)
+        length = torch.zeros(len(si))
+        for vertex in walk(world, materials, si, materials(si), u, stream, Roulette(1, rr_prob), None):
+            length[vertex.lane] += 1
+        lengths.append(length)
+    found: Tensor = torch.cat(lengths).sort().values
+    return float(found.mean()), int(found[math.ceil(0.999 * len(found)) - 1])
+
+
+def mitsuba_step(job: dict[str, Any]) -> Step:
+    """A step of Mitsuba's ``prb`` on the same number of pixels and samples, its albedo in voxels, no optimizer.
+
+    Raises:
+        InputError: the package or the LLVM library is missing.
+    """
+    import numpy as np
+
+    from benchmarks.peer.replay import Replay
+    from benchmarks.peer.variant import load_mitsuba
+    from benchmarks.peer.voxels import SurfaceVoxels
+
+    mi = load_mitsuba()
+    scene = build_cube(job["albedo"])
+    voxels = SurfaceVoxels(scene, job["size"] - 1)
+    camera = scene.train[0].camera
+    photographs = np.full((len(scene.train), camera.width * camera.height, 3), reflected_radiance(scene), np.float32)
+    # Its max_depth counts the camera's first hit as 1, and Russian roulette starts after rr_depth bounces.
+    replay = Replay(mi, scene, voxels, photographs, job["limit"] + 1, 1)
+    values = np.full((len(voxels), 4), job["albedo"], np.float32)
+
+    def step() -> int:
+        replay.step(values, job["pixels"], job["spp"])
+        return 0  # Mitsuba does not count rays
+
+    return step
+
+
+def resident_bytes(device: torch.device) -> int:
+    """Memory in use now: of the process on a CPU, of torch's allocations on a GPU (whose peak begins anew)."""
+    if device.type == "cuda":
+        torch.cuda.reset_peak_memory_stats(device)
+        return int(torch.cuda.memory_allocated(device))
+    try:
+        pages = int(Path("/proc/self/statm").read_text().split()[1])
+    except OSError:
+        return peak_bytes(device)
+    import resource
+
+    return pages * resource.getpagesize()

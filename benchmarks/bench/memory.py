@@ -1,0 +1,96 @@
+"""``neurad bench memory``: whether the memory of a long fit grows.
+
+A tiny scene is fitted by ``neurad fit`` in a process of its own, with all that a run writes: evaluations, pictures,
+TensorBoard, ``metrics.csv`` and checkpoints. Resident memory is taken on the way; its slope is that of the straight
+line through the second half, when caches and heaps have their size.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import tempfile
+from pathlib import Path
+
+from neurad.core.errors import InputError
+from neurad.runs.child import run_neurad
+from neurad.runtime.tables import Record, numbers, read_csv
+
+STEPS = 20_000
+SAMPLES = 200
+"""Of the resident memory, over a run."""
+GRID = {"grid.levels": 2, "grid.coarsest": 4, "grid.finest": 8, "grid.log2_size": 8, "width": 8}
+SETTINGS = (
+    "--config=cornell.yaml", "--trainer.max_time=null", "--trainer.accelerator=cpu",
+    "--trainer.enable_progress_bar=false",
+    "--data.patches=16", "--model.sampling.spp=4", "--model.sampling.cached_spp=4",
+    "--evaluation.spp=1", "--checkpoint.every_seconds=5",
+    *(f"--model.{part}.{key}={value}" for part in ("albedo", "roughness", "radiance") for key, value in GRID.items()),
+)  # fmt: skip
+"""A fit whose steps take milliseconds."""
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the options of the benchmark."""
+    parser.add_argument("--steps", type=int, default=STEPS, help=f"iterations of the fit (default: {STEPS})")
+    parser.add_argument("--evaluations", type=int, default=40, help="evaluations on the way (default: 40)")
+    parser.add_argument(
+        "--set", action="append", default=[], metavar="KEY=VALUE", help="a setting of the fit, e.g. data.resident=2"
+    )
+    parser.add_argument("--out", metavar="FILE.csv", help="write the table here too")
+
+
+def run(options: argparse.Namespace) -> None:
+    """Fit, and print the memory on the way and its slope.
+
+    Raises:
+        InputError: a bad number, a wrong setting, or a system that does not report resident memory.
+    """
+    if options.steps < SAMPLES or options.evaluations < 1:
+        raise InputError(f"--steps: at least {SAMPLES} are needed, and --evaluations at least 1")
+    from benchmarks.bench.machine import report
+    from benchmarks.bench.memory_watch import resident
+
+    if not resident():
+        raise InputError("bench memory: this system does not report resident memory in /proc/self/status")
+    found = measure(options.steps, options.evaluations, options.set)
+    shown = [found[round(i * (len(found) - 1) / 10)] for i in range(11)]
+    rows: list[Record] = [{"iteration": int(x), "resident_MiB": kib / 1024} for x, kib in shown]
+    slope, noise = line_through(found[len(found) // 2 :])
+    report(rows, f"resident memory of a fit with {options.evaluations} evaluations", options.out)
+    print(f"\nslope over the second half: {slope:+.1f} KiB per 1000 steps (scatter about the line {noise:.0f} KiB)")
+
+
+def measure(steps: int, evaluations: int, settings: list[str]) -> list[tuple[float, float]]:
+    """Iterations and resident memory in KiB over a fit.
+
+    Raises:
+        InputError: the fit failed.
+    """
+    from benchmarks.bench.memory_watch import MemoryWatch
+
+    with tempfile.TemporaryDirectory() as folder:
+        out, log = Path(folder) / "memory.csv", Path(folder) / "log"
+        watch = {
+            "class_path": f"{MemoryWatch.__module__}.{MemoryWatch.__qualname__}",
+            "init_args": {"out": str(out), "every": steps // SAMPLES},
+        }
+        words = [
+            "fit", *SETTINGS, f"--trainer.max_steps={steps}", f"--trainer.default_root_dir={folder}",
+            f"--evaluation.every_n_steps={max(1, steps // evaluations)}", f"--trainer.callbacks+={json.dumps(watch)}",
+            *(f"--{word}" for word in settings),
+        ]  # fmt: skip
+        ended = run_neurad(words, log)
+        if ended.code != 0:
+            raise InputError(f"bench memory: the fit failed: {ended.message}")
+        return [(row["iteration"], row["resident_KiB"]) for row in map(numbers, read_csv(out)[1])]
+
+
+def line_through(points: list[tuple[float, float]]) -> tuple[float, float]:
+    """Slope per 1000 of the straight line of least squares, and the root mean square distance of the points from it."""
+    count = len(points)
+    x0, y0 = (sum(point[axis] for point in points) / count for axis in (0, 1))
+    spread = sum((x - x0) ** 2 for x, _ in points)
+    slope = sum((x - x0) * (y - y0) for x, y in points) / spread
+    rest = sum((y - y0 - slope * (x - x0)) ** 2 for x, y in points)
+    return 1000.0 * slope, float((rest / count) ** 0.5)

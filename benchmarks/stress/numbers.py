@@ -1,0 +1,234 @@
+"""Extreme numbers through ``neurad fit`` itself: scene folders, the command line, ``metrics.csv``."""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import cached_property, partial
+from pathlib import Path
+
+import numpy as np
+
+from benchmarks.stress.case import Case, Outcome
+from benchmarks.stress.fit import resized
+from benchmarks.stress.folder import Photographs, photograph, write_folder
+from benchmarks.stress.scenes import moved, with_light
+from neurad.core.records import Constant, Mesh
+from neurad.core.reflection import PrincipledModel
+from neurad.runs.child import run_neurad
+from neurad.runtime.tables import numbers, read_csv
+from neurad.scene.builtin import build_cornell
+from neurad.scene.builtin.shapes import quad
+from neurad.scene.description import Scene
+
+BAR = 0.3
+"""Decibels of albedo that a row may lose against the plain scene."""
+PLAIN = ("plain", "principled, roughness 0.5", "albedo 0.5")
+"""Rows that others are compared with."""
+AREA = 0.2
+"""Of the box's own light."""
+
+
+@dataclass(frozen=True)
+class Size:
+    """How long the rows take."""
+
+    pixels: int = 32
+    """Width and height of the views."""
+    spp: int = 256
+    """Samples per pixel of the photographs: of 64, a fit learns their noise, and rows differ by that."""
+    steps: int = 300
+    arguments: tuple[str, ...] = ()
+    """Further ones of ``neurad fit``."""
+
+
+QUICK = Size(spp=16, steps=60)
+"""Of the short form, whose rows show nothing that noise could hide."""
+
+
+@dataclass(frozen=True)
+class Extreme:
+    """A scene, and the scene that its albedo is compared with."""
+
+    name: str
+    scene: Callable[[], Scene]
+    plain: str = "plain"
+    """Name of the other row."""
+    light: float = 1.0
+    """Factor on the photographs that the row shares with the plain one."""
+    shares: bool = True
+    """Whether the photographs are those of the plain scene: what differs does not show in them."""
+    samples: int = 1
+    """Factor on the samples of its photographs, where they are noisier than the plain ones."""
+    reason: str = ""
+    """Why a row that loses more than the bar is stated and does not fail."""
+    quick: bool = False
+
+
+class Fits:
+    """Scene folders and fits of the rows, each made once, in a folder that goes with this object.
+
+    Args:
+        rows: by name.
+        size: how long they take.
+    """
+
+    def __init__(self, rows: dict[str, Extreme], size: Size) -> None:
+        self.rows, self.size = rows, size
+        self._photographs: dict[str, Photographs] = {}
+        self._scores: dict[str, float] = {}
+
+    @cached_property
+    def folder(self) -> Path:
+        """Where everything lies until the end."""
+        self._kept = tempfile.TemporaryDirectory(prefix="neurad_stress_")
+        return Path(self._kept.name)
+
+    def psnr(self, name: str) -> float:
+        """Albedo PSNR in decibels over the held-out views at the end of the row's fit.
+
+        Raises:
+            RuntimeError: the fit ended with an error.
+        """
+        if name not in self._scores:
+            self._scores[name] = self._fit(name)
+        return self._scores[name]
+
+    def _fit(self, name: str) -> float:
+        number, steps = list(self.rows).index(name), self.size.steps
+        root, out = self.folder / f"scene_{number}", self.folder / f"fit_{number}"
+        write_folder(self._scene(name), root, self._images(name), self.rows[name].light)
+        out.mkdir()
+        log = out / "log.txt"
+        ended = run_neurad(
+            [
+                "fit", "--config", "cornell.yaml", "--data.scene", "null", "--data.root", str(root),
+                "--trainer.max_time", "null", "--trainer.max_steps", str(steps),
+                "--trainer.default_root_dir", str(out), "--trainer.enable_progress_bar", "false",
+                "--evaluation.every_n_steps", str(10 * steps), "--evaluation.spp", "1", *self.size.arguments,
+            ],
+            log,
+        )  # fmt: skip
+        if ended.code != 0:
+            raise RuntimeError(ended.message)
+        (metrics,) = out.glob("**/metrics.csv")
+        return numbers(read_csv(metrics)[1][-1])["albedo_psnr"]
+
+    def _scene(self, name: str) -> Scene:
+        return resized(self.rows[name].scene(), self.size.pixels)
+
+    def _images(self, name: str) -> Photographs:
+        row = self.rows[name]
+        source = row.plain if row.shares else name
+        if source not in self._photographs:
+            self._photographs[source] = photograph(self._scene(source), self.size.spp * self.rows[source].samples)
+        return self._photographs[source]
+
+
+# ---- scenes
+
+
+def _stray() -> Scene:
+    scene = build_cornell()
+    mesh = scene.meshes[0]
+    vertices = np.concatenate((mesh.vertices, np.full((3, 3), 1000.0, np.float32)))
+    return replace(scene, meshes=[replace(mesh, vertices=vertices, uvs=None), *scene.meshes[1:]])
+
+
+def _far_triangle() -> Scene:
+    scene = build_cornell()
+    corners = np.array([[300, 300, 300], [301, 300, 300], [300, 301, 300]], np.float32)
+    return replace(scene, meshes=[*scene.meshes, Mesh("far", corners, np.array([[0, 1, 2]]), 2)])
+
+
+def _ground() -> Scene:
+    scene = build_cornell()
+    plane = quad((-1000.0, -1.1, -1000.0), (0.0, 0.0, 2000.0), (2000.0, 0.0, 0.0))
+    return replace(scene, meshes=[*scene.meshes, plane.mesh("ground", 2, smooth_shading=False)])
+
+
+def _lamps(count: int, side: float) -> Scene:
+    """The box with ``count`` x ``count`` square lights in place of its own, of the same power together."""
+    scene = build_cornell()
+    light = scene.meshes[-1]
+    assert light.radiance is not None
+    radiance = light.radiance * np.float32(AREA / (count * side) ** 2)
+    place = (np.arange(count) + 0.5) / count * 1.6 - 0.8 - 0.5 * side
+    lamps = [
+        replace(
+            quad((x, 0.995, z), (side, 0, 0), (0, 0, side)).mesh("light", light.material, smooth_shading=False),
+            radiance=radiance,
+        )
+        for x in place
+        for z in place
+    ]
+    return replace(scene, meshes=[*scene.meshes[:-1], *lamps])
+
+
+def glossy(roughness: float) -> Scene:
+    """The box painted with a principled BSDF; its light is not."""
+    scene = build_cornell()
+    rough = Constant(np.full(1, roughness, np.float32))
+    walls = [replace(m, model=PrincipledModel(), roughness=rough) for m in scene.materials[:-1]]
+    return replace(scene, materials=[*walls, scene.materials[-1]])
+
+
+def _grey(albedo: float) -> Scene:
+    """The box with one albedo on all surfaces but the light."""
+    scene = build_cornell()
+    walls = [replace(m, albedo=Constant(np.full(3, albedo, np.float32))) for m in scene.materials[:-1]]
+    return replace(scene, materials=[*walls, scene.materials[-1]], max_depth=1000)
+
+
+# ---- rows
+
+
+def _rows() -> list[Extreme]:
+    lights = (1e-12, 1e-6, 1e6, 1e15)
+    return [
+        Extreme("plain", build_cornell),
+        *(Extreme(f"light times {f:g}", partial(_lit, f), light=f, quick=f == lights[0]) for f in lights),
+        *(Extreme(f"size times {s:g}", partial(_placed, s, 0.0)) for s in (1e-3, 1e4)),
+        Extreme("moved by 1e4", partial(_placed, 1.0, 1e4)),
+        Extreme("three stray vertices at 1000", _stray, quick=True),
+        Extreme("a triangle of area 0.5 at 300", _far_triangle),
+        Extreme("a ground plane of side 2000 below", _ground),
+        Extreme("100 lights", partial(_lamps, 10, 0.04), shares=False, samples=2),  # a sample sees one of them
+        Extreme("a light of side 0.001", partial(_lamps, 1, 1e-3), shares=False),
+        Extreme("principled, roughness 0.5", partial(glossy, 0.5), shares=False),
+        Extreme(
+            "principled, roughness 0.01", partial(glossy, 0.01), "principled, roughness 0.5", shares=False,
+            reason="its caustics give photographs of as many samples 4.9 times the noise, and a fit learns it",
+        ),
+        Extreme("albedo 0.5", partial(_grey, 0.5), shares=False),
+        Extreme("albedo 0.999", partial(_grey, 0.999), "albedo 0.5", shares=False),
+    ]  # fmt: skip
+
+
+def _lit(factor: float) -> Scene:
+    return with_light(build_cornell(), factor)
+
+
+def _placed(scale: float, offset: float) -> Scene:
+    return moved(build_cornell(), scale, offset)
+
+
+def _case(full: Fits, short: Fits, row: Extreme) -> Case:
+    def measure(quick: bool) -> Outcome:
+        fits = short if quick else full
+        found, plain = fits.psnr(row.name), fits.psnr(row.plain)
+        note = f"{found:.2f} dB, {row.plain}: {plain:.2f} dB, {fits.size.steps} steps"
+        lost = plain - found
+        if row.reason and lost > BAR:
+            return Outcome(lost, None, f"{note}; {row.reason}")
+        return Outcome(lost, BAR, note)
+
+    return Case("numbers", row.name, f"albedo PSNR lost against {row.plain}, in dB", measure, row.quick)
+
+
+def cases(size: Size = Size(), quick: Size = QUICK) -> list[Case]:
+    """Light, size, place, geometry that is not seen, many and small lights, smooth and bright surfaces."""
+    rows = {row.name: row for row in _rows()}
+    full, short = Fits(rows, size), Fits(rows, quick)
+    return [_case(full, short, row) for row in rows.values() if row.name not in PLAIN]

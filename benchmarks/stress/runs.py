@@ -1,0 +1,86 @@
+"""Whole fits through the trainer, on scenes held in memory, in a folder that is thrown away."""
+
+from __future__ import annotations
+
+import io
+import logging
+import tempfile
+import warnings
+from contextlib import redirect_stderr, redirect_stdout
+from dataclasses import fields, replace
+from pathlib import Path
+from typing import Any
+
+import lightning.pytorch as pl
+import torch
+from torch.utils.data import DataLoader, IterableDataset
+
+from benchmarks.photos import PhotosInMemory
+from benchmarks.stress.fit import photographs, small_settings
+from neurad.core.errors import InputError
+from neurad.core.records import PixelBatch
+from neurad.scene.description import Scene
+from neurad.training.inverse import InverseRenderer
+
+
+class Memory(PhotosInMemory, pl.LightningDataModule):
+    """A data module whose photographs are tensors.
+
+    Args:
+        scene: whose views they belong to.
+        images: photographs [views, pixels, 3].
+        pixels: in a batch.
+    """
+
+    def __init__(self, scene: Scene, images: torch.Tensor, pixels: int = 64) -> None:
+        pl.LightningDataModule.__init__(self)
+        PhotosInMemory.__init__(self, images, scene.train[0].camera.width, pixels)
+        self.scene = scene
+
+    def train_dataloader(self) -> DataLoader[PixelBatch]:
+        """Random pixels without end."""
+        return DataLoader(_Endless(self), batch_size=None)
+
+    def transfer_batch_to_device(self, batch: Any, device: torch.device, dataloader_idx: int) -> Any:
+        """The batch lies on the CPU already."""
+        return batch
+
+
+class _Endless(IterableDataset[PixelBatch]):
+    def __init__(self, data: Memory) -> None:
+        self.data = data
+
+    def __iter__(self) -> Any:
+        for iteration in range(1 << 30):
+            yield self.data.batch(iteration)
+
+
+def fit(scene: Scene, images: torch.Tensor, steps: int = 3, **settings: Any) -> tuple[InverseRenderer, str]:
+    """Train through the trainer and return the module and what was printed.
+
+    Raises:
+        InputError: what a user would read.
+    """
+    module = InverseRenderer(**{f.name: getattr(small_settings(), f.name) for f in fields(small_settings())} | settings)
+    printed = io.StringIO()
+    for name in ("lightning.pytorch", "lightning.fabric", "lightning"):
+        logging.getLogger(name).setLevel(logging.ERROR)
+    bare = replace(scene, test=[])
+    with tempfile.TemporaryDirectory() as folder, warnings.catch_warnings(), redirect_stdout(printed), \
+            redirect_stderr(printed):  # fmt: skip
+        warnings.simplefilter("ignore")
+        trainer = pl.Trainer(
+            max_steps=steps, accelerator="cpu", devices=1, logger=False, enable_checkpointing=False,
+            enable_progress_bar=False, enable_model_summary=False, default_root_dir=Path(folder),
+        )  # fmt: skip
+        trainer.fit(module, Memory(bare, images))
+    return module, printed.getvalue()
+
+
+def sentence(scene: Scene, images: torch.Tensor | None = None) -> str:
+    """The sentence that a fit of this scene ends with; nothing if it runs."""
+    try:
+        fit(scene, photographs(scene, 4) if images is None else images)
+    except InputError as error:
+        return str(error)
+    return ""

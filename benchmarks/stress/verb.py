@@ -1,0 +1,31 @@
+"""``neurad stress``: stiff and extreme cases against oracles, one row a case."""
+
+from __future__ import annotations
+
+import argparse
+from pathlib import Path
+
+from benchmarks.stress.families import FAMILIES
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the options of the verb."""
+    parser.add_argument("--quick", action="store_true", help="the short form: under two minutes")
+    parser.add_argument("--only", help=f"families to run, separated by commas: {', '.join(FAMILIES)}")
+    parser.add_argument(
+        "--scenes", type=Path, help="folder of scene folders; each gets a row of the family features (not in --quick)"
+    )
+    parser.add_argument("--out", type=Path, default=Path("."), help="folder for stress.csv and stress.md (default: .)")
+    parser.add_argument("--overwrite", action="store_true", help="write over tables that are there")
+
+
+def run(options: argparse.Namespace) -> None:
+    """Run the cases, print a row each, write both tables.
+
+    Raises:
+        InputError: an unknown family, no scene folder in ``--scenes``, or a table that would be overwritten.
+        SystemExit: with 1 if a row fails.
+    """
+    from benchmarks.stress.run import stress
+
+    stress(options)

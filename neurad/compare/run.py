@@ -1,0 +1,117 @@
+"""The whole of ``neurad compare``: choose runs or make them, let them write pictures, write the report.
+
+This module and all that it imports before the report is written stay small: on Linux a child process begins with the
+peak memory of its parent, and the fits' peak memory is reported.
+"""
+
+from __future__ import annotations
+
+import argparse
+import math
+import sys
+from collections.abc import Sequence
+from pathlib import Path
+
+from neurad.compare.fits import check_free, fit_all, predict
+from neurad.compare.runs import Run, read_run, runs_in
+from neurad.core.errors import InputError
+from neurad.runtime.progress import phase
+from neurad.runtime.reading import similar
+
+RUNS = Path("lightning_logs")
+"""Where runs lie that are given by name, such as ``version_3``."""
+
+
+def compare(options: argparse.Namespace) -> None:
+    """Run what is to be compared, one fit after the other, and write the report.
+
+    Args:
+        options: those of the verb; ``settings`` are for the fits, ``words`` is the whole command line after the verb.
+
+    Raises:
+        InputError: the user's mistake, before anything is written.
+        SystemExit: with 1 if a fit failed; the report then has the others.
+    """
+    reach = sorted(_numbers("--reach", options.reach))
+    runs = finished_runs(options) if options.runs else fit_all(options)
+    failed = [run for run in runs if run.message]
+    if options.views:
+        failed += predict(runs, options.view_spp)
+    from neurad.compare.write import write_report
+
+    command = ["neurad", "compare", *options.words]
+    with phase("writing") as writing:
+        writing.detail = "the report"
+        write_report(options.out, runs, reach, options.views, command, _budget(options))
+    print(f"neurad: report {options.out / 'index.html'}")
+    if failed:
+        names = ", ".join(f"{run.method} (seed {run.seed})" for run in failed)
+        print(f"neurad: error: not everything was made: {names}", file=sys.stderr)
+        raise SystemExit(1)
+
+
+def finished_runs(options: argparse.Namespace) -> list[Run]:
+    """The runs named on the command line.
+
+    Raises:
+        InputError: one of them is no run, or options for new fits are given too.
+    """
+    given = [
+        name
+        for name, value in (
+            ("--config", options.config),
+            ("--methods", options.methods),
+            ("--budget", options.budget),
+            ("--samples", options.samples),
+            *((word.partition("=")[0], word) for word in options.settings),
+        )
+        if value
+    ]
+    if given:
+        raise InputError(f"{given[0]}: finished runs are compared as they are; name runs or methods, not both")
+    folders: list[tuple[str | None, Path]] = []
+    for word in options.runs:
+        label, _, path = ("", "", word) if Path(word).is_dir() else word.partition("=")
+        folders += [(label or None, folder) for folder in _run_folders(Path(path or word))]
+    if not _is_own(options.out, folders):
+        check_free(options.out, options.overwrite)
+    runs = [read_run(folder, label) for label, folder in folders]
+    names = {path.resolve().name for _, path in folders}
+    if len(names) < len(folders):  # version_0 of two folders would pass for two seeds of one method
+        for run, (label, path) in zip(runs, folders, strict=True):
+            if label is None and run.method == path.resolve().name:
+                run.method = str(path)
+    return runs
+
+
+def _numbers(option: str, text: str) -> list[float]:
+    try:
+        values = [float(part) for part in text.split(",") if part.strip()]
+    except ValueError:
+        raise InputError(f"{option} {text}: it is not a list of numbers separated by commas") from None
+    if not all(math.isfinite(value) for value in values):
+        raise InputError(f"{option} {text}: its numbers have to be finite")
+    return values
+
+
+def _budget(options: argparse.Namespace) -> str:
+    """The budget in words."""
+    if options.budget is not None:
+        return f"Every fit had {options.budget:g} training seconds"
+    return f"Every fit drew {options.samples:g} path samples in its steps" if options.samples is not None else ""
+
+
+def _run_folders(path: Path) -> list[Path]:
+    """The run folder itself, or those in the folder of a report."""
+    if not path.is_dir() and len(path.parts) == 1 and (RUNS / path).is_dir():
+        path = RUNS / path
+    if not path.is_dir():
+        raise InputError(f"{path}: no such run folder{similar(path)}")
+    if (path / "runs").is_dir() and not (path / "metrics.csv").is_file():
+        return runs_in(path)
+    return [path]
+
+
+def _is_own(out: Path, folders: Sequence[tuple[str | None, Path]]) -> bool:
+    """Whether the report is to be made anew from the very runs in its folder."""
+    return bool(folders) and all(folder.resolve().parent == (out / "runs").resolve() for _, folder in folders)

@@ -1,0 +1,162 @@
+"""What a report has of a run: its settings, its evaluations, and how its process ended. Imports nothing heavy."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import yaml  # type: ignore[import-untyped]
+
+from neurad.core.errors import InputError
+from neurad.metrics.marks import MARKS
+from neurad.runtime.tables import numbers, read_csv
+
+FACTS = "compare.json"
+"""File in a run folder with what the comparison that started it recorded."""
+SCORES = ("albedo_psnr", "albedo_mape", "roughness_psnr", "roughness_mape", "psnr_srgb", "lamp_error")
+
+Row = dict[str, float]
+
+
+@dataclass
+class Run:
+    """One fit, finished or failed."""
+
+    method: str
+    seed: int
+    folder: Path
+    config: Mapping[str, Any] = field(default_factory=dict)
+    rows: list[Row] = field(default_factory=list)
+    """Evaluations in order, by the columns of ``metrics.csv``; ``samples`` wherever it can be computed."""
+    columns: list[str] = field(default_factory=list)
+    """Columns of ``metrics.csv`` in the file's order."""
+    peak_memory_mib: float | None = None
+    processor_seconds: float | None = None
+    """Of its process."""
+    message: str = ""
+    """Why it failed; empty if it did not."""
+
+    @property
+    def last(self) -> Row:
+        """The scores that the run ended with."""
+        return self.rows[-1] if self.rows else {}
+
+
+def samples_per_step(config: Mapping[str, Any]) -> int | None:
+    """Path samples that one iteration draws: pixels x samples per pixel x samples per vertex, twice that where the
+    picture is rendered twice; None if the settings do not say.
+    """
+    data, model = config.get("data") or {}, config.get("model") or {}
+    try:
+        sampling = model["sampling"]
+        passes = 2 if model["objective"]["estimator"] == "two_pass" else 1
+        pixels = int(data["patches"]) * int(data["patch_size"]) ** 2
+        return passes * pixels * int(sampling["spp"]) * int(sampling["samples_per_vertex"])
+    except (KeyError, TypeError, ValueError):
+        return None
+
+
+def read_run(folder: Path, method: str | None = None) -> Run:
+    """A run folder as a run.
+
+    Args:
+        folder: has ``config.yaml`` and ``metrics.csv``, and :data:`FACTS` if a comparison started it.
+        method: its label; by default what the comparison called it, or else the folder's name.
+
+    Raises:
+        InputError: the folder is no run, or a file in it is unreadable.
+    """
+    facts = _facts(folder)
+    metrics, settings = folder / "metrics.csv", folder / "config.yaml"
+    failed = str(facts.get("message", ""))
+    if not failed:
+        for path in (settings, metrics):
+            if not path.is_file():
+                raise InputError(f"{folder}: it is no finished run, {path.name} is missing")
+    config = _config(settings) if settings.is_file() else {}
+    columns, rows = _rows(metrics) if metrics.is_file() else ([], [])
+    if not rows and not failed:
+        raise InputError(f"{metrics}: it has no evaluation")
+    per_step = samples_per_step(config)
+    if per_step is not None:
+        for row in rows:
+            row.setdefault("samples", row["iteration"] * per_step)
+    seed = facts.get("seed", config.get("seed_everything"))
+    return Run(
+        method=method or str(facts.get("method", folder.resolve().name)),
+        seed=int(seed) if isinstance(seed, int) else 0,
+        folder=folder,
+        config=config,
+        rows=rows,
+        columns=columns,
+        peak_memory_mib=facts.get("peak_memory_mib"),
+        processor_seconds=facts.get("processor_seconds"),
+        message=failed,
+    )
+
+
+def runs_in(report: Path) -> list[Path]:
+    """The run folders in the folder of a report, in the order in which they were made."""
+    folders = [folder for folder in (report / "runs").iterdir() if folder.is_dir()]
+    return sorted(folders, key=lambda folder: (float(_facts(folder).get("order", math.inf)), folder.name))
+
+
+def _facts(folder: Path) -> Mapping[str, Any]:
+    path = folder / FACTS
+    if not path.is_file():
+        return {}
+    try:
+        facts = json.loads(path.read_text())
+    except (ValueError, OSError) as error:
+        raise InputError(f"{path}: it is not readable JSON") from error
+    if not isinstance(facts, dict):
+        raise InputError(f"{path}: it is not a mapping of keys to values")
+    return facts
+
+
+def _config(path: Path) -> Mapping[str, Any]:
+    try:
+        config = yaml.safe_load(path.read_text())
+    except (yaml.YAMLError, OSError, UnicodeDecodeError) as error:
+        raise InputError(f"{path}: it is not readable YAML") from error
+    if not isinstance(config, dict):
+        raise InputError(f"{path}: it is not a mapping of keys to values")
+    return config
+
+
+def _rows(path: Path) -> tuple[list[str], list[Row]]:
+    """Columns and whole rows of ``metrics.csv``; empty cells are left out."""
+    columns, rows = read_csv(path)
+    if not {"iteration", "seconds"} <= set(columns):
+        raise InputError(f"{path}: it has no columns iteration and seconds")
+    try:
+        return columns, [numbers(row) for row in rows]
+    except ValueError as error:
+        raise InputError(f"{path}: {error}") from error
+
+
+def by_method(runs: Sequence[Run]) -> dict[str, list[Run]]:
+    """Runs grouped by method, in the order of their first appearance."""
+    groups: dict[str, list[Run]] = {}
+    for run in runs:
+        groups.setdefault(run.method, []).append(run)
+    return groups
+
+
+def marks(runs: Sequence[Run]) -> dict[str, Row]:
+    """What the best constant and, of roughness, a lookup by the true colours would score on the held-out views: by
+    their label and the names of :data:`SCORES`, those that have any.
+
+    They depend on the ground truth alone, so any run that has it will do.
+    """
+    found: dict[str, Row] = {}
+    for label, suffix in MARKS.items():
+        for name in SCORES:
+            values = [run.last[f"{name}{suffix}"] for run in runs if f"{name}{suffix}" in run.last]
+            if values:
+                found.setdefault(label, {})[name] = values[0]
+    return found

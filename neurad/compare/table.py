@@ -1,0 +1,123 @@
+"""One row a method: what it cost, what it reached, and when."""
+
+from __future__ import annotations
+
+import math
+import statistics
+from collections.abc import Callable, Mapping, Sequence
+from pathlib import Path
+
+from neurad.compare.runs import SCORES, Run, by_method, marks
+from neurad.core.decibels import figure
+from neurad.runtime import tables
+from neurad.runtime.files import write_text
+from neurad.runtime.tables import Cell
+
+REACH = (20.0, 22.0, 24.0, 26.0, 28.0, 30.0)
+"""Albedo PSNRs in dB whose time is reported."""
+MIN_ITERATIONS = 100
+"""Of a fit whose scores say something of its method."""
+TOO_FEW = "too few iterations"
+RATES = ("ms_per_step", "rays_per_second", "samples_per_second")
+
+TableRow = dict[str, Cell]
+
+
+def columns(reach: Sequence[float]) -> list[str]:
+    """Names of the columns, in order."""
+    times = [f"seconds_to_albedo_{value:g}" for value in reach]
+    costs = ["seconds", "iterations", "processor_seconds", "samples"]
+    return ["method", "seeds", *costs, *SCORES, *times, *RATES, "peak_memory_mib", "status"]
+
+
+def rates(run: Run) -> dict[str, float]:
+    """Milliseconds a step, rays and path samples a training second, between the first evaluation and the last.
+
+    Set-up and compilation lie before the first evaluation. A run with one evaluation has none of these.
+    """
+    if len(run.rows) < 2:
+        return {}
+    first, last = run.rows[0], run.rows[-1]
+    seconds, steps = last["seconds"] - first["seconds"], last["iteration"] - first["iteration"]
+    if seconds <= 0 or steps <= 0:
+        return {}
+    found = {"ms_per_step": 1000.0 * seconds / steps}
+    for name in ("rays", "samples"):
+        if name in first and name in last:
+            found[f"{name}_per_second"] = (last[name] - first[name]) / seconds
+    return found
+
+
+def seconds_to(run: Run, albedo_psnr: float) -> float:
+    """Training seconds at the first evaluation that reaches ``albedo_psnr``; infinite if none does."""
+    reached = (row["seconds"] for row in run.rows if row.get("albedo_psnr", -math.inf) >= albedo_psnr)
+    return next(reached, math.inf)
+
+
+def table(runs: Sequence[Run], reach: Sequence[float] = REACH) -> list[TableRow]:
+    """The rows: medians over the seeds of each method, then the best constant and the lookup by the true colours."""
+    rows = [_row(method, group, reach) for method, group in by_method(runs).items()]
+    for label, scores in marks(runs).items():
+        rows.append({"method": label, **scores})
+    return rows
+
+
+def _row(method: str, group: Sequence[Run], reach: Sequence[float]) -> TableRow:
+    done = [run for run in group if not run.message]
+    notes = [f"failed (seed {run.seed}): {run.message}" for run in group if run.message]
+    notes += [f"{TOO_FEW} (seed {run.seed})" for run in done if run.last.get("iteration", math.inf) < MIN_ITERATIONS]
+    row: TableRow = {"method": method, "seeds": float(len(done)), "status": "; ".join(notes) or "ok"}
+    row["iterations"] = _median([run.last.get("iteration") for run in done])
+    row["processor_seconds"] = _median([run.processor_seconds for run in done])
+    for name in ("seconds", "samples", *SCORES):
+        row[name] = _median([run.last.get(name) for run in done])
+    for value in reach:
+        middle = _median([seconds_to(run, value) for run in done])
+        row[f"seconds_to_albedo_{value:g}"] = None if middle == math.inf else middle
+    for name in RATES:
+        row[name] = _median([rates(run).get(name) for run in done])
+    row["peak_memory_mib"] = _median([run.peak_memory_mib for run in done])
+    return row
+
+
+def _median(values: Sequence[float | None]) -> float | None:
+    """The median of what is known."""
+    known = [value for value in values if value is not None]
+    return statistics.median(known) if known else None
+
+
+def write_csv(path: Path, rows: Sequence[TableRow], reach: Sequence[float] = REACH) -> None:
+    """All columns; what is not known or was not reached stays empty."""
+    tables.write_csv(path, columns(reach), rows)
+
+
+_DIGITS: Mapping[str, Callable[[float], str]] = {
+    "seeds": lambda v: f"{v:.0f}",
+    "seconds": lambda v: f"{v:.1f}",
+    "iterations": lambda v: f"{v:.0f}",
+    "processor_seconds": lambda v: f"{v:.1f}",
+    "samples": lambda v: f"{v / 1e3:.1f} k" if v < 1e6 else f"{v / 1e6:.2f} M",
+    "ms_per_step": lambda v: f"{v:.1f}",
+    "rays_per_second": lambda v: f"{v / 1e3:.0f} k" if v < 1e6 else f"{v / 1e6:.2f} M",
+    "samples_per_second": lambda v: f"{v / 1e3:.1f} k" if v < 1e6 else f"{v / 1e6:.2f} M",
+    "peak_memory_mib": lambda v: f"{v:.0f}",
+}
+
+
+def shown(name: str, cell: Cell) -> str:
+    """A cell with the digits that matter."""
+    if cell is None or isinstance(cell, str):
+        return cell or ""
+    if name in _DIGITS:
+        return _DIGITS[name](cell)
+    if name.startswith("seconds_to_"):
+        return f"{cell:.1f}"
+    return f"{cell:.3f}" if "mape" in name or name == "lamp_error" else figure(cell)
+
+
+def write_markdown(path: Path, rows: Sequence[TableRow], note: str, reach: Sequence[float] = REACH) -> None:
+    """The table for a README, every column, with a line on how it was measured."""
+    names = columns(reach)
+    body = ([shown(name, row.get(name)) for name in names] for row in rows)
+    lines = tables.markdown(names, body, left=("method", "status"))
+    write_text(path, "\n".join(lines) + f"\n\n{note}\n")

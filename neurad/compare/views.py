@@ -1,0 +1,162 @@
+"""Held-out views side by side: what each method found, the truth, and maps of the error, as sheets."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from typing import Any
+
+import numpy as np
+
+from neurad.callbacks.pictures import ROUGHNESS, is_trivial
+from neurad.compare.runs import Run
+from neurad.core.errors import InputError
+from neurad.core.records import FloatArray, View
+from neurad.metrics.unseen import UNSEEN
+from neurad.pages.colours import BRIGHTEST, ERRORS, BoolArray, Bytes, encode, false_colour, grey
+from neurad.pages.sheet import Scale, Sheet, Tile
+from neurad.scene.description import Scene
+from neurad.scene.development import Photography
+from neurad.scene.exposure import scene_exposure
+from neurad.scene.image_io import read_bitmap, read_exr
+from neurad.scene.load import load_scene
+from neurad.scene.photographs import read_view
+from neurad.scene.readers.nerf import HOLD_OUT
+
+KINDS = {"albedo": "Albedo", "roughness": "Roughness", "render": "Picture"}
+"""What a run predicts of a view, and its heading."""
+CHANNELS = {"albedo": 3, "roughness": 1, "render": 3}
+TRUTH = "truth"
+
+Maps = dict[str, FloatArray]
+
+
+def predicted(run: Run, name: str, index: int) -> Maps:
+    """What ``neurad predict`` or ``neurad test`` wrote of a held-out view; empty if they did not run.
+
+    Args:
+        run: with ``images/`` in its folder.
+        name: the view's name.
+        index: its number among the held-out views; files may be named by either.
+    """
+    found: Maps = {}
+    for kind, channels in CHANNELS.items():
+        for stem in (name.replace("/", "_"), f"{index:03d}"):
+            path = run.folder / "images" / f"{stem}_{kind}.exr"
+            if path.is_file():
+                found[kind] = read_exr(path)[..., :channels]
+                break
+    return found
+
+
+def truth(view: View) -> Maps:
+    """Photograph (as ``render``) and true materials of a held-out view, those that have a file."""
+    files = {"albedo": view.albedo, "roughness": view.roughness}
+    found = {kind: read_exr(path)[..., : CHANNELS[kind]] for kind, path in files.items() if path is not None}
+    return found if view.image is None else {**found, "render": read_view(view)[..., : CHANNELS["render"]]}
+
+
+def scene_of(config: Mapping[str, Any]) -> Scene | None:
+    """The scene that a run was fitted to; None if it cannot be read any more."""
+    data = config.get("data") or {}
+    try:
+        return load_scene(data.get("root"), data.get("scene"), data.get("hold_out", HOLD_OUT), Photography.of(data))
+    except InputError as error:
+        print(f"neurad: no truth beside the pictures: {error}")
+        return None
+
+
+def sheets(runs: Sequence[Run], count: int) -> list[Sheet]:
+    """A sheet for each of the first ``count`` held-out views: the truth and the methods in columns, maps and their
+    errors in rows.
+
+    Args:
+        runs: one of each method, with ``images/`` in its folder; all of one scene.
+        count: how many views.
+
+    Returns:
+        The sheets; none if no run has pictures.
+    """
+    scene = scene_of(runs[0].config) if runs else None
+    if scene is None:
+        return []
+    views, scale = scene.scored[:count], scene_exposure(scene)
+    exact = [truth(view) for view in views]
+    made = []
+    for index, view in enumerate(views):
+        columns = {run.method: predicted(run, view.name, index) for run in runs}
+        columns = {method: maps for method, maps in columns.items() if maps}
+        if not columns:
+            continue
+        if all("roughness" not in maps or is_trivial(maps["roughness"]) for maps in columns.values()):
+            columns = {method: {k: maps[k] for k in maps if k != "roughness"} for method, maps in columns.items()}
+        mask = _unseen(runs, view.name, index)
+        if mask is not None and any(maps[kind].shape[:2] != mask.shape for maps in columns.values() for kind in maps):
+            mask = None
+        made.append(sheet(f"View {index:03d}", {TRUTH: exact[index], **columns}, scale, mask))
+    return made
+
+
+def sheet(title: str, columns: Mapping[str, Maps], scale: float, unseen: BoolArray | None = None) -> Sheet:
+    """The sheet of a view.
+
+    Args:
+        title: its heading.
+        columns: maps by column, the truth under :data:`TRUTH`.
+        scale: exposure of radiance.
+        unseen: pixels [h, w] whose surface no training photograph shows.
+    """
+    exact = columns[TRUTH]
+    rows: dict[str, list[Tile | None]] = {}
+    for kind, word in KINDS.items():
+        if not any(kind in maps for name, maps in columns.items() if name != TRUTH):
+            continue
+        unit = scale if kind == "render" else 1.0
+        show = grey if kind == "roughness" else encode
+        bar = ROUGHNESS if kind == "roughness" else None
+        rows[kind] = [
+            Tile(f"{kind}-{place}", f"{word}: {name}", show(maps[kind] * unit), bar, _pair(kind, name, columns))
+            if kind in maps
+            else None
+            for place, (name, maps) in enumerate(columns.items())
+        ]
+        if kind in exact:
+            scales = Scale(ERRORS, "0", _brightest(kind), "absolute error, darker is better")
+            pictures = [_error(maps.get(kind), exact[kind], unit) for maps in columns.values()]
+            rows[f"{kind} error"] = [
+                Tile(f"{kind}-error-{place}", f"Error: {name}", picture, scales)
+                if picture is not None and name != TRUTH
+                else None
+                for place, (name, picture) in enumerate(zip(columns, pictures, strict=True))
+            ]
+    hatching = [] if unseen is None or not unseen.any() else ["Hatched: surfaces that are in no training photograph."]
+    notes = [f"Exposure: radiance times {scale:.3g}, the same for all views.", *hatching]
+    return Sheet(title, rows, unseen, notes=notes)
+
+
+def _pair(kind: str, name: str, columns: Mapping[str, Maps]) -> str:
+    """The key of the tile that one is to be compared with: the first method's with the truth."""
+    methods = [method for method, maps in columns.items() if kind in maps and method != TRUTH]
+    if kind not in columns[TRUTH] or name not in (TRUTH, methods[0]):
+        return ""
+    return f"{kind}-{[*columns].index(methods[0] if name == TRUTH else TRUTH)}"
+
+
+def _brightest(kind: str) -> str:
+    """What the bright end of an error map stands for."""
+    return f"\u2265 {100 * BRIGHTEST:g} % of white" if kind == "render" else f"\u2265 {BRIGHTEST:g}"
+
+
+def _unseen(runs: Sequence[Run], name: str, index: int) -> BoolArray | None:
+    """Pixels [h, w] of a view whose surface no training photograph shows, by what the runs wrote; None if none did."""
+    for run in runs:
+        for stem in (name.replace("/", "_"), f"{index:03d}"):
+            path = run.folder / "images" / f"{stem}_seen.png"
+            if path.is_file():
+                return np.asarray(read_bitmap(path)[..., 0] == UNSEEN)
+    return None
+
+
+def _error(guess: FloatArray | None, exact: FloatArray, unit: float) -> Bytes | None:
+    if guess is None or guess.shape != exact.shape:
+        return None
+    return false_colour(np.abs(guess - exact), unit / BRIGHTEST)

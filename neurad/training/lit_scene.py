@@ -1,0 +1,57 @@
+"""The scene with the lamps of a fit: those of its file, those that photographs show, or those that a run began with."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from pathlib import Path
+
+import torch
+
+from neurad.assembly.find_lamps import Found, find_lamps
+from neurad.assembly.lighting import lit_scene
+from neurad.assembly.settings import ModelSettings
+from neurad.core.protocols import PhotoSource
+from neurad.scene.description import Scene
+from neurad.scene.shining import Shining, from_kept
+from neurad.training.checkpoint_file import read_checkpoint
+
+
+@dataclass(frozen=True)
+class LitScene:
+    """A scene whose meshes shine that do in the fit."""
+
+    scene: Scene
+    found: list[Shining] | None = None
+    """Meshes that photographs show to shine; None where the scene says it."""
+    lines: tuple[str, ...] = ()
+    """What is to be said of them."""
+
+
+def light_scene(
+    scene: Scene,
+    photographs: PhotoSource,
+    settings: ModelSettings,
+    device: torch.device | str = "cpu",
+    begins_from: Path | None = None,
+) -> LitScene:
+    """The scene with the lamps of a fit; where they are to be found, by its photographs or by a checkpoint.
+
+    Args:
+        scene: as it was read.
+        photographs: of its training views; not looked at where lamps are known or where there is a checkpoint.
+        settings: of the model.
+        device: where it is computed.
+        begins_from: the checkpoint that the fit goes on from; None in a fit from scratch.
+
+    Raises:
+        InputError: nothing shines, the checkpoint does not say what does, or a lamp falls into too many parts.
+    """
+    if settings.lighting.emitters != "find":
+        return LitScene(lit_scene(scene, settings.lighting, None))
+    if begins_from is None:
+        unknown_sky = settings.lighting.environment == "fit"
+        found = find_lamps(scene, photographs, settings.tracer, unknown_sky, settings.seed, device)
+    else:
+        state = read_checkpoint(begins_from, f"--ckpt_path {begins_from}")["neurad"]
+        found = Found(from_kept(state.get("shining"), scene, "--ckpt_path"))
+    return LitScene(lit_scene(scene, settings.lighting, found.lamps), found.lamps, tuple(found.lines))

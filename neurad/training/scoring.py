@@ -1,0 +1,169 @@
+"""Scores and error bars of a module's present state, inside and outside of a fit."""
+
+from __future__ import annotations
+
+from typing import Protocol
+
+import torch
+
+from neurad.assembly.build import Assembly, FittedMaterials
+from neurad.assembly.settings import ModelSettings
+from neurad.assembly.training_views import TrainingViews, prepare_views
+from neurad.core.errors import InputError
+from neurad.core.protocols import PhotoSource
+from neurad.core.records import FloatArray
+from neurad.integrators.estimator import Estimator
+from neurad.metrics.bar_maps import predict_bars
+from neurad.metrics.effort import Effort
+from neurad.metrics.error_bars import ErrorBars
+from neurad.metrics.held_out import HeldOut
+from neurad.metrics.held_out_scores import albedo_factors
+from neurad.metrics.lamp_scores import EXTRA, MISSED, Array, lamp_scores, read_lamps_true
+from neurad.metrics.view_residuals import view_residuals
+from neurad.optim.polyak_average import averaged
+from neurad.scene.description import Scene
+from neurad.training.error_bars import error_bars
+from neurad.training.evaluate import Evaluation, UnknownLight, evaluate, unknown_light
+from neurad.training.guard import Guard
+from neurad.training.schedule import Counters
+
+
+class Scored(Protocol):
+    """What is scored: :class:`neurad.training.inverse.InverseRenderer`."""
+
+    settings: ModelSettings
+    counters: Counters
+    training_views: TrainingViews | None
+    other_light: list[str]
+
+    @property
+    def scene(self) -> Scene:
+        """The scene of the data module in charge."""
+
+    @property
+    def photographs(self) -> PhotoSource:
+        """The photographs of the data module in charge."""
+
+    @property
+    def assembly(self) -> Assembly:
+        """The parts of the run."""
+
+    @property
+    def estimator(self) -> Estimator:
+        """The method's estimates with the present materials and radiance field."""
+
+
+class Scoring:
+    """Looks at the averages of the weights; its rays and seconds do not count.
+
+    Args:
+        run: what is scored.
+        guard: stops at the first number of a picture that is not finite.
+    """
+
+    def __init__(self, run: Scored, guard: Guard) -> None:
+        self.run, self.guard = run, guard
+        self.effort = Effort()
+        """How much of the held-out views evaluations look at. Set before a fit starts."""
+        self.found_lamps = False
+        """Whether the meshes that shine were found by photographs."""
+        self._held_out: HeldOut | None = None
+        self._light: UnknownLight | None = None
+        self._lamps_true: tuple[Array, int] | None = None
+
+    @property
+    def held_out(self) -> HeldOut:
+        """The held-out views, as much of them as evaluations look at."""
+        if self._held_out is None:
+            world, effort = self.run.assembly.world, self.effort
+            self._held_out = HeldOut(self.run.scene, world.geometry, world.tracer, effort.grid, effort.stride)
+        return self._held_out
+
+    def restart(self, effort: Effort) -> None:
+        """Look at so much of the held-out views from now on."""
+        self.effort, self._held_out, self._light = effort, None, None
+
+    def read_lamps_true(self, path: str | None, found: bool) -> None:
+        """Read what recovered lamps are scored against.
+
+        Args:
+            path: of the table; None where nothing is given.
+            found: whether the meshes that shine were found by photographs.
+        """
+        scene, self.found_lamps = self.run.scene, found
+        if path is None or (self.run.assembly.lamps is None and not found):
+            return
+        wholes = {mesh.name: mesh.part_of for mesh in scene.meshes if mesh.part_of is not None}
+        self._lamps_true = read_lamps_true(path, self._lamp_names(), found, wholes)
+
+    def _lamp_names(self) -> list[str]:
+        """Names of the lamps that are recovered."""
+        lamps = self.run.assembly.lamps
+        return [] if lamps is None else [self.run.scene.meshes[index].name for index in lamps.mesh.tolist()]
+
+    def evaluate(
+        self, render_spp: int = 4, glossy: bool = False, steady: bool = False, bars: ErrorBars | None = None
+    ) -> Evaluation:
+        """Score the present materials and radiance field on held-out views.
+
+        The arguments are those of :func:`neurad.training.evaluate.evaluate`.
+        """
+        assembly, scene = self.run.assembly, self.run.scene
+        held_out, development = self.held_out, assembly.development
+        held_out.respond = None if development is None else development.respond
+        with averaged(assembly.average), assembly.world.tracer.uncounted():
+            if self._light is None and assembly.environment is not None:
+                self._light = unknown_light(scene, assembly.environment, held_out)
+            result = evaluate(held_out, self.run.estimator, render_spp, glossy, self._light, scene, steady, bars)
+            result.scores.update(self._lamp_scores(result))
+        self.guard.images(self.run.counters.iteration, result.maps, [view.name for view in held_out.views])
+        return result
+
+    def _lamp_scores(self, found: Evaluation) -> dict[str, float]:
+        """Errors of lamps that are recovered, where the truth is given."""
+        if self._lamps_true is None:
+            return {}
+        lamps, (truth, missed) = self.run.assembly.lamps, self._lamps_true
+        if lamps is None:  # none was found
+            return {MISSED: float(missed), EXTRA: 0.0}
+        factors = albedo_factors(self.held_out, found.maps) if lamps.values.requires_grad else {}
+        scores = lamp_scores(lamps.found(), truth, self._lamp_names(), factors)
+        if self.found_lamps:
+            scores |= {MISSED: float(missed), EXTRA: float((~truth.any(-1)).sum())}
+        return scores
+
+    def error_bars(self) -> ErrorBars | None:
+        """Error bars of the present materials, see :func:`neurad.training.error_bars.error_bars`.
+
+        Raises:
+            InputError: outside of a fit the training photographs are read for it, and one is missing or wrong; or they
+                are of another light.
+        """
+        if self.run.other_light:
+            raise InputError("they are those of the light of the fit, which is another one here")
+        run, assembly, views = self.run, self.run.assembly, self.run.training_views
+        # The trainer tests in inference mode, in which nothing can be differentiated.
+        with torch.inference_mode(False), torch.no_grad(), averaged(assembly.average):
+            if views is None:
+                device = assembly.world.geometry.vertices.device
+                with assembly.world.tracer.uncounted():
+                    views = prepare_views(assembly, run.photographs, device, check_brightness=False)
+            return error_bars(assembly, views, run.photographs, run.counters)
+
+    def bar_maps(self, bars: ErrorBars) -> list[dict[str, FloatArray]]:
+        """``albedo_std`` and ``roughness_std`` of the held-out views, see :func:`predict_bars`."""
+        assembly = self.run.assembly
+        assert isinstance(assembly.materials, FittedMaterials)
+        with averaged(assembly.average), assembly.world.tracer.uncounted():
+            return predict_bars(self.held_out, bars, assembly.materials)
+
+    def view_residuals(self) -> FloatArray | None:
+        """How far each training photograph is from what is recovered [views], see :func:`view_residuals`. None outside
+        of a fit.
+        """
+        views, assembly = self.run.training_views, self.run.assembly
+        if views is None or views.sample is None:
+            return None
+        with averaged(assembly.average):
+            sample = views.sample if assembly.development is None else assembly.development(views.sample)
+            return view_residuals(self.run.estimator, views.primary, sample, self.run.settings.seed)

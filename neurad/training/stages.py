@@ -1,0 +1,180 @@
+"""What happens at its times in every training, between the steps of the optimizers.
+
+:class:`neurad.training.step.TrainingStep` runs these stages for whoever drives it, so a benchmark trains as a fit does.
+"""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable
+from typing import Protocol, TypeVar
+
+import torch
+import torch.distributed as dist
+
+from neurad.assembly.build import Assembly
+from neurad.assembly.training_views import TrainingViews
+from neurad.assembly.unknown_lamps import is_due, refresh_lamps
+from neurad.core.protocols import PhotoSource
+from neurad.core.records import PixelBatch
+from neurad.core.rng import Stream
+from neurad.training.closing_step import EVERY as CLOSING_EVERY
+from neurad.training.closing_step import is_due as is_closing
+from neurad.training.closing_step import make_closing_step, progress_before
+from neurad.training.objective import ObjectiveStep, StepTerms
+from neurad.training.roughness_start import AFTER, BATCHES, choose_start
+from neurad.training.schedule import Counters, Progress
+from neurad.training.validation import SETTLED, shrink_levels, update_levels
+from neurad.training.validation import is_due as is_filtering
+
+T = TypeVar("T")
+
+
+class Training(Protocol):
+    """What stages work on: the running :class:`neurad.training.step.TrainingStep`."""
+
+    assembly: Assembly
+    views: TrainingViews
+    photographs: PhotoSource
+    counters: Counters
+    rank: int
+    processes: int
+    device: torch.device | str
+
+    @property
+    def objective(self) -> Callable[[PixelBatch, Stream], StepTerms]:
+        """Losses of a batch."""
+
+
+class Stage(Protocol):
+    """Something that happens at its times."""
+
+    def due(self, training: Training, progress: Progress) -> bool:
+        """Whether it is time, after the iterations that are done; the same answer in all processes."""
+
+    def run(self, training: Training, progress: Progress) -> None:
+        """Do it."""
+
+
+def rate_progress(assembly: Assembly, progress: Progress) -> float:
+    """What learning rates go by: 1 or more at the end of the run, or from its closing step on."""
+    if assembly.correction is None:
+        return progress.largest
+    return progress_before(progress, assembly.settings.roughness)
+
+
+class RoughnessStart:
+    """Let roughness begin where the loss is least, see :mod:`neurad.training.roughness_start`."""
+
+    def due(self, training: Training, progress: Progress) -> bool:
+        """After :data:`neurad.training.roughness_start.AFTER` iterations."""
+        if training.counters.iteration != AFTER or not isinstance(training.objective, ObjectiveStep):
+            return False
+        return training.assembly.settings.roughness.begin != "middle"
+
+    def run(self, training: Training, progress: Progress) -> None:
+        """Look at some batches, and shift the field."""
+        assert isinstance(training.objective, ObjectiveStep)
+        begin, rank = training.counters.iteration, training.rank
+        batches = (
+            training.photographs.batch(i, rank).in_turn().to(training.device) for i in range(begin, begin + BATCHES)
+        )
+        key = training.assembly.settings.seed, begin, rank, 3
+        level = choose_start(training.objective, batches, key, dist.is_initialized())
+        if level is not None and rank == 0:
+            print(f"neurad: roughness begins at {level}", file=sys.stderr)
+
+
+class LightRefresh:
+    """Sample light that is recovered by what it is by now, and estimate anew what lamps reflect."""
+
+    def due(self, training: Training, progress: Progress) -> bool:
+        """Whenever one of the two is."""
+        return self._samples(training) or self._lamps(training)
+
+    @staticmethod
+    def _samples(training: Training) -> bool:
+        assembly = training.assembly
+        recovers = assembly.environment is not None or assembly.lamps is not None
+        return recovers and training.counters.iteration % assembly.settings.lighting.refresh == 0
+
+    @staticmethod
+    def _lamps(training: Training) -> bool:
+        recovers = training.assembly.lamps is not None and training.views.lamps is not None
+        return recovers and is_due(training.counters.iteration)
+
+    def run(self, training: Training, progress: Progress) -> None:
+        """Refresh what is due."""
+        environment, lamps = training.assembly.environment, training.assembly.lamps
+        if self._lamps(training):
+            assert training.views.lamps is not None
+            refresh_lamps(training.assembly, training.views.lamps, training.counters.iteration)
+        if self._samples(training):
+            if environment is not None:
+                environment.refresh()
+            if lamps is not None:
+                lamps.refresh()
+
+
+class ClosingStep:
+    """Correct the roughness from all training pixels, see :mod:`neurad.training.closing_step`."""
+
+    def due(self, training: Training, progress: Progress) -> bool:
+        """Once in a run, where learning rates have come to their end; the first process decides for all."""
+        correction = training.assembly.correction
+        if correction is None or not isinstance(training.objective, ObjectiveStep):
+            return False
+        if training.processes > 1 and training.counters.iteration % CLOSING_EVERY != 0:
+            return False
+        return broadcast(is_closing(correction, rate_progress(training.assembly, progress)))
+
+    def run(self, training: Training, progress: Progress) -> None:
+        """Take noise out of the albedo's levels first: copied by an albedo it hides what pixels say of the roughness.
+        The first process makes the step for all, within the time that is left.
+        """
+        correction = training.assembly.correction
+        assert correction is not None
+        LevelFilter.update(training, progress)
+        if training.rank == 0:
+            found = make_closing_step(
+                training.assembly, training.views, training.photographs, training.counters, training.processes,
+                progress.seconds_by_time,
+            )  # fmt: skip
+            if found is not None:
+                print(f"neurad: {found.sentence()}", file=sys.stderr)
+        correction.load_state_dict(broadcast({name: value.cpu() for name, value in correction.state_dict().items()}))
+
+
+class LevelFilter:
+    """Let training go on from what never-drawn pixels confirm, see :mod:`neurad.training.validation`."""
+
+    def due(self, training: Training, progress: Progress) -> bool:
+        """From time to time until rates are too low to bring signal back."""
+        return rate_progress(training.assembly, progress) < 1.0 and is_filtering(training.counters.iteration)
+
+    def run(self, training: Training, progress: Progress) -> None:
+        """Shrink the levels of the albedo."""
+        shrink_levels(training.assembly, training.views, training.photographs, training.counters.iteration)
+
+    @staticmethod
+    def update(training: Training, progress: Progress) -> str | None:
+        """Fit the factors by which results show each level of the fields; returns a sentence on what was found."""
+        settled = rate_progress(training.assembly, progress) >= SETTLED
+        return update_levels(
+            training.assembly, training.views, training.photographs, training.counters.iteration, settled
+        )
+
+
+BEFORE: tuple[Stage, ...] = (RoughnessStart(), LightRefresh())
+"""Stages before the optimizers' step, in their order."""
+AFTER_STEP: tuple[Stage, ...] = (ClosingStep(), LevelFilter())
+"""Stages after it."""
+
+
+def broadcast(value: T) -> T:
+    """The first process's value, in all of them."""
+    if not dist.is_initialized():
+        return value
+    box = [value]
+    dist.broadcast_object_list(box)
+    return box[0]

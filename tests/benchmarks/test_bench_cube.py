@@ -1,0 +1,412 @@
+"""`neurad bench cube` and `neurad bench gradients`: their processes, their statistics, and tiny runs of both."""
+
+import argparse
+import csv
+import math
+
+import numpy as np
+import pytest
+import torch
+from helpers.oracles import accept
+from scipy import stats
+
+from benchmarks.bench import bias, cube, cube_worker, gradients
+from benchmarks.bench.closed_form import Sphere
+from benchmarks.bench.per_path import PathInteraction, PathMaterials, PathRays, build_path_world
+from neurad.assembly.build import build_materials, build_world
+from neurad.core.errors import InputError
+from neurad.core.records import SurfaceInteraction
+from neurad.core.reflection import ConductorModel, PrincipledModel
+from neurad.core.rng import Stream
+from neurad.integrators.method import SceneModel
+from neurad.integrators.prb import PRB
+from neurad.integrators.radiometric import Radiometric
+from neurad.integrators.vertex import DIMENSIONS
+from neurad.scene.builtin import build, build_cube
+from neurad.scene.textures import TrueMaterials
+
+CPU = torch.device("cpu")
+JOB = {
+    "albedo": 0.5, "tracer": "embree", "fields": "hash", "size": 16, "method": "ours", "limit": 4, "rr_prob": 0.95,
+    "spp": 2, "pixels": 32, "field_fraction": 1.0, "device": "cpu",
+}  # fmt: skip
+
+
+def main(words):
+    from neurad.cli import main
+
+    main(["bench", *words])
+
+
+# ---- cube
+
+
+@pytest.mark.parametrize(("albedo", "roulette", "going_on"), [(0.3, 0.95, 0.3), (0.9, 0.95, 0.9), (0.97, 0.8, 0.8)])
+def test_walk_lengths_are_those_of_a_coin(albedo, roulette, going_on):
+    """The number of bounces is geometric; mean within 3.9 standard errors (99.99 %), percentile within 15 %."""
+    paths = 8192
+    mean, limit = cube_worker.path_lengths(albedo, roulette, "embree", paths)
+    assert abs(mean - 1 / (1 - going_on)) < 3.9 * math.sqrt(going_on / paths) / (1 - going_on)
+    assert limit == pytest.approx(math.log(0.001) / math.log(going_on), rel=0.15, abs=2)
+
+
+@pytest.mark.parametrize("kind", ["hash", "dense"])
+def test_fields_start_at_the_albedo(kind):
+    from neurad.fields.settings import FieldConfig
+
+    scene = build_cube(0.97)
+    materials = build_materials(scene, FieldConfig(kind=kind, size=8), FieldConfig())
+    cube_worker.set_albedo(materials, 0.97)
+    p = 2 * torch.rand(500, 3) - 1
+    assert float((materials.albedo.at(p) - 0.97).detach().abs().max()) < 2e-3
+
+
+@pytest.mark.parametrize("method", cube.METHODS)
+@pytest.mark.parametrize("kind", cube.FIELDS)
+def test_a_step_moves_nothing(method, kind):
+    """Rate 0: the second step with the same numbers casts the same rays, so nothing has changed."""
+    run = cube_worker.make_run({**JOB, "method": method, "fields": kind}, CPU)
+    step, parameters = cube_worker.make_step(run), list(run.assembly.materials.parameters())
+    before = [p.detach().clone() for p in parameters]
+    rays = [step(), step()]
+    assert min(rays) > 2 * 64
+    assert all(torch.equal(a, b) for a, b in zip(before, parameters, strict=True))
+    assert any(p.grad is not None and float(p.grad.to_dense().abs().max()) > 0 for p in parameters)
+
+
+def test_work_grows_with_albedo_for_paths_alone():
+    rays = {}
+    for method in ("ours", "prb"):
+        for albedo, limit in ((0.3, 6), (0.9, 60)):
+            job = {**JOB, "method": method, "albedo": albedo, "limit": limit}
+            step = cube_worker.make_step(cube_worker.make_run(job, CPU))
+            rays[method, albedo] = step() + step()
+    assert rays["ours", 0.9] == pytest.approx(rays["ours", 0.3], rel=0.05)
+    assert rays["prb", 0.9] > 4 * rays["prb", 0.3]
+
+
+def test_reflected_radiance_is_that_of_paths():
+    """The closed form against paths; the light hangs off the ceiling and views are not the area, so roughly."""
+    scene = build_cube(0.5)
+    world = build_world(scene)
+    materials = TrueMaterials(scene, world.geometry)
+    study = bias.Study(world, materials, scene.train[0].camera, 1)
+    from neurad.integrators.film import render
+    from neurad.integrators.renderer import path_tracer
+
+    image = render(study.camera, path_tracer(world, materials, None, 6), 4, 1)
+    dark = image[image.amax(-1) < 4.0]  # without the light itself
+    assert float(dark.mean()) == pytest.approx(cube_worker.reflected_radiance(scene), rel=0.35)
+
+
+def row(albedo, ms, peak, kind="hash", method="ours"):
+    return {"fields": kind, "method": method, "albedo": albedo, "ms": ms, "peak_mib": peak}
+
+
+def test_verdict():
+    good = cube.verdicts([row(0.3, 100.0, 400.0), row(0.99, 104.0, 402.0), row(0.3, 1.0, 1.0, method="prb")])
+    assert len(good) == 1
+    assert "time x 1.040, peak memory x 1.005" in good[0]
+    assert "met" in good[0]
+    assert "MISSED" in cube.verdicts([row(0.3, 100.0, 400.0), row(0.99, 115.0, 402.0)])[0]
+    assert "MISSED" in cube.verdicts([row(0.3, 100.0, 400.0), row(0.99, 104.0, 500.0)])[0]
+    assert "not all" in cube.verdicts([row(0.3, 100.0, 400.0), row(0.99, None, None)])[0]
+
+
+@pytest.mark.parametrize(
+    ("fields", "peer", "expected"),
+    [
+        ("hash,dense", False, [[("hash", "ours")], [("hash", "prb")], [("dense", "ours")], [("dense", "prb")]]),
+        ("dense", True, [[("dense", "prb")], [("dense", "ours"), ("voxels", "mitsuba")]]),
+        ("hash", True, [[("hash", "ours")], [("hash", "prb")], [("voxels", "mitsuba")]]),
+    ],
+)
+def test_ours_on_dense_grids_takes_turns_with_the_peer(fields, peer, expected):
+    assert cube._groups(argparse.Namespace(fields=fields, methods="ours,prb", peer=peer)) == expected
+
+
+def test_ratios_compare_dense_grids_alone():
+    rows = [row(a, ms, 1.0, "dense") for a, ms in ((0.5, 20.0), (0.97, 25.0))] + [row(0.97, 1.0, 1.0)]
+    rows += [row(0.5, 50.0, 1.0, "voxels", "mitsuba"), row(0.97, None, None, "voxels", "mitsuba")]
+    assert cube.ratios(rows) == ["mitsuba over ours, albedo 0.5: x 2.50"]
+
+
+def test_only_warm_steps_of_a_turn_count(monkeypatch):
+    answers = (
+        'for word in ready {1..12} end; do echo \'{"seconds": \'$((n++)).0\', "rays": 1, '
+        '"base": 0, "peak": 0}\'; read; done'
+    )
+    monkeypatch.setattr(cube, "WORKER", ["bash", "-c", answers, "--"])
+    monkeypatch.setattr(cube, "COLD", 2)
+    (cell,) = cube.measure([JOB], 4, 100.0)
+    assert cell.seconds == [3.0, 6.0, 9.0, 12.0]
+    (cell,) = cube.measure([JOB], 4, 1.0)
+    assert cell.seconds == [3.0, 6.0, 9.0]
+
+
+def test_every_round_has_everybody_once_in_an_order_of_its_own(monkeypatch, tmp_path):
+    """Three processes of which one is so slow that it ends after the least number of turns."""
+    turns = tmp_path / "turns"
+    answers = (
+        'name=$(grep -o "[0-9]" <<<"$0"); echo "{\\"ready\\": true}"; while read word; do '
+        f"[ $word = step ] && echo $name >> {turns}; "
+        'echo "{\\"seconds\\": $name, \\"rays\\": 1, \\"base\\": 0, \\"peak\\": 0}"; done'
+    )
+    monkeypatch.setattr(cube, "WORKER", ["bash", "-c", answers])
+    monkeypatch.setattr(cube, "COLD", 0)
+    cells = cube.measure([{"name": k} for k in (0, 1, 9)], 8, 20.0)
+    assert [len(cell.seconds) for cell in cells] == [8, 8, cube.LEAST]
+    order = turns.read_text().split()
+    rounds = [order[3 * i : 3 * i + 3] for i in range(cube.LEAST)]
+    rounds += [order[i : i + 2] for i in range(3 * cube.LEAST, len(order), 2)]
+    assert all(sorted(turn) == ["0", "1", "9"][: len(turn)] for turn in rounds)
+    assert len({tuple(turn[:2]) for turn in rounds}) > 1
+
+
+def test_a_process_that_dies_leaves_a_row(monkeypatch):
+    """As one that runs out of memory would: the others are measured, and the reason is kept."""
+    monkeypatch.setattr(cube, "WORKER", ["bash", "-c", "echo no memory >&2; exit 3", "--"])
+    (cell,) = cube.measure([JOB], 3, 1.0)
+    assert (cell.failed, cell.missing, cell.seconds) == ("no memory", "", [])
+    found = cube._row(cell, 2.0, 5)
+    assert found["ms"] is None
+    assert found["failed"] == "no memory"
+    assert not cell.log.exists()
+
+
+def test_bench_cube(tmp_path, capsys):
+    words = ["--albedos", "0.3", "0.7", "--methods", "ours", "--fields", "dense", "--size", "8", "--pixels", "16"]
+    main(["cube", *words, "--spp", "2", "--steps", "3", "--out", str(tmp_path / "cube.csv")])
+    out = capsys.readouterr().out
+    assert "albedo 0.3: paths of 1.4" in out
+    assert "ours, dense, albedo 0.3 to 0.7: time x " in out
+    with (tmp_path / "cube.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    assert [r["albedo"] for r in rows] == ["0.3", "0.7"]
+    for r in rows:
+        assert 0 < float(r["ms"]) < 60000
+        assert float(r["peak_mib"]) > 50
+        assert r["steps"] == "3"
+
+
+@pytest.mark.parametrize(
+    ("words", "expected"),
+    [
+        (["cube", "--albedos", "1.0"], "--albedos"),
+        (["cube", "--methods", "ours,nerf"], "--methods: nerf"),
+        (["cube", "--spp", "1"], "--spp"),
+        (["cube", "--field-fraction", "0"], "--field-fraction"),
+        (["gradients", "--states", "0.5", "0.5"], "--states"),
+        (["gradients", "--batches", "2"], "--batches"),
+        (["gradients", "--scene", "cornell", "--albedos", "--view", "9"], "--view"),
+    ],
+)
+def test_bad_options_are_named(words, expected, tmp_path, capsys):
+    with pytest.raises(SystemExit) as stopped:
+        main([*words, "--out", str(tmp_path / "out")])
+    assert stopped.value.code == 2
+    assert expected in capsys.readouterr().err
+
+
+# ---- gradients
+
+
+def test_paths_keep_their_numbers():
+    """Every vertex of a path carries the number of the ray that it began with."""
+    world = build_path_world(build_cube(0.5), "embree")
+    stream = Stream(3)
+    d = torch.nn.functional.normalize(stream.uniform(64, 3) - 0.5, dim=-1)
+    si = world.intersect(PathRays(torch.zeros(64, 3), d, torch.arange(64)))
+    assert isinstance(si, PathInteraction)
+    torch.testing.assert_close(torch.nn.functional.normalize(si.p, dim=-1), d[si.path], rtol=1e-3, atol=1e-3)
+    kept = si[si.path % 2 == 0]
+    assert isinstance(kept, PathInteraction)
+    after = world.intersect(world.geometry.spawn(kept, kept.n))
+    assert isinstance(after, PathInteraction)
+    assert after.path.tolist() == list(range(0, 64, 2))
+
+
+def study(size=6, spp=2, factor=1.0):
+    from dataclasses import replace
+
+    scene = build_cube(0.6)
+    scene = replace(scene, materials=[replace(m, model=PrincipledModel()) for m in scene.materials])
+    world = build_path_world(scene, "embree")
+    camera = replace(scene.train[0].camera, width=size, height=size)
+    return bias.Study(world, TrueMaterials(scene, world.geometry), camera, spp, factor)
+
+
+@pytest.mark.parametrize("method", [PRB(4), Radiometric(2)])
+def test_derivatives_of_paths_are_those_of_the_scalar(method, monkeypatch):
+    """The sum of the derivatives by every path's own parameter is that by one parameter that all share."""
+    one = study()
+    own = one.gradients(method, 0.5, 1)
+
+    class Shared(PathMaterials):
+        def __init__(self, base, roughness, paths):
+            super().__init__(base, roughness, 1)
+
+        def albedo(self, si):
+            return self.base.albedo(si) + self.offset
+
+        def forward(self, si):
+            from neurad.core.records import Surface
+
+            return Surface(self.albedo(si), self.roughness.expand(len(si), 1))
+
+    found = []
+    grad = torch.autograd.grad
+
+    def record(value, parameters, *rest, **further):
+        gradients = grad(value, parameters, *rest, **further)
+        if isinstance(parameters, list):
+            found.append([float(g) for g in gradients])
+            return [torch.zeros(one.camera.width * one.camera.height * one.spp) for _ in gradients]
+        return gradients
+
+    monkeypatch.setattr(bias, "PathMaterials", Shared)
+    monkeypatch.setattr(torch.autograd, "grad", record)
+    one.gradients(method, 0.5, 1)
+    assert len(found) == 1
+    assert own.roughness.sum() * one.spp == pytest.approx(found[0][0], rel=1e-3)
+    assert own.albedo.sum() * one.spp == pytest.approx(found[0][1], rel=1e-3)
+
+
+def test_albedo_derivative_is_that_of_pictures():
+    """Against central differences of path-traced pictures of all pixels, the same random numbers: 99.9 %."""
+    one = study(size=8, spp=8)
+    own = one.gradients(PRB(None), 0.5, 12)
+    step, rows = 0.02, []
+    for index in range(24):
+        sides = []
+        for sign in (-1, 1):
+            base = one.base
+            before = base.albedo_table.constant.clone()
+            base.albedo_table.constant += sign * step
+            sides.append(render_mean(one, index))
+            base.albedo_table.constant.copy_(before)
+        rows.append((sides[1] - sides[0]) / (2 * step))
+    means = own.albedo.mean(1)
+    difference = means.mean() - np.mean(rows)
+    error = math.hypot(means.std(ddof=1) / math.sqrt(len(means)), np.std(rows, ddof=1) / math.sqrt(len(rows)))
+    assert error < 0.1 * abs(np.mean(rows))
+    assert abs(difference) < 3.6 * error
+
+
+def render_mean(one, seed):
+    from benchmarks.bench.per_path import UniformMaterials
+    from neurad.integrators.film import render
+    from neurad.integrators.renderer import path_tracer
+
+    tracer = path_tracer(one.world, UniformMaterials(one.base, 0.5), None, 6)
+    return float(render(one.camera, tracer, 8, seed).mean())
+
+
+def test_the_field_is_exact_in_the_mean():
+    """k bounces that end in the path-traced field and k that go on to the end give one picture: 99.9 %."""
+    one = study(size=6, spp=8)
+    long, short = (one.gradients(method, 0.5, 12).image.mean(1) for method in (PRB(None), Radiometric(1)))
+    difference = short.mean() - long.mean()
+    error = math.hypot(short.std(ddof=1), long.std(ddof=1)) / math.sqrt(12)
+    assert error < 0.08 * long.mean()
+    assert abs(difference) < 3.6 * error
+    wrong = study(size=6, spp=8, factor=2.0).gradients(Radiometric(1), 0.5, 12).image.mean(1)
+    assert wrong.mean() > 1.1 * short.mean()
+
+
+def test_closed_form_on_the_sphere():
+    """All methods, with a field that is right and one that is 20 % too bright: 99 % confidence over all."""
+    p_values = []
+    for factor, names in ((1.0, ("direct", "prb", "ours", "debiased")), (1.2, ("ours", "debiased"))):
+        sphere = Sphere(0.5, "embree", factor)
+        for method in (method for key, method in gradients.methods().items() if key[0] in names):
+            fraction, error = sphere.gradient_fraction(method, 2400)
+            assert error < 0.08
+            p_values.append(2 * stats.t.sf(abs(fraction - sphere.predicted(method)) / max(error, 1e-6), 15))
+    assert accept(p_values)
+
+
+def test_predictions_are_apart():
+    sphere = Sphere(0.8, "embree")
+    found = {key: sphere.predicted(method) for key, method in gradients.methods().items()}
+    assert found["ours", 1] == pytest.approx(0.2)
+    assert found["ours", 4] == pytest.approx(1 - 0.8**4)
+    assert found["direct", 1] == pytest.approx(0.04)
+    assert found["prb", 2] == pytest.approx(0.04 * (1 + 2 * 0.8))
+    assert found["debiased", None] == 1.0
+
+
+def test_statistics_have_no_bias_of_their_own():
+    """Squares and products of noisy batches: means over 400 repetitions within 3.9 standard errors (99.99 %)."""
+    rng = np.random.default_rng(0)
+    truth, target = rng.normal(size=50), rng.normal(size=50)
+    squares, losses = [], []
+    for _ in range(400):
+        noise = rng.normal(size=(4, 50))
+        squares.append(bias.product(truth + noise, truth + noise))
+        losses.append(bias.loss_gradient(truth + noise, truth + 2 * noise, target))
+    for values, exact in ((squares, (truth**2).mean()), (losses, 2 * ((truth - target) * truth).mean())):
+        assert abs(np.mean(values) - exact) < 3.9 * np.std(values) / 20
+
+
+def test_bias_along_the_reference():
+    """A gradient image of 70 % of the reference, one orthogonal to it added: 5 standard errors, noise 1 a batch."""
+    rng = np.random.default_rng(2)
+    truth = rng.normal(size=400)
+    other = rng.normal(size=400)
+    other -= truth * (other @ truth) / (truth @ truth)
+    reference = truth + rng.normal(size=(40, 400))
+    grad_image = 0.7 * truth + 0.5 * other + rng.normal(size=(20, 400))
+    mean, error = bias.image_bias(grad_image, reference)
+    assert error < 0.05
+    assert abs(mean + 0.3) < 5 * error
+    expected = math.sqrt(0.3**2 + 0.25 * (other @ other) / (truth @ truth))
+    assert bias.pixel_bias(grad_image, reference) == pytest.approx(expected, rel=0.15)
+    assert bias.noise(grad_image, reference) == pytest.approx(math.sqrt(1 / 20 / (truth**2).mean()), rel=0.15)
+
+
+def test_jackknife_of_a_mean_is_its_standard_error():
+    x = np.random.default_rng(1).normal(size=9)
+    value, error = bias.jackknife(lambda i: float(x[i].mean()), 9)
+    assert value == pytest.approx(x.mean())
+    assert error == pytest.approx(x.std(ddof=1) / 3)
+
+
+def test_smooth_surfaces_are_refused():
+    from dataclasses import replace
+
+    scene = build_cube(0.5)
+    smooth = replace(scene, materials=[replace(m, model=ConductorModel()) for m in scene.materials])
+    with pytest.raises(InputError, match="smooth"):
+        build_path_world(smooth, "embree")
+    assert not build("patterns").features.has_delta
+
+
+def test_bench_gradients(tmp_path, capsys):
+    words = ["--size", "4", "--spp", "2", "--batches", "3", "--reference", "2", "--states", "0.4", "0.6"]
+    main(["gradients", *words, "--albedos", "0.5", "--paths", "160", "--out", str(tmp_path / "out")])
+    out = capsys.readouterr().out
+    assert "fraction of the derivative" in out
+    with (tmp_path / "out/gradients.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    assert {r["method"] for r in rows} == {"direct", "prb", "ours", "debiased", "reference"}
+    by = {(r["method"], r["bounces"], r["quantity"]): float(r["relative_bias"]) for r in rows}
+    assert by["reference", "", "image by albedo"] == 0.0
+    assert by["direct", "1", "image by albedo"] < by["prb", "4", "image by albedo"] < 0.0
+    assert all(float(r["standard_error"]) >= 0 and float(r["seconds"]) > 0 for r in rows)
+    with (tmp_path / "out/closed_form.csv").open() as file:
+        assert len(list(csv.DictReader(file))) == 11
+    assert (tmp_path / "out/gradients.png").stat().st_size > 5000
+
+
+def test_paths_need_numbers():
+    """Materials by path refuse points without a path index."""
+    materials = PathMaterials(study().base, 0.5, 4)
+    blank = torch.zeros(1, 3)
+    si = SurfaceInteraction(
+        blank, blank, blank, blank, blank[:, :2], blank[:, :2], torch.zeros(1).long(), torch.ones(1).bool()
+    )
+    with pytest.raises(AssertionError):
+        materials(si)
+    assert DIMENSIONS == 7
+    assert SceneModel(study().world, materials).radiance is None

@@ -1,0 +1,392 @@
+"""The ladder up to the best possible: each part against a closed form or a dense solution."""
+
+from itertools import pairwise
+
+import numpy as np
+import pytest
+import torch
+from helpers.method_oracles import Grey
+from helpers.tiny_fit import fails, fit, write_tiny_config
+
+from benchmarks.bench.bound import gap, sentence
+from benchmarks.bound import ladder
+from benchmarks.bound.cells import COARSEST, FINEST, CellMaterials, SurfaceCells, _pack, _unpack, encode
+from benchmarks.bound.ladder import Rung, rungs
+from benchmarks.bound.photographs import Predicted, misfit, noise_covariance, photo_noise, predict
+from benchmarks.bound.recovery import Photographed, Prior, Recovery, SeenDirectly
+from benchmarks.bound.sparse import Rows
+from neurad.assembly.build import build_world
+from neurad.cli import main
+from neurad.core.records import SurfaceInteraction
+from neurad.integrators.estimator import Estimator
+from neurad.integrators.primary_hits import PrimaryHits
+from neurad.scene.builtin import build_furnace
+
+LOW, SIZE = np.zeros(3, np.float32), 1.0
+
+
+def on_plane(x, y, up=True):
+    """Points (x, y, 0.3) that are seen from above or below."""
+    n = len(x)
+    p = torch.tensor(np.stack((x, y, np.full(n, 0.3)), -1), dtype=torch.float32)
+    normal = torch.tensor([[0.0, 0.0, 1.0]]).expand(n, 3)
+    wo = normal if up else -normal
+    zero = torch.zeros(n, 2)
+    return SurfaceInteraction(p, normal, normal, wo, zero, zero, torch.zeros(n, dtype=torch.int64), torch.ones(n) > 0)
+
+
+def lattice(power):
+    """Cells of level ``power`` on the plane, all of them, and the middles of their squares [n]."""
+    (x, y), finer = grid(power), grid(power + 1)
+    codes = np.unique(encode(on_plane(*finer), LOW, SIZE))  # four in a cell, too many for the pixels
+    return SurfaceCells.of(LOW, SIZE, codes, round(len(x) / 2.0) + 1), x, y
+
+
+def grid(power):
+    middle = (np.arange(1 << power) + 0.5) / (1 << power)
+    return [a.ravel() for a in np.meshgrid(middle, middle, indexing="ij")]
+
+
+def dense(rows):
+    return rows @ np.eye(rows.columns, dtype=np.float32)
+
+
+# ---- sparse matrices and cells
+
+
+def test_products_are_those_of_the_dense_matrix():
+    rng = np.random.default_rng(0)
+    row, column, weight = rng.integers(0, 5, 40), rng.integers(0, 7, 40), rng.random(40)
+    exact = np.zeros((6, 7))
+    np.add.at(exact, (row, column), weight)  # places that come twice are added, row 5 is empty
+    found = Rows.of(row, column, weight, 6, 7)
+    x, y = rng.random((7, 3), np.float32), rng.random((6, 3), np.float32)
+    np.testing.assert_allclose(found @ x, exact @ x, rtol=1e-5)
+    np.testing.assert_allclose(found.transposed(y), exact.T @ y, rtol=1e-5)
+
+
+def test_codes_say_side_and_place():
+    rng = np.random.default_rng(7)
+    for power in (3, FINEST):
+        side, place = rng.integers(0, 6, 50), rng.integers(0, 1 << power, (50, 3))
+        codes = _pack(side, place, power)
+        for found, true in zip(_unpack(codes, power), (side, place), strict=True):
+            np.testing.assert_array_equal(found, true)
+        np.testing.assert_array_equal(codes >> 3, _pack(side, place >> 1, power - 1))
+
+
+def test_what_is_linear_above_is_linear_below():
+    """A plane full of cells: away from its edge the interpolation of a linear function is that function."""
+    cells, *_ = lattice(FINEST - 6)
+    assert cells.counts == [4 ** (COARSEST + i) for i in range(len(cells.counts))]
+    for index, (above, here) in enumerate(pairwise(cells.codes)):
+        powers = COARSEST + index, COARSEST + index + 1
+        x, y = (_unpack(codes, power)[1][:, :2].T for codes, power in zip((above, here), powers, strict=True))
+        values = ((np.array(x) + 0.5) / (1 << powers[0])).T.astype(np.float32)
+        expected = ((np.array(y) + 0.5) / (1 << powers[1])).T
+        inside = ((expected > 0.5 / (1 << powers[0])) & (expected < 1 - 0.5 / (1 << powers[0]))).all(-1)
+        np.testing.assert_allclose((cells.parents[index] @ values)[inside], expected[inside], atol=1e-5)
+
+
+def test_points_find_their_cell_or_what_lies_above_it():
+    cells, x, y = lattice(5)
+    codes = encode(on_plane(x, y), LOW, SIZE)
+    found = cells.find(codes)
+    assert (found >= sum(cells.counts[:-1])).all()
+    assert len(np.unique(found)) == len(found)
+    assert (cells.find(encode(on_plane(x, y, up=False), LOW, SIZE)) == -1).all(), "the other side is another surface"
+    half = SurfaceCells.of(LOW, SIZE, np.unique(codes[x < 0.55]), 2 * len(codes))
+    beyond = half.find(encode(on_plane(np.array([0.7]), np.array([0.3])), LOW, SIZE))
+    assert 0 <= beyond[0] < half.counts[0], "the coarse cell from 0.5 to 0.75 is seen, finer ones there are not"
+
+
+def test_materials_of_cells_are_those_of_the_finest_or_the_mean():
+    cells, x, y = lattice(5)
+    details = np.random.default_rng(9).normal(0, 0.1, (sum(cells.counts), 4)).astype(np.float32)
+    mean = np.array([0.5, 0.4, 0.3, 0.2], np.float32)
+    materials = CellMaterials(cells, details, mean)
+    found = materials(on_plane(x, y))
+    places = cells.find(encode(on_plane(x, y), LOW, SIZE))
+    np.testing.assert_allclose(found.albedo, (details[places] + mean)[:, :3], rtol=1e-6)
+    np.testing.assert_allclose(found.roughness, (details[places] + mean)[:, 3:], rtol=1e-6)
+    below = materials(on_plane(x[:1], y[:1], up=False))
+    np.testing.assert_allclose(torch.cat((below.albedo, below.roughness), -1)[0], mean)
+
+
+# ---- the estimate
+
+
+def single(response, sigma, n, spread, local=1.0):
+    """``n`` pixels of one finest cell, details on the finest level alone, of these standard deviations [4]."""
+    code = encode(on_plane(np.array([0.4]), np.array([0.4])), LOW, SIZE)
+    cells = SurfaceCells.of(LOW, SIZE, code, 2)
+    levels = len(cells.codes)
+    bases = [np.zeros((4, 4), np.float32)] * (levels - 1) + [np.diag(spread).astype(np.float32)]
+    prior = Prior(np.zeros(4, np.float32), tuple(bases), tuple(np.full((1, 4), local, np.float32) for _ in bases))
+    footprint = Rows(np.arange(n + 1), np.zeros(n, np.int32), np.ones(n, np.float32), 1)
+    return Recovery(cells, prior, footprint, response, np.full((n, sigma[1]), sigma[0], np.float32))
+
+
+def test_one_cell_is_the_mean_of_its_pixels_drawn_to_the_prior():
+    n, sigma, spread = 50, 0.3, np.array([0.1, 0.2, 0.4, 0.05])
+    y = np.random.default_rng(1).normal(0.5, sigma, (n, 4)).astype(np.float32)
+    for local in (1.0, 3.0):
+        power = (local * spread) ** 2
+        found = single(SeenDirectly(), (sigma, 4), n, spread, local)(y)[-1]
+        np.testing.assert_allclose(found, y.mean(0) * power / (power + sigma**2 / n), rtol=1e-3)
+
+
+def test_a_steady_sheen_is_not_known_and_a_moving_highlight_is():
+    """Answers to roughness that go with those to albedo tell nothing of it; with varying ones Fisher's information of
+    the roughness is its Schur complement."""
+    n, sigma, tau = 400, 0.1, 0.5
+    rng = np.random.default_rng(2)
+    truth = np.array([0.1, 0.2, 0.3, 0.6], np.float32)
+    highlight = np.repeat(rng.normal(0, 1, (n, 1)), 3, 1).astype(np.float32)
+    for by_roughness in (np.full((n, 3), 0.5, np.float32), highlight):
+        response = Photographed.of(np.ones((n, 3), np.float32), by_roughness)
+        recovery = single(response, (sigma, 3), n, np.full(4, tau))
+        exact = response(np.tile(truth, (n, 1)))
+        errors = (
+            np.array([recovery(exact + rng.normal(0, sigma, (n, 3)).astype(np.float32))[-1] for _ in range(60)]) - truth
+        )
+        if by_roughness is highlight:
+            total = (highlight[:, 0] ** 2).sum() - highlight[:, 0].sum() ** 2 / n
+            information = 3 * total / sigma**2 + 1 / tau**2
+            # 60 draws: the ratio of variances has a standard deviation of 0.18
+            assert errors[:, 3].var() * information == pytest.approx(1.0, abs=0.55)
+            np.testing.assert_allclose(errors.mean(0), 0.0, atol=0.01)
+        else:
+            # What no pixel tells is the part along (-1/2, -1/2, -1/2, 1): the smallest materials that explain the rest
+            unknown = np.array([-0.5, -0.5, -0.5, 1.0])
+            np.testing.assert_allclose(errors.mean(0), -unknown * (truth @ unknown) / (unknown @ unknown), atol=0.01)
+
+
+def test_many_levels_give_the_dense_solution():
+    rng = np.random.default_rng(3)
+    cells, *_ = lattice(4)
+    finest, n = cells.counts[-1], 300
+    column, row = rng.integers(0, finest, 4 * n), np.repeat(np.arange(n), 4)
+    footprint = Rows.of(row, column, np.full(4 * n, 0.25), n, finest)
+    bases = [rng.normal(0, 0.3, (4, 4)).astype(np.float32) for _ in cells.codes]
+    local = [rng.uniform(0.5, 2.0, (count, 4)).astype(np.float32) for count in cells.counts]
+    prior = Prior(np.zeros(4, np.float32), tuple(bases), tuple(local))
+    response = Photographed.of(
+        rng.uniform(0.5, 1, (n, 3)).astype(np.float32), rng.normal(0, 0.3, (n, 3)).astype(np.float32)
+    )
+    sigma = rng.uniform(0.05, 0.2, (n, 3)).astype(np.float32)
+    y = rng.normal(0, 1, (n, 3)).astype(np.float32)
+    found = Recovery(cells, prior, footprint, response, sigma)(y)
+    # U: from details of all levels to the finest cells, four numbers a cell
+    u = np.zeros((0, 0))
+    for index, count in enumerate(cells.counts):
+        own = (
+            np.kron(np.eye(count), np.ones((4, 4)))
+            * np.kron(np.ones((count, count)), bases[index])
+            * local[index].ravel()
+        )
+        above = np.kron(dense(cells.parents[index - 1]), np.eye(4)) @ u if index else np.zeros((4 * count, 0))
+        u = np.concatenate((above, own), 1)
+    j = np.zeros((3 * n, 4 * n))
+    for p in range(n):
+        j[3 * p : 3 * p + 3, 4 * p : 4 * p + 4] = response.jacobian[p]
+    a = j @ np.kron(dense(footprint), np.eye(4)) @ u / sigma.reshape(-1, 1)
+    z = np.linalg.solve(np.eye(a.shape[1]) + a.T @ a, a.T @ (y / sigma).ravel())
+    np.testing.assert_allclose(found[-finest:].ravel(), u @ z, atol=0.02 * np.abs(u @ z).max())
+
+
+def test_the_prior_is_what_was_drawn():
+    """White details of the finest level around a mean, quiet in one half of the plane."""
+    cells, x, y = lattice(FINEST - 6)
+    column = cells.find(encode(on_plane(x, y), LOW, SIZE)) - sum(cells.counts[:-1])
+    quiet = (x < 0.5)[:, None]
+    values = np.random.default_rng(4).normal(0, 0.1, (len(x), 4)) * np.where(quiet, 0.1, 1.0) + [0.5, 0.4, 0.3, 0.2]
+    one = Rows(np.arange(len(x) + 1), column.astype(np.int32), np.ones(len(x), np.float32), len(x))
+    prior = Prior.of(cells, one, values.astype(np.float32))
+    np.testing.assert_allclose(prior.mean, values.mean(0), atol=1e-4)
+    # less the mean of its four, which the level above has: 1 - sum of squared weights of interpolation and own quarter
+    deviation = prior.local[-1] * np.sqrt(np.square(prior.bases[-1]).mean())
+    there = deviation[np.argsort(column)[np.argsort(np.argsort(column))]]
+    place = np.zeros(len(x), bool)
+    place[column] = quiet[:, 0]
+    ratio = np.median(there[~place]) / np.median(there[place])
+    assert 7.0 < ratio < 13.0, "ten times as much where it is not quiet"
+
+
+# ---- photographs
+
+
+def test_noise_of_a_textured_photograph_is_found():
+    rng = np.random.default_rng(5)
+    y, x = np.mgrid[:64, :64] / 64
+    albedo = rng.uniform(0.1, 0.9, (64, 64, 3)).astype(np.float32)
+    light = (1.0 + 0.5 * np.sin(3 * x) + y)[..., None]
+    for relative in (0.02, 0.1):
+        noise = 1 + relative * rng.normal(0, 1, (64, 64, 1))  # the same in all channels, as of one light
+        found = photo_noise((light * (albedo + 0.05) * noise).astype(np.float32), albedo)
+        assert np.median(found / (light * (albedo + 0.05))) == pytest.approx(relative, rel=0.1)
+
+
+def test_two_predictions_correct_noise_that_was_taken_too_large():
+    rng = np.random.default_rng(6)
+    shape = (2, 100, 100, 3)
+    photographs = 1 + rng.normal(0, 0.05, shape)
+    pictures = (1 + rng.normal(0, 0.1, (2, *shape))).astype(np.float32)
+    predicted = Predicted(pictures, pictures[0], pictures[0])
+    sigma = np.full(shape, 0.1, np.float32)
+
+    each = np.broadcast_to(np.eye(3), (*shape, 3))
+
+    def scale(sigma, known):
+        return float(noise_covariance(photographs, predicted, sigma, known * each).diagonal().mean()) ** 0.5
+
+    assert scale(sigma, 0.0) == pytest.approx(0.5, abs=0.02)
+    assert scale(sigma, 0.04**2) == pytest.approx(0.3, abs=0.03)
+    assert scale(sigma / 4, 0.0) == pytest.approx(1.0)
+
+
+@pytest.mark.parametrize("shared", [0.0, 0.6, 0.95])
+def test_how_much_of_the_noise_channels_share_is_found(shared):
+    """Predictions' own noise, which is independent, is none of it, nor is what positions add to all channels alike."""
+    rng = np.random.default_rng(7)
+    shape = (2, 100, 100, 3)
+    grey, own = rng.normal(0, 1, (2, 100, 100, 1)), rng.normal(0, 1, shape)
+    noise = np.sqrt(shared) * grey + np.sqrt(1 - shared) * own
+    photographs = 1 + 0.05 * noise + 0.02 * rng.normal(0, 1, (2, 100, 100, 1))
+    pictures = (1 + rng.normal(0, 0.03, (2, *shape))).astype(np.float32)
+    predicted = Predicted(pictures, pictures[0], pictures[0])
+    found = noise_covariance(photographs, predicted, np.full(shape, 0.1, np.float32), np.full((*shape, 3), 0.02**2))
+    assert found.diagonal() == pytest.approx(np.full(3, 0.25), abs=0.02)
+    assert found[~np.eye(3, dtype=bool)] / 0.25 == pytest.approx(np.full(6, shared), abs=0.06)
+
+
+def test_noise_that_channels_share_is_taken_out_where_the_highlight_is_not_grey():
+    """One cell: the estimate from whitened sums of channels is the dense generalised least squares solution, and is
+    closer to the truth than that which takes channels for independent.
+    """
+    rng = np.random.default_rng(8)
+    n, sigma = 400, 0.1
+    by_roughness = (rng.random((n, 1)) * [0.3, 1.0, 1.0]).astype(np.float32)
+    response = Photographed.of(np.ones((n, 3), np.float32), by_roughness)
+    covariance = sigma**2 * (0.99 * np.ones((3, 3)) + 0.01 * np.eye(3))
+    root = np.linalg.cholesky(covariance)
+    white = np.broadcast_to(np.linalg.inv(root), (n, 3, 3)).astype(np.float32)
+    prior = np.full(4, 0.3)
+    truth = (prior * rng.standard_normal((200, 4))).astype(np.float32)
+    errors = []
+    recoveries = single(response.mixed(white), (1.0, 3), n, prior), single(response, (sigma, 3), n, prior)
+    dense = np.zeros((n * 3, 4))
+    for c in range(3):
+        dense[c::3, c], dense[c::3, 3] = 1.0, by_roughness[:, c]
+    precision = np.kron(np.eye(n), np.linalg.inv(covariance))
+    inverse = np.linalg.inv(dense.T @ precision @ dense + np.diag(prior**-2))
+    for x in truth[:20]:
+        y = (response(np.broadcast_to(x, (n, 4))) + rng.standard_normal((n, 3)) @ root.T).astype(np.float32)
+        found = recoveries[0](np.einsum("ncd,nd->nc", white, y))[-1]
+        np.testing.assert_allclose(found, inverse @ dense.T @ precision @ y.reshape(-1), atol=2e-3)
+        errors.append([float((estimate - x)[3]) for estimate in (found, recoveries[1](y)[-1])])
+    shared, independent = np.sqrt(np.square(errors).mean(0))
+    assert shared < 0.5 * independent
+
+
+def test_a_misfit_is_noise_of_the_photographs_and_wrong_light():
+    rng = np.random.default_rng(8)
+    shape = (2, 60, 60, 3)
+    photographs = 1 + rng.normal(0, 0.05, shape)
+    pictures = (1.1 + rng.normal(0, 0.2, (2, *shape))).astype(np.float32)
+    counted = np.ones(shape[:3], bool)
+    counted[:, :10] = False
+    found = misfit(photographs.astype(np.float32), Predicted(pictures, pictures[0], pictures[0]), counted)
+    assert not found[~counted].any()
+    # 18000 products of standard deviation 0.06
+    assert found[counted].mean() == pytest.approx(0.05**2 + 0.1**2, abs=4 * 0.06 / 134)
+
+
+@pytest.mark.parametrize("wrong", [1.0, 1.1])
+def test_in_the_furnace_a_wrong_light_is_a_known_error_of_albedo(wrong):
+    """Reflected ``rho (E + L)`` with ``L = wrong rho E / (1 - rho)``: an albedo found in that light is off by
+    ``rho (wrong - 1) L / (E + wrong L)``, and the derivative by the albedo is ``E + wrong L``."""
+    rho, emission = 0.6, 1.0
+    scene = build_furnace(rho, emission)
+    world = build_world(scene)
+    right = rho * emission / (1 - rho)
+    materials = Grey(rho)
+    estimator = Estimator(world, materials, lambda si, albedo: torch.full_like(si.p, wrong * right))
+    primary = PrimaryHits(world, [view.camera for view in scene.train], 16, 0, torch.device("cpu"))
+    left_out = torch.zeros(2, primary.pixels, dtype=torch.bool)
+    left_out[0, :100] = True
+    found = predict(estimator, _Constant(rho), primary, left_out, 4, 0, 32)
+    light = emission + wrong * right
+    kept = ~left_out.numpy()
+    assert not found.pictures[:, ~kept].any()
+    np.testing.assert_allclose(found.by_albedo[kept].mean(0), light, rtol=0.01)
+    np.testing.assert_allclose(found.pictures[:, kept].mean((0, 1)), rho * light, rtol=0.01)
+    assert not found.by_roughness.any(), "walls are diffuse"
+    n = int(kept.sum())
+    response = Photographed.of(found.by_albedo[kept], found.by_roughness[kept])
+    recovery = single(response, (0.01, 3), n, np.full(4, 1.0))
+    photographs = np.full((n, 3), rho * emission / (1 - rho), np.float32)
+    error = recovery(photographs - found.pictures.mean(0)[kept])[-1, :3]
+    np.testing.assert_allclose(error, rho * (1 - wrong) * right / light, atol=0.005)
+
+
+class _Constant(Grey):
+    """Known materials, without a graph."""
+
+    @torch.no_grad()
+    def forward(self, si):
+        return super().forward(si)
+
+
+# ---- the table
+
+
+def test_what_a_cause_adds_is_added_to_all_below_it():
+    error = {"albedo": 1e-4, "roughness": 1e-3}
+    more = {key: 2 * value for key, value in error.items()}
+    fields, light = {"albedo": 3e-4, "roughness": 5e-4}, {"albedo": 4e-4, "roughness": 1e-3}
+    found = rungs(error, more, fields, light, {"albedo": 8e-4, "roughness": 2e-2})
+    assert [rung.name for rung in found] == ["resolution", "noise", "fields", "light field", "ours"]
+    assert [rung.errors["albedo"] for rung in found] == pytest.approx([1e-4, 2e-4, 4e-4, 6e-4, 8e-4])
+    # fields that do better than what they stand for, and light that does, lose nothing
+    assert [rung.errors["roughness"] for rung in found] == pytest.approx([1e-3, 2e-3, 2e-3, 2e-3, 2e-2])
+    assert gap(found, "albedo") == pytest.approx(10 * np.log10(4))
+    assert gap(found, "roughness") == pytest.approx(10.0)
+    assert sentence(found, "roughness").endswith("largest rung is ours, 90 % of the squared error")
+
+
+def test_a_rung_that_a_fit_has_passed_is_not_the_largest():
+    def rung(name, error):
+        return Rung(name, "", {"albedo": error})
+
+    found = [rung("resolution", 1e-4), rung("noise", 3e-4), rung("light field", 5e-3), rung("ours", 1e-3)]
+    assert sentence(found, "albedo") == (
+        "albedo: gap_to_bound_db 5.23; the largest rung is ours, 70 % of the squared error; not counted, as the fit is "
+        "better: light field"
+    )
+
+
+@pytest.mark.main
+def test_the_command_shows_the_ladder_of_a_run(tiny, capfd, monkeypatch):
+    """With four positions a pixel, as in a large room, fewer than the fit has samples."""
+    monkeypatch.setattr(ladder, "MOST", 0)
+    write_tiny_config(model={"sampling": {"spp": 8, "cached_spp": 9}})
+    fit("--trainer.max_steps", "20")
+    capfd.readouterr()
+    main(["bench", "bound", "--seconds", "0.5", "--spp", "2", "--out", "bound.csv"])
+    lines = capfd.readouterr().out.splitlines()
+    names = ("resolution", "noise", "fields", "light field", "ours")
+    albedo = [float(next(line for line in lines if line.startswith(name)).split()[-4]) for name in names]
+    assert albedo[0] > 35.0, "plain walls: only their edges are lost"
+    assert albedo[0] > albedo[1] > albedo[4] + 3.0, "20 steps are far below what the photographs hold"
+    assert albedo[1] >= albedo[2] >= albedo[3]
+    said = next(line for line in lines if line.startswith("albedo: gap_to_bound_db"))
+    assert float(said.split()[2].rstrip(";")) == pytest.approx(albedo[1] - albedo[4], abs=0.02)
+    assert len((tiny / "bound.csv").read_text().splitlines()) == 1 + len(names)
+
+
+@pytest.mark.main
+def test_a_run_without_a_radiance_field_has_no_ladder(tiny, capfd):
+    write_tiny_config(base="cornell.yaml")
+    fit("--config", "methods/path.yaml", "--trainer.max_steps", "1")
+    assert "a method with a radiance field" in fails(capfd, "bench", "bound")

@@ -1,0 +1,147 @@
+"""The table of stiff and extreme cases: its rows, files and exit code, and a few cases that must be able to fail."""
+
+import csv
+import math
+
+import pytest
+import torch
+from helpers.tiny_fit import write_tiny_config
+
+from benchmarks.stress import numbers
+from benchmarks.stress import run as stress
+from benchmarks.stress.case import Case, Outcome, judge
+from benchmarks.stress.families import FAMILIES
+from benchmarks.stress.fit import resized
+from benchmarks.stress.folder import photograph, write_folder
+from benchmarks.stress.run import collect
+from benchmarks.stress.scenes import difference, small_cube, with_light
+from benchmarks.stress.stiff import closed_form
+from neurad.cli import main
+from neurad.runs.child import Ended
+from neurad.scene.builtin import build_furnace, build_sphere
+from neurad.scene.load import load_scene
+
+
+@pytest.fixture(autouse=True)
+def _place(tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+
+
+def case(error, bar, quick=True):
+    return Case("stiff", f"an error of {error}", "none", lambda _: Outcome(error, bar, "seen"), quick)
+
+
+def raising(_):
+    raise ValueError("it broke")
+
+
+@pytest.mark.parametrize(
+    ("error", "bar", "verdict"),
+    [(0.1, 0.1, "ok"), (0.2, 0.1, "FAIL"), (0.2, None, "stated"), (math.nan, None, "FAIL"), (math.inf, 1.0, "FAIL")],
+)
+def test_verdicts(error, bar, verdict):
+    assert judge(case(error, bar), True).verdict == verdict
+
+
+def test_a_case_that_raises_has_failed_and_says_why():
+    row = judge(Case("stiff", "x", "y", raising), True)
+    assert row.verdict == "FAIL"
+    assert row.note == "ValueError: it broke"
+
+
+def test_the_table_is_printed_and_written_and_a_failure_ends_with_1(monkeypatch, capsys, tmp_path):
+    rows = [case(0.0, 1.0), case(2.0, 1.0), case(5.0, None), case(9.0, 1.0, quick=False)]
+    monkeypatch.setattr(stress, "collect", lambda only: rows)
+    with pytest.raises(SystemExit) as stop:
+        main(["stress", "--quick"])
+    assert stop.value.code == 1
+    assert "3 rows, 1 failed" in capsys.readouterr().out
+    with (tmp_path / "stress.csv").open() as file:
+        written = list(csv.DictReader(file))
+    assert [row["verdict"] for row in written] == ["ok", "FAIL", "stated"]
+    assert (tmp_path / "stress.md").read_text().count("| stiff |") == 3
+    with pytest.raises(SystemExit) as stop:  # nothing is written over
+        main(["stress", "--quick"])
+    assert stop.value.code == 2
+    monkeypatch.setattr(stress, "collect", lambda only: rows[:1])
+    main(["stress", "--overwrite"])
+
+
+def test_an_unknown_family_is_refused(capsys):
+    with pytest.raises(SystemExit) as stop:
+        main(["stress", "--only", "soft"])
+    assert stop.value.code == 2
+    assert "--only: soft is no family" in capsys.readouterr().err
+
+
+def test_every_family_has_cases_and_every_extreme_is_named_once():
+    cases = collect()
+    assert {c.family for c in cases} == set(FAMILIES)
+    assert len({(c.family, c.extreme) for c in cases}) == len(cases)
+    assert any(c.quick for c in cases)
+
+
+def test_some_real_rows_pass():
+    """The rows that take no more than a second each."""
+    for family in ("delta", "guard"):
+        for made in collect([family]):
+            if "fit" not in made.extreme and "cost" not in made.extreme:
+                row = judge(made, True)
+                assert row.verdict == "ok", row
+
+
+def test_closed_forms():
+    assert closed_form(build_furnace(0.9), 0.9) == pytest.approx(9.0)
+    fraction = (1.0 - math.cos(math.radians(20.0))) / 2.0  # of the sphere that emits 10
+    assert closed_form(build_sphere(0.5), 0.5) == pytest.approx(10.0 * fraction, rel=0.05)
+
+
+def test_pictures_that_are_not_finite_are_no_match():
+    with pytest.raises(FloatingPointError):
+        difference(torch.tensor([math.nan]), torch.tensor([1.0]))
+    assert with_light(small_cube(), 2.0).meshes[1].radiance[0] == 10.0
+
+
+def test_extreme_numbers_go_through_the_command_line(monkeypatch, capsys, tmp_path):
+    """Two rows of the family, in this process and with tiny fields; what is not seen changes nothing."""
+    pytest.importorskip("mitsuba")
+    write_tiny_config(tmp_path / "tiny.yaml")
+    commands = []
+
+    def here(arguments, log):
+        commands.append(arguments)
+        main(arguments)
+        return Ended(0, 0.0, None, "")
+
+    monkeypatch.setattr(numbers, "run_neurad", here)
+    size = numbers.Size(pixels=8, spp=1, steps=2, arguments=("--config", str(tmp_path / "tiny.yaml")))
+    monkeypatch.setitem(stress.CASES, "numbers", lambda: numbers.cases(quick=size))
+    main(["stress", "--only", "numbers", "--quick"])
+    assert [arguments[0] for arguments in commands] == ["fit"] * 3  # the plain scene's is made once
+    with (tmp_path / "stress.csv").open() as file:
+        rows = list(csv.DictReader(file))
+    assert [row["verdict"] for row in rows] == ["ok", "ok"]
+    assert [row["extreme"] for row in rows] == ["light times 1e-12", "three stray vertices at 1000"]
+    assert all(abs(float(row["error"])) < 0.01 for row in rows)
+
+
+def test_a_fit_that_fails_fails_its_row_with_its_sentence(monkeypatch):
+    monkeypatch.setattr(numbers, "run_neurad", lambda arguments, log: Ended(2, 0.0, None, "no light"))
+    row = judge(numbers.cases(quick=numbers.Size(pixels=4, spp=1))[0], True)
+    assert row.verdict == "FAIL"
+    assert row.note == "RuntimeError: no light"
+
+
+def test_a_written_scene_is_the_scene(tmp_path):
+    pytest.importorskip("mitsuba")
+    scene = resized(numbers.glossy(0.25), 4)
+    write_folder(scene, tmp_path / "room", photograph(scene, 1), 2.0)
+    read = load_scene(str(tmp_path / "room"), None)
+    for mine, other in zip(scene.meshes, read.meshes, strict=True):
+        assert mine.vertices[mine.faces].tolist() == other.vertices[other.faces].tolist()
+        assert (mine.radiance is None) == (other.radiance is None)
+        here, there = scene.materials[mine.material], read.materials[other.material]
+        assert here.model == there.model
+        assert there.albedo.value.tolist() == pytest.approx(here.albedo.value.tolist(), rel=1e-6)
+    assert read.materials[0].roughness.value.tolist() == [0.25]
+    assert [view.camera.fov_x for view in read.test] == [view.camera.fov_x for view in scene.test]

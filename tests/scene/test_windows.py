@@ -1,0 +1,97 @@
+"""A room with a window, photographed with an alpha of 1 everywhere: the sky stays in pictures, scores and exports."""
+
+import csv
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+import yaml
+from helpers.object_scene import sky
+from helpers.small_fit import SMALL_FIT
+
+from neurad import load
+from neurad.assembly.build import build_world
+from neurad.cli import main
+from neurad.integrators.film import render
+from neurad.integrators.renderer import path_tracer
+from neurad.scene import builtin
+from neurad.scene.builtin.plain import diffuse, room, views
+from neurad.scene.description import Scene
+from neurad.scene.image_io import read_exr, write_exr
+from neurad.scene.textures import TrueMaterials
+
+SIZE = 20
+EYES = [((-0.8, 0.3, -0.8), (0.4, 0, 1)), ((0.8, 0.5, -0.7), (-0.4, -0.2, 1)), ((0.1, -0.4, -0.9), (0, 0.1, 1))]
+
+
+def windowed():
+    """A white room whose front is open, and cameras that look out of it."""
+    solids = {name: solid for name, solid in room((-1, -1, -1), (1, 1, 1)).items() if name != "front"}
+    paints = [diffuse("white", 0.7), diffuse("red", (0.6, 0.2, 0.1))]
+    meshes = [solid.mesh(name, int(name == "left"), smooth_shading=False) for name, solid in solids.items()]
+    return Scene(
+        "window", meshes, paints, environment=sky(4, 8), train=views("train", EYES, 70.0, SIZE),
+        test=views("test", [((0.5, -0.2, -0.9), (-0.1, 0.1, 1)), ((-0.5, 0.2, -0.8), (0.6, 0, 1))], 70.0, SIZE),
+    )  # fmt: skip
+
+
+def photographed(scene, folder, alpha):
+    """The scene with photographs whose alpha is ``alpha``."""
+    world = build_world(scene)
+    tracer = path_tracer(world, TrueMaterials(scene, world.geometry))
+
+    def photograph(view):
+        picture = render(view.camera, tracer, 64, 3).numpy()
+        write_exr(folder / f"{view.name}.exr", np.concatenate((picture, np.full_like(picture[..., :1], alpha)), -1))
+        return replace(view, image=str(folder / f"{view.name}.exr"))
+
+    train, test = ([photograph(view) for view in part] for part in (scene.train, scene.test))
+    return replace(scene, train=train, test=test)
+
+
+@pytest.mark.main
+@pytest.mark.parametrize("resident", [None, 2])
+def test_a_window_keeps_its_sky(tmp_path, monkeypatch, capfd, resident):
+    """Alpha of half floats that renderers round from 1. All pixels are met as well as those of surfaces, and better, as
+    the sky is known; exported and rendered again, it is there.
+    """
+    monkeypatch.chdir(tmp_path)
+    scene = photographed(windowed(), tmp_path, 0.9995)
+    monkeypatch.setitem(builtin._BUILDERS, "small", lambda: scene)
+    config = {**SMALL_FIT, "data": {**SMALL_FIT["data"], "patches": 64, "resident": resident}}
+    config["trainer"] = {**SMALL_FIT["trainer"], "max_steps": 40, "max_time": None}
+    Path("fit.yaml").write_text(yaml.safe_dump(config))
+    main(["fit", "--config", "fit.yaml"])
+    assert "alpha" not in capfd.readouterr().err
+    with Path("lightning_logs/version_0/metrics.csv").open() as file:
+        scores = list(csv.DictReader(file))[-1]
+    assert float(scores["psnr_linear"]) > float(scores["psnr_linear_seen"]) - 0.5
+    run = load("lightning_logs/version_0")
+    assert not run.assembly.world.hide_environment
+    if resident is None:
+        main(["export", "--ckpt_path", "lightning_logs/version_0", "--out", "out", "--size", "32", "--no-verify"])
+        main(["render", "--root", "out", "--out", "again", "--views", "test", "--spp", "64", "--map-spp", "4"])
+        for view in scene.test:
+            again, before = (read_exr(path)[..., :3] for path in (f"again/images/{view.name}.exr", view.image))
+            outside = read_exr(f"again/albedo/{view.name}.exr").max(-1) == 0.0
+            assert outside.mean() > 0.1
+            np.testing.assert_allclose(again[outside].mean(0), before[outside].mean(0), rtol=0.02)
+
+
+@pytest.mark.main
+def test_photographs_that_show_their_background_as_clear_hide_it(tmp_path, monkeypatch, capfd):
+    monkeypatch.chdir(tmp_path)
+    scene = photographed(windowed(), tmp_path, 1.0)
+    clear = read_exr(scene.train[1].image)
+    clear[0, 0] = 0.0
+    write_exr(scene.train[1].image, clear)
+    write_exr(scene.train[2].image, read_exr(scene.train[2].image)[..., :3])
+    monkeypatch.setitem(builtin._BUILDERS, "small", lambda: scene)
+    config = {**SMALL_FIT, "data": {**SMALL_FIT["data"], "patches": 16}}
+    config["trainer"] = {**SMALL_FIT["trainer"], "max_steps": 1, "max_time": None}
+    Path("fit.yaml").write_text(yaml.safe_dump(config))
+    main(["fit", "--config", "fit.yaml"])
+    said = capfd.readouterr().err
+    assert said.count("alpha is 1 everywhere in 2 of 3 photographs (train_000, train_002) and below it in others") == 1
+    assert load("lightning_logs/version_0").assembly.world.hide_environment
