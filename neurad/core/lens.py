@@ -25,6 +25,7 @@ SMALL = 1e-9
 """Size of a step after which there is no other: the number of right digits doubles, and float64 has no more of them."""
 _TINY = 1e-14  # coefficients that move nothing on any film
 _TABLE = 512  # cells of the first guess
+_AT_ONCE = 1 << 16  # positions that are looked at together
 _SAMPLES = 33  # positions along a side of the film at which a lens is checked; the corners are among them
 _MARGIN = 1.02  # of the film's farthest corner: what lies beyond is not seen
 
@@ -90,6 +91,8 @@ class Bending:
     """Distance from the middle of the plane beyond which nothing is on the film [v]."""
     row: Tensor
     """Row of each in ``start`` [v], int64."""
+    folds: Tensor
+    """Whether some place on the film has no point of the plane of its own [v], bool."""
 
     @classmethod
     def of(cls, lenses: list[tuple[Lens, float, int, int]], device: torch.device | str) -> Self:
@@ -108,6 +111,7 @@ class Bending:
             make([row.far for row in rows]),
             make([row.limit for row in rows]),
             torch.arange(len(rows), device=device),
+            torch.tensor([row.fold is not None for row in rows], device=device),
         )
 
     def __getitem__(self, view: Tensor | slice) -> Bending:
@@ -121,7 +125,25 @@ class Bending:
     def unbend(self, xd: Tensor, yd: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         """The points of the plane that come to (xd, yd) [n], by Newton's method, and how much larger than there an area
         is around them: the determinant of the derivative.
+
+        Where a picture folds over there are none: those get one near the last of their direction, and 1 for the area.
         """
+        x, y, area = self._newton(xd, yd)
+        if bool(self.folds.any()):
+            lost = self.folds & ~self._found(xd, yd, x, y, area)
+            scale = self.limit / (_MARGIN * torch.hypot(xd, yd))
+            x, y = torch.where(lost, xd * scale, x), torch.where(lost, yd * scale, y)
+            area = torch.where(lost, 1.0, area)
+        return x, y, area
+
+    def _found(self, xd: Tensor, yd: Tensor, x: Tensor, y: Tensor, area: Tensor) -> Tensor:
+        """Whether (x, y) comes to (xd, yd), and what is around it lies there as it does on the plane [n], bool."""
+        again_x, again_y = self.bend(x, y)
+        error = torch.hypot(again_x - xd, again_y - yd)
+        return (error <= SMALL) & (area > 0) & (torch.hypot(x, y) < self.limit)
+
+    def _newton(self, xd: Tensor, yd: Tensor) -> tuple[Tensor, Tensor, Tensor]:
+        """What :meth:`unbend` gives where there is such a point."""
         x, y = self._first_guess(xd, yd)
         p1, p2 = self.tangential.unbind(-1)
         for _ in range(STEPS):
@@ -228,14 +250,28 @@ def _solved(lens: Lens, side: float, width: int, height: int) -> _Solved:
         radii, moved = radii[:-1], moved[:-1]
     far = min(far, float(moved[-1]))
     start = np.interp(np.linspace(0.0, far, _TABLE + 1), moved, radii)
-    row = Bending._of([lens], [_Solved(start, far, math.inf, None)], "cpu")
+    row = Bending._of([lens], [_Solved(start, far, reach, None)], "cpu")
     there = torch.from_numpy(xd), torch.from_numpy(yd)
-    x, y, area = row.unbend(*there)
-    again = row.bend(x, y)
-    error = torch.hypot(again[0] - there[0], again[1] - there[1])
-    radius = torch.hypot(x, y)
-    good = (error <= 1e-9) & (area > 0) & (radius < reach)
+    x, y, area = row._newton(*there)
+    good = row._found(*there, x, y, area)
+    seen = _MARGIN * float(torch.hypot(x, y)[good].max()) if bool(good.any()) else 0.0
     if bool(good.all()):
-        return _Solved(start, far, min(_MARGIN * float(radius.max()), reach), None)
+        return _Solved(start, far, min(seen, reach), None)
     index = int((~good).nonzero()[0])
-    return _Solved(start, far, 0.0, (float(u[index]), float(v[index])))
+    limit = reach if math.isfinite(reach) else seen
+    return _Solved(start, far, limit, (float(u[index]), float(v[index])))
+
+
+@lru_cache(maxsize=16)
+def folded(lens: Lens, side: float, width: int, height: int) -> npt.NDArray[np.bool_]:
+    """Pixels of which a corner has no point of the plane of its own [height, width]. Arguments as in :func:`fold`."""
+    bending = Bending.of([(lens, side, width, height)], "cpu")
+    xd = (torch.arange(width + 1, dtype=torch.float64) - lens.centre[0] * width) * side
+    yd = (torch.arange(height + 1, dtype=torch.float64) - lens.centre[1] * height) * (side / lens.aspect)
+    rows = []
+    for part in torch.tensor_split(yd, -(-len(xd) * len(yd) // _AT_ONCE)):
+        x, y = xd.expand(len(part), -1).reshape(-1), part.repeat_interleave(len(xd))
+        rows.append(~bending._found(x, y, *bending._newton(x, y)).view(len(part), -1))
+    lost = torch.cat(rows).numpy()
+    found: npt.NDArray[np.bool_] = lost[1:, 1:] | lost[1:, :-1] | lost[:-1, 1:] | lost[:-1, :-1]
+    return found

@@ -178,6 +178,8 @@ def folder(path: str | Path, option: str) -> Path:
         found = Path(path).expanduser().resolve()
         if found.is_dir():
             return found
+        if found.exists():
+            raise InputError(f"{option}: {shown(path)} is a file; name the folder that it is in")
     except RuntimeError as error:  # of pathlib: no such user, links in a circle
         raise InputError(f"{option}: {shown(path)}: {str(error).rstrip('.')}") from error
     except (OSError, ValueError) as error:

@@ -3,6 +3,7 @@
 import json
 import os
 import re
+import shutil
 import struct
 from pathlib import Path
 
@@ -16,6 +17,7 @@ from PIL import Image
 
 from neurad.cli import main
 from neurad.core.camera import camera_rays, project, to_camera
+from neurad.core.lens import Lens, folded
 from neurad.scene.geometry import Geometry
 from neurad.scene.image_io import read_exr, write_exr
 from neurad.scene.load import load_scene
@@ -109,6 +111,7 @@ def test_polycam(place, capfd):
     assert "before Polycam's adjustment" not in capfd.readouterr().err
     for name in ("cameras", "images"):
         (source / f"keyframes/corrected_{name}").rename(source / f"keyframes/{name}")
+    (source / "keyframes/corrected_cameras").mkdir()  # an adjustment that was not finished
     main(["data", "polycam", str(source / "keyframes"), "--out", "raw"])
     captured = capfd.readouterr()
     assert "cameras before Polycam's adjustment" in captured.err
@@ -186,6 +189,39 @@ def test_masks_come_along(place):
     (source / "transforms.json").write_text(json.dumps(described))
     scene = made("nerfstudio", source, "--mesh", layouts.write_mesh(place / "mesh"))
     assert [view.mask and Path(view.mask).name for view in scene.train] == [None, "frame_00001.png"]
+
+
+@pytest.mark.parametrize("kept", ["inside", "one pixel more", "no mask"])
+def test_a_lens_may_fold_over_where_a_mask_leaves_it_out(place, kept, capfd):
+    """Read, rendered and checked; one pixel that is kept where the picture folds over is refused, by its place."""
+    source = layouts.write_nerfstudio(place / "src", layouts.cameras(count=2))
+    described = json.loads((source / "transforms.json").read_text())
+    described |= {"camera_model": "OPENCV", "k1": -0.45}
+    masks = []
+    for index, frame in enumerate(described["frames"]):
+        width, height = layouts.SIZES[index]
+        lost = folded(Lens(numerator=(-0.45,)), 1.0 / frame["fl_x"], width, height)
+        assert 0 < lost.sum() < lost.size
+        mask = ~lost
+        if kept == "one pixel more" and index == 1:
+            mask[tuple(np.argwhere(lost)[-1])] = True
+        frame |= {} if kept == "no mask" else {"mask_path": f"{index}.png"}
+        Image.fromarray(mask.astype(np.uint8) * 255).save(source / f"{index}.PNG")  # in another case, and found
+        masks.append(mask)
+    (source / "transforms.json").write_text(json.dumps(described))
+    mesh = layouts.write_mesh(place / "mesh")
+    if kept != "inside":
+        row, column = np.argwhere(~masks[1] if kept == "no mask" else lost)[-1]
+        where = rf"frame 1 .*belongs to pixel \({column}, {row}\)" if kept == "one pixel more" else "2 things .*frame 0"
+        check(capfd, place, rf"{where}.*leave that out by a mask \(mask_path\)", "data", "nerfstudio", str(source),
+              "--mesh", str(mesh), "--out", "room")  # fmt: skip
+        return
+    scene = made("nerfstudio", source, "--mesh", mesh)
+    assert [view.camera.lens.numerator for view in scene.train] == [(-0.45,)] * 2
+    main(["render", "--root", "room", "--out", "pictures", "--spp", "1", "--map-spp", "1"])
+    assert all(np.isfinite(read_exr(path)).all() for path in (place / "pictures/images").iterdir())
+    shutil.rmtree("room/masks")
+    main(["render", "--root", "room", "--camera", "room/transforms.json", "--out", "again", "--spp", "1"])
 
 
 # ---- meshes
@@ -608,6 +644,8 @@ WAYS = {
 
 def test_other_bad_words(place, source, capfd):
     check(capfd, place, "SRC: there is no folder nowhere", "data", "colmap", "nowhere", "--out", "room")
+    check(capfd, place, r"SRC: src/transforms\.json is a file; name the folder that it is in", "data", "nerfstudio",
+          "src/transforms.json", "--out", "room")  # fmt: skip
     for word, said in WAYS.items():
         check(capfd, place, rf"argument kind: {word} is none of nerfstudio, colmap, .*hdr{said}", "data", word, "src",
               "--out", "room")  # fmt: skip

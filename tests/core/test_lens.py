@@ -11,7 +11,7 @@ import torch
 from helpers.devices import on_devices
 
 from neurad.core.camera import Cameras, camera_rays, fov_of, in_view, pixel_side, project, resized, to_camera
-from neurad.core.lens import Lens, fold
+from neurad.core.lens import Lens, fold, folded
 from neurad.core.records import Camera
 from neurad.core.rng import Stream
 from neurad.scene.builtin.shapes import look_at
@@ -163,6 +163,33 @@ def test_a_picture_that_folds_over_is_found(lens: Lens, side: float, folds: bool
     if place is not None:
         assert 0 <= place[0] <= 640
         assert 0 <= place[1] <= 480
+
+
+@pytest.mark.parametrize(
+    ("lens", "focal"),
+    [
+        (Lens(1.02, (0.52, 0.47), (-0.3,)), 60.0),
+        (Lens(1.0, (0.5, 0.5), (-0.3,), (), (2e-3, -1e-3)), 60.0),
+        (Lens(numerator=(-0.2,), fisheye=True), 60.0),
+        (Lens(fisheye=True), 20.0),  # beyond straight behind
+    ],
+)
+def test_rays_through_what_does_not_fold_are_right_where_the_rest_does(lens: Lens, focal: float) -> None:
+    """Rays through the rest are there, too: finite and of unit length, for what a mask leaves out."""
+    camera = Camera(np.eye(4), fov_of(focal, 128), 128, 96, lens)
+    lost = folded(lens, pixel_side(camera), 128, 96)
+    assert 0.01 < lost.mean() < 0.9
+    rows, columns = (torch.arange(n, dtype=torch.float64) + 0.5 for n in (96, 128))
+    xy = torch.stack((columns.repeat(96), rows.repeat_interleave(128)), -1)
+    rays = camera_rays(camera, xy)
+    torch.testing.assert_close(rays.d.norm(dim=-1), torch.ones(len(xy), dtype=torch.float64))
+    kept = torch.from_numpy(~lost.ravel())
+    away = project(camera, to_camera(camera, rays.o + 2.0 * rays.d)) - xy
+    assert float(away[kept].abs().max()) < 1e-6
+    assert bool(in_view(camera, rays.o + 2.0 * rays.d)[kept].all())
+    several = Cameras.of([camera, replace(camera, lens=Lens(numerator=(-0.01,)))], "cpu")
+    footprint = several.footprint(torch.zeros(len(xy), dtype=torch.int64), xy.float())
+    assert bool(footprint.isfinite().all() & (footprint > 0).all())
 
 
 def test_a_lens_without_distortion_costs_nothing() -> None:

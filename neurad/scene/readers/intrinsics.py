@@ -3,14 +3,15 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from neurad.core.camera import fov_of, pixel_side
 from neurad.core.errors import InputError
-from neurad.core.lens import Lens, fold
+from neurad.core.lens import Lens, fold, folded
 from neurad.core.records import Camera, FloatArray
 from neurad.runtime.reading import shown
 from neurad.scene.numbers import LENGTH, matrix, number
@@ -39,10 +40,18 @@ MODELS: dict[str, tuple[str, ...]] = {
 for the k3 that nerfstudio's OPENCV has behind them."""
 
 Size = tuple[int, int]
+Kept = Callable[[Camera], npt.NDArray[np.bool_]]
+"""Gives what a mask keeps of the picture of a camera [h, w]."""
 
 
 def make_camera(
-    pose: FloatArray, size: Size, model: str, values: Mapping[str, float], where: str, fov: float | None = None
+    pose: FloatArray,
+    size: Size,
+    model: str,
+    values: Mapping[str, float],
+    where: str,
+    fov: float | None = None,
+    kept: Kept | None = None,
 ) -> Camera:
     """A camera.
 
@@ -53,10 +62,11 @@ def make_camera(
         values: ``fl_x`` and, where they are not what is usual, ``fl_y``, ``cx``, ``cy`` and coefficients.
         where: file and frame, for sentences.
         fov: the horizontal angle that ``fl_x`` was made of, whose digits are kept.
+        kept: reads the mask of the photograph; None where all of it is used.
 
     Raises:
         InputError: the model is not known or lacks a coefficient that is given, a number is out of range, or the
-            distortion folds over inside the picture.
+            distortion folds over inside the picture where its mask keeps it.
     """
     if model not in MODELS:
         known = ", ".join(MODELS)
@@ -88,11 +98,16 @@ def make_camera(
         fisheye,
     )
     camera = Camera(pose, fov, width, height, lens)
-    if (place := fold(lens, pixel_side(camera), width, height)) is not None:
+    place = fold(lens, pixel_side(camera), width, height)
+    if place is not None and kept is not None:
+        rows, columns = (folded(lens, pixel_side(camera), width, height) & kept(camera)).nonzero()
+        place = (float(columns[0]), float(rows[0])) if len(rows) else None
+    if place is not None:
         given = ", ".join(f"{key} {k[key]:g}" for key in MODELS[model] if k[key]) or "no coefficients"
         raise InputError(
             f"{where}: its lens distortion ({given}) folds over inside the picture: no direction belongs to pixel "
-            f"({place[0]:.0f}, {place[1]:.0f}); crop the photographs to what the lens shows, or calibrate anew"
+            f"({place[0]:.0f}, {place[1]:.0f}); crop the photographs to what the lens shows, leave that out by a mask "
+            "(mask_path), or calibrate anew"
         )
     return camera
 
@@ -125,7 +140,13 @@ def described(camera: Camera) -> dict[str, Any]:
     return keys
 
 
-def camera_of(levels: tuple[Mapping[str, Any], Mapping[str, Any]], size: Size, pose: FloatArray, where: str) -> Camera:
+def camera_of(
+    levels: tuple[Mapping[str, Any], Mapping[str, Any]],
+    size: Size,
+    pose: FloatArray,
+    where: str,
+    kept: Kept | None = None,
+) -> Camera:
     """The camera of a frame of a ``transforms.json``.
 
     Args:
@@ -133,6 +154,7 @@ def camera_of(levels: tuple[Mapping[str, Any], Mapping[str, Any]], size: Size, p
         size: width and height of its film in pixels.
         pose: camera to world [4, 4].
         where: file and frame, for sentences.
+        kept: as in :func:`make_camera`.
 
     Raises:
         InputError: the frame says not how wide it sees, or two things that differ; or as :func:`make_camera`.
@@ -150,7 +172,7 @@ def camera_of(levels: tuple[Mapping[str, Any], Mapping[str, Any]], size: Size, p
         raise InputError(f"{where}: neither camera_angle_x nor fl_x says how wide it sees")
     fl_y, _ = _focal(levels, "y", size[1], where, fisheye)
     values["fl_x"], values["fl_y"] = fl_x, fl_x if fl_y is None else fl_y
-    return make_camera(pose, size, model, values, where, fov)
+    return make_camera(pose, size, model, values, where, fov, kept)
 
 
 def _focal(

@@ -10,15 +10,17 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from neurad.core.errors import InputError, Refusals
 from neurad.core.names import apart
-from neurad.core.records import Development, FloatArray, View
+from neurad.core.records import Camera, Development, FloatArray, View
 from neurad.runtime.reading import exists, read_json, regular_file, shown
+from neurad.scene.image_io import read_mask
 from neurad.scene.numbers import LENGTH, matrix, number
 from neurad.scene.photographs import READABLE, picture_size
 from neurad.scene.picture_headers import SIDE
-from neurad.scene.readers.intrinsics import Size, camera_of, rigid
+from neurad.scene.readers.intrinsics import Kept, Size, camera_of, rigid
 from neurad.scene.readers.photograph_files import OTHER, listed_file, listed_photograph
 
 HOLD_OUT = 8
@@ -196,11 +198,12 @@ def read_views(
             if film is None:
                 film = picture_size(image) if pictures or exists(image) else _unsaid(settings, where)
             pose = undo(rigid(frame.get("transform_matrix"), f"{where}: its transform_matrix"))
-            camera = camera_of((frame, described), film, pose, where)
             if not pictures:
+                camera = camera_of((frame, described), film, pose, where, _kept_of(_mask_name(root, frame)))
                 views.append(View(image.stem, camera, str(image)))
                 continue
             mask = _listed(root, frame, "mask_path", f"the mask is missing that {path.name} lists", path)
+            camera = camera_of((frame, described), film, pose, where, _kept_of(mask))
             maps = {kind: _map(root, frame, kind, image, path) for kind in ("albedo", "roughness", "spread")}
             relit = _map(root, frame, "relight", image, path) if "relight_path" in frame else None
             made = Development(exposure=_exposure(settings, where))
@@ -235,10 +238,30 @@ def read_cameras(path: str | Path, size: Size) -> list[View]:
         film = _size({**described, **frame}, where) or size
         pose = undo(rigid(frame.get("transform_matrix"), f"{where}: its transform_matrix"))
         stem = Path(name).name.removesuffix(".exr") if isinstance(name, str) else ""
-        views.append(View(stem, camera_of((frame, described), film, pose, where)))
+        kept = _kept_of(_mask_name(path.parent, frame))
+        views.append(View(stem, camera_of((frame, described), film, pose, where, kept)))
     if not all(view.name for view in views) or len({view.name for view in views}) < len(views):
         return [replace(view, name=f"{index:04d}") for index, view in enumerate(views)]
     return views
+
+
+def _kept_of(mask: str | Path | None) -> Kept | None:
+    """What reads a mask; one that is not there keeps nothing. None without a mask."""
+    if mask is None:
+        return None
+
+    def kept(camera: Camera) -> npt.NDArray[np.bool_]:
+        if not Path(mask).is_file():
+            return np.zeros((camera.height, camera.width), np.bool_)
+        return read_mask(View("", camera, mask=str(mask)))
+
+    return kept
+
+
+def _mask_name(root: Path, frame: dict[str, Any]) -> Path | None:
+    """Where the mask that a frame lists would be."""
+    listed = frame.get("mask_path")
+    return root / listed.replace("\\", "/") if isinstance(listed, str) else None
 
 
 def _frames(path: Path) -> tuple[dict[str, Any], list[Any]]:

@@ -28,9 +28,9 @@ def read_export(source: Path, photograph: Callable[[str, str], Path]) -> Split:
         InputError: there are no cameras, a file is broken, or a photograph is missing.
     """
     keyframes = source / "keyframes" if exists(source / "keyframes") else source
-    folder = next((keyframes / name for name in FOLDERS if exists(keyframes / name)), None)
-    files = [] if folder is None else sorted(folder.glob("*.json"))
-    if folder is None or not files:
+    found = {keyframes / name: sorted((keyframes / name).glob("*.json")) for name in FOLDERS}
+    folder, files = next(((folder, files) for folder, files in found.items() if files), (None, []))
+    if folder is None:
         raise InputError(f"{shown(source)}: it has no keyframes/corrected_cameras/*.json, as Polycam's raw data have")
     views, refusals = [], Refusals()
     for path in files:
