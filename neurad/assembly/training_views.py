@@ -15,6 +15,7 @@ from torch import Tensor
 from neurad.assembly.build import Assembly
 from neurad.assembly.exposure import (
     brightness,
+    lamps_facing_away,
     mean_square_radiance,
     sentence_if_far,
     sentence_of_fireflies,
@@ -128,7 +129,8 @@ def prepare_views(
             begin_lamps(assembly, primary, lamps, stats.sample)
     if assembly.environment is None and check_brightness:
         white = partial(white_brightness, primary, stats.sample, settings.seed, scene.max_depth)
-        if said := sentence_if_far(brightness(primary, stats.sample, settings.seed), white):
+        away = partial(lamps_facing_away, primary, [mesh.name for mesh in scene.meshes], settings.seed)
+        if said := sentence_if_far(brightness(primary, stats.sample, settings.seed), white, away):
             print(f"neurad: warning: {said}", file=sys.stderr)
     if check_brightness and assembly.lamps is None:
         check_lamps(assembly, photographs, stats.sample)

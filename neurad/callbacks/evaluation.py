@@ -89,6 +89,8 @@ class Evaluate(pl.Callback):
         self._views: ViewTable | None = None
         self._board: Board | None = None
         self._shown: Shown | None = None
+        self._causes: list[str] = []
+        """What is wrong with all training photographs, at the end of a fit."""
 
     def state_dict(self) -> dict[str, Any]:
         """Seconds and marks so far: a continued run keeps to its fraction of time."""
@@ -138,6 +140,9 @@ class Evaluate(pl.Callback):
         if self._evaluated != module.iteration:
             self._evaluate_fit(trainer, module, fresh=True)
         with clock.excluded():
+            if trainer.is_global_zero:
+                with phase("photographs"):
+                    self._causes = module.common_causes()
             if trainer.is_global_zero and run_folder(trainer) is not None:
                 with phase("error bars"):
                     self._finish(trainer, module)
@@ -152,7 +157,7 @@ class Evaluate(pl.Callback):
             table = _table(module, scores, self.spp, steady=True)
             print("\n" + "\n\n".join(t for t in (table, lamps_table(module, scores), curve_table(rows)) if t) + "\n")
             unseen = None if self._shown is None else self._shown.unseen
-            print_closing(trainer, folder, scores, unseen, tested=False)
+            print_closing(trainer, folder, scores, unseen, tested=False, causes=self._causes)
 
     def on_validation_epoch_end(self, trainer: pl.Trainer, pl_module: pl.LightningModule) -> None:
         """``neurad validate``: print the scores."""
@@ -271,7 +276,7 @@ class Evaluate(pl.Callback):
                 board.sheets(evaluation.maps[: self.pictures], module.iteration)
         control = ", with the radiance field as control variate" if "psnr_lhs" in evaluation.scores else ""
         about = f"{self.spp} samples per pixel{control}; neurad test takes {self.test_spp}"
-        report_run(trainer, folder, evaluation, unseen, about, tested=False)
+        report_run(trainer, folder, evaluation, unseen, about, tested=False, causes=self._causes)
 
     def _board_of(self, trainer: pl.Trainer, module: InverseRenderer) -> Board | None:
         """The page in TensorBoard, if there is one."""

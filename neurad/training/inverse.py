@@ -12,6 +12,7 @@ from lightning.pytorch.strategies import DDPStrategy
 from torch import Tensor
 
 from neurad.assembly.build import Assembly, FittedMaterials, assemble, know_lamps
+from neurad.assembly.common_causes import common_causes
 from neurad.assembly.lighting import lit_scene
 from neurad.assembly.relight import paths, sentence_of_light
 from neurad.assembly.settings import Lighting, ModelSettings, Objective, Optimization, Sampling
@@ -442,6 +443,15 @@ class InverseRenderer(L.LightningModule):
         with averaged(self.average):
             sample = views.sample if self.development is None else self.development(views.sample)
             return view_residuals(self.estimator, views.primary, sample, self.settings.seed)
+
+    def common_causes(self) -> list[str]:
+        """What is wrong with all training photographs, see :mod:`neurad.assembly.common_causes`; its rays and seconds do
+        not count. Nothing outside of a fit.
+        """
+        if self.training_views is None:
+            return []
+        cameras = [view.camera for view in self.scene.train]
+        return common_causes(self.world, cameras, self.photographs, self.settings.seed, self.development)
 
     # ---- checkpoints
 
