@@ -27,9 +27,15 @@ from neurad.metrics.shared_errors import (
 
 FALLOFF, SPREAD = 0.1, 0.1
 """Relative differences of brightness towards the corners and between photographs from which on they matter."""
-BEND = 0.1
-"""How far the slope of brightness with light has to be from 1: undamaged rooms have 0.93 to 1.05, by highlights and by
-surfaces that no photograph shows."""
+BEND, FLAT = 0.1, 0.13
+"""How far the slope of brightness with light has to be above 1, or below it, where highlights bring it anyway:
+undamaged rooms have 0.9 to 1.05."""
+USUAL = 0.97
+"""The slope in undamaged rooms on average: highlights flatten it a little."""
+ALIKE = 0.05
+"""Difference of slopes below which two explanations count as alike."""
+HAZY = 0.05
+"""How far below 1 is enough where no photograph has a dark place."""
 FLOOR = 0.1
 """Part of the photographs' mean that their darkest surface has at least where light was added everywhere."""
 OPEN = 0.01
@@ -67,8 +73,8 @@ def common_causes(
         return [_of_turn(turn)]  # places that do not belong together say nothing else
     found = shared_errors(world, cameras, photographs, develop)
     said = [] if found is None else _of_places(found)
-    bare = found is None or not (found.border or found.has_mark)  # else brightness is not that of surfaces
-    if lit and bare and (light := transport(world, cameras, photographs, seed, develop)):
+    # Where something of that is found, brightness is not that of surfaces, and light is not compared with it.
+    if lit and not said and (light := transport(world, cameras, photographs, seed, develop)):
         said += _of_light(light)
     return said
 
@@ -136,10 +142,8 @@ def _of_places(found: SharedErrors) -> list[str]:
 
 def _of_light(light: Transport) -> list[str]:
     slope, error = light.slope()
-    if abs(slope - 1.0) < max(BEND, SURE * error):
-        return []
     added, _ = light.slope(offset=light.floor)
-    if slope < 1.0 and light.floor > FLOOR and abs(added - 1.0) < abs(slope - 1.0):
+    if slope < 1.0 - max(HAZY, SURE * error) and light.floor > FLOOR and abs(added - 1.0) < abs(slope - 1.0):
         causes = "haze or a black offset"
         if light.escaping > OPEN:
             causes = "haze, a black offset, or a sky that the scene does not have, which look alike here"
@@ -147,9 +151,15 @@ def _of_light(light: Transport) -> list[str]:
             f"no surface in any photograph is darker than {100 * light.floor:.0f} % of their mean, and dark places are "
             f"brighter than the scene's light makes them: {causes}"
         ]
+    if -max(FLAT, SURE * error) < slope - 1.0 < max(BEND, SURE * error):
+        return []
     powers = np.linspace(0.4, 2.6, 45)
     power = float(powers[np.argmin([abs(light.slope(float(p))[0] - 1.0) for p in powers])])
-    other = "lamps are brighter than declared" if slope > 1.0 else "light is missing in the scene, such as a sky"
+    other = (
+        "light and photographs are of different scales"
+        if slope > 1.0
+        else "light is missing in the scene, such as a sky"
+    )
     return [
         f"along surfaces the photographs' brightness rises with the power {slope:.2f} of the light that arrives: their "
         f"response curve was not taken back (gamma, about {power:.1f}), or {other}; these look alike here"
@@ -177,10 +187,14 @@ def curve_or_lamps(
         power: of the curve that makes photographs of the declared lamps what they are.
         develop: corrects photographs.
     """
-    declared, shown = (transport(w, cameras, photographs, seed, develop) for w in (world, relit))
-    if declared is None or shown is None or abs(declared.slope(power)[0] - 1.0) > abs(shown.slope()[0] - 1.0):
+    if len(cameras) < LEAST_VIEWS:
         return []
-    return [
-        f"the photographs' lamps and the light on surfaces agree better with a response curve that was not taken back "
-        f"(gamma, about {power:.2f}) than with lamps of another radiance"
-    ]
+    declared, shown = (transport(w, cameras, photographs, seed, develop) for w in (world, relit))
+    if declared is None or shown is None:
+        return []
+    curve, lamps = abs(declared.slope(power)[0] - USUAL), abs(shown.slope()[0] - USUAL)
+    if curve > lamps + ALIKE:
+        return []
+    said = f"a response curve that was not taken back (gamma, about {power:.2f}) explains all photographs"
+    how = "better than" if curve < lamps - ALIKE else "as well as"
+    return [f"{said} {how} lamps of another radiance do"]

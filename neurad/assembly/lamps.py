@@ -80,17 +80,15 @@ def causes_of_mismatch(
         return []
     scene, world, seed = assembly.scene, assembly.world, assembly.settings.seed
     cameras, develop = [view.camera for view in scene.train], assembly.development
-    if looked is None and (said := common_causes(world, cameras, photographs, seed, develop)):
-        return said
-    power = _power(off)
-    if power is None:
-        return []
     emission = world.geometry.emission.clone()
     for lamp in off:
         radiance = np.where(np.isnan(lamp.radiance), lamp.declared, lamp.radiance)
-        emission[world.geometry.mesh_index == lamp.mesh] = torch.as_tensor(radiance, dtype=emission.dtype).to(emission)
-    shining = AreaLights(world.geometry, emission)
+        emission[world.geometry.mesh_index == lamp.mesh] = torch.as_tensor(radiance).to(emission)
+    power, shining = _power(off), AreaLights(world.geometry, emission)
     relit = world.under(make_lights(scene, world.geometry, lamps=shining).to(emission.device))
+    said = [] if looked is not None else common_causes(relit, cameras, photographs, seed, develop, lit=power is None)
+    if said or power is None:
+        return said
     return curve_or_lamps(world, relit, cameras, photographs, seed, power, develop)
 
 

@@ -3,13 +3,14 @@
 What a matt surface shows is its albedo times the light that arrives, so along a mesh of one albedo the logarithm of a
 photograph rises by one with that of the light. A response curve that was not taken back changes the slope, and light
 that was added everywhere (haze, a black offset) flattens it. The light is that of the lamps, directly and by surfaces
-whose mean radiance, a mesh each, is the photographs' (inverse global illumination, Yu et al. 1999), so no material
-needs to be known. It is an estimate in two independent halves, each the instrument of the other: noise in it would flatten
-the slope, too.
+whose mean radiance, a mesh each, is the photographs' (inverse global illumination, Yu et al. 1999): no material needs
+to be known. It is an estimate in two independent halves, each the instrument of the other, since noise in it would
+flatten the slope, too.
 """
 
 from __future__ import annotations
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
 
@@ -21,16 +22,18 @@ from neurad.core.camera import camera_rays
 from neurad.core.protocols import PhotoSource
 from neurad.core.records import Camera, Surface, SurfaceInteraction
 from neurad.core.rng import Stream
-from neurad.integrators.bounce import Bounce, bounce
-from neurad.integrators.vertex import DIMENSIONS
+from neurad.integrators.bounce import bounce
+from neurad.integrators.vertex import DIMENSIONS, Bounce
 from neurad.integrators.world import World
 from neurad.metrics.shared_errors import Develop, brightness_of, matt, some_views
 
 Array = npt.NDArray[np.float64]
 Ints = npt.NDArray[np.int64]
 
-POINTS, DIRECTIONS = 4096, 16
+POINTS, DIRECTIONS = 8192, 16
 """Photographed points, and directions from each and from as many points that light comes from."""
+PIXELS = 1 << 16
+"""Pixels of a view among which the darkest is looked for."""
 _BOUNCES = 12
 _TURN = 0.15  # of the scene's size that a turn of a normal by a radian counts in the search for the nearest point
 _DIM, _DARK = 0.02, 0.01  # of the median light and of the median brightness: what is below takes no part
@@ -54,7 +57,7 @@ class Transport:
     photographed: Array
     """Their colours [n, 3]."""
     floor: float
-    """The smallest brightness of any surface in any photograph over their mean: nothing can have been added beyond."""
+    """The smallest brightness in any photograph over the mean of surfaces: no more can have been added everywhere."""
     escaping: float
     """Fraction of the directions from photographed points in which there is nothing."""
 
@@ -126,7 +129,7 @@ def transport(
 
     geometry, device = world.geometry, world.geometry.vertices.device
     chosen, left_out = some_views(len(cameras)), photographs.ignored()
-    hits, view, color = [], [], []
+    hits, view, color, low = [], [], [], []
     with world.tracer.uncounted():
         for index in chosen:
             camera, count = cameras[index], POINTS // len(chosen)
@@ -138,6 +141,9 @@ def transport(
             hits.append(si[good.to(device)])
             view.append(np.full(int(good.sum()), index))
             color.append(shown[good].numpy())
+            size = camera.width * camera.height
+            some = torch.arange(min(size, PIXELS)) * size // min(size, PIXELS)
+            low.append(brightness_of(photographs, develop, torch.full_like(some, index), some, left_out).mean(-1))
         own, photographed = SurfaceInteraction.cat(*hits), np.concatenate(color)
         if len(own) < POINTS // 8:
             return None
@@ -155,13 +161,16 @@ def transport(
         source = np.full(len(end), -1)
         if end.any():
             source[end] = tree.query(_places(made.next, geometry.scale)[end])[1]
-        parts.append([x.double().cpu().numpy().reshape(-1, DIRECTIONS, 3) for x in (made.direct, made.weight)])
-        parts[-1].append(source.reshape(-1, DIRECTIONS))
+        direct, weight = (x.double().cpu().numpy().reshape(-1, DIRECTIONS, 3) for x in (made.direct, made.weight))
+        parts.append((direct, weight, source.reshape(-1, DIRECTIONS)))
     direct, weight, source = (np.concatenate(pair) for pair in zip(*parts, strict=True))
-    brightness = photographed.mean(1)
+    every = torch.cat(low).nan_to_num(math.inf).clamp_min(0.0)
+    if photographs.has_alpha:  # where nothing is in front of the background, it is 0
+        every = every[every > 0]
+    floor = float(every.min()) / float(photographed.mean()) if len(every) else 0.0
     return Transport(
         direct, weight, source, geometry.mesh_index[points.prim].cpu().numpy(), np.concatenate(view), photographed,
-        float(brightness.min() / brightness.mean()), 1.0 - float(first.next.valid.float().mean()),
+        floor, 1.0 - float(first.next.valid.float().mean()),
     )  # fmt: skip
 
 

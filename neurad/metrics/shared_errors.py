@@ -10,6 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -101,7 +102,8 @@ class _Pairs:
     """Logarithm of the first brightness over the second."""
 
     def __getitem__(self, rows: Bools) -> _Pairs:
-        return _Pairs(*(x[rows] for x in (self.a, self.b, self.cell, self.other, self.far, self.value)))
+        whole = (x[rows] for x in (self.a, self.b, self.cell, self.other))
+        return _Pairs(*whole, self.far[rows], self.value[rows])
 
 
 def some_views(count: int, most: int = VIEWS) -> list[int]:
@@ -176,7 +178,7 @@ def _pairs(
     inside = torch.stack([in_view(cameras[i], points.si.p).cpu() for i in chosen], 1)
     near = torch.where(inside, near, -2.0)
     value, best = near.topk(min(_PARTNERS, len(chosen) - 1), 1) if len(chosen) > 1 else (near[:, :0], own[:, None])
-    parts: list[tuple[Array, ...]] = []
+    parts: list[tuple[Any, ...]] = []
     for place, other in enumerate(chosen):
         lanes = ((best[:, : value.shape[1]] == place) & (value > -1.5)).any(1).nonzero().squeeze(-1)
         clear, _ = seen.by(place, points.si[lanes.to(points.si.p.device)])
@@ -278,7 +280,7 @@ def _place(fraction: Array, count: int) -> Ints:
     return np.clip(np.round(fraction * count - 0.5), 0, count - 1).astype(np.int64)
 
 
-def _far(camera: Camera, x: Array, y: Array) -> Array:
+def _far(camera: Camera, x: Any, y: Any) -> Array:
     """Squared distance of film positions from the axis, over that of a corner of the picture."""
     far: Array = ((x - camera.cx) ** 2 + (y - camera.cy) ** 2) / (0.25 * (camera.width**2 + camera.height**2))
     return far
@@ -326,9 +328,9 @@ def _solution(left: Array, right: Array) -> tuple[Array, Array]:
     matrix[views:, views:] = left[..., 1:, 1:].sum((0, 1))
     vector[:views], vector[views:] = right[..., 0].sum(1) - right[..., 0].sum(0), right[..., 1:].sum((0, 1))
     matrix += 1e-6 * max(float(n.sum()) / views, 1e-12) * np.eye(views + 2)  # gains have a common factor
-    found = np.linalg.solve(matrix, vector)
+    found: Array = np.linalg.solve(matrix, vector)
     seen = (n.sum(1) + n.sum(0)) > 0
-    gains = np.where(seen, found[:views] - found[:views][seen].mean(), 0.0)
+    gains: Array = np.where(seen, found[:views] - found[:views][seen].mean(), 0.0)
     return gains, found[views:]
 
 

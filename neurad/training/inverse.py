@@ -445,8 +445,8 @@ class InverseRenderer(L.LightningModule):
             return view_residuals(self.estimator, views.primary, sample, self.settings.seed)
 
     def common_causes(self) -> list[str]:
-        """What is wrong with all training photographs, see :mod:`neurad.assembly.common_causes`; its rays and seconds do
-        not count. Nothing outside of a fit.
+        """What is wrong with all training photographs, see :mod:`neurad.assembly.common_causes`; its rays do not count.
+        Nothing outside of a fit.
         """
         if self.training_views is None:
             return []

@@ -116,8 +116,11 @@ def checked_scene(scene: Scene, source: Source, emitters: str = "known") -> Chec
     with phase("rendering"):
         good = usable(scene, [one.view.name for one in looked if one.refused])
         bare = Light(lamp_power(scene, world))
-        trained = [one for one in looked if one.part == "train" and one.ranks is not None and one.camera is not None]
-        edges = [(one.ranks, one.camera, one.towards) for one in trained]
+        edges = [
+            (one.ranks, one.camera, one.towards)
+            for one in looked
+            if one.part == "train" and one.ranks is not None and one.camera is not None
+        ]
         light = check_light(good, world, source, findings, emitters, edges) if good.train else bare
     power = sum(lamp[3] for lamp in light.power)
     return Checked(Counts.of(scene, world, power), looked, places, light, findings)
