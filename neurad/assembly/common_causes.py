@@ -53,6 +53,7 @@ def common_causes(
     develop: Develop | None = None,
     views: Sequence[tuple[Tensor, Camera, Tensor]] | None = None,
     lit: bool = True,
+    scale_known: bool = False,
 ) -> list[str]:
     """Look at photographs for what is wrong with all of them; a sentence each, none where nothing is.
 
@@ -64,6 +65,7 @@ def common_causes(
         develop: corrects them by what a fit has recovered of how they were taken.
         views: ranks, cameras and directions to edges where they are known, see :func:`shared_turn`.
         lit: whether the lights are known well enough for brightness to be compared with light.
+        scale_known: whether photographs show a lamp as bright as it is taken for; else light may be of another scale.
     """
     if len(cameras) < LEAST_VIEWS or not photographs.has_photographs:
         return []
@@ -75,7 +77,7 @@ def common_causes(
     said = [] if found is None else _of_places(found)
     # Where something of that is found, brightness is not that of surfaces, and light is not compared with it.
     if lit and not said and (light := transport(world, cameras, photographs, seed, develop)):
-        said += _of_light(light)
+        said += _of_light(light, scale_known)
     return said
 
 
@@ -140,29 +142,27 @@ def _of_places(found: SharedErrors) -> list[str]:
     return said
 
 
-def _of_light(light: Transport) -> list[str]:
+def _of_light(light: Transport, scale_known: bool) -> list[str]:
     slope, error = light.slope()
     added, _ = light.slope(offset=light.floor)
     if slope < 1.0 - max(HAZY, SURE * error) and light.floor > FLOOR and abs(added - 1.0) < abs(slope - 1.0):
-        causes = "haze or a black offset"
-        if light.escaping > OPEN:
-            causes = "haze, a black offset, or a sky that the scene does not have, which look alike here"
+        causes = ["haze", "a black offset"]
+        causes += [] if light.escaping < OPEN else ["a sky that the scene does not have"]
+        causes += [] if scale_known else ["lights of the scene that are too bright"]
         return [
             f"no surface in any photograph is darker than {100 * light.floor:.0f} % of their mean, and dark places are "
-            f"brighter than the scene's light makes them: {causes}"
+            f"brighter than the scene's light makes them: {', '.join(causes[:-1])} or {causes[-1]}; these look alike"
         ]
     if -max(FLAT, SURE * error) < slope - 1.0 < max(BEND, SURE * error):
         return []
-    powers = np.linspace(0.4, 2.6, 45)
-    power = float(powers[np.argmin([abs(light.slope(float(p))[0] - 1.0) for p in powers])])
-    other = (
-        "light and photographs are of different scales"
-        if slope > 1.0
-        else "light is missing in the scene, such as a sky"
-    )
+    powers = np.linspace(1.0, 2.6, 33) if slope > 1.0 else np.linspace(0.4, 1.0, 25)
+    power = float(powers[np.argmin([abs(light.slope(float(p))[0] - USUAL) for p in powers])])
+    causes = [f"a response curve that was not taken back (gamma, about {power:.1f})"]
+    causes += [] if slope > 1.0 or light.escaping < OPEN else ["light that is missing in the scene, such as a sky"]
+    causes += [] if scale_known else ["lights of the scene that are too " + ("dim" if slope > 1.0 else "bright")]
     return [
-        f"along surfaces the photographs' brightness rises with the power {slope:.2f} of the light that arrives: their "
-        f"response curve was not taken back (gamma, about {power:.1f}), or {other}; these look alike here"
+        f"along surfaces the photographs' brightness rises with the power {slope:.2f} of the light that arrives: "
+        f"{' or '.join(causes)}{', which look alike here' if len(causes) > 1 else ''}"
     ]
 
 

@@ -29,7 +29,7 @@ MOST = 8
 """Lamps that get a line of their own; those that differ always do."""
 
 
-def check_lamps(assembly: Assembly, photographs: PhotoSource, sample: PixelBatch) -> list[PhotographedLamp]:
+def check_lamps(assembly: Assembly, photographs: PhotoSource, sample: PixelBatch) -> tuple[list[str] | None, bool]:
     """Print how bright each lamp is in the photographs, and refuse those that are far from what the scene says.
 
     Args:
@@ -38,7 +38,8 @@ def check_lamps(assembly: Assembly, photographs: PhotoSource, sample: PixelBatch
         sample: random photographed pixels that show no emitter.
 
     Returns:
-        What was found, a lamp each.
+        What is wrong with all photographs, so that lamps seem to differ, None where no lamp does; and whether some lamp
+        is as bright as declared.
 
     Raises:
         InputError: a lamp is more than three times brighter or darker than declared, and
@@ -46,17 +47,22 @@ def check_lamps(assembly: Assembly, photographs: PhotoSource, sample: PixelBatch
     """
     scene = assembly.scene
     if not scene.features.has_area_lights or not photographs.has_photographs:
-        return []
+        return None, False
     cameras, seed = [view.camera for view in scene.train], assembly.settings.seed
     shown = lamp_photographs(assembly.world, cameras, photographs, sample, seed).developed(assembly.development)
     lamps = photographed_lamps(scene, assembly.world, assembly.materials, cameras, shown, seed)
     causes = causes_of_mismatch(assembly, photographs, lamps)
-    for line in report(lamps, causes):
+    for line in (*(f"warning: {cause}" for cause in causes), *report(lamps, bool(causes))):
         print(f"neurad: {line}", file=sys.stderr)
     wrong = far_off(lamps)
     if wrong and not causes and assembly.settings.lighting.lamp_mismatch == "refuse":
         raise InputError(f"scene {scene.name}: {refusal(wrong)}")
-    return lamps
+    return causes if any(lamp.beyond(WARN) for lamp in lamps) else None, any(map(agrees, lamps))
+
+
+def agrees(lamp: PhotographedLamp) -> bool:
+    """Whether photographs show a lamp as bright as it is declared."""
+    return lamp.pixels - lamp.clipped >= FEW and not lamp.beyond(WARN)
 
 
 def causes_of_mismatch(
@@ -86,7 +92,11 @@ def causes_of_mismatch(
         emission[world.geometry.mesh_index == lamp.mesh] = torch.as_tensor(radiance).to(emission)
     power, shining = _power(off), AreaLights(world.geometry, emission)
     relit = world.under(make_lights(scene, world.geometry, lamps=shining).to(emission.device))
-    said = [] if looked is not None else common_causes(relit, cameras, photographs, seed, develop, lit=power is None)
+    said = (
+        []
+        if looked is not None
+        else common_causes(relit, cameras, photographs, seed, develop, lit=power is None, scale_known=True)
+    )
     if said or power is None:
         return said
     return curve_or_lamps(world, relit, cameras, photographs, seed, power, develop)
@@ -108,14 +118,15 @@ def far_off(lamps: Sequence[PhotographedLamp]) -> list[PhotographedLamp]:
     return [lamp for lamp in lamps if lamp.pixels - lamp.clipped >= FEW and lamp.beyond(REFUSE)]
 
 
-def report(lamps: Sequence[PhotographedLamp], causes: Sequence[str] = ()) -> list[str]:
+def report(lamps: Sequence[PhotographedLamp], excused: bool = False) -> list[str]:
     """Lines about lamps: all that differ, some of the others, and where some are shown, which ones are not.
 
     Args:
         lamps: as photographs show them.
-        causes: what is wrong with all photographs: no radiance is advised then.
+        excused: something is wrong with all photographs: no radiance is advised then.
     """
-    lines, listed, unknown = [f"warning: {cause}" for cause in causes], 0, 0
+    lines: list[str] = []
+    listed = unknown = 0
     for lamp in lamps:
         differs = lamp.beyond(WARN)
         if lamp.pixels == 0 or (listed >= MOST and not differs):
@@ -130,7 +141,7 @@ def report(lamps: Sequence[PhotographedLamp], causes: Sequence[str] = ()) -> lis
             continue
         clipped = f", {lamp.clipped} clipped" if lamp.clipped else ""
         lines.append(f"lamp {lamp.name}: photographed over declared radiance {_three(lamp.factor)} ({seen}{clipped})")
-        if differs and causes:
+        if differs and excused:
             lines[-1] += "; that is no measure of its radiance before the photographs are mended"
         elif differs:
             lines.append(

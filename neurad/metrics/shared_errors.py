@@ -102,8 +102,8 @@ class _Pairs:
     """Logarithm of the first brightness over the second."""
 
     def __getitem__(self, rows: Bools) -> _Pairs:
-        whole = (x[rows] for x in (self.a, self.b, self.cell, self.other))
-        return _Pairs(*whole, self.far[rows], self.value[rows])
+        a, b, cell, other = (x[rows] for x in (self.a, self.b, self.cell, self.other))
+        return _Pairs(a, b, cell, other, self.far[rows], self.value[rows])
 
 
 def some_views(count: int, most: int = VIEWS) -> list[int]:
@@ -328,7 +328,7 @@ def _solution(left: Array, right: Array) -> tuple[Array, Array]:
     matrix[views:, views:] = left[..., 1:, 1:].sum((0, 1))
     vector[:views], vector[views:] = right[..., 0].sum(1) - right[..., 0].sum(0), right[..., 1:].sum((0, 1))
     matrix += 1e-6 * max(float(n.sum()) / views, 1e-12) * np.eye(views + 2)  # gains have a common factor
-    found: Array = np.linalg.solve(matrix, vector)
+    found: Array = np.linalg.solve(matrix, vector).astype(np.float64)
     seen = (n.sum(1) + n.sum(0)) > 0
     gains: Array = np.where(seen, found[:views] - found[:views][seen].mean(), 0.0)
     return gains, found[views:]

@@ -448,10 +448,14 @@ class InverseRenderer(L.LightningModule):
         """What is wrong with all training photographs, see :mod:`neurad.assembly.common_causes`; its rays do not count.
         Nothing outside of a fit.
         """
-        if self.training_views is None:
+        views = self.training_views
+        if views is None:
             return []
+        if views.causes is not None:
+            return views.causes
         cameras = [view.camera for view in self.scene.train]
-        return common_causes(self.world, cameras, self.photographs, self.settings.seed, self.development)
+        given = self.world, cameras, self.photographs, self.settings.seed, self.development
+        return common_causes(*given, scale_known=views.scale_known)
 
     # ---- checkpoints
 

@@ -14,7 +14,7 @@ from torch import Tensor
 from neurad.assembly.build import Assembly
 from neurad.assembly.common_causes import common_causes
 from neurad.assembly.exposure import brightness, lamps_facing_away, sentence_if_far, white_brightness
-from neurad.assembly.lamps import causes_of_mismatch, far_off, refusal, report
+from neurad.assembly.lamps import agrees, causes_of_mismatch, far_off, refusal, report
 from neurad.assembly.region import Region
 from neurad.assembly.training_views import TrainingViews, blind_views, check_views, prepare_views
 from neurad.core.errors import InputError
@@ -22,7 +22,7 @@ from neurad.core.protocols import PhotoSource
 from neurad.core.records import Camera, FloatArray, PixelBatch
 from neurad.inspect.check.findings import Findings, Level, listed
 from neurad.integrators.world import World
-from neurad.metrics.photographed_lamps import PhotographedLamp, lamp_photographs, photographed_lamps
+from neurad.metrics.photographed_lamps import WARN, PhotographedLamp, lamp_photographs, photographed_lamps
 from neurad.metrics.view_exposure import exposure_ratios, rendered
 from neurad.metrics.view_residuals import few
 from neurad.runs.model_settings import model_settings
@@ -102,11 +102,7 @@ def check_light(
     for index in blind_views(views.surface):
         few_met = f"only {100 * views.surface[index]:.0f} % of its pixels meet a surface, far fewer than of other views"
         findings.add(Level.WRONG, "camera", f"{few_met}; check its pose", scene.train[index].name)
-    cameras = [view.camera for view in scene.train]
-    causes = common_causes(world, cameras, photographs, SEED, views=edges, lit=emitters == "known")
-    for cause in causes:
-        findings.add(Level.WRONG, "photograph", cause)
-    lamps = _lamps(assembly, photographs, views, findings, causes, emitters == "known")
+    lamps = _lamps(assembly, photographs, views, findings, emitters == "known", edges)
     return replace(light, lamps=lamps, exposures=_exposures(assembly, views, findings, emitters == "known"))
 
 
@@ -115,26 +111,31 @@ def _lamps(
     photographs: PhotoSource,
     views: TrainingViews,
     findings: Findings,
-    causes: list[str],
     known: bool,
+    edges: Sequence[tuple[Tensor, Camera, Tensor]] | None,
 ) -> list[PhotographedLamp]:
-    """Lamps as the photographs show them; where they are not known they differ from the scene rightly."""
-    scene = assembly.scene
-    if not scene.features.has_area_lights or views.sample is None:
-        return []
-    cameras = [view.camera for view in scene.train]
-    shown = lamp_photographs(assembly.world, cameras, photographs, views.sample, SEED)
-    lamps = photographed_lamps(scene, assembly.world, assembly.materials, cameras, shown, SEED)
+    """Lamps as the photographs show them, after what is wrong with all photographs; where they are not known they
+    differ from the scene rightly.
+    """
+    scene, world = assembly.scene, assembly.world
+    cameras, lamps = [view.camera for view in scene.train], []
+    if scene.features.has_area_lights and views.sample is not None:
+        shown = lamp_photographs(world, cameras, photographs, views.sample, SEED)
+        lamps = photographed_lamps(scene, world, assembly.materials, cameras, shown, SEED)
+    lit = known and not any(lamp.beyond(WARN) for lamp in lamps)
+    causes = common_causes(world, cameras, photographs, SEED, views=edges, lit=lit, scale_known=any(map(agrees, lamps)))
+    if known:
+        causes = causes_of_mismatch(assembly, photographs, lamps, causes)
+    for cause in causes:
+        findings.add(Level.WRONG, "photograph", cause)
     if not known:
         return lamps
-    causes = causes_of_mismatch(assembly, photographs, lamps, causes)
     wrong = far_off(lamps)
     if wrong and not causes:
         findings.add(Level.REFUSED, "lamp", f"scene {scene.name}: {refusal(wrong)}")
-    for line in report(lamps, causes):
+    for line in report(lamps, bool(causes)):
         warned = line.removeprefix("warning: ")
-        about = "photograph" if warned in causes else "lamp"
-        findings.add(Level.WRONG if warned != line else Level.NOTE, about, warned)
+        findings.add(Level.WRONG if warned != line else Level.NOTE, "lamp", warned)
     return lamps
 
 
