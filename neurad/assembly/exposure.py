@@ -2,23 +2,25 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 import torch
 from torch import Tensor
 
-from neurad.core.records import PixelBatch, Surface, SurfaceInteraction
+from neurad.core.records import PixelBatch, Rays, Surface, SurfaceInteraction
 from neurad.core.rng import Stream
 from neurad.integrators.bounce import bounce
 from neurad.integrators.estimator import Estimator
 from neurad.integrators.path import PathTracing
 from neurad.integrators.primary_hits import PrimaryHits
 from neurad.integrators.vertex import DIMENSIONS
+from neurad.metrics.seen import SeenBy
 
 MAX_BRIGHTNESS_RATIO = 50.0
 """Ratio from which on no material explains the photographs; a white closed room may be some tens of times brighter."""
 _PIXELS = 4096
 _WHITE_PIXELS, _WHITE_SPP, _MAX_DEPTH = 512, 2, 1000
+_RAYS, _AWAY = 256, 0.05  # from each side of a lamp, and how many of those from its back may as well be from its front
 MAX_WHITE_RATIO = 2.0
 """Times the brightness of a white scene up to which materials may explain photographs."""
 
@@ -83,11 +85,43 @@ class _WhiteLambertian:
         return torch.full_like(si.p, 0.999)
 
 
-def sentence_if_far(factor: float, white: Callable[[], float]) -> str:
+@torch.no_grad()
+def lamps_facing_away(primary: PrimaryHits, names: Sequence[str], seed: int) -> list[str]:
+    """Names of lamps whose shining side lights nothing that a camera sees, while there is something behind their back.
+
+    Args:
+        primary: camera rays of the training views.
+        names: of all meshes.
+        seed: of the directions.
+    """
+    world, found = primary.world, []
+    geometry, device = world.geometry, world.geometry.vertices.device
+    seen_by = SeenBy(geometry, world.tracer, primary.cameras)
+    shines = geometry.emission.amax(-1) > 0
+    with world.tracer.uncounted():
+        for mesh in torch.unique(geometry.mesh_index[shines]).tolist():
+            faces = (shines & (geometry.mesh_index == mesh)).nonzero().squeeze(-1)
+            stream = Stream(seed, mesh, 55, device=device)
+            face = faces[stream.integers(len(faces), _RAYS)]
+            normal = geometry.face_normal[face]
+            lit = []
+            for side in (normal, -normal):
+                towards = torch.nn.functional.normalize(stream.uniform(_RAYS, 3) * 2.0 - 1.0, dim=-1)
+                d = torch.nn.functional.normalize(side + 0.999 * towards, dim=-1)
+                p = geometry.vertices[geometry.faces[face]].mean(1)
+                end = world.intersect(Rays(p + 1e-4 * geometry.scale * side, d))
+                lit.append(int((seen_by.any(end) & end.valid).sum()))
+            if lit[0] < _AWAY * lit[1]:
+                found.append(names[mesh])
+    return found
+
+
+def sentence_if_far(factor: float, white: Callable[[], float], away: Callable[[], list[str]]) -> str:
     """A warning if the photographs may be out of reach of the lights, otherwise nothing.
 
     Args:
         factor: of :func:`brightness`.
+        away: :func:`lamps_facing_away`, asked for the same photographs.
         white: :func:`white_brightness`, which takes a while: it is only called for photographs that are far brighter.
     """
     if 1.0 / MAX_BRIGHTNESS_RATIO < factor < MAX_BRIGHTNESS_RATIO:
@@ -95,6 +129,10 @@ def sentence_if_far(factor: float, white: Callable[[], float]) -> str:
     said = f"the photographs are about {factor:.3g} times as bright as the scene's lights make surfaces of albedo 0.5"
     if factor < 1.0:
         return f"{said}; only a scene that is nearly black explains that, so see whether lights and photographs agree"
+    if backs := away():
+        names = f"lamp{'s' * (len(backs) > 1)} {', '.join(backs[:8])}"
+        faces = "faces" if len(backs) == 1 else "face"
+        return f"{said}: {names} {faces} away from the room, so turn the winding of the triangles there"
     if white() > MAX_WHITE_RATIO:
         return f"{said}; materials cannot explain that, so scale the lights or the photographs"
     albedo = factor / (1.0 + factor)  # of a closed room: direct light / (1 - albedo)

@@ -15,6 +15,7 @@ from torch import Tensor
 from neurad.assembly.build import Assembly
 from neurad.assembly.exposure import (
     brightness,
+    lamps_facing_away,
     sentence_if_far,
     sentence_of_fireflies,
     white_brightness,
@@ -58,6 +59,10 @@ class TrainingViews:
     """What the photographs show of lamps alone; None where the lamps are known."""
     pixels: int = 0
     """Number of pixels that can be drawn: they show something, and no emitter."""
+    causes: list[str] | None = None
+    """What is wrong with all photographs, where they show known lamps of another radiance; None where they do not."""
+    scale_known: bool = False
+    """Whether photographs show how bright some lamp is."""
 
 
 def prepare_views(
@@ -119,17 +124,19 @@ def prepare_views(
             "several photographs show",
             file=sys.stderr,
         )
-    lamps = None
+    lamps, causes, scale_known = None, None, False
     if assembly.lamps is not None:
         lamps = lamp_photographs(assembly.world, cameras, photographs, stats.sample, settings.seed)
         if not bool(assembly.lamps.begun):
             begin_lamps(assembly, primary, lamps, stats.sample)
+        scale_known = bool((assembly.lamps.unclipped > 0).any())
     if assembly.environment is None and check_brightness:
         white = partial(white_brightness, primary, stats.sample, settings.seed, scene.max_depth)
-        if said := sentence_if_far(brightness(primary, stats.sample, settings.seed), white):
+        away = partial(lamps_facing_away, primary, [mesh.name for mesh in scene.meshes], settings.seed)
+        if said := sentence_if_far(brightness(primary, stats.sample, settings.seed), white, away):
             print(f"neurad: warning: {said}", file=sys.stderr)
     if check_brightness and assembly.lamps is None:
-        check_lamps(assembly, photographs, stats.sample)
+        causes, scale_known = check_lamps(assembly, photographs, stats.sample)
     if assembly.radiance is not None:
         assembly.radiance.set_scale(math.sqrt(mean_square))
     # Stage 3: what residuals are relative to, where there is no field to predict it.
@@ -140,7 +147,9 @@ def prepare_views(
         photographs.request_candidates(assembly.focus.fraction, TIMES)
     checksum = zlib.crc32(repr(stats.checksums).encode()) if stats.checksums else 0
     pixels = stats.pixels or int((~emitter_mask).sum())
-    return TrainingViews(primary, emitter_mask, mean_square, checksum, stats.sample, surface, lamps, pixels)
+    return TrainingViews(
+        primary, emitter_mask, mean_square, checksum, stats.sample, surface, lamps, pixels, causes, scale_known
+    )
 
 
 def _shows_small_lights(scene: Scene, photographs: PhotoSource) -> bool:

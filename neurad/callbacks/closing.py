@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from importlib.util import find_spec
 from pathlib import Path
@@ -80,7 +80,12 @@ def print_verdict(module: InverseRenderer, scores: Mapping[str, float], unseen: 
 
 
 def print_closing(
-    trainer: pl.Trainer, folder: Path | None, scores: Mapping[str, float], unseen: Unseen | None, tested: bool
+    trainer: pl.Trainer,
+    folder: Path | None,
+    scores: Mapping[str, float],
+    unseen: Unseen | None,
+    tested: bool,
+    causes: Sequence[str] = (),
 ) -> None:
     """The last lines of ``fit`` and ``test``: what was recovered, how well, where not to trust it, how to go on.
 
@@ -90,8 +95,10 @@ def print_closing(
         scores: by the names of ``metrics.csv``.
         unseen: what of the scored views no photograph shows; None where nobody looked.
         tested: whether ``test`` has just been run.
+        causes: what is wrong with all training photographs.
     """
     module: InverseRenderer = trainer.lightning_module  # type: ignore[assignment]
+    print("".join(f"neurad: warning: {cause}\n" for cause in causes), end="")
     print_verdict(module, scores, unseen)
     for sentence in (sentence_of_limits(scores), sentence_of_roughness(scores)):
         if sentence:
@@ -148,7 +155,13 @@ def _next_steps(trainer: pl.Trainer, folder: Path, tested: bool) -> Iterator[tup
 
 
 def report_run(
-    trainer: pl.Trainer, folder: Path, evaluation: Evaluation, unseen: Unseen, pictured: str, tested: bool
+    trainer: pl.Trainer,
+    folder: Path,
+    evaluation: Evaluation,
+    unseen: Unseen,
+    pictured: str,
+    tested: bool,
+    causes: Sequence[str] = (),
 ) -> None:
     """Write ``report.html``.
 
@@ -159,6 +172,7 @@ def report_run(
         unseen: what of the scored views no photograph shows.
         pictured: how its pictures were made.
         tested: whether ``test`` is what writes it.
+        causes: what is wrong with all training photographs.
     """
     module: InverseRenderer = trainer.lightning_module  # type: ignore[assignment]
     spent = f"{module.iteration} iterations in {seconds_of(module):.0f} s, {module.samples:.3g} path samples"
@@ -179,6 +193,7 @@ def report_run(
             number=len(module.scene.scored),
             distrusted=_distrusted(folder, unseen),
             steps=list(_next_steps(trainer, folder, tested)),
+            causes=causes,
         ),
     )
 

@@ -88,6 +88,8 @@ class Evaluate(pl.Callback):
         self._views: ViewTable | None = None
         self._board: Board | None = None
         self._shown: Shown | None = None
+        self._causes: list[str] = []
+        """What is wrong with all training photographs, at the end of a fit."""
 
     def state_dict(self) -> dict[str, Any]:
         """Seconds and marks so far: a continued run keeps to its fraction of time."""
@@ -136,6 +138,9 @@ class Evaluate(pl.Callback):
         if module.levels_found and trainer.is_global_zero:
             print(f"neurad: {module.levels_found}", file=sys.stderr)
         with clock.excluded():
+            if trainer.is_global_zero:
+                with phase("photographs"):
+                    self._causes = module.scoring.common_causes()
             if trainer.is_global_zero and run_folder(trainer) is not None:
                 with phase("error bars"):
                     self._finish(trainer, module)
@@ -150,7 +155,7 @@ class Evaluate(pl.Callback):
             table = _table(module, scores, self.spp, steady=True)
             print("\n" + "\n\n".join(t for t in (table, lamps_table(module, scores), curve_table(rows)) if t) + "\n")
             unseen = None if self._shown is None else self._shown.unseen
-            print_closing(trainer, folder, scores, unseen, tested=False)
+            print_closing(trainer, folder, scores, unseen, tested=False, causes=self._causes)
 
     def on_validation_epoch_end(self, trainer: pl.Trainer, pl_module: pl.LightningModule) -> None:
         """``neurad validate``: print the scores."""
@@ -267,7 +272,7 @@ class Evaluate(pl.Callback):
                 board.sheets(evaluation.maps[: self.pictures], evaluation.exposure, module.iteration)
         control = ", with the radiance field as control variate" if "psnr_lhs" in evaluation.scores else ""
         about = f"{self.spp} samples per pixel{control}; neurad test takes {self.test_spp}"
-        report_run(trainer, folder, evaluation, unseen, about, tested=False)
+        report_run(trainer, folder, evaluation, unseen, about, tested=False, causes=self._causes)
 
     def _board_of(self, trainer: pl.Trainer, module: InverseRenderer) -> Board | None:
         """The page in TensorBoard, if there is one."""

@@ -71,6 +71,8 @@ class Result:
     """Which surfaces the result may be wrong on."""
     steps: Sequence[tuple[str, str]] = ()
     """Commands that go on from here, and what they do."""
+    causes: Sequence[str] = ()
+    """What is wrong with all training photographs."""
 
 
 def write_report(path: Path, result: Result) -> None:
@@ -82,7 +84,10 @@ def write_report(path: Path, result: Result) -> None:
     judged = verdict(result.scores, result.views)
     parts = [
         f'<p class="verdict">{html.escape(judged.sentence)}</p>',
-        *(f'<p class="warn">{html.escape(text)}</p>' for text in filter(None, [result.busy, *judged.warnings])),
+        *(
+            f'<p class="warn">{html.escape(text)}</p>'
+            for text in (*filter(None, [result.busy]), *result.causes, *judged.warnings)
+        ),
         *(
             [f"<p>{html.escape(result.unseen.sentence(f'the {result.views}'))}</p>"]
             if result.unseen.fraction is not None

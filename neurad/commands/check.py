@@ -13,6 +13,13 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--out", type=Path, default=Path("check"), help="folder for check.html and check.csv (default: check)"
     )
+    parser.add_argument(
+        "--model.lighting.emitters",
+        dest="emitters",
+        choices=("known", "photographs", "fit", "find"),
+        default="known",
+        help="what a fit will take as known of lamps, as there (default: known)",
+    )
     parser.add_argument("--overwrite", action="store_true", help="write over a check that is there")
 
 

@@ -38,6 +38,13 @@ EXCESS, EXCESS_OF_FEW, FEW = 0.25, 0.5, 1000
 places are compared; measured, see docs/check.md."""
 FAR, LEAST = 6.0, 0.1
 """A mean rank is far below those of the other views if it is so many robust standard deviations and so much below."""
+LEAST_VIEWS, SURE = 5, 4.0
+"""Views that say whether all are off in the same way, and standard errors over them from which on they are."""
+_CHANGES = [
+    *(("zoom", 1.0 + 0.01 * i) for i in range(-12, 13)),
+    *((kind, 0.004 * i) for kind in ("right", "down") for i in range(-10, 11) if i),
+    *(("roll", 0.5 * i) for i in range(-8, 9) if i),
+]
 _DARK = 0.03  # of the median: differences between darker values count little
 _BLUR = 1.0  # pixels
 
@@ -215,6 +222,64 @@ def _means(ranks: Tensor, camera: Camera, towards: Tensor, matrices: Tensor) -> 
         mean = values.sum(-1) / count
         found.append(torch.where(2 * count >= len(towards), mean, math.nan))
     return torch.cat(found)
+
+
+@dataclass(frozen=True)
+class SharedTurn:
+    """One change of all pictures that fits the edges of the geometry better than none."""
+
+    kind: str
+    """'zoom', 'right', 'down' or 'roll'."""
+    amount: float
+    """The factor; the shift as a fraction of the width; degrees clockwise."""
+
+
+def shared_turn(views: Sequence[tuple[Tensor, Camera, Tensor]]) -> SharedTurn | None:
+    """What all photographs are zoomed, shifted or rolled by against the edges of the geometry; None where nothing is.
+
+    It moves a picture's border by more than :data:`HERE` pixels, and over the views the mean rank rises by more than
+    :data:`SURE` standard errors. Of several kinds that do, the one that fits best.
+
+    Args:
+        views: ranks [h, w], the camera of that size and directions to edges, as in :func:`edge_fit`.
+    """
+    views = [view for view in views if len(view[2]) > 0]
+    if len(views) < LEAST_VIEWS:
+        return None
+    ranks = np.array([_changed_ranks(*view) for view in views])
+    width = float(np.mean([camera.width for _, camera, _ in views]))
+    best, found = 0.0, None
+    for number, (kind, amount) in enumerate(_CHANGES):
+        gain = ranks[:, number] - ranks[:, _CHANGES.index(("zoom", 1.0))]
+        gain = gain[~np.isnan(gain)]
+        if len(gain) < LEAST_VIEWS or gain.mean() <= best:
+            continue
+        moved = {"zoom": 0.5 * abs(amount - 1.0), "roll": 0.5 * math.radians(abs(amount))}.get(kind, abs(amount))
+        best = float(gain.mean())
+        sure = best > SURE * float(gain.std(ddof=1)) / math.sqrt(len(gain))
+        found = SharedTurn(kind, amount) if sure and moved * width > HERE else None
+    return found
+
+
+def _changed_ranks(ranks: Tensor, camera: Camera, towards: Tensor) -> list[float]:
+    """Mean rank at edges in a picture after each of :data:`_CHANGES`; NaN where more than half of them leave it."""
+    middle = torch.tensor([camera.cx, camera.cy])
+    from_middle = project(camera, towards).nan_to_num(-1.0) - middle
+    h, w = ranks.shape
+    found = []
+    for kind, amount in _CHANGES:
+        if kind == "zoom":
+            xy = from_middle * amount
+        elif kind == "roll":
+            c, s = math.cos(math.radians(amount)), math.sin(math.radians(amount))
+            xy = from_middle @ torch.tensor([[c, s], [-s, c]])
+        else:
+            xy = from_middle + camera.width * torch.tensor([amount, 0.0] if kind == "right" else [0.0, amount])
+        x, y = (xy + middle).unbind(-1)
+        inside = (x >= 0) & (x < w) & (y >= 0) & (y < h)
+        mean = float(ranks[y[inside].long(), x[inside].long()].mean())
+        found.append(mean if 2 * int(inside.sum()) >= len(towards) else math.nan)
+    return found
 
 
 def misfits(fits: Sequence[EdgeFit | None]) -> list[int]:

@@ -23,7 +23,7 @@ class PhotographFacts:
     """Largest value of all pixels."""
     clipped: float
     """Fraction of the pixels that show a surface and no emitter that have the largest value of a channel, for the
-    channel with most of them."""
+    channel with most of them; 0 where it is a single one."""
     black: float
     """Fraction of these that are 0 in all channels."""
     constant: bool
@@ -47,6 +47,7 @@ def photograph_facts(pixels: FloatArray, counted: BoolArray) -> PhotographFacts:
     if len(inside) == 0:
         return PhotographFacts(0.0, float(colour.max()), 0.0, 0.0, constant, levels)
     top = inside.max(0)
-    clipped = float(((inside == top) & (top > 0)).mean(0).max()) if len(inside) > 1 else 0.0
+    at_top = int(((inside == top) & (top > 0)).sum(0).max())
+    clipped = at_top / len(inside) if at_top > 1 else 0.0  # some pixel is always the brightest
     black = float((inside == 0).all(-1).mean())
     return PhotographFacts(float(inside.mean(dtype=np.float64)), float(colour.max()), clipped, black, constant, levels)

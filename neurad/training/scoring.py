@@ -7,6 +7,7 @@ from typing import Protocol
 import torch
 
 from neurad.assembly.build import Assembly, FittedMaterials
+from neurad.assembly.common_causes import common_causes
 from neurad.assembly.settings import ModelSettings
 from neurad.assembly.training_views import TrainingViews, prepare_views
 from neurad.core.errors import InputError
@@ -167,3 +168,16 @@ class Scoring:
         with averaged(assembly.average):
             sample = views.sample if assembly.development is None else assembly.development(views.sample)
             return view_residuals(self.run.estimator, views.primary, sample, self.run.settings.seed)
+
+    def common_causes(self) -> list[str]:
+        """What is wrong with all training photographs, see :mod:`neurad.assembly.common_causes`. Nothing outside of a
+        fit.
+        """
+        views, assembly = self.run.training_views, self.run.assembly
+        if views is None:
+            return []
+        if views.causes is not None:
+            return views.causes
+        cameras = [view.camera for view in self.run.scene.train]
+        given = assembly.world, cameras, self.run.photographs, self.run.settings.seed, assembly.development
+        return common_causes(*given, scale_known=views.scale_known)

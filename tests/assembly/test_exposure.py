@@ -13,13 +13,14 @@ def never():
 
 
 def test_only_what_is_so_is_said():
-    assert sentence_if_far(1.0, never) == ""
-    assert sentence_if_far(40.0, never) == ""
-    assert "nearly black" in sentence_if_far(0.001, never)
-    assert "materials cannot explain that" in sentence_if_far(100.0, lambda: 30.0)
-    explained = sentence_if_far(104.0, lambda: 1.1)
+    assert sentence_if_far(1.0, never, never) == ""
+    assert sentence_if_far(40.0, never, never) == ""
+    assert "nearly black" in sentence_if_far(0.001, never, never)
+    assert "materials cannot explain that" in sentence_if_far(100.0, lambda: 30.0, list)
+    explained = sentence_if_far(104.0, lambda: 1.1, list)
     assert "cannot" not in explained
     assert "a mean albedo of about 0.99 in a closed room" in explained
+    assert "lamp bulb faces away from the room" in sentence_if_far(104.0, never, lambda: ["bulb"])
 
 
 @pytest.mark.parametrize(("factor", "said"), [(1.0, ""), (100.0, "materials cannot explain that")])

@@ -11,6 +11,7 @@ from datamodules.scene_data import SceneData
 from neurad.cli import main
 from neurad.inspect.check.findings import Level
 from neurad.inspect.check.run import checked_scene
+from neurad.metrics.photograph_facts import photograph_facts
 from neurad.scene import builtin
 from neurad.scene.image_io import write_exr
 from neurad.scene.photographs import read_photograph
@@ -156,3 +157,32 @@ def test_bad_input_is_one_sentence(tmp_path, capsys, monkeypatch):
         assert sentence in capsys.readouterr().err
     assert (tmp_path / "check.csv").read_text() == "mine"
     assert not (tmp_path / "new").exists()
+
+
+def test_a_single_brightest_pixel_of_a_small_picture_is_not_clipped():
+    """One of fewer than 200 pixels is more than the fraction that is too much."""
+    picture = np.random.default_rng(1).uniform(0.1, 0.9, (12, 16, 3)).astype(np.float32)
+    everywhere = np.ones((12, 16), np.bool_)
+    assert photograph_facts(picture, everywhere).clipped == 0.0
+    picture[:2, 0] = 1.0
+    assert photograph_facts(picture, everywhere).clipped == pytest.approx(2 / 192)
+
+
+def test_a_lamp_that_faces_away_is_named_where_photographs_say_that_it_shines():
+    scene = builtin.build_cornell()
+    turned_over = [m if m.radiance is None else replace(m, faces=m.faces[:, ::-1].copy()) for m in scene.meshes]
+    away = replace(scene, meshes=turned_over)
+    wrong = " ".join(finding.text for finding in checked_scene(away, source).findings.of(Level.WRONG))
+    assert "faces away from the room" in wrong
+    assert "mean albedo" not in wrong
+    assert not checked_scene(scene, source).findings.of(Level.WRONG)
+
+
+def test_lamps_that_a_fit_recovers_are_not_compared_with_the_scene(capfd):
+    dim = brighter(builtin.build_cornell(), 0.2)  # no photograph shows the lamp
+    (wrong,) = (finding.text for finding in checked_scene(dim, source).findings.of(Level.WRONG))
+    assert "lights of the scene that are too dim" in wrong
+    assert checked_scene(dim, source, "fit").findings.worst == Level.NOTE
+    with pytest.raises(SystemExit):
+        main(["check", "--scene=cornell", "--model.lighting.emitters=some"])
+    assert "choose from" in capfd.readouterr().err

@@ -12,16 +12,17 @@ import torch
 from torch import Tensor
 
 from neurad.assembly.build import Assembly
-from neurad.assembly.exposure import brightness, sentence_if_far, white_brightness
-from neurad.assembly.lamps import far_off, refusal, report
+from neurad.assembly.common_causes import common_causes
+from neurad.assembly.exposure import brightness, lamps_facing_away, sentence_if_far, white_brightness
+from neurad.assembly.lamps import agrees, causes_of_mismatch, far_off, refusal, report
 from neurad.assembly.region import Region
 from neurad.assembly.training_views import TrainingViews, blind_views, check_views, prepare_views
 from neurad.core.errors import InputError
 from neurad.core.protocols import PhotoSource
-from neurad.core.records import FloatArray, PixelBatch
+from neurad.core.records import Camera, FloatArray, PixelBatch
 from neurad.inspect.check.findings import Findings, Level, listed
 from neurad.integrators.world import World
-from neurad.metrics.photographed_lamps import PhotographedLamp, lamp_photographs, photographed_lamps
+from neurad.metrics.photographed_lamps import WARN, PhotographedLamp, lamp_photographs, photographed_lamps
 from neurad.metrics.view_exposure import exposure_ratios, rendered
 from neurad.metrics.view_residuals import few
 from neurad.runs.model_settings import model_settings
@@ -65,7 +66,14 @@ def lamp_power(scene: Scene, world: World) -> list[tuple[str, FloatArray, float,
     return rows
 
 
-def check_light(scene: Scene, world: World, source: Source, findings: Findings) -> Light:
+def check_light(
+    scene: Scene,
+    world: World,
+    source: Source,
+    findings: Findings,
+    emitters: str = "known",
+    edges: Sequence[tuple[Tensor, Camera, Tensor]] | None = None,
+) -> Light:
     """Say whether a fit would begin with these photographs and lights, and whether they belong together.
 
     Args:
@@ -73,6 +81,8 @@ def check_light(scene: Scene, world: World, source: Source, findings: Findings) 
         world: of the scene.
         source: makes the photographs.
         findings: to be added to.
+        emitters: what a fit will take as known of area lights, as ``model.lighting.emitters``.
+        edges: ranks, cameras and directions to edges of views, for :func:`neurad.metrics.edge_fit.shared_turn`.
     """
     light = Light(lamp_power(scene, world))
     materials = TrueMaterials(scene, world.geometry)
@@ -92,48 +102,66 @@ def check_light(scene: Scene, world: World, source: Source, findings: Findings) 
     for index in blind_views(views.surface):
         few_met = f"only {100 * views.surface[index]:.0f} % of its pixels meet a surface, far fewer than of other views"
         findings.add(Level.WRONG, "camera", f"{few_met}; check its pose", scene.train[index].name)
-    lamps = _lamps(assembly, photographs, views, findings)
-    return replace(light, lamps=lamps, exposures=_exposures(assembly, views, findings))
+    lamps = _lamps(assembly, photographs, views, findings, emitters == "known", edges)
+    return replace(light, lamps=lamps, exposures=_exposures(assembly, views, findings, emitters == "known"))
 
 
 def _lamps(
-    assembly: Assembly, photographs: PhotoSource, views: TrainingViews, findings: Findings
+    assembly: Assembly,
+    photographs: PhotoSource,
+    views: TrainingViews,
+    findings: Findings,
+    known: bool,
+    edges: Sequence[tuple[Tensor, Camera, Tensor]] | None,
 ) -> list[PhotographedLamp]:
-    """Lamps as the photographs show them."""
-    scene = assembly.scene
-    if not scene.features.has_area_lights or views.sample is None:
-        return []
-    cameras = [view.camera for view in scene.train]
-    shown = lamp_photographs(assembly.world, cameras, photographs, views.sample, SEED)
-    lamps = photographed_lamps(scene, assembly.world, assembly.materials, cameras, shown, SEED)
+    """Lamps as the photographs show them, after what is wrong with all photographs; where they are not known they
+    differ from the scene rightly.
+    """
+    scene, world = assembly.scene, assembly.world
+    cameras, lamps = [view.camera for view in scene.train], []
+    if scene.features.has_area_lights and views.sample is not None:
+        shown = lamp_photographs(world, cameras, photographs, views.sample, SEED)
+        lamps = photographed_lamps(scene, world, assembly.materials, cameras, shown, SEED)
+    lit = known and not any(lamp.beyond(WARN) for lamp in lamps)
+    causes = common_causes(world, cameras, photographs, SEED, views=edges, lit=lit, scale_known=any(map(agrees, lamps)))
+    if known:
+        causes = causes_of_mismatch(assembly, photographs, lamps, causes)
+    for cause in causes:
+        findings.add(Level.WRONG, "photograph", cause)
+    if not known:
+        return lamps
     wrong = far_off(lamps)
-    if wrong:
+    if wrong and not causes:
         findings.add(Level.REFUSED, "lamp", f"scene {scene.name}: {refusal(wrong)}")
-    for line in report(lamps):
+    for line in report(lamps, bool(causes)):
         warned = line.removeprefix("warning: ")
         findings.add(Level.WRONG if warned != line else Level.NOTE, "lamp", warned)
     return lamps
 
 
-def _exposures(assembly: Assembly, views: TrainingViews, findings: Findings) -> dict[str, float]:
+def _exposures(assembly: Assembly, views: TrainingViews, findings: Findings, known: bool) -> dict[str, float]:
     """How bright each photograph is beside a picture with the scene's own lights and materials."""
     scene, world = assembly.scene, assembly.world
     assert views.sample is not None
     primary, white = views.primary, partial(white_brightness, views.primary, views.sample, SEED, scene.max_depth)
-    if said := sentence_if_far(brightness(primary, views.sample, SEED), white):
+    away = partial(lamps_facing_away, primary, [mesh.name for mesh in scene.meshes], SEED)
+    said = sentence_if_far(brightness(primary, views.sample, SEED), white, away) if known else ""
+    if said:
         findings.add(Level.WRONG, "exposure", said)
     pixels = few(views.sample, len(scene.train))
     expected = rendered(world, assembly.materials, [view.camera for view in scene.train], pixels, SEED)
     ratios = exposure_ratios(pixels.color, expected, pixels.view, len(scene.train))
-    known = np.log(ratios[np.isfinite(ratios)])
-    if len(known):
-        middle = float(np.median(known))
-        _overall(math.exp(middle), findings)
-        _shining(scene, world, views, pixels, expected * math.exp(middle), findings)
-        spread = 1.4826 * float(np.median(np.abs(known - middle)))
+    logs = np.log(ratios[np.isfinite(ratios)])
+    if len(logs):
+        middle = float(np.median(logs))
+        if known and not said:
+            _overall(math.exp(middle), findings)
+        if known:
+            _shining(scene, world, views, pixels, expected * math.exp(middle), findings)
+        spread = 1.4826 * float(np.median(np.abs(logs - middle)))
         limit = max(math.log(OUT), SPREADS * spread)
         for view, ratio in zip(scene.train, ratios, strict=True):
-            if len(known) >= 4 and np.isfinite(ratio) and abs(math.log(ratio) - middle) > limit:
+            if len(logs) >= 4 and np.isfinite(ratio) and abs(math.log(ratio) - middle) > limit:
                 factor = ratio / math.exp(middle)
                 how = f"{factor:.3g} times brighter" if factor > 1 else f"{1 / factor:.3g} times darker"
                 findings.add(

@@ -9,12 +9,13 @@ from pathlib import Path
 import numpy as np
 
 from neurad.assembly.build import build_world
+from neurad.assembly.find_lamps import find_lamps
 from neurad.core.errors import InputError
 from neurad.core.records import Development
 from neurad.inspect.check.findings import Findings, Level, listed
 from neurad.inspect.check.geometry import check_holes, check_places, check_units
 from neurad.inspect.check.hints import FEWEST, explanation, hint
-from neurad.inspect.check.light import Light, Source, check_light, lamp_power, usable
+from neurad.inspect.check.light import SEED, Light, Source, check_light, lamp_power, usable
 from neurad.inspect.check.look import Looked, look
 from neurad.inspect.check.report import PAGE, TABLE, Checked, verdict, write_pages
 from neurad.inspect.check.subject import Counts
@@ -28,6 +29,7 @@ from neurad.runtime.progress import phase
 from neurad.scene.description import Scene
 from neurad.scene.load import load_scene
 from neurad.scene.picture_notes import say_pictures
+from neurad.scene.shining import shining_scene
 
 CLIPPED, AT_CEILING = 0.005, 0.001
 """Fraction of the pixels at the largest value of a photograph that is too much, and where that is one of a format."""
@@ -47,6 +49,8 @@ class CheckSettings:
     scene: str | None
     out: Path
     overwrite: bool
+    emitters: str = "known"
+    """What a fit will take as known of area lights."""
 
 
 def check(settings: CheckSettings, source: Source) -> Checked:
@@ -67,7 +71,7 @@ def check(settings: CheckSettings, source: Source) -> Checked:
     scene = load_scene(settings.root, settings.scene)
     if not any(view.image for view in scene.train):
         raise InputError(f"scene {scene.name}: it has no training photographs")
-    checked = checked_scene(scene, source)
+    checked = checked_scene(scene, source, settings.emitters)
     make_folder(settings.out, "--out")
     write_pages(checked, settings.out)
     _say(checked, settings.out)
@@ -80,14 +84,20 @@ def check(settings: CheckSettings, source: Source) -> Checked:
     return checked
 
 
-def checked_scene(scene: Scene, source: Source) -> Checked:
+def checked_scene(scene: Scene, source: Source, emitters: str = "known") -> Checked:
     """Check a scene.
 
     Args:
         scene: with photographs.
         source: as in :func:`check`.
+        emitters: as in :class:`CheckSettings`.
     """
     findings = Findings()
+    if emitters == "find":
+        found = find_lamps(scene, source(scene), "embree", False, SEED)
+        scene = shining_scene(scene, found.lamps)
+        for line in found.lines:
+            findings.add(Level.NOTE, "lamp", line)
     for note in (*scene.notes, *filter(None, [scene.scores_are_of])):
         findings.add(Level.NOTE, "scene", note)
     world = build_world(scene)
@@ -109,7 +119,12 @@ def checked_scene(scene: Scene, source: Source) -> Checked:
     with phase("rendering"):
         good = usable(scene, [one.view.name for one in looked if one.refused])
         bare = Light(lamp_power(scene, world))
-        light = check_light(good, world, source, findings) if good.train else bare
+        edges = [
+            (one.ranks, one.camera, one.towards)
+            for one in looked
+            if one.part == "train" and one.ranks is not None and one.camera is not None
+        ]
+        light = check_light(good, world, source, findings, emitters, edges) if good.train else bare
     power = sum(lamp[3] for lamp in light.power)
     return Checked(Counts.of(scene, world, power), looked, places, light, findings)
 

@@ -1,0 +1,200 @@
+"""What all photographs may have in common that is wrong, in words: said before any lamp is blamed for it."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from neurad.core.protocols import PhotoSource
+from neurad.core.records import Camera
+from neurad.integrators.world import World
+from neurad.metrics.edge_fit import WIDTH, SharedTurn, compared, directions, shared_turn
+from neurad.metrics.mesh_edges import mesh_edges, primary_grid
+from neurad.metrics.shading import Transport, transport
+from neurad.metrics.shared_errors import (
+    LEAST_VIEWS,
+    SURE,
+    Develop,
+    SharedErrors,
+    brightness_of,
+    shared_errors,
+    some_views,
+)
+
+FALLOFF, SPREAD = 0.1, 0.1
+"""Relative differences of brightness towards the corners and between photographs from which on they matter."""
+BEND, FLAT = 0.1, 0.13
+"""How far the slope of brightness with light has to be above 1, or below it, where highlights bring it anyway:
+undamaged rooms have 0.9 to 1.05."""
+USUAL = 0.97
+"""The slope in undamaged rooms on average: highlights flatten it a little."""
+ALIKE = 0.05
+"""Difference of slopes below which two explanations count as alike."""
+HAZY = 0.05
+"""How far below 1 is enough where no photograph has a dark place."""
+FLOOR = 0.1
+"""Part of the photographs' mean that their darkest surface has at least where light was added everywhere."""
+OPEN = 0.01
+"""Fraction of directions that leave the scene from which on a sky may be what was added."""
+LEAST_EDGES = 100
+"""Places along edges below which a view says nothing of zoom and turn."""
+_EDGE_VIEWS = 12
+
+
+def common_causes(
+    world: World,
+    cameras: Sequence[Camera],
+    photographs: PhotoSource,
+    seed: int,
+    develop: Develop | None = None,
+    views: Sequence[tuple[Tensor, Camera, Tensor]] | None = None,
+    lit: bool = True,
+    scale_known: bool = False,
+) -> list[str]:
+    """Look at photographs for what is wrong with all of them; a sentence each, none where nothing is.
+
+    Args:
+        world: of the scene, with its lights as they are known.
+        cameras: of the photographs.
+        photographs: of the training views.
+        seed: of all draws.
+        develop: corrects them by what a fit has recovered of how they were taken.
+        views: ranks, cameras and directions to edges where they are known, see :func:`shared_turn`.
+        lit: whether the lights are known well enough for brightness to be compared with light.
+        scale_known: whether photographs show a lamp as bright as it is taken for; else light may be of another scale.
+    """
+    if len(cameras) < LEAST_VIEWS or not photographs.has_photographs:
+        return []
+    if views is None:
+        views = _edge_views(world, cameras, photographs, develop)
+    if turn := shared_turn([view for view in views if len(view[2]) >= LEAST_EDGES]):
+        return [_of_turn(turn)]  # places that do not belong together say nothing else
+    found = shared_errors(world, cameras, photographs, develop)
+    said = [] if found is None else _of_places(found)
+    # Where something of that is found, brightness is not that of surfaces, and light is not compared with it.
+    if lit and not said and (light := transport(world, cameras, photographs, seed, develop)):
+        said += _of_light(light, scale_known)
+    return said
+
+
+def _edge_views(
+    world: World, cameras: Sequence[Camera], photographs: PhotoSource, develop: Develop | None
+) -> list[tuple[Tensor, Camera, Tensor]]:
+    """Ranks, cameras and directions to edges of some views."""
+    found = []
+    for index in some_views(len(cameras), _EDGE_VIEWS):
+        camera = cameras[index]
+        with world.tracer.uncounted():
+            edges = mesh_edges(world, primary_grid(world, camera, min(camera.width, WIDTH)))
+        pixel = torch.arange(camera.width * camera.height)
+        color = brightness_of(photographs, develop, torch.full_like(pixel, index), pixel, None).nan_to_num(0.0)
+        picture = color.view(camera.height, camera.width, 3).float().numpy()
+        found.append((*compared(picture, camera), directions(edges, index)))
+    return found
+
+
+def _of_turn(turn: SharedTurn) -> str:
+    if turn.kind == "zoom":
+        how = "larger" if turn.amount > 1.0 else "smaller"
+        return (
+            f"all photographs show the edges of the geometry {100 * abs(turn.amount - 1):.0f} % {how} than the cameras "
+            f"see them: the field of view (focal length) of the camera file is off by about {turn.amount:.2f}, or the "
+            "photographs were cropped"
+        )
+    if turn.kind == "roll":
+        how = f"rolled by about {abs(turn.amount):.1f} degrees {'clockwise' if turn.amount > 0 else 'counterclockwise'}"
+    else:
+        towards = {"right": ("right", "left"), "down": ("bottom", "top")}[turn.kind][turn.amount < 0]
+        how = f"shifted by about {100 * abs(turn.amount):.1f} % of the width to the {towards}"
+    return (
+        f"all photographs are {how} against what the cameras see of the geometry: check the principal point, a crop, "
+        "or the frame of the poses"
+    )
+
+
+def _of_places(found: SharedErrors) -> list[str]:
+    said = []
+    if found.border:
+        sides = ", ".join(f"{side} {100 * part:.0f} %" for side, part in found.border.items())
+        said.append(f"all photographs have a border ({sides} of the picture) that shows nothing of the scene: mask it")
+    elif found.has_mark:
+        said.append(
+            f"all photographs have the same mark in {100 * found.marked:.1f} % of the picture, whatever lies behind: a "
+            "watermark, dust or a part of the camera's mount; mask it"
+        )
+    if abs(found.falloff) > max(FALLOFF, SURE * found.falloff_error):
+        how, cause = (
+            ("darker", "vignetting") if found.falloff < 0 else ("brighter", "a correction of vignetting too many")
+        )
+        said.append(
+            f"all photographs are {100 * abs(1 - math.exp(found.falloff)):.0f} % {how} towards the corners than in the "
+            f"middle, whatever they show: {cause}; correct it before"
+        )
+    if found.spread > max(SPREAD, SURE * found.spread_error):
+        said.append(
+            f"the photographs' exposures differ by {100 * found.spread:.0f} % (standard deviation) where they show the "
+            "same surfaces: give them, or recover them with --data.exposure fit"
+        )
+    return said
+
+
+def _of_light(light: Transport, scale_known: bool) -> list[str]:
+    slope, error = light.slope()
+    added, _ = light.slope(offset=light.floor)
+    if slope < 1.0 - max(HAZY, SURE * error) and light.floor > FLOOR and abs(added - 1.0) < abs(slope - 1.0):
+        causes = ["haze", "a black offset"]
+        causes += [] if light.escaping < OPEN else ["a sky that the scene does not have"]
+        causes += [] if scale_known else ["lights of the scene that are too bright"]
+        return [
+            f"no surface in any photograph is darker than {100 * light.floor:.0f} % of their mean, and dark places are "
+            f"brighter than the scene's light makes them: {', '.join(causes[:-1])} or {causes[-1]}; these look alike"
+        ]
+    if -max(FLAT, SURE * error) < slope - 1.0 < max(BEND, SURE * error):
+        return []
+    powers = np.linspace(1.0, 2.6, 33) if slope > 1.0 else np.linspace(0.4, 1.0, 25)
+    power = float(powers[np.argmin([abs(light.slope(float(p))[0] - USUAL) for p in powers])])
+    causes = [f"a response curve that was not taken back (gamma, about {power:.1f})"]
+    causes += [] if slope > 1.0 or light.escaping < OPEN else ["light that is missing in the scene, such as a sky"]
+    causes += [] if scale_known else ["lights of the scene that are too " + ("dim" if slope > 1.0 else "bright")]
+    return [
+        f"along surfaces the photographs' brightness rises with the power {slope:.2f} of the light that arrives: "
+        f"{' or '.join(causes)}{', which look alike here' if len(causes) > 1 else ''}"
+    ]
+
+
+def curve_or_lamps(
+    world: World,
+    relit: World,
+    cameras: Sequence[Camera],
+    photographs: PhotoSource,
+    seed: int,
+    power: float,
+    develop: Develop | None = None,
+) -> list[str]:
+    """Whether a response curve explains lamps that are photographed too bright or too dark, and the light on surfaces,
+    better than lamps of another radiance do; a sentence if so.
+
+    Args:
+        world: of the scene, with its lights as they are declared.
+        relit: the same with lamps as they are photographed.
+        cameras: as in :func:`common_causes`, and so are the others.
+        photographs: of the training views.
+        seed: of all draws.
+        power: of the curve that makes photographs of the declared lamps what they are.
+        develop: corrects photographs.
+    """
+    if len(cameras) < LEAST_VIEWS:
+        return []
+    declared, shown = (transport(w, cameras, photographs, seed, develop) for w in (world, relit))
+    if declared is None or shown is None:
+        return []
+    curve, lamps = abs(declared.slope(power)[0] - USUAL), abs(shown.slope()[0] - USUAL)
+    if curve > lamps + ALIKE:
+        return []
+    said = f"a response curve that was not taken back (gamma, about {power:.2f}) explains all photographs"
+    how = "better than" if curve < lamps - ALIKE else "as well as"
+    return [f"{said} {how} lamps of another radiance do"]

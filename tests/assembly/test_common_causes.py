@@ -1,0 +1,129 @@
+"""What is wrong with all photographs is named, by measures with the right size, and nothing where nothing is."""
+
+import math
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+from helpers.lamp_room import Photographs
+
+from neurad.assembly.build import build_world
+from neurad.assembly.common_causes import common_causes, curve_or_lamps
+from neurad.metrics.shading import transport
+from neurad.metrics.shared_errors import shared_errors
+from neurad.scene import builtin
+from neurad.scene.photographs import read_photograph
+
+SEED = 3
+
+
+@pytest.fixture(scope="module")
+def kitchen():
+    scene = builtin.build_kitchen()
+    pictures = np.stack([read_photograph(view.image)[..., :3] for view in scene.train])
+    return build_world(scene), [view.camera for view in scene.train], pictures
+
+
+def source(pictures):
+    views = len(pictures)
+
+    class Source(Photographs):
+        def ignored(self):
+            return None
+
+    return Source(torch.from_numpy(np.ascontiguousarray(pictures, np.float32)).reshape(views, -1, 3))
+
+
+def corners(size):
+    y, x = (np.mgrid[:size, :size] + 0.5) / size - 0.5
+    return (x**2 + y**2) / 0.5
+
+
+def bordered(pictures):
+    made = np.full_like(pictures, 0.02)
+    made[:, 13:-13, 13:-13] = pictures[:, 13:-13, 13:-13]
+    return made
+
+
+def marked(pictures):
+    """A logo that lets half of what is behind through."""
+    made = pictures.copy()
+    made[:, 200:230, 180:240] = 0.5 * made[:, 200:230, 180:240] + 0.5
+    return made
+
+
+def test_places_and_exposures_have_the_right_size(kitchen):
+    world, cameras, pictures = kitchen
+    bare = shared_errors(world, cameras, source(pictures))
+    assert abs(bare.falloff) < 4 * bare.falloff_error + 0.01
+    assert bare.spread < 0.05
+    assert bare.border == {}
+    assert not bare.has_mark
+    log = np.random.default_rng(1).permutation(np.linspace(-0.5, 0.5, len(pictures)))
+    falloff = np.exp(-0.5 * corners(256))[..., None]
+    worse = shared_errors(world, cameras, source(pictures * np.exp(log)[:, None, None, None] * falloff))
+    assert worse.falloff == pytest.approx(-0.5, abs=0.08)  # taken shortly before the corner
+    assert worse.spread == pytest.approx(log.std(), abs=0.02)
+    framed = shared_errors(world, cameras, source(bordered(pictures)))
+    assert set(framed.border) == {"left", "right", "top", "bottom"}
+    assert all(part == pytest.approx(13 / 256, abs=0.02) for part in framed.border.values())
+    assert abs(framed.falloff) < 0.05
+    logo = shared_errors(world, cameras, source(marked(pictures)))
+    assert logo.border == {}
+    assert logo.marked == pytest.approx(30 * 60 / 256**2, rel=0.3)
+
+
+def test_light_that_was_added_is_told_from_none(kitchen):
+    world, cameras, pictures = kitchen
+    bare = transport(world, cameras, source(pictures), SEED)
+    assert bare.slope()[0] == pytest.approx(0.96, abs=0.08)
+    assert bare.floor < 0.05
+    mean = np.minimum(pictures, 10 * np.median(pictures)).mean()
+    hazy = transport(world, cameras, source(pictures + 0.3 * mean), SEED)
+    assert hazy.floor > 0.2
+    assert hazy.slope()[0] < 0.8
+    assert hazy.slope(offset=hazy.floor)[0] == pytest.approx(bare.slope()[0], abs=0.08)
+
+
+def zoomed(cameras, factor):
+    return [replace(c, fov_x=2 * math.atan(math.tan(c.fov_x / 2) * factor)) for c in cameras]
+
+
+@pytest.mark.slow
+def test_each_cause_is_named_and_no_other(kitchen):
+    world, cameras, pictures = kitchen
+    gains = np.exp(0.3 * np.random.default_rng(2).normal(size=(len(pictures), 1, 1, 1)))
+    mean = np.minimum(pictures, 10 * np.median(pictures)).mean()
+    right = {
+        "": (cameras, pictures),
+        "field of view": (zoomed(cameras, 1.05), pictures),
+        "a border": (cameras, bordered(pictures)),
+        "the same mark": (cameras, marked(pictures)),
+        "vignetting": (cameras, pictures * ((1 + 0.5 * corners(256)) ** -2)[..., None]),
+        "exposures differ": (cameras, pictures * gains),
+        "haze": (cameras, pictures + 0.3 * mean),
+    }
+    for cause, (seen_by, shown) in right.items():
+        said = common_causes(world, seen_by, source(shown), SEED)
+        assert len(said) == bool(cause), (cause, said)
+        assert cause in " ".join(said)
+
+
+@pytest.mark.slow
+def test_a_curve_is_told_from_lamps(kitchen):
+    """Photographs to a power look as if the lamps were of another radiance, but surfaces do not follow these."""
+    from neurad.emitters.area import AreaLights
+    from neurad.emitters.lights import make_lights
+
+    world, cameras, pictures = kitchen
+    scene, power = builtin.build_kitchen(), 1.2
+
+    def under(emission):
+        return world.under(make_lights(scene, world.geometry, lamps=AreaLights(world.geometry, emission)))
+
+    shining = world.geometry.emission
+    bent = under(torch.where(shining > 0, shining**power, shining))
+    (said,) = curve_or_lamps(world, bent, cameras, source(pictures**power), SEED, power)
+    assert "gamma, about 1.20" in said
+    assert curve_or_lamps(under(shining / 2.0), world, cameras, source(pictures), SEED, 1.35) == []
