@@ -10,8 +10,7 @@ import numpy as np
 
 from neurad.core.records import FloatArray, View
 from neurad.scene.description import Scene
-from neurad.scene.image_io import read_mask
-from neurad.scene.photographs import read_view
+from neurad.scene.photographs import kept_pixels, read_view
 
 LEVEL = 0.8
 """Of display white that the 90th percentile of the photographs is shown at."""
@@ -46,7 +45,7 @@ def scene_exposure(scene: Scene) -> float:
 
 
 def _pixels(view: View) -> FloatArray:
-    """Photographed pixels of a view that its mask leaves [n, 3]."""
+    """Photographed pixels of a view that count [n, 3]."""
     step = math.ceil(math.sqrt(view.camera.width * view.camera.height / MAX_PIXELS))
-    picture = read_view(view)[::step, ::step, :3].reshape(-1, 3)
-    return picture if view.mask is None else picture[read_mask(view)[::step, ::step].reshape(-1)]
+    picture, kept = read_view(view)[::step, ::step, :3], kept_pixels(view)
+    return picture if kept is None else picture[kept[::step, ::step]]

@@ -15,6 +15,7 @@ from neurad.core.errors import InputError
 from neurad.core.records import Development, View
 from neurad.runtime.blender import find_blender
 from neurad.runtime.files import writing
+from neurad.runtime.progress import counted
 from neurad.runtime.reading import exists, folder, regular_file, shown
 from neurad.scene.blender import write_room_path
 from neurad.scene.image_io import write_png
@@ -29,7 +30,7 @@ from neurad.scene.import_room import (
 from neurad.scene.lamp_masks import mask_of
 from neurad.scene.load import CAMERAS
 from neurad.scene.origin import near, origin_of
-from neurad.scene.photographs import check_views, picture_size
+from neurad.scene.photographs import check_view, picture_size
 from neurad.scene.picture_notes import say_pictures
 from neurad.scene.readers.blender import ROOM, TOWARDS_X, BlenderRoom, read_blender, read_world
 from neurad.scene.readers.nerf import HOLD_OUT, Split
@@ -141,7 +142,8 @@ def _photographed(room: BlenderRoom, images: Path) -> Split:
         size = picture_size(photograph)
         film = camera.seen(*size, f"its photograph {shown(photograph.name)}")
         views.append(View(file_name(camera.names[0], taken), film, str(photograph), development=development))
-    check_views(views)
+    for view in counted(views, "reading", len(views), "photographs"):
+        check_view(view)
     if not views:
         raise InputError(
             f"--images {shown(images)}: it has no photograph of any camera, such as {shown(without[0].names[-1])}.exr; "

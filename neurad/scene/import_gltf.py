@@ -10,6 +10,7 @@ import numpy as np
 from neurad.core.errors import InputError
 from neurad.core.records import View
 from neurad.runtime.files import place, writing
+from neurad.runtime.progress import counted
 from neurad.runtime.reading import folder, regular_file, shown
 from neurad.scene.description import Scene
 from neurad.scene.import_room import (
@@ -20,7 +21,7 @@ from neurad.scene.import_room import (
     refuse_meshes,
     whole,
 )
-from neurad.scene.photographs import check_views, picture_size
+from neurad.scene.photographs import check_view, picture_size
 from neurad.scene.picture_notes import say_pictures
 from neurad.scene.readers.gltf import ENDINGS, GltfRoom, read_gltf
 from neurad.scene.readers.gltf_file import GltfFile
@@ -88,7 +89,8 @@ def _photographed(room: GltfRoom, images: Path, source: Path) -> Split:
             without.append(camera.name)
             continue
         views.append(_view(camera, photograph, where))
-    check_views(views)
+    for view in counted(views, "reading", len(views), "photographs"):
+        check_view(view)
     if not room.cameras:
         raise InputError(f"{shown(source)}: it has no camera, so that no photograph can belong to it")
     if not views:

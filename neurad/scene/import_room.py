@@ -16,12 +16,13 @@ from neurad.core.ranges import Positive, checked
 from neurad.core.records import Mesh, View
 from neurad.runtime.files import check_folder, make_folder, writing
 from neurad.runtime.folders import place_of, written_beside
+from neurad.runtime.progress import counted
 from neurad.runtime.reading import exists, folder, regular_file, shown
 from neurad.scene.description import Scene
 from neurad.scene.load import read_folder, surface_notes
 from neurad.scene.numbers import RADIANCE, number
 from neurad.scene.origin import place_text
-from neurad.scene.photographs import check_views
+from neurad.scene.photographs import check_view
 from neurad.scene.picture_headers import check_exr
 from neurad.scene.picture_notes import say_pictures
 from neurad.scene.readers.colmap import find_model, photograph_places, read_model
@@ -131,9 +132,10 @@ def import_room(settings: ImportSettings) -> None:
     environment = None if settings.environment is None else map_of(settings.environment)
     views = SOURCES[settings.kind][0](source, images)
     refusals = Refusals()
-    for view in (*views.train, *views.test):
+    every = [*views.train, *views.test]
+    for view in counted(every, "reading", len(every), "photographs"):
         with refusals.part():
-            check_views([view])
+            check_view(view)
         with refusals.part():
             _check_place(view, [source] if images is None else [source, images])
     refusals.end()

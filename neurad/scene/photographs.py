@@ -5,7 +5,6 @@ from __future__ import annotations
 import io
 import math
 import warnings
-from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -14,8 +13,7 @@ import numpy.typing as npt
 
 from neurad.core.errors import InputError
 from neurad.core.records import Development, FloatArray, View
-from neurad.runtime.progress import counted
-from neurad.runtime.reading import native, regular_file, shown
+from neurad.runtime.reading import exists, native, regular_file, shown
 from neurad.scene.image_io import as_light, data_window, opened, read_exr, read_mask
 from neurad.scene.numbers import PIXEL
 from neurad.scene.picture_headers import check_exr, check_hdr, check_size, exr_parts
@@ -223,17 +221,16 @@ def read_view(view: View) -> FloatArray:
     return pixels
 
 
-def check_views(views: Sequence[View]) -> None:
-    """Read photographs, their masks and spreads as a fit does.
+def check_view(view: View) -> None:
+    """Read a photograph, its mask and its spread as a fit does.
 
     Raises:
-        InputError: a fit would refuse one.
+        InputError: a fit would refuse it.
     """
-    for view in counted(views, "reading", len(views), "photographs"):
-        read_view(view)
-        kept_pixels(view)
-        if view.spread is not None:
-            read_spread(view)
+    read_view(view)
+    kept_pixels(view)
+    if view.spread is not None:
+        read_spread(view)
 
 
 def may_have_alpha(view: View) -> bool:
@@ -256,7 +253,8 @@ def kept_pixels(view: View) -> npt.NDArray[np.bool_] | None:
     """
     kept = None if view.mask is None else read_mask(view)
     known = None
-    if view.image is not None and Path(view.image).suffix.lower() not in (".hdr", *CODED):
+    linear = view.image is not None and Path(view.image).suffix.lower() not in (".hdr", *CODED)
+    if view.image is not None and linear and exists(view.image):  # what is rendered may lack its photographs
         known = data_window(Path(view.image))
     if kept is None or known is None:
         return known if kept is None else kept

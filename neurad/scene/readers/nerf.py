@@ -18,10 +18,10 @@ from neurad.core.records import Camera, Development, FloatArray, View
 from neurad.runtime.reading import exists, read_json, regular_file, shown
 from neurad.scene.image_io import read_mask
 from neurad.scene.numbers import LENGTH, matrix, number
-from neurad.scene.photographs import READABLE, picture_size
+from neurad.scene.photographs import picture_size
 from neurad.scene.picture_headers import SIDE
 from neurad.scene.readers.intrinsics import Kept, Size, camera_of, rigid
-from neurad.scene.readers.photograph_files import OTHER, listed_file, listed_photograph
+from neurad.scene.readers.photograph_files import expected_photograph, listed_file, listed_photograph
 
 HOLD_OUT = 8
 """Every so many-th photograph is held out where nothing says which."""
@@ -183,7 +183,7 @@ def read_views(
     described, frames = _frames(path)
     undo = _applied(described, path)
     if not pictures:
-        photograph = lambda name, _: _unmade(root, name)  # noqa: E731
+        photograph = lambda name, _: expected_photograph(root, name)  # noqa: E731
     views: list[View] = []
     refusals = Refusals()
     for index, frame in enumerate(frames):
@@ -323,17 +323,6 @@ def _unsaid(settings: dict[str, Any], where: str) -> Size:
     if any(settings.get(key) is not None for key in ("fl_x", "fl_y", "cx", "cy")):
         raise InputError(f"{where}: neither w and h nor a photograph says how many pixels its picture has; add w and h")
     return FILM
-
-
-def _unmade(root: Path, name: str) -> Path:
-    """The file where a photograph would be, or is."""
-    try:
-        return listed_photograph(root, name, name, name)
-    except InputError:
-        image = root / name.replace("\\", "/")
-        if not image.name:
-            raise
-        return image if image.suffix.lower() in (*READABLE, *OTHER) else image.with_name(f"{image.name}.exr")
 
 
 def _exposure(settings: dict[str, Any], where: str) -> float | None:

@@ -96,16 +96,30 @@ def listed_photograph(root: Path, name: str, where: str, file: str) -> Path:
     Raises:
         InputError: there is none, or it is none that is read.
     """
-    path = root / name.replace("\\", "/")
-    if not path.name:
+    paths = _listed(root, name)
+    if not paths:
         raise InputError(f"{where}: its file_path {shown(repr(name))} is not the name of a file")
-    exr = path if path.suffix.lower() == ".exr" else path.with_name(f"{path.name}.exr")
-    paths = [exr, *(path.with_name(end.name) for end in _as_named([PurePosixPath(path.name)]))]
     found = next((p for p in paths if exists(p)), None)
     found = found or next((p for p in map(any_case, paths) if p is not None), None)
     if found is None:
-        return regular_file(exr, f"the photograph is missing that {file} lists (an EXR file)")
+        return regular_file(paths[0], f"the photograph is missing that {file} lists (an EXR file)")
     return _readable(found, where)
+
+
+def expected_photograph(root: Path, name: str) -> Path:
+    """The file where :func:`listed_photograph` would find a photograph, which does not have to be there."""
+    paths = _listed(root, name)
+    known = paths and paths[-1].suffix.lower() in (*READABLE, *OTHER) and len(paths) <= 2
+    return next((file for file in paths if file.is_file()), paths[-1] if known else paths[0] if paths else root / name)
+
+
+def _listed(root: Path, name: str) -> list[Path]:
+    """The files that the name of a photograph may mean, an EXR file first; none if it is not the name of a file."""
+    path = root / name.replace("\\", "/")
+    if not path.name:
+        return []
+    exr = path if path.suffix.lower() == ".exr" else path.with_name(f"{path.name}.exr")
+    return [exr, *(path.with_name(end.name) for end in _as_named([PurePosixPath(path.name)]))]
 
 
 def _parts(name: str) -> tuple[tuple[str, ...], bool]:
