@@ -4,7 +4,9 @@ from __future__ import annotations
 
 
 def apart(name: str, taken: set[str], joint: str = "-", capitals: bool = True) -> str:
-    """The name, or the first with a number behind it that is not taken; it is from then on.
+    """The name, or one with a number behind it that is not taken; it is from then on.
+
+    Of many things of one name each gets the next number, without asking for all of those before.
 
     Args:
         name: wanted.
@@ -12,9 +14,17 @@ def apart(name: str, taken: set[str], joint: str = "-", capitals: bool = True) -
         joint: what stands between name and number.
         capitals: whether names that differ in these alone are two; some file systems do not tell them apart.
     """
-    made, count = name, 1
-    while (made if capitals else made.lower()) in taken:
-        count += 1
-        made = f"{name}{joint}{count}"
-    taken.add(made if capitals else made.lower())
-    return made
+
+    def made(count: int) -> str:
+        numbered = name if count == 1 else f"{name}{joint}{count}"
+        return numbered if capitals else numbered.lower()
+
+    high = 1
+    while made(high) in taken:
+        high *= 2
+    low = high // 2  # taken, as none before 1 can be asked for
+    while high - low > 1:
+        middle = (low + high) // 2
+        low, high = (middle, high) if made(middle) in taken else (low, middle)
+    taken.add(made(high))
+    return name if high == 1 else f"{name}{joint}{high}"

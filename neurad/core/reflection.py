@@ -11,6 +11,9 @@ from typing import Any
 
 from neurad.core.errors import InputError
 
+METAL = 0.5
+"""Metalness from which on a surface counts as a metal."""
+
 
 @dataclass(frozen=True)
 class DeltaLobe:
@@ -45,6 +48,11 @@ class ReflectionModel(ABC):
     def is_delta(self) -> bool:
         """Whether the surface is smooth."""
         return self.delta is not None
+
+    @property
+    def metallic(self) -> float:
+        """How much of a metal it is, from 0 (dielectric) to 1."""
+        return 0.0
 
     @property
     def unsupported(self) -> str | None:
@@ -101,6 +109,11 @@ class ConductorModel(ReflectionModel):
     """A smooth mirror; the albedo is its reflectance at every angle."""
 
     @property
+    def metallic(self) -> float:
+        """A metal."""
+        return 1.0
+
+    @property
     def label(self) -> str:
         """Mitsuba's plugin."""
         return "conductor"
@@ -149,6 +162,11 @@ class RoughConductorModel(ReflectionModel):
     """Its imaginary part."""
     alpha: float
     """GGX width, the same in all directions."""
+
+    @property
+    def metallic(self) -> float:
+        """A metal."""
+        return 1.0
 
     @property
     def label(self) -> str:
@@ -205,6 +223,8 @@ class UnsupportedModel(ReflectionModel):
     """Mitsuba's plugin, and what of it is not supported in a few words."""
     reason: str
     """A sentence that says what is not supported."""
+    metallic: float = 0.0
+    """What the file says of its metalness, as far as one number can."""
 
     @property
     def label(self) -> str:

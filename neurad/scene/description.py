@@ -11,11 +11,13 @@ import numpy.typing as npt
 
 from neurad.core.errors import InputError
 from neurad.core.records import EnvironmentMap, FloatArray, Material, Mesh, PunctualLight, View
-from neurad.core.reflection import DiffuseModel, PrincipledModel, ReflectionModel
+from neurad.core.reflection import METAL, DiffuseModel, PrincipledModel, ReflectionModel
+from neurad.runtime.reading import shown
 from neurad.scene.development import KNOWN, Photography
 from neurad.scene.numbers import RADIANCE, within
 from neurad.scene.punctual import check_punctual
 
+_LISTED = 12
 SCORED = 8
 """Training photographs that are scored where no view is held out."""
 
@@ -159,6 +161,26 @@ class Scene:
         recovered = sorted({mesh.material for mesh in self.meshes if mesh.radiance is None})
         used = [self.materials[i] for i in recovered if not self.materials[i].model.is_delta]
         return [f"{m.name} ({m.model.label})" for m in used if m.model != self.features.fitted_model]
+
+    @property
+    def lost_metals(self) -> str | None:
+        """What has to be said of surfaces that are metals by the files, as a fit recovers dielectrics; None without
+        any. Smooth metals and what shines are kept as they are.
+        """
+        models = [self.materials[mesh.material].model for mesh in self.meshes]
+        names = [
+            mesh.name
+            for mesh, model in zip(self.meshes, models, strict=True)
+            if model.metallic >= METAL and not model.is_delta and mesh.radiance is None
+        ]
+        if not names:
+            return None
+        more = " ..." if len(names) > _LISTED else ""
+        return (
+            f"scene {self.name}: warning: {len(names)} of {len(self.meshes)} meshes are metal by its files "
+            f"({', '.join(map(shown, names[:_LISTED]))}{more}), and a fit recovers every surface as a dielectric: "
+            "their albedo and roughness will be wrong"
+        )
 
     @cached_property
     def bounds(self) -> FloatArray:

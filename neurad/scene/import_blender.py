@@ -14,6 +14,7 @@ import numpy as np
 from neurad.core.errors import InputError
 from neurad.core.records import Development, View
 from neurad.runtime.blender import find_blender
+from neurad.runtime.extras import need
 from neurad.runtime.files import writing
 from neurad.runtime.progress import counted
 from neurad.runtime.reading import exists, folder, regular_file, shown
@@ -55,6 +56,7 @@ def import_blender(settings: ImportSettings) -> None:
     images = None if settings.images is None else folder(settings.images, "--images")
     environment = None if settings.environment is None else map_of(settings.environment)
     where = shown(settings.source)
+    need("mitsuba", "mitsuba", "a scene folder of a Blender scene (scene.xml)")
     with _written(settings) as written:
         room = read_blender(written, where)
     if environment is not None:

@@ -92,7 +92,7 @@ def _photographed(room: GltfRoom, images: Path, source: Path) -> Split:
     for view in counted(views, "reading", len(views), "photographs"):
         check_view(view)
     if not room.cameras:
-        raise InputError(f"{shown(source)}: it has no camera, so that no photograph can belong to it")
+        raise InputError(f"{shown(source)}: it has no perspective camera, so that no photograph can belong to it")
     if not views:
         raise InputError(
             f"--images {shown(images)}: it has no photograph of any camera, such as {shown(without[0])}.exr"

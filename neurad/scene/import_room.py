@@ -14,6 +14,7 @@ import numpy as np
 from neurad.core.errors import InputError, Refusals
 from neurad.core.ranges import Positive, checked
 from neurad.core.records import Mesh, View
+from neurad.runtime.extras import need
 from neurad.runtime.files import check_folder, make_folder, writing
 from neurad.runtime.folders import place_of, written_beside
 from neurad.runtime.progress import counted
@@ -25,13 +26,15 @@ from neurad.scene.origin import place_text
 from neurad.scene.photographs import check_view
 from neurad.scene.picture_headers import check_exr
 from neurad.scene.picture_notes import say_pictures
+from neurad.scene.punctual import moved_light
 from neurad.scene.readers.colmap import find_model, photograph_places, read_model
 from neurad.scene.readers.fipt import MESH, read_room
-from neurad.scene.readers.mesh_files import read_meshes
+from neurad.scene.readers.gltf import moved_mesh
+from neurad.scene.readers.mesh_files import MeshFile, read_meshes
 from neurad.scene.readers.nerf import Split, read_one, read_split
 from neurad.scene.readers.photograph_files import Photographs
 from neurad.scene.readers.polycam import read_export
-from neurad.scene.room_folder import Matrix, Room, axes, bounds_of, held_up, turned, write_room
+from neurad.scene.room_folder import Matrix, Room, axes, bounds_of, held_up, turned, turned_map, write_room
 
 
 @dataclass(frozen=True)
@@ -139,11 +142,22 @@ def import_room(settings: ImportSettings) -> None:
         with refusals.part():
             _check_place(view, [source] if images is None else [source, images])
     refusals.end()
+    if settings.mesh or settings.kind == "fipt":
+        need("mitsuba", "mitsuba", "a scene folder with meshes (scene.xml)")
     paths = settings.mesh or ([source / MESH] if settings.kind == "fipt" else [])
     if not paths and (lamps or settings.up or settings.axes or environment):
         raise InputError("--lamp, --up, --axes and --environment are about what --mesh names, and there is no --mesh")
+    files: list[MeshFile] = []
+    for path in paths:
+        with refusals.part():
+            files.append(read_meshes(path))
+    refusals.end()
+    if settings.up is None and settings.axes is None:
+        files = [_upright(file, views) for file in files]
+    if sum(file.environment is not None for file in files) + (environment is not None) > 1:
+        raise InputError("there is more than one environment (dome lights of USD, --environment); keep one of them")
     to_cameras = _placed(settings, views)
-    room = Room(views, [read_meshes(path) for path in paths], to_cameras, lamps, environment, settings.copy)
+    room = Room(views, files, to_cameras, lamps, environment, settings.copy)
     with whole(out) as part:
         meshes = write_room(room, part)
         if meshes:
@@ -221,6 +235,27 @@ def _placed(settings: ImportSettings, views: Split) -> Matrix:
     return turned(settings.up, to, settings.scale)
 
 
+def _upright(file: MeshFile, views: Split) -> MeshFile:
+    """A file that says which axis points up, turned to the one that the cameras hold up."""
+    if file.up is None:
+        return file
+    said = f"{shown(file.path)}: its upAxis is {file.up.upper()}"
+    try:
+        to = held_up([*views.train, *views.test])
+    except InputError:
+        return replace(file, notes=(*file.notes, f"{said}, and the cameras hold no axis up: it stays as it is"))
+    if to == file.up:
+        return file
+    turn = turned(file.up, to, 1.0)
+    return replace(
+        file,
+        meshes=[moved_mesh(mesh, turn) for mesh in file.meshes],
+        lights=tuple(moved_light(light, turn) for light in file.lights),
+        environment=None if file.environment is None else turned_map(file.environment, turn),
+        notes=(*file.notes, f"{said}: it is turned to {to}, which the cameras hold up (--up says otherwise)"),
+    )
+
+
 def check_room(part: Path) -> Scene:
     """Read a folder as a fit does, and say what is to be said of its surfaces; a light may still be missing.
 
@@ -258,9 +293,10 @@ def _say(room: Room, meshes: Sequence[Mesh], out: Path) -> None:
             file=sys.stderr,
         )
     shining = [mesh.name for mesh in meshes if mesh.radiance is not None]
+    shining += [f"{light.name} ({light.kind})" for light in room.lights]
     if shining:
-        print(f"lamps: {', '.join(shown(name) for name in shining)}")
-    elif room.environment is None:
+        print(f"lamps: {', '.join(shown(name) for name in shining[:12])}{' ...' if len(shining) > 12 else ''}")
+    elif room.environment is None and room.sky is None:
         names = ", ".join(shown(mesh.name) for mesh in meshes[:12])
         print(
             f"neurad: warning: nothing in the room is said to shine: give --lamp NAME=R,G,B (meshes: "

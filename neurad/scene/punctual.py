@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 from typing import Any, get_args
 
 import numpy as np
@@ -91,6 +92,26 @@ def from_gltf(
     cone = math.degrees(outer_cone_angle), math.degrees(inner_cone_angle)
     light = PunctualLight(name, known, rgb, position, direction, *cone)
     return check_punctual(light, where)
+
+
+def moved_light(light: PunctualLight, similarity: npt.NDArray[np.float64]) -> PunctualLight:
+    """A light in another frame, in which it lights surfaces as before.
+
+    Args:
+        light: as it is.
+        similarity: takes its frame to the other [4, 4]. Where that has lengths times s, intensities of points and spots
+            are times s squared.
+    """
+    linear = similarity[:3, :3]
+    length = abs(float(np.linalg.det(linear))) ** (1.0 / 3.0)
+    times = 1.0 if light.kind == "directional" else length**2
+    position: Any = linear @ np.asarray(light.position, np.float64) + similarity[:3, 3]  # to float32 near the origin
+    return replace(
+        light,
+        intensity=np.asarray(light.intensity * np.float32(times), np.float32),
+        position=position,
+        direction=(linear @ np.asarray(light.direction, np.float64) / length).astype(np.float32),
+    )
 
 
 def pose(light: PunctualLight, axis: float = 1.0) -> npt.NDArray[np.float64]:

@@ -15,14 +15,17 @@ import numpy.typing as npt
 
 from neurad.core.errors import InputError
 from neurad.core.names import apart
-from neurad.core.records import Constant, FloatArray, Material, Mesh, View
+from neurad.core.records import Constant, EnvironmentMap, FloatArray, Material, Mesh, PunctualLight, View
+from neurad.core.reflection import METAL, PrincipledModel
 from neurad.runtime.files import place, writing
 from neurad.runtime.reading import shown
 from neurad.scene.numbers import number
 from neurad.scene.origin import origin_of
 from neurad.scene.ply import write_ply
+from neurad.scene.punctual import moved_light
 from neurad.scene.readers.mesh_files import MeshFile
 from neurad.scene.readers.nerf import Split
+from neurad.scene.scene_xml import append_node, environment_node, punctual_node
 from neurad.scene.transforms import transforms
 
 Matrix = npt.NDArray[np.float64]
@@ -48,6 +51,17 @@ class Room:
     environment: Path | None = None
     copy: bool = False
     """Copy photographs and meshes instead of linking to them."""
+
+    @property
+    def lights(self) -> list[PunctualLight]:
+        """Lights without extent of the mesh files, in the frame of the cameras."""
+        return [moved_light(light, self.to_cameras) for file in self.meshes for light in file.lights]
+
+    @property
+    def sky(self) -> EnvironmentMap | None:
+        """The environment of a mesh file, in the frame of the cameras."""
+        found = next((file.environment for file in self.meshes if file.environment is not None), None)
+        return None if found is None else turned_map(found, self.to_cameras)
 
 
 def axis(name: str) -> Matrix:
@@ -116,6 +130,14 @@ def axes(words: str) -> Matrix:
         raise InputError(f"--axes {shown(words)}: it is no rotation ({why}); --scale is for the size")
     made[:3, :3] = u @ v
     return made
+
+
+def turned_map(environment: EnvironmentMap, similarity: Matrix) -> EnvironmentMap:
+    """An environment in another frame, to which ``similarity`` takes its own [4, 4]."""
+    axes = similarity[:3, :3] / np.linalg.norm(similarity[:3, 0])
+    pose = np.array(environment.to_world, np.float64)
+    pose[:3, :3] = axes @ pose[:3, :3]
+    return replace(environment, to_world=pose.astype(np.float32))
 
 
 def write_room(room: Room, out: Path) -> list[Mesh]:
@@ -202,6 +224,8 @@ def _write_surfaces(room: Room, meshes: Sequence[Mesh], out: Path) -> None:
         place(room.environment, out / f"environment{room.environment.suffix.lower()}", room.copy)
         sky = _child(tree, "emitter", type="envmap")
         _child(sky, "string", name="filename", value=f"environment{room.environment.suffix.lower()}")
+    elif room.sky is not None:
+        append_node(tree, environment_node(room.sky, out))
     sources = [file for file in room.meshes for _ in file.meshes]
     known = [_known(file, mesh) for file in room.meshes for mesh in file.meshes]
     taken: set[str] = set()
@@ -229,18 +253,28 @@ def _write_surfaces(room: Room, meshes: Sequence[Mesh], out: Path) -> None:
         if mesh.radiance is not None:
             lamp = _child(shape, "emitter", type="area")
             _child(lamp, "rgb", name="radiance", value=", ".join(f"{float(x):.9g}" for x in mesh.radiance))
+    names = {mesh.name for mesh in meshes}
+    for light in room.lights:
+        append_node(tree, punctual_node(light, apart(light.name, names)))
     ElementTree.indent(tree)
     text = ElementTree.tostring(tree, encoding="unicode") + "\n"
     (out / "scene.xml").write_text(text, encoding="utf-8")
 
 
 def _known(file: MeshFile, mesh: Mesh) -> Material | None:
-    """The material of a mesh if a fit keeps it and one line says it: smooth ones, and lamps of one colour."""
+    """The material of a mesh if a fit keeps it and one line says it: smooth ones, and lamps of one colour; of metals
+    that they are some.
+    """
     if not file.materials:
         return None
     material = file.materials[mesh.material]
     plain = isinstance(material.albedo, Constant) and isinstance(material.roughness, Constant)
-    return material if plain and (material.model.is_delta or mesh.radiance is not None) else None
+    if plain and (material.model.is_delta or mesh.radiance is not None):
+        return material
+    if material.model.metallic < METAL:
+        return None
+    colour, roughness = Constant(np.full(3, 0.5, np.float32)), Constant(np.full(1, 0.5, np.float32))
+    return Material(material.name, PrincipledModel(metallic=1.0), colour, roughness)
 
 
 def _add_known(shape: ElementTree.Element, material: Material) -> None:

@@ -100,7 +100,7 @@ def describe(
         tree |= dict(zip(ORIGIN, scene.origin, strict=True))
     tree |= {f"sensor_{i}": node for i, node in enumerate(sensors)}
     if scene.environment is not None:
-        tree["environment"] = _environment(scene.environment, folder)
+        tree["environment"] = environment_node(scene.environment, folder)
     used = {mesh.material for mesh in scene.meshes}
     bsdfs: list[Any] = [None] * len(scene.materials)
     names = file_names([m.name for m in scene.materials])
@@ -118,7 +118,7 @@ def describe(
         if far:
             tree[f"mesh-{name}"]["to_world"] = Matrix(np.eye(4), placed=True)
     for light, name in zip(scene.punctual, names[len(scene.meshes) :], strict=True):
-        tree[f"light-{name}"] = _punctual(light, name, far)
+        tree[f"light-{name}"] = punctual_node(light, name, far)
     return tree
 
 
@@ -137,7 +137,7 @@ def write_xml(tree: Node, path: Path) -> None:
     root = ElementTree.Element("scene", version="3.0.0")
     for name, node in tree.items():
         if isinstance(node, dict):
-            _element(root, node)
+            append_node(root, node)
         elif name in ORIGIN:
             ElementTree.SubElement(root, "default", name=name, value=_number(node))
     ElementTree.indent(root, "\t")
@@ -189,7 +189,8 @@ def _shape(mesh: Mesh, name: str, bsdf: Any, folder: Path) -> Node:
     return shape
 
 
-def _punctual(light: PunctualLight, name: str, far: bool) -> Node:
+def punctual_node(light: PunctualLight, name: str, far: bool = False) -> Node:
+    """The node of a light without extent; ``far`` if its place is told relative to the scene's origin."""
     key = "irradiance" if light.kind == "directional" else "intensity"
     colour = {"type": "rgb", "value": [float(x) for x in light.intensity]}
     node: Node = {"type": light.kind, "id": name, key: colour, "to_world": Matrix(pose(light), far)}
@@ -198,13 +199,14 @@ def _punctual(light: PunctualLight, name: str, far: bool) -> Node:
     return node
 
 
-def _environment(environment: EnvironmentMap, folder: Path) -> Node:
+def environment_node(environment: EnvironmentMap, folder: Path) -> Node:
+    """The node of an environment, whose map is written into ``folder``."""
     write_exr(folder / "environment.exr", environment.pixels, half=False)
     pose = np.asarray(environment.to_world, np.float64)
     return {"type": "envmap", "filename": "environment.exr", "to_world": Matrix(pose)}
 
 
-def _element(parent: ElementTree.Element, node: Node, name: str | None = None) -> None:
+def append_node(parent: ElementTree.Element, node: Node, name: str | None = None) -> None:
     """Append a plugin to an XML element, as its parameter ``name`` where names matter."""
     tag = TAGS[node["type"]]
     made = ElementTree.SubElement(parent, tag)
@@ -221,7 +223,7 @@ def _element(parent: ElementTree.Element, node: Node, name: str | None = None) -
         if key in ("type", "id"):
             continue
         if isinstance(value, dict):
-            _element(made, value, key)
+            append_node(made, value, key)
         elif isinstance(value, Matrix):
             transform = ElementTree.SubElement(made, "transform", name=key)
             ElementTree.SubElement(transform, "matrix", value=" ".join(_entries(value.values)))

@@ -258,7 +258,7 @@ WRONG = {
     "some glass": ((M + "0.extensions", {TRANSMISSION: {"transmissionFactor": 0.5}}), "transmits light in part"),
     "leaf": ((M + "0.extensions", {DIFFUSE: {"diffuseTransmissionFactor": 1}}), "transmits light diffusely"),
     "ior": (("materials.0.extensions", {"KHR_materials_ior": {"ior": 0}}), "its ior is 0"),
-    "orthographic": (("cameras.0", {"type": "orthographic"}), "only perspective cameras"),
+    "panorama": (("cameras.0", {"type": "panorama"}), "only perspective cameras"),
     "yfov": (("cameras.0.perspective.yfov", 4.0), "yfov is 4"),
     "no yfov": (("cameras.0.perspective", {}), "yfov is nan"),
     "bent camera": (("nodes.2.matrix", [1, 0, 0, 0, 1, 1, 0, 0, 0, 0, 1, 0, 0, 0, 0, 1]), "bends it"),

@@ -119,7 +119,7 @@ def test_usd_has_the_same_triangles_and_lamps(tmp_path):
     pytest.importorskip("pxr")
     room = exported(build_cornell(), tmp_path / "room")
     by_xml = read_xml(room / "scene.xml")
-    found = {mesh.name: mesh for mesh in read_usd(room / "room.usdc")}
+    found = {mesh.name: mesh for mesh in read_usd(room / "room.usdc").meshes}
     assert len(found) == len(by_xml.meshes)
     for mesh in by_xml.meshes:
         other = found[mesh.name.replace(" ", "_").replace("-", "_")]

@@ -3,26 +3,29 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from contextlib import suppress
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
-from neurad.core.errors import InputError
+from neurad.core.errors import InputError, Refusals
 from neurad.core.names import apart
 from neurad.core.records import FloatArray, IntArray, Material, Mesh, PunctualLight
 from neurad.runtime.memory import reserve
 from neurad.runtime.reading import shown
 from neurad.scene.numbers import LENGTH, RADIANCE, TEXEL, unit, within
+from neurad.scene.polygons import check_triangle_count
 from neurad.scene.readers.gltf_file import Array, GltfFile, Json
 from neurad.scene.readers.gltf_lamps import backs_of, lit_by
 from neurad.scene.readers.gltf_materials import COLOUR, Corners, Emission, MaterialReader
-from neurad.scene.readers.gltf_nodes import GltfCamera, Node, camera_of, is_own, light_of, nodes_of
+from neurad.scene.readers.gltf_nodes import GltfCamera, Node, camera_of, instances_of, is_own, light_of, nodes_of
 from neurad.scene.readers.gltf_textures import LEVELS
 
 ENDINGS = (".glb", ".gltf")
 _TRIANGLES, _STRIP, _FAN = 4, 5, 6
+_LISTED = 12
 _SETS = 8  # sets of texture coordinates that are looked for
 
 
@@ -67,19 +70,38 @@ class _Reader:
         self.materials = MaterialReader(file, is_own(file))
         self.notes: dict[str, None] = {}
         self.names: set[str] = set()
+        self.refusals = Refusals()
 
     def room(self) -> GltfRoom:
         """Everything in the file."""
         meshes: list[Mesh] = []
         cameras: list[GltfCamera] = []
         lights: list[PunctualLight] = []
-        for node in nodes_of(self.file):
+        nodes: list[Node] = []
+        flat: list[str] = []
+        with self.refusals.part():
+            for node in nodes_of(self.file):
+                nodes.append(node)
+        check_triangle_count(sum(map(self._triangles, nodes)), shown(self.file.path))
+        for node in nodes:
             if "mesh" in node.item:
-                meshes += self._meshes(node)
+                with self.refusals.part():
+                    meshes += self._meshes(node)
             if "camera" in node.item:
-                cameras.append(camera_of(self.file, node))
-            if (light := light_of(self.file, node)) is not None:
-                lights.append(light)
+                with self.refusals.part():
+                    if (camera := camera_of(self.file, node)) is not None:
+                        cameras.append(camera)
+                    else:
+                        flat.append(node.name)
+            with self.refusals.part():
+                if (light := light_of(self.file, node)) is not None:
+                    lights.append(light)
+        self.refusals.end()
+        if flat:
+            listed = ", ".join(map(shown, flat[:_LISTED])) + (" ..." if len(flat) > _LISTED else "")
+            self._note(f"orthographic cameras are left out: {listed}")
+        if (unread := self.file.unread()) is not None:
+            self._note(unread)
         if self.file.array(self.file.json, "animations", "it"):
             self._note("it is animated: everything stands as it does without the animation")
         extras = self.file.object(self.file.json, "asset", "it").get("extras") if is_own(self.file) else None
@@ -96,8 +118,23 @@ class _Reader:
 
     # ---- meshes
 
+    def _triangles(self, node: Node) -> int:
+        """How many a node will have, at most; 0 of what cannot be read."""
+        if "mesh" not in node.item:
+            return 0
+        count = 0
+        with suppress(InputError):
+            for primitive in self.file.array(self.file.item("meshes", node.item["mesh"], ""), "primitives", ""):
+                mode = primitive.get("mode", _TRIANGLES) if isinstance(primitive, dict) else None
+                if mode in (_TRIANGLES, _STRIP, _FAN):
+                    of_places = self.file.object(primitive, "attributes", "").get("POSITION")
+                    corners = self.file.item("accessors", primitive.get("indices", of_places), "")
+                    count += self.file.count(corners, "count", None, "") // (3 if mode == _TRIANGLES else 1)
+            return count * instances_of(self.file, node)[0]
+        return 0
+
     def _meshes(self, node: Node) -> Iterator[Mesh]:
-        """The meshes of a node, one for each primitive that has triangles."""
+        """The meshes of a node, one for each primitive that has triangles and each place where it stands."""
         about = f"node {shown(node.name)}"
         item = self.file.item("meshes", node.item["mesh"], about)
         if "skin" in node.item:
@@ -105,20 +142,26 @@ class _Reader:
         weights = node.item.get("weights", item.get("weights", []))
         if not isinstance(weights, list) or any(weight != 0 for weight in weights):
             raise self.file.error(f"{about} has a mesh that is morphed, which is not supported; apply its shape keys")
-        linear = node.to_world[:3, :3]
-        if not linear.any():
-            self._note(f"{about} has a scale of 0 and is left out")
+        poses = instances_of(self.file, node)[1]()
+        there = poses[:, :3, :3].any((1, 2))
+        if not there.all():
+            whole = "" if len(poses) == 1 else f" in {len(poses) - there.sum()} of {len(poses)} instances, which are"
+            self._note(f"{about} has a scale of 0{whole or ' and is'} left out")
+        poses = poses[there]
+        if len(poses) == 0:
             return
-        if abs(np.linalg.det(linear)) <= 1e-12 * np.linalg.norm(linear, axis=0).prod():
+        linear = poses[:, :3, :3]
+        if (np.abs(np.linalg.det(linear)) <= 1e-12 * np.linalg.norm(linear, axis=1).prod(-1)).any():
             raise self.file.error(f"{about}: its transform flattens its mesh (it cannot be inverted)")
         primitives = self.file.array(item, "primitives", about)
         for index, primitive in enumerate(primitives):
             if not isinstance(primitive, dict):
                 raise self.file.error(f"{about}: primitive {index} is not an object")
             name = node.name if "name" in node.item else self.file.name(item, node.name)
-            yield from self._primitive(node, primitive, name if len(primitives) == 1 else f"{name} {index + 1}")
+            with self.refusals.part():
+                yield from self._primitive(poses, primitive, name if len(primitives) == 1 else f"{name} {index + 1}")
 
-    def _primitive(self, node: Node, primitive: Json, name: str) -> Iterator[Mesh]:
+    def _primitive(self, poses: Array, primitive: Json, name: str) -> Iterator[Mesh]:
         where = f"mesh {shown(name)}"
         mode = self.file.count(primitive, "mode", _TRIANGLES, where)
         if mode not in (_TRIANGLES, _STRIP, _FAN):
@@ -126,19 +169,19 @@ class _Reader:
                 raise self.file.error(f"{where} has the mode {mode}, which is not known")
             self._note(f"{where} is of points or lines, which have no surface, and is left out")
             return
-        if "KHR_draco_mesh_compression" in self.file.object(primitive, "extensions", where):
-            raise self.file.error(f"{where} is compressed by KHR_draco_mesh_compression, which is not read; export it "
-                                  "without compression")  # fmt: skip
         attributes = self.file.object(primitive, "attributes", where)
         if "POSITION" not in attributes:
             raise self.file.error(f"{where} has no POSITION")
+        if "bufferView" not in self.file.item("accessors", attributes["POSITION"], where):
+            self.file.check_uncompressed(primitive, where)
         places = self._values(attributes, "POSITION", where, "VEC3")
         faces = self._faces(primitive, mode, len(places), where)
         if len(faces) == 0:
             self._note(f"{where} has no triangle and is left out")
             return
-        reserve(f"{shown(self.file.path)}: {where}", 200 * len(faces), 120 * len(faces))
-        yield from self._parts(node, primitive, attributes, name, places, faces)
+        made = len(poses) * len(faces)
+        reserve(f"{shown(self.file.path)}: {where}", 200 * made, 120 * made)
+        yield from self._parts(poses, primitive, attributes, name, places, faces)
 
     def _values(self, attributes: Json, key: str, where: str, *kinds: str) -> Array:
         return self.file.accessor(attributes[key], f"{where}: {key}", *kinds)
@@ -165,9 +208,9 @@ class _Reader:
         return faces[~joined] if mode == _STRIP else faces  # strips are joined by triangles without area
 
     def _parts(
-        self, node: Node, primitive: Json, attributes: Json, name: str, places: Array, faces: IntArray
+        self, poses: Array, primitive: Json, attributes: Json, name: str, places: Array, faces: IntArray
     ) -> Iterator[Mesh]:
-        """The mesh of a primitive in world space, or its parts where it shines unevenly."""
+        """The meshes of a primitive in world space, one a pose, or their parts where they shine unevenly."""
         where = f"mesh {shown(name)}"
         used: Any = np.zeros(len(places), bool)
         used[faces] = True
@@ -181,8 +224,6 @@ class _Reader:
             normals = self._values(attributes, "NORMAL", where, "VEC3")
             self._check_count(normals, len(places), f"{where}: NORMAL")
             normals = normals[used]
-        vertices, normals, faces = in_world(node.to_world, places[used], normals, faces)
-        within(vertices, f"{shown(self.file.path)}: the coordinates of {where}", -LENGTH, LENGTH)
         index = primitive.get("material")
         painted = self.materials.paint(index, corners, where)
         emission = self.materials.emission(index, where) if self.lamps else None
@@ -192,13 +233,17 @@ class _Reader:
         uvs = None if painted.uv_set is None else corners.uvs[painted.uv_set]
         if uvs is None and corners.uvs:
             uvs = corners.uvs[min(corners.uvs)]
-        mesh = Mesh(
-            apart(name, self.names), vertices, faces, painted.material, normals,
-            uvs if uvs is None or np.isfinite(uvs).all() else None,
+        plain = Mesh(
+            name, places, faces, painted.material, None, uvs if uvs is None or np.isfinite(uvs).all() else None,
             {} if painted.colours is None else {COLOUR: painted.colours},
             None if emission is None else emission.radiance,
         )  # fmt: skip
-        yield from [mesh] if emission is None else self._lamp(mesh, emission, corners, where)
+        for count, pose in enumerate(poses, 1):
+            vertices, turned, wound = in_world(pose, places[used], normals, faces)
+            within(vertices, f"{shown(self.file.path)}: the coordinates of {where}", -LENGTH, LENGTH)
+            made = apart(name if len(poses) == 1 else f"{name} {count}", self.names)
+            mesh = replace(plain, name=made, vertices=vertices, faces=wound, normals=turned)
+            yield from [mesh] if emission is None else self._lamp(mesh, emission, corners, where)
 
     def _corners(self, attributes: Json, count: int, used: Any, where: str) -> Corners:
         """Texture coordinates and colours of the vertices that are used."""
@@ -236,6 +281,12 @@ class _Reader:
                 "alone, take that off its material (Backface Culling in Blender)"
             )
             yield from sheets
+
+
+def moved_mesh(mesh: Mesh, similarity: Array) -> Mesh:
+    """A mesh in another frame, to which ``similarity`` takes its own [4, 4]."""
+    vertices, normals, faces = in_world(similarity, mesh.vertices, mesh.normals, mesh.faces)
+    return replace(mesh, vertices=vertices, normals=normals, faces=faces)
 
 
 def in_world(

@@ -32,13 +32,30 @@ READ = frozenset({
     "KHR_materials_sheen", "KHR_materials_iridescence", "KHR_materials_anisotropy", "KHR_materials_dispersion",
     "KHR_materials_diffuse_transmission", "KHR_materials_unlit", "KHR_materials_pbrSpecularGlossiness",
     "KHR_materials_variants", "KHR_lights_punctual", "KHR_node_visibility", "KHR_xmp_json_ld", "EXT_texture_webp",
+    "EXT_mesh_gpu_instancing",
 })  # fmt: skip
 """Extensions that a file may require: they are read, or refused where they change geometry or light."""
-_COMPRESSED = ("KHR_draco_mesh_compression", "EXT_meshopt_compression", "KHR_meshopt_compression", "KHR_texture_basisu")
+_COMPRESSED = frozenset({
+    "KHR_draco_mesh_compression", "EXT_meshopt_compression", "KHR_meshopt_compression", "KHR_texture_basisu",
+    "EXT_texture_avif", "MSFT_texture_dds",
+})  # fmt: skip
+"""Other forms of what a file that does not require them has uncompressed, too."""
+_HARMLESS = frozenset({
+    "KHR_animation_pointer", "KHR_audio_emitter", "KHR_collision_shapes", "KHR_implicit_shapes", "KHR_interactivity",
+    "KHR_node_hoverability", "KHR_node_selectability", "KHR_physics_rigid_bodies", "KHR_xmp", "EXT_feature_metadata",
+    "EXT_instance_features", "EXT_mesh_features", "EXT_mesh_manifold", "EXT_structural_metadata",
+    "AGI_articulations", "AGI_stk_metadata", "CESIUM_primitive_outline", "FB_geometry_metadata", "GRIFFEL_bim_data",
+    "MSFT_audio_emitter", "MSFT_lod", "MSFT_packing_normalRoughnessMetallic", "MSFT_packing_occlusionRoughnessMetallic",
+    "OMI_audio_emitter", "OMI_collider", "OMI_physics_body", "OMI_physics_gravity", "OMI_physics_joint",
+    "OMI_physics_shape", "OMI_seat", "OMI_spawn_point", "VRM", "VRMC_node_constraint", "VRMC_springBone", "VRMC_vrm",
+})  # fmt: skip
+"""Extensions that change neither the surfaces of a scene at rest nor its light."""
+_UNDO = "undo it with `gltf-transform copy IN.glb OUT.glb`, or import it into Blender and export it without compression"
 _TYPES = {5120: "i1", 5121: "u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
 _WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4}
 _MAGIC, _JSON, _BIN = b"glTF", b"JSON", b"BIN\0"
 _MOST = 1 << 31  # values of an accessor
+_LISTED = 12
 
 
 class GltfFile:
@@ -109,12 +126,37 @@ class GltfFile:
             raise self.error(f"it is glTF of version {shown(version)}; only 2.0 is read, export it again")
         if least != "2.0":
             raise self.error(f"it needs a reader of glTF {shown(least)}; only 2.0 is read")
-        required = [name for name in self.array(self.json, "extensionsRequired", "it") if name not in READ]
-        if any(name in _COMPRESSED for name in required):
-            name = next(name for name in required if name in _COMPRESSED)
-            raise self.error(f"it is compressed by {name}, which is not read; export it without compression")
-        if required:
-            raise self.error(f"it requires the extension {shown(required[0])}, which is not read")
+        required = [name for name in self._extensions("extensionsRequired") if name not in READ]
+        compressed = [name for name in required if name in _COMPRESSED]
+        others = [name for name in required if name not in _COMPRESSED]
+        said = [f"it is compressed by {' and '.join(compressed)}, which is not read; {_UNDO}"] if compressed else []
+        if others:
+            what = "the extension" if len(others) == 1 else "extensions"
+            said.append(f"it requires {what} {', '.join(map(shown, others))}, which {_is(others)} not read")
+        if said:
+            raise self.error("; and ".join(said))
+
+    def _extensions(self, key: str) -> list[str]:
+        return list(dict.fromkeys(str(name) for name in self.array(self.json, key, "it")))
+
+    def unread(self) -> str | None:
+        """What is to be said of extensions that the file uses and that are not read; None where none matters."""
+        known = READ | _COMPRESSED | _HARMLESS
+        found = [name for name in self._extensions("extensionsUsed") if name not in known]
+        if not found:
+            return None
+        listed = ", ".join(map(shown, found[:_LISTED])) + (" ..." if len(found) > _LISTED else "")
+        return f"what it says by {listed} is missing here: {'it' if len(found) == 1 else 'they'} {_is(found)} not read"
+
+    def check_uncompressed(self, item: Json, where: str) -> None:
+        """Check that what an item may have in a compressed form is there without compression, too.
+
+        Raises:
+            InputError: it is not.
+        """
+        found = next((name for name in self.object(item, "extensions", where) if name in _COMPRESSED), None)
+        if found is not None:
+            raise self.error(f"{where} is compressed by {found}, which is not read; {_UNDO}")
 
     def error(self, said: str) -> InputError:
         """A sentence about the file."""
@@ -223,11 +265,14 @@ class GltfFile:
             self._buffers[index] = data
         return self._buffers[index]
 
+    def _has_data(self, index: Any) -> bool:
+        return "uri" in self.item("buffers", index, "a buffer view") or (index == 0 and self._binary is not None)
+
     def view(self, index: Any, where: str) -> tuple[memoryview, int]:
         """The bytes of a buffer view, and its stride or 0."""
         item, about = self.item("bufferViews", index, where), f"buffer view {shown(index)}"
-        if name := next((x for x in _COMPRESSED if self.extension(item, x, about) is not None), None):
-            raise self.error(f"it is compressed by {name}, which is not read; export it without compression")
+        if not self._has_data(item.get("buffer")):
+            self.check_uncompressed(item, about)
         data = self._buffer(item.get("buffer"), about)
         start, length = self.count(item, "byteOffset", 0, about), self.count(item, "byteLength", None, about)
         if start + length > len(data):
@@ -284,6 +329,10 @@ class GltfFile:
         changed = values.copy()
         changed[place] = self._strided(what, values.dtype, count, values.shape[1], about)
         return changed
+
+
+def _is(names: list[str]) -> str:
+    return "is" if len(names) == 1 else "are"
 
 
 def _as_numbers(values: Array, normalised: bool) -> Array:

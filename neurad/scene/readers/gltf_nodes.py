@@ -3,18 +3,20 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 
 import numpy as np
 
 from neurad.core.records import Camera, FloatArray, PunctualLight
 from neurad.runtime.reading import shown
-from neurad.scene.numbers import LENGTH, RADIANCE
+from neurad.scene.numbers import LENGTH, RADIANCE, within
 from neurad.scene.punctual import KINDS, from_gltf
 from neurad.scene.readers.gltf_file import Array, GltfFile, Json
 
-_LIGHTS = "KHR_lights_punctual"
+_LIGHTS, _INSTANCING = "KHR_lights_punctual", "EXT_mesh_gpu_instancing"
+_PLACES = {"TRANSLATION": "VEC3", "ROTATION": "VEC4", "SCALE": "VEC3"}
+"""What instances may have, a value each."""
 _FAR = 1e9  # largest factor of a node's scale
 _STRAIGHT = 1e-4  # how far a camera's axes may be from perpendicular
 
@@ -111,25 +113,64 @@ def _local(file: GltfFile, item: Json, about: str) -> Array:
         if np.abs(matrix[3] - (0, 0, 0, 1)).max() > 1e-6:
             raise file.error(f"{about}: its matrix is a projection, not a transform of space")
         return np.asarray(matrix)
-    matrix = np.eye(4)
     turn = file.vector(item, "rotation", [0.0, 0.0, 0.0, 1.0], about, -_FAR, _FAR)
-    length = float(np.linalg.norm(turn))
-    if length < 1e-6:
-        raise file.error(f"{about}: its rotation is 0, which is no quaternion")
     scale = file.vector(item, "scale", [1.0, 1.0, 1.0], about, -_FAR, _FAR)
-    matrix[:3, :3] = _rotation(turn / length) * scale
-    matrix[:3, 3] = file.vector(item, "translation", [0.0, 0.0, 0.0], about, -LENGTH, LENGTH)
-    return matrix
+    move = file.vector(item, "translation", [0.0, 0.0, 0.0], about, -LENGTH, LENGTH)
+    local: Array = _posed(file, move[None], turn[None], scale[None], about)[0]
+    return local
 
 
-def _rotation(q: Array) -> Array:
-    """The matrix [3, 3] of a unit quaternion (x, y, z, w)."""
-    x, y, z, w = (float(value) for value in q)
-    return np.array([
+def _posed(file: GltfFile, move: Array, turn: Array, scale: Array, about: str) -> Array:
+    """The matrices [n, 4, 4] that scale, then turn by quaternions (x, y, z, w), then move."""
+    length = np.linalg.norm(turn, axis=1, keepdims=True)
+    if length.min() < 1e-6:
+        raise file.error(f"{about}: its rotation is 0, which is no quaternion")
+    x, y, z, w = (turn / length).T
+    rows = [
         [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
         [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
         [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
-    ])  # fmt: skip
+    ]
+    made = np.tile(np.eye(4), (len(move), 1, 1))
+    made[:, :3, :3] = np.moveaxis(np.array(rows), -1, 0) * scale[:, None, :]
+    made[:, :3, 3] = move
+    return made
+
+
+def instances_of(file: GltfFile, node: Node) -> tuple[int, Callable[[], Array]]:
+    """How many times a node shows its mesh, and what reads where: matrices to world [n, 4, 4].
+
+    A node is one, unless ``EXT_mesh_gpu_instancing`` makes instances in its frame.
+
+    Raises:
+        InputError: their values are broken, or differ in number.
+    """
+    about = f"node {shown(node.name)}"
+    found = file.extension(node.item, _INSTANCING, about)
+    attributes = {} if found is None else file.object(found, "attributes", about)
+    about = f"{about}: {_INSTANCING}"
+    counts = {
+        key: file.count(file.item("accessors", attributes[key], f"{about}: {key}"), "count", None, f"{about}: {key}")
+        for key in _PLACES
+        if key in attributes
+    }
+    if not counts:
+        return 1, lambda: node.to_world[None]
+    if len(set(counts.values())) > 1:
+        raise file.error(f"{about} has {' and '.join(f'{n} of {key}' for key, n in counts.items())}")
+    count = next(iter(counts.values()))
+
+    def read() -> Array:
+        values = {"TRANSLATION": np.zeros((count, 3)), "ROTATION": np.tile([0.0, 0.0, 0.0, 1.0], (count, 1))}
+        values["SCALE"] = np.ones((count, 3))
+        for key in counts:
+            values[key] = file.accessor(attributes[key], f"{about}: {key}", _PLACES[key]).astype(np.float64)
+            within(values[key], f"{shown(file.path)}: {about}: {key}", -_FAR, _FAR)
+        to_world = node.to_world @ _posed(file, values["TRANSLATION"], values["ROTATION"], values["SCALE"], about)
+        within(to_world, f"{shown(file.path)}: {about}: places", -LENGTH, LENGTH)
+        return to_world
+
+    return count, read
 
 
 def _snapped(matrix: Array) -> Array:
@@ -137,14 +178,16 @@ def _snapped(matrix: Array) -> Array:
     return np.eye(4) if np.abs(matrix - np.eye(4)).max() < 1e-12 else matrix
 
 
-def camera_of(file: GltfFile, node: Node) -> GltfCamera:
-    """The camera of a node that has one.
+def camera_of(file: GltfFile, node: Node) -> GltfCamera | None:
+    """The camera of a node that has one; None of an orthographic one.
 
     Raises:
-        InputError: it is orthographic, has no usable angle, or its node is scaled unevenly.
+        InputError: it is of an unknown kind, has no usable angle, or its node is scaled unevenly.
     """
     about = f"camera {shown(node.name)}"
     item = file.item("cameras", node.item["camera"], about)
+    if item.get("type") == "orthographic":
+        return None
     if item.get("type") != "perspective":
         raise file.error(f"{about} is {shown(repr(item.get('type')))}; only perspective cameras are supported")
     lens = file.object(item, "perspective", about)

@@ -68,6 +68,8 @@ class TextureReader:
             raise self.file.error(f"{about}: its sampler wraps by {shown(wrap)}, which is not known")
         webp = self.file.extension(texture, _WEBP, about)
         source = texture.get("source") if webp is None else webp.get("source")
+        if source is None:
+            self.file.check_uncompressed(texture, about)
         return Place(self._picture(source, about), uv_set, to_uv, wrap)
 
     def _transform(self, moved: Json, about: str) -> Array:

@@ -13,7 +13,7 @@ import numpy as np
 
 from neurad.core.errors import InputError
 from neurad.core.names import apart
-from neurad.core.records import Material, Mesh
+from neurad.core.records import EnvironmentMap, Material, Mesh, PunctualLight
 from neurad.runtime.reading import TEXT_MESH_LIMIT, native, read_bytes, regular_file, shown
 from neurad.scene.numbers import LENGTH, RADIANCE, within
 from neurad.scene.polygons import triangulate_polygons
@@ -26,7 +26,7 @@ KINDS = (".obj", ".ply", ".stl")
 _NORMALS = ("nx", "ny", "nz")
 _UVS = (("texture_u", "texture_v"), ("u", "v"), ("s", "t"))
 """Names that texture coordinates of vertices have in PLY files."""
-MESHES = (*KINDS, ".glb", ".gltf", ".usd", ".usdc", ".usda")
+MESHES = (*KINDS, ".glb", ".gltf", ".usd", ".usdc", ".usda", ".usdz")
 _FACET = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
 _SOLID, _END = re.compile(rb"^\s*solid\b[ \t]*", re.M | re.I), re.compile(rb"\bendsolid\b", re.I)
 _BEGUN, _ENDED = re.compile(rb"\bfacet\b", re.I), re.compile(rb"\bendfacet\b", re.I)
@@ -46,6 +46,10 @@ class MeshFile:
     """What the file says its meshes are made of, by ``Mesh.material``; none where it says nothing."""
     notes: tuple[str, ...] = ()
     """What was decided for the user, a sentence each."""
+    lights: tuple[PunctualLight, ...] = ()
+    environment: EnvironmentMap | None = None
+    up: str | None = None
+    """The axis that points up, if the file says it."""
 
 
 def read_meshes(path: str | Path) -> MeshFile:
@@ -155,12 +159,8 @@ def _with_materials(path: Path, kind: str) -> MeshFile:
         from neurad.scene.readers.gltf import read_gltf
 
         room = read_gltf(path)
-        if room.lights:
-            raise InputError(
-                f"{shown(path)}: {shown(room.lights[0].name)} is a {room.lights[0].kind} light, and --mesh brings "
-                "surfaces alone: `neurad data gltf` takes the whole scene"
-            )
-        return MeshFile(path, room.meshes, False, tuple(room.materials), room.notes)
+        return MeshFile(path, room.meshes, False, tuple(room.materials), room.notes, tuple(room.lights))
     from neurad.scene.readers.usd import read_usd
 
-    return MeshFile(path, read_usd(path), False)
+    usd = read_usd(path)
+    return MeshFile(path, usd.meshes, False, usd.materials, usd.notes, usd.lights, usd.environment, usd.up)

@@ -18,6 +18,7 @@ import numpy as np
 
 from neurad.core.errors import InputError
 from neurad.core.records import Bitmap, EnvironmentMap, FloatArray, Mesh, PunctualLight
+from neurad.runtime.extras import missing
 from neurad.runtime.reading import native, shown
 from neurad.scene.description import Scene
 from neurad.scene.numbers import LENGTH, RADIANCE, TEXEL, UNIT, number, within
@@ -71,7 +72,7 @@ def _scalar_rgb(path: Path) -> Iterator[Any]:
     try:
         import mitsuba as mi
     except ImportError as error:
-        raise InputError(f"{path}: reading it needs the package mitsuba: pip install 'neurad[mitsuba]'") from error
+        raise missing("mitsuba", "mitsuba", f"{path}: reading it") from error
     if not hasattr(mi, "parser"):
         raise InputError(f"{path}: reading it needs mitsuba 3.7 or newer: pip install 'neurad[mitsuba]'")
     before = mi.variant()

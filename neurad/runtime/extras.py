@@ -1,0 +1,31 @@
+"""Optional packages: the sentence about a missing one, and whether it is there, asked before any work."""
+
+from __future__ import annotations
+
+from importlib.util import find_spec
+
+from neurad.core.errors import InputError
+
+_PACKAGES = {"pxr": "usd-core"}
+"""Names of packages that differ from those of their modules."""
+
+
+def missing(module: str, extra: str, what: str) -> InputError:
+    """The sentence about a package that is not installed.
+
+    Args:
+        module: its name in Python.
+        extra: the extra of neurad that installs it.
+        what: needs it; begins the sentence.
+    """
+    return InputError(f"{what} needs the package {_PACKAGES.get(module, module)}: pip install 'neurad[{extra}]'")
+
+
+def need(module: str, extra: str, what: str) -> None:
+    """Check that a package is installed that is needed at the end of some work, without importing it.
+
+    Raises:
+        InputError: as :func:`missing`.
+    """
+    if find_spec(module) is None:
+        raise missing(module, extra, what)
