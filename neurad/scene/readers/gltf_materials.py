@@ -152,15 +152,15 @@ class MaterialReader:
         albedo, colours = self._albedo(item, base, factor, corners, about, where)
         if base is not None and colours is not None:
             problems.append("vertex colours over a texture")
-        roughness, metallic = self._roughness(surface, rough, corners, about, where)
-        if metallic is None:
+        roughness, metallic, varies = self._roughness(surface, rough, corners, about, where)
+        if varies:
             problems.append("a texture of metalness")
-        model = self._model(item, albedo, roughness, metallic or 0.0, about)
+        model = self._model(item, albedo, roughness, 0.0 if varies else metallic, about)
         if problems or (problems := self._layers(item, about)):
             if model.is_delta:
                 raise self.file.error(f"{about} is smooth and has {problems[0]}, which is not supported")
             said = f"{about} has {problems[0]}, which is not supported"
-            model = UnsupportedModel(f"glTF with {problems[0]}", str(self.file.error(said)))
+            model = UnsupportedModel(f"glTF with {problems[0]}", str(self.file.error(said)), metallic)
         if model.delta is not None and model.delta.transmits:
             albedo = _ONES
         two_sided = item.get("doubleSided") is True or not self.own
@@ -195,19 +195,19 @@ class MaterialReader:
 
     def _roughness(
         self, surface: Json, rough: Place | None, corners: Corners, about: str, where: str
-    ) -> tuple[Texture, float | None]:
-        """The roughness, and the metalness if it is the same everywhere."""
+    ) -> tuple[Texture, float, bool]:
+        """The roughness, the mean of the metalness, and whether that varies."""
         metallic = self.file.number(surface, "metallicFactor", 1.0, about, 0.0, 1.0)
         factor = np.float32(self.file.number(surface, "roughnessFactor", 1.0, about, 0.0, 1.0))
         if rough is None:
-            return Constant(np.full(1, factor, np.float32)), metallic
+            return Constant(np.full(1, factor, np.float32)), metallic, False
         picture, matrix = self.textures.continued(rough, corners.of(self.file, rough.uv_set, where), where)
-        varies = metallic > 0 and np.ptp(picture[..., 2]) > 0
-        metal = None if varies else metallic * float(picture[0, 0, 2]) / 255.0
+        varies = bool(metallic > 0 and np.ptp(picture[..., 2]) > 0)
+        metal = metallic * float(picture[..., 2].mean()) / 255.0
         key = id(picture), "roughness", float(factor)
         if key not in self._pixels:
             self._pixels[key] = picture[..., 1:2].astype(np.float32) * (factor / np.float32(255.0))
-        return Bitmap(self._pixels[key], matrix.astype(np.float32)), metal
+        return Bitmap(self._pixels[key], matrix.astype(np.float32)), metal, varies
 
     def _check_opaque(self, item: Json, base: Place | None, alpha: float, colours: Array | None, about: str) -> None:
         """Refuse an alpha that lets light through."""
@@ -246,7 +246,7 @@ class MaterialReader:
             return DiffuseModel()
         if specular.get("specularFactor", 1.0) != 1 or specular.get("specularColorFactor", [1, 1, 1]) != [1, 1, 1]:
             said = f"{about} has a coat of its own (KHR_materials_specular), which is not supported"
-            return UnsupportedModel("glTF with KHR_materials_specular", str(self.file.error(said)))
+            return UnsupportedModel("glTF with KHR_materials_specular", str(self.file.error(said)), metallic)
         return PrincipledModel(float(np.round(max(eta, 1.001), 6)), metallic)
 
     def _transmits(self, item: Json, albedo: Texture, smooth: bool, about: str) -> bool:

@@ -10,7 +10,7 @@ masks first of all, change what is seen behind them and are refused.
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -69,10 +69,10 @@ class MaterialReader:
         textures: reads image files.
     """
 
-    def __init__(self, mi: Any, path: Path, nodes: Any) -> None:
+    def __init__(self, mi: Any, path: Path, folders: Sequence[Path], nodes: Any) -> None:
         self.mi = mi
         self.path = path
-        self.textures = TextureReader(mi, path, nodes)
+        self.textures = TextureReader(mi, path, folders, nodes)
         self.materials: list[Material] = []
         self._index: dict[tuple[int, int], int] = {}
         self._readers: dict[str, Callable[[Any, str], _Read]] = {
@@ -147,7 +147,7 @@ class MaterialReader:
             if plugin in _DELTA:
                 raise InputError(str(error)) from error
             label = f"{plugin} with {error.what}" if error.what else plugin
-            return _Read(UnsupportedModel(label, str(error)), roughness=_HALF)
+            return _Read(UnsupportedModel(label, str(error), float(plugin == "roughconductor")), roughness=_HALF)
 
     def _inside(self, node: Any) -> list[Any]:
         return [child for child in self.textures.references(node).values() if child.type.name == "BSDF"]
@@ -240,7 +240,10 @@ class MaterialReader:
         if len(inner) != 1 or inner[0].model.is_delta:
             raise InputError(f"{self.path}: {where} is a {plugin} on a smooth surface, which is not supported")
         reason = f"{self.path}: {where} has type {plugin}, which is not supported"
-        return replace(inner[0], model=UnsupportedModel(f"{inner[0].model.label}, {plugin} ignored", reason))
+        return replace(
+            inner[0],
+            model=UnsupportedModel(f"{inner[0].model.label}, {plugin} ignored", reason, inner[0].model.metallic),
+        )
 
     def _opaque(self, node: Any, where: str) -> _Read:
         known = "principled, diffuse, conductor, dielectric, roughconductor, roughplastic, twosided"

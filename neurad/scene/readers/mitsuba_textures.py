@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -15,6 +15,7 @@ from neurad.runtime.reading import native, regular_file, shown
 from neurad.scene.image_io import read_bitmap
 from neurad.scene.numbers import RADIANCE, UNIT, number, within
 from neurad.scene.picture_headers import check_hdr, check_pfm
+from neurad.scene.readers.xml_check import found_in
 
 _LUMINANCE = np.array(LUMINANCE, np.float32)  # Mitsuba's, for a scalar from a colour bitmap
 _BITMAP_DEFAULTS = {"filter_type": ("bilinear",), "wrap_mode": ("repeat",)}
@@ -43,12 +44,14 @@ class TextureReader:
     Attributes:
         mi: the package, in a scalar variant.
         path: of the scene file.
+        folders: where image files are looked for.
         nodes: of the parsed file.
     """
 
-    def __init__(self, mi: Any, path: Path, nodes: Any) -> None:
+    def __init__(self, mi: Any, path: Path, folders: Sequence[Path], nodes: Any) -> None:
         self.mi = mi
         self.path = path
+        self.folders = folders
         self.nodes = nodes
         self._pixels: dict[tuple[str, bool], FloatArray] = {}
         self._scalar: dict[tuple[str, bool], FloatArray] = {}
@@ -58,7 +61,7 @@ class TextureReader:
         """The linear pixels [h, w, 1 or 3] of an image file beside the scene file, read once."""
         key = (filename, raw)
         if key not in self._pixels:
-            file = self.path.parent / filename
+            file = found_in(self.folders, filename)
             check = _BY_MITSUBA.get(file.suffix.lower())
             self._pixels[key] = read_bitmap(file, raw) if check is None else self._by_mitsuba(file, check)
         return self._pixels[key]
@@ -162,7 +165,7 @@ class TextureReader:
         pixels = self._one_channel(*file) if scalar else self.pixels(*file)
         if (*file, most) not in self._checked:
             kind = "reflectance" if most == UNIT else key
-            within(pixels, f"{shown(self.path.parent / filename)}: {kind}", 0.0, most)
+            within(pixels, f"{shown(found_in(self.folders, filename))}: {kind}", 0.0, most)
             self._checked.add((*file, most))
         return Bitmap(pixels, to_uv)
 

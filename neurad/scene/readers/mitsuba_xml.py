@@ -16,7 +16,7 @@ from typing import Any
 
 import numpy as np
 
-from neurad.core.errors import InputError
+from neurad.core.errors import InputError, Refusals
 from neurad.core.records import Bitmap, EnvironmentMap, FloatArray, Mesh, PunctualLight
 from neurad.runtime.extras import missing
 from neurad.runtime.reading import native, shown
@@ -30,7 +30,7 @@ from neurad.scene.readers.mitsuba_materials import MaterialReader
 from neurad.scene.readers.mitsuba_punctual import PARAMETERS, read_punctual
 from neurad.scene.readers.mitsuba_shapes import CURVED, ERROR, Triangles, is_round, triangulated
 from neurad.scene.readers.moved_file import moved_file
-from neurad.scene.readers.xml_check import check_xml
+from neurad.scene.readers.xml_check import check_xml, found_in
 
 _MESHES = ("ply", "obj", "serialized", "rectangle", "cube", *CURVED)
 _IN_FILES = ("ply", "obj", "serialized")
@@ -53,11 +53,11 @@ def read_xml(path: str | Path, origin: Array = ZERO) -> Scene:
         InputError: the package or a file is missing, the XML is wrong, or the scene uses what neurad cannot render.
     """
     path = Path(path)
-    check_xml(path)
+    folders = check_xml(path)
     with _scalar_rgb(path) as mi:
         try:
             with TemporaryDirectory() as folder:
-                return _Reader(mi, path, origin, Path(folder)).scene()
+                return _Reader(mi, path, folders, origin, Path(folder)).scene()
         except MemoryError as error:
             raise InputError(f"{shown(path)}: there is not enough memory for its meshes and textures") from error
         except RecursionError as error:
@@ -90,6 +90,8 @@ class _Reader:
 
     mi: Any
     path: Path
+    folders: list[Path]
+    """Where files are looked for."""
     origin: Array
     folder: Path
     """For mesh files that are moved near the origin."""
@@ -102,19 +104,23 @@ class _Reader:
     def scene(self) -> Scene:
         """Everything in the file."""
         nodes = self._parse()
-        self.materials = MaterialReader(self.mi, self.path, nodes)
+        self.materials = MaterialReader(self.mi, self.path, self.folders, nodes)
         self.nodes = nodes
         limits = 20, 8
+        refusals = Refusals()
         for _, child in self._children(nodes[0]):
             kind = child.type.name
-            if kind == "Shape":
-                self._shape(child)
-            elif kind == "Emitter":
-                self._emitter(child)
-            elif kind == "Integrator":
-                limits = self._limits(self._tracing(child).props)
-            elif kind not in _IGNORED:
-                raise InputError(f"{self.path}: {kind.lower()} of type {child.props.plugin_name()} is not supported")
+            with refusals.part():
+                if kind == "Shape":
+                    self._shape(child)
+                elif kind == "Emitter":
+                    self._emitter(child)
+                elif kind == "Integrator":
+                    limits = self._limits(self._tracing(child).props)
+                elif kind not in _IGNORED:
+                    what = f"{kind.lower()} of type {child.props.plugin_name()}"
+                    raise InputError(f"{self.path}: {what} is not supported")
+        refusals.end()
         name = self.path.resolve().parent.name
         return Scene(
             name, self.meshes, self.materials.materials, self.environment, max_depth=limits[0], rr_depth=limits[1],
@@ -251,11 +257,11 @@ class _Reader:
         return made
 
     def _file(self, props: Any, where: str) -> Path:
-        """The file that an element names, relative to the scene file."""
+        """The file that an element names, relative to the scene file or to a ``<path>``."""
         name = props.get("filename", None)
         if not isinstance(name, str) or not name:
             raise InputError(f"{self.path}: {where} has no filename")
-        return self.path.parent / name
+        return found_in(self.folders, name)
 
     def _transform(self, props: Any, where: str) -> FloatArray:
         """The ``to_world`` of an element [4, 4]."""

@@ -2,28 +2,39 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
 from xml.parsers import expat
 
 from neurad.core.errors import InputError
-from neurad.runtime.reading import TEXT_LIMIT, read_bytes, shown
+from neurad.runtime.reading import TEXT_LIMIT, exists, read_bytes, shown
 
 DEPTH = 64
 """Levels of elements, and of files that include one another: scene files have about five."""
 
 
-def check_xml(path: Path) -> None:
+def check_xml(path: Path) -> list[Path]:
     """Check a scene file and those that it includes.
+
+    Returns:
+        The folders in which files are looked for: the scene's own, then those of ``<path>``.
 
     Raises:
         InputError: one cannot be read, is not well-formed, nests too deeply or defines entities, or they include one
             another in a circle.
     """
-    _check(path, path.parent, (path,))
+    folders = [path.parent]
+    _check(path, folders, (path,))
+    return folders
 
 
-def _check(path: Path, folder: Path, chain: tuple[Path, ...]) -> None:
-    """Check a file; what it includes is relative to ``folder``, that of the first one."""
+def found_in(folders: Sequence[Path], name: str) -> Path:
+    """A file that a scene names, in the first of some folders that has it; in the first one if none has."""
+    return next((folder / name for folder in folders if exists(folder / name)), folders[0] / name)
+
+
+def _check(path: Path, folders: list[Path], chain: tuple[Path, ...]) -> None:
+    """Check a file; what it includes lies in one of the ``folders``, to which each ``<path>`` adds one."""
     said = (
         f"there is no such file, which {chain[-2].name} includes" if len(chain) > 1 else "there is no such scene file"
     )
@@ -39,6 +50,8 @@ def _check(path: Path, folder: Path, chain: tuple[Path, ...]) -> None:
             raise InputError(f"{shown(path)}: its elements are nested more than {DEPTH} levels deep (line {line})")
         if name == "include" and "filename" in attributes:
             included.append(attributes["filename"])
+        elif name == "path" and "$" not in (value := attributes.get("value", "")):
+            folders.append(folders[0] / value)
 
     def end(_: str) -> None:
         nonlocal depth
@@ -58,9 +71,9 @@ def _check(path: Path, folder: Path, chain: tuple[Path, ...]) -> None:
     for name in included:
         if "$" in name:  # a parameter, which Mitsuba knows
             continue
-        file = folder / name
+        file = found_in(folders, name)
         if file in chain:
             raise InputError(f"{shown(path)}: it includes {shown(name)}, which includes it again")
         if len(chain) >= DEPTH:
             raise InputError(f"{shown(path)}: files include one another more than {DEPTH} levels deep")
-        _check(file, folder, (*chain, file))
+        _check(file, folders, (*chain, file))
