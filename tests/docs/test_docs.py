@@ -18,6 +18,7 @@ from helpers.pages import DOCS, PAGES, REPOSITORY, pages, without_blocks
 from benchmarks.bench.verb import BENCHMARKS
 from neurad.cli import LIGHTNING_VERBS, OWN_VERBS, main, split_settings
 from neurad.runs.configs import load_config, split_arguments
+from neurad.runs.trust import split_trust
 
 SOURCES = [path for top in ("neurad", "datamodules") for path in sorted((REPOSITORY / top).rglob("*.py"))]
 FILES = re.compile(r".*\.(csv|png|exr|usdc|npz|xml|json|html|md|ckpt|ipynb|py|toml)")
@@ -184,7 +185,7 @@ def of_lightning():
     """Config files and settings of every command that Lightning's parser reads."""
     for verb, *rest in COMMANDS:
         if verb in LIGHTNING_VERBS:
-            names, values, left = split_arguments(rest)
+            names, values, left = split_arguments(split_trust(rest)[1])
             assert all(word.startswith("--") for word in left), rest
             yield names, values
 

@@ -74,7 +74,7 @@ def test_the_example_of_the_docs(place, capfd):
     assert run.settings.method.ambient == 0.05
     assert run.render(run.scene.test[0], spp=1).mean() > 0
     assert "--trust mine" in said
-    fit("--ckpt_path=last", "--trust=mine", "--trainer.max_steps=3", "--evaluation.pictures=0")
+    main(["fit", "--ckpt_path=last", "--trust=mine", "--trainer.max_steps=3"])
 
 
 @pytest.mark.main

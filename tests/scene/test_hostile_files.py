@@ -1,8 +1,7 @@
-import re
-
 """Scene folders with broken or hostile files: one sentence each, never a crash, and never a wrong result."""
 
 import os
+import re
 import struct
 import zlib
 
