@@ -144,8 +144,12 @@ def _of_places(found: SharedErrors) -> list[str]:
 
 def _of_light(light: Transport, scale_known: bool) -> list[str]:
     slope, error = light.slope()
+    from scipy.special import ndtr, stdtrit  # imported where it is needed: it loads slowly
+
+    # Of few views a standard error is not known well, so the bound is Student's.
+    sure = float(stdtrit(max(len(set(light.view.tolist())) - 1, 1), ndtr(SURE))) * error
     added, _ = light.slope(offset=light.floor)
-    if slope < 1.0 - max(HAZY, SURE * error) and light.floor > FLOOR and abs(added - 1.0) < abs(slope - 1.0):
+    if slope < 1.0 - max(HAZY, sure) and light.floor > FLOOR and abs(added - 1.0) < abs(slope - 1.0):
         causes = ["haze", "a black offset"]
         causes += [] if light.escaping < OPEN else ["a sky that the scene does not have"]
         causes += [] if scale_known else ["lights of the scene that are too bright"]
@@ -153,7 +157,7 @@ def _of_light(light: Transport, scale_known: bool) -> list[str]:
             f"no surface in any photograph is darker than {100 * light.floor:.0f} % of their mean, and dark places are "
             f"brighter than the scene's light makes them: {', '.join(causes[:-1])} or {causes[-1]}; these look alike"
         ]
-    if -max(FLAT, SURE * error) < slope - 1.0 < max(BEND, SURE * error):
+    if -max(FLAT, sure) < slope - 1.0 < max(BEND, sure):
         return []
     powers = np.linspace(1.0, 2.6, 33) if slope > 1.0 else np.linspace(0.4, 1.0, 25)
     power = float(powers[np.argmin([abs(light.slope(float(p))[0] - USUAL) for p in powers])])

@@ -20,7 +20,7 @@ SEED = 3
 
 @pytest.fixture(scope="module")
 def kitchen():
-    scene = builtin.build_kitchen()
+    scene = builtin.build("kitchen")
     pictures = np.stack([read_photograph(view.image)[..., :3] for view in scene.train])
     return build_world(scene), [view.camera for view in scene.train], pictures
 
@@ -117,7 +117,7 @@ def test_a_curve_is_told_from_lamps(kitchen):
     from neurad.emitters.lights import make_lights
 
     world, cameras, pictures = kitchen
-    scene, power = builtin.build_kitchen(), 1.2
+    scene, power = builtin.build("kitchen"), 1.2
 
     def under(emission):
         return world.under(make_lights(scene, world.geometry, lamps=AreaLights(world.geometry, emission)))

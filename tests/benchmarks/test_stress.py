@@ -111,7 +111,7 @@ def test_extreme_numbers_go_through_the_command_line(monkeypatch, capsys, tmp_pa
     def here(arguments, log):
         commands.append(arguments)
         main(arguments)
-        return Ended(0, 0.0, None, "")
+        return Ended(0, 0.0, None, None, "")
 
     monkeypatch.setattr(numbers, "run_neurad", here)
     size = numbers.Size(pixels=8, spp=1, steps=2, arguments=("--config", str(tmp_path / "tiny.yaml")))
@@ -126,7 +126,7 @@ def test_extreme_numbers_go_through_the_command_line(monkeypatch, capsys, tmp_pa
 
 
 def test_a_fit_that_fails_fails_its_row_with_its_sentence(monkeypatch):
-    monkeypatch.setattr(numbers, "run_neurad", lambda arguments, log: Ended(2, 0.0, None, "no light"))
+    monkeypatch.setattr(numbers, "run_neurad", lambda arguments, log: Ended(2, 0.0, None, None, "no light"))
     row = judge(numbers.cases(quick=numbers.Size(pixels=4, spp=1))[0], True)
     assert row.verdict == "FAIL"
     assert row.note == "RuntimeError: no light"
