@@ -1,7 +1,7 @@
 """What photographs ask of a fit's roughness, beside what is wrong with it: what holds the roughness back.
 
 With the truth at hand the error ``w`` of the recovered roughness is known. Patches ask for a change ``g / F`` of it
-(:mod:`neurad.metrics.roughness_evidence`), which were ``w`` if pixels were linear and nothing else were wrong. The
+(:mod:`neurad.evidence.roughness_evidence`), which were ``w`` if pixels were linear and nothing else were wrong. The
 slope ``sum g w / sum F w^2`` is the part that they ask for. Rendered with the true roughness and all else as fitted,
 the same pixels tell two causes apart: how far they answer to so large a change as their derivative says, and what
 albedo and light have made up for, since then they ask to go back. With true materials all over they tell whether the
@@ -25,12 +25,12 @@ from neurad.assembly.build import FittedMaterials
 from neurad.core.errors import InputError
 from neurad.core.protocols import Materials
 from neurad.core.records import BoolArray, Float64Array, Surface, SurfaceInteraction
+from neurad.evidence.closing_calibration import robust_weight
+from neurad.evidence.error_bars import ToUnitCube, cells, in_cube
+from neurad.evidence.pixel_means import PixelMeans, pixel_means
+from neurad.evidence.roughness_evidence import Evidence, evidence
 from neurad.fields.material import CORRECTION_CELLS, Correction
 from neurad.integrators.radiometric import Radiometric
-from neurad.metrics.closing_calibration import robust_weight
-from neurad.metrics.error_bars import ToUnitCube, cells, in_cube
-from neurad.metrics.pixel_means import PixelMeans, pixel_means
-from neurad.metrics.roughness_evidence import Evidence, evidence
 from neurad.runs.load import LoadedRun
 from neurad.scene.textures import TrueMaterials
 from neurad.training.closing_step import MAX_GROUP, PATCHES

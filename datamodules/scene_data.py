@@ -19,11 +19,11 @@ from neurad.core.patch_sampler import PatchSampler, validation_pixels
 from neurad.core.ranges import Count, CountOrZero, Range, Seed, checked
 from neurad.core.records import PixelBatch
 from neurad.core.rng import Stream
+from neurad.formats.cameras.nerf import HOLD_OUT
+from neurad.formats.load import load_scene
+from neurad.images.development import Ceiling, Photography
+from neurad.runtime.numbers import check_bright
 from neurad.scene.description import Scene
-from neurad.scene.development import Ceiling, Photography
-from neurad.scene.load import load_scene
-from neurad.scene.numbers import check_bright
-from neurad.scene.readers.nerf import HOLD_OUT
 
 _CANDIDATES = 14
 """Last number of the key of the candidates' stream; those of the patches are beside it."""

@@ -17,11 +17,11 @@ from datamodules.value_limits import ValueLimits
 from neurad.core.errors import InputError
 from neurad.core.protocols import PhotoSource
 from neurad.core.records import DatasetStats, PixelBatch, View
+from neurad.images.photographs import kept_pixels, may_have_alpha, read_view
+from neurad.images.picture_notes import say_pictures
 from neurad.runtime.progress import counted
 from neurad.runtime.reading import read_bytes
 from neurad.scene.description import Scene
-from neurad.scene.photographs import kept_pixels, may_have_alpha, read_view
-from neurad.scene.picture_notes import say_pictures
 
 
 class TrainingPhotographs(PhotoSource):
@@ -79,7 +79,7 @@ class TrainingPhotographs(PhotoSource):
         """Pixels that masks leave out, or that files do not have [views, pixels], bool; None where there are none.
 
         Raises:
-            InputError: as :func:`neurad.scene.photographs.kept_pixels`.
+            InputError: as :func:`neurad.images.photographs.kept_pixels`.
         """
         views = self.scene.train
         kept = [kept_pixels(view) for view in views]

@@ -13,7 +13,7 @@ from torch import Tensor
 
 from neurad.core.errors import InputError
 from neurad.core.records import PixelBatch, View
-from neurad.scene.photographs import Float64, ceiling_of, read_spread, rounding
+from neurad.images.photographs import Float64, ceiling_of, read_spread, rounding
 
 _COARSE = 255
 """Largest code of formats whose rounding counts; that of 16 bits is lost in any photograph's noise."""

@@ -15,7 +15,7 @@ from pathlib import Path
 import numpy as np
 
 from neurad.core.records import FloatArray
-from neurad.scene.image_io import read_exr, write_exr
+from neurad.images.image_io import read_exr, write_exr
 
 DROPPED = 3
 """Bits that a half float loses of its eleven significant ones."""

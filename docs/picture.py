@@ -25,11 +25,11 @@ import matplotlib.pyplot as plt
 from PIL import Image
 
 from neurad.cli import main as neurad
+from neurad.formats.cameras.transforms import transforms
+from neurad.formats.load import load_scene
+from neurad.images.image_io import read_exr
 from neurad.pages.colours import encode, grey
 from neurad.scene.exposure import exposure
-from neurad.scene.image_io import read_exr
-from neurad.scene.load import load_scene
-from neurad.scene.transforms import transforms
 
 DOCS = Path(__file__).resolve().parent
 EVENING = DOCS / "evening.yaml"

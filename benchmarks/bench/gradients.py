@@ -156,7 +156,7 @@ def _study(options: argparse.Namespace, factor: float) -> tuple[Study, str]:
     from neurad.core.camera import resized
     from neurad.core.errors import InputError
     from neurad.core.reflection import PrincipledModel
-    from neurad.scene.load import load_scene
+    from neurad.formats.load import load_scene
     from neurad.scene.textures import TrueMaterials
 
     scene = load_scene(options.root, None if options.root else options.scene or "cornell")

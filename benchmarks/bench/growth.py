@@ -179,7 +179,7 @@ def photographed(scene: Scene, folder: str, contents: int = 8) -> Scene:
 
     import numpy as np
 
-    from neurad.scene.image_io import write_exr
+    from neurad.images.image_io import write_exr
 
     train = []
     for index, view in enumerate(scene.train):

@@ -38,8 +38,8 @@ def run(options: argparse.Namespace) -> None:
     """
     from benchmarks.bench.machine import describe, pick_device, report
     from neurad.core.errors import InputError
+    from neurad.formats.load import load_scene
     from neurad.scene.geometry import Geometry
-    from neurad.scene.load import load_scene
     from neurad.tracing.select import TRACERS
 
     device = pick_device(options.device)

@@ -21,6 +21,8 @@ from neurad.core.ranges import Count, Fraction, NonNegative, Positive, Range, Se
 from neurad.core.records import FloatArray
 from neurad.fields.material import AlbedoField, RoughnessField
 from neurad.fields.settings import FieldConfig, GridConfig
+from neurad.formats.load import load_scene
+from neurad.images.photographs import read_view
 from neurad.optim.polyak_average import PolyakAverage, averaged
 from neurad.optim.schedule import cosine, warmup
 from neurad.runtime import clock
@@ -28,8 +30,6 @@ from neurad.runtime.allocator import imports_kept
 from neurad.runtime.machine import usable_cores
 from neurad.runtime.tables import append_csv, write_csv
 from neurad.scene.description import Scene
-from neurad.scene.load import load_scene
-from neurad.scene.photographs import read_view
 
 if TYPE_CHECKING:
     from neurad.metrics.held_out import HeldOut

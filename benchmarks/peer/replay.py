@@ -16,7 +16,7 @@ from neurad.core.lens import Lens
 from neurad.core.patch_sampler import PatchSampler
 from neurad.core.records import FloatArray, IntArray
 from neurad.core.rng import mix
-from neurad.export.mitsuba import to_mitsuba
+from neurad.formats.mitsuba.plugin import to_mitsuba
 from neurad.losses.relative import relative_weight
 from neurad.scene.description import Scene
 

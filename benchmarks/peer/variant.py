@@ -5,7 +5,7 @@ from __future__ import annotations
 from typing import Any
 
 from neurad.core.errors import InputError
-from neurad.export.mitsuba import COMPILED, LLVM, no_llvm
+from neurad.formats.mitsuba.plugin import COMPILED, LLVM, no_llvm
 
 HOW = f"apt-get install libllvm19, or set DRJIT_LIBLLVM_PATH to a libLLVM.so of version {LLVM[0]} or newer"
 

@@ -22,12 +22,12 @@ import torch
 from benchmarks.stress.case import Case, Outcome
 from benchmarks.stress.fit import resized
 from benchmarks.stress.folder import photograph, write_folder
+from neurad.checkpoints.file import read_checkpoint
+from neurad.checkpoints.find import RUNS, run_checkpoint
 from neurad.core.errors import InputError
-from neurad.runs.checkpoints import RUNS, run_checkpoint
 from neurad.runs.child import NEURAD, last_message
 from neurad.runtime.tables import read_csv
 from neurad.scene.builtin import build_cornell
-from neurad.training.checkpoint_file import read_checkpoint
 
 STEPS = 60
 """Steps of each run."""

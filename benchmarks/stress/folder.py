@@ -11,10 +11,10 @@ from neurad.assembly.build import build_world
 from neurad.core.protocols import Integrator
 from neurad.core.records import Constant, FloatArray, Material, Mesh, Texture
 from neurad.core.reflection import DiffuseModel
+from neurad.images.image_io import write_exr
 from neurad.integrators.film import render
 from neurad.integrators.renderer import path_tracer
 from neurad.scene.description import Scene
-from neurad.scene.image_io import write_exr
 from neurad.scene.textures import TrueMaterials
 
 Photographs = dict[str, dict[str, FloatArray]]

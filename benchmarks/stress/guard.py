@@ -19,9 +19,9 @@ from benchmarks.stress.runs import fit
 from benchmarks.stress.scenes import small_cube
 from neurad.core.errors import InputError
 from neurad.core.records import PixelBatch
+from neurad.images.image_io import write_exr
+from neurad.images.photographs import read_photograph
 from neurad.integrators import vertex_diffuse_kernels, vertex_principled_kernels
-from neurad.scene.image_io import write_exr
-from neurad.scene.photographs import read_photograph
 from neurad.training.inverse import InverseRenderer
 
 

@@ -19,10 +19,10 @@ from neurad.core.records import Constant, EnvironmentMap
 from neurad.core.reflection import PrincipledModel
 from neurad.emitters.area import AreaLights
 from neurad.emitters.environment import Environment
+from neurad.formats.load import load_scene
 from neurad.integrators.delta import DeltaSurfaces
 from neurad.runtime.threads import at_most
 from neurad.scene.description import Features, Scene
-from neurad.scene.load import load_scene
 
 CONFIG = "patterns.yaml"
 EVERYTHING = Features(True, True, True, False, True)

@@ -11,11 +11,10 @@ from torch import Tensor
 
 from neurad.core.protocols import PhotoSource
 from neurad.core.records import Camera
-from neurad.integrators.world import World
-from neurad.metrics.edge_fit import WIDTH, SharedTurn, compared, directions, shared_turn
-from neurad.metrics.mesh_edges import mesh_edges, primary_grid
-from neurad.metrics.shading import Transport, transport
-from neurad.metrics.shared_errors import (
+from neurad.evidence.edge_fit import WIDTH, SharedTurn, compared, directions, shared_turn
+from neurad.evidence.mesh_edges import mesh_edges, primary_grid
+from neurad.evidence.shading import Transport, transport
+from neurad.evidence.shared_errors import (
     LEAST_VIEWS,
     SURE,
     Develop,
@@ -24,6 +23,7 @@ from neurad.metrics.shared_errors import (
     shared_errors,
     some_views,
 )
+from neurad.integrators.world import World
 
 FALLOFF, SPREAD = 0.1, 0.1
 """Relative differences of brightness towards the corners and between photographs from which on they matter."""

@@ -10,10 +10,10 @@ from torch import Tensor, nn
 
 from neurad.assembly.build import Assembly, FittedMaterials, build_world, pin_emitter_materials
 from neurad.core.records import EnvironmentMap, Surface, SurfaceInteraction
+from neurad.formats.edits.edit import Edited
 from neurad.integrators.method import SceneModel
 from neurad.integrators.path import PathTracing
 from neurad.scene.description import Scene
-from neurad.scene.edit import Edited
 from neurad.scene.geometry import Geometry
 from neurad.scene.textures import TrueMaterials
 

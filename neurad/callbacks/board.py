@@ -10,12 +10,12 @@ from typing import TYPE_CHECKING, Any
 
 from lightning.pytorch.loggers import TensorBoardLogger
 
-from neurad.assembly.unknown_lamps import rows
 from neurad.callbacks import pictures
 from neurad.core.decibels import EXACT
+from neurad.images.image_io import png
+from neurad.lamps.unknown import rows
 from neurad.metrics.marks import MARKS
 from neurad.pages.draw import draw
-from neurad.scene.image_io import png
 
 if TYPE_CHECKING:
     from torch.utils.tensorboard import SummaryWriter

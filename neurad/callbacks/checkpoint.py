@@ -16,10 +16,10 @@ from lightning.pytorch.callbacks import Checkpoint
 from torch.optim import Optimizer
 
 from neurad.callbacks.run_folder import run_folder
+from neurad.checkpoints.io import CheckpointFiles
 from neurad.core.errors import InputError
 from neurad.core.ranges import NonNegative, checked
 from neurad.runtime.streams import silence_gone_terminals
-from neurad.training.checkpoint_io import CheckpointFiles
 from neurad.training.guard import NotFinite
 
 

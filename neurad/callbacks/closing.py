@@ -16,7 +16,7 @@ from neurad.callbacks.run_folder import RunFolder
 from neurad.callbacks.table import MetricsTable
 from neurad.callbacks.verdict import KINDS, verdict
 from neurad.core.durations import short
-from neurad.metrics.bars_file import NAME as BARS_FILE
+from neurad.evidence.bars_file import NAME as BARS_FILE
 from neurad.metrics.limits import sentence_of_limits, sentence_of_roughness
 from neurad.metrics.unseen import Unseen
 from neurad.training.schedule import time_limit

@@ -23,7 +23,7 @@ from neurad.callbacks.training_views import ViewTable, write_exposures
 from neurad.core.decibels import as_json
 from neurad.core.errors import InputError
 from neurad.core.ranges import Count, CountOrZero, NonNegative, checked
-from neurad.metrics.bars_file import NAME, read_bars, write_bars
+from neurad.evidence.bars_file import NAME, read_bars, write_bars
 from neurad.metrics.effort import affordable
 from neurad.metrics.unseen import Unseen
 from neurad.runtime import clock
@@ -32,7 +32,7 @@ from neurad.runtime.progress import phase
 from neurad.training.schedule import fraction_done, time_limit
 
 if TYPE_CHECKING:
-    from neurad.metrics.error_bars import ErrorBars
+    from neurad.evidence.error_bars import ErrorBars
     from neurad.training.evaluate import Evaluation
     from neurad.training.inverse import InverseRenderer
 

@@ -6,8 +6,8 @@ from collections.abc import Mapping
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from neurad.assembly.unknown_lamps import COLUMNS, body, rows
-from neurad.metrics.lamp_scores import ERROR, columns_of
+from neurad.lamps.scores import ERROR, columns_of
+from neurad.lamps.unknown import COLUMNS, body, rows
 from neurad.runtime.tables import align, write_csv
 
 if TYPE_CHECKING:

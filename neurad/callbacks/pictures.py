@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from neurad.images.image_io import write_exr, write_png
 from neurad.metrics.unseen import Unseen
 from neurad.pages.colours import (
     BARS,
@@ -25,7 +26,6 @@ from neurad.pages.sheet import Scale, Sheet, Tile, worst_squares
 from neurad.runtime.files import make_folder
 from neurad.runtime.progress import counted
 from neurad.scene.exposure import LEVEL
-from neurad.scene.image_io import write_exr, write_png
 
 Image = npt.NDArray[np.float32]
 View = Mapping[str, Any]

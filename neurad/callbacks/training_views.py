@@ -10,8 +10,8 @@ import numpy as np
 import torch
 
 from neurad.core.records import FloatArray, View
+from neurad.evidence.view_residuals import outliers
 from neurad.fields.development import FittedDevelopment
-from neurad.metrics.view_residuals import outliers
 from neurad.runtime.files import write_text
 from neurad.runtime.tables import Record, write_csv
 

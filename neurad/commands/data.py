@@ -123,18 +123,18 @@ def run(options: argparse.Namespace) -> None:
         raise InputError(f"SRC: neurad data {options.kind} takes one folder, not {len(options.source)}")
     from dataclasses import fields
 
-    from neurad.scene.import_room import ImportSettings, import_room
+    from neurad.formats.import_room import ImportSettings, import_room
 
     values = {f.name: getattr(options, f.name) for f in fields(ImportSettings)}
     settings = ImportSettings(**{**values, "source": options.source[0]})
     if settings.blender is not None and settings.kind != "blender":
         raise InputError("--blender: it is for neurad data blender alone")
     if settings.kind == "blender":
-        from neurad.scene.import_blender import import_blender
+        from neurad.formats.blender.import_blender import import_blender
 
         import_blender(settings)
     elif settings.kind == "gltf":
-        from neurad.scene.import_gltf import import_gltf
+        from neurad.formats.gltf.import_gltf import import_gltf
 
         import_gltf(settings)
     else:
@@ -150,6 +150,6 @@ def _merge(options: argparse.Namespace) -> None:
     for name in ("mesh", "images", "up", "axes", "lamp", "environment", "copy", "blender"):
         if getattr(options, name):
             raise InputError(f"--{name}: it is for scene folders, neurad data hdr makes EXR files")
-    from neurad.scene.hdr import MergeSettings, merge_brackets
+    from neurad.images.hdr import MergeSettings, merge_brackets
 
     merge_brackets(MergeSettings(options.source, options.out, options.bracket or 0, options.times, options.response))

@@ -11,16 +11,16 @@ from neurad.callbacks.pictures import ROUGHNESS, is_trivial
 from neurad.compare.runs import Run
 from neurad.core.errors import InputError
 from neurad.core.records import BoolArray, FloatArray, View
+from neurad.formats.cameras.nerf import HOLD_OUT
+from neurad.formats.load import load_scene
+from neurad.images.development import Photography
+from neurad.images.image_io import read_bitmap, read_exr
+from neurad.images.photographs import read_view
 from neurad.metrics.unseen import UNSEEN
 from neurad.pages.colours import BRIGHTEST, ERRORS, Bytes, encode, false_colour, grey
 from neurad.pages.sheet import Scale, Sheet, Tile
 from neurad.scene.description import Scene
-from neurad.scene.development import Photography
 from neurad.scene.exposure import scene_exposure
-from neurad.scene.image_io import read_bitmap, read_exr
-from neurad.scene.load import load_scene
-from neurad.scene.photographs import read_view
-from neurad.scene.readers.nerf import HOLD_OUT
 
 KINDS = {"albedo": "Albedo", "roughness": "Roughness", "render": "Picture"}
 """What a run predicts of a view, and its heading."""

@@ -12,10 +12,10 @@ from pathlib import Path
 from neurad.compare import curves, page, table, views
 from neurad.compare.runs import Run, by_method
 from neurad.compare.table import MIN_ITERATIONS
+from neurad.images.image_io import write_png
 from neurad.pages.draw import draw
 from neurad.runtime.files import make_folder
 from neurad.runtime.machine import processor, usable_cores
-from neurad.scene.image_io import write_png
 
 NOTES = (
     "Scores are those of the held-out views at the end of a run: PSNR in dB with peak 1, "

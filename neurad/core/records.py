@@ -307,7 +307,7 @@ class Development:
     """How the values of a photograph become radiance: ``response(value) / exposure``."""
 
     response: str = ""
-    """As in :func:`neurad.scene.response.linear_values`; empty for values that are linear already."""
+    """As in :func:`neurad.images.response.linear_values`; empty for values that are linear already."""
     levels: int = 0
     """Largest code of the format, 255 or 65535; 0 for floating point."""
     ceiling: float | None = None

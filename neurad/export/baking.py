@@ -16,16 +16,16 @@ from neurad.core.reflection import PrincipledModel, ReflectionModel
 from neurad.export.atlas import require_xatlas
 from neurad.export.axes import Up, up_axis
 from neurad.export.bake import Baked, bake
-from neurad.export.cameras import named_apart
 from neurad.export.charts import Chart
 from neurad.export.progress import Progress
 from neurad.export.room import Room
 from neurad.export.texels import densities
 from neurad.export.unwrap import unwrap
+from neurad.formats.cameras.write import named_apart
+from neurad.formats.mitsuba.write import file_names
 from neurad.runtime import threads
 from neurad.scene.description import Scene
 from neurad.scene.geometry import Geometry
-from neurad.scene.scene_xml import file_names
 from neurad.scene.textures import TrueMaterials
 
 

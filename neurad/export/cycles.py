@@ -9,9 +9,9 @@ from pathlib import Path
 from neurad.core.errors import InputError
 from neurad.core.records import FloatArray, View
 from neurad.export.blender import render_views_path
-from neurad.runtime.blender import Blender
+from neurad.formats.blender.process import Blender
+from neurad.images.image_io import read_exr
 from neurad.runtime.machine import usable_cores
-from neurad.scene.image_io import read_exr
 
 
 def render_views(blender: Blender, folder: Path, views: list[View], samples: int, seed: int) -> list[FloatArray]:

@@ -19,10 +19,10 @@ from neurad.core.records import FloatArray, Mesh, PunctualLight, View
 from neurad.core.reflection import PrincipledModel
 from neurad.export.axes import TO_Y, quaternion, rotation
 from neurad.export.base_colour import Target, is_converted, smooth_colour
-from neurad.export.cameras import clip_planes, is_plain
-from neurad.export.glb import GlbWriter, Json
 from neurad.export.images import Coded, coded
 from neurad.export.room import Room
+from neurad.formats.cameras.write import clip_planes, is_plain
+from neurad.formats.gltf.glb import GlbWriter, Json
 from neurad.runtime import threads
 from neurad.scene.punctual import LUMENS_PER_WATT, pose
 

@@ -9,7 +9,7 @@ import numpy.typing as npt
 
 from neurad.core.records import FloatArray
 from neurad.export.base_colour import Target, base_for
-from neurad.scene.image_io import png, to_srgb
+from neurad.images.image_io import png, to_srgb
 
 ROWS = 1024
 """Rows of texels at once: bounds the memory."""

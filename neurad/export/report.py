@@ -13,9 +13,9 @@ from neurad.core.records import FloatArray
 from neurad.export.images import eight_bits
 from neurad.export.seams import BOUND
 from neurad.export.verified import Verified
+from neurad.images.image_io import to_srgb
 from neurad.metrics.scores import block_means
 from neurad.pages import page
-from neurad.scene.image_io import to_srgb
 
 DIFFERENCE = 10.0
 """Times that differences are enlarged."""

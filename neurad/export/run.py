@@ -18,31 +18,31 @@ from neurad.assembly.build import Assembly, FittedMaterials
 from neurad.core.errors import InputError
 from neurad.core.ranges import Count, checked
 from neurad.core.records import PunctualLight
+from neurad.evidence.error_bars import ErrorBars
 from neurad.export import usd
 from neurad.export.axes import UPS, Up, rotation
 from neurad.export.baking import bake_room
 from neurad.export.base_colour import TARGETS, Target, is_converted, over_angles
 from neurad.export.blender import blender_setup_path
-from neurad.export.cameras import NO_LENS, files_of, is_plain, shown_alike, write_views
 from neurad.export.cycles import render_views
 from neurad.export.evidence import COARSER, CoarseTexels, coarse_size, coarse_texels, evidence, seen_texels, std_maps
 from neurad.export.folder import MANIFEST, check_out, check_sources, written_beside
 from neurad.export.gltf import write_glb
 from neurad.export.images import Coded
 from neurad.export.limits import Side, Texels
-from neurad.export.mitsuba import NOT_ALONE, cannot_hide, hides_alone, sensor
 from neurad.export.progress import Bar
 from neurad.export.report import write_report
 from neurad.export.room import Room
 from neurad.export.verified import Verified
 from neurad.export.verify import verify
-from neurad.metrics.error_bars import ErrorBars
+from neurad.formats.blender.process import Blender, find_blender
+from neurad.formats.cameras.write import NO_LENS, files_of, is_plain, shown_alike, write_views
+from neurad.formats.mitsuba.plugin import NOT_ALONE, cannot_hide, hides_alone, sensor
+from neurad.formats.mitsuba.write import describe, path_integrator, write_xml
+from neurad.images.image_io import png, write_exr
 from neurad.metrics.seen import SeenBy
 from neurad.runtime import threads
-from neurad.runtime.blender import Blender, find_blender
-from neurad.scene.image_io import png, write_exr
 from neurad.scene.punctual import pose
-from neurad.scene.scene_xml import describe, path_integrator, write_xml
 
 _AT_ONCE = 1 << 22
 """Coarse texels that are held at once, of 160 bytes: cameras are asked for many points more cheaply."""

@@ -18,11 +18,11 @@ from neurad.core.records import EnvironmentMap, FloatArray, Material, Mesh, View
 from neurad.core.reflection import PrincipledModel
 from neurad.export.axes import rotation
 from neurad.export.base_colour import Target, smooth_colour
-from neurad.export.cameras import clip_planes, is_plain
 from neurad.export.gltf import unit_normals
 from neurad.export.images import Coded
 from neurad.export.raster_kernels import Array
 from neurad.export.room import Room
+from neurad.formats.cameras.write import clip_planes, is_plain
 from neurad.runtime.reading import quiet
 
 FILE = "room.usdc"

@@ -16,13 +16,15 @@ from neurad.assembly.build import Assembly, build_world
 from neurad.core.protocols import Materials
 from neurad.core.records import FloatArray, Surface, SurfaceInteraction, View
 from neurad.core.rng import mix
-from neurad.export.cameras import shown_alike
-from neurad.export.mitsuba import NOT_ALONE, cannot_hide, fastest_mitsuba, no_mitsuba
 from neurad.export.pictures import BLOCKS, PASSES, Draw, Pictures, drawn, excess
 from neurad.export.progress import Progress
 from neurad.export.room import Room
 from neurad.export.seams import find_seams
 from neurad.export.verified import Verified
+from neurad.formats.cameras.write import shown_alike
+from neurad.formats.mitsuba.plugin import NOT_ALONE, cannot_hide, fastest_mitsuba, no_mitsuba
+from neurad.formats.mitsuba.write import ORIGIN
+from neurad.images.photographs import read_view
 from neurad.integrators.correlated import CorrelatedPaths
 from neurad.integrators.film import render
 from neurad.integrators.world import World
@@ -32,8 +34,6 @@ from neurad.metrics.scores import psnr
 from neurad.scene.description import Scene
 from neurad.scene.exposure import scene_exposure
 from neurad.scene.geometry import Geometry
-from neurad.scene.photographs import read_view
-from neurad.scene.scene_xml import ORIGIN
 from neurad.scene.textures import TrueMaterials
 
 SEED = 20260101
@@ -138,7 +138,7 @@ def _read_again(room: Room, folder: Path, found: Verified) -> Scene:
     if find_spec("mitsuba") is None:
         found.left_out.append("reading scene.xml: the package mitsuba is missing")
         return room.scene
-    from neurad.scene.readers.mitsuba_xml import read_xml
+    from neurad.formats.mitsuba.read import read_xml
 
     return read_xml(folder / "scene.xml", np.array(room.scene.origin))
 

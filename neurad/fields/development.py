@@ -9,8 +9,8 @@ import torch
 from torch import Tensor, nn
 
 from neurad.core.records import FloatArray, PixelBatch, View
-from neurad.scene.development import Photography
-from neurad.scene.response import FIT
+from neurad.images.development import Photography
+from neurad.images.response import FIT
 
 DEGREES = 5
 """Degrees of the polynomial that bends the response curve, besides its logarithm."""

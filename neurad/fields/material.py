@@ -35,7 +35,7 @@ class Correction(nn.Module):
     """1 / variance that the photographs leave to the roughness in the cells [cells, cells, cells], the axes those of
     positions; 0 where they tell nothing, and everywhere before the step."""
     scales: Tensor
-    """Gain, prior and power by which it becomes error bars, see :mod:`neurad.metrics.bar_calibration`; 0 like it."""
+    """Gain, prior and power by which it becomes error bars, see :mod:`neurad.evidence.bar_calibration`; 0 like it."""
 
     def __init__(self, cells: int = CORRECTION_CELLS) -> None:
         super().__init__()

@@ -26,7 +26,7 @@ from websockets.http11 import Request
 
 from neurad.core.errors import InputError
 from neurad.core.ranges import Range
-from neurad.scene.readers.intrinsics import ANGLES
+from neurad.formats.cameras.intrinsics import ANGLES
 
 MAX_MESSAGE = 1 << 16
 """Bytes of the longest message that is read; the page sends some hundred."""

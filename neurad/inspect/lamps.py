@@ -19,9 +19,9 @@ from neurad.emitters.area import AreaLights
 from neurad.emitters.environment import Environment
 from neurad.emitters.lights import join
 from neurad.emitters.punctual import PunctualLights
+from neurad.formats.edits.placement import turned_environment
 from neurad.integrators.renderer import MethodRenderer, path_tracer
 from neurad.integrators.world import World
-from neurad.scene.placement import turned_environment
 
 MOST = 8
 """Lamps with a brightness of their own; dimmer ones beyond these share one."""

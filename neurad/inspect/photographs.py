@@ -13,9 +13,9 @@ from torch.nn.functional import grid_sample
 from neurad.core.camera import project, to_camera
 from neurad.core.frame import dot
 from neurad.core.records import Development, Rays, View
+from neurad.images.photographs import read_photograph
 from neurad.integrators.world import World
 from neurad.metrics.seen import SeenBy
-from neurad.scene.photographs import read_photograph
 
 NEAREST = 12
 """Photographs that are looked at for one picture."""

@@ -21,17 +21,17 @@ from neurad.core.errors import InputError
 from neurad.core.protocols import Materials, Tracer
 from neurad.core.records import BoolArray, FloatArray, SurfaceInteraction, View
 from neurad.core.rng import Stream
+from neurad.images.image_io import read_exr
+from neurad.images.photographs import kept_pixels, read_view
+from neurad.images.picture_notes import say_pictures
 from neurad.integrators.film import pixel_positions, strided
 from neurad.metrics.colour_lookup import MAX_VIEWS, ColourLookup
 from neurad.metrics.seen import SeenBy
+from neurad.runtime.numbers import PIXEL, within
 from neurad.runtime.progress import counted
 from neurad.scene.description import Scene
 from neurad.scene.exposure import scene_exposure
 from neurad.scene.geometry import Geometry
-from neurad.scene.image_io import read_exr
-from neurad.scene.numbers import PIXEL, within
-from neurad.scene.photographs import kept_pixels, read_view
-from neurad.scene.picture_notes import say_pictures
 
 CHUNK = 1 << 18
 """Sub-samples in flight: bounds the memory."""
@@ -228,7 +228,7 @@ class HeldOut:
         """Pixels [h, w] that count for anything: those that no mask leaves out, and that the photograph's file has.
 
         Raises:
-            InputError: as :func:`neurad.scene.photographs.kept_pixels`.
+            InputError: as :func:`neurad.images.photographs.kept_pixels`.
         """
         if index not in self._kept:
             view = self.views[index]

@@ -10,11 +10,11 @@ import torch
 from torch import Tensor
 
 from neurad.core.records import BoolArray, Float64Array, FloatArray, View
+from neurad.images.image_io import to_srgb
+from neurad.images.photographs import ceiling_of
 from neurad.metrics.colour_lookup import explained
 from neurad.metrics.held_out import HeldOut, Maps
 from neurad.metrics.scores import Pool, block_means
-from neurad.scene.image_io import to_srgb
-from neurad.scene.photographs import ceiling_of
 
 BLOCK = 8
 """Side of the box filter in pixels of the scores named ``_8x8``."""

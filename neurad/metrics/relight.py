@@ -8,11 +8,11 @@ import numpy as np
 
 from neurad.core.errors import InputError
 from neurad.core.records import EnvironmentMap, FloatArray
+from neurad.images.image_io import read_exr
 from neurad.metrics.held_out import HeldOut
 from neurad.metrics.scores import Pool
+from neurad.runtime.numbers import RADIANCE, within
 from neurad.scene.description import Scene
-from neurad.scene.image_io import read_exr
-from neurad.scene.numbers import RADIANCE, within
 
 
 def relight_map(scene: Scene) -> EnvironmentMap | None:

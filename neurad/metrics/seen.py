@@ -13,8 +13,8 @@ from torch import Tensor
 from neurad.core.camera import in_view, project, to_camera
 from neurad.core.protocols import Tracer
 from neurad.core.records import Camera, Rays, SurfaceInteraction, View
+from neurad.images.photographs import kept_pixels
 from neurad.scene.geometry import SHADOW_MARGIN, Geometry
-from neurad.scene.photographs import kept_pixels
 
 
 class SeenBy:
@@ -24,7 +24,7 @@ class SeenBy:
         geometry: the triangles.
         tracer: casts rays against them.
         cameras: the training cameras.
-        kept: pixels [h, w] of each that count, see :func:`neurad.scene.photographs.kept_pixels`: what only others show
+        kept: pixels [h, w] of each that count, see :func:`neurad.images.photographs.kept_pixels`: what only others show
             is not seen. None for a camera or for all: every pixel does.
     """
 
@@ -46,7 +46,7 @@ class SeenBy:
         """By what photographs show: pixels of views that masks leave out, or that files do not have, show nothing.
 
         Raises:
-            InputError: as :func:`neurad.scene.photographs.kept_pixels`.
+            InputError: as :func:`neurad.images.photographs.kept_pixels`.
         """
         return cls(geometry, tracer, [view.camera for view in views], [kept_pixels(view) for view in views])
 

@@ -8,7 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from neurad.core.records import BoolArray, FloatArray
-from neurad.scene.image_io import to_srgb
+from neurad.images.image_io import to_srgb
 
 Bytes = npt.NDArray[np.uint8]
 BRIGHTEST = 0.25

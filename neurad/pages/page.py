@@ -6,11 +6,11 @@ import base64
 import html
 from collections.abc import Mapping, Sequence
 
+from neurad.images.image_io import png
 from neurad.pages.assets import SCRIPT, STYLE
 from neurad.pages.colours import Bytes, ramp
 from neurad.pages.draw import lettered
 from neurad.pages.sheet import Scale, Sheet
-from neurad.scene.image_io import png
 
 POLICY = "default-src 'none'; img-src data:; style-src 'unsafe-inline'; script-src 'unsafe-inline'"
 """Content policy for the browser: nothing is loaded from anywhere."""

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from pathlib import Path
 
+from neurad.checkpoints.find import LAST, run_folder_of
 from neurad.core.errors import InputError
-from neurad.runs.checkpoints import LAST, run_folder_of
 from neurad.runs.load import LoadedRun, reload_run
 
 

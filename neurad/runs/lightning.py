@@ -22,9 +22,9 @@ from omegaconf import DictConfig, OmegaConf
 
 from neurad.callbacks import Bar, Evaluate, LastCheckpoint, RunFolder, RunLogger
 from neurad.callbacks.run_folder import run_folder
+from neurad.checkpoints.find import RUNS, named_checkpoint, newest_checkpoint, restoring, run_folder_of
 from neurad.core.errors import InputError
 from neurad.core.ranges import IS_GROUP, hints
-from neurad.runs.checkpoints import RUNS, named_checkpoint, newest_checkpoint, restoring, run_folder_of
 from neurad.runs.configs import find_config, load_config, only_trusted_classes, overlay, resolve, split_arguments
 from neurad.runs.messages import reason, setting_error, silence_lightning
 from neurad.runs.own_config import own_config

@@ -19,30 +19,30 @@ from neurad.assembly.build import Assembly, FittedMaterials, assemble
 from neurad.assembly.lighting import lit_scene
 from neurad.assembly.relight import in_other_light
 from neurad.assembly.settings import ModelSettings
+from neurad.checkpoints.file import read_checkpoint
+from neurad.checkpoints.find import named_checkpoint, newest_checkpoint, run_folder_of
+from neurad.checkpoints.state import changed_light, fitted_lamps, fitting
 from neurad.core.camera import camera_rays
 from neurad.core.errors import InputError
 from neurad.core.records import Camera, FloatArray, SurfaceInteraction, View
+from neurad.evidence.bar_maps import bars_at
+from neurad.evidence.bars_file import NAME, read_bars
+from neurad.evidence.error_bars import ErrorBars
 from neurad.fields.radiance import RadianceField
+from neurad.formats.cameras.nerf import HOLD_OUT
+from neurad.formats.load import load_scene
+from neurad.images.development import Photography
 from neurad.integrators.film import render
 from neurad.integrators.renderer import MethodRenderer
 from neurad.integrators.world import World
-from neurad.metrics.bar_maps import bars_at
-from neurad.metrics.bars_file import NAME, read_bars
-from neurad.metrics.error_bars import ErrorBars
 from neurad.metrics.seen import SeenBy
-from neurad.runs.checkpoints import named_checkpoint, newest_checkpoint, run_folder_of
 from neurad.runs.model_settings import parse_model
 from neurad.runs.own_config import own_config
 from neurad.runs.trust import import_trusted
 from neurad.scene.description import Scene
-from neurad.scene.development import Photography
-from neurad.scene.load import load_scene
 from neurad.scene.origin import camera_in_scene, in_scene
-from neurad.scene.readers.nerf import HOLD_OUT
 from neurad.scene.shining import from_kept
 from neurad.scene.textures import TrueMaterials
-from neurad.training.checkpoint import changed_light, fitted_lamps, fitting
-from neurad.training.checkpoint_file import read_checkpoint
 
 CHUNK = 1 << 17
 """Points that go through the fields at once, to bound the memory."""

@@ -17,25 +17,25 @@ from neurad.core.protocols import Integrator
 from neurad.core.ranges import Count, Finite, Positive, checked
 from neurad.core.records import Camera, View
 from neurad.core.rng import mix
+from neurad.formats.cameras.nerf import read_cameras
+from neurad.formats.cameras.transforms import transforms
+from neurad.formats.edits.camera_paths import KINDS, path_of
+from neurad.formats.edits.edit import Edit
+from neurad.formats.edits.edit_file import read_edit
+from neurad.formats.edits.placement import scene_axis
+from neurad.formats.room_folder import axis
+from neurad.images.image_io import write_exr, write_png
+from neurad.images.movie import FORMATS, check_movie, filming, target_of
+from neurad.images.picture_notes import say_pictures
 from neurad.integrators.aov import MaterialMap
 from neurad.integrators.film import render
 from neurad.pages.colours import encode
 from neurad.runs.render_subject import SEED, Learning, Subject, recovered_subject, true_subject
 from neurad.runtime.files import check_folder, make_folder, write_text
 from neurad.runtime.progress import counted, phase
-from neurad.scene.camera_paths import KINDS, path_of
 from neurad.scene.description import Scene
-from neurad.scene.edit import Edit
-from neurad.scene.edit_file import read_edit
 from neurad.scene.exposure import exposure
-from neurad.scene.image_io import write_exr, write_png
-from neurad.scene.movie import FORMATS, check_movie, filming, target_of
 from neurad.scene.origin import camera_in_scene
-from neurad.scene.picture_notes import say_pictures
-from neurad.scene.placement import scene_axis
-from neurad.scene.readers.nerf import read_cameras
-from neurad.scene.room_folder import axis
-from neurad.scene.transforms import transforms
 
 
 @dataclass(frozen=True)
@@ -66,13 +66,13 @@ class RenderSettings:
     views: str | None = None
     """'train', 'test' or 'all'; None is all of a scene, and of a run those that it is scored on."""
     path: str | None = None
-    """A film from a moving camera instead of pictures, see :data:`neurad.scene.camera_paths.KINDS`."""
+    """A film from a moving camera instead of pictures, see :data:`neurad.formats.edits.camera_paths.KINDS`."""
     frames: Count = 120
     """Of the film."""
     fps: Count = 30
     """Frames a second of the film."""
     movie: str = "mp4"
-    """How the film is written, see :data:`neurad.scene.movie.FORMATS`."""
+    """How the film is written, see :data:`neurad.images.movie.FORMATS`."""
     exposure: Finite | None = None
     """Of PNG pictures and films in stops; None shows the 90th percentile of the first picture at 0.8."""
     spp: Count = 256

@@ -20,6 +20,8 @@ from neurad.core.ranges import Count, Positive
 from neurad.core.records import Camera
 from neurad.core.suggest import did_you_mean
 from neurad.fields.radiance import RadianceField
+from neurad.formats.edits.edit import Edit, Edited, edited
+from neurad.formats.load import load_scene
 from neurad.integrators.method import Method, ReflectedRadiance, SceneModel
 from neurad.integrators.path import PathTracing
 from neurad.integrators.renderer import FieldRenderer, MethodRenderer
@@ -28,8 +30,6 @@ from neurad.runs.load import LoadedRun, load_run
 from neurad.runs.model_settings import model_settings
 from neurad.runtime.progress import phase
 from neurad.scene.description import Scene
-from neurad.scene.edit import Edit, Edited, edited
-from neurad.scene.load import load_scene
 from neurad.scene.textures import TrueMaterials
 from neurad.training.train_radiance import train_radiance
 

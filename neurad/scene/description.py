@@ -12,9 +12,9 @@ import numpy.typing as npt
 from neurad.core.errors import InputError
 from neurad.core.records import EnvironmentMap, FloatArray, Material, Mesh, PunctualLight, View
 from neurad.core.reflection import METAL, DiffuseModel, PrincipledModel, ReflectionModel
+from neurad.images.development import KNOWN, Photography
+from neurad.runtime.numbers import RADIANCE, within
 from neurad.runtime.reading import shown
-from neurad.scene.development import KNOWN, Photography
-from neurad.scene.numbers import RADIANCE, within
 from neurad.scene.punctual import check_punctual
 
 _LISTED = 12

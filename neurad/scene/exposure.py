@@ -9,8 +9,8 @@ from pathlib import Path
 import numpy as np
 
 from neurad.core.records import FloatArray, View
+from neurad.images.photographs import kept_pixels, read_view
 from neurad.scene.description import Scene
-from neurad.scene.photographs import kept_pixels, read_view
 
 LEVEL = 0.8
 """Of display white that the 90th percentile of the photographs is shown at."""

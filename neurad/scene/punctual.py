@@ -11,8 +11,8 @@ import numpy.typing as npt
 
 from neurad.core.errors import InputError
 from neurad.core.records import PunctualKind, PunctualLight
+from neurad.runtime.numbers import LENGTH, RADIANCE, within
 from neurad.runtime.reading import shown
-from neurad.scene.numbers import LENGTH, RADIANCE, within
 
 LUMENS_PER_WATT = 683.0
 """Photometric units over the radiometric ones of a scene: candela per W/sr and lux per W/m2, whatever the colour, as

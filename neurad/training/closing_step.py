@@ -3,7 +3,7 @@
 A gradient by roughness is noise above all, a hundredth of the pixels tells most, and the steps of Adam are as long
 where nothing is known as where much is. So a fit of minutes makes use of a fiftieth of what the photographs tell. Late
 in a fit its materials and light are good enough for the pixels to be linear in what is left, and samples of a pass
-without an optimizer cost a third of those of training. :mod:`neurad.metrics.roughness_evidence` gathers what the pixels
+without an optimizer cost a third of those of training. :mod:`neurad.evidence.roughness_evidence` gathers what pixels
 ask for, :func:`neurad.optim.multilevel.solve` weighs it against how little is to be expected, and the field adds what
 comes out from then on, while all parts go on for the rest of the fit.
 """
@@ -18,23 +18,23 @@ import numpy as np
 import torch
 
 from neurad.assembly.build import Assembly, FittedMaterials
-from neurad.assembly.training_views import TrainingViews
 from neurad.core.protocols import PhotoSource
 from neurad.core.records import Float64Array
+from neurad.evidence.bar_calibration import RoughnessBars
+from neurad.evidence.closing_calibration import calibrate_at_closing, robust_weight
+from neurad.evidence.error_bars import cells as cells_of
+from neurad.evidence.error_bars import in_cells
+from neurad.evidence.nodes import Nodes
+from neurad.evidence.pixel_derivatives import GROUP
+from neurad.evidence.pixel_means import PixelMeans, pixel_means
+from neurad.evidence.roughness_evidence import Evidence, evidence
 from neurad.fields.material import CORRECTION_FACTOR, Correction
 from neurad.fields.settings import RoughnessConfig
-from neurad.metrics.bar_calibration import RoughnessBars
-from neurad.metrics.closing_calibration import calibrate_at_closing, robust_weight
-from neurad.metrics.error_bars import cells as cells_of
-from neurad.metrics.error_bars import in_cells
-from neurad.metrics.nodes import Nodes
-from neurad.metrics.pixel_derivatives import GROUP
-from neurad.metrics.pixel_means import PixelMeans, pixel_means
-from neurad.metrics.roughness_evidence import Evidence, evidence
 from neurad.optim.multilevel import solve, upsample
 from neurad.optim.polyak_average import averaged
 from neurad.runtime.progress import phase
 from neurad.training.schedule import Counters, Progress
+from neurad.training.training_views import TrainingViews
 
 RESERVED_TIME, STEPS = 0.25, 0.95
 """Time that is kept for the step by its samples over those of the fit, which cost less than four times as much, and the
@@ -171,7 +171,7 @@ class Agreement:
     """The factor, from 0 to 1, by which each explains the other half's pixels best."""
     explained: float
     """By how much that lowers their squared residuals, each patch with its weight of
-    :func:`neurad.metrics.closing_calibration.robust_weight`."""
+    :func:`neurad.evidence.closing_calibration.robust_weight`."""
 
 
 def agreement(first: Evidence, second: Evidence, cells: int) -> Agreement:

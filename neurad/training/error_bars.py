@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 from neurad.assembly.build import Assembly, FittedMaterials
-from neurad.assembly.training_views import TrainingViews
 from neurad.core.protocols import PhotoSource
-from neurad.metrics.bar_calibration import RoughnessBars
-from neurad.metrics.error_bars import ErrorBars, Known, measure
-from neurad.metrics.pixel_derivatives import SPP, pixel_derivatives
+from neurad.evidence.bar_calibration import RoughnessBars
+from neurad.evidence.error_bars import ErrorBars, Known, measure
+from neurad.evidence.pixel_derivatives import SPP, pixel_derivatives
 from neurad.training.schedule import Counters
+from neurad.training.training_views import TrainingViews
 
 FRACTION = 0.04
 """Samples of the pass over those that the fit has drawn. One of them costs about half of one of a training step."""

@@ -13,13 +13,13 @@ from neurad.assembly.lighting import recovered_lamps, relit_world
 from neurad.core.protocols import Materials
 from neurad.core.records import FloatArray, View
 from neurad.emitters.fitted import FittedEnvironment
+from neurad.evidence.bar_maps import predict_bars, score_bars
+from neurad.evidence.error_bars import ErrorBars
 from neurad.integrators.estimator import Estimator
 from neurad.integrators.film import box_mean, render
 from neurad.integrators.renderer import FieldRenderer, MethodRenderer, path_tracer
 from neurad.integrators.world import World
-from neurad.metrics.bar_maps import predict_bars, score_bars
 from neurad.metrics.environment import EnvironmentScores
-from neurad.metrics.error_bars import ErrorBars
 from neurad.metrics.held_out import HeldOut
 from neurad.metrics.held_out_scores import albedo_factors, score
 from neurad.metrics.limits import albedo_at_limits, roughness_spread

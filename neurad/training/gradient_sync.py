@@ -16,8 +16,8 @@ import torch
 import torch.distributed as dist
 from torch import Tensor, nn
 
+from neurad.checkpoints.state import DDP_IGNORED
 from neurad.fields.sparse import unique_rows
-from neurad.training.checkpoint import DDP_IGNORED
 
 Recorded = tuple[Tensor, Tensor] | None
 """Entries of a table, and what is to be added there."""

@@ -14,11 +14,12 @@ from torch import Tensor
 from neurad.assembly.build import Assembly, FittedMaterials, assemble, pin_emitter_materials
 from neurad.assembly.relight import paths, sentence_of_light
 from neurad.assembly.settings import Lighting, ModelSettings, Objective, Optimization, Sampling
-from neurad.assembly.training_views import TrainingViews, prepare_views
+from neurad.checkpoints.state import changed_light, fitted_lamps, fitting, scene_state
 from neurad.core.errors import InputError
 from neurad.core.protocols import PhotoSource
 from neurad.core.ranges import Seed
 from neurad.core.records import PixelBatch
+from neurad.evidence.error_bars import ErrorBars
 from neurad.fields.development import FittedDevelopment
 from neurad.fields.radiance import RadianceField
 from neurad.fields.settings import FieldConfig, RadianceConfig, RoughnessConfig
@@ -28,7 +29,6 @@ from neurad.integrators.method import Method
 from neurad.integrators.radiometric import Radiometric
 from neurad.integrators.world import World
 from neurad.metrics.effort import EvaluationResolution
-from neurad.metrics.error_bars import ErrorBars
 from neurad.optim.polyak_average import PolyakAverage
 from neurad.optim.pyramid_adam import PyramidAdam
 from neurad.optim.sparse_row_adam import SparseRowAdam
@@ -36,7 +36,6 @@ from neurad.runtime.clock import excluded, processor_seconds, training_seconds
 from neurad.scene.description import Scene
 from neurad.scene.shining import Shining, kept
 from neurad.scene.textures import TrueMaterials
-from neurad.training.checkpoint import changed_light, fitted_lamps, fitting, scene_state
 from neurad.training.evaluate import Evaluation
 from neurad.training.gradient_sync import GradientSync, ddp_ignored
 from neurad.training.guard import Guard, keep_in_run_folder
@@ -46,6 +45,7 @@ from neurad.training.schedule import Counters, fraction_done
 from neurad.training.scoring import Scoring
 from neurad.training.stages import LevelFilter
 from neurad.training.step import TrainingStep
+from neurad.training.training_views import TrainingViews, prepare_views
 
 
 class InverseRenderer(L.LightningModule):

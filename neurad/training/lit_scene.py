@@ -7,13 +7,13 @@ from pathlib import Path
 
 import torch
 
-from neurad.assembly.find_lamps import Found, find_lamps
 from neurad.assembly.lighting import lit_scene
 from neurad.assembly.settings import ModelSettings
+from neurad.checkpoints.file import read_checkpoint
 from neurad.core.protocols import PhotoSource
+from neurad.lamps.find import Found, find_lamps
 from neurad.scene.description import Scene
 from neurad.scene.shining import Shining, from_kept
-from neurad.training.checkpoint_file import read_checkpoint
 
 
 @dataclass(frozen=True)

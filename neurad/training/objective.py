@@ -28,7 +28,6 @@ from torch import Tensor
 from neurad.assembly.build import Assembly
 from neurad.assembly.lighting import recovered_lamps
 from neurad.assembly.settings import Objective, Sampling
-from neurad.assembly.training_views import TrainingViews
 from neurad.core.records import PixelBatch, Surface, SurfaceInteraction, first_of
 from neurad.core.rng import Stream
 from neurad.fields.development import FittedDevelopment
@@ -47,6 +46,7 @@ from neurad.losses.relative import (
     semi_gradient_prior,
     two_pass,
 )
+from neurad.training.training_views import TrainingViews
 
 LAMPS = 100.0
 """Weight of the photographs of the lamps themselves. While materials are still wrong all else pulls at the lamps: at 10

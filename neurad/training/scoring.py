@@ -9,24 +9,24 @@ import torch
 from neurad.assembly.build import Assembly, FittedMaterials
 from neurad.assembly.common_causes import common_causes
 from neurad.assembly.settings import ModelSettings
-from neurad.assembly.training_views import TrainingViews, prepare_views
 from neurad.core.errors import InputError
 from neurad.core.protocols import PhotoSource
 from neurad.core.records import Float64Array, FloatArray
+from neurad.evidence.bar_maps import predict_bars
+from neurad.evidence.error_bars import ErrorBars
+from neurad.evidence.view_residuals import view_residuals
 from neurad.integrators.estimator import Estimator
-from neurad.metrics.bar_maps import predict_bars
+from neurad.lamps.scores import EXTRA, MISSED, lamp_scores, read_lamps_true
 from neurad.metrics.effort import EvaluationResolution
-from neurad.metrics.error_bars import ErrorBars
 from neurad.metrics.held_out import HeldOut
 from neurad.metrics.held_out_scores import albedo_factors
-from neurad.metrics.lamp_scores import EXTRA, MISSED, lamp_scores, read_lamps_true
-from neurad.metrics.view_residuals import view_residuals
 from neurad.optim.polyak_average import averaged
 from neurad.scene.description import Scene
 from neurad.training.error_bars import error_bars
 from neurad.training.evaluate import Evaluation, UnknownLight, evaluate, unknown_light
 from neurad.training.guard import Guard
 from neurad.training.schedule import Counters
+from neurad.training.training_views import TrainingViews, prepare_views
 
 
 class Scored(Protocol):

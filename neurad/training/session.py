@@ -9,7 +9,6 @@ from torch import Tensor, nn
 
 from neurad.assembly.build import Assembly, assemble
 from neurad.assembly.settings import ModelSettings
-from neurad.assembly.training_views import prepare_views
 from neurad.core.protocols import PhotoSource
 from neurad.core.records import PixelBatch
 from neurad.scene.description import Scene
@@ -18,6 +17,7 @@ from neurad.training.lit_scene import light_scene
 from neurad.training.optimizers import make_optimizers
 from neurad.training.schedule import Progress
 from neurad.training.step import TrainingStep
+from neurad.training.training_views import prepare_views
 
 
 class TrainingRun:

@@ -13,17 +13,17 @@ import torch
 import torch.distributed as dist
 
 from neurad.assembly.build import Assembly
-from neurad.assembly.training_views import TrainingViews
-from neurad.assembly.unknown_lamps import is_due, refresh_lamps
 from neurad.core.protocols import PhotoSource
 from neurad.core.records import PixelBatch
 from neurad.core.rng import Stream
+from neurad.lamps.unknown import is_due, refresh_lamps
 from neurad.training.closing_step import EVERY as CLOSING_EVERY
 from neurad.training.closing_step import is_due as is_closing
 from neurad.training.closing_step import make_closing_step, progress_before
 from neurad.training.objective import ObjectiveStep, StepTerms
 from neurad.training.roughness_start import AFTER, BATCHES, choose_start
 from neurad.training.schedule import Counters, Progress
+from neurad.training.training_views import TrainingViews
 from neurad.training.validation import SETTLED, shrink_levels, update_levels
 from neurad.training.validation import is_due as is_filtering
 

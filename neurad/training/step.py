@@ -10,7 +10,6 @@ import torch
 from torch import Tensor, nn
 
 from neurad.assembly.build import Assembly
-from neurad.assembly.training_views import TrainingViews
 from neurad.core.protocols import PhotoSource
 from neurad.core.records import PixelBatch
 from neurad.core.rng import Stream
@@ -23,6 +22,7 @@ from neurad.training.guide_update import bin_guide_samples, update_guide
 from neurad.training.objective import StepTerms, make_objective
 from neurad.training.schedule import Counters, Progress, learning_rate, rate_factor
 from neurad.training.stages import AFTER_STEP, BEFORE, Stage, rate_progress
+from neurad.training.training_views import TrainingViews
 
 
 class StepOptimizer(Protocol):

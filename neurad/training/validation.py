@@ -6,11 +6,11 @@ import torch
 from torch import Tensor
 
 from neurad.assembly.build import Assembly, FittedMaterials
-from neurad.assembly.training_views import TrainingViews
 from neurad.core.protocols import PhotoSource
 from neurad.core.records import PixelBatch
-from neurad.metrics.pixel_derivatives import derivatives_of
-from neurad.metrics.validation import LevelFit, fit_levels
+from neurad.evidence.pixel_derivatives import derivatives_of
+from neurad.evidence.validation import LevelFit, fit_levels
+from neurad.training.training_views import TrainingViews
 
 EVERY = 256
 """Iterations after which training goes on from what is kept: noise comes back in some thousands."""

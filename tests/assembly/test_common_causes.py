@@ -10,10 +10,10 @@ from helpers.lamp_room import Photographs
 
 from neurad.assembly.build import build_world
 from neurad.assembly.common_causes import common_causes, curve_or_lamps
-from neurad.metrics.shading import transport
-from neurad.metrics.shared_errors import shared_errors
+from neurad.evidence.shading import transport
+from neurad.evidence.shared_errors import shared_errors
+from neurad.images.photographs import read_photograph
 from neurad.scene import builtin
-from neurad.scene.photographs import read_photograph
 
 SEED = 3
 

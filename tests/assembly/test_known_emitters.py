@@ -4,7 +4,7 @@ import torch
 
 from neurad.assembly.build import build_materials, build_world
 from neurad.fields.settings import FieldConfig, GridConfig
-from neurad.scene.load import load_scene
+from neurad.formats.load import load_scene
 from neurad.scene.textures import TrueMaterials
 
 SMALL = FieldConfig(GridConfig(levels=2, coarsest=2, finest=4, log2_size=8), width=8)

@@ -19,9 +19,9 @@ from benchmarks.peer.voxels import SurfaceVoxels, VoxelMaterials, coarser
 from neurad.assembly.resolution import finest_cells
 from neurad.core.camera import camera_rays
 from neurad.core.errors import InputError
+from neurad.formats.load import load_scene
 from neurad.runs import child
 from neurad.scene.geometry import Geometry
-from neurad.scene.load import load_scene
 from neurad.tracing.select import make_tracer
 
 

@@ -9,7 +9,7 @@ from helpers.tiny_fit import fails, fit, write_tiny_config
 
 from benchmarks.response import BINS, BLOCKS, Estimate, changes, in_patches, slopes_on
 from neurad.cli import main
-from neurad.metrics.roughness_evidence import Evidence, evidence
+from neurad.evidence.roughness_evidence import Evidence, evidence
 
 RNG = np.random.default_rng(3)
 

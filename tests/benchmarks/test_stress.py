@@ -17,9 +17,9 @@ from benchmarks.stress.run import collect
 from benchmarks.stress.scenes import difference, small_cube, with_light
 from benchmarks.stress.stiff import closed_form
 from neurad.cli import main
+from neurad.formats.load import load_scene
 from neurad.runs.child import Ended
 from neurad.scene.builtin import build_furnace, build_sphere
-from neurad.scene.load import load_scene
 
 
 @pytest.fixture(autouse=True)

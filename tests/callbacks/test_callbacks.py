@@ -23,10 +23,10 @@ from neurad.callbacks.report import Result, write_report
 from neurad.callbacks.table import COLUMNS, MetricsTable, curve_table, score_table
 from neurad.cli import main
 from neurad.core.decibels import as_json
+from neurad.images.image_io import read_bitmap, read_exr
 from neurad.metrics.unseen import Unseen
 from neurad.runtime import clock
 from neurad.runtime.tables import read_header
-from neurad.scene.image_io import read_bitmap, read_exr
 from neurad.training import scoring
 from neurad.training.stages import LevelFilter
 

@@ -13,7 +13,7 @@ import yaml
 from helpers.tiny_scene import PLY, POSE, SIZE, XML, read_json, write_json, write_scene
 
 from neurad.cli import main
-from neurad.scene.image_io import write_exr
+from neurad.images.image_io import write_exr
 
 pytest.importorskip("mitsuba")
 

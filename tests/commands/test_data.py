@@ -18,10 +18,10 @@ from PIL import Image
 from neurad.cli import main
 from neurad.core.camera import camera_rays, project, to_camera
 from neurad.core.lens import Lens, folded
+from neurad.formats.load import load_scene
+from neurad.formats.meshes.files import read_meshes
+from neurad.images.image_io import read_exr, write_exr
 from neurad.scene.geometry import Geometry
-from neurad.scene.image_io import read_exr, write_exr
-from neurad.scene.load import load_scene
-from neurad.scene.readers.mesh_files import read_meshes
 
 pytest.importorskip("mitsuba")
 

@@ -9,8 +9,8 @@ from helpers import layouts
 from helpers.tiny_fit import fails
 
 from neurad.cli import main
-from neurad.scene.image_io import read_exr, to_srgb
-from neurad.scene.load import load_scene
+from neurad.formats.load import load_scene
+from neurad.images.image_io import read_exr, to_srgb
 
 pytest.importorskip("mitsuba")
 

@@ -13,8 +13,8 @@ from PIL import Image
 
 from neurad.cli import main
 from neurad.core.reflection import ConductorModel, DielectricModel
-from neurad.scene.image_io import read_exr, write_exr
-from neurad.scene.load import read_folder
+from neurad.formats.load import read_folder
+from neurad.images.image_io import read_exr, write_exr
 
 pytest.importorskip("mitsuba")
 pytestmark = pytest.mark.main
@@ -388,7 +388,7 @@ def test_bad_words(place, capfd, monkeypatch, name):
     Path("kaputt/Camera.exr").write_text("kein Bild")
     write_blender("old", "dump", version="3.6.5")
     write_blender("fails", None, said="Error: bad header")
-    monkeypatch.setattr("neurad.runtime.blender.shutil.which", lambda name: None)
+    monkeypatch.setattr("neurad.formats.blender.process.shutil.which", lambda name: None)
     before = sorted(str(path) for path in Path().rglob("*"))
     out = [] if "--out" in words else ["--out", "room"]
     assert sentence in fails(capfd, "data", "blender", *words, *out)

@@ -10,8 +10,8 @@ from helpers.tiny_fit import fails
 
 from neurad.cli import main
 from neurad.core.records import Camera
-from neurad.scene.image_io import read_exr
-from neurad.scene.load import load_scene
+from neurad.formats.load import load_scene
+from neurad.images.image_io import read_exr
 
 pytest.importorskip("mitsuba")
 

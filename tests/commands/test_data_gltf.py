@@ -15,8 +15,8 @@ from helpers.gltf_writer import QUAD, Document
 from helpers.tiny_fit import fails, write_tiny_config
 
 from neurad.cli import main
-from neurad.scene.image_io import read_exr, write_exr
-from neurad.scene.load import load_scene
+from neurad.formats.load import load_scene
+from neurad.images.image_io import read_exr, write_exr
 
 PBR = "pbrMetallicRoughness"
 LAMP = {"emissiveFactor": [1, 1, 1], PBR: {"metallicFactor": 0}, "name": "Glühbirne",

@@ -11,14 +11,14 @@ import pytest
 from helpers import layouts
 
 from neurad.cli import main
-from neurad.scene.load import load_scene
+from neurad.formats.load import load_scene
 
 pytest.importorskip("mitsuba")
 
 KILLS = (signal.SIGKILL, signal.SIGTERM, signal.SIGINT)
 HALF_WRITTEN = """
 import os, signal, sys
-from neurad.scene import import_room
+from neurad.formats import import_room
 def killed(room, part):
     (part / "transforms.json").write_text("{")
     os.kill(os.getpid(), int(sys.argv[1]))

@@ -11,8 +11,8 @@ import pytest
 from helpers.tiny_fit import fails, fit
 
 from neurad.cli import main
-from neurad.scene.image_io import read_exr
-from neurad.scene.load import load_scene
+from neurad.formats.load import load_scene
+from neurad.images.image_io import read_exr
 
 pytest.importorskip("xatlas")
 pytest.importorskip("mitsuba")
@@ -96,7 +96,7 @@ def test_bad_input_gets_one_sentence(tiny, capfd, words, sentence):
 
 def test_what_is_no_blender_is_refused():
     from neurad.core.errors import InputError
-    from neurad.runtime.blender import find_blender
+    from neurad.formats.blender.process import find_blender
 
     for program in ("/nowhere/blender", shutil.which("true") or "true"):
         with pytest.raises(InputError, match="neither a Python with the package bpy nor Blender"):

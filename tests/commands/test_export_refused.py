@@ -11,7 +11,7 @@ from helpers.tiny_scene import write_scene
 
 from neurad.cli import main
 from neurad.export import gltf
-from neurad.scene.image_io import write_exr
+from neurad.images.image_io import write_exr
 
 pytest.importorskip("xatlas")
 pytest.importorskip("mitsuba")

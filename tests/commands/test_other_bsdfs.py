@@ -9,8 +9,8 @@ import yaml
 
 from neurad.cli import main
 from neurad.core.errors import InputError
-from neurad.scene.image_io import read_exr
-from neurad.scene.load import load_scene
+from neurad.formats.load import load_scene
+from neurad.images.image_io import read_exr
 
 pytest.importorskip("mitsuba")
 ROOM = Path(__file__).resolve().parents[3] / "shared" / "scenes" / "veach-ajar"

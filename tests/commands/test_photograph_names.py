@@ -14,13 +14,13 @@ from PIL import Image
 from neurad.assembly.build import build_world
 from neurad.cli import main
 from neurad.core.errors import InputError
+from neurad.formats.cameras.photograph_files import Photographs
+from neurad.formats.load import load_scene
+from neurad.images import picture_notes
+from neurad.images.image_io import read_exr, write_exr
+from neurad.images.photographs import kept_pixels, read_view
 from neurad.integrators.film import render
 from neurad.integrators.renderer import path_tracer
-from neurad.scene import picture_notes
-from neurad.scene.image_io import read_exr, write_exr
-from neurad.scene.load import load_scene
-from neurad.scene.photographs import kept_pixels, read_view
-from neurad.scene.readers.photograph_files import Photographs
 from neurad.scene.textures import TrueMaterials
 
 pytest.importorskip("mitsuba")

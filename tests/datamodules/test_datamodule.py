@@ -15,7 +15,7 @@ from datamodules.scene_data import SceneData
 from neurad.core.errors import InputError
 from neurad.core.patch_sampler import PatchSampler
 from neurad.core.records import PixelBatch
-from neurad.scene.image_io import read_exr, write_exr
+from neurad.images.image_io import read_exr, write_exr
 
 pytest.importorskip("mitsuba")
 

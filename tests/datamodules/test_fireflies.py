@@ -9,7 +9,7 @@ from helpers.tiny_scene import SIZE, write_scene
 from benchmarks.photos import PhotosInMemory
 from datamodules.fireflies import RATIO, WORTH, Fireflies, spread_fireflies
 from datamodules.scene_data import SceneData
-from neurad.scene.image_io import read_exr, write_exr
+from neurad.images.image_io import read_exr, write_exr
 
 WIDTH, HEIGHT = 40, 30
 

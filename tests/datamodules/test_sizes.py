@@ -22,13 +22,13 @@ from neurad.core.lens import Lens
 from neurad.core.patch_sampler import PatchSampler
 from neurad.core.records import PixelBatch
 from neurad.core.rng import Stream
+from neurad.formats.load import load_scene
+from neurad.images.image_io import read_exr, write_exr
 from neurad.integrators import emitter_pixels
 from neurad.integrators.primary_hits import PrimaryHits
 from neurad.metrics.held_out import HeldOut
 from neurad.metrics.held_out_scores import score
 from neurad.scene.geometry import Geometry
-from neurad.scene.image_io import read_exr, write_exr
-from neurad.scene.load import load_scene
 from neurad.tracing.embree import EmbreeTracer
 
 SIZES = [(8, 6), (5, 9), (8, 6), (12, 4)]

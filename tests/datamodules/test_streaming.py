@@ -25,11 +25,11 @@ from neurad.core.camera import Cameras, camera_rays
 from neurad.core.errors import InputError
 from neurad.core.records import Camera
 from neurad.core.rng import Stream
+from neurad.images.image_io import read_exr, write_exr
 from neurad.integrators import emitter_pixels
 from neurad.integrators.film import pixel_positions
 from neurad.integrators.primary_hits import PrimaryHits
 from neurad.scene.builtin import build_cornell, build_cube
-from neurad.scene.image_io import read_exr, write_exr
 
 VIEWS = 7
 CPU = torch.device("cpu")

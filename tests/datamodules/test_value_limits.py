@@ -7,7 +7,7 @@ from helpers.tiny_scene import SIZE, as_png, write_scene
 
 from datamodules.scene_data import SceneData
 from neurad.core.errors import InputError
-from neurad.scene.image_io import write_exr
+from neurad.images.image_io import write_exr
 
 pytest.importorskip("mitsuba")
 

@@ -13,12 +13,12 @@ from hypothesis import strategies as st
 from neurad.assembly.build import build_world
 from neurad.core.records import Constant, Material
 from neurad.core.reflection import DiffuseModel, PrincipledModel
+from neurad.formats.mitsuba.read import read_xml
 from neurad.integrators.film import render
 from neurad.integrators.renderer import path_tracer
 from neurad.scene.builtin.plain import views
 from neurad.scene.builtin.shapes import quad
 from neurad.scene.description import Scene
-from neurad.scene.readers.mitsuba_xml import read_xml
 from neurad.scene.textures import TrueMaterials
 
 pytest.importorskip("xatlas")

@@ -16,12 +16,12 @@ from neurad.assembly.build import build_world
 from neurad.core.camera import project, to_camera
 from neurad.core.records import EnvironmentMap
 from neurad.export.cycles import render_views
+from neurad.formats.blender.process import find_blender
+from neurad.formats.mitsuba.read import read_xml
+from neurad.images.image_io import read_exr
 from neurad.integrators.film import render
 from neurad.integrators.renderer import path_tracer
-from neurad.runtime.blender import find_blender
 from neurad.scene.builtin.plain import views
-from neurad.scene.image_io import read_exr
-from neurad.scene.readers.mitsuba_xml import read_xml
 from neurad.scene.textures import TrueMaterials
 
 IMPORT = Path(__file__).parent.parent / "helpers/blender_import.py"

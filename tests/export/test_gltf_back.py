@@ -12,14 +12,14 @@ from helpers.object_scene import object_scene, sky
 from neurad.assembly.build import build_world
 from neurad.core.records import EnvironmentMap, PunctualLight
 from neurad.core.reflection import ConductorModel, DielectricModel
+from neurad.formats.gltf.scene import read_scene
+from neurad.formats.mitsuba.read import read_xml
+from neurad.formats.usd.read import read_usd
+from neurad.images.image_io import to_srgb
 from neurad.integrators.film import render
 from neurad.integrators.renderer import path_tracer
 from neurad.scene.builtin import build_cornell
 from neurad.scene.geometry import Geometry
-from neurad.scene.image_io import to_srgb
-from neurad.scene.readers.gltf_scene import read_scene
-from neurad.scene.readers.mitsuba_xml import read_xml
-from neurad.scene.readers.usd import read_usd
 from neurad.scene.textures import TrueMaterials
 
 pytest.importorskip("xatlas")

@@ -11,8 +11,8 @@ import pytest
 from helpers.exported import Glb, exported
 
 from neurad.core.records import PunctualLight
+from neurad.formats.mitsuba.read import read_xml
 from neurad.scene.builtin import build_cornell
-from neurad.scene.readers.mitsuba_xml import read_xml
 
 LIGHTS = tuple(
     PunctualLight(name, kind, *(np.asarray(x, np.float32) for x in (rgb, at, along)), 50.0, 20.0)  # type: ignore[arg-type]

@@ -17,15 +17,15 @@ from neurad.assembly.build import build_world
 from neurad.core.lens import Lens
 from neurad.core.records import Camera, EnvironmentMap, View
 from neurad.core.reflection import ConductorModel, DielectricModel, DiffuseModel, PrincipledModel, RoughPlasticModel
-from neurad.export.cameras import named_apart, shown_alike, write_views
 from neurad.export.verify import _photograph
+from neurad.formats.cameras.nerf import read_views
+from neurad.formats.cameras.write import named_apart, shown_alike, write_views
+from neurad.formats.load import load_scene
+from neurad.formats.mitsuba.read import read_xml
+from neurad.images.image_io import read_exr, write_exr
 from neurad.integrators.film import render
 from neurad.integrators.renderer import path_tracer
 from neurad.scene.builtin import build_cornell
-from neurad.scene.image_io import read_exr, write_exr
-from neurad.scene.load import load_scene
-from neurad.scene.readers.mitsuba_xml import read_xml
-from neurad.scene.readers.nerf import read_views
 from neurad.scene.textures import TrueMaterials
 
 pytest.importorskip("xatlas")

@@ -12,8 +12,8 @@ from neurad.export.charts import find_borders
 from neurad.export.room import Room
 from neurad.export.seams import BOUND, find_seams
 from neurad.export.unwrap import unwrap
+from neurad.formats.load import load_scene
 from neurad.scene.geometry import Geometry
-from neurad.scene.load import load_scene
 
 pytest.importorskip("xatlas")
 

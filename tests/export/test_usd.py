@@ -16,8 +16,8 @@ from neurad.core.reflection import DiffuseModel
 from neurad.export import usd
 from neurad.export.baking import bake_room
 from neurad.export.progress import Bar
+from neurad.formats.load import load_scene
 from neurad.scene.builtin import build_cornell
-from neurad.scene.load import load_scene
 
 pytest.importorskip("pxr")
 pytest.importorskip("xatlas")

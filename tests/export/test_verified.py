@@ -6,10 +6,10 @@ import numpy as np
 import pytest
 
 from neurad.core.records import Camera, View
-from neurad.export import mitsuba
 from neurad.export.pictures import BLOCKS, Pictures, excess
 from neurad.export.report import write_report
 from neurad.export.verified import Verdict, Verified
+from neurad.formats.mitsuba import plugin as mitsuba
 
 PHOTO = np.full((32, 32, 3), 0.5, np.float32)
 

@@ -8,9 +8,9 @@ import torch
 
 from neurad.core.records import Camera, Development, PixelBatch, View
 from neurad.fields.development import FittedDevelopment
+from neurad.images.development import Photography
+from neurad.images.image_io import from_srgb, to_srgb
 from neurad.optim.sparse_row_adam import SparseRowAdam
-from neurad.scene.development import Photography
-from neurad.scene.image_io import from_srgb, to_srgb
 
 
 def views(count, exposures=None, levels=255):

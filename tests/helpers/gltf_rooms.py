@@ -8,7 +8,7 @@ import numpy as np
 from helpers.gltf_writer import Document
 from neurad.core.records import Bitmap, Constant, VertexAttribute
 from neurad.core.reflection import DiffuseModel, PrincipledModel
-from neurad.scene.image_io import to_srgb
+from neurad.images.image_io import to_srgb
 
 
 def coded(texture, srgb):

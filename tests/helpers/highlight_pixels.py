@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from neurad.metrics.pixel_means import PixelMeans
+from neurad.evidence.pixel_means import PixelMeans
 
 SIDE, VIEWS = 48, 6
 CHANGE, PATCHES = 0.08, 128

@@ -9,12 +9,12 @@ import torch
 from neurad.assembly.build import build_world
 from neurad.core.records import Constant, EnvironmentMap, Material
 from neurad.core.reflection import PrincipledModel
+from neurad.images.image_io import write_exr
 from neurad.integrators.film import render
 from neurad.integrators.renderer import path_tracer
 from neurad.scene.builtin.plain import views
 from neurad.scene.builtin.shapes import ball, quad
 from neurad.scene.description import Scene
-from neurad.scene.image_io import write_exr
 from neurad.scene.textures import TrueMaterials
 
 SIZE = 16

@@ -16,8 +16,8 @@ from helpers.gltf_rooms import coded, shown, written
 from neurad.cli import main
 from neurad.core.records import Constant, Material
 from neurad.core.reflection import PrincipledModel
-from neurad.scene.image_io import from_srgb
-from neurad.scene.load import read_folder
+from neurad.formats.load import read_folder
+from neurad.images.image_io import from_srgb
 
 ROOMS = Path(__file__).resolve().parents[3] / "shared" / "scenes"
 PAINT = Material(

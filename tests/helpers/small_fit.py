@@ -11,9 +11,9 @@ from helpers.small_step import GRID, small_scene
 from neurad.assembly.build import build_world
 from neurad.cli import main
 from neurad.core.records import View
+from neurad.images.image_io import write_exr
 from neurad.integrators.film import render
 from neurad.integrators.renderer import path_tracer
-from neurad.scene.image_io import write_exr
 from neurad.scene.textures import TrueMaterials
 
 SMALL_FIT = {

@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 
-from neurad.scene.image_io import read_exr, to_srgb, write_exr
+from neurad.images.image_io import read_exr, to_srgb, write_exr
 
 SIZE = 8
 

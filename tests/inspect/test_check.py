@@ -9,12 +9,12 @@ import pytest
 
 from datamodules.scene_data import SceneData
 from neurad.cli import main
+from neurad.images.image_io import write_exr
+from neurad.images.photographs import read_photograph
 from neurad.inspect.check.findings import Level
+from neurad.inspect.check.photograph_facts import photograph_facts
 from neurad.inspect.check.run import checked_scene
-from neurad.metrics.photograph_facts import photograph_facts
 from neurad.scene import builtin
-from neurad.scene.image_io import write_exr
-from neurad.scene.photographs import read_photograph
 
 INSIDE = (-0.35, -0.4, -0.3)
 """In the middle of the Cornell box's tall block."""

@@ -10,8 +10,8 @@ import numpy as np
 import pytest
 
 from neurad.cli import main
-from neurad.scene.image_io import write_exr
-from neurad.scene.photographs import read_photograph
+from neurad.images.image_io import write_exr
+from neurad.images.photographs import read_photograph
 
 ROOMS = Path(__file__).resolve().parents[3] / "shared" / "scenes"
 NAMES = ("staircase", "kitchen", "living-room-2", "veach-ajar", "bunny")

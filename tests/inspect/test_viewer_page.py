@@ -14,8 +14,8 @@ from helpers.viewed import viewed
 from PIL import Image
 
 import neurad
+from neurad.checkpoints.file import write_checkpoint
 from neurad.runs.follow import Followed
-from neurad.training.checkpoint_file import write_checkpoint
 
 pytest.importorskip("viser")
 

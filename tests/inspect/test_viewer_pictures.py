@@ -12,6 +12,8 @@ from neurad.core.camera import camera_rays
 from neurad.core.records import EnvironmentMap
 from neurad.core.rng import Stream
 from neurad.emitters.environment import Environment
+from neurad.formats.edits.placement import turned_environment
+from neurad.images.photographs import read_photograph
 from neurad.inspect.film import Film, common, mixture
 from neurad.inspect.lamps import Light, as_photographed, lamp_renderer, lamps_of
 from neurad.inspect.maps import SeenMap, UnseenMap, modes_of
@@ -24,8 +26,6 @@ from neurad.inspect.still import LitStill, Look
 from neurad.integrators.film import render
 from neurad.integrators.renderer import path_tracer
 from neurad.metrics.seen import SeenBy
-from neurad.scene.photographs import read_photograph
-from neurad.scene.placement import turned_environment
 
 SIDE = 24
 

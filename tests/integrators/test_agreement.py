@@ -10,10 +10,10 @@ from scipy import stats
 
 from neurad.assembly.build import build_world
 from neurad.core.rng import mix
+from neurad.formats.load import load_scene
+from neurad.images.image_io import read_exr
 from neurad.integrators.film import render
 from neurad.integrators.renderer import path_tracer
-from neurad.scene.image_io import read_exr
-from neurad.scene.load import load_scene
 from neurad.scene.textures import TrueMaterials
 
 ROOMS = Path(__file__).resolve().parents[3] / "shared" / "scenes"

@@ -36,7 +36,7 @@ def shiny_cornell():
 
 def test_a_room_of_many_models_looks_as_in_mitsuba():
     mi = pytest.importorskip("mitsuba")
-    from neurad.export.mitsuba import to_mitsuba
+    from neurad.formats.mitsuba.plugin import to_mitsuba
 
     scene, before = shiny_cornell(), mi.variant()
     assert len(scene.features.models) > 2

@@ -152,7 +152,7 @@ def test_pixels_agree_with_mitsuba():
     mi = pytest.importorskip("mitsuba")
     stats = pytest.importorskip("scipy.stats")
     mi.set_variant("scalar_rgb")
-    from neurad.export.mitsuba import to_mitsuba
+    from neurad.formats.mitsuba.plugin import to_mitsuba
 
     scene, seeds, spp = delta_gallery(), 16, 64
     camera = scene.train[0].camera

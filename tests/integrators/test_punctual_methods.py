@@ -19,7 +19,7 @@ from neurad.core.rng import Stream
 from neurad.emitters.area import AreaLights
 from neurad.emitters.lights import Lights, WithPunctual
 from neurad.emitters.punctual import PunctualLights
-from neurad.export.mitsuba import to_mitsuba
+from neurad.formats.mitsuba.plugin import to_mitsuba
 from neurad.integrators.debiased import Debiased
 from neurad.integrators.direct import Direct
 from neurad.integrators.film import render

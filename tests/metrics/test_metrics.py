@@ -18,6 +18,7 @@ from neurad.core.records import Camera, Constant, Material, Mesh, Surface, Surfa
 from neurad.core.reflection import DiffuseModel, PrincipledModel, ReflectionModel
 from neurad.core.rng import Stream
 from neurad.emitters.lights import make_lights
+from neurad.images.image_io import to_srgb
 from neurad.integrators.method import SceneModel
 from neurad.integrators.radiometric import Radiometric
 from neurad.integrators.world import World
@@ -32,7 +33,6 @@ from neurad.metrics.unseen import NEITHER, seen_map
 from neurad.scene.description import Scene
 from neurad.scene.exposure import scene_exposure
 from neurad.scene.geometry import Geometry
-from neurad.scene.image_io import to_srgb
 from neurad.tracing.select import make_tracer
 
 # --- scores

@@ -11,7 +11,7 @@ from helpers.tiny_scene import POSE, read_json, write_json, write_scene
 
 from neurad.callbacks.training_views import ViewTable
 from neurad.core.records import PixelBatch
-from neurad.metrics.view_residuals import few, outliers, per_view
+from neurad.evidence.view_residuals import few, outliers, per_view
 
 AWAY = [[1.0, 0.0, 0.0, 0.0], [0.0, 1.0, 0.0, 500.0], [0.0, 0.0, 1.0, 4.0], [0.0, 0.0, 0.0, 1.0]]
 

@@ -15,17 +15,17 @@ import yaml
 from helpers.tiny_scene import SIZE, write_scene
 
 import neurad
+from neurad.checkpoints.file import write_checkpoint
 from neurad.cli import main
 from neurad.core.errors import InputError
+from neurad.evidence.bars_file import read_bars
 from neurad.export.baking import bake_room
 from neurad.export.progress import Bar
-from neurad.metrics.bars_file import read_bars
+from neurad.images.image_io import read_exr
 from neurad.metrics.held_out import HeldOut
 from neurad.scene.geometry import Geometry
-from neurad.scene.image_io import read_exr
 from neurad.scene.light import light_of
 from neurad.scene.textures import TrueMaterials
-from neurad.training.checkpoint_file import write_checkpoint
 from neurad.training.evaluate import SEED
 
 pytest.importorskip("mitsuba")

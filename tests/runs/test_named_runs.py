@@ -6,9 +6,9 @@ from pathlib import Path
 import pytest
 from helpers.tiny_fit import checkpoint, fails, fit, run_folder
 
+from neurad.checkpoints.find import named_checkpoint
 from neurad.cli import main
 from neurad.core.errors import InputError
-from neurad.runs.checkpoints import named_checkpoint
 
 
 @pytest.mark.main

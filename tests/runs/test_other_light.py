@@ -14,14 +14,14 @@ from helpers.tiny_scene import write_scene
 
 import neurad
 from neurad.assembly.relight import paths, recovered_scene, relit
+from neurad.checkpoints.file import read_checkpoint, write_checkpoint
 from neurad.cli import main
 from neurad.core.errors import InputError
+from neurad.formats.edits.edit import Edit, MaterialEdit, edited
+from neurad.images.image_io import read_exr
 from neurad.integrators.film import render
 from neurad.integrators.renderer import MethodRenderer
 from neurad.runs.load import load_run
-from neurad.scene.edit import Edit, MaterialEdit, edited
-from neurad.scene.image_io import read_exr
-from neurad.training.checkpoint_file import read_checkpoint, write_checkpoint
 
 pytest.importorskip("mitsuba")
 

@@ -9,8 +9,8 @@ import pytest
 from helpers.tiny_fit import checkpoint, fails, fit, run_folder, write_tiny_config
 
 import neurad
+from neurad.checkpoints.file import write_checkpoint
 from neurad.core.errors import InputError
-from neurad.training.checkpoint_file import write_checkpoint
 from neurad.training.inverse import InverseRenderer
 
 LAST, PREVIOUS = (Path("checkpoints") / f"{name}.ckpt" for name in ("last", "previous"))

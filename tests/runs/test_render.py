@@ -10,7 +10,7 @@ import pytest
 import yaml
 
 from neurad.cli import main
-from neurad.scene.image_io import read_exr
+from neurad.images.image_io import read_exr
 
 SMALL = ("--scene", "cornell", "--views", "test", "--spp", "16", "--map-spp", "1", "--size", "12", "--steps", "3")
 OVERLAYS = sorted((Path(__file__).parents[2] / "configs" / "methods").glob("*.yaml"))

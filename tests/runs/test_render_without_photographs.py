@@ -9,7 +9,7 @@ from helpers import layouts
 from helpers.tiny_fit import fails
 
 from neurad.cli import main
-from neurad.scene.image_io import read_exr
+from neurad.images.image_io import read_exr
 
 pytest.importorskip("mitsuba")
 

@@ -11,12 +11,12 @@ import torch
 from helpers.tiny_fit import checkpoint, fails, fit, metrics, run_folder
 
 from neurad.callbacks.run_folder import RunLogger
+from neurad.checkpoints.file import read_checkpoint, write_checkpoint
+from neurad.checkpoints.sealed import check_seal
 from neurad.cli import main
 from neurad.core.errors import InputError
 from neurad.runtime import files
 from neurad.runtime.lock import NAME, FolderLock
-from neurad.runtime.sealed import check_seal
-from neurad.training.checkpoint_file import read_checkpoint, write_checkpoint
 
 STEPS = ("--trainer.max_steps=4", "--evaluation.every_n_steps=2", "--checkpoint.every_seconds=0")
 
@@ -109,7 +109,7 @@ def test_a_disk_that_fills_up_leaves_the_last_checkpoint(tiny, capfd, monkeypatc
             raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
         write_all(handle, data)
 
-    monkeypatch.setattr("neurad.runtime.sealed.write_all", fills_up)
+    monkeypatch.setattr("neurad.checkpoints.sealed.write_all", fills_up)
     error = fails(capfd, "fit", "--ckpt_path", "last", "--trainer.max_steps=6", "--evaluation.every_n_steps=1000")
     assert "last.ckpt: no space is left on its disk" in error
     assert {path.name: path.read_bytes() for path in folder.iterdir()} == before

@@ -15,13 +15,13 @@ from neurad.core.errors import InputError
 from neurad.core.records import Bitmap, Constant
 from neurad.core.reflection import ConductorModel, PrincipledModel
 from neurad.core.rng import Stream
+from neurad.images.image_io import read_exr
+from neurad.images.picture_headers import check_exr
 from neurad.integrators.film import render
 from neurad.integrators.renderer import path_tracer
 from neurad.metrics.colour_lookup import ColourLookup
 from neurad.scene.builtin import NAMES, build, build_cube, build_furnace, build_sphere
 from neurad.scene.builtin.plain import DATA
-from neurad.scene.image_io import read_exr
-from neurad.scene.picture_headers import check_exr
 from neurad.scene.textures import TrueMaterials
 
 
@@ -262,7 +262,7 @@ def test_furnace_radiance_is_the_closed_form():
 def test_mitsuba_sees_the_same_surfaces(patterns):
     mi = pytest.importorskip("mitsuba")
     mi.set_variant("scalar_rgb")
-    from neurad.export.mitsuba import to_mitsuba
+    from neurad.formats.mitsuba.plugin import to_mitsuba
 
     scene, world = patterns
     materials = TrueMaterials(scene, world.geometry)
@@ -299,7 +299,7 @@ def test_pixels_agree_with_mitsuba(name, spp):
     mi = pytest.importorskip("mitsuba")
     stats = pytest.importorskip("scipy.stats")
     mi.set_variant("scalar_rgb")
-    from neurad.export.mitsuba import to_mitsuba
+    from neurad.formats.mitsuba.plugin import to_mitsuba
 
     scene, size, seeds = build(name), 32, 16
     view = scene.test[0]

@@ -18,10 +18,10 @@ from neurad.core.camera import camera_rays, fov_of
 from neurad.core.lens import Lens
 from neurad.core.records import Camera, Rays
 from neurad.core.rng import Stream, mix
+from neurad.formats.load import read_folder
+from neurad.images.image_io import write_exr
 from neurad.integrators.film import pixel_positions
 from neurad.integrators.renderer import path_tracer
-from neurad.scene.image_io import write_exr
-from neurad.scene.load import read_folder
 from neurad.scene.textures import TrueMaterials
 
 pytest.importorskip("mitsuba")

@@ -11,10 +11,10 @@ from helpers.gltf_writer import Document
 from neurad.cli import main
 from neurad.core.errors import InputError
 from neurad.core.records import Camera, Mesh
-from neurad.scene.load import read_folder
+from neurad.formats.cameras.transforms import transforms
+from neurad.formats.load import read_folder
+from neurad.formats.mitsuba.write import ORIGIN, describe, write_xml
 from neurad.scene.origin import camera_in_scene, in_scene, origin_of
-from neurad.scene.scene_xml import ORIGIN, describe, write_xml
-from neurad.scene.transforms import transforms
 
 FAR = np.array([441545.5021, 2345.0873, -5121948.0137])
 BOX = np.array([(x, y, z) for x in (0.0, 4.1) for y in (0.0, 2.7) for z in (0.0, 3.3)])

@@ -5,8 +5,8 @@ import pytest
 
 from neurad.core.records import Constant, Material, Mesh
 from neurad.core.reflection import ConductorModel, DielectricModel
+from neurad.formats.load import read_folder
 from neurad.scene.description import Scene
-from neurad.scene.load import read_folder
 from neurad.scene.panes import pane_note, single_sheets
 
 SQUARE = np.array([(0, 0, 0), (1, 0, 0), (1, 1, 0), (0, 1, 0)], np.float32)

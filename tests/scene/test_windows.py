@@ -13,12 +13,12 @@ from helpers.small_fit import SMALL_FIT
 from neurad import load
 from neurad.assembly.build import build_world
 from neurad.cli import main
+from neurad.images.image_io import read_exr, write_exr
 from neurad.integrators.film import render
 from neurad.integrators.renderer import path_tracer
 from neurad.scene import builtin
 from neurad.scene.builtin.plain import diffuse, room, views
 from neurad.scene.description import Scene
-from neurad.scene.image_io import read_exr, write_exr
 from neurad.scene.textures import TrueMaterials
 
 SIZE = 20

@@ -10,10 +10,10 @@ import torch
 from benchmarks.stress.fit import Fit, Plan, photographs, small_settings
 from benchmarks.stress.scenes import small_cube, with_material
 from neurad.core.reflection import PrincipledModel
+from neurad.evidence.closing_calibration import robust_weight
+from neurad.evidence.roughness_evidence import Evidence
 from neurad.fields.material import CORRECTION_CELLS, MIN_ROUGHNESS, Correction
 from neurad.fields.settings import RoughnessConfig
-from neurad.metrics.closing_calibration import robust_weight
-from neurad.metrics.roughness_evidence import Evidence
 from neurad.training import closing_step
 from neurad.training.closing_step import Agreement, agreement, is_due, make_closing_step, progress_before
 from neurad.training.schedule import Progress

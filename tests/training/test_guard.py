@@ -8,8 +8,8 @@ import torch
 from helpers.tiny_scene import write_scene
 
 from neurad.cli import main
+from neurad.images.image_io import write_exr
 from neurad.integrators import vertex_principled_kernels
-from neurad.scene.image_io import write_exr
 from neurad.training.guard import clip, first_bad
 from neurad.training.inverse import InverseRenderer
 

@@ -6,7 +6,7 @@ import pytest
 import torch
 
 from neurad.core.records import PixelBatch
-from neurad.metrics.validation import LevelFit
+from neurad.evidence.validation import LevelFit
 from neurad.training import validation
 from neurad.training.validation import EVERY, is_due, shrink_levels, update_levels
 

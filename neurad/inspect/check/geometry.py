@@ -9,10 +9,10 @@ import numpy as np
 
 from neurad.inspect.check.findings import Findings, Level, listed
 from neurad.inspect.check.look import Looked
+from neurad.inspect.check.seen_area import seen_points
+from neurad.inspect.check.surroundings import Surroundings, surroundings
 from neurad.integrators.world import World
 from neurad.metrics.seen import SeenBy
-from neurad.metrics.seen_area import seen_points
-from neurad.metrics.surroundings import Surroundings, surroundings
 from neurad.metrics.unseen import Unseen
 from neurad.scene.description import Scene
 

@@ -9,10 +9,10 @@ import numpy as np
 from torch import Tensor
 
 from neurad.core.records import Camera
+from neurad.evidence.edge_fit import EdgeFit, directions, edge_fit, mean_rank
+from neurad.evidence.mesh_edges import mesh_edges, primary_grid
 from neurad.inspect.check.look import Looked, page_width
 from neurad.integrators.world import World
-from neurad.metrics.edge_fit import EdgeFit, directions, edge_fit, mean_rank
-from neurad.metrics.mesh_edges import mesh_edges, primary_grid
 
 AXES = {
     "the frame is OpenCV's (x right, y down, looking along +z), where neurad takes NeRF's (y up, looking along -z)":

@@ -14,20 +14,20 @@ from torch import Tensor
 from neurad.assembly.build import Assembly
 from neurad.assembly.common_causes import common_causes
 from neurad.assembly.exposure import brightness, lamps_facing_away, sentence_if_far, white_brightness
-from neurad.assembly.lamps import agrees, causes_of_mismatch, far_off, refusal, report
 from neurad.assembly.region import Region
-from neurad.assembly.training_views import TrainingViews, blind_views, check_views, prepare_views
 from neurad.core.errors import InputError
 from neurad.core.protocols import PhotoSource
 from neurad.core.records import Camera, FloatArray, PixelBatch
+from neurad.evidence.view_residuals import few
 from neurad.inspect.check.findings import Findings, Level, listed
+from neurad.inspect.check.view_exposure import exposure_ratios, rendered
 from neurad.integrators.world import World
-from neurad.metrics.photographed_lamps import WARN, PhotographedLamp, lamp_photographs, photographed_lamps
-from neurad.metrics.view_exposure import exposure_ratios, rendered
-from neurad.metrics.view_residuals import few
+from neurad.lamps.known import agrees, causes_of_mismatch, far_off, refusal, report
+from neurad.lamps.photographed import WARN, PhotographedLamp, lamp_photographs, photographed_lamps
 from neurad.runs.model_settings import model_settings
 from neurad.scene.description import Scene
 from neurad.scene.textures import TrueMaterials
+from neurad.training.training_views import TrainingViews, blind_views, check_views, prepare_views
 
 SEED = 20231101
 OUT = 2.0
@@ -82,7 +82,7 @@ def check_light(
         source: makes the photographs.
         findings: to be added to.
         emitters: what a fit will take as known of area lights, as ``model.lighting.emitters``.
-        edges: ranks, cameras and directions to edges of views, for :func:`neurad.metrics.edge_fit.shared_turn`.
+        edges: ranks, cameras and directions to edges of views, for :func:`neurad.evidence.edge_fit.shared_turn`.
     """
     light = Light(lamp_power(scene, world))
     materials = TrueMaterials(scene, world.geometry)

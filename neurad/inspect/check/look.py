@@ -13,13 +13,13 @@ from torch.nn.functional import interpolate
 from neurad.core.camera import project
 from neurad.core.errors import InputError
 from neurad.core.records import BoolArray, Camera, FloatArray, View
+from neurad.evidence.edge_fit import EdgeFit, compared, directions, edge_fit
+from neurad.evidence.mesh_edges import PrimaryGrid, mesh_edges, primary_grid
+from neurad.images.photographs import kept_pixels, read_view
+from neurad.inspect.check.photograph_facts import PhotographFacts, photograph_facts
 from neurad.integrators.world import World
-from neurad.metrics.edge_fit import EdgeFit, compared, directions, edge_fit
-from neurad.metrics.mesh_edges import PrimaryGrid, mesh_edges, primary_grid
-from neurad.metrics.photograph_facts import PhotographFacts, photograph_facts
 from neurad.metrics.seen import SeenBy
 from neurad.metrics.unseen import NEITHER, seen_map
-from neurad.scene.photographs import kept_pixels, read_view
 
 SHOWN = 512
 """Pixels that pictures on the page are wide at most; edges are traced at that size."""

@@ -9,26 +9,26 @@ from pathlib import Path
 import numpy as np
 
 from neurad.assembly.build import build_world
-from neurad.assembly.find_lamps import find_lamps
 from neurad.core.errors import InputError
 from neurad.core.records import Development
+from neurad.evidence.edge_fit import misfits
+from neurad.formats.load import load_scene
+from neurad.images.picture_notes import say_pictures
 from neurad.inspect.check.findings import Findings, Level, listed
 from neurad.inspect.check.geometry import check_holes, check_places, check_units
 from neurad.inspect.check.hints import FEWEST, explanation, hint
 from neurad.inspect.check.light import SEED, Light, Source, check_light, lamp_power, usable
 from neurad.inspect.check.look import Looked, look
+from neurad.inspect.check.photograph_facts import LEVELS
 from neurad.inspect.check.report import PAGE, TABLE, Checked, verdict, write_pages
 from neurad.inspect.check.subject import Counts
 from neurad.integrators.world import World
-from neurad.metrics.edge_fit import misfits
-from neurad.metrics.photograph_facts import LEVELS
-from neurad.metrics.photographed_lamps import CEILINGS
+from neurad.lamps.find import find_lamps
+from neurad.lamps.photographed import CEILINGS
 from neurad.metrics.seen import SeenBy
 from neurad.runtime.files import check_folder, make_folder
 from neurad.runtime.progress import phase
 from neurad.scene.description import Scene
-from neurad.scene.load import load_scene
-from neurad.scene.picture_notes import say_pictures
 from neurad.scene.shining import shining_scene
 
 CLIPPED, AT_CEILING = 0.005, 0.001

@@ -178,7 +178,7 @@ def _finite_output(folder: Path) -> dict | None:
     import numpy as np
     import torch
 
-    from neurad.scene.image_io import read_exr
+    from neurad.images.image_io import read_exr
 
     for path in sorted(folder.glob("lightning_logs/*/metrics.csv")):
         rows = [line.split(",") for line in path.read_text(errors="replace").splitlines()]

@@ -79,7 +79,7 @@ def seed_files(variant: int) -> Files:
 
 
 def _enrich(folder: Path, variant: int) -> None:
-    from neurad.scene.image_io import write_exr
+    from neurad.images.image_io import write_exr
 
     rng = np.random.default_rng(variant)
     colours = rng.random((4, 8, 3), np.float32)

@@ -151,7 +151,7 @@ def float_map(files: Files, i: int, j: int, k: int) -> None:
 
 def _pixels(data: bytes) -> np.ndarray | None:
     from neurad.core.errors import InputError
-    from neurad.scene.image_io import read_exr
+    from neurad.images.image_io import read_exr
 
     with TemporaryDirectory() as folder:
         path = Path(folder) / "x.exr"

@@ -93,7 +93,7 @@ def saved(content: Any) -> bytes:
 
 def sealed(data: bytes) -> bytes:
     """Bytes with a correct checksum, whatever they are: what reads them has to see for itself."""
-    from neurad.runtime.sealed import Sealer
+    from neurad.checkpoints.sealed import Sealer
 
     with TemporaryFile() as file:
         sealer = Sealer(file.fileno())

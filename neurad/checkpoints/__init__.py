@@ -1,0 +1,1 @@
+"""Checkpoints: what they hold, their sealed file, and where runs keep them."""

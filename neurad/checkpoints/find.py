@@ -1,0 +1,169 @@
+"""Which checkpoint a verb starts from: the newest run's last one, or the one before where that is damaged."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+from neurad.checkpoints.file import read_checkpoint
+from neurad.core.errors import InputError
+from neurad.runtime.reading import exists, similar
+
+RUNS = "lightning_logs"
+"""Folder of all runs, inside the root directory of the trainer."""
+LAST = Path("checkpoints") / "last.ckpt"
+"""A run's last checkpoint, inside its folder."""
+PREVIOUS = Path("checkpoints") / "previous.ckpt"
+"""The checkpoint before that."""
+_STRANGE = (KeyError, TypeError, ValueError, AttributeError, IndexError, RuntimeError, AssertionError)
+"""What Lightning and torch raise over entries that they do not expect."""
+
+
+def newest_checkpoint(root: Path, name: str = "--ckpt_path last: ") -> Path | None:
+    """A whole checkpoint of the newest run in ``root``/lightning_logs; None where there is no run.
+
+    Args:
+        root: of the runs.
+        name: begins the error message, colon included.
+
+    Raises:
+        InputError: the newest run has no whole checkpoint. The sentence names the newest run that has one.
+    """
+    runs = sorted((path for path in (root / RUNS).glob("version_*") if path.is_dir()), key=_version, reverse=True)
+    if not runs:
+        return None
+    try:
+        return run_checkpoint(runs[0], name)
+    except InputError as error:
+        older = next((path for run in runs[1:] if (path := _whole(run))), None)
+        hint = "no older run has one" if older is None else f"the newest run that has one continues from {older}"
+        raise InputError(f"{error}; {hint}") from error
+
+
+def run_checkpoint(folder: Path, name: str) -> Path:
+    """The last checkpoint of a run or, where that is damaged, the one before, which is said.
+
+    Args:
+        folder: of the run.
+        name: begins the error message, colon included.
+
+    Raises:
+        InputError: neither is there and whole.
+    """
+    problems = []
+    for file in (LAST, PREVIOUS):
+        path = folder / file
+        try:
+            read_checkpoint(path, str(path))
+        except InputError as error:
+            problems.append(str(error))
+            continue
+        if problems:
+            print(f"neurad: {problems[0]}; {path} takes its place", file=sys.stderr)
+        return path
+    if not any((folder / file).is_file() for file in (LAST, PREVIOUS)):
+        raise InputError(f"{name}run {folder}: it has no checkpoint {LAST}, it ended before its first")
+    raise InputError(f"{name}run {folder}: it has no whole checkpoint ({problems[0]})")
+
+
+def named_checkpoint(path: Path, root: Path, name: str) -> Path:
+    """The checkpoint that a path stands for: the file itself, or the last one of a run, which is named by its folder,
+    by the name of that in ``root``/lightning_logs, or by a folder that runs lie in.
+
+    Args:
+        path: as it was given.
+        root: of the runs.
+        name: begins the error message, without a colon.
+
+    Raises:
+        InputError: there is no such run or file, or it cannot be used.
+    """
+    folder = path if _is_folder(path) or path.is_absolute() or len(path.parts) != 1 else root / RUNS / path
+    if _is_folder(folder):
+        above = folder.parent if folder.name == RUNS else folder
+        if (above / RUNS).is_dir() and (found := newest_checkpoint(above, f"{name}: ")) is not None:
+            return found
+        return run_checkpoint(folder, f"{name}: ")
+    if not exists(path):
+        runs = sorted((p.name for p in (root / RUNS).glob("version_*") if p.is_dir()), key=lambda n: _version(Path(n)))
+        there = f"; there are {', '.join(runs[-8:])}" if runs and len(path.parts) == 1 and not path.suffix else ""
+        raise InputError(f"{name}: there is no such run folder or checkpoint{similar(path) or there}")
+    given_checkpoint(path, name)
+    return path
+
+
+def _is_folder(path: Path) -> bool:
+    """Whether there is a folder at a path that may be no possible name."""
+    try:
+        return path.is_dir()
+    except (OSError, ValueError):
+        return False
+
+
+def given_checkpoint(path: Path, name: str) -> None:
+    """Refuse a checkpoint that was named and is damaged; the sentence names the one before it where that is whole.
+
+    Raises:
+        InputError: there is no such file, or it cannot be used.
+    """
+    try:
+        read_checkpoint(path, name)
+    except InputError as error:
+        previous = path.with_name(PREVIOUS.name)
+        if path.is_file() and path.name == LAST.name and _whole(path.parent.parent) is not None:
+            raise InputError(f"{error}; the one before it is whole: {previous}") from error
+        raise
+
+
+def _whole(folder: Path) -> Path | None:
+    """The last whole checkpoint of a run, without a word."""
+    for file in (LAST, PREVIOUS):
+        try:
+            read_checkpoint(folder / file, "")
+        except InputError:
+            continue
+        return folder / file
+    return None
+
+
+def _version(path: Path) -> int:
+    """N of ``version_N``; -1 where it is no number."""
+    number = path.name.removeprefix("version_")
+    return int(number) if number.isdecimal() else -1
+
+
+def run_folder_of(checkpoint: Path) -> Path | None:
+    """The folder of the run that wrote ``<run>/checkpoints/NAME.ckpt``; None for a checkpoint kept elsewhere."""
+    folder = checkpoint.resolve().parent
+    return folder.parent if folder.name == "checkpoints" and (folder.parent / "config.yaml").is_file() else None
+
+
+@contextmanager
+def restoring(checkpoint: Path | None) -> Iterator[None]:
+    """Turn an error over what a checkpoint holds into one sentence; errors of everything else pass.
+
+    Raises:
+        InputError: the checkpoint has entries that do not fit the run.
+    """
+    try:
+        yield
+    except _STRANGE as error:
+        if checkpoint is None or not _from_checkpoint(error):
+            raise
+        why = " ".join(f"{type(error).__name__}: {error}".split())[:200]
+        raise InputError(
+            f"--ckpt_path {checkpoint}: it does not hold what a run of these settings writes ({why})"
+        ) from error
+
+
+def _from_checkpoint(error: BaseException) -> bool:
+    """Whether an error arose while a trainer took over the content of a checkpoint."""
+    trace = error.__traceback__
+    while trace is not None:
+        code = trace.tb_frame.f_code
+        if code.co_filename.endswith("checkpoint_connector.py") and "restore" in code.co_name:
+            return True
+        trace = trace.tb_next
+    return False

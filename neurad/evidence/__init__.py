@@ -1,0 +1,1 @@
+"""What training pixels say: derivatives, the correction of the roughness, error bars."""

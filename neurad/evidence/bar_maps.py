@@ -1,0 +1,67 @@
+"""Error bars of held-out views: their maps, and how well they fit the errors."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+
+import numpy as np
+import torch
+
+from neurad.core.records import FloatArray, SurfaceInteraction
+from neurad.evidence.bar_calibration import PRIOR
+from neurad.evidence.error_bars import BarFields, ErrorBars
+from neurad.metrics.bar_scores import BarPool
+from neurad.metrics.held_out import HeldOut
+
+PRIORS = {"albedo": None, "roughness": PRIOR}
+"""Standard deviation where nothing is known of the maps that have bars; that of an albedo is not known."""
+
+
+def bars_at(
+    bars: ErrorBars, materials: BarFields, si: SurfaceInteraction, emits: torch.Tensor
+) -> dict[str, FloatArray]:
+    """Standard deviations at the lanes of ``si``: ``albedo`` [n, 3] and, where there is one, ``roughness`` [n, 1]; 0 on
+    emitters, whose materials are known, and where there is no surface.
+
+    Args:
+        bars: of the run.
+        materials: the recovered ones.
+        si: surface points.
+        emits: whether each triangle does, bool.
+    """
+    recovered = (si.valid & ~emits[si.prim.clamp_min(0)]).cpu().numpy()[:, None]
+    albedo, roughness = bars.at(materials, si.p)
+    found = {"albedo": albedo} if roughness is None else {"albedo": albedo, "roughness": roughness}
+    return {name: np.where(recovered, values, np.float32(0.0)) for name, values in found.items()}
+
+
+def predict_bars(held_out: HeldOut, bars: ErrorBars, materials: BarFields) -> list[dict[str, FloatArray]]:
+    """``albedo_std`` [h, w, 3] and, where there is one, ``roughness_std`` [h, w, 1] of every view, the root of the mean
+    variance of a few points in each pixel.
+    """
+    emits = (held_out.geometry.emission > 0).any(-1)
+    maps = []
+    for index in range(len(held_out.views)):
+        size = held_out.size(index)
+        parts: dict[str, list[FloatArray]] = {}
+        for part, si in held_out.sub_samples(index, few=True):
+            for name, std in bars_at(bars, materials, si, emits).items():
+                variance = np.square(std).reshape(part.stop - part.start, -1, std.shape[-1]).mean(1)
+                parts.setdefault(f"{name}_std", []).append(np.sqrt(variance))
+        maps.append({name: np.concatenate(values).reshape(*size, -1) for name, values in parts.items()})
+    return maps
+
+
+def score_bars(held_out: HeldOut, maps: Sequence[Mapping[str, FloatArray]]) -> dict[str, float]:
+    """Scores of :class:`BarPool` over the counted pixels of all views, after ``albedo_`` and ``roughness_``; what has
+    no bars or no truth is left out.
+    """
+    scores: dict[str, float] = {}
+    for name, prior in PRIORS.items():
+        pool = BarPool(prior)
+        for index, entry in enumerate(maps):
+            truth = held_out.truth(index).get(f"{name}_true")
+            if truth is not None and f"{name}_std" in entry:
+                pool.add(entry[name], entry[f"{name}_std"], truth, held_out.counted(index))
+        scores |= {f"{name}_{score}": value for score, value in pool.scores().items()}
+    return scores

@@ -1,0 +1,132 @@
+"""What training pixels say of the materials in them, means over many samples."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, fields
+from typing import Self
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from neurad.core.protocols import PhotoSource
+from neurad.core.records import FloatArray, IntArray, PixelBatch
+from neurad.core.rng import Stream
+from neurad.evidence.error_bars import DARK, LIMIT
+from neurad.evidence.pixel_derivatives import GROUP, batches_without_replacement, group_of_samples
+from neurad.integrators.estimator import Estimator
+from neurad.integrators.primary_hits import PrimaryHits
+from neurad.runtime import threads
+
+_STREAM = 37  # last number of the stream's key
+
+
+@dataclass(frozen=True)
+class PixelMeans:
+    """Derivatives by roughness R and albedo D and residuals e of pixels, in units of their brightness."""
+
+    view: IntArray
+    """[n]."""
+    corner: IntArray
+    """Column and row of the pixel [n, 2]."""
+    p: FloatArray
+    """One of the surface points in each pixel [n, 3]."""
+    r: FloatArray
+    """Derivative by roughness [n, 3]; so are the next ones, a value a channel."""
+    d: FloatArray
+    """Derivative by the albedo of the same channel."""
+    e: FloatArray
+    """Photograph less estimate."""
+
+    def __len__(self) -> int:
+        return len(self.p)
+
+    @property
+    def number(self) -> IntArray:
+        """One for every pixel of the training views [n]."""
+        return np.asarray((self.view * (1 << 20) + self.corner[:, 1]) * (1 << 20) + self.corner[:, 0])
+
+    def __getitem__(self, part: IntArray) -> Self:
+        """Some of the pixels."""
+        return type(self)(**{f.name: getattr(self, f.name)[part] for f in fields(self)})
+
+
+def pixel_means(
+    estimator: Estimator,
+    primary: PrimaryHits,
+    photographs: PhotoSource,
+    emitter_mask: Tensor,
+    first: int,
+    pixels: int,
+    groups: int,
+    seed: int,
+    mean_square_radiance: float,
+    develop: Callable[[PixelBatch], PixelBatch] | None = None,
+    samples: int = GROUP,
+) -> PixelMeans | None:
+    """Means of about ``pixels`` training pixels at the present materials; None if no pixel is left.
+
+    Args:
+        estimator: the method with the present materials and radiance field.
+        primary: camera rays of the training views.
+        photographs: drawn from in turn, so that no pixel comes twice before all have come.
+        emitter_mask: pixels that an emitter covers [views, pixels], bool; they are left out.
+        first: iteration whose batch is the first one taken.
+        pixels: how many.
+        groups: of samples in each pixel, independent of each other.
+        seed: of the samples.
+        mean_square_radiance: of the photographs.
+        develop: corrects the photographs; None leaves them as they are.
+        samples: in a group, which are stratified together.
+    """
+    batches = batches_without_replacement(photographs, emitter_mask, first, pixels)
+    parts = list(_parts(estimator, primary, batches, (groups, samples), (seed, first), mean_square_radiance, develop))
+    if not parts or not sum(len(part[0]) for part in parts):
+        return None
+    found = PixelMeans(*(np.concatenate(column) for column in zip(*parts, strict=True)))
+    # Views of few pixels, and those of which only a part shows a surface, are drawn from more than once.
+    return found[np.unique(found.number, return_index=True)[1]]
+
+
+def _parts(
+    estimator: Estimator,
+    primary: PrimaryHits,
+    batches: Iterator[PixelBatch],
+    size: tuple[int, int],
+    key: tuple[int, int],
+    mean_square_radiance: float,
+    develop: Callable[[PixelBatch], PixelBatch] | None,
+) -> Iterator[list[FloatArray]]:
+    """The arrays of :class:`PixelMeans`, in the order of its fields, a batch at a time; ``size`` is how many groups
+    and how many samples in each.
+    """
+    groups, samples = size
+
+    def of_batch(item: tuple[int, PixelBatch]) -> list[FloatArray]:
+        index, drawn = item
+        batch = drawn if develop is None else develop(drawn)
+        stream = Stream(*key, index, _STREAM, device=primary.origin.device)
+        # The unit needs no average over all groups, and the radiance field is a part of the cost.
+        first = group_of_samples(estimator, primary, batch, stream, n=samples)
+        found = [(first.by_roughness, first.by_albedo, first.image)]
+        kept = first.valid
+        for _ in range(1, groups):
+            group = group_of_samples(estimator, primary, batch, stream, False, samples)
+            found.append((group.by_roughness, group.by_albedo, group.image))
+            kept = kept & group.valid
+        r, d, image = (torch.stack(values) for values in zip(*found, strict=True))  # [groups, b, 3]
+        # ---------------------- In units of the brightness ----------------------
+
+        predicted = image.mean(0) if first.field is None else first.field  # [b, 3]
+        unit = (predicted.square() + DARK * mean_square_radiance + 1e-30).sqrt()
+        d, r, e = d / unit, r / unit, ((batch.color - image) / unit).clamp(-LIMIT, LIMIT)
+        # ---------------------- Means over the groups ----------------------
+
+        kept &= torch.isfinite(torch.cat((d, r, e), -1)).all(-1).all(0)
+        corner = primary.views.corner(batch.view, batch.pixel)
+        columns = [batch.view, corner, first.p[:, 0], *(value.mean(0) for value in (r, d, e))]
+        return [column[kept].cpu().numpy() for column in columns]
+
+    # A GPU is kept busy by one thread.
+    yield from (threads.each if primary.origin.device.type == "cpu" else map)(of_batch, enumerate(batches))

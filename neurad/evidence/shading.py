@@ -1,0 +1,188 @@
+"""Whether photographs follow the light: how brightness rises with the light that arrives, within one mesh.
+
+What a matt surface shows is its albedo times the light that arrives, so along a mesh of one albedo the logarithm of a
+photograph rises by one with that of the light. A response curve that was not taken back changes the slope, and light
+that was added everywhere (haze, a black offset) flattens it. The light is that of the lamps, directly and by surfaces
+whose mean radiance, a mesh each, is the photographs' (inverse global illumination, Yu et al. 1999): no material needs
+to be known. It is an estimate in two independent halves, each the instrument of the other, since noise in it would
+flatten the slope, too.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import numpy.typing as npt
+import torch
+
+from neurad.core.camera import camera_rays
+from neurad.core.protocols import PhotoSource
+from neurad.core.records import Camera, Surface, SurfaceInteraction
+from neurad.core.rng import Stream
+from neurad.evidence.shared_errors import Develop, brightness_of, matt, some_views
+from neurad.integrators.bounce import bounce
+from neurad.integrators.vertex import DIMENSIONS, Bounce
+from neurad.integrators.world import World
+
+Array = npt.NDArray[np.float64]
+Ints = npt.NDArray[np.int64]
+
+POINTS, DIRECTIONS = 8192, 16
+"""Photographed points, and directions from each and from as many points that light comes from."""
+PIXELS = 1 << 16
+"""Pixels of a view among which the darkest is looked for."""
+_BOUNCES = 12
+_TURN = 0.15  # of the scene's size that a turn of a normal by a radian counts in the search for the nearest point
+_DIM, _DARK = 0.02, 0.01  # of the median light and of the median brightness: what is below takes no part
+_ALBEDO = 0.5  # of the surfaces that light is estimated for: it falls out
+
+
+@dataclass(frozen=True)
+class Transport:
+    """How light travels between points of a scene, by one bounce each way."""
+
+    direct: Array
+    """From lamps, by each direction [2 n, k, 3]: of the photographed points, then of others."""
+    weight: Array
+    """Of what comes from another point [2 n, k, 3]."""
+    source: Ints
+    """Which point that is [2 n, k]; -1 for none."""
+    mesh: Ints
+    """Of each point [2 n]."""
+    view: Ints
+    """Of the photographed points [n]."""
+    photographed: Array
+    """Their colours [n, 3]."""
+    floor: float
+    """The smallest brightness in any photograph over the mean of surfaces: no more can have been added everywhere."""
+    escaping: float
+    """Fraction of the directions from photographed points in which there is nothing."""
+
+    def slope(self, power: float = 1.0, offset: float = 0.0) -> tuple[float, float]:
+        """By how much the logarithm of brightness rises with that of the light, and its standard error over views.
+
+        Args:
+            power: of the response curve that is taken back from the photographs first.
+            offset: what is taken away from them before, in units of their mean.
+        """
+        shown = np.maximum(self.photographed - offset * self.photographed.mean(), 0.0) ** (1.0 / power)
+        halves, own = self._light(shown), self.mesh[: len(self.view)]
+        bright = shown.mean(1)
+        good = (halves.min(0) > _DIM * np.median(halves)) & (bright > _DARK * np.median(bright))
+        y, first, second = (_within(np.log(x[good]), own[good]) for x in (bright, *halves))
+        view = self.view[good]
+        rise = np.bincount(view, y * (first + second) / 2.0)
+        run = np.bincount(view, first * second, len(rise))
+        if run.sum() <= 0.0:
+            return 1.0, np.inf
+        rest = (rise.sum() - rise) / np.maximum(run.sum() - run, 1e-12)
+        used = len(np.unique(view))
+        error = np.sqrt((used - 1) * np.var(rest[np.unique(view)]))
+        return float(rise.sum() / run.sum()), float(error)
+
+    def _light(self, shown: Array) -> Array:
+        """Light that arrives at the photographed points, by two halves of the directions [2, n]."""
+        n, (_, group) = len(self.view), np.unique(self.mesh, return_inverse=True)
+        weight = np.where((self.source >= 0)[..., None], self.weight, 0.0)
+        direct, source = self.direct.mean(1), np.maximum(self.source, 0)
+        usual, count = shown.mean(0), np.bincount(group[:n], minlength=group.max() + 1)[:, None]
+        mean = np.where(count > 0, _sums(shown, group[:n], len(count)) / np.maximum(count, 1), usual)
+        radiance = mean[group]
+        radiance[:n] = shown
+        for _ in range(_BOUNCES):
+            light = direct + (weight * radiance[source]).mean(1)
+            arrives = _sums(light[:n], group[:n], len(count)) / np.maximum(count, 1)
+            rate = np.where(count > 0, mean / np.maximum(arrives, 1e-30), usual / np.maximum(light[:n].mean(0), 1e-30))
+            radiance = np.minimum(rate, 1.0 / _ALBEDO)[group] * light
+        each = (self.direct[:n] + weight[:n] * radiance[source[:n]]).mean(2)
+        return np.stack([part.mean(1) for part in np.split(each, 2, axis=1)])
+
+
+def _sums(values: Array, group: Ints, groups: int) -> Array:
+    return np.stack([np.bincount(group, values[:, c], groups) for c in range(3)], 1)
+
+
+def _within(values: Array, mesh: Ints) -> Array:
+    """Values less the mean of their mesh."""
+    _, group = np.unique(mesh, return_inverse=True)
+    less: Array = values - (np.bincount(group, values) / np.bincount(group))[group]
+    return less
+
+
+@torch.no_grad()
+def transport(
+    world: World, cameras: Sequence[Camera], photographs: PhotoSource, seed: int, develop: Develop | None = None
+) -> Transport | None:
+    """Trace one bounce from photographed points and from points where it ends; None where too few are photographed.
+
+    Args:
+        world: of the scene, with its lights.
+        cameras: of the photographs.
+        photographs: of the training views.
+        seed: of all draws.
+        develop: corrects them by what a fit has recovered of how they were taken.
+    """
+    from scipy.spatial import cKDTree  # imported where it is needed: it loads slowly
+
+    geometry, device = world.geometry, world.geometry.vertices.device
+    chosen, left_out = some_views(len(cameras)), photographs.ignored()
+    hits, view, color, low = [], [], [], []
+    with world.tracer.uncounted():
+        for index in chosen:
+            camera, count = cameras[index], POINTS // len(chosen)
+            pixel = Stream(seed, index, 51, device=device).integers(camera.width * camera.height, count)
+            xy = torch.stack((pixel % camera.width, pixel // camera.width), -1) + 0.5
+            si = world.intersect(camera_rays(camera, xy.float()))
+            shown = brightness_of(photographs, develop, torch.full_like(pixel, index).cpu(), pixel.cpu(), left_out)
+            good = matt(world, si).cpu() & ~shown.isnan().any(-1) & (shown.mean(-1) > 0)
+            hits.append(si[good.to(device)])
+            view.append(np.full(int(good.sum()), index))
+            color.append(shown[good].numpy())
+            size = camera.width * camera.height
+            some = torch.arange(min(size, PIXELS)) * size // min(size, PIXELS)
+            low.append(brightness_of(photographs, develop, torch.full_like(some, index), some, left_out).mean(-1))
+        own, photographed = SurfaceInteraction.cat(*hits), np.concatenate(color)
+        if len(own) < POINTS // 8:
+            return None
+        first = _bounce(world, own, seed, 52)
+        ends = (matt(world, first.next)).nonzero().squeeze(-1)
+        if len(ends) == 0:
+            return None
+        others = first.next[ends[Stream(seed, 54, device=device).integers(len(ends), len(own))]]
+        second = _bounce(world, others, seed, 53)
+    points = SurfaceInteraction.cat(own, others)
+    tree = cKDTree(_places(points, geometry.scale))
+    parts = []
+    for made in (first, second):
+        end = matt(world, made.next).cpu().numpy()
+        source = np.full(len(end), -1)
+        if end.any():
+            source[end] = tree.query(_places(made.next, geometry.scale)[end])[1]
+        direct, weight = (x.double().cpu().numpy().reshape(-1, DIRECTIONS, 3) for x in (made.direct, made.weight))
+        parts.append((direct, weight, source.reshape(-1, DIRECTIONS)))
+    direct, weight, source = (np.concatenate(pair) for pair in zip(*parts, strict=True))
+    every = torch.cat(low).nan_to_num(math.inf).clamp_min(0.0)
+    if photographs.has_alpha:  # where nothing is in front of the background, it is 0
+        every = every[every > 0]
+    floor = float(every.min()) / float(photographed.mean()) if len(every) else 0.0
+    return Transport(
+        direct, weight, source, geometry.mesh_index[points.prim].cpu().numpy(), np.concatenate(view), photographed,
+        floor, 1.0 - float(first.next.valid.float().mean()),
+    )  # fmt: skip
+
+
+def _bounce(world: World, si: SurfaceInteraction, seed: int, key: int) -> Bounce:
+    """One bounce in each of some directions from points."""
+    si = si.repeat(DIRECTIONS)
+    surface = Surface(torch.full_like(si.p, _ALBEDO), torch.ones_like(si.p[:, :1]))
+    return bounce(world, si, surface, Stream(seed, key, device=si.p.device).uniform(len(si), DIMENSIONS), guided=False)
+
+
+def _places(si: SurfaceInteraction, scale: float) -> Array:
+    """Positions and normals on the viewer's side, so that the nearest is a point on the same side of the same thing."""
+    normal = torch.where((si.n * si.wo).sum(-1, keepdim=True) > 0, si.n, -si.n)
+    found: Array = torch.cat((si.p / scale, _TURN * normal), -1).double().cpu().numpy()
+    return found

@@ -1,0 +1,1 @@
+"""Blender files, by way of a script that runs inside Blender."""

@@ -1,0 +1,199 @@
+"""From a Blender file to a scene folder: ``neurad data blender``."""
+
+from __future__ import annotations
+
+import sys
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+
+from neurad.core.errors import InputError
+from neurad.core.records import Development, View
+from neurad.formats.blender.lamp_masks import mask_of
+from neurad.formats.blender.process import find_blender
+from neurad.formats.blender.read import ROOM, TOWARDS_X, BlenderRoom, read_blender, read_world
+from neurad.formats.blender.script import write_room_path
+from neurad.formats.cameras.nerf import HOLD_OUT, Split
+from neurad.formats.cameras.photograph_files import Photographs
+from neurad.formats.import_room import (
+    ImportSettings,
+    check_room,
+    free_folder,
+    map_of,
+    refuse_meshes,
+    whole,
+)
+from neurad.formats.load import CAMERAS
+from neurad.formats.mitsuba.write import FOLDERS, describe, write_xml
+from neurad.formats.room_folder import Room, file_name, write_views
+from neurad.images.image_io import write_png
+from neurad.images.photographs import check_view, picture_size
+from neurad.images.picture_notes import say_pictures
+from neurad.runtime.extras import need
+from neurad.runtime.files import writing
+from neurad.runtime.progress import counted
+from neurad.runtime.reading import exists, folder, regular_file, shown
+from neurad.scene.origin import near, origin_of
+
+_BEGINS = (b"BLENDER", b"\x28\xb5\x2f\xfd", b"\x1f\x8b")
+"""Of a .blend file: as it is, compressed by Zstandard, and as older versions compressed it."""
+_LISTED = 12
+
+
+def import_blender(settings: ImportSettings) -> None:
+    """Make the scene folder, whole or not at all, and say what is in it.
+
+    Raises:
+        InputError: a file is missing or broken, Blender is, the scene has no camera, surface or light or uses what
+            cannot be rendered, photographs and cameras do not fit, or the folder is there already.
+    """
+    refuse_meshes(settings, "a Blender scene")
+    out = free_folder(settings.out)
+    images = None if settings.images is None else folder(settings.images, "--images")
+    environment = None if settings.environment is None else map_of(settings.environment)
+    where = shown(settings.source)
+    need("mitsuba", "mitsuba", "a scene folder of a Blender scene (scene.xml)")
+    with _written(settings) as written:
+        room = read_blender(written, where)
+    if environment is not None:
+        room = replace(
+            room, scene=replace(room.scene, environment=read_world(environment, TOWARDS_X, shown(environment)))
+        )
+    _check(room, where)
+    room = replace(room, scene=near(room.scene, origin_of(room.scene.meshes)))
+    views = Split([], []) if images is None else _photographed(room, images)
+    with whole(out) as part:
+        with writing(part, "--out"):
+            write_xml(describe(room.scene, part), part / "scene.xml")
+            for name in FOLDERS:
+                if not any((part / name).iterdir()):
+                    (part / name).rmdir()
+            _write_cameras(room, views, part, settings.copy)
+        check_room(part)
+    _say(out, room, views)
+
+
+@contextmanager
+def _written(settings: ImportSettings) -> Iterator[Path]:
+    """The folder that ``write_room.py`` has written: the source itself, or of a .blend file a new one for the block."""
+    source = settings.source
+    if source.is_dir() and exists(source / ROOM):
+        if settings.blender is not None:
+            raise InputError(f"--blender: {shown(source)} is written already, Blender has nothing to do with it")
+        yield source
+        return
+    blend = _blend_file(source)
+    blender = find_blender(settings.blender)
+    with tempfile.TemporaryDirectory(prefix="neurad-") as made:
+        said = blender.run(write_room_path(), [made, str(blend)])
+        if not exists(Path(made) / ROOM):
+            raise InputError(f"{shown(source)}: Blender {blender.version} cannot read it ({said})")
+        yield Path(made)
+
+
+def _blend_file(source: Path) -> Path:
+    """The file itself, or the only one of its kind in a folder.
+
+    Raises:
+        InputError: it is missing, or no Blender file.
+    """
+    if source.is_dir():
+        found = sorted(source.glob("*.blend"))
+        if len(found) != 1:
+            raise InputError(f"{shown(source)}: it has {len(found)} .blend files; name the one that is meant")
+        source = found[0]
+    file = regular_file(source, "there is no such Blender file")
+    with writing(file), file.open("rb") as stream:
+        begins = stream.read(8)
+    if not begins.startswith(_BEGINS):
+        raise InputError(f"{shown(source)}: it is no file that Blender has saved")
+    return file.resolve()
+
+
+def _check(room: BlenderRoom, where: str) -> None:
+    """Check that there is something to fit."""
+    lamps = {mesh.name for mesh in room.scene.meshes if mesh.radiance is not None}
+    if len(room.scene.meshes) == 0 or len(lamps) == len(room.scene.meshes):
+        raise InputError(f"{where}: its scene shows no mesh when it is rendered (empty, hidden, or of another scene)")
+    if not room.cameras:
+        said = "has no camera" if not room.scene.notes else "has no perspective camera"
+        raise InputError(f"{where}: its scene {said}; add those of the photographs")
+    if not room.scene.features.has_light:
+        raise InputError(
+            f"{where}: nothing in its scene shines (no lamp, no material that emits, a black world); add what lit the "
+            "photographs, or give --environment"
+        )
+
+
+def _photographed(room: BlenderRoom, images: Path) -> Split:
+    """The cameras that have a photograph of their name, or of their frame's number."""
+    find = Photographs(images)
+    views: list[View] = []
+    without = []
+    development = Development() if room.exposure == 1.0 else Development(exposure=room.exposure)
+    taken: set[str] = set()
+    for camera in room.cameras:
+        photograph = next((file for name in camera.names if (file := find.named(name)) is not None), None)
+        if photograph is None:
+            without.append(camera)
+            continue
+        size = picture_size(photograph)
+        film = camera.seen(*size, f"its photograph {shown(photograph.name)}")
+        views.append(View(file_name(camera.names[0], taken), film, str(photograph), development=development))
+    for view in counted(views, "reading", len(views), "photographs"):
+        check_view(view)
+    if not views:
+        raise InputError(
+            f"--images {shown(images)}: it has no photograph of any camera, such as {shown(without[0].names[-1])}.exr; "
+            "each has the name of its camera, or the number of its frame"
+        )
+    names = ", ".join(shown(camera.names[0]) for camera in without[:_LISTED])
+    more = " ..." if len(without) > _LISTED else ""
+    said = f"{len(without)} cameras have no photograph and are left out ({names}{more})"
+    return Split(views, [], (said,) if without else ())
+
+
+def _write_cameras(room: BlenderRoom, views: Split, part: Path, copy: bool) -> None:
+    """The camera file with its photographs and masks, or without photographs the one of cameras alone."""
+    if not views.train:
+        taken: set[str] = set()
+        named = [View(file_name(camera.names[0], taken), camera.seen(*camera.film)) for camera in room.cameras]
+        write_views(Room(Split(named, []), [], np.eye(4), {}, None, copy), part, CAMERAS)
+        return
+    train = []
+    for view in views.train:
+        mask = mask_of(view.camera, room.unseen)
+        if mask is not None:
+            path = part / "masks" / f"{view.name}.png"
+            path.parent.mkdir(exist_ok=True)
+            write_png(path, mask)
+            view = replace(view, mask=str(path))
+        train.append(view)
+    write_views(Room(replace(views, train=train), [], np.eye(4), {}, None, copy), part)
+
+
+def _say(out: Path, room: BlenderRoom, views: Split) -> None:
+    """What the folder has."""
+    say_pictures()
+    scene = room.scene
+    triangles = sum(len(mesh.faces) for mesh in scene.meshes)
+    print(f"{shown(out)}: {len(scene.meshes)} meshes, {triangles} triangles, {len(room.cameras)} cameras")
+    for note in (*scene.notes, *views.notes):
+        print(f"neurad: {note}", file=sys.stderr)
+    shining = [mesh.name for mesh in scene.meshes if mesh.radiance is not None]
+    shining += [f"{light.name} ({light.kind})" for light in scene.punctual]
+    shining += ["the world"] if scene.features.has_environment else []
+    print(f"lamps: {', '.join(shown(name) for name in shining[:_LISTED])}{' ...' if len(shining) > _LISTED else ''}")
+    if not views.train:
+        print("no --images were given: it can be rendered, and fitted when it has photographs")
+        print(f"neurad render --root {shown(out)} --out pictures")
+        return
+    if room.unseen:
+        names = ", ".join(shown(mesh.name) for mesh in room.unseen[:_LISTED])
+        print(f"cameras do not see the lamps {names}: where they stand, photographs are masked")
+    print(f"{len(views.train)} photographs; a fit holds out every {HOLD_OUT}th by name (--data.hold_out)")
+    print(f"neurad fit --config scene.yaml --data.root {shown(out)}")

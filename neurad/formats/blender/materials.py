@@ -1,0 +1,270 @@
+"""Blender's materials as :class:`~neurad.core.records.Material` records.
+
+As in glTF files, what lets light through in a way that cannot be rendered is refused. What is opaque and cannot be
+rendered gets the albedo and roughness 0.5 and a note: a fit recovers surfaces anew.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from neurad.core.errors import InputError
+from neurad.core.records import Bitmap, Constant, FloatArray, Material, Texture
+from neurad.core.reflection import ConductorModel, DielectricModel, DiffuseModel, PrincipledModel, ReflectionModel
+from neurad.formats.gltf.textures import LEVELS
+from neurad.images.image_io import from_srgb
+from neurad.runtime.numbers import RADIANCE, TEXEL, number, within
+from neurad.runtime.reading import native, regular_file, shown
+
+START = 0.5
+"""Albedo and roughness of what is not known."""
+_LUMINANCE = np.array([0.2126, 0.7152, 0.0722], np.float32)  # Cycles' of a colour that is taken for a number
+_OPAQUE = 0.999
+_LARGEST_INDEX = 100.0
+_LAYERS = {
+    "subsurface": "light that scatters below it", "coat": "a coat", "sheen": "sheen", "film": "a thin film",
+    "anisotropic": "anisotropy", "diffuse_roughness": "a rough diffuse lobe", "normals": "a map of normals or bumps",
+    "displaced": "displacement", "volume": "a volume",
+}  # fmt: skip
+
+
+@dataclass(frozen=True)
+class Emission:
+    """What a surface sends to both sides."""
+
+    radiance: FloatArray
+    """[3]; times the picture, where there is one."""
+    picture: Bitmap | None = None
+    uv: str = ""
+
+
+@dataclass(frozen=True)
+class Painted:
+    """A material and what else belongs to its surface."""
+
+    material: Material | None
+    """None of what has a volume and no surface."""
+    emission: Emission | None = None
+    uv: str = ""
+    """Name of the texture coordinates that its pictures use."""
+
+
+class MaterialReader:
+    """Materials of a folder of ``write_room.py``.
+
+    Args:
+        folder: of the pictures.
+        where: the .blend file, for sentences.
+    """
+
+    def __init__(self, folder: Path, where: str) -> None:
+        self.folder = folder
+        self.where = where
+        self.anew: dict[str, list[str]] = {}
+        """What is not as in Blender, by material."""
+        self._pictures: dict[Any, FloatArray] = {}
+
+    def paint(self, described: Mapping[str, Any]) -> Painted:
+        """A material.
+
+        Raises:
+            InputError: it is transparent, emits light in a way that is not read, or a number is out of range.
+        """
+        name = str(described.get("name"))
+        about = f"{self.where}: material {shown(name)}"
+        shader = described.get("shader")
+        if shader == "NONE":
+            return Painted(None if described.get("volume") else _black(name))
+        if shader not in _SHADERS:
+            self._check_other(described, shader, about)
+            self.anew.setdefault(name, []).append(f"{shown(shader)}")
+            return Painted(Material(name, PrincipledModel(), _constant(START, 3), _constant(START, 1)))
+        emission = self._emission(described, about)
+        if shader == "EMISSION":
+            return Painted(_black(name), emission, emission.uv if emission else "")
+        albedo, uv = self._texture(described, "color", 3, name, about)
+        roughness, second = self._texture(described, "roughness", 1, name, about)
+        if uv is not None and second is not None and second != uv:
+            self.anew.setdefault(name, []).append("pictures on two sets of texture coordinates")
+            roughness = _constant(START, 1)
+        if found := [said for key, said in _LAYERS.items() if _is_on(described.get(key))]:
+            self.anew.setdefault(name, []).append(" and ".join(found))
+        model = _SHADERS[shader](described, albedo, roughness, about)
+        if emission is not None and isinstance(model, PrincipledModel) and model.metallic == 0.0:
+            model = PrincipledModel()  # a lamp's highlight is not worth a model of its own
+        material = Material(name, model, albedo, roughness)
+        return Painted(material, emission, next((x for x in (uv, second) if x is not None), ""))
+
+    def _check_other(self, described: Mapping[str, Any], shader: object, about: str) -> None:
+        if described.get("lets_through"):
+            raise _lets_through(f"{about} ({shown(shader)})")
+        if described.get("emits"):
+            raise InputError(
+                f"{about} emits light through other nodes ({shown(shader)}), which are not read; link an Emission or a "
+                "Principled BSDF to its output"
+            )
+
+    def _emission(self, described: Mapping[str, Any], about: str) -> Emission | None:
+        strength, colour = described.get("strength", 0.0), described.get("emission", [1.0] * 3)
+        if strength == 0.0 or (isinstance(colour, list) and not any(colour)):
+            return None
+        if isinstance(strength, dict) or (isinstance(colour, dict) and "unread" in colour):
+            raise InputError(
+                f"{about} emits light by nodes that are not read; give it one strength, and a colour or picture"
+            )
+        times = number(strength, f"{about}: its emission strength", 0.0, RADIANCE)
+        if not isinstance(colour, dict):
+            radiance = np.array(_colour(colour, f"{about}: its emission", RADIANCE)) * times
+            within(radiance, f"{about}: its emission", 0.0, RADIANCE)
+            return Emission(radiance.astype(np.float32))
+        picture = Bitmap(self._pixels(colour, 3, about, RADIANCE), _to_uv(colour, about))
+        return Emission(np.full(3, times, np.float32), picture, str(colour.get("uv", "")))
+
+    def _texture(
+        self, described: Mapping[str, Any], key: str, channels: int, name: str, about: str
+    ) -> tuple[Texture, str | None]:
+        """A texture and, of a picture, the name of its coordinates."""
+        value = described.get(key, [START] * 3 if channels == 3 else START)
+        if not isinstance(value, dict):
+            colour = _colour(value, f"{about}: its {key}", math.inf)
+            chosen = (
+                colour if channels == 3 else [float(value)] if not isinstance(value, list) else [colour @ _LUMINANCE]
+            )
+            return Constant(np.clip(np.array(chosen, np.float32), 0.0, 1.0)), None
+        if "unread" in value:
+            self.anew.setdefault(name, []).append(
+                f"its {'base colour' if key == 'color' else key}: {shown(value['unread'])}"
+            )
+            return _constant(START, channels), None
+        pixels = np.clip(self._pixels(value, channels, about, math.inf), 0.0, 1.0)
+        return Bitmap(pixels, _to_uv(value, about)), str(value.get("uv", ""))
+
+    def _pixels(self, place: Mapping[str, Any], channels: int, about: str, most: float) -> FloatArray:
+        """Linear values of a picture [h, w, channels]."""
+        key = place.get("file"), place.get("coded"), place.get("channel"), channels
+        if key not in self._pictures:
+            pixels = read_array(self.folder, str(place.get("file")), ("u1", "f4"))
+            if pixels.ndim != 3 or pixels.shape[2] != 3 or 0 in pixels.shape:
+                raise InputError(f"{about}: its picture {shown(place.get('file'))} is no picture of three channels")
+            if pixels.dtype == np.uint8:
+                linear = LEVELS[pixels] if place.get("coded") else pixels.astype(np.float32) / np.float32(255.0)
+            else:
+                linear = from_srgb(pixels) if place.get("coded") else pixels
+            channel = place.get("channel")
+            if channel is not None and (type(channel) is not int or not 0 <= channel <= 2):
+                raise InputError(f"{about}: its picture has no channel {shown(repr(channel))}")
+            if channels == 1:
+                linear = linear @ _LUMINANCE[:, None] if channel is None else linear[..., channel : channel + 1]
+            elif channel is not None:
+                linear = np.repeat(linear[..., channel : channel + 1], 3, -1)
+            within(linear, f"{about}: its picture", -most, most)
+            self._pictures[key] = np.ascontiguousarray(linear, np.float32)
+        return self._pictures[key]
+
+
+def read_array(folder: Path, name: str, kinds: tuple[str, ...]) -> Any:
+    """An array of a folder.
+
+    Raises:
+        InputError: it is missing or broken, or has another type.
+    """
+    if Path(name).name != name:
+        raise InputError(f"{shown(folder)}: the name {shown(repr(name))} leads out of the folder")
+    path = regular_file(folder / name)
+    with native(path, "it is no array that write_room.py has written"):
+        values = np.load(path, allow_pickle=False)
+        if values.dtype.str[1:] not in kinds:
+            raise ValueError(values.dtype)
+    return values
+
+
+def _principled(described: Mapping[str, Any], albedo: Texture, roughness: Texture, about: str) -> ReflectionModel:
+    alpha, transmission = described.get("alpha", 1.0), described.get("transmission", 0.0)
+    if not isinstance(alpha, float) or alpha < _OPAQUE:
+        raise _lets_through(about)
+    metallic = described.get("metallic", 0.0)
+    metallic = min(max(metallic, 0.0), 1.0) if isinstance(metallic, float) else 0.0
+    ior = described.get("ior", 1.5)
+    eta = number(ior, f"{about}: its IOR", 0.0, _LARGEST_INDEX) if isinstance(ior, float) else 1.5
+    smooth = isinstance(roughness, Constant) and float(roughness.value[0]) == 0.0
+    if isinstance(transmission, dict) or transmission > 0:
+        if transmission != 1.0 or metallic > 0:
+            raise _lets_through(about)
+        return _glass(described, albedo, roughness, about)
+    if metallic == 1.0 and smooth and isinstance(albedo, Constant):
+        return ConductorModel()
+    level = described.get("specular", 0.5)
+    normal = ((eta - 1.0) / (eta + 1.0)) ** 2 * (2.0 * level if isinstance(level, float) else 1.0)
+    if normal <= 0.0 and metallic == 0.0:
+        return DiffuseModel()
+    root = math.sqrt(min(max(normal, 2.5e-7), 0.96))
+    return PrincipledModel(float(np.round((1.0 + root) / (1.0 - root), 5)), float(np.round(metallic, 6)))
+
+
+def _diffuse(described: Mapping[str, Any], albedo: Texture, roughness: Texture, about: str) -> ReflectionModel:
+    return DiffuseModel()
+
+
+def _glossy(described: Mapping[str, Any], albedo: Texture, roughness: Texture, about: str) -> ReflectionModel:
+    smooth = isinstance(roughness, Constant) and float(roughness.value[0]) == 0.0
+    return ConductorModel() if smooth and isinstance(albedo, Constant) else PrincipledModel(metallic=1.0)
+
+
+def _glass(described: Mapping[str, Any], albedo: Texture, roughness: Texture, about: str) -> ReflectionModel:
+    clear = isinstance(albedo, Constant) and float(albedo.value.min()) >= _OPAQUE
+    smooth = isinstance(roughness, Constant) and float(roughness.value[0]) == 0.0
+    ior = described.get("ior", 1.5)
+    if not clear or not smooth or not isinstance(ior, float) or not 1.0 <= ior <= _LARGEST_INDEX:
+        raise _lets_through(about)
+    return DielectricModel(ior)
+
+
+_SHADERS: dict[Any, Callable[[Mapping[str, Any], Texture, Texture, str], ReflectionModel]] = {
+    "BSDF_PRINCIPLED": _principled,
+    "BSDF_DIFFUSE": _diffuse,
+    "BSDF_GLOSSY": _glossy,
+    "BSDF_GLASS": _glass,
+    "EMISSION": _diffuse,
+}
+
+
+def _lets_through(about: str) -> InputError:
+    return InputError(
+        f"{about} lets light through, which is not supported: only smooth clear glass is (transmission 1, roughness 0, "
+        "white, alpha 1); make it opaque, or hide its objects from renders"
+    )
+
+
+def _is_on(value: Any) -> bool:
+    """Whether a layer is there: a weight above 0, or one that is not a number."""
+    return bool(value) if not isinstance(value, dict) else True
+
+
+def _black(name: str) -> Material:
+    return Material(name, PrincipledModel(), _constant(0.0, 3), _constant(1.0, 1))
+
+
+def _constant(value: float, channels: int) -> Constant:
+    return Constant(np.full(channels, value, np.float32))
+
+
+def _colour(value: Any, where: str, most: float) -> Any:
+    values = value if isinstance(value, list) else [value] * 3
+    if len(values) != 3:
+        raise InputError(f"{where} is not a colour")
+    return np.array([max(number(x, where, -1e30, min(most, 1e30)), 0.0) for x in values], np.float64)
+
+
+def _to_uv(place: Mapping[str, Any], about: str) -> FloatArray:
+    rows = place.get("to_uv")
+    if not isinstance(rows, list) or [len(row) for row in rows] != [3, 3, 3]:
+        raise InputError(f"{about}: the place of its picture is not 3 x 3 numbers")
+    return np.array(
+        [[number(x, f"{about}: the place of its picture", -TEXEL, TEXEL) for x in row] for row in rows], np.float32
+    )

@@ -1,0 +1,1 @@
+"""Camera files: NeRF, nerfstudio, COLMAP, Polycam and FIPT."""

@@ -1,0 +1,1 @@
+"""Edits of a scene's light, materials and objects, and camera paths, from YAML."""

@@ -1,0 +1,115 @@
+"""Ways for a camera to move: round a scene, round itself, and through given cameras."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Sequence
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from neurad.core.errors import InputError
+from neurad.core.records import Camera
+from neurad.formats.edits.placement import turned_about
+
+Array = npt.NDArray[Any]
+KINDS = ("turntable", "pan", "fly")
+"""Round a point, looking at it; round itself; through all cameras, one after the other."""
+_DENSE = 64  # places in a stretch between two cameras, among which frames are spaced evenly
+
+
+def path_of(kind: str, cameras: Sequence[Camera], count: int, up: npt.ArrayLike, middle: npt.ArrayLike) -> list[Camera]:
+    """Cameras along a path.
+
+    Args:
+        kind: one of :data:`KINDS`.
+        cameras: the first one begins a turntable or a pan; a flight passes all of them.
+        count: number of frames. A full turn comes back to where it began after the last one.
+        up: unit vector about which cameras turn.
+        middle: what a turntable goes round, in scene units.
+
+    Raises:
+        InputError: a flight through a single camera, or a turntable that is right above what it goes round.
+    """
+    if kind == "fly":
+        if len(cameras) < 2:
+            raise InputError("--path fly: it needs two cameras or more (--camera, --views)")
+        return _flight(cameras, count)
+    first = cameras[0]
+    axis = np.asarray(up, np.float64)
+    if kind == "turntable":
+        first = _facing(first, axis, np.asarray(middle, np.float64))
+    about = np.asarray(middle, np.float64) if kind == "turntable" else np.asarray(first.to_world, np.float64)[:3, 3]
+    made = []
+    for index in range(count):
+        turn = turned_about(axis, 360.0 * index / count)
+        turn[:3, 3] = about - turn[:3, :3] @ about
+        made.append(_posed(first, turn @ np.asarray(first.to_world, np.float64)))
+    return made
+
+
+def _facing(camera: Camera, up: Array, target: Array) -> Camera:
+    """The camera at its place, upright and looking at a point.
+
+    Raises:
+        InputError: the point is right above or below it.
+    """
+    eye = np.asarray(camera.to_world, np.float64)[:3, 3]
+    back = eye - target
+    side = np.cross(up, back)
+    if np.linalg.norm(side) <= 1e-6 * max(float(np.linalg.norm(back)), 1e-30):
+        raise InputError("--path turntable: the first camera is right above or below the middle of the scene")
+    pose = np.eye(4)
+    pose[:3, 2] = back / np.linalg.norm(back)
+    pose[:3, 0] = side / np.linalg.norm(side)
+    pose[:3, 1] = np.cross(pose[:3, 2], pose[:3, 0])
+    pose[:3, 3] = eye
+    return _posed(camera, pose)
+
+
+def _posed(camera: Camera, pose: Any) -> Camera:
+    """The camera at another place; poses keep their digits."""
+    return replace(camera, to_world=pose)
+
+
+def _flight(cameras: Sequence[Camera], count: int) -> list[Camera]:
+    """A smooth path through cameras at an even pace: Catmull-Rom splines of places, turns (unit quaternions) and
+    angles of view. Lens and size are those of the first one.
+    """
+    import trimesh
+
+    transformations: Any = trimesh.transformations
+
+    turns: list[Any] = []
+    for camera in cameras:
+        q = np.asarray(transformations.quaternion_from_matrix(np.asarray(camera.to_world, np.float64)))
+        turns.append(-q if turns and float(q @ turns[-1]) < 0.0 else q)
+    places = np.array([np.asarray(camera.to_world, np.float64)[:3, 3] for camera in cameras])
+    knots = np.concatenate((places, np.array(turns), np.array([[camera.fov_x] for camera in cameras])), 1)
+    dense = _catmull_rom(knots)
+    extent = max(float(np.linalg.norm(np.ptp(places, axis=0))), 1e-30)
+    steps = np.diff(dense, axis=0)
+    # Half a turn takes as long as the way across all places.
+    pace = np.linalg.norm(steps[:, :3], axis=1) / extent + np.linalg.norm(steps[:, 3:7], axis=1) / math.sqrt(2.0)
+    along = np.concatenate(([0.0], np.cumsum(pace)))
+    wanted = np.linspace(0.0, along[-1], count)
+    values = np.stack([np.interp(wanted, along, column) for column in dense.T], 1)
+    made = []
+    for row in values:
+        pose = np.asarray(transformations.quaternion_matrix(row[3:7]), np.float64)
+        pose[:3, 3] = row[:3]
+        made.append(replace(_posed(cameras[0], pose), fov_x=float(row[7])))
+    return made
+
+
+def _catmull_rom(knots: Array) -> Array:
+    """Points of a spline through rows of numbers [n, c], many between each two."""
+    padded = np.concatenate((2 * knots[:1] - knots[1:2], knots, 2 * knots[-1:] - knots[-2:-1]))
+    t = np.arange(_DENSE)[:, None] / _DENSE
+    pieces = []
+    for a, b, c, d in zip(padded[:-3], padded[1:-2], padded[2:-1], padded[3:], strict=True):
+        pieces.append(0.5 * (2 * b + (c - a) * t + (2 * a - 5 * b + 4 * c - d) * t**2 + (3 * (b - c) + d - a) * t**3))
+    made: Array = np.concatenate([*pieces, knots[-1:]])
+    return made

@@ -1,0 +1,360 @@
+"""Other light and other things in a scene: what ``neurad render --edit`` and the viewer change."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from fnmatch import fnmatchcase
+from pathlib import Path
+from typing import TypeVar
+
+import numpy as np
+
+from neurad.core.colour import LUMINANCE
+from neurad.core.errors import InputError
+from neurad.core.records import Constant, EnvironmentMap, FloatArray, Material, Mesh, PunctualLight
+from neurad.core.reflection import PrincipledModel
+from neurad.core.suggest import nearest
+from neurad.formats.edits.placement import Placement, placed, scene_up, turned_environment
+from neurad.formats.meshes.objects import Part, read_object
+from neurad.images.image_io import read_exr
+from neurad.runtime.numbers import RADIANCE, within
+from neurad.runtime.reading import shown
+from neurad.scene.description import Scene
+
+Color = tuple[float, float, float]
+"""Linear RGB."""
+Vector = tuple[float, float, float]
+"""In scene units."""
+Named = TypeVar("Named", Mesh, Mesh | PunctualLight)
+"""Things that an edit names."""
+
+
+@dataclass(frozen=True)
+class LampEdit:
+    """What happens to a lamp. The radiance is replaced first, then coloured, then scaled."""
+
+    off: bool = False
+    scale: float = 1.0
+    """Times as bright."""
+    color: Color | None = None
+    """Colour that it gets at the luminance that it has."""
+    radiance: Color | None = None
+    """Radiance instead of what it has."""
+    move: Vector = (0.0, 0.0, 0.0)
+
+
+@dataclass(frozen=True)
+class EnvironmentEdit:
+    """What happens to the environment. Another map is read first, then coloured, scaled and turned."""
+
+    off: bool = False
+    file: str | None = None
+    """Lat-long map (EXR) instead of what the scene has, in the same frame."""
+    turn: float = 0.0
+    """Degrees about its vertical axis, counterclockwise as seen from above."""
+    scale: float = 1.0
+    color: Color | None = None
+
+
+@dataclass(frozen=True)
+class MaterialEdit:
+    """What a mesh is made of instead; None keeps what it has."""
+
+    albedo: Color | None = None
+    roughness: float | None = None
+
+
+@dataclass(frozen=True)
+class ObjectEdit:
+    """A thing that is put into the scene."""
+
+    file: str
+    """OBJ, GLB, PLY or STL."""
+    placement: Placement
+    name: str | None = None
+    """Of its meshes; None takes that of the file."""
+    material: MaterialEdit = MaterialEdit()
+    """Instead of what the file says, and where it says nothing albedo and roughness 0.5."""
+    radiance: Color | None = None
+    """It shines: a lamp is put in."""
+
+
+@dataclass(frozen=True)
+class Edit:
+    """What is to be changed in a scene. Names may be patterns such as ``lamp*``; they apply in their order."""
+
+    lamps: dict[str, LampEdit] = field(default_factory=dict)
+    environment: EnvironmentEdit | None = None
+    materials: dict[str, MaterialEdit] = field(default_factory=dict)
+    objects: tuple[ObjectEdit, ...] = ()
+    source: str = "--edit"
+    """Begins the sentences about it."""
+
+    @property
+    def files(self) -> list[str]:
+        """Files that it reads."""
+        named = [self.environment.file] if self.environment is not None else []
+        return [file for file in (*named, *(thing.file for thing in self.objects)) if file is not None]
+
+
+@dataclass(frozen=True)
+class Edited:
+    """A scene after an edit. Meshes keep their places in the list; what was put in comes last."""
+
+    scene: Scene
+    base: Scene
+    """The scene before."""
+    albedo: frozenset[int] = frozenset()
+    """Meshes whose albedo the scene's materials say, whatever was recovered there."""
+    roughness: frozenset[int] = frozenset()
+    """Meshes of whose roughness that holds."""
+    said: tuple[str, ...] = ()
+    """What was changed, a few words each."""
+    reshaped: bool = False
+    """Whether triangles moved or came: rays have to be traced against other ones."""
+
+    @property
+    def changes(self) -> bool:
+        """Whether anything was changed."""
+        return bool(self.said)
+
+
+def lamps_of(scene: Scene) -> list[str]:
+    """Names of the meshes that shine, then of the lights without extent that do."""
+    shine = [mesh.name for mesh in scene.meshes if mesh.radiance is not None and float(mesh.radiance.max()) > 0.0]
+    return [*shine, *(light.name for light in scene.punctual if light.intensity.any())]
+
+
+def edited(scene: Scene, edit: Edit) -> Edited:
+    """The scene with an edit applied.
+
+    Args:
+        scene: what to change; it stays as it is.
+        edit: what to change in it.
+
+    Raises:
+        InputError: a name is none of a lamp or mesh, a file cannot be read, or no light is left.
+    """
+    work = _Work(scene, edit.source)
+    for pattern, lamp in edit.lamps.items():
+        work.lamp(pattern, lamp)
+    if edit.environment is not None:
+        work.environment(edit.environment)
+    for pattern, material in edit.materials.items():
+        work.material(pattern, material)
+    for thing in edit.objects:
+        work.put_in(thing)
+    made = replace(work.scene, meshes=work.meshes, materials=work.materials, punctual=tuple(work.punctual))
+    if not made.features.has_light:
+        raise InputError(f"{edit.source}: it leaves no light in the scene, so every picture would be black")
+    return Edited(
+        made.check(), scene, frozenset(work.albedo), frozenset(work.roughness), tuple(work.said), work.reshaped
+    )
+
+
+def coloured(radiance: FloatArray, color: Color) -> FloatArray:
+    """Radiance [..., 3] of another colour with the luminance that it has."""
+    weights = np.asarray(LUMINANCE)
+    tint = np.asarray(color, np.float64)
+    brightness = np.asarray(radiance, np.float64) @ weights
+    made: FloatArray = (brightness[..., None] * (tint / float(tint @ weights))).astype(np.float32)
+    return made
+
+
+class _Work:
+    """A scene while it is changed."""
+
+    def __init__(self, scene: Scene, source: str) -> None:
+        self.scene = scene
+        self.source = source
+        self.meshes: list[Mesh] = list(scene.meshes)
+        self.materials: list[Material] = list(scene.materials)
+        self.punctual: list[PunctualLight] = list(scene.punctual)
+        self.albedo: set[int] = set()
+        self.roughness: set[int] = set()
+        self.said: list[str] = []
+        self.reshaped = False
+
+    def lamp(self, pattern: str, edit: LampEdit) -> None:
+        """Change the lamps of a name."""
+        lamps = set(lamps_of(self.scene))
+        shine: list[Mesh | PunctualLight] = [mesh for mesh in self.scene.meshes if mesh.name in lamps]
+        shine += [light for light in self.scene.punctual if light.name in lamps]
+        chosen = {thing.name for thing in self._named(pattern, "lamp", shine)}
+        for index, light in enumerate(self.scene.punctual):
+            if light.name in chosen and light.intensity.any():
+                self._punctual(index, edit)
+        for index, there in enumerate(self.scene.meshes):
+            if there.name not in chosen or there.radiance is None:
+                continue
+            mesh = self.meshes[index]
+            now = there.radiance if mesh.radiance is None else mesh.radiance
+            dark, made = self._relit(mesh.name, now, edit, "radiance")
+            self.meshes[index] = replace(mesh, radiance=None if dark else made)
+            if any(edit.move):
+                here = self.meshes[index]
+                step = np.asarray(edit.move, np.float32)
+                self.meshes[index] = replace(here, vertices=(here.vertices + step).astype(np.float32))
+                self.said.append(f"lamp {mesh.name} moved by {_listed(step)}")
+                self.reshaped = True
+
+    def _punctual(self, index: int, edit: LampEdit) -> None:
+        """Change a light without extent. One that is off keeps its place in the list, without light."""
+        light = self.punctual[index]
+        if edit.radiance is not None:
+            raise InputError(
+                f"{self.source}: lamps: {shown(light.name)} is a {light.kind} light and has no radiance; give a scale"
+            )
+        now = light.intensity if light.intensity.any() else self.scene.punctual[index].intensity
+        dark, made = self._relit(light.name, now, edit, "intensity")
+        self.punctual[index] = replace(light, intensity=np.zeros(3, np.float32) if dark else made)
+        if any(edit.move):
+            if light.kind == "directional":
+                raise InputError(
+                    f"{self.source}: lamps: {shown(light.name)} is a directional light, which has no place to move from"
+                )
+            step = np.asarray(edit.move, np.float32)
+            self.punctual[index] = replace(self.punctual[index], position=(light.position + step).astype(np.float32))
+            self.said.append(f"lamp {light.name} moved by {_listed(step)}")
+
+    def _relit(self, name: str, now: FloatArray, edit: LampEdit, measure: str) -> tuple[bool, FloatArray]:
+        """Whether a lamp is dark after an edit, and the light [3] that it sends instead of ``now``."""
+        light = now if edit.radiance is None else np.asarray(edit.radiance, np.float32)
+        light = light if edit.color is None else coloured(light, edit.color)
+        light = (light * np.float32(edit.scale)).astype(np.float32)
+        within(light, f"{self.source}: lamps: the {measure} of {shown(name)} then", 0.0, RADIANCE)
+        dark = edit.off or not light.any()
+        words = "off" if dark else f"{', '.join(f'{x:.4g}' for x in light)} instead of {_listed(now)}"
+        if dark or not np.array_equal(light, now):
+            self.said.append(f"lamp {name} {words}")
+        return dark, light
+
+    def environment(self, edit: EnvironmentEdit) -> None:
+        """Change the environment."""
+        there = self.scene.environment
+        if edit.off:
+            self._replace_environment(None, "no environment" if there is not None else "")
+            return
+        where = f"{self.source}: environment"
+        if edit.file is not None:
+            there = self._map(edit.file)
+            self.said.append(f"environment {edit.file}")
+        if there is None:
+            raise InputError(f"{where}: the scene has none to change; give it a file")
+        pixels = there.pixels if edit.color is None else coloured(there.pixels, edit.color)
+        pixels = (pixels * np.float32(edit.scale)).astype(np.float32)
+        within(pixels, f"{where}: its radiance then", 0.0, RADIANCE)
+        words = [] if edit.color is None else [f"of colour {_listed(edit.color)}"]
+        words += [] if edit.scale == 1.0 else [f"{edit.scale:g} times as bright"]
+        words += [] if edit.turn % 360.0 == 0.0 else [f"turned by {edit.turn:g} degrees"]
+        made = turned_environment(replace(there, pixels=pixels), edit.turn)
+        self._replace_environment(made, f"environment {', '.join(words)}" if words else "")
+
+    def _replace_environment(self, environment: EnvironmentMap | None, said: str) -> None:
+        self.scene = replace(self.scene, environment=environment)
+        if said:
+            self.said.append(said)
+
+    def _map(self, file: str) -> EnvironmentMap:
+        """Another map, in the frame of the scene's own or, where it has none, upright."""
+        pixels = read_exr(file)
+        if pixels.shape[2] < 3:
+            raise InputError(f"{shown(file)}: it has {pixels.shape[2]} channels where 3 are needed")
+        within(pixels[..., :3], f"{shown(file)}: radiance", 0.0, RADIANCE)
+        kept = np.ascontiguousarray(pixels[..., :3], np.float32)
+        if self.scene.environment is not None:
+            return EnvironmentMap(kept, self.scene.environment.to_world)
+        return EnvironmentMap(kept, scene_up(self.scene, "y").astype(np.float32))
+
+    def material(self, pattern: str, edit: MaterialEdit) -> None:
+        """Give meshes of a name another material."""
+        meant = {mesh.name for mesh in self._named(pattern, "mesh", self.scene.meshes)}
+        chosen = [i for i, mesh in enumerate(self.scene.meshes) if mesh.name in meant]
+        for index in chosen:
+            material = self.materials[self.meshes[index].material]
+            if edit.roughness is not None and (material.model.is_delta or material.model.is_diffuse):
+                kind = "smooth" if material.model.is_delta else "diffuse"
+                raise InputError(
+                    f"{self.source}: materials: mesh {shown(self.meshes[index].name)} is {kind} and has no roughness"
+                )
+            self._paint(index, material, edit)
+        changes = [f"albedo {_listed(edit.albedo)}"] if edit.albedo is not None else []
+        changes += [f"roughness {edit.roughness:g}"] if edit.roughness is not None else []
+        names = self.meshes[chosen[0]].name if len(chosen) == 1 else f"{len(chosen)} meshes {pattern}"
+        if changes:
+            self.said.append(f"{names} of {' and '.join(changes)}")
+
+    def _paint(self, index: int, material: Material, edit: MaterialEdit) -> None:
+        """A material of its own for a mesh, with the constants of an edit."""
+        if edit.albedo is not None:
+            material = replace(material, albedo=Constant(np.asarray(edit.albedo, np.float32)))
+            self.albedo.add(index)
+        if edit.roughness is not None:
+            material = replace(material, roughness=Constant(np.asarray([edit.roughness], np.float32)))
+            self.roughness.add(index)
+        self.materials.append(replace(material, name=f"{material.name} of {self.meshes[index].name}"))
+        self.meshes[index] = replace(self.meshes[index], material=len(self.materials) - 1)
+
+    def put_in(self, thing: ObjectEdit) -> None:
+        """Add the meshes of a file."""
+        where = f"{self.source}: objects"
+        parts = read_object(thing.file, where)
+        meshes = placed([part.mesh for part in parts], thing.placement, self.scene, f"{where}: {shown(thing.file)}")
+        name = thing.name or Path(thing.file).stem
+        taken = {mesh.name for mesh in self.meshes}
+        for part, mesh in zip(parts, meshes, strict=True):
+            label = _free(name if len(parts) == 1 else f"{name} {part.mesh.name}", taken)
+            radiance = None if thing.radiance is None else np.asarray(thing.radiance, np.float32)
+            self.materials.append(_material(part, label))
+            self.meshes.append(replace(mesh, name=label, material=len(self.materials) - 1, radiance=radiance))
+            index = len(self.meshes) - 1
+            self._paint(index, self.materials[-1], thing.material)
+            self.albedo.add(index)
+            self.roughness.add(index)
+        count = sum(len(mesh.faces) for mesh in meshes)
+        self.said.append(f"{name} put in ({count} triangles)")
+        self.reshaped = True
+
+    def _named(self, pattern: str, what: str, known: Sequence[Named]) -> list[Named]:
+        """Those of some things that a name or pattern means.
+
+        Raises:
+            InputError: there is none.
+        """
+        names = [thing.name for thing in known]
+        exact = [thing for thing in known if thing.name == pattern]
+        found = exact or [thing for thing in known if fnmatchcase(thing.name, pattern)]
+        if found:
+            return found
+        is_mesh = what == "lamp" and any(mesh.name == pattern for mesh in self.scene.meshes)
+        near = None if is_mesh else nearest(pattern, names)
+        hint = f"there are {_some(names)}" if near is None else f"did you mean {shown(near)}?"
+        wrong = f"mesh {shown(pattern)} is no lamp" if is_mesh else f"there is no {what} {shown(pattern)}"
+        raise InputError(f"{self.source}: {'lamps' if what == 'lamp' else 'materials'}: {wrong}; {hint}")
+
+
+def _material(part: Part, name: str) -> Material:
+    return Material(name, PrincipledModel(), part.albedo, part.roughness)
+
+
+def _free(name: str, taken: set[str]) -> str:
+    """A name that no mesh has, which is taken then."""
+    made, count = name, 1
+    while made in taken:
+        count += 1
+        made = f"{name}-{count}"
+    taken.add(made)
+    return made
+
+
+def _some(names: Sequence[str], most: int = 8) -> str:
+    """A few of some names, for a sentence."""
+    if not names:
+        return "none in this scene"
+    more = f" and {len(names) - most} others" if len(names) > most else ""
+    return ", ".join(shown(name) for name in names[:most]) + more
+
+
+def _listed(values: FloatArray | Sequence[float]) -> str:
+    return ", ".join(f"{float(x):.4g}" for x in values)

@@ -1,0 +1,195 @@
+"""Edits as files: the YAML behind ``neurad render --edit``."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+import yaml  # type: ignore[import-untyped]
+
+from neurad.core.errors import InputError
+from neurad.core.suggest import nearest
+from neurad.formats.edits.edit import Color, Edit, EnvironmentEdit, LampEdit, MaterialEdit, ObjectEdit, Vector
+from neurad.formats.edits.placement import Placement
+from neurad.formats.room_folder import UP
+from neurad.runtime.numbers import LENGTH, RADIANCE, number
+from neurad.runtime.reading import read_text, shown
+
+LAMP = ("scale", "color", "radiance", "move")
+ENVIRONMENT = ("file", "turn", "scale", "color")
+MATERIAL = ("albedo", "roughness")
+OBJECT = ("file", "name", "at", "size", "scale", "turn", "up", "albedo", "roughness", "radiance")
+_TURN = 1e6  # degrees
+
+
+def read_edit(path: str | Path) -> Edit:
+    """The edit of a file; paths in it are relative to it.
+
+    Raises:
+        InputError: the file is missing or no YAML, or has a key or value that no edit has; the sentence names it.
+    """
+    source = f"--edit {shown(path)}"
+    text = read_text(path)
+    try:
+        tree = yaml.safe_load(text)
+    except (yaml.YAMLError, ValueError, RecursionError) as error:
+        raise InputError(f"{source}: it is not readable YAML ({shown(' '.join(str(error).split()))})") from error
+    return edit_of(tree, source, Path(path).parent)
+
+
+def edit_of(tree: Any, source: str = "--edit", folder: Path = Path()) -> Edit:
+    """The edit that plain values describe.
+
+    Args:
+        tree: a mapping with the keys ``lamps``, ``environment``, ``materials`` and ``objects``.
+        source: begins the error messages.
+        folder: that paths are relative to.
+
+    Raises:
+        InputError: as :func:`read_edit`.
+    """
+    tree = _mapping({} if tree is None else tree, source, ("lamps", "environment", "materials", "objects"))
+    lamps = _named(tree, "lamps", source)
+    materials = _named(tree, "materials", source)
+    objects = tree.get("objects") or []
+    if not isinstance(objects, list):
+        raise InputError(f"{source}: objects has to be a list, one entry for each thing")
+    environment = tree.get("environment")
+    return Edit(
+        {name: _lamp(value, f"{source}: lamps: {shown(name)}") for name, value in lamps.items()},
+        None if environment is None else _environment(environment, f"{source}: environment", folder),
+        {name: _material(value, f"{source}: materials: {shown(name)}") for name, value in materials.items()},
+        tuple(_object(value, f"{source}: objects: entry {i + 1}", folder) for i, value in enumerate(objects)),
+        source,
+    )
+
+
+def _lamp(value: Any, where: str) -> LampEdit:
+    """``off``, a factor, or a mapping."""
+    given = _brightness(value, where, LAMP)
+    if not isinstance(given, Mapping):
+        return LampEdit(off=given is None, scale=1.0 if given is None else given)
+    return LampEdit(
+        scale=number(given.get("scale", 1.0), f"{where}: scale", 0.0, RADIANCE),
+        color=_tint(given, where),
+        radiance=_triple(given, "radiance", where, 0.0, RADIANCE),
+        move=_triple(given, "move", where, -LENGTH, LENGTH) or (0.0, 0.0, 0.0),
+    )
+
+
+def _environment(value: Any, where: str, folder: Path) -> EnvironmentEdit:
+    """``off``, a factor, or a mapping."""
+    given = _brightness(value, where, ENVIRONMENT)
+    if not isinstance(given, Mapping):
+        return EnvironmentEdit(off=given is None, scale=1.0 if given is None else given)
+    return EnvironmentEdit(
+        file=_file(given, where, folder),
+        turn=number(given.get("turn", 0.0), f"{where}: turn", -_TURN, _TURN),
+        scale=number(given.get("scale", 1.0), f"{where}: scale", 0.0, RADIANCE),
+        color=_tint(given, where),
+    )
+
+
+def _brightness(value: Any, where: str, keys: tuple[str, ...]) -> Mapping[str, Any] | float | None:
+    """What a light becomes: None for ``off``, a factor, or a mapping with some of these keys."""
+    if _is_off(value):
+        return None
+    if _is_number(value):
+        return number(value, where, 0.0, RADIANCE)
+    return _mapping(value, where, keys, "off, a factor, or a mapping")
+
+
+def _material(value: Any, where: str) -> MaterialEdit:
+    given = _mapping(value, where, MATERIAL)
+    roughness = given.get("roughness")
+    return MaterialEdit(
+        _triple(given, "albedo", where, 0.0, 1.0),
+        None if roughness is None else number(roughness, f"{where}: roughness", 0.0, 1.0),
+    )
+
+
+def _object(value: Any, where: str, folder: Path) -> ObjectEdit:
+    given = _mapping(value, where, OBJECT)
+    file, at = _file(given, where, folder), _triple(given, "at", where, -LENGTH, LENGTH)
+    if file is None or at is None:
+        raise InputError(f"{where}: it has no {'file' if file is None else 'place (at: [x, y, z])'}")
+    up, size, name = given.get("up", "y"), given.get("size"), given.get("name")
+    if up not in UP:
+        raise InputError(f"{where}: up is {shown(up)}, which is none of {', '.join(UP)}")
+    if name is not None and not isinstance(name, str):
+        raise InputError(f"{where}: name is {shown(repr(name))}, not a text")
+    placement = Placement(
+        at=at,
+        size=None if size is None else number(size, f"{where}: size", 1e-12, LENGTH),
+        scale=number(given.get("scale", 1.0), f"{where}: scale", 1e-12, LENGTH),
+        turn=number(given.get("turn", 0.0), f"{where}: turn", -_TURN, _TURN),
+        up=up,
+    )
+    material = _material({key: x for key, x in given.items() if key in MATERIAL}, where)
+    return ObjectEdit(file, placement, name, material, _triple(given, "radiance", where, 0.0, RADIANCE))
+
+
+def _mapping(value: Any, where: str, keys: tuple[str, ...], expected: str = "a mapping") -> Mapping[str, Any]:
+    """A mapping with some of these keys.
+
+    Raises:
+        InputError: it is none, or has another key.
+    """
+    if not isinstance(value, dict):
+        raise InputError(f"{where}: it is {shown(repr(value))}, but {expected} with keys {', '.join(keys)} is needed")
+    for key in value:
+        if key not in keys:
+            near = nearest(str(key), keys)
+            hint = f"there are {', '.join(keys)}" if near is None else f"did you mean {near}?"
+            raise InputError(f"{where}: there is no key {shown(key)}; {hint}")
+    return value
+
+
+def _named(tree: Mapping[str, Any], key: str, source: str) -> dict[str, Any]:
+    """A mapping from names to something; numbers are names, too."""
+    found = tree.get(key)
+    if found is None:
+        return {}
+    if not isinstance(found, dict):
+        raise InputError(f"{source}: {key} has to be a mapping from names to what becomes of them")
+    return {str(name): value for name, value in found.items()}
+
+
+def _is_off(value: Any) -> bool:
+    """Whether a lamp is to be off; YAML takes the plain word for a truth value."""
+    return value is False or value == "off"
+
+
+def _is_number(value: Any) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool)
+
+
+def _triple(given: Mapping[str, Any], key: str, where: str, low: float, high: float) -> Vector | None:
+    """Three numbers, or one that stands for all three."""
+    value = given.get(key)
+    if value is None:
+        return None
+    if _is_number(value):
+        value = [value] * 3
+    if not isinstance(value, list) or len(value) != 3:
+        raise InputError(f"{where}: {key} is {shown(repr(value))}, which is not three numbers")
+    x, y, z = (number(entry, f"{where}: {key}", low, high) for entry in value)
+    return x, y, z
+
+
+def _tint(given: Mapping[str, Any], where: str) -> Color | None:
+    """A colour that is not black, as its brightness does not count."""
+    color = _triple(given, "color", where, 0.0, RADIANCE)
+    if color is not None and not any(color):
+        raise InputError(f"{where}: color is black; a scale of 0 is dark")
+    return color
+
+
+def _file(given: Mapping[str, Any], where: str, folder: Path) -> str | None:
+    file = given.get("file")
+    if file is None:
+        return None
+    if not isinstance(file, str) or not file:
+        raise InputError(f"{where}: file is {shown(repr(file))}, not the name of a file")
+    return str(folder / Path(file).expanduser())

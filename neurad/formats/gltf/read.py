@@ -1,0 +1,308 @@
+"""glTF 2.0 scenes: ``scene.glb`` and ``scene.gltf``."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import suppress
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from neurad.core.errors import InputError, Refusals
+from neurad.core.names import apart
+from neurad.core.records import FloatArray, IntArray, Material, Mesh, PunctualLight
+from neurad.formats.gltf.file import Array, GltfFile, Json
+from neurad.formats.gltf.lamps import backs_of, lit_by
+from neurad.formats.gltf.materials import COLOUR, Corners, Emission, MaterialReader
+from neurad.formats.gltf.nodes import GltfCamera, Node, camera_of, instances_of, is_own, light_of, nodes_of
+from neurad.formats.gltf.textures import LEVELS
+from neurad.runtime.memory import reserve
+from neurad.runtime.numbers import LENGTH, RADIANCE, TEXEL, unit, within
+from neurad.runtime.reading import shown
+from neurad.scene.polygons import check_triangle_count
+
+ENDINGS = (".glb", ".gltf")
+_TRIANGLES, _STRIP, _FAN = 4, 5, 6
+_LISTED = 12
+_SETS = 8  # sets of texture coordinates that are looked for
+
+
+@dataclass(frozen=True)
+class GltfRoom:
+    """What a file has."""
+
+    meshes: list[Mesh]
+    """One for each primitive of each node that shows a mesh, in world space; more where it shines unevenly."""
+    materials: list[Material]
+    cameras: list[GltfCamera]
+    lights: list[PunctualLight]
+    notes: tuple[str, ...] = ()
+    """What was decided for the user, a sentence each."""
+    own: Json = field(default_factory=dict)
+    """What neurad's own export says of the scene besides."""
+
+
+def read_gltf(path: str | Path, lamps: bool = True) -> GltfRoom:
+    """Meshes, materials, cameras and lights of a file, in the frame of its scene.
+
+    Args:
+        path: of the file.
+        lamps: whether surfaces shine.
+
+    Raises:
+        InputError: a file is missing or broken, or the scene uses what neurad cannot render; a sentence says what.
+    """
+    file = GltfFile(path)
+    room = _Reader(file, lamps).room()
+    if not room.meshes:
+        raise file.error("it has no triangle")
+    return room
+
+
+class _Reader:
+    """A file on its way to a room."""
+
+    def __init__(self, file: GltfFile, lamps: bool) -> None:
+        self.file = file
+        self.lamps = lamps
+        self.materials = MaterialReader(file, is_own(file))
+        self.notes: dict[str, None] = {}
+        self.names: set[str] = set()
+        self.refusals = Refusals()
+
+    def room(self) -> GltfRoom:
+        """Everything in the file."""
+        meshes: list[Mesh] = []
+        cameras: list[GltfCamera] = []
+        lights: list[PunctualLight] = []
+        nodes: list[Node] = []
+        flat: list[str] = []
+        with self.refusals.part():
+            for node in nodes_of(self.file):
+                nodes.append(node)
+        check_triangle_count(sum(map(self._triangles, nodes)), shown(self.file.path))
+        for node in nodes:
+            if "mesh" in node.item:
+                with self.refusals.part():
+                    meshes += self._meshes(node)
+            if "camera" in node.item:
+                with self.refusals.part():
+                    if (camera := camera_of(self.file, node)) is not None:
+                        cameras.append(camera)
+                    else:
+                        flat.append(node.name)
+            with self.refusals.part():
+                if (light := light_of(self.file, node)) is not None:
+                    lights.append(light)
+        self.refusals.end()
+        if flat:
+            listed = ", ".join(map(shown, flat[:_LISTED])) + (" ..." if len(flat) > _LISTED else "")
+            self._note(f"orthographic cameras are left out: {listed}")
+        if (unread := self.file.unread()) is not None:
+            self._note(unread)
+        if self.file.array(self.file.json, "animations", "it"):
+            self._note("it is animated: everything stands as it does without the animation")
+        extras = self.file.object(self.file.json, "asset", "it").get("extras") if is_own(self.file) else None
+        own = extras if isinstance(extras, dict) else {}
+        if own.get("base_color_for") in ("blender", "gltf"):
+            self._note(
+                f"its base colours were changed for {own['base_color_for']} and are some percent off neurad's; "
+                "export with --for exact, or keep scene.xml"
+            )
+        return GltfRoom(meshes, self.materials.materials, cameras, lights, tuple(self.notes), own)
+
+    def _note(self, said: str) -> None:
+        self.notes[f"{shown(self.file.path)}: {said}"] = None
+
+    # ---- meshes
+
+    def _triangles(self, node: Node) -> int:
+        """How many a node will have, at most; 0 of what cannot be read."""
+        if "mesh" not in node.item:
+            return 0
+        count = 0
+        with suppress(InputError):
+            for primitive in self.file.array(self.file.item("meshes", node.item["mesh"], ""), "primitives", ""):
+                mode = primitive.get("mode", _TRIANGLES) if isinstance(primitive, dict) else None
+                if mode in (_TRIANGLES, _STRIP, _FAN):
+                    of_places = self.file.object(primitive, "attributes", "").get("POSITION")
+                    corners = self.file.item("accessors", primitive.get("indices", of_places), "")
+                    count += self.file.count(corners, "count", None, "") // (3 if mode == _TRIANGLES else 1)
+            return count * instances_of(self.file, node)[0]
+        return 0
+
+    def _meshes(self, node: Node) -> Iterator[Mesh]:
+        """The meshes of a node, one for each primitive that has triangles and each place where it stands."""
+        about = f"node {shown(node.name)}"
+        item = self.file.item("meshes", node.item["mesh"], about)
+        if "skin" in node.item:
+            raise self.file.error(f"{about} has a skin, which is not supported; apply its pose to the mesh")
+        weights = node.item.get("weights", item.get("weights", []))
+        if not isinstance(weights, list) or any(weight != 0 for weight in weights):
+            raise self.file.error(f"{about} has a mesh that is morphed, which is not supported; apply its shape keys")
+        poses = instances_of(self.file, node)[1]()
+        there = poses[:, :3, :3].any((1, 2))
+        if not there.all():
+            whole = "" if len(poses) == 1 else f" in {len(poses) - there.sum()} of {len(poses)} instances, which are"
+            self._note(f"{about} has a scale of 0{whole or ' and is'} left out")
+        poses = poses[there]
+        if len(poses) == 0:
+            return
+        linear = poses[:, :3, :3]
+        if (np.abs(np.linalg.det(linear)) <= 1e-12 * np.linalg.norm(linear, axis=1).prod(-1)).any():
+            raise self.file.error(f"{about}: its transform flattens its mesh (it cannot be inverted)")
+        primitives = self.file.array(item, "primitives", about)
+        for index, primitive in enumerate(primitives):
+            if not isinstance(primitive, dict):
+                raise self.file.error(f"{about}: primitive {index} is not an object")
+            name = node.name if "name" in node.item else self.file.name(item, node.name)
+            with self.refusals.part():
+                yield from self._primitive(poses, primitive, name if len(primitives) == 1 else f"{name} {index + 1}")
+
+    def _primitive(self, poses: Array, primitive: Json, name: str) -> Iterator[Mesh]:
+        where = f"mesh {shown(name)}"
+        mode = self.file.count(primitive, "mode", _TRIANGLES, where)
+        if mode not in (_TRIANGLES, _STRIP, _FAN):
+            if mode > _FAN:
+                raise self.file.error(f"{where} has the mode {mode}, which is not known")
+            self._note(f"{where} is of points or lines, which have no surface, and is left out")
+            return
+        attributes = self.file.object(primitive, "attributes", where)
+        if "POSITION" not in attributes:
+            raise self.file.error(f"{where} has no POSITION")
+        if "bufferView" not in self.file.item("accessors", attributes["POSITION"], where):
+            self.file.check_uncompressed(primitive, where)
+        places = self._values(attributes, "POSITION", where, "VEC3")
+        faces = self._faces(primitive, mode, len(places), where)
+        if len(faces) == 0:
+            self._note(f"{where} has no triangle and is left out")
+            return
+        made = len(poses) * len(faces)
+        reserve(f"{shown(self.file.path)}: {where}", 200 * made, 120 * made)
+        yield from self._parts(poses, primitive, attributes, name, places, faces)
+
+    def _values(self, attributes: Json, key: str, where: str, *kinds: str) -> Array:
+        return self.file.accessor(attributes[key], f"{where}: {key}", *kinds)
+
+    def _faces(self, primitive: Json, mode: int, count: int, where: str) -> IntArray:
+        """The triangles of a primitive by the numbers of their vertices [f, 3]."""
+        if "indices" in primitive:
+            order = self._values(primitive, "indices", where, "SCALAR")[:, 0]
+            if order.dtype != np.int64:
+                raise self.file.error(f"{where}: its indices are not whole numbers")
+            if order.min() < 0 or order.max() >= count:
+                raise self.file.error(f"{where}: an index names vertex {order.max()}, of {count} (numbered from 0)")
+        else:
+            order = np.arange(count, dtype=np.int64)
+        if mode == _TRIANGLES:
+            if len(order) % 3:
+                raise self.file.error(f"{where} has {len(order)} corners, which are no whole number of triangles")
+            return np.ascontiguousarray(order.reshape(-1, 3))
+        first = np.arange(max(len(order) - 2, 0), dtype=np.int64)
+        odd = first % 2
+        corners = (first, first + 1 + odd, first + 2 - odd) if mode == _STRIP else (first + 1, first + 2, 0 * first)
+        faces: IntArray = order[np.stack(corners, -1)]
+        joined = (faces[:, 0] == faces[:, 1]) | (faces[:, 1] == faces[:, 2]) | (faces[:, 0] == faces[:, 2])
+        return faces[~joined] if mode == _STRIP else faces  # strips are joined by triangles without area
+
+    def _parts(
+        self, poses: Array, primitive: Json, attributes: Json, name: str, places: Array, faces: IntArray
+    ) -> Iterator[Mesh]:
+        """The meshes of a primitive in world space, one a pose, or their parts where they shine unevenly."""
+        where = f"mesh {shown(name)}"
+        used: Any = np.zeros(len(places), bool)
+        used[faces] = True
+        if used.all():
+            used = slice(None)
+        else:
+            faces = (np.cumsum(used) - 1)[faces]
+        corners = self._corners(attributes, len(places), used, where)
+        normals = None
+        if "NORMAL" in attributes:
+            normals = self._values(attributes, "NORMAL", where, "VEC3")
+            self._check_count(normals, len(places), f"{where}: NORMAL")
+            normals = normals[used]
+        index = primitive.get("material")
+        painted = self.materials.paint(index, corners, where)
+        emission = self.materials.emission(index, where) if self.lamps else None
+        reason = self.materials.materials[painted.material].model.unsupported
+        if emission is not None and reason:
+            raise InputError(f"{reason}; it emits light, and what a lamp reflects has to be known")
+        uvs = None if painted.uv_set is None else corners.uvs[painted.uv_set]
+        if uvs is None and corners.uvs:
+            uvs = corners.uvs[min(corners.uvs)]
+        plain = Mesh(
+            name, places, faces, painted.material, None, uvs if uvs is None or np.isfinite(uvs).all() else None,
+            {} if painted.colours is None else {COLOUR: painted.colours},
+            None if emission is None else emission.radiance,
+        )  # fmt: skip
+        for count, pose in enumerate(poses, 1):
+            vertices, turned, wound = in_world(pose, places[used], normals, faces)
+            within(vertices, f"{shown(self.file.path)}: the coordinates of {where}", -LENGTH, LENGTH)
+            made = apart(name if len(poses) == 1 else f"{name} {count}", self.names)
+            mesh = replace(plain, name=made, vertices=vertices, faces=wound, normals=turned)
+            yield from [mesh] if emission is None else self._lamp(mesh, emission, corners, where)
+
+    def _corners(self, attributes: Json, count: int, used: Any, where: str) -> Corners:
+        """Texture coordinates and colours of the vertices that are used."""
+        uvs: dict[int, Array] = {}
+        for number in range(_SETS):
+            if (key := f"TEXCOORD_{number}") in attributes:
+                values = self._values(attributes, key, where, "VEC2").astype(np.float32)
+                self._check_count(values, count, f"{where}: {key}")
+                uvs[number] = values[used]
+        colours = None
+        if "COLOR_0" in attributes:
+            values = self._values(attributes, "COLOR_0", where, "VEC3", "VEC4")
+            self._check_count(values, count, f"{where}: COLOR_0")
+            colours = values[used].astype(np.float32)
+            within(colours, f"{shown(self.file.path)}: {where}: COLOR_0", -TEXEL, TEXEL)
+        return Corners(uvs, colours)
+
+    def _check_count(self, values: Array, count: int, where: str) -> None:
+        if len(values) != count:
+            raise self.file.error(f"{where} has {len(values)} values, but there are {count} vertices")
+
+    def _lamp(self, mesh: Mesh, emission: Emission, corners: Corners, where: str) -> Iterator[Mesh]:
+        """The parts of a surface that emits light."""
+        assert mesh.radiance is not None
+        within(mesh.radiance, f"{shown(self.file.path)}: the radiance of {where}", 0.0, RADIANCE)
+        lit = [mesh]
+        if emission.place is not None:
+            uvs = corners.of(self.file, emission.place.uv_set, where)
+            picture, matrix = self.materials.textures.continued(emission.place, uvs, where)
+            lit = lit_by(LEVELS[picture[..., :3]], matrix, mesh, uvs, self.names, where, self._note)
+        yield from lit
+        if emission.both_sides and (sheets := backs_of(mesh, lit, self.names)):
+            self._note(
+                f"{where} is doubleSided and shines from both sides, as two sheets; where it should shine to the front "
+                "alone, take that off its material (Backface Culling in Blender)"
+            )
+            yield from sheets
+
+
+def moved_mesh(mesh: Mesh, similarity: Array) -> Mesh:
+    """A mesh in another frame, to which ``similarity`` takes its own [4, 4]."""
+    vertices, normals, faces = in_world(similarity, mesh.vertices, mesh.normals, mesh.faces)
+    return replace(mesh, vertices=vertices, normals=normals, faces=faces)
+
+
+def in_world(
+    to_world: Array, places: Array, normals: Array | None, faces: IntArray
+) -> tuple[FloatArray, FloatArray | None, IntArray]:
+    """Vertices (float64 where they move), unit normals and triangles, which a mirroring transform winds the other way
+    round.
+    """
+    turned = None if normals is None else normals.astype(np.float32)
+    if turned is not None:
+        turned = np.where(np.isfinite(turned), turned, np.float32(0.0))
+    if np.array_equal(to_world, np.eye(4)):
+        return places, turned, faces
+    linear = to_world[:3, :3]
+    with np.errstate(over="ignore", invalid="ignore"):
+        vertices: Any = places.astype(np.float64) @ linear.T + to_world[:3, 3]
+    if turned is not None:
+        turned = unit(turned.astype(np.float64) @ np.linalg.inv(linear)).astype(np.float32)
+    return vertices, turned, faces[:, [0, 2, 1]] if np.linalg.det(linear) < 0 else faces

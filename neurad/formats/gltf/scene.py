@@ -1,0 +1,73 @@
+"""A scene folder's ``scene.glb`` or ``scene.gltf``, with the environment map beside it."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from neurad.core.errors import InputError
+from neurad.core.records import EnvironmentMap, View
+from neurad.formats.gltf.nodes import GltfCamera
+from neurad.formats.gltf.read import read_gltf
+from neurad.images.image_io import read_exr
+from neurad.runtime.numbers import RADIANCE, number, within
+from neurad.runtime.reading import exists, shown
+from neurad.scene.description import Scene
+
+ENVIRONMENT = "environment.exr"
+"""Map beside a scene file of glTF that lights it, +Y up."""
+_UNLIMITED, _RR_DEPTH = 2**31 - 1, 5
+_LONGEST = 512  # pixels of the longer side of a picture whose size nothing says
+
+
+def read_scene(path: str | Path) -> Scene:
+    """The scene of a file, lit also by :data:`ENVIRONMENT` beside it; its cameras are held-out views without pictures.
+
+    Raises:
+        InputError: as :func:`read_gltf`.
+    """
+    path = Path(path)
+    room = read_gltf(path)
+    environment, to_world = None, room.own.get("environment_to_world")
+    if exists(path.parent / ENVIRONMENT):
+        pixels = read_exr(path.parent / ENVIRONMENT)[..., :3]
+        within(pixels, f"{shown(path.parent / ENVIRONMENT)}: radiance", 0.0, RADIANCE)
+        pose = np.eye(4, dtype=np.float32)
+        if to_world is not None:
+            where = f"{shown(path)}: environment_to_world"
+            if not isinstance(to_world, list) or len(to_world) != 9:
+                raise InputError(f"{where} is not 9 numbers")
+            pose[:3, :3] = np.reshape([number(x, where, -1.0 - 1e-6, 1.0 + 1e-6) for x in to_world], (3, 3))
+        environment = EnvironmentMap(np.broadcast_to(pixels, (*pixels.shape[:2], 3)).copy(), pose)
+    depths = [room.own.get(key, default) for key, default in (("max_depth", _UNLIMITED), ("rr_depth", _RR_DEPTH))]
+    max_depth, rr_depth = (x if type(x) is int and 1 <= x <= _UNLIMITED else _UNLIMITED for x in depths)
+    views = [View(camera.name, camera.seen(*_film(camera))) for camera in room.cameras]
+    limits: Any = {"max_depth": max_depth, "rr_depth": rr_depth}
+    return Scene(
+        path.stem,
+        room.meshes,
+        room.materials,
+        environment,
+        test=_named_apart(views),
+        notes=room.notes,
+        punctual=tuple(room.lights),
+        **limits,
+    )
+
+
+def _film(camera: GltfCamera) -> tuple[int, int]:
+    """Width and height of a picture that no file gives the size of."""
+    aspect = 4.0 / 3.0 if camera.aspect is None else camera.aspect
+    width, height = (_LONGEST, _LONGEST / aspect) if aspect > 1 else (_LONGEST * aspect, _LONGEST)
+    return max(round(width), 1), max(round(height), 1)
+
+
+def _named_apart(views: list[View]) -> list[View]:
+    """Views whose names serve as those of files; numbers where they do not."""
+    names = [view.name for view in views]
+    if len(set(names)) == len(names) and all(name.isprintable() and not set(name) & set("/\\:") for name in names):
+        return views
+    return [replace(view, name=f"{index:04d}") for index, view in enumerate(views)]

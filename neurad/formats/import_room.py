@@ -1,0 +1,313 @@
+"""From what other programs write to a scene folder: ``neurad data``."""
+
+from __future__ import annotations
+
+import os
+import sys
+from collections.abc import Callable, Sequence
+from contextlib import AbstractContextManager
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import numpy as np
+
+from neurad.core.errors import InputError, Refusals
+from neurad.core.ranges import Positive, checked
+from neurad.core.records import Mesh, View
+from neurad.formats.cameras.colmap import find_model, photograph_places, read_model
+from neurad.formats.cameras.fipt import MESH, read_room
+from neurad.formats.cameras.nerf import Split, read_one, read_split
+from neurad.formats.cameras.photograph_files import Photographs
+from neurad.formats.cameras.polycam import read_export
+from neurad.formats.gltf.read import moved_mesh
+from neurad.formats.load import read_folder, surface_notes
+from neurad.formats.meshes.files import MeshFile, read_meshes
+from neurad.formats.room_folder import Matrix, Room, axes, bounds_of, held_up, turned, turned_map, write_room
+from neurad.images.photographs import check_view
+from neurad.images.picture_headers import check_exr
+from neurad.images.picture_notes import say_pictures
+from neurad.runtime.extras import need
+from neurad.runtime.files import check_folder, make_folder, writing
+from neurad.runtime.folders import place_of, written_beside
+from neurad.runtime.numbers import RADIANCE, number
+from neurad.runtime.progress import counted
+from neurad.runtime.reading import exists, folder, regular_file, shown
+from neurad.scene.description import Scene
+from neurad.scene.origin import place_text
+from neurad.scene.punctual import moved_light
+
+
+@dataclass(frozen=True)
+class ImportSettings:
+    """What to make a scene folder of."""
+
+    kind: str
+    """One of :data:`SOURCES`; or gltf and blender, which have modules of their own."""
+    source: Path
+    out: Path
+    mesh: list[Path] = field(default_factory=list)
+    """Mesh files; none for the one that the source has."""
+    images: Path | None = None
+    """Folder of the photographs as EXR, where they do not lie with the others."""
+    up: str | None = None
+    """Axis of the meshes that points up; None leaves them as they are."""
+    axes: str | None = None
+    """The meshes' axes that become those of the cameras, see :func:`neurad.formats.room_folder.axes`."""
+    scale: Positive = 1.0
+    """Length of the meshes' unit in the cameras'."""
+    lamp: list[str] = field(default_factory=list)
+    """Meshes that shine, each as ``NAME=R,G,B``."""
+    environment: Path | None = None
+    """Environment map that lights the room (EXR)."""
+    copy: bool = False
+    """Copy files instead of linking to them."""
+    blender: str | None = None
+    """Blender, or a Python that has bpy, which opens a .blend file."""
+
+    def __post_init__(self) -> None:
+        """Refuse numbers outside their ranges."""
+        checked(self)
+
+
+def refuse_meshes(settings: ImportSettings, source: str) -> None:
+    """Refuse options that are about meshes beside cameras, for a source that has its own.
+
+    Raises:
+        InputError: one is given.
+    """
+    if settings.mesh or settings.lamp or settings.up or settings.axes or settings.scale != 1.0:
+        raise InputError(
+            f"--mesh, --lamp, --up, --axes and --scale are about meshes beside cameras; {source} has its own surfaces "
+            "and lamps, in the frame of its cameras"
+        )
+
+
+def _photographs(images: Path | None, *own: Path) -> Photographs:
+    """What finds photographs in the folder of ``--images`` or, without it, in a source's own."""
+    return Photographs(*own) if images is None else Photographs(images, moved=True)
+
+
+def _nerfstudio(source: Path, images: Path | None) -> Split:
+    photographs = _photographs(images, source)
+    if exists(source / "transforms_train.json") and not exists(source / "transforms.json"):
+        return read_split(source, photograph=photographs)
+    return read_one(source, 0, photographs)
+
+
+def _colmap(source: Path, images: Path | None) -> Split:
+    model, said = find_model(source)
+    split = read_model(model, _photographs(images, *photograph_places(source, model)))
+    return replace(split, notes=(*([said] if said else []), *split.notes))
+
+
+def _polycam(source: Path, images: Path | None) -> Split:
+    keyframes = source / "keyframes" if exists(source / "keyframes") else source
+    own = [keyframes / "corrected_images", keyframes / "images"]
+    return read_export(source, _photographs(images, *own))
+
+
+def _fipt(source: Path, images: Path | None) -> Split:
+    if images is not None:
+        raise InputError("--images: the data of FIPT say themselves where their photographs are; leave it out")
+    return read_room(source)
+
+
+SOURCES: dict[str, tuple[Callable[[Path, Path | None], Split], str]] = {
+    "nerfstudio": (_nerfstudio, "a folder with transforms.json"),
+    "colmap": (_colmap, "a project or model: cameras and images, .bin or .txt"),
+    "polycam": (_polycam, "Polycam's raw data: keyframes/corrected_cameras"),
+    "fipt": (_fipt, "a room of FIPT or IRIS, rendered or photographed"),
+}
+"""What reads a source, and what it is."""
+
+
+def import_room(settings: ImportSettings) -> None:
+    """Make the scene folder, whole or not at all, and say what is in it.
+
+    Raises:
+        InputError: a file is missing or broken, a number out of range, the cameras and photographs do not fit, or the
+            folder is there already.
+    """
+    out = free_folder(settings.out)
+    source = folder(settings.source, "SRC")
+    images = None if settings.images is None else folder(settings.images, "--images")
+    lamps = _lamps(settings.lamp)
+    environment = None if settings.environment is None else map_of(settings.environment)
+    views = SOURCES[settings.kind][0](source, images)
+    refusals = Refusals()
+    every = [*views.train, *views.test]
+    for view in counted(every, "reading", len(every), "photographs"):
+        with refusals.part():
+            check_view(view)
+        with refusals.part():
+            _check_place(view, [source] if images is None else [source, images])
+    refusals.end()
+    if settings.mesh or settings.kind == "fipt":
+        need("mitsuba", "mitsuba", "a scene folder with meshes (scene.xml)")
+    paths = settings.mesh or ([source / MESH] if settings.kind == "fipt" else [])
+    if not paths and (lamps or settings.up or settings.axes or environment):
+        raise InputError("--lamp, --up, --axes and --environment are about what --mesh names, and there is no --mesh")
+    files: list[MeshFile] = []
+    for path in paths:
+        with refusals.part():
+            files.append(read_meshes(path))
+    refusals.end()
+    if settings.up is None and settings.axes is None:
+        files = [_upright(file, views) for file in files]
+    if sum(file.environment is not None for file in files) + (environment is not None) > 1:
+        raise InputError("there is more than one environment (dome lights of USD, --environment); keep one of them")
+    to_cameras = _placed(settings, views)
+    room = Room(views, files, to_cameras, lamps, environment, settings.copy)
+    with whole(out) as part:
+        meshes = write_room(room, part)
+        if meshes:
+            check_room(part)
+    _say(room, meshes, out)
+
+
+def whole(out: Path) -> AbstractContextManager[Path]:
+    """A new folder beside ``out``, which it becomes at the end of the block; it is removed if the block fails.
+
+    Raises:
+        InputError: the system refused to write, or something has come to ``out``.
+    """
+    make_folder(out.parent, "--out")
+    return written_beside(out, lambda: _refuse_taken(out))
+
+
+def free_folder(path: Path) -> Path:
+    """The folder to write, which must not be there, or empty; a link stands for what it points to."""
+    out = place_of(Path(path).expanduser())
+    _refuse_taken(out)
+    check_folder(out, "--out")
+    return out
+
+
+def _refuse_taken(out: Path) -> None:
+    with writing(out, "--out"):
+        taken = out.exists() and (not out.is_dir() or any(out.iterdir()))
+    if taken:
+        raise InputError(f"--out {shown(out)}: it is there already; name a folder that is not")
+
+
+def _lamps(words: Sequence[str]) -> dict[str, tuple[float, float, float]]:
+    found = {}
+    for word in words:
+        name, _, values = word.rpartition("=")
+        try:
+            r, g, b = (float(x) for x in values.split(","))
+        except ValueError as error:
+            raise InputError(f"--lamp {shown(word)}: it is not NAME=R,G,B with three numbers") from error
+        if not name:
+            raise InputError(f"--lamp {shown(word)}: it is not NAME=R,G,B with three numbers")
+        r, g, b = (number(x, f"--lamp {shown(name)}: its radiance", 0.0, RADIANCE) for x in (r, g, b))
+        found[name] = (r, g, b)
+    return found
+
+
+def map_of(path: Path) -> Path:
+    """The environment map of ``--environment``.
+
+    Raises:
+        InputError: it is missing or no EXR image.
+    """
+    check_exr(regular_file(path, "there is no such environment map"))
+    return path
+
+
+def _check_place(view: View, places: Sequence[Path]) -> None:
+    """Masks and maps, too, lie where the source is: a camera file of others links to nothing else."""
+    for file in filter(None, (view.mask, view.albedo, view.roughness, view.spread)):
+        if not any(Path(os.path.abspath(file)).is_relative_to(place) for place in places):
+            raise InputError(f"{shown(file)}: its name in the camera file leads out of the folder {shown(places[0])}")
+
+
+def _placed(settings: ImportSettings, views: Split) -> Matrix:
+    """What takes the meshes to the frame of the cameras."""
+    if settings.axes is not None:
+        if settings.up is not None:
+            raise InputError("--axes: it says where all axes of the mesh go, so --up has nothing to say; leave one out")
+        return axes(settings.axes) @ np.diag([settings.scale] * 3 + [1.0])
+    if settings.up is None:
+        return np.diag([settings.scale] * 3 + [1.0])
+    to = held_up([*views.train, *views.test])
+    print(f"neurad: {settings.up} of the mesh is turned to {to}, which the cameras hold up", file=sys.stderr)
+    return turned(settings.up, to, settings.scale)
+
+
+def _upright(file: MeshFile, views: Split) -> MeshFile:
+    """A file that says which axis points up, turned to the one that the cameras hold up."""
+    if file.up is None:
+        return file
+    said = f"{shown(file.path)}: its upAxis is {file.up.upper()}"
+    try:
+        to = held_up([*views.train, *views.test])
+    except InputError:
+        return replace(file, notes=(*file.notes, f"{said}, and the cameras hold no axis up: it stays as it is"))
+    if to == file.up:
+        return file
+    turn = turned(file.up, to, 1.0)
+    return replace(
+        file,
+        meshes=[moved_mesh(mesh, turn) for mesh in file.meshes],
+        lights=tuple(moved_light(light, turn) for light in file.lights),
+        environment=None if file.environment is None else turned_map(file.environment, turn),
+        notes=(*file.notes, f"{said}: it is turned to {to}, which the cameras hold up (--up says otherwise)"),
+    )
+
+
+def check_room(part: Path) -> Scene:
+    """Read a folder as a fit does, and say what is to be said of its surfaces; a light may still be missing.
+
+    Raises:
+        InputError: a fit would refuse it.
+    """
+    scene = read_folder(part)
+    if scene.features.has_light:
+        scene.check()
+    for note in surface_notes(scene):
+        print(f"neurad: {note}", file=sys.stderr)
+    return scene
+
+
+def _say(room: Room, meshes: Sequence[Mesh], out: Path) -> None:
+    """What the folder has, and what it lacks."""
+    say_pictures()
+    views = [*room.views.train, *room.views.test]
+    sizes = dict.fromkeys(f"{view.camera.width} x {view.camera.height}" for view in views)
+    held = f", {len(room.views.test)} of them held out" if room.views.test else ""
+    print(f"{shown(out)}: {len(views)} photographs of {' or '.join(sizes)} pixels{held}")
+    for note in (*room.views.notes, *(note for file in room.meshes for note in file.notes)):
+        print(f"neurad: {note}", file=sys.stderr)
+    if not meshes:
+        print("no --mesh was given: put a scene.xml with geometry and lights into the folder")
+        return
+    low, high = bounds_of(room)
+    print(f"{len(meshes)} meshes, {sum(len(mesh.faces) for mesh in meshes)} triangles, {_box(low)} to {_box(high)}")
+    eyes = np.stack([view.camera.to_world[:3, 3] for view in views])
+    inside = ((eyes >= low) & (eyes <= high)).all(1)
+    print(f"cameras between {_box(eyes.min(0))} and {_box(eyes.max(0))}, {int(inside.sum())} of {len(eyes)} inside")
+    if 2 * inside.sum() < len(eyes):
+        print(
+            "neurad: warning: most cameras lie outside of the mesh's box; check --up, --axes and --scale",
+            file=sys.stderr,
+        )
+    shining = [mesh.name for mesh in meshes if mesh.radiance is not None]
+    shining += [f"{light.name} ({light.kind})" for light in room.lights]
+    if shining:
+        print(f"lamps: {', '.join(shown(name) for name in shining[:12])}{' ...' if len(shining) > 12 else ''}")
+    elif room.environment is None and room.sky is None:
+        names = ", ".join(shown(mesh.name) for mesh in meshes[:12])
+        print(
+            f"neurad: warning: nothing in the room is said to shine: give --lamp NAME=R,G,B (meshes: "
+            f"{names}{' ...' if len(meshes) > 12 else ''}), a material with Ke in the OBJ file's MTL, or "
+            "--environment; a fit finds meshes that shine in the photographs with --model.lighting.emitters find",
+            file=sys.stderr,
+        )
+        print(f"neurad fit --config scene.yaml --data.root {shown(out)} --model.lighting.emitters find")
+        return
+    print(f"neurad fit --config scene.yaml --data.root {shown(out)}")
+
+
+def _box(corner: Matrix) -> str:
+    return f"({place_text(corner)})"

@@ -1,0 +1,204 @@
+"""Loading scenes: built-in ones, and folders with a scene file and camera files."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import TypeVar
+
+import numpy as np
+
+from neurad.core.errors import InputError
+from neurad.core.suggest import did_you_mean
+from neurad.formats.cameras.nerf import HOLD_OUT, Split
+from neurad.images.development import KNOWN, Photography, developed
+from neurad.images.picture_notes import say_pictures
+from neurad.runtime.progress import phase
+from neurad.runtime.reading import exists, regular_file, shown
+from neurad.runtime.reading import folder as existing_folder
+from neurad.scene.description import Scene
+from neurad.scene.origin import ZERO, Array, moved_views, near, origin_of
+from neurad.scene.panes import pane_note
+
+T = TypeVar("T")
+
+OTHER_SCENES = (".glb", ".gltf", ".blend", ".fbx", ".usd", ".usdc", ".usda", ".usdz", ".pbrt", ".obj", ".ply", ".stl")
+"""Files of other programs that somebody may take for a scene here."""
+CAMERAS = "cameras.json"
+"""Cameras without photographs, in the form of other camera files."""
+RELIGHT = "env_relight.exr"
+"""Map that lights the photographs named by ``relight_path``; it replaces the scene's own, in the same frame."""
+
+
+def _mitsuba(folder: Path, origin: Array) -> Scene:
+    from neurad.formats.mitsuba.read import read_xml
+
+    return read_xml(folder / "scene.xml", origin)
+
+
+def _gltf(name: str) -> Callable[[Path, Array], Scene]:
+    def read(folder: Path, origin: Array) -> Scene:
+        from neurad.formats.gltf.scene import read_scene
+
+        return near(read_scene(folder / name), origin)
+
+    return read
+
+
+def _two_files(folder: Path, hold_out: int, pictures: bool) -> Split:
+    from neurad.formats.cameras.nerf import read_split
+
+    return read_split(folder, hold_out, None, pictures)
+
+
+def _one_file(folder: Path, hold_out: int, pictures: bool) -> Split:
+    from neurad.formats.cameras.nerf import read_one
+
+    return read_one(folder, hold_out, None, pictures)
+
+
+def _cameras_alone(folder: Path, hold_out: int, pictures: bool) -> Split:
+    from neurad.formats.cameras.nerf import FILM, read_cameras
+
+    return Split([], read_cameras(folder / CAMERAS, FILM))
+
+
+SCENE_FILES: dict[str, Callable[[Path, Array], Scene]] = {
+    "scene.xml": _mitsuba,
+    "scene.glb": _gltf("scene.glb"),
+    "scene.gltf": _gltf("scene.gltf"),
+}
+"""Readers of meshes, materials and lights, by file name; the first one in a folder is read. They are told what to
+subtract from all coordinates. What a file says of cameras becomes held-out views without photographs.
+"""
+CAMERA_FILES: dict[str, Callable[[Path, int, bool], Split]] = {
+    "transforms_train.json": _two_files,
+    "transforms.json": _one_file,
+    CAMERAS: _cameras_alone,
+}
+"""Readers of the training and the held-out views, by file name; the first one in a folder is read. They are told how
+many-th photograph to hold out where the file does not say which, and whether photographs have to be there.
+"""
+
+
+def load_scene(
+    root: str | None, scene: str | None, hold_out: int = HOLD_OUT, photography: Photography | None = KNOWN
+) -> Scene:
+    """The scene of a folder or a built-in one, checked; nothing in it has to shine, as that may be found.
+
+    Args:
+        root: a scene folder (``--data.root``), or None.
+        scene: name of a built-in scene (``--data.scene``), or None.
+        hold_out: every so many-th photograph of a folder is held out where nothing says which; 0 for none.
+        photography: what is known of how the photographs were taken; None where they are not wanted: then they need not
+            be there, nor masks and maps.
+
+    Raises:
+        InputError: not exactly one is given, the name is unknown, or the scene cannot be used.
+    """
+    if (root is None) == (scene is None):
+        raise InputError("give exactly one of --data.root (a scene folder) and --data.scene (a built-in scene)")
+    with phase("reading"):
+        if root is not None:
+            found = read_folder(root, hold_out, photography).check(lit=False)
+            say_pictures()
+            return found
+        from neurad.scene.builtin import build
+
+        assert scene is not None
+        return _developed(build(scene), photography).check(lit=False)
+
+
+def _developed(scene: Scene, photography: Photography | None) -> Scene:
+    """The scene, whose views say how their photographs become radiance, where that is wanted."""
+    if photography is None:
+        return scene
+    train, test, notes = developed(scene.train, scene.test, photography)
+    return replace(scene, train=train, test=test, notes=(*scene.notes, *notes), photography=photography)
+
+
+def read_folder(root: str | Path, hold_out: int = HOLD_OUT, photography: Photography | None = KNOWN) -> Scene:
+    """The scene of a folder with one of :data:`SCENE_FILES` and one of :data:`CAMERA_FILES`.
+
+    Only the existence of photographs and maps is checked, of photographs without a size in the camera file the size,
+    and of those of codes the format and EXIF.
+
+    Args:
+        root: the folder.
+        hold_out: as in :func:`load_scene`.
+        photography: as in :func:`load_scene`.
+
+    Raises:
+        InputError: something is missing or wrong; the sentence names the file and the frame.
+    """
+    if Path(root).suffix.lower() in OTHER_SCENES and Path(root).is_file():
+        raise InputError(f"--data.root: {shown(root)}: {_otherwise(Path(root))}")
+    folder = existing_folder(root, "--data.root")
+    surfaces = None
+    read_surfaces = _reader(SCENE_FILES, folder)
+    if not any(exists(folder / name) for name in ("scene.xml", *CAMERA_FILES)):  # glTF may have cameras, to be rendered
+        surfaces = _near_origin(read_surfaces, folder)
+        if surfaces.test:
+            return replace(surfaces, name=folder.name, notes=(*surfaces.notes, *surface_notes(surfaces)))
+    views = _reader(CAMERA_FILES, folder)(folder, hold_out, photography is not None)
+    relight = None
+    if any(view.relight for view in views.test):
+        relight = str(regular_file(folder / RELIGHT, "the map is missing that lights the photographs of relight_path"))
+    surfaces = _near_origin(read_surfaces, folder) if surfaces is None else surfaces
+    surfaces = replace(
+        surfaces, name=folder.name, relight=relight, notes=(*surfaces.notes, *surface_notes(surfaces), *views.notes)
+    )
+    step = -np.asarray(surfaces.origin)
+    train, test = moved_views(views.train, step), moved_views(views.test, step)
+    return _developed(replace(surfaces, train=train, test=test), photography)
+
+
+def _near_origin(read: Callable[[Path, Array], Scene], folder: Path) -> Scene:
+    """Surfaces of a folder, moved near the origin of their coordinates where they lie far from it."""
+    surfaces = read(folder, ZERO)
+    origin = origin_of(surfaces.meshes)
+    if not origin.any():
+        return surfaces
+    x, y, z = (float(value) for value in origin)
+    return replace(read(folder, origin), origin=(x, y, z))
+
+
+def surface_notes(scene: Scene) -> list[str]:
+    """What is to be said of the surfaces of a scene, whatever it was read from, a sentence each."""
+    if not any(scene.origin):
+        return pane_note(scene)
+    place = ", ".join(f"{x:.10g}" for x in scene.origin)
+    far = (
+        f"the room lies far from the origin of its coordinates: ({place}) is subtracted from all of them while it is "
+        "computed with, and added again to what is given back"
+    )
+    return [far, *pane_note(scene)]
+
+
+def _reader(readers: dict[str, T], folder: Path) -> T:
+    """The reader of the first file that the folder has.
+
+    Raises:
+        InputError: it has none of them.
+    """
+    for name, reader in readers.items():
+        if exists(folder / name):
+            return reader
+    first, *others = (name for name in readers if name != CAMERAS)  # which no fit can do with
+    instead = f" (or {', '.join(others)})" if others else ""
+    other = next((file for file in sorted(folder.iterdir()) if file.suffix.lower() in OTHER_SCENES), None)
+    hint = "" if other is None or readers is not SCENE_FILES else f"; {other.name}: {_otherwise(other)}"
+    near = did_you_mean(first, [file.name for file in folder.iterdir()])
+    raise InputError(f"{folder / first}: the scene folder lacks this file{instead}{hint or near}")
+
+
+def _otherwise(file: Path) -> str:
+    """What to do with a scene that cannot be read where or as it is."""
+    kind = {".glb": "gltf", ".gltf": "gltf", ".blend": "blender"}.get(file.suffix.lower())
+    if kind is not None:
+        return f"`neurad data {kind} {shown(file.name)} --out DIR` makes a scene folder of it"
+    return (
+        "it cannot be read as a scene; open it in Blender, export it as room.glb, and let "
+        "`neurad data gltf room.glb --out DIR` make a scene folder of it"
+    )

@@ -1,0 +1,1 @@
+"""Mesh files: PLY, OBJ and what edits put into a room."""

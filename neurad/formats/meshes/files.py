@@ -1,0 +1,166 @@
+"""Meshes as other programs write them: OBJ, PLY, STL, glTF and USD."""
+
+from __future__ import annotations
+
+import re
+import warnings
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from neurad.core.errors import InputError
+from neurad.core.names import apart
+from neurad.core.records import EnvironmentMap, Material, Mesh, PunctualLight
+from neurad.formats.meshes.obj import read_obj
+from neurad.formats.meshes.ply_file import Lists, coordinates, corners_of, read_ply
+from neurad.formats.meshes.triangles import crossing_note, mesh_of
+from neurad.runtime.numbers import LENGTH, RADIANCE, within
+from neurad.runtime.reading import TEXT_MESH_LIMIT, native, read_bytes, regular_file, shown
+from neurad.scene.polygons import triangulate_polygons
+
+KINDS = (".obj", ".ply", ".stl")
+"""Files of meshes that are no scenes."""
+_NORMALS = ("nx", "ny", "nz")
+_UVS = (("texture_u", "texture_v"), ("u", "v"), ("s", "t"))
+"""Names that texture coordinates of vertices have in PLY files."""
+MESHES = (*KINDS, ".glb", ".gltf", ".usd", ".usdc", ".usda", ".usdz")
+_FACET = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute", "<u2")])
+_SOLID, _END = re.compile(rb"^\s*solid\b[ \t]*", re.M | re.I), re.compile(rb"\bendsolid\b", re.I)
+_BEGUN, _ENDED = re.compile(rb"\bfacet\b", re.I), re.compile(rb"\bendfacet\b", re.I)
+_VERTEX = re.compile(rb"\bvertex\s+(\S+)\s+(\S+)\s+(\S+)", re.I)
+
+
+@dataclass(frozen=True)
+class MeshFile:
+    """The triangles of a file."""
+
+    path: Path
+    meshes: list[Mesh]
+    """One for each material of the file, by its name; with the radiance that the material emits (``Ke`` in MTL)."""
+    linkable: bool
+    """Whether the file can take part in a scene as it is: a PLY file of triangles."""
+    materials: tuple[Material, ...] = ()
+    """What the file says its meshes are made of, by ``Mesh.material``; none where it says nothing."""
+    notes: tuple[str, ...] = ()
+    """What was decided for the user, a sentence each."""
+    lights: tuple[PunctualLight, ...] = ()
+    environment: EnvironmentMap | None = None
+    up: str | None = None
+    """The axis that points up, if the file says it."""
+
+
+def read_meshes(path: str | Path) -> MeshFile:
+    """The triangles of a mesh file; polygons are cut into triangles.
+
+    Raises:
+        InputError: the file is missing, of another kind, broken or empty, or a number in it is none to compute with.
+    """
+    path = regular_file(path, "there is no such mesh file")
+    kind = path.suffix.lower()
+    if kind not in MESHES:
+        raise InputError(
+            f"{shown(path)}: it is no mesh that can be read; export it as one of {', '.join(MESHES)} from the program "
+            "that made it, or from Blender"
+        )
+    if kind not in KINDS:
+        return _with_materials(path, kind)
+    if kind != ".ply" and path.stat().st_size > TEXT_MESH_LIMIT:
+        raise InputError(f"{shown(path)}: it has more than {TEXT_MESH_LIMIT >> 20} MB; convert it to binary PLY")
+    notes: tuple[str, ...] = ()
+    linkable = False
+    with native(path, f"it cannot be read as {kind[1:].upper()}"), warnings.catch_warnings():
+        warnings.simplefilter("ignore")  # of numbers that are none: they are looked at below
+        if kind == ".obj":
+            obj = read_obj(path)
+            meshes, notes = obj.meshes, obj.notes
+        elif kind == ".ply":
+            mesh, linkable, notes = read_ply_mesh(path)
+            meshes = [mesh]
+        else:
+            meshes = read_stl(path)
+    meshes = [mesh for mesh in meshes if len(mesh.faces)]
+    if not meshes:
+        raise InputError(f"{shown(path)}: it has no triangle")
+    for mesh in meshes:
+        within(mesh.vertices, f"{shown(path)}: the coordinates of {shown(mesh.name)}", -LENGTH, LENGTH)
+        if mesh.radiance is not None:
+            within(mesh.radiance, f"{shown(path)}: the radiance (Ke) of material {shown(mesh.name)}", 0.0, RADIANCE)
+    return MeshFile(path, meshes, linkable, notes=notes)
+
+
+def read_ply_mesh(path: Path) -> tuple[Mesh, bool, tuple[str, ...]]:
+    """The mesh of a PLY file, whether it can take part in a scene as it is, and what has to be said.
+
+    Raises:
+        InputError: it is no such file, or its faces are broken.
+    """
+    ply = read_ply(path)
+    points = coordinates(path, ply)
+    if not ply.get("face"):
+        raise InputError(f"{shown(path)}: it has no triangle: it is a cloud of points, or its faces are strips")
+    corners = corners_of(path, ply)
+    triangles, crossing = triangulate_polygons(points[corners.values], corners.counts)
+    vertex, face = ply["vertex"], ply["face"]
+    of_corners = isinstance(face.get("texcoord"), Lists)  # vertices cannot have them all
+    names = () if of_corners else next((pair for pair in _UVS if set(pair) <= set(vertex)), ())
+    mesh = mesh_of(path.stem, points, corners.values[triangles], _stacked(vertex, _NORMALS), _stacked(vertex, names))
+    lists = [column for columns in ply.values() for column in columns.values() if isinstance(column, Lists)]
+    return mesh, all((x.counts == 3).all() for x in lists), tuple(crossing_note(path, crossing))
+
+
+def _stacked(columns: Mapping[str, Any], names: tuple[str, ...]) -> Any:
+    """Columns side by side [n, names]; None where one is not there."""
+    if not names or not all(isinstance(columns.get(name), np.ndarray) for name in names):
+        return None
+    return np.stack([np.asarray(columns[name], np.float64) for name in names], -1)
+
+
+def read_stl(path: Path) -> list[Mesh]:
+    """The meshes of an STL file, without normals: one, or the solids of a text by their names.
+
+    Raises:
+        InputError: it is cut short.
+        ValueError: what should be a number is none.
+    """
+    data = read_bytes(path, TEXT_MESH_LIMIT)
+    count = int.from_bytes(data[80:84], "little")
+    if data.lstrip()[:5].lower() != b"solid" or len(data) == 84 + 50 * count:
+        facets = np.frombuffer(data[84 : 84 + (len(data) - 84) // 50 * 50] if len(data) > 84 else b"", _FACET)
+        if len(facets) < count:
+            raise InputError(f"{shown(path)}: its header says {count} triangles, but {len(facets)} are there")
+        return [_soup(path.stem, facets["corners"][:count])]
+    found = []
+    for solid in _SOLID.split(data)[1:]:
+        name, _, body = solid.partition(b"\n")
+        corners = [[float(x) for x in match.groups()] for match in _VERTEX.finditer(body)]
+        begun, ended = len(_BEGUN.findall(body)), len(_ENDED.findall(body))
+        if begun != ended or len(corners) != 3 * begun or not _END.search(body):
+            raise InputError(
+                f"{shown(path)}: it begins {begun} facets, of which {ended} end, with {len(corners)} corners: it is "
+                "cut short or broken; save it again"
+            )
+        found.append(_soup(name.strip().decode("utf-8", "replace"), np.array(corners).reshape(-1, 3, 3)))
+    taken = set[str]()
+    return [replace(mesh, name=apart(mesh.name or path.stem, taken) if found[1:] else path.stem) for mesh in found]
+
+
+def _soup(name: str, corners: Any) -> Mesh:
+    """A mesh of triangles [f, 3 corners, 3] that share no vertices."""
+    points = np.asarray(corners, np.float64).reshape(-1, 3)
+    return mesh_of(name, points, np.arange(len(points)).reshape(-1, 3))
+
+
+def _with_materials(path: Path, kind: str) -> MeshFile:
+    """The triangles of a glTF or USD file."""
+    if kind in (".glb", ".gltf"):
+        from neurad.formats.gltf.read import read_gltf
+
+        room = read_gltf(path)
+        return MeshFile(path, room.meshes, False, tuple(room.materials), room.notes, tuple(room.lights))
+    from neurad.formats.usd.read import read_usd
+
+    usd = read_usd(path)
+    return MeshFile(path, usd.meshes, False, usd.materials, usd.notes, usd.lights, usd.environment, usd.up)

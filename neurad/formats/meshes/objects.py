@@ -1,0 +1,99 @@
+"""A thing to be put into a scene: its meshes with the materials that the file gives them."""
+
+from __future__ import annotations
+
+import warnings
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from neurad.core.errors import InputError
+from neurad.core.records import Bitmap, Constant, Mesh, Texture
+from neurad.formats.gltf.read import ENDINGS as GLTF
+from neurad.formats.gltf.read import read_gltf
+from neurad.formats.meshes.files import KINDS, read_ply_mesh, read_stl
+from neurad.formats.meshes.obj import read_obj
+from neurad.images.image_io import from_srgb
+from neurad.runtime.numbers import LENGTH, within
+from neurad.runtime.reading import TEXT_MESH_LIMIT, native, regular_file, shown
+
+OBJECTS = (*KINDS, *GLTF)
+PLAIN = 0.5
+"""Albedo and roughness of what says nothing about its material."""
+
+
+@dataclass(frozen=True)
+class Part:
+    """One mesh of a thing."""
+
+    mesh: Mesh
+    albedo: Texture
+    roughness: Texture
+
+
+def read_object(path: str | Path, where: str) -> list[Part]:
+    """The meshes of a thing in the frame of its file, with albedo and roughness: the colour, its picture and the
+    roughness that the file's materials have, as far as they have them.
+
+    Args:
+        path: OBJ, glTF, PLY or STL.
+        where: begins the error message.
+
+    Raises:
+        InputError: the file is missing, of another kind, broken or empty, or a number in it is none to compute with.
+    """
+    file = regular_file(path, f"there is no such object ({where})")
+    kind = file.suffix.lower()
+    if kind not in OBJECTS:
+        raise InputError(f"{where}: {shown(path)} is not an object that can be read ({', '.join(OBJECTS)})")
+    if file.stat().st_size > TEXT_MESH_LIMIT:
+        raise InputError(f"{where}: {shown(path)} has more than {TEXT_MESH_LIMIT >> 20} MB")
+    if kind in GLTF:
+        return _of_gltf(file)
+    with native(file, f"it cannot be read as {kind[1:].upper()}"), warnings.catch_warnings():
+        warnings.simplefilter("ignore")
+        if kind == ".obj":
+            obj = read_obj(file)
+            parts = [_part(mesh, paint) for mesh, paint in zip(obj.meshes, obj.paints, strict=True)]
+        else:
+            parts = [_part(mesh, {}) for mesh in (read_stl(file) if kind == ".stl" else [read_ply_mesh(file)[0]])]
+    parts = [part for part in parts if len(part.mesh.faces)]
+    if not parts:
+        raise InputError(f"{where}: {shown(path)} has no triangle")
+    for part in parts:
+        within(part.mesh.vertices, f"{shown(path)}: the coordinates of {shown(part.mesh.name)}", -LENGTH, LENGTH)
+        for texture in (part.albedo, part.roughness):
+            values = texture.value if isinstance(texture, Constant) else texture.pixels  # type: ignore[union-attr]
+            within(values, f"{shown(path)}: a colour or roughness of {shown(part.mesh.name)}", 0.0, 1.0)
+    return parts
+
+
+def _of_gltf(file: Path) -> list[Part]:
+    """The meshes of a glTF file; they do not shine."""
+    room = read_gltf(file, lamps=False)
+    return [
+        Part(mesh, room.materials[mesh.material].albedo, room.materials[mesh.material].roughness)
+        for mesh in room.meshes
+    ]
+
+
+def _part(mesh: Mesh, paint: dict[str, Any]) -> Part:
+    """A mesh with the material of MTL that it has."""
+    uvs = mesh.uvs  # in pictures here v runs down, in these files up
+    uvs = None if uvs is None else np.stack((uvs[:, 0], 1.0 - uvs[:, 1]), -1).astype(np.float32)
+    mesh = replace(mesh, vertices=mesh.vertices.astype(np.float32), uvs=uvs, radiance=None)
+    return Part(mesh, _colour(paint, uvs is not None), Constant(np.full(1, PLAIN, np.float32)))
+
+
+def _colour(paint: dict[str, Any], mapped: bool) -> Texture:
+    """The colour of a material of MTL."""
+    factor = np.full(3, PLAIN, np.float32)
+    if (words := paint.get("kd")) is not None:
+        factor = np.array([float(word) for word in np.atleast_1d(words)][:3], np.float32)
+    picture = paint.get("image")
+    if picture is None or not mapped:
+        return Constant(factor)
+    pixels = from_srgb(np.asarray(picture.convert("RGB"), np.float32) / 255.0)
+    return Bitmap(np.ascontiguousarray(pixels, np.float32))

@@ -1,0 +1,60 @@
+"""Triangles of a mesh file as a mesh."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import numpy.typing as npt
+
+from neurad.core.records import FloatArray, IntArray, Mesh
+from neurad.runtime.numbers import unit
+from neurad.runtime.reading import shown
+
+Array = npt.NDArray[np.float64]
+
+
+def mesh_of(
+    name: str,
+    vertices: Array,
+    faces: IntArray,
+    normals: Array | None = None,
+    uvs: Array | None = None,
+    radiance: FloatArray | None = None,
+) -> Mesh:
+    """A mesh of the vertices that triangles use, in their order; positions stay float64, see ``scene.origin``.
+
+    Args:
+        name: of the mesh.
+        vertices: [v, 3].
+        faces: indices of the vertices [f, 3], which exist.
+        normals: of the vertices [v, 3]; left out where one has no length or is no number.
+        uvs: texture coordinates of the vertices [v, 2]; left out where one is no number.
+        radiance: [3].
+    """
+    used, corner = np.unique(faces, return_inverse=True)
+    if normals is not None:
+        normals = normals[used]
+        usable = np.isfinite(normals).all() and (np.linalg.norm(normals, axis=1) >= 1e-6).all()
+        normals = unit(normals) if usable else None
+    if uvs is not None:
+        uvs = uvs[used] if np.isfinite(uvs[used]).all() else None
+    return Mesh(
+        name,
+        vertices[used],  # type: ignore[arg-type]
+        corner.reshape(-1, 3).astype(np.int64),
+        0,
+        None if normals is None else normals.astype(np.float32),
+        None if uvs is None else uvs.astype(np.float32),
+        radiance=radiance,
+    )
+
+
+def crossing_note(path: Path, crossing: IntArray) -> list[str]:
+    """What is to be said of polygons whose edges cross: a sentence, or nothing."""
+    if len(crossing) == 0:
+        return []
+    return [
+        f"{shown(path)}: the edges of {len(crossing)} polygons cross (the first of them is face {crossing[0] + 1}), so "
+        "that their surface is a guess; triangulate them in the program that the file comes from"
+    ]

@@ -1,0 +1,305 @@
+"""BSDFs of a Mitsuba scene file as :class:`~neurad.core.records.Material` records.
+
+Smooth conductors and dielectrics are read as they are, as paths pass through them in a fit, too. Of the other BSDFs
+those that can be rendered are read with their parameters. What is opaque but cannot be rendered becomes an
+:class:`~neurad.core.reflection.UnsupportedModel`: a fit recovers such a surface as principled, and whoever wants its
+true material gets the reason. Bump and normal maps are ignored in the same way: they turn shading normals only, not the
+surface, so light travels as before and the fit sees the mean of what they do. BSDFs that let light through, opacity
+masks first of all, change what is seen behind them and are refused.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from neurad.core.errors import InputError
+from neurad.core.records import Bitmap, Constant, FloatArray, Material, Texture, VertexAttribute
+from neurad.core.reflection import (
+    ConductorModel,
+    DielectricModel,
+    DiffuseModel,
+    PrincipledModel,
+    ReflectionModel,
+    RoughConductorModel,
+    RoughPlasticModel,
+    UnsupportedModel,
+)
+from neurad.formats.mitsuba.textures import TextureReader, Unsupported
+from neurad.runtime.numbers import UNIT, number, within
+from neurad.runtime.reading import native
+
+_GREY = Constant(np.full(3, 0.5, np.float32))
+_BLACK = Constant(np.zeros(3, np.float32))
+_ONES = Constant(np.ones(3, np.float32))
+_HALF = Constant(np.full(1, 0.5, np.float32))
+_SMOOTH = Constant(np.zeros(1, np.float32))
+
+_IRRELEVANT = ("diffuse_reflectance_sampling_rate", "main_specular_sampling_rate", "clearcoat_sampling_rate",
+               "clearcoat_gloss", "spec_tint", "sheen_tint")  # fmt: skip
+_DELTA = ("conductor", "dielectric")
+"""Smooth BSDFs, which a fit keeps: it follows paths through them."""
+_OPAQUE = ("plastic", "pplastic", "phong", "ward", "measured")
+"""BSDFs that cannot be rendered, but let no light through."""
+_LARGE = 100.0
+"""Largest refractive index, and smallest one over it; those of materials are below 10."""
+_NORMALS = ("bumpmap", "normalmap")
+"""What turns shading normals."""
+
+
+@dataclass(frozen=True)
+class _Read:
+    """What the parameters of a BSDF say."""
+
+    model: ReflectionModel
+    albedo: Texture = _GREY
+    roughness: Texture = _SMOOTH
+    two_sided: bool = False
+
+
+class MaterialReader:
+    """Converts the BSDFs that shapes use, each once.
+
+    Attributes:
+        materials: what has been converted so far.
+        textures: reads image files.
+    """
+
+    def __init__(self, mi: Any, path: Path, folders: Sequence[Path], nodes: Any) -> None:
+        self.mi = mi
+        self.path = path
+        self.textures = TextureReader(mi, path, folders, nodes)
+        self.materials: list[Material] = []
+        self._index: dict[tuple[int, int], int] = {}
+        self._readers: dict[str, Callable[[Any, str], _Read]] = {
+            "principled": self._principled,
+            "diffuse": self._diffuse,
+            "conductor": self._conductor,
+            "dielectric": self._dielectric,
+            "roughconductor": self._rough_conductor,
+            "roughplastic": self._rough_plastic,
+            "twosided": self._two_sided,
+            "blendbsdf": self._blend,
+            **dict.fromkeys(_OPAQUE, self._opaque),
+            **dict.fromkeys(_NORMALS, self._turned_normals),
+        }
+
+    def index(self, node: Any | None, shape: str, shines: bool) -> int:
+        """The index in ``materials`` of a BSDF node; a shape without one gets Mitsuba's default.
+
+        Args:
+            node: of the BSDF, or None.
+            shape: name for messages.
+            shines: whether the shape is an emitter: its default is black, that of others is grey.
+
+        Raises:
+            InputError: a BSDF that lets light through in a way that is not supported, or one of an emitter, which a fit
+                does not replace, whose reflectance is not known; it names the shape.
+        """
+        key = (-1, int(shines)) if node is None else (node.file_index, node.offset)
+        if key not in self._index:
+            default = Material("default", DiffuseModel(), _BLACK if shines else _GREY, _SMOOTH, False)
+            material = default if node is None else self._material(node, shape)
+            self._index[key] = len(self.materials)
+            self.materials.append(material)
+        model = self.materials[self._index[key]].model
+        if shines and model.unsupported:
+            raise InputError(f"{model.unsupported}; it is the BSDF of an emitter, {shape}, which has to be known")
+        return self._index[key]
+
+    def attributes(self, material: int) -> set[str]:
+        """The mesh attributes that a material reads."""
+        described = self.materials[material]
+        return {t.name for t in (described.albedo, described.roughness) if isinstance(t, VertexAttribute)}
+
+    def has_bitmaps(self, material: int) -> bool:
+        """Whether a material reads texture coordinates."""
+        described = self.materials[material]
+        return isinstance(described.albedo, Bitmap) or isinstance(described.roughness, Bitmap)
+
+    def _material(self, node: Any, shape: str) -> Material:
+        inner = node
+        while inner.props.plugin_name() == "twosided" and len(inside := self._inside(inner)) == 1:
+            inner = inside[0]
+        name = node.props.id() or inner.props.id() or f"{inner.props.plugin_name()} {len(self.materials)}"
+        where = f"bsdf {name} of shape {shape}"
+        read = self._read(node, where)
+        for what, texture in (("reflectance", read.albedo), ("roughness", read.roughness)):
+            if isinstance(texture, Constant):  # those that follow from other parameters, too
+                within(texture.value, f"{self.path}: the {what} of {where}", 0.0, UNIT)
+        return Material(name, read.model, read.albedo, read.roughness, read.two_sided)
+
+    def _read(self, node: Any, where: str) -> _Read:
+        plugin = node.props.plugin_name()
+        if plugin not in self._readers:
+            raise InputError(
+                f"{self.path}: {where} has type {plugin}, which is not read, so that it is not known whether it lets "
+                "light through; make it a principled BSDF, or one of "
+                f"{', '.join(sorted(set(self._readers) - {'principled'}))}"
+            )
+        try:
+            return self._readers[plugin](node, where)
+        except Unsupported as error:
+            if plugin in _DELTA:
+                raise InputError(str(error)) from error
+            label = f"{plugin} with {error.what}" if error.what else plugin
+            return _Read(UnsupportedModel(label, str(error), float(plugin == "roughconductor")), roughness=_HALF)
+
+    def _inside(self, node: Any) -> list[Any]:
+        return [child for child in self.textures.references(node).values() if child.type.name == "BSDF"]
+
+    # ---- BSDFs that can be rendered
+
+    def _principled(self, node: Any, where: str) -> _Read:
+        props = node.props
+        spec_trans = props.get("spec_trans", 0.0)
+        if not isinstance(spec_trans, int | float) or spec_trans != 0.0:
+            raise InputError(f"{self.path}: {where} sets spec_trans, which lets light through and is not supported")
+        for key in props:
+            known = ("base_color", "roughness", "metallic", "specular", "eta", *_IRRELEVANT)
+            if key not in known and self.textures.number(node, key, where, 0.0, 0.0, _LARGE) != 0.0:
+                raise Unsupported(f"{self.path}: {where} sets {key}, which is not supported (leave it at 0)", key)
+        eta = self.textures.number(node, "eta", where, 1.5, 1.0, _LARGE)
+        if "specular" in props:
+            eta = 2.0 / (1.0 - (0.08 * self.textures.number(node, "specular", where, 0.5, 0.0, 1.0)) ** 0.5) - 1.0
+        metallic = self.textures.number(node, "metallic", where, 0.0, 0.0, 1.0)
+        model = PrincipledModel(float(np.round(max(eta, 1.001), 6)), metallic)
+        albedo = self.textures.texture(node, "base_color", where, _GREY)
+        return _Read(model, albedo, self.textures.texture(node, "roughness", where, _HALF, scalar=True))
+
+    def _diffuse(self, node: Any, where: str) -> _Read:
+        return _Read(DiffuseModel(), self.textures.texture(node, "reflectance", where, _GREY))
+
+    def _conductor(self, node: Any, where: str) -> _Read:
+        """A smooth conductor with its reflectance at normal incidence."""
+        bsdf = self._load(self._plain(node, where), where)
+        si = self.mi.SurfaceInteraction3f()
+        si.wi = self.mi.Vector3f(0.0, 0.0, 1.0)
+        weight = bsdf.sample(self.mi.BSDFContext(), si, 0.5, self.mi.Point2f(0.5, 0.5))[1]
+        return _Read(ConductorModel(), Constant(np.array(weight, np.float32)))
+
+    def _dielectric(self, node: Any, where: str) -> _Read:
+        """A smooth dielectric with its refractive index, inside over outside."""
+        described = self._plain(node, where)
+        for key in ("specular_reflectance", "specular_transmittance"):
+            if described.get(key, 1.0) != 1.0:
+                raise InputError(f"{self.path}: {where} sets {key}, which is not supported")
+        eta = self._ratio(described, where)
+        return _Read(DielectricModel(eta), _ONES, two_sided=True)
+
+    def _rough_conductor(self, node: Any, where: str) -> _Read:
+        alpha = self._alpha(node, where)
+        described = self._plain(node, where, but=("specular_reflectance",))
+        loaded = self.mi.traverse(self._load(described, where))
+        eta, k = (self._colour(loaded[f"{key}.value"]) for key in ("eta", "k"))
+        for key, value in (("eta", eta), ("k", k)):
+            within(value, f"{self.path}: the {key} of {where}", 0.0, _LARGE)
+        model = RoughConductorModel(eta, k, alpha)
+        if min(model.normal_reflectance) == 0.0:
+            message = f"{self.path}: {where} has a refractive index of 1 in some colour, which reflects nothing"
+            raise Unsupported(message, "a refractive index of 1")
+        tint = self.textures.texture(node, "specular_reflectance", where, _ONES)
+        normal = np.array(model.normal_reflectance, np.float32)
+        return _Read(model, self._scaled(tint, normal, where), _root(alpha))
+
+    def _rough_plastic(self, node: Any, where: str) -> _Read:
+        alpha = self._alpha(node, where)
+        tint = self.textures.texture(node, "specular_reflectance", where, _ONES)
+        if not isinstance(tint, Constant):
+            message = f"{self.path}: the specular_reflectance of {where} is textured, which is not supported"
+            raise Unsupported(message, "textured specular_reflectance")
+        described = self._plain(node, where, but=("diffuse_reflectance", "specular_reflectance"))
+        eta = self._ratio(described, where)
+        model = RoughPlasticModel(eta, alpha, self._colour(tint.value), bool(node.props.get("nonlinear", False)))
+        return _Read(model, self.textures.texture(node, "diffuse_reflectance", where, _GREY), _root(alpha))
+
+    # ---- BSDFs around others
+
+    def _two_sided(self, node: Any, where: str) -> _Read:
+        inner = [self._read(child, where) for child in self._inside(node)]
+        if len(inner) == 1:
+            return replace(inner[0], two_sided=True)
+        reason = f"{self.path}: {where} is twosided with {len(inner)} BSDFs inside, which is not supported"
+        if len(inner) != 2 or any(read.model.is_delta for read in inner):
+            raise InputError(reason)
+        return _Read(UnsupportedModel("twosided with 2 BSDFs", reason), roughness=_HALF, two_sided=True)
+
+    def _blend(self, node: Any, where: str) -> _Read:
+        inner = [self._read(child, where) for child in self._inside(node)]
+        if any(read.model.delta and read.model.delta.transmits for read in inner):
+            raise InputError(f"{self.path}: {where} blends in a dielectric, which is not supported")
+        reason = f"{self.path}: {where} has type blendbsdf, which is not supported"
+        return _Read(UnsupportedModel("blendbsdf", reason), two_sided=any(read.two_sided for read in inner))
+
+    def _turned_normals(self, node: Any, where: str) -> _Read:
+        plugin, inner = node.props.plugin_name(), [self._read(child, where) for child in self._inside(node)]
+        if len(inner) != 1 or inner[0].model.is_delta:
+            raise InputError(f"{self.path}: {where} is a {plugin} on a smooth surface, which is not supported")
+        reason = f"{self.path}: {where} has type {plugin}, which is not supported"
+        return replace(
+            inner[0],
+            model=UnsupportedModel(f"{inner[0].model.label}, {plugin} ignored", reason, inner[0].model.metallic),
+        )
+
+    def _opaque(self, node: Any, where: str) -> _Read:
+        known = "principled, diffuse, conductor, dielectric, roughconductor, roughplastic, twosided"
+        plugin = node.props.plugin_name()
+        raise Unsupported(f"{self.path}: {where} has type {plugin}, which is not supported; there are: {known}")
+
+    # ---- parameters
+
+    def _alpha(self, node: Any, where: str) -> float:
+        """The GGX width of a rough BSDF."""
+        distribution = node.props.get("distribution", "beckmann")
+        if distribution != "ggx":
+            message = f"{self.path}: {where} has distribution {distribution}, of which only ggx is supported"
+            raise Unsupported(message, f"distribution {distribution}")
+        one = self.textures.number(node, "alpha", where, 0.1, 0.0, 1.0)
+        u, v = (self.textures.number(node, key, where, one, 0.0, 1.0) for key in ("alpha_u", "alpha_v"))
+        if u != v:
+            message = f"{self.path}: {where} has alpha_u and alpha_v that differ, which is not supported"
+            raise Unsupported(message, "alpha_u unlike alpha_v")
+        return max(u, 1e-4)  # as Mitsuba has it
+
+    def _scaled(self, texture: Texture, factor: FloatArray, where: str) -> Texture:
+        """A texture of three channels times a colour."""
+        if isinstance(texture, Constant):
+            return Constant(texture.value * factor)
+        if isinstance(texture, Bitmap):
+            return replace(texture, pixels=texture.pixels * factor)
+        message = f"{self.path}: the reflectance of {where} is a mesh attribute, which is not supported"
+        raise Unsupported(message, "a mesh attribute as reflectance")
+
+    def _colour(self, value: Any) -> tuple[float, float, float]:
+        r, g, b = np.array(value, np.float64).reshape(-1) * np.ones(3)
+        return float(r), float(g), float(b)
+
+    def _plain(self, node: Any, where: str, but: tuple[str, ...] = ()) -> dict[str, Any]:
+        """A BSDF without textures, for ``load_dict``, and without the parameters ``but``."""
+        props = node.props
+        if texture := next((key for key in self.textures.references(node) if key not in but), None):
+            message = f"{self.path}: the {texture} of {where} is textured, which is not supported"
+            raise Unsupported(message, f"textured {texture}")
+        return {"type": props.plugin_name(), **{key: props[key] for key in props if key not in but}}
+
+    def _ratio(self, described: dict[str, Any], where: str) -> float:
+        """The refractive index of a dielectric, inside over outside."""
+        eta = float(self.mi.traverse(self._load(described, where))["eta"])
+        return number(eta, f"{self.path}: the refractive index of {where}, inside over outside,", 1.0 / _LARGE, _LARGE)
+
+    def _load(self, described: dict[str, Any], where: str) -> Any:
+        try:
+            with native(self.path, ""):
+                return self.mi.load_dict(described)
+        except InputError as error:
+            message = f"{self.path}: {where} has parameters that Mitsuba does not accept"
+            raise Unsupported(message, "parameters that Mitsuba does not accept") from error
+
+
+def _root(alpha: float) -> Constant:
+    """The Burley roughness of a GGX width."""
+    return Constant(np.full(1, alpha**0.5, np.float32))

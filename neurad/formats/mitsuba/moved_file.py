@@ -1,0 +1,69 @@
+"""Mesh files of a scene that lies far from the origin, written again near it: Mitsuba reads them as float32."""
+
+from __future__ import annotations
+
+import re
+from pathlib import Path
+
+import numpy as np
+
+from neurad.core.records import Mesh
+from neurad.formats.meshes.ply_file import Lists, coordinates, corners_of, read_ply
+from neurad.runtime.reading import TEXT_MESH_LIMIT, read_bytes
+from neurad.scene.origin import ZERO, Array, origin_of
+
+_VERTEX = re.compile(rb"^([ \t]*v[ \t]+)(\S+)[ \t]+(\S+)[ \t]+(\S+)", re.M)
+_NAMES = {"i1": "char", "u1": "uchar", "i2": "short", "u2": "ushort", "i4": "int", "u4": "uint", "f4": "float",
+          "f8": "double"}  # fmt: skip
+
+
+def moved_file(path: Path, kind: str, target: Path) -> tuple[Path, Array]:
+    """The file itself if its coordinates lie near their origin, else ``target``, written with less large ones; and what
+    was subtracted from them [3].
+
+    Args:
+        path: of a file that has been checked.
+        kind: ply or obj.
+        target: where to write.
+    """
+    return _ply(path, target) if kind == "ply" else _obj(path, target)
+
+
+def _step(points: Array) -> Array:
+    return origin_of([Mesh("file", points, np.zeros((0, 3), np.int64), 0)])  # type: ignore[arg-type]
+
+
+def _ply(path: Path, target: Path) -> tuple[Path, Array]:
+    """All numbers of the vertices stay, of the faces their corners."""
+    ply = read_ply(path)
+    points = coordinates(path, ply)
+    step = _step(points)
+    if not step.any():
+        return path, ZERO
+    columns = {name: values for name, values in ply["vertex"].items() if not isinstance(values, Lists)}
+    columns |= dict(zip("xyz", (points - step).T, strict=True))
+    kinds = {name: "f4" if values.dtype.kind == "f" else values.dtype.str[1:] for name, values in columns.items()}
+    rows = np.empty(len(points), [(name, f"<{kind}") for name, kind in kinds.items()])
+    for name, values in columns.items():
+        rows[name] = values
+    corners = corners_of(path, ply).values.reshape(-1, 3)
+    faces = np.empty(len(corners), [("count", "u1"), ("corners", "<i4", 3)])
+    faces["count"], faces["corners"] = 3, corners
+    header = [
+        "ply", "format binary_little_endian 1.0", f"element vertex {len(rows)}",
+        *(f"property {_NAMES[kind]} {name}" for name, kind in kinds.items()),
+        f"element face {len(faces)}", "property list uchar int vertex_indices", "end_header", "",
+    ]  # fmt: skip
+    target.write_bytes("\n".join(header).encode() + rows.tobytes() + faces.tobytes())
+    return target, step
+
+
+def _obj(path: Path, target: Path) -> tuple[Path, Array]:
+    text = read_bytes(path, TEXT_MESH_LIMIT)
+    points = np.array([[float(x) for x in match.groups()[1:]] for match in _VERTEX.finditer(text)]).reshape(-1, 3)
+    step = _step(points)
+    if not step.any():
+        return path, ZERO
+    moved = iter((points - step).tolist())
+    target.write_bytes(_VERTEX.sub(lambda match: match[1] + b"%.9g %.9g %.9g" % tuple(next(moved)), text))
+    return target, step

@@ -1,0 +1,1 @@
+"""Picture files: EXR and bitmaps, response curves, brackets, films."""

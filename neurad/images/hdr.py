@@ -1,0 +1,254 @@
+"""Brackets of photographs, raw or developed, merged to linear EXR: ``neurad data hdr``."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import numpy.typing as npt
+
+from neurad.core.errors import InputError
+from neurad.core.ranges import CountOrZero, checked
+from neurad.core.records import Development, FloatArray
+from neurad.images.bracket import merge
+from neurad.images.development import exif_exposure, exposure_of, positive, sentence_of_profiles, usual_ceiling
+from neurad.images.image_io import write_exr
+from neurad.images.photographs import CODED, RAW, largest_code, read_photograph, rounding
+from neurad.images.response import FIT, check_response, linear_value
+from neurad.runtime.files import writing
+from neurad.runtime.progress import counted
+from neurad.runtime.reading import native, regular_file, shown
+
+_SHORTEST, _LONGEST = 1e-9, 1e9
+_WHITE = 65535.0
+_CLIPPED = 0.995  # of a photosite's range
+_SAID_RAW = "it cannot be read as a raw photograph"
+
+
+_Linear = tuple[FloatArray, npt.NDArray[Any], npt.NDArray[np.bool_], npt.NDArray[np.bool_]]
+
+
+@dataclass(frozen=True)
+class MergeSettings:
+    """What to merge, and to where."""
+
+    files: list[Path]
+    """Photographs; those of one view in a row."""
+    out: Path
+    """Folder of the EXR files."""
+    bracket: CountOrZero = 0
+    """Photographs of each view; 0 where all are of one."""
+    times: list[float] | None = None
+    """Exposures of a view's photographs, where EXIF has none or others."""
+    response: str | None = None
+    """Of photographs of codes, as ``--data.response``; None takes sRGB's curve and says so."""
+
+    def __post_init__(self) -> None:
+        """Refuse what cannot be merged."""
+        checked(self)
+        if self.response is not None:
+            check_response(self.response)
+            if self.response == FIT:
+                raise InputError("--response fit: a fit recovers a response, a merge has to know it")
+        size = self.bracket or len(self.files)
+        if len(self.files) % size:
+            raise InputError(f"--bracket {size}: {len(self.files)} photographs are no whole number of brackets")
+        for time in self.times or ():
+            if not _SHORTEST <= time <= _LONGEST:
+                raise InputError(
+                    f"--times: {time:g} is no exposure, which has to be from {_SHORTEST:g} to {_LONGEST:g}"
+                )
+        if self.times is not None and len(self.times) != size:
+            raise InputError(f"--times: there are {len(self.times)} exposures for the {size} photographs of a view")
+
+
+def merge_brackets(settings: MergeSettings) -> None:
+    """Write an EXR file for each view, named as the first of its photographs, its standard deviation into the folder
+    ``spread`` beside, and say what was taken.
+
+    Raises:
+        InputError: a photograph cannot be read, has no exposure or another size, or a file is there already.
+    """
+    size = settings.bracket or len(settings.files)
+    brackets = [settings.files[i : i + size] for i in range(0, len(settings.files), size)]
+    spreads = settings.out.absolute().parent / "spread"
+    with writing(settings.out, "--out"):
+        for folder in (settings.out, spreads):
+            folder.mkdir(parents=True, exist_ok=True)
+    places = [settings.out / f"{files[0].stem}.exr" for files in brackets]
+    for index, place in enumerate(places):
+        if place in places[:index]:
+            first, second = (shown(brackets[i][0]) for i in (places.index(place), index))
+            raise InputError(f"--out: views are named as their first photographs, and {first} and {second} are alike")
+        for file in (place, spreads / place.name):
+            if file.exists():
+                raise InputError(f"--out: {shown(file)} is there already; name another folder, or move it")
+    times = [_exposures(files, settings.times) for files in brackets]
+    if any(file.suffix.lower() in CODED for file in settings.files) and settings.response is None:
+        print("photographs of codes: sRGB's curve is undone, as nothing else is said (--response)")
+    if said := sentence_of_profiles(settings.files):
+        print(f"warning: {said}", file=sys.stderr)
+    for files, exposures, place in counted(
+        zip(brackets, times, places, strict=True), "merging", len(brackets), "views"
+    ):
+        radiance, spread, clipped = _merged(files, exposures, settings.response)
+        write_exr(place, radiance, half=False)
+        write_exr(spreads / place.name, spread, half=False)
+        free = ~clipped
+        noise = float(np.median(spread[free] / np.maximum(radiance[free], 1e-30))) if free.any() else float("nan")
+        span = f"exposures {min(exposures):.3g} to {max(exposures):.3g}"
+        print(
+            f"{shown(place)}: {len(files)} photographs, {span}, noise {100 * noise:.2g} % (median), "
+            f"{100 * float(clipped.any(-1).mean()):.2g} % clipped in all"
+        )
+    shortest = {min(exposures) for exposures in times}
+    if len(shortest) == 1:
+        level = _ceiling(settings.files, settings.response) / shortest.pop()
+        print(f"from {level:.6g} on every exposure is clipped: fit with --data.ceiling {level * 0.999:.6g}")
+
+
+def _ceiling(files: Sequence[Path], response: str | None) -> float:
+    """Linear value from which on photographs are clipped."""
+    code = min(usual_ceiling(file) for file in files)
+    return 1.0 if code == 1.0 else linear_value(response or "srgb", code)
+
+
+def _exposures(files: Sequence[Path], given: Sequence[float] | None) -> list[float]:
+    """Exposures of the photographs of a view."""
+    if given is not None:
+        return list(given)
+    found = []
+    for file in files:
+        exposure = _raw_exposure(file) if file.suffix.lower() in RAW else exif_exposure(file)
+        if exposure is None:
+            raise InputError(f"{shown(file)}: its EXIF has no exposure time; give those of a view with --times")
+        found.append(exposure)
+    return found
+
+
+def _merged(
+    files: Sequence[Path], times: Sequence[float], response: str | None
+) -> tuple[FloatArray, FloatArray, npt.NDArray[np.bool_]]:
+    pictures: list[FloatArray] = []
+    squares: list[npt.NDArray[Any]] = []
+    usable: list[npt.NDArray[np.bool_]] = []
+    clipped: list[npt.NDArray[np.bool_]] = []
+    for file in files:
+        pixels, variance, says, full = _linear(file, response or "srgb")
+        if pictures and pixels.shape != pictures[0].shape:
+            raise InputError(
+                f"{shown(file)}: it has {pixels.shape[1]} x {pixels.shape[0]} pixels, but {shown(files[0])} has "
+                f"{pictures[0].shape[1]} x {pictures[0].shape[0]}"
+            )
+        pictures.append(pixels)
+        squares.append(variance)
+        usable.append(says)
+        clipped.append(full)
+    return merge(pictures, times, _ceiling(files, response), squares, usable, clipped)
+
+
+def _linear(file: Path, response: str) -> _Linear:
+    """Linear values of a photograph in units of the largest [h, w, 3], the variance of their rounding, which of them
+    say something, and which are clipped, whatever they are.
+    """
+    ending = file.suffix.lower()
+    if ending in RAW:
+        return _raw(file)
+    if ending not in CODED:
+        raise InputError(f"{shown(file)}: brackets are merged from raw files, PNG, JPEG and TIFF, not from {ending}")
+    levels = largest_code(file)
+    pixels = read_photograph(file, Development(response, levels))[..., :3]
+    values, squares = rounding(response, levels)
+    return pixels, np.interp(pixels, values, squares), np.ones(pixels.shape, bool), np.zeros(pixels.shape, bool)
+
+
+def _opened(file: Path) -> Any:
+    """A raw photograph; a context manager.
+
+    Raises:
+        InputError: it cannot be read, or the package rawpy is missing.
+    """
+    try:
+        import rawpy
+    except ImportError as error:
+        raise InputError(f"{shown(file)}: raw files need the package rawpy: pip install 'neurad[raw]'") from error
+    regular_file(file)
+    with native(file, _SAID_RAW):
+        return rawpy.imread(str(file))
+
+
+def _raw_exposure(file: Path) -> float | None:
+    """As :func:`exif_exposure`, of raw files, most of which only their own reader reads."""
+    with _opened(file) as raw:
+        if (other := getattr(raw, "other", None)) is None:  # rawpy before 0.27
+            return exif_exposure(file)
+        time, speed, aperture = (positive(getattr(other, n)) for n in ("shutter_speed", "iso_speed", "aperture"))
+    return None if time is None else exposure_of(time, speed, aperture)
+
+
+def _raw(file: Path) -> _Linear:
+    """A raw photograph as :func:`_linear` says: linear sRGB primaries in the camera's white balance.
+
+    What is clipped in all colours has the value from which on it is. Where only some are, also in those that the others
+    are interpolated from, the conversion to other primaries mixes them into all: such values say nothing.
+    """
+    with _opened(file) as raw, native(file, _SAID_RAW):
+        import rawpy
+
+        full, level = _full(raw)
+        codes = raw.postprocess(
+            gamma=(1, 1), no_auto_bright=True, use_camera_wb=True, output_bps=16, user_flip=0,
+            output_color=rawpy.ColorSpace.sRGB, adjust_maximum_thr=0.0,
+        )  # fmt: skip
+    pixels = (codes / _WHITE).astype(np.float32)
+    if full.ndim == 3:
+        some, every = np.asarray(full.any(-1)), np.asarray(full.all(-1))
+    else:
+        some, every = _around(full, 2), ~_around(~full, 1)
+    some, every = (_fitted(part, pixels.shape[:2]) for part in (some, every))
+    pixels[every] = level
+    usable, clipped = (np.repeat(mask[..., None], 3, -1) for mask in (every | ~some, every))
+    return pixels, np.full(1, 1.0 / (12.0 * _WHITE**2)) * np.ones_like(pixels), usable, clipped
+
+
+def _full(raw: Any) -> tuple[npt.NDArray[np.bool_], float]:
+    """Photosites [h, w], of files without a mosaic pixels and their colours [h, w, 3], that are clipped: at the
+    sensor's white level, or beyond 1 in the camera's white balance, whose smallest factor is 1. And what of the range
+    a surface is beyond that is clipped in all colours; a colour's own white level may lie below the range's end.
+    """
+    codes = np.asarray(raw.raw_image_visible)
+    white = np.asarray(raw.camera_white_level_per_channel or [raw.white_level] * 4, float)
+    white = np.where(white > 0, np.minimum(white, raw.white_level), raw.white_level)
+    black = np.asarray(raw.black_level_per_channel, float)
+    factor = np.asarray(raw.camera_whitebalance, float)
+    if not (factor[:3] > 0).all():
+        factor = np.asarray(raw.daylight_whitebalance, float)  # what is taken where the file has none
+    factor[3] = factor[3] if factor[3] > 0 else factor[1]  # the second green
+    balance = factor / factor.min() if (factor > 0).all() else np.ones(4)
+    first = np.minimum((white - black) / (raw.white_level - black), 1.0 / balance)  # of the range, before balancing
+    level = black + _CLIPPED * (raw.white_level - black) * first
+    bound = float((first * balance).min())
+    if codes.ndim == 3:
+        return np.asarray(codes[..., :3] >= level[:3]), bound
+    return np.asarray(codes >= level[np.asarray(raw.raw_colors_visible)]), bound
+
+
+def _around(marked: npt.NDArray[np.bool_], steps: int) -> npt.NDArray[np.bool_]:
+    """Photosites [h, w] that lie within so many steps of a marked one."""
+    height, width = marked.shape
+    wide = np.pad(marked, steps)
+    grown = np.zeros_like(marked)
+    for dy in range(2 * steps + 1):
+        for dx in range(2 * steps + 1):
+            grown |= wide[dy : dy + height, dx : dx + width]
+    return grown
+
+
+def _fitted(mask: npt.NDArray[np.bool_], shape: tuple[int, ...]) -> npt.NDArray[np.bool_]:
+    """A mask [h, w] as large as a picture, which may lack or have a few more rows and columns at its end."""
+    more = [(0, max(want - has, 0)) for want, has in zip(shape, mask.shape, strict=True)]
+    return np.pad(mask, more, mode="edge")[: shape[0], : shape[1]]

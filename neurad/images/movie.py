@@ -1,0 +1,99 @@
+"""Pictures one after the other: as a film (MP4, by imageio-ffmpeg) or as numbered PNG files."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any, Protocol
+
+import numpy as np
+import numpy.typing as npt
+
+from neurad.core.errors import InputError
+from neurad.images.image_io import write_png
+from neurad.runtime.files import make_folder, replacing
+
+Bytes = npt.NDArray[np.uint8]
+FORMATS = ("mp4", "png")
+_QUALITY = 8  # of imageio-ffmpeg, from 0 to 10
+
+
+class Film(Protocol):
+    """What takes the frames."""
+
+    def __call__(self, frame: Bytes) -> None:
+        """Add a frame [h, w, 3]; all have the same size."""
+        ...
+
+
+def check_movie(kind: str) -> None:
+    """Find out before long work whether films can be written.
+
+    Raises:
+        InputError: the package is missing.
+    """
+    if kind == "mp4":
+        _ffmpeg()
+
+
+def target_of(kind: str, folder: Path) -> Path:
+    """What :func:`filming` writes in a folder."""
+    return folder / ("path.mp4" if kind == "mp4" else "frames/0000.png")
+
+
+@contextmanager
+def filming(kind: str, folder: Path, fps: int) -> Iterator[Film]:
+    """Something that takes frames; the film is there, whole, when the context ends without an error.
+
+    Args:
+        kind: one of :data:`FORMATS`.
+        folder: it gets ``path.mp4`` or ``frames/0000.png`` and so on.
+        fps: frames a second.
+
+    Raises:
+        InputError: the package is missing, or the file cannot be written.
+    """
+    if kind == "png":
+        make_folder(folder / "frames", "--out")
+        count = 0
+
+        def keep(frame: Bytes) -> None:
+            nonlocal count
+            write_png(folder / "frames" / f"{count:04d}.png", frame)
+            count += 1
+
+        yield keep
+        return
+    ffmpeg = _ffmpeg()
+    make_folder(folder, "--out")
+    with replacing(target_of(kind, folder), "--out") as part:
+        writer: Any = None
+
+        def add(frame: Bytes) -> None:
+            nonlocal writer
+            height, width = frame.shape[:2]
+            even = np.ascontiguousarray(np.pad(frame, ((0, height % 2), (0, width % 2), (0, 0)), mode="edge"))
+            if writer is None:
+                writer = ffmpeg.write_frames(
+                    str(part), even.shape[1::-1], fps=fps, quality=_QUALITY, macro_block_size=2,
+                    output_params=["-f", "mp4", "-movflags", "+faststart"], ffmpeg_log_level="error",
+                )  # fmt: skip
+                writer.send(None)
+            writer.send(even)
+
+        try:
+            yield add
+        finally:
+            if writer is not None:
+                writer.close()
+
+
+def _ffmpeg() -> Any:
+    try:
+        import imageio_ffmpeg
+    except ImportError as error:
+        raise InputError(
+            "--movie mp4 needs the package imageio-ffmpeg: pip install 'neurad[video]', or --movie png for pictures"
+        ) from error
+    return imageio_ffmpeg

@@ -1,0 +1,1 @@
+"""Lamps that are not known: found, measured in photographs, recovered, scored."""

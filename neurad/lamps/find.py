@@ -1,0 +1,262 @@
+"""Which meshes shine, where nobody says so: those that photographs show brighter than whatever arrives there, all of it
+reflected, and so that one radiance all over, and what can be reflected besides, explains every pixel.
+
+What arrives is gathered from the photographs themselves: rays leave a surface by the cosine, and where they end the
+photographs say what comes back (:class:`neurad.lamps.surfaces.PhotographedRadiance`). No material
+enters. A white diffuse sheet would show the mean of it, so the photographed radiance over that mean is the albedo of a
+surface that does not shine, and at most about 1.
+
+The brightest thing that is photographed shines, since nothing reflects more than arrives. From then on its light is
+that of an emitter: shadow rays find it however small it is, and the parts of it that no photograph shows shine as well.
+What is brighter than all light so far explains is next, and so on, until nothing is.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, field, replace
+
+import torch
+from torch import Tensor
+
+from neurad.assembly.build import build_world
+from neurad.assembly.gains import shared_development
+from neurad.bsdf.diffuse import Diffuse
+from neurad.core.colour import luminance
+from neurad.core.errors import InputError
+from neurad.core.protocols import PhotoSource
+from neurad.core.records import PixelBatch, Surface, SurfaceInteraction
+from neurad.core.rng import Stream, mix
+from neurad.emitters.area import AreaLights
+from neurad.emitters.dark import NullEmitter
+from neurad.emitters.lights import AnyLights, make_lights
+from neurad.integrators.emitter_pixels import POSITIONS
+from neurad.integrators.method import SceneModel
+from neurad.integrators.radiometric import Radiometric
+from neurad.integrators.stratified import stratified_samples
+from neurad.integrators.world import World
+from neurad.lamps.candidates import Candidate, candidate_of, evenly, one_radiance, over
+from neurad.lamps.surfaces import PhotographedRadiance, SurfacePixels, showing_one_side, surface_pixels
+from neurad.runtime.progress import phase
+from neurad.scene.description import Scene
+from neurad.scene.shining import Shining, without_lamps
+
+MARGIN = 1.3
+"""How much brighter than a white sheet in its place a mesh has to be to be taken for a lamp."""
+MIN_LAMP_PIXELS = 3
+"""Pixels that have to show nothing but a lamp: fewer do not tell whether it is alike all over."""
+UNEXPLAINED = 1.5
+"""How much brighter than a white sheet a tenth of all surfaces may be before something is said."""
+_POINTS, _SPP = 48, 64  # of each side of a mesh: points, and directions at each
+_OTHERS = 768  # points of all surfaces, to compare with
+_VERIFIED = 512  # pixels of each candidate that are looked at closely
+_ALIKE = 0.5  # of the brightest candidate's radiance: what is found together with it
+_CHUNK = 1 << 17  # samples
+
+
+@dataclass
+class Found:
+    """What was found."""
+
+    lamps: list[Shining] = field(default_factory=list)
+    lines: list[str] = field(default_factory=list)
+    """What there is to say."""
+
+
+class WhiteLambertian:
+    """Everything is white and diffuse."""
+
+    def __call__(self, si: SurfaceInteraction) -> Surface:
+        """BSDF parameters at the lanes of ``si``."""
+        return Surface(torch.ones_like(si.p), torch.ones_like(si.p[:, :1]))
+
+    def albedo(self, si: SurfaceInteraction) -> Tensor:
+        """Ones [n, 3]."""
+        return torch.ones_like(si.p)
+
+
+def find_lamps(
+    scene: Scene,
+    photographs: PhotoSource,
+    tracer: str,
+    unknown_sky: bool,
+    seed: int,
+    device: torch.device | str = "cpu",
+) -> Found:
+    """Find the meshes that shine. What the scene's file says of them is not looked at.
+
+    Args:
+        scene: geometry, cameras, and the light of other kinds.
+        photographs: of the training views.
+        tracer: 'embree', 'open3d' or 'warp'.
+        unknown_sky: the environment is not known either, so nothing is taken from it.
+        seed: of all draws.
+        device: where it is computed.
+
+    Raises:
+        InputError: there are no photographs, or no mesh shines and there is no other light.
+    """
+    scene = without_lamps(scene)
+    with phase("finding lamps"):
+        world = build_world(scene, tracer, photographs.has_alpha, lights=NullEmitter()).to(device)
+        develop = shared_development(scene, world, photographs, seed)
+        return Search(scene, world, photographs, seed, unknown_sky, develop).run()
+
+
+class Search:
+    """One search for lamps.
+
+    Args:
+        scene: without lamps.
+        world: of the scene, dark.
+        photographs: of its training views.
+        seed: of all draws.
+        unknown_sky: the environment is not known either.
+        develop: corrects the photographs where their exposures are not known: what shines has one radiance in all.
+    """
+
+    def __init__(
+        self,
+        scene: Scene,
+        world: World,
+        photographs: PhotoSource,
+        seed: int,
+        unknown_sky: bool = False,
+        develop: Callable[[PixelBatch], PixelBatch] | None = None,
+    ) -> None:
+        self.scene, self.seed, self.unknown_sky = scene, seed, unknown_sky
+        self.known = replace(scene, environment=None) if unknown_sky else scene
+        self.geometry = world.geometry
+        self.world = World(
+            world.geometry, world.tracer, world.lights, Diffuse(), world.features, world.two_sided,
+            world.hide_environment, world.delta,
+        )  # fmt: skip
+        self.pixels = surface_pixels(world, [view.camera for view in scene.train], photographs, seed, develop)
+        self.photographed = PhotographedRadiance(self.geometry, self.pixels)
+        self.lamps: list[Candidate] = []
+        self._relight()
+
+    def run(self) -> Found:
+        """Take lamp after lamp, the brightest first, until nothing is brighter than it could be otherwise."""
+        candidates = self._candidates()
+        while True:
+            for candidate, (shown, sheet) in zip(candidates, self._sheets([c.pixels for c in candidates]), strict=True):
+                candidate.ratio = over(shown, sheet)
+                candidate.even = one_radiance(luminance(shown), luminance(sheet), candidate.ratio)
+            even = [c for c in candidates if c.even]
+            level = max(self._level(even), 1.0)
+            shining = [c for c in even if c.ratio > MARGIN * level]
+            if not shining:
+                return self._found(self._level([]))
+            least = _ALIKE * max(c.brightness for c in shining)
+            self.lamps += [c for c in shining if c.brightness >= least]
+            candidates = [c for c in candidates if c not in self.lamps]
+            self._relight()
+
+    def _candidates(self) -> list[Candidate]:
+        """Sides of meshes that are brighter than what arrives there explains before any lamp is known. Smooth surfaces
+        are none: they show other things.
+        """
+        smooth = {i for i, mesh in enumerate(self.scene.meshes) if self.scene.materials[mesh.material].model.is_delta}
+        sides = [side for side in torch.unique(self.pixels.side).tolist() if side // 2 not in smooth]
+        groups = [self.pixels[(self.pixels.side == side).nonzero().squeeze(-1)] for side in sides]
+        found = []
+        for side, group, pair in zip(sides, groups, self._sheets(groups), strict=True):
+            if over(*pair) > MARGIN / 1.5:  # without shadow rays to lamps it is noisier
+                verified = self._verified(side, group)
+                if len(verified) >= MIN_LAMP_PIXELS:
+                    found.append(candidate_of(side, verified))
+        return found
+
+    def _verified(self, side: int, pixels: SurfacePixels) -> SurfacePixels:
+        """Those of some of the pixels that show nothing else at more positions, too."""
+        pixels = evenly(pixels, _VERIFIED)
+        whole = torch.zeros_like(pixels.clipped)
+        for view in torch.unique(pixels.view).tolist():
+            mine = (pixels.view == view).nonzero().squeeze(-1)
+            stream = Stream(self.seed, side, view, 42, device=mine.device)
+            camera = self.scene.train[view].camera
+            good, seen, _ = showing_one_side(self.world, camera, pixels.pixel[mine], POSITIONS, stream)
+            whole[mine[good]] = seen == side
+        return pixels[whole]
+
+    def _sheets(self, groups: Sequence[SurfacePixels]) -> list[tuple[Tensor, Tensor]]:
+        """Photographed radiance at some pixels of each group [k, 3], and that of white sheets in their place [k, 3]."""
+        if not groups:
+            return []
+        some = [evenly(group, _POINTS) for group in groups]
+        sheets = torch.split(self._white(SurfacePixels.cat(*some)), [len(group) for group in some])
+        return [(group.color.double(), sheet.double()) for group, sheet in zip(some, sheets, strict=True)]
+
+    def _level(self, candidates: Sequence[Candidate]) -> float:
+        """How bright a tenth of all surfaces are at least, lamps and those that look like some left out, over white
+        sheets in their place: above 1 where light arrives that no photograph shows to come from anywhere. All surfaces
+        are too bright then, so a lamp has to stand out among them.
+        """
+        known = torch.zeros_like(self.photographed.left_out)
+        known[[c.side for c in (*candidates, *self.lamps)]] = True
+        others = self.pixels[(~known[self.pixels.side] & ~self.pixels.clipped).nonzero().squeeze(-1)]
+        if len(others) == 0:
+            return 1.0
+        others = evenly(others, _OTHERS)
+        ratio = luminance(others.color) / luminance(self._white(others)).clamp_min(1e-30)
+        return float(ratio.double().quantile(0.9))
+
+    @torch.no_grad()
+    def _white(self, pixels: SurfacePixels) -> Tensor:
+        """Radiance [n, 3] of a white diffuse sheet in the place of each pixel's point."""
+        parts, model = [], SceneModel(self.world, WhiteLambertian(), self.photographed)
+        for begin in range(0, len(pixels), max(1, _CHUNK // _SPP)):
+            si = pixels[begin : begin + _CHUNK // _SPP].points(self.geometry)
+            stream = Stream(mix(self.seed, len(self.lamps)), begin, 43, device=si.p.device)
+            u = stratified_samples(len(si), _SPP, stream)
+            lanes = si.repeat(_SPP)
+            value = (
+                Radiometric(control_variate=False).reflected(model, lanes, WhiteLambertian()(lanes), u, stream).value
+            )
+            parts.append(value.view(len(si), _SPP, 3).mean(1))
+        return torch.cat(parts) if parts else pixels.color
+
+    def _relight(self) -> None:
+        """Let the lamps so far be emitters, and all else that shines in the photographs be what comes back from it.
+
+        Of a lamp that shines to the back of its triangles the light stays what photographs show of it.
+        """
+        emission = torch.zeros_like(self.geometry.emission)
+        for lamp in self.lamps:
+            if not lamp.shining.turned:
+                emission[self.geometry.mesh_index == lamp.shining.mesh] = lamp.radiance
+                self.photographed.left_out[lamp.side] = True
+        area = AreaLights(self.geometry, emission) if bool(emission.any()) else None
+        lights: AnyLights | NullEmitter = NullEmitter()
+        if area is not None or self.known.features.has_light:
+            lights = make_lights(self.known, self.geometry, lamps=area)
+        self.world = self.world.under(lights.to(emission.device))
+
+    def _found(self, level: float) -> Found:
+        """The result, and what there is to say of it."""
+        by_mesh = {lamp.shining.mesh: lamp for lamp in sorted(self.lamps, key=lambda lamp: lamp.brightness)}
+        lines = []
+        for mesh, lamp in sorted(by_mesh.items()):
+            name = self.scene.meshes[mesh].name
+            times = f"{lamp.ratio:.3g} times as bright as a white sheet in its place"
+            lines.append(f"{name} shines: it is {'at least ' if lamp.clipped else ''}{times}")
+            if sum(other.shining.mesh == mesh for other in self.lamps) > 1:
+                lines.append(
+                    f"warning: {name} shines to both sides of its triangles; only the light of the brighter side is "
+                    "taken, so give each side a mesh of its own"
+                )
+        if level > UNEXPLAINED and not self.unknown_sky:
+            lines.append(
+                f"warning: a tenth of the surfaces are more than {level:.2g} times as bright as all light that the "
+                "photographs show can make them: some lamp is in no photograph, and its light will be missing; "
+                "photograph it, or give it an emitter in the scene and take --model.lighting.emitters fit"
+            )
+        lamps = [lamp.shining for _, lamp in sorted(by_mesh.items())]
+        if not lamps and not self.scene.features.has_light:
+            raise InputError(
+                f"scene {self.scene.name}: model.lighting.emitters is find, but no mesh shines in the photographs: "
+                "none is alike all over and brighter than what arrives there; give lamps that no photograph shows an "
+                "area emitter in the scene, and take fit"
+            )
+        return Found(lamps, lines or ["no mesh shines in the photographs"])

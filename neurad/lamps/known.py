@@ -1,0 +1,189 @@
+"""Whether lamps that are taken as known are as bright as the photographs show them: said before training."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Sequence
+
+import numpy as np
+import torch
+
+from neurad.assembly.build import Assembly
+from neurad.assembly.common_causes import BEND, common_causes, curve_or_lamps
+from neurad.core.errors import InputError
+from neurad.core.protocols import PhotoSource
+from neurad.core.records import PixelBatch
+from neurad.emitters.area import AreaLights
+from neurad.emitters.lights import make_lights
+from neurad.lamps.photographed import (
+    FEW,
+    REFUSE,
+    WARN,
+    Array,
+    PhotographedLamp,
+    lamp_photographs,
+    photographed_lamps,
+)
+
+MAX_LISTED_LAMPS = 8
+"""Lamps that get a line of their own; those that differ always do."""
+
+
+def check_lamps(assembly: Assembly, photographs: PhotoSource, sample: PixelBatch) -> tuple[list[str] | None, bool]:
+    """Print how bright each lamp is in the photographs, and refuse those that are far from what the scene says.
+
+    Args:
+        assembly: of a run that has not begun.
+        photographs: of the training views.
+        sample: random photographed pixels that show no emitter.
+
+    Returns:
+        What is wrong with all photographs, so that lamps seem to differ, None where no lamp does; and whether some lamp
+        is as bright as declared.
+
+    Raises:
+        InputError: a lamp is more than three times brighter or darker than declared, and
+            ``model.lighting.lamp_mismatch`` is ``refuse``.
+    """
+    scene = assembly.scene
+    if not scene.features.has_area_lights or not photographs.has_photographs:
+        return None, False
+    cameras, seed = [view.camera for view in scene.train], assembly.settings.seed
+    shown = lamp_photographs(assembly.world, cameras, photographs, sample, seed).developed(assembly.development)
+    lamps = photographed_lamps(scene, assembly.world, assembly.materials, cameras, shown, seed)
+    causes = causes_of_mismatch(assembly, photographs, lamps)
+    for line in (*(f"warning: {cause}" for cause in causes), *report(lamps, bool(causes))):
+        print(f"neurad: {line}", file=sys.stderr)
+    wrong = far_off(lamps)
+    if wrong and not causes and assembly.settings.lighting.lamp_mismatch == "refuse":
+        raise InputError(f"scene {scene.name}: {refusal(wrong)}")
+    return causes if any(lamp.beyond(WARN) for lamp in lamps) else None, any(map(agrees, lamps))
+
+
+def agrees(lamp: PhotographedLamp) -> bool:
+    """Whether photographs show a lamp as bright as it is declared."""
+    return lamp.pixels - lamp.clipped >= FEW and not lamp.beyond(WARN)
+
+
+def causes_of_mismatch(
+    assembly: Assembly,
+    photographs: PhotoSource,
+    lamps: Sequence[PhotographedLamp],
+    looked: Sequence[str] | None = None,
+) -> list[str]:
+    """What all photographs have in common that may make lamps look wrong; nothing where all lamps are as declared.
+
+    Args:
+        assembly: of the scene, with its lamps as they are declared.
+        photographs: of the training views.
+        lamps: as these show them.
+        looked: what :func:`common_causes` has said already; None asks it.
+    """
+    if looked:
+        return list(looked)
+    off = [lamp for lamp in lamps if lamp.beyond(WARN)]
+    if not off:
+        return []
+    scene, world, seed = assembly.scene, assembly.world, assembly.settings.seed
+    cameras, develop = [view.camera for view in scene.train], assembly.development
+    emission = world.geometry.emission.clone()
+    for lamp in off:
+        radiance = np.where(np.isnan(lamp.radiance), lamp.declared, lamp.radiance)
+        emission[world.geometry.mesh_index == lamp.mesh] = torch.as_tensor(radiance).to(emission)
+    power, shining = _power(off), AreaLights(world.geometry, emission)
+    relit = world.under(make_lights(scene, world.geometry, lamps=shining).to(emission.device))
+    said = (
+        []
+        if looked is not None
+        else common_causes(relit, cameras, photographs, seed, develop, lit=power is None, scale_known=True)
+    )
+    if said or power is None:
+        return said
+    return curve_or_lamps(world, relit, cameras, photographs, seed, power, develop)
+
+
+def _power(lamps: Sequence[PhotographedLamp]) -> float | None:
+    """The power of the declared radiance that lamps are photographed as; None where they do not agree on one."""
+    logs = np.array([np.log(np.stack((lamp.photographed, lamp.declared + lamp.reflected))) for lamp in lamps])
+    shown, given = logs.transpose(1, 0, 2).reshape(2, -1)
+    known = np.isfinite(shown) & np.isfinite(given) & (np.abs(given) > 0.5)
+    powers = shown[known] / given[known]
+    if len(powers) == 0 or np.ptp(powers) > BEND or abs(float(np.median(powers)) - 1.0) < 0.5 * BEND:
+        return None
+    return float(np.median(powers))
+
+
+def far_off(lamps: Sequence[PhotographedLamp]) -> list[PhotographedLamp]:
+    """Those that a fit refuses: surely more than three times brighter or darker than declared."""
+    return [lamp for lamp in lamps if lamp.pixels - lamp.clipped >= FEW and lamp.beyond(REFUSE)]
+
+
+def report(lamps: Sequence[PhotographedLamp], excused: bool = False) -> list[str]:
+    """Lines about lamps: all that differ, some of the others, and where some are shown, which ones are not.
+
+    Args:
+        lamps: as photographs show them.
+        excused: something is wrong with all photographs: no radiance is advised then.
+    """
+    lines: list[str] = []
+    listed = unknown = 0
+    for lamp in lamps:
+        differs = lamp.beyond(WARN)
+        if lamp.pixels == 0 or (listed >= MAX_LISTED_LAMPS and not differs):
+            unknown += 0 < lamp.pixels == lamp.clipped
+            continue
+        listed += 1
+        seen = f"{lamp.pixels} pixel{'s' * (lamp.pixels != 1)} of {lamp.views} view{'s' * (lamp.views != 1)}"
+        if lamp.clipped == lamp.pixels:
+            lines.append(
+                f"lamp {lamp.name}: {seen} show it, half or more of them clipped in each, so it cannot be checked"
+            )
+            continue
+        clipped = f", {lamp.clipped} clipped" if lamp.clipped else ""
+        lines.append(f"lamp {lamp.name}: photographed over declared radiance {_three(lamp.factor)} ({seen}{clipped})")
+        if differs and excused:
+            lines[-1] += "; that is no measure of its radiance before the photographs are mended"
+        elif differs:
+            lines.append(
+                f"warning: lamp {lamp.name} is {_brighter(lamp)} in the photographs than in the scene; with known "
+                f"lamps the materials take that up, so set its radiance to {_three(lamp.radiance)}, or check the "
+                "photographs' exposure"
+            )
+    shown = sum(lamp.pixels > 0 for lamp in lamps)
+    if shown > listed + unknown:
+        lines.append(f"{shown - listed - unknown} more lamps are as bright in the photographs as declared")
+    if unknown:
+        lines.append(f"{unknown} more lamps are clipped wherever they are shown, so they cannot be checked")
+    hidden = [lamp.name for lamp in lamps if lamp.pixels == 0]
+    if hidden and shown:
+        more = f" and {len(hidden) - MAX_LISTED_LAMPS} others" if len(hidden) > MAX_LISTED_LAMPS else ""
+        names = ", ".join(hidden[:MAX_LISTED_LAMPS]) + more
+        lines.append(f"no photograph shows {names} alone in a pixel: nothing checks the radiance there")
+    return lines
+
+
+def refusal(wrong: Sequence[PhotographedLamp]) -> str:
+    """The sentence about lamps that are far from what the scene says."""
+    first = max(wrong, key=lambda lamp: float(np.nanmax(np.abs(np.log(np.maximum(lamp.compared, 1e-30))))))
+    others = f" (and {len(wrong) - 1} other lamps)" if len(wrong) > 1 else ""
+    return (
+        f"lamp {first.name}{others} is {_brighter(first)} in the photographs than the declared radiance "
+        f"{_three(first.declared)}: no material makes up for that; set it to {_three(first.radiance)}, take it from "
+        "the photographs with --model.lighting.emitters photographs, or train all the same with "
+        "--model.lighting.lamp_mismatch warn"
+    )
+
+
+def _brighter(lamp: PhotographedLamp) -> str:
+    """By how much a lamp differs, by the channel that differs most."""
+    factor = lamp.compared[~np.isnan(lamp.compared)]
+    most = float(factor[np.argmax(np.abs(np.log(np.maximum(factor, 1e-30))))])
+    alike = float(factor.max()) < 1.1 * float(factor.min())
+    where = "" if alike else f" in {('red', 'green', 'blue')[int(np.argmax(lamp.compared == most))]}"
+    if most >= 1.0:
+        return f"{most:.3g} times brighter{where}"
+    return f"{1.0 / max(most, 1e-30):.3g} times darker{where}"
+
+
+def _three(values: Array) -> str:
+    return ", ".join(f"{float(x):.3g}" for x in values)

@@ -1,0 +1,315 @@
+"""Lamps as photographs show them: how bright they are, beside what the scene says."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import numpy.typing as npt
+import torch
+from torch import Tensor
+
+from neurad.core.camera import camera_rays
+from neurad.core.frame import dot
+from neurad.core.protocols import Materials, PhotoSource
+from neurad.core.records import Camera, PixelBatch
+from neurad.core.rng import Stream, mix
+from neurad.integrators.emitter_pixels import POSITIONS, shown_in
+from neurad.integrators.film import pixel_positions
+from neurad.integrators.method import SceneModel
+from neurad.integrators.path import PathTracing
+from neurad.integrators.renderer import MethodRenderer
+from neurad.integrators.world import World
+from neurad.lamps.scores import MIN_CHANNEL
+from neurad.scene.description import Scene
+
+Array = npt.NDArray[np.float64]
+WARN, REFUSE = 1.2, 3.0
+"""Factors between the photographed and the declared radiance, in either direction."""
+FEW = 8
+"""Pixels below which a lamp is not known well enough to refuse a fit."""
+CEILINGS = (1.0, 65504.0)
+"""Largest values of formats: of pictures that were 8-bit once, and of half floats."""
+_MOST = 4096  # pixels of a view that are looked at
+_LIT, _LIT_SPP = 64, 16  # pixels of a lamp and samples in each that say how much it reflects
+_DEPTH = 6  # of their paths: what a lamp reflects is a few per cent of what it sends
+_CHUNK = 1 << 14
+
+
+@dataclass(frozen=True)
+class PhotographedLamp:
+    """One lamp mesh in the training photographs."""
+
+    mesh: int
+    """Index into ``Scene.meshes``."""
+    name: str
+    declared: Array
+    """Radiance that the scene says [3]."""
+    reflected: Array
+    """What the lamp reflects of all declared light besides [3], roughly: the room counts as what it is so far."""
+    photographed: Array
+    """Median of the pixels that show nothing else, where they are not clipped, a channel [3]; NaN where all are."""
+    pixels: int
+    """Pixels that show nothing but the lamp."""
+    views: int
+    """Views that these are of."""
+    clipped: int
+    """How many of the pixels do not count: those at their photograph's ceiling in some channel, and all of a photograph
+    where half of them or more are."""
+
+    @property
+    def factor(self) -> Array:
+        """Photographed over declared radiance [3], both with what the lamp reflects: light that is too bright by a
+        factor is reflected as much too brightly.
+        """
+        expected = self.declared + self.reflected
+        dark = np.where(self.photographed > 0.0, math.inf, 1.0)
+        return np.where(expected > 0.0, self.photographed / np.where(expected > 0.0, expected, 1.0), dark)
+
+    @property
+    def radiance(self) -> Array:
+        """What the photographs say that the lamp sends [3], without what it reflects."""
+        factor = self.factor
+        return np.where(
+            self.declared > 0.0, self.declared * factor, np.maximum(self.photographed - self.reflected, 0.0)
+        )
+
+    @property
+    def compared(self) -> Array:
+        """:attr:`factor` in those channels that tell [3], NaN in others: where a lamp of one colour sends next to
+        nothing, what it reflects decides, and that is a guess.
+        """
+        both = np.fmax(self.declared, self.photographed)
+        return np.where(both >= MIN_CHANNEL * both.max(), self.factor, math.nan)
+
+    def beyond(self, limit: float) -> bool:
+        """Whether a channel differs by more than a factor, in either direction; False where nothing is known."""
+        known = self.compared[~np.isnan(self.compared)]
+        return bool(((known > limit) | (known < 1.0 / limit)).any())
+
+
+@dataclass(frozen=True)
+class LampPixels:
+    """Pixels that show one lamp and nothing else."""
+
+    view: Tensor
+    """[n], int64."""
+    pixel: Tensor
+    """Row-major pixel index [n], int64."""
+    mesh: Tensor
+    """Index of the lamp's mesh [n], int64."""
+
+
+@torch.no_grad()
+def lamp_pixels(world: World, cameras: Sequence[Camera], seed: int, ignored: Tensor | None = None) -> LampPixels:
+    """Pixels in which every one of some rays first meets the shining side of one and the same lamp.
+
+    Of a view at most some thousand pixels are looked at closely, or as many of each lamp, evenly over those that show
+    it.
+
+    Args:
+        world: the scene.
+        cameras: of the photographs.
+        seed: of the positions in the pixels.
+        ignored: pixels that a mask leaves out [views, pixels], bool.
+    """
+    geometry = world.geometry
+    device = geometry.vertices.device
+    emits = geometry.emission.amax(-1) > 0
+    triangles = geometry.vertices[geometry.faces[emits]].double()
+    found: list[tuple[Tensor, Tensor, Tensor]] = []
+    for index, camera in enumerate(cameras):
+        candidates = shown_in(triangles, camera, geometry.scale)
+        if ignored is not None:
+            candidates &= ~ignored[index, : len(candidates)].to(device)
+        pixels = candidates.nonzero().squeeze(-1)
+        if len(pixels) > _MOST:  # of each lamp, else a small one beside a window would hardly be looked at
+            middles = _lamps_at(world, emits, camera, pixels, 1, Stream(seed, index, 33, device=device)).squeeze(-1)
+            of_lamp = [pixels[middles == lamp] for lamp in torch.unique(middles[middles >= 0])]
+            pixels = torch.cat([pixels[:0], *map(_evenly, of_lamp)]).sort().values
+        lamp = _lamps_at(world, emits, camera, pixels, POSITIONS, Stream(seed, index, 29, device=device))
+        whole = (lamp >= 0).all(-1) & (lamp == lamp[:, :1]).all(-1)
+        found.append((torch.full_like(pixels[whole], index), pixels[whole], lamp[whole, 0]))
+    if not found:
+        none = torch.zeros(0, dtype=torch.int64, device=device)
+        return LampPixels(none, none, none)
+    view, pixel, mesh = (torch.cat(parts) for parts in zip(*found, strict=True))
+    return LampPixels(view, pixel, mesh)
+
+
+def _lamps_at(world: World, emits: Tensor, camera: Camera, pixels: Tensor, positions: int, stream: Stream) -> Tensor:
+    """The meshes whose shining side is met first at so many positions of pixels [n], -1 for none [n, positions].
+
+    Args:
+        world: the scene.
+        emits: whether each triangle does, bool.
+        camera: the view.
+        pixels: row-major [n].
+        positions: in each, stratified.
+        stream: random numbers.
+    """
+    geometry, found = world.geometry, [pixels.new_zeros(0, positions)]
+    for part in torch.split(pixels, _CHUNK):
+        rays = camera_rays(camera, pixel_positions(camera.width, part, positions, stream).view(-1, 2))
+        hit = world.tracer.closest(rays)
+        prim = hit.prim.clamp_min(0)
+        front = dot(geometry.face_normal[prim], rays.d) < 0
+        lamp = torch.where(hit.valid & emits[prim] & front, geometry.mesh_index[prim], -1)
+        found.append(lamp.view(-1, positions))
+    return torch.cat(found)
+
+
+def _evenly(pixels: Tensor) -> Tensor:
+    """At most :data:`_MOST` of some pixels [n], evenly over all."""
+    if len(pixels) <= _MOST:
+        return pixels
+    return pixels[torch.arange(_MOST, device=pixels.device) * len(pixels) // _MOST]
+
+
+def saturated(view: Tensor, of: Tensor, clipped: Tensor) -> Tensor:
+    """Whether half of the pixels or more that show the same thing in the same view are clipped [n], bool.
+
+    Their median is beyond the ceiling. Those that are not clipped are its border, seldom the thing itself.
+
+    Args:
+        view: of each pixel [n].
+        of: what it shows [n], 0 or more.
+        clipped: whether it is [n], bool.
+    """
+    if len(view) == 0:
+        return clipped
+    _, group = torch.unique(view * (int(of.max()) + 1) + of, return_inverse=True)
+    count, full = torch.bincount(group), torch.bincount(group, clipped.double())
+    return (2.0 * full >= count)[group]
+
+
+@dataclass(frozen=True)
+class LampPhotographs:
+    """What photographs show of lamps alone."""
+
+    at: LampPixels
+    color: Array
+    """Photographed there [n, 3]."""
+    clipped: npt.NDArray[np.bool_]
+    """Which values do not count [n, 3]: those at the ceiling, and all of a lamp in a view where half are."""
+
+    def developed(self, develop: Callable[[PixelBatch], PixelBatch] | None) -> LampPhotographs:
+        """The same of photographs that are corrected; None leaves them as they are."""
+        if develop is None or len(self.color) == 0:
+            return self
+        view, pixel = self.at.view.cpu(), self.at.pixel.cpu()
+        batch = PixelBatch(view, pixel, torch.from_numpy(self.color).float(), torch.ones(len(view)), 0)
+        return replace(self, color=develop(batch).color.double().cpu().numpy())
+
+    def radiance(self, mesh: int) -> Array:
+        """Median of the pixels of a mesh in the views where it is not clipped [3]; NaN where there are none.
+
+        The few that are clipped there count: they are above the median, whatever they would be without a ceiling.
+        """
+        mine, view = self.at.mesh.cpu().numpy() == mesh, self.at.view.cpu().numpy()
+        mine &= np.isin(view, view[mine & ~self.clipped.any(1)])
+        return np.median(self.color[mine], axis=0) if mine.any() else np.full(3, math.nan)
+
+
+@torch.no_grad()
+def lamp_photographs(
+    world: World, cameras: Sequence[Camera], photographs: PhotoSource, sample: PixelBatch, seed: int
+) -> LampPhotographs:
+    """Read the pixels of photographs that show one lamp and nothing else.
+
+    Args:
+        world: of the scene.
+        cameras: of the photographs.
+        photographs: their pixels, those that masks leave out, and which are clipped, where that is known.
+        sample: random pixels of the photographs that show no lamp: where they reach the largest value of a photograph,
+            too, that is its ceiling, unless it is known.
+        seed: of all draws.
+    """
+    with world.tracer.uncounted():
+        shown = lamp_pixels(world, cameras, seed, photographs.ignored())
+    color, known, view = np.zeros((0, 3)), None, shown.view.cpu()
+    if len(view):
+        color = photographs.colors(view, shown.pixel.cpu()).double().numpy()
+        known = photographs.clipped(view, shown.pixel.cpu())
+    clipped = _clipped(color, view.numpy(), sample) if known is None else known.numpy()  # [n, 3]
+    blown = saturated(view, shown.mesh.cpu(), torch.from_numpy(clipped).any(1))
+    return LampPhotographs(shown, color, clipped | blown.numpy()[:, None])
+
+
+@torch.no_grad()
+def photographed_lamps(
+    scene: Scene,
+    world: World,
+    materials: Materials,
+    cameras: Sequence[Camera],
+    shown: LampPhotographs,
+    seed: int,
+) -> list[PhotographedLamp]:
+    """Every lamp of a scene as its photographs show it; those that no pixel shows alone have 0 pixels.
+
+    Args:
+        scene: with the lamps.
+        world: of the scene.
+        materials: what surfaces are made of, as far as it is known; they decide what lamps reflect, a small part.
+        cameras: of the photographs.
+        shown: what these show of lamps.
+        seed: of all draws.
+    """
+    view, pixel, mesh = (x.cpu().numpy() for x in (shown.at.view, shown.at.pixel, shown.at.mesh))
+    lamps = []
+    for index, part in enumerate(scene.meshes):
+        if part.radiance is None or not part.radiance.any():
+            continue
+        mine = np.flatnonzero(mesh == index)
+        with world.tracer.uncounted():
+            lit = reflected_by_lamp(world, materials, cameras, view[mine], pixel[mine], mix(seed, index))
+        declared, views = np.asarray(part.radiance, np.float64), len(np.unique(view[mine]))
+        count, full = len(mine), int(shown.clipped[mine].any(1).sum())
+        lamps.append(PhotographedLamp(index, part.name, declared, lit, shown.radiance(index), count, views, full))
+    return lamps
+
+
+def _clipped(color: Array, view: npt.NDArray[np.int64], sample: PixelBatch) -> npt.NDArray[np.bool_]:
+    """Which values [n, 3] of lamps are at the ceiling of their photograph.
+
+    A ceiling is the largest value of a photograph that surfaces reach, too, in two places or more, or the largest that
+    its format has. A lamp that alone is the brightest thing is not clipped: it may be of one brightness.
+    """
+    result = np.zeros(color.shape, np.bool_)
+    others, other_view = sample.color.cpu().numpy().astype(np.float64), sample.view.cpu().numpy()
+    for index in np.unique(view):
+        mine = view == index
+        around = others[other_view == index]
+        top = max(float(color[mine].max()), float(around.max(initial=0.0)))
+        if top in CEILINGS or int((around >= top).sum()) >= 2:
+            result[mine] = color[mine] >= top
+    return result
+
+
+@torch.no_grad()
+def reflected_by_lamp(
+    world: World,
+    materials: Materials,
+    cameras: Sequence[Camera],
+    view: npt.NDArray[np.int64],
+    pixel: npt.NDArray[np.int64],
+    seed: int,
+) -> Array:
+    """What a lamp reflects towards the cameras of some of its pixels, on average [3]; 0 where no pixel shows it."""
+    if len(view) == 0:
+        return np.zeros(3)
+    chosen = np.arange(min(_LIT, len(view))) * len(view) // min(_LIT, len(view))
+    device = world.geometry.vertices.device
+    tracer = MethodRenderer(PathTracing(_DEPTH, _DEPTH), SceneModel(world, materials))
+    total = torch.zeros(3, dtype=torch.float64, device=device)
+    for index in np.unique(view[chosen]):
+        camera = cameras[index]
+        pixels = torch.from_numpy(pixel[chosen][view[chosen] == index]).to(device)
+        stream = Stream(seed, int(index), 30, device=device)
+        rays = camera_rays(camera, pixel_positions(camera.width, pixels, _LIT_SPP, stream).view(-1, 2))
+        shown = tracer(rays, mix(seed, int(index), 31)) - world.emitted(world.intersect(rays))
+        total += shown.double().sum(0)
+    mean: Array = (total / (len(chosen) * _LIT_SPP)).clamp_min(0.0).cpu().numpy()
+    return mean

@@ -1,0 +1,195 @@
+"""Lamps whose radiance is not known: what photographs say of it before training, and while materials get known."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Sequence
+
+import numpy as np
+import torch
+
+from neurad.assembly.build import Assembly
+from neurad.core.errors import InputError
+from neurad.core.records import Float64Array, PixelBatch
+from neurad.core.rng import mix
+from neurad.emitters.fitted_lamps import FittedLamps
+from neurad.integrators.primary_hits import PrimaryHits
+from neurad.lamps.photographed import LampPhotographs, PhotographedLamp, photographed_lamps, reflected_by_lamp
+from neurad.lamps.responses import (
+    Responses,
+    connected,
+    indistinguishable,
+    lamp_responses,
+    nonnegative_least_squares,
+)
+from neurad.runtime.tables import align
+
+ALL = "--model.lighting.emitters"
+FIRST, EVERY = 64, 4096
+"""What lamps reflect is estimated anew after so many iterations, whenever their number has doubled, and at multiples
+of the second."""
+COLUMNS = ("mesh", "r", "g", "b", "pixels", "views", "clipped", "scale")
+"""Columns of ``lamps.csv``. The ``scale`` is ``seen`` in unclipped pixels of the lamp's own, ``shared`` where its light
+falls where light of fixed scale does, and else ``weak``."""
+
+
+def begin_lamps(assembly: Assembly, primary: PrimaryHits, shown: LampPhotographs, sample: PixelBatch) -> None:
+    """Let the photographs say how bright each lamp is, and print it.
+
+    Lamps that some pixel shows alone and unclipped get what these pixels show, less what the lamp reflects. With
+    ``model.lighting.emitters`` ``fit`` or ``find`` all others get what explains the photographs of surfaces best:
+    pictures lit by one lamp at a time, non-negative least squares.
+
+    Args:
+        assembly: of a run that has not begun.
+        primary: camera rays of the training views.
+        shown: what the photographs show of lamps alone.
+        sample: random photographed pixels that show no emitter.
+
+    Raises:
+        InputError: with ``photographs``: none of them shows a lamp unclipped.
+    """
+    lamps, scene = assembly.lamps, assembly.scene
+    assert lamps is not None
+    seed, train = assembly.settings.seed, assembly.settings.lighting.fits_lamps
+    cameras = [view.camera for view in scene.train]
+    developed = shown.developed(assembly.development)
+    measured = photographed_lamps(scene, assembly.world, assembly.materials, cameras, developed, seed)
+    _keep(lamps, measured)
+    observed = lamps.unclipped.cpu().numpy() > 0
+    if not train and not observed.any():
+        raise InputError(f"scene {scene.name}: {_nothing_seen(measured)}")
+    radiance = np.stack([m.radiance if seen else m.declared for m, seen in zip(measured, observed, strict=True)])
+    lamps.set_radiance(radiance)
+    lines: list[str] = []
+    if off := [mesh.name for mesh in scene.meshes if mesh.radiance is not None and not mesh.radiance.any()]:
+        lines.append(
+            f"warning: {_names(off)}: the radiance is 0 in the scene, so nothing is recovered; give any above 0"
+        )
+    if train and not observed.all():
+        sample = sample if assembly.development is None else assembly.development(sample)
+        responses = lamp_responses(assembly, primary, sample, seed)
+        radiance, said = _start(assembly, responses, radiance, observed)
+        lines += said
+        lamps.set_radiance(radiance)
+        lamps.scale_seen.copy_(torch.from_numpy(connected(responses, radiance, observed)))
+    else:
+        lamps.scale_seen.copy_(torch.from_numpy(observed))
+        if not observed.all():
+            names = _names([m.name for m, seen in zip(measured, observed, strict=True) if not seen])
+            lines.append(
+                f"warning: no photograph shows {names} unclipped, so the scene's radiance holds there; "
+                f"{ALL} fit recovers it"
+            )
+    refresh_lamps(assembly, shown, 0)
+    lamps.begun.fill_(True)
+    print(*(f"neurad: {line}" for line in [*align(body(assembly)), *lines]), sep="\n", file=sys.stderr)
+
+
+@torch.no_grad()
+def refresh_lamps(assembly: Assembly, shown: LampPhotographs, iteration: int) -> None:
+    """Estimate anew what lamps reflect of all light, with the present materials, and what photographs of them show as
+    they are developed by now; with ``photographs`` the radiance follows, with ``fit`` what holds it to the photographs.
+
+    Args:
+        assembly: of the run.
+        shown: what the photographs show of lamps alone.
+        iteration: iterations done, the key of the random numbers.
+    """
+    lamps, world = assembly.lamps, assembly.world
+    assert lamps is not None
+    cameras = [view.camera for view in assembly.scene.train]
+    view, pixel, mesh = (x.cpu().numpy() for x in (shown.at.view, shown.at.pixel, shown.at.mesh))
+    observed, radiance = lamps.unclipped.cpu().numpy() > 0, lamps.found()
+    reflected = np.zeros_like(radiance)
+    for row in np.flatnonzero(observed):
+        index = int(lamps.mesh[row])
+        mine = np.flatnonzero(mesh == index)
+        key = mix(assembly.settings.seed, index, iteration)
+        with world.tracer.uncounted():
+            reflected[row] = reflected_by_lamp(world, assembly.materials, cameras, view[mine], pixel[mine], key)
+    lamps.reflected.copy_(torch.from_numpy(reflected))
+    if assembly.development is not None:
+        developed = shown.developed(assembly.development)
+        for row in np.flatnonzero(observed):
+            lamps.photographed[row] = torch.from_numpy(developed.radiance(int(lamps.mesh[row])))
+    if iteration == 0 or not lamps.values.requires_grad:
+        photographed = lamps.photographed.double().cpu().numpy()
+        factor = photographed / np.maximum(radiance + reflected, 1e-30)  # what is too bright is reflected so, too
+        lamps.set_radiance(np.where(observed[:, None], radiance * factor, radiance))
+
+
+def is_due(iteration: int) -> bool:
+    """Whether :func:`refresh_lamps` is called after this many iterations; they alone decide."""
+    doubled = iteration >= FIRST and iteration & (iteration - 1) == 0
+    return doubled or (iteration > 0 and iteration % EVERY == 0)
+
+
+def rows(assembly: Assembly) -> list[dict[str, str | int | float]]:
+    """A row of ``lamps.csv`` for each lamp of a run that recovers them; none otherwise."""
+    lamps = assembly.lamps
+    if lamps is None:
+        return []
+    names = [assembly.scene.meshes[index].name for index in lamps.mesh.tolist()]
+    scales = [
+        "seen" if own > 0 else "shared" if fixed else "weak"
+        for own, fixed in zip(lamps.unclipped.tolist(), lamps.scale_seen.tolist(), strict=True)
+    ]
+    parts = zip(names, lamps.found().tolist(), lamps.counts.tolist(), scales, strict=True)
+    return [dict(zip(COLUMNS, (name, *rgb, *counts, scale), strict=True)) for name, rgb, counts, scale in parts]
+
+
+def body(assembly: Assembly) -> list[list[str]]:
+    """Cells about each lamp of such a run: radiance and what shows it, a row each, headings first; none otherwise."""
+    found = rows(assembly)
+    cells = [[f"{row[name]:.4g}" if name in ("r", "g", "b") else str(row[name]) for name in COLUMNS] for row in found]
+    return [["lamp", *COLUMNS[1:]], *cells] if cells else []
+
+
+def _keep(lamps: FittedLamps, measured: Sequence[PhotographedLamp]) -> None:
+    """Keep what photographs show of each lamp."""
+    photographed = np.nan_to_num(np.stack([m.photographed for m in measured]))
+    lamps.photographed.copy_(torch.from_numpy(photographed))
+    lamps.counts.copy_(torch.tensor([[m.pixels, m.views, m.clipped] for m in measured]))
+
+
+def _start(
+    assembly: Assembly, responses: Responses, radiance: Float64Array, observed: np.ndarray
+) -> tuple[Float64Array, list[str]]:
+    """Radiance [m, 3] to begin with, that of lamps that are ``observed`` [m] as it is, and what there is to say."""
+    lamps = assembly.lamps
+    assert lamps is not None
+    names = [assembly.scene.meshes[index].name for index in lamps.mesh.tolist()]
+    lines = []
+    dark = [name for name, lit, seen in zip(names, responses.reaches, observed, strict=True) if not lit and not seen]
+    if dark:
+        lines.append(
+            f"warning: the light of {_names(dark)} reaches no surface that the photographs show, so nothing says how "
+            "bright it is: the scene's radiance holds"
+        )
+    groups = indistinguishable(responses, observed)
+    for group in groups:
+        if len(group) > 1:
+            lines.append(
+                f"warning: {_names([names[i] for i in group])} light what the photographs show alike, so these cannot "
+                "tell them apart: they begin equally bright, and only their sum is found"
+            )
+    found = nonnegative_least_squares(responses, radiance, observed, groups)
+    kept = observed | ~responses.reaches
+    return np.where(kept[:, None], radiance, found), lines
+
+
+def _nothing_seen(measured: Sequence[PhotographedLamp]) -> str:
+    """The sentence about lamps none of which photographs tell."""
+    clipped = any(m.pixels for m in measured)
+    why = (
+        "in every photograph that shows a lamp half of its pixels or more are clipped"
+        if clipped
+        else "no photograph shows a lamp alone in a pixel"
+    )
+    return f"{why}, so {ALL} photographs has nothing to go by; take fit, or known with radiance in scene.xml"
+
+
+def _names(names: Sequence[str], most: int = 8) -> str:
+    more = f" and {len(names) - most} others" if len(names) > most else ""
+    return ("lamps " if len(names) > 1 else "lamp ") + ", ".join(names[:most]) + more

@@ -1,1 +1,0 @@
-"""Readers of scene folders, one file a format."""

@@ -1,0 +1,195 @@
+"""What is fixed before the first step: the training views' camera rays, emitter pixels and unit of radiance."""
+
+from __future__ import annotations
+
+import math
+import sys
+import zlib
+from dataclasses import dataclass
+from functools import partial
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from neurad.assembly.build import Assembly
+from neurad.assembly.exposure import (
+    brightness,
+    lamps_facing_away,
+    sentence_if_far,
+    sentence_of_fireflies,
+    white_brightness,
+)
+from neurad.assembly.gains import shared_gains
+from neurad.assembly.memory import announce_camera_rays
+from neurad.core.errors import InputError
+from neurad.core.protocols import PhotoSource
+from neurad.core.records import FloatArray, PixelBatch
+from neurad.evidence.view_residuals import surface_fractions
+from neurad.integrators.focus import TIMES
+from neurad.integrators.primary_hits import PrimaryHits
+from neurad.lamps.known import check_lamps
+from neurad.lamps.photographed import LampPhotographs, lamp_photographs
+from neurad.lamps.unknown import begin_lamps
+from neurad.runtime.numbers import check_bright
+from neurad.scene.description import Scene
+
+BLIND = 0.25
+"""Times the median fraction of pixels that meet a surface, below which a view is named."""
+
+
+@dataclass(frozen=True)
+class TrainingViews:
+    """The training views of a run."""
+
+    primary: PrimaryHits
+    """Camera rays of the views."""
+    emitter_mask: Tensor
+    """Pixels that an emitter covers, in part or whole, or that a mask leaves out; they train nothing [views, pixels],
+    bool. True behind the last pixel of a view that is smaller than others."""
+    mean_square_radiance: float
+    """Mean squared radiance of all other pixels of the photographs."""
+    checksum: int = 0
+    """Checksum of all photographs; 0 where they cannot change."""
+    sample: PixelBatch | None = None
+    """Random pixels of all photographs that show no emitter."""
+    surface: FloatArray | None = None
+    """Fraction of each view's pixels that meet a surface [views]; NaN where the sample has none of a view."""
+    lamps: LampPhotographs | None = None
+    """What the photographs show of lamps alone; None where the lamps are known."""
+    pixels: int = 0
+    """Number of pixels that can be drawn: they show something, and no emitter."""
+    causes: list[str] | None = None
+    """What is wrong with all photographs, where they show known lamps of another radiance; None where they do not."""
+    scale_known: bool = False
+    """Whether photographs show how bright some lamp is."""
+
+
+def prepare_views(
+    assembly: Assembly,
+    photographs: PhotoSource,
+    device: torch.device | str = "cpu",
+    emitters_train: bool = False,
+    check_brightness: bool = True,
+) -> TrainingViews:
+    """Trace the camera rays of the training views, and take the unit of radiance from the photographs.
+
+    The radiance field and an environment that is recovered get that unit: the root of the mean squared radiance.
+
+    Args:
+        assembly: on ``device`` already.
+        photographs: of the training views.
+        device: where the rays are traced.
+        emitters_train: let pixels that an emitter covers train too: where everything emits there are no others.
+        check_brightness: warn if the photographs are far brighter or darker than the lights make the scene, and if a
+            camera sees next to nothing of it.
+
+    Raises:
+        InputError: camera rays do not fit in memory, every pixel shows an emitter, the photographs are black or too
+            dim, no camera sees a surface, or a lamp is far from what the photographs show.
+    """
+    scene, settings = assembly.scene, assembly.settings
+    cameras = [view.camera for view in scene.train]
+    announce_camera_rays(cameras, settings.sampling.cached_spp, assembly.world.features.has_environment, device)
+    # Stage 1: primary hits and the emitter mask [views, pixels].
+    primary = PrimaryHits(assembly.world, cameras, settings.sampling.cached_spp, settings.seed, torch.device(device))
+    emitter_mask = primary.nothing() if emitters_train else primary.sees_emitter()
+    ignored = photographs.ignored()
+    if ignored is not None:
+        emitter_mask |= ignored.to(emitter_mask.device)
+    if bool(emitter_mask.all()):
+        masked = "" if ignored is None else " or is black in its mask"
+        raise InputError(f"scene {scene.name}: every pixel of every training view shows an emitter{masked}")
+    # Stage 2: the unit of radiance.
+    stats = photographs.dataset_stats(emitter_mask.cpu())
+    surface = surface_fractions(primary, stats.sample, settings.seed)
+    if check_brightness:
+        check_views(scene, surface)
+    if settings.objective.fireflies == "spread" and not _shows_small_lights(scene, photographs):
+        spread = photographs.spread_fireflies(emitter_mask.cpu())
+        if spread > 0:
+            stats = photographs.dataset_stats(emitter_mask.cpu())
+            if check_brightness:
+                print(f"neurad: {sentence_of_fireflies(spread)}", file=sys.stderr)
+    mean_square = stats.mean_square_radiance
+    check_bright(mean_square, stats.brightest, scene.name)
+    if assembly.environment is not None:
+        assembly.environment.set_unit(math.sqrt(mean_square))
+    development = assembly.development
+    if check_brightness and development is not None and development.values is not None:
+        development.begin(shared_gains(primary, photographs, stats.sample, emitter_mask, settings.seed))
+        begins = development.gains().detach()
+        print(
+            f"neurad: gains begin between {float(begins.min()):.3g} and {float(begins.max()):.3g}, by surfaces that "
+            "several photographs show",
+            file=sys.stderr,
+        )
+    lamps, causes, scale_known = None, None, False
+    if assembly.lamps is not None:
+        lamps = lamp_photographs(assembly.world, cameras, photographs, stats.sample, settings.seed)
+        if not bool(assembly.lamps.begun):
+            begin_lamps(assembly, primary, lamps, stats.sample)
+        scale_known = bool((assembly.lamps.unclipped > 0).any())
+    if assembly.environment is None and check_brightness:
+        white = partial(white_brightness, primary, stats.sample, settings.seed, scene.max_depth)
+        away = partial(lamps_facing_away, primary, [mesh.name for mesh in scene.meshes], settings.seed)
+        if said := sentence_if_far(brightness(primary, stats.sample, settings.seed), white, away):
+            print(f"neurad: warning: {said}", file=sys.stderr)
+    if check_brightness and assembly.lamps is None:
+        causes, scale_known = check_lamps(assembly, photographs, stats.sample)
+    if assembly.radiance is not None:
+        assembly.radiance.set_scale(math.sqrt(mean_square))
+    # Stage 3: what residuals are relative to, where there is no field to predict it.
+    kind = settings.objective.normaliser
+    if kind == "blurred" or (kind == "prediction" and not settings.method.needs_field):
+        photographs.request_blurred()
+    if assembly.focus is not None:
+        photographs.request_candidates(assembly.focus.fraction, TIMES)
+    checksum = zlib.crc32(repr(stats.checksums).encode()) if stats.checksums else 0
+    pixels = stats.pixels or int((~emitter_mask).sum())
+    return TrainingViews(
+        primary, emitter_mask, mean_square, checksum, stats.sample, surface, lamps, pixels, causes, scale_known
+    )
+
+
+def _shows_small_lights(scene: Scene, photographs: PhotoSource) -> bool:
+    """Whether single bright pixels may be there indeed: the sun in the sky, or a lamp behind glass or in a mirror.
+
+    Lamps that are seen themselves are no such pixels: the emitter mask leaves them out.
+    """
+    features = scene.features
+    return features.has_delta or (features.has_environment and not photographs.has_alpha)
+
+
+def check_views(scene: Scene, surface: FloatArray) -> None:
+    """Name the training views whose cameras see next to nothing of the scene.
+
+    Args:
+        scene: whose training views they are.
+        surface: fraction of each view's pixels that meet a surface [views].
+
+    Raises:
+        InputError: no camera sees a surface.
+    """
+    if not np.nanmax(surface, initial=0.0) > 0.0:
+        raise InputError(
+            f"scene {scene.name}: no training camera sees a surface in the pixels that its photographs show; check "
+            "the units and the axes of transform_matrix (x right, y up, looking along -z)"
+        )
+    blind = [f"{scene.train[i].name} ({100 * surface[i]:.0f} %)" for i in blind_views(surface)]
+    if blind:
+        print(
+            f"neurad: warning: of the pixels of training view{'s' if len(blind) > 1 else ''} {', '.join(blind[:8])}"
+            f"{f' and {len(blind) - 8} others' if len(blind) > 8 else ''} few meet a surface (median of all views: "
+            f"{100 * float(np.nanmedian(surface)):.0f} %); check the pose",
+            file=sys.stderr,
+        )
+
+
+def blind_views(surface: FloatArray) -> list[int]:
+    """Views that see next to nothing of the scene beside the others.
+
+    Args:
+        surface: fraction of each view's pixels that meet a surface [views].
+    """
+    return [int(i) for i in np.flatnonzero(surface < BLIND * float(np.nanmedian(surface)))]

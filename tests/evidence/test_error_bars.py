@@ -1,0 +1,228 @@
+"""Error bars at points: sums on a grid, their file, and derivatives of pixels against closed forms and differences."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+from helpers.oracles import accept, z_test_samples
+from helpers.small_step import SmallStep
+
+from neurad.assembly.settings import Sampling
+from neurad.core.errors import InputError
+from neurad.core.records import Surface
+from neurad.core.rng import Stream
+from neurad.evidence import pixel_derivatives
+from neurad.evidence.bar_calibration import PRIOR, RoughnessBars
+from neurad.evidence.bars_file import read_bars, write_bars
+from neurad.evidence.error_bars import COLUMNS, FLAT, ErrorBars, Known, in_cells, measure, texture
+from neurad.evidence.nodes import Nodes
+from neurad.evidence.pixel_derivatives import PixelDerivatives
+from neurad.integrators.direct import Direct
+
+RNG = np.random.default_rng(0)
+
+
+class Everywhere:
+    """One albedo and one roughness."""
+
+    def __init__(self, albedo, roughness):
+        self.values = albedo, roughness
+
+    def __call__(self, si):
+        ones = torch.ones_like(si.p)
+        return Surface(ones * self.values[0], ones[:, :1] * self.values[1])
+
+    def albedo(self, si):
+        return self(si).albedo
+
+
+def test_nodes_keep_sums_and_read_linear_functions():
+    x = RNG.random((500, 3))
+    values = RNG.random((500, 2))
+    nodes = Nodes.scattered(x, values, 8)
+    assert np.allclose(nodes.values.sum(0), values.sum(0))
+    corners = np.stack(np.meshgrid(*[np.arange(9) / 8] * 3, indexing="ij"), -1).reshape(-1, 3)
+    linear = Nodes.scattered(corners, 1.0 + corners @ np.array([[1.0], [2.0], [3.0]]), 8)
+    assert np.allclose(linear.read(x), 1.0 + x @ np.array([[1.0], [2.0], [3.0]]))
+    assert (Nodes.scattered(x[:0], values[:0], 8).read(x) == 0).all()
+
+
+class Painted:
+    """Recovered materials in a cube of side 1 / ``size``: grey, or with vertical stripes where ``striped`` says so."""
+
+    def __init__(self, size=1.0, striped=lambda p: torch.zeros(len(p), dtype=torch.bool), period=0.05):
+        self.size, self.striped, self.period = size, striped, period
+
+    def to_unit_cube(self, p):
+        return self.size * p
+
+    def albedo_at(self, p):
+        stripes = 0.3 * torch.sin(2.0 * np.pi / self.period * p[:, :1]).expand(-1, 3)
+        return 0.5 + torch.where(self.striped(p)[:, None], stripes, torch.zeros(()))
+
+    def roughness_at(self, p):
+        return self.albedo_at(p)[:, :1]
+
+
+def pixels(n=80_000, noise=0.1, detail=1e-4):
+    """Pixels on a plane that all see D = 1 and no highlight."""
+    p = np.concatenate((RNG.random((n, 2)), np.full((n, 1), 0.5)), 1).astype(np.float32)
+    one = np.ones((n, 3), np.float32)
+    misfit = (noise * RNG.standard_normal((n, 3))).astype(np.float32)
+    both = np.stack([one, one])
+    return PixelDerivatives(
+        p=p, area=np.full(n, 5e-5, np.float32), odd=np.arange(n) % 2 == 0, residual=np.stack([misfit, misfit]),
+        by_albedo=both, by_roughness=0 * both, misfit=misfit, predicted=one,
+        albedo=(0.5 + 0.2 * RNG.standard_normal((n, 3))).astype(np.float32), detail=detail * one,
+        points=p[:, None],
+    )  # fmt: skip
+
+
+def test_bars_where_pixels_are_and_where_none_is():
+    """On the plane the albedo's variance is the geometric mean of V and N = noise^2 / (pixels over a pixel's area);
+    away from it the bars are the spread and the prior."""
+    given = pixels()
+    bars = measure(given, Painted(), len(given), 7, has_roughness=True)
+    x = np.concatenate((RNG.uniform(0.2, 0.8, (200, 2)), np.full((200, 1), 0.5)), 1)
+    albedo, roughness = bars.at(Painted(), torch.from_numpy(x).float())
+    overlap = 80_000 * 5e-5  # pixels a unit of area, times their area
+    expected = np.sqrt(np.sqrt(1e-4 * 0.01 / overlap))
+    assert np.median(albedo) == pytest.approx(expected, rel=0.3)
+    assert roughness == pytest.approx(PRIOR, rel=1e-3)
+    far_albedo, far_roughness = bars.at(Painted(), torch.tensor([[0.5, 0.5, 0.01]]))
+    assert far_albedo[0] == pytest.approx(given.albedo.std(0), rel=1e-3)
+    assert far_roughness[0, 0] == pytest.approx(PRIOR)
+    assert (
+        measure(given, Painted(), len(given), 7, has_roughness=False).at(Painted(), torch.from_numpy(x).float())[1]
+        is None
+    )
+
+
+def test_bars_of_albedo_are_wider_where_it_varies_and_as_wide_in_the_mean():
+    """Stripes on half of each cell: bars there are wider, next to them narrower, and the mean variance is that of a
+    cell of which nothing more is known."""
+
+    def striped(p):
+        return torch.floor(128.0 * p[:, 1]) % 2 == 0  # two to a cell
+
+    given = pixels()
+    bars = measure(given, Painted(striped=striped), len(given), 7, has_roughness=False)
+    n = 4000
+    p = torch.cat(
+        (0.2 + 0.6 * torch.rand(n, 2, generator=torch.Generator().manual_seed(1)), torch.full((n, 1), 0.5)), 1
+    )
+    found = bars.at(Painted(striped=striped), p)[0][:, 0]
+    everywhere = measure(given, Painted(), len(given), 7, has_roughness=False).at(Painted(), p)[0][:, 0]
+    middle = (128.0 * p[:, 1]) % 1.0
+    inside = ((middle > 0.3) & (middle < 0.7)).numpy()
+    stripes = striped(p).numpy()
+    whole, on, beside = (float(np.square(found[lanes]).mean()) for lanes in (..., inside & stripes, inside & ~stripes))
+    assert whole == pytest.approx(np.square(everywhere).mean(), rel=0.1)
+    assert on > 0.5 * whole  # the edges have the most
+    assert beside < 0.1 * whole
+
+
+def test_texture_is_the_standard_deviation_within_half_a_pixel():
+    """Of a ramp of slope k over tetrahedra whose corners lie at +- side / 4: k side / 4 times the root of 4 / 3."""
+    side = np.array([0.1, 0.02, 0.0])
+    found = texture(lambda p: 2.0 * p[:, :1].expand(-1, 2), torch.zeros(3, 3), side)
+    assert found == pytest.approx(np.sqrt(4.0 / 3.0 * (0.5 * side[:, None]) ** 2 + FLAT**2).repeat(2, 1), rel=1e-4)
+
+
+def test_bars_of_roughness_are_wider_next_to_its_edges_and_as_wide_in_the_mean():
+    """Stripes on the left half of the plane: variances go by the root of how it varies, and their mean is what they are
+    without.
+    """
+    striped = Painted(striped=lambda p: p[:, 0] < 0.5)
+    given = pixels()
+    bars = measure(given, striped, 100 * len(given), 7, has_roughness=True)  # a hundred times as many in the fit
+    p = torch.tensor(np.concatenate((RNG.uniform(0.1, 0.9, (4000, 2)), np.full((4000, 1), 0.5)), 1)).float()
+    variance = np.square(bars.at(striped, p)[1][:, 0].astype(np.float64))
+    varies = texture(striped.roughness_at, p, np.full(len(p), np.sqrt(5e-5)))[:, 0]
+    assert varies.max() > 5.0 * varies.min()
+    ratio = variance / np.sqrt(varies)
+    assert ratio == pytest.approx(np.median(ratio), rel=0.01)
+    assert variance.mean() == pytest.approx(PRIOR**2, rel=0.05)
+
+
+@pytest.mark.parametrize("size", [1.0, 0.5])
+def test_what_a_closing_step_found_takes_the_place_of_what_few_pixels_tell(size):
+    """Cells of half of the plane are known to 0.02, those of the other half not at all: none of it is lost in the sums,
+    of which a point midway between nodes reads a half or more. A plane that fills less of the cube has finer nodes
+    and the same bars."""
+    known = np.zeros((64, 64, 64), np.float32)
+    known[: int(32 * size), : int(64 * size), int(32 * size)] = 1.0 / 0.02**2  # the plane at 0.5 lies in these cells
+    given = pixels()
+    found = Known(known, RoughnessBars(1.0, PRIOR))
+    bars = measure(given, Painted(size), len(given), 7, has_roughness=True, known=found)
+    assert bars.nodes.side == pytest.approx(64 / size, abs=4)
+    cell = 64 / bars.nodes.side  # of information, in cells of the bars: as much as in a cell of information
+    assert bars.nodes.values[:, -1].sum() * cell**2 == pytest.approx(known.sum(), rel=1e-4)
+    y = np.linspace(0.1, 0.9, 50)
+    for x, low, high in ((0.25, 0.019, 0.03), (0.75, 0.99 * PRIOR, PRIOR)):
+        p = torch.from_numpy(np.stack((np.full(50, x), y, np.full(50, 0.5)), 1)).float()
+        _, roughness = bars.at(Painted(size), p)
+        assert low < np.median(roughness) <= high + 1e-6
+
+
+def test_cells_hold_the_sums_of_their_positions():
+    x = np.array([[0.1, 0.1, 0.9], [0.2, 0.3, 0.6], [0.9, 0.1, 0.1], [1.0, 0.0, 0.0]])
+    found = in_cells(x, np.array([1.0, 2.0, 4.0, 8.0]), 2)
+    assert found.tolist() == [[[0.0, 3.0], [0.0, 0.0]], [[12.0, 0.0], [0.0, 0.0]]]
+
+
+def test_bars_come_back_from_their_file(tmp_path):
+    bars = measure(pixels(), Painted(), 8000, 7, has_roughness=True)
+    write_bars(bars, tmp_path / "bars.npz")
+    found = read_bars(tmp_path / "bars.npz")
+    p = torch.from_numpy(RNG.random((50, 3))).float()
+    assert found.iteration == 7
+    assert all(np.allclose(a, b, rtol=1e-5) for a, b in zip(found.at(Painted(), p), bars.at(Painted(), p), strict=True))
+    with pytest.raises(InputError, match="neurad test writes them"):
+        read_bars(tmp_path / "none.npz")
+    (tmp_path / "bars.npz").write_bytes(b"PK not a file of arrays")
+    with pytest.raises(InputError, match=r"bars\.npz: .*neurad test"):
+        read_bars(tmp_path / "bars.npz")
+    broken = ErrorBars(Nodes(4, np.array([3, 2]), np.zeros((2, COLUMNS))), 1.0, np.ones(3), RoughnessBars(1, 1), 1.0, 7)
+    write_bars(broken, tmp_path / "order.npz")
+    with pytest.raises(InputError, match="no file of error bars"):
+        read_bars(tmp_path / "order.npz")
+
+
+def step_of(albedo, roughness, method=None):
+    made = SmallStep(Sampling(spp=4, cached_spp=4))
+    materials = Everywhere(albedo, roughness)
+    estimator = replace(made.estimator, materials=materials, method=method or made.estimator.method)
+    return made, estimator
+
+
+def test_derivative_by_albedo_is_the_difference_of_images():
+    """Light that a surface reflects is linear in its albedo: with the same random numbers differences are exact."""
+    made, _ = step_of(0.5, 0.4)
+    batch = made.batch(128, where=~made.emitter_mask)
+    halves = []
+    for albedo in (0.4, 0.5, 0.6):
+        estimator = replace(step_of(albedo, 0.4, Direct())[1])
+        halves.append(pixel_derivatives.group_of_samples(estimator, made.primary, batch, Stream(3)))
+    difference = (halves[2].image - halves[0].image) / 0.2
+    assert torch.allclose(difference, halves[1].by_albedo, rtol=1e-3, atol=1e-4)
+    assert halves[1].by_albedo.abs().mean() > 0.01
+
+
+def test_derivative_by_roughness_is_the_difference_of_mean_images():
+    """Central differences of the mean image over pixels and independent seeds, a z-test at 99 %."""
+    made, _ = step_of(0.5, 0.4)
+    batch = made.batch(256, where=~made.emitter_mask)
+
+    def rows(roughness, first, seeds=40):
+        estimator = step_of(0.3, roughness, Direct())[1]
+        found = [
+            pixel_derivatives.group_of_samples(estimator, made.primary, batch, Stream(first, k)) for k in range(seeds)
+        ]
+        return [torch.stack([getattr(half, name).mean() for half in found]) for name in ("image", "by_roughness")]
+
+    h = 0.02
+    low, high = rows(0.5 - h, 1)[0], rows(0.5 + h, 2)[0]
+    derivative = rows(0.5, 3)[1]
+    assert accept([float(z_test_samples(((high - low) / (2 * h)).double(), derivative.double()))])

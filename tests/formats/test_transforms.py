@@ -1,0 +1,170 @@
+"""One ``transforms.json`` in place of two: lists of names, a share held out, and poses that nerfstudio has moved."""
+
+import json
+import shutil
+
+import numpy as np
+import pytest
+from helpers.tiny_fit import fails, metrics, write_tiny_config
+from helpers.tiny_scene import POSE, SIZE, write_scene
+
+from datamodules.scene_data import SceneData
+from neurad.cli import main
+from neurad.core.errors import InputError
+from neurad.formats.load import load_scene
+
+pytest.importorskip("mitsuba")
+
+VIEWS = 10
+TURN = [[0.0, 0.0, 1.0, 0.5], [1.0, 0.0, 0.0, -2.0], [0.0, 1.0, 0.0, 3.0]]
+"""Axes permuted, then moved."""
+
+
+@pytest.fixture
+def folder(tmp_path):
+    """A scene folder with one camera file, its name with a space and an umlaut."""
+    folder = write_scene(tmp_path / "Mein Zimmer für alles", VIEWS)
+    (folder / "transforms_test.json").unlink()
+    (folder / "transforms_train.json").rename(folder / "transforms.json")
+    return folder
+
+
+def change(folder, frame=None, **changes):
+    path = folder / "transforms.json"
+    described = json.loads(path.read_text())
+    (described if frame is None else described["frames"][frame]).update(changes)
+    path.write_text(json.dumps(described))
+
+
+def names(views):
+    return [view.name for view in views]
+
+
+def test_every_eighth_is_held_out_and_said(folder):
+    scene = load_scene(str(folder), None)
+    assert names(scene.test) == ["train_0", "train_8"]
+    assert len(scene.train) == VIEWS - 2
+    (said,) = scene.notes
+    assert "every 8th by name is, 2 of 10 (--data.hold_out 0 for none)" in said
+    assert str(folder / "transforms.json") in said
+    assert names(load_scene(str(folder), None, 3).test) == ["train_0", "train_3", "train_6", "train_9"]
+    whole = SceneData(str(folder), hold_out=0).scene
+    assert (len(whole.train), whole.test, whole.notes) == (VIEWS, [], ())
+    with pytest.raises(InputError, match="hold_out: 1 would hold out every photograph"):
+        SceneData(str(folder), hold_out=1)
+
+
+def test_the_share_goes_by_name_not_by_place(folder):
+    described = json.loads((folder / "transforms.json").read_text())
+    described["frames"].reverse()
+    (folder / "transforms.json").write_text(json.dumps(described))
+    assert sorted(names(load_scene(str(folder), None).test)) == ["train_0", "train_8"]
+
+
+def test_lists_of_names_go_first(folder):
+    image = "images/train_{}.exr".format
+    change(folder, train_filenames=[image(i) for i in range(6)], val_filenames=[image(6)],
+           test_filenames=["./images/../images/train_7", image(6)])  # fmt: skip
+    scene = load_scene(str(folder), None)
+    assert names(scene.train) == [f"train_{i}" for i in range(6)]
+    assert names(scene.test) == ["train_6", "train_7"]
+    assert "2 of 10 photographs are in none of its lists of names" in scene.notes[0]
+    change(folder, train_filenames=None)
+    rest = load_scene(str(folder), None)
+    assert (names(rest.test), len(rest.train), rest.notes) == (["train_6", "train_7"], 8, ())
+
+
+def test_two_files_go_before_one(folder):
+    shutil.copy(folder / "transforms.json", folder / "transforms_train.json")
+    scene = load_scene(str(folder), None)
+    assert (len(scene.train), scene.test) == (VIEWS, [])
+    shutil.copy(folder / "transforms.json", folder / "transforms_val.json")
+    assert len(load_scene(str(folder), None).test) == VIEWS
+
+
+@pytest.mark.parametrize("scale", [1.0, 0.37])
+def test_poses_are_taken_back_to_the_frame_of_the_mesh(folder, scale):
+    """Written as nerfstudio writes them: first the transform, then the scale of the positions."""
+    rng = np.random.default_rng(2)
+    poses = []
+    for index in range(VIEWS):
+        before = np.eye(4)
+        before[:3, :3] = np.linalg.qr(rng.normal(size=(3, 3)))[0]
+        before[:3, :3] *= np.linalg.det(before[:3, :3])
+        before[:3, 3] = rng.normal(size=3)
+        moved = np.vstack((TURN, (0, 0, 0, 1))) @ before
+        moved[:3, 3] *= scale
+        change(folder, index, transform_matrix=moved.tolist())
+        poses.append(before)
+    change(folder, applied_transform=TURN, applied_scale=scale)
+    for view, before in zip(load_scene(str(folder), None, 0).train, poses, strict=True):
+        np.testing.assert_allclose(view.camera.to_world, before, atol=1e-12)
+
+
+def test_a_transform_may_scale_too(folder):
+    change(folder, applied_transform=(2.0 * np.array(TURN)).tolist())
+    camera = load_scene(str(folder), None).train[0].camera
+    turn, move = np.array(TURN)[:, :3], np.array(TURN)[:, 3]
+    np.testing.assert_allclose(camera.to_world[:3, :3], turn.T @ np.array(POSE)[:3, :3], atol=1e-12)
+    np.testing.assert_allclose(camera.to_world[:3, 3], turn.T @ (np.array(POSE)[:3, 3] / 2 - move), atol=1e-12)
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        ({"applied_transform": [[1, 0], [0, 1]]}, r"applied_transform is not 4 x 4 numbers"),
+        ({"applied_transform": "none"}, r"applied_transform is not 4 x 4 numbers"),
+        ({"applied_transform": np.zeros((3, 4)).tolist()}, r"applied_transform is not a rotation with a scale"),
+        ({"applied_transform": np.diag([1.0, 1.0, -1.0, 1.0]).tolist()}, r"applied_transform is not a rotation"),
+        ({"applied_transform": np.diag([1.0, 2.0, 1.0, 1.0]).tolist()}, r"applied_transform is not a rotation"),
+        ({"applied_transform": [[float("nan")] * 4] * 3}, r"applied_transform: row 1, column 1 is nan"),
+        ({"applied_scale": -1}, r"applied_scale is -1, which has to be"),
+        ({"applied_scale": "two"}, r"applied_scale is 'two', not a number"),
+        ({"train_filenames": "images/train_0.exr"}, r"train_filenames is not a list of names"),
+        ({"test_filenames": ["images/none.exr"]}, r"test_filenames has 'images/none\.exr', which is the file_path"),
+        ({"train_filenames": []}, r"its train_filenames leave no photograph to learn from"),
+        ({"train_filenames": ["images/train_1"], "val_filenames": ["images/train_1.exr"]}, r"both in train_filenames"),
+        ({"test_filenames": [3]}, r"test_filenames is not a list of names"),
+    ],
+)  # fmt: skip
+def test_bad_files_get_one_sentence(folder, changes, message):
+    change(folder, **changes)
+    with pytest.raises(InputError, match=message) as caught:
+        load_scene(str(folder), None)
+    assert str(folder / "transforms.json") in str(caught.value)
+    assert "\n" not in str(caught.value)
+
+
+def test_a_folder_without_any_camera_file(folder, tmp_path, monkeypatch, capfd):
+    (folder / "transforms.json").unlink()
+    monkeypatch.chdir(tmp_path)
+    said = fails(capfd, "fit", "--config", "scene.yaml", "--data.root", str(folder))
+    assert "transforms_train.json: the scene folder lacks this file (or transforms.json)" in said
+
+
+def test_a_fit_without_held_out_views_says_what_its_scores_are_of(folder, tmp_path, monkeypatch, capfd):
+    monkeypatch.chdir(tmp_path)
+    write_tiny_config("tiny.yaml", "scene.yaml", data={"root": str(folder), "hold_out": 0, "patches": 16})
+    main(["fit", "--config", "tiny.yaml", "--trainer.max_steps", "2"])
+    out, err = capfd.readouterr()
+    said = "no view is held out, so scores are of 8 photographs that the fit learns from"
+    assert said in err
+    assert said in out
+    assert "Training photographs, all pixels" in out
+    assert "Held-out" not in out
+    (row,) = metrics()[-1:]
+    assert float(row["psnr_linear"]) > 0
+    assert row["albedo_psnr"] == ""
+    main(["test"])
+    out, _ = capfd.readouterr()
+    assert said in out
+    assert len(list((tmp_path / "lightning_logs/version_0/images").glob("*_render.png"))) == 8
+
+
+def test_sizes_and_defaults_are_those_of_nerfstudio(folder):
+    """A file as ``ns-process-data`` writes it, with the keys that say nothing about cameras."""
+    change(folder, camera_angle_x=None, w=SIZE, h=SIZE, fl_x=10.0, fl_y=10.5, cx=4.2, cy=3.9, k1=0.01, k2=-0.002,
+           p1=1e-3, p2=0.0, camera_model="OPENCV", ply_file_path="sparse_pc.ply")  # fmt: skip
+    camera = load_scene(str(folder), None).train[0].camera
+    assert (camera.fl_x, camera.fl_y, camera.cx, camera.cy) == pytest.approx((10.0, 10.5, 4.2, 3.9))
+    assert (camera.lens.numerator, camera.lens.tangential) == ((0.01, -0.002), (1e-3, 0.0))
