@@ -39,7 +39,7 @@ def _mitsuba(folder: Path, origin: Array) -> Scene:
 
 def _gltf(name: str) -> Callable[[Path, Array], Scene]:
     def read(folder: Path, origin: Array) -> Scene:
-        from neurad.formats.gltf.scene import read_scene
+        from neurad.formats.gltf.gltf_scene import read_scene
 
         return near(read_scene(folder / name), origin)
 

@@ -12,7 +12,7 @@ from helpers.object_scene import object_scene, sky
 from neurad.assembly.build import build_world
 from neurad.core.records import EnvironmentMap, PunctualLight
 from neurad.core.reflection import ConductorModel, DielectricModel
-from neurad.formats.gltf.scene import read_scene
+from neurad.formats.gltf.gltf_scene import read_scene
 from neurad.formats.mitsuba.read import read_xml
 from neurad.formats.usd.read import read_usd
 from neurad.images.image_io import to_srgb

@@ -11,8 +11,8 @@ from helpers.gltf_writer import FACES, QUAD, UVS, Document
 from neurad.core.errors import InputError
 from neurad.core.records import Bitmap, Constant, EnvironmentMap, VertexAttribute
 from neurad.core.reflection import ConductorModel, DielectricModel, DiffuseModel, PrincipledModel
+from neurad.formats.gltf.gltf_scene import read_scene
 from neurad.formats.gltf.read import read_gltf
-from neurad.formats.gltf.scene import read_scene
 from neurad.images.image_io import from_srgb
 from neurad.scene.description import Scene
 from neurad.scene.geometry import Geometry

@@ -14,8 +14,8 @@ from helpers.gltf_rooms import shown, written
 
 from neurad.assembly.build import build_world
 from neurad.core.errors import InputError
+from neurad.formats.gltf.gltf_scene import read_scene
 from neurad.formats.gltf.read import read_gltf
-from neurad.formats.gltf.scene import read_scene
 from neurad.formats.load import read_folder
 from neurad.integrators.film import render
 from neurad.integrators.renderer import path_tracer

@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 
 from neurad.core.errors import InputError
 from neurad.core.records import Bitmap
-from neurad.formats.gltf.scene import read_scene
+from neurad.formats.gltf.gltf_scene import read_scene
 from neurad.scene.geometry import Geometry
 
 ODD = (

@@ -12,9 +12,9 @@ from neurad.core.records import View
 from neurad.formats.cameras.nerf import HOLD_OUT, Split
 from neurad.formats.cameras.photograph_files import Photographs
 from neurad.formats.gltf.file import GltfFile
+from neurad.formats.gltf.gltf_scene import ENVIRONMENT
 from neurad.formats.gltf.nodes import GltfCamera
 from neurad.formats.gltf.read import ENDINGS, GltfRoom, read_gltf
-from neurad.formats.gltf.scene import ENVIRONMENT
 from neurad.formats.import_room import (
     ImportSettings,
     check_room,
