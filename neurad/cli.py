@@ -179,13 +179,13 @@ def main(args: list[str] | None = None) -> None:
                 _dispatch(words, own_process=args is None)
         finally:
             flush_output()
-    except InputError as error:
-        _fail(str(error))
-    except KeyboardInterrupt:
-        print("neurad: interrupted", file=sys.stderr)
-        raise SystemExit(130) from None
-    except Exception as error:
-        sentence = _sentence([*_chain(error)])
+    except (Exception, KeyboardInterrupt) as error:
+        causes = [*_chain(error)]
+        # A package whose import Ctrl-C ends raises something else because of it.
+        if any(isinstance(cause, KeyboardInterrupt) for cause in causes):
+            print("neurad: interrupted", file=sys.stderr)
+            raise SystemExit(130) from None
+        sentence = str(error) if isinstance(error, InputError) else _sentence(causes)
         if not sentence:
             raise
         _fail(sentence)

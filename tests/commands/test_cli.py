@@ -8,7 +8,9 @@ from pathlib import Path
 import pytest
 from helpers.tiny_fit import fails, fit
 
+from neurad import cli
 from neurad.cli import main
+from neurad.core.errors import InputError
 from neurad.training.inverse import InverseRenderer
 
 
@@ -160,3 +162,22 @@ def test_an_error_of_the_program_keeps_its_traceback(tiny, monkeypatch):
     monkeypatch.setattr(InverseRenderer, "training_step", broken)
     with pytest.raises(RuntimeError, match="a bug in a step"):
         fit("--trainer.max_steps=5")
+
+
+def test_an_import_that_ctrl_c_ends_is_an_interruption(monkeypatch, capsys):
+    """A package may turn it into an error of its own, from which a sentence about a missing package would be made."""
+
+    def stopped(*_, **__):
+        try:
+            try:
+                raise KeyboardInterrupt
+            except KeyboardInterrupt as error:
+                raise ImportError("no extension") from error
+        except ImportError as error:
+            raise InputError("reading it needs the package") from error
+
+    monkeypatch.setattr(cli, "_dispatch", stopped)
+    with pytest.raises(SystemExit) as caught:
+        cli.main(["check"])
+    assert caught.value.code == 130
+    assert "interrupted" in capsys.readouterr().err
