@@ -6,6 +6,7 @@ from typing import Any
 
 from neurad.core.errors import InputError
 from neurad.formats.mitsuba.plugin import COMPILED, LLVM, no_llvm
+from neurad.runtime.extras import missing
 
 HOW = f"apt-get install libllvm19, or set DRJIT_LIBLLVM_PATH to a libLLVM.so of version {LLVM[0]} or newer"
 
@@ -19,7 +20,7 @@ def load_mitsuba() -> Any:
     try:
         import mitsuba as mi
     except ImportError as error:
-        raise InputError("bench peer: it needs the package mitsuba: pip install 'neurad[mitsuba]'") from error
+        raise missing("mitsuba", "mitsuba", "bench peer: it") from error
     try:
         mi.set_variant(COMPILED)
         reason = no_llvm()

@@ -143,9 +143,9 @@ def _of_places(found: SharedErrors) -> list[str]:
 
 
 def _of_light(light: Transport, scale_known: bool) -> list[str]:
-    slope, error = light.slope()
     from scipy.special import ndtr, stdtrit  # imported where it is needed: it loads slowly
 
+    slope, error = light.slope()
     # Of few views a standard error is not known well, so the bound is Student's.
     sure = float(stdtrit(max(len(set(light.view.tolist())) - 1, 1), ndtr(SURE))) * error
     added, _ = light.slope(offset=light.floor)

@@ -29,12 +29,12 @@ def run(options: argparse.Namespace) -> None:
     """
     import sys
 
-    from neurad.core.errors import InputError
+    from neurad.runtime.extras import missing
 
     try:
         import viser  # noqa: F401
     except ImportError as error:
-        raise InputError("view: the page needs the package viser: pip install 'neurad[view]'") from error
+        raise missing("viser", "view", "view: the page") from error
 
     from neurad.inspect.server import check_port
 

@@ -182,8 +182,6 @@ def read_views(
     path, root = Path(path), Path(root)
     described, frames = _frames(path)
     undo = _applied(described, path)
-    if not pictures:
-        photograph = lambda name, _: expected_photograph(root, name)  # noqa: E731
     views: list[View] = []
     refusals = Refusals()
     for index, frame in enumerate(frames):
@@ -192,18 +190,24 @@ def read_views(
                 raise InputError(f"{path}: frame {index} has no file_path")
             where = f"{path}: frame {index} ({shown(frame['file_path'])})"
             name = frame["file_path"]
-            image = listed_photograph(root, name, where, path.name) if photograph is None else photograph(name, where)
+            if not pictures:
+                image = expected_photograph(root, name)
+            elif photograph is None:
+                image = listed_photograph(root, name, where, path.name)
+            else:
+                image = photograph(name, where)
             settings = {**described, **frame}
             film = _size(settings, where) or size
             if film is None:
                 film = picture_size(image) if pictures or exists(image) else _unsaid(settings, where)
             pose = undo(rigid(frame.get("transform_matrix"), f"{where}: its transform_matrix"))
+            missing = f"the mask is missing that {path.name} lists"
+            mask = _listed(root, frame, "mask_path", missing, path) if pictures else None
+            kept = _kept_of(mask if pictures else _mask_name(root, frame))
+            camera = camera_of((frame, described), film, pose, where, kept)
             if not pictures:
-                camera = camera_of((frame, described), film, pose, where, _kept_of(_mask_name(root, frame)))
                 views.append(View(image.stem, camera, str(image)))
                 continue
-            mask = _listed(root, frame, "mask_path", f"the mask is missing that {path.name} lists", path)
-            camera = camera_of((frame, described), film, pose, where, _kept_of(mask))
             maps = {kind: _map(root, frame, kind, image, path) for kind in ("albedo", "roughness", "spread")}
             relit = _map(root, frame, "relight", image, path) if "relight_path" in frame else None
             made = Development(exposure=_exposure(settings, where))
