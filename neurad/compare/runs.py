@@ -12,12 +12,13 @@ from typing import Any
 import yaml  # type: ignore[import-untyped]
 
 from neurad.core.errors import InputError
+from neurad.core.parameters import RECOVERED
 from neurad.metrics.marks import MARKS
 from neurad.runtime.tables import numbers, read_csv
 
 FACTS = "compare.json"
 """File in a run folder with what the comparison that started it recorded."""
-SCORES = ("albedo_psnr", "albedo_mape", "roughness_psnr", "roughness_mape", "psnr_srgb", "lamp_error")
+SCORES = (*(f"{name}_{score}" for name in RECOVERED for score in ("psnr", "mape")), "psnr_srgb", "lamp_error")
 
 Row = dict[str, float]
 

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from functools import partial
 from typing import Any
 
 import numpy as np
 
-from neurad.callbacks.pictures import ROUGHNESS, is_trivial
 from neurad.compare.runs import Run
 from neurad.core.errors import InputError
+from neurad.core.parameters import BY_NAME
 from neurad.core.records import BoolArray, FloatArray, View
 from neurad.formats.cameras.nerf import HOLD_OUT
 from neurad.formats.load import load_scene
@@ -17,14 +18,14 @@ from neurad.images.development import Photography
 from neurad.images.image_io import read_bitmap, read_exr
 from neurad.images.photographs import read_view
 from neurad.metrics.unseen import UNSEEN
-from neurad.pages.colours import BRIGHTEST, ERRORS, Bytes, encode, false_colour, grey
-from neurad.pages.sheet import Scale, Sheet, Tile
+from neurad.pages.colours import BRIGHTEST, ERRORS, Bytes, encode, false_colour, shown
+from neurad.pages.sheet import Scale, Sheet, Tile, scale_of
 from neurad.scene.description import Scene
 from neurad.scene.exposure import scene_exposure
 
-KINDS = {"albedo": "Albedo", "roughness": "Roughness", "render": "Picture"}
+KINDS = {**{name: name.capitalize() for name in BY_NAME}, "render": "Picture"}
 """What a run predicts of a view, and its heading."""
-CHANNELS = {"albedo": 3, "roughness": 1, "render": 3}
+CHANNELS = {**{name: parameter.channels for name, parameter in BY_NAME.items()}, "render": 3}
 TRUTH = "truth"
 
 Maps = dict[str, FloatArray]
@@ -50,8 +51,7 @@ def predicted(run: Run, name: str, index: int) -> Maps:
 
 def truth(view: View) -> Maps:
     """Photograph (as ``render``) and true materials of a held-out view, those that have a file."""
-    files = {"albedo": view.albedo, "roughness": view.roughness}
-    found = {kind: read_exr(path)[..., : CHANNELS[kind]] for kind, path in files.items() if path is not None}
+    found = {kind: read_exr(path)[..., : CHANNELS[kind]] for kind, path in view.maps.items()}
     return found if view.image is None else {**found, "render": read_view(view)[..., : CHANNELS["render"]]}
 
 
@@ -87,8 +87,6 @@ def sheets(runs: Sequence[Run], count: int) -> list[Sheet]:
         columns = {method: maps for method, maps in columns.items() if maps}
         if not columns:
             continue
-        if all("roughness" not in maps or is_trivial(maps["roughness"]) for maps in columns.values()):
-            columns = {method: {k: maps[k] for k in maps if k != "roughness"} for method, maps in columns.items()}
         mask = _unseen(runs, view.name, index)
         if mask is not None and any(maps[kind].shape[:2] != mask.shape for maps in columns.values() for kind in maps):
             mask = None
@@ -110,9 +108,9 @@ def sheet(title: str, columns: Mapping[str, Maps], scale: float, unseen: BoolArr
     for kind, word in KINDS.items():
         if not any(kind in maps for name, maps in columns.items() if name != TRUTH):
             continue
-        unit = scale if kind == "render" else 1.0
-        show = grey if kind == "roughness" else encode
-        bar = ROUGHNESS if kind == "roughness" else None
+        unit, parameter = scale if kind == "render" else 1.0, BY_NAME.get(kind)
+        show = encode if parameter is None else partial(shown, parameter)
+        bar = None if parameter is None else scale_of(parameter)
         rows[kind] = [
             Tile(f"{kind}-{place}", f"{word}: {name}", show(maps[kind] * unit), bar, _pair(kind, name, columns))
             if kind in maps

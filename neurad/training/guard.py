@@ -20,6 +20,7 @@ from torch import Tensor, nn
 
 from neurad import assembly, bsdf, emitters, fields, integrators, losses, training
 from neurad.core.errors import InputError
+from neurad.core.parameters import RECOVERED
 from neurad.core.records import FloatArray, PixelBatch
 from neurad.losses.relative import Loss
 from neurad.runtime.files import make_folder, replacing
@@ -83,7 +84,7 @@ class Guard:
             NotFinite: one is not; the weights are kept.
         """
         for name, entry in zip(names, maps, strict=True):
-            for kind in ("render", "residual", "albedo", "roughness"):
+            for kind in ("render", "residual", *RECOVERED):
                 picture = torch.from_numpy(entry[kind]) if kind in entry else torch.zeros(1)
                 if not bool(torch.isfinite(picture).all()):
                     text = f"the picture {kind} of view {name} is not finite ({_bad_fraction(picture)} values)"

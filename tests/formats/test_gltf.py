@@ -263,6 +263,23 @@ def test_textures_are_looked_up_as_the_specification_says(wrap, moved, tmp_path)
     np.testing.assert_allclose(roughness, sampled(pixels[..., 1:2] / 255.0, uv, wrap) * 0.5, atol=2e-5)
 
 
+def test_metalness_is_the_blue_channel_of_the_picture_that_has_the_roughness(tmp_path):
+    pixels = np.random.default_rng(3).integers(0, 256, (5, 7, 3), np.uint8)
+    document = Document()
+    surface = {"metallicRoughnessTexture": document.texture(pixels), "metallicFactor": 0.5}
+    document.quad(UVS, {PBR: surface})
+    scene = read_gltf(document.glb(tmp_path / "a.glb"))
+    assert scene.materials[0].model == PrincipledModel()
+    bitmap = scene.materials[0].metallic
+    np.testing.assert_allclose(bitmap.pixels, pixels[..., 2:] * np.float32(0.5 / 255.0), rtol=1e-6)
+
+
+def test_a_primitive_without_a_material_is_a_dielectric(tmp_path):
+    document = Document()
+    document.quad(UVS)
+    assert float(read_gltf(document.glb(tmp_path / "a.glb")).materials[0].metallic.value[0]) == 0.0
+
+
 @pytest.mark.parametrize("kind", ["f4", "u1", "u2"])
 def test_sets_of_texture_coordinates(kind, tmp_path):
     """Colour and roughness on two sets, one of which is the other moved and scaled; or unrelated, which is said."""
@@ -324,7 +341,7 @@ def extended(name, **values):
 
 GLASS = {PBR: {"roughnessFactor": 0.0, "metallicFactor": 0.0}}
 MODELS = {
-    "default": ({}, PrincipledModel(metallic=1.0)),
+    "default": ({}, PrincipledModel()),
     "plain": ({PBR: {"metallicFactor": 0}}, PrincipledModel()),
     "index": ({PBR: {"metallicFactor": 0}, **extended("KHR_materials_ior", ior=1.8)}, PrincipledModel(1.8)),
     "diffuse": ({PBR: {"metallicFactor": 0}, **extended("KHR_materials_specular", specularFactor=0)}, DiffuseModel()),
@@ -342,6 +359,7 @@ def test_models(kind, tmp_path):
     assert material.model == MODELS[kind][1]
     assert isinstance(material.albedo, Constant)
     assert isinstance(material.roughness, Constant)
+    assert float(material.metallic.value[0]) == (kind in ("default", "mirror"))
     assert material.two_sided
     if kind == "mirror":
         np.testing.assert_allclose(material.albedo.value, [0.9, 0.8, 0.7])
@@ -354,7 +372,6 @@ OPAQUE = {
     "pbrSpecularGlossiness": extended("KHR_materials_pbrSpecularGlossiness"),
     "KHR_materials_specular": extended("KHR_materials_specular", specularFactor=0.5),
     "map of normals": "normalTexture",
-    "texture of metalness": "metallicRoughnessTexture",
 }
 
 
@@ -362,8 +379,7 @@ OPAQUE = {
 def test_opaque_surfaces_that_a_fit_recovers_anew(kind, tmp_path):
     document, described = Document(), OPAQUE[kind]
     if isinstance(described, str):
-        picture = document.texture(np.random.default_rng(4).integers(0, 256, (4, 4, 3)))
-        described = {described: picture} if described == "normalTexture" else {PBR: {described: picture}}
+        described = {described: document.texture(np.random.default_rng(4).integers(0, 256, (4, 4, 3)))}
     document.quad(material={PBR: {"metallicFactor": 0.0}, **described})
     _, material = one(document, tmp_path)
     assert kind in material.model.unsupported

@@ -84,7 +84,7 @@ def test_an_override_changes_what_refers_to_it(tiny, form):
     saved = config()
     assert saved["seed_everything"] == saved["model"]["seed"] == saved["data"]["seed"] == 8
     assert (saved["model"]["albedo"]["width"], saved["model"]["albedo"]["size"]) == (6, 6)
-    assert checkpoint()["state_dict"]["materials.albedo.mlp.layers.0.weight"].shape[0] == 6
+    assert checkpoint()["state_dict"]["materials.fields.albedo.mlp.layers.0.weight"].shape[0] == 6
 
 
 @pytest.mark.main

@@ -109,6 +109,6 @@ def test_a_killed_run_continues_to_the_same_bits(tmp_path, monkeypatch):
     assert len(continued["optimizer_states"]) == 6
     assert continued["state_dict"]["development.values"].abs().max() > 0
     assert continued["state_dict"]["development.bend"].abs().max() > 0
-    assert continued["state_dict"]["materials.roughness.correction.made"] == 1
+    assert continued["state_dict"]["materials.fields.roughness.correction.made"] == 1
     assert Path("lightning_logs/version_1/exposures.csv").read_text().startswith("view,known,r,g,b,iteration")
     assert not Path("lightning_logs/version_2").exists()

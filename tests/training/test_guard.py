@@ -111,11 +111,11 @@ def test_a_bad_gradient_is_named(tmp_path, capfd, monkeypatch):
     folder = write_scene(tmp_path / "scene")
 
     def spoil(module):
-        module.materials.albedo.mlp.layers[-1].bias.register_hook(lambda g: g * math.inf)
+        module.materials.fields["albedo"].mlp.layers[-1].bias.register_hook(lambda g: g * math.inf)
 
     plant(monkeypatch, 1, spoil)
     error = stops(capfd, folder)
-    assert "iteration 1: the gradient of materials.albedo.mlp.layers.1.bias is not finite" in error
+    assert "iteration 1: the gradient of materials.fields.albedo.mlp.layers.1.bias is not finite" in error
 
 
 def test_the_first_bad_value_is_found_and_none_in_a_clean_call():
