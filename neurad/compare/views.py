@@ -32,20 +32,20 @@ Maps = dict[str, FloatArray]
 
 
 def predicted(run: Run, name: str, index: int) -> Maps:
-    """What ``neurad predict`` or ``neurad test`` wrote of a held-out view; empty if they did not run.
+    """What ``neurad predict`` or ``neurad test`` wrote of a held-out view, or another program; empty if none did.
 
     Args:
-        run: with ``images/`` in its folder.
+        run: with ``images/VIEW_albedo.exr`` or ``albedo/VIEW.exr`` in its folder, and so for other maps.
         name: the view's name.
         index: its number among the held-out views; files may be named by either.
     """
     found: Maps = {}
     for kind, channels in CHANNELS.items():
-        for stem in (name.replace("/", "_"), f"{index:03d}"):
-            path = run.folder / "images" / f"{stem}_{kind}.exr"
-            if path.is_file():
-                found[kind] = read_exr(path)[..., :channels]
-                break
+        stems = name.replace("/", "_"), f"{index:03d}"
+        places = [run.folder / place for x in stems for place in (f"images/{x}_{kind}.exr", f"{kind}/{x}.exr")]
+        path = next((place for place in places if place.is_file()), None)
+        if path is not None:
+            found[kind] = read_exr(path)[..., :channels]
     return found
 
 
@@ -76,7 +76,8 @@ def sheets(runs: Sequence[Run], count: int) -> list[Sheet]:
     Returns:
         The sheets; none if no run has pictures.
     """
-    scene = scene_of(runs[0].config) if runs else None
+    config = next((run.config for run in runs if run.config), None)  # another program's run has none
+    scene = None if config is None else scene_of(config)
     if scene is None:
         return []
     views, scale = scene.scored[:count], scene_exposure(scene)
