@@ -25,8 +25,6 @@ class GridConfig:
     finest: Annotated[int, Range(1, 1 << 20)] | None = 256
     """Cells along the longest side of the scene at the last level; null: as fine as the photographs show the scene,
     cells as large as a pixel where the cameras are close."""
-    features: Annotated[int, Range(1, 64)] = 2
-    """Channels of a table entry; kernels exist for 2, other counts run in plain torch."""
     log2_size: Annotated[int, Range(3, 24)] = 17
     """Levels of more than 2^log2_size vertices are hashed into so many entries."""
 

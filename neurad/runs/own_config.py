@@ -21,7 +21,7 @@ from neurad.runs.configs import read_layer
 from neurad.runs.trainer_settings import OURS, UNCHANGED
 from neurad.runs.trust import how_to_trust, is_trusted
 
-GROUPS = ("model", "data", "evaluation", "checkpoint", "bar")
+GROUPS = ("model", "data", "evaluation", "checkpoint")
 """Groups of settings that are taken over: numbers, texts and lists of them."""
 TRAINER = (
     "accelerator", "strategy", "devices", "num_nodes", "precision", "max_steps", "min_steps", "max_time",

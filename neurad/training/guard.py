@@ -140,22 +140,6 @@ def keep_in_run_folder(trainer: pl.Trainer | None, iteration: int, cause: str, b
     return f"; `neurad fit --ckpt_path {folder / 'checkpoints' / 'bad.ckpt'}` repeats it"
 
 
-@torch.no_grad()
-def clip(groups: list[list[dict[str, Any]]], largest: float) -> None:
-    """Shorten the gradient of each optimizer, dense and sparse parts together, to a norm of at most ``largest``.
-
-    Losses are relative, so the norms do not depend on how bright a scene is. Rows that a sparse gradient names twice
-    count apart, which makes its norm a little smaller than it is.
-    """
-    for optimizer in groups:
-        gradients = [_values(p.grad) for group in optimizer for p in group["params"] if p.grad is not None]
-        if gradients:
-            norm = torch.stack([torch.linalg.vector_norm(g) for g in gradients]).norm()
-            factor = (largest / norm.clamp_min(torch.finfo(norm.dtype).tiny)).clamp(max=1.0)
-            for g in gradients:
-                g.mul_(factor)
-
-
 def first_bad(run: Callable[[], object]) -> str | None:
     """The first return value of this package's functions that is NaN or infinite while ``run`` is called.
 
