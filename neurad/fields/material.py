@@ -112,8 +112,7 @@ class MaterialField(nn.Module):
         self.parameter = parameter
         self.known = None
         self.cube = UnitCube(bounds, contracted)
-        has_network = config.kind == "hash"
-        own = config if isinstance(config, RoughnessConfig) and has_network else None
+        own = config if isinstance(config, RoughnessConfig) and config.has_network else None
         self.reads_albedo = own is not None and own.reads_albedo
         self.grid, self.mlp = make_layers(config, parameter.channels, ALBEDO.channels if self.reads_albedo else 0)
         self.correction: Correction | None = None
