@@ -29,13 +29,11 @@ FALLOFF, SPREAD = 0.1, 0.1
 """Relative differences of brightness towards the corners and between photographs from which on they matter."""
 BEND, FLAT = 0.1, 0.13
 """How far the slope of brightness with light has to be above 1, or below it, where highlights bring it anyway:
-undamaged rooms have 0.9 to 1.05."""
+undamaged rooms have 0.9 to 1.05, by what is not modelled in them."""
 USUAL = 0.97
 """The slope in undamaged rooms on average: highlights flatten it a little."""
 ALIKE = 0.05
 """Difference of slopes below which two explanations count as alike."""
-HAZY = 0.05
-"""How far below 1 is enough where no photograph has a dark place."""
 FLOOR = 0.1
 """Part of the photographs' mean that their darkest surface has at least where light was added everywhere."""
 OPEN = 0.01
@@ -149,7 +147,7 @@ def _of_light(light: Transport, scale_known: bool) -> list[str]:
     # Of few views a standard error is not known well, so the bound is Student's.
     sure = float(stdtrit(max(len(set(light.view.tolist())) - 1, 1), ndtr(SURE))) * error
     added, _ = light.slope(offset=light.floor)
-    if slope < 1.0 - max(HAZY, sure) and light.floor > FLOOR and abs(added - 1.0) < abs(slope - 1.0):
+    if slope < 1.0 - max(FLAT, sure) and light.floor > FLOOR and abs(added - 1.0) < abs(slope - 1.0):
         causes = ["haze", "a black offset"]
         causes += [] if light.escaping < OPEN else ["a sky that the scene does not have"]
         causes += [] if scale_known else ["lights of the scene that are too bright"]
