@@ -51,4 +51,6 @@ def _of_field(field: MaterialField, rate: float, rates: Optimization) -> SparseR
         return SparseRowAdam(parameters, lr=rate)
     decays = rates.roughness_decay > 0.0 and isinstance(field.mlp, MLP)
     table = field.grid.parameters() if decays else ()
-    return SparseRowAdam(parameters, lr=rate, weight_decay={p: rates.roughness_decay for p in table})
+    return SparseRowAdam(
+        parameters, lr=rate, betas=(0.9, rates.roughness_beta2), weight_decay={p: rates.roughness_decay for p in table}
+    )

@@ -164,6 +164,7 @@ SECTION_5 = {
     "model.optimization.schedule": "constant",
     "model.optimization.average": 0.0,
     "model.optimization.roughness_decay": 0.0,
+    "model.optimization.roughness_beta2": 0.99,
     "model.roughness.begin": "middle",
     "model.roughness.closing_step": False,
     "model.roughness.closing_samples": 0.8,
