@@ -57,7 +57,6 @@ class Evaluate(pl.Callback):
         spp: samples per pixel of the renderings scored during ``fit`` and ``validate``.
         test_spp: samples per pixel of the renderings that ``test`` and ``predict`` write.
         pictures: held-out views that TensorBoard shows.
-        log_every_n_steps: iterations between two points of the loss curves.
     """
 
     def __init__(
@@ -67,7 +66,6 @@ class Evaluate(pl.Callback):
         spp: Count = 4,
         test_spp: Count = 64,
         pictures: CountOrZero = 4,
-        log_every_n_steps: Count = 50,
     ) -> None:
         super().__init__()
         self.fraction = fraction
@@ -75,7 +73,6 @@ class Evaluate(pl.Callback):
         self.spp = spp
         self.test_spp = test_spp
         self.pictures = pictures
-        self.log_every_n_steps = log_every_n_steps
         checked(self)
         self.last_scores: dict[str, float] = {}
         self.last_scored = 0.0
@@ -125,7 +122,8 @@ class Evaluate(pl.Callback):
     def on_train_batch_end(self, trainer: pl.Trainer, pl_module: pl.LightningModule, *_: Any) -> None:
         """Log losses, and evaluate if it is time."""
         module = cast("InverseRenderer", pl_module)
-        if module.iteration % self.log_every_n_steps == 0 and (board := self._board_of(trainer, module)):
+        every: int = trainer.log_every_n_steps  # type: ignore[attr-defined]
+        if module.iteration % every == 0 and (board := self._board_of(trainer, module)):
             board.losses(module.last_losses, module.iteration)
         if trainer.strategy.broadcast(self._due(trainer, module)):
             self._evaluate_fit(trainer, module)
