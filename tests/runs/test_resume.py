@@ -119,7 +119,7 @@ def test_a_killed_run_continues_to_the_same_bits(tmp_path, monkeypatch):
 
 @pytest.mark.main
 def test_a_run_killed_after_its_last_checkpoint_is_brought_to_its_end(tmp_path, monkeypatch, capsys):
-    """The last of the checkpoints in between is of the last iteration, but not of its evaluation, which fits factors."""
+    """The last checkpoint in between is of the last iteration, but not of its evaluation, which fits factors."""
     words = ["--trainer.max_time=null", "--trainer.max_steps=30", "--data.validation_pixels=0.03", "--data.patches=64"]
     words += ["--evaluation.every_n_steps=10", "--checkpoint.every_seconds=0", "--trainer.accelerator=cpu"]
     monkeypatch.chdir(tmp_path)
