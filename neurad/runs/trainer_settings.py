@@ -19,6 +19,7 @@ from neurad.core.ranges import IS_GROUP, Count, CountOrZero, Range, Seed, is_set
 RANGES: dict[str, Any] = {
     "num_nodes": Count,
     "fast_dev_run": CountOrZero,
+    "log_every_n_steps": Count,
     "max_steps": Annotated[int, Range(-1, 2**62)],
     "min_steps": CountOrZero | None,
 }

@@ -352,7 +352,6 @@ def test_a_child_ends_with_who_started_it(tmp_path, name, deaf):
     code = f"""
 import signal, sys
 from pathlib import Path
-from neurad.images.image_io import write_exr
 from neurad.runs import child
 signal.signal(signal.SIGINT, signal.default_int_handler)  # who runs the tests may have it ignored
 child.PATIENCE = 0.2
@@ -424,7 +423,6 @@ def test_peak_memory_is_that_of_one_child():
     code = """
 import sys
 from pathlib import Path
-from neurad.images.image_io import write_exr
 from neurad.runs import child
 for size in (200, 1):
     child.NEURAD = [sys.executable, "-c", f"b'x' * ({size} << 20)"]
