@@ -10,6 +10,7 @@ from typing import TypeVar
 import numpy as np
 
 from neurad.core.errors import InputError
+from neurad.core.records import Float64Array
 from neurad.core.suggest import did_you_mean
 from neurad.formats.cameras.nerf import HOLD_OUT, Split
 from neurad.images.development import KNOWN, Photography, developed
@@ -18,7 +19,7 @@ from neurad.runtime.progress import phase
 from neurad.runtime.reading import exists, regular_file, shown
 from neurad.runtime.reading import folder as existing_folder
 from neurad.scene.description import Scene
-from neurad.scene.origin import ZERO, Array, moved_views, near, origin_of
+from neurad.scene.origin import ZERO, moved_views, near, origin_of
 from neurad.scene.panes import pane_note
 
 T = TypeVar("T")
@@ -31,14 +32,14 @@ RELIGHT = "env_relight.exr"
 """Map that lights the photographs named by ``relight_path``; it replaces the scene's own, in the same frame."""
 
 
-def _mitsuba(folder: Path, origin: Array) -> Scene:
+def _mitsuba(folder: Path, origin: Float64Array) -> Scene:
     from neurad.formats.mitsuba.read import read_xml
 
     return read_xml(folder / "scene.xml", origin)
 
 
-def _gltf(name: str) -> Callable[[Path, Array], Scene]:
-    def read(folder: Path, origin: Array) -> Scene:
+def _gltf(name: str) -> Callable[[Path, Float64Array], Scene]:
+    def read(folder: Path, origin: Float64Array) -> Scene:
         from neurad.formats.gltf.gltf_scene import read_scene
 
         return near(read_scene(folder / name), origin)
@@ -64,7 +65,7 @@ def _cameras_alone(folder: Path, hold_out: int, pictures: bool) -> Split:
     return Split([], read_cameras(folder / CAMERAS, FILM))
 
 
-SCENE_FILES: dict[str, Callable[[Path, Array], Scene]] = {
+SCENE_FILES: dict[str, Callable[[Path, Float64Array], Scene]] = {
     "scene.xml": _mitsuba,
     "scene.glb": _gltf("scene.glb"),
     "scene.gltf": _gltf("scene.gltf"),
@@ -154,7 +155,7 @@ def read_folder(root: str | Path, hold_out: int = HOLD_OUT, photography: Photogr
     return _developed(replace(surfaces, train=train, test=test), photography)
 
 
-def _near_origin(read: Callable[[Path, Array], Scene], folder: Path) -> Scene:
+def _near_origin(read: Callable[[Path, Float64Array], Scene], folder: Path) -> Scene:
     """Surfaces of a folder, moved near the origin of their coordinates where they lie far from it."""
     surfaces = read(folder, ZERO)
     origin = origin_of(surfaces.meshes)

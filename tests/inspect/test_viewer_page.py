@@ -85,8 +85,8 @@ def test_the_page(viewed_run, look_at):
         page.wait("samples a pixel")
         lit = page.settled()
         assert lit.std() > 5
-        (guest,) = viewer.guests.values()
-        assert guest.first_picture < 5
+        (session,) = viewer.sessions.values()
+        assert session.first_picture < 5
         assert "iteration 60" in page.text()
 
         # every mode has a picture of its own
@@ -160,11 +160,11 @@ def test_a_run_that_trains_on_and_then_is_gone(viewed_run, tmp_path, look_at, mo
         assert page.text().count("<b id=evil>") == 2  # in the title and in the warning
         assert page.page.locator("#evil").count() == 0
         assert page.settled().std() > 2
-        (guest,) = viewer.guests.values()
-        frames = guest.frames
+        (session,) = viewer.sessions.values()
+        frames = session.frames
         page.choose("mode", "albedo")
         page.wait("The recovered albedo.")
-        assert guest.frames > frames
+        assert session.frames > frames
 
 
 def test_a_newer_checkpoint_changes_what_is_recovered(viewed_run, tmp_path):
