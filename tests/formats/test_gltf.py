@@ -13,6 +13,7 @@ from neurad.core.records import Bitmap, Constant, EnvironmentMap, VertexAttribut
 from neurad.core.reflection import ConductorModel, DielectricModel, DiffuseModel, PrincipledModel
 from neurad.formats.gltf.gltf_scene import read_scene
 from neurad.formats.gltf.read import read_gltf
+from neurad.formats.load import read_folder
 from neurad.images.image_io import from_srgb
 from neurad.scene.description import Scene
 from neurad.scene.geometry import Geometry
@@ -345,6 +346,33 @@ def test_models(kind, tmp_path):
     assert material.two_sided
     if kind == "mirror":
         np.testing.assert_allclose(material.albedo.value, [0.9, 0.8, 0.7])
+
+
+def test_metals_are_named_by_what_their_own_surface_shows(tmp_path):
+    """Half of a picture is metal: of two meshes with one material, the one on that half is named; so is an authored
+    material without a factor, but not a mesh without a material.
+    """
+    document, pixels = Document(), np.zeros((8, 8, 3), np.uint8)
+    pixels[:, :4, 2] = 255
+    painted = {PBR: {"metallicRoughnessTexture": document.texture(pixels)}}
+    for name, shift in (("kettle", 0.05), ("cloth", 0.55)):
+        document.quad(uvs=UVS * (0.4, 1.0) + (shift, 0.0), material=painted, name=name)
+    document.quad(material={}, name="authored")
+    document.quad(name="bare")
+    document.json["meshes"][1]["primitives"][0]["material"] = 0
+    scene = read_scene(document.glb(tmp_path / "scene.glb"))
+    assert "2 of 4 meshes are metal by its files (kettle, authored)" in scene.lost_metals
+    assert scene.materials[scene.meshes[3].material].model == PrincipledModel()
+
+
+@pytest.mark.parametrize("name", ["scene.GLB", "Scene.gltf"])
+def test_the_case_of_a_scene_file_does_not_matter(name, tmp_path):
+    document = Document()
+    document.quad(name="floor")
+    lens = {"type": "perspective", "perspective": {"yfov": 0.5, "znear": 0.1}}
+    document.node(camera=document.add("cameras", lens), name="eye")
+    getattr(document, name[-4:].lower().strip("."))(tmp_path / name)
+    assert [mesh.name for mesh in read_folder(tmp_path).meshes] == ["floor"]
 
 
 OPAQUE = {

@@ -11,8 +11,9 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from neurad.core.records import Bitmap, Constant, FloatArray, Material, Texture, VertexAttribute
+from neurad.core.records import Bitmap, Constant, FloatArray, IntArray, Material, Texture, VertexAttribute
 from neurad.core.reflection import (
+    METAL,
     ConductorModel,
     DielectricModel,
     DiffuseModel,
@@ -21,7 +22,7 @@ from neurad.core.reflection import (
     UnsupportedModel,
 )
 from neurad.formats.gltf.file import Array, GltfFile, Json
-from neurad.formats.gltf.textures import LEVELS, Place, TextureReader, affine_between
+from neurad.formats.gltf.textures import LEVELS, Place, TextureReader, affine_between, look_up
 from neurad.runtime.numbers import RADIANCE
 from neurad.runtime.reading import shown
 
@@ -29,6 +30,7 @@ COLOUR = "colour"
 """The vertex attribute that colours of vertices become."""
 _ONES = Constant(np.ones(3, np.float32))
 _LARGEST_INDEX = 100.0
+_SAMPLES = 4096  # of a surface, that the mean of a picture on it is taken over
 _OPAQUE = 254  # of 255: what writers round down to
 _LAYERS = {
     "KHR_materials_clearcoat": "clearcoatFactor",
@@ -42,12 +44,25 @@ _OTHERS = ("KHR_materials_unlit", "KHR_materials_pbrSpecularGlossiness")
 
 @dataclass(frozen=True)
 class Corners:
-    """What a primitive has at its vertices besides places."""
+    """What a primitive has at its vertices."""
 
+    places: Array
+    """[v, 3]."""
+    faces: IntArray
+    """[f, 3]."""
     uvs: dict[int, Array] = field(default_factory=dict)
     """Sets of texture coordinates [v, 2] by their numbers."""
     colours: Array | None = None
     """Linear [v, 3 or 4]."""
+
+    def mean(self, picture: Array, to_uv: Array, uv_set: int) -> float:
+        """Mean over the surface of a picture of one channel [h, w, 1]."""
+        corner, uv = self.places[self.faces].astype(np.float64), self.uvs[uv_set][self.faces]
+        area = np.linalg.norm(np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]), axis=-1)
+        rng = np.random.default_rng(0)
+        face = np.searchsorted(np.cumsum(area), rng.random(_SAMPLES) * area.sum()).clip(max=len(area) - 1)
+        at = np.einsum("nk,nkc->nc", rng.dirichlet((1, 1, 1), _SAMPLES), uv[face])
+        return float(look_up(picture, to_uv, at).mean())
 
     def of(self, file: GltfFile, uv_set: int, where: str) -> Array:
         """A set of texture coordinates.
@@ -105,7 +120,8 @@ class MaterialReader:
     def _described(self, index: object, where: str) -> tuple[Json, str]:
         """What the file says of a material, and its name in sentences."""
         if index is None:
-            return {}, f"the default material of {where}"
+            # The specification's default is a metal, which nobody has chosen.
+            return {"pbrMetallicRoughness": {"metallicFactor": 0.0}}, f"the default material of {where}"
         item = self.file.item("materials", index, where)
         return item, f"material {shown(self.file.name(item, str(index)))}"
 
@@ -166,7 +182,7 @@ class MaterialReader:
         two_sided = item.get("doubleSided") is True or not self.own
         name = self.file.name(item, "default" if index is None else f"material {shown(index)}")
         material = Material(name, model, albedo, roughness, two_sided)
-        key = index, _key(albedo), _key(roughness)
+        key = index, _key(albedo), _key(roughness), model.metallic >= METAL
         if key not in self._index:
             self._index[key] = len(self.materials)
             self.materials.append(material)
@@ -196,14 +212,14 @@ class MaterialReader:
     def _roughness(
         self, surface: Json, rough: Place | None, corners: Corners, about: str, where: str
     ) -> tuple[Texture, float, bool]:
-        """The roughness, the mean of the metalness, and whether that varies."""
+        """The roughness, the mean of the metalness over the surface, and whether that varies."""
         metallic = self.file.number(surface, "metallicFactor", 1.0, about, 0.0, 1.0)
         factor = np.float32(self.file.number(surface, "roughnessFactor", 1.0, about, 0.0, 1.0))
         if rough is None:
             return Constant(np.full(1, factor, np.float32)), metallic, False
         picture, matrix = self.textures.continued(rough, corners.of(self.file, rough.uv_set, where), where)
         varies = bool(metallic > 0 and np.ptp(picture[..., 2]) > 0)
-        metal = metallic * float(picture[..., 2].mean()) / 255.0
+        metal = metallic * corners.mean(picture[..., 2:3], matrix, rough.uv_set) / 255.0
         key = id(picture), "roughness", float(factor)
         if key not in self._pixels:
             self._pixels[key] = picture[..., 1:2].astype(np.float32) * (factor / np.float32(255.0))
