@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -34,13 +34,14 @@ GRID = 64
 """Columns and rows of the pixels that are looked at in each, the outermost ones among them."""
 LEAST_VIEWS = 5
 """Views that must show something at one place of the picture for it to be judged."""
-SURE = 4.0
-"""Standard errors from which on an effect is taken for one."""
 CHANCE = 0.01
-"""Probability that one place of the picture or more passes by chance, over all places (Bonferroni)."""
-MARKED = 0.05
-"""Relative difference from which on a place of the picture counts as marked; and how many make a mark."""
+"""Probability that anything is said by chance of photographs that have nothing wrong in common."""
+MATTERS = 0.1
+"""Relative effect that is not worth a word, however sure it is."""
+MEASURES = 4
+"""Edges, the fall towards corners, exposures, and light."""
 MARKS = 3
+"""Places of the picture that make a mark."""
 EDGE = 0.8
 """Part of an outermost row or column that has to be marked for it to be a border."""
 _PARTNERS = 4  # other views of a point: those that see it from the nearest directions, where highlights differ least
@@ -50,17 +51,47 @@ _ALIKE = 0.1
 """Times the usual scatter over photographs below which a place of the picture is left out at first: a border."""
 
 
+def bound(error: Any, units: Any, trials: float = MEASURES, matters: float = MATTERS) -> Any:
+    """The size from which on an effect is taken for one: by Student's t, of all trials together with a probability of
+    :data:`CHANCE` (Bonferroni), and if it is one that matters.
+
+    Args:
+        error: its standard error.
+        units: independent ones, that the error is over.
+        trials: how many effects are looked for.
+        matters: the size below which it does not matter.
+    """
+    from scipy.special import stdtrit  # imported where it is needed: it loads slowly
+
+    return np.maximum(matters, -stdtrit(np.maximum(units - 1, 1), CHANCE / (2.0 * trials)) * error)
+
+
+class Estimate(NamedTuple):
+    """A number that is estimated."""
+
+    value: float
+    error: float
+    """Its standard error."""
+    units: int
+    """Independent ones, that this is over."""
+
+    def off(self, usual: float) -> float:
+        """Squared distance from the usual one in standard errors, twice the logarithm of a ratio of likelihoods."""
+        return ((self.value - usual) / self.error) ** 2
+
+    def differs(self, usual: float = 0.0) -> bool:
+        """Whether it is surely another than the usual one, see :func:`bound`."""
+        return abs(self.value - usual) > float(bound(self.error, self.units))
+
+
 @dataclass(frozen=True)
 class SharedErrors:
     """What photographs have in common that surfaces do not."""
 
-    falloff: float
+    falloff: Estimate
     """Logarithm of the brightness towards the corners over that in the middle; negative with vignetting."""
-    falloff_error: float
-    spread: float
-    """Standard deviation over photographs of the logarithm of their gains."""
-    spread_error: float
-    """Standard error of one gain."""
+    spread: Estimate
+    """Standard deviation over photographs of the logarithm of their gains; the error is that of one gain."""
     border: dict[str, float]
     """Sides (left, right, top, bottom) with something that is the same in all photographs, and how far it reaches, as a
     fraction of the picture."""
@@ -157,10 +188,10 @@ def shared_errors(
     border, rest = _border(picture, known)
     inside = known & rest
     marks = int((picture & inside).sum())
-    return SharedErrors(
-        float(reach @ slopes), error, float(gains[seen].std()), gain_error, border,
-        marks / max(int(inside.sum()), 1), marks,
-    )  # fmt: skip
+    falloff, spread = (
+        Estimate(*x, views) for x in ((float(reach @ slopes), error), (float(gains[seen].std()), gain_error))
+    )
+    return SharedErrors(falloff, spread, border, marks / max(int(inside.sum()), 1), marks)
 
 
 def _pairs(
@@ -378,8 +409,6 @@ def _judged(pairs: _Pairs, views: int) -> tuple[Array, Array, Array, float, floa
 
 def _marked(pairs: _Pairs, residual: Array, before: Bools) -> Bools:
     """Places of the picture [cells] where the photographs together differ from what others show of the same points."""
-    from scipy.special import stdtrit  # imported where it is needed: it loads slowly
-
     cells, views = len(before), int(pairs.a.max()) + 1
     good = ~before[pairs.other]
     key, value = pairs.a[good] * cells + pairs.cell[good], residual[good]
@@ -395,8 +424,7 @@ def _marked(pairs: _Pairs, residual: Array, before: Bools) -> Bools:
     # A spread that is small by chance is none: a tenth of the usual one at least.
     error = np.sqrt((variance + (0.1 * noise) ** 2) / np.maximum(number, 1))
     known = number >= min(LEAST_VIEWS, views)
-    limit = -stdtrit(np.maximum(number - 1, 1), CHANCE / (2 * max(int(known.sum()), 1)))  # Student's quantile
-    marked: Bools = known & (np.abs(mean) > np.maximum(limit * error, MARKED))
+    marked: Bools = known & (np.abs(mean) > bound(error, number, max(int(known.sum()), 1)))
     return marked
 
 
