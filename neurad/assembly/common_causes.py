@@ -137,6 +137,8 @@ def _of_places(found: SharedErrors) -> list[str]:
 
 
 def _of_light(light: Transport, scale_known: bool) -> list[str]:
+    from scipy.optimize import minimize_scalar  # imported where it is needed: it loads slowly
+
     slope = light.slope()
     if not slope.differs(1.0):
         return []
@@ -150,8 +152,8 @@ def _of_light(light: Transport, scale_known: bool) -> list[str]:
             f"no surface in any photograph is darker than {100 * light.floor:.0f} % of their mean, and dark places are "
             f"brighter than the scene's light makes them: {', '.join(causes[:-1])} or {causes[-1]}; these look alike"
         ]
-    powers = np.linspace(0.4, 1.0, 25) if flat else np.linspace(1.0, 2.6, 33)
-    power = float(powers[np.argmin([abs(light.slope(float(p)).value - 1.0) for p in powers])])
+    among = (0.4, 1.0) if flat else (1.0, 2.6)
+    power = minimize_scalar(lambda p: (light.slope(p).value - 1.0) ** 2, bounds=among, options={"xatol": 0.02}).x
     causes = [f"a response curve that was not taken back (gamma, about {power:.1f})"]
     causes += (["light that is missing in the scene, such as a sky"] if flat and open_ else []) + lamps
     return [
