@@ -23,6 +23,7 @@ from benchmarks.bound.fields import training_run
 from benchmarks.true_views import training_truth
 from neurad.assembly.build import FittedMaterials
 from neurad.core.errors import InputError
+from neurad.core.parameters import ROUGHNESS
 from neurad.core.protocols import Materials
 from neurad.core.records import BoolArray, Float64Array, Surface, SurfaceInteraction
 from neurad.evidence.closing_calibration import robust_weight
@@ -97,7 +98,7 @@ class TrueRoughness:
     def __call__(self, si: SurfaceInteraction) -> Surface:
         """BSDF parameters at the lanes of ``si``."""
         found: Surface = self.fitted(si)
-        return Surface(found.albedo, self.truth(si).roughness, found.model)
+        return replace(found, roughness=self.truth(si).roughness)
 
     def albedo(self, si: SurfaceInteraction) -> Tensor:
         """The albedo alone [n, 3]."""
@@ -121,7 +122,7 @@ def measure_response(
             missing.
     """
     fitted, estimator = run.materials, run.assembly.estimator
-    if run.radiance is None or isinstance(fitted, TrueMaterials) or fitted.roughness is None:
+    if run.radiance is None or isinstance(fitted, TrueMaterials) or ROUGHNESS.name not in fitted.recovered:
         raise InputError(
             f"--ckpt_path {run.checkpoint}: this needs a fit of roughness by a method with a radiance field"
         )
@@ -155,7 +156,7 @@ def measure_response(
         as_fitted, as_true = _same_pixels(
             look("as fitted", fitted), look("with the true roughness", TrueRoughness(fitted, truth))
         )
-        recovered = fitted.roughness_at(torch.from_numpy(as_fitted.p)).squeeze(-1).cpu().numpy()
+        recovered = fitted.at(torch.from_numpy(as_fitted.p))[ROUGHNESS.name].squeeze(-1).cpu().numpy()
         wrong = true_roughness(as_fitted) - recovered
         rows = {
             "as fitted": evidence(as_fitted, to_cube, side)[0],

@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 
 from neurad.core.errors import InputError
+from neurad.core.parameters import ROUGHNESS
 from neurad.core.records import FloatArray
 from neurad.metrics.held_out import HeldOut
 from neurad.runs.load import LoadedRun
@@ -47,7 +48,7 @@ def check_truth(reader: HeldOut, kind: str) -> None:
     if not reader.views:
         raise InputError(f"the scene has no {kind} views to compare with")
     names = {"photograph": "photograph", "albedo_true": "true albedo"}
-    names |= {"roughness_true": "true roughness"} if reader.has_roughness else {}
+    names |= {"roughness_true": "true roughness"} if ROUGHNESS in reader.scene.parameters else {}
     for index, view in enumerate(reader.views):
         for name, words in names.items():
             if name not in reader.truth(index):

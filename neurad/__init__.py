@@ -27,7 +27,7 @@ def load(
 
     >>> run = neurad.load("lightning_logs/version_3")
     >>> points = run.surface(run.scene.test[0])
-    >>> run.albedo(points), run.roughness(points), run.render(run.scene.test[0], spp=16)
+    >>> run.map("albedo", points), run.map("roughness", points), run.render(run.scene.test[0], spp=16)
 
     Args:
         run: a run folder such as ``lightning_logs/version_3``, or a checkpoint in one; None or 'last' takes the newest

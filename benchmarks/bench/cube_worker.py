@@ -21,6 +21,7 @@ from neurad.assembly.build import FittedMaterials, build_world
 from neurad.assembly.settings import ModelSettings
 from neurad.core.camera import camera_rays
 from neurad.core.errors import InputError
+from neurad.core.parameters import ALBEDO
 from neurad.core.rng import Stream
 from neurad.fields.dense_grid import DenseGrid
 from neurad.fields.mlp import MLP
@@ -36,7 +37,7 @@ from neurad.runtime.allocator import keep_freed_memory
 from neurad.scene.builtin import build_cube
 from neurad.scene.description import Scene
 from neurad.scene.geometry import Geometry
-from neurad.scene.textures import TrueMaterials
+from neurad.scene.textures import SceneTexture, TrueMaterials
 from neurad.training.session import TrainingRun
 
 WARMUP = 2
@@ -147,7 +148,7 @@ def reflected_radiance(scene: Scene) -> float:
     """``E a rho / (1 - rho)`` with ``a`` the lights' fraction of the area: mean reflected light of a closed room."""
     geometry = Geometry(scene)
     light = float((geometry.face_area * geometry.emission[:, 0]).sum() / geometry.face_area.sum())
-    albedo = float(TrueMaterials(scene, geometry).albedo_table.constant[0, 0])
+    albedo = float(SceneTexture(scene, ALBEDO, geometry).table.constant[0, 0])
     return light * albedo / (1.0 - albedo)
 
 
@@ -155,7 +156,7 @@ def reflected_radiance(scene: Scene) -> float:
 def set_albedo(materials: FittedMaterials, albedo: float) -> None:
     """Set a new albedo field to ``albedo`` everywhere, so that throughput is the scene's; it stays trainable."""
     value = math.log(albedo / (1.0 - albedo))
-    for part in materials.albedo.modules():  # type: ignore[attr-defined]
+    for part in materials.recovered[ALBEDO.name].modules():
         if isinstance(part, DenseGrid):
             part.table.fill_(value)
         elif isinstance(part, MLP):

@@ -15,6 +15,7 @@ from torch import Tensor, nn
 
 from benchmarks.bench.machine import wait
 from datamodules.scene_data import SceneData
+from neurad.assembly.build import FittedMaterials
 from neurad.core.records import Rays
 from neurad.fields import dense_grid, hash_grid, mlp
 from neurad.integrators import vertex_diffuse, vertex_principled
@@ -181,7 +182,8 @@ def tensors(value: Any) -> list[Tensor]:
 def instrumented(module: InverseRenderer, recorder: Recorder) -> Iterator[None]:
     """Wrap what a training step calls, and restore it at the end."""
     world: World = module.world
-    parts = [module.materials.albedo, module.materials.roughness, module.radiance]
+    fitted = module.materials
+    parts: list[Any] = [*(fitted.recovered.values() if isinstance(fitted, FittedMaterials) else ()), module.radiance]
     plan: set[tuple[Any, str, str]] = {
         (SceneData, "batch", "batch"),
         (PrimaryHits, "__call__", "primary hits"),

@@ -11,6 +11,7 @@ from torch import Tensor
 from torch.nn.utils.rnn import pad_sequence
 
 from neurad.core.errors import InputError
+from neurad.core.parameters import recovered
 from neurad.core.protocols import Materials
 from neurad.core.records import PixelBatch, Surface, SurfaceInteraction
 from neurad.core.rng import Stream
@@ -105,7 +106,7 @@ class TrueMaps(pl.Callback):
         module: Any = pl_module
         scene, views = module.scene, module.step.objective
         reader = HeldOut(replace(scene, test=scene.train), module.world.geometry, module.world.tracer)
-        names = ("albedo", "roughness") if reader.has_roughness else ("albedo",)
+        names = [parameter.name for parameter in recovered(reader.scene.parameters)]
         parts: dict[str, list[Tensor]] = {name: [] for name in names}
         for index, view in enumerate(scene.train):
             found = reader.truth(index)

@@ -15,6 +15,7 @@ from benchmarks.bound.recovery import LOOSE_TOLERANCE, Photographed, Prior, Reco
 from benchmarks.bound.sparse import Rows
 from benchmarks.true_views import check_truth, training_truth
 from neurad.core.errors import InputError
+from neurad.core.parameters import RECOVERED, ROUGHNESS, recovered
 from neurad.core.protocols import Materials
 from neurad.core.records import BoolArray, FloatArray, IntArray, SurfaceInteraction
 from neurad.integrators.estimator import Estimator
@@ -33,7 +34,6 @@ POSITIONS, MAX_FOOTPRINT = (16, 9, 4), 1 << 23
 """In each training pixel, of which its footprint is made: as many as make no more than so many in all."""
 TRUTH_SPP = 64
 """Samples per pixel of true maps, whose own noise is part of them."""
-MAPS = ("albedo", "roughness")
 SEED = 20231123
 
 Errors = dict[str, float]
@@ -168,7 +168,7 @@ class Ladder:
             surface = self.truth(si)
             values.append(torch.cat((surface.albedo, surface.roughness), -1).view(primary.pixels, 2, 4).cpu())
         both = torch.cat(values).numpy()  # [views * pixels, 2, 4]
-        if not self.held_out.has_roughness:
+        if ROUGHNESS not in self.run.scene.parameters:
             both[..., 3] = 1.0
         width = self.run.scene.train[0].camera.width
         apart = torch.from_numpy(both[:, 0] - both[:, 1])
@@ -189,7 +189,7 @@ class Ladder:
         """Over the counted pixels, and over those of each region."""
         result = {}
         for suffix, masks in {"": None, **regions}.items():
-            for name in MAPS if self.held_out.has_roughness else MAPS[:1]:
+            for name in (parameter.name for parameter in recovered(self.run.scene.parameters)):
                 pool = Pool()
                 for index, entry in enumerate(maps):
                     counted = self.held_out.counted(index)
@@ -201,7 +201,7 @@ class Ladder:
 
     def regions(self) -> dict[str, list[BoolArray]]:
         """Pixels that are scored apart."""
-        if not self.held_out.has_roughness:
+        if ROUGHNESS not in self.run.scene.parameters:
             return {}
         parts = SceneModel(self.run.world, self.truth, self.run.radiance)
         method = self.run.settings.method
@@ -312,7 +312,7 @@ class Ladder:
         """Mean squared differences of two kinds of maps."""
         truth = self.held_out.truth
         moved = [
-            {name: truth(i)[f"{name}_true"] + a[name] - b[name] for name in MAPS if f"{name}_true" in truth(i)}
+            {name: truth(i)[f"{name}_true"] + a[name] - b[name] for name in RECOVERED if f"{name}_true" in truth(i)}
             for i, (a, b) in enumerate(zip(first, second, strict=True))
         ]
         return self.errors(moved, regions)

@@ -16,10 +16,11 @@ from benchmarks.peer.replay import Replay
 from benchmarks.peer.variant import load_mitsuba
 from benchmarks.peer.voxels import SurfaceVoxels, VoxelMaterials
 from neurad.core.errors import InputError
+from neurad.core.parameters import ALBEDO, ROUGHNESS
 from neurad.core.protocols import Tracer
 from neurad.core.ranges import Count, Fraction, NonNegative, Positive, Range, Seed, checked
 from neurad.core.records import FloatArray
-from neurad.fields.material import AlbedoField, RoughnessField
+from neurad.fields.material import MaterialField
 from neurad.fields.settings import FieldConfig, GridConfig
 from neurad.formats.load import load_scene
 from neurad.images.photographs import read_view
@@ -162,8 +163,8 @@ def _model(settings: PeerSettings, scene: Scene, voxels: SurfaceVoxels, tracer: 
     with clock.excluded():
         albedo, roughness = _sizes(settings, scene, tracer)
     bounds = torch.from_numpy(scene.bounds)
-    second = None if scene.features.is_diffuse else RoughnessField(roughness, bounds)
-    return Networks(voxels, AlbedoField(albedo, bounds), second, *rates, betas)
+    second = None if scene.features.is_diffuse else MaterialField(ROUGHNESS, roughness, bounds)
+    return Networks(voxels, MaterialField(ALBEDO, albedo, bounds), second, *rates, betas)
 
 
 def _sizes(settings: PeerSettings, scene: Scene, tracer: Tracer) -> tuple[FieldConfig, FieldConfig]:

@@ -9,7 +9,8 @@ from torch import Tensor, nn
 from torch.nn.functional import embedding_bag
 
 from benchmarks.peer.voxels import SurfaceVoxels, coarser
-from neurad.fields.material import MIN_ROUGHNESS, AlbedoField, RoughnessField
+from neurad.core.parameters import ROUGHNESS
+from neurad.fields.material import MaterialField
 from neurad.optim.sparse_row_adam import SparseRowAdam
 
 COARSEST = 4
@@ -79,8 +80,8 @@ class Networks(nn.Module):
     def __init__(
         self,
         voxels: SurfaceVoxels,
-        albedo: AlbedoField,
-        roughness: RoughnessField | None,
+        albedo: MaterialField,
+        roughness: MaterialField | None,
         rate: float,
         roughness_rate: float,
         betas: tuple[float, float] = (0.9, 0.99),
@@ -109,7 +110,7 @@ def _adam(
 
 def _bounded(unit: Tensor) -> Tensor:
     """Values in (0, 1) [n, 4] with the roughness moved to the range that neurad's own field has."""
-    return torch.cat((unit[:, :3], MIN_ROUGHNESS + (1.0 - MIN_ROUGHNESS) * unit[:, 3:]), -1)
+    return torch.cat((unit[:, :3], ROUGHNESS.low + (1.0 - ROUGHNESS.low) * unit[:, 3:]), -1)
 
 
 class _Upsample:

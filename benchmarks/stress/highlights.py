@@ -10,6 +10,7 @@ import torch
 from benchmarks.stress.case import Case, Outcome
 from benchmarks.stress.fit import Fit, Plan, photographs
 from benchmarks.stress.scenes import small_cube, with_material
+from neurad.core.parameters import ROUGHNESS
 from neurad.core.records import Constant, EnvironmentMap, Material
 from neurad.core.reflection import PrincipledModel
 from neurad.scene.builtin.plain import views
@@ -73,8 +74,7 @@ def _no_highlight() -> Case:
         bars = error_bars(training.assembly, training.views, fit.photos, training.step.counters)
         if bars is None:
             raise FloatingPointError("the fit has no error bars")
-        std = bars.at(fit.materials, si.p)[1]
-        assert std is not None
+        std = bars.at(fit.materials, si.p)[ROUGHNESS.name]
         found = fit.surface(si)
         with torch.no_grad():
             truth = TrueMaterials(scene, fit.world.geometry)(si)

@@ -15,6 +15,7 @@ import numpy as np
 import torch
 
 from benchmarks.stress.fit import Fit, Plan, plan_of, resized
+from neurad.core.parameters import ROUGHNESS
 from neurad.core.records import Constant, EnvironmentMap
 from neurad.core.reflection import PrincipledModel
 from neurad.emitters.area import AreaLights
@@ -86,7 +87,7 @@ def parts(fit: Fit) -> tuple[list[str], list[str]]:
         "area lights": not isinstance(world.lights, Environment),
         "environment": not isinstance(world.lights, AreaLights),
         "specular lobe": not world.bsdf.is_diffuse,
-        "roughness field": fit.materials.roughness is not None,
+        "roughness field": ROUGHNESS.name in fit.materials.recovered,
         "control variate": world.bsdf.varying_weight,
         "guide": world.guide is not None,
         "radiance by direction": "direction" in fit.radiance.inputs,

@@ -91,8 +91,8 @@ def _estimate(albedo: float, roughness: float) -> Case:
         images = photographs(replace(scene, max_depth=4), 4)
         fit = Fit(scene, images, Plan(steps=1))
         with torch.no_grad():
-            for field, value in ((fit.materials.albedo, albedo), (fit.materials.roughness, roughness)):
-                list(field.mlp.parameters())[-1].fill_(40.0 if value >= 1 else -40.0)  # type: ignore[union-attr]
+            for field, value in zip(fit.materials.recovered.values(), (albedo, roughness), strict=True):
+                list(field.mlp.parameters())[-1].fill_(40.0 if value >= 1 else -40.0)
         worst = 0.0
         for i in range(5 if quick else 50):
             loss = fit.advance(i / 50)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 from functools import cache, partial
 
@@ -20,13 +20,14 @@ from neurad.assembly.region import Region, training_region
 from neurad.assembly.resolution import finest_cells, resolve_finest
 from neurad.assembly.settings import ModelSettings
 from neurad.bsdf.table import make_bsdf
-from neurad.core.protocols import Emitter, Field
+from neurad.core.parameters import ALBEDO, ROUGHNESS, SurfaceParameter, recovered
+from neurad.core.protocols import Emitter
 from neurad.core.records import Surface, SurfaceInteraction
 from neurad.emitters.fitted import FittedEnvironment
 from neurad.emitters.fitted_lamps import FittedLamps
 from neurad.emitters.lights import Lights, WithPunctual, make_lights
 from neurad.fields.development import FittedDevelopment
-from neurad.fields.material import CORRECTION_CELLS, CORRECTION_FACTOR, AlbedoField, Correction, RoughnessField
+from neurad.fields.material import CORRECTION_CELLS, CORRECTION_FACTOR, Correction, MaterialField
 from neurad.fields.radiance import RadianceField
 from neurad.fields.settings import FieldConfig, RadianceConfig, RoughnessConfig
 from neurad.integrators.delta import DeltaSurfaces
@@ -38,7 +39,7 @@ from neurad.integrators.world import World
 from neurad.optim.polyak_average import PolyakAverage
 from neurad.scene.description import Scene
 from neurad.scene.geometry import Geometry
-from neurad.scene.textures import OnEmitters, TrueMaterials
+from neurad.scene.textures import OnEmitters, SceneTexture, TrueMaterials
 from neurad.tracing.counting import CountingTracer
 from neurad.tracing.select import make_tracer
 
@@ -85,68 +86,79 @@ def set_light_radius(world: World, region: Region) -> None:
 
 
 class FittedMaterials(nn.Module):
-    """Materials read from fields.
+    """Surface parameters by name, each read from a field or, where a fit does not recover it, from the scene.
 
     Args:
-        albedo: field with three channels in [0, 1].
-        roughness: field with one channel, or None for a Lambertian scene, which has no roughness to find.
+        fields: of the parameters that the scene has, the albedo first.
     """
 
-    def __init__(self, albedo: Field, roughness: RoughnessField | None) -> None:
+    def __init__(self, fields: Mapping[str, nn.Module]) -> None:
         super().__init__()
-        self.albedo = albedo
-        self.roughness = roughness
+        self.fields = nn.ModuleDict(fields)
         self.known_meshes: frozenset[int] = frozenset()
         """Meshes on which the scene's own values hold, see :func:`pin_emitter_materials`."""
+
+    @property
+    def recovered(self) -> dict[str, MaterialField]:
+        """The fields that are trained, by name of their parameter."""
+        return {name: field for name, field in self.fields.items() if isinstance(field, MaterialField)}
 
     def forward(self, si: SurfaceInteraction) -> Surface:
         """BSDF parameters at the lanes of ``si``."""
         albedo = self.albedo(si)
-        if self.roughness is None:  # not read: one number for all lanes
-            return Surface(albedo, albedo.new_ones(1, 1).expand(len(albedo), 1))
-        roughness: Tensor = self.roughness(si, albedo)
-        return Surface(albedo, roughness)
+        values = {name: albedo if name == ALBEDO.name else field(si, albedo) for name, field in self.fields.items()}
+        if ROUGHNESS.name not in values:  # not read: one number for all lanes
+            values[ROUGHNESS.name] = albedo.new_full((1, 1), ROUGHNESS.absent).expand(len(albedo), 1)
+        return Surface(**values)
+
+    def albedo(self, si: SurfaceInteraction) -> Tensor:
+        """The albedo alone [n, 3]."""
+        albedo: Tensor = self.fields[ALBEDO.name](si)
+        return albedo
 
     def to_unit_cube(self, p: Tensor) -> Tensor:
         """Positions [n, 3] in the scene's frame, on any device, to the unit cube that the fields span [n, 3]."""
-        cube: nn.Module = self.albedo.cube  # type: ignore[attr-defined]
+        cube = self.recovered[ALBEDO.name].cube
         inside: Tensor = cube(p.to(next(iter(cube.buffers())).device))
         return inside
 
-    def albedo_at(self, p: Tensor) -> Tensor:
-        """Albedo [n, 3] at positions [n, 3] in the scene's frame, on any device."""
-        found: Tensor = self.albedo.at(p.to(next(iter(self.albedo.parameters())).device))  # type: ignore[attr-defined]
-        return found
-
-    def roughness_at(self, p: Tensor) -> Tensor:
-        """Roughness [n, 1] at such positions; 1 in a Lambertian scene."""
-        albedo = self.albedo_at(p)
-        return torch.ones_like(albedo[:, :1]) if self.roughness is None else self.roughness.at(p.to(albedo), albedo)
+    def at(self, p: Tensor) -> dict[str, Tensor]:
+        """Recovered parameters [n, channels] at positions [n, 3] in the scene's frame, on any device, by name."""
+        fields = self.recovered
+        p = p.to(next(iter(fields[ALBEDO.name].parameters())).device)
+        albedo = fields[ALBEDO.name].at(p)
+        return {name: albedo if name == ALBEDO.name else field.at(p, albedo) for name, field in fields.items()}
 
 
 def build_materials(
     scene: Scene,
-    albedo: FieldConfig,
-    roughness: FieldConfig,
-    geometry: Geometry | None = None,
+    configs: Mapping[str, FieldConfig],
+    geometry: Geometry,
     region: Region | None = None,
+    known_emitters: bool = True,
 ) -> FittedMaterials:
-    """Fields for albedo and, where the scene is not Lambertian, roughness.
+    """A field for each of the scene's parameters that a fit recovers; the others are read from the scene.
 
-    With the scene's ``geometry`` emitting surfaces keep the albedo and roughness of the scene file: these are part of
-    the light, and photographs do not show them. They are shaded by the fitted model (principled, or diffuse in a
-    Lambertian scene) like every recovered surface, whatever model the file gives them. The grids span ``region``, by
-    default all triangles.
+    Args:
+        scene: to be fitted.
+        configs: sizes of the fields by name of the parameter.
+        geometry: of the scene.
+        region: what the grids span, by default all triangles.
+        known_emitters: emitting surfaces keep what the scene file says of them: that is part of the light, and
+            photographs do not show it. They are shaded by the fitted model (principled, or diffuse in a Lambertian
+            scene) like every recovered surface, whatever model the file gives them.
     """
     region = region or Region(scene.bounds)
     bounds, cells = torch.from_numpy(region.bounds), region.cells(CORRECTION_CELLS, CORRECTION_FACTOR)
-    materials = FittedMaterials(
-        AlbedoField(region.stretched(albedo), bounds, contracted=region.contracted),
-        None
-        if scene.features.is_diffuse
-        else RoughnessField(region.stretched(roughness), bounds, None, region.contracted, cells),
-    )
-    if geometry is not None:
+
+    def made(parameter: SurfaceParameter) -> nn.Module:
+        if not parameter.is_recovered:
+            return SceneTexture(scene, parameter, geometry)
+        config = region.stretched(configs[parameter.name])
+        return MaterialField(parameter, config, bounds, region.contracted, cells)
+
+    materials = FittedMaterials({parameter.name: made(parameter) for parameter in scene.parameters})
+    if known_emitters:
         pin_emitter_materials(materials, scene, geometry)
     return materials
 
@@ -154,7 +166,7 @@ def build_materials(
 def pin_emitter_materials(
     materials: FittedMaterials, scene: Scene, geometry: Geometry, meshes: frozenset[int] = frozenset()
 ) -> None:
-    """Let emitting surfaces have the albedo and roughness of the scene file.
+    """Let emitting surfaces have what the scene file says of them.
 
     Args:
         materials: whose fields are read elsewhere.
@@ -164,10 +176,8 @@ def pin_emitter_materials(
             show what they reflect.
     """
     if scene.features.has_area_lights or meshes:
-        textures = ([m.albedo for m in scene.materials], 3), ([m.roughness for m in scene.materials], 1)
-        for part, texture in zip((materials.albedo, materials.roughness), textures, strict=True):
-            if isinstance(part, AlbedoField | RoughnessField):
-                part.known = OnEmitters(*texture, geometry, meshes).to(geometry.vertices.device)
+        for field in materials.recovered.values():
+            field.known = OnEmitters(scene, field.parameter, geometry, meshes).to(geometry.vertices.device)
     materials.known_meshes = meshes | set(lamps_of_scene(scene))
 
 
@@ -192,7 +202,7 @@ def make_guide(scene: Scene, cells: int, method: Method, region: Region) -> Guid
 
 def make_focus(scene: Scene, fraction: float, materials: FittedMaterials | TrueMaterials) -> PixelImportance | None:
     """What draws a fraction of the pixels where they tell of roughness; None where there is none to recover."""
-    recovers = isinstance(materials, FittedMaterials) and materials.roughness is not None
+    recovers = isinstance(materials, FittedMaterials) and ROUGHNESS.name in materials.recovered
     return PixelImportance([view.camera for view in scene.train], fraction) if recovers and fraction > 0 else None
 
 
@@ -228,9 +238,10 @@ class Assembly:
     @property
     def correction(self) -> Correction | None:
         """What a closing step adds to the roughness; None in a run that makes none."""
-        if self.radiance is None or not isinstance(self.materials, FittedMaterials) or self.materials.roughness is None:
+        if self.radiance is None or not isinstance(self.materials, FittedMaterials):
             return None
-        return self.materials.roughness.correction
+        field = self.materials.recovered.get(ROUGHNESS.name)
+        return None if field is None else field.correction
 
     @property
     def estimator(self) -> Estimator:
@@ -281,10 +292,15 @@ def assemble(
     if settings.materials == "known":
         materials = TrueMaterials(scene, world.geometry)
     else:
-        albedo, roughness = resolve_finest(settings.albedo, cells), resolve_finest(settings.roughness, cells)
-        if isinstance(roughness, RoughnessConfig) and (environment is not None or not settings.method.needs_field):
-            roughness = replace(roughness, closing_step=False)  # residuals are then not those of materials alone
-        materials = build_materials(scene, albedo, roughness, world.geometry if known_emitters else None, region)
+        configs = {p.name: resolve_finest(getattr(settings, p.name), cells) for p in recovered(scene.parameters)}
+        if (
+            environment is not None or not settings.method.needs_field
+        ):  # residuals are then not those of materials alone
+            configs = {
+                name: replace(config, closing_step=False) if isinstance(config, RoughnessConfig) else config
+                for name, config in configs.items()
+            }
+        materials = build_materials(scene, configs, world.geometry, region, known_emitters)
         if optimization.average > 0:
             average = PolyakAverage(materials, optimization.average)
     needs_field = settings.method.needs_field

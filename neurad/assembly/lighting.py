@@ -83,7 +83,7 @@ def unknown_environment(scene: Scene, settings: Lighting) -> FittedEnvironment |
             f"scene {scene.name}: model.lighting.environment is fit, but scene.xml has no environment emitter "
             "(a constant one is enough)"
         )
-    return FittedEnvironment(scene.environment, settings.width, settings.height)
+    return FittedEnvironment(scene.environment, settings.width, max(settings.width // 2, 2))
 
 
 def unknown_lamps(scene: Scene, geometry: Geometry, settings: Lighting) -> FittedLamps | None:

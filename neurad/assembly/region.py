@@ -57,7 +57,7 @@ class Region:
 
     def stretched(self, config: Config) -> Config:
         """``config`` with its cells counted over the whole unit cube."""
-        if not self.contracted or config.kind != "hash" or config.grid.finest is None:
+        if not self.contracted or not config.has_levels or config.grid.finest is None:
             return config
         coarsest, finest = (min(self.cells(x), 1 << 20) for x in (config.grid.coarsest, config.grid.finest))
         return replace(config, grid=replace(config.grid, coarsest=coarsest, finest=finest))

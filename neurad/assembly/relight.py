@@ -9,6 +9,7 @@ import torch
 from torch import Tensor, nn
 
 from neurad.assembly.build import Assembly, FittedMaterials, build_world, pin_emitter_materials
+from neurad.core.parameters import PARAMETERS
 from neurad.core.records import EnvironmentMap, Surface, SurfaceInteraction
 from neurad.formats.edits.edit import Edited
 from neurad.integrators.method import SceneModel
@@ -59,41 +60,32 @@ class EditedMaterials(nn.Module):
         geometry: of the scene after the edit.
     """
 
-    albedo_given: Tensor
-    roughness_given: Tensor
+    given: Tensor
+    """Which meshes have what they are given [parameters, meshes], bool."""
 
     def __init__(self, fields: FittedMaterials, edited: Edited, geometry: Geometry) -> None:
         super().__init__()
         self.fields = fields
         self.known = TrueMaterials(edited.scene, geometry)
         self.geometry = geometry
-        for name, given in (("albedo", edited.albedo), ("roughness", edited.roughness)):
-            meshes = torch.zeros(len(edited.scene.meshes), dtype=torch.bool)
-            meshes[sorted(given | fields.known_meshes)] = True
-            self.register_buffer(f"{name}_given", meshes, persistent=False)
+        given = torch.zeros(len(PARAMETERS), len(edited.scene.meshes), dtype=torch.bool)
+        for row, parameter in enumerate(PARAMETERS):
+            given[row, sorted(edited.painted.get(parameter.name, frozenset()) | fields.known_meshes)] = True
+        self.register_buffer("given", given, persistent=False)
 
     @torch.no_grad()
     def forward(self, si: SurfaceInteraction) -> Surface:
         """BSDF parameters at the lanes of ``si``."""
         known: Surface = self.known(si)
         mesh = self.geometry.mesh_index[si.prim.clamp_min(0)]
-        recovered = self._albedo(si)
-        roughness = known.roughness
-        if self.fields.roughness is not None:
-            rough = self.fields.roughness.at(si.p, recovered)
-            roughness = torch.where(self.roughness_given[mesh].unsqueeze(-1), known.roughness, rough)
-        albedo = torch.where(self.albedo_given[mesh].unsqueeze(-1), known.albedo, recovered)
-        return Surface(albedo, roughness, known.model)
+        given = dict(zip((parameter.name for parameter in PARAMETERS), self.given[:, mesh].unsqueeze(-1), strict=True))
+        recovered = self.fields.at(si.p)
+        values = {name: torch.where(given[name], getattr(known, name), found) for name, found in recovered.items()}
+        return replace(known, **values)
 
-    @torch.no_grad()
     def albedo(self, si: SurfaceInteraction) -> Tensor:
         """The albedo alone [n, 3]."""
-        given = self.albedo_given[self.geometry.mesh_index[si.prim.clamp_min(0)]].unsqueeze(-1)
-        return torch.where(given, self.known.albedo(si), self._albedo(si))
-
-    def _albedo(self, si: SurfaceInteraction) -> Tensor:
-        found: Tensor = self.fields.albedo.at(si.p)  # type: ignore[attr-defined]
-        return found
+        return self(si).albedo  # type: ignore[no-any-return]
 
 
 def relit(assembly: Assembly, edited: Edited) -> SceneModel:

@@ -28,7 +28,7 @@ Config = TypeVar("Config", bound=FieldConfig)
 
 def resolve_finest(config: Config, cells: Callable[[], int]) -> Config:
     """``config`` with a ``finest`` level of ``cells`` where the config leaves it open, and only then calls it."""
-    if config.kind != "hash" or config.grid.finest is not None:
+    if not config.has_levels or config.grid.finest is not None:
         return config
     return replace(config, grid=replace(config.grid, finest=max(config.grid.coarsest, cells())))
 

@@ -7,7 +7,6 @@ from typing import Annotated, Literal
 
 from neurad.core.errors import InputError
 from neurad.core.ranges import (
-    Count,
     CountOrZero,
     Fraction,
     NonNegative,
@@ -119,11 +118,7 @@ class Lighting:
     """Whether each connected part of a lamp's mesh is a lamp by itself, as the bulbs of a chandelier are that differ;
     where radiance is recovered."""
     width: Annotated[int, Range(2, 1 << 14)] = 256
-    """Texels across of a map to recover."""
-    height: Annotated[int, Range(2, 1 << 14)] = 128
-    """Its texels from pole to pole."""
-    refresh: Count = 20
-    """Iterations after which directions are sampled by the present map instead of an older one."""
+    """Texels across of a map to recover; from pole to pole it has half as many."""
     detail_decay: NonNegative = 0.3
     """Decay of the map's detail, so that what no photograph shows stays smooth; 0 leaves it out."""
     lamp_mismatch: Literal["refuse", "warn"] = "refuse"
@@ -190,8 +185,6 @@ class Optimization:
     average: Fraction = 0.0
     """Evaluations and results show materials averaged over this fraction of the iterations so far, which takes out the
     noise that high learning rates leave; 0 shows the present ones."""
-    clip: NonNegative = 0.0
-    """Largest norm of an optimizer's gradient, a longer one is scaled down to it; 0 leaves gradients as they are."""
     matmul: Literal["highest", "high", "medium"] = "highest"
     """Products inside the networks while they train: ``highest`` is float32, ``high`` allows TF32 on GPUs that have it,
     ``medium`` the same there and bfloat16 on CPUs, in all layers but a network's last, gradients included. Weights and

@@ -22,9 +22,10 @@ def lobes_pdf(
     wi: Tensor,
     eta: float,
     specular_fraction: float | Tensor = 0.5,
-    metallic: float = 0.0,
+    metallic: Tensor | None = None,
 ) -> tuple[Tensor, Tensor, Tensor]:
-    """Diffuse and specular lobe and the density; any device and dtype, differentiable in roughness.
+    """Diffuse and specular lobe and the density; any device and dtype, differentiable in roughness and
+    metallic.
 
     With h the normalised ``wo + wi`` and ``c = h.wo = |wo + wi| / 2``:
     ``d = cos / pi ((1 - Fo/2)(1 - Fi/2) + R (Fo + Fi + Fo Fi (R - 1)))``, ``R = 2 roughness c^2`` (Burley 2012, 5.3,
@@ -40,7 +41,7 @@ def lobes_pdf(
         wi: towards the light, local [n, 3].
         eta: refractive index, inside over outside.
         specular_fraction: probability p of the specular lobe, of all lanes or of each [n].
-        metallic: 0 is a dielectric, 1 a metal.
+        metallic: 0 is a dielectric, 1 a metal [n, 1]; None where all lanes are dielectrics.
 
     Returns:
         d [n] and s [n] with ``f cos(wi) = albedo d + s``, and the detached pdf [n].
@@ -55,9 +56,9 @@ def lobes_pdf(
     both, cosine = fo * fi, zi * INV_PI
     retro = (2.0 * c * c) * r
     d = cosine * ((1.0 - 0.5 * fo) * (1.0 - 0.5 * fi) + retro * (fo + fi - both + retro * both))
-    if metallic > 0.0:
-        grazing = _schlick(c)
-        d = (1.0 - metallic) * d + metallic * (1.0 - grazing) * ggx
-        s = (1.0 - metallic) * s + metallic * grazing * ggx
+    if metallic is not None:
+        m, grazing = metallic.squeeze(-1), _schlick(c)
+        d = (1.0 - m) * d + m * (1.0 - grazing) * ggx
+        s = (1.0 - m) * s + m * grazing * ggx
     pdf = torch.where(zi > 0, (1.0 - specular_fraction) * cosine + specular_fraction * ggx_pdf, 0.0)
     return d, s, pdf

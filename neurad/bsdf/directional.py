@@ -17,7 +17,6 @@ from torch import Tensor
 from torch.autograd.function import once_differentiable
 
 from neurad.bsdf import principled_kernels as kernels
-from neurad.bsdf.burley import lobes_pdf
 from neurad.core.records import Surface
 from neurad.runtime.dispatch import use_kernel
 
@@ -31,58 +30,55 @@ SAMPLES = 2048
 
 @functools.lru_cache(maxsize=16)
 @torch.inference_mode(False)
-def table(eta: float, device: torch.device, metallic: float = 0.0) -> Tensor:
-    """Diffuse and specular part and their derivatives by the roughness [ROUGHNESSES * COSINES, 4]."""
+def table(eta: float, device: torch.device, metal: bool = False) -> Tensor:
+    """Diffuse and specular part and their derivatives by the roughness; with ``metal`` also those of the two parts by
+    the metalness, and what these are by the roughness: [ROUGHNESSES * COSINES, 4 or 8].
+    """
     points = torch.quasirandom.SobolEngine(3, scramble=True, seed=1)  # type: ignore[no-untyped-call]
     u = points.draw(SAMPLES).repeat(COSINES, 1)
     cosine = (torch.arange(COSINES) / (COSINES - 1)).square().clamp_min(1e-3).repeat_interleave(SAMPLES)
     wo = torch.stack(((1.0 - cosine * cosine).sqrt(), torch.zeros_like(cosine), cosine), -1)
-    wi, out, half = torch.empty_like(wo), torch.empty(5, len(wo)), np.array([0.5], np.float32)
+    wi, out, half = torch.empty_like(wo), torch.empty(7, len(wo)), np.array([0.5], np.float32)
     rows = []
     for step in range(ROUGHNESSES):
-        roughness = torch.full_like(cosine, max(step / (ROUGHNESSES - 1), 1e-3)).unsqueeze(-1)
-        kernels.direction(roughness.numpy(), wo.numpy(), u.numpy(), half, wi.numpy())
-        if metallic == 0.0:
-            kernels.lobes_pdf(roughness.numpy(), wo.numpy(), wi.numpy(), np.float32(eta), half, out.numpy())
-        else:
-            out = _with_derivatives(roughness, wo, wi, eta, metallic)
+        roughness = torch.full_like(cosine, max(step / (ROUGHNESSES - 1), 1e-3)).unsqueeze(-1).numpy()
+        kernels.direction(roughness, wo.numpy(), u.numpy(), half, wi.numpy())
+        kernels.lobes_pdf(roughness, wo.numpy(), wi.numpy(), np.float32(eta), half, out[:5].numpy())
+        values = out[[0, 1, 3, 4]]
+        if metal:  # d + m dd/dm for every metalness m, so the derivatives at 0 and 1 tell all
+            kernels.add_metal(roughness, np.ones_like(roughness), wo.numpy(), wi.numpy(), out.numpy())
+            values = torch.cat((values, out[5:], out[3:5] - values[2:]))
         inverse = torch.where(out[2] > 0, 1.0 / out[2], 0.0)
-        rows.append((out[[0, 1, 3, 4]] * inverse).view(4, COSINES, SAMPLES).mean(-1).t())
-    return torch.cat(rows).to(device)
+        rows.append((values * inverse).view(len(values), COSINES, SAMPLES).mean(-1).t())
+    return torch.cat(rows).contiguous().to(device)
 
 
-@torch.enable_grad()
-def _with_derivatives(roughness: Tensor, wo: Tensor, wi: Tensor, eta: float, metallic: float) -> Tensor:
-    """Rows d, s, pdf and the derivatives of d and s [5, n], which no kernel finds for metals."""
-    leaf = roughness.requires_grad_()
-    d, s, pdf = lobes_pdf(leaf, wo, wi, eta, 0.5, metallic)
-    derivatives = [torch.autograd.grad(x.sum(), leaf, retain_graph=True)[0].squeeze(-1) for x in (d, s)]
-    return torch.stack((d.detach(), s.detach(), pdf, *derivatives))
-
-
-def mean_lobes(
-    roughness: Tensor, cosine: Tensor, eta: float, metallic: float = 0.0, use_kernels: bool = True
-) -> Tensor:
-    """Diffuse and specular part and their derivatives by the roughness [4, n], bilinear in the table, without a graph.
+def mean_lobes(surface: Surface, cosine: Tensor, eta: float, use_kernels: bool = True) -> Tensor:
+    """Diffuse and specular part and their derivatives by the roughness, with a metalness by that, too: [4 or 6, n],
+    bilinear in the table, without a graph.
 
     Args:
-        roughness: [n, 1].
+        surface: its roughness [n, 1], and its metalness [n, 1] if there is one.
         cosine: between viewer and normal [n].
-        eta: refractive index of the specular lobe.
-        metallic: 0 is a dielectric, 1 a metal.
+        eta: refractive index of the dielectric's specular lobe.
         use_kernels: use the compiled kernel where it applies (float32 on the CPU).
     """
-    entries = table(eta, roughness.device, metallic)
+    roughness = surface.roughness.detach()
+    entries = table(eta, roughness.device, surface.metallic is not None)
     if use_kernel(use_kernels, roughness, cosine, differentiable=True):
-        out = torch.empty(4, len(cosine))
+        out = torch.empty(entries.shape[1], len(cosine))
         rough, cos = (x.detach().contiguous().numpy() for x in (roughness, cosine))
         kernels.mean_lobes(rough, cos, entries.numpy(), ROUGHNESSES, COSINES, out.numpy())
+    else:
+        out = _mean_lobes_reference(roughness, cosine.detach(), entries)
+    if surface.metallic is None:
         return out
-    return _mean_lobes_reference(roughness.detach(), cosine.detach(), entries)
+    values = out[:4] + surface.metallic.detach().squeeze(-1) * out[4:]
+    return torch.cat((values, out[4:6]))
 
 
 def _mean_lobes_reference(roughness: Tensor, cosine: Tensor, entries: Tensor) -> Tensor:
-    """:func:`mean_lobes` in plain torch, on any device."""
+    """Bilinear values of the table in plain torch, on any device."""
     row = roughness.squeeze(-1).clamp(0.0, 1.0) * (ROUGHNESSES - 1)
     column = cosine.clamp(0.0, 1.0).sqrt() * (COSINES - 1)
     low, left = row.floor().clamp_max(ROUGHNESSES - 2), column.floor().clamp_max(COSINES - 2)
@@ -97,22 +93,23 @@ class _Lookup(torch.autograd.Function):
     """Bilinear value of the table, its gradient from the tabulated derivatives."""
 
     @staticmethod
-    def forward(ctx: Any, roughness: Tensor, cosine: Tensor, eta: float, metallic: float) -> tuple[Tensor, Tensor]:
-        d, s, d_by_roughness, s_by_roughness = mean_lobes(roughness, cosine, eta, metallic).unbind(0)
-        ctx.save_for_backward(d_by_roughness, s_by_roughness)
+    def forward(ctx: Any, surface: Surface, cosine: Tensor, eta: float, *scalars: Tensor) -> tuple[Tensor, Tensor]:
+        d, s, *derivatives = mean_lobes(surface, cosine, eta).unbind(0)
+        ctx.save_for_backward(*derivatives)
         return d, s
 
     @staticmethod
     @once_differentiable
-    def backward(ctx: Any, *grads: Tensor) -> tuple[Tensor, None, None, None]:
-        d_by_roughness, s_by_roughness = ctx.saved_tensors
-        return (grads[0] * d_by_roughness + grads[1] * s_by_roughness).unsqueeze(-1), None, None, None
+    def backward(ctx: Any, *grads: Tensor) -> tuple[Tensor | None, ...]:
+        by = ctx.saved_tensors
+        pairs = zip(by[::2], by[1::2], strict=True)
+        return (None, None, None, *((grads[0] * d + grads[1] * s).unsqueeze(-1) for d, s in pairs))
 
 
-def directional_albedo(surface: Surface, cosine: Tensor, eta: float, metallic: float = 0.0) -> Tensor:
+def directional_albedo(surface: Surface, cosine: Tensor, eta: float) -> Tensor:
     """``int f cos(wi) dwi`` towards viewers at ``cosine`` [n] from the normal: [n, 3], differentiable in ``surface``.
 
     Tabulated; the error is below 1 % of it, except for cosines under 0.01.
     """
-    d, s = _Lookup.apply(surface.roughness, cosine, eta, metallic)  # type: ignore[no-untyped-call]
+    d, s = _Lookup.apply(surface, cosine, eta, *surface.scalars)  # type: ignore[no-untyped-call]
     return torch.addcmul(s.unsqueeze(-1), surface.albedo, d.unsqueeze(-1))

@@ -1,5 +1,5 @@
-"""Burley's reflection model with base colour and roughness: Mitsuba's ``principled`` with ``eta`` and
-``metallic``, all else left at its default.
+"""Burley's reflection model with base colour, roughness and metalness: Mitsuba's ``principled`` with ``eta``, all else
+left at its default.
 """
 
 from __future__ import annotations
@@ -24,10 +24,12 @@ from neurad.runtime.dispatch import use_kernel
 
 @dataclass(frozen=True)
 class PrincipledKernels:
-    """The compiled lobes, for float32 on the CPU."""
+    """The compiled lobes, for float32 on the CPU. All arguments need the same number of lanes: kernels would read past
+    their ends, so others are a ValueError.
+    """
 
     eta: float
-    """Refractive index of the specular lobe, inside over outside."""
+    """Refractive index of the dielectric's specular lobe, inside over outside."""
     specular_fraction: float | Tensor
     """Probability of the specular lobe, of all lanes or of each [n]."""
 
@@ -40,105 +42,103 @@ class PrincipledKernels:
         found: FloatArray = self.specular_fraction.contiguous().numpy()
         return found
 
-    def lobes(self, roughness: Tensor, wo: Tensor, wi: Tensor) -> Tensor:
-        """Rows d, s, pdf of :func:`lobes_pdf` and dd/droughness, ds/droughness [5, n].
-
-        Raises:
-            ValueError: the arguments have different numbers of lanes; the kernel would read past their ends.
+    def lobes(self, surface: Surface, wo: Tensor, wi: Tensor) -> Tensor:
+        """Rows d, s, pdf of :func:`lobes_pdf`, dd/droughness and ds/droughness, and with a metalness its derivatives,
+        too: [5 or 7, n].
         """
-        if not roughness.shape[0] == wo.shape[0] == wi.shape[0]:
-            raise ValueError(f"lanes differ: roughness {roughness.shape[0]}, wo {wo.shape[0]}, wi {wi.shape[0]}")
-        rough, view, towards = (x.detach().contiguous().numpy() for x in (roughness, wo, wi))
-        out = torch.empty(5, len(wo))
+        rough, metal, view, towards = _arrays(surface, wo, wi)
+        out = torch.empty(5 if metal is None else 7, len(wo))
         kernels.lobes_pdf(rough, view, towards, np.float32(self.eta), self._fraction(len(wo)), out.numpy())
+        if metal is not None:
+            kernels.add_metal(rough, metal, view, towards, out.numpy())
         return out
 
-    def direction(self, roughness: Tensor, wo: Tensor, u: Tensor) -> Tensor:
+    def direction(self, surface: Surface, wo: Tensor, u: Tensor) -> Tensor:
         """Draw ``wi`` [n, 3].
 
         Args:
-            roughness: [n, 1].
+            surface: [n].
             wo: towards the viewer, local [n, 3].
             u: uniform numbers [n, 3]: the first picks the lobe, the others a direction, as in Mitsuba.
-
-        Raises:
-            ValueError: the arguments have different numbers of lanes; the kernel would read past their ends.
         """
-        if not roughness.shape[0] == wo.shape[0] == u.shape[0]:
-            raise ValueError(f"lanes differ: roughness {roughness.shape[0]}, wo {wo.shape[0]}, u {u.shape[0]}")
-        rough, view, numbers = (x.detach().contiguous().numpy() for x in (roughness, wo, u))
+        rough, _, view, numbers = _arrays(surface, wo, u)
         wi = torch.empty(len(wo), 3)
         kernels.direction(rough, view, numbers, self._fraction(len(wo)), wi.numpy())
         return wi
 
-    def mean_lobes(self, roughness: Tensor, cosine: Tensor) -> Tensor:
-        """Integrals over wi of d, s and their derivatives by the roughness [4, n], tabulated."""
-        return mean_lobes(roughness, cosine, self.eta)
+    def mean_lobes(self, surface: Surface, cosine: Tensor) -> Tensor:
+        """Integrals over wi of d, s and their derivatives [4 or 6, n], tabulated."""
+        return mean_lobes(surface, cosine, self.eta)
+
+
+def _arrays(surface: Surface, *directions: Tensor) -> tuple[Any, ...]:
+    """Roughness, metalness and directions of the same lanes as arrays, the metalness None where there is none."""
+    given = (surface.roughness, surface.metallic, *directions)
+    lanes = [len(x) for x in given if x is not None]
+    if len(set(lanes)) > 1:
+        raise ValueError(f"lanes differ: {', '.join(map(str, lanes))} of roughness, metalness and directions")
+    return tuple(None if x is None else x.detach().contiguous().numpy() for x in given)
 
 
 class _LobesPdfKernel(torch.autograd.Function):
-    """:func:`lobes_pdf` by a compiled kernel that finds the derivatives in the same pass."""
+    """:func:`lobes_pdf` by compiled kernels that find the derivatives in the same pass."""
 
     @staticmethod
     def forward(
-        ctx: Any, roughness: Tensor, wo: Tensor, wi: Tensor, compiled: PrincipledKernels
+        ctx: Any, surface: Surface, wo: Tensor, wi: Tensor, compiled: PrincipledKernels, *scalars: Tensor
     ) -> tuple[Tensor, Tensor, Tensor]:
-        d, s, pdf, d_by_roughness, s_by_roughness = compiled.lobes(roughness, wo, wi).unbind(0)
-        ctx.save_for_backward(d_by_roughness, s_by_roughness)
+        d, s, pdf, *derivatives = compiled.lobes(surface, wo, wi).unbind(0)
+        ctx.save_for_backward(*derivatives)
         ctx.mark_non_differentiable(pdf)
         return d, s, pdf
 
     @staticmethod
     @once_differentiable
-    def backward(ctx: Any, *grads: Tensor) -> tuple[Tensor, None, None, None]:
-        d_by_roughness, s_by_roughness = ctx.saved_tensors
-        return (grads[0] * d_by_roughness + grads[1] * s_by_roughness).unsqueeze(-1), None, None, None
+    def backward(ctx: Any, *grads: Tensor) -> tuple[Tensor | None, ...]:
+        by = ctx.saved_tensors
+        pairs = zip(by[::2], by[1::2], strict=True)
+        return (None, None, None, None, *((grads[0] * d + grads[1] * s).unsqueeze(-1) for d, s in pairs))
 
 
 def principled_lobes_pdf(
-    roughness: Tensor, wo: Tensor, wi: Tensor, eta: float, specular_fraction: float | Tensor = 0.5
+    surface: Surface, wo: Tensor, wi: Tensor, eta: float, specular_fraction: float | Tensor = 0.5
 ) -> tuple[Tensor, Tensor, Tensor]:
-    """The kernel of :func:`lobes_pdf` for float32 on the CPU; differentiable once, in the roughness only.
+    """The kernel of :func:`lobes_pdf` for float32 on the CPU; differentiable once, in roughness and metalness only.
 
     Raises:
         ValueError: the arguments have different numbers of lanes; the kernel would read past their ends.
     """
     compiled = PrincipledKernels(eta, specular_fraction)
-    d, s, pdf = _LobesPdfKernel.apply(roughness, wo.detach(), wi.detach(), compiled)  # type: ignore[no-untyped-call]
+    scalars = surface.scalars
+    d, s, pdf = _LobesPdfKernel.apply(surface, wo.detach(), wi.detach(), compiled, *scalars)  # type: ignore[no-untyped-call]
     return d, s, pdf
 
 
 class Principled:
-    """A retro-reflecting diffuse lobe under a GGX lobe, samples drawn from either.
+    """A retro-reflecting diffuse lobe under a GGX lobe, samples drawn from either, and metal by its part.
 
     ``f cos(wi) = albedo d + s`` with scalars d and s, as :meth:`lobes` gives them.
 
     Attributes:
-        eta: refractive index of the specular lobe, inside over outside; 1.5 is Mitsuba's ``specular`` 0.5.
-        metallic: 0 is a dielectric, 1 a metal, whose albedo is its reflectance at normal incidence.
-        use_kernels: use the compiled kernels where they apply (float32 on the CPU, no metal).
-        specular_fraction: probability that a sample is drawn from the specular lobe.
+        eta: refractive index of the dielectric's specular lobe, inside over outside; 1.5 is Mitsuba's ``specular`` 0.5.
+        use_kernels: use the compiled kernels where they apply (float32 on the CPU).
+        specular_fraction: probability that a sample is drawn from the specular lobe of a dielectric; metal draws less
+            by the diffuse lobe.
     """
 
     is_diffuse = False
     varying_weight = True
 
-    def __init__(
-        self, eta: float = 1.5, use_kernels: bool = True, specular_fraction: float = 0.5, metallic: float = 0.0
-    ) -> None:
-        """``specular_fraction`` is that of a dielectric, 0.5 as in Mitsuba; metal draws less by the diffuse lobe."""
+    def __init__(self, eta: float = 1.5, use_kernels: bool = True, specular_fraction: float = 0.5) -> None:
+        """``specular_fraction`` is 0.5 in Mitsuba."""
         self.eta = eta
-        self.metallic = metallic
-        self.use_kernels = use_kernels and metallic == 0.0
-        diffuse = (1.0 - specular_fraction) * (1.0 - metallic)
-        self.specular_fraction = (
-            specular_fraction if metallic == 0.0 else specular_fraction / (specular_fraction + diffuse)
-        )
+        self.use_kernels = use_kernels
+        self.specular_fraction = specular_fraction
 
     @classmethod
     def of(cls, model: PrincipledModel, specular_fraction: float) -> Self:
         """The implementation of a description."""
-        return cls(model.eta, specular_fraction=specular_fraction, metallic=model.metallic)
+        return cls(model.eta, specular_fraction=specular_fraction)
 
     def kernels(self, surface: Surface) -> PrincipledKernels | None:
         """The compiled lobes, where ``surface`` is float32 on the CPU and all of one model."""
@@ -148,27 +148,31 @@ class Principled:
         return None
 
     def _fraction(self, surface: Surface) -> float | Tensor:
-        """Probability of the specular lobe, the lanes' own [n] where they have one."""
-        return self.specular_fraction if surface.specular_fraction is None else surface.specular_fraction.squeeze(-1)
+        """Probability of the specular lobe, [n] where lanes have one of their own or are of metal."""
+        own = surface.specular_fraction
+        fraction = self.specular_fraction if own is None else own.squeeze(-1)
+        if surface.metallic is None:
+            return fraction
+        return fraction / (fraction + (1.0 - fraction) * (1.0 - surface.metallic.detach().squeeze(-1)))
 
     def _lobes_pdf(self, surface: Surface, wo: Tensor, wi: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         if use_kernel(self.use_kernels, wo, differentiable=True):
-            return principled_lobes_pdf(surface.roughness, wo, wi, self.eta, self._fraction(surface))
-        return lobes_pdf(surface.roughness, wo, wi, self.eta, self._fraction(surface), self.metallic)
+            return principled_lobes_pdf(surface, wo, wi, self.eta, self._fraction(surface))
+        return lobes_pdf(surface.roughness, wo, wi, self.eta, self._fraction(surface), surface.metallic)
 
     def _direction(self, surface: Surface, wo: Tensor, u: Tensor) -> Tensor:
-        roughness, fraction = surface.roughness.detach(), self._fraction(surface)
+        fraction = self._fraction(surface)
         if use_kernel(self.use_kernels, wo, differentiable=True):
-            return PrincipledKernels(self.eta, fraction).direction(roughness, wo, u)
-        mirrored = mirror(wo, visible_normal(wo, alpha_of(roughness), u[:, 1:]))
+            return PrincipledKernels(self.eta, fraction).direction(surface, wo, u)
+        mirrored = mirror(wo, visible_normal(wo, alpha_of(surface.roughness.detach()), u[:, 1:]))
         by_cosine = (u[:, 0] < 1.0 - fraction).unsqueeze(-1)
         return torch.where(by_cosine, cosine_hemisphere(u[:, 1:]), mirrored)
 
-    def lobes(self, roughness: Tensor, wo: Tensor, wi: Tensor) -> tuple[Tensor, Tensor]:
-        """Diffuse lobe for albedo 1 and specular lobe, cosine included: d [n] and s [n], differentiable in
-        ``roughness`` [n, 1].
+    def lobes(self, surface: Surface, wo: Tensor, wi: Tensor) -> tuple[Tensor, Tensor]:
+        """Lobe for albedo 1 and lobe without colour, cosine included: d [n] and s [n], differentiable in roughness and
+        metalness.
         """
-        return self._lobes_pdf(Surface(roughness, roughness), wo, wi)[:2]
+        return self._lobes_pdf(surface, wo, wi)[:2]
 
     def eval(self, surface: Surface, wo: Tensor, wi: Tensor) -> Tensor:
         """``albedo d + s`` [n, 3]; 0 where ``wi`` or ``wo`` lies below the surface."""
@@ -194,4 +198,4 @@ class Principled:
 
     def mean_weight(self, surface: Surface, wo: Tensor) -> Tensor:
         """Mean of the weights of :meth:`sample` [n, 3], the directional albedo, differentiable in ``surface``."""
-        return directional_albedo(surface, wo[:, 2], self.eta, self.metallic) * (wo[:, 2:] > 0)
+        return directional_albedo(surface, wo[:, 2], self.eta) * (wo[:, 2:] > 0)

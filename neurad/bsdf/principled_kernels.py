@@ -12,7 +12,7 @@ import numpy as np
 
 from neurad.bsdf.sampling_kernels import concentric_disk
 from neurad.core.records import FloatArray
-from neurad.runtime.jit import fastmath_kernel, kernel
+from neurad.runtime.jit import fastmath_kernel, inlined, kernel
 
 _INV_PI = np.float32(1.0 / math.pi)
 _ZERO, _HALF, _ONE, _TWO = np.float32(0.0), np.float32(0.5), np.float32(1.0), np.float32(2.0)
@@ -20,12 +20,36 @@ _QUARTER, _FOUR = np.float32(0.25), np.float32(4.0)
 _MIN_ALPHA, _TINY = np.float32(0.001), np.float32(1e-6)
 
 
+@inlined
+def _ggx(
+    zo: np.float32, zi: np.float32, flat: np.float32, up: np.float32, r: np.float32
+) -> tuple[np.float32, ...]:  # pragma: no cover - compiled
+    """Factors of the GGX reflection ``density zi inv_o inv_i``, the first its distribution, and its logarithmic
+    derivative by the roughness; ``flat`` and ``up`` are both parts of the squared length of ``wo + wi``.
+    """
+    wide = r * r > _MIN_ALPHA
+    alpha = r * r if wide else _MIN_ALPHA
+    alpha2 = alpha * alpha
+    inv_denominator = _ONE / (flat + alpha2 * up)
+    ratio = (flat + up) * inv_denominator
+    density = alpha2 * ratio * ratio * _INV_PI
+    zo2, zi2 = zo * zo, zi * zi
+    root_o, root_i = math.sqrt(zo2 + alpha2 * (_ONE - zo2)), math.sqrt(zi2 + alpha2 * (_ONE - zi2))
+    inv_o, inv_i = _ONE / (zo + root_o), _ONE / (zi + root_i)
+    log_by_alpha = (
+        _TWO / alpha
+        - _FOUR * alpha * up * inv_denominator
+        - alpha * ((_ONE - zo2) / root_o * inv_o + (_ONE - zi2) / root_i * inv_i)
+    )
+    return density, inv_o, inv_i, log_by_alpha * _TWO * r if wide else _ZERO
+
+
 @fastmath_kernel
 def lobes_pdf(
     roughness: FloatArray, wo: FloatArray, wi: FloatArray, eta: np.float32, fraction: FloatArray, out: FloatArray
 ) -> None:  # pragma: no cover - compiled
-    """Fill the rows of ``out`` [5, n] with d, s, pdf, dd/droughness and ds/droughness; ``fraction`` is that of the
-    specular lobe, [n] or [1] for one of all lanes.
+    """Fill the rows of ``out`` [5, n] with d, s, pdf, dd/droughness and ds/droughness of a dielectric; ``fraction`` is
+    that of the specular lobe, [n] or [1] for one of all lanes.
     """
     inv_eta2 = _ONE / (eta * eta)
     last = fraction.shape[0] - 1
@@ -40,16 +64,7 @@ def lobes_pdf(
         cos2 = _QUARTER * length
         cos = math.sqrt(cos2)
 
-        wide = r * r > _MIN_ALPHA
-        alpha = r * r if wide else _MIN_ALPHA
-        alpha2 = alpha * alpha
-        inv_denominator = _ONE / (flat + alpha2 * up)
-        ratio = length * inv_denominator
-        density = alpha2 * ratio * ratio * _INV_PI
-        zo2, zi2 = zo * zo, zi * zi
-        root_o, root_i = math.sqrt(zo2 + alpha2 * (_ONE - zo2)), math.sqrt(zi2 + alpha2 * (_ONE - zi2))
-        inv_o, inv_i = _ONE / (zo + root_o), _ONE / (zi + root_i)
-
+        density, inv_o, inv_i, log_by_roughness = _ggx(zo, zi, flat, up, r)
         cos_t = math.sqrt(max(_ONE - (_ONE - cos2) * inv_eta2, _ZERO))
         fs = (cos - eta * cos_t) / (cos + eta * cos_t)
         fp = (eta * cos - cos_t) / (eta * cos + cos_t)
@@ -62,17 +77,39 @@ def lobes_pdf(
         retro_by_roughness = _TWO * cos2
         retro = retro_by_roughness * r
         lambert = zi * _INV_PI if front else _ZERO
-        log_s_by_alpha = (
-            _TWO / alpha
-            - _FOUR * alpha * up * inv_denominator
-            - alpha * ((_ONE - zo2) / root_o * inv_o + (_ONE - zi2) / root_i * inv_i)
-        )
         base = (_ONE - _HALF * fo) * (_ONE - _HALF * fi)
         out[0, i] = lambert * (base + retro * (fo + fi - both + retro * both))
         out[1, i] = s if front else _ZERO
         out[2, i] = (_ONE - specular) * lambert + _HALF * specular * density * inv_o if front else _ZERO
         out[3, i] = lambert * retro_by_roughness * (fo + fi - both + _TWO * retro * both)
-        out[4, i] = s * log_s_by_alpha * _TWO * r if front and wide else _ZERO
+        out[4, i] = s * log_by_roughness if front else _ZERO
+
+
+@fastmath_kernel
+def add_metal(
+    roughness: FloatArray, metallic: FloatArray, wo: FloatArray, wi: FloatArray, out: FloatArray
+) -> None:  # pragma: no cover - compiled
+    """Blend metal by its part ``metallic`` [n, 1] into what :func:`lobes_pdf` filled, and add the rows dd/dmetallic and
+    ds/dmetallic: ``out`` [7, n].
+    """
+    for i in range(wo.shape[0]):
+        zo, zi, r, m = wo[i, 2], wi[i, 2], roughness[i, 0], metallic[i, 0]
+        out[5, i], out[6, i] = -out[0, i], -out[1, i]
+        if zo > _ZERO and zi > _ZERO:
+            hx, hy, hz = wo[i, 0] + wi[i, 0], wo[i, 1] + wi[i, 1], max(zo + zi, _TINY)
+            flat, up = hx * hx + hy * hy, hz * hz
+            density, inv_o, inv_i, log_by_roughness = _ggx(zo, zi, flat, up, r)
+            g = density * zi * inv_o * inv_i
+            g_by_roughness = g * log_by_roughness
+            past = max(_ONE - math.sqrt(_QUARTER * (flat + up)), _ZERO)
+            past2 = past * past
+            grazing = past2 * past2 * past
+            out[5, i] += (_ONE - grazing) * g
+            out[6, i] += grazing * g
+            out[3, i] += m * ((_ONE - grazing) * g_by_roughness - out[3, i])
+            out[4, i] += m * (grazing * g_by_roughness - out[4, i])
+        out[0, i] += m * out[5, i]
+        out[1, i] += m * out[6, i]
 
 
 @fastmath_kernel
@@ -111,7 +148,7 @@ def direction(
 def mean_lobes(
     roughness: FloatArray, cosine: FloatArray, entries: FloatArray, rows: int, columns: int, out: FloatArray
 ) -> None:  # pragma: no cover - compiled
-    """Fill ``out`` [4, n] with bilinear values of a table ``entries`` [rows * columns, 4] over roughness and the root
+    """Fill ``out`` [k, n] with bilinear values of a table ``entries`` [rows * columns, k] over roughness and the root
     of the cosine.
     """
     last_row, last_column = np.float32(rows - 1), np.float32(columns - 1)
@@ -123,7 +160,7 @@ def mean_lobes(
         low, left = min(int(row), rows - 2), min(int(column), columns - 2)
         down, right = row - np.float32(low), column - np.float32(left)
         first = low * columns + left
-        for k in range(4):
+        for k in range(out.shape[0]):
             above = entries[first, k] + right * (entries[first + 1, k] - entries[first, k])
             start = entries[first + columns, k]
             below = start + right * (entries[first + columns + 1, k] - start)

@@ -12,6 +12,7 @@ from lightning.pytorch.loggers import TensorBoardLogger
 
 from neurad.callbacks import pictures
 from neurad.core.decibels import EXACT
+from neurad.core.parameters import RECOVERED
 from neurad.images.image_io import png
 from neurad.lamps.unknown import rows
 from neurad.metrics.marks import MARKS
@@ -22,12 +23,11 @@ if TYPE_CHECKING:
 
     from neurad.training.inverse import InverseRenderer
 
-FIRST = {"albedo_psnr": "fit/albedo_psnr", "roughness_psnr": "fit/roughness_psnr", "psnr_srgb": "fit/picture_psnr"}
+FIRST = {**{f"{name}_psnr": f"fit/{name}_psnr" for name in RECOVERED}, "psnr_srgb": "fit/picture_psnr"}
 """Scores whose charts come first, and their tags."""
 LOSS = "fit/loss"
 CHARTS = {
-    "Albedo: PSNR in dB, higher is better": FIRST["albedo_psnr"],
-    "Roughness: PSNR in dB, higher is better": FIRST["roughness_psnr"],
+    **{f"{name.capitalize()}: PSNR in dB, higher is better": FIRST[f"{name}_psnr"] for name in RECOVERED},
     "Picture: PSNR in dB (sRGB), higher is better": FIRST["psnr_srgb"],
     "Loss: lower is better": LOSS,
 }

@@ -15,6 +15,7 @@ from lightning.pytorch.loggers import TensorBoardLogger
 
 from neurad.callbacks import pictures, report
 from neurad.callbacks.board import Board
+from neurad.callbacks.checkpoint import LastCheckpoint
 from neurad.callbacks.closing import Shown, print_closing, report_run, settings_of, title_of
 from neurad.callbacks.lamps import lamps_table, write_lamps
 from neurad.callbacks.run_folder import run_folder
@@ -57,7 +58,6 @@ class Evaluate(pl.Callback):
         spp: samples per pixel of the renderings scored during ``fit`` and ``validate``.
         test_spp: samples per pixel of the renderings that ``test`` and ``predict`` write.
         pictures: held-out views that TensorBoard shows.
-        log_every_n_steps: iterations between two points of the loss curves.
     """
 
     def __init__(
@@ -67,7 +67,6 @@ class Evaluate(pl.Callback):
         spp: Count = 4,
         test_spp: Count = 64,
         pictures: CountOrZero = 4,
-        log_every_n_steps: Count = 50,
     ) -> None:
         super().__init__()
         self.fraction = fraction
@@ -75,7 +74,6 @@ class Evaluate(pl.Callback):
         self.spp = spp
         self.test_spp = test_spp
         self.pictures = pictures
-        self.log_every_n_steps = log_every_n_steps
         checked(self)
         self.last_scores: dict[str, float] = {}
         self.last_scored = 0.0
@@ -87,6 +85,7 @@ class Evaluate(pl.Callback):
         self._evaluated = -1
         self._views: ViewTable | None = None
         self._board: Board | None = None
+        self._logs = True
         self._shown: Shown | None = None
         self._causes: list[str] = []
         """What is wrong with all training photographs, at the end of a fit."""
@@ -125,7 +124,8 @@ class Evaluate(pl.Callback):
     def on_train_batch_end(self, trainer: pl.Trainer, pl_module: pl.LightningModule, *_: Any) -> None:
         """Log losses, and evaluate if it is time."""
         module = cast("InverseRenderer", pl_module)
-        if module.iteration % self.log_every_n_steps == 0 and (board := self._board_of(trainer, module)):
+        every: int = trainer.log_every_n_steps  # type: ignore[attr-defined]
+        if module.iteration % every == 0 and (board := self._board_of(trainer, module)):
             board.losses(module.last_losses, module.iteration)
         if trainer.strategy.broadcast(self._due(trainer, module)):
             self._evaluate_fit(trainer, module)
@@ -149,6 +149,14 @@ class Evaluate(pl.Callback):
     def on_fit_end(self, trainer: pl.Trainer, pl_module: pl.LightningModule) -> None:
         """Print the closing table."""
         folder, module = run_folder(trainer), cast("InverseRenderer", pl_module)
+        if self._evaluated != module.iteration:  # nothing was left to train: the run was killed at its very end
+            if folder is not None and trainer.is_global_zero:
+                MetricsTable(folder / "metrics.csv").cut(module.iteration - 1)
+            self._logs = False  # the logger has been closed
+            self.on_train_end(trainer, pl_module)
+            for callback in trainer.callbacks:  # type: ignore[attr-defined]
+                if isinstance(callback, LastCheckpoint):
+                    callback.save(trainer)
         rows = MetricsTable(folder / "metrics.csv").rows() if folder else []
         scores = rows[-1] if rows else self.last_scores
         if trainer.is_global_zero and scores:
@@ -276,6 +284,8 @@ class Evaluate(pl.Callback):
 
     def _board_of(self, trainer: pl.Trainer, module: InverseRenderer) -> Board | None:
         """The page in TensorBoard, if there is one."""
+        if not self._logs:
+            return None
         if self._board is None and isinstance(trainer.logger, TensorBoardLogger) and trainer.is_global_zero:
             self._board = Board(trainer.logger, module, settings_of(trainer))
         return self._board

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from neurad.core.parameters import BY_NAME, SurfaceParameter
 from neurad.images.image_io import write_exr, write_png
 from neurad.metrics.unseen import Unseen
 from neurad.pages.colours import (
@@ -20,20 +21,20 @@ from neurad.pages.colours import (
     encode,
     false_colour,
     grey,
+    shown,
 )
 from neurad.pages.draw import draw
-from neurad.pages.sheet import Scale, Sheet, Tile, worst_squares
+from neurad.pages.sheet import Scale, Sheet, Tile, scale_of, worst_squares
 from neurad.runtime.files import make_folder
 from neurad.runtime.progress import counted
 from neurad.scene.exposure import LEVEL
 
 Image = npt.NDArray[np.float32]
 View = Mapping[str, Any]
-CROPPED = ("render", "photograph", "albedo", "albedo_true", "roughness", "roughness_true")
+CROPPED = ("render", "photograph", *(f"{name}{kind}" for name in BY_NAME for kind in ("", "_true")))
 """Pictures that the crops of a sheet are taken of."""
-WRITTEN = ("render", "albedo", "roughness", "relit", "albedo_std", "roughness_std")
+WRITTEN = ("render", *BY_NAME, "relit", *(f"{name}_std" for name in BY_NAME))
 """Maps that are written as EXR and as PNG."""
-ROUGHNESS = Scale("gray", "0 smooth", "1 rough", "roughness")
 STD = Scale(BARS, "0 sure", f"\u2265 {BRIGHTEST_STD:g}", "standard deviation, darker is surer")
 
 
@@ -46,18 +47,16 @@ def view_sheet(view: View, scale: float, title: str) -> Sheet:
     """Everything there is to see of one view.
 
     Args:
-        view: arrays [h, w, c] by name, those that it has: render, photograph, albedo, albedo_true, roughness,
-            roughness_true, residual, albedo_std, roughness_std, relit, photograph_relit, seen.
+        view: arrays [h, w, c] by name, those that it has: render, photograph, residual, relit, photograph_relit, seen,
+            and of every surface parameter its map, its true map and its error bars, such as albedo, albedo_true,
+            albedo_std.
         scale: exposure of radiance; an error of a quarter of display white is the brightest in the error pictures.
         title: of the sheet.
     """
     has = {name for name in view if view[name] is not None}
-    if "roughness" in has and is_trivial(view["roughness"]):
-        has.discard("roughness")
     rows: dict[str, list[Tile | None]] = {
         "Picture": _light(view, has, scale, "render", "photograph", "Rendered", "Photograph"),
-        "Albedo": _material(view, has, "albedo"),
-        "Roughness": _material(view, has, "roughness"),
+        **{name.capitalize(): _material(view, has, parameter) for name, parameter in BY_NAME.items()},
         "Relit": _light(view, has, scale, "relit", "photograph_relit", "Rendered in other light", "Photograph in it"),
     }
     if "residual" in has:
@@ -67,7 +66,7 @@ def view_sheet(view: View, scale: float, title: str) -> Sheet:
     found = Unseen.of([view])
     notes = [
         f"Exposure: radiance times {scale:.3g}, the same for all views; it shows the training photographs' 90th "
-        f"percentile at {LEVEL:g} of display white. Albedo is shown by the sRGB curve, roughness without one."
+        f"percentile at {LEVEL:g} of display white. Albedo is shown by the sRGB curve, other maps without one."
     ]
     notes += [sentence for sentence in [found.hatching("this view")] if sentence]
     sheet = Sheet(title, rows, found.masks[0], notes=notes, crop_keys=CROPPED)
@@ -92,20 +91,19 @@ def _light(
     return tiles
 
 
-def _material(view: View, has: set[str], name: str) -> list[Tile | None]:
-    """What was found of a material, the truth, the error, and the error bars."""
+def _material(view: View, has: set[str], parameter: SurfaceParameter) -> list[Tile | None]:
+    """What was found of a surface parameter or is known of it, the truth, the error, and the error bars."""
+    name = parameter.name
     if name not in has:
         return _bars(view, has, name)
-    truth, bar = f"{name}_true", ROUGHNESS if name == "roughness" else None
-    show = grey if name == "roughness" else encode
-    tiles: list[Tile | None] = [
-        Tile(name, f"{name.capitalize()} found", show(view[name]), bar, truth if truth in has else "")
-    ]
+    truth, bar = f"{name}_true", scale_of(parameter)
+    heading = f"{name.capitalize()} {'found' if parameter.is_recovered else 'by the files'}"
+    tiles: list[Tile | None] = [Tile(name, heading, shown(parameter, view[name]), bar, truth if truth in has else "")]
     if truth in has:
         error = false_colour(np.abs(view[name] - view[truth]), 1.0 / BRIGHTEST)
         scale = Scale(ERRORS, "0", f"\u2265 {BRIGHTEST:g}", "absolute error, darker is better")
         tiles += [
-            Tile(truth, f"{name.capitalize()} true", show(view[truth]), bar, name),
+            Tile(truth, f"{name.capitalize()} true", shown(parameter, view[truth]), bar, name),
             Tile(f"{name}_error", f"Error of {name}", error, scale),
         ]
     return tiles + _bars(view, has, name)
@@ -122,7 +120,7 @@ def _errors(view: View, has: set[str], scale: float) -> list[tuple[str, Image]]:
     """Squared errors [h, w] of surfaces that photographs show, with what they are of."""
     known = np.ones(view["render"].shape[:2], np.bool_) if "seen" not in has else view["seen"][..., 0] == 1.0
     found = []
-    for name in ("albedo", "roughness"):
+    for name in BY_NAME:
         if {name, f"{name}_true"} <= has:
             error = np.square(view[name] - view[f"{name}_true"]).mean(-1)
             found.append((f"where {name} is most wrong on surfaces that photographs show", np.where(known, error, 0.0)))
@@ -130,11 +128,6 @@ def _errors(view: View, has: set[str], scale: float) -> list[tuple[str, Image]]:
         off = np.clip(view["render"] * scale, 0, 1) - np.clip(view["photograph"] * scale, 0, 1)
         found.append(("where the picture is most wrong", np.square(off).mean(-1)))
     return [(meaning, error.astype(np.float32)) for meaning, error in found]
-
-
-def is_trivial(roughness: Image) -> bool:
-    """Whether there was no roughness to find: a diffuse scene has 1 on its surfaces."""
-    return bool(np.isin(roughness, (0.0, 1.0)).all())
 
 
 def environment(maps: Mapping[str, Image], scale: float) -> Bytes:
@@ -147,10 +140,10 @@ def environment(maps: Mapping[str, Image], scale: float) -> Bytes:
 def write_views(
     folder: Path, maps: Sequence[View], scale: float, sky: Mapping[str, Image] | None = None, title: str = ""
 ) -> None:
-    """Write render, albedo, roughness, their error bars and relit rendering of every view, those that it has, as linear
-    EXR and, radiance times ``scale``, as PNG for looking at; which surfaces photographs show, and a sheet of
-    everything, as PNG; ``sky``, a recovered environment map and the true one, as ``environment``; ``title`` begins the
-    headings of the sheets.
+    """Write rendering, maps of surface parameters, their error bars and relit rendering of every view, those that it
+    has, as linear EXR and, radiance times ``scale``, as PNG for looking at; which surfaces photographs show, and a
+    sheet of everything, as PNG; ``sky``, a recovered environment map and the true one, as ``environment``; ``title``
+    begins the headings of the sheets.
     """
     make_folder(folder)
     for index, view in enumerate(counted(maps, "writing", len(maps), "pictures")):
@@ -161,12 +154,11 @@ def write_views(
                 continue
             stem = folder / f"{name}_{kind}"
             write_exr(stem.with_suffix(".exr"), image, half=False)
-            light = kind in ("render", "relit")
             if kind.endswith("_std"):
-                shown = false_colour(image, 1.0 / BRIGHTEST_STD, BARS)
+                picture = false_colour(image, 1.0 / BRIGHTEST_STD, BARS)
             else:
-                shown = grey(image) if kind == "roughness" else encode(image * scale if light else image)
-            write_png(stem.with_suffix(".png"), shown)
+                picture = shown(BY_NAME[kind], image) if kind in BY_NAME else encode(image * scale)
+            write_png(stem.with_suffix(".png"), picture)
         if view.get("seen") is not None:
             write_png(folder / f"{name}_seen.png", grey(view["seen"]))
         if view.get("render") is not None:

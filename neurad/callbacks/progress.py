@@ -11,13 +11,14 @@ from lightning.pytorch.callbacks import ProgressBar
 
 from neurad.core.decibels import figure
 from neurad.core.durations import clock
-from neurad.core.ranges import NonNegative, checked
 from neurad.runtime import progress
 from neurad.training.schedule import fraction_done
 
 if TYPE_CHECKING:
     from neurad.training.inverse import InverseRenderer
 
+REFRESH = 0.5
+"""Seconds between two updates of the line."""
 LOGGED_EVERY = 30.0
 """Seconds between two lines where standard errors is no terminal but, say, a file."""
 
@@ -27,15 +28,10 @@ class Bar(ProgressBar):
 
     What comes before and after training has a line of its own, see :mod:`neurad.runtime.progress`. Where standard
     errors is no terminal there is a line every half minute.
-
-    Args:
-        refresh_seconds: at most one update of the line in this time.
     """
 
-    def __init__(self, refresh_seconds: NonNegative = 0.5) -> None:
+    def __init__(self) -> None:
         super().__init__()
-        self.refresh_seconds = refresh_seconds
-        checked(self)
         self._enabled = True
         self._shown = 0.0
         self._began: tuple[float, float] | None = None
@@ -55,10 +51,10 @@ class Bar(ProgressBar):
         self._update(trainer, pl_module)
 
     def on_train_batch_end(self, trainer: pl.Trainer, pl_module: pl.LightningModule, *_: Any) -> None:
-        """Update the line, at most once in ``refresh_seconds``."""
+        """Update the line, at most once in :data:`REFRESH` seconds."""
         if self._began is None:  # the first step compiles kernels, which says nothing about the others
             self._began = (time.monotonic(), fraction_done(trainer).by_steps or 0.0)
-        every = self.refresh_seconds if progress.on_terminal() else LOGGED_EVERY
+        every = REFRESH if progress.on_terminal() else LOGGED_EVERY
         if time.monotonic() - self._shown >= every:
             self._update(trainer, pl_module)
 

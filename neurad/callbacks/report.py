@@ -13,6 +13,7 @@ import numpy as np
 from neurad.callbacks import pictures
 from neurad.callbacks.table import Row, score_rows
 from neurad.callbacks.verdict import verdict
+from neurad.core.parameters import RECOVERED
 from neurad.core.records import FloatArray
 from neurad.metrics.marks import CONSTANT, LOOKUP, MARKS
 from neurad.metrics.unseen import Unseen
@@ -27,8 +28,7 @@ COLOUR, GREY = "var(--accent)", "var(--pale)"
 DASHES = {CONSTANT: "6 4", LOOKUP: "2 3"}
 """Of the lines of what needs no fit."""
 CHARTS = {
-    "Albedo, PSNR in dB": "albedo_psnr",
-    "Roughness, PSNR in dB": "roughness_psnr",
+    **{f"{name.capitalize()}, PSNR in dB": f"{name}_psnr" for name in RECOVERED},
     "Picture (sRGB), PSNR in dB": "psnr_srgb",
 }
 BETTER = "higher is better"

@@ -7,19 +7,23 @@ from pathlib import Path
 
 from neurad.core.decibels import figure
 from neurad.core.errors import InputError
+from neurad.core.parameters import RECOVERED
 from neurad.metrics.marks import MARKS
 from neurad.runtime.files import write_text
 from neurad.runtime.tables import align, append_csv, numbers, read_csv, read_lines
 
-SCORES = ("psnr_linear", "psnr_srgb", "albedo_psnr", "albedo_mape", "roughness_psnr", "roughness_mape")
+SCORES = ("psnr_linear", "psnr_srgb", *(f"{name}_{score}" for name in RECOVERED for score in ("psnr", "mape")))
 COLUMNS = ("iteration", "seconds", "rays", "samples", *SCORES, *(f"{s}_seen" for s in SCORES))
 HEADINGS = {
     "": "",
     "albedo_psnr": "albedo PSNR",
     "albedo_psnr_8x8": "8x8",
     "albedo_mape": "MAPE",
-    "roughness_psnr": "roughness PSNR",
-    "roughness_mape": "MAPE",
+    **{
+        f"{name}_{score}": heading
+        for name in RECOVERED[1:]
+        for score, heading in (("psnr", f"{name} PSNR"), ("mape", "MAPE"))
+    },
     "psnr_srgb": "image PSNR (sRGB)",
 }
 LIGHT = {
@@ -154,8 +158,8 @@ def curve_table(rows: Sequence[Row], count: int = 8) -> str:
         return ""
     steps = min(count, len(rows))
     chosen = sorted({round(i * (len(rows) - 1) / max(steps - 1, 1)) for i in range(steps)})
-    names = ["albedo_psnr", "roughness_psnr", "psnr_srgb"]
-    body = [["seconds", "iteration", "albedo PSNR", "roughness PSNR", "image PSNR (sRGB)"]]
+    names = [*(f"{name}_psnr" for name in RECOVERED), "psnr_srgb"]
+    body = [["seconds", "iteration", *(f"{name} PSNR" for name in RECOVERED), "image PSNR (sRGB)"]]
     for index in chosen:
         row = rows[index]
         scores = [_score(name, row.get(name)) for name in names]

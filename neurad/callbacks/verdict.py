@@ -7,10 +7,11 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 from neurad.core.decibels import FINEST, decibels
+from neurad.core.parameters import RECOVERED
 
 CLOSELY, ROUGHLY = 10.0, 3.0
 """Decibels above the best constant: nine tenths of what a constant leaves unexplained is explained, and half of it."""
-KINDS = {"albedo": "albedo_psnr", "roughness": "roughness_psnr", "the pictures": "psnr_srgb"}
+KINDS = {**{name: f"{name}_psnr" for name in RECOVERED}, "the pictures": "psnr_srgb"}
 """What is judged, and by which score; its best constant's has ``_constant`` behind."""
 PARTS = {"_seen": "surfaces that photographs show", "_lit_glossy": "glossy surfaces with light on them"}
 """Of the views, by what ends the names of their scores."""

@@ -17,7 +17,7 @@ from neurad.scene.light import light_changes, light_of
 FOCUS = "focus."
 DEVELOPMENT = "development."
 """What names of state begin with that is of the fit's photographs alone; others may be looked at with its result."""
-CORRECTION = "materials.roughness.correction."
+CORRECTION = "materials.fields.roughness.correction."
 """What names of state begin with that a closing step has found; a fit that has none yet makes it later."""
 DDP_IGNORED = "world.guide.", "average.", FOCUS
 """What names of state begin with that only takes noise away: no weights, and alike in all processes."""

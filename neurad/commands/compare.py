@@ -13,6 +13,7 @@ EPILOG = """Settings of `neurad fit` such as --data.root DIR are passed on to ev
 
   neurad compare --config kitchen.yaml --methods ours,no_prior,direct,path,prb --budget 120
   neurad compare ours=lightning_logs/version_3 prb=lightning_logs/version_4 --out report
+  neurad compare lightning_logs/version_3 --run FIPT=results/fipt --out report
 """
 
 
@@ -22,10 +23,18 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.epilog = EPILOG
     parser.usage = (
         "neurad compare --config NAME.yaml --methods A,B,... (--budget SECONDS | --samples N) [--KEY VALUE ...]\n"
-        "       neurad compare [NAME=]RUN ..."
+        "       neurad compare [NAME=]RUN ... [--run NAME=DIR ...]"
     )
     parser.set_defaults(settings=())
     parser.add_argument("runs", nargs="*", metavar="[NAME=]RUN", help="finished runs, or the folder of a report")
+    parser.add_argument(
+        "--run",
+        action="append",
+        default=[],
+        metavar="NAME=DIR",
+        help="what another program found: maps of held-out views (DIR/albedo/VIEW.exr, likewise roughness and render), "
+        "a curve (DIR/metrics.csv, seconds and scores by the names of a run's), or both; may be repeated",
+    )
     parser.add_argument("--config", "-c", action="append", default=[], help="config of the scene; may be repeated")
     parser.add_argument("--methods", help="names of overlays in configs/methods, or YAML files, separated by commas")
     add_trust(parser)

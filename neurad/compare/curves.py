@@ -11,6 +11,7 @@ import numpy as np
 
 from neurad.callbacks.report import DASHES as MARK_DASHES
 from neurad.compare.runs import Run, by_method, marks
+from neurad.core.parameters import RECOVERED
 from neurad.core.records import FloatArray
 from neurad.metrics.marks import CONSTANT, LOOKUP
 from neurad.pages.chart import Line, chart
@@ -52,11 +53,9 @@ class Panel:
 
 
 PANELS = (
-    Panel("albedo_psnr", "Albedo", "PSNR in dB", "higher is better", 0, 0),
-    Panel("roughness_psnr", "Roughness", "PSNR in dB", "higher is better", 0, 1),
-    Panel("psnr_srgb", "Picture (sRGB)", "PSNR in dB", "higher is better", 0, 2),
-    Panel("albedo_mape", "Albedo", "MAPE", "lower is better", 1, 0),
-    Panel("roughness_mape", "Roughness", "MAPE", "lower is better", 1, 1),
+    *(Panel(f"{x}_psnr", x.capitalize(), "PSNR in dB", "higher is better", 0, i) for i, x in enumerate(RECOVERED)),
+    Panel("psnr_srgb", "Picture (sRGB)", "PSNR in dB", "higher is better", 0, len(RECOVERED)),
+    *(Panel(f"{x}_mape", x.capitalize(), "MAPE", "lower is better", 1, i) for i, x in enumerate(RECOVERED)),
     Panel("lamp_error", "Worst lamp", "relative error", "lower is better", 2, 0),
 )
 """The first row is what a page shows first; where the figure has no picture's MAPE, it has its legend."""

@@ -10,16 +10,18 @@ from neurad.compare.curves import PANELS
 from neurad.compare.runs import SCORES
 from neurad.compare.table import RATES, TOO_FEW, TableRow, columns, shown
 from neurad.core.decibels import decibels, figure
+from neurad.core.parameters import RECOVERED
 from neurad.metrics.marks import CONSTANT
 from neurad.pages import page
 from neurad.pages.sheet import Sheet
 from neurad.runtime.files import write_text
 
 HEADS = {
-    "albedo_psnr": "albedo PSNR / dB",
-    "albedo_mape": "albedo MAPE",
-    "roughness_psnr": "roughness PSNR / dB",
-    "roughness_mape": "roughness MAPE",
+    **{
+        f"{name}_{score}": f"{name} {heading}"
+        for name in RECOVERED
+        for score, heading in (("psnr", "PSNR / dB"), ("mape", "MAPE"))
+    },
     "psnr_srgb": "picture PSNR / dB, sRGB",
     "lamp_error": "error of the worst lamp",
     "seconds": "training time / s",

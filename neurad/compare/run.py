@@ -13,7 +13,7 @@ from collections.abc import Sequence
 from pathlib import Path
 
 from neurad.compare.fits import check_free, fit_all, predict
-from neurad.compare.runs import Run, read_run, runs_in
+from neurad.compare.runs import Run, read_other, read_run, runs_in
 from neurad.core.errors import InputError
 from neurad.runtime.progress import phase
 from neurad.runtime.reading import similar
@@ -33,7 +33,10 @@ def compare(options: argparse.Namespace) -> None:
         SystemExit: with 1 if a fit failed; the report then has the others.
     """
     reach = sorted(_numbers("--reach", options.reach))
-    runs = finished_runs(options) if options.runs else fit_all(options)
+    others = [read_other(word) for word in options.run]
+    if len({run.method for run in others}) < len(others):
+        raise InputError("--run: two of them have the same name")
+    runs = [*(finished_runs(options) if options.runs else fit_all(options)), *others]
     failed = [run for run in runs if run.message]
     if options.views:
         failed += predict(runs, options.view_spp, options.trust)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping, Sequence, Set
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import Any
@@ -12,12 +12,14 @@ from typing import Any
 import yaml  # type: ignore[import-untyped]
 
 from neurad.core.errors import InputError
+from neurad.core.parameters import RECOVERED
 from neurad.metrics.marks import MARKS
+from neurad.runtime.reading import similar
 from neurad.runtime.tables import numbers, read_csv
 
 FACTS = "compare.json"
 """File in a run folder with what the comparison that started it recorded."""
-SCORES = ("albedo_psnr", "albedo_mape", "roughness_psnr", "roughness_mape", "psnr_srgb", "lamp_error")
+SCORES = (*(f"{name}_{score}" for name in RECOVERED for score in ("psnr", "mape")), "psnr_srgb", "lamp_error")
 
 Row = dict[str, float]
 
@@ -99,6 +101,29 @@ def read_run(folder: Path, method: str | None = None) -> Run:
     )
 
 
+def read_other(word: str) -> Run:
+    """What another program found in the scene of the runs beside it.
+
+    Args:
+        word: ``NAME=DIR``, a folder with maps of held-out views, as :func:`neurad.compare.views.predicted` finds them,
+            with ``metrics.csv``, whose columns are ``seconds`` and scores by the names of a run's, or both.
+
+    Raises:
+        InputError: it has neither, or a file in it is unreadable.
+    """
+    name, _, path = word.partition("=")
+    folder = Path(path)
+    if not name or not path:
+        raise InputError(f"--run {word}: it has to be NAME=DIR")
+    if not folder.is_dir():
+        raise InputError(f"--run {word}: there is no such folder{similar(folder)}")
+    metrics = folder / "metrics.csv"
+    columns, rows = _rows(metrics, {"seconds"}) if metrics.is_file() else ([], [])
+    if not rows and next(folder.glob("*/*.exr"), None) is None:
+        raise InputError(f"--run {word}: it has neither metrics.csv nor maps such as albedo/VIEW.exr")
+    return Run(name, 0, folder, rows=rows, columns=columns)
+
+
 def runs_in(report: Path) -> list[Path]:
     """The run folders in the folder of a report, in the order in which they were made."""
     folders = [folder for folder in (report / "runs").iterdir() if folder.is_dir()]
@@ -128,11 +153,11 @@ def _config(path: Path) -> Mapping[str, Any]:
     return config
 
 
-def _rows(path: Path) -> tuple[list[str], list[Row]]:
+def _rows(path: Path, needed: Set[str] = frozenset({"iteration", "seconds"})) -> tuple[list[str], list[Row]]:
     """Columns and whole rows of ``metrics.csv``; empty cells are left out."""
     columns, rows = read_csv(path)
-    if not {"iteration", "seconds"} <= set(columns):
-        raise InputError(f"{path}: it has no columns iteration and seconds")
+    if not needed <= set(columns):
+        raise InputError(f"{path}: it has no columns {' and '.join(sorted(needed))}")
     try:
         return columns, [numbers(row) for row in rows]
     except ValueError as error:

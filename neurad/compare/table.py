@@ -38,7 +38,8 @@ def rates(run: Run) -> dict[str, float]:
     if len(run.rows) < 2:
         return {}
     first, last = run.rows[0], run.rows[-1]
-    seconds, steps = last["seconds"] - first["seconds"], last["iteration"] - first["iteration"]
+    seconds = last["seconds"] - first["seconds"]
+    steps = last.get("iteration", 0.0) - first.get("iteration", 0.0)
     if seconds <= 0 or steps <= 0:
         return {}
     found = {"ms_per_step": 1000.0 * seconds / steps}

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from functools import partial
 from typing import Any
 
 import numpy as np
 
-from neurad.callbacks.pictures import ROUGHNESS, is_trivial
 from neurad.compare.runs import Run
 from neurad.core.errors import InputError
+from neurad.core.parameters import BY_NAME
 from neurad.core.records import BoolArray, FloatArray, View
 from neurad.formats.cameras.nerf import HOLD_OUT
 from neurad.formats.load import load_scene
@@ -17,41 +18,40 @@ from neurad.images.development import Photography
 from neurad.images.image_io import read_bitmap, read_exr
 from neurad.images.photographs import read_view
 from neurad.metrics.unseen import UNSEEN
-from neurad.pages.colours import BRIGHTEST, ERRORS, Bytes, encode, false_colour, grey
-from neurad.pages.sheet import Scale, Sheet, Tile
+from neurad.pages.colours import BRIGHTEST, ERRORS, Bytes, encode, false_colour, shown
+from neurad.pages.sheet import Scale, Sheet, Tile, scale_of
 from neurad.scene.description import Scene
 from neurad.scene.exposure import scene_exposure
 
-KINDS = {"albedo": "Albedo", "roughness": "Roughness", "render": "Picture"}
+KINDS = {**{name: name.capitalize() for name in BY_NAME}, "render": "Picture"}
 """What a run predicts of a view, and its heading."""
-CHANNELS = {"albedo": 3, "roughness": 1, "render": 3}
+CHANNELS = {**{name: parameter.channels for name, parameter in BY_NAME.items()}, "render": 3}
 TRUTH = "truth"
 
 Maps = dict[str, FloatArray]
 
 
 def predicted(run: Run, name: str, index: int) -> Maps:
-    """What ``neurad predict`` or ``neurad test`` wrote of a held-out view; empty if they did not run.
+    """What ``neurad predict`` or ``neurad test`` wrote of a held-out view, or another program; empty if none did.
 
     Args:
-        run: with ``images/`` in its folder.
+        run: with ``images/VIEW_albedo.exr`` or ``albedo/VIEW.exr`` in its folder, and so for other maps.
         name: the view's name.
         index: its number among the held-out views; files may be named by either.
     """
     found: Maps = {}
     for kind, channels in CHANNELS.items():
-        for stem in (name.replace("/", "_"), f"{index:03d}"):
-            path = run.folder / "images" / f"{stem}_{kind}.exr"
-            if path.is_file():
-                found[kind] = read_exr(path)[..., :channels]
-                break
+        stems = name.replace("/", "_"), f"{index:03d}"
+        places = [run.folder / place for x in stems for place in (f"images/{x}_{kind}.exr", f"{kind}/{x}.exr")]
+        path = next((place for place in places if place.is_file()), None)
+        if path is not None:
+            found[kind] = read_exr(path)[..., :channels]
     return found
 
 
 def truth(view: View) -> Maps:
     """Photograph (as ``render``) and true materials of a held-out view, those that have a file."""
-    files = {"albedo": view.albedo, "roughness": view.roughness}
-    found = {kind: read_exr(path)[..., : CHANNELS[kind]] for kind, path in files.items() if path is not None}
+    found = {kind: read_exr(path)[..., : CHANNELS[kind]] for kind, path in view.maps.items()}
     return found if view.image is None else {**found, "render": read_view(view)[..., : CHANNELS["render"]]}
 
 
@@ -76,7 +76,8 @@ def sheets(runs: Sequence[Run], count: int) -> list[Sheet]:
     Returns:
         The sheets; none if no run has pictures.
     """
-    scene = scene_of(runs[0].config) if runs else None
+    config = next((run.config for run in runs if run.config), None)  # another program's run has none
+    scene = None if config is None else scene_of(config)
     if scene is None:
         return []
     views, scale = scene.scored[:count], scene_exposure(scene)
@@ -87,8 +88,6 @@ def sheets(runs: Sequence[Run], count: int) -> list[Sheet]:
         columns = {method: maps for method, maps in columns.items() if maps}
         if not columns:
             continue
-        if all("roughness" not in maps or is_trivial(maps["roughness"]) for maps in columns.values()):
-            columns = {method: {k: maps[k] for k in maps if k != "roughness"} for method, maps in columns.items()}
         mask = _unseen(runs, view.name, index)
         if mask is not None and any(maps[kind].shape[:2] != mask.shape for maps in columns.values() for kind in maps):
             mask = None
@@ -110,9 +109,9 @@ def sheet(title: str, columns: Mapping[str, Maps], scale: float, unseen: BoolArr
     for kind, word in KINDS.items():
         if not any(kind in maps for name, maps in columns.items() if name != TRUTH):
             continue
-        unit = scale if kind == "render" else 1.0
-        show = grey if kind == "roughness" else encode
-        bar = ROUGHNESS if kind == "roughness" else None
+        unit, parameter = scale if kind == "render" else 1.0, BY_NAME.get(kind)
+        show = encode if parameter is None else partial(shown, parameter)
+        bar = None if parameter is None else scale_of(parameter)
         rows[kind] = [
             Tile(f"{kind}-{place}", f"{word}: {name}", show(maps[kind] * unit), bar, _pair(kind, name, columns))
             if kind in maps

@@ -53,16 +53,20 @@ class Materials(Protocol):
 class LobeKernels(Protocol):
     """Compiled lobes of a model ``f cos = albedo d + s`` with scalars d and s, for float32 on the CPU."""
 
-    def lobes(self, roughness: Tensor, wo: Tensor, wi: Tensor) -> Tensor:
-        """Rows d, s, pdf, dd/droughness, ds/droughness [5, n] without a graph."""
+    def lobes(self, surface: Surface, wo: Tensor, wi: Tensor) -> Tensor:
+        """Rows d, s, pdf, then dd/dx and ds/dx for each scalar parameter x of ``surface``, the roughness first and the
+        metalness where there is one: [5 or 7, n] without a graph.
+        """
         ...
 
-    def direction(self, roughness: Tensor, wo: Tensor, u: Tensor) -> Tensor:
+    def direction(self, surface: Surface, wo: Tensor, u: Tensor) -> Tensor:
         """The directions ``wi`` [n, 3] that ``sample`` draws from ``u`` [n, 3]."""
         ...
 
-    def mean_lobes(self, roughness: Tensor, cosine: Tensor) -> Tensor:
-        """Integrals over wi of d, s and their derivatives by the roughness [4, n] for viewers at ``cosine`` [n]."""
+    def mean_lobes(self, surface: Surface, cosine: Tensor) -> Tensor:
+        """Integrals over wi of d and s, then of their derivatives as in :meth:`lobes`, [4 or 6, n] for viewers at
+        ``cosine`` [n].
+        """
         ...
 
 

@@ -14,7 +14,7 @@ Conventions
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
 from typing import Any, Literal, Self
 
@@ -24,6 +24,7 @@ import torch
 from torch import Tensor
 
 from neurad.core.lens import Lens
+from neurad.core.parameters import BY_NAME, PARAMETERS, SurfaceParameter
 from neurad.core.reflection import ReflectionModel
 
 PINHOLE = Lens()
@@ -155,6 +156,25 @@ class Surface(Lanes):
     specular_fraction: Tensor | None = None
     """Probability of the specular lobe where samples are drawn [n, 1], for models that have one to choose; None for the
     model's own."""
+    metallic: Tensor | None = None
+    """How much of a metal it is, in [0, 1] [n, 1]; None in a scene without metal."""
+
+    @property
+    def parameters(self) -> dict[str, Tensor]:
+        """What materials gave, by the names in :mod:`neurad.core.parameters`; what the scene does not have is left
+        out.
+        """
+        values = {parameter.name: getattr(self, parameter.name) for parameter in PARAMETERS}
+        return {name: value for name, value in values.items() if value is not None}
+
+    def stacked(self, parameters: Sequence[SurfaceParameter]) -> Tensor:
+        """Some of the parameters, one after the other [n, channels]."""
+        return torch.cat([getattr(self, parameter.name).expand(len(self), -1) for parameter in parameters], -1)
+
+    @property
+    def scalars(self) -> list[Tensor]:
+        """The parameters of one channel [n, 1], in their order."""
+        return [value for name, value in self.parameters.items() if BY_NAME[name].channels == 1]
 
 
 @dataclass(frozen=True)
@@ -329,8 +349,8 @@ class View:
     camera: Camera
     image: str | None = None
     """Path of the photograph."""
-    albedo: str | None = None
-    roughness: str | None = None
+    maps: Mapping[str, str] = field(default_factory=dict)
+    """Paths of the true maps of surface parameters, by name."""
     relight: str | None = None
     """Path of a photograph of the view under another environment, ``Scene.relight``."""
     mask: str | None = None
@@ -338,6 +358,12 @@ class View:
     development: Development = Development()
     spread: str | None = None
     """Path of the standard deviation of the photograph's values (EXR), as ``neurad data hdr`` writes it."""
+
+    @property
+    def files(self) -> dict[str, str]:
+        """Paths of its files by what they are."""
+        named = {kind: getattr(self, kind) for kind in ("image", "relight", "mask", "spread")}
+        return {kind: path for kind, path in (*named.items(), *self.maps.items()) if path is not None}
 
 
 @dataclass(frozen=True)
@@ -369,6 +395,15 @@ class VertexAttribute:
 Texture = Constant | Bitmap | VertexAttribute
 
 
+def constant(value: float, channels: int = 1) -> Constant:
+    """A texture of one number in all channels."""
+    return Constant(np.full(channels, value, np.float32))
+
+
+DIELECTRIC, METAL = constant(0.0), constant(1.0)
+"""Textures of a metalness."""
+
+
 @dataclass(frozen=True)
 class Material:
     """What a surface is made of."""
@@ -382,6 +417,13 @@ class Material:
     """Burley roughness; not read by diffuse and smooth models."""
     two_sided: bool = True
     """Whether the BSDF is the same on both sides; a one-sided surface is black from behind."""
+    metallic: Texture = DIELECTRIC
+    """0 of a dielectric, 1 of a metal; 1 of conductors. Read by the principled model, and kept by a fit."""
+
+    @property
+    def textures(self) -> dict[str, Texture]:
+        """By the names of surface parameters."""
+        return {parameter.name: getattr(self, parameter.name) for parameter in PARAMETERS}
 
 
 @dataclass(frozen=True)

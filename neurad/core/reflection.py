@@ -11,9 +11,6 @@ from typing import Any
 
 from neurad.core.errors import InputError
 
-METAL = 0.5
-"""Metalness from which on a surface counts as a metal."""
-
 
 @dataclass(frozen=True)
 class DeltaLobe:
@@ -50,17 +47,14 @@ class ReflectionModel(ABC):
         return self.delta is not None
 
     @property
-    def metallic(self) -> float:
-        """How much of a metal it is, from 0 (dielectric) to 1."""
-        return 0.0
-
-    @property
     def unsupported(self) -> str | None:
         """Why it cannot be rendered, in words that follow "which"; None of a model that can."""
         return None
 
-    def mitsuba(self, albedo: Any, roughness: Any) -> dict[str, Any]:
-        """Mitsuba's one-sided BSDF of the same reflection, with these textures or numbers."""
+    def mitsuba(self, albedo: Any, roughness: Any, metallic: Any = 0.0) -> dict[str, Any]:
+        """Mitsuba's one-sided BSDF of the same reflection, with these textures or numbers; only ``principled`` has a
+        metalness.
+        """
         raise InputError(f"a {self.label} cannot be given to Mitsuba")
 
 
@@ -78,40 +72,32 @@ class DiffuseModel(ReflectionModel):
         """Always."""
         return True
 
-    def mitsuba(self, albedo: Any, roughness: Any) -> dict[str, Any]:
+    def mitsuba(self, albedo: Any, roughness: Any, metallic: Any = 0.0) -> dict[str, Any]:
         """``diffuse``."""
         return {"type": "diffuse", "reflectance": albedo}
 
 
 @dataclass(frozen=True)
 class PrincipledModel(ReflectionModel):
-    """Burley's model with base colour and roughness; without arguments the one that unknown surfaces have."""
+    """Burley's model, of base colour, roughness and metalness; by default the one that unknown surfaces have."""
 
     eta: float = 1.5
-    """Refractive index of the specular lobe, inside over outside; 1.5 is ``specular`` 0.5."""
-    metallic: float = 0.0
-    """0 is a dielectric, 1 a metal, whose base colour is its reflectance at normal incidence."""
+    """Refractive index of the dielectric's specular lobe, inside over outside; 1.5 is ``specular`` 0.5."""
 
     @property
     def label(self) -> str:
         """Mitsuba's plugin and what differs from its defaults."""
-        eta = "" if self.eta == 1.5 else f", eta {self.eta:g}"
-        return "principled" + eta + ("" if self.metallic == 0.0 else f", metallic {self.metallic:g}")
+        return "principled" + ("" if self.eta == 1.5 else f", eta {self.eta:g}")
 
-    def mitsuba(self, albedo: Any, roughness: Any) -> dict[str, Any]:
+    def mitsuba(self, albedo: Any, roughness: Any, metallic: Any = 0.0) -> dict[str, Any]:
         """``principled``."""
-        constants = {"eta": self.eta, "metallic": self.metallic}
-        return {"type": "principled", "base_color": albedo, "roughness": roughness, **constants}
+        textures = {"base_color": albedo, "roughness": roughness, "metallic": metallic}
+        return {"type": "principled", "eta": self.eta, **textures}
 
 
 @dataclass(frozen=True)
 class ConductorModel(ReflectionModel):
     """A smooth mirror; the albedo is its reflectance at every angle."""
-
-    @property
-    def metallic(self) -> float:
-        """A metal."""
-        return 1.0
 
     @property
     def label(self) -> str:
@@ -123,7 +109,7 @@ class ConductorModel(ReflectionModel):
         """Reflects only."""
         return DeltaLobe(transmits=False)
 
-    def mitsuba(self, albedo: Any, roughness: Any) -> dict[str, Any]:
+    def mitsuba(self, albedo: Any, roughness: Any, metallic: Any = 0.0) -> dict[str, Any]:
         """``conductor`` of the material "none", which reflects the tint alone."""
         return {"type": "conductor", "material": "none", "specular_reflectance": albedo}
 
@@ -145,7 +131,7 @@ class DielectricModel(ReflectionModel):
         """Reflects and transmits."""
         return DeltaLobe(transmits=True, eta=self.eta)
 
-    def mitsuba(self, albedo: Any, roughness: Any) -> dict[str, Any]:
+    def mitsuba(self, albedo: Any, roughness: Any, metallic: Any = 0.0) -> dict[str, Any]:
         """``dielectric``."""
         return {"type": "dielectric", "int_ior": self.eta, "ext_ior": 1.0}
 
@@ -164,11 +150,6 @@ class RoughConductorModel(ReflectionModel):
     """GGX width, the same in all directions."""
 
     @property
-    def metallic(self) -> float:
-        """A metal."""
-        return 1.0
-
-    @property
     def label(self) -> str:
         """Mitsuba's plugin."""
         return "roughconductor"
@@ -179,7 +160,7 @@ class RoughConductorModel(ReflectionModel):
         pairs = zip(self.eta, self.k, strict=True)
         return tuple(((eta - 1.0) ** 2 + k * k) / ((eta + 1.0) ** 2 + k * k) for eta, k in pairs)
 
-    def mitsuba(self, albedo: Any, roughness: Any) -> dict[str, Any]:
+    def mitsuba(self, albedo: Any, roughness: Any, metallic: Any = 0.0) -> dict[str, Any]:
         """``roughconductor``, for an albedo that is constant."""
         tint = [float(a) / n for a, n in zip(albedo["value"], self.normal_reflectance, strict=True)]
         index = {key: {"type": "rgb", "value": list(value)} for key, value in (("eta", self.eta), ("k", self.k))}
@@ -207,7 +188,7 @@ class RoughPlasticModel(ReflectionModel):
         """Mitsuba's plugin."""
         return "roughplastic"
 
-    def mitsuba(self, albedo: Any, roughness: Any) -> dict[str, Any]:
+    def mitsuba(self, albedo: Any, roughness: Any, metallic: Any = 0.0) -> dict[str, Any]:
         """``roughplastic``."""
         tint = {"type": "rgb", "value": list(self.specular)}
         shape = {"distribution": "ggx", "alpha": self.alpha, "int_ior": self.eta, "ext_ior": 1.0}
@@ -223,8 +204,6 @@ class UnsupportedModel(ReflectionModel):
     """Mitsuba's plugin, and what of it is not supported in a few words."""
     reason: str
     """A sentence that says what is not supported."""
-    metallic: float = 0.0
-    """What the file says of its metalness, as far as one number can."""
 
     @property
     def label(self) -> str:

@@ -30,9 +30,7 @@ def bars_at(
         emits: whether each triangle does, bool.
     """
     recovered = (si.valid & ~emits[si.prim.clamp_min(0)]).cpu().numpy()[:, None]
-    albedo, roughness = bars.at(materials, si.p)
-    found = {"albedo": albedo} if roughness is None else {"albedo": albedo, "roughness": roughness}
-    return {name: np.where(recovered, values, np.float32(0.0)) for name, values in found.items()}
+    return {name: np.where(recovered, values, np.float32(0.0)) for name, values in bars.at(materials, si.p).items()}
 
 
 def predict_bars(held_out: HeldOut, bars: ErrorBars, materials: BarFields) -> list[dict[str, FloatArray]]:

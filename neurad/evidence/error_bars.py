@@ -22,12 +22,14 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from functools import partial
 from typing import Protocol
 
 import numpy as np
 import torch
 from torch import Tensor
 
+from neurad.core.parameters import ALBEDO, ROUGHNESS, SurfaceParameter
 from neurad.core.records import Float64Array, FloatArray, IntArray
 from neurad.evidence.bar_calibration import RoughnessBars, calibrate
 from neurad.evidence.fisher import profile
@@ -65,12 +67,8 @@ class BarFields(Protocol):
         """Positions [n, 3] in the scene, on any device, to the unit cube of the fields."""
         ...
 
-    def albedo_at(self, p: Tensor) -> Tensor:
-        """Recovered albedo [n, 3] at such positions."""
-        ...
-
-    def roughness_at(self, p: Tensor) -> Tensor:
-        """Recovered roughness [n, 1] at such positions."""
+    def at(self, p: Tensor) -> dict[str, Tensor]:
+        """Recovered parameters [n, channels] at such positions, by name."""
         ...
 
 
@@ -104,8 +102,8 @@ class ErrorBars:
     edges: float
     iteration: int
 
-    def at(self, materials: BarFields, p: Tensor) -> tuple[FloatArray, FloatArray | None]:
-        """Standard deviations of the albedo [n, 3] and, where there is a roughness, of it [n, 1].
+    def at(self, materials: BarFields, p: Tensor) -> dict[str, FloatArray]:
+        """Standard deviations of ``albedo`` [n, 3] and, where there is one, ``roughness`` [n, 1].
 
         Args:
             materials: the recovered ones.
@@ -119,20 +117,22 @@ class ErrorBars:
         overlap = np.maximum(count * sums["area"] / pixels / self.cell**2, 1.0)  # pixels that see one pixel's patch
         side = np.sqrt(sums["area"] / pixels)[:, 0]
         noise = sums["misfit"] / np.maximum(sums["square"], 1e-30) / overlap
-        roughness = None
+        found: dict[str, FloatArray] = {}
         if self.roughness is not None:
             variance = self.roughness.variance(sums["information"])  # [n, 1]
             trade = sums["cross"] / np.maximum(sums["weight"], 1e-30)
             noise = noise + np.minimum(np.square(trade), 1.0) * variance
-            varies = np.sqrt(texture(materials.roughness_at, p, side)) / self.edges
+            varies = np.sqrt(texture(partial(_parameter, materials, ROUGHNESS), p, side)) / self.edges
             varies = 1.0 + count / (count + 1.0) * (varies - 1.0)  # without pixels there is no size of one
-            roughness = np.sqrt(variance * varies).astype(np.float32)
+            found[ROUGHNESS.name] = np.sqrt(variance * varies).astype(np.float32)
         deviation = np.sqrt(noise * sums["detail"] / pixels)
         # The mean of this factor over the pixels of a cell is 1.
-        deviation *= texture(materials.albedo_at, p, side) / np.maximum(sums["texture"] / pixels, 1e-30)
+        deviation *= texture(partial(_parameter, materials, ALBEDO), p, side) / np.maximum(
+            sums["texture"] / pixels, 1e-30
+        )
         known = count / (count + 1.0) / np.maximum(deviation, 1e-12)
         albedo = np.sqrt(1.0 / (known + 1.0 / np.maximum(np.square(self.spread), 1e-12)))
-        return albedo.astype(np.float32), roughness
+        return {ALBEDO.name: albedo.astype(np.float32), **found}
 
 
 def measure(
@@ -157,8 +157,8 @@ def measure(
     side = _side(x)
     # Stage 1: all in units of the brightness of each pixel, w = 1 / brightness^2.
     brightness = _brightness(pixels)  # [n, 3]
-    by_albedo = pixels.by_albedo / brightness
-    by_roughness = (pixels.by_roughness / brightness).clip(-2.0 * LIMIT, 2.0 * LIMIT)
+    by_albedo = pixels.by[ALBEDO.name] / brightness
+    by_roughness = (pixels.by[ROUGHNESS.name] / brightness).clip(-2.0 * LIMIT, 2.0 * LIMIT)
     residual = (pixels.residual / brightness).clip(-LIMIT, LIMIT)
     misfit = np.square((pixels.misfit / brightness).clip(-LIMIT, LIMIT) * brightness)
     # Stage 2: information about roughness with the albedo of small patches profiled out.
@@ -177,14 +177,15 @@ def measure(
             places = patch, cells(x, side)[0]
             scales = calibrate(by_albedo, by_roughness, residual, information, pixels.odd, places, noise)
     # Stage 3: sums at the nodes.
-    d = pixels.by_albedo[0] * pixels.by_albedo[1]
+    d = pixels.by[ALBEDO.name][0] * pixels.by[ALBEDO.name][1]
     weighted = by_albedo[0] * by_albedo[1]
     cross = 0.5 * (by_albedo[0] * by_roughness[1] + by_albedo[1] * by_roughness[0])
     ones = np.ones((len(pixels), 1))
     cell = _cell(materials.to_unit_cube, pixels.p, side)
     around = torch.from_numpy(pixels.p), np.sqrt(pixels.area)
-    varies = texture(materials.albedo_at, *around)
-    edges = float(np.sqrt(texture(materials.roughness_at, *around)).mean()) if has_roughness and len(pixels) else 1.0
+    varies, edges = texture(partial(_parameter, materials, ALBEDO), *around), 1.0
+    if has_roughness and len(pixels):
+        edges = float(np.sqrt(texture(partial(_parameter, materials, ROUGHNESS), *around)).mean())
     columns = (
         times * ones, times * pixels.area[:, None], times * d, times * misfit, times * pixels.detail, times * varies,
         times * cross, times * weighted, information[:, None],
@@ -196,6 +197,11 @@ def measure(
 def in_cube(to_cube: ToUnitCube, p: FloatArray) -> Float64Array:
     """Positions [n, 3] in the unit cube."""
     return to_cube(torch.from_numpy(np.ascontiguousarray(p, np.float32))).cpu().numpy().astype(np.float64)
+
+
+def _parameter(materials: BarFields, parameter: SurfaceParameter, p: Tensor) -> Tensor:
+    """One of the recovered parameters [n, channels] at positions in the scene [n, 3]."""
+    return materials.at(p)[parameter.name]
 
 
 def texture(field: Callable[[Tensor], Tensor], p: Tensor, side: Float64Array | FloatArray) -> Float64Array:

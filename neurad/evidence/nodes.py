@@ -7,6 +7,7 @@ from typing import Self
 
 import numpy as np
 
+from neurad.core.grid import trilinear
 from neurad.core.records import Float64Array, IntArray
 
 
@@ -24,7 +25,7 @@ class Nodes:
     @classmethod
     def scattered(cls, x: Float64Array, values: Float64Array, side: int) -> Self:
         """Spread ``values`` [n, c] at positions ``x`` [n, 3] in [0, 1] over the eight nodes around each."""
-        node, weight = _corners(x, side)
+        node, weight = trilinear(x, side)
         index, place = np.unique(node, return_inverse=True)
         place = place.reshape(node.shape)
         sums = np.zeros((len(index), values.shape[1]))
@@ -38,24 +39,9 @@ class Nodes:
         result = np.zeros((len(x), self.values.shape[1]))
         if len(self.index) == 0:
             return result
-        node, weight = _corners(x, self.side)
+        node, weight = trilinear(x, self.side)
         place = np.searchsorted(self.index, node).clip(0, len(self.index) - 1)
         weight = np.where(self.index[place] == node, weight, 0.0)
         for corner in range(8):
             result += weight[:, corner, None] * self.values[place[:, corner]]
         return result
-
-
-def _corners(x: Float64Array, side: int) -> tuple[IntArray, Float64Array]:
-    """Indices and trilinear weights of the eight nodes around each position, each [n, 8]."""
-    scaled = np.clip(np.asarray(x, np.float64), 0.0, 1.0) * side
-    cell = np.minimum(scaled.astype(np.int64), side - 1)  # [n, 3]
-    fraction = scaled - cell
-    index = np.empty((len(scaled), 8), np.int64)
-    weight = np.empty((len(scaled), 8))
-    for corner in range(8):
-        step = np.array([corner & 1, corner >> 1 & 1, corner >> 2])
-        at = cell + step
-        index[:, corner] = (at[:, 0] * (side + 1) + at[:, 1]) * (side + 1) + at[:, 2]
-        weight[:, corner] = np.where(step == 1, fraction, 1.0 - fraction).prod(1)
-    return index, weight

@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, fields, replace
-from typing import Self
+from typing import Any, Self
 
 import numpy as np
 import torch
 from torch import Tensor
 
+from neurad.core.parameters import PARAMETERS, recovered
 from neurad.core.protocols import PhotoSource
-from neurad.core.records import BoolArray, FloatArray, PixelBatch, Surface
+from neurad.core.records import BoolArray, FloatArray, PixelBatch
 from neurad.core.rng import Stream
 from neurad.integrators.estimator import Estimator
 from neurad.integrators.primary_hits import PrimaryHits
@@ -40,10 +41,10 @@ class PixelDerivatives:
     """Whether the pixel belongs to the second half of the photographs' pixels [b]."""
     residual: FloatArray
     """Photograph less estimate, by half [2, b, 3]."""
-    by_albedo: FloatArray
-    """Derivative of the estimate by the albedo's same channel, by half [2, b, 3]."""
-    by_roughness: FloatArray
-    """Derivative of the estimate by the roughness, by half [2, b, 3]; 0 in a diffuse scene."""
+    by: Mapping[str, FloatArray]
+    """Derivatives of the estimate by half [2, b, 3], by the name of the surface parameter: by the same channel of the
+    albedo, and by what has one channel; 0 of what the scene does not have.
+    """
     misfit: FloatArray
     """Photograph less the radiance field's prediction, which has no noise; without a field less the estimate [b, 3]."""
     predicted: FloatArray
@@ -61,10 +62,11 @@ class PixelDerivatives:
     @classmethod
     def join(cls, parts: list[Self]) -> Self:
         """Pixels of all parts."""
-        axes = {f.name: int(f.name in ("residual", "by_albedo", "by_roughness")) for f in fields(cls)}
-        return cls(
-            **{name: np.concatenate([getattr(part, name) for part in parts], axis) for name, axis in axes.items()}
-        )
+        plain = [f.name for f in fields(cls) if f.name != "by"]
+        arrays: dict[str, Any] = {
+            name: np.concatenate([getattr(part, name) for part in parts], int(name == "residual")) for name in plain
+        }
+        return cls(**arrays, by={name: np.concatenate([part.by[name] for part in parts], 1) for name in parts[0].by})
 
 
 def pixel_derivatives(
@@ -167,10 +169,8 @@ class SampleGroup:
 
     image: Tensor
     """[b, 3]."""
-    by_albedo: Tensor
-    """[b, 3]."""
-    by_roughness: Tensor
-    """[b, 3]."""
+    by: Mapping[str, Tensor]
+    """Its derivatives by the surface parameters that are recovered [b, 3]."""
     field: Tensor | None
     """What the radiance field predicts [b, 3]; None without one, or where it was not asked."""
     albedo: Tensor
@@ -193,11 +193,11 @@ def _of_batch(
     ]
     halves = [part[0] for part in parts]
 
-    def mean(name: str) -> Tensor:
+    def mean(of: Callable[[SampleGroup], Tensor]) -> Tensor:
         """[2, b, 3]."""
-        return torch.stack([torch.stack([getattr(group, name) for group in part]).mean(0) for part in parts])
+        return torch.stack([torch.stack([of(group) for group in part]).mean(0) for part in parts])
 
-    image = mean("image")
+    image = mean(lambda group: group.image)
     lhs = [half.field for half in halves if half.field is not None]
     predicted = torch.stack(lhs).mean(0) if lhs else image.mean(0)  # [b, 3]
     albedo = torch.cat([half.albedo for half in halves], 1)  # [b, SPP, 3]
@@ -213,14 +213,12 @@ def _of_batch(
         "predicted": predicted, "albedo": albedo.mean(1), "detail": albedo.var(1),
         "points": torch.cat([half.p for half in halves], 1),
     }  # fmt: skip
-    halved = {
-        "residual": batch.color - image,
-        "by_albedo": mean("by_albedo"),
-        "by_roughness": mean("by_roughness"),
-    }
-    arrays = {name: values[kept] for name, values in whole.items()}
-    arrays |= {name: values[:, kept] for name, values in halved.items()}
-    return PixelDerivatives(**{name: values.cpu().numpy() for name, values in arrays.items()})
+    derivatives = {name: mean(lambda group, name=name: group.by[name]) for name in halves[0].by}  # type: ignore[misc]
+    arrays: dict[str, Any] = {name: values[kept].cpu().numpy() for name, values in whole.items()}
+    return PixelDerivatives(
+        **arrays, residual=(batch.color - image)[:, kept].cpu().numpy(),
+        by={name: values[:, kept].cpu().numpy() for name, values in derivatives.items()},
+    )  # fmt: skip
 
 
 def group_of_samples(
@@ -242,8 +240,12 @@ def group_of_samples(
         field = None
         if predict and estimator.radiance is not None:
             field = first.attenuate(emitted + si.where_hit(estimator.radiance(si, found.albedo))).view(b, n, 3).mean(1)
-    albedo, roughness = found.albedo.detach().clone(), found.roughness.detach().clone()
-    surface = replace(found, albedo=albedo.requires_grad_(), roughness=roughness.requires_grad_())
+    leaves = {
+        parameter.name: value.detach().clone().requires_grad_()
+        for parameter in recovered(PARAMETERS)
+        if (value := found.parameters.get(parameter.name)) is not None
+    }
+    surface = replace(found, **leaves)
     with torch.enable_grad():
         sample = estimator.image(si, surface, 1, stream, n // _GROUPS)
         image = first.attenuate(sample.value).view(b, n, 3)
@@ -251,31 +253,31 @@ def group_of_samples(
             light = (sample.Li_bsdf * sample.sample_stats.relative).view(b, n, 3)
             deviation = first.attenuate(sample.sample_stats.deviation).view(b, n, 3)
             image = image - ControlVariate(light, deviation, _GROUPS).residual()
-        by_albedo, by_roughness = _jacobian(image, surface)
+        by = _jacobian(image, leaves)
     return SampleGroup(
-        (image.detach() + first.attenuate(emitted).view(b, n, 3)).mean(1), by_albedo, by_roughness, field,
-        albedo.detach().view(b, n, 3), si.p.view(b, n, 3), (si.n * si.wo).sum(-1).abs().view(b, n),
+        (image.detach() + first.attenuate(emitted).view(b, n, 3)).mean(1), by, field,
+        surface.albedo.detach().view(b, n, 3), si.p.view(b, n, 3), (si.n * si.wo).sum(-1).abs().view(b, n),
         si.valid.view(b, n).all(1),
     )  # fmt: skip
 
 
-def _jacobian(image: Tensor, surface: Surface) -> tuple[Tensor, Tensor]:
-    """Derivatives of pixels, the means of samples ``image`` [b, n, 3], by a change of the whole pixel's albedo, channel
-    by channel, and roughness: each [b, 3].
+def _jacobian(image: Tensor, parameters: Mapping[str, Tensor]) -> dict[str, Tensor]:
+    """Derivatives of pixels, the means of samples ``image`` [b, n, 3], by a change of each surface parameter of the
+    whole pixel: of the albedo channel by channel, [b, 3] each.
     """
     b, n, channels = image.shape
-    by_albedo, by_roughness = image.new_zeros(2, b, channels).unbind()
+    by = dict(zip(parameters, image.new_zeros(len(parameters), b, channels).unbind(), strict=True))
     if torch.is_inference_mode_enabled():
         raise RuntimeError("derivatives of pixels cannot be taken in torch's inference mode")
     if not image.requires_grad:  # nothing reflects
-        return by_albedo, by_roughness
+        return by
     for channel in range(channels):
         gradients = torch.autograd.grad(
-            image[..., channel].sum(), (surface.albedo, surface.roughness), retain_graph=channel + 1 < channels,
+            image[..., channel].sum(), tuple(parameters.values()), retain_graph=channel + 1 < channels,
             allow_unused=True,
         )  # fmt: skip
-        if gradients[0] is not None:
-            by_albedo[:, channel] = gradients[0][:, channel].view(b, n).mean(1)
-        if gradients[1] is not None:
-            by_roughness[:, channel] = gradients[1][:, 0].view(b, n).mean(1)
-    return by_albedo, by_roughness
+        for name, gradient in zip(parameters, gradients, strict=True):
+            if gradient is not None:
+                own = gradient[:, channel if gradient.shape[1] > 1 else 0]
+                by[name][:, channel] = own.view(b, n).mean(1)
+    return by

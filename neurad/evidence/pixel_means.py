@@ -10,6 +10,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from neurad.core.parameters import ALBEDO, ROUGHNESS
 from neurad.core.protocols import PhotoSource
 from neurad.core.records import FloatArray, IntArray, PixelBatch
 from neurad.core.rng import Stream
@@ -109,11 +110,11 @@ def _parts(
         stream = Stream(*key, index, _STREAM, device=primary.origin.device)
         # The unit needs no average over all groups, and the radiance field is a part of the cost.
         first = group_of_samples(estimator, primary, batch, stream, n=samples)
-        found = [(first.by_roughness, first.by_albedo, first.image)]
+        found = [(first.by[ROUGHNESS.name], first.by[ALBEDO.name], first.image)]
         kept = first.valid
         for _ in range(1, groups):
             group = group_of_samples(estimator, primary, batch, stream, False, samples)
-            found.append((group.by_roughness, group.by_albedo, group.image))
+            found.append((group.by[ROUGHNESS.name], group.by[ALBEDO.name], group.image))
             kept = kept & group.valid
         r, d, image = (torch.stack(values) for values in zip(*found, strict=True))  # [groups, b, 3]
         # ---------------------- In units of the brightness ----------------------

@@ -202,9 +202,12 @@ def _pairs(
     points = _points(world, cameras, chosen, photographs, develop, left_out, size)
     eyes = torch.stack([torch.as_tensor(cameras[i].to_world, dtype=torch.float32)[:3, 3] for i in chosen])
     eyes = eyes.to(points.si.p.device)
-    near = torch.stack([(_unit(eye - points.si.p) * points.si.wo).sum(-1) for eye in eyes], 1).cpu()
+    towards, front = [_unit(eye - points.si.p) for eye in eyes], (points.si.wo * points.si.n).sum(-1) > 0
+    near = torch.stack([(way * points.si.wo).sum(-1) for way in towards], 1).cpu()
     own = torch.from_numpy(np.searchsorted(chosen, points.view))
     near[torch.arange(len(own)), own] = -2.0
+    behind = torch.stack([((way * points.si.n).sum(-1) > 0) != front for way in towards], 1).cpu()
+    near[behind] = -2.0  # another side of a sheet has another light
     seen = SeenBy(world.geometry, world.tracer, [cameras[i] for i in chosen])
     inside = torch.stack([in_view(cameras[i], points.si.p).cpu() for i in chosen], 1)
     near = torch.where(inside, near, -2.0)

@@ -15,8 +15,10 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from neurad.core.parameters import ALBEDO
+from neurad.core.records import FloatArray
 from neurad.evidence.pixel_derivatives import PixelDerivatives
-from neurad.fields.material import AlbedoField, RoughnessField
+from neurad.fields.material import MaterialField
 from neurad.losses.relative import relative_weight
 from neurad.optim.level_factors import LevelFactors
 
@@ -29,17 +31,19 @@ ROUNDS, QUICK, STEP = (1, 2, 2), (2,), 0.02
 factors that derivatives are of."""
 SIGMAS = 2.0
 """Factors are clear if they lower the loss of pixels that they were not fitted to by so many standard errors."""
-SHOWN = -SIGMAS, SIGMAS
-"""Standard errors from which results show factors of albedo and roughness. Those of the albedo gained up to 1.3 dB in
-four rooms, and lost 0.1 at most, whatever sign this had: what two halves of the pixels find has twice the noise of what
-all of them do. Roughness has less noise to take out, and wrong factors cost up to half a dB of it."""
+SHOWN = {ALBEDO.name: -SIGMAS}
+"""Standard errors from which results show factors, where that is not :data:`SIGMAS`. Those of the albedo gained up to
+1.3 dB in four rooms, and lost 0.1 at most, whatever sign this had: what two halves of the pixels find has twice the
+noise of what all of them do. Roughness has less noise to take out, and wrong factors cost up to half a dB of it."""
 
 
 class FittedFields(Protocol):
     """Materials whose fields can be asked by their features."""
 
-    albedo: AlbedoField
-    roughness: RoughnessField | None
+    @property
+    def recovered(self) -> dict[str, MaterialField]:
+        """The fields that are trained, by the name of their parameter, the albedo first."""
+        ...
 
 
 @dataclass(frozen=True)
@@ -66,7 +70,7 @@ def fit_levels(
     pixels: PixelDerivatives, materials: FittedFields, levels: LevelFactors, epsilon: float, quick: bool = False
 ) -> list[LevelFit]:
     """The factors of the levels with which the fields explain pixels that they were not fitted to: those of the albedo,
-    and with them those of the roughness.
+    and with them those of the others.
 
     Args:
         pixels: training pixels that no batch drew, derivatives at the present fields.
@@ -83,7 +87,8 @@ def fit_levels(
         odd = torch.from_numpy(pixels.odd).to(response.device)
         found: list[LevelFit] = []
         for _ in range(2):
-            for index, sigmas in zip(range(1 if quick else len(factors)), SHOWN, strict=False):
+            for index, name in enumerate(list(response.fields)[: 1 if quick else None]):
+                sigmas = SHOWN.get(name, SIGMAS)
                 found[index : index + 1] = [_cross_validated(response, factors, index, odd, sigmas, rounds)]
                 factors[index] = found[index].factors
             if not any(fit.holds for fit in found[1:]):
@@ -147,32 +152,32 @@ class _Response:
     """Losses of the pixels as a function of the factors."""
 
     def __init__(self, pixels: PixelDerivatives, materials: FittedFields, levels: LevelFactors, epsilon: float) -> None:
-        self.materials = materials
-        device = next(iter(materials.albedo.grid.parameters())).device
-        tensors = {
-            name: torch.from_numpy(np.ascontiguousarray(getattr(pixels, name))).to(device)
-            for name in ("residual", "by_albedo", "by_roughness", "predicted", "points")
-        }
-        self.at_start, self.by_albedo = tensors["residual"], tensors["by_albedo"]  # [2, b, 3]
-        self.by_roughness = tensors["by_roughness"]
-        albedo = torch.from_numpy(np.ascontiguousarray(pixels.albedo)).to(device)
-        self.weight = relative_weight(tensors["predicted"], epsilon) * albedo.square()  # [b, 3]
-        points = tensors["points"][:, ::2]  # half of them say what a pixel shows
+        self.fields = materials.recovered
+        device = next(iter(self.fields[ALBEDO.name].grid.parameters())).device
+
+        def on_device(values: FloatArray) -> Tensor:
+            return torch.from_numpy(np.ascontiguousarray(values)).to(device)
+
+        self.at_start = on_device(pixels.residual)  # [2, b, 3]
+        self.by = [on_device(pixels.by[name]) for name in self.fields]  # [2, b, 3] each
+        self.weight = (
+            relative_weight(on_device(pixels.predicted), epsilon) * on_device(pixels.albedo).square()
+        )  # [b, 3]
+        points = on_device(pixels.points)[:, ::2]  # half of them say what a pixel shows
         self.samples, points = points.shape[1], points.reshape(-1, 3)
-        fields = [materials.albedo] + ([] if materials.roughness is None else [materials.roughness])
+        fields = self.fields.values()
         self.sizes = [len(factors) for field in fields if (factors := levels.of(field.grid)) is not None]
         self.features = [field.features(points) for field in fields]
         self.at_ones = self._values([torch.ones(size, device=device) for size in self.sizes])
         self.device = device
 
-    def _values(self, factors: list[Tensor]) -> tuple[Tensor, Tensor | None]:
-        """Means over the pixels of albedo [b, 3] and roughness [b, 1]."""
+    def _values(self, factors: list[Tensor]) -> list[Tensor]:
+        """Means of the parameters over the pixels [b, channels], in the order of the fields."""
         scaled = [x * f.repeat_interleave(x.shape[1] // len(f)) for x, f in zip(self.features, factors, strict=True)]
-        albedo = self.materials.albedo.of_features(scaled[0])
-        roughness = None
-        if self.materials.roughness is not None:
-            roughness = self._mean(self.materials.roughness.of_features(scaled[1], albedo))
-        return self._mean(albedo), roughness
+        first, *others = self.fields.values()
+        albedo = first.of_features(scaled[0])
+        values = [albedo, *(field.of_features(x, albedo) for field, x in zip(others, scaled[1:], strict=True))]
+        return [self._mean(x) for x in values]
 
     def _mean(self, values: Tensor) -> Tensor:
         return values.view(-1, self.samples, values.shape[1]).mean(1)
@@ -190,8 +195,7 @@ class _Response:
 
     def residual(self, factors: list[Tensor]) -> Tensor:
         """Residuals of the pixels by half [2, b, 3]."""
-        albedo, roughness = self._values(factors)
-        residual = self.at_start - self.by_albedo * (albedo - self.at_ones[0])  # [2, b, 3]
-        if roughness is not None and self.at_ones[1] is not None:
-            residual = residual - self.by_roughness * (roughness - self.at_ones[1])
+        residual = self.at_start  # [2, b, 3]
+        for by, value, before in zip(self.by, self._values(factors), self.at_ones, strict=True):
+            residual = residual - by * (value - before)
         return residual

@@ -3,18 +3,19 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
 
+from neurad.core.parameters import ALBEDO, ROUGHNESS, SurfaceParameter, split
 from neurad.core.protocols import Materials
 from neurad.core.records import BoolArray, FloatArray
 from neurad.export import texel_means_kernels
 from neurad.export.charts import Chart, border_texels
 from neurad.export.fill import push_pull
 from neurad.export.texel_means import Means, TexelMeans, uncertain
-from neurad.runtime.threads import split
+from neurad.runtime import threads
 from neurad.scene.geometry import Geometry
 
 PER_TEXEL, MOST_PER_TEXEL = 2, 8
@@ -41,12 +42,19 @@ with an eighth none is left."""
 
 @dataclass(frozen=True)
 class Baked:
-    """The texture of one mesh, albedo and roughness side by side."""
+    """The texture of one mesh, its surface parameters side by side."""
 
     pixels: FloatArray
-    """Linear albedo (three channels) and roughness [h, w, 4], float16; every texel is filled."""
+    """Linear [h, w, channels], float16; every texel is filled."""
     covered: BoolArray
     """Texels that lie on the mesh or in the gutter around its charts [h, w]."""
+    parameters: Sequence[SurfaceParameter] = (ALBEDO, ROUGHNESS)
+    """What the channels are."""
+
+    @property
+    def maps(self) -> dict[str, FloatArray]:
+        """Textures [h, w, channels] by the name of their parameter."""
+        return split(self.pixels, self.parameters)
 
 
 def bake(
@@ -55,6 +63,7 @@ def bake(
     geometry: Geometry,
     materials: Materials,
     done: Callable[[int], None] = lambda texels: None,
+    parameters: Sequence[SurfaceParameter] = (ALBEDO, ROUGHNESS),
 ) -> Baked:
     """Ask the materials for every texel of a mesh: the mean over positions in it, a box filter. One position is enough
     in large textures where neighbours say that little happens between them.
@@ -69,8 +78,9 @@ def bake(
         geometry: of the whole scene, with the same triangles.
         materials: what to ask, on the CPU or where ``geometry`` lies.
         done: called with numbers of texels, which count twice: when they are asked first, and when they are known.
+        parameters: what of the materials.
     """
-    mesh = TexelMeans(chart, first, geometry, materials)
+    mesh = TexelMeans(chart, first, geometry, materials, parameters)
     per = positions(CHEAP, chart, 1)
     means = mesh.means(per, done=done)
     border = border_texels(chart)
@@ -79,7 +89,7 @@ def bake(
     refine(mesh, means, inner, per, per, positions(AFFORDABLE, chart, PER_TEXEL), SETTLED_INSIDE, done)
     refine(mesh, means, border, per, PER_BORDER_TEXEL, MOST_PER_BORDER_TEXEL, SETTLED, done)
     pixels = sharpened(means, means.inside & ~border)
-    return Baked(push_pull(pixels, means.covered).astype(np.float16), means.covered)
+    return Baked(push_pull(pixels, means.covered).astype(np.float16), means.covered, parameters)
 
 
 def refine(
@@ -125,7 +135,7 @@ def refine(
 
 
 def sharpened(means: Means, mask: BoolArray) -> FloatArray:
-    """Texels [h, w, 4] whose bilinear lookups show what lies under them, without the blur of box filter and lookup.
+    """Texels [h, w, channels] whose bilinear lookups show what lies under them, without the blur of filter and lookup.
 
     No texel gets a value beyond all of those that the mesh has.
 
@@ -140,7 +150,7 @@ def sharpened(means: Means, mask: BoolArray) -> FloatArray:
             means.values, means.covered, mask, GIVEN_BACK, means.least, means.most, low, high, out
         )
 
-    split(work, len(mask), 64)
+    threads.split(work, len(mask), 64)
     return out
 
 

@@ -4,12 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
 from neurad.assembly.build import Assembly
 from neurad.assembly.relight import shown_environment, with_lamps
 from neurad.core.errors import InputError
+from neurad.core.parameters import SurfaceParameter
 from neurad.core.protocols import Materials
 from neurad.core.records import Bitmap, Constant, Material, Mesh
 from neurad.core.reflection import PrincipledModel, ReflectionModel
@@ -58,7 +60,8 @@ def bake_room(assembly: Assembly, texels: int, size: int | None, up: Up | None, 
     for index, chart in zip(textured, made, strict=True):
         charts[index] = chart
     progress.stage("textures", 2 * sum(_texels(chart) for chart in made))
-    baked = _bake_all(charts, [len(mesh.faces) for mesh in scene.meshes], world.geometry, materials, progress)
+    faces = [len(mesh.faces) for mesh in scene.meshes]
+    baked = _bake_all(charts, faces, world.geometry, materials, scene.parameters, progress)
     names = file_names([mesh.name for mesh in scene.meshes])
     return Room(
         scene=_baked_scene(scene, assembly, described, names, charts, baked),
@@ -72,7 +75,12 @@ def bake_room(assembly: Assembly, texels: int, size: int | None, up: Up | None, 
 
 
 def _bake_all(
-    charts: list[Chart | None], faces: list[int], geometry: Geometry, materials: Materials, progress: Progress
+    charts: list[Chart | None],
+    faces: list[int],
+    geometry: Geometry,
+    materials: Materials,
+    parameters: tuple[SurfaceParameter, ...],
+    progress: Progress,
 ) -> list[Baked | None]:
     """The texture of every mesh that has a chart: large ones in turn on all threads, then small ones a thread each."""
     first = np.cumsum([0, *faces])
@@ -82,7 +90,9 @@ def _bake_all(
 
     def one(index: int, done: Callable[[int], None] = lambda texels: None) -> Baked | None:
         chart = charts[index]
-        return None if chart is None else bake(chart, int(first[index]), geometry, materials, done)
+        if chart is None:
+            return None
+        return bake(chart, int(first[index]), geometry, materials, done, parameters)
 
     largest_first = sorted(range(len(charts)), key=lambda index: -sizes[index])
     large = [index for index in largest_first if sizes[index] > large_from]
@@ -134,8 +144,8 @@ def _baked_scene(
     meshes, materials = [], []
     for index, (mesh, material, chart, texture) in enumerate(zip(scene.meshes, described, charts, baked, strict=True)):
         if chart is not None and texture is not None:
-            albedo, roughness = texture.pixels[..., :3], texture.pixels[..., 3:]
-            material = replace(material, albedo=_shortest(albedo), roughness=_shortest(roughness))
+            maps: dict[str, Any] = {name: _shortest(pixels) for name, pixels in texture.maps.items()}
+            material = replace(material, **maps)
             mesh = chart.mesh
         materials.append(replace(material, name=names[index]))
         meshes.append(replace(mesh, name=names[index], material=index, attributes={}))

@@ -20,9 +20,10 @@ from torch import Tensor
 from neurad.bsdf.burley import lobes_pdf
 from neurad.bsdf.microfacet import MIN_ALPHA, fresnel_dielectric, reflectance
 from neurad.core.records import Constant, FloatArray, Material
-from neurad.core.reflection import PrincipledModel, ReflectionModel
+from neurad.core.reflection import PrincipledModel
 from neurad.export.raster_kernels import Array
 from neurad.runtime import threads
+from neurad.scene.description import is_dielectric
 
 Target = Literal["blender", "gltf", "exact"]
 """Whose model the colour is for: Cycles', the sample BRDF of the Khronos group, or neurad's own."""
@@ -70,9 +71,11 @@ def energy() -> Energy:
     return Energy(np.array(diffuse), np.array(specular), np.array(schlick), under)
 
 
-def is_converted(model: ReflectionModel) -> bool:
-    """Whether base colours of a reflection model are other ones for other programs: where diffuse light has a coat."""
-    return isinstance(model, PrincipledModel) and model.metallic == 0.0
+def is_converted(material: Material) -> bool:
+    """Whether base colours of a material are other ones for other programs: where diffuse light has a coat, and none of
+    it is metal.
+    """
+    return isinstance(material.model, PrincipledModel) and is_dielectric(material.metallic)
 
 
 def base_for(target: Target, base: FloatArray, roughness: FloatArray) -> FloatArray:

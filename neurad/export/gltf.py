@@ -81,9 +81,8 @@ def _coded(room: Room, index: int, target: Target) -> Coded | None:
     baked = room.baked[index]
     if baked is None:
         return None
-    model = room.scene.materials[room.scene.meshes[index].material].model
-    own = target if is_converted(model) else "exact"
-    return coded(baked.pixels, own, model.metallic if isinstance(model, PrincipledModel) else 0.0)
+    converted = is_converted(room.scene.materials[room.scene.meshes[index].material])
+    return coded(baked.maps, target if converted else "exact")
 
 
 def _add_mesh(glb: GlbWriter, room: Room, index: int, files: Coded | None) -> int:

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
 import numpy.typing as npt
 
+from neurad.core.parameters import ALBEDO, METALLIC, ROUGHNESS
 from neurad.core.records import FloatArray
 from neurad.export.base_colour import Target, base_for
 from neurad.images.image_io import png, to_srgb
@@ -29,19 +31,24 @@ class Coded:
     """Texels whose base colour would have left [0, 1]."""
 
 
-def coded(pixels: FloatArray, target: Target, metallic: float = 0.0) -> Coded:
-    """Albedo and roughness [h, w, 4] as the two files that glTF and USD read."""
-    base = np.empty((*pixels.shape[:2], 3), np.uint8)
+def coded(maps: Mapping[str, FloatArray], target: Target) -> Coded:
+    """Textures of a mesh [h, w, channels], by the name of the surface parameter, as the two files that glTF and USD
+    read.
+    """
+    albedo = maps[ALBEDO.name]
+    base = np.empty((*albedo.shape[:2], 3), np.uint8)
     orm = np.full(base.shape, 255, np.uint8)
-    orm[..., 2] = eight_bits(metallic)
     clipped = 0
-    for top in range(0, len(pixels), ROWS):
+    for top in range(0, len(albedo), ROWS):
         part = slice(top, top + ROWS)
-        values = pixels[part].astype(np.float32)
-        wanted = base_for(target, values[..., :3], values[..., 3:])
+        roughness, metallic = (
+            maps[p.name][part].astype(np.float32) if p.name in maps else np.full(1, p.absent, np.float32)
+            for p in (ROUGHNESS, METALLIC)
+        )
+        wanted = base_for(target, albedo[part].astype(np.float32), roughness)
         clipped += int(((wanted > 1.0) | (wanted < 0.0)).any(-1).sum())
         base[part] = eight_bits(to_srgb(wanted))
-        orm[part, :, 1] = eight_bits(values[..., 3])
+        orm[part, :, 1], orm[part, :, 2] = eight_bits(roughness[..., 0]), eight_bits(metallic[..., 0])
     return Coded(png(base), png(orm), clipped)
 
 

@@ -9,6 +9,7 @@ from typing import Any
 import numpy as np
 
 from neurad.core.decibels import FINEST, decibels
+from neurad.core.parameters import RECOVERED
 from neurad.core.records import FloatArray
 from neurad.export.images import eight_bits
 from neurad.export.seams import BOUND
@@ -104,7 +105,7 @@ def _bounds(found: Verified) -> str:
 def _baking(found: Verified) -> str:
     """What the textures lost of what the fields knew."""
     rows = []
-    for what in ("albedo", "roughness", "picture"):
+    for what in (*RECOVERED, "picture"):
         before, after = (found.scores.get(f"{what}_psnr_{which}") for which in ("fields", "baked"))
         if before is not None and after is not None:
             lost = min(before, FINEST) - min(after, FINEST)

@@ -221,8 +221,8 @@ def _light_notes(light: PunctualLight, origin: Sequence[float]) -> dict[str, Any
 def _write_evidence(
     room: Room, assembly: Assembly, folder: Path, bar: Bar, bars: ErrorBars | None
 ) -> list[float | None]:
-    """``evidence/MESH.png``, ``albedo_std/MESH.exr`` and ``roughness_std/MESH.exr``, and what fraction of each mesh's
-    texels a photograph saw.
+    """``evidence/MESH.png``, ``albedo_std/MESH.exr`` and the like of every recovered parameter, and what fraction of
+    each mesh's texels a photograph saw.
     """
     (folder / "evidence").mkdir()
     emits = (assembly.world.geometry.emission > 0).any(-1)
@@ -277,7 +277,7 @@ def _mesh_notes(room: Room, index: int, seen: float | None) -> dict[str, Any]:
         "triangles": len(mesh.faces),
         "emits": bool(mesh.radiance is not None and mesh.radiance.max() > 0),
         "two_sided": room.scene.materials[mesh.material].two_sided,
-        "base_color_converted": is_converted(room.scene.materials[mesh.material].model),
+        "base_color_converted": is_converted(room.scene.materials[mesh.material]),
         "texture": texture,
     }
 

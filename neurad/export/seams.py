@@ -37,7 +37,7 @@ class Seams:
     points: int
     """Points on them that were looked at."""
     largest: float
-    """Difference between what a bilinear lookup shows of albedo and roughness and the mean of the fields, in [0, 1]."""
+    """Difference between what a bilinear lookup shows of surface parameters and the mean of the fields, in [0, 1]."""
     mean: float
     beyond: float
     """Fraction of the points that differ by more than :data:`BOUND`."""
@@ -96,7 +96,7 @@ def find_seams(
             part = stream.uniform(len(chosen)).numpy().astype(np.float64)
             x, y = _along(chart, border[chosen], part)
             shown = _bilinear(baked.pixels, x, y)
-            mesh = TexelMeans(chart, int(first[index]), geometry, materials)
+            mesh = TexelMeans(chart, int(first[index]), geometry, materials, baked.parameters)
             off = np.abs(shown - _meant(mesh, chart, x, y)).max(1)
             if off.max() > largest:
                 largest, where = float(off.max()), room.names[index]
@@ -152,7 +152,7 @@ def _bilinear(pixels: FloatArray, x: Array, y: Array) -> FloatArray:
 
 
 def _meant(mesh: TexelMeans, chart: Chart, x: Array, y: Array) -> FloatArray:
-    """What lookups at (x, y) [n] ought to show [n, 4]: means of the fields over the texels they read, by weight."""
+    """What lookups at (x, y) [n] ought to show [n, channels]: means of the fields over texels they read, by weight."""
     wanted = texels_read(chart, x, y)
     meant = mesh.means(PER_SIDE[0], wanted)
     error = uncertain(meant.values, meant.covered, meant.spread, PER_SIDE[0])

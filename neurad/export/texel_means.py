@@ -1,16 +1,17 @@
-"""What lies under the texels of a mesh: means of albedo and roughness over positions in each."""
+"""What lies under the texels of a mesh: means of surface parameters over positions in each."""
 
 from __future__ import annotations
 
 import math
 from collections import deque
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
 import torch
 
+from neurad.core.parameters import ALBEDO, ROUGHNESS, SurfaceParameter
 from neurad.core.protocols import Materials
 from neurad.core.records import BoolArray, FloatArray
 from neurad.export import raster_kernels, texel_means_kernels
@@ -53,7 +54,7 @@ class Means:
     """Means over the texels of a texture."""
 
     values: FloatArray
-    """Albedo and roughness [h, w, 4], zero where there is nothing; float32."""
+    """[h, w, channels], zero where there is nothing; float32."""
     covered: BoolArray
     """Texels that have anything: on the mesh or in the gutter around its charts [h, w]."""
     inside: BoolArray
@@ -62,9 +63,9 @@ class Means:
     """Standard deviation over the positions of a texel from a plane through them, of the value that varies most [h, w]:
     means over a grid know planes exactly."""
     least: FloatArray
-    """Smallest values at any position [4]."""
+    """Smallest values at any position [channels]."""
     most: FloatArray
-    """Largest ones [4]."""
+    """Largest ones [channels]."""
 
 
 def _counted(owner: IntArray, distance: Array) -> tuple[IntArray, BoolArray]:
@@ -82,13 +83,14 @@ def _counted(owner: IntArray, distance: Array) -> tuple[IntArray, BoolArray]:
 def _averaged(
     owner: IntArray, begin: IntArray, asked: FloatArray, per: int
 ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
-    """:attr:`Means.values` [n, 4] and :attr:`Means.spread` [n] of texels, from their samples in order, and the smallest
-    and largest values of these [4].
+    """:attr:`Means.values` [n, channels] and :attr:`Means.spread` [n] of texels, from their samples in order, and the
+    smallest and largest values of these [channels].
     """
-    mean, spread = np.empty((len(owner), 4), np.float32), np.empty(len(owner), np.float32)
+    channels = asked.shape[1]
+    mean, spread = np.empty((len(owner), channels), np.float32), np.empty(len(owner), np.float32)
 
     def work(low: int, high: int) -> tuple[FloatArray, FloatArray]:
-        part, (least, most) = slice(low, high), (np.ones(4, np.float32), np.zeros(4, np.float32))
+        part, (least, most) = slice(low, high), (np.ones(channels, np.float32), np.zeros(channels, np.float32))
         texel_means_kernels.averaged(owner[part], begin[part], asked, per, mean[part], spread[part], least, most)
         return least, most
 
@@ -104,9 +106,18 @@ class TexelMeans:
         first: number of its first triangle in ``geometry``.
         geometry: of the whole scene, with the same triangles.
         materials: what to ask, on the CPU or where ``geometry`` lies.
+        parameters: what of them.
     """
 
-    def __init__(self, chart: Chart, first: int, geometry: Geometry, materials: Materials) -> None:
+    def __init__(
+        self,
+        chart: Chart,
+        first: int,
+        geometry: Geometry,
+        materials: Materials,
+        parameters: Sequence[SurfaceParameter] = (ALBEDO, ROUGHNESS),
+    ) -> None:
+        self.parameters, self.channels = parameters, sum(parameter.channels for parameter in parameters)
         self.shape = (chart.height, chart.width)
         self._first, self._geometry, self._materials = first, geometry, materials
         self._corners = chart.corners
@@ -128,9 +139,9 @@ class TexelMeans:
             done: called with numbers of texels as they get done.
         """
         size = self.shape[0] * self.shape[1]
-        values, spread = np.zeros((size, 4), np.float32), np.zeros(size, np.float32)
+        values, spread = np.zeros((size, self.channels), np.float32), np.zeros(size, np.float32)
         covered, inside = np.zeros(size, bool), np.zeros(size, bool)
-        least, most = np.ones(4, np.float32), np.zeros(4, np.float32)
+        least, most = np.ones(self.channels, np.float32), np.zeros(self.channels, np.float32)
         for texels, owner, count, within in self._batches(per, wanted):
             begin = np.cumsum(count) - count
             asked = self._asked(*self._placed(owner, texels, begin, int(count.sum()), per))
@@ -139,7 +150,7 @@ class TexelMeans:
             covered[texels], inside[texels] = count > 0, within
             done(len(texels))
         return Means(
-            values.reshape(*self.shape, 4), covered.reshape(self.shape), inside.reshape(self.shape),
+            values.reshape(*self.shape, -1), covered.reshape(self.shape), inside.reshape(self.shape),
             spread.reshape(self.shape), least, most,
         )  # fmt: skip
 
@@ -184,7 +195,7 @@ class TexelMeans:
         return face, x, y
 
     def _asked(self, owner: IntArray, x: Array, y: Array) -> FloatArray:
-        """Albedo and roughness [n, 4] at positions (x, y) [n] of the texture, on or around triangles ``owner`` [n]."""
+        """Values [n, channels] at positions (x, y) [n] of the texture, on or around triangles ``owner`` [n]."""
         u, v = np.empty((2, len(owner)))
         split(
             lambda low, high: raster_kernels.locate(
@@ -195,7 +206,7 @@ class TexelMeans:
             4096,
         )  # fmt: skip
         geometry, device = self._geometry, self._geometry.vertices.device
-        out = np.empty((len(owner), 4), np.float32)
+        out = np.empty((len(owner), self.channels), np.float32)
 
         def work(begin: int) -> None:
             part = slice(begin, begin + CHUNK)
@@ -203,8 +214,7 @@ class TexelMeans:
             at_u, at_v = (torch.from_numpy(z[part]).float().to(device) for z in (u, v))
             towards = geometry.face_normal[prim]
             si = geometry.interact_at(prim, at_u, at_v, towards, torch.ones_like(prim, dtype=torch.bool))
-            surface = self._materials(si)
-            values = torch.cat((surface.albedo, surface.roughness.expand(len(prim), 1)), -1)
+            values = self._materials(si).stacked(self.parameters)
             out[part] = values.clamp(0.0, 1.0).cpu().numpy()
 
         deque(each(work, range(0, len(owner), CHUNK)), maxlen=0)

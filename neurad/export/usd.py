@@ -177,12 +177,15 @@ class _Stage:
         reader.CreateInput("varname", Sdf.ValueTypeNames.String).Set("st")
         st = reader.CreateOutput("result", Sdf.ValueTypeNames.Float2)
         base_file, orm_file = _base_file(name), _orm_file(name)
-        colour.ConnectToSource(self._texture(f"{path}/base_color", base_file, "sRGB", st, "rgb"))
-        rough.ConnectToSource(self._texture(f"{path}/orm", orm_file, "raw", st, "g"))
+        colour.ConnectToSource(self._texture(f"{path}/base_color", base_file, "sRGB", st, "rgb")["rgb"])
+        orm = self._texture(f"{path}/orm", orm_file, "raw", st, "g", "b")
+        rough.ConnectToSource(orm["g"])
+        if not material.model.is_diffuse:
+            shader.CreateInput("metallic", Sdf.ValueTypeNames.Float).ConnectToSource(orm["b"])
         return made
 
-    def _texture(self, path: str, file: str, space: str, st: Any, channel: str) -> Any:
-        """The output of a picture."""
+    def _texture(self, path: str, file: str, space: str, st: Any, *channels: str) -> dict[str, Any]:
+        """Outputs of a picture, by channel."""
         from pxr import Sdf, UsdShade
 
         shader = UsdShade.Shader.Define(self.stage, path)
@@ -192,8 +195,8 @@ class _Stage:
         for wrap in ("wrapS", "wrapT"):
             shader.CreateInput(wrap, Sdf.ValueTypeNames.Token).Set("clamp")
         shader.CreateInput("st", Sdf.ValueTypeNames.Float2).ConnectToSource(st)
-        kind = Sdf.ValueTypeNames.Float3 if channel == "rgb" else Sdf.ValueTypeNames.Float
-        return shader.CreateOutput(channel, kind)
+        kinds = Sdf.ValueTypeNames
+        return {x: shader.CreateOutput(x, kinds.Float3 if x == "rgb" else kinds.Float) for x in channels}
 
     def _camera(self, view: View) -> None:
         from pxr import Gf, UsdGeom
@@ -232,7 +235,7 @@ def _inputs(mesh: Mesh, material: Material) -> list[tuple[str, str, Any]]:
         inputs += [("useSpecularWorkflow", "Int", 1), ("specularColor", "Color3f", (0.0, 0.0, 0.0))]
         inputs += [("ior", "Float", 1.0)]
     elif isinstance(model, PrincipledModel):
-        inputs += [("metallic", "Float", float(model.metallic)), ("ior", "Float", float(model.eta))]
+        inputs += [("ior", "Float", float(model.eta))]
     if mesh.radiance is not None and mesh.radiance.max() > 0:
         inputs += [("emissiveColor", "Color3f", tuple(float(x) for x in mesh.radiance))]
     return inputs

@@ -9,12 +9,13 @@ from typing import Any, Literal
 import numpy as np
 
 from neurad.core.decibels import FINEST, as_json
+from neurad.core.parameters import RECOVERED
 from neurad.core.records import FloatArray, View
 from neurad.export.pictures import BLOCKS, Estimate, Pictures
 from neurad.export.seams import BOUND, Seams
 from neurad.metrics.scores import psnr
 
-ALBEDO_LOSS, ROUGHNESS_LOSS, PICTURE_LOSS = 0.1, 0.1, 0.05
+MAP_LOSS, PICTURE_LOSS = 0.1, 0.05
 """Most that baking may lose, in dB."""
 MITSUBA_MEAN, MITSUBA_PSNR = 0.01, 0.1
 """Largest difference of a view's mean, as a fraction, and of the PSNR against the photographs, in dB."""
@@ -203,12 +204,12 @@ class Verified:
     def _maps(self) -> list[Verdict]:
         """What baking took of the maps."""
         found = []
-        for what, bound in (("albedo", ALBEDO_LOSS), ("roughness", ROUGHNESS_LOSS)):
+        for what in RECOVERED:
             before, after = self.scores.get(f"{what}_psnr_fields"), self.scores.get(f"{what}_psnr_baked")
             if before is not None and after is not None:
                 lost = min(before, FINEST) - min(after, FINEST)
-                text = f"baking took {lost:.2f} dB of {what} (bound {bound})"
-                found.append(Verdict(f"{what} lost by baking, dB", lost, 0.0, bound, text))
+                text = f"baking took {lost:.2f} dB of {what} (bound {MAP_LOSS})"
+                found.append(Verdict(f"{what} lost by baking, dB", lost, 0.0, MAP_LOSS, text))
         return found
 
     def _seams(self) -> list[Verdict]:

@@ -13,6 +13,7 @@ import numpy as np
 from torch import Tensor
 
 from neurad.assembly.build import Assembly, build_world
+from neurad.core.parameters import RECOVERED, recovered
 from neurad.core.protocols import Materials
 from neurad.core.records import FloatArray, Surface, SurfaceInteraction, View
 from neurad.core.rng import mix
@@ -148,10 +149,9 @@ def _compare_maps(found: Verified, scene: Scene, held_out: HeldOut, fields: Mate
     of_fields, of_baked = held_out.predict(fields), held_out.predict(baked)
     for name, maps in (("fields", of_fields), ("baked", of_baked)):
         scores = score(held_out, maps)
-        for key in ("albedo_psnr", "roughness_psnr"):
-            if key in scores:
-                found.scores[f"{key}_{name}"] = scores[key]
-    for key in ("albedo", "roughness") if held_out.has_roughness else ("albedo",):
+        for key in (f"{of}_psnr" for of in RECOVERED if f"{of}_psnr" in scores):
+            found.scores[f"{key}_{name}"] = scores[key]
+    for key in (parameter.name for parameter in recovered(scene.parameters)):
         square = [np.square(a[key] - b[key]).mean() for a, b in zip(of_fields, of_baked, strict=True)]
         found.scores[f"{key}_baked_to_fields_psnr"] = psnr(float(np.mean(square)))
 

@@ -70,7 +70,7 @@ class HashGrid(nn.Module):
         """
         if config.finest is None:
             raise ValueError("HashGrid: finest is not set; it comes from resolve_finest")
-        return cls(config.levels, config.coarsest, config.finest, config.features, config.log2_size)
+        return cls(config.levels, config.coarsest, config.finest, log2_size=config.log2_size)
 
     def forward(self, x: Tensor) -> Tensor:
         """Features [n, levels * features] at positions [n, 3] in [0, 1]^3; the table alone gets a gradient.

@@ -7,6 +7,7 @@ import math
 import torch
 from torch import Tensor, nn
 
+from neurad.core.parameters import ALBEDO, SurfaceParameter
 from neurad.core.records import FloatArray, SurfaceInteraction
 from neurad.fields.dense_grid import DenseGrid
 from neurad.fields.mlp import MLP
@@ -14,9 +15,6 @@ from neurad.fields.select import make_layers
 from neurad.fields.settings import FieldConfig, RoughnessConfig
 from neurad.fields.unit_cube import UnitCube
 from neurad.scene.textures import OnEmitters
-
-MIN_ROUGHNESS = 0.02
-"""Smallest fitted roughness: below it a highlight is narrower than a pixel and its gradient is all noise."""
 
 CORRECTION_CELLS, CORRECTION_FACTOR = 64, 8
 """Cells along the region of what a closing step adds to the roughness, and how many times as many they are as on the
@@ -86,87 +84,59 @@ class Correction(nn.Module):
         self.done, self.found = bool(self.made), bool((self.grid.table != 0).any())
 
 
-class _MaterialField(nn.Module):
-    """Position -> hash grid -> network -> sigmoid, or position -> dense grid -> sigmoid. Values start near 0.5."""
+class MaterialField(nn.Module):
+    """A surface parameter [n, channels] at positions: hash grid -> network -> sigmoid, or dense grid -> sigmoid.
+
+    Values lie between the parameter's ends and start near their middle.
+
+    Args:
+        parameter: what it is of.
+        config: sizes of grid and network, whether the network reads the albedo, and whether a closing step corrects it.
+        bounds: smallest and largest corner of what is to be resolved [2, 3].
+        contracted: whether what lies outside of the bounds is contracted, not clamped.
+        correction_cells: along the unit cube, of what a closing step adds.
+    """
+
+    known: OnEmitters | None
+    """The values on emitting surfaces, which replace the field's there; None for none."""
 
     def __init__(
-        self, config: FieldConfig, cube: UnitCube, channels: int, extra: int = 0, known: OnEmitters | None = None
+        self,
+        parameter: SurfaceParameter,
+        config: FieldConfig,
+        bounds: Tensor,
+        contracted: bool = False,
+        correction_cells: int = CORRECTION_CELLS,
     ) -> None:
         super().__init__()
-        self.known = known
-        self.cube = cube
-        self.grid, self.mlp = make_layers(config, channels, extra)
+        self.parameter = parameter
+        self.known = None
+        self.cube = UnitCube(bounds, contracted)
+        own = config if isinstance(config, RoughnessConfig) and config.has_network else None
+        self.reads_albedo = own is not None and own.reads_albedo
+        self.grid, self.mlp = make_layers(config, parameter.channels, ALBEDO.channels if self.reads_albedo else 0)
+        self.correction: Correction | None = None
+        if own is not None and own.closing_step:
+            self.correction = Correction(correction_cells)
 
     def features(self, p: Tensor) -> Tensor:
         """What the grid says [n, k] at positions [n, 3]: what :meth:`of_features` makes values of."""
         found: Tensor = self.grid(self.cube(p))
         return found
 
-    def _values(self, features: Tensor, *extra: Tensor) -> Tensor:
-        """Sigmoid outputs [n, c] of features [n, k] and the ``extra`` inputs [n, e]."""
-        return torch.sigmoid(self.mlp(torch.cat((features, *extra), -1) if extra else features))
-
-    def with_known(self, si: SurfaceInteraction, values: Tensor) -> Tensor:
-        """``values`` [n, c], but the known ones on emitting surfaces."""
-        return values if self.known is None else self.known(si, values)
-
-
-class AlbedoField(_MaterialField):
-    """Base colour [n, 3] in (0, 1), near 0.5 at the start.
-
-    Args:
-        config: sizes of grid and network.
-        bounds: smallest and largest corner of what is to be resolved [2, 3].
-        known: the values on emitting surfaces, which replace the field's there; None for none.
-        contracted: whether what lies outside of the bounds is contracted, not clamped.
-    """
-
-    def __init__(
-        self, config: FieldConfig, bounds: Tensor, known: OnEmitters | None = None, contracted: bool = False
-    ) -> None:
-        super().__init__(config, UnitCube(bounds, contracted), 3, known=known)
-
-    def at(self, p: Tensor) -> Tensor:
-        """Albedo [n, 3] at positions [n, 3]; outside the bounds as :class:`UnitCube` has it."""
-        return self.of_features(self.features(p))
-
-    def of_features(self, features: Tensor) -> Tensor:
-        """Albedo [n, 3] where the grid says ``features`` [n, k]."""
-        return self._values(features)
-
-    def forward(self, si: SurfaceInteraction) -> Tensor:
-        """Albedo [n, 3] at the lanes of ``si``; gradients reach the parameters, not the positions."""
-        return self.with_known(si, self.at(si.p))
-
-
-class RoughnessField(_MaterialField):
-    """Burley roughness [n, 1] in (0.02, 1), near 0.5 at the start.
-
-    Args:
-        config: sizes of grid and network, and whether the network reads the albedo.
-        bounds: smallest and largest corner of what is to be resolved [2, 3].
-        known: the values on emitting surfaces, which replace the field's there; None for none.
-        contracted: whether what lies outside of the bounds is contracted, not clamped.
-        correction_cells: along the unit cube, of what a closing step adds.
-    """
-
-    def __init__(
-        self,
-        config: FieldConfig,
-        bounds: Tensor,
-        known: OnEmitters | None = None,
-        contracted: bool = False,
-        correction_cells: int = CORRECTION_CELLS,
-    ) -> None:
-        reads_albedo = isinstance(config, RoughnessConfig) and config.reads_albedo and config.kind == "hash"
-        super().__init__(config, UnitCube(bounds, contracted), 1, 3 if reads_albedo else 0, known)
-        self.reads_albedo = reads_albedo
-        self.correction: Correction | None = None
-        if isinstance(config, RoughnessConfig) and config.closing_step and config.kind == "hash":
-            self.correction = Correction(correction_cells)
+    def of_features(self, features: Tensor, albedo: Tensor | None = None) -> Tensor:
+        """Values [n, channels] where the grid says ``features`` [n, k], uncorrected; otherwise as :meth:`at`."""
+        low, high = self.parameter.low, self.parameter.high
+        if not self.reads_albedo:
+            fraction = torch.sigmoid(self.mlp(features))
+        elif albedo is None:
+            raise ValueError(f"{self.parameter.name}: its field reads the albedo, which is not given")
+        else:
+            fraction = torch.sigmoid(self.mlp(torch.cat((features, 4.0 * (albedo.detach() - 0.5)), -1)))
+        return fraction if (low, high) == (0.0, 1.0) else low + (high - low) * fraction
 
     def at(self, p: Tensor, albedo: Tensor | None = None) -> Tensor:
-        """Roughness [n, 1] at positions [n, 3]; outside the bounds as :class:`UnitCube` has it.
+        """Values [n, channels] at positions [n, 3]; outside the bounds as :class:`UnitCube` has it.
 
         Args:
             p: positions.
@@ -175,30 +145,25 @@ class RoughnessField(_MaterialField):
         Raises:
             ValueError: the field reads the albedo, and none is given.
         """
-        roughness = self.of_features(self.features(p), albedo)
+        values = self.of_features(self.features(p), albedo)
         if self.correction is None or not self.correction.found:
-            return roughness
-        changed: Tensor = (roughness + self.correction(self.cube(p))).clamp(MIN_ROUGHNESS, 1.0)
+            return values
+        changed: Tensor = (values + self.correction(self.cube(p))).clamp(self.parameter.low, self.parameter.high)
         return changed
 
-    def of_features(self, features: Tensor, albedo: Tensor | None = None) -> Tensor:
-        """Roughness [n, 1] where the grid says ``features`` [n, k], uncorrected; otherwise as :meth:`at`."""
-        if self.reads_albedo and albedo is None:
-            raise ValueError("RoughnessField: it reads the albedo, which is not given")
-        extra = (4.0 * (albedo.detach() - 0.5),) if self.reads_albedo and albedo is not None else ()
-        return MIN_ROUGHNESS + (1.0 - MIN_ROUGHNESS) * self._values(features, *extra)
+    def forward(self, si: SurfaceInteraction, albedo: Tensor | None = None) -> Tensor:
+        """Values [n, channels] at the lanes of ``si``; gradients reach the parameters, not the positions."""
+        values = self.at(si.p, albedo)
+        return values if self.known is None else self.known(si, values)
 
     @torch.no_grad()
     def shift(self, mean: float, to: float) -> None:
         """Move all values so that those around ``mean`` come to lie around ``to``; for a field with a network."""
         # Where a field has reached an end of its range in float32, its logarithm of odds is taken for that of 1e-6.
-        fraction = ((x - MIN_ROUGHNESS) / (1.0 - MIN_ROUGHNESS) for x in (mean, to))
+        low, high = self.parameter.low, self.parameter.high
+        fraction = ((x - low) / (high - low) for x in (mean, to))
         before, after = (math.log(x / (1.0 - x)) for x in (min(max(x, 1e-6), 1.0 - 1e-6) for x in fraction))
         assert isinstance(self.mlp, MLP)
         bias = self.mlp.layers[-1].bias
         assert isinstance(bias, Tensor)
         bias += after - before
-
-    def forward(self, si: SurfaceInteraction, albedo: Tensor | None = None) -> Tensor:
-        """Roughness [n, 1] at the lanes of ``si``; gradients reach the parameters, not the positions."""
-        return self.with_known(si, self.at(si.p, albedo))

@@ -40,7 +40,7 @@ class RadianceField(nn.Module):
     def __init__(self, config: RadianceConfig, bounds: Tensor, scale: float = 1.0, contracted: bool = False) -> None:
         super().__init__()
         config = config.resolved(diffuse=False)
-        self.inputs = () if config.kind == "dense" or config.inputs is None else config.inputs
+        self.inputs = () if not config.has_network or config.inputs is None else config.inputs
         self.reads_albedo = "albedo" in self.inputs
         self.cube = UnitCube(bounds, contracted)
         self.grid, self.mlp = make_layers(config, 3, sum(RADIANCE_INPUTS[name] for name in self.inputs))

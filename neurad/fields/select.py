@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from typing import assert_never
+
 from torch import nn
 
 from neurad.fields.dense_grid import DenseGrid
@@ -18,7 +20,11 @@ def make_layers(config: FieldConfig, channels: int, extra: int = 0) -> tuple[nn.
         channels: values of the field.
         extra: channels that a network reads beside the encoding; a dense grid has no network, so it reads none.
     """
-    if config.kind == "dense":
-        return DenseGrid(config.size, channels), nn.Identity()
-    grid = HashGrid.from_config(config.grid)
-    return grid, MLP(grid.channels + extra, channels, config.width, config.hidden_layers)
+    match config.kind:
+        case "dense":
+            return DenseGrid(config.size, channels), nn.Identity()
+        case "hash":
+            encoding = HashGrid.from_config(config.grid)
+        case _:
+            assert_never(config.kind)
+    return encoding, MLP(encoding.channels + extra, channels, config.width, config.hidden_layers)

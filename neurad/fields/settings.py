@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
-from typing import Annotated, Literal
+from typing import Annotated, Literal, get_args
 
 from neurad.core.errors import InputError
 from neurad.core.ranges import PositiveFraction, Range, checked
@@ -12,6 +12,10 @@ RADIANCE_INPUTS = {"direction": 3, "reflection": 3, "normal": 3, "faceforward": 
 """What a radiance field may read beside the position, each with its number of channels."""
 GLOSSY_INPUTS = ("direction", "normal", "albedo")
 DIFFUSE_INPUTS = ("faceforward",)
+
+
+Kind = Literal["hash", "dense"]
+"""Kinds of fields; :mod:`neurad.fields.select` makes them."""
 
 
 @dataclass(frozen=True)
@@ -25,8 +29,6 @@ class GridConfig:
     finest: Annotated[int, Range(1, 1 << 20)] | None = 256
     """Cells along the longest side of the scene at the last level; null: as fine as the photographs show the scene,
     cells as large as a pixel where the cameras are close."""
-    features: Annotated[int, Range(1, 64)] = 2
-    """Channels of a table entry; kernels exist for 2, other counts run in plain torch."""
     log2_size: Annotated[int, Range(3, 24)] = 17
     """Levels of more than 2^log2_size vertices are hashed into so many entries."""
 
@@ -46,7 +48,7 @@ class FieldConfig:
     """Neurons of a hidden layer."""
     hidden_layers: Annotated[int, Range(0, 64)] = 1
     """Hidden layers of the network; 0 is one linear map."""
-    kind: Literal["hash", "dense"] = "hash"
+    kind: Kind = "hash"
     """``hash``: a hash grid and a network that reads it; ``dense``: a dense grid of values, without either."""
     size: Annotated[int, Range(2, 1 << 10)] = 256
     """Vertices along a side of a dense grid: 256 takes 604 MB for three channels with the moments of Adam."""
@@ -54,8 +56,18 @@ class FieldConfig:
     def __post_init__(self) -> None:
         """Refuse sizes that no field can have."""
         checked(self)
-        if self.kind not in ("hash", "dense"):
-            raise InputError(f"field: kind '{self.kind}' is unknown, choose hash or dense")
+        if self.kind not in get_args(Kind):
+            raise InputError(f"field: kind '{self.kind}' is unknown, choose {' or '.join(get_args(Kind))}")
+
+    @property
+    def has_network(self) -> bool:
+        """Whether a network reads its encoding; otherwise the position alone counts."""
+        return self.kind != "dense"
+
+    @property
+    def has_levels(self) -> bool:
+        """Whether :attr:`grid` says how fine it is."""
+        return self.kind == "hash"
 
 
 @dataclass(frozen=True)

@@ -217,7 +217,7 @@ def map_of(path: Path) -> Path:
 
 def _check_place(view: View, places: Sequence[Path]) -> None:
     """Masks and maps, too, lie where the source is: a camera file of others links to nothing else."""
-    for file in filter(None, (view.mask, view.albedo, view.roughness, view.spread)):
+    for file in filter(None, (view.mask, *view.maps.values(), view.spread)):
         if not any(Path(os.path.abspath(file)).is_relative_to(place) for place in places):
             raise InputError(f"{shown(file)}: its name in the camera file leads out of the folder {shown(places[0])}")
 

@@ -15,8 +15,19 @@ import numpy.typing as npt
 
 from neurad.core.errors import InputError
 from neurad.core.names import apart
-from neurad.core.records import Constant, EnvironmentMap, FloatArray, Material, Mesh, PunctualLight, View
-from neurad.core.reflection import METAL, PrincipledModel
+from neurad.core.parameters import BY_NAME
+from neurad.core.records import (
+    Constant,
+    EnvironmentMap,
+    FloatArray,
+    Material,
+    Mesh,
+    PunctualLight,
+    VertexAttribute,
+    View,
+    constant,
+)
+from neurad.core.reflection import PrincipledModel
 from neurad.formats.cameras.nerf import Split
 from neurad.formats.cameras.transforms import transforms
 from neurad.formats.meshes.files import MeshFile
@@ -25,6 +36,7 @@ from neurad.formats.mitsuba.write import append_node, environment_node, punctual
 from neurad.runtime.files import place, writing
 from neurad.runtime.numbers import number
 from neurad.runtime.reading import shown
+from neurad.scene.description import is_dielectric
 from neurad.scene.origin import origin_of
 from neurad.scene.punctual import moved_light
 
@@ -199,11 +211,10 @@ def write_views(room: Room, out: Path, only: str | None = None) -> None:
         named = [replace(view, name=file_name(view.name, taken)) for view in views]
         described = transforms(named)
         for view, frame in zip(named, described["frames"], strict=True):
-            files = {"file_path": ("images", view.image), "albedo_path": ("albedo", view.albedo)}
-            files |= {"roughness_path": ("roughness", view.roughness), "mask_path": ("masks", view.mask)}
+            files = {"file_path": ("images", view.image), "mask_path": ("masks", view.mask)}
+            files |= {f"{name}_path": (name, view.maps.get(name)) for name in BY_NAME}
             files |= {"spread_path": ("spread", view.spread)}
             for key, (folder, source) in files.items():
-                frame.pop(key, None)
                 if source is not None:
                     frame[key] = f"{folder}/{view.name}{Path(source).suffix.lower()}"
                     if Path(source) != out / frame[key]:
@@ -262,29 +273,30 @@ def _write_surfaces(room: Room, meshes: Sequence[Mesh], out: Path) -> None:
 
 
 def _known(file: MeshFile, mesh: Mesh) -> Material | None:
-    """The material of a mesh if a fit keeps it and one line says it: smooth ones, and lamps of one colour; of metals
-    that they are some.
+    """The material of a mesh if a fit keeps it and one line says it: smooth ones, and lamps of one colour; of others
+    how much of a metal they are, the mean where that varies.
     """
     if not file.materials:
         return None
     material = file.materials[mesh.material]
-    plain = isinstance(material.albedo, Constant) and isinstance(material.roughness, Constant)
+    plain = all(isinstance(texture, Constant) for texture in material.textures.values())
     if plain and (material.model.is_delta or mesh.radiance is not None):
         return material
-    if material.model.metallic < METAL:
+    metallic = material.metallic
+    if is_dielectric(metallic) or isinstance(metallic, VertexAttribute):
         return None
-    colour, roughness = Constant(np.full(3, 0.5, np.float32)), Constant(np.full(1, 0.5, np.float32))
-    return Material(material.name, PrincipledModel(metallic=1.0), colour, roughness)
+    value = metallic.value if isinstance(metallic, Constant) else metallic.pixels
+    mean = constant(float(value.mean()))
+    return Material(material.name, PrincipledModel(), constant(0.5, 3), constant(0.5), metallic=mean)
 
 
 def _add_known(shape: ElementTree.Element, material: Material) -> None:
     """The BSDF of a material without textures."""
-    assert isinstance(material.albedo, Constant)
-    assert isinstance(material.roughness, Constant)
+    values = {name: texture.value for name, texture in material.textures.items() if isinstance(texture, Constant)}
     through = material.model.delta is not None and material.model.delta.transmits
     around = shape if through else _child(shape, "bsdf", type="twosided")
-    colour = {"value": [float(x) for x in material.albedo.value]}
-    described = material.model.mitsuba(colour, float(material.roughness.value[0]))
+    colour, *scalars = ([float(x) for x in values[name]] for name in BY_NAME)
+    described = material.model.mitsuba({"value": colour}, *(value for (value,) in scalars))
     bsdf = _child(around, "bsdf", type=described.pop("type"))
     for key, value in described.items():
         if isinstance(value, dict):

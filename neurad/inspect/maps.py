@@ -4,19 +4,21 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import partial
 
 import numpy as np
 import numpy.typing as npt
 import torch
 from torch import Tensor
 
+from neurad.core.parameters import SurfaceParameter, recovered
 from neurad.core.protocols import Integrator
 from neurad.core.records import FloatArray, Rays, SurfaceInteraction
 from neurad.inspect.photographs import PhotographMap
 from neurad.integrators.aov import MaterialMap
 from neurad.integrators.world import World
 from neurad.metrics.seen import SeenBy
-from neurad.pages.colours import BRIGHTEST_STD, encode, false_colour, grey
+from neurad.pages.colours import BRIGHTEST_STD, encode, false_colour, grey, shown
 from neurad.runs.load import LoadedRun
 
 Bytes = npt.NDArray[np.uint8]
@@ -56,7 +58,7 @@ class Mode:
 
 @dataclass(frozen=True)
 class BarMap:
-    """Standard deviations of albedo (three channels) or roughness (one) at the first hit; 0 where nothing is hit."""
+    """Standard deviations of a recovered parameter at the first hit [n, channels]; 0 where nothing is hit."""
 
     run: LoadedRun
     name: str
@@ -65,7 +67,7 @@ class BarMap:
     def __call__(self, rays: Rays, seed: int) -> Tensor:
         """Values along camera rays [n, c]; without noise."""
         si = self.run.world.intersect(rays)
-        std = self.run.albedo_std(si) if self.name == "albedo" else self.run.roughness_std(si)
+        std = self.run.map_std(self.name, si)
         return torch.from_numpy(std).to(si.p.device) * si.valid.unsqueeze(-1)
 
 
@@ -126,6 +128,11 @@ def legend(scale: Scale, width: int = 320, height: int = 18) -> Bytes:
     return scale.colours(ramp)
 
 
+def _map(parameter: SurfaceParameter, values: FloatArray, exposure: float) -> Bytes:
+    """A map of a surface parameter; no light, so the exposure plays no part."""
+    return shown(parameter, values)
+
+
 def modes_of(run: LoadedRun, seen: SeenBy, photographs: PhotographMap) -> Mapping[str, Mode]:
     """The modes that a run has something for, by name, but for the lit one; error bars if its folder has them."""
     world, views = run.world, len(seen.cameras)
@@ -136,14 +143,16 @@ def modes_of(run: LoadedRun, seen: SeenBy, photographs: PhotographMap) -> Mappin
             "the most similar direction.",
             photographs, lambda x, exposure: hatch(encode(x[..., :3] * exposure), 1.0 - x[..., 3:]), hatches=False,
         )  # fmt: skip
-    materials = MaterialMap(world, run.materials)
-    found["albedo"] = Mode("The recovered albedo.", materials, lambda x, _: encode(x[..., :3]))
-    found["roughness"] = Mode(
-        "The recovered roughness.", materials, lambda x, _: grey(x[..., 3:]), Scale("roughness", grey, 1.0)
-    )
+    for parameter in run.scene.parameters:
+        what = f"The {'recovered ' if parameter.is_recovered else ''}{parameter.name}"
+        found[parameter.name] = Mode(
+            f"{what}." if parameter.is_recovered else f"{what} that the scene's files give.",
+            MaterialMap(world, run.materials, (parameter,)), partial(_map, parameter),
+            None if parameter.is_color else Scale(parameter.name, grey, 1.0),
+        )  # fmt: skip
     if run.bars is not None:
         bars = Scale("standard deviation", lambda x: false_colour(x, 1.0 / BRIGHTEST_STD), BRIGHTEST_STD)
-        for name in ("albedo", "roughness"):
+        for name in (parameter.name for parameter in recovered(run.scene.parameters)):
             found[name + BARS] = Mode(
                 f"How sure the recovered {name} is: its standard deviation, bright where next to nothing is known.",
                 BarMap(run, name), lambda x, _: false_colour(x, 1.0 / BRIGHTEST_STD), bars,

@@ -8,6 +8,7 @@ import numpy as np
 import numpy.typing as npt
 import torch
 
+from neurad.core.parameters import recovered
 from neurad.core.records import FloatArray, Rays
 from neurad.inspect.maps import SeenMap
 from neurad.runs.load import LoadedRun
@@ -23,12 +24,10 @@ class Reading:
     place: npt.NDArray[np.float64]
     """The position in the coordinates of the scene's files [3]."""
     mesh: str
-    albedo: FloatArray
-    """[3]."""
-    roughness: float
-    albedo_std: FloatArray | None
-    """[3]; None without error bars."""
-    roughness_std: float | None
+    values: dict[str, FloatArray]
+    """Surface parameters [channels], by name."""
+    stds: dict[str, FloatArray]
+    """Their standard deviations, of those that have error bars."""
     photographs: int
     """Training photographs that show it."""
     emits: bool
@@ -36,19 +35,14 @@ class Reading:
 
     def lines(self) -> list[tuple[str, str]]:
         """Names and values for people."""
-        bars = self.albedo_std is not None and not self.emits
-        albedo = " ".join(f"{x:.3f}" for x in self.albedo)
-        if bars and self.albedo_std is not None:
-            albedo += " ± " + " ".join(f"{x:.3f}" for x in self.albedo_std)
-        roughness = f"{self.roughness:.3f}"
-        if bars and self.roughness_std is not None:
-            roughness += f" ± {self.roughness_std:.3f}"
+        values = {name: " ".join(f"{x:.3f}" for x in value) for name, value in self.values.items()}
+        for name, std in ({} if self.emits else self.stds).items():
+            values[name] += " ± " + " ".join(f"{x:.3f}" for x in std)
         known = " (known: a lamp)" if self.emits else ""
         shown = "none: a guess" if self.photographs == 0 and not self.emits else str(self.photographs)
         return [
             ("mesh", self.mesh + known),
-            ("albedo", albedo),
-            ("roughness", roughness),
+            *values.items(),
             ("photographs", shown),
             ("position", place_text(self.place, " ")),
         ]
@@ -71,16 +65,14 @@ def probe(run: LoadedRun, seen: SeenMap, origin: FloatArray, direction: FloatArr
         if not bool(si.valid):
             return None
         count = int(seen.count(si))
-    geometry, bars = run.world.geometry, run.bars is not None
+    geometry, uncertain = run.world.geometry, recovered(run.scene.parameters) if run.bars is not None else ()
     prim = int(si.prim)
     return Reading(
         position=si.p[0].cpu().numpy(),
         place=si.p[0].double().cpu().numpy() + np.asarray(run.scene.origin),
         mesh=run.scene.meshes[int(geometry.mesh_index[prim])].name,
-        albedo=run.albedo(si)[0],
-        roughness=float(run.roughness(si)[0, 0]),
-        albedo_std=run.albedo_std(si)[0] if bars else None,
-        roughness_std=float(run.roughness_std(si)[0, 0]) if bars else None,
+        values={name: run.map(name, si)[0] for name in run.maps},
+        stds={parameter.name: run.map_std(parameter.name, si)[0] for parameter in uncertain},
         photographs=count,
         emits=bool((geometry.emission[prim] > 0).any()),
     )

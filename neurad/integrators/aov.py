@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor
 
+from neurad.core.parameters import SurfaceParameter
 from neurad.core.protocols import Materials
 from neurad.core.records import Rays
 from neurad.integrators.world import World
@@ -14,14 +15,15 @@ from neurad.integrators.world import World
 
 @dataclass(frozen=True)
 class MaterialMap:
-    """Albedo (three channels) and roughness (one) at the first hit, zero where nothing is hit: [n, 4]."""
+    """Surface parameters at the first hit, one after the other [n, channels]; zero where nothing is hit."""
 
     world: World
     materials: Materials
+    parameters: tuple[SurfaceParameter, ...]
+    """Those of the scene."""
 
     @torch.no_grad()
     def __call__(self, rays: Rays, seed: int) -> Tensor:
-        """Values along camera rays [n, 4]; without noise, so ``seed`` plays no part."""
+        """Values along camera rays [n, channels]; without noise, so ``seed`` plays no part."""
         si = self.world.intersect(rays)
-        surface = self.materials(si)
-        return torch.cat((surface.albedo, surface.roughness), -1) * si.valid.unsqueeze(-1)
+        return self.materials(si).stacked(self.parameters) * si.valid.unsqueeze(-1)

@@ -62,7 +62,7 @@ class CorrelatedBSDF:
     def kernels(self, surface: Surface) -> LobeKernels | None:
         """Compiled lobes; None where one of the surfaces has none."""
         own, drawn = self.bsdf.kernels(surface), self.bsdf.kernels(self.drawn)
-        return None if own is None or drawn is None else _CorrelatedKernels(own, drawn, self.drawn.roughness.detach())
+        return None if own is None or drawn is None else _CorrelatedKernels(own, drawn, self.drawn)
 
 
 @dataclass(frozen=True)
@@ -71,22 +71,21 @@ class _CorrelatedKernels:
 
     own: LobeKernels
     drawn: LobeKernels
-    drawn_roughness: Tensor
-    """[n, 1]."""
+    other: Surface
 
-    def lobes(self, roughness: Tensor, wo: Tensor, wi: Tensor) -> Tensor:
-        """Rows d, s, pdf, dd/droughness, ds/droughness [5, n], the pdf that of the other surface."""
-        out = self.own.lobes(roughness, wo, wi)
-        out[2] = self.drawn.lobes(self.drawn_roughness, wo, wi)[2]
+    def lobes(self, surface: Surface, wo: Tensor, wi: Tensor) -> Tensor:
+        """Lobes of the surface [5 or 7, n], the pdf that of the other surface."""
+        out = self.own.lobes(surface, wo, wi)
+        out[2] = self.drawn.lobes(self.other, wo, wi)[2]
         return out
 
-    def direction(self, roughness: Tensor, wo: Tensor, u: Tensor) -> Tensor:
+    def direction(self, surface: Surface, wo: Tensor, u: Tensor) -> Tensor:
         """Directions [n, 3] that the other surface draws from ``u`` [n, 3]."""
-        return self.drawn.direction(self.drawn_roughness, wo, u)
+        return self.drawn.direction(self.other, wo, u)
 
-    def mean_lobes(self, roughness: Tensor, cosine: Tensor) -> Tensor:
-        """Integrals of the surface's own lobes [4, n]."""
-        return self.own.mean_lobes(roughness, cosine)
+    def mean_lobes(self, surface: Surface, cosine: Tensor) -> Tensor:
+        """Integrals of the surface's own lobes [4 or 6, n]."""
+        return self.own.mean_lobes(surface, cosine)
 
 
 @dataclass(frozen=True)

@@ -48,7 +48,7 @@ class PRB(PathTracing):
         key = int(stream.integers(1 << 62, 1))
         replay = _Replay(self, scene, si, surface.detach(), u, key)
         parameters = [p for part in (scene.materials, scene.world) for p in _trainable(part)]
-        value, *found = _Radiance.apply(replay, surface.albedo, surface.roughness, *parameters)  # type: ignore[no-untyped-call]
+        value, *found = _Radiance.apply(replay, *surface.parameters.values(), *parameters)  # type: ignore[no-untyped-call]
         if not found:
             return RadianceEstimate(value)
         light, *sample_stats = found
@@ -86,9 +86,7 @@ class _Radiance(torch.autograd.Function):
     """
 
     @staticmethod
-    def forward(
-        ctx: Any, replay: _Replay, albedo: Tensor, roughness: Tensor, *parameters: Tensor
-    ) -> tuple[Tensor, ...]:
+    def forward(ctx: Any, replay: _Replay, *parameters: Tensor) -> tuple[Tensor, ...]:
         # Sums in double precision: what is left of a long path is a difference of nearly equal numbers.
         radiance = torch.zeros_like(replay.si.p, dtype=torch.float64)
         sample_stats, light = None, torch.zeros_like(replay.si.p)
@@ -112,13 +110,11 @@ class _Radiance(torch.autograd.Function):
     def backward(ctx: Any, *gradients: Tensor) -> tuple[Tensor | None, ...]:
         replay: _Replay = ctx.replay
         left = ctx.radiance.clone()  # R_i: radiance from vertex i on, over all paths [n, 3]
-        sums = [GradientSum() for _ in ctx.parameters]
         with torch.enable_grad():
-            albedo = replay.surface.albedo.clone().requires_grad_()
-            roughness = replay.surface.roughness.clone().requires_grad_()
-            ends = (albedo, roughness, *ctx.parameters)
-            totals: Sequence[GradientSum] = (GradientSum(), GradientSum(), *sums)
-            for v in replay.steps(replace(replay.surface, albedo=albedo, roughness=roughness)):
+            first = {name: value.clone().requires_grad_() for name, value in replay.surface.parameters.items()}
+            ends = (*first.values(), *ctx.parameters[len(first) :])
+            totals = [GradientSum() for _ in ends]
+            for v in replay.steps(replace(replay.surface, **first)):
                 # ---------------------- Radiance after this vertex ----------------------
 
                 direct, weight = v.bounce.direct, v.bounce.weight  # d_i, w_i [m, 3]

@@ -46,7 +46,6 @@ def bounce_principled(
     bsdf, geometry, n = world.bsdf.kernels(surface), world.geometry, len(si)
     assert bsdf is not None
     vertices, lights = Vertices.of(si), Triangles.of(world.lights)
-    roughness = surface.roughness.detach()  # [n, 1]
 
     # ---------------------- Frames and emitter sampling ----------------------
 
@@ -60,9 +59,9 @@ def bounce_principled(
     guide = None
     if guided and world.guide is not None:
         guide = Guided(world.guide, world.guide.rows(si, normal), world.bsdf.diffuse_fraction(surface, wo))
-    bsdf_em = _lobes(bsdf, guide, roughness, wo, wi_em)  # [5, n]
-    wi = bsdf.direction(roughness, wo, u[:, 3:6] if guide is None else guide.warp(u[:, 3:6]))  # [n, 3]
-    bsdf_wi = _lobes(bsdf, guide, roughness, wo, wi)  # [5, n]
+    bsdf_em = _lobes(bsdf, guide, surface, wo, wi_em)  # [3 + 2 scalars, n]
+    wi = bsdf.direction(surface, wo, u[:, 3:6] if guide is None else guide.warp(u[:, 3:6]))  # [n, 3]
+    bsdf_wi = _lobes(bsdf, guide, surface, wo, wi)  # [3 + 2 scalars, n]
 
     # ---------------------- Rays of both techniques ----------------------
 
@@ -83,15 +82,17 @@ def bounce_principled(
 
     # ---------------------- Light that both found, joined by MIS ----------------------
 
-    mean = bsdf.mean_lobes(roughness, wo[:, 2]) if sample_stats else torch.empty(4, 0)
+    mean = bsdf.mean_lobes(surface, wo[:, 2]) if sample_stats else torch.empty(4, 0)
+    derived = _derived(surface)
     found = _resolve_hits(
-        hit, lights, ShadowRays(*(x.numpy() for x in (lane, shadow_o, shadow_d, t_max, radiance))), blocked.numpy(),
+        hit, len(derived) - 1, lights,
+        ShadowRays(*(x.numpy() for x in (lane, shadow_o, shadow_d, t_max, radiance))), blocked.numpy(),
         bsdf_em.numpy(), vertices.p, active.numpy(), surface.albedo.detach().contiguous().numpy(), bsdf_wi.numpy(),
         mean.numpy(),
     )  # fmt: skip
     values = found.values
-    if torch.is_grad_enabled() and (surface.albedo.requires_grad or surface.roughness.requires_grad):
-        values = _KnownDerivatives.apply(surface.albedo, surface.roughness, found)  # type: ignore[no-untyped-call]
+    if torch.is_grad_enabled() and any(x.requires_grad for x in derived):
+        values = _KnownDerivatives.apply(found, *derived)  # type: ignore[no-untyped-call]
     direct = values[0]
     if isinstance(world.lights, FittedLamps) and world.lights.trains:
         lane = lane[~blocked]
@@ -111,31 +112,39 @@ class _Found:
     """Direct light, weight and, with statistics, the weight's deviation from its mean, each [n, 3]."""
     by_albedo: Tensor
     """Derivatives by the albedo's same channel [2 or 3, n, 3]."""
-    by_roughness: Tensor
-    """Derivatives by the roughness [2 or 3, n, 3]."""
+    by_scalars: Tensor
+    """Derivatives by the scalar parameters, the roughness first [2 or 3, scalars, n, 3]."""
     relative: Tensor
     """Weight over its mean [n, 3]; empty without statistics."""
 
 
-def _resolve_hits(hit: NonDeltaHit, lights: Triangles, *given: Any) -> _Found:
-    """What both techniques found where BSDF samples ended at ``hit``; ``given`` is what the kernel reads beside it, the
-    means of the lobes last.
+def _derived(surface: Surface) -> list[Tensor]:
+    """Albedo and scalar parameters whose derivatives are found: the roughness always, a metalness that has a graph."""
+    return [surface.albedo, *(x for i, x in enumerate(surface.scalars) if i == 0 or x.requires_grad)]
+
+
+def _resolve_hits(hit: NonDeltaHit, scalars: int, lights: Triangles, *given: Any) -> _Found:
+    """What both techniques found where BSDF samples ended at ``hit``, with derivatives by the first ``scalars`` scalar
+    parameters; ``given`` is what the kernel reads beside it, the means of the lobes last.
     """
     n, rows = len(hit.si), 3 if given[-1].shape[1] > 0 else 2
     via_delta = torch.empty(0, dtype=torch.bool) if hit.via_delta is None else hit.via_delta
     throughput = torch.empty(0, 3) if hit.throughput is None else hit.throughput
     delta = kernels.DeltaChains(via_delta.numpy(), throughput.contiguous().numpy())
-    values, by_albedo, by_roughness = torch.empty(3, rows, n, 3).unbind()
+    values, by_albedo = torch.empty(2, rows, n, 3).unbind()
+    by_scalars = torch.empty(rows, scalars, n, 3)
     relative = torch.empty(n if rows == 3 else 0, 3)
-    out = kernels.Derivatives(*(x.numpy() for x in (values, by_albedo, by_roughness, relative)))
+    out = kernels.Derivatives(*(x.numpy() for x in (values, by_albedo, by_scalars, relative)))
     arrays: list[Any] = [*given, Vertices.of(hit.si), delta, lights, out]
     kernels.resolve_hits_principled(*arrays)
-    return _Found(values.unbind(), by_albedo, by_roughness, relative)
+    return _Found(values.unbind(), by_albedo, by_scalars, relative)
 
 
-def _lobes(bsdf: LobeKernels, guide: Guided | None, roughness: Tensor, wo: Tensor, wi: Tensor) -> Tensor:
-    """Rows d, s, pdf, dd/droughness, ds/droughness [5, n], the pdf with the guide's part."""
-    out = bsdf.lobes(roughness, wo, wi)
+def _lobes(bsdf: LobeKernels, guide: Guided | None, surface: Surface, wo: Tensor, wi: Tensor) -> Tensor:
+    """Rows d, s, pdf, then dd/dx and ds/dx by each scalar parameter x [3 + 2 scalars, n], the pdf with the guide's
+    part.
+    """
+    out = bsdf.lobes(surface, wo, wi)
     if guide is not None:
         density = guide.guide.density(guide.rows, wi)
         fraction = np.asarray(guide.fraction, np.float32).reshape(-1)
@@ -144,22 +153,22 @@ def _lobes(bsdf: LobeKernels, guide: Guided | None, roughness: Tensor, wo: Tenso
 
 
 class _KnownDerivatives(torch.autograd.Function):
-    """Values whose derivatives by albedo, channel by channel, and roughness are known."""
+    """Values whose derivatives by albedo, channel by channel, and scalar parameters are known."""
 
     @staticmethod
-    def forward(ctx: Any, albedo: Tensor, roughness: Tensor, found: _Found) -> tuple[Tensor, ...]:
-        ctx.derivatives = found.by_albedo, found.by_roughness
+    def forward(ctx: Any, found: _Found, albedo: Tensor, *scalars: Tensor) -> tuple[Tensor, ...]:
+        ctx.derivatives = found.by_albedo, found.by_scalars
         ctx.set_materialize_grads(False)
         return found.values
 
     @staticmethod
     @once_differentiable
-    def backward(ctx: Any, *gradients: Tensor | None) -> tuple[Tensor | None, Tensor | None, None]:
-        by_albedo, by_roughness = ctx.derivatives
-        albedo, roughness = torch.zeros(by_albedo.shape[1:]), torch.zeros(by_albedo.shape[1], 1)
+    def backward(ctx: Any, *gradients: Tensor | None) -> tuple[Tensor | None, ...]:
+        by_albedo, by_scalars = ctx.derivatives
+        albedo, scalars = torch.zeros(by_albedo.shape[1:]), torch.zeros(*by_scalars.shape[1:3], 1)
         for row, gradient in enumerate(gradients):
             if gradient is not None:
                 outer = gradient.contiguous().numpy()
-                kernels.vjp(outer, by_albedo[row].numpy(), by_roughness[row].numpy(), albedo.numpy(), roughness.numpy())
-        wanted = ctx.needs_input_grad
-        return albedo if wanted[0] else None, roughness if wanted[1] else None, None
+                kernels.vjp(outer, by_albedo[row].numpy(), by_scalars[row].numpy(), albedo.numpy(), scalars.numpy())
+        wanted = ctx.needs_input_grad[1:]
+        return (None, *(x if want else None for x, want in zip((albedo, *scalars.unbind()), wanted, strict=True)))

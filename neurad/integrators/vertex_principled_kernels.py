@@ -63,8 +63,8 @@ class Derivatives(NamedTuple):
     """[q, m, 3]."""
     by_albedo: FloatArray
     """Derivatives by the albedo's same channel [q, m, 3]."""
-    by_roughness: FloatArray
-    """Derivatives by the roughness [q, m, 3]."""
+    by_scalars: FloatArray
+    """Derivatives by scalar parameters, the roughness first [q, scalars, m, 3]."""
     relative: FloatArray
     """Weight over its mean [m, 3]; [0, 3] without a control variate."""
 
@@ -102,7 +102,7 @@ def sample_emitter(
 def add_guide_pdf(
     fraction: FloatArray, wi: FloatArray, density: FloatArray, lobes: FloatArray
 ) -> None:  # pragma: no cover - compiled
-    """Add what a guide adds to the density of directions ``wi`` [m, 3], row 2 of ``lobes`` [5, m].
+    """Add what a guide adds to the density of directions ``wi`` [m, 3], row 2 of ``lobes`` [5 or 7, m].
 
     ``density`` [m] is the guide's own, relative to the cosine's; ``fraction`` of the samples are guided, [m] or [1] for
     one of all lanes.
@@ -127,7 +127,7 @@ def spawn_rays_principled(
         face_offset: the geometry's offsets [F].
         radius: the geometry's scale.
         local: what :func:`sample_emitter` filled [m].
-        bsdf_em: rows of the BSDF towards the lights: d, s, pdf, dd/droughness, ds/droughness [5, m].
+        bsdf_em: rows of the BSDF towards the lights: d, s, pdf, and derivatives [5 or 7, m].
         wi: BSDF samples, local [m, 3].
         emission: radiance of every triangle [F, 3].
         rays: filled with the rays of the BSDF samples [m].
@@ -168,26 +168,23 @@ def resolve_hits_principled(
     Args:
         shadow: rays to lights [k].
         blocked: whether they met something [k].
-        bsdf_em: rows of the BSDF towards the lights: d, s, pdf, dd/droughness, ds/droughness [5, m].
+        bsdf_em: rows of the BSDF towards the lights: d, s, pdf, then dd/dx, ds/dx by scalar parameters [5 or 7, m].
         p: vertices [m, 3].
         reflects: whether they reflect towards the viewer [m].
         albedo: there [m, 3].
-        bsdf_wi: rows of the BSDF along its own samples [5, m].
-        mean: means over the pdf of d, s and their derivatives by the roughness [4, m]; [4, 0] without a control
-            variate.
+        bsdf_wi: rows of the BSDF along its own samples [5 or 7, m].
+        mean: means over the pdf of d, s and their derivatives [4 or 6, m]; [4, 0] without a control variate.
         ends: where the BSDF samples ended, after smooth surfaces [m].
         delta: these surfaces.
         lights: emitting triangles.
         out: filled.
     """
-    value, by_albedo, by_roughness, relative = out
+    value, by_albedo, by_scalars, relative = out
     emission, via_delta = lights.emission, delta.via_delta
     for i in range(p.shape[0]):
         # Weight of the BSDF sample
         inverse = ONE / bsdf_wi[2, i] if reflects[i] and bsdf_wi[2, i] > ZERO else ZERO
-        d, s, d_by_roughness, s_by_roughness = (
-            bsdf_wi[0, i] * inverse, bsdf_wi[1, i] * inverse, bsdf_wi[3, i] * inverse, bsdf_wi[4, i] * inverse
-        )  # fmt: skip
+        d, s = bsdf_wi[0, i] * inverse, bsdf_wi[1, i] * inverse
 
         # Its MIS weight, where it ended on a light
         f, mis = 0, ZERO
@@ -198,22 +195,33 @@ def resolve_hits_principled(
                 seen = via_delta.shape[0] > 0 and via_delta[i]
                 mis = ONE if seen else bsdf_wi[2, i] / (bsdf_wi[2, i] + pdf_em)
 
-        # Values and derivatives
+        # Values, and derivatives by the albedo
         for k in range(3):
             a = albedo[i, k]
-            w, w_by_roughness = a * d + s, a * d_by_roughness + s_by_roughness
+            w = a * d + s
             if mean.shape[1] > 0:
                 on = ONE if reflects[i] else ZERO
                 md, ms = mean[0, i] * on, mean[1, i] * on
                 fixed = a * md + ms
-                value[2, i, k] = w - fixed
-                by_albedo[2, i, k] = d - md
-                by_roughness[2, i, k] = w_by_roughness - on * (a * mean[2, i] + mean[3, i])
+                value[2, i, k], by_albedo[2, i, k] = w - fixed, d - md
                 relative[i, k] = w / fixed if fixed > ZERO else ZERO
             t = delta.throughput[i, k] if via_delta.shape[0] > 0 else ONE
             e = emission[f, k] * mis
-            value[1, i, k], by_albedo[1, i, k], by_roughness[1, i, k] = w * t, d * t, w_by_roughness * t
-            value[0, i, k], by_albedo[0, i, k], by_roughness[0, i, k] = w * t * e, d * t * e, w_by_roughness * t * e
+            value[1, i, k], by_albedo[1, i, k] = w * t, d * t
+            value[0, i, k], by_albedo[0, i, k] = w * t * e, d * t * e
+
+        # Derivatives by scalar parameters
+        for x in range(by_scalars.shape[1]):
+            d_by, s_by = bsdf_wi[3 + 2 * x, i] * inverse, bsdf_wi[4 + 2 * x, i] * inverse
+            for k in range(3):
+                a = albedo[i, k]
+                w_by = a * d_by + s_by
+                if mean.shape[1] > 0:
+                    on = ONE if reflects[i] else ZERO
+                    by_scalars[2, x, i, k] = w_by - on * (a * mean[2 + 2 * x, i] + mean[3 + 2 * x, i])
+                t = delta.throughput[i, k] if via_delta.shape[0] > 0 else ONE
+                by_scalars[1, x, i, k] = w_by * t
+                by_scalars[0, x, i, k] = w_by * t * (emission[f, k] * mis)
 
     # Emitter sampling: what unoccluded shadow rays carry
     for j in range(shadow.lane.shape[0]):
@@ -223,15 +231,19 @@ def resolve_hits_principled(
                 a, e = albedo[i, k], shadow.radiance[j, k]
                 value[0, i, k] += (a * bsdf_em[0, i] + bsdf_em[1, i]) * e
                 by_albedo[0, i, k] += bsdf_em[0, i] * e
-                by_roughness[0, i, k] += (a * bsdf_em[3, i] + bsdf_em[4, i]) * e
+                for x in range(by_scalars.shape[1]):
+                    by_scalars[0, x, i, k] += (a * bsdf_em[3 + 2 * x, i] + bsdf_em[4 + 2 * x, i]) * e
 
 
 @kernel
 def vjp(
-    gradient: FloatArray, by_albedo: FloatArray, by_roughness: FloatArray, albedo: FloatArray, roughness: FloatArray
+    gradient: FloatArray, by_albedo: FloatArray, by_scalars: FloatArray, albedo: FloatArray, scalars: FloatArray
 ) -> None:  # pragma: no cover - compiled
-    """Add a gradient times derivatives, all [m, 3], to the gradients of albedo [m, 3] and roughness [m, 1]."""
+    """Add a gradient [m, 3] times derivatives, by the albedo [m, 3] and by scalar parameters [scalars, m, 3], to the
+    gradients of these [m, 3] and [scalars, m, 1].
+    """
     for i in range(gradient.shape[0]):
         for k in range(3):
             albedo[i, k] += gradient[i, k] * by_albedo[i, k]
-            roughness[i, 0] += gradient[i, k] * by_roughness[i, k]
+            for x in range(scalars.shape[0]):
+                scalars[x, i, 0] += gradient[i, k] * by_scalars[x, i, k]

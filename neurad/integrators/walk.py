@@ -150,7 +150,7 @@ def append_sparse_gradients(surface: Surface) -> None:
     Torch merges two sparse tensors row by row, 40 ns each, unless the values of one of them are not contiguous: those
     it appends, which is seven times quicker. The optimizer adds up equal rows anyway.
     """
-    nodes = [x.grad_fn for x in (surface.albedo, surface.roughness) if x.grad_fn is not None]
+    nodes = [x.grad_fn for x in surface.parameters.values() if x.grad_fn is not None]
     seen = set()
     while nodes:
         node = nodes.pop()

@@ -18,6 +18,7 @@ from torch import Tensor
 
 from neurad.core.camera import camera_rays
 from neurad.core.errors import InputError
+from neurad.core.parameters import ALBEDO, ROUGHNESS
 from neurad.core.protocols import Materials, Tracer
 from neurad.core.records import BoolArray, FloatArray, SurfaceInteraction, View
 from neurad.core.rng import Stream
@@ -74,7 +75,6 @@ class HeldOut:
         self.tracer = tracer
         self.grid = grid
         self.stride = stride
-        self.has_roughness = not scene.features.is_diffuse
         self.training = SeenBy.of(geometry, tracer, scene.train)
         self._room = CACHE_BYTES
         self._hits: dict[tuple[int, int], _Hits] = {}
@@ -117,8 +117,10 @@ class HeldOut:
         Raises:
             InputError: as :meth:`truth`.
         """
-        views = [view for view in self.scene.train if view.albedo and view.roughness]
-        if not (views and self.has_roughness and any(view.albedo and view.roughness for view in self.views)):
+        both = {ALBEDO.name, ROUGHNESS.name}
+        views = [view for view in self.scene.train if both <= view.maps.keys()]
+        has_truth = any(both <= view.maps.keys() for view in self.views)
+        if not (views and has_truth and ROUGHNESS in self.scene.parameters):
             return None
         chosen = replace(self.scene, test=views[:: -(-len(views) // MAX_VIEWS)])
         training = HeldOut(chosen, self.geometry, self.tracer, 1)  # a ray a pixel tells what is no emitter
@@ -251,32 +253,30 @@ class HeldOut:
 
     @torch.no_grad()
     def predict(self, materials: Materials) -> list[dict[str, FloatArray]]:
-        """Box-filtered ``albedo`` [h, w, 3] and ``roughness`` [h, w, 1] of every view; 0 where nothing is hit."""
+        """Box-filtered surface parameters [h, w, channels] of every view, by name; 0 where nothing is hit."""
         maps = []
         for index in counted(range(len(self.views)), "evaluating", len(self.views), "materials"):
-            albedo, roughness = [], []
+            parts: dict[str, list[Tensor]] = {}
             for part, si in self.sub_samples(index):
-                surface = materials(si)
                 valid = si.valid[:, None]
-                albedo.append(self._pixels(part, torch.where(valid, surface.albedo, 0.0)).mean(1))
-                roughness.append(self._pixels(part, torch.where(valid, surface.roughness, 0.0)).mean(1))
-            pair = {"albedo": torch.cat(albedo), "roughness": torch.cat(roughness)}
-            maps.append({name: self._image(index, pixels) for name, pixels in pair.items()})
+                values = materials(si).parameters
+                for name in (parameter.name for parameter in self.scene.parameters):
+                    shown = torch.where(valid, values[name], 0.0)
+                    parts.setdefault(name, []).append(self._pixels(part, shown).mean(1))
+            maps.append({name: self._image(index, torch.cat(pixels)) for name, pixels in parts.items()})
         return maps
 
     def truth(self, index: int) -> dict[str, FloatArray]:
-        """``photograph`` [h, w, 3], ``albedo_true`` [h, w, 3], ``roughness_true`` [h, w, 1], and ``photograph_relit``
-        [h, w, 3] under another environment: those that have a file.
+        """``photograph`` [h, w, 3], ``photograph_relit`` [h, w, 3] under another environment, and of every surface
+        parameter that the scene has its true map, such as ``albedo_true`` [h, w, 3]: those that have a file.
 
         Raises:
             InputError: a file cannot be read, or has another size than the camera or too few channels.
         """
         if index not in self._truth:
             view = self.views[index]
-            files = {"albedo_true": (view.albedo, 3)}
+            files = {f"{p.name}_true": (view.maps.get(p.name), p.channels) for p in self.scene.parameters}
             files["photograph_relit"] = (view.relight, 3)
-            if self.has_roughness:
-                files["roughness_true"] = (view.roughness, 1)
             self._truth[index] = {
                 name: np.ascontiguousarray(_read(path, view, channels)[:: self.stride, :: self.stride])
                 for name, (path, channels) in files.items()

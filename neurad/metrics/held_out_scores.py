@@ -9,6 +9,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from neurad.core.parameters import RECOVERED
 from neurad.core.records import BoolArray, Float64Array, FloatArray, View
 from neurad.images.image_io import to_srgb
 from neurad.images.photographs import ceiling_of
@@ -23,9 +24,8 @@ SCORES = {
     "linear surfaces": ("mape",),
     "srgb": ("psnr",),
     "lhs": ("psnr",),
-    "albedo": ("psnr", "mape"),
+    **dict.fromkeys(RECOVERED, ("psnr", "mape")),
     "albedo 8x8": ("psnr",),
-    "roughness": ("psnr", "mape"),
     "roughness lookup": ("psnr", "mape", "r2"),
 }
 """What is compared, and the scores that are reported of it; ``lookup`` is no prediction but a mark, as the constant."""
@@ -43,7 +43,7 @@ def score(
 
     Args:
         held_out: the views.
-        maps: ``albedo`` and ``roughness`` of every view, as :meth:`HeldOut.predict` gives them; what is missing gets no
+        maps: surface parameters of every view, as :meth:`HeldOut.predict` gives them; what is missing gets no
             score.
         renders: pictures [h, w, 3] of every view, linear.
         regions: further masks [h, w] of every view, by the suffix of their scores.
@@ -53,12 +53,12 @@ def score(
     Returns:
         ``psnr_srgb``, by :attr:`HeldOut.exposure`, clamped and by the sRGB curve, and ``psnr_linear``, of radiance
         with peak 1, over all pixels but masked ones, ``psnr_lhs`` (linear) likewise;
-        ``mape_linear`` over those of them that show a surface; ``{albedo, roughness}_{psnr, mape}`` over counted
-        ones and ``albedo_psnr_8x8`` over these after a box filter. Each also with ``_constant``, of the best
-        constant, those of roughness with ``_lookup``, of :attr:`HeldOut.lookup` by the true colours, whose fraction of
-        explained variance is ``roughness_r2_lookup``, and those of albedo, if ``scaled``, with ``_scaled1`` and
-        ``_scaled3``, after the best factor for all channels together or for each. All these also with ``_seen``,
-        over pixels of surfaces that a training view sees, and with the suffixes of ``regions``.
+        ``mape_linear`` over those of them that show a surface; ``psnr`` and ``mape`` of every recovered parameter, such
+        as ``albedo_psnr``, over counted ones, and ``albedo_psnr_8x8`` over these after a box filter. Each also with
+        ``_constant``, of the best constant, those of roughness with ``_lookup``, of :attr:`HeldOut.lookup` by the true
+        colours, whose fraction of explained variance is ``roughness_r2_lookup``, and those of albedo, if ``scaled``,
+        with ``_scaled1`` and ``_scaled3``, after the best factor for all channels together or for each. All these also
+        with ``_seen``, over pixels of surfaces that a training view sees, and with the suffixes of ``regions``.
     """
     count = range(len(held_out.views))
     masks: dict[str, Sequence[BoolArray]] = {"seen": [held_out.seen(i) for i in count], **(regions or {})}
@@ -149,16 +149,15 @@ def _pool(
         pools["linear surfaces"].add(render, photograph, kept & held_out.shows(index))
         shown, true = (to_srgb(image * np.float32(held_out.exposure)) for image in (render, photograph))
         pools["srgb"].add(shown, true, kept)
-    if "albedo_true" in truth and "albedo" in maps:
-        pools["albedo"].add(maps["albedo"], truth["albedo_true"], counted)
-        if held_out.stride == 1:  # else blocks would be larger, and their scores others
-            guess, weight = block_means(maps["albedo"], counted, BLOCK)
-            exact, _ = block_means(truth["albedo_true"], counted, BLOCK)
-            pools["albedo 8x8"].add(guess, exact, weight > 0, weight)
-    if "roughness_true" in truth and "roughness" in maps:
-        pools["roughness"].add(maps["roughness"], truth["roughness_true"], counted)
-        if held_out.lookup is not None and "albedo_true" in truth:
-            pools["roughness lookup"].add(held_out.lookup(truth["albedo_true"]), truth["roughness_true"], counted)
+    for name in RECOVERED:
+        if f"{name}_true" in truth and name in maps:
+            pools[name].add(maps[name], truth[f"{name}_true"], counted)
+    if held_out.stride == 1 and "albedo_true" in truth and "albedo" in maps:  # else blocks would be larger
+        guess, weight = block_means(maps["albedo"], counted, BLOCK)
+        exact, _ = block_means(truth["albedo_true"], counted, BLOCK)
+        pools["albedo 8x8"].add(guess, exact, weight > 0, weight)
+    if held_out.lookup is not None and {"albedo_true", "roughness_true"} <= truth.keys() and "roughness" in maps:
+        pools["roughness lookup"].add(held_out.lookup(truth["albedo_true"]), truth["roughness_true"], counted)
 
 
 def _key(name: str, score: str, region: str) -> str:

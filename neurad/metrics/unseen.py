@@ -9,6 +9,7 @@ from typing import Any, Self
 import numpy as np
 import numpy.typing as npt
 
+from neurad.core.parameters import PARAMETERS
 from neurad.core.records import BoolArray
 
 SEEN, NEITHER, UNSEEN = 1.0, 0.5, 0.0
@@ -35,12 +36,12 @@ class Unseen:
     fraction: float | None = None
     """Fraction of the surfaces that no training view sees; None where that is not known."""
     squared: dict[str, float] = field(default_factory=dict)
-    """Fraction of the squared error that lies there, by ``albedo`` and ``roughness``."""
+    """Fraction of the squared error that lies there, by the name of the surface parameter."""
 
     @classmethod
     def of(cls, views: Sequence[Mapping[str, Any]]) -> Self:
-        """Unseen parts of views by their maps [h, w, c]: ``seen``, and ``albedo``, ``albedo_true``, ``roughness``,
-        ``roughness_true`` where there are any.
+        """Unseen parts of views by their maps [h, w, c]: ``seen``, and surface parameters and their true maps, such as
+        ``albedo`` and ``albedo_true``, where there are any.
         """
         masks = [view["seen"][..., 0] == UNSEEN if view.get("seen") is not None else None for view in views]
         known = [(mask, view) for mask, view in zip(masks, views, strict=True) if mask is not None]
@@ -48,7 +49,7 @@ class Unseen:
         if surfaces == 0:
             return cls(masks)
         squared = {}
-        for name in ("albedo", "roughness"):
+        for name in (parameter.name for parameter in PARAMETERS):
             inside = total = 0.0
             for mask, view in known:
                 if view.get(name) is not None and view.get(f"{name}_true") is not None:

@@ -7,6 +7,7 @@ from typing import Any
 
 import numpy as np
 
+from neurad.core.grid import trilinear
 from neurad.core.records import Float64Array, IntArray
 
 TOLERANCE, ITERATIONS = 1e-4, 400
@@ -54,13 +55,7 @@ def _interpolation(x: Float64Array, level: int) -> tuple[IntArray, Any]:
     """
     from scipy import sparse
 
-    scaled = np.clip(x, 0.0, 1.0) * level
-    cell = np.minimum(scaled.astype(np.int64), level - 1)
-    t = scaled - cell
-    corner = np.array([[i >> 2 & 1, i >> 1 & 1, i & 1] for i in range(8)])
-    at = cell[:, None] + corner  # [m, 8, 3]
-    weight = np.where(corner == 1, t[:, None], 1.0 - t[:, None]).prod(-1)
-    number = (at[..., 0] * (level + 1) + at[..., 1]) * (level + 1) + at[..., 2]
+    number, weight = trilinear(x, level)
     node, place = np.unique(number, return_inverse=True)
     start = np.arange(len(x) + 1) * 8
     return node, sparse.csr_matrix((weight.ravel(), place.ravel(), start), (len(x), len(node)))

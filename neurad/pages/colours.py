@@ -7,6 +7,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from neurad.core.parameters import SurfaceParameter
 from neurad.core.records import BoolArray, FloatArray
 from neurad.images.image_io import to_srgb
 
@@ -24,6 +25,11 @@ PERIOD, STROKE = 10, 2
 def encode(image: FloatArray) -> Bytes:
     """Linear values in [0, 1] as sRGB bytes [h, w, 3]; one channel becomes grey."""
     return np.round(to_srgb(np.broadcast_to(image, (*image.shape[:2], 3))) * 255).astype(np.uint8)
+
+
+def shown(parameter: SurfaceParameter, values: FloatArray) -> Bytes:
+    """A map of a surface parameter [h, w, c] as people look at it: a colour by the sRGB curve, a number without."""
+    return encode(values) if parameter.is_color else grey(values)
 
 
 def grey(image: FloatArray) -> Bytes:

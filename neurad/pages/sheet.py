@@ -7,6 +7,7 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
+from neurad.core.parameters import SurfaceParameter
 from neurad.core.records import BoolArray, FloatArray
 from neurad.pages.colours import Bytes, enlarged, hatched, reduced
 
@@ -29,6 +30,11 @@ class Scale:
     high: str
     meaning: str
     """Quantity, unit, and which way is better."""
+
+
+def scale_of(parameter: SurfaceParameter) -> Scale | None:
+    """The colour bar of a map of a surface parameter; None of a colour."""
+    return None if parameter.ends is None else Scale("gray", *parameter.ends, parameter.name)
 
 
 @dataclass(frozen=True)

@@ -37,7 +37,7 @@ from neurad.runtime.files import check_folder
 from neurad.runtime.machine import usable_cores
 from neurad.training.loopback import LoopbackDDP
 
-CALLBACKS: dict[str, type[pl.Callback]] = {"evaluation": Evaluate, "checkpoint": LastCheckpoint, "bar": Bar}
+CALLBACKS: dict[str, type[pl.Callback]] = {"evaluation": Evaluate, "checkpoint": LastCheckpoint}
 """Callbacks that every run has, by the key of their settings."""
 ROOT = "--trainer.default_root_dir"
 
@@ -240,8 +240,6 @@ class NeuradCLI(LightningCLI):
             if settings["max_steps"] < 0 and settings["max_time"] is None and not settings["fast_dev_run"]:
                 raise InputError("--trainer.max_steps or --trainer.max_time is needed: without either no fit ends")
             kwargs["limit_val_batches"] = 0  # the Evaluate callback keeps its own schedule
-        if settings["enable_progress_bar"] is False:
-            self.config_init[self.verb].pop("bar", None)
         trainer = super().instantiate_trainer(**kwargs)
         if isinstance(trainer.accelerator, CPUAccelerator) and trainer.num_devices > max(2, usable_cores()):
             raise InputError(f"--trainer.devices: {trainer.num_devices} processes for {usable_cores()} processor cores")
@@ -259,6 +257,7 @@ class NeuradCLI(LightningCLI):
 
     def _instantiate_trainer(self, config: dict[str, Any], callbacks: list[pl.Callback]) -> pl.Trainer:
         kept = [callback for callback in callbacks if callback is not None]
+        kept += [] if config["enable_progress_bar"] is False else [Bar()]
         try:
             config["strategy"] = strategy(config["strategy"], config["devices"], config["num_nodes"])
             return super()._instantiate_trainer(config, kept)

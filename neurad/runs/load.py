@@ -100,7 +100,7 @@ class LoadedRun:
 
     @property
     def materials(self) -> FittedMaterials | TrueMaterials:
-        """Albedo and roughness at a :class:`neurad.core.records.SurfaceInteraction`."""
+        """Surface parameters at a :class:`neurad.core.records.SurfaceInteraction`."""
         return self.assembly.materials
 
     @property
@@ -118,52 +118,52 @@ class LoadedRun:
         with torch.no_grad():
             return self.world.intersect(camera_rays(camera, xy))
 
-    def albedo(self, points: Points) -> FloatArray:
-        """Recovered albedo [n, 3], linear, in [0, 1].
+    @property
+    def maps(self) -> tuple[str, ...]:
+        """Names of what :meth:`map` gives: ``albedo``, and what else the surfaces of the scene have."""
+        return tuple(parameter.name for parameter in self.scene.parameters)
 
-        The fields depend on positions alone. On emitters nothing is recovered and the scene's own albedo holds, but a
-        position does not say what lies there: use the points of :meth:`surface` where that matters.
+    def map(self, name: str, points: Points) -> FloatArray:
+        """A surface parameter [n, channels]: albedo, linear, Burley's roughness or metalness, in [0, 1].
+
+        What was recovered depends on positions alone. On emitters nothing is recovered and the scene's own values hold,
+        but a position does not say what lies there: use the points of :meth:`surface` where that matters.
 
         Args:
+            name: one of :attr:`maps`.
             points: positions [n, 3] in the coordinates of the scene's files, or points of :meth:`surface`.
 
         Raises:
-            InputError: ``points`` have another shape, or are positions and the run's materials are the scene's own.
+            InputError: the scene has no such parameter, ``points`` have another shape, or they are positions and the
+                parameter is the scene's own.
         """
+        if name not in self.maps:
+            raise InputError(f"map {name}: scene {self.scene.name} has {', '.join(self.maps)}")
         if isinstance(points, SurfaceInteraction):
-            return self._evaluate(self.materials.albedo, points)
-        return self._evaluate(self._fields().albedo_at, self._positions(points))
+            return self._evaluate(lambda si: self.materials(si).parameters[name], points)
+        fields = self._fields()
+        if name not in fields.recovered:
+            raise InputError(f"map {name}: it is the scene's own: give points of run.surface(view)")
+        return self._evaluate(lambda p: fields.at(p)[name], self._positions(points))
 
-    def roughness(self, points: Points) -> FloatArray:
-        """Recovered Burley roughness [n, 1], in [0, 1]; 1 in a diffuse scene, which has none.
-
-        A roughness field that also reads the albedo gets the recovered one of the same points. Arguments and errors
-        are those of :meth:`albedo`.
-        """
-        if isinstance(points, SurfaceInteraction):
-            return self._evaluate(lambda si: self.materials(si).roughness, points)
-        return self._evaluate(self._fields().roughness_at, self._positions(points))
-
-    def albedo_std(self, points: Points) -> FloatArray:
-        """Standard deviation of the recovered albedo [n, 3]; 0 on emitters, where points of :meth:`surface` say so.
+    def map_std(self, name: str, points: Points) -> FloatArray:
+        """Standard deviation of a recovered map [n, channels]; 0 on emitters, where points of :meth:`surface` say so.
 
         Args:
+            name: one of :attr:`maps` that is recovered.
             points: positions [n, 3] in world space, or points of :meth:`surface`.
 
         Raises:
-            InputError: the run folder has no error bars, or others than those of this checkpoint; or as :meth:`albedo`.
+            InputError: the parameter is not recovered, the run folder has no error bars, or others than those of this
+                checkpoint; or as :meth:`map`.
         """
-        return self._bars(points, "albedo")
-
-    def roughness_std(self, points: Points) -> FloatArray:
-        """Standard deviation of the recovered roughness [n, 1]; 0 in a diffuse scene, which has none. Arguments and
-        errors are those of :meth:`albedo_std`.
-        """
-        if isinstance(self.materials, FittedMaterials) and self.materials.roughness is None:
-            return np.zeros(
-                (len(points if isinstance(points, SurfaceInteraction) else self._positions(points)), 1), np.float32
-            )
-        return self._bars(points, "roughness")
+        fields, bars = self._fields(), self._error_bars
+        if name not in fields.recovered:
+            raise InputError(f"map {name}: a run has error bars of {', '.join(fields.recovered)}")
+        if isinstance(points, SurfaceInteraction):
+            emits = (self.world.geometry.emission > 0).any(-1)
+            return np.concatenate([bars_at(bars, fields, part, emits)[name] for part in _chunks(points)])
+        return np.concatenate([bars.at(fields, part)[name] for part in _chunks(self._positions(points))])
 
     def seen(self, points: Points) -> npt.NDArray[np.bool_]:
         """Whether some training photograph shows the points [n]; what none shows is a guess.
@@ -179,16 +179,6 @@ class LoadedRun:
         if isinstance(points, SurfaceInteraction):
             return np.concatenate([by.any(part).cpu().numpy() for part in _chunks(points)])
         return np.concatenate([by.any_at(part).cpu().numpy() for part in _chunks(self._positions(points))])
-
-    def _bars(self, points: Points, name: str) -> FloatArray:
-        """Error bars of a map, of the run folder's file."""
-        fields, bars = self._fields(), self._error_bars
-        if isinstance(points, SurfaceInteraction):
-            emits = (self.world.geometry.emission > 0).any(-1)
-            return np.concatenate([bars_at(bars, fields, part, emits)[name] for part in _chunks(points)])
-        found = [bars.at(fields, part) for part in _chunks(self._positions(points))]
-        stds = [albedo if name == "albedo" else roughness for albedo, roughness in found]
-        return np.concatenate([std for std in stds if std is not None])
 
     @property
     def bars(self) -> ErrorBars | None:

@@ -16,18 +16,19 @@ from omegaconf import DictConfig, OmegaConf
 
 from neurad import integrators
 from neurad.core.errors import InputError
+from neurad.core.parameters import RECOVERED
 from neurad.runs.configs import read_layer
 from neurad.runs.trainer_settings import OURS, UNCHANGED
 from neurad.runs.trust import how_to_trust, is_trusted
 
-GROUPS = ("model", "data", "evaluation", "checkpoint", "bar")
+GROUPS = ("model", "data", "evaluation", "checkpoint")
 """Groups of settings that are taken over: numbers, texts and lists of them."""
 TRAINER = (
     "accelerator", "strategy", "devices", "num_nodes", "precision", "max_steps", "min_steps", "max_time",
     "deterministic", "benchmark", "inference_mode", "detect_anomaly", "enable_progress_bar",
 )  # fmt: skip
 """Settings of the trainer that are taken over. All others choose what is written where, or name classes."""
-_INNER = ("albedo", "roughness", "radiance", "sampling", "objective", "optimization", "lighting")
+_INNER = (*RECOVERED, "radiance", "sampling", "objective", "optimization", "lighting")
 """Groups below ``model``."""
 METHODS = integrators.__name__
 """Where the class of ``model.method`` has to be."""

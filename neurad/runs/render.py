@@ -13,6 +13,7 @@ import numpy as np
 
 from neurad.core.camera import resized
 from neurad.core.errors import InputError
+from neurad.core.parameters import split
 from neurad.core.protocols import Integrator
 from neurad.core.ranges import Count, Finite, Positive, checked
 from neurad.core.records import Camera, View
@@ -126,14 +127,17 @@ def render_views(settings: RenderSettings) -> None:
     views = _views(settings, subject.scene)
     kinds = ["images", *(["images_lhs"] if subject.method.needs_field else [])]
     if settings.path is None:
-        names = [(kind, "exr") for kind in (*kinds, "albedo", "roughness")] + [("png", "png")] * _shows(settings)
+        maps = MaterialMap(subject.parts.world, subject.parts.materials, subject.scene.parameters)
+        names = [(kind, "exr") for kind in (*kinds, *(p.name for p in maps.parameters))] + [("png", "png")] * _shows(
+            settings
+        )
         _refuse([settings.out / kind / f"{view.name}.{end}" for view in views for kind, end in names], settings)
     _tell(subject)
     pictures = subject.integrators([view.camera for view in views], Learning(settings.steps, settings.seconds))
     if settings.path is not None:
         _film(settings, [resized(view.camera, settings.size) for view in views], pictures["images"])
     else:
-        _write(settings, views, pictures, MaterialMap(subject.parts.world, subject.parts.materials), subject.scene)
+        _write(settings, views, pictures, maps, subject.scene)
 
 
 def _shows(settings: RenderSettings) -> bool:
@@ -191,7 +195,8 @@ def _write(
 ) -> None:
     """Pictures and maps of views, and their camera files."""
     out = settings.out
-    for kind in (*pictures, "albedo", "roughness", *(["png"] if _shows(settings) else [])):
+    names = [parameter.name for parameter in maps.parameters]
+    for kind in (*pictures, *names, *(["png"] if _shows(settings) else [])):
         make_folder(out / kind, "--out")
     scale = None if settings.exposure is None else 2.0**settings.exposure
     start = time.perf_counter()
@@ -207,16 +212,17 @@ def _write(
                 if kind == "images" and _shows(settings):
                     scale = exposure([image]) if scale is None else scale
                     write_png(out / "png" / f"{view.name}.png", encode(image * np.float32(scale)))
-            both = render(camera, maps, settings.map_spp, seed).numpy()
+            found = render(camera, maps, settings.map_spp, seed).numpy()
             rendering.step()
-            write_exr(out / "albedo" / f"{view.name}.exr", both[..., :3])
-            write_exr(out / "roughness" / f"{view.name}.exr", both[..., 3:])
+            for name, values in split(found, maps.parameters).items():
+                write_exr(out / name / f"{view.name}.exr", values)
             _progress(view.name, index, len(views), start)
     parts = {"": views} if settings.camera else {"_train": scene.train, "_test": scene.test}
     for part, of in parts.items():
         chosen = [replace(v, camera=resized(v.camera, settings.size)) for v in views if any(v is w for w in of)]
         if chosen:
-            write_text(out / f"transforms{part}.json", json.dumps(transforms(chosen, scene.origin), indent=1) + "\n")
+            described = transforms(chosen, scene.origin, names)
+            write_text(out / f"transforms{part}.json", json.dumps(described, indent=1) + "\n")
 
 
 def _film(settings: RenderSettings, cameras: Sequence[Camera], integrator: Integrator) -> None:

@@ -27,7 +27,6 @@ GROUPS = {
     "model": ("neurad/training/inverse.py", "InverseRenderer", "What is recovered, and how"),
     "evaluation": ("neurad/callbacks/evaluation.py", "Evaluate", "Scores and pictures of held-out views"),
     "checkpoint": ("neurad/callbacks/checkpoint.py", "LastCheckpoint", "Checkpoints"),
-    "bar": ("neurad/callbacks/progress.py", "Bar", "The line that shows how far a fit is"),
 }
 """Groups of settings: file and name of the class that has them, and what they are about."""
 METHODS = "neurad/integrators"
@@ -131,10 +130,11 @@ def all_settings() -> dict[str, list[Setting]]:
     for group, (file, name, about) in GROUPS.items():
         settings = list(_settings(_Class(SOURCES / file, name), group, {}))
         found[f"{group}: {about}"] = settings
+    alike: dict[tuple[str, ...], tuple[list[str], list[Setting]]] = {}  # methods may take the same
     for name, settings in methods().items():
         if settings:
-            found[f"model.method.class_path {name}"] = settings
-    return found
+            alike.setdefault(tuple(map(str, settings)), ([], settings))[0].append(name)
+    return found | {f"model.method.class_path {' or '.join(names)}": settings for names, settings in alike.values()}
 
 
 def methods() -> dict[str, list[Setting]]:

@@ -19,7 +19,6 @@ def _of_trainer(text: str) -> str:
 TIMES: dict[str, Callable[[str], Any]] = {
     "trainer.max_time": _of_trainer,
     "checkpoint.every_seconds": seconds_of,
-    "bar.refresh_seconds": seconds_of,
 }
 """Settings that are times, and what makes of a text what their type is."""
 

@@ -19,6 +19,7 @@ from neurad.core.ranges import IS_GROUP, Count, CountOrZero, Range, Seed, is_set
 RANGES: dict[str, Any] = {
     "num_nodes": Count,
     "fast_dev_run": CountOrZero,
+    "log_every_n_steps": Count,
     "max_steps": Annotated[int, Range(-1, 2**62)],
     "min_steps": CountOrZero | None,
 }
@@ -41,7 +42,6 @@ WITHOUT_EFFECT: dict[str, tuple[tuple[Any, ...], str]] = {
     "val_check_interval": ((None, 1.0), _EVALUATIONS),
     "check_val_every_n_epoch": ((None, 1), _EVALUATIONS),
     "num_sanity_val_steps": ((None, 0), _EVALUATIONS),
-    "log_every_n_steps": ((None,), "losses are logged every --evaluation.log_every_n_steps"),
     "max_epochs": ((None, -1), _EPOCHS),
     "min_epochs": ((None, 0), _EPOCHS),
     "reload_dataloaders_every_n_epochs": ((0,), _EPOCHS),

@@ -10,16 +10,29 @@ import numpy as np
 import numpy.typing as npt
 
 from neurad.core.errors import InputError
-from neurad.core.records import EnvironmentMap, FloatArray, Material, Mesh, PunctualLight, View
-from neurad.core.reflection import METAL, DiffuseModel, PrincipledModel, ReflectionModel
+from neurad.core.parameters import ALBEDO, METALLIC, ROUGHNESS, SurfaceParameter
+from neurad.core.records import (
+    Constant,
+    EnvironmentMap,
+    FloatArray,
+    Material,
+    Mesh,
+    PunctualLight,
+    Texture,
+    View,
+)
+from neurad.core.reflection import DiffuseModel, PrincipledModel, ReflectionModel
 from neurad.images.development import KNOWN, Photography
 from neurad.runtime.numbers import RADIANCE, within
-from neurad.runtime.reading import shown
 from neurad.scene.punctual import check_punctual
 
-_LISTED = 12
 SCORED = 8
 """Training photographs that are scored where no view is held out."""
+
+
+def is_dielectric(metallic: Texture) -> bool:
+    """Whether a metalness is 0 everywhere."""
+    return isinstance(metallic, Constant) and not metallic.value.any()
 
 
 def is_used(mesh: Mesh) -> npt.NDArray[np.bool_]:
@@ -125,7 +138,7 @@ class Scene:
             return self.test
         few = min(SCORED, len(self.train))
         chosen = [self.train[i * len(self.train) // few] for i in range(few)]
-        return [replace(view, albedo=None, roughness=None, relight=None) for view in chosen if view.image is not None]
+        return [replace(view, maps={}, relight=None) for view in chosen if view.image is not None]
 
     @property
     def scores_are_of(self) -> str | None:
@@ -162,25 +175,14 @@ class Scene:
         used = [self.materials[i] for i in recovered if not self.materials[i].model.is_delta]
         return [f"{m.name} ({m.model.label})" for m in used if m.model != self.features.fitted_model]
 
-    @property
-    def lost_metals(self) -> str | None:
-        """What has to be said of surfaces that are metals by the files, as a fit recovers dielectrics; None without
-        any. Smooth metals and what shines are kept as they are.
-        """
-        models = [self.materials[mesh.material].model for mesh in self.meshes]
-        names = [
-            mesh.name
-            for mesh, model in zip(self.meshes, models, strict=True)
-            if model.metallic >= METAL and not model.is_delta and mesh.radiance is None
-        ]
-        if not names:
-            return None
-        more = " ..." if len(names) > _LISTED else ""
-        return (
-            f"scene {self.name}: warning: {len(names)} of {len(self.meshes)} meshes are metal by its files "
-            f"({', '.join(map(shown, names[:_LISTED]))}{more}), and a fit recovers every surface as a dielectric: "
-            "their albedo and roughness will be wrong"
-        )
+    @cached_property
+    def parameters(self) -> tuple[SurfaceParameter, ...]:
+        """What its surfaces have: albedo; roughness unless all are Lambertian; metalness if one of them has any."""
+        if self.features.is_diffuse:
+            return (ALBEDO,)
+        used = [self.materials[i] for i in {mesh.material for mesh in self.meshes}]
+        has_metal = any(not m.model.is_delta and not is_dielectric(m.metallic) for m in used)
+        return (ALBEDO, ROUGHNESS, METALLIC) if has_metal else (ALBEDO, ROUGHNESS)
 
     @cached_property
     def bounds(self) -> FloatArray:

@@ -144,6 +144,10 @@ class Geometry(nn.Module):
         p, uv = value[:, :3].contiguous(), value[:, 6:].contiguous()
         return SurfaceInteraction(p, ng.contiguous(), n, wo, uv, bary, prim, valid)
 
+    def material_at(self, si: SurfaceInteraction) -> Tensor:
+        """Index into ``Scene.materials`` at the lanes of ``si`` [n], int64; some material where there is no surface."""
+        return self.material[si.prim.clamp_min(0)]
+
     def attribute(self, name: str, si: SurfaceInteraction) -> Tensor:
         """The vertex attribute ``name`` interpolated at ``si`` [n, channels]; 0 on meshes that lack it and at misses.
 

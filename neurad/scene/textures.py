@@ -7,7 +7,8 @@ import torch
 from torch import Tensor, nn
 
 from neurad.core.errors import InputError
-from neurad.core.records import Bitmap, Constant, Surface, SurfaceInteraction, Texture, VertexAttribute
+from neurad.core.parameters import ALBEDO, ROUGHNESS, SurfaceParameter
+from neurad.core.records import Bitmap, Constant, Surface, SurfaceInteraction, Texture, VertexAttribute, constant
 from neurad.scene.description import Scene
 from neurad.scene.geometry import Geometry
 
@@ -30,27 +31,43 @@ class TrueMaterials(nn.Module):
         if reason := next((model.unsupported for model in scene.features.models if model.unsupported), None):
             raise InputError(reason)
         self.geometry = geometry
-        self.albedo_table = TextureTable([m.albedo for m in scene.materials], 3)
-        self.roughness_table = TextureTable([m.roughness for m in scene.materials], 1)
+        shaded = dict.fromkeys((ALBEDO, ROUGHNESS, *scene.parameters))  # a Surface has the first two in any scene
+        self.fields = nn.ModuleDict({p.name: SceneTexture(scene, p, geometry) for p in shaded})
         index = {model: i for i, model in enumerate(scene.features.models)}
         model = torch.tensor([index.get(m.model, -1) for m in scene.materials], dtype=torch.int64)
         self.register_buffer("model", model, persistent=False)
         self.is_mixed = scene.features.is_mixed
 
-    @torch.no_grad()
     def forward(self, si: SurfaceInteraction) -> Surface:
         """Parameters at the lanes of ``si``; zeros where there is no surface."""
-        material = self.geometry.material[si.prim.clamp_min(0)]
-        albedo = self.albedo_table(material, si, self.geometry)
-        roughness = self.roughness_table(material, si, self.geometry)
-        return Surface(albedo, roughness, self.model[material] if self.is_mixed else None)
+        values = {name: texture(si) for name, texture in self.fields.items()}
+        return Surface(**values, model=self.model[self.geometry.material_at(si)] if self.is_mixed else None)
 
-    @torch.no_grad()
     def albedo(self, si: SurfaceInteraction) -> Tensor:
         """The albedo alone [n, 3]; zeros where there is no surface."""
-        material = self.geometry.material[si.prim.clamp_min(0)]
-        albedo: Tensor = self.albedo_table(material, si, self.geometry)
+        albedo: Tensor = self.fields[ALBEDO.name](si)
         return albedo
+
+
+class SceneTexture(nn.Module):
+    """A surface parameter as the scene's files have it.
+
+    Args:
+        scene: whose materials.
+        parameter: of them.
+        geometry: of the same scene.
+    """
+
+    def __init__(self, scene: Scene, parameter: SurfaceParameter, geometry: Geometry) -> None:
+        super().__init__()
+        self.table = TextureTable([getattr(m, parameter.name) for m in scene.materials], parameter.channels)
+        self.geometry = geometry
+
+    @torch.no_grad()
+    def forward(self, si: SurfaceInteraction, albedo: Tensor | None = None) -> Tensor:
+        """Values [n, channels] at the lanes of ``si``, zeros where there is no surface; the albedo plays no part."""
+        values: Tensor = self.table(self.geometry.material_at(si), si, self.geometry)
+        return values
 
 
 class OnEmitters(nn.Module):
@@ -60,8 +77,8 @@ class OnEmitters(nn.Module):
     kitchen whose lamps reflect 2 %, a fit that was free to think 60 % had 7 % too much light and albedos 4 % too low.
 
     Args:
-        textures: by material.
-        channels: of the values.
+        scene: whose values.
+        parameter: of them.
         geometry: says which triangles emit.
         meshes: further meshes that are treated so: lamps that are off now.
     """
@@ -69,15 +86,18 @@ class OnEmitters(nn.Module):
     emits: Tensor
 
     def __init__(
-        self, textures: list[Texture], channels: int, geometry: Geometry, meshes: frozenset[int] = frozenset()
+        self, scene: Scene, parameter: SurfaceParameter, geometry: Geometry, meshes: frozenset[int] = frozenset()
     ) -> None:
         super().__init__()
         emits = geometry.emission.amax(-1) > 0
         if meshes:
             emits |= torch.isin(geometry.mesh_index, torch.tensor(sorted(meshes), device=emits.device))
         lamps = set(geometry.material[emits].tolist())
-        blank = Constant(np.zeros(1, np.float32))
-        self.table = TextureTable([t if i in lamps else blank for i, t in enumerate(textures)], channels)
+        textures = [
+            getattr(material, parameter.name) if i in lamps else constant(0.0)
+            for i, material in enumerate(scene.materials)
+        ]
+        self.table = TextureTable(textures, parameter.channels)
         self.geometry = geometry
         self.register_buffer("emits", emits, persistent=False)
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from neurad.assembly.build import Assembly, FittedMaterials
+from neurad.core.parameters import ROUGHNESS
 from neurad.core.protocols import PhotoSource
 from neurad.evidence.bar_calibration import RoughnessBars
 from neurad.evidence.error_bars import ErrorBars, Known, measure
@@ -42,7 +43,7 @@ def error_bars(
         )  # fmt: skip
     if pixels is None:
         return None
-    has_roughness = assembly.materials.roughness is not None
+    has_roughness = ROUGHNESS.name in assembly.materials.recovered
     correction = assembly.correction
     known = None
     if correction is not None and correction.found and bool((correction.scales > 0).all()):

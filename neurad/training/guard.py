@@ -20,6 +20,7 @@ from torch import Tensor, nn
 
 from neurad import assembly, bsdf, emitters, fields, integrators, losses, training
 from neurad.core.errors import InputError
+from neurad.core.parameters import RECOVERED
 from neurad.core.records import FloatArray, PixelBatch
 from neurad.losses.relative import Loss
 from neurad.runtime.files import make_folder, replacing
@@ -83,7 +84,7 @@ class Guard:
             NotFinite: one is not; the weights are kept.
         """
         for name, entry in zip(names, maps, strict=True):
-            for kind in ("render", "residual", "albedo", "roughness"):
+            for kind in ("render", "residual", *RECOVERED):
                 picture = torch.from_numpy(entry[kind]) if kind in entry else torch.zeros(1)
                 if not bool(torch.isfinite(picture).all()):
                     text = f"the picture {kind} of view {name} is not finite ({_bad_fraction(picture)} values)"
@@ -137,22 +138,6 @@ def keep_in_run_folder(trainer: pl.Trainer | None, iteration: int, cause: str, b
         with replacing(folder / "bad_batch.pt") as part, part.open("wb") as file:
             torch.save({"iteration": iteration, "cause": cause, **tensors}, file)
     return f"; `neurad fit --ckpt_path {folder / 'checkpoints' / 'bad.ckpt'}` repeats it"
-
-
-@torch.no_grad()
-def clip(groups: list[list[dict[str, Any]]], largest: float) -> None:
-    """Shorten the gradient of each optimizer, dense and sparse parts together, to a norm of at most ``largest``.
-
-    Losses are relative, so the norms do not depend on how bright a scene is. Rows that a sparse gradient names twice
-    count apart, which makes its norm a little smaller than it is.
-    """
-    for optimizer in groups:
-        gradients = [_values(p.grad) for group in optimizer for p in group["params"] if p.grad is not None]
-        if gradients:
-            norm = torch.stack([torch.linalg.vector_norm(g) for g in gradients]).norm()
-            factor = (largest / norm.clamp_min(torch.finfo(norm.dtype).tiny)).clamp(max=1.0)
-            for g in gradients:
-                g.mul_(factor)
 
 
 def first_bad(run: Callable[[], object]) -> str | None:

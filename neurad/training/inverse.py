@@ -206,8 +206,7 @@ class InverseRenderer(L.LightningModule):
         begins = self.iteration == 0
         if self.settings.materials == "fit" and self.scene.replaced:
             self._say(f"to be recovered as principled: {', '.join(self.scene.replaced)}")
-        metals = self.scene.lost_metals if self.settings.materials == "fit" else None
-        about = self.scene.scores_are_of, metals, self.region.sentence(self.scene)
+        about = self.scene.scores_are_of, self.region.sentence(self.scene)
         self._say(*self.scene.notes, *filter(None, about))
         with self.world.tracer.uncounted(not begins):  # a continued run counted its camera rays when it began
             views = prepare_views(self.assembly, self.photographs, self.device, check_brightness=begins)

@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from neurad.assembly.build import Assembly, FittedMaterials
 from neurad.assembly.settings import Optimization
-from neurad.fields.material import RoughnessField
+from neurad.core.parameters import ROUGHNESS
+from neurad.fields.material import MaterialField
 from neurad.fields.mlp import MLP
 from neurad.optim.pyramid_adam import PyramidAdam
 from neurad.optim.sparse_row_adam import SparseRowAdam
@@ -20,9 +21,8 @@ def make_optimizers(assembly: Assembly) -> dict[str, SparseRowAdam | PyramidAdam
     materials = assembly.materials
     made: dict[str, SparseRowAdam | PyramidAdam] = {}
     if isinstance(materials, FittedMaterials):
-        made["albedo"] = SparseRowAdam(materials.albedo.parameters(), lr=rates.albedo)  # type: ignore[attr-defined]
-        if materials.roughness is not None:
-            made["roughness"] = _for_roughness(materials.roughness, rates)
+        for name, field in materials.recovered.items():
+            made[name] = _of_field(field, getattr(rates, name), rates)
     if environment is not None:
         made["environment"] = PyramidAdam(
             [environment.values],
@@ -42,13 +42,15 @@ def make_optimizers(assembly: Assembly) -> dict[str, SparseRowAdam | PyramidAdam
     return made
 
 
-def _for_roughness(field: RoughnessField, rates: Optimization) -> SparseRowAdam:
-    """Adam whose weight decay is that of the table in front of the network; a grid alone has none, as it would be drawn
-    to one half.
+def _of_field(field: MaterialField, rate: float, rates: Optimization) -> SparseRowAdam:
+    """Adam; of the roughness its weight decay is that of the table in front of the network; a grid alone has none, as
+    it would be drawn to one half.
     """
+    parameters = [p for p in field.parameters() if p.requires_grad]
+    if field.parameter != ROUGHNESS:
+        return SparseRowAdam(parameters, lr=rate)
     decays = rates.roughness_decay > 0.0 and isinstance(field.mlp, MLP)
     table = field.grid.parameters() if decays else ()
     return SparseRowAdam(
-        [p for p in field.parameters() if p.requires_grad], lr=rates.roughness, betas=(0.9, rates.roughness_beta2),
-        weight_decay={p: rates.roughness_decay for p in table},
-    )  # fmt: skip
+        parameters, lr=rate, betas=(0.9, rates.roughness_beta2), weight_decay={p: rates.roughness_decay for p in table}
+    )

@@ -18,6 +18,7 @@ import torch.distributed as dist
 from torch import Tensor
 
 from neurad.assembly.build import FittedMaterials
+from neurad.core.parameters import ROUGHNESS
 from neurad.core.protocols import Materials
 from neurad.core.records import PixelBatch, Surface, SurfaceInteraction
 from neurad.core.rng import Stream
@@ -90,9 +91,8 @@ def choose_start(
         The level; None where the field stays as it is.
     """
     materials = objective.estimator.materials
-    if not isinstance(materials, FittedMaterials) or materials.roughness is None:
-        return None
-    if not isinstance(materials.roughness.mlp, MLP):
+    field = materials.recovered.get(ROUGHNESS.name) if isinstance(materials, FittedMaterials) else None
+    if field is None or not isinstance(field.mlp, MLP):
         return None
     device = objective.emitter_mask.device
     rows, means = [], []
@@ -107,5 +107,5 @@ def choose_start(
         found = torch.cat(parts)
     level = best_level(found[:, :-1])
     if level is not None:
-        materials.roughness.shift(float(found[:, -1].nanmean()), level)
+        field.shift(float(found[:, -1].nanmean()), level)
     return level

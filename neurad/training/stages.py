@@ -27,6 +27,8 @@ from neurad.training.training_views import TrainingViews
 from neurad.training.validation import SETTLED, shrink_levels, update_levels
 from neurad.training.validation import is_due as is_filtering
 
+REFRESH = 20
+"""Iterations after which directions are sampled by the present environment map instead of an older one."""
 T = TypeVar("T")
 
 
@@ -97,7 +99,7 @@ class LightRefresh:
     def _samples(training: Training) -> bool:
         assembly = training.assembly
         recovers = assembly.environment is not None or assembly.lamps is not None
-        return recovers and training.counters.iteration % assembly.settings.lighting.refresh == 0
+        return recovers and training.counters.iteration % REFRESH == 0
 
     @staticmethod
     def _lamps(training: Training) -> bool:

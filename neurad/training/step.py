@@ -17,7 +17,7 @@ from neurad.fields.mlp import MLP, products
 from neurad.losses.relative import total
 from neurad.runtime.threads import step_threads
 from neurad.training.gradient_sync import GradientSync
-from neurad.training.guard import Guard, clip
+from neurad.training.guard import Guard
 from neurad.training.guide_update import bin_guide_samples, update_guide
 from neurad.training.objective import StepTerms, make_objective
 from neurad.training.schedule import Counters, Progress, learning_rate, rate_factor
@@ -121,14 +121,12 @@ class TrainingStep:
             terms = self.terms(batch)
             loss = total(terms.all)
             backward(loss)
-        # Stage 2: what other processes found, the finiteness check and the norm of the gradients.
+        # Stage 2: what other processes found, and the finiteness check.
         factor = rate_factor(optimization, counters.iteration, progress)
         recorded = bin_guide_samples(world.guide, terms.guide_samples), self._scores(batch, terms)
         if self.sync is not None:
             factor, recorded = self.sync.average(factor, recorded)
         self.guard.check(counters.iteration, batch, terms.all, lambda: self.terms(batch))
-        if optimization.clip > 0:
-            clip([optimizer.param_groups for optimizer in self.optimizers.values()], optimization.clip)
         # Stage 3: parameters, guide and averages.
         for name, optimizer in self.optimizers.items():
             for group in optimizer.param_groups:

@@ -6,6 +6,7 @@ import torch
 from torch import Tensor
 
 from neurad.assembly.build import Assembly, FittedMaterials
+from neurad.core.parameters import PARAMETERS
 from neurad.core.protocols import PhotoSource
 from neurad.core.records import PixelBatch
 from neurad.evidence.pixel_derivatives import derivatives_of
@@ -84,9 +85,7 @@ def _fit(
     average, materials = assembly.average, assembly.materials
     if average is None or not isinstance(materials, FittedMaterials):
         return None
-    fields = [materials.albedo] + ([] if materials.roughness is None else [materials.roughness])
-    grids = [getattr(field, "grid", None) for field in fields]
-    if any(grid is None or average.levels.of(grid) is None for grid in grids):
+    if any(average.levels.of(field.grid) is None for field in materials.recovered.values()):
         return None
     if len(batch.view) < MIN_PIXELS:
         return None
@@ -100,7 +99,7 @@ def _fit(
         found = None
         if pixels is not None and len(pixels) >= MIN_PIXELS:
             epsilon = assembly.settings.objective.epsilon * views.mean_square_radiance
-            found = fit_levels(pixels, materials, average.levels, epsilon, quick)  # type: ignore[arg-type]
+            found = fit_levels(pixels, materials, average.levels, epsilon, quick)
     return found
 
 
@@ -108,7 +107,7 @@ def _summary(found: list[LevelFit] | None) -> str | None:
     """A sentence on what was found; None if the finest levels are kept whole."""
     parts = [
         f"{float(fit.factors[-1]):.2f} of {name}'s finest level"
-        for name, fit in zip(("albedo", "roughness"), found or [], strict=False)
+        for name, fit in zip((parameter.name for parameter in PARAMETERS), found or [], strict=False)
         if float(fit.factors[-1]) < WHOLE
     ]
     if not parts:

@@ -3,6 +3,7 @@
 import torch
 
 from neurad.assembly.build import build_materials, build_world
+from neurad.core.parameters import RECOVERED
 from neurad.fields.settings import FieldConfig, GridConfig
 from neurad.formats.load import load_scene
 from neurad.scene.textures import TrueMaterials
@@ -13,7 +14,7 @@ SMALL = FieldConfig(GridConfig(levels=2, coarsest=2, finest=4, log2_size=8), wid
 def test_emitters_keep_the_materials_of_the_scene():
     scene = load_scene(None, "patterns")
     geometry = build_world(scene).geometry
-    made = build_materials(scene, SMALL, SMALL, geometry)
+    made = build_materials(scene, dict.fromkeys(RECOVERED, SMALL), geometry)
     prim = torch.arange(len(geometry.emission))
     third = torch.full((len(prim),), 1 / 3)
     si = geometry.interact_at(prim, third, third, torch.zeros(len(prim), 3), torch.ones(len(prim), dtype=torch.bool))
@@ -22,12 +23,12 @@ def test_emitters_keep_the_materials_of_the_scene():
     assert 0 < int(lamp.sum()) < len(lamp)
     assert torch.equal(found.albedo[lamp], true.albedo[lamp])
     assert torch.equal(found.roughness[lamp], true.roughness[lamp])
-    free = build_materials(scene, SMALL, SMALL)
+    free = build_materials(scene, dict.fromkeys(RECOVERED, SMALL), geometry, known_emitters=False)
     free.load_state_dict(made.state_dict())  # nothing known is in a checkpoint
     assert torch.equal(found.albedo[~lamp], free(si).albedo[~lamp])
 
     (found.albedo.sum() + found.roughness.sum()).backward()
-    bias = made.albedo.mlp.layers[-1].bias.grad
+    bias = made.fields["albedo"].mlp.layers[-1].bias.grad
     made.zero_grad()
     (lambda s: (s.albedo.sum() + s.roughness.sum()).backward())(made(si[~lamp]))
-    torch.testing.assert_close(bias, made.albedo.mlp.layers[-1].bias.grad)
+    torch.testing.assert_close(bias, made.fields["albedo"].mlp.layers[-1].bias.grad)

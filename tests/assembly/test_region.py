@@ -113,8 +113,13 @@ def test_all_parts_span_the_same_region_and_cells_are_counted_inside_it():
     scene = replace(with_triangle(CORNELL, 300.0), environment=None)
     near, far = assemble(CORNELL, settings), assemble(scene, settings)
     for made, shell in ((near, 0.0), (far, SHELL)):
-        assert [float(f.cube.shell) for f in (made.materials.albedo, made.radiance)] == pytest.approx([shell, shell])
-    cells = [m.materials.albedo.grid.level_table[-1, 0] * m.materials.albedo.cube.inverse_side for m in (near, far)]
+        assert [float(f.cube.shell) for f in (made.materials.recovered["albedo"], made.radiance)] == pytest.approx(
+            [shell, shell]
+        )
+    cells = [
+        m.materials.recovered["albedo"].grid.level_table[-1, 0] * m.materials.recovered["albedo"].cube.inverse_side
+        for m in (near, far)
+    ]
     assert float(cells[1] / cells[0]) == pytest.approx(1.0, abs=0.1)
     config = FieldConfig(GridConfig(finest=1 << 20))
     assert far.region.stretched(config).grid.finest == 1 << 20
@@ -130,7 +135,7 @@ def test_a_closing_step_has_cells_as_small_as_those_of_the_fields(far):
     scene = with_material(scene, PrincipledModel(), 0.4, 0.3)
     settings = model_settings("scene.yaml")
     made = assemble(scene, settings)
-    cells, finest = made.correction.cells, made.materials.roughness.grid.level_table[-1, 0]
+    cells, finest = made.correction.cells, made.materials.recovered["roughness"].grid.level_table[-1, 0]
     assert cells % CORRECTION_FACTOR == 0
     assert cells / float(finest) == pytest.approx(CORRECTION_CELLS / settings.roughness.grid.finest, abs=0.05)
     assert far == (cells > CORRECTION_CELLS)
@@ -161,7 +166,7 @@ def test_a_fit_says_what_it_leaves_out_and_keeps_what_it_spans(tmp_path, monkeyp
         said = [line for line in capfd.readouterr().err.splitlines() if "grids span" in line]
         assert len(said) == extra
         state = checkpoint(version)["state_dict"]
-        spans.append(1.0 / float(state["materials.albedo.cube.inverse_side"]) * (1.0 - 2.0 * SHELL * extra))
+        spans.append(1.0 / float(state["materials.fields.albedo.cube.inverse_side"]) * (1.0 - 2.0 * SHELL * extra))
     assert "outside: 1 vertex that no triangle uses and parts of 1 of 5 triangles" in said[0]
     assert spans[1] == pytest.approx(spans[0], rel=0.2)
     main(["validate", "--config", "tiny.yaml", "--ckpt_path", "last"])

@@ -23,6 +23,7 @@ from neurad.integrators.prb import PRB
 from neurad.integrators.radiometric import Radiometric
 from neurad.integrators.vertex import DIMENSIONS
 from neurad.scene.builtin import build, build_cube
+from neurad.scene.geometry import Geometry
 from neurad.scene.textures import TrueMaterials
 
 CPU = torch.device("cpu")
@@ -55,10 +56,12 @@ def test_fields_start_at_the_albedo(kind):
     from neurad.fields.settings import FieldConfig
 
     scene = build_cube(0.97)
-    materials = build_materials(scene, FieldConfig(kind=kind, size=8), FieldConfig())
+    materials = build_materials(
+        scene, {"albedo": FieldConfig(kind=kind, size=8)}, Geometry(scene), known_emitters=False
+    )
     cube_worker.set_albedo(materials, 0.97)
     p = 2 * torch.rand(500, 3) - 1
-    assert float((materials.albedo.at(p) - 0.97).detach().abs().max()) < 2e-3
+    assert float((materials.at(p)["albedo"] - 0.97).detach().abs().max()) < 2e-3
 
 
 @pytest.mark.parametrize("method", cube.METHODS)
@@ -281,10 +284,10 @@ def test_albedo_derivative_is_that_of_pictures():
         sides = []
         for sign in (-1, 1):
             base = one.base
-            before = base.albedo_table.constant.clone()
-            base.albedo_table.constant += sign * step
+            before = base.fields["albedo"].table.constant.clone()
+            base.fields["albedo"].table.constant += sign * step
             sides.append(render_mean(one, index))
-            base.albedo_table.constant.copy_(before)
+            base.fields["albedo"].table.constant.copy_(before)
         rows.append((sides[1] - sides[0]) / (2 * step))
     means = own.albedo.mean(1)
     difference = means.mean() - np.mean(rows)

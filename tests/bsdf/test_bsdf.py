@@ -184,7 +184,7 @@ def mean_over(bsdf, albedo, roughness, cos, pick, count=100_000):
     """Directional albedo of one lobe and its standard error."""
     wo, surf = toward(cos, count=count), surface(count, albedo, roughness)
     sample = bsdf.sample(surf, wo, uniform(count, 3, seed=11))
-    lobe = bsdf.lobes(surf.roughness, wo, sample.wi)[pick] / sample.pdf.clamp_min(1e-30)
+    lobe = bsdf.lobes(surf, wo, sample.wi)[pick] / sample.pdf.clamp_min(1e-30)
     return float(lobe.mean()), float(lobe.std() / math.sqrt(count))
 
 
@@ -226,7 +226,8 @@ def test_gradients_equal_central_differences():
         torch.testing.assert_close(grads[0], numeric, rtol=1e-5, atol=1e-6)
 
 
-def test_kernel_equals_its_torch_twin():
+@pytest.mark.parametrize("metal", [False, True])
+def test_kernel_equals_its_torch_twin(metal):
     n = 8192
     wo, wi = directions(n, 1), directions(n, 2, upper=False)
     wo[:64, 2] = -wo[:64, 2]
@@ -235,21 +236,42 @@ def test_kernel_equals_its_torch_twin():
     near = Principled(use_kernels=False).sample(surface(n, 0.5), wo, uniform(n, 3, seed=5)).wi
     wi = torch.where((torch.arange(n) % 2 == 0).unsqueeze(-1), near, wi)
     cotangent = uniform(2, n, seed=6) + 0.5
+    part = uniform(n, 1, seed=9)
+    part[:8] = torch.tensor([0.0, 1.0]).repeat(4).unsqueeze(-1)
     results = []
-    for function in (principled_lobes_pdf, lobes_pdf):
-        leaf = rough.clone().requires_grad_()
-        d, s, pdf = function(leaf, wo, wi, 1.5)
+    for compiled in (True, False):
+        leaves = [x.clone().requires_grad_() for x in ((rough, part) if metal else (rough,))]
+        surf = Surface(wo, leaves[0], metallic=leaves[1] if metal else None)
+        d, s, pdf = (
+            principled_lobes_pdf(surf, wo, wi, 1.5)
+            if compiled
+            else lobes_pdf(surf.roughness, wo, wi, 1.5, metallic=surf.metallic)
+        )
         assert not pdf.requires_grad
-        (gradient,) = torch.autograd.grad(((d + s) * cotangent[0]).sum(), leaf)
-        results.append((d.detach(), s.detach(), pdf, gradient.squeeze(-1)))
-    for name, use_kernels, slow in zip(("d", "s", "pdf", "gradient"), *results, strict=True):
+        gradients = torch.autograd.grad((d * cotangent[0] + s * cotangent[1]).sum(), leaves)
+        results.append((d.detach(), s.detach(), pdf, *(x.squeeze(-1) for x in gradients)))
+    names = ("d", "s", "pdf", "by roughness", "by metalness")
+    for name, use_kernels, slow in zip(names, *results, strict=False):
         torch.testing.assert_close(use_kernels, slow, rtol=1e-4, atol=2e-5, msg=lambda m, name=name: f"{name}: {m}")
-    use_kernels, slow = results[0][3].double(), results[1][3].double()
-    assert torch.dot(use_kernels, slow) / (use_kernels.norm() * slow.norm()) > 1 - 1e-8
+    for use_kernels, slow in zip(*(found[3:] for found in results), strict=True):
+        fast, slow = use_kernels.double(), slow.double()
+        assert torch.dot(fast, slow) / (fast.norm() * slow.norm()) > 1 - 1e-8
     u = uniform(n, 3, seed=7)
     up = directions(n, 8)
     pair = [Principled(use_kernels=f)._direction(Surface(wo, rough), up, u) for f in (True, False)]
     torch.testing.assert_close(*pair, rtol=0, atol=1e-4)
+
+
+def test_no_metal_is_to_the_bit_what_it_is_without_a_metalness():
+    n = 4096
+    surf, wo, u = random_surface(n), directions(n, 1), uniform(n, 3, seed=2)
+    none = replace(surf, metallic=torch.zeros(n, 1))
+    for use_kernels in (True, False):
+        bsdf = Principled(use_kernels=use_kernels, specular_fraction=0.25)
+        plain, same = bsdf.sample(surf, wo, u), bsdf.sample(none, wo, u)
+        for name in ("wi", "pdf", "weight"):
+            assert torch.equal(getattr(plain, name), getattr(same, name)), name
+        assert torch.equal(bsdf.mean_weight(surf, wo), bsdf.mean_weight(none, wo))
 
 
 def test_weight_is_detached_in_direction_and_pdf():

@@ -1,6 +1,7 @@
 """Models with constants of their own, for known surfaces: against Mitsuba, against statistics and in a table."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -16,8 +17,8 @@ from neurad.scene.description import Features
 COPPER = (0.2, 0.92, 1.1), (3.91, 2.45, 2.14)
 WHITE = (0.0, 0.0, 0.0), (1.0, 1.0, 1.0)
 MODELS = {
-    "metal": PrincipledModel(metallic=1.0),
-    "half a metal": PrincipledModel(eta=1.3, metallic=0.4),
+    "metal": PrincipledModel(),
+    "half a metal": PrincipledModel(eta=1.3),
     "dense": PrincipledModel(eta=2.0),
     "copper": RoughConductorModel(*COPPER, 0.15),
     "rough copper": RoughConductorModel(*COPPER, 0.6),
@@ -28,8 +29,18 @@ MODELS = {
 }
 
 
+METALS = {"metal": 1.0, "half a metal": 0.4}
+"""How much of a metal the surfaces of a model are."""
+
+
 def bsdf_of(model, specular_fraction=0.5):
     return IMPLEMENTATIONS[type(model)](model, specular_fraction)
+
+
+def of(name, surface):
+    """The surface with the metalness that goes with a model."""
+    metallic = METALS.get(name)
+    return surface if metallic is None else replace(surface, metallic=torch.full_like(surface.roughness, metallic))
 
 
 def surfaces(model, count, seed=0):
@@ -44,9 +55,11 @@ def surfaces(model, count, seed=0):
 @pytest.mark.parametrize("name", MODELS)
 def test_value_and_density_equal_mitsuba(mi, name):
     model, n = MODELS[name], 600
-    few, bsdf = surfaces(model, 5), bsdf_of(model)
+    few, bsdf, metallic = of(name, surfaces(model, 5)), bsdf_of(model), METALS.get(name, 0.0)
     surf = few[torch.arange(n) % 5]
-    theirs = [mi.load_dict(model.mitsuba(rgb(few.albedo[i].tolist()), float(few.roughness[i]))) for i in range(5)]
+    theirs = [
+        mi.load_dict(model.mitsuba(rgb(few.albedo[i].tolist()), float(few.roughness[i]), metallic)) for i in range(5)
+    ]
     wo, wi = directions(n, 1), directions(n, 2, upper=False)
     near = bsdf.sample(surf, wo, uniform(n, 3, seed=3)).wi
     wi = torch.where((torch.arange(n) % 2 == 0).unsqueeze(-1), near, wi)
@@ -77,7 +90,7 @@ def test_chi_square(name, fraction):
     bsdf, p = bsdf_of(MODELS[name], fraction), []
 
     def alike(count, dtype=torch.float32):
-        return Surface(torch.full((count, 3), 0.4, dtype=dtype), torch.full((count, 1), 0.5, dtype=dtype))
+        return of(name, Surface(torch.full((count, 3), 0.4, dtype=dtype), torch.full((count, 1), 0.5, dtype=dtype)))
 
     for seed, cos in enumerate((1.0, 0.7, 0.2)):
 
@@ -100,7 +113,7 @@ def test_weights_and_their_mean(name):
     model, n, p = MODELS[name], 40_000, []
     bsdf, limit = bsdf_of(model, 0.25), torch.tensor(getattr(model, "normal_reflectance", (1.0, 1.0, 1.0)))
     for seed, cos in enumerate((0.9, 0.5, 0.15)):
-        surf = Surface((torch.tensor([0.2, 0.5, 0.8]) * limit).expand(n, 3), torch.full((n, 1), 0.45))
+        surf = of(name, Surface((torch.tensor([0.2, 0.5, 0.8]) * limit).expand(n, 3), torch.full((n, 1), 0.45)))
         wo = toward(cos, count=n)
         sample = bsdf.sample(surf, wo, uniform(n, 3, seed=seed))
         value, pdf = bsdf.eval_pdf(surf, wo, sample.wi)
@@ -143,7 +156,7 @@ def test_a_white_metal_loses_little():
 def test_gradients_hold_direction_and_density(name):
     model, n = MODELS[name], 256
     bsdf, surf, wo = bsdf_of(model), surfaces(model, n), directions(n, 1)
-    leaf = Surface(surf.albedo.requires_grad_(), surf.roughness.requires_grad_())
+    leaf = of(name, Surface(surf.albedo.requires_grad_(), surf.roughness.requires_grad_()))
     sample = bsdf.sample(leaf, wo, uniform(n, 3, seed=2))
     assert not sample.wi.requires_grad
     assert not sample.pdf.requires_grad
@@ -160,7 +173,7 @@ def test_finite_at_extremes(name):
     corner = torch.tensor([0.0, 1e-8, 0.5, 1.0 - 2**-24])
     co, ci, a, b = torch.cartesian_prod(cosines, cosines, corner, corner).unbind(-1)
     wo, wi = (torch.stack(((1 - c * c).clamp_min(0).sqrt(), 0 * c, c), -1) for c in (co, ci))
-    surf, bsdf = Surface(torch.ones(len(co), 3), torch.full((len(co), 1), 0.3)), bsdf_of(MODELS[name])
+    surf, bsdf = of(name, Surface(torch.ones(len(co), 3), torch.full((len(co), 1), 0.3))), bsdf_of(MODELS[name])
     value, pdf = bsdf.eval_pdf(surf, wo, wi)
     sample = bsdf.sample(surf, wo, torch.stack((b, a, b), -1))
     for x in (value, pdf, sample.pdf, sample.weight, bsdf.mean_weight(surf, wo)):

@@ -24,7 +24,7 @@ def run(tmp_path_factory):
         for words in (None, ["test"]):
             with redirect_stdout(StringIO()) as out:
                 if words is None:
-                    fit("--trainer.max_steps=8", "--evaluation.log_every_n_steps=2")
+                    fit("--trainer.max_steps=8", "--trainer.log_every_n_steps=2")
                 else:
                     main(words)
             said.append(out.getvalue())

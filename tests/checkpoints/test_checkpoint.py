@@ -44,21 +44,24 @@ def test_another_scene_is_refused():
 
 
 def test_a_fit_without_a_closing_step_goes_on_to_one(capsys):
-    own = {"materials.w": torch.zeros(2), "materials.roughness.correction.made": torch.zeros((), dtype=torch.int64)}
+    own = {
+        "materials.w": torch.zeros(2),
+        "materials.fields.roughness.correction.made": torch.zeros((), dtype=torch.int64),
+    }
     old = checkpoint(**{"materials.w": torch.ones(2)})
     fitting(old, own, SCENE, None, continues=True)
     assert "model.roughness.closing_step" in capsys.readouterr().err
-    assert old["state_dict"]["materials.roughness.correction.made"] == 0
-    kept = checkpoint(**own | {"materials.roughness.correction.made": torch.ones((), dtype=torch.int64)})
+    assert old["state_dict"]["materials.fields.roughness.correction.made"] == 0
+    kept = checkpoint(**own | {"materials.fields.roughness.correction.made": torch.ones((), dtype=torch.int64)})
     fitting(kept, own, SCENE, None)
-    assert kept["state_dict"]["materials.roughness.correction.made"] == 1
+    assert kept["state_dict"]["materials.fields.roughness.correction.made"] == 1
     with pytest.raises(InputError, match="closing_step"):  # nothing that was found is dropped
         fitting(kept, {"materials.w": torch.zeros(2)}, SCENE, None)
 
 
 @pytest.mark.parametrize("continues", [False, True])
 def test_a_closing_step_with_other_cells_is_not_dropped(continues, capsys):
-    name = "materials.roughness.correction."
+    name = "materials.fields.roughness.correction."
     own = {f"{name}made": torch.zeros((), dtype=torch.int64), f"{name}grid.table": torch.zeros(27, 1)}
     old = checkpoint(**{f"{name}made": torch.ones((), dtype=torch.int64), f"{name}grid.table": torch.zeros(8, 1)})
     with pytest.raises(InputError, match=r"^run r: the checkpoint has other field sizes than the config"):

@@ -128,8 +128,10 @@ def test_fipt_rendered(place):
     room_is_whole(scene)
     for view in scene.test:
         index = view.name[-3:]
-        np.testing.assert_array_equal(read_exr(view.albedo), read_exr(source / f"val/DiffCol/{index}_0001.exr"))
-        np.testing.assert_array_equal(read_exr(view.roughness), read_exr(source / f"val/Roughness/{index}_0001.exr"))
+        np.testing.assert_array_equal(read_exr(view.maps["albedo"]), read_exr(source / f"val/DiffCol/{index}_0001.exr"))
+        np.testing.assert_array_equal(
+            read_exr(view.maps["roughness"]), read_exr(source / f"val/Roughness/{index}_0001.exr")
+        )
 
 
 def test_fipt_photographed(place):

@@ -217,7 +217,7 @@ def test_textures(place):
         ({"shader": "BSDF_GLOSSY", "roughness": 0.0}, ConductorModel(), ""),
         ({"ior": 1.45}, "principled, eta 1.45", ""),
         ({"specular": 0.0}, "diffuse", ""),
-        ({"metallic": 0.5}, "principled, metallic 0.5", ""),
+        ({"metallic": 0.5}, "principled", ""),
         ({"coat": 1.0}, "principled", "a coat"),
         ({"color": {"unread": "it comes from the node Noise Texture"}}, "principled", "Noise Texture"),
         ({"shader": "Mix Shader"}, "principled", "Mix Shader"),

@@ -23,8 +23,9 @@ from neurad.commands import compare
 from neurad.compare import configs, curves, page, views
 from neurad.compare import table as table_of
 from neurad.compare.fits import WARM_UP, time_limit
-from neurad.compare.runs import SCORES, Run, marks, read_run, samples_per_step
+from neurad.compare.runs import SCORES, Run, marks, read_other, read_run, samples_per_step
 from neurad.core.errors import InputError
+from neurad.images.image_io import write_exr
 from neurad.runs import child
 from neurad.training.inverse import InverseRenderer
 
@@ -485,3 +486,40 @@ def test_two_real_methods():
     tables = {"index.html", "table.md", "table.csv", "curves.csv", "runs"}
     pictures = {"curves_seconds.png", "curves_samples.png", "view_000.png"}
     assert {path.name for path in Path("report").iterdir()} == tables | pictures
+
+
+def test_what_another_program_found_stands_beside_a_run():
+    """A curve alone, without iterations, and maps alone."""
+    make_run("a", (19.0, 23.0, 27.0))
+    Path("peer/albedo").mkdir(parents=True)
+    Path("peer/metrics.csv").write_text("seconds,albedo_psnr\n5,20\n50,28\n")
+    main(["compare", "ours=a", "--run", "FIPT=peer"])
+    rows = table()
+    assert list(rows)[:2] == ["ours", "FIPT"]
+    assert (rows["FIPT"]["albedo_psnr"], rows["FIPT"]["seconds"], rows["FIPT"]["iterations"]) == ("28", "50", "")
+    assert rows["FIPT"]["status"] == "ok"
+    assert "FIPT" in Path("report/index.html").read_text()
+    picture = np.full((4, 4, 3), 0.25, np.float32)
+    write_exr("peer/albedo/first.exr", picture)
+    Path("peer/metrics.csv").unlink()
+    other = read_other("FIPT=peer")
+    np.testing.assert_allclose(views.predicted(other, "first", 0)["albedo"], picture, atol=1e-3)
+    assert views.predicted(other, "second", 1) == {}
+
+
+@pytest.mark.parametrize(
+    ("word", "said"),
+    [
+        ("peer", "it has to be NAME=DIR"),
+        ("a=nowhere", "there is no such folder"),
+        ("a=empty", "neither metrics.csv nor maps"),
+    ],
+)
+def test_what_is_no_result_of_another_program_is_refused(word, said, capsys):
+    make_run("a", (19.0, 23.0, 27.0))
+    Path("empty").mkdir()
+    with pytest.raises(SystemExit) as ended:
+        main(["compare", "a", "--run", word])
+    assert ended.value.code == 2
+    assert said in capsys.readouterr().err
+    assert not Path("report").exists()

@@ -57,12 +57,10 @@ class Painted:
     def to_unit_cube(self, p):
         return self.size * p
 
-    def albedo_at(self, p):
+    def at(self, p):
         stripes = 0.3 * torch.sin(2.0 * np.pi / self.period * p[:, :1]).expand(-1, 3)
-        return 0.5 + torch.where(self.striped(p)[:, None], stripes, torch.zeros(()))
-
-    def roughness_at(self, p):
-        return self.albedo_at(p)[:, :1]
+        albedo = 0.5 + torch.where(self.striped(p)[:, None], stripes, torch.zeros(()))
+        return {"albedo": albedo, "roughness": albedo[:, :1]}
 
 
 def pixels(n=80_000, noise=0.1, detail=1e-4):
@@ -73,7 +71,7 @@ def pixels(n=80_000, noise=0.1, detail=1e-4):
     both = np.stack([one, one])
     return PixelDerivatives(
         p=p, area=np.full(n, 5e-5, np.float32), odd=np.arange(n) % 2 == 0, residual=np.stack([misfit, misfit]),
-        by_albedo=both, by_roughness=0 * both, misfit=misfit, predicted=one,
+        by={"albedo": both, "roughness": 0 * both}, misfit=misfit, predicted=one,
         albedo=(0.5 + 0.2 * RNG.standard_normal((n, 3))).astype(np.float32), detail=detail * one,
         points=p[:, None],
     )  # fmt: skip
@@ -85,18 +83,16 @@ def test_bars_where_pixels_are_and_where_none_is():
     given = pixels()
     bars = measure(given, Painted(), len(given), 7, has_roughness=True)
     x = np.concatenate((RNG.uniform(0.2, 0.8, (200, 2)), np.full((200, 1), 0.5)), 1)
-    albedo, roughness = bars.at(Painted(), torch.from_numpy(x).float())
+    albedo, roughness = bars.at(Painted(), torch.from_numpy(x).float()).values()
     overlap = 80_000 * 5e-5  # pixels a unit of area, times their area
     expected = np.sqrt(np.sqrt(1e-4 * 0.01 / overlap))
     assert np.median(albedo) == pytest.approx(expected, rel=0.3)
     assert roughness == pytest.approx(PRIOR, rel=1e-3)
-    far_albedo, far_roughness = bars.at(Painted(), torch.tensor([[0.5, 0.5, 0.01]]))
+    far_albedo, far_roughness = bars.at(Painted(), torch.tensor([[0.5, 0.5, 0.01]])).values()
     assert far_albedo[0] == pytest.approx(given.albedo.std(0), rel=1e-3)
     assert far_roughness[0, 0] == pytest.approx(PRIOR)
-    assert (
-        measure(given, Painted(), len(given), 7, has_roughness=False).at(Painted(), torch.from_numpy(x).float())[1]
-        is None
-    )
+    diffuse = measure(given, Painted(), len(given), 7, has_roughness=False)
+    assert diffuse.at(Painted(), torch.from_numpy(x).float()).keys() == {"albedo"}
 
 
 def test_bars_of_albedo_are_wider_where_it_varies_and_as_wide_in_the_mean():
@@ -112,8 +108,8 @@ def test_bars_of_albedo_are_wider_where_it_varies_and_as_wide_in_the_mean():
     p = torch.cat(
         (0.2 + 0.6 * torch.rand(n, 2, generator=torch.Generator().manual_seed(1)), torch.full((n, 1), 0.5)), 1
     )
-    found = bars.at(Painted(striped=striped), p)[0][:, 0]
-    everywhere = measure(given, Painted(), len(given), 7, has_roughness=False).at(Painted(), p)[0][:, 0]
+    found = bars.at(Painted(striped=striped), p)["albedo"][:, 0]
+    everywhere = measure(given, Painted(), len(given), 7, has_roughness=False).at(Painted(), p)["albedo"][:, 0]
     middle = (128.0 * p[:, 1]) % 1.0
     inside = ((middle > 0.3) & (middle < 0.7)).numpy()
     stripes = striped(p).numpy()
@@ -138,8 +134,8 @@ def test_bars_of_roughness_are_wider_next_to_its_edges_and_as_wide_in_the_mean()
     given = pixels()
     bars = measure(given, striped, 100 * len(given), 7, has_roughness=True)  # a hundred times as many in the fit
     p = torch.tensor(np.concatenate((RNG.uniform(0.1, 0.9, (4000, 2)), np.full((4000, 1), 0.5)), 1)).float()
-    variance = np.square(bars.at(striped, p)[1][:, 0].astype(np.float64))
-    varies = texture(striped.roughness_at, p, np.full(len(p), np.sqrt(5e-5)))[:, 0]
+    variance = np.square(bars.at(striped, p)["roughness"][:, 0].astype(np.float64))
+    varies = texture(lambda p: striped.at(p)["roughness"], p, np.full(len(p), np.sqrt(5e-5)))[:, 0]
     assert varies.max() > 5.0 * varies.min()
     ratio = variance / np.sqrt(varies)
     assert ratio == pytest.approx(np.median(ratio), rel=0.01)
@@ -162,7 +158,7 @@ def test_what_a_closing_step_found_takes_the_place_of_what_few_pixels_tell(size)
     y = np.linspace(0.1, 0.9, 50)
     for x, low, high in ((0.25, 0.019, 0.03), (0.75, 0.99 * PRIOR, PRIOR)):
         p = torch.from_numpy(np.stack((np.full(50, x), y, np.full(50, 0.5)), 1)).float()
-        _, roughness = bars.at(Painted(size), p)
+        roughness = bars.at(Painted(size), p)["roughness"]
         assert low < np.median(roughness) <= high + 1e-6
 
 
@@ -178,7 +174,8 @@ def test_bars_come_back_from_their_file(tmp_path):
     found = read_bars(tmp_path / "bars.npz")
     p = torch.from_numpy(RNG.random((50, 3))).float()
     assert found.iteration == 7
-    assert all(np.allclose(a, b, rtol=1e-5) for a, b in zip(found.at(Painted(), p), bars.at(Painted(), p), strict=True))
+    read, written = found.at(Painted(), p), bars.at(Painted(), p)
+    assert all(np.allclose(read[name], written[name], rtol=1e-5) for name in ("albedo", "roughness"))
     with pytest.raises(InputError, match="neurad test writes them"):
         read_bars(tmp_path / "none.npz")
     (tmp_path / "bars.npz").write_bytes(b"PK not a file of arrays")
@@ -206,8 +203,8 @@ def test_derivative_by_albedo_is_the_difference_of_images():
         estimator = replace(step_of(albedo, 0.4, Direct())[1])
         halves.append(pixel_derivatives.group_of_samples(estimator, made.primary, batch, Stream(3)))
     difference = (halves[2].image - halves[0].image) / 0.2
-    assert torch.allclose(difference, halves[1].by_albedo, rtol=1e-3, atol=1e-4)
-    assert halves[1].by_albedo.abs().mean() > 0.01
+    assert torch.allclose(difference, halves[1].by["albedo"], rtol=1e-3, atol=1e-4)
+    assert halves[1].by["albedo"].abs().mean() > 0.01
 
 
 def test_derivative_by_roughness_is_the_difference_of_mean_images():
@@ -220,7 +217,8 @@ def test_derivative_by_roughness_is_the_difference_of_mean_images():
         found = [
             pixel_derivatives.group_of_samples(estimator, made.primary, batch, Stream(first, k)) for k in range(seeds)
         ]
-        return [torch.stack([getattr(half, name).mean() for half in found]) for name in ("image", "by_roughness")]
+        pairs = [(half.image, half.by["roughness"]) for half in found]
+        return [torch.stack([x.mean() for x in column]) for column in zip(*pairs, strict=True)]
 
     h = 0.02
     low, high = rows(0.5 - h, 1)[0], rows(0.5 + h, 2)[0]

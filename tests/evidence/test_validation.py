@@ -4,9 +4,11 @@ import numpy as np
 import pytest
 import torch
 
+from neurad.assembly.build import FittedMaterials
+from neurad.core.parameters import ALBEDO, ROUGHNESS
 from neurad.evidence.pixel_derivatives import PixelDerivatives
 from neurad.evidence.validation import _cross_validated, _Response, fit_levels
-from neurad.fields.material import AlbedoField, RoughnessField
+from neurad.fields.material import MaterialField
 from neurad.fields.settings import FieldConfig, GridConfig, RoughnessConfig
 from neurad.optim.level_factors import LevelFactors
 
@@ -19,16 +21,15 @@ TRUE = (1.0, 0.8, 0.3), (1.0, 1.3, 0.5)
 def fields(glossy):
     """Fields that differ from place to place at every level."""
     torch.manual_seed(3)
-    albedo = AlbedoField(FieldConfig(grid=GRID, width=32), BOUNDS)
-    roughness = RoughnessField(RoughnessConfig(grid=GRID, width=32, reads_albedo=True), BOUNDS) if glossy else None
-    materials = torch.nn.Module()
-    materials.albedo, materials.roughness = albedo, roughness
-    for field in (albedo, roughness):
-        if field is not None:
-            torch.nn.init.normal_(field.grid.table, std=1.0)
-            with torch.no_grad():  # far from flat
-                [p for p in field.mlp.parameters() if p.dim() == 2][-1].mul_(8.0)
-    return materials
+    made = {"albedo": MaterialField(ALBEDO, FieldConfig(grid=GRID, width=32), BOUNDS)}
+    if glossy:
+        config = RoughnessConfig(grid=GRID, width=32, reads_albedo=True)
+        made["roughness"] = MaterialField(ROUGHNESS, config, BOUNDS)
+    for field in made.values():
+        torch.nn.init.normal_(field.grid.table, std=1.0)
+        with torch.no_grad():  # far from flat
+            [p for p in field.mlp.parameters() if p.dim() == 2][-1].mul_(8.0)
+    return FittedMaterials(made)
 
 
 def photographed(materials, true, noise, seed=5):
@@ -42,8 +43,8 @@ def photographed(materials, true, noise, seed=5):
         def scaled(field, of):
             return field.features(points.view(-1, 3)) * torch.tensor(of).repeat_interleave(2)
 
-        albedo = materials.albedo.of_features(scaled(materials.albedo, factors[0]))
-        rough = materials.roughness
+        albedo = materials.fields["albedo"].of_features(scaled(materials.fields["albedo"], factors[0]))
+        rough = materials.recovered.get("roughness")
         found = None if rough is None else rough.of_features(scaled(rough, factors[1]), albedo)
         return [None if x is None else x.view(PIXELS, SAMPLES, -1).mean(1) for x in (albedo, found)]
 
@@ -55,7 +56,7 @@ def photographed(materials, true, noise, seed=5):
     one = np.ones((PIXELS, 3), np.float32)
     return PixelDerivatives(
         p=points[:, 0].numpy(), area=one[:, 0], odd=np.arange(PIXELS) % 2 == 0, residual=residual.numpy(),
-        by_albedo=by_albedo.numpy(), by_roughness=by_roughness.numpy(), misfit=one, predicted=one,
+        by={"albedo": by_albedo.numpy(), "roughness": by_roughness.numpy()}, misfit=one, predicted=one,
         albedo=now[0].numpy(), detail=0 * one, points=points.numpy(),
     )  # fmt: skip
 

@@ -4,9 +4,10 @@ import pytest
 import torch
 
 from neurad.core.errors import InputError
+from neurad.core.parameters import ALBEDO, ROUGHNESS
 from neurad.core.records import SurfaceInteraction
 from neurad.fields.dense_grid import DenseGrid
-from neurad.fields.material import MIN_ROUGHNESS, AlbedoField, RoughnessField
+from neurad.fields.material import MaterialField
 from neurad.fields.radiance import START, RadianceField
 from neurad.fields.settings import FieldConfig, RadianceConfig
 from neurad.optim.sparse_row_adam import SparseRowAdam
@@ -99,8 +100,8 @@ def test_no_points_odd_points_and_points_with_gradient():
 def test_fields_start_where_networks_start_and_stay_in_range():
     si, config = surface(400), FieldConfig(kind="dense", size=24)
     for field, channels, low in (
-        (AlbedoField(config, BOUNDS), 3, 0.0),
-        (RoughnessField(config, BOUNDS), 1, MIN_ROUGHNESS),
+        (MaterialField(ALBEDO, config, BOUNDS), 3, 0.0),
+        (MaterialField(ROUGHNESS, config, BOUNDS), 1, ROUGHNESS.low),
     ):
         out = field(si)
         assert out.shape == (400, channels)
@@ -128,7 +129,7 @@ def test_radiance_is_the_same_in_all_directions():
 
 @pytest.mark.parametrize("use_kernels", [True, False])
 def test_grid_fits_a_smooth_function(use_kernels):
-    field = AlbedoField(FieldConfig(kind="dense", size=12), BOUNDS)
+    field = MaterialField(ALBEDO, FieldConfig(kind="dense", size=12), BOUNDS)
     field.grid.use_kernels = use_kernels
     optimizer = SparseRowAdam(field.parameters(), lr=0.05)
     truth = lambda p: 0.5 + 0.3 * torch.sin(torch.stack((p[:, 0], p[:, 1], p[:, 2]), -1))  # noqa: E731

@@ -8,9 +8,10 @@ import pytest
 import torch
 
 from neurad.core.errors import InputError
+from neurad.core.parameters import ALBEDO, ROUGHNESS
 from neurad.core.records import SurfaceInteraction
 from neurad.fields.hash_grid import HashGrid
-from neurad.fields.material import MIN_ROUGHNESS, AlbedoField, RoughnessField
+from neurad.fields.material import MaterialField
 from neurad.fields.mlp import MLP
 from neurad.fields.radiance import START, RadianceField
 from neurad.fields.settings import FieldConfig, GridConfig, RadianceConfig, RoughnessConfig
@@ -222,8 +223,8 @@ def test_networks_give_the_same_on_several_threads(mode):
 def test_materials_start_in_the_middle_and_stay_in_range():
     si = surface(400)
     for field, channels, low in (
-        (AlbedoField(FieldConfig(SMALL), BOUNDS), 3, 0.0),
-        (RoughnessField(FieldConfig(SMALL), BOUNDS), 1, MIN_ROUGHNESS),
+        (MaterialField(ALBEDO, FieldConfig(SMALL), BOUNDS), 3, 0.0),
+        (MaterialField(ROUGHNESS, FieldConfig(SMALL), BOUNDS), 1, ROUGHNESS.low),
     ):
         start = field(si)
         assert start.shape == (400, channels)
@@ -238,7 +239,7 @@ def test_materials_start_in_the_middle_and_stay_in_range():
 
 def test_roughness_may_read_the_albedo_and_gives_it_no_gradient():
     si, albedo = surface(100), torch.rand(100, 3, requires_grad=True)
-    field = RoughnessField(RoughnessConfig(SMALL, reads_albedo=True), BOUNDS)
+    field = MaterialField(ROUGHNESS, RoughnessConfig(SMALL, reads_albedo=True), BOUNDS)
     with torch.no_grad():
         field.mlp.layers[-1].weight.normal_()
     value = field(si, albedo)
@@ -247,12 +248,12 @@ def test_roughness_may_read_the_albedo_and_gives_it_no_gradient():
     assert not torch.equal(value, field(si, 1.0 - albedo))
     with pytest.raises(ValueError, match="albedo"):
         field(si)
-    plain = RoughnessField(RoughnessConfig(SMALL), BOUNDS)
+    plain = MaterialField(ROUGHNESS, RoughnessConfig(SMALL), BOUNDS)
     assert torch.equal(plain(si, albedo), plain(si))
 
 
 def test_positions_outside_the_bounds_take_the_nearest_value():
-    field = AlbedoField(FieldConfig(SMALL), BOUNDS)
+    field = MaterialField(ALBEDO, FieldConfig(SMALL), BOUNDS)
     with torch.no_grad():
         field.grid.table.normal_()
         far = field.at(torch.tensor([[1e6, 1e6, 1e6], [1e30, 1e30, 1e30]]))
@@ -291,7 +292,7 @@ def test_sizes_that_no_field_can_have_are_refused():
 
 
 def test_a_field_fits_a_texture():
-    field = AlbedoField(FieldConfig(GridConfig(levels=4, coarsest=4, finest=32, log2_size=12)), BOUNDS)
+    field = MaterialField(ALBEDO, FieldConfig(GridConfig(levels=4, coarsest=4, finest=32, log2_size=12)), BOUNDS)
     optimizer = SparseRowAdam(field.parameters(), lr=1e-2)
     for _ in range(150):
         si = surface(512)

@@ -6,10 +6,11 @@ import pytest
 import torch
 from helpers.devices import close, dense, on_devices
 
+from neurad.core.parameters import ALBEDO, ROUGHNESS
 from neurad.core.records import SurfaceInteraction
 from neurad.fields.dense_grid import DenseGrid
 from neurad.fields.hash_grid import HashGrid
-from neurad.fields.material import AlbedoField, RoughnessField
+from neurad.fields.material import MaterialField
 from neurad.fields.mlp import MLP, products
 from neurad.fields.radiance import RadianceField
 from neurad.fields.settings import FieldConfig, GridConfig, RadianceConfig, RoughnessConfig
@@ -68,10 +69,12 @@ def interactions(n):
 
 
 FIELDS = {
-    "albedo": lambda: AlbedoField(FieldConfig(GRID, 16), BOUNDS),
-    "albedo on a dense grid": lambda: AlbedoField(FieldConfig(kind="dense", size=9), BOUNDS),
-    "roughness": lambda: RoughnessField(RoughnessConfig(GRID, 16), BOUNDS),
-    "roughness that reads albedo": lambda: RoughnessField(RoughnessConfig(GRID, 16, reads_albedo=True), BOUNDS),
+    "albedo": lambda: MaterialField(ALBEDO, FieldConfig(GRID, 16), BOUNDS),
+    "albedo on a dense grid": lambda: MaterialField(ALBEDO, FieldConfig(kind="dense", size=9), BOUNDS),
+    "roughness": lambda: MaterialField(ROUGHNESS, RoughnessConfig(GRID, 16), BOUNDS),
+    "roughness that reads albedo": lambda: MaterialField(
+        ROUGHNESS, RoughnessConfig(GRID, 16, reads_albedo=True), BOUNDS
+    ),
     "radiance": lambda: RadianceField(RadianceConfig(GRID, 16), BOUNDS, 3.0),
     "radiance of a diffuse scene": lambda: RadianceField(RadianceConfig(GRID, 16, inputs=("faceforward",)), BOUNDS),
     "radiance on a dense grid": lambda: RadianceField(RadianceConfig(kind="dense", size=9), BOUNDS),
@@ -90,7 +93,7 @@ def test_fields_give_the_same_on_every_device(device, name):
 
     def read(module, where):
         lanes = si.to(where)
-        more = () if isinstance(module, AlbedoField) else (albedo.to(where),)
+        more = () if isinstance(module, MaterialField) and module.parameter == ALBEDO else (albedo.to(where),)
         return module(lanes, *more)
 
     expected, found = read(field, "cpu"), read(there, device)

@@ -10,6 +10,7 @@ import OpenEXR
 import pytest
 import torch
 from helpers.clients import blender_python, cache_folder
+from scipy.ndimage import binary_erosion
 
 from neurad.assembly.build import build_world
 from neurad.cli import main
@@ -118,16 +119,22 @@ def test_the_sky_of_an_open_room_stays(python, tmp_path, monkeypatch, capfd):
     assert "alpha" not in capfd.readouterr().err
     with Path("lightning_logs/version_0/metrics.csv").open() as file:
         scores = list(csv.DictReader(file))[-1]
-    all_pixels, seen = (float(scores[key]) for key in ("psnr_linear", "psnr_linear_seen"))
+    all_pixels, seen = (
+        float(scores[key]) for key in ("psnr_srgb", "psnr_srgb_seen")
+    )  # a lamp's edge is all of a linear one
     with capfd.disabled():
         print(f"\nall pixels {all_pixels:.2f} dB, surfaces that photographs show {seen:.2f} dB")
     assert all_pixels > seen - 0.5
     main(["export", "--ckpt_path", "lightning_logs/version_0", "--out", "out", "--size", "128", "--no-verify"])
     main(["render", "--root", "out", "--out", "again", "--views", "test", "--spp", "16", "--map-spp", "4"])
+    shown = []
     for view in read_folder(Path("out")).test:
         again, before = (read_exr(path)[..., :3] for path in (f"again/images/{view.name}.exr", view.image))
         sky = read_exr(f"again/albedo/{view.name}.exr").max(-1) == 0.0
         if view.mask is not None:
             sky &= read_mask(view)
-        assert sky.mean() > 0.05
+        shown.append(sky.mean())
+        sky = binary_erosion(sky)  # Blender's filter mixes neighbours
         np.testing.assert_allclose(again[sky].mean(0), before[sky].mean(0), rtol=0.02)
+    assert min(shown) > 0.02
+    assert max(shown) > 0.05

@@ -96,8 +96,7 @@ def test_materials_change_by_mesh_and_leave_others_that_share_them():
     index = [m.name for m in scene.meshes].index(shared.name)
     np.testing.assert_allclose(made.scene.materials[made.scene.meshes[index].material].albedo.value, [0.1, 0.2, 0.3])
     assert made.scene.materials[: len(scene.materials)] == scene.materials
-    assert made.albedo == {index}
-    assert made.roughness == frozenset()
+    assert {name: meshes for name, meshes in made.painted.items() if meshes} == {"albedo": {index}}
 
 
 def box(path, **material):
@@ -123,7 +122,7 @@ def test_a_thing_is_put_in_where_it_is_to_stand(tmp_path):
     np.testing.assert_allclose(material.albedo.value, [0.8, 0.4, 0.2], atol=3e-3)
     np.testing.assert_allclose(material.roughness.value, [0.3], atol=1e-3)
     last = len(made.scene.meshes) - 1
-    assert made.albedo == made.roughness == {last}
+    assert set(made.painted.values()) == {frozenset({last})}
     assert made.reshaped
     turned = apply(scene, {"objects": [{**entry, "turn": 90, "albedo": 0.7, "radiance": 2}]}, tmp_path).scene
     thing = turned.meshes[-1]

@@ -8,6 +8,7 @@ import pytest
 from helpers.gltf_writer import FACES, QUAD, Document
 
 from neurad.core.errors import InputError
+from neurad.core.parameters import ALBEDO, METALLIC, ROUGHNESS
 from neurad.formats.gltf.read import read_gltf
 from neurad.formats.meshes.files import read_meshes
 from neurad.formats.mitsuba.read import read_xml
@@ -228,7 +229,7 @@ def test_all_that_stands_in_the_way_of_a_scene_is_said_at_once(tmp_path):
         assert part in str(found.value)
 
 
-def test_metals_that_a_fit_takes_for_dielectrics_are_named(tmp_path):
+def test_what_is_metal_by_the_files_is_read_as_such(tmp_path):
     (tmp_path / "a.obj").write_text("v 0 0 0\nv 2 0 0\nv 0 2 0\nf 1 2 3\n")
     shape = '<shape type="obj" id="{}"><string name="filename" value="a.obj"/><bsdf type="{}">{}</bsdf></shape>'
     metallic = '<float name="metallic" value="{}"/>'
@@ -238,7 +239,8 @@ def test_metals_that_a_fit_takes_for_dielectrics_are_named(tmp_path):
         + shape.format("mirror", "conductor", "")
         + shape.format("wall", "principled", metallic.format(0.0))
     )
-    said = read_xml(scene(tmp_path, body)).lost_metals
-    assert said is not None
-    assert "2 of 4 meshes are metal by its files (kettle, brushed)" in said
-    assert read_xml(scene(tmp_path, shape.format("wall", "diffuse", ""))).lost_metals is None
+    found = read_xml(scene(tmp_path, body))
+    assert [float(found.materials[mesh.material].metallic.value[0]) for mesh in found.meshes] == [1, 1, 1, 0]
+    assert found.parameters == (ALBEDO, ROUGHNESS, METALLIC)
+    assert read_xml(scene(tmp_path, shape.format("wall", "diffuse", ""))).parameters == (ALBEDO,)
+    assert read_xml(scene(tmp_path, shape.format("wall", "principled", ""))).parameters == (ALBEDO, ROUGHNESS)

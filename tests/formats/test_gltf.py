@@ -15,7 +15,7 @@ from neurad.formats.gltf.gltf_scene import read_scene
 from neurad.formats.gltf.read import read_gltf
 from neurad.formats.load import read_folder
 from neurad.images.image_io import from_srgb
-from neurad.scene.description import Scene
+from neurad.scene.description import Scene, is_dielectric
 from neurad.scene.geometry import Geometry
 from neurad.scene.textures import TrueMaterials
 
@@ -264,6 +264,23 @@ def test_textures_are_looked_up_as_the_specification_says(wrap, moved, tmp_path)
     np.testing.assert_allclose(roughness, sampled(pixels[..., 1:2] / 255.0, uv, wrap) * 0.5, atol=2e-5)
 
 
+def test_metalness_is_the_blue_channel_of_the_picture_that_has_the_roughness(tmp_path):
+    pixels = np.random.default_rng(3).integers(0, 256, (5, 7, 3), np.uint8)
+    document = Document()
+    surface = {"metallicRoughnessTexture": document.texture(pixels), "metallicFactor": 0.5}
+    document.quad(UVS, {PBR: surface})
+    scene = read_gltf(document.glb(tmp_path / "a.glb"))
+    assert scene.materials[0].model == PrincipledModel()
+    bitmap = scene.materials[0].metallic
+    np.testing.assert_allclose(bitmap.pixels, pixels[..., 2:] * np.float32(0.5 / 255.0), rtol=1e-6)
+
+
+def test_a_primitive_without_a_material_is_a_dielectric(tmp_path):
+    document = Document()
+    document.quad(UVS)
+    assert float(read_gltf(document.glb(tmp_path / "a.glb")).materials[0].metallic.value[0]) == 0.0
+
+
 @pytest.mark.parametrize("kind", ["f4", "u1", "u2"])
 def test_sets_of_texture_coordinates(kind, tmp_path):
     """Colour and roughness on two sets, one of which is the other moved and scaled; or unrelated, which is said."""
@@ -325,7 +342,7 @@ def extended(name, **values):
 
 GLASS = {PBR: {"roughnessFactor": 0.0, "metallicFactor": 0.0}}
 MODELS = {
-    "default": ({}, PrincipledModel(metallic=1.0)),
+    "default": ({}, PrincipledModel()),
     "plain": ({PBR: {"metallicFactor": 0}}, PrincipledModel()),
     "index": ({PBR: {"metallicFactor": 0}, **extended("KHR_materials_ior", ior=1.8)}, PrincipledModel(1.8)),
     "diffuse": ({PBR: {"metallicFactor": 0}, **extended("KHR_materials_specular", specularFactor=0)}, DiffuseModel()),
@@ -343,26 +360,10 @@ def test_models(kind, tmp_path):
     assert material.model == MODELS[kind][1]
     assert isinstance(material.albedo, Constant)
     assert isinstance(material.roughness, Constant)
+    assert float(material.metallic.value[0]) == (kind in ("default", "mirror"))
     assert material.two_sided
     if kind == "mirror":
         np.testing.assert_allclose(material.albedo.value, [0.9, 0.8, 0.7])
-
-
-def test_metals_are_named_by_what_their_own_surface_shows(tmp_path):
-    """Half of a picture is metal: of two meshes with one material, the one on that half is named; so is an authored
-    material without a factor, but not a mesh without a material.
-    """
-    document, pixels = Document(), np.zeros((8, 8, 3), np.uint8)
-    pixels[:, :4, 2] = 255
-    painted = {PBR: {"metallicRoughnessTexture": document.texture(pixels)}}
-    for name, shift in (("kettle", 0.05), ("cloth", 0.55)):
-        document.quad(uvs=UVS * (0.4, 1.0) + (shift, 0.0), material=painted, name=name)
-    document.quad(material={}, name="authored")
-    document.quad(name="bare")
-    document.json["meshes"][1]["primitives"][0]["material"] = 0
-    scene = read_scene(document.glb(tmp_path / "scene.glb"))
-    assert "2 of 4 meshes are metal by its files (kettle, authored)" in scene.lost_metals
-    assert scene.materials[scene.meshes[3].material].model == PrincipledModel()
 
 
 @pytest.mark.parametrize("name", ["scene.GLB", "Scene.gltf"])
@@ -372,7 +373,9 @@ def test_the_case_of_a_scene_file_does_not_matter(name, tmp_path):
     lens = {"type": "perspective", "perspective": {"yfov": 0.5, "znear": 0.1}}
     document.node(camera=document.add("cameras", lens), name="eye")
     getattr(document, name[-4:].lower().strip("."))(tmp_path / name)
-    assert [mesh.name for mesh in read_folder(tmp_path).meshes] == ["floor"]
+    room = read_folder(tmp_path)
+    assert [mesh.name for mesh in room.meshes] == ["floor"]
+    assert is_dielectric(room.materials[0].metallic)  # nobody has chosen the format's metal
 
 
 OPAQUE = {
@@ -382,7 +385,6 @@ OPAQUE = {
     "pbrSpecularGlossiness": extended("KHR_materials_pbrSpecularGlossiness"),
     "KHR_materials_specular": extended("KHR_materials_specular", specularFactor=0.5),
     "map of normals": "normalTexture",
-    "texture of metalness": "metallicRoughnessTexture",
 }
 
 
@@ -390,8 +392,7 @@ OPAQUE = {
 def test_opaque_surfaces_that_a_fit_recovers_anew(kind, tmp_path):
     document, described = Document(), OPAQUE[kind]
     if isinstance(described, str):
-        picture = document.texture(np.random.default_rng(4).integers(0, 256, (4, 4, 3)))
-        described = {described: picture} if described == "normalTexture" else {PBR: {described: picture}}
+        described = {described: document.texture(np.random.default_rng(4).integers(0, 256, (4, 4, 3)))}
     document.quad(material={PBR: {"metallicFactor": 0.0}, **described})
     _, material = one(document, tmp_path)
     assert kind in material.model.unsupported

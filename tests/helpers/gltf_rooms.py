@@ -49,7 +49,7 @@ def written(scene, path, views=()):
         if key in materials:
             continue
         material = scene.materials[mesh.material]
-        surface = {"metallicFactor": getattr(material.model, "metallic", 0.0)}
+        surface = {"metallicFactor": float(material.metallic.value[0])}
         if not isinstance(material.albedo, VertexAttribute):
             surface["baseColorTexture"] = {**document.texture(coded(material.albedo, True)), **moved(material.albedo)}
         rough = coded(material.roughness, False)

@@ -71,14 +71,14 @@ def photographed(scene, folder, spp=64, relit=None):
 
     found = []
     for view in [*scene.train, *scene.test]:
-        files = {"albedo": str(folder / f"{view.name}_albedo.exr")}
-        write_exr(files["albedo"], render(view.camera, albedo, 16, 5).numpy(), half=False)
+        files, true = {}, str(folder / f"{view.name}_albedo.exr")
+        write_exr(true, render(view.camera, albedo, 16, 5).numpy(), half=False)
         cover = render(view.camera, alpha, spp, 5)
         for name, lit in worlds.items():
             color = render(view.camera, path_tracer(lit, materials, scene.max_depth), spp, 5)
             files[name] = str(folder / f"{view.name}_{name}.exr")
             write_exr(files[name], torch.cat((color, cover), -1).numpy(), half=False)
-        found.append(replace(view, **files))
+        found.append(replace(view, maps={"albedo": true}, **files))
     count = len(scene.train)
     other = None if relit is None else str(folder / "env_relight.exr")
     return replace(scene, train=found[:count], test=found[count:], relight=other)

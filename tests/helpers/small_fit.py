@@ -40,12 +40,12 @@ def photographed_cornell(glossy, unit=1.0, more=()):
     for views in (scene.train, scene.test):
         parts.append([])
         for view in views:
-            files = {"image": f"{view.name}.exr", "albedo": f"{view.name}_albedo.exr"}
+            photograph, true = f"{view.name}.exr", f"{view.name}_albedo.exr"
             image = render(view.camera, path_tracer(world, materials), 64, 5)
-            write_exr(files["image"], image.numpy(), half=False)
+            write_exr(photograph, image.numpy(), half=False)
             albedo = render(view.camera, lambda rays, seed: materials(world.intersect(rays)).albedo, 16, 5)
-            write_exr(files["albedo"], albedo.numpy())
-            parts[-1].append(replace(view, **files))
+            write_exr(true, albedo.numpy())
+            parts[-1].append(replace(view, image=photograph, maps={"albedo": true}))
     return replace(scene, name="small", train=parts[0], test=parts[1])
 
 

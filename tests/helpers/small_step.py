@@ -7,6 +7,7 @@ import torch
 
 from neurad.assembly.build import build_materials, build_radiance, build_world
 from neurad.assembly.settings import Objective, Sampling
+from neurad.core.parameters import RECOVERED
 from neurad.core.records import PixelBatch, View
 from neurad.core.reflection import PrincipledModel
 from neurad.core.rng import Stream
@@ -15,6 +16,7 @@ from neurad.integrators.estimator import Estimator
 from neurad.integrators.primary_hits import PrimaryHits
 from neurad.integrators.radiometric import Radiometric
 from neurad.scene.builtin import build_cornell
+from neurad.scene.geometry import Geometry
 from neurad.training.objective import ObjectiveStep
 
 SIZE = 12
@@ -40,7 +42,9 @@ class SmallStep:
         scene = scene or small_scene()
         meshes = [m if m.radiance is None else replace(m, radiance=m.radiance * np.float32(unit)) for m in scene.meshes]
         self.scene = replace(scene, meshes=meshes)
-        self.materials = build_materials(scene, FieldConfig(GRID, 16), FieldConfig(GRID, 16))
+        self.materials = build_materials(
+            scene, dict.fromkeys(RECOVERED, FieldConfig(GRID, 16)), Geometry(scene), known_emitters=False
+        )
         self.radiance = build_radiance(scene, RadianceConfig(grid=GRID, width=16, hidden_layers=1))
         self.radiance.set_scale(0.5 * unit)
         self.estimator = Estimator(build_world(self.scene), self.materials, self.radiance, method or Radiometric())
@@ -51,8 +55,8 @@ class SmallStep:
             self.estimator, self.primary, sampling, settings, settings.epsilon * (0.5 * unit) ** 2, self.emitter_mask,
         )  # fmt: skip
         self.groups = {
-            "albedo": list(self.materials.albedo.parameters()),
-            "roughness": list(self.materials.roughness.parameters()) if self.materials.roughness else [],
+            **{name: [] for name in RECOVERED},
+            **{name: list(field.parameters()) for name, field in self.materials.recovered.items()},
             "radiance": list(self.radiance.parameters()),
         }
 

@@ -173,7 +173,7 @@ def test_a_newer_checkpoint_changes_what_is_recovered(viewed_run, tmp_path):
     place = shutil.copytree(viewed_run, tmp_path / "version_0")
     followed = Followed(neurad.load(place))
     points = np.random.default_rng(0).uniform(-1, 1, (50, 3))
-    before = followed.run.albedo(points)
+    before = followed.run.map("albedo", points)
     assert not followed.update()
     path = place / "checkpoints/last.ckpt"
     content = torch.load(path, weights_only=True)
@@ -184,18 +184,18 @@ def test_a_newer_checkpoint_changes_what_is_recovered(viewed_run, tmp_path):
     write_checkpoint(content, path)
     assert followed.update()
     assert followed.run.iteration == 100
-    assert np.abs(followed.run.albedo(points) - before).mean() > 0.01
+    assert np.abs(followed.run.map("albedo", points) - before).mean() > 0.01
     assert followed.run.bars is None  # those of the folder are of iteration 60
     assert not followed.update()
 
-    kept = followed.run.albedo(points)
+    kept = followed.run.map("albedo", points)
     path.write_bytes(b"no checkpoint")
     assert not followed.update()
     assert "last.ckpt" in followed.problem
     path.unlink()
     assert not followed.update()
     assert "is gone" in followed.problem
-    assert np.array_equal(followed.run.albedo(points), kept)
+    assert np.array_equal(followed.run.map("albedo", points), kept)
 
 
 @pytest.mark.main

@@ -119,7 +119,7 @@ def test_smoothing_stays_on_its_surface(run, camera):
     side = 64
     camera = replace(camera, width=side, height=side)
     points = run.surface(camera)
-    albedo = torch.from_numpy(run.albedo(points)).view(side, side, 3).clamp_min(DARKEST)
+    albedo = torch.from_numpy(run.map("albedo", points)).view(side, side, 3).clamp_min(DARKEST)
     mesh = run.world.geometry.mesh_index[points.prim].view(side, side, 1)
     assert len(mesh.unique()) > 5
     light = (1.0 + mesh % 7).float() * torch.tensor([1.0, 0.5, 2.0])
@@ -281,12 +281,12 @@ def test_a_point_is_read_out(run, room):
     eye = view.camera.to_world[:3, 3]
     reading = probe(run, room.seen, eye, points.p[lane].numpy() - eye)
     assert reading.position == pytest.approx(points.p[lane].numpy(), abs=1e-3)
-    assert reading.albedo == pytest.approx(run.albedo(points)[lane], abs=1e-3)
-    assert reading.roughness == pytest.approx(run.roughness(points)[lane, 0], abs=1e-3)
-    assert reading.albedo_std == pytest.approx(run.albedo_std(points)[lane], rel=0.05)
+    for name in run.maps:
+        assert reading.values[name] == pytest.approx(run.map(name, points)[lane], abs=1e-3)
+    assert reading.stds["albedo"] == pytest.approx(run.map_std("albedo", points)[lane], rel=0.05)
     assert reading.mesh == run.scene.meshes[int(run.world.geometry.mesh_index[points.prim[lane]])].name
     assert (reading.photographs > 0) == bool(run.seen(points)[lane])
     words = dict(reading.lines())
     assert words["mesh"] == reading.mesh
-    assert f"{reading.roughness:.3f} ± {reading.roughness_std:.3f}" == words["roughness"]
+    assert f"{reading.values['roughness'][0]:.3f} ± {reading.stds['roughness'][0]:.3f}" == words["roughness"]
     assert probe(run, room.seen, np.array([0.0, 1e4, 0.0]), np.array([0.0, 1.0, 0.0])) is None

@@ -8,7 +8,7 @@ import torch
 
 from neurad.assembly.build import build_world
 from neurad.core.camera import resized
-from neurad.core.records import Constant
+from neurad.core.records import Constant, constant
 from neurad.core.reflection import DiffuseModel, PrincipledModel, RoughConductorModel, RoughPlasticModel
 from neurad.integrators.film import render
 from neurad.integrators.renderer import path_tracer
@@ -22,7 +22,7 @@ def shiny_cornell():
     """The Cornell box with a model for each wall."""
     models = (
         DiffuseModel(),
-        PrincipledModel(metallic=0.8),
+        PrincipledModel(1.45),
         RoughConductorModel((0.2, 0.92, 1.1), (3.91, 2.45, 2.14), 0.2),
         RoughPlasticModel(1.5, 0.2),
         PrincipledModel(),
@@ -31,6 +31,7 @@ def shiny_cornell():
     materials = [replace(m, model=models[i % len(models)], roughness=roughness) for i, m in enumerate(scene.materials)]
     bare = np.array(models[2].normal_reflectance, np.float32)  # as much as a metal can reflect
     materials = [replace(m, albedo=Constant(bare)) if m.model == models[2] else m for m in materials]
+    materials = [replace(m, metallic=constant(0.8)) if m.model == models[1] else m for m in materials]
     return replace(scene, materials=materials, max_depth=5, rr_depth=100)
 
 

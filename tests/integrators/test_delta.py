@@ -11,6 +11,7 @@ from helpers.delta_scenes import ETA, LIGHT, TINT, delta_gallery, delta_material
 
 from neurad.assembly.build import build_materials, build_radiance, build_world
 from neurad.assembly.settings import Objective, Sampling
+from neurad.core.parameters import RECOVERED
 from neurad.core.records import PixelBatch, Rays
 from neurad.core.reflection import ConductorModel, DielectricModel
 from neurad.core.rng import Stream
@@ -23,6 +24,7 @@ from neurad.integrators.radiometric import Radiometric
 from neurad.integrators.renderer import MethodRenderer, path_tracer
 from neurad.scene.builtin.plain import diffuse
 from neurad.scene.builtin.shapes import box, quad
+from neurad.scene.geometry import Geometry
 from neurad.scene.textures import TrueMaterials
 from neurad.training.objective import ObjectiveStep
 
@@ -185,7 +187,9 @@ SMALL = GridConfig(levels=2, coarsest=4, finest=8, log2_size=10)
 
 
 def estimator_of(scene):
-    materials = build_materials(scene, FieldConfig(SMALL, 16), FieldConfig(SMALL, 16))
+    materials = build_materials(
+        scene, dict.fromkeys(RECOVERED, FieldConfig(SMALL, 16)), Geometry(scene), known_emitters=False
+    )
     radiance = build_radiance(scene, RadianceConfig(grid=SMALL, width=16, hidden_layers=1))
     return Estimator(build_world(scene), materials, radiance)
 

@@ -5,6 +5,7 @@ import torch
 from helpers.method_oracles import Textures, camera_vertices, gallery
 
 from neurad.assembly.build import build_materials, build_world
+from neurad.core.parameters import RECOVERED
 from neurad.core.rng import Stream
 from neurad.fields.settings import FieldConfig, GridConfig
 from neurad.integrators.guide import Guide
@@ -12,6 +13,7 @@ from neurad.integrators.method import SceneModel
 from neurad.integrators.path import PathTracing
 from neurad.integrators.prb import PRB, GradientSum, merge
 from neurad.integrators.vertex import DIMENSIONS
+from neurad.scene.geometry import Geometry
 
 GRID = GridConfig(levels=4, coarsest=4, finest=64, log2_size=12)
 
@@ -23,7 +25,9 @@ def world():
 
 def networks():
     torch.manual_seed(2)
-    made = build_materials(gallery(), FieldConfig(GRID, 32), FieldConfig(GRID, 32))
+    made = build_materials(
+        gallery(), dict.fromkeys(RECOVERED, FieldConfig(GRID, 32)), Geometry(gallery()), known_emitters=False
+    )
     with torch.no_grad():  # far from the even start, so that every parameter matters
         for p in made.parameters():
             p.add_(0.3 * torch.randn(p.shape))

@@ -24,9 +24,11 @@ from neurad.scene.builtin import build, build_cornell
 N = 4000
 
 
-def random_surface(n, seed):
+def random_surface(n, seed, metal=False):
     stream = Stream(seed)
-    return Surface(stream.uniform(n, 3).requires_grad_(True), (0.05 + 0.95 * stream.uniform(n, 1)).requires_grad_(True))
+    albedo, roughness = stream.uniform(n, 3), 0.05 + 0.95 * stream.uniform(n, 1)
+    metallic = (2.0 * stream.uniform(n, 1) - 0.5).clamp(0.0, 1.0).requires_grad_(True) if metal else None
+    return Surface(albedo.requires_grad_(True), roughness.requires_grad_(True), metallic=metallic)
 
 
 def trained_guide(world, seed):
@@ -39,18 +41,19 @@ def trained_guide(world, seed):
     return guide
 
 
+@pytest.mark.parametrize("metal", [False, True])
 @pytest.mark.parametrize("guided", [False, True])
 @pytest.mark.parametrize("control", [False, True])
 @pytest.mark.parametrize(
     "scene", [build("patterns"), glossy(build_cornell()), one_sided(glossy(build_cornell()))],
     ids=["patterns", "cornell", "one-sided"],
 )  # fmt: skip
-def test_the_compiled_bounce_is_the_plain_one(scene, control, guided):
+def test_the_compiled_bounce_is_the_plain_one(scene, control, guided, metal):
     world = build_world(scene)
     world.guide = trained_guide(world, 9) if guided else None
     si = random_vertices(world, N, 3)
     assert not si.valid.all()
-    surface, u = random_surface(N, 5), Stream(4).uniform(N, DIMENSIONS)
+    surface, u = random_surface(N, 5, metal), Stream(4).uniform(N, DIMENSIONS)
     assert vertex_principled.has_kernel(True, world, si, surface)
     scale = float(bounce(world, si, surface, u, use_kernels=False).direct.detach().mean()) * 100
     assert scale > 0
@@ -61,7 +64,7 @@ def test_the_compiled_bounce_is_the_plain_one(scene, control, guided):
         total = step.direct.square().sum() / scale + (step.weight * torch.linspace(0.1, 1, 3)).sum()
         if control:
             total = total + 0.7 * step.sample_stats.deviation.square().sum()
-        grads = torch.autograd.grad(total, (surface.albedo, surface.roughness))
+        grads = torch.autograd.grad(total, tuple(surface.parameters.values()))
         found.append((step, grads, world.tracer.rays_cast - before))
     (kernel, kernel_grads, kernel_rays), (reference, grads, rays) = found
     same = (kernel.next.prim == reference.next.prim) & (kernel.next.valid == reference.next.valid)
@@ -143,12 +146,15 @@ def test_the_compiled_mean_is_the_plain_one():
     roughness, cosine = stream.uniform(5000, 1), stream.uniform(5000)
     roughness[:3, 0], cosine[:3] = torch.tensor([0.0, 1.0, 0.5]), torch.tensor([1.0, 0.0, 1.0])
     broken = torch.full((1, 1), torch.nan)
-    assert bool(mean_lobes(broken, broken[0], 1.5).isfinite().all())  # and nothing is read beyond the table
-    torch.testing.assert_close(
-        mean_lobes(roughness, cosine, 1.5), mean_lobes(roughness, cosine, 1.5, use_kernels=False), rtol=1e-5, atol=1e-5
-    )
-    d = mean_lobes(roughness, cosine, 1.5)[0]
-    value = directional_albedo(Surface(torch.ones(5000, 3), roughness), cosine, 1.5)
+    surface = Surface(torch.ones(5000, 3), roughness)
+    metal = replace(surface, metallic=stream.uniform(5000, 1))
+    # Nothing is read beyond the table.
+    assert bool(mean_lobes(Surface(broken.expand(1, 3), broken), broken[0], 1.5).isfinite().all())
+    for lanes in (surface, metal):
+        compiled, plain = (mean_lobes(lanes, cosine, 1.5, use_kernels=use) for use in (True, False))
+        torch.testing.assert_close(compiled, plain, rtol=1e-5, atol=1e-5)
+    d = mean_lobes(surface, cosine, 1.5)[0]
+    value = directional_albedo(surface, cosine, 1.5)
     assert bool((value[:, 0] >= d).all())
     assert 0.8 < float(d.mean()) < 1.2
 

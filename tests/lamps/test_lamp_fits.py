@@ -53,7 +53,9 @@ def photographed(tmp_path_factory):
         scene = unmeasured()
 
     def whole(view):
-        return replace(view, image=str(folder / view.image), albedo=str(folder / view.albedo))
+        return replace(
+            view, image=str(folder / view.image), maps={name: str(folder / path) for name, path in view.maps.items()}
+        )
 
     train, test = [whole(view) for view in scene.train], [whole(view) for view in scene.test]
     scene = replace(scene, train=train, test=test)

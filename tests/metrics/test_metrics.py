@@ -14,6 +14,7 @@ from PIL import Image
 
 from neurad.bsdf.table import make_bsdf
 from neurad.core.errors import InputError
+from neurad.core.parameters import BY_NAME
 from neurad.core.records import Camera, Constant, Material, Mesh, Surface, SurfaceInteraction, View
 from neurad.core.reflection import DiffuseModel, PrincipledModel, ReflectionModel
 from neurad.core.rng import Stream
@@ -123,7 +124,8 @@ def open_views(scene: Scene, grid: int = 4) -> HeldOut:
 
 
 def from_above(**files: str) -> View:
-    return View("above", Camera(DOWN, math.pi / 2, SIDE, SIDE), **files)
+    maps = {name: files.pop(name) for name in BY_NAME if name in files}
+    return View("above", Camera(DOWN, math.pi / 2, SIDE, SIDE), maps=maps, **files)
 
 
 class Plain:

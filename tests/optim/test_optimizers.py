@@ -37,14 +37,14 @@ def test_only_the_table_in_front_of_a_network_decays():
     before = [p.detach().clone() for p in materials.parameters()]
     for optimizer in made.values():
         step(optimizer, torch.zeros_like)
-    table = materials.roughness.grid.table
+    table = materials.recovered["roughness"].grid.table
     for p, start in zip(materials.parameters(), before, strict=True):
         torch.testing.assert_close(p.detach(), start * (0.8 if p is table else 1.0))
 
 
 def test_a_grid_without_a_network_does_not_decay():
     materials, made = optimizers(2.0, kind="dense")
-    table = materials.roughness.grid.table
+    table = materials.recovered["roughness"].grid.table
     table.data.fill_(1.0)
     step(made["roughness"], torch.zeros_like)
     assert bool((table == 1.0).all())
@@ -56,7 +56,7 @@ def test_noise_adds_up_without_decay_and_fades_with_it():
     for decay in (0.0, 1.0):
         materials, made = optimizers(decay)
         generator = torch.Generator().manual_seed(1)
-        table, sizes = materials.roughness.grid.table, []
+        table, sizes = materials.recovered["roughness"].grid.table, []
         for count in (400, 1200):
             for _ in range(count):
                 step(made["roughness"], lambda p, g=generator: torch.randn(p.shape, generator=g))
@@ -79,6 +79,6 @@ def test_a_state_saved_with_one_decay_continues_with_another(before, after):
     step(old, torch.zeros_like)
     materials, made = optimizers(after)
     made["roughness"].load_state_dict(old.state_dict())
-    start = materials.roughness.grid.table.detach().clone()
+    start = materials.recovered["roughness"].grid.table.detach().clone()
     step(made["roughness"], torch.zeros_like)
-    torch.testing.assert_close(materials.roughness.grid.table.detach(), start * (1.0 - 0.1 * after))
+    torch.testing.assert_close(materials.recovered["roughness"].grid.table.detach(), start * (1.0 - 0.1 * after))

@@ -84,7 +84,7 @@ def test_an_override_changes_what_refers_to_it(tiny, form):
     saved = config()
     assert saved["seed_everything"] == saved["model"]["seed"] == saved["data"]["seed"] == 8
     assert (saved["model"]["albedo"]["width"], saved["model"]["albedo"]["size"]) == (6, 6)
-    assert checkpoint()["state_dict"]["materials.albedo.mlp.layers.0.weight"].shape[0] == 6
+    assert checkpoint()["state_dict"]["materials.fields.albedo.mlp.layers.0.weight"].shape[0] == 6
 
 
 @pytest.mark.main
@@ -152,7 +152,7 @@ TABLE_1 = {
 }
 SECTION_5 = {
     **{f"model.{part}.grid.{key}": value for part in ("albedo", "roughness", "radiance")
-       for key, value in {"levels": 16, "coarsest": 2, "finest": 2**16, "features": 2, "log2_size": 17}.items()},
+       for key, value in {"levels": 16, "coarsest": 2, "finest": 2**16, "log2_size": 17}.items()},
     **{f"model.{part}.{key}": value for part, layers in (("albedo", 1), ("roughness", 1), ("radiance", 3))
        for key, value in {"width": 256, "hidden_layers": layers, "kind": "hash"}.items()},
     "model.radiance.inputs": ["direction", "normal", "albedo"],
@@ -169,7 +169,6 @@ SECTION_5 = {
     "model.roughness.closing_step": False,
     "model.roughness.closing_samples": 0.8,
     "model.sampling.focus": 0.0,
-    "model.optimization.clip": 0.0,
     "model.objective.estimator": "two_pass",
     "model.objective.normaliser": "photograph",
     "model.objective.prior_gradient": "full",

@@ -67,29 +67,29 @@ def test_error_bars_are_those_of_neurad_test(place):
     points = run.surface(view)
     lit = points.valid.numpy()
     for name, channels in (("albedo", 3), ("roughness", 1)):
-        std = getattr(run, f"{name}_std")(points)
+        std = run.map_std(name, points)
         assert std.shape == (SIZE * SIZE, channels)
         assert (std[~lit] == 0).all()
         shown = read_exr(str(place / "images" / f"000_{name}_std.exr")).reshape(SIZE * SIZE, -1)[:, :channels]
         inner = lit & (shown > 0).all(1)
         assert inner.any()
         assert np.median(np.abs(std - shown)[inner] / shown[inner]) < 0.3
-        at = getattr(run, f"{name}_std")(points.p[points.valid].numpy())
+        at = run.map_std(name, points.p[points.valid].numpy())
         assert np.allclose(at, std[lit]) or (std[lit] == 0).any()
     scores = json.loads((place / "metrics.json").read_text())
-    assert run.albedo_std(points)[lit].std() > 0
+    assert run.map_std("albedo", points)[lit].std() > 0
     assert not any("coverage" in key for key in scores)  # the room has no true maps
     bars = place / "error_bars.npz"
-    before = read_bars(bars).at(run.materials, points.p)[0]
+    before = read_bars(bars).at(run.materials, points.p)["albedo"]
     assert before.std() > 0
     kept = bars.read_bytes()
     try:
         bars.unlink()
         main(["test"])  # in the trainer's inference mode, the same as at the end of the fit
-        assert read_bars(bars).at(run.materials, points.p)[0] == pytest.approx(before, rel=1e-3)
+        assert read_bars(bars).at(run.materials, points.p)["albedo"] == pytest.approx(before, rel=1e-3)
         bars.unlink()
         with pytest.raises(InputError, match="no error bars of this run; neurad test writes them"):
-            neurad.load(place).albedo_std(points)
+            neurad.load(place).map_std("albedo", points)
     finally:
         bars.write_bytes(kept)
 
@@ -109,7 +109,7 @@ def test_a_loaded_run_is_what_the_evaluation_of_the_module_shows(place):
     run = neurad.load(place)
     assert run.iteration == 40
     assert run.settings.roughness.reads_albedo
-    assert run.materials.roughness.reads_albedo
+    assert run.materials.recovered["roughness"].reads_albedo
     assert run.radiance is not None
     maps = HeldOut(run.scene, run.world.geometry, run.world.tracer).predict(run.materials)
     for index, view in enumerate(run.scene.test):
@@ -131,7 +131,7 @@ def test_what_no_photograph_shows_has_one_value_in_scores_in_python_and_in_an_ex
     assert not held_out.seen(0).any()
     (maps, _), ((_, points),) = held_out.predict(run.materials), held_out.sub_samples(0)
     for name in ("albedo", "roughness"):
-        values = np.where(points.valid[:, None], getattr(run, name)(points), 0.0)
+        values = np.where(points.valid[:, None], run.map(name, points), 0.0)
         means = values.reshape(SIZE * SIZE, held_out.grid**2, -1).mean(1)
         np.testing.assert_allclose(maps[name].reshape(SIZE * SIZE, -1), means, rtol=1e-5)
     baked = replace(bake_room(run.assembly, 1 << 16, 64, None, Bar()).scene, train=[])
@@ -157,20 +157,20 @@ def test_values_at_points(place):
     run = neurad.load(place)
     points = run.surface(run.scene.train[0])
     surface = run.materials(points)
-    np.testing.assert_array_equal(run.albedo(points), surface.albedo.detach().numpy())
-    np.testing.assert_array_equal(run.roughness(points), surface.roughness.detach().numpy())
+    np.testing.assert_array_equal(run.map("albedo", points), surface.albedo.detach().numpy())
+    np.testing.assert_array_equal(run.map("roughness", points), surface.roughness.detach().numpy())
     emits = run.world.geometry.emission.amax(-1)[points.prim.clamp_min(0)] > 0
     bare = (points.valid & ~emits).numpy()
     assert bare.sum() > 3
     positions = points.p.numpy().astype(np.float64)
-    albedo, roughness = run.albedo(positions), run.roughness(positions.tolist())
+    albedo, roughness = run.map("albedo", positions), run.map("roughness", positions.tolist())
     assert albedo.shape == (SIZE * SIZE, 3)
     assert roughness.shape == (SIZE * SIZE, 1)
-    np.testing.assert_allclose(albedo[bare], run.albedo(points)[bare], rtol=1e-6)
-    np.testing.assert_allclose(roughness[bare], run.roughness(points)[bare], rtol=1e-6)
-    assert run.albedo(np.zeros((0, 3))).shape == (0, 3)
+    np.testing.assert_allclose(albedo[bare], run.map("albedo", points)[bare], rtol=1e-6)
+    np.testing.assert_allclose(roughness[bare], run.map("roughness", points)[bare], rtol=1e-6)
+    assert run.map("albedo", np.zeros((0, 3))).shape == (0, 3)
     with pytest.raises(InputError, match=r"points: an array of shape \[n, 3\] is needed, not \[3\]"):
-        run.albedo([1.0, 2.0, 3.0])
+        run.map("albedo", [1.0, 2.0, 3.0])
     with pytest.raises(InputError, match="view attic: scene room has no view of that name"):
         run.render("attic")
 

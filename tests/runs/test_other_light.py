@@ -67,7 +67,7 @@ def test_an_edit_that_changes_nothing_renders_the_same_paths(fitted):
 
 def test_what_an_edit_says_replaces_what_was_recovered_there_alone(fitted):
     run = load_run(run_folder())
-    made = edited(recovered_scene(run.assembly), Edit(materials={"floor": MaterialEdit((0.1, 0.2, 0.3))}))
+    made = edited(recovered_scene(run.assembly), Edit(materials={"floor": MaterialEdit({"albedo": (0.1, 0.2, 0.3)})}))
     parts = relit(run.assembly, made)
     si = run.surface(run.scene.test[0])
     with torch.no_grad():

@@ -14,6 +14,9 @@ import torch
 import yaml
 from helpers.tiny_scene import as_png, write_scene
 
+from neurad.callbacks.checkpoint import LastCheckpoint
+from neurad.cli import main
+
 pytest.importorskip("mitsuba")
 
 STEPS = 400
@@ -109,6 +112,26 @@ def test_a_killed_run_continues_to_the_same_bits(tmp_path, monkeypatch):
     assert len(continued["optimizer_states"]) == 6
     assert continued["state_dict"]["development.values"].abs().max() > 0
     assert continued["state_dict"]["development.bend"].abs().max() > 0
-    assert continued["state_dict"]["materials.roughness.correction.made"] == 1
+    assert continued["state_dict"]["materials.fields.roughness.correction.made"] == 1
     assert Path("lightning_logs/version_1/exposures.csv").read_text().startswith("view,known,r,g,b,iteration")
     assert not Path("lightning_logs/version_2").exists()
+
+
+@pytest.mark.main
+def test_a_run_killed_after_its_last_checkpoint_is_brought_to_its_end(tmp_path, monkeypatch, capsys):
+    """The last checkpoint in between is of the last iteration, but not of its evaluation, which fits factors."""
+    words = ["--trainer.max_time=null", "--trainer.max_steps=30", "--data.validation_pixels=0.03", "--data.patches=64"]
+    words += ["--evaluation.every_n_steps=10", "--checkpoint.every_seconds=0", "--trainer.accelerator=cpu"]
+    monkeypatch.chdir(tmp_path)
+    main(["fit", "--config=cornell.yaml", *words])
+    with monkeypatch.context() as patch:
+        patch.setattr(LastCheckpoint, "on_train_end", lambda *_: None)
+        main(["fit", "--config=cornell.yaml", *words])
+    whole, cut = (torch.load(last(version), weights_only=True)["state_dict"] for version in (0, 1))
+    assert any(not torch.equal(whole[name], cut[name]) for name in whole), "there is nothing to make up for"
+    main(["fit", "--ckpt_path=version_1"])
+    same(whole, torch.load(last(1), weights_only=True)["state_dict"])
+    assert table(1) == table(0)
+    capsys.readouterr()
+    main(["fit", "--ckpt_path=version_1"])
+    assert table(1) == table(0), "and a finished run stays as it is"

@@ -17,9 +17,8 @@ def test_times_of_the_command_line_and_of_configs(tiny, capsys):
     found = printed_config(capsys, "--config", "mine.yaml")
     assert found["trainer"]["max_time"] == "00:01:30:00"
     assert found["checkpoint"]["every_seconds"] == 120.0
-    found = printed_config(capsys, "--config", "mine.yaml", "--trainer.max_time", "90s", "--bar.refresh_seconds=1s")
+    found = printed_config(capsys, "--config", "mine.yaml", "--trainer.max_time", "90s")
     assert found["trainer"]["max_time"] == "00:00:01:30"
-    assert found["bar"]["refresh_seconds"] == 1.0
 
 
 def test_what_the_parser_reads_stays_as_it_is():

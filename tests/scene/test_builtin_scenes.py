@@ -200,8 +200,8 @@ def test_the_patterned_kitchen_is_lit_mostly_indirectly(patterns):
 def test_every_view_has_its_photograph_and_its_maps(name):
     scene = build(name)
     for view in scene.train + scene.test:
-        for path in (view.image, view.albedo, view.roughness):
-            assert path is not None
+        assert view.maps.keys() == {"albedo", "roughness"}
+        for path in view.files.values():
             assert Path(path).is_file()
             assert check_exr(Path(path)) == (view.camera.width, view.camera.height)
 
@@ -223,7 +223,8 @@ def test_colours_of_the_kitchen_do_not_tell_its_roughness():
     scene = build("kitchen")
 
     def maps(views):
-        return [(read_exr(v.albedo)[..., :3].reshape(-1, 3), read_exr(v.roughness)[..., 0].ravel()) for v in views]
+        pairs = [[read_exr(view.maps[name]) for name in ("albedo", "roughness")] for view in views]
+        return [(albedo[..., :3].reshape(-1, 3), roughness[..., 0].ravel()) for albedo, roughness in pairs]
 
     lookup = ColourLookup.of(maps(scene.train))
     colour, rough = (np.concatenate(part) for part in zip(*maps(scene.test), strict=True))

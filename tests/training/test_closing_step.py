@@ -9,10 +9,11 @@ import torch
 
 from benchmarks.stress.fit import Fit, Plan, photographs, small_settings
 from benchmarks.stress.scenes import small_cube, with_material
+from neurad.core import parameters
 from neurad.core.reflection import PrincipledModel
 from neurad.evidence.closing_calibration import robust_weight
 from neurad.evidence.roughness_evidence import Evidence
-from neurad.fields.material import CORRECTION_CELLS, MIN_ROUGHNESS, Correction
+from neurad.fields.material import CORRECTION_CELLS, Correction
 from neurad.fields.settings import RoughnessConfig
 from neurad.training import closing_step
 from neurad.training.closing_step import Agreement, agreement, is_due, make_closing_step, progress_before
@@ -186,13 +187,13 @@ def test_a_correction_in_the_state(room):
     torch.testing.assert_close(other(at), correction(at))
     assert bool((other.information == 9.0).all())
     assert not any(p.requires_grad for p in correction.parameters())
-    field, own = room.materials.roughness, room.training.assembly.correction
+    field, own = room.materials.recovered["roughness"], room.training.assembly.correction
     held = {id(p) for group in room.training.optimizers["roughness"].param_groups for p in group["params"]}
     assert not held & {id(p) for p in own.parameters()}
     try:
         own.add(np.full((CORRECTION_CELLS + 1,) * 3, -2.0, np.float32))
         si = room.seen(64)
-        assert float(field(si, torch.full((len(si), 3), 0.5)).min()) == pytest.approx(MIN_ROUGHNESS)
+        assert float(field(si, torch.full((len(si), 3), 0.5)).min()) == pytest.approx(parameters.ROUGHNESS.low)
     finally:
         forget(own)
 

@@ -28,7 +28,7 @@ def test_max_steps_counts_iterations_and_roughness_is_built_where_there_is_some(
     assert [row["iteration"] for row in rows] == ["7"]
     assert len(state["optimizer_states"]) == optimizers
     assert {s["state"][0]["step"].item() for s in state["optimizer_states"]} == {7.0}
-    assert any(name.startswith("materials.roughness") for name in state["state_dict"]) == glossy
+    assert any(name.startswith("materials.fields.roughness") for name in state["state_dict"]) == glossy
 
 
 @pytest.mark.main

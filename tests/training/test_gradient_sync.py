@@ -18,7 +18,7 @@ from neurad.training.gradient_sync import Exchange, GradientSync
 HERE = Path(__file__).resolve().parents[1]
 
 
-@pytest.mark.parametrize("kind", ["hash", "dense", "glossy"])
+@pytest.mark.parametrize("kind", ["hash", pytest.param("dense", marks=pytest.mark.slow), "glossy"])
 def test_two_processes_learn_what_one_learns_from_both_batches(tmp_path, kind):
     environment = {**os.environ, "OMP_NUM_THREADS": "1", "CUDA_VISIBLE_DEVICES": ""}
     command = [sys.executable, str(HERE / "helpers" / "ddp_run.py"), str(tmp_path), kind]

@@ -252,7 +252,7 @@ FIT = {
     "model": {
         **{part: {"grid": vars(GRID), "width": 16} for part in ("albedo", "roughness", "radiance")},
         "materials": "known",
-        "lighting": {"environment": "fit", "width": 16, "height": 8, "refresh": 5, "detail_decay": 1.0},
+        "lighting": {"environment": "fit", "width": 16, "detail_decay": 1.0},
         "sampling": {"spp": 2, "samples_per_vertex": 4, "cached_spp": 32},
         "optimization": {"schedule": "constant", "warmup": 1, "environment": 0.1},
     },

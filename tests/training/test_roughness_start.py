@@ -6,10 +6,11 @@ import torch
 from benchmarks.stress.fit import Fit, Plan, photographs, small_settings
 from benchmarks.stress.scenes import small_cube, with_material
 from neurad.assembly.settings import ModelSettings
+from neurad.core.parameters import ROUGHNESS
 from neurad.core.records import Surface
 from neurad.core.reflection import PrincipledModel
 from neurad.core.rng import Stream
-from neurad.fields.material import MIN_ROUGHNESS, RoughnessField
+from neurad.fields.material import MaterialField
 from neurad.fields.settings import GridConfig, RoughnessConfig
 from neurad.training.roughness_start import AFTER, LEVELS, best_level
 
@@ -30,7 +31,9 @@ def test_only_what_is_surely_better_moves_the_field():
 
 def test_a_shift_moves_the_whole_field():
     bounds = torch.tensor([[0.0, 0.0, 0.0], [1.0, 1.0, 1.0]])
-    field = RoughnessField(RoughnessConfig(GridConfig(levels=2, coarsest=4, finest=8, log2_size=10), 16), bounds)
+    field = MaterialField(
+        ROUGHNESS, RoughnessConfig(GridConfig(levels=2, coarsest=4, finest=8, log2_size=10), 16), bounds
+    )
     p = Stream(2).uniform(500, 3)
     before = field.at(p)
     field.shift(float(before.mean()), 0.1)
@@ -40,10 +43,12 @@ def test_a_shift_moves_the_whole_field():
     torch.testing.assert_close(field.at(p), before, atol=0.02, rtol=0)
 
 
-@pytest.mark.parametrize(("bias", "mean"), [(40.0, 1.0), (-40.0, MIN_ROUGHNESS)])
+@pytest.mark.parametrize(("bias", "mean"), [(40.0, 1.0), (-40.0, ROUGHNESS.low)])
 def test_a_field_at_an_end_of_its_range_is_shifted_by_a_finite_amount(bias, mean):
     bounds = torch.tensor([[0.0, 0.0, 0.0], [1.0, 1.0, 1.0]])
-    field = RoughnessField(RoughnessConfig(GridConfig(levels=2, coarsest=4, finest=8, log2_size=10), 16), bounds)
+    field = MaterialField(
+        ROUGHNESS, RoughnessConfig(GridConfig(levels=2, coarsest=4, finest=8, log2_size=10), 16), bounds
+    )
     with torch.no_grad():
         field.mlp.layers[-1].bias.fill_(bias)
     p = Stream(2).uniform(50, 3)

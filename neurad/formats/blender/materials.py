@@ -15,12 +15,13 @@ from typing import Any
 import numpy as np
 
 from neurad.core.errors import InputError
-from neurad.core.records import Bitmap, Constant, FloatArray, Material, Texture
+from neurad.core.records import DIELECTRIC, METAL, Bitmap, Constant, FloatArray, Material, Texture, constant
 from neurad.core.reflection import ConductorModel, DielectricModel, DiffuseModel, PrincipledModel, ReflectionModel
 from neurad.formats.gltf.textures import LEVELS
 from neurad.images.image_io import from_srgb
 from neurad.runtime.numbers import RADIANCE, TEXEL, number, within
 from neurad.runtime.reading import native, regular_file, shown
+from neurad.scene.description import is_dielectric
 
 START = 0.5
 """Albedo and roughness of what is not known."""
@@ -84,22 +85,27 @@ class MaterialReader:
         if shader not in _SHADERS:
             self._check_other(described, shader, about)
             self.anew.setdefault(name, []).append(f"{shown(shader)}")
-            return Painted(Material(name, PrincipledModel(), _constant(START, 3), _constant(START, 1)))
+            return Painted(Material(name, PrincipledModel(), constant(START, 3), constant(START)))
         emission = self._emission(described, about)
         if shader == "EMISSION":
             return Painted(_black(name), emission, emission.uv if emission else "")
         albedo, uv = self._texture(described, "color", 3, name, about)
         roughness, second = self._texture(described, "roughness", 1, name, about)
-        if uv is not None and second is not None and second != uv:
+        metallic, third = self._texture(described, "metallic", 1, name, about, 0.0)
+        if len({x for x in (uv, second, third) if x is not None}) > 1:
             self.anew.setdefault(name, []).append("pictures on two sets of texture coordinates")
-            roughness = _constant(START, 1)
+            roughness = roughness if second in (None, uv) else constant(START)
+            metallic = metallic if third in (None, uv) else DIELECTRIC
         if found := [said for key, said in _LAYERS.items() if _is_on(described.get(key))]:
             self.anew.setdefault(name, []).append(" and ".join(found))
-        model = _SHADERS[shader](described, albedo, roughness, about)
-        if emission is not None and isinstance(model, PrincipledModel) and model.metallic == 0.0:
+        metallic = METAL if shader == "BSDF_GLOSSY" else metallic
+        model = _SHADERS[shader](
+            described, Material(name, PrincipledModel(), albedo, roughness, metallic=metallic), about
+        )
+        if emission is not None and isinstance(model, PrincipledModel) and is_dielectric(metallic):
             model = PrincipledModel()  # a lamp's highlight is not worth a model of its own
-        material = Material(name, model, albedo, roughness)
-        return Painted(material, emission, next((x for x in (uv, second) if x is not None), ""))
+        material = Material(name, model, albedo, roughness, metallic=metallic)
+        return Painted(material, emission, next((x for x in (uv, second, third) if x is not None), ""))
 
     def _check_other(self, described: Mapping[str, Any], shader: object, about: str) -> None:
         if described.get("lets_through"):
@@ -127,10 +133,10 @@ class MaterialReader:
         return Emission(np.full(3, times, np.float32), picture, str(colour.get("uv", "")))
 
     def _texture(
-        self, described: Mapping[str, Any], key: str, channels: int, name: str, about: str
+        self, described: Mapping[str, Any], key: str, channels: int, name: str, about: str, start: float = START
     ) -> tuple[Texture, str | None]:
         """A texture and, of a picture, the name of its coordinates."""
-        value = described.get(key, [START] * 3 if channels == 3 else START)
+        value = described.get(key, [start] * 3 if channels == 3 else start)
         if not isinstance(value, dict):
             colour = _colour(value, f"{about}: its {key}", math.inf)
             chosen = (
@@ -141,7 +147,7 @@ class MaterialReader:
             self.anew.setdefault(name, []).append(
                 f"its {'base colour' if key == 'color' else key}: {shown(value['unread'])}"
             )
-            return _constant(START, channels), None
+            return constant(start, channels), None
         pixels = np.clip(self._pixels(value, channels, about, math.inf), 0.0, 1.0)
         return Bitmap(pixels, _to_uv(value, about)), str(value.get("uv", ""))
 
@@ -184,48 +190,49 @@ def read_array(folder: Path, name: str, kinds: tuple[str, ...]) -> Any:
     return values
 
 
-def _principled(described: Mapping[str, Any], albedo: Texture, roughness: Texture, about: str) -> ReflectionModel:
+def _principled(described: Mapping[str, Any], read: Material, about: str) -> ReflectionModel:
     alpha, transmission = described.get("alpha", 1.0), described.get("transmission", 0.0)
     if not isinstance(alpha, float) or alpha < _OPAQUE:
         raise _lets_through(about)
-    metallic = described.get("metallic", 0.0)
-    metallic = min(max(metallic, 0.0), 1.0) if isinstance(metallic, float) else 0.0
     ior = described.get("ior", 1.5)
     eta = number(ior, f"{about}: its IOR", 0.0, _LARGEST_INDEX) if isinstance(ior, float) else 1.5
-    smooth = isinstance(roughness, Constant) and float(roughness.value[0]) == 0.0
     if isinstance(transmission, dict) or transmission > 0:
-        if transmission != 1.0 or metallic > 0:
+        if transmission != 1.0 or not is_dielectric(read.metallic):
             raise _lets_through(about)
-        return _glass(described, albedo, roughness, about)
-    if metallic == 1.0 and smooth and isinstance(albedo, Constant):
+        return _glass(described, read, about)
+    if isinstance(read.metallic, Constant) and read.metallic.value[0] == 1.0 and _is_mirror(read):
         return ConductorModel()
     level = described.get("specular", 0.5)
     normal = ((eta - 1.0) / (eta + 1.0)) ** 2 * (2.0 * level if isinstance(level, float) else 1.0)
-    if normal <= 0.0 and metallic == 0.0:
+    if normal <= 0.0 and is_dielectric(read.metallic):
         return DiffuseModel()
     root = math.sqrt(min(max(normal, 2.5e-7), 0.96))
-    return PrincipledModel(float(np.round((1.0 + root) / (1.0 - root), 5)), float(np.round(metallic, 6)))
+    return PrincipledModel(float(np.round((1.0 + root) / (1.0 - root), 5)))
 
 
-def _diffuse(described: Mapping[str, Any], albedo: Texture, roughness: Texture, about: str) -> ReflectionModel:
+def _diffuse(described: Mapping[str, Any], read: Material, about: str) -> ReflectionModel:
     return DiffuseModel()
 
 
-def _glossy(described: Mapping[str, Any], albedo: Texture, roughness: Texture, about: str) -> ReflectionModel:
-    smooth = isinstance(roughness, Constant) and float(roughness.value[0]) == 0.0
-    return ConductorModel() if smooth and isinstance(albedo, Constant) else PrincipledModel(metallic=1.0)
+def _glossy(described: Mapping[str, Any], read: Material, about: str) -> ReflectionModel:
+    return ConductorModel() if _is_mirror(read) else PrincipledModel()
 
 
-def _glass(described: Mapping[str, Any], albedo: Texture, roughness: Texture, about: str) -> ReflectionModel:
-    clear = isinstance(albedo, Constant) and float(albedo.value.min()) >= _OPAQUE
-    smooth = isinstance(roughness, Constant) and float(roughness.value[0]) == 0.0
+def _is_mirror(read: Material) -> bool:
+    """Whether it is smooth, of one colour."""
+    rough = read.roughness
+    return isinstance(rough, Constant) and float(rough.value[0]) == 0.0 and isinstance(read.albedo, Constant)
+
+
+def _glass(described: Mapping[str, Any], read: Material, about: str) -> ReflectionModel:
+    clear = isinstance(read.albedo, Constant) and float(read.albedo.value.min()) >= _OPAQUE
     ior = described.get("ior", 1.5)
-    if not clear or not smooth or not isinstance(ior, float) or not 1.0 <= ior <= _LARGEST_INDEX:
+    if not clear or not _is_mirror(read) or not isinstance(ior, float) or not 1.0 <= ior <= _LARGEST_INDEX:
         raise _lets_through(about)
     return DielectricModel(ior)
 
 
-_SHADERS: dict[Any, Callable[[Mapping[str, Any], Texture, Texture, str], ReflectionModel]] = {
+_SHADERS: dict[Any, Callable[[Mapping[str, Any], Material, str], ReflectionModel]] = {
     "BSDF_PRINCIPLED": _principled,
     "BSDF_DIFFUSE": _diffuse,
     "BSDF_GLOSSY": _glossy,
@@ -247,11 +254,7 @@ def _is_on(value: Any) -> bool:
 
 
 def _black(name: str) -> Material:
-    return Material(name, PrincipledModel(), _constant(0.0, 3), _constant(1.0, 1))
-
-
-def _constant(value: float, channels: int) -> Constant:
-    return Constant(np.full(channels, value, np.float32))
+    return Material(name, PrincipledModel(), constant(0.0, 3), constant(1.0))
 
 
 def _colour(value: Any, where: str, most: float) -> Any:

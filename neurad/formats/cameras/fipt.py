@@ -8,6 +8,7 @@ import numpy as np
 import numpy.typing as npt
 
 from neurad.core.errors import InputError, Refusals
+from neurad.core.parameters import ALBEDO, ROUGHNESS
 from neurad.core.records import FloatArray, View
 from neurad.formats.cameras.intrinsics import camera_of, make_camera, rigid
 from neurad.formats.cameras.nerf import Split
@@ -17,6 +18,8 @@ from neurad.runtime.numbers import LENGTH, number
 from neurad.runtime.reading import exists, read_json, read_text, regular_file, shown
 
 MESH = "scene.obj"
+_MAPS = {ALBEDO: "DiffCol", ROUGHNESS: "Roughness"}
+"""Folders of true maps."""
 _LOOKS = np.diag([-1.0, 1.0, -1.0, 1.0])
 """Rendered rooms: the camera looks along +Z with +X to the left, under the keys of NeRF."""
 _STRAIGHT = 2e-2  # largest cosine between the directions that should be perpendicular
@@ -59,9 +62,12 @@ def _rendered(folder: Path) -> list[View]:
             image = listed_file(folder / f"Image/{index:03d}_0001.exr", f"the photograph of frame {index} is missing")
             pose: FloatArray = rigid(frame.get("transform_matrix"), f"{where}: its transform_matrix") @ _LOOKS
             camera = camera_of((frame, described), check_exr(image), pose, where)
-            maps = [folder / f"{kind}/{index:03d}_0001.exr" for kind in ("DiffCol", "Roughness")]
-            albedo, roughness = (str(regular_file(file)) if (file := any_case(path)) else None for path in maps)
-            views.append(View(f"{folder.name}_{index:03d}", camera, str(image), albedo, roughness))
+            maps = {
+                parameter.name: str(regular_file(file))
+                for parameter, kind in _MAPS.items()
+                if (file := any_case(folder / f"{kind}/{index:03d}_0001.exr")) is not None
+            }
+            views.append(View(f"{folder.name}_{index:03d}", camera, str(image), maps))
     refusals.end()
     return views
 

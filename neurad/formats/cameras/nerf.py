@@ -14,6 +14,7 @@ import numpy.typing as npt
 
 from neurad.core.errors import InputError, Refusals
 from neurad.core.names import apart
+from neurad.core.parameters import BY_NAME
 from neurad.core.records import Camera, Development, FloatArray, View
 from neurad.formats.cameras.intrinsics import Kept, Size, camera_of, rigid
 from neurad.formats.cameras.photograph_files import expected_photograph, listed_file, listed_photograph
@@ -208,11 +209,12 @@ def read_views(
             if not pictures:
                 views.append(View(image.stem, camera, str(image)))
                 continue
-            maps = {kind: _map(root, frame, kind, image, path) for kind in ("albedo", "roughness", "spread")}
+            found = {kind: _map(root, frame, kind, image, path) for kind in (*BY_NAME, "spread")}
+            spread = found.pop("spread")
+            maps = {name: file for name, file in found.items() if file is not None}
             relit = _map(root, frame, "relight", image, path) if "relight_path" in frame else None
             made = Development(exposure=_exposure(settings, where))
-            known = maps["albedo"], maps["roughness"], relit, mask, made, maps["spread"]
-            views.append(View(image.stem, camera, str(image), *known))
+            views.append(View(image.stem, camera, str(image), maps, relit, mask, made, spread))
     refusals.end()
     return views
 

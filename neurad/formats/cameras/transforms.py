@@ -12,12 +12,13 @@ from neurad.formats.cameras.intrinsics import described
 from neurad.scene.origin import ZERO, moved_views
 
 
-def transforms(views: Sequence[View], origin: npt.ArrayLike = ZERO) -> dict[str, Any]:
+def transforms(views: Sequence[View], origin: npt.ArrayLike = ZERO, maps: Sequence[str] = ()) -> dict[str, Any]:
     """The camera file of views: what all their cameras share stands at the top, what they do not in each frame.
 
     Args:
         views: relative to ``origin``.
         origin: ``Scene.origin``, which is added.
+        maps: surface parameters of which there are maps beside the photographs.
     """
     views = moved_views(views, origin)
     lenses = [described(view.camera) for view in views]
@@ -27,8 +28,7 @@ def transforms(views: Sequence[View], origin: npt.ArrayLike = ZERO) -> dict[str,
         "frames": [
             {
                 "file_path": f"images/{view.name}.exr",
-                "albedo_path": f"albedo/{view.name}.exr",
-                "roughness_path": f"roughness/{view.name}.exr",
+                **{f"{name}_path": f"{name}/{view.name}.exr" for name in maps},
                 **({} if shared else lens),
                 **({} if view.development.exposure is None else {"exposure": view.development.exposure}),
                 "transform_matrix": [[float(x) for x in row] for row in view.camera.to_world],

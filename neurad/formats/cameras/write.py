@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 
+from neurad.core.parameters import BY_NAME
 from neurad.core.records import PINHOLE, Camera, View
 from neurad.formats.cameras.transforms import transforms
 from neurad.formats.load import RELIGHT
@@ -16,8 +17,7 @@ from neurad.scene.description import Scene
 
 KINDS = {
     "image": "images",
-    "albedo": "albedo",
-    "roughness": "roughness",
+    **{name: name for name in BY_NAME},
     "relight": "images_relight",
     "mask": "masks",
     "spread": "spread",
@@ -68,7 +68,7 @@ def named_apart(scene: Scene) -> Scene:
 def files_of(scene: Scene) -> list[str]:
     """Photographs and true maps of all views, and the map of the second light."""
     views = (*scene.train, *scene.test)
-    files = [getattr(view, kind) for view in views for kind in KINDS]
+    files = [path for view in views for path in view.files.values()]
     return [file for file in (*files, scene.relight) if file is not None]
 
 
@@ -98,13 +98,11 @@ def write_views(scene: Scene, folder: Path, copy: bool) -> list[str]:
         for view, frame in zip(views, described["frames"], strict=True):
             for kind, where in KINDS.items():
                 key = "file_path" if kind == "image" else f"{kind}_path"
-                source = getattr(view, kind)
+                source = view.files.get(kind)
                 if source is not None:
                     ending = Path(source).suffix.lower() if kind in ("image", "mask") else ".exr"
                     frame[key] = f"{where}/{view.name}{ending}"
                     place(Path(source), folder / frame[key], copy)
-                elif kind != "image":  # where the photograph belongs is said even if there is none
-                    frame.pop(key, None)
         (folder / f"transforms_{part}.json").write_text(json.dumps(described, indent=1) + "\n", encoding="utf-8")
     if scene.relight is not None:
         place(Path(scene.relight), folder / RELIGHT, copy)

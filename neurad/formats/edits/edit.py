@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from fnmatch import fnmatchcase
 from pathlib import Path
-from typing import TypeVar
+from typing import Any, TypeVar
 
 import numpy as np
 
 from neurad.core.colour import LUMINANCE
 from neurad.core.errors import InputError
+from neurad.core.parameters import ALBEDO, PARAMETERS
 from neurad.core.records import Constant, EnvironmentMap, FloatArray, Material, Mesh, PunctualLight
 from neurad.core.reflection import PrincipledModel
 from neurad.core.suggest import nearest
@@ -59,10 +60,10 @@ class EnvironmentEdit:
 
 @dataclass(frozen=True)
 class MaterialEdit:
-    """What a mesh is made of instead; None keeps what it has."""
+    """What a mesh is made of instead."""
 
-    albedo: Color | None = None
-    roughness: float | None = None
+    values: Mapping[str, tuple[float, ...]] = field(default_factory=dict)
+    """Surface parameters by name; it keeps the others."""
 
 
 @dataclass(frozen=True)
@@ -105,10 +106,8 @@ class Edited:
     scene: Scene
     base: Scene
     """The scene before."""
-    albedo: frozenset[int] = frozenset()
-    """Meshes whose albedo the scene's materials say, whatever was recovered there."""
-    roughness: frozenset[int] = frozenset()
-    """Meshes of whose roughness that holds."""
+    painted: Mapping[str, frozenset[int]] = field(default_factory=dict)
+    """By the name of a surface parameter: meshes that have what the scene's materials say, whatever was recovered."""
     said: tuple[str, ...] = ()
     """What was changed, a few words each."""
     reshaped: bool = False
@@ -148,9 +147,8 @@ def edited(scene: Scene, edit: Edit) -> Edited:
     made = replace(work.scene, meshes=work.meshes, materials=work.materials, punctual=tuple(work.punctual))
     if not made.features.has_light:
         raise InputError(f"{edit.source}: it leaves no light in the scene, so every picture would be black")
-    return Edited(
-        made.check(), scene, frozenset(work.albedo), frozenset(work.roughness), tuple(work.said), work.reshaped
-    )
+    painted = {name: frozenset(meshes) for name, meshes in work.painted.items()}
+    return Edited(made.check(), scene, painted, tuple(work.said), work.reshaped)
 
 
 def coloured(radiance: FloatArray, color: Color) -> FloatArray:
@@ -171,8 +169,7 @@ class _Work:
         self.meshes: list[Mesh] = list(scene.meshes)
         self.materials: list[Material] = list(scene.materials)
         self.punctual: list[PunctualLight] = list(scene.punctual)
-        self.albedo: set[int] = set()
-        self.roughness: set[int] = set()
+        self.painted: dict[str, set[int]] = {parameter.name: set() for parameter in PARAMETERS}
         self.said: list[str] = []
         self.reshaped = False
 
@@ -273,26 +270,26 @@ class _Work:
         chosen = [i for i, mesh in enumerate(self.scene.meshes) if mesh.name in meant]
         for index in chosen:
             material = self.materials[self.meshes[index].material]
-            if edit.roughness is not None and (material.model.is_delta or material.model.is_diffuse):
+            glossy = next((name for name in edit.values if name != ALBEDO.name), None)
+            if glossy is not None and (material.model.is_delta or material.model.is_diffuse):
                 kind = "smooth" if material.model.is_delta else "diffuse"
                 raise InputError(
-                    f"{self.source}: materials: mesh {shown(self.meshes[index].name)} is {kind} and has no roughness"
+                    f"{self.source}: materials: mesh {shown(self.meshes[index].name)} is {kind} and has no {glossy}"
                 )
             self._paint(index, material, edit)
-        changes = [f"albedo {_listed(edit.albedo)}"] if edit.albedo is not None else []
-        changes += [f"roughness {edit.roughness:g}"] if edit.roughness is not None else []
+        changes = [f"{name} {_listed(value)}" for name, value in edit.values.items()]
         names = self.meshes[chosen[0]].name if len(chosen) == 1 else f"{len(chosen)} meshes {pattern}"
         if changes:
             self.said.append(f"{names} of {' and '.join(changes)}")
 
     def _paint(self, index: int, material: Material, edit: MaterialEdit) -> None:
         """A material of its own for a mesh, with the constants of an edit."""
-        if edit.albedo is not None:
-            material = replace(material, albedo=Constant(np.asarray(edit.albedo, np.float32)))
-            self.albedo.add(index)
-        if edit.roughness is not None:
-            material = replace(material, roughness=Constant(np.asarray([edit.roughness], np.float32)))
-            self.roughness.add(index)
+        textures: dict[str, Any] = {
+            name: Constant(np.asarray(value, np.float32)) for name, value in edit.values.items()
+        }
+        material = replace(material, **textures)
+        for name in textures:
+            self.painted[name].add(index)
         self.materials.append(replace(material, name=f"{material.name} of {self.meshes[index].name}"))
         self.meshes[index] = replace(self.meshes[index], material=len(self.materials) - 1)
 
@@ -310,8 +307,8 @@ class _Work:
             self.meshes.append(replace(mesh, name=label, material=len(self.materials) - 1, radiance=radiance))
             index = len(self.meshes) - 1
             self._paint(index, self.materials[-1], thing.material)
-            self.albedo.add(index)
-            self.roughness.add(index)
+            for painted in self.painted.values():
+                painted.add(index)
         count = sum(len(mesh.faces) for mesh in meshes)
         self.said.append(f"{name} put in ({count} triangles)")
         self.reshaped = True
@@ -335,7 +332,8 @@ class _Work:
 
 
 def _material(part: Part, name: str) -> Material:
-    return Material(name, PrincipledModel(), part.albedo, part.roughness)
+    textures: dict[str, Any] = {**part.textures}
+    return Material(name, PrincipledModel(), **textures)
 
 
 def _free(name: str, taken: set[str]) -> str:

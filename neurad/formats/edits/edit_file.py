@@ -9,6 +9,7 @@ from typing import Any
 import yaml  # type: ignore[import-untyped]
 
 from neurad.core.errors import InputError
+from neurad.core.parameters import BY_NAME, PARAMETERS
 from neurad.core.suggest import nearest
 from neurad.formats.edits.edit import Color, Edit, EnvironmentEdit, LampEdit, MaterialEdit, ObjectEdit, Vector
 from neurad.formats.edits.placement import Placement
@@ -18,8 +19,8 @@ from neurad.runtime.reading import read_text, shown
 
 LAMP = ("scale", "color", "radiance", "move")
 ENVIRONMENT = ("file", "turn", "scale", "color")
-MATERIAL = ("albedo", "roughness")
-OBJECT = ("file", "name", "at", "size", "scale", "turn", "up", "albedo", "roughness", "radiance")
+MATERIAL = tuple(parameter.name for parameter in PARAMETERS)
+OBJECT = ("file", "name", "at", "size", "scale", "turn", "up", *MATERIAL, "radiance")
 _TURN = 1e6  # degrees
 
 
@@ -102,11 +103,13 @@ def _brightness(value: Any, where: str, keys: tuple[str, ...]) -> Mapping[str, A
 
 def _material(value: Any, where: str) -> MaterialEdit:
     given = _mapping(value, where, MATERIAL)
-    roughness = given.get("roughness")
-    return MaterialEdit(
-        _triple(given, "albedo", where, 0.0, 1.0),
-        None if roughness is None else number(roughness, f"{where}: roughness", 0.0, 1.0),
-    )
+    values: dict[str, tuple[float, ...] | None] = {}
+    for name in (name for name in MATERIAL if given.get(name) is not None):
+        one = BY_NAME[name].channels == 1
+        values[name] = (
+            (number(given[name], f"{where}: {name}", 0.0, 1.0),) if one else _triple(given, name, where, 0.0, 1.0)
+        )
+    return MaterialEdit({name: value for name, value in values.items() if value is not None})
 
 
 def _object(value: Any, where: str, folder: Path) -> ObjectEdit:

@@ -11,9 +11,9 @@ from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from neurad.core.records import Bitmap, Constant, FloatArray, IntArray, Material, Texture, VertexAttribute
+from neurad.core.parameters import METALLIC, ROUGHNESS, SurfaceParameter
+from neurad.core.records import Bitmap, Constant, FloatArray, Material, Texture, VertexAttribute, constant
 from neurad.core.reflection import (
-    METAL,
     ConductorModel,
     DielectricModel,
     DiffuseModel,
@@ -22,15 +22,14 @@ from neurad.core.reflection import (
     UnsupportedModel,
 )
 from neurad.formats.gltf.file import Array, GltfFile, Json
-from neurad.formats.gltf.textures import LEVELS, Place, TextureReader, affine_between, look_up
+from neurad.formats.gltf.textures import LEVELS, Place, TextureReader, affine_between
 from neurad.runtime.numbers import RADIANCE
 from neurad.runtime.reading import shown
 
 COLOUR = "colour"
 """The vertex attribute that colours of vertices become."""
-_ONES = Constant(np.ones(3, np.float32))
+_ONES = constant(1.0, 3)
 _LARGEST_INDEX = 100.0
-_SAMPLES = 4096  # of a surface, that the mean of a picture on it is taken over
 _OPAQUE = 254  # of 255: what writers round down to
 _LAYERS = {
     "KHR_materials_clearcoat": "clearcoatFactor",
@@ -39,30 +38,21 @@ _LAYERS = {
     "KHR_materials_anisotropy": "anisotropyStrength",
 }
 """Extensions that change how an opaque surface reflects, and what is 0 where they do not."""
+_PACKED = {ROUGHNESS: 1, METALLIC: 2}
+"""Channels of the picture that has both."""
+_NONE: Json = {"pbrMetallicRoughness": {"metallicFactor": 0.0}}
+"""What a primitive without a material has. By the format it would be metal, which nothing is that nobody described."""
 _OTHERS = ("KHR_materials_unlit", "KHR_materials_pbrSpecularGlossiness")
 
 
 @dataclass(frozen=True)
 class Corners:
-    """What a primitive has at its vertices."""
+    """What a primitive has at its vertices besides places."""
 
-    places: Array
-    """[v, 3]."""
-    faces: IntArray
-    """[f, 3]."""
     uvs: dict[int, Array] = field(default_factory=dict)
     """Sets of texture coordinates [v, 2] by their numbers."""
     colours: Array | None = None
     """Linear [v, 3 or 4]."""
-
-    def mean(self, picture: Array, to_uv: Array, uv_set: int) -> float:
-        """Mean over the surface of a picture of one channel [h, w, 1]."""
-        corner, uv = self.places[self.faces].astype(np.float64), self.uvs[uv_set][self.faces]
-        area = np.linalg.norm(np.cross(corner[:, 1] - corner[:, 0], corner[:, 2] - corner[:, 0]), axis=-1)
-        rng = np.random.default_rng(0)
-        face = np.searchsorted(np.cumsum(area), rng.random(_SAMPLES) * area.sum()).clip(max=len(area) - 1)
-        at = np.einsum("nk,nkc->nc", rng.dirichlet((1, 1, 1), _SAMPLES), uv[face])
-        return float(look_up(picture, to_uv, at).mean())
 
     def of(self, file: GltfFile, uv_set: int, where: str) -> Array:
         """A set of texture coordinates.
@@ -120,8 +110,7 @@ class MaterialReader:
     def _described(self, index: object, where: str) -> tuple[Json, str]:
         """What the file says of a material, and its name in sentences."""
         if index is None:
-            # The specification's default is a metal, which nobody has chosen.
-            return {"pbrMetallicRoughness": {"metallicFactor": 0.0}}, f"the default material of {where}"
+            return _NONE, f"the default material of {where}"
         item = self.file.item("materials", index, where)
         return item, f"material {shown(self.file.name(item, str(index)))}"
 
@@ -168,21 +157,22 @@ class MaterialReader:
         albedo, colours = self._albedo(item, base, factor, corners, about, where)
         if base is not None and colours is not None:
             problems.append("vertex colours over a texture")
-        roughness, metallic, varies = self._roughness(surface, rough, corners, about, where)
-        if varies:
-            problems.append("a texture of metalness")
-        model = self._model(item, albedo, roughness, 0.0 if varies else metallic, about)
+        place = (
+            None if rough is None else self.textures.continued(rough, corners.of(self.file, rough.uv_set, where), where)
+        )
+        roughness, metallic = (self._scalar(surface, parameter, place, about) for parameter in _PACKED)
+        model = self._model(item, albedo, roughness, metallic, about)
         if problems or (problems := self._layers(item, about)):
             if model.is_delta:
                 raise self.file.error(f"{about} is smooth and has {problems[0]}, which is not supported")
             said = f"{about} has {problems[0]}, which is not supported"
-            model = UnsupportedModel(f"glTF with {problems[0]}", str(self.file.error(said)), metallic)
+            model = UnsupportedModel(f"glTF with {problems[0]}", str(self.file.error(said)))
         if model.delta is not None and model.delta.transmits:
             albedo = _ONES
         two_sided = item.get("doubleSided") is True or not self.own
         name = self.file.name(item, "default" if index is None else f"material {shown(index)}")
-        material = Material(name, model, albedo, roughness, two_sided)
-        key = index, _key(albedo), _key(roughness), model.metallic >= METAL
+        material = Material(name, model, albedo, roughness, two_sided, metallic)
+        key = index, _key(albedo), _key(roughness), _key(metallic)
         if key not in self._index:
             self._index[key] = len(self.materials)
             self.materials.append(material)
@@ -209,21 +199,19 @@ class MaterialReader:
             self._pixels[key] = LEVELS[picture[..., :3]] * tint
         return Bitmap(self._pixels[key], matrix.astype(np.float32)), rgb
 
-    def _roughness(
-        self, surface: Json, rough: Place | None, corners: Corners, about: str, where: str
-    ) -> tuple[Texture, float, bool]:
-        """The roughness, the mean of the metalness over the surface, and whether that varies."""
-        metallic = self.file.number(surface, "metallicFactor", 1.0, about, 0.0, 1.0)
-        factor = np.float32(self.file.number(surface, "roughnessFactor", 1.0, about, 0.0, 1.0))
-        if rough is None:
-            return Constant(np.full(1, factor, np.float32)), metallic, False
-        picture, matrix = self.textures.continued(rough, corners.of(self.file, rough.uv_set, where), where)
-        varies = bool(metallic > 0 and np.ptp(picture[..., 2]) > 0)
-        metal = metallic * corners.mean(picture[..., 2:3], matrix, rough.uv_set) / 255.0
-        key = id(picture), "roughness", float(factor)
+    def _scalar(
+        self, surface: Json, parameter: SurfaceParameter, place: tuple[Array, Array] | None, about: str
+    ) -> Texture:
+        """Roughness or metalness: a factor and, where there is a picture, its channel."""
+        factor = np.float32(self.file.number(surface, f"{parameter.gltf}Factor", 1.0, about, 0.0, 1.0))
+        channel = _PACKED[parameter]
+        if place is None or factor == 0 or np.ptp(place[0][..., channel]) == 0:
+            return constant(float(factor if place is None else factor * (place[0][0, 0, channel] / np.float32(255.0))))
+        picture, matrix = place
+        key = id(picture), parameter.name, float(factor)
         if key not in self._pixels:
-            self._pixels[key] = picture[..., 1:2].astype(np.float32) * (factor / np.float32(255.0))
-        return Bitmap(self._pixels[key], matrix.astype(np.float32)), metal, varies
+            self._pixels[key] = picture[..., channel : channel + 1].astype(np.float32) * (factor / np.float32(255.0))
+        return Bitmap(self._pixels[key], matrix.astype(np.float32))
 
     def _check_opaque(self, item: Json, base: Place | None, alpha: float, colours: Array | None, about: str) -> None:
         """Refuse an alpha that lets light through."""
@@ -243,27 +231,27 @@ class MaterialReader:
                 "surface out as geometry, or make it opaque"
             )
 
-    def _model(self, item: Json, albedo: Texture, roughness: Texture, metallic: float, about: str) -> ReflectionModel:
+    def _model(self, item: Json, albedo: Texture, roughness: Texture, metallic: Texture, about: str) -> ReflectionModel:
         """How it reflects."""
         ior = self.file.extension(item, "KHR_materials_ior", about) or {}
         eta = self.file.number(ior, "ior", 1.5, about, 0.0, _LARGEST_INDEX)
         if eta < 1.0:
             raise self.file.error(f"{about}: its ior is {eta:g}, which is not supported; it has to be at least 1")
-        smooth = isinstance(roughness, Constant) and float(roughness.value[0]) == 0.0
+        smooth, dielectric, metal = _is(roughness, 0.0), _is(metallic, 0.0), _is(metallic, 1.0)
         diffuse = self.file.extension(item, "KHR_materials_diffuse_transmission", about) or {}
         if diffuse.get("diffuseTransmissionFactor", 0) != 0:
             raise self.file.error(f"{about} transmits light diffusely, which is not supported")
-        if self._transmits(item, albedo, smooth and metallic == 0.0, about):
+        if self._transmits(item, albedo, smooth and dielectric, about):
             return DielectricModel(eta)
-        if metallic == 1.0 and smooth and isinstance(albedo, Constant):
+        if metal and smooth and isinstance(albedo, Constant):
             return ConductorModel()
         specular = self.file.extension(item, "KHR_materials_specular", about) or {}
-        if metallic == 0.0 and specular.get("specularFactor", 1.0) == 0:
+        if dielectric and specular.get("specularFactor", 1.0) == 0:
             return DiffuseModel()
         if specular.get("specularFactor", 1.0) != 1 or specular.get("specularColorFactor", [1, 1, 1]) != [1, 1, 1]:
             said = f"{about} has a coat of its own (KHR_materials_specular), which is not supported"
-            return UnsupportedModel("glTF with KHR_materials_specular", str(self.file.error(said)), metallic)
-        return PrincipledModel(float(np.round(max(eta, 1.001), 6)), metallic)
+            return UnsupportedModel("glTF with KHR_materials_specular", str(self.file.error(said)))
+        return PrincipledModel(float(np.round(max(eta, 1.001), 6)))
 
     def _transmits(self, item: Json, albedo: Texture, smooth: bool, about: str) -> bool:
         """Whether it is smooth clear glass; all other transmission is refused."""
@@ -297,6 +285,11 @@ class MaterialReader:
             if (layer := self.file.extension(item, name, about)) is not None and layer.get(key, 0) not in (0, [0, 0, 0])
         ]
         return [*found, *(["a map of normals"] if "normalTexture" in item else [])]
+
+
+def _is(texture: Texture, value: float) -> bool:
+    """Whether a texture of one channel has this value everywhere."""
+    return isinstance(texture, Constant) and float(texture.value[0]) == value
 
 
 def _key(texture: Texture) -> object:

@@ -218,7 +218,7 @@ class _Reader:
             used = slice(None)
         else:
             faces = (np.cumsum(used) - 1)[faces]
-        corners = self._corners(attributes, places, faces, used, where)
+        corners = self._corners(attributes, len(places), used, where)
         normals = None
         if "NORMAL" in attributes:
             normals = self._values(attributes, "NORMAL", where, "VEC3")
@@ -245,9 +245,9 @@ class _Reader:
             mesh = replace(plain, name=made, vertices=vertices, faces=wound, normals=turned)
             yield from [mesh] if emission is None else self._lamp(mesh, emission, corners, where)
 
-    def _corners(self, attributes: Json, places: Array, faces: IntArray, used: Any, where: str) -> Corners:
-        """Texture coordinates and colours of the vertices that are used, by whose numbers the triangles are."""
-        uvs, count = dict[int, Array](), len(places)
+    def _corners(self, attributes: Json, count: int, used: Any, where: str) -> Corners:
+        """Texture coordinates and colours of the vertices that are used."""
+        uvs: dict[int, Array] = {}
         for number in range(_SETS):
             if (key := f"TEXCOORD_{number}") in attributes:
                 values = self._values(attributes, key, where, "VEC2").astype(np.float32)
@@ -259,7 +259,7 @@ class _Reader:
             self._check_count(values, count, f"{where}: COLOR_0")
             colours = values[used].astype(np.float32)
             within(colours, f"{shown(self.file.path)}: {where}: COLOR_0", -TEXEL, TEXEL)
-        return Corners(places[used], faces, uvs, colours)
+        return Corners(uvs, colours)
 
     def _check_count(self, values: Array, count: int, where: str) -> None:
         if len(values) != count:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import warnings
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -10,7 +11,8 @@ from typing import Any
 import numpy as np
 
 from neurad.core.errors import InputError
-from neurad.core.records import Bitmap, Constant, Mesh, Texture
+from neurad.core.parameters import ALBEDO, ROUGHNESS
+from neurad.core.records import Bitmap, Constant, Mesh, Texture, constant
 from neurad.formats.gltf.read import ENDINGS as GLTF
 from neurad.formats.gltf.read import read_gltf
 from neurad.formats.meshes.files import KINDS, read_ply_mesh, read_stl
@@ -29,13 +31,13 @@ class Part:
     """One mesh of a thing."""
 
     mesh: Mesh
-    albedo: Texture
-    roughness: Texture
+    textures: Mapping[str, Texture]
+    """By the name of the surface parameter."""
 
 
 def read_object(path: str | Path, where: str) -> list[Part]:
-    """The meshes of a thing in the frame of its file, with albedo and roughness: the colour, its picture and the
-    roughness that the file's materials have, as far as they have them.
+    """The meshes of a thing in the frame of its file, with what the file's materials say of their surface, as far as
+    they do.
 
     Args:
         path: OBJ, glTF, PLY or STL.
@@ -64,19 +66,16 @@ def read_object(path: str | Path, where: str) -> list[Part]:
         raise InputError(f"{where}: {shown(path)} has no triangle")
     for part in parts:
         within(part.mesh.vertices, f"{shown(path)}: the coordinates of {shown(part.mesh.name)}", -LENGTH, LENGTH)
-        for texture in (part.albedo, part.roughness):
+        for name, texture in part.textures.items():
             values = texture.value if isinstance(texture, Constant) else texture.pixels  # type: ignore[union-attr]
-            within(values, f"{shown(path)}: a colour or roughness of {shown(part.mesh.name)}", 0.0, 1.0)
+            within(values, f"{shown(path)}: the {name} of {shown(part.mesh.name)}", 0.0, 1.0)
     return parts
 
 
 def _of_gltf(file: Path) -> list[Part]:
     """The meshes of a glTF file; they do not shine."""
     room = read_gltf(file, lamps=False)
-    return [
-        Part(mesh, room.materials[mesh.material].albedo, room.materials[mesh.material].roughness)
-        for mesh in room.meshes
-    ]
+    return [Part(mesh, room.materials[mesh.material].textures) for mesh in room.meshes]
 
 
 def _part(mesh: Mesh, paint: dict[str, Any]) -> Part:
@@ -84,7 +83,7 @@ def _part(mesh: Mesh, paint: dict[str, Any]) -> Part:
     uvs = mesh.uvs  # in pictures here v runs down, in these files up
     uvs = None if uvs is None else np.stack((uvs[:, 0], 1.0 - uvs[:, 1]), -1).astype(np.float32)
     mesh = replace(mesh, vertices=mesh.vertices.astype(np.float32), uvs=uvs, radiance=None)
-    return Part(mesh, _colour(paint, uvs is not None), Constant(np.full(1, PLAIN, np.float32)))
+    return Part(mesh, {ALBEDO.name: _colour(paint, uvs is not None), ROUGHNESS.name: constant(PLAIN)})
 
 
 def _colour(paint: dict[str, Any], mapped: bool) -> Texture:

@@ -18,7 +18,18 @@ from typing import Any
 import numpy as np
 
 from neurad.core.errors import InputError
-from neurad.core.records import Bitmap, Constant, FloatArray, Material, Texture, VertexAttribute
+from neurad.core.parameters import ALBEDO, METALLIC, PARAMETERS, ROUGHNESS
+from neurad.core.records import (
+    DIELECTRIC,
+    METAL,
+    Bitmap,
+    Constant,
+    FloatArray,
+    Material,
+    Texture,
+    VertexAttribute,
+    constant,
+)
 from neurad.core.reflection import (
     ConductorModel,
     DielectricModel,
@@ -33,11 +44,8 @@ from neurad.formats.mitsuba.textures import TextureReader, Unsupported
 from neurad.runtime.numbers import UNIT, number, within
 from neurad.runtime.reading import native
 
-_GREY = Constant(np.full(3, 0.5, np.float32))
-_BLACK = Constant(np.zeros(3, np.float32))
-_ONES = Constant(np.ones(3, np.float32))
-_HALF = Constant(np.full(1, 0.5, np.float32))
-_SMOOTH = Constant(np.zeros(1, np.float32))
+_GREY, _BLACK, _ONES = constant(0.5, 3), constant(0.0, 3), constant(1.0, 3)
+_HALF, _SMOOTH = constant(0.5), constant(0.0)
 
 _IRRELEVANT = ("diffuse_reflectance_sampling_rate", "main_specular_sampling_rate", "clearcoat_sampling_rate",
                "clearcoat_gloss", "spec_tint", "sheen_tint")  # fmt: skip
@@ -58,7 +66,13 @@ class _Read:
     model: ReflectionModel
     albedo: Texture = _GREY
     roughness: Texture = _SMOOTH
+    metallic: Texture = DIELECTRIC
     two_sided: bool = False
+
+    @property
+    def textures(self) -> dict[str, Texture]:
+        """By the names of surface parameters."""
+        return {parameter.name: getattr(self, parameter.name) for parameter in PARAMETERS}
 
 
 class MaterialReader:
@@ -102,7 +116,7 @@ class MaterialReader:
         """
         key = (-1, int(shines)) if node is None else (node.file_index, node.offset)
         if key not in self._index:
-            default = Material("default", DiffuseModel(), _BLACK if shines else _GREY, _SMOOTH, False)
+            default = Material("default", DiffuseModel(), _BLACK if shines else _GREY, _SMOOTH, two_sided=False)
             material = default if node is None else self._material(node, shape)
             self._index[key] = len(self.materials)
             self.materials.append(material)
@@ -113,13 +127,11 @@ class MaterialReader:
 
     def attributes(self, material: int) -> set[str]:
         """The mesh attributes that a material reads."""
-        described = self.materials[material]
-        return {t.name for t in (described.albedo, described.roughness) if isinstance(t, VertexAttribute)}
+        return {t.name for t in self.materials[material].textures.values() if isinstance(t, VertexAttribute)}
 
     def has_bitmaps(self, material: int) -> bool:
         """Whether a material reads texture coordinates."""
-        described = self.materials[material]
-        return isinstance(described.albedo, Bitmap) or isinstance(described.roughness, Bitmap)
+        return any(isinstance(t, Bitmap) for t in self.materials[material].textures.values())
 
     def _material(self, node: Any, shape: str) -> Material:
         inner = node
@@ -128,10 +140,11 @@ class MaterialReader:
         name = node.props.id() or inner.props.id() or f"{inner.props.plugin_name()} {len(self.materials)}"
         where = f"bsdf {name} of shape {shape}"
         read = self._read(node, where)
-        for what, texture in (("reflectance", read.albedo), ("roughness", read.roughness)):
+        for name_, texture in read.textures.items():
             if isinstance(texture, Constant):  # those that follow from other parameters, too
+                what = "reflectance" if name_ == ALBEDO.name else name_
                 within(texture.value, f"{self.path}: the {what} of {where}", 0.0, UNIT)
-        return Material(name, read.model, read.albedo, read.roughness, read.two_sided)
+        return Material(name, read.model, two_sided=read.two_sided, **read.textures)
 
     def _read(self, node: Any, where: str) -> _Read:
         plugin = node.props.plugin_name()
@@ -147,7 +160,8 @@ class MaterialReader:
             if plugin in _DELTA:
                 raise InputError(str(error)) from error
             label = f"{plugin} with {error.what}" if error.what else plugin
-            return _Read(UnsupportedModel(label, str(error), float(plugin == "roughconductor")), roughness=_HALF)
+            metallic = METAL if plugin == "roughconductor" else DIELECTRIC
+            return _Read(UnsupportedModel(label, str(error)), roughness=_HALF, metallic=metallic)
 
     def _inside(self, node: Any) -> list[Any]:
         return [child for child in self.textures.references(node).values() if child.type.name == "BSDF"]
@@ -160,16 +174,20 @@ class MaterialReader:
         if not isinstance(spec_trans, int | float) or spec_trans != 0.0:
             raise InputError(f"{self.path}: {where} sets spec_trans, which lets light through and is not supported")
         for key in props:
-            known = ("base_color", "roughness", "metallic", "specular", "eta", *_IRRELEVANT)
+            known = (*(parameter.mitsuba for parameter in PARAMETERS), "specular", "eta", *_IRRELEVANT)
             if key not in known and self.textures.number(node, key, where, 0.0, 0.0, _LARGE) != 0.0:
                 raise Unsupported(f"{self.path}: {where} sets {key}, which is not supported (leave it at 0)", key)
         eta = self.textures.number(node, "eta", where, 1.5, 1.0, _LARGE)
         if "specular" in props:
             eta = 2.0 / (1.0 - (0.08 * self.textures.number(node, "specular", where, 0.5, 0.0, 1.0)) ** 0.5) - 1.0
-        metallic = self.textures.number(node, "metallic", where, 0.0, 0.0, 1.0)
-        model = PrincipledModel(float(np.round(max(eta, 1.001), 6)), metallic)
-        albedo = self.textures.texture(node, "base_color", where, _GREY)
-        return _Read(model, albedo, self.textures.texture(node, "roughness", where, _HALF, scalar=True))
+        defaults = {ALBEDO: _GREY, ROUGHNESS: _HALF, METALLIC: DIELECTRIC}
+        textures: dict[str, Any] = {
+            parameter.name: self.textures.texture(
+                node, parameter.mitsuba, where, default, scalar=parameter.channels == 1
+            )
+            for parameter, default in defaults.items()
+        }
+        return _Read(PrincipledModel(float(np.round(max(eta, 1.001), 6))), **textures)
 
     def _diffuse(self, node: Any, where: str) -> _Read:
         return _Read(DiffuseModel(), self.textures.texture(node, "reflectance", where, _GREY))
@@ -180,7 +198,7 @@ class MaterialReader:
         si = self.mi.SurfaceInteraction3f()
         si.wi = self.mi.Vector3f(0.0, 0.0, 1.0)
         weight = bsdf.sample(self.mi.BSDFContext(), si, 0.5, self.mi.Point2f(0.5, 0.5))[1]
-        return _Read(ConductorModel(), Constant(np.array(weight, np.float32)))
+        return _Read(ConductorModel(), Constant(np.array(weight, np.float32)), metallic=METAL)
 
     def _dielectric(self, node: Any, where: str) -> _Read:
         """A smooth dielectric with its refractive index, inside over outside."""
@@ -204,7 +222,7 @@ class MaterialReader:
             raise Unsupported(message, "a refractive index of 1")
         tint = self.textures.texture(node, "specular_reflectance", where, _ONES)
         normal = np.array(model.normal_reflectance, np.float32)
-        return _Read(model, self._scaled(tint, normal, where), _root(alpha))
+        return _Read(model, self._scaled(tint, normal, where), _root(alpha), METAL)
 
     def _rough_plastic(self, node: Any, where: str) -> _Read:
         alpha = self._alpha(node, where)
@@ -240,10 +258,7 @@ class MaterialReader:
         if len(inner) != 1 or inner[0].model.is_delta:
             raise InputError(f"{self.path}: {where} is a {plugin} on a smooth surface, which is not supported")
         reason = f"{self.path}: {where} has type {plugin}, which is not supported"
-        return replace(
-            inner[0],
-            model=UnsupportedModel(f"{inner[0].model.label}, {plugin} ignored", reason, inner[0].model.metallic),
-        )
+        return replace(inner[0], model=UnsupportedModel(f"{inner[0].model.label}, {plugin} ignored", reason))
 
     def _opaque(self, node: Any, where: str) -> _Read:
         known = "principled, diffuse, conductor, dielectric, roughconductor, roughplastic, twosided"
@@ -302,4 +317,4 @@ class MaterialReader:
 
 def _root(alpha: float) -> Constant:
     """The Burley roughness of a GGX width."""
-    return Constant(np.full(1, alpha**0.5, np.float32))
+    return constant(alpha**0.5)

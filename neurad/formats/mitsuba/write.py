@@ -170,10 +170,8 @@ class _Pictures:
 
 
 def _bsdf(material: Material, label: str, name: str, pictures: _Pictures) -> Node:
-    albedo, roughness = (
-        pictures.texture(getattr(material, kind), f"{name}_{kind}") for kind in ("albedo", "roughness")
-    )
-    inner = material.model.mitsuba(albedo, roughness)
+    textures = [pictures.texture(texture, f"{name}_{kind}") for kind, texture in material.textures.items()]
+    inner = material.model.mitsuba(*textures)
     if material.two_sided and not (material.model.delta and material.model.delta.transmits):
         return {"type": "twosided", "id": label, "bsdf": inner}
     return {**inner, "id": label}

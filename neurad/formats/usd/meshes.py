@@ -11,7 +11,6 @@ import numpy.typing as npt
 
 from neurad.core.errors import InputError
 from neurad.core.records import FloatArray, IntArray
-from neurad.core.reflection import METAL
 from neurad.runtime.numbers import LENGTH, RADIANCE, within
 from neurad.runtime.reading import shown
 from neurad.scene.polygons import triangulate_polygons
@@ -168,7 +167,7 @@ def look_of(prim: Any, where: str, time: Any) -> Look | None:
     metal = shader.GetInput("metallic")
     metalness = _value(metal, time)[0] if metal else None
     specular = shader.GetInput("useSpecularWorkflow")
-    is_metal = isinstance(metalness, float) and metalness >= METAL and not (specular and _value(specular, time)[0])
+    is_metal = isinstance(metalness, float) and metalness >= 0.5 and not (specular and _value(specular, time)[0])
     return Look(name, radiance if radiance.any() else None, is_metal, None)
 
 

@@ -12,7 +12,7 @@ import numpy as np
 
 from neurad.core.errors import InputError, Refusals
 from neurad.core.names import apart
-from neurad.core.records import Constant, EnvironmentMap, Material, Mesh, PunctualLight
+from neurad.core.records import METAL, EnvironmentMap, Material, Mesh, PunctualLight, constant
 from neurad.core.reflection import PrincipledModel
 from neurad.formats.gltf.read import in_world
 from neurad.formats.usd.lights import MAX_TRIANGLES, LightReader
@@ -286,14 +286,8 @@ class _Reader:
 
 def _materials() -> tuple[Material, ...]:
     """Of what is painted, of lights, and of metal."""
-
-    def made(name: str, model: PrincipledModel, colour: float, roughness: float) -> Material:
-        return Material(
-            name, model, Constant(np.full(3, colour, np.float32)), Constant(np.full(1, roughness, np.float32))
-        )
-
     return (
-        made("paint", PrincipledModel(), 0.5, 0.5),
-        made("lamps", PrincipledModel(), 0.0, 1.0),
-        made("metal", PrincipledModel(metallic=1.0), 0.5, 0.5),
+        Material("paint", PrincipledModel(), constant(0.5, 3), constant(0.5)),
+        Material("lamps", PrincipledModel(), constant(0.0, 3), constant(1.0)),
+        Material("metal", PrincipledModel(), constant(0.5, 3), constant(0.5), metallic=METAL),
     )

@@ -98,7 +98,7 @@ def checked_scene(scene: Scene, source: Source, emitters: str = "known") -> Chec
         scene = shining_scene(scene, found.lamps)
         for line in found.lines:
             findings.add(Level.NOTE, "lamp", line)
-    for note in (*scene.notes, *filter(None, [scene.scores_are_of, scene.lost_metals])):
+    for note in (*scene.notes, *filter(None, [scene.scores_are_of])):
         findings.add(Level.NOTE, "scene", note)
     world = build_world(scene)
     seen_by = SeenBy.of(world.geometry, world.tracer, scene.train)

@@ -9,6 +9,7 @@ from pathlib import Path
 import numpy as np
 
 from neurad.core.errors import InputError
+from neurad.core.parameters import BY_NAME
 from neurad.core.records import Constant, Material, View
 from neurad.core.reflection import DiffuseModel
 from neurad.scene.builtin.shapes import Point, Solid, look_at, quad
@@ -55,4 +56,7 @@ def with_files(scene: str, bare: Iterable[View]) -> list[View]:
         file = DATA / scene / folder / f"{view.name}.exr"
         return str(file) if file.is_file() else None
 
-    return [replace(v, image=path("images", v), albedo=path("albedo", v), roughness=path("roughness", v)) for v in bare]
+    def maps(view: View) -> dict[str, str]:
+        return {name: file for name in BY_NAME if (file := path(name, view)) is not None}
+
+    return [replace(view, image=path("images", view), maps=maps(view)) for view in bare]

@@ -71,7 +71,7 @@ def _checkpoint(recipe: dict, folder: Path) -> None:
     run = neurad.load(write_run(recipe, folder))
     view = (run.scene.test or run.scene.train)[0]
     surface = run.surface(view)
-    finite("recovered materials", run.albedo(surface), run.roughness(surface))
+    finite("recovered materials", *(run.map(name, surface) for name in run.maps))
     finite("a picture", run.render(view, spp=1))
 
 

@@ -49,9 +49,9 @@ def read_scene(root: Path) -> None:
     for name, buffer in materials.named_buffers():
         if buffer.is_floating_point():
             finite(f"the materials' {name}", buffer)
-    for table, low, high in ((materials.albedo_table, 0.0, 1.0), (materials.roughness_table, 0.0, 1.0)):
-        for values in (table.constant, table.texels):
-            assert values.numel() == 0 or (low <= values.min() and values.max() <= high), "a material outside [0, 1]"
+    for texture in materials.fields.values():
+        for values in (texture.table.constant, texture.table.texels):
+            assert values.numel() == 0 or (values.min() >= 0.0 and values.max() <= 1.0), "a material outside [0, 1]"
     integrator = path_tracer(world, materials, min(scene.max_depth, 4), scene.rr_depth)
     finite("a picture", render(scene.train[0].camera, integrator, 1, 0))
 

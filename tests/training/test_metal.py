@@ -1,0 +1,86 @@
+"""Metal that the files know of is kept in a fit, while base colour and roughness are found."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+import torch
+
+from benchmarks.stress.fit import Fit, Plan, photographs, resized
+from benchmarks.stress.parts import glossy
+from neurad.core.parameters import METALLIC
+from neurad.core.records import DIELECTRIC, METAL, Constant, constant
+from neurad.export.baking import bake_room
+from neurad.export.images import coded
+from neurad.export.progress import Bar
+from neurad.images.image_io import read_bitmap
+from neurad.integrators.aov import MaterialMap
+from neurad.integrators.film import render
+from neurad.metrics.held_out import HeldOut
+from neurad.scene.builtin import build_cornell
+from neurad.scene.textures import TrueMaterials
+
+ALBEDO, ROUGHNESS = 0.6, 0.4
+
+
+def metal_box():
+    """A Cornell box of principled walls, every second of which is of metal."""
+    scene = glossy(resized(build_cornell(), 24))
+    paint = Constant(np.full(3, ALBEDO, np.float32))
+    materials = [
+        replace(m, albedo=paint, roughness=constant(ROUGHNESS), metallic=METAL if i % 2 else DIELECTRIC)
+        for i, m in enumerate(scene.materials)
+    ]
+    return replace(scene, materials=materials)
+
+
+@pytest.fixture(scope="module")
+def kept_and_lost():
+    """Fits of photographs of the room, one that knows its metal and one that takes all for dielectrics."""
+    scene = metal_box()
+    images = photographs(scene, 128)
+    found = []
+    without = replace(scene, materials=[replace(m, metallic=DIELECTRIC) for m in scene.materials])
+    for known in (scene, without):
+        fit = Fit(known, images, Plan(steps=400)).run()
+        si = fit.seen(4096)
+        with torch.no_grad():
+            truth, surface = TrueMaterials(scene, fit.world.geometry)(si), fit.surface(si)
+        metal = truth.metallic.squeeze(-1) > 0
+        off = [(surface.albedo - truth.albedo)[metal], (surface.roughness - truth.roughness)[metal]]
+        found.append((fit, surface, truth, [float(x.square().mean().sqrt()) for x in off]))
+    return found
+
+
+def test_metal_is_kept_and_base_colour_and_roughness_are_found(kept_and_lost):
+    (fit, surface, truth, kept), (_, without, _, lost) = kept_and_lost
+    assert METALLIC in fit.scene.parameters
+    assert torch.equal(surface.metallic, truth.metallic)
+    assert without.metallic is None
+    assert 0.2 < float(truth.metallic.mean()) < 0.8
+    assert kept[0] < 0.06
+    assert kept[0] < 0.5 * lost[0], "a fit that takes metal for a dielectric stains it"
+    assert kept[1] < max(0.1, lost[1])
+    assert [name for name, p in fit.materials.named_parameters() if "metallic" in name] == []
+
+
+def test_maps_of_a_room_with_metal_have_it(kept_and_lost):
+    fit = kept_and_lost[0][0]
+    scene, world = fit.scene, fit.world
+    (maps, *_) = HeldOut(replace(scene, test=scene.train[:1]), world.geometry, world.tracer).predict(fit.materials)
+    assert maps.keys() == {"albedo", "roughness", "metallic"}
+    assert {0.0, 1.0} <= set(np.unique(maps["metallic"]))
+    shown = render(scene.train[0].camera, MaterialMap(world, fit.materials, scene.parameters), 4, 0).numpy()
+    assert shown.shape[-1] == 5
+    np.testing.assert_allclose(shown[..., 4:].mean(), maps["metallic"].mean(), atol=0.02)
+
+
+def test_an_export_has_the_metal(kept_and_lost, tmp_path):
+    pytest.importorskip("xatlas")
+    fit = kept_and_lost[0][0]
+    room = bake_room(fit.training.assembly, 1 << 14, 32, None, Bar())
+    for index, mesh in enumerate(room.scene.meshes):
+        of_metal = fit.scene.meshes[index].material % 2 == 1
+        assert (float(room.scene.materials[mesh.material].metallic.value[0]) > 0.5) == of_metal
+        (tmp_path / "orm.png").write_bytes(coded(room.baked[index].maps, "exact").orm)
+        assert (read_bitmap(tmp_path / "orm.png")[..., 2] > 0.5).all() == of_metal
