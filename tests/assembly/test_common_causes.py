@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
-from helpers.lamp_room import Photographs
+from helpers.lamp_room import EVERYWHERE, Photographs, lamp_room, photographed
 
 from neurad.assembly.build import build_world
 from neurad.assembly.common_causes import common_causes
@@ -14,6 +14,7 @@ from neurad.evidence.shading import transport
 from neurad.evidence.shared_errors import shared_errors
 from neurad.images.photographs import read_photograph
 from neurad.scene import builtin
+from neurad.scene.builtin.shapes import look_at
 
 SEED = 3
 
@@ -73,6 +74,16 @@ def test_places_and_exposures_have_the_right_size(kitchen):
     logo = shared_errors(world, cameras, source(marked(pictures)))
     assert logo.border == {}
     assert logo.marked == pytest.approx(30 * 60 / 256**2, rel=0.3)
+
+
+def test_the_other_side_of_a_sheet_is_another_surface():
+    """A camera in a closed box photographs its dark inside: no other exposure of what others show of the outside."""
+    inside = look_at((0.4, -0.8, -0.3), (0.4, -0.6, 0.0), 90.0, 28)
+    scene = lamp_room(cameras=(*EVERYWHERE, inside))
+    shown = photographed(scene, 64).pixels.reshape(-1, 28, 28, 3).numpy()
+    assert shown[-1].max() == 0.0
+    found = shared_errors(build_world(scene), [view.camera for view in scene.train], source(shown))
+    assert found.spread.value == pytest.approx(0.0, abs=0.05)
 
 
 def test_light_that_was_added_is_told_from_none(kitchen):
