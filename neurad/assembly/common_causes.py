@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 
+import numpy as np
 import torch
 from torch import Tensor
 
@@ -18,6 +19,7 @@ from neurad.evidence.shared_errors import (
     LEAST_VIEWS,
     MATTERS,
     Develop,
+    Estimate,
     SharedErrors,
     brightness_of,
     shared_errors,
@@ -27,6 +29,8 @@ from neurad.integrators.world import World
 
 OPEN = 0.01
 """Fraction of directions that leave the scene from which on a sky may be what was added."""
+CURVES = 0.4, 2.6
+"""Powers that response curves have, or what undoes them."""
 LEAST_EDGES = 100
 """Places along edges below which a view says nothing of zoom and turn."""
 
@@ -115,7 +119,7 @@ def _of_places(found: SharedErrors) -> list[str]:
     if found.border:
         sides = ", ".join(f"{side} {100 * part:.0f} %" for side, part in found.border.items())
         said.append(f"all photographs have a border ({sides} of the picture) that shows nothing of the scene: mask it")
-    elif found.has_mark:
+    elif found.marked:
         said.append(
             f"all photographs have the same mark in {100 * found.marked:.1f} % of the picture, whatever lies behind: a "
             "watermark, dust or a part of the camera's mount; mask it"
@@ -151,7 +155,7 @@ def _of_light(light: Transport, scale_known: bool) -> list[str]:
             f"no surface in any photograph is darker than {100 * light.floor:.0f} % of their mean, and dark places are "
             f"brighter than the scene's light makes them: {', '.join(causes[:-1])} or {causes[-1]}; these look alike"
         ]
-    among = (0.4, 1.0) if flat else (1.0, 2.6)
+    among = (CURVES[0], 1.0) if flat else (1.0, CURVES[1])
     power = minimize_scalar(lambda p: (light.slope(p).value - 1.0) ** 2, bounds=among, options={"xatol": 0.02}).x
     causes = [f"a response curve that was not taken back (gamma, about {power:.1f})"]
     causes += (["light that is missing in the scene, such as a sky"] if flat and open_ else []) + lamps
@@ -173,14 +177,15 @@ def _or_lamps(shown: Transport, declared: Transport, power: float | None, offset
     """
     from scipy.special import chdtri  # imported where it is needed: it loads slowly
 
-    said, decided = [], float(chdtri(1, CHANCE))
+    said, decided, others = [], float(chdtri(1, CHANCE)), dict[str, Estimate]()
     of_lamps = shown.slope().off(1.0)
-    share = None if offset is None else offset / float(declared.photographed.mean())
-    curve = "a response curve that was not taken back (gamma, about {:.2f})"
-    others = [] if power is None else [(curve.format(power), declared.slope(power))]
-    if share is not None and share < (1.0 + MATTERS) * declared.floor:
-        others.append(("haze or a black offset", declared.slope(offset=share)))
-    for what, slope in others:
+    if power and CURVES[0] < power < CURVES[1]:
+        curve = f"a response curve that was not taken back (gamma, about {power:.2f})"
+        others[curve] = declared.slope(power)
+    share = (offset or np.inf) / declared.photographed.mean()
+    if share < (1.0 + MATTERS) * declared.floor:
+        others["haze or a black offset"] = declared.slope(offset=share)
+    for what, slope in others.items():
         if (worse := slope.off(1.0) - of_lamps) < decided:
             how = "better than" if worse < -decided else "as well as"
             said.append(f"{what} explains all photographs {how} lamps of another radiance do")

@@ -41,7 +41,7 @@ MATTERS = 0.1
 MEASURES = 4
 """Edges, the fall towards corners, exposures, and light."""
 MARKS = 3
-"""Places of the picture that make a mark."""
+"""Places of the picture from which on something in all photographs is a mark, such as a watermark."""
 EDGE = 0.8
 """Part of an outermost row or column that has to be marked for it to be a border."""
 _PARTNERS = 4  # other views of a point: those that see it from the nearest directions, where highlights differ least
@@ -52,14 +52,8 @@ _ALIKE = 0.1
 
 
 def bound(error: Any, units: Any, trials: float = MEASURES, matters: float = MATTERS) -> Any:
-    """The size from which on an effect is taken for one: by Student's t, of all trials together with a probability of
-    :data:`CHANCE` (Bonferroni), and if it is one that matters.
-
-    Args:
-        error: its standard error.
-        units: independent ones, that the error is over.
-        trials: how many effects are looked for.
-        matters: the size below which it does not matter.
+    """The size from which on an effect counts: it matters and, by Student's t of an error over independent units, one of
+    all trials or more passes by chance with a probability of :data:`CHANCE` (Bonferroni).
     """
     from scipy.special import stdtrit  # imported where it is needed: it loads slowly
 
@@ -71,9 +65,9 @@ class Estimate(NamedTuple):
 
     value: float
     error: float
-    """Its standard error."""
+    """Its standard error ..."""
     units: int
-    """Independent ones, that this is over."""
+    """... over so many independent ones."""
 
     def off(self, usual: float) -> float:
         """Squared distance from the usual one in standard errors, twice the logarithm of a ratio of likelihoods."""
@@ -97,13 +91,6 @@ class SharedErrors:
     fraction of the picture."""
     marked: float
     """Fraction of the rest of the picture where all photographs differ from what lies behind in the same way."""
-    marks: int
-    """Places that this is of."""
-
-    @property
-    def has_mark(self) -> bool:
-        """Whether there is something in all pictures, such as a watermark, besides a border."""
-        return self.marks >= MARKS
 
 
 @dataclass(frozen=True)
@@ -182,16 +169,12 @@ def shared_errors(
         gains, slopes = _solved(kept, len(cameras))
         marked = _marked(pairs, pairs.value - _model(pairs, gains, slopes), marked)
     kept = pairs[~marked[pairs.cell] & ~marked[pairs.other]]
-    gains, slopes, reach, error, gain_error = _judged(kept, len(cameras))
-    seen = np.bincount(kept.a, minlength=len(cameras)) > 0
+    falloff, spread = _judged(kept, len(cameras))
     picture, known = marked.reshape(size), np.bincount(pairs.cell, minlength=len(marked)).reshape(size) > 0
     border, rest = _border(picture, known)
     inside = known & rest
     marks = int((picture & inside).sum())
-    falloff, spread = (
-        Estimate(*x, views) for x in ((float(reach @ slopes), error), (float(gains[seen].std()), gain_error))
-    )
-    return SharedErrors(falloff, spread, border, marks / max(int(inside.sum()), 1), marks)
+    return SharedErrors(falloff, spread, border, marks / int(inside.sum()) if marks >= MARKS else 0.0)
 
 
 def _pairs(
@@ -384,8 +367,8 @@ def _solved(pairs: _Pairs, views: int) -> tuple[Array, Array]:
     return gains, slopes
 
 
-def _judged(pairs: _Pairs, views: int) -> tuple[Array, Array, Array, float, float]:
-    """Gains, slopes, what the falloff is taken at [2], its standard error over views, and that of one gain."""
+def _judged(pairs: _Pairs, views: int) -> tuple[Estimate, Estimate]:
+    """The falloff and the spread of gains."""
     gains, slopes = _solved(pairs, views)
     residual = pairs.value - _model(pairs, gains, slopes)
     left, right = _normal(pairs, _weights(residual), views)
@@ -398,13 +381,14 @@ def _judged(pairs: _Pairs, views: int) -> tuple[Array, Array, Array, float, floa
         kept[view] = False
         mask = np.outer(kept, kept)
         found.append(float(reach @ _solution(left * mask[..., None, None], right * mask[..., None])[1]))
-    error = float(np.sqrt((len(used) - 1) * np.var(found)))
+    error = float(np.sqrt((len(used) - 1) * np.var(found)))  # jackknife
     # A gain's error is that of the means over pairs of views: what they disagree in.
     n = left[..., 0, 0]
     mean = (right[..., 0] - left[..., 0, 1:] @ slopes) / np.maximum(n, 1e-12) - (gains[:, None] - gains[None])
     squares, total = (n**2 * mean**2).sum(1) + (n**2 * mean**2).sum(0), n.sum(1) + n.sum(0)
     errors = np.sqrt(squares[used]) / np.maximum(total[used], 1e-12)
-    return gains, slopes, reach, error, float(np.sqrt(np.mean(errors**2)))
+    spread = Estimate(float(gains[used].std()), float(np.sqrt(np.mean(errors**2))), len(used))
+    return Estimate(float(reach @ slopes), error, len(used)), spread
 
 
 # ---- places of the picture where all photographs have the same

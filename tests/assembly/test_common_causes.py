@@ -61,7 +61,7 @@ def test_places_and_exposures_have_the_right_size(kitchen):
     assert bare.falloff.value == pytest.approx(0.0, abs=0.04)
     assert bare.spread.value < 0.05
     assert bare.border == {}
-    assert not bare.has_mark
+    assert bare.marked == 0.0
     log = np.random.default_rng(1).permutation(np.linspace(-0.5, 0.5, len(pictures)))
     falloff = np.exp(-0.5 * corners(256))[..., None]
     worse = shared_errors(world, cameras, source(pictures * np.exp(log)[:, None, None, None] * falloff))
