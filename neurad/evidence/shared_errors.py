@@ -52,8 +52,8 @@ _ALIKE = 0.1
 
 
 def bound(error: Any, units: Any, trials: float = MEASURES, matters: float = MATTERS) -> Any:
-    """The size from which on an effect counts: it matters and, by Student's t of an error over independent units, one of
-    all trials or more passes by chance with a probability of :data:`CHANCE` (Bonferroni).
+    """The size from which on an effect counts: it matters, and by Student's t of an error over independent units any of
+    all trials passes by chance with a probability of :data:`CHANCE` (Bonferroni).
     """
     from scipy.special import stdtrit  # imported where it is needed: it loads slowly
 
