@@ -16,7 +16,7 @@ from lightning.pytorch.loggers import TensorBoardLogger
 from neurad.callbacks import pictures, report
 from neurad.callbacks.board import Board
 from neurad.callbacks.checkpoint import LastCheckpoint
-from neurad.callbacks.closing import Shown, print_closing, report_run, settings_of, title_of
+from neurad.callbacks.closing import LastEvaluation, print_closing, report_run, settings_of, title_of
 from neurad.callbacks.lamps import lamps_table, write_lamps
 from neurad.callbacks.run_folder import run_folder
 from neurad.callbacks.table import MetricsTable, curve_table, score_table
@@ -39,7 +39,7 @@ if TYPE_CHECKING:
 
 MARKS = 20
 """Evaluations in a run, if the allowed fraction of time is enough for them."""
-LEAST_STEPS = 500
+MIN_STEPS = 500
 """Iterations between two evaluations of a run that only its steps limit: a try of a few hundred took nine times as long
 as its steps did."""
 
@@ -48,7 +48,7 @@ class Evaluate(pl.Callback):
     """Evaluates on the held-out views: during a fit, at its end, and for ``validate``, ``test`` and ``predict``.
 
     A run that only ``max_steps`` limits evaluates every ``max_steps // 20`` iterations, so that it is repeatable, but
-    at least :data:`LEAST_STEPS` apart. One limited by time evaluates at every twentieth of its length, as long as that
+    at least :data:`MIN_STEPS` apart. One limited by time evaluates at every twentieth of its length, as long as that
     keeps to ``fraction``. Large held-out views are then scored at fewer positions in a pixel and in fewer pixels, see
     :mod:`neurad.metrics.effort`.
 
@@ -86,7 +86,7 @@ class Evaluate(pl.Callback):
         self._views: ViewTable | None = None
         self._board: Board | None = None
         self._logs = True
-        self._shown: Shown | None = None
+        self._last_evaluation: LastEvaluation | None = None
         self._causes: list[str] = []
         """What is wrong with all training photographs, at the end of a fit."""
 
@@ -162,7 +162,7 @@ class Evaluate(pl.Callback):
         if trainer.is_global_zero and scores:
             table = _table(module, scores, self.spp, steady=True)
             print("\n" + "\n\n".join(t for t in (table, lamps_table(module, scores), curve_table(rows)) if t) + "\n")
-            unseen = None if self._shown is None else self._shown.unseen
+            unseen = None if self._last_evaluation is None else self._last_evaluation.unseen
             print_closing(trainer, folder, scores, unseen, tested=False, causes=self._causes)
 
     def on_validation_epoch_end(self, trainer: pl.Trainer, pl_module: pl.LightningModule) -> None:
@@ -184,7 +184,7 @@ class Evaluate(pl.Callback):
         if folder is not None:
             _write_views(folder, evaluation, module)
             report_run(trainer, folder, evaluation, unseen, f"{self.test_spp} samples per pixel", tested=True)
-            about = {"iteration": module.iteration, "seconds": round(module.seconds_before, 2), "rays": module.rays}
+            about = {"iteration": module.iteration, "seconds": round(module.spent.seconds, 2), "rays": module.rays}
             about["samples"] = module.samples
             scores = {key: as_json(value) for key, value in evaluation.scores.items()}
             text = json.dumps({**about, "render_spp": self.test_spp, **scores}, indent=2)
@@ -207,7 +207,7 @@ class Evaluate(pl.Callback):
             return False  # the end is scored after the last fit of the levels' factors
         every = self.every_n_steps
         if every is None and trainer.max_steps > 0 and fraction_done(trainer).by_time is None:
-            every = max(trainer.max_steps // MARKS, LEAST_STEPS)
+            every = max(trainer.max_steps // MARKS, MIN_STEPS)
         if every is not None:
             return bool(module.iteration % every == 0)
         mark = self._mark_of(trainer)
@@ -215,7 +215,7 @@ class Evaluate(pl.Callback):
         if mark < max(self._mark + 1, 2 * self._mark if self._first else 0) or self.fraction <= 0:
             return False
         self._mark = mark
-        return bool(self._spent + self._last <= self.fraction * module.train_seconds)
+        return bool(self._spent + self._last <= self.fraction * module.spent.seconds)
 
     @staticmethod
     def _mark_of(trainer: pl.Trainer) -> int:
@@ -251,13 +251,13 @@ class Evaluate(pl.Callback):
         folder = run_folder(trainer)
         if folder is None:
             return
-        spent = {"seconds": module.train_seconds, "rays": module.rays, "samples": module.samples}
+        spent = {"seconds": module.spent.seconds, "rays": module.rays, "samples": module.samples}
         MetricsTable(folder / "metrics.csv").append({"iteration": module.iteration, **spent, **evaluation.scores})
         maps = evaluation.maps
         kept = replace(evaluation, maps=maps[: max(self.pictures, report.VIEWS)])
-        self._shown = Shown(kept, Unseen.of(maps).summary())
+        self._last_evaluation = LastEvaluation(kept, Unseen.of(maps).summary())
         if board := self._board_of(trainer, module):
-            board.scores(evaluation.scores, module.iteration, module.train_seconds)
+            board.scores(evaluation.scores, module.iteration, module.spent.seconds)
             board.lamps(module, module.iteration)
             board.sheets(maps[: self.pictures], evaluation.exposure, module.iteration)
             if evaluation.environment:
@@ -270,9 +270,9 @@ class Evaluate(pl.Callback):
         """
         folder = run_folder(trainer)
         bars = error_bars_of(module, folder)
-        if self._shown is None or folder is None:
+        if self._last_evaluation is None or folder is None:
             return
-        evaluation, unseen = self._shown.evaluation, self._shown.unseen
+        evaluation, unseen = self._last_evaluation.evaluation, self._last_evaluation.unseen
         if bars is not None:
             for view, found in zip(evaluation.maps, module.scoring.bar_maps(bars), strict=False):
                 view |= found
@@ -297,8 +297,8 @@ class Evaluate(pl.Callback):
             return
         self._views = self._views or ViewTable([view.name for view in module.scene.train], views.surface)
         self._views.update(run_folder(trainer), module.iteration, residuals)
-        if module.development is not None:
-            write_exposures(run_folder(trainer), module.scene.train, module.development, module.iteration)
+        if module.assembly.development is not None:
+            write_exposures(run_folder(trainer), module.scene.train, module.assembly.development, module.iteration)
 
 
 def error_bars_of(module: InverseRenderer, folder: Path | None) -> ErrorBars | None:

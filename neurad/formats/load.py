@@ -10,6 +10,7 @@ from typing import TypeVar
 import numpy as np
 
 from neurad.core.errors import InputError
+from neurad.core.records import Float64Array
 from neurad.core.suggest import did_you_mean
 from neurad.formats.cameras.nerf import HOLD_OUT, Split
 from neurad.images.development import KNOWN, Photography, developed
@@ -18,7 +19,7 @@ from neurad.runtime.progress import phase
 from neurad.runtime.reading import exists, in_other_case, regular_file, shown
 from neurad.runtime.reading import folder as existing_folder
 from neurad.scene.description import Scene
-from neurad.scene.origin import ZERO, Array, moved_views, near, origin_of
+from neurad.scene.origin import ZERO, moved_views, near, origin_of
 from neurad.scene.panes import pane_note
 
 T = TypeVar("T")
@@ -31,13 +32,13 @@ RELIGHT = "env_relight.exr"
 """Map that lights the photographs named by ``relight_path``; it replaces the scene's own, in the same frame."""
 
 
-def _mitsuba(path: Path, origin: Array) -> Scene:
+def _mitsuba(path: Path, origin: Float64Array) -> Scene:
     from neurad.formats.mitsuba.read import read_xml
 
     return read_xml(path, origin)
 
 
-def _gltf(path: Path, origin: Array) -> Scene:
+def _gltf(path: Path, origin: Float64Array) -> Scene:
     from neurad.formats.gltf.gltf_scene import read_scene
 
     return near(read_scene(path), origin)
@@ -61,7 +62,7 @@ def _cameras_alone(folder: Path, hold_out: int, pictures: bool) -> Split:
     return Split([], read_cameras(folder / CAMERAS, FILM))
 
 
-SCENE_FILES: dict[str, Callable[[Path, Array], Scene]] = {
+SCENE_FILES: dict[str, Callable[[Path, Float64Array], Scene]] = {
     "scene.xml": _mitsuba,
     "scene.glb": _gltf,
     "scene.gltf": _gltf,
@@ -152,7 +153,7 @@ def read_folder(root: str | Path, hold_out: int = HOLD_OUT, photography: Photogr
     return _developed(replace(surfaces, train=train, test=test), photography)
 
 
-def _near_origin(read: Callable[[Path, Array], Scene], file: Path) -> Scene:
+def _near_origin(read: Callable[[Path, Float64Array], Scene], file: Path) -> Scene:
     """Surfaces of a file, moved near the origin of their coordinates where they lie far from it."""
     surfaces = read(file, ZERO)
     origin = origin_of(surfaces.meshes)

@@ -174,9 +174,9 @@ def test_waiting_for_a_processor_that_something_else_has_is_noticed():
 
 
 def test_the_end_of_a_fit_says_what_it_got_of_a_busy_processor():
-    module = SimpleNamespace(iteration=285, training_views=None, seconds_before=240.2, processor_share=0.28)
+    module = SimpleNamespace(iteration=285, spent=SimpleNamespace(seconds=240.2, processor_share=0.28))
     assert busy(module).startswith("285 iterations in 240 s: the fit got 28 % of the processor time that it asked for")
-    assert busy(SimpleNamespace(processor_share=0.88)) == ""
+    assert busy(SimpleNamespace(spent=SimpleNamespace(processor_share=0.88))) == ""
 
 
 def test_the_first_evaluation_counts_for_what_the_second_takes():
@@ -195,12 +195,12 @@ def test_the_first_evaluation_counts_for_what_the_second_takes():
 def test_when_evaluations_are_due(monkeypatch):
     """The second one as long after the first as that was after the start, the others as time allows."""
     callback, now = Evaluate(fraction=0.2), {"mark": 0}
-    module = SimpleNamespace(iteration=0, train_seconds=0.0)
+    module = SimpleNamespace(iteration=0, spent=SimpleNamespace(seconds=0.0))
     trainer = SimpleNamespace(max_steps=-1, callbacks=[], global_step=0)
     monkeypatch.setattr(Evaluate, "_mark_of", staticmethod(lambda _: now["mark"]))
     due: list[int] = []
     for mark in range(20):  # of 12 seconds each; the first evaluation ends at the second mark
-        now["mark"], module.train_seconds = mark, 12.0 * mark
+        now["mark"], module.spent.seconds = mark, 12.0 * mark
         if callback._due(trainer, module):
             callback._count(8.0 if due else 30.0)
             due.append(mark)

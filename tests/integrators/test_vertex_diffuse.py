@@ -165,7 +165,9 @@ def test_a_checkpoint_of_other_inputs_is_refused(monkeypatch):
     module.on_save_checkpoint(checkpoint)
     module.on_load_checkpoint(checkpoint)
     assert checkpoint["neurad"]["radiance_inputs"] == ["faceforward"]
-    module.radiance.inputs = ("normal",)  # as large as "faceforward", so that the shapes of the weights do not differ
+    module.assembly.radiance.inputs = (
+        "normal",
+    )  # as large as "faceforward", so that the shapes of the weights do not differ
     with pytest.raises(InputError, match=r"--ckpt_path: .*\['faceforward'\].*\['normal'\]"):
         module.on_load_checkpoint(checkpoint)
 
@@ -232,7 +234,7 @@ def test_a_run_with_rounded_networks_learns():
     si = Fit(scene, images).seen(500)
     truth = Lab(scene).materials.albedo(si)
     with torch.no_grad():
-        error = float((module.materials.albedo(si) - truth).abs().mean())
+        error = float((module.assembly.materials.albedo(si) - truth).abs().mean())
     assert error < 0.7 * float((0.5 - truth).abs().mean())
     assert all(p.dtype == torch.float32 for p in module.parameters())
 

@@ -13,7 +13,7 @@ import numpy as np
 import numpy.typing as npt
 
 from neurad.core.errors import InputError, Refusals
-from neurad.core.names import apart
+from neurad.core.names import make_unique
 from neurad.core.parameters import BY_NAME
 from neurad.core.records import Camera, Development, FloatArray, View
 from neurad.formats.cameras.intrinsics import Kept, Size, camera_of, rigid
@@ -110,7 +110,7 @@ def told_apart(views: Sequence[View]) -> list[View]:
     made = []
     for view in views:
         name = view.name if alike[view.name] == 1 else f"{Path(str(view.image)).parent.name}_{view.name}"
-        made.append(replace(view, name=apart(name, taken, "_")))
+        made.append(replace(view, name=make_unique(name, taken, "_")))
     return made
 
 
