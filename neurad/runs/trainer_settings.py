@@ -21,6 +21,7 @@ RANGES: dict[str, Any] = {
     "fast_dev_run": CountOrZero,
     "max_steps": Annotated[int, Range(-1, 2**62)],
     "min_steps": CountOrZero | None,
+    "log_every_n_steps": Count | None,
 }
 """Ranges of the trainer's numbers; -1 steps are no limit."""
 OURS = {"max_epochs": -1, "num_sanity_val_steps": 0, "enable_model_summary": False}

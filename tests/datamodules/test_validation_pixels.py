@@ -5,6 +5,7 @@ import torch
 from helpers.tiny_scene import SIZE, write_scene
 
 from datamodules.scene_data import SceneData
+from datamodules.settings import DataSettings
 from neurad.core.patch_sampler import PatchSampler, validation_pixels
 
 VIEWS = 5
@@ -17,7 +18,7 @@ def folder(tmp_path):
 
 
 def ready(folder, **settings):
-    data = SceneData(str(folder), validation_pixels=0.1, **settings)
+    data = SceneData(DataSettings(str(folder), validation_pixels=0.1, **settings))
     data.setup("fit")
     return data
 
@@ -50,7 +51,7 @@ def test_streamed_photographs_leave_out_the_same_ones(folder):
 
 
 def test_without_any_everything_stays_as_it_was(folder):
-    data = SceneData(str(folder))
+    data = SceneData(DataSettings(str(folder)))
     data.setup("fit")
     assert data.validation_batch() is None
     sizes = [(SIZE, SIZE)] * VIEWS
