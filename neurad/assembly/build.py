@@ -16,9 +16,9 @@ from neurad.assembly.lighting import (
     unknown_environment,
     unknown_lamps,
 )
+from neurad.assembly.model_settings import ModelSettings
 from neurad.assembly.region import Region, training_region
 from neurad.assembly.resolution import finest_cells, resolve_finest
-from neurad.assembly.settings import ModelSettings
 from neurad.bsdf.table import make_bsdf
 from neurad.core.parameters import ALBEDO, ROUGHNESS, SurfaceParameter, recovered
 from neurad.core.protocols import Emitter

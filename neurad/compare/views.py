@@ -12,7 +12,7 @@ from neurad.compare.runs import Run
 from neurad.core.errors import InputError
 from neurad.core.parameters import BY_NAME
 from neurad.core.records import BoolArray, FloatArray, View
-from neurad.formats.cameras.nerf import HOLD_OUT
+from neurad.formats.cameras import HOLD_OUT
 from neurad.formats.load import load_scene
 from neurad.images.development import Photography
 from neurad.images.image_io import read_bitmap, read_exr

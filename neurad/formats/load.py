@@ -12,7 +12,8 @@ import numpy as np
 from neurad.core.errors import InputError
 from neurad.core.records import Float64Array
 from neurad.core.suggest import did_you_mean
-from neurad.formats.cameras.nerf import HOLD_OUT, Split
+from neurad.formats.cameras import HOLD_OUT
+from neurad.formats.cameras.nerf import Split
 from neurad.images.development import KNOWN, Photography, developed
 from neurad.images.picture_notes import say_pictures
 from neurad.runtime.progress import phase

@@ -8,19 +8,18 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Any, Literal
 
 import numpy as np
 
 from neurad.core.errors import InputError
-from neurad.core.ranges import Range, checked
+from neurad.core.ranges import Ceiling, checked
 from neurad.core.records import View
 from neurad.images.image_io import opened
 from neurad.images.photographs import CODED, colour_profile, largest_code
 from neurad.images.response import FIT, check_response
 from neurad.runtime.reading import listed, native, regular_file
 
-Ceiling = Annotated[float, Range(0.0, 1e18, above=True)]
 JPEG_CEILING = 250.0 / 255.0
 """Compression moves what is clipped by some codes, so that of JPEG files begins below the largest."""
 _EXIF, _TIME, _APERTURE, _SPEED = 0x8769, 0x829A, 0x829D, 0x8827

@@ -17,8 +17,8 @@ from torch import Tensor
 
 from neurad.assembly.build import Assembly, FittedMaterials, assemble
 from neurad.assembly.lighting import lit_scene
+from neurad.assembly.model_settings import ModelSettings
 from neurad.assembly.relight import in_other_light
-from neurad.assembly.settings import ModelSettings
 from neurad.checkpoints.file import read_checkpoint
 from neurad.checkpoints.find import named_checkpoint, newest_checkpoint, run_folder_of
 from neurad.checkpoints.state import changed_light, fitted_lamps, fitting
@@ -29,7 +29,7 @@ from neurad.evidence.bar_maps import bars_at
 from neurad.evidence.bars_file import NAME, read_bars
 from neurad.evidence.error_bars import ErrorBars
 from neurad.fields.radiance import RadianceField
-from neurad.formats.cameras.nerf import HOLD_OUT
+from neurad.formats.cameras import HOLD_OUT
 from neurad.formats.load import load_scene
 from neurad.images.development import Photography
 from neurad.integrators.film import render

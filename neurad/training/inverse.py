@@ -5,7 +5,7 @@ from __future__ import annotations
 import sys
 from dataclasses import asdict
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import lightning as L
 import torch
@@ -13,17 +13,13 @@ from lightning.pytorch.strategies import DDPStrategy
 from torch import Tensor
 
 from neurad.assembly.build import Assembly, assemble
+from neurad.assembly.model_settings import ModelSettings
 from neurad.assembly.relight import in_other_light, sentence_of_light
-from neurad.assembly.settings import Lighting, ModelSettings, Objective, Optimization, Sampling
 from neurad.checkpoints.state import changed_light, check_photographs, fitted_lamps, fitting, scene_state
 from neurad.core.errors import InputError
 from neurad.core.protocols import PhotoSource
-from neurad.core.ranges import Seed
 from neurad.core.records import PixelBatch
 from neurad.evidence.error_bars import ErrorBars
-from neurad.fields.settings import FieldConfig, RadianceConfig, RoughnessConfig
-from neurad.integrators.method import Method
-from neurad.integrators.radiometric import Radiometric
 from neurad.metrics.effort import EvaluationResolution
 from neurad.optim.pyramid_adam import PyramidAdam
 from neurad.optim.sparse_row_adam import SparseRowAdam
@@ -50,18 +46,7 @@ class InverseRenderer(L.LightningModule):
     iteration does stands in :class:`neurad.training.step.TrainingStep`.
 
     Args:
-        albedo: size of the albedo field.
-        roughness: size of the roughness field.
-        radiance: size and inputs of the radiance field; a method without one leaves it out.
-        sampling: numbers of samples.
-        objective: terms of the loss.
-        optimization: learning rates and schedule.
-        tracer: what casts rays: ``embree``, ``open3d`` or ``warp``.
-        seed: of every random decision of the training.
-        method: how reflected light and its derivative are estimated; None is the paper's, one bounce and then the
-            radiance field.
-        lighting: what is known of the light.
-        materials: ``fit`` recovers albedo and roughness, ``known`` takes the scene's own and trains no material.
+        settings: all under ``model``.
     """
 
     assembly: Assembly
@@ -69,26 +54,10 @@ class InverseRenderer(L.LightningModule):
     step: TrainingStep
     """Set when a fit starts."""
 
-    def __init__(
-        self,
-        albedo: FieldConfig,
-        roughness: RoughnessConfig,
-        radiance: RadianceConfig,
-        sampling: Sampling = Sampling(),
-        objective: Objective = Objective(),
-        optimization: Optimization = Optimization(),
-        tracer: str = "embree",
-        seed: Seed = 0,
-        method: Method | None = None,
-        lighting: Lighting = Lighting(),
-        materials: Literal["fit", "known"] = "fit",
-    ) -> None:
+    def __init__(self, settings: ModelSettings) -> None:
         super().__init__()
         self.automatic_optimization = False
-        method = Radiometric() if method is None else method
-        self.settings = ModelSettings(
-            albedo, roughness, radiance, sampling, objective, optimization, lighting, method, materials, tracer, seed
-        )
+        self.settings = settings
         self.counters = Counters()
         self.spent = Spent()
         self.processes = 1

@@ -8,7 +8,7 @@ from pathlib import Path
 import torch
 
 from neurad.assembly.lighting import lit_scene
-from neurad.assembly.settings import ModelSettings
+from neurad.assembly.model_settings import ModelSettings
 from neurad.checkpoints.file import read_checkpoint
 from neurad.core.protocols import PhotoSource
 from neurad.lamps.find import Found, find_lamps

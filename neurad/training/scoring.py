@@ -8,7 +8,7 @@ import torch
 
 from neurad.assembly.build import Assembly, FittedMaterials
 from neurad.assembly.common_causes import common_causes
-from neurad.assembly.settings import ModelSettings
+from neurad.assembly.model_settings import ModelSettings
 from neurad.core.errors import InputError
 from neurad.core.protocols import PhotoSource
 from neurad.core.records import Float64Array, FloatArray

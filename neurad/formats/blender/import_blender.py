@@ -17,7 +17,8 @@ from neurad.formats.blender.lamp_masks import mask_of
 from neurad.formats.blender.process import find_blender
 from neurad.formats.blender.read import ROOM, TOWARDS_X, BlenderRoom, read_blender, read_world
 from neurad.formats.blender.script import write_room_path
-from neurad.formats.cameras.nerf import HOLD_OUT, Split
+from neurad.formats.cameras import HOLD_OUT
+from neurad.formats.cameras.nerf import Split
 from neurad.formats.cameras.photograph_files import Photographs
 from neurad.formats.import_room import (
     ImportSettings,

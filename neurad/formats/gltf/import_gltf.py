@@ -9,7 +9,8 @@ import numpy as np
 
 from neurad.core.errors import InputError
 from neurad.core.records import View
-from neurad.formats.cameras.nerf import HOLD_OUT, Split
+from neurad.formats.cameras import HOLD_OUT
+from neurad.formats.cameras.nerf import Split
 from neurad.formats.cameras.photograph_files import Photographs
 from neurad.formats.gltf.file import GltfFile
 from neurad.formats.gltf.gltf_scene import ENVIRONMENT
