@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import replace
 from functools import cached_property
-from typing import Annotated, Any, Literal
+from typing import Any
 
 import lightning.pytorch as pl
 import torch
@@ -13,15 +13,14 @@ from torch import Tensor
 from torch.utils.data import DataLoader, Dataset, IterableDataset
 
 from datamodules.image_cache import ImageCache
+from datamodules.settings import DataSettings
 from datamodules.training_photographs import TrainingPhotographs
 from neurad.core.errors import InputError
 from neurad.core.patch_sampler import PatchSampler, validation_pixels
-from neurad.core.ranges import Count, CountOrZero, Range, Seed, checked
 from neurad.core.records import PixelBatch
 from neurad.core.rng import Stream
-from neurad.formats.cameras.nerf import HOLD_OUT
 from neurad.formats.load import load_scene
-from neurad.images.development import Ceiling, Photography
+from neurad.images.development import Photography
 from neurad.runtime.numbers import check_bright
 from neurad.scene.description import Scene
 
@@ -37,66 +36,17 @@ class SceneData(pl.LightningDataModule, TrainingPhotographs):
     A batch is a pure function of seed, iteration and rank, so a continued run draws what it would have drawn.
 
     Args:
-        root: a scene folder: ``scene.xml``, ``transforms_train.json``, photographs.
-        scene: name of a built-in scene instead, such as ``kitchen``.
-        patches: patches in a batch, of all views in turn.
-        patch_size: side of a patch in pixels; 1 draws single pixels.
-        seed: of the draws of pixels.
-        resident: training photographs in memory at once; the others are read from disk as their turn comes. None
-            keeps all in memory.
-        replace_every: iterations after which one of them is replaced, if not all are in memory.
-        hold_out: every so many-th photograph is held out where the camera file does not say which; 0 for none.
-        validation_pixels: fraction of the training pixels that are never drawn, 16384 of them at most: their loss says
-            how much of each level of the fields is noise of the photographs. Patches draw all.
-        response: curve of photographs of codes (PNG, JPEG, TIFF): ``linear``, ``srgb``, ``gamma=G``, ``fit``, or a file
-            of codes and linear values; None takes sRGB's and says so. EXR and Radiance pictures are linear.
-        ceiling: value from which on photographs are clipped, of codes a fraction of the largest; there only a render
-            below it is wrong. None takes what the format says.
-        exposure: ``known`` divides by the exposures of the camera file or of EXIF; ``fit`` begins there and recovers a
-            gain for each photograph, whose logarithms' mean stays what it is.
-        white_balance: ``fit`` recovers a gain for each colour of each photograph.
-        lamps_true: table of the lamps' true radiance (mesh, r, g, b), for scores of lamps that are recovered.
+        settings: all under ``data``.
 
     Raises:
-        InputError: a number is out of range, ``hold_out`` is 1, or the response is none.
+        InputError: the response is none.
     """
 
-    def __init__(
-        self,
-        root: str | None = None,
-        scene: str | None = None,
-        patches: Annotated[int, Range(1, 1 << 24)] = 256,
-        patch_size: Annotated[int, Range(1, 1 << 14)] = 1,
-        seed: Seed = 0,
-        resident: Count | None = None,
-        replace_every: Count = 16,
-        hold_out: CountOrZero = HOLD_OUT,
-        validation_pixels: Annotated[float, Range(0.0, 0.5)] = 0.0,
-        response: str | None = None,
-        ceiling: Ceiling | None = None,
-        exposure: Literal["known", "fit"] = "known",
-        white_balance: Literal["known", "fit"] = "known",
-        lamps_true: str | None = None,
-    ) -> None:
+    def __init__(self, settings: DataSettings) -> None:
         super().__init__()
-        if hold_out == 1:
-            raise InputError("--data.hold_out: 1 would hold out every photograph and leave none to learn from")
-        self.root = root
-        self.scene_name = scene
-        self.patches = patches
-        self.patch_size = patch_size
-        self.seed = seed
-        self.resident = resident
-        self.replace_every = replace_every
-        self.hold_out = hold_out
-        self.validation_pixels = validation_pixels
-        self.response = response
-        self.ceiling = ceiling
-        self.exposure = exposure
-        self.white_balance = white_balance
-        self.lamps_true = lamps_true
-        checked(self)
-        self._photography = Photography(response, ceiling, exposure, white_balance)
+        self.settings = settings
+        self.seed, self.resident, self.lamps_true = settings.seed, settings.resident, settings.lamps_true
+        self._photography = Photography(settings.response, settings.ceiling, settings.exposure, settings.white_balance)
         self._with_blurred = False
         self._focused = self._times = 0
         self._cache: ImageCache | None = None
@@ -104,7 +54,7 @@ class SceneData(pl.LightningDataModule, TrainingPhotographs):
     @cached_property
     def scene(self) -> Scene:
         """The scene, checked; read at the first access."""
-        return load_scene(self.root, self.scene_name, self.hold_out, self._photography)
+        return load_scene(self.settings.root, self.settings.scene, self.settings.hold_out, self._photography)
 
     def relight(self, scene: Scene) -> None:
         """Take a scene of the same views and triangles, in which other meshes or parts of them shine, from now on."""
@@ -128,9 +78,11 @@ class SceneData(pl.LightningDataModule, TrainingPhotographs):
             stats = self.dataset_stats(self.ignored())
             check_bright(stats.mean_square_radiance, stats.brightest, scene.name)
         smallest = min(self._sizes, key=min, default=None)
-        if smallest is not None and self.patch_size > min(smallest):
+        if smallest is not None and self.settings.patch_size > min(smallest):
             size = f"{smallest[0]} x {smallest[1]}"
-            raise InputError(f"--data.patch_size: {self.patch_size} does not fit in photographs of {size} pixels")
+            raise InputError(
+                f"--data.patch_size: {self.settings.patch_size} does not fit in photographs of {size} pixels"
+            )
 
     def request_blurred(self) -> None:
         """From now on every batch has ``blurred``."""
@@ -141,8 +93,8 @@ class SceneData(pl.LightningDataModule, TrainingPhotographs):
         """From now on batches have fewer pixels in turn by ``fraction``, and ``times`` as many candidates for each that
         is missing: uniform draws. Where batches are made of patches they stay as they are.
         """
-        if self.patch_size == 1:
-            self._focused, self._times = round(fraction * self.patches), times
+        if self.settings.patch_size == 1:
+            self._focused, self._times = round(fraction * self.settings.patches), times
 
     def over(self, scene: Scene, photographs: Tensor | None = None) -> SceneData:
         """A data module with the same settings over another scene.
@@ -151,8 +103,12 @@ class SceneData(pl.LightningDataModule, TrainingPhotographs):
             scene: a checked scene.
             photographs: of its training views [views, pixels, 3 or 4], kept in memory; None reads the views' files.
         """
+        own = self.settings
         made = SceneData(
-            None, None, self.patches, self.patch_size, self.seed, self.resident, self.replace_every, self.hold_out,
+            DataSettings(
+                patches=own.patches, patch_size=own.patch_size, seed=own.seed, resident=own.resident,
+                replace_every=own.replace_every, hold_out=own.hold_out,
+            )
         )  # fmt: skip
         made.scene = scene
         if photographs is not None:
@@ -167,8 +123,8 @@ class SceneData(pl.LightningDataModule, TrainingPhotographs):
         if cache is None or cache.rank != rank:
             views = (self._stats or self.dataset_stats()).foreground
             cache = self._cache = ImageCache(
-                self._streamed_spread, views, self._sizes, self.resident or 1, self.replace_every,
-                self.patch_size, self.seed, rank, self._with_blurred, self._validation,
+                self._streamed_spread, views, self._sizes, self.resident or 1, self.settings.replace_every,
+                self.settings.patch_size, self.seed, rank, self._with_blurred, self._validation,
             )  # fmt: skip
         cache.move(iteration)
         return cache
@@ -176,9 +132,9 @@ class SceneData(pl.LightningDataModule, TrainingPhotographs):
     @cached_property
     def _validation(self) -> float:
         """Fraction of the pixels that are never drawn: more than :data:`VALIDATION_PIXELS` would say nothing more."""
-        if self.patch_size > 1:
+        if self.settings.patch_size > 1:
             return 0.0
-        return min(self.validation_pixels, VALIDATION_PIXELS / max(sum(w * h for w, h in self._sizes), 1))
+        return min(self.settings.validation_pixels, VALIDATION_PIXELS / max(sum(w * h for w, h in self._sizes), 1))
 
     def validation_batch(self) -> PixelBatch | None:
         """Pixels that no batch draws, on the CPU; None where all are drawn."""
@@ -206,13 +162,13 @@ class SceneData(pl.LightningDataModule, TrainingPhotographs):
     @cached_property
     def _sampler(self) -> PatchSampler:
         """Draws patches of all photographs, where they are in memory."""
-        return PatchSampler.build(self._sizes, self.patch_size, self.alpha, self.seed, self._validation)
+        return PatchSampler.build(self._sizes, self.settings.patch_size, self.alpha, self.seed, self._validation)
 
     def batch(self, iteration: int, rank: int = 0) -> PixelBatch:
         """The batch of an iteration, on the CPU: ``patches * patch_size^2`` pixels, fewer where candidates are wanted,
         and the candidates after them.
         """
-        in_turn = self.patches - self._focused
+        in_turn = self.settings.patches - self._focused
         cache = self._window(iteration, rank) if self.streams else None
         sampler = self._sampler if cache is None else cache.sampler
         view, pixel = sampler.draw(iteration * in_turn, in_turn, rank)

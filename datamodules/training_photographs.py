@@ -20,7 +20,7 @@ from neurad.core.records import DatasetStats, PixelBatch, View
 from neurad.images.photographs import kept_pixels, may_have_alpha, read_view
 from neurad.images.picture_notes import say_pictures
 from neurad.runtime.progress import counted
-from neurad.runtime.reading import read_bytes
+from neurad.runtime.reading import listed, read_bytes
 from neurad.scene.description import Scene
 
 
@@ -154,10 +154,10 @@ class TrainingPhotographs(PhotoSource):
             say_pictures()
             if found.covered:
                 names = [self.scene.train[index].name for index in found.covered]
-                named = ", ".join(names[:8]) + (" ..." if len(names) > 8 else "")
                 print(
-                    f"neurad: alpha is 1 everywhere in {len(names)} of {len(self._sizes)} photographs ({named}) and "
-                    "below it in others: where no surface is, all are taken to be black, and to show no environment",
+                    f"neurad: alpha is 1 everywhere in {len(names)} of {len(self._sizes)} photographs "
+                    f"({listed(names)}) and below it in others: where no surface is, all are taken to be black, and to "
+                    "show no environment",
                     file=sys.stderr,
                 )
         self._stats = found

@@ -14,6 +14,7 @@ from torch import Tensor
 from neurad.core.errors import InputError
 from neurad.core.records import PixelBatch, View
 from neurad.images.photographs import Float64, ceiling_of, read_spread, rounding
+from neurad.runtime.reading import listed
 
 _COARSE = 255
 """Largest code of formats whose rounding counts; that of 16 bits is lost in any photograph's noise."""
@@ -102,8 +103,8 @@ class ValueLimits:
         counts = zip(views, count.tolist(), kept.tolist(), strict=True)
         blown = [view.name for view, n, k in counts if n >= _MIN_SAMPLES and k == 0]
         if blown:
-            named = ", ".join(blown[:8]) + (" ..." if len(blown) > 8 else "")
-            print(f"neurad: warning: at their ceiling everywhere, so they say nothing: {named}", file=sys.stderr)
+            said = f"at their ceiling everywhere, so they say nothing: {listed(blown)}"
+            print(f"neurad: warning: {said}", file=sys.stderr)
 
 
 def _spreads(views: Sequence[View]) -> tuple[Tensor | None, Tensor | None]:

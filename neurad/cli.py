@@ -258,10 +258,11 @@ def _help_of(verb: str, words: Sequence[str]) -> bool:
     place = next((i for i, word in enumerate(words) if word in ("-h", "--help")), None)
     if place is None:
         return False
+    from datamodules.settings import DataSettings
     from neurad.runs.settings_help import help_text
 
     names = [word for word in words[place + 1 :] if not word.startswith("-")]
-    print(help_text(verb, LIGHTNING_VERBS[verb], names), end="")
+    print(help_text(verb, LIGHTNING_VERBS[verb], DataSettings, names), end="")
     return True
 
 

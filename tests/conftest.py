@@ -6,6 +6,7 @@ os.environ.setdefault("OMP_WAIT_POLICY", "passive")
 if "PYTEST_XDIST_WORKER" in os.environ:  # each worker has a core to itself
     os.environ.setdefault("OMP_NUM_THREADS", "1")
 
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -57,25 +58,36 @@ def _enters_by_main(request, monkeypatch):
 
 @pytest.fixture
 def tiny(tmp_path, monkeypatch):
-    """The test's own folder as the working one, with ``tiny.yaml`` in it (see helpers/tiny_fit.py)."""
-    from helpers.tiny_fit import write_tiny_config
+    """The test's own folder as the working one, with ``tiny.yaml`` in it (see helpers/tiny_fit.py), and few views of
+    the Cornell box: too few for error bars, so that a fit takes half a second and not a whole one.
+    """
+    from helpers.tiny_fit import few_views, write_tiny_config
 
     monkeypatch.chdir(tmp_path)
+    few_views(monkeypatch, "cornell", 3)
     write_tiny_config()
     return tmp_path
 
 
+@pytest.fixture(scope="session")
+def small_rooms(tmp_path_factory):
+    """Gives a small Cornell box with photographs and true albedo; each is made once."""
+    from helpers.small_fit import photographed_cornell
+
+    return cache(lambda glossy, unit: photographed_cornell(tmp_path_factory.mktemp("small"), glossy, unit))
+
+
 @pytest.fixture
-def small(tmp_path, monkeypatch):
+def small(tmp_path, monkeypatch, small_rooms):
     """Registers a small Cornell box with photographs and true albedo as the built-in scene 'small'."""
-    from helpers.small_fit import SMALL_FIT, photographed_cornell
+    from helpers.small_fit import SMALL_FIT
 
     from neurad.scene import builtin
 
     monkeypatch.chdir(tmp_path)
 
     def make(glossy, unit=1.0):
-        scene = photographed_cornell(glossy, unit)
+        scene = small_rooms(glossy, unit)
         monkeypatch.setitem(builtin._BUILDERS, "small", lambda: scene)
         Path("fit.yaml").write_text(yaml.safe_dump(SMALL_FIT))
 

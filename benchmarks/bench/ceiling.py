@@ -54,8 +54,8 @@ def run(options: argparse.Namespace) -> None:
     held_out = HeldOut(module.scene, world.geometry, world.tracer)
     parts = SceneModel(world, TrueMaterials(module.scene, world.geometry))
     regions = {"lit_glossy": lit_glossy(held_out, reflected_by(PathTracing(None), parts), GLOSSY_SAMPLES)}
-    with averaged(module.average):
-        scores = score(held_out, held_out.predict(module.materials), None, regions)
+    with averaged(module.assembly.average):
+        scores = score(held_out, held_out.predict(module.assembly.materials), None, regions)
     print(score_table(scores, 0, "the fields"))
     if (r2 := scores.get("roughness_r2_lookup")) is not None:
         print(f"\nthe true colour explains {100 * r2:.0f} % of the roughness (R2 of the lookup {r2:.3f})")

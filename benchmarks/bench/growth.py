@@ -142,7 +142,7 @@ def measure(options: argparse.Namespace, curve: str, value: int) -> Row:
             pixels = torch.empty(len(scene.train), camera.width * camera.height, 3)
             pixels.uniform_(0.1, 1.0, generator=torch.Generator().manual_seed(0))  # the cost does not depend on them
         fit(trainer, module, data.over(scene, pixels), watch)
-    world, count = module.world, len(scene.train)
+    world, count = module.assembly.world, len(scene.train)
     return {
         "grows": curve, "value": value, "triangles": len(world.geometry.faces), "views": count,
         "in_memory": min(count, data.resident or count), "pixels": camera.width * camera.height,

@@ -115,7 +115,7 @@ def measure_step(options: argparse.Namespace, steps: int, warmup: int) -> StepFi
     t_max = torch.cat([t for _, t in recorder.shadow]) if recorder.shadow else None
     rates = {"matrix": matrix_rate(device), "bandwidth": bandwidth(device), "closest": 0.0, "shadow": 0.0}
     if closest is not None:
-        rates["closest"], rates["shadow"] = ray_rates(module.world.tracer, closest, shadow, t_max)
+        rates["closest"], rates["shadow"] = ray_rates(module.assembly.world.tracer, closest, shadow, t_max)
     milliseconds = 1e3 * median(watch.plain)
     samples = module.samples / max(module.iteration, 1)
     rows = [*stage_rows(watch, recorder, rates), total_row(milliseconds)]

@@ -181,9 +181,12 @@ def tensors(value: Any) -> list[Tensor]:
 @contextmanager
 def instrumented(module: InverseRenderer, recorder: Recorder) -> Iterator[None]:
     """Wrap what a training step calls, and restore it at the end."""
-    world: World = module.world
-    fitted = module.materials
-    parts: list[Any] = [*(fitted.recovered.values() if isinstance(fitted, FittedMaterials) else ()), module.radiance]
+    world: World = module.assembly.world
+    fitted = module.assembly.materials
+    parts: list[Any] = [
+        *(fitted.recovered.values() if isinstance(fitted, FittedMaterials) else ()),
+        module.assembly.radiance,
+    ]
     plan: set[tuple[Any, str, str]] = {
         (SceneData, "batch", "batch"),
         (PrimaryHits, "__call__", "primary hits"),

@@ -105,7 +105,7 @@ class TrueMaps(pl.Callback):
         """Read the true maps, by the one reader of ground truth."""
         module: Any = pl_module
         scene, views = module.scene, module.step.objective
-        reader = HeldOut(replace(scene, test=scene.train), module.world.geometry, module.world.tracer)
+        reader = HeldOut(replace(scene, test=scene.train), module.assembly.world.geometry, module.assembly.world.tracer)
         names = [parameter.name for parameter in recovered(reader.scene.parameters)]
         parts: dict[str, list[Tensor]] = {name: [] for name in names}
         for index, view in enumerate(scene.train):
@@ -117,5 +117,5 @@ class TrueMaps(pl.Callback):
                 parts[name].append(image.reshape(-1, image.shape[-1]))
         device = views.emitter_mask.device
         truth = {name: pad_sequence(maps, batch_first=True).to(device) for name, maps in parts.items()}
-        module.step.objective = SupervisedStep(module.materials, views.primary, views.emitter_mask, truth)
+        module.step.objective = SupervisedStep(module.assembly.materials, views.primary, views.emitter_mask, truth)
         self.means = SurfaceMeans.of(module.step.objective)

@@ -10,7 +10,7 @@ from torch import Tensor
 
 from benchmarks.bench.supervised import SupervisedStep
 from benchmarks.photos import PhotosInMemory
-from neurad.assembly.settings import ModelSettings
+from neurad.assembly.model_settings import ModelSettings
 from neurad.core.records import FloatArray
 from neurad.metrics.held_out import HeldOut, Maps
 from neurad.optim.polyak_average import averaged

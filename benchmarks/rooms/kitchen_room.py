@@ -12,8 +12,9 @@ import numpy as np
 from benchmarks.rooms import finishes as f
 from benchmarks.rooms.furnished import SINK, Item, Light
 from benchmarks.rooms.rounded import bevelled, curtain, tube
+from neurad.core.records import Float64Array
 from neurad.scene.builtin.plain import room
-from neurad.scene.builtin.shapes import Array, Solid, ball, box, join, quad, rotated, turned
+from neurad.scene.builtin.shapes import Solid, ball, box, join, quad, rotated, turned
 
 LOW, HIGH = (-2.0, 0.0, -1.7), (2.0, 2.5, 1.7)
 OPENING = ((-0.75, 1.1), (0.25, 2.05))
@@ -29,7 +30,7 @@ BEYOND = -2.15
 WARM = (0.74, 0.68, 0.56)
 WHITE = (0.78, 0.77, 0.73)
 GREEN = (0.13, 0.17, 0.14)
-"""Of what stands close to the sky: white, few paths would carry much of the light there, and the noise."""
+"""Colour of what stands close to the sky: white, few paths would carry much of the light there, and the noise."""
 
 
 def shell() -> Iterator[Item]:
@@ -213,7 +214,7 @@ def lights() -> Iterator[Light]:
     yield Light("lamps", join(*globes), (6.8, 5.2, 3.4))
 
 
-def _strip(x: Array, low: Array, high: Array, z: float) -> Solid:
+def _strip(x: Float64Array, low: Float64Array, high: Float64Array, z: float) -> Solid:
     """A flat band between two curves, facing +z."""
     count = len(x)
     depth = np.full(count, z)

@@ -7,7 +7,8 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from neurad.scene.builtin.shapes import Array, Point, Solid, join, turned
+from neurad.core.records import Float64Array
+from neurad.scene.builtin.shapes import Point, Solid, join, turned
 
 BEVEL = 0.004
 """Radius of an edge in metres, unless one is given."""
@@ -27,12 +28,12 @@ def bevelled(low: Point, high: Point, radius: float = BEVEL, segments: int = 1) 
     return join(*(_side(corner, far, r, segments, axis, sign) for axis in range(3) for sign in (-1.0, 1.0)))
 
 
-def _side(low: Array, high: Array, r: float, segments: int, axis: int, sign: float) -> Solid:
+def _side(low: Float64Array, high: Float64Array, r: float, segments: int, axis: int, sign: float) -> Solid:
     """One side of a bevelled box with its halves of the rounded edges around it."""
     a, b = (axis + 1) % 3, (axis + 2) % 3
     tangent = np.tan(np.pi / 4 * np.arange(segments, -1, -1) / segments)
 
-    def stops(k: int) -> tuple[Array, Array]:
+    def stops(k: int) -> tuple[Float64Array, Float64Array]:
         """Places along axis ``k`` before rounding, and how far the normal leans there, as a tangent."""
         lean = np.concatenate((-tangent, tangent[::-1]))
         inner = np.concatenate((np.full(segments + 1, low[k] + r), np.full(segments + 1, high[k] - r)))
@@ -88,14 +89,14 @@ def tube(path: Sequence[Point], radius: float | Sequence[float], sides: int = 10
     return join(hull, _cap(rings[0][:-1], -along[0]), _cap(rings[-1][:-1], along[-1]))
 
 
-def _carried(vector: Array, before: Array, after: Array) -> Array:
+def _carried(vector: Float64Array, before: Float64Array, after: Float64Array) -> Float64Array:
     """``vector`` turned as unit direction ``before`` turns into ``after``, which is not its opposite."""
     axis, cosine = np.cross(before, after), float(before @ after)
-    carried: Array = vector * cosine + np.cross(axis, vector) + axis * float(axis @ vector) / (1.0 + cosine)
+    carried: Float64Array = vector * cosine + np.cross(axis, vector) + axis * float(axis @ vector) / (1.0 + cosine)
     return carried
 
 
-def _loft(rings: Sequence[Array], normals: Sequence[Array], uvs: Sequence[Array]) -> Solid:
+def _loft(rings: Sequence[Float64Array], normals: Sequence[Float64Array], uvs: Sequence[Float64Array]) -> Solid:
     """Bands between rings of equally many points; the outside is where the rings turn from one to the next."""
     count, per = len(rings), len(rings[0])
     i, j = (x.ravel() for x in np.meshgrid(np.arange(count - 1), np.arange(per - 1), indexing="ij"))
@@ -105,7 +106,7 @@ def _loft(rings: Sequence[Array], normals: Sequence[Array], uvs: Sequence[Array]
     return Solid(np.concatenate(rings), faces, np.concatenate(uvs), np.concatenate(normals))
 
 
-def _cap(ring: Array, normal: Array) -> Solid:
+def _cap(ring: Float64Array, normal: Float64Array) -> Solid:
     """A flat lid over a ring, facing along ``normal``."""
     count = len(ring)
     fan = np.stack((np.zeros(count - 2), np.arange(1, count - 1), np.arange(2, count)), axis=1).astype(np.int64)
@@ -174,12 +175,12 @@ def curtain(
 
 
 def swapped(solid: Solid) -> Solid:
-    """The same solid with the two axes of its texture exchanged: grain that ran up runs across."""
+    """A copy of a solid with the two axes of its texture exchanged: grain that ran up runs across."""
     return Solid(solid.vertices, solid.faces, solid.uvs[:, ::-1].copy(), solid.normals)
 
 
 def moved(solid: Solid, by: Point) -> Solid:
-    """The same solid elsewhere."""
+    """A copy of a solid, moved by a vector."""
     return Solid(solid.vertices + np.array(by), solid.faces, solid.uvs, solid.normals)
 
 

@@ -14,7 +14,7 @@ from torch import Tensor
 
 from benchmarks.photos import PhotosInMemory
 from neurad.assembly.build import FittedMaterials, build_world
-from neurad.assembly.settings import ModelSettings
+from neurad.assembly.model_settings import ModelSettings
 from neurad.core.records import PixelBatch, Surface, SurfaceInteraction
 from neurad.core.rng import Stream
 from neurad.fields.radiance import RadianceField

@@ -74,8 +74,8 @@ def _planted(what: str, words: str, spoil: Callable[[InverseRenderer], None], di
 
 
 def _weight(module: InverseRenderer) -> None:
-    assert module.radiance is not None
-    next(module.radiance.mlp.parameters())[0, 0] = math.nan
+    assert module.assembly.radiance is not None
+    next(module.assembly.radiance.mlp.parameters())[0, 0] = math.nan
 
 
 def _sample(module: InverseRenderer) -> None:

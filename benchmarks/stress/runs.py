@@ -7,7 +7,7 @@ import logging
 import tempfile
 import warnings
 from contextlib import redirect_stderr, redirect_stdout
-from dataclasses import fields, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -61,7 +61,7 @@ def fit(scene: Scene, images: torch.Tensor, steps: int = 3, **settings: Any) -> 
     Raises:
         InputError: what a user would read.
     """
-    module = InverseRenderer(**{f.name: getattr(small_settings(), f.name) for f in fields(small_settings())} | settings)
+    module = InverseRenderer(replace(small_settings(), **settings))
     printed = io.StringIO()
     for name in ("lightning.pytorch", "lightning.fabric", "lightning"):
         logging.getLogger(name).setLevel(logging.ERROR)

@@ -16,9 +16,9 @@ from neurad.assembly.lighting import (
     unknown_environment,
     unknown_lamps,
 )
+from neurad.assembly.model_settings import ModelSettings
 from neurad.assembly.region import Region, training_region
 from neurad.assembly.resolution import finest_cells, resolve_finest
-from neurad.assembly.settings import ModelSettings
 from neurad.bsdf.table import make_bsdf
 from neurad.core.parameters import ALBEDO, ROUGHNESS, SurfaceParameter, recovered
 from neurad.core.protocols import Emitter
@@ -236,6 +236,11 @@ class Assembly:
         return recovered_lamps(self.world)
 
     @property
+    def radiance_inputs(self) -> list[str] | None:
+        """What the radiance field reads; None without one."""
+        return None if self.radiance is None else list(self.radiance.inputs)
+
+    @property
     def correction(self) -> Correction | None:
         """What a closing step adds to the roughness; None in a run that makes none."""
         if self.radiance is None or not isinstance(self.materials, FittedMaterials):
@@ -247,6 +252,14 @@ class Assembly:
     def estimator(self) -> Estimator:
         """The method's estimates with these materials and this radiance field."""
         return Estimator(self.world, self.materials, self.radiance, self.settings.method)
+
+    def notes(self) -> list[str]:
+        """What is to be said of the scene when a fit begins, a sentence each."""
+        scene = self.scene
+        said = [*scene.notes, scene.scores_are_of, self.region.sentence(scene)]
+        if self.settings.materials == "fit" and scene.replaced:
+            said.insert(0, f"to be recovered as principled: {', '.join(scene.replaced)}")
+        return [sentence for sentence in said if sentence]
 
     def modules(self) -> Iterator[tuple[str, nn.Module]]:
         """The modules with parameters or state, by the names that they have in a checkpoint."""

@@ -15,9 +15,11 @@ from neurad.evidence.edge_fit import WIDTH, SharedTurn, compared, directions, sh
 from neurad.evidence.mesh_edges import mesh_edges, primary_grid
 from neurad.evidence.shading import Transport, transport
 from neurad.evidence.shared_errors import (
+    CHANCE,
     LEAST_VIEWS,
-    SURE,
+    MATTERS,
     Develop,
+    Estimate,
     SharedErrors,
     brightness_of,
     shared_errors,
@@ -25,22 +27,12 @@ from neurad.evidence.shared_errors import (
 )
 from neurad.integrators.world import World
 
-FALLOFF, SPREAD = 0.1, 0.1
-"""Relative differences of brightness towards the corners and between photographs from which on they matter."""
-BEND, FLAT = 0.1, 0.13
-"""How far the slope of brightness with light has to be above 1, or below it, where highlights bring it anyway:
-undamaged rooms have 0.9 to 1.05, by what is not modelled in them."""
-USUAL = 0.97
-"""The slope in undamaged rooms on average: highlights flatten it a little."""
-ALIKE = 0.05
-"""Difference of slopes below which two explanations count as alike."""
-FLOOR = 0.1
-"""Part of the photographs' mean that their darkest surface has at least where light was added everywhere."""
 OPEN = 0.01
 """Fraction of directions that leave the scene from which on a sky may be what was added."""
+CURVES = 0.4, 2.6
+"""Powers that response curves have, or what undoes them."""
 LEAST_EDGES = 100
 """Places along edges below which a view says nothing of zoom and turn."""
-_EDGE_VIEWS = 12
 
 
 def common_causes(
@@ -52,11 +44,14 @@ def common_causes(
     views: Sequence[tuple[Tensor, Camera, Tensor]] | None = None,
     lit: bool = True,
     scale_known: bool = False,
+    declared: World | None = None,
+    power: float | None = None,
+    offset: float | None = None,
 ) -> list[str]:
     """Look at photographs for what is wrong with all of them; a sentence each, none where nothing is.
 
     Args:
-        world: of the scene, with its lights as they are known.
+        world: of the scene, with its lights as they are known, of lamps as they are photographed.
         cameras: of the photographs.
         photographs: of the training views.
         seed: of all draws.
@@ -64,6 +59,9 @@ def common_causes(
         views: ranks, cameras and directions to edges where they are known, see :func:`shared_turn`.
         lit: whether the lights are known well enough for brightness to be compared with light.
         scale_known: whether photographs show a lamp as bright as it is taken for; else light may be of another scale.
+        declared: the same with lamps as the scene has them, where they are photographed differently.
+        power: of a curve that explains that, or None.
+        offset: what explains it if it is added to every photograph, or None.
     """
     if len(cameras) < LEAST_VIEWS or not photographs.has_photographs:
         return []
@@ -75,7 +73,9 @@ def common_causes(
     said = [] if found is None else _of_places(found)
     # Where something of that is found, brightness is not that of surfaces, and light is not compared with it.
     if lit and not said and (light := transport(world, cameras, photographs, seed, develop)):
-        said += _of_light(light, scale_known)
+        if declared and (power or offset) and (other := transport(declared, cameras, photographs, seed, develop)):
+            said += _or_lamps(light, other, power, offset)
+        said = said or _of_light(light, scale_known)
     return said
 
 
@@ -84,7 +84,7 @@ def _edge_views(
 ) -> list[tuple[Tensor, Camera, Tensor]]:
     """Ranks, cameras and directions to edges of some views."""
     found = []
-    for index in some_views(len(cameras), _EDGE_VIEWS):
+    for index in some_views(len(cameras)):
         camera = cameras[index]
         with world.tracer.uncounted():
             edges = mesh_edges(world, primary_grid(world, camera, min(camera.width, WIDTH)))
@@ -119,84 +119,74 @@ def _of_places(found: SharedErrors) -> list[str]:
     if found.border:
         sides = ", ".join(f"{side} {100 * part:.0f} %" for side, part in found.border.items())
         said.append(f"all photographs have a border ({sides} of the picture) that shows nothing of the scene: mask it")
-    elif found.has_mark:
+    elif found.marked:
         said.append(
             f"all photographs have the same mark in {100 * found.marked:.1f} % of the picture, whatever lies behind: a "
             "watermark, dust or a part of the camera's mount; mask it"
         )
-    if abs(found.falloff) > max(FALLOFF, SURE * found.falloff_error):
-        how, cause = (
-            ("darker", "vignetting") if found.falloff < 0 else ("brighter", "a correction of vignetting too many")
-        )
+    if found.falloff.differs():
+        falloff = found.falloff.value
+        how, cause = ("darker", "vignetting") if falloff < 0 else ("brighter", "a correction of vignetting too many")
         said.append(
-            f"all photographs are {100 * abs(1 - math.exp(found.falloff)):.0f} % {how} towards the corners than in the "
+            f"all photographs are {100 * abs(1 - math.exp(falloff)):.0f} % {how} towards the corners than in the "
             f"middle, whatever they show: {cause}; correct it before"
         )
-    if found.spread > max(SPREAD, SURE * found.spread_error):
+    if found.spread.differs():
         said.append(
-            f"the photographs' exposures differ by {100 * found.spread:.0f} % (standard deviation) where they show the "
-            "same surfaces: give them, or recover them with --data.exposure fit"
+            f"the photographs' exposures differ by {100 * found.spread.value:.0f} % (standard deviation) where they "
+            "show the same surfaces: give them, or recover them with --data.exposure fit"
         )
     return said
 
 
 def _of_light(light: Transport, scale_known: bool) -> list[str]:
-    from scipy.special import ndtr, stdtrit  # imported where it is needed: it loads slowly
+    from scipy.optimize import minimize_scalar  # imported where it is needed: it loads slowly
 
-    slope, error = light.slope()
-    # Of few views a standard error is not known well, so the bound is Student's.
-    sure = float(stdtrit(max(len(set(light.view.tolist())) - 1, 1), ndtr(SURE))) * error
-    added, _ = light.slope(offset=light.floor)
-    if slope < 1.0 - max(FLAT, sure) and light.floor > FLOOR and abs(added - 1.0) < abs(slope - 1.0):
-        causes = ["haze", "a black offset"]
-        causes += [] if light.escaping < OPEN else ["a sky that the scene does not have"]
-        causes += [] if scale_known else ["lights of the scene that are too bright"]
+    slope = light.slope()
+    if not slope.differs(1.0):
+        return []
+    flat, open_ = slope.value < 1.0, light.escaping >= OPEN
+    lamps = [] if scale_known else ["lights of the scene that are too " + ("bright" if flat else "dim")]
+    # What was added is no more than the darkest place shows: is that enough?
+    less = light.slope(offset=light.floor)
+    if flat and light.floor > MATTERS and (less.value > 1.0 or not less.differs(1.0)):
+        causes = ["haze", "a black offset", *(["a sky that the scene does not have"] if open_ else []), *lamps]
         return [
             f"no surface in any photograph is darker than {100 * light.floor:.0f} % of their mean, and dark places are "
             f"brighter than the scene's light makes them: {', '.join(causes[:-1])} or {causes[-1]}; these look alike"
         ]
-    if -max(FLAT, sure) < slope - 1.0 < max(BEND, sure):
-        return []
-    powers = np.linspace(1.0, 2.6, 33) if slope > 1.0 else np.linspace(0.4, 1.0, 25)
-    power = float(powers[np.argmin([abs(light.slope(float(p))[0] - USUAL) for p in powers])])
+    among = (CURVES[0], 1.0) if flat else (1.0, CURVES[1])
+    power = minimize_scalar(lambda p: (light.slope(p).value - 1.0) ** 2, bounds=among, options={"xatol": 0.02}).x
     causes = [f"a response curve that was not taken back (gamma, about {power:.1f})"]
-    causes += [] if slope > 1.0 or light.escaping < OPEN else ["light that is missing in the scene, such as a sky"]
-    causes += [] if scale_known else ["lights of the scene that are too " + ("dim" if slope > 1.0 else "bright")]
+    causes += (["light that is missing in the scene, such as a sky"] if flat and open_ else []) + lamps
     return [
-        f"along surfaces the photographs' brightness rises with the power {slope:.2f} of the light that arrives: "
+        f"along surfaces the photographs' brightness rises with the power {slope.value:.2f} of the light that arrives: "
         f"{' or '.join(causes)}{', which look alike here' if len(causes) > 1 else ''}"
     ]
 
 
-def curve_or_lamps(
-    world: World,
-    relit: World,
-    cameras: Sequence[Camera],
-    photographs: PhotoSource,
-    seed: int,
-    power: float,
-    develop: Develop | None = None,
-) -> list[str]:
-    """Whether a response curve explains lamps that are photographed too bright or too dark, and the light on surfaces,
-    better than lamps of another radiance do; a sentence if so.
+def _or_lamps(shown: Transport, declared: Transport, power: float | None, offset: float | None) -> list[str]:
+    """What explains lamps that are photographed too bright or too dark, and the light on surfaces, better than lamps of
+    another radiance do, or as well: by the ratio of likelihoods (Wilks), where each makes brightness follow the light.
 
     Args:
-        world: of the scene, with its lights as they are declared.
-        relit: the same with lamps as they are photographed.
-        cameras: as in :func:`common_causes`, and so are the others.
-        photographs: of the training views.
-        seed: of all draws.
-        power: of the curve that makes photographs of the declared lamps what they are.
-        develop: corrects photographs.
+        shown: light of lamps as they are photographed.
+        declared: of lamps as the scene has them.
+        power: of the curve that makes photographs of the declared lamps what they are; None for no such curve.
+        offset: what has to be added to the declared radiance for that; None for no such offset.
     """
-    if len(cameras) < LEAST_VIEWS:
-        return []
-    declared, shown = (transport(w, cameras, photographs, seed, develop) for w in (world, relit))
-    if declared is None or shown is None:
-        return []
-    curve, lamps = abs(declared.slope(power)[0] - USUAL), abs(shown.slope()[0] - USUAL)
-    if curve > lamps + ALIKE:
-        return []
-    said = f"a response curve that was not taken back (gamma, about {power:.2f}) explains all photographs"
-    how = "better than" if curve < lamps - ALIKE else "as well as"
-    return [f"{said} {how} lamps of another radiance do"]
+    from scipy.special import chdtri  # imported where it is needed: it loads slowly
+
+    said, decided, others = [], float(chdtri(1, CHANCE)), dict[str, Estimate]()
+    of_lamps = shown.slope().off(1.0)
+    if power and CURVES[0] < power < CURVES[1]:
+        curve = f"a response curve that was not taken back (gamma, about {power:.2f})"
+        others[curve] = declared.slope(power)
+    share = (offset or np.inf) / declared.photographed.mean()
+    if share < (1.0 + MATTERS) * declared.floor:
+        others["haze or a black offset"] = declared.slope(offset=share)
+    for what, slope in others.items():
+        if (worse := slope.off(1.0) - of_lamps) < decided:
+            how = "better than" if worse < -decided else "as well as"
+            said.append(f"{what} explains all photographs {how} lamps of another radiance do")
+    return said

@@ -15,6 +15,7 @@ from neurad.integrators.path import PathTracing
 from neurad.integrators.primary_hits import PrimaryHits
 from neurad.integrators.vertex import DIMENSIONS
 from neurad.metrics.seen import SeenBy
+from neurad.runtime.reading import listed
 
 MAX_BRIGHTNESS_RATIO = 50.0
 """Ratio from which on no material explains the photographs; a white closed room may be some tens of times brighter."""
@@ -130,7 +131,7 @@ def sentence_if_far(factor: float, white: Callable[[], float], away: Callable[[]
     if factor < 1.0:
         return f"{said}; only a scene that is nearly black explains that, so see whether lights and photographs agree"
     if backs := away():
-        names = f"lamp{'s' * (len(backs) > 1)} {', '.join(backs[:8])}"
+        names = f"lamp{'s' * (len(backs) > 1)} {listed(backs)}"
         faces = "faces" if len(backs) == 1 else "face"
         return f"{said}: {names} {faces} away from the room, so turn the winding of the triangles there"
     if white() > MAX_WHITE_RATIO:

@@ -1,12 +1,15 @@
-"""Settings of an inverse rendering run, as they stand in YAML."""
+"""Settings of an inverse rendering run, as they stand in YAML. What the help reads imports neither torch nor Lightning,
+which take seconds; the method, which does, is added by :mod:`neurad.assembly.model_settings`.
+"""
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from typing import Annotated, Literal
 
 from neurad.core.errors import InputError
 from neurad.core.ranges import (
+    Count,
     CountOrZero,
     Fraction,
     NonNegative,
@@ -18,8 +21,6 @@ from neurad.core.ranges import (
     checked,
 )
 from neurad.fields.settings import FieldConfig, RadianceConfig, RoughnessConfig
-from neurad.integrators.method import Method
-from neurad.integrators.radiometric import Radiometric
 
 
 @dataclass(frozen=True)
@@ -200,8 +201,11 @@ class Optimization:
 
 
 @dataclass(frozen=True)
-class ModelSettings:
-    """All settings under ``model``."""
+class RecoverySettings:
+    """What is recovered, and how.
+
+    All settings under ``model`` but the method.
+    """
 
     albedo: FieldConfig
     """Size of the albedo field."""
@@ -212,26 +216,46 @@ class ModelSettings:
     sampling: Sampling = Sampling()
     objective: Objective = Objective()
     optimization: Optimization = Optimization()
+    tracer: str = "embree"
+    """What casts rays: ``embree``, ``open3d`` or ``warp``."""
+    seed: Seed = 0
+    """Of every random decision of the training."""
     lighting: Lighting = Lighting()
-    method: Method = field(default_factory=Radiometric)
-    """How reflected light and its derivative are estimated; the paper's: one bounce and then the radiance field."""
     materials: Literal["fit", "known"] = "fit"
     """``fit`` recovers albedo and roughness, ``known`` takes the scene's own and trains no material."""
-    tracer: str = "embree"
-    """'embree', 'open3d' or 'warp'."""
-    seed: Seed = 0
-    """Seed of every random decision of the training."""
 
     def __post_init__(self) -> None:
-        """Refuse settings that do not go together."""
+        """Refuse what does not exist."""
         checked(self)
-        unknown = self.lighting.environment == "fit" or self.lighting.fits_lamps
-        if self.materials == "known" and not unknown and not self.method.needs_field:
-            raise InputError("model.materials: with known materials, known light and no radiance field nothing is left")
-        if not self.method.reflects:
-            raise InputError("model.method: max_depth 1 shows emitters only, no surface; direct light takes 2")
-        lhs = self.objective.lhs > 0 and self.method.needs_field
-        if (self.objective.estimator != "two_pass" or lhs) and self.sampling.spp < 2:
-            raise InputError("model.sampling.spp: leave_one_out and lhs need at least 2 samples per pixel")
-        if self.sampling.spp > self.sampling.cached_spp > 0:
-            raise InputError("model.sampling.cached_spp: it must be at least model.sampling.spp, or 0")
+
+
+@dataclass(frozen=True)
+class EvaluationSettings:
+    """Scores and pictures of held-out views."""
+
+    fraction: NonNegative = 0.1
+    """Largest fraction of the training time that evaluations during the fit may take."""
+    every_n_steps: Count | None = None
+    """Evaluate at multiples of this many iterations instead, whatever it costs."""
+    spp: Count = 4
+    """Samples per pixel of the renderings scored during ``fit`` and ``validate``."""
+    test_spp: Count = 64
+    """Samples per pixel of the renderings that ``test`` and ``predict`` write."""
+    pictures: CountOrZero = 4
+    """Held-out views that TensorBoard shows."""
+
+    def __post_init__(self) -> None:
+        """Refuse what lies out of range."""
+        checked(self)
+
+
+@dataclass(frozen=True)
+class CheckpointSettings:
+    """Checkpoints."""
+
+    every_seconds: NonNegative = 60.0
+    """Wall-clock seconds between two checkpoints."""
+
+    def __post_init__(self) -> None:
+        """Refuse what lies out of range."""
+        checked(self)

@@ -33,7 +33,7 @@ CHARTS = {
 }
 """Charts of the tab of custom scalars; each has the run's curve and those of what needs no fit."""
 LARGEST = 256
-"""Of the pictures of a sheet: every evaluation adds sheets to the events."""
+"""Largest side of a sheet's pictures in pixels: every evaluation adds sheets to the events."""
 GROUPS = ("sampling", "objective", "optimization")
 """Settings of the model that the tab of hyperparameters has, after those with a capital: it sorts them, and shows the
 first five."""

@@ -71,14 +71,14 @@ class TrainingBudget(Timer):
         super().on_train_start(trainer, pl_module)
         self._module = cast("InverseRenderer", pl_module)
         if self._begin is None:
-            self._begin = self._module.train_seconds
+            self._begin = self._module.spent.seconds
         self._duration = self.seconds - self._begin
 
     def time_elapsed(self, stage: str = RunningStage.TRAINING) -> float:
         """Training seconds since the first step; those of an interrupted run included."""
         if self._module is None or stage != RunningStage.TRAINING:
             return 0.0
-        return self._module.train_seconds - (self._begin or 0.0)
+        return self._module.spent.seconds - (self._begin or 0.0)
 
     def state_dict(self) -> dict[str, Any]:
         """When training began, for a continued run."""

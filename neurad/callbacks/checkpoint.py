@@ -15,10 +15,10 @@ import torch.distributed as dist
 from lightning.pytorch.callbacks import Checkpoint
 from torch.optim import Optimizer
 
+from neurad.assembly.settings import CheckpointSettings
 from neurad.callbacks.run_folder import run_folder
 from neurad.checkpoints.io import CheckpointFiles
 from neurad.core.errors import InputError
-from neurad.core.ranges import NonNegative, checked
 from neurad.runtime.streams import silence_gone_terminals
 from neurad.training.guard import NotFinite
 
@@ -33,13 +33,12 @@ class LastCheckpoint(Checkpoint):
     have to wait for the others.
 
     Args:
-        every_seconds: wall-clock seconds between two checkpoints.
+        settings: all under ``checkpoint``.
     """
 
-    def __init__(self, every_seconds: NonNegative = 60.0) -> None:
+    def __init__(self, settings: CheckpointSettings) -> None:
         super().__init__()
-        self.every_seconds = every_seconds
-        checked(self)
+        self.settings = settings
         self._stepped = False
         self._stop_requested = False
         self._agreed = False
@@ -108,7 +107,7 @@ class LastCheckpoint(Checkpoint):
     def on_train_batch_end(self, trainer: pl.Trainer, pl_module: pl.LightningModule, *_: Any) -> None:
         """Save if it is time, and stop after Ctrl-C."""
         self._stepped = False
-        late = trainer.is_global_zero and time.monotonic() - self._written >= self.every_seconds
+        late = trainer.is_global_zero and time.monotonic() - self._written >= self.settings.every_seconds
         stop, save = _anywhere(trainer, self._stop_requested, late)
         if stop:
             self._agreed = True

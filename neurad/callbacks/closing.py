@@ -32,16 +32,17 @@ READING = (
 )
 """How to read the scores."""
 MIN_SHARE = 2 / 3
-"""Of the processor time that a fit asks for. With nothing else running it gets 0.9: its threads wait for each other."""
+"""Fraction of the processor time that a fit asks for below which it is told. With nothing else running it gets 0.9: its
+threads wait for each other."""
 
 
 @dataclass(frozen=True)
-class Shown:
+class LastEvaluation:
     """The last evaluation of a fit, with as many views as are shown."""
 
     evaluation: Evaluation
     unseen: Unseen
-    """Of all held-out views."""
+    """What of all held-out views no photograph shows."""
 
 
 def title_of(module: InverseRenderer) -> str:
@@ -54,18 +55,13 @@ def views_of(module: InverseRenderer) -> str:
     return "held-out views" if module.scene.scores_are_of is None else "training photographs"
 
 
-def seconds_of(module: InverseRenderer) -> float:
-    """Training seconds of the fit, also outside of it."""
-    return module.train_seconds if module.training_views is not None else module.seconds_before
-
-
 def busy(module: InverseRenderer) -> str:
     """That something else had the processor; empty where the fit got enough of it, or nobody knows."""
-    share = module.processor_share
+    share = module.spent.processor_share
     if share >= MIN_SHARE:
         return ""
     return (
-        f"{module.iteration} iterations in {seconds_of(module):.0f} s: the fit got {100 * share:.0f} % of the "
+        f"{module.iteration} iterations in {module.spent.seconds:.0f} s: the fit got {100 * share:.0f} % of the "
         "processor time that it asked for, as something else was running; on a quiet computer it does more of them"
     )
 
@@ -74,7 +70,7 @@ def print_verdict(module: InverseRenderer, scores: Mapping[str, float], unseen: 
     """What came out, what is not above the best constant, and what no photograph shows."""
     views = views_of(module)
     judged = verdict(scores, views)
-    done = busy(module) or f"{module.iteration} iterations in {seconds_of(module):.0f} s"
+    done = busy(module) or f"{module.iteration} iterations in {module.spent.seconds:.0f} s"
     said = [judged.sentence, done, *judged.warnings, "" if unseen is None else unseen.sentence(f"the {views}")]
     print("\n".join(f"neurad: {text}" for text in said if text))
 
@@ -175,7 +171,7 @@ def report_run(
         causes: what is wrong with all training photographs.
     """
     module: InverseRenderer = trainer.lightning_module  # type: ignore[assignment]
-    spent = f"{module.iteration} iterations in {seconds_of(module):.0f} s, {module.samples:.3g} path samples"
+    spent = f"{module.iteration} iterations in {module.spent.seconds:.0f} s, {module.samples:.3g} path samples"
     facts = [f"{folder}: {spent}. Pictures by {pictured}.", *filter(None, [module.scene.scores_are_of])]
     report.write_report(
         folder / report.NAME,

@@ -13,17 +13,17 @@ from typing import TYPE_CHECKING, Any, cast
 import lightning.pytorch as pl
 from lightning.pytorch.loggers import TensorBoardLogger
 
+from neurad.assembly.settings import EvaluationSettings
 from neurad.callbacks import pictures, report
 from neurad.callbacks.board import Board
 from neurad.callbacks.checkpoint import LastCheckpoint
-from neurad.callbacks.closing import Shown, print_closing, report_run, settings_of, title_of
+from neurad.callbacks.closing import LastEvaluation, print_closing, report_run, settings_of, title_of
 from neurad.callbacks.lamps import lamps_table, write_lamps
 from neurad.callbacks.run_folder import run_folder
 from neurad.callbacks.table import MetricsTable, curve_table, score_table
 from neurad.callbacks.training_views import ViewTable, write_exposures
 from neurad.core.decibels import as_json
 from neurad.core.errors import InputError
-from neurad.core.ranges import Count, CountOrZero, NonNegative, checked
 from neurad.evidence.bars_file import NAME, read_bars, write_bars
 from neurad.metrics.effort import affordable
 from neurad.metrics.unseen import Unseen
@@ -39,7 +39,7 @@ if TYPE_CHECKING:
 
 MARKS = 20
 """Evaluations in a run, if the allowed fraction of time is enough for them."""
-LEAST_STEPS = 500
+MIN_STEPS = 500
 """Iterations between two evaluations of a run that only its steps limit: a try of a few hundred took nine times as long
 as its steps did."""
 
@@ -48,33 +48,17 @@ class Evaluate(pl.Callback):
     """Evaluates on the held-out views: during a fit, at its end, and for ``validate``, ``test`` and ``predict``.
 
     A run that only ``max_steps`` limits evaluates every ``max_steps // 20`` iterations, so that it is repeatable, but
-    at least :data:`LEAST_STEPS` apart. One limited by time evaluates at every twentieth of its length, as long as that
+    at least :data:`MIN_STEPS` apart. One limited by time evaluates at every twentieth of its length, as long as that
     keeps to ``fraction``. Large held-out views are then scored at fewer positions in a pixel and in fewer pixels, see
     :mod:`neurad.metrics.effort`.
 
     Args:
-        fraction: largest fraction of the training time that evaluations during the fit may take.
-        every_n_steps: evaluate at multiples of this many iterations instead, whatever it costs.
-        spp: samples per pixel of the renderings scored during ``fit`` and ``validate``.
-        test_spp: samples per pixel of the renderings that ``test`` and ``predict`` write.
-        pictures: held-out views that TensorBoard shows.
+        settings: all under ``evaluation``.
     """
 
-    def __init__(
-        self,
-        fraction: NonNegative = 0.1,
-        every_n_steps: Count | None = None,
-        spp: Count = 4,
-        test_spp: Count = 64,
-        pictures: CountOrZero = 4,
-    ) -> None:
+    def __init__(self, settings: EvaluationSettings) -> None:
         super().__init__()
-        self.fraction = fraction
-        self.every_n_steps = every_n_steps
-        self.spp = spp
-        self.test_spp = test_spp
-        self.pictures = pictures
-        checked(self)
+        self.settings = settings
         self.last_scores: dict[str, float] = {}
         self.last_scored = 0.0
         """When that was, by the monotonic clock."""
@@ -86,7 +70,7 @@ class Evaluate(pl.Callback):
         self._views: ViewTable | None = None
         self._board: Board | None = None
         self._logs = True
-        self._shown: Shown | None = None
+        self._last_evaluation: LastEvaluation | None = None
         self._causes: list[str] = []
         """What is wrong with all training photographs, at the end of a fit."""
 
@@ -107,9 +91,9 @@ class Evaluate(pl.Callback):
         """Decide how much of large held-out views evaluations look at: all ones of a run at the same pixels."""
         module = cast("InverseRenderer", pl_module)
         views = module.scene.scored
-        if self.every_n_steps is not None or not views:
+        if self.settings.every_n_steps is not None or not views:
             return
-        module.scoring.effort = affordable(views, self.spp, self.fraction, time_limit(trainer))
+        module.scoring.effort = affordable(views, self.settings.spp, self.settings.fraction, time_limit(trainer))
         if not module.scoring.effort.whole and trainer.is_global_zero:
             grid, stride = module.scoring.effort.grid, module.scoring.effort.stride
             size = sum(view.camera.width * view.camera.height for view in views) / 1e6
@@ -160,16 +144,18 @@ class Evaluate(pl.Callback):
         rows = MetricsTable(folder / "metrics.csv").rows() if folder else []
         scores = rows[-1] if rows else self.last_scores
         if trainer.is_global_zero and scores:
-            table = _table(module, scores, self.spp, steady=True)
+            table = _table(module, scores, self.settings.spp, steady=True)
             print("\n" + "\n\n".join(t for t in (table, lamps_table(module, scores), curve_table(rows)) if t) + "\n")
-            unseen = None if self._shown is None else self._shown.unseen
+            unseen = None if self._last_evaluation is None else self._last_evaluation.unseen
             print_closing(trainer, folder, scores, unseen, tested=False, causes=self._causes)
 
     def on_validation_epoch_end(self, trainer: pl.Trainer, pl_module: pl.LightningModule) -> None:
         """``neurad validate``: print the scores."""
         if trainer.is_global_zero:
             module = cast("InverseRenderer", pl_module)
-            print(_table(module, module.evaluate(self.spp, steady=True).scores, self.spp, steady=True))
+            print(
+                _table(module, module.evaluate(self.settings.spp, steady=True).scores, self.settings.spp, steady=True)
+            )
 
     def on_test_epoch_end(self, trainer: pl.Trainer, pl_module: pl.LightningModule) -> None:
         """``neurad test``: write every held-out view and the scores."""
@@ -177,17 +163,17 @@ class Evaluate(pl.Callback):
             return
         module = cast("InverseRenderer", pl_module)
         folder = run_folder(trainer)
-        evaluation = module.evaluate(self.test_spp, glossy=True, bars=error_bars_of(module, folder))
+        evaluation = module.evaluate(self.settings.test_spp, glossy=True, bars=error_bars_of(module, folder))
         unseen = Unseen.of(evaluation.maps)
-        tables = _table(module, evaluation.scores, self.test_spp), lamps_table(module, evaluation.scores)
+        tables = _table(module, evaluation.scores, self.settings.test_spp), lamps_table(module, evaluation.scores)
         print("\n\n".join(t for t in tables if t) + "\n")
         if folder is not None:
             _write_views(folder, evaluation, module)
-            report_run(trainer, folder, evaluation, unseen, f"{self.test_spp} samples per pixel", tested=True)
-            about = {"iteration": module.iteration, "seconds": round(module.seconds_before, 2), "rays": module.rays}
+            report_run(trainer, folder, evaluation, unseen, f"{self.settings.test_spp} samples per pixel", tested=True)
+            about = {"iteration": module.iteration, "seconds": round(module.spent.seconds, 2), "rays": module.rays}
             about["samples"] = module.samples
             scores = {key: as_json(value) for key, value in evaluation.scores.items()}
-            text = json.dumps({**about, "render_spp": self.test_spp, **scores}, indent=2)
+            text = json.dumps({**about, "render_spp": self.settings.test_spp, **scores}, indent=2)
             write_text(folder / "metrics.json", text + "\n")
         print_closing(trainer, folder, evaluation.scores, unseen, tested=True)
 
@@ -196,7 +182,7 @@ class Evaluate(pl.Callback):
         if not trainer.is_global_zero:
             return
         module = cast("InverseRenderer", pl_module)
-        evaluation = module.evaluate(self.test_spp)
+        evaluation = module.evaluate(self.settings.test_spp)
         folder = run_folder(trainer)
         if folder is not None:
             _write_views(folder, evaluation, module)
@@ -205,17 +191,17 @@ class Evaluate(pl.Callback):
     def _due(self, trainer: pl.Trainer, module: InverseRenderer) -> bool:
         if fraction_done(trainer).largest >= 1.0:
             return False  # the end is scored after the last fit of the levels' factors
-        every = self.every_n_steps
+        every = self.settings.every_n_steps
         if every is None and trainer.max_steps > 0 and fraction_done(trainer).by_time is None:
-            every = max(trainer.max_steps // MARKS, LEAST_STEPS)
+            every = max(trainer.max_steps // MARKS, MIN_STEPS)
         if every is not None:
             return bool(module.iteration % every == 0)
         mark = self._mark_of(trainer)
         # After the first, which compiles kernels and may end at a mark, the second one waits for as long again.
-        if mark < max(self._mark + 1, 2 * self._mark if self._first else 0) or self.fraction <= 0:
+        if mark < max(self._mark + 1, 2 * self._mark if self._first else 0) or self.settings.fraction <= 0:
             return False
         self._mark = mark
-        return bool(self._spent + self._last <= self.fraction * module.train_seconds)
+        return bool(self._spent + self._last <= self.settings.fraction * module.spent.seconds)
 
     @staticmethod
     def _mark_of(trainer: pl.Trainer) -> int:
@@ -227,7 +213,7 @@ class Evaluate(pl.Callback):
         with clock.excluded():
             self._evaluated = module.iteration
             if trainer.is_global_zero:
-                evaluation = module.evaluate(self.spp, steady=True)
+                evaluation = module.evaluate(self.settings.spp, steady=True)
                 self.last_scores, self.last_scored = dict(evaluation.scores), time.monotonic()
                 self._record(trainer, module, evaluation)
                 write_lamps(module, run_folder(trainer))
@@ -251,15 +237,15 @@ class Evaluate(pl.Callback):
         folder = run_folder(trainer)
         if folder is None:
             return
-        spent = {"seconds": module.train_seconds, "rays": module.rays, "samples": module.samples}
+        spent = {"seconds": module.spent.seconds, "rays": module.rays, "samples": module.samples}
         MetricsTable(folder / "metrics.csv").append({"iteration": module.iteration, **spent, **evaluation.scores})
         maps = evaluation.maps
-        kept = replace(evaluation, maps=maps[: max(self.pictures, report.VIEWS)])
-        self._shown = Shown(kept, Unseen.of(maps).summary())
+        kept = replace(evaluation, maps=maps[: max(self.settings.pictures, report.VIEWS)])
+        self._last_evaluation = LastEvaluation(kept, Unseen.of(maps).summary())
         if board := self._board_of(trainer, module):
-            board.scores(evaluation.scores, module.iteration, module.train_seconds)
+            board.scores(evaluation.scores, module.iteration, module.spent.seconds)
             board.lamps(module, module.iteration)
-            board.sheets(maps[: self.pictures], evaluation.exposure, module.iteration)
+            board.sheets(maps[: self.settings.pictures], evaluation.exposure, module.iteration)
             if evaluation.environment:
                 picture = pictures.environment(evaluation.environment, evaluation.exposure)
                 board.picture("environment", picture, module.iteration)
@@ -270,16 +256,16 @@ class Evaluate(pl.Callback):
         """
         folder = run_folder(trainer)
         bars = error_bars_of(module, folder)
-        if self._shown is None or folder is None:
+        if self._last_evaluation is None or folder is None:
             return
-        evaluation, unseen = self._shown.evaluation, self._shown.unseen
+        evaluation, unseen = self._last_evaluation.evaluation, self._last_evaluation.unseen
         if bars is not None:
             for view, found in zip(evaluation.maps, module.scoring.bar_maps(bars), strict=False):
                 view |= found
             if board := self._board_of(trainer, module):
-                board.sheets(evaluation.maps[: self.pictures], evaluation.exposure, module.iteration)
+                board.sheets(evaluation.maps[: self.settings.pictures], evaluation.exposure, module.iteration)
         control = ", with the radiance field as control variate" if "psnr_lhs" in evaluation.scores else ""
-        about = f"{self.spp} samples per pixel{control}; neurad test takes {self.test_spp}"
+        about = f"{self.settings.spp} samples per pixel{control}; neurad test takes {self.settings.test_spp}"
         report_run(trainer, folder, evaluation, unseen, about, tested=False, causes=self._causes)
 
     def _board_of(self, trainer: pl.Trainer, module: InverseRenderer) -> Board | None:
@@ -297,8 +283,8 @@ class Evaluate(pl.Callback):
             return
         self._views = self._views or ViewTable([view.name for view in module.scene.train], views.surface)
         self._views.update(run_folder(trainer), module.iteration, residuals)
-        if module.development is not None:
-            write_exposures(run_folder(trainer), module.scene.train, module.development, module.iteration)
+        if module.assembly.development is not None:
+            write_exposures(run_folder(trainer), module.scene.train, module.assembly.development, module.iteration)
 
 
 def error_bars_of(module: InverseRenderer, folder: Path | None) -> ErrorBars | None:

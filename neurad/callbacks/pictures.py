@@ -19,9 +19,9 @@ from neurad.pages.colours import (
     ERRORS,
     Bytes,
     encode,
+    encode_parameter,
     false_colour,
     grey,
-    shown,
 )
 from neurad.pages.draw import draw
 from neurad.pages.sheet import Scale, Sheet, Tile, scale_of, worst_squares
@@ -98,12 +98,14 @@ def _material(view: View, has: set[str], parameter: SurfaceParameter) -> list[Ti
         return _bars(view, has, name)
     truth, bar = f"{name}_true", scale_of(parameter)
     heading = f"{name.capitalize()} {'found' if parameter.is_recovered else 'by the files'}"
-    tiles: list[Tile | None] = [Tile(name, heading, shown(parameter, view[name]), bar, truth if truth in has else "")]
+    tiles: list[Tile | None] = [
+        Tile(name, heading, encode_parameter(parameter, view[name]), bar, truth if truth in has else "")
+    ]
     if truth in has:
         error = false_colour(np.abs(view[name] - view[truth]), 1.0 / BRIGHTEST)
         scale = Scale(ERRORS, "0", f"\u2265 {BRIGHTEST:g}", "absolute error, darker is better")
         tiles += [
-            Tile(truth, f"{name.capitalize()} true", shown(parameter, view[truth]), bar, name),
+            Tile(truth, f"{name.capitalize()} true", encode_parameter(parameter, view[truth]), bar, name),
             Tile(f"{name}_error", f"Error of {name}", error, scale),
         ]
     return tiles + _bars(view, has, name)
@@ -157,7 +159,7 @@ def write_views(
             if kind.endswith("_std"):
                 picture = false_colour(image, 1.0 / BRIGHTEST_STD, BARS)
             else:
-                picture = shown(BY_NAME[kind], image) if kind in BY_NAME else encode(image * scale)
+                picture = encode_parameter(BY_NAME[kind], image) if kind in BY_NAME else encode(image * scale)
             write_png(stem.with_suffix(".png"), picture)
         if view.get("seen") is not None:
             write_png(folder / f"{name}_seen.png", grey(view["seen"]))

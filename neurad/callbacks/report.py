@@ -26,7 +26,7 @@ VIEWS = 8
 """Views that the page shows at most: its pictures are in it."""
 COLOUR, GREY = "var(--accent)", "var(--pale)"
 DASHES = {CONSTANT: "6 4", LOOKUP: "2 3"}
-"""Of the lines of what needs no fit."""
+"""How lines are dashed that need no fit."""
 CHARTS = {
     **{f"{name.capitalize()}, PSNR in dB": f"{name}_psnr" for name in RECOVERED},
     "Picture (sRGB), PSNR in dB": "psnr_srgb",
@@ -53,20 +53,20 @@ class Result:
     """Lines on how it was made."""
     scores: Mapping[str, float]
     maps: Sequence[Mapping[str, Any]]
-    """Of the held-out views, those that are shown first."""
+    """Maps of the held-out views, those that are shown first."""
     unseen: Unseen
-    """Of all held-out views."""
+    """What of all held-out views no photograph shows."""
     views: str = "held-out views"
     """Which views the scores are of."""
     rows: Sequence[Row] = ()
-    """Of ``metrics.csv``."""
+    """Rows of ``metrics.csv``."""
     busy: str = ""
     """That something else had the processor."""
     exposure: float = 1.0
     """What radiance is multiplied with to be shown."""
     environment: Mapping[str, FloatArray] = field(default_factory=dict)
     number: int = 0
-    """Of views there are."""
+    """How many views there are."""
     distrusted: str = ""
     """Which surfaces the result may be wrong on."""
     steps: Sequence[tuple[str, str]] = ()

@@ -21,7 +21,7 @@ if TYPE_CHECKING:
 
     from neurad.training.inverse import InverseRenderer
 
-KEPT = 3
+MAX_CHECKPOINTS = 3
 """Checkpoints that are there at once: the last, the one before, and the one that is being written."""
 ADAM = 3
 """Numbers of a checkpoint for each number that is trained: its value, and two moments."""
@@ -157,7 +157,7 @@ class RunFolder(SaveConfigCallback):
         state = sum(value.nbytes for value in pl_module.state_dict().values())
         size = state + (ADAM - 1) * sum(p.nbytes for p in pl_module.parameters() if p.requires_grad)
         there = len([*(folder / "checkpoints").glob("*.ckpt")])
-        check_space(folder, size, max(KEPT - there, 1), "its checkpoints")
+        check_space(folder, size, max(MAX_CHECKPOINTS - there, 1), "its checkpoints")
 
     def on_train_start(self, trainer: pl.Trainer, pl_module: pl.LightningModule) -> None:
         """Everything is built and restored, so the run exists from here on."""

@@ -14,7 +14,7 @@ CLOSELY, ROUGHLY = 10.0, 3.0
 KINDS = {**{name: f"{name}_psnr" for name in RECOVERED}, "the pictures": "psnr_srgb"}
 """What is judged, and by which score; its best constant's has ``_constant`` behind."""
 PARTS = {"_seen": "surfaces that photographs show", "_lit_glossy": "glossy surfaces with light on them"}
-"""Of the views, by what ends the names of their scores."""
+"""Parts of the views that have scores of their own, by what ends the names of these."""
 
 
 @dataclass(frozen=True)

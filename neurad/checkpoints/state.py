@@ -129,6 +129,23 @@ def check_scene(state: dict[str, Any], scene: Scene, source: str, same_light: bo
         )
 
 
+def check_photographs(before: int, now: int) -> None:
+    """Refuse to go on with other training photographs than the fit began with.
+
+    Args:
+        before: their checksum in the checkpoint; 0 where there is none.
+        now: that of the photographs as they are.
+
+    Raises:
+        InputError: they are others.
+    """
+    if before not in (0, now):
+        raise InputError(
+            "--ckpt_path: the training photographs are not those that the run began with; put them back, or start a "
+            "new run"
+        )
+
+
 def changed_light(state: dict[str, Any], scene: Scene, environment: bool = True, lamps: bool = True) -> list[str]:
     """What differs between the light of a fit and that of a scene, a few words each.
 

@@ -33,7 +33,8 @@ def run(options: argparse.Namespace) -> None:
     from dataclasses import fields
 
     from datamodules.scene_data import SceneData
+    from datamodules.settings import DataSettings
     from neurad.inspect.check.run import CheckSettings, check
 
     settings = CheckSettings(**{f.name: getattr(options, f.name) for f in fields(CheckSettings)})
-    check(settings, SceneData(options.root, options.scene).over)
+    check(settings, SceneData(DataSettings(options.root, options.scene)).over)

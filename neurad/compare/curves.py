@@ -33,7 +33,7 @@ COLOURS = {
 FURTHER = ("#c23b6b", "#8c6d31", "#7b4ab8", "#7f7f7f", "#b3b300", "#00a3a3")
 AXES = {"seconds": "training time / s", "samples": "path samples"}
 DASHES = {CONSTANT: (0, (4, 3)), LOOKUP: (0, (1, 2))}
-"""Of the lines of what needs no fit."""
+"""How lines are dashed that need no fit."""
 POINTS = 64
 """Places at which the curves of several seeds are compared."""
 

@@ -37,7 +37,7 @@ class Fit:
     seed: int
     folder: Path
     arguments: tuple[str, ...]
-    """Of ``neurad fit``."""
+    """Command-line arguments of ``neurad fit``."""
 
 
 def fit_all(options: argparse.Namespace) -> list[Run]:

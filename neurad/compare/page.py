@@ -8,7 +8,7 @@ from pathlib import Path
 
 from neurad.compare.curves import PANELS
 from neurad.compare.runs import SCORES
-from neurad.compare.table import RATES, TOO_FEW, TableRow, columns, shown
+from neurad.compare.table import RATES, TOO_FEW, TableRow, cell_text, columns
 from neurad.core.decibels import decibels, figure
 from neurad.core.parameters import RECOVERED
 from neurad.metrics.marks import CONSTANT
@@ -152,7 +152,7 @@ def _table(rows: Sequence[TableRow], names: Sequence[str]) -> str:
 
 
 def _cell(name: str, value: object, best: bool) -> str:
-    text = html.escape(shown(name, value))  # type: ignore[arg-type]
+    text = html.escape(cell_text(name, value))  # type: ignore[arg-type]
     return f'<span class="best">{text}</span>' if best else text
 
 

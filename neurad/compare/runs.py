@@ -38,7 +38,7 @@ class Run:
     """Columns of ``metrics.csv`` in the file's order."""
     peak_memory_mib: float | None = None
     processor_seconds: float | None = None
-    """Of its process."""
+    """Seconds of all threads of the run's process."""
     message: str = ""
     """Why it failed; empty if it did not."""
 

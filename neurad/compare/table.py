@@ -16,7 +16,7 @@ from neurad.runtime.tables import Cell
 REACH = (20.0, 22.0, 24.0, 26.0, 28.0, 30.0)
 """Albedo PSNRs in dB whose time is reported."""
 MIN_ITERATIONS = 100
-"""Of a fit whose scores say something of its method."""
+"""Iterations from which on the scores of a fit say something of its method."""
 TOO_FEW = "too few iterations"
 RATES = ("ms_per_step", "rays_per_second", "samples_per_second")
 
@@ -105,7 +105,7 @@ _DIGITS: Mapping[str, Callable[[float], str]] = {
 }
 
 
-def shown(name: str, cell: Cell) -> str:
+def cell_text(name: str, cell: Cell) -> str:
     """A cell with the digits that matter."""
     if cell is None or isinstance(cell, str):
         return cell or ""
@@ -119,6 +119,6 @@ def shown(name: str, cell: Cell) -> str:
 def write_markdown(path: Path, rows: Sequence[TableRow], note: str, reach: Sequence[float] = REACH) -> None:
     """The table for a README, every column, with a line on how it was measured."""
     names = columns(reach)
-    body = ([shown(name, row.get(name)) for name in names] for row in rows)
+    body = ([cell_text(name, row.get(name)) for name in names] for row in rows)
     lines = tables.markdown(names, body, left=("method", "status"))
     write_text(path, "\n".join(lines) + f"\n\n{note}\n")

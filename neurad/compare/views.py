@@ -12,13 +12,13 @@ from neurad.compare.runs import Run
 from neurad.core.errors import InputError
 from neurad.core.parameters import BY_NAME
 from neurad.core.records import BoolArray, FloatArray, View
-from neurad.formats.cameras.nerf import HOLD_OUT
+from neurad.formats.cameras import HOLD_OUT
 from neurad.formats.load import load_scene
 from neurad.images.development import Photography
 from neurad.images.image_io import read_bitmap, read_exr
 from neurad.images.photographs import read_view
 from neurad.metrics.unseen import UNSEEN
-from neurad.pages.colours import BRIGHTEST, ERRORS, Bytes, encode, false_colour, shown
+from neurad.pages.colours import BRIGHTEST, ERRORS, Bytes, encode, encode_parameter, false_colour
 from neurad.pages.sheet import Scale, Sheet, Tile, scale_of
 from neurad.scene.description import Scene
 from neurad.scene.exposure import scene_exposure
@@ -110,7 +110,7 @@ def sheet(title: str, columns: Mapping[str, Maps], scale: float, unseen: BoolArr
         if not any(kind in maps for name, maps in columns.items() if name != TRUTH):
             continue
         unit, parameter = scale if kind == "render" else 1.0, BY_NAME.get(kind)
-        show = encode if parameter is None else partial(shown, parameter)
+        show = encode if parameter is None else partial(encode_parameter, parameter)
         bar = None if parameter is None else scale_of(parameter)
         rows[kind] = [
             Tile(f"{kind}-{place}", f"{word}: {name}", show(maps[kind] * unit), bar, _pair(kind, name, columns))

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 
-def apart(name: str, taken: set[str], joint: str = "-", capitals: bool = True) -> str:
+def make_unique(name: str, taken: set[str], joint: str = "-", capitals: bool = True) -> str:
     """The name, or one with a number behind it that is not taken; it is from then on.
 
     Of many things of one name each gets the next number, without asking for all of those before.

@@ -65,6 +65,8 @@ PositiveFraction = Annotated[float, Range(0.0, 1.0, above=True)]
 """More than none, up to all."""
 OpenFraction = Annotated[float, Range(0.0, 1.0, above=True, below=True)]
 """Neither none nor all."""
+Ceiling = Annotated[float, Range(0.0, 1e18, above=True)]
+"""Where photographs are clipped."""
 Count = Annotated[int, Range(1, _WHOLE)]
 CountOrZero = Annotated[int, Range(0, _WHOLE)]
 Seed = Annotated[int, Range(0, 2**32 - 1)]

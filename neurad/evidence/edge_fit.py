@@ -20,6 +20,7 @@ from torch.nn.functional import conv2d, interpolate, pad
 from neurad.core.camera import camera_rays, pixel_side, project
 from neurad.core.records import Camera, FloatArray
 from neurad.evidence.mesh_edges import MeshEdges
+from neurad.evidence.shared_errors import LEAST_VIEWS, MEASURES, bound
 
 WIDTH = 256
 """Pixels that larger photographs are at least reduced to: edges are compared on that scale."""
@@ -38,8 +39,6 @@ EXCESS, EXCESS_OF_FEW, FEW = 0.25, 0.5, 1000
 places are compared; measured, see docs/check.md."""
 FAR, LEAST = 6.0, 0.1
 """A mean rank is far below those of the other views if it is so many robust standard deviations and so much below."""
-LEAST_VIEWS, SURE = 5, 4.0
-"""Views that say whether all are off in the same way, and standard errors over them from which on they are."""
 _CHANGES = [
     *(("zoom", 1.0 + 0.01 * i) for i in range(-12, 13)),
     *((kind, 0.004 * i) for kind in ("right", "down") for i in range(-10, 11) if i),
@@ -237,8 +236,8 @@ class SharedTurn:
 def shared_turn(views: Sequence[tuple[Tensor, Camera, Tensor]]) -> SharedTurn | None:
     """What all photographs are zoomed, shifted or rolled by against the edges of the geometry; None where nothing is.
 
-    It moves a picture's border by more than :data:`HERE` pixels, and over the views the mean rank rises by more than
-    :data:`SURE` standard errors. Of several kinds that do, the one that fits best.
+    It moves a picture's border by more than :data:`HERE` pixels, and over the views the mean rank surely rises, see
+    :func:`bound`. Of several kinds that do, the one that fits best.
 
     Args:
         views: ranks [h, w], the camera of that size and directions to edges, as in :func:`edge_fit`.
@@ -248,7 +247,7 @@ def shared_turn(views: Sequence[tuple[Tensor, Camera, Tensor]]) -> SharedTurn | 
         return None
     ranks = np.array([_changed_ranks(*view) for view in views])
     width = float(np.mean([camera.width for _, camera, _ in views]))
-    best, found = 0.0, None
+    best, found, kinds = 0.0, None, {kind for kind, _ in _CHANGES}
     for number, (kind, amount) in enumerate(_CHANGES):
         gain = ranks[:, number] - ranks[:, _CHANGES.index(("zoom", 1.0))]
         gain = gain[~np.isnan(gain)]
@@ -256,7 +255,8 @@ def shared_turn(views: Sequence[tuple[Tensor, Camera, Tensor]]) -> SharedTurn | 
             continue
         moved = {"zoom": 0.5 * abs(amount - 1.0), "roll": 0.5 * math.radians(abs(amount))}.get(kind, abs(amount))
         best = float(gain.mean())
-        sure = best > SURE * float(gain.std(ddof=1)) / math.sqrt(len(gain))
+        error = float(gain.std(ddof=1)) / math.sqrt(len(gain))
+        sure = best > bound(error, len(gain), MEASURES * len(kinds), 0.0)
         found = SharedTurn(kind, amount) if sure and moved * width > HERE else None
     return found
 

@@ -37,11 +37,11 @@ from neurad.evidence.nodes import Nodes
 from neurad.evidence.pixel_derivatives import PixelDerivatives
 
 DARK = 0.01
-"""Of the mean squared radiance: added to the squared brightness that pixels are weighted by."""
+"""Fraction of the mean squared radiance that is added to the squared brightness that pixels are weighted by."""
 LIMIT = 1.0
 """Largest residual, and half of the largest derivative by roughness, in units of the brightness: fireflies are cut."""
 CELLS = 64
-"""Of the grid along the longest side of what the pixels see: some 10 cm of a room share their information."""
+"""Cells of the grid along the longest side of what the pixels see: some 10 cm of a room share their information."""
 FINER = 2
 """Patches of one unknown albedo along a cell of the grid."""
 FLAT = 5e-3
@@ -73,7 +73,7 @@ class BarFields(Protocol):
 
 
 @dataclass(frozen=True)
-class Known:
+class RoughnessInformation:
     """What the closing step of a fit found its photographs to tell of the roughness."""
 
     information: FloatArray
@@ -141,7 +141,7 @@ def measure(
     total: int,
     iteration: int,
     has_roughness: bool,
-    known: Known | None = None,
+    known: RoughnessInformation | None = None,
 ) -> ErrorBars:
     """Error bars from the pixels of a pass.
 
@@ -243,8 +243,8 @@ def _shared(x: Float64Array, known: FloatArray) -> Float64Array:
 
 
 def _number(x: Float64Array, side: int) -> IntArray:
-    """Of the cell that each position [n, 3] in the unit cube lies in, of ``side`` along an edge, the last axis fastest
-    [n].
+    """Numbers [n] of the cells that positions [n, 3] in the unit cube lie in; ``side`` of them along an edge, the last
+    axis fastest.
     """
     at = np.minimum((np.clip(x, 0.0, 1.0) * side).astype(np.int64), side - 1)
     return np.asarray((at[:, 0] * side + at[:, 1]) * side + at[:, 2])

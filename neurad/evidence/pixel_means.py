@@ -130,4 +130,4 @@ def _parts(
         return [column[kept].cpu().numpy() for column in columns]
 
     # A GPU is kept busy by one thread.
-    yield from (threads.each if primary.origin.device.type == "cpu" else map)(of_batch, enumerate(batches))
+    yield from (threads.parallel_map if primary.origin.device.type == "cpu" else map)(of_batch, enumerate(batches))

@@ -1,11 +1,13 @@
 """Whether photographs follow the light: how brightness rises with the light that arrives, within one mesh.
 
 What a matt surface shows is its albedo times the light that arrives, so along a mesh of one albedo the logarithm of a
-photograph rises by one with that of the light. A response curve that was not taken back changes the slope, and light
-that was added everywhere (haze, a black offset) flattens it. The light is that of the lamps, directly and by surfaces
-whose mean radiance, a mesh each, is the photographs' (inverse global illumination, Yu et al. 1999): no material needs
-to be known. It is an estimate in two independent halves, each the instrument of the other, since noise in it would
-flatten the slope, too.
+photograph rises by one with that of the light. Albedo that varies, and what shines, change that on some meshes, so the
+errors are those over meshes or over photographs, whichever are larger; of a room that is one mesh, a scan, what faces
+the same way is taken for a mesh. A response curve that was not taken back changes the slope, and light that was added
+everywhere (haze, a black offset) flattens it. The light is that of the lamps, directly and by surfaces whose mean
+radiance, a mesh each, is the photographs' (inverse global illumination, Yu et al. 1999): no material needs to be known.
+It is an estimate in two independent halves, each the instrument of the other, since noise in it would flatten the
+slope, too.
 """
 
 from __future__ import annotations
@@ -22,7 +24,7 @@ from neurad.core.camera import camera_rays
 from neurad.core.protocols import PhotoSource
 from neurad.core.records import Camera, Surface, SurfaceInteraction
 from neurad.core.rng import Stream
-from neurad.evidence.shared_errors import Develop, brightness_of, matt, some_views
+from neurad.evidence.shared_errors import Develop, Estimate, brightness_of, matt, some_views
 from neurad.integrators.bounce import bounce
 from neurad.integrators.vertex import DIMENSIONS, Bounce
 from neurad.integrators.world import World
@@ -34,6 +36,8 @@ POINTS, DIRECTIONS = 8192, 16
 """Photographed points, and directions from each and from as many points that light comes from."""
 PIXELS = 1 << 16
 """Pixels of a view among which the darkest is looked for."""
+SCAN = 0.9
+"""Part of all points from which on one mesh is taken for a scan of a room."""
 _BOUNCES = 12
 _TURN = 0.15  # of the scene's size that a turn of a normal by a radian counts in the search for the nearest point
 _DIM, _DARK = 0.02, 0.01  # of the median light and of the median brightness: what is below takes no part
@@ -51,7 +55,7 @@ class Transport:
     source: Ints
     """Which point that is [2 n, k]; -1 for none."""
     mesh: Ints
-    """Of each point [2 n]."""
+    """Of each point [2 n]; in a scan with the way that it faces."""
     view: Ints
     """Of the photographed points [n]."""
     photographed: Array
@@ -61,8 +65,9 @@ class Transport:
     escaping: float
     """Fraction of the directions from photographed points in which there is nothing."""
 
-    def slope(self, power: float = 1.0, offset: float = 0.0) -> tuple[float, float]:
-        """By how much the logarithm of brightness rises with that of the light, and its standard error over views.
+    def slope(self, power: float = 1.0, offset: float = 0.0) -> Estimate:
+        """By how much the logarithm of brightness rises with that of the light. The error is cluster-robust (Liang and
+        Zeger 1986), over meshes or over views.
 
         Args:
             power: of the response curve that is taken back from the photographs first.
@@ -73,15 +78,15 @@ class Transport:
         bright = shown.mean(1)
         good = (halves.min(0) > _DIM * np.median(halves)) & (bright > _DARK * np.median(bright))
         y, first, second = (_within(np.log(x[good]), own[good]) for x in (bright, *halves))
-        view = self.view[good]
-        rise = np.bincount(view, y * (first + second) / 2.0)
-        run = np.bincount(view, first * second, len(rise))
+        rise, run = y * (first + second) / 2.0, first * second
         if run.sum() <= 0.0:
-            return 1.0, np.inf
-        rest = (rise.sum() - rise) / np.maximum(run.sum() - run, 1e-12)
-        used = len(np.unique(view))
-        error = np.sqrt((used - 1) * np.var(rest[np.unique(view)]))
-        return float(rise.sum() / run.sum()), float(error)
+            return Estimate(1.0, np.inf, 2)
+        slope, found = float(rise.sum() / run.sum()), []
+        for cluster in (self.view[good], own[good]):
+            names, group = np.unique(cluster, return_inverse=True)
+            scores, count = np.bincount(group, rise - slope * run), max(len(names), 2)
+            found.append((float(np.sqrt(count / (count - 1) * (scores**2).sum()) / run.sum()), count))
+        return Estimate(slope, *max(found))
 
     def _light(self, shown: Array) -> Array:
         """Light that arrives at the photographed points, by two halves of the directions [2, n]."""
@@ -168,9 +173,13 @@ def transport(
     if photographs.has_alpha:  # where nothing is in front of the background, it is 0
         every = every[every > 0]
     floor = float(every.min()) / float(photographed.mean()) if len(every) else 0.0
+    mesh = geometry.mesh_index[points.prim]
+    if int(mesh[: len(own)].bincount().max()) > SCAN * len(own):
+        axis = (facing := _facing(points)).abs().argmax(-1, keepdim=True)
+        mesh = 6 * mesh + (2 * axis + (facing.gather(-1, axis) < 0)).squeeze(-1)
+    escaping = 1.0 - float(first.next.valid.float().mean())
     return Transport(
-        direct, weight, source, geometry.mesh_index[points.prim].cpu().numpy(), np.concatenate(view), photographed,
-        floor, 1.0 - float(first.next.valid.float().mean()),
+        direct, weight, source, mesh.cpu().numpy(), np.concatenate(view), photographed, floor, escaping
     )  # fmt: skip
 
 
@@ -183,6 +192,10 @@ def _bounce(world: World, si: SurfaceInteraction, seed: int, key: int) -> Bounce
 
 def _places(si: SurfaceInteraction, scale: float) -> Array:
     """Positions and normals on the viewer's side, so that the nearest is a point on the same side of the same thing."""
-    normal = torch.where((si.n * si.wo).sum(-1, keepdim=True) > 0, si.n, -si.n)
-    found: Array = torch.cat((si.p / scale, _TURN * normal), -1).double().cpu().numpy()
+    found: Array = torch.cat((si.p / scale, _TURN * _facing(si)), -1).double().cpu().numpy()
     return found
+
+
+def _facing(si: SurfaceInteraction) -> torch.Tensor:
+    """Normals on the viewer's side [n, 3]."""
+    return torch.where((si.n * si.wo).sum(-1, keepdim=True) > 0, si.n, -si.n)

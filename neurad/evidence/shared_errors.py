@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 import numpy.typing as npt
@@ -34,13 +34,14 @@ GRID = 64
 """Columns and rows of the pixels that are looked at in each, the outermost ones among them."""
 LEAST_VIEWS = 5
 """Views that must show something at one place of the picture for it to be judged."""
-SURE = 4.0
-"""Standard errors from which on an effect is taken for one."""
 CHANCE = 0.01
-"""Probability that one place of the picture or more passes by chance, over all places (Bonferroni)."""
-MARKED = 0.05
-"""Relative difference from which on a place of the picture counts as marked; and how many make a mark."""
+"""Probability that anything is said by chance of photographs that have nothing wrong in common."""
+MATTERS = 0.1
+"""Relative effect that is not worth a word, however sure it is."""
+MEASURES = 4
+"""Edges, the fall towards corners, exposures, and light."""
 MARKS = 3
+"""Places of the picture from which on something in all photographs is a mark, such as a watermark."""
 EDGE = 0.8
 """Part of an outermost row or column that has to be marked for it to be a border."""
 _PARTNERS = 4  # other views of a point: those that see it from the nearest directions, where highlights differ least
@@ -50,29 +51,46 @@ _ALIKE = 0.1
 """Times the usual scatter over photographs below which a place of the picture is left out at first: a border."""
 
 
+def bound(error: Any, units: Any, trials: float = MEASURES, matters: float = MATTERS) -> Any:
+    """The size from which on an effect counts: it matters, and by Student's t of an error over independent units any of
+    all trials passes by chance with a probability of :data:`CHANCE` (Bonferroni).
+    """
+    from scipy.special import stdtrit  # imported where it is needed: it loads slowly
+
+    return np.maximum(matters, -stdtrit(np.maximum(units - 1, 1), CHANCE / (2.0 * trials)) * error)
+
+
+class Estimate(NamedTuple):
+    """A number that is estimated."""
+
+    value: float
+    error: float
+    """Its standard error ..."""
+    units: int
+    """... over so many independent ones."""
+
+    def off(self, usual: float) -> float:
+        """Squared distance from the usual one in standard errors, twice the logarithm of a ratio of likelihoods."""
+        return ((self.value - usual) / self.error) ** 2
+
+    def differs(self, usual: float = 0.0) -> bool:
+        """Whether it is surely another than the usual one, see :func:`bound`."""
+        return abs(self.value - usual) > float(bound(self.error, self.units))
+
+
 @dataclass(frozen=True)
 class SharedErrors:
     """What photographs have in common that surfaces do not."""
 
-    falloff: float
+    falloff: Estimate
     """Logarithm of the brightness towards the corners over that in the middle; negative with vignetting."""
-    falloff_error: float
-    spread: float
-    """Standard deviation over photographs of the logarithm of their gains."""
-    spread_error: float
-    """Standard error of one gain."""
+    spread: Estimate
+    """Standard deviation over photographs of the logarithm of their gains; the error is that of one gain."""
     border: dict[str, float]
     """Sides (left, right, top, bottom) with something that is the same in all photographs, and how far it reaches, as a
     fraction of the picture."""
     marked: float
     """Fraction of the rest of the picture where all photographs differ from what lies behind in the same way."""
-    marks: int
-    """Places that this is of."""
-
-    @property
-    def has_mark(self) -> bool:
-        """Whether there is something in all pictures, such as a watermark, besides a border."""
-        return self.marks >= MARKS
 
 
 @dataclass(frozen=True)
@@ -151,16 +169,12 @@ def shared_errors(
         gains, slopes = _solved(kept, len(cameras))
         marked = _marked(pairs, pairs.value - _model(pairs, gains, slopes), marked)
     kept = pairs[~marked[pairs.cell] & ~marked[pairs.other]]
-    gains, slopes, reach, error, gain_error = _judged(kept, len(cameras))
-    seen = np.bincount(kept.a, minlength=len(cameras)) > 0
+    falloff, spread = _judged(kept, len(cameras))
     picture, known = marked.reshape(size), np.bincount(pairs.cell, minlength=len(marked)).reshape(size) > 0
     border, rest = _border(picture, known)
     inside = known & rest
     marks = int((picture & inside).sum())
-    return SharedErrors(
-        float(reach @ slopes), error, float(gains[seen].std()), gain_error, border,
-        marks / max(int(inside.sum()), 1), marks,
-    )  # fmt: skip
+    return SharedErrors(falloff, spread, border, marks / int(inside.sum()) if marks >= MARKS else 0.0)
 
 
 def _pairs(
@@ -171,9 +185,12 @@ def _pairs(
     points = _points(world, cameras, chosen, photographs, develop, left_out, size)
     eyes = torch.stack([torch.as_tensor(cameras[i].to_world, dtype=torch.float32)[:3, 3] for i in chosen])
     eyes = eyes.to(points.si.p.device)
-    near = torch.stack([(_unit(eye - points.si.p) * points.si.wo).sum(-1) for eye in eyes], 1).cpu()
+    towards, front = [_unit(eye - points.si.p) for eye in eyes], (points.si.wo * points.si.n).sum(-1) > 0
+    near = torch.stack([(way * points.si.wo).sum(-1) for way in towards], 1).cpu()
     own = torch.from_numpy(np.searchsorted(chosen, points.view))
     near[torch.arange(len(own)), own] = -2.0
+    behind = torch.stack([((way * points.si.n).sum(-1) > 0) != front for way in towards], 1).cpu()
+    near[behind] = -2.0  # another side of a sheet has another light
     seen = SeenBy(world.geometry, world.tracer, [cameras[i] for i in chosen])
     inside = torch.stack([in_view(cameras[i], points.si.p).cpu() for i in chosen], 1)
     near = torch.where(inside, near, -2.0)
@@ -350,8 +367,8 @@ def _solved(pairs: _Pairs, views: int) -> tuple[Array, Array]:
     return gains, slopes
 
 
-def _judged(pairs: _Pairs, views: int) -> tuple[Array, Array, Array, float, float]:
-    """Gains, slopes, what the falloff is taken at [2], its standard error over views, and that of one gain."""
+def _judged(pairs: _Pairs, views: int) -> tuple[Estimate, Estimate]:
+    """The falloff and the spread of gains."""
     gains, slopes = _solved(pairs, views)
     residual = pairs.value - _model(pairs, gains, slopes)
     left, right = _normal(pairs, _weights(residual), views)
@@ -364,13 +381,14 @@ def _judged(pairs: _Pairs, views: int) -> tuple[Array, Array, Array, float, floa
         kept[view] = False
         mask = np.outer(kept, kept)
         found.append(float(reach @ _solution(left * mask[..., None, None], right * mask[..., None])[1]))
-    error = float(np.sqrt((len(used) - 1) * np.var(found)))
+    error = float(np.sqrt((len(used) - 1) * np.var(found)))  # jackknife
     # A gain's error is that of the means over pairs of views: what they disagree in.
     n = left[..., 0, 0]
     mean = (right[..., 0] - left[..., 0, 1:] @ slopes) / np.maximum(n, 1e-12) - (gains[:, None] - gains[None])
     squares, total = (n**2 * mean**2).sum(1) + (n**2 * mean**2).sum(0), n.sum(1) + n.sum(0)
     errors = np.sqrt(squares[used]) / np.maximum(total[used], 1e-12)
-    return gains, slopes, reach, error, float(np.sqrt(np.mean(errors**2)))
+    spread = Estimate(float(gains[used].std()), float(np.sqrt(np.mean(errors**2))), len(used))
+    return Estimate(float(reach @ slopes), error, len(used)), spread
 
 
 # ---- places of the picture where all photographs have the same
@@ -378,8 +396,6 @@ def _judged(pairs: _Pairs, views: int) -> tuple[Array, Array, Array, float, floa
 
 def _marked(pairs: _Pairs, residual: Array, before: Bools) -> Bools:
     """Places of the picture [cells] where the photographs together differ from what others show of the same points."""
-    from scipy.special import stdtrit  # imported where it is needed: it loads slowly
-
     cells, views = len(before), int(pairs.a.max()) + 1
     good = ~before[pairs.other]
     key, value = pairs.a[good] * cells + pairs.cell[good], residual[good]
@@ -395,8 +411,7 @@ def _marked(pairs: _Pairs, residual: Array, before: Bools) -> Bools:
     # A spread that is small by chance is none: a tenth of the usual one at least.
     error = np.sqrt((variance + (0.1 * noise) ** 2) / np.maximum(number, 1))
     known = number >= min(LEAST_VIEWS, views)
-    limit = -stdtrit(np.maximum(number - 1, 1), CHANCE / (2 * max(int(known.sum()), 1)))  # Student's quantile
-    marked: Bools = known & (np.abs(mean) > np.maximum(limit * error, MARKED))
+    marked: Bools = known & (np.abs(mean) > bound(error, number, max(int(known.sum()), 1)))
     return marked
 
 

@@ -14,7 +14,7 @@ from neurad.integrators.estimator import Estimator
 from neurad.integrators.primary_hits import PrimaryHits
 
 PIXELS = 1 << 14
-"""Of the sample, all views together, but no fewer than EACH of a view."""
+"""Pixels of the sample, all views together, but no fewer than EACH of a view."""
 EACH = 64
 SPP = 2
 _STREAM = 23  # last number of the stream's key

@@ -24,7 +24,7 @@ from neurad.export.texels import FILLED, LARGEST, SMALLEST
 WORKER = Path(__file__).with_name("atlas_worker.py")
 PADDING = 4
 """Texels between charts that are asked for."""
-LEAST = 2.2
+MIN_PADDING = 2.2
 """Texels that have to be left between them: each side of a lookup needs one."""
 SECONDS = 60.0
 """Longest time for one mesh, on one core."""
@@ -34,7 +34,7 @@ COARSEST = 0.4
 """Fraction of the wanted texels a length at which the texture is doubled rather than the charts made smaller, as long
 as texels are spare."""
 LAST = 0.05
-"""The same where none are."""
+"""Fraction of the wanted texels a length at which the texture is doubled where no texels are spare."""
 NEAR_ENOUGH = 0.8
 """Fraction of the texels a length that a mesh needs with which it is left alone."""
 FOLDED = 1e-4
@@ -193,7 +193,7 @@ def atlas_chart(
         vertex, faces, uvs, packed = made
         short = max(height // 2, SMALLEST) if packed[1] * 2 <= packed[0] else height
         scale = float(((np.array([width, short]) - 2.0 * MARGIN) / packed).min())
-        if PADDING * scale >= LEAST:
+        if PADDING * scale >= MIN_PADDING:
             placed = (MARGIN + uvs * packed * scale) / np.array([width, short])
             unwrapped = _taken(mesh, vertex, faces, placed.astype(np.float32))
             found = Chart(unwrapped, find_charts(unwrapped), width, short, "atlas")

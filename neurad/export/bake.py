@@ -18,26 +18,27 @@ from neurad.export.texel_means import Means, TexelMeans, uncertain
 from neurad.runtime import threads
 from neurad.scene.geometry import Geometry
 
-PER_TEXEL, MOST_PER_TEXEL = 2, 8
+PER_TEXEL, MAX_PER_TEXEL = 2, 8
 """Positions along the side of a texel at which the field is asked where it is not settled: the first in large textures,
 up to the second in small ones. A point in the middle alone aliases: patterns as fine as a texel come out as coarse
 ones, so it stays alone only where it differs little from its neighbours; with four a side nothing was gained over two
 in the pictures. What no point in the middle of a texel meets, lines thinner than one, say, stays unseen in large
 textures; photographs cannot show it either, since texels are half as wide as their pixels where the budget allows."""
-PER_BORDER_TEXEL, MOST_PER_BORDER_TEXEL = 4, 32
-"""The same of texels that lookups on borders of charts read: the other side averages other positions, and an eye sees
-that they differ. Up to the second where values jump under a texel: triangles may be smaller than it."""
+PER_BORDER_TEXEL, MAX_PER_BORDER_TEXEL = 4, 32
+"""Positions along the side of a texel that lookups on borders of charts read: the other side averages other positions,
+and an eye sees that they differ. Up to the second where values jump under a texel: triangles may be smaller than it."""
 SETTLED = 0.5 / 255.0
 """Error of such a mean that is small enough."""
 SETTLED_INSIDE = 1.0 / 255.0
-"""The same away from borders, where there is no other side: one step of an 8-bit texture. A point alone stays if it is
-within four such steps of its neighbours; texels of the kitchen that stay so are off by 0.1/255 (rms)."""
+"""Error of a texel's mean that is small enough away from borders, where there is no other side: one step of an 8-bit
+texture. A point alone stays if it is within four such steps of its neighbours; texels of the kitchen that stay so are
+off by 0.1/255 (rms)."""
 CHEAP, AFFORDABLE = 1 << 16, 1 << 20
 """Positions in a texture that cost next to nothing, and few enough to ask so many where the field is not settled."""
 GIVEN_BACK = 0.125
-"""Of the difference to each of its four neighbours, what a texel is moved away from them. The mean over a texel and the
-lookup between texels spread what a texture shows, with a variance of 1/12 and 2/12 of a texel squared along each axis;
-with an eighth none is left."""
+"""How far a texel is moved away from its four neighbours, as a fraction of the difference to each. The mean over a
+texel and the lookup between texels spread what a texture shows, with a variance of 1/12 and 2/12 of a texel squared
+along each axis; with an eighth none is left."""
 
 
 @dataclass(frozen=True)
@@ -87,7 +88,7 @@ def bake(
     inner = means.covered & ~border
     done(int((~inner & ~border).sum()))
     refine(mesh, means, inner, per, per, positions(AFFORDABLE, chart, PER_TEXEL), SETTLED_INSIDE, done)
-    refine(mesh, means, border, per, PER_BORDER_TEXEL, MOST_PER_BORDER_TEXEL, SETTLED, done)
+    refine(mesh, means, border, per, PER_BORDER_TEXEL, MAX_PER_BORDER_TEXEL, SETTLED, done)
     pixels = sharpened(means, means.inside & ~border)
     return Baked(push_pull(pixels, means.covered).astype(np.float16), means.covered, parameters)
 
@@ -156,7 +157,7 @@ def sharpened(means: Means, mask: BoolArray) -> FloatArray:
 
 def positions(budget: int, chart: Chart, least: int) -> int:
     """Positions along the side of a texel, a power of two: as many as a texture of ``budget`` of them has, but from
-    ``least`` to :data:`MOST_PER_TEXEL`.
+    ``least`` to :data:`MAX_PER_TEXEL`.
     """
     most = max(math.isqrt(budget // (chart.width * chart.height)), 1)
-    return min(max(1 << (most.bit_length() - 1), least), MOST_PER_TEXEL)
+    return min(max(1 << (most.bit_length() - 1), least), MAX_PER_TEXEL)

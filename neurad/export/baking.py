@@ -20,7 +20,7 @@ from neurad.export.axes import Up, up_axis
 from neurad.export.bake import Baked, bake
 from neurad.export.charts import Chart
 from neurad.export.progress import Progress
-from neurad.export.room import Room
+from neurad.export.room import BakedRoom
 from neurad.export.texels import densities
 from neurad.export.unwrap import unwrap
 from neurad.formats.cameras.write import named_apart
@@ -31,7 +31,7 @@ from neurad.scene.geometry import Geometry
 from neurad.scene.textures import TrueMaterials
 
 
-def bake_room(assembly: Assembly, texels: int, size: int | None, up: Up | None, progress: Progress) -> Room:
+def bake_room(assembly: Assembly, texels: int, size: int | None, up: Up | None, progress: Progress) -> BakedRoom:
     """Bake what a run recovered.
 
     Args:
@@ -63,7 +63,7 @@ def bake_room(assembly: Assembly, texels: int, size: int | None, up: Up | None, 
     faces = [len(mesh.faces) for mesh in scene.meshes]
     baked = _bake_all(charts, faces, world.geometry, materials, scene.parameters, progress)
     names = file_names([mesh.name for mesh in scene.meshes])
-    return Room(
+    return BakedRoom(
         scene=_baked_scene(scene, assembly, described, names, charts, baked),
         names=names,
         charts=charts,
@@ -99,7 +99,7 @@ def _bake_all(
     for index in large:
         baked[index] = one(index, progress.step)
     small = largest_first[len(large) :]
-    for index, texture in zip(small, threads.each(one, small), strict=True):
+    for index, texture in zip(small, threads.parallel_map(one, small), strict=True):
         baked[index] = texture
         progress.step(2 * sizes[index])
     return baked

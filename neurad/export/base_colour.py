@@ -113,7 +113,7 @@ def over_angles() -> FloatArray:
         of_row: Array = (diffuse / (1.0 - specular)).numpy() / mean
         return of_row
 
-    return np.asarray(list(threads.each(row, steps.tolist())), np.float32)
+    return np.asarray(list(threads.parallel_map(row, steps.tolist())), np.float32)
 
 
 def _coat(cosine: Tensor, roughness: float) -> Tensor:

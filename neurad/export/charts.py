@@ -33,7 +33,7 @@ class Chart:
     chart: IntArray
     """Chart of each triangle: those of one chart hang together in the texture [f]."""
     width: int
-    """Of the texture in texels; a power of two."""
+    """Width of the texture in texels; a power of two."""
     height: int
     kind: str
     """'own', 'atlas' or 'grid': where the coordinates come from."""

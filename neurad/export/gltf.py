@@ -20,7 +20,7 @@ from neurad.core.reflection import PrincipledModel
 from neurad.export.axes import TO_Y, quaternion, rotation
 from neurad.export.base_colour import Target, is_converted, smooth_colour
 from neurad.export.images import Coded, coded
-from neurad.export.room import Room
+from neurad.export.room import BakedRoom
 from neurad.formats.cameras.write import clip_planes, is_plain
 from neurad.formats.gltf.glb import GlbWriter, Json
 from neurad.runtime import threads
@@ -30,7 +30,7 @@ _PUNCTUAL = "KHR_lights_punctual"
 
 
 def write_glb(
-    room: Room, path: Path, target: Target, done: Callable[[str, Coded | None], None] = lambda name, files: None
+    room: BakedRoom, path: Path, target: Target, done: Callable[[str, Coded | None], None] = lambda name, files: None
 ) -> int:
     """Write a room as ``scene.glb``.
 
@@ -77,7 +77,7 @@ def write_glb(
     return clipped
 
 
-def _coded(room: Room, index: int, target: Target) -> Coded | None:
+def _coded(room: BakedRoom, index: int, target: Target) -> Coded | None:
     baked = room.baked[index]
     if baked is None:
         return None
@@ -85,7 +85,7 @@ def _coded(room: Room, index: int, target: Target) -> Coded | None:
     return coded(baked.maps, target if converted else "exact")
 
 
-def _add_mesh(glb: GlbWriter, room: Room, index: int, files: Coded | None) -> int:
+def _add_mesh(glb: GlbWriter, room: BakedRoom, index: int, files: Coded | None) -> int:
     """Append a mesh, its material and a node; returns the number of the node."""
     mesh, name = room.scene.meshes[index], room.names[index]
     attributes = {"POSITION": glb.vertices(mesh.vertices, bounds=True)}
@@ -101,7 +101,7 @@ def _add_mesh(glb: GlbWriter, room: Room, index: int, files: Coded | None) -> in
     return glb.add("nodes", {"name": name, "mesh": glb.add("meshes", {"name": name, "primitives": [primitive]})})
 
 
-def _material(glb: GlbWriter, room: Room, index: int, files: Coded | None) -> Json:
+def _material(glb: GlbWriter, room: BakedRoom, index: int, files: Coded | None) -> Json:
     mesh, name = room.scene.meshes[index], room.names[index]
     material = room.scene.materials[mesh.material]
     model = material.model
@@ -191,7 +191,7 @@ def _add_light(glb: GlbWriter, light: PunctualLight) -> int:
     return glb.add("nodes", node)
 
 
-def _add_camera(glb: GlbWriter, room: Room, view: View) -> int:
+def _add_camera(glb: GlbWriter, room: BakedRoom, view: View) -> int:
     """Append a camera and a node; returns the number of the node."""
     camera = view.camera
     aspect = camera.width / camera.height

@@ -7,6 +7,6 @@ from typing import Annotated
 from neurad.core.ranges import Range
 
 Texels = Annotated[int, Range(4096, 1 << 34)]
-"""Of all textures together; a room has dozens of meshes, and none gets less than 8 x 8."""
+"""Texels of all textures together; a room has dozens of meshes, and none gets less than 8 x 8."""
 Side = Annotated[int, Range(8, 8192)]
-"""Of a texture."""
+"""Texels along a side of one texture."""

@@ -12,7 +12,8 @@ from neurad.core.records import Float64Array, FloatArray
 ERROR = 0.002
 """Standard error of the mean of a view that is rendered for, as a fraction of it."""
 SQUARED_ERROR = 0.01
-"""The same of its mean squared difference to the photograph: 0.04 dB; over all views it is known better."""
+"""Standard error, as a fraction, of a view's mean squared difference to the photograph: 0.04 dB; over all views it is
+known better."""
 PASSES = 8
 """Most passes to get there; an even number."""
 WHITE = 1.0

@@ -18,7 +18,7 @@ class Progress(Protocol):
         """Steps of the present stage are done."""
 
 
-class Bar:
+class StageProgress:
     """A phase for each stage; the next one ends it."""
 
     def __init__(self) -> None:

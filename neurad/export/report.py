@@ -30,7 +30,7 @@ MEANINGS = {
     "cycles": "Blender's Cycles, scene.glb",
 }
 STYLES = {"kept": "kept", "missed": "beyond", "not decided": "open"}
-"""Of verdicts."""
+"""Style of each verdict on the page."""
 
 
 def write_report(found: Verified, path: Path, title: str) -> None:

@@ -11,7 +11,7 @@ from neurad.scene.description import Scene
 
 
 @dataclass(frozen=True)
-class Room:
+class BakedRoom:
     """A baked scene."""
 
     scene: Scene
@@ -30,5 +30,5 @@ class Room:
 
     @property
     def texels(self) -> int:
-        """Of all textures."""
+        """Number of texels of all textures."""
         return sum(chart.width * chart.height for chart in self.charts if chart is not None)

@@ -30,9 +30,9 @@ from neurad.export.folder import MANIFEST, check_out, check_sources, written_bes
 from neurad.export.gltf import write_glb
 from neurad.export.images import Coded
 from neurad.export.limits import Side, Texels
-from neurad.export.progress import Bar
+from neurad.export.progress import StageProgress
 from neurad.export.report import write_report
-from neurad.export.room import Room
+from neurad.export.room import BakedRoom
 from neurad.export.verified import Verified
 from neurad.export.verify import verify
 from neurad.formats.blender.process import Blender, find_blender
@@ -42,6 +42,7 @@ from neurad.formats.mitsuba.write import describe, path_integrator, write_xml
 from neurad.images.image_io import png, write_exr
 from neurad.metrics.seen import SeenBy
 from neurad.runtime import threads
+from neurad.runtime.reading import listed
 from neurad.scene.punctual import pose
 
 _AT_ONCE = 1 << 22
@@ -104,7 +105,7 @@ def export(assembly: Assembly, checkpoint: Path, settings: ExportSettings, bars:
     check_out(settings.out, settings.overwrite)
     check_sources(settings.out, [checkpoint, *files_of(assembly.scene)])
     blender = None if settings.blender is None else find_blender(settings.blender)
-    bar, start = Bar(), time.perf_counter()
+    bar, start = StageProgress(), time.perf_counter()
     try:
         room = bake_room(assembly, settings.texels, settings.size, settings.up, bar)
         baked = time.perf_counter()
@@ -125,7 +126,12 @@ def export(assembly: Assembly, checkpoint: Path, settings: ExportSettings, bars:
 
 
 def _verify(
-    room: Room, assembly: Assembly, folder: Path, settings: ExportSettings, blender: Blender | None, bar: Bar
+    room: BakedRoom,
+    assembly: Assembly,
+    folder: Path,
+    settings: ExportSettings,
+    blender: Blender | None,
+    bar: StageProgress,
 ) -> Verified:
     """Render the folder again, and write ``verify.json`` and ``report.html`` into it."""
     cycles = None if blender is None else partial(render_views, blender, folder)
@@ -136,7 +142,12 @@ def _verify(
 
 
 def write_room(
-    room: Room, assembly: Assembly, folder: Path, settings: ExportSettings, bar: Bar, bars: ErrorBars | None = None
+    room: BakedRoom,
+    assembly: Assembly,
+    folder: Path,
+    settings: ExportSettings,
+    bar: StageProgress,
+    bars: ErrorBars | None = None,
 ) -> dict[str, Any]:
     """Everything but the verification, into ``folder``; returns what ``room.json`` says.
 
@@ -192,14 +203,14 @@ def write_room(
     }
 
 
-def _left_out(room: Room) -> list[str]:
+def _left_out(room: BakedRoom) -> list[str]:
     """What other files than those that describe it best lack: cameras with lenses, lights without extent."""
     scene = room.scene
     bent = [view.name for view in (*scene.train, *scene.test) if not is_plain(view.camera)]
     said = [f"{len(bent)} cameras: {NO_LENS}"] if bent else []
     shine = [light.name for light in scene.punctual if light.intensity.any()]
     if shine and usd.has_usd():
-        said.append(f"room.usdc: it lacks {len(shine)} lights without extent ({', '.join(shine[:8])})")
+        said.append(f"room.usdc: it lacks {len(shine)} lights without extent ({listed(shine)})")
     if cannot_hide(scene, room.hide_environment):
         said.append(f"scene.xml: it shows the environment, which the photographs leave out: {NOT_ALONE}")
     return said
@@ -219,7 +230,7 @@ def _light_notes(light: PunctualLight, origin: Sequence[float]) -> dict[str, Any
 
 
 def _write_evidence(
-    room: Room, assembly: Assembly, folder: Path, bar: Bar, bars: ErrorBars | None
+    room: BakedRoom, assembly: Assembly, folder: Path, bar: StageProgress, bars: ErrorBars | None
 ) -> list[float | None]:
     """``evidence/MESH.png``, ``albedo_std/MESH.exr`` and the like of every recovered parameter, and what fraction of
     each mesh's texels a photograph saw.
@@ -239,7 +250,7 @@ def _write_evidence(
     size = {index: coarse_size(chart) for index, chart in enumerate(room.charts) if chart is not None}
     bar.step(len(found) - len(size))
     for group in grouped({index: height * width for index, (height, width) in size.items()}, _AT_ONCE):
-        texels = list(threads.each(texels_of, group))
+        texels = list(threads.parallel_map(texels_of, group))
         for index, of_mesh, seen in zip(group, texels, seen_texels(texels, seen_by), strict=True):
             name = room.names[index]
             picture, fraction = evidence(of_mesh, seen)
@@ -265,7 +276,7 @@ def grouped(sizes: dict[int, int], most: int) -> Iterator[list[int]]:
         yield group
 
 
-def _mesh_notes(room: Room, index: int, seen: float | None) -> dict[str, Any]:
+def _mesh_notes(room: BakedRoom, index: int, seen: float | None) -> dict[str, Any]:
     """What ``room.json`` says of a mesh."""
     mesh, chart = room.scene.meshes[index], room.charts[index]
     texture = None
@@ -282,7 +293,7 @@ def _mesh_notes(room: Room, index: int, seen: float | None) -> dict[str, Any]:
     }
 
 
-def _tell(room: Room, settings: ExportSettings, notes: dict[str, Any], found: Verified | None) -> None:
+def _tell(room: BakedRoom, settings: ExportSettings, notes: dict[str, Any], found: Verified | None) -> None:
     """Say what was written."""
     kinds = [chart.kind for chart in room.charts if chart is not None]
     counts = ", ".join(f"{kinds.count(k)} {k}" for k in ("own", "atlas", "grid") if k in kinds)

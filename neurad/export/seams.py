@@ -14,7 +14,7 @@ from neurad.core.records import FloatArray, Mesh
 from neurad.core.rng import Stream
 from neurad.export.charts import Chart, edge_keys, find_borders, four_texels, texels_read
 from neurad.export.raster_kernels import Array, IntArray
-from neurad.export.room import Room
+from neurad.export.room import BakedRoom
 from neurad.export.texel_means import TexelMeans, uncertain
 from neurad.scene.geometry import Geometry
 
@@ -64,7 +64,7 @@ class Seams:
 
 @torch.no_grad()
 def find_seams(
-    room: Room,
+    room: BakedRoom,
     geometry: Geometry,
     materials: Materials,
     points: int = POINTS,

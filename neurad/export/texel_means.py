@@ -17,7 +17,7 @@ from neurad.core.records import BoolArray, FloatArray
 from neurad.export import raster_kernels, texel_means_kernels
 from neurad.export.charts import Chart, triangle_areas
 from neurad.export.raster_kernels import Array, IntArray
-from neurad.runtime.threads import each, split, torch_on_one
+from neurad.runtime.threads import parallel_map, split, torch_on_one
 from neurad.scene.geometry import Geometry
 
 GUTTER = 2.0
@@ -217,5 +217,5 @@ class TexelMeans:
             values = self._materials(si).stacked(self.parameters)
             out[part] = values.clamp(0.0, 1.0).cpu().numpy()
 
-        deque(each(work, range(0, len(owner), CHUNK)), maxlen=0)
+        deque(parallel_map(work, range(0, len(owner), CHUNK)), maxlen=0)
         return out

@@ -36,7 +36,7 @@ SMALLEST = 8
 PER_TRIANGLE = 16
 """Texels a triangle that a mesh gets at least: where triangles are smaller than texels, those that lie side by side in
 the texture belong to planes too far apart, and seams show."""
-LEAST, MOST_LEAST = 64, 1024
+MIN_SIDE, MAX_REQUIRED_SIDE = 64, 1024
 """Smallest and largest side of a texture that is asked for because of that."""
 HELD, HELD_STEPS = 256, 32
 """When all get smaller for the budget, textures are held at this side, or what is asked for if less, until the others
@@ -106,8 +106,8 @@ def wanted_size(mesh: Mesh, density: float) -> TextureSize:
 
 
 def _least_side(mesh: Mesh) -> float:
-    """Of a square texture in which the charts of a mesh are not too small."""
-    return min(max(LEAST, math.sqrt(PER_TRIANGLE * len(mesh.faces) / FILLED)), MOST_LEAST)
+    """The least side of a square texture in which the charts of a mesh are not too small."""
+    return min(max(MIN_SIDE, math.sqrt(PER_TRIANGLE * len(mesh.faces) / FILLED)), MAX_REQUIRED_SIDE)
 
 
 def _stretch(mesh: Mesh) -> tuple[float, float]:

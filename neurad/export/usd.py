@@ -13,7 +13,7 @@ from typing import Any
 import numpy as np
 
 from neurad.core.errors import InputError
-from neurad.core.names import apart
+from neurad.core.names import make_unique
 from neurad.core.records import EnvironmentMap, FloatArray, Material, Mesh, View
 from neurad.core.reflection import PrincipledModel
 from neurad.export.axes import rotation
@@ -21,7 +21,7 @@ from neurad.export.base_colour import Target, smooth_colour
 from neurad.export.gltf import unit_normals
 from neurad.export.images import Coded
 from neurad.export.raster_kernels import Array
-from neurad.export.room import Room
+from neurad.export.room import BakedRoom
 from neurad.formats.cameras.write import clip_planes, is_plain
 from neurad.runtime.reading import quiet
 
@@ -48,7 +48,7 @@ def save_textures(folder: Path, name: str, files: Coded) -> None:
     (folder / _orm_file(name)).write_bytes(files.orm)
 
 
-def write_usd(room: Room, folder: Path, target: Target) -> None:
+def write_usd(room: BakedRoom, folder: Path, target: Target) -> None:
     """Write a room as ``room.usdc``.
 
     Args:
@@ -91,7 +91,7 @@ class _Stage:
         target: whose base colours it has.
     """
 
-    def __init__(self, stage: Any, room: Room, target: Target) -> None:
+    def __init__(self, stage: Any, room: BakedRoom, target: Target) -> None:
         self.stage = stage
         self.room = room
         self.target = target
@@ -129,7 +129,7 @@ class _Stage:
         """A path that no other prim has: names are identifiers."""
         from pxr import Tf
 
-        return apart(f"/room/{scope}/{Tf.MakeValidIdentifier(name)}", self._taken, "_")
+        return make_unique(f"/room/{scope}/{Tf.MakeValidIdentifier(name)}", self._taken, "_")
 
     def _mesh(self, name: str, mesh: Mesh, two_sided: bool, material: Any) -> None:
         from pxr import Sdf, UsdGeom, UsdShade, Vt

@@ -20,7 +20,7 @@ MAP_LOSS, PICTURE_LOSS = 0.1, 0.05
 MITSUBA_MEAN, MITSUBA_PSNR = 0.01, 0.1
 """Largest difference of a view's mean, as a fraction, and of the PSNR against the photographs, in dB."""
 CYCLES_MEAN = 0.03
-MISSED, KEPT = 3.0, 2.0
+MISSED_BY, KEPT_BY = 3.0, 2.0
 """A bound is missed by what lies beyond it by more than so many standard errors, and kept by what lies within it by
 more than so many; what is neither is not decided."""
 SEAMS_BEYOND = 1e-3
@@ -47,9 +47,9 @@ class Verdict:
     def state(self) -> State:
         """Whether the bound is kept, missed, or noise leaves that open."""
         off = self.value if self.signed else abs(self.value)
-        if off - MISSED * self.error > self.bound:
+        if off - MISSED_BY * self.error > self.bound:
             return "missed"
-        return "kept" if off + KEPT * self.error <= self.bound else "not decided"
+        return "kept" if off + KEPT_BY * self.error <= self.bound else "not decided"
 
     def as_json(self) -> dict[str, Any]:
         """What ``verify.json`` holds."""
@@ -101,7 +101,7 @@ class Verified:
         return [math.hypot(a, b) for a, b in zip(*parts, strict=True)]
 
     def psnr(self, name: str, view: int | None = None) -> float | None:
-        """Of a renderer's views, or of one, against the photographs, linear, of values below 1; None without any.
+        """PSNR of a renderer's views, or of one, against the photographs, linear, of values below 1; None without any.
 
         The noise of the renderer, known from its passes, is taken out, as renderers differ in it.
         """
@@ -225,8 +225,12 @@ class Verified:
     def _means(self, name: str, bound: float) -> Verdict:
         """The view whose mean is farthest from ours, standard errors included."""
         ratios, errors = self.ratios(name), self.errors(name)
-        worst = int(np.argmax([abs(ratio - 1.0) + KEPT * error for ratio, error in zip(ratios, errors, strict=True)]))
-        missed = [i for i, (r, e) in enumerate(zip(ratios, errors, strict=True)) if abs(r - 1.0) - MISSED * e > bound]
+        worst = int(
+            np.argmax([abs(ratio - 1.0) + KEPT_BY * error for ratio, error in zip(ratios, errors, strict=True)])
+        )
+        missed = [
+            i for i, (r, e) in enumerate(zip(ratios, errors, strict=True)) if abs(r - 1.0) - MISSED_BY * e > bound
+        ]
         worst = max(missed, key=lambda i: abs(ratios[i] - 1.0)) if missed else worst
         ratio, error = ratios[worst], errors[worst]
         text = (
@@ -237,7 +241,7 @@ class Verified:
 
 
 def _mean(parts: list[Estimate]) -> Estimate | None:
-    """Of independent estimates; None of none."""
+    """The mean of independent estimates; None of none."""
     if not parts:
         return None
     return float(np.mean([x for x, _ in parts])), math.hypot(*(e for _, e in parts)) / len(parts)

@@ -19,7 +19,7 @@ from neurad.core.records import FloatArray, Surface, SurfaceInteraction, View
 from neurad.core.rng import mix
 from neurad.export.pictures import BLOCKS, PASSES, Draw, Pictures, drawn, excess
 from neurad.export.progress import Progress
-from neurad.export.room import Room
+from neurad.export.room import BakedRoom
 from neurad.export.seams import find_seams
 from neurad.export.verified import Verified
 from neurad.formats.cameras.write import shown_alike
@@ -67,7 +67,7 @@ class _OnGeometry:
 
 
 def verify(
-    room: Room, assembly: Assembly, folder: Path, spp: int, cycles: Cycles | None, progress: Progress
+    room: BakedRoom, assembly: Assembly, folder: Path, spp: int, cycles: Cycles | None, progress: Progress
 ) -> Verified:
     """Render an exported folder again.
 
@@ -134,7 +134,7 @@ def _render_cycles(found: Verified, cycles: Cycles, spp: int, progress: Progress
         found.pictures["cycles"].add(np.float32(found.exposure) * np.stack(pair), photo)
 
 
-def _read_again(room: Room, folder: Path, found: Verified) -> Scene:
+def _read_again(room: BakedRoom, folder: Path, found: Verified) -> Scene:
     """The scene of ``scene.xml``, or what was written to it where nothing can read it."""
     if find_spec("mitsuba") is None:
         found.left_out.append("reading scene.xml: the package mitsuba is missing")

@@ -13,7 +13,7 @@ import numpy as np
 
 from neurad.core.errors import InputError, Refusals
 from neurad.core.ranges import Positive, checked
-from neurad.core.records import Mesh, View
+from neurad.core.records import Float64Array, Mesh, View
 from neurad.formats.cameras.colmap import find_model, photograph_places, read_model
 from neurad.formats.cameras.fipt import MESH, read_room
 from neurad.formats.cameras.nerf import Split, read_one, read_split
@@ -22,7 +22,7 @@ from neurad.formats.cameras.polycam import read_export
 from neurad.formats.gltf.read import moved_mesh
 from neurad.formats.load import read_folder, surface_notes
 from neurad.formats.meshes.files import MeshFile, read_meshes
-from neurad.formats.room_folder import Matrix, Room, axes, bounds_of, held_up, turned, turned_map, write_room
+from neurad.formats.room_folder import RoomParts, axes, bounds_of, held_up, turned, turned_map, write_room
 from neurad.images.photographs import check_view
 from neurad.images.picture_headers import check_exr
 from neurad.images.picture_notes import say_pictures
@@ -31,7 +31,7 @@ from neurad.runtime.files import check_folder, make_folder, writing
 from neurad.runtime.folders import place_of, written_beside
 from neurad.runtime.numbers import RADIANCE, number
 from neurad.runtime.progress import counted
-from neurad.runtime.reading import exists, folder, regular_file, shown
+from neurad.runtime.reading import exists, folder, listed, regular_file, shown
 from neurad.scene.description import Scene
 from neurad.scene.origin import place_text
 from neurad.scene.punctual import moved_light
@@ -157,7 +157,7 @@ def import_room(settings: ImportSettings) -> None:
     if sum(file.environment is not None for file in files) + (environment is not None) > 1:
         raise InputError("there is more than one environment (dome lights of USD, --environment); keep one of them")
     to_cameras = _placed(settings, views)
-    room = Room(views, files, to_cameras, lamps, environment, settings.copy)
+    room = RoomParts(views, files, to_cameras, lamps, environment, settings.copy)
     with whole(out) as part:
         meshes = write_room(room, part)
         if meshes:
@@ -222,7 +222,7 @@ def _check_place(view: View, places: Sequence[Path]) -> None:
             raise InputError(f"{shown(file)}: its name in the camera file leads out of the folder {shown(places[0])}")
 
 
-def _placed(settings: ImportSettings, views: Split) -> Matrix:
+def _placed(settings: ImportSettings, views: Split) -> Float64Array:
     """What takes the meshes to the frame of the cameras."""
     if settings.axes is not None:
         if settings.up is not None:
@@ -270,7 +270,7 @@ def check_room(part: Path) -> Scene:
     return scene
 
 
-def _say(room: Room, meshes: Sequence[Mesh], out: Path) -> None:
+def _say(room: RoomParts, meshes: Sequence[Mesh], out: Path) -> None:
     """What the folder has, and what it lacks."""
     say_pictures()
     views = [*room.views.train, *room.views.test]
@@ -295,12 +295,12 @@ def _say(room: Room, meshes: Sequence[Mesh], out: Path) -> None:
     shining = [mesh.name for mesh in meshes if mesh.radiance is not None]
     shining += [f"{light.name} ({light.kind})" for light in room.lights]
     if shining:
-        print(f"lamps: {', '.join(shown(name) for name in shining[:12])}{' ...' if len(shining) > 12 else ''}")
+        print(f"lamps: {listed(shining)}")
     elif room.environment is None and room.sky is None:
-        names = ", ".join(shown(mesh.name) for mesh in meshes[:12])
+        names = listed(mesh.name for mesh in meshes)
         print(
             f"neurad: warning: nothing in the room is said to shine: give --lamp NAME=R,G,B (meshes: "
-            f"{names}{' ...' if len(meshes) > 12 else ''}), a material with Ke in the OBJ file's MTL, or "
+            f"{names}), a material with Ke in the OBJ file's MTL, or "
             "--environment; a fit finds meshes that shine in the photographs with --model.lighting.emitters find",
             file=sys.stderr,
         )
@@ -309,5 +309,5 @@ def _say(room: Room, meshes: Sequence[Mesh], out: Path) -> None:
     print(f"neurad fit --config scene.yaml --data.root {shown(out)}")
 
 
-def _box(corner: Matrix) -> str:
+def _box(corner: Float64Array) -> str:
     return f"({place_text(corner)})"

@@ -10,15 +10,17 @@ from typing import TypeVar
 import numpy as np
 
 from neurad.core.errors import InputError
+from neurad.core.records import Float64Array
 from neurad.core.suggest import did_you_mean
-from neurad.formats.cameras.nerf import HOLD_OUT, Split
+from neurad.formats.cameras import HOLD_OUT
+from neurad.formats.cameras.nerf import Split
 from neurad.images.development import KNOWN, Photography, developed
 from neurad.images.picture_notes import say_pictures
 from neurad.runtime.progress import phase
-from neurad.runtime.reading import exists, regular_file, shown
+from neurad.runtime.reading import exists, in_other_case, regular_file, shown
 from neurad.runtime.reading import folder as existing_folder
 from neurad.scene.description import Scene
-from neurad.scene.origin import ZERO, Array, moved_views, near, origin_of
+from neurad.scene.origin import ZERO, moved_views, near, origin_of
 from neurad.scene.panes import pane_note
 
 T = TypeVar("T")
@@ -31,19 +33,16 @@ RELIGHT = "env_relight.exr"
 """Map that lights the photographs named by ``relight_path``; it replaces the scene's own, in the same frame."""
 
 
-def _mitsuba(folder: Path, origin: Array) -> Scene:
+def _mitsuba(path: Path, origin: Float64Array) -> Scene:
     from neurad.formats.mitsuba.read import read_xml
 
-    return read_xml(folder / "scene.xml", origin)
+    return read_xml(path, origin)
 
 
-def _gltf(name: str) -> Callable[[Path, Array], Scene]:
-    def read(folder: Path, origin: Array) -> Scene:
-        from neurad.formats.gltf.gltf_scene import read_scene
+def _gltf(path: Path, origin: Float64Array) -> Scene:
+    from neurad.formats.gltf.gltf_scene import read_scene
 
-        return near(read_scene(folder / name), origin)
-
-    return read
+    return near(read_scene(path), origin)
 
 
 def _two_files(folder: Path, hold_out: int, pictures: bool) -> Split:
@@ -64,13 +63,13 @@ def _cameras_alone(folder: Path, hold_out: int, pictures: bool) -> Split:
     return Split([], read_cameras(folder / CAMERAS, FILM))
 
 
-SCENE_FILES: dict[str, Callable[[Path, Array], Scene]] = {
+SCENE_FILES: dict[str, Callable[[Path, Float64Array], Scene]] = {
     "scene.xml": _mitsuba,
-    "scene.glb": _gltf("scene.glb"),
-    "scene.gltf": _gltf("scene.gltf"),
+    "scene.glb": _gltf,
+    "scene.gltf": _gltf,
 }
-"""Readers of meshes, materials and lights, by file name; the first one in a folder is read. They are told what to
-subtract from all coordinates. What a file says of cameras becomes held-out views without photographs.
+"""Readers of meshes, materials and lights, by file name in upper or lower case; the first one in a folder is read. They
+are told what to subtract from all coordinates. What a file says of cameras becomes held-out views without photographs.
 """
 CAMERA_FILES: dict[str, Callable[[Path, int, bool], Split]] = {
     "transforms_train.json": _two_files,
@@ -136,16 +135,17 @@ def read_folder(root: str | Path, hold_out: int = HOLD_OUT, photography: Photogr
         raise InputError(f"--data.root: {shown(root)}: {_otherwise(Path(root))}")
     folder = existing_folder(root, "--data.root")
     surfaces = None
-    read_surfaces = _reader(SCENE_FILES, folder)
-    if not any(exists(folder / name) for name in ("scene.xml", *CAMERA_FILES)):  # glTF may have cameras, to be rendered
-        surfaces = _near_origin(read_surfaces, folder)
+    file, read_surfaces = _reader(SCENE_FILES, folder)
+    # glTF may have cameras, to be rendered
+    if read_surfaces is _gltf and not any(exists(folder / name) for name in CAMERA_FILES):
+        surfaces = _near_origin(read_surfaces, file)
         if surfaces.test:
             return replace(surfaces, name=folder.name, notes=(*surfaces.notes, *surface_notes(surfaces)))
-    views = _reader(CAMERA_FILES, folder)(folder, hold_out, photography is not None)
+    views = _reader(CAMERA_FILES, folder)[1](folder, hold_out, photography is not None)
     relight = None
     if any(view.relight for view in views.test):
         relight = str(regular_file(folder / RELIGHT, "the map is missing that lights the photographs of relight_path"))
-    surfaces = _near_origin(read_surfaces, folder) if surfaces is None else surfaces
+    surfaces = _near_origin(read_surfaces, file) if surfaces is None else surfaces
     surfaces = replace(
         surfaces, name=folder.name, relight=relight, notes=(*surfaces.notes, *surface_notes(surfaces), *views.notes)
     )
@@ -154,14 +154,14 @@ def read_folder(root: str | Path, hold_out: int = HOLD_OUT, photography: Photogr
     return _developed(replace(surfaces, train=train, test=test), photography)
 
 
-def _near_origin(read: Callable[[Path, Array], Scene], folder: Path) -> Scene:
-    """Surfaces of a folder, moved near the origin of their coordinates where they lie far from it."""
-    surfaces = read(folder, ZERO)
+def _near_origin(read: Callable[[Path, Float64Array], Scene], file: Path) -> Scene:
+    """Surfaces of a file, moved near the origin of their coordinates where they lie far from it."""
+    surfaces = read(file, ZERO)
     origin = origin_of(surfaces.meshes)
     if not origin.any():
         return surfaces
     x, y, z = (float(value) for value in origin)
-    return replace(read(folder, origin), origin=(x, y, z))
+    return replace(read(file, origin), origin=(x, y, z))
 
 
 def surface_notes(scene: Scene) -> list[str]:
@@ -176,15 +176,16 @@ def surface_notes(scene: Scene) -> list[str]:
     return [far, *pane_note(scene)]
 
 
-def _reader(readers: dict[str, T], folder: Path) -> T:
-    """The reader of the first file that the folder has.
+def _reader(readers: dict[str, T], folder: Path) -> tuple[Path, T]:
+    """The first file that the folder has, and its reader.
 
     Raises:
         InputError: it has none of them.
     """
     for name, reader in readers.items():
-        if exists(folder / name):
-            return reader
+        file = folder / name
+        if exists(file) or (readers is SCENE_FILES and (file := in_other_case(file) or file).name != name):
+            return file, reader
     first, *others = (name for name in readers if name != CAMERAS)  # which no fit can do with
     instead = f" (or {', '.join(others)})" if others else ""
     other = next((file for file in sorted(folder.iterdir()) if file.suffix.lower() in OTHER_SCENES), None)

@@ -11,14 +11,14 @@ from pathlib import Path
 from xml.etree import ElementTree
 
 import numpy as np
-import numpy.typing as npt
 
 from neurad.core.errors import InputError
-from neurad.core.names import apart
+from neurad.core.names import make_unique
 from neurad.core.parameters import BY_NAME
 from neurad.core.records import (
     Constant,
     EnvironmentMap,
+    Float64Array,
     FloatArray,
     Material,
     Mesh,
@@ -35,12 +35,10 @@ from neurad.formats.meshes.ply import write_ply
 from neurad.formats.mitsuba.write import append_node, environment_node, punctual_node
 from neurad.runtime.files import place, writing
 from neurad.runtime.numbers import number
-from neurad.runtime.reading import shown
+from neurad.runtime.reading import listed, shown
 from neurad.scene.description import is_dielectric
 from neurad.scene.origin import origin_of
 from neurad.scene.punctual import moved_light
-
-Matrix = npt.NDArray[np.float64]
 
 UP = {f"{sign}{axis}": i * 2 + (sign == "-") for i, axis in enumerate("xyz") for sign in ("", "-")}
 """Axes that may point up."""
@@ -51,12 +49,12 @@ _TILT = 0.8  # smallest cosine between the mean of what cameras hold up and an a
 
 
 @dataclass(frozen=True)
-class Room:
+class RoomParts:
     """What a scene folder is made of."""
 
     views: Split
     meshes: list[MeshFile]
-    to_cameras: Matrix
+    to_cameras: Float64Array
     """Takes the meshes to the frame of the cameras [4, 4]."""
     lamps: dict[str, tuple[float, float, float]]
     """Radiance of meshes by their names, besides that which files give."""
@@ -76,7 +74,7 @@ class Room:
         return None if found is None else turned_map(found, self.to_cameras)
 
 
-def axis(name: str) -> Matrix:
+def axis(name: str) -> Float64Array:
     """The unit vector of one of :data:`UP`."""
     index = UP[name]
     vector = np.zeros(3)
@@ -100,7 +98,7 @@ def held_up(views: Sequence[View]) -> str:
     return name
 
 
-def turned(up: str, to: str, scale: float) -> Matrix:
+def turned(up: str, to: str, scale: float) -> Float64Array:
     """The similarity that takes an axis to another by the shortest way and scales [4, 4]."""
     a, b = axis(up), axis(to)
     matrix = np.eye(4)
@@ -114,7 +112,7 @@ def turned(up: str, to: str, scale: float) -> Matrix:
     return matrix
 
 
-def axes(words: str) -> Matrix:
+def axes(words: str) -> Float64Array:
     """The rotation [4, 4] by which axes of a mesh become those of the cameras.
 
     Args:
@@ -144,7 +142,7 @@ def axes(words: str) -> Matrix:
     return made
 
 
-def turned_map(environment: EnvironmentMap, similarity: Matrix) -> EnvironmentMap:
+def turned_map(environment: EnvironmentMap, similarity: Float64Array) -> EnvironmentMap:
     """An environment in another frame, to which ``similarity`` takes its own [4, 4]."""
     axes = similarity[:3, :3] / np.linalg.norm(similarity[:3, 0])
     pose = np.array(environment.to_world, np.float64)
@@ -152,7 +150,7 @@ def turned_map(environment: EnvironmentMap, similarity: Matrix) -> EnvironmentMa
     return replace(environment, to_world=pose.astype(np.float32))
 
 
-def write_room(room: Room, out: Path) -> list[Mesh]:
+def write_room(room: RoomParts, out: Path) -> list[Mesh]:
     """Write the folder.
 
     Args:
@@ -168,7 +166,7 @@ def write_room(room: Room, out: Path) -> list[Mesh]:
     meshes = _named_apart(room)
     shining = {mesh.name for mesh in meshes}
     if unknown := [name for name in room.lamps if name not in shining]:
-        raise InputError(f"--lamp: there is no mesh {shown(unknown[0])}, there are {_listed(sorted(shining))}")
+        raise InputError(f"--lamp: there is no mesh {shown(unknown[0])}, there are {listed(sorted(shining))}")
     meshes = [
         replace(mesh, radiance=np.array(room.lamps[mesh.name], np.float32)) if mesh.name in room.lamps else mesh
         for mesh in meshes
@@ -179,21 +177,25 @@ def write_room(room: Room, out: Path) -> list[Mesh]:
     return meshes
 
 
-def _named_apart(room: Room) -> list[Mesh]:
+def _named_apart(room: RoomParts) -> list[Mesh]:
     """All meshes, no two of one name, and none that ``scene.xml`` cannot have: Mitsuba takes ``$`` for a parameter."""
     taken = {_PAINT}
     plain = re.compile(r"[$\x00-\x1f\x7f]")
-    return [replace(mesh, name=apart(plain.sub("_", mesh.name), taken)) for file in room.meshes for mesh in file.meshes]
+    return [
+        replace(mesh, name=make_unique(plain.sub("_", mesh.name), taken))
+        for file in room.meshes
+        for mesh in file.meshes
+    ]
 
 
 def file_name(name: str, taken: set[str]) -> str:
     """A name for a file that XML, shells and other systems take, none of ``taken``, to which it is added."""
     plain = unicodedata.normalize("NFKD", name).encode("ascii", "ignore").decode()
     stem = re.sub(r"[^A-Za-z0-9_-]+", "_", plain).strip("_")[:60] or "part"
-    return apart(stem, taken, "_", capitals=False)
+    return make_unique(stem, taken, "_", capitals=False)
 
 
-def write_views(room: Room, out: Path, only: str | None = None) -> None:
+def write_views(room: RoomParts, out: Path, only: str | None = None) -> None:
     """Camera files, and what they name.
 
     Args:
@@ -224,7 +226,7 @@ def write_views(room: Room, out: Path, only: str | None = None) -> None:
         (out / (only or f"transforms{part}.json")).write_text(json.dumps(described, indent=1) + "\n", encoding="utf-8")
 
 
-def _write_surfaces(room: Room, meshes: Sequence[Mesh], out: Path) -> None:
+def _write_surfaces(room: RoomParts, meshes: Sequence[Mesh], out: Path) -> None:
     """``scene.xml`` and the meshes: one PLY file for each, or a link where the file is one already."""
     tree = ElementTree.Element("scene", version="3.0.0")
     _child(_child(tree, "integrator", type="path"), "integer", name="max_depth", value="-1")
@@ -266,7 +268,7 @@ def _write_surfaces(room: Room, meshes: Sequence[Mesh], out: Path) -> None:
             _child(lamp, "rgb", name="radiance", value=", ".join(f"{float(x):.9g}" for x in mesh.radiance))
     names = {mesh.name for mesh in meshes}
     for light in room.lights:
-        append_node(tree, punctual_node(light, apart(light.name, names)))
+        append_node(tree, punctual_node(light, make_unique(light.name, names)))
     ElementTree.indent(tree)
     text = ElementTree.tostring(tree, encoding="unicode") + "\n"
     (out / "scene.xml").write_text(text, encoding="utf-8")
@@ -309,12 +311,7 @@ def _child(parent: ElementTree.Element, tag: str, **attributes: str) -> ElementT
     return ElementTree.SubElement(parent, tag, attributes)
 
 
-def _listed(names: Sequence[str], most: int = 12) -> str:
-    more = f" and {len(names) - most} others" if len(names) > most else ""
-    return ", ".join(shown(name) for name in names[:most]) + more
-
-
-def bounds_of(room: Room) -> FloatArray:
+def bounds_of(room: RoomParts) -> FloatArray:
     """Smallest and largest corner of the meshes in the frame of the cameras [2, 3]."""
     corners = np.concatenate([mesh.vertices for file in room.meshes for mesh in file.meshes]).astype(np.float64)
     there = corners @ room.to_cameras[:3, :3].T + room.to_cameras[:3, 3]

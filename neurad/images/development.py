@@ -8,19 +8,18 @@ from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, replace
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Any, Literal
 
 import numpy as np
 
 from neurad.core.errors import InputError
-from neurad.core.ranges import Range, checked
+from neurad.core.ranges import Ceiling, checked
 from neurad.core.records import View
 from neurad.images.image_io import opened
 from neurad.images.photographs import CODED, colour_profile, largest_code
 from neurad.images.response import FIT, check_response
-from neurad.runtime.reading import native, regular_file
+from neurad.runtime.reading import listed, native, regular_file
 
-Ceiling = Annotated[float, Range(0.0, 1e18, above=True)]
 JPEG_CEILING = 250.0 / 255.0
 """Compression moves what is clipped by some codes, so that of JPEG files begins below the largest."""
 _EXIF, _TIME, _APERTURE, _SPEED = 0x8769, 0x829A, 0x829D, 0x8827
@@ -166,8 +165,8 @@ def _with_exposures(views: list[View], trained: int, settings: Photography) -> t
         return _by_exif(views, trained, settings)
     known = [view.development.gain for view in photographed if view.development.exposure is not None]
     if lacking:
-        named = ", ".join(view.name for view in lacking[:4]) + (" ..." if len(lacking) > 4 else "")
-        said = f"{len(lacking)} of {len(photographed)} photographs have no exposure in the camera file ({named})"
+        names = listed((view.name for view in lacking), 4)
+        said = f"{len(lacking)} of {len(photographed)} photographs have no exposure in the camera file ({names})"
         if settings.exposure == "known":
             raise InputError(f"{said}: give all of them one, or recover them with --data.exposure fit")
         middle = math.exp(float(np.mean(np.log(known))))
@@ -191,10 +190,9 @@ def _by_exif(views: list[View], trained: int, settings: Photography) -> tuple[li
     if len(without) == sum(view.image is not None for view in views):
         return views, []
     if without:
-        named = ", ".join(without[:4]) + (" ..." if len(without) > 4 else "")
         return views, [
-            f"warning: {len(without)} photographs have no exposure in their EXIF ({named}), so that of the others is "
-            "not used; give all an exposure in the camera file"
+            f"warning: {len(without)} photographs have no exposure in their EXIF ({listed(without, 4)}), so that of "
+            "the others is not used; give all an exposure in the camera file"
         ]
     logs = [math.log(value) for value in found[:trained] if value is not None]
     unit = math.exp(float(np.mean(logs)))

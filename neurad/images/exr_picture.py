@@ -10,11 +10,9 @@ import numpy as np
 import numpy.typing as npt
 
 from neurad.core.errors import InputError
-from neurad.core.records import FloatArray
+from neurad.core.records import Float64Array, FloatArray
 from neurad.images.picture_headers import ExrPart
 from neurad.runtime.reading import shown
-
-Matrix = npt.NDArray[np.float64]
 
 _COMBINED = "Combined"  # Blender's name of the picture among its passes
 _COMPOSITE = "Composite.Combined"  # of what its compositor makes of them
@@ -65,7 +63,7 @@ def picture_in(parts: Sequence[ExrPart], path: Path) -> tuple[int, dict[str, str
     return chosen[0][0], {name: colours[chosen[0]][name] for name in "RGBA" if name in colours[chosen[0]]}
 
 
-def to_rec709(header: Mapping[str, Any]) -> tuple[Matrix, str] | None:
+def to_rec709(header: Mapping[str, Any]) -> tuple[Float64Array, str] | None:
     """What takes the colours of a file to linear Rec.709 [3, 3], and the name of its primaries; None where it has
     these, or says nothing.
 
@@ -93,14 +91,14 @@ def to_rec709(header: Mapping[str, Any]) -> tuple[Matrix, str] | None:
     return matrix, next(names, "other primaries")
 
 
-def _white(xy: Matrix) -> Matrix:
+def _white(xy: Float64Array) -> Float64Array:
     """XYZ of a chromaticity at luminance 1."""
     if not 1e-3 < xy[1] <= 1.0:
         raise ValueError("chromaticities")
     return np.asarray(np.array([xy[0], xy[1], 1.0 - xy.sum()]) / xy[1])
 
 
-def _to_xyz(chromaticities: Matrix) -> Matrix:
+def _to_xyz(chromaticities: Float64Array) -> Float64Array:
     """From colours by primaries to XYZ [3, 3]: ones are white."""
     x, y = chromaticities[:6:2], chromaticities[1:6:2]
     primaries = np.stack((x, y, 1.0 - x - y))

@@ -45,7 +45,7 @@ class MergeSettings:
     times: list[float] | None = None
     """Exposures of a view's photographs, where EXIF has none or others."""
     response: str | None = None
-    """Of photographs of codes, as ``--data.response``; None takes sRGB's curve and says so."""
+    """The camera's curve, where photographs hold codes, as ``--data.response``; None takes sRGB's and says so."""
 
     def __post_init__(self) -> None:
         """Refuse what cannot be merged."""

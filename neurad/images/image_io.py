@@ -20,9 +20,10 @@ from neurad.runtime.files import replacing
 from neurad.runtime.reading import native, regular_file, shown
 
 MAX_NEGATIVE = 0.01
-"""Of a picture's mean: what is no further below 0 is rounding, and taken as 0."""
+"""Fraction of a picture's mean: a value that is no further below 0 is rounding, and taken as 0."""
 MAX_RINGING = 0.25
-"""Of the brightest pixel around: how far below 0 Lanczos' filter takes the pixel beside a point or line of light."""
+"""How far below 0 Lanczos' filter takes the pixel beside a point or line of light, as a fraction of the brightest pixel
+around."""
 _LOBES = 3  # pixels that the filter reaches
 _HALF_MAX, _HALF_NORMAL = 65504.0, 2.0**-14
 _PNG_LEVEL = 5  # how hard files are compressed, of 9

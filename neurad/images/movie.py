@@ -19,7 +19,7 @@ FORMATS = ("mp4", "png")
 _QUALITY = 8  # of imageio-ffmpeg, from 0 to 10
 
 
-class Film(Protocol):
+class FrameSink(Protocol):
     """What takes the frames."""
 
     def __call__(self, frame: Bytes) -> None:
@@ -43,7 +43,7 @@ def target_of(kind: str, folder: Path) -> Path:
 
 
 @contextmanager
-def filming(kind: str, folder: Path, fps: int) -> Iterator[Film]:
+def filming(kind: str, folder: Path, fps: int) -> Iterator[FrameSink]:
     """Something that takes frames; the film is there, whole, when the context ends without an error.
 
     Args:

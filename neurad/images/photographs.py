@@ -36,7 +36,7 @@ _AT = 1e-4  # relative rounding at a ceiling
 _SAID = "it cannot be read as an image"
 
 AS_IS = Development()
-"""Of photographs whose values are linear radiance."""
+"""The development of photographs whose values are linear radiance."""
 
 
 def picture_size(path: Path) -> tuple[int, int]:

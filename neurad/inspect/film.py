@@ -17,7 +17,7 @@ CHUNK = 1 << 14
 """Camera rays between two looks at whether somebody waits: enough for two threads, at most some tenths of a second."""
 WINDOW = 11
 """Side of the square of pixels over which noise and bias are compared."""
-LEAST = 3
+MIN_SAMPLES = 3
 """Samples that say how noisy a film is."""
 _PLASTIC = 0.7548776662466927, 0.5698402909980532
 """Steps of the R2 sequence, which fills the unit square evenly from any point on."""
@@ -86,7 +86,8 @@ def mixture(
 
     Args:
         prior: [h, w, 3], or None.
-        films: of the ``I_l``. Where some have no sample, or fewer than :data:`LEAST`, ``a`` is :func:`common` to those.
+        films: of the ``I_l``. Where some have no sample, or fewer than :data:`MIN_SAMPLES`, ``a`` is :func:`common` to
+            those.
         scales: ``s_l``.
         shown: what stands for the ``I_l`` of films that have samples, [h, w, 3] each, if not their means; ``a`` is made
             for the means.
@@ -97,7 +98,7 @@ def mixture(
     weight: Tensor | float = 0.0
     if prior is not None:
         few = [s for film, s in zip(films, scales, strict=True) if film.count == 0]
-        few = few or [s for film, s in zip(films, scales, strict=True) if film.count < LEAST]
+        few = few or [s for film, s in zip(films, scales, strict=True) if film.count < MIN_SAMPLES]
         weight = common(few) if few else _weight(prior, films, scales)
     drawn = [(film, s) for film, s in zip(films, scales, strict=True) if film.count > 0]
     pictures = [film.mean for film, _ in drawn] if shown is None else shown

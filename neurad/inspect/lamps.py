@@ -23,7 +23,7 @@ from neurad.formats.edits.placement import turned_environment
 from neurad.integrators.renderer import MethodRenderer, path_tracer
 from neurad.integrators.world import World
 
-MOST = 8
+MAX_LAMPS = 8
 """Lamps with a brightness of their own; dimmer ones beyond these share one."""
 ENVIRONMENT = "environment"
 
@@ -45,7 +45,7 @@ class Lamp:
 
 
 @dataclass(frozen=True)
-class Light:
+class LightSettings:
     """What a viewer made of the scene's light: the photographs' own is all ones and no turn."""
 
     scales: tuple[float, ...]
@@ -57,7 +57,7 @@ class Light:
 def lamps_of(assembly: Assembly) -> list[Lamp]:
     """The lamps of a scene, brightest first, the environment last.
 
-    Meshes of one name are one lamp. At most :data:`MOST` lamps that are not the environment stand alone.
+    Meshes of one name are one lamp. At most :data:`MAX_LAMPS` lamps that are not the environment stand alone.
     """
     geometry, scene = assembly.world.geometry, assembly.scene
     power = luminance(_emission(assembly.world).double()) * geometry.face_area.double()
@@ -72,19 +72,19 @@ def lamps_of(assembly: Assembly) -> list[Lamp]:
         if light.intensity.any():
             powers[Lamp(light.name, punctual=(index,))] = PunctualLights([light]).power(radius)
     lamps = sorted(powers, key=lambda lamp: -powers[lamp])
-    if len(lamps) > MOST:
-        rest = lamps[MOST - 1 :]
+    if len(lamps) > MAX_LAMPS:
+        rest = lamps[MAX_LAMPS - 1 :]
         meshes = tuple(index for lamp in rest for index in lamp.meshes)
         points = tuple(index for lamp in rest for index in lamp.punctual)
-        lamps = [*lamps[: MOST - 1], Lamp(f"{len(rest)} other lamps", meshes, points)]
+        lamps = [*lamps[: MAX_LAMPS - 1], Lamp(f"{len(rest)} other lamps", meshes, points)]
     if _environment(assembly) is not None:
         lamps.append(Lamp(ENVIRONMENT))
     return lamps
 
 
-def as_photographed(lamps: Sequence[Lamp]) -> Light:
+def as_photographed(lamps: Sequence[Lamp]) -> LightSettings:
     """The light that the photographs were taken in."""
-    return Light((1.0,) * len(lamps))
+    return LightSettings((1.0,) * len(lamps))
 
 
 def lamp_renderer(assembly: Assembly, lamp: Lamp, turn: float = 0.0) -> MethodRenderer:

@@ -18,7 +18,7 @@ from neurad.inspect.photographs import PhotographMap
 from neurad.integrators.aov import MaterialMap
 from neurad.integrators.world import World
 from neurad.metrics.seen import SeenBy
-from neurad.pages.colours import BRIGHTEST_STD, encode, false_colour, grey, shown
+from neurad.pages.colours import BRIGHTEST_STD, encode, encode_parameter, false_colour, grey
 from neurad.runs.load import LoadedRun
 
 Bytes = npt.NDArray[np.uint8]
@@ -37,7 +37,7 @@ class Scale:
 
     title: str
     colours: Callable[[FloatArray], Bytes]
-    """Of values [h, w, 1]."""
+    """Colours [h, w, 3] of values [h, w, 1]."""
     high: float
     """Value at the bright end; the other end is 0."""
 
@@ -130,7 +130,7 @@ def legend(scale: Scale, width: int = 320, height: int = 18) -> Bytes:
 
 def _map(parameter: SurfaceParameter, values: FloatArray, exposure: float) -> Bytes:
     """A map of a surface parameter; no light, so the exposure plays no part."""
-    return shown(parameter, values)
+    return encode_parameter(parameter, values)
 
 
 def modes_of(run: LoadedRun, seen: SeenBy, photographs: PhotographMap) -> Mapping[str, Mode]:

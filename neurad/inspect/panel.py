@@ -12,7 +12,7 @@ import viser
 
 from neurad.core.errors import InputError
 from neurad.core.ranges import Range
-from neurad.inspect.lamps import Lamp, Light
+from neurad.inspect.lamps import Lamp, LightSettings
 from neurad.inspect.maps import RENDER, Mode, legend
 from neurad.inspect.probe import Reading
 from neurad.inspect.still import Look
@@ -104,7 +104,7 @@ class Panel:
         Raises:
             InputError: something that no control of the page can say.
         """
-        light = Light(tuple(_level(s) for s in self._sliders), _level(self._turn) if self._turn else 0.0)
+        light = LightSettings(tuple(_level(s) for s in self._sliders), _level(self._turn) if self._turn else 0.0)
         look = Look(light, self._exposure * 2.0 ** _level(self._stops), bool(self._hatched.value))
         return Wishes(chosen(self._mode.value, self._mode.options), look, int(chosen(self._side.value, SIDES)))
 

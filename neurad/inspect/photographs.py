@@ -19,11 +19,11 @@ from neurad.metrics.seen import SeenBy
 
 NEAREST = 12
 """Photographs that are looked at for one picture."""
-KEPT = 32
+MAX_PHOTOGRAPHS = 32
 """Photographs in memory."""
 
 
-@lru_cache(KEPT)
+@lru_cache(MAX_PHOTOGRAPHS)
 def _read(path: str, development: Development) -> Tensor:
     """The colours of a photograph [1, 3, h, w]."""
     colours = read_photograph(path, development)[..., :3]

@@ -27,7 +27,7 @@ COARSEST = 48 * 48
 
 
 @dataclass(frozen=True)
-class Room:
+class ViewedRun:
     """A run as it can be looked at."""
 
     run: LoadedRun
@@ -52,7 +52,7 @@ class Request:
     mode: str
     look: Look
     pixels: int
-    """Of a picture at rest."""
+    """Number of pixels of a picture at rest."""
 
 
 @dataclass(frozen=True)
@@ -72,14 +72,14 @@ class Refiner:
         room: what is looked at.
     """
 
-    def __init__(self, room: Room) -> None:
+    def __init__(self, room: ViewedRun) -> None:
         self.room = room
         self._still: Still | None = None
         self._key: tuple[Pose, str, int] | None = None
         self._look: Look | None = None
         self._moved = self._sent = -math.inf
 
-    def replace(self, room: Room) -> None:
+    def replace(self, room: ViewedRun) -> None:
         """Begin anew with another room, such as the same run with newer weights."""
         self.room = room
         self._still = self._key = None
@@ -156,7 +156,7 @@ def _kind(request: Request) -> str:
     return f"{request.mode}{'' if own else ' edited'}"
 
 
-def warm_up(room: Room, camera: Camera) -> None:
+def warm_up(room: ViewedRun, camera: Camera) -> None:
     """Make a small picture of every kind, so that nobody who looks waits for kernels to be loaded, or compiled.
 
     Afterwards ``room.cost`` knows how long pictures take.

@@ -13,8 +13,8 @@ from torch import Tensor
 
 from neurad.core.records import Camera, FloatArray
 from neurad.core.rng import mix
-from neurad.inspect.film import LEAST, Film, common, mixture
-from neurad.inspect.lamps import Lamp, Light, as_photographed, lamp_renderer
+from neurad.inspect.film import MIN_SAMPLES, Film, common, mixture
+from neurad.inspect.lamps import Lamp, LightSettings, as_photographed, lamp_renderer
 from neurad.inspect.maps import Mode, UnseenMap, hatch
 from neurad.inspect.smooth import Smoother
 from neurad.integrators.renderer import FieldRenderer, MethodRenderer
@@ -23,7 +23,7 @@ from neurad.runs.load import LoadedRun
 
 Bytes = npt.NDArray[np.uint8]
 Stop = Callable[[], bool]
-FIELD_SPP, MAP_SPP, MOST_SPP = 16, 16, 1024
+FIELD_SPP, MAP_SPP, MAX_SPP = 16, 16, 1024
 """Samples a pixel after which the radiance field's picture, a map and a sampled picture are good enough."""
 SEED = 20231123
 
@@ -32,7 +32,7 @@ SEED = 20231123
 class Look:
     """How a picture is to be shown; changing it costs no new samples where light is linear in it."""
 
-    light: Light
+    light: LightSettings
     exposure: float = 1.0
     """Factor of radiance."""
     hatched: bool = True
@@ -133,7 +133,7 @@ class LitStill:
         self._made: dict[Film, tuple[int, Tensor]] = {}
 
     def _film(self, index: int) -> Film:
-        """Of one lamp alone."""
+        """A film of the light of one lamp alone."""
         renderer = lamp_renderer(self.run.assembly, self.lamps[index], self._turn)
         return Film(self.camera, renderer, mix(SEED, 2, index), self.run.device)
 
@@ -147,17 +147,17 @@ class LitStill:
         return (not prior or self._begun) and all(self._films[i].count > 0 for i in films)
 
     def done(self, look: Look) -> bool:
-        """After :data:`MOST_SPP` samples."""
+        """After :data:`MAX_SPP` samples."""
         light = look.light
         if light == self._own:
-            return self._whole.count >= MOST_SPP
-        return all(self._films[i].count >= MOST_SPP for i in self._shining(light))
+            return self._whole.count >= MAX_SPP
+        return all(self._films[i].count >= MAX_SPP for i in self._shining(light))
 
     def picture(self, look: Look) -> Bytes:
         """The picture so far as a screen shows it."""
         return encode(self.radiance(look.light) * np.float32(look.exposure))
 
-    def radiance(self, light: Light) -> FloatArray:
+    def radiance(self, light: LightSettings) -> FloatArray:
         """The picture so far in a light, linear [h, w, 3]; it has to be ready for it."""
         needed, prior = self._parts(light)
         base = self._photographed() if prior else None
@@ -175,7 +175,7 @@ class LitStill:
         """What the picture is."""
         light = look.light
         if light == self._own:
-            if self._field is not None and self._whole.count < LEAST:
+            if self._field is not None and self._whole.count < MIN_SAMPLES:
                 return "The radiance field's own picture, in the photographs' light."
             begun = "" if self._field is None else ", begun with the radiance field's"
             return f"The method's picture in the photographs' light, {self._whole.count} samples a pixel{begun}."
@@ -187,11 +187,11 @@ class LitStill:
         samples = f"{min(counts)}" if min(counts) == max(counts) else f"{min(counts)} to {max(counts)}"
         return f"Paths traced for each lamp with the recovered materials, {samples} samples a pixel, smoothed if few."
 
-    def _shining(self, light: Light) -> list[int]:
+    def _shining(self, light: LightSettings) -> list[int]:
         """Lamps that are not off."""
         return [i for i, scale in enumerate(light.scales) if scale > 0.0]
 
-    def _parts(self, light: Light) -> tuple[list[int], bool]:
+    def _parts(self, light: LightSettings) -> tuple[list[int], bool]:
         """Lamps whose own pictures a light needs at least, and whether that in the photographs' light is needed.
 
         With it, all lamps that are as bright as most are in it already. It is no help once the environment is turned.
@@ -204,7 +204,7 @@ class LitStill:
         others = [i for i, scale in enumerate(light.scales) if scale != usual]
         return others, usual != 0.0
 
-    def _follow(self, light: Light) -> None:
+    def _follow(self, light: LightSettings) -> None:
         """Begin anew with the environment's picture where it was turned."""
         lit = [i for i in self._shining(light) if self.lamps[i].is_environment]
         if lit and light.turn % 360.0 != self._turn:
@@ -233,7 +233,7 @@ class LitStill:
             self._made[film] = film.count, picture
         return picture
 
-    def _next(self, light: Light) -> Film:
+    def _next(self, light: LightSettings) -> Film:
         """The film that gets a sample."""
         films, prior = self._parts(light)
         field, whole = self._field, self._whole
@@ -246,7 +246,7 @@ class LitStill:
         if prior and field is not None and field.count < FIELD_SPP // 4:
             return field
         used = list(range(len(self.lamps))) if prior else self._shining(light)
-        if few := [i for i in used if self._films[i].count < LEAST]:
+        if few := [i for i in used if self._films[i].count < MIN_SAMPLES]:
             return self._films[few[0]]
         # By how much a sample lowers the error. A lamp that the photographs' light brings in gets some all the same, as
         # only its own picture shows what is wrong with that.

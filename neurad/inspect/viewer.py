@@ -12,14 +12,14 @@ import viser
 from neurad.core.errors import InputError
 from neurad.core.records import View
 from neurad.export.axes import up_axis
+from neurad.inspect.client_session import ClientSession
 from neurad.inspect.door import connection_closer, say_dropped
-from neurad.inspect.guest import Guest
 from neurad.inspect.lamps import lamps_of
 from neurad.inspect.maps import SeenMap, UnseenMap, modes_of
 from neurad.inspect.panel import plain
 from neurad.inspect.photographs import PhotographMap
 from neurad.inspect.pose import Stand, stand_of
-from neurad.inspect.refine import Room, warm_up
+from neurad.inspect.refine import ViewedRun, warm_up
 from neurad.inspect.server import serve, stop
 from neurad.metrics.seen import SeenBy
 from neurad.runs.follow import Followed
@@ -57,7 +57,7 @@ class Viewer:
         self._asked = 0
         self._wake = threading.Event()
         self._checked = time.monotonic()
-        self.guests: dict[int, Guest] = {}
+        self.sessions: dict[int, ClientSession] = {}
         """Browsers that are connected, by number."""
         warm_up(self._room, views[0].camera)
         self._server, self.address = serve(port)
@@ -73,33 +73,33 @@ class Viewer:
         if time.monotonic() - self._checked > CHECKS:
             self._follow()
         asked = self._asked
-        worked = [self._served(n, lambda guest: guest.work(lambda: self._asked != asked)) for n in [*self.guests]]
+        worked = [self._served(n, lambda session: session.work(lambda: self._asked != asked)) for n in [*self.sessions]]
         if not any(worked):
             self._wake.wait(0.25)
             self._wake.clear()
 
-    def _served(self, number: int, work: Callable[[Guest], bool | None]) -> bool:
+    def _served(self, number: int, work: Callable[[ClientSession], bool | None]) -> bool:
         """Do something for one browser, and whether there was something to do. What fails for it ends it alone."""
-        guest = self.guests.get(number)
-        if guest is None:
+        session = self.sessions.get(number)
+        if session is None:
             return False
         try:
-            return bool(work(guest))
+            return bool(work(session))
         except Exception as error:
             say_dropped(error)
-            self.guests.pop(number, None)
-            guest.leave()
+            self.sessions.pop(number, None)
+            session.leave()
             return True
 
     def close(self) -> None:
         """End the page."""
         stop(self._server)
 
-    def _make_room(self) -> Room:
+    def _make_room(self) -> ViewedRun:
         run = self._followed.run
         modes = modes_of(run, self._by_training, self._photographs)
         seen, unseen = SeenMap(run.world, self._by_training), UnseenMap(run.world, self._by_training)
-        return Room(run, lamps_of(run.assembly), modes, seen, unseen)
+        return ViewedRun(run, lamps_of(run.assembly), modes, seen, unseen)
 
     def _title(self) -> str:
         run = self._followed.run
@@ -121,12 +121,14 @@ class Viewer:
         server.on_client_disconnect(self._part)
 
     def _part(self, client: viser.ClientHandle) -> None:
-        self.guests.pop(client.client_id, None)
+        self.sessions.pop(client.client_id, None)
 
     async def _welcome(self, client: viser.ClientHandle) -> None:
         stands = {name: partial(self._stand, view) for name, view in self._views.items()}
-        guest = Guest(client, self._room, self._title(), self._exposure, stands, self._ask, connection_closer())
-        self.guests[client.client_id] = guest
+        session = ClientSession(
+            client, self._room, self._title(), self._exposure, stands, self._ask, connection_closer()
+        )
+        self.sessions[client.client_id] = session
         self._ask()
 
     def _ask(self) -> None:
@@ -141,6 +143,6 @@ class Viewer:
             cost = self._room.cost
             self._room = self._make_room()
             self._room.cost.update(cost)
-        for number in [*self.guests]:
-            self._served(number, lambda guest: guest.renew(self._room, self._title(), followed.problem))
+        for number in [*self.sessions]:
+            self._served(number, lambda session: session.renew(self._room, self._title(), followed.problem))
         self._checked = time.monotonic()

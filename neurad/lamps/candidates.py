@@ -12,7 +12,7 @@ from neurad.lamps.photographed import saturated
 from neurad.lamps.surfaces import SurfacePixels
 from neurad.scene.shining import Shining
 
-SURE, SPREAD = 2.0, 0.25
+MIN_RATIO_ALONE, MAX_SPREAD = 2.0, 0.25
 """Below so many times a white sheet a lamp's pixels have to be alike, too: largest difference, relative to their
 median, between the tenth and the ninetieth per cent."""
 NOISE = 0.15
@@ -81,7 +81,7 @@ def one_radiance(shown: Tensor, sheet: Tensor, ratio: float) -> bool:
     """
     low, middle, high = (float(shown.quantile(q)) for q in (0.1, 0.5, 0.9))
     sent = float((shown - sheet).quantile(0.9))
-    return sent <= (1.0 + NOISE) * low and (ratio > SURE or high - low <= SPREAD * middle)
+    return sent <= (1.0 + NOISE) * low and (ratio > MIN_RATIO_ALONE or high - low <= MAX_SPREAD * middle)
 
 
 def evenly(pixels: SurfacePixels, most: int) -> SurfacePixels:

@@ -7,14 +7,16 @@ from collections.abc import Sequence
 
 import numpy as np
 import torch
+from torch import Tensor
 
 from neurad.assembly.build import Assembly
-from neurad.assembly.common_causes import BEND, common_causes, curve_or_lamps
+from neurad.assembly.common_causes import common_causes
 from neurad.core.errors import InputError
 from neurad.core.protocols import PhotoSource
-from neurad.core.records import PixelBatch
+from neurad.core.records import Camera, PixelBatch
 from neurad.emitters.area import AreaLights
 from neurad.emitters.lights import make_lights
+from neurad.evidence.shared_errors import MATTERS
 from neurad.lamps.photographed import (
     FEW,
     REFUSE,
@@ -51,13 +53,14 @@ def check_lamps(assembly: Assembly, photographs: PhotoSource, sample: PixelBatch
     cameras, seed = [view.camera for view in scene.train], assembly.settings.seed
     shown = lamp_photographs(assembly.world, cameras, photographs, sample, seed).developed(assembly.development)
     lamps = photographed_lamps(scene, assembly.world, assembly.materials, cameras, shown, seed)
-    causes = causes_of_mismatch(assembly, photographs, lamps)
+    off = any(lamp.beyond(WARN) for lamp in lamps)
+    causes = causes_of_mismatch(assembly, photographs, lamps) if off else []
     for line in (*(f"warning: {cause}" for cause in causes), *report(lamps, bool(causes))):
         print(f"neurad: {line}", file=sys.stderr)
     wrong = far_off(lamps)
     if wrong and not causes and assembly.settings.lighting.lamp_mismatch == "refuse":
         raise InputError(f"scene {scene.name}: {refusal(wrong)}")
-    return causes if any(lamp.beyond(WARN) for lamp in lamps) else None, any(map(agrees, lamps))
+    return causes if off else None, any(map(agrees, lamps))
 
 
 def agrees(lamp: PhotographedLamp) -> bool:
@@ -69,48 +72,42 @@ def causes_of_mismatch(
     assembly: Assembly,
     photographs: PhotoSource,
     lamps: Sequence[PhotographedLamp],
-    looked: Sequence[str] | None = None,
+    views: Sequence[tuple[Tensor, Camera, Tensor]] | None = None,
 ) -> list[str]:
-    """What all photographs have in common that may make lamps look wrong; nothing where all lamps are as declared.
+    """What all photographs have in common that may make lamps look wrong.
 
     Args:
         assembly: of the scene, with its lamps as they are declared.
         photographs: of the training views.
-        lamps: as these show them.
-        looked: what :func:`common_causes` has said already; None asks it.
+        lamps: as these show them, some of them not as declared.
+        views: as of :func:`common_causes`.
     """
-    if looked:
-        return list(looked)
     off = [lamp for lamp in lamps if lamp.beyond(WARN)]
-    if not off:
-        return []
-    scene, world, seed = assembly.scene, assembly.world, assembly.settings.seed
-    cameras, develop = [view.camera for view in scene.train], assembly.development
+    scene, world = assembly.scene, assembly.world
     emission = world.geometry.emission.clone()
     for lamp in off:
         radiance = np.where(np.isnan(lamp.radiance), lamp.declared, lamp.radiance)
         emission[world.geometry.mesh_index == lamp.mesh] = torch.as_tensor(radiance).to(emission)
-    power, shining = _power(off), AreaLights(world.geometry, emission)
+    shining = AreaLights(world.geometry, emission)
     relit = world.under(make_lights(scene, world.geometry, lamps=shining).to(emission.device))
-    said = (
-        []
-        if looked is not None
-        else common_causes(relit, cameras, photographs, seed, develop, lit=power is None, scale_known=True)
+    shown, given = (
+        np.concatenate(x)
+        for x in zip(*((lamp.photographed, lamp.declared + lamp.reflected) for lamp in off), strict=True)
     )
-    if said or power is None:
-        return said
-    return curve_or_lamps(world, relit, cameras, photographs, seed, power, develop)
+    logs = np.log(np.stack((shown, given)))
+    power = _common(logs[0] / np.where(np.abs(logs[1]) > 0.5, logs[1], np.nan))
+    return common_causes(
+        relit, [view.camera for view in scene.train], photographs, assembly.settings.seed, assembly.development, views,
+        scale_known=True, declared=world, power=power if power and abs(power - 1.0) > MATTERS else None,
+        offset=_common(shown - given),
+    )  # fmt: skip
 
 
-def _power(lamps: Sequence[PhotographedLamp]) -> float | None:
-    """The power of the declared radiance that lamps are photographed as; None where they do not agree on one."""
-    logs = np.array([np.log(np.stack((lamp.photographed, lamp.declared + lamp.reflected))) for lamp in lamps])
-    shown, given = logs.transpose(1, 0, 2).reshape(2, -1)
-    known = np.isfinite(shown) & np.isfinite(given) & (np.abs(given) > 0.5)
-    powers = shown[known] / given[known]
-    if len(powers) == 0 or np.ptp(powers) > BEND or abs(float(np.median(powers)) - 1.0) < 0.5 * BEND:
-        return None
-    return float(np.median(powers))
+def _common(values: Array) -> float | None:
+    """The positive number that values agree on; None where there is none."""
+    values = values[np.isfinite(values)]
+    middle = float(np.median(values)) if len(values) else 0.0
+    return middle if middle > 0.0 and np.ptp(values) <= MATTERS * middle else None
 
 
 def far_off(lamps: Sequence[PhotographedLamp]) -> list[PhotographedLamp]:

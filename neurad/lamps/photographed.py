@@ -32,7 +32,7 @@ FEW = 8
 """Pixels below which a lamp is not known well enough to refuse a fit."""
 CEILINGS = (1.0, 65504.0)
 """Largest values of formats: of pictures that were 8-bit once, and of half floats."""
-_MOST = 4096  # pixels of a view that are looked at
+_MAX_PIXELS = 4096  # pixels of a view that are looked at
 _LIT, _LIT_SPP = 64, 16  # pixels of a lamp and samples in each that say how much it reflects
 _DEPTH = 6  # of their paths: what a lamp reflects is a few per cent of what it sends
 _CHUNK = 1 << 14
@@ -125,7 +125,7 @@ def lamp_pixels(world: World, cameras: Sequence[Camera], seed: int, ignored: Ten
         if ignored is not None:
             candidates &= ~ignored[index, : len(candidates)].to(device)
         pixels = candidates.nonzero().squeeze(-1)
-        if len(pixels) > _MOST:  # of each lamp, else a small one beside a window would hardly be looked at
+        if len(pixels) > _MAX_PIXELS:  # of each lamp, else a small one beside a window would hardly be looked at
             middles = _lamps_at(world, emits, camera, pixels, 1, Stream(seed, index, 33, device=device)).squeeze(-1)
             of_lamp = [pixels[middles == lamp] for lamp in torch.unique(middles[middles >= 0])]
             pixels = torch.cat([pixels[:0], *map(_evenly, of_lamp)]).sort().values
@@ -162,10 +162,10 @@ def _lamps_at(world: World, emits: Tensor, camera: Camera, pixels: Tensor, posit
 
 
 def _evenly(pixels: Tensor) -> Tensor:
-    """At most :data:`_MOST` of some pixels [n], evenly over all."""
-    if len(pixels) <= _MOST:
+    """At most :data:`_MAX_PIXELS` of some pixels [n], evenly over all."""
+    if len(pixels) <= _MAX_PIXELS:
         return pixels
-    return pixels[torch.arange(_MOST, device=pixels.device) * len(pixels) // _MOST]
+    return pixels[torch.arange(_MAX_PIXELS, device=pixels.device) * len(pixels) // _MAX_PIXELS]
 
 
 def saturated(view: Tensor, of: Tensor, clipped: Tensor) -> Tensor:
@@ -196,7 +196,7 @@ class LampPhotographs:
     """Which values do not count [n, 3]: those at the ceiling, and all of a lamp in a view where half are."""
 
     def developed(self, develop: Callable[[PixelBatch], PixelBatch] | None) -> LampPhotographs:
-        """The same of photographs that are corrected; None leaves them as they are."""
+        """What photographs show of lamps once these are corrected by ``develop``; None leaves them as they are."""
         if develop is None or len(self.color) == 0:
             return self
         view, pixel = self.at.view.cpu(), self.at.pixel.cpu()

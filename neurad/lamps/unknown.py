@@ -22,6 +22,7 @@ from neurad.lamps.responses import (
     lamp_responses,
     nonnegative_least_squares,
 )
+from neurad.runtime.reading import listed
 from neurad.runtime.tables import align
 
 ALL = "--model.lighting.emitters"
@@ -119,7 +120,7 @@ def refresh_lamps(assembly: Assembly, shown: LampPhotographs, iteration: int) ->
         lamps.set_radiance(np.where(observed[:, None], radiance * factor, radiance))
 
 
-def is_due(iteration: int) -> bool:
+def should_refresh(iteration: int) -> bool:
     """Whether :func:`refresh_lamps` is called after this many iterations; they alone decide."""
     doubled = iteration >= FIRST and iteration & (iteration - 1) == 0
     return doubled or (iteration > 0 and iteration % EVERY == 0)
@@ -190,6 +191,5 @@ def _nothing_seen(measured: Sequence[PhotographedLamp]) -> str:
     return f"{why}, so {ALL} photographs has nothing to go by; take fit, or known with radiance in scene.xml"
 
 
-def _names(names: Sequence[str], most: int = 8) -> str:
-    more = f" and {len(names) - most} others" if len(names) > most else ""
-    return ("lamps " if len(names) > 1 else "lamp ") + ", ".join(names[:most]) + more
+def _names(names: Sequence[str]) -> str:
+    return f"{'lamps' if len(names) > 1 else 'lamp'} {listed(names)}"

@@ -39,7 +39,7 @@ CHUNK = 1 << 18
 CACHE_BYTES = 1 << 28
 """Primary hits are kept between evaluations up to this size, and traced again beyond it."""
 _HIT_BYTES = 12
-"""Of a kept hit: triangle and barycentrics."""
+"""Bytes of a kept hit: triangle and barycentrics."""
 SEED = 20230807
 
 Maps = Mapping[str, FloatArray]

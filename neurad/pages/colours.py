@@ -27,7 +27,7 @@ def encode(image: FloatArray) -> Bytes:
     return np.round(to_srgb(np.broadcast_to(image, (*image.shape[:2], 3))) * 255).astype(np.uint8)
 
 
-def shown(parameter: SurfaceParameter, values: FloatArray) -> Bytes:
+def encode_parameter(parameter: SurfaceParameter, values: FloatArray) -> Bytes:
     """A map of a surface parameter [h, w, c] as people look at it: a colour by the sRGB curve, a number without."""
     return encode(values) if parameter.is_color else grey(values)
 

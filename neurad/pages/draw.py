@@ -72,7 +72,7 @@ def lettered(sheet: Sheet, tile: Tile) -> Bytes:
     """The picture of a tile as it is to be displayed, with the letters of its crops."""
     from PIL import Image, ImageDraw
 
-    picture = sheet.shown(tile)
+    picture = sheet.displayed(tile)
     if not sheet.crops:
         return picture
     page = Image.fromarray(picture)

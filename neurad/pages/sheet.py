@@ -90,7 +90,7 @@ class Sheet:
         width = self.tiles[0].picture.shape[1]
         return max(1, -(-MIN_WIDTH // width)), max(1, width // self.largest)
 
-    def shown(self, tile: Tile) -> Bytes:
+    def displayed(self, tile: Tile) -> Bytes:
         """The picture of a tile as it is to be displayed: enlarged or reduced, hatched, crops framed."""
         zoom, by = self.zoom
         picture = enlarged(reduced(tile.picture, by), zoom)

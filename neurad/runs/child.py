@@ -35,7 +35,7 @@ class Ended:
     peak_memory_mib: float | None
     """Largest resident memory; None where the system does not report it."""
     processor_seconds: float | None
-    """Of all its threads; None where the system does not report it."""
+    """Seconds that all its threads ran; None where the system does not report it."""
     message: str
     """One sentence on why it failed; empty if it did not."""
 

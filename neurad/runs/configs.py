@@ -80,6 +80,16 @@ def _shipped() -> str:
     return ", ".join(groups)
 
 
+def shipped_methods() -> dict[str, Tree]:
+    """Class and settings of every method in ``configs/methods``, by the name of its module: path, prb, ..."""
+    found: dict[str, Tree] = {}
+    for folder in shipped_folders():
+        for file in sorted((folder / "methods").glob("*.yaml")):
+            method: Any = OmegaConf.to_container(OmegaConf.merge(*load_config(str(file))).model.method)
+            found.setdefault(method["class_path"].split(".")[-2], method)
+    return found
+
+
 def load_config(name: str, above: tuple[Path, ...] = ()) -> list[DictConfig]:
     """The layers of a config file, lowest first: those that its key ``base`` names, then its own.
 

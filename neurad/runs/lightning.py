@@ -6,7 +6,7 @@ import json
 import os
 import signal
 import threading
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -25,6 +25,7 @@ from neurad.callbacks.run_folder import run_folder
 from neurad.checkpoints.find import RUNS, named_checkpoint, newest_checkpoint, restoring, run_folder_of
 from neurad.core.errors import InputError
 from neurad.core.ranges import IS_GROUP, hints
+from neurad.integrators.radiometric import Radiometric
 from neurad.runs.configs import find_config, load_config, only_trusted_classes, overlay, resolve, split_arguments
 from neurad.runs.messages import reason, setting_error, silence_lightning
 from neurad.runs.own_config import own_config
@@ -38,7 +39,7 @@ from neurad.runtime.machine import usable_cores
 from neurad.training.loopback import LoopbackDDP
 
 CALLBACKS: dict[str, type[pl.Callback]] = {"evaluation": Evaluate, "checkpoint": LastCheckpoint}
-"""Callbacks that every run has, by the key of their settings."""
+"""Callbacks that every run has, by the key of the settings that they take."""
 ROOT = "--trainer.default_root_dir"
 
 
@@ -48,7 +49,7 @@ def run(verb: str, args: Sequence[str], model: type[pl.LightningModule], data: t
     Args:
         verb: 'fit', 'validate', 'test' or 'predict'.
         args: what follows the verb on the command line.
-        model: the Lightning module.
+        model: the Lightning module; it takes its settings, and so do the others.
         data: the data module.
 
     Raises:
@@ -154,7 +155,7 @@ class NeuradCLI(LightningCLI):
     Args:
         verb: the one verb that a parser is built for; building all four takes seconds.
         checkpoint: what the run starts from.
-        model: the Lightning module.
+        model: the Lightning module; it takes its settings, and so do the others.
         data: the data module.
         args: the verb and its arguments, configs resolved.
         known: gets the names of all settings, for error messages.
@@ -171,6 +172,8 @@ class NeuradCLI(LightningCLI):
     ) -> None:
         self.verb = verb
         self.known = [] if known is None else known
+        owners: dict[str, type] = {"data": data, "model": model, **CALLBACKS}
+        self.settings = {name: hints(owner)["settings"] for name, owner in owners.items()}
         self.checkpoint = checkpoint
         super().__init__(
             model,
@@ -193,8 +196,7 @@ class NeuradCLI(LightningCLI):
 
     def parse_arguments(self, parser: LightningArgumentParser, args: Any) -> None:
         """Parse what :func:`run` prepared, whatever ``sys.argv`` says, and check the ranges of all numbers."""
-        owners: dict[str, Any] = {"model": self._model_class, "data": self._datamodule_class, **CALLBACKS}
-        groups = {name: hints(owner) for name, owner in owners.items()}
+        groups = {name: hints(owner) for name, owner in self.settings.items()}
         self.known += [action.dest for action in self._subcommand_parsers[self.verb]._actions]
         try:
             self.config = parser.parse_args(args)
@@ -206,10 +208,13 @@ class NeuradCLI(LightningCLI):
         for key, text in complaints(self.config[self.verb].as_dict(), groups):
             raise ArgumentError(None, f'Parser key "{key}": {text}')
 
-    def add_arguments_to_parser(self, parser: LightningArgumentParser) -> None:
-        """The callbacks that every run has, under keys of their own."""
-        for name, callback in CALLBACKS.items():
-            parser.add_lightning_class_args(callback, name)
+    def add_core_arguments_to_parser(self, parser: LightningArgumentParser) -> None:
+        """The trainer's settings, and the groups of our own."""
+        parser.add_lightning_class_args(self.trainer_class, "trainer")
+        parser.set_defaults({f"trainer.{name}": value for name, value in self.trainer_defaults.items()})
+        for name, owner in self.settings.items():
+            parser.add_class_arguments(owner, name, sub_configs=True)
+        parser.set_defaults({"model.method": {"class_path": f"{Radiometric.__module__}.{Radiometric.__name__}"}})
 
     def _parse_ckpt_path(self) -> None:
         """Nothing: the run's ``config.yaml`` is the lowest layer of the config already, below the user's settings;
@@ -223,12 +228,20 @@ class NeuradCLI(LightningCLI):
             InputError: a class that the settings name cannot be made with them.
         """
         try:
-            super().instantiate_classes()
-            self.model.begins_from = self.checkpoint
-        except ValueError as error:
-            if "Union subtypes" not in str(error):
+            self.config_init = self.parser.instantiate(self.config)
+        except (TypeError, ValueError) as error:
+            if not any(words in str(error) for words in ("Union subtypes", "unexpected keyword argument")):
                 raise
-            raise InputError(f"settings: {reason(' '.join(str(error).split()))}") from error
+            method = self._get(self.config, "model").method.class_path
+            raise InputError(f"settings: {reason(' '.join(str(error).split()), method)}") from error
+        self.datamodule = self._made(self._datamodule_class, "data")
+        self.model = self._made(self._model_class, "model")
+        self.model.begins_from = self.checkpoint
+        self.trainer = self.instantiate_trainer()
+
+    def _made(self, owner: Callable[[Any], Any], name: str) -> Any:
+        """An object of a class that takes the settings of a group."""
+        return owner(self._get(self.config_init, name))
 
     def instantiate_trainer(self, **kwargs: Any) -> pl.Trainer:
         """A trainer that logs to the run folder, that of the checkpoint if there is one."""
@@ -256,7 +269,7 @@ class NeuradCLI(LightningCLI):
             check_folder(folder / "images")
 
     def _instantiate_trainer(self, config: dict[str, Any], callbacks: list[pl.Callback]) -> pl.Trainer:
-        kept = [callback for callback in callbacks if callback is not None]
+        kept = [*callbacks, *(self._made(owner, name) for name, owner in CALLBACKS.items())]
         kept += [] if config["enable_progress_bar"] is False else [Bar()]
         try:
             config["strategy"] = strategy(config["strategy"], config["devices"], config["num_nodes"])

@@ -17,8 +17,8 @@ from torch import Tensor
 
 from neurad.assembly.build import Assembly, FittedMaterials, assemble
 from neurad.assembly.lighting import lit_scene
+from neurad.assembly.model_settings import ModelSettings
 from neurad.assembly.relight import in_other_light
-from neurad.assembly.settings import ModelSettings
 from neurad.checkpoints.file import read_checkpoint
 from neurad.checkpoints.find import named_checkpoint, newest_checkpoint, run_folder_of
 from neurad.checkpoints.state import changed_light, fitted_lamps, fitting
@@ -29,7 +29,7 @@ from neurad.evidence.bar_maps import bars_at
 from neurad.evidence.bars_file import NAME, read_bars
 from neurad.evidence.error_bars import ErrorBars
 from neurad.fields.radiance import RadianceField
-from neurad.formats.cameras.nerf import HOLD_OUT
+from neurad.formats.cameras import HOLD_OUT
 from neurad.formats.load import load_scene
 from neurad.images.development import Photography
 from neurad.integrators.film import render
@@ -41,7 +41,7 @@ from neurad.runs.own_config import own_config
 from neurad.runs.trust import import_trusted
 from neurad.scene.description import Scene
 from neurad.scene.origin import camera_in_scene, in_scene
-from neurad.scene.shining import from_kept
+from neurad.scene.shining import shining_from_state
 from neurad.scene.textures import TrueMaterials
 
 CHUNK = 1 << 17
@@ -283,7 +283,7 @@ def load_run(
     settings = parse_model(config["model"], str(folder / "config.yaml"), trusted)
     scene = _scene(config["data"], folder, root)
     finds = settings.lighting.emitters == "find"
-    lamps = from_kept(content["neurad"].get("shining"), scene, name) if finds else None
+    lamps = shining_from_state(content["neurad"].get("shining"), scene, name) if finds else None
     scene = lit_scene(scene, settings.lighting, lamps)
     assembly = assemble(scene, settings, content["neurad"]["hide_environment"])
     state = _restore(assembly, content, name, other_light)
@@ -299,7 +299,7 @@ def load_run(
 
 
 def reload_run(run: LoadedRun) -> LoadedRun:
-    """The same run with what its checkpoint holds now, in the same parts: the given one changes with it.
+    """Read a run's checkpoint again into the parts that it has: the given run changes with the one that is returned.
 
     Raises:
         InputError: the checkpoint cannot be read or does not fit; nothing changes then.
@@ -350,9 +350,7 @@ def _scene(data: dict[str, Any], folder: Path, root: str | os.PathLike[str] | No
 def _restore(assembly: Assembly, checkpoint: dict[str, Any], name: str, other_light: bool) -> dict[str, Any]:
     """Copy the checkpoint's weights into the parts, and return what the run wrote about itself."""
     own = {f"{part}.{key}": value for part, module in assembly.modules() for key, value in module.state_dict().items()}
-    radiance = assembly.radiance
-    inputs = None if radiance is None else list(radiance.inputs)
-    state = fitting(checkpoint, own, assembly.scene, inputs, name, other_light=other_light)
+    state = fitting(checkpoint, own, assembly.scene, assembly.radiance_inputs, name, other_light=other_light)
     for part, module in assembly.modules():
         prefix = f"{part}."
         weights = checkpoint["state_dict"]

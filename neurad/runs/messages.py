@@ -46,16 +46,18 @@ def setting_error(
     nested = re.search(r"NestedArg\(key='([^']+)'", wrong[2])
     if nested and not re.search(r"Expected an? .* Got value: ", wrong[2]):
         return _unknown(f"{wrong[1]}.init_args.{nested[1]}", names, values, ())
+    nested = nested or re.search(r"Problem with given class_path '[^']+': Parser key \"([^\"]+)\"", wrong[2])
     key = f"{wrong[1]}.init_args.{nested[1]}" if nested else wrong[1]
     origin = _origin(wrong[1], names, values)
     return f"--{key}: {reason(wrong[2])}" if origin == "command line" else f"{origin}: {key}: {reason(wrong[2])}"
 
 
-def reason(text: str) -> str:
+def reason(text: str, method: str = "") -> str:
     """What the parser says is wrong with a value, without names of its own functions and types.
 
     Args:
         text: its complaint in one line, without the setting's name.
+        method: class of the method, which is meant where the complaint names none.
     """
     given = re.search(r"Given value: (.*)$", text)
     if denied := re.search(r"Importing '([^']+)' is not allowed", text):
@@ -66,8 +68,8 @@ def reason(text: str) -> str:
             if found := re.search(pattern, inner):
                 return words.format(named[1], *found.groups())
         return f"{named[1]}: {reason(inner)}" if "Got value" not in inner else reason(inner)
-    if surplus := re.search(r"unexpected keyword argument '([^']+)'.*class_path='([^']+)'", text):
-        return f"{surplus[2]} has no setting {surplus[1]}"
+    if surplus := re.search(r"unexpected keyword argument '([^']+)'(?:.*class_path='([^']+)')?", text):
+        return f"{surplus[2] or method} has no setting {surplus[1]}"
     for pattern, words in _OF_VALUES:
         if found := re.search(pattern, text):
             return words.format(*(shown(group) for group in found.groups()))

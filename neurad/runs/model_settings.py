@@ -8,7 +8,7 @@ from typing import Any
 from jsonargparse import ArgumentError, ArgumentParser
 from omegaconf import OmegaConf
 
-from neurad.assembly.settings import ModelSettings
+from neurad.assembly.model_settings import ModelSettings
 from neurad.core.errors import InputError
 from neurad.core.ranges import violations
 from neurad.integrators.radiometric import Radiometric

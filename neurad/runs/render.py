@@ -69,13 +69,13 @@ class RenderSettings:
     path: str | None = None
     """A film from a moving camera instead of pictures, see :data:`neurad.formats.edits.camera_paths.KINDS`."""
     frames: Count = 120
-    """Of the film."""
+    """Pictures of the film."""
     fps: Count = 30
     """Frames a second of the film."""
     movie: str = "mp4"
     """How the film is written, see :data:`neurad.images.movie.FORMATS`."""
     exposure: Finite | None = None
-    """Of PNG pictures and films in stops; None shows the 90th percentile of the first picture at 0.8."""
+    """Exposure of PNG pictures and films in stops; None shows the 90th percentile of the first picture at 0.8."""
     spp: Count = 256
     """Samples a pixel of the pictures."""
     map_spp: Count = 64

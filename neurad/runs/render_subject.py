@@ -6,11 +6,8 @@ import sys
 import time
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path
-from typing import Any
 
 from jsonargparse import ArgumentParser
-from omegaconf import OmegaConf
 
 from neurad.assembly.build import build_world
 from neurad.assembly.relight import paths, recovered_scene, relit
@@ -25,7 +22,7 @@ from neurad.formats.load import load_scene
 from neurad.integrators.method import Method, ReflectedRadiance, SceneModel
 from neurad.integrators.path import PathTracing
 from neurad.integrators.renderer import FieldRenderer, MethodRenderer
-from neurad.runs.configs import load_config, shipped_folders
+from neurad.runs.configs import shipped_methods
 from neurad.runs.load import LoadedRun, load_run
 from neurad.runs.model_settings import model_settings
 from neurad.runtime.progress import phase
@@ -184,7 +181,7 @@ def find_method(name: str) -> tuple[Method, bool]:
     Raises:
         InputError: there is none of this name.
     """
-    found = _methods()
+    found = shipped_methods()
     if name not in found:
         near = did_you_mean(name, found)
         raise InputError(f"--integrator: there is no method {name} ({', '.join(sorted(found))}){near}")
@@ -192,13 +189,3 @@ def find_method(name: str) -> tuple[Method, bool]:
     parser.add_subclass_arguments(Method, "method")
     method: Method = parser.instantiate(parser.parse_object({"method": found[name]})).method
     return method, isinstance(method, PathTracing)
-
-
-def _methods() -> dict[str, dict[str, Any]]:
-    """Class and settings of every method in ``configs/methods``, by the name of its module: path, prb, ..."""
-    found: dict[str, dict[str, Any]] = {}
-    for folder in shipped_folders():
-        for file in sorted(Path(folder / "methods").glob("*.yaml")):
-            method: Any = OmegaConf.to_container(OmegaConf.merge(*load_config(str(file))).model.method)
-            found.setdefault(method["class_path"].split(".")[-2], method)
-    return found

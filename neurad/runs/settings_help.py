@@ -1,15 +1,36 @@
-"""What ``neurad fit --help`` prints: our settings with their words, and how to see the trainer's."""
+"""What ``neurad fit --help`` prints: our settings with their words, and how to see the trainer's.
+
+What a setting means stands once, behind it in its dataclass or in the docstring of the method that takes it. Methods
+need torch, which takes seconds to import, so theirs are shown where they are asked for.
+"""
 
 from __future__ import annotations
 
+import inspect
 import shutil
 import textwrap
-from collections.abc import Sequence
-from typing import Any
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from pydoc import locate
+from typing import Annotated, Any, Literal, get_args, get_origin
 
+from docstring_parser import parse, parse_from_object
+
+from neurad.assembly.settings import CheckpointSettings, EvaluationSettings, RecoverySettings
+from neurad.core.errors import InputError
+from neurad.core.ranges import Range, hints, is_settings, range_of
 from neurad.core.suggest import did_you_mean
-from neurad.runs.settings_source import REQUIRED, Setting, all_settings
 
+GROUPS: dict[str, type] = {
+    "model": RecoverySettings,
+    "evaluation": EvaluationSettings,
+    "checkpoint": CheckpointSettings,
+}
+"""Groups of settings, without ``data``, whose class lies above."""
+METHOD = "model.method"
+LARGE = 1 << 31
+"""Whole numbers so large are not worth saying."""
+_KINDS = {int: "whole number", float: "number", bool: "true or false", str: "text"}
 WIDTH = 110
 """Widest line."""
 FIRST = {
@@ -40,31 +61,68 @@ NOTE = (
 )
 
 
-def help_text(verb: str, about: str, words: Sequence[str] = ()) -> str:
+@dataclass(frozen=True)
+class Setting:
+    """A setting."""
+
+    key: str
+    """With dots."""
+    words: str
+    """What it means."""
+    kind: str
+    """What its value may be, with its range."""
+    default: Any
+    """``inspect.Parameter.empty`` where there is none."""
+
+
+def all_settings(groups: Mapping[str, type]) -> dict[str, list[Setting]]:
+    """Every setting by the group that it is shown in, with a heading for each.
+
+    Args:
+        groups: classes of settings by the key that they stand under.
+    """
+    found = {f"{name}: {_about(owner)}": list(_settings(owner, name)) for name, owner in groups.items()}
+    words = "How reflected light and its derivative are estimated; `--help method` shows methods and what each takes."
+    found[f"model: {_about(groups['model'])}"].append(Setting(METHOD, words, "a class and its settings", "Radiometric"))
+    return found
+
+
+def method_settings() -> dict[str, list[Setting]]:
+    """What each of the shipped methods takes, methods that take the same together."""
+    from neurad.runs.configs import shipped_methods
+
+    alike: dict[tuple[str, ...], tuple[list[str], list[Setting]]] = {}
+    for path in sorted({method["class_path"] for method in shipped_methods().values()}):
+        owner: Any = locate(path)
+        settings = list(_settings(owner, f"{METHOD}.init_args"))
+        alike.setdefault(tuple(map(str, settings)), ([], settings))[0].append(path)
+    return {f"{METHOD}.class_path {' or '.join(paths)}": settings for paths, settings in alike.values()}
+
+
+def help_text(verb: str, about: str, data: type, words: Sequence[str] = ()) -> str:
     """The help of one of Lightning's verbs.
 
     Args:
         verb: such as ``fit``.
         about: what it does.
+        data: the class of the settings under ``data``.
         words: show only settings with one of these in their key.
 
     Raises:
         InputError: no setting has any of them.
     """
-    from neurad.core.errors import InputError
-
-    groups = all_settings()
+    groups = all_settings({"data": data, **GROUPS})
     if words:
-        keys = [setting.key for settings in groups.values() for setting in settings]
-        groups = {
-            name: [s for s in settings if any(word.lstrip("-") in s.key for word in words)]
-            for name, settings in groups.items()
-        }
-        if not any(groups.values()):
-            parts = {part for key in keys for part in key.split(".")}
-            near = did_you_mean(words[0].lstrip("-"), parts)
-            raise InputError(f"--help {words[0]}: no setting has that in its name{near}")
-        return "\n".join(_group(name, settings) for name, settings in groups.items() if settings)
+        wanted = [word.lstrip("-") for word in words]
+        chosen = _chosen(groups, wanted)
+        if not chosen or any("method".startswith(word) or METHOD in word for word in wanted):
+            methods = method_settings()
+            chosen |= methods if any(word in f"{METHOD}.class_path" for word in wanted) else _chosen(methods, wanted)
+            groups |= methods
+        if not chosen:
+            parts = {part for settings in groups.values() for setting in settings for part in setting.key.split(".")}
+            raise InputError(f"--help {words[0]}: no setting has that in its name{did_you_mean(wanted[0], parts)}")
+        return "\n".join(_group(name, settings) for name, settings in chosen.items())
     lines = [
         f"usage: neurad {verb} --config NAME.yaml ... [--KEY VALUE ...]",
         "",
@@ -78,6 +136,54 @@ def help_text(verb: str, about: str, words: Sequence[str] = ()) -> str:
     return "\n".join([*lines, *(_group(name, settings) for name, settings in groups.items())])
 
 
+def _chosen(groups: Mapping[str, Sequence[Setting]], words: Sequence[str]) -> dict[str, list[Setting]]:
+    """The settings with one of the words in their key."""
+    found = {name: [s for s in settings if any(word in s.key for word in words)] for name, settings in groups.items()}
+    return {name: settings for name, settings in found.items() if settings}
+
+
+def _about(owner: type) -> str:
+    """What a class says of itself in its first line."""
+    return (parse(owner.__doc__ or "").short_description or "").rstrip(".")
+
+
+def _settings(owner: type, prefix: str, given: object = None) -> Iterator[Setting]:
+    """The settings of a class and of the groups inside it.
+
+    Args:
+        owner: a dataclass, or a class whose docstring has the arguments of its ``__init__``.
+        prefix: key of the group.
+        given: object of the class that has the defaults.
+    """
+    words = {
+        parameter.arg_name: parameter.description or ""
+        for base in reversed(owner.__mro__[:-1])
+        for parameter in parse_from_object(base).params
+    }
+    parameters = inspect.signature(owner).parameters
+    for name, hint in hints(owner).items():
+        default = parameters[name].default if given is None else getattr(given, name)
+        if is_settings(hint):
+            yield from _settings(hint, f"{prefix}.{name}", None if default is inspect.Parameter.empty else default)
+        else:
+            yield Setting(f"{prefix}.{name}", " ".join(words.get(name, "").split()), _kind(hint), default)
+
+
+def _kind(hint: Any) -> str:
+    """What a value may be, in words."""
+    parts = [hint] if get_origin(hint) in (None, Annotated, Literal, list, tuple) else list(get_args(hint))
+    part = next(part for part in parts if part is not type(None))
+    optional = " or null" if type(None) in parts else ""
+    if get_origin(part) is Literal:
+        return " or ".join(map(str, get_args(part))) + optional
+    if get_origin(part) in (list, tuple):
+        return "list of texts" + optional
+    words, allowed = _KINDS[get_args(part)[0] if get_origin(part) is Annotated else part], range_of(hint)
+    if allowed is not None:
+        words += f", {Range(allowed.low, above=allowed.above) if allowed.high >= LARGE - 1 else allowed}"
+    return words.removesuffix(", finite") + optional
+
+
 def trainer_help(settings: Sequence[Setting]) -> str:
     """The help of the trainer's own settings."""
     head = "Lightning's trainer: these settings are not ours, and neither are their words."
@@ -87,7 +193,7 @@ def trainer_help(settings: Sequence[Setting]) -> str:
 def _group(name: str, settings: Sequence[Setting]) -> str:
     lines = [name]
     for setting in settings:
-        value = "" if setting.default is REQUIRED else f" {_yaml(setting.default)}"
+        value = "" if setting.default is inspect.Parameter.empty else f" {_yaml(setting.default)}"
         words = setting.words
         words = words if words.startswith("`") else words[:1].upper() + words[1:]
         lines += [f"  --{setting.key}{value}    ({setting.kind})", *_wrapped(words)]

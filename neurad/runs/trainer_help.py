@@ -6,15 +6,17 @@ import inspect
 import re
 
 import lightning.pytorch as pl
+from docstring_parser import parse
 
-from neurad.runs.settings_help import trainer_help
-from neurad.runs.settings_source import Setting, described
+from neurad.runs.settings_help import Setting, trainer_help
 from neurad.runs.trainer_settings import OURS, WITHOUT_EFFECT
 
 
 def help_trainer() -> str:
     """Every setting of the trainer, in Lightning's words."""
-    words = described(inspect.getdoc(pl.Trainer.__init__) or "")
+    words = {
+        argument.arg_name: argument.description or "" for argument in parse(pl.Trainer.__init__.__doc__ or "").params
+    }
     settings = []
     for name, parameter in inspect.signature(pl.Trainer.__init__).parameters.items():
         if name == "self":

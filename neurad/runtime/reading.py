@@ -12,7 +12,7 @@ import os
 import re
 import stat
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from functools import lru_cache
 from pathlib import Path
@@ -49,6 +49,13 @@ def shown(value: object) -> str:
     """A path or value for a sentence: what does not print is escaped, and the middle of what is long is left out."""
     text = "".join(c if c.isprintable() else c.encode("unicode_escape").decode() for c in str(value))
     return text if len(text) <= _SHOWN else f"{text[: _SHOWN // 2]}...{text[-_SHOWN // 2 :]}"
+
+
+def listed(names: Iterable[object], most: int = 8) -> str:
+    """Names for a sentence: the first of them, and how many others there are."""
+    every = [shown(name) for name in names]
+    more = f" and {len(every) - most} others" if len(every) > most else ""
+    return ", ".join(every[:most]) + more
 
 
 def failure(path: object, error: Exception) -> InputError:

@@ -103,7 +103,7 @@ def at_most(count: int) -> Iterator[None]:
         torch.set_num_threads(before)
 
 
-def each(work: Callable[[S], T], items: Iterable[S]) -> Iterator[T]:
+def parallel_map(work: Callable[[S], T], items: Iterable[S]) -> Iterator[T]:
     """``work(item)`` of every item in order, as many at a time as torch may use threads, each on one thread alone.
 
     For work that is large enough to be one thread's, for which :func:`split` would hand over parts too small.

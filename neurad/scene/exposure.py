@@ -13,11 +13,11 @@ from neurad.images.photographs import kept_pixels, read_view
 from neurad.scene.description import Scene
 
 LEVEL = 0.8
-"""Of display white that the 90th percentile of the photographs is shown at."""
+"""Fraction of display white that the 90th percentile of the photographs is shown at."""
 MAX_VIEWS = 16
 """Training photographs that decide, evenly chosen."""
 MAX_PIXELS = 1 << 16
-"""Of each that are looked at, about."""
+"""Pixels of a photograph that are looked at, about."""
 
 
 def exposure(photographs: Iterable[FloatArray]) -> float:

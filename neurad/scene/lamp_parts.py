@@ -11,7 +11,7 @@ from neurad.core.errors import InputError
 from neurad.core.records import FloatArray, IntArray, Mesh
 from neurad.scene.description import Scene
 
-MOST = 256
+MAX_PARTS = 256
 """Most parts of a mesh: photographs do not separate more lamps."""
 
 
@@ -20,7 +20,7 @@ def lamps_in_parts(scene: Scene) -> Scene:
     vertices, triangles and radiance stay as they are.
 
     Raises:
-        InputError: a mesh falls into more than :data:`MOST` parts.
+        InputError: a mesh falls into more than :data:`MAX_PARTS` parts.
     """
     names = {mesh.name for mesh in scene.meshes}
     meshes = []
@@ -57,10 +57,10 @@ def _parts(mesh: Mesh, part: IntArray, names: set[str], scene: str) -> Iterator[
     if count == 1:
         yield mesh
         return
-    if count > MOST:
+    if count > MAX_PARTS:
         raise InputError(
             f"scene {scene}: model.lighting.split_lamps is true, but mesh {mesh.name} has {count} parts that are not "
-            f"connected, and photographs do not separate more than {MOST} lamps; leave the option out"
+            f"connected, and photographs do not separate more than {MAX_PARTS} lamps; leave the option out"
         )
     for index in range(count):
         used, corners = np.unique(mesh.faces[part == index], return_inverse=True)

@@ -15,18 +15,17 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
-from neurad.core.records import Camera, Mesh, View
+from neurad.core.records import Camera, Float64Array, Mesh, View
 from neurad.scene.description import Scene
 
-Array = npt.NDArray[np.float64]
-ZERO: Array = np.zeros(3)
+ZERO: Float64Array = np.zeros(3)
 MAX_DISTANCE = 100.0
 """Distance from the origin, in radii of a scene, up to which it stays where it is: float32 then knows places to a
 hundred-thousandth of the radius."""
 _USUAL = 95.0  # percentile of the distances from the middle that counts as the radius: some lie anywhere
 
 
-def origin_of(meshes: Iterable[Mesh]) -> Array:
+def origin_of(meshes: Iterable[Mesh]) -> Float64Array:
     """What is to be subtracted from the coordinates of meshes [3]: 0 where they lie near the origin, else a point among
     them in round numbers.
     """
@@ -56,7 +55,7 @@ def moved_camera(camera: Camera, step: npt.ArrayLike) -> Camera:
     return replace(camera, to_world=pose)
 
 
-def near(scene: Scene, origin: Array) -> Scene:
+def near(scene: Scene, origin: Float64Array) -> Scene:
     """A scene whose positions are float64 with ``origin`` subtracted, its meshes as float32."""
     meshes = [replace(mesh, vertices=(mesh.vertices - origin).astype(np.float32)) for mesh in scene.meshes]
     lights = [replace(light, position=(light.position - origin).astype(np.float32)) for light in scene.punctual]
@@ -70,7 +69,7 @@ def near(scene: Scene, origin: Array) -> Scene:
     )
 
 
-def in_scene(positions: npt.ArrayLike, scene: Scene) -> Array:
+def in_scene(positions: npt.ArrayLike, scene: Scene) -> Float64Array:
     """Positions [..., 3] relative to ``scene.origin``, given in the coordinates of the scene's files or so already.
 
     A room is moved only where it lies many times its size from the origin, so that one reading alone is in it.

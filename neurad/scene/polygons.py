@@ -6,9 +6,7 @@ import numpy as np
 import numpy.typing as npt
 
 from neurad.core.errors import InputError
-from neurad.core.records import IntArray
-
-Array = npt.NDArray[np.float64]
+from neurad.core.records import Float64Array, IntArray
 
 MAX_TRIANGLES = 1 << 25
 """Triangles that copies, subdivision and polygons may make of a file: about 20 GB while a scene is built."""
@@ -74,7 +72,7 @@ def triangulate_polygons(corners: npt.ArrayLike, counts: npt.ArrayLike) -> tuple
     return triangles, bent[np.array(wrong)]
 
 
-def _cut(points: Array, normal: Array, extent: float) -> tuple[IntArray, bool]:
+def _cut(points: Float64Array, normal: Float64Array, extent: float) -> tuple[IntArray, bool]:
     """A polygon [n, 3] as triangles that turn as its Newell normal does [f, 3], and whether its edges cross.
 
     ``extent`` is twice the area of its fan.

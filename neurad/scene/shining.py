@@ -38,16 +38,16 @@ def shining_scene(scene: Scene, lamps: Iterable[Shining]) -> Scene:
     return replace(scene, meshes=meshes)
 
 
-def kept(lamps: Iterable[Shining]) -> list[list[int]]:
+def shining_state(lamps: Iterable[Shining]) -> list[list[int]]:
     """Lamps in plain types, as a checkpoint keeps them."""
     return [[lamp.mesh, int(lamp.turned)] for lamp in lamps]
 
 
-def from_kept(rows: Any, scene: Scene, source: str) -> list[Shining]:
+def shining_from_state(rows: Any, scene: Scene, source: str) -> list[Shining]:
     """Lamps as a checkpoint keeps them.
 
     Args:
-        rows: what :func:`kept` gave.
+        rows: what :func:`shining_state` gave.
         scene: that they are of.
         source: begins the error message.
 

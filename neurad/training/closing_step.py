@@ -81,7 +81,7 @@ def progress_before(done: Progress, settings: RoughnessConfig) -> float:
     return max((done.by_time or 0.0) / time_before, (done.by_steps or 0.0) / STEPS)
 
 
-def is_due(correction: Correction | None, progress: float) -> bool:
+def should_close(correction: Correction | None, progress: float) -> bool:
     """Whether the step is to be made at this :func:`progress_before` it, in a fit in which it was not made yet. A fit
     that goes on for longer than it was to makes another one.
     """

@@ -6,7 +6,7 @@ from neurad.assembly.build import Assembly, FittedMaterials
 from neurad.core.parameters import ROUGHNESS
 from neurad.core.protocols import PhotoSource
 from neurad.evidence.bar_calibration import RoughnessBars
-from neurad.evidence.error_bars import ErrorBars, Known, measure
+from neurad.evidence.error_bars import ErrorBars, RoughnessInformation, measure
 from neurad.evidence.pixel_derivatives import SPP, pixel_derivatives
 from neurad.training.schedule import Counters
 from neurad.training.training_views import TrainingViews
@@ -47,5 +47,5 @@ def error_bars(
     correction = assembly.correction
     known = None
     if correction is not None and correction.found and bool((correction.scales > 0).all()):
-        known = Known(correction.information.cpu().numpy(), RoughnessBars(*correction.scales.tolist()))
+        known = RoughnessInformation(correction.information.cpu().numpy(), RoughnessBars(*correction.scales.tolist()))
     return measure(pixels, assembly.materials, views.pixels, counters.iteration, has_roughness, known)

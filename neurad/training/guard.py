@@ -24,6 +24,7 @@ from neurad.core.parameters import RECOVERED
 from neurad.core.records import FloatArray, PixelBatch
 from neurad.losses.relative import Loss
 from neurad.runtime.files import make_folder, replacing
+from neurad.runtime.reading import listed
 
 SCAN_EVERY = 100
 """Iterations between two checks of the tables of grids."""
@@ -194,6 +195,5 @@ def _bad_fraction(x: Tensor) -> str:
 def _pixels(batch: PixelBatch) -> str:
     """A batch in words."""
     views = sorted(set(batch.view.tolist()))
-    shown = ", ".join(map(str, views[:8])) + (", ..." if len(views) > 8 else "")
     first = f"view {int(batch.view[0])} pixel {int(batch.pixel[0])}"
-    return f"{len(batch.view)} pixels of views {shown}, the first {first}"
+    return f"{len(batch.view)} pixels of views {listed(views)}, the first {first}"

@@ -3,39 +3,29 @@
 from __future__ import annotations
 
 import sys
+from dataclasses import asdict
 from pathlib import Path
-from typing import Any, Literal
+from typing import Any
 
 import lightning as L
 import torch
 from lightning.pytorch.strategies import DDPStrategy
 from torch import Tensor
 
-from neurad.assembly.build import Assembly, FittedMaterials, assemble, pin_emitter_materials
-from neurad.assembly.relight import paths, sentence_of_light
-from neurad.assembly.settings import Lighting, ModelSettings, Objective, Optimization, Sampling
-from neurad.checkpoints.state import changed_light, fitted_lamps, fitting, scene_state
+from neurad.assembly.build import Assembly, assemble
+from neurad.assembly.model_settings import ModelSettings
+from neurad.assembly.relight import in_other_light, sentence_of_light
+from neurad.checkpoints.state import changed_light, check_photographs, fitted_lamps, fitting, scene_state
 from neurad.core.errors import InputError
 from neurad.core.protocols import PhotoSource
-from neurad.core.ranges import Seed
 from neurad.core.records import PixelBatch
 from neurad.evidence.error_bars import ErrorBars
-from neurad.fields.development import FittedDevelopment
-from neurad.fields.radiance import RadianceField
-from neurad.fields.settings import FieldConfig, RadianceConfig, RoughnessConfig
-from neurad.integrators.estimator import Estimator
-from neurad.integrators.focus import PixelImportance
-from neurad.integrators.method import Method
-from neurad.integrators.radiometric import Radiometric
-from neurad.integrators.world import World
 from neurad.metrics.effort import EvaluationResolution
-from neurad.optim.polyak_average import PolyakAverage
 from neurad.optim.pyramid_adam import PyramidAdam
 from neurad.optim.sparse_row_adam import SparseRowAdam
-from neurad.runtime.clock import excluded, processor_seconds, training_seconds
+from neurad.runtime.clock import excluded
 from neurad.scene.description import Scene
-from neurad.scene.shining import Shining, kept
-from neurad.scene.textures import TrueMaterials
+from neurad.scene.shining import Shining, shining_state
 from neurad.training.evaluate import Evaluation
 from neurad.training.gradient_sync import GradientSync, ddp_ignored
 from neurad.training.guard import Guard, keep_in_run_folder
@@ -43,6 +33,7 @@ from neurad.training.lit_scene import light_scene
 from neurad.training.optimizers import make_optimizers
 from neurad.training.schedule import Counters, fraction_done
 from neurad.training.scoring import Scoring
+from neurad.training.spent import Spent
 from neurad.training.stages import LevelFilter
 from neurad.training.step import TrainingStep
 from neurad.training.training_views import TrainingViews, prepare_views
@@ -55,59 +46,28 @@ class InverseRenderer(L.LightningModule):
     iteration does stands in :class:`neurad.training.step.TrainingStep`.
 
     Args:
-        albedo: size of the albedo field.
-        roughness: size of the roughness field.
-        radiance: size and inputs of the radiance field; a method without one leaves it out.
-        sampling: numbers of samples.
-        objective: terms of the loss.
-        optimization: learning rates and schedule.
-        tracer: what casts rays: ``embree``, ``open3d`` or ``warp``.
-        seed: of every random decision of the training.
-        method: how reflected light and its derivative are estimated; None is the paper's, one bounce and then the
-            radiance field.
-        lighting: what is known of the light.
-        materials: ``fit`` recovers albedo and roughness, ``known`` takes the scene's own and trains no material.
+        settings: all under ``model``.
     """
 
-    world: World
-    materials: FittedMaterials | TrueMaterials
-    average: PolyakAverage | None
-    radiance: RadianceField | None
-    focus: PixelImportance | None
-    development: FittedDevelopment | None
+    assembly: Assembly
+    """The parts of the run, set when the model is configured."""
     step: TrainingStep
     """Set when a fit starts."""
 
-    def __init__(
-        self,
-        albedo: FieldConfig,
-        roughness: RoughnessConfig,
-        radiance: RadianceConfig,
-        sampling: Sampling = Sampling(),
-        objective: Objective = Objective(),
-        optimization: Optimization = Optimization(),
-        tracer: str = "embree",
-        seed: Seed = 0,
-        method: Method | None = None,
-        lighting: Lighting = Lighting(),
-        materials: Literal["fit", "known"] = "fit",
-    ) -> None:
+    def __init__(self, settings: ModelSettings) -> None:
         super().__init__()
         self.automatic_optimization = False
-        method = Radiometric() if method is None else method
-        self.settings = ModelSettings(
-            albedo, roughness, radiance, sampling, objective, optimization, lighting, method, materials, tracer, seed
-        )
+        self.settings = settings
         self.counters = Counters()
-        self.seconds_before = 0.0
-        self.processor_before = 0.0, 0.0
-        self.rays_before = 0
+        self.spent = Spent()
         self.processes = 1
-        self._guard = Guard(self, self._keep)
+        self._guard = Guard(self, lambda *bad: keep_in_run_folder(self._trainer, *bad))
         self.scoring = Scoring(self, self._guard)
         self.training_views: TrainingViews | None = None
         self.other_light: list[str] = []
         """What differs between the scene's light and that of the fit; nothing may in a fit that goes on."""
+        self._fitted_lamps: frozenset[int] = frozenset()
+        """Meshes that shone in the fit of the checkpoint."""
         self._shining: list[Shining] | None = None
         """Meshes that were found to shine; None where that is known."""
         self.begins_from: Path | None = None
@@ -138,7 +98,7 @@ class InverseRenderer(L.LightningModule):
             InputError: the trainer's precision is one that light transport does not work in, or a lamp falls into too
                 many parts.
         """
-        if hasattr(self, "materials"):
+        if hasattr(self, "assembly"):
             return
         if self.trainer.precision != "32-true":
             raise InputError(
@@ -149,48 +109,22 @@ class InverseRenderer(L.LightningModule):
         with torch.device("cpu"):
             lit = light_scene(self.scene, self.photographs, self.settings, self.device, self.begins_from)
             self._shining = lit.found
-            self._say(*lit.lines)
+            _say(self.trainer, *lit.lines)
             if lit.scene is not self.scene:
                 self.trainer.datamodule.relight(lit.scene)  # type: ignore[attr-defined]
             device = self.trainer.strategy.root_device
-            made = assemble(self.scene, self.settings, self.photographs.has_alpha, device)
-        # Of the world only a guide and an environment that is recovered have a state.
-        self.world, self.materials, self.radiance = made.world, made.materials, made.radiance
-        self.average, self.region, self.focus, self.development = (
-            made.average, made.region, made.focus, made.development,
-        )  # fmt: skip
+            self.assembly = assemble(self.scene, self.settings, self.photographs.has_alpha, device)
+        for name, part in self.assembly.modules():  # under these names a checkpoint has their states
+            self.add_module(name, part)
         given = getattr(self.trainer.datamodule, "lamps_true", None)  # type: ignore[attr-defined]
         self.scoring.read_lamps_true(given, found=self._shining is not None)
         if self._exchanges:
             self._ddp_params_and_buffers_to_ignore = ddp_ignored(self)  # DDP's own name for it
 
-    def _say(self, *lines: str) -> None:
-        """Print lines, once for all processes."""
-        if self.trainer.is_global_zero and lines:
-            print(*(f"neurad: {line}" for line in lines), sep="\n", file=sys.stderr)
-
     @property
     def _exchanges(self) -> bool:
         """Whether DDP averages gradients, of several processes or of one alone."""
         return isinstance(self.trainer.strategy, DDPStrategy)
-
-    @property
-    def assembly(self) -> Assembly:
-        """The parts of the run."""
-        return Assembly(
-            self.scene, self.settings, self.world, self.materials, self.radiance, self.average, self.region, self.focus,
-            self.development,
-        )  # fmt: skip
-
-    @property
-    def estimator(self) -> Estimator:
-        """The method's estimates with the present materials and radiance field; under another light than that of the
-        fit, whose radiance field and guide say nothing about it, paths are traced.
-        """
-        if self.other_light:
-            self.world.guide = None
-            return Estimator(self.world, self.materials, None, paths(self.scene))
-        return Estimator(self.world, self.materials, self.radiance, self.settings.method)
 
     def configure_optimizers(self) -> list[SparseRowAdam | PyramidAdam]:
         """One optimizer each for what is not known: albedo, roughness (if there is one to find), the environment, and
@@ -200,24 +134,21 @@ class InverseRenderer(L.LightningModule):
         self.optimizer_names = list(made)
         return list(made.values())
 
+    def setup(self, stage: str) -> None:
+        """A fit's own seconds count."""
+        self.spent.counts |= stage == "fit"
+
     def on_fit_start(self) -> None:
         """Trace the camera rays of the training views, take the unit of radiance, and make the step."""
         self.processes = self.trainer.world_size
-        begins = self.iteration == 0
-        if self.settings.materials == "fit" and self.scene.replaced:
-            self._say(f"to be recovered as principled: {', '.join(self.scene.replaced)}")
-        about = self.scene.scores_are_of, self.region.sentence(self.scene)
-        self._say(*self.scene.notes, *filter(None, about))
-        with self.world.tracer.uncounted(not begins):  # a continued run counted its camera rays when it began
+        begins, tracer = self.iteration == 0, self.assembly.world.tracer
+        _say(self.trainer, *self.assembly.notes())
+        with tracer.uncounted(not begins):  # a continued run counted its camera rays when it began
             views = prepare_views(self.assembly, self.photographs, self.device, check_brightness=begins)
-        if self._photographs not in (0, views.checksum):
-            raise InputError(
-                "--ckpt_path: the training photographs are not those that the run began with; put them back, or start "
-                "a new run"
-            )
+        check_photographs(self._photographs, views.checksum)
         self._photographs = views.checksum
         self.training_views = views
-        with excluded(), self.world.tracer.uncounted():
+        with excluded(), tracer.uncounted():
             self.scoring.restart(self.scoring.effort)
             self.scoring.held_out.read()
         self.step = TrainingStep(
@@ -249,9 +180,6 @@ class InverseRenderer(L.LightningModule):
         found: Any = self.optimizers()
         return found if isinstance(found, list) else [found]
 
-    def _keep(self, iteration: int, cause: str, batch: PixelBatch | None) -> str:
-        return keep_in_run_folder(self._trainer, iteration, cause, batch)
-
     @property
     def iteration(self) -> int:
         """Iterations done."""
@@ -268,30 +196,9 @@ class InverseRenderer(L.LightningModule):
         return self.step.losses if hasattr(self, "step") else {}
 
     @property
-    def train_seconds(self) -> float:
-        """Seconds since the start of the process, evaluation left out, earlier runs of a continued one included."""
-        return self.seconds_before + training_seconds()
-
-    @property
-    def processor_share(self) -> float:
-        """Fraction of the processor time that the fit's threads asked for which they got, by the seconds in which they
-        ran and in which they waited for others; 1 where the system does not tell.
-        """
-        used, waited = self._processor
-        return used / (used + waited) if used > 0.0 else 1.0
-
-    @property
-    def _processor(self) -> tuple[float, float]:
-        """Seconds in which the fit's threads ran and waited, earlier runs of a continued one included."""
-        if self.training_views is None:  # not in a fit
-            return self.processor_before
-        (used, waited), (before, waited_before) = processor_seconds(), self.processor_before
-        return used + before, waited + waited_before
-
-    @property
     def rays(self) -> int:
         """Rays cast so far by training."""
-        return self.rays_before + self.processes * self.world.tracer.rays_cast
+        return self.spent.rays_before + self.processes * self.assembly.world.tracer.rays_cast
 
     # ---- held-out views
 
@@ -302,6 +209,13 @@ class InverseRenderer(L.LightningModule):
         if hasattr(self, "step"):
             self.levels_found = LevelFilter.update(self.step, fraction_done(self.trainer))
         return self.scoring.evaluate(render_spp, glossy, steady, bars)
+
+    def on_test_start(self) -> None:
+        """Trace paths under another light than that of the fit: its radiance field and guide say nothing about it."""
+        if self.other_light:
+            self.assembly = in_other_light(self.assembly, self._fitted_lamps)
+
+    on_validation_start = on_predict_start = on_test_start
 
     def on_fit_end(self) -> None:
         """Evaluations after a fit look at everything."""
@@ -319,16 +233,13 @@ class InverseRenderer(L.LightningModule):
         """Add what continues a run exactly; plain types only."""
         checkpoint["neurad"] = {
             **scene_state(self.scene),
-            "iteration": self.iteration,
-            "seconds": self.train_seconds,
-            "processor_seconds": self._processor[0],
-            "waited_seconds": self._processor[1],
+            **asdict(self.counters),
+            **self.spent.state(),
             "rays": self.rays,
-            "samples": self.samples,
-            "radiance_inputs": self._inputs,
+            "radiance_inputs": self.assembly.radiance_inputs,
             "photographs": self._photographs,
-            "hide_environment": self.world.hide_environment,
-            **({} if self._shining is None else {"shining": kept(self._shining)}),
+            "hide_environment": self.assembly.world.hide_environment,
+            **({} if self._shining is None else {"shining": shining_state(self._shining)}),
         }
 
     def on_load_checkpoint(self, checkpoint: dict[str, Any]) -> None:
@@ -338,30 +249,24 @@ class InverseRenderer(L.LightningModule):
             InputError: it belongs to another scene or to fields of other sizes, or it is none of neurad's.
         """
         continues = self._trainer is None or self._trainer.state.fn == "fit"
-        state = fitting(checkpoint, self.state_dict(), self.scene, self._inputs, continues=continues)
+        inputs = self.assembly.radiance_inputs
+        state = fitting(checkpoint, self.state_dict(), self.scene, inputs, continues=continues)
         self.counters.iteration = state["iteration"]
         self.counters.samples = state["samples"]
-        self.rays_before = state["rays"]
-        self.seconds_before = state["seconds"]
-        self.processor_before = state["processor_seconds"], state["waited_seconds"]
+        self.spent.continue_from(state)
         self._photographs = state["photographs"]
         if not continues:
-            self._note_light_change(state)
+            known = self.assembly.environment is None, self.assembly.lamps is None
+            self.other_light = changed_light(state, self.scene, *known)
+            self._fitted_lamps = fitted_lamps(state)
+            if self.other_light:
+                _say(self.trainer, sentence_of_light(self.other_light))
 
-    def _note_light_change(self, state: dict[str, Any]) -> None:
-        """Take note of a light that is not that of the fit, and say so."""
-        self.other_light = changed_light(
-            state, self.scene, self.assembly.environment is None, self.assembly.lamps is None
-        )
-        if self.other_light:
-            if isinstance(self.materials, FittedMaterials):
-                pin_emitter_materials(self.materials, self.scene, self.world.geometry, fitted_lamps(state))
-            print(f"neurad: {sentence_of_light(self.other_light)}", file=sys.stderr)
 
-    @property
-    def _inputs(self) -> list[str] | None:
-        """What the radiance field reads."""
-        return None if self.radiance is None else list(self.radiance.inputs)
+def _say(trainer: L.Trainer, *lines: str) -> None:
+    """Print lines, once for all processes."""
+    if trainer.is_global_zero and lines:
+        print(*(f"neurad: {line}" for line in lines), sep="\n", file=sys.stderr)
 
 
 def _nothing() -> None:

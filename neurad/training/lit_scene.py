@@ -8,12 +8,12 @@ from pathlib import Path
 import torch
 
 from neurad.assembly.lighting import lit_scene
-from neurad.assembly.settings import ModelSettings
+from neurad.assembly.model_settings import ModelSettings
 from neurad.checkpoints.file import read_checkpoint
 from neurad.core.protocols import PhotoSource
 from neurad.lamps.find import Found, find_lamps
 from neurad.scene.description import Scene
-from neurad.scene.shining import Shining, from_kept
+from neurad.scene.shining import Shining, shining_from_state
 
 
 @dataclass(frozen=True)
@@ -53,5 +53,5 @@ def light_scene(
         found = find_lamps(scene, photographs, settings.tracer, unknown_sky, settings.seed, device)
     else:
         state = read_checkpoint(begins_from, f"--ckpt_path {begins_from}")["neurad"]
-        found = Found(from_kept(state.get("shining"), scene, "--ckpt_path"))
+        found = Found(shining_from_state(state.get("shining"), scene, "--ckpt_path"))
     return LitScene(lit_scene(scene, settings.lighting, found.lamps), found.lamps, tuple(found.lines))

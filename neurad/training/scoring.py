@@ -8,20 +8,18 @@ import torch
 
 from neurad.assembly.build import Assembly, FittedMaterials
 from neurad.assembly.common_causes import common_causes
-from neurad.assembly.settings import ModelSettings
+from neurad.assembly.model_settings import ModelSettings
 from neurad.core.errors import InputError
 from neurad.core.protocols import PhotoSource
 from neurad.core.records import Float64Array, FloatArray
 from neurad.evidence.bar_maps import predict_bars
 from neurad.evidence.error_bars import ErrorBars
 from neurad.evidence.view_residuals import view_residuals
-from neurad.integrators.estimator import Estimator
 from neurad.lamps.scores import EXTRA, MISSED, lamp_scores, read_lamps_true
 from neurad.metrics.effort import EvaluationResolution
 from neurad.metrics.held_out import HeldOut
 from neurad.metrics.held_out_scores import albedo_factors
 from neurad.optim.polyak_average import averaged
-from neurad.scene.description import Scene
 from neurad.training.error_bars import error_bars
 from neurad.training.evaluate import Evaluation, UnknownLight, evaluate, unknown_light
 from neurad.training.guard import Guard
@@ -38,20 +36,12 @@ class Scored(Protocol):
     other_light: list[str]
 
     @property
-    def scene(self) -> Scene:
-        """The scene of the data module in charge."""
-
-    @property
     def photographs(self) -> PhotoSource:
         """The photographs of the data module in charge."""
 
     @property
     def assembly(self) -> Assembly:
         """The parts of the run."""
-
-    @property
-    def estimator(self) -> Estimator:
-        """The method's estimates with the present materials and radiance field."""
 
 
 class Scoring:
@@ -77,7 +67,7 @@ class Scoring:
         """The held-out views, as much of them as evaluations look at."""
         if self._held_out is None:
             world, effort = self.run.assembly.world, self.effort
-            self._held_out = HeldOut(self.run.scene, world.geometry, world.tracer, effort.grid, effort.stride)
+            self._held_out = HeldOut(self.run.assembly.scene, world.geometry, world.tracer, effort.grid, effort.stride)
         return self._held_out
 
     def restart(self, effort: EvaluationResolution) -> None:
@@ -91,7 +81,7 @@ class Scoring:
             path: of the table; None where nothing is given.
             found: whether the meshes that shine were found by photographs.
         """
-        scene, self.found_lamps = self.run.scene, found
+        scene, self.found_lamps = self.run.assembly.scene, found
         if path is None or (self.run.assembly.lamps is None and not found):
             return
         wholes = {mesh.name: mesh.part_of for mesh in scene.meshes if mesh.part_of is not None}
@@ -100,7 +90,7 @@ class Scoring:
     def _lamp_names(self) -> list[str]:
         """Names of the lamps that are recovered."""
         lamps = self.run.assembly.lamps
-        return [] if lamps is None else [self.run.scene.meshes[index].name for index in lamps.mesh.tolist()]
+        return [] if lamps is None else [self.run.assembly.scene.meshes[index].name for index in lamps.mesh.tolist()]
 
     def evaluate(
         self, render_spp: int = 4, glossy: bool = False, steady: bool = False, bars: ErrorBars | None = None
@@ -109,13 +99,15 @@ class Scoring:
 
         The arguments are those of :func:`neurad.training.evaluate.evaluate`.
         """
-        assembly, scene = self.run.assembly, self.run.scene
+        assembly, scene = self.run.assembly, self.run.assembly.scene
         held_out, development = self.held_out, assembly.development
         held_out.respond = None if development is None else development.respond
         with averaged(assembly.average), assembly.world.tracer.uncounted():
             if self._light is None and assembly.environment is not None:
                 self._light = unknown_light(scene, assembly.environment, held_out)
-            result = evaluate(held_out, self.run.estimator, render_spp, glossy, self._light, scene, steady, bars)
+            result = evaluate(
+                held_out, self.run.assembly.estimator, render_spp, glossy, self._light, scene, steady, bars
+            )
             result.scores.update(self._lamp_scores(result))
         self.guard.images(self.run.counters.iteration, result.maps, [view.name for view in held_out.views])
         return result
@@ -167,7 +159,7 @@ class Scoring:
             return None
         with averaged(assembly.average):
             sample = views.sample if assembly.development is None else assembly.development(views.sample)
-            return view_residuals(self.run.estimator, views.primary, sample, self.run.settings.seed)
+            return view_residuals(self.run.assembly.estimator, views.primary, sample, self.run.settings.seed)
 
     def common_causes(self) -> list[str]:
         """What is wrong with all training photographs, see :mod:`neurad.assembly.common_causes`. Nothing outside of a
@@ -178,6 +170,6 @@ class Scoring:
             return []
         if views.causes is not None:
             return views.causes
-        cameras = [view.camera for view in self.run.scene.train]
+        cameras = [view.camera for view in self.run.assembly.scene.train]
         given = assembly.world, cameras, self.run.photographs, self.run.settings.seed, assembly.development
         return common_causes(*given, scale_known=views.scale_known)

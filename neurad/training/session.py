@@ -8,7 +8,7 @@ import torch
 from torch import Tensor, nn
 
 from neurad.assembly.build import Assembly, assemble
-from neurad.assembly.settings import ModelSettings
+from neurad.assembly.model_settings import ModelSettings
 from neurad.core.protocols import PhotoSource
 from neurad.core.records import PixelBatch
 from neurad.scene.description import Scene

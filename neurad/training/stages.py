@@ -16,16 +16,14 @@ from neurad.assembly.build import Assembly
 from neurad.core.protocols import PhotoSource
 from neurad.core.records import PixelBatch
 from neurad.core.rng import Stream
-from neurad.lamps.unknown import is_due, refresh_lamps
+from neurad.lamps.unknown import refresh_lamps, should_refresh
 from neurad.training.closing_step import EVERY as CLOSING_EVERY
-from neurad.training.closing_step import is_due as is_closing
-from neurad.training.closing_step import make_closing_step, progress_before
+from neurad.training.closing_step import make_closing_step, progress_before, should_close
 from neurad.training.objective import ObjectiveStep, StepTerms
 from neurad.training.roughness_start import AFTER, BATCHES, choose_start
 from neurad.training.schedule import Counters, Progress
 from neurad.training.training_views import TrainingViews
-from neurad.training.validation import SETTLED, shrink_levels, update_levels
-from neurad.training.validation import is_due as is_filtering
+from neurad.training.validation import SETTLED, should_filter, shrink_levels, update_levels
 
 REFRESH = 20
 """Iterations after which directions are sampled by the present environment map instead of an older one."""
@@ -104,7 +102,7 @@ class LightRefresh:
     @staticmethod
     def _lamps(training: Training) -> bool:
         recovers = training.assembly.lamps is not None and training.views.lamps is not None
-        return recovers and is_due(training.counters.iteration)
+        return recovers and should_refresh(training.counters.iteration)
 
     def run(self, training: Training, progress: Progress) -> None:
         """Refresh what is due."""
@@ -129,7 +127,7 @@ class ClosingStep:
             return False
         if training.processes > 1 and training.counters.iteration % CLOSING_EVERY != 0:
             return False
-        return broadcast(is_closing(correction, rate_progress(training.assembly, progress)))
+        return broadcast(should_close(correction, rate_progress(training.assembly, progress)))
 
     def run(self, training: Training, progress: Progress) -> None:
         """Take noise out of the albedo's levels first: copied by an albedo it hides what pixels say of the roughness.
@@ -153,7 +151,7 @@ class LevelFilter:
 
     def due(self, training: Training, progress: Progress) -> bool:
         """From time to time until rates are too low to bring signal back."""
-        return rate_progress(training.assembly, progress) < 1.0 and is_filtering(training.counters.iteration)
+        return rate_progress(training.assembly, progress) < 1.0 and should_filter(training.counters.iteration)
 
     def run(self, training: Training, progress: Progress) -> None:
         """Shrink the levels of the albedo."""

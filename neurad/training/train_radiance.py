@@ -11,8 +11,8 @@ import torch
 from torch import Tensor
 
 from neurad.assembly.build import Assembly, build_radiance, make_guide
+from neurad.assembly.model_settings import ModelSettings
 from neurad.assembly.region import training_region
-from neurad.assembly.settings import ModelSettings
 from neurad.core.camera import Cameras
 from neurad.core.protocols import Materials, PhotoSource
 from neurad.core.records import Camera, DatasetStats, PixelBatch, View

@@ -32,6 +32,7 @@ from neurad.lamps.known import check_lamps
 from neurad.lamps.photographed import LampPhotographs, lamp_photographs
 from neurad.lamps.unknown import begin_lamps
 from neurad.runtime.numbers import check_bright
+from neurad.runtime.reading import listed
 from neurad.scene.description import Scene
 
 BLIND = 0.25
@@ -179,8 +180,8 @@ def check_views(scene: Scene, surface: FloatArray) -> None:
     blind = [f"{scene.train[i].name} ({100 * surface[i]:.0f} %)" for i in blind_views(surface)]
     if blind:
         print(
-            f"neurad: warning: of the pixels of training view{'s' if len(blind) > 1 else ''} {', '.join(blind[:8])}"
-            f"{f' and {len(blind) - 8} others' if len(blind) > 8 else ''} few meet a surface (median of all views: "
+            f"neurad: warning: of the pixels of training view{'s' if len(blind) > 1 else ''} {listed(blind)} "
+            f"few meet a surface (median of all views: "
             f"{100 * float(np.nanmedian(surface)):.0f} %); check the pose",
             file=sys.stderr,
         )

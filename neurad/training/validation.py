@@ -25,7 +25,7 @@ WHOLE = 0.95
 """A level of which so much is kept counts as kept whole in what is said."""
 
 
-def is_due(iteration: int) -> bool:
+def should_filter(iteration: int) -> bool:
     """Whether training goes on from what is kept after this many iterations; they alone decide, so a continued run is
     the same.
     """

@@ -4,6 +4,7 @@ import numpy as np
 import torch
 
 from datamodules.scene_data import SceneData
+from datamodules.settings import DataSettings
 from neurad.assembly.build import build_world
 from neurad.assembly.gains import shared_gains
 from neurad.integrators.primary_hits import PrimaryHits
@@ -11,7 +12,7 @@ from neurad.integrators.primary_hits import PrimaryHits
 
 def test_gains_show_in_surfaces_that_photographs_share():
     """Within some per cent: the walls are matt, the photographs have noise."""
-    data = SceneData(scene="cornell")
+    data = SceneData(DataSettings(scene="cornell"))
     views = data.scene.train
     log = torch.from_numpy(np.random.default_rng(4).uniform(-0.7, 0.7, (len(views), 3))).float()
     log = log - log.mean(0)

@@ -19,7 +19,7 @@ def test_bytes_are_those_of_twelve_a_ray_and_a_mask():
 def test_much_memory_is_announced_and_too_much_refused(monkeypatch, capfd):
     monkeypatch.setattr(memory, "LARGE", 1000)
     fit("--trainer.max_steps=1")
-    assert "take 0.00161 GB of memory" in capfd.readouterr().err
+    assert "3 views of 64 x 64 pixels take 0.000602 GB of memory" in capfd.readouterr().err
     monkeypatch.setattr(memory, "free_memory", lambda: 100)
     error = fails(capfd, "fit", "--config", "tiny.yaml", "--trainer.max_steps=1")
     assert "--model.sampling.cached_spp 0 --data.resident 1" in error

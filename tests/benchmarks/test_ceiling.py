@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 import torch
+from helpers.tiny_fit import few_views
 
 from benchmarks.bench.supervised import SupervisedStep, SurfaceMeans
 from neurad.assembly.build import build_world
@@ -57,7 +58,8 @@ def test_without_true_roughness_it_is_one():
 
 
 @pytest.mark.main
-def test_the_command_shows_the_fields_and_the_means(capsys):
+def test_the_command_shows_the_fields_and_the_means(capsys, monkeypatch):
+    few_views(monkeypatch, "patterns")
     settings = ["data.patches=64", "model.sampling.spp=2", "model.sampling.cached_spp=2"]
     words = [word for setting in settings for word in ("--set", setting)]
     main(["bench", "ceiling", "--config", "patterns.yaml", "--seconds", "1", *words])

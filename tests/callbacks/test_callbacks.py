@@ -15,6 +15,7 @@ import pytest
 from helpers.tiny_fit import fit, metrics, write_tiny_config
 from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
 
+from neurad.assembly.settings import EvaluationSettings
 from neurad.callbacks import pictures
 from neurad.callbacks.board import split_mark
 from neurad.callbacks.closing import busy
@@ -174,16 +175,16 @@ def test_waiting_for_a_processor_that_something_else_has_is_noticed():
 
 
 def test_the_end_of_a_fit_says_what_it_got_of_a_busy_processor():
-    module = SimpleNamespace(iteration=285, training_views=None, seconds_before=240.2, processor_share=0.28)
+    module = SimpleNamespace(iteration=285, spent=SimpleNamespace(seconds=240.2, processor_share=0.28))
     assert busy(module).startswith("285 iterations in 240 s: the fit got 28 % of the processor time that it asked for")
-    assert busy(SimpleNamespace(processor_share=0.88)) == ""
+    assert busy(SimpleNamespace(spent=SimpleNamespace(processor_share=0.88))) == ""
 
 
 def test_the_first_evaluation_counts_for_what_the_second_takes():
     """It compiles kernels where no cache has them, half a minute in a fresh environment."""
-    callback = Evaluate(fraction=0.1)
+    callback = Evaluate(EvaluationSettings(fraction=0.1))
     callback._count(30.0)
-    again = Evaluate(fraction=0.1)
+    again = Evaluate(EvaluationSettings(fraction=0.1))
     again.load_state_dict(callback.state_dict())
     for interrupted in (callback, again):
         assert interrupted.state_dict() | {"spent": 0.0, "last": 0.0} == interrupted.state_dict()
@@ -194,13 +195,13 @@ def test_the_first_evaluation_counts_for_what_the_second_takes():
 
 def test_when_evaluations_are_due(monkeypatch):
     """The second one as long after the first as that was after the start, the others as time allows."""
-    callback, now = Evaluate(fraction=0.2), {"mark": 0}
-    module = SimpleNamespace(iteration=0, train_seconds=0.0)
+    callback, now = Evaluate(EvaluationSettings(fraction=0.2)), {"mark": 0}
+    module = SimpleNamespace(iteration=0, spent=SimpleNamespace(seconds=0.0))
     trainer = SimpleNamespace(max_steps=-1, callbacks=[], global_step=0)
     monkeypatch.setattr(Evaluate, "_mark_of", staticmethod(lambda _: now["mark"]))
     due: list[int] = []
     for mark in range(20):  # of 12 seconds each; the first evaluation ends at the second mark
-        now["mark"], module.train_seconds = mark, 12.0 * mark
+        now["mark"], module.spent.seconds = mark, 12.0 * mark
         if callback._due(trainer, module):
             callback._count(8.0 if due else 30.0)
             due.append(mark)

@@ -343,8 +343,7 @@ def test_fits_of_few_iterations_are_marked_and_never_best():
     assert "On the held-out views every fit did too few iterations." in Path("alone/index.html").read_text()
 
 
-@pytest.mark.parametrize("name", ["SIGTERM", "SIGINT", "SIGHUP"])
-@pytest.mark.parametrize("deaf", [False, True])
+@pytest.mark.parametrize(("name", "deaf"), [("SIGTERM", False), ("SIGINT", False), ("SIGHUP", False), ("SIGINT", True)])
 def test_a_child_ends_with_who_started_it(tmp_path, name, deaf):
     if not hasattr(signal, name):
         pytest.skip("the system has no such signal")
@@ -353,7 +352,8 @@ def test_a_child_ends_with_who_started_it(tmp_path, name, deaf):
 import signal, sys
 from pathlib import Path
 from neurad.runs import child
-signal.signal(signal.SIGINT, signal.default_int_handler)  # who runs the tests may have it ignored
+signal.signal(signal.{name}, signal.SIG_DFL)  # who runs the tests may have it ignored
+signal.signal(signal.SIGINT, signal.default_int_handler)
 child.PATIENCE = 0.2
 child.NEURAD = [sys.executable, "-c", "{stubborn}import os, time; print(os.getpid(), flush=True); time.sleep(60)"]
 child.run_neurad([], Path("log"))
@@ -449,14 +449,14 @@ def test_a_budget_counts_training_seconds(tiny, monkeypatch):
 
     monkeypatch.setattr(InverseRenderer, "evaluate", slow)
     start = InverseRenderer.on_fit_start
-    monkeypatch.setattr(InverseRenderer, "on_fit_start", lambda self: (time.sleep(3.5), start(self)))
+    monkeypatch.setattr(InverseRenderer, "on_fit_start", lambda self: (time.sleep(1.2), start(self)))
     begin = time.monotonic()
-    tiny_fit.fit(*time_limit(3.0), WARM_UP, "--evaluation.every_n_steps=20")
+    tiny_fit.fit(*time_limit(1.0), WARM_UP, "--evaluation.every_n_steps=40")
     taken = time.monotonic() - begin
     run = read_run(Path("lightning_logs/version_1"))
-    assert len(run.rows) == len(slept)
-    assert 3.0 <= run.last["seconds"] < taken - sum(slept) - 3.5
-    assert run.last["iteration"] > 20
+    assert len(run.rows) == len(slept) >= 2
+    assert 1.0 <= run.last["seconds"] < taken - sum(slept) - 1.2
+    assert run.last["iteration"] > 40
     main(["fit", "--ckpt_path=last"])  # nothing is left of the budget
     assert read_run(Path("lightning_logs/version_1")).last["iteration"] == run.last["iteration"]
 

@@ -2,7 +2,7 @@
 
 import pytest
 
-from neurad.core.names import apart
+from neurad.core.names import make_unique
 
 
 @pytest.mark.parametrize(
@@ -17,5 +17,5 @@ from neurad.core.names import apart
 )
 def test_no_two_names_are_equal(names, joint, capitals, made):
     taken: set[str] = set()
-    assert [apart(name, taken, joint, capitals) for name in names] == made
+    assert [make_unique(name, taken, joint, capitals) for name in names] == made
     assert len(taken) == len(names)

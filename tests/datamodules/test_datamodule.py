@@ -12,6 +12,7 @@ from helpers.tiny_scene import SIZE, read_json, write_json, write_scene
 
 from datamodules.pixels import blurred
 from datamodules.scene_data import SceneData
+from datamodules.settings import DataSettings
 from neurad.core.errors import InputError
 from neurad.core.patch_sampler import PatchSampler
 from neurad.core.records import PixelBatch
@@ -26,7 +27,7 @@ def folder(tmp_path):
 
 
 def ready(folder, **settings):
-    data = SceneData(str(folder), **settings)
+    data = SceneData(DataSettings(str(folder), **settings))
     data.setup("fit")
     return data
 
@@ -220,7 +221,7 @@ class Counts(pl.LightningModule):
 
 
 def test_a_trainer_runs_on_it(folder, tmp_path):
-    module, data = Counts(), SceneData(str(folder))
+    module, data = Counts(), SceneData(DataSettings(str(folder)))
     quiet = {"logger": False, "enable_checkpointing": False, "enable_progress_bar": False, "accelerator": "cpu"}
     trainer = pl.Trainer(max_steps=4, num_sanity_val_steps=0, enable_model_summary=False, **quiet)
     trainer.fit(module, data)
@@ -258,7 +259,7 @@ def test_held_out_photographs_and_maps_are_never_opened(folder, monkeypatch):
 
     monkeypatch.setattr(OpenEXR, "File", record)
     monkeypatch.setattr("builtins.open", record_plain)
-    data = SceneData(str(folder))
+    data = SceneData(DataSettings(str(folder)))
     for stage in ("fit", "validate", "test", "predict"):
         data.setup(stage)
     data.batch(0)
@@ -302,18 +303,18 @@ def test_bad_photographs_are_named(folder, case):
 
 def test_bad_options_are_named(folder):
     for name in ("patches", "patch_size"):
-        with pytest.raises(InputError, match=rf"SceneData\.{name}: 0 is out of range"):
-            SceneData(str(folder), **{name: 0})
+        with pytest.raises(InputError, match=rf"DataSettings\.{name}: 0 is out of range"):
+            SceneData(DataSettings(str(folder), **{name: 0}))
     with pytest.raises(InputError, match=r"--data\.patch_size: 9 does not fit in photographs of 8 x 8"):
         ready(folder, patch_size=9)
     with pytest.raises(InputError, match="exactly one of"):
-        SceneData().setup("fit")
+        SceneData(DataSettings()).setup("fit")
 
 
 def test_no_training_photographs(folder):
     """A built-in scene that ships no pictures can be rendered but not fitted."""
     with pytest.raises(InputError, match="photograph"):
-        SceneData(scene="furnace").setup("fit")
+        SceneData(DataSettings(scene="furnace")).setup("fit")
 
 
 def test_a_batch_costs_little(folder):

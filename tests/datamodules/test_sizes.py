@@ -15,6 +15,7 @@ from PIL import Image
 from benchmarks.peer.fit import _photographs
 from datamodules.pixels import blurred
 from datamodules.scene_data import SceneData
+from datamodules.settings import DataSettings
 from neurad.assembly.build import build_world
 from neurad.core.camera import Cameras, camera_rays
 from neurad.core.errors import InputError
@@ -51,7 +52,7 @@ def folder(tmp_path):
 
 
 def ready(folder, **settings):
-    data = SceneData(str(folder), **settings)
+    data = SceneData(DataSettings(str(folder), **settings))
     data.setup("fit")
     return data
 

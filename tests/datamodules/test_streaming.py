@@ -18,6 +18,7 @@ from benchmarks.bench.session import prepare
 from datamodules.image_cache import SAMPLE
 from datamodules.pixels import blurred
 from datamodules.scene_data import SceneData
+from datamodules.settings import DataSettings
 from neurad.assembly.build import build_world
 from neurad.assembly.settings import Objective, Sampling
 from neurad.cli import main
@@ -42,7 +43,7 @@ def folder(tmp_path):
 
 
 def ready(folder, **settings):
-    data = SceneData(str(folder), **settings)
+    data = SceneData(DataSettings(str(folder), **settings))
     data.setup("fit")
     return data
 
@@ -207,8 +208,8 @@ def test_a_photograph_that_goes_bad_is_named_when_its_turn_comes(folder, case, c
 
 def test_bad_streaming_options_are_named(folder):
     for name in ("resident", "replace_every"):
-        with pytest.raises(InputError, match=rf"SceneData\.{name}: 0 is out of range"):
-            SceneData(str(folder), **{name: 0})
+        with pytest.raises(InputError, match=rf"DataSettings\.{name}: 0 is out of range"):
+            SceneData(DataSettings(str(folder), **{name: 0}))
     for i in range(VIEWS):
         write_exr(folder / f"images/train_{i}.exr", np.zeros((SIZE, SIZE, 4), np.float32))
     with pytest.raises(InputError, match="alpha is 0 in every training photograph"):

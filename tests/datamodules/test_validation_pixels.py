@@ -5,6 +5,7 @@ import torch
 from helpers.tiny_scene import SIZE, write_scene
 
 from datamodules.scene_data import SceneData
+from datamodules.settings import DataSettings
 from neurad.core.patch_sampler import PatchSampler, validation_pixels
 
 VIEWS = 5
@@ -17,14 +18,14 @@ def folder(tmp_path):
 
 
 def ready(folder, **settings):
-    data = SceneData(str(folder), validation_pixels=0.1, **settings)
+    data = SceneData(DataSettings(str(folder), validation_pixels=0.1, **settings))
     data.setup("fit")
     return data
 
 
 def drawn(data):
     """All (view, pixel) of enough batches to see every pixel."""
-    batches = [data.batch(i) for i in range(-(-2 * VIEWS * SIZE * SIZE // data.patches))]
+    batches = [data.batch(i) for i in range(-(-2 * VIEWS * SIZE * SIZE // data.settings.patches))]
     return set(
         zip(torch.cat([b.view for b in batches]).tolist(), torch.cat([b.pixel for b in batches]).tolist(), strict=True)
     )
@@ -50,7 +51,7 @@ def test_streamed_photographs_leave_out_the_same_ones(folder):
 
 
 def test_without_any_everything_stays_as_it_was(folder):
-    data = SceneData(str(folder))
+    data = SceneData(DataSettings(str(folder)))
     data.setup("fit")
     assert data.validation_batch() is None
     sizes = [(SIZE, SIZE)] * VIEWS

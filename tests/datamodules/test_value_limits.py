@@ -6,6 +6,7 @@ import torch
 from helpers.tiny_scene import SIZE, as_png, write_scene
 
 from datamodules.scene_data import SceneData
+from datamodules.settings import DataSettings
 from neurad.core.errors import InputError
 from neurad.images.image_io import write_exr
 
@@ -13,7 +14,7 @@ pytest.importorskip("mitsuba")
 
 
 def batch_of(folder, **settings):
-    data = SceneData(str(folder), patches=3 * SIZE * SIZE, **settings)
+    data = SceneData(DataSettings(str(folder), patches=3 * SIZE * SIZE, **settings))
     data.setup("fit")
     return data, data.batch(0)
 

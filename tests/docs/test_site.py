@@ -6,7 +6,7 @@ import re
 import matplotlib.image
 import pytest
 from helpers.pages import DOCS, PAGES, REPOSITORY, pages, without_blocks
-from helpers.tiny_fit import fit, run_folder, write_tiny_config
+from helpers.tiny_fit import few_views, fit, run_folder, write_tiny_config
 
 
 def test_the_readme_is_short():
@@ -78,7 +78,8 @@ def test_the_readme_has_the_numbers_of_the_demo():
 
 
 @pytest.mark.main
-def test_the_picture_of_the_readme_is_made_of_a_run(tiny, capsys):
+def test_the_picture_of_the_readme_is_made_of_a_run(tiny, capsys, monkeypatch):
+    few_views(monkeypatch, "kitchen")
     write_tiny_config(base="kitchen.yaml")
     fit("--trainer.max_steps=2")
     picture = script("picture")

@@ -15,7 +15,7 @@ from neurad.core.rng import Stream
 from neurad.evidence import pixel_derivatives
 from neurad.evidence.bar_calibration import PRIOR, RoughnessBars
 from neurad.evidence.bars_file import read_bars, write_bars
-from neurad.evidence.error_bars import COLUMNS, FLAT, ErrorBars, Known, in_cells, measure, texture
+from neurad.evidence.error_bars import COLUMNS, FLAT, ErrorBars, RoughnessInformation, in_cells, measure, texture
 from neurad.evidence.nodes import Nodes
 from neurad.evidence.pixel_derivatives import PixelDerivatives
 from neurad.integrators.direct import Direct
@@ -150,7 +150,7 @@ def test_what_a_closing_step_found_takes_the_place_of_what_few_pixels_tell(size)
     known = np.zeros((64, 64, 64), np.float32)
     known[: int(32 * size), : int(64 * size), int(32 * size)] = 1.0 / 0.02**2  # the plane at 0.5 lies in these cells
     given = pixels()
-    found = Known(known, RoughnessBars(1.0, PRIOR))
+    found = RoughnessInformation(known, RoughnessBars(1.0, PRIOR))
     bars = measure(given, Painted(size), len(given), 7, has_roughness=True, known=found)
     assert bars.nodes.side == pytest.approx(64 / size, abs=4)
     cell = 64 / bars.nodes.side  # of information, in cells of the bars: as much as in a cell of information

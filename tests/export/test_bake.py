@@ -9,7 +9,7 @@ import torch
 from neurad.core.records import Constant, Material, Mesh, Surface
 from neurad.core.reflection import PrincipledModel
 from neurad.export import bake as baking
-from neurad.export.bake import MOST_PER_BORDER_TEXEL, PER_BORDER_TEXEL, SETTLED, bake, refine
+from neurad.export.bake import MAX_PER_BORDER_TEXEL, PER_BORDER_TEXEL, SETTLED, bake, refine
 from neurad.export.charts import Chart, border_texels, find_charts, four_texels
 from neurad.export.texel_means import Means, TexelMeans
 from neurad.export.unwrap import unwrap
@@ -85,12 +85,12 @@ def test_a_jump_is_asked_until_its_share_is_known(square):
     means, exact = mesh.means(2), mesh.means(40).values
     field.asked = 0
     coarse = np.abs(means.values - exact).max()
-    refine(mesh, means, means.covered.copy(), 2, PER_BORDER_TEXEL, MOST_PER_BORDER_TEXEL, SETTLED)
+    refine(mesh, means, means.covered.copy(), 2, PER_BORDER_TEXEL, MAX_PER_BORDER_TEXEL, SETTLED)
     assert coarse > 20 / 255
     off = np.abs(means.values - exact).max(-1)
     assert off.max() < 0.5 / 255, off.max() * 255  # also of corners between the positions of the first grids
     assert field.asked < 150 * SIDE**2  # all of them at 32 x 32 would be seven times as many
-    assert field.asked > MOST_PER_BORDER_TEXEL**2 * SIDE / 2
+    assert field.asked > MAX_PER_BORDER_TEXEL**2 * SIDE / 2
 
 
 def test_texels_on_borders_of_charts_stay_means(monkeypatch):

@@ -9,7 +9,7 @@ from neurad.export import bake as baking
 from neurad.export import texel_means
 from neurad.export.bake import bake
 from neurad.export.charts import find_borders
-from neurad.export.room import Room
+from neurad.export.room import BakedRoom
 from neurad.export.seams import BOUND, find_seams
 from neurad.export.unwrap import unwrap
 from neurad.formats.load import load_scene
@@ -37,7 +37,7 @@ def kitchen():
 def room(scene, geometry, charts):
     first = np.cumsum([0, *(len(mesh.faces) for mesh in scene.meshes)])
     baked = [bake(chart, int(start), geometry, Waves()) for chart, start in zip(charts, first[:-1], strict=True)]
-    return Room(scene, [mesh.name for mesh in scene.meshes], charts, baked, [], "y", False)
+    return BakedRoom(scene, [mesh.name for mesh in scene.meshes], charts, baked, [], "y", False)
 
 
 def test_no_border_of_the_built_in_kitchen_is_a_seam(kitchen):
@@ -92,7 +92,7 @@ def test_texels_on_borders_are_asked_at_more_positions(monkeypatch, per, seen):
     geometry, charts = Geometry(scene), unwrap([mesh], np.array([12.0]), 1 << 16)
     monkeypatch.setattr(baking, "CHEAP", 0)
     monkeypatch.setattr(baking, "AFFORDABLE", 0)
-    monkeypatch.setattr(baking, "MOST_PER_BORDER_TEXEL", per)
+    monkeypatch.setattr(baking, "MAX_PER_BORDER_TEXEL", per)
     found = find_seams(room(scene, geometry, charts), geometry, Waves())
     assert (found.largest > BOUND) == seen, found
 

@@ -13,8 +13,9 @@ from neurad.core.records import Bitmap, Constant, EnvironmentMap, VertexAttribut
 from neurad.core.reflection import ConductorModel, DielectricModel, DiffuseModel, PrincipledModel
 from neurad.formats.gltf.gltf_scene import read_scene
 from neurad.formats.gltf.read import read_gltf
+from neurad.formats.load import read_folder
 from neurad.images.image_io import from_srgb
-from neurad.scene.description import Scene
+from neurad.scene.description import Scene, is_dielectric
 from neurad.scene.geometry import Geometry
 from neurad.scene.textures import TrueMaterials
 
@@ -363,6 +364,18 @@ def test_models(kind, tmp_path):
     assert material.two_sided
     if kind == "mirror":
         np.testing.assert_allclose(material.albedo.value, [0.9, 0.8, 0.7])
+
+
+@pytest.mark.parametrize("name", ["scene.GLB", "Scene.gltf"])
+def test_the_case_of_a_scene_file_does_not_matter(name, tmp_path):
+    document = Document()
+    document.quad(name="floor")
+    lens = {"type": "perspective", "perspective": {"yfov": 0.5, "znear": 0.1}}
+    document.node(camera=document.add("cameras", lens), name="eye")
+    getattr(document, name[-4:].lower().strip("."))(tmp_path / name)
+    room = read_folder(tmp_path)
+    assert [mesh.name for mesh in room.meshes] == ["floor"]
+    assert is_dielectric(room.materials[0].metallic)  # nobody has chosen the format's metal
 
 
 OPAQUE = {

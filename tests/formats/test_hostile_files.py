@@ -12,6 +12,7 @@ from helpers.tiny_scene import PLY, XML, read_json, write_json, write_scene
 from PIL import Image
 
 from datamodules.scene_data import SceneData
+from datamodules.settings import DataSettings
 from neurad.core.errors import InputError
 from neurad.formats.load import load_scene
 from neurad.images.image_io import read_bitmap, write_exr
@@ -251,7 +252,7 @@ def test_hostile_files_get_one_sentence(tmp_path, case, capfd):
     spoil, said = BAD[case]
     spoil(folder)
     with pytest.raises(InputError, match=said) as caught:
-        SceneData(str(folder), None).setup("fit")
+        SceneData(DataSettings(str(folder), None)).setup("fit")
     assert "\n" not in str(caught.value)
     several = re.match(r"(\d+) things stand in the way", str(caught.value))
     assert len(str(caught.value)) < 500 * (int(several[1]) if several else 1)

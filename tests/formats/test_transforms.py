@@ -9,6 +9,7 @@ from helpers.tiny_fit import fails, metrics, write_tiny_config
 from helpers.tiny_scene import POSE, SIZE, write_scene
 
 from datamodules.scene_data import SceneData
+from datamodules.settings import DataSettings
 from neurad.cli import main
 from neurad.core.errors import InputError
 from neurad.formats.load import load_scene
@@ -48,10 +49,10 @@ def test_every_eighth_is_held_out_and_said(folder):
     assert "every 8th by name is, 2 of 10 (--data.hold_out 0 for none)" in said
     assert str(folder / "transforms.json") in said
     assert names(load_scene(str(folder), None, 3).test) == ["train_0", "train_3", "train_6", "train_9"]
-    whole = SceneData(str(folder), hold_out=0).scene
+    whole = SceneData(DataSettings(str(folder), hold_out=0)).scene
     assert (len(whole.train), whole.test, whole.notes) == (VIEWS, [], ())
     with pytest.raises(InputError, match="hold_out: 1 would hold out every photograph"):
-        SceneData(str(folder), hold_out=1)
+        SceneData(DataSettings(str(folder), hold_out=1))
 
 
 def test_the_share_goes_by_name_not_by_place(folder):

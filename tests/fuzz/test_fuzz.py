@@ -75,7 +75,7 @@ def test_crashes_and_tracebacks_are_findings(worker, request):
     assert worker.carry_out(mistake)["end"] == "traceback"
 
 
-@quick_and_whole(250, 3300)
+@quick_and_whole(150, 3300)
 def test_scene_folders(count, reading, tmp_path):
     explored(strategies.scenes(), reading, count, tmp_path)
 

@@ -4,16 +4,21 @@ import atexit
 import os
 import sys
 import warnings
+from dataclasses import replace
+from unittest.mock import patch
 
 import lightning.pytorch as pl
 import torch
 import torch.distributed as dist
 
 from datamodules.scene_data import SceneData
+from datamodules.settings import DataSettings
+from neurad.assembly.model_settings import ModelSettings
 from neurad.assembly.settings import Optimization, Sampling
 from neurad.core.records import SurfaceInteraction
 from neurad.core.rng import Stream
-from neurad.fields.settings import FieldConfig, GridConfig, RadianceConfig
+from neurad.fields.settings import FieldConfig, GridConfig, RadianceConfig, RoughnessConfig
+from neurad.scene import builtin
 from neurad.training.inverse import InverseRenderer
 from neurad.training.loopback import LoopbackDDP
 from neurad.training.objective import GuideSamples, StepTerms
@@ -54,18 +59,22 @@ def fit(devices, seed=0, kind="hash", joined=False):
     warnings.filterwarnings("ignore")
     grid = GridConfig(levels=3, coarsest=4, finest=16, log2_size=10)
     sizes = {"grid": grid, "width": 16, "kind": "dense" if kind == "dense" else "hash", "size": 16}
-    module = InverseRenderer(
-        FieldConfig(**sizes), FieldConfig(**sizes), RadianceConfig(**sizes, hidden_layers=1),
+    settings = ModelSettings(
+        FieldConfig(**sizes), RoughnessConfig(**sizes), RadianceConfig(**sizes, hidden_layers=1),
         Sampling(spp=2, samples_per_vertex=1, cached_spp=2),
         optimization=Optimization(warmup=1, average=0.5), seed=seed,
     )  # fmt: skip
+    module = InverseRenderer(settings)
     trainer = pl.Trainer(
         accelerator="cpu", devices=devices, strategy=LoopbackDDP() if devices > 1 else "auto",
         max_steps=STEPS, max_epochs=-1, logger=False, enable_checkpointing=False,
         enable_progress_bar=False, enable_model_summary=False,
         num_sanity_val_steps=0, limit_val_batches=0, callbacks=[Join()] if joined else [],
     )  # fmt: skip
-    trainer.fit(module, SceneData(scene="patterns" if kind == "glossy" else "cornell", patches=128, seed=seed))
+    scene = builtin.build("patterns" if kind == "glossy" else "cornell")
+    few = replace(scene, train=scene.train[:6], test=scene.test[:1])
+    with patch.dict(builtin._BUILDERS, {scene.name: lambda: few}):
+        trainer.fit(module, SceneData(DataSettings(scene=scene.name, patches=128, seed=seed)))
     return module, trainer
 
 

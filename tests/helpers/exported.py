@@ -7,7 +7,7 @@ from pathlib import Path
 import numpy as np
 
 from neurad.assembly.build import assemble
-from neurad.assembly.settings import ModelSettings
+from neurad.assembly.model_settings import ModelSettings
 from neurad.export.run import ExportSettings, export
 from neurad.fields.settings import FieldConfig, GridConfig, RadianceConfig, RoughnessConfig
 from neurad.integrators.direct import Direct

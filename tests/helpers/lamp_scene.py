@@ -1,6 +1,7 @@
 """A small Cornell box whose lamp is of radiance 1 in the scene, and of its true radiance in the photographs."""
 
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
@@ -24,7 +25,7 @@ def with_lamps(scene, sky=None):
     return world, recovered_lamps(world)
 
 
-def looking_up(scene, distance=0.9):
+def looking_up(scene, distance):
     """A camera below the lamp, which covers a part of its picture."""
     lamp = next(mesh for mesh in scene.meshes if mesh.radiance is not None)
     pose = np.eye(4, dtype=np.float32)
@@ -33,12 +34,12 @@ def looking_up(scene, distance=0.9):
     return Camera(pose, 1.0, 24, 24)
 
 
-def unmeasured():
-    """The box; the last photograph is of the lamp."""
-    return declared(photographed_cornell(False, more=[looking_up]), 1.0)
+def unmeasured(folder, distance=0.9):
+    """The box, its photographs in ``folder``; the last one is of the lamp."""
+    return declared(photographed_cornell(folder, False, more=[partial(looking_up, distance=distance)]), 1.0)
 
 
 def declared(scene, radiance):
     """The scene with lamps that are said to be of another radiance; its photographs stay."""
-    value = np.full(3, radiance, np.float32)
+    value = np.broadcast_to(radiance, 3).astype(np.float32)
     return replace(scene, meshes=[m if m.radiance is None else replace(m, radiance=value) for m in scene.meshes])

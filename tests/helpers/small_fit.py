@@ -25,9 +25,9 @@ SMALL_FIT = {
 }
 
 
-def photographed_cornell(glossy, unit=1.0, more=()):
-    """A Cornell box of 24 x 24 pixels with photographs and true albedo, written into the working folder; ``more``
-    cameras are functions of the scene.
+def photographed_cornell(folder, glossy, unit=1.0, more=()):
+    """A Cornell box of 24 x 24 pixels with photographs and true albedo, written into ``folder``; ``more`` cameras are
+    functions of the scene.
     """
     scene = small_scene(glossy=glossy, size=24)
     extra = [View(f"more_{index}", camera(scene)) for index, camera in enumerate(more)]
@@ -40,7 +40,7 @@ def photographed_cornell(glossy, unit=1.0, more=()):
     for views in (scene.train, scene.test):
         parts.append([])
         for view in views:
-            photograph, true = f"{view.name}.exr", f"{view.name}_albedo.exr"
+            photograph, true = str(folder / f"{view.name}.exr"), str(folder / f"{view.name}_albedo.exr")
             image = render(view.camera, path_tracer(world, materials), 64, 5)
             write_exr(photograph, image.numpy(), half=False)
             albedo = render(view.camera, lambda rays, seed: materials(world.intersect(rays)).albedo, 16, 5)

@@ -1,7 +1,7 @@
 """The run that the viewer's tests look at."""
 
 import pytest
-from helpers.tiny_fit import fit, run_folder, write_tiny_config
+from helpers.tiny_fit import few_views, fit, run_folder, write_tiny_config
 
 
 @pytest.fixture(scope="session")
@@ -10,6 +10,7 @@ def viewed_run(tmp_path_factory):
     folder = tmp_path_factory.mktemp("viewed")
     with pytest.MonkeyPatch.context() as patch:
         patch.chdir(folder)
+        few_views(patch, "patterns")
         write_tiny_config(base="patterns.yaml", data={"patches": 128}, trainer={"max_steps": 60})
         fit()
     return folder / run_folder()

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from datamodules.scene_data import SceneData
+from datamodules.settings import DataSettings
 from neurad.cli import main
 from neurad.images.image_io import write_exr
 from neurad.images.photographs import read_photograph
@@ -21,7 +22,7 @@ INSIDE = (-0.35, -0.4, -0.3)
 
 
 def source(scene):
-    return SceneData(scene="cornell").over(scene)
+    return SceneData(DataSettings(scene="cornell")).over(scene)
 
 
 def turned(view, degrees):

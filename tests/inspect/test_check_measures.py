@@ -101,10 +101,11 @@ def test_clipped_black_and_equal_pixels():
 def test_rendered_pixels_are_those_of_the_photographs():
     """The Cornell box's photographs against its own materials: the mean over some pixels agrees to a few per cent."""
     from datamodules.scene_data import SceneData
+    from datamodules.settings import DataSettings
 
     scene = build("cornell")
     world = build_world(scene)
-    sample = few(SceneData(scene="cornell").dataset_stats().sample, len(scene.train))
+    sample = few(SceneData(DataSettings(scene="cornell")).dataset_stats().sample, len(scene.train))
     kept = slice(None, None, 8)
     pixels = replace(sample, view=sample.view[kept], pixel=sample.pixel[kept], color=sample.color[kept])
     found = rendered(world, TrueMaterials(scene, world.geometry), [v.camera for v in scene.train], pixels, 4)

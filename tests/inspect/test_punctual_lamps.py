@@ -9,7 +9,7 @@ import pytest
 from helpers.exported import assembled
 
 from neurad.core.records import PunctualLight
-from neurad.inspect.lamps import MOST, Lamp, lamp_renderer, lamps_of
+from neurad.inspect.lamps import MAX_LAMPS, Lamp, lamp_renderer, lamps_of
 from neurad.integrators.film import render
 from neurad.integrators.renderer import path_tracer
 from neurad.scene.builtin import build_cornell
@@ -33,11 +33,11 @@ def test_every_lamp_alone_sums_up_to_all():
 
 
 def test_dim_ones_beyond_the_sliders_share_one():
-    many = tuple(bulb(f"bulb {i}", 1.0 + i) for i in range(MOST + 3))
+    many = tuple(bulb(f"bulb {i}", 1.0 + i) for i in range(MAX_LAMPS + 3))
     lamps = lamps_of(assembled(replace(build_cornell(), punctual=many)))
-    assert len(lamps) == MOST
+    assert len(lamps) == MAX_LAMPS
     assert lamps[-1].name == "5 other lamps"
     assert sum(len(lamp.meshes) for lamp in lamps) == 1
-    assert sorted(i for lamp in lamps for i in lamp.punctual) == list(range(MOST + 3))
+    assert sorted(i for lamp in lamps for i in lamp.punctual) == list(range(MAX_LAMPS + 3))
     assert Lamp("environment").is_environment
     assert not any(lamp.is_environment for lamp in lamps)

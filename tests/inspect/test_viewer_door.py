@@ -216,8 +216,8 @@ def test_bad_guests(viewed_run, look_at, capfd):
         page = look_at(viewer.address, width=1000, height=640)
         page.page.wait_for_function("() => document.body.innerText.includes('samples a pixel')")
         assert page.errors == []
-        (number,) = viewer.guests
-        friend = viewer.guests[number]
+        (number,) = viewer.sessions
+        friend = viewer.sessions[number]
 
         wrong = [{**CAMERA, name: NAN} for name in ("fov", "near", "far", "image_width")]
         wrong += [{**CAMERA, "fov": bad} for bad in (INF, 0.0, 1e300)]
@@ -250,7 +250,7 @@ def test_bad_guests(viewed_run, look_at, capfd):
             pass
 
         # nobody else noticed
-        assert viewer.guests[number] is friend
+        assert viewer.sessions[number] is friend
         frames = friend.frames
         page.page.get_by_label("mode", exact=True).click()
         page.page.get_by_role("option", name="albedo", exact=True).click()

@@ -19,7 +19,7 @@ from neurad.runs.follow import Followed
 
 pytest.importorskip("viser")
 
-CANVAS = {"x": 40, "y": 180, "width": 500, "height": 400}
+CANVAS = {"x": 40, "y": 140, "width": 360, "height": 290}
 """Part of the window that neither controls cover nor what is said of missing graphics hardware."""
 
 
@@ -81,12 +81,12 @@ def test_the_page(viewed_run, look_at):
     with viewed("--ckpt_path", str(viewed_run), "--port", "0") as viewer:
         port = int(viewer.address.split(":")[2].partition("/")[0])
         assert listening(port) == ["0100007F"]  # 127.0.0.1
-        page = Page(look_at(viewer.address, width=1000, height=640))
+        page = Page(look_at(viewer.address, width=800, height=480))
         page.wait("samples a pixel")
         lit = page.settled()
         assert lit.std() > 5
-        (guest,) = viewer.guests.values()
-        assert guest.first_picture < 5
+        (session,) = viewer.sessions.values()
+        assert session.first_picture < 5
         assert "iteration 60" in page.text()
 
         # every mode has a picture of its own
@@ -116,7 +116,7 @@ def test_the_page(viewed_run, look_at):
         assert page.settled().mean() == pytest.approx(lit.mean(), rel=0.12)  # it goes on from the field to the method
 
         # a point is read out
-        page.page.mouse.click(300, 320)
+        page.page.mouse.click(240, 260)
         page.wait("albedo: ")
         said = page.text()
         assert re.search(r"albedo: 0\.\d{3} 0\.\d{3} 0\.\d{3}( ± 0\.\d{3} 0\.\d{3} 0\.\d{3})?", said)
@@ -125,9 +125,9 @@ def test_the_page(viewed_run, look_at):
 
         # dragging moves the camera
         before = page.settled()
-        page.page.mouse.move(300, 300)
+        page.page.mouse.move(240, 240)
         page.page.mouse.down()
-        page.page.mouse.move(420, 330, steps=4)
+        page.page.mouse.move(360, 270, steps=4)
         page.page.mouse.up()
         time.sleep(0.5)
         assert np.abs(page.settled() - before).mean() > 4
@@ -147,7 +147,7 @@ def test_a_run_that_trains_on_and_then_is_gone(viewed_run, tmp_path, look_at, mo
     monkeypatch.setattr(module, "CHECKS", 0.1)
     place = shutil.copytree(viewed_run, tmp_path / "`<b id=evil>`")  # Markdown on the page
     with viewed("--ckpt_path", str(place), "--port", "0") as viewer:
-        page = Page(look_at(viewer.address, width=1000, height=640))
+        page = Page(look_at(viewer.address, width=800, height=480))
         page.wait("samples a pixel")
         import torch
 
@@ -160,11 +160,11 @@ def test_a_run_that_trains_on_and_then_is_gone(viewed_run, tmp_path, look_at, mo
         assert page.text().count("<b id=evil>") == 2  # in the title and in the warning
         assert page.page.locator("#evil").count() == 0
         assert page.settled().std() > 2
-        (guest,) = viewer.guests.values()
-        frames = guest.frames
+        (session,) = viewer.sessions.values()
+        frames = session.frames
         page.choose("mode", "albedo")
         page.wait("The recovered albedo.")
-        assert guest.frames > frames
+        assert session.frames > frames
 
 
 def test_a_newer_checkpoint_changes_what_is_recovered(viewed_run, tmp_path):

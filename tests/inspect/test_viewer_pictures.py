@@ -15,12 +15,12 @@ from neurad.emitters.environment import Environment
 from neurad.formats.edits.placement import turned_environment
 from neurad.images.photographs import read_photograph
 from neurad.inspect.film import Film, common, mixture
-from neurad.inspect.lamps import Light, as_photographed, lamp_renderer, lamps_of
+from neurad.inspect.lamps import LightSettings, as_photographed, lamp_renderer, lamps_of
 from neurad.inspect.maps import SeenMap, UnseenMap, modes_of
 from neurad.inspect.photographs import PhotographMap
 from neurad.inspect.pose import pose_of
 from neurad.inspect.probe import probe
-from neurad.inspect.refine import Refiner, Request, Room
+from neurad.inspect.refine import Refiner, Request, ViewedRun
 from neurad.inspect.smooth import DARKEST, Smoother
 from neurad.inspect.still import LitStill, Look
 from neurad.integrators.film import render
@@ -44,7 +44,7 @@ def camera(run):
 def room(run):
     seen = SeenBy(run.world.geometry, run.world.tracer, [view.camera for view in run.scene.train])
     modes = modes_of(run, seen, PhotographMap(run.world, run.views))
-    return Room(run, lamps_of(run.assembly), modes, SeenMap(run.world, seen), UnseenMap(run.world, seen))
+    return ViewedRun(run, lamps_of(run.assembly), modes, SeenMap(run.world, seen), UnseenMap(run.world, seen))
 
 
 class Noisy:
@@ -115,7 +115,7 @@ def test_a_mixture_of_what_there_is(camera):
 
 
 def test_smoothing_stays_on_its_surface(run, camera):
-    """Light that is the same all over each mesh stays as it is; noise becomes less than a fifth."""
+    """LightSettings that is the same all over each mesh stays as it is; noise becomes less than a fifth."""
     side = 64
     camera = replace(camera, width=side, height=side)
     points = run.surface(camera)
@@ -199,7 +199,7 @@ def test_other_light_costs_no_new_samples(run, camera):
     """Once each lamp has its picture, every brightness is a sum; a lamp that is off makes the room darker."""
     lamps = lamps_of(run.assembly)
     still = LitStill(run, camera, lamps)
-    off = Look(Light((0.0,) + (1.0,) * (len(lamps) - 1)))
+    off = Look(LightSettings((0.0,) + (1.0,) * (len(lamps) - 1)))
     steps = 0
     while not still.ready(off) or min(film.count for film in still._films) < 10:
         still.step(off, lambda: False)
@@ -210,7 +210,7 @@ def test_other_light_costs_no_new_samples(run, camera):
     assert dark < 0.97 * own
     counts = [film.count for film in still._films]
     for scales in ((0.5, 2.0), (3.0, 0.0), (0.0, 0.0)):
-        light = Light(scales + (1.0,) * (len(lamps) - 2))
+        light = LightSettings(scales + (1.0,) * (len(lamps) - 2))
         assert still.ready(Look(light))
         expected = sum(s * float(film.mean.mean()) for s, film in zip(light.scales, still._films, strict=True))
         assert float(still.radiance(light).mean()) == pytest.approx(expected, rel=0.05, abs=1e-6)

@@ -12,11 +12,11 @@ import pytest
 from helpers.tiny_fit import fit, run_folder, write_tiny_config
 
 import neurad
-from neurad.inspect.lamps import Light, as_photographed, lamp_renderer, lamps_of
+from neurad.inspect.lamps import LightSettings, as_photographed, lamp_renderer, lamps_of
 from neurad.inspect.maps import RENDER, SeenMap, UnseenMap, modes_of
 from neurad.inspect.photographs import PhotographMap
 from neurad.inspect.pose import pose_of
-from neurad.inspect.refine import Refiner, Request, Room, warm_up
+from neurad.inspect.refine import Refiner, Request, ViewedRun, warm_up
 from neurad.inspect.still import Look
 from neurad.integrators.film import render
 from neurad.metrics.seen import SeenBy
@@ -40,7 +40,7 @@ def room(tmp_path_factory):
             run = neurad.load(folder / run_folder())
     seen = SeenBy(run.world.geometry, run.world.tracer, [view.camera for view in run.scene.train])
     modes = modes_of(run, seen, PhotographMap(run.world, run.views))
-    room = Room(run, lamps_of(run.assembly), modes, SeenMap(run.world, seen), UnseenMap(run.world, seen))
+    room = ViewedRun(run, lamps_of(run.assembly), modes, SeenMap(run.world, seen), UnseenMap(run.world, seen))
     warm_up(room, run.scene.test[0].camera)
     return room
 
@@ -99,7 +99,7 @@ def test_a_lamp_switched_off(room, camera, factor):
     if not left:
         pytest.skip("the room has one lamp only")
     reference = encode(sum(render(camera, lamp, SPP // 4, 8).numpy() for lamp in left) * factor)
-    light = Light((0.0,) + (1.0,) * (len(room.lamps) - 1))
+    light = LightSettings((0.0,) + (1.0,) * (len(room.lamps) - 1))
     first, seconds, says = until(room, camera, light, factor, reference, 30.0, 300)
     print(
         f"\nbrightest lamp off: first picture {first[1]} after {first[0]:.3f} s, 30 dB after {seconds:.2f} s ({says})"

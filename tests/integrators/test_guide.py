@@ -196,12 +196,12 @@ def test_a_guide_learns_in_a_fit_of_a_glossy_scene(method: Method) -> None:
     images = photographs(replace(scene, max_depth=3), 2)
     module, _ = fit(glossy(scene), images, 3, method=method, sampling=Sampling(guide=4))
     if isinstance(method, Direct):
-        assert module.world.guide is None
+        assert module.assembly.world.guide is None
         return
-    assert module.world.guide is not None
-    assert float(module.world.guide.counts.sum()) > 100
-    assert float(module.world.guide.squares.sum()) > 0
-    assert fit(scene, images, 1, method=method)[0].world.guide is None
+    assert module.assembly.world.guide is not None
+    assert float(module.assembly.world.guide.counts.sum()) > 100
+    assert float(module.assembly.world.guide.squares.sum()) > 0
+    assert fit(scene, images, 1, method=method)[0].assembly.world.guide is None
     # A checkpoint with another guide, or with none, is as good.
     for other in ({}, {"world.guide.counts": torch.zeros(3, 3)}):
         kept = {name: value for name, value in module.state_dict().items() if ".guide." not in name}
@@ -209,4 +209,4 @@ def test_a_guide_learns_in_a_fit_of_a_glossy_scene(method: Method) -> None:
         module.on_save_checkpoint(checkpoint)
         module.on_load_checkpoint(checkpoint)
         assert checkpoint["state_dict"].keys() == module.state_dict().keys()
-        assert checkpoint["state_dict"]["world.guide.counts"].shape == module.world.guide.counts.shape
+        assert checkpoint["state_dict"]["world.guide.counts"].shape == module.assembly.world.guide.counts.shape

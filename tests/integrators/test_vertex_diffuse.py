@@ -165,7 +165,9 @@ def test_a_checkpoint_of_other_inputs_is_refused(monkeypatch):
     module.on_save_checkpoint(checkpoint)
     module.on_load_checkpoint(checkpoint)
     assert checkpoint["neurad"]["radiance_inputs"] == ["faceforward"]
-    module.radiance.inputs = ("normal",)  # as large as "faceforward", so that the shapes of the weights do not differ
+    module.assembly.radiance.inputs = (
+        "normal",
+    )  # as large as "faceforward", so that the shapes of the weights do not differ
     with pytest.raises(InputError, match=r"--ckpt_path: .*\['faceforward'\].*\['normal'\]"):
         module.on_load_checkpoint(checkpoint)
 
@@ -203,8 +205,7 @@ def test_rounded_products_are_close_and_end_with_the_block():
 
 @pytest.mark.parametrize("precision", ["16-mixed", "bf16-mixed", "64-true"])
 def test_precisions_that_light_cannot_have_are_refused(precision):
-    small = small_settings()
-    module = InverseRenderer(small.albedo, small.roughness, small.radiance)
+    module = InverseRenderer(small_settings())
     module._trainer = type("Trainer", (), {"precision": precision})()
     with pytest.raises(InputError, match=f"--trainer.precision {precision}"):
         module.configure_model()
@@ -214,8 +215,7 @@ def test_a_run_with_rounded_networks_learns():
     scene = resized(glossy(build_cornell()), 12, 4)
     images = photographs(replace(scene, max_depth=4), 8)
     medium = Optimization(albedo=2e-2, radiance=2e-2, matmul="medium")
-    small = small_settings()
-    module = InverseRenderer(small.albedo, small.roughness, small.radiance, Sampling(), optimization=medium)
+    module = InverseRenderer(replace(small_settings(), sampling=Sampling(), optimization=medium))
     step = module.training_step
 
     def watched(*args):
@@ -232,7 +232,7 @@ def test_a_run_with_rounded_networks_learns():
     si = Fit(scene, images).seen(500)
     truth = Lab(scene).materials.albedo(si)
     with torch.no_grad():
-        error = float((module.materials.albedo(si) - truth).abs().mean())
+        error = float((module.assembly.materials.albedo(si) - truth).abs().mean())
     assert error < 0.7 * float((0.5 - truth).abs().mean())
     assert all(p.dtype == torch.float32 for p in module.parameters())
 

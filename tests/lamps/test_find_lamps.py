@@ -16,7 +16,7 @@ from neurad.lamps.candidates import Candidate, one_radiance, over
 from neurad.lamps.find import Search, find_lamps
 from neurad.lamps.surfaces import PhotographedRadiance, side_of, surface_pixels
 from neurad.scene.builtin.shapes import look_at
-from neurad.scene.shining import Shining, from_kept, kept, shining_scene, without_lamps
+from neurad.scene.shining import Shining, shining_from_state, shining_scene, shining_state, without_lamps
 
 
 @pytest.fixture(scope="module")
@@ -154,12 +154,12 @@ def test_found_lamps_shine_to_the_front_alone_and_are_kept_as_plain_types(lit):
     card, before = made.meshes[index["card"]], scene.meshes[index["card"]]
     np.testing.assert_array_equal(card.faces, before.faces[:, [0, 2, 1]])
     assert (made.meshes[index["table"]].radiance == 1).all()
-    assert from_kept(kept(lamps), scene, "run") == lamps
+    assert shining_from_state(shining_state(lamps), scene, "run") == lamps
     for bad in (None, [[0]], [[0, 2]], [[True, 0]], [[0, 0], [0, 1]], "x"):
         with pytest.raises(InputError, match="run: the checkpoint does not say which meshes shine"):
-            from_kept(bad, scene, "run")
+            shining_from_state(bad, scene, "run")
     with pytest.raises(InputError, match="are not meshes of scene room"):
-        from_kept([[99, 0]], scene, "run")
+        shining_from_state([[99, 0]], scene, "run")
 
 
 @pytest.mark.parametrize("gains", [(2.0, 1.0, 0.5, 1.0, 1.0), (0.25, 1.0, 2.0, 1.0, 4.0)])

@@ -2,7 +2,6 @@
 
 import csv
 from dataclasses import replace
-from functools import partial
 from pathlib import Path
 from types import SimpleNamespace
 
@@ -12,10 +11,10 @@ import torch
 import yaml
 from helpers.lamp_room import CEILING, SIZE, STRIP, lamp_room
 from helpers.lamp_room import photographed as photographed_room
-from helpers.lamp_scene import TRUTH, declared, looking_up, unmeasured, with_lamps
+from helpers.lamp_scene import TRUTH, declared, unmeasured, with_lamps
 from helpers.method_oracles import gallery
 from helpers.object_scene import sky
-from helpers.small_fit import SMALL_FIT, photographed_cornell
+from helpers.small_fit import SMALL_FIT
 from helpers.tiny_fit import fails
 
 from neurad import load
@@ -46,20 +45,9 @@ CHEAP = {"sampling": {"spp": 2, "cached_spp": 4, "samples_per_vertex": 2}}
 
 @pytest.fixture(scope="module")
 def photographed(tmp_path_factory):
-    """The box with and without a photograph of its lamp; files by their whole paths."""
-    folder = tmp_path_factory.mktemp("photographs")
-    with pytest.MonkeyPatch.context() as patch:
-        patch.chdir(folder)
-        scene = unmeasured()
-
-    def whole(view):
-        return replace(
-            view, image=str(folder / view.image), maps={name: str(folder / path) for name, path in view.maps.items()}
-        )
-
-    train, test = [whole(view) for view in scene.train], [whole(view) for view in scene.test]
-    scene = replace(scene, train=train, test=test)
-    return {True: scene, False: replace(scene, train=train[:-1])}
+    """The box with and without a photograph of its lamp."""
+    scene = unmeasured(tmp_path_factory.mktemp("photographs"))
+    return {True: scene, False: replace(scene, train=scene.train[:-1])}
 
 
 @pytest.fixture
@@ -119,16 +107,21 @@ def test_a_lamp_that_photographs_show_is_found(box, capsys, emitters):
     )
 
 
-@pytest.mark.main
-@pytest.mark.parametrize("emitters", ["photographs", "fit", "known"])
-def test_photographs_of_unlike_exposures_show_the_lamp(box, monkeypatch, capsys, emitters):
-    """The one that shows it is twice as bright as the others; it shows walls that they show, too."""
-    box()
-    scene = photographed_cornell(False, more=[partial(looking_up, distance=1.8)])
+@pytest.fixture(scope="module")
+def unlike(tmp_path_factory):
+    """The photograph that shows the lamp is twice as bright as the others; it shows walls that they show, too."""
+    scene = unmeasured(tmp_path_factory.mktemp("unlike"), distance=1.8)
     gains = np.where([view is scene.train[-1] for view in scene.train], 2.0, 1.0)
     for view, gain in zip(scene.train, gains / np.exp(np.log(gains).mean()), strict=True):
         write_exr(view.image, read_exr(view.image) * np.float32(gain), half=False)
-    scene = scene if emitters == "known" else declared(scene, 1.0)
+    return scene
+
+
+@pytest.mark.main
+@pytest.mark.parametrize("emitters", ["photographs", "fit", "known"])
+def test_photographs_of_unlike_exposures_show_the_lamp(box, unlike, monkeypatch, capsys, emitters):
+    box()
+    scene = declared(unlike, TRUTH) if emitters == "known" else unlike
     monkeypatch.setitem(builtin._BUILDERS, "small", lambda: scene)
     fit("--data.exposure=fit", f"--model.lighting.emitters={emitters}")
     said = capsys.readouterr().err
@@ -160,23 +153,28 @@ def test_a_run_that_found_its_lamps_goes_on_with_them(box, monkeypatch, capsys):
     main(["validate", "--ckpt_path=version_1"])
 
 
-@pytest.fixture
-def two_in_one(tmp_path, monkeypatch):
-    """Registers a room as the built-in scene 'small' whose two lamps, unlike each other, are one mesh of radiance 1."""
-    monkeypatch.chdir(tmp_path)
-    scene = lamp_room()
+@pytest.fixture(scope="module")
+def joined(tmp_path_factory):
+    """A photographed room whose two lamps, unlike each other, are one mesh of radiance 1."""
+    folder, scene = tmp_path_factory.mktemp("joined"), lamp_room()
     pictures = photographed_room(scene).pixels.view(len(scene.train), SIZE, SIZE, 3).numpy()
     views = []
     for view, picture in zip(scene.train, pictures, strict=True):
-        write_exr(f"{view.name}.exr", picture, half=False)
-        views.append(replace(view, image=f"{view.name}.exr"))
+        views.append(replace(view, image=str(folder / f"{view.name}.exr")))
+        write_exr(views[-1].image, picture, half=False)
     both = [mesh for mesh in scene.meshes if mesh.radiance is not None]
     parts = [replace(mesh, radiance=None) for mesh in scene.meshes if mesh.radiance is None]
     faces = np.concatenate((both[0].faces, both[1].faces + len(both[0].vertices)))
     vertices, uvs = (np.concatenate([getattr(mesh, name) for mesh in both]) for name in ("vertices", "uvs"))
     one = replace(both[0], name="lamps", faces=faces, vertices=vertices, uvs=uvs, radiance=np.ones(3, np.float32))
-    scene = replace(scene, name="small", meshes=[*parts, one], train=views, test=views[:1])
-    monkeypatch.setitem(builtin._BUILDERS, "small", lambda: scene)
+    return replace(scene, name="small", meshes=[*parts, one], train=views, test=views[:1])
+
+
+@pytest.fixture
+def two_in_one(tmp_path, monkeypatch, joined):
+    """Registers it as the built-in scene 'small'."""
+    monkeypatch.chdir(tmp_path)
+    monkeypatch.setitem(builtin._BUILDERS, "small", lambda: joined)
     config = {**SMALL_FIT, "model": {**SMALL_FIT["model"], **CHEAP}, "data": {"scene": "small", "patches": 64}}
     config["trainer"] = {**SMALL_FIT["trainer"], "max_steps": 66}
     Path("fit.yaml").write_text(yaml.safe_dump(config))

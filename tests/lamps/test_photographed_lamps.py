@@ -219,7 +219,7 @@ def test_a_small_lamp_is_looked_at_beside_a_large_one(monkeypatch):
     scene = lamp_room()
     world, cameras = build_world(scene), [view.camera for view in scene.train]
     whole = lamp_pixels(world, cameras, 1)
-    monkeypatch.setattr(lamps, "_MOST", 40)
+    monkeypatch.setattr(lamps, "_MAX_PIXELS", 40)
     some = lamp_pixels(world, cameras, 1)
     index = {mesh.name: i for i, mesh in enumerate(scene.meshes)}
     strip, ceiling = (index[name] for name in ("strip", "ceiling lamp"))

@@ -4,7 +4,8 @@ import pytest
 import torch
 
 from neurad.assembly.build import assemble
-from neurad.assembly.settings import ModelSettings, Optimization
+from neurad.assembly.model_settings import ModelSettings
+from neurad.assembly.settings import Optimization
 from neurad.core.errors import InputError
 from neurad.fields.settings import FieldConfig, GridConfig, RadianceConfig, RoughnessConfig
 from neurad.integrators.direct import Direct

@@ -31,7 +31,7 @@ def test_pictures_are_enlarged_by_whole_numbers_or_reduced(width):
 
 def test_nothing_is_blurred():
     picture = np.random.default_rng(0).integers(0, 256, (4, 64, 3), np.uint8)
-    shown = sheet(picture).shown(Tile("a", "", picture))
+    shown = sheet(picture).displayed(Tile("a", "", picture))
     np.testing.assert_array_equal(shown[::4, ::4], picture)
     np.testing.assert_array_equal(shown, enlarged(picture, 4))
     np.testing.assert_array_equal(reduced(enlarged(picture, 3), 3), picture)
@@ -43,7 +43,7 @@ def test_what_no_photograph_shows_is_hatched_in_every_tile_and_nowhere_else():
     one = sheet(unseen=unseen)
     mask = enlarged(unseen, one.zoom[0])
     for tile in one.tiles:
-        shown = one.shown(tile)
+        shown = one.displayed(tile)
         assert (shown[~mask] == 128).all()
         assert {0, 128, 255} == set(np.unique(shown[mask]))
     lines = hatched(np.full((40, 40, 3), 128, np.uint8), np.ones((40, 40), bool))

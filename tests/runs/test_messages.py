@@ -38,7 +38,7 @@ def test_there_may_be_no_settings():
         (("--attic=1",), "command line: attic is not a known setting"),
         (
             ("--config", "methods/ours.yaml", "--model.method.init_args.bounces=2"),
-            "command line: model.method.init_args.bounces is not a known setting",
+            "--model.method: neurad.integrators.radiometric.Radiometric has no setting bounces",
         ),
     ],
 )

@@ -101,7 +101,7 @@ def test_run_folder_and_closing_table(tiny, capsys):
 @pytest.mark.parametrize(("least", "expected"), [(1, range(2, 41, 2)), (15, (15, 30, 40)), (500, (40,))])
 def test_steps_alone_make_a_fixed_schedule(tiny, monkeypatch, least, expected):
     """Twenty evaluations, but of few steps no more than leave the fit most of the time."""
-    monkeypatch.setattr(evaluation, "LEAST_STEPS", least)
+    monkeypatch.setattr(evaluation, "MIN_STEPS", least)
     fit("--trainer.max_steps=40", "--evaluation.every_n_steps=null")
     assert [int(row["iteration"]) for row in metrics()] == list(expected)
 

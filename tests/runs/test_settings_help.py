@@ -1,7 +1,6 @@
 """``neurad fit --help``: every setting, with its words, at once."""
 
-import importlib
-import pkgutil
+import inspect
 import subprocess
 import sys
 import time
@@ -9,9 +8,12 @@ import time
 import pytest
 from helpers.tiny_fit import fails, write_tiny_config
 
+from datamodules.settings import DataSettings
 from neurad.cli import LIGHTNING_VERBS, main
 from neurad.runs import lightning
-from neurad.runs.settings_source import GROUPS, METHODS, REQUIRED, SOURCES, all_settings, methods
+from neurad.runs.settings_help import GROUPS, METHOD, all_settings, method_settings
+
+ALL = {"data": DataSettings, **GROUPS}
 
 
 @pytest.fixture(scope="module")
@@ -34,48 +36,42 @@ def parser(tmp_path_factory):
 
 @pytest.fixture(scope="module")
 def settings():
-    return {setting.key: setting for group in all_settings().values() for setting in group}
+    return {
+        setting.key: setting for group in all_settings({"data": DataSettings, **GROUPS}).values() for setting in group
+    }
 
 
 def of_parser(parser):
     """Keys of our settings that the parser reads, groups left out."""
-    keys = {dest for dest in parser if dest.partition(".")[0] in GROUPS and "." in dest and not dest.endswith(".help")}
+    keys = {dest for dest in parser if dest.partition(".")[0] in ALL and "." in dest and not dest.endswith(".help")}
     return {key for key in keys if not any(other.startswith(f"{key}.") for other in keys)}
 
 
 def test_every_setting_of_the_parser_is_there_with_words(parser, settings):
-    ours = {key for key in settings if not key.startswith("model.method.init_args")}
-    assert ours | {"model.method"} == of_parser(parser)
-    assert len(ours) > 80
+    assert settings.keys() == of_parser(parser)
+    assert len(settings) > 80
     assert [key for key, setting in settings.items() if len(setting.words) < 10] == []  # 100 % have words
 
 
 def test_defaults_are_those_of_the_parser(parser, settings):
     for key, setting in settings.items():
-        if key in parser and key != "model.method":
+        if key != METHOD:
             default = parser[key].default
             default = list(default) if isinstance(default, tuple) else default
-            assert setting.default is REQUIRED or setting.default == default, key
+            assert setting.default is inspect.Parameter.empty or setting.default == default, key
 
 
-def test_methods_are_those_that_there_are():
-    from neurad import integrators
-    from neurad.integrators.method import Method
-    from neurad.runs.render_subject import _methods
+def test_methods_are_those_that_are_shipped():
+    from neurad.runs.configs import shipped_methods
 
-    for module in pkgutil.iter_modules(integrators.__path__):
-        importlib.import_module(f"{integrators.__name__}.{module.name}")
-    shipped = {method["class_path"] for method in _methods().values()}
-    assert shipped <= methods().keys()
-    known = {f"{sub.__module__}.{sub.__name__}" for sub in _subclasses(Method)}
-    assert {name for name in known if name.startswith("neurad.integrators")} == methods().keys()
-    assert (SOURCES / METHODS).is_dir()
-
-
-def _subclasses(owner):
-    for sub in owner.__subclasses__():
-        yield sub
-        yield from _subclasses(sub)
+    found = method_settings()
+    named = {path for heading in found for path in heading.removeprefix(f"{METHOD}.class_path ").split(" or ")}
+    assert named == {method["class_path"] for method in shipped_methods().values()}
+    for heading, settings in found.items():
+        assert all(len(setting.words) > 10 for setting in settings), heading
+    (of_prb,) = (settings for heading, settings in found.items() if "PRB" in heading)
+    (depth,) = (setting for setting in of_prb if setting.key == f"{METHOD}.init_args.max_depth")
+    assert (depth.default, depth.kind) == (16, "whole number, at least 1 or null")
 
 
 @pytest.mark.main
@@ -106,6 +102,10 @@ def test_help_of_some_settings(capfd):
     assert "--model.sampling.guide 16" in out
     assert "at least 0 and at most 32" in out
     assert "--model.sampling.spp" not in out
+    main(["fit", "--help", "method"])
+    assert f"--{METHOD}.init_args.first_prob 0.5    (number, above 0 and at most 1)" in capfd.readouterr().out
+    main(["fit", "--help", "first_prob"])
+    assert f"--{METHOD}.init_args.first_prob" in capfd.readouterr().out
     assert "did you mean spp" in fails(capfd, "fit", "--help", "sppp")
 
 

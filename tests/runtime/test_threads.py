@@ -22,7 +22,7 @@ def test_each_keeps_the_order_whatever_takes_longest(count):
         time.sleep(0.02 if item % 3 == 0 else 0.0)
         return item * item
 
-    assert list(threads.each(work, range(20))) == [item * item for item in range(20)]
+    assert list(threads.parallel_map(work, range(20))) == [item * item for item in range(20)]
     assert torch.get_num_threads() == count
 
 
@@ -34,7 +34,7 @@ def test_each_uses_as_many_threads_as_torch_may_and_one_for_an_item(count):
         seen.append((torch.get_num_threads(), torch.is_grad_enabled()))
 
     with torch.enable_grad():
-        list(threads.each(work, range(2 * count)))
+        list(threads.parallel_map(work, range(2 * count)))
     assert seen == [(1, False)] * (2 * count)
 
 
@@ -46,7 +46,7 @@ def test_each_draws_no_more_than_it_works_on(count):
             drawn.append(k)
             yield k
 
-    results = threads.each(lambda item: item, items())
+    results = threads.parallel_map(lambda item: item, items())
     assert next(results) == 0
     assert len(drawn) <= count + 1
     results.close()
@@ -59,6 +59,6 @@ def test_what_goes_wrong_in_a_thread_is_said_and_leaves_no_thread_behind(count):
         return item
 
     with pytest.raises(ValueError, match="item 3"):
-        list(threads.each(work, range(10)))
+        list(threads.parallel_map(work, range(10)))
     assert torch.get_num_threads() == count
     assert not [thread for thread in threading.enumerate() if thread.name.startswith("neurad-each")]

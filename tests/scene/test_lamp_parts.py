@@ -89,7 +89,7 @@ def test_names_that_are_taken_stay_with_whom_they_belong_to():
 
 
 def test_more_parts_than_photographs_tell_from_each_other_are_refused(monkeypatch):
-    monkeypatch.setattr(lamp_parts, "MOST", 3)
+    monkeypatch.setattr(lamp_parts, "MAX_PARTS", 3)
     scene = lamp_room()
     with pytest.raises(InputError, match=r"room: model.lighting.split_lamps is true, but mesh bulbs has 4 parts"):
         lamps_in_parts(replace(scene, meshes=[*scene.meshes, chandelier()]))

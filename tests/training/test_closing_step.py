@@ -16,7 +16,7 @@ from neurad.evidence.roughness_evidence import Evidence
 from neurad.fields.material import CORRECTION_CELLS, Correction
 from neurad.fields.settings import RoughnessConfig
 from neurad.training import closing_step
-from neurad.training.closing_step import Agreement, agreement, is_due, make_closing_step, progress_before
+from neurad.training.closing_step import Agreement, agreement, make_closing_step, progress_before, should_close
 from neurad.training.schedule import Progress
 
 ROUGHNESS, STEPS = 0.3, 150
@@ -123,13 +123,13 @@ def test_the_pass_fits_into_what_is_left_of_the_time(room, seconds):
 
 def test_when_it_is_due():
     correction = Correction()
-    assert not is_due(None, 0.9)
-    assert not is_due(correction, 0.99)
-    assert is_due(correction, 1.0)
+    assert not should_close(None, 0.9)
+    assert not should_close(correction, 0.99)
+    assert should_close(correction, 1.0)
     correction.add(None)
-    assert not is_due(correction, 1.0)  # made, whatever it found
-    assert not is_due(correction, 0.4)  # a fit that goes on for longer ...
-    assert is_due(correction, 1.0)  # ... makes another one
+    assert not should_close(correction, 1.0)  # made, whatever it found
+    assert not should_close(correction, 0.4)  # a fit that goes on for longer ...
+    assert should_close(correction, 1.0)  # ... makes another one
 
 
 def test_time_and_steps_lead_to_it():

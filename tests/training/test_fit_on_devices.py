@@ -5,10 +5,15 @@ from contextlib import contextmanager
 import pytest
 import torch
 from helpers.devices import on_devices
-from helpers.tiny_fit import checkpoint, fit, metrics, run_folder, write_tiny_config
+from helpers.tiny_fit import checkpoint, few_views, fit, metrics, run_folder, write_tiny_config
 from lightning.pytorch.strategies import SingleDeviceStrategy
 
 from neurad.cli import main
+
+
+@pytest.fixture(autouse=True)
+def _few_views(monkeypatch):
+    few_views(monkeypatch, "patterns")
 
 
 def words(device, tracer):

@@ -18,7 +18,9 @@ from neurad.training.gradient_sync import Exchange, GradientSync
 HERE = Path(__file__).resolve().parents[1]
 
 
-@pytest.mark.parametrize("kind", ["hash", pytest.param("dense", marks=pytest.mark.slow), "glossy"])
+@pytest.mark.parametrize(
+    "kind", [*(pytest.param(kind, marks=pytest.mark.slow) for kind in ("hash", "dense")), "glossy"]
+)
 def test_two_processes_learn_what_one_learns_from_both_batches(tmp_path, kind):
     environment = {**os.environ, "OMP_NUM_THREADS": "1", "CUDA_VISIBLE_DEVICES": ""}
     command = [sys.executable, str(HERE / "helpers" / "ddp_run.py"), str(tmp_path), kind]
@@ -33,7 +35,7 @@ def test_two_processes_learn_what_one_learns_from_both_batches(tmp_path, kind):
 
     start, _ = fit_nothing(kind)
     joined, _ = fit(1, kind=kind, joined=True)
-    alone, _ = fit(1, kind=kind) if kind == "hash" else (None, None)
+    alone, _ = fit(1, kind=kind) if kind != "dense" else (None, None)
     for name, value in joined.state_dict().items():
         if name.startswith("world.guide.") and name != "world.guide.cdf":
             assert value.sum() > 0
@@ -46,7 +48,7 @@ def test_two_processes_learn_what_one_learns_from_both_batches(tmp_path, kind):
                 assert (alone.state_dict()[name] - value).norm() > 0.2 * moved, name  # half the batch does differ
 
 
-@pytest.mark.parametrize("interrupted", ["the first", "the second"])
+@pytest.mark.parametrize("interrupted", [pytest.param("the first", marks=pytest.mark.slow), "the second"])
 def test_ctrl_c_stops_two_processes_after_the_same_iteration(tmp_path, interrupted):
     """One of them gets the signal; the other must not wait for it for ever, and the first writes a whole checkpoint."""
     environment = {**os.environ, "OMP_NUM_THREADS": "1", "CUDA_VISIBLE_DEVICES": ""}

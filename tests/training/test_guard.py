@@ -68,7 +68,7 @@ def test_a_nan_weight_stops_the_run_and_is_repeated_from_its_folder(tmp_path, ca
     folder = write_scene(tmp_path / "scene")
 
     def spoil(module):
-        module.radiance.mlp.layers[0].weight[1, 2] = math.nan
+        module.assembly.radiance.mlp.layers[0].weight[1, 2] = math.nan
 
     with monkeypatch.context() as patch:
         plant(patch, 3, spoil)
@@ -111,7 +111,7 @@ def test_a_bad_gradient_is_named(tmp_path, capfd, monkeypatch):
     folder = write_scene(tmp_path / "scene")
 
     def spoil(module):
-        module.materials.fields["albedo"].mlp.layers[-1].bias.register_hook(lambda g: g * math.inf)
+        module.assembly.materials.fields["albedo"].mlp.layers[-1].bias.register_hook(lambda g: g * math.inf)
 
     plant(monkeypatch, 1, spoil)
     error = stops(capfd, folder)

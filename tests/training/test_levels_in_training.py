@@ -8,11 +8,11 @@ import torch
 from neurad.core.records import PixelBatch
 from neurad.evidence.validation import LevelFit
 from neurad.training import validation
-from neurad.training.validation import EVERY, is_due, shrink_levels, update_levels
+from neurad.training.validation import EVERY, should_filter, shrink_levels, update_levels
 
 
 def test_when_levels_are_shrunk():
-    assert [i for i in range(3 * EVERY + 1) if is_due(i)] == [EVERY, 2 * EVERY, 3 * EVERY]
+    assert [i for i in range(3 * EVERY + 1) if should_filter(i)] == [EVERY, 2 * EVERY, 3 * EVERY]
 
 
 class Shrunk:

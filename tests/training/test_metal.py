@@ -12,7 +12,7 @@ from neurad.core.parameters import METALLIC
 from neurad.core.records import DIELECTRIC, METAL, Constant, constant
 from neurad.export.baking import bake_room
 from neurad.export.images import coded
-from neurad.export.progress import Bar
+from neurad.export.progress import StageProgress
 from neurad.images.image_io import read_bitmap
 from neurad.integrators.aov import MaterialMap
 from neurad.integrators.film import render
@@ -78,7 +78,7 @@ def test_maps_of_a_room_with_metal_have_it(kept_and_lost):
 def test_an_export_has_the_metal(kept_and_lost, tmp_path):
     pytest.importorskip("xatlas")
     fit = kept_and_lost[0][0]
-    room = bake_room(fit.training.assembly, 1 << 14, 32, None, Bar())
+    room = bake_room(fit.training.assembly, 1 << 14, 32, None, StageProgress())
     for index, mesh in enumerate(room.scene.meshes):
         of_metal = fit.scene.meshes[index].material % 2 == 1
         assert (float(room.scene.materials[mesh.material].metallic.value[0]) > 0.5) == of_metal

@@ -5,7 +5,7 @@ import torch
 
 from benchmarks.stress.fit import Fit, Plan, photographs, small_settings
 from benchmarks.stress.scenes import small_cube, with_material
-from neurad.assembly.settings import ModelSettings
+from neurad.assembly.model_settings import ModelSettings
 from neurad.core.parameters import ROUGHNESS
 from neurad.core.records import Surface
 from neurad.core.reflection import PrincipledModel

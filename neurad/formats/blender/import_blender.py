@@ -17,7 +17,8 @@ from neurad.formats.blender.lamp_masks import mask_of
 from neurad.formats.blender.process import find_blender
 from neurad.formats.blender.read import ROOM, TOWARDS_X, BlenderRoom, read_blender, read_world
 from neurad.formats.blender.script import write_room_path
-from neurad.formats.cameras.nerf import HOLD_OUT, Split
+from neurad.formats.cameras import HOLD_OUT
+from neurad.formats.cameras.nerf import Split
 from neurad.formats.cameras.photograph_files import Photographs
 from neurad.formats.import_room import (
     ImportSettings,
@@ -29,19 +30,18 @@ from neurad.formats.import_room import (
 )
 from neurad.formats.load import CAMERAS
 from neurad.formats.mitsuba.write import FOLDERS, describe, write_xml
-from neurad.formats.room_folder import Room, file_name, write_views
+from neurad.formats.room_folder import RoomParts, file_name, write_views
 from neurad.images.image_io import write_png
 from neurad.images.photographs import check_view, picture_size
 from neurad.images.picture_notes import say_pictures
 from neurad.runtime.extras import need
 from neurad.runtime.files import writing
 from neurad.runtime.progress import counted
-from neurad.runtime.reading import exists, folder, regular_file, shown
+from neurad.runtime.reading import exists, folder, listed, regular_file, shown
 from neurad.scene.origin import near, origin_of
 
 _BEGINS = (b"BLENDER", b"\x28\xb5\x2f\xfd", b"\x1f\x8b")
-"""Of a .blend file: as it is, compressed by Zstandard, and as older versions compressed it."""
-_LISTED = 12
+"""First bytes of a .blend file: as it is, compressed by Zstandard, and as older versions compressed it."""
 
 
 def import_blender(settings: ImportSettings) -> None:
@@ -151,9 +151,8 @@ def _photographed(room: BlenderRoom, images: Path) -> Split:
             f"--images {shown(images)}: it has no photograph of any camera, such as {shown(without[0].names[-1])}.exr; "
             "each has the name of its camera, or the number of its frame"
         )
-    names = ", ".join(shown(camera.names[0]) for camera in without[:_LISTED])
-    more = " ..." if len(without) > _LISTED else ""
-    said = f"{len(without)} cameras have no photograph and are left out ({names}{more})"
+    names = listed(camera.names[0] for camera in without)
+    said = f"{len(without)} cameras have no photograph and are left out ({names})"
     return Split(views, [], (said,) if without else ())
 
 
@@ -162,7 +161,7 @@ def _write_cameras(room: BlenderRoom, views: Split, part: Path, copy: bool) -> N
     if not views.train:
         taken: set[str] = set()
         named = [View(file_name(camera.names[0], taken), camera.seen(*camera.film)) for camera in room.cameras]
-        write_views(Room(Split(named, []), [], np.eye(4), {}, None, copy), part, CAMERAS)
+        write_views(RoomParts(Split(named, []), [], np.eye(4), {}, None, copy), part, CAMERAS)
         return
     train = []
     for view in views.train:
@@ -173,7 +172,7 @@ def _write_cameras(room: BlenderRoom, views: Split, part: Path, copy: bool) -> N
             write_png(path, mask)
             view = replace(view, mask=str(path))
         train.append(view)
-    write_views(Room(replace(views, train=train), [], np.eye(4), {}, None, copy), part)
+    write_views(RoomParts(replace(views, train=train), [], np.eye(4), {}, None, copy), part)
 
 
 def _say(out: Path, room: BlenderRoom, views: Split) -> None:
@@ -187,13 +186,13 @@ def _say(out: Path, room: BlenderRoom, views: Split) -> None:
     shining = [mesh.name for mesh in scene.meshes if mesh.radiance is not None]
     shining += [f"{light.name} ({light.kind})" for light in scene.punctual]
     shining += ["the world"] if scene.features.has_environment else []
-    print(f"lamps: {', '.join(shown(name) for name in shining[:_LISTED])}{' ...' if len(shining) > _LISTED else ''}")
+    print(f"lamps: {listed(shining)}")
     if not views.train:
         print("no --images were given: it can be rendered, and fitted when it has photographs")
         print(f"neurad render --root {shown(out)} --out pictures")
         return
     if room.unseen:
-        names = ", ".join(shown(mesh.name) for mesh in room.unseen[:_LISTED])
+        names = listed(mesh.name for mesh in room.unseen)
         print(f"cameras do not see the lamps {names}: where they stand, photographs are masked")
     print(f"{len(views.train)} photographs; a fit holds out every {HOLD_OUT}th by name (--data.hold_out)")
     print(f"neurad fit --config scene.yaml --data.root {shown(out)}")

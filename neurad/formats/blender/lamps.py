@@ -11,17 +11,15 @@ from collections.abc import Mapping
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from neurad.core.errors import InputError
-from neurad.core.records import FloatArray, IntArray, Mesh, PunctualLight
+from neurad.core.records import Float64Array, FloatArray, IntArray, Mesh, PunctualLight
 from neurad.formats.gltf.lamps import areas
 from neurad.formats.gltf.read import in_world
 from neurad.runtime.numbers import LENGTH, RADIANCE, matrix, number, within
 from neurad.runtime.reading import shown
 from neurad.scene.punctual import check_punctual
 
-Array = npt.NDArray[np.float64]
 _CORNERS = 64  # of a disk
 _SPREAD = math.pi - 1e-3  # from which on an area shines as a surface does
 _SHARP = math.radians(2.0)  # angle of a sun up to which its shadows count as sharp
@@ -113,7 +111,9 @@ def _check(described: Mapping[str, Any], kind: object, where: str) -> None:
         raise InputError(f"{where} casts no shadow, which is not supported")
 
 
-def _area(described: Mapping[str, Any], name: str, watts: FloatArray, pose: Array, material: int, where: str) -> Mesh:
+def _area(
+    described: Mapping[str, Any], name: str, watts: FloatArray, pose: Float64Array, material: int, where: str
+) -> Mesh:
     """A rectangle or ellipse that shines along its -Z."""
     shape, size = described.get("shape"), _number(described, "size", where)
     other = _number(described, "size_y", where) if shape in ("RECTANGLE", "ELLIPSE") else size
@@ -146,7 +146,7 @@ def _shining(mesh: Mesh, watts: FloatArray, where: str) -> Mesh:
     return Mesh(mesh.name, mesh.vertices, mesh.faces, mesh.material, radiance=radiance.astype(np.float32))
 
 
-def _ball() -> tuple[Array, IntArray]:
+def _ball() -> tuple[Float64Array, IntArray]:
     """A ball of radius 1: corners [v, 3] and triangles that look outwards [f, 3]."""
     import trimesh
 

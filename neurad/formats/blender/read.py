@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 
 from neurad.core.errors import InputError
-from neurad.core.names import apart
+from neurad.core.names import make_unique
 from neurad.core.records import Constant, EnvironmentMap, FloatArray, IntArray, Material, Mesh, PunctualLight
 from neurad.core.reflection import DiffuseModel, PrincipledModel
 from neurad.formats.blender.cameras import BlenderCamera, camera_of
@@ -21,7 +21,7 @@ from neurad.formats.gltf.read import in_world
 from neurad.images.image_io import read_exr
 from neurad.runtime.memory import reserve
 from neurad.runtime.numbers import LENGTH, RADIANCE, TEXEL, matrix, number, within
-from neurad.runtime.reading import native, read_json, regular_file, shown
+from neurad.runtime.reading import listed, native, read_json, regular_file, shown
 from neurad.scene.description import Scene
 
 ROOM = "blender.json"
@@ -29,12 +29,12 @@ ROOM = "blender.json"
 FORMAT = 1
 _UNLIMITED, _RR_DEPTH = 2**31 - 1, 5
 _SIDE = 65536  # pixels of a film, at most
-_FEW = 8  # bounces below which a closed room gets visibly darker
-_LISTED = 12
+_MIN_BOUNCES = 8  # bounces below which a closed room gets visibly darker
 _TOWARDS_Y = np.array([[-1, 0, 0, 0], [0, 0, 1, 0], [0, 1, 0, 0], [0, 0, 0, 1]], np.float32)
 """From the frame of an environment map to Blender's, for a picture of all directions with +Y in its middle."""
 TOWARDS_X = np.array([[0, 0, 1, 0], [1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 0, 1]], np.float32)
-"""The same with +X in its middle, as Blender's own Environment Texture has it."""
+"""From the frame of an environment map to Blender's, for a picture with +X in its middle, as Blender's own Environment
+Texture has it."""
 
 
 @dataclass(frozen=True)
@@ -109,7 +109,7 @@ class _Reader:
         self.black: list[int] = []
         """Materials of what reflects nothing."""
         self.names: set[str] = set()
-        """Of meshes and lamps."""
+        """Names that meshes and lamps have by now."""
         self._arrays: dict[str, dict[str, Any]] = {}
         self._welded: dict[Any, tuple[FloatArray, FloatArray | None, FloatArray | None, IntArray]] = {}
 
@@ -155,7 +155,7 @@ class _Reader:
             vertices, normals, uvs, faces = self._weld(thing, int(slot), painted.uv, where)
             vertices, normals, faces = in_world(pose, vertices, normals, faces)
             within(vertices, f"{where}: its coordinates", -LENGTH, LENGTH)
-            made = apart(name if len(used) == 1 else f"{name} {painted.material.name}", self.names)
+            made = make_unique(name if len(used) == 1 else f"{name} {painted.material.name}", self.names)
             radiance = None if painted.emission is None else painted.emission.radiance
             mesh = Mesh(made, vertices, faces, index, normals, uvs, radiance=radiance)
             yield from [mesh] if painted.emission is None else self._shining(mesh, painted, where)
@@ -251,11 +251,11 @@ class _Reader:
             where = f"{self.where}: lamp {shown(described['name'])}"
             lamp = lamp_of(described, len(self.materials), where, self.notes)
             if isinstance(lamp, Mesh):
-                lamp = replace(lamp, name=apart(lamp.name, self.names))
+                lamp = replace(lamp, name=make_unique(lamp.name, self.names))
                 meshes.append(lamp)
                 unseen += [lamp] if "camera" in described["unseen_by"] else []
             elif lamp is not None:
-                punctual.append(replace(lamp, name=apart(lamp.name, self.names)))
+                punctual.append(replace(lamp, name=make_unique(lamp.name, self.names)))
         if meshes:
             self.black.append(len(self.materials))
             black, rough = Constant(np.zeros(3, np.float32)), Constant(np.ones(1, np.float32))
@@ -295,14 +295,16 @@ class _Reader:
             about = f"{self.where}: camera {shown(name)}"
             found.append(camera_of(described, (width, height), (aspect[0], aspect[1]), about))
         if other:
-            listed = ", ".join(f"{shown(name)} ({shown(kind)})" for name, kind in list(other.items())[:_LISTED])
-            self.notes.append(f"{self.where}: cameras that are not perspective are left out: {listed}")
+            names = listed(f"{name} ({kind})" for name, kind in other.items())
+            self.notes.append(f"{self.where}: cameras that are not perspective are left out: {names}")
         return found
 
     def _say(self) -> None:
         """What is not as in Blender, a sentence each."""
         for kind, names in self.described["left_out"].items():
-            self.notes.append(f"{self.where}: {_listed(names)}: {kind} cannot be rendered, and is left out")
+            self.notes.append(
+                f"{self.where}: {listed(dict.fromkeys(names))}: {kind} cannot be rendered, and is left out"
+            )
         for name, all_said in self.reader.anew.items():
             said = ", ".join(all_said)
             self.notes.append(
@@ -310,16 +312,10 @@ class _Reader:
             )
         self.notes += [f"{self.where}: {shown(said)}" for said in self.described["notes"]]
         cycles = self.described["cycles"]
-        if min(cycles.get("diffuse_bounces", _FEW), cycles.get("max_bounces", _FEW)) < _FEW:
+        if min(cycles.get("diffuse_bounces", _MIN_BOUNCES), cycles.get("max_bounces", _MIN_BOUNCES)) < _MIN_BOUNCES:
             self.notes.append(
                 f"{self.where}: Cycles ends its paths after {cycles['diffuse_bounces']} diffuse bounces, so that its "
                 "pictures are too dark for their lamps: render photographs with 16 or more (Light Paths)"
             )
         if cycles.get("sample_clamp_indirect", 0) > 0 or cycles.get("sample_clamp_direct", 0) > 0:
             self.notes.append(f"{self.where}: Cycles clamps light, so that highlights are too dark; set Clamping to 0")
-
-
-def _listed(names: list[str]) -> str:
-    """Names, each once, the first of many."""
-    found = list(dict.fromkeys(map(str, names)))
-    return ", ".join(shown(name) for name in found[:_LISTED]) + (" ..." if len(found) > _LISTED else "")

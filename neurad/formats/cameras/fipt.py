@@ -5,11 +5,10 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 
 from neurad.core.errors import InputError, Refusals
 from neurad.core.parameters import ALBEDO, ROUGHNESS
-from neurad.core.records import FloatArray, View
+from neurad.core.records import Float64Array, FloatArray, View
 from neurad.formats.cameras.intrinsics import camera_of, make_camera, rigid
 from neurad.formats.cameras.nerf import Split
 from neurad.formats.cameras.photograph_files import any_case, listed_file
@@ -23,8 +22,6 @@ _MAPS = {ALBEDO: "DiffCol", ROUGHNESS: "Roughness"}
 _LOOKS = np.diag([-1.0, 1.0, -1.0, 1.0])
 """Rendered rooms: the camera looks along +Z with +X to the left, under the keys of NeRF."""
 _STRAIGHT = 2e-2  # largest cosine between the directions that should be perpendicular
-
-Matrix = npt.NDArray[np.float64]
 
 
 def read_room(source: Path) -> Split:
@@ -93,7 +90,7 @@ def _photographed(source: Path) -> list[View]:
     return views
 
 
-def _looking(eye: Matrix, target: Matrix, up: Matrix, where: str) -> FloatArray:
+def _looking(eye: Float64Array, target: Float64Array, up: Float64Array, where: str) -> FloatArray:
     """Camera to world, OpenGL axes, of a camera that looks from a point at another."""
     forward, length = target - eye, float(np.linalg.norm(up))
     distance = float(np.linalg.norm(forward))
@@ -108,7 +105,7 @@ def _looking(eye: Matrix, target: Matrix, up: Matrix, where: str) -> FloatArray:
     return pose
 
 
-def _triples(path: Path) -> list[Matrix]:
+def _triples(path: Path) -> list[Float64Array]:
     """Matrices [3, 3] of a text file."""
     lines = [line.split() for line in read_text(path, "a photographed room of FIPT has this file").splitlines()]
     lines = [line for line in lines if line]

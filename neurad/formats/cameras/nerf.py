@@ -13,9 +13,10 @@ import numpy as np
 import numpy.typing as npt
 
 from neurad.core.errors import InputError, Refusals
-from neurad.core.names import apart
+from neurad.core.names import make_unique
 from neurad.core.parameters import BY_NAME
 from neurad.core.records import Camera, Development, FloatArray, View
+from neurad.formats.cameras import HOLD_OUT
 from neurad.formats.cameras.intrinsics import Kept, Size, camera_of, rigid
 from neurad.formats.cameras.photograph_files import expected_photograph, listed_file, listed_photograph
 from neurad.images.image_io import read_mask
@@ -24,8 +25,6 @@ from neurad.images.picture_headers import SIDE
 from neurad.runtime.numbers import LENGTH, matrix, number
 from neurad.runtime.reading import exists, read_json, regular_file, shown
 
-HOLD_OUT = 8
-"""Every so many-th photograph is held out where nothing says which."""
 FILM = 512, 512
 """Width and height of a picture whose size nothing says."""
 EXPOSURE = 1e-9, 1e9
@@ -110,7 +109,7 @@ def told_apart(views: Sequence[View]) -> list[View]:
     made = []
     for view in views:
         name = view.name if alike[view.name] == 1 else f"{Path(str(view.image)).parent.name}_{view.name}"
-        made.append(replace(view, name=apart(name, taken, "_")))
+        made.append(replace(view, name=make_unique(name, taken, "_")))
     return made
 
 

@@ -14,7 +14,7 @@ from neurad.runtime.numbers import number
 from neurad.runtime.reading import exists, read_json, shown
 
 FOLDERS = ("corrected_cameras", "cameras")
-"""Of ``keyframes``: cameras after Polycam's own adjustment, and before."""
+"""Folders below ``keyframes``: cameras after Polycam's own adjustment, and before."""
 
 
 def read_export(source: Path, photograph: Callable[[str, str], Path]) -> Split:

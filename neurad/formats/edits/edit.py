@@ -12,6 +12,7 @@ import numpy as np
 
 from neurad.core.colour import LUMINANCE
 from neurad.core.errors import InputError
+from neurad.core.names import make_unique
 from neurad.core.parameters import ALBEDO, PARAMETERS
 from neurad.core.records import Constant, EnvironmentMap, FloatArray, Material, Mesh, PunctualLight
 from neurad.core.reflection import PrincipledModel
@@ -20,7 +21,7 @@ from neurad.formats.edits.placement import Placement, placed, scene_up, turned_e
 from neurad.formats.meshes.objects import Part, read_object
 from neurad.images.image_io import read_exr
 from neurad.runtime.numbers import RADIANCE, within
-from neurad.runtime.reading import shown
+from neurad.runtime.reading import listed, shown
 from neurad.scene.description import Scene
 
 Color = tuple[float, float, float]
@@ -74,7 +75,7 @@ class ObjectEdit:
     """OBJ, GLB, PLY or STL."""
     placement: Placement
     name: str | None = None
-    """Of its meshes; None takes that of the file."""
+    """What its meshes are called; None takes the name of the file."""
     material: MaterialEdit = MaterialEdit()
     """Instead of what the file says, and where it says nothing albedo and roughness 0.5."""
     radiance: Color | None = None
@@ -301,7 +302,7 @@ class _Work:
         name = thing.name or Path(thing.file).stem
         taken = {mesh.name for mesh in self.meshes}
         for part, mesh in zip(parts, meshes, strict=True):
-            label = _free(name if len(parts) == 1 else f"{name} {part.mesh.name}", taken)
+            label = make_unique(name if len(parts) == 1 else f"{name} {part.mesh.name}", taken)
             radiance = None if thing.radiance is None else np.asarray(thing.radiance, np.float32)
             self.materials.append(_material(part, label))
             self.meshes.append(replace(mesh, name=label, material=len(self.materials) - 1, radiance=radiance))
@@ -326,7 +327,7 @@ class _Work:
             return found
         is_mesh = what == "lamp" and any(mesh.name == pattern for mesh in self.scene.meshes)
         near = None if is_mesh else nearest(pattern, names)
-        hint = f"there are {_some(names)}" if near is None else f"did you mean {shown(near)}?"
+        hint = f"there are {listed(names) or 'none in this scene'}" if near is None else f"did you mean {shown(near)}?"
         wrong = f"mesh {shown(pattern)} is no lamp" if is_mesh else f"there is no {what} {shown(pattern)}"
         raise InputError(f"{self.source}: {'lamps' if what == 'lamp' else 'materials'}: {wrong}; {hint}")
 
@@ -334,24 +335,6 @@ class _Work:
 def _material(part: Part, name: str) -> Material:
     textures: dict[str, Any] = {**part.textures}
     return Material(name, PrincipledModel(), **textures)
-
-
-def _free(name: str, taken: set[str]) -> str:
-    """A name that no mesh has, which is taken then."""
-    made, count = name, 1
-    while made in taken:
-        count += 1
-        made = f"{name}-{count}"
-    taken.add(made)
-    return made
-
-
-def _some(names: Sequence[str], most: int = 8) -> str:
-    """A few of some names, for a sentence."""
-    if not names:
-        return "none in this scene"
-    more = f" and {len(names) - most} others" if len(names) > most else ""
-    return ", ".join(shown(name) for name in names[:most]) + more
 
 
 def _listed(values: FloatArray | Sequence[float]) -> str:

@@ -10,13 +10,11 @@ import numpy as np
 import numpy.typing as npt
 
 from neurad.core.errors import InputError
-from neurad.core.records import EnvironmentMap, Mesh
+from neurad.core.records import EnvironmentMap, Float64Array, Mesh
 from neurad.formats.room_folder import axis, held_up, turned
 from neurad.runtime.numbers import LENGTH, within
 from neurad.scene.description import Scene
 from neurad.scene.origin import in_scene
-
-Matrix = npt.NDArray[np.float64]
 
 
 @dataclass(frozen=True)
@@ -43,12 +41,12 @@ def scene_axis(scene: Scene) -> str:
         return "y"
 
 
-def scene_up(scene: Scene, up: str) -> Matrix:
+def scene_up(scene: Scene, up: str) -> Float64Array:
     """The rotation that takes an axis to the one that points up in a scene [4, 4]."""
     return turned(up, scene_axis(scene), 1.0)
 
 
-def turned_about(vector: npt.ArrayLike, degrees: float) -> Matrix:
+def turned_about(vector: npt.ArrayLike, degrees: float) -> Float64Array:
     """The rotation about a unit vector, counterclockwise for whom it points at [4, 4]."""
     x, y, z = np.asarray(vector, np.float64)
     cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])

@@ -54,7 +54,7 @@ _UNDO = "undo it with `gltf-transform copy IN.glb OUT.glb`, or import it into Bl
 _TYPES = {5120: "i1", 5121: "u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "<f4"}
 _WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4}
 _MAGIC, _JSON, _BIN = b"glTF", b"JSON", b"BIN\0"
-_MOST = 1 << 31  # values of an accessor
+_MAX_VALUES = 1 << 31  # values of an accessor
 _LISTED = 12
 
 
@@ -205,7 +205,7 @@ class GltfFile:
     def count(self, item: Json, key: str, default: int | None, where: str) -> int:
         """The whole number under a key, not below 0; None as default where it has to be there."""
         value = item.get(key, default)
-        if isinstance(value, bool) or not isinstance(value, int) or not 0 <= value < _MOST * 2:
+        if isinstance(value, bool) or not isinstance(value, int) or not 0 <= value < _MAX_VALUES * 2:
             raise self.error(f"{where}: {key} is {shown(repr(value))}, not a whole number from 0 on")
         return value
 
@@ -294,7 +294,7 @@ class GltfFile:
         if isinstance(component, bool) or not isinstance(component, int) or component not in _TYPES:
             raise self.error(f"{about} has the componentType {shown(repr(component))}, which is not known")
         count, width = self.count(item, "count", None, about), _WIDTHS[str(kind)]
-        if count == 0 or count > _MOST:
+        if count == 0 or count > _MAX_VALUES:
             raise self.error(f"{about} has the count {count}")
         dtype = np.dtype(_TYPES[component])
         if "bufferView" in item:

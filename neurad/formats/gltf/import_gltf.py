@@ -9,7 +9,8 @@ import numpy as np
 
 from neurad.core.errors import InputError
 from neurad.core.records import View
-from neurad.formats.cameras.nerf import HOLD_OUT, Split
+from neurad.formats.cameras import HOLD_OUT
+from neurad.formats.cameras.nerf import Split
 from neurad.formats.cameras.photograph_files import Photographs
 from neurad.formats.gltf.file import GltfFile
 from neurad.formats.gltf.gltf_scene import ENVIRONMENT
@@ -23,12 +24,12 @@ from neurad.formats.import_room import (
     refuse_meshes,
     whole,
 )
-from neurad.formats.room_folder import Room, write_views
+from neurad.formats.room_folder import RoomParts, write_views
 from neurad.images.photographs import check_view, picture_size
 from neurad.images.picture_notes import say_pictures
 from neurad.runtime.files import place, writing
 from neurad.runtime.progress import counted
-from neurad.runtime.reading import folder, regular_file, shown
+from neurad.runtime.reading import folder, listed, regular_file, shown
 from neurad.scene.description import Scene
 
 _SHAPE = 0.01  # difference of the proportions of a camera and its photograph that is refused
@@ -58,7 +59,7 @@ def import_gltf(settings: ImportSettings) -> None:
                 place(regular_file(source.parent / beside), part / beside, settings.copy)
             if environment is not None:
                 place(environment, part / ENVIRONMENT, settings.copy)
-            write_views(Room(views, [], np.eye(4), {}, None, settings.copy), part)
+            write_views(RoomParts(views, [], np.eye(4), {}, None, settings.copy), part)
         scene = None
         if views.train or room.cameras:
             scene = check_room(part)
@@ -97,8 +98,7 @@ def _photographed(room: GltfRoom, images: Path, source: Path) -> Split:
         raise InputError(
             f"--images {shown(images)}: it has no photograph of any camera, such as {shown(without[0])}.exr"
         )
-    names = ", ".join(shown(name) for name in without[:12])
-    said = f"{shown(source)}: {len(without)} cameras have no photograph and are left out ({names})"
+    said = f"{shown(source)}: {len(without)} cameras have no photograph and are left out ({listed(without)})"
     return Split(views, [], (said,) if without else ())
 
 
@@ -122,7 +122,7 @@ def _say(out: Path, room: GltfRoom, views: Split, scene: Scene | None, has_envir
     for note in (*room.notes, *views.notes):
         print(f"neurad: {note}", file=sys.stderr)
     if shining:
-        print(f"lamps: {', '.join(shown(name) for name in shining[:12])}{' ...' if len(shining) > 12 else ''}")
+        print(f"lamps: {listed(shining)}")
     elif not has_environment:
         print(
             "neurad: warning: nothing in the room shines, so it cannot be fitted yet: give materials an emission, or "

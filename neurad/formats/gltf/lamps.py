@@ -12,7 +12,7 @@ from typing import Any
 
 import numpy as np
 
-from neurad.core.names import apart
+from neurad.core.names import make_unique
 from neurad.core.records import FloatArray, Mesh
 from neurad.formats.gltf.file import Array
 from neurad.formats.gltf.textures import look_up
@@ -21,7 +21,7 @@ PIECES = 1 << 17
 """Triangles that an emitting picture is cut into, at most, on each mesh."""
 RADIANCES = 64
 """Different radiances that the triangles of a mesh have, at most."""
-_EVEN = 2.0**-9  # difference of radiances, of the largest one, that does not count: half a step of 8 bits
+_MAX_DIFFERENCE = 2.0**-9  # difference of radiances, of the largest one, that does not count: half a step of 8 bits
 _SAMPLES = 8  # along a side of a piece, at most
 _AT_ONCE = 1 << 18  # samples that are looked up at once
 _GAP = 1e-4  # distance of two sheets, of the mesh's diagonal
@@ -47,7 +47,7 @@ def lit_by(
     if len(lit) > 1:
         count = sum(len(part.faces) for part in lit)
         say(f"{where} shines by a picture: it is cut into {count} triangles of {len(lit)} radiances")
-    return [replace(part, name=part.name if i == 0 else apart(mesh.name, taken)) for i, part in enumerate(lit)]
+    return [replace(part, name=part.name if i == 0 else make_unique(mesh.name, taken)) for i, part in enumerate(lit)]
 
 
 def backs_of(mesh: Mesh, lit: Sequence[Mesh], taken: set[str]) -> list[Mesh]:
@@ -61,7 +61,7 @@ def backs_of(mesh: Mesh, lit: Sequence[Mesh], taken: set[str]) -> list[Mesh]:
     if all(part.radiance is None for part in lit) or is_closed(mesh):
         return []
     sheets = [back_of(part) for part in lit]
-    return [replace(sheet, name=apart(sheet.name, taken)) for sheet in sheets]
+    return [replace(sheet, name=make_unique(sheet.name, taken)) for sheet in sheets]
 
 
 def cut(mesh: Mesh, texels: float, look_up: Callable[[Array], Array], uvs: Array) -> list[Mesh]:
@@ -93,7 +93,7 @@ def cut(mesh: Mesh, texels: float, look_up: Callable[[Array], Array], uvs: Array
     most = float(shines.max())
     if most == 0.0:
         return [replace(mesh, radiance=None)]
-    even = np.ptp(shines, axis=1).max(-1) <= _EVEN * most
+    even = np.ptp(shines, axis=1).max(-1) <= _MAX_DIFFERENCE * most
     whole, halved = np.flatnonzero(even), np.flatnonzero(~even)
     face = np.concatenate((whole, np.repeat(halved, len(pieces))))
     bary = np.concatenate((np.broadcast_to(np.eye(3), (len(whole), 3, 3)), np.tile(pieces, (len(halved), 1, 1))))
@@ -125,7 +125,7 @@ def _pieces(parts: int) -> Array:
 
 
 def areas(mesh: Mesh) -> Array:
-    """Of its triangles [f]."""
+    """Areas of a mesh's triangles [f]."""
     p = mesh.vertices[mesh.faces].astype(np.float64)
     return np.asarray(0.5 * np.linalg.norm(np.cross(p[:, 1] - p[:, 0], p[:, 2] - p[:, 0]), axis=-1))
 
@@ -135,12 +135,12 @@ def _groups(radiance: Array, area: Array, most: float) -> Array:
 
     The group with the most light off its mean is cut in two, at the mean of the colour that differs most.
     """
-    group = np.where(radiance.max(-1) > 0.5 * _EVEN * most, 0, -1)
+    group = np.where(radiance.max(-1) > 0.5 * _MAX_DIFFERENCE * most, 0, -1)
     weight = area + 1e-9 * area.sum() + 1e-300
     count, errors = 1, {0: math.inf}
     while count < RADIANCES and (worst := max(errors, key=errors.__getitem__)) >= 0 and errors[worst] > 0.0:
         mine = np.flatnonzero(group == worst)
-        if len(mine) == 0 or np.ptp(radiance[mine], axis=0).max() <= _EVEN * most:
+        if len(mine) == 0 or np.ptp(radiance[mine], axis=0).max() <= _MAX_DIFFERENCE * most:
             errors[worst] = 0.0
             continue
         axis = int(np.ptp(radiance[mine], axis=0).argmax())

@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from neurad.core.errors import InputError, Refusals
-from neurad.core.names import apart
+from neurad.core.names import make_unique
 from neurad.core.records import FloatArray, IntArray, Material, Mesh, PunctualLight
 from neurad.formats.gltf.file import Array, GltfFile, Json
 from neurad.formats.gltf.lamps import backs_of, lit_by
@@ -241,7 +241,7 @@ class _Reader:
         for count, pose in enumerate(poses, 1):
             vertices, turned, wound = in_world(pose, places[used], normals, faces)
             within(vertices, f"{shown(self.file.path)}: the coordinates of {where}", -LENGTH, LENGTH)
-            made = apart(name if len(poses) == 1 else f"{name} {count}", self.names)
+            made = make_unique(name if len(poses) == 1 else f"{name} {count}", self.names)
             mesh = replace(plain, name=made, vertices=vertices, faces=wound, normals=turned)
             yield from [mesh] if emission is None else self._lamp(mesh, emission, corners, where)
 

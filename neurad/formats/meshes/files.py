@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from neurad.core.errors import InputError
-from neurad.core.names import apart
+from neurad.core.names import make_unique
 from neurad.core.records import EnvironmentMap, Material, Mesh, PunctualLight
 from neurad.formats.meshes.obj import read_obj
 from neurad.formats.meshes.ply_file import Lists, coordinates, corners_of, read_ply
@@ -144,7 +144,9 @@ def read_stl(path: Path) -> list[Mesh]:
             )
         found.append(_soup(name.strip().decode("utf-8", "replace"), np.array(corners).reshape(-1, 3, 3)))
     taken = set[str]()
-    return [replace(mesh, name=apart(mesh.name or path.stem, taken) if found[1:] else path.stem) for mesh in found]
+    return [
+        replace(mesh, name=make_unique(mesh.name or path.stem, taken) if found[1:] else path.stem) for mesh in found
+    ]
 
 
 def _soup(name: str, corners: Any) -> Mesh:

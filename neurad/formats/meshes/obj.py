@@ -8,19 +8,17 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import numpy.typing as npt
 
 from neurad.core.errors import InputError
-from neurad.core.names import apart
-from neurad.core.records import IntArray, Mesh
+from neurad.core.names import make_unique
+from neurad.core.records import Float64Array, IntArray, Mesh
 from neurad.formats.meshes.triangles import crossing_note, mesh_of
-from neurad.runtime.reading import TEXT_LIMIT, TEXT_MESH_LIMIT, beside, read_bytes, shown
+from neurad.runtime.reading import TEXT_LIMIT, TEXT_MESH_LIMIT, beside, listed, read_bytes, shown
 from neurad.scene.polygons import triangulate_polygons
 
-Array = npt.NDArray[np.float64]
 _CONTINUED = re.compile(rb"\\[ \t]*\r?\n")
 _CORNER = re.compile(rb"-?\d+(?:/(?:-?\d+)?){0,2}")
-_LEAST = {b"v": 3, b"vt": 1, b"vn": 3}
+_MIN_NUMBERS = {b"v": 3, b"vt": 1, b"vn": 3}
 """Numbers that a line of a vertex has at least."""
 _BLOCK = 1 << 18  # words that become numbers at once
 
@@ -45,7 +43,7 @@ class _Rows:
     width: int
     count: int = 0
     words: list[bytes] = field(default_factory=list)
-    parts: list[Array] = field(default_factory=list)
+    parts: list[Float64Array] = field(default_factory=list)
 
     def add(self, words: list[bytes]) -> None:
         """One more line; what is missing is 0."""
@@ -60,7 +58,7 @@ class _Rows:
         self.parts.append(np.array([float(word) for word in self.words]))
         self.words.clear()
 
-    def array(self) -> Array:
+    def array(self) -> Float64Array:
         """All lines [count, width]."""
         self.convert()
         return np.concatenate(self.parts).reshape(-1, self.width)
@@ -119,7 +117,7 @@ def read_obj(path: Path) -> ObjFile:
         if len(faces):
             paint = materials.get(material, {})
             chosen = corners[triangles[faces]]
-            found.meshes.append(_mesh(apart(name, taken), points, uvs, normals, chosen, _emitted(path, paint)))
+            found.meshes.append(_mesh(make_unique(name, taken), points, uvs, normals, chosen, _emitted(path, paint)))
             found.paints.append(paint)
     return found
 
@@ -147,7 +145,7 @@ def _go_through(lines: list[bytes], said: _Statements) -> None:
         words = line.split()
         key = words[0] if words else b""
         if key in rows:
-            if len(words) <= _LEAST[key]:
+            if len(words) <= _MIN_NUMBERS[key]:
                 raise ValueError
             rows[key].add(words[1:])
         elif key == b"f":
@@ -217,8 +215,8 @@ def _wrong(path: Path, lines: list[bytes]) -> str:
     """The sentence about the first line that is broken."""
     for number, line in enumerate(lines):
         words = line.split()
-        if words and words[0] in _LEAST:
-            least = _LEAST[words[0]]
+        if words and words[0] in _MIN_NUMBERS:
+            least = _MIN_NUMBERS[words[0]]
             good = len(words) > least and all(map(_is_number, words[1 : least + 1]))
         elif words and words[0] == b"f":
             words = line.partition(b"#")[0].split()
@@ -255,9 +253,7 @@ def _materials(path: Path, said: _Statements) -> tuple[dict[str, dict[str, Any]]
             read = True
     used = dict.fromkeys(material for _, material, *_ in said.runs if material)
     if read and (lost := [name for name in used if name not in found]):
-        notes.append(
-            f"{shown(path)}: its material files have no material {', '.join(shown(name) for name in lost[:12])}"
-        )
+        notes.append(f"{shown(path)}: its material files have no material {listed(lost)}")
     return found, notes
 
 
@@ -285,7 +281,14 @@ def _parts(stem: str, runs: list[tuple[int, str, str, str]], count: int) -> tupl
     return parts, np.repeat([place[part] for part in named], length)
 
 
-def _mesh(name: str, points: Array, uvs: Array, normals: Array, corners: IntArray, radiance: Array | None) -> Mesh:
+def _mesh(
+    name: str,
+    points: Float64Array,
+    uvs: Float64Array,
+    normals: Float64Array,
+    corners: IntArray,
+    radiance: Float64Array | None,
+) -> Mesh:
     """A mesh of triangles [f, 3 corners, 3 numbers]: a vertex for each corner that differs from others."""
     flat = corners.reshape(-1, 3)
     has = [bool(((flat[:, k] >= 0) & (flat[:, k] < len(x))).all()) for k, x in enumerate((points, uvs, normals))]
@@ -305,7 +308,7 @@ def _mesh(name: str, points: Array, uvs: Array, normals: Array, corners: IntArra
     )
 
 
-def _emitted(path: Path, paint: dict[str, Any]) -> Array | None:
+def _emitted(path: Path, paint: dict[str, Any]) -> Float64Array | None:
     """What a material emits (``Ke``)."""
     words = paint.get("ke")
     if words is None:

@@ -193,7 +193,7 @@ class _Body:
     order: str
 
     def width(self, kind: str) -> int:
-        """Of a number."""
+        """Bytes of a number; 1 in a text file."""
         return np.dtype(kind).itemsize if self.order else 1
 
     def numbers(self, at: int, stride: int, count: int, kind: str, number: int = 1) -> Array:

@@ -5,21 +5,18 @@ from __future__ import annotations
 from pathlib import Path
 
 import numpy as np
-import numpy.typing as npt
 
-from neurad.core.records import FloatArray, IntArray, Mesh
+from neurad.core.records import Float64Array, FloatArray, IntArray, Mesh
 from neurad.runtime.numbers import unit
 from neurad.runtime.reading import shown
-
-Array = npt.NDArray[np.float64]
 
 
 def mesh_of(
     name: str,
-    vertices: Array,
+    vertices: Float64Array,
     faces: IntArray,
-    normals: Array | None = None,
-    uvs: Array | None = None,
+    normals: Float64Array | None = None,
+    uvs: Float64Array | None = None,
     radiance: FloatArray | None = None,
 ) -> Mesh:
     """A mesh of the vertices that triangles use, in their order; positions stay float64, see ``scene.origin``.

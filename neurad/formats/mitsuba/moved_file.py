@@ -7,17 +7,17 @@ from pathlib import Path
 
 import numpy as np
 
-from neurad.core.records import Mesh
+from neurad.core.records import Float64Array, Mesh
 from neurad.formats.meshes.ply_file import Lists, coordinates, corners_of, read_ply
 from neurad.runtime.reading import TEXT_MESH_LIMIT, read_bytes
-from neurad.scene.origin import ZERO, Array, origin_of
+from neurad.scene.origin import ZERO, origin_of
 
 _VERTEX = re.compile(rb"^([ \t]*v[ \t]+)(\S+)[ \t]+(\S+)[ \t]+(\S+)", re.M)
 _NAMES = {"i1": "char", "u1": "uchar", "i2": "short", "u2": "ushort", "i4": "int", "u4": "uint", "f4": "float",
           "f8": "double"}  # fmt: skip
 
 
-def moved_file(path: Path, kind: str, target: Path) -> tuple[Path, Array]:
+def moved_file(path: Path, kind: str, target: Path) -> tuple[Path, Float64Array]:
     """The file itself if its coordinates lie near their origin, else ``target``, written with less large ones; and what
     was subtracted from them [3].
 
@@ -29,11 +29,11 @@ def moved_file(path: Path, kind: str, target: Path) -> tuple[Path, Array]:
     return _ply(path, target) if kind == "ply" else _obj(path, target)
 
 
-def _step(points: Array) -> Array:
+def _step(points: Float64Array) -> Float64Array:
     return origin_of([Mesh("file", points, np.zeros((0, 3), np.int64), 0)])  # type: ignore[arg-type]
 
 
-def _ply(path: Path, target: Path) -> tuple[Path, Array]:
+def _ply(path: Path, target: Path) -> tuple[Path, Float64Array]:
     """All numbers of the vertices stay, of the faces their corners."""
     ply = read_ply(path)
     points = coordinates(path, ply)
@@ -58,7 +58,7 @@ def _ply(path: Path, target: Path) -> tuple[Path, Array]:
     return target, step
 
 
-def _obj(path: Path, target: Path) -> tuple[Path, Array]:
+def _obj(path: Path, target: Path) -> tuple[Path, Float64Array]:
     text = read_bytes(path, TEXT_MESH_LIMIT)
     points = np.array([[float(x) for x in match.groups()[1:]] for match in _VERTEX.finditer(text)]).reshape(-1, 3)
     step = _step(points)

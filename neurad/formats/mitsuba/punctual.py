@@ -7,8 +7,8 @@ from typing import Any
 import numpy as np
 
 from neurad.core.errors import InputError
-from neurad.core.records import FloatArray, PunctualLight
-from neurad.scene.origin import ZERO, Array
+from neurad.core.records import Float64Array, FloatArray, PunctualLight
+from neurad.scene.origin import ZERO
 from neurad.scene.punctual import check_punctual
 
 PARAMETERS = {
@@ -21,7 +21,7 @@ _ROUND = 1e-4  # largest relative deviation of a spot's axes from orthogonal one
 
 
 def read_punctual(
-    props: Any, name: str, intensity: FloatArray, to_world: FloatArray, where: str, origin: Array = ZERO
+    props: Any, name: str, intensity: FloatArray, to_world: FloatArray, where: str, origin: Float64Array = ZERO
 ) -> PunctualLight:
     """A light from the properties of its element.
 
@@ -57,7 +57,7 @@ def read_punctual(
     return check_punctual(light, where)
 
 
-def _vector(value: Any, where: str, origin: Array = ZERO) -> FloatArray:
+def _vector(value: Any, where: str, origin: Float64Array = ZERO) -> FloatArray:
     """Three numbers [3]; those that float32 cannot hold are infinite."""
     with np.errstate(over="ignore"):
         made = np.array(value, np.float64).reshape(-1)

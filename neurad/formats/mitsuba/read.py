@@ -17,7 +17,7 @@ from typing import Any
 import numpy as np
 
 from neurad.core.errors import InputError, Refusals
-from neurad.core.records import Bitmap, EnvironmentMap, FloatArray, Mesh, PunctualLight
+from neurad.core.records import Bitmap, EnvironmentMap, Float64Array, FloatArray, Mesh, PunctualLight
 from neurad.formats.gltf.lamps import lit_by
 from neurad.formats.mitsuba.materials import MaterialReader
 from neurad.formats.mitsuba.mesh_check import check_mesh_file
@@ -29,7 +29,7 @@ from neurad.runtime.extras import missing
 from neurad.runtime.numbers import LENGTH, RADIANCE, TEXEL, UNIT, number, within
 from neurad.runtime.reading import native, shown
 from neurad.scene.description import Scene
-from neurad.scene.origin import ZERO, Array
+from neurad.scene.origin import ZERO
 from neurad.scene.polygons import check_triangle_count
 
 _MESHES = ("ply", "obj", "serialized", "rectangle", "cube", *CURVED)
@@ -40,7 +40,7 @@ _RIGID = 1e-4  # largest deviation of an environment's axes from orthonormal one
 _IGNORED = ("Sensor", "Integrator", "BSDF", "Texture", "Film", "Sampler", "ReconstructionFilter")
 
 
-def read_xml(path: str | Path, origin: Array = ZERO) -> Scene:
+def read_xml(path: str | Path, origin: Float64Array = ZERO) -> Scene:
     """Geometry, materials, lights and depths of a Mitsuba scene file; cameras are not read.
 
     Vertices are in world space, and the winding of emitters is such that they shine to the side they do in Mitsuba.
@@ -92,7 +92,7 @@ class _Reader:
     path: Path
     folders: list[Path]
     """Where files are looked for."""
-    origin: Array
+    origin: Float64Array
     folder: Path
     """For mesh files that are moved near the origin."""
     meshes: list[Mesh] = field(default_factory=list)

@@ -17,7 +17,7 @@ import numpy as np
 import numpy.typing as npt
 
 from neurad.core.errors import InputError
-from neurad.core.names import apart
+from neurad.core.names import make_unique
 from neurad.core.records import Bitmap, Constant, EnvironmentMap, Material, Mesh, PunctualLight, Texture
 from neurad.formats.meshes.ply import write_ply
 from neurad.images.image_io import write_exr
@@ -66,7 +66,7 @@ def file_names(names: Sequence[str], others: Iterable[str] = ()) -> list[str]:
     taken, made = {name.lower() for name in others}, []
     for name in names:
         stem = re.sub(r"[^A-Za-z0-9_-]+", "_", name).strip("_")[:50] or "mesh"
-        made.append(apart(stem, taken, "_", capitals=False))
+        made.append(make_unique(stem, taken, "_", capitals=False))
     return made
 
 

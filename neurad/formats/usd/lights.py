@@ -29,7 +29,7 @@ from neurad.scene.punctual import check_punctual
 SHAPES = {"RectLight": "rectangle", "DiskLight": "disk", "SphereLight": "sphere", "CylinderLight": "cylinder"}
 DOMES = ("DomeLight", "DomeLight_1")
 MAX_TRIANGLES = 1 << 15
-"""Of one light, at most."""
+"""Triangles of one light."""
 _SHARP = 2.0  # degrees of a distant light up to which its shadows count as sharp
 _Z_TO_Y = np.array([[1, 0, 0, 0], [0, 0, -1, 0], [0, 1, 0, 0], [0, 0, 0, 1]], np.float64)
 """Takes +Y to +Z."""

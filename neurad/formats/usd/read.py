@@ -11,7 +11,7 @@ from typing import Any
 import numpy as np
 
 from neurad.core.errors import InputError, Refusals
-from neurad.core.names import apart
+from neurad.core.names import make_unique
 from neurad.core.records import METAL, EnvironmentMap, Material, Mesh, PunctualLight, constant
 from neurad.core.reflection import PrincipledModel
 from neurad.formats.gltf.read import in_world
@@ -167,7 +167,7 @@ class _Reader:
         return own + sum(self._count(child, abstract) for child in children_of(prim, abstract))
 
     def _once(self, prototype: Any) -> int:
-        """The same of what is shown several times."""
+        """What :meth:`_count` finds below a prototype, which may be shown many times and is counted once."""
         key = str(prototype.GetPath())
         if key not in self._counted:
             self._counted[key] = self._count(prototype, abstract=True)
@@ -242,7 +242,7 @@ class _Reader:
             self.left_out[kind] += 1
 
     def _named(self, name: str, number: int | None) -> str:
-        return apart(name if number is None else f"{name} {number}", self.names)
+        return make_unique(name if number is None else f"{name} {number}", self.names)
 
     def _meshes(self, prim: Any, to_world: Array, number: int | None) -> Iterator[Mesh]:
         """The meshes of a prim, one for each of its materials."""
@@ -285,7 +285,7 @@ class _Reader:
 
 
 def _materials() -> tuple[Material, ...]:
-    """Of what is painted, of lights, and of metal."""
+    """Materials of painted surfaces, of lights, and of metal."""
     return (
         Material("paint", PrincipledModel(), constant(0.5, 3), constant(0.5)),
         Material("lamps", PrincipledModel(), constant(0.0, 3), constant(1.0)),

@@ -122,10 +122,11 @@ def _lamps(
     if scene.features.has_area_lights and views.sample is not None:
         shown = lamp_photographs(world, cameras, photographs, views.sample, SEED)
         lamps = photographed_lamps(scene, world, assembly.materials, cameras, shown, SEED)
-    lit = known and not any(lamp.beyond(WARN) for lamp in lamps)
-    causes = common_causes(world, cameras, photographs, SEED, views=edges, lit=lit, scale_known=any(map(agrees, lamps)))
-    if known:
-        causes = causes_of_mismatch(assembly, photographs, lamps, causes)
+    if known and any(lamp.beyond(WARN) for lamp in lamps):
+        causes = causes_of_mismatch(assembly, photographs, lamps, edges)
+    else:
+        scale = any(map(agrees, lamps))
+        causes = common_causes(world, cameras, photographs, SEED, views=edges, lit=known, scale_known=scale)
     for cause in causes:
         findings.add(Level.WRONG, "photograph", cause)
     if not known:

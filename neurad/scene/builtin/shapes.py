@@ -7,12 +7,10 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import numpy.typing as npt
 
-from neurad.core.records import Camera, FloatArray, IntArray, Mesh
+from neurad.core.records import Camera, Float64Array, FloatArray, IntArray, Mesh
 
 Point = tuple[float, float, float]
-Array = npt.NDArray[np.float64]
 
 SMOOTH = math.cos(math.radians(40.0))
 """Neighbouring bands of a solid of revolution have one normal where they meet at less than 40 degrees."""
@@ -22,13 +20,13 @@ SMOOTH = math.cos(math.radians(40.0))
 class Solid:
     """Triangles wound so that their normals point outwards."""
 
-    vertices: Array
+    vertices: Float64Array
     """[v, 3]."""
     faces: IntArray
     """[f, 3]."""
-    uvs: Array
+    uvs: Float64Array
     """Texture coordinates in metres [v, 2]."""
-    normals: Array
+    normals: Float64Array
     """Unit normals [v, 3]."""
 
     def mesh(
@@ -55,7 +53,7 @@ class Solid:
         )
 
 
-def _rounded(values: Array) -> FloatArray:
+def _rounded(values: Float64Array) -> FloatArray:
     """To six decimals; what is nearly zero has no sign then, which would be that of the error."""
     return (np.round(values, 6) + 0.0).astype(np.float32)
 
@@ -153,14 +151,14 @@ def _band(segments: int, lower: bool, upper: bool) -> IntArray:
     return np.concatenate(parts)
 
 
-def _end_normal(points: Array, normal: Array, band: int, other: int) -> Array:
+def _end_normal(points: Float64Array, normal: Float64Array, band: int, other: int) -> Float64Array:
     """Normal of a band at the end where it meets band ``other``: shared with it where the bend is slight."""
     radius = points[max(band, other), 0]
     own = np.asarray(normal[band])
     if radius == 0.0:
         return np.array([0.0, math.copysign(1.0, own[1])]) if abs(own[1]) > SMOOTH else own
     if 0 <= other < len(normal) and float(own @ normal[other]) > SMOOTH:
-        mean: Array = own + normal[other]
+        mean: Float64Array = own + normal[other]
         return np.asarray(mean / np.linalg.norm(mean))
     return own
 

@@ -14,6 +14,7 @@ def read_scene(root: Path) -> None:
         AssertionError: something was read that is no number.
     """
     from datamodules.scene_data import SceneData
+    from datamodules.settings import DataSettings
     from neurad.assembly.build import build_world
     from neurad.integrators.film import render
     from neurad.integrators.renderer import path_tracer
@@ -21,7 +22,7 @@ def read_scene(root: Path) -> None:
     from neurad.metrics.relight import relight_map
     from neurad.scene.textures import TrueMaterials
 
-    data = SceneData(root=str(root))
+    data = SceneData(DataSettings(root=str(root)))
     data.setup("fit")
     scene = data.scene
     for view in (*scene.train, *scene.test):

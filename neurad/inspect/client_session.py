@@ -14,17 +14,17 @@ from neurad.core.records import FloatArray
 from neurad.inspect.panel import Panel, chosen
 from neurad.inspect.pose import Pose, Stand
 from neurad.inspect.probe import probe
-from neurad.inspect.refine import Frame, Refiner, Request, Room
+from neurad.inspect.refine import Frame, Refiner, Request, ViewedRun
 
 MAX_ASPECT = 32.0
-"""Of a window's longer side to its shorter one; pictures of longer windows are stretched."""
+"""Largest ratio of a window's longer side to its shorter one; pictures of longer windows are stretched."""
 QUALITY, QUALITY_COARSE = 95, 80
-"""Of JPEG pictures."""
+"""Quality of JPEG pictures, of 100: of fine ones, and of coarse ones while something moves."""
 MARK = 0.006
 """Radius of the mark at the point that was read out, over its distance."""
 
 
-class Guest:
+class ClientSession:
     """One browser.
 
     Callbacks of the page only note what was asked; all pictures are made by :meth:`work`, on one thread.
@@ -42,7 +42,7 @@ class Guest:
     def __init__(
         self,
         client: viser.ClientHandle,
-        room: Room,
+        room: ViewedRun,
         title: str,
         exposure: float,
         stands: Mapping[str, Callable[[], Stand]],
@@ -65,7 +65,7 @@ class Guest:
         client.camera.on_update(lambda _: ask())
         client.scene.on_click()(self._clicked)
 
-    def renew(self, room: Room, title: str, warning: str) -> None:
+    def renew(self, room: ViewedRun, title: str, warning: str) -> None:
         """Look at another state of the run, and say what is wrong with it."""
         self._warning = warning
         if room is not self._refiner.room:

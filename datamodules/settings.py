@@ -1,0 +1,55 @@
+"""Settings of the photographs, as they stand in YAML. Their help imports neither torch nor Lightning."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from typing import Annotated, Literal
+
+from neurad.core.errors import InputError
+from neurad.core.ranges import Ceiling, Count, CountOrZero, Range, Seed, checked
+from neurad.formats.cameras import HOLD_OUT
+
+
+@dataclass(frozen=True)
+class DataSettings:
+    """Photographs, and the pixels that a step sees of them."""
+
+    root: str | None = None
+    """A scene folder: ``scene.xml``, ``transforms_train.json``, photographs."""
+    scene: str | None = None
+    """Name of a built-in scene instead, such as ``kitchen``."""
+    patches: Annotated[int, Range(1, 1 << 24)] = 256
+    """Patches in a batch, of all views in turn."""
+    patch_size: Annotated[int, Range(1, 1 << 14)] = 1
+    """Side of a patch in pixels; 1 draws single pixels."""
+    seed: Seed = 0
+    """Of the draws of pixels."""
+    resident: Count | None = None
+    """Training photographs in memory at once; the others are read from disk as their turn comes. None keeps all in
+    memory."""
+    replace_every: Count = 16
+    """Iterations after which one of them is replaced, if not all are in memory."""
+    hold_out: CountOrZero = HOLD_OUT
+    """Every so many-th photograph is held out where the camera file does not say which; 0 for none."""
+    validation_pixels: Annotated[float, Range(0.0, 0.5)] = 0.0
+    """Fraction of the training pixels that are never drawn, 16384 of them at most: their loss says how much of each
+    level of the fields is noise of the photographs. Patches draw all."""
+    response: str | None = None
+    """Curve of photographs of codes (PNG, JPEG, TIFF): ``linear``, ``srgb``, ``gamma=G``, ``fit``, or a file of codes
+    and linear values; None takes sRGB's and says so. EXR and Radiance pictures are linear."""
+    ceiling: Ceiling | None = None
+    """Value from which on photographs are clipped, of codes a fraction of the largest; there only a render below it is
+    wrong. None takes what the format says."""
+    exposure: Literal["known", "fit"] = "known"
+    """``known`` divides by the exposures of the camera file or of EXIF; ``fit`` begins there and recovers a gain for
+    each photograph, whose logarithms' mean stays what it is."""
+    white_balance: Literal["known", "fit"] = "known"
+    """``fit`` recovers a gain for each colour of each photograph."""
+    lamps_true: str | None = None
+    """Table of the lamps' true radiance (mesh, r, g, b), for scores of lamps that are recovered."""
+
+    def __post_init__(self) -> None:
+        """Refuse what lies out of range."""
+        if self.hold_out == 1:
+            raise InputError("--data.hold_out: 1 would hold out every photograph and leave none to learn from")
+        checked(self)
