@@ -70,7 +70,7 @@ class SparseRowAdam(torch.optim.Optimizer):
             for p in group["params"]:
                 if p.grad is None:
                     continue
-                lr = self._rate(index, p)
+                lr = group["lr"] if p.grad.is_sparse else self._rate(index, p)
                 state, decay = self.state[p], self.weight_decay.get(p, 0.0)
                 if not state:
                     state["step"] = torch.zeros((), device=p.device)

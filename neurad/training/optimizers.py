@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from torch import nn
+from torch import Tensor, nn
 
 from neurad.assembly.build import Assembly, FittedMaterials
 from neurad.assembly.settings import Optimization
@@ -55,7 +55,7 @@ def _of_field(field: MaterialField, rate: float, rates: Optimization) -> SparseR
         return SparseRowAdam(parameters, lr=rate, tables=_tables(field))
     decays = rates.roughness_decay > 0.0 and isinstance(field.mlp, MLP)
     table = field.grid.parameters() if decays else ()
-    decay = {p: rates.roughness_decay for p in table}
+    decay: dict[Tensor, float] = {p: rates.roughness_decay for p in table}
     betas = 0.9, rates.roughness_beta2
     return SparseRowAdam(parameters, lr=rate, betas=betas, weight_decay=decay, tables=_tables(field))
 
