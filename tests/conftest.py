@@ -32,6 +32,15 @@ def three_threads():
     torch.set_num_threads(before)
 
 
+@pytest.fixture
+def warp_on_cpu(monkeypatch):
+    """Warp's kernels for tensors on the CPU as well, where Warp runs them on one thread, instead of numba's."""
+    pytest.importorskip("warp")
+    from neurad.runtime import dispatch
+
+    monkeypatch.setattr(dispatch, "WARP_DEVICES", ("cpu", "cuda"))
+
+
 @pytest.fixture(autouse=True)
 def _enters_by_main(request, monkeypatch):
     """A test marked ``main`` does enter by ``neurad.cli.main``, which restarts the clock of training seconds first."""

@@ -75,10 +75,12 @@ def _time(name: str, layer: nn.Module, x: Tensor, rates: tuple[float, float], se
     import torch
 
     from benchmarks.bench.machine import typical
+    from benchmarks.bench.stages import GRIDS
     from neurad.optim.sparse_row_adam import SparseRowAdam
 
     device, lanes = x.device, len(x)
-    optimizer = SparseRowAdam(layer.parameters())
+    tables = [layer.table] if isinstance(layer, GRIDS) else []
+    optimizer = SparseRowAdam(layer.parameters(), tables=tables)
     cotangent = torch.rand(lanes, layer(x[:1]).shape[-1], device=device)
 
     def forward() -> None:

@@ -1,7 +1,8 @@
 """Multiresolution hash encoding (Mueller et al. 2022, "Instant Neural Graphics Primitives").
 
-One table, two implementations that share it: plain torch, vectorised over levels, for any device and for the tests, and
-compiled kernels for float32 on the CPU (:mod:`neurad.fields.hash_grid_kernels`).
+One table, three implementations that share it: plain torch, vectorised over levels, for any device and for the tests,
+and compiled kernels for float32, on the CPU (:mod:`neurad.fields.hash_grid_kernels`) and on a GPU
+(:mod:`neurad.fields.hash_grid_warp`).
 """
 
 from __future__ import annotations
@@ -15,7 +16,7 @@ from torch.nn.functional import embedding
 
 from neurad.fields.settings import GridConfig
 from neurad.fields.sparse import from_rows
-from neurad.runtime.dispatch import use_kernel
+from neurad.runtime.dispatch import use_kernel, use_warp
 from neurad.runtime.threads import split
 
 PRIMES = (1, 2654435761, 805459861)
@@ -34,7 +35,7 @@ class HashGrid(nn.Module):
         finest: cells along a side of the last grid.
         features: channels of an entry.
         log2_size: logarithm of the largest number of entries of a level.
-        use_kernels: use the compiled kernels where they apply (CPU, float32, two features).
+        use_kernels: use the compiled kernels where they apply (float32, two features).
     """
 
     level_table: Tensor
@@ -58,6 +59,7 @@ class HashGrid(nn.Module):
         self.features = features
         self.channels = levels * features
         self.use_kernels = use_kernels
+        self.sizes = tuple(entries for _, _, _, entries in rows)
         self.register_buffer("level_table", torch.tensor(rows), persistent=False)  # [levels, 4], int64
         self.table = nn.Parameter(torch.empty(first, features).uniform_(-1e-4, 1e-4))
 
@@ -80,7 +82,13 @@ class HashGrid(nn.Module):
         """
         if x.requires_grad:
             raise ValueError("HashGrid: positions get no gradient; detach them")
-        if use_kernel(self.use_kernels and self.features == 2, self.table, differentiable=True):
+        compiled = self.use_kernels and self.features == 2
+        if use_warp(compiled, self.table):
+            from neurad.fields.hash_grid_warp import Encode  # Warp is optional
+
+            features: Tensor = Encode.apply(x, self.table, self.level_table, self.sizes)  # type: ignore[no-untyped-call]
+            return features
+        if use_kernel(compiled, self.table, differentiable=True):
             out: Tensor = _Encode.apply(x, self.table, self.level_table)  # type: ignore[no-untyped-call]
             return out
         return self.reference(x)

@@ -4,8 +4,9 @@ from __future__ import annotations
 
 from torch import Tensor
 
-from neurad.losses.leave_one_out import ControlVariate, grouped, leave_one_out
+from neurad.losses.leave_one_out import ControlVariate, grouped, leave_one_out, on_device
 from neurad.losses.relative import Loss
+from neurad.runtime.dispatch import use_warp
 
 
 def leave_one_out_censored(
@@ -34,11 +35,13 @@ def leave_one_out_censored(
     """
     if censored is None:
         return leave_one_out(samples, target, weight, control, groups, chroma=chroma)
+    n = samples.shape[1] if groups is None else groups
+    if use_warp(samples.shape[2] == 3, samples):
+        return on_device(samples, target, weight, censored, control, n, chroma)
     exact = leave_one_out(samples, target, weight * ~censored, control, groups, chroma=chroma)
     rows = censored.any(-1).nonzero().squeeze(-1)
     if len(rows) == 0:
         return exact
-    n = samples.shape[1] if groups is None else groups
     picked = samples[rows]
     fixed = grouped(picked.detach(), n)  # [r, groups, c]
     others = (fixed.sum(1, keepdim=True) - fixed) / (n - 1)

@@ -11,7 +11,7 @@ from torch.autograd.function import once_differentiable
 
 from neurad.losses import leave_one_out_kernels as kernels
 from neurad.losses.relative import Loss, weighted
-from neurad.runtime.dispatch import use_kernel
+from neurad.runtime.dispatch import use_kernel, use_warp
 from neurad.runtime.threads import GRAIN, split
 
 
@@ -76,7 +76,7 @@ def leave_one_out(
         weight: ``1 / (normaliser^2 + eps)``, independent of the samples [b, 1] or [b, c].
         control: takes noise from samples and residuals; the mean of the gradient stays the same.
         groups: how many; None where every sample is independent of all others.
-        use_kernels: let a compiled kernel find the gradient where it can (CPU, float32).
+        use_kernels: let a compiled kernel find the gradient where it can (float32).
         chroma: by how much more differences of the channels count, :func:`neurad.losses.relative.weighted`.
 
     Raises:
@@ -87,6 +87,8 @@ def leave_one_out(
         raise ValueError(
             f"leave_one_out: {samples.shape[1]} samples, {n} groups; the control variate must have as many"
         )
+    if use_warp(use_kernels and samples.shape[2] == 3, samples):
+        return on_device(samples, target, weight, None, control, n, chroma)
     if use_kernel(use_kernels, samples, differentiable=True):
         deviation = None if control is None else control.deviation
         return Loss(*_Kernel.apply(samples, deviation, target, weight, control, n, chroma))  # type: ignore[no-untyped-call]
@@ -106,6 +108,23 @@ def leave_one_out(
     surrogate = (2.0 * scaled * samples).mean()
     value = (scaled * (fixed - target.unsqueeze(1))).mean()
     return Loss(surrogate, value)
+
+
+def on_device(
+    samples: Tensor,
+    target: Tensor,
+    weight: Tensor,
+    censored: Tensor | None,
+    control: ControlVariate | None,
+    groups: int,
+    chroma: float,
+) -> Loss:
+    """:func:`leave_one_out` by Warp's kernel, one-sided where ``censored`` [b, c]."""
+    from neurad.losses.leave_one_out_warp import LeaveOneOut  # Warp is optional
+
+    light, deviation = (None, None) if control is None else (control.Li, control.deviation)
+    found = LeaveOneOut.apply(samples, deviation, target, weight, censored, light, groups, chroma)  # type: ignore[no-untyped-call]
+    return Loss(*found)
 
 
 class _Kernel(torch.autograd.Function):

@@ -9,6 +9,8 @@ from typing import Any
 import torch
 from torch import Tensor
 
+from neurad.optim.device_rates import DeviceRates
+
 COARSEST_SIZE = 4
 """Fewest rows and columns of a level."""
 RATE_RATIO = 0.5
@@ -46,6 +48,7 @@ class PyramidAdam(torch.optim.Optimizer):
         super().__init__(params, {"lr": lr, "betas": betas})
         self.width = width
         self.detail_decay = detail_decay
+        self.rates = DeviceRates(self)
         self._levels: list[_Level] = []
 
     @torch.no_grad()
@@ -55,28 +58,31 @@ class PyramidAdam(torch.optim.Optimizer):
         if closure is not None:
             with torch.enable_grad():
                 loss = closure()
-        for group in self.param_groups:
+        self.rates.write()
+        for index, group in enumerate(self.param_groups):
             for p in group["params"]:
                 if p.grad is not None:
-                    self._update(p, group)
+                    rate = group["lr"] if p.device.type == "cpu" else self.rates.of(index, p.device)
+                    self._update(p, group, rate)
         return loss
 
-    def _update(self, p: Tensor, group: dict[str, Any]) -> None:
+    def _update(self, p: Tensor, group: dict[str, Any], rate: Any) -> None:
         height = len(p) // self.width
         if not self._levels or self._levels[0].rows.device != p.device:
             self._levels = [_Level.of(rows.to(p), columns.to(p)) for rows, columns in levels(height, self.width)]
         state = self.state[p]
         if not state:
-            state["step"] = torch.zeros(())
+            state["step"] = torch.zeros((), device=p.device)
             for index, level in enumerate(self._levels):
                 for name in ("exp_avg", "exp_avg_sq"):
                     state[f"{name}_{index}"] = p.new_zeros(p.shape[1], level.rows.shape[1], level.columns.shape[1])
+        state["step"] = state["step"].to(p.device)  # torch leaves that of a checkpoint where it was read
         state["step"] += 1
-        count = float(state["step"])
+        count = state["step"].double()
         beta1, beta2 = group["betas"]
+        fast, slow = 1.0 - beta1**count, 1.0 - beta2**count
         image, gradient = (x.view(height, self.width, -1).permute(2, 0, 1) for x in (p, p.grad))  # type: ignore[union-attr]
         total = torch.zeros_like(gradient)  # [c, height, width]
-        rate = group["lr"]
         coarser = image
         for index, level in enumerate(self._levels):
             # ---------------------- Adam on this level's gradient ----------------------
@@ -84,15 +90,15 @@ class PyramidAdam(torch.optim.Optimizer):
             m, v = state[f"exp_avg_{index}"], state[f"exp_avg_sq_{index}"]
             m.lerp_(g, 1.0 - beta1)
             v.mul_(beta2).addcmul_(g, g, value=1.0 - beta2)
-            root = (v / (1.0 - beta2**count)).sqrt()
+            root = (v / slow).sqrt()
             root = root + FLOOR * root.square().mean().sqrt() + torch.finfo(p.dtype).tiny
-            total += level.rows @ (m * (rate / (1.0 - beta1**count)) / root) @ level.columns.T
+            total += level.rows @ (m * (rate / fast) / root) @ level.columns.T
             # ---------------------- Decay of the detail above this level ----------------------
             blurred = level.rows @ (level.mean_rows @ image @ level.mean_columns) @ level.columns.T
             if index > 0:
                 total += (self.detail_decay * rate) * (blurred - coarser)
             coarser = blurred
-            rate *= RATE_RATIO
+            rate = rate * RATE_RATIO
         p -= total.permute(1, 2, 0).reshape(p.shape)
 
 

@@ -11,17 +11,21 @@ from torch import Tensor
 from torch.optim.adam import adam
 
 from neurad.fields.sparse import unique_rows
-from neurad.runtime.dispatch import use_kernel
+from neurad.optim.device_rates import DeviceRates
+from neurad.runtime.dispatch import use_kernel, use_warp
 from neurad.runtime.threads import split
 
 
 class SparseRowAdam(torch.optim.Optimizer):
-    """Adam (Kingma and Ba 2015) with lazy updates where gradients are sparse.
+    """Adam (Kingma and Ba 2015) with lazy updates of tables, of which a step touches few rows.
 
-    Dense gradients go to torch's own Adam, fused where possible. A sparse gradient moves the rows that it names and
-    leaves every other row and its moments unchanged, as ``torch.optim.SparseAdam`` does, but for decay; the step
-    counter behind the bias correction is that of the whole parameter. A gradient that names every row makes the two the
-    same.
+    A sparse gradient moves the rows that it names and leaves every other row and its moments unchanged, as
+    ``torch.optim.SparseAdam`` does, but for decay; the step counter behind the bias correction is that of the whole
+    parameter. A dense gradient of one of the ``tables`` names the rows in which it is not zero. A gradient that names
+    every row makes the two the same as Adam. All else goes to torch's own Adam, fused where possible.
+
+    On a GPU a step asks the device nothing, so it may be captured in a CUDA graph. Learning rates are taken from
+    ``param_groups`` at every step; before a replayed one ``rates.write()`` does that.
 
     Args:
         params: parameters or parameter groups.
@@ -33,6 +37,8 @@ class SparseRowAdam(torch.optim.Optimizer):
         weight_decay: by parameter, as in AdamW (Loshchilov and Hutter 2019): a step multiplies all values by
             ``1 - lr * weight_decay``, also in rows that a sparse gradient does not name. Not part of the state: a
             continued run uses what its settings say.
+        tables: those of ``params`` that are tables [entries, features].
+        use_kernels: use the compiled kernels where they apply (float32).
     """
 
     def __init__(
@@ -42,9 +48,14 @@ class SparseRowAdam(torch.optim.Optimizer):
         betas: tuple[float, float] = (0.9, 0.99),
         eps: float = 1e-15,
         weight_decay: Mapping[Tensor, float] | None = None,
+        tables: Iterable[Tensor] = (),
+        use_kernels: bool = True,
     ) -> None:
         super().__init__(params, {"lr": lr, "betas": betas, "eps": eps})
         self.weight_decay = dict(weight_decay or {})
+        self.tables = set(tables)
+        self.use_kernels = use_kernels
+        self.rates = DeviceRates(self)
 
     @torch.no_grad()
     def step(self, closure: Callable[[], Any] | None = None) -> Any:
@@ -53,29 +64,44 @@ class SparseRowAdam(torch.optim.Optimizer):
         if closure is not None:
             with torch.enable_grad():
                 loss = closure()
-        for group in self.param_groups:
+        self.rates.write()
+        for index, group in enumerate(self.param_groups):
             dense = []
             for p in group["params"]:
                 if p.grad is None:
                     continue
-                if p in self.weight_decay:
-                    p.mul_(1.0 - group["lr"] * self.weight_decay[p])
-                state = self.state[p]
+                lr = group["lr"] if p.grad.is_sparse else self._rate(index, p)
+                state, decay = self.state[p], self.weight_decay.get(p, 0.0)
                 if not state:
                     state["step"] = torch.zeros((), device=p.device)
                     state["exp_avg"] = torch.zeros_like(p, memory_format=torch.preserve_format)
                     state["exp_avg_sq"] = torch.zeros_like(p, memory_format=torch.preserve_format)
+                state["step"] = state["step"].to(p.device)  # torch leaves that of a checkpoint where it was read
+                if p in self.tables and use_warp(self.use_kernels and not p.grad.is_sparse and p.is_contiguous(), p):
+                    from neurad.optim.sparse_row_adam_warp import update_table  # Warp is optional
+
+                    update_table(p, state, lr, group["betas"], group["eps"], decay)
+                    continue
+                if decay > 0.0:
+                    p.mul_(1.0 - lr * decay)
                 if p.grad.is_sparse:
                     _update_rows(p, p.grad, state, group)
+                elif p in self.tables:
+                    _update_table(p, p.grad, state, lr, group)
                 else:
-                    state["step"] = state["step"].to(p.device)  # torch leaves that of a checkpoint where it was read
                     dense.append(p)
             if dense:
-                _update_dense(dense, [self.state[p] for p in dense], group)
+                _update_dense(dense, [self.state[p] for p in dense], self._rate(index, dense[0]), group)
         return loss
 
+    def _rate(self, index: int, p: Tensor) -> Any:
+        """The learning rate of a group: where ``p`` is a table or lies on a GPU, a scalar on its device."""
+        if p.device.type == "cpu" and p not in self.tables:
+            return self.param_groups[index]["lr"]
+        return self.rates.of(index, p.device)
 
-def _update_dense(params: list[Tensor], states: list[dict[str, Tensor]], group: dict[str, Any]) -> None:
+
+def _update_dense(params: list[Tensor], states: list[dict[str, Tensor]], lr: Any, group: dict[str, Any]) -> None:
     """Torch's Adam for dense gradients."""
     adam(
         params,
@@ -88,11 +114,24 @@ def _update_dense(params: list[Tensor], states: list[dict[str, Tensor]], group: 
         amsgrad=False,
         beta1=group["betas"][0],
         beta2=group["betas"][1],
-        lr=group["lr"],
+        lr=lr,
         weight_decay=0.0,
         eps=group["eps"],
         maximize=False,
     )
+
+
+def _update_table(p: Tensor, gradient: Tensor, state: dict[str, Tensor], lr: Tensor, group: dict[str, Any]) -> None:
+    """Adam on the rows of ``p`` [e, c] whose dense gradient is not zero."""
+    state["step"] += 1
+    step = state["step"].double()
+    beta1, beta2 = group["betas"]
+    rate, root = lr / (1.0 - beta1**step), (1.0 - beta2**step).sqrt()
+    m, v = state["exp_avg"], state["exp_avg_sq"]
+    touched = (gradient != 0.0).any(-1, keepdim=True)  # NaN is not 0
+    torch.where(touched, torch.lerp(m, gradient, 1.0 - beta1), m, out=m)
+    torch.where(touched, beta2 * v + (1.0 - beta2) * gradient * gradient, v, out=v)
+    p -= torch.where(touched, rate * m / (v.sqrt() / root + group["eps"]), 0.0)
 
 
 def _update_rows(p: Tensor, gradient: Tensor, state: dict[str, Tensor], group: dict[str, Any]) -> None:

@@ -1,15 +1,21 @@
 """The one rule that decides between a kernel and its reference.
 
 What is fast has two bodies with the same result: the *reference*, plain torch that runs on any device and is there to
-be read, and a *kernel*, compiled for float32 on the CPU. Where a class or function has both, its flag is called
-``use_kernels``, the reference ``reference`` or ``..._reference``, and the choice between them reads
-``if use_kernel(self.use_kernels, x):``. Tests compare the two, values and gradients.
+be read, and a *kernel*, compiled for float32 on the CPU; what is hot on a GPU has a kernel of NVIDIA Warp too. Where a
+class or function has them, its flag is called ``use_kernels``, the reference ``reference`` or ``..._reference``, and
+the choice reads ``if use_kernel(self.use_kernels, x):``, after ``if use_warp(self.use_kernels, x):``. Tests compare
+kernels with their reference, values and gradients.
 """
 
 from __future__ import annotations
 
 import torch
 from torch import Tensor
+
+from neurad.runtime import warp
+
+WARP_DEVICES = ("cuda",)
+"""Kinds of device that have Warp's kernels. Tests add the CPU, where Warp runs them too, on one thread."""
 
 
 def use_kernel(enabled: bool, *tensors: Tensor, differentiable: bool = False) -> bool:
@@ -23,4 +29,16 @@ def use_kernel(enabled: bool, *tensors: Tensor, differentiable: bool = False) ->
     """
     return enabled and all(
         x.device.type == "cpu" and x.dtype == torch.float32 and (differentiable or not x.requires_grad) for x in tensors
+    )
+
+
+def use_warp(enabled: bool, *tensors: Tensor) -> bool:
+    """Whether the kernel of NVIDIA Warp runs: for float32 on a GPU, where the package is installed and finds it.
+
+    Args:
+        enabled: the flag ``use_kernels``, and whatever else the kernel depends on.
+        tensors: floating-point tensors that the kernel reads; it finds its derivatives itself.
+    """
+    return enabled and all(
+        x.device.type in WARP_DEVICES and x.dtype == torch.float32 and warp.is_available(x.device.type) for x in tensors
     )

@@ -9,6 +9,7 @@ from torch import Tensor
 
 from neurad.core.errors import InputError
 from neurad.core.records import Hit, Rays
+from neurad.runtime.warp import launch, load
 from neurad.tracing.arrays import beyond_start, coordinate_extent, no_hits
 
 
@@ -31,25 +32,20 @@ class WarpTracer:
             InputError: Warp is not installed.
         """
         try:
-            import warp
-
+            self._warp = load()
             from neurad.tracing import warp_kernels
         except (ImportError, OSError) as error:
             raise InputError(
                 f"tracer warp: NVIDIA Warp cannot be loaded ({error}); install it with `pip install 'neurad[gpu]'`, "
                 "or choose embree"
             ) from error
-        self._warp: Any = warp
-        self._warp.config.log_level = getattr(warp, "LOG_WARNING", 30)  # versions before 1.14 have ``quiet`` instead
-        self._warp.config.quiet = True
-        self._warp.init()
         self._kernels: Any = warp_kernels
         corners = vertices.detach().float()[faces]  # [F, 3, 3]
         edges = corners[:, 1:].double() - corners[:, :1].double()
         # Warp's test may hit a triangle without area, so those are left out.
         self._prim = torch.linalg.cross(edges[:, 0], edges[:, 1]).abs().amax(-1).nonzero().squeeze(-1)
         self._corners = corners[self._prim].contiguous()
-        self._meshes: dict[torch.device, tuple[Any, Any, Tensor]] = {}
+        self._meshes: dict[torch.device, tuple[Any, Tensor]] = {}
         self.empty = len(self._prim) == 0
         self.extent = coordinate_extent(vertices, faces[self._prim])
 
@@ -60,8 +56,8 @@ class WarpTracer:
     def _closest(self, rays: Rays) -> Hit:
         hit = no_hits(len(rays), rays.o.device)
         if not self.empty and len(rays) > 0:
-            prim = self._mesh(rays.o.device)[2]
-            self._launch(self._kernels.closest, rays, [prim, hit.t, hit.prim, hit.u, hit.v, hit.valid])
+            prim = self._mesh(rays.o.device)[1]
+            self._launch(self._kernels.closest, rays, prim, hit.t, hit.prim, hit.u, hit.v, hit.valid)
         return hit
 
     def occluded(self, rays: Rays, t_max: Tensor) -> Tensor:
@@ -71,21 +67,16 @@ class WarpTracer:
         """
         blocked = torch.zeros(len(rays), dtype=torch.bool, device=rays.o.device)
         if not self.empty and len(rays) > 0:
-            self._launch(self._kernels.occluded, rays, [t_max.detach().float().contiguous(), blocked])
+            self._launch(self._kernels.occluded, rays, t_max.detach().float().contiguous(), blocked)
         return blocked
 
-    def _launch(self, kernel: Any, rays: Rays, arrays: list[Tensor]) -> None:
-        """Run a kernel, one thread a ray, in the order of torch's own work on that device."""
-        wp, device = self._warp, rays.o.device
-        mesh, where, _ = self._mesh(device)
+    def _launch(self, kernel: Any, rays: Rays, *arrays: Tensor) -> None:
+        """Run a kernel, one thread a ray."""
         o, d = (x.detach().float().contiguous() for x in (rays.o, rays.d))
-        inputs = [mesh.id, wp.from_torch(o, dtype=wp.vec3), wp.from_torch(d, dtype=wp.vec3)]
-        inputs += [wp.from_torch(x) for x in arrays]
-        stream = wp.stream_from_torch(torch.cuda.current_stream(device)) if device.type == "cuda" else None
-        wp.launch(kernel, dim=len(rays), inputs=inputs, device=where, stream=stream)
+        launch(kernel, len(rays), o.device, self._mesh(o.device)[0].id, o, d, *arrays)
 
-    def _mesh(self, device: torch.device) -> tuple[Any, Any, Tensor]:
-        """The triangles on a device, Warp's name of it, and their indices among all triangles."""
+    def _mesh(self, device: torch.device) -> tuple[Any, Tensor]:
+        """The triangles on a device, and their indices among all triangles."""
         if device not in self._meshes:
             wp = self._warp
             # Warp's test of a bounding box rounds without a margin, so a ray through an edge of two triangles can miss
@@ -99,7 +90,7 @@ class WarpTracer:
             mesh = wp.Mesh(wp.from_torch(points, dtype=wp.vec3), wp.from_torch(index), bvh_constructor="sah")
             wp.synchronize_device(wp.device_from_torch(device))
             points.copy_(self._corners.view(-1, 3))
-            self._meshes[device] = mesh, wp.device_from_torch(device), self._prim.to(device)
+            self._meshes[device] = mesh, self._prim.to(device)
         return self._meshes[device]
 
 

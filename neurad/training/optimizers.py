@@ -2,9 +2,13 @@
 
 from __future__ import annotations
 
+from torch import Tensor, nn
+
 from neurad.assembly.build import Assembly, FittedMaterials
 from neurad.assembly.settings import Optimization
 from neurad.core.parameters import ROUGHNESS
+from neurad.fields.dense_grid import DenseGrid
+from neurad.fields.hash_grid import HashGrid
 from neurad.fields.material import MaterialField
 from neurad.fields.mlp import MLP
 from neurad.optim.pyramid_adam import PyramidAdam
@@ -33,7 +37,7 @@ def make_optimizers(assembly: Assembly) -> dict[str, SparseRowAdam | PyramidAdam
     if assembly.lamps is not None and assembly.lamps.values.requires_grad:
         made["lamps"] = SparseRowAdam([assembly.lamps.values], lr=rates.lamps)
     if radiance is not None:
-        made["radiance"] = SparseRowAdam(radiance.parameters(), lr=rates.radiance)
+        made["radiance"] = SparseRowAdam(radiance.parameters(), lr=rates.radiance, tables=_tables(radiance))
     development = assembly.development
     if development is not None and development.values is not None:
         made["exposure"] = SparseRowAdam([development.values], lr=rates.exposure)
@@ -48,9 +52,14 @@ def _of_field(field: MaterialField, rate: float, rates: Optimization) -> SparseR
     """
     parameters = [p for p in field.parameters() if p.requires_grad]
     if field.parameter != ROUGHNESS:
-        return SparseRowAdam(parameters, lr=rate)
+        return SparseRowAdam(parameters, lr=rate, tables=_tables(field))
     decays = rates.roughness_decay > 0.0 and isinstance(field.mlp, MLP)
     table = field.grid.parameters() if decays else ()
-    return SparseRowAdam(
-        parameters, lr=rate, betas=(0.9, rates.roughness_beta2), weight_decay={p: rates.roughness_decay for p in table}
-    )
+    decay: dict[Tensor, float] = {p: rates.roughness_decay for p in table}
+    betas = 0.9, rates.roughness_beta2
+    return SparseRowAdam(parameters, lr=rate, betas=betas, weight_decay=decay, tables=_tables(field))
+
+
+def _tables(field: nn.Module) -> list[nn.Parameter]:
+    """Tables of grids, of which a step reads few entries."""
+    return [module.table for module in field.modules() if isinstance(module, HashGrid | DenseGrid)]
