@@ -34,11 +34,9 @@ STAGES = (
     "bsdf",
     "tracing: closest",
     "tracing: shadow",
-    "fields: grids",
-    "fields: networks",
+    (LAYERS := "fields: grids and networks"),
     "fields: rest",
-    "backward: grids",
-    "backward: networks",
+    (BACKWARD := "backward: grids and networks"),
     "backward: rest",
     "optimizers",
 )
@@ -135,19 +133,19 @@ class Recorder:
             self.closest.append(args[1].detach())
         elif name == "tracing: shadow":
             self.shadow.append((args[1].detach(), args[2].detach()))
-        elif isinstance(owner, mlp.MLP):
-            count = 2.0 * len(out) * sum(p.numel() for p in owner.parameters() if p.dim() == 2)
-            work.operations += count
-            if out.requires_grad:  # gradients of the inputs and of the weights
-                self.work["backward: networks"].operations += 2 * count
-                self.work["backward: networks"].lanes += len(out)
-        elif isinstance(owner, GRIDS):
-            touched = table_bytes(owner, len(out))
-            work.bytes += touched
-            if out.requires_grad:  # entries are found again, and their gradients written
-                back = self.work["backward: grids"]
-                back.bytes += touched + values[0].nbytes + out.nbytes
-                back.lanes += len(out)
+        elif name == LAYERS:
+            back = self.work[BACKWARD]
+            back.lanes += len(out) if out.requires_grad else 0
+            if isinstance(owner, mlp.MLP):
+                count = 2.0 * len(out) * sum(p.numel() for p in owner.parameters() if p.dim() == 2)
+                work.operations += count
+                if out.requires_grad:  # gradients of the inputs and of the weights
+                    back.operations += 2 * count
+            for grid in (part for part in args if isinstance(part, GRIDS)):
+                touched = table_bytes(grid, len(out))
+                work.bytes += touched
+                if out.requires_grad:  # entries are found again, and their gradients written
+                    back.bytes += touched + values[0].nbytes + out.nbytes
         elif name == "optimizers":
             assert isinstance(owner, SparseRowAdam)
             for p in (p for group in owner.param_groups for p in group["params"] if p.grad is not None):
@@ -201,11 +199,9 @@ def instrumented(module: InverseRenderer, recorder: Recorder) -> Iterator[None]:
         (vertex_principled, "bounce_principled", "bsdf"),  # a bounce without its rays and the albedo
         (vertex_diffuse, "bounce_diffuse", "bsdf"),
         *((type(part), "forward", "fields: rest") for part in parts if isinstance(part, nn.Module)),
-        *((grid, "forward", "fields: grids") for grid in GRIDS),
-        (mlp.MLP, "forward", "fields: networks"),
-        (hash_grid._Encode, "backward", "backward: grids"),
-        (dense_grid._Read, "backward", "backward: grids"),
-        (mlp._Layers, "backward", "backward: networks"),
+        *((grid, "forward", LAYERS) for grid in GRIDS),
+        *((mlp.MLP, name, LAYERS) for name in ("_fused", "reference")),  # with the encoding before them, and without
+        *((operation, "backward", BACKWARD) for operation in (hash_grid._Encode, dense_grid._Read, mlp._Layers)),
     }
     before = []
     try:

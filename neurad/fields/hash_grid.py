@@ -82,16 +82,46 @@ class HashGrid(nn.Module):
         """
         if x.requires_grad:
             raise ValueError("HashGrid: positions get no gradient; detach them")
-        compiled = self.use_kernels and self.features == 2
-        if use_warp(compiled, self.table):
+        if use_warp(self.use_kernels and self.features == 2, self.table):
             from neurad.fields.hash_grid_warp import Encode  # Warp is optional
 
             features: Tensor = Encode.apply(x, self.table, self.level_table, self.sizes)  # type: ignore[no-untyped-call]
             return features
-        if use_kernel(compiled, self.table, differentiable=True):
-            out: Tensor = _Encode.apply(x, self.table, self.level_table)  # type: ignore[no-untyped-call]
+        if self.has_kernel():
+            out: Tensor = _Encode.apply(x, self.table, self)  # type: ignore[no-untyped-call]
             return out
         return self.reference(x)
+
+    def has_kernel(self) -> bool:
+        """Whether kernels compiled for the CPU read and train the table."""
+        return use_kernel(self.use_kernels and self.features == 2, self.table, differentiable=True)
+
+    def encode_rows(self, x: Tensor, out: Tensor, low: int, high: int) -> None:
+        """Write the features at ``x[low:high]`` [n, 3] into the first columns of ``out[low:high]``, by a kernel."""
+        from neurad.fields import hash_grid_kernels as kernels  # imported at first use: numba is slow to load
+
+        kernels.encode(x.numpy(), self.table.detach().numpy(), self.level_table.numpy(), out.numpy(), low, high)
+
+    def table_gradient(self, x: Tensor, gradient: Tensor) -> Tensor:
+        """Sparse gradient of the table, its rows ascending, by a kernel.
+
+        Args:
+            x: positions [n, 3].
+            gradient: by the features, in the first columns [n or more, levels * 2 or more].
+        """
+        from neurad.fields import hash_grid_kernels as kernels
+
+        level_table = self.level_table
+        arrays = x.numpy(), gradient.contiguous().numpy(), level_table.numpy()
+
+        def work(begin: int, end: int) -> tuple[Tensor, Tensor]:
+            touched = int(level_table[begin:end, 3].clamp(max=8 * len(x)).sum())
+            rows, values = torch.empty(touched, dtype=torch.int64), torch.empty(touched, 2)
+            count = kernels.table_gradient(*arrays, begin, end, rows.numpy(), values.numpy())
+            return rows[:count], values[:count]
+
+        parts = split(work, self.levels, max(1, self.levels * 256 // max(len(x), 1)))
+        return from_rows(parts, self.table.shape)
 
     def reference(self, x: Tensor) -> Tensor:
         """Features of :meth:`forward` in plain torch, with a dense gradient."""
@@ -117,32 +147,15 @@ class _Encode(torch.autograd.Function):
     """The compiled encoding as one operation whose gradient is sparse."""
 
     @staticmethod
-    def forward(ctx: Any, x: Tensor, table: Tensor, level_table: Tensor) -> Tensor:
+    def forward(ctx: Any, x: Tensor, table: Tensor, grid: HashGrid) -> Tensor:
         """Features [n, levels * 2]."""
-        from neurad.fields import hash_grid_kernels as kernels  # imported at first use: numba is slow to load
-
         x = x.detach().float().contiguous()
-        ctx.save_for_backward(x, level_table)
-        ctx.shape = table.shape
-        out = torch.empty(len(x), 2 * len(level_table))
-        arrays = x.numpy(), table.detach().numpy(), level_table.numpy(), out.numpy()
-        split(lambda low, high: kernels.encode(*arrays, low, high), len(x), 1024)
+        ctx.grid, ctx.x = grid, x
+        out = torch.empty(len(x), grid.channels)
+        split(lambda low, high: grid.encode_rows(x, out, low, high), len(x), 1024)
         return out
 
     @staticmethod
     def backward(ctx: Any, *gradients: Tensor) -> tuple[None, Tensor, None]:
-        """Sparse gradient of the table, its rows ascending."""
-        from neurad.fields import hash_grid_kernels as kernels
-
-        x, level_table = ctx.saved_tensors
-        arrays = x.numpy(), gradients[0].contiguous().numpy(), level_table.numpy()
-
-        def work(begin: int, end: int) -> tuple[Tensor, Tensor]:
-            touched = int(level_table[begin:end, 3].clamp(max=8 * len(x)).sum())
-            rows, values = torch.empty(touched, dtype=torch.int64), torch.empty(touched, 2)
-            count = kernels.table_gradient(*arrays, begin, end, rows.numpy(), values.numpy())
-            return rows[:count], values[:count]
-
-        levels = len(level_table)
-        parts = split(work, levels, max(1, levels * 256 // max(len(x), 1)))
-        return None, from_rows(parts, ctx.shape), None
+        """Sparse gradient of the table."""
+        return None, ctx.grid.table_gradient(ctx.x, gradients[0]), None

@@ -82,22 +82,22 @@ def unit_cube(p: Floats, corner: Floats, scale: Any, shell: Any, out: Floats, lo
 
 @kernel
 def encode(x: Floats, table: Floats, levels: IntArray, out: Floats, low: int, high: int) -> None:
-    """Trilinear features ``out[low:high]`` [n, levels * 2] at ``x[low:high]`` [n, 3].
+    """Trilinear features at ``x[low:high]`` [n, 3], in the first ``2 * levels`` columns of ``out[low:high]``.
 
     Level by level, so that one level's entries stay in the cache. Entries of a level too large for that are
     prefetched a block of points ahead.
     """
-    count = levels.shape[0]
+    row = np.uint64(4 * out.shape[1])
     entry = np.empty((BLOCK, 8), np.uint32)
     fraction = np.empty((BLOCK, 3), np.float32)
-    for level in range(count):
+    for level in range(levels.shape[0]):
         base = np.uint64(table.ctypes.data) + np.uint64(8 * levels[level, 2])
         target = np.uint64(out.ctypes.data) + np.uint64(8 * level)
         r, stride, mask = np.float32(levels[level, 0]), np.uint32(levels[level, 1]), np.uint32(levels[level, 3] - 1)
         if levels[level, 3] <= CACHED:
             for i in range(low, high):
                 e0, e1, e2, e3, e4, e5, e6, e7, fx, fy, fz = _corners(x[i, 0], x[i, 1], x[i, 2], r, stride, mask)
-                interpolate(base, target + np.uint64(8 * count * i), e0, e1, e2, e3, e4, e5, e6, e7, fx, fy, fz)
+                interpolate(base, target + row * np.uint64(i), e0, e1, e2, e3, e4, e5, e6, e7, fx, fy, fz)
             continue
         for start in range(low, high, BLOCK):
             size = min(BLOCK, high - start)
@@ -110,7 +110,7 @@ def encode(x: Floats, table: Floats, levels: IntArray, out: Floats, low: int, hi
                     prefetch(base + np.uint64(8) * np.uint64(e[c]))
             for k in range(size):
                 e, f = entry[k], fraction[k]
-                to = target + np.uint64(8 * count * (start + k))
+                to = target + row * np.uint64(start + k)
                 interpolate(base, to, e[0], e[1], e[2], e[3], e[4], e[5], e[6], e[7], f[0], f[1], f[2])
 
 

@@ -126,13 +126,20 @@ class MaterialField(nn.Module):
 
     def of_features(self, features: Tensor, albedo: Tensor | None = None) -> Tensor:
         """Values [n, channels] where the grid says ``features`` [n, k], uncorrected; otherwise as :meth:`at`."""
-        low, high = self.parameter.low, self.parameter.high
+        others = self._others(albedo)
+        return self._in_range(self.mlp(torch.cat((features, *others), -1) if others else features))
+
+    def _others(self, albedo: Tensor | None) -> list[Tensor]:
+        """What the network reads beside the grid."""
         if not self.reads_albedo:
-            fraction = torch.sigmoid(self.mlp(features))
-        elif albedo is None:
+            return []
+        if albedo is None:
             raise ValueError(f"{self.parameter.name}: its field reads the albedo, which is not given")
-        else:
-            fraction = torch.sigmoid(self.mlp(torch.cat((features, 4.0 * (albedo.detach() - 0.5)), -1)))
+        return [4.0 * (albedo.detach() - 0.5)]
+
+    def _in_range(self, y: Tensor) -> Tensor:
+        low, high = self.parameter.low, self.parameter.high
+        fraction = torch.sigmoid(y)
         return fraction if (low, high) == (0.0, 1.0) else low + (high - low) * fraction
 
     def at(self, p: Tensor, albedo: Tensor | None = None) -> Tensor:
@@ -145,10 +152,14 @@ class MaterialField(nn.Module):
         Raises:
             ValueError: the field reads the albedo, and none is given.
         """
-        values = self.of_features(self.features(p), albedo)
+        x = self.cube(p)
+        if isinstance(self.mlp, MLP):
+            values = self._in_range(self.mlp.of_encoding(self.grid, x, self._others(albedo)))
+        else:
+            values = self._in_range(self.grid(x))
         if self.correction is None or not self.correction.found:
             return values
-        changed: Tensor = (values + self.correction(self.cube(p))).clamp(self.parameter.low, self.parameter.high)
+        changed: Tensor = (values + self.correction(x)).clamp(self.parameter.low, self.parameter.high)
         return changed
 
     def forward(self, si: SurfaceInteraction, albedo: Tensor | None = None) -> Tensor:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
 from functools import cache
 from itertools import pairwise
@@ -11,11 +11,13 @@ from typing import Any
 import torch
 from torch import Tensor, nn
 
+from neurad.fields.hash_grid import HashGrid
 from neurad.runtime.dispatch import use_kernel
 from neurad.runtime.threads import split
 
 CHUNK = 2048
-"""Rows evaluated at a time without gradients: two layers of width 64 then fit into a processor's own cache."""
+"""Rows that pass through all layers at a time: two layers of width 64 then fit into a processor's own cache. Fixed, so
+that results are the same for any number of threads."""
 
 
 class MLP(nn.Module):
@@ -44,18 +46,32 @@ class MLP(nn.Module):
 
     def forward(self, x: Tensor) -> Tensor:
         """Values [n, outputs] for inputs [n, inputs]."""
-        if not use_kernel(self.use_kernels and len(x) > 0 and _has_onednn(), x, differentiable=True):
-            return self.reference(x)
-        parameters = self._in_order()
-        rows = len(x)
-        if padding := _round_up(rows) - rows:
-            x = torch.nn.functional.pad(x, (0, 0, 0, padding))
-        rounded = _products == "medium"
-        if torch.is_grad_enabled():
-            out: Tensor = _Layers.apply(x, rounded, *parameters)  # type: ignore[no-untyped-call]
-        else:
-            out = _evaluated(x, parameters, rounded)
-        return out[:rows] if padding else out
+        return self._fused(x, None, ()) if self.has_kernel(x) else self.reference(x)
+
+    def of_encoding(self, grid: nn.Module, x: Tensor, others: Sequence[Tensor] = ()) -> Tensor:
+        """Values [n, outputs] for what ``grid`` says at positions and further inputs: one operation where both have
+        kernels.
+
+        Args:
+            grid: encoding of positions.
+            x: positions in [0, 1]^3 [n, 3].
+            others: inputs beside it [n, ...], without gradient.
+        """
+        if isinstance(grid, HashGrid) and grid.has_kernel() and self.has_kernel(x):
+            return self._fused(x.contiguous(), grid, others)
+        features = grid(x)
+        y: Tensor = self(torch.cat((features, *others), -1) if others else features)
+        return y
+
+    def has_kernel(self, x: Tensor) -> bool:
+        """Whether oneDNN's fused layers take inputs like ``x``."""
+        return use_kernel(self.use_kernels and len(x) > 0 and _has_onednn(), x, differentiable=True)
+
+    def _fused(self, x: Tensor, grid: HashGrid | None, others: Sequence[Tensor]) -> Tensor:
+        modes = _products == "medium", torch.is_grad_enabled()
+        table = None if grid is None else grid.table
+        out: Tensor = _Layers.apply(x, grid, others, modes, table, *self._in_order())  # type: ignore[no-untyped-call]
+        return out
 
     def reference(self, x: Tensor) -> Tensor:
         """Outputs of :meth:`forward` in plain torch."""
@@ -127,7 +143,7 @@ def _linear(x: Tensor, weight: Tensor, bias: Tensor | None, after: str) -> Tenso
     return out
 
 
-def _forward(x: Tensor, parameters: list[Tensor], rounded: bool) -> list[Tensor]:
+def _forward(x: Tensor, parameters: Sequence[Tensor], rounded: bool) -> list[Tensor]:
     """Input and values after every layer; ``parameters`` are weight, bias, weight, bias, ...
 
     With ``rounded`` all but the last are bfloat16: its rounding would be seen in what the network returns.
@@ -140,43 +156,109 @@ def _forward(x: Tensor, parameters: list[Tensor], rounded: bool) -> list[Tensor]
     return [*values, _linear(values[-1].float(), parameters[-2], parameters[-1], "none")]
 
 
-def _evaluated(x: Tensor, parameters: list[Tensor], rounded: bool) -> Tensor:
-    """What the network returns [n, outputs], without a gradient."""
-    chunks = torch.split(x, CHUNK)
-    parts = list(chunks)
+def _backward(
+    g: Tensor, values: list[Tensor], parameters: Sequence[Tensor], columns: int
+) -> tuple[list[Tensor], Tensor | None]:
+    """Gradients of weight, bias, weight, bias, ... and of the first ``columns`` inputs.
 
-    def work(low: int, high: int) -> None:
-        with torch.no_grad():  # a thread has its own mode
-            for i in range(low, high):
-                parts[i] = _forward(chunks[i], parameters, rounded)[-1]
+    Args:
+        g: gradient by what the network returned; overwritten.
+        values: what :func:`_forward` returned.
+        parameters: weight, bias, weight, bias, ...
+        columns: inputs that have a gradient; 0 for none.
+    """
+    out: list[Tensor] = []
+    for i in reversed(range(len(values) - 1)):
+        x, weight = values[i], parameters[2 * i]
+        out = [(g.t() @ x.to(g.dtype)).float(), g.sum(0).float(), *out]
+        if i > 0:
+            g = _linear(g, weight.t().to(g.dtype), None, "none").to(x.dtype)
+            torch.ops.aten.threshold_backward.grad_input(g, x, 0, grad_input=g)
+        elif columns > 0:
+            before = weight[:, :columns].t().contiguous()  # oneDNN is slow with a part of a matrix
+            return out, _linear(g, before.to(g.dtype), None, "none").float()
+    return out, None
 
-    split(work, len(chunks), 1)
-    return parts[0] if len(parts) == 1 else torch.cat(parts)
+
+def _padded(x: Tensor, rows: int) -> Tensor:
+    return x if len(x) == rows else torch.nn.functional.pad(x, (0, 0, 0, rows - len(x)))
 
 
 class _Layers(torch.autograd.Function):
-    """All layers as one operation: fused layers forward, and few small operations backward."""
+    """All layers, and an encoding before them, as one operation. Threads share its rows, a chunk at a time."""
 
     @staticmethod
-    def forward(ctx: Any, x: Tensor, rounded: bool, *parameters: Tensor) -> Tensor:
-        """Values of the last layer [n, outputs]."""
-        values = _forward(x, list(parameters), rounded)
-        ctx.save_for_backward(*values[:-1], *parameters)
-        return values[-1]
+    def forward(
+        ctx: Any,
+        x: Tensor,
+        grid: HashGrid | None,
+        others: Sequence[Tensor],
+        modes: tuple[bool, bool],
+        table: Tensor | None,
+        *parameters: Tensor,
+    ) -> Tensor:
+        """Values of the last layer [n, outputs].
+
+        Args:
+            ctx: keeps what the gradient needs.
+            x: inputs [n, inputs], or positions [n, 3] where there is an encoding.
+            grid: the encoding.
+            others: inputs beside it.
+            modes: whether products are of bfloat16, and whether there will be a gradient.
+            table: of the encoding.
+            parameters: weight, bias, weight, bias, ...
+        """
+        rounded, differentiable = modes
+        n = len(x)
+        rows = n - n % CHUNK + (_round_up(n % CHUNK) if n % CHUNK else 0)
+        if grid is None:
+            inputs = _padded(x, rows)
+        else:
+            inputs, column = torch.empty(rows, parameters[0].shape[1]), grid.channels
+            inputs[n:] = 0.0
+            for part in others:
+                inputs[:n, column : column + part.shape[1]] = part
+                column += part.shape[1]
+        chunks = torch.split(inputs, CHUNK)
+        values: list[list[Tensor]] = [[] for _ in chunks]
+
+        def work(low: int, high: int) -> None:
+            with torch.no_grad():  # a thread has its own mode
+                for i in range(low, high):
+                    if grid is not None:
+                        grid.encode_rows(x, inputs, CHUNK * i, min(CHUNK * (i + 1), n))
+                    found = _forward(chunks[i], parameters, rounded)
+                    values[i] = found if differentiable else found[-1:]
+
+        split(work, len(chunks), 1)
+        ctx.x, ctx.grid, ctx.values = x, grid, values
+        ctx.save_for_backward(*parameters)
+        out = values[0][-1] if len(chunks) == 1 else torch.cat([found[-1] for found in values])
+        return out if rows == n else out[:n]
 
     @staticmethod
     def backward(ctx: Any, *gradients: Tensor) -> tuple[Tensor | None, ...]:
-        """Gradients of the input and of every parameter."""
-        g = gradients[0]
-        layers = len(ctx.saved_tensors) // 3
-        inputs, parameters = ctx.saved_tensors[:layers], ctx.saved_tensors[layers:]
-        out: list[Tensor | None] = []
-        for i in reversed(range(layers)):
-            x = inputs[i].to(g.dtype)
-            out = [(g.t() @ x).float(), g.sum(0).float(), *out]
-            if i > 0:
-                g = _linear(g, parameters[2 * i].t().to(g.dtype), None, "none").to(inputs[i].dtype)
-                g = torch.ops.aten.threshold_backward(g, inputs[i], 0)
-        if not ctx.needs_input_grad[0]:
-            return (None, None, *out)
-        return (_linear(g, parameters[0].t().to(g.dtype), None, "none").float(), None, *out)
+        """Gradients of the input or of the encoding's table, and of every parameter."""
+        grid, x, values, parameters = ctx.grid, ctx.x, ctx.values, ctx.saved_tensors
+        chunks = torch.split(_padded(gradients[0], sum(len(found[-1]) for found in values)).contiguous(), CHUNK)
+        parts: list[Any] = list(chunks)
+        columns = 0
+        if grid is not None:
+            columns = grid.channels
+        elif ctx.needs_input_grad[0]:
+            columns = x.shape[1]
+
+        def work(low: int, high: int) -> None:
+            with torch.no_grad():
+                for i in range(low, high):
+                    parts[i] = _backward(chunks[i], values[i], parameters, columns)
+
+        split(work, len(chunks), 1)
+        totals = parts[0][0]
+        for found, _ in parts[1:]:
+            for total, more in zip(totals, found, strict=True):
+                total += more
+        by_input = None if columns == 0 else torch.cat([part[1] for part in parts])
+        if grid is None:
+            return (None if by_input is None else by_input[: len(x)], None, None, None, None, *totals)
+        return (None, None, None, None, grid.table_gradient(x, by_input), *totals)

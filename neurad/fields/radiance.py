@@ -10,6 +10,7 @@ from torch.nn.functional import softplus
 
 from neurad.core.frame import faceforward
 from neurad.core.records import SurfaceInteraction
+from neurad.fields.mlp import MLP
 from neurad.fields.select import make_layers
 from neurad.fields.settings import RADIANCE_INPUTS, RadianceConfig
 from neurad.fields.unit_cube import UnitCube
@@ -62,10 +63,12 @@ class RadianceField(nn.Module):
         """
         if self.reads_albedo and albedo is None:
             raise ValueError("RadianceField: it reads the albedo, which is not given")
-        parts = [self.grid(self.cube(si.p))]
-        parts += [_read(name, si, albedo) for name in self.inputs]
-        features = torch.cat(parts, -1) if len(parts) > 1 else parts[0]
-        return self.scale * softplus(self.mlp(features) + _SHIFT)
+        x = self.cube(si.p)
+        if isinstance(self.mlp, MLP):
+            y = self.mlp.of_encoding(self.grid, x, [_read(name, si, albedo) for name in self.inputs])
+        else:
+            y = self.grid(x)
+        return self.scale * softplus(y + _SHIFT)
 
 
 def _read(name: str, si: SurfaceInteraction, albedo: Tensor | None) -> Tensor:

@@ -10,7 +10,7 @@ import os
 from collections import deque
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
-from contextlib import contextmanager, nullcontext
+from contextlib import contextmanager
 from itertools import pairwise
 from typing import TypeVar
 
@@ -56,23 +56,11 @@ def cut(count: int, parts: int, grain: int) -> list[int]:
 
 GRAIN = 4096
 """Lanes of a plain compiled pass that are worth a thread: about 0.1 ms of work."""
-LANES_A_THREAD = 8192
-"""Samples of a step that are worth a thread: with 4096 on two cores, waking the second one costs more than it saves
-(25.5 ms a step against 23.9)."""
 
 
 def threads(count: int, grain: int) -> int:
     """How many threads :func:`split` uses for ``count`` items, ``grain`` at least a thread."""
     return max(1, min(_allowed or torch.get_num_threads(), count // max(grain, 1)))
-
-
-@contextmanager
-def step_threads(lanes: int, networks: bool) -> Iterator[None]:
-    """The threads of a training step of so many ``lanes``: torch's own where there are ``networks``, whose products
-    they share, and otherwise none beside the calling one.
-    """
-    with at_most(lanes // LANES_A_THREAD), nullcontext() if networks else torch_on_one():
-        yield
 
 
 @contextmanager

@@ -7,15 +7,15 @@ from dataclasses import dataclass, field
 from typing import Any, Protocol
 
 import torch
-from torch import Tensor, nn
+from torch import Tensor
 
 from neurad.assembly.build import Assembly
 from neurad.core.protocols import PhotoSource
 from neurad.core.records import PixelBatch
 from neurad.core.rng import Stream
-from neurad.fields.mlp import MLP, products
+from neurad.fields.mlp import products
 from neurad.losses.relative import total
-from neurad.runtime.threads import step_threads
+from neurad.runtime.threads import torch_on_one
 from neurad.training.gradient_sync import GradientSync
 from neurad.training.guard import Guard
 from neurad.training.guide_update import bin_guide_samples, update_guide
@@ -73,10 +73,8 @@ class TrainingStep:
     """Values of the last step's losses by name."""
 
     def __post_init__(self) -> None:
-        """Make the objective, and see whether there are networks, whose matrix products take torch's threads."""
+        """Make the objective."""
         self.objective = make_objective(self.assembly, self.views)
-        parts: list[nn.Module] = [part for _, part in self.assembly.modules()]
-        self._networks = any(isinstance(inner, MLP) for part in parts for inner in part.modules())
 
     def __call__(
         self, batch: PixelBatch, progress: Progress, backward: Callable[[Tensor], None] = torch.autograd.backward
@@ -99,7 +97,7 @@ class TrainingStep:
             batch = self.assembly.focus.choose(batch, self._stream(2))
         settings = self.assembly.settings
         lanes = len(batch.view) * settings.sampling.spp * settings.sampling.samples_per_vertex  # path samples
-        with step_threads(lanes, self._networks):
+        with torch_on_one():
             loss = self._iterate(batch, rate_progress(self.assembly, progress), backward)
         passes = self.processes * (2 if settings.objective.estimator == "two_pass" else 1)
         self.counters.samples += passes * lanes

@@ -45,7 +45,7 @@ def test_floor_is_what_the_slowest_resource_needs():
     rates = {"closest": 1e6, "shadow": 0.0, "matrix": 1e9, "bandwidth": 1e8}
     assert floor("tracing: closest", stages.Work(lanes=1000), rates) == (1.0, "tracer")
     assert floor("tracing: shadow", stages.Work(lanes=1000), rates) == (None, "")
-    assert floor("fields: networks", stages.Work(bytes=1.0, operations=2e6), rates) == (2.0, "matrix")
+    assert floor(stages.LAYERS, stages.Work(bytes=1.0, operations=2e6), rates) == (2.0, "matrix")
     assert floor("bsdf", stages.Work(bytes=1e5), rates) == (1.0, "bandwidth")
     assert floor("bsdf", stages.Work(), rates) == (None, "")
 
@@ -68,7 +68,7 @@ def test_tables_line_up_and_survive_gaps(tmp_path):
 @pytest.mark.main
 def test_step_has_every_stage_and_puts_the_library_back(tmp_path, capsys):
     out = tmp_path / "step.csv"
-    forward, backward = HashGrid.forward, stages.hash_grid._Encode.backward
+    forward, backward = HashGrid.forward, stages.mlp._Layers.backward
     glossy = ["--config", "patterns.yaml", *SMALL[2:]]  # a Lambertian scene leaves stages out
     main(["bench", "step", *glossy, "--steps", "3", "--warmup", "2", "--out", str(out)])
     assert "ms a step" in capsys.readouterr().out
@@ -81,11 +81,11 @@ def test_step_has_every_stage_and_puts_the_library_back(tmp_path, capsys):
         assert float(rows[stage]["floor_ms"]) > 0, stage
     # 64 pixels x 2 positions, a second hit for an eighth of them: every one casts a ray to what it sees next.
     assert 128 <= float(rows["tracing: closest"]["lanes"]) <= 256
-    assert float(rows["fields: grids"]["lanes"]) >= 2 * 128
+    assert float(rows[stages.LAYERS]["lanes"]) >= 2 * 128
     assert sum(float(rows[stage]["percent"]) for stage in rows) == pytest.approx(100.0)
     assert whole > 0
     assert HashGrid.forward is forward
-    assert stages.hash_grid._Encode.backward is backward
+    assert stages.mlp._Layers.backward is backward
 
 
 @pytest.mark.main
