@@ -76,7 +76,8 @@ def measure(steps: int, evaluations: int, settings: list[str]) -> list[tuple[flo
             "init_args": {"out": str(out), "every": steps // SAMPLES},
         }
         words = [
-            "fit", *SETTINGS, f"--trainer.max_steps={steps}", f"--trainer.default_root_dir={folder}",
+            "fit", "--trust=benchmarks", *SETTINGS, f"--trainer.max_steps={steps}",
+            f"--trainer.default_root_dir={folder}",
             f"--evaluation.every_n_steps={max(1, steps // evaluations)}", f"--trainer.callbacks+={json.dumps(watch)}",
             *(f"--{word}" for word in settings),
         ]  # fmt: skip

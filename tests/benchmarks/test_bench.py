@@ -7,7 +7,7 @@ import time
 import pytest
 import torch
 
-from benchmarks.bench import growth, machine, memory, stages
+from benchmarks.bench import growth, machine, memory, stages, start
 from benchmarks.bench.measure import floor
 from benchmarks.bench.memory_watch import resident
 from neurad.cli import main
@@ -153,3 +153,31 @@ def test_memory_on_a_line():
     assert slope == pytest.approx(250.0)
     assert scatter == pytest.approx(0.0, abs=1e-6)
     assert resident() > 10_000
+
+
+SETTINGS = ["--config=cornell.yaml", "--data.patches=64", "--model.sampling.spp=2", "--model.sampling.cached_spp=2"]
+
+
+def test_parts_of_a_start_add_up():
+    *parts, whole = start.start(SETTINGS, cold=False)
+    assert len(parts) == len(start.PARTS)
+    for key in ("seconds", "processor_s"):
+        assert all(part[key] > 0 for part in parts)
+        assert sum(part[key] for part in parts) == pytest.approx(whole[key])
+
+
+@pytest.mark.slow
+@pytest.mark.main
+def test_a_start_with_an_empty_cache_compiles(tmp_path):
+    seconds = {}
+    for cold in ([], ["--cold"]):
+        main(["bench", "start", "--repeats", "1", "--out", str(tmp_path / "start.csv"), *SMALL, *cold])
+        seconds[bool(cold)] = float(table(tmp_path / "start.csv")[-1]["seconds"])
+    assert seconds[True] > seconds[False] + 1.0
+
+
+@pytest.mark.slow
+@pytest.mark.main
+def test_the_memory_of_a_fit_is_taken_on_the_way(tmp_path):
+    main(["bench", "memory", "--steps", "200", "--evaluations", "2", "--out", str(tmp_path / "memory.csv")])
+    assert all(float(row["resident_MiB"]) > 100 for row in table(tmp_path / "memory.csv"))

@@ -1,0 +1,92 @@
+"""``neurad bench start``: how long ``neurad fit`` takes to its first step, part by part.
+
+Each start is a process of its own, a fit that ends after one step. Its clock runs from the start of the process,
+interpreter and imports included.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import statistics
+import tempfile
+import time
+from pathlib import Path
+
+from benchmarks.bench.options import add_settings
+from neurad.core.errors import InputError
+from neurad.core.ranges import Count, option
+from neurad.runs.child import run_neurad
+from neurad.runtime.tables import Record, numbers, read_csv
+
+PARTS = ("imports and settings", "photographs", "scene and fields", "camera rays and checks", "first step")
+"""In the order of a start."""
+CACHE = "NUMBA_CACHE_DIR"
+
+
+def add_arguments(parser: argparse.ArgumentParser) -> None:
+    """Declare the options of the benchmark."""
+    add_settings(parser, "kitchen.yaml")
+    parser.add_argument("--repeats", type=option(Count), default=5, help="starts, of which medians are shown")
+    parser.add_argument(
+        "--cold", action="store_true", help="an empty cache of compiled kernels for each, as after an installation"
+    )
+    parser.add_argument("--out", metavar="FILE.csv", help="write the table here too")
+
+
+def run(options: argparse.Namespace) -> None:
+    """Start fits, and print the medians of their parts.
+
+    Raises:
+        InputError: a setting is wrong, or a fit failed.
+    """
+    from benchmarks.bench.machine import report
+
+    words = [f"--config={name}" for name in options.config or [options.default_config]]
+    words += [f"--{word}" for word in options.set]
+    if not options.cold:
+        start(words, cold=False)  # fills the cache
+    found = [start(words, options.cold) for _ in range(options.repeats)]
+    rows: list[Record] = [
+        {"part": part, **{key: statistics.median(one[i][key] for one in found) for key in ("seconds", "processor_s")}}
+        for i, part in enumerate((*PARTS, "to the end of the first step"))
+    ]
+    cache = "empty" if options.cold else "full"
+    report(rows, f"{' '.join(words)}: medians of {options.repeats} starts with {cache} cache of kernels", options.out)
+
+
+def start(words: list[str], cold: bool) -> list[dict[str, float]]:
+    """Wall-clock and processor seconds of each part, and of all, for one fit with the settings ``words``.
+
+    Raises:
+        InputError: the fit failed.
+    """
+    from benchmarks.bench.start_watch import StartWatch
+
+    with tempfile.TemporaryDirectory() as folder:
+        out, log, before = Path(folder) / "start.csv", Path(folder) / "log", os.environ.get(CACHE)
+        watch = {
+            "class_path": f"{StartWatch.__module__}.{StartWatch.__qualname__}",
+            "init_args": {"out": str(out), "begun": time.monotonic()},
+        }
+        if cold:
+            os.environ[CACHE] = str(Path(folder) / "kernels")
+        fit = [
+            "fit", "--trust=benchmarks", *words, "--trainer.max_time=null", "--trainer.max_steps=1",
+            "--trainer.logger=false", f"--trainer.default_root_dir={folder}",
+            f"--trainer.callbacks+={json.dumps(watch)}",
+        ]  # fmt: skip
+        try:
+            ended = run_neurad(fit, log)
+        finally:
+            if cold and before is None:
+                del os.environ[CACHE]
+            elif before is not None:
+                os.environ[CACHE] = before
+        if ended.code != 0:
+            raise InputError(f"bench start: the fit failed: {ended.message}")
+        times = [numbers(row) for row in read_csv(out)[1]]
+    begin = {"seconds": 0.0, "processor_s": 0.0}
+    parts = [{key: now[key] - then[key] for key in begin} for then, now in zip([begin, *times], times, strict=False)]
+    return [*parts, times[-1]]
