@@ -96,7 +96,7 @@ def print_closing(
     module: InverseRenderer = trainer.lightning_module  # type: ignore[assignment]
     print("".join(f"neurad: warning: {cause}\n" for cause in causes), end="")
     print_verdict(module, scores, unseen)
-    for sentence in (sentence_of_limits(scores), sentence_of_roughness(scores)):
+    for sentence in (sentence_of_limits(scores), sentence_of_roughness(scores), _absorbed(module)):
         if sentence:
             print(f"neurad: {sentence}")
     if any(name in scores for name in KINDS.values()):
@@ -112,6 +112,18 @@ def print_closing(
     steps = list(_next_steps(trainer, folder, tested))
     width = max(len(command) for command, _ in steps)
     print("\n".join(f"  {command:<{width}}  {text}" for command, text in steps))
+
+
+def _absorbed(module: InverseRenderer) -> str:
+    """How many paths through mirrors and glass were cut short; empty where none was."""
+    world = module.assembly.world
+    absorbed = 0 if world.delta is None else int(world.delta.absorbed)
+    if absorbed == 0:
+        return ""
+    return (
+        f"{absorbed} paths met more mirrors or panes in a row than are followed, and count as absorbed "
+        f"({100 * absorbed / max(world.tracer.rays_cast, 1):.2g} % of the rays)"
+    )
 
 
 def _distrusted(folder: Path, unseen: Unseen | None) -> str:

@@ -136,9 +136,7 @@ class SurfaceInteraction(Lanes):
     """True where there is a surface [n], bool."""
 
     def where_hit(self, values: Tensor) -> Tensor:
-        """``values`` [n, c], but 0 in lanes that hit nothing; may be ``values`` itself."""
-        if self.valid.device.type == "cpu" and self.valid.all():  # as in every closed scene
-            return values
+        """``values`` [n, c], but 0 in lanes that hit nothing."""
         return values * self.valid.unsqueeze(-1)
 
 

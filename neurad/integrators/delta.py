@@ -12,11 +12,13 @@ from neurad.bsdf.microfacet import fresnel_dielectric
 from neurad.core.frame import Frame
 from neurad.core.protocols import Tracer
 from neurad.core.records import Constant, SurfaceInteraction
+from neurad.runtime.lanes import all_lanes, lanes_of, put
 from neurad.scene.description import Scene
 from neurad.scene.geometry import Geometry
 
-MAX_CHAIN = 16
-"""Longest chain of delta vertices; what is left then (a mirror facing a mirror) counts as absorbed."""
+MAX_CHAIN, MAX_FULL_CHAIN = 16, 8
+"""Longest chain of delta vertices; what is left then (a mirror facing a mirror) counts as absorbed. The second number
+where all lanes go on together, always as often."""
 
 
 class DeltaSurfaces(nn.Module):
@@ -32,6 +34,8 @@ class DeltaSurfaces(nn.Module):
     two_sided: Tensor
     eta: Tensor
     tint: Tensor
+    absorbed: Tensor
+    """Chains so far that were longer than is followed."""
 
     def __init__(self, scene: Scene, geometry: Geometry) -> None:
         super().__init__()
@@ -48,6 +52,7 @@ class DeltaSurfaces(nn.Module):
         }
         for name, table in tables.items():
             self.register_buffer(name, table[face], persistent=False)
+        self.register_buffer("absorbed", torch.zeros((), dtype=torch.int64), persistent=False)
 
     def follow(
         self, geometry: Geometry, tracer: Tracer, si: SurfaceInteraction, u: Tensor
@@ -66,30 +71,30 @@ class DeltaSurfaces(nn.Module):
         """
         throughput = torch.ones_like(si.p)
         via_delta = torch.zeros_like(si.valid)
-        parts = {name: getattr(si, name).clone() for name in si.__dataclass_fields__}
-        u = u.clone()
-        for _ in range(MAX_CHAIN):
+        parts = {name: getattr(si, name) for name in si.__dataclass_fields__}
+        for _ in range(MAX_FULL_CHAIN if all_lanes(u.device) else MAX_CHAIN):
             now = SurfaceInteraction(**parts)
-            index = (now.valid & self.is_delta[now.prim.clamp_min(0)]).nonzero().squeeze(-1)
-            if len(index) == 0:
+            smooth = now.valid & self.is_delta[now.prim.clamp_min(0)]
+            lanes = lanes_of(smooth)
+            if lanes is None:
                 return now, throughput, via_delta
-            here = now[index]
-            prim = here.prim
+            here = now[lanes]
+            prim = here.prim.clamp_min(0)
             frame = Frame.around(here.n)
             wo = frame.to_local(here.wo)
             glass, eta = self.dielectric[prim], self.eta[prim]
-            wi, weight = scatter(glass, wo, eta, self.tint[prim], u[index])
-            u[index] = _remaining(u[index], glass, wo, eta)
+            wi, weight = scatter(glass, wo, eta, self.tint[prim], u[lanes])
+            u = put(u, smooth, lanes, _remaining(u[lanes], glass, wo, eta))
             d = torch.nn.functional.normalize(frame.to_world(wi), dim=-1)
             rays = geometry.spawn(here, d)
             end = geometry.interact(rays, tracer.closest(rays))
             front = self.two_sided[prim] | (wo[:, 2] > 0)  # a one-sided mirror is black from behind
-            throughput[index] *= weight * front.unsqueeze(-1)
-            via_delta[index] = True
-            for name, values in parts.items():
-                values[index] = getattr(end, name)
+            throughput = put(throughput, smooth, lanes, throughput[lanes] * weight * front.unsqueeze(-1))
+            via_delta = via_delta | smooth
+            parts = {name: put(values, smooth, lanes, getattr(end, name)) for name, values in parts.items()}
         now = SurfaceInteraction(**parts)
         stuck = now.valid & self.is_delta[now.prim.clamp_min(0)]
+        self.absorbed += stuck.sum()
         throughput[stuck] = 0.0
         return replace(now, valid=now.valid & ~stuck), throughput, via_delta
 

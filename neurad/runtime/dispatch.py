@@ -14,6 +14,8 @@ from torch import Tensor
 
 from neurad.runtime import warp
 
+KERNEL_DEVICES = ("cpu",)
+"""Kinds of device that have kernels compiled by numba or oneDNN. Tests of what a GPU does take the CPU out."""
 WARP_DEVICES = ("cuda",)
 """Kinds of device that have Warp's kernels. Tests add the CPU, where Warp runs them too, on one thread."""
 
@@ -28,7 +30,8 @@ def use_kernel(enabled: bool, *tensors: Tensor, differentiable: bool = False) ->
             reference.
     """
     return enabled and all(
-        x.device.type == "cpu" and x.dtype == torch.float32 and (differentiable or not x.requires_grad) for x in tensors
+        x.device.type in KERNEL_DEVICES and x.dtype == torch.float32 and (differentiable or not x.requires_grad)
+        for x in tensors
     )
 
 

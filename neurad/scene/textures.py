@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from functools import partial
+
 import numpy as np
 import torch
 from torch import Tensor, nn
@@ -9,6 +11,7 @@ from torch import Tensor, nn
 from neurad.core.errors import InputError
 from neurad.core.parameters import ALBEDO, ROUGHNESS, SurfaceParameter
 from neurad.core.records import Bitmap, Constant, Surface, SurfaceInteraction, Texture, VertexAttribute, constant
+from neurad.runtime.lanes import where_needed
 from neurad.scene.description import Scene
 from neurad.scene.geometry import Geometry
 
@@ -103,13 +106,16 @@ class OnEmitters(nn.Module):
 
     def forward(self, si: SurfaceInteraction, values: Tensor) -> Tensor:
         """``values`` [n, channels] at the lanes of ``si``, replaced where these are on an emitter."""
-        lane = (self.emits[si.prim.clamp_min(0)] & si.valid).nonzero().squeeze(-1)
-        if len(lane) == 0:
-            return values
-        if self.table.is_constant:
-            return values.index_copy(0, lane, self.table.constant[self.geometry.material[si.prim[lane]]])
-        part = si[lane]
-        return values.index_copy(0, lane, self.table(self.geometry.material[part.prim], part, self.geometry))
+        prim = si.prim.clamp_min(0)
+
+        def known(lane: Tensor | slice) -> Tensor:
+            material = self.geometry.material[prim[lane]]
+            if self.table.is_constant:
+                return self.table.constant[material]
+            value: Tensor = self.table(material, si[lane], self.geometry)
+            return value
+
+        return where_needed(self.emits[prim] & si.valid, values, known)
 
 
 class TextureTable(nn.Module):
@@ -172,13 +178,10 @@ class TextureTable(nn.Module):
         if self.is_constant:
             return out
         kind = torch.where(si.valid, self.kind[material], -2)
-        lane = (kind == -1).nonzero().squeeze(-1)
-        if len(lane):
-            out[lane] = self._bilinear(material[lane], si.uv[lane])
+        if len(self.texels):
+            out = where_needed(kind == -1, out, lambda lane: self._bilinear(material[lane], si.uv[lane]))
         for index, name in enumerate(self.names):
-            lane = (kind == index).nonzero().squeeze(-1)
-            if len(lane):
-                out[lane] = geometry.attribute(name, si[lane])
+            out = where_needed(kind == index, out, partial(_attribute, geometry, name, si))
         return out
 
     def _bilinear(self, material: Tensor, uv: Tensor) -> Tensor:
@@ -198,3 +201,7 @@ class TextureTable(nn.Module):
         index = torch.cat((y0 * width + x0, y0 * width + x1, y1 * width + x0, y1 * width + x1), -1) + first
         weight = torch.cat(((1 - fx) * (1 - fy), fx * (1 - fy), (1 - fx) * fy, fx * fy), -1)
         return (weight.unsqueeze(-1) * self.texels[index]).sum(1)
+
+
+def _attribute(geometry: Geometry, name: str, si: SurfaceInteraction, lanes: Tensor | slice) -> Tensor:
+    return geometry.attribute(name, si[lanes])

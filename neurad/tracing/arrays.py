@@ -13,6 +13,10 @@ from torch import Tensor
 from neurad.core.extent import subsample, typical_extent
 from neurad.core.records import FloatArray, Hit, Rays
 
+FIRST_STEP, TRIES = 2.0**-22, 8
+"""First step of a ray away from the triangle that it starts on, over its largest coordinate, and how many it takes,
+each four times as long as the one before."""
+
 
 def as_floats(values: Tensor) -> FloatArray:
     """``values`` as a contiguous float32 array; shares memory with a tensor that is one already."""
@@ -59,8 +63,8 @@ def beyond_start(closest: Callable[[Rays], Hit], rays: Rays, hit: Hit, extent: f
     if len(on) == 0:
         return hit
     t, prim, u, v = hit.t.clone(), hit.prim.clone(), hit.u.clone(), hit.v.clone()
-    step = 2.0**-22 * rays.o[on].detach().float().abs().amax(-1).clamp_min(extent / 1024)
-    for _ in range(8):
+    step = FIRST_STEP * rays.o[on].detach().float().abs().amax(-1).clamp_min(extent / 1024)
+    for _ in range(TRIES):
         start = rays[on]
         found = closest(Rays(start.o + step[:, None] * start.d, start.d))
         stuck = found.valid & (found.t <= 0)

@@ -10,7 +10,7 @@ from torch import Tensor
 from neurad.core.errors import InputError
 from neurad.core.records import Hit, Rays
 from neurad.runtime.warp import launch, load
-from neurad.tracing.arrays import beyond_start, coordinate_extent, no_hits
+from neurad.tracing.arrays import coordinate_extent, no_hits
 
 
 class WarpTracer:
@@ -51,13 +51,10 @@ class WarpTracer:
 
     def closest(self, rays: Rays) -> Hit:
         """The nearest hit with t > 0 of every ray, dense [n], on the rays' device."""
-        return beyond_start(self._closest, rays, self._closest(rays), self.extent)
-
-    def _closest(self, rays: Rays) -> Hit:
         hit = no_hits(len(rays), rays.o.device)
         if not self.empty and len(rays) > 0:
             prim = self._mesh(rays.o.device)[1]
-            self._launch(self._kernels.closest, rays, prim, hit.t, hit.prim, hit.u, hit.v, hit.valid)
+            self._launch(self._kernels.closest, rays, prim, self.extent, hit.t, hit.prim, hit.u, hit.v, hit.valid)
         return hit
 
     def occluded(self, rays: Rays, t_max: Tensor) -> Tensor:
@@ -70,7 +67,7 @@ class WarpTracer:
             self._launch(self._kernels.occluded, rays, t_max.detach().float().contiguous(), blocked)
         return blocked
 
-    def _launch(self, kernel: Any, rays: Rays, *arrays: Tensor) -> None:
+    def _launch(self, kernel: Any, rays: Rays, *arrays: Any) -> None:
         """Run a kernel, one thread a ray."""
         o, d = (x.detach().float().contiguous() for x in (rays.o, rays.d))
         launch(kernel, len(rays), o.device, self._mesh(o.device)[0].id, o, d, *arrays)
