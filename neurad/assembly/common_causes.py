@@ -67,9 +67,10 @@ def common_causes(
         return []
     if views is None:
         views = _edge_views(world, cameras, photographs, develop)
-    if turn := shared_turn([view for view in views if len(view[2]) >= LEAST_EDGES]):
-        return [_of_turn(turn)]  # places that do not belong together say nothing else
     found = shared_errors(world, cameras, photographs, develop)
+    turn = shared_turn([view for view in views if len(view[2]) >= LEAST_EDGES])
+    if turn and not (found and found.border):  # the edges of a border are like those of another field of view
+        return [_of_turn(turn)]  # places that do not belong together say nothing else
     said = [] if found is None else _of_places(found)
     # Where something of that is found, brightness is not that of surfaces, and light is not compared with it.
     if lit and not said and (light := transport(world, cameras, photographs, seed, develop)):
@@ -147,17 +148,19 @@ def _of_light(light: Transport, scale_known: bool) -> list[str]:
         return []
     flat, open_ = slope.value < 1.0, light.escaping >= OPEN
     lamps = [] if scale_known else ["lights of the scene that are too " + ("bright" if flat else "dim")]
+    among = (CURVES[0], 1.0) if flat else (1.0, CURVES[1])
+    power = minimize_scalar(lambda p: (light.slope(p).value - 1.0) ** 2, bounds=among, options={"xatol": 0.02}).x
+    curve = f"a response curve that was not taken back (gamma, about {power:.1f})"
     # What was added is no more than the darkest place shows: is that enough?
     less = light.slope(offset=light.floor)
     if flat and light.floor > MATTERS and (less.value > 1.0 or not less.differs(1.0)):
         causes = ["haze", "a black offset", *(["a sky that the scene does not have"] if open_ else []), *lamps]
+        causes += [] if light.slope(power).differs(1.0) else [curve]
         return [
             f"no surface in any photograph is darker than {100 * light.floor:.0f} % of their mean, and dark places are "
             f"brighter than the scene's light makes them: {', '.join(causes[:-1])} or {causes[-1]}; these look alike"
         ]
-    among = (CURVES[0], 1.0) if flat else (1.0, CURVES[1])
-    power = minimize_scalar(lambda p: (light.slope(p).value - 1.0) ** 2, bounds=among, options={"xatol": 0.02}).x
-    causes = [f"a response curve that was not taken back (gamma, about {power:.1f})"]
+    causes = [curve]
     causes += (["light that is missing in the scene, such as a sky"] if flat and open_ else []) + lamps
     return [
         f"along surfaces the photographs' brightness rises with the power {slope.value:.2f} of the light that arrives: "

@@ -177,7 +177,8 @@ def transport(
     if int(mesh[: len(own)].bincount().max()) > SCAN * len(own):
         axis = (facing := _facing(points)).abs().argmax(-1, keepdim=True)
         mesh = 6 * mesh + (2 * axis + (facing.gather(-1, axis) < 0)).squeeze(-1)
-    escaping = 1.0 - float(first.next.valid.float().mean())
+    went = first.weight.sum(-1) > 0  # a sample below its surface goes nowhere
+    escaping = float((went & ~first.next.valid).sum()) / max(int(went.sum()), 1)
     return Transport(
         direct, weight, source, mesh.cpu().numpy(), np.concatenate(view), photographed, floor, escaping
     )  # fmt: skip

@@ -158,7 +158,8 @@ def shared_errors(
     """
     size = tuple(min(GRID, *(getattr(camera, side) for camera in cameras)) for side in ("height", "width"))
     with world.tracer.uncounted():
-        pairs, marked = _pairs(world, cameras, photographs, develop, size)
+        pairs, alike = _pairs(world, cameras, photographs, develop, size)
+    marked = alike
     views = len(set(pairs.a.tolist()))
     if views < LEAST_VIEWS or len(pairs.a) < 100 * views:
         return None
@@ -167,13 +168,14 @@ def shared_errors(
         if len(kept.a) < 100:
             kept = pairs
         gains, slopes = _solved(kept, len(cameras))
-        marked = _marked(pairs, pairs.value - _model(pairs, gains, slopes), marked)
+        differs = _marked(pairs, pairs.value - _model(pairs, gains, slopes), marked)
+        marked = alike | differs
     kept = pairs[~marked[pairs.cell] & ~marked[pairs.other]]
     falloff, spread = _judged(kept, len(cameras))
     picture, known = marked.reshape(size), np.bincount(pairs.cell, minlength=len(marked)).reshape(size) > 0
     border, rest = _border(picture, known)
     inside = known & rest
-    marks = int((picture & inside).sum())
+    marks = int((differs.reshape(size) & inside).sum())
     return SharedErrors(falloff, spread, border, marks / int(inside.sum()) if marks >= MARKS else 0.0)
 
 

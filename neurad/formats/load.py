@@ -20,7 +20,7 @@ from neurad.runtime.progress import phase
 from neurad.runtime.reading import exists, in_other_case, regular_file, shown
 from neurad.runtime.reading import folder as existing_folder
 from neurad.scene.description import Scene
-from neurad.scene.origin import ZERO, moved_views, near, origin_of
+from neurad.scene.origin import ZERO, moved_views, near, origin_of, stored_spacing
 from neurad.scene.panes import pane_note
 
 T = TypeVar("T")
@@ -173,6 +173,12 @@ def surface_notes(scene: Scene) -> list[str]:
         f"the room lies far from the origin of its coordinates: ({place}) is subtracted from all of them while it is "
         "computed with, and added again to what is given back"
     )
+    coarse = stored_spacing(scene)
+    if coarse > 0.0:
+        far = (
+            f"warning: its coordinates are numbers of 32 bits, which are {coarse:.2g} apart so far from their origin: "
+            f"export it with 64 bits, or nearer the origin. {far[0].upper()}{far[1:]}"
+        )
     return [far, *pane_note(scene)]
 
 

@@ -16,7 +16,7 @@ from neurad.core.errors import InputError
 from neurad.core.ranges import Ceiling, checked
 from neurad.core.records import View
 from neurad.images.image_io import opened
-from neurad.images.photographs import CODED, colour_profile, largest_code
+from neurad.images.photographs import CODED, colour_profile, format_of, largest_code
 from neurad.images.response import FIT, check_response
 from neurad.runtime.reading import listed, native, regular_file
 
@@ -100,7 +100,7 @@ def _with_format(view: View, settings: Photography) -> View:
 
 def usual_ceiling(path: Path) -> float:
     """Fraction of the largest code from which on a photograph's format is clipped."""
-    return JPEG_CEILING if path.suffix.lower() in (".jpg", ".jpeg") else 1.0
+    return JPEG_CEILING if path.suffix.lower() in CODED and format_of(path) == "JPEG" else 1.0
 
 
 def _of_codes(views: Sequence[View], settings: Photography) -> list[str]:
@@ -116,9 +116,9 @@ def _of_codes(views: Sequence[View], settings: Photography) -> list[str]:
                 f"--data.response {settings.response}: no photograph has codes, EXR and Radiance pictures are linear"
             )
         return []
-    kinds = Counter((Path(str(view.image)).suffix.lower()[1:], view.development.levels) for view in coded)
+    kinds = Counter((format_of(Path(str(view.image))), view.development.levels) for view in coded)
     listed = ", ".join(
-        f"{number} {kind.upper()} of {8 if levels == 255 else 16} bits" for (kind, levels), number in kinds.items()
+        f"{number} {kind} of {8 if levels == 255 else 16} bits" for (kind, levels), number in kinds.items()
     )
     curve = {
         None: "sRGB's curve is undone, as nothing else is said (--data.response)",

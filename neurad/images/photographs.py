@@ -80,6 +80,16 @@ def largest_code(path: Path) -> int:
     return (1 << bits) - 1
 
 
+def format_of(path: Path) -> str:
+    """``JPEG``, ``PNG`` or ``TIFF``: what a photograph of codes is, whatever its name ends in.
+
+    Raises:
+        InputError: it cannot be read.
+    """
+    with _header(path) as image:
+        return str(image.format)
+
+
 def colour_profile(path: Path) -> str | None:
     """The description of the colour profile that a photograph of codes carries; None where it has none.
 

@@ -41,6 +41,18 @@ def origin_of(meshes: Iterable[Mesh]) -> Float64Array:
     return np.asarray(np.round(middle / step) * step)
 
 
+def stored_spacing(scene: Scene) -> float:
+    """Distance between two neighbouring coordinates of a scene that was moved, if its file has stored them as float32:
+    then all along an axis are such numbers. 0 where none are, or where they are finer than a hundred-thousandth of the
+    scene.
+    """
+    places = np.concatenate([mesh.vertices for mesh in scene.meshes]).astype(np.float64)
+    spacing = np.spacing(np.abs(scene.origin).astype(np.float32)).astype(np.float64)
+    whole = places + np.asarray(scene.origin)
+    stored = (whole == whole.astype(np.float32)).all(0) & (spacing > 1e-5 * np.ptp(places, axis=0).max())
+    return float(spacing[stored].max(initial=0.0))
+
+
 def moved_views(views: Sequence[View], step: npt.ArrayLike) -> list[View]:
     """Views whose cameras are moved by a step [3]."""
     return [replace(view, camera=moved_camera(view.camera, step)) for view in views]

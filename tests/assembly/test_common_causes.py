@@ -41,8 +41,8 @@ def corners(size):
     return (x**2 + y**2) / 0.5
 
 
-def bordered(pictures):
-    made = np.full_like(pictures, 0.02)
+def bordered(pictures, value=0.02):
+    made = np.full_like(pictures, value)
     made[:, 13:-13, 13:-13] = pictures[:, 13:-13, 13:-13]
     return made
 
@@ -71,6 +71,10 @@ def test_places_and_exposures_have_the_right_size(kitchen):
     assert set(framed.border) == {"left", "right", "top", "bottom"}
     assert all(part == pytest.approx(13 / 256, abs=0.02) for part in framed.border.values())
     assert abs(framed.falloff.value) < 0.05
+    # Of the brightness that the scene has: it does not differ from what other photographs show, but is the same in all.
+    grey = shared_errors(world, cameras, source(bordered(pictures, np.median(pictures))))
+    assert set(grey.border) == {"left", "right", "top", "bottom"}
+    assert not grey.falloff.differs()
     logo = shared_errors(world, cameras, source(marked(pictures)))
     assert logo.border == {}
     assert logo.marked == pytest.approx(30 * 60 / 256**2, rel=0.3)
@@ -96,6 +100,17 @@ def test_light_that_was_added_is_told_from_none(kitchen):
     assert hazy.floor > 0.2
     assert hazy.slope().value < 0.8
     assert hazy.slope(offset=hazy.floor).value == pytest.approx(bare.slope().value, abs=0.08)
+
+
+def test_a_border_is_said_before_another_field_of_view(kitchen, monkeypatch):
+    """Its edges stand where a zoom would put those of the geometry."""
+    from neurad.assembly import common_causes as module
+    from neurad.evidence.edge_fit import SharedTurn
+
+    world, cameras, pictures = kitchen
+    monkeypatch.setattr(module, "shared_turn", lambda views: SharedTurn("zoom", 0.96))
+    assert "field of view" in common_causes(world, cameras, source(pictures), SEED, views=[])[0]
+    assert "a border" in common_causes(world, cameras, source(bordered(pictures)), SEED, views=[])[0]
 
 
 def zoomed(cameras, factor):

@@ -136,6 +136,9 @@ def test_lengths_of_usd_are_metres(tmp_path):
     assert area(read.meshes[0]) == pytest.approx(10.0e-4)
     assert read.up == "z"
     assert any("its unit is 0.01 m" in note for note in read.notes)
+    unsaid = read_meshes(usd(tmp_path, FIVE.format(more=""), name="b.usda"))
+    assert area(unsaid.meshes[0]) == pytest.approx(10.0)
+    assert any("has no metersPerUnit" in note for note in unsaid.notes)
 
 
 @pytest.mark.parametrize("normalize", [False, True])

@@ -114,6 +114,11 @@ def test_lines_that_go_on_comments_and_mixed_corners(tmp_path):
     assert mesh.uvs is None
 
 
+def test_lines_may_end_as_old_macintoshes_end_them(tmp_path):
+    (mesh,) = read(tmp_path, "a.obj", (OBJ_POINTS + "f 1 2 3 4\n").replace("\n", "\r")).meshes
+    assert area(mesh) == pytest.approx(0.6)
+
+
 CUT = {
     "in a vertex": ("f 1 2 3\nv 1 2", r"line 9 is 'v 1 2'.*; the file is cut short"),
     "in a face": ("f 1 2 3\nf 5 6", r"line 9 is 'f 5 6'.*; the file is cut short"),

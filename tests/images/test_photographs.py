@@ -190,6 +190,19 @@ def test_photographs_of_mixed_formats(folder):
     assert ceiling_of(stated.train[0]) == pytest.approx(0.5, rel=1e-3)
 
 
+def test_a_photograph_is_what_its_bytes_say(folder):
+    """A JPEG that is named PNG is clipped as JPEGs are, and the other way about."""
+    from PIL import Image
+
+    as_png(folder)
+    for path, kind in ((folder / "images/train_1.png", "JPEG"), (folder / "images/train_2.png", "PNG")):
+        Image.open(path).save(path, kind)
+    [said] = load_scene(str(folder), None).notes
+    assert "1 JPEG of 8 bits" in said
+    assert "4 PNG of 8 bits" in said
+    assert "from code 250 or 255 on they are clipped" in said
+
+
 def test_exposures_of_the_camera_file_are_divided_out(folder):
     before = [read_view(view) for view in load_scene(str(folder), None).train]
     with_exposures(folder, "train", [0.5, 1, 4])
@@ -238,7 +251,7 @@ def test_exposures_of_exif(folder):
     scene = load_scene(str(folder), None)
     found = [view.development.exposure for view in (*scene.train, *scene.test)]
     np.testing.assert_allclose(found, [2, 0.5, 1, 1, 1], rtol=1e-4)
-    assert "5 JPG of 8 bits" in scene.notes[0]
+    assert "5 JPEG of 8 bits" in scene.notes[0]
     assert "from code 250 on" in scene.notes[0]
     assert "(EXIF, relative to their mean) are divided out" in scene.notes[1]
     path = folder / "images/train_2.jpg"

@@ -10,11 +10,13 @@ from helpers.gltf_writer import Document
 
 from neurad.cli import main
 from neurad.core.errors import InputError
-from neurad.core.records import Camera, Mesh
+from neurad.core.records import Camera, Material, Mesh, constant
+from neurad.core.reflection import DiffuseModel
 from neurad.formats.cameras.transforms import transforms
-from neurad.formats.load import read_folder
+from neurad.formats.load import read_folder, surface_notes
 from neurad.formats.mitsuba.write import ORIGIN, describe, write_xml
-from neurad.scene.origin import camera_in_scene, in_scene, origin_of
+from neurad.scene.description import Scene
+from neurad.scene.origin import camera_in_scene, in_scene, near, origin_of
 
 FAR = np.array([441545.5021, 2345.0873, -5121948.0137])
 BOX = np.array([(x, y, z) for x in (0.0, 4.1) for y in (0.0, 2.7) for z in (0.0, 3.3)])
@@ -89,6 +91,21 @@ def test_an_import_keeps_all_digits(tmp_path, monkeypatch, capfd, kind, up):
     given = sorted(camera.to_world[:3, 3].tolist() for camera in cameras)
     back = sorted(np.array(frame["transform_matrix"])[:3, 3].tolist() for frame in written)
     np.testing.assert_allclose(back, given, rtol=0, atol=1e-6)
+
+
+@pytest.mark.parametrize(("kind", "said"), [(np.float32, "32 bits, which are 0.5 apart"), (np.float64, "")])
+def test_coordinates_that_32_bits_cannot_hold_are_said(kind, said):
+    points = (BOX + FAR).astype(kind).astype(np.float64)
+    scene = near(
+        Scene(
+            "room",
+            [replace(box(), vertices=points)],
+            [Material("grey", DiffuseModel(), constant(0.5, 3), constant(1.0))],
+        ),
+        origin_of([box()]),
+    )
+    assert said in surface_notes(scene)[0]
+    assert surface_notes(scene)[0].startswith("warning") == bool(said)
 
 
 SHAPES = f"""<scene version="3.0.0">

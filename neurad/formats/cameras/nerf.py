@@ -183,10 +183,10 @@ def read_views(
     described, frames = _frames(path)
     undo = _applied(described, path)
     views: list[View] = []
-    refusals = Refusals()
+    refusals, by_file = Refusals(), dict[Path, int]()
     for index, frame in enumerate(frames):
         with refusals.part():
-            if not isinstance(frame, dict) or not isinstance(frame.get("file_path"), str):
+            if not isinstance(frame, dict) or not isinstance(frame.get("file_path"), str) or not frame["file_path"]:
                 raise InputError(f"{path}: frame {index} has no file_path")
             where = f"{path}: frame {index} ({shown(frame['file_path'])})"
             name = frame["file_path"]
@@ -196,6 +196,8 @@ def read_views(
                 image = listed_photograph(root, name, where, path.name)
             else:
                 image = photograph(name, where)
+            if (other := by_file.setdefault(image, index)) != index:
+                raise InputError(f"{where}: its photograph is also that of frame {other}; list each once")
             settings = {**described, **frame}
             film = _size(settings, where) or size
             if film is None:

@@ -128,6 +128,8 @@ def _statements(path: Path, text: bytes) -> _Statements:
     Raises:
         InputError: a line is broken.
     """
+    if b"\n" not in text:
+        text = text.replace(b"\r", b"\n")
     said, lines = _Statements(), text.split(b"\n")
     try:
         _go_through(lines, said)

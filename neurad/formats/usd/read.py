@@ -93,6 +93,8 @@ class _Reader:
         if UsdGeom.StageHasAuthoredMetersPerUnit(self.stage):
             unit = float(UsdGeom.GetStageMetersPerUnit(self.stage))
             within(unit, f"{shown(self.path)}: its metersPerUnit", 1e-12, LENGTH)
+        else:
+            self._note(f"{shown(self.path)}: it has no metersPerUnit: its lengths are taken for metres")
         if self.stage.HasAuthoredMetadata("upAxis"):
             up = str(UsdGeom.GetStageUpAxis(self.stage)).lower()
         root = self.stage.GetPseudoRoot()
