@@ -95,6 +95,7 @@ def test_light_that_was_added_is_told_from_none(kitchen):
     bare = transport(world, cameras, source(pictures), SEED)
     assert bare.slope().value == pytest.approx(0.96, abs=0.08)
     assert bare.floor < 0.05
+    assert bare.escaping < 0.01  # nothing but meshes all round; samples below their surface do not count
     mean = np.minimum(pictures, 10 * np.median(pictures)).mean()
     hazy = transport(world, cameras, source(pictures + 0.3 * mean), SEED)
     assert hazy.floor > 0.2
@@ -130,6 +131,7 @@ def test_each_cause_is_named_and_no_other(kitchen):
         "vignetting": (cameras, pictures * ((1 + 0.5 * corners(256)) ** -2)[..., None]),
         "exposures differ": (cameras, pictures * gains),
         "haze": (cameras, pictures + 0.3 * mean),
+        "a response curve": (cameras, pictures ** (1 / 2.2)),
     }
     for cause, (seen_by, shown) in right.items():
         said = common_causes(world, seen_by, source(shown), SEED)
