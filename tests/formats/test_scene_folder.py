@@ -421,6 +421,7 @@ BAD = {
     "no frames": (top(frames=[]), r"transforms_train\.json: it has no frames"),
     "json of another kind": (written("transforms_train.json", "[1]"), r"transforms_train\.json: it has no frames"),
     "frame without file": (frame(file_path=...), r"frame 1 has no file_path"),
+    "frame listed twice": (frame(file_path="images/train_0.exr"), r"frame 1 .*is also that of frame 0"),
     "frame with an empty file": (frame(file_path=""), r"frame 1 has no file_path"),
     "frame without name": (frame(file_path="/"), r"its file_path '/' is not the name of a file"),
     "no photograph": (removed("images/train_1.exr"), r"images/train_1\.exr: the photograph is missing"),
