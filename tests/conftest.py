@@ -26,10 +26,10 @@ def _seeded():
 @pytest.fixture
 def three_threads():
     """As many chunks of large work, however few cores there are."""
-    before = torch.get_num_threads()
-    torch.set_num_threads(3)
-    yield
-    torch.set_num_threads(before)
+    from helpers.torch_threads import torch_threads
+
+    with torch_threads(3):
+        yield
 
 
 @pytest.fixture

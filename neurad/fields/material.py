@@ -11,7 +11,7 @@ from neurad.core.parameters import ALBEDO, SurfaceParameter
 from neurad.core.records import FloatArray, SurfaceInteraction
 from neurad.fields.dense_grid import DenseGrid
 from neurad.fields.mlp import MLP
-from neurad.fields.select import make_layers
+from neurad.fields.select import evaluate_layers, make_layers
 from neurad.fields.settings import FieldConfig, RoughnessConfig
 from neurad.fields.unit_cube import UnitCube
 from neurad.scene.textures import OnEmitters
@@ -153,10 +153,7 @@ class MaterialField(nn.Module):
             ValueError: the field reads the albedo, and none is given.
         """
         x = self.cube(p)
-        if isinstance(self.mlp, MLP):
-            values = self._in_range(self.mlp.of_encoding(self.grid, x, self._others(albedo)))
-        else:
-            values = self._in_range(self.grid(x))
+        values = self._in_range(evaluate_layers(self.grid, self.mlp, x, self._others(albedo)))
         if self.correction is None or not self.correction.found:
             return values
         changed: Tensor = (values + self.correction(x)).clamp(self.parameter.low, self.parameter.high)

@@ -10,8 +10,7 @@ from torch.nn.functional import softplus
 
 from neurad.core.frame import faceforward
 from neurad.core.records import SurfaceInteraction
-from neurad.fields.mlp import MLP
-from neurad.fields.select import make_layers
+from neurad.fields.select import evaluate_layers, make_layers
 from neurad.fields.settings import RADIANCE_INPUTS, RadianceConfig
 from neurad.fields.unit_cube import UnitCube
 
@@ -63,11 +62,8 @@ class RadianceField(nn.Module):
         """
         if self.reads_albedo and albedo is None:
             raise ValueError("RadianceField: it reads the albedo, which is not given")
-        x = self.cube(si.p)
-        if isinstance(self.mlp, MLP):
-            y = self.mlp.of_encoding(self.grid, x, [_read(name, si, albedo) for name in self.inputs])
-        else:
-            y = self.grid(x)
+        others = [_read(name, si, albedo) for name in self.inputs]
+        y = evaluate_layers(self.grid, self.mlp, self.cube(si.p), others)
         return self.scale * softplus(y + _SHIFT)
 
 

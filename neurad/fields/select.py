@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import assert_never
 
-from torch import nn
+from torch import Tensor, nn
 
 from neurad.fields.dense_grid import DenseGrid
 from neurad.fields.hash_grid import HashGrid
@@ -28,3 +29,18 @@ def make_layers(config: FieldConfig, channels: int, extra: int = 0) -> tuple[nn.
         case _:
             assert_never(config.kind)
     return encoding, MLP(encoding.channels + extra, channels, config.width, config.hidden_layers)
+
+
+def evaluate_layers(encoding: nn.Module, layer: nn.Module, x: Tensor, others: Sequence[Tensor] = ()) -> Tensor:
+    """Values [n, channels] of the layers that :func:`make_layers` made, at positions ``x`` [n, 3] in the unit cube.
+
+    Args:
+        encoding: of positions.
+        layer: behind it.
+        x: positions.
+        others: what a network reads beside the encoding [n, ...], without gradient.
+    """
+    if isinstance(layer, MLP):
+        return layer.of_encoding(encoding, x, others)
+    values: Tensor = layer(encoding(x))
+    return values

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from torch import Tensor
 
-from neurad.losses.leave_one_out import ControlVariate, grouped, leave_one_out, on_device
+from neurad.losses.leave_one_out import ControlVariate, grouped, leave_one_out, with_gradient
 from neurad.losses.relative import Loss
 from neurad.runtime.dispatch import use_warp
 
@@ -37,7 +37,7 @@ def leave_one_out_censored(
         return leave_one_out(samples, target, weight, control, groups, chroma=chroma)
     n = samples.shape[1] if groups is None else groups
     if use_warp(samples.shape[2] == 3, samples):
-        return on_device(samples, target, weight, censored, control, n, chroma)
+        return with_gradient(samples, target, weight, censored, control, n, chroma)
     exact = leave_one_out(samples, target, weight * ~censored, control, groups, chroma=chroma)
     rows = censored.any(-1).nonzero().squeeze(-1)
     if len(rows) == 0:

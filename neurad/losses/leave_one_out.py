@@ -87,11 +87,9 @@ def leave_one_out(
         raise ValueError(
             f"leave_one_out: {samples.shape[1]} samples, {n} groups; the control variate must have as many"
         )
-    if use_warp(use_kernels and samples.shape[2] == 3, samples):
-        return on_device(samples, target, weight, None, control, n, chroma)
-    if use_kernel(use_kernels, samples, differentiable=True):
-        deviation = None if control is None else control.deviation
-        return Loss(*_Kernel.apply(samples, deviation, target, weight, control, n, chroma))  # type: ignore[no-untyped-call]
+    on_device = use_warp(use_kernels and samples.shape[2] == 3, samples)
+    if on_device or use_kernel(use_kernels, samples, differentiable=True):
+        return with_gradient(samples, target, weight, None, control, n, chroma)
     # Mean of the other groups: the residual's independent estimate
     fixed = grouped(samples.detach(), n)  # [b, groups, c]
     others = (fixed.sum(1, keepdim=True) - fixed) / (n - 1)
@@ -110,7 +108,7 @@ def leave_one_out(
     return Loss(surrogate, value)
 
 
-def on_device(
+def with_gradient(
     samples: Tensor,
     target: Tensor,
     weight: Tensor,
@@ -119,12 +117,9 @@ def on_device(
     groups: int,
     chroma: float,
 ) -> Loss:
-    """:func:`leave_one_out` by Warp's kernel, one-sided where ``censored`` [b, c]."""
-    from neurad.losses.leave_one_out_warp import LeaveOneOut  # Warp is optional
-
-    light, deviation = (None, None) if control is None else (control.Li, control.deviation)
-    found = LeaveOneOut.apply(samples, deviation, target, weight, censored, light, groups, chroma)  # type: ignore[no-untyped-call]
-    return Loss(*found)
+    """:func:`leave_one_out` by a kernel, on a GPU one-sided where ``censored`` [b, c]."""
+    deviation = None if control is None else control.deviation
+    return Loss(*_Kernel.apply(samples, deviation, target, weight, censored, control, groups, chroma))  # type: ignore[no-untyped-call]
 
 
 class _Kernel(torch.autograd.Function):
@@ -137,19 +132,30 @@ class _Kernel(torch.autograd.Function):
         deviation: Tensor | None,
         target: Tensor,
         weight: Tensor,
+        censored: Tensor | None,
         control: ControlVariate | None,
         groups: int,
         chroma: float,
     ) -> tuple[Tensor, Tensor]:
         by_sample = torch.empty_like(samples, memory_format=torch.contiguous_format)
-        light, around, by_deviation = (samples.new_empty(0, 0, 0) for _ in range(3))
+        light, around, by_deviation = (samples.new_empty(0, 0, samples.shape[2]) for _ in range(3))
         if control is not None and deviation is not None:
             light, around, by_deviation = control.Li, deviation, torch.empty_like(by_sample)
         given = samples, target, weight.expand_as(target), light, around
-        arrays = [x.detach().contiguous().numpy() for x in (*given, by_sample, by_deviation)]
-        grain = -(-GRAIN // samples.shape[1])
-        parts = split(lambda low, high: kernels.leave_one_out(low, high, groups, chroma, *arrays), len(samples), grain)
-        surrogate, value = (samples.new_tensor(sum(part)) for part in zip(*parts, strict=True))
+        samples, target, weight, light, around = (x.detach().contiguous() for x in given)
+        if use_warp(samples.shape[2] == 3, samples):
+            from neurad.losses.leave_one_out_warp import find  # Warp is optional
+
+            surrogate, value = find(
+                samples, around, target, weight, censored, light, by_sample, by_deviation, groups, chroma
+            )
+        else:
+            arrays = [x.numpy() for x in (samples, target, weight, light, around, by_sample, by_deviation)]
+            grain = -(-GRAIN // samples.shape[1])
+            parts = split(
+                lambda low, high: kernels.leave_one_out(low, high, groups, chroma, *arrays), len(samples), grain
+            )
+            surrogate, value = (samples.new_tensor(sum(part)) for part in zip(*parts, strict=True))
         ctx.gradients = by_sample, by_deviation
         ctx.mark_non_differentiable(value)
         return surrogate, value
@@ -159,4 +165,4 @@ class _Kernel(torch.autograd.Function):
     def backward(ctx: Any, outer: Tensor, _: Tensor) -> tuple[Tensor | None, ...]:
         by_sample, by_deviation = ctx.gradients
         wanted = ctx.needs_input_grad
-        return outer * by_sample, outer * by_deviation if wanted[1] else None, None, None, None, None, None
+        return outer * by_sample, outer * by_deviation if wanted[1] else None, *[None] * 6

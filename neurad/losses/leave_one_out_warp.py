@@ -5,12 +5,9 @@ Imported where samples on a GPU need it. A thread serves a pixel.
 # mypy: disable-error-code="attr-defined, valid-type, arg-type, return-value, no-untyped-call"
 # No postponed annotations here: Warp reads the argument types when a kernel is declared.
 
-from typing import Any
-
 import torch
 import warp as wp
 from torch import Tensor
-from torch.autograd.function import once_differentiable
 
 from neurad.runtime.warp import launch
 
@@ -101,42 +98,28 @@ def leave_one_out(
     value[pixel] = wp.vec2(surrogate, loss) * unit
 
 
-class LeaveOneOut(torch.autograd.Function):
-    """The loss as one operation: its gradient is found together with its value."""
+def find(
+    samples: Tensor,
+    deviation: Tensor,
+    target: Tensor,
+    weight: Tensor,
+    censored: Tensor | None,
+    light: Tensor,
+    by_sample: Tensor,
+    by_deviation: Tensor,
+    groups: int,
+    chroma: float,
+) -> tuple[Tensor, Tensor]:
+    """Surrogate and loss; fills ``by_sample`` and ``by_deviation`` with the surrogate's derivatives.
 
-    @staticmethod
-    def forward(
-        ctx: Any,
-        samples: Tensor,
-        deviation: Tensor | None,
-        target: Tensor,
-        weight: Tensor,
-        censored: Tensor | None,
-        light: Tensor | None,
-        groups: int,
-        chroma: float,
-    ) -> tuple[Tensor, Tensor]:
-        """Surrogate and loss; the arguments are those of :func:`neurad.losses.leave_one_out.leave_one_out`."""
-        samples = samples.detach().contiguous()
-        none = samples.new_empty(0, 0, 3)
-        by_sample, by_deviation = torch.empty_like(samples), none if deviation is None else torch.empty_like(samples)
-        value = samples.new_empty(len(samples), 2)
-        given = [target, weight.expand_as(target)]
-        given.append(samples.new_empty(0, 3, dtype=torch.bool) if censored is None else censored)
-        given += [none if light is None else light, none if deviation is None else deviation]
-        launch(
-            leave_one_out, len(samples), samples.device, samples, *(x.detach().contiguous() for x in given),
-            groups, chroma, 1.0 / (len(samples) * groups * 3), value, by_sample, by_deviation,
-        )  # fmt: skip
-        ctx.gradients = by_sample, by_deviation
-        surrogate, loss = value.sum(0).unbind()
-        ctx.mark_non_differentiable(loss)
-        return surrogate, loss
-
-    @staticmethod
-    @once_differentiable
-    def backward(ctx: Any, outer: Tensor, _: Tensor) -> tuple[Tensor | None, ...]:
-        """Gradients of samples and deviation."""
-        by_sample, by_deviation = ctx.gradients
-        wanted = ctx.needs_input_grad
-        return outer * by_sample, outer * by_deviation if wanted[1] else None, *[None] * 6
+    The arguments are those of :func:`neurad.losses.leave_one_out.leave_one_out`, contiguous; ``light`` and
+    ``deviation`` are a control variate's, empty without one.
+    """
+    value = samples.new_empty(len(samples), 2)
+    bounds = samples.new_empty(0, 3, dtype=torch.bool) if censored is None else censored.contiguous()
+    launch(
+        leave_one_out, len(samples), samples.device, samples, target, weight, bounds, light, deviation,
+        groups, chroma, 1.0 / (len(samples) * groups * 3), value, by_sample, by_deviation,
+    )  # fmt: skip
+    surrogate, loss = value.sum(0).unbind()
+    return surrogate, loss

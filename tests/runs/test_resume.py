@@ -13,6 +13,7 @@ import pytest
 import torch
 import yaml
 from helpers.tiny_scene import as_png, write_scene
+from helpers.torch_threads import torch_threads
 
 from neurad.callbacks.checkpoint import LastCheckpoint
 from neurad.cli import main
@@ -71,10 +72,8 @@ def same(a, b, where="checkpoint"):
 @pytest.fixture
 def one_thread():
     """As the process that is killed has."""
-    before = torch.get_num_threads()
-    torch.set_num_threads(1)
-    yield
-    torch.set_num_threads(before)
+    with torch_threads(1):
+        yield
 
 
 @pytest.mark.main

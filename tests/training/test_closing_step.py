@@ -1,11 +1,11 @@
 """A step from all training pixels at once: what is off comes right, and what halves of them do not confirm stays."""
 
-from contextlib import contextmanager
 from dataclasses import replace
 
 import numpy as np
 import pytest
 import torch
+from helpers.torch_threads import torch_threads
 
 from benchmarks.stress.fit import Fit, Plan, photographs, small_settings
 from benchmarks.stress.scenes import small_cube, with_material
@@ -36,16 +36,6 @@ def step_of(room, counters=None):
 
 def forget(correction):
     correction.load_state_dict(Correction().state_dict())
-
-
-@contextmanager
-def at_most_threads(count):
-    before = torch.get_num_threads()
-    torch.set_num_threads(count)
-    try:
-        yield
-    finally:
-        torch.set_num_threads(before)
 
 
 def mean_roughness(room):
@@ -91,7 +81,7 @@ def test_the_same_step_at_every_call_by_any_number_of_threads(room, threads):
         first = {name: value.clone() for name, value in correction.state_dict().items()}
         forget(correction)
         cast = tracer.rays_cast
-        with at_most_threads(threads):
+        with torch_threads(threads):
             step_of(room, replace(counters))
         assert all(torch.equal(value, first[name]) for name, value in correction.state_dict().items())
         once = tracer.rays_cast - cast
