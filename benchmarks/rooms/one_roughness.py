@@ -1,0 +1,150 @@
+"""``python -m benchmarks.rooms.one_roughness SRC DST``: a room folder in which each material has one roughness.
+
+Mitsuba photographs the room again by the cameras of SRC, with the integrator of its scene.xml. Views that are there
+already are kept, so that a call goes on where another one ended.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import shutil
+import xml.etree.ElementTree as ET
+import zlib
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from benchmarks.peer.variant import load_mitsuba
+from neurad.images.image_io import read_bitmap, write_exr
+
+LOWEST_MEAN, HIGHEST_MEAN = 0.1, 0.9
+"""Bounds of a roughness that is the mean of a map."""
+LOWEST_DRAWN, HIGHEST_DRAWN = 0.15, 0.85
+"""Bounds of a roughness that is drawn."""
+MIN_DEVIATION = 0.05
+"""Standard deviation of the maps' means below which materials are alike, and get values that are drawn."""
+SPLITS = ("train", "test")
+MAP_SPP = 64
+"""Samples a pixel of the true maps."""
+
+
+def main() -> None:
+    """Write DST."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("source", type=Path, metavar="SRC", help="room folder with scene.xml and transforms_*.json")
+    parser.add_argument("folder", type=Path, metavar="DST", help="room folder to write, or to go on with")
+    parser.add_argument("--spp", type=int, default=256, help="samples a pixel of a photograph")
+    parser.add_argument("--size", type=int, help="pixels across a photograph (default: those of SRC)")
+    parser.add_argument("--seed", type=int, default=1, help="of what is drawn, and of the photographs' noise")
+    asked = parser.parse_args()
+    copy_room(asked.source, asked.folder, asked.seed, asked.size)
+    photograph(asked.folder, asked.spp, asked.seed)
+
+
+def copy_room(source: Path, folder: Path, seed: int, size: int | None = None) -> None:
+    """Copy what stays, and write scene.xml with a number for each roughness map, and cameras ``size`` pixels wide.
+
+    A number is its map's mean, or where the means are alike one that is drawn from the seed and the material's name.
+    """
+    for name in ("meshes", "textures"):
+        if (source / name).is_dir():
+            shutil.copytree(source / name, folder / name, dirs_exist_ok=True)
+    if (source / "LICENSE.txt").is_file():
+        shutil.copy(source / "LICENSE.txt", folder)
+    for name in (f"transforms_{split}.json" for split in SPLITS):
+        cameras = json.loads((source / name).read_text())
+        scale = 1.0 if size is None else size / cameras["w"]
+        cameras |= {key: cameras[key] * scale for key in ("fl_x", "fl_y", "cx", "cy")}
+        cameras |= {key: round(cameras[key] * scale) for key in ("w", "h")}
+        (folder / name).write_text(json.dumps(cameras, indent=1) + "\n")
+    scene = ET.parse(source / "scene.xml")
+    mapped: dict[str, tuple[ET.Element, ET.Element]] = {}
+    for material in scene.getroot().findall("bsdf"):
+        for shader in material.iter("bsdf"):
+            for texture in shader.findall("texture[@name='roughness']"):
+                mapped[material.attrib["id"]] = shader, texture
+    means = {name: float(read_bitmap(source / _file(map_), raw=True).mean()) for name, (_, map_) in mapped.items()}
+    alike = len(means) > 1 and float(np.std(list(means.values()))) < MIN_DEVIATION
+    for name, (shader, texture) in mapped.items():
+        drawn = np.random.default_rng([seed, zlib.crc32(name.encode())]).uniform(LOWEST_DRAWN, HIGHEST_DRAWN)
+        value = drawn if alike else float(np.clip(means[name], LOWEST_MEAN, HIGHEST_MEAN))
+        where = list(shader).index(texture)
+        shader[where] = ET.Element("float", name="roughness", value=f"{value:.6g}")
+        (folder / _file(texture)).unlink(missing_ok=True)
+        print(f"{name}: roughness {value:.3f}, of a map whose mean is {means[name]:.3f}", flush=True)
+    scene.write(folder / "scene.xml", encoding="utf-8", xml_declaration=True)
+
+
+def _file(texture: ET.Element) -> str:
+    return next(child.attrib["value"] for child in texture if child.attrib["name"] == "filename")
+
+
+def photograph(folder: Path, spp: int, seed: int) -> None:
+    """Photographs and true maps of all views that lack them.
+
+    Args:
+        folder: of the room; Mitsuba reads its scene.xml.
+        spp: samples a pixel of a photograph.
+        seed: of the first view's noise.
+    """
+    mi = load_mitsuba()
+    scene = mi.load_file(str(folder / "scene.xml"))
+    subjects = {"albedo": scene, "roughness": roughness_scene(mi, folder / "scene.xml")}
+    aov = mi.load_dict({"type": "aov", "aovs": "value:albedo"})
+    index = 0
+    for split in SPLITS:
+        cameras = json.loads((folder / f"transforms_{split}.json").read_text())
+        for frame in cameras["frames"]:
+            index += 1
+            picture = folder / frame["file_path"]
+            if picture.is_file():
+                continue
+            sensor = pinhole(mi, cameras, frame)
+            for kind, subject in subjects.items():
+                values = mi.render(subject, sensor=sensor, integrator=aov, spp=MAP_SPP, seed=seed + index).numpy()
+                file = folder / frame[f"{kind}_path"]
+                file.parent.mkdir(exist_ok=True)
+                write_exr(file, values[..., -3:] if kind == "albedo" else values[..., -3:-2])
+            picture.parent.mkdir(exist_ok=True)
+            write_exr(picture, mi.render(scene, sensor=sensor, spp=spp, seed=seed + index).numpy())
+            print(frame["file_path"], flush=True)
+
+
+def pinhole(mi: Any, cameras: dict[str, Any], frame: dict[str, Any]) -> Any:
+    """Mitsuba's sensor of a frame of transforms_*.json, with square pixels, a centred axis and a box filter."""
+    to_world = np.array(frame["transform_matrix"]) @ np.diag([-1.0, 1.0, -1.0, 1.0])
+    film = {"type": "hdrfilm", "width": cameras["w"], "height": cameras["h"], "pixel_format": "rgb"}
+    return mi.load_dict({
+        "type": "perspective", "fov": float(np.degrees(cameras["camera_angle_x"])), "fov_axis": "x",
+        "to_world": mi.ScalarTransform4f(to_world), "film": {**film, "rfilter": {"type": "box"}},
+        "sampler": {"type": "independent"},
+    })  # fmt: skip
+
+
+def roughness_scene(mi: Any, path: Path) -> Any:
+    """The scene, its roughness as the reflectance of diffuse materials, which Mitsuba's integrator ``aov`` shows."""
+    tree = ET.parse(path)
+    for shader in (shader for material in tree.getroot().findall("bsdf") for shader in material.iter("bsdf")):
+        rough = next((child for child in shader if child.attrib.get("name") == "roughness"), None)
+        if rough is None:
+            continue
+        for child in list(shader):
+            shader.remove(child)
+        if rough.tag == "float":
+            value = rough.attrib["value"]
+            rough = ET.Element("rgb", value=f"{value}, {value}, {value}")
+        rough.attrib["name"] = "reflectance"
+        shader.attrib["type"] = "diffuse"
+        shader.append(rough)
+    written = path.with_name("roughness.part.xml")
+    tree.write(written)
+    try:
+        return mi.load_file(str(written))
+    finally:
+        written.unlink()
+
+
+if __name__ == "__main__":
+    main()
