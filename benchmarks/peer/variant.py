@@ -11,8 +11,11 @@ from neurad.runtime.extras import missing
 HOW = f"apt-get install libllvm19, or set DRJIT_LIBLLVM_PATH to a libLLVM.so of version {LLVM[0]} or newer"
 
 
-def load_mitsuba() -> Any:
+def load_mitsuba(program: str = "bench peer") -> Any:
     """The module ``mitsuba`` with the variant ``llvm_ad_rgb`` set and one thread a usable core.
+
+    Args:
+        program: that wants it, for the sentence.
 
     Raises:
         InputError: the package or a fitting LLVM library is missing.
@@ -20,12 +23,12 @@ def load_mitsuba() -> Any:
     try:
         import mitsuba as mi
     except ImportError as error:
-        raise missing("mitsuba", "mitsuba", "bench peer: it") from error
+        raise missing("mitsuba", "mitsuba", f"{program}: it") from error
     try:
         mi.set_variant(COMPILED)
         reason = no_llvm()
     except (ImportError, AttributeError) as error:
         reason = " ".join(str(error).split()).rstrip(".")
     if reason is not None:
-        raise InputError(f"bench peer: Mitsuba's {COMPILED} does not start ({reason}): {HOW}")
+        raise InputError(f"{program}: Mitsuba's {COMPILED} does not start ({reason}): {HOW}")
     return mi

@@ -36,7 +36,9 @@ def main() -> None:
     parser.add_argument("--blender", required=True, help="a Python that has bpy")
     asked, others = parser.parse_known_args()
     blend, photographs = asked.folder.with_suffix(".blend"), asked.folder.with_name(f"{asked.folder.name}-photographs")
-    subprocess.run([asked.blender, str(SCENE), str(blend), str(photographs), *others], check=True)
+    ended = subprocess.run([asked.blender, str(SCENE), str(blend), str(photographs), *others], check=False)
+    if ended.returncode != 0:
+        raise SystemExit(ended.returncode)
     words = ["--images", str(photographs), "--blender", asked.blender, "--copy", "--out", str(asked.folder)]
     neurad(["data", "blender", str(blend), *words])
     add_truth(asked.folder)

@@ -11,6 +11,25 @@ from mathutils import Matrix, Vector
 
 SIDE = 512
 """Pixels along a side of a picture."""
+COLUMNS = 16
+"""Spines side by side in the picture of the books."""
+ROUGHNESS = {
+    "wall paint": 0.80, "ceiling paint": 0.90, "wallpaper": 0.70, "floor": 0.48, "rug": 0.95, "sofa cloth": 0.90,
+    "cushion print": 0.82, "cushion plain": 0.86, "curtain": 0.88, "oak": 0.40, "walnut": 0.44, "pine": 0.60,
+    "cupboard paint": 0.52, "white lacquer": 0.55, "tiles": 0.18, "porcelain": 0.15, "glaze": 0.22, "soil": 0.95,
+    "terracotta": 0.80, "leaves": 0.56, "books": 0.65, "black plastic": 0.28, "frame": 0.42, "shade": 0.92,
+    "hills": 0.55, "painting": 0.62, "checks": 0.78, "brass": 0.28, "steel": 0.20, "mirror": 0.0, "glass": 0.0,
+}  # fmt: skip
+"""One for each material."""
+PLAIN = {
+    "wall paint": (0.72, 0.70, 0.63), "ceiling paint": (0.80, 0.80, 0.79), "cupboard paint": (0.14, 0.30, 0.29),
+    "white lacquer": (0.76, 0.76, 0.74), "sofa cloth": (0.16, 0.22, 0.32), "cushion plain": (0.62, 0.42, 0.08),
+    "shade": (0.70, 0.62, 0.46), "porcelain": (0.80, 0.79, 0.76), "glaze": (0.08, 0.18, 0.42),
+    "terracotta": (0.48, 0.20, 0.11), "soil": (0.06, 0.04, 0.03), "leaves": (0.10, 0.28, 0.06),
+    "black plastic": (0.03, 0.03, 0.03), "frame": (0.05, 0.04, 0.04), "glass": (1.0, 1.0, 1.0),
+    "brass": (0.80, 0.62, 0.32), "steel": (0.62, 0.62, 0.64), "mirror": (0.92, 0.92, 0.92),
+}  # fmt: skip
+METALS = ("brass", "steel", "mirror")
 
 
 def paint(name: str, colour: Any, roughness: float, metallic: float = 0.0) -> Any:
@@ -200,4 +219,29 @@ def spines(rng: Any, columns: int) -> Any:
             spine[band : band + 8] = gilt
         letters = np.repeat(rng.uniform(size=24) < 0.75, 10)
         spine[150:390, 10:18][letters] = gilt
+    return made
+
+
+def materials(rng: Any) -> dict[str, Any]:
+    """All that does not shine."""
+    hills = np.linspace(-4, 5, 512)[:, None] + 0.6 * clouds(rng, 60, 60)
+    colours = [(0.82, 0.8, 0.72), (0.7, 0.12, 0.08), (0.1, 0.22, 0.5), (0.85, 0.65, 0.12), (0.05, 0.05, 0.06)]
+    colour = {
+        **PLAIN,
+        "hills": mixed(hills, (0.12, 0.2, 0.08), (0.4, 0.6, 0.8)),
+        "painting": blocks(rng, colours, 14),
+        "rug": blocks(rng, [(0.45, 0.12, 0.10), (0.62, 0.52, 0.38), (0.12, 0.14, 0.24)], 9),
+        "wallpaper": printed("leaves", (0.50, 0.56, 0.50), (0.20, 0.34, 0.28), 4),
+        "cushion print": printed("dots", (0.75, 0.72, 0.62), (0.65, 0.22, 0.1), 6),
+        "curtain": printed("stripes", (0.66, 0.60, 0.48), (0.30, 0.16, 0.20), 5),
+        "checks": printed("checks", (0.75, 0.72, 0.65), (0.35, 0.06, 0.06), 8),
+        "tiles": printed("tiles", (0.30, 0.45, 0.55), (0.70, 0.68, 0.62), 4),
+        "floor": wood(rng, (0.48, 0.30, 0.16), (0.24, 0.13, 0.06), 8),
+        "oak": wood(rng, (0.52, 0.36, 0.20), (0.30, 0.18, 0.09)),
+        "walnut": wood(rng, (0.22, 0.12, 0.07), (0.09, 0.045, 0.025)),
+        "pine": wood(rng, (0.66, 0.48, 0.28), (0.46, 0.28, 0.13)),
+        "books": spines(rng, COLUMNS),
+    }
+    made = {name: paint(name, colour[name], rough, float(name in METALS)) for name, rough in ROUGHNESS.items()}
+    made["glass"].node_tree.nodes["Principled BSDF"].inputs["Transmission Weight"].default_value = 1.0
     return made
