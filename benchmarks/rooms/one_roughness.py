@@ -36,17 +36,19 @@ def main() -> None:
     parser.add_argument("source", type=Path, metavar="SRC", help="room folder with scene.xml and transforms_*.json")
     parser.add_argument("folder", type=Path, metavar="DST", help="room folder to write, or to go on with")
     parser.add_argument("--spp", type=int, default=256, help="samples a pixel of a photograph")
+    parser.add_argument("--all", action="store_true", help="draw the roughness of materials without a map, too")
     parser.add_argument("--size", type=int, help="pixels across a photograph (default: those of SRC)")
     parser.add_argument("--seed", type=int, default=1, help="of what is drawn, and of the photographs' noise")
     asked = parser.parse_args()
-    copy_room(asked.source, asked.folder, asked.seed, asked.size)
+    copy_room(asked.source, asked.folder, asked.seed, asked.size, asked.all)
     photograph(asked.folder, asked.spp, asked.seed)
 
 
-def copy_room(source: Path, folder: Path, seed: int, size: int | None = None) -> None:
+def copy_room(source: Path, folder: Path, seed: int, size: int | None = None, every: bool = False) -> None:
     """Copy what stays, and write scene.xml with a number for each roughness map, and cameras ``size`` pixels wide.
 
-    A number is its map's mean, or where the means are alike one that is drawn from the seed and the material's name.
+    A number is its map's mean, or where the means are alike one that is drawn from the seed and the material's name;
+    with ``every`` the roughness of each material is drawn.
     """
     for name in ("meshes", "textures"):
         if (source / name).is_dir():
@@ -60,21 +62,28 @@ def copy_room(source: Path, folder: Path, seed: int, size: int | None = None) ->
         cameras |= {key: round(cameras[key] * scale) for key in ("w", "h")}
         (folder / name).write_text(json.dumps(cameras, indent=1) + "\n")
     scene = ET.parse(source / "scene.xml")
-    mapped: dict[str, tuple[ET.Element, ET.Element]] = {}
+    found: dict[str, tuple[ET.Element, ET.Element]] = {}
     for material in scene.getroot().findall("bsdf"):
         for shader in material.iter("bsdf"):
-            for texture in shader.findall("texture[@name='roughness']"):
-                mapped[material.attrib["id"]] = shader, texture
-    means = {name: float(read_bitmap(source / _file(map_), raw=True).mean()) for name, (_, map_) in mapped.items()}
-    alike = len(means) > 1 and float(np.std(list(means.values()))) < MIN_DEVIATION
-    for name, (shader, texture) in mapped.items():
+            for rough in shader.findall("./*[@name='roughness']"):
+                if every or rough.tag == "texture":
+                    found[material.attrib["id"]] = shader, rough
+    means = {name: _mean(source, rough) for name, (_, rough) in found.items()}
+    draw = every or (len(means) > 1 and float(np.std(list(means.values()))) < MIN_DEVIATION)
+    for name, (shader, rough) in found.items():
         drawn = np.random.default_rng([seed, zlib.crc32(name.encode())]).uniform(LOWEST_DRAWN, HIGHEST_DRAWN)
-        value = drawn if alike else float(np.clip(means[name], LOWEST_MEAN, HIGHEST_MEAN))
-        where = list(shader).index(texture)
-        shader[where] = ET.Element("float", name="roughness", value=f"{value:.6g}")
-        (folder / _file(texture)).unlink(missing_ok=True)
-        print(f"{name}: roughness {value:.3f}, of a map whose mean is {means[name]:.3f}", flush=True)
+        value = drawn if draw else float(np.clip(means[name], LOWEST_MEAN, HIGHEST_MEAN))
+        shader[list(shader).index(rough)] = ET.Element("float", name="roughness", value=f"{value:.6g}")
+        if rough.tag == "texture":
+            (folder / _file(rough)).unlink(missing_ok=True)
+        print(f"{name}: roughness {value:.3f}, before {means[name]:.3f} in the mean", flush=True)
     scene.write(folder / "scene.xml", encoding="utf-8", xml_declaration=True)
+
+
+def _mean(source: Path, rough: ET.Element) -> float:
+    if rough.tag == "float":
+        return float(rough.attrib["value"])
+    return float(read_bitmap(source / _file(rough), raw=True).mean())
 
 
 def _file(texture: ET.Element) -> str:

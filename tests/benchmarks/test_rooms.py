@@ -61,6 +61,10 @@ def test_a_map_becomes_its_mean(tmp_path):
     one_roughness.copy_room(room(tmp_path / "a", [51, 204, 255]), tmp_path / "b", 1)
     assert numbers(tmp_path / "b") == pytest.approx({"m0": 0.2, "m1": 0.8, "m2": 0.9})
     assert not list((tmp_path / "b/textures").iterdir())
+    one_roughness.copy_room(tmp_path / "b", tmp_path / "c", 1, every=True)
+    drawn = numbers(tmp_path / "c")
+    assert len(set(drawn.values())) == 3
+    assert drawn != numbers(tmp_path / "b")
 
 
 def test_maps_that_are_alike_become_numbers_that_are_drawn(tmp_path):
