@@ -230,7 +230,7 @@ def dining(m: dict[str, Any]) -> None:
             cushion(f"chair cushion {k}", (x, y, 0.475), (0.36, 0.36, 0.05), m["cushion plain"]),
         ]
         for a, b, tall in ((-0.17, -0.18, 0.915), (0.17, -0.18, 0.915), (-0.17, 0.17, 0.44), (0.17, 0.17, 0.44)):
-            low, high = (x + a - 0.017, y + b - 0.017, 0), (x + a + 0.017, y + b + 0.017, tall)
+            low, high = (x + a - 0.017, y + b - 0.017, 0.0), (x + a + 0.017, y + b + 0.017, tall)
             parts.append(box(f"chair leg {k} {a} {b}", low, high, m["walnut"], 0.005, 0.5))
         for part in parts:
             turn(part, (x, y, 0), facing)
