@@ -15,11 +15,12 @@ import numpy as np
 
 from benchmarks.rooms.one_roughness import MAP_SPP
 from neurad.assembly.build import build_world
-from neurad.cli import main as neurad
 from neurad.core.parameters import split as parts_of
 from neurad.core.records import Bitmap, Constant, Material
 from neurad.core.rng import mix
 from neurad.export.base_colour import base_for, is_converted
+from neurad.formats.blender.import_blender import import_blender
+from neurad.formats.import_room import ImportSettings
 from neurad.formats.load import read_folder
 from neurad.images.image_io import write_exr
 from neurad.integrators.aov import MaterialMap
@@ -39,8 +40,8 @@ def main() -> None:
     ended = subprocess.run([asked.blender, str(SCENE), str(blend), str(photographs), *others], check=False)
     if ended.returncode != 0:
         raise SystemExit(ended.returncode)
-    words = ["--images", str(photographs), "--blender", asked.blender, "--copy", "--out", str(asked.folder)]
-    neurad(["data", "blender", str(blend), *words])
+    here = ImportSettings("blender", blend, asked.folder, images=photographs, copy=True, blender=asked.blender)
+    import_blender(here)
     add_truth(asked.folder)
 
 

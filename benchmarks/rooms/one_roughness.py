@@ -98,7 +98,7 @@ def photograph(folder: Path, spp: int, seed: int) -> None:
         spp: samples a pixel of a photograph.
         seed: of the first view's noise.
     """
-    mi = load_mitsuba("benchmarks.rooms.one_roughness")
+    mi = load_mitsuba("one_roughness")
     scene = mi.load_file(str(folder / "scene.xml"))
     subjects = {"albedo": scene, "roughness": roughness_scene(mi, folder / "scene.xml")}
     aov = mi.load_dict({"type": "aov", "aovs": "value:albedo"})
