@@ -11,6 +11,7 @@ from typing import Any
 import torch
 from torch import Tensor, nn
 
+from neurad.core.records import FloatArray
 from neurad.fields.hash_grid import HashGrid
 from neurad.runtime.dispatch import use_kernel
 from neurad.runtime.threads import split
@@ -82,8 +83,7 @@ class MLP(nn.Module):
 
     def _in_order(self) -> list[Tensor]:
         """Weight, bias, weight, bias, ...; ``parameters()`` searches all modules, which is slower than a layer."""
-        layers: list[Any] = list(self.layers)
-        return [p for layer in layers for p in (layer.weight, layer.bias)]
+        return [p for layer in self.layers for p in layer._parameters.values()]  # type: ignore[misc]
 
 
 _products = "highest"
@@ -157,27 +157,36 @@ def _forward(x: Tensor, parameters: Sequence[Tensor], rounded: bool) -> list[Ten
 
 
 def _backward(
-    g: Tensor, values: list[Tensor], parameters: Sequence[Tensor], columns: int
-) -> tuple[list[Tensor], Tensor | None]:
-    """Gradients of weight, bias, weight, bias, ... and of the first ``columns`` inputs.
+    g: Tensor, values: list[Tensor], parameters: Sequence[Tensor], columns: int, out: FloatArray
+) -> Tensor | None:
+    """Gradient by the first ``columns`` inputs.
 
     Args:
         g: gradient by what the network returned; overwritten.
         values: what :func:`_forward` returned.
         parameters: weight, bias, weight, bias, ...
         columns: inputs that have a gradient; 0 for none.
+        out: gradients of weight, bias, weight, bias, ... in a row, zero before.
     """
-    out: list[Tensor] = []
+    from neurad.fields import mlp_kernels as kernels  # imported at first use: numba is slow to load
+
+    end = len(out)
     for i in reversed(range(len(values) - 1)):
         x, weight = values[i], parameters[2 * i]
-        out = [(g.t() @ x.to(g.dtype)).float(), g.sum(0).float(), *out]
+        middle, begin = end - len(weight), end - len(weight) - weight.numel()
+        by_weight, by_bias = out[begin:middle].reshape(weight.shape), out[middle:end]
+        if g.dtype == torch.float32:
+            kernels.weight_gradient(g.numpy(), x.float().numpy(), by_weight, by_bias)
+        else:
+            by_weight[:], by_bias[:] = (g.t() @ x).float().numpy(), g.sum(0).float().numpy()
+        end = begin
         if i > 0:
             g = _linear(g, weight.t().to(g.dtype), None, "none").to(x.dtype)
             torch.ops.aten.threshold_backward.grad_input(g, x, 0, grad_input=g)
         elif columns > 0:
             before = weight[:, :columns].t().contiguous()  # oneDNN is slow with a part of a matrix
-            return out, _linear(g, before.to(g.dtype), None, "none").float()
-    return out, None
+            return _linear(g, before.to(g.dtype), None, "none").float()
+    return None
 
 
 def _padded(x: Tensor, rows: int) -> Tensor:
@@ -221,12 +230,13 @@ class _Layers(torch.autograd.Function):
                 column += part.shape[1]
         chunks = torch.split(inputs, CHUNK)
         values: list[list[Tensor]] = [[] for _ in chunks]
+        encode = None if grid is None else grid.encoder(x, inputs)
 
         def work(low: int, high: int) -> None:
             with torch.no_grad():  # a thread has its own mode
                 for i in range(low, high):
-                    if grid is not None:
-                        grid.encode_rows(x, inputs, CHUNK * i, min(CHUNK * (i + 1), n))
+                    if encode is not None:
+                        encode(CHUNK * i, min(CHUNK * (i + 1), n))
                     found = _forward(chunks[i], parameters, rounded)
                     values[i] = found if differentiable else found[-1:]
 
@@ -241,7 +251,8 @@ class _Layers(torch.autograd.Function):
         """Gradients of the input or of the encoding's table, and of every parameter."""
         grid, x, values, parameters = ctx.grid, ctx.x, ctx.values, ctx.saved_tensors
         chunks = torch.split(_padded(gradients[0], sum(len(found[-1]) for found in values)).contiguous(), CHUNK)
-        parts: list[Any] = list(chunks)
+        parts: list[Any] = [None] * len(chunks)
+        by_parameters = torch.zeros(len(chunks), sum(p.numel() for p in parameters))
         columns = 0
         if grid is not None:
             columns = grid.channels
@@ -251,14 +262,12 @@ class _Layers(torch.autograd.Function):
         def work(low: int, high: int) -> None:
             with torch.no_grad():
                 for i in range(low, high):
-                    parts[i] = _backward(chunks[i], values[i], parameters, columns)
+                    parts[i] = _backward(chunks[i], values[i], parameters, columns, by_parameters[i].numpy())
 
         split(work, len(chunks), 1)
-        totals = parts[0][0]
-        for found, _ in parts[1:]:
-            for total, more in zip(totals, found, strict=True):
-                total += more
-        by_input = None if columns == 0 else torch.cat([part[1] for part in parts])
+        flat = by_parameters.sum(0).split([p.numel() for p in parameters])
+        totals = [total.view(p.shape) for total, p in zip(flat, parameters, strict=True)]
+        by_input = None if columns == 0 else torch.cat(parts)
         if grid is None:
             return (None if by_input is None else by_input[: len(x)], None, None, None, None, *totals)
         return (None, None, None, None, grid.table_gradient(x, by_input), *totals)
