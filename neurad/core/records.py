@@ -16,6 +16,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
+from functools import cache
 from typing import Any, Literal, Self
 
 import numpy as np
@@ -41,6 +42,12 @@ def _pick(values: Tensor, index: Tensor | slice) -> Tensor:
     return values[index]
 
 
+@cache
+def _names(record: type) -> tuple[str, ...]:
+    """Names of a record's fields, which take longer to list than a small tensor operation."""
+    return tuple(f.name for f in fields(record))
+
+
 def first_of(values: Tensor, count: int, of: int) -> Tensor:
     """The first ``count`` of every ``of`` rows; ``values`` itself if that is all of them."""
     return values if count == of else values.view(-1, of, *values.shape[1:])[:, :count].flatten(0, 1)
@@ -51,11 +58,11 @@ class Lanes:
     """A record whose fields are tensors with one leading dimension, the lanes ``n``, or None."""
 
     def __len__(self) -> int:
-        return len(getattr(self, fields(self)[0].name))
+        return len(getattr(self, _names(type(self))[0]))
 
     def map(self, function: Callable[[Tensor], Tensor]) -> Self:
         """The record with every field passed through ``function``; what is None stays None."""
-        values = {f.name: getattr(self, f.name) for f in fields(self)}
+        values = {name: getattr(self, name) for name in _names(type(self))}
         return type(self)(**{name: None if x is None else function(x) for name, x in values.items()})
 
     def __getitem__(self, index: Tensor | slice) -> Self:
@@ -84,7 +91,7 @@ class Lanes:
     @classmethod
     def cat(cls, *parts: Self) -> Self:
         """The lanes of all parts, one after the other; a field is None in all of them or in none."""
-        columns = {f.name: [getattr(p, f.name) for p in parts] for f in fields(cls)}
+        columns = {name: [getattr(p, name) for p in parts] for name in _names(cls)}
         return cls(**{name: None if x[0] is None else torch.cat(x) for name, x in columns.items()})
 
 

@@ -143,17 +143,18 @@ def _linear(x: Tensor, weight: Tensor, bias: Tensor | None, after: str) -> Tenso
     return out
 
 
-def _forward(x: Tensor, parameters: Sequence[Tensor], rounded: bool) -> list[Tensor]:
-    """Input and values after every layer; ``parameters`` are weight, bias, weight, bias, ...
-
-    With ``rounded`` all but the last are bfloat16: its rounding would be seen in what the network returns.
-    """
-    if rounded and len(parameters) > 2:
-        x = x.bfloat16()
+def _forward(x: Tensor, parameters: Sequence[Tensor]) -> list[Tensor]:
+    """Input and values after every layer; ``parameters`` are weight, bias, weight, bias, ..., see :func:`_rounded`."""
     values = [x]
     for i in range(0, len(parameters) - 2, 2):
-        values.append(_linear(values[-1], parameters[i].to(x.dtype), parameters[i + 1].to(x.dtype), "relu"))
-    return [*values, _linear(values[-1].float(), parameters[-2], parameters[-1], "none")]
+        values.append(_linear(values[-1], parameters[i], parameters[i + 1], "relu"))
+    last = values[-1]
+    return [*values, _linear(last if last.dtype == torch.float32 else last.float(), *parameters[-2:], "none")]
+
+
+def _rounded(parameters: Sequence[Tensor]) -> Sequence[Tensor]:
+    """Weights and biases in bfloat16, but for the last, whose rounding would be seen in what the network returns."""
+    return [*(p.bfloat16() for p in parameters[:-2]), *parameters[-2:]]
 
 
 def _backward(
@@ -173,15 +174,17 @@ def _backward(
     end = len(out)
     for i in reversed(range(len(values) - 1)):
         x, weight = values[i], parameters[2 * i]
+        exact = x.dtype == torch.float32
         middle, begin = end - len(weight), end - len(weight) - weight.numel()
         by_weight, by_bias = out[begin:middle].reshape(weight.shape), out[middle:end]
         if g.dtype == torch.float32:
-            kernels.weight_gradient(g.numpy(), x.float().numpy(), by_weight, by_bias)
+            kernels.weight_gradient(g.numpy(), (x if exact else x.float()).numpy(), by_weight, by_bias)
         else:
             by_weight[:], by_bias[:] = (g.t() @ x).float().numpy(), g.sum(0).float().numpy()
         end = begin
         if i > 0:
-            g = _linear(g, weight.t().to(g.dtype), None, "none").to(x.dtype)
+            g = _linear(g, weight.t() if g.dtype == weight.dtype else weight.t().to(g.dtype), None, "none")
+            g = g if exact else g.to(x.dtype)
             torch.ops.aten.threshold_backward.grad_input(g, x, 0, grad_input=g)
         elif columns > 0:
             before = weight[:, :columns].t().contiguous()  # oneDNN is slow with a part of a matrix
@@ -224,20 +227,22 @@ class _Layers(torch.autograd.Function):
             inputs = _padded(x, rows)
         else:
             inputs, column = torch.empty(rows, parameters[0].shape[1]), grid.channels
-            inputs[n:] = 0.0
+            if rows > n:
+                inputs[n:] = 0.0
             for part in others:
                 inputs[:n, column : column + part.shape[1]] = part
                 column += part.shape[1]
         chunks = torch.split(inputs, CHUNK)
         values: list[list[Tensor]] = [[] for _ in chunks]
         encode = None if grid is None else grid.encoder(x, inputs)
+        layers = _rounded(parameters) if rounded else parameters
 
         def work(low: int, high: int) -> None:
             with torch.no_grad():  # a thread has its own mode
                 for i in range(low, high):
                     if encode is not None:
                         encode(CHUNK * i, min(CHUNK * (i + 1), n))
-                    found = _forward(chunks[i], parameters, rounded)
+                    found = _forward(chunks[i].to(layers[0].dtype) if rounded else chunks[i], layers)
                     values[i] = found if differentiable else found[-1:]
 
         split(work, len(chunks), 1)
