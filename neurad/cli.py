@@ -16,8 +16,8 @@ from neurad.core.errors import InputError
 from neurad.core.suggest import did_you_mean
 from neurad.runtime import clock, progress
 from neurad.runtime.allocator import imports_kept, keep_freed_memory
-from neurad.runtime.lean_imports import import_lightning
 from neurad.runtime.files import reason
+from neurad.runtime.lean_imports import import_lightning
 from neurad.runtime.streams import flush_output, open_closed_streams
 
 LIGHTNING_VERBS = {
