@@ -148,12 +148,14 @@ def table_gradient(
     sorted and unique without sorting. Contributions add up in the order of the points: always the same sum.
     """
     n = x.shape[0]
-    largest = levels[begin:end, 3].max()
+    largest = np.int64(0)
+    for level in range(begin, end):
+        largest = max(largest, levels[level, 3])
     bits = np.zeros(largest // 64 + 1, np.uint64)
     rank = np.empty(bits.shape[0], np.int64)
     entry = np.empty((n, 8), np.uint32)
     fraction = np.empty((n, 3), np.float32)
-    count = 0
+    count = np.int64(0)
     for level in range(begin, end):
         # ---------------------- Mark touched entries ----------------------
         r, stride, mask = np.float32(levels[level, 0]), np.uint32(levels[level, 1]), np.uint32(levels[level, 3] - 1)
@@ -203,7 +205,7 @@ def merge_rows(rows: IntArray, values: Floats, size: int, merged: IntArray, sums
     rank = np.empty(bits.shape[0], np.int64)
     for i in range(rows.shape[0]):
         bits[rows[i] >> 6] |= BIT << np.uint64(rows[i] & 63)
-    count = _list_marked(bits, bits.shape[0], 0, merged, 0, rank)
+    count = _list_marked(bits, bits.shape[0], np.int64(0), merged, np.int64(0), rank)
     sums[:count] = ZERO
     for i in range(rows.shape[0]):
         k = _place(rows[i], bits, rank)
