@@ -143,13 +143,21 @@ def _linear(x: Tensor, weight: Tensor, bias: Tensor | None, after: str) -> Tenso
     return out
 
 
-def _forward(x: Tensor, parameters: Sequence[Tensor]) -> list[Tensor]:
-    """Input and values after every layer; ``parameters`` are weight, bias, weight, bias, ..., see :func:`_rounded`."""
+def _forward(x: Tensor, layers: Sequence[Tensor], out: FloatArray) -> list[Tensor]:
+    """Input and values after every hidden layer; the last layer fills ``out``, the first [n, outputs] of its rows.
+
+    Args:
+        x: inputs [n or more, inputs].
+        layers: weight, bias, weight, bias, ...; all but the last may be bfloat16, see :func:`_rounded`.
+        out: filled.
+    """
+    from neurad.fields import mlp_kernels as kernels  # imported at first use: numba is slow to load
+
     values = [x]
-    for i in range(0, len(parameters) - 2, 2):
-        values.append(_linear(values[-1], parameters[i], parameters[i + 1], "relu"))
-    last = values[-1]
-    return [*values, _linear(last if last.dtype == torch.float32 else last.float(), *parameters[-2:], "none")]
+    for i in range(0, len(layers) - 2, 2):
+        values.append(_linear(values[-1], layers[i], layers[i + 1], "relu"))
+    kernels.last_layer(_exact(values[-1]).numpy(), layers[-2].detach().numpy(), layers[-1].detach().numpy(), out)
+    return values
 
 
 def _rounded(parameters: Sequence[Tensor]) -> Sequence[Tensor]:
@@ -157,38 +165,45 @@ def _rounded(parameters: Sequence[Tensor]) -> Sequence[Tensor]:
     return [*(p.bfloat16() for p in parameters[:-2]), *parameters[-2:]]
 
 
+def _exact(x: Tensor) -> Tensor:
+    return x if x.dtype == torch.float32 else x.float()
+
+
 def _backward(
     g: Tensor, values: list[Tensor], parameters: Sequence[Tensor], columns: int, out: FloatArray
 ) -> Tensor | None:
-    """Gradient by the first ``columns`` inputs.
+    """Gradient by the first ``columns`` inputs [n or more, columns].
 
     Args:
-        g: gradient by what the network returned; overwritten.
+        g: gradient by what the network returned [n, outputs].
         values: what :func:`_forward` returned.
         parameters: weight, bias, weight, bias, ...
         columns: inputs that have a gradient; 0 for none.
         out: gradients of weight, bias, weight, bias, ... in a row, zero before.
     """
-    from neurad.fields import mlp_kernels as kernels  # imported at first use: numba is slow to load
+    from neurad.fields import mlp_kernels as kernels
 
     end = len(out)
-    for i in reversed(range(len(values) - 1)):
-        x, weight = values[i], parameters[2 * i]
-        exact = x.dtype == torch.float32
+    for i in reversed(range(len(values))):
+        x, weight, last = values[i], parameters[2 * i], i == len(values) - 1
         middle, begin = end - len(weight), end - len(weight) - weight.numel()
-        by_weight, by_bias = out[begin:middle].reshape(weight.shape), out[middle:end]
-        if g.dtype == torch.float32:
-            kernels.weight_gradient(g.numpy(), (x if exact else x.float()).numpy(), by_weight, by_bias)
-        else:
-            by_weight[:], by_bias[:] = (g.t() @ x).float().numpy(), g.sum(0).float().numpy()
+        gradients = out[begin:middle].reshape(weight.shape), out[middle:end]
         end = begin
+        if last and i > 0:
+            by_x = torch.empty(x.shape)
+            kernels.last_gradient(g.numpy(), _exact(x).numpy(), weight.numpy(), by_x.numpy(), *gradients)
+            g = by_x.to(x.dtype)
+            continue
+        if g.dtype == torch.float32:
+            kernels.weight_gradient(g.numpy(), _exact(x).numpy(), *gradients)
+        else:
+            gradients[0][:], gradients[1][:] = (g.t() @ x).float().numpy(), g.sum(0).float().numpy()
         if i > 0:
             g = _linear(g, weight.t() if g.dtype == weight.dtype else weight.t().to(g.dtype), None, "none")
-            g = g if exact else g.to(x.dtype)
             torch.ops.aten.threshold_backward.grad_input(g, x, 0, grad_input=g)
         elif columns > 0:
             before = weight[:, :columns].t().contiguous()  # oneDNN is slow with a part of a matrix
-            return _linear(g, before.to(g.dtype), None, "none").float()
+            return _exact(_linear(g, before.to(g.dtype), None, "none"))
     return None
 
 
@@ -232,7 +247,7 @@ class _Layers(torch.autograd.Function):
             for part in others:
                 inputs[:n, column : column + part.shape[1]] = part
                 column += part.shape[1]
-        chunks = torch.split(inputs, CHUNK)
+        chunks, out = torch.split(inputs, CHUNK), torch.empty(n, len(parameters[-1]))
         values: list[list[Tensor]] = [[] for _ in chunks]
         encode = None if grid is None else grid.encoder(x, inputs)
         layers = _rounded(parameters) if rounded else parameters
@@ -240,22 +255,23 @@ class _Layers(torch.autograd.Function):
         def work(low: int, high: int) -> None:
             with torch.no_grad():  # a thread has its own mode
                 for i in range(low, high):
+                    begin, end = CHUNK * i, min(CHUNK * (i + 1), n)
                     if encode is not None:
-                        encode(CHUNK * i, min(CHUNK * (i + 1), n))
-                    found = _forward(chunks[i].to(layers[0].dtype) if rounded else chunks[i], layers)
-                    values[i] = found if differentiable else found[-1:]
+                        encode(begin, end)
+                    found = _forward(chunks[i].to(layers[0].dtype), layers, out.numpy()[begin:end])
+                    if differentiable:
+                        values[i] = found
 
         split(work, len(chunks), 1)
         ctx.x, ctx.grid, ctx.values = x, grid, values
         ctx.save_for_backward(*parameters)
-        out = values[0][-1] if len(chunks) == 1 else torch.cat([found[-1] for found in values])
-        return out if rows == n else out[:n]
+        return out
 
     @staticmethod
     def backward(ctx: Any, *gradients: Tensor) -> tuple[Tensor | None, ...]:
         """Gradients of the input or of the encoding's table, and of every parameter."""
         grid, x, values, parameters = ctx.grid, ctx.x, ctx.values, ctx.saved_tensors
-        chunks = torch.split(_padded(gradients[0], sum(len(found[-1]) for found in values)).contiguous(), CHUNK)
+        chunks = torch.split(gradients[0].contiguous(), CHUNK)
         parts: list[Any] = [None] * len(chunks)
         by_parameters = torch.zeros(len(chunks), sum(p.numel() for p in parameters))
         columns = 0
