@@ -101,7 +101,7 @@ class HashGrid(nn.Module):
         """A kernel that writes the features at ``x[low:high]`` [n, 3] into the first columns of ``out[low:high]``."""
         from neurad.fields import hash_grid_kernels as kernels  # imported at first use: numba is slow to load
 
-        arrays = x.numpy(), self.table.detach().numpy(), self.level_table.numpy(), out.numpy()
+        arrays = x.numpy().reshape(-1), self.table.detach().numpy(), self.level_table.numpy(), out.numpy()
         return lambda low, high: kernels.encode(*arrays, low, high)
 
     def table_gradient(self, x: Tensor, gradient: Tensor) -> Tensor:
@@ -114,7 +114,7 @@ class HashGrid(nn.Module):
         from neurad.fields import hash_grid_kernels as kernels
 
         level_table = self.level_table
-        arrays = x.numpy(), gradient.contiguous().numpy(), level_table.numpy()
+        arrays = x.numpy().reshape(-1), gradient.contiguous().numpy(), level_table.numpy()
 
         def work(begin: int, end: int) -> tuple[Tensor, Tensor]:
             touched = int(level_table[begin:end, 3].clamp(max=8 * len(x)).sum())
