@@ -16,7 +16,6 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, fields, replace
-from functools import cache
 from typing import Any, Literal, Self
 
 import numpy as np
@@ -42,12 +41,6 @@ def _pick(values: Tensor, index: Tensor | slice) -> Tensor:
     return values[index]
 
 
-@cache
-def _names(record: type) -> tuple[str, ...]:
-    """Names of a record's fields, which take longer to list than a small tensor operation."""
-    return tuple(f.name for f in fields(record))
-
-
 def first_of(values: Tensor, count: int, of: int) -> Tensor:
     """The first ``count`` of every ``of`` rows; ``values`` itself if that is all of them."""
     return values if count == of else values.view(-1, of, *values.shape[1:])[:, :count].flatten(0, 1)
@@ -57,12 +50,14 @@ def first_of(values: Tensor, count: int, of: int) -> Tensor:
 class Lanes:
     """A record whose fields are tensors with one leading dimension, the lanes ``n``, or None."""
 
+    # dataclasses.fields would take longer to list them than a small tensor operation takes.
+
     def __len__(self) -> int:
-        return len(getattr(self, _names(type(self))[0]))
+        return len(getattr(self, next(iter(self.__dataclass_fields__))))
 
     def map(self, function: Callable[[Tensor], Tensor]) -> Self:
         """The record with every field passed through ``function``; what is None stays None."""
-        values = {name: getattr(self, name) for name in _names(type(self))}
+        values = {name: getattr(self, name) for name in self.__dataclass_fields__}
         return type(self)(**{name: None if x is None else function(x) for name, x in values.items()})
 
     def __getitem__(self, index: Tensor | slice) -> Self:
@@ -91,7 +86,7 @@ class Lanes:
     @classmethod
     def cat(cls, *parts: Self) -> Self:
         """The lanes of all parts, one after the other; a field is None in all of them or in none."""
-        columns = {name: [getattr(p, name) for p in parts] for name in _names(cls)}
+        columns = {name: [getattr(p, name) for p in parts] for name in cls.__dataclass_fields__}
         return cls(**{name: None if x[0] is None else torch.cat(x) for name, x in columns.items()})
 
 

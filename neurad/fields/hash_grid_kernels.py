@@ -171,7 +171,7 @@ def table_gradient(
     blocks = (n + BLOCK - 1) // BLOCK
     entry, fraction = np.empty(8 * BLOCK * blocks, np.uint32), np.empty(3 * BLOCK * blocks, np.float32)
     weight = np.empty(8 * BLOCK, np.float32)
-    count = np.int64(0)
+    count: Any = np.int64(0)
     for level in range(begin, end):
         # ---------------------- Mark touched entries ----------------------
         r, stride, mask = np.float32(levels[level, 0]), np.uint32(levels[level, 1]), np.uint32(levels[level, 3] - 1)
@@ -206,7 +206,7 @@ def table_gradient(
                     values[k, 0] += w * g0
                     values[k, 1] += w * g1
         bits[:words] = 0
-    return count
+    return count  # type: ignore[no-any-return]
 
 
 @kernel
@@ -227,7 +227,8 @@ def merge_rows(rows: IntArray, values: Floats, size: int, merged: IntArray, sums
     rank = np.empty(bits.shape[0], np.int64)
     for i in range(rows.shape[0]):
         bits[rows[i] >> 6] |= BIT << np.uint64(rows[i] & 63)
-    count = _list_marked(bits, bits.shape[0], np.int64(0), merged, np.int64(0), rank)
+    zero: Any = np.int64(0)  # a literal would have a version of its own compiled
+    count = _list_marked(bits, bits.shape[0], zero, merged, zero, rank)
     sums[:count] = ZERO
     for i in range(rows.shape[0]):
         k = _place(rows[i], bits, rank)

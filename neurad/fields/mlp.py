@@ -286,7 +286,7 @@ class _Layers(torch.autograd.Function):
                     parts[i] = _backward(chunks[i], values[i], parameters, columns, by_parameters[i].numpy())
 
         split(work, len(chunks), 1)
-        flat = by_parameters.sum(0).split([p.numel() for p in parameters])
+        flat = torch.split(by_parameters.sum(0), [p.numel() for p in parameters])
         totals = [total.view(p.shape) for total, p in zip(flat, parameters, strict=True)]
         by_input = None if columns == 0 else torch.cat(parts)
         if grid is None:

@@ -41,7 +41,8 @@ def inlined(function: Function) -> Function:
 
 
 def _cached(function: Function, fastmath: bool) -> Function:
-    compiled: Any = numba.njit(nogil=True, error_model="numpy", fastmath=fastmath, no_cfunc_wrapper=True)(function)
+    options: Any = {"nogil": True, "error_model": "numpy", "fastmath": fastmath, "no_cfunc_wrapper": True}
+    compiled: Any = numba.njit(**options)(function)
     if isinstance(compiled, Dispatcher):  # NUMBA_DISABLE_JIT gives the function itself
         make_cache: Any = FunctionCache
         cache = make_cache(function)
