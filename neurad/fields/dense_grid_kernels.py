@@ -9,7 +9,7 @@ import numpy as np
 from neurad.core.records import IntArray
 from neurad.fields.hash_grid_kernels import BIT, BLOCK, ONE, STEP, ZERO, Bits, Floats, _cell, _place
 from neurad.fields.intrinsics import lowest_bit, prefetch
-from neurad.runtime.jit import inlined, kernel
+from neurad.runtime.jit import allocating_kernel, inlined, kernel
 
 ENTRIES_PER_WORD = 4096
 """Table entries that one word of the second bit field covers."""
@@ -28,7 +28,7 @@ def _corners(x: Any, y: Any, z: Any, r: Any, stride: Any) -> tuple[Any, ...]:
     return a, a + STEP, b, b + STEP, c, c + STEP, d, d + STEP, px - cx, py - cy, pz - cz
 
 
-@kernel
+@allocating_kernel
 def encode_dense(x: Floats, table: Floats, size: int, out: Floats, low: int, high: int) -> None:
     """Trilinear values ``out[low:high]`` [n, c] at ``x[low:high]`` [n, 3] of ``table`` [size^3, c].
 
@@ -80,7 +80,7 @@ def _list_used(bits: Bits, used: Bits, begin: int, end: int, rows: IntArray, ran
     return count
 
 
-@kernel
+@allocating_kernel
 def dense_gradient(
     x: Floats, gradient: Floats, size: int, low: int, high: int, bits: Bits, used: Bits, rank: IntArray, rows: IntArray,
     values: Floats,

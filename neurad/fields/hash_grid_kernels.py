@@ -13,7 +13,7 @@ import numpy.typing as npt
 
 from neurad.core.records import IntArray
 from neurad.fields.intrinsics import interpolate, lowest_bit, popcount, prefetch
-from neurad.runtime.jit import inlined, kernel
+from neurad.runtime.jit import allocating_kernel, inlined, kernel
 
 Floats = npt.NDArray[np.float32]
 Bits = npt.NDArray[np.uint64]
@@ -97,7 +97,7 @@ def unit_cube(p: Floats, corner: Floats, scale: Any, shell: Any, out: Floats, lo
             out[i, k] = value  # NaN stays NaN
 
 
-@kernel
+@allocating_kernel
 def encode(x: Floats, table: Floats, levels: IntArray, out: Floats, low: int, high: int) -> None:
     """Trilinear features at positions ``low .. high - 1`` of ``x`` [3 n], in the first ``2 * levels`` columns of
     ``out[low:high]``.
@@ -151,7 +151,7 @@ def _place(e: int, bits: Bits, rank: IntArray) -> int:
     return rank[word] + np.int64(popcount(bits[word] & below))  # type: ignore[no-any-return]
 
 
-@kernel
+@allocating_kernel
 def table_gradient(
     x: Floats, gradient: Floats, levels: IntArray, begin: int, end: int, rows: IntArray, values: Floats
 ) -> int:  # fmt: skip
@@ -218,7 +218,7 @@ def is_ascending(rows: IntArray) -> bool:
     return ascending
 
 
-@kernel
+@allocating_kernel
 def merge_rows(rows: IntArray, values: Floats, size: int, merged: IntArray, sums: Floats) -> int:
     """Add up the ``values`` [k, c] of equal ``rows`` (below ``size``) in their order: the number of different rows,
     which stand in ascending order at the front of ``merged``, with their sums in ``sums``.
