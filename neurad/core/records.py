@@ -53,7 +53,7 @@ class Lanes:
     # dataclasses.fields would take longer to list them than a small tensor operation takes.
 
     def __len__(self) -> int:
-        return len(getattr(self, next(iter(self.__dataclass_fields__))))
+        return int(getattr(self, next(iter(self.__dataclass_fields__))).shape[0])
 
     def map(self, function: Callable[[Tensor], Tensor]) -> Self:
         """The record with every field passed through ``function``; what is None stays None."""
