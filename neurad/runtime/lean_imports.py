@@ -6,7 +6,6 @@ imports matplotlib for plots of metrics and scipy's signal processing for those 
 
 from __future__ import annotations
 
-import importlib
 import sys
 from typing import Any
 
@@ -37,13 +36,14 @@ def import_lightning() -> None:
     """Import it with stand-ins for those modules, where nobody has imported them yet. The next one to import them gets
     the modules themselves.
     """
+    import scipy  # noqa: F401  (what the stand-ins are parts of)
+    import torch  # noqa: F401
+
     modules: dict[str, Any] = sys.modules
     stand_ins = [name for name in _UNUSED if name not in modules]
-    for package in ("torch", "scipy"):
-        importlib.import_module(package)
     modules.update(dict.fromkeys(stand_ins, _Nothing))
     try:
-        importlib.import_module("lightning.pytorch")
+        import lightning.pytorch  # noqa: F401
     finally:
         for name in stand_ins:
             if modules.get(name) is _Nothing:
