@@ -50,7 +50,8 @@ def inlined(function: Function) -> Function:
 
 def _cached(function: Function, **options: Any) -> Function:
     """Compiled with numba's ``options``, and without the wrapper for callers in C."""
-    compiled: Any = numba.njit(nogil=True, error_model="numpy", no_cfunc_wrapper=True, **options)(function)
+    options |= {"nogil": True, "error_model": "numpy", "no_cfunc_wrapper": True}
+    compiled: Any = numba.njit(**options)(function)
     if isinstance(compiled, Dispatcher):  # NUMBA_DISABLE_JIT gives the function itself
         make_cache: Any = FunctionCache
         cache = make_cache(function)
