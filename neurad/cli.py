@@ -17,6 +17,7 @@ from neurad.core.suggest import did_you_mean
 from neurad.runtime import clock, progress
 from neurad.runtime.allocator import imports_kept, keep_freed_memory
 from neurad.runtime.files import reason
+from neurad.runtime.lean_imports import import_lightning
 from neurad.runtime.streams import flush_output, open_closed_streams
 
 LIGHTNING_VERBS = {
@@ -212,6 +213,7 @@ def _dispatch(words: list[str], own_process: bool) -> None:
             return
         _prepare()
         with imports_kept() if own_process else nullcontext():
+            import_lightning()
             from neurad.runs import lightning
 
             classes = _classes()

@@ -50,12 +50,14 @@ def first_of(values: Tensor, count: int, of: int) -> Tensor:
 class Lanes:
     """A record whose fields are tensors with one leading dimension, the lanes ``n``, or None."""
 
+    # dataclasses.fields would take longer to list them than a small tensor operation takes.
+
     def __len__(self) -> int:
-        return len(getattr(self, fields(self)[0].name))
+        return int(getattr(self, next(iter(self.__dataclass_fields__))).shape[0])
 
     def map(self, function: Callable[[Tensor], Tensor]) -> Self:
         """The record with every field passed through ``function``; what is None stays None."""
-        values = {f.name: getattr(self, f.name) for f in fields(self)}
+        values = {name: getattr(self, name) for name in self.__dataclass_fields__}
         return type(self)(**{name: None if x is None else function(x) for name, x in values.items()})
 
     def __getitem__(self, index: Tensor | slice) -> Self:
@@ -84,7 +86,7 @@ class Lanes:
     @classmethod
     def cat(cls, *parts: Self) -> Self:
         """The lanes of all parts, one after the other; a field is None in all of them or in none."""
-        columns = {f.name: [getattr(p, f.name) for p in parts] for f in fields(cls)}
+        columns = {name: [getattr(p, name) for p in parts] for name in cls.__dataclass_fields__}
         return cls(**{name: None if x[0] is None else torch.cat(x) for name, x in columns.items()})
 
 

@@ -2,18 +2,33 @@
 
 from __future__ import annotations
 
+from typing import Any
+
 import numpy as np
 
 from neurad.core.records import IntArray
-from neurad.fields.hash_grid_kernels import BIT, BLOCK, ONE, ZERO, Bits, Floats, _corners, _place
+from neurad.fields.hash_grid_kernels import BIT, BLOCK, ONE, STEP, ZERO, Bits, Floats, _cell, _place
 from neurad.fields.intrinsics import lowest_bit, prefetch
-from neurad.runtime.jit import kernel
+from neurad.runtime.jit import allocating_kernel, inlined, kernel
 
 ENTRIES_PER_WORD = 4096
 """Table entries that one word of the second bit field covers."""
 
 
-@kernel
+@inlined
+def _corners(x: Any, y: Any, z: Any, r: Any, stride: Any) -> tuple[Any, ...]:
+    """Entries of the eight corners around a position in ``r`` cells along each side (corner c lies at x = c & 1,
+    y = (c >> 1) & 1, z = c >> 2) and the fractions along x, y and z.
+    """
+    px, py, pz = x * r, y * r, z * r
+    cx, cy, cz = _cell(px, r - ONE), _cell(py, r - ONE), _cell(pz, r - ONE)
+    a = np.uint32(np.int32(cx)) + stride * (np.uint32(np.int32(cy)) + stride * np.uint32(np.int32(cz)))
+    b, c = a + stride, a + stride * stride
+    d = c + stride
+    return a, a + STEP, b, b + STEP, c, c + STEP, d, d + STEP, px - cx, py - cy, pz - cz
+
+
+@allocating_kernel
 def encode_dense(x: Floats, table: Floats, size: int, out: Floats, low: int, high: int) -> None:
     """Trilinear values ``out[low:high]`` [n, c] at ``x[low:high]`` [n, 3] of ``table`` [size^3, c].
 
@@ -29,7 +44,7 @@ def encode_dense(x: Floats, table: Floats, size: int, out: Floats, low: int, hig
         for k in range(count):
             e, f = entry[k], fraction[k]
             e[0], e[1], e[2], e[3], e[4], e[5], e[6], e[7], f[0], f[1], f[2] = _corners(
-                x[start + k, 0], x[start + k, 1], x[start + k, 2], r, stride, np.uint32(0)
+                x[start + k, 0], x[start + k, 1], x[start + k, 2], r, stride
             )
             for c in range(0, 8, 2):  # neighbours along x stand next to each other
                 prefetch(base + np.uint64(4 * width) * np.uint64(e[c]))
@@ -65,7 +80,7 @@ def _list_used(bits: Bits, used: Bits, begin: int, end: int, rows: IntArray, ran
     return count
 
 
-@kernel
+@allocating_kernel
 def dense_gradient(
     x: Floats, gradient: Floats, size: int, low: int, high: int, bits: Bits, used: Bits, rank: IntArray, rows: IntArray,
     values: Floats,
@@ -88,7 +103,7 @@ def dense_gradient(
     for i in range(n):
         e, f = entry[inside], fraction[inside]
         e[0], e[1], e[2], e[3], e[4], e[5], e[6], e[7], f[0], f[1], f[2] = _corners(
-            x[i, 0], x[i, 1], x[i, 2], r, stride, np.uint32(0)
+            x[i, 0], x[i, 1], x[i, 2], r, stride
         )
         if e[7] < low or e[0] >= high:
             continue

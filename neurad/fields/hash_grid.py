@@ -8,6 +8,7 @@ and compiled kernels for float32, on the CPU (:mod:`neurad.fields.hash_grid_kern
 from __future__ import annotations
 
 import math
+from collections.abc import Callable
 from typing import Any, Self
 
 import torch
@@ -96,11 +97,12 @@ class HashGrid(nn.Module):
         """Whether kernels compiled for the CPU read and train the table."""
         return use_kernel(self.use_kernels and self.features == 2, self.table, differentiable=True)
 
-    def encode_rows(self, x: Tensor, out: Tensor, low: int, high: int) -> None:
-        """Write the features at ``x[low:high]`` [n, 3] into the first columns of ``out[low:high]``, by a kernel."""
+    def encoder(self, x: Tensor, out: Tensor) -> Callable[[int, int], None]:
+        """A kernel that writes the features at ``x[low:high]`` [n, 3] into the first columns of ``out[low:high]``."""
         from neurad.fields import hash_grid_kernels as kernels  # imported at first use: numba is slow to load
 
-        kernels.encode(x.numpy(), self.table.detach().numpy(), self.level_table.numpy(), out.numpy(), low, high)
+        arrays = x.numpy().reshape(-1), self.table.detach().numpy(), self.level_table.numpy(), out.numpy()
+        return lambda low, high: kernels.encode(*arrays, low, high)
 
     def table_gradient(self, x: Tensor, gradient: Tensor) -> Tensor:
         """Sparse gradient of the table, its rows ascending, by a kernel.
@@ -112,7 +114,7 @@ class HashGrid(nn.Module):
         from neurad.fields import hash_grid_kernels as kernels
 
         level_table = self.level_table
-        arrays = x.numpy(), gradient.contiguous().numpy(), level_table.numpy()
+        arrays = x.numpy().reshape(-1), gradient.contiguous().numpy(), level_table.numpy()
 
         def work(begin: int, end: int) -> tuple[Tensor, Tensor]:
             touched = int(level_table[begin:end, 3].clamp(max=8 * len(x)).sum())
@@ -152,7 +154,7 @@ class _Encode(torch.autograd.Function):
         x = x.detach().float().contiguous()
         ctx.grid, ctx.x = grid, x
         out = torch.empty(len(x), grid.channels)
-        split(lambda low, high: grid.encode_rows(x, out, low, high), len(x), 1024)
+        split(grid.encoder(x, out), len(x), 1024)
         return out
 
     @staticmethod

@@ -13,7 +13,7 @@ import numpy.typing as npt
 
 from neurad.core.records import IntArray
 from neurad.fields.intrinsics import interpolate, lowest_bit, popcount, prefetch
-from neurad.runtime.jit import inlined, kernel
+from neurad.runtime.jit import allocating_kernel, inlined, kernel
 
 Floats = npt.NDArray[np.float32]
 Bits = npt.NDArray[np.uint64]
@@ -22,12 +22,15 @@ ONE = np.float32(1)
 ZERO = np.float32(0)
 STEP = np.uint32(1)
 BIT = np.uint64(1)
+SIX, LOW_SIX = np.uint32(6), np.uint32(63)
 PRIME_Y = np.uint32(2654435761)
 PRIME_Z = np.uint32(805459861)
 CACHED = 1 << 17
 """Entries of the largest level that a processor's own cache is expected to hold (1 MiB)."""
 BLOCK = 128
-"""Points whose entries are prefetched together, in larger levels."""
+"""Points whose entries are found together, and in larger levels prefetched."""
+_ONE, _TWO, _THREE = np.uint64(1), np.uint64(2), np.uint64(3)
+_B1, _B2, _B3, _B4, _B5, _B6, _B7 = (np.uint64(c * BLOCK) for c in range(1, 8))
 AHEAD = 24
 """How many rows ahead the optimizer prefetches."""
 
@@ -41,27 +44,41 @@ def _cell(p: Any, last: Any) -> Any:
 
 
 @inlined
-def _corners(x: Any, y: Any, z: Any, r: Any, stride: Any, mask: Any) -> tuple[Any, ...]:
-    """Entries of the eight corners around a position in a level (corner c lies at x = c & 1, y = (c >> 1) & 1,
-    z = c >> 2) and the fractions along x, y and z.
+def _corners(
+    x: Floats, start: int, size: int, r: Any, stride: Any, mask: Any, entry: Any, entry_at: int, fraction: Floats,
+    fraction_at: int,
+) -> None:  # fmt: skip
+    """Entries in a level of the eight corners around at most ``BLOCK`` positions ``start .. start + size - 1`` of ``x``
+    [3 n], and the fractions between them along x, y and z.
+
+    Corner c lies at x = c & 1, y = (c >> 1) & 1, z = c >> 2. Of position k it is put to ``entry[entry_at + c BLOCK +
+    k]``, and the fraction along axis a to ``fraction[fraction_at + a BLOCK + k]``: the compiler takes sixteen positions
+    at once as long as arrays are flat and indices have no sign.
     """
-    px, py, pz = x * r, y * r, z * r
-    cx, cy, cz = _cell(px, r - ONE), _cell(py, r - ONE), _cell(pz, r - ONE)
-    fx, fy, fz = px - cx, py - cy, pz - cz
-    hashed = stride == 0
-    my = PRIME_Y if hashed else stride
-    mz = PRIME_Z if hashed else np.uint32(stride * stride)
-    x0, y0, z0 = np.uint32(np.int32(cx)), np.uint32(np.int32(cy)) * my, np.uint32(np.int32(cz)) * mz
-    x1, y1, z1 = x0 + STEP, y0 + my, z0 + mz
-    if hashed:
-        a, b, c, d = y0 ^ z0, y1 ^ z0, y0 ^ z1, y1 ^ z1
-        e0, e1, e2, e3 = (x0 ^ a) & mask, (x1 ^ a) & mask, (x0 ^ b) & mask, (x1 ^ b) & mask
-        e4, e5, e6, e7 = (x0 ^ c) & mask, (x1 ^ c) & mask, (x0 ^ d) & mask, (x1 ^ d) & mask
-    else:
-        a, b, c, d = y0 + z0, y1 + z0, y0 + z1, y1 + z1
-        e0, e1, e2, e3 = x0 + a, x1 + a, x0 + b, x1 + b
-        e4, e5, e6, e7 = x0 + c, x1 + c, x0 + d, x1 + d
-    return e0, e1, e2, e3, e4, e5, e6, e7, fx, fy, fz
+    last, mz = r - ONE, np.uint32(stride * stride)
+    e, f = np.uint64(entry_at), np.uint64(fraction_at)
+    for j in range(size):
+        k = np.uint64(j)
+        i = _THREE * (np.uint64(start) + k)
+        px, py, pz = x[i] * r, x[i + _ONE] * r, x[i + _TWO] * r
+        cx, cy, cz = _cell(px, last), _cell(py, last), _cell(pz, last)
+        fraction[f + k], fraction[f + k + _B1], fraction[f + k + _B2] = px - cx, py - cy, pz - cz
+        x0, y0, z0 = np.uint32(np.int32(cx)), np.uint32(np.int32(cy)), np.uint32(np.int32(cz))
+        if stride == 0:
+            y0, z0, x1 = y0 * PRIME_Y, z0 * PRIME_Z, x0 + STEP
+            y1, z1 = y0 + PRIME_Y, z0 + PRIME_Z
+            a, b, c, d = y0 ^ z0, y1 ^ z0, y0 ^ z1, y1 ^ z1
+            entry[e + k], entry[e + k + _B1] = (x0 ^ a) & mask, (x1 ^ a) & mask
+            entry[e + k + _B2], entry[e + k + _B3] = (x0 ^ b) & mask, (x1 ^ b) & mask
+            entry[e + k + _B4], entry[e + k + _B5] = (x0 ^ c) & mask, (x1 ^ c) & mask
+            entry[e + k + _B6], entry[e + k + _B7] = (x0 ^ d) & mask, (x1 ^ d) & mask
+        else:
+            a = x0 + y0 * stride + z0 * mz
+            b, c, d = a + stride, a + mz, a + mz + stride
+            entry[e + k], entry[e + k + _B1] = a, a + STEP
+            entry[e + k + _B2], entry[e + k + _B3] = b, b + STEP
+            entry[e + k + _B4], entry[e + k + _B5] = c, c + STEP
+            entry[e + k + _B6], entry[e + k + _B7] = d, d + STEP
 
 
 @kernel
@@ -80,38 +97,35 @@ def unit_cube(p: Floats, corner: Floats, scale: Any, shell: Any, out: Floats, lo
             out[i, k] = value  # NaN stays NaN
 
 
-@kernel
+@allocating_kernel
 def encode(x: Floats, table: Floats, levels: IntArray, out: Floats, low: int, high: int) -> None:
-    """Trilinear features at ``x[low:high]`` [n, 3], in the first ``2 * levels`` columns of ``out[low:high]``.
+    """Trilinear features at positions ``low .. high - 1`` of ``x`` [3 n], in the first ``2 * levels`` columns of
+    ``out[low:high]``.
 
     Level by level, so that one level's entries stay in the cache. Entries of a level too large for that are
     prefetched a block of points ahead.
     """
     row = np.uint64(4 * out.shape[1])
-    entry = np.empty((BLOCK, 8), np.uint32)
-    fraction = np.empty((BLOCK, 3), np.float32)
+    entry, fraction = np.empty(8 * BLOCK, np.uint32), np.empty(3 * BLOCK, np.float32)
     for level in range(levels.shape[0]):
         base = np.uint64(table.ctypes.data) + np.uint64(8 * levels[level, 2])
         target = np.uint64(out.ctypes.data) + np.uint64(8 * level)
         r, stride, mask = np.float32(levels[level, 0]), np.uint32(levels[level, 1]), np.uint32(levels[level, 3] - 1)
-        if levels[level, 3] <= CACHED:
-            for i in range(low, high):
-                e0, e1, e2, e3, e4, e5, e6, e7, fx, fy, fz = _corners(x[i, 0], x[i, 1], x[i, 2], r, stride, mask)
-                interpolate(base, target + row * np.uint64(i), e0, e1, e2, e3, e4, e5, e6, e7, fx, fy, fz)
-            continue
         for start in range(low, high, BLOCK):
             size = min(BLOCK, high - start)
-            for k in range(size):
-                e, f = entry[k], fraction[k]
-                e[0], e[1], e[2], e[3], e[4], e[5], e[6], e[7], f[0], f[1], f[2] = _corners(
-                    x[start + k, 0], x[start + k, 1], x[start + k, 2], r, stride, mask
-                )
+            _corners(x, start, size, r, stride, mask, entry, 0, fraction, 0)
+            if levels[level, 3] > CACHED:
                 for c in range(8):
-                    prefetch(base + np.uint64(8) * np.uint64(e[c]))
-            for k in range(size):
-                e, f = entry[k], fraction[k]
-                to = target + row * np.uint64(start + k)
-                interpolate(base, to, e[0], e[1], e[2], e[3], e[4], e[5], e[6], e[7], f[0], f[1], f[2])
+                    for j in range(size):
+                        prefetch(base + np.uint64(8) * np.uint64(entry[c * BLOCK + j]))
+            for j in range(size):
+                k = np.uint64(j)
+                interpolate(
+                    base, target + row * np.uint64(start + j),
+                    entry[k], entry[k + _B1], entry[k + _B2], entry[k + _B3],
+                    entry[k + _B4], entry[k + _B5], entry[k + _B6], entry[k + _B7],
+                    fraction[k], fraction[k + _B1], fraction[k + _B2],
+                )  # fmt: skip
 
 
 @kernel
@@ -132,57 +146,67 @@ def _list_marked(bits: Bits, words: int, first: int, rows: IntArray, count: int,
 @kernel
 def _place(e: int, bits: Bits, rank: IntArray) -> int:
     """Where :func:`_list_marked` put entry ``e``."""
-    word = e >> 6
-    below = (BIT << np.uint64(e & 63)) - BIT
+    word = np.uint64(e >> SIX)
+    below = (BIT << np.uint64(e & LOW_SIX)) - BIT
     return rank[word] + np.int64(popcount(bits[word] & below))  # type: ignore[no-any-return]
 
 
-@kernel
+@allocating_kernel
 def table_gradient(
     x: Floats, gradient: Floats, levels: IntArray, begin: int, end: int, rows: IntArray, values: Floats
 ) -> int:  # fmt: skip
-    """Gradient of the table for ``gradient`` [n, levels * 2], levels ``begin`` to ``end``: the number of touched
-    entries, which stand in ascending order at the front of ``rows``, with their gradients in ``values`` [k, 2].
+    """Gradient of the table at positions ``x`` [3 n] for ``gradient`` [n, levels * 2], levels ``begin`` to ``end``: the
+    number of touched entries, which stand in ascending order at the front of ``rows``, with their gradients in
+    ``values`` [k, 2].
 
     Touched entries are marked in a bit field small enough for the cache and numbered by counting bits, so they come out
     sorted and unique without sorting. Contributions add up in the order of the points: always the same sum.
     """
-    n = x.shape[0]
-    largest = levels[begin:end, 3].max()
+    n = x.shape[0] // 3
+    largest = np.int64(0)
+    for level in range(begin, end):
+        largest = max(largest, levels[level, 3])
     bits = np.zeros(largest // 64 + 1, np.uint64)
     rank = np.empty(bits.shape[0], np.int64)
-    entry = np.empty((n, 8), np.uint32)
-    fraction = np.empty((n, 3), np.float32)
-    count = 0
+    blocks = (n + BLOCK - 1) // BLOCK
+    entry, fraction = np.empty(8 * BLOCK * blocks, np.uint32), np.empty(3 * BLOCK * blocks, np.float32)
+    weight = np.empty(8 * BLOCK, np.float32)
+    count: Any = np.int64(0)
     for level in range(begin, end):
         # ---------------------- Mark touched entries ----------------------
         r, stride, mask = np.float32(levels[level, 0]), np.uint32(levels[level, 1]), np.uint32(levels[level, 3] - 1)
-        for i in range(n):
-            e, f = entry[i], fraction[i]
-            e[0], e[1], e[2], e[3], e[4], e[5], e[6], e[7], f[0], f[1], f[2] = _corners(
-                x[i, 0], x[i, 1], x[i, 2], r, stride, mask
-            )
-            for c in range(8):
-                bits[e[c] >> 6] |= BIT << np.uint64(e[c] & 63)
+        for start in range(0, n, BLOCK):
+            size = min(BLOCK, n - start)
+            _corners(x, start, size, r, stride, mask, entry, 8 * start, fraction, 3 * start)
+            for j in range(size):
+                for c in range(8):
+                    e = entry[np.uint64(8 * start + c * BLOCK + j)]
+                    bits[np.uint64(e >> SIX)] |= BIT << np.uint64(e & LOW_SIX)
         # ---------------------- Number them in ascending order ----------------------
         words = levels[level, 3] // 64 + 1
         before = count
         count = _list_marked(bits, words, levels[level, 2], rows, count, rank)
         # ---------------------- Add up the gradients ----------------------
         values[before:count] = ZERO
-        for i in range(n):
-            fx, fy, fz = fraction[i, 0], fraction[i, 1], fraction[i, 2]
-            g0, g1 = gradient[i, 2 * level], gradient[i, 2 * level + 1]
-            for c in range(8):
-                wx = fx if c & 1 else ONE - fx
-                wy = fy if c & 2 else ONE - fy
-                wz = fz if c & 4 else ONE - fz
-                w = wx * (wy * wz)
-                k = _place(entry[i, c], bits, rank)
-                values[k, 0] += w * g0
-                values[k, 1] += w * g1
+        for start in range(0, n, BLOCK):
+            size, at, ft = min(BLOCK, n - start), np.uint64(8 * start), np.uint64(3 * start)
+            for j in range(size):
+                k = np.uint64(j)
+                fx, fy, fz = fraction[ft + k], fraction[ft + k + _B1], fraction[ft + k + _B2]
+                gx, gy, gz = ONE - fx, ONE - fy, ONE - fz
+                weight[k], weight[k + _B1] = gx * (gy * gz), fx * (gy * gz)
+                weight[k + _B2], weight[k + _B3] = gx * (fy * gz), fx * (fy * gz)
+                weight[k + _B4], weight[k + _B5] = gx * (gy * fz), fx * (gy * fz)
+                weight[k + _B6], weight[k + _B7] = gx * (fy * fz), fx * (fy * fz)
+            for j in range(size):
+                g0, g1 = gradient[start + j, 2 * level], gradient[start + j, 2 * level + 1]
+                for c in range(8):
+                    corner = np.uint64(c * BLOCK + j)
+                    w, k = weight[corner], np.uint64(_place(entry[at + corner], bits, rank))
+                    values[k, 0] += w * g0
+                    values[k, 1] += w * g1
         bits[:words] = 0
-    return count
+    return count  # type: ignore[no-any-return]
 
 
 @kernel
@@ -194,7 +218,7 @@ def is_ascending(rows: IntArray) -> bool:
     return ascending
 
 
-@kernel
+@allocating_kernel
 def merge_rows(rows: IntArray, values: Floats, size: int, merged: IntArray, sums: Floats) -> int:
     """Add up the ``values`` [k, c] of equal ``rows`` (below ``size``) in their order: the number of different rows,
     which stand in ascending order at the front of ``merged``, with their sums in ``sums``.
@@ -203,7 +227,8 @@ def merge_rows(rows: IntArray, values: Floats, size: int, merged: IntArray, sums
     rank = np.empty(bits.shape[0], np.int64)
     for i in range(rows.shape[0]):
         bits[rows[i] >> 6] |= BIT << np.uint64(rows[i] & 63)
-    count = _list_marked(bits, bits.shape[0], 0, merged, 0, rank)
+    zero: Any = np.int64(0)  # a literal would have a version of its own compiled
+    count = _list_marked(bits, bits.shape[0], zero, merged, zero, rank)
     sums[:count] = ZERO
     for i in range(rows.shape[0]):
         k = _place(rows[i], bits, rank)

@@ -10,6 +10,9 @@ from numba.extending import intrinsic
 
 _FLOAT = ir.FloatType()
 _INT = ir.IntType(32)
+TILE_ROWS, TILE_COLUMNS = 4, 32
+"""Size of the block of a matrix that :func:`add_products` adds to: eight registers of AVX-512, enough to hide how long
+one sum takes, for which six numbers are read."""
 _FUSED = ("contract",)  # a product and a sum may become one operation
 
 
@@ -41,11 +44,15 @@ def _join(b: Any, v: Any, w: Any) -> Any:
     return _pick(b, v, list(range(2 * v.type.count)), w)
 
 
+def _spread(b: Any, x: Any, lanes: int) -> Any:
+    """A vector of equal scalars."""
+    single = b.insert_element(ir.Constant(ir.VectorType(x.type, lanes), ir.Undefined), x, ir.Constant(_INT, 0))
+    return _pick(b, single, [0] * lanes)
+
+
 def _lerp(b: Any, v: Any, w: Any, t: Any) -> Any:
     """``v + t (w - v)`` for vectors and a scalar t."""
-    lanes = v.type.count
-    single = b.insert_element(ir.Constant(ir.VectorType(_FLOAT, lanes), ir.Undefined), t, ir.Constant(_INT, 0))
-    product = b.fmul(b.fsub(w, v, flags=_FUSED), _pick(b, single, [0] * lanes), flags=_FUSED)
+    product = b.fmul(b.fsub(w, v, flags=_FUSED), _spread(b, t, v.type.count), flags=_FUSED)
     return b.fadd(v, product, flags=_FUSED)
 
 
@@ -95,7 +102,68 @@ def _prefetch(typing: Any, address: Any) -> Any:
     return types.void(types.uint64), build
 
 
+def _add_products(
+    typing: Any, g: Any, x: Any, out: Any, rows: Any, step_g: Any, step_x: Any, step_out: Any, columns: Any
+) -> Any:  # fmt: skip
+    """Add to a matrix of ``TILE_ROWS`` x ``columns`` (at most ``TILE_COLUMNS``) the sum over ``rows`` of column times
+    row: ``out[r, c] += sum_k g[k, r] x[k, c]``.
+
+    ``g``, ``x`` and ``out`` are addresses (uint64) of float32, all others int64; a step leads to the next row. The sums
+    stay in registers: numba itself would write them to memory in every row.
+    """
+    signature = types.void(*[types.uint64] * 3, *[types.int64] * 5)
+    lanes, parts = 16, TILE_COLUMNS // 16
+    vector, long = ir.VectorType(_FLOAT, lanes), ir.IntType(64)
+    mask_type = ir.VectorType(ir.IntType(1), lanes)
+
+    def build(context: Any, b: Any, signature: Any, args: Any) -> Any:
+        def known(name: str, result: Any, *given: Any) -> Any:
+            kind = ir.FunctionType(result, given)
+            return b.module.globals.get(name) or ir.Function(b.module, kind, name)
+
+        load = known("llvm.masked.load.v16f32.p0", vector, vector.as_pointer(), _INT, mask_type, vector)
+        store = known("llvm.masked.store.v16f32.p0", ir.VoidType(), vector, vector.as_pointer(), _INT, mask_type)
+        align, none = ir.Constant(_INT, 4), ir.Constant(vector, [0.0] * lanes)
+        left = _spread(b, b.trunc(args[7], _INT), lanes)
+        masks = [
+            b.icmp_signed("<", ir.Constant(left.type, list(range(lanes * i, lanes * (i + 1)))), left)
+            for i in range(parts)
+        ]
+
+        def place(base: Any, row: Any, step: Any, offset: int, kind: Any) -> Any:
+            entry = b.add(b.mul(row, step), ir.Constant(long, offset))
+            return b.inttoptr(b.add(base, b.shl(entry, ir.Constant(long, 2))), kind.as_pointer())
+
+        tile = [(r, i) for r in range(TILE_ROWS) for i in range(parts)]
+        before, body, after = b.block, b.append_basic_block("rows"), b.append_basic_block("done")
+        b.branch(body)
+        b.position_at_end(body)
+        k = b.phi(long)
+        sums = [b.phi(vector) for _ in tile]
+        across = [
+            b.call(load, [place(args[1], k, args[5], lanes * i, vector), align, masks[i], none]) for i in range(parts)
+        ]
+        down = [_spread(b, b.load(place(args[0], k, args[4], r, _FLOAT)), lanes) for r in range(TILE_ROWS)]
+        new = [
+            b.fadd(total, b.fmul(down[r], across[i], flags=_FUSED), flags=_FUSED)
+            for total, (r, i) in zip(sums, tile, strict=True)
+        ]
+        following = b.add(k, ir.Constant(long, 1))
+        for phi, then in ((k, following), *zip(sums, new, strict=True)):
+            phi.add_incoming(ir.Constant(long, 0) if phi is k else none, before)
+            phi.add_incoming(then, body)
+        b.cbranch(b.icmp_signed("<", following, args[3]), body, after)
+        b.position_at_end(after)
+        for total, (r, i) in zip(new, tile, strict=True):
+            to = place(args[2], ir.Constant(long, r), args[6], lanes * i, vector)
+            b.call(store, [b.fadd(b.call(load, [to, align, masks[i], none]), total), to, align, masks[i]])
+        return context.get_dummy_value()
+
+    return signature, build
+
+
 popcount: Any = intrinsic(_popcount)
 lowest_bit: Any = intrinsic(_lowest_bit)
 interpolate: Any = intrinsic(_interpolate)
 prefetch: Any = intrinsic(_prefetch)
+add_products: Any = intrinsic(_add_products)

@@ -11,6 +11,7 @@ from typing import Any
 import torch
 from torch import Tensor, nn
 
+from neurad.core.records import FloatArray
 from neurad.fields.hash_grid import HashGrid
 from neurad.runtime.dispatch import use_kernel
 from neurad.runtime.threads import split
@@ -82,8 +83,7 @@ class MLP(nn.Module):
 
     def _in_order(self) -> list[Tensor]:
         """Weight, bias, weight, bias, ...; ``parameters()`` searches all modules, which is slower than a layer."""
-        layers: list[Any] = list(self.layers)
-        return [p for layer in layers for p in (layer.weight, layer.bias)]
+        return [p for layer in self.layers for p in layer._parameters.values()]  # type: ignore[misc]
 
 
 _products = "highest"
@@ -143,41 +143,68 @@ def _linear(x: Tensor, weight: Tensor, bias: Tensor | None, after: str) -> Tenso
     return out
 
 
-def _forward(x: Tensor, parameters: Sequence[Tensor], rounded: bool) -> list[Tensor]:
-    """Input and values after every layer; ``parameters`` are weight, bias, weight, bias, ...
+def _forward(x: Tensor, layers: Sequence[Tensor], out: FloatArray) -> list[Tensor]:
+    """Input and values after every hidden layer; the last layer fills ``out``, the first [n, outputs] of its rows.
 
-    With ``rounded`` all but the last are bfloat16: its rounding would be seen in what the network returns.
+    Args:
+        x: inputs [n or more, inputs].
+        layers: weight, bias, weight, bias, ...; all but the last may be bfloat16, see :func:`_rounded`.
+        out: filled.
     """
-    if rounded and len(parameters) > 2:
-        x = x.bfloat16()
+    from neurad.fields import mlp_kernels as kernels  # imported at first use: numba is slow to load
+
     values = [x]
-    for i in range(0, len(parameters) - 2, 2):
-        values.append(_linear(values[-1], parameters[i].to(x.dtype), parameters[i + 1].to(x.dtype), "relu"))
-    return [*values, _linear(values[-1].float(), parameters[-2], parameters[-1], "none")]
+    for i in range(0, len(layers) - 2, 2):
+        values.append(_linear(values[-1], layers[i], layers[i + 1], "relu"))
+    kernels.last_layer(_exact(values[-1]).numpy(), layers[-2].detach().numpy(), layers[-1].detach().numpy(), out)
+    return values
+
+
+def _rounded(parameters: Sequence[Tensor]) -> Sequence[Tensor]:
+    """Weights and biases in bfloat16, but for the last, whose rounding would be seen in what the network returns."""
+    return [*(p.bfloat16() for p in parameters[:-2]), *parameters[-2:]]
+
+
+def _exact(x: Tensor) -> Tensor:
+    return x if x.dtype == torch.float32 else x.float()
 
 
 def _backward(
-    g: Tensor, values: list[Tensor], parameters: Sequence[Tensor], columns: int
-) -> tuple[list[Tensor], Tensor | None]:
-    """Gradients of weight, bias, weight, bias, ... and of the first ``columns`` inputs.
+    g: Tensor, values: list[Tensor], parameters: Sequence[Tensor], columns: int, out: FloatArray
+) -> Tensor | None:
+    """Gradient by the first ``columns`` inputs [n or more, columns].
 
     Args:
-        g: gradient by what the network returned; overwritten.
+        g: gradient by what the network returned [n, outputs].
         values: what :func:`_forward` returned.
         parameters: weight, bias, weight, bias, ...
         columns: inputs that have a gradient; 0 for none.
+        out: gradients of weight, bias, weight, bias, ... in a row, zero before.
     """
-    out: list[Tensor] = []
-    for i in reversed(range(len(values) - 1)):
-        x, weight = values[i], parameters[2 * i]
-        out = [(g.t() @ x.to(g.dtype)).float(), g.sum(0).float(), *out]
+    from neurad.fields import mlp_kernels as kernels
+
+    end = len(out)
+    for i in reversed(range(len(values))):
+        x, weight, last = values[i], parameters[2 * i], i == len(values) - 1
+        middle, begin = end - len(weight), end - len(weight) - weight.numel()
+        gradients = out[begin:middle].reshape(weight.shape), out[middle:end]
+        end = begin
+        if last and i > 0:
+            by_x = torch.empty(x.shape)
+            kernels.last_gradient(g.numpy(), _exact(x).numpy(), weight.numpy(), by_x.numpy(), *gradients)
+            g = by_x.to(x.dtype)
+            continue
+        if g.dtype == torch.float32:
+            kernels.weight_gradient(g.numpy(), _exact(x).numpy(), *gradients)
+        else:
+            gradients[0][:], gradients[1][:] = (g.t() @ x).float().numpy(), g.sum(0).float().numpy()
         if i > 0:
-            g = _linear(g, weight.t().to(g.dtype), None, "none").to(x.dtype)
+            g = _linear(g, weight.t() if g.dtype == weight.dtype else weight.t().to(g.dtype), None, "none")
             torch.ops.aten.threshold_backward.grad_input(g, x, 0, grad_input=g)
         elif columns > 0:
             before = weight[:, :columns].t().contiguous()  # oneDNN is slow with a part of a matrix
-            return out, _linear(g, before.to(g.dtype), None, "none").float()
-    return out, None
+            return _exact(_linear(g, before.to(g.dtype), None, "none"))
+    return None
 
 
 def _padded(x: Tensor, rows: int) -> Tensor:
@@ -215,33 +242,38 @@ class _Layers(torch.autograd.Function):
             inputs = _padded(x, rows)
         else:
             inputs, column = torch.empty(rows, parameters[0].shape[1]), grid.channels
-            inputs[n:] = 0.0
+            if rows > n:
+                inputs[n:] = 0.0
             for part in others:
                 inputs[:n, column : column + part.shape[1]] = part
                 column += part.shape[1]
-        chunks = torch.split(inputs, CHUNK)
+        chunks, out = torch.split(inputs, CHUNK), torch.empty(n, len(parameters[-1]))
         values: list[list[Tensor]] = [[] for _ in chunks]
+        encode = None if grid is None else grid.encoder(x, inputs)
+        layers = _rounded(parameters) if rounded else parameters
 
         def work(low: int, high: int) -> None:
             with torch.no_grad():  # a thread has its own mode
                 for i in range(low, high):
-                    if grid is not None:
-                        grid.encode_rows(x, inputs, CHUNK * i, min(CHUNK * (i + 1), n))
-                    found = _forward(chunks[i], parameters, rounded)
-                    values[i] = found if differentiable else found[-1:]
+                    begin, end = CHUNK * i, min(CHUNK * (i + 1), n)
+                    if encode is not None:
+                        encode(begin, end)
+                    found = _forward(chunks[i].to(layers[0].dtype), layers, out.numpy()[begin:end])
+                    if differentiable:
+                        values[i] = found
 
         split(work, len(chunks), 1)
         ctx.x, ctx.grid, ctx.values = x, grid, values
         ctx.save_for_backward(*parameters)
-        out = values[0][-1] if len(chunks) == 1 else torch.cat([found[-1] for found in values])
-        return out if rows == n else out[:n]
+        return out
 
     @staticmethod
     def backward(ctx: Any, *gradients: Tensor) -> tuple[Tensor | None, ...]:
         """Gradients of the input or of the encoding's table, and of every parameter."""
         grid, x, values, parameters = ctx.grid, ctx.x, ctx.values, ctx.saved_tensors
-        chunks = torch.split(_padded(gradients[0], sum(len(found[-1]) for found in values)).contiguous(), CHUNK)
-        parts: list[Any] = list(chunks)
+        chunks = torch.split(gradients[0].contiguous(), CHUNK)
+        parts: list[Any] = [None] * len(chunks)
+        by_parameters = torch.zeros(len(chunks), sum(p.numel() for p in parameters))
         columns = 0
         if grid is not None:
             columns = grid.channels
@@ -251,14 +283,12 @@ class _Layers(torch.autograd.Function):
         def work(low: int, high: int) -> None:
             with torch.no_grad():
                 for i in range(low, high):
-                    parts[i] = _backward(chunks[i], values[i], parameters, columns)
+                    parts[i] = _backward(chunks[i], values[i], parameters, columns, by_parameters[i].numpy())
 
         split(work, len(chunks), 1)
-        totals = parts[0][0]
-        for found, _ in parts[1:]:
-            for total, more in zip(totals, found, strict=True):
-                total += more
-        by_input = None if columns == 0 else torch.cat([part[1] for part in parts])
+        flat = torch.split(by_parameters.sum(0), [p.numel() for p in parameters])
+        totals = [total.view(p.shape) for total, p in zip(flat, parameters, strict=True)]
+        by_input = None if columns == 0 else torch.cat(parts)
         if grid is None:
             return (None if by_input is None else by_input[: len(x)], None, None, None, None, *totals)
         return (None, None, None, None, grid.table_gradient(x, by_input), *totals)

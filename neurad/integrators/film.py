@@ -17,10 +17,11 @@ CHUNK = 1 << 16
 """Camera rays in flight: bounds the memory, and intermediate results stay in the processor's cache."""
 
 
-def pixel_positions(width: int, pixels: Tensor, spp: int, stream: Stream) -> Tensor:
+def pixel_positions(width: int | Tensor, pixels: Tensor, spp: int, stream: Stream) -> Tensor:
     """Stratified positions, ``spp`` for each of the row-major ``pixels`` [n]: film coordinates [n, spp, 2].
 
-    The pixel is cut into a grid of about ``spp`` cells; what a square grid leaves over is uniform.
+    The pixel is cut into a grid of about ``spp`` cells; what a square grid leaves over is uniform. The ``width`` of the
+    film is one of all pixels or of each [n].
     """
     side = math.isqrt(spp)
     jitter = stream.uniform(len(pixels), spp, 2)

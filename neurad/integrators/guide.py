@@ -12,11 +12,12 @@ from __future__ import annotations
 import math
 from dataclasses import dataclass
 
+import numpy as np
 import torch
 from torch import Tensor, nn
 
 from neurad.core.protocols import BSDF
-from neurad.core.records import BSDFSample, Surface, SurfaceInteraction
+from neurad.core.records import BSDFSample, FloatArray, Surface, SurfaceInteraction
 from neurad.core.sampling import INV_PI, disk_to_square
 from neurad.integrators import guide_kernels as kernels
 from neurad.runtime.dispatch import use_kernel
@@ -87,10 +88,6 @@ class Guide(nn.Module):
 
     def warp(self, rows: Tensor, u: Tensor) -> Tensor:
         """Numbers [n, 2] with the density of :meth:`density` from uniform numbers ``u`` [n, 2]."""
-        if use_kernel(self.use_kernels, u):
-            out = torch.empty(len(u), 2)
-            kernels.warp(rows.numpy(), u.contiguous().numpy(), self.cdf.numpy(), self.bins, out.numpy())
-            return out
         cdf = self.cdf[rows]
         chosen = torch.searchsorted(cdf, u[:, :1].contiguous(), right=True).clamp_max(self.bins**2 - 1)
         high = cdf.gather(1, chosen)
@@ -102,10 +99,6 @@ class Guide(nn.Module):
 
     def density(self, rows: Tensor, wi: Tensor) -> Tensor:
         """How much likelier than by the cosine alone the guide draws local directions ``wi`` [n, 3]: [n], mean 1."""
-        if use_kernel(self.use_kernels, wi):
-            out = torch.empty(len(wi))
-            kernels.density(rows.numpy(), wi.contiguous().numpy(), self.cdf.numpy(), self.bins, out.numpy())
-            return out
         chosen = self._bin(wi)
         low = torch.where(chosen > 0, self.cdf[rows, (chosen - 1).clamp_min(0)], 0.0)
         return (self.cdf[rows, chosen] - low) * self.bins**2
@@ -177,10 +170,26 @@ class Guided:
         """Density of local directions [n] with the guide less that without; it integrates to 0."""
         return self.fraction * (wi[:, 2].clamp_min(0.0) * INV_PI) * (self.guide.density(self.rows, wi) - 1.0)
 
+    def add_pdf(self, wi: Tensor, pdf: Tensor) -> None:
+        """Add :meth:`pdf_delta` to the densities ``pdf`` [n] that are above 0, by a kernel."""
+        guide = self.guide
+        arrays = self.rows.numpy(), wi.numpy(), self._fractions(), guide.cdf.numpy(), guide.bins
+        kernels.add_pdf(*arrays, pdf.numpy())
+
+    def _fractions(self) -> FloatArray:
+        """The fraction as an array [1] or [n]."""
+        return np.asarray(self.fraction, np.float32).reshape(-1)
+
     def warp(self, u: Tensor) -> Tensor:
         """Numbers for the BSDF [n, 3] from uniform ones."""
+        guide = self.guide
+        if use_kernel(guide.use_kernels, u):
+            out = torch.empty(len(u), 3)
+            arrays = self.rows.numpy(), u.contiguous().numpy(), self._fractions(), guide.cdf.numpy(), guide.bins
+            kernels.warp(*arrays, out.numpy())
+            return out
         by_cosine = u[:, 0] < self.fraction
-        warped = torch.where(by_cosine.unsqueeze(-1), self.guide.warp(self.rows, u[:, 1:]), u[:, 1:])
+        warped = torch.where(by_cosine.unsqueeze(-1), guide.warp(self.rows, u[:, 1:]), u[:, 1:])
         return torch.cat((u[:, :1], warped), -1)
 
     def corrected(self, sample: BSDFSample) -> BSDFSample:

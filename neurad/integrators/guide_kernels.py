@@ -12,7 +12,8 @@ from neurad.runtime.jit import inlined, kernel
 
 _BELOW_ONE = np.float32(1.0 - 2.0**-24)
 _FOUR_BY_PI = np.float32(4.0 / math.pi)
-_HALF, _ZERO = np.float32(0.5), np.float32(0.0)
+_INV_PI = np.float32(1.0 / math.pi)
+_HALF, _ZERO, _ONE = np.float32(0.5), np.float32(0.0), np.float32(1.0)
 
 
 @kernel
@@ -35,11 +36,19 @@ def rows(
 
 
 @kernel
-def warp(rows: IntArray, u: FloatArray, cdf: FloatArray, bins: int, out: FloatArray) -> None:  # pragma: no cover
-    """Fill ``out`` [n, 2] with numbers drawn by the rows' distributions."""
-    last = bins * bins - 1
+def warp(
+    rows: IntArray, u: FloatArray, fraction: FloatArray, cdf: FloatArray, bins: int, out: FloatArray
+) -> None:  # pragma: no cover - compiled
+    """Fill ``out`` [n, 3] with numbers ``u`` [n, 3], the last two of them drawn by the rows' distributions where the
+    first lies below ``fraction``, [n] or [1] for one of all lanes.
+    """
+    last, lanes = bins * bins - 1, fraction.shape[0] - 1
     for i in range(u.shape[0]):
-        row, x = rows[i], u[i, 0]
+        out[i, 0] = u[i, 0]
+        if not u[i, 0] < fraction[min(i, lanes)]:
+            out[i, 1], out[i, 2] = u[i, 1], u[i, 2]
+            continue
+        row, x = rows[i], u[i, 1]
         low, high = 0, last  # the first entry above x
         while low < high:
             middle = (low + high) // 2
@@ -49,8 +58,8 @@ def warp(rows: IntArray, u: FloatArray, cdf: FloatArray, bins: int, out: FloatAr
                 low = middle + 1
         before = cdf[row, low - 1] if low > 0 else _ZERO
         inside = min(max((x - before) / (cdf[row, low] - before), _ZERO), _BELOW_ONE)
-        out[i, 0] = min((np.float32(low // bins) + inside) / np.float32(bins), _BELOW_ONE)
-        out[i, 1] = min((np.float32(low % bins) + u[i, 1]) / np.float32(bins), _BELOW_ONE)
+        out[i, 1] = min((np.float32(low // bins) + inside) / np.float32(bins), _BELOW_ONE)
+        out[i, 2] = min((np.float32(low % bins) + u[i, 2]) / np.float32(bins), _BELOW_ONE)
 
 
 @inlined
@@ -70,12 +79,20 @@ def _bin(x: Any, y: Any, bins: int) -> Any:  # pragma: no cover - compiled
 
 
 @kernel
-def density(rows: IntArray, wi: FloatArray, cdf: FloatArray, bins: int, out: FloatArray) -> None:  # pragma: no cover
-    """Fill ``out`` [n] with densities relative to the cosine's."""
+def add_pdf(
+    rows: IntArray, wi: FloatArray, fraction: FloatArray, cdf: FloatArray, bins: int, pdf: FloatArray
+) -> None:  # pragma: no cover - compiled
+    """Add what a guide adds to the density ``pdf`` [n] of directions ``wi`` [n, 3], where there is one; ``fraction`` as
+    in :func:`warp`.
+    """
+    lanes = fraction.shape[0] - 1
     for i in range(wi.shape[0]):
-        chosen = _bin(wi[i, 0], wi[i, 1], bins)
-        before = cdf[rows[i], chosen - 1] if chosen > 0 else _ZERO
-        out[i] = (cdf[rows[i], chosen] - before) * np.float32(bins * bins)
+        if pdf[i] > _ZERO:
+            chosen = _bin(wi[i, 0], wi[i, 1], bins)
+            before = cdf[rows[i], chosen - 1] if chosen > 0 else _ZERO
+            density = (cdf[rows[i], chosen] - before) * np.float32(bins * bins)  # relative to the cosine's
+            delta = fraction[min(i, lanes)] * (max(wi[i, 2], _ZERO) * _INV_PI) * (density - _ONE)
+            pdf[i] = max(pdf[i] + delta, _ZERO)
 
 
 @kernel

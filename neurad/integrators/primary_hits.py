@@ -23,16 +23,22 @@ _POSITIONS = 1 << 22
 """Positions that are drawn, or looked at, at a time: bounds the memory beside what is kept."""
 
 
+def kept_positions(world: World, cached_spp: int) -> int:
+    """How many of ``cached_spp`` positions of a pixel are kept: none where there are smooth surfaces."""
+    return cached_spp if world.delta is None else 0
+
+
 class PrimaryHits:
     """What the camera sees at ``cached_spp`` stratified positions in each pixel of each training view.
 
     Keeps a triangle and barycentrics for each, 12 bytes; never the centre of a pixel alone. With a ``cached_spp`` of 0
-    nothing is kept: every call traces new, uniformly random positions.
+    nothing is kept: every call traces new, uniformly random positions. So it is in a scene with smooth surfaces, whose
+    chains are random.
 
     Args:
         world: the scene.
         cameras: training cameras.
-        cached_spp: positions per pixel; 0 for new ones in each call.
+        cached_spp: positions per pixel, see :func:`kept_positions`; 0 for new ones in each call.
         seed: of the positions.
         device: where the cache lies.
         use_kernels: let a compiled pass make surface points of kept hits where it can (CPU).
@@ -49,7 +55,7 @@ class PrimaryHits:
     ) -> None:
         self.world = world
         self.cameras = cameras
-        self.cached_spp = cached_spp
+        self.cached_spp = cached_spp = kept_positions(world, cached_spp)
         self.seed = seed
         self.use_kernels = use_kernels
         self.views = Cameras.of(cameras, device)
@@ -113,7 +119,7 @@ class PrimaryHits:
 
     def __call__(self, batch: PixelBatch, spp: int, stream: Stream) -> NonDeltaHit:
         """First vertices at ``spp`` independent positions of every pixel, pixel by pixel [b * spp]."""
-        if self.cached_spp == 0 or self.world.delta is not None:
+        if self.cached_spp == 0:
             return self._anew(batch, spp, stream)
         # ---------------------- Kept positions ----------------------
 
@@ -161,7 +167,7 @@ class PrimaryHits:
         return SurfaceInteraction(p, ng, n, wo, uv, bary, prim, valid)
 
     def _anew(self, batch: PixelBatch, spp: int, stream: Stream) -> NonDeltaHit:
-        """Hits of new rays: nothing is kept, or the scene has smooth surfaces, whose chains are random."""
+        """Hits of new rays."""
         u = stream.uniform(len(batch.view), spp, 3)
         corner = self.views.corner(batch.view, batch.pixel).unsqueeze(1)
         view = batch.view.repeat_interleave(spp)

@@ -146,9 +146,7 @@ def _lobes(bsdf: LobeKernels, guide: Guided | None, surface: Surface, wo: Tensor
     """
     out = bsdf.lobes(surface, wo, wi)
     if guide is not None:
-        density = guide.guide.density(guide.rows, wi)
-        fraction = np.asarray(guide.fraction, np.float32).reshape(-1)
-        kernels.add_guide_pdf(fraction, wi.numpy(), density.numpy(), out.numpy())
+        guide.add_pdf(wi, out[2])
     return out
 
 

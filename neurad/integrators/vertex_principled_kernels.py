@@ -11,7 +11,6 @@ import numpy as np
 
 from neurad.core.records import BoolArray, FloatArray, IntArray
 from neurad.integrators.vertex_kernels_shared import (
-    INV_PI,
     ONE,
     ZERO,
     RayArrays,
@@ -96,22 +95,6 @@ def sample_emitter(
         out.wi_em[i, 0], out.wi_em[i, 1] = dot(wx, wy, wz, s0, s1, s2), dot(wx, wy, wz, t0, t1, t2)
         out.wi_em[i, 2] = dot(wx, wy, wz, x, y, z)
         out.ds_dist_pdf[i, 0], out.ds_dist_pdf[i, 1], out.ds_prim[i] = distance, pdf, f
-
-
-@kernel
-def add_guide_pdf(
-    fraction: FloatArray, wi: FloatArray, density: FloatArray, lobes: FloatArray
-) -> None:  # pragma: no cover - compiled
-    """Add what a guide adds to the density of directions ``wi`` [m, 3], row 2 of ``lobes`` [5 or 7, m].
-
-    ``density`` [m] is the guide's own, relative to the cosine's; ``fraction`` of the samples are guided, [m] or [1] for
-    one of all lanes.
-    """
-    last = fraction.shape[0] - 1
-    for i in range(wi.shape[0]):
-        if lobes[2, i] > ZERO:
-            delta = fraction[min(i, last)] * (max(wi[i, 2], ZERO) * INV_PI) * (density[i] - ONE)
-            lobes[2, i] = max(lobes[2, i] + delta, ZERO)
 
 
 @kernel

@@ -11,7 +11,7 @@ import numpy.typing as npt
 import torch
 from torch import Tensor
 
-from neurad.core.camera import camera_rays
+from neurad.core.camera import Cameras, camera_rays
 from neurad.core.frame import dot
 from neurad.core.protocols import Materials, PhotoSource
 from neurad.core.records import Camera, PixelBatch
@@ -302,14 +302,11 @@ def reflected_by_lamp(
         return np.zeros(3)
     chosen = np.arange(min(_LIT, len(view))) * len(view) // min(_LIT, len(view))
     device = world.geometry.vertices.device
+    views = Cameras.of(list(cameras), device)
+    seen, pixels = (torch.from_numpy(x[chosen]).to(device) for x in (view, pixel))
+    xy = pixel_positions(views.width[seen], pixels, _LIT_SPP, Stream(seed, 30, device=device)).view(-1, 2)
+    rays = views.rays(seen.repeat_interleave(_LIT_SPP), xy)
     tracer = MethodRenderer(PathTracing(_DEPTH, _DEPTH), SceneModel(world, materials))
-    total = torch.zeros(3, dtype=torch.float64, device=device)
-    for index in np.unique(view[chosen]):
-        camera = cameras[index]
-        pixels = torch.from_numpy(pixel[chosen][view[chosen] == index]).to(device)
-        stream = Stream(seed, int(index), 30, device=device)
-        rays = camera_rays(camera, pixel_positions(camera.width, pixels, _LIT_SPP, stream).view(-1, 2))
-        shown = tracer(rays, mix(seed, int(index), 31)) - world.emitted(world.intersect(rays))
-        total += shown.double().sum(0)
-    mean: Array = (total / (len(chosen) * _LIT_SPP)).clamp_min(0.0).cpu().numpy()
+    shown = tracer(rays, mix(seed, 31)) - world.emitted(world.intersect(rays))
+    mean: Array = shown.double().mean(0).clamp_min(0.0).cpu().numpy()
     return mean

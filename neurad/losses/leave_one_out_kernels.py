@@ -5,12 +5,12 @@ from __future__ import annotations
 import numpy as np
 
 from neurad.core.records import FloatArray
-from neurad.runtime.jit import kernel
+from neurad.runtime.jit import allocating_kernel
 
 _ZERO, _HALF, _ONE, _TWO = np.float32(0.0), np.float32(0.5), np.float32(1.0), np.float32(2.0)
 
 
-@kernel
+@allocating_kernel
 def leave_one_out(
     low: int,
     high: int,

@@ -10,6 +10,7 @@ import torch
 from torch import Tensor
 
 from neurad.optim.device_rates import DeviceRates
+from neurad.optim.eager import EagerOptimizer
 
 COARSEST_SIZE = 4
 """Fewest rows and columns of a level."""
@@ -19,7 +20,7 @@ FLOOR = 1.0
 """Floor of the divisor, relative to its root mean square over a level: texels with small gradients take small steps."""
 
 
-class PyramidAdam(torch.optim.Optimizer):
+class PyramidAdam(EagerOptimizer):
     """Adam (Kingma and Ba 2015) of a map that is a sum of levels, from a few texels to full size.
 
     The map itself is the parameter. Its gradient is taken down to every level by the transpose of interpolation,

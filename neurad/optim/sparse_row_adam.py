@@ -12,11 +12,12 @@ from torch.optim.adam import adam
 
 from neurad.fields.sparse import unique_rows
 from neurad.optim.device_rates import DeviceRates
+from neurad.optim.eager import EagerOptimizer
 from neurad.runtime.dispatch import use_kernel, use_warp
 from neurad.runtime.threads import split
 
 
-class SparseRowAdam(torch.optim.Optimizer):
+class SparseRowAdam(EagerOptimizer):
     """Adam (Kingma and Ba 2015) with lazy updates of tables, of which a step touches few rows.
 
     A sparse gradient moves the rows that it names and leaves every other row and its moments unchanged, as

@@ -2,10 +2,7 @@
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable
-from concurrent.futures import ThreadPoolExecutor
-from itertools import pairwise
 
 import numpy as np
 import torch
@@ -14,7 +11,7 @@ from embreex.rtcore_scene import EmbreeScene
 from torch import Tensor
 
 from neurad.core.records import Hit, Rays
-from neurad.runtime.threads import cut
+from neurad.runtime.threads import split
 from neurad.tracing.arrays import as_floats, as_indices, beyond_start, coordinate_extent, no_hits
 
 # Rays for each thread from which on handing a slice over is worth it, about 0.2 ms of work, and about as many as have
@@ -32,18 +29,15 @@ class EmbreeTracer:
     Triangles without area are never hit.
     """
 
-    def __init__(self, vertices: Tensor, faces: Tensor, threads: int | None = None) -> None:
+    def __init__(self, vertices: Tensor, faces: Tensor) -> None:
         """Build the acceleration structure.
 
         Args:
             vertices: [V, 3].
             faces: indices into ``vertices`` [F, 3]; F may be 0.
-            threads: threads that the rays of a query are divided among; None takes one for each core.
         """
-        self.threads = threads or os.cpu_count() or 1
         self.empty = len(faces) == 0
         self.extent = coordinate_extent(vertices, faces)
-        self._pool = ThreadPoolExecutor(self.threads - 1, "embree") if self.threads > 1 else None
         if self.empty:
             return
         self._scene = EmbreeScene(robust=True)
@@ -95,19 +89,12 @@ class EmbreeTracer:
         self._in_slices(cast, count, OCCLUDED_SHARD)
         return blocked.to(device)
 
-    def _in_slices(self, cast: Callable[[slice], None], count: int, least: int) -> None:
-        """Run ``cast`` on slices of ``count`` rays, of ``least`` or more on average, on this thread and the pool."""
-        pieces = max(1, min(self.threads, count // least), -(-count // MAX_SHARD))
-        if pieces > self.threads:  # as many for each
-            pieces = -(-pieces // self.threads) * self.threads
-        parts = [slice(low, high) for low, high in pairwise(cut(count, pieces, least))]
+    @staticmethod
+    def _in_slices(cast: Callable[[slice], None], count: int, least: int) -> None:
+        """Run ``cast`` on slices of ``count`` rays, of ``least`` or more for each thread."""
 
-        def work(first: int) -> None:
-            for part in parts[first :: self.threads]:
-                cast(part)
+        def work(low: int, high: int) -> None:
+            for begin in range(low, high, MAX_SHARD):
+                cast(slice(begin, min(begin + MAX_SHARD, high)))
 
-        busy = range(1, min(self.threads, len(parts)))
-        others = [self._pool.submit(work, first) for first in busy] if self._pool else []
-        work(0)
-        for other in others:
-            other.result()
+        split(work, count, least)

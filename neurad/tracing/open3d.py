@@ -14,13 +14,12 @@ from neurad.tracing.arrays import as_floats, as_indices, beyond_start, coordinat
 class Open3DTracer:
     """Closest-hit and occlusion queries against a fixed set of triangles. Barycentrics come in Embree's order."""
 
-    def __init__(self, vertices: Tensor, faces: Tensor, threads: int | None = None) -> None:
+    def __init__(self, vertices: Tensor, faces: Tensor) -> None:
         """Build the acceleration structure.
 
         Args:
             vertices: [V, 3].
             faces: indices into ``vertices`` [F, 3]; F may be 0.
-            threads: threads that the rays of a query are divided among; None takes one for each core.
 
         Raises:
             InputError: Open3D, or a system library that it needs, is not installed.
@@ -33,7 +32,6 @@ class Open3DTracer:
                 "on Linux also the system libraries libusb-1.0-0, libgl1, libegl1 and libgomp1, or choose embree"
             ) from error
         self._core = open3d.core
-        self.threads = threads or 0  # 0 means all cores
         self.empty = len(faces) == 0
         self.extent = coordinate_extent(vertices, faces)
         if self.empty:
@@ -42,7 +40,7 @@ class Open3DTracer:
         low, high = points.min(0).astype(np.float64), points.max(0).astype(np.float64)
         self._centre = 0.5 * (low + high)
         self._radius = 0.5 * float(np.linalg.norm(high - low))
-        self._scene = open3d.t.geometry.RaycastingScene(nthreads=self.threads)
+        self._scene = open3d.t.geometry.RaycastingScene()
         self._scene.add_triangles(
             self._core.Tensor.from_numpy(points), self._core.Tensor.from_numpy(as_indices(faces, np.uint32))
         )
@@ -58,7 +56,7 @@ class Open3DTracer:
         if self.empty or count == 0:
             return no_hits(count, device)
         both = np.concatenate((as_floats(rays.o), as_floats(rays.d)), -1)
-        found = self._scene.cast_rays(self._core.Tensor.from_numpy(both), nthreads=self.threads)
+        found = self._scene.cast_rays(self._core.Tensor.from_numpy(both))
         t = torch.from_numpy(found["t_hit"].numpy())  # infinity at a miss
         valid = torch.isfinite(t)
         prim = torch.from_numpy(found["primitive_ids"].numpy().astype(np.int64)).masked_fill_(~valid, -1)
@@ -80,5 +78,5 @@ class Open3DTracer:
         outside = 2.0 * (np.linalg.norm(o - self._centre, axis=-1) + self._radius)
         far = np.minimum(as_floats(t_max), outside).astype(np.float32)
         both = np.concatenate((o, d * far[:, None]), -1)
-        found = self._scene.test_occlusions(self._core.Tensor.from_numpy(both), 0.0, 1.0, nthreads=self.threads)
+        found = self._scene.test_occlusions(self._core.Tensor.from_numpy(both), 0.0, 1.0)
         return (torch.from_numpy(found.numpy()) & (torch.from_numpy(far) > 0)).to(device)

@@ -11,7 +11,7 @@ from neurad.core.suggest import did_you_mean
 TRACERS = ("embree", "open3d", "warp")
 
 
-def make_tracer(name: str, vertices: Tensor, faces: Tensor, threads: int | None = None) -> Tracer:
+def make_tracer(name: str, vertices: Tensor, faces: Tensor) -> Tracer:
     """The tracer called ``name`` over triangles ``faces`` [F, 3] of ``vertices`` [V, 3].
 
     Raises:
@@ -20,14 +20,14 @@ def make_tracer(name: str, vertices: Tensor, faces: Tensor, threads: int | None 
     if name == "embree":
         from neurad.tracing.embree import EmbreeTracer
 
-        return EmbreeTracer(vertices, faces, threads)
+        return EmbreeTracer(vertices, faces)
     if name == "open3d":
         from neurad.tracing.open3d import Open3DTracer
 
-        return Open3DTracer(vertices, faces, threads)
+        return Open3DTracer(vertices, faces)
     if name == "warp":
         from neurad.tracing.warp import WarpTracer
 
-        return WarpTracer(vertices, faces, threads)
+        return WarpTracer(vertices, faces)
     near = did_you_mean(name, TRACERS)
     raise InputError(f"tracer {name}: there is none of that name, choose one of {', '.join(TRACERS)}{near}")

@@ -20,13 +20,12 @@ class WarpTracer:
     triangle test is watertight (Woop et al. 2013). On the CPU it runs on one thread: good for tests, slow for training.
     """
 
-    def __init__(self, vertices: Tensor, faces: Tensor, threads: int | None = None) -> None:
+    def __init__(self, vertices: Tensor, faces: Tensor) -> None:
         """Keep the triangles.
 
         Args:
             vertices: [V, 3].
             faces: indices into ``vertices`` [F, 3]; F may be 0.
-            threads: not used; part of every tracer's interface.
 
         Raises:
             InputError: Warp is not installed.

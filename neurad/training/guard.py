@@ -52,7 +52,7 @@ class Guard:
     def __init__(self, module: nn.Module, keep: Callable[[int, str, PixelBatch | None], str] | None = None) -> None:
         self.module = module
         self.keep = keep
-        self._scanned = False
+        self._parameters: list[Tensor] = []
 
     def check(
         self, iteration: int, batch: PixelBatch, terms: Mapping[str, tuple[float, Loss]], again: Callable[[], object]
@@ -68,13 +68,15 @@ class Guard:
         Raises:
             NotFinite: with the first bad quantity, the batch, and where that is kept.
         """
-        scan = not self._scanned or iteration % SCAN_EVERY == 0
-        parameters = list(self.module.parameters())
-        losses = torch.stack([x for _, loss in terms.values() for x in (loss.value, loss.surrogate.detach())])
-        sums = [_values(p.grad).sum() for p in parameters if p.grad is not None]
-        sums += [p.detach().sum() for p in parameters if scan or p.numel() <= SMALL]
-        self._scanned = True
-        if bool(torch.isfinite(torch.cat((losses, torch.stack(sums))) if sums else losses).all()):
+        scan = not self._parameters or iteration % SCAN_EVERY == 0
+        if scan:  # which takes as long as ten sums
+            self._parameters = list(self.module.parameters())
+        values = [_values(p.grad) for p in self._parameters if p.grad is not None]
+        values += [p.detach() for p in self._parameters if scan or p.numel() <= SMALL]
+        values += [x.detach() for _, loss in terms.values() for x in (loss.value, loss.surrogate)]
+        small = torch.cat([x.reshape(-1) for x in values if x.numel() <= SMALL])  # one sum for all networks
+        sums = [small.sum(), *(x.sum() for x in values if x.numel() > SMALL)]
+        if bool(torch.isfinite(torch.stack(sums)).all()):
             return
         self._stop(iteration, self._cause(batch, terms, again), batch)
 

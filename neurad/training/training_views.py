@@ -27,7 +27,7 @@ from neurad.core.protocols import PhotoSource
 from neurad.core.records import FloatArray, PixelBatch
 from neurad.evidence.view_residuals import surface_fractions
 from neurad.integrators.focus import TIMES
-from neurad.integrators.primary_hits import PrimaryHits
+from neurad.integrators.primary_hits import PrimaryHits, kept_positions
 from neurad.lamps.known import check_lamps
 from neurad.lamps.photographed import LampPhotographs, lamp_photographs
 from neurad.lamps.unknown import begin_lamps
@@ -91,9 +91,10 @@ def prepare_views(
     """
     scene, settings = assembly.scene, assembly.settings
     cameras = [view.camera for view in scene.train]
-    announce_camera_rays(cameras, settings.sampling.cached_spp, assembly.world.features.has_environment, device)
+    kept = kept_positions(assembly.world, settings.sampling.cached_spp)
+    announce_camera_rays(cameras, kept, assembly.world.features.has_environment, device)
     # Stage 1: primary hits and the emitter mask [views, pixels].
-    primary = PrimaryHits(assembly.world, cameras, settings.sampling.cached_spp, settings.seed, torch.device(device))
+    primary = PrimaryHits(assembly.world, cameras, kept, settings.seed, torch.device(device))
     emitter_mask = primary.nothing() if emitters_train else primary.sees_emitter()
     ignored = photographs.ignored()
     if ignored is not None:

@@ -179,11 +179,13 @@ def test_longest_side_fills_the_unit_cube():
 # ---- network
 
 
-@pytest.mark.parametrize("hidden_layers", [0, 1, 3])
-def test_fused_network_equals_plain_torch(hidden_layers):
-    mlp = MLP(11, 3, 32, hidden_layers)
-    x = torch.randn(257, 11, requires_grad=True)
-    cotangent = torch.randn(257, 3)
+@pytest.mark.parametrize(
+    ("inputs", "outputs", "width", "hidden_layers"), [(11, 3, 32, 0), (11, 3, 32, 1), (11, 3, 32, 3), (37, 6, 70, 2)]
+)
+def test_fused_network_equals_plain_torch(inputs, outputs, width, hidden_layers):
+    mlp = MLP(inputs, outputs, width, hidden_layers)
+    x = torch.randn(257, inputs, requires_grad=True)
+    cotangent = torch.randn(257, outputs)
     gradients = []
     for run in (mlp, mlp.reference):
         out = run(x)
@@ -192,9 +194,9 @@ def test_fused_network_equals_plain_torch(hidden_layers):
     for a, b in zip(*gradients, strict=True):
         assert (a - b).norm() <= 1e-5 * b.norm()
     with torch.no_grad():
-        y = torch.randn(5000, 11)
+        y = torch.randn(5000, inputs)
         torch.testing.assert_close(mlp(y), mlp.reference(y), rtol=1e-5, atol=1e-5)
-        assert mlp(y[:0]).shape == (0, 3)
+        assert mlp(y[:0]).shape == (0, outputs)
 
 
 @pytest.mark.parametrize("mode", [torch.no_grad, torch.inference_mode])

@@ -19,7 +19,7 @@ from neurad.core.rng import Stream
 from neurad.core.sampling import concentric_disk, cosine_hemisphere, disk_to_square
 from neurad.integrators.bounce import bounce
 from neurad.integrators.direct import Direct
-from neurad.integrators.guide import FACINGS, Guide
+from neurad.integrators.guide import FACINGS, Guide, Guided
 from neurad.integrators.method import Method
 from neurad.integrators.path import PathTracing
 from neurad.integrators.prb import PRB
@@ -58,18 +58,23 @@ def test_the_square_of_a_disk_and_back() -> None:
 
 def test_compiled_lookups_equal_plain_torch() -> None:
     guide, reference = trained_guide(), trained_guide(use_kernels=False)
-    si, u = points(20_000, 4), Stream(5).uniform(20_000, 2)
+    si, u, fraction = points(20_000, 4), Stream(5).uniform(20_000, 3), Stream(6).uniform(20_000)
     far = SurfaceInteraction(**{**si.__dict__, "p": si.p * 3.0 - 4.0})  # outside the box, the nearest cell counts
     for lanes in (si, far):
         rows = guide.rows(lanes, lanes.n)
         assert torch.equal(rows, reference.rows(lanes, lanes.n))
         assert int(rows.min()) >= 0
         assert int(rows.max()) < len(guide.counts)
-        warped = guide.warp(rows, u)
-        torch.testing.assert_close(warped, reference.warp(rows, u), atol=1e-6, rtol=0)
-        wi = cosine_hemisphere(warped)
-        different = (guide.density(rows, wi) - reference.density(rows, wi)).abs() > 1e-4
-        assert int(different.sum()) < 10  # on the edge of a bin either is right
+        for some in (0.6, fraction):
+            compiled, plain = Guided(guide, rows, some), Guided(reference, rows, some)
+            warped = compiled.warp(u)
+            torch.testing.assert_close(warped, plain.warp(u), atol=1e-6, rtol=0)
+            wi, pdf = cosine_hemisphere(warped[:, 1:]), torch.full((len(u),), 2.0)
+            pdf[::3] = 0.0
+            compiled.add_pdf(wi, pdf)
+            assert not pdf[::3].any()
+            different = (pdf - 2.0 - plain.pdf_delta(wi))[torch.arange(len(u)) % 3 > 0].abs() > 1e-4
+            assert int(different.sum()) < 10  # on the edge of a bin either is right
         assert int((guide._places(rows, wi) != reference._places(rows, wi)).sum()) < 10
     assert guide.shape == [3, 2, 4]
     assert len(guide.counts) == 24 * FACINGS
@@ -81,7 +86,7 @@ def test_chi_square_of_the_bins(use_kernels: bool) -> None:
     p = []
     for row in (0, 17, 100):
         rows = torch.full((80_000,), row)
-        drawn = guide.warp(rows, Stream(6, row).uniform(80_000, 2))
+        drawn = Guided(guide, rows, 1.0).warp(Stream(6, row).uniform(80_000, 3))[:, 1:]
         wi = cosine_hemisphere(drawn)
         bins = (drawn * 8).long()  # finer than the guide's own: inside a bin it must be even
         observed = torch.bincount(bins[:, 0] * 8 + bins[:, 1], minlength=64).double()

@@ -5,7 +5,6 @@ from __future__ import annotations
 import math
 
 import numpy as np
-import trimesh
 
 from neurad.core.records import IntArray, Mesh
 from neurad.scene.builtin.plain import diffuse, views
@@ -27,6 +26,8 @@ def build_sphere(albedo: float = 0.5, subdivisions: int = 4, patch: float = 20.0
     Raises:
         InputError: the albedo is not in [0, 1).
     """
+    import trimesh  # imported here: it loads slowly
+
     solid = trimesh.creation.icosphere(subdivisions=subdivisions)
     vertices = np.round(np.asarray(solid.vertices), 6).astype(np.float32)
     faces = np.asarray(solid.faces, np.int64)[:, ::-1].copy()  # facing inwards
