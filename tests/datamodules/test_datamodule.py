@@ -268,39 +268,6 @@ def test_held_out_photographs_and_maps_are_never_opened(folder, monkeypatch):
     assert images == {"train_0.exr", "train_1.exr", "train_2.exr"}
 
 
-def photograph(**change):
-    def spoil(folder):
-        image = np.ones((change.get("height", SIZE), SIZE, change.get("channels", 3)), np.float32)
-        image[0, 0, 0] = change.get("value", 1.0)
-        write_exr(folder / "images/train_1.exr", image, half=False)
-
-    return spoil
-
-
-def black(folder):
-    for i in range(3):
-        write_exr(folder / f"images/train_{i}.exr", np.zeros((SIZE, SIZE, 3), np.float32))
-
-
-BAD = {
-    "NaN": (photograph(value=np.nan), r"train_1\.exr: it has pixels that are NaN or infinite"),
-    "infinite": (photograph(value=np.inf), r"train_1\.exr: it has pixels that are NaN or infinite"),
-    "negative": (photograph(value=-1.0), r"train_1\.exr: it has negative pixels"),
-    "size": (photograph(height=9), r"train_1\.exr: it has 8 x 9 pixels, its camera 8 x 8"),
-    "grey": (photograph(channels=1), r"train_1\.exr: a photograph has channels RGB or RGBA"),
-    "no picture": (lambda f: (f / "images/train_1.exr").write_text("x"), r"train_1\.exr: it cannot be read"),
-    "black": (black, "scene room: every training photograph is black"),
-}
-
-
-@pytest.mark.parametrize("case", BAD)
-def test_bad_photographs_are_named(folder, case):
-    spoil, said = BAD[case]
-    spoil(folder)
-    with pytest.raises(InputError, match=said):
-        ready(folder)
-
-
 def test_bad_options_are_named(folder):
     for name in ("patches", "patch_size"):
         with pytest.raises(InputError, match=rf"DataSettings\.{name}: 0 is out of range"):

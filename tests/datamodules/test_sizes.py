@@ -139,25 +139,6 @@ def test_masked_pixels_take_no_part(folder):
     assert ready(write_scene(folder.parent / "plain")).ignored() is None
 
 
-@pytest.mark.parametrize(
-    ("spoil", "message"),
-    [
-        (
-            lambda f: (f / "masks/2.png").unlink(),
-            r"masks/2\.png: the mask is missing that transforms_train\.json lists",
-        ),
-        (lambda f: (f / "masks/2.png").write_text("no picture"), r"masks/2\.png: it cannot be read as an image"),
-        (lambda f: Image.new("L", (9, 6)).save(f / "masks/2.png"), r"2\.png: it has 9 x 6 pixels, its camera 8 x 6"),
-        (lambda f: write_exr(f / "images/train_3.exr", np.ones((5, 5, 3))), r"5 x 5 pixels, its camera 12 x 4"),
-    ],
-)
-def test_what_does_not_fit_the_photograph_is_refused(folder, spoil, message):
-    masked(folder, 2, np.zeros((6, 8), bool))
-    spoil(folder)
-    with pytest.raises(InputError, match=message):
-        ready(folder)
-
-
 def test_masked_pixels_are_not_scored(folder):
     """A rendering that is wrong behind the mask alone is perfect; without the mask it is not."""
     black = np.zeros((6, 8), bool)
