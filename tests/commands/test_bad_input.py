@@ -1,53 +1,19 @@
 """Every bad input as a user meets it: one sentence that names the file or option, exit code 2, nothing written."""
 
 import hashlib
-import os
-import shutil
 import subprocess
 import sys
-from pathlib import Path
 
 import numpy as np
 import pytest
-import yaml
 from helpers.spoil import frame, nothing, photograph, removed, replaced, written
-from helpers.tiny_fit import GRID
-from helpers.tiny_scene import XML, write_scene
+from helpers.tiny_scene import XML
 
 from neurad.cli import main
 
 pytest.importorskip("mitsuba")
 
-CONFIG = {
-    "trainer": {"max_steps": 2, "accelerator": "cpu", "enable_progress_bar": False},
-    "data": {"root": "room", "patches": 16},
-    "model": {part: {"grid": GRID, "width": 8} for part in ("albedo", "roughness", "radiance")},
-    "evaluation": {"spp": 1},
-}
-FIT = ["fit", "--config", "config.yaml"]
-
-
-@pytest.fixture(scope="module")
-def fitted(tmp_path_factory):
-    """A folder with a scene, a config and a finished run of two iterations."""
-    place = tmp_path_factory.mktemp("fitted")
-    before = Path.cwd()
-    os.chdir(place)
-    try:
-        write_scene(place / "room")
-        Path("config.yaml").write_text(yaml.safe_dump(CONFIG))
-        main(FIT)
-    finally:
-        os.chdir(before)
-    return place
-
-
-@pytest.fixture
-def place(fitted, tmp_path, monkeypatch):
-    """A copy of it to spoil, as the working folder."""
-    shutil.copytree(fitted, tmp_path / "work")
-    monkeypatch.chdir(tmp_path / "work")
-    return tmp_path / "work"
+FIT = ["fit", "--config", "tiny.yaml", "--trainer.max_steps=2", "--model.lighting.lamp_mismatch=warn"]
 
 
 def tree(folder):
@@ -89,7 +55,7 @@ BAD = {
     "a name that steers terminals": (nothing, ["--data.root=\x1b[2J" + "x" * 9999], ["x...x", "\\x1b[2J"]),
     "no scene folder": (nothing, ["--data.root=nowhere"], ["--data.root", "nowhere"]),
     "unknown key of a part": (
-        written("config.yaml", "model: {sampling: {position: 3}}"), [], ["config.yaml", "model.sampling.position"]),
+        written("tiny.yaml", "model: {sampling: {position: 3}}"), [], ["tiny.yaml", "model.sampling.position"]),
     "patch larger than the photographs": (nothing, ["--data.patch_size=64"], ["--data.patch_size", "64"]),
     "checkpoint of another scene": (MOVED, GO_ON, ["--ckpt_path", "room"]),
     "checkpoint of a built-in scene": (
@@ -107,17 +73,17 @@ BAD = {
 
 @pytest.mark.main
 @pytest.mark.parametrize("case", BAD)
-def test_a_fit_with_bad_input(place, monkeypatch, capfd, recwarn, case):
+def test_a_fit_with_bad_input(fitted_room, monkeypatch, capfd, recwarn, case):
     spoil, args, said = BAD[case]
     if "monkeypatch" in spoil.__code__.co_varnames:
-        spoil(place, monkeypatch)
+        spoil(fitted_room, monkeypatch)
     else:
-        spoil(place)
-    before = tree(place)
+        spoil(fitted_room)
+    before = tree(fitted_room)
     sentence = fails(capfd, [*FIT, *args])
     for word in said:
         assert word in sentence
-    assert tree(place) == before
+    assert tree(fitted_room) == before
     assert not [w for w in recwarn.list if not issubclass(w.category, DeprecationWarning | PendingDeprecationWarning)]
 
 
@@ -149,19 +115,19 @@ def fails(capfd, args):
         (nothing, ["render", "--root", "room", "--out", "new", "--tracer", "optix"], ["optix"]),
     ],
 )
-def test_other_verbs_with_bad_input(place, capfd, spoil, args, said):
-    spoil(place)
-    before = tree(place)
+def test_other_verbs_with_bad_input(fitted_room, capfd, spoil, args, said):
+    spoil(fitted_room)
+    before = tree(fitted_room)
     sentence = fails(capfd, args)
     for word in said:
         assert word in sentence
-    assert tree(place) == before
+    assert tree(fitted_room) == before
 
 
-def test_the_program_itself_says_no_more_than_the_sentence(place):
+def test_the_program_itself_says_no_more_than_the_sentence(fitted_room):
     """One of them as a process of its own: exit code and all of stderr, imports included."""
-    photograph(np.nan)(place / "room")
-    before = tree(place)
+    photograph(np.nan)(fitted_room / "room")
+    before = tree(fitted_room)
     code = "from neurad.cli import main; main()"
     done = subprocess.run([sys.executable, "-c", code, *FIT], capture_output=True, text=True, check=False)
     assert done.returncode == 2
@@ -169,14 +135,14 @@ def test_the_program_itself_says_no_more_than_the_sentence(place):
     assert done.stderr.startswith("neurad: error: ")
     assert done.stderr.count("\n") == 1
     assert "train_1.exr" in done.stderr
-    assert tree(place) == before
+    assert tree(fitted_room) == before
 
 
 @pytest.mark.main
-def test_the_scene_itself_is_good(place):
+def test_the_scene_itself_is_good(fitted_room):
     """What all cases above start from trains, also in continuation."""
-    before = tree(place)
+    before = tree(fitted_room)
     main([*FIT, "--ckpt_path=last", "--trainer.max_steps=4"])
-    changed = {name for name, found in tree(place).items() if before.get(name) != found}
+    changed = {name for name, found in tree(fitted_room).items() if before.get(name) != found}
     assert {f"lightning_logs/version_0/{name}" for name in ("metrics.csv", "checkpoints/last.ckpt")} < changed
     assert all(name.startswith("lightning_logs/version_0") for name in changed)

@@ -471,13 +471,13 @@ def test_a_budget_must_be_positive():
 @pytest.mark.main
 def test_two_real_methods():
     """The whole way: cornell for a few steps with two methods, the same number of samples, pictures included."""
-    words = ["--config=cornell.yaml", "--methods=ours,direct", "--samples=4096", "--views=1", "--view-spp=1"]
-    small = ["--data.patches=32", "--evaluation.spp=1", "--evaluation.every_n_steps=4", "--trainer.accelerator=cpu"]
-    main(["compare", *words, *small])
+    tiny_fit.write_tiny_config(data={"patches": 32}, evaluation={"every_n_steps": 8})
+    words = ["--config=tiny.yaml", "--methods=ours,direct", "--samples=2048", "--views=1", "--view-spp=1"]
+    main(["compare", *words])
     rows = table()
     assert list(rows) == ["ours", "direct", "best constant"]
     for method in ("ours", "direct"):
-        assert (rows[method]["samples"], rows[method]["status"]) == ("4096", "too few iterations (seed 0)")
+        assert (rows[method]["samples"], rows[method]["status"]) == ("2048", "too few iterations (seed 0)")
         assert float(rows[method]["peak_memory_mib"]) > 100
         assert float(rows[method]["ms_per_step"]) > 0
         names = {path.name for path in Path(f"report/runs/{method}_0").iterdir()}

@@ -2,7 +2,6 @@
 
 import os
 import pickle
-import shutil
 import socket
 import sys
 from pathlib import Path
@@ -17,27 +16,12 @@ from neurad.cli import main
 from neurad.core.errors import InputError
 
 
-@pytest.fixture(scope="module")
-def sent(tmp_path_factory):
-    """A finished run of two iterations, as it was sent."""
-    from helpers.tiny_fit import write_tiny_config
-
-    place = tmp_path_factory.mktemp("sent")
-    with pytest.MonkeyPatch.context() as patch:
-        patch.chdir(place)
-        write_tiny_config()
-        fit("--trainer.max_steps=2", "--evaluation.pictures=0")
-    return place
-
-
 @pytest.fixture
-def place(sent, tmp_path, monkeypatch):
-    """A copy of it to spoil, as the working folder; a module ``evil`` lies there, as it would on ``sys.path``."""
-    shutil.copytree(sent, tmp_path / "work")
-    monkeypatch.chdir(tmp_path / "work")
+def place(fitted_box, tmp_path, monkeypatch):
+    """A run to spoil, as it was sent; a module ``evil`` lies beside it, as it would on ``sys.path``."""
     Path("evil.py").write_text("open('executed', 'w').close()\nclass Evil:\n    pass\n")
-    monkeypatch.syspath_prepend(str(tmp_path / "work"))
-    yield tmp_path / "work"
+    monkeypatch.syspath_prepend(str(fitted_box))
+    yield fitted_box
     sys.modules.pop("evil", None)
     assert not list(tmp_path.rglob("executed"))
 
@@ -81,9 +65,9 @@ def test_its_config_chooses_no_place_to_write(place, capfd):
     main(["test"])
     said = capfd.readouterr().err
     assert all(f"trainer.{name}" in said for name in ELSEWHERE)
-    made = files(place.parent) - {f"work/{name}" for name in before}
+    made = files(place.parent) - {f"{place.name}/{name}" for name in before}
     assert made
-    assert all(name.startswith("work/lightning_logs/version_0/") for name in made)
+    assert all(name.startswith(f"{place.name}/lightning_logs/version_0/") for name in made)
 
 
 @pytest.mark.main
