@@ -8,7 +8,7 @@ import numpy as np
 import OpenEXR
 import pytest
 import torch
-from helpers.tiny_scene import SIZE, read_json, write_json, write_scene
+from helpers.tiny_scene import SIZE, read_json, ready, write_json, write_scene
 
 from datamodules.pixels import blurred
 from datamodules.scene_data import SceneData
@@ -24,12 +24,6 @@ pytest.importorskip("mitsuba")
 @pytest.fixture
 def folder(tmp_path):
     return write_scene(tmp_path / "room")
-
-
-def ready(folder, **settings):
-    data = SceneData(DataSettings(str(folder), **settings))
-    data.setup("fit")
-    return data
 
 
 def with_alpha(folder, view=0, covered=6):

@@ -9,13 +9,11 @@ import OpenEXR
 import pytest
 import torch
 from helpers.small_step import small_scene
-from helpers.tiny_scene import POSE, write_json, write_scene
+from helpers.tiny_scene import POSE, ready, write_json, write_scene
 from PIL import Image
 
 from benchmarks.peer.fit import _photographs
 from datamodules.pixels import blurred
-from datamodules.scene_data import SceneData
-from datamodules.settings import DataSettings
 from neurad.assembly.build import build_world
 from neurad.core.camera import Cameras, camera_rays
 from neurad.core.errors import InputError
@@ -49,12 +47,6 @@ def folder(tmp_path):
         frames.append({"file_path": f"images/train_{i}.exr", "transform_matrix": POSE, **size})
     write_json(folder, "train", {"camera_angle_x": 0.9, "frames": frames})
     return folder
-
-
-def ready(folder, **settings):
-    data = SceneData(DataSettings(str(folder), **settings))
-    data.setup("fit")
-    return data
 
 
 def masked(folder, view, black):

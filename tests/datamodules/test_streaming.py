@@ -10,7 +10,7 @@ import pytest
 import torch
 from helpers.cameras import film
 from helpers.small_step import SmallStep, small_scene
-from helpers.tiny_scene import SIZE, write_scene
+from helpers.tiny_scene import SIZE, ready, write_scene
 from scipy import stats
 
 from benchmarks.bench import growth
@@ -40,12 +40,6 @@ CPU = torch.device("cpu")
 def folder(tmp_path):
     pytest.importorskip("mitsuba")
     return write_scene(tmp_path / "room", VIEWS)
-
-
-def ready(folder, **settings):
-    data = SceneData(DataSettings(str(folder), **settings))
-    data.setup("fit")
-    return data
 
 
 def with_alpha(folder, empty=(2,)):

@@ -84,6 +84,8 @@ def progress(state):
         (lambda state: state["optimizer_states"].pop(), "the state of 1 optimizers, but these settings need 2"),
         (lambda state: state["optimizer_states"][0].clear(), "does not hold what a run of these settings writes"),
         (lambda state: state["callbacks"].update(Evaluate=3), "does not hold what a run of these settings writes"),
+        (lambda state: state.update(state_dict={"a": 1}), "state_dict"),
+        (lambda state: state.pop("neurad"), "neurad is missing"),
     ],
 )
 def test_checkpoints_with_strange_entries(fitted_box, capfd, change, why):
