@@ -7,12 +7,11 @@ import time
 import pytest
 import torch
 
-from benchmarks.bench import growth, machine, memory, stages, start
+from benchmarks.bench import growth, memory, stages, start
 from benchmarks.bench.measure import floor
 from benchmarks.bench.memory_watch import resident
 from neurad.cli import main
 from neurad.fields.hash_grid import HashGrid
-from neurad.scene.builtin import build_cornell
 
 CPU = torch.device("cpu")
 SMALL = [
@@ -54,15 +53,6 @@ def test_a_lookup_reads_no_entry_twice():
     grid = HashGrid(2, 4, 64, log2_size=10)  # 125 entries and 1024
     assert stages.table_bytes(grid, 10) == (80 + 80) * 8
     assert stages.table_bytes(grid, 100000) == (125 + 1024) * 8
-
-
-def test_tables_line_up_and_survive_gaps(tmp_path):
-    rows = [{"what": "a", "ms": 1.23456, "n": None}, {"what": "longer", "ms": 12345.6, "n": 7}]
-    lines = machine.show(rows, "title").splitlines()
-    assert lines[:2] == ["title", "what       ms  n"]
-    assert lines[2:] == ["a        1.23", "longer  12346  7"]
-    machine.report(rows, "title", str(tmp_path / "deep/out.csv"))
-    assert table(tmp_path / "deep/out.csv")[1] == {"what": "longer", "ms": "12345.6", "n": "7"}
 
 
 @pytest.mark.main
@@ -125,15 +115,6 @@ def test_wrong_words_are_refused_in_one_sentence(capsys):
             main(["bench", *words])
         assert stop.value.code == 2
         assert sentence in capsys.readouterr().err
-
-
-@pytest.mark.parametrize("triangles", [2, 1000, 20000])
-def test_sheets_have_about_as_many_triangles_as_asked(triangles):
-    mesh = growth.bumps(build_cornell(), triangles)
-    assert len(mesh.faces) == pytest.approx(triangles, rel=0.05)
-    corners = mesh.vertices[mesh.faces]
-    assert (corners[:, 1] - corners[:, 0]).any(-1).all()
-    assert mesh.faces.max() == len(mesh.vertices) - 1
 
 
 @pytest.mark.parametrize(("curve", "value", "column"), [("triangles", 500, "triangles"), ("views", 3, "views")])

@@ -175,14 +175,6 @@ def test_averages_lag_behind_while_values_still_rise(mi, tmp_path):
     assert mean[4] < present[4] - 0.02
 
 
-@pytest.mark.parametrize("fraction", [-0.1, 1.1])
-def test_a_fraction_that_does_not_exist_is_refused(fraction):
-    from benchmarks.peer.fit import PeerSettings
-
-    with pytest.raises(InputError, match="average"):
-        PeerSettings("grid", 1.0, "out.csv", average=fraction)
-
-
 def test_the_peer_averages_as_the_config_does():
     from benchmarks.bench.peer import _sizes
 

@@ -237,11 +237,6 @@ def test_a_run_with_rounded_networks_learns():
     assert all(p.dtype == torch.float32 for p in module.parameters())
 
 
-def test_precisions_that_do_not_exist_are_refused():
-    with pytest.raises(InputError, match=r"model\.optimization\.matmul: 'half'"):
-        Optimization(matmul="half")
-
-
 # ---- the rows of neurad stress
 
 
