@@ -101,22 +101,6 @@ def test_trace_names_its_best_batch(tmp_path):
         assert min(float(row["ratio"]) for row in rows if row["rays"] == kind) == pytest.approx(1.0)
 
 
-@pytest.mark.main
-def test_wrong_words_are_refused_in_one_sentence(capsys):
-    for words, sentence in (
-        (["trace", "--tracers", "optix"], "choose from embree"),
-        (["trace", "--sizes", "many"], "not numbers"),
-        (["step", "--set", "nonsense"], "not KEY=VALUE"),
-        (["step", "--steps", "0"], "at least 1"),
-        (["encode", "--device", "nowhere"], "no such device"),
-        (["growth", "--views", "x"], "not numbers"),
-    ):
-        with pytest.raises(SystemExit) as stop:
-            main(["bench", *words])
-        assert stop.value.code == 2
-        assert sentence in capsys.readouterr().err
-
-
 @pytest.mark.parametrize(("curve", "value", "column"), [("triangles", 500, "triangles"), ("views", 3, "views")])
 def test_growth_measures_what_has_grown(curve, value, column):
     parser = argparse.ArgumentParser()

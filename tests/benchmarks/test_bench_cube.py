@@ -124,25 +124,6 @@ def test_bench_cube(tmp_path, capsys):
         assert r["steps"] == "3"
 
 
-@pytest.mark.parametrize(
-    ("words", "expected"),
-    [
-        (["cube", "--albedos", "1.0"], "--albedos"),
-        (["cube", "--methods", "ours,nerf"], "--methods: nerf"),
-        (["cube", "--spp", "1"], "--spp"),
-        (["cube", "--field-fraction", "0"], "--field-fraction"),
-        (["gradients", "--states", "0.5", "0.5"], "--states"),
-        (["gradients", "--batches", "2"], "--batches"),
-        (["gradients", "--scene", "cornell", "--albedos", "--view", "9"], "--view"),
-    ],
-)
-def test_bad_options_are_named(words, expected, tmp_path, capsys):
-    with pytest.raises(SystemExit) as stopped:
-        main([*words, "--out", str(tmp_path / "out")])
-    assert stopped.value.code == 2
-    assert expected in capsys.readouterr().err
-
-
 # ---- gradients
 
 

@@ -89,7 +89,7 @@ def fails(capfd, *args):
     """The one sentence that a command ends with, exit code 2."""
     capfd.readouterr()
     with pytest.raises(SystemExit) as stop:
-        main(list(args))
+        main([str(word) for word in args])
     error = capfd.readouterr().err.strip()
     assert stop.value.code == 2
     assert error.startswith("neurad: error: ")

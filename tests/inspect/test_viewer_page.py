@@ -210,19 +210,6 @@ def test_a_port_in_use(capfd):
 
 
 @pytest.mark.main
-@pytest.mark.parametrize(
-    ("words", "sentence"),
-    [
-        (("--port", "70000"), "70000 is out of range"),
-        (("--ckpt_path", "nowhere"), "there is no such run folder"),
-    ],
-)
-def test_bad_options(words, sentence, capfd, tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    assert sentence in fails(capfd, "view", *words)
-
-
-@pytest.mark.main
 def test_the_extra_is_missing(capfd, monkeypatch):
     import sys
 

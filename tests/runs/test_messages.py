@@ -28,28 +28,6 @@ def test_there_may_be_no_settings():
 
 
 @pytest.mark.parametrize(
-    ("words", "said"),
-    [
-        (
-            ("--model.sampling.sppp", "3"),
-            "command line: model.sampling.sppp is not a known setting, did you mean model.sampling.spp?",
-        ),
-        (("--data.rot=x",), "command line: data.rot is not a known setting, did you mean data.root?"),
-        (("--attic=1",), "command line: attic is not a known setting"),
-        (
-            ("--config", "methods/ours.yaml", "--model.method.init_args.bounces=2"),
-            "--model.method: neurad.integrators.radiometric.Radiometric has no setting bounces",
-        ),
-    ],
-)
-def test_a_word_on_the_command_line(capfd, words, said):
-    with pytest.raises(SystemExit) as end:
-        main(["fit", "--config", "cornell.yaml", *words])
-    assert end.value.code == 2
-    assert capfd.readouterr().err == f"neurad: error: {said}\n"
-
-
-@pytest.mark.parametrize(
     ("text", "said"),
     [
         ("data: {patchs: 3}", "data.patchs is not a known setting, did you mean data.patches?"),

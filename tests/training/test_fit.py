@@ -1,11 +1,8 @@
 """Short fits of a small Cornell box through the command line."""
 
-from pathlib import Path
-
 import pytest
 import torch
-import yaml
-from helpers.small_fit import SMALL_FIT, fit_small
+from helpers.small_fit import fit_small
 
 
 @pytest.mark.main
@@ -42,15 +39,3 @@ def test_a_run_takes_the_units_of_light_from_its_photographs(small):
     for name, value in found[0].items():
         if name.startswith("materials."):
             torch.testing.assert_close(found[1][name], value, rtol=1e-4, atol=1e-6)
-
-
-@pytest.mark.main
-@pytest.mark.parametrize(("spp", "cached", "said"), [(1, 4, "spp"), (4, 2, "cached_spp")])
-def test_numbers_of_samples_that_cannot_work(small, capfd, spp, cached, said):
-    Path("fit.yaml").write_text(yaml.safe_dump(SMALL_FIT))
-    with pytest.raises(SystemExit) as stop:
-        fit_small("--trainer.max_steps=2", f"--model.sampling.spp={spp}", f"--model.sampling.cached_spp={cached}")
-    assert stop.value.code == 2
-    error = capfd.readouterr().err
-    assert f"model.sampling.{said}" in error
-    assert error.count("\n") == 1
