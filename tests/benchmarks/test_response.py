@@ -5,7 +5,7 @@ import csv
 import numpy as np
 import pytest
 from helpers.highlight_pixels import CHANGE, PATCHES, means
-from helpers.tiny_fit import fails, few_views, fit, write_tiny_config
+from helpers.tiny_fit import fails, fit, write_tiny_config
 
 from benchmarks.response import BINS, BLOCKS, Estimate, changes, in_patches, slopes_on
 from neurad.cli import main
@@ -58,8 +58,7 @@ def test_pixels_that_ask_for_a_third_of_what_is_wrong_have_that_slope():
 
 
 @pytest.mark.main
-def test_the_command_sets_what_is_asked_for_beside_what_is_wrong(tiny, capfd, monkeypatch):
-    few_views(monkeypatch, "kitchen")
+def test_the_command_sets_what_is_asked_for_beside_what_is_wrong(tiny, capfd):
     write_tiny_config(base="kitchen.yaml")
     fit("--trainer.max_steps", "20")
     capfd.readouterr()

@@ -262,22 +262,6 @@ def test_held_out_photographs_and_maps_are_never_opened(folder, monkeypatch):
     assert images == {"train_0.exr", "train_1.exr", "train_2.exr"}
 
 
-def test_bad_options_are_named(folder):
-    for name in ("patches", "patch_size"):
-        with pytest.raises(InputError, match=rf"DataSettings\.{name}: 0 is out of range"):
-            SceneData(DataSettings(str(folder), **{name: 0}))
-    with pytest.raises(InputError, match=r"--data\.patch_size: 9 does not fit in photographs of 8 x 8"):
-        ready(folder, patch_size=9)
-    with pytest.raises(InputError, match="exactly one of"):
-        SceneData(DataSettings()).setup("fit")
-
-
-def test_no_training_photographs(folder):
-    """A built-in scene that ships no pictures can be rendered but not fitted."""
-    with pytest.raises(InputError, match="photograph"):
-        SceneData(DataSettings(scene="furnace")).setup("fit")
-
-
 def test_a_batch_costs_little(folder):
     """About 0.2 ms for 4096 pixels, by the best of many; the bound leaves room for slow machines."""
     data = ready(folder, patches=4096)
