@@ -7,11 +7,12 @@ from helpers.small_fit import fit_small
 
 @pytest.mark.main
 def test_a_short_fit_finds_the_albedo(small):
-    """400 iterations, about 5 s: measured 28.1 dB (12.3 after 7 iterations); the best constant has 12.9."""
+    """Measured 12.3 dB after 7 iterations; the best constant has 12.9."""
     small(glossy=False)
-    rows, _ = fit_small("--trainer.max_steps=400", "--evaluation.every_n_steps=200")
-    assert [row["iteration"] for row in rows] == ["200", "400"]
+    rows, _ = fit_small("--trainer.max_steps=240", "--evaluation.every_n_steps=120")
+    assert [row["iteration"] for row in rows] == ["120", "240"]
     last = {key: float(value) for key, value in rows[-1].items() if value}
+    print(last["albedo_psnr"])
     assert last["albedo_psnr"] > 24
     assert last["albedo_psnr_constant"] < 14
 
