@@ -129,20 +129,3 @@ def test_parts_of_a_start_add_up():
     for key in ("seconds", "processor_s"):
         assert all(part[key] > 0 for part in parts)
         assert sum(part[key] for part in parts) == pytest.approx(whole[key])
-
-
-@pytest.mark.slow
-@pytest.mark.main
-def test_a_start_with_an_empty_cache_compiles(tmp_path):
-    seconds = {}
-    for cold in ([], ["--cold"]):
-        main(["bench", "start", "--repeats", "1", "--out", str(tmp_path / "start.csv"), *SMALL, *cold])
-        seconds[bool(cold)] = float(table(tmp_path / "start.csv")[-1]["seconds"])
-    assert seconds[True] > seconds[False] + 1.0
-
-
-@pytest.mark.slow
-@pytest.mark.main
-def test_the_memory_of_a_fit_is_taken_on_the_way(tmp_path):
-    main(["bench", "memory", "--steps", "200", "--evaluations", "2", "--out", str(tmp_path / "memory.csv")])
-    assert all(float(row["resident_MiB"]) > 100 for row in table(tmp_path / "memory.csv"))

@@ -92,17 +92,6 @@ def test_a_rendering_and_a_fit_without_photographs(place, capfd):
     assert not Path("lightning_logs").exists()
 
 
-@pytest.mark.slow
-def test_a_fit_of_what_was_rendered(place):
-    room().glb(place / "raum.glb")
-    main(["data", "gltf", "raum.glb", "--out", "room"])
-    main(["render", "--root", "room", "--out", "pictures", "--spp", "16", "--map-spp", "1", "--size", "12"])
-    main(["data", "gltf", "raum.glb", "--images", "pictures/images", "--out", "fitted"])
-    write_tiny_config(base="scene.yaml", data={"patches": 4})
-    main(["fit", "--config", "tiny.yaml", "--data.root", "fitted", "--trainer.max_steps", "2", "--data.hold_out", "2"])
-    assert (place / "lightning_logs/version_0/metrics.csv").is_file()
-
-
 def test_an_environment_beside_the_scene(place):
     document = Document()
     document.quad()

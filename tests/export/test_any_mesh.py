@@ -73,11 +73,6 @@ def test_any_many(tmp_path, validator, seed, kinds, is_diffuse):
 
 
 @pytest.mark.slow
-def test_twenty_thousand_loose_triangles(tmp_path, validator):
-    check([loose(np.random.default_rng(0), 20_000)], PrincipledModel(), tmp_path, validator)
-
-
-@pytest.mark.slow
 def test_a_hundred_thousand_triangles(tmp_path, validator):
     from trimesh.creation import icosphere
 

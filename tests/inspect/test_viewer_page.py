@@ -5,10 +5,10 @@ import shutil
 import socket
 import time
 from io import BytesIO
-from pathlib import Path
 
 import numpy as np
 import pytest
+from helpers.listening import listening
 from helpers.tiny_fit import fails
 from helpers.viewed import viewed
 from PIL import Image
@@ -21,17 +21,6 @@ pytest.importorskip("viser")
 
 CANVAS = {"x": 40, "y": 140, "width": 360, "height": 290}
 """Part of the window that neither controls cover nor what is said of missing graphics hardware."""
-
-
-def listening(port):
-    """Addresses of this machine on which somebody waits at a port, in the kernel's hexadecimal."""
-    found = []
-    for table in ("tcp", "tcp6"):
-        for line in Path(f"/proc/net/{table}").read_text().splitlines()[1:]:
-            address, state = line.split()[1], line.split()[3]
-            if state == "0A" and int(address.rpartition(":")[2], 16) == port:
-                found.append(address.rpartition(":")[0])
-    return found
 
 
 class Page:
@@ -80,7 +69,7 @@ class Page:
 def test_the_page(viewed_run, look_at):
     with viewed("--ckpt_path", str(viewed_run), "--port", "0") as viewer:
         port = int(viewer.address.split(":")[2].partition("/")[0])
-        assert listening(port) == ["0100007F"]  # 127.0.0.1
+        assert listening(port=port) == ["0100007F"]  # 127.0.0.1
         page = Page(look_at(viewer.address, width=800, height=480))
         page.wait("samples a pixel")
         page.choose("size", "128")

@@ -9,6 +9,7 @@ from pathlib import Path
 import pytest
 import torch
 import yaml
+from helpers.listening import listening
 from helpers.tiny_fit import checkpoint, config, fails, fit, run_folder
 
 import neurad
@@ -129,18 +130,6 @@ def test_its_checkpoint_is_not_executed(place, capfd, form):
     assert files(place) == before
 
 
-def listening():
-    """Local addresses of this machine's listening TCP sockets that this process holds."""
-    mine = {os.readlink(link) for link in Path("/proc/self/fd").iterdir() if link.is_symlink() and link.exists()}
-    found = []
-    for table in ("tcp", "tcp6"):
-        for line in Path(f"/proc/net/{table}").read_text().splitlines()[1:]:
-            words = line.split()
-            if words[3] == "0A" and f"socket:[{words[9]}]" in mine:
-                found.append(words[1].rpartition(":")[0])
-    return found
-
-
 LOOPBACK = ("0100007F", "00000000000000000000000001000000", "0000000000000000FFFF00000100007F")
 
 
@@ -152,11 +141,11 @@ def test_a_fit_listens_nowhere(place, monkeypatch):
     seen, step = [], InverseRenderer.training_step
 
     def spied(self, batch, index):
-        seen.append(listening())
+        seen.append(listening("self"))
         return step(self, batch, index)
 
     with socket.create_server(("127.0.0.1", 0)):  # the test of the test
-        assert listening() == ["0100007F"]
+        assert listening("self") == ["0100007F"]
     monkeypatch.setattr(InverseRenderer, "training_step", spied)
     fit("--trainer.max_steps=2")
     fit("--trainer.max_steps=2", "--trainer.strategy=ddp")

@@ -134,10 +134,3 @@ def test_a_run_does_not_go_on_with_other_photographs(tiny, capfd, monkeypatch):
     error = fails(capfd, "fit", "--ckpt_path", "last", "--trainer.max_steps=6")
     assert "the training photographs are not those that the run began with" in error
     assert checkpoint()["neurad"] == before["neurad"]
-
-
-@pytest.mark.slow
-def test_faults_lose_nothing(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    main(["stress", "--only", "faults", "--quick"])
-    assert (tmp_path / "stress.csv").read_text().count(",ok,") == 1

@@ -12,6 +12,7 @@ import pytest
 import torch
 import torch.distributed as dist
 from helpers.ddp_run import STEPS, fit
+from helpers.listening import listening
 
 from neurad.training.gradient_sync import Exchange, GradientSync
 
@@ -96,7 +97,7 @@ def test_two_processes_listen_on_loopback_alone(tmp_path):
         )
     seen = set()
     try:
-        wait_until(lambda: seen.update(listening(process.pid)) or process.poll() is not None, 120)
+        wait_until(lambda: seen.update(of_both(process.pid)) or process.poll() is not None, 120)
     finally:
         with contextlib.suppress(ProcessLookupError):  # nobody is left
             os.killpg(process.pid, signal.SIGKILL)
@@ -104,14 +105,11 @@ def test_two_processes_listen_on_loopback_alone(tmp_path):
     assert seen == {"0100007F"}  # 127.0.0.1
 
 
-def listening(pid):
-    """Addresses on which a process and its children listen, as Linux writes them."""
+def of_both(pid):
+    """Addresses on which a process and its children listen."""
     with contextlib.suppress(OSError):
-        children = Path(f"/proc/{pid}/task/{pid}/children").read_text().split()
-        held = {os.readlink(link) for one in (pid, *children) for link in Path(f"/proc/{one}/fd").iterdir()}
-        rows = [row.split() for table in ("tcp", "tcp6") for row in Path(f"/proc/net/{table}").read_text().splitlines()]
-        return {row[1].rpartition(":")[0] for row in rows if row[3] == "0A" and f"socket:[{row[9]}]" in held}
-    return set()
+        return listening(pid, *Path(f"/proc/{pid}/task/{pid}/children").read_text().split())
+    return ()
 
 
 def wait_until(true, seconds):
