@@ -13,6 +13,7 @@ import torch
 import torch.distributed as dist
 from helpers.ddp_run import STEPS, fit
 from helpers.listening import listening
+from helpers.tiny_fit import write_tiny_config
 
 from neurad.training.gradient_sync import Exchange, GradientSync
 
@@ -53,11 +54,9 @@ def test_two_processes_learn_what_one_learns_from_both_batches(tmp_path, kind):
 def test_ctrl_c_stops_two_processes_after_the_same_iteration(tmp_path, interrupted):
     """One of them gets the signal; the other must not wait for it for ever, and the first writes a whole checkpoint."""
     environment = {**os.environ, "OMP_NUM_THREADS": "1", "CUDA_VISIBLE_DEVICES": ""}
-    settings = {
-        "config": "cornell.yaml", "trainer.accelerator": "cpu", "trainer.devices": "2", "trainer.strategy": "ddp",
-        "trainer.max_time": "null", "trainer.max_steps": "1000000", "data.patches": "16", "evaluation.fraction": "0",
-        "checkpoint.every_seconds": "1",
-    }  # fmt: skip
+    write_tiny_config(tmp_path / "tiny.yaml", trainer={"devices": 2, "strategy": "ddp", "max_steps": 1_000_000})
+    settings = {"config": "tiny.yaml", "evaluation.every_n_steps": "null", "evaluation.fraction": "0",
+                "checkpoint.every_seconds": "1"}  # fmt: skip
     command = [sys.executable, "-m", "neurad", "fit", *(f"--{key}={value}" for key, value in settings.items())]
     with (tmp_path / "log").open("w") as log:
         process = subprocess.Popen(
