@@ -1,6 +1,7 @@
 """What all tests share: one thread, one seed, and no silent skip of optional backends in CI."""
 
 import os
+import shutil
 
 os.environ.setdefault("OMP_WAIT_POLICY", "passive")
 if "PYTEST_XDIST_WORKER" in os.environ:  # each worker has a core to itself
@@ -67,6 +68,36 @@ def tiny(tmp_path, monkeypatch):
     few_views(monkeypatch, "cornell", 3)
     write_tiny_config()
     return tmp_path
+
+
+@pytest.fixture(scope="session")
+def finished(tmp_path_factory):
+    """Gives a folder with a finished run of two iterations, of the base that is named; each is made once."""
+    from helpers.tiny_fit import finished_run
+
+    return cache(lambda base: finished_run(tmp_path_factory.mktemp("finished") / "Räume und mehr", base))
+
+
+@pytest.fixture
+def fitted_box(finished, tmp_path, monkeypatch):
+    """A copy of a run of few views of the Cornell box and its ``tiny.yaml``, as the working folder."""
+    from helpers.tiny_fit import few_views
+
+    few_views(monkeypatch, "cornell", 3)
+    return _copied(finished("cornell.yaml"), tmp_path, monkeypatch)
+
+
+@pytest.fixture
+def fitted_room(finished, tmp_path, monkeypatch):
+    """A copy of a run, its ``tiny.yaml`` and the scene folder ``room`` that it is of, as the working folder."""
+    pytest.importorskip("mitsuba")
+    return _copied(finished("scene.yaml"), tmp_path, monkeypatch)
+
+
+def _copied(folder, tmp_path, monkeypatch):
+    shutil.copytree(folder, tmp_path / folder.name)
+    monkeypatch.chdir(tmp_path / folder.name)
+    return tmp_path / folder.name
 
 
 @pytest.fixture(scope="session")

@@ -85,12 +85,12 @@ def run(options: argparse.Namespace) -> None:
     from neurad.runtime.files import make_folder
 
     factor = 1.0 + options.field_error
+    study, scene = _study(options, factor)
     make_folder(options.out, "--out")
     rows = _sphere_rows(options, factor)
     if rows:
         title = "Integrating sphere: fraction of the derivative by albedo, and its value in theory"
         report(rows, title, str(options.out / "closed_form.csv"))
-    study, scene = _study(options, factor)
     found, reference = _estimate(study, options)
     middle = options.states[len(options.states) // 2]
     targets = {state: study.picture(state, options.spp * options.batches) for state in options.states}

@@ -7,12 +7,11 @@ import time
 import pytest
 import torch
 
-from benchmarks.bench import growth, machine, memory, stages, start
+from benchmarks.bench import growth, memory, stages, start
 from benchmarks.bench.measure import floor
 from benchmarks.bench.memory_watch import resident
 from neurad.cli import main
 from neurad.fields.hash_grid import HashGrid
-from neurad.scene.builtin import build_cornell
 
 CPU = torch.device("cpu")
 SMALL = [
@@ -54,15 +53,6 @@ def test_a_lookup_reads_no_entry_twice():
     grid = HashGrid(2, 4, 64, log2_size=10)  # 125 entries and 1024
     assert stages.table_bytes(grid, 10) == (80 + 80) * 8
     assert stages.table_bytes(grid, 100000) == (125 + 1024) * 8
-
-
-def test_tables_line_up_and_survive_gaps(tmp_path):
-    rows = [{"what": "a", "ms": 1.23456, "n": None}, {"what": "longer", "ms": 12345.6, "n": 7}]
-    lines = machine.show(rows, "title").splitlines()
-    assert lines[:2] == ["title", "what       ms  n"]
-    assert lines[2:] == ["a        1.23", "longer  12346  7"]
-    machine.report(rows, "title", str(tmp_path / "deep/out.csv"))
-    assert table(tmp_path / "deep/out.csv")[1] == {"what": "longer", "ms": "12345.6", "n": "7"}
 
 
 @pytest.mark.main
@@ -111,31 +101,6 @@ def test_trace_names_its_best_batch(tmp_path):
         assert min(float(row["ratio"]) for row in rows if row["rays"] == kind) == pytest.approx(1.0)
 
 
-@pytest.mark.main
-def test_wrong_words_are_refused_in_one_sentence(capsys):
-    for words, sentence in (
-        (["trace", "--tracers", "optix"], "choose from embree"),
-        (["trace", "--sizes", "many"], "not numbers"),
-        (["step", "--set", "nonsense"], "not KEY=VALUE"),
-        (["step", "--steps", "0"], "at least 1"),
-        (["encode", "--device", "nowhere"], "no such device"),
-        (["growth", "--views", "x"], "not numbers"),
-    ):
-        with pytest.raises(SystemExit) as stop:
-            main(["bench", *words])
-        assert stop.value.code == 2
-        assert sentence in capsys.readouterr().err
-
-
-@pytest.mark.parametrize("triangles", [2, 1000, 20000])
-def test_sheets_have_about_as_many_triangles_as_asked(triangles):
-    mesh = growth.bumps(build_cornell(), triangles)
-    assert len(mesh.faces) == pytest.approx(triangles, rel=0.05)
-    corners = mesh.vertices[mesh.faces]
-    assert (corners[:, 1] - corners[:, 0]).any(-1).all()
-    assert mesh.faces.max() == len(mesh.vertices) - 1
-
-
 @pytest.mark.parametrize(("curve", "value", "column"), [("triangles", 500, "triangles"), ("views", 3, "views")])
 def test_growth_measures_what_has_grown(curve, value, column):
     parser = argparse.ArgumentParser()
@@ -164,20 +129,3 @@ def test_parts_of_a_start_add_up():
     for key in ("seconds", "processor_s"):
         assert all(part[key] > 0 for part in parts)
         assert sum(part[key] for part in parts) == pytest.approx(whole[key])
-
-
-@pytest.mark.slow
-@pytest.mark.main
-def test_a_start_with_an_empty_cache_compiles(tmp_path):
-    seconds = {}
-    for cold in ([], ["--cold"]):
-        main(["bench", "start", "--repeats", "1", "--out", str(tmp_path / "start.csv"), *SMALL, *cold])
-        seconds[bool(cold)] = float(table(tmp_path / "start.csv")[-1]["seconds"])
-    assert seconds[True] > seconds[False] + 1.0
-
-
-@pytest.mark.slow
-@pytest.mark.main
-def test_the_memory_of_a_fit_is_taken_on_the_way(tmp_path):
-    main(["bench", "memory", "--steps", "200", "--evaluations", "2", "--out", str(tmp_path / "memory.csv")])
-    assert all(float(row["resident_MiB"]) > 100 for row in table(tmp_path / "memory.csv"))

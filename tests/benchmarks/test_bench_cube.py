@@ -1,6 +1,5 @@
 """`neurad bench cube` and `neurad bench gradients`: their processes, their statistics, and tiny runs of both."""
 
-import argparse
 import csv
 import math
 
@@ -13,17 +12,13 @@ from scipy import stats
 from benchmarks.bench import bias, cube, cube_worker, gradients
 from benchmarks.bench.closed_form import Sphere
 from benchmarks.bench.per_path import PathInteraction, PathMaterials, PathRays, build_path_world
-from neurad.assembly.build import build_materials, build_world
+from neurad.assembly.build import build_world
 from neurad.core.errors import InputError
-from neurad.core.records import SurfaceInteraction
 from neurad.core.reflection import ConductorModel, PrincipledModel
 from neurad.core.rng import Stream
-from neurad.integrators.method import SceneModel
 from neurad.integrators.prb import PRB
 from neurad.integrators.radiometric import Radiometric
-from neurad.integrators.vertex import DIMENSIONS
 from neurad.scene.builtin import build, build_cube
-from neurad.scene.geometry import Geometry
 from neurad.scene.textures import TrueMaterials
 
 CPU = torch.device("cpu")
@@ -49,19 +44,6 @@ def test_walk_lengths_are_those_of_a_coin(albedo, roulette, going_on):
     mean, limit = cube_worker.path_lengths(albedo, roulette, "embree", paths)
     assert abs(mean - 1 / (1 - going_on)) < 3.9 * math.sqrt(going_on / paths) / (1 - going_on)
     assert limit == pytest.approx(math.log(0.001) / math.log(going_on), rel=0.15, abs=2)
-
-
-@pytest.mark.parametrize("kind", ["hash", "dense"])
-def test_fields_start_at_the_albedo(kind):
-    from neurad.fields.settings import FieldConfig
-
-    scene = build_cube(0.97)
-    materials = build_materials(
-        scene, {"albedo": FieldConfig(kind=kind, size=8)}, Geometry(scene), known_emitters=False
-    )
-    cube_worker.set_albedo(materials, 0.97)
-    p = 2 * torch.rand(500, 3) - 1
-    assert float((materials.at(p)["albedo"] - 0.97).detach().abs().max()) < 2e-3
 
 
 @pytest.mark.parametrize("method", cube.METHODS)
@@ -116,56 +98,6 @@ def test_verdict():
     assert "not all" in cube.verdicts([row(0.3, 100.0, 400.0), row(0.99, None, None)])[0]
 
 
-@pytest.mark.parametrize(
-    ("fields", "peer", "expected"),
-    [
-        ("hash,dense", False, [[("hash", "ours")], [("hash", "prb")], [("dense", "ours")], [("dense", "prb")]]),
-        ("dense", True, [[("dense", "prb")], [("dense", "ours"), ("voxels", "mitsuba")]]),
-        ("hash", True, [[("hash", "ours")], [("hash", "prb")], [("voxels", "mitsuba")]]),
-    ],
-)
-def test_ours_on_dense_grids_takes_turns_with_the_peer(fields, peer, expected):
-    assert cube._groups(argparse.Namespace(fields=fields, methods="ours,prb", peer=peer)) == expected
-
-
-def test_ratios_compare_dense_grids_alone():
-    rows = [row(a, ms, 1.0, "dense") for a, ms in ((0.5, 20.0), (0.97, 25.0))] + [row(0.97, 1.0, 1.0)]
-    rows += [row(0.5, 50.0, 1.0, "voxels", "mitsuba"), row(0.97, None, None, "voxels", "mitsuba")]
-    assert cube.ratios(rows) == ["mitsuba over ours, albedo 0.5: x 2.50"]
-
-
-def test_only_warm_steps_of_a_turn_count(monkeypatch):
-    answers = (
-        'for word in ready {1..12} end; do echo \'{"seconds": \'$((n++)).0\', "rays": 1, '
-        '"base": 0, "peak": 0}\'; read; done'
-    )
-    monkeypatch.setattr(cube, "WORKER", ["bash", "-c", answers, "--"])
-    monkeypatch.setattr(cube, "COLD", 2)
-    (cell,) = cube.measure([JOB], 4, 100.0)
-    assert cell.seconds == [3.0, 6.0, 9.0, 12.0]
-    (cell,) = cube.measure([JOB], 4, 1.0)
-    assert cell.seconds == [3.0, 6.0, 9.0]
-
-
-def test_every_round_has_everybody_once_in_an_order_of_its_own(monkeypatch, tmp_path):
-    """Three processes of which one is so slow that it ends after the least number of turns."""
-    turns = tmp_path / "turns"
-    answers = (
-        'name=$(grep -o "[0-9]" <<<"$0"); echo "{\\"ready\\": true}"; while read word; do '
-        f"[ $word = step ] && echo $name >> {turns}; "
-        'echo "{\\"seconds\\": $name, \\"rays\\": 1, \\"base\\": 0, \\"peak\\": 0}"; done'
-    )
-    monkeypatch.setattr(cube, "WORKER", ["bash", "-c", answers])
-    monkeypatch.setattr(cube, "COLD", 0)
-    cells = cube.measure([{"name": k} for k in (0, 1, 9)], 8, 20.0)
-    assert [len(cell.seconds) for cell in cells] == [8, 8, cube.MIN_STEPS]
-    order = turns.read_text().split()
-    rounds = [order[3 * i : 3 * i + 3] for i in range(cube.MIN_STEPS)]
-    rounds += [order[i : i + 2] for i in range(3 * cube.MIN_STEPS, len(order), 2)]
-    assert all(sorted(turn) == ["0", "1", "9"][: len(turn)] for turn in rounds)
-    assert len({tuple(turn[:2]) for turn in rounds}) > 1
-
-
 def test_a_process_that_dies_leaves_a_row(monkeypatch):
     """As one that runs out of memory would: the others are measured, and the reason is kept."""
     monkeypatch.setattr(cube, "WORKER", ["bash", "-c", "echo no memory >&2; exit 3", "--"])
@@ -190,25 +122,6 @@ def test_bench_cube(tmp_path, capsys):
         assert 0 < float(r["ms"]) < 60000
         assert float(r["peak_mib"]) > 50
         assert r["steps"] == "3"
-
-
-@pytest.mark.parametrize(
-    ("words", "expected"),
-    [
-        (["cube", "--albedos", "1.0"], "--albedos"),
-        (["cube", "--methods", "ours,nerf"], "--methods: nerf"),
-        (["cube", "--spp", "1"], "--spp"),
-        (["cube", "--field-fraction", "0"], "--field-fraction"),
-        (["gradients", "--states", "0.5", "0.5"], "--states"),
-        (["gradients", "--batches", "2"], "--batches"),
-        (["gradients", "--scene", "cornell", "--albedos", "--view", "9"], "--view"),
-    ],
-)
-def test_bad_options_are_named(words, expected, tmp_path, capsys):
-    with pytest.raises(SystemExit) as stopped:
-        main([*words, "--out", str(tmp_path / "out")])
-    assert stopped.value.code == 2
-    assert expected in capsys.readouterr().err
 
 
 # ---- gradients
@@ -400,16 +313,3 @@ def test_bench_gradients(tmp_path, capsys):
     with (tmp_path / "out/closed_form.csv").open() as file:
         assert len(list(csv.DictReader(file))) == 11
     assert (tmp_path / "out/gradients.png").stat().st_size > 5000
-
-
-def test_paths_need_numbers():
-    """Materials by path refuse points without a path index."""
-    materials = PathMaterials(study().base, 0.5, 4)
-    blank = torch.zeros(1, 3)
-    si = SurfaceInteraction(
-        blank, blank, blank, blank, blank[:, :2], blank[:, :2], torch.zeros(1).long(), torch.ones(1).bool()
-    )
-    with pytest.raises(AssertionError):
-        materials(si)
-    assert DIMENSIONS == 7
-    assert SceneModel(study().world, materials).radiance is None

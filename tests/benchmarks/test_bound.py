@@ -10,7 +10,7 @@ from helpers.tiny_fit import fails, fit, write_tiny_config
 
 from benchmarks.bench.bound import gap, sentence
 from benchmarks.bound import ladder
-from benchmarks.bound.cells import COARSEST, FINEST, CellMaterials, SurfaceCells, _pack, _unpack, encode
+from benchmarks.bound.cells import COARSEST, FINEST, CellMaterials, SurfaceCells, _unpack, encode
 from benchmarks.bound.ladder import Rung, rungs
 from benchmarks.bound.photographs import Predicted, misfit, noise_covariance, photo_noise, predict
 from benchmarks.bound.recovery import Photographed, Prior, Recovery, SeenDirectly
@@ -63,16 +63,6 @@ def test_products_are_those_of_the_dense_matrix():
     x, y = rng.random((7, 3), np.float32), rng.random((6, 3), np.float32)
     np.testing.assert_allclose(found @ x, exact @ x, rtol=1e-5)
     np.testing.assert_allclose(found.transposed(y), exact.T @ y, rtol=1e-5)
-
-
-def test_codes_say_side_and_place():
-    rng = np.random.default_rng(7)
-    for power in (3, FINEST):
-        side, place = rng.integers(0, 6, 50), rng.integers(0, 1 << power, (50, 3))
-        codes = _pack(side, place, power)
-        for found, true in zip(_unpack(codes, power), (side, place), strict=True):
-            np.testing.assert_array_equal(found, true)
-        np.testing.assert_array_equal(codes >> 3, _pack(side, place >> 1, power - 1))
 
 
 def test_what_is_linear_above_is_linear_below():

@@ -7,7 +7,6 @@ import os
 import subprocess
 import sys
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -175,14 +174,6 @@ def test_averages_lag_behind_while_values_still_rise(mi, tmp_path):
     assert mean[4] < present[4] - 0.02
 
 
-@pytest.mark.parametrize("fraction", [-0.1, 1.1])
-def test_a_fraction_that_does_not_exist_is_refused(fraction):
-    from benchmarks.peer.fit import PeerSettings
-
-    with pytest.raises(InputError, match="average"):
-        PeerSettings("grid", 1.0, "out.csv", average=fraction)
-
-
 def test_the_peer_averages_as_the_config_does():
     from benchmarks.bench.peer import _sizes
 
@@ -257,23 +248,3 @@ def test_ratio_is_that_of_the_faster_peer(tmp_path):
         assert len(list(csv.DictReader(file))) == 6
     assert (tmp_path / "curves.png").stat().st_size > 1000
     assert "peer_network" in report.text(rows, curves)
-
-
-@pytest.mark.parametrize(
-    ("words", "expected"),
-    [
-        (["--budget", "-1"], "--budget"),
-        (["--budget", "5", "--peers", "mesh"], "--peers"),
-        (["--budget", "5", "--set", "speed=3"], "--set speed=3"),
-        (["--budget", "5", "--set", "grid.pixels=many"], "grid.pixels=many"),
-        (["--budget", "5", "--config", "dense_nowhere.yaml"], "dense_nowhere.yaml"),
-    ],
-)
-def test_bad_options_are_named(words, expected, tmp_path, capsys):
-    from neurad.cli import main
-
-    with pytest.raises(SystemExit) as stopped:
-        main(["bench", "peer", "--scene", "cornell", "--out", str(tmp_path / "out"), *words])
-    assert stopped.value.code == 2
-    assert expected in capsys.readouterr().err
-    assert not Path(tmp_path / "out").exists()

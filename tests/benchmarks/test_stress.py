@@ -67,13 +67,6 @@ def test_the_table_is_printed_and_written_and_a_failure_ends_with_1(monkeypatch,
     main(["stress", "--overwrite"])
 
 
-def test_an_unknown_family_is_refused(capsys):
-    with pytest.raises(SystemExit) as stop:
-        main(["stress", "--only", "soft"])
-    assert stop.value.code == 2
-    assert "--only: soft is no family" in capsys.readouterr().err
-
-
 def test_every_family_has_cases_and_every_extreme_is_named_once():
     cases = collect()
     assert {c.family for c in cases} == set(FAMILIES)

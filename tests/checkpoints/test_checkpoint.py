@@ -3,7 +3,7 @@
 import pytest
 import torch
 
-from neurad.checkpoints.state import check_scene, fitting, scene_state
+from neurad.checkpoints.state import fitting, scene_state
 from neurad.core.errors import InputError
 from neurad.scene.builtin import build
 
@@ -34,13 +34,6 @@ def test_scores_of_pixels_are_dropped_where_none_are_wanted(capsys):
     fitting(newer, own, SCENE, None, continues=True)
     assert newer["state_dict"].keys() == own.keys()
     assert capsys.readouterr().err == ""
-
-
-def test_another_scene_is_refused():
-    patterns = build("patterns")
-    check_scene(scene_state(patterns), patterns, "--ckpt_path", same_light=True)
-    with pytest.raises(InputError, match=r"is of scene patterns, not of cornell as given$"):
-        check_scene(scene_state(patterns), SCENE, "--ckpt_path", same_light=False)
 
 
 def test_a_fit_without_a_closing_step_goes_on_to_one(capsys):

@@ -12,6 +12,7 @@ import pytest
 import torch
 import trimesh
 from helpers import layouts
+from helpers.spoil import both, cut, removed, replaced, written
 from helpers.tiny_fit import fails, write_tiny_config
 from PIL import Image
 
@@ -379,15 +380,6 @@ def colmap(place, lens="opencv", binary=False):
     return layouts.write_colmap(place / "src", layouts.cameras(lens, 3), binary)
 
 
-def replaced(name, old, new, count=1):
-    def spoil(source):
-        text = (source / name).read_text()
-        assert old in text
-        (source / name).write_text(text.replace(old, new, count))
-
-    return spoil
-
-
 def camera_line(line):
     """Camera 7, the first one, described anew."""
 
@@ -403,23 +395,11 @@ def image_line(line):
     return lambda source: (source / "sparse/0/images.txt").write_text(f"{line}\n\n")
 
 
-def cut(name, size):
-    return lambda source: (source / name).write_bytes((source / name).read_bytes()[:size])
-
-
-def written(name, data):
-    def spoil(source):
-        (source / name).parent.mkdir(parents=True, exist_ok=True)
-        (source / name).write_bytes(data if isinstance(data, bytes) else data.encode())
-
-    return spoil
-
-
 IMAGE = "1 1 0 0 0 0 0 0 7 {}".format
 TEXT = {
-    "no model": (lambda s: (s / "sparse/0/cameras.txt").unlink(),
+    "no model": (removed("sparse/0/cameras.txt"),
         r"src: it has no COLMAP model \(cameras\.bin or cameras"),
-    "no images": (lambda s: (s / "sparse/0/images.txt").unlink(), r"images\.txt: there is no such file"),
+    "no images": (removed("sparse/0/images.txt"), r"images\.txt: there is no such file"),
     "empty images": (written("sparse/0/images.txt", "# none\n"), r"images\.txt: it has no image"),
     "words": (camera_line("PINHOLE a b"), r"cameras\.txt: line 1 is '7 PINHOLE a b', not CAMERA_ID MODEL WIDTH"),
     "unknown model": (camera_line("FOV 12 9 9 9 6 4 0.1"), r"camera 7: its model FOV is not supported \(SIMPLE_PIN"),
@@ -444,22 +424,12 @@ TEXT = {
     "NUL": (image_line(IMAGE("a\0b.jpg")), r"has a NUL character"),
     "no photograph": (image_line(IMAGE("none.jpg")),
         r"image 1 \(none\.jpg\): its photograph none\.exr is in none of .*images"),
-    "a JPEG alone": (written("images/b.jpg", "jpeg"),
+    "a JPEG alone": (both(written("images/b.jpg", "jpeg"), image_line(IMAGE("b.jpg"))),
         r"b\.jpg: it cannot be read as an image"),
     "broken photograph": (written("images/IMG 000 ä.exr", "text"),
         r"IMG 000 ä\.exr: it cannot be read as an EXR image"),
     "not text": (written("sparse/0/cameras.txt", b"\xff\xfe"), r"cameras\.txt: it is not text in UTF-8"),
 }  # fmt: skip
-
-
-@pytest.mark.parametrize("case", TEXT)
-def test_bad_colmap_text(place, case, capfd):
-    source = colmap(place)
-    spoil, said = TEXT[case]
-    spoil(source)
-    if case == "a JPEG alone":
-        image_line(IMAGE("b.jpg"))(source)
-    refused(capfd, place, said, "colmap", source)
 
 
 def binary_camera(kind, *values, size=(12, 9), key=7):
@@ -478,21 +448,6 @@ BINARY = {
     "huge size": (binary_camera(1, 9.0, 9, 6, 4, size=(2**40, 9)), r"camera 7: its size is 1099511627776"),
     "NaN": (binary_camera(1, float("nan"), 9, 6, 4), r"camera 7: fl_x is nan"),
 }  # fmt: skip
-
-
-@pytest.mark.parametrize("case", BINARY)
-def test_bad_colmap_binary(place, case, capfd):
-    source = colmap(place, binary=True)
-    spoil, said = BINARY[case]
-    spoil(source)
-    refused(capfd, place, said, "colmap", source)
-
-
-def test_a_name_of_bytes(place, capfd):
-    source = colmap(place, binary=True)
-    path = source / "sparse/0/images.bin"
-    path.write_bytes(path.read_bytes().replace(b"IMG", b"\xff\xfe\xfd"))
-    refused(capfd, place, r"images\.bin: the name .* of an image is not text in UTF-8", "colmap", source)
 
 
 def polycam_key(number=1001, **changes):
@@ -517,24 +472,16 @@ POLYCAM = {
         r"1001\.json: it is not the camera"),
     "json bomb": (written("keyframes/corrected_cameras/1001.json", "[" * 100000),
         r"1001\.json: it is nested too deeply"),
-    "no photograph": (lambda s: (s / "keyframes/corrected_images/1001.exr").unlink(),
+    "no photograph": (removed("keyframes/corrected_images/1001.exr"),
         r"photograph 1001\.exr is in none of"),
 }  # fmt: skip
 
 
-@pytest.mark.parametrize("case", POLYCAM)
-def test_bad_polycam(place, case, capfd):
-    source = layouts.write_polycam(place / "src", layouts.cameras(count=3))
-    spoil, said = POLYCAM[case]
-    spoil(source)
-    refused(capfd, place, said, "polycam", source)
-
-
 FIPT = {
-    "neither": (lambda s: (s / "cam.txt").unlink(), r"src: it has neither train/transforms\.json nor cam\.txt"),
-    "no K_list": (lambda s: (s / "K_list.txt").unlink(), r"K_list\.txt: a photographed room of FIPT has this file"),
-    "no mesh": (lambda s: (s / "scene.obj").unlink(), r"scene\.obj: there is no such mesh file"),
-    "no photograph": (lambda s: (s / "Image/001_0001.exr").unlink(),
+    "neither": (removed("cam.txt"), r"src: it has neither train/transforms\.json nor cam\.txt"),
+    "no K_list": (removed("K_list.txt"), r"K_list\.txt: a photographed room of FIPT has this file"),
+    "no mesh": (removed("scene.obj"), r"scene\.obj: there is no such mesh file"),
+    "no photograph": (removed("Image/001_0001.exr"),
         r"001_0001\.exr: the photograph of camera 1 is missing"),
     "words": (written("cam.txt", "three\n"), r"cam\.txt: it is not a number of cameras and then numbers"),
     "empty": (written("cam.txt", ""), r"cam\.txt: it is not a number of cameras"),
@@ -552,15 +499,6 @@ FIPT = {
 }  # fmt: skip
 
 
-@pytest.mark.parametrize("case", FIPT)
-def test_bad_fipt(place, case, capfd):
-    source = layouts.write_fipt_photographed(place / "src", layouts.cameras(count=3))
-    spoil, said = FIPT[case]
-    spoil(source)
-    main_words = ("data", "fipt", str(source), "--out", "room")
-    check(capfd, place, said, *main_words)
-
-
 RENDERED = {
     "no frames": (replaced("train/transforms.json", '"frames"', '"shots"'),
         r"train/transforms\.json: it has no frames"),
@@ -569,16 +507,36 @@ RENDERED = {
     "bad frame": (written("val/transforms.json", '{"frames": [3]}'), r"val/transforms\.json: frame 0 is not an object"),
     "no angle": (replaced("val/transforms.json", "camera_angle_x", "angle"),
         r"frame 0: neither camera_angle_x nor fl_x"),
-    "no photograph": (lambda s: (s / "val/Image/000_0001.exr").unlink(), r"the photograph of frame 0 is missing"),
+    "no photograph": (removed("val/Image/000_0001.exr"), r"the photograph of frame 0 is missing"),
 }  # fmt: skip
 
 
-@pytest.mark.parametrize("case", RENDERED)
-def test_bad_rendered_rooms(place, case, capfd):
-    source = layouts.write_fipt_rendered(place / "src", layouts.one_angle(layouts.cameras(count=5)), 2)
-    spoil, said = RENDERED[case]
+LAYOUTS = {
+    "colmap": (colmap, TEXT),
+    "colmap binary": (lambda place: colmap(place, binary=True), BINARY),
+    "polycam": (lambda place: layouts.write_polycam(place / "src", layouts.cameras(count=3)), POLYCAM),
+    "fipt": (lambda place: layouts.write_fipt_photographed(place / "src", layouts.cameras(count=3)), FIPT),
+    "fipt rendered": (
+        lambda place: layouts.write_fipt_rendered(place / "src", layouts.one_angle(layouts.cameras(count=5)), 2),
+        RENDERED,
+    ),
+}
+
+
+@pytest.mark.parametrize(("layout", "case"), [(layout, case) for layout in LAYOUTS for case in LAYOUTS[layout][1]])
+def test_sources_that_cannot_be_read(place, layout, case, capfd):
+    write, cases = LAYOUTS[layout]
+    spoil, said = cases[case]
+    source = write(place)
     spoil(source)
-    check(capfd, place, said, "data", "fipt", str(source), "--out", "room")
+    check(capfd, place, said, "data", layout.split()[0], str(source), "--out", "room")
+
+
+def test_a_name_of_bytes(place, capfd):
+    source = colmap(place, binary=True)
+    path = source / "sparse/0/images.bin"
+    path.write_bytes(path.read_bytes().replace(b"IMG", b"\xff\xfe\xfd"))
+    refused(capfd, place, r"images\.bin: the name .* of an image is not text in UTF-8", "colmap", source)
 
 
 MESHES = {

@@ -92,17 +92,6 @@ def test_a_rendering_and_a_fit_without_photographs(place, capfd):
     assert not Path("lightning_logs").exists()
 
 
-@pytest.mark.slow
-def test_a_fit_of_what_was_rendered(place):
-    room().glb(place / "raum.glb")
-    main(["data", "gltf", "raum.glb", "--out", "room"])
-    main(["render", "--root", "room", "--out", "pictures", "--spp", "16", "--map-spp", "1", "--size", "12"])
-    main(["data", "gltf", "raum.glb", "--images", "pictures/images", "--out", "fitted"])
-    write_tiny_config(base="scene.yaml", data={"patches": 4})
-    main(["fit", "--config", "tiny.yaml", "--data.root", "fitted", "--trainer.max_steps", "2", "--data.hold_out", "2"])
-    assert (place / "lightning_logs/version_0/metrics.csv").is_file()
-
-
 def test_an_environment_beside_the_scene(place):
     document = Document()
     document.quad()
@@ -285,6 +274,7 @@ def _deep(document):
     document.json["extras"] = json.loads("[" * 900 + "]" * 900)
 
 
+NO_GLB = "raum.glb: it does not begin as a binary glTF file does"
 BYTES = {
     "empty": (b"", "not valid JSON"),
     "text": (b"solid room", "not valid JSON"),
@@ -293,6 +283,9 @@ BYTES = {
     "deep": (b'{"asset": ' + b"[" * 200000, "nested too deeply|not valid JSON"),
     "twice": (b'{"asset": {"version": "2.0", "version": "2.0"}}', "has the key 'version' twice"),
     "no mesh": (b'{"asset": {"version": "2.0"}}', "has no triangle"),
+    "GLB of nothing": (b"", NO_GLB),
+    "GLB of text": (b"solid room", NO_GLB),
+    "GLB of JSON": (b'{"asset": {"version": "2.0"}}', NO_GLB),
     "short header": (b"glTF\2", "ends within the header"),
     "version 1": (struct.pack("<4sII", b"glTF", 1, 12), "binary glTF of version 1"),
     "cut off": (struct.pack("<4sII", b"glTF", 2, 500), "ends after 12 of the 500 bytes"),
@@ -305,33 +298,19 @@ BYTES = {
 @pytest.mark.parametrize("kind", BYTES)
 def test_files_that_are_none_get_a_sentence(place, kind, capfd):
     data, said = BYTES[kind]
-    name = "raum.glb" if data.startswith(b"glTF") else "raum.gltf"
+    name = "raum.glb" if data.startswith(b"glTF") or kind.startswith("GLB") else "raum.gltf"
     (place / name).write_bytes(data)
     sentence = fails(capfd, "data", "gltf", name, "--out", "room")
     assert re.search(said, sentence), sentence
 
 
-@pytest.mark.parametrize("data", [b"", b"solid room", b'{"asset": {"version": "2.0"}}'])
-def test_a_glb_that_is_none(place, data, capfd):
-    (place / "raum.glb").write_bytes(data)
-    sentence = fails(capfd, "data", "gltf", "raum.glb", "--out", "room")
-    assert "raum.glb: it does not begin as a binary glTF file does" in sentence
+URIS = (
+    "../puffer.bin", "/etc/passwd", "%2e%2e/puffer.bin", "http://host/a.bin", "C:/a.bin", "..\\a.bin", "fehlt.bin", ".",
+    "",
+)  # fmt: skip
 
 
-@pytest.mark.parametrize(
-    "uri",
-    [
-        "../puffer.bin",
-        "/etc/passwd",
-        "%2e%2e/puffer.bin",
-        "http://host/a.bin",
-        "C:/a.bin",
-        "..\\a.bin",
-        "fehlt.bin",
-        ".",
-        "",
-    ],
-)
+@pytest.mark.parametrize("uri", URIS)
 def test_names_that_leave_the_folder(place, uri, capfd):
     (place / "in").mkdir()
     room().gltf(place / "in/raum.gltf", "a.bin")
@@ -371,31 +350,31 @@ def test_wrong_words(place, kind, capfd):
     assert not Path("room").exists()
 
 
-def test_usd_that_cannot_be_read(place, capfd):
+TRIANGLE = """#usda 1.0
+def Mesh "a"
+{{
+ {more}
+ int[] faceVertexCounts = [3]
+ int[] faceVertexIndices = [0, 1, {last}]
+ point3f[] points = [({x},0,0), (1,0,0), (0,1,0)]
+}}
+"""
+LOOP = 'uniform token subdivisionScheme = "loop"'
+USD = {
+    "broken": ("#usda 1.0\ndef Mesh", "cannot be read as USD"),
+    "empty": ("#usda 1.0\n", "has no triangle"),
+    "sphere": ('#usda 1.0\ndef Sphere "ball" {}\n', "/ball is a Sphere; only meshes are read"),
+    "subdivided": (TRIANGLE.format(more=LOOP, last=2, x=0), "is a surface of loop subdivision"),
+    "indices": (TRIANGLE.format(more="", last=9, x=0), "name vertices that there are not"),
+    "NaN": (TRIANGLE.format(more="", last=2, x="nan"), "its points: 1 of 9 values are not numbers"),
+}
+
+
+@pytest.mark.parametrize("name", USD)
+def test_usd_that_cannot_be_read(place, name, capfd):
     pytest.importorskip("pxr")
     source = layouts.write_nerfstudio(place / "src", layouts.cameras(count=2))
-    forms = {
-        "broken": ("#usda 1.0\ndef Mesh", "cannot be read as USD"),
-        "empty": ("#usda 1.0\n", "has no triangle"),
-        "sphere": ('#usda 1.0\ndef Sphere "ball" {}\n', "/ball is a Sphere; only meshes are read"),
-        "subdivided": (
-            '#usda 1.0\ndef Mesh "a"\n{\n uniform token subdivisionScheme = "loop"\n int[] faceVertexCounts = [3]\n'
-            " int[] faceVertexIndices = [0, 1, 2]\n point3f[] points = [(0,0,0), (1,0,0), (0,1,0)]\n}\n",
-            "is a surface of loop subdivision",
-        ),
-        "indices": (
-            '#usda 1.0\ndef Mesh "a"\n{\n int[] faceVertexCounts = [3]\n int[] faceVertexIndices = [0, 1, 9]\n'
-            " point3f[] points = [(0,0,0), (1,0,0), (0,1,0)]\n}\n",
-            "name vertices that there are not",
-        ),
-        "NaN": (
-            '#usda 1.0\ndef Mesh "a"\n{\n int[] faceVertexCounts = [3]\n int[] faceVertexIndices = [0, 1, 2]\n'
-            " point3f[] points = [(nan,0,0), (1,0,0), (0,1,0)]\n}\n",
-            "its points: 1 of 9 values are not numbers",
-        ),
-    }
-    for name, (text, said) in forms.items():
-        (place / f"{name}.usda").write_text(text)
-        sentence = fails(capfd, "data", "nerfstudio", str(source), "--mesh", f"{name}.usda", "--out", "room")
-        assert said in sentence, sentence
-        assert not Path("room").exists()
+    text, said = USD[name]
+    (place / f"{name}.usda").write_text(text)
+    assert said in fails(capfd, "data", "nerfstudio", source, "--mesh", f"{name}.usda", "--out", "room")
+    assert not Path("room").exists()

@@ -1,7 +1,6 @@
 """``neurad export`` as a user runs it: a folder that others read, that is a scene folder itself, or one sentence."""
 
 import json
-import shutil
 import struct
 from contextlib import suppress
 from pathlib import Path
@@ -70,49 +69,3 @@ def test_a_room_is_exported_read_again_fitted_and_rendered(tiny, capfd):
     assert not (room / "images" / f"{again.train[0].name}.exr").is_symlink()
     assert glb_json(room / "scene.glb")["asset"]["extras"]["base_color_for"] == "gltf"
     assert sorted(p.name for p in Path().iterdir() if p.name.startswith(".")) == []
-
-
-@pytest.mark.main
-@pytest.mark.parametrize(
-    ("words", "sentence"),
-    [
-        (["--out", "room", "--ckpt_path", "none"], "there is no such run folder or checkpoint"),
-        (["--out", "no/room"], "there is no folder"),
-        (["--out", "full"], "is there already; add --overwrite"),
-        (["--out", "full", "--overwrite"], "is no folder of an earlier export"),
-        (["--out", "tiny.yaml"], "is there and no folder"),
-        (["--out", "room", "--size", "100"], "is no power of two"),
-        (["--out", "room", "--up", "w"], "is no axis"),
-        (["--out", "room", "--texels", "many"], "is not a number of texels"),
-        (["--out", "room", "--for", "povray"], "argument --for: invalid choice"),
-    ],
-)
-def test_bad_input_gets_one_sentence(tiny, capfd, words, sentence):
-    Path("full").mkdir()
-    Path("full/precious").write_text("x")
-    assert sentence in fails(capfd, "export", *words)
-    assert Path("full/precious").read_text() == "x"
-
-
-def test_what_is_no_blender_is_refused():
-    from neurad.core.errors import InputError
-    from neurad.formats.blender.process import find_blender
-
-    for program in ("/nowhere/blender", shutil.which("true") or "true"):
-        with pytest.raises(InputError, match="neither a Python with the package bpy nor Blender"):
-            find_blender(program)
-
-
-def test_a_folder_appears_whole_or_not_at_all(tmp_path):
-    from neurad.core.errors import InputError
-    from neurad.export.folder import MANIFEST, MARK, check_out, written_beside
-
-    out = tmp_path / "room"
-    with written_beside(out) as stage:
-        (stage / MANIFEST).write_text(json.dumps({MARK: "exact"}))
-        assert not out.exists()
-    check_out(out, overwrite=True)
-    with pytest.raises(InputError, match=r"room/x: no space is left"), written_beside(out) as stage:
-        raise OSError(28, "No space left on device", str(stage / "x"))
-    assert [p.name for p in tmp_path.iterdir()] == ["room"]
-    assert (out / MANIFEST).is_file()

@@ -6,8 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from helpers.tiny_fit import fails, fit, write_tiny_config
-from helpers.tiny_scene import write_scene
+from helpers.tiny_fit import fails, fit
 
 from neurad.cli import main
 from neurad.export import gltf
@@ -19,35 +18,15 @@ pytest.importorskip("mitsuba")
 EXPORT = ["export", "--out", "out", "--size", "16", "--no-verify"]
 
 
-@pytest.fixture(scope="module")
-def _one_fit(tmp_path_factory):
-    folder = tmp_path_factory.mktemp("fitted") / "Räume und mehr"
-    folder.mkdir()
-    with pytest.MonkeyPatch.context() as patch:
-        patch.chdir(folder)
-        write_scene(Path("Küche 1"))
-        write_tiny_config(base="scene.yaml")
-        fit("--trainer.max_steps=1", "--data.root=Küche 1")
-    return folder
-
-
-@pytest.fixture
-def fitted(_one_fit, tmp_path, monkeypatch):
-    """A copy of a folder with a run and its scene as the working one."""
-    here = tmp_path / "Räume und mehr"
-    shutil.copytree(_one_fit, here)
-    monkeypatch.chdir(here)
-    return here
-
-
 def left():
     """What is there besides the run, its scene and its config."""
-    return sorted(p.name for p in Path().iterdir() if p.name not in ("lightning_logs", "Küche 1", "tiny.yaml"))
+    return sorted(p.name for p in Path().iterdir() if p.name not in ("lightning_logs", "room", "tiny.yaml"))
 
 
 @pytest.mark.main
-def test_paths_with_spaces_and_umlauts(fitted):
-    main([*EXPORT[:2], "meine Räume", *EXPORT[3:], "--copy"])
+def test_paths_with_spaces_and_umlauts(fitted_room):
+    Path("room").rename("Küche 1")
+    main([*EXPORT[:2], "meine Räume", *EXPORT[3:], "--copy", "--root", "Küche 1"])
     shutil.rmtree("Küche 1")  # with copies the folder stands alone
     main(["render", "--root", "meine Räume", "--out", "seen", "--views", "test", "--spp", "1", "--map-spp", "1"])
     assert len(list(Path("seen/images").iterdir())) == 2
@@ -73,26 +52,29 @@ def test_paths_with_spaces_and_umlauts(fitted):
         (["--root", "nowhere"], "its scene nowhere is missing"),
         (["--root", "tiny.yaml"], "its scene tiny.yaml is missing"),
         (["--ckpt_path", "tiny.yaml"], "it is not a readable checkpoint"),
-        (["--out", "Küche 1"], "Küche 1 is there already; add --overwrite"),
-        (["--out", "Küche 1", "--overwrite"], "is no folder of an earlier export"),
+        (["--out", "room"], "room is there already; add --overwrite"),
+        (["--out", "room", "--overwrite"], "is no folder of an earlier export"),
         (["--out", "."], "is the folder that you are in"),
+        (["--out", "no/out"], "there is no folder"),
+        (["--out", "tiny.yaml"], "is there and no folder"),
+        (["--ckpt_path", "none"], "there is no such run folder or checkpoint"),
         (["--out", "lightning_logs", "--overwrite"], "is no folder of an earlier export"),
     ],
 )
-def test_bad_options(fitted, capfd, words, sentence):
+def test_bad_options(fitted_room, capfd, words, sentence):
     assert sentence in fails(capfd, *EXPORT, *words)
     assert left() == []
 
 
 @pytest.mark.main
-def test_a_program_that_is_no_blender(fitted, capfd):
+def test_a_program_that_is_no_blender(fitted_room, capfd):
     assert "neither a Python with the package bpy nor Blender" in fails(capfd, *EXPORT[:-1], "--blender", "true")
     assert left() == []
 
 
 @pytest.mark.main
-def test_a_run_of_another_scene(fitted, capfd):
-    shutil.copytree("Küche 1", "other")
+def test_a_run_of_another_scene(fitted_room, capfd):
+    shutil.copytree("room", "other")
     ply = Path("other/meshes/floor.ply")
     ply.write_text(ply.read_text().replace("-1 0 1 0 0", "-1.5 0 1 0 0"))
     sentence = fails(capfd, *EXPORT, "--root", "other")
@@ -110,23 +92,23 @@ def test_a_run_of_another_scene(fitted, capfd):
         ("transforms_train.json", "frames|pictures", "it has no frames"),
     ],
 )
-def test_a_scene_that_cannot_be_read(fitted, capfd, file, content, sentence):
-    path = Path("Küche 1") / file
+def test_a_scene_that_cannot_be_read(fitted_room, capfd, file, content, sentence):
+    path = Path("room") / file
     path.write_text(path.read_text().replace(*content.split("|")))
     assert sentence in fails(capfd, *EXPORT)
     assert left() == []
 
 
 @pytest.mark.main
-def test_a_scene_that_is_gone(fitted, capfd):
-    Path("Küche 1").rename("moved")
-    assert "its scene Küche 1 is missing" in fails(capfd, *EXPORT)
+def test_a_scene_that_is_gone(fitted_room, capfd):
+    Path("room").rename("moved")
+    assert "its scene room is missing" in fails(capfd, *EXPORT)
     main([*EXPORT, "--root", "moved"])
     assert left() == ["moved", "out"]
 
 
 @pytest.mark.main
-def test_the_scene_of_the_run_is_not_replaced(fitted, capfd):
+def test_the_scene_of_the_run_is_not_replaced(fitted_room, capfd):
     main([*EXPORT, "--copy"])
     fit("--trainer.max_steps=1", "--data.root=out")
     assert "which the run needs; export to another folder" in fails(capfd, *EXPORT, "--overwrite")
@@ -134,7 +116,7 @@ def test_the_scene_of_the_run_is_not_replaced(fitted, capfd):
 
 
 @pytest.mark.main
-def test_a_full_disk(fitted, capfd):
+def test_a_full_disk(fitted_room, capfd):
     import resource
 
     from helpers.exported import Glb
@@ -142,7 +124,7 @@ def test_a_full_disk(fitted, capfd):
     main(EXPORT)
     before = Path("out/scene.glb").read_bytes()
     rng = np.random.default_rng(0)
-    for photo in Path("Küche 1/images").iterdir():  # larger than any file may be
+    for photo in Path("room/images").iterdir():  # larger than any file may be
         write_exr(photo, rng.random((8, 8, 3), np.float32))
     limits = resource.getrlimit(resource.RLIMIT_FSIZE)
     resource.setrlimit(resource.RLIMIT_FSIZE, (2000, limits[1]))
@@ -161,7 +143,7 @@ def test_a_full_disk(fitted, capfd):
 
 
 @pytest.mark.main
-def test_ctrl_c(fitted, capfd, monkeypatch):
+def test_ctrl_c(fitted_room, capfd, monkeypatch):
     def interrupted(*args):
         raise KeyboardInterrupt
 
@@ -174,13 +156,13 @@ def test_ctrl_c(fitted, capfd, monkeypatch):
 
 
 @pytest.mark.main
-def test_links_and_copies(fitted):
+def test_links_and_copies(fitted_room):
     main(EXPORT)
     photo = Path("out/images/train_0.exr")
     assert photo.is_symlink()
-    assert photo.resolve() == Path("Küche 1/images/train_0.exr").resolve()
+    assert photo.resolve() == Path("room/images/train_0.exr").resolve()
     main([*EXPORT, "--copy", "--overwrite"])
     assert not photo.is_symlink()
-    assert photo.read_bytes() == Path("Küche 1/images/train_0.exr").read_bytes()
+    assert photo.read_bytes() == Path("room/images/train_0.exr").read_bytes()
     notes = json.loads(Path("out/room.json").read_text())
     assert notes["without_photographs"] == []

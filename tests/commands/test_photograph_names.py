@@ -7,11 +7,11 @@ import numpy as np
 import OpenEXR
 import pytest
 from helpers import layouts
+from helpers.pathtraced import picture
 from helpers.tiny_fit import fails
 from helpers.tiny_scene import write_scene
 from PIL import Image
 
-from neurad.assembly.build import build_world
 from neurad.cli import main
 from neurad.core.errors import InputError
 from neurad.formats.cameras.photograph_files import Photographs
@@ -19,9 +19,6 @@ from neurad.formats.load import load_scene
 from neurad.images import picture_notes
 from neurad.images.image_io import read_exr, write_exr
 from neurad.images.photographs import kept_pixels, read_view
-from neurad.integrators.film import render
-from neurad.integrators.renderer import path_tracer
-from neurad.scene.textures import TrueMaterials
 
 pytest.importorskip("mitsuba")
 CASES = Path(__file__).resolve().parents[3] / "shared/cases"
@@ -198,13 +195,11 @@ def test_what_is_read_otherwise_is_noted_once_for_all_photographs(place, capfd):
 def psnr(folder, spp=12):
     """Of every photograph that a room's own light and surfaces explain, inside masks, and what these keep."""
     scene = load_scene(str(folder), None, 0)
-    world = build_world(scene)
-    tracer = path_tracer(world, TrueMaterials(scene, world.geometry), scene.max_depth, scene.rr_depth)
     found = []
     for view in scene.train:
         photograph, kept = read_view(view), kept_pixels(view)
         kept = np.ones(photograph.shape[:2], bool) if kept is None else kept
-        error = (render(view.camera, tracer, spp, 1).numpy() - photograph)[kept]
+        error = (picture(scene, view.camera, spp, 1) - photograph)[kept]
         found.append((-10 * np.log10((error**2).mean()), kept.mean()))
     return zip(*found, strict=True)
 

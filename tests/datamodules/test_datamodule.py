@@ -8,7 +8,7 @@ import numpy as np
 import OpenEXR
 import pytest
 import torch
-from helpers.tiny_scene import SIZE, read_json, write_json, write_scene
+from helpers.tiny_scene import SIZE, read_json, ready, write_json, write_scene
 
 from datamodules.pixels import blurred
 from datamodules.scene_data import SceneData
@@ -24,12 +24,6 @@ pytest.importorskip("mitsuba")
 @pytest.fixture
 def folder(tmp_path):
     return write_scene(tmp_path / "room")
-
-
-def ready(folder, **settings):
-    data = SceneData(DataSettings(str(folder), **settings))
-    data.setup("fit")
-    return data
 
 
 def with_alpha(folder, view=0, covered=6):
@@ -266,55 +260,6 @@ def test_held_out_photographs_and_maps_are_never_opened(folder, monkeypatch):
     assert list(data.val_dataloader()) == [torch.tensor([0]), torch.tensor([1])]
     images = {path.rpartition("/")[2] for path in opened if path.endswith(".exr")}
     assert images == {"train_0.exr", "train_1.exr", "train_2.exr"}
-
-
-def photograph(**change):
-    def spoil(folder):
-        image = np.ones((change.get("height", SIZE), SIZE, change.get("channels", 3)), np.float32)
-        image[0, 0, 0] = change.get("value", 1.0)
-        write_exr(folder / "images/train_1.exr", image, half=False)
-
-    return spoil
-
-
-def black(folder):
-    for i in range(3):
-        write_exr(folder / f"images/train_{i}.exr", np.zeros((SIZE, SIZE, 3), np.float32))
-
-
-BAD = {
-    "NaN": (photograph(value=np.nan), r"train_1\.exr: it has pixels that are NaN or infinite"),
-    "infinite": (photograph(value=np.inf), r"train_1\.exr: it has pixels that are NaN or infinite"),
-    "negative": (photograph(value=-1.0), r"train_1\.exr: it has negative pixels"),
-    "size": (photograph(height=9), r"train_1\.exr: it has 8 x 9 pixels, its camera 8 x 8"),
-    "grey": (photograph(channels=1), r"train_1\.exr: a photograph has channels RGB or RGBA"),
-    "no picture": (lambda f: (f / "images/train_1.exr").write_text("x"), r"train_1\.exr: it cannot be read"),
-    "black": (black, "scene room: every training photograph is black"),
-}
-
-
-@pytest.mark.parametrize("case", BAD)
-def test_bad_photographs_are_named(folder, case):
-    spoil, said = BAD[case]
-    spoil(folder)
-    with pytest.raises(InputError, match=said):
-        ready(folder)
-
-
-def test_bad_options_are_named(folder):
-    for name in ("patches", "patch_size"):
-        with pytest.raises(InputError, match=rf"DataSettings\.{name}: 0 is out of range"):
-            SceneData(DataSettings(str(folder), **{name: 0}))
-    with pytest.raises(InputError, match=r"--data\.patch_size: 9 does not fit in photographs of 8 x 8"):
-        ready(folder, patch_size=9)
-    with pytest.raises(InputError, match="exactly one of"):
-        SceneData(DataSettings()).setup("fit")
-
-
-def test_no_training_photographs(folder):
-    """A built-in scene that ships no pictures can be rendered but not fitted."""
-    with pytest.raises(InputError, match="photograph"):
-        SceneData(DataSettings(scene="furnace")).setup("fit")
 
 
 def test_a_batch_costs_little(folder):

@@ -9,13 +9,11 @@ import OpenEXR
 import pytest
 import torch
 from helpers.small_step import small_scene
-from helpers.tiny_scene import POSE, write_json, write_scene
+from helpers.tiny_scene import POSE, ready, write_json, write_scene
 from PIL import Image
 
 from benchmarks.peer.fit import _photographs
 from datamodules.pixels import blurred
-from datamodules.scene_data import SceneData
-from datamodules.settings import DataSettings
 from neurad.assembly.build import build_world
 from neurad.core.camera import Cameras, camera_rays
 from neurad.core.errors import InputError
@@ -49,12 +47,6 @@ def folder(tmp_path):
         frames.append({"file_path": f"images/train_{i}.exr", "transform_matrix": POSE, **size})
     write_json(folder, "train", {"camera_angle_x": 0.9, "frames": frames})
     return folder
-
-
-def ready(folder, **settings):
-    data = SceneData(DataSettings(str(folder), **settings))
-    data.setup("fit")
-    return data
 
 
 def masked(folder, view, black):
@@ -137,25 +129,6 @@ def test_masked_pixels_take_no_part(folder):
     sample = data.dataset_stats(left_out).sample
     assert not left_out[sample.view, sample.pixel].any()
     assert ready(write_scene(folder.parent / "plain")).ignored() is None
-
-
-@pytest.mark.parametrize(
-    ("spoil", "message"),
-    [
-        (
-            lambda f: (f / "masks/2.png").unlink(),
-            r"masks/2\.png: the mask is missing that transforms_train\.json lists",
-        ),
-        (lambda f: (f / "masks/2.png").write_text("no picture"), r"masks/2\.png: it cannot be read as an image"),
-        (lambda f: Image.new("L", (9, 6)).save(f / "masks/2.png"), r"2\.png: it has 9 x 6 pixels, its camera 8 x 6"),
-        (lambda f: write_exr(f / "images/train_3.exr", np.ones((5, 5, 3))), r"5 x 5 pixels, its camera 12 x 4"),
-    ],
-)
-def test_what_does_not_fit_the_photograph_is_refused(folder, spoil, message):
-    masked(folder, 2, np.zeros((6, 8), bool))
-    spoil(folder)
-    with pytest.raises(InputError, match=message):
-        ready(folder)
 
 
 def test_masked_pixels_are_not_scored(folder):

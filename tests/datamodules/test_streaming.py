@@ -10,15 +10,13 @@ import pytest
 import torch
 from helpers.cameras import film
 from helpers.small_step import SmallStep, small_scene
-from helpers.tiny_scene import SIZE, write_scene
+from helpers.tiny_scene import SIZE, ready, write_scene
 from scipy import stats
 
 from benchmarks.bench import growth
 from benchmarks.bench.session import prepare
 from datamodules.image_cache import SAMPLE
 from datamodules.pixels import blurred
-from datamodules.scene_data import SceneData
-from datamodules.settings import DataSettings
 from neurad.assembly.build import build_world
 from neurad.assembly.settings import Objective, Sampling
 from neurad.cli import main
@@ -40,12 +38,6 @@ CPU = torch.device("cpu")
 def folder(tmp_path):
     pytest.importorskip("mitsuba")
     return write_scene(tmp_path / "room", VIEWS)
-
-
-def ready(folder, **settings):
-    data = SceneData(DataSettings(str(folder), **settings))
-    data.setup("fit")
-    return data
 
 
 def with_alpha(folder, empty=(2,)):
@@ -206,10 +198,7 @@ def test_a_photograph_that_goes_bad_is_named_when_its_turn_comes(folder, case, c
             data.batch(iteration)
 
 
-def test_bad_streaming_options_are_named(folder):
-    for name in ("resident", "replace_every"):
-        with pytest.raises(InputError, match=rf"DataSettings\.{name}: 0 is out of range"):
-            SceneData(DataSettings(str(folder), **{name: 0}))
+def test_streamed_alpha_of_zero_everywhere_is_an_error(folder):
     for i in range(VIEWS):
         write_exr(folder / f"images/train_{i}.exr", np.zeros((SIZE, SIZE, 4), np.float32))
     with pytest.raises(InputError, match="alpha is 0 in every training photograph"):

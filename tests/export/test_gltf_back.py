@@ -8,16 +8,14 @@ import torch
 from helpers.delta_scenes import delta_gallery
 from helpers.exported import exported
 from helpers.object_scene import object_scene, sky
+from helpers.pathtraced import picture
 
-from neurad.assembly.build import build_world
 from neurad.core.records import EnvironmentMap, PunctualLight
 from neurad.core.reflection import ConductorModel, DielectricModel
 from neurad.formats.gltf.gltf_scene import read_scene
 from neurad.formats.mitsuba.read import read_xml
 from neurad.formats.usd.read import read_usd
 from neurad.images.image_io import to_srgb
-from neurad.integrators.film import render
-from neurad.integrators.renderer import path_tracer
 from neurad.scene.builtin import build_cornell
 from neurad.scene.geometry import Geometry
 from neurad.scene.textures import TrueMaterials
@@ -65,12 +63,9 @@ def surfaces(scene):
     return TrueMaterials(scene, geometry)(geometry.interact_at(prim, u, v, wo, torch.ones(len(prim), dtype=torch.bool)))
 
 
-def picture(scene, spp=16):
-    """The first view, by paths; the same seed draws the same random numbers."""
-    world = build_world(scene)
-    with torch.no_grad():
-        tracer = path_tracer(world, TrueMaterials(scene, world.geometry), scene.max_depth, scene.rr_depth)
-        return render(replace(scene.test[0].camera, width=24, height=24), tracer, spp, 0).numpy()
+def shown(scene):
+    """The first view; the same seed draws the same random numbers."""
+    return picture(scene, scene.test[0].camera, 16, size=24)
 
 
 @pytest.mark.parametrize("up", ["y", "z", "-x"])
@@ -80,14 +75,14 @@ def test_a_room_of_any_up(tmp_path, up):
     same_room(by_xml, by_glb)
     np.testing.assert_array_equal(by_xml.environment.pixels, by_glb.environment.pixels)
     np.testing.assert_allclose(by_xml.environment.to_world, by_glb.environment.to_world, atol=1e-6)
-    first, second = picture(by_xml), picture(by_glb)
+    first, second = shown(by_xml), shown(by_glb)
     assert np.abs(second - first).mean() < 0.01 * first.mean()
 
 
 def test_a_room_with_a_lamp(tmp_path):
     by_xml, by_glb = both(build_cornell(), tmp_path)
     same_room(by_xml, by_glb)
-    first, second = picture(by_xml), picture(by_glb)
+    first, second = shown(by_xml), shown(by_glb)
     assert np.abs(second - first).mean() < 0.02 * first.mean()  # what 8 bits leave of colours, over many bounces
 
 

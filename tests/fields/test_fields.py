@@ -2,14 +2,17 @@ import itertools
 import math
 import subprocess
 import sys
+from dataclasses import replace
 
 import numpy as np
 import pytest
 import torch
+from helpers.torch_threads import torch_threads
 
 from neurad.core.errors import InputError
 from neurad.core.parameters import ALBEDO, ROUGHNESS
 from neurad.core.records import SurfaceInteraction
+from neurad.fields.dense_grid import DenseGrid
 from neurad.fields.hash_grid import HashGrid
 from neurad.fields.material import MaterialField
 from neurad.fields.mlp import MLP
@@ -35,13 +38,6 @@ def seeded():
     torch.manual_seed(7)
 
 
-def make_grid(size, **options):
-    grid = HashGrid(**size, **options)
-    with torch.no_grad():
-        grid.table.normal_()
-    return grid
-
-
 def points(n):
     x = torch.rand(n, 3)
     corners = torch.cartesian_prod(*[torch.tensor([0.0, 1.0])] * 3)
@@ -55,36 +51,49 @@ def surface(n, spread=1.0):
     return SurfaceInteraction(p, unit(), unit(), unit(), torch.rand(n, 2), torch.rand(n, 2), index, index == 0)
 
 
-# ---- hash grid
+# ---- grids, hashed and dense
+DENSE = [(2, 1), (9, 3), (40, 3), (33, 5)]
+GRIDS = {
+    **{f"hash {index}": (lambda size=size: HashGrid(**size)) for index, size in enumerate(SIZES)},
+    **{f"dense {size}, {n}": (lambda size=size, n=n: DenseGrid(size, n)) for size, n in DENSE},
+}
 
 
-@pytest.mark.parametrize("size", SIZES)
-def test_compiled_grid_equals_plain_torch(size):
-    grid = make_grid(size)
-    x = points(500)
+def filled(grid):
+    with torch.no_grad():
+        grid.table.normal_()
+    return grid
+
+
+def hash_grid(size, **options):
+    return filled(HashGrid(**size, **options))
+
+
+@pytest.mark.parametrize("kind", GRIDS)
+def test_compiled_grid_equals_plain_torch(kind):
+    """Values and gradients; the sparse gradient names each touched row once."""
+    grid, x = filled(GRIDS[kind]()), points(2000)
     kernel, reference = grid(x), grid.reference(x)
-    torch.testing.assert_close(kernel, reference, rtol=1e-6, atol=1e-6)
+    torch.testing.assert_close(kernel, reference, rtol=1e-6, atol=1e-5 if "dense" in kind else 1e-6)
     cotangent = torch.randn_like(kernel)
     (sparse,) = torch.autograd.grad(kernel, grid.table, cotangent)
     (dense,) = torch.autograd.grad(reference, grid.table, cotangent)
     assert sparse.is_sparse
     assert (sparse.to_dense() - dense).norm() < 1e-5 * dense.norm()
     torch.testing.assert_close(sparse.to_dense(), dense, rtol=1e-5, atol=1e-5 * float(dense.abs().max()))
-
-
-def test_gradient_names_each_touched_row_once_and_no_other():
-    grid = make_grid(SIZES[0])
-    grid(points(50)).sum().backward()
-    rows = grid.table.grad._indices()[0]
+    rows = sparse._indices()[0]
     assert (rows[1:] > rows[:-1]).all()
-    assert len(rows) < len(grid.table)
-    grid.table.grad = None
-    grid.reference(points(0)).sum().backward()  # the nine fixed points touch what the sparse gradient must hold too
-    assert set(grid.table.grad.abs().sum(1).nonzero().flatten().tolist()) <= set(rows.tolist())
+    assert set(dense.abs().sum(1).nonzero().flatten().tolist()) <= set(rows.tolist())
 
 
-def test_trilinear_reproduces_a_linear_function():
-    grid = HashGrid(1, 8, 8, log2_size=10)
+def test_gradient_names_no_row_that_is_not_touched():
+    grid = hash_grid(SIZES[0])
+    grid(points(50)).sum().backward()
+    assert grid.table.grad._nnz() < len(grid.table)
+
+
+@pytest.mark.parametrize("grid", [HashGrid(1, 8, 8, log2_size=10), DenseGrid(9, 2)], ids=["hash", "dense"])
+def test_trilinear_reproduces_a_linear_function(grid):
     z, y, x = torch.meshgrid(*[torch.arange(9.0) / 8] * 3, indexing="ij")
     with torch.no_grad():
         grid.table.copy_(torch.stack((2 * x - y + 3 * z, x), -1).view(-1, 2))
@@ -92,6 +101,38 @@ def test_trilinear_reproduces_a_linear_function():
         expected = torch.stack((2 * p[:, 0] - p[:, 1] + 3 * p[:, 2], p[:, 0]), -1)
         torch.testing.assert_close(grid(p), expected, rtol=0, atol=2e-6)
         torch.testing.assert_close(grid.reference(p), expected, rtol=0, atol=2e-6)
+
+
+@pytest.mark.parametrize("wall", [False, True])
+@pytest.mark.parametrize("kind", ["hash 0", "hash 4", "dense 33, 5"])
+def test_results_are_the_same_bit_by_bit_for_any_number_of_threads(kind, wall):
+    grid, x = filled(GRIDS[kind]()), points(5000)
+    if wall:  # all in one layer of cells: ranges are empty
+        x[:, 2] = 0.5
+        x[7] = float("nan")
+    results = []
+    for count in (1, 1, 2, 2, 3):
+        with torch_threads(count):
+            out = grid(x)
+            (gradient,) = torch.autograd.grad(out.nan_to_num().square().sum(), grid.table)
+            results.append((out.detach(), gradient._indices(), gradient._values()))
+    for result in results[1:]:
+        for a, b in zip(result, results[0], strict=True):
+            torch.testing.assert_close(a, b, rtol=0, atol=0, equal_nan=True)
+
+
+@pytest.mark.parametrize("kind", ["hash 0", "dense 9, 3"])
+def test_no_points_odd_points_and_points_with_gradient(kind):
+    grid = filled(GRIDS[kind]())
+    out = grid(torch.empty(0, 3))
+    out.sum().backward()
+    assert out.shape == (0, grid.reference(torch.rand(1, 3)).shape[1])
+    assert grid.table.grad._nnz() == 0
+    x = torch.tensor([[float("nan"), 0.5, 2.0], [-3.0, float("inf"), 0.1], [0.2, 0.3, 0.4]])
+    torch.testing.assert_close(grid(x)[2:], grid.reference(x[2:]), rtol=1e-6, atol=1e-6)
+    with pytest.raises(ValueError, match="detach"):
+        grid(torch.rand(2, 3, requires_grad=True))
+    assert HashGrid(3, 2, 8, features=4, log2_size=10)(points(5)).shape == (14, 12)
 
 
 def test_table_takes_what_its_levels_need():
@@ -105,29 +146,11 @@ def test_table_takes_what_its_levels_need():
 
 
 def test_both_implementations_load_each_others_weights():
-    kernel, reference = make_grid(SIZES[0]), make_grid(SIZES[0], use_kernels=False)
+    kernel, reference = hash_grid(SIZES[0]), hash_grid(SIZES[0], use_kernels=False)
     reference.load_state_dict(kernel.state_dict())
     x = points(100)
     torch.testing.assert_close(kernel(x), reference(x), rtol=1e-6, atol=1e-6)
     assert list(kernel.state_dict()) == ["table"]
-
-
-@pytest.mark.parametrize("size", [SIZES[0], SIZES[4]])
-def test_results_are_the_same_bit_by_bit_for_any_number_of_threads(size):
-    grid = make_grid(size)
-    x, cotangent = points(5000), torch.randn(5009, grid.channels)
-    before = torch.get_num_threads()
-    results = []
-    try:
-        for count in (1, 1, 2, 2, 3):
-            torch.set_num_threads(count)
-            out = grid(x)
-            (gradient,) = torch.autograd.grad(out, grid.table, cotangent)
-            results.append((out.detach(), gradient._indices(), gradient._values()))
-    finally:
-        torch.set_num_threads(before)
-    for result in results[1:]:
-        assert all(torch.equal(a, b) for a, b in zip(result, results[0], strict=True))
 
 
 def test_shares_cover_everything_once_and_the_first_is_no_smaller():
@@ -139,26 +162,6 @@ def test_shares_cover_everything_once_and_the_first_is_no_smaller():
         assert (sizes >= 0).all()
         if shares > 1 and count >= shares * grain:
             assert grain // 2 <= sizes[0] - sizes[1:].max() + 1 <= grain // 2 + 2
-
-
-def test_other_feature_counts_and_no_points():
-    assert HashGrid(3, 2, 8, features=4, log2_size=10)(points(5)).shape == (14, 12)
-    grid = make_grid(SIZES[0])
-    out = grid(torch.empty(0, 3))
-    out.sum().backward()
-    assert out.shape == (0, 12)
-    assert grid.table.grad._nnz() == 0
-
-
-def test_positions_that_want_a_gradient_are_refused():
-    with pytest.raises(ValueError, match="detach"):
-        HashGrid(1, 4, 4)(torch.rand(2, 3, requires_grad=True))
-
-
-def test_kernels_survive_positions_that_are_no_numbers():
-    grid = make_grid(SIZES[0])
-    x = torch.tensor([[float("nan"), 0.5, 2.0], [-3.0, float("inf"), 0.1], [0.2, 0.3, 0.4]])
-    torch.testing.assert_close(grid(x)[2:], grid.reference(x[2:]), rtol=1e-6, atol=1e-6)
 
 
 @pytest.mark.usefixtures("three_threads")
@@ -217,6 +220,52 @@ def test_networks_give_the_same_on_several_threads(mode):
         assert torch.get_num_threads() == threads(3, 1) == 3
     finally:
         torch.set_num_threads(before)
+
+
+# ---- fields of dense grids
+
+
+def test_fields_start_where_networks_start_and_stay_in_range():
+    si, config = surface(400), FieldConfig(kind="dense", size=24)
+    for field, channels, low in (
+        (MaterialField(ALBEDO, config, BOUNDS), 3, 0.0),
+        (MaterialField(ROUGHNESS, config, BOUNDS), 1, ROUGHNESS.low),
+    ):
+        out = field(si)
+        assert out.shape == (400, channels)
+        torch.testing.assert_close(out, torch.full_like(out, low + (1.0 - low) * 0.5))
+        with torch.no_grad():
+            field.grid.table.normal_(0.0, 30.0)
+        assert (field(si) >= low).all()
+        assert (field(si) <= 1.0).all()
+        assert list(field.state_dict()) == ["cube.low", "cube.inverse_side", "cube.shell", "grid.table"]
+    radiance = RadianceField(RadianceConfig(kind="dense", size=24), BOUNDS, scale=5.0)
+    out = radiance(si, torch.rand(400, 3))
+    torch.testing.assert_close(out, torch.full_like(out, 5.0 * START))
+
+
+def test_radiance_is_the_same_in_all_directions():
+    si = surface(200)
+    field = RadianceField(RadianceConfig(kind="dense", size=16), BOUNDS)
+    with torch.no_grad():
+        field.grid.table.normal_()
+    other = replace(si, wo=-si.wo, n=si.wo)
+    assert torch.equal(field(si, torch.rand(200, 3)), field(other, torch.rand(200, 3)))
+
+
+@pytest.mark.parametrize("use_kernels", [True, False])
+def test_grid_fits_a_smooth_function(use_kernels):
+    field = MaterialField(ALBEDO, FieldConfig(kind="dense", size=12), BOUNDS)
+    field.grid.use_kernels = use_kernels
+    optimizer = SparseRowAdam(field.parameters(), lr=0.05)
+    truth = lambda p: 0.5 + 0.3 * torch.sin(torch.stack((p[:, 0], p[:, 1], p[:, 2]), -1))  # noqa: E731
+    for _ in range(150):
+        si = surface(2000)
+        optimizer.zero_grad()
+        ((field(si) - truth(si.p)) ** 2).mean().backward()
+        optimizer.step()
+    si = surface(2000)
+    assert (field(si) - truth(si.p)).square().mean().sqrt() < 0.02
 
 
 # ---- fields
@@ -374,9 +423,9 @@ def test_sparse_steps_leave_other_rows_alone_and_add_up_repeated_rows():
 
 
 def test_a_table_read_twice_gets_both_gradients():
-    grid = make_grid(SIZES[0])
+    grid = hash_grid(SIZES[0])
     x, y = points(200), points(300)
-    twin = make_grid(SIZES[0], use_kernels=False)
+    twin = hash_grid(SIZES[0], use_kernels=False)
     twin.load_state_dict(grid.state_dict())
     for g in (grid, twin):
         optimizer = SparseRowAdam(g.parameters(), lr=1e-2)
@@ -395,7 +444,7 @@ def test_optimizer_state_is_tensors_and_continues_exactly(tmp_path):
             grid(x).square().sum().backward()
             optimizer.step()
 
-    whole = make_grid(SIZES[0])
+    whole = hash_grid(SIZES[0])
     part = HashGrid(**SIZES[0])
     part.load_state_dict(whole.state_dict())
     run(whole, SparseRowAdam(whole.parameters()), 0, 6)

@@ -8,18 +8,14 @@ from pathlib import Path
 import numpy as np
 import OpenEXR
 import pytest
-import torch
 from helpers.clients import blender_python, cache_folder
+from helpers.pathtraced import picture
 from scipy.ndimage import binary_erosion
 
-from neurad.assembly.build import build_world
 from neurad.cli import main
 from neurad.export.base_colour import base_for
 from neurad.formats.load import read_folder
 from neurad.images.image_io import read_exr, read_mask, to_srgb
-from neurad.integrators.film import render
-from neurad.integrators.renderer import path_tracer
-from neurad.scene.textures import TrueMaterials
 
 pytest.importorskip("mitsuba")
 pytestmark = pytest.mark.slow
@@ -49,12 +45,9 @@ def test_an_open_room_looks_as_in_cycles(python, tmp_path):
     scene = read_folder(room, hold_out=0).check()
     assert scene.features.is_diffuse
     assert [light.kind for light in scene.punctual] == ["directional", "spot", "point"]
-    world = build_world(scene)
-    tracer = path_tracer(world, TrueMaterials(scene, world.geometry), scene.max_depth, scene.rr_depth)
     assert len(scene.train) == 4
     for view in scene.train:
-        with torch.no_grad():
-            ours = render(view.camera, tracer, 192, 1).numpy()
+        ours = picture(scene, view.camera, 192, 1)
         theirs = read_exr(view.image)[..., :3]
         kept = read_mask(view) if view.mask else np.ones(ours.shape[:2], bool)
         assert kept.mean() > 0.8

@@ -5,16 +5,14 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import trimesh
+from helpers.pathtraced import paths
 
-from neurad.assembly.build import build_world
 from neurad.formats.edits.edit import edited
 from neurad.formats.edits.edit_file import edit_of
 from neurad.formats.mitsuba.plugin import to_mitsuba
 from neurad.images.image_io import write_exr
 from neurad.integrators.film import render
-from neurad.integrators.renderer import path_tracer
 from neurad.scene.builtin import build
-from neurad.scene.textures import TrueMaterials
 
 mi = pytest.importorskip("mitsuba")
 
@@ -40,8 +38,6 @@ def test_the_same_edit_in_mitsuba(tmp_path):
     made = edited(scene, edit_of(tree, folder=tmp_path)).scene
     view = made.test[0]
     view = replace(view, camera=replace(view.camera, width=SIZE, height=SIZE))
-    world = build_world(made)
-    tracer = path_tracer(world, TrueMaterials(made, world.geometry), made.max_depth, made.rr_depth)
     before = mi.variant()
     mi.set_variant("scalar_rgb")
     try:
@@ -50,7 +46,8 @@ def test_the_same_edit_in_mitsuba(tmp_path):
     finally:
         if before is not None:
             mi.set_variant(before)
-    ours = np.stack([render(view.camera, tracer, SPP, i).numpy() for i in range(PARTS)])
+    tracer = paths(made)
+    ours = np.stack([render(view.camera, tracer, SPP, i) for i in range(PARTS)])
     half = SIZE // 2
     for rows, columns in ((0, 0), (0, half), (half, 0), (half, half)):
         a, b = (x[:, rows : rows + half, columns : columns + half].mean((1, 2)) for x in (ours, other))  # [PARTS, 3]

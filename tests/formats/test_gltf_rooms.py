@@ -11,15 +11,13 @@ import numpy as np
 import pytest
 import torch
 from helpers.gltf_rooms import shown, written
+from helpers.pathtraced import paths
 
-from neurad.assembly.build import build_world
 from neurad.core.errors import InputError
 from neurad.formats.gltf.gltf_scene import read_scene
 from neurad.formats.gltf.read import read_gltf
 from neurad.formats.load import read_folder
 from neurad.integrators.film import render
-from neurad.integrators.renderer import path_tracer
-from neurad.scene.textures import TrueMaterials
 
 ROOMS = Path(__file__).resolve().parents[3] / "shared" / "scenes"
 ASSIMP = Path(os.environ.get("NEURAD_ASSIMP", "/usr/share/assimp/models"))
@@ -28,10 +26,8 @@ ASSIMP = Path(os.environ.get("NEURAD_ASSIMP", "/usr/share/assimp/models"))
 
 def picture(scene, view, seed=0, spp=16):
     """A small picture by paths of at most six vertices."""
-    world = build_world(scene)
     with torch.no_grad():
-        tracer = path_tracer(world, TrueMaterials(scene, world.geometry), 6, 8)
-        return render(replace(view.camera, width=24, height=24), tracer, spp, seed).numpy()
+        return render(replace(view.camera, width=24, height=24), paths(scene, 6, 8), spp, seed).numpy()
 
 
 @pytest.mark.slow

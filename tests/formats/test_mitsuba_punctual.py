@@ -89,6 +89,8 @@ WRONG = {
     "no cone": (emitter("spot", angle("cutoff_angle", 0)), "its cutoff_angle is 0, which has to be between 0 and 90"),
     "NaN cone": (emitter("spot", angle("cutoff_angle", "nan")), "its cutoff_angle is nan"),
     "wide beam": (emitter("spot", angle("beam_width", 21)), "its beam_width is 21, .* from 0 to its cutoff_angle, 20"),
+    "negative beam": (emitter("spot", angle("beam_width", -1)), "its beam_width is -1, .* from 0 to its cutoff_angle"),
+    "NaN beam": (emitter("spot", angle("beam_width", "nan")), "its beam_width is nan"),
     "angle that is a text": (emitter("spot", '<string name="beam_width" value="x"/>'), "beam_width is not a number"),
     "not round": (emitter("spot", WIDE), "its to_world stretches it, and its cone would not be round"),
     "flat": (emitter("spot", WIDE.replace('"2"', '"0"')), "of the spot emitter lamp is not a transform that"),

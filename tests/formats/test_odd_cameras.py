@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 import torch
 from helpers import layouts
-from helpers.fuzzing.odd import pick
+from helpers.fuzzing.odd import change, pick
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
@@ -40,29 +40,13 @@ LAYOUTS = {
 CHANGES = st.lists(st.tuples(*[st.integers(0, 2**31)] * 4), min_size=1, max_size=3)
 
 
-def containers(value):
-    """All lists and objects in a document."""
-    if isinstance(value, dict | list):
-        yield value
-        for inner in value.values() if isinstance(value, dict) else value:
-            yield from containers(inner)
-
-
 def change_json(text, where, what, how):
     """The document with a value replaced, added, or taken away."""
     try:
         document = json.loads(text)
     except ValueError:
         return text
-    place, odd = pick(list(containers(document)) or [[0]], where), pick(ODD, what)
-    if isinstance(place, dict):
-        key = pick(list(place) or ["k1"], how // 3) if how % 3 else pick(KEYS, how // 3)
-        if how % 7 == 1:
-            place.pop(key, None)
-        else:
-            place[key] = odd
-    elif place:
-        place[how % len(place)] = odd
+    change(document, where, how, pick(ODD, what), KEYS)
     return json.dumps(document)
 
 
@@ -101,8 +85,8 @@ def spoil(folder, pattern, changes):
         if pattern == "*.bin":
             path.write_bytes(change_bytes(path.read_bytes(), where, what, how))
         else:
-            change = change_json if path.suffix == ".json" else change_text
-            path.write_text(change(path.read_text(), where, what, how))
+            changed = change_json if path.suffix == ".json" else change_text
+            path.write_text(changed(path.read_text(), where, what, how))
 
 
 def look(kind, folder):

@@ -7,7 +7,7 @@ import struct
 
 import numpy as np
 import pytest
-from helpers.fuzzing.odd import pick
+from helpers.fuzzing.odd import change, pick
 from helpers.gltf_writer import FACES, QUAD, UVS, Document
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
@@ -61,14 +61,6 @@ def whole():
     return document
 
 
-def containers(value):
-    """All lists and objects in a document."""
-    if isinstance(value, dict | list):
-        yield value
-        for inner in value.values() if isinstance(value, dict) else value:
-            yield from containers(inner)
-
-
 def spoilt(document, changes):
     """The bytes of the file with values of its JSON replaced, added or taken away, or bytes of its buffer changed."""
     described = json.loads(json.dumps({**document.json, "buffers": [{"byteLength": len(document.body)}]}))
@@ -78,15 +70,7 @@ def spoilt(document, changes):
             place = where % (len(body) - 8)
             body[place : place + 4] = struct.pack("<f", pick([math.nan, math.inf, 1e38, -1.0, 0.0, 3e-40], what))
             continue
-        place, odd = pick(list(containers(described)), where), copy.deepcopy(pick(ODD, what))
-        if isinstance(place, dict):
-            key = pick(list(place) or ["name"], how // 3) if how % 3 else pick(KEYS, how // 3)
-            if how % 7 == 1:
-                place.pop(key, None)
-            else:
-                place[key] = odd
-        elif place:
-            place[how % len(place)] = odd
+        change(described, where, how, copy.deepcopy(pick(ODD, what)), KEYS)
     text = json.dumps(described).encode()
     text += b" " * (-len(text) % 4)
     data = struct.pack("<I4s", len(text), b"JSON") + text + struct.pack("<I4s", len(body), b"BIN\0") + bytes(body)

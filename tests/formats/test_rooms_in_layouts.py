@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from helpers.pathtraced import paths
 from helpers.shared_rooms import (
     LAYOUTS,
     ROOMS,
@@ -19,14 +20,11 @@ from helpers.shared_rooms import (
     views_of,
 )
 
-from neurad.assembly.build import build_world
 from neurad.cli import main
 from neurad.core.camera import camera_rays, project, to_camera
 from neurad.formats.load import read_folder
 from neurad.images.image_io import read_exr
 from neurad.integrators.film import render
-from neurad.integrators.renderer import path_tracer
-from neurad.scene.textures import TrueMaterials
 
 pytest.importorskip("mitsuba")
 pytestmark = [
@@ -57,10 +55,9 @@ def apart(found, camera, kind):
 
 
 def picture(scene, camera):
-    world = build_world(scene)
-    tracer = path_tracer(world, TrueMaterials(scene, world.geometry), 6, 8)
     with torch.no_grad():
-        return render(replace(camera, width=24, height=24 * camera.height // camera.width), tracer, 16, 0).numpy()
+        small = replace(camera, width=24, height=24 * camera.height // camera.width)
+        return render(small, paths(scene, 6, 8), 16, 0).numpy()
 
 
 @pytest.mark.parametrize("layout", LAYOUTS)

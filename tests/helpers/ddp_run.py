@@ -23,7 +23,7 @@ from neurad.training.inverse import InverseRenderer
 from neurad.training.loopback import LoopbackDDP
 from neurad.training.objective import GuideSamples, StepTerms
 
-STEPS = 12
+STEPS = 8
 
 
 class Joined:
@@ -72,7 +72,7 @@ def fit(devices, seed=0, kind="hash", joined=False):
         num_sanity_val_steps=0, limit_val_batches=0, callbacks=[Join()] if joined else [],
     )  # fmt: skip
     scene = builtin.build("patterns" if kind == "glossy" else "cornell")
-    few = replace(scene, train=scene.train[:6], test=scene.test[:1])
+    few = replace(scene, train=scene.train[:3], test=scene.test[:1])
     with patch.dict(builtin._BUILDERS, {scene.name: lambda: few}):
         trainer.fit(module, SceneData(DataSettings(scene=scene.name, patches=128, seed=seed)))
     return module, trainer

@@ -8,6 +8,7 @@ import pytest
 import torch
 import yaml
 
+from helpers.tiny_scene import write_scene
 from neurad.cli import main
 from neurad.scene import builtin
 
@@ -39,6 +40,21 @@ def few_views(patch, name, train=5, test=1):
 def fit(*args):
     """``neurad fit --config tiny.yaml`` with further arguments."""
     main(["fit", "--config", "tiny.yaml", *args])
+
+
+def finished_run(folder, base):
+    """A new folder with a run of two iterations; of a scene folder ``room`` where the base is ``scene.yaml``."""
+    folder.mkdir()
+    with pytest.MonkeyPatch.context() as patch:
+        patch.chdir(folder)
+        few_views(patch, "cornell", 3)
+        data = {}
+        if base == "scene.yaml":
+            write_scene(Path("room"))
+            data = {"root": "room"}
+        write_tiny_config(base=base, data=data)
+        fit("--trainer.max_steps=2", "--model.lighting.lamp_mismatch=warn")  # photographs of noise
+    return folder
 
 
 def run_folder(version=0):
@@ -73,7 +89,7 @@ def fails(capfd, *args):
     """The one sentence that a command ends with, exit code 2."""
     capfd.readouterr()
     with pytest.raises(SystemExit) as stop:
-        main(list(args))
+        main([str(word) for word in args])
     error = capfd.readouterr().err.strip()
     assert stop.value.code == 2
     assert error.startswith("neurad: error: ")

@@ -7,6 +7,8 @@ from pathlib import Path
 
 import numpy as np
 
+from datamodules.scene_data import SceneData
+from datamodules.settings import DataSettings
 from neurad.images.image_io import read_exr, to_srgb, write_exr
 
 SIZE = 8
@@ -63,6 +65,13 @@ def write_scene(folder: Path, views: int = 3, channels: int = 3) -> Path:
         for i in range(count):
             write_exr(folder / f"images/{part}_{i}.exr", rng.random((SIZE, SIZE, channels), np.float32))
     return folder
+
+
+def ready(folder: Path, **settings) -> SceneData:
+    """The photographs of a scene folder, read for a fit."""
+    data = SceneData(DataSettings(str(folder), **settings))
+    data.setup("fit")
+    return data
 
 
 def read_json(folder: Path, part: str) -> dict:

@@ -5,6 +5,7 @@ import struct
 import cv2
 import numpy as np
 import pytest
+from helpers.tiny_fit import fails
 from PIL import Image
 
 from neurad.cli import main
@@ -105,17 +106,6 @@ def data(*words):
     main(["data", "hdr", *map(str, words)])
 
 
-def refused(capfd, *words):
-    capfd.readouterr()
-    with pytest.raises(SystemExit) as stop:
-        data(*words)
-    error = capfd.readouterr().err.strip()
-    assert stop.value.code == 2
-    assert error.startswith("neurad: error: ")
-    assert "\n" not in error
-    return error
-
-
 def test_files_with_times(tmp_path, capfd):
     files, values = brackets(tmp_path / "raw")
     data(*files, "--times", *TIMES, "--response", "linear", "--out", tmp_path / "images")
@@ -124,7 +114,7 @@ def test_files_with_times(tmp_path, capfd):
     said = capfd.readouterr().out
     assert "5 photographs, exposures 0.001 to 0.25" in said
     assert "--data.ceiling 999" in said
-    assert "is there already" in refused(capfd, *files, "--times", *TIMES, "--out", tmp_path / "images")
+    assert "is there already" in fails(capfd, "data", "hdr", *files, "--times", *TIMES, "--out", tmp_path / "images")
 
 
 def test_codes_with_exif(tmp_path, capfd):
@@ -143,19 +133,20 @@ def test_several_views(tmp_path):
 def test_what_cannot_be_merged(tmp_path, capfd):
     files, _ = brackets(tmp_path / "raw", ".png")
     out = ["--out", tmp_path / "images"]
-    assert "0.png: its EXIF has no exposure time; give those of a view with --times" in refused(capfd, *files, *out)
-    assert "--times: there are 2 exposures for the 5" in refused(capfd, *files, *out, "--times", 1, 2)
-    assert "--times" in refused(capfd, *files, *out, "--times", 1, 2, 4, 8, -16)
-    assert "--bracket 2: 5 photographs" in refused(capfd, *files, *out, "--bracket", 2)
-    assert "--mesh: it is for scene folders" in refused(capfd, *files, *out, "--mesh", "a.obj")
-    assert "choose linear, srgb" in refused(capfd, *files, *out, "--response", "other")
-    assert "a merge has to know it" in refused(capfd, *files, *out, "--response", "fit")
+    said = fails(capfd, "data", "hdr", *files, *out)
+    assert "0.png: its EXIF has no exposure time; give those of a view with --times" in said
+    assert "--times: there are 2 exposures for the 5" in fails(capfd, "data", "hdr", *files, *out, "--times", 1, 2)
+    assert "--times" in fails(capfd, "data", "hdr", *files, *out, "--times", 1, 2, 4, 8, -16)
+    assert "--bracket 2: 5 photographs" in fails(capfd, "data", "hdr", *files, *out, "--bracket", 2)
+    assert "--mesh: it is for scene folders" in fails(capfd, "data", "hdr", *files, *out, "--mesh", "a.obj")
+    assert "choose linear, srgb" in fails(capfd, "data", "hdr", *files, *out, "--response", "other")
+    assert "a merge has to know it" in fails(capfd, "data", "hdr", *files, *out, "--response", "fit")
     (tmp_path / "a.exr").write_bytes(b"x")
-    assert "not from .exr" in refused(capfd, tmp_path / "a.exr", *out, "--times", 1)
+    assert "not from .exr" in fails(capfd, "data", "hdr", tmp_path / "a.exr", *out, "--times", 1)
     (tmp_path / "a.nef").write_bytes(b"x")
-    assert "a.nef" in refused(capfd, tmp_path / "a.nef", *out, "--times", 1)
+    assert "a.nef" in fails(capfd, "data", "hdr", tmp_path / "a.nef", *out, "--times", 1)
     Image.new("RGB", (4, 4)).save(tmp_path / "small.png")
-    said = refused(capfd, files[0], tmp_path / "small.png", *out, "--times", 1, 2)
+    said = fails(capfd, "data", "hdr", files[0], tmp_path / "small.png", *out, "--times", 1, 2)
     assert "small.png: it has 4 x 4 pixels, but" in said
     capfd.readouterr()
     with pytest.raises(SystemExit):
@@ -323,8 +314,8 @@ def test_no_view_is_written_over_another(tmp_path, capfd):
     files, _ = brackets(tmp_path / "raw")
     other, _ = brackets(tmp_path / "raw2")
     words = ["--bracket", 2, "--times", 1, 4, "--response", "linear", "--out"]
-    said = refused(capfd, *files[:2], *other[:2], *words, tmp_path / "images")
+    said = fails(capfd, "data", "hdr", *files[:2], *other[:2], *words, tmp_path / "images")
     assert "raw/0.tif" in said
     assert "raw2/0.tif are alike" in said
     data(*files[:2], *words, tmp_path / "a")
-    assert "spread/0.exr is there already" in refused(capfd, *other[:2], *words, tmp_path / "b")
+    assert "spread/0.exr is there already" in fails(capfd, "data", "hdr", *other[:2], *words, tmp_path / "b")

@@ -5,10 +5,10 @@ import shutil
 import socket
 import time
 from io import BytesIO
-from pathlib import Path
 
 import numpy as np
 import pytest
+from helpers.listening import listening
 from helpers.tiny_fit import fails
 from helpers.viewed import viewed
 from PIL import Image
@@ -21,17 +21,6 @@ pytest.importorskip("viser")
 
 CANVAS = {"x": 40, "y": 140, "width": 360, "height": 290}
 """Part of the window that neither controls cover nor what is said of missing graphics hardware."""
-
-
-def listening(port):
-    """Addresses of this machine on which somebody waits at a port, in the kernel's hexadecimal."""
-    found = []
-    for table in ("tcp", "tcp6"):
-        for line in Path(f"/proc/net/{table}").read_text().splitlines()[1:]:
-            address, state = line.split()[1], line.split()[3]
-            if state == "0A" and int(address.rpartition(":")[2], 16) == port:
-                found.append(address.rpartition(":")[0])
-    return found
 
 
 class Page:
@@ -59,7 +48,7 @@ class Page:
             time.sleep(0.15)
             now = self.picture()
             change = np.abs(now - before).mean()
-            if now.std() > 0.3 and change < 1.0:
+            if now.std() > 0.3 and change < 2.0:
                 return now
             before = now
         raise AssertionError(f"the picture never came to rest: spread {now.std():.2f}, change {change:.2f}")
@@ -80,9 +69,10 @@ class Page:
 def test_the_page(viewed_run, look_at):
     with viewed("--ckpt_path", str(viewed_run), "--port", "0") as viewer:
         port = int(viewer.address.split(":")[2].partition("/")[0])
-        assert listening(port) == ["0100007F"]  # 127.0.0.1
+        assert listening(port=port) == ["0100007F"]  # 127.0.0.1
         page = Page(look_at(viewer.address, width=800, height=480))
         page.wait("samples a pixel")
+        page.choose("size", "128")
         lit = page.settled()
         assert lit.std() > 5
         (session,) = viewer.sessions.values()
@@ -113,7 +103,8 @@ def test_the_page(viewed_run, look_at):
         assert page.settled().mean() < 0.9 * lit.mean()
         page.page.get_by_role("button", name="as photographed").click()
         page.wait("photographs' light")
-        assert page.settled().mean() == pytest.approx(lit.mean(), rel=0.12)  # it goes on from the field to the method
+        back = page.settled()
+        assert back.mean() == pytest.approx(lit.mean(), rel=0.12)  # it goes on from the field to the method
 
         # a point is read out
         page.page.mouse.click(240, 260)
@@ -124,13 +115,12 @@ def test_the_page(viewed_run, look_at):
         assert any(f"mesh: {mesh.name}" in said for mesh in viewer._followed.run.scene.meshes)
 
         # dragging moves the camera
-        before = page.settled()
         page.page.mouse.move(240, 240)
         page.page.mouse.down()
         page.page.mouse.move(360, 270, steps=4)
         page.page.mouse.up()
         time.sleep(0.5)
-        assert np.abs(page.settled() - before).mean() > 4
+        assert np.abs(page.settled() - back).mean() > 4
 
         assert page.seen.errors == []
         asked = [
@@ -207,19 +197,6 @@ def test_a_port_in_use(capfd):
         port = taken.getsockname()[1]
         error = fails(capfd, "view", "--ckpt_path", "nowhere", "--port", str(port))
     assert f"--port {port}: it is in use" in error
-
-
-@pytest.mark.main
-@pytest.mark.parametrize(
-    ("words", "sentence"),
-    [
-        (("--port", "70000"), "70000 is out of range"),
-        (("--ckpt_path", "nowhere"), "there is no such run folder"),
-    ],
-)
-def test_bad_options(words, sentence, capfd, tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    assert sentence in fails(capfd, "view", *words)
 
 
 @pytest.mark.main

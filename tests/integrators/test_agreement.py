@@ -6,15 +6,13 @@ from pathlib import Path
 import numpy as np
 import pytest
 import torch
+from helpers.pathtraced import paths
 from scipy import stats
 
-from neurad.assembly.build import build_world
 from neurad.core.rng import mix
 from neurad.formats.load import load_scene
 from neurad.images.image_io import read_exr
 from neurad.integrators.film import render
-from neurad.integrators.renderer import path_tracer
-from neurad.scene.textures import TrueMaterials
 
 ROOMS = Path(__file__).resolve().parents[3] / "shared" / "scenes"
 pytestmark = pytest.mark.slow
@@ -25,8 +23,7 @@ def room_tracer(name):
         pytest.skip(f"the room {name} is not beside this checkout")
     pytest.importorskip("mitsuba")
     scene = load_scene(str(ROOMS / name), None)
-    world = build_world(scene)
-    return scene, path_tracer(world, TrueMaterials(scene, world.geometry), scene.max_depth, scene.rr_depth)
+    return scene, paths(scene)
 
 
 def resized(camera, size):

@@ -4,16 +4,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-import torch
+from helpers.pathtraced import picture
 
-from neurad.assembly.build import build_world
 from neurad.core.camera import resized
 from neurad.core.records import Constant, constant
 from neurad.core.reflection import DiffuseModel, PrincipledModel, RoughConductorModel, RoughPlasticModel
-from neurad.integrators.film import render
-from neurad.integrators.renderer import path_tracer
 from neurad.scene.builtin import build_cornell
-from neurad.scene.textures import TrueMaterials
 
 SIZE, SAMPLES = 12, 512
 
@@ -42,12 +38,7 @@ def test_a_room_of_many_models_looks_as_in_mitsuba():
     scene, before = shiny_cornell(), mi.variant()
     assert len(scene.features.models) > 2
     view = scene.train[0]
-    world = build_world(scene)
-    with torch.no_grad():
-        tracer = path_tracer(
-            world, TrueMaterials(scene, world.geometry), max_depth=scene.max_depth, rr_depth=scene.rr_depth
-        )
-        ours = render(resized(view.camera, SIZE), tracer, SAMPLES, 1).numpy()
+    ours = picture(scene, resized(view.camera, SIZE), SAMPLES, 1)
     mi.set_variant("scalar_rgb")
     theirs = np.array(mi.render(to_mitsuba(scene, view, SIZE, SAMPLES)))[..., :3]
     if before:

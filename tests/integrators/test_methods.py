@@ -233,17 +233,6 @@ def test_a_depth_of_one_shows_emitters():
     assert torch.equal(path_tracer(world, materials, max_depth=1)(rays, 3), world.emitted(first.si))
 
 
-@pytest.mark.parametrize("method", ["path", "prb"])
-def test_a_depth_of_one_is_refused_before_a_run_begins(tmp_path, monkeypatch, capsys, method):
-    monkeypatch.chdir(tmp_path)
-    with pytest.raises(SystemExit) as ended:
-        main(["fit", "--config=cornell.yaml", f"--config=methods/{method}.yaml", "--trainer.max_steps=1",
-              "--model.method.init_args.max_depth=1"])  # fmt: skip
-    assert ended.value.code == 2
-    assert "max_depth 1 shows emitters only" in capsys.readouterr().err
-    assert not list(tmp_path.iterdir())
-
-
 def test_continuation_exceeds_the_square_of_the_albedo():
     for rho in (0.1, 0.5, 0.9, 0.99):
         weight = torch.full((1, 3), rho)

@@ -10,6 +10,7 @@ import pytest
 import torch
 from helpers.method_oracles import Textures, camera_vertices, gallery
 from helpers.oracles import accept
+from helpers.pathtraced import paths
 from scipy import stats
 
 from neurad.assembly.build import build_world
@@ -27,7 +28,6 @@ from neurad.integrators.method import SceneModel
 from neurad.integrators.path import PathTracing
 from neurad.integrators.prb import PRB
 from neurad.integrators.radiometric import Radiometric
-from neurad.integrators.renderer import path_tracer
 from neurad.integrators.vertex import DIMENSIONS
 from neurad.scene.builtin.shapes import quad
 from neurad.scene.description import Scene
@@ -145,9 +145,8 @@ def test_pictures_agree_with_mitsuba(sky, delta, depth):
     finally:
         if before is not None:
             mi.set_variant(before)
-    world = build_world(scene)
-    tracer = path_tracer(world, TrueMaterials(scene, world.geometry), scene.max_depth, scene.rr_depth)
-    ours = torch.stack([render(camera, tracer, spp, 100 + s) for s in range(seeds)]).numpy()
+    tracer = paths(scene)
+    ours = np.stack([render(camera, tracer, spp, 100 + s) for s in range(seeds)])
     same = np.ptp(np.concatenate((ours, theirs)), axis=0) <= 1e-5 * np.abs(ours).max()  # nothing, or sky alone
     p = stats.ttest_ind(ours[:, ~same], theirs[:, ~same], axis=0, equal_var=False).pvalue
     ratio = ours.mean() / theirs.mean()

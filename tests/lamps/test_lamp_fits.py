@@ -276,6 +276,7 @@ def test_lamps_that_cannot_be_told_apart_and_one_in_a_closed_box_are_named(box, 
     ("text", "says"),
     [
         ("mesh,r,g\nlight,1,2\n", "no column b"),
+        ("mesh,r,g,b\nlight,1,2,3\nlight,4,4,4\n", "lamp light stands in it twice"),
         ("mesh,r,g,b\nlamp,1,2,3\n", "lamp light of the scene is not in it"),
         ("mesh,r,g,b\nlight,1,-2,3\n", "three numbers from 0"),
         ("mesh,r,g,b\nlight,1,x,3\n", "three numbers from 0"),
@@ -442,13 +443,6 @@ def test_lamps_that_only_rare_paths_show_are_not_like_all_others():
     responses = Responses(halves, None, None, np.einsum("mnc->nc", light))
     assert responses.reaches.all()
     assert indistinguishable(responses, np.zeros(3, bool)) == [[0], [1], [2]]
-
-
-def test_a_lamp_twice_in_the_table_is_refused(tmp_path):
-    path = tmp_path / "true.csv"
-    path.write_text("mesh,r,g,b\nlight,1,2,3\nlight,4,4,4\n")
-    with pytest.raises(InputError, match="lamp light stands in it twice"):
-        read_lamps_true(str(path), ["light"])
 
 
 def test_no_lamp_found_at_all_is_counted(tmp_path):

@@ -187,8 +187,6 @@ def test_what_cannot_be_recovered_is_said():
     assert lamps_of_scene(dark) == []
     with pytest.raises(InputError, match=r"no shape of scene\.xml has an area emitter"):
         unknown_lamps(dark, build_world(scene).geometry, LAMPS)
-    with pytest.raises(InputError, match="emitters: 'guess' is unknown"):
-        Lighting(emitters="guess")
     assert unknown_lamps(scene, build_world(scene).geometry, Lighting()) is None
     assert isinstance(build_world(scene).lights, AreaLights)
 

@@ -7,8 +7,6 @@ import pytest
 import torch
 from torch import nn
 
-from neurad.assembly.settings import Optimization
-from neurad.core.errors import InputError
 from neurad.optim.polyak_average import EVERY, PolyakAverage
 
 
@@ -81,9 +79,3 @@ def test_noise_about_a_minimum_is_averaged_out():
     with average.used():
         mean = float((part.weight.detach() - 1.0).norm()) / math.sqrt(200)
     assert mean < 0.5 * present
-
-
-@pytest.mark.parametrize("fraction", [-0.1, 1.1])
-def test_fractions_that_do_not_exist_are_refused(fraction):
-    with pytest.raises(InputError, match=r"Optimization\.average"):
-        Optimization(average=fraction)

@@ -9,7 +9,6 @@ import yaml
 from helpers.tiny_fit import checkpoint, config, fit, printed_config, write_tiny_config
 
 from neurad.assembly.settings import Objective, Optimization, Sampling
-from neurad.core.errors import InputError
 from neurad.runs.configs import find_config, load_config, resolve, shipped_folders, split_arguments
 
 SHIPPED = sorted(str(path.relative_to(d)) for d in shipped_folders() for path in d.rglob("*.yaml"))
@@ -60,13 +59,6 @@ def test_base_lies_under_the_file_that_names_it(tmp_path, monkeypatch):
     Path("low.yaml").write_text("model: {seed: 1}")
     Path("top.yaml").write_text("base: low.yaml\nmodel: {tracer: open3d}")
     assert resolve(load_config("top.yaml"), {}) == [{"model": {"seed": 1}}, {"model": {"tracer": "open3d"}}]
-
-
-def test_an_unknown_interpolation_names_itself(tmp_path, monkeypatch):
-    monkeypatch.chdir(tmp_path)
-    Path("a.yaml").write_text("model: {seed: '${nowhere}'}")
-    with pytest.raises(InputError, match="nowhere"):
-        resolve(load_config("a.yaml"), {})
 
 
 # ---- overlays

@@ -2,7 +2,6 @@
 
 import os
 import pickle
-import shutil
 import socket
 import sys
 from pathlib import Path
@@ -10,6 +9,7 @@ from pathlib import Path
 import pytest
 import torch
 import yaml
+from helpers.listening import listening
 from helpers.tiny_fit import checkpoint, config, fails, fit, run_folder
 
 import neurad
@@ -17,27 +17,12 @@ from neurad.cli import main
 from neurad.core.errors import InputError
 
 
-@pytest.fixture(scope="module")
-def sent(tmp_path_factory):
-    """A finished run of two iterations, as it was sent."""
-    from helpers.tiny_fit import write_tiny_config
-
-    place = tmp_path_factory.mktemp("sent")
-    with pytest.MonkeyPatch.context() as patch:
-        patch.chdir(place)
-        write_tiny_config()
-        fit("--trainer.max_steps=2", "--evaluation.pictures=0")
-    return place
-
-
 @pytest.fixture
-def place(sent, tmp_path, monkeypatch):
-    """A copy of it to spoil, as the working folder; a module ``evil`` lies there, as it would on ``sys.path``."""
-    shutil.copytree(sent, tmp_path / "work")
-    monkeypatch.chdir(tmp_path / "work")
+def place(fitted_box, tmp_path, monkeypatch):
+    """A run to spoil, as it was sent; a module ``evil`` lies beside it, as it would on ``sys.path``."""
     Path("evil.py").write_text("open('executed', 'w').close()\nclass Evil:\n    pass\n")
-    monkeypatch.syspath_prepend(str(tmp_path / "work"))
-    yield tmp_path / "work"
+    monkeypatch.syspath_prepend(str(fitted_box))
+    yield fitted_box
     sys.modules.pop("evil", None)
     assert not list(tmp_path.rglob("executed"))
 
@@ -81,9 +66,9 @@ def test_its_config_chooses_no_place_to_write(place, capfd):
     main(["test"])
     said = capfd.readouterr().err
     assert all(f"trainer.{name}" in said for name in ELSEWHERE)
-    made = files(place.parent) - {f"work/{name}" for name in before}
+    made = files(place.parent) - {f"{place.name}/{name}" for name in before}
     assert made
-    assert all(name.startswith("work/lightning_logs/version_0/") for name in made)
+    assert all(name.startswith(f"{place.name}/lightning_logs/version_0/") for name in made)
 
 
 @pytest.mark.main
@@ -145,18 +130,6 @@ def test_its_checkpoint_is_not_executed(place, capfd, form):
     assert files(place) == before
 
 
-def listening():
-    """Local addresses of this machine's listening TCP sockets that this process holds."""
-    mine = {os.readlink(link) for link in Path("/proc/self/fd").iterdir() if link.is_symlink() and link.exists()}
-    found = []
-    for table in ("tcp", "tcp6"):
-        for line in Path(f"/proc/net/{table}").read_text().splitlines()[1:]:
-            words = line.split()
-            if words[3] == "0A" and f"socket:[{words[9]}]" in mine:
-                found.append(words[1].rpartition(":")[0])
-    return found
-
-
 LOOPBACK = ("0100007F", "00000000000000000000000001000000", "0000000000000000FFFF00000100007F")
 
 
@@ -168,11 +141,11 @@ def test_a_fit_listens_nowhere(place, monkeypatch):
     seen, step = [], InverseRenderer.training_step
 
     def spied(self, batch, index):
-        seen.append(listening())
+        seen.append(listening("self"))
         return step(self, batch, index)
 
     with socket.create_server(("127.0.0.1", 0)):  # the test of the test
-        assert listening() == ["0100007F"]
+        assert listening("self") == ["0100007F"]
     monkeypatch.setattr(InverseRenderer, "training_step", spied)
     fit("--trainer.max_steps=2")
     fit("--trainer.max_steps=2", "--trainer.strategy=ddp")

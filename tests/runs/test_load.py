@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 import torch
 import yaml
+from helpers.spoil import nothing, replaced, written
 from helpers.tiny_scene import SIZE, write_scene
 
 import neurad
@@ -195,66 +196,39 @@ def test_a_scene_is_found_from_elsewhere(place, tmp_path, monkeypatch):
     assert light_of(neurad.load(run, root="moved").scene) == light_of(neurad.load(run).scene)
 
 
-def no_run(folder):
-    return folder / "version_9"
-
-
-def no_checkpoint(folder):
-    shutil.rmtree(folder / "version_0/checkpoints")
-    return folder / "version_0"
-
-
-def broken(folder):
-    (folder / "version_0/checkpoints/last.ckpt").write_text("x")
-    return folder / "version_0"
-
-
-def elsewhere(folder):
-    shutil.copy(folder / "version_0/checkpoints/last.ckpt", folder / "kept.ckpt")
-    return folder / "kept.ckpt"
-
-
-def foreign(folder):
-    write_checkpoint({"state_dict": {}}, folder / "version_0/checkpoints/last.ckpt")
-    return folder / "version_0"
-
-
-def moved(folder):
-    path = folder / "version_0/config.yaml"
-    path.write_text(path.read_text().replace("root: room", "root: attic"))
-    return folder / "version_0"
-
-
-def other_sizes(folder):
-    path = folder / "version_0/config.yaml"
-    path.write_text(path.read_text().replace("width: 16", "width: 8"))
-    return folder / "version_0"
-
-
-def unknown_key(folder):
-    path = folder / "version_0/config.yaml"
-    path.write_text(path.read_text().replace("reads_albedo:", "reads_colour:"))
-    return folder / "version_0"
-
-
+LAST, CONFIGURED = "version_0/checkpoints/last.ckpt", "version_0/config.yaml"
 BAD = {
-    "no run": (no_run, r"run .*version_9: there is no such run folder or checkpoint"),
-    "no checkpoint": (no_checkpoint, r"run .*version_0: it has no checkpoint"),
-    "broken": (broken, r"run .*version_0: it has no whole checkpoint \(.*last\.ckpt: it is not a readable checkpoint"),
-    "elsewhere": (elsewhere, r"run .*kept\.ckpt: the checkpoint is not in a run folder with a config\.yaml"),
-    "foreign": (foreign, r"run .*last\.ckpt: it is not a checkpoint of neurad"),
-    "moved": (moved, r"run .*version_0: its scene attic is missing; say where it is now with --root"),
-    "other sizes": (other_sizes, r"run .*last\.ckpt: the checkpoint has other field sizes than the config"),
-    "unknown key": (unknown_key, r"version_0/config\.yaml: .*reads_colour"),
-}
+    "no run": (nothing, "version_9", r"run .*version_9: there is no such run folder or checkpoint"),
+    "no checkpoint": (
+        lambda folder: shutil.rmtree(folder / "version_0/checkpoints"), "version_0",
+        r"run .*version_0: it has no checkpoint"),
+    "broken": (
+        written(LAST, "x"), "version_0",
+        r"run .*version_0: it has no whole checkpoint \(.*last\.ckpt: it is not a readable checkpoint"),
+    "elsewhere": (
+        lambda folder: shutil.copy(folder / LAST, folder / "kept.ckpt"), "kept.ckpt",
+        r"run .*kept\.ckpt: the checkpoint is not in a run folder with a config\.yaml"),
+    "foreign": (
+        lambda folder: write_checkpoint({"state_dict": {}}, folder / LAST), "version_0",
+        r"run .*last\.ckpt: it is not a checkpoint of neurad"),
+    "moved": (
+        replaced(CONFIGURED, "root: room", "root: attic"), "version_0",
+        r"run .*version_0: its scene attic is missing; say where it is now with --root"),
+    "other sizes": (
+        replaced(CONFIGURED, "width: 16", "width: 8", -1), "version_0",
+        r"run .*last\.ckpt: the checkpoint has other field sizes than the config"),
+    "unknown key": (
+        replaced(CONFIGURED, "reads_albedo:", "reads_colour:"), "version_0", r"version_0/config\.yaml: .*reads_colour"),
+}  # fmt: skip
 
 
 @pytest.mark.parametrize("case", BAD)
 def test_a_run_that_cannot_be_loaded_is_named(place, tmp_path, case):
-    spoil, said = BAD[case]
+    spoil, named, said = BAD[case]
     shutil.copytree("lightning_logs", tmp_path / "lightning_logs")
+    spoil(tmp_path / "lightning_logs")
     with pytest.raises(InputError, match=said) as error:
-        neurad.load(spoil(tmp_path / "lightning_logs"))
+        neurad.load(tmp_path / "lightning_logs" / named)
     assert "\n" not in str(error.value)
 
 

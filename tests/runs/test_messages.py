@@ -1,8 +1,8 @@
 """A setting that does not exist: one sentence that says where it stands and which one was probably meant."""
 
 import pytest
+from helpers.tiny_fit import fails
 
-from neurad.cli import main
 from neurad.runs.messages import nearest
 
 KNOWN = ["model.sampling.spp", "model.sampling.guide", "evaluation.spp", "evaluation.fraction", "trainer.max_steps"]
@@ -28,28 +28,6 @@ def test_there_may_be_no_settings():
 
 
 @pytest.mark.parametrize(
-    ("words", "said"),
-    [
-        (
-            ("--model.sampling.sppp", "3"),
-            "command line: model.sampling.sppp is not a known setting, did you mean model.sampling.spp?",
-        ),
-        (("--data.rot=x",), "command line: data.rot is not a known setting, did you mean data.root?"),
-        (("--attic=1",), "command line: attic is not a known setting"),
-        (
-            ("--config", "methods/ours.yaml", "--model.method.init_args.bounces=2"),
-            "--model.method: neurad.integrators.radiometric.Radiometric has no setting bounces",
-        ),
-    ],
-)
-def test_a_word_on_the_command_line(capfd, words, said):
-    with pytest.raises(SystemExit) as end:
-        main(["fit", "--config", "cornell.yaml", *words])
-    assert end.value.code == 2
-    assert capfd.readouterr().err == f"neurad: error: {said}\n"
-
-
-@pytest.mark.parametrize(
     ("text", "said"),
     [
         ("data: {patchs: 3}", "data.patchs is not a known setting, did you mean data.patches?"),
@@ -69,16 +47,11 @@ def test_a_word_on_the_command_line(capfd, words, said):
 )
 def test_a_key_in_a_config_file(tmp_path, capfd, text, said):
     (tmp_path / "mine.yaml").write_text(text)
-    with pytest.raises(SystemExit) as end:
-        main(["fit", "--config", "cornell.yaml", "--config", str(tmp_path / "mine.yaml")])
-    assert end.value.code == 2
-    assert capfd.readouterr().err == f"neurad: error: config {tmp_path / 'mine.yaml'}: {said}\n"
+    sentence = fails(capfd, "fit", "--config", "cornell.yaml", "--config", tmp_path / "mine.yaml")
+    assert sentence == f"neurad: error: config {tmp_path / 'mine.yaml'}: {said}"
 
 
 def test_a_launcher_s_variable_that_is_no_number(capfd, monkeypatch):
     monkeypatch.setenv("LOCAL_RANK", "x")
-    with pytest.raises(SystemExit) as end:
-        main(["fit", "--config", "cornell.yaml"])
-    assert end.value.code == 2
-    said = "neurad: error: the environment variable LOCAL_RANK is 'x', not a whole number; unset it\n"
-    assert capfd.readouterr().err == said
+    said = "neurad: error: the environment variable LOCAL_RANK is 'x', not a whole number; unset it"
+    assert fails(capfd, "fit", "--config", "cornell.yaml") == said

@@ -9,8 +9,7 @@ import numpy as np
 import pytest
 import torch
 import trimesh
-from helpers.tiny_fit import fails, fit, run_folder, write_tiny_config
-from helpers.tiny_scene import write_scene
+from helpers.tiny_fit import fails, fit, run_folder
 
 import neurad
 from neurad.assembly.relight import paths, recovered_scene, relit
@@ -29,27 +28,15 @@ SMALL = ("--spp", "2", "--map-spp", "1")
 OLD, NEW = 'name="radiance" value="1, 2, 3"', 'name="radiance" value="2, 2, 3"'
 
 
-@pytest.fixture(scope="module")
-def _fitted(tmp_path_factory):
-    folder = tmp_path_factory.mktemp("fitted")
-    with pytest.MonkeyPatch.context() as patch:
-        patch.chdir(folder)
-        write_scene(Path("room"))
-        write_tiny_config(base="scene.yaml")
-        fit("--trainer.max_steps=2", "--data.root=room", "--model.lighting.lamp_mismatch=warn")
-        shutil.copytree("room", "evening")
-        text = Path("room/scene.xml").read_text()
-        assert OLD in text
-        Path("evening/scene.xml").write_text(text.replace(OLD, NEW))
-        trimesh.creation.box().export("box.glb")
-    return folder
-
-
 @pytest.fixture
-def fitted(_fitted, tmp_path, monkeypatch):
-    shutil.copytree(_fitted, tmp_path / "work")
-    monkeypatch.chdir(tmp_path / "work")
-    return tmp_path / "work"
+def fitted(fitted_room):
+    """A run of the scene folder ``room``, the same room in other light, and a thing to put in."""
+    shutil.copytree("room", "evening")
+    text = Path("room/scene.xml").read_text()
+    assert OLD in text
+    Path("evening/scene.xml").write_text(text.replace(OLD, NEW))
+    trimesh.creation.box().export("box.glb")
+    return fitted_room
 
 
 def picture(run, parts):

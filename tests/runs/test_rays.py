@@ -5,27 +5,20 @@ import json
 from pathlib import Path
 
 import torch
-from helpers.small_step import GRID
+from helpers import tiny_fit
 
 from neurad.cli import main
 
-SMALL = [
-    "--config", "cornell.yaml", "--trainer.max_time=null", "--trainer.accelerator=cpu",
-    "--trainer.enable_progress_bar=false", "--data.patches=64", "--evaluation.spp=1", "--evaluation.test_spp=1",
-    *(f"--model.{part}.grid={json.dumps(vars(GRID))}" for part in ("albedo", "roughness", "radiance")),
-]  # fmt: skip
-
 
 def fit(*words):
-    main(["fit", *SMALL, *words])
+    tiny_fit.fit("--data.patches=64", *words)
     folder = max(Path("lightning_logs").iterdir(), key=lambda path: path.stat().st_mtime)
     with (folder / "metrics.csv").open() as file:
         return folder, [int(row["rays"]) for row in csv.DictReader(file)]
 
 
-def test_only_training_counts(tmp_path, monkeypatch):
+def test_only_training_counts(tiny):
     """However often a run is evaluated, stopped, continued and tested."""
-    monkeypatch.chdir(tmp_path)
     folder, once = fit("--trainer.max_steps=6", "--evaluation.every_n_steps=100", "--trainer.default_root_dir=.")
     _, often = fit("--trainer.max_steps=6", "--evaluation.every_n_steps=2")
     assert len(once) == 1

@@ -1,12 +1,11 @@
 """What neurad refuses before it works: folders that cannot be written, tables and checkpoints that are none."""
 
-import os
 import resource
 from contextlib import contextmanager
 from pathlib import Path
 
 import pytest
-from helpers.tiny_fit import checkpoint, fails, fit, run_folder, write_tiny_config
+from helpers.tiny_fit import checkpoint, fails, fit, run_folder
 
 import neurad
 from neurad.checkpoints.file import write_checkpoint
@@ -32,22 +31,6 @@ def file_size(limit):
         resource.setrlimit(resource.RLIMIT_FSIZE, before)
 
 
-@pytest.fixture(scope="module")
-def _one_fit(tmp_path_factory):
-    folder, here = tmp_path_factory.mktemp("fitted"), Path.cwd()
-    os.chdir(folder)
-    write_tiny_config()
-    fit("--trainer.max_steps=2")
-    os.chdir(here)
-    return folder
-
-
-@pytest.fixture
-def fitted(_one_fit, monkeypatch):
-    """The folder of a run of two iterations as the working one; its run is not to be changed."""
-    monkeypatch.chdir(_one_fit)
-
-
 @pytest.mark.main
 def test_what_cannot_be_written_is_found_before_the_set_up(tiny, capfd, monkeypatch):
     def set_up(self):
@@ -70,8 +53,7 @@ def test_what_cannot_be_written_is_found_before_the_set_up(tiny, capfd, monkeypa
 
 
 @pytest.mark.main
-def test_metrics_that_are_no_table(tiny, capfd):
-    fit("--trainer.max_steps=2")
+def test_metrics_that_are_no_table(fitted_box, capfd):
     table = run_folder() / "metrics.csv"
     good = table.read_bytes()
     for bad, why in (
@@ -102,9 +84,11 @@ def progress(state):
         (lambda state: state["optimizer_states"].pop(), "the state of 1 optimizers, but these settings need 2"),
         (lambda state: state["optimizer_states"][0].clear(), "does not hold what a run of these settings writes"),
         (lambda state: state["callbacks"].update(Evaluate=3), "does not hold what a run of these settings writes"),
+        (lambda state: state.update(state_dict={"a": 1}), "state_dict"),
+        (lambda state: state.pop("neurad"), "neurad is missing"),
     ],
 )
-def test_checkpoints_with_strange_entries(fitted, capfd, change, why):
+def test_checkpoints_with_strange_entries(fitted_box, capfd, change, why):
     state = checkpoint()
     change(state)
     write_checkpoint(state, Path("strange.ckpt"))

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from pathlib import Path
 
 import numpy as np
@@ -40,25 +39,3 @@ def test_replay_renders_what_path_tracing_does_and_direct_light_is_depth_two(tmp
     np.testing.assert_allclose(picture(tmp_path / "direct", "--integrator", "direct"), short, rtol=1e-5, atol=1e-6)
     emitters = picture(tmp_path / "one", "--max-depth", "1")
     assert emitters.mean() < short.mean() < path.mean()
-
-
-@pytest.mark.parametrize(
-    ("arguments", "said"),
-    [
-        (
-            ("--integrator", "pathh"),
-            r"no method pathh \(debiased, direct, path, .*\), did you mean path\?",
-        ),
-        (("--integrator", "direct", "--max-depth", "3"), "only paths have a depth"),
-        (("--spp", "0"), "--spp: 0 is out of range"),
-        (("--max-depth", "0"), "--max-depth: 0 is out of range"),
-    ],
-)
-def test_bad_settings_get_one_sentence(
-    tmp_path: Path, capsys: pytest.CaptureFixture[str], arguments: tuple[str, ...], said: str
-) -> None:
-    with pytest.raises(SystemExit) as stopped:
-        picture(tmp_path / "out", *arguments)
-    assert stopped.value.code == 2
-    assert re.search(said, capsys.readouterr().err)
-    assert not (tmp_path / "out").exists()

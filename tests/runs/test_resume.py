@@ -20,7 +20,7 @@ from neurad.cli import main
 
 pytest.importorskip("mitsuba")
 
-STEPS = 240
+STEPS = 120
 GRID = {"levels": 4, "coarsest": 4, "finest": 32, "log2_size": 12}
 CONFIG = {
     "seed_everything": 7,
@@ -36,7 +36,7 @@ CONFIG = {
         "objective": {"roughness_regulariser": 0.01},
         "optimization": {"average": 0.3, "roughness_decay": 1.0},
     },
-    "evaluation": {"every_n_steps": 30, "spp": 2},
+    "evaluation": {"every_n_steps": 15, "spp": 2},
     "checkpoint": {"every_seconds": 0.2},
 }
 COMMAND = [sys.executable, "-c", "from neurad.cli import main; main()"]
@@ -86,10 +86,10 @@ def test_a_killed_run_continues_to_the_same_bits(tmp_path, monkeypatch, one_thre
 
     process = subprocess.Popen([*COMMAND, *words], env=ENVIRONMENT, stdout=subprocess.DEVNULL)
     end = time.monotonic() + 120
-    scores = last(1).parents[1] / "metrics.csv"  # written at iteration 30, so there is something to cut or continue
+    scores = last(1).parents[1] / "metrics.csv"  # written at iteration 15, so there is something to cut or continue
     while not (last(1).is_file() and scores.is_file()) and process.poll() is None and time.monotonic() < end:
         time.sleep(0.01)
-    time.sleep(random.Random(20231).uniform(0.2, 1.0))
+    time.sleep(random.Random(20231).uniform(0.2, 0.6))
     process.send_signal(signal.SIGKILL)
     process.wait()
     assert process.returncode == -signal.SIGKILL, "the run ended before it was killed: give it more steps"
@@ -98,7 +98,7 @@ def test_a_killed_run_continues_to_the_same_bits(tmp_path, monkeypatch, one_thre
 
     main(["fit", "--ckpt_path", "last"])
     assert table(1) == table(0)
-    assert [int(row["iteration"]) for row in table(1)] == [*range(30, STEPS, 30), STEPS]
+    assert [int(row["iteration"]) for row in table(1)] == [*range(15, STEPS, 15), STEPS]
     whole, continued = (torch.load(last(version), weights_only=True) for version in (0, 1))
     for state in (whole, continued):
         assert state["neurad"].pop("seconds") > 0
@@ -117,15 +117,14 @@ def test_a_killed_run_continues_to_the_same_bits(tmp_path, monkeypatch, one_thre
 
 
 @pytest.mark.main
-def test_a_run_killed_after_its_last_checkpoint_is_brought_to_its_end(tmp_path, monkeypatch, capsys):
+def test_a_run_killed_after_its_last_checkpoint_is_brought_to_its_end(tiny, monkeypatch, capsys):
     """The last checkpoint in between is of the last iteration, but not of its evaluation, which fits factors."""
-    words = ["--trainer.max_time=null", "--trainer.max_steps=30", "--data.validation_pixels=0.03", "--data.patches=64"]
-    words += ["--evaluation.every_n_steps=10", "--checkpoint.every_seconds=0", "--trainer.accelerator=cpu"]
-    monkeypatch.chdir(tmp_path)
-    main(["fit", "--config=cornell.yaml", *words])
+    words = ["--trainer.max_steps=30", "--data.validation_pixels=0.03", "--data.patches=64"]
+    words += ["--evaluation.every_n_steps=10", "--checkpoint.every_seconds=0"]
+    main(["fit", "--config=tiny.yaml", *words])
     with monkeypatch.context() as patch:
         patch.setattr(LastCheckpoint, "on_train_end", lambda *_: None)
-        main(["fit", "--config=cornell.yaml", *words])
+        main(["fit", "--config=tiny.yaml", *words])
     whole, cut = (torch.load(last(version), weights_only=True)["state_dict"] for version in (0, 1))
     assert any(not torch.equal(whole[name], cut[name]) for name in whole), "there is nothing to make up for"
     main(["fit", "--ckpt_path=version_1"])

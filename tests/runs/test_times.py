@@ -4,7 +4,7 @@ from pathlib import Path
 
 import pytest
 import yaml
-from helpers.tiny_fit import fails, printed_config
+from helpers.tiny_fit import printed_config
 
 from neurad.runs.times import in_tree, in_words
 
@@ -39,17 +39,3 @@ def test_budgets_of_callbacks():
     tree = in_tree({"trainer": {"callbacks": [entry, "other"]}}, "config x")
     assert tree["trainer"]["callbacks"] == [{**entry, "init_args": {"seconds": 120.0}}, "other"]
     assert entry["init_args"]["seconds"] == "2m"
-
-
-@pytest.mark.main
-@pytest.mark.parametrize(
-    ("value", "said"),
-    [
-        ("240", "--trainer.max_time: 240 has no unit, a time is written 60s, 4m, 1h30m or DD:HH:MM:SS"),
-        ("soon", "--trainer.max_time: soon is not a time, such as 60s"),
-        ("0.2s", "--trainer.max_time: 0.2s is too short"),
-        ("0s", "--trainer.max_time: 00:00:00:00 is out of range"),
-    ],
-)
-def test_a_time_that_is_none_is_one_sentence(tiny, capfd, value, said):
-    assert said in fails(capfd, "fit", "--config", "tiny.yaml", "--trainer.max_time", value)

@@ -283,17 +283,6 @@ def test_shadow_rays_reach_the_light_and_see_what_is_between(backend, scale, off
         assert (t_max > 0.99 * distance).all()
 
 
-def test_unknown_names_are_refused_with_the_known_ones():
-    with pytest.raises(InputError, match=r"optix.*embree, open3d"):
-        make_tracer("optix", torch.zeros(0, 3), torch.zeros(0, 3, dtype=torch.int64))
-
-
-def test_missing_open3d_says_what_to_install(monkeypatch):
-    monkeypatch.setitem(__import__("sys").modules, "open3d", None)  # makes its import fail
-    with pytest.raises(InputError, match=r"neurad\[open3d\].*libusb"):
-        make_tracer("open3d", *tensors(ball(0)))
-
-
 def test_missing_warp_says_what_to_install(monkeypatch):
     monkeypatch.setitem(__import__("sys").modules, "warp", None)
     with pytest.raises(InputError, match=r"neurad\[gpu\].*embree"):

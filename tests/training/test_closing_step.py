@@ -19,7 +19,7 @@ from neurad.training import closing_step
 from neurad.training.closing_step import Agreement, agreement, make_closing_step, progress_before, should_close
 from neurad.training.schedule import Progress
 
-ROUGHNESS, STEPS = 0.3, 150
+ROUGHNESS, STEPS = 0.3, 100
 
 
 @pytest.fixture(scope="module")

@@ -12,6 +12,8 @@ import pytest
 import torch
 import torch.distributed as dist
 from helpers.ddp_run import STEPS, fit
+from helpers.listening import listening
+from helpers.tiny_fit import write_tiny_config
 
 from neurad.training.gradient_sync import Exchange, GradientSync
 
@@ -52,11 +54,9 @@ def test_two_processes_learn_what_one_learns_from_both_batches(tmp_path, kind):
 def test_ctrl_c_stops_two_processes_after_the_same_iteration(tmp_path, interrupted):
     """One of them gets the signal; the other must not wait for it for ever, and the first writes a whole checkpoint."""
     environment = {**os.environ, "OMP_NUM_THREADS": "1", "CUDA_VISIBLE_DEVICES": ""}
-    settings = {
-        "config": "cornell.yaml", "trainer.accelerator": "cpu", "trainer.devices": "2", "trainer.strategy": "ddp",
-        "trainer.max_time": "null", "trainer.max_steps": "1000000", "data.patches": "16", "evaluation.fraction": "0",
-        "checkpoint.every_seconds": "1",
-    }  # fmt: skip
+    write_tiny_config(tmp_path / "tiny.yaml", trainer={"devices": 2, "strategy": "ddp", "max_steps": 1_000_000})
+    settings = {"config": "tiny.yaml", "evaluation.every_n_steps": "null", "evaluation.fraction": "0",
+                "checkpoint.every_seconds": "1"}  # fmt: skip
     command = [sys.executable, "-m", "neurad", "fit", *(f"--{key}={value}" for key, value in settings.items())]
     with (tmp_path / "log").open("w") as log:
         process = subprocess.Popen(
@@ -96,7 +96,7 @@ def test_two_processes_listen_on_loopback_alone(tmp_path):
         )
     seen = set()
     try:
-        wait_until(lambda: seen.update(listening(process.pid)) or process.poll() is not None, 120)
+        wait_until(lambda: seen.update(of_both(process.pid)) or process.poll() is not None, 120)
     finally:
         with contextlib.suppress(ProcessLookupError):  # nobody is left
             os.killpg(process.pid, signal.SIGKILL)
@@ -104,14 +104,11 @@ def test_two_processes_listen_on_loopback_alone(tmp_path):
     assert seen == {"0100007F"}  # 127.0.0.1
 
 
-def listening(pid):
-    """Addresses on which a process and its children listen, as Linux writes them."""
+def of_both(pid):
+    """Addresses on which a process and its children listen."""
     with contextlib.suppress(OSError):
-        children = Path(f"/proc/{pid}/task/{pid}/children").read_text().split()
-        held = {os.readlink(link) for one in (pid, *children) for link in Path(f"/proc/{one}/fd").iterdir()}
-        rows = [row.split() for table in ("tcp", "tcp6") for row in Path(f"/proc/net/{table}").read_text().splitlines()]
-        return {row[1].rpartition(":")[0] for row in rows if row[3] == "0A" and f"socket:[{row[9]}]" in held}
-    return set()
+        return listening(pid, *Path(f"/proc/{pid}/task/{pid}/children").read_text().split())
+    return ()
 
 
 def wait_until(true, seconds):

@@ -354,7 +354,5 @@ def test_what_cannot_be_recovered_is_said(tmp_path):
 
     with pytest.raises(InputError, match="no environment"):
         unknown_environment(build_cornell(), Lighting("fit"))
-    with pytest.raises(InputError, match="unknown"):
-        Lighting("guess")
     with pytest.raises(InputError, match="too small"):
         FittedEnvironment(sky(), 1, 8)

@@ -42,7 +42,7 @@ def kept_and_lost():
     found = []
     without = replace(scene, materials=[replace(m, metallic=DIELECTRIC) for m in scene.materials])
     for known in (scene, without):
-        fit = Fit(known, images, Plan(steps=400)).run()
+        fit = Fit(known, images, Plan(steps=200)).run()
         si = fit.seen(4096)
         with torch.no_grad():
             truth, surface = TrueMaterials(scene, fit.world.geometry)(si), fit.surface(si)

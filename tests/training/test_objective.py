@@ -9,7 +9,6 @@ import torch
 from helpers.small_step import SmallStep, small_scene
 
 from neurad.assembly.settings import Objective, Sampling
-from neurad.core.errors import InputError
 from neurad.core.rng import Stream
 from neurad.integrators.radiometric import Radiometric
 from neurad.scene.builtin import build_cube
@@ -85,17 +84,6 @@ def test_the_field_learns_the_same_from_some_of_the_first_hits():
     assert some["prior"].std() < 4 * every["prior"].std()
     # The weight of the LHS loss is the inverse square of a mean over fewer positions, which is a little larger.
     assert some["lhs"].mean() == pytest.approx(every["lhs"].mean(), rel=0.01)
-
-
-def test_one_group_of_samples_is_refused():
-    with pytest.raises(InputError, match=r"Sampling\.sample_groups"):
-        Sampling(sample_groups=1)
-
-
-@pytest.mark.parametrize("fraction", [0.0, -0.5, 1.5])
-def test_fractions_of_first_hits_that_do_not_exist_are_refused(fraction):
-    with pytest.raises(InputError, match=r"Sampling\.field_fraction"):
-        Sampling(field_fraction=fraction)
 
 
 @pytest.mark.parametrize("gradient", ["semi", "full"])

@@ -43,3 +43,24 @@ INTEGERS = (-1, 0, 1, 2, 3, 4, 7, 255, 65535, 2**31 - 1, -(2**31), 2_000_000_000
 def pick(options, number):
     """One of the options, whatever the number."""
     return options[number % len(options)]
+
+
+def containers(value):
+    """All lists and objects in a document."""
+    if isinstance(value, dict | list):
+        yield value
+        for inner in value.values() if isinstance(value, dict) else value:
+            yield from containers(inner)
+
+
+def change(document, where, how, odd, keys):
+    """Replace a value of a document by an odd one, add it under one of the keys, or take a value away."""
+    place = pick(list(containers(document)) or [[0]], where)
+    if isinstance(place, dict):
+        key = pick(list(place) or list(keys), how // 3) if how % 3 else pick(keys, how // 3)
+        if how % 7 == 1:
+            place.pop(key, None)
+        else:
+            place[key] = odd
+    elif place:
+        place[how % len(place)] = odd

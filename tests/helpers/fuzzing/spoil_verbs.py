@@ -32,29 +32,10 @@ GOOD = {
     "bench gradients": [],
     "bench ceiling": ["--config", "cornell.yaml"],
     "bench trace": [],
-}
+}  # fmt: skip
 """Commands that work, by verb."""
-VALUES = tuple(
-    text.replace("\0", "").replace("\ud800", "\udcff")
-    for text in (
-        *NUMBERS,
-        *WORDS,
-        *NAMES,
-        "ours,ours",
-        ",",
-        ",,",
-        "ours,",
-        "1,2",
-        "-1,0",
-        "0,0",
-        "1,x",
-        "nan,1",
-        "=",
-        "a=b",
-        "a=",
-        "=b",
-    )
-)
+LISTS = ("ours,ours", ",", ",,", "ours,", "1,2", "-1,0", "0,0", "1,x", "nan,1", "=", "a=b", "a=", "=b")
+VALUES = tuple(x.replace("\0", "").replace("\ud800", "\udcff") for x in (*NUMBERS, *WORDS, *NAMES, *LISTS))
 
 
 def options_of(verb: str) -> list[argparse.Action]:

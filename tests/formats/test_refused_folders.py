@@ -1,5 +1,9 @@
-"""Scene folders with broken or hostile files: one sentence each, never a crash, and never a wrong result."""
+"""Scene folders with broken or hostile files: one sentence each, never a crash, and never a wrong result.
 
+One table: a name, the change of a correct folder, and what is said.
+"""
+
+import io
 import os
 import re
 import struct
@@ -7,8 +11,24 @@ import zlib
 
 import numpy as np
 import pytest
+from helpers.spoil import (
+    PNG,
+    as_floor,
+    beside,
+    both,
+    frame,
+    inside,
+    photograph,
+    photographs,
+    removed,
+    replaced,
+    set_paint,
+    top,
+    written,
+    xml,
+)  # fmt: skip
 from helpers.tiny_fit import fails
-from helpers.tiny_scene import PLY, XML, read_json, write_json, write_scene
+from helpers.tiny_scene import PLY, POSE, XML, write_scene
 from PIL import Image
 
 from datamodules.scene_data import SceneData
@@ -21,17 +41,7 @@ pytest.importorskip("mitsuba")
 
 LIGHT = '<rgb name="radiance" value="1, 2, 3"/>'
 PAPER = '<rgb name="reflectance" value="0.1, 0.2, 0.3"/>'
-PAINT = XML[XML.index("<texture") : XML.index("</texture>") + 10]
 FACES = "3 0 1 2\n3 0 2 3\n"
-
-
-def xml(old, new):
-    def spoil(folder):
-        text = (folder / "scene.xml").read_text()
-        assert old in text
-        (folder / "scene.xml").write_text(text.replace(old, new, 1))
-
-    return spoil
 
 
 def radiance(value, kind="rgb"):
@@ -48,13 +58,6 @@ def environment(plugin, inside, pixels=1.0):
 
 def envmap(inside="", pixels=1.0, name="sky.exr"):
     return environment("envmap", f'<string name="filename" value="{name}"/>{inside}', pixels)
-
-
-def written(name, data):
-    def spoil(folder):
-        (folder / name).write_bytes(data if isinstance(data, bytes) else data.encode())
-
-    return spoil
 
 
 def ply(form="binary_little_endian", index=(0, 1, 2), count=3, vertices=3, corner=0.0, cut=None, kind="int"):
@@ -114,6 +117,13 @@ def said_size(width, height):
     return spoil
 
 
+def encoded(picture):
+    """The bytes of a PNG file."""
+    file = io.BytesIO()
+    picture.save(file, "PNG")
+    return file.getvalue()
+
+
 def pipe(name):
     def spoil(folder):
         (folder / name).unlink(missing_ok=True)
@@ -122,45 +132,111 @@ def pipe(name):
     return spoil
 
 
-def top(text):
-    def spoil(folder):
-        file = folder / "transforms_train.json"
-        file.write_text(file.read_text().replace('"camera_angle_x": 0.9', text, 1))
-
-    return spoil
-
-
-def frame(**changes):
-    def spoil(folder):
-        described = read_json(folder, "train")
-        described["frames"][1].update(changes)
-        write_json(folder, "train", described)
-
-    return spoil
-
-
-def photographs(value, channels=3):
-    def spoil(folder):
-        pixels = np.full((8, 8, channels), 0.5, np.float32)
-        pixels[..., -1] = value
-        for i in range(3):
-            write_exr(folder / f"images/train_{i}.exr", pixels, half=False)
-
-    return spoil
-
-
-def every_pixel(value):
-    def spoil(folder):
-        for i in range(3):
-            write_exr(folder / f"images/train_{i}.exr", np.full((8, 8, 3), value, np.float32), half=False)
-
-    return spoil
-
-
+GREY = encoded(Image.new("L", (9, 6)))
 HDR = b"#?RADIANCE\nFORMAT=32-bit_rle_rgbe\n\n-Y 2 +X 4\n"
 IMAGES = "images/train_1.exr"
 
+
+def angle(text):
+    return replaced("transforms_train.json", '"camera_angle_x": 0.9', text)
+
+
+def mask(data):
+    """Name a mask and write it."""
+    return both(frame(mask_path="masks/a.png"), written("masks/a.png", data))
+
+
+def pose(rotation):
+    matrix = np.array(POSE)
+    matrix[:3, :3] = rotation
+    return matrix.tolist()
+
+
 BAD = {
+    # what is missing, and camera files
+    "no scene.xml": (removed("scene.xml"), r"scene\.xml: the scene folder lacks"),
+    "no camera file": (removed("transforms_train.json"), r"transforms_train\.json: the scene folder lacks"),
+    "broken json": (written("transforms_train.json", "{"), r"transforms_train\.json: it is not valid JSON"),
+    "no frames": (top(frames=[]), r"transforms_train\.json: it has no frames"),
+    "json of another kind": (written("transforms_train.json", "[1]"), r"transforms_train\.json: it has no frames"),
+    "frame without file": (frame(file_path=...), r"frame 1 has no file_path"),
+    "frame listed twice": (frame(file_path="images/train_0.exr"), r"frame 1 .*is also that of frame 0"),
+    "frame with an empty file": (frame(file_path=""), r"frame 1 has no file_path"),
+    "frame without name": (frame(file_path="/"), r"its file_path '/' is not the name of a file"),
+    "no photograph": (removed("images/train_1.exr"), r"images/train_1\.exr: the photograph is missing"),
+    "no held-out photograph": (removed("images/test_1.exr"), r"images/test_1\.exr: the photograph is missing"),
+    "no listed map": (frame(albedo_path="albedo/x.exr"), r"albedo/x\.exr: the albedo map is missing"),
+    "no matrix": (frame(transform_matrix=...), r"frame 1 \(images/train_1\.exr\): its transform_matrix is missing"),
+    "matrix of words": (frame(transform_matrix="abc"), r"frame 1 .*transform_matrix is not 4 x 4 numbers"),
+    "small matrix": (frame(transform_matrix=[[1, 0], [0, 1]]), r"frame 1 .*not 4 x 4"),
+    "NaN in matrix": (frame(transform_matrix=pose(np.full((3, 3), np.nan))), r"frame 1 .*row 1, column 1 is nan"),
+    "scaled matrix": (frame(transform_matrix=pose(np.eye(3) * 1.01)), r"frame 1 .*not rigid"),
+    "mirrored matrix": (frame(transform_matrix=pose(np.diag([-1, 1, 1]))), r"frame 1 .*not rigid"),
+    "no angle": (top(camera_angle_x=...), r"neither camera_angle_x nor fl_x"),
+    "angle in degrees": (top(camera_angle_x=51.5), r"camera_angle_x is 51\.5"),
+    "bad size": (top(w=0), r"w is 0, which has to be a number from 1"),
+    "half a size": (frame(w=16, h=None), r"frame 1 .*h is None, not a number"),
+    "two focal lengths": (top(fl_x=20.0), r"fl_x is 20, but by camera_angle_x it is 8\.28"),
+    "no focal length": (top(camera_angle_x=..., fl_x=0), r"frame 0 .*fl_x is 0"),
+    "negative fl_y": (frame(fl_y=-5.0), r"frame 1 .*fl_y is -5, which has to be a number from 0"),
+    "endless focal length": (top(camera_angle_x=..., fl_x=1e300), r"fl_x is 1e\+300"),
+    "NaN in a lens": (frame(k1=float("nan")), r"frame 1 .*k1 is nan, which has to be a number"),
+    "a word in a lens": (frame(cx="middle"), r"frame 1 .*cx is 'middle', not a number"),
+    "picture that folds over": (frame(k1=-3.0), r"frame 1 .*distortion \(k1 -3\) folds over inside the picture"),
+    "unknown model": (top(camera_model="EQUIRECTANGULAR"), r"camera_model is 'EQUIRECTANGULAR', which is not one of"),
+    "model that is no name": (top(camera_model=3), r"camera_model is 3, not a name"),
+    "coefficient of another model": (top(k4=0.1), r"k4 is 0\.1, but a camera of model OPENCV has none"),
+    "distorted pinhole": (top(camera_model="PINHOLE", k1=0.1), r"k1 is 0\.1, but a camera of model PINHOLE has none"),
+    "fisheye by its angle": (top(camera_model="OPENCV_FISHEYE"), r"neither camera_angle_x nor fl_x says"),
+    "no mask": (frame(mask_path="masks/a.png"), r"masks/a\.png: the mask is missing that transforms_train\.json lists"),
+    "mask that is no name": (frame(mask_path=3), r"mask_path is 3, not the name of a file"),
+    "no mesh": (removed("meshes/floor.ply"), r"meshes/floor\.ply: the mesh of shape floor in scene\.xml is missing"),
+    "empty mesh": (written("meshes/floor.ply", PLY.format(faces=0)), r"mesh floor is empty"),
+    "NaN vertex": (ply(corner=np.nan), r"floor\.ply: coordinate x of its vertices is nan, 1, 0"),
+    "no texture": (removed("textures/paint.png"), r"paint\.png: there is no such texture file"),
+    "broken texture": (written("textures/paint.png", "no picture"), r"paint\.png: it cannot be read"),
+    "broken xml": (written("scene.xml", "<scene"), r"scene\.xml: it is not well-formed XML .*line 1"),
+    "unknown reference": (xml('ref id="paint"', 'ref id="pain"'), r"unresolved reference to .pain"),
+    "hair": (xml('shape type="rectangle"', 'shape type="bsplinecurve"'), r"lamp has type bspline"),
+    "rough plastic": (xml('"diffuse"', '"roughplastic"'), r"lamp has distribution beckmann"),
+    "opacity mask": (inside("mask"), r"bsdf paint of shape floor has type mask, .* lets light through"),
+    "transparent": (set_paint('<float name="spec_trans" value="1"/>'), r"bsdf paint of shape floor sets spec_trans"),
+    "transparent by a texture": (set_paint(PNG.format("spec_trans")), r"bsdf paint of shape floor sets spec_trans"),
+    "glass that is rough": (beside('<bsdf type="roughdielectric"/>'), r"paint of shape floor has type roughdielectric"),
+    "a mirror on one side": (
+        beside('<bsdf type="conductor"/>'), r"bsdf paint of shape floor is twosided with 2 BSDFs"),
+    "three sides": (beside('<bsdf type="diffuse"/>' * 2), r"bsdf paint of shape floor is twosided with 3 BSDFs"),
+    "textured mirror": (as_floor(f'<bsdf type="conductor">{PNG.format("eta")}</bsdf>'), r"the eta of .* is textured"),
+    "mirror of no metal": (
+        as_floor('<bsdf type="twosided"><bsdf type="conductor"><string name="material" value="Xx"/></bsdf></bsdf>'),
+        r"parameters that Mitsuba does not accept"),
+    "no depth": (xml('value="6"', 'value="0"'), r"scene\.xml: its integrator has max_depth 0"),
+    "negative depth": (xml('value="6"', 'value="-2"'), r"its integrator has max_depth -2"),
+    "roulette before the first bounce": (
+        xml('"rr_depth" value="4"', '"rr_depth" value="0"'), r"its integrator has rr_depth 0"),
+    "thin glass": (xml('"diffuse"', '"thindielectric"'), r"shape lamp has type thindielectric"),
+    "bumpy mirror": (
+        as_floor(f'<bsdf type="normalmap"><bsdf type="conductor"/>{PNG.format("normalmap")}</bsdf>'),
+        r"is a normalmap on a smooth surface"),
+    "textured light": (
+        xml('<rgb name="radiance" value="1, 2, 3"/>',
+                 '<texture type="checkerboard" name="radiance"/>'),
+        r"radiance of .*checkerboard"),
+    "textured light without a file": (
+        xml('<rgb name="radiance" value="1, 2, 3"/>',
+                 '<texture type="bitmap" name="radiance"><string name="filename" value="a.png"/></texture>'),
+        r"a\.png: there is no such texture file"),
+    "projector": (
+        xml("</scene>", '<emitter type="projector"/></scene>'), r"emitter of type projector"),
+    "no envmap": (
+        xml("</scene>",
+                 '<emitter type="envmap"><string name="filename" value="a.exr"/></emitter></scene>'),
+        r"a\.exr: there is no such texture file"),
+    "no attribute": (
+        xml('<float name="roughness" value="0.4"/>',
+                 '<texture type="mesh_attribute" name="roughness"><string name="name" value="vertex_r"/></texture>'),
+        r"shape floor has no vertex attribute vertex_r"),
+    # values, sizes and broken files
     "radiance inf": (radiance("inf"), r"scene\.xml: the radiance of the area light of shape lamp is inf, inf, inf"),
     "radiance NaN": (radiance("1, nan, 1"), r"shape lamp is 1, nan, 1, which has to be numbers from 0 to 1e\+17"),
     "radiance 1e39": (radiance("1e39", "float"), r"the radiance of the area light of shape lamp is inf"),
@@ -225,29 +301,38 @@ BAD = {
     "200 000 pixels": (window(IMAGES, b"displayWindow", 200000), r"train_1\.exr: it says that it has 200000 x 200000"),
     "60 000 pixels": (window(IMAGES, b"dataWindow", 60000), r"train_1\.exr: "),
     "200 000 texels": (said_size(200000, 200000), r"paint\.png: it says that it has 200000 x 200000 pixels"),
-    "cut hdr": (lambda f: (envmap(name="a.hdr")(f), written("a.hdr", HDR)(f)), r"a\.hdr: it ends before its 4 x 2"),
-    "huge hdr": (lambda f: (envmap(name="a.hdr")(f), written("a.hdr", HDR.replace(b"2", b"9" * 99))(f)), r"a\.hdr: "),
-    "noise as hdr": (lambda f: (envmap(name="a.hdr")(f), written("a.hdr", b"x" * 99)(f)), r"a\.hdr: it is not a Rad"),
-    "cut pfm": (lambda f: (envmap(name="a.pfm")(f), written("a.pfm", b"PF\n4 2\n-1\n0")(f)), r"a\.pfm: it ends before"),
-    "angle 1e400": (top('"camera_angle_x": 1e400'), r"camera_angle_x is inf, which has to be a number from 0\.0001"),
-    "angle 10^400": (top(f'"camera_angle_x": 1{"0" * 400}'), r"camera_angle_x is 1000.*0, which has to be"),
-    "angle as text": (top('"camera_angle_x": "0.9"'), r"camera_angle_x is '0\.9', not a number"),
+    "cut hdr": (both(envmap(name="a.hdr"), written("a.hdr", HDR)), r"a\.hdr: it ends before its 4 x 2"),
+    "huge hdr": (both(envmap(name="a.hdr"), written("a.hdr", HDR.replace(b"2", b"9" * 99))), r"a\.hdr: "),
+    "noise as hdr": (both(envmap(name="a.hdr"), written("a.hdr", b"x" * 99)), r"a\.hdr: it is not a Rad"),
+    "cut pfm": (both(envmap(name="a.pfm"), written("a.pfm", b"PF\n4 2\n-1\n0")), r"a\.pfm: it ends before"),
+    "angle 1e400": (angle('"camera_angle_x": 1e400'), r"camera_angle_x is inf, which has to be a number from 0\.0001"),
+    "angle 10^400": (angle(f'"camera_angle_x": 1{"0" * 400}'), r"camera_angle_x is 1000.*0, which has to be"),
+    "angle as text": (angle('"camera_angle_x": "0.9"'), r"camera_angle_x is '0\.9', not a number"),
     "nested brackets": (written("transforms_train.json", "[" * 10**5), r"transforms_train\.json: it is nested too"),
-    "a key twice": (top('"camera_angle_x": 0.8, "camera_angle_x": 0.9'), r"has the key 'camera_angle_x' twice"),
+    "a key twice": (angle('"camera_angle_x": 0.8, "camera_angle_x": 0.9'), r"has the key 'camera_angle_x' twice"),
     "matrix of text": (frame(transform_matrix=[["1"] * 4] * 4), r"row 1, column 1 is '1', not a number"),
     "a name of 300 letters": (frame(file_path="x" * 300), r"longer than the file system allows"),
     "a surrogate": (frame(file_path="\ud800"), r"\\ud800\.exr: its name has characters"),
     "a NUL": (frame(file_path="a\0b"), r"a\\x00b\.exr: its name has a NUL"),
     "pixels of 1e30": (photographs(1e30), r"train_0\.exr: it has pixels above 1e\+18 \(64 of 64"),
     "NaN pixels": (photographs(np.nan), r"train_0\.exr: .*NaN or infinite \(64 of 64\)"),
+    "infinite pixel": (photograph(np.inf), r"train_1\.exr: it has pixels that are NaN or infinite"),
+    "negative pixel": (photograph(-1.0), r"train_1\.exr: it has negative pixels"),
+    "another size": (photograph(height=9), r"train_1\.exr: it has 8 x 9 pixels, its camera 8 x 8"),
+    "another film": (frame(w=16, h=8), r"train_1\.exr: it has 8 x 8 pixels, its camera 16 x 8.*w and h"),
+    "grey": (photograph(channels=1), r"train_1\.exr: a photograph has channels RGB or RGBA"),
+    "no photograph but text": (written(IMAGES, "x"), r"train_1\.exr: it cannot be read as an EXR image"),
+    "an empty photograph": (written(IMAGES, ""), r"train_1\.exr: it cannot be read"),
+    "a mask that is no picture": (mask("no picture"), r"masks/a\.png: it cannot be read as an image"),
+    "a mask of another size": (mask(GREY), r"masks/a\.png: it has 9 x 6 pixels, its camera 8 x 8"),
     "alpha 2": (photographs(2.0, 4), r"train_0\.exr: its alpha is up to 2"),
-    "dim photographs": (every_pixel(1e-30), r"scene room: the training photographs are too dim .*up to 1e-30"),
-    "black photographs": (every_pixel(0.0), r"scene room: every training photograph is black"),
+    "dim photographs": (photographs(1e-30), r"scene room: the training photographs are too dim .*up to 1e-30"),
+    "black photographs": (photographs(0.0), r"scene room: every training photograph is black"),
 }  # fmt: skip
 
 
 @pytest.mark.parametrize("case", BAD)
-def test_hostile_files_get_one_sentence(tmp_path, case, capfd):
+def test_bad_folders_get_one_sentence(tmp_path, case, capfd):
     folder = write_scene(tmp_path / "room")
     spoil, said = BAD[case]
     spoil(folder)
