@@ -10,6 +10,7 @@ import numpy as np
 from neurad.core.errors import InputError
 from neurad.core.records import FloatArray, IntArray, Mesh
 from neurad.scene.description import Scene
+from neurad.scene.parts import connected_parts
 
 MAX_PARTS = 256
 """Most parts of a mesh: photographs do not separate more lamps."""
@@ -26,29 +27,10 @@ def lamps_in_parts(scene: Scene) -> Scene:
     meshes = []
     for mesh in scene.meshes:
         shines = mesh.radiance is not None and bool(mesh.radiance.any())
-        meshes += list(_parts(mesh, parts_of(mesh), names, scene.name)) if shines else [mesh]
+        meshes += (
+            list(_parts(mesh, connected_parts(mesh.vertices, mesh.faces), names, scene.name)) if shines else [mesh]
+        )
     return replace(scene, meshes=meshes)
-
-
-def parts_of(mesh: Mesh) -> IntArray:
-    """Which connected part each triangle belongs to [f], counted from 0 as they come. Vertices at the same place are
-    the same, since files split them where normals or texture coordinates jump.
-    """
-    places, same = np.unique(mesh.vertices, axis=0, return_inverse=True)
-    faces = same.reshape(-1)[mesh.faces]  # [f, 3]
-    part = np.arange(len(places))  # of each place: the lowest place that it is known to be connected with
-    while True:
-        lower = part.copy()
-        of_corners = part[faces]
-        np.minimum.at(lower, of_corners, of_corners.min(1, keepdims=True))  # what they hang on, so that chains halve
-        while not np.array_equal(lower, lower[lower]):
-            lower = lower[lower]
-        if np.array_equal(lower, part):
-            break
-        part = lower
-    _, first, number = np.unique(part[faces[:, 0]], return_index=True, return_inverse=True)
-    order: IntArray = np.argsort(np.argsort(first))[number.reshape(-1)]
-    return order
 
 
 def _parts(mesh: Mesh, part: IntArray, names: set[str], scene: str) -> Iterator[Mesh]:

@@ -6,7 +6,7 @@ import numpy as np
 
 from neurad.runtime.reading import shown
 from neurad.scene.description import Scene
-from neurad.scene.lamp_parts import parts_of
+from neurad.scene.parts import connected_parts
 
 _OPEN = 0.1
 """Part of a surface's area that its normals add up to, from which on it is a sheet: of a closed one they cancel."""
@@ -25,7 +25,7 @@ def single_sheets(scene: Scene) -> list[str]:
             continue
         p = mesh.vertices[mesh.faces].astype(np.float64)
         across = 0.5 * np.cross(p[:, 1] - p[:, 0], p[:, 2] - p[:, 0])
-        area, part = np.linalg.norm(across, axis=1), parts_of(mesh)
+        area, part = np.linalg.norm(across, axis=1), connected_parts(mesh.vertices, mesh.faces)
         total = np.bincount(part, area)
         sums = [np.bincount(part, column) for column in (*across.T, *(area[:, None] * p.mean(1)).T)]
         for index in np.flatnonzero(np.linalg.norm(sums[:3], axis=0) > _OPEN * total):

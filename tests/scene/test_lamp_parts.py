@@ -8,8 +8,8 @@ from helpers.lamp_room import lamp_room
 
 from neurad.core.errors import InputError
 from neurad.scene import lamp_parts
-from neurad.scene.builtin.shapes import ball, join, quad
-from neurad.scene.lamp_parts import lamps_in_parts, parts_of
+from neurad.scene.builtin.shapes import ball, join
+from neurad.scene.lamp_parts import lamps_in_parts
 
 CENTRES = [(0.0, 0.0, 0.0), (0.3, 0.0, 0.0), (0.0, 0.3, 0.0), (0.0, 0.0, 0.3)]
 
@@ -30,42 +30,6 @@ def corners(meshes):
     ]  # fmt: skip
     rows = np.concatenate(rows)
     return rows[np.lexsort(rows.T)]
-
-
-def test_balls_are_parts_whatever_the_order_of_their_triangles():
-    mesh = chandelier()
-    centre = mesh.vertices[mesh.faces].mean(1)
-    nearest = np.linalg.norm(centre[:, None] - np.array(CENTRES), axis=-1).argmin(1)
-    part = parts_of(mesh)
-    assert len(np.unique(np.stack((part, nearest), 1), axis=0)) == len(CENTRES)
-    first = [int(np.flatnonzero(part == index)[0]) for index in range(len(CENTRES))]
-    assert first == sorted(first)
-
-
-def test_vertices_at_one_place_connect_and_a_long_strip_is_one():
-    quads = join(*(quad((0.1 * i, 0, 0), (0.1, 0, 0), (0, 0, 0.1)) for i in range(200)))
-    mesh = quads.mesh("strip", 0, smooth_shading=False, radiance=np.ones(3, np.float32))
-    vertices = np.round(mesh.vertices, 3)  # neighbours' sums differ in the last bit
-    assert (parts_of(replace(mesh, vertices=vertices)) == 0).all()
-    apart = vertices + np.repeat(np.arange(200), 4)[:, None] * np.float32(0.01)
-    np.testing.assert_array_equal(parts_of(replace(mesh, vertices=apart)), np.repeat(np.arange(200), 2))
-
-
-def test_a_spiral_is_one_part_after_few_rounds(monkeypatch):
-    """A bent tube, whose places are sorted across its turns: rounds grow with the logarithm of its length."""
-    turns = np.linspace(0.0, 60.0 * np.pi, 4000)
-    centre = np.stack((np.cos(turns), np.sin(turns), turns / 40.0), 1)
-    side = np.concatenate((centre, centre + np.array([0.0, 0.0, 0.02]))).astype(np.float32)
-    first = np.arange(3999)
-    faces = np.concatenate(
-        (np.stack((first, first + 1, first + 4000), 1), np.stack((first + 1, first + 4001, first + 4000), 1))
-    )
-    mesh = replace(chandelier(), vertices=side, faces=faces, normals=None, uvs=None)
-    compared = []
-    same = np.array_equal
-    monkeypatch.setattr(np, "array_equal", lambda *pair: compared.append(1) or same(*pair))
-    assert (parts_of(mesh) == 0).all()
-    assert len(compared) < 60  # once a round and once a jump; hooked on one by one it took a round for each place
 
 
 def test_only_lamps_are_split_and_nothing_moves():

@@ -1,0 +1,82 @@
+"""Connected parts of surfaces."""
+
+from __future__ import annotations
+
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+import torch
+from torch import Tensor
+
+from neurad.core.records import FloatArray, IntArray
+from neurad.scene.geometry import Geometry
+
+SAMPLES = 1 << 18
+"""Points on the triangles by which positions find theirs."""
+
+
+def connected_parts(vertices: FloatArray, faces: IntArray) -> IntArray:
+    """Which connected part each triangle belongs to [f], counted from 0 as they come. Vertices at the same place are
+    the same, since files split them where normals or texture coordinates jump.
+
+    Args:
+        vertices: [v, 3].
+        faces: indices into them [f, 3].
+    """
+    from scipy.sparse import coo_matrix  # imported where it is needed: it loads slowly
+    from scipy.sparse.csgraph import connected_components
+
+    _, same = np.unique(vertices, axis=0, return_inverse=True)
+    corner = same.reshape(-1)[faces]  # [f, 3]
+    begin, end = np.concatenate((corner[:, :2], corner[:, 1:])).T
+    places = int(corner.max(initial=-1)) + 1
+    links = coo_matrix((np.ones(len(begin), np.int8), (begin, end)), (places, places))
+    label = connected_components(links, directed=False)[1]
+    _, first, number = np.unique(label[corner[:, 0]], return_index=True, return_inverse=True)
+    order: IntArray = np.argsort(np.argsort(first))[number.reshape(-1)]
+    return order
+
+
+class SurfaceParts:
+    """The connected parts of a scene's surfaces, meshes joined where they have vertices at the same place.
+
+    Args:
+        geometry: of the scene.
+    """
+
+    def __init__(self, geometry: Geometry) -> None:
+        self._geometry = geometry
+        parts = connected_parts(geometry.vertices.cpu().numpy(), geometry.faces.cpu().numpy())
+        self.count = int(parts.max(initial=-1)) + 1
+        self._of_triangle = torch.from_numpy(parts)
+
+    def of(self, prim: Tensor) -> Tensor:
+        """Part of each triangle ``prim`` [n]; that of the first one for -1."""
+        if self._of_triangle.device != prim.device:
+            self._of_triangle = self._of_triangle.to(prim.device)
+        return self._of_triangle[prim.clamp_min(0)]
+
+    def at(self, p: Tensor) -> Tensor:
+        """Part that lies nearest to each position [n, 3], within the distance of :data:`SAMPLES` points from each
+        other.
+        """
+        points, part = self._samples
+        found = points.query(p.cpu().numpy())[1]
+        return part[torch.from_numpy(np.asarray(found, np.int64))].to(p.device)
+
+    @cached_property
+    def _samples(self) -> tuple[Any, Tensor]:
+        """A tree of points spread evenly over the triangles, one in each at least, and the part of each point."""
+        from scipy.spatial import KDTree
+
+        area = self._geometry.face_area.cpu().numpy().astype(np.float64)
+        edges = np.cumsum(area) / max(float(area.sum()), 1e-300)
+        spread = np.searchsorted(edges, (np.arange(SAMPLES) + 0.5) / SAMPLES).clip(0, len(area) - 1)
+        prim = np.concatenate((np.arange(len(area)), spread))
+        u, v = np.random.default_rng(0).random((2, len(prim)))
+        u, v = np.where(u + v > 1.0, 1.0 - u, u), np.where(u + v > 1.0, 1.0 - v, v)
+        u[: len(area)] = v[: len(area)] = 1.0 / 3.0
+        corners = self._geometry.vertices.cpu().numpy()[self._geometry.faces.cpu().numpy()[prim]]  # [n, 3, 3]
+        weight = np.stack((1.0 - u - v, u, v), -1)
+        return KDTree((weight[..., None] * corners).sum(1)), self._of_triangle.cpu()[torch.from_numpy(prim)]
