@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import argparse
 
-from benchmarks.bench import bound, ceiling, cube, encode, gradients, growth, memory, peer, response, start, step, trace
+from benchmarks.bench import bound, ceiling, cube, encode, gradients, growth, memory, peer, start, step, trace
 from neurad.commands import Verb
 from neurad.runtime.files import check_file, check_folder
 
@@ -23,7 +23,6 @@ BENCHMARKS: dict[str, tuple[Verb, str]] = {
         bound,
         "how far a fit is from the best possible: resolution, noise, fields, light field, and the fit itself",
     ),
-    "response": (response, "what photographs ask of a fit's roughness, beside what is wrong with it"),
     "peer": (peer, "race Mitsuba 3's path replay backpropagation to a given albedo error, on this machine"),
     "cube": (cube, "time and memory of a step against albedo, for ours, path replay and differentiated path tracing"),
     "gradients": (

@@ -27,7 +27,8 @@ from neurad.emitters.fitted import FittedEnvironment
 from neurad.emitters.fitted_lamps import FittedLamps
 from neurad.emitters.lights import Lights, WithPunctual, make_lights
 from neurad.fields.development import FittedDevelopment
-from neurad.fields.material import CORRECTION_CELLS, CORRECTION_FACTOR, Correction, MaterialField
+from neurad.fields.hierarchy import DETAILS, Hierarchy
+from neurad.fields.material import HIERARCHY_CELLS, MaterialField
 from neurad.fields.radiance import RadianceField
 from neurad.fields.settings import FieldConfig, RadianceConfig, RoughnessConfig
 from neurad.integrators.delta import DeltaSurfaces
@@ -39,6 +40,7 @@ from neurad.integrators.world import World
 from neurad.optim.polyak_average import PolyakAverage
 from neurad.scene.description import Scene
 from neurad.scene.geometry import Geometry
+from neurad.scene.parts import SurfaceParts
 from neurad.scene.textures import OnEmitters, SceneTexture, TrueMaterials
 from neurad.tracing.counting import CountingTracer
 from neurad.tracing.select import make_tracer
@@ -122,12 +124,22 @@ class FittedMaterials(nn.Module):
         inside: Tensor = cube(p.to(next(iter(cube.buffers())).device))
         return inside
 
-    def at(self, p: Tensor) -> dict[str, Tensor]:
-        """Recovered parameters [n, channels] at positions [n, 3] in the scene's frame, on any device, by name."""
+    def at(self, p: Tensor, prim: Tensor | None = None) -> dict[str, Tensor]:
+        """Recovered parameters [n, channels] at positions [n, 3] in the scene's frame, on any device, by name; on the
+        triangles ``prim`` [n], or on what lies nearest.
+        """
         fields = self.recovered
         p = p.to(next(iter(fields[ALBEDO.name].parameters())).device)
         albedo = fields[ALBEDO.name].at(p)
-        return {name: albedo if name == ALBEDO.name else field.at(p, albedo) for name, field in fields.items()}
+        return {name: albedo if name == ALBEDO.name else field.at(p, albedo, prim) for name, field in fields.items()}
+
+    def std(self, p: Tensor, prim: Tensor | None = None) -> dict[str, Tensor]:
+        """Standard deviations [n, channels] of the parameters whose fields know them; as :meth:`at`."""
+        fields = self.recovered
+        p = p.to(next(iter(fields[ALBEDO.name].parameters())).device)
+        albedo = fields[ALBEDO.name].at(p)
+        found = {name: field.std(p, albedo, prim) for name, field in fields.items() if name != ALBEDO.name}
+        return {name: std for name, std in found.items() if std is not None}
 
 
 def build_materials(
@@ -149,13 +161,16 @@ def build_materials(
             scene) like every recovered surface, whatever model the file gives them.
     """
     region = region or Region(scene.bounds)
-    bounds, cells = torch.from_numpy(region.bounds), region.cells(CORRECTION_CELLS, CORRECTION_FACTOR)
+    bounds, cells = torch.from_numpy(region.bounds), region.cells(HIERARCHY_CELLS, max(DETAILS))
+
+    has_structure = any(isinstance(c, RoughnessConfig) and c.structure != "free" for c in configs.values())
+    parts = SurfaceParts(geometry) if has_structure else None
 
     def made(parameter: SurfaceParameter) -> nn.Module:
         if not parameter.is_recovered:
             return SceneTexture(scene, parameter, geometry)
         config = region.stretched(configs[parameter.name])
-        return MaterialField(parameter, config, bounds, region.contracted, cells)
+        return MaterialField(parameter, config, bounds, region.contracted, parts, cells)
 
     materials = FittedMaterials({parameter.name: made(parameter) for parameter in scene.parameters})
     if known_emitters:
@@ -241,12 +256,12 @@ class Assembly:
         return None if self.radiance is None else list(self.radiance.inputs)
 
     @property
-    def correction(self) -> Correction | None:
-        """What a closing step adds to the roughness; None in a run that makes none."""
+    def hierarchy(self) -> Hierarchy | None:
+        """What a closing step finds of the roughness; None in a run that makes none."""
         if self.radiance is None or not isinstance(self.materials, FittedMaterials):
             return None
         field = self.materials.recovered.get(ROUGHNESS.name)
-        return None if field is None else field.correction
+        return None if field is None else field.hierarchy
 
     @property
     def estimator(self) -> Estimator:
@@ -306,11 +321,9 @@ def assemble(
         materials = TrueMaterials(scene, world.geometry)
     else:
         configs = {p.name: resolve_finest(getattr(settings, p.name), cells) for p in recovered(scene.parameters)}
-        if (
-            environment is not None or not settings.method.needs_field
-        ):  # residuals are then not those of materials alone
+        if not settings.method.needs_field:  # residuals are then not those of materials alone
             configs = {
-                name: replace(config, closing_step=False) if isinstance(config, RoughnessConfig) else config
+                name: replace(config, structure="free") if isinstance(config, RoughnessConfig) else config
                 for name, config in configs.items()
             }
         materials = build_materials(scene, configs, world.geometry, region, known_emitters)

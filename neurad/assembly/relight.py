@@ -79,7 +79,7 @@ class EditedMaterials(nn.Module):
         known: Surface = self.known(si)
         mesh = self.geometry.mesh_index[si.prim.clamp_min(0)]
         given = dict(zip((parameter.name for parameter in PARAMETERS), self.given[:, mesh].unsqueeze(-1), strict=True))
-        recovered = self.fields.at(si.p)
+        recovered = self.fields.at(si.p, si.prim)
         values = {name: torch.where(given[name], getattr(known, name), found) for name, found in recovered.items()}
         return replace(known, **values)
 

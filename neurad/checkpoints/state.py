@@ -17,13 +17,14 @@ from neurad.scene.light import light_changes, light_of
 FOCUS = "focus."
 DEVELOPMENT = "development."
 """What names of state begin with that is of the fit's photographs alone; others may be looked at with its result."""
-CORRECTION = "materials.fields.roughness.correction."
+HIERARCHY = "materials.fields.roughness.hierarchy."
 """What names of state begin with that a closing step has found; a fit that has none yet makes it later."""
+_OF_ANY_SIZE = f"{HIERARCHY}keys", f"{HIERARCHY}values"
 DDP_IGNORED = "world.guide.", "average.", FOCUS
 """What names of state begin with that only takes noise away: no weights, and alike in all processes."""
 _WITHOUT = {
     FOCUS: "the checkpoint does not say which pixels tell of roughness (model.sampling.focus); the run finds out anew",
-    CORRECTION: "the checkpoint is of a fit without a closing step (model.roughness.closing_step); this one makes it",
+    HIERARCHY: "the checkpoint is of a fit without a closing step (model.roughness.structure); this one makes it",
 }
 
 
@@ -62,14 +63,12 @@ def fitting(
     weights = checkpoint["state_dict"]
     if not continues:
         weights = _lamps_by_mesh(weights, own, state, scene)
-    for prefix in (*DDP_IGNORED, CORRECTION) if continues else (*DDP_IGNORED, CORRECTION, DEVELOPMENT):
+    for prefix in (*DDP_IGNORED, HIERARCHY) if continues else (*DDP_IGNORED, HIERARCHY, DEVELOPMENT):
         mine = {name: value for name, value in own.items() if name.startswith(prefix)}
         theirs = {name: value for name, value in weights.items() if name.startswith(prefix)}
-        if prefix == CORRECTION and theirs.get(f"{CORRECTION}made", 0):  # nothing found is dropped
+        if prefix == HIERARCHY and theirs.get(f"{HIERARCHY}made", 0):  # nothing found is dropped
             if not mine:
-                raise InputError(
-                    f"{source}: its roughness has had a closing step; set model.roughness.closing_step true"
-                )
+                raise InputError(f"{source}: its roughness has had a closing step; set model.roughness.structure auto")
             continue
         if {name: value.shape for name, value in mine.items()} == {name: value.shape for name, value in theirs.items()}:
             continue
@@ -78,7 +77,7 @@ def fitting(
         weights = {name: value for name, value in weights.items() if name not in theirs} | mine
     checkpoint["state_dict"] = weights
     for name, value in weights.items():
-        if name not in own or own[name].shape != value.shape:
+        if name not in own or (own[name].shape != value.shape and name not in _OF_ANY_SIZE):
             raise InputError(
                 f"{source}: the checkpoint has other field sizes than the config ({name} differs); where "
                 "grid.finest is null they follow the training views"

@@ -7,14 +7,11 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 import torch
 
+from neurad.core.parameters import RECOVERED
 from neurad.core.records import FloatArray, SurfaceInteraction
-from neurad.evidence.bar_calibration import PRIOR
 from neurad.evidence.error_bars import BarFields, ErrorBars
 from neurad.metrics.bar_scores import BarPool
 from neurad.metrics.held_out import HeldOut
-
-PRIORS = {"albedo": None, "roughness": PRIOR}
-"""Standard deviation where nothing is known of the maps that have bars; that of an albedo is not known."""
 
 
 def bars_at(
@@ -30,7 +27,9 @@ def bars_at(
         emits: whether each triangle does, bool.
     """
     recovered = (si.valid & ~emits[si.prim.clamp_min(0)]).cpu().numpy()[:, None]
-    return {name: np.where(recovered, values, np.float32(0.0)) for name, values in bars.at(materials, si.p).items()}
+    return {
+        name: np.where(recovered, values, np.float32(0.0)) for name, values in bars.at(materials, si.p, si.prim).items()
+    }
 
 
 def predict_bars(held_out: HeldOut, bars: ErrorBars, materials: BarFields) -> list[dict[str, FloatArray]]:
@@ -55,8 +54,8 @@ def score_bars(held_out: HeldOut, maps: Sequence[Mapping[str, FloatArray]]) -> d
     no bars or no truth is left out.
     """
     scores: dict[str, float] = {}
-    for name, prior in PRIORS.items():
-        pool = BarPool(prior)
+    for name in RECOVERED:
+        pool = BarPool()
         for index, entry in enumerate(maps):
             truth = held_out.truth(index).get(f"{name}_true")
             if truth is not None and f"{name}_std" in entry:

@@ -3,13 +3,11 @@
 from __future__ import annotations
 
 import io
-from dataclasses import astuple
 from pathlib import Path
 
 import numpy as np
 
 from neurad.core.errors import InputError
-from neurad.evidence.bar_calibration import RoughnessBars
 from neurad.evidence.error_bars import COLUMNS, ErrorBars
 from neurad.evidence.nodes import Nodes
 from neurad.runtime.files import replacing
@@ -23,8 +21,6 @@ _SIZES = {
     "values": (-1, COLUMNS),
     "cell": (),
     "spread": (3,),
-    "scales": (-1,),
-    "edges": (),
     "iteration": (),
 }
 
@@ -35,12 +31,10 @@ def write_bars(bars: ErrorBars, path: Path) -> None:
     Raises:
         InputError: the system refused.
     """
-    scales = () if bars.roughness is None else astuple(bars.roughness)
     buffer = io.BytesIO()
     np.savez_compressed(
         buffer, side=bars.nodes.side, index=bars.nodes.index, values=bars.nodes.values.astype(np.float32),
-        cell=bars.cell, spread=bars.spread, scales=np.array(scales, np.float64), edges=bars.edges,
-        iteration=bars.iteration,
+        cell=bars.cell, spread=bars.spread, iteration=bars.iteration,
     )  # fmt: skip
     with replacing(path) as part:
         part.write_bytes(buffer.getvalue())
@@ -61,16 +55,14 @@ def read_bars(path: Path) -> ErrorBars:
         fits = len(shape) == len(size) and all(want in (-1, have) for have, want in zip(shape, size, strict=True))
         if not fits or numbers.dtype.kind not in "fiu" or not np.isfinite(numbers).all():
             raise InputError(f"{path}: {said}")
-    side, scales = int(found["side"]), found["scales"]
+    side = int(found["side"])
     index = found["index"].astype(np.int64)
     ordered = len(index) == len(found["values"]) and (np.diff(index) > 0).all()
-    if side < 1 or len(scales) not in (0, 2, 3) or not ordered or not found["edges"] > 0.0:
+    if side < 1 or not ordered:
         raise InputError(f"{path}: {said}")
     return ErrorBars(
         Nodes(side, index, found["values"].astype(np.float64)),
         float(found["cell"]),
         found["spread"].astype(np.float64),
-        RoughnessBars(*(float(value) for value in scales)) if len(scales) else None,
-        float(found["edges"]),
         int(found["iteration"]),
     )

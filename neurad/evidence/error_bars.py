@@ -1,21 +1,18 @@
 """Error bars of recovered albedo and roughness at any surface point, from the photographs alone.
 
-A pass over some training pixels at the final parameters collects at the nodes of a grid what
-:mod:`neurad.evidence.pixel_derivatives` finds in them; nothing is kept while a fit runs. With sums over the pixels near
-a point, ``w`` = 1 / squared brightness, and scaled from the pixels of the pass to all pixels:
+Those of roughness are the posterior's of :mod:`neurad.fields.hierarchy`. For those of albedo a pass over some training
+pixels at the final parameters collects at the nodes of a grid what :mod:`neurad.evidence.pixel_derivatives` finds in
+them; nothing is kept while a fit runs. With sums over the pixels near a point, ``w`` = 1 / squared brightness, and
+scaled from the pixels of the pass to all pixels:
 
-    roughness:  1 / variance = (gain (F / s)^power + 1 / prior^2) (mean of sqrt(T)) / sqrt(T)
-                F of :mod:`neurad.evidence.fisher`, s the noise of pixels, T by how much roughness varies around a point
-    albedo:     1 / variance = 1 / sqrt(V N) + 1 / spread^2
-                N = (misfit^2 / D^2) / (pixels that see one pixel's patch of surface) + (X / A)^2 roughness variance
+    1 / variance = 1 / sqrt(V N) + 1 / spread^2
+    N = (misfit^2 / D^2) / (pixels that see one pixel's patch of surface) + (X / A)^2 roughness variance
 
 N is the variance that a noisy photograph leaves in what a pixel covers, the unknown roughness included (X / A is by how
 much albedo makes up for roughness); V is the variance that the recovered albedo has within a pixel, the detail that
 no pixel can tell. Both measure how much of the pattern at the size of a pixel is not known, each with errors of its own
 that are factors, so the mean of their logarithms is taken. At a point the root of V is that of its cell, times how much
-more the albedo varies around the point than in the cell (texture, edges). Errors of the roughness are larger next to
-its edges, too, but by less. ``gain`` and, in a fit with a closing step, ``prior`` are measured from what independent
-halves of the photographs say of the same place, see :mod:`neurad.evidence.bar_calibration`.
+more the albedo varies around the point than in the cell (texture, edges).
 """
 
 from __future__ import annotations
@@ -29,21 +26,13 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from neurad.core.parameters import ALBEDO, ROUGHNESS, SurfaceParameter
-from neurad.core.records import Float64Array, FloatArray, IntArray
-from neurad.evidence.bar_calibration import RoughnessBars, calibrate
-from neurad.evidence.fisher import profile
+from neurad.core.parameters import ALBEDO, ROUGHNESS
+from neurad.core.records import Float64Array, FloatArray
 from neurad.evidence.nodes import Nodes
-from neurad.evidence.pixel_derivatives import PixelDerivatives
+from neurad.evidence.pixel_derivatives import DARK, LIMIT, PixelDerivatives
 
-DARK = 0.01
-"""Fraction of the mean squared radiance that is added to the squared brightness that pixels are weighted by."""
-LIMIT = 1.0
-"""Largest residual, and half of the largest derivative by roughness, in units of the brightness: fireflies are cut."""
 CELLS = 64
 """Cells of the grid along the longest side of what the pixels see: some 10 cm of a room share their information."""
-FINER = 2
-"""Patches of one unknown albedo along a cell of the grid."""
 FLAT = 5e-3
 """Standard deviation that materials have around any point: what looks flat need not be."""
 
@@ -52,10 +41,9 @@ ToUnitCube = Callable[[Tensor], Tensor]
 
 _COLUMNS = {
     "count": 1, "area": 1, "square": 3, "misfit": 3, "detail": 3, "texture": 3, "cross": 3, "weight": 3,
-    "information": 1,
 }  # fmt: skip
-"""Sums at the nodes: of pixels, their area, D^2, squared misfit, V, :func:`texture` at a point of each, D R w, D^2 w,
-F / s of all pixels."""
+"""Sums at the nodes: of pixels, their area, D^2, squared misfit, V, :func:`texture` at a point of each, D R w and
+D^2 w."""
 
 COLUMNS = sum(_COLUMNS.values())
 
@@ -67,19 +55,13 @@ class BarFields(Protocol):
         """Positions [n, 3] in the scene, on any device, to the unit cube of the fields."""
         ...
 
-    def at(self, p: Tensor) -> dict[str, Tensor]:
-        """Recovered parameters [n, channels] at such positions, by name."""
+    def at(self, p: Tensor, prim: Tensor | None = None) -> dict[str, Tensor]:
+        """Recovered parameters [n, channels] at such positions, by name, on triangles ``prim`` [n] if given."""
         ...
 
-
-@dataclass(frozen=True)
-class RoughnessInformation:
-    """What the closing step of a fit found its photographs to tell of the roughness."""
-
-    information: FloatArray
-    """1 / variance in cells of the unit cube [s, s, s]."""
-    scales: RoughnessBars
-    """For information in such cells."""
+    def std(self, p: Tensor, prim: Tensor | None = None) -> dict[str, Tensor]:
+        """Standard deviations [n, channels] of those parameters whose fields know them; as :meth:`at`."""
+        ...
 
 
 @dataclass(frozen=True)
@@ -90,25 +72,23 @@ class ErrorBars:
         nodes: sums at the nodes of a grid in the unit cube, columns as in _COLUMNS.
         cell: side of a cell of that grid in scene units.
         spread: standard deviation of the recovered albedo over the photographs [3].
-        roughness: scales of the roughness; None in a scene without any.
-        edges: mean over the photographs of the root of the roughness's :func:`texture`.
         iteration: of the fit when they were measured.
     """
 
     nodes: Nodes
     cell: float
     spread: Float64Array
-    roughness: RoughnessBars | None
-    edges: float
     iteration: int
 
-    def at(self, materials: BarFields, p: Tensor) -> dict[str, FloatArray]:
-        """Standard deviations of ``albedo`` [n, 3] and, where there is one, ``roughness`` [n, 1].
+    def at(self, materials: BarFields, p: Tensor, prim: Tensor | None = None) -> dict[str, FloatArray]:
+        """Standard deviations of ``albedo`` [n, 3] and, where its field knows it, ``roughness`` [n, 1].
 
         Args:
             materials: the recovered ones.
             p: positions in the scene [n, 3].
+            prim: triangles that they lie on [n]; None for the nearest.
         """
+        found = {name: std.cpu().numpy() for name, std in materials.std(p, prim).items()}
         p = p.cpu()
         read = self.nodes.read(in_cube(materials.to_unit_cube, p.numpy()))
         sums = dict(zip(_COLUMNS, np.split(read, np.cumsum([*_COLUMNS.values()])[:-1], 1), strict=True))
@@ -117,32 +97,18 @@ class ErrorBars:
         overlap = np.maximum(count * sums["area"] / pixels / self.cell**2, 1.0)  # pixels that see one pixel's patch
         side = np.sqrt(sums["area"] / pixels)[:, 0]
         noise = sums["misfit"] / np.maximum(sums["square"], 1e-30) / overlap
-        found: dict[str, FloatArray] = {}
-        if self.roughness is not None:
-            variance = self.roughness.variance(sums["information"])  # [n, 1]
+        if ROUGHNESS.name in found:
             trade = sums["cross"] / np.maximum(sums["weight"], 1e-30)
-            noise = noise + np.minimum(np.square(trade), 1.0) * variance
-            varies = np.sqrt(texture(partial(_parameter, materials, ROUGHNESS), p, side)) / self.edges
-            varies = 1.0 + count / (count + 1.0) * (varies - 1.0)  # without pixels there is no size of one
-            found[ROUGHNESS.name] = np.sqrt(variance * varies).astype(np.float32)
+            noise = noise + np.minimum(np.square(trade), 1.0) * np.square(found[ROUGHNESS.name])
         deviation = np.sqrt(noise * sums["detail"] / pixels)
         # The mean of this factor over the pixels of a cell is 1.
-        deviation *= texture(partial(_parameter, materials, ALBEDO), p, side) / np.maximum(
-            sums["texture"] / pixels, 1e-30
-        )
+        deviation *= texture(partial(_albedo, materials), p, side) / np.maximum(sums["texture"] / pixels, 1e-30)
         known = count / (count + 1.0) / np.maximum(deviation, 1e-12)
         albedo = np.sqrt(1.0 / (known + 1.0 / np.maximum(np.square(self.spread), 1e-12)))
         return {ALBEDO.name: albedo.astype(np.float32), **found}
 
 
-def measure(
-    pixels: PixelDerivatives,
-    materials: BarFields,
-    total: int,
-    iteration: int,
-    has_roughness: bool,
-    known: RoughnessInformation | None = None,
-) -> ErrorBars:
+def measure(pixels: PixelDerivatives, materials: BarFields, total: int, iteration: int) -> ErrorBars:
     """Error bars from the pixels of a pass.
 
     Args:
@@ -150,8 +116,6 @@ def measure(
         materials: the recovered ones.
         total: training pixels that the fit has seen, of which ``pixels`` are a sample.
         iteration: of the fit.
-        has_roughness: whether roughness was recovered.
-        known: of the roughness, from more samples than ``pixels`` have; None to take theirs.
     """
     x = in_cube(materials.to_unit_cube, pixels.p)
     side = _side(x)
@@ -159,39 +123,22 @@ def measure(
     brightness = _brightness(pixels)  # [n, 3]
     by_albedo = pixels.by[ALBEDO.name] / brightness
     by_roughness = (pixels.by[ROUGHNESS.name] / brightness).clip(-2.0 * LIMIT, 2.0 * LIMIT)
-    residual = (pixels.residual / brightness).clip(-LIMIT, LIMIT)
     misfit = np.square((pixels.misfit / brightness).clip(-LIMIT, LIMIT) * brightness)
-    # Stage 2: information about roughness with the albedo of small patches profiled out.
     times = max(total / len(pixels), 1.0)
-    information, scales = np.zeros(len(pixels)), None
-    if has_roughness:
-        if known is not None:
-            # As much as in a cell of those, wherever nodes are nearer to each other.
-            information = _shared(x, known.information) * (side / len(known.information)) ** 2
-            scales = known.scales
-        else:
-            patch, patches = cells(x, FINER * side)
-            noise = max(float((residual[0] * residual[1]).mean()), 1e-9)  # without the estimate's own
-            profiled = profile(by_albedo, by_roughness, residual, patch, patches)
-            information = times * profiled.information() / noise
-            places = patch, cells(x, side)[0]
-            scales = calibrate(by_albedo, by_roughness, residual, information, pixels.odd, places, noise)
-    # Stage 3: sums at the nodes.
+    # Stage 2: sums at the nodes.
     d = pixels.by[ALBEDO.name][0] * pixels.by[ALBEDO.name][1]
     weighted = by_albedo[0] * by_albedo[1]
     cross = 0.5 * (by_albedo[0] * by_roughness[1] + by_albedo[1] * by_roughness[0])
     ones = np.ones((len(pixels), 1))
     cell = _cell(materials.to_unit_cube, pixels.p, side)
     around = torch.from_numpy(pixels.p), np.sqrt(pixels.area)
-    varies, edges = texture(partial(_parameter, materials, ALBEDO), *around), 1.0
-    if has_roughness and len(pixels):
-        edges = float(np.sqrt(texture(partial(_parameter, materials, ROUGHNESS), *around)).mean())
+    varies = texture(partial(_albedo, materials), *around)
     columns = (
         times * ones, times * pixels.area[:, None], times * d, times * misfit, times * pixels.detail, times * varies,
-        times * cross, times * weighted, information[:, None],
+        times * cross, times * weighted,
     )  # fmt: skip
     nodes = Nodes.scattered(x, np.concatenate(columns, 1), side)
-    return ErrorBars(nodes, cell, pixels.albedo.std(0).astype(np.float64), scales, edges, iteration)
+    return ErrorBars(nodes, cell, pixels.albedo.std(0).astype(np.float64), iteration)
 
 
 def in_cube(to_cube: ToUnitCube, p: FloatArray) -> Float64Array:
@@ -199,9 +146,9 @@ def in_cube(to_cube: ToUnitCube, p: FloatArray) -> Float64Array:
     return to_cube(torch.from_numpy(np.ascontiguousarray(p, np.float32))).cpu().numpy().astype(np.float64)
 
 
-def _parameter(materials: BarFields, parameter: SurfaceParameter, p: Tensor) -> Tensor:
-    """One of the recovered parameters [n, channels] at positions in the scene [n, 3]."""
-    return materials.at(p)[parameter.name]
+def _albedo(materials: BarFields, p: Tensor) -> Tensor:
+    """Recovered albedo [n, 3] at positions in the scene [n, 3]."""
+    return materials.at(p)[ALBEDO.name]
 
 
 def texture(field: Callable[[Tensor], Tensor], p: Tensor, side: Float64Array | FloatArray) -> Float64Array:
@@ -219,35 +166,6 @@ def texture(field: Callable[[Tensor], Tensor], p: Tensor, side: Float64Array | F
         values = torch.stack([field(p + away * corner).cpu().double() for corner in corners])  # [4, n, c]
     found: Float64Array = (values.var(0) + FLAT**2).sqrt().numpy()
     return found
-
-
-def cells(x: Float64Array, side: int) -> tuple[IntArray, int]:
-    """The cell that each position [n, 3] in the unit cube lies in, of ``side`` along an edge: numbers from 0 [n] of the
-    occupied ones, and how many there are.
-    """
-    occupied, place = np.unique(_number(x, side), return_inverse=True)
-    return place.reshape(-1), len(occupied)
-
-
-def in_cells(x: Float64Array, values: Float64Array, side: int) -> FloatArray:
-    """Sums of ``values`` [n] over the positions ``x`` [n, 3] in each cell of the unit cube [side, side, side], the axes
-    those of the positions.
-    """
-    return np.bincount(_number(x, side), values, side**3).reshape((side,) * 3).astype(np.float32)
-
-
-def _shared(x: Float64Array, known: FloatArray) -> Float64Array:
-    """The share [n] of each position [n, 3] in what is known [s, s, s] of its cell."""
-    number = _number(x, len(known))
-    return np.asarray(known.reshape(-1)[number] / np.bincount(number, minlength=known.size)[number], np.float64)
-
-
-def _number(x: Float64Array, side: int) -> IntArray:
-    """Numbers [n] of the cells that positions [n, 3] in the unit cube lie in; ``side`` of them along an edge, the last
-    axis fastest.
-    """
-    at = np.minimum((np.clip(x, 0.0, 1.0) * side).astype(np.int64), side - 1)
-    return np.asarray((at[:, 0] * side + at[:, 1]) * side + at[:, 2])
 
 
 def _brightness(pixels: PixelDerivatives) -> Float64Array:

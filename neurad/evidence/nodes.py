@@ -6,6 +6,7 @@ from dataclasses import dataclass
 from typing import Self
 
 import numpy as np
+import torch
 
 from neurad.core.grid import trilinear
 from neurad.core.records import Float64Array, IntArray
@@ -25,7 +26,7 @@ class Nodes:
     @classmethod
     def scattered(cls, x: Float64Array, values: Float64Array, side: int) -> Self:
         """Spread ``values`` [n, c] at positions ``x`` [n, 3] in [0, 1] over the eight nodes around each."""
-        node, weight = trilinear(x, side)
+        node, weight = _trilinear(x, side)
         index, place = np.unique(node, return_inverse=True)
         place = place.reshape(node.shape)
         sums = np.zeros((len(index), values.shape[1]))
@@ -39,9 +40,15 @@ class Nodes:
         result = np.zeros((len(x), self.values.shape[1]))
         if len(self.index) == 0:
             return result
-        node, weight = trilinear(x, self.side)
+        node, weight = _trilinear(x, self.side)
         place = np.searchsorted(self.index, node).clip(0, len(self.index) - 1)
         weight = np.where(self.index[place] == node, weight, 0.0)
         for corner in range(8):
             result += weight[:, corner, None] * self.values[place[:, corner]]
         return result
+
+
+def _trilinear(x: Float64Array, side: int) -> tuple[IntArray, Float64Array]:
+    """:func:`neurad.core.grid.trilinear` of arrays."""
+    node, weight = trilinear(torch.from_numpy(x), side)
+    return node.numpy(), weight.numpy()

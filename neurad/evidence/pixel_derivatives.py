@@ -22,6 +22,10 @@ SPP = 8
 """Samples a pixel, both halves together: a pixel more says more than a sample more."""
 GROUP = SPP // 2
 """Samples of a half."""
+DARK = 0.01
+"""Fraction of the mean squared radiance that is added to the squared brightness that pixels are weighted by."""
+LIMIT = 1.0
+"""Largest residual, and half of the largest derivative by roughness, in units of the brightness: fireflies are cut."""
 _GROUPS = 2  # independent groups in a half, as its control variate needs
 _LANES = 1 << 15  # samples in flight: bounds the memory
 _STREAM, _GIVEN = 29, 31  # last number of the stream's key
@@ -177,6 +181,8 @@ class SampleGroup:
     """By sample [b, n, 3]."""
     p: Tensor
     """Surface points by sample [b, n, 3]."""
+    prim: Tensor
+    """Triangles by sample [b, n]."""
     cosine: Tensor
     """Cosine of the viewing direction, by sample [b, n]."""
     valid: Tensor
@@ -256,7 +262,8 @@ def group_of_samples(
         by = _jacobian(image, leaves)
     return SampleGroup(
         (image.detach() + first.attenuate(emitted).view(b, n, 3)).mean(1), by, field,
-        surface.albedo.detach().view(b, n, 3), si.p.view(b, n, 3), (si.n * si.wo).sum(-1).abs().view(b, n),
+        surface.albedo.detach().view(b, n, 3), si.p.view(b, n, 3), si.prim.view(b, n),
+        (si.n * si.wo).sum(-1).abs().view(b, n),
         si.valid.view(b, n).all(1),
     )  # fmt: skip
 

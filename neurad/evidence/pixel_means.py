@@ -14,8 +14,7 @@ from neurad.core.parameters import ALBEDO, ROUGHNESS
 from neurad.core.protocols import PhotoSource
 from neurad.core.records import FloatArray, IntArray, PixelBatch
 from neurad.core.rng import Stream
-from neurad.evidence.error_bars import DARK, LIMIT
-from neurad.evidence.pixel_derivatives import GROUP, batches_without_replacement, group_of_samples
+from neurad.evidence.pixel_derivatives import DARK, GROUP, LIMIT, batches_without_replacement, group_of_samples
 from neurad.integrators.estimator import Estimator
 from neurad.integrators.primary_hits import PrimaryHits
 from neurad.runtime import threads
@@ -33,6 +32,8 @@ class PixelMeans:
     """Column and row of the pixel [n, 2]."""
     p: FloatArray
     """One of the surface points in each pixel [n, 3]."""
+    prim: IntArray
+    """Triangle that it lies on [n]."""
     r: FloatArray
     """Derivative by roughness [n, 3]; so are the next ones, a value a channel."""
     d: FloatArray
@@ -126,7 +127,7 @@ def _parts(
 
         kept &= torch.isfinite(torch.cat((d, r, e), -1)).all(-1).all(0)
         corner = primary.views.corner(batch.view, batch.pixel)
-        columns = [batch.view, corner, first.p[:, 0], *(value.mean(0) for value in (r, d, e))]
+        columns = [batch.view, corner, first.p[:, 0], first.prim[:, 0], *(value.mean(0) for value in (r, d, e))]
         return [column[kept].cpu().numpy() for column in columns]
 
     # A GPU is kept busy by one thread.

@@ -19,15 +19,15 @@ over patches of like ``F``.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
-from neurad.core.records import BoolArray, Float64Array, FloatArray, IntArray
-from neurad.evidence.error_bars import ToUnitCube, cells, in_cube
-from neurad.evidence.fisher import FLOOR, per_patch
+from neurad.core.records import Float64Array, FloatArray, IntArray
 from neurad.evidence.pixel_means import PixelMeans
 
+FLOOR = 0.05
+"""Added to ``sum D'W D`` of a patch, in pixels of relative brightness 1: keeps dark patches from dividing noise."""
 BOX = 5
 """Pixels along the side of the box that instruments are means over, where all pixels are drawn."""
 COVARIANCE_BOX = 9
@@ -51,41 +51,41 @@ RANKS = 20
 
 @dataclass(frozen=True)
 class Evidence:
-    """Information and gradient of the patches that the pixels see."""
+    """What patches ask for."""
 
-    side: int
-    """Patches along the unit cube."""
-    x: Float64Array
-    """Middle of each in the unit cube [m, 3]."""
     information: Float64Array
     """1 / variance of what each asks for [m]."""
     gradient: Float64Array
     """Change of roughness that each asks for, times :attr:`information` [m]."""
 
 
-def evidence(
-    pixels: PixelMeans, to_cube: ToUnitCube, side: int, residual: FloatArray | None = None
-) -> tuple[Evidence, Evidence, Evidence]:
-    """Evidence of all pixels and of two halves of them, the two colours of a chess board, in the same patches.
+def patches_of(x: Float64Array, part: IntArray, side: int, pixels: int = PIXELS_A_PATCH) -> tuple[IntArray, int]:
+    """The patch that each pixel lies in, numbered from 0 [n], and how many there are: cells of the unit cube, of each
+    connected part apart.
 
     Args:
-        pixels: some of the training pixels.
-        to_cube: positions to the unit cube of the fields.
-        side: patches along that, each with an albedo of its own; half as many until pixels suffice.
-        residual: what is to be explained in place of the pixels' own [n, 3], by whose covariance it is weighted.
+        x: positions in the unit cube [n, 3].
+        part: that each pixel shows [n].
+        side: cells along an edge; half as many until pixels suffice.
+        pixels: that suffice for a patch, in the mean.
     """
-    x = in_cube(to_cube, pixels.p)
-    patch, count = cells(x, side)
-    while side > 2 and len(x) < PIXELS_A_PATCH * count:
+    while True:
+        cell = np.minimum((np.clip(x, 0.0, 1.0) * side).astype(np.int64), side - 1)
+        number = ((part * side + cell[:, 0]) * side + cell[:, 1]) * side + cell[:, 2]
+        occupied, patch = np.unique(number, return_inverse=True)
+        if side <= 2 or len(x) >= pixels * len(occupied):
+            return patch.reshape(-1), len(occupied)
         side //= 2
-        patch, count = cells(x, side)
-    whole = _Pixels.of(pixels)
-    if residual is not None:
-        whole = replace(whole, e=residual)
-    odd = (pixels.corner.sum(-1) + pixels.view) % 2 == 1
-    everything = np.ones(len(x), bool)
-    first, second, third = (whole.evidence(x, side, patch, count, part) for part in (everything, ~odd, odd))
-    return first, second, third
+
+
+def per_patch(values: Float64Array, patch: IntArray, patches: int) -> Float64Array:
+    """Sums of ``values`` [n, c] over the pixels of each patch [patches, c]."""
+    return np.stack([np.bincount(patch, column, patches) for column in values.T], -1)
+
+
+def evidence(pixels: PixelMeans, patch: IntArray, patches: int) -> Evidence:
+    """Evidence of pixels in patches [n], of which there are so many, each with an albedo of its own."""
+    return _Pixels.of(pixels).evidence(patch, patches)
 
 
 @dataclass(frozen=True)
@@ -126,11 +126,9 @@ class _Pixels:
             np.asarray(np.linalg.cholesky(mean), np.float64),
         )  # fmt: skip
 
-    def evidence(self, x: Float64Array, side: int, patch: IntArray, count: int, chosen: BoolArray) -> Evidence:
-        """Evidence of some pixels at ``x`` [n, 3] in ``patch`` [n], of which there are ``count``, ``side`` along the
-        cube.
-        """
-        precision = self.precision * chosen[:, None, None]
+    def evidence(self, patch: IntArray, count: int) -> Evidence:
+        """Evidence of the pixels in ``patch`` [n], of which there are ``count``."""
+        precision = self.precision
         by_r = np.einsum("ni,nij->nj", self.r_instrument, precision)  # R'W [n, 3]
         by_d = self.d_instrument[:, :, None] * precision  # D'W [n, 3, 3]
         rr = np.bincount(patch, (by_r * self.r).sum(-1), count).astype(np.float64)
@@ -154,8 +152,7 @@ class _Pixels:
         possible = np.abs(gradient) <= MAX_CHANGE * information + MAX_DEVIATIONS * np.sqrt(information.clip(0.0))
         information, gradient, scatter = (np.where(possible, x, 0.0) for x in (information, gradient, scatter))
         ratio = _excess(information, scatter)
-        middle = per_patch(x, patch, count) / np.bincount(patch, minlength=count)[:, None]
-        return Evidence(side, middle, information.clip(0.0) / ratio, gradient / ratio)
+        return Evidence(information.clip(0.0) / ratio, gradient / ratio)
 
     def _inverse(self, dd: Float64Array) -> Float64Array:
         """Inverse of ``sum D'W D`` of patches [m, 3, 3], but for noise and with :data:`FLOOR` pixels of brightness 1

@@ -14,6 +14,8 @@ GLOSSY_INPUTS = ("direction", "normal", "albedo")
 DIFFUSE_INPUTS = ("faceforward",)
 
 
+Structure = Literal["auto", "groups", "smooth", "free"]
+"""What a map is made of: groups and details of a place; groups alone; details of a place alone; what gradients say."""
 Kind = Literal["hash", "dense"]
 """Kinds of fields; :mod:`neurad.fields.select` makes them."""
 
@@ -78,11 +80,12 @@ class RoughnessConfig(FieldConfig):
     """Whether the network reads the albedo beside the position: what looks the same is then taken to shine the same,
     unless a highlight says otherwise. With a coarse grid it carries roughness from where a highlight is seen to where
     none is. A dense grid has no network to read it."""
-    closing_step: bool = False
-    """Whether, towards the end of a fit, all training pixels together are asked for a correction of the roughness (a
-    Gauss-Newton step with the albedo profiled out). It finds what single gradients are too noisy for. For hash grids
-    and methods with a radiance field."""
-    closing_samples: PositiveFraction = 0.8
+    structure: Structure = "free"
+    """What all training pixels together are asked for towards the end of a fit, which takes the place of what gradients
+    have found, as these are too noisy: ``groups``, what surfaces of like colour and connected parts have in common;
+    ``smooth``, what varies from place to place; ``auto``, both, each as far as the photographs tell. ``free`` asks for
+    nothing. For hash grids and methods with a radiance field."""
+    closing_samples: PositiveFraction = 0.3
     """Path samples of the closing step over those drawn before it. A quarter of this is the fraction of the fit's time
     that is kept for it, after the learning rates have come to their end."""
     begin: Literal["middle", "best"] = "middle"

@@ -14,14 +14,9 @@ LEVELS = (0.5, 0.9)
 
 
 class BarPool:
-    """Pixels of one map from all views: what was predicted, its error bars and the truth.
+    """Pixels of one map from all views: what was predicted, its error bars and the truth."""
 
-    Args:
-        prior: standard deviation that values have where nothing is known, see :func:`half_width`.
-    """
-
-    def __init__(self, prior: float | None = None) -> None:
-        self._prior = prior
+    def __init__(self) -> None:
         self._parts: list[tuple[FloatArray, FloatArray, FloatArray]] = []
 
     def add(self, predicted: FloatArray, std: FloatArray, truth: FloatArray, mask: BoolArray) -> None:
@@ -44,7 +39,7 @@ class BarPool:
             return {}
         predicted, std, truth = (np.concatenate(x).astype(np.float64) for x in zip(*self._parts, strict=True))
         error = predicted - truth
-        result = {f"coverage_{round(100 * level)}": coverage(error, std, level, self._prior) for level in LEVELS}
+        result = {f"coverage_{round(100 * level)}": coverage(error, std, level) for level in LEVELS}
         size, bar = _over_channels(error), _over_channels(std)
         result["spearman"] = spearman(bar, size)
         result["ause"] = ause(bar, size)
@@ -52,30 +47,20 @@ class BarPool:
         return result
 
 
-def half_width(level: float, std: Float64Array, prior: float | None = None) -> Float64Array:
+def half_width(level: float, std: Float64Array) -> Float64Array:
     """Half of the central intervals of probability ``level`` in (0, 1), in the unit of the standard deviations ``std``.
 
     Errors have longer tails than normal ones: where bars are alike the fourth moment is many times the square of the
-    second. Without a ``prior`` they are taken for logistic: 0.606 and 1.623 standard deviations for 0.5 and 0.9. With
-    the standard deviation of a uniform ``prior``, whose range truth does not leave, they are exponential to both sides
-    within that range: 0.490 and 1.628 of a small standard deviation, and 0.866 and 1.559, those of the uniform
-    distribution, of one as large as the prior or larger.
+    second. They are taken for logistic: 0.606 and 1.623 standard deviations for 0.5 and 0.9.
     """
-    if prior is None:
-        return np.asarray(math.sqrt(3.0) / math.pi * math.log((1.0 + level) / (1.0 - level)) * std)
-    # Density exp(-|x| / b) in [-1, 1], for the scales b from next to nothing to next to uniform.
-    b = np.geomspace(1e-3, 1e2, 1024)
-    edge = np.exp(-1.0 / b)
-    deviation = np.sqrt((2.0 * b * b - edge * (1.0 + 2.0 * b + 2.0 * b * b)) / (1.0 - edge))
-    half = -b * np.log1p(-level * (1.0 - edge))
-    return np.asarray(np.interp(std / (math.sqrt(3.0) * prior), deviation, half / deviation) * std)
+    return np.asarray(math.sqrt(3.0) / math.pi * math.log((1.0 + level) / (1.0 - level)) * std)
 
 
-def coverage(error: Float64Array, std: Float64Array, level: float, prior: float | None = None) -> float:
+def coverage(error: Float64Array, std: Float64Array, level: float) -> float:
     """Fraction of the values whose truth lies in the central interval of probability ``level`` around the prediction
     (:func:`half_width`); of ``error`` and ``std`` [n, c], channel by channel.
     """
-    return float((np.abs(error) <= half_width(level, std, prior)).mean())
+    return float((np.abs(error) <= half_width(level, std)).mean())
 
 
 def spearman(bar: Float64Array, size: Float64Array) -> float:

@@ -155,15 +155,22 @@ class LoadedRun:
 
         Raises:
             InputError: the parameter is not recovered, the run folder has no error bars, or others than those of this
-                checkpoint; or as :meth:`map`.
+                checkpoint, or a closing step has not found them; or as :meth:`map`.
         """
         fields, bars = self._fields(), self._error_bars
         if name not in fields.recovered:
             raise InputError(f"map {name}: a run has error bars of {', '.join(fields.recovered)}")
         if isinstance(points, SurfaceInteraction):
             emits = (self.world.geometry.emission > 0).any(-1)
-            return np.concatenate([bars_at(bars, fields, part, emits)[name] for part in _chunks(points)])
-        return np.concatenate([bars.at(fields, part)[name] for part in _chunks(self._positions(points))])
+            found = [bars_at(bars, fields, part, emits) for part in _chunks(points)]
+        else:
+            found = [bars.at(fields, part) for part in _chunks(self._positions(points))]
+        if name not in found[0]:
+            raise InputError(
+                f"map {name}: this run knows no standard deviations of it, as its fit made no closing step; set "
+                f"model.{name}.structure auto"
+            )
+        return np.concatenate([maps[name] for maps in found])
 
     def seen(self, points: Points) -> npt.NDArray[np.bool_]:
         """Whether some training photograph shows the points [n]; what none shows is a guess.

@@ -3,10 +3,8 @@
 from __future__ import annotations
 
 from neurad.assembly.build import Assembly, FittedMaterials
-from neurad.core.parameters import ROUGHNESS
 from neurad.core.protocols import PhotoSource
-from neurad.evidence.bar_calibration import RoughnessBars
-from neurad.evidence.error_bars import ErrorBars, RoughnessInformation, measure
+from neurad.evidence.error_bars import ErrorBars, measure
 from neurad.evidence.pixel_derivatives import SPP, pixel_derivatives
 from neurad.training.schedule import Counters
 from neurad.training.training_views import TrainingViews
@@ -43,9 +41,4 @@ def error_bars(
         )  # fmt: skip
     if pixels is None:
         return None
-    has_roughness = ROUGHNESS.name in assembly.materials.recovered
-    correction = assembly.correction
-    known = None
-    if correction is not None and correction.found and bool((correction.scales > 0).all()):
-        known = RoughnessInformation(correction.information.cpu().numpy(), RoughnessBars(*correction.scales.tolist()))
-    return measure(pixels, assembly.materials, views.pixels, counters.iteration, has_roughness, known)
+    return measure(pixels, assembly.materials, views.pixels, counters.iteration)

@@ -58,7 +58,7 @@ class Stage(Protocol):
 
 def rate_progress(assembly: Assembly, progress: Progress) -> float:
     """What learning rates go by: 1 or more at the end of the run, or from its closing step on."""
-    if assembly.correction is None:
+    if assembly.hierarchy is None:
         return progress.largest
     return progress_before(progress, assembly.settings.roughness)
 
@@ -118,23 +118,23 @@ class LightRefresh:
 
 
 class ClosingStep:
-    """Correct the roughness from all training pixels, see :mod:`neurad.training.closing_step`."""
+    """Find the roughness from all training pixels, see :mod:`neurad.training.closing_step`."""
 
     def due(self, training: Training, progress: Progress) -> bool:
         """Once in a run, where learning rates have come to their end; the first process decides for all."""
-        correction = training.assembly.correction
-        if correction is None or not isinstance(training.objective, ObjectiveStep):
+        hierarchy = training.assembly.hierarchy
+        if hierarchy is None or not isinstance(training.objective, ObjectiveStep):
             return False
         if training.processes > 1 and training.counters.iteration % CLOSING_EVERY != 0:
             return False
-        return broadcast(should_close(correction, rate_progress(training.assembly, progress)))
+        return broadcast(should_close(hierarchy, rate_progress(training.assembly, progress)))
 
     def run(self, training: Training, progress: Progress) -> None:
         """Take noise out of the albedo's levels first: copied by an albedo it hides what pixels say of the roughness.
         The first process makes the step for all, within the time that is left.
         """
-        correction = training.assembly.correction
-        assert correction is not None
+        hierarchy = training.assembly.hierarchy
+        assert hierarchy is not None
         LevelFilter.update(training, progress)
         if training.rank == 0:
             found = make_closing_step(
@@ -142,8 +142,10 @@ class ClosingStep:
                 progress.seconds_by_time,
             )  # fmt: skip
             if found is not None:
-                print(f"neurad: {found.sentence()}", file=sys.stderr)
-        correction.load_state_dict(broadcast({name: value.cpu() for name, value in correction.state_dict().items()}))
+                print(
+                    f"neurad: roughness changed by {found:.3f} (rms) from all training pixels at once", file=sys.stderr
+                )
+        hierarchy.load_state_dict(broadcast({name: value.cpu() for name, value in hierarchy.state_dict().items()}))
 
 
 class LevelFilter:

@@ -16,7 +16,8 @@ from neurad.core.extent import OUTLYING
 from neurad.core.records import Mesh
 from neurad.core.reflection import PrincipledModel
 from neurad.emitters.lights import Lights
-from neurad.fields.material import CORRECTION_CELLS, CORRECTION_FACTOR
+from neurad.fields.hierarchy import DETAILS
+from neurad.fields.material import HIERARCHY_CELLS
 from neurad.fields.settings import FieldConfig, GridConfig
 from neurad.fields.unit_cube import SHELL, UnitCube
 from neurad.runs.model_settings import model_settings
@@ -135,10 +136,10 @@ def test_a_closing_step_has_cells_as_small_as_those_of_the_fields(far):
     scene = with_material(scene, PrincipledModel(), 0.4, 0.3)
     settings = model_settings("scene.yaml")
     made = assemble(scene, settings)
-    cells, finest = made.correction.cells, made.materials.recovered["roughness"].grid.level_table[-1, 0]
-    assert cells % CORRECTION_FACTOR == 0
-    assert cells / float(finest) == pytest.approx(CORRECTION_CELLS / settings.roughness.grid.finest, abs=0.05)
-    assert far == (cells > CORRECTION_CELLS)
+    cells, finest = made.hierarchy.cells, made.materials.recovered["roughness"].grid.level_table[-1, 0]
+    assert cells % max(DETAILS) == 0
+    assert cells / float(finest) == pytest.approx(HIERARCHY_CELLS / settings.roughness.grid.finest, abs=0.05)
+    assert far == (cells > HIERARCHY_CELLS)
 
 
 def test_the_environment_is_weighed_by_what_the_region_gets_of_it():

@@ -39,24 +39,24 @@ def test_scores_of_pixels_are_dropped_where_none_are_wanted(capsys):
 def test_a_fit_without_a_closing_step_goes_on_to_one(capsys):
     own = {
         "materials.w": torch.zeros(2),
-        "materials.fields.roughness.correction.made": torch.zeros((), dtype=torch.int64),
+        "materials.fields.roughness.hierarchy.made": torch.zeros((), dtype=torch.int64),
     }
     old = checkpoint(**{"materials.w": torch.ones(2)})
     fitting(old, own, SCENE, None, continues=True)
-    assert "model.roughness.closing_step" in capsys.readouterr().err
-    assert old["state_dict"]["materials.fields.roughness.correction.made"] == 0
-    kept = checkpoint(**own | {"materials.fields.roughness.correction.made": torch.ones((), dtype=torch.int64)})
+    assert "model.roughness.structure" in capsys.readouterr().err
+    assert old["state_dict"]["materials.fields.roughness.hierarchy.made"] == 0
+    kept = checkpoint(**own | {"materials.fields.roughness.hierarchy.made": torch.ones((), dtype=torch.int64)})
     fitting(kept, own, SCENE, None)
-    assert kept["state_dict"]["materials.fields.roughness.correction.made"] == 1
-    with pytest.raises(InputError, match="closing_step"):  # nothing that was found is dropped
+    assert kept["state_dict"]["materials.fields.roughness.hierarchy.made"] == 1
+    with pytest.raises(InputError, match="structure"):  # nothing that was found is dropped
         fitting(kept, {"materials.w": torch.zeros(2)}, SCENE, None)
 
 
 @pytest.mark.parametrize("continues", [False, True])
-def test_a_closing_step_with_other_cells_is_not_dropped(continues, capsys):
-    name = "materials.fields.roughness.correction."
-    own = {f"{name}made": torch.zeros((), dtype=torch.int64), f"{name}grid.table": torch.zeros(27, 1)}
-    old = checkpoint(**{f"{name}made": torch.ones((), dtype=torch.int64), f"{name}grid.table": torch.zeros(8, 1)})
+def test_a_closing_step_of_another_structure_is_not_dropped(continues, capsys):
+    name = "materials.fields.roughness.hierarchy."
+    own = {f"{name}made": torch.zeros((), dtype=torch.int64), f"{name}stds": torch.zeros(9)}
+    old = checkpoint(**{f"{name}made": torch.ones((), dtype=torch.int64), f"{name}stds": torch.zeros(4)})
     with pytest.raises(InputError, match=r"^run r: the checkpoint has other field sizes than the config"):
         fitting(old, own, SCENE, None, "run r", continues)
     assert capsys.readouterr().err == ""

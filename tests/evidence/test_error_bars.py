@@ -13,14 +13,14 @@ from neurad.core.errors import InputError
 from neurad.core.records import Surface
 from neurad.core.rng import Stream
 from neurad.evidence import pixel_derivatives
-from neurad.evidence.bar_calibration import PRIOR, RoughnessBars
 from neurad.evidence.bars_file import read_bars, write_bars
-from neurad.evidence.error_bars import COLUMNS, FLAT, ErrorBars, RoughnessInformation, in_cells, measure, texture
+from neurad.evidence.error_bars import COLUMNS, FLAT, ErrorBars, measure, texture
 from neurad.evidence.nodes import Nodes
 from neurad.evidence.pixel_derivatives import PixelDerivatives
 from neurad.integrators.direct import Direct
 
 RNG = np.random.default_rng(0)
+STD = 0.14
 
 
 class Everywhere:
@@ -57,7 +57,10 @@ class Painted:
     def to_unit_cube(self, p):
         return self.size * p
 
-    def at(self, p):
+    def std(self, p, prim=None):
+        return {"roughness": torch.full((len(p), 1), STD)}
+
+    def at(self, p, prim=None):
         stripes = 0.3 * torch.sin(2.0 * np.pi / self.period * p[:, :1]).expand(-1, 3)
         albedo = 0.5 + torch.where(self.striped(p)[:, None], stripes, torch.zeros(()))
         return {"albedo": albedo, "roughness": albedo[:, :1]}
@@ -79,20 +82,18 @@ def pixels(n=80_000, noise=0.1, detail=1e-4):
 
 def test_bars_where_pixels_are_and_where_none_is():
     """On the plane the albedo's variance is the geometric mean of V and N = noise^2 / (pixels over a pixel's area);
-    away from it the bars are the spread and the prior."""
+    away from it the bars are the spread. Roughness has its field's."""
     given = pixels()
-    bars = measure(given, Painted(), len(given), 7, has_roughness=True)
+    bars = measure(given, Painted(), len(given), 7)
     x = np.concatenate((RNG.uniform(0.2, 0.8, (200, 2)), np.full((200, 1), 0.5)), 1)
     albedo, roughness = bars.at(Painted(), torch.from_numpy(x).float()).values()
     overlap = 80_000 * 5e-5  # pixels a unit of area, times their area
     expected = np.sqrt(np.sqrt(1e-4 * 0.01 / overlap))
     assert np.median(albedo) == pytest.approx(expected, rel=0.3)
-    assert roughness == pytest.approx(PRIOR, rel=1e-3)
+    assert roughness == pytest.approx(STD)
     far_albedo, far_roughness = bars.at(Painted(), torch.tensor([[0.5, 0.5, 0.01]])).values()
     assert far_albedo[0] == pytest.approx(given.albedo.std(0), rel=1e-3)
-    assert far_roughness[0, 0] == pytest.approx(PRIOR)
-    diffuse = measure(given, Painted(), len(given), 7, has_roughness=False)
-    assert diffuse.at(Painted(), torch.from_numpy(x).float()).keys() == {"albedo"}
+    assert far_roughness[0, 0] == pytest.approx(STD)
 
 
 def test_bars_of_albedo_are_wider_where_it_varies_and_as_wide_in_the_mean():
@@ -103,13 +104,13 @@ def test_bars_of_albedo_are_wider_where_it_varies_and_as_wide_in_the_mean():
         return torch.floor(128.0 * p[:, 1]) % 2 == 0  # two to a cell
 
     given = pixels()
-    bars = measure(given, Painted(striped=striped), len(given), 7, has_roughness=False)
+    bars = measure(given, Painted(striped=striped), len(given), 7)
     n = 4000
     p = torch.cat(
         (0.2 + 0.6 * torch.rand(n, 2, generator=torch.Generator().manual_seed(1)), torch.full((n, 1), 0.5)), 1
     )
     found = bars.at(Painted(striped=striped), p)["albedo"][:, 0]
-    everywhere = measure(given, Painted(), len(given), 7, has_roughness=False).at(Painted(), p)["albedo"][:, 0]
+    everywhere = measure(given, Painted(), len(given), 7).at(Painted(), p)["albedo"][:, 0]
     middle = (128.0 * p[:, 1]) % 1.0
     inside = ((middle > 0.3) & (middle < 0.7)).numpy()
     stripes = striped(p).numpy()
@@ -126,50 +127,8 @@ def test_texture_is_the_standard_deviation_within_half_a_pixel():
     assert found == pytest.approx(np.sqrt(4.0 / 3.0 * (0.5 * side[:, None]) ** 2 + FLAT**2).repeat(2, 1), rel=1e-4)
 
 
-def test_bars_of_roughness_are_wider_next_to_its_edges_and_as_wide_in_the_mean():
-    """Stripes on the left half of the plane: variances go by the root of how it varies, and their mean is what they are
-    without.
-    """
-    striped = Painted(striped=lambda p: p[:, 0] < 0.5)
-    given = pixels()
-    bars = measure(given, striped, 100 * len(given), 7, has_roughness=True)  # a hundred times as many in the fit
-    p = torch.tensor(np.concatenate((RNG.uniform(0.1, 0.9, (4000, 2)), np.full((4000, 1), 0.5)), 1)).float()
-    variance = np.square(bars.at(striped, p)["roughness"][:, 0].astype(np.float64))
-    varies = texture(lambda p: striped.at(p)["roughness"], p, np.full(len(p), np.sqrt(5e-5)))[:, 0]
-    assert varies.max() > 5.0 * varies.min()
-    ratio = variance / np.sqrt(varies)
-    assert ratio == pytest.approx(np.median(ratio), rel=0.01)
-    assert variance.mean() == pytest.approx(PRIOR**2, rel=0.05)
-
-
-@pytest.mark.parametrize("size", [1.0, 0.5])
-def test_what_a_closing_step_found_takes_the_place_of_what_few_pixels_tell(size):
-    """Cells of half of the plane are known to 0.02, those of the other half not at all: none of it is lost in the sums,
-    of which a point midway between nodes reads a half or more. A plane that fills less of the cube has finer nodes
-    and the same bars."""
-    known = np.zeros((64, 64, 64), np.float32)
-    known[: int(32 * size), : int(64 * size), int(32 * size)] = 1.0 / 0.02**2  # the plane at 0.5 lies in these cells
-    given = pixels()
-    found = RoughnessInformation(known, RoughnessBars(1.0, PRIOR))
-    bars = measure(given, Painted(size), len(given), 7, has_roughness=True, known=found)
-    assert bars.nodes.side == pytest.approx(64 / size, abs=4)
-    cell = 64 / bars.nodes.side  # of information, in cells of the bars: as much as in a cell of information
-    assert bars.nodes.values[:, -1].sum() * cell**2 == pytest.approx(known.sum(), rel=1e-4)
-    y = np.linspace(0.1, 0.9, 50)
-    for x, low, high in ((0.25, 0.019, 0.03), (0.75, 0.99 * PRIOR, PRIOR)):
-        p = torch.from_numpy(np.stack((np.full(50, x), y, np.full(50, 0.5)), 1)).float()
-        roughness = bars.at(Painted(size), p)["roughness"]
-        assert low < np.median(roughness) <= high + 1e-6
-
-
-def test_cells_hold_the_sums_of_their_positions():
-    x = np.array([[0.1, 0.1, 0.9], [0.2, 0.3, 0.6], [0.9, 0.1, 0.1], [1.0, 0.0, 0.0]])
-    found = in_cells(x, np.array([1.0, 2.0, 4.0, 8.0]), 2)
-    assert found.tolist() == [[[0.0, 3.0], [0.0, 0.0]], [[12.0, 0.0], [0.0, 0.0]]]
-
-
 def test_bars_come_back_from_their_file(tmp_path):
-    bars = measure(pixels(), Painted(), 8000, 7, has_roughness=True)
+    bars = measure(pixels(), Painted(), 8000, 7)
     write_bars(bars, tmp_path / "bars.npz")
     found = read_bars(tmp_path / "bars.npz")
     p = torch.from_numpy(RNG.random((50, 3))).float()
@@ -181,7 +140,7 @@ def test_bars_come_back_from_their_file(tmp_path):
     (tmp_path / "bars.npz").write_bytes(b"PK not a file of arrays")
     with pytest.raises(InputError, match=r"bars\.npz: .*neurad test"):
         read_bars(tmp_path / "bars.npz")
-    broken = ErrorBars(Nodes(4, np.array([3, 2]), np.zeros((2, COLUMNS))), 1.0, np.ones(3), RoughnessBars(1, 1), 1.0, 7)
+    broken = ErrorBars(Nodes(4, np.array([3, 2]), np.zeros((2, COLUMNS))), 1.0, np.ones(3), 7)
     write_bars(broken, tmp_path / "order.npz")
     with pytest.raises(InputError, match="no file of error bars"):
         read_bars(tmp_path / "order.npz")

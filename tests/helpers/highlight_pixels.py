@@ -29,5 +29,8 @@ def means(change=CHANGE, noise=0.25, steady=False, derivatives=True, grey=0.0, s
             value + size * rng.standard_normal(d.shape) for value, size in ((r, noise), (d, 0.1), (photograph, 0.15))
         )
         corner = np.stack((column, row), -1)
-        parts.append([np.full(len(p), view), corner, p.astype(np.float32), *(x.astype(np.float32) for x in (r, d, e))])
+        prim = np.zeros(len(p), np.int64)
+        parts.append(
+            [np.full(len(p), view), corner, p.astype(np.float32), prim, *(x.astype(np.float32) for x in (r, d, e))]
+        )
     return PixelMeans(*(np.concatenate(column) for column in zip(*parts, strict=True)))

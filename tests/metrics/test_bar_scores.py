@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 from scipy.stats import spearmanr
 
-from neurad.metrics.bar_scores import BarPool, ause, coverage, half_width, psnr_of_most_certain_half, spearman
+from neurad.metrics.bar_scores import BarPool, ause, coverage, psnr_of_most_certain_half, spearman
 
 N = 200_000
 
@@ -23,25 +23,6 @@ def test_coverage_of_errors():
     normal = std * rng.standard_normal((N, 3))
     assert coverage(normal, std, 0.5) == pytest.approx(0.4552, abs=0.004)  # erf(0.6057 / sqrt 2)
     assert coverage(np.zeros((4, 1)), np.zeros((4, 1)), 0.5) == 1.0
-
-
-@pytest.mark.parametrize("level", [0.5, 0.9])
-def test_coverage_of_errors_that_a_uniform_prior_bounds(level):
-    """Exponential errors cut at the range of the prior, by rejection, at scales from a hundredth of it to ten times it:
-    bars of their own standard deviation cover their level. Small bars are those of a Laplace distribution, large ones
-    those of a uniform one.
-    """
-    rng, prior = np.random.default_rng(5), 0.14
-    for scale in (0.01, 0.2, 0.5, 1.0, 10.0):
-        error = rng.laplace(0.0, scale * prior, 4 * N)
-        error = error[np.abs(error) < np.sqrt(3.0) * prior]
-        # Five standard errors: of the share, and of the deviation that bars are made of (a width of 1 % is 0.4 % here).
-        limit = 5 * np.sqrt(level * (1.0 - level) / len(error)) + 0.5 * 5 / np.sqrt(len(error))
-        assert coverage(error, np.full(len(error), error.std()), level, prior) == pytest.approx(level, abs=limit)
-    std = np.array([1e-6, prior, 3.0 * prior, 0.0])
-    laplace, uniform = -np.log(1.0 - level) / np.sqrt(2.0), level * np.sqrt(3.0)
-    width = [laplace, uniform, uniform, 0.0] * np.array([*std[:3], 1.0])
-    assert half_width(level, std, prior) == pytest.approx(width, rel=2e-3)
 
 
 def test_spearman_is_that_of_scipy_also_with_equal_values():

@@ -29,7 +29,7 @@ CONFIG = {
     "model": {
         "seed": "${seed_everything}",
         "albedo": {"grid": GRID, "width": 16},
-        "roughness": {"grid": GRID, "width": 16, "begin": "best", "closing_step": True},
+        "roughness": {"grid": GRID, "width": 16, "begin": "best", "structure": "auto"},
         "sampling": {"focus": 0.25},
         "lighting": {"emitters": "fit"},
         "radiance": {"grid": GRID, "width": 16, "hidden_layers": 2},
@@ -111,7 +111,7 @@ def test_a_killed_run_continues_to_the_same_bits(tmp_path, monkeypatch, one_thre
     assert len(continued["optimizer_states"]) == 6
     assert continued["state_dict"]["development.values"].abs().max() > 0
     assert continued["state_dict"]["development.bend"].abs().max() > 0
-    assert continued["state_dict"]["materials.fields.roughness.correction.made"] == 1
+    assert continued["state_dict"]["materials.fields.roughness.hierarchy.made"] == 1
     assert Path("lightning_logs/version_1/exposures.csv").read_text().startswith("view,known,r,g,b,iteration")
     assert not Path("lightning_logs/version_2").exists()
 

@@ -1,0 +1,96 @@
+"""A map as a sum of random effects: read as dense tables are, with the variance of what is not known."""
+
+import numpy as np
+import pytest
+import torch
+
+from neurad.fields.hierarchy import MIDDLE, Coefficients, Hierarchy, Places, effects_of, keyed
+
+PARTS, CELLS = 3, 8
+
+
+def places(n, seed=0):
+    rng = np.random.default_rng(seed)
+    x, albedo = (torch.from_numpy(rng.random((n, 3))).float() for _ in range(2))
+    return Places(x, albedo, torch.from_numpy(rng.integers(0, PARTS, n)))
+
+
+def all_coefficients(hierarchy, seed=1):
+    """Coefficients of every node."""
+    counts = [effect.nodes * (PARTS if effect.by_part else 1) for effect in hierarchy.effects]
+    keys = torch.cat([keyed(index, torch.arange(count)) for index, count in enumerate(counts)])
+    values = torch.from_numpy(np.random.default_rng(seed).normal(size=(len(keys), 3))).float()
+    return Coefficients(keys, values, torch.linspace(0.1, 0.2, len(counts)), torch.linspace(0.5, 2.0, PARTS)), counts
+
+
+def hats(x, cells):
+    """Trilinear weights of all nodes [n, (cells + 1)^3], the last axis fastest."""
+    near = np.maximum(1.0 - np.abs(x[:, :, None] * cells - np.arange(cells + 1)), 0.0)
+    return np.einsum("mi,mj,mk->mijk", *near.transpose(1, 0, 2)).reshape(len(x), -1)
+
+
+def dense(hierarchy, at):
+    """Rows of all coefficients, in dense matrices."""
+    columns = []
+    for effect in hierarchy.effects:
+        read = {"position": at.x, "color": at.albedo ** (1.0 / 3.0), "nothing": at.x}[effect.reads].double().numpy()
+        weight = hats(read, effect.cells) if effect.cells else np.ones((len(at), 1))
+        own = np.zeros((len(at), PARTS if effect.by_part else 1, effect.nodes))
+        own[np.arange(len(at)), at.part.numpy() if effect.by_part else 0] = weight
+        columns.append(own.reshape(len(at), -1))
+    return columns
+
+
+def finer(hierarchy, at):
+    """Variance of what is finer than the finest grid: as much as that has."""
+    if not hierarchy.effects[-1].is_detail:
+        return np.zeros(len(at))
+    return float(hierarchy.stds[-1]) ** 2 * hierarchy.factors.numpy()[at.part.numpy()]
+
+
+@pytest.mark.parametrize("structure", ["auto", "groups", "smooth"])
+def test_it_reads_what_dense_tables_say(structure):
+    hierarchy, at = Hierarchy(structure, CELLS, PARTS), places(500)
+    found, _ = all_coefficients(hierarchy)
+    hierarchy.set(found)
+    rows = np.concatenate(dense(hierarchy, at), 1)
+    expected = rows @ found.values.double().numpy()
+    np.testing.assert_allclose(hierarchy(at)[:, 0].numpy(), MIDDLE + expected[:, 0], atol=2e-5)
+    variance = finer(hierarchy, at) + np.square(expected[:, 1:]).mean(1)
+    np.testing.assert_allclose(hierarchy.std(at)[:, 0].numpy() ** 2, variance, rtol=1e-4)
+
+
+def test_what_no_photograph_tells_has_the_variance_of_the_prior():
+    hierarchy, at = Hierarchy("auto", CELLS, PARTS), places(200)
+    found, _ = all_coefficients(hierarchy)
+    hierarchy.set(Coefficients(found.keys[:1], found.values[:1], found.stds, found.factors))
+    parts = finer(hierarchy, at) + float(found.values[0, 1:].square().mean())
+    for rows, effect, std in list(zip(dense(hierarchy, at), hierarchy.effects, found.stds.numpy(), strict=True))[1:]:
+        factor = found.factors.numpy()[at.part.numpy()] if effect.is_detail else 1.0
+        parts += std**2 * factor * np.square(rows).sum(1)
+    np.testing.assert_allclose(hierarchy.std(at)[:, 0].numpy() ** 2, parts, rtol=1e-4)
+    torch.testing.assert_close(hierarchy(at), torch.full((200, 1), MIDDLE + float(found.values[0, 0])))
+
+
+def test_it_travels_with_a_state_of_any_size_and_can_be_made_again():
+    hierarchy, at = Hierarchy("groups", CELLS, PARTS), places(50)
+    assert not hierarchy.done
+    hierarchy.set(all_coefficients(hierarchy)[0])
+    other = Hierarchy("groups", CELLS, PARTS)
+    other.load_state_dict(hierarchy.state_dict())
+    assert other.done
+    assert other.found
+    torch.testing.assert_close(other(at), hierarchy(at))
+    torch.testing.assert_close(other.std(at), hierarchy.std(at))
+    assert not list(other.parameters())
+    other.reopen()
+    assert not other.done
+    assert not other.found
+    other.set(None)
+    assert other.done
+    assert not other.found
+
+
+def test_grids_of_details_are_octaves():
+    assert [effect.cells for effect in effects_of("smooth", 64) if effect.is_detail] == [16, 32, 64]
+    assert not any(effect.is_detail for effect in effects_of("groups", 64))
