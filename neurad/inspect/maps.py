@@ -11,7 +11,7 @@ import numpy.typing as npt
 import torch
 from torch import Tensor
 
-from neurad.core.parameters import SurfaceParameter, recovered
+from neurad.core.parameters import SurfaceParameter
 from neurad.core.protocols import Integrator
 from neurad.core.records import FloatArray, Rays, SurfaceInteraction
 from neurad.inspect.photographs import PhotographMap
@@ -150,13 +150,12 @@ def modes_of(run: LoadedRun, seen: SeenBy, photographs: PhotographMap) -> Mappin
             MaterialMap(world, run.materials, (parameter,)), partial(_map, parameter),
             None if parameter.is_color else Scale(parameter.name, grey, 1.0),
         )  # fmt: skip
-    if run.bars is not None:
-        bars = Scale("standard deviation", lambda x: false_colour(x, 1.0 / BRIGHTEST_STD), BRIGHTEST_STD)
-        for name in (parameter.name for parameter in recovered(run.scene.parameters)):
-            found[name + BARS] = Mode(
-                f"How sure the recovered {name} is: its standard deviation, bright where next to nothing is known.",
-                BarMap(run, name), lambda x, _: false_colour(x, 1.0 / BRIGHTEST_STD), bars,
-            )  # fmt: skip
+    bars = Scale("standard deviation", lambda x: false_colour(x, 1.0 / BRIGHTEST_STD), BRIGHTEST_STD)
+    for name in run.uncertain:
+        found[name + BARS] = Mode(
+            f"How sure the recovered {name} is: its standard deviation, bright where next to nothing is known.",
+            BarMap(run, name), lambda x, _: false_colour(x, 1.0 / BRIGHTEST_STD), bars,
+        )  # fmt: skip
     if views:
         found["seen"] = Mode(
             "How many training photographs show each point; hatched where none does: what is there is a guess.",

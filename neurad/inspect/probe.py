@@ -8,7 +8,6 @@ import numpy as np
 import numpy.typing as npt
 import torch
 
-from neurad.core.parameters import recovered
 from neurad.core.records import FloatArray, Rays
 from neurad.inspect.maps import SeenMap
 from neurad.runs.load import LoadedRun
@@ -65,14 +64,14 @@ def probe(run: LoadedRun, seen: SeenMap, origin: FloatArray, direction: FloatArr
         if not bool(si.valid):
             return None
         count = int(seen.count(si))
-    geometry, uncertain = run.world.geometry, recovered(run.scene.parameters) if run.bars is not None else ()
+    geometry = run.world.geometry
     prim = int(si.prim)
     return Reading(
         position=si.p[0].cpu().numpy(),
         place=si.p[0].double().cpu().numpy() + np.asarray(run.scene.origin),
         mesh=run.scene.meshes[int(geometry.mesh_index[prim])].name,
         values={name: run.map(name, si)[0] for name in run.maps},
-        stds={parameter.name: run.map_std(parameter.name, si)[0] for parameter in uncertain},
+        stds={name: run.map_std(name, si)[0] for name in run.uncertain},
         photographs=count,
         emits=bool((geometry.emission[prim] > 0).any()),
     )

@@ -146,6 +146,13 @@ class LoadedRun:
             raise InputError(f"map {name}: it is the scene's own: give points of run.surface(view)")
         return self._evaluate(lambda p: fields.at(p)[name], self._positions(points))
 
+    @property
+    def uncertain(self) -> tuple[str, ...]:
+        """Names of the maps that :meth:`map_std` gives; none where the folder has no error bars."""
+        if self.bars is None:
+            return ()
+        return tuple(self.bars.at(self._fields(), torch.zeros(1, 3, device=self.device)))
+
     def map_std(self, name: str, points: Points) -> FloatArray:
         """Standard deviation of a recovered map [n, channels]; 0 on emitters, where points of :meth:`surface` say so.
 

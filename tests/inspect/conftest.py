@@ -11,6 +11,9 @@ def viewed_run(tmp_path_factory):
     with pytest.MonkeyPatch.context() as patch:
         patch.chdir(folder)
         few_views(patch, "patterns")
-        write_tiny_config(base="patterns.yaml", data={"patches": 128}, trainer={"max_steps": 60})
+        write_tiny_config(
+            base="patterns.yaml", data={"patches": 128}, trainer={"max_steps": 60},
+            model={"roughness": {"structure": "auto"}},
+        )  # fmt: skip
         fit()
     return folder / run_folder()
