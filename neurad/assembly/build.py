@@ -124,20 +124,23 @@ class FittedMaterials(nn.Module):
         inside: Tensor = cube(p.to(next(iter(cube.buffers())).device))
         return inside
 
+    def albedo_at(self, p: Tensor) -> Tensor:
+        """The albedo alone [n, 3] at positions [n, 3] in the scene's frame, on any device."""
+        field = self.recovered[ALBEDO.name]
+        return field.at(p.to(next(iter(field.parameters())).device))
+
     def at(self, p: Tensor, prim: Tensor | None = None) -> dict[str, Tensor]:
         """Recovered parameters [n, channels] at positions [n, 3] in the scene's frame, on any device, by name; on the
         triangles ``prim`` [n], or on what lies nearest.
         """
-        fields = self.recovered
-        p = p.to(next(iter(fields[ALBEDO.name].parameters())).device)
-        albedo = fields[ALBEDO.name].at(p)
+        fields, albedo = self.recovered, self.albedo_at(p)
+        p = p.to(albedo.device)
         return {name: albedo if name == ALBEDO.name else field.at(p, albedo, prim) for name, field in fields.items()}
 
     def std(self, p: Tensor, prim: Tensor | None = None) -> dict[str, Tensor]:
         """Standard deviations [n, channels] of the parameters whose fields know them; as :meth:`at`."""
-        fields = self.recovered
-        p = p.to(next(iter(fields[ALBEDO.name].parameters())).device)
-        albedo = fields[ALBEDO.name].at(p)
+        fields, albedo = self.recovered, self.albedo_at(p)
+        p = p.to(albedo.device)
         found = {name: field.std(p, albedo, prim) for name, field in fields.items() if name != ALBEDO.name}
         return {name: std for name, std in found.items() if std is not None}
 

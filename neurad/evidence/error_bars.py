@@ -19,7 +19,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from functools import partial
 from typing import Protocol
 
 import numpy as np
@@ -55,12 +54,12 @@ class BarFields(Protocol):
         """Positions [n, 3] in the scene, on any device, to the unit cube of the fields."""
         ...
 
-    def at(self, p: Tensor, prim: Tensor | None = None) -> dict[str, Tensor]:
-        """Recovered parameters [n, channels] at such positions, by name, on triangles ``prim`` [n] if given."""
+    def albedo_at(self, p: Tensor) -> Tensor:
+        """Recovered albedo [n, 3] at such positions."""
         ...
 
     def std(self, p: Tensor, prim: Tensor | None = None) -> dict[str, Tensor]:
-        """Standard deviations [n, channels] of those parameters whose fields know them; as :meth:`at`."""
+        """Standard deviations [n, channels] of those parameters whose fields know them, on triangles ``prim`` [n]."""
         ...
 
 
@@ -102,7 +101,7 @@ class ErrorBars:
             noise = noise + np.minimum(np.square(trade), 1.0) * np.square(found[ROUGHNESS.name])
         deviation = np.sqrt(noise * sums["detail"] / pixels)
         # The mean of this factor over the pixels of a cell is 1.
-        deviation *= texture(partial(_albedo, materials), p, side) / np.maximum(sums["texture"] / pixels, 1e-30)
+        deviation *= texture(materials.albedo_at, p, side) / np.maximum(sums["texture"] / pixels, 1e-30)
         known = count / (count + 1.0) / np.maximum(deviation, 1e-12)
         albedo = np.sqrt(1.0 / (known + 1.0 / np.maximum(np.square(self.spread), 1e-12)))
         return {ALBEDO.name: albedo.astype(np.float32), **found}
@@ -132,7 +131,7 @@ def measure(pixels: PixelDerivatives, materials: BarFields, total: int, iteratio
     ones = np.ones((len(pixels), 1))
     cell = _cell(materials.to_unit_cube, pixels.p, side)
     around = torch.from_numpy(pixels.p), np.sqrt(pixels.area)
-    varies = texture(partial(_albedo, materials), *around)
+    varies = texture(materials.albedo_at, *around)
     columns = (
         times * ones, times * pixels.area[:, None], times * d, times * misfit, times * pixels.detail, times * varies,
         times * cross, times * weighted,
@@ -144,11 +143,6 @@ def measure(pixels: PixelDerivatives, materials: BarFields, total: int, iteratio
 def in_cube(to_cube: ToUnitCube, p: FloatArray) -> Float64Array:
     """Positions [n, 3] in the unit cube."""
     return to_cube(torch.from_numpy(np.ascontiguousarray(p, np.float32))).cpu().numpy().astype(np.float64)
-
-
-def _albedo(materials: BarFields, p: Tensor) -> Tensor:
-    """Recovered albedo [n, 3] at positions in the scene [n, 3]."""
-    return materials.at(p)[ALBEDO.name]
 
 
 def texture(field: Callable[[Tensor], Tensor], p: Tensor, side: Float64Array | FloatArray) -> Float64Array:

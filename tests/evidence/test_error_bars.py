@@ -60,10 +60,9 @@ class Painted:
     def std(self, p, prim=None):
         return {"roughness": torch.full((len(p), 1), STD)}
 
-    def at(self, p, prim=None):
+    def albedo_at(self, p):
         stripes = 0.3 * torch.sin(2.0 * np.pi / self.period * p[:, :1]).expand(-1, 3)
-        albedo = 0.5 + torch.where(self.striped(p)[:, None], stripes, torch.zeros(()))
-        return {"albedo": albedo, "roughness": albedo[:, :1]}
+        return 0.5 + torch.where(self.striped(p)[:, None], stripes, torch.zeros(()))
 
 
 def pixels(n=80_000, noise=0.1, detail=1e-4):
