@@ -41,7 +41,7 @@ from neurad.optim.polyak_average import PolyakAverage
 from neurad.scene.description import Scene
 from neurad.scene.geometry import Geometry
 from neurad.scene.parts import SurfaceParts
-from neurad.scene.textures import OnEmitters, SceneTexture, TrueMaterials
+from neurad.scene.textures import KnownSurfaces, SceneTexture, TrueMaterials
 from neurad.tracing.counting import CountingTracer
 from neurad.tracing.select import make_tracer
 
@@ -98,7 +98,7 @@ class FittedMaterials(nn.Module):
         super().__init__()
         self.fields = nn.ModuleDict(fields)
         self.known_meshes: frozenset[int] = frozenset()
-        """Meshes on which the scene's own values hold, see :func:`pin_emitter_materials`."""
+        """Meshes on which the scene's own values hold, see :func:`pin_known_materials`."""
 
     @property
     def recovered(self) -> dict[str, MaterialField]:
@@ -177,14 +177,14 @@ def build_materials(
 
     materials = FittedMaterials({parameter.name: made(parameter) for parameter in scene.parameters})
     if known_emitters:
-        pin_emitter_materials(materials, scene, geometry)
+        pin_known_materials(materials, scene, geometry)
     return materials
 
 
-def pin_emitter_materials(
+def pin_known_materials(
     materials: FittedMaterials, scene: Scene, geometry: Geometry, meshes: frozenset[int] = frozenset()
 ) -> None:
-    """Let emitting surfaces have what the scene file says of them.
+    """Let emitting and smooth surfaces have what the scene file says of them.
 
     Args:
         materials: whose fields are read elsewhere.
@@ -193,10 +193,11 @@ def pin_emitter_materials(
         meshes: further meshes that are known: those that shone while the fields were fitted, and photographs did not
             show what they reflect.
     """
-    if scene.features.has_area_lights or meshes:
+    if scene.features.has_area_lights or scene.features.has_delta or meshes:
         for field in materials.recovered.values():
-            field.known = OnEmitters(scene, field.parameter, geometry, meshes).to(geometry.vertices.device)
-    materials.known_meshes = meshes | set(lamps_of_scene(scene))
+            field.known = KnownSurfaces(scene, field.parameter, geometry, meshes).to(geometry.vertices.device)
+    smooth = {i for i, mesh in enumerate(scene.meshes) if scene.materials[mesh.material].model.is_delta}
+    materials.known_meshes = meshes | smooth | set(lamps_of_scene(scene))
 
 
 def build_radiance(scene: Scene, config: RadianceConfig, region: Region | None = None) -> RadianceField:

@@ -8,7 +8,7 @@ import numpy as np
 import torch
 from torch import Tensor, nn
 
-from neurad.assembly.build import Assembly, FittedMaterials, build_world, pin_emitter_materials
+from neurad.assembly.build import Assembly, FittedMaterials, build_world, pin_known_materials
 from neurad.core.parameters import PARAMETERS
 from neurad.core.records import EnvironmentMap, Surface, SurfaceInteraction
 from neurad.formats.edits.edit import Edited
@@ -116,7 +116,7 @@ def in_other_light(assembly: Assembly, fitted_lamps: frozenset[int]) -> Assembly
         fitted_lamps: meshes that shone in the fit.
     """
     if isinstance(assembly.materials, FittedMaterials):
-        pin_emitter_materials(assembly.materials, assembly.scene, assembly.world.geometry, fitted_lamps)
+        pin_known_materials(assembly.materials, assembly.scene, assembly.world.geometry, fitted_lamps)
     assembly.world.guide = None
     return replace(assembly, radiance=None, settings=replace(assembly.settings, method=paths(assembly.scene)))
 

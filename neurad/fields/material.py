@@ -15,7 +15,7 @@ from neurad.fields.select import evaluate_layers, make_layers
 from neurad.fields.settings import FieldConfig, RoughnessConfig
 from neurad.fields.unit_cube import UnitCube
 from neurad.scene.parts import SurfaceParts
-from neurad.scene.textures import OnEmitters
+from neurad.scene.textures import KnownSurfaces
 
 HIERARCHY_CELLS = 64
 """Cells along the region of the finest details that a closing step looks for: some 10 cm of a room."""
@@ -35,8 +35,8 @@ class MaterialField(nn.Module):
         cells: along the unit cube, of the finest details that a closing step looks for.
     """
 
-    known: OnEmitters | None
-    """The values on emitting surfaces, which replace the field's there; None for none."""
+    known: KnownSurfaces | None
+    """The values on emitting and smooth surfaces, which replace the field's there; None for none."""
 
     def __init__(
         self,

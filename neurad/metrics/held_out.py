@@ -181,14 +181,15 @@ class HeldOut:
     # --- masks
 
     def counted(self, index: int) -> BoolArray:
-        """Pixels [h, w] that count for albedo and roughness: no sub-sample sees an emitter or nothing, and
-        :meth:`kept`.
+        """Pixels [h, w] that count for albedo and roughness: no sub-sample sees an emitter, a smooth surface, of
+        which nothing is recovered, or nothing, and :meth:`kept`.
         """
         if index not in self._counted:
-            shines = (self.geometry.emission > 0).any(-1)
+            smooth = torch.tensor([m.model.is_delta for m in self.scene.materials], device=self.geometry.material.device)
+            known = (self.geometry.emission > 0).any(-1) | smooth[self.geometry.material]
             parts = []
             for part, si in self.sub_samples(index):
-                good = si.valid & ~shines[si.prim.clamp_min(0)]
+                good = si.valid & ~known[si.prim.clamp_min(0)]
                 parts.append(self._pixels(part, good).all(-1))
             self._counted[index] = self._image(index, torch.cat(parts)) & self.kept(index)
         return self._counted[index]

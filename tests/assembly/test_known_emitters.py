@@ -1,4 +1,4 @@
-"""What emitters reflect is known with the light, and is not fitted."""
+"""What emitters and smooth surfaces reflect is known, and is not fitted."""
 
 import torch
 
@@ -32,3 +32,19 @@ def test_emitters_keep_the_materials_of_the_scene():
     made.zero_grad()
     (lambda s: (s.albedo.sum() + s.roughness.sum()).backward())(made(si[~lamp]))
     torch.testing.assert_close(bias, made.fields["albedo"].mlp.layers[-1].bias.grad)
+
+
+def test_smooth_surfaces_keep_the_materials_of_the_scene():
+    scene = load_scene(None, "kitchen")
+    geometry = build_world(scene).geometry
+    made = build_materials(scene, dict.fromkeys(RECOVERED, SMALL), geometry)
+    prim = torch.arange(len(geometry.emission))
+    third = torch.full((len(prim),), 1 / 3)
+    si = geometry.interact_at(prim, third, third, torch.zeros(len(prim), 3), torch.ones(len(prim), dtype=torch.bool))
+    smooth = torch.tensor([m.model.is_delta for m in scene.materials])[geometry.material]
+    assert 0 < int(smooth.sum()) < len(smooth)
+    found, true = made(si), TrueMaterials(scene, geometry)(si)
+    assert torch.equal(found.albedo[smooth], true.albedo[smooth])
+    assert torch.equal(found.roughness[smooth], true.roughness[smooth])
+    rough = smooth.logical_not() & (geometry.emission.amax(-1) == 0)
+    assert not torch.equal(found.albedo[rough], true.albedo[rough])

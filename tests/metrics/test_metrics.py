@@ -16,7 +16,7 @@ from neurad.bsdf.table import make_bsdf
 from neurad.core.errors import InputError
 from neurad.core.parameters import BY_NAME
 from neurad.core.records import Camera, Constant, Material, Mesh, Surface, SurfaceInteraction, View
-from neurad.core.reflection import DiffuseModel, PrincipledModel, ReflectionModel
+from neurad.core.reflection import ConductorModel, DiffuseModel, PrincipledModel, ReflectionModel
 from neurad.core.rng import Stream
 from neurad.emitters.lights import make_lights
 from neurad.images.image_io import to_srgb
@@ -152,6 +152,16 @@ def test_which_pixels_count_and_which_are_seen(grid: int) -> None:
     views = open_views(make_scene([from_above()]), grid)
     np.testing.assert_array_equal(views.counted(0), COUNTED)
     np.testing.assert_array_equal(views.seen(0), SEEN)
+
+
+def test_smooth_surfaces_do_not_count() -> None:
+    scene = make_scene([from_above()])
+    half = scene.materials[0].albedo
+    mirrored = [replace(mesh, material=int(mesh.name == "floor")) for mesh in scene.meshes]
+    scene = replace(scene, meshes=mirrored, materials=[*scene.materials, Material("m", ConductorModel(), half, half)])
+    views = open_views(scene)
+    assert not views.counted(0).any()
+    assert views.seen(0).any()
 
 
 def test_a_point_is_seen_in_front_inside_the_frustum_and_not_occluded() -> None:
