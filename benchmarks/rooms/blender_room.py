@@ -8,17 +8,12 @@ from __future__ import annotations
 import argparse
 import json
 import subprocess
-from dataclasses import replace
 from pathlib import Path
-
-import numpy as np
 
 from benchmarks.rooms.one_roughness import MAP_SPP
 from neurad.assembly.build import build_world
 from neurad.core.parameters import split as parts_of
-from neurad.core.records import Bitmap, Constant, Material
 from neurad.core.rng import mix
-from neurad.export.base_colour import base_for, is_converted
 from neurad.formats.blender.import_blender import import_blender
 from neurad.formats.import_room import ImportSettings
 from neurad.formats.load import read_folder
@@ -53,7 +48,6 @@ def add_truth(folder: Path) -> None:
     for kind in ("train", "test"):
         described[f"{kind}_filenames"] = [file for file in files if Path(file).name.startswith(kind)]
     scene = read_folder(folder, hold_out=0)
-    scene = replace(scene, materials=[as_seen(material) for material in scene.materials])
     world = build_world(scene)
     maps = MaterialMap(world, TrueMaterials(scene, world.geometry), scene.parameters)
     kinds = [parameter.name for parameter in maps.parameters]
@@ -66,18 +60,6 @@ def add_truth(folder: Path) -> None:
     for frame in described["frames"]:
         frame |= {f"{kind}_path": f"{kind}/{Path(frame['file_path']).name}" for kind in kinds}
     cameras.write_text(json.dumps(described, indent=1) + "\n")
-
-
-def as_seen(material: Material) -> Material:
-    """The material, its albedo such that it sends back as much here as Blender's base colour does in Cycles."""
-    if not is_converted(material) or not isinstance(material.roughness, Constant):
-        return material
-    factor = base_for("blender", np.ones(1, np.float32), material.roughness.value)
-    albedo = material.albedo
-    if isinstance(albedo, Constant):
-        return replace(material, albedo=Constant(albedo.value / factor))
-    assert isinstance(albedo, Bitmap)
-    return replace(material, albedo=replace(albedo, pixels=albedo.pixels / factor))
 
 
 if __name__ == "__main__":

@@ -23,6 +23,7 @@ from neurad.bsdf.table import make_bsdf
 from neurad.core.parameters import ALBEDO, ROUGHNESS, SurfaceParameter, recovered
 from neurad.core.protocols import Emitter
 from neurad.core.records import Surface, SurfaceInteraction
+from neurad.core.reflection import PrincipledModel, ReflectionModel
 from neurad.emitters.fitted import FittedEnvironment
 from neurad.emitters.fitted_lamps import FittedLamps
 from neurad.emitters.lights import Lights, WithPunctual, make_lights
@@ -92,13 +93,30 @@ class FittedMaterials(nn.Module):
 
     Args:
         fields: of the parameters that the scene has, the albedo first.
+        lambert: part of Lambert's lobe in the diffuse one from which a fit looks for it, see
+            :mod:`neurad.training.diffuse_lobe`; None in a fit that does not.
     """
 
-    def __init__(self, fields: Mapping[str, nn.Module]) -> None:
+    lobe_found: Tensor
+
+    def __init__(self, fields: Mapping[str, nn.Module], lambert: float | None = None) -> None:
         super().__init__()
         self.fields = nn.ModuleDict(fields)
+        self.lambert = None if lambert is None else nn.Parameter(torch.full((1, 1), lambert))
+        """That part, until it is known; None in a fit that does not look for it."""
+        self.looks_for_lobe = lambert is not None
+        """Whether it is still looked for."""
+        self.register_buffer("lobe_found", torch.tensor(lambert is None))
+        self.register_load_state_dict_post_hook(  # type: ignore[no-untyped-call]
+            lambda module, _: module.keep_lobe(bool(module.lobe_found))
+        )
         self.known_meshes: frozenset[int] = frozenset()
         """Meshes on which the scene's own values hold, see :func:`pin_known_materials`."""
+
+    def keep_lobe(self, found: bool = True) -> None:
+        """Look no longer for the diffuse lobe if it was found."""
+        self.lobe_found.fill_(found)
+        self.looks_for_lobe = not found
 
     @property
     def recovered(self) -> dict[str, MaterialField]:
@@ -111,7 +129,8 @@ class FittedMaterials(nn.Module):
         values = {name: albedo if name == ALBEDO.name else field(si, albedo) for name, field in self.fields.items()}
         if ROUGHNESS.name not in values:  # not read: one number for all lanes
             values[ROUGHNESS.name] = albedo.new_full((1, 1), ROUGHNESS.absent).expand(len(albedo), 1)
-        return Surface(**values)
+        searched = self.lambert.expand(len(albedo), 1) if self.looks_for_lobe else None
+        return Surface(**values, lambert=searched)
 
     def albedo(self, si: SurfaceInteraction) -> Tensor:
         """The albedo alone [n, 3]."""
@@ -151,6 +170,7 @@ def build_materials(
     geometry: Geometry,
     region: Region | None = None,
     known_emitters: bool = True,
+    lambert: float | None = None,
 ) -> FittedMaterials:
     """A field for each of the scene's parameters that a fit recovers; the others are read from the scene.
 
@@ -162,6 +182,7 @@ def build_materials(
         known_emitters: emitting surfaces keep what the scene file says of them: that is part of the light, and
             photographs do not show it. They are shaded by the fitted model (principled, or diffuse in a Lambertian
             scene) like every recovered surface, whatever model the file gives them.
+        lambert: as :class:`FittedMaterials` has it.
     """
     region = region or Region(scene.bounds)
     bounds, cells = torch.from_numpy(region.bounds), region.cells(HIERARCHY_CELLS, max(DETAILS))
@@ -175,7 +196,7 @@ def build_materials(
         config = region.stretched(configs[parameter.name])
         return MaterialField(parameter, config, bounds, region.contracted, parts, cells)
 
-    materials = FittedMaterials({parameter.name: made(parameter) for parameter in scene.parameters})
+    materials = FittedMaterials({parameter.name: made(parameter) for parameter in scene.parameters}, lambert)
     if known_emitters:
         pin_known_materials(materials, scene, geometry)
     return materials
@@ -255,6 +276,14 @@ class Assembly:
         return recovered_lamps(self.world)
 
     @property
+    def fitted_model(self) -> ReflectionModel:
+        """The model that recovered surfaces have."""
+        model = self.scene.features.fitted_model
+        if not isinstance(model, PrincipledModel):
+            return model
+        return replace(model, diffuse="lambert" if float(self.world.lambert) > 0.5 else "burley")
+
+    @property
     def radiance_inputs(self) -> list[str] | None:
         """What the radiance field reads; None without one."""
         return None if self.radiance is None else list(self.radiance.inputs)
@@ -330,7 +359,11 @@ def assemble(
                 name: replace(config, structure="free") if isinstance(config, RoughnessConfig) else config
                 for name, config in configs.items()
             }
-        materials = build_materials(scene, configs, world.geometry, region, known_emitters)
+        looks = settings.diffuse_lobe == "auto" and ROUGHNESS in scene.parameters and settings.method.needs_field
+        begin = float(world.lambert) if looks else None
+        materials = build_materials(scene, configs, world.geometry, region, known_emitters, begin)
+        if settings.diffuse_lobe != "auto":
+            world.set_lambert(float(settings.diffuse_lobe == "lambert"))
         if optimization.average > 0:
             average = PolyakAverage(materials, optimization.average)
     needs_field = settings.method.needs_field

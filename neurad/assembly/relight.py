@@ -25,7 +25,7 @@ def recovered_scene(assembly: Assembly) -> Scene:
     """
     scene = assembly.scene
     if isinstance(assembly.materials, FittedMaterials):
-        model = scene.features.fitted_model
+        model = assembly.fitted_model
         scene = replace(scene, materials=[m if m.model.is_delta else replace(m, model=model) for m in scene.materials])
     if assembly.environment is not None:
         scene = replace(scene, environment=shown_environment(assembly))

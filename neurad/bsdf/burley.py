@@ -1,10 +1,11 @@
-"""The two lobes of Burley's model in plain torch."""
+"""The two lobes of Burley's model in plain torch, its diffuse one also blended with Lambert's."""
 
 from __future__ import annotations
 
 import torch
 from torch import Tensor
 
+from neurad.bsdf.directional import coat_albedo
 from neurad.bsdf.microfacet import alpha_of, fresnel_dielectric, ggx_reflection
 from neurad.core.sampling import INV_PI
 
@@ -23,6 +24,7 @@ def lobes_pdf(
     eta: float,
     specular_fraction: float | Tensor = 0.5,
     metallic: Tensor | None = None,
+    lambert: float | Tensor = 0.0,
 ) -> tuple[Tensor, Tensor, Tensor]:
     """Diffuse and specular lobe and the density; any device and dtype, differentiable in roughness and
     metallic.
@@ -31,6 +33,10 @@ def lobes_pdf(
     ``d = cos / pi ((1 - Fo/2)(1 - Fi/2) + R (Fo + Fi + Fo Fi (R - 1)))``, ``R = 2 roughness c^2`` (Burley 2012, 5.3,
     with the retro-reflection of Burley 2015), ``s = F g`` with the GGX reflection g of
     :func:`~neurad.bsdf.microfacet.ggx_reflection`, and ``pdf = (1 - p) cos / pi + p pdf_ggx``.
+
+    Of the diffuse lobe a part ``lambert`` is Lambert's under the coat, as in Cycles and, but for the coat's Fresnel
+    factor, in glTF: ``d = cos / pi (1 - E)`` with the coat's directional albedo E towards the viewer. With albedo 1
+    both lobes then send back all light.
 
     Metal blends in Schlick's ``albedo + (1 - albedo) (1 - c)^5`` in place of F and of the diffuse lobe, which is linear
     in the albedo, too: ``f cos = albedo d + s`` holds for every ``metallic``.
@@ -42,6 +48,7 @@ def lobes_pdf(
         eta: refractive index, inside over outside.
         specular_fraction: probability p of the specular lobe, of all lanes or of each [n].
         metallic: 0 is a dielectric, 1 a metal [n, 1]; None where all lanes are dielectrics.
+        lambert: part of Lambert's lobe in the diffuse one, of all lanes or of each [n, 1].
 
     Returns:
         d [n] and s [n] with ``f cos(wi) = albedo d + s``, and the detached pdf [n].
@@ -56,6 +63,9 @@ def lobes_pdf(
     both, cosine = fo * fi, zi * INV_PI
     retro = (2.0 * c * c) * r
     d = cosine * ((1.0 - 0.5 * fo) * (1.0 - 0.5 * fi) + retro * (fo + fi - both + retro * both))
+    if isinstance(lambert, Tensor) or lambert > 0.0:
+        part = lambert.squeeze(-1) if isinstance(lambert, Tensor) else lambert
+        d = d + part * (cosine * (1.0 - coat_albedo(roughness, zo, eta)) - d)
     if metallic is not None:
         m, grazing = metallic.squeeze(-1), _schlick(c)
         d = (1.0 - m) * d + m * (1.0 - grazing) * ggx

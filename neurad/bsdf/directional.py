@@ -46,21 +46,22 @@ def table(eta: float, device: torch.device, metal: bool = False) -> Tensor:
         kernels.lobes_pdf(roughness, wo.numpy(), wi.numpy(), np.float32(eta), half, out[:5].numpy())
         values = out[[0, 1, 3, 4]]
         if metal:  # d + m dd/dm for every metalness m, so the derivatives at 0 and 1 tell all
-            kernels.add_metal(roughness, np.ones_like(roughness), wo.numpy(), wi.numpy(), out.numpy())
+            kernels.add_metal(roughness, np.ones_like(roughness), wo.numpy(), wi.numpy(), out.numpy(), out[5:].numpy())
             values = torch.cat((values, out[5:], out[3:5] - values[2:]))
         inverse = torch.where(out[2] > 0, 1.0 / out[2], 0.0)
         rows.append((values * inverse).view(len(values), COSINES, SAMPLES).mean(-1).t())
     return torch.cat(rows).contiguous().to(device)
 
 
-def mean_lobes(surface: Surface, cosine: Tensor, eta: float, use_kernels: bool = True) -> Tensor:
-    """Diffuse and specular part and their derivatives by the roughness, with a metalness by that, too: [4 or 6, n],
-    bilinear in the table, without a graph.
+def mean_lobes(surface: Surface, cosine: Tensor, eta: float, lambert: float = 0.0, use_kernels: bool = True) -> Tensor:
+    """Diffuse and specular part and their derivatives by the scalars of ``surface``, the roughness first: [4, 6 or 8,
+    n], bilinear in the table, without a graph.
 
     Args:
-        surface: its roughness [n, 1], and its metalness [n, 1] if there is one.
+        surface: its roughness [n, 1], and part of Lambert's lobe and metalness [n, 1] if it has them.
         cosine: between viewer and normal [n].
         eta: refractive index of the dielectric's specular lobe.
+        lambert: part of Lambert's lobe in the diffuse one of a surface that has none of its own.
         use_kernels: use the compiled kernel where it applies (float32 on the CPU).
     """
     roughness = surface.roughness.detach()
@@ -71,10 +72,32 @@ def mean_lobes(surface: Surface, cosine: Tensor, eta: float, use_kernels: bool =
         kernels.mean_lobes(rough, cos, entries.numpy(), ROUGHNESSES, COSINES, out.numpy())
     else:
         out = _mean_lobes_reference(roughness, cosine.detach(), entries)
-    if surface.metallic is None:
-        return out
-    values = out[:4] + surface.metallic.detach().squeeze(-1) * out[4:]
-    return torch.cat((values, out[4:6]))
+    part = lambert if surface.lambert is None else surface.lambert.detach().squeeze(-1)
+    values, by_scalars = out[:4], []
+    if surface.lambert is not None or lambert > 0.0:
+        # Lambert's lobe sends back all that the coat does not.
+        change = torch.stack((1.0 - out[1], -out[3])) - out[[0, 2]]
+        values = out[:4].clone()
+        values[[0, 2]] += part * change
+        if surface.lambert is not None:
+            by_scalars += [change[0], torch.zeros_like(change[0])]
+    if surface.metallic is not None:
+        metal = surface.metallic.detach().squeeze(-1)
+        by_metal = out[4:] + (out[:4] - values)  # the value of metal is the same whatever it replaces
+        values = values + metal * by_metal
+        by_scalars = [(1.0 - metal) * x for x in by_scalars] + list(by_metal[:2])
+    return torch.cat((values, torch.stack(by_scalars))) if by_scalars else values
+
+
+def coat_albedo(roughness: Tensor, cosine: Tensor, eta: float) -> Tensor:
+    """What the coat sends back [n] towards viewers at ``cosine`` [n], by the tables of its value and its derivative by
+    the roughness [n, 1], in which it is differentiable once.
+    """
+    entries = table(eta, roughness.device)[:, [1, 3]].to(roughness.dtype)
+    value, slope = _mean_lobes_reference(roughness.detach(), cosine, entries)
+    r = roughness.squeeze(-1)
+    albedo: Tensor = value + slope * (r - r.detach())
+    return albedo
 
 
 def _mean_lobes_reference(roughness: Tensor, cosine: Tensor, entries: Tensor) -> Tensor:
@@ -93,8 +116,10 @@ class _Lookup(torch.autograd.Function):
     """Bilinear value of the table, its gradient from the tabulated derivatives."""
 
     @staticmethod
-    def forward(ctx: Any, surface: Surface, cosine: Tensor, eta: float, *scalars: Tensor) -> tuple[Tensor, Tensor]:
-        d, s, *derivatives = mean_lobes(surface, cosine, eta).unbind(0)
+    def forward(
+        ctx: Any, surface: Surface, cosine: Tensor, eta: float, lambert: float, *scalars: Tensor
+    ) -> tuple[Tensor, Tensor]:
+        d, s, *derivatives = mean_lobes(surface, cosine, eta, lambert).unbind(0)
         ctx.save_for_backward(*derivatives)
         return d, s
 
@@ -103,13 +128,13 @@ class _Lookup(torch.autograd.Function):
     def backward(ctx: Any, *grads: Tensor) -> tuple[Tensor | None, ...]:
         by = ctx.saved_tensors
         pairs = zip(by[::2], by[1::2], strict=True)
-        return (None, None, None, *((grads[0] * d + grads[1] * s).unsqueeze(-1) for d, s in pairs))
+        return (None, None, None, None, *((grads[0] * d + grads[1] * s).unsqueeze(-1) for d, s in pairs))
 
 
-def directional_albedo(surface: Surface, cosine: Tensor, eta: float) -> Tensor:
+def directional_albedo(surface: Surface, cosine: Tensor, eta: float, lambert: float = 0.0) -> Tensor:
     """``int f cos(wi) dwi`` towards viewers at ``cosine`` [n] from the normal: [n, 3], differentiable in ``surface``.
 
     Tabulated; the error is below 1 % of it, except for cosines under 0.01.
     """
-    d, s = _Lookup.apply(surface, cosine, eta, *surface.scalars)  # type: ignore[no-untyped-call]
+    d, s = _Lookup.apply(surface, cosine, eta, lambert, *surface.scalars)  # type: ignore[no-untyped-call]
     return torch.addcmul(s.unsqueeze(-1), surface.albedo, d.unsqueeze(-1))

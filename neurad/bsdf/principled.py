@@ -1,5 +1,5 @@
 """Burley's reflection model with base colour, roughness and metalness: Mitsuba's ``principled`` with ``eta``, all else
-left at its default.
+left at its default; or that of Cycles, whose diffuse lobe is Lambert's.
 """
 
 from __future__ import annotations
@@ -14,7 +14,7 @@ from torch.autograd.function import once_differentiable
 
 from neurad.bsdf import principled_kernels as kernels
 from neurad.bsdf.burley import lobes_pdf
-from neurad.bsdf.directional import directional_albedo, mean_lobes
+from neurad.bsdf.directional import COSINES, ROUGHNESSES, directional_albedo, mean_lobes, table
 from neurad.bsdf.microfacet import alpha_of, mirror, visible_normal
 from neurad.core.records import BSDFSample, FloatArray, Surface
 from neurad.core.reflection import PrincipledModel
@@ -32,6 +32,15 @@ class PrincipledKernels:
     """Refractive index of the dielectric's specular lobe, inside over outside."""
     specular_fraction: float | Tensor
     """Probability of the specular lobe, of all lanes or of each [n]."""
+    lambert: float = 0.0
+    """Part of Lambert's lobe in the diffuse one."""
+
+    @classmethod
+    def of(cls, surface: Surface, eta: float, specular_fraction: float | Tensor, lambert: float) -> Self:
+        """Those of a surface, by the part of Lambert's lobe that it has if it has one."""
+        if surface.lambert is not None and len(surface) > 0:
+            lambert = float(surface.lambert.detach()[0])
+        return cls(eta, specular_fraction, lambert)
 
     def _fraction(self, lanes: int) -> FloatArray:
         """It as an array [1] or [n]."""
@@ -43,14 +52,21 @@ class PrincipledKernels:
         return found
 
     def lobes(self, surface: Surface, wo: Tensor, wi: Tensor) -> Tensor:
-        """Rows d, s, pdf of :func:`lobes_pdf`, dd/droughness and ds/droughness, and with a metalness its derivatives,
-        too: [5 or 7, n].
+        """Rows d, s, pdf of :func:`lobes_pdf`, and the derivatives of d and s by each of the surface's scalars, the
+        roughness first: [5, 7 or 9, n].
         """
         rough, metal, view, towards = _arrays(surface, wo, wi)
-        out = torch.empty(5 if metal is None else 7, len(wo))
+        out = torch.empty(3 + 2 * len(surface.scalars), len(wo))
         kernels.lobes_pdf(rough, view, towards, np.float32(self.eta), self._fraction(len(wo)), out.numpy())
+        by_part = out[5:6] if surface.lambert is not None else out[5:5]
+        if self.lambert > 0.0 or len(by_part) > 0:
+            entries, part = table(self.eta, wo.device).numpy(), np.float32(self.lambert)
+            arrays = entries, ROUGHNESSES, COSINES, out.numpy(), by_part.view(-1).numpy()
+            kernels.blend_lambert(rough, view, towards, part, *arrays)
+            out[6 : 6 + len(by_part)] = 0.0
         if metal is not None:
-            kernels.add_metal(rough, metal, view, towards, out.numpy())
+            kernels.add_metal(rough, metal, view, towards, out.numpy(), out[-2:].numpy())
+            by_part *= 1.0 - torch.from_numpy(metal).squeeze(-1)
         return out
 
     def direction(self, surface: Surface, wo: Tensor, u: Tensor) -> Tensor:
@@ -68,7 +84,7 @@ class PrincipledKernels:
 
     def mean_lobes(self, surface: Surface, cosine: Tensor) -> Tensor:
         """Integrals over wi of d, s and their derivatives [4 or 6, n], tabulated."""
-        return mean_lobes(surface, cosine, self.eta)
+        return mean_lobes(surface, cosine, self.eta, self.lambert)
 
 
 def _arrays(surface: Surface, *directions: Tensor) -> tuple[Any, ...]:
@@ -101,14 +117,13 @@ class _LobesPdfKernel(torch.autograd.Function):
 
 
 def principled_lobes_pdf(
-    surface: Surface, wo: Tensor, wi: Tensor, eta: float, specular_fraction: float | Tensor = 0.5
+    surface: Surface, wo: Tensor, wi: Tensor, compiled: PrincipledKernels
 ) -> tuple[Tensor, Tensor, Tensor]:
-    """The kernel of :func:`lobes_pdf` for float32 on the CPU; differentiable once, in roughness and metalness only.
+    """The kernel of :func:`lobes_pdf` for float32 on the CPU; differentiable once, in the surface's scalars only.
 
     Raises:
         ValueError: the arguments have different numbers of lanes; the kernel would read past their ends.
     """
-    compiled = PrincipledKernels(eta, specular_fraction)
     scalars = surface.scalars
     d, s, pdf = _LobesPdfKernel.apply(surface, wo.detach(), wi.detach(), compiled, *scalars)  # type: ignore[no-untyped-call]
     return d, s, pdf
@@ -124,28 +139,35 @@ class Principled:
         use_kernels: use the compiled kernels where they apply (float32 on the CPU).
         specular_fraction: probability that a sample is drawn from the specular lobe of a dielectric; metal draws less
             by the diffuse lobe.
+        lambert: part of Lambert's lobe in the diffuse one, 1 in Cycles; it may change.
     """
 
     is_diffuse = False
     varying_weight = True
 
-    def __init__(self, eta: float = 1.5, use_kernels: bool = True, specular_fraction: float = 0.5) -> None:
+    def __init__(
+        self, eta: float = 1.5, use_kernels: bool = True, specular_fraction: float = 0.5, lambert: float = 0.0
+    ) -> None:
         """``specular_fraction`` is 0.5 in Mitsuba."""
         self.eta = eta
         self.use_kernels = use_kernels
         self.specular_fraction = specular_fraction
+        self.lambert = lambert
 
     @classmethod
     def of(cls, model: PrincipledModel, specular_fraction: float) -> Self:
         """The implementation of a description."""
-        return cls(model.eta, specular_fraction=specular_fraction)
+        return cls(model.eta, specular_fraction=specular_fraction, lambert=float(model.diffuse == "lambert"))
 
     def kernels(self, surface: Surface) -> PrincipledKernels | None:
         """The compiled lobes, where ``surface`` is float32 on the CPU and all of one model."""
         enabled = self.use_kernels and surface.model is None
         if use_kernel(enabled, surface.albedo, surface.roughness, differentiable=True):
-            return PrincipledKernels(self.eta, self._fraction(surface))
+            return self._compiled(surface)
         return None
+
+    def _compiled(self, surface: Surface) -> PrincipledKernels:
+        return PrincipledKernels.of(surface, self.eta, self._fraction(surface), self.lambert)
 
     def _fraction(self, surface: Surface) -> float | Tensor:
         """Probability of the specular lobe, [n] where lanes have one of their own or are of metal."""
@@ -157,15 +179,15 @@ class Principled:
 
     def _lobes_pdf(self, surface: Surface, wo: Tensor, wi: Tensor) -> tuple[Tensor, Tensor, Tensor]:
         if use_kernel(self.use_kernels, wo, differentiable=True):
-            return principled_lobes_pdf(surface, wo, wi, self.eta, self._fraction(surface))
-        return lobes_pdf(surface.roughness, wo, wi, self.eta, self._fraction(surface), surface.metallic)
+            return principled_lobes_pdf(surface, wo, wi, self._compiled(surface))
+        lambert = self.lambert if surface.lambert is None else surface.lambert
+        return lobes_pdf(surface.roughness, wo, wi, self.eta, self._fraction(surface), surface.metallic, lambert)
 
     def _direction(self, surface: Surface, wo: Tensor, u: Tensor) -> Tensor:
-        fraction = self._fraction(surface)
         if use_kernel(self.use_kernels, wo, differentiable=True):
-            return PrincipledKernels(self.eta, fraction).direction(surface, wo, u)
+            return self._compiled(surface).direction(surface, wo, u)
         mirrored = mirror(wo, visible_normal(wo, alpha_of(surface.roughness.detach()), u[:, 1:]))
-        by_cosine = (u[:, 0] < 1.0 - fraction).unsqueeze(-1)
+        by_cosine = (u[:, 0] < 1.0 - self._fraction(surface)).unsqueeze(-1)
         return torch.where(by_cosine, cosine_hemisphere(u[:, 1:]), mirrored)
 
     def lobes(self, surface: Surface, wo: Tensor, wi: Tensor) -> tuple[Tensor, Tensor]:
@@ -198,4 +220,4 @@ class Principled:
 
     def mean_weight(self, surface: Surface, wo: Tensor) -> Tensor:
         """Mean of the weights of :meth:`sample` [n, 3], the directional albedo, differentiable in ``surface``."""
-        return directional_albedo(surface, wo[:, 2], self.eta) * (wo[:, 2:] > 0)
+        return directional_albedo(surface, wo[:, 2], self.eta, self.lambert) * (wo[:, 2:] > 0)

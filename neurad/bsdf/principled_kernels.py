@@ -44,6 +44,30 @@ def _ggx(
     return density, inv_o, inv_i, log_by_alpha * _TWO * r if wide else _ZERO
 
 
+@inlined
+def _cell(
+    r: np.float32, c: np.float32, rows: int, columns: int
+) -> tuple[int, np.float32, np.float32]:  # pragma: no cover - compiled
+    """First entry of the cell that a roughness and a cosine lie in, and where in it, by rows and columns."""
+    r, c = r if r > _ZERO else _ZERO, c if c > _ZERO else _ZERO  # NaN reads the first entry, none beyond the table
+    row = (r if r < _ONE else _ONE) * np.float32(rows - 1)
+    column = np.float32(math.sqrt(c if c < _ONE else _ONE)) * np.float32(columns - 1)
+    low, left = min(int(row), rows - 2), min(int(column), columns - 2)
+    return low * columns + left, row - np.float32(low), column - np.float32(left)
+
+
+@inlined
+def _entry(
+    entries: FloatArray, first: int, columns: int, k: int, down: np.float32, right: np.float32
+) -> np.float32:  # pragma: no cover - compiled
+    """Bilinear value of number k in that cell."""
+    above = entries[first, k] + right * (entries[first + 1, k] - entries[first, k])
+    start = entries[first + columns, k]
+    below = start + right * (entries[first + columns + 1, k] - start)
+    value: np.float32 = above + down * (below - above)
+    return value
+
+
 @fastmath_kernel
 def lobes_pdf(
     roughness: FloatArray, wo: FloatArray, wi: FloatArray, eta: np.float32, fraction: FloatArray, out: FloatArray
@@ -86,15 +110,49 @@ def lobes_pdf(
 
 
 @fastmath_kernel
-def add_metal(
-    roughness: FloatArray, metallic: FloatArray, wo: FloatArray, wi: FloatArray, out: FloatArray
+def blend_lambert(
+    roughness: FloatArray,
+    wo: FloatArray,
+    wi: FloatArray,
+    part: np.float32,
+    entries: FloatArray,
+    rows: int,
+    columns: int,
+    out: FloatArray,
+    by_part: FloatArray,
 ) -> None:  # pragma: no cover - compiled
-    """Blend metal by its part ``metallic`` [n, 1] into what :func:`lobes_pdf` filled, and add the rows dd/dmetallic and
-    ds/dmetallic: ``out`` [7, n].
+    """Put a ``part`` of Lambert's lobe under a coat into the rows d and dd/droughness that :func:`lobes_pdf` filled,
+    and fill dd/dpart [n], or [0] for none; ``entries`` as in :func:`mean_lobes`, of Burley's lobe.
+    """
+    wanted = by_part.shape[0] > 0
+    for i in range(wo.shape[0]):
+        zo, zi = wo[i, 2], wi[i, 2]
+        change = _ZERO
+        if zo > _ZERO and zi > _ZERO:
+            first, down, right = _cell(roughness[i, 0], zo, rows, columns)
+            lambert = zi * _INV_PI
+            change = lambert * (_ONE - _entry(entries, first, columns, 1, down, right)) - out[0, i]
+            out[0, i] += part * change
+            out[3, i] -= part * (lambert * _entry(entries, first, columns, 3, down, right) + out[3, i])
+        if wanted:
+            by_part[i] = change
+
+
+@fastmath_kernel
+def add_metal(
+    roughness: FloatArray,
+    metallic: FloatArray,
+    wo: FloatArray,
+    wi: FloatArray,
+    out: FloatArray,
+    by_metallic: FloatArray,
+) -> None:  # pragma: no cover - compiled
+    """Blend metal by its part ``metallic`` [n, 1] into the rows that :func:`lobes_pdf` filled, and fill dd/dmetallic
+    and ds/dmetallic [2, n].
     """
     for i in range(wo.shape[0]):
         zo, zi, r, m = wo[i, 2], wi[i, 2], roughness[i, 0], metallic[i, 0]
-        out[5, i], out[6, i] = -out[0, i], -out[1, i]
+        by_metallic[0, i], by_metallic[1, i] = -out[0, i], -out[1, i]
         if zo > _ZERO and zi > _ZERO:
             hx, hy, hz = wo[i, 0] + wi[i, 0], wo[i, 1] + wi[i, 1], max(zo + zi, _TINY)
             flat, up = hx * hx + hy * hy, hz * hz
@@ -104,12 +162,12 @@ def add_metal(
             past = max(_ONE - math.sqrt(_QUARTER * (flat + up)), _ZERO)
             past2 = past * past
             grazing = past2 * past2 * past
-            out[5, i] += (_ONE - grazing) * g
-            out[6, i] += grazing * g
+            by_metallic[0, i] += (_ONE - grazing) * g
+            by_metallic[1, i] += grazing * g
             out[3, i] += m * ((_ONE - grazing) * g_by_roughness - out[3, i])
             out[4, i] += m * (grazing * g_by_roughness - out[4, i])
-        out[0, i] += m * out[5, i]
-        out[1, i] += m * out[6, i]
+        out[0, i] += m * by_metallic[0, i]
+        out[1, i] += m * by_metallic[1, i]
 
 
 @fastmath_kernel
@@ -151,17 +209,7 @@ def mean_lobes(
     """Fill ``out`` [k, n] with bilinear values of a table ``entries`` [rows * columns, k] over roughness and the root
     of the cosine.
     """
-    last_row, last_column = np.float32(rows - 1), np.float32(columns - 1)
     for i in range(roughness.shape[0]):
-        r, c = roughness[i, 0], cosine[i]
-        r, c = r if r > _ZERO else _ZERO, c if c > _ZERO else _ZERO  # NaN reads the first entry, none beyond the table
-        row = (r if r < _ONE else _ONE) * last_row
-        column = np.float32(math.sqrt(c if c < _ONE else _ONE)) * last_column
-        low, left = min(int(row), rows - 2), min(int(column), columns - 2)
-        down, right = row - np.float32(low), column - np.float32(left)
-        first = low * columns + left
+        first, down, right = _cell(roughness[i, 0], cosine[i], rows, columns)
         for k in range(out.shape[0]):
-            above = entries[first, k] + right * (entries[first + 1, k] - entries[first, k])
-            start = entries[first + columns, k]
-            below = start + right * (entries[first + columns + 1, k] - start)
-            out[k, i] = above + down * (below - above)
+            out[k, i] = _entry(entries, first, columns, k, down, right)

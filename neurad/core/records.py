@@ -158,6 +158,9 @@ class Surface(Lanes):
     model's own."""
     metallic: Tensor | None = None
     """How much of a metal it is, in [0, 1] [n, 1]; None in a scene without metal."""
+    lambert: Tensor | None = None
+    """Part of Lambert's lobe in the diffuse one while that is being found, the same in all lanes [n, 1]; None for the
+    model's own."""
 
     @property
     def parameters(self) -> dict[str, Tensor]:
@@ -173,8 +176,11 @@ class Surface(Lanes):
 
     @property
     def scalars(self) -> list[Tensor]:
-        """The parameters of one channel [n, 1], in their order."""
-        return [value for name, value in self.parameters.items() if BY_NAME[name].channels == 1]
+        """What lobes are differentiated by [n, 1]: the roughness, the part of Lambert's lobe while it is being found,
+        and other parameters of one channel.
+        """
+        first, *others = (value for name, value in self.parameters.items() if BY_NAME[name].channels == 1)
+        return [first, *([] if self.lambert is None else [self.lambert]), *others]
 
 
 @dataclass(frozen=True)

@@ -7,9 +7,12 @@ from __future__ import annotations
 
 from abc import ABC, abstractmethod
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, Literal
 
 from neurad.core.errors import InputError
+
+DiffuseLobe = Literal["burley", "lambert"]
+"""The diffuse lobe of a principled model."""
 
 
 @dataclass(frozen=True)
@@ -83,11 +86,14 @@ class PrincipledModel(ReflectionModel):
 
     eta: float = 1.5
     """Refractive index of the dielectric's specular lobe, inside over outside; 1.5 is ``specular`` 0.5."""
+    diffuse: DiffuseLobe = "burley"
+    """What lies under the coat: Burley's lobe as in Mitsuba, or Lambert's as in Cycles and glTF."""
 
     @property
     def label(self) -> str:
         """Mitsuba's plugin and what differs from its defaults."""
-        return "principled" + ("" if self.eta == 1.5 else f", eta {self.eta:g}")
+        eta = "" if self.eta == 1.5 else f", eta {self.eta:g}"
+        return "principled" + eta + ("" if self.diffuse == "burley" else ", Lambertian")
 
     def mitsuba(self, albedo: Any, roughness: Any, metallic: Any = 0.0) -> dict[str, Any]:
         """``principled``."""

@@ -47,7 +47,7 @@ def bake_room(assembly: Assembly, texels: int, size: int | None, up: Up | None, 
     require_xatlas()
     scene, world, materials = named_apart(assembly.scene), assembly.world, assembly.materials
     check_meshes(scene)
-    model = None if isinstance(materials, TrueMaterials) else scene.features.fitted_model
+    model = None if isinstance(materials, TrueMaterials) else assembly.fitted_model
     described = [_material(scene, mesh, model) for mesh in scene.meshes]
     density, seen = densities(world.tracer.tracer, world.geometry, scene, progress)
     textured = [i for i, material in enumerate(described) if not material.model.is_delta]

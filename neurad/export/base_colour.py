@@ -1,16 +1,17 @@
 """The base colour with which another program's model sends back as much light as neurad's.
 
-neurad and Mitsuba add Burley's diffuse lobe under the coat; glTF viewers and Cycles scale a Lambertian one by what the
-coat leaves. With the same base colour they send back less, and in a closed room that adds up to a fifth of the light.
-Here the means over all directions of both are equated. What remains are differences between angles, about 3 %: textures
-cannot say them, nodes in Blender can, by a table over the angle of the viewer.
+Mitsuba adds Burley's diffuse lobe under the coat; glTF viewers and Cycles scale a Lambertian one by what the coat
+leaves; neurad has the lobe that photographs ask for. With the same base colour the second sends back less, and in a
+closed room that adds up to a fifth of the light. Here the means over all directions of both are equated. What remains
+are differences between angles, about 3 %: textures cannot say them, nodes in Blender can, by a table over the angle of
+the viewer.
 """
 
 from __future__ import annotations
 
 import functools
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -19,14 +20,14 @@ from torch import Tensor
 
 from neurad.bsdf.burley import lobes_pdf
 from neurad.bsdf.microfacet import MIN_ALPHA, fresnel_dielectric, reflectance
-from neurad.core.records import Constant, FloatArray, Material
-from neurad.core.reflection import PrincipledModel
+from neurad.core.records import Bitmap, Constant, FloatArray, Material, Texture
+from neurad.core.reflection import DiffuseLobe, PrincipledModel
 from neurad.export.raster_kernels import Array
 from neurad.runtime import threads
 from neurad.scene.description import is_dielectric
 
 Target = Literal["blender", "gltf", "exact"]
-"""Whose model the colour is for: Cycles', the sample BRDF of the Khronos group, or neurad's own."""
+"""Whose model the colour is for: Cycles', the sample BRDF of the Khronos group, or Mitsuba's ``principled``."""
 TARGETS: tuple[Target, ...] = ("blender", "gltf", "exact")
 ETA = 1.5
 """Refractive index of the coat in all three."""
@@ -78,19 +79,44 @@ def is_converted(material: Material) -> bool:
     return isinstance(material.model, PrincipledModel) and is_dielectric(material.metallic)
 
 
-def base_for(target: Target, base: FloatArray, roughness: FloatArray) -> FloatArray:
+def lobe_of(material: Material) -> DiffuseLobe:
+    """Its diffuse lobe under a coat."""
+    return material.model.diffuse if isinstance(material.model, PrincipledModel) else "burley"
+
+
+def for_mitsuba(material: Material) -> Material:
+    """A material whose textures are constants or of one size, as Mitsuba's ``principled`` has it."""
+    if not isinstance(material.model, PrincipledModel) or material.model.diffuse == "burley":
+        return material
+    albedo, rough = (_values(texture) for texture in (material.albedo, material.roughness))
+    base = base_for("exact", albedo, rough, "lambert") if is_converted(material) else albedo
+    texture: Texture = Constant(base.reshape(-1)) if base.ndim == 1 else Bitmap(np.ascontiguousarray(base))
+    return replace(material, albedo=texture, model=replace(material.model, diffuse="burley"))
+
+
+def _values(texture: Texture) -> FloatArray:
+    """[channels] of a constant, [h, w, channels] of a bitmap."""
+    assert isinstance(texture, Constant | Bitmap)
+    return np.asarray(texture.value if isinstance(texture, Constant) else texture.pixels, np.float32)
+
+
+def base_for(target: Target, base: FloatArray, roughness: FloatArray, lobe: DiffuseLobe = "burley") -> FloatArray:
     """The base colour that ``target`` needs; it may exceed 1 or lie below 0.
 
     Args:
         target: whose model it is for.
         base: neurad's [..., 3].
         roughness: [..., 1].
+        lobe: neurad's diffuse lobe.
     """
-    if target == "exact":
+    if target == ("exact" if lobe == "burley" else "blender"):
         return base
     found = energy()
     nodes = np.linspace(0.0, 1.0, ROUGHNESSES)
-    diffuse, specular = (np.interp(roughness, nodes, x).astype(np.float32) for x in (found.diffuse, found.specular))
+    burley, specular = (np.interp(roughness, nodes, x).astype(np.float32) for x in (found.diffuse, found.specular))
+    diffuse = burley if lobe == "burley" else 1.0 - specular
+    if target == "exact":
+        return base * (diffuse / burley)
     if target == "blender":
         return base * (diffuse / (1.0 - specular))
     schlick = np.interp(roughness, nodes, found.schlick).astype(np.float32)

@@ -18,7 +18,7 @@ import neurad
 from neurad.core.records import FloatArray, Mesh, PunctualLight, View
 from neurad.core.reflection import PrincipledModel
 from neurad.export.axes import TO_Y, quaternion, rotation
-from neurad.export.base_colour import Target, is_converted, smooth_colour
+from neurad.export.base_colour import Target, is_converted, lobe_of, smooth_colour
 from neurad.export.images import Coded, coded
 from neurad.export.room import BakedRoom
 from neurad.formats.cameras.write import clip_planes, is_plain
@@ -81,8 +81,10 @@ def _coded(room: BakedRoom, index: int, target: Target) -> Coded | None:
     baked = room.baked[index]
     if baked is None:
         return None
-    converted = is_converted(room.scene.materials[room.scene.meshes[index].material])
-    return coded(baked.maps, target if converted else "exact")
+    material = room.scene.materials[room.scene.meshes[index].material]
+    if not is_converted(material):
+        return coded(baked.maps, "exact")
+    return coded(baked.maps, target, lobe_of(material))
 
 
 def _add_mesh(glb: GlbWriter, room: BakedRoom, index: int, files: Coded | None) -> int:

@@ -10,6 +10,7 @@ import numpy.typing as npt
 
 from neurad.core.parameters import ALBEDO, METALLIC, ROUGHNESS
 from neurad.core.records import FloatArray
+from neurad.core.reflection import DiffuseLobe
 from neurad.export.base_colour import Target, base_for
 from neurad.images.image_io import png, to_srgb
 
@@ -31,9 +32,9 @@ class Coded:
     """Texels whose base colour would have left [0, 1]."""
 
 
-def coded(maps: Mapping[str, FloatArray], target: Target) -> Coded:
+def coded(maps: Mapping[str, FloatArray], target: Target, lobe: DiffuseLobe = "burley") -> Coded:
     """Textures of a mesh [h, w, channels], by the name of the surface parameter, as the two files that glTF and USD
-    read.
+    read; ``lobe`` is the diffuse one of the maps.
     """
     albedo = maps[ALBEDO.name]
     base = np.empty((*albedo.shape[:2], 3), np.uint8)
@@ -45,7 +46,7 @@ def coded(maps: Mapping[str, FloatArray], target: Target) -> Coded:
             maps[p.name][part].astype(np.float32) if p.name in maps else np.full(1, p.absent, np.float32)
             for p in (ROUGHNESS, METALLIC)
         )
-        wanted = base_for(target, albedo[part].astype(np.float32), roughness)
+        wanted = base_for(target, albedo[part].astype(np.float32), roughness, lobe)
         clipped += int(((wanted > 1.0) | (wanted < 0.0)).any(-1).sum())
         base[part] = eight_bits(to_srgb(wanted))
         orm[part, :, 1], orm[part, :, 2] = eight_bits(roughness[..., 0]), eight_bits(metallic[..., 0])

@@ -6,7 +6,7 @@ import json
 import sys
 import time
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
@@ -22,7 +22,7 @@ from neurad.evidence.error_bars import ErrorBars
 from neurad.export import usd
 from neurad.export.axes import UPS, Up, rotation
 from neurad.export.baking import bake_room
-from neurad.export.base_colour import TARGETS, Target, is_converted, over_angles
+from neurad.export.base_colour import TARGETS, Target, for_mitsuba, is_converted, lobe_of, over_angles
 from neurad.export.blender import blender_setup_path
 from neurad.export.cycles import render_views
 from neurad.export.evidence import COARSER, CoarseTexels, coarse_size, coarse_texels, evidence, seen_texels, std_maps
@@ -160,7 +160,8 @@ def write_room(
     bar.stage("scene.xml", 1)
     sensors = [sensor(scene, v.camera, v.camera.width, v.camera.height, 256, room.hide_environment) for v in views]
     hidden = room.hide_environment and hides_alone(scene)
-    write_xml(describe(scene, folder, sensors, path_integrator(scene, hidden)), folder / "scene.xml")
+    described = replace(scene, materials=[for_mitsuba(material) for material in scene.materials])
+    write_xml(describe(described, folder, sensors, path_integrator(scene, hidden)), folder / "scene.xml")
     bar.stage("scene.glb", len(room.names))
     with_usd = usd.has_usd()
 
@@ -176,7 +177,10 @@ def write_room(
     seen = _write_evidence(room, assembly, folder, bar, bars)
     missing = write_views(scene, folder, settings.copy)
     (folder / "blender_setup.py").write_bytes(blender_setup_path().read_bytes())
-    if settings.target == "blender":
+    over = settings.target == "blender" and any(
+        is_converted(material) and lobe_of(material) == "burley" for material in scene.materials
+    )
+    if over:
         table = np.repeat(over_angles()[::-1, :, None], 3, -1)  # the lowest row of a picture is v = 0 in Blender
         write_exr(folder / _OVER_ANGLES, np.ascontiguousarray(table), half=False)
     camera = views[0].camera if views else None
@@ -184,7 +188,7 @@ def write_room(
     return {
         "neurad": neurad.__version__,
         "base_color_for": settings.target,
-        "base_color_over_angles": _OVER_ANGLES if settings.target == "blender" else None,
+        "base_color_over_angles": _OVER_ANGLES if over else None,
         "clipped_texels": clipped,
         "texels": room.texels,
         "up": room.up,

@@ -66,6 +66,8 @@ class Verified:
     """Whether the views are held out; a scene without such views is verified on those that it was fitted to."""
     exposure: float = 1.0
     """What all pictures and photographs below are multiplied with, see :mod:`neurad.scene.exposure`."""
+    is_mitsubas: bool = True
+    """Whether Mitsuba has the diffuse lobe of the surfaces; if not, its pictures are held to :data:`CYCLES_MEAN`."""
     pictures: dict[str, Pictures] = field(default_factory=dict)
     """By renderer: 'fields', 'baked', 'mitsuba' and 'cycles'."""
     excess: dict[str, list[dict[int, Estimate] | None]] = field(default_factory=dict)
@@ -179,13 +181,13 @@ class Verified:
     def judge(self) -> None:
         """Hold what was found against its bounds."""
         self.verdicts = [*self._maps(), *self._seams()]
-        for name, bound in (("mitsuba", MITSUBA_MEAN), ("cycles", CYCLES_MEAN)):
+        for name, bound in (("mitsuba", MITSUBA_MEAN if self.is_mitsubas else CYCLES_MEAN), ("cycles", CYCLES_MEAN)):
             if name in self.pictures:
                 self.verdicts.append(self._means(name, bound))
         if all(photo is None for photo in self.photographs):
             return
         self.verdicts.append(self._compared("fields", "picture lost by baking", PICTURE_LOSS, signed=True))
-        if "mitsuba" in self.pictures:
+        if "mitsuba" in self.pictures and self.is_mitsubas:
             self.verdicts.append(self._compared("mitsuba", "mitsuba's PSNR less ours", MITSUBA_PSNR, signed=False))
 
     def _compared(self, name: str, what: str, bound: float, signed: bool) -> Verdict:

@@ -17,6 +17,7 @@ from neurad.core.parameters import RECOVERED, recovered
 from neurad.core.protocols import Materials
 from neurad.core.records import FloatArray, Surface, SurfaceInteraction, View
 from neurad.core.rng import mix
+from neurad.export.base_colour import lobe_of
 from neurad.export.pictures import BLOCKS, PASSES, Draw, Pictures, drawn, excess
 from neurad.export.progress import Progress
 from neurad.export.room import BakedRoom
@@ -81,7 +82,8 @@ def verify(
     """
     views = shown_alike(room.scene)
     scale = np.float32(scene_exposure(room.scene))
-    found = Verified(views, bool(room.scene.test), float(scale))
+    lobes = {lobe_of(material) for material in room.scene.materials}
+    found = Verified(views, bool(room.scene.test), float(scale), "lambert" not in lobes)
     found.photographs = [None if v.image is None else scale * _photograph(v, assembly) for v in views]
     progress.stage("seams", len(room.names))
     found.seams = find_seams(room, assembly.world.geometry, assembly.materials, done=progress.step)

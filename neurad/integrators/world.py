@@ -4,8 +4,11 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import torch
 from torch import Tensor, nn
 
+from neurad.bsdf.principled import Principled
+from neurad.bsdf.table import BSDFTable
 from neurad.core.frame import dot
 from neurad.core.protocols import BSDF, Emitter
 from neurad.core.records import Rays, SurfaceInteraction, first_of
@@ -54,6 +57,8 @@ class World(nn.Module):
     """
 
     two_sided: Tensor
+    lambert: Tensor
+    """Part of Lambert's lobe in the diffuse one of recovered surfaces, see :meth:`set_lambert`."""
 
     def __init__(
         self,
@@ -77,6 +82,25 @@ class World(nn.Module):
         self.guide: Guide | None = None
         """Where to look for indirect light; None looks by the BSDF alone."""
         self.register_buffer("two_sided", two_sided, persistent=False)
+        self.register_buffer("lambert", torch.zeros(()))
+        if isinstance(fitted := self._fitted_bsdf, Principled):
+            self.lambert.fill_(fitted.lambert)
+        self.register_load_state_dict_post_hook(  # type: ignore[no-untyped-call]
+            lambda module, _: module.set_lambert(float(module.lambert))
+        )
+
+    @property
+    def _fitted_bsdf(self) -> BSDF:
+        """What recovered surfaces reflect by."""
+        return self.bsdf.fitted if isinstance(self.bsdf, BSDFTable) else self.bsdf
+
+    def set_lambert(self, part: float) -> None:
+        """Let recovered surfaces have such a part of Lambert's lobe in their diffuse one; none has in a Lambertian
+        scene.
+        """
+        if isinstance(fitted := self._fitted_bsdf, Principled):
+            self.lambert.fill_(part)
+            fitted.lambert = part
 
     def under(self, lights: Emitter, features: Features | None = None) -> World:
         """A world of these surfaces under other lights, without a guide, which belongs to the present ones.

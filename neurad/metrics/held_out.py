@@ -185,7 +185,9 @@ class HeldOut:
         which nothing is recovered, or nothing, and :meth:`kept`.
         """
         if index not in self._counted:
-            smooth = torch.tensor([m.model.is_delta for m in self.scene.materials], device=self.geometry.material.device)
+            smooth = torch.tensor(
+                [m.model.is_delta for m in self.scene.materials], device=self.geometry.material.device
+            )
             known = (self.geometry.emission > 0).any(-1) | smooth[self.geometry.material]
             parts = []
             for part, si in self.sub_samples(index):

@@ -66,8 +66,13 @@ class Features:
 
     @property
     def fitted_model(self) -> ReflectionModel:
-        """The model that recovered surfaces have: Lambertian in a Lambertian scene, else principled."""
-        return DiffuseModel() if self.is_diffuse else PrincipledModel()
+        """The model that recovered surfaces have: Lambertian in a Lambertian scene, else principled, with the diffuse
+        lobe of the scene's own principled materials if these agree.
+        """
+        if self.is_diffuse:
+            return DiffuseModel()
+        own = {model.diffuse for model in self.models if isinstance(model, PrincipledModel)}
+        return PrincipledModel(diffuse=own.pop() if len(own) == 1 else "burley")
 
     @property
     def is_mixed(self) -> bool:

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
+
 from torch import Tensor, nn
 
 from neurad.assembly.build import Assembly, FittedMaterials
@@ -26,7 +28,8 @@ def make_optimizers(assembly: Assembly) -> dict[str, SparseRowAdam | PyramidAdam
     made: dict[str, SparseRowAdam | PyramidAdam] = {}
     if isinstance(materials, FittedMaterials):
         for name, field in materials.recovered.items():
-            made[name] = _of_field(field, getattr(rates, name), rates)
+            others = [materials.lambert] if name == ROUGHNESS.name and materials.lambert is not None else []
+            made[name] = _of_field(field, getattr(rates, name), rates, others)
     if environment is not None:
         made["environment"] = PyramidAdam(
             [environment.values],
@@ -46,9 +49,9 @@ def make_optimizers(assembly: Assembly) -> dict[str, SparseRowAdam | PyramidAdam
     return made
 
 
-def _of_field(field: MaterialField, rate: float, rates: Optimization) -> SparseRowAdam:
-    """Adam; of the roughness its weight decay is that of the table in front of the network; a grid alone has none, as
-    it would be drawn to one half.
+def _of_field(field: MaterialField, rate: float, rates: Optimization, others: Sequence[Tensor]) -> SparseRowAdam:
+    """Adam of a field, and of ``others`` with it; of the roughness its weight decay is that of the table in front of
+    the network; a grid alone has none, as it would be drawn to one half.
     """
     parameters = [p for p in field.parameters() if p.requires_grad]
     if field.parameter != ROUGHNESS:
@@ -57,7 +60,7 @@ def _of_field(field: MaterialField, rate: float, rates: Optimization) -> SparseR
     table = field.grid.parameters() if decays else ()
     decay: dict[Tensor, float] = {p: rates.roughness_decay for p in table}
     betas = 0.9, rates.roughness_beta2
-    return SparseRowAdam(parameters, lr=rate, betas=betas, weight_decay=decay, tables=_tables(field))
+    return SparseRowAdam([*parameters, *others], lr=rate, betas=betas, weight_decay=decay, tables=_tables(field))
 
 
 def _tables(field: nn.Module) -> list[nn.Parameter]:

@@ -12,13 +12,14 @@ from typing import Protocol, TypeVar
 import torch
 import torch.distributed as dist
 
-from neurad.assembly.build import Assembly
+from neurad.assembly.build import Assembly, FittedMaterials
 from neurad.core.protocols import PhotoSource
 from neurad.core.records import PixelBatch
 from neurad.core.rng import Stream
 from neurad.lamps.unknown import refresh_lamps, should_refresh
 from neurad.training.closing_step import EVERY as CLOSING_EVERY
 from neurad.training.closing_step import make_closing_step, progress_before, should_close
+from neurad.training.diffuse_lobe import DECIDED, decide, keep_in_range
 from neurad.training.objective import ObjectiveStep, StepTerms
 from neurad.training.roughness_start import AFTER, BATCHES, choose_start
 from neurad.training.schedule import Counters, Progress
@@ -84,6 +85,25 @@ class RoughnessStart:
         level = choose_start(training.objective, batches, key, dist.is_initialized())
         if level is not None and rank == 0:
             print(f"neurad: roughness begins at {level}", file=sys.stderr)
+
+
+class DiffuseLobe:
+    """Find which diffuse lobe surfaces have, see :mod:`neurad.training.diffuse_lobe`."""
+
+    def due(self, training: Training, progress: Progress) -> bool:
+        """After every iteration until it is found."""
+        materials = training.assembly.materials
+        return isinstance(materials, FittedMaterials) and materials.looks_for_lobe
+
+    def run(self, training: Training, progress: Progress) -> None:
+        """Take the larger part where the first process sees that it is time."""
+        assembly = training.assembly
+        assert isinstance(assembly.materials, FittedMaterials)
+        keep_in_range(assembly.materials)
+        if training.processes > 1 and training.counters.iteration % CLOSING_EVERY != 0:
+            return
+        if broadcast(rate_progress(assembly, progress) >= DECIDED) and (said := decide(assembly)) and not training.rank:
+            print(f"neurad: {said}", file=sys.stderr)
 
 
 class LightRefresh:
@@ -170,7 +190,7 @@ class LevelFilter:
 
 BEFORE: tuple[Stage, ...] = (RoughnessStart(), LightRefresh())
 """Stages before the optimizers' step, in their order."""
-AFTER_STEP: tuple[Stage, ...] = (ClosingStep(), LevelFilter())
+AFTER_STEP: tuple[Stage, ...] = (DiffuseLobe(), ClosingStep(), LevelFilter())
 """Stages after it."""
 
 

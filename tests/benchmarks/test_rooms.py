@@ -10,11 +10,8 @@ import pytest
 from helpers.clients import blender_python, cache_folder
 
 from benchmarks.peer.variant import load_mitsuba
-from benchmarks.rooms import blender_room, one_roughness
+from benchmarks.rooms import one_roughness
 from neurad.core.errors import InputError
-from neurad.core.records import METAL, Bitmap, Constant, Material
-from neurad.core.reflection import DiffuseModel, PrincipledModel
-from neurad.export.base_colour import base_for
 from neurad.formats.load import read_folder
 from neurad.images.image_io import read_exr, write_png
 
@@ -103,23 +100,6 @@ def test_the_room_is_photographed_and_has_true_maps(tmp_path):
     assert (tmp_path / "b/images/train.exr").stat().st_mtime_ns == before
 
 
-def test_true_albedo_is_what_cycles_shows():
-    """Over a base colour of Blender's, as exports multiply it; metals and what has no coat are alike in both."""
-    colour, rough = Constant(np.array([0.2, 0.5, 0.8], np.float32)), Constant(np.array([0.6], np.float32))
-    painted = Material("painted", PrincipledModel(), colour, rough)
-    seen = blender_room.as_seen(painted)
-    np.testing.assert_allclose(base_for("blender", seen.albedo.value, rough.value), colour.value, rtol=1e-5)
-    assert 0.9 < seen.albedo.value[0] / 0.2 < 0.97
-    printed = Material("printed", PrincipledModel(), Bitmap(np.full((2, 2, 3), 0.5, np.float32)), rough)
-    assert blender_room.as_seen(printed).albedo.pixels.max() == pytest.approx(seen.albedo.value[1])
-    for same in (
-        Material("m", PrincipledModel(), colour, rough, metallic=METAL),
-        Material("d", DiffuseModel(), colour, rough),
-    ):
-        assert blender_room.as_seen(same) is same
-
-
-@pytest.mark.slow
 def test_a_furnished_room_is_modelled_and_photographed(request, tmp_path):
     """Many materials of one roughness each, above 0.5 on half of the surface; true maps of all views, and a split."""
     python = blender_python(cache_folder(request, "blender"))

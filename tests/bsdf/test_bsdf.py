@@ -12,7 +12,7 @@ from helpers.oracles import accept, chi2_test, z_test_samples
 from neurad.bsdf.burley import lobes_pdf
 from neurad.bsdf.delta import scatter
 from neurad.bsdf.diffuse import Diffuse
-from neurad.bsdf.principled import Principled, principled_lobes_pdf
+from neurad.bsdf.principled import Principled, PrincipledKernels, principled_lobes_pdf
 from neurad.bsdf.table import make_bsdf
 from neurad.core.records import Surface
 from neurad.core.reflection import DiffuseModel, PrincipledModel
@@ -226,8 +226,8 @@ def test_gradients_equal_central_differences():
         torch.testing.assert_close(grads[0], numeric, rtol=1e-5, atol=1e-6)
 
 
-@pytest.mark.parametrize("metal", [False, True])
-def test_kernel_equals_its_torch_twin(metal):
+@pytest.mark.parametrize(("metal", "lambert"), [(False, False), (True, False), (False, True), (True, True)])
+def test_kernel_equals_its_torch_twin(metal, lambert):
     n = 8192
     wo, wi = directions(n, 1), directions(n, 2, upper=False)
     wo[:64, 2] = -wo[:64, 2]
@@ -240,17 +240,19 @@ def test_kernel_equals_its_torch_twin(metal):
     part[:8] = torch.tensor([0.0, 1.0]).repeat(4).unsqueeze(-1)
     results = []
     for compiled in (True, False):
-        leaves = [x.clone().requires_grad_() for x in ((rough, part) if metal else (rough,))]
-        surf = Surface(wo, leaves[0], metallic=leaves[1] if metal else None)
+        given = {"roughness": rough, "metallic": part if metal else None}
+        given["lambert"] = torch.full((n, 1), 0.3) if lambert else None
+        leaves = {name: x.clone().requires_grad_() for name, x in given.items() if x is not None}
+        surf = Surface(wo, **leaves)
         d, s, pdf = (
-            principled_lobes_pdf(surf, wo, wi, 1.5)
+            principled_lobes_pdf(surf, wo, wi, PrincipledKernels.of(surf, 1.5, 0.5, 0.0))
             if compiled
-            else lobes_pdf(surf.roughness, wo, wi, 1.5, metallic=surf.metallic)
+            else lobes_pdf(surf.roughness, wo, wi, 1.5, metallic=surf.metallic, lambert=leaves.get("lambert", 0.0))
         )
         assert not pdf.requires_grad
-        gradients = torch.autograd.grad((d * cotangent[0] + s * cotangent[1]).sum(), leaves)
+        gradients = torch.autograd.grad((d * cotangent[0] + s * cotangent[1]).sum(), list(leaves.values()))
         results.append((d.detach(), s.detach(), pdf, *(x.squeeze(-1) for x in gradients)))
-    names = ("d", "s", "pdf", "by roughness", "by metalness")
+    names = ("d", "s", "pdf", *(f"by {name}" for name in leaves))
     for name, use_kernels, slow in zip(names, *results, strict=False):
         torch.testing.assert_close(use_kernels, slow, rtol=1e-4, atol=2e-5, msg=lambda m, name=name: f"{name}: {m}")
     for use_kernels, slow in zip(*(found[3:] for found in results), strict=True):
@@ -260,6 +262,33 @@ def test_kernel_equals_its_torch_twin(metal):
     up = directions(n, 8)
     pair = [Principled(use_kernels=f)._direction(Surface(wo, rough), up, u) for f in (True, False)]
     torch.testing.assert_close(*pair, rtol=0, atol=1e-4)
+
+
+@pytest.mark.parametrize("use_kernels", [True, False])
+def test_lamberts_lobe_under_a_coat_sends_back_what_the_coat_leaves(use_kernels):
+    """White furnace: with albedo 1 all light comes back, whatever roughness and viewer; with albedo 0 the coat's."""
+    bsdf, burley = Principled(use_kernels=use_kernels, lambert=1.0), Principled(use_kernels=use_kernels)
+    n, u = 1 << 15, uniform(1 << 15, 3, seed=3)
+    for roughness, cos in ((0.1, 0.9), (0.3, 0.3), (0.7, 0.6), (1.0, 0.2)):
+        white, black = (Surface(torch.full((n, 3), a), torch.full((n, 1), roughness)) for a in (1.0, 0.0))
+        wo = toward(cos, count=n)
+        weight = bsdf.sample(white, wo, u).weight[:, 0]
+        assert abs(float(weight.mean()) - 1.0) < 4 * float(weight.std()) / n**0.5 + 5e-3  # the tables' error
+        torch.testing.assert_close(bsdf.mean_weight(white, wo)[:1], torch.ones(1, 3))
+        torch.testing.assert_close(bsdf.mean_weight(black, wo), burley.mean_weight(black, wo))
+
+
+def test_half_of_a_lobe_is_the_mean_of_both():
+    n = 4096
+    surf, wo, u = random_surface(n), directions(n, 1), uniform(n, 3, seed=2)
+    surf = replace(surf, metallic=uniform(n, 1, seed=4))
+    wi = Principled().sample(surf, wo, u).wi
+    burley, half, lambert = (Principled(lambert=part).lobes(surf, wo, wi) for part in (0.0, 0.5, 1.0))
+    torch.testing.assert_close(half[0], 0.5 * (burley[0] + lambert[0]))
+    assert float((burley[0] - lambert[0]).abs().max()) > 0.05
+    assert torch.equal(half[1], burley[1])
+    searched = Principled().lobes(replace(surf, lambert=torch.full((n, 1), 0.5)), wo, wi)
+    torch.testing.assert_close(searched[0], half[0])
 
 
 def test_no_metal_is_to_the_bit_what_it_is_without_a_metalness():

@@ -64,11 +64,12 @@ def test_directional_albedo_is_the_integral_of_the_lobes(roughness: float, cosin
         assert float(gradient) == pytest.approx(float(expected), rel=0.04, abs=0.004)
 
 
-def test_weights_of_bsdf_samples_have_this_mean() -> None:
+@pytest.mark.parametrize("lambert", [0.0, 1.0])
+def test_weights_of_bsdf_samples_have_this_mean(lambert: float) -> None:
     """One-sample z-tests at 99 % over all (Sidak): value and derivative, over random surfaces and directions."""
     n, cases = 200_000, 12
     stream = Stream(5)
-    model = Principled()
+    model = Principled(lambert=lambert)
     scores = []
     for _ in range(cases):
         rough, cosine = 0.15 + 0.85 * float(stream.uniform(1)), 0.1 + 0.9 * float(stream.uniform(1))
@@ -77,7 +78,7 @@ def test_weights_of_bsdf_samples_have_this_mean() -> None:
         surface = Surface(torch.full((n, 3), 0.6), roughness)
         weight = model.sample(surface, wo, stream.uniform(n, 3)).weight[:, 0]
         derivative = torch.autograd.grad(weight.sum(), roughness)[0][:, 0]
-        mean = directional_albedo(surface, wo[:, 2], 1.5)[:, 0]
+        mean = directional_albedo(surface, wo[:, 2], 1.5, lambert)[:, 0]
         mean_derivative = torch.autograd.grad(mean.sum(), roughness)[0][:, 0]
         for found, expected, slack in ((weight, mean, 2e-3), (derivative, mean_derivative, 1e-2)):
             found, expected = found.detach(), float(expected.detach()[0])

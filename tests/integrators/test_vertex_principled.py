@@ -150,13 +150,17 @@ def test_the_compiled_mean_is_the_plain_one():
     metal = replace(surface, metallic=stream.uniform(5000, 1))
     # Nothing is read beyond the table.
     assert bool(mean_lobes(Surface(broken.expand(1, 3), broken), broken[0], 1.5).isfinite().all())
-    for lanes in (surface, metal):
+    both = replace(metal, lambert=torch.full((5000, 1), 0.3))
+    for lanes in (surface, metal, replace(both, metallic=None), both):
         compiled, plain = (mean_lobes(lanes, cosine, 1.5, use_kernels=use) for use in (True, False))
         torch.testing.assert_close(compiled, plain, rtol=1e-5, atol=1e-5)
     d = mean_lobes(surface, cosine, 1.5)[0]
     value = directional_albedo(surface, cosine, 1.5)
     assert bool((value[:, 0] >= d).all())
     assert 0.8 < float(d.mean()) < 1.2
+    found = [mean_lobes(replace(both, lambert=torch.full((5000, 1), part)), cosine, 1.5) for part in (0.0, 0.3, 1.0)]
+    torch.testing.assert_close(found[1][4], (found[2] - found[0])[0])  # linear in the part of Lambert's lobe
+    torch.testing.assert_close(found[1][:4], torch.lerp(found[0], found[2], 0.3)[:4])
 
 
 @pytest.mark.parametrize("guided", [False, True])
