@@ -224,7 +224,7 @@ class RecoverySettings:
     materials: Literal["fit", "known"] = "fit"
     """``fit`` recovers albedo and roughness, ``known`` takes the scene's own and trains no material."""
     diffuse_lobe: Literal["auto", "burley", "lambert"] = "auto"
-    """The lobe under the coat of surfaces that are not Lambertian: ``burley`` as in Mitsuba, which is bright where rough
+    """The lobe under the coat of surfaces that are not Lambertian: ``burley`` as in Mitsuba, bright where rough
     surfaces are seen at grazing angles, or ``lambert`` as in Blender's Cycles and in glTF; ``auto`` lets photographs
     decide in the first part of a fit."""
 
