@@ -195,7 +195,7 @@ def atlas_chart(
         scale = float(((np.array([width, short]) - 2.0 * MARGIN) / packed).min())
         if PADDING * scale >= MIN_PADDING:
             placed = (MARGIN + uvs * packed * scale) / np.array([width, short])
-            unwrapped = _taken(mesh, vertex, faces, placed.astype(np.float32))
+            unwrapped = replace(mesh.of_vertices(vertex, faces.astype(np.int64)), uvs=placed.astype(np.float32))
             found = Chart(unwrapped, find_charts(unwrapped), width, short, "atlas")
             if density * scale >= NEAR_ENOUGH * needed or 2 * max(width, height) > LARGEST:
                 break
@@ -212,15 +212,3 @@ def atlas_chart(
                 break
             density = wanted
     return found if found is not None and is_unique(found, FOLDED) else None
-
-
-def _taken(mesh: Mesh, vertex: np.ndarray, faces: np.ndarray, uvs: np.ndarray) -> Mesh:
-    """The mesh with the vertices that an atlas has: each is one of its own."""
-    return replace(
-        mesh,
-        vertices=mesh.vertices[vertex],
-        faces=faces.astype(np.int64),
-        normals=None if mesh.normals is None else mesh.normals[vertex],
-        uvs=uvs,
-        attributes={name: values[vertex] for name, values in mesh.attributes.items()},
-    )

@@ -12,7 +12,7 @@ from neurad.cli import main
 from neurad.core.errors import InputError
 from neurad.core.records import Camera, Material, Mesh, constant
 from neurad.core.reflection import DiffuseModel
-from neurad.formats.cameras.transforms import transforms
+from neurad.formats.cameras.write import transforms
 from neurad.formats.load import read_folder, surface_notes
 from neurad.formats.mitsuba.write import ORIGIN, describe, write_xml
 from neurad.scene.description import Scene
