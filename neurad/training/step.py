@@ -10,6 +10,7 @@ import torch
 from torch import Tensor
 
 from neurad.assembly.build import Assembly
+from neurad.core.frame import faceforward
 from neurad.core.protocols import PhotoSource
 from neurad.core.records import PixelBatch
 from neurad.core.rng import Stream
@@ -18,7 +19,6 @@ from neurad.losses.relative import total
 from neurad.runtime.threads import torch_on_one
 from neurad.training.gradient_sync import GradientSync
 from neurad.training.guard import Guard
-from neurad.training.guide_update import bin_guide_samples, update_guide
 from neurad.training.objective import StepTerms, make_objective
 from neurad.training.schedule import Counters, Progress, learning_rate, rate_factor
 from neurad.training.stages import AFTER_STEP, BEFORE, Stage, rate_progress
@@ -121,7 +121,7 @@ class TrainingStep:
             backward(loss)
         # Stage 2: what other processes found, and the finiteness check.
         factor = rate_factor(optimization, counters.iteration, progress)
-        recorded = bin_guide_samples(world.guide, terms.guide_samples), self._scores(batch, terms)
+        recorded = self._bins(terms), self._scores(batch, terms)
         if self.sync is not None:
             factor, recorded = self.sync.average(factor, recorded)
         self.guard.check(counters.iteration, batch, terms.all, lambda: self.terms(batch))
@@ -135,7 +135,10 @@ class TrainingStep:
             optimizer.step()
         if lamps is not None:
             lamps.update()
-        update_guide(world.guide, recorded[0], counters.iteration)
+        if world.guide is not None and recorded[0] is not None:
+            world.guide.record(*recorded[0])
+            if (counters.iteration + 1) % world.guide.refresh == 0:  # later directions follow what was recorded
+                world.guide.update()
         if self.assembly.focus is not None and recorded[1] is not None:
             self.assembly.focus.record(*recorded[1], counters.iteration)
         counters.iteration += 1
@@ -151,6 +154,13 @@ class TrainingStep:
     def _stream(self, purpose: int) -> Stream:
         """Random numbers of this iteration, the same at every call."""
         return Stream(self.assembly.settings.seed, self.counters.iteration, self.rank, purpose, device=self.device)
+
+    def _bins(self, terms: StepTerms) -> tuple[Tensor, Tensor] | None:
+        """Bins [n] of the guide's histogram and what is to be added there [n, 2]; None without a guide or samples."""
+        guide, samples = self.assembly.world.guide, terms.guide_samples
+        if guide is None or samples is None:
+            return None
+        return guide.bin_samples(samples.si, faceforward(samples.si), samples.wi, samples.radiance)
 
     def _scores(self, batch: PixelBatch, terms: StepTerms) -> tuple[Tensor, Tensor] | None:
         """What the gradients by roughness say of where pixels are to be drawn."""
