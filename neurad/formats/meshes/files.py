@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import re
-import warnings
 from collections.abc import Mapping
 from dataclasses import replace
 from pathlib import Path
@@ -50,8 +49,7 @@ def read_meshes(path: str | Path) -> MeshFile:
         return _with_materials(path, kind)
     if kind != ".ply" and path.stat().st_size > TEXT_MESH_LIMIT:
         raise InputError(f"{shown(path)}: it has more than {TEXT_MESH_LIMIT >> 20} MB; convert it to binary PLY")
-    with native(path, f"it cannot be read as {kind[1:].upper()}"), warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # of numbers that are none: they are looked at below
+    with native(path, f"it cannot be read as {kind[1:].upper()}"):
         found = {".obj": read_obj, ".ply": read_ply_mesh, ".stl": read_stl}[kind](path)
     if not found.meshes:
         raise InputError(f"{shown(path)}: it has no triangle")

@@ -19,7 +19,7 @@ from neurad.formats.usd.lights import MAX_TRIANGLES, LightReader
 from neurad.formats.usd.meshes import Array, Look, Part, children_of, face_count, look_of, parts_of
 from neurad.runtime.extras import missing
 from neurad.runtime.numbers import LENGTH, within
-from neurad.runtime.reading import native, shown
+from neurad.runtime.reading import listed, native, shown
 from neurad.scene.polygons import check_triangle_count
 from neurad.scene.punctual import moved_light
 
@@ -29,7 +29,6 @@ _SURFACES = ("Sphere", "Cube", "Cylinder", "Cone", "Capsule", "Plane", "NurbsPat
 _LEFT_OUT = ("BasisCurves", "NurbsCurves", "HermiteCurves", "Points", "Volume", "ParticleField")
 """Kinds of prims that are seen and have no surface."""
 _PAINT, _BLACK, _METAL = range(3)
-_LISTED = 12
 
 
 @dataclass(frozen=True)
@@ -129,10 +128,9 @@ class _Reader:
         if unit != 1.0:
             self._note(f"{where}: its unit is {unit:g} m: lengths are multiplied by {unit:g}")
         if self.smooth:
-            names = ", ".join(map(shown, [*self.smooth][:_LISTED])) + (" ..." if len(self.smooth) > _LISTED else "")
             self._note(
                 f"{where}: {len(self.smooth)} meshes have no subdivisionScheme, which stands for Catmull-Clark in USD: "
-                f"they are read as their faces are ({names}); where they should be smooth, apply the subdivision "
+                f"they are read as their faces are ({listed(self.smooth)}); where they should be smooth, apply the subdivision "
                 "before the export"
             )
         for kind, count in self.left_out.items():
