@@ -22,11 +22,11 @@ def write_ply(path: Path, mesh: Mesh) -> None:
     Raises:
         OSError: the file cannot be written.
     """
-    given = ((names, getattr(mesh, field)) for field, names in _COLUMNS.items())
-    columns = {
-        name: x for names, values in given if values is not None for name, x in zip(names, values.T, strict=True)
-    }
-    write_columns(path, {name: values.astype(np.float32) for name, values in columns.items()}, mesh.faces)
+    columns = {}
+    for field, names in _COLUMNS.items():
+        if (values := getattr(mesh, field)) is not None:
+            columns |= dict(zip(names, values.astype(np.float32).T, strict=True))
+    write_columns(path, columns, mesh.faces)
 
 
 def write_columns(path: Path, columns: Mapping[str, npt.NDArray[Any]], faces: IntArray) -> None:

@@ -41,10 +41,8 @@ def _ply(path: Path, target: Path) -> tuple[Path, Float64Array]:
         return path, ZERO
     columns = {name: values for name, values in ply["vertex"].items() if not isinstance(values, Lists)}
     columns |= dict(zip("xyz", (points - step).T, strict=True))
-    columns = {
-        name: values.astype(np.float32) if values.dtype.kind == "f" else values for name, values in columns.items()
-    }
-    write_columns(target, columns, corners_of(path, ply).values.reshape(-1, 3))
+    small = {name: x.astype(np.float32) if x.dtype.kind == "f" else x for name, x in columns.items()}
+    write_columns(target, small, corners_of(path, ply).values.reshape(-1, 3))
     return target, step
 
 

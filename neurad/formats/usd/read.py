@@ -130,8 +130,8 @@ class _Reader:
         if self.smooth:
             self._note(
                 f"{where}: {len(self.smooth)} meshes have no subdivisionScheme, which stands for Catmull-Clark in USD: "
-                f"they are read as their faces are ({listed(self.smooth)}); where they should be smooth, apply the subdivision "
-                "before the export"
+                f"they are read as their faces are ({listed(self.smooth)}); where they should be smooth, apply the "
+                "subdivision before the export"
             )
         for kind, count in self.left_out.items():
             self._note(f"{where}: {count} {kind} have no surface, and are left out")
