@@ -29,12 +29,9 @@ def run(options: argparse.Namespace) -> None:
     """
     import sys
 
-    from neurad.runtime.extras import missing
+    from neurad.runtime.extras import load
 
-    try:
-        import viser  # noqa: F401
-    except ImportError as error:
-        raise missing("viser", "view", "view: the page") from error
+    load("viser", "view", "view: the page")
 
     from neurad.inspect.server import check_port
 

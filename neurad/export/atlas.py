@@ -11,12 +11,10 @@ import tempfile
 import threading
 from collections.abc import Callable
 from dataclasses import replace
-from importlib.util import find_spec
 from pathlib import Path
 
 import numpy as np
 
-from neurad.core.errors import InputError
 from neurad.core.records import Mesh
 from neurad.export.charts import MARGIN, Chart, find_charts, is_unique, triangle_areas
 from neurad.export.texels import FILLED, LARGEST, SMALLEST
@@ -40,16 +38,6 @@ NEAR_ENOUGH = 0.8
 FOLDED = 1e-4
 """Fraction of the texels in which a chart may lie over itself: slivers along its edges fold over."""
 TRIES = 12
-
-
-def require_xatlas() -> None:
-    """Check that the package is there.
-
-    Raises:
-        InputError: it is not.
-    """
-    if find_spec("xatlas") is None:
-        raise InputError("export: texture atlases need the package xatlas: pip install 'neurad[export]'")
 
 
 class AtlasMaker:

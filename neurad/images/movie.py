@@ -10,13 +10,14 @@ from typing import Any, Protocol
 import numpy as np
 import numpy.typing as npt
 
-from neurad.core.errors import InputError
 from neurad.images.image_io import write_png
+from neurad.runtime.extras import load
 from neurad.runtime.files import make_folder, replacing
 
 Bytes = npt.NDArray[np.uint8]
 FORMATS = ("mp4", "png")
 _QUALITY = 8  # of imageio-ffmpeg, from 0 to 10
+_FFMPEG = "imageio_ffmpeg", "video", "--movie mp4 (--movie png writes pictures)"
 
 
 class FrameSink(Protocol):
@@ -34,7 +35,7 @@ def check_movie(kind: str) -> None:
         InputError: the package is missing.
     """
     if kind == "mp4":
-        _ffmpeg()
+        load(*_FFMPEG)
 
 
 def target_of(kind: str, folder: Path) -> Path:
@@ -65,7 +66,7 @@ def filming(kind: str, folder: Path, fps: int) -> Iterator[FrameSink]:
 
         yield keep
         return
-    ffmpeg = _ffmpeg()
+    ffmpeg = load(*_FFMPEG)
     make_folder(folder, "--out")
     with replacing(target_of(kind, folder), "--out") as part:
         writer: Any = None
@@ -87,13 +88,3 @@ def filming(kind: str, folder: Path, fps: int) -> Iterator[FrameSink]:
         finally:
             if writer is not None:
                 writer.close()
-
-
-def _ffmpeg() -> Any:
-    try:
-        import imageio_ffmpeg
-    except ImportError as error:
-        raise InputError(
-            "--movie mp4 needs the package imageio-ffmpeg: pip install 'neurad[video]', or --movie png for pictures"
-        ) from error
-    return imageio_ffmpeg

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from importlib import import_module
 from importlib.util import find_spec
+from typing import Any
 
 from neurad.core.errors import InputError
 
-_PACKAGES = {"pxr": "usd-core"}
+_PACKAGES = {"pxr": "usd-core", "cv2": "OpenCV", "imageio_ffmpeg": "imageio-ffmpeg"}
 """Names of packages that differ from those of their modules."""
 
 
@@ -19,6 +21,18 @@ def missing(module: str, extra: str, what: str) -> InputError:
         what: needs it; begins the sentence.
     """
     return InputError(f"{what} needs the package {_PACKAGES.get(module, module)}: pip install 'neurad[{extra}]'")
+
+
+def load(module: str, extra: str, what: str) -> Any:
+    """The module, imported.
+
+    Raises:
+        InputError: as :func:`missing`.
+    """
+    try:
+        return import_module(module)
+    except ImportError as error:
+        raise missing(module, extra, what) from error
 
 
 def need(module: str, extra: str, what: str) -> None:

@@ -22,7 +22,7 @@ def write_ply(path: Path, mesh: Mesh) -> None:
     Raises:
         OSError: the file cannot be written.
     """
-    columns = {}
+    columns: dict[str, npt.NDArray[Any]] = {}
     for field, names in _COLUMNS.items():
         if (values := getattr(mesh, field)) is not None:
             columns |= dict(zip(names, values.astype(np.float32).T, strict=True))
