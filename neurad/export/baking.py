@@ -18,7 +18,7 @@ from neurad.core.reflection import PrincipledModel, ReflectionModel
 from neurad.export.axes import Up, up_axis
 from neurad.export.bake import Baked, bake
 from neurad.export.charts import Chart
-from neurad.export.progress import Progress
+from neurad.export.progress import StageProgress
 from neurad.export.room import BakedRoom
 from neurad.export.texels import densities
 from neurad.export.unwrap import unwrap
@@ -31,7 +31,7 @@ from neurad.scene.geometry import Geometry
 from neurad.scene.textures import TrueMaterials
 
 
-def bake_room(assembly: Assembly, texels: int, size: int | None, up: Up | None, progress: Progress) -> BakedRoom:
+def bake_room(assembly: Assembly, texels: int, size: int | None, up: Up | None, progress: StageProgress) -> BakedRoom:
     """Bake what a run recovered.
 
     Args:
@@ -80,7 +80,7 @@ def _bake_all(
     geometry: Geometry,
     materials: Materials,
     parameters: tuple[SurfaceParameter, ...],
-    progress: Progress,
+    progress: StageProgress,
 ) -> list[Baked | None]:
     """The texture of every mesh that has a chart: large ones in turn on all threads, then small ones a thread each."""
     first = np.cumsum([0, *faces])
