@@ -29,9 +29,10 @@ def run(options: argparse.Namespace) -> None:
     """
     import sys
 
-    from neurad.runtime.extras import load
+    from neurad.runtime.extras import needed
 
-    load("viser", "view", "view: the page")
+    with needed("viser", "view", "view: the page"):
+        import viser  # noqa: F401
 
     from neurad.inspect.server import check_port
 

@@ -19,7 +19,7 @@ from neurad.images.development import exif_exposure, exposure_of, positive, sent
 from neurad.images.image_io import write_exr
 from neurad.images.photographs import CODED, RAW, largest_code, read_photograph, rounding
 from neurad.images.response import FIT, check_response, linear_value
-from neurad.runtime.extras import load
+from neurad.runtime.extras import needed
 from neurad.runtime.files import writing
 from neurad.runtime.progress import counted
 from neurad.runtime.reading import native, regular_file, shown
@@ -173,7 +173,8 @@ def _opened(file: Path) -> Any:
     Raises:
         InputError: it cannot be read, or the package rawpy is missing.
     """
-    rawpy = load("rawpy", "raw", f"{shown(file)}: a raw file")
+    with needed("rawpy", "raw", f"{shown(file)}: a raw file"):
+        import rawpy
     regular_file(file)
     with native(file, _SAID_RAW):
         return rawpy.imread(str(file))

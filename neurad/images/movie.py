@@ -11,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from neurad.images.image_io import write_png
-from neurad.runtime.extras import load
+from neurad.runtime.extras import need, needed
 from neurad.runtime.files import make_folder, replacing
 
 Bytes = npt.NDArray[np.uint8]
@@ -35,7 +35,7 @@ def check_movie(kind: str) -> None:
         InputError: the package is missing.
     """
     if kind == "mp4":
-        load(*_FFMPEG)
+        need(*_FFMPEG)
 
 
 def target_of(kind: str, folder: Path) -> Path:
@@ -66,7 +66,8 @@ def filming(kind: str, folder: Path, fps: int) -> Iterator[FrameSink]:
 
         yield keep
         return
-    ffmpeg = load(*_FFMPEG)
+    with needed(*_FFMPEG):
+        import imageio_ffmpeg as ffmpeg
     make_folder(folder, "--out")
     with replacing(target_of(kind, folder), "--out") as part:
         writer: Any = None

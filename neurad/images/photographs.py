@@ -15,7 +15,7 @@ from neurad.core.records import Development, FloatArray, View
 from neurad.images.image_io import as_light, check_film, data_window, opened, read_exr, read_mask
 from neurad.images.picture_headers import check_exr, check_hdr, check_size, exr_parts
 from neurad.images.response import linear_value, linear_values
-from neurad.runtime.extras import load
+from neurad.runtime.extras import needed
 from neurad.runtime.numbers import PIXEL
 from neurad.runtime.reading import exists, native, regular_file, shown
 
@@ -151,7 +151,8 @@ def _by_opencv(path: Path) -> npt.NDArray[Any]:
     Raises:
         InputError: it cannot be read, or the package is missing.
     """
-    cv2 = load("cv2", "photos", f"{shown(path)}: a Radiance picture, or one of 16 bits,")
+    with needed("cv2", "photos", f"{shown(path)}: a Radiance picture, or one of 16 bits,"):
+        import cv2
     with native(path, _SAID):
         found = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
     if found is None or found.ndim != 3 or found.shape[2] not in (3, 4):

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from importlib import import_module
+from collections.abc import Iterator
+from contextlib import contextmanager
 from importlib.util import find_spec
-from typing import Any
 
 from neurad.core.errors import InputError
 
@@ -23,14 +23,15 @@ def missing(module: str, extra: str, what: str) -> InputError:
     return InputError(f"{what} needs the package {_PACKAGES.get(module, module)}: pip install 'neurad[{extra}]'")
 
 
-def load(module: str, extra: str, what: str) -> Any:
-    """The module, imported.
+@contextmanager
+def needed(module: str, extra: str, what: str) -> Iterator[None]:
+    """Around the import of a package that may be missing.
 
     Raises:
         InputError: as :func:`missing`.
     """
     try:
-        return import_module(module)
+        yield
     except ImportError as error:
         raise missing(module, extra, what) from error
 

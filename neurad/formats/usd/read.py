@@ -17,7 +17,7 @@ from neurad.core.reflection import PrincipledModel
 from neurad.formats.gltf.read import in_world
 from neurad.formats.usd.lights import MAX_TRIANGLES, LightReader
 from neurad.formats.usd.meshes import Array, Look, Part, children_of, face_count, look_of, parts_of
-from neurad.runtime.extras import load
+from neurad.runtime.extras import needed
 from neurad.runtime.numbers import LENGTH, within
 from neurad.runtime.reading import listed, native, shown
 from neurad.scene.polygons import check_triangle_count
@@ -54,9 +54,8 @@ def read_usd(path: Path) -> UsdRoom:
         InputError: the package is missing, the file is broken, or has surfaces that are no meshes or what cannot be
             rendered.
     """
-    load("pxr", "usd", f"{shown(path)}: reading it")
-    from pxr import Usd
-
+    with needed("pxr", "usd", f"{shown(path)}: reading it"):
+        from pxr import Usd
     with native(path, "it cannot be read as USD"):
         room = _Reader(path, Usd.Stage.Open(str(path))).room()
     if not room.meshes:
