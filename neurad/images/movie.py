@@ -2,10 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
@@ -18,14 +18,6 @@ Bytes = npt.NDArray[np.uint8]
 FORMATS = ("mp4", "png")
 _QUALITY = 8  # of imageio-ffmpeg, from 0 to 10
 _FFMPEG = "imageio_ffmpeg", "video", "--movie mp4 (--movie png writes pictures)"
-
-
-class FrameSink(Protocol):
-    """What takes the frames."""
-
-    def __call__(self, frame: Bytes) -> None:
-        """Add a frame [h, w, 3]; all have the same size."""
-        ...
 
 
 def check_movie(kind: str) -> None:
@@ -44,8 +36,8 @@ def target_of(kind: str, folder: Path) -> Path:
 
 
 @contextmanager
-def filming(kind: str, folder: Path, fps: int) -> Iterator[FrameSink]:
-    """Something that takes frames; the film is there, whole, when the context ends without an error.
+def filming(kind: str, folder: Path, fps: int) -> Iterator[Callable[[Bytes], None]]:
+    """What takes frames [h, w, 3], all of one size; the film is there, whole, when the context ends without an error.
 
     Args:
         kind: one of :data:`FORMATS`.

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from typing import Any, Protocol
 
 import torch
 from torch import Tensor
@@ -23,20 +22,6 @@ from neurad.training.objective import StepTerms, make_objective
 from neurad.training.schedule import Counters, Progress, learning_rate, rate_factor
 from neurad.training.stages import AFTER_STEP, BEFORE, Stage, rate_progress
 from neurad.training.training_views import TrainingViews
-
-
-class StepOptimizer(Protocol):
-    """An optimizer as the step uses it, perhaps in a trainer's wrapper."""
-
-    param_groups: list[dict[str, Any]]
-
-    def zero_grad(self) -> None:
-        """Forget the gradients of the last step."""
-        ...
-
-    def step(self) -> Any:
-        """Move the parameters along their gradients."""
-        ...
 
 
 @dataclass
@@ -65,7 +50,7 @@ class TrainingStep:
     rank: int = 0
     processes: int = 1
     sync: GradientSync | None = None
-    optimizers: Mapping[str, StepOptimizer] = field(default_factory=dict)
+    optimizers: Mapping[str, torch.optim.Optimizer] = field(default_factory=dict)
     device: torch.device | str = "cpu"
     objective: Callable[[PixelBatch, Stream], StepTerms] = field(init=False)
     """Losses of a batch, from a random stream of their own."""
