@@ -207,7 +207,10 @@ def _raw(file: Path) -> _Linear:
     if full.ndim == 3:
         some, every = np.asarray(full.any(-1)), np.asarray(full.all(-1))
     else:
-        some, every = _around(full, 2), ~_around(~full, 1)
+        from scipy.ndimage import binary_dilation, binary_erosion  # imported where they are needed: they load slowly
+
+        some = binary_dilation(full, np.ones((5, 5)))
+        every = binary_erosion(full, np.ones((3, 3)), border_value=1)
     some, every = (_fitted(part, pixels.shape[:2]) for part in (some, every))
     pixels[every] = level
     usable, clipped = (np.repeat(mask[..., None], 3, -1) for mask in (every | ~some, every))
@@ -234,17 +237,6 @@ def _full(raw: Any) -> tuple[npt.NDArray[np.bool_], float]:
     if codes.ndim == 3:
         return np.asarray(codes[..., :3] >= level[:3]), bound
     return np.asarray(codes >= level[np.asarray(raw.raw_colors_visible)]), bound
-
-
-def _around(marked: npt.NDArray[np.bool_], steps: int) -> npt.NDArray[np.bool_]:
-    """Photosites [h, w] that lie within so many steps of a marked one."""
-    height, width = marked.shape
-    wide = np.pad(marked, steps)
-    grown = np.zeros_like(marked)
-    for dy in range(2 * steps + 1):
-        for dx in range(2 * steps + 1):
-            grown |= wide[dy : dy + height, dx : dx + width]
-    return grown
 
 
 def _fitted(mask: npt.NDArray[np.bool_], shape: tuple[int, ...]) -> npt.NDArray[np.bool_]:
