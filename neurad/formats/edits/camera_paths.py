@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from neurad.core.camera import facing
 from neurad.core.errors import InputError
 from neurad.core.records import Camera
 from neurad.formats.edits.placement import turned_about
@@ -58,15 +59,9 @@ def _facing(camera: Camera, up: Array, target: Array) -> Camera:
     """
     eye = np.asarray(camera.to_world, np.float64)[:3, 3]
     back = eye - target
-    side = np.cross(up, back)
-    if np.linalg.norm(side) <= 1e-6 * max(float(np.linalg.norm(back)), 1e-30):
+    if np.linalg.norm(np.cross(up, back)) <= 1e-6 * max(float(np.linalg.norm(back)), 1e-30):
         raise InputError("--path turntable: the first camera is right above or below the middle of the scene")
-    pose = np.eye(4)
-    pose[:3, 2] = back / np.linalg.norm(back)
-    pose[:3, 0] = side / np.linalg.norm(side)
-    pose[:3, 1] = np.cross(pose[:3, 2], pose[:3, 0])
-    pose[:3, 3] = eye
-    return _posed(camera, pose)
+    return _posed(camera, facing(eye, back, up))
 
 
 def _posed(camera: Camera, pose: Any) -> Camera:
