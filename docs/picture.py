@@ -25,7 +25,7 @@ import matplotlib.pyplot as plt
 from PIL import Image
 
 from neurad.cli import main as neurad
-from neurad.formats.cameras.transforms import transforms
+from neurad.formats.cameras.write import transforms
 from neurad.formats.load import load_scene
 from neurad.images.image_io import read_exr
 from neurad.pages.colours import encode, grey

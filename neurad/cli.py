@@ -11,7 +11,7 @@ from contextlib import nullcontext, suppress
 from pathlib import Path
 from typing import NoReturn
 
-from neurad.commands import Verb
+from neurad.commands import Verb, check, compare, data, export, render, view
 from neurad.core.errors import InputError
 from neurad.core.suggest import did_you_mean
 from neurad.runtime import clock, progress
@@ -26,42 +26,6 @@ LIGHTNING_VERBS = {
     "test": "the same with more samples, and write every held-out view (EXR, PNG), scores and report.html",
     "predict": "write the held-out views without scoring them",
 }
-
-
-def _render() -> Verb:
-    from neurad.commands import render
-
-    return render
-
-
-def _data() -> Verb:
-    from neurad.commands import data
-
-    return data
-
-
-def _check() -> Verb:
-    from neurad.commands import check
-
-    return check
-
-
-def _export() -> Verb:
-    from neurad.commands import export
-
-    return export
-
-
-def _view() -> Verb:
-    from neurad.commands import view
-
-    return view
-
-
-def _compare() -> Verb:
-    from neurad.commands import compare
-
-    return compare
 
 
 def _stress() -> Verb:
@@ -92,16 +56,16 @@ def _check_checkout(verb: str) -> None:
 
 
 OWN_VERBS: dict[str, tuple[Callable[[], Verb], str]] = {
-    "render": (_render, "render a scene, or what a run recovered, from any camera and under any light"),
-    "data": (_data, "make a scene folder of what nerfstudio, COLMAP, Polycam or FIPT have"),
-    "check": (_check, "look for what is wrong in a scene folder before a fit learns from it, with pictures"),
-    "export": (_export, "write what a run recovered for Mitsuba, Blender and glTF viewers"),
-    "view": (_view, "look at a run in the browser: any camera, lamps dimmed, materials read out"),
-    "compare": (_compare, "run several methods with one budget and report error against cost"),
+    "render": (lambda: render, "render a scene, or what a run recovered, from any camera and under any light"),
+    "data": (lambda: data, "make a scene folder of what nerfstudio, COLMAP, Polycam or FIPT have"),
+    "check": (lambda: check, "look for what is wrong in a scene folder before a fit learns from it, with pictures"),
+    "export": (lambda: export, "write what a run recovered for Mitsuba, Blender and glTF viewers"),
+    "view": (lambda: view, "look at a run in the browser: any camera, lamps dimmed, materials read out"),
+    "compare": (lambda: compare, "run several methods with one budget and report error against cost"),
     "stress": (_stress, "check stiff and extreme cases against known answers, a row each (in a checkout)"),
     "bench": (_bench, "measure what a training step, a method or a peer costs (in a checkout)"),
 }
-"""Verbs beyond Lightning's: a function that imports the verb's module, and what the verb does."""
+"""Verbs beyond Lightning's: what gives the verb's module, and what the verb does."""
 
 HELP = """usage: neurad VERB [--config NAME.yaml ...] [--KEY VALUE ...]
 

@@ -42,6 +42,17 @@ def warp_on_cpu(monkeypatch):
     monkeypatch.setattr(dispatch, "WARP_DEVICES", ("cpu", "cuda"))
 
 
+@pytest.fixture
+def mi():
+    """Mitsuba with the variant ``scalar_rgb``; afterwards the one that was set before, if any was."""
+    mitsuba = pytest.importorskip("mitsuba")
+    before = mitsuba.variant()
+    mitsuba.set_variant("scalar_rgb")
+    yield mitsuba
+    if before:
+        mitsuba.set_variant(before)
+
+
 @pytest.fixture(autouse=True)
 def _enters_by_main(request, monkeypatch):
     """A test marked ``main`` does enter by ``neurad.cli.main``, which restarts the clock of training seconds first."""

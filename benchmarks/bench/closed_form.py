@@ -5,10 +5,9 @@ from __future__ import annotations
 import math
 
 import torch
-from torch import Tensor, nn
 
 from neurad.assembly.build import build_world
-from neurad.core.records import Surface, SurfaceInteraction
+from neurad.core.records import SurfaceInteraction
 from neurad.core.rng import Stream, mix
 from neurad.integrators.debiased import Debiased
 from neurad.integrators.method import Method, SceneModel
@@ -16,22 +15,7 @@ from neurad.integrators.path import PathTracing
 from neurad.integrators.radiometric import Radiometric
 from neurad.integrators.vertex import DIMENSIONS
 from neurad.scene.builtin import build_sphere
-
-
-class Grey(nn.Module):
-    """One albedo everywhere, the only parameter."""
-
-    def __init__(self, albedo: float) -> None:
-        super().__init__()
-        self.value = nn.Parameter(torch.tensor(albedo))
-
-    def albedo(self, si: SurfaceInteraction) -> Tensor:
-        """Base colour [n, 3]."""
-        return self.value.expand(len(si), 3)
-
-    def forward(self, si: SurfaceInteraction) -> Surface:
-        """BSDF parameters at the lanes of ``si``."""
-        return Surface(self.albedo(si), torch.ones(len(si), 1))
+from neurad.scene.textures import ConstantMaterials
 
 
 class Sphere:
@@ -50,7 +34,8 @@ class Sphere:
     def __init__(self, albedo: float, tracer: str, factor: float = 1.0) -> None:
         self.albedo, self.factor = albedo, factor
         self.world = build_world(build_sphere(albedo, subdivisions=3), tracer)
-        self.materials = Grey(albedo)
+        self.value = torch.tensor(albedo, requires_grad=True)
+        self.materials = ConstantMaterials(self.value)
         geometry = self.world.geometry
         area = geometry.face_area.double()
         self.light = float((area * geometry.emission[:, 0].double()).sum() / area.sum())
@@ -74,7 +59,7 @@ class Sphere:
             si = self._points(-(-paths // batches), stream)
             u = stream.uniform(len(si), DIMENSIONS)
             value = method.reflected(self.parts, si, self.materials(si), u, stream).value.mean()
-            (grad,) = torch.autograd.grad(value, [self.materials.value])
+            (grad,) = torch.autograd.grad(value, [self.value])
             found.append(grad.double() / self.derivative)
         fractions = torch.stack(found)
         return float(fractions.mean()), float(fractions.std()) / math.sqrt(batches)

@@ -6,7 +6,7 @@ from typing import Any
 
 from neurad.core.errors import InputError
 from neurad.formats.mitsuba.plugin import COMPILED, LLVM, no_llvm
-from neurad.runtime.extras import missing
+from neurad.runtime.extras import needed
 
 HOW = f"apt-get install libllvm19, or set DRJIT_LIBLLVM_PATH to a libLLVM.so of version {LLVM[0]} or newer"
 
@@ -20,10 +20,8 @@ def load_mitsuba(program: str = "bench peer") -> Any:
     Raises:
         InputError: the package or a fitting LLVM library is missing.
     """
-    try:
+    with needed("mitsuba", "mitsuba", f"{program}: it"):
         import mitsuba as mi
-    except ImportError as error:
-        raise missing("mitsuba", "mitsuba", f"{program}: it") from error
     try:
         mi.set_variant(COMPILED)
         reason = no_llvm()

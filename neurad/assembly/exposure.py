@@ -5,9 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 
 import torch
-from torch import Tensor
 
-from neurad.core.records import PixelBatch, Rays, Surface, SurfaceInteraction
+from neurad.core.records import PixelBatch, Rays, Surface
 from neurad.core.rng import Stream
 from neurad.integrators.bounce import bounce
 from neurad.integrators.estimator import Estimator
@@ -16,6 +15,7 @@ from neurad.integrators.primary_hits import PrimaryHits
 from neurad.integrators.vertex import DIMENSIONS
 from neurad.metrics.seen import SeenBy
 from neurad.runtime.reading import listed
+from neurad.scene.textures import ConstantMaterials
 
 MAX_BRIGHTNESS_RATIO = 50.0
 """Ratio from which on no material explains the photographs; a white closed room may be some tens of times brighter."""
@@ -67,23 +67,11 @@ def white_brightness(primary: PrimaryHits, sample: PixelBatch, seed: int, max_de
     view, pixel, color = (x.to(device)[index] for x in (sample.view, sample.pixel, sample.color))
     with world.tracer.uncounted():
         si = primary(PixelBatch(view, pixel, color, torch.ones_like(view).float(), 0), 1, stream).si
-        depth, white = min(max_depth, _MAX_DEPTH), _WhiteLambertian()
+        depth, white = min(max_depth, _MAX_DEPTH), ConstantMaterials(0.999)
         method = PathTracing(max_depth=depth, rr_depth=depth)
         estimate = Estimator(world, white, None, method).image(si, white(si), _WHITE_SPP, stream).value
     expected = float(estimate.view(len(si), _WHITE_SPP, 3).mean(1)[si.valid].mean()) if bool(si.valid.any()) else 0.0
     return float(color[si.valid].mean()) / expected if expected > 0 else 1.0
-
-
-class _WhiteLambertian:
-    """Materials that keep nearly all light."""
-
-    def __call__(self, si: SurfaceInteraction) -> Surface:
-        """BSDF parameters at the lanes of ``si``."""
-        return Surface(self.albedo(si), torch.ones_like(si.p[:, :1]))
-
-    def albedo(self, si: SurfaceInteraction) -> Tensor:
-        """The albedo alone [n, 3]."""
-        return torch.full_like(si.p, 0.999)
 
 
 @torch.no_grad()

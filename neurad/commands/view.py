@@ -29,12 +29,10 @@ def run(options: argparse.Namespace) -> None:
     """
     import sys
 
-    from neurad.runtime.extras import missing
+    from neurad.runtime.extras import needed
 
-    try:
+    with needed("viser", "view", "view: the page"):
         import viser  # noqa: F401
-    except ImportError as error:
-        raise missing("viser", "view", "view: the page") from error
 
     from neurad.inspect.server import check_port
 

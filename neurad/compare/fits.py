@@ -6,17 +6,22 @@ import argparse
 import json
 import re
 import shutil
+import subprocess
 import sys
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
+from contextlib import redirect_stdout, suppress
 from dataclasses import dataclass
+from io import StringIO
 from pathlib import Path
+from typing import Any
 
-from neurad.compare import configs
+import yaml  # type: ignore[import-untyped]
+
 from neurad.compare.runs import FACTS, Run, by_method, read_run, samples_per_step
 from neurad.core.decibels import decibels
 from neurad.core.durations import dd_hh_mm_ss
 from neurad.core.errors import InputError
-from neurad.runs.child import run_neurad
+from neurad.runs import child
 from neurad.runs.configs import find_config
 from neurad.runtime.files import check_folder, make_folder, write_text
 from neurad.runtime.progress import phase
@@ -80,7 +85,7 @@ def plan(options: argparse.Namespace) -> list[Fit]:
         find_config(name)
     check_free(options.out, options.overwrite)
     common = {method: _common(options, name) for method, name in overlays.items()}
-    resolved = dict(zip(common, configs.resolved_configs(list(common.values())), strict=True))
+    resolved = dict(zip(common, resolved_configs(list(common.values())), strict=True))
     fits = []
     for method, arguments in common.items():
         if options.samples is None:
@@ -141,7 +146,7 @@ def predict(runs: Sequence[Run], spp: int, trust: Sequence[str] = ()) -> list[Ru
         words += [f"--trust={name}" for name in trust]
         with phase("rendering") as rendering:
             rendering.detail = f"held-out views of {run.method}"
-            ended = run_neurad(["predict", *words], run.folder / "predict.txt")
+            ended = child.run_neurad(["predict", *words], run.folder / "predict.txt")
         if ended.code != 0:
             print(f"neurad: {run.method}: no pictures: {ended.message}", file=sys.stderr)
             failed.append(run)
@@ -182,7 +187,7 @@ def _make(fit: Fit, order: int) -> Run:
     log = fit.folder / "output.txt"
     facts = {"method": fit.method, "seed": fit.seed, "order": order, "command": ["neurad", "fit", *fit.arguments]}
     write_text(fit.folder / FACTS, json.dumps(facts | {"message": "it did not end"}, indent=1) + "\n")
-    ended = run_neurad(["fit", *fit.arguments], log)
+    ended = child.run_neurad(["fit", *fit.arguments], log)
     # Lightning numbers its runs; here the folder is the run.
     made = fit.folder / "lightning_logs" / "version_0"
     if made.is_dir():
@@ -201,3 +206,41 @@ def _make(fit: Fit, order: int) -> Run:
     }
     write_text(fit.folder / FACTS, json.dumps(facts, indent=1) + "\n")
     return read_run(fit.folder)
+
+
+def resolved_configs(fits: Sequence[Sequence[str]]) -> list[Mapping[str, Any]]:
+    """What ``neurad fit ARGUMENTS --print_config`` prints for each of ``fits``, from one child: the parser brings
+    libraries that this process must not load.
+
+    Raises:
+        InputError: the first complaint, in the words of ``neurad fit``.
+    """
+    text = json.dumps([list(fit) for fit in fits])
+    command = [*child.NEURAD, "compare", f"--resolve={text}"]
+    with child.signals_raise():
+        done = subprocess.run(command, capture_output=True, text=True, check=False)
+    if done.returncode != 0:
+        raise InputError(child.last_message(done.stderr) or f"exit code {done.returncode}")
+    trees: list[Mapping[str, Any]] = json.loads(done.stdout)
+    return trees
+
+
+def print_configs(text: str) -> None:
+    """Print the final settings of fits as JSON; what the child of :func:`resolved_configs` does.
+
+    Args:
+        text: the arguments of every fit, as JSON.
+
+    Raises:
+        InputError: the first complaint of the parser.
+    """
+    from datamodules.scene_data import SceneData
+    from neurad.runs import lightning
+    from neurad.training.inverse import InverseRenderer
+
+    trees = []
+    for arguments in json.loads(text):
+        with redirect_stdout(StringIO()) as out, suppress(SystemExit):
+            lightning.run("fit", [*arguments, "--print_config"], InverseRenderer, SceneData)
+        trees.append(yaml.safe_load(out.getvalue()))
+    json.dump(trees, sys.stdout, default=str)

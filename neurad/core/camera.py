@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import math
 from dataclasses import dataclass, replace
-from typing import Self
+from typing import Any, Self
 
+import numpy as np
 import torch
 from torch import Tensor
 
 from neurad.core.lens import Bending
-from neurad.core.records import Camera, Rays
+from neurad.core.records import Camera, Float64Array, Rays
 
 _CHUNK = 1 << 14
 """Positions whose distortion is taken back at a time: what is computed on the way stays in the processor's cache."""
@@ -24,6 +25,18 @@ def pixel_side(camera: Camera) -> float:
 def fov_of(focal: float, width: int) -> float:
     """Horizontal field of view in radians for a focal length in pixels; the inverse of ``Camera.fl_x``."""
     return 2.0 * math.atan(0.5 * width / focal)
+
+
+def facing(at: Any, back: Any, up: Any) -> Float64Array:
+    """The pose [4, 4] of something at a place [3] whose +Z axis is ``back`` [3] and whose +X axis is perpendicular to
+    ``up`` [3] as well. These are of any length, and not parallel.
+    """
+    z = np.asarray(back, np.float64) / np.linalg.norm(back)
+    x = np.cross(up, z)
+    x /= np.linalg.norm(x)
+    pose = np.eye(4)
+    pose[:3] = np.stack((x, np.cross(z, x), z, at), axis=1)
+    return pose
 
 
 def camera_rays(camera: Camera, xy: Tensor) -> Rays:

@@ -454,6 +454,17 @@ class Mesh:
     part_of: str | None = None
     """Name of the mesh that this is a connected part of, where lamps were split."""
 
+    def of_vertices(self, chosen: IntArray, faces: IntArray) -> Mesh:
+        """The mesh with some of its vertices [v], each perhaps several times, and triangles of these [f, 3]."""
+        return replace(
+            self,
+            vertices=self.vertices[chosen],
+            faces=faces,
+            normals=None if self.normals is None else self.normals[chosen],
+            uvs=None if self.uvs is None else self.uvs[chosen],
+            attributes={name: values[chosen] for name, values in self.attributes.items()},
+        )
+
 
 @dataclass(frozen=True)
 class EnvironmentMap:

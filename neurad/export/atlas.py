@@ -11,12 +11,10 @@ import tempfile
 import threading
 from collections.abc import Callable
 from dataclasses import replace
-from importlib.util import find_spec
 from pathlib import Path
 
 import numpy as np
 
-from neurad.core.errors import InputError
 from neurad.core.records import Mesh
 from neurad.export.charts import MARGIN, Chart, find_charts, is_unique, triangle_areas
 from neurad.export.texels import FILLED, LARGEST, SMALLEST
@@ -40,16 +38,6 @@ NEAR_ENOUGH = 0.8
 FOLDED = 1e-4
 """Fraction of the texels in which a chart may lie over itself: slivers along its edges fold over."""
 TRIES = 12
-
-
-def require_xatlas() -> None:
-    """Check that the package is there.
-
-    Raises:
-        InputError: it is not.
-    """
-    if find_spec("xatlas") is None:
-        raise InputError("export: texture atlases need the package xatlas: pip install 'neurad[export]'")
 
 
 class AtlasMaker:
@@ -195,7 +183,7 @@ def atlas_chart(
         scale = float(((np.array([width, short]) - 2.0 * MARGIN) / packed).min())
         if PADDING * scale >= MIN_PADDING:
             placed = (MARGIN + uvs * packed * scale) / np.array([width, short])
-            unwrapped = _taken(mesh, vertex, faces, placed.astype(np.float32))
+            unwrapped = replace(mesh.of_vertices(vertex, faces.astype(np.int64)), uvs=placed.astype(np.float32))
             found = Chart(unwrapped, find_charts(unwrapped), width, short, "atlas")
             if density * scale >= NEAR_ENOUGH * needed or 2 * max(width, height) > LARGEST:
                 break
@@ -212,15 +200,3 @@ def atlas_chart(
                 break
             density = wanted
     return found if found is not None and is_unique(found, FOLDED) else None
-
-
-def _taken(mesh: Mesh, vertex: np.ndarray, faces: np.ndarray, uvs: np.ndarray) -> Mesh:
-    """The mesh with the vertices that an atlas has: each is one of its own."""
-    return replace(
-        mesh,
-        vertices=mesh.vertices[vertex],
-        faces=faces.astype(np.int64),
-        normals=None if mesh.normals is None else mesh.normals[vertex],
-        uvs=uvs,
-        attributes={name: values[vertex] for name, values in mesh.attributes.items()},
-    )

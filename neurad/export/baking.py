@@ -15,23 +15,23 @@ from neurad.core.parameters import SurfaceParameter
 from neurad.core.protocols import Materials
 from neurad.core.records import Bitmap, Constant, Material, Mesh
 from neurad.core.reflection import PrincipledModel, ReflectionModel
-from neurad.export.atlas import require_xatlas
 from neurad.export.axes import Up, up_axis
 from neurad.export.bake import Baked, bake
 from neurad.export.charts import Chart
-from neurad.export.progress import Progress
+from neurad.export.progress import StageProgress
 from neurad.export.room import BakedRoom
 from neurad.export.texels import densities
 from neurad.export.unwrap import unwrap
 from neurad.formats.cameras.write import named_apart
 from neurad.formats.mitsuba.write import file_names
 from neurad.runtime import threads
+from neurad.runtime.extras import need
 from neurad.scene.description import Scene
 from neurad.scene.geometry import Geometry
 from neurad.scene.textures import TrueMaterials
 
 
-def bake_room(assembly: Assembly, texels: int, size: int | None, up: Up | None, progress: Progress) -> BakedRoom:
+def bake_room(assembly: Assembly, texels: int, size: int | None, up: Up | None, progress: StageProgress) -> BakedRoom:
     """Bake what a run recovered.
 
     Args:
@@ -44,7 +44,7 @@ def bake_room(assembly: Assembly, texels: int, size: int | None, up: Up | None, 
     Raises:
         InputError: the package xatlas or something that a mesh needs is missing, or a material cannot be baked.
     """
-    require_xatlas()
+    need("xatlas", "export", "export: a texture atlas")
     scene, world, materials = named_apart(assembly.scene), assembly.world, assembly.materials
     check_meshes(scene)
     model = None if isinstance(materials, TrueMaterials) else assembly.fitted_model
@@ -80,7 +80,7 @@ def _bake_all(
     geometry: Geometry,
     materials: Materials,
     parameters: tuple[SurfaceParameter, ...],
-    progress: Progress,
+    progress: StageProgress,
 ) -> list[Baked | None]:
     """The texture of every mesh that has a chart: large ones in turn on all threads, then small ones a thread each."""
     first = np.cumsum([0, *faces])

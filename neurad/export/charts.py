@@ -5,6 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.sparse import coo_matrix
+from scipy.sparse.csgraph import connected_components
 
 from neurad.core.records import BoolArray, IntArray, Mesh
 from neurad.export import raster_kernels as kernels
@@ -72,9 +74,8 @@ def find_charts(mesh: Mesh) -> IntArray:
     edge = edge_keys(np.concatenate((mesh.vertices, mesh.uvs), 1), mesh.faces)
     order = np.argsort(edge, kind="stable")
     same = np.flatnonzero(edge[order[1:]] == edge[order[:-1]])
-    parent = np.arange(len(mesh.faces))
-    kernels.join(order[same] // 3, order[same + 1] // 3, parent)
-    return parent
+    links = coo_matrix((np.ones(len(same), np.int8), (order[same] // 3, order[same + 1] // 3)), (len(mesh.faces),) * 2)
+    return np.asarray(connected_components(links, directed=False)[1], np.int64)
 
 
 def find_borders(mesh: Mesh) -> IntArray:

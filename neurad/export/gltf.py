@@ -17,7 +17,7 @@ import numpy as np
 import neurad
 from neurad.core.records import FloatArray, Mesh, PunctualLight, View
 from neurad.core.reflection import PrincipledModel
-from neurad.export.axes import TO_Y, quaternion, rotation
+from neurad.export.axes import quaternion, rotation
 from neurad.export.base_colour import Target, is_converted, lobe_of, smooth_colour
 from neurad.export.images import Coded, coded
 from neurad.export.room import BakedRoom
@@ -61,7 +61,7 @@ def write_glb(
         children += [_add_light(glb, light) for light in room.scene.punctual if light.intensity.any()]
         root: Json = {"name": "room", "children": children}
         if room.up != "y":
-            root["rotation"] = list(TO_Y[room.up])
+            root["rotation"] = quaternion(rotation(room.up))
         if any(room.scene.origin):
             root["translation"] = (rotation(room.up) @ room.scene.origin).tolist()
         glb.json["scenes"] = [{"nodes": [glb.add("nodes", root)], "name": room.scene.name}]

@@ -17,10 +17,7 @@ from neurad.export.raster_kernels import Array
 
 SMALLEST = 4
 """Side of the smallest square in texels: two triangles of a quarter of a texel, two texels apart."""
-_EDGE, _GAP = (
-    0.75,
-    3.75,
-)  # a triangle stays so far from the sides of its square; its legs are so much shorter than these
+_EDGE, _GAP = 0.75, 3.75  # texels of a triangle from the sides of its square, and by which its legs are shorter
 
 
 def grid_chart(mesh: Mesh, density: float, largest: int, texels: int | None = None) -> Chart:
@@ -59,20 +56,8 @@ def grid_chart(mesh: Mesh, density: float, largest: int, texels: int | None = No
     turned = (np.arange(3) - start[:, None] - 2) % 3
     uvs = np.take_along_axis(uvs, np.broadcast_to(turned[..., None], uvs.shape), 1)
     flat = (uvs / np.array([width, height], np.float64)).reshape(-1, 2).astype(np.float32)
-    return Chart(separated(mesh, flat), np.arange(len(order)), width, height, "grid")
-
-
-def separated(mesh: Mesh, uvs: Array) -> Mesh:
-    """The mesh with three vertices of its own for every triangle, and texture coordinates [3 f, 2]."""
-    take = mesh.faces.ravel()
-    return replace(
-        mesh,
-        vertices=mesh.vertices[take],
-        faces=np.arange(len(take)).reshape(-1, 3),
-        normals=None if mesh.normals is None else mesh.normals[take],
-        uvs=np.asarray(uvs, np.float32),
-        attributes={name: values[take] for name, values in mesh.attributes.items()},
-    )
+    apart = mesh.of_vertices(mesh.faces.ravel(), np.arange(mesh.faces.size).reshape(-1, 3))
+    return Chart(replace(apart, uvs=flat), np.arange(len(order)), width, height, "grid")
 
 
 def _squares(wanted: Array, largest: int) -> IntArray:

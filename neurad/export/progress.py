@@ -3,19 +3,8 @@
 from __future__ import annotations
 
 from contextlib import ExitStack
-from typing import Protocol
 
 from neurad.runtime.progress import Phase, phase
-
-
-class Progress(Protocol):
-    """Shows how far the work is."""
-
-    def stage(self, name: str, total: int) -> None:
-        """A stage begins that has so many steps."""
-
-    def step(self, count: int = 1) -> None:
-        """Steps of the present stage are done."""
 
 
 class StageProgress:

@@ -32,28 +32,6 @@ def _outside(ax: Any, ay: Any, bx: Any, by: Any, cx: Any, cy: Any, x: Any, y: An
 
 
 @kernel
-def join(first: IntArray, second: IntArray, parent: IntArray) -> None:  # pragma: no cover - compiled
-    """Join sets: afterwards ``parent`` names the smallest member of each one's set.
-
-    Args:
-        first: members [k], each of which is joined
-        second: with this one [k].
-        parent: of every member, itself at first [n].
-    """
-    for k in range(len(first)):
-        a, b = first[k], second[k]
-        while parent[a] != a:
-            parent[a] = parent[parent[a]]
-            a = parent[a]
-        while parent[b] != b:
-            parent[b] = parent[parent[b]]
-            b = parent[b]
-        parent[max(a, b)] = min(a, b)
-    for i in range(len(parent)):
-        parent[i] = parent[parent[i]]
-
-
-@kernel
 def conflicts(
     corners: Array, chart: IntArray, reach: float, needed: IntArray, owner: IntArray
 ) -> Any:  # pragma: no cover - compiled

@@ -14,6 +14,7 @@ import numpy as np
 from neurad.core.errors import InputError, Refusals
 from neurad.core.ranges import Positive, checked
 from neurad.core.records import Float64Array, Mesh, View
+from neurad.formats.axes import axes, held_up, turned
 from neurad.formats.cameras.colmap import find_model, photograph_places, read_model
 from neurad.formats.cameras.fipt import MESH, read_room
 from neurad.formats.cameras.nerf import Split, read_one, read_split
@@ -21,8 +22,9 @@ from neurad.formats.cameras.photograph_files import Photographs
 from neurad.formats.cameras.polycam import read_export
 from neurad.formats.gltf.read import moved_mesh
 from neurad.formats.load import read_folder, surface_notes
-from neurad.formats.meshes.files import MeshFile, read_meshes
-from neurad.formats.room_folder import RoomParts, axes, bounds_of, held_up, turned, turned_map, write_room
+from neurad.formats.meshes.files import read_meshes
+from neurad.formats.meshes.triangles import MeshFile
+from neurad.formats.room_folder import RoomParts, bounds_of, turned_map, write_room
 from neurad.images.photographs import check_view
 from neurad.images.picture_headers import check_exr
 from neurad.images.picture_notes import say_pictures
@@ -52,7 +54,7 @@ class ImportSettings:
     up: str | None = None
     """Axis of the meshes that points up; None leaves them as they are."""
     axes: str | None = None
-    """The meshes' axes that become those of the cameras, see :func:`neurad.formats.room_folder.axes`."""
+    """The meshes' axes that become those of the cameras, see :func:`neurad.formats.axes.axes`."""
     scale: Positive = 1.0
     """Length of the meshes' unit in the cameras'."""
     lamp: list[str] = field(default_factory=list)
@@ -91,7 +93,7 @@ def _nerfstudio(source: Path, images: Path | None) -> Split:
     photographs = _photographs(images, source)
     if exists(source / "transforms_train.json") and not exists(source / "transforms.json"):
         return read_split(source, photograph=photographs)
-    return read_one(source, 0, photographs)
+    return read_one(source, 0, photograph=photographs)
 
 
 def _colmap(source: Path, images: Path | None) -> Split:

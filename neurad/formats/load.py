@@ -13,7 +13,7 @@ from neurad.core.errors import InputError
 from neurad.core.records import Float64Array
 from neurad.core.suggest import did_you_mean
 from neurad.formats.cameras import HOLD_OUT
-from neurad.formats.cameras.nerf import Split
+from neurad.formats.cameras.nerf import FILM, Split, read_cameras, read_one, read_split
 from neurad.images.development import KNOWN, Photography, developed
 from neurad.images.picture_notes import say_pictures
 from neurad.runtime.progress import phase
@@ -45,21 +45,7 @@ def _gltf(path: Path, origin: Float64Array) -> Scene:
     return near(read_scene(path), origin)
 
 
-def _two_files(folder: Path, hold_out: int, pictures: bool) -> Split:
-    from neurad.formats.cameras.nerf import read_split
-
-    return read_split(folder, hold_out, None, pictures)
-
-
-def _one_file(folder: Path, hold_out: int, pictures: bool) -> Split:
-    from neurad.formats.cameras.nerf import read_one
-
-    return read_one(folder, hold_out, None, pictures)
-
-
 def _cameras_alone(folder: Path, hold_out: int, pictures: bool) -> Split:
-    from neurad.formats.cameras.nerf import FILM, read_cameras
-
     return Split([], read_cameras(folder / CAMERAS, FILM))
 
 
@@ -72,8 +58,8 @@ SCENE_FILES: dict[str, Callable[[Path, Float64Array], Scene]] = {
 are told what to subtract from all coordinates. What a file says of cameras becomes held-out views without photographs.
 """
 CAMERA_FILES: dict[str, Callable[[Path, int, bool], Split]] = {
-    "transforms_train.json": _two_files,
-    "transforms.json": _one_file,
+    "transforms_train.json": read_split,
+    "transforms.json": read_one,
     CAMERAS: _cameras_alone,
 }
 """Readers of the training and the held-out views, by file name; the first one in a folder is read. They are told how

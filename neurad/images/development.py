@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-import warnings
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, fields, replace
@@ -212,10 +211,8 @@ def _span(exposures: Sequence[float], source: str, settings: Photography) -> str
 
 def exif_exposure(path: Path) -> float | None:
     """Time x speed / (100 x aperture^2) of a photograph's EXIF; None where it has no time."""
-    with native(path, "its EXIF cannot be read"), warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        with opened(regular_file(path)) as image:
-            entries = image.getexif().get_ifd(_EXIF)
+    with native(path, "its EXIF cannot be read"), opened(regular_file(path)) as image:
+        entries = image.getexif().get_ifd(_EXIF)
     time, speed = positive(entries.get(_TIME)), entries.get(_SPEED)
     if time is None:
         return None

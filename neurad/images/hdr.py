@@ -19,6 +19,7 @@ from neurad.images.development import exif_exposure, exposure_of, positive, sent
 from neurad.images.image_io import write_exr
 from neurad.images.photographs import CODED, RAW, largest_code, read_photograph, rounding
 from neurad.images.response import FIT, check_response, linear_value
+from neurad.runtime.extras import needed
 from neurad.runtime.files import writing
 from neurad.runtime.progress import counted
 from neurad.runtime.reading import native, regular_file, shown
@@ -172,10 +173,8 @@ def _opened(file: Path) -> Any:
     Raises:
         InputError: it cannot be read, or the package rawpy is missing.
     """
-    try:
+    with needed("rawpy", "raw", f"{shown(file)}: a raw file"):
         import rawpy
-    except ImportError as error:
-        raise InputError(f"{shown(file)}: raw files need the package rawpy: pip install 'neurad[raw]'") from error
     regular_file(file)
     with native(file, _SAID_RAW):
         return rawpy.imread(str(file))
@@ -208,7 +207,10 @@ def _raw(file: Path) -> _Linear:
     if full.ndim == 3:
         some, every = np.asarray(full.any(-1)), np.asarray(full.all(-1))
     else:
-        some, every = _around(full, 2), ~_around(~full, 1)
+        from scipy.ndimage import binary_dilation, binary_erosion  # imported where they are needed: they load slowly
+
+        some = binary_dilation(full, np.ones((5, 5)))
+        every = binary_erosion(full, np.ones((3, 3)), border_value=1)
     some, every = (_fitted(part, pixels.shape[:2]) for part in (some, every))
     pixels[every] = level
     usable, clipped = (np.repeat(mask[..., None], 3, -1) for mask in (every | ~some, every))
@@ -235,17 +237,6 @@ def _full(raw: Any) -> tuple[npt.NDArray[np.bool_], float]:
     if codes.ndim == 3:
         return np.asarray(codes[..., :3] >= level[:3]), bound
     return np.asarray(codes >= level[np.asarray(raw.raw_colors_visible)]), bound
-
-
-def _around(marked: npt.NDArray[np.bool_], steps: int) -> npt.NDArray[np.bool_]:
-    """Photosites [h, w] that lie within so many steps of a marked one."""
-    height, width = marked.shape
-    wide = np.pad(marked, steps)
-    grown = np.zeros_like(marked)
-    for dy in range(2 * steps + 1):
-        for dx in range(2 * steps + 1):
-            grown |= wide[dy : dy + height, dx : dx + width]
-    return grown
 
 
 def _fitted(mask: npt.NDArray[np.bool_], shape: tuple[int, ...]) -> npt.NDArray[np.bool_]:

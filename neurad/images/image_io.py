@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import io
-import warnings
 from collections.abc import Mapping
 from pathlib import Path
 from typing import Any
@@ -12,7 +11,7 @@ import numpy as np
 import numpy.typing as npt
 
 from neurad.core.errors import InputError
-from neurad.core.records import FloatArray, View
+from neurad.core.records import Camera, FloatArray, View
 from neurad.images.exr_picture import in_display, known_in_display, picture_in, to_rec709
 from neurad.images.picture_headers import check_size, exr_parts
 from neurad.images.picture_notes import note
@@ -214,14 +213,12 @@ def read_coded(data: bytes, where: str) -> npt.NDArray[np.uint8]:
     from PIL import Image
 
     said, stream = "it cannot be read as a PNG, JPEG or WebP picture", io.BytesIO(data)
-    with native(where, said), warnings.catch_warnings():
-        warnings.simplefilter("ignore")
+    with native(where, said):
         image = opened(stream, ("PNG", "JPEG", "WEBP"))
     with image:
         width, height = image.size
         check_size(Path(where), width, height, 16, 4)
-        with native(where, said), warnings.catch_warnings():
-            warnings.simplefilter("ignore")
+        with native(where, said):
             image.load()
             if image.mode in _DEPTH16:
                 levels = (np.asarray(image, np.float32) / 257.0).round()
@@ -250,29 +247,35 @@ def read_mask(view: View) -> npt.NDArray[np.bool_]:
         InputError: the file is missing, no picture, or of another size than the camera.
     """
     assert view.mask is not None
-    path, camera = regular_file(view.mask), view.camera
+    path = regular_file(view.mask)
     pixels = read_bitmap(path, raw=True)
-    if pixels.shape[:2] != (camera.height, camera.width):
-        size = f"{pixels.shape[1]} x {pixels.shape[0]}"
-        raise InputError(
-            f"{shown(path)}: it has {size} pixels, its camera {camera.width} x {camera.height}; "
-            "a mask is as large as its photograph"
-        )
+    check_film(path, pixels, view.camera, "a mask is as large as its photograph")
     return np.asarray((pixels > 0).any(-1))
+
+
+def check_film(path: str | Path, pixels: FloatArray, camera: Camera, advice: str) -> None:
+    """Check that the picture of a file [h, w, c] is as large as that of its camera.
+
+    Raises:
+        InputError: it is not; ``advice`` ends the sentence.
+    """
+    if pixels.shape[:2] != (camera.height, camera.width):
+        raise InputError(
+            f"{shown(path)}: it has {pixels.shape[1]} x {pixels.shape[0]} pixels, its camera {camera.width} x "
+            f"{camera.height}; {advice}"
+        )
 
 
 def _decoded(path: Path, raw: bool) -> FloatArray:
     """The linear values [h, w, 1 or 3] of a file that Pillow reads."""
     said = "it cannot be read as an image"
-    with native(path, said), warnings.catch_warnings():
-        warnings.simplefilter("ignore")
+    with native(path, said):
         image = opened(path)
     with image:
         grey = image.mode in ("1", "L", "LA", "F", *_DEPTH16)
         width, height = image.size
         check_size(path, width, height, 12 if grey else 20, 4 if grey else 12)
-        with native(path, said), warnings.catch_warnings():
-            warnings.simplefilter("ignore")
+        with native(path, said):
             image.load()
             return _linear(image, raw)
 

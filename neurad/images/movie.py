@@ -2,29 +2,22 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, Protocol
+from typing import Any
 
 import numpy as np
 import numpy.typing as npt
 
-from neurad.core.errors import InputError
 from neurad.images.image_io import write_png
+from neurad.runtime.extras import need, needed
 from neurad.runtime.files import make_folder, replacing
 
 Bytes = npt.NDArray[np.uint8]
 FORMATS = ("mp4", "png")
 _QUALITY = 8  # of imageio-ffmpeg, from 0 to 10
-
-
-class FrameSink(Protocol):
-    """What takes the frames."""
-
-    def __call__(self, frame: Bytes) -> None:
-        """Add a frame [h, w, 3]; all have the same size."""
-        ...
+_FFMPEG = "imageio_ffmpeg", "video", "--movie mp4 (--movie png writes pictures)"
 
 
 def check_movie(kind: str) -> None:
@@ -34,7 +27,7 @@ def check_movie(kind: str) -> None:
         InputError: the package is missing.
     """
     if kind == "mp4":
-        _ffmpeg()
+        need(*_FFMPEG)
 
 
 def target_of(kind: str, folder: Path) -> Path:
@@ -43,8 +36,8 @@ def target_of(kind: str, folder: Path) -> Path:
 
 
 @contextmanager
-def filming(kind: str, folder: Path, fps: int) -> Iterator[FrameSink]:
-    """Something that takes frames; the film is there, whole, when the context ends without an error.
+def filming(kind: str, folder: Path, fps: int) -> Iterator[Callable[[Bytes], None]]:
+    """What takes frames [h, w, 3], all of one size; the film is there, whole, when the context ends without an error.
 
     Args:
         kind: one of :data:`FORMATS`.
@@ -65,7 +58,8 @@ def filming(kind: str, folder: Path, fps: int) -> Iterator[FrameSink]:
 
         yield keep
         return
-    ffmpeg = _ffmpeg()
+    with needed(*_FFMPEG):
+        import imageio_ffmpeg as ffmpeg
     make_folder(folder, "--out")
     with replacing(target_of(kind, folder), "--out") as part:
         writer: Any = None
@@ -87,13 +81,3 @@ def filming(kind: str, folder: Path, fps: int) -> Iterator[FrameSink]:
         finally:
             if writer is not None:
                 writer.close()
-
-
-def _ffmpeg() -> Any:
-    try:
-        import imageio_ffmpeg
-    except ImportError as error:
-        raise InputError(
-            "--movie mp4 needs the package imageio-ffmpeg: pip install 'neurad[video]', or --movie png for pictures"
-        ) from error
-    return imageio_ffmpeg

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import io
 import math
-import warnings
 from pathlib import Path
 from typing import Any
 
@@ -13,9 +12,10 @@ import numpy.typing as npt
 
 from neurad.core.errors import InputError
 from neurad.core.records import Development, FloatArray, View
-from neurad.images.image_io import as_light, data_window, opened, read_exr, read_mask
+from neurad.images.image_io import as_light, check_film, data_window, opened, read_exr, read_mask
 from neurad.images.picture_headers import check_exr, check_hdr, check_size, exr_parts
 from neurad.images.response import linear_value, linear_values
+from neurad.runtime.extras import needed
 from neurad.runtime.numbers import PIXEL
 from neurad.runtime.reading import exists, native, regular_file, shown
 
@@ -129,8 +129,7 @@ def _first_bytes(path: Path, count: int) -> bytes:
 
 def _header(path: Path) -> Any:
     """The picture of a file, not yet decoded; a context manager."""
-    with native(path, _SAID), warnings.catch_warnings():
-        warnings.simplefilter("ignore")
+    with native(path, _SAID):
         return opened(regular_file(path))
 
 
@@ -138,8 +137,7 @@ def _codes(path: Path, levels: int) -> npt.NDArray[np.uint8] | npt.NDArray[np.ui
     """The codes of a photograph [h, w, 3 or 4]."""
     width, height = picture_size(path)
     if levels == 255:
-        with _header(path) as image, native(path, _SAID), warnings.catch_warnings():
-            warnings.simplefilter("ignore")
+        with _header(path) as image, native(path, _SAID):
             return np.asarray(image.convert("RGB") if image.mode == "P" else image)
     found = _by_opencv(path)  # Pillow reads colours with 8 bits
     if found.dtype != np.uint16 or found.shape[:2] != (height, width):
@@ -153,12 +151,8 @@ def _by_opencv(path: Path) -> npt.NDArray[Any]:
     Raises:
         InputError: it cannot be read, or the package is missing.
     """
-    try:
+    with needed("cv2", "photos", f"{shown(path)}: a Radiance picture, or one of 16 bits,"):
         import cv2
-    except ImportError as error:
-        raise InputError(
-            f"{shown(path)}: Radiance pictures and 16 bits need the package OpenCV: pip install 'neurad[photos]'"
-        ) from error
     with native(path, _SAID):
         found = cv2.imread(str(path), cv2.IMREAD_UNCHANGED)
     if found is None or found.ndim != 3 or found.shape[2] not in (3, 4):
@@ -221,13 +215,11 @@ def read_view(view: View) -> FloatArray:
         InputError: as there, or it has another size than the camera.
     """
     assert view.image is not None
-    pixels, camera = read_photograph(view.image, view.development), view.camera
-    if pixels.shape[:2] != (camera.height, camera.width):
-        raise InputError(
-            f"{shown(view.image)}: it has {pixels.shape[1]} x {pixels.shape[0]} pixels, its camera {camera.width} x "
-            f"{camera.height}; calibrate for the photographs at their own size (w and h in the camera file), or scale "
-            "them to the camera's"
-        )
+    pixels = read_photograph(view.image, view.development)
+    advice = (
+        "calibrate for the photographs at their own size (w and h in the camera file), or scale them to the camera's"
+    )
+    check_film(view.image, pixels, view.camera, advice)
     return pixels
 
 
@@ -288,12 +280,7 @@ def read_spread(view: View) -> tuple[FloatArray, npt.NDArray[np.bool_]]:
     """
     assert view.spread is not None
     pixels = read_exr(view.spread, raw=True)
-    camera = view.camera
-    if pixels.shape[:2] != (camera.height, camera.width):
-        raise InputError(
-            f"{shown(view.spread)}: it has {pixels.shape[1]} x {pixels.shape[0]} pixels, its camera {camera.width} x "
-            f"{camera.height}; the spread is as large as its photograph"
-        )
+    check_film(view.spread, pixels, view.camera, "the spread is as large as its photograph")
     if not bool((pixels >= 0).all()):
         raise InputError(f"{shown(view.spread)}: a standard deviation in it is negative or not a number")
     clipped = np.isinf(pixels)

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
 import numpy.typing as npt
@@ -39,32 +38,8 @@ class Look:
     """Mark what no photograph shows."""
 
 
-class Still(Protocol):
-    """A picture that is refined."""
-
-    def step(self, look: Look, stop: Stop) -> bool:
-        """Make it better; False if ``stop()`` was true on the way and nothing changed."""
-        ...
-
-    def ready(self, look: Look) -> bool:
-        """Whether there is a picture for this look."""
-        ...
-
-    def done(self, look: Look) -> bool:
-        """Whether it gets no better."""
-        ...
-
-    def picture(self, look: Look) -> Bytes:
-        """The picture so far [h, w, 3]; it has to be ready."""
-        ...
-
-    def says(self, look: Look) -> str:
-        """What the picture is."""
-        ...
-
-
 class MapStill:
-    """A map without noise: its samples are for the edges.
+    """A map without noise: its samples are for the edges. It has the methods of :class:`LitStill`.
 
     Args:
         camera: of the picture.
@@ -257,3 +232,7 @@ class LitStill:
             for part, i in zip(share, used, strict=True)
         ]
         return self._films[used[int(np.argmax(gain))]]
+
+
+Still = LitStill | MapStill
+"""A picture that is refined."""

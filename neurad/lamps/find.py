@@ -17,7 +17,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 
 import torch
-from torch import Tensor
+from torch import Tensor, nn
 
 from neurad.assembly.build import build_world
 from neurad.assembly.gains import shared_development
@@ -25,10 +25,9 @@ from neurad.bsdf.diffuse import Diffuse
 from neurad.core.colour import luminance
 from neurad.core.errors import InputError
 from neurad.core.protocols import PhotoSource
-from neurad.core.records import PixelBatch, Surface, SurfaceInteraction
+from neurad.core.records import EmitterSample, PixelBatch, SurfaceInteraction
 from neurad.core.rng import Stream, mix
 from neurad.emitters.area import AreaLights
-from neurad.emitters.dark import NullEmitter
 from neurad.emitters.lights import AnyLights, make_lights
 from neurad.integrators.emitter_pixels import POSITIONS
 from neurad.integrators.method import SceneModel
@@ -40,6 +39,7 @@ from neurad.lamps.surfaces import PhotographedRadiance, SurfacePixels, showing_o
 from neurad.runtime.progress import phase
 from neurad.scene.description import Scene
 from neurad.scene.shining import Shining, without_lamps
+from neurad.scene.textures import ConstantMaterials
 
 MARGIN = 1.3
 """How much brighter than a white sheet in its place a mesh has to be to be taken for a lamp."""
@@ -63,16 +63,22 @@ class Found:
     """What there is to say."""
 
 
-class WhiteLambertian:
-    """Everything is white and diffuse."""
+class NullEmitter(nn.Module):
+    """An :class:`~neurad.core.protocols.Emitter` that sends nothing."""
 
-    def __call__(self, si: SurfaceInteraction) -> Surface:
-        """BSDF parameters at the lanes of ``si``."""
-        return Surface(torch.ones_like(si.p), torch.ones_like(si.p[:, :1]))
+    def sample(self, p: Tensor, u: Tensor) -> EmitterSample:
+        """Any direction, with density 0."""
+        wi = torch.zeros_like(p)
+        wi[:, 2] = 1.0
+        return EmitterSample(wi, torch.ones_like(p[:, 0]), torch.zeros_like(p), torch.zeros_like(p[:, 0]))
 
-    def albedo(self, si: SurfaceInteraction) -> Tensor:
-        """Ones [n, 3]."""
-        return torch.ones_like(si.p)
+    def eval(self, si: SurfaceInteraction) -> Tensor:  # type: ignore[override]
+        """Zeros [n, 3]."""
+        return torch.zeros_like(si.p)
+
+    def pdf(self, p: Tensor, si: SurfaceInteraction) -> Tensor:
+        """Zeros [n]."""
+        return torch.zeros_like(p[:, 0])
 
 
 def find_lamps(
@@ -205,15 +211,14 @@ class Search:
     @torch.no_grad()
     def _white(self, pixels: SurfacePixels) -> Tensor:
         """Radiance [n, 3] of a white diffuse sheet in the place of each pixel's point."""
-        parts, model = [], SceneModel(self.world, WhiteLambertian(), self.photographed)
+        parts, white = [], ConstantMaterials(1.0)
+        model = SceneModel(self.world, white, self.photographed)
         for begin in range(0, len(pixels), max(1, _CHUNK // _SPP)):
             si = pixels[begin : begin + _CHUNK // _SPP].points(self.geometry)
             stream = Stream(mix(self.seed, len(self.lamps)), begin, 43, device=si.p.device)
             u = stratified_samples(len(si), _SPP, stream)
             lanes = si.repeat(_SPP)
-            value = (
-                Radiometric(control_variate=False).reflected(model, lanes, WhiteLambertian()(lanes), u, stream).value
-            )
+            value = Radiometric(control_variate=False).reflected(model, lanes, white(lanes), u, stream).value
             parts.append(value.view(len(si), _SPP, 3).mean(1))
         return torch.cat(parts) if parts else pixels.color
 

@@ -136,7 +136,7 @@ def indistinguishable(responses: Responses, observed: BoolArray) -> list[list[in
     known = np.diag(product) > _KNOWN * squares  # else rare paths decide, and correlations are those of noise
     usable = responses.reaches & ~observed & known
     close &= np.outer(usable, usable)
-    return [sorted(group) for group in _groups(close)]
+    return _groups(close)
 
 
 def nonnegative_least_squares(
@@ -185,19 +185,14 @@ def connected(responses: Responses, radiance: Float64Array, observed: BoolArray)
     meet = np.array([[np.minimum(a, b).sum() for b in parts] for a in parts])
     near = meet > MEET * np.maximum(np.minimum.outer(sums, sums), 1e-300)
     for group in _groups(near):
-        fixed[list(group)] = fixed[list(group)].any()
+        fixed[group] = fixed[group].any()
     seen: BoolArray = fixed[: len(radiance)]
     return seen
 
 
-def _groups(near: BoolArray) -> list[set[int]]:
+def _groups(near: BoolArray) -> list[list[int]]:
     """Sets of indices that pairs ``near`` [m, m] connect."""
-    left, found = set(range(len(near))), []
-    while left:
-        group, border = set(), {min(left)}
-        while border:
-            group |= border
-            border = {int(j) for i in border for j in np.flatnonzero(near[i])} - group
-        left -= group
-        found.append(group)
-    return found
+    from scipy.sparse.csgraph import connected_components  # imported where it is needed: it loads slowly
+
+    count, group = connected_components(near, directed=False)
+    return [np.flatnonzero(group == i).tolist() for i in range(count)]

@@ -2,14 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from dataclasses import dataclass
 from typing import Any
 
 import torch
 from torch import Tensor
 
-from neurad.optim.device_rates import DeviceRates
 from neurad.optim.eager import EagerOptimizer
 
 COARSEST_SIZE = 4
@@ -49,23 +48,12 @@ class PyramidAdam(EagerOptimizer):
         super().__init__(params, {"lr": lr, "betas": betas})
         self.width = width
         self.detail_decay = detail_decay
-        self.rates = DeviceRates(self)
         self._levels: list[_Level] = []
 
-    @torch.no_grad()
-    def step(self, closure: Callable[[], Any] | None = None) -> Any:
-        """One update of every map that has a gradient."""
-        loss = None
-        if closure is not None:
-            with torch.enable_grad():
-                loss = closure()
-        self.rates.write()
-        for index, group in enumerate(self.param_groups):
-            for p in group["params"]:
-                if p.grad is not None:
-                    rate = group["lr"] if p.device.type == "cpu" else self.rates.of(index, p.device)
-                    self._update(p, group, rate)
-        return loss
+    def update(self, index: int, group: dict[str, Any], params: list[Tensor]) -> None:
+        """Update every map."""
+        for p in params:
+            self._update(p, group, group["lr"] if p.device.type == "cpu" else self.rates.of(index, p.device))
 
     def _update(self, p: Tensor, group: dict[str, Any], rate: Any) -> None:
         height = len(p) // self.width

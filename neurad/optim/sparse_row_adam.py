@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Iterable, Mapping
 from typing import Any
 
 import numpy as np
@@ -11,7 +11,6 @@ from torch import Tensor
 from torch.optim.adam import adam
 
 from neurad.fields.sparse import unique_rows
-from neurad.optim.device_rates import DeviceRates
 from neurad.optim.eager import EagerOptimizer
 from neurad.runtime.dispatch import use_kernel, use_warp
 from neurad.runtime.threads import split
@@ -56,44 +55,35 @@ class SparseRowAdam(EagerOptimizer):
         self.weight_decay = dict(weight_decay or {})
         self.tables = set(tables)
         self.use_kernels = use_kernels
-        self.rates = DeviceRates(self)
 
-    @torch.no_grad()
-    def step(self, closure: Callable[[], Any] | None = None) -> Any:
-        """One update of every parameter that has a gradient."""
-        loss = None
-        if closure is not None:
-            with torch.enable_grad():
-                loss = closure()
-        self.rates.write()
-        for index, group in enumerate(self.param_groups):
-            dense = []
-            for p in group["params"]:
-                if p.grad is None:
-                    continue
-                lr = group["lr"] if p.grad.is_sparse else self._rate(index, p)
-                state, decay = self.state[p], self.weight_decay.get(p, 0.0)
-                if not state:
-                    state["step"] = torch.zeros((), device=p.device)
-                    state["exp_avg"] = torch.zeros_like(p, memory_format=torch.preserve_format)
-                    state["exp_avg_sq"] = torch.zeros_like(p, memory_format=torch.preserve_format)
-                state["step"] = state["step"].to(p.device)  # torch leaves that of a checkpoint where it was read
-                if p in self.tables and use_warp(self.use_kernels and not p.grad.is_sparse and p.is_contiguous(), p):
-                    from neurad.optim.sparse_row_adam_warp import update_table  # Warp is optional
+    def update(self, index: int, group: dict[str, Any], params: list[Tensor]) -> None:
+        """Update the parameters of a group one by one, but those that are no tables together."""
+        dense = []
+        for p in params:
+            gradient = p.grad
+            assert gradient is not None
+            lr = group["lr"] if gradient.is_sparse else self._rate(index, p)
+            state, decay = self.state[p], self.weight_decay.get(p, 0.0)
+            if not state:
+                state["step"] = torch.zeros((), device=p.device)
+                state["exp_avg"] = torch.zeros_like(p, memory_format=torch.preserve_format)
+                state["exp_avg_sq"] = torch.zeros_like(p, memory_format=torch.preserve_format)
+            state["step"] = state["step"].to(p.device)  # torch leaves that of a checkpoint where it was read
+            if p in self.tables and use_warp(self.use_kernels and not gradient.is_sparse and p.is_contiguous(), p):
+                from neurad.optim.sparse_row_adam_warp import update_table  # Warp is optional
 
-                    update_table(p, state, lr, group["betas"], group["eps"], decay)
-                    continue
-                if decay > 0.0:
-                    p.mul_(1.0 - lr * decay)
-                if p.grad.is_sparse:
-                    _update_rows(p, p.grad, state, group)
-                elif p in self.tables:
-                    _update_table(p, p.grad, state, lr, group)
-                else:
-                    dense.append(p)
-            if dense:
-                _update_dense(dense, [self.state[p] for p in dense], self._rate(index, dense[0]), group)
-        return loss
+                update_table(p, state, lr, group["betas"], group["eps"], decay)
+                continue
+            if decay > 0.0:
+                p.mul_(1.0 - lr * decay)
+            if gradient.is_sparse:
+                _update_rows(p, gradient, state, group)
+            elif p in self.tables:
+                _update_table(p, gradient, state, lr, group)
+            else:
+                dense.append(p)
+        if dense:
+            _update_dense(dense, [self.state[p] for p in dense], self._rate(index, dense[0]), group)
 
     def _rate(self, index: int, p: Tensor) -> Any:
         """The learning rate of a group: where ``p`` is a table or lies on a GPU, a scalar on its device."""

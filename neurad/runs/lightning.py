@@ -29,8 +29,8 @@ from neurad.integrators.radiometric import Radiometric
 from neurad.runs.configs import find_config, load_config, only_trusted_classes, overlay, resolve, split_arguments
 from neurad.runs.messages import reason, setting_error, silence_lightning
 from neurad.runs.own_config import own_config
+from neurad.runs.settings_help import trainer_help
 from neurad.runs.times import in_tree, in_words
-from neurad.runs.trainer_help import help_trainer
 from neurad.runs.trainer_settings import OURS, complaints
 from neurad.runs.trust import import_trusted, split_trust
 from neurad.runtime import progress
@@ -64,7 +64,7 @@ def run(verb: str, args: Sequence[str], model: type[pl.LightningModule], data: t
     layers = [layer for _, layer in found]
     settings = overlay(layers, values)
     if "--help-trainer" in args:
-        print(help_trainer(), end="")
+        print(trainer_help(), end="")
         return
     tree: Any = OmegaConf.to_container(settings, resolve=False)
     if isinstance(tree.get("trainer"), dict) and tree["trainer"].get("enable_progress_bar") is False:

@@ -18,13 +18,13 @@ from neurad.core.protocols import Integrator
 from neurad.core.ranges import Count, Finite, Positive, checked
 from neurad.core.records import Camera, View
 from neurad.core.rng import mix
+from neurad.formats.axes import axis
 from neurad.formats.cameras.nerf import read_cameras
-from neurad.formats.cameras.transforms import transforms
+from neurad.formats.cameras.write import transforms
 from neurad.formats.edits.camera_paths import KINDS, path_of
 from neurad.formats.edits.edit import Edit
 from neurad.formats.edits.edit_file import read_edit
 from neurad.formats.edits.placement import scene_axis
-from neurad.formats.room_folder import axis
 from neurad.images.image_io import write_exr, write_png
 from neurad.images.movie import FORMATS, check_movie, filming, target_of
 from neurad.images.picture_notes import say_pictures

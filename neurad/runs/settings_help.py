@@ -7,6 +7,7 @@ need torch, which takes seconds to import, so theirs are shown where they are as
 from __future__ import annotations
 
 import inspect
+import re
 import shutil
 import textwrap
 from collections.abc import Iterator, Mapping, Sequence
@@ -20,6 +21,7 @@ from neurad.assembly.settings import CheckpointSettings, EvaluationSettings, Rec
 from neurad.core.errors import InputError
 from neurad.core.ranges import Range, hints, is_settings, range_of
 from neurad.core.suggest import did_you_mean
+from neurad.runs.trainer_settings import OURS, WITHOUT_EFFECT
 
 GROUPS: dict[str, type] = {
     "model": RecoverySettings,
@@ -184,10 +186,30 @@ def _kind(hint: Any) -> str:
     return words.removesuffix(", finite") + optional
 
 
-def trainer_help(settings: Sequence[Setting]) -> str:
-    """The help of the trainer's own settings."""
+def trainer_help() -> str:
+    """The help of the trainer's own settings, in Lightning's words, and which of them have no effect here."""
+    from lightning.pytorch import Trainer  # takes seconds, as torch does
+
+    words = {entry.arg_name: entry.description or "" for entry in parse(Trainer.__init__.__doc__ or "").params}
+    settings = []
+    for name, parameter in inspect.signature(Trainer).parameters.items():
+        text = f"It has no effect here: {WITHOUT_EFFECT[name][1]}." if name in WITHOUT_EFFECT else words.get(name, "")
+        plain = " ".join(re.sub(r":\w+:`~?([^`]*)`", r"\1", text).split())
+        default = OURS.get(name, parameter.default)
+        settings.append(Setting(f"trainer.{name}", plain, _annotated(parameter.annotation), default))
     head = "Lightning's trainer: these settings are not ours, and neither are their words."
     return f"{head}\n\n{_group('trainer', settings)}"
+
+
+def _annotated(annotation: object) -> str:
+    """A type without the names of its modules; lists of words stand in the text."""
+    text = annotation.__name__ if isinstance(annotation, type) else str(annotation)
+    text = re.sub(r"\b(?:[a-z_]\w*\.)+", "", text)
+    if "Literal" in text:
+        return "one of those below"
+    null = " or null" if "NoneType" in text or "Optional" in text else ""
+    text = re.sub(r"(Optional|Union)\[(.*)\]$", r"\2", text).replace(", NoneType", "")
+    return re.sub(r", (?![^\[]*\])", " or ", text) + null
 
 
 def _group(name: str, settings: Sequence[Setting]) -> str:

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
+from contextlib import contextmanager
 from importlib.util import find_spec
 
 from neurad.core.errors import InputError
 
-_PACKAGES = {"pxr": "usd-core"}
+_PACKAGES = {"pxr": "usd-core", "cv2": "OpenCV", "imageio_ffmpeg": "imageio-ffmpeg"}
 """Names of packages that differ from those of their modules."""
 
 
@@ -19,6 +21,19 @@ def missing(module: str, extra: str, what: str) -> InputError:
         what: needs it; begins the sentence.
     """
     return InputError(f"{what} needs the package {_PACKAGES.get(module, module)}: pip install 'neurad[{extra}]'")
+
+
+@contextmanager
+def needed(module: str, extra: str, what: str) -> Iterator[None]:
+    """Around the import of a package that may be missing.
+
+    Raises:
+        InputError: as :func:`missing`.
+    """
+    try:
+        yield
+    except ImportError as error:
+        raise missing(module, extra, what) from error
 
 
 def need(module: str, extra: str, what: str) -> None:

@@ -12,6 +12,7 @@ import os
 import re
 import stat
 import threading
+import warnings
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from functools import lru_cache
@@ -264,7 +265,8 @@ def _once(pairs: list[tuple[str, Any]], path: str | Path) -> dict[str, Any]:
 
 @contextmanager
 def native(path: str | Path, said: str | Callable[[Exception], str]) -> Iterator[None]:
-    """Around the call of a library that reads a file: what it raises becomes a sentence, what it prints is discarded.
+    """Around the call of a library that reads a file: what it raises becomes a sentence, what it prints or warns of is
+    discarded.
 
     Args:
         path: of the file.
@@ -274,7 +276,7 @@ def native(path: str | Path, said: str | Callable[[Exception], str]) -> Iterator
         InputError: the library raised anything.
     """
     try:
-        with quiet():
+        with quiet(), warnings.catch_warnings(action="ignore"):
             yield
     except InputError:
         raise

@@ -8,7 +8,8 @@ from dataclasses import replace
 import numpy as np
 
 from neurad.core.errors import InputError
-from neurad.core.records import FloatArray, IntArray, Mesh
+from neurad.core.names import make_unique
+from neurad.core.records import IntArray, Mesh
 from neurad.scene.description import Scene
 from neurad.scene.parts import connected_parts
 
@@ -46,21 +47,6 @@ def _parts(mesh: Mesh, part: IntArray, names: set[str], scene: str) -> Iterator[
         )
     for index in range(count):
         used, corners = np.unique(mesh.faces[part == index], return_inverse=True)
-
-        def of_used(values: FloatArray | None, used: IntArray = used) -> FloatArray | None:
-            return None if values is None else values[used]
-
-        name = f"{mesh.name}_{index + 1}"
-        while name in names:
-            name += "_"
-        names.add(name)
-        yield replace(
-            mesh,
-            name=name,
-            vertices=mesh.vertices[used],
-            faces=corners.reshape(-1, 3).astype(mesh.faces.dtype),
-            normals=of_used(mesh.normals),
-            uvs=of_used(mesh.uvs),
-            attributes={key: values[used] for key, values in mesh.attributes.items()},
-            part_of=mesh.name,
-        )
+        name = make_unique(f"{mesh.name}_{index + 1}", names)
+        made = mesh.of_vertices(used, corners.reshape(-1, 3).astype(mesh.faces.dtype))
+        yield replace(made, name=name, part_of=mesh.name)

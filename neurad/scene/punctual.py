@@ -9,6 +9,7 @@ from typing import Any, get_args
 import numpy as np
 import numpy.typing as npt
 
+from neurad.core.camera import facing
 from neurad.core.errors import InputError
 from neurad.core.records import PunctualKind, PunctualLight
 from neurad.runtime.numbers import LENGTH, RADIANCE, within
@@ -118,10 +119,4 @@ def pose(light: PunctualLight, axis: float = 1.0) -> npt.NDArray[np.float64]:
     """A rotation and translation [4, 4], float64, whose Z axis, times ``axis``, is the direction of the light."""
     z = np.asarray(light.direction, np.float64)
     z = axis * z / np.linalg.norm(z)
-    side = np.eye(3)[int(np.abs(z).argmin())]
-    x = np.cross(side, z)
-    x /= np.linalg.norm(x)
-    made = np.eye(4)
-    made[:3, :3] = np.stack((x, np.cross(z, x), z), 1)
-    made[:3, 3] = light.position
-    return made
+    return facing(light.position, z, np.eye(3)[int(np.abs(z).argmin())])

@@ -1,7 +1,8 @@
-"""The true materials of a scene: its own textures, looked up as Mitsuba does."""
+"""Materials that are known: a scene's own textures, looked up as Mitsuba does, and the same everywhere."""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from functools import partial
 
 import numpy as np
@@ -14,6 +15,22 @@ from neurad.core.records import Bitmap, Constant, Surface, SurfaceInteraction, T
 from neurad.runtime.lanes import where_needed
 from neurad.scene.description import Scene
 from neurad.scene.geometry import Geometry
+
+
+@dataclass(frozen=True)
+class ConstantMaterials:
+    """One grey albedo and one roughness everywhere: numbers, or tensors that carry gradients."""
+
+    grey: float | Tensor
+    roughness: float | Tensor = 1.0
+
+    def albedo(self, si: SurfaceInteraction) -> Tensor:
+        """The albedo alone [n, 3]."""
+        return self.grey * torch.ones_like(si.p)
+
+    def __call__(self, si: SurfaceInteraction) -> Surface:
+        """BSDF parameters at the lanes of ``si``."""
+        return Surface(self.albedo(si), self.roughness * torch.ones_like(si.p[:, :1]))
 
 
 class TrueMaterials(nn.Module):

@@ -2,15 +2,13 @@
 
 from __future__ import annotations
 
-from typing import Protocol
+from typing import TYPE_CHECKING
 
 import torch
 
-from neurad.assembly.build import Assembly, FittedMaterials
+from neurad.assembly.build import FittedMaterials
 from neurad.assembly.common_causes import common_causes
-from neurad.assembly.model_settings import ModelSettings
 from neurad.core.errors import InputError
-from neurad.core.protocols import PhotoSource
 from neurad.core.records import Float64Array, FloatArray
 from neurad.evidence.bar_maps import predict_bars
 from neurad.evidence.error_bars import ErrorBars
@@ -23,25 +21,10 @@ from neurad.optim.polyak_average import averaged
 from neurad.training.error_bars import error_bars
 from neurad.training.evaluate import Evaluation, UnknownLight, evaluate, unknown_light
 from neurad.training.guard import Guard
-from neurad.training.schedule import Counters
-from neurad.training.training_views import TrainingViews, prepare_views
+from neurad.training.training_views import prepare_views
 
-
-class Scored(Protocol):
-    """What is scored: :class:`neurad.training.inverse.InverseRenderer`."""
-
-    settings: ModelSettings
-    counters: Counters
-    training_views: TrainingViews | None
-    other_light: list[str]
-
-    @property
-    def photographs(self) -> PhotoSource:
-        """The photographs of the data module in charge."""
-
-    @property
-    def assembly(self) -> Assembly:
-        """The parts of the run."""
+if TYPE_CHECKING:
+    from neurad.training.inverse import InverseRenderer
 
 
 class Scoring:
@@ -52,7 +35,7 @@ class Scoring:
         guard: stops at the first number of a picture that is not finite.
     """
 
-    def __init__(self, run: Scored, guard: Guard) -> None:
+    def __init__(self, run: InverseRenderer, guard: Guard) -> None:
         self.run, self.guard = run, guard
         self.effort = EvaluationResolution()
         """How much of the held-out views evaluations look at. Set before a fit starts."""

@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
-from typing import Any, Protocol
 
 import torch
 from torch import Tensor
 
 from neurad.assembly.build import Assembly
+from neurad.core.frame import faceforward
 from neurad.core.protocols import PhotoSource
 from neurad.core.records import PixelBatch
 from neurad.core.rng import Stream
@@ -18,25 +18,10 @@ from neurad.losses.relative import total
 from neurad.runtime.threads import torch_on_one
 from neurad.training.gradient_sync import GradientSync
 from neurad.training.guard import Guard
-from neurad.training.guide_update import bin_guide_samples, update_guide
 from neurad.training.objective import StepTerms, make_objective
 from neurad.training.schedule import Counters, Progress, learning_rate, rate_factor
 from neurad.training.stages import AFTER_STEP, BEFORE, Stage, rate_progress
 from neurad.training.training_views import TrainingViews
-
-
-class StepOptimizer(Protocol):
-    """An optimizer as the step uses it, perhaps in a trainer's wrapper."""
-
-    param_groups: list[dict[str, Any]]
-
-    def zero_grad(self) -> None:
-        """Forget the gradients of the last step."""
-        ...
-
-    def step(self) -> Any:
-        """Move the parameters along their gradients."""
-        ...
 
 
 @dataclass
@@ -65,7 +50,7 @@ class TrainingStep:
     rank: int = 0
     processes: int = 1
     sync: GradientSync | None = None
-    optimizers: Mapping[str, StepOptimizer] = field(default_factory=dict)
+    optimizers: Mapping[str, torch.optim.Optimizer] = field(default_factory=dict)
     device: torch.device | str = "cpu"
     objective: Callable[[PixelBatch, Stream], StepTerms] = field(init=False)
     """Losses of a batch, from a random stream of their own."""
@@ -121,7 +106,7 @@ class TrainingStep:
             backward(loss)
         # Stage 2: what other processes found, and the finiteness check.
         factor = rate_factor(optimization, counters.iteration, progress)
-        recorded = bin_guide_samples(world.guide, terms.guide_samples), self._scores(batch, terms)
+        recorded = self._bins(terms), self._scores(batch, terms)
         if self.sync is not None:
             factor, recorded = self.sync.average(factor, recorded)
         self.guard.check(counters.iteration, batch, terms.all, lambda: self.terms(batch))
@@ -135,7 +120,10 @@ class TrainingStep:
             optimizer.step()
         if lamps is not None:
             lamps.update()
-        update_guide(world.guide, recorded[0], counters.iteration)
+        if world.guide is not None and recorded[0] is not None:
+            world.guide.record(*recorded[0])
+            if (counters.iteration + 1) % world.guide.refresh == 0:  # later directions follow what was recorded
+                world.guide.update()
         if self.assembly.focus is not None and recorded[1] is not None:
             self.assembly.focus.record(*recorded[1], counters.iteration)
         counters.iteration += 1
@@ -151,6 +139,13 @@ class TrainingStep:
     def _stream(self, purpose: int) -> Stream:
         """Random numbers of this iteration, the same at every call."""
         return Stream(self.assembly.settings.seed, self.counters.iteration, self.rank, purpose, device=self.device)
+
+    def _bins(self, terms: StepTerms) -> tuple[Tensor, Tensor] | None:
+        """Bins [n] of the guide's histogram and what is to be added there [n, 2]; None without a guide or samples."""
+        guide, samples = self.assembly.world.guide, terms.guide_samples
+        if guide is None or samples is None:
+            return None
+        return guide.bin_samples(samples.si, faceforward(samples.si), samples.wi, samples.radiance)
 
     def _scores(self, batch: PixelBatch, terms: StepTerms) -> tuple[Tensor, Tensor] | None:
         """What the gradients by roughness say of where pixels are to be drawn."""

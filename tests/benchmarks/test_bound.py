@@ -5,7 +5,6 @@ from itertools import pairwise
 import numpy as np
 import pytest
 import torch
-from helpers.method_oracles import Grey
 from helpers.tiny_fit import fails, fit, write_tiny_config
 
 from benchmarks.bench.bound import gap, sentence
@@ -21,6 +20,7 @@ from neurad.core.records import SurfaceInteraction
 from neurad.integrators.estimator import Estimator
 from neurad.integrators.primary_hits import PrimaryHits
 from neurad.scene.builtin import build_furnace
+from neurad.scene.textures import ConstantMaterials
 
 LOW, SIZE = np.zeros(3, np.float32), 1.0
 
@@ -300,12 +300,12 @@ def test_in_the_furnace_a_wrong_light_is_a_known_error_of_albedo(wrong):
     scene = build_furnace(rho, emission)
     world = build_world(scene)
     right = rho * emission / (1 - rho)
-    materials = Grey(rho)
+    materials = ConstantMaterials(rho)
     estimator = Estimator(world, materials, lambda si, albedo: torch.full_like(si.p, wrong * right))
     primary = PrimaryHits(world, [view.camera for view in scene.train], 16, 0, torch.device("cpu"))
     left_out = torch.zeros(2, primary.pixels, dtype=torch.bool)
     left_out[0, :100] = True
-    found = predict(estimator, _Constant(rho), primary, left_out, 4, 0, 32)
+    found = predict(estimator, materials, primary, left_out, 4, 0, 32)
     light = emission + wrong * right
     kept = ~left_out.numpy()
     assert not found.pictures[:, ~kept].any()
@@ -318,14 +318,6 @@ def test_in_the_furnace_a_wrong_light_is_a_known_error_of_albedo(wrong):
     photographs = np.full((n, 3), rho * emission / (1 - rho), np.float32)
     error = recovery(photographs - found.pictures.mean(0)[kept])[-1, :3]
     np.testing.assert_allclose(error, rho * (1 - wrong) * right / light, atol=0.005)
-
-
-class _Constant(Grey):
-    """Known materials, without a graph."""
-
-    @torch.no_grad()
-    def forward(self, si):
-        return super().forward(si)
 
 
 # ---- the table

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 from helpers import layouts
 from helpers.tiny_fit import fails
+from trimesh.transformations import rotation_matrix
 
 from neurad.cli import main
 from neurad.core.records import Camera
@@ -113,8 +114,7 @@ def rigid(camera):
 
 
 def turned(angle, shift):
-    c, s = np.cos(angle), np.sin(angle)
-    return np.array([[c, 0, s], [0, 1, 0], [-s, 0, c]]), np.array(shift)
+    return rotation_matrix(angle, (0, 1, 0))[:3, :3], np.array(shift)
 
 
 ON_RIG = {7: (np.eye(3), np.zeros(3)), 8: turned(0.4, (0.1, 0.0, -0.02)), 9: turned(-1.0, (-0.2, 0.05, 0.0))}

@@ -20,7 +20,7 @@ from helpers import tiny_fit
 from neurad import cli
 from neurad.cli import main
 from neurad.commands import compare
-from neurad.compare import configs, curves, page, views
+from neurad.compare import curves, fits, page, views
 from neurad.compare import table as table_of
 from neurad.compare.fits import WARM_UP, time_limit
 from neurad.compare.runs import SCORES, Run, marks, read_other, read_run, samples_per_step
@@ -64,7 +64,7 @@ def stub(monkeypatch):
     """Children that only pretend."""
     Path("stub.py").write_text(STUB.format(config=yaml.safe_dump(CONFIG)))
     monkeypatch.setattr(child, "NEURAD", [sys.executable, str(Path("stub.py").resolve())])
-    monkeypatch.setattr(configs, "resolved_configs", lambda fits: [CONFIG for _ in fits])
+    monkeypatch.setattr(fits, "resolved_configs", lambda fits: [CONFIG for _ in fits])
     for name in ("scene", "good", "bad"):
         Path(f"{name}.yaml").write_text("{}\n")
 
@@ -392,7 +392,7 @@ def test_samples_become_steps(stub):
 
 def test_samples_leave_the_schedule_that_was_asked_for(stub, monkeypatch):
     asked = CONFIG | {"evaluation": {"every_n_steps": 7}}
-    monkeypatch.setattr(configs, "resolved_configs", lambda fits: [asked for _ in fits])
+    monkeypatch.setattr(fits, "resolved_configs", lambda fits: [asked for _ in fits])
     main(["compare", "--config=scene.yaml", "--methods=good.yaml", f"--samples={PER_STEP * 41}"])
     arguments = Path("report/runs/good_0/arguments.txt").read_text().splitlines()
     assert not [word for word in arguments if word.startswith("--evaluation.every")]

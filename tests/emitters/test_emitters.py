@@ -231,9 +231,7 @@ def test_radiance_is_differentiable_in_the_emission() -> None:
 
 
 @pytest.mark.parametrize("rotate", [False, True])
-def test_environment_agrees_with_mitsuba(rotate: bool) -> None:
-    mi = pytest.importorskip("mitsuba")
-    mi.set_variant("scalar_rgb")
+def test_environment_agrees_with_mitsuba(mi, rotate: bool) -> None:
     emap = environment(4, h=6, w=9, rotate=rotate)
     plugin = mi.load_dict(
         {

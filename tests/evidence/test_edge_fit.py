@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
+from trimesh.transformations import rotation_matrix
 
 from neurad.assembly.build import build_world
 from neurad.core.camera import project, to_camera
@@ -36,10 +37,7 @@ def painted(world, camera, seed):
 
 def turned(camera, axis, degrees):
     """The camera turned about its own x or y axis."""
-    a, (i, j) = math.radians(degrees), {"x": (1, 2), "y": (2, 0)}[axis]
-    turn = np.eye(4)
-    turn[i, i] = turn[j, j] = math.cos(a)
-    turn[j, i], turn[i, j] = math.sin(a), -math.sin(a)
+    turn = rotation_matrix(math.radians(degrees), np.eye(3)["xyz".index(axis)])
     return replace(camera, to_world=(camera.to_world @ turn).astype(np.float32))
 
 

@@ -10,7 +10,6 @@ from helpers.small_step import SmallStep
 
 from neurad.assembly.settings import Sampling
 from neurad.core.errors import InputError
-from neurad.core.records import Surface
 from neurad.core.rng import Stream
 from neurad.evidence import pixel_derivatives
 from neurad.evidence.bars_file import read_bars, write_bars
@@ -18,23 +17,10 @@ from neurad.evidence.error_bars import COLUMNS, FLAT, ErrorBars, measure, textur
 from neurad.evidence.nodes import Nodes
 from neurad.evidence.pixel_derivatives import PixelDerivatives
 from neurad.integrators.direct import Direct
+from neurad.scene.textures import ConstantMaterials
 
 RNG = np.random.default_rng(0)
 STD = 0.14
-
-
-class Everywhere:
-    """One albedo and one roughness."""
-
-    def __init__(self, albedo, roughness):
-        self.values = albedo, roughness
-
-    def __call__(self, si):
-        ones = torch.ones_like(si.p)
-        return Surface(ones * self.values[0], ones[:, :1] * self.values[1])
-
-    def albedo(self, si):
-        return self(si).albedo
 
 
 def test_nodes_keep_sums_and_read_linear_functions():
@@ -147,7 +133,7 @@ def test_bars_come_back_from_their_file(tmp_path):
 
 def step_of(albedo, roughness, method=None):
     made = SmallStep(Sampling(spp=4, cached_spp=4))
-    materials = Everywhere(albedo, roughness)
+    materials = ConstantMaterials(albedo, roughness)
     estimator = replace(made.estimator, materials=materials, method=method or made.estimator.method)
     return made, estimator
 

@@ -12,9 +12,8 @@ from hypothesis import strategies as st
 from neurad.core.records import Constant, Material, Mesh, Surface
 from neurad.core.reflection import PrincipledModel
 from neurad.export.atlas import AtlasMaker
-from neurad.export.bake import bake
+from neurad.export.bake import bake, push_pull
 from neurad.export.charts import Chart, find_charts, is_unique, own_chart, triangle_areas
-from neurad.export.fill import push_pull
 from neurad.export.grid import grid_chart
 from neurad.export.texels import LARGEST, TextureSize, rounded, wanted_size
 from neurad.export.unwrap import unwrap

@@ -44,16 +44,13 @@ def test_an_environment_map_alone(tmp_path):
     assert notes["environment"] == {"file": "environment.exr", "to_world": TURN[:3, :3].tolist()}
 
 
-def test_a_constant_emitter(tmp_path):
+def test_a_constant_emitter(mi, tmp_path):
     radiance = np.array([1.0, 0.5, 0.25], np.float32)
     environment = EnvironmentMap(np.broadcast_to(radiance, (2, 4, 3)).copy())
     scene = object_scene(environment)
     again = read_again(scene, tmp_path)
     assert np.array_equal(again.environment.pixels.max((0, 1)), radiance)
     assert np.array_equal(again.environment.pixels.min((0, 1)), radiance)
-    import mitsuba as mi
-
-    mi.set_variant("scalar_rgb")
     theirs = np.array(mi.render(mi.load_file(str(tmp_path / "room/scene.xml")), spp=16))[..., :3]
     assert np.allclose(theirs[0, 0], radiance, rtol=1e-3)  # past the floor
     ours = picture(again, scene.test[0].camera, 16)
@@ -119,11 +116,8 @@ def test_normals_stay_where_there_are_some(tmp_path):
 
 
 @pytest.mark.parametrize("unit", [0.03, 1e5])
-def test_the_length_of_the_unit_does_not_matter(tmp_path, unit):
+def test_the_length_of_the_unit_does_not_matter(mi, tmp_path, unit):
     """Light knows no lengths: Mitsuba shows a scene of another unit as before; below 1e-2 its own ray offsets show."""
-    import mitsuba as mi
-
-    mi.set_variant("scalar_rgb")
     scene, means = build_cornell(), []
     for factor in (1.0, unit):
         meshes = [replace(mesh, vertices=mesh.vertices * np.float32(factor)) for mesh in scene.meshes]
@@ -171,10 +165,8 @@ def test_every_view_keeps_its_own_angle(tmp_path):
         assert np.array_equal(before.camera.to_world, after.camera.to_world)
 
 
-def test_lenses_that_others_do_not_have_stay_in_the_camera_files(tmp_path, capfd):
+def test_lenses_that_others_do_not_have_stay_in_the_camera_files(mi, tmp_path, capfd):
     """A room with a camera that distorts: other programs get the plain ones, which are compared; masks come along."""
-    import mitsuba as mi
-
     scene = build_cornell()
     bent = replace(scene.test[0], camera=replace(scene.test[0].camera, lens=Lens(numerator=(-0.1,))))
     mask = tmp_path / "mask.PNG"

@@ -424,8 +424,7 @@ def test_alpha(mode, alpha, fine, tmp_path):
 def power(meshes):
     total = np.zeros(3)
     for mesh in meshes:
-        p = corners(mesh).astype(np.float64)
-        area = 0.5 * np.linalg.norm(np.cross(p[:, 1] - p[:, 0], p[:, 2] - p[:, 0]), axis=-1).sum()
+        area = trimesh.triangles.area(corners(mesh).astype(np.float64)).sum()
         total += area * (0 if mesh.radiance is None else mesh.radiance.astype(np.float64))
     return total
 

@@ -5,6 +5,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import trimesh
 
 from neurad.cli import main
 from neurad.core.errors import InputError
@@ -19,8 +20,7 @@ OBJ_POINTS = "".join(f"v {x} {y} {z}\n" for x, y, z in POINTS)
 
 
 def area(mesh):
-    a, b, c = mesh.vertices[mesh.faces].swapaxes(0, 1)
-    return np.linalg.norm(np.cross(b - a, c - a), axis=-1).sum() / 2
+    return trimesh.triangles.area(np.asarray(mesh.vertices, np.float64)[mesh.faces]).sum()
 
 
 def read(tmp_path, name, content):

@@ -129,10 +129,8 @@ CURVES = {
 
 
 @pytest.mark.parametrize("name", CURVES)
-def test_curved_shapes_are_mitsubas_within_the_stated_error(tmp_path, name):
+def test_curved_shapes_are_mitsubas_within_the_stated_error(mi, tmp_path, name):
     """Along rays through the shape: distance across the surface, shading normals and texture coordinates."""
-    import mitsuba as mi
-
     kind, inside = CURVES[name]
     scene = read(tmp_path, emitter("point", ""), f'<shape type="{kind}">{inside}</shape>')
     ours = scene.meshes[0]
@@ -140,30 +138,24 @@ def test_curved_shapes_are_mitsubas_within_the_stated_error(tmp_path, name):
     assert ours.normals is not None
     assert ours.uvs is not None
     rng = np.random.default_rng(len(name))
-    before = mi.variant()
-    mi.set_variant("scalar_rgb")
-    try:
-        theirs = mi.load_file(str(tmp_path / "scene.xml"))
-        mesh = mi.Mesh("ours", len(ours.vertices), len(ours.faces), has_vertex_normals=True, has_vertex_texcoords=True)
-        values = mi.traverse(mesh)
-        values["vertex_positions"], values["vertex_normals"] = ours.vertices.ravel(), ours.normals.ravel()
-        values["vertex_texcoords"], values["faces"] = ours.uvs.ravel(), ours.faces.ravel().astype(np.uint32)
-        values.update()
-        made = mi.load_dict({"type": "scene", "mesh": mesh})
-        seen, missed = [], 0
-        for _ in range(400):
-            o, through = 3 * rng.normal(size=3), rng.uniform(-0.8, 0.8, 3)
-            d = (through - o) / np.linalg.norm(through - o)
-            a, b = (x.ray_intersect(mi.Ray3f(o.tolist(), d.tolist())) for x in (theirs, made))
-            missed += a.is_valid() != b.is_valid()
-            if a.is_valid() and b.is_valid():
-                n, turn = np.array(a.sh_frame.n), np.abs(np.array(a.uv) - np.array(b.uv))
-                across = abs((a.t - b.t) * float(d @ n))
-                normal = np.linalg.norm(n - np.array(b.sh_frame.n))
-                seen.append((across, normal, np.minimum(turn, 1 - turn).max(), float(np.array(a.n) @ np.array(b.n))))
-    finally:
-        if before is not None:
-            mi.set_variant(before)
+    theirs = mi.load_file(str(tmp_path / "scene.xml"))
+    mesh = mi.Mesh("ours", len(ours.vertices), len(ours.faces), has_vertex_normals=True, has_vertex_texcoords=True)
+    values = mi.traverse(mesh)
+    values["vertex_positions"], values["vertex_normals"] = ours.vertices.ravel(), ours.normals.ravel()
+    values["vertex_texcoords"], values["faces"] = ours.uvs.ravel(), ours.faces.ravel().astype(np.uint32)
+    values.update()
+    made = mi.load_dict({"type": "scene", "mesh": mesh})
+    seen, missed = [], 0
+    for _ in range(400):
+        o, through = 3 * rng.normal(size=3), rng.uniform(-0.8, 0.8, 3)
+        d = (through - o) / np.linalg.norm(through - o)
+        a, b = (x.ray_intersect(mi.Ray3f(o.tolist(), d.tolist())) for x in (theirs, made))
+        missed += a.is_valid() != b.is_valid()
+        if a.is_valid() and b.is_valid():
+            n, turn = np.array(a.sh_frame.n), np.abs(np.array(a.uv) - np.array(b.uv))
+            across = abs((a.t - b.t) * float(d @ n))
+            normal = np.linalg.norm(n - np.array(b.sh_frame.n))
+            seen.append((across, normal, np.minimum(turn, 1 - turn).max(), float(np.array(a.n) @ np.array(b.n))))
     across, normal, uv, side = np.array(seen).T
     assert len(seen) > 80
     assert missed <= 2  # at the silhouette

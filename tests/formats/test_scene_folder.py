@@ -20,7 +20,7 @@ from neurad.core.lens import Lens
 from neurad.core.records import Bitmap, Camera, Rays, View
 from neurad.core.reflection import DiffuseModel, RoughPlasticModel
 from neurad.formats.cameras.nerf import read_views
-from neurad.formats.cameras.transforms import transforms
+from neurad.formats.cameras.write import transforms
 from neurad.formats.load import load_scene, read_folder
 from neurad.formats.mitsuba.plugin import to_mitsuba
 from neurad.images.image_io import write_exr

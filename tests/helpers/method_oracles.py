@@ -17,20 +17,7 @@ from neurad.scene.builtin import build_furnace, build_sphere
 from neurad.scene.builtin.plain import room
 from neurad.scene.builtin.shapes import ball, box, quad, rotated
 from neurad.scene.description import Scene
-
-
-class Grey(torch.nn.Module):
-    """One albedo, a single parameter, everywhere."""
-
-    def __init__(self, albedo):
-        super().__init__()
-        self.rho = torch.nn.Parameter(torch.tensor(float(albedo)))
-
-    def albedo(self, si):
-        return self.rho.expand(len(si), 3)
-
-    def forward(self, si):
-        return Surface(self.albedo(si), torch.ones(len(si), 1))
+from neurad.scene.textures import ConstantMaterials
 
 
 class Oracle:
@@ -41,7 +28,8 @@ class Oracle:
         self.name, self.rho = name, rho
         scene = build_furnace(rho, 1.0) if name == "furnace" else build_sphere(rho, subdivisions=3)
         self.world = build_world(scene)
-        self.materials = Grey(rho)
+        self.grey = torch.tensor(rho, requires_grad=True)
+        self.materials = ConstantMaterials(self.grey)
         geometry = self.world.geometry
         area = geometry.face_area.double()
         self.light = float((area * geometry.emission[:, 0].double()).sum() / area.sum())
@@ -71,7 +59,7 @@ class Oracle:
             si = self.vertices(paths // batches, stream)
             u = stream.uniform(len(si), DIMENSIONS)
             value = method.reflected(self.parts(wrong), si, self.materials(si), u, stream).value.mean()
-            (grad,) = torch.autograd.grad(value, [self.materials.rho])
+            (grad,) = torch.autograd.grad(value, [self.grey])
             found.append((grad.item(), value.item()))
         rows = np.array(found)
         means, errors = rows.mean(0), rows.std(0, ddof=1) / math.sqrt(batches)

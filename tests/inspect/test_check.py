@@ -7,6 +7,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from helpers.tiny_fit import fails
+from trimesh.transformations import rotation_matrix
 
 from datamodules.scene_data import SceneData
 from datamodules.settings import DataSettings
@@ -28,10 +29,7 @@ def source(scene):
 
 def turned(view, degrees):
     """The camera turned to the left about its own vertical axis."""
-    a = math.radians(degrees)
-    turn = np.eye(4)
-    turn[:3, :3] = [[math.cos(a), 0, math.sin(a)], [0, 1, 0], [-math.sin(a), 0, math.cos(a)]]
-    return posed(view, view.camera.to_world @ turn)
+    return posed(view, view.camera.to_world @ rotation_matrix(math.radians(degrees), (0, 1, 0)))
 
 
 def posed(view, pose):

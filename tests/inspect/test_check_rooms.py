@@ -8,6 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from trimesh.transformations import rotation_matrix
 
 from neurad.cli import main
 from neurad.images.image_io import write_exr
@@ -80,10 +81,7 @@ def scene_file(change):
 
 
 def turned(degrees, axis):
-    a, (i, j) = math.radians(degrees), axis
-    turn = np.eye(4)
-    turn[i, i] = turn[j, j] = math.cos(a)
-    turn[j, i], turn[i, j] = math.sin(a), -math.sin(a)
+    turn = rotation_matrix(math.radians(degrees), axis)
     return lambda matrix: matrix @ turn
 
 
@@ -149,9 +147,13 @@ def behind_the_wall(matrix):
 
 
 DAMAGES = {
-    "turned by 3 degrees": (pose(3, turned(3.0, (2, 0))), 1, "view train_003: its photograph does not show the edges"),
+    "turned by 3 degrees": (
+        pose(3, turned(3.0, (0, 1, 0))),
+        1,
+        "view train_003: its photograph does not show the edges",
+    ),
     "pitched by 3 degrees": (
-        pose(5, turned(-3.0, (1, 2))),
+        pose(5, turned(-3.0, (1, 0, 0))),
         1,
         "view train_005: its photograph does not show the edges",
     ),

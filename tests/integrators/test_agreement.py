@@ -56,10 +56,8 @@ def test_mean_of_each_stored_view_agrees_within_one_percent(name):
 
 
 @pytest.mark.parametrize("name", ["staircase", "veach-ajar"])
-def test_pixels_agree_by_a_z_test_with_the_variances_of_both_sides(name):
+def test_pixels_agree_by_a_z_test_with_the_variances_of_both_sides(mi, name):
     """Welch's t over 16 seeds a side at 32x32; Sidak-corrected over pixels and channels at 99 %."""
-    mi = pytest.importorskip("mitsuba")
-    mi.set_variant("scalar_rgb")
     scene, integrator = room_tracer(name)
     size, seeds, spp = 32, 16, 64
     loaded = mi.load_file(str(ROOMS / name / "scene.xml"), res=size, spp=spp)

@@ -27,6 +27,7 @@ from neurad.integrators.stratified import stratified_samples
 from neurad.integrators.vertex import DIMENSIONS
 from neurad.losses.leave_one_out import ControlVariate, leave_one_out
 from neurad.scene.builtin import build_furnace
+from neurad.scene.textures import ConstantMaterials
 
 
 def quadrature(roughness: float, cosine: float) -> torch.Tensor:
@@ -157,21 +158,6 @@ def test_control_is_given_where_there_are_derivatives_and_it_is_wanted(method) -
     assert Direct().reflected(parts, si, materials(si), u, Stream(7)).sample_stats is None
 
 
-class Even(torch.nn.Module):
-    """One albedo and one roughness everywhere."""
-
-    def __init__(self) -> None:
-        super().__init__()
-        self.colour = torch.nn.Parameter(torch.tensor(0.5))
-        self.rough = torch.nn.Parameter(torch.tensor(0.3))
-
-    def albedo(self, si):
-        return self.colour.expand(len(si), 3)
-
-    def forward(self, si):
-        return Surface(self.albedo(si), self.rough.expand(len(si), 1))
-
-
 # Variance of the gradient by albedo and by roughness: at most this fraction of that without control.
 METHODS = {
     "AD-PT": (PathTracing, {"max_depth": 4}, (0.6, 0.9)),
@@ -190,7 +176,8 @@ def test_methods_keep_the_mean_of_their_gradient_and_lose_noise(name: str) -> No
     batches, pixels, n = 100, 64, 8
     scene = build_furnace(0.5, 1.0)
     world = build_world(replace(scene, materials=[replace(m, model=PrincipledModel()) for m in scene.materials]))
-    materials = Even()
+    found = [torch.tensor(value, requires_grad=True) for value in (0.5, 0.3)]
+    materials = ConstantMaterials(*found)
     at = Oracle("furnace", 0.5).vertices(pixels, Stream(1))
     side = torch.nn.functional.normalize(Stream(2).uniform(pixels, 3) - 0.5, dim=-1)
     si = replace(at, wo=torch.nn.functional.normalize(at.n + 0.8 * side, dim=-1)).repeat(n)
@@ -207,7 +194,7 @@ def test_methods_keep_the_mean_of_their_gradient_and_lose_noise(name: str) -> No
             else None
         )
         loss = leave_one_out(value, torch.full((pixels, 3), 0.3), torch.ones(pixels, 3), variate)
-        return torch.stack(torch.autograd.grad(loss.surrogate, list(materials.parameters())))
+        return torch.stack(torch.autograd.grad(loss.surrogate, found))
 
     usual, less = (torch.stack([gradient(c, i) for i in range(batches)]).double() for c in (False, True))
     difference = less - usual

@@ -148,12 +148,10 @@ def test_only_lanes_that_meet_something_smooth_change():
 # ---- a room with a mirror and glass
 
 
-def test_pixels_agree_with_mitsuba():
+def test_pixels_agree_with_mitsuba(mi):
     """Welch's t-test of every pixel and channel with 16 seeds a side, Sidak-corrected at 99 %; roulette alone ends
     paths on both sides, since vertices on smooth surfaces count towards Mitsuba's depth only."""
-    mi = pytest.importorskip("mitsuba")
     stats = pytest.importorskip("scipy.stats")
-    mi.set_variant("scalar_rgb")
     from neurad.formats.mitsuba.plugin import to_mitsuba
 
     scene, seeds, spp = delta_gallery(), 16, 64

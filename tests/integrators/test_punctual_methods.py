@@ -124,14 +124,11 @@ def test_only_what_there_is_is_built():
     [(False, False, 4), pytest.param(True, False, 4, marks=pytest.mark.slow),
      pytest.param(False, True, 16, marks=pytest.mark.slow)],
 )  # fmt: skip
-def test_pictures_agree_with_mitsuba(sky, delta, depth):
+def test_pictures_agree_with_mitsuba(mi, sky, delta, depth):
     """All lights together: Welch's t over the seeds of both sides, Sidak-corrected at 99 %.
 
     Mitsuba counts smooth surfaces as vertices of a path, so that a scene with some has to have long paths.
     """
-    mi = pytest.importorskip("mitsuba")
-    before = mi.variant()
-    mi.set_variant("scalar_rgb")
     scene = replace(lit_gallery(sky=sky), max_depth=depth, rr_depth=100)
     if not delta:
         scene = replace(scene, meshes=[mesh for mesh in scene.meshes if mesh.material == 0])
@@ -139,12 +136,8 @@ def test_pictures_agree_with_mitsuba(sky, delta, depth):
     pose = np.eye(4)
     pose[:3, 3] = 0.0, 0.1, 0.95
     camera = Camera(pose, math.radians(75.0), size, size)
-    try:
-        loaded = to_mitsuba(scene, View("v", camera), size, spp)
-        theirs = np.stack([np.array(mi.render(loaded, seed=s, spp=spp)) for s in range(seeds)])
-    finally:
-        if before is not None:
-            mi.set_variant(before)
+    loaded = to_mitsuba(scene, View("v", camera), size, spp)
+    theirs = np.stack([np.array(mi.render(loaded, seed=s, spp=spp)) for s in range(seeds)])
     tracer = paths(scene)
     ours = np.stack([render(camera, tracer, spp, 100 + s) for s in range(seeds)])
     same = np.ptp(np.concatenate((ours, theirs)), axis=0) <= 1e-5 * np.abs(ours).max()  # nothing, or sky alone

@@ -13,7 +13,7 @@ from neurad.integrators.method import SceneModel
 from neurad.integrators.radiometric import Radiometric
 from neurad.integrators.renderer import FieldRenderer, MethodRenderer, path_tracer
 from neurad.integrators.vertex import DIMENSIONS
-from neurad.scene.builtin.furnace import build_furnace
+from neurad.scene.builtin import build_furnace
 from neurad.scene.textures import TrueMaterials
 
 RHO = 0.6

@@ -10,10 +10,9 @@ from helpers.object_scene import sky
 
 from neurad.assembly.build import build_world
 from neurad.core.errors import InputError
-from neurad.emitters.dark import NullEmitter
 from neurad.images.development import Photography
 from neurad.lamps.candidates import Candidate, one_radiance, over
-from neurad.lamps.find import Search, find_lamps
+from neurad.lamps.find import NullEmitter, Search, find_lamps
 from neurad.lamps.surfaces import PhotographedRadiance, side_of, surface_pixels
 from neurad.scene.builtin.shapes import look_at
 from neurad.scene.shining import Shining, shining_from_state, shining_scene, shining_state, without_lamps

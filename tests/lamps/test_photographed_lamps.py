@@ -5,10 +5,9 @@ from dataclasses import replace
 import numpy as np
 import pytest
 import torch
-from helpers.lamp_room import lamp_room
+from helpers.lamp_room import Photographs, lamp_room
 
 from neurad.assembly.build import build_world
-from neurad.core.protocols import PhotoSource
 from neurad.core.records import Camera, PixelBatch
 from neurad.integrators.emitter_pixels import emitter_pixels
 from neurad.integrators.film import render
@@ -28,16 +27,6 @@ from neurad.scene.builtin import build
 from neurad.scene.textures import TrueMaterials
 
 SIZE = 24
-
-
-class Photographs(PhotoSource):
-    """Pixels [views, pixels, 3] in memory, of which nothing more is known."""
-
-    def __init__(self, pixels):
-        self.pixels = pixels
-
-    def colors(self, view, pixel):
-        return self.pixels[view, pixel]
 
 
 @pytest.fixture(scope="module")

@@ -34,6 +34,7 @@ from neurad.metrics.unseen import NEITHER, seen_map
 from neurad.scene.description import Scene
 from neurad.scene.exposure import scene_exposure
 from neurad.scene.geometry import Geometry
+from neurad.scene.textures import ConstantMaterials
 from neurad.tracing.select import make_tracer
 
 # --- scores
@@ -126,19 +127,6 @@ def open_views(scene: Scene, grid: int = 4) -> HeldOut:
 def from_above(**files: str) -> View:
     maps = {name: files.pop(name) for name in BY_NAME if name in files}
     return View("above", Camera(DOWN, math.pi / 2, SIDE, SIDE), maps=maps, **files)
-
-
-class Plain:
-    """Materials of one albedo and roughness."""
-
-    def __init__(self, albedo: float, roughness: float) -> None:
-        self.values = albedo, roughness
-
-    def __call__(self, si: SurfaceInteraction) -> Surface:
-        return Surface(self.albedo(si), torch.full((len(si), 1), self.values[1]))
-
-    def albedo(self, si: SurfaceInteraction) -> torch.Tensor:
-        return torch.full((len(si), 3), self.values[0])
 
 
 COUNTED = np.zeros((SIDE, SIDE), bool)
@@ -234,7 +222,7 @@ def test_chunks_and_uncached_hits_change_nothing_that_counts(monkeypatch: pytest
     np.testing.assert_array_equal(views.counted(0), COUNTED)
     np.testing.assert_array_equal(views.seen(0), SEEN)
     assert not views._hits
-    np.testing.assert_array_equal(views.predict(Plain(0.25, 0.5))[0]["albedo"][COUNTED], 0.25)
+    np.testing.assert_array_equal(views.predict(ConstantMaterials(0.25, 0.5))[0]["albedo"][COUNTED], 0.25)
 
 
 def with_truth(tmp_path: Path) -> Scene:
@@ -254,8 +242,8 @@ def with_truth(tmp_path: Path) -> Scene:
 
 def test_scores_of_two_views_by_hand(tmp_path: Path) -> None:
     views = open_views(with_truth(tmp_path))
-    maps = views.predict(Plain(0.5, 0.4))
-    maps[1] = views.predict(Plain(0.7, 0.3))[1]
+    maps = views.predict(ConstantMaterials(0.5, 0.4))
+    maps[1] = views.predict(ConstantMaterials(0.7, 0.3))[1]
     renders = [np.full((SIDE, SIDE, 3), 4.0, np.float32), np.full((SIDE, SIDE, 3), 4.0, np.float32)]
     renders[1][0, 0] = [4.5, 4.0, 0.0]
     scores = score(views, maps, renders)
@@ -321,7 +309,7 @@ def test_pixels_that_a_mask_leaves_out_count_in_no_map(tmp_path: Path) -> None:
     scene = replace(scene, test=[replace(view, mask=mask(tmp_path / "m.png", right)) for view in scene.test])
     views = open_views(scene)
     np.testing.assert_array_equal(views.counted(0), COUNTED & ~right)
-    scores = score(views, views.predict(Plain(0.5, 0.4)))
+    scores = score(views, views.predict(ConstantMaterials(0.5, 0.4)))
     for region in ("", "_seen"):
         assert scores[f"albedo_psnr{region}"] == pytest.approx(20.0, rel=1e-4)
         assert scores[f"albedo_psnr_8x8{region}"] == pytest.approx(20.0, rel=1e-4)
@@ -361,7 +349,7 @@ def test_pixels_that_a_mask_leaves_out_count_in_no_picture(tmp_path: Path) -> No
     pictures = [np.full((SIDE, SIDE, 3), 4.5, np.float32) for _ in range(2)]
     for picture in pictures:
         picture[0, 0] = 100.0
-    scores = score(views, views.predict(Plain(0.5, 0.4)), pictures, fields=pictures)
+    scores = score(views, views.predict(ConstantMaterials(0.5, 0.4)), pictures, fields=pictures)
     assert scores["psnr_linear"] == pytest.approx(-10 * math.log10(0.25), rel=1e-4)
     assert scores["psnr_lhs"] == pytest.approx(scores["psnr_linear"], rel=1e-6)
 
@@ -382,7 +370,7 @@ def test_lookup_by_true_colour_scores_what_colour_tells(tmp_path: Path) -> None:
     test = from_above(albedo=save(tmp_path / "a.exr", albedo), roughness=save(tmp_path / "r.exr", roughness))
     scene = make_scene([test])
     views = open_views(replace(scene, train=[from_above(albedo=train[0], roughness=train[1])]))
-    scores = score(views, views.predict(Plain(0.5, 0.4)), None, {"part": [SEEN]})
+    scores = score(views, views.predict(ConstantMaterials(0.5, 0.4)), None, {"part": [SEEN]})
     mse = 0.01 * SEEN.sum() / COUNTED.sum()
     assert scores["roughness_psnr_lookup"] == pytest.approx(-10 * math.log10(mse), rel=1e-4)
     assert scores["roughness_psnr_lookup_part"] == pytest.approx(20.0, rel=1e-4)
@@ -392,27 +380,27 @@ def test_lookup_by_true_colour_scores_what_colour_tells(tmp_path: Path) -> None:
     assert "roughness_psnr_lookup_constant" not in scores
     bare = open_views(scene)  # no true maps of training views
     assert bare.lookup is None
-    assert not [key for key in score(bare, bare.predict(Plain(0.5, 0.4))) if "lookup" in key]
+    assert not [key for key in score(bare, bare.predict(ConstantMaterials(0.5, 0.4))) if "lookup" in key]
 
 
 def test_regions_get_scores_of_their_own(tmp_path: Path) -> None:
     views = open_views(with_truth(tmp_path))
-    scores = score(views, views.predict(Plain(0.5, 0.5)), None, {"lit_glossy": [SEEN, np.zeros_like(SEEN)]})
+    scores = score(views, views.predict(ConstantMaterials(0.5, 0.5)), None, {"lit_glossy": [SEEN, np.zeros_like(SEEN)]})
     assert scores["albedo_psnr_lit_glossy"] == pytest.approx(20.0, rel=1e-4)
-    empty = score(views, views.predict(Plain(0.5, 0.5)), None, {"none": [np.zeros_like(SEEN)] * 2})
+    empty = score(views, views.predict(ConstantMaterials(0.5, 0.5)), None, {"none": [np.zeros_like(SEEN)] * 2})
     assert not [key for key in empty if key.endswith("_none")]
 
 
 def test_missing_truth_leaves_its_scores_out(tmp_path: Path) -> None:
     bare = open_views(make_scene([from_above()]))
     picture = np.zeros((SIDE, SIDE, 3), np.float32)
-    assert score(bare, bare.predict(Plain(0.5, 0.5)), [picture]) == {}
+    assert score(bare, bare.predict(ConstantMaterials(0.5, 0.5)), [picture]) == {}
     roughness = save(tmp_path / "r.exr", np.full((SIDE, SIDE, 1), 0.5))
     views = [from_above(roughness=roughness)]
     only = open_views(make_scene(views))
-    assert "roughness_psnr" in score(only, only.predict(Plain(0.5, 0.5)))
+    assert "roughness_psnr" in score(only, only.predict(ConstantMaterials(0.5, 0.5)))
     diffuse = open_views(make_scene(views, model=DiffuseModel()))  # which has no roughness
-    assert score(diffuse, diffuse.predict(Plain(0.5, 0.5))) == {}
+    assert score(diffuse, diffuse.predict(ConstantMaterials(0.5, 0.5))) == {}
 
 
 def test_files_that_do_not_fit_are_named(tmp_path: Path) -> None:
@@ -467,7 +455,9 @@ def test_lit_glossy_finds_a_real_highlight(tmp_path: Path) -> None:
         scene.features,
         torch.ones(len(views.geometry.faces), dtype=torch.bool),
     )
-    dark = reflected_by(Radiometric(), SceneModel(world, Plain(0.5, 0.4), lambda si, albedo: torch.zeros_like(albedo)))
+    dark = reflected_by(
+        Radiometric(), SceneModel(world, ConstantMaterials(0.5, 0.4), lambda si, albedo: torch.zeros_like(albedo))
+    )
     mask = lit_glossy(views, dark)[0]
     assert mask[3:5, 3:5].all()  # around the origin the specular part is about 45 %
     assert not mask[[2, 2, 5, 5], [2, 5, 2, 5]].any()  # at the corners it is below 2 %

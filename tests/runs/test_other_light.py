@@ -182,7 +182,8 @@ def test_what_is_wrong_gets_one_sentence(fitted, capfd, words, sentence):
 def test_a_missing_package_is_named_before_work(fitted, capfd, monkeypatch):
     monkeypatch.setitem(__import__("sys").modules, "imageio_ffmpeg", None)
     error = fails(capfd, "render", "--ckpt_path", str(run_folder()), "--out", "out", "--path", "pan")
-    assert "pip install 'neurad[video]', or --movie png" in error
+    assert "--movie png writes pictures" in error
+    assert "pip install 'neurad[video]'" in error
 
 
 @pytest.mark.main

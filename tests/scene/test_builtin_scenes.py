@@ -256,9 +256,7 @@ def test_furnace_radiance_is_the_closed_form():
     assert abs(float(radiance.mean()) - 2.5) < 4 * error + 1e-4  # 4 sigma: fails by chance once in 16000 runs
 
 
-def test_mitsuba_sees_the_same_surfaces(patterns):
-    mi = pytest.importorskip("mitsuba")
-    mi.set_variant("scalar_rgb")
+def test_mitsuba_sees_the_same_surfaces(mi, patterns):
     from neurad.formats.mitsuba.plugin import to_mitsuba
 
     scene, world = patterns
@@ -288,14 +286,12 @@ def test_mitsuba_sees_the_same_surfaces(patterns):
 
 
 @pytest.mark.parametrize(("name", "spp"), [("cornell", 16), ("patterns", 16)])
-def test_pixels_agree_with_mitsuba(name, spp):
+def test_pixels_agree_with_mitsuba(mi, name, spp):
     """Welch's t-test of every pixel and channel, variances of both sides from 16 seeds each; Sidak-corrected at 99 %.
 
     Seeds are fixed, so the outcome is too on one platform.
     """
-    mi = pytest.importorskip("mitsuba")
     stats = pytest.importorskip("scipy.stats")
-    mi.set_variant("scalar_rgb")
     from neurad.formats.mitsuba.plugin import to_mitsuba
 
     scene, size, seeds = build(name), 32, 16

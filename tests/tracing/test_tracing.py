@@ -1,10 +1,13 @@
 """All ray casters against the brute-force twin in float64."""
 
+from functools import partial
+
 import numpy as np
 import pytest
 import torch
 import trimesh
 from helpers.brute_force import BruteForceTracer
+from helpers.directions import directions as random_directions
 from helpers.torch_threads import torch_threads
 
 from neurad.core.errors import InputError
@@ -26,9 +29,7 @@ def backend(request):
     return request.param
 
 
-def directions(n, seed=0):
-    d = torch.randn(n, 3, generator=torch.Generator().manual_seed(seed))
-    return torch.nn.functional.normalize(d, dim=-1)
+directions = partial(random_directions, upper=False)
 
 
 def uniform(*shape, seed=1):

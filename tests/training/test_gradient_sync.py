@@ -18,15 +18,15 @@ from helpers.tiny_fit import write_tiny_config
 from neurad.training.gradient_sync import Exchange, GradientSync
 
 HERE = Path(__file__).resolve().parents[1]
+ENVIRONMENT = {**os.environ, "OMP_NUM_THREADS": "1", "CUDA_VISIBLE_DEVICES": ""}
 
 
 @pytest.mark.parametrize(
     "kind", [*(pytest.param(kind, marks=pytest.mark.slow) for kind in ("hash", "dense")), "glossy"]
 )
 def test_two_processes_learn_what_one_learns_from_both_batches(tmp_path, kind):
-    environment = {**os.environ, "OMP_NUM_THREADS": "1", "CUDA_VISIBLE_DEVICES": ""}
     command = [sys.executable, str(HERE / "helpers" / "ddp_run.py"), str(tmp_path), kind]
-    done = subprocess.run(command, env=environment, capture_output=True, text=True, timeout=300)
+    done = subprocess.run(command, env=ENVIRONMENT, capture_output=True, text=True, timeout=300)
     assert done.returncode == 0, done.stderr
     assert done.stdout.count("in a group at exit: False") == 2, done.stdout
     first, second = (torch.load(tmp_path / f"{rank}.pt", weights_only=True) for rank in range(2))
@@ -50,20 +50,27 @@ def test_two_processes_learn_what_one_learns_from_both_batches(tmp_path, kind):
                 assert (alone.state_dict()[name] - value).norm() > 0.2 * moved, name  # half the batch does differ
 
 
+@contextlib.contextmanager
+def fitting(folder, settings):
+    """A fit in processes of its own, which end with the block; what they say is in ``log``."""
+    command = [sys.executable, "-m", "neurad", "fit", *(f"--{key}={value}" for key, value in settings.items())]
+    with (folder / "log").open("w") as log:
+        process = subprocess.Popen(command, env=ENVIRONMENT, cwd=folder, stdout=log, stderr=log, start_new_session=True)
+    try:
+        yield process
+    finally:
+        with contextlib.suppress(ProcessLookupError):  # nobody is left
+            os.killpg(process.pid, signal.SIGKILL)
+
+
 @pytest.mark.parametrize("interrupted", [pytest.param("the first", marks=pytest.mark.slow), "the second"])
 def test_ctrl_c_stops_two_processes_after_the_same_iteration(tmp_path, interrupted):
     """One of them gets the signal; the other must not wait for it for ever, and the first writes a whole checkpoint."""
-    environment = {**os.environ, "OMP_NUM_THREADS": "1", "CUDA_VISIBLE_DEVICES": ""}
     write_tiny_config(tmp_path / "tiny.yaml", trainer={"devices": 2, "strategy": "ddp", "max_steps": 1_000_000})
     settings = {"config": "tiny.yaml", "evaluation.every_n_steps": "null", "evaluation.fraction": "0",
                 "checkpoint.every_seconds": "1"}  # fmt: skip
-    command = [sys.executable, "-m", "neurad", "fit", *(f"--{key}={value}" for key, value in settings.items())]
-    with (tmp_path / "log").open("w") as log:
-        process = subprocess.Popen(
-            command, env=environment, cwd=tmp_path, stdout=log, stderr=log, start_new_session=True
-        )
     last = tmp_path / "lightning_logs" / "version_0" / "checkpoints" / "last.ckpt"
-    try:
+    with fitting(tmp_path, settings) as process:
         wait_until(lambda: last.exists() or process.poll() is not None, 120)
         children = Path(f"/proc/{process.pid}/task/{process.pid}/children").read_text().split()
         (second,) = (int(pid) for pid in children if b"fit" in Path(f"/proc/{pid}/cmdline").read_bytes())
@@ -71,9 +78,6 @@ def test_ctrl_c_stops_two_processes_after_the_same_iteration(tmp_path, interrupt
         os.kill(process.pid if interrupted == "the first" else second, signal.SIGINT)
         code = process.wait(60)
         wait_until(lambda: not Path(f"/proc/{second}").exists(), 30)
-    finally:
-        with contextlib.suppress(ProcessLookupError):  # nobody is left
-            os.killpg(process.pid, signal.SIGKILL)
     said = (tmp_path / "log").read_text()
     assert code == 130, said
     assert said.count("continues from") == 1
@@ -84,22 +88,13 @@ def test_ctrl_c_stops_two_processes_after_the_same_iteration(tmp_path, interrupt
 @pytest.mark.slow
 @pytest.mark.skipif(not Path("/proc/net/tcp").exists(), reason="reads Linux's list of sockets")
 def test_two_processes_listen_on_loopback_alone(tmp_path):
-    environment = {**os.environ, "OMP_NUM_THREADS": "1", "CUDA_VISIBLE_DEVICES": ""}
     settings = {
         "config": "cornell.yaml", "trainer.accelerator": "cpu", "trainer.devices": "2", "trainer.strategy": "ddp",
         "trainer.max_time": "null", "trainer.max_steps": "40", "data.patches": "16", "evaluation.fraction": "0",
     }  # fmt: skip
-    command = [sys.executable, "-m", "neurad", "fit", *(f"--{key}={value}" for key, value in settings.items())]
-    with (tmp_path / "log").open("w") as log:
-        process = subprocess.Popen(
-            command, env=environment, cwd=tmp_path, stdout=log, stderr=log, start_new_session=True
-        )
     seen = set()
-    try:
+    with fitting(tmp_path, settings) as process:
         wait_until(lambda: seen.update(of_both(process.pid)) or process.poll() is not None, 120)
-    finally:
-        with contextlib.suppress(ProcessLookupError):  # nobody is left
-            os.killpg(process.pid, signal.SIGKILL)
     assert process.returncode == 0, (tmp_path / "log").read_text()
     assert seen == {"0100007F"}  # 127.0.0.1
 

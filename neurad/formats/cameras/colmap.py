@@ -201,16 +201,12 @@ def _camera(line: _Camera, pose: FloatArray, where: str) -> Camera:
 
 def _rigid(values: Numbers, where: str) -> Rigid:
     """The rotation and the translation of a quaternion w, x, y, z and a translation [7]."""
+    from scipy.spatial.transform import Rotation  # imported where it is needed: it loads slowly
+
     q = np.array([number(x, f"{where}: its quaternion", -1e9, 1e9) for x in values[:4]])
-    length = float(np.linalg.norm(q))
-    if length < 1e-9:
+    if np.linalg.norm(q) < 1e-9:
         raise InputError(f"{where}: its quaternion is 0, which is no rotation")
-    w, x, y, z = q / length
-    rotation = np.array([
-        [1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y)],
-        [2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x)],
-        [2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y)],
-    ])  # fmt: skip
+    rotation = Rotation.from_quat(np.roll(q, -1)).as_matrix()
     return rotation, np.array([number(x, f"{where}: its translation", -LENGTH, LENGTH) for x in values[4:]])
 
 

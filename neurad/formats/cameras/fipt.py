@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
+from neurad.core.camera import facing
 from neurad.core.errors import InputError, Refusals
 from neurad.core.parameters import ALBEDO, ROUGHNESS
 from neurad.core.records import Float64Array, FloatArray, View
@@ -84,25 +86,20 @@ def _photographed(source: Path) -> list[View]:
             if np.abs((k[0, 1], k[1, 0], k[2, 0], k[2, 1], k[2, 2] - 1.0)).max() > 1e-6:
                 raise InputError(f"{about}: its matrix is not fx 0 cx, 0 fy cy, 0 0 1")
             values = {"fl_x": k[0, 0], "fl_y": k[1, 1], "cx": k[0, 2], "cy": k[1, 2]}
-            camera = make_camera(_looking(eye, target, up, where), check_exr(image), "PINHOLE", values, about)
+            pose: Any = _looking(eye, target, up, where)
+            camera = make_camera(pose, check_exr(image), "PINHOLE", values, about)
             views.append(View(f"{index:03d}", camera, str(image)))
     refusals.end()
     return views
 
 
-def _looking(eye: Float64Array, target: Float64Array, up: Float64Array, where: str) -> FloatArray:
+def _looking(eye: Float64Array, target: Float64Array, up: Float64Array, where: str) -> Float64Array:
     """Camera to world, OpenGL axes, of a camera that looks from a point at another."""
     forward, length = target - eye, float(np.linalg.norm(up))
     distance = float(np.linalg.norm(forward))
     if distance == 0 or length == 0 or abs(forward @ up) > _STRAIGHT * distance * length:
         raise InputError(f"{where}: the directions in which it looks and up are not perpendicular")
-    forward = forward / distance
-    right = np.cross(forward, up / length)
-    right /= np.linalg.norm(right)
-    pose: FloatArray = np.eye(4)  # type: ignore[assignment]
-    pose[:3, :3] = np.stack((right, np.cross(right, forward), -forward), -1)
-    pose[:3, 3] = eye
-    return pose
+    return facing(eye, -forward, up / length)
 
 
 def _triples(path: Path) -> list[Float64Array]:

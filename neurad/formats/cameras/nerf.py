@@ -49,7 +49,7 @@ class Split:
 
 
 def read_split(
-    folder: Path, hold_out: int = HOLD_OUT, photograph: Finder | None = None, pictures: bool = True
+    folder: Path, hold_out: int = HOLD_OUT, pictures: bool = True, photograph: Finder | None = None
 ) -> Split:
     """Training and held-out views of ``transforms_train.json`` and, where it is there, ``transforms_test.json`` or
     ``transforms_val.json``.
@@ -57,8 +57,8 @@ def read_split(
     Args:
         folder: a scene folder.
         hold_out: not read: a folder with two files says itself what is held out.
-        photograph: as in :func:`read_views`.
         pictures: as in :func:`read_views`.
+        photograph: as in :func:`read_views`.
 
     Raises:
         InputError: as :func:`read_views`.
@@ -73,14 +73,14 @@ def read_split(
     return Split(told_apart(train), [], stated=True)
 
 
-def read_one(folder: Path, hold_out: int = HOLD_OUT, photograph: Finder | None = None, pictures: bool = True) -> Split:
+def read_one(folder: Path, hold_out: int = HOLD_OUT, pictures: bool = True, photograph: Finder | None = None) -> Split:
     """Training and held-out views of ``transforms.json``, nerfstudio's one file for both.
 
     Args:
         folder: a scene folder.
         hold_out: every so many-th photograph by name is held out where the file does not say which; 0 for none, not 1.
-        photograph: as in :func:`read_views`.
         pictures: as in :func:`read_views`.
+        photograph: as in :func:`read_views`.
 
     Raises:
         InputError: as :func:`read_views`; or the lists of the file name what it does not have, or a frame twice.

@@ -1,19 +1,23 @@
-"""Camera files and photographs of a scene folder."""
+"""Camera files as they are written: NeRF's and Blender's keys, with nerfstudio's for lenses; and what they name."""
 
 from __future__ import annotations
 
 import json
+from collections.abc import Sequence
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
 from neurad.core.parameters import BY_NAME
 from neurad.core.records import PINHOLE, Camera, View
-from neurad.formats.cameras.transforms import transforms
+from neurad.formats.cameras.intrinsics import described
 from neurad.formats.load import RELIGHT
 from neurad.runtime.files import place
 from neurad.scene.description import Scene
+from neurad.scene.origin import ZERO, moved_views
 
 KINDS = {
     "image": "images",
@@ -72,8 +76,56 @@ def files_of(scene: Scene) -> list[str]:
     return [file for file in (*files, scene.relight) if file is not None]
 
 
+def transforms(views: Sequence[View], origin: npt.ArrayLike = ZERO, maps: Sequence[str] = ()) -> dict[str, Any]:
+    """The camera file of views: what all their cameras share stands at the top, what they do not in each frame.
+
+    Args:
+        views: relative to ``origin``.
+        origin: ``Scene.origin``, which is added.
+        maps: surface parameters of which there are maps beside the photographs.
+    """
+    views = moved_views(views, origin)
+    lenses = [described(view.camera) for view in views]
+    shared = lenses[0] if all(lens == lenses[0] for lens in lenses) else {}
+    return {
+        **shared,
+        "frames": [
+            {
+                "file_path": f"images/{view.name}.exr",
+                **{f"{name}_path": f"{name}/{view.name}.exr" for name in maps},
+                **({} if shared else lens),
+                **({} if view.development.exposure is None else {"exposure": view.development.exposure}),
+                "transform_matrix": [[float(x) for x in row] for row in view.camera.to_world],
+            }
+            for view, lens in zip(views, lenses, strict=True)
+        ],
+    }
+
+
+def write_cameras(path: Path, views: Sequence[View], copy: bool, origin: npt.ArrayLike = ZERO) -> None:
+    """Write the camera file of views, and beside it their photographs, masks and true maps as links or copies.
+
+    Args:
+        path: of the camera file; files of views that lie where they belong already stay as they are.
+        views: their names unique.
+        copy: copy files instead of linking to them.
+        origin: as in :func:`transforms`.
+
+    Raises:
+        OSError: a file cannot be written or read.
+    """
+    written = transforms(views, origin)
+    for view, frame in zip(views, written["frames"], strict=True):
+        for kind, source in view.files.items():
+            name = f"{KINDS[kind]}/{view.name}{Path(source).suffix.lower()}"
+            frame["file_path" if kind == "image" else f"{kind}_path"] = name
+            if Path(source) != path.parent / name:
+                place(Path(source), path.parent / name, copy)
+    path.write_text(json.dumps(written, indent=1) + "\n", encoding="utf-8")
+
+
 def write_views(scene: Scene, folder: Path, copy: bool) -> list[str]:
-    """Write the camera files of a scene's views, with their photographs and true maps as links or copies.
+    """Write the camera files of a scene's views, and what they name.
 
     Args:
         scene: whose views, their names unique.
@@ -87,23 +139,10 @@ def write_views(scene: Scene, folder: Path, copy: bool) -> list[str]:
     Raises:
         OSError: a file cannot be written or read.
     """
-    missing = []
-    for part in ("train", "test"):
-        views: list[View] = getattr(scene, part)
-        if not all(view.image for view in views) or not views:
-            missing.append(part)
-        if not views:
-            continue
-        described = transforms(views, scene.origin)
-        for view, frame in zip(views, described["frames"], strict=True):
-            for kind, where in KINDS.items():
-                key = "file_path" if kind == "image" else f"{kind}_path"
-                source = view.files.get(kind)
-                if source is not None:
-                    ending = Path(source).suffix.lower() if kind in ("image", "mask") else ".exr"
-                    frame[key] = f"{where}/{view.name}{ending}"
-                    place(Path(source), folder / frame[key], copy)
-        (folder / f"transforms_{part}.json").write_text(json.dumps(described, indent=1) + "\n", encoding="utf-8")
+    parts = {"train": scene.train, "test": scene.test}
+    for part, views in parts.items():
+        if views:
+            write_cameras(folder / f"transforms_{part}.json", views, copy, scene.origin)
     if scene.relight is not None:
         place(Path(scene.relight), folder / RELIGHT, copy)
-    return missing
+    return [part for part, views in parts.items() if not views or not all(view.image for view in views)]

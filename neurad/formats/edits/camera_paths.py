@@ -10,6 +10,7 @@ from typing import Any
 import numpy as np
 import numpy.typing as npt
 
+from neurad.core.camera import facing
 from neurad.core.errors import InputError
 from neurad.core.records import Camera
 from neurad.formats.edits.placement import turned_about
@@ -58,15 +59,9 @@ def _facing(camera: Camera, up: Array, target: Array) -> Camera:
     """
     eye = np.asarray(camera.to_world, np.float64)[:3, 3]
     back = eye - target
-    side = np.cross(up, back)
-    if np.linalg.norm(side) <= 1e-6 * max(float(np.linalg.norm(back)), 1e-30):
+    if np.linalg.norm(np.cross(up, back)) <= 1e-6 * max(float(np.linalg.norm(back)), 1e-30):
         raise InputError("--path turntable: the first camera is right above or below the middle of the scene")
-    pose = np.eye(4)
-    pose[:3, 2] = back / np.linalg.norm(back)
-    pose[:3, 0] = side / np.linalg.norm(side)
-    pose[:3, 1] = np.cross(pose[:3, 2], pose[:3, 0])
-    pose[:3, 3] = eye
-    return _posed(camera, pose)
+    return _posed(camera, facing(eye, back, up))
 
 
 def _posed(camera: Camera, pose: Any) -> Camera:
@@ -78,13 +73,11 @@ def _flight(cameras: Sequence[Camera], count: int) -> list[Camera]:
     """A smooth path through cameras at an even pace: Catmull-Rom splines of places, turns (unit quaternions) and
     angles of view. Lens and size are those of the first one.
     """
-    import trimesh
-
-    transformations: Any = trimesh.transformations
+    from scipy.spatial.transform import Rotation  # imported where it is needed: it loads slowly
 
     turns: list[Any] = []
     for camera in cameras:
-        q = np.asarray(transformations.quaternion_from_matrix(np.asarray(camera.to_world, np.float64)))
+        q = Rotation.from_matrix(np.asarray(camera.to_world, np.float64)[:3, :3]).as_quat()
         turns.append(-q if turns and float(q @ turns[-1]) < 0.0 else q)
     places = np.array([np.asarray(camera.to_world, np.float64)[:3, 3] for camera in cameras])
     knots = np.concatenate((places, np.array(turns), np.array([[camera.fov_x] for camera in cameras])), 1)
@@ -98,8 +91,8 @@ def _flight(cameras: Sequence[Camera], count: int) -> list[Camera]:
     values = np.stack([np.interp(wanted, along, column) for column in dense.T], 1)
     made = []
     for row in values:
-        pose = np.asarray(transformations.quaternion_matrix(row[3:7]), np.float64)
-        pose[:3, 3] = row[:3]
+        pose = np.eye(4)
+        pose[:3, :3], pose[:3, 3] = Rotation.from_quat(row[3:7]).as_matrix(), row[:3]
         made.append(replace(_posed(cameras[0], pose), fov_x=float(row[7])))
     return made
 

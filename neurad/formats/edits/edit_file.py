@@ -11,9 +11,9 @@ import yaml  # type: ignore[import-untyped]
 from neurad.core.errors import InputError
 from neurad.core.parameters import BY_NAME, PARAMETERS
 from neurad.core.suggest import nearest
+from neurad.formats.axes import UP
 from neurad.formats.edits.edit import Color, Edit, EnvironmentEdit, LampEdit, MaterialEdit, ObjectEdit, Vector
 from neurad.formats.edits.placement import Placement
-from neurad.formats.room_folder import UP
 from neurad.runtime.numbers import LENGTH, RADIANCE, number
 from neurad.runtime.reading import read_text, shown
 

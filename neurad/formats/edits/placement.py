@@ -11,7 +11,7 @@ import numpy.typing as npt
 
 from neurad.core.errors import InputError
 from neurad.core.records import EnvironmentMap, Float64Array, Mesh
-from neurad.formats.room_folder import axis, held_up, turned
+from neurad.formats.axes import axis, held_up, turned
 from neurad.runtime.numbers import LENGTH, within
 from neurad.scene.description import Scene
 from neurad.scene.origin import in_scene
@@ -48,11 +48,10 @@ def scene_up(scene: Scene, up: str) -> Float64Array:
 
 def turned_about(vector: npt.ArrayLike, degrees: float) -> Float64Array:
     """The rotation about a unit vector, counterclockwise for whom it points at [4, 4]."""
-    x, y, z = np.asarray(vector, np.float64)
-    cross = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
-    angle = math.radians(degrees)
+    from scipy.spatial.transform import Rotation  # imported where it is needed: it loads slowly
+
     made = np.eye(4)
-    made[:3, :3] += math.sin(angle) * cross + (1.0 - math.cos(angle)) * cross @ cross
+    made[:3, :3] = Rotation.from_rotvec(math.radians(degrees) * np.asarray(vector, np.float64)).as_matrix()
     return made
 
 

@@ -21,7 +21,7 @@ import numpy.typing as npt
 from neurad.core.errors import InputError
 from neurad.runtime.memory import reserve
 from neurad.runtime.numbers import number
-from neurad.runtime.reading import exists, parse_json, read_bytes, shown
+from neurad.runtime.reading import exists, listed, parse_json, read_bytes, shown
 
 Json = dict[str, Any]
 Array = npt.NDArray[Any]
@@ -55,7 +55,6 @@ _TYPES = {5120: "i1", 5121: "u1", 5122: "<i2", 5123: "<u2", 5125: "<u4", 5126: "
 _WIDTHS = {"SCALAR": 1, "VEC2": 2, "VEC3": 3, "VEC4": 4}
 _MAGIC, _JSON, _BIN = b"glTF", b"JSON", b"BIN\0"
 _MAX_VALUES = 1 << 31  # values of an accessor
-_LISTED = 12
 
 
 class GltfFile:
@@ -145,8 +144,8 @@ class GltfFile:
         found = [name for name in self._extensions("extensionsUsed") if name not in known]
         if not found:
             return None
-        listed = ", ".join(map(shown, found[:_LISTED])) + (" ..." if len(found) > _LISTED else "")
-        return f"what it says by {listed} is missing here: {'it' if len(found) == 1 else 'they'} {_is(found)} not read"
+        they = "it is" if len(found) == 1 else "they are"
+        return f"what it says by {listed(found)} is missing here: {they} not read"
 
     def check_uncompressed(self, item: Json, where: str) -> None:
         """Check that what an item may have in a compressed form is there without compression, too.

@@ -122,17 +122,12 @@ def _local(file: GltfFile, item: Json, about: str) -> Array:
 
 def _posed(file: GltfFile, move: Array, turn: Array, scale: Array, about: str) -> Array:
     """The matrices [n, 4, 4] that scale, then turn by quaternions (x, y, z, w), then move."""
-    length = np.linalg.norm(turn, axis=1, keepdims=True)
-    if length.min() < 1e-6:
+    from scipy.spatial.transform import Rotation  # imported where it is needed: it loads slowly
+
+    if np.linalg.norm(turn, axis=1).min() < 1e-6:
         raise file.error(f"{about}: its rotation is 0, which is no quaternion")
-    x, y, z, w = (turn / length).T
-    rows = [
-        [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
-        [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
-        [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
-    ]
     made = np.tile(np.eye(4), (len(move), 1, 1))
-    made[:, :3, :3] = np.moveaxis(np.array(rows), -1, 0) * scale[:, None, :]
+    made[:, :3, :3] = Rotation.from_quat(turn).as_matrix() * scale[:, None, :]
     made[:, :3, 3] = move
     return made
 

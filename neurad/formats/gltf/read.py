@@ -20,12 +20,11 @@ from neurad.formats.gltf.nodes import GltfCamera, Node, camera_of, instances_of,
 from neurad.formats.gltf.textures import LEVELS
 from neurad.runtime.memory import reserve
 from neurad.runtime.numbers import LENGTH, RADIANCE, TEXEL, unit, within
-from neurad.runtime.reading import shown
+from neurad.runtime.reading import listed, shown
 from neurad.scene.polygons import check_triangle_count
 
 ENDINGS = (".glb", ".gltf")
 _TRIANGLES, _STRIP, _FAN = 4, 5, 6
-_LISTED = 12
 _SETS = 8  # sets of texture coordinates that are looked for
 
 
@@ -98,8 +97,7 @@ class _Reader:
                     lights.append(light)
         self.refusals.end()
         if flat:
-            listed = ", ".join(map(shown, flat[:_LISTED])) + (" ..." if len(flat) > _LISTED else "")
-            self._note(f"orthographic cameras are left out: {listed}")
+            self._note(f"orthographic cameras are left out: {listed(flat)}")
         if (unread := self.file.unread()) is not None:
             self._note(unread)
         if self.file.array(self.file.json, "animations", "it"):

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import re
-import warnings
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -13,10 +12,10 @@ import numpy as np
 
 from neurad.core.errors import InputError
 from neurad.core.names import make_unique
-from neurad.core.records import EnvironmentMap, Material, Mesh, PunctualLight
+from neurad.core.records import Mesh
 from neurad.formats.meshes.obj import read_obj
 from neurad.formats.meshes.ply_file import Lists, coordinates, corners_of, read_ply
-from neurad.formats.meshes.triangles import crossing_note, mesh_of
+from neurad.formats.meshes.triangles import MeshFile, crossing_note, mesh_of
 from neurad.runtime.numbers import LENGTH, RADIANCE, within
 from neurad.runtime.reading import TEXT_MESH_LIMIT, native, read_bytes, regular_file, shown
 from neurad.scene.polygons import triangulate_polygons
@@ -31,25 +30,6 @@ _FACET = np.dtype([("normal", "<f4", 3), ("corners", "<f4", (3, 3)), ("attribute
 _SOLID, _END = re.compile(rb"^\s*solid\b[ \t]*", re.M | re.I), re.compile(rb"\bendsolid\b", re.I)
 _BEGUN, _ENDED = re.compile(rb"\bfacet\b", re.I), re.compile(rb"\bendfacet\b", re.I)
 _VERTEX = re.compile(rb"\bvertex\s+(\S+)\s+(\S+)\s+(\S+)", re.I)
-
-
-@dataclass(frozen=True)
-class MeshFile:
-    """The triangles of a file."""
-
-    path: Path
-    meshes: list[Mesh]
-    """One for each material of the file, by its name; with the radiance that the material emits (``Ke`` in MTL)."""
-    linkable: bool
-    """Whether the file can take part in a scene as it is: a PLY file of triangles."""
-    materials: tuple[Material, ...] = ()
-    """What the file says its meshes are made of, by ``Mesh.material``; none where it says nothing."""
-    notes: tuple[str, ...] = ()
-    """What was decided for the user, a sentence each."""
-    lights: tuple[PunctualLight, ...] = ()
-    environment: EnvironmentMap | None = None
-    up: str | None = None
-    """The axis that points up, if the file says it."""
 
 
 def read_meshes(path: str | Path) -> MeshFile:
@@ -69,30 +49,19 @@ def read_meshes(path: str | Path) -> MeshFile:
         return _with_materials(path, kind)
     if kind != ".ply" and path.stat().st_size > TEXT_MESH_LIMIT:
         raise InputError(f"{shown(path)}: it has more than {TEXT_MESH_LIMIT >> 20} MB; convert it to binary PLY")
-    notes: tuple[str, ...] = ()
-    linkable = False
-    with native(path, f"it cannot be read as {kind[1:].upper()}"), warnings.catch_warnings():
-        warnings.simplefilter("ignore")  # of numbers that are none: they are looked at below
-        if kind == ".obj":
-            obj = read_obj(path)
-            meshes, notes = obj.meshes, obj.notes
-        elif kind == ".ply":
-            mesh, linkable, notes = read_ply_mesh(path)
-            meshes = [mesh]
-        else:
-            meshes = read_stl(path)
-    meshes = [mesh for mesh in meshes if len(mesh.faces)]
-    if not meshes:
+    with native(path, f"it cannot be read as {kind[1:].upper()}"):
+        found = {".obj": read_obj, ".ply": read_ply_mesh, ".stl": read_stl}[kind](path)
+    if not found.meshes:
         raise InputError(f"{shown(path)}: it has no triangle")
-    for mesh in meshes:
+    for mesh in found.meshes:
         within(mesh.vertices, f"{shown(path)}: the coordinates of {shown(mesh.name)}", -LENGTH, LENGTH)
         if mesh.radiance is not None:
             within(mesh.radiance, f"{shown(path)}: the radiance (Ke) of material {shown(mesh.name)}", 0.0, RADIANCE)
-    return MeshFile(path, meshes, linkable, notes=notes)
+    return found
 
 
-def read_ply_mesh(path: Path) -> tuple[Mesh, bool, tuple[str, ...]]:
-    """The mesh of a PLY file, whether it can take part in a scene as it is, and what has to be said.
+def read_ply_mesh(path: Path) -> MeshFile:
+    """The mesh of a PLY file.
 
     Raises:
         InputError: it is no such file, or its faces are broken.
@@ -108,7 +77,14 @@ def read_ply_mesh(path: Path) -> tuple[Mesh, bool, tuple[str, ...]]:
     names = () if of_corners else next((pair for pair in _UVS if set(pair) <= set(vertex)), ())
     mesh = mesh_of(path.stem, points, corners.values[triangles], _stacked(vertex, _NORMALS), _stacked(vertex, names))
     lists = [column for columns in ply.values() for column in columns.values() if isinstance(column, Lists)]
-    return mesh, all((x.counts == 3).all() for x in lists), tuple(crossing_note(path, crossing))
+    linkable = all((x.counts == 3).all() for x in lists)
+    return _unpainted(path, [mesh], linkable, tuple(crossing_note(path, crossing)))
+
+
+def _unpainted(path: Path, meshes: list[Mesh], linkable: bool = False, notes: tuple[str, ...] = ()) -> MeshFile:
+    """A file without materials; meshes without a triangle are left out."""
+    kept = [mesh for mesh in meshes if len(mesh.faces)]
+    return MeshFile(path, kept, linkable, paints=({},) * len(kept), notes=notes)
 
 
 def _stacked(columns: Mapping[str, Any], names: tuple[str, ...]) -> Any:
@@ -118,7 +94,7 @@ def _stacked(columns: Mapping[str, Any], names: tuple[str, ...]) -> Any:
     return np.stack([np.asarray(columns[name], np.float64) for name in names], -1)
 
 
-def read_stl(path: Path) -> list[Mesh]:
+def read_stl(path: Path) -> MeshFile:
     """The meshes of an STL file, without normals: one, or the solids of a text by their names.
 
     Raises:
@@ -131,7 +107,7 @@ def read_stl(path: Path) -> list[Mesh]:
         facets = np.frombuffer(data[84 : 84 + (len(data) - 84) // 50 * 50] if len(data) > 84 else b"", _FACET)
         if len(facets) < count:
             raise InputError(f"{shown(path)}: its header says {count} triangles, but {len(facets)} are there")
-        return [_soup(path.stem, facets["corners"][:count])]
+        return _unpainted(path, [_soup(path.stem, facets["corners"][:count])])
     found = []
     for solid in _SOLID.split(data)[1:]:
         name, _, body = solid.partition(b"\n")
@@ -144,9 +120,8 @@ def read_stl(path: Path) -> list[Mesh]:
             )
         found.append(_soup(name.strip().decode("utf-8", "replace"), np.array(corners).reshape(-1, 3, 3)))
     taken = set[str]()
-    return [
-        replace(mesh, name=make_unique(mesh.name or path.stem, taken) if found[1:] else path.stem) for mesh in found
-    ]
+    names = [make_unique(mesh.name or path.stem, taken) if found[1:] else path.stem for mesh in found]
+    return _unpainted(path, [replace(mesh, name=name) for mesh, name in zip(found, names, strict=True)])
 
 
 def _soup(name: str, corners: Any) -> Mesh:
@@ -161,8 +136,8 @@ def _with_materials(path: Path, kind: str) -> MeshFile:
         from neurad.formats.gltf.read import read_gltf
 
         room = read_gltf(path)
-        return MeshFile(path, room.meshes, False, tuple(room.materials), room.notes, tuple(room.lights))
+        return MeshFile(path, room.meshes, False, tuple(room.materials), notes=room.notes, lights=tuple(room.lights))
     from neurad.formats.usd.read import read_usd
 
     usd = read_usd(path)
-    return MeshFile(path, usd.meshes, False, usd.materials, usd.notes, usd.lights, usd.environment, usd.up)
+    return MeshFile(path, usd.meshes, False, usd.materials, (), usd.notes, usd.lights, usd.environment, usd.up)

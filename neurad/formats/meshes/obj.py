@@ -12,7 +12,7 @@ import numpy as np
 from neurad.core.errors import InputError
 from neurad.core.names import make_unique
 from neurad.core.records import Float64Array, IntArray, Mesh
-from neurad.formats.meshes.triangles import crossing_note, mesh_of
+from neurad.formats.meshes.triangles import MeshFile, crossing_note, mesh_of
 from neurad.runtime.reading import TEXT_LIMIT, TEXT_MESH_LIMIT, beside, listed, read_bytes, shown
 from neurad.scene.polygons import triangulate_polygons
 
@@ -21,19 +21,6 @@ _CORNER = re.compile(rb"-?\d+(?:/(?:-?\d+)?){0,2}")
 _MIN_NUMBERS = {b"v": 3, b"vt": 1, b"vn": 3}
 """Numbers that a line of a vertex has at least."""
 _BLOCK = 1 << 18  # words that become numbers at once
-
-
-@dataclass(frozen=True)
-class ObjFile:
-    """The meshes of a file."""
-
-    meshes: list[Mesh]
-    """One for each material; where the file has no two of these, one for each object (``o``) or, where it has no two of
-    these either, each group (``g``).
-    """
-    paints: list[dict[str, Any]]
-    """What the MTL file says of the material of each mesh, by its keys in lower case; empty where it says nothing."""
-    notes: tuple[str, ...]
 
 
 @dataclass
@@ -82,8 +69,11 @@ class _Statements:
     """Vertices before the last face."""
 
 
-def read_obj(path: Path) -> ObjFile:
+def read_obj(path: Path) -> MeshFile:
     """The meshes of a file, their vertices as float64; polygons are cut into triangles.
+
+    There is one for each material; where the file has no two of these, one for each object (``o``) or, where it has no
+    two of these either, each group (``g``).
 
     Raises:
         InputError: it is no such file, is cut short, or a face names a vertex that there is not.
@@ -112,14 +102,14 @@ def read_obj(path: Path) -> ObjFile:
     parts, part = _parts(path.stem, said.runs, len(counts))
     part = part[np.searchsorted(np.cumsum(counts), triangles[:, 0], "right")]
     ends = np.cumsum(np.bincount(part, minlength=len(parts)))[:-1]
-    found, taken = ObjFile([], [], tuple(notes)), set[str]()
+    meshes, paints, taken = list[Mesh](), list[dict[str, Any]](), set[str]()
     for (name, material), faces in zip(parts, np.split(np.argsort(part, kind="stable"), ends), strict=True):
         if len(faces):
             paint = materials.get(material, {})
             chosen = corners[triangles[faces]]
-            found.meshes.append(_mesh(make_unique(name, taken), points, uvs, normals, chosen, _emitted(path, paint)))
-            found.paints.append(paint)
-    return found
+            meshes.append(_mesh(make_unique(name, taken), points, uvs, normals, chosen, _emitted(path, paint)))
+            paints.append(paint)
+    return MeshFile(path, meshes, False, paints=tuple(paints), notes=tuple(notes))
 
 
 def _statements(path: Path, text: bytes) -> _Statements:

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -15,11 +14,10 @@ from neurad.core.parameters import ALBEDO, ROUGHNESS
 from neurad.core.records import Bitmap, Constant, Mesh, Texture, constant
 from neurad.formats.gltf.read import ENDINGS as GLTF
 from neurad.formats.gltf.read import read_gltf
-from neurad.formats.meshes.files import KINDS, read_ply_mesh, read_stl
-from neurad.formats.meshes.obj import read_obj
+from neurad.formats.meshes.files import KINDS, read_meshes
 from neurad.images.image_io import from_srgb
-from neurad.runtime.numbers import LENGTH, within
-from neurad.runtime.reading import TEXT_MESH_LIMIT, native, regular_file, shown
+from neurad.runtime.numbers import within
+from neurad.runtime.reading import regular_file, shown
 
 OBJECTS = (*KINDS, *GLTF)
 PLAIN = 0.5
@@ -50,32 +48,16 @@ def read_object(path: str | Path, where: str) -> list[Part]:
     kind = file.suffix.lower()
     if kind not in OBJECTS:
         raise InputError(f"{where}: {shown(path)} is not an object that can be read ({', '.join(OBJECTS)})")
-    if file.stat().st_size > TEXT_MESH_LIMIT:
-        raise InputError(f"{where}: {shown(path)} has more than {TEXT_MESH_LIMIT >> 20} MB")
-    if kind in GLTF:
-        return _of_gltf(file)
-    with native(file, f"it cannot be read as {kind[1:].upper()}"), warnings.catch_warnings():
-        warnings.simplefilter("ignore")
-        if kind == ".obj":
-            obj = read_obj(file)
-            parts = [_part(mesh, paint) for mesh, paint in zip(obj.meshes, obj.paints, strict=True)]
-        else:
-            parts = [_part(mesh, {}) for mesh in (read_stl(file) if kind == ".stl" else [read_ply_mesh(file)[0]])]
-    parts = [part for part in parts if len(part.mesh.faces)]
-    if not parts:
-        raise InputError(f"{where}: {shown(path)} has no triangle")
+    if kind in GLTF:  # whose surfaces do not shine here
+        room = read_gltf(file, lamps=False)
+        return [Part(mesh, room.materials[mesh.material].textures) for mesh in room.meshes]
+    found = read_meshes(file)
+    parts = [_part(mesh, paint) for mesh, paint in zip(found.meshes, found.paints, strict=True)]
     for part in parts:
-        within(part.mesh.vertices, f"{shown(path)}: the coordinates of {shown(part.mesh.name)}", -LENGTH, LENGTH)
         for name, texture in part.textures.items():
             values = texture.value if isinstance(texture, Constant) else texture.pixels  # type: ignore[union-attr]
-            within(values, f"{shown(path)}: the {name} of {shown(part.mesh.name)}", 0.0, 1.0)
+            within(values, f"{shown(file)}: the {name} of {shown(part.mesh.name)}", 0.0, 1.0)
     return parts
-
-
-def _of_gltf(file: Path) -> list[Part]:
-    """The meshes of a glTF file; they do not shine."""
-    room = read_gltf(file, lamps=False)
-    return [Part(mesh, room.materials[mesh.material].textures) for mesh in room.meshes]
 
 
 def _part(mesh: Mesh, paint: dict[str, Any]) -> Part:

@@ -2,12 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from pathlib import Path
+from typing import Any
 
 import numpy as np
+import numpy.typing as npt
 
-from neurad.core.records import Mesh
+from neurad.core.records import IntArray, Mesh
 
+_NAMES = {"i1": "char", "u1": "uchar", "i2": "short", "u2": "ushort", "i4": "int", "u4": "uint", "f4": "float",
+          "f8": "double"}  # fmt: skip
 _COLUMNS = {"vertices": ("x", "y", "z"), "normals": ("nx", "ny", "nz"), "uvs": ("u", "v")}
 
 
@@ -17,26 +22,33 @@ def write_ply(path: Path, mesh: Mesh) -> None:
     Raises:
         OSError: the file cannot be written.
     """
-    names: list[str] = []
-    columns = []
-    for field, channels in _COLUMNS.items():
-        values = getattr(mesh, field)
-        if values is not None:
-            names += channels
-            columns.append(np.asarray(values, np.float32))
-    rows = np.ascontiguousarray(np.concatenate(columns, 1), "<f4")
-    faces = np.empty(len(mesh.faces), np.dtype([("count", "u1"), ("corners", "<i4", 3)]))
-    faces["count"], faces["corners"] = 3, mesh.faces
+    columns: dict[str, npt.NDArray[Any]] = {}
+    for field, names in _COLUMNS.items():
+        if (values := getattr(mesh, field)) is not None:
+            columns |= dict(zip(names, values.astype(np.float32).T, strict=True))
+    write_columns(path, columns, mesh.faces)
+
+
+def write_columns(path: Path, columns: Mapping[str, npt.NDArray[Any]], faces: IntArray) -> None:
+    """Write vertices and triangles.
+
+    Args:
+        path: of the file.
+        columns: values of the vertices by the names of their properties, each [v].
+        faces: [f, 3].
+
+    Raises:
+        OSError: the file cannot be written.
+    """
+    kinds = {name: values.dtype.str[1:] for name, values in columns.items()}
+    rows = np.empty(len(next(iter(columns.values()))), [(name, f"<{kind}") for name, kind in kinds.items()])
+    for name, values in columns.items():
+        rows[name] = values
+    corners = np.empty(len(faces), [("count", "u1"), ("corners", "<i4", 3)])
+    corners["count"], corners["corners"] = 3, faces
     header = [
-        "ply",
-        "format binary_little_endian 1.0",
-        f"element vertex {len(rows)}",
-        *(f"property float {name}" for name in names),
-        f"element face {len(faces)}",
-        "property list uchar int vertex_indices",
-        "end_header",
-    ]
-    with path.open("wb") as file:
-        file.write(("\n".join(header) + "\n").encode("ascii"))
-        file.write(rows.tobytes())
-        file.write(faces.tobytes())
+        "ply", "format binary_little_endian 1.0", f"element vertex {len(rows)}",
+        *(f"property {_NAMES[kind]} {name}" for name, kind in kinds.items()),
+        f"element face {len(faces)}", "property list uchar int vertex_indices", "end_header", "",
+    ]  # fmt: skip
+    path.write_bytes("\n".join(header).encode() + rows.tobytes() + corners.tobytes())

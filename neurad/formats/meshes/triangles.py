@@ -1,14 +1,37 @@
-"""Triangles of a mesh file as a mesh."""
+"""What a mesh file has, and its triangles as meshes."""
 
 from __future__ import annotations
 
+from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
-from neurad.core.records import Float64Array, FloatArray, IntArray, Mesh
+from neurad.core.records import EnvironmentMap, Float64Array, FloatArray, IntArray, Material, Mesh, PunctualLight
 from neurad.runtime.numbers import unit
 from neurad.runtime.reading import shown
+
+
+@dataclass(frozen=True)
+class MeshFile:
+    """The triangles of a file."""
+
+    path: Path
+    meshes: list[Mesh]
+    """One for each material of the file, by its name; with the radiance that the material emits (``Ke`` in MTL)."""
+    linkable: bool
+    """Whether the file can take part in a scene as it is: a PLY file of triangles."""
+    materials: tuple[Material, ...] = ()
+    """What the file says its meshes are made of, by ``Mesh.material``; none where it says nothing."""
+    paints: tuple[dict[str, Any], ...] = ()
+    """What MTL says of each mesh of an OBJ, PLY or STL file, by its keys in lower case; empty where it says nothing."""
+    notes: tuple[str, ...] = ()
+    """What was decided for the user, a sentence each."""
+    lights: tuple[PunctualLight, ...] = ()
+    environment: EnvironmentMap | None = None
+    up: str | None = None
+    """The axis that points up, if the file says it."""
 
 
 def mesh_of(

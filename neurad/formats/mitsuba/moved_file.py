@@ -8,13 +8,12 @@ from pathlib import Path
 import numpy as np
 
 from neurad.core.records import Float64Array, Mesh
+from neurad.formats.meshes.ply import write_columns
 from neurad.formats.meshes.ply_file import Lists, coordinates, corners_of, read_ply
 from neurad.runtime.reading import TEXT_MESH_LIMIT, read_bytes
 from neurad.scene.origin import ZERO, origin_of
 
 _VERTEX = re.compile(rb"^([ \t]*v[ \t]+)(\S+)[ \t]+(\S+)[ \t]+(\S+)", re.M)
-_NAMES = {"i1": "char", "u1": "uchar", "i2": "short", "u2": "ushort", "i4": "int", "u4": "uint", "f4": "float",
-          "f8": "double"}  # fmt: skip
 
 
 def moved_file(path: Path, kind: str, target: Path) -> tuple[Path, Float64Array]:
@@ -42,19 +41,8 @@ def _ply(path: Path, target: Path) -> tuple[Path, Float64Array]:
         return path, ZERO
     columns = {name: values for name, values in ply["vertex"].items() if not isinstance(values, Lists)}
     columns |= dict(zip("xyz", (points - step).T, strict=True))
-    kinds = {name: "f4" if values.dtype.kind == "f" else values.dtype.str[1:] for name, values in columns.items()}
-    rows = np.empty(len(points), [(name, f"<{kind}") for name, kind in kinds.items()])
-    for name, values in columns.items():
-        rows[name] = values
-    corners = corners_of(path, ply).values.reshape(-1, 3)
-    faces = np.empty(len(corners), [("count", "u1"), ("corners", "<i4", 3)])
-    faces["count"], faces["corners"] = 3, corners
-    header = [
-        "ply", "format binary_little_endian 1.0", f"element vertex {len(rows)}",
-        *(f"property {_NAMES[kind]} {name}" for name, kind in kinds.items()),
-        f"element face {len(faces)}", "property list uchar int vertex_indices", "end_header", "",
-    ]  # fmt: skip
-    target.write_bytes("\n".join(header).encode() + rows.tobytes() + faces.tobytes())
+    small = {name: x.astype(np.float32) if x.dtype.kind == "f" else x for name, x in columns.items()}
+    write_columns(target, small, corners_of(path, ply).values.reshape(-1, 3))
     return target, step
 
 

@@ -93,7 +93,7 @@ def describe(
     """
     for name in FOLDERS:
         (folder / name).mkdir(parents=True, exist_ok=True)
-    pictures = _Pictures(folder, half)
+    pictures = Pictures(folder, half)
     tree: Node = {"type": "scene", "integrator": integrator or path_integrator(scene)}
     far = any(scene.origin)
     if far:
@@ -109,12 +109,14 @@ def describe(
         if shading is not None and not material.model.is_delta:
             bsdfs[i] = shading(material)
         else:
-            tree[label] = _bsdf(material, label, names[i], pictures)
+            tree[label] = {**bsdf_node(material, names[i], pictures), "id": label}
             bsdfs[i] = {"type": "ref", "id": label}
     labels = [name for name in tree if name.startswith("material-")]
     names = file_names([*(mesh.name for mesh in scene.meshes), *(light.name for light in scene.punctual)], labels)
     for mesh, name in zip(scene.meshes, names[: len(scene.meshes)], strict=True):
-        tree[f"mesh-{name}"] = _shape(mesh, name, bsdfs[mesh.material], folder)
+        file = f"meshes/{name}.ply"
+        write_ply(folder / file, mesh)
+        tree[f"mesh-{name}"] = shape_node(mesh, name, file, bsdfs[mesh.material])
         if far:
             tree[f"mesh-{name}"]["to_world"] = Matrix(np.eye(4), placed=True)
     for light, name in zip(scene.punctual, names[len(scene.meshes) :], strict=True):
@@ -137,14 +139,14 @@ def write_xml(tree: Node, path: Path) -> None:
     root = ElementTree.Element("scene", version="3.0.0")
     for name, node in tree.items():
         if isinstance(node, dict):
-            append_node(root, node)
+            _append_node(root, node)
         elif name in ORIGIN:
             ElementTree.SubElement(root, "default", name=name, value=_number(node))
     ElementTree.indent(root, "\t")
     path.write_bytes(ElementTree.tostring(root, encoding="utf-8", xml_declaration=True) + b"\n")
 
 
-class _Pictures:
+class Pictures:
     """Writes bitmaps beside the scene file, each once."""
 
     def __init__(self, folder: Path, half: bool) -> None:
@@ -169,17 +171,17 @@ class _Pictures:
         return node
 
 
-def _bsdf(material: Material, label: str, name: str, pictures: _Pictures) -> Node:
+def bsdf_node(material: Material, name: str, pictures: Pictures) -> Node:
+    """The node of a material; ``name`` begins the names of its pictures."""
     textures = [pictures.texture(texture, f"{name}_{kind}") for kind, texture in material.textures.items()]
     inner = material.model.mitsuba(*textures)
     if material.two_sided and not (material.model.delta and material.model.delta.transmits):
-        return {"type": "twosided", "id": label, "bsdf": inner}
-    return {**inner, "id": label}
+        return {"type": "twosided", "bsdf": inner}
+    return inner
 
 
-def _shape(mesh: Mesh, name: str, bsdf: Any, folder: Path) -> Node:
-    file = f"meshes/{name}.ply"
-    write_ply(folder / file, mesh)
+def shape_node(mesh: Mesh, name: str, file: str, bsdf: Any) -> Node:
+    """The node of a mesh that lies in a PLY file."""
     shape: Node = {"type": "ply", "id": name, "filename": file, "face_normals": mesh.normals is None, "bsdf": bsdf}
     if mesh.radiance is not None:
         radiance = [float(x) for x in mesh.radiance]
@@ -204,7 +206,7 @@ def environment_node(environment: EnvironmentMap, folder: Path) -> Node:
     return {"type": "envmap", "filename": "environment.exr", "to_world": Matrix(pose)}
 
 
-def append_node(parent: ElementTree.Element, node: Node, name: str | None = None) -> None:
+def _append_node(parent: ElementTree.Element, node: Node, name: str | None = None) -> None:
     """Append a plugin to an XML element, as its parameter ``name`` where names matter."""
     tag = TAGS[node["type"]]
     made = ElementTree.SubElement(parent, tag)
@@ -221,7 +223,7 @@ def append_node(parent: ElementTree.Element, node: Node, name: str | None = None
         if key in ("type", "id"):
             continue
         if isinstance(value, dict):
-            append_node(made, value, key)
+            _append_node(made, value, key)
         elif isinstance(value, Matrix):
             transform = ElementTree.SubElement(made, "transform", name=key)
             ElementTree.SubElement(transform, "matrix", value=" ".join(_entries(value.values)))

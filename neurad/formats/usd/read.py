@@ -17,9 +17,9 @@ from neurad.core.reflection import PrincipledModel
 from neurad.formats.gltf.read import in_world
 from neurad.formats.usd.lights import MAX_TRIANGLES, LightReader
 from neurad.formats.usd.meshes import Array, Look, Part, children_of, face_count, look_of, parts_of
-from neurad.runtime.extras import missing
+from neurad.runtime.extras import needed
 from neurad.runtime.numbers import LENGTH, within
-from neurad.runtime.reading import native, shown
+from neurad.runtime.reading import listed, native, shown
 from neurad.scene.polygons import check_triangle_count
 from neurad.scene.punctual import moved_light
 
@@ -29,7 +29,6 @@ _SURFACES = ("Sphere", "Cube", "Cylinder", "Cone", "Capsule", "Plane", "NurbsPat
 _LEFT_OUT = ("BasisCurves", "NurbsCurves", "HermiteCurves", "Points", "Volume", "ParticleField")
 """Kinds of prims that are seen and have no surface."""
 _PAINT, _BLACK, _METAL = range(3)
-_LISTED = 12
 
 
 @dataclass(frozen=True)
@@ -55,10 +54,8 @@ def read_usd(path: Path) -> UsdRoom:
         InputError: the package is missing, the file is broken, or has surfaces that are no meshes or what cannot be
             rendered.
     """
-    try:
+    with needed("pxr", "usd", f"{shown(path)}: reading it"):
         from pxr import Usd
-    except ImportError as error:
-        raise missing("pxr", "usd", f"{shown(path)}: reading it") from error
     with native(path, "it cannot be read as USD"):
         room = _Reader(path, Usd.Stage.Open(str(path))).room()
     if not room.meshes:
@@ -129,11 +126,10 @@ class _Reader:
         if unit != 1.0:
             self._note(f"{where}: its unit is {unit:g} m: lengths are multiplied by {unit:g}")
         if self.smooth:
-            names = ", ".join(map(shown, [*self.smooth][:_LISTED])) + (" ..." if len(self.smooth) > _LISTED else "")
             self._note(
                 f"{where}: {len(self.smooth)} meshes have no subdivisionScheme, which stands for Catmull-Clark in USD: "
-                f"they are read as their faces are ({names}); where they should be smooth, apply the subdivision "
-                "before the export"
+                f"they are read as their faces are ({listed(self.smooth)}); where they should be smooth, apply the "
+                "subdivision before the export"
             )
         for kind, count in self.left_out.items():
             self._note(f"{where}: {count} {kind} have no surface, and are left out")

@@ -7,11 +7,8 @@ from functools import partial
 
 from neurad.core.errors import InputError
 from neurad.core.suggest import did_you_mean
-from neurad.scene.builtin.cornell import build_cornell
-from neurad.scene.builtin.cube import build_cube
-from neurad.scene.builtin.furnace import build_furnace
 from neurad.scene.builtin.shipped import read_room
-from neurad.scene.builtin.sphere import build_sphere
+from neurad.scene.builtin.small import build_cornell, build_cube, build_furnace, build_sphere
 from neurad.scene.description import Scene
 
 __all__ = [

@@ -5,9 +5,11 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 
+from neurad.core.camera import facing
 from neurad.core.records import Camera, Float64Array, FloatArray, IntArray, Mesh
 
 Point = tuple[float, float, float]
@@ -173,10 +175,5 @@ def ball(centre: Point, radius: float, tile: float, rings: int = 12, segments: i
 
 def look_at(eye: Point, target: Point, fov: float, size: int) -> Camera:
     """A square camera at ``eye`` that looks at ``target`` with +Y up; ``fov`` in degrees."""
-    back = np.subtract(eye, target)
-    back = back / math.sqrt(float(back @ back))
-    right = np.cross((0.0, 1.0, 0.0), back)
-    right = right / math.sqrt(float(right @ right))
-    pose = np.eye(4)
-    pose[:3, :] = np.stack((right, np.cross(back, right), back, np.array(eye)), axis=1)
-    return Camera(to_world=pose, fov_x=math.radians(fov), width=size, height=size)  # type: ignore[arg-type]
+    pose: Any = facing(eye, np.subtract(eye, target), (0.0, 1.0, 0.0))
+    return Camera(to_world=pose, fov_x=math.radians(fov), width=size, height=size)

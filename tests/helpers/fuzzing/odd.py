@@ -45,6 +45,22 @@ def pick(options, number):
     return options[number % len(options)]
 
 
+def places(value, above=()):
+    """The keys that lead to every entry of a document, its root left out."""
+    if above:
+        yield above
+    items = value.items() if isinstance(value, dict) else enumerate(value) if isinstance(value, list) else ()
+    for key, item in items:
+        yield from places(item, (*above, key))
+
+
+def holder(value, place):
+    """What an entry of a document is in."""
+    for key in place[:-1]:
+        value = value[key]
+    return value
+
+
 def containers(value):
     """All lists and objects in a document."""
     if isinstance(value, dict | list):

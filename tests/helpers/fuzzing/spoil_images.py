@@ -8,7 +8,7 @@ from tempfile import TemporaryDirectory
 import numpy as np
 
 from helpers.fuzzing.odd import FLOATS, INTEGERS, NUMBERS, pick
-from helpers.fuzzing.seeds import Files, picture
+from helpers.fuzzing.seeds import Files, file_of, picture
 
 CHANNELS = (
     ("R", "G", "B"), ("R", "G", "B", "A"), ("Y",), ("Z",), ("R", "G"), ("B", "A"), ("R", "G", "B", "A", "Z"),
@@ -35,14 +35,9 @@ HEADERS = (
 )  # fmt: skip
 
 
-def _name(files: Files, endings: tuple[str, ...], number: int) -> str | None:
-    found = sorted(n for n in files if n.endswith(endings) and not files[n].startswith(b"KIND "))
-    return pick(found, number) if found else None
-
-
 def exr_pixels(files: Files, i: int, j: int, k: int) -> None:
     """Odd values in one pixel, one channel or all of them."""
-    name = _name(files, (".exr",), i)
+    name = file_of(files, (".exr",), i)
     if name is not None and (pixels := _pixels(files[name])) is not None:
         value = pick(FLOATS, j)
         if k % 3 == 0:
@@ -57,7 +52,7 @@ def exr_pixels(files: Files, i: int, j: int, k: int) -> None:
 
 def exr_channels(files: Files, i: int, j: int, k: int) -> None:
     """Other channels, numbers of other types, another size."""
-    name = _name(files, (".exr",), i)
+    name = file_of(files, (".exr",), i)
     if name is not None:
         size = pick(((8, 8), (8, 8), (4, 8), (1, 1), (8, 9), (16, 16)), k // 3)
         pixels = np.full(size, 0.5).astype(pick((np.float32, np.float16, np.uint32), k))
@@ -68,7 +63,7 @@ def exr_parts(files: Files, i: int, j: int, k: int) -> None:
     """Several parts, tiles, or a file without pixels."""
     import OpenEXR
 
-    name = _name(files, (".exr",), i)
+    name = file_of(files, (".exr",), i)
     if name is None:
         return
     half = np.full((8, 8), 0.5, np.float16)
@@ -87,7 +82,7 @@ def exr_parts(files: Files, i: int, j: int, k: int) -> None:
 
 def exr_attribute(files: Files, i: int, j: int, k: int) -> None:
     """A number in a required attribute: of windows all four."""
-    name = _name(files, (".exr",), i)
+    name = file_of(files, (".exr",), i)
     if name is None:
         return
     data, wanted = files[name], pick(ATTRIBUTES, j)
@@ -105,7 +100,7 @@ def exr_attribute(files: Files, i: int, j: int, k: int) -> None:
 
 def bitmap_kind(files: Files, i: int, j: int, k: int) -> None:
     """A picture of another kind, whatever its ending says."""
-    name = _name(files, (".png", ".hdr", ".pfm", ".exr"), i)
+    name = file_of(files, (".png", ".hdr", ".pfm", ".exr"), i)
     if name is None:
         return
     try:
@@ -116,7 +111,7 @@ def bitmap_kind(files: Files, i: int, j: int, k: int) -> None:
 
 def png_size(files: Files, i: int, j: int, k: int) -> None:
     """A header that promises another size, with a correct checksum."""
-    name = _name(files, (".png",), i)
+    name = file_of(files, (".png",), i)
     if name is None or len(files[name]) < 33:
         return
     data = bytearray(files[name])
@@ -129,7 +124,7 @@ def png_size(files: Files, i: int, j: int, k: int) -> None:
 
 def float_map(files: Files, i: int, j: int, k: int) -> None:
     """A number in the header of an HDR or PFM file, or in its pixels."""
-    name = _name(files, (".hdr", ".pfm"), i)
+    name = file_of(files, (".hdr", ".pfm"), i)
     if name is None:
         return
     data = files[name]

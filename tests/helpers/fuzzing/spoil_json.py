@@ -4,7 +4,7 @@ import json
 import re
 
 from helpers.fuzzing.odd import JSON as TOKENS
-from helpers.fuzzing.odd import NAMES, pick
+from helpers.fuzzing.odd import NAMES, holder, pick, places
 from helpers.fuzzing.seeds import Files
 
 KEYS = (
@@ -21,33 +21,17 @@ def _changes(change):  # a mutation of the parsed document as one of the files
             document = json.loads(files[name])
         except (ValueError, RecursionError):
             return  # an earlier mutation has broken it
-        places = [place for place in _places(document) if len(place) > 0]
-        if not places:
+        found = list(places(document))
+        if not found:
             return
         # Most of a document are the numbers of its matrices: take the depth first.
-        depth = pick(sorted({len(place) for place in places}), k)
-        document = change(document, pick([place for place in places if len(place) == depth], j), j, k)
+        depth = pick(sorted({len(place) for place in found}), k)
+        document = change(document, pick([place for place in found if len(place) == depth], j), j, k)
         text = PLACEHOLDER.sub(lambda found: pick(TOKENS, int(found[1])), json.dumps(document))
         files[name] = text.encode("utf-8", "surrogatepass")
 
     changed.__name__ = change.__name__
     return changed
-
-
-def _places(value, above=()):
-    yield above
-    if isinstance(value, dict):
-        for key in value:
-            yield from _places(value[key], (*above, key))
-    elif isinstance(value, list):
-        for index, item in enumerate(value):
-            yield from _places(item, (*above, index))
-
-
-def _holder(document, place):
-    for key in place[:-1]:
-        document = document[key]
-    return document
 
 
 def _raw(number):
@@ -57,25 +41,25 @@ def _raw(number):
 @_changes
 def json_value(document, place, j, k):
     """An odd value."""
-    _holder(document, place)[place[-1]] = _raw(j // 7 + k)
+    holder(document, place)[place[-1]] = _raw(j // 7 + k)
     return document
 
 
 @_changes
 def json_drop(document, place, j, k):
     """An entry less."""
-    del _holder(document, place)[place[-1]]
+    del holder(document, place)[place[-1]]
     return document
 
 
 @_changes
 def json_add(document, place, j, k):
     """An entry more, of a known name or twice."""
-    holder = _holder(document, place)
-    if isinstance(holder, dict):
-        holder[pick(KEYS, j)] = _raw(k) if k % 2 else pick(NAMES, k)
+    inside = holder(document, place)
+    if isinstance(inside, dict):
+        inside[pick(KEYS, j)] = _raw(k) if k % 2 else pick(NAMES, k)
     else:
-        holder.insert(place[-1], holder[place[-1]])
+        inside.insert(place[-1], inside[place[-1]])
     return document
 
 
@@ -92,9 +76,9 @@ def json_name(document, place, j, k):
 @_changes
 def json_wrap(document, place, j, k):
     """An entry inside others, or the whole document another one's."""
-    holder = _holder(document, place)
-    value = holder[place[-1]]
-    holder[place[-1]] = pick(([value], {"x": value}, [value] * 3, str(value), [[value]]), j)
+    inside = holder(document, place)
+    value = inside[place[-1]]
+    inside[place[-1]] = pick(([value], {"x": value}, [value] * 3, str(value), [[value]]), j)
     return [document] if k % 11 == 0 else document
 
 

@@ -3,7 +3,7 @@
 import struct
 
 from helpers.fuzzing.odd import FLOATS, INTEGERS, NUMBERS, WORDS, pick
-from helpers.fuzzing.seeds import Files
+from helpers.fuzzing.seeds import Files, file_of
 
 END = b"end_header\n"
 HEADER = (
@@ -24,14 +24,9 @@ OBJ_LINES = (
 )  # fmt: skip
 
 
-def _name(files: Files, ending: str, number: int) -> str | None:
-    found = sorted(n for n in files if n.endswith(ending) and not files[n].startswith(b"KIND "))
-    return pick(found, number) if found else None
-
-
 def ply_header(files: Files, i: int, j: int, k: int) -> None:
     """Another line in the header, or one less."""
-    name = _name(files, ".ply", i)
+    name = file_of(files, ".ply", i)
     if name is None or END not in files[name]:
         return
     head, _, body = files[name].partition(END)
@@ -48,7 +43,7 @@ def ply_header(files: Files, i: int, j: int, k: int) -> None:
 
 def ply_body(files: Files, i: int, j: int, k: int) -> None:
     """An odd number among the vertices or the faces."""
-    name = _name(files, ".ply", i)
+    name = file_of(files, ".ply", i)
     if name is None or END not in files[name]:
         return
     head, _, body = files[name].partition(END)
@@ -70,7 +65,7 @@ def ply_body(files: Files, i: int, j: int, k: int) -> None:
 
 def obj_line(files: Files, i: int, j: int, k: int) -> None:
     """Another line, or another word in one."""
-    name = _name(files, ".obj", i)
+    name = file_of(files, ".obj", i)
     if name is None:
         return
     lines = files[name].split(b"\n")

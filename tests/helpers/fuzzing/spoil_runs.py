@@ -13,7 +13,7 @@ from typing import Any
 import torch
 
 from helpers.fuzzing import RUN
-from helpers.fuzzing.odd import FLOATS, INTEGERS, WORDS, pick
+from helpers.fuzzing.odd import FLOATS, INTEGERS, WORDS, holder, pick, places
 from helpers.fuzzing.spoil_bytes import GENERAL, KINDS, write_files
 
 OTHERS = (
@@ -23,42 +23,28 @@ OTHERS = (
 )  # fmt: skip
 
 
-def _parts(value: Any, above: tuple = ()) -> list[tuple]:
-    found = [above] if above else []
-    items = value.items() if isinstance(value, dict) else enumerate(value) if isinstance(value, list) else ()
-    for key, item in items:
-        found += _parts(item, (*above, key))
-    return found
-
-
-def _holder(content: Any, place: tuple) -> Any:
-    for key in place[:-1]:
-        content = content[key]
-    return content
-
-
 def entry(content: Any, i: int, j: int, k: int) -> Any:
     """An entry is another thing, or is not there, or there is one more."""
-    places = _parts(content)
-    depth = pick(sorted({len(place) for place in places}), k // 3)
-    place = pick([place for place in places if len(place) == depth], i)
-    holder = _holder(content, place)
+    found = list(places(content))
+    depth = pick(sorted({len(place) for place in found}), k // 3)
+    place = pick([place for place in found if len(place) == depth], i)
+    inside = holder(content, place)
     if k % 3 == 0:
-        del holder[place[-1]]
-    elif k % 3 == 1 or isinstance(holder, list):
-        holder[place[-1]] = pick(OTHERS, j)
+        del inside[place[-1]]
+    elif k % 3 == 1 or isinstance(inside, list):
+        inside[place[-1]] = pick(OTHERS, j)
     else:
-        holder[pick((*WORDS, 5, None, "neurad", "state_dict"), i)] = pick(OTHERS, j)
+        inside[pick((*WORDS, 5, None, "neurad", "state_dict"), i)] = pick(OTHERS, j)
     return content
 
 
 def weights(content: Any, i: int, j: int, k: int) -> Any:
     """A tensor of other values, another size or another kind."""
-    places = [p for p in _parts(content) if isinstance(_holder(content, p)[p[-1]], torch.Tensor)]
-    if places:
-        place = pick(places, i)
-        holder = _holder(content, place)
-        old = holder[place[-1]]
+    tensors = [p for p in places(content) if isinstance(holder(content, p)[p[-1]], torch.Tensor)]
+    if tensors:
+        place = pick(tensors, i)
+        inside = holder(content, place)
+        old = inside[place[-1]]
         if old.is_complex():  # changed already
             return content
         odd = (
@@ -80,7 +66,7 @@ def weights(content: Any, i: int, j: int, k: int) -> Any:
             old.bool(),
             old.half(),
         )
-        holder[place[-1]] = pick(new, k)
+        inside[place[-1]] = pick(new, k)
     return content
 
 
