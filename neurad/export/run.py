@@ -29,6 +29,7 @@ from neurad.export.evidence import COARSER, CoarseTexels, coarse_size, coarse_te
 from neurad.export.folder import MANIFEST, check_out, check_sources, written_beside
 from neurad.export.gltf import write_glb
 from neurad.export.images import Coded
+from neurad.export.layouts import Group
 from neurad.export.limits import Side, Texels
 from neurad.export.progress import StageProgress
 from neurad.export.report import write_report
@@ -73,6 +74,10 @@ class ExportSettings:
     """Samples a pixel of the pictures that verify, in each of several passes."""
     blender: str | None = None
     """A Python that has bpy, or Blender itself."""
+    into: Path | None = None
+    """The file that the room came from: ``out`` is a copy of it then, see :mod:`neurad.export.into`."""
+    group: Group = "mesh"
+    """What shares a texture in such a copy."""
 
     def __post_init__(self) -> None:
         """Refuse what cannot be written."""
@@ -83,7 +88,9 @@ class ExportSettings:
             raise InputError(f"--for: {self.target} is unknown, choose {', '.join(TARGETS)}")
         if self.up is not None and self.up not in UPS:
             raise InputError(f"--up: {self.up} is no axis, choose {', '.join(UPS)}")
-        if self.blender is not None and not self.verify:
+        if self.into is None and self.group != "mesh":
+            raise InputError("--group: it is about textures in a file that --into names; give that, too")
+        if self.blender is not None and not self.verify and self.into is None:
             raise InputError("--blender: it verifies, which --no-verify leaves out; give one of them")
 
 
