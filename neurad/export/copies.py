@@ -130,8 +130,8 @@ def mixed(
     geometry, parameters = assembly.world.geometry, assembly.scene.parameters
     emits = (geometry.emission > 0).any(-1)
     charts = _charts(copies, side)
-    total, weights, squared = 0.0, 0.0, 0.0
     covered = np.zeros((charts[0][0].height, charts[0][0].width), np.int64)
+    total, weights, squared = np.zeros((3, *covered.shape, sum(p.channels for p in parameters)))
     for chart, prims in charts:
         baked = bake(chart, prims, geometry, assembly.materials, done, parameters)
         weight = np.broadcast_to(np.float32(1.0), baked.pixels.shape)
@@ -199,4 +199,5 @@ def _picture(texels: CoarseTexels, values: FloatArray) -> FloatArray:
 def _as_large(picture: FloatArray, shape: tuple[int, ...]) -> FloatArray:
     """A coarse picture [h, w, c] with every texel as large as it is in a texture of a shape."""
     row, column = (np.arange(size) * small // size for size, small in zip(shape, picture.shape, strict=False))
-    return picture[row][:, column]
+    large: FloatArray = picture[row][:, column]
+    return large

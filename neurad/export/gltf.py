@@ -137,8 +137,9 @@ def coat(model: ReflectionModel) -> Json:
     """The extensions by which a surface has the coat of a model, or none."""
     if model.is_diffuse:
         return {"KHR_materials_specular": {"specularFactor": 0.0}}
-    other = isinstance(model, PrincipledModel) and model.eta != 1.5
-    return {"KHR_materials_ior": {"ior": _index(model.eta)}} if other else {}
+    if isinstance(model, PrincipledModel) and model.eta != 1.5:
+        return {"KHR_materials_ior": {"ior": _index(model.eta)}}
+    return {}
 
 
 def emission(radiance: FloatArray) -> tuple[list[float], Json]:

@@ -91,9 +91,15 @@ class Painted:
     target: Target
     """Whose base colours it gets."""
 
-    def files(self) -> Coded | None:
-        """Its textures; None where one value has to do."""
-        return None if self.texture.baked.pixels.shape[:2] == (1, 1) else coded(self.texture.baked.maps, self.target)
+    def files(self, upwards: bool = False) -> Coded | None:
+        """Its textures; None where one value has to do.
+
+        Args:
+            upwards: v = 0 is the lowest row of a picture, not the highest.
+        """
+        if self.texture.baked.pixels.shape[:2] == (1, 1):
+            return None
+        return coded({key: x[::-1] if upwards else x for key, x in self.texture.baked.maps.items()}, self.target)
 
     def values(self) -> tuple[list[float], float, float]:
         """Base colour, roughness and metalness of the first texel."""
@@ -186,15 +192,15 @@ def _paint(
     emits = (geometry.emission > 0).any(-1).numpy()
     of_prim = geometry.material.numpy()
     area = geometry.face_area.numpy().astype(np.float64)
-    materials: list[Material | None] = []
+    kept: list[Material | None] = []
     for surface in found.surfaces:
         prims = surface.copies.prims
         by_material = np.bincount(of_prim[prims], area[prims], len(scene.materials)) if len(prims) else np.zeros(1)
         material = scene.materials[int(by_material.argmax())]
         plain = len(prims) > 0 and not material.model.is_delta and not emits[prims].all()
-        materials.append(material if plain else None)
+        kept.append(material if plain else None)
     used = [
-        layouts[surface.layout] for surface, material in zip(found.surfaces, materials, strict=True)
+        layouts[surface.layout] for surface, material in zip(found.surfaces, kept, strict=True)
         if material is not None and surface.layout is not None
     ]  # fmt: skip
     texels = sum(layout.side**2 for layout in used)
@@ -202,13 +208,13 @@ def _paint(
     seen_by = SeenBy.of(geometry, assembly.world.tracer.tracer, scene.train)
     bar.stage("textures", 2 * texels)
     painted: list[Painted | None] = []
-    for surface, material in zip(found.surfaces, materials, strict=True):
-        if material is None:
+    for surface, known in zip(found.surfaces, kept, strict=True):
+        if known is None:
             painted.append(None)
             continue
         side = 0 if surface.layout is None else layouts[surface.layout].side
         texture = mixed(surface.copies, side, assembly, seen_by, bars, bar.step)
-        painted.append(Painted(material, texture, target if is_converted(material) else "exact"))
+        painted.append(Painted(known, texture, target if is_converted(known) else "exact"))
     return painted
 
 
@@ -392,7 +398,7 @@ class BlendRoom:
             "ior": model.eta if isinstance(model, PrincipledModel) else 1.5, "diffuse": model.is_diffuse,
             "converted": paint.target == "blender", "two_sided": paint.material.two_sided,
         }  # fmt: skip
-        files = paint.files()
+        files = paint.files(upwards=True)
         if files is None:
             colour, roughness, metallic = paint.values()
             return surface | {"colour": colour, "roughness": roughness, "metallic": metallic}

@@ -150,7 +150,7 @@ class GlbRoom:
 
     def _take_over(self, glb: GlbWriter) -> None:
         """The buffers of the file, as one."""
-        begins = [glb.bytes(self.file.buffer(i, "it")) for i, _ in enumerate(glb.json.get("buffers", ()))]
+        begins = [glb.append(self.file.buffer(i, "it")) for i, _ in enumerate(glb.json.get("buffers", ()))]
         for view in glb.json["bufferViews"]:
             if "extensions" in view:
                 raise InputError(f"--into {self.source}: it is compressed; save it without compression")
@@ -198,7 +198,7 @@ class GlbRoom:
         padded[:, :row] = chosen.view(np.uint8).reshape(len(take), row)
         view = glb.view(padded.tobytes(), _VERTICES)
         glb.json["bufferViews"][view]["byteStride"] = padded.shape[1]
-        kept = {key: item[key] for key in ("componentType", "normalized", "type", "name") if key in item}
+        kept: Json = {key: item[key] for key in ("componentType", "normalized", "type", "name") if key in item}
         if "min" in item and "max" in item:
             kept |= {"min": chosen.min(0).tolist(), "max": chosen.max(0).tolist()}
         return glb.add("accessors", {**kept, "bufferView": view, "count": len(take)})
@@ -231,7 +231,7 @@ def _material(glb: GlbWriter, before: Json, paint: Painted, uv_set: int) -> Json
             "baseColorTexture": glb.texture(files.base, f"{name} base color") | {"texCoord": uv_set},
             "metallicRoughnessTexture": glb.texture(files.orm, f"{name} orm") | {"texCoord": uv_set},
         }
-    made = {"name": name, "pbrMetallicRoughness": surface}
+    made: Json = {"name": name, "pbrMetallicRoughness": surface}
     if paint.material.two_sided:
         made["doubleSided"] = True
     if extensions := coat(paint.material.model):

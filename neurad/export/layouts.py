@@ -99,7 +99,7 @@ def _joined(parts: Sequence[Polygons], apart: Sequence[IntArray] | None = None) 
     points, faces, shift = [], [], 0.0
     begin = 0
     for index, part in enumerate(parts):
-        used = part.points.astype(np.float64)
+        used: Array = part.points.astype(np.float64)
         if apart is not None and len(apart[index]):
             used = _flat(used, part, apart[index])
         low, high = used[part.corners].min((0, 1)), used[part.corners].max((0, 1))

@@ -43,7 +43,7 @@ class GlbWriter:
         self.json[kind].append(item)
         return len(self.json[kind]) - 1
 
-    def bytes(self, data: bytes) -> int:
+    def append(self, data: bytes) -> int:
         """Append to the buffer; returns where that begins."""
         begin = self.length
         self.buffer.write(data + b"\0" * (-len(data) % 4))
@@ -52,7 +52,7 @@ class GlbWriter:
 
     def view(self, data: bytes, target: int | None = None) -> int:
         """Append to the buffer; returns the number of the view."""
-        item: Json = {"buffer": 0, "byteOffset": self.bytes(data), "byteLength": len(data)}
+        item: Json = {"buffer": 0, "byteOffset": self.append(data), "byteLength": len(data)}
         if target is not None:
             item["target"] = target
         return self.add("bufferViews", item)
