@@ -343,7 +343,7 @@ class BlendRoom:
                 sizes = triangle_areas(points)
                 area, known = area + float(sizes.sum()), known + float(sizes[prims >= 0].sum())
                 if index is None:
-                    loose.append(thing["name"])
+                    loose += [] if thing["name"] in self.found["linked"] else [thing["name"]]
                     continue
                 good = np.flatnonzero((prims >= 0) & (sizes > 0))
                 row = np.arange(len(good))[:, None]

@@ -11,9 +11,12 @@ import torch
 from helpers.clients import blender_python, cache_folder
 from helpers.exported import assembled, exported
 from helpers.gltf_writer import Document
+from PIL import Image
 
 from neurad.assembly.build import build_world
 from neurad.core.errors import InputError
+from neurad.core.records import Constant, Material, Mesh
+from neurad.core.reflection import PrincipledModel
 from neurad.export.copies import Copies, Matcher, _charts
 from neurad.export.cycles import render_views
 from neurad.export.into import export_into, place_beside
@@ -23,9 +26,11 @@ from neurad.formats.blender.process import find_blender
 from neurad.formats.cameras.write import shown_alike
 from neurad.formats.gltf.file import GltfFile
 from neurad.formats.gltf.gltf_scene import read_scene
+from neurad.formats.gltf.read import in_world
 from neurad.formats.load import read_folder
-from neurad.images.image_io import read_exr, read_mask
+from neurad.images.image_io import from_srgb, read_exr, read_mask
 from neurad.scene.builtin.plain import views
+from neurad.scene.description import Scene
 from neurad.scene.geometry import Geometry
 from neurad.scene.textures import TrueMaterials
 
@@ -248,6 +253,82 @@ def test_triangles_are_found_again_in_another_order(of_glb):
 # ---- Blender
 
 
+class StandIn:
+    """What passes for Blender with a file of two squares, one of them mirrored, which have one mesh."""
+
+    version = "4.5.0"
+
+    def __init__(self):
+        self.jobs = {}
+
+    def run(self, program, arguments):
+        job = json.loads(Path(arguments[0]).read_text())
+        self.jobs[job["do"]] = job
+        made = getattr(self, job["do"])(job, Path(job["out"]))
+        Path(job["answer"]).write_text(json.dumps(made))
+        return ""
+
+    def read(self, job, out):
+        np.savez(out / "base.npz", vertices=FLOOR, vertex=np.arange(4, dtype=np.int32), corners=FLAT,
+                 polygon=np.zeros(2, np.int32), slot=np.zeros(2, np.int32))  # fmt: skip
+        mesh = {"file": "base.npz", "scale": 1.0, "slots": ["wood"], "full": False}
+        return {"meshes": {"square": mesh}, "objects": ["a", "b"], "linked": ["vase"], "libraries": ["//more.blend"]}
+
+    def lay(self, job, out):
+        self.laid = second = np.load(job["meshes"]["square"]["file"])
+        np.savez(out / "mesh.npz", vertices=FLOOR, faces=FLAT, material=np.zeros(2, np.int32), uv0=second[FLAT])
+        thing = {"mesh": "mesh.npz", "uvs": {"neurad": "uv0"}, "materials": [0]}
+        placed = [{**thing, "name": name, "to_world": pose.tolist()} for name, pose in PLACED.items()]
+        made = {"material": "wood recovered", "old": "wood", "layout": 0, "uv": "neurad", "object": "a", "fake": False}
+        return {"made": [made], "objects": placed, "lamps": [], "materials": ["wood recovered"], "second": "neurad"}
+
+    def paint(self, job, out):
+        self.pictures = {file.name: np.asarray(Image.open(file)) for file in out.glob("*.png")}
+        Path(job["save"]).write_bytes(b"BLENDER-again")
+        return {}
+
+
+FLOOR = np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]], np.float32)
+FLAT = np.array([[0, 1, 2], [0, 2, 3]], np.int32)
+PLACED = {"a": np.eye(4), "b": np.diag([-1.0, 1.0, 1.0, 1.0])}
+PLACED["b"][0, 3] = 2.5
+
+
+def test_the_steps_of_a_blender_file(tmp_path, monkeypatch, capfd):
+    """Without Blender: what it is asked for, pictures with v upwards, and a file that is there all at once."""
+    meshes = [Mesh(name, *in_world(pose, FLOOR, None, FLAT.astype(np.int64))[::2], 0) for name, pose in PLACED.items()]
+    lamp = Mesh("lamp", FLOOR[::-1] + np.float32([0, 0, 3]), FLAT.astype(np.int64), 0, radiance=np.ones(3, np.float32))
+    paint = Material(
+        "paint", PrincipledModel(), Constant(np.full(3, 0.5, np.float32)), Constant(np.full(1, 0.5, np.float32))
+    )
+    scene = Scene("two", [*meshes, lamp], [paint], None, views("train", [((1, -3, 2), (1, 0, 0))], 0.9, 32))
+    assembly = patterned(scene)
+    assembly.materials.albedo = lambda si: si.p.abs() / 4.0  # of both the same along y
+    blend = tmp_path / "room.blend"
+    blend.write_bytes(b"BLENDER-v405")
+    blender = StandIn()
+    monkeypatch.setattr("neurad.export.into.find_blender", lambda program: blender)
+    put_into(assembly, blend, size=64)
+    assert (tmp_path / "room_recovered.blend").read_bytes() == b"BLENDER-again"
+    assert sorted(file.name for file in tmp_path.iterdir()) == ["room.blend", "room_recovered.blend"]
+    said = capfd.readouterr().out
+    assert "1 textures (1 of 64 x 64), 0.00 M texels" in said
+    assert "linked libraries are left alone (//more.blend): vase" in said
+    assert blender.jobs["paint"]["meshes"]["square"]["used"]
+    surface = blender.jobs["paint"]["made"][0]["surface"]
+    assert not surface["diffuse"]
+    picture = from_srgb(blender.pictures[surface["base"]].astype(np.float32) / 255)
+    at = np.rint(blender.laid[:, ::-1] * 64 - 0.5).astype(int)  # rows upwards, columns
+    for (row, column), corner in zip(at, FLOOR, strict=True):
+        here = picture[63 - row, column]
+        assert here[1] == pytest.approx(abs(corner[1]) / 4, abs=0.03)
+    middle = np.rint(blender.laid.mean(0)[::-1] * 64 - 0.5).astype(int)
+    assert picture[63 - middle[0], middle[1], 1] == pytest.approx(0.0, abs=0.03)
+    # x is between -1 and 1 on one square and 1.5 and 3.5 on the other: the mean of both
+    edge = [picture[63 - row, column, 0] for row, column in at]
+    assert edge == pytest.approx([(1 + 3.5) / 8, (1 + 1.5) / 8, (1 + 1.5) / 8, (1 + 3.5) / 8], abs=0.03)
+
+
 @pytest.fixture(scope="module")
 def python(request):
     """A Python that has bpy."""
@@ -283,13 +364,16 @@ def test_a_blender_file_renders_as_the_export_does(python, tmp_path, capfd, grou
     assert not (tmp_path / "ran").exists()
     said = capfd.readouterr().out
     assert "their albedo differs by 0." in said
-    assert "left alone" not in said.replace("libraries are left alone", "")
-    assert sorted(p.name for p in tmp_path.iterdir()) == ["fotos", "job.json", "room", "zimmer.blend", out.name]
+    assert "left alone, as no recovered" not in said
+    assert "linked libraries are left alone (//library.blend): vase\n" in said
+    assert sorted(p.name for p in tmp_path.iterdir()) == [
+        "fotos", "job.json", "library.blend", "room", "zimmer.blend", out.name
+    ]  # fmt: skip
     old, new = described(python, blend), described(python, out)
     for key in ("objects", "modifiers", "instances", "uvs", "vertices", "scripts", "lamps"):
         assert new[key] == old[key], key
-    sets = {slot for slots in new["materials"].values() for slot in slots}
-    assert all("recovered" in name for name in sets)
+    assert {name for name, slots in new["materials"].items() if "recovered" not in str(slots)} == {"vase"}
+    assert len({slot for slots in new["materials"].values() for slot in slots}) == (14 if group == "mesh" else 8)
     assert new["second"]["poster"] == ([] if group == "mesh" else ["neurad"])
     assert new["second"]["room"] == ["neurad"]
     plain = exported(assembly.scene, tmp_path / "plain", size=256, made=assembly)

@@ -124,9 +124,9 @@ def tile(thing, times):
             layer.uv[loop].vector = [times * x for x in uv]
 
 
-def crowd(paints):
+def crowd(paints, library):
     """Tiled coordinates, a mirrored bench with bevels, stools that a collection shows three times, one of them with a
-    material of its own, a picture whose coordinates serve as they are, and a text.
+    material of its own, a picture whose coordinates serve as they are, a text, and a vase of another file.
     """
     tile(bpy.data.objects["room"], 3.0)
     bench = box("bench", (0.0, 0.9, 0.0), (0.5, 1.3, 0.4), [paints["left"], paints["right"]], [0, 1, 0, 0, 0, 0], (4,))
@@ -158,6 +158,12 @@ def crowd(paints):
     word = bpy.data.objects.new("word", text)
     word.location, word.rotation_euler = (0.05, 1.2, 1.4), (1.5708, 0.0, 1.5708)
     bpy.context.collection.objects.link(word)
+    vase = box("vase", (3.6, 0.3, 0.0), (3.8, 0.5, 0.5), [paints["table"].copy()])
+    bpy.data.libraries.write(library, {vase}, fake_user=True)  # a library of its own, linked
+    bpy.data.objects.remove(vase)
+    with bpy.data.libraries.load(library, link=True) as (_, linked):
+        linked.objects = ["vase"]
+    bpy.context.collection.objects.link(linked.objects[0])
     script = bpy.data.texts.new("run.py")  # what runs by itself where scripts may run
     script.from_string("import pathlib, bpy\npathlib.Path(bpy.data.filepath).with_name('ran').touch()\n")
     script.use_module = True
@@ -301,7 +307,7 @@ def main(job):
     bpy.ops.wm.read_factory_settings(use_empty=True)
     paints = furnish(job.get("open", False))
     if job.get("crowd", False):
-        crowd(paints)
+        crowd(paints, str(Path(job["blend"]).with_name("library.blend")))
     made = cameras(job["views"])
     settings(job)
     bpy.ops.wm.save_as_mainfile(filepath=job["blend"])
