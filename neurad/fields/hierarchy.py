@@ -207,8 +207,8 @@ class Hierarchy(nn.Module):
         keys, values = self.keys.numpy(), self.values[:, 0].contiguous().numpy()
 
         def work(low: int, high: int) -> None:
-            own = (array[low:high] for array in (x, color, part))
-            kernels.means(*own, effects, _INDEX, keys, values, np.empty(8, np.int64), out[low:high])
+            lanes, node = slice(low, high), np.empty(8, np.int64)
+            kernels.means(x[lanes], color[lanes], part[lanes], effects, _INDEX, keys, values, node, out[lanes])
 
         split(work, len(out), GRAIN)
         return total
