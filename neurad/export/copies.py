@@ -14,7 +14,7 @@ from neurad.core.records import FloatArray, IntArray, Mesh
 from neurad.evidence.error_bars import ErrorBars
 from neurad.export import raster_kernels
 from neurad.export.bake import Baked, bake
-from neurad.export.charts import Chart, find_charts, in_texels
+from neurad.export.charts import Chart, find_charts, in_texels, triangle_areas
 from neurad.export.evidence import CoarseTexels, coarse_texels, seen_texels, std_maps
 from neurad.export.fill import push_pull
 from neurad.export.grid import grid_chart
@@ -35,6 +35,37 @@ CONSTANT = 64
 """Side of the texture whose mean is taken where a surface has no coordinates."""
 
 
+Part = tuple[Array, Array | None, IntArray, IntArray]
+"""What :class:`Copies` has of one instance."""
+
+
+@dataclass(frozen=True)
+class Copies:
+    """Everything that one texture is on, all copies of it."""
+
+    points: Array
+    """Corners of the triangles, each as the scene orders those of its own [t, 3, 3], in the scene's frame."""
+    uvs: Array | None
+    """Texture coordinates of the corners [t, 3, 2]; None where one value has to do."""
+    prims: IntArray
+    """Numbers of the scene's triangles [t]."""
+    thing: IntArray
+    """Number of the instance that each belongs to [t]."""
+
+    @classmethod
+    def joined(cls, parts: Sequence[Part]) -> Self:
+        """All copies, from the fields of each; one without coordinates leaves all without."""
+        points, uvs, prims, thing = zip(*parts, strict=True) if parts else ((), (None,), (), ())
+        empty = np.zeros(0, np.int64)
+        known = [part for part in uvs if part is not None]
+        return cls(
+            np.concatenate([np.zeros((0, 3, 3)), *points]),
+            np.concatenate([np.zeros((0, 3, 2)), *known]) if len(known) == len(uvs) else None,
+            np.concatenate([empty, *prims]),
+            np.concatenate([empty, *thing]),
+        )
+
+
 class Matcher:
     """Finds the triangles of a scene again among those of another file.
 
@@ -43,6 +74,8 @@ class Matcher:
     """
 
     def __init__(self, geometry: Geometry) -> None:
+        self.area = self.known = 0.0
+        """Of all triangles that :meth:`part` was asked for, and of those that the scene has."""
         self.corners = geometry.vertices[geometry.faces].numpy().astype(np.float64)
         self.tree = cKDTree(self.corners.mean(1))
         self.reach = REACH * geometry.scale
@@ -69,32 +102,26 @@ class Matcher:
             prims[found], order[found] = prim[found], corner[kept]
         return prims, order
 
+    def part(self, points: Array, uvs: Array | None, pose: Array, origin: Array, thing: int) -> Part:
+        """The triangles of an instance that the scene has.
 
-@dataclass(frozen=True)
-class Copies:
-    """Everything that one texture is on, all copies of it."""
-
-    points: Array
-    """Corners of the triangles, each as the scene orders those of its own [t, 3, 3], in the scene's frame."""
-    uvs: Array | None
-    """Texture coordinates of the corners [t, 3, 2]; None where one value has to do."""
-    prims: IntArray
-    """Numbers of the scene's triangles [t]."""
-    thing: IntArray
-    """Number of the instance that each belongs to [t]."""
-
-    @classmethod
-    def joined(cls, parts: Sequence[tuple[Array, Array | None, IntArray, IntArray]]) -> Self:
-        """All copies, from the fields of each; one without coordinates leaves all without."""
-        points, uvs, prims, thing = zip(*parts, strict=True) if parts else ((), (None,), (), ())
-        empty = np.zeros(0, np.int64)
-        known = [part for part in uvs if part is not None]
-        return cls(
-            np.concatenate([np.zeros((0, 3, 3)), *points]),
-            np.concatenate([np.zeros((0, 3, 2)), *known]) if len(known) == len(uvs) else None,
-            np.concatenate([empty, *prims]),
-            np.concatenate([empty, *thing]),
-        )
+        Args:
+            points: corners of its triangles [t, 3, 3].
+            uvs: their texture coordinates [t, 3, 2].
+            pose: takes the corners to the frame of the files [4, 4].
+            origin: of the scene in that frame [3].
+            thing: number of the instance.
+        """
+        points = points.astype(np.float64) @ pose[:3, :3].T + pose[:3, 3] - origin
+        if np.linalg.det(pose[:3, :3]) < 0:  # it is wound the other way round
+            points, uvs = points[:, [0, 2, 1]], None if uvs is None else uvs[:, [0, 2, 1]]
+        prims, order = self(points)
+        sizes = triangle_areas(points)
+        self.area, self.known = self.area + float(sizes.sum()), self.known + float(sizes[prims >= 0].sum())
+        good = np.flatnonzero((prims >= 0) & (sizes > 0))
+        row, corner = good[:, None], order[good]
+        placed = None if uvs is None else uvs[row, corner].astype(np.float64)
+        return points[row, corner], placed, prims[good], np.full(len(good), thing)
 
 
 @dataclass(frozen=True)

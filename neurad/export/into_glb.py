@@ -13,11 +13,10 @@ from neurad.assembly.build import Assembly
 from neurad.assembly.relight import recovered_scene
 from neurad.core.errors import InputError
 from neurad.core.records import FloatArray, IntArray
-from neurad.export.charts import triangle_areas
-from neurad.export.copies import Copies, Matcher
+from neurad.export.copies import Copies, Matcher, Part
 from neurad.export.gltf import coat, emission
-from neurad.export.into import Opened, Painted, Surface
 from neurad.export.layouts import Group, Layout, Polygons
+from neurad.export.own_file import Opened, Painted, Surface
 from neurad.export.raster_kernels import Array
 from neurad.formats.gltf.file import GltfFile, Json
 from neurad.formats.gltf.glb import GlbWriter
@@ -98,37 +97,24 @@ class GlbRoom:
     def opened(self, layouts: Sequence[Layout], match: Matcher, origin: Array) -> Opened:
         """What it shows with these coordinates, matched with the run."""
         self.layouts = layouts
-        area = known = 0.0
         thing = 0
         for index, (layout, members) in enumerate(zip(layouts, self.members, strict=True)):
-            found = []
-            names = []
+            found: list[Part] = []
+            names: dict[str, None] = {}
             for number, key in enumerate(members):
                 vertices, faces = self._triangles(key)
-                uvs = None
+                uvs: FloatArray | None = None
                 if layout.uvs:
-                    own = layout.uvs[number]
-                    before = self._uvs(key) if own is None else None
-                    uvs = own.reshape(-1, 3, 2) if own is not None else before[faces]  # type: ignore[index]
+                    second, first = layout.uvs[number], self._uvs(key)
+                    uvs = second.reshape(-1, 3, 2) if second is not None else None if first is None else first[faces]
                 for name, poses in self.poses[key]:
-                    names.append(name)
+                    names[name] = None
                     for pose in poses:
-                        points = vertices[faces].astype(np.float64) @ pose[:3, :3].T + pose[:3, 3] - origin
-                        turn = [0, 2, 1] if np.linalg.det(pose[:3, :3]) < 0 else [0, 1, 2]
-                        prims, order = match(points[:, turn])
-                        sizes = triangle_areas(points)
-                        area, known = area + float(sizes.sum()), known + float(sizes[prims >= 0].sum())
-                        good = np.flatnonzero((prims >= 0) & (sizes > 0))
-                        row = np.arange(len(good))[:, None]
-                        found.append((
-                            points[:, turn][good][row, order[good]],
-                            None if uvs is None else uvs[:, turn][good][row, order[good]].astype(np.float64),
-                            prims[good], np.full(len(good), thing),
-                        ))  # fmt: skip
+                        found.append(match.part(vertices[faces], uvs, pose, origin, thing))
                         thing += 1
-            self.surfaces.append(Surface(", ".join(dict.fromkeys(names[:3])), None if layout.side == 0 else index,
-                                         Copies.joined(found)))  # fmt: skip
-        return Opened(self.surfaces, [], known / max(area, 1e-30))
+            layout_of = None if layout.side == 0 else index
+            self.surfaces.append(Surface(", ".join([*names][:3]), layout_of, Copies.joined(found)))
+        return Opened(self.surfaces, [])
 
     def write(self, painted: Sequence[Painted | None], assembly: Assembly, part: Path) -> list[str]:
         """Write the file; returns sentences about what it cannot hold."""

@@ -77,7 +77,7 @@ def test_a_program_that_is_no_blender(fitted_room, capfd):
     ("words", "sentence"),
     [
         (["--into", "room.blend"], "--blender: there is no blender on the PATH"),
-        (["--into", "tiny.yaml"], "--into tiny.yaml: it is neither a Blender file (.blend) nor glTF (.glb)"),
+        (["--into", "tiny.yaml"], "--into tiny.yaml: it is neither a Blender file (.blend) nor binary glTF (.glb)"),
         (["--into", "kitchen.blend"], "kitchen.blend: there is no such Blender file"),
         (["--into", "fake.blend"], "fake.blend: it is no file that Blender has saved"),
         (["--into", "fake.glb"], "it does not begin as a binary glTF file does"),

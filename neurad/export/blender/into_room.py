@@ -87,7 +87,7 @@ def lay(job: dict[str, Any]) -> dict[str, Any]:
     """
     open_file(job["blend"])
     taken = {layer.name for name in job["meshes"] for layer in bpy.data.meshes[name, None].uv_layers}
-    second = next(name for name in ("neurad", *(f"neurad.{i:03d}" for i in range(1, 1000))) if name not in taken)
+    second = next(name for name in ("neurad", *(f"neurad {i}" for i in range(2, 1000))) if name not in taken)
     for name, entry in job["meshes"].items():
         if entry["file"] is not None:
             layer = bpy.data.meshes[name, None].uv_layers.new(name=second, do_init=False)
