@@ -158,7 +158,7 @@ def mixed(
     emits = (geometry.emission > 0).any(-1)
     charts = _charts(copies, side)
     covered = np.zeros((charts[0][0].height, charts[0][0].width), np.int64)
-    total, weights, squared = np.zeros((3, *covered.shape, sum(p.channels for p in parameters)))
+    total, weights, squared = np.zeros((3, *covered.shape, sum(p.channels for p in parameters)), np.float32)
     for chart, prims in charts:
         baked = bake(chart, prims, geometry, assembly.materials, done, parameters)
         weight = np.broadcast_to(np.float32(1.0), baked.pixels.shape)

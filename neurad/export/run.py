@@ -88,6 +88,10 @@ class ExportSettings:
             raise InputError(f"--for: {self.target} is unknown, choose {', '.join(TARGETS)}")
         if self.up is not None and self.up not in UPS:
             raise InputError(f"--up: {self.up} is no axis, choose {', '.join(UPS)}")
+        if self.into is not None and (self.overwrite or self.copy or self.up is not None):
+            raise InputError(
+                "--overwrite, --copy and --up are about a folder; --into writes a file that is not there yet"
+            )
         if self.into is None and self.group != "mesh":
             raise InputError("--group: it is about textures in a file that --into names; give that, too")
         if self.blender is not None and not self.verify and self.into is None:

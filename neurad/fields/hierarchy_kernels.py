@@ -44,9 +44,10 @@ def means(
                 first += (cx * side + cy) * side + cz
             if first != before:
                 before = first
-                for row in range(4 if reads > 0 else 1):
+                low = begin
+                for row in range(4 if reads > 0 else 1):  # of two nodes, beside each other along the last axis
                     key = first + ((row >> 1) * side + (row & 1)) * side
-                    low, high = begin, end
+                    high = end
                     while low < high:
                         middle = (low + high) // 2
                         if keys[middle] < key:

@@ -83,6 +83,7 @@ def test_a_program_that_is_no_blender(fitted_room, capfd):
         (["--into", "fake.glb"], "it does not begin as a binary glTF file does"),
         (["--into", "room.blend", "--out", "fake.blend"], "fake.blend is there already; name another file by --out"),
         (["--into", "room.blend", "--out", "room.blend"], "room.blend is the file itself, which is only read"),
+        (["--into", "room.blend", "--overwrite"], "are about a folder; --into writes a file that is not there yet"),
         (["--group", "material", "--out", "out"], "--group: it is about textures in a file that --into names"),
         ([], "--out: name the folder to write"),
     ],

@@ -373,7 +373,7 @@ def test_a_blender_file_renders_as_the_export_does(python, tmp_path, capfd, grou
     for key in ("objects", "modifiers", "instances", "uvs", "vertices", "scripts", "lamps"):
         assert new[key] == old[key], key
     assert {name for name, slots in new["materials"].items() if "recovered" not in str(slots)} == {"vase"}
-    assert len({slot for slots in new["materials"].values() for slot in slots}) == (14 if group == "mesh" else 8)
+    assert len({slot for slots in new["materials"].values() for slot in slots}) == (14 if group == "mesh" else 9)
     assert new["second"]["poster"] == ([] if group == "mesh" else ["neurad"])
     assert new["second"]["room"] == ["neurad"]
     plain = exported(assembly.scene, tmp_path / "plain", size=256, made=assembly)
