@@ -47,7 +47,7 @@ def means(
                 low = begin
                 for row in range(4 if reads > 0 else 1):  # of two nodes, beside each other along the last axis
                     key = first + ((row >> 1) * side + (row & 1)) * side
-                    high = end
+                    high = end if row == 0 or (low < end and keys[low] < key) else low
                     while low < high:
                         middle = (low + high) // 2
                         if keys[middle] < key:
