@@ -60,7 +60,7 @@ class Pictures:
 def drawn(
     draw: Callable[[int], FloatArray], photo: FloatArray | None, most: int = PASSES, views: int = 1
 ) -> FloatArray:
-    """Passes of a view [k, h, w, c], by half as many more until its mean and its difference to the photograph are known.
+    """Passes of a view [k, h, w, c], by half as many more until its mean and difference to the photograph are known.
 
     Args:
         draw: the picture [h, w, c] by a seed; see :data:`Draw`.

@@ -4,24 +4,27 @@ import json
 import subprocess
 from dataclasses import replace
 from pathlib import Path
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 import torch
+from helpers.blender_dump import lamp, moved
 from helpers.clients import blender_python, cache_folder
 from helpers.exported import assembled, exported
 from helpers.gltf_writer import Document
 from PIL import Image
 
-from neurad.assembly.build import build_world
+from neurad.assembly.build import Assembly, build_world
 from neurad.core.errors import InputError
-from neurad.core.records import Constant, Material, Mesh
+from neurad.core.records import Constant, EnvironmentMap, Material, Mesh
 from neurad.core.reflection import PrincipledModel
 from neurad.export.copies import Copies, Matcher, _charts
 from neurad.export.cycles import render_views
 from neurad.export.into import export_into, place_beside
 from neurad.export.layouts import Polygons, lay_out
 from neurad.export.run import ExportSettings
+from neurad.formats.blender.lamps import lamp_of
 from neurad.formats.blender.process import find_blender
 from neurad.formats.cameras.write import shown_alike
 from neurad.formats.gltf.file import GltfFile
@@ -103,8 +106,8 @@ def glb(tmp_path_factory):
     box = mesh(*corners_of_box(), None, wood)
     made.node(name="cube", mesh=box, translation=[-0.8, 0.5, 0.3])
     made.node(name="cube.001", mesh=box, translation=[0.8, 0.45, 0], scale=[-0.9, 0.9, 0.9])
-    lamp = made.add("materials", {"name": "lamp", "emissiveFactor": [1, 1, 1]})
-    made.node(name="lamp", mesh=mesh(quad[[0, 3, 2, 1]], flat, None, lamp), translation=[0, 3, 0])
+    shines = made.add("materials", {"name": "lamp", "emissiveFactor": [1, 1, 1]})
+    made.node(name="lamp", mesh=mesh(quad[[0, 3, 2, 1]], flat, None, shines), translation=[0, 3, 0])
     return made.glb(tmp_path_factory.mktemp("into") / "room.glb")
 
 
@@ -280,10 +283,11 @@ class StandIn:
         thing = {"mesh": "mesh.npz", "uvs": {"neurad": "uv0"}, "materials": [0]}
         placed = [{**thing, "name": name, "to_world": pose.tolist()} for name, pose in PLACED.items()]
         made = {"material": "wood recovered", "old": "wood", "layout": 0, "uv": "neurad", "object": "a", "fake": False}
-        return {"made": [made], "objects": placed, "lamps": [], "materials": ["wood recovered"], "second": "neurad"}
+        return {"made": [made], "objects": placed, "lamps": [LAMP], "materials": ["wood recovered"], "second": "neurad"}
 
     def paint(self, job, out):
         self.pictures = {file.name: np.asarray(Image.open(file)) for file in out.glob("*.png")}
+        self.world = read_exr(out / job["environment"]["file"])
         Path(job["save"]).write_bytes(b"BLENDER-again")
         return {}
 
@@ -292,17 +296,23 @@ FLOOR = np.array([[-1, -1, 0], [1, -1, 0], [1, 1, 0], [-1, 1, 0]], np.float32)
 FLAT = np.array([[0, 1, 2], [0, 2, 3]], np.int32)
 PLACED = {"a": np.eye(4), "b": np.diag([-1.0, 1.0, 1.0, 1.0])}
 PLACED["b"][0, 3] = 2.5
+LAMP = lamp(to_world=moved(1.0, 0.0, 3.0))
 
 
 def test_the_steps_of_a_blender_file(tmp_path, monkeypatch, capfd):
     """Without Blender: what it is asked for, pictures with v upwards, and a file that is there all at once."""
+    sky = EnvironmentMap(np.ones((4, 8, 3), np.float32), np.eye(4, dtype=np.float32)[[0, 2, 1, 3]])
     meshes = [Mesh(name, *in_world(pose, FLOOR, None, FLAT.astype(np.int64))[::2], 0) for name, pose in PLACED.items()]
-    lamp = Mesh("lamp", FLOOR[::-1] + np.float32([0, 0, 3]), FLAT.astype(np.int64), 0, radiance=np.ones(3, np.float32))
+    lit = replace(lamp_of(LAMP, 0, "", []), name="lamp")
     paint = Material(
         "paint", PrincipledModel(), Constant(np.full(3, 0.5, np.float32)), Constant(np.full(1, 0.5, np.float32))
     )
-    scene = Scene("two", [*meshes, lamp], [paint], None, views("train", [((1, -3, 2), (1, 0, 0))], 0.9, 32))
+    scene = Scene("two", [*meshes, lit], [paint], sky, views("train", [((1, -3, 2), (1, 0, 0))], 0.9, 32))
     assembly = patterned(scene)
+    shines = SimpleNamespace(mesh=torch.tensor([2]), found=lambda: lit.radiance[None] * np.float32([2.0, 1.0, 0.5]))
+    monkeypatch.setattr(Assembly, "lamps", property(lambda self: shines))
+    around = SimpleNamespace(map=lambda: np.full((4, 8, 3), 0.25, np.float32))
+    monkeypatch.setattr(Assembly, "environment", property(lambda self: around))
     assembly.materials.albedo = lambda si: si.p.abs() / 4.0  # of both the same along y
     blend = tmp_path / "room.blend"
     blend.write_bytes(b"BLENDER-v405")
@@ -315,6 +325,9 @@ def test_the_steps_of_a_blender_file(tmp_path, monkeypatch, capfd):
     assert "1 textures (1 of 64 x 64), 0.00 M texels" in said
     assert "linked libraries are left alone (//more.blend): vase" in said
     assert blender.jobs["paint"]["meshes"]["square"]["used"]
+    assert blender.jobs["paint"]["lamps"] == {"Area": pytest.approx([2.0, 1.0, 0.5])}
+    assert blender.jobs["paint"]["environment"]["to_world"] == sky.to_world[:3, :3].tolist()
+    assert (blender.world == 0.25).all()
     surface = blender.jobs["paint"]["made"][0]["surface"]
     assert not surface["diffuse"]
     picture = from_srgb(blender.pictures[surface["base"]].astype(np.float32) / 255)
@@ -376,6 +389,8 @@ def test_a_blender_file_renders_as_the_export_does(python, tmp_path, capfd, grou
     assert len({slot for slots in new["materials"].values() for slot in slots}) == (14 if group == "mesh" else 9)
     assert new["second"]["poster"] == ([] if group == "mesh" else ["neurad"])
     assert new["second"]["room"] == ["neurad"]
+    if group == "material":
+        return
     plain = exported(assembly.scene, tmp_path / "plain", size=256, made=assembly)
     shown = shown_alike(assembly.scene)
     assert len(shown) > 1
