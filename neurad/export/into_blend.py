@@ -15,9 +15,9 @@ from neurad.core.errors import InputError
 from neurad.core.names import make_unique
 from neurad.core.records import FloatArray, IntArray, Mesh
 from neurad.core.reflection import PrincipledModel
-from neurad.export.base_colour import over_angles
 from neurad.export.blender import into_room_path
 from neurad.export.copies import Copies, Matcher, Part
+from neurad.export.images import write_over_angles
 from neurad.export.layouts import Group, Layout, Polygons
 from neurad.export.own_file import Opened, Painted, Surface
 from neurad.export.raster_kernels import Array
@@ -153,8 +153,7 @@ class BlendRoom:
         table = None
         if any(paint is not None and paint.target == "blender" for paint in painted):
             table = "over_angles.exr"
-            rows = np.repeat(over_angles()[::-1, :, None], 3, -1)
-            write_exr(self.folder / table, np.ascontiguousarray(rows), half=False)
+            write_over_angles(self.folder / table)
         scene = recovered_scene(assembly)
         environment = None
         if assembly.environment is not None and scene.environment is not None:

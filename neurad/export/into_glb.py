@@ -39,6 +39,8 @@ class GlbRoom:
         self.source, self.group = source, group
         self.file = GltfFile(source)
         self.reader = GltfReader(self.file, lamps=False)
+        if not self.reader.room().meshes:
+            raise self.file.error("it has no triangle")
         self.poses: dict[tuple[int, int], list[tuple[str, Array]]] = {}
         """Name and places [n, 4, 4] of the nodes that show each primitive of each mesh."""
         self.members: list[list[tuple[int, int]]] = []
@@ -90,8 +92,6 @@ class GlbRoom:
                 None if uvs is None else uvs[faces.ravel()],
             ))  # fmt: skip
             self.members[group].append(key)
-        if not groups:
-            raise self.file.error("it has no triangle")
         return groups
 
     def opened(self, layouts: Sequence[Layout], match: Matcher, origin: Array) -> Opened:
@@ -174,6 +174,7 @@ class GlbRoom:
             primitive["attributes"].setdefault(f"TEXCOORD_{number}", coordinates)
         primitive["indices"] = glb.triangles(same.reshape(-1, 3), len(take))
         primitive.pop("mode", None)
+        primitive.get("extensions", {}).pop("KHR_draco_mesh_compression", None)  # the same without the coordinates
 
     def _taken(self, glb: GlbWriter, accessor: int, take: IntArray) -> int:
         """An accessor with some of its values, bit by bit."""
@@ -196,8 +197,8 @@ class GlbRoom:
             if assembly.lamps is None or paint is not None or number is None or len(prims) == 0:
                 continue
             mesh = recovered_scene(assembly).meshes[int(assembly.world.geometry.mesh_index[int(prims[0])])]
-            if mesh.radiance is not None and mesh.radiance.max() > 0:
-                material = glb.json["materials"][number]
+            material = glb.json["materials"][number]
+            if mesh.radiance is not None and mesh.radiance.max() > 0 and "emissiveTexture" not in material:
                 factor, strength = emission(mesh.radiance)
                 material["emissiveFactor"] = factor
                 material.setdefault("extensions", {})["KHR_materials_emissive_strength"] = strength

@@ -49,8 +49,9 @@ class Layout:
     """Coordinates [c, 2] of all corners for each part, NaN of those of other parts; None where its own serve."""
 
 
-def lay_out(groups: Sequence[Sequence[Polygons]], density: float, budget: int, side: int | None, group: Group
-            ) -> list[Layout]:  # fmt: skip
+def lay_out(
+    groups: Sequence[Sequence[Polygons]], density: float, budget: int, side: int | None, group: Group
+) -> list[Layout]:
     """A layout for each group of parts.
 
     Args:

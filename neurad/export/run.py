@@ -22,13 +22,13 @@ from neurad.evidence.error_bars import ErrorBars
 from neurad.export import usd
 from neurad.export.axes import UPS, Up, rotation
 from neurad.export.baking import bake_room
-from neurad.export.base_colour import TARGETS, Target, is_converted, over_angles
+from neurad.export.base_colour import TARGETS, Target, is_converted
 from neurad.export.blender import blender_setup_path
 from neurad.export.cycles import render_views
 from neurad.export.evidence import COARSER, CoarseTexels, coarse_size, coarse_texels, evidence, seen_texels, std_maps
 from neurad.export.folder import MANIFEST, check_out, check_sources, written_beside
 from neurad.export.gltf import write_glb
-from neurad.export.images import Coded
+from neurad.export.images import Coded, write_over_angles
 from neurad.export.layouts import Group
 from neurad.export.limits import Side, Texels
 from neurad.export.progress import StageProgress
@@ -188,8 +188,7 @@ def write_room(
     missing = write_views(scene, folder, settings.copy)
     (folder / "blender_setup.py").write_bytes(blender_setup_path().read_bytes())
     if settings.target == "blender":
-        table = np.repeat(over_angles()[::-1, :, None], 3, -1)  # the lowest row of a picture is v = 0 in Blender
-        write_exr(folder / _OVER_ANGLES, np.ascontiguousarray(table), half=False)
+        write_over_angles(folder / _OVER_ANGLES)
     camera = views[0].camera if views else None
     turned = None if scene.environment is None else np.asarray(scene.environment.to_world, float)[:3, :3].tolist()
     return {
