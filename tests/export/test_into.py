@@ -394,7 +394,7 @@ def test_a_blender_file_renders_as_the_export_does(python, tmp_path, capfd, grou
     plain = exported(assembly.scene, tmp_path / "plain", size=256, made=assembly)
     shown = shown_alike(assembly.scene)
     assert len(shown) > 1
-    theirs, again = (render_views(find_blender(python), room, shown, 512, 1) for room in (plain, out))
+    theirs, again = (render_views(find_blender(python), room, shown, 256, 1) for room in (plain, out))
     for view, one, other in zip(shown, theirs, again, strict=True):
         kept = read_mask(view) if view.mask else np.ones(one.shape[:2], bool)
         assert other[kept].mean() == pytest.approx(one[kept].mean(), rel=0.03), view.name
