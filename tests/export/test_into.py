@@ -168,15 +168,23 @@ def test_a_gltf_file_keeps_its_nodes_and_shows_what_was_recovered(glb, of_glb, v
     assert not off["lamp"].any()
 
 
-def test_two_cubes_get_the_mean_by_what_is_known(glb, of_glb, monkeypatch):
-    """A photograph shows the one cube alone: it has that one's albedo."""
-    seen = iter(range(100))
-    monkeypatch.setattr(
-        "neurad.export.copies.seen_texels", lambda texels, by: [np.full(len(texels[0].lane), next(seen) == 0)]
-    )
+@pytest.mark.parametrize("has_bars", [False, True])
+def test_two_cubes_get_the_mean_by_what_is_known(glb, of_glb, monkeypatch, has_bars):
+    """A photograph shows the one cube alone, or its error bars are a hundredth of the other's: it has its albedo."""
+    first = iter([True, False] if has_bars else [True] + [False] * 10)
+
+    def stds(texels, bars, materials, emits):
+        return {"albedo": np.full((*texels.shape, 3), 0.002 if next(first) else 0.2, np.float32)}
+
+    def seen(texels, by):
+        return [np.full(len(texels[0].lane), not has_bars and next(first))]
+
+    monkeypatch.setattr("neurad.export.copies.std_maps", stds)
+    monkeypatch.setattr("neurad.export.copies.seen_texels", seen)
     out = place_beside(glb)
     out.unlink(missing_ok=True)
-    put_into(of_glb, glb, size=256)
+    settings = ExportSettings(out=out, into=glb, target="exact", size=256)
+    export_into(of_glb, glb, settings, object() if has_bars else None)
     off = off_of(of_glb, out)
     assert np.abs(off["cube"]).mean() < 3 / 255
     assert np.abs(off["cube.001"]).mean() > 10 / 255
