@@ -129,7 +129,8 @@ class FittedMaterials(nn.Module):
         values = {name: albedo if name == ALBEDO.name else field(si, albedo) for name, field in self.fields.items()}
         if ROUGHNESS.name not in values:  # not read: one number for all lanes
             values[ROUGHNESS.name] = albedo.new_full((1, 1), ROUGHNESS.absent).expand(len(albedo), 1)
-        searched = self.lambert.expand(len(albedo), 1) if self.looks_for_lobe else None
+        part = self.lambert if self.looks_for_lobe else None
+        searched = None if part is None else part.expand(len(albedo), 1)
         return Surface(**values, lambert=searched)
 
     def albedo(self, si: SurfaceInteraction) -> Tensor:

@@ -1,4 +1,4 @@
-"""TensorBoard's page of a run: four charts first, everything else under ``more``, sheets of views, settings."""
+"""TensorBoard's page of a run: four charts first, everything else under ``more``, pictures of views, settings."""
 
 from __future__ import annotations
 
@@ -17,6 +17,7 @@ from neurad.images.image_io import png
 from neurad.lamps.unknown import rows
 from neurad.metrics.marks import MARKS
 from neurad.pages.draw import draw
+from neurad.pages.sheet import Sheet
 
 if TYPE_CHECKING:
     from torch.utils.tensorboard import SummaryWriter
@@ -32,8 +33,9 @@ CHARTS = {
     "Loss: lower is better": LOSS,
 }
 """Charts of the tab of custom scalars; each has the run's curve and those of what needs no fit."""
-LARGEST = 256
-"""Largest side of a sheet's pictures in pixels: every evaluation adds sheets to the events."""
+CARD = 165
+"""Pictures are at least so many pixels wide and less than twice as many, so that TensorBoard's cards, 350 pixels wide,
+show them and their words as they are."""
 GROUPS = ("sampling", "objective", "optimization")
 """Settings of the model that the tab of hyperparameters has, after those with a capital: it sorts them, and shows the
 first five."""
@@ -91,13 +93,13 @@ class Board:
             self.writer.add_scalar(f"more/loss_{name}", float(value), iteration)
 
     def sheets(self, views: Sequence[Mapping[str, Any]], scale: float, iteration: int) -> None:
-        """A sheet of each view, radiance times ``scale``."""
+        """The pictures of each view, a card each, radiance times ``scale``."""
         for index, view in enumerate(views):
             name = pictures.view_name(view, index)
-            title = f"{self._scene}, {self._settings['Method']}, step {iteration}, view {name}"
-            sheet = pictures.view_sheet(view, scale, title)
-            sheet.largest = LARGEST
-            self.picture(f"views/{name}", draw(sheet), iteration)
+            sheet = pictures.view_sheet(view, scale, "")
+            for tile in sheet.tiles:
+                card = Sheet(f"{self._scene}, {name}", {"": [tile]}, sheet.unseen, smallest=CARD, largest=CARD)
+                self.picture(f"views/{name}/{tile.key}", draw(card), iteration)
 
     def picture(self, tag: str, pixels: Any, iteration: int) -> None:
         """A picture [h, w, 3], packed faster than TensorBoard's own writer does."""

@@ -13,7 +13,22 @@ from neurad.runs.trust import add_trust
 def add_arguments(parser: argparse.ArgumentParser) -> None:
     """Declare the options of the verb."""
     parser.add_argument("--ckpt_path", help="run folder or checkpoint (default: the newest run in lightning_logs)")
-    parser.add_argument("--out", required=True, type=Path, help="folder to write; it is a scene folder itself")
+    parser.add_argument(
+        "--out",
+        type=Path,
+        help="folder to write, which is a scene folder itself; with --into a file (default: beside it)",
+    )
+    parser.add_argument(
+        "--into", type=Path, metavar="FILE",
+        help="the .blend or .glb that the room was read from: writes a copy of it, FILE_recovered, with the recovered "
+             "textures on its own objects",
+    )  # fmt: skip
+    parser.add_argument(
+        "--group",
+        choices=("mesh", "material"),
+        default="mesh",
+        help="with --into: a texture for each mesh's part of a material (default), or one for each material",
+    )
     parser.add_argument("--root", help="where the scene's folder is now, if it has moved since the fit")
     add_trust(parser)
     parser.add_argument(
@@ -31,7 +46,10 @@ def add_arguments(parser: argparse.ArgumentParser) -> None:
     parser.add_argument(
         "--spp", type=option(Count), default=16, help="samples a pixel in a pass of the verification (default: 16)"
     )
-    parser.add_argument("--blender", help="a Python with bpy, or Blender: verifies scene.glb with Cycles, too")
+    parser.add_argument(
+        "--blender",
+        help="a Python with bpy, or Blender: verifies scene.glb with Cycles, too, and opens what --into names",
+    )
     parser.add_argument("--overwrite", action="store_true", help="replace the folder of an earlier export")
 
 
@@ -58,11 +76,22 @@ def run(options: argparse.Namespace) -> None:
     import sys
     from dataclasses import fields
 
+    from neurad.core.errors import InputError
     from neurad.export.folder import check_out
+    from neurad.export.into import check_free, export_into, place_beside
     from neurad.export.run import ExportSettings, export
     from neurad.runs.load import load_run
 
+    if options.into is not None:
+        options.out = options.out or place_beside(options.into)
+    elif options.out is None:
+        raise InputError("--out: name the folder to write")
     settings = ExportSettings(**{f.name: getattr(options, f.name) for f in fields(ExportSettings)})
+    if settings.into is not None:
+        check_free(settings.out, settings.into)
+        loaded = load_run(options.ckpt_path, options.root, other_light=False, trust=options.trust)
+        export_into(loaded.assembly, settings.into, settings, loaded.bars)
+        return
     check_out(settings.out, settings.overwrite)
     loaded = load_run(options.ckpt_path, options.root, other_light=False, trust=options.trust)
     if found := export(loaded.assembly, loaded.checkpoint, settings, loaded.bars):

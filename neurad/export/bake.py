@@ -10,7 +10,7 @@ import numpy as np
 
 from neurad.core.parameters import ALBEDO, ROUGHNESS, SurfaceParameter, split
 from neurad.core.protocols import Materials
-from neurad.core.records import BoolArray, FloatArray
+from neurad.core.records import BoolArray, FloatArray, IntArray
 from neurad.export import texel_means_kernels
 from neurad.export.charts import Chart, border_texels
 from neurad.export.texel_means import Means, TexelMeans, uncertain
@@ -59,7 +59,7 @@ class Baked:
 
 def bake(
     chart: Chart,
-    first: int,
+    first: int | IntArray,
     geometry: Geometry,
     materials: Materials,
     done: Callable[[int], None] = lambda texels: None,
@@ -74,7 +74,7 @@ def bake(
 
     Args:
         chart: the mesh.
-        first: number of its first triangle in ``geometry``.
+        first: number of its first triangle in ``geometry``, or those of all of them [f].
         geometry: of the whole scene, with the same triangles.
         materials: what to ask, on the CPU or where ``geometry`` lies.
         done: called with numbers of texels, which count twice: when they are asked first, and when they are known.

@@ -1,4 +1,4 @@
-"""Cycles on ``scene.glb``, in a Python or a Blender of its own: neither is ever imported here."""
+"""Cycles on ``scene.glb`` or a Blender file, in a Python or a Blender of its own: neither is ever imported here."""
 
 from __future__ import annotations
 
@@ -14,12 +14,12 @@ from neurad.images.image_io import read_exr
 from neurad.runtime.machine import usable_cores
 
 
-def render_views(blender: Blender, folder: Path, views: list[View], samples: int, seed: int) -> list[FloatArray]:
-    """Views of an exported folder [h, w, 3], linear, premultiplied by alpha.
+def render_views(blender: Blender, room: Path, views: list[View], samples: int, seed: int) -> list[FloatArray]:
+    """Views of an exported room [h, w, 3], linear, premultiplied by alpha.
 
     Args:
         blender: what renders.
-        folder: of the room.
+        room: the folder, or a Blender file, in whose frame the cameras are.
         views: which, of one size.
         samples: per pixel.
         seed: of its random numbers.
@@ -31,12 +31,16 @@ def render_views(blender: Blender, folder: Path, views: list[View], samples: int
         job = Path(out) / "job.json"
         camera = views[0].camera
         described = {
-            "folder": str(folder), "views": [v.name for v in views], "width": camera.width,
+            "folder": str(room), "views": [v.name for v in views], "width": camera.width,
             "height": camera.height, "samples": samples, "seed": seed, "threads": usable_cores(), "out": out,
         }  # fmt: skip
+        if room.is_file():
+            cameras = {v.name: {"to_world": v.camera.to_world.tolist(), "fov_x": v.camera.fov_x} for v in views}
+            folder = str(render_views_path().parent)
+            described |= {"folder": folder, "blend": str(room.absolute()), "cameras": cameras}
         job.write_text(json.dumps(described), encoding="utf-8")
         said = blender.run(render_views_path(), [str(job)])
         files = [Path(out) / f"{view.name}.exr" for view in views]
         if not all(file.is_file() for file in files):
-            raise InputError(f"--blender: it rendered nothing of {folder} ({said})")
+            raise InputError(f"--blender: it rendered nothing of {room} ({said})")
         return [read_exr(file)[..., :3] for file in files]

@@ -13,7 +13,7 @@ from neurad.evidence.error_bars import BarFields, ErrorBars
 from neurad.export import raster_kernels as kernels
 from neurad.export.charts import Chart, in_texels
 from neurad.export.images import Bytes
-from neurad.export.texel_means import GUTTER
+from neurad.export.texel_means import GUTTER, numbers_of
 from neurad.metrics.seen import SeenBy
 from neurad.scene.geometry import Geometry
 
@@ -41,12 +41,12 @@ def coarse_size(chart: Chart) -> tuple[int, int]:
 
 
 @torch.no_grad()
-def coarse_texels(chart: Chart, first: int, geometry: Geometry) -> CoarseTexels:
+def coarse_texels(chart: Chart, first: int | IntArray, geometry: Geometry) -> CoarseTexels:
     """The coarse texels of a mesh.
 
     Args:
         chart: the mesh.
-        first: number of its first triangle in ``geometry``.
+        first: number of its first triangle in ``geometry``, or those of all of them [f].
         geometry: of the whole scene.
     """
     height, width = coarse_size(chart)
@@ -60,7 +60,7 @@ def coarse_texels(chart: Chart, first: int, geometry: Geometry) -> CoarseTexels:
     u, v = np.empty((2, len(lane)))
     points = chart.mesh.vertices[chart.mesh.faces].astype(np.float64)
     kernels.locate(corners, points, owner.ravel()[lane], x + 0.5, y + 0.5, 0.0, u, v)  # limit 0: on the triangle
-    prim = torch.from_numpy(owner.ravel()[lane] + first)
+    prim = torch.from_numpy(numbers_of(chart, first)[owner.ravel()[lane]])
     at_u, at_v = (torch.from_numpy(z).float() for z in (u, v))
     si = geometry.interact_at(prim, at_u, at_v, geometry.face_normal[prim], torch.ones_like(prim, dtype=torch.bool))
     return CoarseTexels((height, width), lane, si)

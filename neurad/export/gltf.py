@@ -16,7 +16,7 @@ import numpy as np
 
 import neurad
 from neurad.core.records import FloatArray, Mesh, PunctualLight, View
-from neurad.core.reflection import PrincipledModel
+from neurad.core.reflection import PrincipledModel, ReflectionModel
 from neurad.export.axes import quaternion, rotation
 from neurad.export.base_colour import Target, is_converted, lobe_of, smooth_colour
 from neurad.export.images import Coded, coded
@@ -121,22 +121,33 @@ def _material(glb: GlbWriter, room: BakedRoom, index: int, files: Coded | None) 
         if model.delta.transmits:
             extensions["KHR_materials_transmission"] = {"transmissionFactor": 1.0}
             extensions["KHR_materials_ior"] = {"ior": _index(model.delta.eta)}
-    elif model.is_diffuse:
-        extensions["KHR_materials_specular"] = {"specularFactor": 0.0}
-    elif isinstance(model, PrincipledModel) and model.eta != 1.5:
-        extensions["KHR_materials_ior"] = {"ior": _index(model.eta)}
+    else:
+        extensions |= coat(model)
     described: Json = {"name": name, "pbrMetallicRoughness": surface}
     if material.two_sided:
         described["doubleSided"] = True
     if mesh.radiance is not None and mesh.radiance.max() > 0:
-        strength = float(mesh.radiance.max())
-        described["emissiveFactor"] = [min(float(x) / strength, 1.0) for x in mesh.radiance]
-        extensions["KHR_materials_emissive_strength"] = {"emissiveStrength": strength}
+        described["emissiveFactor"], extensions["KHR_materials_emissive_strength"] = emission(mesh.radiance)
         described["extras"] = {"emits_to": "the side of the geometric normal"}
     if extensions:
         described["extensions"] = extensions
         glb.extensions |= extensions.keys()
     return described
+
+
+def coat(model: ReflectionModel) -> Json:
+    """The extensions by which a surface has the coat of a model, or none."""
+    if model.is_diffuse:
+        return {"KHR_materials_specular": {"specularFactor": 0.0}}
+    if isinstance(model, PrincipledModel) and model.eta != 1.5:
+        return {"KHR_materials_ior": {"ior": _index(model.eta)}}
+    return {}
+
+
+def emission(radiance: FloatArray) -> tuple[list[float], Json]:
+    """``emissiveFactor`` and ``KHR_materials_emissive_strength`` of a radiance [3]."""
+    strength = float(radiance.max())
+    return [min(float(x) / strength, 1.0) for x in radiance], {"emissiveStrength": strength}
 
 
 def _index(eta: float) -> float:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 import numpy.typing as npt
@@ -11,8 +12,8 @@ import numpy.typing as npt
 from neurad.core.parameters import ALBEDO, METALLIC, ROUGHNESS
 from neurad.core.records import FloatArray
 from neurad.core.reflection import DiffuseLobe
-from neurad.export.base_colour import Target, base_for
-from neurad.images.image_io import png, to_srgb
+from neurad.export.base_colour import Target, base_for, over_angles
+from neurad.images.image_io import png, to_srgb, write_exr
 
 ROWS = 1024
 """Rows of texels at once: bounds the memory."""
@@ -51,6 +52,12 @@ def coded(maps: Mapping[str, FloatArray], target: Target, lobe: DiffuseLobe = "b
         base[part] = eight_bits(to_srgb(wanted))
         orm[part, :, 1], orm[part, :, 2] = eight_bits(roughness[..., 0]), eight_bits(metallic[..., 0])
     return Coded(png(base), png(orm), clipped)
+
+
+def write_over_angles(path: Path) -> None:
+    """Write what :func:`neurad.export.base_colour.over_angles` says as a picture for Blender, grey and linear."""
+    table = np.repeat(over_angles()[::-1, :, None], 3, -1)  # the lowest row of a picture is v = 0 in Blender
+    write_exr(path, np.ascontiguousarray(table), half=False)
 
 
 def eight_bits(values: FloatArray | float) -> Bytes:

@@ -213,3 +213,46 @@ def locate(
                 moved += step * step
             if moved <= limit * limit * best:
                 u[n], v[n] = b, c
+
+
+@kernel
+def stack(corners: Array, part: IntArray, depth: IntArray, layer: IntArray) -> None:  # pragma: no cover - compiled
+    """Parts of a texture one on top of the other, so that no two of a layer share a texel.
+
+    Args:
+        corners: of the triangles [f, 3, 2].
+        part: that each belongs to, ascending [f].
+        depth: 0 everywhere; filled with how many parts lie on each texel [h, w].
+        layer: filled with the layer of each triangle [f].
+    """
+    height, width = depth.shape
+    begin = 0
+    while begin < len(corners):
+        end = begin
+        while end < len(corners) and part[end] == part[begin]:
+            end += 1
+        top = 0
+        for writes in range(2):
+            for f in range(begin, end):
+                ax, ay, bx, by, cx, cy = (
+                    corners[f, 0, 0], corners[f, 0, 1], corners[f, 1, 0], corners[f, 1, 1], corners[f, 2, 0],
+                    corners[f, 2, 1],
+                )  # fmt: skip
+                det = (bx - ax) * (cy - ay) - (cx - ax) * (by - ay)
+                sign = 1.0 if det > 0.0 else -1.0
+                for row in range(max(math.floor(min(ay, by, cy)), 0), min(math.ceil(max(ay, by, cy)), height)):
+                    for column in range(max(math.floor(min(ax, bx, cx)), 0), min(math.ceil(max(ax, bx, cx)), width)):
+                        x, y = column + 0.5, row + 0.5
+                        inside = min(
+                            sign * ((bx - ax) * (y - ay) - (by - ay) * (x - ax)),
+                            sign * ((cx - bx) * (y - by) - (cy - by) * (x - bx)),
+                            sign * ((ax - cx) * (y - cy) - (ay - cy) * (x - cx)),
+                        )
+                        if inside > 1e-3 * abs(det):
+                            if writes == 0:
+                                top = max(top, depth[row, column])
+                            else:
+                                depth[row, column] = top + 1
+        for f in range(begin, end):
+            layer[f] = top
+        begin = end

@@ -22,13 +22,14 @@ from neurad.evidence.error_bars import ErrorBars
 from neurad.export import usd
 from neurad.export.axes import UPS, Up, rotation
 from neurad.export.baking import bake_room
-from neurad.export.base_colour import TARGETS, Target, for_mitsuba, is_converted, lobe_of, over_angles
+from neurad.export.base_colour import TARGETS, Target, for_mitsuba, is_converted, lobe_of
 from neurad.export.blender import blender_setup_path
 from neurad.export.cycles import render_views
 from neurad.export.evidence import COARSER, CoarseTexels, coarse_size, coarse_texels, evidence, seen_texels, std_maps
 from neurad.export.folder import MANIFEST, check_out, check_sources, written_beside
 from neurad.export.gltf import write_glb
-from neurad.export.images import Coded
+from neurad.export.images import Coded, write_over_angles
+from neurad.export.layouts import Group
 from neurad.export.limits import Side, Texels
 from neurad.export.progress import StageProgress
 from neurad.export.report import write_report
@@ -73,6 +74,10 @@ class ExportSettings:
     """Samples a pixel of the pictures that verify, in each of several passes."""
     blender: str | None = None
     """A Python that has bpy, or Blender itself."""
+    into: Path | None = None
+    """The file that the room came from: ``out`` is a copy of it then, see :mod:`neurad.export.into`."""
+    group: Group = "mesh"
+    """What shares a texture in such a copy."""
 
     def __post_init__(self) -> None:
         """Refuse what cannot be written."""
@@ -83,7 +88,13 @@ class ExportSettings:
             raise InputError(f"--for: {self.target} is unknown, choose {', '.join(TARGETS)}")
         if self.up is not None and self.up not in UPS:
             raise InputError(f"--up: {self.up} is no axis, choose {', '.join(UPS)}")
-        if self.blender is not None and not self.verify:
+        if self.into is not None and (self.overwrite or self.copy or self.up is not None):
+            raise InputError(
+                "--overwrite, --copy and --up are about a folder; --into writes a file that is not there yet"
+            )
+        if self.into is None and self.group != "mesh":
+            raise InputError("--group: it is about textures in a file that --into names; give that, too")
+        if self.blender is not None and not self.verify and self.into is None:
             raise InputError("--blender: it verifies, which --no-verify leaves out; give one of them")
 
 
@@ -181,8 +192,7 @@ def write_room(
         is_converted(material) and lobe_of(material) == "burley" for material in scene.materials
     )
     if over:
-        table = np.repeat(over_angles()[::-1, :, None], 3, -1)  # the lowest row of a picture is v = 0 in Blender
-        write_exr(folder / _OVER_ANGLES, np.ascontiguousarray(table), half=False)
+        write_over_angles(folder / _OVER_ANGLES)
     camera = views[0].camera if views else None
     turned = None if scene.environment is None else np.asarray(scene.environment.to_world, float)[:3, :3].tolist()
     return {

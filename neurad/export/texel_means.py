@@ -98,12 +98,17 @@ def _averaged(
     return mean, spread, np.minimum.reduce(least), np.maximum.reduce(most)
 
 
+def numbers_of(chart: Chart, first: int | IntArray) -> IntArray:
+    """Numbers of a mesh's triangles in a scene [f], from that of the first or from themselves."""
+    return np.arange(first, first + len(chart.mesh.faces)) if isinstance(first, int) else first
+
+
 class TexelMeans:
     """A mesh whose texels can be asked for what lies under them, around a chart in the plane of its nearest triangle.
 
     Args:
         chart: the mesh.
-        first: number of its first triangle in ``geometry``.
+        first: number of its first triangle in ``geometry``, or those of all of them [f].
         geometry: of the whole scene, with the same triangles.
         materials: what to ask, on the CPU or where ``geometry`` lies.
         parameters: what of them.
@@ -112,14 +117,14 @@ class TexelMeans:
     def __init__(
         self,
         chart: Chart,
-        first: int,
+        first: int | IntArray,
         geometry: Geometry,
         materials: Materials,
         parameters: Sequence[SurfaceParameter] = (ALBEDO, ROUGHNESS),
     ) -> None:
         self.parameters, self.channels = parameters, sum(parameter.channels for parameter in parameters)
         self.shape = (chart.height, chart.width)
-        self._first, self._geometry, self._materials = first, geometry, materials
+        self._prims, self._geometry, self._materials = numbers_of(chart, first), geometry, materials
         self._corners = chart.corners
         self._low, self._high = self._corners[:, :, 1].min(1) - GUTTER, self._corners[:, :, 1].max(1) + GUTTER
         self._points = chart.mesh.vertices[chart.mesh.faces].astype(np.float64)
@@ -210,7 +215,7 @@ class TexelMeans:
 
         def work(begin: int) -> None:
             part = slice(begin, begin + CHUNK)
-            prim = torch.from_numpy(owner[part] + self._first).to(device)
+            prim = torch.from_numpy(self._prims[owner[part]]).to(device)
             at_u, at_v = (torch.from_numpy(z[part]).float().to(device) for z in (u, v))
             towards = geometry.face_normal[prim]
             si = geometry.interact_at(prim, at_u, at_v, towards, torch.ones_like(prim, dtype=torch.bool))

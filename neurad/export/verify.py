@@ -192,12 +192,13 @@ def _render(found: Verified, ours: Draw, mitsuba: Draw | None, progress: StagePr
     progress.stage("pictures", len(found.views) * len(names))
     found.pictures |= {name: Pictures() for name in names}
     found.excess |= {name: [] for name in names if name != "baked"}
+    count = sum(photo is not None for photo in found.photographs)
     for index, photo in enumerate(found.photographs):
-        both = drawn(partial(ours, index), photo)  # [k, h, w, 6]
+        both = drawn(partial(ours, index), photo, views=count)  # [k, h, w, 6]
         passes = {"baked": both[..., :3], "fields": both[..., 3:]}
         progress.step(2)
         if mitsuba is not None:
-            passes["mitsuba"] = drawn(partial(mitsuba, index), photo, MITSUBA_PASSES)
+            passes["mitsuba"] = drawn(partial(mitsuba, index), photo, MITSUBA_PASSES, count)
             progress.step()
         for name, pictures in passes.items():
             found.pictures[name].add(pictures, photo)

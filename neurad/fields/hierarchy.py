@@ -13,11 +13,14 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import Any, Literal
 
+import numpy as np
 import torch
 from torch import Tensor, nn
 
 from neurad.core.grid import trilinear
 from neurad.fields.settings import Structure
+from neurad.runtime.dispatch import use_kernel
+from neurad.runtime.threads import GRAIN, split
 
 COLOR_CELLS, PART_COLOR_CELLS = (4, 8, 16), 8
 """Cells along the cube of colours of what surfaces of like colour share, and those of one part."""
@@ -76,10 +79,13 @@ class Effect:
         if self.reads == "nothing":
             node, weight = torch.zeros_like(places.part)[:, None], torch.ones_like(places.x[:, :1])
         else:
-            # Cube roots of radiance are about as far apart as they look.
-            at = places.x if self.is_detail else places.albedo.clamp(0.0, 1.0).pow(1.0 / 3.0)
-            node, weight = trilinear(at, self.cells)
+            node, weight = trilinear(places.x if self.is_detail else _spread(places.albedo), self.cells)
         return (node + self.nodes * places.part[:, None] if self.by_part else node), weight
+
+
+def _spread(albedo: Tensor) -> Tensor:
+    """Colours about as far apart as they look: cube roots of the albedo."""
+    return albedo.clamp(0.0, 1.0).pow(1.0 / 3.0)
 
 
 def effects_of(structure: Structure, cells: int) -> tuple[Effect, ...]:
@@ -120,6 +126,7 @@ class Hierarchy(nn.Module):
         parts: connected parts of the scene.
     """
 
+    use_kernels = True
     made: Tensor
     keys: Tensor
     values: Tensor
@@ -172,6 +179,8 @@ class Hierarchy(nn.Module):
 
     def forward(self, places: Places) -> Tensor:
         """Posterior means [n, 1]."""
+        if use_kernel(self.use_kernels, places.x, places.albedo, self.values):
+            return self._mean_kernel(places)[:, None]
         return torch.cat([self._mean(part) for part in places.chunks()])[:, None]
 
     def std(self, places: Places) -> Tensor:
@@ -182,6 +191,26 @@ class Hierarchy(nn.Module):
         total = torch.full_like(places.x[:, 0], MIDDLE)
         for at, weight, found in self._read(places):
             total += (torch.where(found, weight, 0.0) * self.values[at, 0]).sum(-1)
+        return total
+
+    def _mean_kernel(self, places: Places) -> Tensor:
+        from neurad.fields import hierarchy_kernels as kernels  # imported at first use: numba is slow to load
+
+        reads = [("nothing", "position", "color").index(effect.reads) for effect in self.effects]
+        ends = zip(self._ends[:-1], self._ends[1:], strict=True)
+        effects = np.array([
+            [read, effect.cells, effect.by_part, *end]
+            for read, effect, end in zip(reads, self.effects, ends, strict=True)
+        ])  # fmt: skip
+        total = torch.full_like(places.x[:, 0], MIDDLE)
+        x, color, part, out = (t.contiguous().numpy() for t in (places.x, _spread(places.albedo), places.part, total))
+        keys, values = self.keys.numpy(), self.values[:, 0].contiguous().numpy()
+
+        def work(low: int, high: int) -> None:
+            lanes, node = slice(low, high), np.empty(8, np.int64)
+            kernels.means(x[lanes], color[lanes], part[lanes], effects, _INDEX, keys, values, node, out[lanes])
+
+        split(work, len(out), GRAIN)
         return total
 
     def _variance(self, places: Places) -> Tensor:

@@ -111,7 +111,10 @@ def test_tensorboard_has_four_charts_first_and_the_constant_in_them(run):
     values = [event.value for event in constant.Scalars("fit/albedo_psnr")]
     assert values[0] == values[1]
     assert {tag.partition("/")[0] for tag in ours.Tags()["images"]} == {"views"}
-    assert ours.Images("views/000")[0].width > 700
+    cards = {tag.removeprefix("views/000/"): ours.Images(tag)[0] for tag in ours.Tags()["images"]}
+    assert {"render", "photograph", "render_error", "albedo", "albedo_true", "albedo_error"} <= set(cards)
+    assert all(165 < card.width <= 350 for card in cards.values())
+    assert all(card.height > card.width - 40 for card in cards.values())  # a heading over it, and a bar below
     layout = ours.Tensors("custom_scalars__config__")[0].tensor_proto.string_val[0].decode("utf-8", "replace")
     assert "fit/albedo_psnr" in layout
     assert "Roughness" not in layout

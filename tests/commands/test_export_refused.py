@@ -73,6 +73,33 @@ def test_a_program_that_is_no_blender(fitted_room, capfd):
 
 
 @pytest.mark.main
+@pytest.mark.parametrize(
+    ("words", "sentence"),
+    [
+        (["--into", "room.blend"], "--blender: there is no blender on the PATH"),
+        (["--into", "tiny.yaml"], "--into tiny.yaml: it is neither a Blender file (.blend) nor binary glTF (.glb)"),
+        (["--into", "kitchen.blend"], "kitchen.blend: there is no such Blender file"),
+        (["--into", "fake.blend"], "fake.blend: it is no file that Blender has saved"),
+        (["--into", "fake.glb"], "it does not begin as a binary glTF file does"),
+        (["--into", "room.blend", "--out", "fake.blend"], "fake.blend is there already; name another file by --out"),
+        (["--into", "room.blend", "--out", "room.blend"], "room.blend is the file itself, which is only read"),
+        (["--into", "room.blend", "--overwrite"], "are about a folder; --into writes a file that is not there yet"),
+        (["--group", "material", "--out", "out"], "--group: it is about textures in a file that --into names"),
+        ([], "--out: name the folder to write"),
+    ],
+)
+def test_a_file_that_nothing_is_put_into(fitted_room, capfd, monkeypatch, words, sentence):
+    Path("room.blend").write_bytes(b"BLENDER-v405RENDH")
+    for name in ("fake.blend", "fake.glb"):
+        Path(name).write_bytes(b"nothing")
+    there = left()
+    monkeypatch.setenv("PATH", "")
+    assert sentence in fails(capfd, "export", *words)
+    assert left() == there
+    assert Path("room.blend").read_bytes() == b"BLENDER-v405RENDH"
+
+
+@pytest.mark.main
 def test_a_run_of_another_scene(fitted_room, capfd):
     shutil.copytree("room", "other")
     ply = Path("other/meshes/floor.ply")

@@ -10,10 +10,10 @@ SHAPE = (24, 24, 3)
 PHOTO = np.full(SHAPE, 0.5, np.float32)
 
 
-def passes(seed, noise, most=8):
+def passes(seed, noise, most=8, views=1):
     """A picture that differs from the photograph by 0.1 and has this much noise."""
     rng = np.random.default_rng(seed)
-    return drawn(lambda _: PHOTO + 0.1 + noise * rng.standard_normal((*SHAPE[:2], 1)), PHOTO, most)
+    return drawn(lambda _: PHOTO + 0.1 + noise * rng.standard_normal((*SHAPE[:2], 1)), PHOTO, most, views)
 
 
 def bright(rng):
@@ -51,6 +51,15 @@ def test_passes_end_when_the_picture_is_known():
     assert len(passes(0, 1e-4)) == 2
     assert len(passes(0, 0.5)) == 8
     assert len(passes(0, 0.5, most=4)) == 4
+
+
+@pytest.mark.parametrize("views", [4, 16])
+def test_of_many_views_all_together_are_known(views):
+    every = [passes(seed, 0.05, 32, views) for seed in range(views)]
+    assert all(len(found) < 32 for found in every)
+    squares, errors = np.array([squared_difference(found, PHOTO) for found in every]).T
+    assert np.sqrt(np.square(errors).sum()) <= pictures.SQUARED_ERROR * squares.sum() * 1.02
+    assert max(len(found) for found in every) > 2
 
 
 @pytest.mark.parametrize("most", [2, 8])

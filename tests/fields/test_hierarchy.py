@@ -48,10 +48,12 @@ def finer(hierarchy, at):
     return float(hierarchy.stds[-1]) ** 2 * hierarchy.factors.numpy()[at.part.numpy()]
 
 
+@pytest.mark.parametrize("use_kernels", [True, False])
 @pytest.mark.parametrize("structure", ["auto", "groups", "smooth"])
-def test_it_reads_what_dense_tables_say(structure):
+def test_it_reads_what_dense_tables_say(structure, use_kernels):
     hierarchy, at = Hierarchy(structure, CELLS, PARTS), places(500)
     found, _ = all_coefficients(hierarchy)
+    hierarchy.use_kernels = use_kernels
     hierarchy.set(found)
     rows = np.concatenate(dense(hierarchy, at), 1)
     expected = rows @ found.values.double().numpy()
@@ -70,6 +72,19 @@ def test_what_no_photograph_tells_has_the_variance_of_the_prior():
         parts += std**2 * factor * np.square(rows).sum(1)
     np.testing.assert_allclose(hierarchy.std(at)[:, 0].numpy() ** 2, parts, rtol=1e-4)
     torch.testing.assert_close(hierarchy(at), torch.full((200, 1), MIDDLE + float(found.values[0, 0])))
+
+
+def test_the_kernel_reads_as_the_reference_where_coefficients_are_missing():
+    hierarchy, at = Hierarchy("auto", CELLS, PARTS), places(2000)
+    found, _ = all_coefficients(hierarchy)
+    some = torch.from_numpy(np.random.default_rng(3).random(len(found.keys)) < 0.6)
+    hierarchy.set(Coefficients(found.keys[some], found.values[some], found.stds, found.factors))
+    edges = Places(torch.cat((at.x, at.x.round())), at.albedo.repeat(2, 1), at.part.repeat(2))
+    order = torch.argsort(edges.part)  # neighbours share cells
+    edges = Places(edges.x[order], edges.albedo[order], edges.part[order])
+    by_kernel = hierarchy(edges)
+    hierarchy.use_kernels = False
+    torch.testing.assert_close(by_kernel, hierarchy(edges), atol=1e-5, rtol=0.0)
 
 
 def test_it_travels_with_a_state_of_any_size_and_can_be_made_again():

@@ -3,7 +3,8 @@
 Its argument is a JSON file that describes the job: ``blend`` to write, ``views``, ``size``, ``samples``, ``threads``,
 and ``pictures``, a folder that gets NAME.exr of each view, with ``passes`` as layers of one file. With ``open`` the
 room is Lambertian and without a ceiling, below a sky that is turned and a sun, with a spot, a point, a box that shines,
-a carpet with a picture that lies askew, and pots that nodes put there.
+a carpet with a picture that lies askew, and pots that nodes put there. With ``crowd`` there are copies of many kinds,
+tiled coordinates, and a script.
 """
 
 import json
@@ -115,6 +116,59 @@ def pots():
     unseen.hide_render = True
 
 
+def tile(thing, times):
+    """Coordinates that repeat a picture so many times over each polygon."""
+    layer = thing.data.uv_layers.new(name="tiles")
+    for polygon in thing.data.polygons:
+        for loop, uv in zip(polygon.loop_indices, ((0, 0), (1, 0), (1, 1), (0, 1)), strict=True):
+            layer.uv[loop].vector = [times * x for x in uv]
+
+
+def crowd(paints, library):
+    """Tiled coordinates, a mirrored bench with bevels, stools that a collection shows three times, one of them with a
+    material of its own, a picture whose coordinates serve as they are, a text, and a vase of another file.
+    """
+    tile(bpy.data.objects["room"], 3.0)
+    bench = box("bench", (0.0, 0.9, 0.0), (0.5, 1.3, 0.4), [paints["left"], paints["right"]], [0, 1, 0, 0, 0, 0], (4,))
+    bench.location = (2.3, 0.0, 0.0)
+    tile(bench, 0.5)
+    mirror, bevel = bench.modifiers.new("half", "MIRROR"), bench.modifiers.new("round", "BEVEL")
+    mirror.use_clip, bevel.width, bevel.segments = True, 0.03, 2
+    group = bpy.data.collections.new("stools")
+    stool = box("stool", (-0.15, -0.15, 0.0), (0.15, 0.15, 0.4), [paints["ball"]])
+    bpy.context.collection.objects.unlink(stool)
+    group.objects.link(stool)
+    for x, turn in ((0.8, 0.0), (1.4, 0.6), (2.9, 1.1)):
+        shown = bpy.data.objects.new("stools", None)
+        shown.instance_type, shown.instance_collection = "COLLECTION", group
+        shown.location, shown.rotation_euler = (x, 4.3, 0.0), (0.0, 0.0, turn)
+        bpy.context.collection.objects.link(shown)
+    other = bpy.data.objects.new("red stool", stool.data)
+    other.location = (3.4, 2.4, 0.0)
+    bpy.context.collection.objects.link(other)
+    other.material_slots[0].link, other.material_slots[0].material = "OBJECT", paints["left"]
+    poster = solid("poster", [(1.2, 4.98, 1.0), (2.6, 4.98, 1.0), (2.6, 4.98, 2.0), (1.2, 4.98, 2.0)], [(0, 1, 2, 3)],
+                   [paints["right"]])  # fmt: skip
+    own = poster.data.uv_layers.new(name="own")
+    for loop, uv in zip(own.uv, ((0.1, 0.1), (0.9, 0.1), (0.9, 0.9), (0.1, 0.9)), strict=True):
+        loop.vector = uv
+    text = bpy.data.curves.new("word", "FONT")
+    text.body, text.size, text.extrude = "Hi", 0.7, 0.05
+    text.materials.append(paints["left"])
+    word = bpy.data.objects.new("word", text)
+    word.location, word.rotation_euler = (0.05, 1.2, 1.4), (1.5708, 0.0, 1.5708)
+    bpy.context.collection.objects.link(word)
+    vase = box("vase", (3.6, 0.3, 0.0), (3.8, 0.5, 0.5), [paints["table"].copy()])
+    bpy.data.libraries.write(library, {vase}, fake_user=True)  # a library of its own, linked
+    bpy.data.objects.remove(vase)
+    with bpy.data.libraries.load(library, link=True) as (_, linked):
+        linked.objects = ["vase"]
+    bpy.context.collection.objects.link(linked.objects[0])
+    script = bpy.data.texts.new("run.py")  # what runs by itself where scripts may run
+    script.from_string("import pathlib, bpy\npathlib.Path(bpy.data.filepath).with_name('ran').touch()\n")
+    script.use_module = True
+
+
 def shine_more():
     """A sky, a sun, a spot, a point and a box that shines."""
     world = bpy.context.scene.world = bpy.data.worlds.new("sky")
@@ -194,6 +248,7 @@ def furnish(is_open):
     bright.location = (0.6, 4.3, 1.4)
     for thing in (lamp, bright):
         bpy.context.collection.objects.link(thing)
+    return paints
 
 
 def look(name, eye, target):
@@ -250,7 +305,9 @@ def settings(job):
 
 def main(job):
     bpy.ops.wm.read_factory_settings(use_empty=True)
-    furnish(job.get("open", False))
+    paints = furnish(job.get("open", False))
+    if job.get("crowd", False):
+        crowd(paints, str(Path(job["blend"]).with_name("library.blend")))
     made = cameras(job["views"])
     settings(job)
     bpy.ops.wm.save_as_mainfile(filepath=job["blend"])

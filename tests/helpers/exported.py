@@ -27,10 +27,12 @@ def assembled(scene, hide_environment=False):
     return assemble(scene, ModelSettings(**fields, method=Direct()), hide_environment)
 
 
-def exported(scene, out, hide_environment=False, **settings):
-    """``neurad export`` of a scene into ``out``, which is returned; without verification unless it is asked for."""
+def exported(scene, out, hide_environment=False, made=None, **settings):
+    """``neurad export`` of a scene, or of the parts ``made``, into ``out``, which is returned; without
+    verification unless it is asked for.
+    """
     settings = {"size": 16, "verify": False, **settings}
-    export(assembled(scene, hide_environment), Path("last.ckpt"), ExportSettings(out=Path(out), **settings))
+    export(made or assembled(scene, hide_environment), Path("last.ckpt"), ExportSettings(out=Path(out), **settings))
     return Path(out)
 
 

@@ -31,19 +31,19 @@ def setup(folder: Path) -> dict[str, Any]:
             if thing.parent is None:
                 thing.location = (0.0, 0.0, 0.0)
     _render_settings(scene, room)
-    _world(scene, room, folder)
+    set_world(scene, room, folder)
     _lights(room)
-    table = _over_angles(room, folder)
+    table = over_angles(room, folder)
     for mesh in room["meshes"]:
         material = bpy.data.materials.get(mesh["name"])
         if material is None or material.node_tree is None:
             continue
         if table is not None and mesh["base_color_converted"]:
-            _colour_by_angle(material, table)
+            colour_by_angle(material, table)
         if mesh["emits"]:
             _shine_to_the_front(material)
         if not mesh["two_sided"]:
-            _black_from_behind(material)
+            black_from_behind(material)
     cameras = [thing for thing in bpy.data.objects if thing.type == "CAMERA"]
     scene.camera = next((c for c in cameras if c.data.name == room["camera"]), cameras[0] if cameras else None)
     if room["film"] is not None:  # that of this camera; without a pinhole among them there are no cameras
@@ -52,21 +52,32 @@ def setup(folder: Path) -> dict[str, Any]:
     return room
 
 
-def _render_settings(scene: Any, room: dict[str, Any]) -> None:
-    """Light as it is: nothing clamped, blurred, denoised or left out, and colours as they are."""
+def light_paths(scene: Any, max_depth: int) -> None:
+    """Cycles with light as it is: nothing clamped, blurred or left out."""
     scene.render.engine = "CYCLES"
     cycles = scene.cycles
-    cycles.samples = SAMPLES
     cycles.sample_clamp_direct = cycles.sample_clamp_indirect = 0.0
     cycles.blur_glossy = 0.0
     cycles.caustics_reflective = cycles.caustics_refractive = True
+    bounces = max(min(max_depth - 2, 1024), 0)
+    for kind in ("max", "diffuse", "glossy", "transmission", "transparent_max"):
+        setattr(cycles, f"{kind}_bounces", bounces)
+
+
+def pixels_alone(scene: Any) -> None:
+    """All samples for each pixel, nothing from its neighbours."""
+    cycles = scene.cycles
     cycles.use_denoising = False
     cycles.use_adaptive_sampling = False
     cycles.pixel_filter_type = "BOX"
     cycles.filter_width = 1.0
-    bounces = max(min(room["max_depth"] - 2, 1024), 0)
-    for kind in ("max", "diffuse", "glossy", "transmission", "transparent_max"):
-        setattr(cycles, f"{kind}_bounces", bounces)
+
+
+def _render_settings(scene: Any, room: dict[str, Any]) -> None:
+    """Light and pixels as they are, and colours, too."""
+    light_paths(scene, room["max_depth"])
+    pixels_alone(scene)
+    scene.cycles.samples = SAMPLES
     scene.render.film_transparent = room["hide_environment"]
     scene.render.dither_intensity = 0.0
     scene.display_settings.display_device = "sRGB"
@@ -75,7 +86,7 @@ def _render_settings(scene: Any, room: dict[str, Any]) -> None:
     scene.view_settings.exposure, scene.view_settings.gamma = 0.0, 1.0
 
 
-def _world(scene: Any, room: dict[str, Any], folder: Path) -> None:
+def set_world(scene: Any, room: dict[str, Any], folder: Path) -> None:
     """The environment, turned as it was; black without one."""
     world = scene.world = bpy.data.worlds.new("room")
     world.use_nodes = True
@@ -145,12 +156,12 @@ def _cone(spot: Any, cutoff: float, beam: float) -> None:
     links.new(falloff.outputs["Result"], emission.inputs["Strength"])
 
 
-def _shader(material: Any) -> Any:
+def principled(material: Any) -> Any:
     """The principled node of an imported material."""
     return next(node for node in material.node_tree.nodes if node.type == "BSDF_PRINCIPLED")
 
 
-def _over_angles(room: dict[str, Any], folder: Path) -> Any:
+def over_angles(room: dict[str, Any], folder: Path) -> Any:
     """What base colours are multiplied by, over the cosine to the viewer and roughness; None where they are not."""
     if room["base_color_over_angles"] is None:
         return None
@@ -159,10 +170,10 @@ def _over_angles(room: dict[str, Any], folder: Path) -> Any:
     return table
 
 
-def _colour_by_angle(material: Any, table: Any) -> None:
+def colour_by_angle(material: Any, table: Any) -> None:
     """A base colour that sends as much light into each direction as it did where it was recovered."""
     nodes, links = material.node_tree.nodes, material.node_tree.links
-    shader = _shader(material)
+    shader = principled(material)
     colour, roughness = shader.inputs["Base Color"], shader.inputs["Roughness"]
     kinds = ("NewGeometry", "VectorMath", "Math", "CombineXYZ", "TexImage", "VectorMath")
     geometry, dot, cosine, where, gain, times = (nodes.new(f"ShaderNode{kind}") for kind in kinds)
@@ -188,7 +199,7 @@ def _colour_by_angle(material: Any, table: Any) -> None:
 def _shine_to_the_front(material: Any) -> None:
     """Light leaves by the front alone: strength times 1 - Backfacing."""
     nodes, links = material.node_tree.nodes, material.node_tree.links
-    strength = _shader(material).inputs["Emission Strength"]
+    strength = principled(material).inputs["Emission Strength"]
     geometry, front = nodes.new("ShaderNodeNewGeometry"), nodes.new("ShaderNodeMath")
     front.operation = "MULTIPLY_ADD"
     links.new(geometry.outputs["Backfacing"], front.inputs[0])
@@ -197,14 +208,14 @@ def _shine_to_the_front(material: Any) -> None:
     material.cycles.emission_sampling = "FRONT"
 
 
-def _black_from_behind(material: Any) -> None:
+def black_from_behind(material: Any) -> None:
     """A one-sided surface reflects nothing from behind."""
     nodes, links = material.node_tree.nodes, material.node_tree.links
     output = next(node for node in nodes if node.type == "OUTPUT_MATERIAL")
     geometry, black, mix = (nodes.new(f"ShaderNode{kind}") for kind in ("NewGeometry", "BsdfDiffuse", "MixShader"))
     black.inputs["Color"].default_value = (0.0, 0.0, 0.0, 1.0)
     links.new(geometry.outputs["Backfacing"], mix.inputs[0])
-    links.new(_shader(material).outputs[0], mix.inputs[1])
+    links.new(principled(material).outputs[0], mix.inputs[1])
     links.new(black.outputs[0], mix.inputs[2])
     links.new(mix.outputs[0], output.inputs["Surface"])
 

@@ -86,7 +86,7 @@ def _written(settings: ImportSettings) -> Iterator[Path]:
             raise InputError(f"--blender: {shown(source)} is written already, Blender has nothing to do with it")
         yield source
         return
-    blend = _blend_file(source)
+    blend = blend_file(source)
     blender = find_blender(settings.blender)
     with tempfile.TemporaryDirectory(prefix="neurad-") as made:
         said = blender.run(write_room_path(), [made, str(blend)])
@@ -95,7 +95,7 @@ def _written(settings: ImportSettings) -> Iterator[Path]:
         yield Path(made)
 
 
-def _blend_file(source: Path) -> Path:
+def blend_file(source: Path) -> Path:
     """The file itself, or the only one of its kind in a folder.
 
     Raises:

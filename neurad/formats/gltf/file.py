@@ -249,7 +249,8 @@ class GltfFile:
         name = self._beside(uri, where)
         return read_bytes(self.path.parent / name, missing=f"{self.path.name} refers to this file, which is missing")
 
-    def _buffer(self, index: Any, where: str) -> bytes:
+    def buffer(self, index: Any, where: str) -> bytes:
+        """The bytes of a buffer."""
         item = self.item("buffers", index, where)
         if index not in self._buffers:
             about = f"buffer {index}"
@@ -272,14 +273,21 @@ class GltfFile:
         item, about = self.item("bufferViews", index, where), f"buffer view {shown(index)}"
         if not self._has_data(item.get("buffer")):
             self.check_uncompressed(item, about)
-        data = self._buffer(item.get("buffer"), about)
+        data = self.buffer(item.get("buffer"), about)
         start, length = self.count(item, "byteOffset", 0, about), self.count(item, "byteLength", None, about)
         if start + length > len(data):
             raise self.error(f"{about} ends at byte {start + length} of {len(data)}")
         return memoryview(data)[start : start + length], self.count(item, "byteStride", 0, about)
 
     def accessor(self, index: Any, where: str, *kinds: str) -> Array:
-        """The values of an accessor [count, width]: float32, or int64 of integers that are not normalised.
+        """The values of an accessor [count, width]: float32, or int64 of integers that are not normalised; see
+        :meth:`stored`.
+        """
+        item, values = self.stored(index, where, *kinds)
+        return _as_numbers(values, item.get("normalized") is True)
+
+    def stored(self, index: Any, where: str, *kinds: str) -> tuple[Json, Array]:
+        """An accessor, and its values [count, width] in the type that they have in the file.
 
         Args:
             index: of the accessor.
@@ -303,7 +311,7 @@ class GltfFile:
             values = np.zeros((count, width), dtype)
         if "sparse" in item:
             values = self._sparse(self.object(item, "sparse", about), values, about)
-        return _as_numbers(values, item.get("normalized") is True)
+        return item, values
 
     def _strided(self, item: Json, dtype: np.dtype[Any], count: int, width: int, about: str) -> Array:
         data, stride = self.view(item["bufferView"], about)

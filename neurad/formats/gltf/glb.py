@@ -19,6 +19,8 @@ LARGEST = 2**32 - 1
 _FLOAT, _SHORT, _INT = 5126, 5123, 5125
 _VERTICES, _TRIANGLES = 34962, 34963
 _LINEAR, _MIPMAPS, _CLAMP = 9729, 9987, 33071
+SAMPLER = {"magFilter": _LINEAR, "minFilter": _MIPMAPS, "wrapS": _CLAMP, "wrapT": _CLAMP}
+"""How pictures are looked up."""
 _LISTS = ("nodes", "meshes", "materials", "cameras", "textures", "images", "accessors", "bufferViews")
 
 
@@ -27,26 +29,32 @@ class GlbWriter:
 
     Args:
         buffer: a file opened for writing bytes.
+        json: of a file that is taken over, without what its buffers hold.
     """
 
-    def __init__(self, buffer: IO[bytes]) -> None:
+    def __init__(self, buffer: IO[bytes], json: Json | None = None) -> None:
         self.buffer = buffer
         self.length = 0
-        self.json: Json = {name: [] for name in _LISTS}
-        self.extensions: set[str] = set()
+        self.json: Json = {name: [] for name in _LISTS} | (json or {})
+        self.extensions: set[str] = set(self.json.get("extensionsUsed", ()))
 
     def add(self, kind: str, item: Json) -> int:
         """Append to one of the lists of the file; returns its number."""
         self.json[kind].append(item)
         return len(self.json[kind]) - 1
 
-    def view(self, data: bytes, target: int | None = None) -> int:
-        """Append to the buffer; returns the number of the view."""
-        item: Json = {"buffer": 0, "byteOffset": self.length, "byteLength": len(data)}
-        if target is not None:
-            item["target"] = target
+    def append(self, data: bytes) -> int:
+        """Append to the buffer; returns where that begins."""
+        begin = self.length
         self.buffer.write(data + b"\0" * (-len(data) % 4))
         self.length += len(data) + -len(data) % 4
+        return begin
+
+    def view(self, data: bytes, target: int | None = None) -> int:
+        """Append to the buffer; returns the number of the view."""
+        item: Json = {"buffer": 0, "byteOffset": self.append(data), "byteLength": len(data)}
+        if target is not None:
+            item["target"] = target
         return self.add("bufferViews", item)
 
     def vertices(self, values: FloatArray, bounds: bool = False) -> int:
@@ -70,7 +78,10 @@ class GlbWriter:
     def texture(self, png: bytes, name: str) -> Json:
         """Append a picture; returns what refers to it."""
         image = self.add("images", {"bufferView": self.view(png), "mimeType": "image/png", "name": name})
-        return {"index": self.add("textures", {"source": image, "sampler": 0})}
+        if SAMPLER not in self.json.setdefault("samplers", []):
+            self.json["samplers"].append(SAMPLER)
+        sampler = self.json["samplers"].index(SAMPLER)
+        return {"index": self.add("textures", {"source": image, "sampler": sampler})}
 
     def finish(self, path: Path, buffer: Path) -> None:
         """Write the file around the buffer, which has been closed.
@@ -81,9 +92,6 @@ class GlbWriter:
         """
         document = {name: value for name, value in self.json.items() if value != []}
         document["buffers"] = [{"byteLength": self.length}]
-        if self.json["textures"]:
-            clamp = {"wrapS": _CLAMP, "wrapT": _CLAMP}
-            document["samplers"] = [{"magFilter": _LINEAR, "minFilter": _MIPMAPS, **clamp}]
         if self.extensions:
             document["extensionsUsed"] = sorted(self.extensions)
         text = json.dumps(document, separators=(",", ":"), allow_nan=False).encode()

@@ -24,7 +24,7 @@ from neurad.runtime.reading import listed, shown
 from neurad.scene.polygons import check_triangle_count
 
 ENDINGS = (".glb", ".gltf")
-_TRIANGLES, _STRIP, _FAN = 4, 5, 6
+TRIANGLES, _STRIP, _FAN = 4, 5, 6
 _SETS = 8  # sets of texture coordinates that are looked for
 
 
@@ -54,13 +54,13 @@ def read_gltf(path: str | Path, lamps: bool = True) -> GltfRoom:
         InputError: a file is missing or broken, or the scene uses what neurad cannot render; a sentence says what.
     """
     file = GltfFile(path)
-    room = _Reader(file, lamps).room()
+    room = GltfReader(file, lamps).room()
     if not room.meshes:
         raise file.error("it has no triangle")
     return room
 
 
-class _Reader:
+class GltfReader:
     """A file on its way to a room."""
 
     def __init__(self, file: GltfFile, lamps: bool) -> None:
@@ -123,11 +123,11 @@ class _Reader:
         count = 0
         with suppress(InputError):
             for primitive in self.file.array(self.file.item("meshes", node.item["mesh"], ""), "primitives", ""):
-                mode = primitive.get("mode", _TRIANGLES) if isinstance(primitive, dict) else None
-                if mode in (_TRIANGLES, _STRIP, _FAN):
+                mode = primitive.get("mode", TRIANGLES) if isinstance(primitive, dict) else None
+                if mode in (TRIANGLES, _STRIP, _FAN):
                     of_places = self.file.object(primitive, "attributes", "").get("POSITION")
                     corners = self.file.item("accessors", primitive.get("indices", of_places), "")
-                    count += self.file.count(corners, "count", None, "") // (3 if mode == _TRIANGLES else 1)
+                    count += self.file.count(corners, "count", None, "") // (3 if mode == TRIANGLES else 1)
             return count * instances_of(self.file, node)[0]
         return 0
 
@@ -161,8 +161,8 @@ class _Reader:
 
     def _primitive(self, poses: Array, primitive: Json, name: str) -> Iterator[Mesh]:
         where = f"mesh {shown(name)}"
-        mode = self.file.count(primitive, "mode", _TRIANGLES, where)
-        if mode not in (_TRIANGLES, _STRIP, _FAN):
+        mode = self.file.count(primitive, "mode", TRIANGLES, where)
+        if mode not in (TRIANGLES, _STRIP, _FAN):
             if mode > _FAN:
                 raise self.file.error(f"{where} has the mode {mode}, which is not known")
             self._note(f"{where} is of points or lines, which have no surface, and is left out")
@@ -172,8 +172,8 @@ class _Reader:
             raise self.file.error(f"{where} has no POSITION")
         if "bufferView" not in self.file.item("accessors", attributes["POSITION"], where):
             self.file.check_uncompressed(primitive, where)
-        places = self._values(attributes, "POSITION", where, "VEC3")
-        faces = self._faces(primitive, mode, len(places), where)
+        places = self.values(attributes, "POSITION", where, "VEC3")
+        faces = self.faces(primitive, mode, len(places), where)
         if len(faces) == 0:
             self._note(f"{where} has no triangle and is left out")
             return
@@ -181,20 +181,21 @@ class _Reader:
         reserve(f"{shown(self.file.path)}: {where}", 200 * made, 120 * made)
         yield from self._parts(poses, primitive, attributes, name, places, faces)
 
-    def _values(self, attributes: Json, key: str, where: str, *kinds: str) -> Array:
+    def values(self, attributes: Json, key: str, where: str, *kinds: str) -> Array:
+        """An attribute of a primitive's vertices [v, width]."""
         return self.file.accessor(attributes[key], f"{where}: {key}", *kinds)
 
-    def _faces(self, primitive: Json, mode: int, count: int, where: str) -> IntArray:
+    def faces(self, primitive: Json, mode: int, count: int, where: str) -> IntArray:
         """The triangles of a primitive by the numbers of their vertices [f, 3]."""
         if "indices" in primitive:
-            order = self._values(primitive, "indices", where, "SCALAR")[:, 0]
+            order = self.values(primitive, "indices", where, "SCALAR")[:, 0]
             if order.dtype != np.int64:
                 raise self.file.error(f"{where}: its indices are not whole numbers")
             if order.min() < 0 or order.max() >= count:
                 raise self.file.error(f"{where}: an index names vertex {order.max()}, of {count} (numbered from 0)")
         else:
             order = np.arange(count, dtype=np.int64)
-        if mode == _TRIANGLES:
+        if mode == TRIANGLES:
             if len(order) % 3:
                 raise self.file.error(f"{where} has {len(order)} corners, which are no whole number of triangles")
             return np.ascontiguousarray(order.reshape(-1, 3))
@@ -219,7 +220,7 @@ class _Reader:
         corners = self._corners(attributes, len(places), used, where)
         normals = None
         if "NORMAL" in attributes:
-            normals = self._values(attributes, "NORMAL", where, "VEC3")
+            normals = self.values(attributes, "NORMAL", where, "VEC3")
             self._check_count(normals, len(places), f"{where}: NORMAL")
             normals = normals[used]
         index = primitive.get("material")
@@ -248,12 +249,12 @@ class _Reader:
         uvs: dict[int, Array] = {}
         for number in range(_SETS):
             if (key := f"TEXCOORD_{number}") in attributes:
-                values = self._values(attributes, key, where, "VEC2").astype(np.float32)
+                values = self.values(attributes, key, where, "VEC2").astype(np.float32)
                 self._check_count(values, count, f"{where}: {key}")
                 uvs[number] = values[used]
         colours = None
         if "COLOR_0" in attributes:
-            values = self._values(attributes, "COLOR_0", where, "VEC3", "VEC4")
+            values = self.values(attributes, "COLOR_0", where, "VEC3", "VEC4")
             self._check_count(values, count, f"{where}: COLOR_0")
             colours = values[used].astype(np.float32)
             within(colours, f"{shown(self.file.path)}: {where}: COLOR_0", -TEXEL, TEXEL)

@@ -104,20 +104,20 @@ class Room:
         count = len(mesh.loop_triangles)
         if count == 0:
             return None
-        loops = _values(mesh.loop_triangles, "loops", (count, 3), np.int32)
-        of_loop = _values(mesh.loops, "vertex_index", (len(mesh.loops),), np.int32)
+        loops = values(mesh.loop_triangles, "loops", (count, 3), np.int32)
+        of_loop = values(mesh.loops, "vertex_index", (len(mesh.loops),), np.int32)
         arrays = {
-            "vertices": _values(mesh.vertices, "co", (len(mesh.vertices), 3), np.float32),
+            "vertices": values(mesh.vertices, "co", (len(mesh.vertices), 3), np.float32),
             "faces": of_loop[loops],
-            "material": _values(mesh.loop_triangles, "material_index", (count,), np.int32),
+            "material": values(mesh.loop_triangles, "material_index", (count,), np.int32),
         }
         flat = mesh.normals_domain == "FACE"
         if not flat:
-            arrays["normals"] = _values(mesh.corner_normals, "vector", (len(mesh.loops), 3), np.float32)[loops]
+            arrays["normals"] = values(mesh.corner_normals, "vector", (len(mesh.loops), 3), np.float32)[loops]
         names = {}
         for index, layer in enumerate(mesh.uv_layers):
             names[layer.name] = f"uv{index}"
-            arrays[f"uv{index}"] = _values(layer.uv, "vector", (len(mesh.loops), 2), np.float32)[loops]
+            arrays[f"uv{index}"] = values(layer.uv, "vector", (len(mesh.loops), 2), np.float32)[loops]
             if layer.active_render:
                 names[""] = f"uv{index}"
         file = f"mesh{self._count:05d}.npz"
@@ -225,7 +225,7 @@ def as_rendered(scene: Any) -> None:
     bpy.context.view_layer.update()
 
 
-def _values(items: Any, name: str, shape: tuple[int, ...], kind: Any) -> Any:
+def values(items: Any, name: str, shape: tuple[int, ...], kind: Any) -> Any:
     """An attribute of all items of a collection as an array."""
     array = np.empty(math.prod(shape), kind)
     items.foreach_get(name, array)

@@ -1,0 +1,229 @@
+"""Textures of what stands in a room many times: means over all copies, by what is known of each."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from typing import Self
+
+import numpy as np
+from scipy.spatial import cKDTree
+
+from neurad.assembly.build import Assembly, FittedMaterials
+from neurad.core.records import FloatArray, IntArray, Mesh
+from neurad.evidence.error_bars import ErrorBars
+from neurad.export import raster_kernels
+from neurad.export.bake import Baked, bake, push_pull
+from neurad.export.charts import Chart, find_charts, in_texels, triangle_areas
+from neurad.export.evidence import CoarseTexels, coarse_texels, seen_texels, std_maps
+from neurad.export.grid import grid_chart
+from neurad.export.raster_kernels import Array
+from neurad.metrics.seen import SeenBy
+from neurad.scene.geometry import Geometry
+
+REACH = 2e-5
+"""How far corners of one triangle may lie apart in two files, in radii of the room: twenty units in the last place of
+float32."""
+NEIGHBOURS = 4
+"""Triangles that are compared with each: sheets lie back to back."""
+FINEST = 1.0 / 255.0
+"""Standard deviation below which nothing is known better: a step of an 8-bit texture."""
+GUESS = 1e-3
+"""Weight of what no photograph shows beside what one does."""
+CONSTANT = 64
+"""Side of the texture whose mean is taken where a surface has no coordinates."""
+
+
+Part = tuple[Array, Array | None, IntArray, IntArray]
+"""What :class:`Copies` has of one instance."""
+
+
+@dataclass(frozen=True)
+class Copies:
+    """Everything that one texture is on, all copies of it."""
+
+    points: Array
+    """Corners of the triangles, each as the scene orders those of its own [t, 3, 3], in the scene's frame."""
+    uvs: Array | None
+    """Texture coordinates of the corners [t, 3, 2]; None where one value has to do."""
+    prims: IntArray
+    """Numbers of the scene's triangles [t]."""
+    thing: IntArray
+    """Number of the instance that each belongs to [t]."""
+
+    @classmethod
+    def joined(cls, parts: Sequence[Part]) -> Self:
+        """All copies, from the fields of each; one without coordinates leaves all without."""
+        points, uvs, prims, thing = zip(*parts, strict=True) if parts else ((), (None,), (), ())
+        empty = np.zeros(0, np.int64)
+        known = [part for part in uvs if part is not None]
+        return cls(
+            np.concatenate([np.zeros((0, 3, 3)), *points]),
+            np.concatenate([np.zeros((0, 3, 2)), *known]) if len(known) == len(uvs) else None,
+            np.concatenate([empty, *prims]),
+            np.concatenate([empty, *thing]),
+        )
+
+
+class Matcher:
+    """Finds the triangles of a scene again among those of another file.
+
+    Args:
+        geometry: of the scene.
+    """
+
+    def __init__(self, geometry: Geometry) -> None:
+        self.area = self.known = 0.0
+        """Of all triangles that :meth:`part` was asked for, and of those that the scene has."""
+        self.corners = geometry.vertices[geometry.faces].numpy().astype(np.float64)
+        self.tree = cKDTree(self.corners.mean(1))
+        self.reach = REACH * geometry.scale
+
+    def __call__(self, points: Array) -> tuple[IntArray, IntArray]:
+        """Numbers of the scene's triangles, -1 of what it has not [t], and which corner each of theirs is [t, 3].
+
+        Args:
+            points: corners of triangles in the scene's frame [t, 3, 3].
+        """
+        least = np.full(len(points), 2.0 * self.reach)
+        prims, order = np.full(len(points), -1), np.tile(np.arange(3), (len(points), 1))
+        _, near = self.tree.query(points.mean(1), [*range(1, NEIGHBOURS + 1)], distance_upper_bound=self.reach)
+        for prim in near.T:
+            found = np.flatnonzero(prim < len(self.corners))
+            apart = np.linalg.norm(self.corners[prim[found], :, None] - points[found, None], axis=-1)
+            corner = apart.argmin(-1)
+            turned = (corner[:, 1] - corner[:, 0]) % 3 != 1  # the other winding: only where there is nothing else
+            error = apart.min(-1).max(-1)
+            good = (error <= self.reach) & (corner.sum(1) == 3) & (corner.prod(1) == 0) & (corner.max(1) == 2)
+            good &= error + self.reach * turned < least[found]
+            found, kept = found[good], good
+            least[found] = (error + self.reach * turned)[kept]
+            prims[found], order[found] = prim[found], corner[kept]
+        return prims, order
+
+    def part(self, points: Array, uvs: Array | None, pose: Array, origin: Array, thing: int) -> Part:
+        """The triangles of an instance that the scene has.
+
+        Args:
+            points: corners of its triangles [t, 3, 3].
+            uvs: their texture coordinates [t, 3, 2].
+            pose: takes the corners to the frame of the files [4, 4].
+            origin: of the scene in that frame [3].
+            thing: number of the instance.
+        """
+        points = points.astype(np.float64) @ pose[:3, :3].T + pose[:3, 3] - origin
+        if np.linalg.det(pose[:3, :3]) < 0:  # it is wound the other way round
+            points, uvs = points[:, [0, 2, 1]], None if uvs is None else uvs[:, [0, 2, 1]]
+        prims, order = self(points)
+        sizes = triangle_areas(points)
+        self.area, self.known = self.area + float(sizes.sum()), self.known + float(sizes[prims >= 0].sum())
+        good = np.flatnonzero((prims >= 0) & (sizes > 0))
+        row, corner = good[:, None], order[good]
+        placed = None if uvs is None else uvs[row, corner].astype(np.float64)
+        return points[row, corner], placed, prims[good], np.full(len(good), thing)
+
+
+@dataclass(frozen=True)
+class Mixed:
+    """The texture of all copies."""
+
+    baked: Baked
+    layers: int
+    """How many copies share a texel at most."""
+    apart: float
+    """Root of the mean squared difference of shared texels' albedo to the mean."""
+
+
+def mixed(
+    copies: Copies,
+    side: int,
+    assembly: Assembly,
+    seen_by: SeenBy,
+    bars: ErrorBars | None,
+    done: Callable[[int], None] = lambda texels: None,
+) -> Mixed:
+    """Bake each copy, and take the mean by what is known of each: by the inverse of its variance where the run has
+    error bars, otherwise by whether a photograph shows it.
+
+    Args:
+        copies: what the texture is on.
+        side: of the texture; of what has no coordinates a single value is made.
+        assembly: of the run, on the CPU.
+        seen_by: cameras of the training views.
+        bars: of the run.
+        done: called with numbers of texels that are known, which count twice.
+    """
+    geometry, parameters = assembly.world.geometry, assembly.scene.parameters
+    emits = (geometry.emission > 0).any(-1)
+    charts = _charts(copies, side)
+    covered = np.zeros((charts[0][0].height, charts[0][0].width), np.int64)
+    total, weights, squared = np.zeros((3, *covered.shape, sum(p.channels for p in parameters)), np.float32)
+    for chart, prims in charts:
+        baked = bake(chart, prims, geometry, assembly.materials, done, parameters)
+        weight = np.broadcast_to(np.float32(1.0), baked.pixels.shape)
+        if len(charts) > 1:
+            texels = coarse_texels(chart, prims, geometry)
+            stds = {}
+            if bars is not None and isinstance(assembly.materials, FittedMaterials):
+                stds = std_maps(texels, bars, assembly.materials, emits)
+            shown = _picture(texels, seen_texels([texels], seen_by)[0].astype(np.float32))
+            parts = [
+                np.repeat(1.0 / (stds[p.name].mean(-1, keepdims=True) ** 2 + FINEST**2), p.channels, -1)
+                if p.name in stds else np.repeat(shown + GUESS, p.channels, -1)
+                for p in parameters
+            ]  # fmt: skip
+            weight = _as_large(np.concatenate(parts, -1), covered.shape)
+        weight = np.where(baked.covered[..., None], weight, 0.0)
+        pixels = baked.pixels.astype(np.float32)
+        total, weights, squared = total + weight * pixels, weights + weight, squared + weight * pixels**2
+        covered += baked.covered
+    mean = np.asarray(total / np.maximum(weights, 1e-30), np.float32)
+    known = covered > 0
+    shared, apart = covered > 1, 0.0
+    if shared.any():
+        variance = np.maximum(squared / np.maximum(weights, 1e-30) - mean**2, 0.0)
+        apart = float(np.sqrt(variance[shared][:, :3].mean()))
+    if copies.uvs is None:
+        mean = np.broadcast_to(mean[known].mean(0), (1, 1, mean.shape[-1])).astype(np.float32)
+        known = np.ones((1, 1), bool)
+    return Mixed(Baked(push_pull(mean, known).astype(np.float16), known, parameters), len(charts), apart)
+
+
+def _charts(copies: Copies, side: int) -> list[tuple[Chart, IntArray]]:
+    """The copies in layers, in each of which no two share a texel, with the numbers of their triangles."""
+    corners, faces = copies.points.reshape(-1, 3), np.arange(3 * len(copies.points)).reshape(-1, 3)
+    if copies.uvs is None:
+        return [(grid_chart(Mesh("", corners, faces, 0), 1.0, CONSTANT * CONSTANT, CONSTANT**2), copies.prims)]
+    # Coordinates that a modifier has moved by whole textures stand for the same texels.
+    uvs = copies.uvs - np.floor(copies.uvs.mean(1, keepdims=True))
+    mesh = Mesh("", corners, faces, 0, None, uvs.reshape(-1, 2).astype(np.float32))
+    texels = in_texels(mesh, side, side)
+    a, b = texels[:, 1] - texels[:, 0], texels[:, 2] - texels[:, 0]
+    mirrored = a[:, 0] * b[:, 1] < a[:, 1] * b[:, 0]  # halves that a mirror makes hang together with what they lie on
+    keys = np.stack((copies.thing, find_charts(mesh), mirrored), 1)
+    _, part = np.unique(keys, axis=0, return_inverse=True)
+    part = part.ravel()
+    by_part = np.argsort(part, kind="stable")
+    layer = np.empty(len(part), np.int64)
+    raster_kernels.stack(texels[by_part], part[by_part], np.zeros((side, side), np.int64), layer)
+    made = []
+    for number in range(int(layer.max()) + 1):
+        chosen = by_part[layer == number]
+        few = Mesh("", corners[faces[chosen]].reshape(-1, 3), faces[: len(chosen)], 0, None,
+                   uvs[chosen].reshape(-1, 2).astype(np.float32))  # fmt: skip
+        made.append((Chart(few, find_charts(few), side, side, "own"), copies.prims[chosen]))
+    return made
+
+
+def _picture(texels: CoarseTexels, values: FloatArray) -> FloatArray:
+    """Values of coarse texels [n] as a picture [h, w, 1], 0 elsewhere."""
+    picture = np.zeros(texels.shape, np.float32)
+    picture.ravel()[texels.lane] = values
+    return picture[..., None]
+
+
+def _as_large(picture: FloatArray, shape: tuple[int, ...]) -> FloatArray:
+    """A coarse picture [h, w, c] with every texel as large as it is in a texture of a shape."""
+    row, column = (np.arange(size) * small // size for size, small in zip(shape, picture.shape, strict=False))
+    large: FloatArray = picture[row][:, column]
+    return large

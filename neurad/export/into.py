@@ -1,0 +1,162 @@
+"""``neurad export --into room.blend``: what was recovered, in the file that its room came from."""
+
+from __future__ import annotations
+
+import tempfile
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+
+from neurad.assembly.build import Assembly
+from neurad.assembly.relight import recovered_scene
+from neurad.core.errors import InputError
+from neurad.core.records import Material
+from neurad.evidence.error_bars import ErrorBars
+from neurad.export.base_colour import Target, is_converted
+from neurad.export.copies import Matcher, mixed
+from neurad.export.into_blend import BlendRoom
+from neurad.export.into_glb import GlbRoom
+from neurad.export.layouts import Layout, lay_out, said_sizes
+from neurad.export.own_file import Opened, Painted, RoomFile
+from neurad.export.progress import StageProgress
+from neurad.export.run import ExportSettings
+from neurad.export.texels import densities
+from neurad.formats.blender.import_blender import blend_file
+from neurad.formats.blender.process import find_blender
+from neurad.metrics.seen import SeenBy
+from neurad.runtime.extras import need
+from neurad.runtime.files import replacing
+from neurad.runtime.reading import exists, listed, shown
+
+MATCHED = 0.5
+"""Fraction of a file's surface that has to be that of the run."""
+APART = 2.0 / 255.0
+"""Difference of copies that is worth a sentence."""
+
+
+def place_beside(source: Path) -> Path:
+    """Where the copy of a file goes if nothing else is said: beside it."""
+    return source.with_name(f"{source.stem}_recovered{source.suffix}")
+
+
+def export_into(assembly: Assembly, source: Path, settings: ExportSettings, bars: ErrorBars | None) -> None:
+    """Write a copy of the file that a room came from, with what was recovered on its own objects.
+
+    Args:
+        assembly: of the run, on the CPU.
+        source: the file; it is only read.
+        settings: what to write, and where.
+        bars: error bars of the run.
+
+    Raises:
+        InputError: the file is missing, is none of Blender or glTF, or not the room of the run; there is no Blender;
+            or the copy is there already or cannot be written.
+    """
+    need("xatlas", "export", "export: a texture atlas")
+    place = settings.out
+    check_free(place, source)
+    bar = StageProgress()
+    scene, geometry = assembly.scene, assembly.world.geometry
+    with tempfile.TemporaryDirectory(prefix="neurad-") as folder:
+        try:
+            file = _opened(source, settings, Path(folder))
+            density, seen = densities(assembly.world.tracer.tracer, geometry, scene, bar)
+            of_room = float(density @ seen / seen.sum()) if seen.sum() > 0 else float(density.mean())
+            parts = file.parts()
+            bar.stage("texture coordinates", 1)
+            layouts = lay_out(parts, of_room, settings.texels, settings.size, settings.group)
+            match = Matcher(geometry)
+            found = file.opened(layouts, match, np.array(scene.origin))
+            matched = match.known / max(match.area, 1e-30)
+            if matched < MATCHED:
+                raise InputError(
+                    f"--into {shown(source)}: it is not the room of the run, which has {100 * matched:.0f} % of "
+                    "its surface"
+                )
+            painted = _paint(assembly, found, layouts, settings.target, bars, bar, place)
+            bar.close()
+            with replacing(place, "--out") as part:
+                notes = file.write(painted, assembly, part)
+                check_free(place, source)
+        finally:
+            bar.close()
+    if matched < 1.0 - 1e-4:
+        notes.append(f"{100 * (1.0 - matched):.1f} % of the surface has no counterpart in the run")
+    _tell(place, found, painted, notes)
+
+
+def check_free(place: Path, source: Path) -> None:
+    """Refuse to write over anything, the file itself least of all.
+
+    Raises:
+        InputError: there is something.
+    """
+    if exists(place) or place.is_symlink():
+        same = " is the file itself, which is only read" if place.resolve() == source.resolve() else " is there already"
+        raise InputError(f"--out: {shown(place)}{same}; name another file by --out")
+
+
+def _opened(source: Path, settings: ExportSettings, folder: Path) -> RoomFile:
+    """The file, by its kind."""
+    kind = source.suffix.lower()
+    if kind == ".glb":
+        if settings.blender is not None:
+            raise InputError(f"--blender: {shown(source)} is glTF, Blender has nothing to do with it")
+        return GlbRoom(source, settings.group)
+    if kind != ".blend":
+        raise InputError(f"--into {shown(source)}: it is neither a Blender file (.blend) nor binary glTF (.glb)")
+    return BlendRoom(blend_file(source), find_blender(settings.blender), settings.group, folder)
+
+
+def _paint(
+    assembly: Assembly, found: Opened, layouts: Sequence[Layout], target: Target, bars: ErrorBars | None,
+    bar: StageProgress, place: Path,
+) -> list[Painted | None]:  # fmt: skip
+    """The textures of all surfaces; None of those that stay as they are: mirrors, glass and what shines."""
+    geometry, scene = assembly.world.geometry, recovered_scene(assembly)
+    emits = (geometry.emission > 0).any(-1).numpy()
+    of_prim = geometry.material.numpy()
+    area = geometry.face_area.numpy().astype(np.float64)
+    kept: list[Material | None] = []
+    for surface in found.surfaces:
+        prims = surface.copies.prims
+        by_material = np.bincount(of_prim[prims], area[prims], len(scene.materials)) if len(prims) else np.zeros(1)
+        material = scene.materials[int(by_material.argmax())]
+        plain = len(prims) > 0 and not material.model.is_delta and not emits[prims].all()
+        kept.append(material if plain else None)
+    used = [
+        layouts[surface.layout] for surface, material in zip(found.surfaces, kept, strict=True)
+        if material is not None and surface.layout is not None
+    ]  # fmt: skip
+    texels = sum(layout.side**2 for layout in used)
+    print(f"{shown(place)}: {len(used)} textures ({said_sizes(used)}), {texels / 1e6:.2f} M texels")
+    seen_by = SeenBy.of(geometry, assembly.world.tracer.tracer, scene.train)
+    bar.stage("textures", 2 * texels)
+    painted: list[Painted | None] = []
+    for surface, known in zip(found.surfaces, kept, strict=True):
+        if known is None:
+            painted.append(None)
+            continue
+        side = 0 if surface.layout is None else layouts[surface.layout].side
+        texture = mixed(surface.copies, side, assembly, seen_by, bars, bar.step)
+        painted.append(Painted(known, texture, target if is_converted(known) else "exact"))
+    return painted
+
+
+def _tell(place: Path, found: Opened, painted: Sequence[Painted | None], notes: Sequence[str]) -> None:
+    """Say what was written, what shares texels, and what was left alone."""
+    mixes = [(s.name, p.texture) for s, p in zip(found.surfaces, painted, strict=True) if p is not None]
+    shared = [(name, texture) for name, texture in mixes if texture.layers > 1]
+    print(f"{shown(place)}: {len(mixes)} materials, {place.stat().st_size / 1e6:.1f} MB")
+    if shared:
+        apart = max(texture.apart for _, texture in shared)
+        print(f"{len(shared)} of them are on copies that share texels, which have the mean by what is known of each; "
+              f"their albedo differs by {apart:.3f} at most (rms)")  # fmt: skip
+        far = sorted((t for t in shared if t[1].apart > APART), key=lambda t: -t[1].apart)
+        if far:
+            print(f"most: {listed(f'{name} ({t.layers} copies, {t.apart:.3f})' for name, t in far)}")
+    if found.loose:
+        print(f"left alone, as no recovered texture is for them: {listed(dict.fromkeys(found.loose))}")
+    for note in notes:
+        print(note)

@@ -1,0 +1,89 @@
+"""A file that a room came from, and what is put into it: its kinds have this in common."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Protocol
+
+import numpy as np
+
+from neurad.assembly.build import Assembly
+from neurad.core.parameters import PARAMETERS
+from neurad.core.records import Material
+from neurad.core.reflection import DiffuseLobe
+from neurad.export.base_colour import Target, base_for, is_converted, lobe_of
+from neurad.export.copies import Copies, Matcher, Mixed
+from neurad.export.images import Coded, coded
+from neurad.export.layouts import Layout, Polygons
+from neurad.export.raster_kernels import Array
+
+
+@dataclass(frozen=True)
+class Surface:
+    """What a texture of a file is for."""
+
+    name: str
+    layout: int | None
+    """Number of its layout; None where one value has to do."""
+    copies: Copies
+
+
+@dataclass(frozen=True)
+class Opened:
+    """What a file shows, once its parts have texture coordinates."""
+
+    surfaces: list[Surface]
+    loose: list[str]
+    """Things whose material none of the textures is for."""
+
+
+class RoomFile(Protocol):
+    """A file that a room came from."""
+
+    def parts(self) -> list[list[Polygons]]:
+        """Parts of its meshes, those together that share a texture."""
+
+    def opened(self, layouts: Sequence[Layout], match: Matcher, origin: Array) -> Opened:
+        """What it shows with these coordinates, matched with the run."""
+
+    def write(self, painted: Sequence[Painted | None], assembly: Assembly, part: Path) -> list[str]:
+        """Write the file; returns sentences about what it cannot hold."""
+
+
+@dataclass(frozen=True)
+class Painted:
+    """The material of a surface."""
+
+    material: Material
+    """By its model; its textures are not read."""
+    texture: Mixed
+    target: Target
+    """Whose base colours it gets."""
+
+    @property
+    def lobe(self) -> DiffuseLobe:
+        """The diffuse lobe that base colours are converted from."""
+        return lobe_of(self.material) if is_converted(self.material) else "burley"
+
+    def files(self, upwards: bool = False) -> Coded | None:
+        """Its textures; None where one value has to do.
+
+        Args:
+            upwards: v = 0 is the lowest row of a picture, not the highest.
+        """
+        if self.texture.baked.pixels.shape[:2] == (1, 1):
+            return None
+        return coded(
+            {key: x[::-1] if upwards else x for key, x in self.texture.baked.maps.items()}, self.target, self.lobe
+        )
+
+    def values(self) -> tuple[list[float], float, float]:
+        """Base colour, roughness and metalness of the first texel."""
+        albedo, roughness, metallic = (
+            self.texture.baked.maps.get(p.name, np.full((1, 1, p.channels), p.absent))[:1, :1].astype(np.float32)
+            for p in PARAMETERS
+        )
+        base = np.clip(base_for(self.target, albedo, roughness, self.lobe), 0.0, 1.0)
+        return [float(x) for x in base.ravel()], roughness.item(), metallic.item()
