@@ -20,15 +20,16 @@ from neurad.assembly.model_settings import ModelSettings
 from neurad.assembly.region import Region, training_region
 from neurad.assembly.resolution import finest_cells, resolve_finest
 from neurad.bsdf.table import make_bsdf
-from neurad.core.parameters import ALBEDO, ROUGHNESS, SurfaceParameter, recovered
+from neurad.core.parameters import ALBEDO, METALLIC, ROUGHNESS, SurfaceParameter, recovered
 from neurad.core.protocols import Emitter
-from neurad.core.records import Surface, SurfaceInteraction
+from neurad.core.records import DIELECTRIC, Surface, SurfaceInteraction
 from neurad.emitters.fitted import FittedEnvironment
 from neurad.emitters.fitted_lamps import FittedLamps
 from neurad.emitters.lights import Lights, WithPunctual, make_lights
 from neurad.fields.development import FittedDevelopment
 from neurad.fields.hierarchy import DETAILS, Hierarchy
 from neurad.fields.material import HIERARCHY_CELLS, MaterialField
+from neurad.fields.metalness import Metalness
 from neurad.fields.radiance import RadianceField
 from neurad.fields.settings import FieldConfig, RadianceConfig, RoughnessConfig
 from neurad.integrators.delta import DeltaSurfaces
@@ -101,6 +102,12 @@ class FittedMaterials(nn.Module):
         """Meshes on which the scene's own values hold, see :func:`pin_emitter_materials`."""
 
     @property
+    def metalness(self) -> Metalness | None:
+        """What finds metals; None where the scene's own metalness holds."""
+        found = [field for field in self.fields.values() if isinstance(field, Metalness)]
+        return found[0] if found else None
+
+    @property
     def recovered(self) -> dict[str, MaterialField]:
         """The fields that are trained, by name of their parameter."""
         return {name: field for name, field in self.fields.items() if isinstance(field, MaterialField)}
@@ -133,15 +140,18 @@ class FittedMaterials(nn.Module):
         """Recovered parameters [n, channels] at positions [n, 3] in the scene's frame, on any device, by name; on the
         triangles ``prim`` [n], or on what lies nearest.
         """
-        fields, albedo = self.recovered, self.albedo_at(p)
+        fields, albedo, metal = self.recovered, self.albedo_at(p), self.metalness
         p = p.to(albedo.device)
-        return {name: albedo if name == ALBEDO.name else field.at(p, albedo, prim) for name, field in fields.items()}
+        found = {name: albedo if name == ALBEDO.name else field.at(p, albedo, prim) for name, field in fields.items()}
+        return found if metal is None or not metal.found else {**found, METALLIC.name: metal.at(p, prim)}
 
     def std(self, p: Tensor, prim: Tensor | None = None) -> dict[str, Tensor]:
         """Standard deviations [n, channels] of the parameters whose fields know them; as :meth:`at`."""
-        fields, albedo = self.recovered, self.albedo_at(p)
+        fields, albedo, metal = self.recovered, self.albedo_at(p), self.metalness
         p = p.to(albedo.device)
         found = {name: field.std(p, albedo, prim) for name, field in fields.items() if name != ALBEDO.name}
+        if metal is not None and metal.found:
+            found[METALLIC.name] = metal.std(p, prim)
         return {name: std for name, std in found.items() if std is not None}
 
 
@@ -151,6 +161,7 @@ def build_materials(
     geometry: Geometry,
     region: Region | None = None,
     known_emitters: bool = True,
+    finds_metal: bool = False,
 ) -> FittedMaterials:
     """A field for each of the scene's parameters that a fit recovers; the others are read from the scene.
 
@@ -162,6 +173,7 @@ def build_materials(
         known_emitters: emitting surfaces keep what the scene file says of them: that is part of the light, and
             photographs do not show it. They are shaded by the fitted model (principled, or diffuse in a Lambertian
             scene) like every recovered surface, whatever model the file gives them.
+        finds_metal: whether it is to be found which surfaces are metals.
     """
     region = region or Region(scene.bounds)
     bounds, cells = torch.from_numpy(region.bounds), region.cells(HIERARCHY_CELLS, max(DETAILS))
@@ -175,7 +187,10 @@ def build_materials(
         config = region.stretched(configs[parameter.name])
         return MaterialField(parameter, config, bounds, region.contracted, parts, cells)
 
-    materials = FittedMaterials({parameter.name: made(parameter) for parameter in scene.parameters})
+    fields = {parameter.name: made(parameter) for parameter in scene.parameters}
+    if finds_metal:
+        fields[METALLIC.name] = Metalness(geometry)
+    materials = FittedMaterials(fields)
     if known_emitters:
         pin_emitter_materials(materials, scene, geometry)
     return materials
@@ -267,6 +282,17 @@ class Assembly:
         return None if field is None else field.hierarchy
 
     @property
+    def metalness(self) -> Metalness | None:
+        """What finds metals; None in a run that does not look for any."""
+        return self.materials.metalness if isinstance(self.materials, FittedMaterials) else None
+
+    @property
+    def parameters(self) -> tuple[SurfaceParameter, ...]:
+        """What the surfaces have as they were found."""
+        has_metal = self.metalness is not None and self.metalness.found
+        return (*self.scene.parameters, METALLIC) if has_metal else self.scene.parameters
+
+    @property
     def estimator(self) -> Estimator:
         """The method's estimates with these materials and this radiance field."""
         return Estimator(self.world, self.materials, self.radiance, self.settings.method)
@@ -307,6 +333,9 @@ def assemble(
             False fits those, too, which only a scene whose every surface emits needs.
     """
     torch.manual_seed(settings.seed)
+    finds_metal = _finds_metal(scene, settings)
+    if finds_metal:  # no more than of albedo and roughness
+        scene = replace(scene, materials=[replace(material, metallic=DIELECTRIC) for material in scene.materials])
     sampling, optimization = settings.sampling, settings.optimization
     environment = unknown_environment(scene, settings.lighting)
     world = build_world(scene, settings.tracer, hide_environment, environment, sampling.specular_fraction)
@@ -329,7 +358,7 @@ def assemble(
                 name: replace(config, structure="free") if isinstance(config, RoughnessConfig) else config
                 for name, config in configs.items()
             }
-        materials = build_materials(scene, configs, world.geometry, region, known_emitters)
+        materials = build_materials(scene, configs, world.geometry, region, known_emitters, finds_metal)
         if optimization.average > 0:
             average = PolyakAverage(materials, optimization.average)
     needs_field = settings.method.needs_field
@@ -338,3 +367,9 @@ def assemble(
         scene, settings, world, materials, radiance, average, region, make_focus(scene, sampling.focus, materials),
         FittedDevelopment.of(scene.train, scene.photography),
     )  # fmt: skip
+
+
+def _finds_metal(scene: Scene, settings: ModelSettings) -> bool:
+    """Whether it is to be found which surfaces are metals: where all are diffuse, there is none."""
+    wanted = settings.metallic.recover != "none" and settings.materials == "fit" and settings.method.needs_field
+    return wanted and ROUGHNESS in scene.parameters

@@ -43,13 +43,22 @@ class SurfaceParts:
 
     Args:
         geometry: of the scene.
+        kind: of each triangle [f]; parts of several kinds are several parts. None where all are of one.
     """
 
-    def __init__(self, geometry: Geometry) -> None:
+    def __init__(self, geometry: Geometry, kind: Tensor | None = None) -> None:
         self._geometry = geometry
         parts = connected_parts(geometry.vertices.cpu().numpy(), geometry.faces.cpu().numpy())
+        if kind is not None:
+            pairs = np.stack((parts, kind.cpu().numpy()), -1)
+            parts = np.unique(pairs, axis=0, return_inverse=True)[1].reshape(-1)
         self.count = int(parts.max(initial=-1)) + 1
         self._of_triangle = torch.from_numpy(parts)
+
+    @cached_property
+    def triangles(self) -> Tensor:
+        """A triangle of each part [parts]."""
+        return torch.from_numpy(np.unique(self._of_triangle.cpu().numpy(), return_index=True)[1])
 
     def of(self, prim: Tensor) -> Tensor:
         """Part of each triangle ``prim`` [n]; that of the first one for -1."""

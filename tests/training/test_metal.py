@@ -1,4 +1,4 @@
-"""Metal that the files know of is kept in a fit, while base colour and roughness are found."""
+"""Metal is found by a fit, or kept where the files know of it, while base colour and roughness are found."""
 
 from dataclasses import replace
 
@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from benchmarks.stress.fit import Fit, Plan, photographs, resized
+from benchmarks.stress.fit import Fit, Plan, photographs, resized, small_settings
 from benchmarks.stress.parts import glossy
 from neurad.core.parameters import METALLIC
 from neurad.core.records import DIELECTRIC, METAL, Constant, constant
@@ -34,15 +34,21 @@ def metal_box():
     return replace(scene, materials=materials)
 
 
+def plan(recover):
+    settings = small_settings()
+    return Plan(steps=200, settings=replace(settings, metallic=replace(settings.metallic, recover=recover)))
+
+
 @pytest.fixture(scope="module")
-def kept_and_lost():
-    """Fits of photographs of the room, one that knows its metal and one that takes all for dielectrics."""
+def fits():
+    """Fits of photographs of the room: one that knows its metal, one that takes all for dielectrics, and one that finds
+    it."""
     scene = metal_box()
     images = photographs(scene, 128)
     found = []
     without = replace(scene, materials=[replace(m, metallic=DIELECTRIC) for m in scene.materials])
-    for known in (scene, without):
-        fit = Fit(known, images, Plan(steps=200)).run()
+    for known, recover in ((scene, "none"), (without, "none"), (scene, "fit")):
+        fit = Fit(known, images, plan(recover)).run()
         si = fit.seen(4096)
         with torch.no_grad():
             truth, surface = TrueMaterials(scene, fit.world.geometry)(si), fit.surface(si)
@@ -52,8 +58,8 @@ def kept_and_lost():
     return found
 
 
-def test_metal_is_kept_and_base_colour_and_roughness_are_found(kept_and_lost):
-    (fit, surface, truth, kept), (_, without, _, lost) = kept_and_lost
+def test_metal_is_kept_and_base_colour_and_roughness_are_found(fits):
+    (fit, surface, truth, kept), (_, without, _, lost), _ = fits
     assert METALLIC in fit.scene.parameters
     assert torch.equal(surface.metallic, truth.metallic)
     assert without.metallic is None
@@ -64,8 +70,22 @@ def test_metal_is_kept_and_base_colour_and_roughness_are_found(kept_and_lost):
     assert [name for name, p in fit.materials.named_parameters() if "metallic" in name] == []
 
 
-def test_maps_of_a_room_with_metal_have_it(kept_and_lost):
-    fit = kept_and_lost[0][0]
+def test_metal_is_found(fits):
+    """What files say of it plays no part."""
+    (_, _, _, kept), (_, _, _, lost), (fit, surface, truth, found) = fits
+    assembly = fit.training.assembly
+    assert METALLIC not in assembly.scene.parameters
+    assert METALLIC in assembly.parameters
+    assert assembly.metalness.done
+    assert torch.equal(surface.metallic, truth.metallic)
+    assert found[0] < max(1.5 * kept[0], 0.5 * lost[0])
+    std = fit.materials.std(fit.seen(64).p)["metallic"]
+    assert float(std.max()) < 0.5
+
+
+@pytest.mark.parametrize("index", [0, 2])
+def test_maps_of_a_room_with_metal_have_it(fits, index):
+    fit = fits[index][0]
     scene, world = fit.scene, fit.world
     (maps, *_) = HeldOut(replace(scene, test=scene.train[:1]), world.geometry, world.tracer).predict(fit.materials)
     assert maps.keys() == {"albedo", "roughness", "metallic"}
@@ -75,9 +95,10 @@ def test_maps_of_a_room_with_metal_have_it(kept_and_lost):
     np.testing.assert_allclose(shown[..., 4:].mean(), maps["metallic"].mean(), atol=0.02)
 
 
-def test_an_export_has_the_metal(kept_and_lost, tmp_path):
+@pytest.mark.parametrize("index", [0, 2])
+def test_an_export_has_the_metal(fits, tmp_path, index):
     pytest.importorskip("xatlas")
-    fit = kept_and_lost[0][0]
+    fit = fits[index][0]
     room = bake_room(fit.training.assembly, 1 << 14, 32, None, StageProgress())
     for index, mesh in enumerate(room.scene.meshes):
         of_metal = fit.scene.meshes[index].material % 2 == 1

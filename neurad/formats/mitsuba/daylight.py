@@ -129,7 +129,7 @@ def _values(emitter: Any, directions: Float64Array) -> Float64Array:
 
     si, made = mi.SurfaceInteraction3f(), np.empty(directions.shape)
     for row, towards in zip(made.reshape(-1, 3), (-directions).reshape(-1, 3).tolist(), strict=True):
-        si.wi = towards
+        si.wi = mi.Vector3f(towards)
         row[:] = emitter.eval(si)
     return made
 
