@@ -22,7 +22,7 @@ import torch
 from torch import Tensor
 
 from neurad.core.protocols import PhotoSource
-from neurad.core.records import Float64Array, FloatArray, IntArray, PixelBatch, Surface
+from neurad.core.records import Float64Array, FloatArray, IntArray, PixelBatch, Surface, SurfaceInteraction
 from neurad.core.rng import Stream
 from neurad.evidence.pixel_derivatives import DARK, LIMIT, SPP, batches_without_replacement
 from neurad.integrators.estimator import Estimator
@@ -76,8 +76,9 @@ def metal_pixels(
     mean_square_radiance: float,
     develop: Callable[[PixelBatch], PixelBatch] | None = None,
 ) -> MetalPixels | None:
-    """About ``pixels`` training pixels that lie on one triangle's group each; None if none is left. The arguments are
-    those of :func:`neurad.evidence.pixel_means.pixel_means`.
+    """About ``pixels`` training pixels; None if none is left. Each is taken for what its first sample shows.
+
+    The arguments are those of :func:`neurad.evidence.pixel_means.pixel_means`.
     """
 
     def of_batch(item: tuple[int, PixelBatch]) -> list[FloatArray]:
@@ -90,8 +91,10 @@ def metal_pixels(
     parts = list((threads.parallel_map if on_cpu else map)(of_batch, enumerate(batches)))
     if not sum(len(part[0]) for part in parts):
         return None
-    view, p, prim, a, e = zip(*parts, strict=True)
-    return MetalPixels(*(np.concatenate(x) for x in (view, p, prim)), np.concatenate(a, 2), np.concatenate(e, 2))
+    view, p, prim, a, e = (
+        np.concatenate(column, axis) for column, axis in zip(zip(*parts, strict=True), (0, 0, 0, 2, 2), strict=True)
+    )
+    return MetalPixels(view, p, prim, a, e)
 
 
 @torch.no_grad()
@@ -108,31 +111,34 @@ def _of_batch(
     unit = (field.view(b, SPP, 3).mean(1).square() + DARK * mean_square + 1e-30).sqrt()  # [b, 3]
     emitted = first.attenuate(emitted).view(b, 2, -1, 3).mean(2).transpose(0, 1)  # [2, b, 3]
     kept = si.valid.view(b, SPP).all(1)
-    a, e = [], []
+    found = []
     for metallic in (0.0, 1.0):
         for roughness in ROUGHNESS:  # the same random numbers for all
             stream = Stream(*key, _STREAM + 1, device=device)
             by, without = _linear(estimator, first.attenuate, si, metallic, roughness, stream)
-            a.append(by / unit)
-            e.append((batch.color - emitted - without) / unit)
-    a, e = (torch.stack(x, 1) for x in (a, e))  # [2, h, b, 3]
+            found.append((by / unit, (batch.color - emitted - without) / unit))
+    a, e = (torch.stack(x, 1) for x in zip(*found, strict=True))  # [2, h, b, 3]
     kept &= torch.isfinite(torch.cat((a, e), -1)).all(-1).all(0).all(0)
     columns = [batch.view, si.p.view(b, SPP, 3)[:, 0], si.prim.view(b, SPP)[:, 0]]
     return [*(x[kept].cpu().numpy() for x in columns), *(x[:, :, kept].cpu().numpy() for x in (a, e))]
 
 
 def _linear(
-    estimator: Estimator, attenuate: Callable[[Tensor], Tensor], si: object, metallic: float, roughness: float,
+    estimator: Estimator,
+    attenuate: Callable[[Tensor], Tensor],
+    si: SurfaceInteraction,
+    metallic: float,
+    roughness: float,
     stream: Stream,
-) -> tuple[Tensor, Tensor]:  # fmt: skip
+) -> tuple[Tensor, Tensor]:
     """What a base colour of 1 adds to pixels, and what they are without any, by halves of the samples [2, b, 3]."""
-    lanes = len(si)  # type: ignore[arg-type]
+    lanes = len(si)
     like = torch.empty(lanes, 1, device=stream.device)
     albedo = torch.full((lanes, 3), 0.5, device=stream.device, requires_grad=True)
     surface = Surface(albedo, torch.full_like(like, roughness), metallic=torch.full_like(like, metallic))
     half = SPP // 2
     with torch.enable_grad():
-        sample = estimator.image(si, surface, 1, stream, half // _GROUPS)  # type: ignore[arg-type]
+        sample = estimator.image(si, surface, 1, stream, half // _GROUPS)
         image = attenuate(sample.value).view(-1, half, 3)  # a half of a pixel is treated as a pixel
         if sample.Li_bsdf is not None and sample.sample_stats is not None and estimator.method.control_variate:
             light = (sample.Li_bsdf * sample.sample_stats.relative).view(-1, half, 3)

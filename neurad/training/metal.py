@@ -19,6 +19,7 @@ from neurad.evidence.roughness_evidence import patches_of
 from neurad.fields.metalness import EVEN, Metalness
 from neurad.optim.polyak_average import averaged
 from neurad.runtime.progress import phase
+from neurad.runtime.reading import listed
 from neurad.training.schedule import Counters
 from neurad.training.training_views import TrainingViews
 
@@ -27,6 +28,8 @@ HALF = 0.5
 SHARE = {"auto": 0.06, "fit": 0.24}
 """Samples of the look at the pixels over those that the fit has drawn, by ``model.metallic.recover``. One of them costs
 about a fourth of one of a training step."""
+DOUBT = 0.1
+"""Probability from which on it is said that a group may be a metal."""
 MIN_PIXELS, MAX_PIXELS = 256, 1 << 17
 """Fewer say nothing; more would take gigabytes."""
 PATCHES = 64
@@ -43,10 +46,9 @@ class Decision:
     """Names of those with groups that metal explains better, but not by enough."""
 
     def __str__(self) -> str:
-        metals = f"metal is {', '.join(self.metals)}" if self.metals else "no surface is a metal"
-        if not self.undecided:
-            return metals
-        return f"{metals}; {', '.join(self.undecided)} may be in part, which too few pixels tell, and counts as none"
+        metals = f"metal is {listed(self.metals)}" if self.metals else "no surface is a metal"
+        doubt = f"; {listed(self.undecided)} may be in part, of which too little is seen, and counts as none"
+        return metals + (doubt if self.undecided else "")
 
 
 def should_decide(metalness: Metalness | None, progress: float) -> bool:
@@ -97,5 +99,5 @@ def decide_metal(
         odds[name] = found
     probability = expit(logit(begin) + odds)
     metalness.set(torch.from_numpy(probability).float())
-    likely = [(probability > EVEN), (probability <= EVEN) & (odds > 0.0)]
+    likely = [(probability > EVEN), (probability <= EVEN) & (probability > DOUBT)]
     return Decision(*([assembly.scene.meshes[i].name for i in np.unique(meshes[part])] for part in likely))
