@@ -8,8 +8,10 @@ import torch
 
 from benchmarks.stress.fit import Fit, Plan, photographs, resized, small_settings
 from benchmarks.stress.parts import glossy
+from benchmarks.stress.scenes import small_cube, with_material
 from neurad.core.parameters import METALLIC
 from neurad.core.records import DIELECTRIC, METAL, Constant, constant
+from neurad.core.reflection import PrincipledModel
 from neurad.export.baking import bake_room
 from neurad.export.images import coded
 from neurad.export.progress import StageProgress
@@ -19,6 +21,7 @@ from neurad.integrators.film import render
 from neurad.metrics.held_out import HeldOut
 from neurad.scene.builtin import build_cornell
 from neurad.scene.textures import TrueMaterials
+from neurad.training.metal import SHARE
 
 ALBEDO, ROUGHNESS = 0.6, 0.4
 
@@ -105,3 +108,23 @@ def test_an_export_has_the_metal(fits, tmp_path, index):
         assert (float(room.scene.materials[mesh.material].metallic.value[0]) > 0.5) == of_metal
         (tmp_path / "orm.png").write_bytes(coded(room.baked[index].maps, "exact").orm)
         assert (read_bitmap(tmp_path / "orm.png")[..., 2] > 0.5).all() == of_metal
+
+
+def test_a_room_without_metal_is_fitted_as_before(monkeypatch):
+    """The look at the pixels changes nothing of the fit but what it finds, and finds none."""
+    monkeypatch.setitem(SHARE, "auto", 1.0)
+    scene = with_material(small_cube(24), PrincipledModel(), 0.4, 0.3)
+    images, found = photographs(scene, 64), []
+    for recover in ("none", "auto"):
+        settings = plan(recover).settings
+        free = replace(settings, roughness=replace(settings.roughness, structure="free"))
+        found.append(Fit(scene, images, Plan(steps=60, settings=free)).run())
+    before, after = (fit.training.assembly for fit in found)
+    assert after.metalness.done
+    assert found[1].training.step.counters.samples > found[0].training.step.counters.samples
+    assert after.parameters == before.parameters
+    assert found[1].surface(found[1].seen(64)).metallic is None
+    mine, theirs = (dict(assembly.materials.named_parameters()) for assembly in (before, after))
+    assert mine.keys() == theirs.keys()
+    assert all(torch.equal(mine[name], theirs[name]) for name in mine)
+    assert all(map(torch.equal, before.radiance.parameters(), after.radiance.parameters()))
