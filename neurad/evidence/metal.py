@@ -40,6 +40,10 @@ PRIOR = 0.05
 """Probability that a group is a metal before any photograph is looked at."""
 MIN_ERROR = 1e-3
 """Least squared error of a prediction: below it nothing is told by which is better."""
+COMMON = 8
+"""Pixels of a group by which its error is half its own and half that of all groups, and its views count for half: two
+or three pixels are predicted by luck.
+"""
 MIN_VIEWS = 2.0
 """Views that have to show a group, one of which is predicted from the others."""
 _STREAM = 43  # last number of the stream's key
@@ -169,7 +173,10 @@ def log_odds(pixels: MetalPixels, group: IntArray, patch: IntArray) -> dict[int,
     seen = np.stack([layout.of_view == v for v in np.unique(layout.of_view)]) if len(names) else np.empty((0, 0))
     counts = np.stack([np.bincount(of_group.reshape(-1), part, len(names)) for part in seen])  # [views, groups]
     views = counts.sum(0) ** 2 / np.maximum((counts**2).sum(0), 1.0)  # effective number
-    found = 0.5 * views * np.log(np.maximum(errors[0], MIN_ERROR) / np.maximum(errors[1], MIN_ERROR))
+    size = counts.sum(0)
+    common = float((size * errors.min(0)).sum() / max(size.sum(), 1))
+    errors = np.maximum((size * errors + COMMON * common) / (size + COMMON), MIN_ERROR)
+    found = 0.5 * views * size / (size + COMMON) * np.log(errors[0] / errors[1])
     return {int(name): float(x) for name, x, n in zip(names, found, views, strict=True) if n >= MIN_VIEWS}
 
 
