@@ -30,7 +30,7 @@ from neurad.integrators.primary_hits import PrimaryHits
 from neurad.losses.leave_one_out import ControlVariate
 from neurad.runtime import threads
 
-ROUGHNESS = (0.1, 0.2, 0.3, 0.45, 0.7)
+ROUGHNESS = (0.1, 0.2, 0.35, 0.6, 1.0)
 """Values that are tried."""
 LOWEST = 0.0, 0.3
 """Least base colour of a dielectric and of a metal: gold's blue, among the darkest of pure metals, is about a third."""
