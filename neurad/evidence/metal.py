@@ -30,13 +30,13 @@ from neurad.integrators.primary_hits import PrimaryHits
 from neurad.losses.leave_one_out import ControlVariate
 from neurad.runtime import threads
 
-ROUGHNESS = (0.1, 0.2, 0.35, 0.6, 1.0)
+ROUGHNESS = (0.1, 0.2, 0.3, 0.45, 0.7, 1.0)
 """Values that are tried."""
 LOWEST = 0.0, 0.3
 """Least base colour of a dielectric and of a metal: gold's blue, among the darkest of pure metals, is about a third."""
 RIDGES = (0.25, 1.0, 4.0, 16.0, np.inf)
 """Pixels that the mean of a group counts for where patches have base colours of their own."""
-PRIOR = 0.05
+PRIOR = 0.1
 """Probability that a group is a metal before any photograph is looked at."""
 MIN_ERROR = 1e-3
 """Least squared error of a prediction: below it nothing is told by which is better."""

@@ -6,6 +6,7 @@ find the base colours and roughness of what was found.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
@@ -13,6 +14,7 @@ import torch
 
 from neurad.assembly.build import Assembly, FittedMaterials
 from neurad.core.protocols import PhotoSource
+from neurad.core.records import Float64Array
 from neurad.evidence.metal import PRIOR, ROUGHNESS, log_odds, metal_pixels
 from neurad.evidence.pixel_derivatives import SPP
 from neurad.evidence.roughness_evidence import patches_of
@@ -90,14 +92,20 @@ def decide_metal(
     group = metalness.groups.of(prim.to(metalness.probability.device)).cpu().numpy()
     x = materials.to_unit_cube(torch.from_numpy(pixels.p)).cpu().double().numpy()
     meshes = assembly.world.geometry.mesh_index.cpu()[metalness.groups.triangles].numpy()  # of groups
-    # Parts of a mesh are mostly of one material: what all of them tell is what each begins with.
-    whole = log_odds(pixels, meshes[group], patches_of(x, meshes[group], PATCHES)[0])
-    prior = {mesh: PRIOR + (1.0 - 2.0 * PRIOR) * expit(logit(PRIOR) + found) for mesh, found in whole.items()}
-    begin = np.array([prior.get(int(mesh), PRIOR) for mesh in meshes])
-    odds = np.zeros(len(begin))
-    for name, found in log_odds(pixels, group, patches_of(x, group, PATCHES)[0]).items():
-        odds[name] = found
+    odds = _each(log_odds(pixels, group, patches_of(x, group, PATCHES)[0]), len(meshes))
+    # Parts of a mesh are mostly of one material: what the others tell is what each begins with.
+    mesh = meshes[group]
+    whole = _each(log_odds(pixels, mesh, patches_of(x, mesh, PATCHES)[0]), int(meshes.max()) + 1)[meshes]
+    others = 1.0 - np.bincount(group, None, len(meshes)) / np.maximum(np.bincount(mesh, None, len(meshes))[meshes], 1)
+    begin = PRIOR + (1.0 - 2.0 * PRIOR) * expit(logit(PRIOR) + others * whole)
     probability = expit(logit(begin) + odds)
     metalness.set(torch.from_numpy(probability).float())
     likely = [(probability > EVEN), (probability <= EVEN) & (probability > DOUBT)]
     return Decision(*([assembly.scene.meshes[i].name for i in np.unique(meshes[part])] for part in likely))
+
+
+def _each(found: Mapping[int, float], count: int) -> Float64Array:
+    """Values of so many [count]; 0 of those of which nothing was found."""
+    values = np.zeros(count)
+    values[list(found)] = list(found.values())
+    return values
