@@ -5,8 +5,7 @@ lobe times b under a white one, a metal a coloured lobe alone. A and B depend on
 are tried. In each group b is a mean plus what patches differ by, as far as that predicts better. Every view is
 predicted from the others, and what is right predicts better: the squared error of the better dielectric over that of
 the better metal. A view counts as one observation, however many pixels it has: the errors of a model are the same all
-over it. Products of residuals of two halves of the samples have no noise of these in their mean, which is not the same
-under both hypotheses.
+over it. Base colours are found with products of two halves of the samples, which have no noise of these in their mean.
 
 Without a highlight a rough metal is coloured paint to any camera. And a dark dielectric is a metal that reflects 4 %,
 which none does, so that base colours of metals have a lower end.
@@ -227,7 +226,7 @@ class _Layout:
         for ridge in RIDGES:
             color = mean if np.isinf(ridge) else mean + (n - mean * d) / (d + ridge * d_pixel)
             residual = (e - a * np.clip(color, lowest, 1.0)[self.by_patch]).clip(-LIMIT, LIMIT)
-            yield np.bincount(self.of_group, (residual[0] * residual[1]).sum(-1)) / pixels
+            yield np.bincount(self.of_group, np.square(residual.mean(0)).sum(-1)) / pixels
 
 
 def _sums(values: Float64Array, key: IntArray) -> Float64Array:

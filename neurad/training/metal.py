@@ -30,7 +30,7 @@ HALF = 0.5
 SHARE = {"auto": 0.06, "fit": 0.24}
 """Samples of the look at the pixels over those that the fit has drawn, by ``model.metallic.recover``. One of them costs
 about a fourth of one of a training step."""
-DOUBT = 0.1
+DOUBT = 0.25
 """Probability from which on it is said that a group may be a metal."""
 MIN_PIXELS, MAX_PIXELS = 256, 1 << 17
 """Fewer say nothing; more would take gigabytes."""
@@ -100,8 +100,9 @@ def decide_metal(
     begin = PRIOR + (1.0 - 2.0 * PRIOR) * expit(logit(PRIOR) + others * whole)
     probability = expit(logit(begin) + odds)
     metalness.set(torch.from_numpy(probability).float())
-    likely = [(probability > EVEN), (probability <= EVEN) & (probability > DOUBT)]
-    return Decision(*([assembly.scene.meshes[i].name for i in np.unique(meshes[part])] for part in likely))
+    metals = np.unique(meshes[probability > EVEN])
+    undecided = np.setdiff1d(meshes[(probability <= EVEN) & (probability > DOUBT)], metals)
+    return Decision(*([assembly.scene.meshes[i].name for i in which] for which in (metals, undecided)))
 
 
 def _each(found: Mapping[int, float], count: int) -> Float64Array:
