@@ -1,4 +1,4 @@
-"""Metalness of groups of surface, which is decided, not regressed: a surface is a metal or it is none."""
+"""Metalness of triangles, which is decided, not regressed: a surface is a metal or it is none."""
 
 from __future__ import annotations
 
@@ -10,11 +10,11 @@ from neurad.scene.geometry import Geometry
 from neurad.scene.parts import SurfaceParts
 
 EVEN = 0.5
-"""Probability from which on a group is taken for metal."""
+"""Probability from which on a surface is taken for metal."""
 
 
 class Metalness(nn.Module):
-    """Whether each group of surface is a metal: connected parts of a mesh. Emitters are none, as they are known.
+    """Whether each triangle is of a metal. Emitters are none, as they are known.
 
     Args:
         geometry: of the scene.
@@ -25,16 +25,16 @@ class Metalness(nn.Module):
 
     def __init__(self, geometry: Geometry) -> None:
         super().__init__()
-        self.groups = SurfaceParts(geometry, geometry.mesh_index)
+        self.parts = SurfaceParts(geometry, geometry.mesh_index)
         self.register_buffer("made", torch.zeros((), dtype=torch.int64))
-        self.register_buffer("probability", torch.zeros(self.groups.count))
+        self.register_buffer("probability", torch.zeros(len(geometry.faces)))
         self.found = self.done = False
-        """Whether some group is a metal, and whether it was decided."""
+        """Whether some triangle is of a metal, and whether it was decided."""
         self.register_load_state_dict_post_hook(lambda module, _: module._refresh())  # type: ignore[no-untyped-call]
 
     @torch.no_grad()
     def set(self, probability: Tensor) -> None:
-        """It was decided: the probability that each group is a metal [groups]."""
+        """It was decided: the probability that each triangle is of a metal [f]."""
         self.probability.copy_(probability)
         self.made.fill_(1)
         self._refresh()
@@ -57,5 +57,5 @@ class Metalness(nn.Module):
         return (probability * (1.0 - probability)).sqrt()
 
     def _probability(self, p: Tensor, prim: Tensor | None) -> Tensor:
-        group = self.groups.at(p) if prim is None else self.groups.of(prim)
-        return self.probability[group].unsqueeze(-1)
+        prim = self.parts.nearest(p) if prim is None else prim.clamp_min(0)
+        return self.probability[prim].unsqueeze(-1)

@@ -67,16 +67,20 @@ class SurfaceParts:
         return self._of_triangle[prim.clamp_min(0)]
 
     def at(self, p: Tensor) -> Tensor:
-        """Part that lies nearest to each position [n, 3], within the distance of :data:`SAMPLES` points from each
+        """Part that lies nearest to each position [n, 3], see :meth:`nearest`."""
+        return self.of(self.nearest(p))
+
+    def nearest(self, p: Tensor) -> Tensor:
+        """Triangle that lies nearest to each position [n, 3], within the distance of :data:`SAMPLES` points from each
         other.
         """
-        points, part = self._samples
+        points, prim = self._samples
         found = points.query(p.cpu().numpy())[1]
-        return part[torch.from_numpy(np.asarray(found, np.int64))].to(p.device)
+        return prim[torch.from_numpy(np.asarray(found, np.int64))].to(p.device)
 
     @cached_property
     def _samples(self) -> tuple[Any, Tensor]:
-        """A tree of points spread evenly over the triangles, one in each at least, and the part of each point."""
+        """A tree of points spread evenly over the triangles, one in each at least, and the triangle of each point."""
         from scipy.spatial import KDTree
 
         area = self._geometry.face_area.cpu().numpy().astype(np.float64)
@@ -88,4 +92,4 @@ class SurfaceParts:
         u[: len(area)] = v[: len(area)] = 1.0 / 3.0
         corners = self._geometry.vertices.cpu().numpy()[self._geometry.faces.cpu().numpy()[prim]]  # [n, 3, 3]
         weight = np.stack((1.0 - u - v, u, v), -1)
-        return KDTree((weight[..., None] * corners).sum(1)), self._of_triangle.cpu()[torch.from_numpy(prim)]
+        return KDTree((weight[..., None] * corners).sum(1)), torch.from_numpy(prim)
