@@ -10,7 +10,7 @@ from benchmarks.stress.fit import Fit, Plan, photographs, resized, small_setting
 from benchmarks.stress.parts import glossy
 from benchmarks.stress.scenes import small_cube, with_material
 from neurad.core.parameters import METALLIC
-from neurad.core.records import DIELECTRIC, METAL, Constant, constant
+from neurad.core.records import DIELECTRIC, METAL, Constant, Mesh, constant
 from neurad.core.reflection import PrincipledModel
 from neurad.export.baking import bake_room
 from neurad.export.images import coded
@@ -43,12 +43,17 @@ def plan(recover):
 
 
 @pytest.fixture(scope="module")
-def fits():
+def room():
+    """The room and its photographs."""
+    scene = metal_box()
+    return scene, photographs(scene, 128)
+
+
+@pytest.fixture(scope="module")
+def fits(room):
     """Fits of photographs of the room: one that knows its metal, one that takes all for dielectrics, and one that finds
     it."""
-    scene = metal_box()
-    images = photographs(scene, 128)
-    found = []
+    (scene, images), found = room, []
     without = replace(scene, materials=[replace(m, metallic=DIELECTRIC) for m in scene.materials])
     for known, recover in ((scene, "none"), (without, "none"), (scene, "fit")):
         with pytest.MonkeyPatch.context() as patch:
@@ -91,6 +96,22 @@ def test_metal_is_found(fits):
     assert found < max(1.5 * kept, 0.5 * lost)
     std = fit.materials.std(fit.seen(64).p)["metallic"]
     assert 0.0 < float(std.max()) <= 0.5
+
+
+def test_metal_is_found_in_a_scan_in_one_piece(room, fits, monkeypatch):
+    """Its parts are told by their colours, and no wall of paint is among them."""
+    monkeypatch.setitem(SHARE, "fit", 3.0)
+    scene, images = room
+    plain, lamps = ([m for m in scene.meshes if (m.radiance is not None) == shines] for shines in (False, True))
+    first = np.cumsum([0, *(len(mesh.vertices) for mesh in plain)])
+    faces = [mesh.faces + before for mesh, before in zip(plain, first, strict=False)]
+    scan = Mesh("scan", np.concatenate([mesh.vertices for mesh in plain]), np.concatenate(faces), plain[0].material)
+    fit = Fit(replace(scene, meshes=[scan, *lamps]), images, plan("fit")).run()
+    points = fits[0][0].seen(4096)
+    metal = fits[0][0].surface(points).metallic.squeeze(-1) > 0
+    found = fit.materials.metalness.at(points.p).squeeze(-1)
+    assert float(found[metal].mean()) > 0.25
+    assert float(found[~metal].mean()) < 0.01
 
 
 @pytest.mark.parametrize("index", [0, 2])
