@@ -172,6 +172,9 @@ class MetalDecision:
             if found is not None:
                 print(f"neurad: {found}", file=sys.stderr)
         metalness.load_state_dict(broadcast({name: value.cpu() for name, value in metalness.state_dict().items()}))
+        # Metals that were taken for dielectrics may have drawn the roughness of all surfaces to an end of its range.
+        if metalness.found and training.assembly.settings.roughness.begin != "middle":
+            RoughnessStart().run(training, progress)
 
 
 class LevelFilter:
